@@ -1,0 +1,1 @@
+"""Cameras and tracks: the protocols (api.py) and the drivers that come with lscan."""

@@ -1,0 +1,95 @@
+"""What a camera and a track must do, real or simulated.
+
+A driver is an object registered under the entry-point group ``lscan.cameras`` or
+``lscan.tracks``; its name there is what a rig file's ``driver`` key says.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Protocol, runtime_checkable
+
+from lscan.records import Bytes
+from lscan.rig import RigFile
+
+
+@dataclass(frozen=True)
+class Grab:
+    """One picture as the camera delivers it.
+
+    image: (H, W) or (H, W, 3) uint8, colour as RGB.  time_s: the camera's own clock.
+    """
+
+    image: Bytes
+    time_s: float
+    exposure_ms: float
+
+
+@runtime_checkable
+class Track(Protocol):
+    """A linear track."""
+
+    @property
+    def position_mm(self) -> float:
+        """Where the head stands, as the track itself reports it."""
+        ...
+
+    def move_to(self, position_mm: float) -> float:
+        """Move, wait until at rest, and return the reported position in mm.
+
+        Raises DeviceError naming the limit where the position cannot be reached.
+        """
+        ...
+
+    def close(self) -> None:
+        """Release the device; closing twice is harmless."""
+        ...
+
+
+@runtime_checkable
+class Camera(Protocol):
+    """A camera that delivers pictures of one size."""
+
+    @property
+    def size_px(self) -> tuple[int, int]:
+        """(width, height) of every picture."""
+        ...
+
+    def grab(self) -> Grab:
+        """A picture taken after this call began.  Raises DeviceError where none comes."""
+        ...
+
+    def close(self) -> None:
+        """Release the device; closing twice is harmless."""
+        ...
+
+
+class TrackDriver(Protocol):
+    """Opens tracks of one kind."""
+
+    sections: frozenset[str]
+    """Top-level sections of a rig file that this driver owns."""
+
+    def validate(self, rig_file: RigFile) -> None:
+        """Check the driver's options and sections without touching a device: InputError."""
+        ...
+
+    def open(self, rig_file: RigFile) -> Track:
+        """The track, ready to move."""
+        ...
+
+
+class CameraDriver(Protocol):
+    """Opens cameras of one kind."""
+
+    sections: frozenset[str]
+    """Top-level sections of a rig file that this driver owns."""
+
+    def validate(self, rig_file: RigFile) -> None:
+        """Check the driver's options and sections without touching a device: InputError."""
+        ...
+
+    def open(self, rig_file: RigFile, track: Track) -> Camera:
+        """The camera, ready to grab.  A simulated camera sees the tank from where ``track``
+        stands; a real one ignores it."""
+        ...

@@ -1,0 +1,105 @@
+"""TOML documents: read, merge their includes, and check them against strict models.
+
+A document may name others to start from: ``include = "rig.toml"`` (or a list).  Tables are
+merged key by key and the including file wins, so scenes share one rig instead of
+repeating it.  Paths inside a document are relative to the file they stand in.
+"""
+
+from __future__ import annotations
+
+import tomllib
+from pathlib import Path
+from typing import Any, TypeVar
+
+from pydantic import BaseModel, ConfigDict, ValidationError
+
+from lscan.errors import InputError
+
+Document = dict[str, Any]
+Model = TypeVar("Model", bound=BaseModel)
+
+
+class Strict(BaseModel):
+    """Base of every model of a file: frozen, unknown keys and non-finite numbers refused."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+
+
+def read_document(path: Path) -> Document:
+    """The TOML document at ``path`` with its includes merged in and their paths resolved.
+
+    Keys named ``file`` or ending in ``_file`` become paths that hold from anywhere.
+    Raises InputError where a file is missing, is not TOML, or includes itself.
+    """
+    return _read(path, chain=())
+
+
+def _read(path: Path, chain: tuple[Path, ...]) -> Document:
+    path = path.resolve()
+    if path in chain:
+        raise InputError("includes itself", where=path, value=[p.name for p in chain])
+    document = _parse(path)
+    _anchor_paths(document, path.parent)
+    includes = document.pop("include", [])
+    names = [includes] if isinstance(includes, str) else includes
+    if not isinstance(names, list) or not all(isinstance(name, str) for name in names):
+        raise InputError("bad include", where=path, value=includes, allowed="a path or a list")
+    merged: Document = {}
+    for name in names:
+        merged = merge(merged, _read(path.parent / name, (*chain, path)))
+    return merge(merged, document)
+
+
+def _parse(path: Path) -> Document:
+    try:
+        return tomllib.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise InputError(f"cannot be read: {error.strerror}", where=path) from error
+    except UnicodeDecodeError as error:
+        raise InputError("is not UTF-8 text", where=path) from error
+    except tomllib.TOMLDecodeError as error:
+        raise InputError(f"is not valid TOML: {error}", where=path) from error
+
+
+def _anchor_paths(table: Document, folder: Path) -> None:
+    for key, value in table.items():
+        if isinstance(value, dict):
+            _anchor_paths(value, folder)
+        elif isinstance(value, str) and (key == "file" or key.endswith("_file")):
+            table[key] = str((folder / value).resolve())
+
+
+def merge(base: Document, over: Document) -> Document:
+    """A new document: ``base`` with the keys of ``over`` laid over it, table by table."""
+    result = dict(base)
+    for key, value in over.items():
+        if isinstance(value, dict) and isinstance(result.get(key), dict):
+            result[key] = merge(result[key], value)
+        else:
+            result[key] = value
+    return result
+
+
+def check(model: type[Model], document: Document, where: object, prefix: str = "") -> Model:
+    """The document as a ``model``; every fault becomes one InputError line.
+
+    where: the file, for the message.  prefix: the key path the document sits under.
+    """
+    try:
+        return model.model_validate(document)
+    except ValidationError as error:
+        raise InputError(_explain(error, prefix), where=where) from error
+
+
+def _explain(error: ValidationError, prefix: str) -> str:
+    faults = error.errors()
+    first = faults[0]
+    path = [prefix] if prefix else []
+    path += [str(part) for part in first["loc"]]
+    message = first["msg"][0].lower() + first["msg"][1:]
+    if first["type"] == "extra_forbidden":
+        message = "unknown key"
+    elif first["type"] != "missing":
+        message += f" (got {first['input']!r})"
+    more = f"; and {len(faults) - 1} more" if len(faults) > 1 else ""
+    return f"{'.'.join(path) or 'document'}: {message}{more}"

@@ -1,0 +1,57 @@
+"""What lscan raises: one clear line that names what, where, the value and what is allowed."""
+
+from __future__ import annotations
+
+
+class LscanError(Exception):
+    """Base of every error a user may meet; its text is one line fit for the screen."""
+
+    exit_code = 2
+
+
+class InputError(LscanError):
+    """A file, an image, a scene or an argument that cannot be used as it is."""
+
+    def __init__(
+        self, what: str, *, where: object = None, value: object = None, allowed: object = None
+    ) -> None:
+        """Build the line ``where: what (got value; allowed: allowed)``.
+
+        Args:
+            what: what is wrong, in a few words.
+            where: the file and key, the command-line option or the array at fault.
+            value: the offending value, shown with ``repr``.
+            allowed: what would have been accepted, in words.
+        """
+        self.what, self.where, self.value, self.allowed = what, where, value, allowed
+        notes = []
+        if value is not None:
+            notes.append(f"got {_short(value)}")
+        if allowed is not None:
+            notes.append(f"allowed: {allowed}")
+        prefix = f"{where}: " if where is not None else ""
+        suffix = f" ({'; '.join(notes)})" if notes else ""
+        super().__init__(f"{prefix}{what}{suffix}")
+
+
+class BoardNotFound(LscanError):
+    """The calibration board, or enough of it, could not be found in the picture."""
+
+    exit_code = 1
+
+
+class MeasurementError(LscanError):
+    """The data do not carry the measurement asked for (no wedge, no groove, too few points)."""
+
+    exit_code = 1
+
+
+class DeviceError(LscanError):
+    """A camera or a track failed or refused; names device, value, unit and limit."""
+
+    exit_code = 1
+
+
+def _short(value: object, limit: int = 80) -> str:
+    text = repr(value)
+    return text if len(text) <= limit else text[: limit - 1] + "…"

@@ -1,0 +1,221 @@
+"""The records that pass between the stages, and the conventions they all follow.
+
+Units: lengths mm, wavelengths nm, power mW, time s, exposure ms, angles rad (degrees
+only in files and on screen).  A scalar's name carries its unit.
+
+World frame: x to the right as the camera sees it, y along the track and away from the
+camera, z up; right-handed.  The head frame moves along the track with the scanner; its
+laser sheet is the plane y = 0, so with the sheet square to the track the sheet of the head
+at track position s is the world plane y = s.
+
+Plane frame: (x, z) in the laser sheet, in mm.  The calibration board lies in it: origin at
+control point O (upper left), x right, z up, so points beneath O have negative z.
+
+Pixels: (u, v), u right, v down, the centre of the top-left pixel is (0, 0).
+
+Every point has a :class:`Status`; a point whose status is not ``OK`` (or ``SATURATED``,
+which has a value of lesser quality) holds NaN.  Nothing is dropped in silence.
+Every measured coordinate has a standard uncertainty (one sigma) beside it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from enum import IntEnum
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+Bytes = NDArray[np.uint8]
+Mask = NDArray[np.bool_]
+Axis = Literal["columns", "rows"]
+
+
+class Status(IntEnum):
+    """Why a point has, or has not, a value."""
+
+    OK = 0
+    NO_PEAK = 1  # nothing above the threshold in this column
+    SATURATED = 2  # a value, but the peak is clipped: expect bias
+    AT_BORDER = 3  # the peak is cut by the edge of the picture
+    OUT_OF_BOARD = 4  # outside the calibrated part of the plane
+    NOT_FOUND = 5  # a mark of the board that was looked for and is not there
+    OUT_OF_VIEW = 6  # a mark of the board that lies outside the picture
+    OCCLUDED = 7  # hidden from the camera or from the laser
+    NO_DATA = 8  # a grid cell or slice point without measurements near it
+
+
+def has_value(status: NDArray[np.integer]) -> Mask:
+    """Mask, same shape, of the points that hold a number: OK or SATURATED."""
+    return (status == Status.OK) | (status == Status.SATURATED)
+
+
+@dataclass(frozen=True)
+class Frame:
+    """One picture and where the head stood when it was taken.
+
+    image: (H, W) or (H, W, 3) uint8, colour as RGB.
+    commanded_mm, position_mm: track position asked for, and reported by the track.
+    time_s: the camera's clock.  exposure_ms: as reported by the camera.
+    """
+
+    image: Bytes
+    index: int
+    commanded_mm: float
+    position_mm: float
+    time_s: float
+    exposure_ms: float
+
+
+@dataclass(frozen=True)
+class Marks:
+    """Marks of the board with their place in the picture.
+
+    board_mm: (N, 2) nominal (x, z) in the plane frame.
+    image_px: (N, 2) centre (u, v); NaN where status is not OK.
+    sigma_px: (N,) standard uncertainty of u and of v; NaN where not OK.
+    status: (N,) of Status.
+    """
+
+    board_mm: Floats
+    image_px: Floats
+    sigma_px: Floats
+    status: Ints
+
+    @property
+    def found(self) -> Mask:
+        """(N,) mask of the marks that have a place in the picture."""
+        return self.status == Status.OK
+
+
+@dataclass(frozen=True)
+class RulerReading:
+    """One auxiliary ruler as seen: a straight line of marks on the board.
+
+    direction: "vertical" (marks along z at fixed x) or "horizontal" (along x at fixed z).
+    at_mm: the fixed coordinate.
+    """
+
+    direction: Literal["vertical", "horizontal"]
+    at_mm: float
+    marks: Marks
+
+
+@dataclass(frozen=True)
+class BoardReading:
+    """All that was found of the calibration board in one picture.
+
+    image_size: (width, height) in px.
+    pitch_mm: grid spacing.
+    shape: (rows, columns) of the grid; ``grid`` lists its marks row by row, the top row
+        first, so ``grid.image_px.reshape(rows, columns, 2)`` is the lattice.
+    rulers: the auxiliary rulers, in the order of the board file.
+    dots: single named dots, name to (u, v) px, NaN where not found.
+    rings: points picked on the centre line of each named ring, name to (K, 2) px.
+    """
+
+    image_size: tuple[int, int]
+    pitch_mm: float
+    shape: tuple[int, int]
+    grid: Marks
+    rulers: tuple[RulerReading, ...] = ()
+    dots: dict[str, Floats] = field(default_factory=dict)
+    rings: dict[str, Floats] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Stripe:
+    """The laser line in one picture: one entry per column (or row) of the picture.
+
+    axis: "columns": entry i is column u = i and centre_px is v; "rows": entry i is row
+        v = i and centre_px is u.
+    centre_px: (N,) centre of the line across it; NaN where there is none.
+    sigma_px: (N,) standard uncertainty of centre_px.
+    peak: (N,) highest grey value of the line above the background, in DN.
+    status: (N,) of Status.
+    """
+
+    axis: Axis
+    centre_px: Floats
+    sigma_px: Floats
+    peak: Floats
+    status: Ints
+
+    @property
+    def image_px(self) -> Floats:
+        """(N, 2) of (u, v) in px, NaN where there is no line."""
+        along = np.arange(len(self.centre_px), dtype=float)
+        pair = (along, self.centre_px) if self.axis == "columns" else (self.centre_px, along)
+        return np.column_stack(pair)
+
+
+@dataclass(frozen=True)
+class PlanePoints:
+    """Points in the laser sheet.
+
+    xz_mm: (N, 2) in the plane frame; NaN where status gives no value.
+    sigma_mm: (N, 2) standard uncertainty of x and of z.
+    status: (N,) of Status.
+    """
+
+    xz_mm: Floats
+    sigma_mm: Floats
+    status: Ints
+
+
+@dataclass(frozen=True)
+class Profile:
+    """One scan line in the laser sheet of the head at ``position_mm``.
+
+    points: one per column (or row) of the picture, in the picture's order.
+    peak: (N,) grey value of the line at that point, as in Stripe; used to find line ends.
+    """
+
+    position_mm: float
+    points: PlanePoints
+    peak: Floats
+
+
+@dataclass(frozen=True)
+class Surface:
+    """All profiles of a run, stacked: F frames of N columns.
+
+    xyz_mm: (F, N, 3) points; which frame they are in is said by ``frame``: "head" as
+        scanned (x and z in the sheet, y the track position), "workpiece" once aligned.
+    sigma_mm: (F, N) standard uncertainty of z; sigma_x_mm: (F, N) of x.
+    status: (F, N) of Status.
+    position_mm: (F,) track positions.
+    """
+
+    xyz_mm: Floats
+    sigma_x_mm: Floats
+    sigma_mm: Floats
+    status: Ints
+    position_mm: Floats
+    frame: Literal["head", "workpiece"] = "head"
+
+
+@dataclass(frozen=True)
+class Measured:
+    """A length or an angle with its truth: measured minus nominal is the error."""
+
+    nominal_mm: float
+    measured_mm: float
+    sigma_mm: float
+
+    @property
+    def error_mm(self) -> float:
+        """Measured minus nominal, mm."""
+        return self.measured_mm - self.nominal_mm
+
+    def as_json(self) -> dict[str, float]:
+        """The four numbers under the keys results.json uses."""
+        return {
+            "nominal_mm": self.nominal_mm,
+            "measured_mm": self.measured_mm,
+            "error_mm": self.error_mm,
+            "sigma_mm": self.sigma_mm,
+        }

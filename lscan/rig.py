@@ -1,0 +1,161 @@
+"""The rig file: camera, track, scan plan, board, and how the pictures are to be read.
+
+A rig file is TOML (documents.py).  Sections that belong to a driver (the tank's lens, water
+and laser, say) may stand in the same file: each driver names the sections it owns and checks
+them itself, so a scene file of the tank is a rig file too.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from importlib.metadata import EntryPoint, entry_points
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from pydantic import Field, PositiveFloat, PositiveInt
+
+from lscan.board import Board
+from lscan.documents import Document, Strict, check, merge, read_document
+from lscan.errors import InputError
+from lscan.targets import Workpiece
+
+Channel = Literal["red", "green", "blue", "grey"]
+
+
+class CameraSection(Strict):
+    """Which camera, and how it is set.  ``options`` go to the driver, which checks them."""
+
+    driver: str
+    width_px: Annotated[int, Field(ge=16, le=16384)] = 640
+    height_px: Annotated[int, Field(ge=16, le=16384)] = 480
+    exposure_ms: PositiveFloat = 20.0
+    options: dict[str, Any] = {}
+
+
+class TrackSection(Strict):
+    """Which track.  ``options`` go to the driver, which checks them."""
+
+    driver: str
+    options: dict[str, Any] = {}
+
+
+class Plan(Strict):
+    """The scan: ``frames`` pictures, ``step_mm`` apart, the first at ``start_mm``."""
+
+    start_mm: float = 0.0
+    step_mm: float = 0.5
+    frames: PositiveInt = 1
+
+    def positions_mm(self) -> list[float]:
+        """Commanded track position of each frame, mm."""
+        return [self.start_mm + index * self.step_mm for index in range(self.frames)]
+
+
+class StripeSection(Strict):
+    """How the laser line is found: the paper's rule is span 2 about the first maximum."""
+
+    extractor: str = "centroid-relative"
+    channel: Channel = "red"
+    axis: Literal["columns", "rows"] = "columns"
+    threshold_dn: Annotated[float, Field(ge=0, le=255)] = 40.0
+    span_px: Annotated[int, Field(ge=1, le=100)] = 2
+
+
+class CalibrationSection(Strict):
+    """Which plane map is solved from the board picture, and from which colour channel."""
+
+    plane_map: str = "graticule-2"
+    channel: Channel = "grey"
+
+
+class Rig(Strict):
+    """A whole rig file without the sections that belong to drivers."""
+
+    name: str = "unnamed"
+    camera: CameraSection
+    track: TrackSection
+    plan: Plan = Plan()
+    stripe: StripeSection = StripeSection()
+    calibration: CalibrationSection = CalibrationSection()
+    board: Board | None = None
+    workpiece: Workpiece | None = None
+
+
+@dataclass(frozen=True)
+class RigFile:
+    """A rig as read: the model, the whole merged document it came from, and from where.
+
+    document holds all sections, the drivers' included, with the board's file read in, so
+    that it stands alone: it is what a run folder keeps.
+    """
+
+    rig: Rig
+    document: Document
+    source: str
+
+    def section(self, name: str) -> Document:
+        """A driver's own section of the document, {} where the file has none."""
+        return self.document.get(name, {})
+
+
+def load_rig(path: Path) -> RigFile:
+    """The rig, or scene, described by the TOML file at ``path``.
+
+    Raises InputError where the file cannot be read, holds an unknown key or an unknown
+    driver, or where a driver refuses a section of its own.
+    """
+    document = inline_board(read_document(path))
+    rig_file = parse_rig(document, source=str(path))
+    for driver in _drivers(rig_file.rig):
+        driver.validate(rig_file)
+    return rig_file
+
+
+def parse_rig(document: Document, source: str, trusted: bool = False) -> RigFile:
+    """The rig in an already merged document.
+
+    trusted: the document comes from a run folder, whose driver sections were checked when
+    it was written; the drivers then need not be installed.
+    """
+    own = {key: value for key, value in document.items() if key in Rig.model_fields}
+    rig = check(Rig, own, where=source)
+    strange = set(document) - set(own)
+    if strange and not trusted:
+        owned = {section for driver in _drivers(rig) for section in driver.sections}
+        unknown = sorted(strange - owned)
+        if unknown:
+            allowed = ", ".join(sorted({*Rig.model_fields, *owned}))
+            raise InputError(f"{unknown[0]}: unknown section", where=source, allowed=allowed)
+    return RigFile(rig=rig, document=document, source=source)
+
+
+def inline_board(document: Document) -> Document:
+    """The document with ``[board] file = ...`` replaced by what that file holds."""
+    board = document.get("board")
+    if not isinstance(board, dict) or "file" not in board:
+        return document
+    rest = {key: value for key, value in board.items() if key != "file"}
+    read = read_document(Path(board["file"]))
+    return {**document, "board": merge(read, rest)}
+
+
+def find_plugin(group: str, name: str, where: object = None) -> Any:
+    """The object registered under ``name`` in an entry-point group of this project.
+
+    group: "lscan.cameras", "lscan.tracks", "lscan.extractors" or "lscan.planemaps".
+    Raises InputError that lists the names there are.
+    """
+    found: dict[str, EntryPoint] = {entry.name: entry for entry in entry_points(group=group)}
+    if name not in found:
+        kind = group.partition(".")[2].rstrip("s")
+        raise InputError(
+            f"no such {kind}", where=where, value=name, allowed=", ".join(sorted(found))
+        )
+    return found[name].load()
+
+
+def _drivers(rig: Rig) -> list[Any]:
+    return [
+        find_plugin("lscan.cameras", rig.camera.driver, where="camera.driver"),
+        find_plugin("lscan.tracks", rig.track.driver, where="track.driver"),
+    ]

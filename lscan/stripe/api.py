@@ -1,0 +1,22 @@
+"""What a stripe extractor is, and the one way to call it."""
+
+from __future__ import annotations
+
+from typing import Protocol
+
+from lscan.records import Floats, Stripe
+from lscan.rig import StripeSection
+
+
+class Extractor(Protocol):
+    """Finds the line's centre in each column of a grey picture.
+
+    Registered under the entry-point group ``lscan.extractors``.
+    """
+
+    def __call__(self, image: Floats, settings: StripeSection) -> Stripe:
+        """The line across the columns of ``image``, (H, W) grey values in DN.
+
+        Always works along columns; ``extract_stripe`` turns pictures whose line runs down.
+        """
+        ...
