@@ -1,0 +1,152 @@
+"""The tank's camera and track, behind the protocols of real ones.
+
+Given the same scene, a picture depends only on where the track stands and on how many
+pictures were taken there before, so a scan that is stopped and resumed gives the same bytes.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from lscan.devices.api import Grab, Track
+from lscan.documents import Strict, check
+from lscan.errors import DeviceError
+from lscan.rig import RigFile
+from sim.scene import SECTIONS, Scene, scene_of
+
+if TYPE_CHECKING:
+    from sim.sensor import Webcam
+    from sim.tank import Tank
+
+FRAME_PERIOD_S = 0.2  # the simulated clock: a step of the plan takes this long
+
+
+class TrackOptions(Strict):
+    """``[track.options]`` of the tank's track: its travel."""
+
+    min_mm: float = -1000.0
+    max_mm: float = 1000.0
+
+
+class CameraOptions(Strict):
+    """``[camera.options]`` of the tank's camera: none, the scene's sections say it all."""
+
+
+class SimTrack:
+    """A track that is at once where it is told to go."""
+
+    def __init__(self, options: TrackOptions) -> None:
+        self._options = options
+        self._position_mm = 0.0
+        self._closed = False
+
+    @property
+    def position_mm(self) -> float:
+        """Where the head stands, mm."""
+        return self._position_mm
+
+    def move_to(self, position_mm: float) -> float:
+        """The position reached, mm; DeviceError outside the track's travel."""
+        if self._closed:
+            raise DeviceError("sim track: is closed")
+        low, high = self._options.min_mm, self._options.max_mm
+        if not low <= position_mm <= high:  # also refuses NaN
+            raise DeviceError(
+                f"sim track: cannot move to {position_mm} mm (allowed: {low} to {high} mm)"
+            )
+        self._position_mm = float(position_mm)
+        return self._position_mm
+
+    def close(self) -> None:
+        """Release the track."""
+        self._closed = True
+
+
+class SimCamera:
+    """A camera that renders the tank from where its track stands."""
+
+    def __init__(self, scene: Scene, track: Track) -> None:
+        from sim.sensor import Webcam
+        from sim.tank import Tank
+
+        self._scene, self._track = scene, track
+        self._tank: Tank | None = Tank(scene)
+        self._webcam: Webcam = Webcam(scene)
+        self._taken: Counter[int] = Counter()
+        self._time_s = -np.inf
+
+    @property
+    def size_px(self) -> tuple[int, int]:
+        """(width, height) of every picture."""
+        camera = self._scene.rig.camera
+        return camera.width_px, camera.height_px
+
+    def grab(self) -> Grab:
+        """A picture, (H, W, 3) RGB, seen from the track's position."""
+        if self._tank is None:
+            raise DeviceError("sim camera: is closed")
+        position_mm = self._track.position_mm
+        layers = self._tank.render(position_mm)
+        exposure_ms = self._scene.rig.camera.exposure_ms
+        image = self._webcam.expose(layers, exposure_ms, self._generator(position_mm))
+        return Grab(image=image, time_s=self._tick(position_mm), exposure_ms=exposure_ms)
+
+    def close(self) -> None:
+        """Release the tank."""
+        self._tank = None
+
+    def _generator(self, position_mm: float) -> np.random.Generator:
+        nanometres = round(position_mm * 1e6)
+        count = self._taken[nanometres]
+        self._taken[nanometres] += 1
+        place = (abs(nanometres), int(nanometres < 0))
+        return np.random.default_rng([self._scene.tank.sensor.seed, 1, *place, count])
+
+    def _tick(self, position_mm: float) -> float:
+        """The simulated clock: it follows the plan, and never stands still or runs back."""
+        plan = self._scene.rig.plan
+        steps = (position_mm - plan.start_mm) / plan.step_mm if plan.step_mm else 0.0
+        exposure_s = self._scene.rig.camera.exposure_ms * 1e-3
+        self._time_s = max(round(steps * FRAME_PERIOD_S, 6), self._time_s + exposure_s)
+        return self._time_s
+
+
+class SimTrackDriver:
+    """Registered as "sim" under ``lscan.tracks``."""
+
+    sections: frozenset[str] = frozenset()
+
+    def validate(self, rig_file: RigFile) -> None:
+        """Check ``[track.options]``; InputError names what is wrong."""
+        self._options(rig_file)
+
+    def open(self, rig_file: RigFile) -> SimTrack:
+        """The track at position 0."""
+        return SimTrack(self._options(rig_file))
+
+    def _options(self, rig_file: RigFile) -> TrackOptions:
+        options = rig_file.rig.track.options
+        return check(TrackOptions, options, where=rig_file.source, prefix="track.options")
+
+
+class SimCameraDriver:
+    """Registered as "sim" under ``lscan.cameras``; owns the tank's sections."""
+
+    sections: frozenset[str] = SECTIONS
+
+    def validate(self, rig_file: RigFile) -> None:
+        """Check options and the tank's sections; InputError names what is wrong."""
+        options = rig_file.rig.camera.options
+        check(CameraOptions, options, where=rig_file.source, prefix="camera.options")
+        scene_of(rig_file)
+
+    def open(self, rig_file: RigFile, track: Track) -> SimCamera:
+        """The camera, its tank loaded into Mitsuba."""
+        return SimCamera(scene_of(rig_file), track)
+
+
+camera_driver = SimCameraDriver()
+track_driver = SimTrackDriver()

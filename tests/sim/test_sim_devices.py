@@ -1,0 +1,86 @@
+"""The tank's camera and track: the contract of every device, and what is theirs alone."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from lscan.errors import DeviceError, InputError
+from lscan.rig import RigFile, load_rig, parse_rig
+from sim.devices import SimCamera, SimTrack, TrackOptions, camera_driver, track_driver
+
+SCENES = Path(__file__).resolve().parents[2] / "scenes" / "paper"
+
+
+def small(rig_file: RigFile, **sections: dict) -> RigFile:
+    """The scene at 160 by 120 px, with sections laid over it."""
+    document = dict(rig_file.document)
+    lens = {**document["lens"], "focal_px": 212.5, "centre_px": [79.5, 59.5]}
+    small_camera = {**document["camera"], "width_px": 160, "height_px": 120}
+    document |= {"lens": lens, "camera": small_camera}
+    for name, keys in sections.items():
+        document[name] = {**document.get(name, {}), **keys}
+    return parse_rig(document, source="small")
+
+
+@pytest.fixture(scope="module")
+def rig_file() -> RigFile:
+    return small(load_rig(SCENES / "sandwave.toml"))
+
+
+@pytest.fixture
+def track() -> Iterator[SimTrack]:
+    track = SimTrack(TrackOptions())
+    yield track
+    track.close()
+
+
+@pytest.fixture
+def camera(rig_file: RigFile, track: SimTrack) -> Iterator[SimCamera]:
+    camera = camera_driver.open(rig_file, track)
+    yield camera
+    camera.close()
+
+
+def test_pictures_depend_on_place_and_count_alone(rig_file: RigFile, track: SimTrack) -> None:
+    """A camera opened anew at the same place gives the same bytes, however it came there."""
+    first = camera_driver.open(rig_file, track)
+    for position in (0.0, 30.0, 60.0):
+        track.move_to(position)
+        picture = first.grab()
+    again = first.grab()
+    fresh = camera_driver.open(rig_file, track)
+    grab = fresh.grab()
+    assert grab.image.tobytes() == picture.image.tobytes()
+    assert grab.time_s == picture.time_s
+    assert again.image.tobytes() != picture.image.tobytes(), "noise differs from grab to grab"
+
+
+def test_the_line_moves_with_the_track(camera: SimCamera, track: SimTrack) -> None:
+    """Over the tilted block the line rises or falls; over the floor it stays where it is."""
+    rows = []
+    for position in (20.0, 100.0):
+        track.move_to(position)
+        rows.append(camera.grab().image[..., 0].argmax(axis=0))
+    changed = np.abs(rows[0] - rows[1])
+    assert changed[40:120].max() >= 1
+    assert changed[:20].max() <= 1
+
+
+def test_options_are_strict(rig_file: RigFile) -> None:
+    wrong = small(rig_file, track={"options": {"speed": 3}})
+    with pytest.raises(InputError, match=r"track\.options\.speed: unknown key"):
+        track_driver.validate(wrong)
+    wrong = small(rig_file, camera={"options": {"zoom": 2}})
+    with pytest.raises(InputError, match=r"camera\.options\.zoom: unknown key"):
+        camera_driver.validate(wrong)
+
+
+def test_travel_is_enforced(rig_file: RigFile) -> None:
+    track = track_driver.open(small(rig_file, track={"options": {"max_mm": 10.0}}))
+    with pytest.raises(DeviceError, match=r"11\.0 mm.*-1000\.0 to 10\.0 mm"):
+        track.move_to(11.0)
+    assert track.position_mm == 0.0
