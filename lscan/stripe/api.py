@@ -11,12 +11,16 @@ from lscan.rig import StripeSection
 class Extractor(Protocol):
     """Finds the line's centre in each column of a grey picture.
 
-    Registered under the entry-point group ``lscan.extractors``.
+    Registered under the entry-point group ``lscan.extractors``, or named in the rig file as
+    ``package.module:function``.
     """
 
     def __call__(self, image: Floats, settings: StripeSection) -> Stripe:
         """The line across the columns of ``image``, (H, W) grey values in DN.
 
+        Values may be negative where a background picture has been subtracted.  ``image.T``
+        is contiguous in memory.  An extractor gives a column without a line NaN and NO_PEAK
+        (or AT_BORDER), every other one OK; ``extract_stripe`` adds SATURATED.
         Always works along columns; ``extract_stripe`` turns pictures whose line runs down.
         """
         ...

@@ -1,0 +1,174 @@
+"""A recorded run as a camera and a track: what was scanned once can be scanned again.
+
+Rig file, the same option for both devices, relative to the rig file:
+
+    camera = { driver = "replay", options = { run_file = "runs/a" } }
+    track = { driver = "replay", options = { run_file = "runs/a" } }
+"""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from lscan.devices.api import Grab, Track
+from lscan.documents import Strict, check
+from lscan.errors import DeviceError, InputError
+from lscan.records import Floats
+from lscan.rig import RigFile
+from lscan.run import Run, open_run
+
+# Far below any track's resolution, far above the rounding of a position in mm.
+ROUNDING_MM = 1e-9
+
+
+class ReplayOptions(Strict):
+    """Options of both drivers.  run_file: the folder of the recorded run."""
+
+    run_file: str
+
+
+class ReplayTrack:
+    """A track that stands at once where it is told, within the recorded range.
+
+    It misses the commanded position by as much as the recorded track did at the nearest
+    stop, so that a replayed scan reports the positions of the recorded one.
+    """
+
+    def __init__(self, run: Run) -> None:
+        self._commanded_mm: Floats = np.array([row.commanded_mm for row in run.rows])
+        self._reported_mm = run.positions_mm
+        self._position_mm = float(self._reported_mm[0])
+        self._closed = False
+
+    @property
+    def limits_mm(self) -> tuple[float, float]:
+        """Lowest and highest position that can be commanded."""
+        return float(self._commanded_mm.min()), float(self._commanded_mm.max())
+
+    @property
+    def position_mm(self) -> float:
+        """Where the head stands."""
+        return self._position_mm
+
+    def move_to(self, position_mm: float) -> float:
+        """Move at once; DeviceError outside the recorded range or after closing."""
+        if self._closed:
+            raise DeviceError("replay track: is closed")
+        low, high = self.limits_mm
+        if not low - ROUNDING_MM <= position_mm <= high + ROUNDING_MM:
+            raise DeviceError(
+                f"replay track: cannot move to {position_mm} mm; recorded: {low} mm to {high} mm"
+            )
+        nearest = int(np.argmin(np.abs(self._commanded_mm - position_mm)))
+        miss_mm = position_mm - self._commanded_mm[nearest]
+        self._position_mm = float(self._reported_mm[nearest] + miss_mm)
+        return self._position_mm
+
+    def close(self) -> None:
+        """Nothing is held open; the track can no longer be moved."""
+        self._closed = True
+
+
+class ReplayCamera:
+    """A camera that delivers the recorded picture nearest to where the track stands.
+
+    Where several were recorded at one place they come in turn.  time_s is the recorded
+    one; where a picture comes again, the least step after the picture before.
+    """
+
+    def __init__(self, run: Run, track: Track) -> None:
+        self._run, self._track = run, track
+        self._reach_mm = abs(run.rig_file.rig.plan.step_mm) / 2 + ROUNDING_MM
+        self._last_index, self._last_time_s = -1, -math.inf
+        self._closed = False
+
+    @property
+    def size_px(self) -> tuple[int, int]:
+        """(width, height) of the recorded pictures."""
+        return _size_px(self._run.rig_file)
+
+    def grab(self) -> Grab:
+        """The recorded picture; DeviceError where none lies within half a step.
+
+        Raises InputError where the run folder was damaged.
+        """
+        if self._closed:
+            raise DeviceError("replay camera: is closed")
+        index = self._nearest(self._track.position_mm)
+        frame = self._run.frame(index)
+        time_s = frame.time_s
+        if time_s <= self._last_time_s:
+            time_s = math.nextafter(self._last_time_s, math.inf)
+        self._last_index, self._last_time_s = index, time_s
+        return Grab(frame.image, time_s, frame.exposure_ms)
+
+    def close(self) -> None:
+        """Nothing is held open; the camera delivers no more pictures."""
+        self._closed = True
+
+    def _nearest(self, position_mm: float) -> int:
+        distance_mm = np.abs(self._run.positions_mm - position_mm)
+        least_mm = float(distance_mm.min())
+        if not least_mm <= self._reach_mm:
+            raise DeviceError(
+                f"replay camera: no picture was recorded near {position_mm} mm; "
+                f"the nearest is {least_mm} mm away, allowed: {self._reach_mm} mm, half a step"
+            )
+        candidates = np.flatnonzero(distance_mm == least_mm)
+        later = candidates[candidates > self._last_index]
+        return int((later if later.size else candidates)[0])
+
+
+class _TrackDriver:
+    sections: frozenset[str] = frozenset()
+
+    def validate(self, rig_file: RigFile) -> None:
+        self._run(rig_file)
+
+    def open(self, rig_file: RigFile) -> ReplayTrack:
+        return ReplayTrack(self._run(rig_file))
+
+    def _run(self, rig_file: RigFile) -> Run:
+        return _recorded(rig_file.rig.track.options, rig_file.source, "track.options")
+
+
+class _CameraDriver:
+    sections: frozenset[str] = frozenset()
+
+    def validate(self, rig_file: RigFile) -> None:
+        self._run(rig_file)
+
+    def open(self, rig_file: RigFile, track: Track) -> ReplayCamera:
+        return ReplayCamera(self._run(rig_file), track)
+
+    def _run(self, rig_file: RigFile) -> Run:
+        run = _recorded(rig_file.rig.camera.options, rig_file.source, "camera.options")
+        asked, recorded = _size_px(rig_file), _size_px(run.rig_file)
+        if asked != recorded:
+            raise InputError(
+                "camera.width_px, camera.height_px: not the size of the recorded pictures",
+                where=rig_file.source,
+                value=asked,
+                allowed=recorded,
+            )
+        return run
+
+
+def _recorded(options: dict[str, Any], source: str, prefix: str) -> Run:
+    path = Path(check(ReplayOptions, options, where=source, prefix=prefix).run_file)
+    run = open_run(path)
+    if len(run) == 0:
+        raise InputError(f"{prefix}.run_file: a run without frames", where=source, value=str(path))
+    return run
+
+
+def _size_px(rig_file: RigFile) -> tuple[int, int]:
+    return rig_file.rig.camera.width_px, rig_file.rig.camera.height_px
+
+
+camera_driver = _CameraDriver()
+track_driver = _TrackDriver()

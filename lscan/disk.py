@@ -1,0 +1,120 @@
+"""Files written so that a crash or a full disk at any moment leaves no half file behind."""
+
+from __future__ import annotations
+
+import fcntl
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+
+from lscan.errors import InputError
+
+
+def read_bytes(file: Path) -> bytes:
+    """The content of ``file``; InputError where it cannot be read."""
+    try:
+        return file.read_bytes()
+    except OSError as error:
+        raise InputError(f"cannot be read: {error.strerror}", where=file) from error
+
+
+def list_names(folder: Path) -> set[str]:
+    """Names of all that is in ``folder``; InputError where it cannot be read."""
+    try:
+        return {entry.name for entry in folder.iterdir()}
+    except OSError as error:
+        raise InputError(f"cannot be read: {error.strerror}", where=folder) from error
+
+
+def temporary_name(name: str) -> str:
+    """What a file called ``name`` is called while it is being written."""
+    return f".{name}.tmp"
+
+
+def write_atomically(file: Path, data: bytes) -> None:
+    """Write ``data`` to ``file``, synced: at any moment the old file or the whole new one is
+    there.
+
+    Raises InputError where the disk refuses; no temporary file stays.
+    """
+    temporary = file.with_name(temporary_name(file.name))
+    with disk_errors(file):
+        try:
+            descriptor = os.open(temporary, os.O_WRONLY | os.O_CREAT | os.O_TRUNC, 0o666)
+            try:
+                _write_all(descriptor, data)
+                os.fsync(descriptor)
+            finally:
+                os.close(descriptor)
+            temporary.replace(file)
+        except BaseException:
+            with suppress(OSError):
+                temporary.unlink()
+            raise
+        sync_folder(file.parent)
+
+
+def append_synced(descriptor: int, data: bytes, file: Path) -> None:
+    """Append ``data`` to the open file, synced; where the disk refuses, take it back.
+
+    file: its name, for the InputError raised where the disk refuses.
+    """
+    with disk_errors(file):
+        length = os.fstat(descriptor).st_size
+        try:
+            _write_all(descriptor, data)
+            os.fsync(descriptor)
+        except OSError:
+            with suppress(OSError):
+                os.ftruncate(descriptor, length)
+            raise
+
+
+def cut_torn_line(file: Path) -> None:
+    """Cut off what stands after the last line end of ``file``, if it has a line end."""
+    data = read_bytes(file)
+    whole = data.rfind(b"\n") + 1
+    if 0 < whole < len(data):
+        with disk_errors(file), file.open("r+b") as opened:
+            opened.truncate(whole)
+            os.fsync(opened.fileno())
+
+
+def sync_folder(folder: Path) -> None:
+    """Make new and renamed entries of ``folder`` safe from a power failure."""
+    descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)
+
+
+def lock_folder(folder: Path) -> int:
+    """Descriptor of ``folder``, locked; closing it, or the process's end, frees the lock.
+
+    Raises InputError where another process holds the lock.
+    """
+    with disk_errors(folder):
+        descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
+    try:
+        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except OSError as error:
+        os.close(descriptor)
+        raise InputError("is being written by another scan", where=folder) from error
+    return descriptor
+
+
+@contextmanager
+def disk_errors(where: Path) -> Iterator[None]:
+    """Turn an OSError of the block into an InputError that names the file and the reason."""
+    try:
+        yield
+    except OSError as error:
+        raise InputError(f"cannot be written: {error.strerror}", where=where) from error
+
+
+def _write_all(descriptor: int, data: bytes) -> None:
+    rest = memoryview(data)
+    while rest:
+        rest = rest[os.write(descriptor, rest) :]

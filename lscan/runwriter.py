@@ -1,0 +1,259 @@
+"""Writing a run folder so that any moment is a safe one to be killed at.
+
+A frame is written in this order: the picture under a temporary name, synced, renamed, its
+folder synced; then its row, synced.  So a row always has its picture.  What a killed scan
+may leave is a temporary file, a picture without a row, or a torn last row; ``resume_run``
+clears these away and goes on.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import shutil
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any, Self
+
+import cv2
+
+from lscan.disk import (
+    append_synced,
+    cut_torn_line,
+    disk_errors,
+    list_names,
+    lock_folder,
+    sync_folder,
+    temporary_name,
+    write_atomically,
+)
+from lscan.errors import InputError
+from lscan.records import Bytes, Frame
+from lscan.rig import RigFile
+from lscan.run import (
+    COLUMNS,
+    FRAMES,
+    MANIFEST,
+    TABLE,
+    Manifest,
+    Row,
+    Run,
+    frame_file,
+    open_run,
+    read_manifest,
+    software_versions,
+)
+
+
+class RunWriter:
+    """A run folder being written, locked so that two scans cannot mix.
+
+    Made by ``create_run`` or ``resume_run``; use it in a ``with`` statement.
+    """
+
+    def __init__(self, path: Path, rig_file: RigFile, lock: int, written: int) -> None:
+        self.path, self.rig_file = path, rig_file
+        self.written = written
+        with disk_errors(path / TABLE):
+            table = os.open(path / TABLE, os.O_WRONLY | os.O_APPEND)
+        self._table, self._held = table, [lock, table]
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Let go of the folder; closing twice is harmless."""
+        while self._held:
+            os.close(self._held.pop())
+
+    @property
+    def planned(self) -> int:
+        """Number of frames of the whole scan."""
+        return self.rig_file.rig.plan.frames
+
+    def append(self, frame: Frame) -> None:
+        """Write the next frame; when this returns, picture and row are on disk, synced.
+
+        frame: image (H, W) grey or (H, W, 3) RGB, uint8; its index must be ``written``.
+        Raises InputError where the disk refuses; the frames before this one stay whole.
+        """
+        if not self._held:
+            raise InputError("cannot be written: the writer is closed", where=self.path)
+        if frame.index != self.written or frame.index >= self.planned:
+            raise InputError(
+                "frame out of order", where=self.path, value=frame.index, allowed=self.written
+            )
+        png = _encode(frame.image)
+        write_atomically(frame_file(self.path, frame.index), png)
+        row = Row(
+            index=frame.index,
+            commanded_mm=frame.commanded_mm,
+            position_mm=frame.position_mm,
+            time_s=frame.time_s,
+            exposure_ms=frame.exposure_ms,
+            sha256=hashlib.sha256(png).hexdigest(),
+        )
+        append_synced(self._table, f"{row.as_text()}\n".encode(), self.path / TABLE)
+        self.written += 1
+
+    def finish(self) -> Run:
+        """Mark the run complete, where it is not yet, and return it.
+
+        Raises InputError where frames are still missing.
+        """
+        if self.written < self.planned:
+            raise InputError(
+                "frames are missing", where=self.path, value=self.written, allowed=self.planned
+            )
+        manifest, _ = read_manifest(self.path)
+        if manifest.state != "complete":
+            _write_manifest(self.path, manifest.model_copy(update={"state": "complete"}))
+        return open_run(self.path)
+
+
+def create_run(path: Path, rig_file: RigFile) -> RunWriter:
+    """A writer of a new run in the folder ``path``, which must not exist.
+
+    Raises InputError where it exists, cannot be made, or the rig cannot be kept as JSON;
+    no folder is left behind then.
+    """
+    manifest = _new_manifest(rig_file)
+    refuse_existing(path)
+    with disk_errors(path):
+        path.mkdir(parents=True)
+    lock = lock_folder(path)
+    try:
+        _lay_out(path, manifest)
+        return RunWriter(path, rig_file, lock, written=0)
+    except BaseException:
+        os.close(lock)
+        shutil.rmtree(path, ignore_errors=True)
+        raise
+
+
+def resume_run(path: Path, rig_file: RigFile) -> RunWriter:
+    """A writer that goes on where the run in ``path`` stopped.
+
+    A scan killed before its manifest was written has left no folder or an empty one; it is
+    begun.  Raises InputError where the folder is something else than a run, was begun with
+    another rig (the first differing key path is named), is being written by another scan,
+    or is damaged in a way that being killed does not explain.
+    """
+    if not path.exists():
+        return create_run(path, rig_file)
+    lock = lock_folder(path)
+    try:
+        if _is_unborn(path):
+            _remove_temporaries(path)
+            _lay_out(path, _new_manifest(rig_file))
+            return RunWriter(path, rig_file, lock, written=0)
+        return RunWriter(path, rig_file, lock, written=_take_up(path, rig_file))
+    except BaseException:
+        os.close(lock)
+        raise
+
+
+def refuse_existing(path: Path) -> None:
+    """Raise InputError where there is something at ``path`` already."""
+    if path.exists() or path.is_symlink():
+        raise InputError(
+            "exists already", where=path, allowed="another name, or --resume to go on with it"
+        )
+
+
+def first_difference(one: Any, other: Any) -> str | None:
+    """Key path, such as ``camera.options.seed``, of the first difference of two documents.
+
+    None where there is none.  1 and 1.0 differ: they would not give the same run.json.
+    """
+    left, right = dict(_leaves(one)), dict(_leaves(other))
+    return next((key for key in [*left, *right] if left.get(key) != right.get(key)), None)
+
+
+def _leaves(value: Any, key: str = "") -> Iterator[tuple[str, str]]:
+    if isinstance(value, dict) and value:
+        for name, inner in value.items():
+            yield from _leaves(inner, f"{key}.{name}" if key else name)
+    elif isinstance(value, list) and value:
+        for index, inner in enumerate(value):
+            yield from _leaves(inner, f"{key}[{index}]")
+    else:
+        yield key, repr(value)
+
+
+def _new_manifest(rig_file: RigFile) -> Manifest:
+    try:
+        json.dumps(rig_file.document, allow_nan=False)
+    except (TypeError, ValueError) as error:
+        raise InputError(
+            f"holds a value that a run folder cannot keep: {error}",
+            where=rig_file.source,
+            allowed="text, finite numbers, true, false, lists and tables",
+        ) from error
+    return Manifest(
+        state="scanning",
+        software=[software_versions()],
+        plan=rig_file.rig.plan,
+        rig=rig_file.document,
+    )
+
+
+def _write_manifest(path: Path, manifest: Manifest) -> None:
+    write_atomically(path / MANIFEST, manifest.as_text().encode())
+
+
+def _lay_out(path: Path, manifest: Manifest) -> None:
+    """Make an empty run; run.json comes last, so where it is the folder is whole."""
+    with disk_errors(path):
+        (path / FRAMES).mkdir(exist_ok=True)
+    write_atomically(path / TABLE, f"{COLUMNS}\n".encode())
+    _write_manifest(path, manifest)
+    with disk_errors(path):
+        sync_folder(path.parent)
+
+
+def _is_unborn(path: Path) -> bool:
+    """Whether the folder holds no more than ``_lay_out`` leaves when it is cut short."""
+    names = list_names(path)
+    frames = list_names(path / FRAMES) if FRAMES in names else set()
+    early = {FRAMES, TABLE, temporary_name(TABLE), temporary_name(MANIFEST)}
+    return names <= early and not frames
+
+
+def _take_up(path: Path, rig_file: RigFile) -> int:
+    """Clear away what a killed scan left, check the rest, return the number of frames."""
+    manifest, kept = read_manifest(path)
+    key = first_difference(kept.document, rig_file.document)
+    if key is not None:
+        what = f"cannot go on: the run was begun with another rig ({key} differs)"
+        raise InputError(what, where=path / MANIFEST)
+    if manifest.state == "scanning":
+        _remove_temporaries(path)
+        cut_torn_line(path / TABLE)
+        if manifest.software[-1] != software_versions():
+            software = [*manifest.software, software_versions()]
+            _write_manifest(path, manifest.model_copy(update={"software": software}))
+    run = open_run(path)
+    run.verify()
+    return len(run)
+
+
+def _remove_temporaries(path: Path) -> None:
+    with disk_errors(path):
+        for pattern in (temporary_name("*"), f"{FRAMES}/{temporary_name('*')}"):
+            for file in path.glob(pattern):
+                file.unlink()
+
+
+def _encode(image: Bytes) -> bytes:
+    """The picture as PNG, at OpenCV's own setting: on noisy pictures of a laser line it is
+    faster than any compression level asked for by number, and smaller than most."""
+    bgr = image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_RGB2BGR)
+    done, data = cv2.imencode(".png", bgr)
+    if not done:
+        raise InputError("the picture cannot be written as PNG", value=image.shape)
+    return data.tobytes()
