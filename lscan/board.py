@@ -125,7 +125,7 @@ class Board(Strict):
 
     @model_validator(mode="after")
     def _names_known_and_unique(self) -> Self:
-        names = [mark.name for mark in (*self.dot, *self.ring)]
+        names = [dot.name for dot in self.dot] + [ring.name for ring in self.ring]
         twice = {name for name in names if names.count(name) > 1}
         if twice:
             raise ValueError(f"names used twice: {sorted(twice)}")

@@ -24,8 +24,9 @@ class PlaneMap(Protocol):
         """Points in the sheet, (N, 2) mm, of the pixels (N, 2); vectorised over N.
 
         sigma_px: (N,) standard uncertainty of each pixel coordinate, 0 where None.  The
-        uncertainty returned combines it with that of the map.  A pixel that is NaN keeps
-        no value; one outside the board has the status OUT_OF_BOARD and no number.
+        uncertainty returned combines it with that of the map.  A pixel that is NaN has no
+        value and the status NO_DATA (only the caller knows why it is NaN); one outside the
+        covered region (region.py) has the status OUT_OF_BOARD and no number.
         """
         ...
 

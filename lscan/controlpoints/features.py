@@ -1,0 +1,92 @@
+"""Ruler marks and named dots: predicted from the grid, then found like the control points."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from lscan.board import Dot, Ruler
+from lscan.controlpoints.centre import disc_height, window_sigma
+from lscan.controlpoints.lattice import LocalMap, grid_points_mm
+from lscan.controlpoints.picture import Picture
+from lscan.controlpoints.search import Nodes, look
+from lscan.records import Floats, Ints, Marks, Mask, RulerReading, Status
+
+BOX = 0.3  # half side of the search box, of the distance to the next mark
+WIDEST_BOX_PX = 4.0  # the grid predicts a mark to some tenths of a pixel
+FAINTEST = 0.4  # of the height a mark of this size should have
+BLUR_PX = 0.7  # typical of a sharp picture: lens and pixel
+
+
+@dataclass(frozen=True)
+class Contrast:
+    """How much brighter than the ground the marks are, across the board.
+
+    board_mm: (N, 2) of the control points found.  contrast: (N,) grey values.
+    """
+
+    board_mm: Floats
+    contrast: Floats
+
+    @classmethod
+    def of(cls, nodes: Nodes, mapping: LocalMap, diameter_mm: float) -> Contrast:
+        """The contrast of the control dots, of ``diameter_mm``, from their heights."""
+        board = grid_points_mm(nodes.height.shape, mapping.pitch_mm)[nodes.found]
+        radius = mapping.scale(board) * diameter_mm / 2
+        return cls(board, nodes.height[nodes.found] / disc_height(radius, BLUR_PX))
+
+    def at(self, board_mm: Floats) -> Floats:
+        """(M,) contrast of the control dot nearest to each place (M, 2) mm."""
+        _, index = cKDTree(self.board_mm).query(board_mm)
+        return self.contrast[index]
+
+
+def mark_status(found: Mask, in_view: Mask) -> Ints:
+    """(N,) of Status: OK, or why there is no mark."""
+    missing = np.where(in_view, int(Status.NOT_FOUND), int(Status.OUT_OF_VIEW))
+    return np.where(found, int(Status.OK), missing).astype(np.int64)
+
+
+def read_ruler(
+    picture: Picture, mapping: LocalMap, contrast: Contrast, ruler: Ruler
+) -> RulerReading:
+    """The marks of one auxiliary ruler (Fig. 14), in the order of the board file."""
+    marks = _read_marks(
+        picture, mapping, contrast, ruler.points_mm(), ruler.mark_diameter_mm, ruler.step_mm
+    )
+    return RulerReading(ruler.direction, ruler.at_mm, marks)
+
+
+def read_dot(picture: Picture, mapping: LocalMap, contrast: Contrast, dot: Dot) -> Floats:
+    """(2,) of (u, v) px of a named dot (Fig. 18), NaN where it is not found."""
+    place = np.array([[dot.x_mm, dot.z_mm]])
+    clear = 3 * dot.diameter_mm  # nothing else should be nearer than that
+    marks = _read_marks(picture, mapping, contrast, place, dot.diameter_mm, clear)
+    return marks.image_px[0]
+
+
+def _read_marks(
+    picture: Picture,
+    mapping: LocalMap,
+    contrast: Contrast,
+    board_mm: Floats,
+    diameter_mm: float,
+    clear_mm: float,
+) -> Marks:
+    """Round marks of one size at known places (N, 2) mm, ``clear_mm`` apart from others."""
+    expected, scale = mapping(board_mm), mapping.scale(board_mm)
+    radius = scale * diameter_mm / 2
+    in_view = picture.wholly_in_view(expected, radius)
+    box = np.clip(BOX * clear_mm * scale, 1.0, WIDEST_BOX_PX)
+    centres = look(picture, expected, box, window_sigma(radius))
+    full = contrast.at(board_mm) * disc_height(radius, BLUR_PX)
+    miss = np.abs(centres.points - expected).max(axis=1)
+    found = in_view & centres.round & (centres.height > FAINTEST * full) & (miss <= box + 0.5)
+    return Marks(
+        board_mm=board_mm,
+        image_px=np.where(found[:, None], centres.points, np.nan),
+        sigma_px=np.where(found, centres.sigma_px, np.nan),
+        status=mark_status(found, in_view),
+    )

@@ -1,0 +1,137 @@
+"""A calibration: a plane map together with the board reading it was solved from.
+
+Its file is JSON: format and version, model name, parameters with their covariances, the
+marks with their residuals, image size, software.  It holds data only, and all that is needed
+to solve the map again.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+import lscan
+from lscan.errors import InputError
+from lscan.planemap.api import PlaneMap, find_solver
+from lscan.planemap.calibrationfile import (
+    FORMAT,
+    VERSION,
+    CalibrationFile,
+    StoredResiduals,
+    read_file,
+    store_reading,
+    write_file,
+)
+from lscan.records import BoardReading, Floats
+
+STEP_PX = 1e-3  # for differences of a map: far above rounding, far below a cell
+SAME_MM = 1e-6  # residuals that belong to the parameters agree this well on any machine
+
+
+@dataclass(frozen=True)
+class Calibration:
+    """A solved plane map and what it rests on.
+
+    residuals_mm: (N, 2) map of each control point less its nominal place; NaN where the
+        point was not found or the map gives it no value.
+    residuals_px: (N, 2) the same as a shift in the picture.
+    software: name and version of the program that solved it.
+    """
+
+    name: str
+    plane_map: PlaneMap
+    reading: BoardReading
+    residuals_mm: Floats
+    residuals_px: Floats
+    software: str
+
+    @property
+    def rms_mm(self) -> float:
+        """Root mean square distance of the control points from their nominal places."""
+        return _rms(self.residuals_mm)
+
+    @property
+    def max_mm(self) -> float:
+        """Greatest distance of a control point from its nominal place."""
+        return float(np.nanmax(np.hypot(*self.residuals_mm.T)))
+
+    @property
+    def rms_px(self) -> float:
+        """Root mean square of the residuals' lengths in the picture."""
+        return _rms(self.residuals_px)
+
+
+def calibrate(reading: BoardReading, map_name: str) -> Calibration:
+    """The plane map of that full name solved from ``reading``.
+
+    Raises InputError for an unknown name, BoardNotFound for too few marks.
+    """
+    plane_map = find_solver(map_name).solve(reading)
+    software = f"lscan {lscan.__version__}"
+    mm, px = residuals(plane_map, reading)
+    return Calibration(map_name, plane_map, reading, mm, px, software)
+
+
+def resolve(calibration: Calibration) -> Calibration:
+    """The same calibration solved again from the marks it holds."""
+    return calibrate(calibration.reading, calibration.name)
+
+
+def residuals(plane_map: PlaneMap, reading: BoardReading) -> tuple[Floats, Floats]:
+    """Residuals of the control points, (N, 2) in mm and (N, 2) in px, NaN where there is none.
+
+    In px: the shift of the mark that would make up for the residual, by the map's slope.
+    """
+    image, steps = reading.grid.image_px, STEP_PX * np.eye(2)
+    mm = plane_map.to_plane(image).xz_mm - reading.grid.board_mm
+    slopes = [
+        (plane_map.to_plane(image + step).xz_mm - plane_map.to_plane(image - step).xz_mm)
+        / (2 * STEP_PX)
+        for step in steps
+    ]
+    jacobian = np.stack(slopes, axis=2)
+    known = np.isfinite(jacobian).all(axis=(1, 2)) & np.isfinite(mm).all(axis=1)
+    px = np.full_like(mm, np.nan)
+    px[known] = np.linalg.solve(jacobian[known], mm[known, :, None])[:, :, 0]
+    return mm, px
+
+
+def save_calibration(path: Path, calibration: Calibration) -> None:
+    """Write the calibration to ``path``: a whole file or none; InputError where it cannot."""
+    content = CalibrationFile(
+        format=FORMAT,
+        version=VERSION,
+        software=calibration.software,
+        plane_map=calibration.name,
+        parameters=calibration.plane_map.parameters(),
+        reading=store_reading(calibration.reading),
+        residuals=StoredResiduals(mm=calibration.residuals_mm, px=calibration.residuals_px),
+    )
+    write_file(path, content)
+
+
+def load_calibration(path: Path) -> Calibration:
+    """The calibration that was saved at ``path``, number for number.
+
+    Raises InputError naming the file and the key for anything that is not as it was
+    written: unknown or missing keys, numbers out of range, a map that does not exist, and
+    residuals that do not belong to the parameters.
+    """
+    content = read_file(path)
+    try:
+        plane_map = find_solver(content.plane_map).restore(content.parameters)
+    except InputError as error:
+        raise InputError(f"plane_map: {error}", where=path) from error
+    reading, stored = content.reading.reading(), content.residuals
+    computed, _ = residuals(plane_map, reading)
+    if not np.allclose(computed, stored.mm, rtol=0, atol=SAME_MM, equal_nan=True):
+        raise InputError("residuals.mm: do not belong to the parameters", where=path)
+    return Calibration(
+        content.plane_map, plane_map, reading, stored.mm, stored.px, content.software
+    )
+
+
+def _rms(pairs: Floats) -> float:
+    return float(np.sqrt(np.nanmean((pairs**2).sum(axis=1))))

@@ -1,0 +1,185 @@
+"""The calibration file: its JSON layout, strict reading, and writing whole or not at all."""
+
+from __future__ import annotations
+
+import json
+import os
+from pathlib import Path
+from typing import Annotated, Any, Final, Literal, Self
+
+import numpy as np
+from pydantic import Field, PositiveFloat, PositiveInt, model_validator
+
+from lscan.documents import Strict, check
+from lscan.errors import InputError
+from lscan.planemap.stored import Gaps, Matrix, Number
+from lscan.records import BoardReading, Marks, RulerReading, Status
+
+FORMAT: Final = "lscan-calibration"
+VERSION = 1
+
+StatusName = Literal["OK", "NOT_FOUND", "OUT_OF_VIEW"]
+Side = Annotated[int, Field(strict=True, gt=0)]
+
+
+class StoredMarks(Strict):
+    """records.Marks; ``null`` where a mark has no place."""
+
+    board_mm: Matrix
+    image_px: Gaps
+    sigma_px: Gaps
+    status: tuple[StatusName, ...]
+
+    @model_validator(mode="after")
+    def _consistent(self) -> Self:
+        count = len(self.status)
+        if self.board_mm.shape != (count, 2) or self.image_px.shape != (count, 2):
+            raise ValueError(f"board_mm and image_px must hold {count} pairs, one per status")
+        if self.sigma_px.shape != (count,):
+            raise ValueError(f"sigma_px must hold {count} numbers, one per status")
+        found = np.array([name == "OK" for name in self.status])
+        for values in (self.image_px[:, 0], self.image_px[:, 1], self.sigma_px):
+            if (np.isfinite(values) != found).any():
+                raise ValueError("image_px and sigma_px must be numbers just where status is OK")
+        if (self.sigma_px[found] < 0).any():
+            raise ValueError("sigma_px must not be below 0")
+        return self
+
+    def marks(self) -> Marks:
+        """As the program holds them."""
+        status = np.array([Status[name] for name in self.status], dtype=np.int64)
+        return Marks(self.board_mm, self.image_px, self.sigma_px, status)
+
+
+def _store(marks: Marks) -> dict[str, Any]:
+    return {
+        "board_mm": marks.board_mm,
+        "image_px": marks.image_px,
+        "sigma_px": marks.sigma_px,
+        "status": tuple(Status(code).name for code in marks.status),
+    }
+
+
+class StoredRuler(Strict):
+    """records.RulerReading."""
+
+    direction: Literal["vertical", "horizontal"]
+    at_mm: Number
+    marks: StoredMarks
+
+
+class StoredReading(Strict):
+    """records.BoardReading."""
+
+    image_size: tuple[Side, Side]
+    pitch_mm: Annotated[PositiveFloat, Field(strict=True)]
+    shape: tuple[Side, Side]
+    grid: StoredMarks
+    rulers: tuple[StoredRuler, ...]
+    dots: dict[str, Gaps]
+    rings: dict[str, Gaps]
+
+    @model_validator(mode="after")
+    def _whole_grid(self) -> Self:
+        rows, columns = self.shape
+        if len(self.grid.status) != rows * columns:
+            raise ValueError(f"grid must hold {rows} by {columns} marks, as shape says")
+        if any(dot.shape != (2,) for dot in self.dots.values()):
+            raise ValueError("each of dots must be two numbers")
+        if any(ring.shape[1:] != (2,) and ring.size for ring in self.rings.values()):
+            raise ValueError("each of rings must be a list of pairs")
+        return self
+
+    def reading(self) -> BoardReading:
+        """As the program holds it."""
+        rulers = [RulerReading(r.direction, r.at_mm, r.marks.marks()) for r in self.rulers]
+        return BoardReading(
+            image_size=self.image_size,
+            pitch_mm=self.pitch_mm,
+            shape=self.shape,
+            grid=self.grid.marks(),
+            rulers=tuple(rulers),
+            dots=self.dots,
+            rings={name: ring.reshape(-1, 2) for name, ring in self.rings.items()},
+        )
+
+
+def store_reading(reading: BoardReading) -> StoredReading:
+    """The reading as the file holds it."""
+    rulers = [
+        {"direction": r.direction, "at_mm": r.at_mm, "marks": _store(r.marks)}
+        for r in reading.rulers
+    ]
+    document = {
+        "image_size": reading.image_size,
+        "pitch_mm": reading.pitch_mm,
+        "shape": reading.shape,
+        "grid": _store(reading.grid),
+        "rulers": rulers,
+        "dots": reading.dots,
+        "rings": reading.rings,
+    }
+    return check(StoredReading, document, where="board reading")
+
+
+class StoredResiduals(Strict):
+    """Map of each control point less its nominal place, N pairs; ``null`` where there is none."""
+
+    mm: Gaps
+    px: Gaps
+
+
+class CalibrationFile(Strict):
+    """The whole file."""
+
+    format: Literal["lscan-calibration"]
+    version: Annotated[PositiveInt, Field(strict=True, le=VERSION)]
+    software: str
+    plane_map: str
+    parameters: dict[str, Any]
+    reading: StoredReading
+    residuals: StoredResiduals
+
+    @model_validator(mode="after")
+    def _one_residual_each(self) -> Self:
+        shape = self.reading.grid.image_px.shape
+        if self.residuals.mm.shape != shape or self.residuals.px.shape != shape:
+            raise ValueError(f"residuals must hold {shape[0]} pairs, one per control point")
+        return self
+
+
+def read_file(path: Path) -> CalibrationFile:
+    """The file at ``path``; InputError names the key at fault."""
+    try:
+        document = json.loads(path.read_text(encoding="utf-8"), parse_constant=_refuse_constant)
+    except OSError as error:
+        raise InputError(f"cannot be read: {error.strerror}", where=path) from error
+    except UnicodeDecodeError as error:
+        raise InputError("is not UTF-8 text", where=path) from error
+    except (ValueError, RecursionError) as error:
+        raise InputError(f"is not valid JSON: {error}", where=path) from error
+    if not isinstance(document, dict) or document.get("format") != FORMAT:
+        raise InputError("is no calibration file", where=path, allowed=f'format "{FORMAT}"')
+    return check(CalibrationFile, document, where=path)
+
+
+def _refuse_constant(name: str) -> float:
+    raise ValueError(f"{name} is no JSON number")
+
+
+def write_file(path: Path, content: CalibrationFile) -> None:
+    """Write the file whole: under a temporary name, synced, then renamed.
+
+    Raises InputError where it cannot be written; no part of it is left then.
+    """
+    text = json.dumps(content.model_dump(mode="json"), indent=1, allow_nan=False)
+    draft = path.with_name(f".{path.name}.{os.getpid()}.part")
+    try:
+        with draft.open("w", encoding="utf-8") as stream:
+            stream.write(text + "\n")
+            stream.flush()
+            os.fsync(stream.fileno())
+        draft.replace(path)
+    except OSError as error:
+        draft.unlink(missing_ok=True)
+        raise InputError(f"cannot be written: {error.strerror}", where=path) from error
