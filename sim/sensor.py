@@ -46,7 +46,8 @@ class Webcam:
         ambient = self._photons(layers.ambient, exposure_ms, AMBIENT_NM)
         to_laser = _rgb(self.sensor.laser_response)
         to_ambient = _rgb(self.sensor.ambient_response)
-        return laser[..., None] * to_laser + ambient[..., None] * to_ambient
+        electrons = laser[..., None] * to_laser + ambient[..., None] * to_ambient
+        return electrons.astype(np.float32, copy=False)
 
     def _photons(
         self, radiance: NDArray[np.float32], exposure_ms: float, wavelength_nm: float

@@ -4,4 +4,4 @@ from lscan.stripe.extract import extract_stripe, find_extractor
 from lscan.stripe.files import save_stripe
 from lscan.stripe.overlay import draw_stripe
 
-__all__ = ["draw_stripe", "extract_stripe", "find_extractor"]
+__all__ = ["draw_stripe", "extract_stripe", "find_extractor", "save_stripe"]

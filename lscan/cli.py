@@ -1,0 +1,388 @@
+"""The command line ``lscan``: thin faces over public functions."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Any, Optional
+
+import numpy as np
+import typer
+
+from lscan.console import print_json, print_table, progress_bar, run_command_line
+from lscan.errors import InputError
+
+app = typer.Typer(
+    help="Laser line scanner: scan, calibrate, reconstruct, measure, report.",
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+    rich_markup_mode=None,
+)
+
+RunFolder = Annotated[Path, typer.Argument(help="Run folder.")]
+PictureOrRun = Annotated[Path, typer.Argument(help="Picture file or run folder.")]
+CalibrationFile = Annotated[
+    Path, typer.Option("--calibration", "-c", help="Calibration file (JSON).")
+]
+Json = Annotated[bool, typer.Option("--json", help="Print the result as JSON.")]
+Overlay = Annotated[
+    Optional[Path],
+    typer.Option("--overlay", help="Write the picture with what was found drawn on it."),
+]
+
+
+@app.command()
+def scan(
+    rig: Annotated[Path, typer.Argument(help="Rig file or scene file (TOML).")],
+    output: Annotated[Path, typer.Option("--output", "-o", help="Run folder to write.")],
+    resume: Annotated[bool, typer.Option("--resume", help="Go on with a stopped run.")] = False,
+    json: Json = False,
+) -> None:
+    """Move the track, take the pictures, write a run folder."""
+    from lscan.acquire import scan as acquire
+    from lscan.rig import load_rig
+
+    rig_file = load_rig(rig)
+    with progress_bar("scan") as report:
+        run = acquire(rig_file, output, resume=resume, progress=report)
+    if json:
+        print_json({"run": str(run.path), "frames": len(run), "state": run.state})
+    else:
+        print(f"{len(run)} frames in {run.path}")
+
+
+@app.command()
+def calibrate(
+    picture: PictureOrRun,
+    output: Annotated[Path, typer.Option("--output", "-o", help="Calibration file to write.")],
+    board: Annotated[
+        Optional[Path], typer.Option("--board", help="Board file; a run folder has its own.")
+    ] = None,
+    plane_map: Annotated[
+        Optional[str], typer.Option("--map", help="Plane map, such as graticule-2.")
+    ] = None,
+    seeds: Annotated[
+        Optional[str],
+        typer.Option(
+            "--seeds", help="u,v of the upper-left dot, the one beneath and the one to its right."
+        ),
+    ] = None,
+    channel: Annotated[
+        Optional[str], typer.Option("--channel", help="red, green, blue or grey.")
+    ] = None,
+    overlay: Overlay = None,
+    json: Json = False,
+) -> None:
+    """Find the board's control points in a picture and solve a plane map from them."""
+    from lscan.controlpoints import draw_overlay, read_board
+    from lscan.pictures import write_picture
+    from lscan.planemap.calibration import calibrate as solve
+    from lscan.planemap.calibration import save_calibration
+
+    image, nominal, section = _board_picture(picture, board)
+    name = plane_map or section.plane_map
+    reading = read_board(
+        image,
+        nominal,
+        seeds=_parse_seeds(seeds),
+        channel=_choice("--channel", channel or section.channel, CHANNELS),
+    )
+    if overlay:
+        write_picture(overlay, draw_overlay(image, reading))
+    calibration = solve(reading, name)
+    save_calibration(output, calibration)
+    found = int(reading.grid.found.sum())
+    summary = {
+        "calibration": str(output),
+        "map": name,
+        "control_points": {"expected": len(reading.grid.found), "found": found},
+        "residuals": {
+            "rms_mm": calibration.rms_mm,
+            "max_mm": calibration.max_mm,
+            "rms_px": calibration.rms_px,
+        },
+    }
+    if json:
+        print_json(summary)
+    else:
+        print(
+            f"{name}: {found} of {len(reading.grid.found)} control points, residuals "
+            f"{calibration.rms_mm:.3f} mm rms, {calibration.max_mm:.3f} mm at most; {output}"
+        )
+
+
+@app.command()
+def extract(
+    picture: PictureOrRun,
+    output: Annotated[
+        Optional[Path], typer.Option("--output", "-o", help="CSV table to write.")
+    ] = None,
+    background: Annotated[
+        Optional[Path], typer.Option("--background", help="The same view with the laser off.")
+    ] = None,
+    frame: Annotated[int, typer.Option("--frame", help="Which frame of a run folder.")] = 0,
+    axis: Annotated[
+        Optional[str], typer.Option("--axis", help="columns, or rows for an upright line.")
+    ] = None,
+    extractor: Annotated[
+        Optional[str], typer.Option("--extractor", help="max, centroid, centroid-relative ...")
+    ] = None,
+    channel: Annotated[
+        Optional[str], typer.Option("--channel", help="red, green, blue or grey.")
+    ] = None,
+    threshold: Annotated[
+        Optional[float], typer.Option("--threshold", help="Least height of the line, DN.")
+    ] = None,
+    span: Annotated[
+        Optional[int], typer.Option("--span", help="Pixels either side of the peak.")
+    ] = None,
+    overlay: Overlay = None,
+    json: Json = False,
+) -> None:
+    """Find the laser line in one picture."""
+    from lscan.documents import check
+    from lscan.pictures import read_picture, write_picture
+    from lscan.records import Status, has_value
+    from lscan.rig import StripeSection
+    from lscan.stripe import draw_stripe, extract_stripe, save_stripe
+
+    image, section = _stripe_picture(picture, frame)
+    given = {
+        "axis": axis,
+        "extractor": extractor,
+        "channel": channel,
+        "threshold_dn": threshold,
+        "span_px": span,
+    }
+    changes = {key: value for key, value in given.items() if value is not None}
+    settings = check(StripeSection, {**section.model_dump(), **changes}, where="command line")
+    stripe = extract_stripe(image, settings, read_picture(background) if background else None)
+    if overlay:
+        write_picture(overlay, draw_stripe(image, stripe))
+    if output:
+        save_stripe(output, stripe)
+    counts = {
+        status.name: int((stripe.status == status).sum())
+        for status in Status
+        if (stripe.status == status).any()
+    }
+    found = int(has_value(stripe.status).sum())
+    if json:
+        print_json({settings.axis: len(stripe.status), "found": found, "status": counts})
+    else:
+        listed = ", ".join(f"{name} {count}" for name, count in counts.items())
+        print(f"line found in {found} of {len(stripe.status)} {settings.axis} ({listed})")
+
+
+@app.command()
+def reconstruct(
+    run: RunFolder,
+    calibration: CalibrationFile,
+    output: Annotated[Path, typer.Option("--output", "-o", help="Surface to write (.nc).")],
+    points: Annotated[
+        Optional[Path], typer.Option("--points", help="Point cloud to write (.ply).")
+    ] = None,
+    json: Json = False,
+) -> None:
+    """Turn a run's pictures into a surface, aligned where the rig names a sandwave."""
+    from lscan.experiment import reconstruct as build
+    from lscan.planemap.calibration import load_calibration
+    from lscan.records import has_value
+    from lscan.run import open_run
+    from lscan.surface import align_sandwave, apply, save_points, save_surface
+    from lscan.targets import Sandwave
+
+    opened, plane_map = open_run(run), load_calibration(calibration).plane_map
+    with progress_bar("reconstruct") as report:
+        surface = build(opened, plane_map, progress=report)
+    piece = opened.rig_file.rig.workpiece
+    yaw_deg = None
+    if isinstance(piece, Sandwave):
+        alignment = align_sandwave(surface, piece)
+        surface, yaw_deg = apply(alignment, surface), float(np.degrees(alignment.yaw_rad))
+    save_surface(output, surface)
+    if points:
+        save_points(points, surface)
+    frames, columns = surface.status.shape
+    found = int(has_value(surface.status).sum())
+    summary = {
+        "surface": str(output),
+        "frame": surface.frame,
+        "profiles": frames,
+        "columns": columns,
+        "points": found,
+        "yaw_deg": yaw_deg,
+    }
+    if json:
+        print_json(summary)
+    else:
+        aligned = "" if yaw_deg is None else f", aligned, yaw {yaw_deg:.3f} deg"
+        print(f"{found} points in {frames} profiles{aligned}; {output}")
+
+
+@app.command()
+def measure(
+    run: RunFolder,
+    calibration: CalibrationFile,
+    output: Annotated[
+        Optional[Path], typer.Option("--output", "-o", help="JSON file to write.")
+    ] = None,
+    json: Json = False,
+) -> None:
+    """Measure the run's board, grooved block or sandwave against its nominal shape."""
+    import json as json_module
+
+    from lscan.disk import write_atomically
+    from lscan.planemap.calibration import load_calibration
+    from lscan.run import open_run
+
+    opened, plane_map = open_run(run), load_calibration(calibration).plane_map
+    with progress_bar("measure") as report:
+        measures = _measure(opened, plane_map, report)
+    if output:
+        text = json_module.dumps(measures, indent=2, allow_nan=False) + "\n"
+        write_atomically(output, text.encode())
+    if json:
+        print_json(measures)
+    else:
+        _print_measures(measures)
+
+
+@app.command()
+def report(
+    output: Annotated[
+        Path, typer.Option("--output", "-o", help="Folder for report.html and results.json.")
+    ],
+    board: Annotated[Path, typer.Option("--board", help="Run folder of the board picture.")],
+    groove: Annotated[
+        Optional[Path], typer.Option("--groove", help="Run folder of the grooved block.")
+    ] = None,
+    sandwave: Annotated[
+        Optional[Path], typer.Option("--sandwave", help="Run folder of the sandwave.")
+    ] = None,
+    json: Json = False,
+) -> None:
+    """Evaluate the paper's experiment from its run folders and write the page."""
+    from lscan.results import evaluate, write_experiment
+    from lscan.run import open_run
+
+    with progress_bar("evaluate") as progress:
+        experiment = evaluate(
+            open_run(board),
+            open_run(groove) if groove else None,
+            open_run(sandwave) if sandwave else None,
+            progress=progress,
+        )
+    results = write_experiment(output, experiment)
+    if json:
+        print_json(results)
+    else:
+        print(f"{output / 'report.html'}")
+
+
+CHANNELS = ("red", "green", "blue", "grey")
+
+
+def _choice(option: str, value: str, allowed: tuple[str, ...]) -> Any:
+    if value not in allowed:
+        raise InputError("unknown value", where=option, value=value, allowed=", ".join(allowed))
+    return value
+
+
+def _parse_seeds(text: str | None) -> Any:
+    """(3, 2) of "u1,v1,u2,v2,u3,v3", None for None."""
+    if text is None:
+        return None
+    try:
+        numbers = [float(part) for part in text.replace(";", ",").split(",")]
+    except ValueError:
+        numbers = []
+    if len(numbers) != 6 or not np.isfinite(numbers).all():
+        raise InputError(
+            "not three points", where="--seeds", value=text, allowed="u1,v1,u2,v2,u3,v3 in px"
+        )
+    return np.array(numbers).reshape(3, 2)
+
+
+def _board_picture(picture: Path, board: Path | None) -> tuple[Any, Any, Any]:
+    """The picture of a board, the board, and how to calibrate with it."""
+    from lscan.board import load_board
+    from lscan.experiment import mean_picture, require_board
+    from lscan.pictures import read_picture
+    from lscan.rig import CalibrationSection
+    from lscan.run import open_run
+
+    if picture.is_dir():
+        run = open_run(picture)
+        nominal = load_board(board) if board else require_board(run)
+        return mean_picture(run), nominal, run.rig_file.rig.calibration
+    if board is None:
+        raise InputError("a picture needs a board file", where="--board", allowed="a TOML file")
+    return read_picture(picture), load_board(board), CalibrationSection()
+
+
+def _stripe_picture(picture: Path, frame: int) -> tuple[Any, Any]:
+    """A picture and how its line is to be found."""
+    from lscan.pictures import read_picture
+    from lscan.rig import StripeSection
+    from lscan.run import open_run
+
+    if not picture.is_dir():
+        return read_picture(picture), StripeSection()
+    run = open_run(picture)
+    if not 0 <= frame < len(run):
+        raise InputError(
+            "no such frame", where="--frame", value=frame, allowed=f"0 to {len(run) - 1}"
+        )
+    return run.frame(frame).image, run.rig_file.rig.stripe
+
+
+def _measure(run: Any, plane_map: Any, report: Any) -> dict[str, Any]:
+    """What a run can be measured for, by what its rig says stands in the tank."""
+    from lscan.controlpoints import read_board
+    from lscan.experiment import (
+        lengths_json,
+        mean_picture,
+        measure_groove,
+        measure_sandwave,
+        require_board,
+    )
+    from lscan.measure import diameters, distances
+    from lscan.results import sandwave_json
+    from lscan.targets import GroovedBlock, Sandwave
+
+    piece = run.rig_file.rig.workpiece
+    if isinstance(piece, GroovedBlock):
+        return {"groove": lengths_json(measure_groove(run, plane_map).dimensions)}
+    if isinstance(piece, Sandwave):
+        return {"sandwave": sandwave_json(measure_sandwave(run, plane_map, report))}
+    board = require_board(run)
+    reading = read_board(mean_picture(run), board, channel=run.rig_file.rig.calibration.channel)
+    return {
+        "distances": lengths_json(distances(reading, board, plane_map)),
+        "diameters": lengths_json(diameters(reading, board, plane_map)),
+    }
+
+
+def _print_measures(measures: dict[str, Any]) -> None:
+    for title, entries in measures.items():
+        if title == "sandwave":
+            _print_slices(entries)
+            continue
+        rows = [[name, *entry.values()] for name, entry in entries.items()]
+        print_table(title, ["", "nominal mm", "measured mm", "error mm", "sigma mm"], rows)
+
+
+def _print_slices(entries: dict[str, Any]) -> None:
+    print(f"yaw {entries['yaw_deg']['estimated']:.3f} deg")
+    rows = [[name, *cut.values()] for name, cut in entries["slices"].items()]
+    print_table("slices", ["", "points", "unseen", "rmse mm", "min mm", "max mm"], rows)
+
+
+def main() -> None:
+    """Entry point of the console script ``lscan``."""
+    run_command_line(app, "lscan")
+
+
+if __name__ == "__main__":
+    main()

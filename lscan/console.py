@@ -1,0 +1,88 @@
+"""What the two command lines share: one clear line for an error, progress bars, JSON, tables."""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from typing import Any
+
+import typer
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+from rich.table import Table
+
+from lscan.errors import LscanError
+
+BAD_INPUT = 2
+STOPPED = 130  # as a shell reports SIGINT
+
+Report = Callable[[int, int], None]
+
+
+def run_command_line(app: typer.Typer, name: str) -> None:
+    """Run a command line and leave with its exit code; errors become one line on stderr."""
+    command = typer.main.get_command(app)
+    try:
+        code = command.main(prog_name=name, standalone_mode=False)
+    except LscanError as error:
+        sys.exit(_complain(name, str(error), error.exit_code))
+    except KeyboardInterrupt:
+        sys.exit(_complain(name, "stopped; a scan goes on with --resume", STOPPED))
+    except Exception as error:
+        usage = _usage_message(error)
+        if usage is None:
+            raise
+        sys.exit(_complain(name, usage, BAD_INPUT))
+    sys.exit(code if isinstance(code, int) else 0)
+
+
+def _usage_message(error: Exception) -> str | None:
+    """The message of a command-line mistake as one line; None for any other exception.
+
+    Typer brings its own copy of click in some versions, so the class is known by its method.
+    """
+    if type(error).__name__ == "Abort":
+        return "aborted"
+    format_message = getattr(error, "format_message", None)
+    return " ".join(format_message().split()) if callable(format_message) else None
+
+
+def _complain(name: str, message: str, code: int) -> int:
+    print(f"{name}: {message}", file=sys.stderr)
+    return code
+
+
+@contextmanager
+def progress_bar(title: str) -> Iterator[Report]:
+    """A callback (done, total) that draws a progress bar on a terminal, and nothing elsewhere."""
+    console = Console(stderr=True)
+    columns = (
+        TextColumn("{task.description}"),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TimeRemainingColumn(),
+    )
+    with Progress(*columns, console=console, disable=not console.is_terminal) as bar:
+        task = bar.add_task(title, total=None)
+
+        def report(done: int, total: int) -> None:
+            bar.update(task, completed=done, total=total)
+
+        yield report
+
+
+def print_json(value: Any) -> None:
+    """Print ``value`` as JSON on stdout."""
+    print(json.dumps(value, indent=2, allow_nan=False))
+
+
+def print_table(title: str, headings: Sequence[str], rows: Sequence[Sequence[object]]) -> None:
+    """Print a table on stdout; numbers right-aligned, floats with three decimals."""
+    table = Table(title=title, title_justify="left", header_style="bold")
+    for heading in headings:
+        table.add_column(heading, justify="left" if heading == headings[0] else "right")
+    for row in rows:
+        table.add_row(*(f"{cell:.3f}" if isinstance(cell, float) else str(cell) for cell in row))
+    Console().print(table)

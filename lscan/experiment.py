@@ -1,0 +1,200 @@
+"""The paper's whole experiment, from run folders to numbers (Sec. IV).
+
+One function a test piece: board, grooved block, sandwave.  The same functions serve the
+tank's runs and those of real hardware.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from lscan.board import Board
+from lscan.controlpoints import read_board
+from lscan.errors import InputError
+from lscan.measure import compare_slice, diameters, distances, groove_dimensions
+from lscan.measure.slices import SliceErrors
+from lscan.planemap.api import PlaneMap
+from lscan.planemap.calibration import Calibration, calibrate
+from lscan.profile import to_profile
+from lscan.records import BoardReading, Bytes, Floats, Measured, Profile, Stripe, Surface
+from lscan.rig import StripeSection
+from lscan.run import Run
+from lscan.stripe import extract_stripe
+from lscan.surface import Alignment, Slice, align_sandwave, apply, resample, stack
+from lscan.targets import GroovedBlock, Sandwave
+
+METHODS = (
+    "graticule-1",
+    "graticule-2",
+    "graticule-bspline",
+    "graticule-2-norulers",
+    "projective",
+    "polynomial-3",
+    "polynomial-5",
+)
+PICTURES_KEPT = 3  # consecutive frames shown in the report (Fig. 35)
+
+Progress = Callable[[int, int], None]
+
+
+@dataclass(frozen=True)
+class BoardResult:
+    """What one board picture gives: calibrations and Tables I and II, by plane map's name.
+
+    image: the mean of the run's pictures, (H, W, 3) or (H, W) uint8.
+    """
+
+    image: Bytes
+    reading: BoardReading
+    calibrations: dict[str, Calibration]
+    distances: dict[str, dict[str, Measured]]
+    diameters: dict[str, dict[str, Measured]]
+
+
+@dataclass(frozen=True)
+class GrooveResult:
+    """The grooved block: the first picture with its line, all profiles, Table III."""
+
+    image: Bytes
+    stripe: Stripe
+    profiles: list[Profile]
+    dimensions: dict[str, Measured]
+
+
+@dataclass(frozen=True)
+class SandwaveResult:
+    """The sandwave: three pictures from the middle, the surface raw and aligned, the slices."""
+
+    images: list[Bytes]
+    stripe: Stripe
+    raw: Surface
+    alignment: Alignment
+    aligned: Surface
+    slices: dict[str, Slice]
+    errors: dict[str, SliceErrors]
+    step_mm: float
+
+
+def measure_board(run: Run, methods: Sequence[str] = METHODS) -> BoardResult:
+    """Calibrations and verification of the run's board picture, one for each method.
+
+    Raises InputError where the rig has no board, BoardNotFound where the picture has none.
+    """
+    rig = run.rig_file.rig
+    board = require_board(run)
+    image = mean_picture(run)
+    reading = read_board(image, board, channel=rig.calibration.channel)
+    calibrations = {name: calibrate(reading, name) for name in methods}
+    maps = {name: calibration.plane_map for name, calibration in calibrations.items()}
+    return BoardResult(
+        image=image,
+        reading=reading,
+        calibrations=calibrations,
+        distances={name: distances(reading, board, plane) for name, plane in maps.items()},
+        diameters={name: diameters(reading, board, plane) for name, plane in maps.items()},
+    )
+
+
+def measure_groove(run: Run, plane_map: PlaneMap) -> GrooveResult:
+    """Table III from the run's pictures of the grooved block."""
+    piece = run.rig_file.rig.workpiece
+    if not isinstance(piece, GroovedBlock):
+        raise _wrong_piece(run, "grooved-block")
+    image = run.frame(0).image
+    profiles = list(read_profiles(run, plane_map))
+    return GrooveResult(
+        image=image,
+        stripe=extract_stripe(image, run.rig_file.rig.stripe),
+        profiles=profiles,
+        dimensions=groove_dimensions(profiles, piece),
+    )
+
+
+def measure_sandwave(
+    run: Run, plane_map: PlaneMap, progress: Progress | None = None
+) -> SandwaveResult:
+    """Surface, alignment and the slices of Fig. 28 from the run's pictures of the sandwave."""
+    rig = run.rig_file.rig
+    if not isinstance(rig.workpiece, Sandwave):
+        raise _wrong_piece(run, "sandwave")
+    first = max(0, (len(run) - PICTURES_KEPT) // 2)
+    kept = range(first, min(len(run), first + PICTURES_KEPT))
+    images = [run.frame(index).image for index in kept]
+    raw = reconstruct(run, plane_map, progress=progress)
+    alignment = align_sandwave(raw, rig.workpiece)
+    aligned = apply(alignment, raw)
+    slices = {name: resample(aligned, ends) for name, ends in rig.workpiece.slices_mm().items()}
+    return SandwaveResult(
+        images=images,
+        stripe=extract_stripe(images[0], rig.stripe),
+        raw=raw,
+        alignment=alignment,
+        aligned=aligned,
+        slices=slices,
+        errors={name: compare_slice(cut, rig.workpiece) for name, cut in slices.items()},
+        step_mm=rig.plan.step_mm,
+    )
+
+
+def reconstruct(
+    run: Run,
+    plane_map: PlaneMap,
+    stripe: StripeSection | None = None,
+    progress: Progress | None = None,
+) -> Surface:
+    """The raw surface, in the head frame, of all the run's pictures.
+
+    stripe: how the line is found; the rig's own settings if None.
+    """
+    return stack(list(read_profiles(run, plane_map, stripe, progress)))
+
+
+def read_profiles(
+    run: Run,
+    plane_map: PlaneMap,
+    stripe: StripeSection | None = None,
+    progress: Progress | None = None,
+) -> Iterator[Profile]:
+    """One profile a picture, in the run's order."""
+    settings = stripe or run.rig_file.rig.stripe
+    for done, frame in enumerate(run.frames(), start=1):
+        found = extract_stripe(frame.image, settings)
+        yield to_profile(found, plane_map, frame.position_mm)
+        if progress:
+            progress(done, len(run))
+
+
+def mean_picture(run: Run) -> Bytes:
+    """The mean of the run's pictures, rounded, same shape as each."""
+    if len(run) == 0:
+        raise InputError("holds no picture yet", where=run.path)
+    total: Floats | float = 0.0
+    for frame in run.frames():
+        total = total + frame.image.astype(float)
+    return np.rint(total / len(run)).astype(np.uint8)
+
+
+def require_board(run: Run) -> Board:
+    """The board of the run's rig; InputError where it has none."""
+    board = run.rig_file.rig.board
+    if board is None:
+        raise InputError("the rig file has no section [board]", where=run.path)
+    return board
+
+
+def lengths_json(lengths: dict[str, Measured]) -> dict[str, dict[str, float]]:
+    """The entries of results.json for a set of measured lengths."""
+    return {name: length.as_json() for name, length in lengths.items()}
+
+
+def _wrong_piece(run: Run, wanted: str) -> InputError:
+    piece = run.rig_file.rig.workpiece
+    return InputError(
+        "the run's rig file has another workpiece",
+        where=run.path,
+        value=piece.kind if piece else None,
+        allowed=f'[workpiece] kind = "{wanted}"',
+    )

@@ -1,0 +1,126 @@
+"""The command line ``lscan-sim``: the tank's commands."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Any, Optional
+
+import typer
+
+from lscan.console import print_json, print_table, run_command_line
+
+app = typer.Typer(
+    help="The tank in software: demo, render, truth.",
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+    rich_markup_mode=None,
+)
+
+SceneFile = Annotated[Path, typer.Argument(help="Scene file (TOML).")]
+Position = Annotated[
+    Optional[float], typer.Option("--position", help="Track position, mm; the plan's start.")
+]
+Json = Annotated[bool, typer.Option("--json", help="Print the result as JSON.")]
+
+
+@app.command()
+def demo(
+    output: Annotated[Path, typer.Option("--output", "-o", help="Folder to write.")] = Path(
+        "out/demo"
+    ),
+    scenes: Annotated[
+        Path, typer.Option("--scenes", help="Folder with board, groove and sandwave.")
+    ] = Path("scenes/paper"),
+    frames: Annotated[
+        Optional[int], typer.Option("--frames", min=20, help="Sandwave pictures, if not 400.")
+    ] = None,
+    json: Json = False,
+) -> None:
+    """The paper's experiment: calibrate, scan, measure and compare, with a report."""
+    from sim.demo import run_demo
+
+    results = run_demo(scenes, output, frames)
+    if json:
+        print_json(results)
+        return
+    _print_summary(results)
+    print(f"{output / 'report.html'}\n{output / 'results.json'}")
+
+
+@app.command()
+def render(
+    scene: SceneFile,
+    output: Annotated[Path, typer.Option("--output", "-o", help="Folder to write.")],
+    position: Position = None,
+    samples: Annotated[
+        Optional[int], typer.Option("--samples", min=1, help="Samples a pixel, a square number.")
+    ] = None,
+    json: Json = False,
+) -> None:
+    """The picture the webcam would take, and the layers of light it is made of."""
+    from sim.files import write_render
+    from sim.scene import load_scene
+
+    loaded = load_scene(scene)
+    place = loaded.rig.plan.start_mm if position is None else position
+    files = write_render(loaded, place, output, samples)
+    _print_files(files, json)
+
+
+@app.command()
+def truth(
+    scene: SceneFile,
+    output: Annotated[Path, typer.Option("--output", "-o", help="Folder to write.")],
+    position: Position = None,
+    json: Json = False,
+) -> None:
+    """Where everything in the picture really is: the line's centre, the board's marks."""
+    from sim.files import write_truth
+    from sim.scene import load_scene
+
+    loaded = load_scene(scene)
+    place = loaded.rig.plan.start_mm if position is None else position
+    _print_files(write_truth(loaded, place, output), json)
+
+
+def _print_files(files: dict[str, Path], json: bool) -> None:
+    if json:
+        print_json({name: str(path) for name, path in files.items()})
+    else:
+        for name, path in files.items():
+            print(f"{name}: {path}")
+
+
+def _print_summary(results: Any) -> None:
+    points, stripe = results["control_points"], results["render_check"]
+    print(
+        f"control points: {points['found']} of {points['expected']}, "
+        f"{points['rms_px']:.3f} px rms against the truth"
+    )
+    print(
+        f"noise-free line: {stripe['stripe_rms_px']:.4f} px rms, "
+        f"{stripe['stripe_max_px']:.3f} px at most"
+    )
+    rows = []
+    for method, found in results["distances"].items():
+        errors = [entry["error_mm"] for entry in found.values()]
+        errors += [entry["error_mm"] for entry in results["diameters"][method].values()]
+        rms = (sum(error**2 for error in errors) / len(errors)) ** 0.5
+        rows.append([method, rms, max(abs(error) for error in errors)])
+    print_table("Tables I and II", ["plane map", "rms error mm", "largest mm"], rows)
+    rows = [[name, *entry.values()] for name, entry in results["groove"].items()]
+    print_table("Table III", ["", "nominal mm", "measured mm", "error mm", "sigma mm"], rows)
+    yaw = results["sandwave"]["yaw_deg"]
+    print(f"yaw: {yaw['estimated']:.3f} deg, truth {yaw['true']:.3f} deg")
+    rows = [[name, *entry.values()] for name, entry in results["sandwave"]["slices"].items()]
+    print_table("sandwave", ["slice", "points", "unseen", "rmse mm", "min mm", "max mm"], rows)
+
+
+def main() -> None:
+    """Entry point of the console script ``lscan-sim``."""
+    run_command_line(app, "lscan-sim")
+
+
+if __name__ == "__main__":
+    main()

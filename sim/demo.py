@@ -1,0 +1,165 @@
+"""The paper's whole experiment in the tank: scan, evaluate, compare with the truth, report."""
+
+from __future__ import annotations
+
+import shutil
+import time
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from lscan.acquire import scan
+from lscan.console import progress_bar
+from lscan.documents import merge
+from lscan.experiment import measure_board, measure_groove, measure_sandwave
+from lscan.measure import compare_slice
+from lscan.records import Floats, Status
+from lscan.results import CHOSEN, Experiment, experiment_json, write_experiment
+from lscan.rig import RigFile, StripeSection, load_rig, parse_rig
+from lscan.run import MANIFEST, Run
+from lscan.stripe import extract_stripe
+from lscan.surface import Slice
+from lscan.targets import Sandwave
+from sim.scene import Scene, scene_of
+from sim.sensor import Webcam
+from sim.tank import Tank
+from sim.truth import board_truth, slice_visibility, stripe_truth
+
+PARTS = ("board", "groove", "sandwave")
+
+# How the noise-free line is read: with no background the span may be wide enough to hold
+# the whole line, so that the centroid is not biased by its own window.
+CHECK_STRIPE = StripeSection(extractor="centroid", threshold_dn=20.0, span_px=6)
+CHECK_SAMPLES = 64
+CHECK_EDGE_PX = 4.0  # columns this near to an end of the line are left out
+SANDWAVE_CHECKS = 5  # frames of the sandwave scan that are rendered again without noise
+
+
+def run_demo(scenes: Path, output: Path, frames: int | None = None) -> Mapping[str, Any]:
+    """results.json of the demo, written with report.html and the run folders to ``output``.
+
+    scenes: folder with board.toml, groove.toml and sandwave.toml.
+    frames: number of sandwave pictures, the scene's own if None; the scan's length is kept.
+    Progress bars show on a terminal.  Run folders of an earlier demo are replaced.
+    """
+    started = time.monotonic()
+    rigs = {part: load_rig(scenes / f"{part}.toml") for part in PARTS}
+    if frames is not None:
+        rigs["sandwave"] = thin_out(rigs["sandwave"], frames)
+    seconds: dict[str, float] = {}
+    with _timed(seconds, "board"):
+        board = measure_board(_scan(rigs["board"], output, "board"))
+    chosen = board.calibrations[CHOSEN].plane_map
+    with _timed(seconds, "groove"):
+        groove = measure_groove(_scan(rigs["groove"], output, "groove"), chosen)
+    with _timed(seconds, "sandwave"):
+        run = _scan(rigs["sandwave"], output, "sandwave")
+        with progress_bar("measure sandwave") as progress:
+            sandwave = measure_sandwave(run, chosen, progress)
+    experiment = Experiment(run.rig_file.rig.name, board, groove, sandwave)
+    truth = compare(experiment, {part: scene_of(rig) for part, rig in rigs.items()})
+    seconds["total"] = time.monotonic() - started
+    results = merge(experiment_json(replace(experiment, seconds=seconds)), truth)
+    write_experiment(output, experiment, results)
+    return results
+
+
+def thin_out(rig_file: RigFile, frames: int) -> RigFile:
+    """The same scan with another number of pictures over the same length of track."""
+    plan = rig_file.rig.plan
+    step_mm = plan.step_mm * plan.frames / frames
+    document = merge(rig_file.document, {"plan": {"frames": frames, "step_mm": step_mm}})
+    return parse_rig(document, source=rig_file.source)
+
+
+def compare(experiment: Experiment, scenes: Mapping[str, Scene]) -> dict[str, Any]:
+    """The entries of results.json that only the truth can give."""
+    with progress_bar("compare with the truth") as progress:
+        checks = [("groove", 0.0), *(("sandwave", s) for s in _check_positions(scenes["sandwave"]))]
+        errors = []
+        for done, (part, position_mm) in enumerate(checks):
+            progress(done, len(checks))
+            errors.append(stripe_errors(scenes[part], position_mm))
+        progress(len(checks), len(checks))
+    stripe = np.concatenate(errors)
+    assert experiment.sandwave is not None
+    visible = {
+        name: _slice_errors(scenes["sandwave"], cut)
+        for name, cut in experiment.sandwave.slices.items()
+    }
+    return {
+        "control_points": _control_points(experiment, scenes["board"]),
+        "render_check": {
+            "stripe_rms_px": float(np.sqrt(np.mean(stripe**2))),
+            "stripe_max_px": float(np.abs(stripe).max()),
+        },
+        "sandwave": {
+            "yaw_deg": {"true": scenes["sandwave"].tank.head.yaw_deg},
+            "slices": visible,
+        },
+    }
+
+
+def stripe_errors(scene: Scene, position_mm: float) -> Floats:
+    """Centre of the line in a noise-free render less the truth, px, away from the line's ends.
+
+    (N,) over the columns where exactly one point is lit and seen.
+    """
+    quiet = scene.tank.sensor.model_copy(update={"noise": False})
+    scene = replace(scene, tank=scene.tank.model_copy(update={"sensor": quiet}))
+    layers = Tank(scene).render(position_mm, samples=CHECK_SAMPLES)
+    exposure_ms = scene.rig.camera.exposure_ms
+    image = Webcam(scene).expose(layers, exposure_ms, np.random.default_rng(0))
+    found = extract_stripe(image, CHECK_STRIPE)
+    truth = stripe_truth(scene, position_mm)
+    clear = (truth.status == Status.OK) & ~truth.multiple & (truth.edge_px > CHECK_EDGE_PX)
+    clear &= found.status == Status.OK
+    return found.centre_px[clear] - truth.centre_px[clear]
+
+
+def _control_points(experiment: Experiment, scene: Scene) -> dict[str, float]:
+    """Control points found against those in view, and their distance from the truth."""
+    grid, truth = experiment.board.reading.grid, board_truth(scene).centres.grid
+    both = grid.found & truth.found
+    error = np.hypot(*(grid.image_px[both] - truth.image_px[both]).T)
+    return {
+        "expected": int(truth.found.sum()),
+        "found": int(both.sum()),
+        "rms_px": float(np.sqrt(np.mean(error**2))),
+        "max_px": float(error.max()),
+    }
+
+
+def _slice_errors(scene: Scene, cut: Slice) -> dict[str, float]:
+    """The slice's errors on the points that are lit and seen while the head passes."""
+    piece = scene.rig.workpiece
+    assert isinstance(piece, Sandwave)
+    return compare_slice(cut, piece, visible=slice_visibility(scene, cut.xy_mm)).as_json()
+
+
+def _check_positions(scene: Scene) -> list[float]:
+    """Track positions spread over the scan, its ends left out."""
+    positions = np.array(scene.rig.plan.positions_mm())
+    inner = np.linspace(0, len(positions) - 1, SANDWAVE_CHECKS + 2)[1:-1]
+    return [float(positions[round(index)]) for index in inner]
+
+
+def _scan(rig_file: RigFile, output: Path, part: str) -> Run:
+    """A fresh run; an earlier demo's run of the same part is replaced, nothing else is."""
+    folder = output / "runs" / part
+    if (folder / MANIFEST).exists():
+        shutil.rmtree(folder)
+    folder.parent.mkdir(parents=True, exist_ok=True)
+    with progress_bar(f"scan {part}") as progress:
+        return scan(rig_file, folder, progress=progress)
+
+
+@contextmanager
+def _timed(seconds: dict[str, float], name: str) -> Iterator[None]:
+    started = time.monotonic()
+    yield
+    seconds[name] = time.monotonic() - started

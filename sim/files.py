@@ -1,0 +1,84 @@
+"""Files of a render and of its truth: pictures, layers and tables."""
+
+from __future__ import annotations
+
+from io import BytesIO, StringIO
+from pathlib import Path
+
+import numpy as np
+
+from lscan.disk import write_atomically
+from lscan.errors import InputError
+from lscan.pictures import write_picture
+from lscan.records import Marks, Status
+from sim.scene import Scene
+from sim.truth import board_truth, stripe_truth
+
+
+def write_render(
+    scene: Scene, position_mm: float, folder: Path, samples: int | None = None
+) -> dict[str, Path]:
+    """The files written: the webcam's picture (PNG) and the layers of light (NumPy .npz).
+
+    The layers are float32 radiances in W/(m2 sr) in the air behind the port.
+    """
+    from sim.sensor import Webcam
+    from sim.tank import Tank
+
+    if samples is not None and round(samples**0.5) ** 2 != samples:
+        raise InputError("not a square number", where="--samples", value=samples)
+    layers = Tank(scene).render(position_mm, samples)
+    generator = np.random.default_rng([scene.tank.sensor.seed, 1])
+    image = Webcam(scene).expose(layers, scene.rig.camera.exposure_ms, generator)
+    folder.mkdir(parents=True, exist_ok=True)
+    files = {"picture": folder / "picture.png", "layers": folder / "layers.npz"}
+    write_picture(files["picture"], image)
+    stream = BytesIO()
+    np.savez_compressed(
+        stream, direct=layers.direct, scattered=layers.scattered, ambient=layers.ambient
+    )
+    write_atomically(files["layers"], stream.getvalue())
+    return files
+
+
+def write_truth(scene: Scene, position_mm: float, folder: Path) -> dict[str, Path]:
+    """The files written: stripe.csv with the laser on, board.csv where a board stands there."""
+    folder.mkdir(parents=True, exist_ok=True)
+    files: dict[str, Path] = {}
+    if scene.tank.laser.on:
+        files["stripe"] = folder / "stripe.csv"
+        write_atomically(files["stripe"], _stripe_table(scene, position_mm).encode())
+    if scene.tank.target.shape == "board":
+        files["board"] = folder / "board.csv"
+        write_atomically(files["board"], _board_table(scene, position_mm).encode())
+    if not files:
+        raise InputError("no truth to tell: the laser is off and no board stands there")
+    return files
+
+
+def _stripe_table(scene: Scene, position_mm: float) -> str:
+    truth = stripe_truth(scene, position_mm)
+    table = StringIO()
+    table.write("column,centre_px,x_mm,z_mm,lit,seen,status\n")
+    points = zip(truth.centre_px.tolist(), truth.xz_mm.tolist(), strict=True)
+    for column, (centre, (x, z)) in enumerate(points):
+        flags = f"{int(truth.lit[column])},{int(truth.seen[column])}"
+        status = Status(truth.status[column]).name
+        table.write(f"{column},{centre!r},{x!r},{z!r},{flags},{status}\n")
+    return table.getvalue()
+
+
+def _board_table(scene: Scene, position_mm: float) -> str:
+    reading = board_truth(scene, position_mm).centres
+    table = StringIO()
+    table.write("kind,x_mm,z_mm,u_px,v_px,status\n")
+    _write_marks(table, "grid", reading.grid)
+    for number, ruler in enumerate(reading.rulers):
+        _write_marks(table, f"ruler-{number}", ruler.marks)
+    return table.getvalue()
+
+
+def _write_marks(table: StringIO, kind: str, marks: Marks) -> None:
+    rows = zip(marks.board_mm.tolist(), marks.image_px.tolist(), marks.status, strict=True)
+    for (x, z), (u, v), status in rows:
+        table.write(f"{kind},{x!r},{z!r},{u!r},{v!r},{Status(status).name}\n")
