@@ -82,7 +82,7 @@ class Laser(Strict):
     """
 
     power_mw: PositiveFloat
-    wavelength_nm: Annotated[float, Field(ge=400, le=700)] = 650.0
+    wavelength_nm: Annotated[float, Field(ge=450, le=700)] = 650.0
     apex_mm: Vector
     aim_deg: float = 0.0
     fan_half_angle_deg: Annotated[float, Field(gt=0, lt=80)] = 35.0

@@ -1,0 +1,66 @@
+"""Scattered points of a surface averaged onto a regular grid, for pictures."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from lscan.errors import MeasurementError
+from lscan.records import Floats
+
+
+@dataclass(frozen=True)
+class HeightGrid:
+    """Heights on a regular grid: x_mm (C,), y_mm (R,) its nodes, z_mm (R, C), NaN where empty."""
+
+    x_mm: Floats
+    y_mm: Floats
+    z_mm: Floats
+
+
+def grid_heights(xyz_mm: Floats, cell_mm: float) -> HeightGrid:
+    """The mean height about each node of a grid with nodes every ``cell_mm``.
+
+    xyz_mm: (..., 3) points in mm, NaN where there is none.  Each point counts at its four
+    nearest nodes with the weights of bilinear interpolation, so that a plane sampled evenly
+    stays a plane.  Raises MeasurementError where there is no point at all.
+    """
+    points = xyz_mm.reshape(-1, 3)
+    points = points[np.isfinite(points).all(axis=1)]
+    if len(points) == 0:
+        raise MeasurementError("the surface holds no point to draw")
+    start = np.floor(points[:, :2].min(axis=0) / cell_mm)
+    place = points[:, :2] / cell_mm - start
+    columns, rows = (int(n) for n in np.floor(place.max(axis=0)) + 2)
+    weight, total = np.zeros(rows * columns), np.zeros(rows * columns)
+    whole = np.floor(place).astype(np.int64)
+    part = place - whole
+    for right, up in ((0, 0), (1, 0), (0, 1), (1, 1)):
+        share = np.abs(1 - right - part[:, 0]) * np.abs(1 - up - part[:, 1])
+        node = (whole[:, 1] + up) * columns + whole[:, 0] + right
+        weight += np.bincount(node, share, minlength=rows * columns)
+        total += np.bincount(node, share * points[:, 2], minlength=rows * columns)
+    # A node that points only graze, on a rim or in a shadow, would invent a height there.
+    held = weight > 0.25
+    z_mm = np.where(held, total / np.where(held, weight, 1.0), np.nan).reshape(rows, columns)
+    x_mm, y_mm = ((start[k] + np.arange(n)) * cell_mm for k, n in enumerate((columns, rows)))
+    return HeightGrid(x_mm, y_mm, z_mm)
+
+
+def cell_for(xyz_mm: Floats, least_mm: float, most_nodes: int = 220) -> float:
+    """The cell in mm that fits a scan: no finer than its points, nor than ``least_mm``.
+
+    xyz_mm: (F, N, 3) profiles.  most_nodes: along the longer side of the surface.
+    """
+    steps = [_typical_step(xyz_mm[..., 1], axis=0), _typical_step(xyz_mm[..., 0], axis=1)]
+    plan = xyz_mm[..., :2].reshape(-1, 2)
+    plan = plan[np.isfinite(plan).all(axis=1)]
+    extent = float(np.ptp(plan, axis=0).max()) if len(plan) else 0.0
+    return max(least_mm, 1.5 * max(steps), extent / most_nodes)
+
+
+def _typical_step(values: Floats, axis: int) -> float:
+    step = np.abs(np.diff(values, axis=axis))
+    finite = step[np.isfinite(step)]
+    return float(np.median(finite)) if len(finite) else 0.0

@@ -1,0 +1,147 @@
+"""Figures of the surface in relief: as scanned, and after reorientation (Figs. 25 and 26)."""
+
+from __future__ import annotations
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from lscan.figures import style
+from lscan.figures.exhibit import Exhibit, signed
+from lscan.records import Floats
+
+_LINES = 90  # profiles drawn of a relief
+_COLUMNS = 320  # points drawn of a profile, at most
+_FLAT_MM = 40.0  # a surface whose heights span less is drawn with twice the height
+_LEAN = (0.32, 0.42)  # how far a step along y goes right and up
+
+
+@style.styled
+def raw_relief(xyz_mm: Floats) -> Exhibit:
+    """The surface as scanned, (F, N, 3) in the head frame (Fig. 25)."""
+    valued = int(np.isfinite(xyz_mm[..., 2]).sum())
+    frames = len(xyz_mm)
+    figure, _, gain = _draw_relief(xyz_mm)
+    alt = "Relief of the surface as scanned, one line for every few profiles, tilted."
+    return Exhibit(
+        key="raw",
+        title="Raw data",
+        paper="Fig. 25",
+        alt=alt,
+        caption=f"{valued:,} points of {frames} profiles as scanned, {_shown(frames)}; heights "
+        f"are drawn {gain:g} times as large as lengths. The piece stands as it was put down: "
+        f"its plane is off the scanner's by {_tilt(xyz_mm)}.",
+        body=style.svg(figure, "raw", alt),
+    )
+
+
+@style.styled
+def levelled_relief(xyz_mm: Floats, corners: tuple[Floats, Floats] | None) -> Exhibit:
+    """The surface after reorientation, eqs. (5) to (7), with base plane and corners (Fig. 26).
+
+    xyz_mm: (F, N, 3).  corners: W_L and W_R in the same frame, (3,) each, on the base plane.
+    """
+    figure, axes, gain = _draw_relief(xyz_mm)
+    note = ""
+    if corners is not None:
+        _draw_base_plane(axes, xyz_mm, corners, gain)
+        span = float(np.linalg.norm(corners[1] - corners[0]))
+        note = (
+            " Dashed: the base plane through the tops of the wedges; dots: the corners W_L "
+            f"and W_R, {span:.2f} mm apart."
+        )
+    alt = "Relief of the surface after reorientation, with the base plane and two corners."
+    return Exhibit(
+        key="levelled",
+        title="After reorientation",
+        paper="Fig. 26",
+        alt=alt,
+        caption=f"The same points turned until the tops of the wedges lie level, "
+        f"{_shown(len(xyz_mm))}; heights {gain:g} times.{note}",
+        body=style.svg(figure, "levelled", alt),
+    )
+
+
+def _shown(frames: int) -> str:
+    step = _profile_step(frames)
+    return "every profile drawn" if step == 1 else f"one in {step} profiles drawn"
+
+
+def _profile_step(frames: int) -> int:
+    return max(1, -(-frames // _LINES))
+
+
+def _tilt(xyz_mm: Floats) -> str:
+    """Slope along x and y of the plane that fits all points best, in words."""
+    points = xyz_mm[np.isfinite(xyz_mm).all(axis=2)]
+    if len(points) < 3:
+        return "an unknown angle"
+    centred = points - points.mean(axis=0)
+    slopes = np.linalg.lstsq(centred[:, :2], centred[:, 2], rcond=None)[0]
+    along_x, along_y = np.degrees(np.arctan(slopes))
+    return f"about {signed(along_x, 2)}° along x and {signed(along_y, 2)}° along y"
+
+
+def _draw_relief(xyz_mm: Floats) -> tuple[Figure, Axes, float]:
+    """Profiles in oblique projection, the far ones first: figure, axes and gain of heights."""
+    low, high = (float(value) for value in np.nanpercentile(xyz_mm[..., 2], (0.2, 99.8)))
+    gain = 2.0 if high - low < _FLAT_MM else 1.0
+    u, v = _project(xyz_mm, gain)
+    shape = np.ptp(v[np.isfinite(v)]) / np.ptp(u[np.isfinite(u)])
+    figure, (axes,) = style.panels(1, (style.WIDTH_IN, style.WIDTH_IN * float(shape) * 0.95 + 0.3))
+    floor = float(np.nanmin(v)) - 2.0
+    across = max(1, xyz_mm.shape[1] // _COLUMNS)
+    rows = np.arange(0, len(xyz_mm), _profile_step(len(xyz_mm)))
+    for row in rows[np.argsort(-_mean_rows(xyz_mm[rows, :, 1]))]:
+        along, up = u[row, ::across], v[row, ::across]
+        # What stands behind a profile is hidden by it.
+        axes.fill_between(along, up, floor, color=style.PAPER, linewidth=0)
+        axes.plot(along, up, color=style.INK, linewidth=0.55)
+    axes.set_aspect("equal")
+    axes.set_axis_off()
+    _draw_scale(axes, float(np.nanmin(u)), floor, gain)
+    return figure, axes, gain
+
+
+def _mean_rows(values: Floats) -> Floats:
+    """Mean of the finite values of each row; rows without any count as nearest."""
+    finite = np.isfinite(values)
+    count = finite.sum(axis=1)
+    total = np.where(finite, values, 0.0).sum(axis=1)
+    return np.where(count > 0, total / np.maximum(count, 1), -np.inf)
+
+
+def _project(xyz_mm: Floats, gain: float) -> tuple[Floats, Floats]:
+    x, y, z = np.moveaxis(xyz_mm, -1, 0)
+    return x + _LEAN[0] * y, _LEAN[1] * y + gain * z
+
+
+def _draw_scale(axes: Axes, left: float, floor: float, gain: float) -> None:
+    """Bars of 50 mm along x and y and of 10 mm along z, at the lower left."""
+    origin = np.array([left - 45.0, floor])
+    bars = (
+        ("x 50 mm", np.array([50.0, 0.0]), "left", "top"),
+        ("y 50 mm", 50.0 * np.array(_LEAN), "left", "center"),
+        ("z 10 mm", np.array([0.0, 10.0 * gain]), "center", "bottom"),
+    )
+    for name, bar, ha, va in bars:
+        axes.plot(*np.column_stack([origin, origin + bar]), color=style.MUTED, linewidth=1.0)
+        x, y = origin + 1.08 * bar
+        axes.text(x, y, name, color=style.MUTED, ha=ha, va=va, fontsize=8)
+
+
+def _draw_base_plane(
+    axes: Axes, xyz_mm: Floats, corners: tuple[Floats, Floats], gain: float
+) -> None:
+    height = float(corners[0][2] + corners[1][2]) / 2
+    x, y = xyz_mm[..., 0], xyz_mm[..., 1]
+    left, right, near, far = np.nanmin(x), np.nanmax(x), np.nanmin(y), np.nanmax(y)
+    around = [(left, near), (right, near), (right, far), (left, far), (left, near)]
+    outline = np.array([(*corner, height) for corner in around])
+    axes.plot(*_project(outline, gain), color=style.SECOND, linewidth=1.0, linestyle="--")
+    ends = np.array(corners, dtype=float)
+    u, v = _project(ends, gain)
+    axes.plot(u, v, color=style.FIRST, linewidth=0.9, linestyle="--")
+    axes.plot(u, v, "o", color=style.FIRST, markersize=5)
+    for name, at in zip(("$W_L$", "$W_R$"), zip(u, v, strict=True), strict=True):
+        axes.annotate(name, at, (7, 9), color=style.FIRST, bbox=style.PLATE, **style.NOTE)

@@ -1,0 +1,182 @@
+"""One look for all figures: colours that follow the page's theme, and SVG of stable bytes.
+
+Figures are drawn in the light theme's colours; in the SVG each becomes a CSS variable with
+that colour as its fallback, so that the page may turn dark and a saved figure stays right.
+"""
+
+from __future__ import annotations
+
+import base64
+import io
+import re
+from collections.abc import Mapping
+from types import MappingProxyType
+from typing import Any
+
+import cv2
+import matplotlib
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_svg import FigureCanvasSVG
+from matplotlib.colors import LinearSegmentedColormap
+from matplotlib.figure import Figure
+
+from lscan.errors import InputError
+from lscan.records import Bytes, Floats
+
+PALETTE: Mapping[str, str] = MappingProxyType(
+    {
+        "ink": "#1d2a31",
+        "muted": "#67757d",
+        "rule": "#d5dbdd",
+        "paper": "#fdfdfb",
+        "first": "#b5452c",
+        "second": "#17688c",
+        "third": "#8a6d14",
+        "accent": "#c2185b",
+    }
+)
+INK, MUTED, RULE, PAPER = (PALETTE[name] for name in ("ink", "muted", "rule", "paper"))
+FIRST, SECOND, THIRD, ACCENT = (PALETTE[name] for name in ("first", "second", "third", "accent"))
+
+HEIGHT_COLOURS = ("#0c3547", "#1f6274", "#5d8f80", "#b5b07c", "#f1e3b3")
+"""Deep water to sand; lightness rises throughout, so it reads in grey too."""
+
+HEIGHTS = LinearSegmentedColormap.from_list("heights", HEIGHT_COLOURS)
+
+NOTE: Any = {"textcoords": "offset points", "va": "center", "fontweight": "bold"}
+"""Keywords of a short label beside a point, offset in points."""
+
+PLATE: Any = {"facecolor": PAPER, "edgecolor": "none", "alpha": 0.8, "pad": 1.2}
+"""Keywords of the ground behind a label that lies on a picture."""
+
+_SETTINGS: Any = {
+    "svg.fonttype": "none",
+    "svg.hashsalt": "lscan",
+    "font.family": "DejaVu Sans",  # comes with matplotlib: the layout is the same anywhere
+    "font.size": 9.0,
+    "axes.linewidth": 0.7,
+    "axes.edgecolor": MUTED,
+    "axes.labelcolor": INK,
+    "axes.titlesize": 9.0,
+    "axes.titlecolor": INK,
+    "axes.titlelocation": "left",
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.grid": True,
+    "axes.facecolor": "none",
+    "grid.color": RULE,
+    "grid.linewidth": 0.5,
+    "text.color": INK,
+    "xtick.color": MUTED,
+    "ytick.color": MUTED,
+    "lines.linewidth": 1.4,
+    "legend.frameon": False,
+    "legend.fontsize": 8.5,
+}
+
+styled = matplotlib.rc_context(_SETTINGS)
+"""Decorator of the functions that draw: matplotlib has this look within them only."""
+
+WIDTH_IN = 5.8
+"""Width of most figures: their 9 pt type then shows at the page's own size."""
+
+
+def legend(axes: Axes) -> None:
+    """Name the lines of ``axes`` in one row above its right end."""
+    columns = len(axes.get_legend_handles_labels()[1])
+    axes.legend(loc="lower right", bbox_to_anchor=(1.0, 0.98), ncols=columns, borderpad=0.1)
+
+
+def panels(
+    rows: int,
+    size_in: tuple[float, float],
+    heights: tuple[float, ...] | None = None,
+    share_x: bool = True,
+) -> tuple[Figure, list[Axes]]:
+    """An empty figure of ``size_in`` inches with ``rows`` panels, one above the other."""
+    figure = Figure(figsize=size_in, layout="constrained", facecolor="none")
+    options = {"height_ratios": heights} if heights else None
+    grid = figure.subplots(rows, 1, sharex=share_x, squeeze=False, gridspec_kw=options)
+    return figure, [axes for (axes,) in grid]
+
+
+def svg(figure: Figure, key: str, alt: str) -> str:
+    """The figure as an inline SVG element; the same figure gives the same characters.
+
+    key: prefix of every id in it, so that several stand on one page.  alt: its description.
+    """
+    buffer = io.StringIO()
+    FigureCanvasSVG(figure)
+    no_metadata = dict.fromkeys(("Date", "Creator", "Format", "Type"))
+    figure.savefig(buffer, format="svg", metadata=no_metadata)
+    text = buffer.getvalue()
+    text = text[text.index("<svg") :].strip()
+    text = re.sub(r"<metadata>.*?</metadata>", "", text, flags=re.DOTALL)
+    text = re.sub(r'(?<= id=")|(?<=href="#)|(?<=url\(#)', f"{key}-", text)
+    text = re.sub(r"(\d\.\d{2})\d+", r"\1", text)  # a hundredth of a point is enough
+    for name, colour in PALETTE.items():
+        text = text.replace(colour, f"var(--{name}, {colour})")
+    return _labelled(text, alt)
+
+
+def photograph(image: Bytes, overlay: str, alt: str) -> str:
+    """The picture as an inline SVG element, with SVG shapes over it in pixel coordinates.
+
+    image: (H, W) grey or (H, W, 3) RGB.  overlay: SVG elements whose coordinates are (u, v)
+    of records.py.  Raises InputError where the array is no such picture.
+    """
+    if image.dtype != np.uint8 or image.ndim not in (2, 3) or image.shape[2:] not in ((), (3,)):
+        raise InputError(
+            "not a picture",
+            where="report",
+            value=f"{image.dtype} array of shape {image.shape}",
+            allowed="(H, W) or (H, W, 3) uint8",
+        )
+    height, width = image.shape[:2]
+    # The picture's corner is half a pixel up and left of the centre of its first pixel.
+    frame = f'x="-0.5" y="-0.5" width="{width}" height="{height}"'
+    text = (
+        f'<svg viewBox="-0.5 -0.5 {width} {height}" class="photograph">'
+        f'<image {frame} href="{_data_uri(image)}"/>{overlay}</svg>'
+    )
+    return _labelled(text, alt)
+
+
+def crosses(points: Floats, colour: str, reach_px: float, width_px: float = 1.0) -> str:
+    """SVG of a × at each of (N, 2) points; a NaN point has none."""
+    r = reach_px
+    strokes = f"l{2 * r},{2 * r}m0,{-2 * r}l{-2 * r},{2 * r}"
+    path = "".join(f"M{u - r:.2f},{v - r:.2f}{strokes}" for u, v in _drawn(points))
+    return f'<path fill="none" stroke="{colour}" stroke-width="{width_px}" d="{path}"/>'
+
+
+def spots(points: Floats, colour: str, width_px: float) -> str:
+    """SVG of a round spot at each of (N, 2) points; a NaN point has none."""
+    path = "".join(f"M{u:.2f},{v:.2f}h0" for u, v in _drawn(points))
+    style = f'fill="none" stroke="{colour}" stroke-width="{width_px}" stroke-linecap="round"'
+    return f'<path {style} d="{path}"/>'
+
+
+def label(at: tuple[float, float], text: str, colour: str, size_px: float = 13.0) -> str:
+    """SVG of a short text whose baseline starts ``at`` (u, v)."""
+    place = f'x="{at[0]:.2f}" y="{at[1]:.2f}"'
+    return f'<text {place} font-size="{size_px}" fill="{colour}">{text}</text>'
+
+
+def _drawn(points: Floats) -> Floats:
+    return points[np.isfinite(points).all(axis=1)]
+
+
+def _data_uri(image: Bytes) -> str:
+    # JPEG without chroma subsampling: the laser's red line and coloured marks stay sharp.
+    settings = [cv2.IMWRITE_JPEG_QUALITY, 90]
+    settings += [cv2.IMWRITE_JPEG_SAMPLING_FACTOR, cv2.IMWRITE_JPEG_SAMPLING_FACTOR_444]
+    bgr = image if image.ndim == 2 else image[:, :, ::-1]
+    _, encoded = cv2.imencode(".jpg", np.ascontiguousarray(bgr), settings)
+    return f"data:image/jpeg;base64,{base64.b64encode(encoded.tobytes()).decode('ascii')}"
+
+
+def _labelled(text: str, alt: str) -> str:
+    escaped = alt.replace("&", "&amp;").replace("<", "&lt;").replace('"', "&quot;")
+    return text.replace("<svg", f'<svg role="img" aria-label="{escaped}"', 1)

@@ -1,0 +1,198 @@
+"""The nine dimensions of the grooved block from its profile (Sec. IV.B, Fig. 21, Table III)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+
+from lscan.errors import InputError, MeasurementError
+from lscan.measure.segments import (
+    Segment,
+    Trace,
+    end_mm,
+    height_between,
+    inner_points,
+    joined,
+    segments,
+    trace,
+)
+from lscan.records import Ints, Measured, Profile
+from lscan.targets import GroovedBlock
+
+Value = tuple[float, float]
+"""A measured length and its standard uncertainty, mm."""
+
+
+@dataclass(frozen=True)
+class Parts:
+    """What a profile of the block consists of, each part as a segment of the profile.
+
+    ridges: the tops, from left to right, one more than there are grooves.
+    bottoms: what is seen of each groove's bottom.  floor: what is seen beside the block.
+    """
+
+    ridges: tuple[Segment, ...]
+    bottoms: tuple[Segment, ...]
+    floor: Segment
+
+
+def groove_dimensions(
+    profiles: Profile | Sequence[Profile], piece: GroovedBlock
+) -> dict[str, Measured]:
+    """The dimensions W1 to S2 of Table III, mm, measured as in the paper.
+
+    Widths and separations lie between the end points of the tops' laser segments, measured
+    along the tops; heights are distances between straight lines fitted to segments with a
+    common slope.  The block stands along the track, so that the sheet cuts it square; it may be
+    tilted in the sheet by some degrees and lie anywhere in it.
+    Of several profiles the median is given, which a missing end point in one does not move, with
+    the sigma of one profile: sampling and calibration err alike in all of them, so no credit is
+    taken for their number.
+
+    Raises InputError where no profile is given, MeasurementError that names the profile and
+    what is missing in it.
+    """
+    several = [profiles] if isinstance(profiles, Profile) else list(profiles)
+    if not several:
+        raise InputError("no profile to measure", where="grooves", allowed="one or more")
+    each = [_measure(profile, piece) for profile in several]
+    return {
+        name: Measured(
+            nominal_mm=nominal,
+            measured_mm=float(np.median([values[name][0] for values in each])),
+            sigma_mm=float(np.sqrt(np.mean([values[name][1] ** 2 for values in each]))),
+        )
+        for name, nominal in piece.dimensions_mm().items()
+    }
+
+
+def _measure(profile: Profile, piece: GroovedBlock) -> dict[str, Value]:
+    try:
+        line = trace(profile)
+        parts = find_parts(line, piece)
+        return {**_heights(line, parts), **_separations(line, parts)}
+    except MeasurementError as error:
+        raise MeasurementError(f"profile at {profile.position_mm:g} mm: {error}") from error
+
+
+def find_parts(line: Trace, piece: GroovedBlock) -> Parts:
+    """The tops, groove bottoms and floor in one profile of the grooved block.
+
+    The tops are the highest level that a good part of the profile lies on; what lies between
+    two of them is a groove, what lies outside them the floor.
+    Raises MeasurementError that names what is missing.
+    """
+    found = segments(line)
+    shallowest = min(groove.depth_mm for groove in piece.grooves)
+    ridges = _ridges(line, found, piece, shallowest)
+    bottoms = []
+    for number, (left, right) in enumerate(pairwise(ridges), start=1):
+        start, stop = line.x[left.points[-1]], line.x[right.points[0]]
+        inside = _below(line, found, start, stop, left.level_mm - shallowest / 2)
+        if not inside:
+            raise MeasurementError(f"the bottom of groove {number} is not seen")
+        # Beside the bottom, pieces of lit wall may stand: the bottom is the widest piece.
+        bottoms.append(_widest_level(line, inside))
+    top = float(np.median([ridge.level_mm for ridge in ridges]))
+    deepest = top - max(groove.depth_mm for groove in piece.grooves)
+    limit = (deepest + top - piece.height_mm) / 2
+    first, last = line.x[ridges[0].points[0]], line.x[ridges[-1].points[-1]]
+    beside = [
+        *_below(line, found, -np.inf, first, limit),
+        *_below(line, found, last, np.inf, limit),
+    ]
+    if not beside:
+        raise MeasurementError("the floor beside the block is not seen")
+    return Parts(ridges, tuple(bottoms), _widest_level(line, beside))
+
+
+def _ridges(
+    line: Trace, found: list[Segment], piece: GroovedBlock, shallowest_mm: float
+) -> tuple[Segment, ...]:
+    """The tops from left to right, pieces broken by missing points joined."""
+    narrowest = min(piece.last_ridge_mm, *(groove.ridge_mm for groove in piece.grooves))
+    wide = [part for part in found if _width(line, part) > narrowest / 4]
+    wanted = len(piece.grooves) + 1
+    if not wide:
+        raise MeasurementError(f"no level segment found, the block has {wanted} tops")
+    top = max(part.level_mm for part in wide)
+    tops = [part for part in wide if part.level_mm > top - shallowest_mm / 4]
+    gap = min(groove.width_mm for groove in piece.grooves) / 2
+    groups: list[list[Segment]] = []
+    for part in tops:
+        if groups and line.x[part.points[0]] - line.x[groups[-1][-1].points[-1]] < gap:
+            groups[-1].append(part)
+        else:
+            groups.append([part])
+    ridges = tuple(joined(group, line) for group in groups)
+    ridges = tuple(ridge for ridge in ridges if _width(line, ridge) > narrowest / 2)
+    if len(ridges) != wanted:
+        raise MeasurementError(f"{len(ridges)} tops found, the block has {wanted}")
+    return ridges
+
+
+def _below(
+    line: Trace, found: list[Segment], start: float, stop: float, limit_mm: float
+) -> list[Segment]:
+    """The segments between two x that lie lower than a level."""
+    return [
+        part
+        for part in found
+        if part.level_mm < limit_mm
+        and line.x[part.points[0]] > start
+        and line.x[part.points[-1]] < stop
+    ]
+
+
+def _widest_level(line: Trace, parts: list[Segment]) -> Segment:
+    """The widest of the segments, joined with the others on its level."""
+    widest = max(parts, key=lambda part: _width(line, part))
+    level = [part for part in parts if abs(part.level_mm - widest.level_mm) < 2.0]
+    return joined(level, line)
+
+
+def _width(line: Trace, part: Segment) -> float:
+    return float(line.x[part.points[-1]] - line.x[part.points[0]])
+
+
+def _heights(line: Trace, parts: Parts) -> dict[str, Value]:
+    """H1, H3, H4 from each groove's bottom to the tops on both its sides; H2 to the floor."""
+    heights = {}
+    for name, groove in (("H3", 0), ("H4", 1), ("H1", 2)):
+        tops = _inner(line, parts.ridges[groove : groove + 2])
+        heights[name] = _height(line, tops, _inner(line, [parts.bottoms[groove]]), name)
+    everywhere = _inner(line, parts.ridges)
+    heights["H2"] = _height(line, everywhere, _inner(line, [parts.floor]), "H2")
+    return heights
+
+
+def _height(line: Trace, upper: Ints, lower: Ints, name: str) -> Value:
+    try:
+        return height_between(line, upper, lower)
+    except MeasurementError as error:
+        raise MeasurementError(f"{name}: {error}") from error
+
+
+def _inner(line: Trace, parts: Sequence[Segment]) -> Ints:
+    return np.concatenate([inner_points(line, part) for part in parts])
+
+
+def _separations(line: Trace, parts: Parts) -> dict[str, Value]:
+    """Widths and separations along the tops, from the ends of the tops' segments."""
+    left = [end_mm(line, ridge, -1) for ridge in parts.ridges]
+    right = [end_mm(line, ridge, +1) for ridge in parts.ridges]
+    along = float(np.hypot(1.0, line.tilt))
+    spans = {
+        "W1": (right[0], left[1]),
+        "W2": (right[1], left[2]),
+        "W3": (right[2], left[3]),
+        "S1": (left[0], right[2]),
+        "S2": (left[1], left[3]),
+    }
+    return {
+        name: (along * (stop[0] - start[0]), along * float(np.hypot(start[1], stop[1])))
+        for name, (start, stop) in spans.items()
+    }

@@ -1,0 +1,78 @@
+"""A measured slice of the sandwave against eq. (4) (Figs. 29 to 32)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from lscan.errors import MeasurementError
+from lscan.records import Floats, has_value
+from lscan.surface import Slice
+from lscan.targets import Sandwave
+
+
+@dataclass(frozen=True)
+class SliceErrors:
+    """Errors of a slice, measured minus eq. (4), mm.
+
+    error_mm: (M,) at each point of the slice; NaN where it was not compared.
+    points: number compared.  unseen: number without data.
+    at_step: number left out beside the border of the waves: there the surface steps to the rim,
+        and a height measured over a radius is neither the one nor the other.
+    """
+
+    error_mm: Floats
+    points: int
+    unseen: int
+    at_step: int
+
+    @property
+    def rmse_mm(self) -> float:
+        """Root of the mean squared error, mm."""
+        return float(np.sqrt(np.nanmean(self.error_mm**2)))
+
+    @property
+    def min_mm(self) -> float:
+        """Most negative error, mm."""
+        return float(np.nanmin(self.error_mm))
+
+    @property
+    def max_mm(self) -> float:
+        """Most positive error, mm."""
+        return float(np.nanmax(self.error_mm))
+
+    def as_json(self) -> dict[str, float | int]:
+        """Counts and errors under the keys results.json uses."""
+        return {
+            "points": self.points,
+            "unseen": self.unseen,
+            "rmse_mm": self.rmse_mm,
+            "min_mm": self.min_mm,
+            "max_mm": self.max_mm,
+        }
+
+
+def compare_slice(measured: Slice, piece: Sandwave) -> SliceErrors:
+    """The errors of a slice in the workpiece frame against eq. (4) of the sandwave.
+
+    Points nearer to the border of the waves, or farther out, than the radius over which the
+    slice's heights were taken are counted as ``at_step`` and not compared.
+    Raises MeasurementError where no point is left to compare.
+    """
+    x, y = measured.xy_mm.T
+    inset = np.minimum(np.minimum(x, piece.side_mm - x), np.minimum(y, piece.side_mm - y))
+    inside = inset >= measured.radius_mm
+    seen = has_value(measured.status)
+    compared = inside & seen
+    if not compared.any():
+        raise MeasurementError(
+            f"slice: none of its {len(x)} points has data on the waves to compare with eq. (4)"
+        )
+    error = np.where(compared, measured.z_mm - piece.height_mm(x, y), np.nan)
+    return SliceErrors(
+        error_mm=error,
+        points=int(compared.sum()),
+        unseen=int((inside & ~seen).sum()),
+        at_step=int((~inside).sum()),
+    )

@@ -1,0 +1,350 @@
+"""A raw scan of the sandwave block brought into the workpiece frame (Sec. IV.C, Figs. 25 to 28).
+
+Four adjustments as in the paper: two rotations that level the wedges' tops, one about z that
+lays the line of the wedges' corners along x, and the yaw of the laser sheet against the track.
+The yaw is not a rotation but a shear: with the sheet yawed by ``yaw`` the track moves the head
+along (sin yaw, cos yaw, 0) in the head's own axes, so the point x of the sheet at track
+position s lies at (x + s sin yaw, s cos yaw, z).  Positive yaw: the raw profiles must be shifted
+towards +x in proportion to s.  (The paper shifts x alone, which takes cos yaw for 1: 0.07 %,
+or 0.15 mm over the block, at its 2.2 degrees.)
+Because the shear acts before the rotations, all four are solved together by iteration.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from lscan.errors import InputError, MeasurementError
+from lscan.records import Floats, Surface
+from lscan.surface.edges import EdgeFit, EdgeLine, EdgeSamples, fit_edges
+from lscan.surface.features import Crossings, Features, find_features
+from lscan.targets import Sandwave
+
+SETTLED_RAD = 1e-7
+"""Change of yaw and of the rotation about z below which the iteration ends."""
+
+MAX_ITERATIONS = 60
+
+MIN_SIDE_CROSSINGS = 50
+"""Fewest profiles that must cross a side of the block for it to be used."""
+
+WINDOWS_MM = (15.0, 3.0, 2.0)
+"""How far from its nominal place an edge is looked for, round after round: first over what a
+yaw of 5 degrees shifts the block's corners, then over what is left of it."""
+
+CORNER_MARGIN_MM = 1.5
+"""Crossings this near (along y) to the ends of an edge are left out: corners are never sharp."""
+
+
+@dataclass(frozen=True)
+class Alignment:
+    """How raw points become workpiece points: ``rotation @ shear(yaw) @ raw + translation``.
+
+    yaw_rad, yaw_sigma_rad: angle of the sheet against the track, its standard uncertainty.
+    rotation: (3, 3) of the four-step alignment without the shear.  translation_mm: (3,).
+    normal: (3,) unit normal of the base plane in the head's axes.
+    flatness_mm: rms distance of the wedges' top points from the base plane.
+    left_corner_mm, right_corner_mm: (2,) W_L and W_R in the workpiece plan.
+    edges: the lines found, in the workpiece plan, by name: "left wedge, near edge" and so on,
+        "left side" and, where it is in the scan, "right side".
+    top_points: number of points the base plane was fitted to.
+    iterations: number of rounds of shear, levelling and rotation until they settled.
+    """
+
+    yaw_rad: float
+    yaw_sigma_rad: float
+    rotation: Floats
+    translation_mm: Floats
+    normal: Floats
+    flatness_mm: float
+    left_corner_mm: Floats
+    right_corner_mm: Floats
+    edges: dict[str, EdgeLine]
+    top_points: int
+    iterations: int
+
+    def to_workpiece(self, raw_mm: Floats) -> Floats:
+        """(..., 3) workpiece points, mm, of raw head-frame points (..., 3), mm."""
+        return raw_mm @ (self.rotation @ shear(self.yaw_rad)).T + self.translation_mm
+
+
+@dataclass(frozen=True)
+class _Pose:
+    """The part of an alignment that is iterated."""
+
+    yaw: float
+    turn: float
+    shift: Floats
+    rotation: Floats
+
+    def plan(self, raw: Floats) -> Floats:
+        return (raw @ (self.rotation @ shear(self.yaw)).T + self.shift)[:, :2]
+
+
+def shear(yaw_rad: float) -> Floats:
+    """(3, 3) matrix from raw points (x, s, z) to true points in the head's axes."""
+    return np.array([[1.0, np.sin(yaw_rad), 0.0], [0.0, np.cos(yaw_rad), 0.0], [0.0, 0.0, 1.0]])
+
+
+def levelling_step(normal: Floats) -> Floats:
+    """(3, 3) rotation R_x R_y of eqs. (5) to (7) for the unit normal (3,) of the base plane.
+
+    As printed, with alpha = -asin(n_y) and beta = asin(n_x), eqs. (5) and (6) would turn a
+    level plane (alpha = beta = 0) by 90 degrees about both axes: their sines and cosines hold
+    for angles counted from the axes, that is for alpha + 90° and beta + 90°.  With these put
+    in, sin becomes cos and cos becomes -sin, which is what stands here; then R_x R_y n is
+    (0, 0, 1) but for terms of third order in the tilt, and repeating it (eq. 7) removes those.
+    """
+    alpha, beta = -np.arcsin(normal[1]), np.arcsin(normal[0])
+    sin_a, cos_a, sin_b, cos_b = np.sin(alpha), np.cos(alpha), np.sin(beta), np.cos(beta)
+    about_x = np.array([[1.0, 0.0, 0.0], [0.0, cos_a, sin_a], [0.0, -sin_a, cos_a]])
+    about_y = np.array([[cos_b, 0.0, -sin_b], [0.0, 1.0, 0.0], [sin_b, 0.0, cos_b]])
+    return about_x @ about_y
+
+
+def level(points_mm: Floats) -> Floats:
+    """(3, 3) rotation that levels the base plane of the points (K, 3).
+
+    Eq. (7) repeated, the plane fitted anew each time, until its normal settles at (0, 0, 1).
+    Raises MeasurementError where the points carry no plane.
+    """
+    rotation = np.eye(3)
+    for _ in range(20):
+        normal = plane_normal(points_mm @ rotation.T)
+        if np.hypot(normal[0], normal[1]) < 1e-12:
+            break
+        rotation = levelling_step(normal) @ rotation
+    return rotation
+
+
+def plane_normal(points_mm: Floats) -> Floats:
+    """(3,) upward unit normal of the least-squares plane of the points (K, 3), mm."""
+    if len(points_mm) < 3:
+        raise MeasurementError(f"base plane: {len(points_mm)} points, 3 are needed")
+    centred = points_mm - points_mm.mean(axis=0)
+    spread, axes = np.linalg.eigh(centred.T @ centred)
+    if spread[1] < 1e-9 * spread[2]:
+        raise MeasurementError("base plane: the points lie on one line")
+    normal = axes[:, 0]
+    return normal if normal[2] > 0 else -normal
+
+
+def align_sandwave(surface: Surface, piece: Sandwave) -> Alignment:
+    """The alignment of a raw scan of the sandwave block with its workpiece frame.
+
+    The wedges' tops come to z = wedge.height_mm, the midpoint of the corners W_L and W_R to its
+    nominal place in plan and the line between them along x.  The yaw makes the block's sides
+    orthogonal to that line: the left one, as in the paper, and where it is in the scan the
+    right one too.  The wedges' edges have a small say as well, being symmetric about that
+    line: a side that runs along the track to within a column or two is only known to that.
+
+    Raises InputError for a surface that is not in the head frame, MeasurementError that names
+    what is missing in the scan.
+    """
+    if surface.frame != "head":
+        raise InputError(
+            "is aligned already", where="surface", value=surface.frame, allowed="the head frame"
+        )
+    features = find_features(surface, piece)
+    pose, rounds = _rough_pose(features, piece), 0
+    for window in WINDOWS_MM:
+        selected = _select(features, pose, piece, window)
+        pose, edges, iterations = _refine(features.tops, selected, pose, piece)
+        rounds += iterations
+    variance = _yaw_variance(edges, piece) + _sampling_variance(selected)
+    return _alignment(features.tops, pose, edges, variance, rounds)
+
+
+def apply(alignment: Alignment, surface: Surface) -> Surface:
+    """The surface in the workpiece frame, mm, its uncertainties turned with it.
+
+    Raises InputError for a surface that is not in the head frame.
+    """
+    if surface.frame != "head":
+        raise InputError(
+            "is aligned already", where="surface", value=surface.frame, allowed="the head frame"
+        )
+    turn = alignment.rotation
+    return replace(
+        surface,
+        xyz_mm=alignment.to_workpiece(surface.xyz_mm),
+        sigma_x_mm=np.hypot(turn[0, 0] * surface.sigma_x_mm, turn[0, 2] * surface.sigma_mm),
+        sigma_mm=np.hypot(turn[2, 0] * surface.sigma_x_mm, turn[2, 2] * surface.sigma_mm),
+        frame="workpiece",
+    )
+
+
+def _rough_pose(features: Features, piece: Sandwave) -> _Pose:
+    """Level, and turned and placed by the middles of the two wedge tops; no yaw yet."""
+    across = features.centre_right - features.centre_left
+    turn = float(np.arctan2(across[1], across[0]))
+    middle = (features.centre_left + features.centre_right) / 2
+    return _placed(features.tops, 0.0, turn, middle, piece)
+
+
+def _placed(tops: Floats, yaw: float, turn: float, raw_middle: Floats, piece: Sandwave) -> _Pose:
+    """The pose that brings the raw point (3,) between the corners to its nominal place."""
+    rotation = _about_z(-turn) @ level(tops @ shear(yaw).T)
+    matrix = rotation @ shear(yaw)
+    height = piece.wedge.height_mm - float((tops @ matrix[2]).mean())
+    shift = _nominal_middle(piece) - (matrix @ raw_middle)[:2]
+    return _Pose(yaw, turn, np.array([*shift, height]), rotation)
+
+
+def _about_z(angle: float) -> Floats:
+    cosine, sine = np.cos(angle), np.sin(angle)
+    return np.array([[cosine, -sine, 0.0], [sine, cosine, 0.0], [0.0, 0.0, 1.0]])
+
+
+def _nominal_middle(piece: Sandwave) -> Floats:
+    left, right = piece.wedge_tips_mm()
+    return (left + right) / 2
+
+
+@dataclass(frozen=True)
+class _Selected:
+    """The crossings that belong to one nominal edge, and that edge's dx/dy."""
+
+    slope: float
+    crossings: Crossings
+
+
+def _select(
+    features: Features, pose: _Pose, piece: Sandwave, window_mm: float
+) -> dict[str, _Selected]:
+    """The crossings that lie on each nominal edge to within ``window_mm``, by edge name."""
+    selected = {}
+    (left_near, left_tip, left_far), (right_far, right_tip, right_near) = piece.wedge_plans_mm()
+    for name, crossings, start, end in (
+        ("left wedge, near edge", features.wedge_left, left_near, left_tip),
+        ("left wedge, far edge", features.wedge_left, left_tip, left_far),
+        ("right wedge, near edge", features.wedge_right, right_near, right_tip),
+        ("right wedge, far edge", features.wedge_right, right_tip, right_far),
+        ("left side", features.side_left, *_side(piece, -piece.rim_mm)),
+        ("right side", features.side_right, *_side(piece, piece.side_mm + piece.rim_mm)),
+    ):
+        plan = pose.plan(crossings.inside)
+        slope = float((end[0] - start[0]) / (end[1] - start[1]))
+        off = np.abs(plan[:, 0] - start[0] - slope * (plan[:, 1] - start[1]))
+        low, high = start[1] + CORNER_MARGIN_MM, end[1] - CORNER_MARGIN_MM
+        keep = (plan[:, 1] > low) & (plan[:, 1] < high) & (off < window_mm)
+        found = Crossings(crossings.inside[keep], crossings.outside[keep])
+        selected[name] = _Selected(slope, found)
+    sides = {name: len(selected[name].crossings.inside) for name in ("left side", "right side")}
+    if max(sides.values()) < MIN_SIDE_CROSSINGS:
+        raise MeasurementError(
+            f"neither side of the block is found: {sides['left side']} and "
+            f"{sides['right side']} profiles cross them, {MIN_SIDE_CROSSINGS} are needed"
+        )
+    return {
+        name: s
+        for name, s in selected.items()
+        if sides.get(name, 1) >= MIN_SIDE_CROSSINGS or "wedge" in name
+    }
+
+
+def _side(piece: Sandwave, x: float) -> tuple[Floats, Floats]:
+    """Ends of a side of the block, clear of its corners by a sixth of the rim."""
+    reach = piece.rim_mm * 5 / 6
+    return np.array([x, -reach]), np.array([x, piece.side_mm + reach])
+
+
+def _refine(
+    tops: Floats, selected: dict[str, _Selected], pose: _Pose, piece: Sandwave
+) -> tuple[_Pose, _Edges, int]:
+    """The pose at which the base plane, the corners and the yaw agree, and the edges in it."""
+    for iteration in range(1, MAX_ITERATIONS + 1):
+        edges = _fit(selected, pose, piece)
+        across = edges.right_corner - edges.left_corner
+        turn_error = float(np.arctan2(across[1], across[0]))
+        # A lean towards +x with growing y says that the profiles were shifted too far.
+        yaw_error = float(np.arctan(edges.fit.lean)) + turn_error
+        middle = (edges.left_corner + edges.right_corner) / 2
+        pose = _moved(tops, pose, yaw_error, turn_error, middle, piece)
+        shift = float(np.abs(middle - _nominal_middle(piece)).max()) / piece.side_mm
+        if max(abs(yaw_error), abs(turn_error), shift) < SETTLED_RAD:
+            return pose, edges, iteration
+    raise MeasurementError(
+        f"the yaw did not settle in {MAX_ITERATIONS} rounds: "
+        f"still {np.degrees(yaw_error):.2g} degrees off"
+    )
+
+
+def _moved(
+    tops: Floats, pose: _Pose, yaw_error: float, turn_error: float, middle: Floats, piece: Sandwave
+) -> _Pose:
+    """The pose corrected by what was found, about the place the middle of the corners has."""
+    inverse = np.linalg.inv(pose.rotation @ shear(pose.yaw))
+    raw_middle = inverse @ (np.array([*middle, piece.wedge.height_mm]) - pose.shift)
+    return _placed(tops, pose.yaw - yaw_error, pose.turn + turn_error, raw_middle, piece)
+
+
+@dataclass(frozen=True)
+class _Edges:
+    """The edges fitted in one pose, and the corners (2,) where the wedges' edges meet."""
+
+    names: tuple[str, ...]
+    fit: EdgeFit
+    left_corner: Floats
+    right_corner: Floats
+
+
+def _fit(selected: dict[str, _Selected], pose: _Pose, piece: Sandwave) -> _Edges:
+    names = tuple(selected)
+    samples = [
+        EdgeSamples(s.slope, pose.plan(s.crossings.inside), pose.plan(s.crossings.outside))
+        for s in selected.values()
+    ]
+    fit = fit_edges(samples, names, pivot_mm=piece.side_mm / 2)
+    left_near, left_far, right_near, right_far = fit.lines[:4]
+    return _Edges(names, fit, left_near.meet(left_far), right_near.meet(right_far))
+
+
+def _yaw_variance(edges: _Edges, piece: Sandwave) -> float:
+    """Variance of the lean of the edges against the line of the corners, rad²."""
+    left, right = piece.wedge_tips_mm()
+    slope = piece.wedge.reach_mm / (piece.wedge.base_mm / 2)
+    # The corner's y is the difference of its two edges' places over that of their slopes.
+    rise = 1 / (2 * slope * float(right[0] - left[0]))
+    gradient = np.zeros(len(edges.names) + 1)
+    gradient[0] = 1.0
+    gradient[1:5] = rise * np.array([1.0, -1.0, 1.0, -1.0])
+    return float(gradient @ edges.fit.covariance @ gradient)
+
+
+def _sampling_variance(selected: dict[str, _Selected]) -> float:
+    """Variance of the yaw, rad², because columns sample the block's sides.
+
+    A side of length L that runs along the track within one column, of width g, may have any
+    slope below g / L, small ones more likely: a triangular distribution, of variance
+    (g / L)² / 6.  Each further column crossed ties the line down at one more place.
+    """
+    variances = []
+    for name, edge in selected.items():
+        if "side" in name:
+            inside, outside = edge.crossings.inside, edge.crossings.outside
+            gap = float(np.median(np.abs(outside[:, 0] - inside[:, 0])))
+            length = float(np.ptp(inside[:, 1]))
+            slope = float(np.polyfit(inside[:, 1], inside[:, 0], 1)[0])
+            crossed = 1 + abs(slope) * length / gap
+            variances.append((gap / length / crossed) ** 2 / 6)
+    return 1 / sum(1 / variance for variance in variances)
+
+
+def _alignment(tops: Floats, pose: _Pose, edges: _Edges, variance: float, rounds: int) -> Alignment:
+    true = tops @ shear(pose.yaw).T
+    return Alignment(
+        yaw_rad=pose.yaw,
+        yaw_sigma_rad=float(np.sqrt(variance)),
+        rotation=pose.rotation,
+        translation_mm=pose.shift,
+        normal=plane_normal(true),
+        flatness_mm=float((true @ pose.rotation[2]).std()),
+        left_corner_mm=edges.left_corner,
+        right_corner_mm=edges.right_corner,
+        edges=dict(zip(edges.names, edges.fit.lines, strict=True)),
+        top_points=len(tops),
+        iterations=rounds,
+    )

@@ -1,0 +1,169 @@
+"""Straight edges located between the last sample on them and the first one off them.
+
+A sample says only that the edge lies beyond it, and the next one that it lies before that,
+so an edge is known per profile to within one column.  Fitting the midpoints by least squares
+wastes what is known: a line that runs almost along the track crosses few columns and its
+midpoints form stairs.  The lines fitted here are the most likely ones when each sample is on
+the near side of its line with a probability that is logistic in its distance (logistic
+regression, D. R. Cox, J. R. Stat. Soc. B 20, 215, 1958).
+
+The directions of the edges against each other are those of the nominal shape, so they share
+one unknown: the lean that a shear x + lean * y of the whole plan gives to each of them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.special import expit
+
+from lscan.errors import MeasurementError
+from lscan.records import Floats, Ints
+
+SOFTNESS = 0.07
+"""Scale of the logistic in units of the gap between two samples.  Small against 1, so that
+the line keeps between the samples, yet not 0, so that a stray sample does not rule."""
+
+STRAY = 0.3
+"""A profile whose samples lie on the wrong side of the line by more than this many gaps is
+left out: a sample was missing there, or a wall was hit, and the edge was taken for elsewhere."""
+
+MIN_CROSSINGS = 10
+
+
+@dataclass(frozen=True)
+class EdgeLine:
+    """A straight edge in plan, x = at_mm + slope * (y - pivot_mm), mm of the frame fitted in.
+
+    crossings: number of profiles it was fitted to.  strays: number left out as strays.
+    """
+
+    at_mm: float
+    slope: float
+    pivot_mm: float
+    crossings: int
+    strays: int
+
+    def meet(self, other: EdgeLine) -> Floats:
+        """(2,) x and y in mm where it meets another edge of the same pivot."""
+        y = (other.at_mm - self.at_mm) / (self.slope - other.slope)
+        return np.array([self.at_mm + self.slope * y, y + self.pivot_mm])
+
+
+@dataclass(frozen=True)
+class EdgeSamples:
+    """What is known of one edge.
+
+    slope: its nominal dx/dy.
+    inside, outside: (K, 2) plan points in mm of the last samples on it, the first off it.
+    """
+
+    slope: float
+    inside: Floats
+    outside: Floats
+
+
+@dataclass(frozen=True)
+class EdgeFit:
+    """Edges fitted together.
+
+    lean: dx/dy common to all, over and above their nominal slopes.
+    covariance: (E + 1, E + 1) of the lean and the E values of at_mm, in the edges' order.
+    """
+
+    lines: tuple[EdgeLine, ...]
+    lean: float
+    covariance: Floats
+
+
+def fit_edges(edges: Sequence[EdgeSamples], names: Sequence[str], pivot_mm: float) -> EdgeFit:
+    """The edges that share one lean, each at x = at + (slope + lean) (y - pivot).
+
+    names: what each edge is called, for the error.
+    Raises MeasurementError for an edge crossed by fewer than MIN_CROSSINGS profiles.
+    """
+    for name, edge in zip(names, edges, strict=True):
+        if len(edge.inside) < MIN_CROSSINGS:
+            raise MeasurementError(
+                f"{name} not found: {len(edge.inside)} profiles cross it, "
+                f"{MIN_CROSSINGS} are needed"
+            )
+    which = np.repeat(np.arange(len(edges)), [len(edge.inside) for edge in edges])
+    inside = np.concatenate([_upright(edge.inside, edge.slope, pivot_mm) for edge in edges])
+    outside = np.concatenate([_upright(edge.outside, edge.slope, pivot_mm) for edge in edges])
+    keep = np.ones(len(which), dtype=bool)
+    place = _least_absolute((inside + outside) / 2, which)
+    for _ in range(3):
+        place, covariance = _most_likely(inside[keep], outside[keep], which[keep], place)
+        keep = _violation(inside, outside, which, place) < STRAY
+    lines = tuple(
+        EdgeLine(
+            at_mm=float(place[1 + k]),
+            slope=float(edge.slope + place[0]),
+            pivot_mm=pivot_mm,
+            crossings=int(np.sum(keep & (which == k))),
+            strays=int(np.sum(~keep & (which == k))),
+        )
+        for k, edge in enumerate(edges)
+    )
+    return EdgeFit(lines, float(place[0]), covariance)
+
+
+def _upright(points: Floats, slope: float, pivot_mm: float) -> Floats:
+    """The points sheared so that the nominal edge runs along y, y counted from the pivot."""
+    y = points[:, 1] - pivot_mm
+    return np.column_stack([points[:, 0] - slope * y, y])
+
+
+def _design(points: Floats, which: Ints) -> Floats:
+    """(K, E + 1): what the lean and each edge's place do to the edge's x at each point's y."""
+    return np.column_stack([points[:, 1], np.eye(int(which.max()) + 1)[which]])
+
+
+def _least_absolute(middle: Floats, which: Ints) -> Floats:
+    """A start that stray samples do not spoil: least absolute deviations, by reweighting."""
+    design = _design(middle, which)
+    weight = np.ones(len(middle))
+    parameters: Floats = np.zeros(design.shape[1])
+    for _ in range(20):
+        root = np.sqrt(weight)
+        solution = np.linalg.lstsq(design * root[:, None], middle[:, 0] * root, rcond=None)[0]
+        parameters = solution.astype(float)
+        weight = 1 / np.maximum(np.abs(middle[:, 0] - design @ parameters), 0.1)
+    return parameters
+
+
+def _most_likely(
+    inside: Floats, outside: Floats, which: Ints, start: Floats
+) -> tuple[Floats, Floats]:
+    """Lean and places of greatest likelihood, and their covariance: Newton, steps bounded."""
+    sign = np.sign(outside[:, 0] - inside[:, 0])
+    softness = SOFTNESS * float(np.median(np.abs(outside[:, 0] - inside[:, 0])))
+    near, far = _design(inside, which), _design(outside, which)
+    # A sample counts at least a little, so that the matrix can always be inverted.
+    least = 1e-6 * near.T @ near
+    parameters = start
+    hessian: Floats = np.eye(len(start))
+    for _ in range(60):
+        pull_out = expit(-sign * (near @ parameters - inside[:, 0]) / softness)
+        pull_in = expit(-sign * (outside[:, 0] - far @ parameters) / softness)
+        gradient = (far.T @ (sign * pull_in) - near.T @ (sign * pull_out)) / softness
+        weight_near, weight_far = pull_out * (1 - pull_out), pull_in * (1 - pull_in)
+        hessian = (near.T * weight_near) @ near + (far.T * weight_far) @ far + least
+        hessian = hessian / softness**2
+        step = np.linalg.solve(hessian, gradient)
+        step *= min(1.0, 2 * softness / max(float(np.abs(near @ step).max()), 1e-300))
+        parameters = parameters - step
+        if np.abs(near @ step).max() < 1e-10:
+            break
+    return parameters, np.linalg.inv(hessian).astype(float)
+
+
+def _violation(inside: Floats, outside: Floats, which: Ints, parameters: Floats) -> Floats:
+    """(K,) how far each pair of samples lies on one side of its line, in gaps; 0 if astride."""
+    gap = outside[:, 0] - inside[:, 0]
+    before = (inside[:, 0] - _design(inside, which) @ parameters) / gap
+    behind = (_design(outside, which) @ parameters - outside[:, 0]) / gap
+    return np.maximum(np.maximum(before, behind), 0.0)

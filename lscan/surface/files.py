@@ -1,0 +1,144 @@
+"""Files of a surface: NetCDF (kept and read back), PLY (points for other programs), CSV (slices).
+
+The same surface gives the same bytes.
+"""
+
+from __future__ import annotations
+
+import tempfile
+from pathlib import Path
+
+import numpy as np
+import trimesh
+import xarray as xr
+
+from lscan.disk import write_atomically
+from lscan.errors import InputError
+from lscan.records import Status, Surface, has_value
+from lscan.surface.resample import Slice
+
+DIMENSIONS = ("frame", "column")
+
+
+def save_surface(path: Path, surface: Surface) -> None:
+    """Write the surface to a NetCDF-4 file after the CF conventions 1.11.
+
+    x, y, z and the standard uncertainties of x and z are (frame, column) float64 in mm, the
+    status a byte with flag_values and flag_meanings, the track position (frame,) in mm.
+    Raises InputError where the file cannot be written.
+    """
+    with tempfile.TemporaryDirectory() as folder:
+        whole = Path(folder) / "surface.nc"
+        _dataset(surface).to_netcdf(whole, engine="h5netcdf")
+        content = whole.read_bytes()
+    write_atomically(path, content)
+
+
+def load_surface(path: Path) -> Surface:
+    """The surface that :func:`save_surface` wrote, to the last bit.
+
+    Raises InputError where the file cannot be read or is not such a file.
+    """
+    try:
+        data = xr.load_dataset(path, engine="h5netcdf", mask_and_scale=False)
+    except (OSError, ValueError) as error:
+        raise InputError("cannot be read as NetCDF", where=path, value=str(error)) from error
+    names = ("x", "y", "z", "x_sigma", "z_sigma", "status", "position")
+    missing = [name for name in names if name not in data]
+    frame = data.attrs.get("frame")
+    if missing or frame not in ("head", "workpiece"):
+        raise InputError(
+            "is not a surface of lscan",
+            where=path,
+            value=missing or frame,
+            allowed=", ".join(names),
+        )
+    x, y, z, sigma_x, sigma_z, status, position = (data[name].to_numpy() for name in names)
+    return Surface(
+        xyz_mm=np.stack([x, y, z], axis=-1),
+        sigma_x_mm=sigma_x,
+        sigma_mm=sigma_z,
+        status=status.astype(np.int64),
+        position_mm=position,
+        frame=frame,
+    )
+
+
+def save_points(path: Path, surface: Surface) -> None:
+    """Write the points that have a value to a binary PLY file: x, y, z in mm as float32.
+
+    Each vertex carries ``sigma_mm``, the standard uncertainty of its z, and ``status``.
+    Raises InputError where there is no point or the file cannot be written.
+    """
+    keep = has_value(surface.status)
+    if not keep.any():
+        raise InputError("no point has a value", where=path, allowed="a surface with points")
+    cloud = trimesh.PointCloud(surface.xyz_mm[keep])
+    cloud.vertex_attributes = {
+        "sigma_mm": surface.sigma_mm[keep].astype(np.float32),
+        "status": surface.status[keep].astype(np.uint8),
+    }
+    content = cloud.export(file_type="ply")
+    write_atomically(path, content)
+
+
+def save_slice(path: Path, cut: Slice) -> None:
+    """Write a slice as CSV: along, x, y, z and sigma of z in mm, and the status by name.
+
+    Points without a value leave z and sigma empty.
+    Raises InputError where the file cannot be written.
+    """
+    lines = ["along_mm,x_mm,y_mm,z_mm,sigma_mm,status"]
+    rows = zip(cut.along_mm, cut.xy_mm, cut.z_mm, cut.sigma_mm, cut.status, strict=True)
+    for along, (x, y), z, sigma, status in rows:
+        value = f"{z:.6f},{sigma:.6f}" if np.isfinite(z) else ","
+        lines.append(f"{along:.6f},{x:.6f},{y:.6f},{value},{Status(status).name}")
+    content = "\n".join(lines) + "\n"
+    write_atomically(path, content.encode("utf-8"))
+
+
+def _dataset(surface: Surface) -> xr.Dataset:
+    where = "laser sheet and track" if surface.frame == "head" else "workpiece"
+    length = {"units": "mm"}
+    flags = {
+        "long_name": "why a point has, or has not, a value",
+        "flag_values": np.array([int(status) for status in Status], dtype=np.int8),
+        "flag_meanings": " ".join(status.name.lower() for status in Status),
+    }
+    uncertain = {"standard_name_modifier": "standard_error", **length}
+    x, y, z = np.moveaxis(surface.xyz_mm, -1, 0)
+    variables = {
+        "x": (
+            x,
+            {
+                "long_name": f"x in the {where} frame",
+                **length,
+                "ancillary_variables": "x_sigma status",
+            },
+        ),
+        "y": (
+            y,
+            {"long_name": f"y in the {where} frame", **length, "ancillary_variables": "status"},
+        ),
+        "z": (
+            z,
+            {
+                "long_name": f"height in the {where} frame",
+                **length,
+                "ancillary_variables": "z_sigma status",
+            },
+        ),
+        "x_sigma": (surface.sigma_x_mm, {"long_name": "standard uncertainty of x", **uncertain}),
+        "z_sigma": (surface.sigma_mm, {"long_name": "standard uncertainty of z", **uncertain}),
+        "status": (surface.status.astype(np.int8), flags),
+    }
+    arrays = {name: (DIMENSIONS, values, notes) for name, (values, notes) in variables.items()}
+    track = {"long_name": "track position of the profile", **length}
+    return xr.Dataset(
+        {**arrays, "position": ("frame", surface.position_mm, track)},
+        attrs={
+            "Conventions": "CF-1.11",
+            "title": "Surface measured by a laser line scanner",
+            "frame": surface.frame,
+        },
+    )

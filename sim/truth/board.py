@@ -1,0 +1,132 @@
+"""Where the calibration board's marks truly are in its picture."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from lscan.board import Board, Ring
+from lscan.errors import InputError
+from lscan.records import BoardReading, Floats, Ints, Marks, RulerReading, Status
+from sim.scene import Scene, head_pose, target_pose
+from sim.truth.projection import project
+from sim.truth.section import surfaces_of
+from sim.truth.surfaces import Surface
+from sim.truth.visibility import in_picture, seen
+
+RIM_POINTS = 128  # of a dot's outline, for its area's centroid
+RING_POINTS = 72  # on a ring's centre line
+
+
+@dataclass(frozen=True)
+class BoardTruth:
+    """The board's marks as they ought to be read; sigma_px is 0.
+
+    centres: the marks' true centres projected: what a map of the plane should be solved from.
+    centroids: the centroids of the dots' pictures, which a perfect extractor would find;
+        the two differ by the perspective's bias.  A ring's points count as dots as wide as its
+    line.
+    A mark is OUT_OF_VIEW where its centre lies outside the picture, OCCLUDED where something
+    stands before it; a point without status (dots, rings) is NaN then.
+    """
+
+    centres: BoardReading
+    centroids: BoardReading
+
+
+@dataclass(frozen=True)
+class _View:
+    """The board picture of a scene: how places on the board, (N, 2) of (x, z) mm, are imaged."""
+
+    scene: Scene
+    surfaces: Sequence[Surface]
+    position_mm: float
+
+    def head(self, places: Floats) -> Floats:
+        """(N, 3) the places in the head frame, mm."""
+        x, z = places.T
+        world = target_pose(self.scene).apply(np.column_stack([x, np.zeros_like(x), z]))
+        return head_pose(self.scene.tank.head, self.position_mm).invert(world)
+
+    def status(self, places: Floats) -> Ints:
+        """(N,) of Status: OK, OUT_OF_VIEW or OCCLUDED."""
+        head = self.head(places)
+        shown = in_picture(self.scene, project(self.scene, head))
+        free = seen(self.scene, self.surfaces, head, self.position_mm)
+        return np.select([~shown, ~free], [Status.OUT_OF_VIEW, Status.OCCLUDED], Status.OK)
+
+    def centre(self, places: Floats, diameter_mm: float) -> Floats:
+        """(N, 2) px of the places themselves, whatever stands there."""
+        return project(self.scene, self.head(places))
+
+    def centroid(self, places: Floats, diameter_mm: float) -> Floats:
+        """(N, 2) px of the centroids of the pictures of discs at the places."""
+        angle = 2 * np.pi * np.arange(RIM_POINTS) / RIM_POINTS
+        circle = diameter_mm / 2 * np.column_stack([np.cos(angle), np.sin(angle)])
+        outline = (places[:, np.newaxis] + circle).reshape(-1, 2)
+        return area_centroids(self.centre(outline, 0.0).reshape(-1, RIM_POINTS, 2))
+
+
+Imager = Callable[[Floats, float], Floats]  # _View.centre or _View.centroid
+
+
+def board_truth(scene: Scene, position_mm: float = 0.0) -> BoardTruth:
+    """The truth of the board picture taken with the head at ``position_mm``.
+
+    Raises InputError where the scene's target is not the board.
+    """
+    if scene.tank.target.shape != "board" or scene.rig.board is None:
+        raise InputError(
+            "target is not the board",
+            where=scene.source,
+            value=scene.tank.target.shape,
+            allowed='shape = "board"',
+        )
+    view = _View(scene, surfaces_of(scene), position_mm)
+    board = scene.rig.board
+    return BoardTruth(_reading(board, view, view.centre), _reading(board, view, view.centroid))
+
+
+def _reading(board: Board, view: _View, image: Imager) -> BoardReading:
+    def marks(places: Floats, diameter_mm: float) -> Marks:
+        status = view.status(places)
+        shown = (status == Status.OK)[:, np.newaxis]
+        pixels = np.where(shown, image(places, diameter_mm), np.nan)
+        sigma = np.where(shown[:, 0], 0.0, np.nan)
+        return Marks(board_mm=places, image_px=pixels, sigma_px=sigma, status=status)
+
+    camera, grid = view.scene.rig.camera, board.grid
+    rulers = [
+        RulerReading(r.direction, r.at_mm, marks(r.points_mm(), r.mark_diameter_mm))
+        for r in board.ruler
+    ]
+    dots = {d.name: marks(np.array([[d.x_mm, d.z_mm]]), d.diameter_mm) for d in board.dot}
+    rings = {r.name: marks(_on_ring(r), r.width_mm) for r in board.ring}
+    return BoardReading(
+        image_size=(camera.width_px, camera.height_px),
+        pitch_mm=grid.pitch_mm,
+        shape=(grid.rows, grid.columns),
+        grid=marks(grid.points_mm(), grid.dot_diameter_mm),
+        rulers=tuple(rulers),
+        dots={name: mark.image_px[0] for name, mark in dots.items()},
+        rings={name: mark.image_px for name, mark in rings.items()},
+    )
+
+
+def _on_ring(ring: Ring) -> Floats:
+    """(RING_POINTS, 2) places on the ring's centre line, counter-clockwise from the right."""
+    angle = 2 * np.pi * np.arange(RING_POINTS) / RING_POINTS
+    circle = np.column_stack([np.cos(angle), np.sin(angle)])
+    return np.array([ring.x_mm, ring.z_mm]) + ring.diameter_mm / 2 * circle
+
+
+def area_centroids(outlines: Floats) -> Floats:
+    """(N, 2) centroids of the areas of N polygons of K corners, (N, K, 2)."""
+    middle = outlines.mean(axis=1, keepdims=True)
+    here = outlines - middle
+    there = np.roll(here, -1, axis=1)
+    area = here[..., 0] * there[..., 1] - there[..., 0] * here[..., 1]  # twice, signed
+    moment = np.sum((here + there) * area[..., np.newaxis], axis=1)
+    return middle[:, 0] + moment / (3 * area.sum(axis=1))[:, np.newaxis]

@@ -1,0 +1,100 @@
+"""The section: everything in the tank, cut by the laser sheet."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from lscan.board import Board
+from lscan.records import Floats, Ints
+from lscan.targets import GroovedBlock, Sandwave
+from sim.meshes import target_mesh
+from sim.scene import Pose, Scene, target_pose
+from sim.truth.mesh import Mesh
+from sim.truth.surfaces import Polygon, Surface, extrusion, spread
+from sim.truth.wave import sandwave_surfaces
+
+FLOOR_HALF_SIDE_MM = 10_000.0
+
+
+@dataclass(frozen=True)
+class Section:
+    """A section as straight pieces, in no particular order.
+
+    ends_mm: (M, 2, 2) two ends of (x, z) of each piece, in the plane frame.
+    face: (M,) index of the surface it belongs to, in the list of ``surfaces_of``.
+    """
+
+    ends_mm: Floats
+    face: Ints
+
+
+def surfaces_of(scene: Scene) -> list[Surface]:
+    """All surfaces of the scene in the world frame: the target's, then the floor if any."""
+    surfaces = target_surfaces(scene)
+    floor = scene.tank.floor
+    if floor is not None:
+        s = FLOOR_HALF_SIDE_MM
+        plan = [[-s, -s], [s, -s], [s, s], [-s, s]]
+        surfaces.append(Polygon(np.column_stack([plan, np.full(4, floor.z_mm)])))
+    return surfaces
+
+
+def target_surfaces(scene: Scene) -> list[Surface]:
+    """The target's surfaces: analytic where its shape is, else its mesh."""
+    target, rig, pose = scene.tank.target, scene.rig, target_pose(scene)
+    if target.shape == "none":
+        return []
+    if target.shape == "mesh" or target.sand is not None:
+        return [Mesh(target_mesh(scene))]
+    if target.shape == "board":
+        assert rig.board is not None  # sim.scene has checked it
+        return board_surfaces(rig.board, pose)
+    if isinstance(rig.workpiece, GroovedBlock):
+        return grooved_block_surfaces(rig.workpiece, pose)
+    assert isinstance(rig.workpiece, Sandwave)
+    return sandwave_surfaces(rig.workpiece, pose)
+
+
+def board_surfaces(board: Board, pose: Pose) -> list[Surface]:
+    """The plate: its face, with the marks, in y = 0 of its frame, its body behind."""
+    left, right, bottom, top = board.outline_mm()
+    outline = np.array([[left, bottom], [right, bottom], [right, top], [left, top]])
+    return prism(outline, 0.0, board.plate.thickness_mm, pose)
+
+
+def grooved_block_surfaces(block: GroovedBlock, pose: Pose) -> list[Surface]:
+    """The block's two ends, then its long faces in the order of its outline."""
+    half = block.length_mm / 2
+    return prism(block.outline_mm(), -half, half, pose)
+
+
+def prism(outline: Floats, front_mm: float, back_mm: float, pose: Pose) -> list[Surface]:
+    """The faces of a (K, 2) outline in (x, z) drawn out along y from front to back."""
+    base = np.column_stack([outline[:, 0], np.full(len(outline), front_mm), outline[:, 1]])
+    faces = extrusion(base, np.array([0.0, back_mm - front_mm, 0.0]))
+    return [Polygon(pose.apply(face)) for face in faces]
+
+
+def section_at(surfaces: Sequence[Surface], sheet: Pose) -> Section:
+    """The section of the surfaces by the sheet of a head posed by ``sheet`` (head to world).
+
+    Polygons are cut exactly; the sandwave within 1e-4 mm; meshes as their triangles lie.
+    Faces that lie in the sheet itself have no section.
+    """
+    pieces = [surface.cut(sheet) for surface in surfaces]
+    face = np.repeat(np.arange(len(pieces)), [len(piece) for piece in pieces])
+    return Section(np.concatenate([np.empty((0, 2, 2)), *pieces]), face)
+
+
+def split(section: Section, longest_mm: float) -> Section:
+    """The same section in pieces no longer than ``longest_mm``."""
+    start, end = section.ends_mm[:, 0], section.ends_mm[:, 1]
+    count = np.ceil(np.linalg.norm(end - start, axis=1) / longest_mm).astype(int)
+    count = np.maximum(count, 1)
+    owner, step = spread(count)
+    parts = np.stack([step, step + 1]) / count[owner]
+    ends = [start[owner] + part[:, np.newaxis] * (end[owner] - start[owner]) for part in parts]
+    return Section(np.stack(ends, axis=1), section.face[owner])

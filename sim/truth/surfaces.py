@@ -1,0 +1,121 @@
+"""The surfaces of a scene: each can be cut by the laser sheet, and can block a line of sight.
+
+A scene is a list of surfaces; the index of a surface in that list is its face number.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+
+from lscan.records import Floats, Ints, Mask
+from sim.scene import Pose
+
+# A line of sight ends on a surface: what it meets this close to its end is that surface.
+SELF_MM = 1e-3
+
+
+class Surface(Protocol):
+    """One surface in the world frame, mm."""
+
+    def cut(self, sheet: Pose) -> Floats:
+        """(M, 2, 2) straight pieces of the section: two ends of (x, z) in the plane frame.
+
+        sheet: head frame to world frame; the sheet is the head's plane y = 0.
+        """
+        ...
+
+    def blocks(self, start: Floats, end: Floats) -> Mask:
+        """(N,) whether the surface comes between (N, 3) starts and ends, world frame, mm."""
+        ...
+
+
+@dataclass(frozen=True)
+class Polygon:
+    """A plane polygon, by the even-odd rule, so that holes and crossings are allowed.
+
+    corners_mm: (K, 3) in the world frame.  opaque: False where another surface already
+    stops every line of sight that this one would.
+    """
+
+    corners_mm: Floats
+    opaque: bool = True
+
+    def cut(self, sheet: Pose) -> Floats:
+        """(M, 2, 2) pieces of the section; none where the polygon lies in the sheet."""
+        corners = sheet.invert(self.corners_mm)
+        following = np.roll(corners, -1, axis=0)
+        crosses = (corners[:, 1] < 0) != (following[:, 1] < 0)
+        if not crosses.any():
+            return np.empty((0, 2, 2))
+        here, there = corners[crosses], following[crosses]
+        part = here[:, 1] / (here[:, 1] - there[:, 1])
+        points = (here + part[:, np.newaxis] * (there - here))[:, [0, 2]]
+        line = np.cross(newell_normal(corners), [0.0, 1.0, 0.0])[[0, 2]]
+        return points[np.argsort(points @ line)].reshape(-1, 2, 2)
+
+    def blocks(self, start: Floats, end: Floats) -> Mask:
+        """(N,) whether the polygon comes between starts and ends."""
+        if not self.opaque:
+            return np.zeros(len(start), dtype=bool)
+        normal = newell_normal(self.corners_mm)
+        ray = end - start
+        approach = ray @ normal
+        level = approach == 0
+        part = (self.corners_mm[0] - start) @ normal / np.where(level, 1.0, approach)
+        left = (1 - part) * np.linalg.norm(ray, axis=1)
+        hit = ~level & (part > 0) & (left > SELF_MM)
+        plan = np.delete(np.arange(3), np.argmax(np.abs(normal)))
+        places = start[hit] + part[hit, np.newaxis] * ray[hit]
+        hit[hit] = within(self.corners_mm[:, plan], places[:, plan])
+        return hit
+
+
+def stretch(start: Floats, end: Floats, low: Floats, high: Floats) -> tuple[Floats, Floats]:
+    """Where lines of sight run inside a box: from, to, each (N,), as parts of the line.
+
+    start, end: (N, 3); low, high: (3,) corners of the box.  The last SELF_MM before the end
+    are left out.  ``to`` is smaller than ``from`` where a line misses the box.
+    """
+    ray = end - start
+    safe = np.where(ray == 0, np.finfo(float).tiny, ray)
+    with np.errstate(over="ignore"):
+        faces = np.stack([(low - start) / safe, (high - start) / safe])
+    last = 1 - SELF_MM / np.linalg.norm(ray, axis=1)
+    first = np.maximum(faces.min(axis=0).max(axis=1), 0.0)
+    return first, np.minimum(faces.max(axis=0).min(axis=1), last)
+
+
+def spread(count: Ints) -> tuple[Ints, Ints]:
+    """Item i repeated count[i] times: (sum,) owner i, and (sum,) 0, 1, ... within the item."""
+    owner = np.repeat(np.arange(len(count)), count)
+    return owner, np.arange(len(owner)) - np.repeat(np.cumsum(count) - count, count)
+
+
+def newell_normal(corners: Floats) -> Floats:
+    """(3,) unit normal of a (K, 3) plane polygon (Newell's sum; of its net area)."""
+    area = np.cross(corners - corners[0], np.roll(corners, -1, axis=0) - corners[0]).sum(axis=0)
+    return area / np.linalg.norm(area)
+
+
+def within(corners: Floats, points: Floats) -> Mask:
+    """(N,) whether (N, 2) points lie inside a (K, 2) polygon, by the even-odd rule."""
+    here, there = corners, np.roll(corners, -1, axis=0)
+    x, y = points[:, 0, np.newaxis], points[:, 1, np.newaxis]
+    run, rise = (there - here).T
+    spans = (here[:, 1] <= y) != (there[:, 1] <= y)
+    # Edges to the right of the point; multiplied out, for a rise may be next to nothing.
+    right = ((x - here[:, 0]) * rise < (y - here[:, 1]) * run) == (rise > 0)
+    return np.count_nonzero(spans & right, axis=1) % 2 == 1
+
+
+def extrusion(base: Floats, along: Floats) -> list[Floats]:
+    """The faces of a prism: base, far end, then a side for each edge of the base.
+
+    base: (K, 3) corners; along: (3,) from base to far end; each face (., 3) corners.
+    """
+    far = base + along
+    sides = [np.array([base[i - 1], base[i], far[i], far[i - 1]]) for i in range(len(base))]
+    return [base, far, *sides]

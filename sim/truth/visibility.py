@@ -1,0 +1,157 @@
+"""What is lit by the laser and seen by the camera.  Both travel straight in the water."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from lscan.errors import InputError
+from lscan.records import Floats, Mask
+from lscan.targets import Sandwave
+from sim.scene import Head, Laser, Scene, head_pose, rotation_z, target_pose
+from sim.truth.projection import camera_of, project, rays_to
+from sim.truth.section import Section, surfaces_of
+from sim.truth.surfaces import SELF_MM, Surface, spread
+
+
+def blocked(surfaces: Sequence[Surface], start: Floats, end: Floats) -> Mask:
+    """(N,) whether anything comes between (N, 3) starts and ends; world frame, mm."""
+    hidden = np.zeros(len(start), dtype=bool)
+    for surface in surfaces:
+        rays = np.flatnonzero(~hidden)
+        hidden[rays] = surface.blocks(start[rays], end[rays])
+    return hidden
+
+
+def in_fan(laser: Laser, xz_mm: Floats) -> Mask:
+    """(N,) whether (N, 2) points of the plane frame lie within the laser's fan."""
+    return np.abs(fan_angle(laser, xz_mm)) <= np.radians(laser.fan_half_angle_deg)
+
+
+def fan_angle(laser: Laser, xz_mm: Floats) -> Floats:
+    """(...,) angle, rad, at the apex between the fan's axis and (..., 2) points."""
+    right, up = np.moveaxis(xz_mm - _apex(laser), -1, 0)
+    aim = np.radians(laser.aim_deg)
+    across = right * np.cos(aim) + up * np.sin(aim)
+    ahead = right * np.sin(aim) - up * np.cos(aim)
+    return np.arctan2(across, ahead)
+
+
+def lit(laser: Laser, section: Section, xz_mm: Floats) -> Mask:
+    """(N,) whether the laser reaches (N, 2) points of the section: the first hit of its ray.
+
+    Two-dimensional visibility in the sheet: every piece of the section is met by the rays
+    whose angles lie between those of its ends.
+    """
+    angle = fan_angle(laser, xz_mm)
+    order = np.argsort(angle)
+    ends = fan_angle(laser, section.ends_mm)
+    low, high = ends.min(axis=1), ends.max(axis=1)
+    first = np.searchsorted(angle[order], low, side="left")
+    last = np.searchsorted(angle[order], high, side="right")
+    # A piece that spans half a turn passes above the apex, out of every fan.
+    owner, step = spread(np.where(high - low < np.pi, last - first, 0))
+    point = order[first[owner] + step]
+
+    offset = xz_mm - _apex(laser)
+    distance = np.linalg.norm(offset, axis=1)
+    towards = offset[point] / distance[point, np.newaxis]
+    start = section.ends_mm[owner, 0] - _apex(laser)
+    along = section.ends_mm[owner, 1] - section.ends_mm[owner, 0]
+    across = _cross(towards, along)
+    radial = across == 0  # seen edge on: stops nothing
+    reach = np.where(radial, np.inf, _cross(start, along) / np.where(radial, 1.0, across))
+    nearest = np.full(len(xz_mm), np.inf)
+    np.minimum.at(nearest, point, reach)
+    return in_fan(laser, xz_mm) & (distance <= nearest + SELF_MM)
+
+
+def seen(
+    scene: Scene, surfaces: Sequence[Surface], points_head: Floats, position_mm: Floats | float
+) -> Mask:
+    """(N,) whether the camera's line of sight to (N, 3) points of the head frame is free.
+
+    position_mm: track position of the head, one for all points or (N,).
+    """
+    camera = camera_of(scene)
+    entry = camera.pose.apply(rays_to(camera, points_head).entry_mm)
+    start = into_world(scene.tank.head, entry, position_mm)
+    end = into_world(scene.tank.head, points_head, position_mm)
+    free: Mask = np.all(np.isfinite(entry), axis=1)
+    free[free] = ~blocked(surfaces, start[free], end[free])
+    return free
+
+
+def in_picture(scene: Scene, pixels: Floats) -> Mask:
+    """(N,) whether (N, 2) of (u, v) fall on a pixel of the picture."""
+    camera = scene.rig.camera
+    size = np.array([camera.width_px, camera.height_px])
+    return np.all((pixels >= -0.5) & (pixels <= size - 0.5), axis=1)
+
+
+def slice_visibility(scene: Scene, points_mm: Floats) -> Mask:
+    """(N,) whether points of the sandwave are lit and seen when the sheet passes over them.
+
+    points_mm: (N, 2) of (x, y) in the workpiece frame; their height is that of the nominal
+    shape without sand or wedges: eq. (4), on the rims z = 0.  A point that lies outside the
+    picture at that moment is not seen.  Raises InputError where the scene's target is no
+    sandwave, or the points are not finite (N, 2).
+    """
+    points = np.asarray(points_mm, dtype=float)
+    if points.ndim != 2 or points.shape[1] != 2 or not np.isfinite(points).all():
+        raise InputError("slice points", value=points.shape, allowed="finite, (N, 2)")
+    scene = without_sand(scene)
+    tank, workpiece = scene.tank, scene.rig.workpiece
+    if tank.target.shape != "workpiece" or not isinstance(workpiece, Sandwave):
+        raise InputError(
+            "target is no sandwave",
+            where=scene.source,
+            value=tank.target.shape,
+            allowed='shape = "workpiece" and kind = "sandwave"',
+        )
+    over = np.all((points >= 0) & (points <= workpiece.side_mm), axis=1)
+    height = np.where(over, workpiece.height_mm(points[:, 0], points[:, 1]), 0.0)
+    world = target_pose(scene).apply(np.column_stack([points, height]))
+
+    position = passing_mm(tank.head, world)
+    head = head_pose(tank.head, 0.0).invert(world - along_track(position, len(world)))
+    apex = np.broadcast_to(np.array(tank.laser.apex_mm), head.shape)
+    start = into_world(tank.head, apex, position)
+    surfaces = surfaces_of(scene)
+    shone = in_fan(tank.laser, head[:, [0, 2]]) & ~blocked(surfaces, start, world)
+    return shone & in_picture(scene, project(scene, head)) & seen(scene, surfaces, head, position)
+
+
+def passing_mm(head: Head, points_world: Floats) -> Floats:
+    """(N,) track positions at which the sheet passes through (N, 3) points of the world."""
+    normal = rotation_z(head.yaw_deg)[:, 1]  # of the sheet
+    return points_world @ normal / normal[1]
+
+
+def into_world(head: Head, points_head: Floats, position_mm: Floats | float) -> Floats:
+    """(N, 3) points of the head frame in the world; position_mm for all, or (N,)."""
+    turned = head_pose(head, 0.0).apply(points_head)
+    return turned + along_track(position_mm, len(points_head))
+
+
+def along_track(position_mm: Floats | float, count: int) -> Floats:
+    """(count, 3) displacement of the head at track positions, world frame, mm."""
+    shift = np.zeros((count, 3))
+    shift[:, 1] = position_mm
+    return shift
+
+
+def without_sand(scene: Scene) -> Scene:
+    """The scene with its target bare."""
+    target = scene.tank.target.model_copy(update={"sand": None})
+    return replace(scene, tank=scene.tank.model_copy(update={"target": target}))
+
+
+def _apex(laser: Laser) -> Floats:
+    return np.array([laser.apex_mm[0], laser.apex_mm[2]])
+
+
+def _cross(a: Floats, b: Floats) -> Floats:
+    return a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]

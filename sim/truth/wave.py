@@ -1,0 +1,193 @@
+"""The sandwave block: a height field over a square, its rims, wedges and sides."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from lscan.errors import InputError
+from lscan.records import Floats, Mask
+from lscan.targets import Sandwave
+from sim.scene import Pose
+from sim.truth.roots import increasing_roots
+from sim.truth.surfaces import SELF_MM, Polygon, Surface, extrusion, stretch
+
+SAMPLE_MM = 0.05  # of the section: its chords stay within 1e-4 mm of eq. (4)
+MARCH_MM = 0.25  # along lines of sight: a crest they cut by less than 3 um may be missed
+HALVINGS = 30  # of SAMPLE_MM
+
+
+@dataclass(frozen=True)
+class Wave:
+    """The surface of eq. (4) over its square.  pose: workpiece frame to world frame."""
+
+    shape: Sandwave
+    pose: Pose
+
+    def cut(self, sheet: Pose) -> Floats:
+        """(M, 2, 2) chords of the section, each at most 0.05 mm wide in x.
+
+        Raises InputError where the block is tilted so far that the sheet may cut the
+        surface more than once in the same x.
+        """
+        along, origin, up = self._sheet_in_workpiece(sheet)
+        self._check_mild(up)
+
+        def solve(x: Floats) -> tuple[Floats, Floats]:
+            foot = origin + x[:, np.newaxis] * along
+            z = self._height_along(foot, up)
+            return np.column_stack([x, z]), foot + z[:, np.newaxis] * up
+
+        def inside(x: Floats) -> Mask:
+            return self._over_square(solve(x)[1])
+
+        x = self._reach(sheet)
+        x = np.sort(np.concatenate([x, boundaries(inside, x)]))
+        points = solve(x)[0]
+        kept = inside((x[:-1] + x[1:]) / 2)
+        return np.stack([points[:-1], points[1:]], axis=1)[kept]
+
+    def blocks(self, start: Floats, end: Floats) -> Mask:
+        """(N,) whether the surface comes between starts and ends.
+
+        A point of the surface that faces away is blocked exactly; a cast shadow is found by
+        marching.  Lines that would pass through the square's vertical walls count as well.
+        """
+        here, there = self.pose.invert(start), self.pose.invert(end)
+        blocked = self._faces_away(here, there)
+        rays = np.flatnonzero(~blocked)
+        top, side = self._amplitude(), self.shape.side_mm
+        low, high = np.array([0, 0, -top]), np.array([side, side, top])
+        first, last = stretch(here[rays], there[rays], low, high)
+        length = np.linalg.norm(there[rays] - here[rays], axis=1) * (last - first)
+        rays, first, last = rays[length > 0], first[length > 0], last[length > 0]
+        steps = int(np.ceil(length.max(initial=0.0) / MARCH_MM)) + 1
+        for part in np.linspace(0, 1, steps):
+            open_ = ~blocked[rays]
+            rays, first, last = rays[open_], first[open_], last[open_]
+            at = (first + part * (last - first))[:, np.newaxis]
+            place = here[rays] + at * (there[rays] - here[rays])
+            height = self.shape.height_mm(place[:, 0], place[:, 1])
+            blocked[rays] = place[:, 2] < height - SELF_MM
+        return blocked
+
+    def _sheet_in_workpiece(self, sheet: Pose) -> tuple[Floats, Floats, Floats]:
+        """The sheet's x direction, origin and z direction, each (3,), workpiece frame."""
+        turned = self.pose.rotation.T @ sheet.rotation
+        return turned[:, 0], self.pose.invert(sheet.origin_mm), turned[:, 2]
+
+    def _reach(self, sheet: Pose) -> Floats:
+        """Samples of the sheet's x that hold the whole square."""
+        side, top = self.shape.side_mm, self._amplitude()
+        box = np.array([(x, y, z) for x in (0, side) for y in (0, side) for z in (-top, top)])
+        x = sheet.invert(self.pose.apply(box))[:, 0]
+        return np.linspace(x.min(), x.max(), int(np.ceil(np.ptp(x) / SAMPLE_MM)) + 1)
+
+    def _height_along(self, foot: Floats, up: Floats) -> Floats:
+        """(N,) how far along ``up`` from (N, 3) feet the surface lies, workpiece frame."""
+
+        def clearance(t: Floats) -> tuple[Floats, Floats]:
+            place = foot + t[:, np.newaxis] * up
+            slope_x, slope_y = self._slopes(place[:, 0], place[:, 1])
+            height = self.shape.height_mm(place[:, 0], place[:, 1])
+            return place[:, 2] - height, up[2] - slope_x * up[0] - slope_y * up[1]
+
+        level = -foot[:, 2] / up[2]
+        # Beyond the square eq. (4) may run higher; twice the amplitude still brackets it
+        # wherever the result is used, which is over the square.
+        span = 2 * self._amplitude() / up[2]
+        return increasing_roots(clearance, level - span, level + span)
+
+    def _slopes(self, x: Floats, y: Floats) -> tuple[Floats, Floats]:
+        """Partial derivatives of eq. (4) by x and y."""
+        s = self.shape
+        amplitude = s.a_mm + s.b * y
+        phase = s.c_per_mm * x + s.d_rad * np.sin(s.e_per_mm * y)
+        swing = amplitude * np.cos(phase)
+        by_y = s.b * np.sin(phase) + swing * s.d_rad * s.e_per_mm * np.cos(s.e_per_mm * y)
+        return swing * s.c_per_mm, by_y
+
+    def _amplitude(self) -> float:
+        return self.shape.a_mm + self.shape.b * self.shape.side_mm
+
+    def _check_mild(self, up: Floats) -> None:
+        """Refuse a tilt for which the sheet could meet the surface twice above one foot."""
+        s, highest = self.shape, self._amplitude()
+        steepest_y = s.b + highest * abs(s.d_rad * s.e_per_mm)
+        lean = highest * s.c_per_mm * abs(up[0]) + steepest_y * abs(up[1])
+        if up[2] <= 0 or lean >= up[2] / 2:
+            raise InputError(
+                "target: the sandwave is tilted too far for its slopes",
+                value=f"{np.degrees(np.arccos(np.clip(up[2], -1, 1))):.1f} degrees",
+                allowed="tilt times slope below one half",
+            )
+
+    def _over_square(self, place: Floats) -> Mask:
+        """(N,) whether (N, 3) points of the workpiece frame lie over the wave's square."""
+        plan = place[:, :2]
+        return np.all((plan >= 0) & (plan <= self.shape.side_mm), axis=1)
+
+    def _faces_away(self, here: Floats, there: Floats) -> Mask:
+        """(N,) whether ``there`` is a point of the surface seen from its underside."""
+        x, y, z = there.T
+        on = self._over_square(there) & (np.abs(z - self.shape.height_mm(x, y)) < SELF_MM)
+        slope_x, slope_y = self._slopes(x, y)
+        normal = np.column_stack([-slope_x, -slope_y, np.ones_like(x)])
+        return on & (np.einsum("ij,ij->i", normal, here - there) <= 0)
+
+
+def boundaries(inside: Callable[[Floats], Mask], x: Floats) -> Floats:
+    """Arguments where ``inside`` changes, found by halving between neighbours of ``x``."""
+    mask = inside(x)
+    k = np.flatnonzero(mask[1:] != mask[:-1])
+    low, high, before = x[k], x[k + 1], mask[k]
+    for _ in range(HALVINGS):
+        middle = (low + high) / 2
+        same = inside(middle) == before
+        low, high = np.where(same, middle, low), np.where(same, high, middle)
+    return high
+
+
+def sandwave_surfaces(shape: Sandwave, pose: Pose) -> list[Surface]:
+    """The block's surfaces: wave, rim, sides and underside, the wave's walls, the wedges."""
+    outer = square(-shape.rim_mm, shape.side_mm + shape.rim_mm)
+    inner = square(0.0, shape.side_mm)
+    rim = np.vstack([outer, outer[:1], inner, inner[:1]])  # a slit joins hole and outline
+    underside, _, *sides = extrusion(outer - [0, 0, shape.body_mm], np.array([0, 0, shape.body_mm]))
+    wedges = [
+        face
+        for plan in shape.wedge_plans_mm()
+        for face in extrusion(
+            np.column_stack([plan, np.zeros(3)]), np.array([0, 0, shape.wedge.height_mm])
+        )
+    ]
+    faces = [rim, underside, *sides, *wedges]
+    return [
+        Wave(shape, pose),
+        *(Polygon(pose.apply(face)) for face in faces),
+        *(Polygon(pose.apply(wall), opaque=False) for wall in walls(shape)),
+    ]
+
+
+def square(low: float, high: float) -> Floats:
+    """(4, 3) corners of a level square at z = 0, counter-clockwise."""
+    return np.array([[low, low, 0], [high, low, 0], [high, high, 0], [low, high, 0.0]])
+
+
+def walls(shape: Sandwave) -> list[Floats]:
+    """The four vertical faces between the wave's border and the rim, each (K, 3) corners.
+
+    Wave.blocks already stops lines of sight at them: it samples where they enter and leave
+    the square.
+    """
+    corners = square(0.0, shape.side_mm)
+    part = np.linspace(0, 1, int(np.ceil(shape.side_mm / SAMPLE_MM)) + 1)[:, np.newaxis]
+    found = []
+    for here, there in zip(corners, np.roll(corners, -1, axis=0), strict=True):
+        foot = here + part * (there - here)
+        border = foot + 0.0
+        border[:, 2] = shape.height_mm(foot[:, 0], foot[:, 1])
+        found.append(np.vstack([here, border, there]))
+    return found

@@ -1,0 +1,236 @@
+"""The truth's projection: published values, OpenCV, an independent trace through the port."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from truth_scenes import tank
+
+from lscan.errors import InputError
+from sim.scene import Lens, Port, Pose, Scene, camera_pose, rotation_x, rotation_y, rotation_z
+from sim.truth import entry_points, project
+from sim.truth.projection import Camera, air_tangent, camera_of, fold_radius, image, rays_to
+from sim.water import refractive_index
+
+MANY = settings(max_examples=60, deadline=None, derandomize=True)
+LENS = st.builds(
+    Lens,
+    focal_px=st.floats(300, 1500),
+    centre_px=st.tuples(st.floats(200, 400), st.floats(150, 300)),
+    k1=st.floats(-0.25, 0.25),
+    k2=st.floats(-0.05, 0.1),
+    k3=st.floats(-0.02, 0.02),
+    p1=st.floats(-2e-3, 2e-3),
+    p2=st.floats(-2e-3, 2e-3),
+)
+PORT = st.builds(
+    Port,
+    gap_mm=st.floats(1, 60),
+    thickness_mm=st.floats(0.5, 30),
+    glass_index=st.floats(1.3, 1.9),
+    tilt_x_deg=st.floats(-15, 15),
+    tilt_y_deg=st.floats(-15, 15),
+)
+ANGLE = st.floats(-180, 180)
+
+
+@st.composite
+def poses(draw: st.DrawFn) -> Pose:
+    turned = rotation_z(draw(ANGLE)) @ rotation_x(draw(ANGLE)) @ rotation_y(draw(ANGLE))
+    return Pose(turned, np.array([draw(st.floats(-500, 500)) for _ in range(3)]))
+
+
+CAMERAS = st.builds(Camera, pose=poses(), lens=LENS, port=PORT, water_index=st.floats(1.33, 1.345))
+
+
+def points_before(camera: Camera, seed: int, count: int = 40) -> np.ndarray:
+    """(N, 3) points in the water within some 30 degrees of the axis, head frame."""
+    rng = np.random.default_rng(seed)
+    z = rng.uniform(250, 3000, count)
+    tangents = rng.uniform(-0.4, 0.4, (2, count))
+    return camera.pose.apply(np.column_stack([*(tangents * z), z]))
+
+
+def refract(direction: np.ndarray, normal: np.ndarray, ratio: float) -> np.ndarray:
+    """Unit rays behind a face: Snell's law in vectors; ratio = index before / index after."""
+    cosine = direction @ normal
+    after = np.sqrt(1 - ratio**2 * (1 - cosine**2))
+    return ratio * direction + np.outer(after - ratio * cosine, normal)
+
+
+def trace(camera: Camera, direction: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Where rays of a direction in air (camera frame) enter the water, and their direction."""
+    port, normal = camera.port, camera.normal
+    air = direction / np.linalg.norm(direction, axis=1, keepdims=True)
+    glass = refract(air, normal, 1 / port.glass_index)
+    water = refract(glass, normal, port.glass_index / camera.water_index)
+    entry = air * (port.gap_mm / (air @ normal))[:, None]
+    entry = entry + glass * (port.thickness_mm / (glass @ normal))[:, None]
+    return entry, water
+
+
+def undistorted(camera: Camera, pixels: np.ndarray, start: np.ndarray) -> np.ndarray:
+    """Directions (x, y, 1) that OpenCV's distortion takes to the pixels: Newton from start."""
+    lens = camera.lens
+    matrix = np.array(
+        [[lens.focal_px, 0, lens.centre_px[0]], [0, lens.focal_px, lens.centre_px[1]], [0, 0, 1]]
+    )
+    coefficients = np.array([lens.k1, lens.k2, lens.p1, lens.p2, lens.k3])
+    xy = start[:, :2] / start[:, 2:]
+    for _ in range(12):
+        for k, (x, y) in enumerate(xy):
+            point = np.array([[x, y, 1.0]])
+            # The derivative by the translation is, at depth 1, that by x and y.
+            seen, jacobian = cv2.projectPoints(
+                point, np.zeros(3), np.zeros(3), matrix, coefficients
+            )
+            xy[k] -= np.linalg.solve(jacobian[:, 3:5], seen.ravel() - pixels[k])
+    return np.column_stack([xy, np.ones(len(xy))])
+
+
+@pytest.mark.parametrize(
+    ("r_mm", "z_mm", "tangent"),
+    [
+        (300.0, 1000.0, 0.412659913867),
+        (50.0, 1000.0, 0.066450567346),
+        (400.0, 500.0, 1.454784819992),
+        (800.0, 1000.0, 1.475503390053),
+    ],
+)
+def test_the_check_values_of_the_port(r_mm, z_mm, tangent):
+    # physics.md section 6: 10 mm of air, 6 mm of glass, n = 1 / 1.49 / 1.3313.
+    port = Port(gap_mm=10.0, thickness_mm=6.0, glass_index=1.49)
+    found = air_tangent(np.array([r_mm]), np.array([z_mm - 16.0]), port, 1.3313)
+    assert found[0] == pytest.approx(tangent, abs=1e-10)
+
+
+@MANY
+@given(lens=LENS, pose=poses(), seed=st.integers(0, 2**31))
+def test_without_refraction_it_is_opencv(lens, pose, seed):
+    camera = Camera(pose, lens, Port(glass_index=1.0, tilt_x_deg=5.0), water_index=1.0)
+    points = points_before(camera, seed)
+    local = pose.invert(points)
+    found = image(camera, rays_to(camera, points).direction)
+    matrix = np.array(
+        [[lens.focal_px, 0, lens.centre_px[0]], [0, lens.focal_px, lens.centre_px[1]], [0, 0, 1]]
+    )
+    expected, _ = cv2.projectPoints(
+        local,
+        np.zeros(3),
+        np.zeros(3),
+        matrix,
+        np.array([lens.k1, lens.k2, lens.p1, lens.p2, lens.k3]),
+    )
+    folded = np.isnan(found[:, 0])
+    radius = np.linalg.norm(local[:, :2] / local[:, 2:], axis=1)
+    assert np.array_equal(folded, radius >= fold_radius(lens))
+    assert np.abs(found - expected[:, 0])[~folded].max(initial=0) < 1e-9
+
+
+@MANY
+@given(camera=CAMERAS, seed=st.integers(0, 2**31))
+def test_the_ray_found_passes_through_the_point(camera, seed):
+    points = points_before(camera, seed)
+    rays = rays_to(camera, points)
+    entry, water = trace(camera, rays.direction)
+    local = camera.pose.invert(points)
+    miss = np.linalg.norm(np.cross(local - entry, water), axis=1)
+    assert miss.max() < 1e-9
+    # 1e-10: twelve digits of an entry some 100 mm away.
+    assert np.abs(entry - rays.entry_mm).max() < 1e-10
+
+
+@settings(max_examples=8, deadline=None, derandomize=True)
+@given(port=PORT, lens=LENS, seed=st.integers(0, 2**31))
+def test_the_pixel_traced_back_meets_the_point(port, lens, seed):
+    camera = Camera(Pose(np.eye(3), np.zeros(3)), lens, port, 1.3313)
+    points = points_before(camera, seed, count=10)
+    rays = rays_to(camera, points)
+    pixels = image(camera, rays.direction)
+    shown = ~np.isnan(pixels[:, 0])
+    back = undistorted(camera, pixels[shown], rays.direction[shown])
+    entry, water = trace(camera, back)
+    miss = np.linalg.norm(np.cross(points[shown] - entry, water), axis=1)
+    # A pixel of 1e3 px is known to 1e-13 px, hence a direction to 1e-15 (times the inverse
+    # slope of the distortion), hence a place 3 m off to some 1e-12 mm.
+    assert miss.max(initial=0) < 1e-9
+
+
+@MANY
+@given(camera=CAMERAS, seed=st.integers(0, 2**31))
+def test_a_tilted_port_is_a_turned_camera_with_the_port_square(camera, seed):
+    points = points_before(camera, seed)
+    tilt = rotation_y(camera.port.tilt_y_deg) @ rotation_x(camera.port.tilt_x_deg)
+    square = camera.port.model_copy(update={"tilt_x_deg": 0.0, "tilt_y_deg": 0.0})
+    turned = Pose(camera.pose.rotation @ tilt, camera.pose.origin_mm)
+    expected = rays_to(Camera(turned, camera.lens, square, camera.water_index), points)
+    found = rays_to(camera, points)
+    assert np.allclose(found.direction, expected.direction @ tilt.T, rtol=0, atol=1e-11)
+    assert np.allclose(found.entry_mm, expected.entry_mm @ tilt.T, rtol=0, atol=1e-9)
+
+
+@MANY
+@given(port=PORT, index=st.floats(1.33, 1.345), depth=st.floats(1, 3000))
+def test_farther_beside_is_steeper_and_farther_ahead_is_less_so(port, index, depth):
+    r = np.linspace(0, 4000, 200)
+    steep = air_tangent(r, np.full(200, depth), port, index)
+    assert steep[0] == 0
+    assert np.all(np.diff(steep) > 0)
+    deeper = air_tangent(r, np.full(200, depth * 1.01), port, index)
+    assert np.all(deeper[1:] < steep[1:])
+
+
+def test_the_axis_meets_the_principal_point():
+    scene = tank()
+    pose = camera_pose(scene.tank.head)
+    pixel = project(scene, pose.apply(np.array([[0, 0, 700.0]])))
+    assert pixel[0] == pytest.approx(scene.tank.lens.centre_px, abs=1e-10)
+
+
+def test_the_water_is_that_of_the_scene():
+    scene = tank(water={"temperature_c": 5.0, "salinity_psu": 30.0})
+    assert camera_of(scene).water_index == refractive_index(5.0, 30.0, 650.0)
+
+
+def test_the_camera_moves_with_its_points():
+    near, far = tank(), tank(head={"camera_mm": [30.0, -750.0, 380.0]})
+    points = np.array([[0.0, 0, 0], [150.0, 0, -200.0], [-80.0, 20.0, 60.0]])
+    by = np.array([30.0, 50.0, -20.0])
+    moved = points + by
+    assert np.allclose(project(near, points), project(far, moved), rtol=0, atol=1e-9)
+    assert np.allclose(entry_points(near, points) + by, entry_points(far, moved), atol=1e-9)
+
+
+def test_what_cannot_be_imaged_has_no_pixel():
+    scene = tank(port={"gap_mm": 10.0, "thickness_mm": 6.0})
+    pose = camera_pose(scene.tank.head)
+    local = np.array([[0, 0, 15.999], [0, 0, 16.001], [0, 0, -500.0], [5.0, 0, 0]])
+    shown = np.isfinite(project(scene, pose.apply(local)))
+    assert shown.tolist() == [[False, False], [True, True], [False, False], [False, False]]
+    assert np.isfinite(entry_points(scene, pose.apply(local))).all(axis=1).tolist() == [
+        False,
+        True,
+        False,
+        False,
+    ]
+
+
+def test_no_pixel_beyond_the_fold_of_the_distortion():
+    # r (1 - r2/12) turns at 1 = 3 r2/12: r = 2.
+    lens = Lens(focal_px=100.0, centre_px=(0.0, 0.0), k1=-1 / 12)
+    camera = Camera(Pose(np.eye(3), np.zeros(3)), lens, Port(), 1.33)
+    assert fold_radius(lens) == pytest.approx(2.0, abs=1e-12)
+    pixels = image(camera, np.array([[1.999, 0, 1.0], [2.001, 0, 1.0]]))
+    assert np.isfinite(pixels[:, 0]).tolist() == [True, False]
+
+
+@pytest.mark.parametrize(
+    "points", [np.zeros((3, 2)), np.zeros(3), np.array([[0, np.nan, 0.0]]), np.full((1, 3), np.inf)]
+)
+def test_bad_points_are_refused(points):
+    scene: Scene = tank()
+    with pytest.raises(InputError, match=r"points to project.*finite"):
+        project(scene, points)
