@@ -68,7 +68,8 @@ def diameters(
 
     A circle is fitted to the ring's points mapped into the sheet.  Points without a place there
     are left out and counted: the values are of the class :class:`Diameter`.
-    sigma_px: standard uncertainty of each point's u and v.
+    sigma_px: standard uncertainty of each point's u and v.  The sigma adds to the fit's that of
+    the map, once: it is alike in neighbouring points and does not average out around a ring.
 
     Raises MeasurementError that names the ring for which fewer than four points are left.
     """
@@ -77,6 +78,7 @@ def diameters(
     for ring in board.ring:
         image = np.asarray(reading.rings.get(ring.name, np.empty((0, 2))), dtype=float)
         points = plane_map.to_plane(image.reshape(-1, 2), np.full(len(image), sigma_px))
+        map_variance = plane_map.to_plane(image.reshape(-1, 2)).sigma_mm ** 2
         good = has_value(points.status)
         if good.sum() < 4:
             raise MeasurementError(
@@ -84,12 +86,14 @@ def diameters(
                 "calibrated plane, 4 are needed"
             )
         # Across the ring either coordinate counts in turn, hence their mean variance.
-        sigma = np.sqrt((points.sigma_mm[good] ** 2).mean(axis=1))
+        picking = points.sigma_mm[good] ** 2 - map_variance[good]
+        sigma = np.sqrt(np.maximum(picking, 0.0).mean(axis=1))
         circle = fit_circle(points.xz_mm[good], sigma)
+        map_sigma = np.sqrt(map_variance[good].mean())
         found[ring.name] = Diameter(
             nominal_mm=ring.diameter_mm,
             measured_mm=2 * circle.radius_mm,
-            sigma_mm=circle.diameter_sigma_mm,
+            sigma_mm=float(np.hypot(circle.diameter_sigma_mm, map_sigma)),
             points=int(good.sum()),
             left_out=int((~good).sum()),
         )

@@ -90,8 +90,8 @@ def find_parts(line: Trace, piece: GroovedBlock) -> Parts:
     ridges = _ridges(line, found, piece, shallowest)
     bottoms = []
     for number, (left, right) in enumerate(pairwise(ridges), start=1):
-        start, stop = line.x[left.points[-1]], line.x[right.points[0]]
-        inside = _below(line, found, start, stop, left.level_mm - shallowest / 2)
+        limit = left.level_mm - shallowest / 2
+        inside = _below(found, left.points[-1], right.points[0], limit)
         if not inside:
             raise MeasurementError(f"the bottom of groove {number} is not seen")
         # Beside the bottom, pieces of lit wall may stand: the bottom is the widest piece.
@@ -99,10 +99,9 @@ def find_parts(line: Trace, piece: GroovedBlock) -> Parts:
     top = float(np.median([ridge.level_mm for ridge in ridges]))
     deepest = top - max(groove.depth_mm for groove in piece.grooves)
     limit = (deepest + top - piece.height_mm) / 2
-    first, last = line.x[ridges[0].points[0]], line.x[ridges[-1].points[-1]]
     beside = [
-        *_below(line, found, -np.inf, first, limit),
-        *_below(line, found, last, np.inf, limit),
+        *_below(found, -1, ridges[0].points[0], limit),
+        *_below(found, ridges[-1].points[-1], len(line.x), limit),
     ]
     if not beside:
         raise MeasurementError("the floor beside the block is not seen")
@@ -134,16 +133,12 @@ def _ridges(
     return ridges
 
 
-def _below(
-    line: Trace, found: list[Segment], start: float, stop: float, limit_mm: float
-) -> list[Segment]:
-    """The segments between two x that lie lower than a level."""
+def _below(found: list[Segment], start: int, stop: int, limit_mm: float) -> list[Segment]:
+    """The segments between two points of the trace that lie lower than a level."""
     return [
         part
         for part in found
-        if part.level_mm < limit_mm
-        and line.x[part.points[0]] > start
-        and line.x[part.points[-1]] < stop
+        if part.level_mm < limit_mm and start < part.points[0] and part.points[-1] < stop
     ]
 
 

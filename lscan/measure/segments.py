@@ -14,6 +14,9 @@ JUMP_MM = 3.0
 """Height difference between neighbouring points that ends a segment: above what noise and a
 tilt of 3 degrees do within a column, below any groove's depth."""
 
+GAP_MM = 5.0
+"""Stretch without points that ends a segment: a groove whose bottom is not seen is wider."""
+
 LEVEL_MM = 1.0
 """How far off its segment's level an end point may lie: five times a coarse noise of 0.2 mm."""
 
@@ -32,7 +35,7 @@ MAX_TILT = np.tan(np.radians(10.0))
 
 @dataclass(frozen=True)
 class Segment:
-    """Points of one profile on one level, in order of x.
+    """Neighbouring points of one profile on one level.
 
     points: (K,) indices into the profile.  level_mm: median of z - tilt * x.
     """
@@ -43,7 +46,7 @@ class Segment:
 
 @dataclass(frozen=True)
 class Trace:
-    """A profile's valid points in order of x.
+    """A profile's valid points in the picture's order, turned so that x grows.
 
     x, z, sigma_x, sigma_z: (P,) mm.  column: (P,) index in the profile.  peak: (P,) grey value.
     spacing_mm: median distance in x from one column to the next.
@@ -61,7 +64,7 @@ class Trace:
 
 
 def trace(profile: Profile) -> Trace:
-    """The profile's valid points in order of x, with the common tilt of its segments.
+    """The profile's valid points from left to right, with the common tilt of its segments.
 
     Raises MeasurementError where there are too few points to speak of segments.
     """
@@ -69,7 +72,9 @@ def trace(profile: Profile) -> Trace:
     column = np.flatnonzero(valid)
     if len(column) < 5 * MIN_POINTS:
         raise MeasurementError(f"{len(column)} measured points: no segments in them")
-    column = column[np.argsort(profile.points.xz_mm[column, 0], kind="stable")]
+    # Not in order of x: seen aslant, the bottom beside an edge may reach beneath the top.
+    if profile.points.xz_mm[column[-1], 0] < profile.points.xz_mm[column[0], 0]:
+        column = column[::-1]
     x, z = profile.points.xz_mm[column].T
     sigma_x, sigma_z = profile.points.sigma_mm[column].T
     steps = np.diff(x)[np.abs(np.diff(column)) == 1]
@@ -83,7 +88,7 @@ def trace(profile: Profile) -> Trace:
 def segments(line: Trace) -> list[Segment]:
     """The segments of a trace from left to right, those of a few points (walls) left out."""
     flat = line.z - line.tilt * line.x
-    runs = np.split(np.arange(len(flat)), _breaks(flat))
+    runs = np.split(np.arange(len(flat)), _breaks(line.x, flat))
     level = [_without_walls(run, flat) for run in runs if len(run) >= MIN_POINTS]
     return [Segment(run, float(np.median(flat[run]))) for run in level if len(run) >= MIN_POINTS]
 
@@ -143,7 +148,9 @@ def height_between(line: Trace, upper: Ints, lower: Ints) -> tuple[float, float]
     """Distance in mm between two parallel lines, and its standard uncertainty.
 
     Both sets of points, indices into the trace, are fitted with one slope by least squares,
-    points farther than three robust deviations from their line left out.
+    points farther than three robust deviations from their line left out.  The sigma adds to the
+    fit's the points' own sigma_z, once for each line: most of that is the plane map's, common
+    to neighbours, and does not average out.
     Raises MeasurementError where either set holds fewer than MIN_POINTS points.
     """
     points = np.concatenate([upper, lower])
@@ -161,11 +168,12 @@ def height_between(line: Trace, upper: Ints, lower: Ints) -> tuple[float, float]
     used = design[keep]
     freedom = max(int(keep.sum()) - 3, 1)
     scatter = float(np.sum(residual[keep] ** 2)) / freedom
-    variance = max(scatter, float(np.mean(line.sigma_z[points[keep]] ** 2)))
+    own = line.sigma_z[points] ** 2
+    common = sum(float(np.mean(own[keep & (which == side)])) for side in (0, 1))
     difference = np.array([0.0, 1.0, -1.0])
     inverse = np.linalg.inv(used.T @ used)
     cosine = 1 / float(np.hypot(1.0, solution[0]))
-    sigma = np.sqrt(variance * float(difference @ inverse @ difference)) * cosine
+    sigma = np.sqrt(scatter * float(difference @ inverse @ difference) + common) * cosine
     return float((solution[1] - solution[2]) * cosine), float(sigma)
 
 
@@ -175,14 +183,14 @@ def _without_walls(run: Ints, flat: Floats) -> Ints:
     return run[on_level[0] : on_level[-1] + 1] if len(on_level) else run[:0]
 
 
-def _breaks(z: Floats) -> Ints:
-    """Indices at which a new run begins."""
-    return np.flatnonzero(np.abs(np.diff(z)) > JUMP_MM) + 1
+def _breaks(x: Floats, flat: Floats) -> Ints:
+    """Indices at which a new run begins: after a jump in height or a gap in x."""
+    return np.flatnonzero((np.abs(np.diff(flat)) > JUMP_MM) | (np.abs(np.diff(x)) > GAP_MM)) + 1
 
 
 def _common_tilt(x: Floats, z: Floats) -> float:
     """Median slope over short chords that stay on one segment: walls and steps are few."""
     reach = max(len(x) // 50, 3)
     chord = (z[reach:] - z[:-reach]) / np.maximum(x[reach:] - x[:-reach], 1e-9)
-    level = chord[np.abs(chord) < MAX_TILT]
+    level = chord[(np.abs(chord) < MAX_TILT) & (x[reach:] > x[:-reach])]
     return float(np.median(level)) if len(level) else 0.0

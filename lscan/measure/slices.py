@@ -16,12 +16,14 @@ from lscan.targets import Sandwave
 class SliceErrors:
     """Errors of a slice, measured minus eq. (4), mm.
 
+    nominal_mm: (M,) eq. (4) at each point of the slice, also beyond the border of the waves.
     error_mm: (M,) at each point of the slice; NaN where it was not compared.
     points: number compared.  unseen: number without data.
     at_step: number left out beside the border of the waves: there the surface steps to the rim,
         and a height measured over a radius is neither the one nor the other.
     """
 
+    nominal_mm: Floats
     error_mm: Floats
     points: int
     unseen: int
@@ -69,9 +71,10 @@ def compare_slice(measured: Slice, piece: Sandwave) -> SliceErrors:
         raise MeasurementError(
             f"slice: none of its {len(x)} points has data on the waves to compare with eq. (4)"
         )
-    error = np.where(compared, measured.z_mm - piece.height_mm(x, y), np.nan)
+    nominal = piece.height_mm(x, y)
     return SliceErrors(
-        error_mm=error,
+        nominal_mm=nominal,
+        error_mm=np.where(compared, measured.z_mm - nominal, np.nan),
         points=int(compared.sum()),
         unseen=int((inside & ~seen).sum()),
         at_step=int((~inside).sum()),

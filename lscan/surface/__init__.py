@@ -1,15 +1,9 @@
 """From profiles to a surface, its alignment with the workpiece, slices of it, and its files."""
 
-from lscan.surface.align import (
-    Alignment,
-    align_sandwave,
-    apply,
-    level,
-    levelling_step,
-    shear,
-)
+from lscan.surface.align import Alignment, align_sandwave, apply
 from lscan.surface.edges import EdgeLine
 from lscan.surface.files import load_surface, save_points, save_slice, save_surface
+from lscan.surface.levelling import level, levelling_step, shear
 from lscan.surface.resample import Slice, resample
 from lscan.surface.stack import stack
 

@@ -20,6 +20,7 @@ from lscan.errors import InputError, MeasurementError
 from lscan.records import Floats, Surface
 from lscan.surface.edges import EdgeFit, EdgeLine, EdgeSamples, fit_edges
 from lscan.surface.features import Crossings, Features, find_features
+from lscan.surface.levelling import level, plane_normal, shear
 from lscan.targets import Sandwave
 
 SETTLED_RAD = 1e-7
@@ -45,6 +46,7 @@ class Alignment:
     yaw_rad, yaw_sigma_rad: angle of the sheet against the track, its standard uncertainty.
     rotation: (3, 3) of the four-step alignment without the shear.  translation_mm: (3,).
     normal: (3,) unit normal of the base plane in the head's axes.
+    base_mm: height of the base plane in the workpiece frame.
     flatness_mm: rms distance of the wedges' top points from the base plane.
     left_corner_mm, right_corner_mm: (2,) W_L and W_R in the workpiece plan.
     edges: the lines found, in the workpiece plan, by name: "left wedge, near edge" and so on,
@@ -58,6 +60,7 @@ class Alignment:
     rotation: Floats
     translation_mm: Floats
     normal: Floats
+    base_mm: float
     flatness_mm: float
     left_corner_mm: Floats
     right_corner_mm: Floats
@@ -68,6 +71,11 @@ class Alignment:
     def to_workpiece(self, raw_mm: Floats) -> Floats:
         """(..., 3) workpiece points, mm, of raw head-frame points (..., 3), mm."""
         return raw_mm @ (self.rotation @ shear(self.yaw_rad)).T + self.translation_mm
+
+    def to_raw(self, workpiece_mm: Floats) -> Floats:
+        """(..., 3) raw head-frame points, mm, of workpiece points (..., 3), mm."""
+        matrix = np.linalg.inv(self.rotation @ shear(self.yaw_rad))
+        return (workpiece_mm - self.translation_mm) @ matrix.T
 
 
 @dataclass(frozen=True)
@@ -81,54 +89,6 @@ class _Pose:
 
     def plan(self, raw: Floats) -> Floats:
         return (raw @ (self.rotation @ shear(self.yaw)).T + self.shift)[:, :2]
-
-
-def shear(yaw_rad: float) -> Floats:
-    """(3, 3) matrix from raw points (x, s, z) to true points in the head's axes."""
-    return np.array([[1.0, np.sin(yaw_rad), 0.0], [0.0, np.cos(yaw_rad), 0.0], [0.0, 0.0, 1.0]])
-
-
-def levelling_step(normal: Floats) -> Floats:
-    """(3, 3) rotation R_x R_y of eqs. (5) to (7) for the unit normal (3,) of the base plane.
-
-    As printed, with alpha = -asin(n_y) and beta = asin(n_x), eqs. (5) and (6) would turn a
-    level plane (alpha = beta = 0) by 90 degrees about both axes: their sines and cosines hold
-    for angles counted from the axes, that is for alpha + 90° and beta + 90°.  With these put
-    in, sin becomes cos and cos becomes -sin, which is what stands here; then R_x R_y n is
-    (0, 0, 1) but for terms of third order in the tilt, and repeating it (eq. 7) removes those.
-    """
-    alpha, beta = -np.arcsin(normal[1]), np.arcsin(normal[0])
-    sin_a, cos_a, sin_b, cos_b = np.sin(alpha), np.cos(alpha), np.sin(beta), np.cos(beta)
-    about_x = np.array([[1.0, 0.0, 0.0], [0.0, cos_a, sin_a], [0.0, -sin_a, cos_a]])
-    about_y = np.array([[cos_b, 0.0, -sin_b], [0.0, 1.0, 0.0], [sin_b, 0.0, cos_b]])
-    return about_x @ about_y
-
-
-def level(points_mm: Floats) -> Floats:
-    """(3, 3) rotation that levels the base plane of the points (K, 3).
-
-    Eq. (7) repeated, the plane fitted anew each time, until its normal settles at (0, 0, 1).
-    Raises MeasurementError where the points carry no plane.
-    """
-    rotation = np.eye(3)
-    for _ in range(20):
-        normal = plane_normal(points_mm @ rotation.T)
-        if np.hypot(normal[0], normal[1]) < 1e-12:
-            break
-        rotation = levelling_step(normal) @ rotation
-    return rotation
-
-
-def plane_normal(points_mm: Floats) -> Floats:
-    """(3,) upward unit normal of the least-squares plane of the points (K, 3), mm."""
-    if len(points_mm) < 3:
-        raise MeasurementError(f"base plane: {len(points_mm)} points, 3 are needed")
-    centred = points_mm - points_mm.mean(axis=0)
-    spread, axes = np.linalg.eigh(centred.T @ centred)
-    if spread[1] < 1e-9 * spread[2]:
-        raise MeasurementError("base plane: the points lie on one line")
-    normal = axes[:, 0]
-    return normal if normal[2] > 0 else -normal
 
 
 def align_sandwave(surface: Surface, piece: Sandwave) -> Alignment:
@@ -154,7 +114,7 @@ def align_sandwave(surface: Surface, piece: Sandwave) -> Alignment:
         pose, edges, iterations = _refine(features.tops, selected, pose, piece)
         rounds += iterations
     variance = _yaw_variance(edges, piece) + _sampling_variance(selected)
-    return _alignment(features.tops, pose, edges, variance, rounds)
+    return _alignment(features.tops, pose, edges, variance, piece.wedge.height_mm, rounds)
 
 
 def apply(alignment: Alignment, surface: Surface) -> Surface:
@@ -333,7 +293,9 @@ def _sampling_variance(selected: dict[str, _Selected]) -> float:
     return 1 / sum(1 / variance for variance in variances)
 
 
-def _alignment(tops: Floats, pose: _Pose, edges: _Edges, variance: float, rounds: int) -> Alignment:
+def _alignment(
+    tops: Floats, pose: _Pose, edges: _Edges, variance: float, base_mm: float, rounds: int
+) -> Alignment:
     true = tops @ shear(pose.yaw).T
     return Alignment(
         yaw_rad=pose.yaw,
@@ -341,6 +303,7 @@ def _alignment(tops: Floats, pose: _Pose, edges: _Edges, variance: float, rounds
         rotation=pose.rotation,
         translation_mm=pose.shift,
         normal=plane_normal(true),
+        base_mm=base_mm,
         flatness_mm=float((true @ pose.rotation[2]).std()),
         left_corner_mm=edges.left_corner,
         right_corner_mm=edges.right_corner,

@@ -1,0 +1,65 @@
+# The commands a newcomer needs.  Each sets up what it lacks the first time: a virtual
+# environment, the packages of requirements.lock, and an LLVM that Mitsuba can use.
+
+PYTHON ?= python3
+BIN := .venv/bin
+ROOT := $(shell [ "$$(id -u)" = 0 ] || echo sudo -n)
+APT := $(ROOT) env DEBIAN_FRONTEND=noninteractive apt-get -qq
+
+.PHONY: help demo test lint bench clean
+.DELETE_ON_ERROR:
+
+help:
+	@echo "make demo    scan the tank once and write out/demo"
+	@echo "make test    all checks and all tests"
+	@echo "make lint    the checks alone: ruff, mypy, import contracts"
+	@echo "make bench   measure speed and write out/bench.json"
+	@echo "make clean   remove all that was set up or made, save runs/"
+
+demo: .venv/llvm.stamp
+	$(BIN)/lscan-sim demo -o out/demo
+
+test: lint .venv/llvm.stamp
+	$(BIN)/python -m pytest -n auto --maxprocesses 8
+
+lint: .venv/packages.stamp
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/mypy
+	$(BIN)/lint-imports
+
+bench: .venv/llvm.stamp
+	$(BIN)/lscan-sim bench -o out/bench.json
+
+clean:
+	rm -rf .venv out build *.egg-info
+	rm -rf .pytest_cache .mypy_cache .ruff_cache .hypothesis .import_linter_cache
+	find lscan sim tests -name __pycache__ -type d -prune -exec rm -rf {} +
+
+.venv/llvm.stamp: .venv/packages.stamp
+	@$(BIN)/python -m sim.backend --install
+	@touch $@
+
+.venv/packages.stamp: .venv/python.stamp requirements.lock pyproject.toml
+	@echo "installing the packages of requirements.lock into .venv (a minute or two)"
+	@$(BIN)/python -m pip install --quiet --disable-pip-version-check --only-binary :all: \
+		--require-hashes -r requirements.lock
+	@$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps \
+		--no-build-isolation --editable .
+	@touch $@
+
+# A bare Debian or Ubuntu has Python without the part that makes virtual environments.
+.venv/python.stamp:
+	@command -v "$(PYTHON)" >/dev/null || \
+		{ echo "lscan needs Python 3.11 or newer: there is no $(PYTHON)" >&2; exit 2; }
+	@"$(PYTHON)" -c 'import sys; sys.exit(sys.version_info < (3, 11))' || \
+		{ echo "lscan needs Python 3.11 or newer: $(PYTHON) is $$("$(PYTHON)" -V 2>&1)," \
+		"name another one, as in: make test PYTHON=python3.11" >&2; exit 2; }
+	@"$(PYTHON)" -c 'import ensurepip, venv' 2>/dev/null || { \
+		package="$$("$(PYTHON)" -c 'import sys; print("python%d.%d-venv" % sys.version_info[:2])')"; \
+		echo "installing $$package"; \
+		$(APT) install -y $$package || { $(APT) update && $(APT) install -y $$package; } || \
+		{ echo "$(PYTHON) cannot make virtual environments: install the package $$package" >&2; \
+		exit 2; }; }
+	@"$(PYTHON)" -m venv .venv
+	@touch $@

@@ -1,0 +1,210 @@
+"""The rules of the house, kept by tests: floors, versions, entry points, clean files."""
+
+from __future__ import annotations
+
+import ast
+import importlib.metadata
+import re
+import shutil
+import subprocess
+import sys
+import tomllib
+from pathlib import Path
+
+import pytest
+from packaging.requirements import Requirement
+from packaging.version import Version
+
+import lscan
+
+ROOT = Path(__file__).resolve().parents[1]
+PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
+MODULES = sorted(
+    path.relative_to(ROOT) for folder in ("lscan", "sim") for path in (ROOT / folder).rglob("*.py")
+)
+MODULE_NAMES = [".".join(path.with_suffix("").parts).removesuffix(".__init__") for path in MODULES]
+
+
+# ---- import contracts -------------------------------------------------------------------
+
+
+def _lint_imports(root: Path) -> subprocess.CompletedProcess[str]:
+    program = Path(sys.executable).with_name("lint-imports")
+    return subprocess.run(
+        [program, "--no-cache", "--config", "pyproject.toml"],
+        cwd=root,
+        capture_output=True,
+        text=True,
+    )
+
+
+def test_the_import_contracts_are_kept() -> None:
+    done = _lint_imports(ROOT)
+    assert done.returncode == 0, done.stdout + done.stderr
+
+
+@pytest.mark.parametrize(
+    ("module", "line", "contract"),
+    [
+        ("lscan/board.py", "import sim.scene", "the instrument does not know the tank"),
+        ("lscan/report.py", "import mitsuba", "the instrument does not know the tank"),
+        ("lscan/board.py", "import lscan.cli", "the floors of lscan"),
+        ("lscan/attic.py", "", "the floors of lscan"),
+        ("sim/scene.py", "import sim.tank", "the floors of sim"),
+        ("sim/truth.py", "import sim.plugins", "the truth judges code it does not use"),
+    ],
+)
+def test_the_contracts_notice(tmp_path: Path, module: str, line: str, contract: str) -> None:
+    shutil.copy(ROOT / "pyproject.toml", tmp_path)
+    for package in ("lscan", "sim"):
+        shutil.copytree(ROOT / package, tmp_path / package)
+    with (tmp_path / module).open("a", encoding="utf-8") as file:
+        file.write(f"\n{line}\n")
+    done = _lint_imports(tmp_path)
+    assert done.returncode != 0
+    assert f"{contract} BROKEN" in done.stdout
+
+
+def test_no_lscan_module_loads_the_tank() -> None:
+    names = [name for name in MODULE_NAMES if name.split(".")[0] == "lscan"]
+    assert "lscan.cli" in names
+    code = (
+        "import importlib, sys\n"
+        "for name in sys.argv[1:]: importlib.import_module(name)\n"
+        "print(sorted({'sim', 'mitsuba', 'drjit'} & set(sys.modules)))"
+    )
+    command = [sys.executable, "-c", code, *names]
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True)
+    assert done.stdout.strip() == "[]", done.stderr
+
+
+# ---- clean files ------------------------------------------------------------------------
+
+
+# The words stand apart here so that this file keeps the rule it checks.
+FOREIGN = re.compile(
+    r"(?<![\w.*)}\]/-])/(?:" + "|".join(("work", "root", "tmp", "farm", "home")) + r")\b"
+    r"|" + "|".join(("index" + "-url", "find" + "-links", r"/sim" + r"ple\b", "pypi" + r"\.org")),
+    re.IGNORECASE,
+)
+
+
+def _project_files() -> list[Path]:
+    command = ["git", "ls-files", "-z", "--cached", "--others", "--exclude-standard"]
+    if not (ROOT / ".git").exists() or not shutil.which("git"):
+        pytest.skip("not a git checkout")
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=True)
+    paths = [ROOT / name for name in done.stdout.split("\0") if name]
+    return [path for path in paths if path.is_file()]
+
+
+def test_no_file_names_a_place_on_one_machine_or_a_package_index() -> None:
+    found = []
+    for path in _project_files():
+        lines = path.read_text(encoding="utf-8", errors="ignore").splitlines()
+        for number, line in enumerate(lines, start=1):
+            if FOREIGN.search(line):
+                found.append(f"{path.relative_to(ROOT)}:{number}: {line.strip()[:80]}")
+    assert found == []
+
+
+@pytest.mark.parametrize("folder", ["work", "root", "tmp", "farm", "home"])
+@pytest.mark.parametrize("pattern", ["/{}/a", "'/{}'", "see /{}.", "x=/{}/a", "a:/{}/b", "(/{}/x)"])
+def test_a_place_on_one_machine_is_noticed(folder: str, pattern: str) -> None:
+    assert FOREIGN.search(pattern.format(folder))
+
+
+@pytest.mark.parametrize(
+    "line", ["--{}-url=x", "--{}-url x", "PIP_{}_URL=https://host/sim" + "ple/", "https://{}.org/x"]
+)
+def test_a_package_index_is_noticed(line: str) -> None:
+    name = "pypi" if ".org" in line else "index"
+    assert FOREIGN.search(line.format(name))
+
+
+@pytest.mark.parametrize(
+    "line", ["runs/tmp/a", "a/work", "/workshop", "../root/a", "mm/root", "1/simpler", "findlinks"]
+)
+def test_other_text_is_left_alone(line: str) -> None:
+    assert not FOREIGN.search(line)
+
+
+@pytest.mark.parametrize("path", MODULES, ids=str)
+def test_every_module_says_what_it_is(path: Path) -> None:
+    assert ast.get_docstring(ast.parse((ROOT / path).read_text(encoding="utf-8")))
+
+
+# ---- versions and packages --------------------------------------------------------------
+
+
+def _changelog_agrees(headings: list[str], version: str) -> bool:
+    """Whether the newest heading is the version, or is Unreleased above none newer."""
+    if not headings or headings[0] != "Unreleased":
+        return headings[:1] == [version]
+    return len(headings) == 1 or Version(headings[1]) <= Version(version)
+
+
+def test_the_changelog_knows_this_version() -> None:
+    text = (ROOT / "CHANGELOG.md").read_text(encoding="utf-8")
+    headings = re.findall(r"^## \[([^\]]+)\]", text, flags=re.MULTILINE)
+    assert _changelog_agrees(headings, lscan.__version__)
+
+
+def test_a_changelog_that_lags_or_leads_is_noticed() -> None:
+    assert _changelog_agrees(["Unreleased"], "0.1.0")
+    assert _changelog_agrees(["0.1.0"], "0.1.0")
+    assert _changelog_agrees(["Unreleased", "0.1.0"], "0.2.0")
+    assert not _changelog_agrees([], "0.1.0")
+    assert not _changelog_agrees(["0.1.0"], "0.2.0")
+    assert not _changelog_agrees(["Unreleased", "0.10.0"], "0.9.0")
+
+
+ENTRY_POINTS = [
+    importlib.metadata.EntryPoint(name, value, group)
+    for group, entries in {
+        "console_scripts": PROJECT["project"]["scripts"],
+        **PROJECT["project"]["entry-points"],
+    }.items()
+    for name, value in entries.items()
+]
+
+
+# What lscan calls on an object of each group, as the group's api module says.
+DUTIES = {
+    "console_scripts": {"__call__"},
+    "lscan.cameras": {"sections", "validate", "open"},
+    "lscan.tracks": {"sections", "validate", "open"},
+    "lscan.extractors": {"__call__"},
+    "lscan.planemaps": {"solve", "restore"},
+}
+
+
+@pytest.mark.parametrize("entry", ENTRY_POINTS, ids=lambda entry: f"{entry.group}:{entry.name}")
+def test_every_entry_point_loads(entry: importlib.metadata.EntryPoint) -> None:
+    assert DUTIES[entry.group] <= set(dir(entry.load()))
+
+
+def _locked() -> dict[str, tuple[str, int]]:
+    """Version and number of hashes of each package of the lock file, by canonical name."""
+    text = (ROOT / "requirements.lock").read_text(encoding="utf-8")
+    blocks = re.split(r"^(?=\w)", re.sub(r"^ *#.*\n", "", text, flags=re.MULTILINE), flags=re.M)
+    pins = [re.match(r"([\w.-]+)==(\S+)", block) for block in blocks]
+    return {
+        _canonical(pin[1]): (pin[2], block.count("--hash=sha256:"))
+        for pin, block in zip(pins, blocks, strict=True)
+        if pin
+    }
+
+
+def _canonical(name: str) -> str:
+    return re.sub(r"[-_.]+", "-", name).lower()
+
+
+def test_the_lock_pins_all_that_the_project_asks_for() -> None:
+    project, locked = PROJECT["project"], _locked()
+    extras = [line for lines in project["optional-dependencies"].values() for line in lines]
+    asked = [*project["dependencies"], *extras, *PROJECT["build-system"]["requires"]]
+    for requirement in map(Requirement, asked):
+        version, hashes = locked[_canonical(requirement.name)]
+        assert version in requirement.specifier, requirement
+        assert hashes > 0, requirement
