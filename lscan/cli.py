@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Any, Optional
+from typing import Annotated, Any
 
 import numpy as np
 import typer
@@ -26,7 +26,7 @@ CalibrationFile = Annotated[
 ]
 Json = Annotated[bool, typer.Option("--json", help="Print the result as JSON.")]
 Overlay = Annotated[
-    Optional[Path],
+    Path | None,
     typer.Option("--overlay", help="Write the picture with what was found drawn on it."),
 ]
 
@@ -56,19 +56,19 @@ def calibrate(
     picture: PictureOrRun,
     output: Annotated[Path, typer.Option("--output", "-o", help="Calibration file to write.")],
     board: Annotated[
-        Optional[Path], typer.Option("--board", help="Board file; a run folder has its own.")
+        Path | None, typer.Option("--board", help="Board file; a run folder has its own.")
     ] = None,
     plane_map: Annotated[
-        Optional[str], typer.Option("--map", help="Plane map, such as graticule-2.")
+        str | None, typer.Option("--map", help="Plane map, such as graticule-2.")
     ] = None,
     seeds: Annotated[
-        Optional[str],
+        str | None,
         typer.Option(
             "--seeds", help="u,v of the upper-left dot, the one beneath and the one to its right."
         ),
     ] = None,
     channel: Annotated[
-        Optional[str], typer.Option("--channel", help="red, green, blue or grey.")
+        str | None, typer.Option("--channel", help="red, green, blue or grey.")
     ] = None,
     overlay: Overlay = None,
     json: Json = False,
@@ -115,26 +115,26 @@ def calibrate(
 def extract(
     picture: PictureOrRun,
     output: Annotated[
-        Optional[Path], typer.Option("--output", "-o", help="CSV table to write.")
+        Path | None, typer.Option("--output", "-o", help="CSV table to write.")
     ] = None,
     background: Annotated[
-        Optional[Path], typer.Option("--background", help="The same view with the laser off.")
+        Path | None, typer.Option("--background", help="The same view with the laser off.")
     ] = None,
     frame: Annotated[int, typer.Option("--frame", help="Which frame of a run folder.")] = 0,
     axis: Annotated[
-        Optional[str], typer.Option("--axis", help="columns, or rows for an upright line.")
+        str | None, typer.Option("--axis", help="columns, or rows for an upright line.")
     ] = None,
     extractor: Annotated[
-        Optional[str], typer.Option("--extractor", help="max, centroid, centroid-relative ...")
+        str | None, typer.Option("--extractor", help="max, centroid, centroid-relative ...")
     ] = None,
     channel: Annotated[
-        Optional[str], typer.Option("--channel", help="red, green, blue or grey.")
+        str | None, typer.Option("--channel", help="red, green, blue or grey.")
     ] = None,
     threshold: Annotated[
-        Optional[float], typer.Option("--threshold", help="Least height of the line, DN.")
+        float | None, typer.Option("--threshold", help="Least height of the line, DN.")
     ] = None,
     span: Annotated[
-        Optional[int], typer.Option("--span", help="Pixels either side of the peak.")
+        int | None, typer.Option("--span", help="Pixels either side of the peak.")
     ] = None,
     overlay: Overlay = None,
     json: Json = False,
@@ -180,7 +180,7 @@ def reconstruct(
     calibration: CalibrationFile,
     output: Annotated[Path, typer.Option("--output", "-o", help="Surface to write (.nc).")],
     points: Annotated[
-        Optional[Path], typer.Option("--points", help="Point cloud to write (.ply).")
+        Path | None, typer.Option("--points", help="Point cloud to write (.ply).")
     ] = None,
     json: Json = False,
 ) -> None:
@@ -225,7 +225,7 @@ def measure(
     run: RunFolder,
     calibration: CalibrationFile,
     output: Annotated[
-        Optional[Path], typer.Option("--output", "-o", help="JSON file to write.")
+        Path | None, typer.Option("--output", "-o", help="JSON file to write.")
     ] = None,
     json: Json = False,
 ) -> None:
@@ -255,10 +255,10 @@ def report(
     ],
     board: Annotated[Path, typer.Option("--board", help="Run folder of the board picture.")],
     groove: Annotated[
-        Optional[Path], typer.Option("--groove", help="Run folder of the grooved block.")
+        Path | None, typer.Option("--groove", help="Run folder of the grooved block.")
     ] = None,
     sandwave: Annotated[
-        Optional[Path], typer.Option("--sandwave", help="Run folder of the sandwave.")
+        Path | None, typer.Option("--sandwave", help="Run folder of the sandwave.")
     ] = None,
     json: Json = False,
 ) -> None:

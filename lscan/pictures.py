@@ -24,9 +24,7 @@ def read_picture(path: Path) -> Bytes:
     if image is None:
         raise InputError("is not a picture that can be read", where=path, allowed=FORMATS)
     if image.dtype != np.uint8:
-        raise InputError(
-            "has the wrong depth", where=path, value=str(image.dtype), allowed=FORMATS
-        )
+        raise InputError("has the wrong depth", where=path, value=str(image.dtype), allowed=FORMATS)
     if image.ndim == 2 or image.shape[2] == 1:
         return image.reshape(image.shape[:2])
     if image.shape[2] == 4:

@@ -29,14 +29,14 @@ class CameraSection(Strict):
     width_px: Annotated[int, Field(ge=16, le=16384)] = 640
     height_px: Annotated[int, Field(ge=16, le=16384)] = 480
     exposure_ms: PositiveFloat = 20.0
-    options: dict[str, Any] = {}
+    options: dict[str, Any] = Field(default_factory=dict)
 
 
 class TrackSection(Strict):
     """Which track.  ``options`` go to the driver, which checks them."""
 
     driver: str
-    options: dict[str, Any] = {}
+    options: dict[str, Any] = Field(default_factory=dict)
 
 
 class Plan(Strict):

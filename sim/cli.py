@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Any, Optional
+from typing import Annotated, Any
 
 import typer
 
@@ -19,7 +19,7 @@ app = typer.Typer(
 
 SceneFile = Annotated[Path, typer.Argument(help="Scene file (TOML).")]
 Position = Annotated[
-    Optional[float], typer.Option("--position", help="Track position, mm; the plan's start.")
+    float | None, typer.Option("--position", help="Track position, mm; the plan's start.")
 ]
 Json = Annotated[bool, typer.Option("--json", help="Print the result as JSON.")]
 
@@ -33,7 +33,7 @@ def demo(
         Path, typer.Option("--scenes", help="Folder with board, groove and sandwave.")
     ] = Path("scenes/paper"),
     frames: Annotated[
-        Optional[int], typer.Option("--frames", min=20, help="Sandwave pictures, if not 400.")
+        int | None, typer.Option("--frames", min=20, help="Sandwave pictures, if not 400.")
     ] = None,
     json: Json = False,
 ) -> None:
@@ -54,7 +54,7 @@ def render(
     output: Annotated[Path, typer.Option("--output", "-o", help="Folder to write.")],
     position: Position = None,
     samples: Annotated[
-        Optional[int], typer.Option("--samples", min=1, help="Samples a pixel, a square number.")
+        int | None, typer.Option("--samples", min=1, help="Samples a pixel, a square number.")
     ] = None,
     json: Json = False,
 ) -> None:

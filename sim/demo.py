@@ -6,7 +6,7 @@ import shutil
 import time
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -31,9 +31,9 @@ from sim.truth import board_truth, slice_visibility, stripe_truth
 
 PARTS = ("board", "groove", "sandwave")
 
-# How the noise-free line is read: with no background the span may be wide enough to hold
-# the whole line, so that the centroid is not biased by its own window.
-CHECK_STRIPE = StripeSection(extractor="centroid", threshold_dn=20.0, span_px=6)
+# How the noise-free line is read: without noise the span may be wide enough to hold the whole
+# line, so that the centroid is not biased by its own window, nor by the black level.
+CHECK_STRIPE = StripeSection(extractor="centroid-relative", threshold_dn=20.0, span_px=6)
 CHECK_SAMPLES = 64
 CHECK_EDGE_PX = 4.0  # columns this near to an end of the line are left out
 SANDWAVE_CHECKS = 5  # frames of the sandwave scan that are rendered again without noise

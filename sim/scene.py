@@ -338,9 +338,7 @@ def target_pose(scene: Scene) -> Pose:
     """Workpiece (or board, or mesh) frame to world frame."""
     target = scene.tank.target
     turned = (
-        rotation_z(target.turn_deg)
-        @ rotation_y(target.tilt_y_deg)
-        @ rotation_x(target.tilt_x_deg)
+        rotation_z(target.turn_deg) @ rotation_y(target.tilt_y_deg) @ rotation_x(target.tilt_x_deg)
     )
     pose = Pose(turned, np.array(target.position_mm))
     return head_pose(scene.tank.head, 0.0) @ pose if target.shape == "board" else pose

@@ -31,9 +31,7 @@ class Webcam:
         spread = self.sensor.prnu if self.sensor.noise else 0.0
         self._sensitivity = (1 + spread * pattern).astype(np.float32)
 
-    def expose(
-        self, layers: Layers, exposure_ms: float, generator: np.random.Generator
-    ) -> Bytes:
+    def expose(self, layers: Layers, exposure_ms: float, generator: np.random.Generator) -> Bytes:
         """The picture, (H, W, 3) RGB, of the layers; all noise comes from ``generator``."""
         electrons = self.mean_electrons(layers, exposure_ms)
         if self.sensor.noise:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from lscan.errors import MeasurementError
-from lscan.records import Floats, has_value
+from lscan.records import Floats, Mask, has_value
 from lscan.surface import Slice
 from lscan.targets import Sandwave
 
@@ -18,7 +18,7 @@ class SliceErrors:
 
     nominal_mm: (M,) eq. (4) at each point of the slice, also beyond the border of the waves.
     error_mm: (M,) at each point of the slice; NaN where it was not compared.
-    points: number compared.  unseen: number without data.
+    points: number compared.  unseen: number without data, or known to be out of sight.
     at_step: number left out beside the border of the waves: there the surface steps to the rim,
         and a height measured over a radius is neither the one nor the other.
     """
@@ -55,9 +55,10 @@ class SliceErrors:
         }
 
 
-def compare_slice(measured: Slice, piece: Sandwave) -> SliceErrors:
+def compare_slice(measured: Slice, piece: Sandwave, visible: Mask | None = None) -> SliceErrors:
     """The errors of a slice in the workpiece frame against eq. (4) of the sandwave.
 
+    visible: (M,) points known to be lit and seen, where a truth tells; all if None.
     Points nearer to the border of the waves, or farther out, than the radius over which the
     slice's heights were taken are counted as ``at_step`` and not compared.
     Raises MeasurementError where no point is left to compare.
@@ -66,6 +67,8 @@ def compare_slice(measured: Slice, piece: Sandwave) -> SliceErrors:
     inset = np.minimum(np.minimum(x, piece.side_mm - x), np.minimum(y, piece.side_mm - y))
     inside = inset >= measured.radius_mm
     seen = has_value(measured.status)
+    if visible is not None:
+        seen &= visible
     compared = inside & seen
     if not compared.any():
         raise MeasurementError(

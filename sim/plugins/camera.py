@@ -11,7 +11,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from sim.scene import Lens, Pose, Port, rotation_x, rotation_y
+from sim.scene import Lens, Port, Pose, rotation_x, rotation_y
 
 # Newton converges quadratically; from the distorted point as a start, a wide-angle barrel
 # (k1 = -0.3 at a radius of 0.6) is at single precision after four steps.
@@ -118,9 +118,7 @@ class RefractiveCamera(mi.Sensor):
         normal = self.port_normal
         cos_air = dr.dot(air, normal)
         glass, cos_glass = _refract(air, normal, cos_air, 1 / self.glass_index)
-        water, cos_water = _refract(
-            glass, normal, cos_glass, self.glass_index / self.water_index
-        )
+        water, cos_water = _refract(glass, normal, cos_glass, self.glass_index / self.water_index)
         point = air * (self.gap / cos_air) + glass * (self.thickness / cos_glass)
         transmission = fresnel_transmission(
             cos_air, cos_glass, self.glass_index

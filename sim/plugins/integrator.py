@@ -29,17 +29,14 @@ class SheetIntegrator(mi.SamplingIntegrator):
         super().__init__(props)
         self.sheet: LaserSheet | None = None
 
-    def configure(
-        self, water: Optics, sheet: LaserSheet | None, ambient_mw_mm2_sr: float
-    ) -> None:
+    def configure(self, water: Optics, sheet: LaserSheet | None, ambient_mw_mm2_sr: float) -> None:
         """Set the water, the laser (None: off) and the ambient radiance."""
         self.sheet = sheet
         self.extinction = _opaque(water.extinction_per_mm)
         self.scattering = _opaque(water.scattering_per_mm)
         self.has_water = water.scattering_per_mm > 0
         self.lobes = [
-            (_opaque(w), _opaque(g))
-            for w, g in zip(water.hg_weights, water.hg_g, strict=True)
+            (_opaque(w), _opaque(g)) for w, g in zip(water.hg_weights, water.hg_g, strict=True)
         ]
         self.molecular_weight = _opaque(water.molecular_weight)
         self.has_ambient = ambient_mw_mm2_sr > 0

@@ -59,7 +59,7 @@ def test_power_through_a_cylinder_about_the_apex_is_the_lasers(fan: str, rho: fl
 
 
 def test_the_sheet_spreads_as_a_gaussian_beam() -> None:
-    """physics.md section 4: in water at 650 nm a waist of 0.25 mm has z_R = 0.402 m, w(1 m) 0.67."""
+    """physics.md section 4: in water at 650 nm w0 = 0.25 mm gives z_R = 0.402 m, w(1 m) 0.67."""
     laser = Laser(power_mw=1, apex_mm=(0, 0, 0), waist_mm=0.25, waist_distance_mm=0)
     sheet = make_sheet(laser, water_index=1.3313)
     assert float(sheet.rayleigh[0]) == pytest.approx(402, abs=0.5)
@@ -184,8 +184,9 @@ def test_direct_light_in_clear_medium_equals_stock_path() -> None:
     ours = SheetIntegrator(mi.Properties())
     ours.configure(dry, tank._sheet, 0.0)
     stock = mi.load_dict({"type": "path", "max_depth": 2})
-    mine, theirs = runs(tank, ours, camera, 256, range(16)), runs(
-        tank, stock, camera, 256, range(100, 116)
+    mine, theirs = (
+        runs(tank, ours, camera, 256, range(16)),
+        runs(tank, stock, camera, 256, range(100, 116)),
     )
     assert mine.sum() > 0
     assert np.abs(z_scores(mine, theirs)).max() < BOUND
@@ -232,5 +233,3 @@ def test_quadrature_of_the_sheet_is_its_thin_limit() -> None:
 
     across, _ = quad(irradiance, -10, 10)
     assert across == pytest.approx(1 / (2 * np.radians(30)) / rho, rel=1e-5)
-
-

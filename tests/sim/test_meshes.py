@@ -82,9 +82,11 @@ def test_wave_lies_on_equation_4_within_its_chord_error() -> None:
     error = centres[:, 2] - piece.height_mm(centres[:, 0], centres[:, 1])
     amplitude = piece.a_mm + piece.b * piece.side_mm
     slope_y = piece.d_rad * piece.e_per_mm
-    curvature = amplitude * (piece.c_per_mm + slope_y) ** 2 + 2 * piece.b * (
-        piece.c_per_mm + slope_y
-    ) + amplitude * piece.d_rad * piece.e_per_mm**2
+    curvature = (
+        amplitude * (piece.c_per_mm + slope_y) ** 2
+        + 2 * piece.b * (piece.c_per_mm + slope_y)
+        + amplitude * piece.d_rad * piece.e_per_mm**2
+    )
     assert np.abs(error).max() <= WAVE_STEP_MM**2 / 8 * curvature
     np.testing.assert_array_equal(
         wave.mesh.vertices[:, 2],

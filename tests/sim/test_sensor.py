@@ -19,9 +19,7 @@ SCENES = Path(__file__).resolve().parents[2] / "scenes" / "paper"
 
 def scene_with(**sensor: object) -> Scene:
     scene = load_scene(SCENES / "board.toml")
-    return replace(
-        scene, tank=scene.tank.model_copy(update={"sensor": Sensor(**sensor)})
-    )
+    return replace(scene, tank=scene.tank.model_copy(update={"sensor": Sensor(**sensor)}))
 
 
 def flat(radiance: float, scene: Scene, which: str = "ambient") -> Layers:
@@ -55,7 +53,9 @@ def test_mean_and_variance_are_the_declared_ones(radiance: float) -> None:
     image = webcam.expose(layers, 20.0, np.random.default_rng(5))[..., 1].astype(float)
     gain = 255 / sensor.full_well_e
     mean = sensor.black_level_dn + gain * expected
-    variance = gain**2 * (expected + sensor.dark_noise_e**2 + (sensor.prnu * expected) ** 2) + 1 / 12
+    variance = (
+        gain**2 * (expected + sensor.dark_noise_e**2 + (sensor.prnu * expected) ** 2) + 1 / 12
+    )
     n = image.size
     assert abs(image.mean() - mean) < 3 * np.sqrt(variance / n)
     assert abs(image.var() - variance) < 3 * variance * np.sqrt(2 / n)
@@ -89,9 +89,12 @@ def test_full_well_clips_and_black_stays_in_range() -> None:
 
 def test_the_laser_goes_to_the_red_channel() -> None:
     scene = scene_with(noise=False)
-    image = Webcam(scene).expose(
-        flat(0.15, scene, which="direct"), 20.0, np.random.default_rng(1)
-    ).astype(float) - scene.tank.sensor.black_level_dn
+    image = (
+        Webcam(scene)
+        .expose(flat(0.15, scene, which="direct"), 20.0, np.random.default_rng(1))
+        .astype(float)
+        - scene.tank.sensor.black_level_dn
+    )
     red, green, blue = image[0, 0]
     response = scene.tank.sensor.laser_response
     assert green / red == pytest.approx(response.green / response.red, abs=0.5 / red)
@@ -128,9 +131,7 @@ def test_digitising_is_monotone_and_in_range(electrons: float, gain: float, gamm
 def test_same_seed_same_bytes() -> None:
     scene = scene_with()
     layers = flat(0.1, scene)
-    first, second = (
-        Webcam(scene).expose(layers, 20.0, np.random.default_rng(3)) for _ in range(2)
-    )
+    first, second = (Webcam(scene).expose(layers, 20.0, np.random.default_rng(3)) for _ in range(2))
     assert first.tobytes() == second.tobytes()
     other = Webcam(scene).expose(layers, 20.0, np.random.default_rng(4))
     assert first.tobytes() != other.tobytes()
