@@ -84,6 +84,27 @@ def truth(
     _print_files(write_truth(loaded, place, output), json)
 
 
+@app.command()
+def bench(
+    output: Annotated[Path, typer.Option("--output", "-o", help="JSON file to write.")] = Path(
+        "out/bench.json"
+    ),
+    scenes: Annotated[Path, typer.Option("--scenes", help="Folder with board and groove.")] = Path(
+        "scenes/paper"
+    ),
+    json: Json = False,
+) -> None:
+    """Speed: against Mitsuba's volpath at equal noise, a frame, a picture, a profile."""
+    from sim.bench import run_bench
+
+    figures = run_bench(scenes, output)
+    if json:
+        print_json([figure.as_json() for figure in figures])
+    else:
+        rows = [[figure.what, figure.figure, figure.unit] for figure in figures]
+        print_table("bench", ["what", "figure", "unit"], rows)
+
+
 def _print_files(files: dict[str, Path], json: bool) -> None:
     if json:
         print_json({name: str(path) for name, path in files.items()})

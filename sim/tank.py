@@ -69,8 +69,8 @@ class Tank:
         assert isinstance(self._camera, RefractiveCamera)
         self._camera.configure(tank.lens, tank.port, self.water.index)
         self._sheet = self._make_sheet()
-        self._integrator = SheetIntegrator(mi.Properties())
-        self._integrator.configure(
+        self.integrator = SheetIntegrator(mi.Properties())
+        self.integrator.configure(
             self.water, self._sheet, tank.light.ambient_w_m2_sr / W_PER_M2_IN_MW_PER_MM2
         )
         self.place(scene.rig.plan.start_mm)
@@ -89,7 +89,7 @@ class Tank:
         image = mi.render(
             self.mitsuba_scene,
             sensor=self._camera,
-            integrator=self._integrator,
+            integrator=self.integrator,
             spp=samples or self.scene.tank.render.samples,
             seed=self.scene.tank.render.seed,
         )

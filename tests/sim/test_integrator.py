@@ -105,7 +105,7 @@ def test_phase_function_is_the_waters_own() -> None:
     """The plugin's phase function equals sim.water's to single precision, and integrates to 1."""
     tank = Tank(load_scene(SCENES / "groove.toml"))
     cosine = np.cos(np.radians(np.linspace(0.2, 180, 500)))
-    plugin = np.array(tank._integrator.phase(mi.Float(cosine.astype(np.float32))), dtype=float)
+    plugin = np.array(tank.integrator.phase(mi.Float(cosine.astype(np.float32))), dtype=float)
     own = tank.water.phase(cosine.astype(np.float32).astype(float))
     # The forward peak's denominator (1-g)2 = 8e-6 is a difference of numbers near 1.
     np.testing.assert_allclose(plugin, own, rtol=1e-2)

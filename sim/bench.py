@@ -1,0 +1,211 @@
+"""Speed of the tank and of the instrument, measured as ratios side by side in one run.
+
+The reference for the tank is Mitsuba's own ``volpath`` on the same emitter, scene and picture
+window.  Efficiency is 1 / (mean squared error x time), the error being that against a
+converged picture; its ratio says how many times longer the reference has to render for the
+same error.
+"""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+import mitsuba as mi
+import numpy as np
+
+from lscan.acquire import scan
+from lscan.disk import write_atomically
+from lscan.experiment import METHODS, measure_board
+from lscan.planemap.calibration import Calibration
+from lscan.records import Floats, Mask
+from lscan.rig import RigFile, StripeSection, load_rig
+from lscan.stripe import extract_stripe
+from sim.plugins.integrator import SheetIntegrator
+from sim.scene import camera_pose, head_pose, scene_of
+from sim.sensor import Webcam
+from sim.tank import Tank
+from sim.water import Optics
+
+# (left, top, width, height) in px: the line on a ridge of the grooved block, and veil above it.
+WINDOW = (190, 346, 64, 32)
+OUR_SAMPLES, STOCK_SAMPLES, CONVERGED_SAMPLES, RUNS = 16, 1024, 4096, 12
+REPEATS = 15
+
+
+@dataclass(frozen=True)
+class Figure:
+    """One row of the table: what was measured, the figure and its unit."""
+
+    what: str
+    figure: float
+    unit: str
+
+    def as_json(self) -> dict[str, Any]:
+        """The row as out/bench.json holds it; a speed has no bar to pass."""
+        return {
+            "what": self.what,
+            "figure": self.figure,
+            "bar": None,
+            "unit": self.unit,
+            "passed": None,
+        }
+
+
+def run_bench(scenes: Path, output: Path) -> list[Figure]:
+    """The figures, also written to ``output`` as a list of rows."""
+    groove = load_rig(scenes / "groove.toml")
+    figures = [*efficiency(groove), *frame_times(groove), *map_times(scenes)]
+    rows = [figure.as_json() for figure in figures]
+    output.parent.mkdir(parents=True, exist_ok=True)
+    write_atomically(output, (json.dumps(rows, indent=2) + "\n").encode())
+    return figures
+
+
+def efficiency(rig_file: RigFile) -> list[Figure]:
+    """How many times the reference's render time buys our noise, on the line and on the veil.
+
+    Both render the same path families: direct light and single scattering (depth 2).
+    """
+    tank = Tank(scene_of(rig_file))
+    stock = mi.load_dict({"type": "volpath", "max_depth": 2, "rr_depth": 100})
+    medium = stock_medium(tank.water)
+    camera = _window_camera(tank, None)
+    truth = _repeat(tank, tank.integrator, camera, CONVERGED_SAMPLES, 2)[0].mean(axis=0)
+    ours, our_time = _repeat(tank, tank.integrator, camera, OUR_SAMPLES, RUNS)
+    theirs, their_time = _repeat(tank, stock, _window_camera(tank, medium), STOCK_SAMPLES, RUNS)
+    parts = {"line core": truth > 0.5 * truth.max(), "veil": truth < 1e-3 * truth.max()}
+    return [
+        Figure(
+            f"efficiency against volpath ({STOCK_SAMPLES} samples), {name}",
+            float(_square(theirs, truth, part) * their_time)
+            / float(_square(ours, truth, part) * our_time),
+            "ratio",
+        )
+        for name, part in parts.items()
+    ]
+
+
+def stock_medium(water: Optics) -> dict[str, Any]:
+    """The water as a stock homogeneous medium: nested blends of its lobes and Rayleigh's."""
+    phase: dict[str, Any] = {"type": "rayleigh"}
+    share = water.molecular_weight
+    weights = (1 - water.molecular_weight) * water.hg_weights
+    for weight, g in zip(weights, water.hg_g, strict=True):
+        share += weight
+        lobe = {"type": "hg", "g": float(g)}
+        # blendphase = (1 - w) first + w second
+        blend = float(weight / share)
+        phase = {"type": "blendphase", "weight": blend, "first": phase, "second": lobe}
+    return {
+        "type": "homogeneous",
+        "sigma_t": water.extinction_per_mm,
+        "albedo": water.scattering_per_mm / water.extinction_per_mm,
+        "phase": phase,
+        "has_spectral_extinction": False,
+    }
+
+
+def frame_times(rig_file: RigFile) -> list[Figure]:
+    """Milliseconds a frame of rendering, sensor and each of the paper's extractors."""
+    scene = scene_of(rig_file)
+    tank, webcam = Tank(scene), Webcam(scene)
+    layers = tank.render(0.0)
+    generator = np.random.default_rng(1)
+    image = webcam.expose(layers, scene.rig.camera.exposure_ms, generator)
+    samples = scene.tank.render.samples
+    figures = [
+        Figure(f"render, {samples} samples a pixel", _ms(tank.render, 0.0), "ms"),
+        Figure("sensor", _ms(webcam.expose, layers, 20.0, generator), "ms"),
+    ]
+    for name in ("max", "centroid", "centroid-relative"):
+        settings = StripeSection(extractor=name)
+        elapsed = _ms(extract_stripe, image, settings)
+        figures.append(Figure(f"extract, {name}", elapsed, "ms a frame"))
+    return figures
+
+
+def map_times(scenes: Path) -> list[Figure]:
+    """Milliseconds each plane map takes for the 640 points of a profile."""
+    points = np.column_stack([np.arange(640.0), np.full(640, 300.0)])
+    return [
+        Figure(f"map, {name}", _ms(calibration.plane_map.to_plane, points), "ms")
+        for name, calibration in _calibrations(scenes).items()
+    ]
+
+
+def _calibrations(scenes: Path) -> Mapping[str, Calibration]:
+    """Every plane map, solved from a board picture taken for the purpose."""
+    with TemporaryDirectory() as folder:
+        run = scan(load_rig(scenes / "board.toml"), Path(folder) / "board")
+        return measure_board(run, METHODS).calibrations
+
+
+def _window_camera(tank: Tank, medium: dict[str, Any] | None) -> mi.Sensor:
+    """The tank's camera with a film that holds only WINDOW, inside ``medium``."""
+    left, top, width, height = WINDOW
+    section = tank.scene.rig.camera
+    camera: dict[str, Any] = {
+        "type": "refractive_camera",
+        "film": {
+            "type": "hdrfilm",
+            "width": section.width_px,
+            "height": section.height_px,
+            "crop_offset_x": left,
+            "crop_offset_y": top,
+            "crop_width": width,
+            "crop_height": height,
+            "pixel_format": "luminance",
+            "component_format": "float32",
+            "rfilter": {"type": "box"},
+        },
+        # As in the tank, sub-pixel positions on a regular grid; it helps the reference too.
+        "sampler": {"type": "stratified", "jitter": False},
+    }
+    if medium is not None:
+        camera["medium"] = medium
+    sensor = mi.load_dict(camera)
+    sensor.configure(tank.scene.tank.lens, tank.scene.tank.port, tank.water.index)
+    head = tank.scene.tank.head
+    sensor.place(head_pose(head, 0.0) @ camera_pose(head))
+    return sensor
+
+
+def _repeat(
+    tank: Tank,
+    integrator: mi.Integrator | SheetIntegrator,
+    sensor: mi.Sensor,
+    samples: int,
+    runs: int,
+) -> tuple[Floats, float]:
+    """(runs, H, W) pictures of different seeds and the seconds one takes, the first left out."""
+    pictures, seconds = [], []
+    for seed in range(runs + 1):
+        started = time.perf_counter()
+        image = mi.render(
+            tank.mitsuba_scene, sensor=sensor, integrator=integrator, spp=samples, seed=seed
+        )
+        pictures.append(np.array(image, dtype=float)[..., 0])
+        seconds.append(time.perf_counter() - started)
+    return np.array(pictures[1:]), float(np.median(seconds[1:]))
+
+
+def _square(pictures: Floats, truth: Floats, part: Mask) -> float:
+    """Mean squared error of the pictures over a part of them."""
+    return float(np.mean((pictures - truth)[:, part] ** 2))
+
+
+def _ms(call: Callable[..., object], *arguments: object) -> float:
+    """Median milliseconds of a call, the first one left out."""
+    call(*arguments)
+    times = []
+    for _ in range(REPEATS):
+        started = time.perf_counter()
+        call(*arguments)
+        times.append(time.perf_counter() - started)
+    return 1e3 * float(np.median(times))
