@@ -87,7 +87,7 @@ def acquire_into(
 
 def _take(index: int, commanded_mm: float, camera: Camera, track: Track) -> Frame:
     position_mm = track.move_to(commanded_mm)
-    grab: Grab = camera.grab()
+    grab: Grab = camera.grab(index)
     return Frame(
         image=grab.image,
         index=index,

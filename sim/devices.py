@@ -1,12 +1,11 @@
 """The tank's camera and track, behind the protocols of real ones.
 
-Given the same scene, a picture depends only on where the track stands and on how many
-pictures were taken there before, so a scan that is stopped and resumed gives the same bytes.
+Given the same scene, a picture depends only on where the track stands and on its index in the
+scan, so a scan that is stopped and resumed gives the same bytes.
 """
 
 from __future__ import annotations
 
-from collections import Counter
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -21,7 +20,7 @@ if TYPE_CHECKING:
     from sim.sensor import Webcam
     from sim.tank import Tank
 
-FRAME_PERIOD_S = 0.2  # the simulated clock: a step of the plan takes this long
+FRAME_PERIOD_S = 0.2  # the simulated clock: a picture takes this long
 
 
 class TrackOptions(Strict):
@@ -75,8 +74,7 @@ class SimCamera:
         self._scene, self._track = scene, track
         self._tank: Tank | None = Tank(scene)
         self._webcam: Webcam = Webcam(scene)
-        self._taken: Counter[int] = Counter()
-        self._time_s = -np.inf
+        self._next = 0
 
     @property
     def size_px(self) -> tuple[int, int]:
@@ -84,34 +82,29 @@ class SimCamera:
         camera = self._scene.rig.camera
         return camera.width_px, camera.height_px
 
-    def grab(self) -> Grab:
-        """A picture, (H, W, 3) RGB, seen from the track's position."""
+    def grab(self, frame: int | None = None) -> Grab:
+        """A picture, (H, W, 3) RGB, seen from the track's position.
+
+        frame: the index that fixes its noise and its time; the next one if None.
+        """
         if self._tank is None:
             raise DeviceError("sim camera: is closed")
+        index = self._next if frame is None else frame
+        self._next = index + 1
         position_mm = self._track.position_mm
         layers = self._tank.render(position_mm)
         exposure_ms = self._scene.rig.camera.exposure_ms
-        image = self._webcam.expose(layers, exposure_ms, self._generator(position_mm))
-        return Grab(image=image, time_s=self._tick(position_mm), exposure_ms=exposure_ms)
+        image = self._webcam.expose(layers, exposure_ms, self._generator(position_mm, index))
+        return Grab(image=image, time_s=index * FRAME_PERIOD_S, exposure_ms=exposure_ms)
 
     def close(self) -> None:
         """Release the tank."""
         self._tank = None
 
-    def _generator(self, position_mm: float) -> np.random.Generator:
+    def _generator(self, position_mm: float, index: int) -> np.random.Generator:
         nanometres = round(position_mm * 1e6)
-        count = self._taken[nanometres]
-        self._taken[nanometres] += 1
         place = (abs(nanometres), int(nanometres < 0))
-        return np.random.default_rng([self._scene.tank.sensor.seed, 1, *place, count])
-
-    def _tick(self, position_mm: float) -> float:
-        """The simulated clock: it follows the plan, and never stands still or runs back."""
-        plan = self._scene.rig.plan
-        steps = (position_mm - plan.start_mm) / plan.step_mm if plan.step_mm else 0.0
-        exposure_s = self._scene.rig.camera.exposure_ms * 1e-3
-        self._time_s = max(round(steps * FRAME_PERIOD_S, 6), self._time_s + exposure_s)
-        return self._time_s
+        return np.random.default_rng([self._scene.tank.sensor.seed, 1, *place, index])
 
 
 class SimTrackDriver:

@@ -248,7 +248,7 @@ def scene_of(rig_file: RigFile) -> Scene:
         source=rig_file.source,
     )
     _check_target(scene)
-    _check_lens(scene)
+    check_lens(scene)
     return scene
 
 
@@ -261,7 +261,7 @@ def _check_target(scene: Scene) -> None:
         )
 
 
-def _check_lens(scene: Scene) -> None:
+def check_lens(scene: Scene) -> None:
     """Refuse a distortion that folds the picture: the radius must grow all over the frame."""
     lens, camera = scene.tank.lens, scene.rig.camera
     corners = [(u, v) for u in (0, camera.width_px - 1) for v in (0, camera.height_px - 1)]

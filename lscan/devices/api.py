@@ -55,8 +55,12 @@ class Camera(Protocol):
         """(width, height) of every picture."""
         ...
 
-    def grab(self) -> Grab:
-        """A picture taken after this call began.  Raises DeviceError where none comes."""
+    def grab(self, frame: int | None = None) -> Grab:
+        """A picture taken after this call began.  Raises DeviceError where none comes.
+
+        frame: its index in the scan, None outside of one.  A simulated camera draws noise and
+        clock from it, so that a resumed scan gives the same bytes; a real one ignores it.
+        """
         ...
 
     def close(self) -> None:

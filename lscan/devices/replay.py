@@ -91,7 +91,7 @@ class ReplayCamera:
         """(width, height) of the recorded pictures."""
         return _size_px(self._run.rig_file)
 
-    def grab(self) -> Grab:
+    def grab(self, frame: int | None = None) -> Grab:
         """The recorded picture; DeviceError where none lies within half a step.
 
         Raises InputError where the run folder was damaged.
@@ -99,12 +99,12 @@ class ReplayCamera:
         if self._closed:
             raise DeviceError("replay camera: is closed")
         index = self._nearest(self._track.position_mm)
-        frame = self._run.frame(index)
-        time_s = frame.time_s
+        recorded = self._run.frame(index)
+        time_s = recorded.time_s
         if time_s <= self._last_time_s:
             time_s = math.nextafter(self._last_time_s, math.inf)
         self._last_index, self._last_time_s = index, time_s
-        return Grab(frame.image, time_s, frame.exposure_ms)
+        return Grab(recorded.image, time_s, recorded.exposure_ms)
 
     def close(self) -> None:
         """Nothing is held open; the camera delivers no more pictures."""

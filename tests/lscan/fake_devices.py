@@ -75,7 +75,7 @@ class FakeCamera:
     grabs: dict[float, int] = field(default_factory=dict)
     closed: int = 0
 
-    def grab(self) -> Grab:
+    def grab(self, frame: int | None = None) -> Grab:
         """A picture; at grab number ``fail_at`` the bad one, or a failure."""
         if sum(self.grabs.values()) == self.fail_at:
             if self.bad_picture is None:
