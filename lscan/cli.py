@@ -347,7 +347,7 @@ def _measure(run: Any, plane_map: Any, report: Any) -> dict[str, Any]:
         measure_sandwave,
         require_board,
     )
-    from lscan.measure import diameters, distances
+    from lscan.measure import diameters, distances, unmeasured_distances
     from lscan.results import sandwave_json
     from lscan.targets import GroovedBlock, Sandwave
 
@@ -358,9 +358,11 @@ def _measure(run: Any, plane_map: Any, report: Any) -> dict[str, Any]:
         return {"sandwave": sandwave_json(measure_sandwave(run, plane_map, report))}
     board = require_board(run)
     reading = read_board(mean_picture(run), board, channel=run.rig_file.rig.calibration.channel)
+    missing = unmeasured_distances(reading, board, plane_map)
     return {
         "distances": lengths_json(distances(reading, board, plane_map)),
         "diameters": lengths_json(diameters(reading, board, plane_map)),
+        "unmeasured": {name: status.name for name, status in missing.items()},
     }
 
 
@@ -368,6 +370,10 @@ def _print_measures(measures: dict[str, Any]) -> None:
     for title, entries in measures.items():
         if title == "sandwave":
             _print_slices(entries)
+            continue
+        if title == "unmeasured":
+            for name, reason in entries.items():
+                print(f"{name}: not measured, {reason}")
             continue
         rows = [[name, *entry.values()] for name, entry in entries.items()]
         print_table(title, ["", "nominal mm", "measured mm", "error mm", "sigma mm"], rows)

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import json
-import os
 from pathlib import Path
 from typing import Annotated, Any, Final, Literal, Self
 
 import numpy as np
 from pydantic import Field, PositiveFloat, PositiveInt, model_validator
 
+from lscan.disk import write_atomically
 from lscan.documents import Strict, check
 from lscan.errors import InputError
 from lscan.planemap.stored import Gaps, Matrix, Number
@@ -168,18 +168,6 @@ def _refuse_constant(name: str) -> float:
 
 
 def write_file(path: Path, content: CalibrationFile) -> None:
-    """Write the file whole: under a temporary name, synced, then renamed.
-
-    Raises InputError where it cannot be written; no part of it is left then.
-    """
+    """Write the file whole or not at all; InputError where the disk refuses."""
     text = json.dumps(content.model_dump(mode="json"), indent=1, allow_nan=False)
-    draft = path.with_name(f".{path.name}.{os.getpid()}.part")
-    try:
-        with draft.open("w", encoding="utf-8") as stream:
-            stream.write(text + "\n")
-            stream.flush()
-            os.fsync(stream.fileno())
-        draft.replace(path)
-    except OSError as error:
-        draft.unlink(missing_ok=True)
-        raise InputError(f"cannot be written: {error.strerror}", where=path) from error
+    write_atomically(path, (text + "\n").encode())
