@@ -12,11 +12,13 @@ from typing import Annotated, Literal, Self
 
 import numpy as np
 from pydantic import Field, PositiveFloat, model_validator
+from scipy.spatial import cKDTree
 
 from lscan.documents import Strict, check, read_document
 from lscan.records import Floats
 
 Length = Annotated[float, Field(gt=0)]
+MOST_MARKS = 10_000  # on one ruler
 
 
 class Grid(Strict):
@@ -27,8 +29,8 @@ class Grid(Strict):
     columns and rows are then the most that may be seen.
     """
 
-    columns: Annotated[int, Field(ge=3)]
-    rows: Annotated[int, Field(ge=3)]
+    columns: Annotated[int, Field(ge=3, le=1000)]
+    rows: Annotated[int, Field(ge=3, le=1000)]
     pitch_mm: PositiveFloat
     dot_diameter_mm: PositiveFloat
     whole: bool = True
@@ -64,6 +66,8 @@ class Ruler(Strict):
             raise ValueError("mark_diameter_mm must be smaller than step_mm")
         if abs(self.last_mm - self.first_mm) < 2 * self.step_mm:
             raise ValueError("a ruler needs three marks: last_mm too close to first_mm")
+        if abs(self.last_mm - self.first_mm) > MOST_MARKS * self.step_mm:
+            raise ValueError(f"a ruler has at most {MOST_MARKS} marks: step_mm is too small")
         return self
 
     def points_mm(self) -> Floats:
@@ -133,7 +137,33 @@ class Board(Strict):
         strange = {name for pair in self.distances for name in pair} - dots
         if strange:
             raise ValueError(f"distances name unknown dots: {sorted(strange)}")
+        to_itself = [first for first, second in self.distances if first == second]
+        if to_itself:
+            raise ValueError(f"distances from a dot to itself: {to_itself}")
         return self
+
+    @model_validator(mode="after")
+    def _marks_apart(self) -> Self:
+        discs = self._discs()
+        for (x, z, d), (other_x, other_z, other_d) in _near_pairs(discs):
+            if np.hypot(x - other_x, z - other_z) < (d + other_d) / 2:
+                raise ValueError(
+                    f"marks overlap at ({x:g}, {z:g}) and ({other_x:g}, {other_z:g}) mm"
+                )
+        for ring in self.ring:
+            away = np.hypot(discs[:, 0] - ring.x_mm, discs[:, 1] - ring.z_mm)
+            gap = np.abs(away - ring.diameter_mm / 2) - (ring.width_mm + discs[:, 2]) / 2
+            if gap.min() < 0:
+                x, z, _ = discs[gap.argmin()]
+                raise ValueError(f"ring {ring.name} runs over the mark at ({x:g}, {z:g}) mm")
+        return self
+
+    def _discs(self) -> Floats:
+        """(N, 3) of x, z and diameter of every dot and ruler mark, mm."""
+        sets = [(self.grid.points_mm(), self.grid.dot_diameter_mm)]
+        sets += [(ruler.points_mm(), ruler.mark_diameter_mm) for ruler in self.ruler]
+        sets += [(np.array([[dot.x_mm, dot.z_mm]]), dot.diameter_mm) for dot in self.dot]
+        return np.vstack([np.column_stack([p, np.full(len(p), d)]) for p, d in sets])
 
     def dot_mm(self, name: str) -> Floats:
         """(2,) nominal (x, z) of a named dot; KeyError where there is none."""
@@ -152,6 +182,12 @@ class Board(Strict):
         width = (grid.columns - 1) * grid.pitch_mm
         height = (grid.rows - 1) * grid.pitch_mm
         return -margin, width + margin, -height - margin, margin
+
+
+def _near_pairs(discs: Floats) -> list[tuple[Floats, Floats]]:
+    """Pairs of discs whose centres are nearer than the largest diameter."""
+    pairs = cKDTree(discs[:, :2]).query_pairs(discs[:, 2].max())
+    return [(discs[i], discs[j]) for i, j in sorted(pairs)]
 
 
 def load_board(path: Path) -> Board:

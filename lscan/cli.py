@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -79,6 +80,7 @@ def calibrate(
     from lscan.planemap.calibration import calibrate as solve
     from lscan.planemap.calibration import save_calibration
 
+    _require_folders(output, overlay)
     image, nominal, section = _board_picture(picture, board)
     name = plane_map or section.plane_map
     reading = read_board(
@@ -146,6 +148,7 @@ def extract(
     from lscan.rig import StripeSection
     from lscan.stripe import draw_stripe, extract_stripe, save_stripe
 
+    _require_folders(output, overlay)
     image, section = _stripe_picture(picture, frame)
     given = {
         "axis": axis,
@@ -186,13 +189,12 @@ def reconstruct(
 ) -> None:
     """Turn a run's pictures into a surface, aligned where the rig names a sandwave."""
     from lscan.experiment import reconstruct as build
-    from lscan.planemap.calibration import load_calibration
     from lscan.records import has_value
-    from lscan.run import open_run
     from lscan.surface import align_sandwave, apply, save_points, save_surface
     from lscan.targets import Sandwave
 
-    opened, plane_map = open_run(run), load_calibration(calibration).plane_map
+    _require_folders(output, points)
+    opened, plane_map = _open_calibrated(run, calibration)
     with progress_bar("reconstruct") as report:
         surface = build(opened, plane_map, progress=report)
     piece = opened.rig_file.rig.workpiece
@@ -233,10 +235,9 @@ def measure(
     import json as json_module
 
     from lscan.disk import write_atomically
-    from lscan.planemap.calibration import load_calibration
-    from lscan.run import open_run
 
-    opened, plane_map = open_run(run), load_calibration(calibration).plane_map
+    _require_folders(output)
+    opened, plane_map = _open_calibrated(run, calibration)
     with progress_bar("measure") as report:
         measures = _measure(opened, plane_map, report)
     if output:
@@ -278,6 +279,27 @@ def report(
         print_json(results)
     else:
         print(f"{output / 'report.html'}")
+
+
+def _require_folders(*outputs: Path | None) -> None:
+    """Refuse, before any work is done, an output whose folder does not exist."""
+    for output in outputs:
+        if output is not None and not output.parent.is_dir():
+            raise InputError("the folder to write to does not exist", where=output)
+
+
+def _open_calibrated(run: Path, calibration: Path) -> tuple[Any, Any]:
+    """A run and the plane map for its pictures; a run that is not complete is said to be so."""
+    from lscan.experiment import require_size
+    from lscan.planemap.calibration import load_calibration
+    from lscan.run import open_run
+
+    opened, loaded = open_run(run), load_calibration(calibration)
+    require_size(opened, loaded.reading.image_size, calibration)
+    planned = opened.rig_file.rig.plan.frames
+    if len(opened) < planned:
+        print(f"lscan: note: {run} holds {len(opened)} of {planned} frames", file=sys.stderr)
+    return opened, loaded.plane_map
 
 
 CHANNELS = ("red", "green", "blue", "grey")

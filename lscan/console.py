@@ -28,13 +28,16 @@ def run_command_line(app: typer.Typer, name: str) -> None:
         code = command.main(prog_name=name, standalone_mode=False)
     except LscanError as error:
         sys.exit(_complain(name, str(error), error.exit_code))
-    except KeyboardInterrupt:
-        sys.exit(_complain(name, "stopped; a scan goes on with --resume", STOPPED))
     except Exception as error:
+        if type(error).__name__ == "NoArgsIsHelpError":
+            print(error)
+            sys.exit(BAD_INPUT)
         usage = _usage_message(error)
         if usage is None:
             raise
         sys.exit(_complain(name, usage, BAD_INPUT))
+    if code == STOPPED:  # what typer makes of Ctrl-C
+        _complain(name, "stopped; a scan goes on with --resume", STOPPED)
     sys.exit(code if isinstance(code, int) else 0)
 
 

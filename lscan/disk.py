@@ -27,6 +27,14 @@ def list_names(folder: Path) -> set[str]:
         raise InputError(f"cannot be read: {error.strerror}", where=folder) from error
 
 
+def make_folder(folder: Path) -> None:
+    """Make ``folder`` and those above it where they are missing; InputError where it cannot."""
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(f"cannot be made a folder: {error.strerror}", where=folder) from error
+
+
 def temporary_name(name: str) -> str:
     """What a file called ``name`` is called while it is being written."""
     return f".{name}.tmp"

@@ -11,7 +11,8 @@ import tomllib
 from pathlib import Path
 from typing import Any, TypeVar
 
-from pydantic import BaseModel, ConfigDict, ValidationError
+from pydantic import BaseModel, ConfigDict, ValidationError, model_validator
+from pydantic_core import PydanticCustomError
 
 from lscan.errors import InputError
 
@@ -23,6 +24,27 @@ class Strict(BaseModel):
     """Base of every model of a file: frozen, unknown keys and non-finite numbers refused."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+
+    @model_validator(mode="before")
+    @classmethod
+    def _numbers_are_numbers(cls, data: Any) -> Any:
+        """Refuse "850" and true where a number is wanted, and 5.0 where a count is."""
+        for name, value in data.items() if isinstance(data, dict) else ():
+            field = cls.model_fields.get(name)
+            wanted = field.annotation if field else None
+            if wanted in (int, float) and isinstance(value, bool | str):
+                raise _wrong_type(name, value, "must be a number")
+            if wanted is int and isinstance(value, float):
+                raise _wrong_type(name, value, "must be a whole number")
+        return data
+
+
+def _wrong_type(name: str, value: Any, message: str) -> PydanticCustomError:
+    return PydanticCustomError(
+        "wrong_type",
+        "{message} (got {value})",
+        {"key": name, "value": repr(value), "message": message},
+    )
 
 
 def read_document(path: Path) -> Document:
@@ -96,10 +118,13 @@ def _explain(error: ValidationError, prefix: str) -> str:
     first = faults[0]
     path = [prefix] if prefix else []
     path += [str(part) for part in first["loc"]]
-    message = first["msg"][0].lower() + first["msg"][1:]
+    if first["type"] == "wrong_type":
+        path.append(first["ctx"]["key"])
+    message = first["msg"].removeprefix("Value error, ")
+    message = message[0].lower() + message[1:]
     if first["type"] == "extra_forbidden":
         message = "unknown key"
-    elif first["type"] != "missing":
+    elif first["type"] != "missing" and not isinstance(first["input"], dict):
         message += f" (got {first['input']!r})"
     more = f"; and {len(faults) - 1} more" if len(faults) > 1 else ""
     return f"{'.'.join(path) or 'document'}: {message}{more}"

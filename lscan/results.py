@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from lscan.controlpoints import draw_overlay
-from lscan.disk import write_atomically
+from lscan.disk import make_folder, write_atomically
 from lscan.experiment import (
     METHODS,
     BoardResult,
@@ -22,6 +22,7 @@ from lscan.experiment import (
     measure_board,
     measure_groove,
     measure_sandwave,
+    require_size,
 )
 from lscan.figures.exhibit import RowFits, RulerCurve, SliceData
 from lscan.planemap.calibration import calibrate, save_calibration
@@ -61,6 +62,8 @@ def evaluate(
     Raises what the measurements raise: InputError, BoardNotFound, MeasurementError.
     """
     on_board = measure_board(board, METHODS)
+    for run in filter(None, (groove, sandwave)):
+        require_size(run, on_board.reading.image_size, f"from {board.path}")
     chosen = on_board.calibrations[CHOSEN].plane_map
     return Experiment(
         scene=(sandwave or groove or board).rig_file.rig.name,
@@ -107,7 +110,7 @@ def write_experiment(
     results: what results.json shall hold; ``experiment_json`` if None.
     """
     results = experiment_json(experiment) if results is None else results
-    folder.mkdir(parents=True, exist_ok=True)
+    make_folder(folder)
     for name, calibration in experiment.board.calibrations.items():
         save_calibration(folder / f"calibration-{name}.json", calibration)
     if experiment.sandwave:

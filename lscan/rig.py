@@ -12,7 +12,7 @@ from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import Field, PositiveFloat, PositiveInt
+from pydantic import Field
 
 from lscan.board import Board
 from lscan.documents import Document, Strict, check, merge, read_document
@@ -26,9 +26,9 @@ class CameraSection(Strict):
     """Which camera, and how it is set.  ``options`` go to the driver, which checks them."""
 
     driver: str
-    width_px: Annotated[int, Field(ge=16, le=16384)] = 640
-    height_px: Annotated[int, Field(ge=16, le=16384)] = 480
-    exposure_ms: PositiveFloat = 20.0
+    width_px: Annotated[int, Field(ge=16, le=8192)] = 640
+    height_px: Annotated[int, Field(ge=16, le=8192)] = 480
+    exposure_ms: Annotated[float, Field(gt=0, le=60_000)] = 20.0
     options: dict[str, Any] = Field(default_factory=dict)
 
 
@@ -44,7 +44,7 @@ class Plan(Strict):
 
     start_mm: float = 0.0
     step_mm: float = 0.5
-    frames: PositiveInt = 1
+    frames: Annotated[int, Field(ge=1, le=1_000_000)] = 1
 
     def positions_mm(self) -> list[float]:
         """Commanded track position of each frame, mm."""
@@ -108,6 +108,7 @@ def load_rig(path: Path) -> RigFile:
     rig_file = parse_rig(document, source=str(path))
     for driver in _drivers(rig_file.rig):
         driver.validate(rig_file)
+    _check_names(rig_file)
     return rig_file
 
 
@@ -134,9 +135,19 @@ def inline_board(document: Document) -> Document:
     board = document.get("board")
     if not isinstance(board, dict) or "file" not in board:
         return document
+    if not isinstance(board["file"], str):
+        raise InputError("board.file: is not a path", value=board["file"], allowed="a text")
     rest = {key: value for key, value in board.items() if key != "file"}
     read = read_document(Path(board["file"]))
     return {**document, "board": merge(read, rest)}
+
+
+_KINDS = {
+    "lscan.cameras": "camera driver",
+    "lscan.tracks": "track driver",
+    "lscan.extractors": "stripe extractor",
+    "lscan.planemaps": "family of plane maps",
+}
 
 
 def find_plugin(group: str, name: str, where: object = None) -> Any:
@@ -147,11 +158,20 @@ def find_plugin(group: str, name: str, where: object = None) -> Any:
     """
     found: dict[str, EntryPoint] = {entry.name: entry for entry in entry_points(group=group)}
     if name not in found:
-        kind = group.partition(".")[2].rstrip("s")
+        kind = _KINDS.get(group, group)
         raise InputError(
             f"no such {kind}", where=where, value=name, allowed=", ".join(sorted(found))
         )
     return found[name].load()
+
+
+def _check_names(rig_file: RigFile) -> None:
+    """Refuse an unknown extractor or plane map before a scan, not after it."""
+    extractor, source = rig_file.rig.stripe.extractor, rig_file.source
+    if ":" not in extractor:  # else a function of the user's, looked for when it is called
+        find_plugin("lscan.extractors", extractor, where=f"{source}: stripe.extractor")
+    family = rig_file.rig.calibration.plane_map.partition("-")[0]
+    find_plugin("lscan.planemaps", family, where=f"{source}: calibration.plane_map")
 
 
 def _drivers(rig: Rig) -> list[Any]:

@@ -20,7 +20,7 @@ import mitsuba as mi
 import numpy as np
 
 from lscan.acquire import scan
-from lscan.disk import write_atomically
+from lscan.disk import make_folder, write_atomically
 from lscan.experiment import METHODS, measure_board
 from lscan.planemap.calibration import Calibration
 from lscan.records import Floats, Mask
@@ -62,7 +62,7 @@ def run_bench(scenes: Path, output: Path) -> list[Figure]:
     groove = load_rig(scenes / "groove.toml")
     figures = [*efficiency(groove), *frame_times(groove), *map_times(scenes)]
     rows = [figure.as_json() for figure in figures]
-    output.parent.mkdir(parents=True, exist_ok=True)
+    make_folder(output.parent)
     write_atomically(output, (json.dumps(rows, indent=2) + "\n").encode())
     return figures
 

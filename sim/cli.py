@@ -33,7 +33,7 @@ def demo(
         Path, typer.Option("--scenes", help="Folder with board, groove and sandwave.")
     ] = Path("scenes/paper"),
     frames: Annotated[
-        int | None, typer.Option("--frames", min=20, help="Sandwave pictures, if not 400.")
+        int | None, typer.Option("--frames", min=100, help="Sandwave pictures, if not 400.")
     ] = None,
     json: Json = False,
 ) -> None:

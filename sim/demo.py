@@ -14,6 +14,7 @@ import numpy as np
 
 from lscan.acquire import scan
 from lscan.console import progress_bar
+from lscan.disk import make_folder
 from lscan.documents import merge
 from lscan.experiment import measure_board, measure_groove, measure_sandwave
 from lscan.measure import compare_slice
@@ -153,7 +154,7 @@ def _scan(rig_file: RigFile, output: Path, part: str) -> Run:
     folder = output / "runs" / part
     if (folder / MANIFEST).exists():
         shutil.rmtree(folder)
-    folder.parent.mkdir(parents=True, exist_ok=True)
+    make_folder(folder.parent)
     with progress_bar(f"scan {part}") as progress:
         return scan(rig_file, folder, progress=progress)
 

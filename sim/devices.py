@@ -6,13 +6,14 @@ scan, so a scan that is stopped and resumed gives the same bytes.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Self
 
 import numpy as np
+from pydantic import model_validator
 
 from lscan.devices.api import Grab, Track
 from lscan.documents import Strict, check
-from lscan.errors import DeviceError
+from lscan.errors import DeviceError, InputError
 from lscan.rig import RigFile
 from sim.scene import SECTIONS, Scene, scene_of
 
@@ -28,6 +29,12 @@ class TrackOptions(Strict):
 
     min_mm: float = -1000.0
     max_mm: float = 1000.0
+
+    @model_validator(mode="after")
+    def _not_empty(self) -> Self:
+        if self.min_mm >= self.max_mm:
+            raise ValueError("min_mm must be below max_mm")
+        return self
 
 
 class CameraOptions(Strict):
@@ -113,8 +120,16 @@ class SimTrackDriver:
     sections: frozenset[str] = frozenset()
 
     def validate(self, rig_file: RigFile) -> None:
-        """Check ``[track.options]``; InputError names what is wrong."""
-        self._options(rig_file)
+        """Check ``[track.options]`` and that the plan stays within the travel; else InputError."""
+        options, plan = self._options(rig_file), rig_file.rig.plan
+        for position_mm in (plan.start_mm, plan.start_mm + (plan.frames - 1) * plan.step_mm):
+            if not options.min_mm <= position_mm <= options.max_mm:
+                raise InputError(
+                    "plan: leaves the track's travel",
+                    where=rig_file.source,
+                    value=position_mm,
+                    allowed=f"{options.min_mm:g} to {options.max_mm:g} mm",
+                )
 
     def open(self, rig_file: RigFile) -> SimTrack:
         """The track at position 0."""

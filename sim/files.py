@@ -7,12 +7,14 @@ from pathlib import Path
 
 import numpy as np
 
-from lscan.disk import write_atomically
+from lscan.disk import make_folder, write_atomically
 from lscan.errors import InputError
 from lscan.pictures import write_picture
 from lscan.records import Marks, Status
 from sim.scene import Scene
 from sim.truth import board_truth, stripe_truth
+
+FARTHEST_MM = 1e5  # beyond, single precision no longer carries a hundredth of a millimetre
 
 
 def write_render(
@@ -25,12 +27,13 @@ def write_render(
     from sim.sensor import Webcam
     from sim.tank import Tank
 
+    _check_place(position_mm)
     if samples is not None and round(samples**0.5) ** 2 != samples:
         raise InputError("not a square number", where="--samples", value=samples)
     layers = Tank(scene).render(position_mm, samples)
     generator = np.random.default_rng([scene.tank.sensor.seed, 1])
     image = Webcam(scene).expose(layers, scene.rig.camera.exposure_ms, generator)
-    folder.mkdir(parents=True, exist_ok=True)
+    make_folder(folder)
     files = {"picture": folder / "picture.png", "layers": folder / "layers.npz"}
     write_picture(files["picture"], image)
     stream = BytesIO()
@@ -43,17 +46,25 @@ def write_render(
 
 def write_truth(scene: Scene, position_mm: float, folder: Path) -> dict[str, Path]:
     """The files written: stripe.csv with the laser on, board.csv where a board stands there."""
-    folder.mkdir(parents=True, exist_ok=True)
-    files: dict[str, Path] = {}
+    _check_place(position_mm)
+    tables: dict[str, str] = {}
     if scene.tank.laser.on:
-        files["stripe"] = folder / "stripe.csv"
-        write_atomically(files["stripe"], _stripe_table(scene, position_mm).encode())
+        tables["stripe"] = _stripe_table(scene, position_mm)
     if scene.tank.target.shape == "board":
-        files["board"] = folder / "board.csv"
-        write_atomically(files["board"], _board_table(scene, position_mm).encode())
-    if not files:
+        tables["board"] = _board_table(scene, position_mm)
+    if not tables:
         raise InputError("no truth to tell: the laser is off and no board stands there")
-    return files
+    make_folder(folder)
+    for name, table in tables.items():
+        write_atomically(folder / f"{name}.csv", table.encode())
+    return {name: folder / f"{name}.csv" for name in tables}
+
+
+def _check_place(position_mm: float) -> None:
+    if not abs(position_mm) <= FARTHEST_MM:  # also refuses NaN
+        raise InputError(
+            "out of range", where="--position", value=position_mm, allowed=f"+-{FARTHEST_MM:g} mm"
+        )
 
 
 def _stripe_table(scene: Scene, position_mm: float) -> str:

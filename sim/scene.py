@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
 import numpy as np
-from pydantic import Field, NonNegativeFloat, PositiveFloat, PositiveInt, model_validator
+from pydantic import Field, NonNegativeFloat, PositiveFloat, model_validator
 
 from lscan.documents import Document, Strict, check, read_document
 from lscan.errors import InputError
@@ -23,6 +23,7 @@ from lscan.rig import Rig, RigFile, inline_board, parse_rig
 
 Vector = tuple[float, float, float]
 Fraction = Annotated[float, Field(ge=0, le=1)]
+Seed = Annotated[int, Field(ge=0, lt=2**31)]
 SmallAngle = Annotated[float, Field(gt=-45, lt=45)]
 
 
@@ -81,7 +82,7 @@ class Laser(Strict):
     the 1/e2 half width of its power, cut off there.
     """
 
-    power_mw: PositiveFloat
+    power_mw: Annotated[float, Field(gt=0, le=1e5)]
     wavelength_nm: Annotated[float, Field(ge=450, le=700)] = 650.0
     apex_mm: Vector
     aim_deg: float = 0.0
@@ -115,7 +116,7 @@ class Water(Strict):
 class Light(Strict):
     """Ambient light: radiance in W/(m2 sr) that reaches every point from all directions."""
 
-    ambient_w_m2_sr: NonNegativeFloat = 0.0
+    ambient_w_m2_sr: Annotated[float, Field(ge=0, le=1e6)] = 0.0
 
 
 class Sand(Strict):
@@ -123,7 +124,7 @@ class Sand(Strict):
 
     grain_mm: Annotated[float, Field(gt=0.05, le=5)] = 0.4
     spread: Annotated[float, Field(ge=0, lt=1)] = 0.3
-    seed: int = 1
+    seed: Seed = 1
 
 
 class Target(Strict):
@@ -184,14 +185,14 @@ class Sensor(Strict):
     laser_response: Response = Response(red=0.40, green=0.03, blue=0.01)
     ambient_response: Response = Response(red=0.30, green=0.33, blue=0.28)
     noise: bool = True
-    seed: int = 1
+    seed: Seed = 1
 
 
 class Render(Strict):
     """samples a pixel, a square number: they lie on a regular grid inside the pixel."""
 
-    samples: PositiveInt = 9
-    seed: int = 1
+    samples: Annotated[int, Field(ge=1, le=65536)] = 9
+    seed: Seed = 1
 
     @model_validator(mode="after")
     def _square(self) -> Self:

@@ -57,7 +57,9 @@ class Webcam:
         return (blurred * np.float32(factor)).astype(np.float32)
 
     def _noisy(self, electrons: Electrons, generator: np.random.Generator) -> Electrons:
-        shot = generator.poisson(electrons * self._sensitivity).astype(np.float32)
+        # Far above the full well the shot noise no longer shows, and Poisson has its limits.
+        expected = np.minimum(electrons * self._sensitivity, 1e3 * self.sensor.full_well_e)
+        shot = generator.poisson(expected).astype(np.float32)
         dark = generator.standard_normal(electrons.shape, dtype=np.float32)
         return shot + np.float32(self.sensor.dark_noise_e) * dark
 

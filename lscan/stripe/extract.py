@@ -46,7 +46,7 @@ def extract_stripe(
         dark = lines_of(background, settings.channel, settings.axis, where="background")
         grey -= dark.grey
         clipped &= ~dark.clipped
-    stripe = replace(extractor(grey.T, settings), axis=settings.axis)
+    stripe = _called(extractor, settings, grey.T)
     if len(stripe.centre_px) != len(grey):
         raise InputError(
             "gave a stripe of the wrong length",
@@ -55,6 +55,18 @@ def extract_stripe(
             allowed=str(len(grey)),
         )
     return _mark_saturated(stripe, clipped, settings.span_px)
+
+
+def _called(extractor: Extractor, settings: StripeSection, columns: Floats) -> Stripe:
+    """What the extractor says, with the axis set; InputError where it is no extractor."""
+    where = f"extractor {settings.extractor}"
+    try:
+        stripe = extractor(columns, settings)
+    except TypeError as error:
+        raise InputError(f"cannot be called as an extractor: {error}", where=where) from error
+    if not isinstance(stripe, Stripe):
+        raise InputError("gave no Stripe", where=where, value=type(stripe).__name__)
+    return replace(stripe, axis=settings.axis)
 
 
 @lru_cache(maxsize=32)

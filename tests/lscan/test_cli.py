@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import json
 import shutil
+import signal
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import cv2
@@ -14,6 +16,8 @@ import pytest
 
 from lscan.cli import app
 from lscan.console import run_command_line
+from lscan.run import open_run
+from lscan.runwriter import create_run
 
 ROOT = Path(__file__).resolve().parents[2]
 SCENES = ROOT / "scenes" / "paper"
@@ -162,6 +166,27 @@ def test_a_report_of_two_runs(
     assert "sandwave" not in json.loads((tmp_path / "results.json").read_text())
 
 
+def other_size(calibration: Path, path: Path) -> Path:
+    """The calibration as if it had been solved from a picture half as large."""
+    content = json.loads(calibration.read_text())
+    content["reading"]["image_size"] = [320, 240]
+    path.write_text(json.dumps(content))
+    return path
+
+
+@pytest.mark.slow
+def test_a_run_that_is_not_complete_is_said_to_be_so(
+    runs: Path, calibration: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    whole = open_run(runs / "groove")
+    with create_run(tmp_path / "part", whole.rig_file) as writer:
+        for index in range(3):
+            writer.append(whole.frame(index))
+    code, _, err = call(capsys, "measure", tmp_path / "part", "-c", calibration)
+    assert code == 0, err
+    assert "holds 3 of 5 frames" in err
+
+
 @pytest.mark.slow
 def test_bad_input_to_commands_that_need_a_run(
     runs: Path, calibration: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
@@ -176,10 +201,19 @@ def test_bad_input_to_commands_that_need_a_run(
     refused(call(capsys, "extract", groove, "--frame", 9), "--frame", "0 to 4")
     refused(call(capsys, "extract", groove, "--span", 0), "span_px")
     refused(call(capsys, "extract", groove, "--extractor", "magic"), "magic", "centroid")
+    refused(call(capsys, "extract", groove, "--extractor", "os:getcwd"), "os:getcwd")
+    overlay = ["-o", nowhere, "--overlay", tmp_path / "o.png"]
+    refused(call(capsys, "calibrate", board, *overlay), str(nowhere))
+    points = ["-o", tmp_path / "s.nc", "--points", tmp_path / "no" / "p.ply"]
+    refused(call(capsys, "reconstruct", groove, "-c", calibration, *points), "p.ply")
+    refused(call(capsys, "report", "-o", calibration, "--board", board), str(calibration))
+    small = other_size(calibration, tmp_path / "small.json")
+    refused(call(capsys, "measure", groove, "-c", small), "640, 480", "320 x 240")
+    small.unlink()
     refused(call(capsys, "measure", groove, "-c", board / "run.json"), "run.json")
     refused(call(capsys, "scan", SCENES / "groove.toml", "-o", groove), str(groove), "--resume")
     refused(call(capsys, "report", "-o", tmp_path, "--board", board, "--groove", board), "board")
-    assert not out.exists()
+    assert list(tmp_path.iterdir()) == [], "nothing half-done is left"
     code, _, err = call(capsys, "calibrate", groove, "-o", out)
     assert (code, err.count("\n")) == (1, 1), "a picture without a board: a result out of bounds"
     assert not out.exists()
@@ -243,3 +277,22 @@ def test_the_bust_with_its_background(tmp_path: Path, capsys: pytest.CaptureFixt
     assert code == 0, err
     assert 1050 < json.loads(out)["found"] < 1150
     assert (tmp_path / "o.png").exists()
+
+
+@pytest.mark.slow
+def test_ctrl_c_says_how_to_go_on(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """A scan stopped by SIGINT leaves with 130 and a line, and --resume finishes it."""
+    scene = tmp_path / "scene.toml"
+    scene.write_text(f'include = "{SCENES / "groove.toml"}"\n[plan]\nframes = 30\nstep_mm = 0.1\n')
+    command = [sys.executable, "-m", "lscan.cli", "scan", str(scene), "-o", str(tmp_path / "run")]
+    with subprocess.Popen(command, stderr=subprocess.PIPE, text=True) as process:
+        first = tmp_path / "run" / "frames" / "000001.png"
+        while not first.exists() and process.poll() is None:
+            time.sleep(0.05)
+        process.send_signal(signal.SIGINT)
+        _, err = process.communicate(timeout=60)
+    assert process.returncode == 130
+    assert err == "lscan: stopped; a scan goes on with --resume\n"
+    code, out, err = call(capsys, "scan", scene, "-o", tmp_path / "run", "--resume", "--json")
+    assert code == 0, err
+    assert json.loads(out)["frames"] == 30

@@ -118,7 +118,7 @@ def _set(path: str, value: Any) -> Callable[[dict[str, Any]], None]:
         (_set("version", 2), "version"),
         (_set("colour", "red"), "colour: unknown key"),
         (_set("plane_map", "graticule-9"), "graticule-9"),
-        (_set("plane_map", "nothing"), "no such planemap"),
+        (_set("plane_map", "nothing"), "no such family of plane maps"),
         (_set("plane_map", "projective"), "parameters"),
         (_set("parameters.latitudes.lines.0.curve.degree", "2"), "latitudes.lines.0.curve.degree"),
         (_set("parameters.latitudes.lines.0.curve.knots", [1.0, 2.0]), "latitudes.lines.0.curve"),

@@ -1,0 +1,115 @@
+"""TOML documents: includes, merging, and what a wrong file is told."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from lscan.board import Grid, load_board
+from lscan.documents import check, merge, read_document
+from lscan.errors import InputError
+from lscan.targets import GroovedBlock, Sandwave
+
+TABLES = st.recursive(
+    st.integers() | st.text(max_size=3),
+    lambda inner: st.dictionaries(st.sampled_from("abc"), inner, max_size=3),
+    max_leaves=8,
+).filter(lambda value: isinstance(value, dict))
+
+
+@settings(max_examples=100, deadline=None, derandomize=True)
+@given(a=TABLES, b=TABLES)
+def test_merging_keeps_every_key_and_the_later_wins(a: dict, b: dict) -> None:
+    assert merge(a, {}) == merge({}, a) == a
+    assert merge(a, a) == a
+    merged = merge(a, b)
+    assert all(merged[key] == b[key] for key in b if not isinstance(b[key], dict))
+    assert set(merged) == set(a) | set(b)
+
+
+def test_a_file_wins_over_what_it_includes(tmp_path: Path) -> None:
+    (tmp_path / "base.toml").write_text("a = 1\n[t]\nx = 1\ny = 1\n")
+    (tmp_path / "more.toml").write_text("[t]\ny = 2\n")
+    (tmp_path / "top.toml").write_text('include = ["base.toml", "more.toml"]\n[t]\nz = 3\n')
+    assert read_document(tmp_path / "top.toml") == {"a": 1, "t": {"x": 1, "y": 2, "z": 3}}
+
+
+def test_paths_hold_from_anywhere(tmp_path: Path) -> None:
+    (tmp_path / "sub").mkdir()
+    (tmp_path / "sub" / "inner.toml").write_text('[m]\nfile = "mesh.ply"\n')
+    (tmp_path / "top.toml").write_text('include = "sub/inner.toml"\n')
+    read = read_document(tmp_path / "top.toml")
+    assert read["m"]["file"] == str(tmp_path / "sub" / "mesh.ply")
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        (b"\xff\xfe", "not UTF-8"),
+        (b"a = ", "not valid TOML"),
+        (b"include = 5", "bad include.*5"),
+        (b'include = "gone.toml"', r"gone\.toml.*cannot be read"),
+        (b'include = ["top.toml"]', "includes itself"),
+    ],
+)
+def test_unreadable_documents_are_named(tmp_path: Path, text: bytes, message: str) -> None:
+    (tmp_path / "top.toml").write_bytes(text)
+    with pytest.raises(InputError, match=message):
+        read_document(tmp_path / "top.toml")
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"rows": 2}, r"grid\.rows.*2"),
+        ({"rows": 3.0}, r"grid\.rows: must be a whole number.*3\.0"),
+        ({"pitch_mm": "50"}, r"grid\.pitch_mm: must be a number.*'50'"),
+        ({"pitch_mm": float("inf")}, r"grid\.pitch_mm"),
+        ({"dot_diameter_mm": 60.0}, "smaller than pitch_mm"),
+        ({"colour": 1}, r"grid\.colour: unknown key"),
+    ],
+)
+def test_every_fault_of_a_model_is_one_line(change: dict, message: str) -> None:
+    good = {"columns": 4, "rows": 4, "pitch_mm": 50.0, "dot_diameter_mm": 5.0}
+    assert check(Grid, good, where="x").columns == 4
+    with pytest.raises(InputError, match=message) as caught:
+        check(Grid, good | change, where="board.toml", prefix="grid")
+    assert "\n" not in str(caught.value)
+    assert str(caught.value).startswith("board.toml: ")
+
+
+def test_the_papers_board_has_the_papers_lengths() -> None:
+    """Tables I and II, as printed: lengths in mm to two decimals."""
+    scenes = Path(__file__).resolve().parents[2] / "scenes" / "paper"
+    board = load_board(scenes / "calibration-board.toml")
+    lengths = [round(board.distance_mm(*pair), 2) for pair in board.distances]
+    assert lengths == [80, 89.44, 40, 60, 30, 60, 30, 25, 25, 25, 25, 40, 50, 30]
+    assert {ring.name: ring.diameter_mm for ring in board.ring} == {"E": 28.4, "F": 49.2, "G": 49.2}
+    assert all(ring.width_mm == 0.8 for ring in board.ring)
+
+
+def test_the_grooved_block_carries_all_nine_dimensions() -> None:
+    """Table III's nominal values from the outline itself, not from the record's fields."""
+    block = GroovedBlock()
+    outline = block.outline_mm()
+    x, z = outline.T
+    edges = block.edges_mm()
+    dimensions = block.dimensions_mm()
+    assert z.max() == dimensions["H2"] == 80.06
+    bottoms = [z[(x == edges[1 + 2 * k]) & (z < z.max())].max() for k in range(3)]
+    depths = z.max() - bottoms
+    assert depths == pytest.approx([dimensions["H3"], dimensions["H4"], dimensions["H1"]])
+    assert edges[5] - edges[0] == pytest.approx(154.96)
+    assert edges[6] - edges[2] == pytest.approx(131.04)
+
+
+def test_the_sandwave_fits_the_papers_text() -> None:
+    """Paper-notes 1: four wavelengths, one meander, amplitude 1.5 to about 8 mm."""
+    piece = Sandwave()
+    assert piece.side_mm * piece.c_per_mm / (2 * 3.14159265) == pytest.approx(4, abs=0.02)
+    assert piece.side_mm * piece.e_per_mm / (2 * 3.14159265) == pytest.approx(1, abs=0.01)
+    assert piece.a_mm + piece.b * piece.side_mm == pytest.approx(8, abs=0.06)
+    assert piece.side_mm + 2 * piece.rim_mm == 210
