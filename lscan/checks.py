@@ -10,8 +10,6 @@ from lscan import paper
 from lscan.figures.exhibit import signed
 from lscan.tables import Length, known, read_lengths, worst
 
-_METHOD = "graticule-2"  # the paper's choice after Tables I and II: second-order rms
-
 
 @dataclass(frozen=True)
 class Check:
@@ -33,7 +31,8 @@ def checks(results: Mapping[str, Any], bars: paper.Bars) -> list[Check]:
     A length that was not measured, or a slice without a point compared, does not pass.
     """
     second = {
-        name: (results.get(name) or {}).get(_METHOD) or {} for name in ("distances", "diameters")
+        name: (results.get(name) or {}).get(paper.CHOSEN_MAP) or {}
+        for name in ("distances", "diameters")
     }
     return [
         *_control_point_checks(results),

@@ -2,15 +2,22 @@
 
 from __future__ import annotations
 
-import sys
 from pathlib import Path
 from typing import Annotated, Any
 
 import numpy as np
 import typer
 
+from lscan.arguments import (
+    CHANNELS,
+    board_picture,
+    choice,
+    open_calibrated,
+    parse_seeds,
+    require_folders,
+    stripe_picture,
+)
 from lscan.console import print_json, print_table, progress_bar, run_command_line
-from lscan.errors import InputError
 
 app = typer.Typer(
     help="Laser line scanner: scan, calibrate, reconstruct, measure, report.",
@@ -80,14 +87,14 @@ def calibrate(
     from lscan.planemap.calibration import calibrate as solve
     from lscan.planemap.calibration import save_calibration
 
-    _require_folders(output, overlay)
-    image, nominal, section = _board_picture(picture, board)
+    require_folders(output, overlay)
+    image, nominal, section = board_picture(picture, board)
     name = plane_map or section.plane_map
     reading = read_board(
         image,
         nominal,
-        seeds=_parse_seeds(seeds),
-        channel=_choice("--channel", channel or section.channel, CHANNELS),
+        seeds=parse_seeds(seeds),
+        channel=choice("--channel", channel or section.channel, CHANNELS),
     )
     if overlay:
         write_picture(overlay, draw_overlay(image, reading))
@@ -148,8 +155,8 @@ def extract(
     from lscan.rig import StripeSection
     from lscan.stripe import draw_stripe, extract_stripe, save_stripe
 
-    _require_folders(output, overlay)
-    image, section = _stripe_picture(picture, frame)
+    require_folders(output, overlay)
+    image, section = stripe_picture(picture, frame)
     given = {
         "axis": axis,
         "extractor": extractor,
@@ -193,8 +200,8 @@ def reconstruct(
     from lscan.surface import align_sandwave, apply, save_points, save_surface
     from lscan.targets import Sandwave
 
-    _require_folders(output, points)
-    opened, plane_map = _open_calibrated(run, calibration)
+    require_folders(output, points)
+    opened, plane_map = open_calibrated(run, calibration)
     with progress_bar("reconstruct") as report:
         surface = build(opened, plane_map, progress=report)
     piece = opened.rig_file.rig.workpiece
@@ -236,8 +243,8 @@ def measure(
 
     from lscan.disk import write_atomically
 
-    _require_folders(output)
-    opened, plane_map = _open_calibrated(run, calibration)
+    require_folders(output)
+    opened, plane_map = open_calibrated(run, calibration)
     with progress_bar("measure") as report:
         measures = _measure(opened, plane_map, report)
     if output:
@@ -279,84 +286,6 @@ def report(
         print_json(results)
     else:
         print(f"{output / 'report.html'}")
-
-
-def _require_folders(*outputs: Path | None) -> None:
-    """Refuse, before any work is done, an output whose folder does not exist."""
-    for output in outputs:
-        if output is not None and not output.parent.is_dir():
-            raise InputError("the folder to write to does not exist", where=output)
-
-
-def _open_calibrated(run: Path, calibration: Path) -> tuple[Any, Any]:
-    """A run and the plane map for its pictures; a run that is not complete is said to be so."""
-    from lscan.experiment import require_size
-    from lscan.planemap.calibration import load_calibration
-    from lscan.run import open_run
-
-    opened, loaded = open_run(run), load_calibration(calibration)
-    require_size(opened, loaded.reading.image_size, calibration)
-    planned = opened.rig_file.rig.plan.frames
-    if len(opened) < planned:
-        print(f"lscan: note: {run} holds {len(opened)} of {planned} frames", file=sys.stderr)
-    return opened, loaded.plane_map
-
-
-CHANNELS = ("red", "green", "blue", "grey")
-
-
-def _choice(option: str, value: str, allowed: tuple[str, ...]) -> Any:
-    if value not in allowed:
-        raise InputError("unknown value", where=option, value=value, allowed=", ".join(allowed))
-    return value
-
-
-def _parse_seeds(text: str | None) -> Any:
-    """(3, 2) of "u1,v1,u2,v2,u3,v3", None for None."""
-    if text is None:
-        return None
-    try:
-        numbers = [float(part) for part in text.replace(";", ",").split(",")]
-    except ValueError:
-        numbers = []
-    if len(numbers) != 6 or not np.isfinite(numbers).all():
-        raise InputError(
-            "not three points", where="--seeds", value=text, allowed="u1,v1,u2,v2,u3,v3 in px"
-        )
-    return np.array(numbers).reshape(3, 2)
-
-
-def _board_picture(picture: Path, board: Path | None) -> tuple[Any, Any, Any]:
-    """The picture of a board, the board, and how to calibrate with it."""
-    from lscan.board import load_board
-    from lscan.experiment import mean_picture, require_board
-    from lscan.pictures import read_picture
-    from lscan.rig import CalibrationSection
-    from lscan.run import open_run
-
-    if picture.is_dir():
-        run = open_run(picture)
-        nominal = load_board(board) if board else require_board(run)
-        return mean_picture(run), nominal, run.rig_file.rig.calibration
-    if board is None:
-        raise InputError("a picture needs a board file", where="--board", allowed="a TOML file")
-    return read_picture(picture), load_board(board), CalibrationSection()
-
-
-def _stripe_picture(picture: Path, frame: int) -> tuple[Any, Any]:
-    """A picture and how its line is to be found."""
-    from lscan.pictures import read_picture
-    from lscan.rig import StripeSection
-    from lscan.run import open_run
-
-    if not picture.is_dir():
-        return read_picture(picture), StripeSection()
-    run = open_run(picture)
-    if not 0 <= frame < len(run):
-        raise InputError(
-            "no such frame", where="--frame", value=frame, allowed=f"0 to {len(run) - 1}"
-        )
-    return run.frame(frame).image, run.rig_file.rig.stripe
 
 
 def _measure(run: Any, plane_map: Any, report: Any) -> dict[str, Any]:

@@ -25,6 +25,7 @@ from lscan.experiment import (
     require_size,
 )
 from lscan.figures.exhibit import RowFits, RulerCurve, SliceData
+from lscan.paper import CHOSEN_MAP
 from lscan.planemap.calibration import calibrate, save_calibration
 from lscan.planemap.drawing import graticule_lines, ruler_conversions
 from lscan.planemap.graticule import Graticule
@@ -33,7 +34,6 @@ from lscan.report import ReportInputs, write_report
 from lscan.run import Run, software_versions
 from lscan.surface import levelling_step, save_points, save_surface
 
-CHOSEN = "graticule-2"  # the paper's choice after Tables I and II: second-order rms
 FITS = ("graticule-1", "graticule-2", "graticule-bspline")  # Fig. 13
 
 
@@ -64,7 +64,7 @@ def evaluate(
     on_board = measure_board(board, METHODS)
     for run in filter(None, (groove, sandwave)):
         require_size(run, on_board.reading.image_size, f"from {board.path}")
-    chosen = on_board.calibrations[CHOSEN].plane_map
+    chosen = on_board.calibrations[CHOSEN_MAP].plane_map
     return Experiment(
         scene=(sandwave or groove or board).rig_file.rig.name,
         board=on_board,
@@ -211,7 +211,7 @@ def _latitude(plane_map: Any, at_mm: float) -> Floats:
 
 def _ruler_curve(board: BoardResult) -> RulerCurve | None:
     """The conversion curve of the last upright ruler, None where the board has none (Fig. 16)."""
-    plane_map = board.calibrations[CHOSEN].plane_map
+    plane_map = board.calibrations[CHOSEN_MAP].plane_map
     assert isinstance(plane_map, Graticule)
     upright = [
         curve

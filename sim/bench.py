@@ -27,10 +27,9 @@ from lscan.records import Floats, Mask
 from lscan.rig import RigFile, StripeSection, load_rig
 from lscan.stripe import extract_stripe
 from sim.plugins.integrator import SheetIntegrator
-from sim.scene import camera_pose, head_pose, scene_of
+from sim.scene import scene_of
 from sim.sensor import Webcam
-from sim.tank import Tank
-from sim.water import Optics
+from sim.tank import Tank, stock_medium
 
 # (left, top, width, height) in px: the line on a ridge of the grooved block, and veil above it.
 WINDOW = (190, 346, 64, 32)
@@ -75,10 +74,10 @@ def efficiency(rig_file: RigFile) -> list[Figure]:
     tank = Tank(scene_of(rig_file))
     stock = mi.load_dict({"type": "volpath", "max_depth": 2, "rr_depth": 100})
     medium = stock_medium(tank.water)
-    camera = _window_camera(tank, None)
+    camera = tank.make_camera(WINDOW)
     truth = _repeat(tank, tank.integrator, camera, CONVERGED_SAMPLES, 2)[0].mean(axis=0)
     ours, our_time = _repeat(tank, tank.integrator, camera, OUR_SAMPLES, RUNS)
-    theirs, their_time = _repeat(tank, stock, _window_camera(tank, medium), STOCK_SAMPLES, RUNS)
+    theirs, their_time = _repeat(tank, stock, tank.make_camera(WINDOW, medium), STOCK_SAMPLES, RUNS)
     parts = {"line core": truth > 0.5 * truth.max(), "veil": truth < 1e-3 * truth.max()}
     return [
         Figure(
@@ -89,26 +88,6 @@ def efficiency(rig_file: RigFile) -> list[Figure]:
         )
         for name, part in parts.items()
     ]
-
-
-def stock_medium(water: Optics) -> dict[str, Any]:
-    """The water as a stock homogeneous medium: nested blends of its lobes and Rayleigh's."""
-    phase: dict[str, Any] = {"type": "rayleigh"}
-    share = water.molecular_weight
-    weights = (1 - water.molecular_weight) * water.hg_weights
-    for weight, g in zip(weights, water.hg_g, strict=True):
-        share += weight
-        lobe = {"type": "hg", "g": float(g)}
-        # blendphase = (1 - w) first + w second
-        blend = float(weight / share)
-        phase = {"type": "blendphase", "weight": blend, "first": phase, "second": lobe}
-    return {
-        "type": "homogeneous",
-        "sigma_t": water.extinction_per_mm,
-        "albedo": water.scattering_per_mm / water.extinction_per_mm,
-        "phase": phase,
-        "has_spectral_extinction": False,
-    }
 
 
 def frame_times(rig_file: RigFile) -> list[Figure]:
@@ -144,36 +123,6 @@ def _calibrations(scenes: Path) -> Mapping[str, Calibration]:
     with TemporaryDirectory() as folder:
         run = scan(load_rig(scenes / "board.toml"), Path(folder) / "board")
         return measure_board(run, METHODS).calibrations
-
-
-def _window_camera(tank: Tank, medium: dict[str, Any] | None) -> mi.Sensor:
-    """The tank's camera with a film that holds only WINDOW, inside ``medium``."""
-    left, top, width, height = WINDOW
-    section = tank.scene.rig.camera
-    camera: dict[str, Any] = {
-        "type": "refractive_camera",
-        "film": {
-            "type": "hdrfilm",
-            "width": section.width_px,
-            "height": section.height_px,
-            "crop_offset_x": left,
-            "crop_offset_y": top,
-            "crop_width": width,
-            "crop_height": height,
-            "pixel_format": "luminance",
-            "component_format": "float32",
-            "rfilter": {"type": "box"},
-        },
-        # As in the tank, sub-pixel positions on a regular grid; it helps the reference too.
-        "sampler": {"type": "stratified", "jitter": False},
-    }
-    if medium is not None:
-        camera["medium"] = medium
-    sensor = mi.load_dict(camera)
-    sensor.configure(tank.scene.tank.lens, tank.scene.tank.port, tank.water.index)
-    head = tank.scene.tank.head
-    sensor.place(head_pose(head, 0.0) @ camera_pose(head))
-    return sensor
 
 
 def _repeat(

@@ -18,8 +18,9 @@ from lscan.disk import make_folder
 from lscan.documents import merge
 from lscan.experiment import measure_board, measure_groove, measure_sandwave
 from lscan.measure import compare_slice
+from lscan.paper import CHOSEN_MAP
 from lscan.records import Floats, Status
-from lscan.results import CHOSEN, Experiment, experiment_json, write_experiment
+from lscan.results import Experiment, experiment_json, write_experiment
 from lscan.rig import RigFile, StripeSection, load_rig, parse_rig
 from lscan.run import MANIFEST, Run
 from lscan.stripe import extract_stripe
@@ -54,7 +55,7 @@ def run_demo(scenes: Path, output: Path, frames: int | None = None) -> Mapping[s
     seconds: dict[str, float] = {}
     with _timed(seconds, "board"):
         board = measure_board(_scan(rigs["board"], output, "board"))
-    chosen = board.calibrations[CHOSEN].plane_map
+    chosen = board.calibrations[CHOSEN_MAP].plane_map
     with _timed(seconds, "groove"):
         groove = measure_groove(_scan(rigs["groove"], output, "groove"), chosen)
     with _timed(seconds, "sandwave"):

@@ -17,7 +17,7 @@ from lscan.board import Board
 from lscan.errors import InputError
 from lscan.records import Floats, Ints
 from lscan.targets import GroovedBlock, Sandwave
-from sim.scene import Floor, Pose, Sand, Scene, target_pose
+from sim.scene import FLOOR_HALF_SIDE_MM, Floor, Pose, Sand, Scene, target_pose
 
 # A circle of 96 corners deviates from the true one by 5e-4 of its radius: 1.3 µm on a dot.
 CIRCLE_CORNERS = 96
@@ -25,7 +25,6 @@ CIRCLE_CORNERS = 96
 WAVE_STEP_MM = 0.5
 # Facets a grain: fewer would flatten the caps.
 FACETS_PER_GRAIN = 3
-FLOOR_HALF_SIDE_MM = 3000.0
 
 
 @dataclass(frozen=True)

@@ -21,6 +21,7 @@ from lscan.errors import InputError
 from lscan.records import Floats
 from lscan.rig import Rig, RigFile, inline_board, parse_rig
 
+FLOOR_HALF_SIDE_MM = 3000.0  # beyond, a metre of turbid water has swallowed the light
 Vector = tuple[float, float, float]
 Fraction = Annotated[float, Field(ge=0, le=1)]
 Seed = Annotated[int, Field(ge=0, lt=2**31)]

@@ -87,7 +87,7 @@ class LineSet:
 
         With rulers the coordinate is read on the closest one (steps 3 and 4); where the
         point's line meets no stretch of marks on it, or where there is no ruler, it is
-        linear in the weight between the two lines.
+        linear in the weight between the two lines, if they are neighbours.
         """
         value, variance = np.full((2, len(targets.along)), np.nan)
         between, inside = self.surround(targets)
@@ -146,6 +146,10 @@ class LineSet:
         places = np.array([line.at_mm for line in self.lines])
         start = places[between.lower]
         pitch = places[between.upper] - start
+        # Where a line between the two ends short of the target, the cell is twice as wide and
+        # the weight's linearity four times as wrong: only a ruler may be read there.
+        neighbours = np.abs(between.upper - between.lower) == 1
+        pitch = np.where(neighbours, pitch, np.nan)
         along = targets.along
         noise = targets.variance * (1 + self._slope(between, along) ** 2) + between.blend(
             lambda line, here: self._curve(line).variance(self._curve(line).basis(along[here])),

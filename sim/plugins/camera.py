@@ -11,6 +11,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
+from sim.plugins.opaque import opaque, opaque_vector
 from sim.scene import Lens, Port, Pose, rotation_x, rotation_y
 
 # Newton converges quadratically; from the distorted point as a start, a wide-angle barrel
@@ -28,10 +29,6 @@ class RefractiveCamera(mi.Sensor):
 
     def configure(self, lens: Lens, port: Port, water_index: float) -> None:
         """Set the optics; every number becomes an opaque value, so no kernel is recompiled."""
-
-        def opaque(value: float) -> mi.Float:
-            return dr.opaque(mi.Float, float(value))
-
         self.focal, self.cx, self.cy = (
             opaque(v) for v in (lens.focal_px, lens.centre_px[0], lens.centre_px[1])
         )
@@ -40,14 +37,12 @@ class RefractiveCamera(mi.Sensor):
         )
         self.gap, self.thickness = opaque(port.gap_mm), opaque(port.thickness_mm)
         self.glass_index, self.water_index = opaque(port.glass_index), opaque(water_index)
-        normal = port_normal(port)
-        self.port_normal = mi.Vector3f(*(opaque(v) for v in normal))
+        self.port_normal = opaque_vector(port_normal(port))
 
     def place(self, pose: Pose) -> None:
         """Put the camera at ``pose``, camera frame (x right, y down, z forward) to world."""
-        columns = pose.rotation.T
-        self.axes = [mi.Vector3f(*(dr.opaque(mi.Float, float(v)) for v in c)) for c in columns]
-        self.origin = mi.Point3f(*(dr.opaque(mi.Float, float(v)) for v in pose.origin_mm))
+        self.axes = [opaque_vector(column) for column in pose.rotation.T]
+        self.origin = mi.Point3f(opaque_vector(pose.origin_mm))
 
     def sample_ray(
         self,

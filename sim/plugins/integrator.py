@@ -13,6 +13,7 @@ from math import pi, sqrt
 import drjit as dr
 import mitsuba as mi
 
+from sim.plugins.opaque import opaque
 from sim.plugins.sheet import LaserSheet
 from sim.water import DEPOLARISATION, Optics
 
@@ -32,15 +33,15 @@ class SheetIntegrator(mi.SamplingIntegrator):
     def configure(self, water: Optics, sheet: LaserSheet | None, ambient_mw_mm2_sr: float) -> None:
         """Set the water, the laser (None: off) and the ambient radiance."""
         self.sheet = sheet
-        self.extinction = _opaque(water.extinction_per_mm)
-        self.scattering = _opaque(water.scattering_per_mm)
+        self.extinction = opaque(water.extinction_per_mm)
+        self.scattering = opaque(water.scattering_per_mm)
         self.has_water = water.scattering_per_mm > 0
         self.lobes = [
-            (_opaque(w), _opaque(g)) for w, g in zip(water.hg_weights, water.hg_g, strict=True)
+            (opaque(w), opaque(g)) for w, g in zip(water.hg_weights, water.hg_g, strict=True)
         ]
-        self.molecular_weight = _opaque(water.molecular_weight)
+        self.molecular_weight = opaque(water.molecular_weight)
         self.has_ambient = ambient_mw_mm2_sr > 0
-        self.ambient_radiance = _opaque(ambient_mw_mm2_sr)
+        self.ambient_radiance = opaque(ambient_mw_mm2_sr)
 
     def aov_names(self) -> list[str]:
         """One channel a layer, after the sum's own."""
@@ -162,10 +163,6 @@ class SheetIntegrator(mi.SamplingIntegrator):
 
 def _normal_cdf(x: mi.Float) -> mi.Float:
     return 0.5 * (1 + dr.erf(x / sqrt(2)))
-
-
-def _opaque(value: float) -> mi.Float:
-    return dr.opaque(mi.Float, float(value))
 
 
 mi.register_integrator("sheet", SheetIntegrator)

@@ -14,6 +14,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
+from sim.plugins.opaque import opaque, opaque_vector
 from sim.scene import Laser, Pose
 
 
@@ -28,11 +29,11 @@ class LaserSheet(mi.Emitter):
         """Set power, fan and beam; every number becomes opaque, so no kernel is recompiled."""
         half_angle = radians(laser.fan_half_angle_deg)
         self.is_gaussian_fan = laser.fan == "gaussian"
-        self.power = _opaque(laser.power_mw)
-        self.half_angle = _opaque(half_angle)
-        self.fan_peak = _opaque(fan_peak_density(laser.fan, half_angle))
-        self.waist, self.waist_distance = _opaque(laser.waist_mm), _opaque(laser.waist_distance_mm)
-        self.rayleigh = _opaque(rayleigh_length_mm(laser, water_index))
+        self.power = opaque(laser.power_mw)
+        self.half_angle = opaque(half_angle)
+        self.fan_peak = opaque(fan_peak_density(laser.fan, half_angle))
+        self.waist, self.waist_distance = opaque(laser.waist_mm), opaque(laser.waist_distance_mm)
+        self.rayleigh = opaque(rayleigh_length_mm(laser, water_index))
         aim = radians(laser.aim_deg)
         self._head_axes = np.array(
             [
@@ -45,11 +46,9 @@ class LaserSheet(mi.Emitter):
 
     def place(self, head: Pose) -> None:
         """Move the sheet with the head, whose pose in the world is ``head``."""
-        self.apex = mi.Point3f(*(_opaque(v) for v in head.apply(self._head_apex)))
+        self.apex = mi.Point3f(opaque_vector(head.apply(self._head_apex)))
         axes = self._head_axes @ head.rotation.T
-        self.across, self.normal, self.axis = (
-            mi.Vector3f(*(_opaque(v) for v in axis)) for axis in axes
-        )
+        self.across, self.normal, self.axis = (opaque_vector(axis) for axis in axes)
 
     def irradiance(self, point: mi.Point3f) -> mi.Float:
         """mW/mm2 on a surface that faces the apex at ``point``, without the water's loss.
@@ -128,10 +127,6 @@ def rayleigh_length_mm(laser: Laser, water_index: float) -> float:
     """
     wavelength_mm = laser.wavelength_nm * 1e-6
     return pi * laser.waist_mm**2 * water_index / (wavelength_mm * laser.m2)
-
-
-def _opaque(value: float) -> mi.Float:
-    return dr.opaque(mi.Float, float(value))
 
 
 mi.register_emitter("laser_sheet", LaserSheet)

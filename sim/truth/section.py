@@ -11,12 +11,10 @@ from lscan.board import Board
 from lscan.records import Floats, Ints
 from lscan.targets import GroovedBlock, Sandwave
 from sim.meshes import target_mesh
-from sim.scene import Pose, Scene, target_pose
+from sim.scene import FLOOR_HALF_SIDE_MM, Pose, Scene, target_pose
 from sim.truth.mesh import Mesh
 from sim.truth.surfaces import Polygon, Surface, extrusion, spread
 from sim.truth.wave import sandwave_surfaces
-
-FLOOR_HALF_SIDE_MM = 10_000.0
 
 
 @dataclass(frozen=True)

@@ -20,17 +20,13 @@ from lscan.errors import DeviceError
 
 
 class CameraContract:
-    """Override ``camera`` and ``size_px``."""
+    """Define a fixture ``camera``, and ``size_px``."""
 
     size_px: tuple[int, int]
     """(width, height) the rig asks for."""
 
     grabs = 4
     """Pictures taken where a test needs several."""
-
-    @pytest.fixture
-    def camera(self) -> Camera:
-        raise NotImplementedError
 
     def test_is_a_camera(self, camera: Camera) -> None:
         assert isinstance(camera, Camera)
@@ -73,17 +69,13 @@ class CameraContract:
 
 
 class TrackContract:
-    """Override ``track``, ``limits_mm`` and, where it is not exact, ``tolerance_mm``."""
+    """Define a fixture ``track``, ``limits_mm`` and, where it is not exact, ``tolerance_mm``."""
 
     limits_mm: tuple[float, float]
     """Lowest and highest position the track accepts."""
 
     tolerance_mm: float = 1e-9
     """How far the track may stand from where it was sent."""
-
-    @pytest.fixture
-    def track(self) -> Track:
-        raise NotImplementedError
 
     def test_is_a_track(self, track: Track) -> None:
         assert isinstance(track, Track)

@@ -13,6 +13,7 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 
 from lscan.board import Board, load_board
+from lscan.experiment import METHODS
 from lscan.figures.exhibit import RowFits, RulerCurve, SliceData
 from lscan.paper import TABLE_1, TABLE_2, TABLE_3
 from lscan.records import (
@@ -29,15 +30,7 @@ from lscan.report import ReportInputs
 from lscan.targets import GroovedBlock, Sandwave
 
 WIDTH, HEIGHT = 640, 480
-MAPS = (
-    "graticule-1",
-    "graticule-2",
-    "graticule-bspline",
-    "graticule-2-norulers",
-    "projective",
-    "polynomial-3",
-    "polynomial-5",
-)
+MAPS = METHODS
 YAW_DEG = 2.2
 _BOARD = Path(__file__).resolve().parents[2] / "scenes" / "paper" / "calibration-board.toml"
 

@@ -179,15 +179,11 @@ def _chord_bound_mm(view: View, lines: LineSet, axis: int, image: Floats) -> flo
     step[axis] = 0.5
     before, here, after = (view.locate(image + s * step)[:, axis] for s in (-1, 0, 1))
     slope, bend = np.abs(after - before).max(), np.abs(after - 2 * here + before).max() / 0.25
-    along = image[:, 1 - axis]
-    # Where a line ends short of a target the next one takes its place: a wider span.
-    places = [
-        np.where(line.reaches(along, lines.reach_px), line.curve(along), np.nan)
-        for line in lines.lines
-    ]
-    spans = np.diff(np.sort(places, axis=0), axis=0)
+    spans = np.diff(
+        np.sort([line.curve(image[:, 1 - axis]) for line in lines.lines], axis=0), axis=0
+    )
     miss = max(_miss_px(view, line, axis) for line in lines.lines)
-    return float(1.05 * (bend * np.nanmax(spans) ** 2 / 8 + 1.2 * slope * miss))
+    return float(1.05 * (bend * spans.max() ** 2 / 8 + 1.2 * slope * miss))
 
 
 def _miss_px(view: View, line: Line, axis: int) -> float:

@@ -12,20 +12,13 @@ from hypothesis import strategies as st
 from planeviews import BARREL, View, affine, board_points, paper_board, read_board, views
 
 from lscan.errors import BoardNotFound, InputError
+from lscan.experiment import METHODS
 from lscan.planemap.api import find_solver
 from lscan.planemap.projective import solver as projective
 from lscan.records import BoardReading, Floats, Marks, RulerReading, Status
 
 BOARD = paper_board()
-MAPS = [
-    "graticule-1",
-    "graticule-2",
-    "graticule-bspline",
-    "graticule-2-norulers",
-    "projective",
-    "polynomial-3",
-    "polynomial-5",
-]
+MAPS = METHODS
 
 
 # --- closed forms -------------------------------------------------------------------------

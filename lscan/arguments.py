@@ -1,0 +1,99 @@
+"""What the arguments of the command line name: pictures, runs, calibrations, seeds.
+
+Heavy modules are imported where they are used, so that ``lscan --help`` stays quick.
+"""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from lscan.errors import InputError
+
+if TYPE_CHECKING:
+    from lscan.board import Board
+    from lscan.planemap.api import PlaneMap
+    from lscan.records import Bytes, Floats
+    from lscan.rig import CalibrationSection, StripeSection
+    from lscan.run import Run
+
+CHANNELS = ("red", "green", "blue", "grey")
+
+
+def require_folders(*outputs: Path | None) -> None:
+    """Refuse, before any work is done, an output whose folder does not exist."""
+    for output in outputs:
+        if output is not None and not output.parent.is_dir():
+            raise InputError("the folder to write to does not exist", where=output)
+
+
+def open_calibrated(run: Path, calibration: Path) -> tuple[Run, PlaneMap]:
+    """A run and the plane map for its pictures; a run that is not complete is said to be so."""
+    from lscan.experiment import require_size
+    from lscan.planemap.calibration import load_calibration
+    from lscan.run import open_run
+
+    opened, loaded = open_run(run), load_calibration(calibration)
+    require_size(opened, loaded.reading.image_size, calibration)
+    planned = opened.rig_file.rig.plan.frames
+    if len(opened) < planned:
+        print(f"lscan: note: {run} holds {len(opened)} of {planned} frames", file=sys.stderr)
+    return opened, loaded.plane_map
+
+
+def choice(option: str, value: str, allowed: tuple[str, ...]) -> Any:
+    """The value, one of those allowed; InputError names the option and what it takes."""
+    if value not in allowed:
+        raise InputError("unknown value", where=option, value=value, allowed=", ".join(allowed))
+    return value
+
+
+def parse_seeds(text: str | None) -> Floats | None:
+    """(3, 2) px of "u1,v1,u2,v2,u3,v3", None for None; InputError where it is neither."""
+    if text is None:
+        return None
+    try:
+        numbers = [float(part) for part in text.replace(";", ",").split(",")]
+    except ValueError:
+        numbers = []
+    if len(numbers) != 6 or not np.isfinite(numbers).all():
+        raise InputError(
+            "not three points", where="--seeds", value=text, allowed="u1,v1,u2,v2,u3,v3 in px"
+        )
+    return np.array(numbers).reshape(3, 2)
+
+
+def board_picture(picture: Path, board: Path | None) -> tuple[Bytes, Board, CalibrationSection]:
+    """The picture of a board, the board, and how to calibrate with it."""
+    from lscan.board import load_board
+    from lscan.experiment import mean_picture, require_board
+    from lscan.pictures import read_picture
+    from lscan.rig import CalibrationSection
+    from lscan.run import open_run
+
+    if picture.is_dir():
+        run = open_run(picture)
+        nominal = load_board(board) if board else require_board(run)
+        return mean_picture(run), nominal, run.rig_file.rig.calibration
+    if board is None:
+        raise InputError("a picture needs a board file", where="--board", allowed="a TOML file")
+    return read_picture(picture), load_board(board), CalibrationSection()
+
+
+def stripe_picture(picture: Path, frame: int) -> tuple[Bytes, StripeSection]:
+    """A picture and how its line is to be found."""
+    from lscan.pictures import read_picture
+    from lscan.rig import StripeSection
+    from lscan.run import open_run
+
+    if not picture.is_dir():
+        return read_picture(picture), StripeSection()
+    run = open_run(picture)
+    if not 0 <= frame < len(run):
+        raise InputError(
+            "no such frame", where="--frame", value=frame, allowed=f"0 to {len(run) - 1}"
+        )
+    return run.frame(frame).image, run.rig_file.rig.stripe
