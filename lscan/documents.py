@@ -9,7 +9,8 @@ from __future__ import annotations
 
 import tomllib
 from pathlib import Path
-from typing import Any, TypeVar
+from types import UnionType
+from typing import Annotated, Any, Literal, TypeVar, Union, get_args, get_origin
 
 from pydantic import BaseModel, ConfigDict, ValidationError, model_validator
 from pydantic_core import PydanticCustomError
@@ -31,12 +32,25 @@ class Strict(BaseModel):
         """Refuse "850" and true where a number is wanted, and 5.0 where a count is."""
         for name, value in data.items() if isinstance(data, dict) else ():
             field = cls.model_fields.get(name)
-            wanted = field.annotation if field else None
-            if wanted in (int, float) and isinstance(value, bool | str):
+            wanted = _kinds(field.annotation) if field else set()
+            number = bool(wanted & {int, float})
+            if number and isinstance(value, bool | str) and type(value) not in wanted:
                 raise _wrong_type(name, value, "must be a number")
-            if wanted is int and isinstance(value, float):
+            if number and float not in wanted and isinstance(value, float):
                 raise _wrong_type(name, value, "must be a whole number")
         return data
+
+
+def _kinds(annotation: Any) -> set[type]:
+    """The plain types a field may hold, whatever unions and constraints surround them."""
+    origin = get_origin(annotation)
+    if origin is Literal:
+        return {type(value) for value in get_args(annotation)}
+    if origin is Annotated:
+        return _kinds(get_args(annotation)[0])
+    if origin in (Union, UnionType):
+        return set().union(*(_kinds(part) for part in get_args(annotation)))
+    return {annotation} if isinstance(annotation, type) else set()
 
 
 def _wrong_type(name: str, value: Any, message: str) -> PydanticCustomError:
@@ -92,14 +106,27 @@ def _anchor_paths(table: Document, folder: Path) -> None:
 
 
 def merge(base: Document, over: Document) -> Document:
-    """A new document: ``base`` with the keys of ``over`` laid over it, table by table."""
+    """A new document: ``base`` with the keys of ``over`` laid over it, table by table.
+
+    A table that is of another ``kind`` than the one beneath it replaces it: what was set for
+    a flat port says nothing about a dome.
+    """
     result = dict(base)
     for key, value in over.items():
-        if isinstance(value, dict) and isinstance(result.get(key), dict):
-            result[key] = merge(result[key], value)
+        beneath = result.get(key)
+        if (
+            isinstance(value, dict)
+            and isinstance(beneath, dict)
+            and not _other_kind(beneath, value)
+        ):
+            result[key] = merge(beneath, value)
         else:
             result[key] = value
     return result
+
+
+def _other_kind(base: Document, over: Document) -> bool:
+    return "kind" in over and over["kind"] != base.get("kind")
 
 
 def check(model: type[Model], document: Document, where: object, prefix: str = "") -> Model:

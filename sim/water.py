@@ -87,8 +87,8 @@ class Optics:
 def water_optics(water: Water, wavelength_nm: float) -> Optics:
     """The optics of a scene's water at ``wavelength_nm`` (450 to 700); else InputError."""
     molecular = molecular_scattering_per_m(water.salinity_psu, wavelength_nm)
-    scattering = molecular + water.particle_scattering_per_m
-    absorption = water.particle_absorption_per_m + absorption_per_m(
+    scattering = molecular + (water.particle_scattering_per_m or 0.0)
+    absorption = (water.particle_absorption_per_m or 0.0) + absorption_per_m(
         water.temperature_c, water.salinity_psu, wavelength_nm
     )
     return Optics(

@@ -50,7 +50,7 @@ def test_the_import_contracts_are_kept() -> None:
         ("lscan/report.py", "import mitsuba", "the instrument does not know the tank"),
         ("lscan/board.py", "import lscan.cli", "the floors of lscan"),
         ("lscan/attic.py", "", "the floors of lscan"),
-        ("sim/scene.py", "import sim.tank", "the floors of sim"),
+        ("sim/scene/file.py", "import sim.tank", "the floors of sim"),
         ("sim/truth.py", "import sim.plugins", "the truth judges code it does not use"),
     ],
 )

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from lscan.errors import InputError
 from lscan.records import Floats
 from sim.plugins.camera import RefractiveCamera, fresnel_transmission
-from sim.scene import Head, Lens, Port, Scene, camera_pose, check_lens, load_scene
+from sim.scene import FlatPort, Head, Lens, Scene, camera_pose, check_lens, load_scene
 from sim.truth import project
 from sim.water import water_optics
 
@@ -22,7 +22,7 @@ SCENE = load_scene(Path(__file__).resolve().parents[2] / "scenes" / "paper" / "g
 WIDTH, HEIGHT = SCENE.rig.camera.width_px, SCENE.rig.camera.height_px
 
 
-def scene_with(lens: Lens, port: Port, head: Head) -> Scene:
+def scene_with(lens: Lens, port: FlatPort, head: Head) -> Scene:
     """The grooved block's scene seen by another camera; folding lenses are refused."""
     tank = SCENE.tank.model_copy(update={"lens": lens, "port": port, "head": head})
     return replace(SCENE, tank=tank)
@@ -86,7 +86,7 @@ def test_a_ray_passes_through_what_its_pixel_sees(
     of a metre to some 1e-4 mm, which is 1e-4 px here.
     """
     lens = Lens(focal_px=focal, centre_px=centre, k1=k1, k2=k2, p1=p[0], p2=p[1])
-    port = Port(
+    port = FlatPort(
         gap_mm=gap, thickness_mm=thickness, glass_index=glass,
         tilt_x_deg=tilt[0], tilt_y_deg=tilt[1],
     )  # fmt: skip
@@ -116,7 +116,7 @@ def test_rays_leave_from_the_glass_and_are_unit() -> None:
 def test_the_field_of_view_shrinks_by_the_index() -> None:
     """The ratio of sines is exactly n: 30 degrees in air is 22.06 in water (physics.md, 6)."""
     lens = Lens(focal_px=300.0, centre_px=(319.5, 239.5))
-    scene = scene_with(lens, Port(), SCENE.tank.head)
+    scene = scene_with(lens, FlatPort(), SCENE.tank.head)
     index = water_optics(scene.tank.water, 650.0).index
     pixels = np.array([[319.5 + 300 * np.tan(np.radians(30)), 239.5]])
     _, direction, _ = rays(scene, pixels)

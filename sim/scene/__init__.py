@@ -1,0 +1,86 @@
+"""The scene: models of a scene file's sections, and the poses they describe.
+
+Lengths mm, angles in degrees in the file, inherent optical properties per metre.  Poses of
+camera and laser are in the head frame (lscan.records): its plane y = 0 is where the laser
+sheet ought to lie, x and z are those of the plane frame, whose origin is control point O of
+the board.  The target stands in the world frame, which is the head frame of track position
+0 turned by the head's yaw, so that the track runs along y.
+"""
+
+from sim.scene.file import (
+    SECTIONS,
+    Render,
+    Scene,
+    Tank,
+    check_lens,
+    load_scene,
+    scene_of,
+    target_pose,
+)
+from sim.scene.instrument import (
+    DomePort,
+    Drift,
+    FlatPort,
+    Head,
+    Laser,
+    Lens,
+    Line,
+    Port,
+    Response,
+    Sensor,
+)
+from sim.scene.matter import (
+    FLOOR_HALF_SIDE_MM,
+    Floor,
+    Light,
+    Sand,
+    Target,
+    Texture,
+    Water,
+)
+from sim.scene.poses import (
+    Pose,
+    camera_pose,
+    head_pose,
+    rotation_x,
+    rotation_y,
+    rotation_z,
+    sheet_pose,
+    track_direction,
+)
+
+__all__ = [
+    "FLOOR_HALF_SIDE_MM",
+    "SECTIONS",
+    "DomePort",
+    "Drift",
+    "FlatPort",
+    "Floor",
+    "Head",
+    "Laser",
+    "Lens",
+    "Light",
+    "Line",
+    "Port",
+    "Pose",
+    "Render",
+    "Response",
+    "Sand",
+    "Scene",
+    "Sensor",
+    "Tank",
+    "Target",
+    "Texture",
+    "Water",
+    "camera_pose",
+    "check_lens",
+    "head_pose",
+    "load_scene",
+    "rotation_x",
+    "rotation_y",
+    "rotation_z",
+    "scene_of",
+    "sheet_pose",
+    "target_pose",
+    "track_direction",
+]

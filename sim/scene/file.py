@@ -1,0 +1,126 @@
+"""A scene file: a rig file whose camera and track are the tank's, and the tank around them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any, Self
+
+import numpy as np
+from pydantic import Field, model_validator
+
+from lscan.documents import Document, Strict, check, read_document
+from lscan.errors import InputError
+from lscan.rig import Rig, RigFile, inline_board, parse_rig
+from sim.scene.instrument import FlatPort, Head, Laser, Lens, Port, Seed, Sensor
+from sim.scene.matter import Floor, Light, Target, Water
+from sim.scene.poses import Pose, head_pose, rotation_x, rotation_y, rotation_z
+
+
+class Render(Strict):
+    """How many samples a pixel.
+
+    samples: for light that meets one surface or one place of the water, a square number:
+    they lie on a regular grid inside the pixel.  scatter_samples: for light of all higher
+    orders, drawn at random; 0 leaves those orders out.
+    """
+
+    samples: Annotated[int, Field(ge=1, le=65536)] = 9
+    scatter_samples: Annotated[int, Field(ge=0, le=65536)] = 1
+    seed: Seed = 1
+
+    @model_validator(mode="after")
+    def _square(self) -> Self:
+        if round(self.samples**0.5) ** 2 != self.samples:
+            raise ValueError("samples must be a square number (1, 4, 9, 16, 25 ...)")
+        return self
+
+
+class Tank(Strict):
+    """The sections of a scene file that a rig file of real hardware does not have."""
+
+    lens: Lens
+    head: Head
+    port: Port = FlatPort()
+    laser: Laser
+    water: Water = Water()
+    light: Light = Light()
+    target: Target
+    floor: Floor | None = None
+    sensor: Sensor = Sensor()
+    render: Render = Render()
+
+
+@dataclass(frozen=True)
+class Scene:
+    """A rig, the tank around it, and the document both came from."""
+
+    rig: Rig
+    tank: Tank
+    document: Document
+    source: str
+
+
+SECTIONS = frozenset(Tank.model_fields)
+
+
+def load_scene(path: Path) -> Scene:
+    """The scene described by the TOML file at ``path``; InputError names what is wrong."""
+    document = inline_board(read_document(path))
+    strange = sorted(set(document) - set(Rig.model_fields) - SECTIONS)
+    if strange:
+        allowed = ", ".join(sorted({*Rig.model_fields, *SECTIONS}))
+        raise InputError(f"{strange[0]}: unknown section", where=path, allowed=allowed)
+    return scene_of(parse_rig(document, source=str(path), trusted=True))
+
+
+def scene_of(rig_file: RigFile) -> Scene:
+    """The scene in a rig file that has the tank's sections; InputError names what is wrong."""
+    own = {key: value for key, value in rig_file.document.items() if key in SECTIONS}
+    scene = Scene(
+        rig=rig_file.rig,
+        tank=check(Tank, own, where=rig_file.source),
+        document=rig_file.document,
+        source=rig_file.source,
+    )
+    _check_target(scene)
+    check_lens(scene)
+    return scene
+
+
+def _check_target(scene: Scene) -> None:
+    shape, rig = scene.tank.target.shape, scene.rig
+    needed: dict[str, Any] = {"board": rig.board, "workpiece": rig.workpiece}
+    if shape in needed and needed[shape] is None:
+        raise InputError(
+            f"target.shape needs the section [{shape}]", where=scene.source, value=shape
+        )
+
+
+def check_lens(scene: Scene) -> None:
+    """Refuse a distortion that folds the picture: the radius must grow all over the frame."""
+    lens, camera = scene.tank.lens, scene.rig.camera
+    corners = [(u, v) for u in (0, camera.width_px - 1) for v in (0, camera.height_px - 1)]
+    offsets = np.array(corners) - np.array(lens.centre_px)
+    reach = float(np.hypot(*(offsets / lens.focal_px).T).max())
+    r = np.linspace(0, 2 * reach, 400)
+    slope = 1 + 3 * lens.k1 * r**2 + 5 * lens.k2 * r**4 + 7 * lens.k3 * r**6
+    distorted = r * (1 + lens.k1 * r**2 + lens.k2 * r**4 + lens.k3 * r**6)
+    monotone = np.minimum.accumulate(slope) > 0
+    if not np.any(monotone & (distorted >= reach)):
+        raise InputError(
+            "lens: the distortion folds the picture before its corners",
+            where=scene.source,
+            value=(lens.k1, lens.k2, lens.k3),
+            allowed="coefficients for which the radius grows monotonically over the frame",
+        )
+
+
+def target_pose(scene: Scene) -> Pose:
+    """Workpiece (or board, or mesh) frame to world frame."""
+    target = scene.tank.target
+    turned = (
+        rotation_z(target.turn_deg) @ rotation_y(target.tilt_y_deg) @ rotation_x(target.tilt_x_deg)
+    )
+    pose = Pose(turned, np.array(target.position_mm))
+    return head_pose(scene.tank.head, 0.0) @ pose if target.shape == "board" else pose

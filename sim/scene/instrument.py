@@ -1,0 +1,221 @@
+"""Sections of a scene file about the instrument: lens, port, head, laser, sensor.
+
+Lengths mm, angles degrees, wavelengths nm, as in the file.
+"""
+
+from __future__ import annotations
+
+from math import exp
+from typing import Annotated, Any, Literal, Self
+
+from pydantic import Discriminator, Field, NonNegativeFloat, PositiveFloat, Tag, model_validator
+
+from lscan.documents import Strict
+
+Vector = tuple[float, float, float]
+Fraction = Annotated[float, Field(ge=0, le=1)]
+Seed = Annotated[int, Field(ge=0, lt=2**31)]
+SmallAngle = Annotated[float, Field(gt=-45, lt=45)]
+# A number, or a material whose dispersion sim.water knows.
+Glass = Annotated[float, Field(ge=1, le=2.5)] | Literal["N-BK7", "fused silica", "PMMA"]
+
+
+class Lens(Strict):
+    """Pinhole with Brown-Conrady distortion, as OpenCV writes it, in px of the picture.
+
+    vignetting: the exponent of the cosine with which light falls off the axis; 4 is the
+    natural law.  focus_mm: distance from the pinhole, in air and along the axis, that is
+    sharp; nothing is blurred by defocus where it is left out.  blur_px: standard deviation
+    of the point spread's core, taken as Gaussian; ``glare`` of the light is spread by a
+    second Gaussian of ``glare_px``.
+    """
+
+    focal_px: PositiveFloat
+    centre_px: tuple[float, float]
+    k1: float = 0.0
+    k2: float = 0.0
+    k3: float = 0.0
+    p1: float = 0.0
+    p2: float = 0.0
+    f_number: PositiveFloat = 2.8
+    transmission: Fraction = 0.85
+    vignetting: Annotated[float, Field(ge=0, le=8)] = 4.0
+    focus_mm: PositiveFloat | None = None
+    blur_px: NonNegativeFloat = 0.7
+    glare: Annotated[float, Field(ge=0, lt=1)] = 0.0
+    glare_px: PositiveFloat = 20.0
+
+
+class FlatPort(Strict):
+    """Flat port: ``gap_mm`` of air from pinhole to glass along its normal, then the glass.
+
+    The normal is the camera's axis turned by the tilts about the camera's x and y.
+    """
+
+    kind: Literal["flat"] = "flat"
+    gap_mm: PositiveFloat = 10.0
+    thickness_mm: PositiveFloat = 6.0
+    glass_index: Glass = 1.488  # PMMA, physics.md section 1
+    tilt_x_deg: SmallAngle = 0.0
+    tilt_y_deg: SmallAngle = 0.0
+
+
+class DomePort(Strict):
+    """Spherical port: air inside ``radius_mm``, then ``thickness_mm`` of glass.
+
+    centre_mm: the dome's centre from the pinhole, camera frame (x right, y down, z ahead).
+    """
+
+    kind: Literal["dome"]
+    radius_mm: PositiveFloat = 50.0
+    thickness_mm: PositiveFloat = 4.0
+    glass_index: Glass = 1.488
+    centre_mm: Vector = (0.0, 0.0, 0.0)
+
+    @model_validator(mode="after")
+    def _pinhole_inside(self) -> Self:
+        if sum(c * c for c in self.centre_mm) >= (0.9 * self.radius_mm) ** 2:
+            raise ValueError("centre_mm must lie within 0.9 radius_mm of the pinhole")
+        return self
+
+
+def _port_kind(value: Any) -> Any:
+    """ "flat" where the file does not say which kind of port it is."""
+    return value.get("kind", "flat") if isinstance(value, dict) else getattr(value, "kind", None)
+
+
+Port = Annotated[
+    Annotated[FlatPort, Tag("flat")] | Annotated[DomePort, Tag("dome")], Discriminator(_port_kind)
+]
+
+
+class Head(Strict):
+    """Where the camera sits in the head, and how the head sits on the track.
+
+    camera_mm: the pinhole.  The axis lies ``depression_deg`` below the horizon, turned by
+    ``heading_deg`` about z (positive to the left), the camera rolled by ``roll_deg`` about it.
+    yaw_deg: the head's plane y = 0 against the track, which runs along
+    (sin yaw, cos yaw, 0) of the head.
+    speed_mm_s: how fast the head moves along the track while a picture is taken; 0: it stands.
+    """
+
+    camera_mm: Vector
+    depression_deg: Annotated[float, Field(gt=-90, lt=90)] = 30.0
+    heading_deg: float = 0.0
+    roll_deg: float = 0.0
+    yaw_deg: SmallAngle = 0.0
+    speed_mm_s: Annotated[float, Field(ge=-1e4, le=1e4)] = 0.0
+
+
+class Line(Strict):
+    """One of several sheets: leans by ``tilt_deg`` more, and has this share of the power."""
+
+    tilt_deg: SmallAngle
+    share: Annotated[float, Field(gt=0, le=1)]
+
+
+class Drift(Strict):
+    """A diode that warms up: by ``rise_c``, ``nm_per_c`` each, with the time constant ``time_s``.
+
+    0.2 to 0.3 nm a degree is usual for red diodes (recalled, not sourced).
+    """
+
+    nm_per_c: float = 0.2
+    rise_c: Annotated[float, Field(ge=-50, le=50)] = 10.0
+    time_s: PositiveFloat = 300.0
+
+
+class Laser(Strict):
+    """A laser sheet that opens from ``apex_mm`` of the head, Gaussian across its thickness.
+
+    The fan's axis points down, turned by ``aim_deg`` towards +x; the sheet is then leant by
+    ``tilt_deg`` about x (its lower part towards +y) and turned by ``skew_deg`` about z, both
+    about the apex.  An apex in y = 0 without tilt and skew puts it in the head's plane y = 0,
+    the board's; anything else is a misalignment.
+    waist_mm is the 1/e2 half thickness at ``waist_distance_mm`` from the apex; m2 the beam
+    quality of its divergence.
+    fan "uniform": a Powell lens, its power per angle higher by ``fan_rise`` at the edges than
+    in the middle; "gaussian": a cylinder lens, the fan's half angle being the 1/e2 half width
+    of its power, cut off there.
+    port_tilt_deg: the laser's window against the sheet: where it is not 0 the sheet is bowed
+    (sim.plugins.sheet).  lines: several sheets of one diode; one straight sheet if empty.
+    """
+
+    power_mw: Annotated[float, Field(gt=0, le=1e5)]
+    wavelength_nm: Annotated[float, Field(ge=450, le=700)] = 650.0
+    drift: Drift | None = None
+    apex_mm: Vector
+    aim_deg: float = 0.0
+    tilt_deg: SmallAngle = 0.0
+    skew_deg: SmallAngle = 0.0
+    fan_half_angle_deg: Annotated[float, Field(gt=0, lt=80)] = 35.0
+    fan: Literal["uniform", "gaussian"] = "uniform"
+    fan_rise: Annotated[float, Field(gt=-0.9, le=5)] = 0.0
+    waist_mm: PositiveFloat = 1.5
+    waist_distance_mm: float = 600.0
+    m2: Annotated[float, Field(ge=1)] = 1.0
+    port_tilt_deg: SmallAngle = 0.0
+    lines: tuple[Line, ...] = ()
+    on: bool = True
+
+    @model_validator(mode="after")
+    def _shares_add_up(self) -> Self:
+        total = sum(line.share for line in self.lines)
+        if total > 1 + 1e-9:
+            raise ValueError(f"lines: the shares of the power add up to {total:g}, more than 1")
+        if self.fan_rise != 0 and self.fan != "uniform":
+            raise ValueError('fan_rise goes with fan = "uniform" only')
+        return self
+
+    @property
+    def sheets(self) -> tuple[Line, ...]:
+        """The sheets there are: ``lines``, or one that holds all the power."""
+        return self.lines or (Line(tilt_deg=0.0, share=1.0),)
+
+    def wavelength_at(self, time_s: float) -> float:
+        """Wavelength in nm ``time_s`` after the laser was switched on."""
+        if self.drift is None:
+            return self.wavelength_nm
+        warmed = self.drift.rise_c * (1 - exp(-time_s / self.drift.time_s))
+        return self.wavelength_nm + self.drift.nm_per_c * warmed
+
+
+class Response(Strict):
+    """Quantum efficiency of the red, green and blue pixels to one kind of light."""
+
+    red: Fraction
+    green: Fraction
+    blue: Fraction
+
+
+class Sensor(Strict):
+    """EMVA 1288 linear model of a webcam's sensor (physics.md section 5), and what follows it.
+
+    gain: 1 puts the full well at 255 DN.  gamma: the camera's; 1 is linear, a webcam has 2.2.
+    prnu, dsnu_e: spread of the pixels' sensitivities, and of their offsets in electrons.
+    hot_pixels: the share of pixels that show ``hot_e`` electrons more.
+    speckle: of the laser's light; "depolarised" where the target turns its polarisation, as
+    matt ones do.  bayer: pattern of the colour filter, from the top-left pixel; "none": every
+    pixel sees all three colours.  jpeg_quality: the picture has been through MJPEG.
+    readout_ms: a rolling shutter's time from the first row's to the last row's.
+    """
+
+    pixel_um: PositiveFloat = 6.0
+    full_well_e: PositiveFloat = 15000.0
+    dark_noise_e: NonNegativeFloat = 53.0
+    prnu: Annotated[float, Field(ge=0, le=0.2)] = 0.01
+    dsnu_e: NonNegativeFloat = 0.0
+    hot_pixels: Annotated[float, Field(ge=0, le=0.1)] = 0.0
+    hot_e: NonNegativeFloat = 3000.0
+    speckle: Literal["none", "polarised", "depolarised"] = "none"
+    gain: PositiveFloat = 1.0
+    black_level_dn: Annotated[float, Field(ge=0, lt=255)] = 2.0
+    gamma: Annotated[float, Field(ge=1, le=3)] = 1.0
+    bayer: Literal["none", "RGGB", "BGGR", "GRBG", "GBRG"] = "none"
+    jpeg_quality: Annotated[int, Field(ge=1, le=100)] | None = None
+    jpeg_subsampling: Literal["4:4:4", "4:2:2", "4:2:0"] = "4:2:0"
+    readout_ms: NonNegativeFloat = 0.0
+    laser_response: Response = Response(red=0.40, green=0.03, blue=0.01)
+    ambient_response: Response = Response(red=0.30, green=0.33, blue=0.28)
+    noise: bool = True
+    seed: Seed = 1

@@ -1,0 +1,142 @@
+"""Sections of a scene file about what fills the tank: water, light, target, floor."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal, Self
+
+from pydantic import Field, NonNegativeFloat, PositiveFloat, model_validator
+
+from lscan.documents import Strict
+from sim.scene.instrument import Fraction, Seed, Vector
+
+FLOOR_HALF_SIDE_MM = 3000.0  # beyond, a metre of turbid water has swallowed the light
+WATERS = (
+    "pure", "clear", "coastal", "harbor", "tank",
+    "jerlov-I", "jerlov-IB", "jerlov-II", "jerlov-III", "jerlov-1C", "jerlov-7C", "jerlov-9C",
+)  # fmt: skip
+WaterName = Literal[
+    "pure", "clear", "coastal", "harbor", "tank",
+    "jerlov-I", "jerlov-IB", "jerlov-II", "jerlov-III", "jerlov-1C", "jerlov-7C", "jerlov-9C",
+]  # fmt: skip
+PhaseName = Literal["petzold-mixture", "petzold", "fournier-forand", "henyey-greenstein"]
+COEFFICIENTS = (
+    "particle_absorption_per_m",
+    "particle_scattering_per_m",
+    "absorption_per_m",
+    "scattering_per_m",
+)
+
+
+class Water(Strict):
+    """The water: its state gives the index, the rest its particles (sim.water).
+
+    Its absorption and scattering at the laser's wavelength are given in one of three ways:
+    by ``name`` (with ``turbidity_ntu`` for "tank"); by what particles add to pure water
+    (particle_absorption_per_m, particle_scattering_per_m; nothing if left out); or in all
+    (absorption_per_m and scattering_per_m).
+    phase: the particles' phase function.  "petzold-mixture": four Henyey-Greenstein lobes
+    fitted to Petzold's average particle, "petzold": his table; "fournier-forand" with
+    ``particle_index`` and ``junge_slope``; "henyey-greenstein" with ``asymmetry``.
+    """
+
+    name: WaterName | None = None
+    turbidity_ntu: Annotated[float, Field(ge=0, le=100)] | None = None
+    temperature_c: Annotated[float, Field(ge=0, le=30)] = 20.0
+    salinity_psu: Annotated[float, Field(ge=0, le=35)] = 0.0
+    pressure_mpa: Annotated[float, Field(ge=0.1, le=100)] = 0.101325
+    particle_absorption_per_m: NonNegativeFloat | None = None
+    particle_scattering_per_m: NonNegativeFloat | None = None
+    absorption_per_m: NonNegativeFloat | None = None
+    scattering_per_m: NonNegativeFloat | None = None
+    phase: PhaseName = "petzold-mixture"
+    particle_index: Annotated[float, Field(gt=1, le=1.5)] = 1.10
+    junge_slope: Annotated[float, Field(gt=3, lt=5)] = 3.5835
+    asymmetry: Annotated[float, Field(gt=-1, lt=1)] = 0.924
+
+    @model_validator(mode="after")
+    def _one_way(self) -> Self:
+        given = [name for name in COEFFICIENTS if getattr(self, name) is not None]
+        if self.name is not None and given:
+            raise ValueError(f"name and {given[0]} exclude each other")
+        if (self.name == "tank") != (self.turbidity_ntu is not None):
+            raise ValueError('turbidity_ntu goes with name = "tank", and only with it')
+        totals = [name for name in given if not name.startswith("particle")]
+        if totals and (len(totals) != 2 or len(given) != 2):
+            raise ValueError(
+                "absorption_per_m and scattering_per_m go together, and with no other coefficient"
+            )
+        return self
+
+
+class Light(Strict):
+    """Ambient light: radiance in W/(m2 sr) that reaches every point from all directions."""
+
+    ambient_w_m2_sr: Annotated[float, Field(ge=0, le=1e6)] = 0.0
+
+
+class Sand(Strict):
+    """A coat of sand glued to the workpiece: spherical grains, half sunk, on a flat pack."""
+
+    grain_mm: Annotated[float, Field(gt=0.05, le=5)] = 0.4
+    spread: Annotated[float, Field(ge=0, lt=1)] = 0.3
+    seed: Seed = 1
+
+
+class Texture(Strict):
+    """A picture laid over the target as its albedo: grey levels 0 to 255 are 0 to 1.
+
+    It spans ``size_mm`` from ``corner_mm`` in x and y of the target's frame (x and z for the
+    board), and repeats beyond; ``albedo`` of the target multiplies it.
+    """
+
+    file: str
+    corner_mm: tuple[float, float] = (0.0, 0.0)
+    size_mm: tuple[PositiveFloat, PositiveFloat]
+
+
+class Target(Strict):
+    """What stands in the tank.
+
+    shape "board": the rig's board, in the head's plane y = 0 at track position 0, moved by
+    ``position_mm`` and turned, both in the head frame.  "workpiece": the rig's workpiece;
+    "mesh": a mesh file in mm; both placed in the world frame, turned about the workpiece
+    frame's origin first about x (tilt_x), then y (tilt_y), then z (turn).
+    albedo: diffuse reflectance at the laser's wavelength, of the marks' ground where it is a
+    board; or pairs (wavelength_nm, reflectance) to interpolate between, so that a red
+    surface is bright to a red laser and dark to a green one.  A mesh file's vertex colours
+    multiply it.
+    finish: "matt" scatters diffusely; "wet": a glossy coat over it, whose facets have the
+    slope ``roughness`` and the index ``coat_index``; "mirror": metal of that roughness, which
+    throws the line elsewhere.
+    """
+
+    shape: Literal["board", "workpiece", "mesh", "none"]
+    file: str | None = None
+    position_mm: Vector = (0.0, 0.0, 0.0)
+    turn_deg: float = 0.0
+    tilt_x_deg: float = 0.0
+    tilt_y_deg: float = 0.0
+    albedo: Fraction | tuple[tuple[PositiveFloat, Fraction], ...] = 0.5
+    mark_albedo: Fraction = 0.05
+    finish: Literal["matt", "wet", "mirror"] = "matt"
+    roughness: Annotated[float, Field(ge=0.02, le=1)] = 0.1
+    coat_index: Annotated[float, Field(gt=1.34, le=2.5)] = 1.5
+    texture: Texture | None = None
+    sand: Sand | None = None
+
+    @model_validator(mode="after")
+    def _consistent(self) -> Self:
+        if (self.shape == "mesh") != (self.file is not None):
+            raise ValueError('file goes with shape = "mesh", and only with it')
+        if isinstance(self.albedo, tuple):
+            wavelengths = [pair[0] for pair in self.albedo]
+            if len(wavelengths) < 2 or wavelengths != sorted(set(wavelengths)):
+                raise ValueError("albedo: two or more pairs, their wavelengths rising")
+        return self
+
+
+class Floor(Strict):
+    """The tank's floor, level in the world frame."""
+
+    z_mm: float
+    albedo: Fraction = 0.3
