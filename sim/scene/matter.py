@@ -10,12 +10,8 @@ from lscan.documents import Strict
 from sim.scene.instrument import Fraction, Seed, Vector
 
 FLOOR_HALF_SIDE_MM = 3000.0  # beyond, a metre of turbid water has swallowed the light
-WATERS = (
-    "pure", "clear", "coastal", "harbor", "tank",
-    "jerlov-I", "jerlov-IB", "jerlov-II", "jerlov-III", "jerlov-1C", "jerlov-7C", "jerlov-9C",
-)  # fmt: skip
-WaterName = Literal[
-    "pure", "clear", "coastal", "harbor", "tank",
+WaterKind = Literal[
+    "given", "pure", "clear", "coastal", "harbor", "tank",
     "jerlov-I", "jerlov-IB", "jerlov-II", "jerlov-III", "jerlov-1C", "jerlov-7C", "jerlov-9C",
 ]  # fmt: skip
 PhaseName = Literal["petzold-mixture", "petzold", "fournier-forand", "henyey-greenstein"]
@@ -30,16 +26,16 @@ COEFFICIENTS = (
 class Water(Strict):
     """The water: its state gives the index, the rest its particles (sim.water).
 
-    Its absorption and scattering at the laser's wavelength are given in one of three ways:
-    by ``name`` (with ``turbidity_ntu`` for "tank"); by what particles add to pure water
-    (particle_absorption_per_m, particle_scattering_per_m; nothing if left out); or in all
+    kind: a water with a name (with ``turbidity_ntu`` for "tank"), or "given": by what
+    particles add to pure water at the laser's wavelength (particle_absorption_per_m,
+    particle_scattering_per_m; nothing if left out), or by all there is of both
     (absorption_per_m and scattering_per_m).
     phase: the particles' phase function.  "petzold-mixture": four Henyey-Greenstein lobes
     fitted to Petzold's average particle, "petzold": his table; "fournier-forand" with
     ``particle_index`` and ``junge_slope``; "henyey-greenstein" with ``asymmetry``.
     """
 
-    name: WaterName | None = None
+    kind: WaterKind = "given"
     turbidity_ntu: Annotated[float, Field(ge=0, le=100)] | None = None
     temperature_c: Annotated[float, Field(ge=0, le=30)] = 20.0
     salinity_psu: Annotated[float, Field(ge=0, le=35)] = 0.0
@@ -56,10 +52,10 @@ class Water(Strict):
     @model_validator(mode="after")
     def _one_way(self) -> Self:
         given = [name for name in COEFFICIENTS if getattr(self, name) is not None]
-        if self.name is not None and given:
-            raise ValueError(f"name and {given[0]} exclude each other")
-        if (self.name == "tank") != (self.turbidity_ntu is not None):
-            raise ValueError('turbidity_ntu goes with name = "tank", and only with it')
+        if self.kind != "given" and given:
+            raise ValueError(f'kind = "{self.kind}" and {given[0]} exclude each other')
+        if (self.kind == "tank") != (self.turbidity_ntu is not None):
+            raise ValueError('turbidity_ntu goes with kind = "tank", and only with it')
         totals = [name for name in given if not name.startswith("particle")]
         if totals and (len(totals) != 2 or len(given) != 2):
             raise ValueError(
