@@ -6,7 +6,7 @@ BIN := .venv/bin
 ROOT := $(shell [ "$$(id -u)" = 0 ] || echo sudo -n)
 APT := $(ROOT) env DEBIAN_FRONTEND=noninteractive apt-get -qq
 
-.PHONY: help demo test lint bench clean
+.PHONY: help demo test lint bench verify clean
 .DELETE_ON_ERROR:
 
 help:
@@ -14,6 +14,7 @@ help:
 	@echo "make test    all checks and all tests"
 	@echo "make lint    the checks alone: ruff, mypy, import contracts"
 	@echo "make bench   measure speed and write out/bench.json"
+	@echo "make verify  hold the tank against references; out/verify.json, out/verify/report.html"
 	@echo "make clean   remove all that was set up or made, save runs/"
 
 demo: .venv/llvm.stamp
@@ -30,6 +31,9 @@ lint: .venv/packages.stamp
 
 bench: .venv/llvm.stamp
 	$(BIN)/lscan-sim bench -o out/bench.json
+
+verify: .venv/llvm.stamp
+	$(BIN)/lscan-sim verify --full -o out/verify --json-file out/verify.json
 
 clean:
 	rm -rf .venv out build *.egg-info

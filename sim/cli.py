@@ -7,10 +7,10 @@ from typing import Annotated, Any
 
 import typer
 
-from lscan.console import print_json, print_table, run_command_line
+from lscan.console import print_json, print_table, progress_bar, run_command_line
 
 app = typer.Typer(
-    help="The tank in software: demo, render, truth.",
+    help="The tank in software: demo, render, truth, verify.",
     no_args_is_help=True,
     add_completion=False,
     pretty_exceptions_enable=False,
@@ -103,6 +103,40 @@ def bench(
     else:
         rows = [[figure.what, figure.figure, figure.unit] for figure in figures]
         print_table("bench", ["what", "figure", "unit"], rows)
+
+
+@app.command()
+def verify(
+    output: Annotated[Path, typer.Option("--output", "-o", help="Folder to write.")] = Path(
+        "out/verify"
+    ),
+    full: Annotated[
+        bool, typer.Option("--full", help="The slow half too, and a picture of each scene.")
+    ] = False,
+    scenes: Annotated[Path, typer.Option("--scenes", help="Folder of scene files.")] = Path(
+        "scenes"
+    ),
+    json_file: Annotated[
+        Path | None, typer.Option("--json-file", help="Write the rows to this file as well.")
+    ] = None,
+    json: Json = False,
+) -> None:
+    """The tank against closed forms, published values and other renderers; a page shows it."""
+    from sim.verify.rows import table_cells, write_rows
+    from sim.verify.run import run_verify
+
+    with progress_bar("verify") as progress:
+        evidence = run_verify(output, full, scenes, progress)
+    if json_file is not None:
+        write_rows(json_file, evidence.rows)
+    if json:
+        print_json([row.as_json() for row in evidence.rows])
+    else:
+        headings = ["what", "deviation", "bar", "unit", "within"]
+        print_table("verify", headings, table_cells(evidence.rows))
+        print(f"{output / 'report.html'}\n{output / 'verify.json'}")
+    if not evidence.passed:
+        raise typer.Exit(1)
 
 
 def _print_files(files: dict[str, Path], json: bool) -> None:

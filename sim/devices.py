@@ -6,10 +6,10 @@ scan, so a scan that is stopped and resumed gives the same bytes.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Self
+from typing import TYPE_CHECKING, Annotated, Self
 
 import numpy as np
-from pydantic import model_validator
+from pydantic import Field, PositiveFloat, model_validator
 
 from lscan.devices.api import Grab, Track
 from lscan.documents import Strict, check
@@ -19,7 +19,7 @@ from sim.scene import SECTIONS, Scene, scene_of
 
 if TYPE_CHECKING:
     from sim.sensor import Webcam
-    from sim.tank import Tank
+    from sim.tank import Layers, Tank
 
 FRAME_PERIOD_S = 0.2  # the simulated clock: a picture takes this long
 
@@ -38,7 +38,24 @@ class TrackOptions(Strict):
 
 
 class CameraOptions(Strict):
-    """``[camera.options]`` of the tank's camera: none, the scene's sections say it all."""
+    """``[camera.options]`` of the tank's camera: how it sets its exposure.
+
+    auto_exposure: instead of the rig's ``exposure_ms``, the exposure within ``min_ms`` and
+    ``max_ms`` that brings the ``percentile`` of each picture's pixels, by their brightest
+    colour, closest to ``target_dn``.
+    """
+
+    auto_exposure: Annotated[bool, Field(strict=True)] = False
+    target_dn: Annotated[float, Field(gt=0, lt=255)] = 200.0
+    percentile: Annotated[float, Field(gt=0, le=100)] = 99.9
+    min_ms: PositiveFloat = 0.1
+    max_ms: PositiveFloat = 100.0
+
+    @model_validator(mode="after")
+    def _not_empty(self) -> Self:
+        if self.min_ms > self.max_ms:
+            raise ValueError("min_ms must not be above max_ms")
+        return self
 
 
 class SimTrack:
@@ -79,6 +96,7 @@ class SimCamera:
         from sim.tank import Tank
 
         self._scene, self._track = scene, track
+        self._options = camera_options(scene)
         self._tank: Tank | None = Tank(scene)
         self._webcam: Webcam = Webcam(scene)
         self._next = 0
@@ -98,15 +116,31 @@ class SimCamera:
             raise DeviceError("sim camera: is closed")
         index = self._next if frame is None else frame
         self._next = index + 1
+        time_s = index * FRAME_PERIOD_S
         position_mm = self._track.position_mm
         layers = self._tank.render(position_mm)
-        exposure_ms = self._scene.rig.camera.exposure_ms
-        image = self._webcam.expose(layers, exposure_ms, self._generator(position_mm, index))
-        return Grab(image=image, time_s=index * FRAME_PERIOD_S, exposure_ms=exposure_ms)
+        wavelength_nm = self._scene.tank.laser.wavelength_at(time_s)
+        exposure_ms = self._exposure_ms(layers, wavelength_nm)
+        generator = self._generator(position_mm, index)
+        image = self._webcam.expose(layers, exposure_ms, generator, wavelength_nm)
+        return Grab(image=image, time_s=time_s, exposure_ms=exposure_ms)
 
     def close(self) -> None:
         """Release the tank."""
         self._tank = None
+
+    def _exposure_ms(self, layers: Layers, wavelength_nm: float) -> float:
+        """The rig's exposure, or the one this picture itself asks for.
+
+        A real webcam meters the pictures before; those a resumed scan does not have.
+        """
+        options = self._options
+        if not options.auto_exposure:
+            return self._scene.rig.camera.exposure_ms
+        wanted = self._webcam.metered_ms(
+            layers, options.target_dn, options.percentile, wavelength_nm
+        )
+        return min(max(wanted, options.min_ms), options.max_ms)
 
     def _generator(self, position_mm: float, index: int) -> np.random.Generator:
         nanometres = round(position_mm * 1e6)
@@ -147,13 +181,28 @@ class SimCameraDriver:
 
     def validate(self, rig_file: RigFile) -> None:
         """Check options and the tank's sections; InputError names what is wrong."""
-        options = rig_file.rig.camera.options
-        check(CameraOptions, options, where=rig_file.source, prefix="camera.options")
-        scene_of(rig_file)
+        camera_options(scene_of(rig_file))
 
     def open(self, rig_file: RigFile, track: Track) -> SimCamera:
         """The camera, its tank loaded into Mitsuba."""
         return SimCamera(scene_of(rig_file), track)
+
+
+def camera_options(scene: Scene) -> CameraOptions:
+    """The scene's ``[camera.options]``; InputError also where black is above the target."""
+    options = check(
+        CameraOptions, scene.rig.camera.options, where=scene.source, prefix="camera.options"
+    )
+    sensor = scene.tank.sensor
+    black_dn = 255 * (sensor.black_level_dn / 255) ** (1 / sensor.gamma)
+    if options.auto_exposure and options.target_dn <= black_dn:
+        raise InputError(
+            "camera.options.target_dn: is no brighter than black",
+            where=scene.source,
+            value=options.target_dn,
+            allowed=f"above {black_dn:.4g} DN, the sensor's black level behind its gamma",
+        )
+    return options
 
 
 camera_driver = SimCameraDriver()

@@ -1,23 +1,28 @@
-"""The integrator plugin: what the camera sees of a laser sheet in water, without hit or miss.
+"""The integrator plugin for light of the first order, without hit or miss.
 
 The picture is a sum of parts, each an estimator of its own path family with analytic
 transmittance: ``direct`` (apex - surface - camera), ``scattered`` (apex - water - camera, the
-veil), ``ambient``.  They are kept apart as layers.  A further family (higher orders of
-scattering) joins by adding its name to LAYERS and its method to ``sample``.
+veil), ``ambient``.  They are kept apart as layers.  Light that meets more surfaces or more
+places of the water is the other integrator's (sim.plugins.multiple): paths are partitioned
+by their order, so the two pictures add up.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from math import pi, sqrt
 
 import drjit as dr
 import mitsuba as mi
 
 from sim.plugins.opaque import opaque
+from sim.plugins.phase import PhaseTable, angle_between
 from sim.plugins.sheet import LaserSheet
-from sim.water import DEPOLARISATION, Optics
+from sim.water import Optics
 
 LAYERS = ("direct", "scattered", "ambient")
+NEWTON_STEPS = 3  # a bow is a small deviation from a plane, whose crossing is the start
+NEWTON_REACH_MM = 0.5
 
 
 class SheetIntegrator(mi.SamplingIntegrator):
@@ -28,18 +33,17 @@ class SheetIntegrator(mi.SamplingIntegrator):
 
     def __init__(self, props: mi.Properties) -> None:
         super().__init__(props)
-        self.sheet: LaserSheet | None = None
+        self.sheets: Sequence[LaserSheet] = ()
 
-    def configure(self, water: Optics, sheet: LaserSheet | None, ambient_mw_mm2_sr: float) -> None:
-        """Set the water, the laser (None: off) and the ambient radiance."""
-        self.sheet = sheet
+    def configure(
+        self, water: Optics, sheets: Sequence[LaserSheet], ambient_mw_mm2_sr: float
+    ) -> None:
+        """Set the water, the laser's sheets (none: off) and the ambient radiance."""
+        self.sheets = tuple(sheets)
         self.extinction = opaque(water.extinction_per_mm)
         self.scattering = opaque(water.scattering_per_mm)
         self.has_water = water.scattering_per_mm > 0
-        self.lobes = [
-            (opaque(w), opaque(g)) for w, g in zip(water.hg_weights, water.hg_g, strict=True)
-        ]
-        self.molecular_weight = opaque(water.molecular_weight)
+        self.phase = PhaseTable(water.phase)
         self.has_ambient = ambient_mw_mm2_sr > 0
         self.ambient_radiance = opaque(ambient_mw_mm2_sr)
 
@@ -59,25 +63,13 @@ class SheetIntegrator(mi.SamplingIntegrator):
         active = mi.Bool(active)
         si = scene.ray_intersect(ray, active)
         direct, scattered, ambient = mi.Float(0), mi.Float(0), mi.Float(0)
-        if self.sheet is not None:
-            direct = self._direct(scene, self.sheet, si, active)
+        for sheet in self.sheets:
+            direct += direct_light(scene, sheet, self.extinction, si, active)
             if self.has_water:
-                scattered = self._scattered(scene, self.sheet, sampler, ray, si, active)
+                scattered += self._scattered(scene, sheet, sampler, ray, si, active)
         if self.has_ambient:
             ambient = self._ambient(scene, sampler, si, active)
         return mi.Spectrum(direct + scattered + ambient), active, [direct, scattered, ambient]
-
-    def _direct(
-        self, scene: mi.Scene, sheet: LaserSheet, si: mi.SurfaceInteraction3f, active: mi.Bool
-    ) -> mi.Float:
-        """Laser to surface to camera: one shadow ray, transmittance along both legs."""
-        lit = active & si.is_valid()
-        ds, irradiance = sheet.sample_direction(si, mi.Point2f(0), lit)
-        lit &= irradiance.x > 0
-        lit &= ~scene.ray_test(si.spawn_ray_to(ds.p), lit)
-        reflected = si.bsdf().eval(mi.BSDFContext(), si, si.to_local(ds.d), lit)
-        loss = dr.exp(-self.extinction * (ds.dist + si.t))
-        return dr.select(lit, reflected.x * irradiance.x * loss, 0.0)
 
     def _scattered(
         self,
@@ -95,9 +87,8 @@ class SheetIntegrator(mi.SamplingIntegrator):
         Gaussian, cut at the surface, leaves an integrand that hardly varies.
         """
         end = dr.select(si.is_valid(), si.t, dr.largest(mi.Float))
-        slope = dr.dot(ray.d, sheet.normal)
-        crossing = dr.dot(sheet.apex - ray.o, sheet.normal) / slope
-        rho = dr.norm(ray(crossing) - sheet.apex)
+        crossing, slope = crossing_of(sheet, ray)
+        _, rho, _ = sheet.coordinates(ray(crossing), ray.time)
         sigma = sheet.half_width(rho) / (2 * dr.abs(slope))
 
         low = _normal_cdf(-crossing / sigma)
@@ -109,7 +100,7 @@ class SheetIntegrator(mi.SamplingIntegrator):
         valid = active & (share > 1e-6) & (t > 0) & (t < end) & dr.isfinite(t)
 
         point = ray(t)
-        to_apex = sheet.apex - point
+        to_apex = sheet.apex(ray.time) - point
         distance = dr.norm(to_apex)
         to_apex /= distance
         shadow = mi.Ray3f(point, to_apex, distance, ray.time, ray.wavelengths)
@@ -117,8 +108,8 @@ class SheetIntegrator(mi.SamplingIntegrator):
 
         density = dr.exp(-0.5 * z * z) / (sqrt(2 * pi) * sigma) / share
         # Light travels along -to_apex and leaves along -ray.d.
-        phase = self.phase(dr.dot(to_apex, ray.d))
-        source = self.scattering * phase * sheet.irradiance(point)
+        phase = self.phase.value(angle_between(to_apex, ray.d))
+        source = self.scattering * phase * sheet.irradiance(point, ray.time)
         loss = dr.exp(-self.extinction * (distance + t))
         return dr.select(valid, source * loss / density, 0.0)
 
@@ -147,18 +138,36 @@ class SheetIntegrator(mi.SamplingIntegrator):
             active, self.ambient_radiance * (surface + albedo * (1 - transmittance)), 0.0
         )
 
-    def phase(self, cos_angle: mi.Float) -> mi.Float:
-        """The water's phase function in 1/sr at the cosine between the directions of travel.
 
-        ``cos_angle`` is that between incoming and outgoing direction: 1 is forward.
-        """
-        value = mi.Float(0)
-        for weight, g in self.lobes:
-            base = 1 + dr.square(g) - 2 * g * cos_angle
-            value += weight * (1 - dr.square(g)) / (4 * pi * base * dr.sqrt(base))
-        anisotropy = (1 - DEPOLARISATION) / (1 + DEPOLARISATION)
-        molecular = (1 + anisotropy * dr.square(cos_angle)) / (4 * pi * (1 + anisotropy / 3))
-        return value * (1 - self.molecular_weight) + self.molecular_weight * molecular
+def direct_light(
+    scene: mi.Scene,
+    sheet: LaserSheet,
+    extinction: mi.Float,
+    si: mi.SurfaceInteraction3f,
+    active: mi.Bool,
+) -> mi.Float:
+    """Laser to surface to ray: one shadow ray, transmittance along both legs."""
+    lit = active & si.is_valid()
+    ds, irradiance = sheet.sample_direction(si, mi.Point2f(0), lit)
+    lit &= irradiance.x > 0
+    lit &= ~scene.ray_test(si.spawn_ray_to(ds.p), lit)
+    reflected = si.bsdf().eval(mi.BSDFContext(), si, si.to_local(ds.d), lit)
+    loss = dr.exp(-extinction * (ds.dist + si.t))
+    return dr.select(lit, reflected.x * irradiance.x * loss, 0.0)
+
+
+def crossing_of(sheet: LaserSheet, ray: mi.Ray3f) -> tuple[mi.Float, mi.Float]:
+    """Where a ray crosses the sheet's middle, mm along it, and its slope against it there."""
+    slope = dr.dot(ray.d, sheet.normal)
+    crossing = dr.dot(sheet.apex(ray.time) - ray.o, sheet.normal) / slope
+    if not sheet.is_bowed:
+        return crossing, slope
+    for _ in range(NEWTON_STEPS):
+        _, _, here = sheet.coordinates(ray(crossing), ray.time)
+        _, _, there = sheet.coordinates(ray(crossing + NEWTON_REACH_MM), ray.time)
+        slope = (there - here) / NEWTON_REACH_MM
+        crossing -= here / slope
+    return crossing, slope
 
 
 def _normal_cdf(x: mi.Float) -> mi.Float:

@@ -13,11 +13,13 @@ from lscan.records import BoardReading, Floats, Ints, Marks, RulerReading, Statu
 from sim.scene import Scene, head_pose, target_pose
 from sim.truth.projection import project
 from sim.truth.section import surfaces_of
+from sim.truth.shutter import row_positions_mm, travel_mm
 from sim.truth.surfaces import Surface
-from sim.truth.visibility import in_picture, seen
+from sim.truth.visibility import along_track, in_picture, seen
 
 RIM_POINTS = 128  # of a dot's outline, for its area's centroid
 RING_POINTS = 72  # on a ring's centre line
+TURNS = 5  # of the rolling shutter's fixed point
 
 
 @dataclass(frozen=True)
@@ -44,22 +46,41 @@ class _View:
     surfaces: Sequence[Surface]
     position_mm: float
 
-    def head(self, places: Floats) -> Floats:
-        """(N, 3) the places in the head frame, mm."""
+    def head(self, places: Floats) -> tuple[Floats, Floats]:
+        """(N, 3) the places in the head frame, mm, and (N,) the track positions then, mm."""
         x, z = places.T
         world = target_pose(self.scene).apply(np.column_stack([x, np.zeros_like(x), z]))
-        return head_pose(self.scene.tank.head, self.position_mm).invert(world)
+        position = self._position(world)
+        moved = along_track(position, len(world))
+        return head_pose(self.scene.tank.head, 0.0).invert(world - moved), position
+
+    def _position(self, world: Floats) -> Floats:
+        """(N,) where the head is, mm, in mid-exposure of the rows (N, 3) points show in.
+
+        Under a rolling shutter the row depends on the head's place and that on the row; each
+        turn brings the answer closer by travel times magnification over the picture's height,
+        a hundredth or less.
+        """
+        scene, count = self.scene, len(world)
+        position: Floats = np.full(count, self.position_mm)
+        for _ in range(0 if travel_mm(scene) == 0 else TURNS):
+            moved = along_track(position, count)
+            local = head_pose(scene.tank.head, 0.0).invert(world - moved)
+            rows = project(scene, local)[:, 1]
+            there = row_positions_mm(scene, self.position_mm, rows)
+            position = np.where(np.isfinite(there), there, self.position_mm)
+        return position
 
     def status(self, places: Floats) -> Ints:
         """(N,) of Status: OK, OUT_OF_VIEW or OCCLUDED."""
-        head = self.head(places)
+        head, position = self.head(places)
         shown = in_picture(self.scene, project(self.scene, head))
-        free = seen(self.scene, self.surfaces, head, self.position_mm)
+        free = seen(self.scene, self.surfaces, head, position)
         return np.select([~shown, ~free], [Status.OUT_OF_VIEW, Status.OCCLUDED], Status.OK)
 
     def centre(self, places: Floats, diameter_mm: float) -> Floats:
         """(N, 2) px of the places themselves, whatever stands there."""
-        return project(self.scene, self.head(places))
+        return project(self.scene, self.head(places)[0])
 
     def centroid(self, places: Floats, diameter_mm: float) -> Floats:
         """(N, 2) px of the centroids of the pictures of discs at the places."""
@@ -75,6 +96,7 @@ Imager = Callable[[Floats, float], Floats]  # _View.centre or _View.centroid
 def board_truth(scene: Scene, position_mm: float = 0.0) -> BoardTruth:
     """The truth of the board picture taken with the head at ``position_mm``.
 
+    Where the head moves, that is its place in the middle of the read-out.
     Raises InputError where the scene's target is not the board.
     """
     if scene.tank.target.shape != "board" or scene.rig.board is None:

@@ -10,6 +10,7 @@ import trimesh
 
 from lscan.records import Floats, Ints, Mask
 from sim.scene import Pose
+from sim.truth.bow import Bow, bowed_pieces
 from sim.truth.surfaces import spread, stretch
 
 CELL_TRIANGLES = 2.0  # a cell's side over that of a triangle, about
@@ -24,8 +25,11 @@ class Mesh:
 
     mesh: trimesh.Trimesh
 
-    def cut(self, sheet: Pose) -> Floats:
-        """(M, 2, 2) pieces of the section, one a triangle, in no particular order."""
+    def cut(self, sheet: Pose, bow: Bow | None = None) -> Floats:
+        """(M, 2, 2) pieces of the section, in no particular order; one a triangle if flat."""
+        if bow is not None:
+            vertices = sheet.invert(np.asarray(self.mesh.vertices))
+            return bowed_pieces(vertices, np.asarray(self.mesh.faces), bow)[..., [0, 2]]
         pieces = trimesh.intersections.mesh_plane(
             self.mesh, plane_normal=sheet.rotation[:, 1], plane_origin=sheet.origin_mm
         )

@@ -12,6 +12,7 @@ from lscan.records import Floats, Ints
 from lscan.targets import GroovedBlock, Sandwave
 from sim.meshes import target_mesh
 from sim.scene import FLOOR_HALF_SIDE_MM, Pose, Scene, target_pose
+from sim.truth.bow import Bow
 from sim.truth.mesh import Mesh
 from sim.truth.surfaces import Polygon, Surface, extrusion, spread
 from sim.truth.wave import sandwave_surfaces
@@ -21,7 +22,7 @@ from sim.truth.wave import sandwave_surfaces
 class Section:
     """A section as straight pieces, in no particular order.
 
-    ends_mm: (M, 2, 2) two ends of (x, z) of each piece, in the plane frame.
+    ends_mm: (M, 2, 2) two ends of (x, z) of each piece, in the sheet's plane (sim.truth.sheet).
     face: (M,) index of the surface it belongs to, in the list of ``surfaces_of``.
     """
 
@@ -76,13 +77,14 @@ def prism(outline: Floats, front_mm: float, back_mm: float, pose: Pose) -> list[
     return [Polygon(pose.apply(face)) for face in faces]
 
 
-def section_at(surfaces: Sequence[Surface], sheet: Pose) -> Section:
-    """The section of the surfaces by the sheet of a head posed by ``sheet`` (head to world).
+def section_at(surfaces: Sequence[Surface], sheet: Pose, bow: Bow | None = None) -> Section:
+    """The section of the surfaces by a sheet; sheet: frame of its plane to world frame.
 
-    Polygons are cut exactly; the sandwave within 1e-4 mm; meshes as their triangles lie.
-    Faces that lie in the sheet itself have no section.
+    A flat sheet cuts polygons exactly, the sandwave within 1e-4 mm, meshes as their triangles
+    lie; a bowed one polygons and meshes within 1e-4 mm (sim.truth.bow.FACET_MM).
+    Faces that lie in a flat sheet have no section.
     """
-    pieces = [surface.cut(sheet) for surface in surfaces]
+    pieces = [surface.cut(sheet, bow) for surface in surfaces]
     face = np.repeat(np.arange(len(pieces)), [len(piece) for piece in pieces])
     return Section(np.concatenate([np.empty((0, 2, 2)), *pieces]), face)
 

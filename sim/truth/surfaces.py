@@ -12,18 +12,21 @@ import numpy as np
 
 from lscan.records import Floats, Ints, Mask
 from sim.scene import Pose
+from sim.truth.bow import Bow, bowed_pieces
 
 # A line of sight ends on a surface: what it meets this close to its end is that surface.
 SELF_MM = 1e-3
+MOST_PAIRS = 1_000_000  # of pieces and edges compared at a time
 
 
 class Surface(Protocol):
     """One surface in the world frame, mm."""
 
-    def cut(self, sheet: Pose) -> Floats:
-        """(M, 2, 2) straight pieces of the section: two ends of (x, z) in the plane frame.
+    def cut(self, sheet: Pose, bow: Bow | None = None) -> Floats:
+        """(M, 2, 2) straight pieces of the section: two ends of (x, z) in the sheet's plane.
 
-        sheet: head frame to world frame; the sheet is the head's plane y = 0.
+        sheet: frame of the sheet's plane to world frame; the plane is its y = 0.
+        bow: how the sheet stands off the plane, None where it lies in it.
         """
         ...
 
@@ -43,9 +46,11 @@ class Polygon:
     corners_mm: Floats
     opaque: bool = True
 
-    def cut(self, sheet: Pose) -> Floats:
-        """(M, 2, 2) pieces of the section; none where the polygon lies in the sheet."""
+    def cut(self, sheet: Pose, bow: Bow | None = None) -> Floats:
+        """(M, 2, 2) pieces of the section; none where the polygon lies in a flat sheet."""
         corners = sheet.invert(self.corners_mm)
+        if bow is not None:
+            return bowed_section(corners, bow)
         following = np.roll(corners, -1, axis=0)
         crosses = (corners[:, 1] < 0) != (following[:, 1] < 0)
         if not crosses.any():
@@ -71,6 +76,59 @@ class Polygon:
         places = start[hit] + part[hit, np.newaxis] * ray[hit]
         hit[hit] = within(self.corners_mm[:, plan], places[:, plan])
         return hit
+
+
+def bowed_section(corners: Floats, bow: Bow) -> Floats:
+    """(M, 2, 2) section of a (K, 3) plane polygon by a bowed sheet, (x, z) in its plane.
+
+    The rectangle around the polygon is cut, then what lies outside the polygon cut off.
+    """
+    origin, plane = corners[0], plane_axes(newell_normal(corners))
+    outline = (corners - origin) @ plane.T
+    (left, bottom), (right, top) = outline.min(axis=0), outline.max(axis=0)
+    rectangle = np.array([[left, bottom], [right, bottom], [right, top], [left, top]])
+    halves = np.array([[0, 1, 2], [0, 2, 3]])
+    pieces = (bowed_pieces(origin + rectangle @ plane, halves, bow) - origin) @ plane.T
+    return (origin + clipped(pieces, outline) @ plane)[..., [0, 2]]
+
+
+def plane_axes(normal: Floats) -> Floats:
+    """(2, 3) unit vectors at right angles to each other and to a unit normal."""
+    beside = np.cross(normal, np.eye(3)[np.argmin(np.abs(normal))])
+    beside /= np.linalg.norm(beside)
+    return np.array([beside, np.cross(normal, beside)])
+
+
+def clipped(pieces: Floats, outline: Floats) -> Floats:
+    """(L, 2, 2) the parts of straight pieces (M, 2, 2) inside a (K, 2) polygon."""
+    at_once = max(1, MOST_PAIRS // len(outline))
+    parts = [
+        _clipped(pieces[first : first + at_once], outline)
+        for first in range(0, len(pieces), at_once)
+    ]
+    return np.concatenate([np.empty((0, 2, 2)), *parts])
+
+
+def _clipped(pieces: Floats, outline: Floats) -> Floats:
+    start, run = pieces[:, np.newaxis, 0], (pieces[:, 1] - pieces[:, 0])[:, np.newaxis]
+    edge, offset = np.roll(outline, -1, axis=0) - outline, outline - start
+    across = _cross(run, edge)
+    safe = np.where(across == 0, 1.0, across)
+    along, aside = _cross(offset, edge) / safe, _cross(offset, run) / safe
+    meets = (across != 0) & (along > 0) & (along < 1) & (aside >= 0) & (aside <= 1)
+    piece, _ = np.nonzero(meets)
+    every = np.arange(len(pieces))
+    owner = np.concatenate([every, piece, every])
+    part = np.concatenate([np.zeros(len(pieces)), along[meets], np.ones(len(pieces))])
+    order = np.lexsort((part, owner))
+    owner, part = owner[order], part[order, np.newaxis]
+    points = pieces[owner, 0] + part * (pieces[owner, 1] - pieces[owner, 0])
+    ends = np.stack([points[:-1], points[1:]], axis=1)[owner[:-1] == owner[1:]]
+    return ends[within(outline, ends.mean(axis=1))]
+
+
+def _cross(a: Floats, b: Floats) -> Floats:
+    return a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0]
 
 
 def stretch(start: Floats, end: Floats, low: Floats, high: Floats) -> tuple[Floats, Floats]:

@@ -10,10 +10,14 @@ import numpy as np
 from lscan.errors import InputError
 from lscan.records import Floats, Mask
 from lscan.targets import Sandwave
-from sim.scene import Head, Laser, Scene, head_pose, rotation_z, target_pose
+from sim.scene import Head, Laser, Pose, Scene, head_pose, rotation_z, target_pose
 from sim.truth.projection import camera_of, project, rays_to
+from sim.truth.roots import increasing_roots
 from sim.truth.section import Section, surfaces_of
+from sim.truth.sheet import Sheet, sheet_of
 from sim.truth.surfaces import SELF_MM, Surface, spread
+
+ALIGNED = Sheet(Pose(np.eye(3), np.zeros(3)), bow=None)
 
 
 def blocked(surfaces: Sequence[Surface], start: Floats, end: Floats) -> Mask:
@@ -26,12 +30,12 @@ def blocked(surfaces: Sequence[Surface], start: Floats, end: Floats) -> Mask:
 
 
 def in_fan(laser: Laser, xz_mm: Floats) -> Mask:
-    """(N,) whether (N, 2) points of the plane frame lie within the laser's fan."""
+    """(N,) whether (N, 2) points of a sheet lie within the laser's fan."""
     return np.abs(fan_angle(laser, xz_mm)) <= np.radians(laser.fan_half_angle_deg)
 
 
 def fan_angle(laser: Laser, xz_mm: Floats) -> Floats:
-    """(...,) angle, rad, at the apex between the fan's axis and (..., 2) points."""
+    """(...,) angle, rad, at the apex between the fan's axis and (..., 2) points of a sheet."""
     right, up = np.moveaxis(xz_mm - _apex(laser), -1, 0)
     aim = np.radians(laser.aim_deg)
     across = right * np.cos(aim) + up * np.sin(aim)
@@ -91,13 +95,14 @@ def in_picture(scene: Scene, pixels: Floats) -> Mask:
     return np.all((pixels >= -0.5) & (pixels <= size - 0.5), axis=1)
 
 
-def slice_visibility(scene: Scene, points_mm: Floats) -> Mask:
-    """(N,) whether points of the sandwave are lit and seen when the sheet passes over them.
+def slice_visibility(scene: Scene, points_mm: Floats, line: int = 0) -> Mask:
+    """(N,) whether points of the sandwave are lit and seen when a sheet passes over them.
 
     points_mm: (N, 2) of (x, y) in the workpiece frame; their height is that of the nominal
     shape without sand or wedges: eq. (4), on the rims z = 0.  A point that lies outside the
-    picture at that moment is not seen.  Raises InputError where the scene's target is no
-    sandwave, or the points are not finite (N, 2).
+    picture at that moment is not seen.  line: index into ``laser.sheets``.  Raises InputError
+    where the scene's target is no sandwave, the points are not finite (N, 2), or there is no
+    such line.
     """
     points = np.asarray(points_mm, dtype=float)
     if points.ndim != 2 or points.shape[1] != 2 or not np.isfinite(points).all():
@@ -115,19 +120,34 @@ def slice_visibility(scene: Scene, points_mm: Floats) -> Mask:
     height = np.where(over, workpiece.height_mm(points[:, 0], points[:, 1]), 0.0)
     world = target_pose(scene).apply(np.column_stack([points, height]))
 
-    position = passing_mm(tank.head, world)
+    sheet = sheet_of(scene, line)
+    position = passing_mm(tank.head, world, sheet)
     head = head_pose(tank.head, 0.0).invert(world - along_track(position, len(world)))
     apex = np.broadcast_to(np.array(tank.laser.apex_mm), head.shape)
     start = into_world(tank.head, apex, position)
     surfaces = surfaces_of(scene)
-    shone = in_fan(tank.laser, head[:, [0, 2]]) & ~blocked(surfaces, start, world)
+    shone = in_fan(tank.laser, sheet.flattened(head)) & ~blocked(surfaces, start, world)
     return shone & in_picture(scene, project(scene, head)) & seen(scene, surfaces, head, position)
 
 
-def passing_mm(head: Head, points_world: Floats) -> Floats:
-    """(N,) track positions at which the sheet passes through (N, 3) points of the world."""
-    normal = rotation_z(head.yaw_deg)[:, 1]  # of the sheet
-    return points_world @ normal / normal[1]
+def passing_mm(head: Head, points_world: Floats, sheet: Sheet = ALIGNED) -> Floats:
+    """(N,) track positions at which a sheet passes through (N, 3) points of the world.
+
+    sheet: the head's plane y = 0 if left out.
+    """
+    normal = rotation_z(head.yaw_deg) @ sheet.pose.rotation[:, 1]
+    ahead = sheet.pose.origin_mm @ sheet.pose.rotation[:, 1]
+    flat = (points_world @ normal - ahead) / normal[1]
+    if sheet.bow is None:
+        return flat
+
+    def behind(position: Floats) -> tuple[Floats, Floats]:
+        local = points_world - along_track(position, len(points_world))
+        clearance = sheet.clearance_mm(head_pose(head, 0.0).invert(local))
+        return -clearance / normal[1], np.ones_like(position)
+
+    bulge = 2 * np.abs(behind(flat)[0]) + SELF_MM
+    return increasing_roots(behind, flat - bulge, flat + bulge)
 
 
 def into_world(head: Head, points_head: Floats, position_mm: Floats | float) -> Floats:

@@ -11,12 +11,15 @@ from lscan.errors import InputError
 from lscan.records import Floats, Mask
 from lscan.targets import Sandwave
 from sim.scene import Pose
+from sim.truth.bow import Bow
 from sim.truth.roots import increasing_roots
 from sim.truth.surfaces import SELF_MM, Polygon, Surface, extrusion, stretch
 
 SAMPLE_MM = 0.05  # of the section: its chords stay within 1e-4 mm of eq. (4)
 MARCH_MM = 0.25  # along lines of sight: a crest they cut by less than 3 um may be missed
 HALVINGS = 30  # of SAMPLE_MM
+
+Upwards = Callable[[Floats], tuple[Floats, Floats]]  # heights to points and tangents
 
 
 @dataclass(frozen=True)
@@ -26,19 +29,28 @@ class Wave:
     shape: Sandwave
     pose: Pose
 
-    def cut(self, sheet: Pose) -> Floats:
+    def cut(self, sheet: Pose, bow: Bow | None = None) -> Floats:
         """(M, 2, 2) chords of the section, each at most 0.05 mm wide in x.
 
-        Raises InputError where the block is tilted so far that the sheet may cut the
+        Raises InputError where block or sheet are tilted so far that the sheet may cut the
         surface more than once in the same x.
         """
-        along, origin, up = self._sheet_in_workpiece(sheet)
-        self._check_mild(up)
+        turned = self.pose.rotation.T @ sheet.rotation
+        along, normal, up = turned.T
+        origin = self.pose.invert(sheet.origin_mm)
 
         def solve(x: Floats) -> tuple[Floats, Floats]:
             foot = origin + x[:, np.newaxis] * along
-            z = self._height_along(foot, up)
-            return np.column_stack([x, z]), foot + z[:, np.newaxis] * up
+
+            def place(z: Floats) -> tuple[Floats, Floats]:
+                straight = foot + z[:, np.newaxis] * up
+                if bow is None:
+                    return straight, np.broadcast_to(up, straight.shape)
+                bulge = bow.offset_mm(x, z)[:, np.newaxis] * normal
+                return straight + bulge, up + bow.slope(x, z)[:, np.newaxis] * normal
+
+            z = self._height_along(place, -foot[:, 2] / up[2])
+            return np.column_stack([x, z]), place(z)[0]
 
         def inside(x: Floats) -> Mask:
             return self._over_square(solve(x)[1])
@@ -73,11 +85,6 @@ class Wave:
             blocked[rays] = place[:, 2] < height - SELF_MM
         return blocked
 
-    def _sheet_in_workpiece(self, sheet: Pose) -> tuple[Floats, Floats, Floats]:
-        """The sheet's x direction, origin and z direction, each (3,), workpiece frame."""
-        turned = self.pose.rotation.T @ sheet.rotation
-        return turned[:, 0], self.pose.invert(sheet.origin_mm), turned[:, 2]
-
     def _reach(self, sheet: Pose) -> Floats:
         """Samples of the sheet's x that hold the whole square."""
         side, top = self.shape.side_mm, self._amplitude()
@@ -85,19 +92,24 @@ class Wave:
         x = sheet.invert(self.pose.apply(box))[:, 0]
         return np.linspace(x.min(), x.max(), int(np.ceil(np.ptp(x) / SAMPLE_MM)) + 1)
 
-    def _height_along(self, foot: Floats, up: Floats) -> Floats:
-        """(N,) how far along ``up`` from (N, 3) feet the surface lies, workpiece frame."""
+    def _height_along(self, place: Upwards, level: Floats) -> Floats:
+        """(N,) how far up N lines of the sheet the surface lies, workpiece frame.
+
+        place: points (N, 3) and tangents (N, 3) of the lines at (N,) heights in the sheet.
+        level: (N,) heights at which straight lines would pass z = 0.
+        """
 
         def clearance(t: Floats) -> tuple[Floats, Floats]:
-            place = foot + t[:, np.newaxis] * up
-            slope_x, slope_y = self._slopes(place[:, 0], place[:, 1])
-            height = self.shape.height_mm(place[:, 0], place[:, 1])
-            return place[:, 2] - height, up[2] - slope_x * up[0] - slope_y * up[1]
+            at, up = place(t)
+            slope_x, slope_y = self._slopes(at[:, 0], at[:, 1])
+            height = self.shape.height_mm(at[:, 0], at[:, 1])
+            return at[:, 2] - height, up[:, 2] - slope_x * up[:, 0] - slope_y * up[:, 1]
 
-        level = -foot[:, 2] / up[2]
+        start, up = place(level)
+        self._check_mild(up)
         # Beyond the square eq. (4) may run higher; twice the amplitude still brackets it
         # wherever the result is used, which is over the square.
-        span = 2 * self._amplitude() / up[2]
+        span = (2 * self._amplitude() + 2 * np.abs(start[:, 2])) / up[:, 2]
         return increasing_roots(clearance, level - span, level + span)
 
     def _slopes(self, x: Floats, y: Floats) -> tuple[Floats, Floats]:
@@ -113,14 +125,18 @@ class Wave:
         return self.shape.a_mm + self.shape.b * self.shape.side_mm
 
     def _check_mild(self, up: Floats) -> None:
-        """Refuse a tilt for which the sheet could meet the surface twice above one foot."""
+        """Refuse a tilt for which a line up the sheet could meet the surface twice.
+
+        up: (N, 3) tangents of such lines.
+        """
         s, highest = self.shape, self._amplitude()
         steepest_y = s.b + highest * abs(s.d_rad * s.e_per_mm)
-        lean = highest * s.c_per_mm * abs(up[0]) + steepest_y * abs(up[1])
-        if up[2] <= 0 or lean >= up[2] / 2:
+        lean = highest * s.c_per_mm * np.abs(up[:, 0]) + steepest_y * np.abs(up[:, 1])
+        if np.any((up[:, 2] <= 0) | (lean >= up[:, 2] / 2)):
+            upright = (up[:, 2] / np.linalg.norm(up, axis=1)).min()
             raise InputError(
-                "target: the sandwave is tilted too far for its slopes",
-                value=f"{np.degrees(np.arccos(np.clip(up[2], -1, 1))):.1f} degrees",
+                "target: the sandwave is tilted too far against the sheet for its slopes",
+                value=f"{np.degrees(np.arccos(np.clip(upright, -1, 1))):.1f} degrees",
                 allowed="tilt times slope below one half",
             )
 

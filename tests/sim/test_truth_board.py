@@ -104,6 +104,19 @@ def test_marks_beneath_the_floor_are_hidden():
     assert np.all(status[2] == Status.OCCLUDED)
 
 
+def test_a_mark_is_where_the_head_saw_it_from_in_its_row_s_time():
+    moving = {"head": {"speed_mm_s": 80.0}, "sensor": {"readout_ms": 30.0}}
+    scene = tank(board=MARKS, target={"shape": "board"}, **moving)
+    marks = board_truth(scene, 2.0).centres.grid
+    assert marks.found.all()
+    for place, pixel in zip(marks.board_mm, marks.image_px, strict=True):
+        position = 2.0 + 80.0 * 0.030 * (pixel[1] / 480 - 0.5)
+        head = np.array([[place[0], -position, place[1]]])
+        assert project(scene, head)[0] == pytest.approx(pixel, abs=1e-9)
+    still = board_truth(tank(board=MARKS, target={"shape": "board"}), 2.0).centres.grid
+    assert np.abs(marks.image_px - still.image_px).max() > 0.05  # else nothing moved
+
+
 def test_the_back_of_the_board_shows_no_marks():
     truth = board_truth(board(turn_deg=180.0, position_mm=[75.0, 0.0, 0.0])).centres
     assert np.all(truth.grid.status == Status.OCCLUDED)

@@ -10,7 +10,7 @@ import pytest
 import trimesh
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
-from truth_scenes import BOARD, block_mesh, tank
+from truth_scenes import BOARD, block_mesh, in_head, tank
 
 from lscan.documents import merge
 from lscan.errors import InputError
@@ -28,7 +28,7 @@ from sim.truth import (
 )
 from sim.truth.mesh import Mesh
 from sim.truth.section import grooved_block_surfaces, target_surfaces
-from sim.truth.stripe import edge_distance, in_head
+from sim.truth.stripe import edge_distance
 from sim.truth.visibility import blocked, fan_angle, passing_mm
 
 FEW = settings(max_examples=10, deadline=None, derandomize=True)

@@ -29,6 +29,11 @@ def tank(**sections: dict[str, Any]) -> Scene:
     return scene_of(parse_rig(merge(BASE, sections), source="test", trusted=True))
 
 
+def in_head(xz_mm: np.ndarray) -> np.ndarray:
+    """(N, 3) points of the head frame from (N, 2) of its plane y = 0."""
+    return np.column_stack([xz_mm[:, 0], np.zeros(len(xz_mm)), xz_mm[:, 1]])
+
+
 def block_mesh(block: GroovedBlock, pose: Pose) -> trimesh.Trimesh:
     """The grooved block by trimesh's extrusion, in the world."""
     mesh = trimesh.creation.extrude_polygon(shapely.Polygon(block.outline_mm()), block.length_mm)

@@ -1,0 +1,81 @@
+"""Parts: what stands in the tank, as triangle meshes of one surface each."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+import trimesh
+
+from lscan.records import Floats, Ints
+from sim.scene import Pose
+
+
+@dataclass(frozen=True)
+class Finish:
+    """How a surface reflects; the fields are those of a scene file's target."""
+
+    kind: Literal["matt", "wet", "mirror"] = "matt"
+    roughness: float = 0.1
+    coat_index: float = 1.5
+
+
+@dataclass(frozen=True)
+class Paint:
+    """A reflectance that varies over a part, as a picture laid over it.
+
+    levels: (H, W) reflectances from 0 to 1, the uppermost row first.
+    uv: (N, 2) of every vertex: (0, 0) is the picture's lower left corner, (1, 1) its upper
+    right one; it repeats beyond.
+    """
+
+    levels: Floats
+    uv: Floats
+
+
+@dataclass(frozen=True)
+class Part:
+    """A mesh of one surface, in mm.
+
+    albedo: its reflectance, which ``paint`` multiplies where there is one.
+    smooth: shade it with interpolated vertex normals.
+    """
+
+    name: str
+    mesh: trimesh.Trimesh
+    albedo: float
+    smooth: bool = False
+    finish: Finish = Finish()
+    paint: Paint | None = None
+
+
+def moved(part: Part, pose: Pose) -> Part:
+    """The part, out of the pose's inner frame into its outer one."""
+    mesh = part.mesh
+    normals = mesh.vertex_normals @ pose.rotation.T if part.smooth else None
+    mesh = plain_mesh(pose.apply(np.asarray(mesh.vertices)), mesh.faces)
+    if normals is not None:
+        mesh.vertex_normals = normals
+    return replace(part, mesh=mesh)
+
+
+def plain_mesh(vertices: Floats, faces: Ints) -> trimesh.Trimesh:
+    """The mesh of (N, 3) vertices in mm and (M, 3) faces, just as they are."""
+    return trimesh.Trimesh(vertices, faces, process=False)
+
+
+def facing(vertices: Floats, faces: Ints, towards: Floats) -> trimesh.Trimesh:
+    """The mesh with every triangle wound so that its normal looks ``towards``."""
+    a, b, c = (vertices[faces[:, k]] for k in range(3))
+    away = np.einsum("ij,j->i", np.cross(b - a, c - a), towards) < 0
+    wound = np.where(away[:, None], faces[:, ::-1], faces)
+    return plain_mesh(vertices, wound)
+
+
+def grid_faces(rows: int, columns: int) -> Ints:
+    """Two triangles a cell of a grid of vertices laid row by row, facing up."""
+    index = np.arange(rows * columns).reshape(rows, columns)
+    a, b = index[:-1, :-1].ravel(), index[:-1, 1:].ravel()
+    c, d = index[1:, 1:].ravel(), index[1:, :-1].ravel()
+    return np.vstack([np.column_stack([a, b, c]), np.column_stack([a, c, d])])

@@ -1,0 +1,114 @@
+"""The target of a scene, and everything else that stands in the tank, as parts."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import trimesh
+
+from lscan.errors import InputError
+from lscan.targets import GroovedBlock, Sandwave
+from sim.meshes.board import board_parts
+from sim.meshes.paint import picture_paint, reflectance_at, vertex_paint
+from sim.meshes.parts import Finish, Part, moved, plain_mesh
+from sim.meshes.sand import sanded_sandwave_mesh
+from sim.meshes.workpieces import grooved_block_mesh, sandwave_parts
+from sim.scene import FLOOR_HALF_SIDE_MM, Floor, Scene, Target, Texture, target_pose
+
+MARKS = "marks"  # the one part of a board that a texture leaves as it is
+
+
+def scene_parts(scene: Scene) -> list[Part]:
+    """All parts that stand in the tank, in the world frame; InputError as ``target_parts``."""
+    pose = target_pose(scene)
+    parts = [moved(part, pose) for part in target_parts(scene)]
+    if scene.tank.floor is not None:
+        parts.append(floor_part(scene.tank.floor))
+    return parts
+
+
+def target_mesh(scene: Scene) -> trimesh.Trimesh:
+    """The whole target, without the floor, as one mesh in the world frame."""
+    pose = target_pose(scene)
+    meshes = [moved(part, pose).mesh for part in target_parts(scene)]
+    return trimesh.util.concatenate(meshes) if meshes else trimesh.Trimesh()
+
+
+def target_parts(scene: Scene) -> list[Part]:
+    """The target's parts in its own frame (workpiece, board or mesh file), finished.
+
+    Their albedo is the one at the laser's nominal wavelength: a drift of some nm does not
+    change it.  Raises InputError where sand does not go with the target, a mesh or a picture
+    cannot be read, or the albedo is not given at that wavelength.
+    """
+    target = scene.tank.target
+    if target.shape == "none":
+        return []
+    where = f"{scene.source}: target.albedo"
+    albedo = reflectance_at(target.albedo, scene.tank.laser.wavelength_nm, where)
+    finish = Finish(target.finish, target.roughness, target.coat_index)
+    parts = [replace(part, finish=finish) for part in _bare_parts(scene, albedo)]
+    if target.texture is None:
+        return parts
+    return [_papered(part, target, target.texture) for part in parts]
+
+
+def _bare_parts(scene: Scene, albedo: float) -> list[Part]:
+    """The target's parts as its shape makes them, matt and without a texture."""
+    target, rig = scene.tank.target, scene.rig
+    is_sandwave = target.shape == "workpiece" and isinstance(rig.workpiece, Sandwave)
+    if target.sand is not None and not is_sandwave:
+        raise InputError("target.sand goes with a sandwave only", where=scene.source)
+    if target.shape == "mesh":
+        mesh = load_mesh(Path(target.file or ""))
+        return [Part("mesh", mesh, albedo, paint=vertex_paint(mesh))]
+    if target.shape == "board":
+        assert rig.board is not None  # sim.scene has checked it
+        return board_parts(rig.board, albedo, target.mark_albedo)
+    if isinstance(rig.workpiece, GroovedBlock):
+        return [Part("grooved-block", grooved_block_mesh(rig.workpiece), albedo)]
+    assert isinstance(rig.workpiece, Sandwave)
+    if target.sand is not None:
+        return [Part("sand", sanded_sandwave_mesh(rig.workpiece, target.sand), albedo)]
+    return sandwave_parts(rig.workpiece, albedo)
+
+
+def _papered(part: Part, target: Target, texture: Texture) -> Part:
+    """The part with the texture laid over it, seen along -y where it is a board, else from z."""
+    if part.name == MARKS:
+        return part
+    if part.paint is not None:
+        raise InputError(
+            "target.texture does not go with a mesh that has vertex colours", value=target.file
+        )
+    plane = (0, 2) if target.shape == "board" else (0, 1)
+    return replace(part, paint=picture_paint(texture, part.mesh.vertices[:, plane]))
+
+
+def load_mesh(path: Path) -> trimesh.Trimesh:
+    """A user's mesh file, in mm; InputError where it cannot be read or has no triangles.
+
+    Vertices that coincide are merged, unless the file colours them: two colours may meet
+    there.  Colours of faces and textures that the file names are not read.
+    """
+    try:
+        mesh = trimesh.load_mesh(path, process=False)
+    except Exception as error:  # trimesh raises whatever its format readers raise
+        raise InputError(f"is not a mesh that can be read: {error}", where=path) from error
+    if not isinstance(mesh, trimesh.Trimesh) or len(mesh.faces) == 0:
+        raise InputError("holds no triangles", where=path)
+    if not np.isfinite(mesh.vertices).all():
+        raise InputError("has vertices that are not finite", where=path)
+    if mesh.visual.kind != "vertex":
+        mesh.merge_vertices(merge_tex=True, merge_norm=True)
+    return mesh
+
+
+def floor_part(floor: Floor) -> Part:
+    """The tank's floor, a level matt square in the world frame."""
+    s = FLOOR_HALF_SIDE_MM
+    corners = [[-s, -s], [s, -s], [s, s], [-s, s]]
+    vertices = np.column_stack([corners, np.full(4, floor.z_mm)])
+    return Part("floor", plain_mesh(vertices, np.array([[0, 1, 2], [0, 2, 3]])), floor.albedo)

@@ -1,0 +1,551 @@
+"""The integrator plugin for light of all higher orders: two and more surfaces or places of water.
+
+Paths are partitioned by their order, the number of their vertices between laser and camera.
+The last two vertices, x on the ray at hand and y where the laser's light first turns, are
+drawn together, because a chance ray never meets a thin sheet or its line:
+
+    x on a surface, y on a surface   interreflection
+    x on a surface, y in the water   light scattered onto the target
+    x in the water, y on a surface   the halo about the line
+    x in the water, y in the water   the veil's own blur
+
+One ray of the laser serves all four.  Its angle in the fan is drawn near the ray at hand;
+places in the water are drawn by the angle of scattering (sim.plugins.phase), from the
+surface's point or, in the last family, from each other, in either order, weighted by the
+balance heuristic (Veach 1997, sec. 9.2).  Interreflection is weighted against the surface's
+own sampling in the same way, for light that meets a surface near a corner.  Paths of three
+and more orders are walks from the camera that end in such a pair at every step.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from math import pi, sqrt
+
+import drjit as dr
+import mitsuba as mi
+
+from sim.plugins.integrator import direct_light
+from sim.plugins.opaque import opaque
+from sim.plugins.phase import Approach, PhaseTable, angle_between, approach
+from sim.plugins.sheet import LaserSheet
+from sim.water import Optics
+
+HIGHER_LAYERS = ("scattered", "ambient")
+FAR_OPTICAL_DEPTH = 25.0  # what lies deeper is dimmer by 1e-11
+FARTHEST_MM = 1e5
+# The line's ray is drawn from a Gaussian this much wider than the sheet where its middle
+# meets a surface, so that a nearer surface beside it, where it is wider seen from the
+# apex, does not weigh too much.
+WIDER = 1.3
+NARROWEST = 1e-4  # rad: the least scale on which the fan's angle is drawn
+SURVIVAL = 0.95  # of a walk whose weight has not fallen
+LONGEST_WALK = 256
+
+
+@dataclass(frozen=True)
+class Falloff:
+    """A density about a centre, 1 / sqrt(scale2 + (x - centre)2), cut off at both ends.
+
+    That is how light from a line falls off with the distance along it.
+    """
+
+    centre: mi.Float
+    scale: mi.Float
+    low: mi.Float
+    high: mi.Float
+
+    def sample(self, sample: mi.Float) -> mi.Float:
+        """An angle or a place."""
+        return self.centre + self.scale * dr.sinh(dr.lerp(self.low, self.high, sample))
+
+    def density(self, x: mi.Float) -> mi.Float:
+        """Probability per unit."""
+        spread = dr.sqrt(dr.square(self.scale) + dr.square(x - self.centre))
+        return 1 / (spread * (self.high - self.low))
+
+
+@dataclass(frozen=True)
+class Beam:
+    """One ray of the laser, drawn for a ray of the camera's.
+
+    fan: the density its angle was drawn from.  phi: the angle.  power: mW per unit of
+    that density.  lateral: its offset in standard deviations of the sheet's thickness.
+    """
+
+    fan: Falloff
+    phi: mi.Float
+    power: mi.Float
+    lateral: mi.Float
+
+
+@dataclass(frozen=True)
+class Spot:
+    """Where a ray of the laser meets a surface.
+
+    flux: mW that arrive there per unit of the ray's density, after the water's loss.
+    density: probability per mm2 of drawing the point.
+    """
+
+    si: mi.SurfaceInteraction3f
+    to_apex: mi.Vector3f
+    flux: mi.Float
+    density: mi.Float
+    valid: mi.Bool
+
+
+class MultipleIntegrator(mi.SamplingIntegrator):
+    """Laser light of the second and all higher orders, and ambient light's interreflection."""
+
+    def __init__(self, props: mi.Properties) -> None:
+        super().__init__(props)
+        self.sheets: Sequence[LaserSheet] = ()
+
+    def configure(
+        self, water: Optics, sheets: Sequence[LaserSheet], ambient_mw_mm2_sr: float
+    ) -> None:
+        """Set the water, the laser's sheets (none: off) and the ambient radiance."""
+        self.sheets = tuple(sheets)
+        self.extinction = opaque(water.extinction_per_mm)
+        self.scattering = opaque(water.scattering_per_mm)
+        self.has_water = water.scattering_per_mm > 0
+        far = FARTHEST_MM
+        if water.extinction_per_mm > 0:
+            far = min(far, FAR_OPTICAL_DEPTH / water.extinction_per_mm)
+        self.far = opaque(far)
+        self.phase = PhaseTable(water.phase)
+        self.has_ambient = ambient_mw_mm2_sr > 0
+        self.ambient_radiance = opaque(ambient_mw_mm2_sr)
+
+    def aov_names(self) -> list[str]:
+        """One channel a layer, after the sum's own."""
+        return list(HIGHER_LAYERS)
+
+    def sample(
+        self,
+        scene: mi.Scene,
+        sampler: mi.Sampler,
+        ray: mi.RayDifferential3f,
+        medium: mi.Medium | None = None,
+        active: mi.Bool = True,
+    ) -> tuple[mi.Spectrum, mi.Bool, list[mi.Float]]:
+        """Radiance along the ray, validity, and the layers it is the sum of."""
+        active = mi.Bool(active)
+        laser, ambient = mi.Float(0), mi.Float(0)
+        if self.sheets:
+            laser = self._walk(scene, sampler, mi.Ray3f(ray), active)
+        if self.has_ambient:
+            ambient = self._ambient(scene, sampler, mi.Ray3f(ray), active)
+        return mi.Spectrum(laser + ambient), active, [laser, ambient]
+
+    @dr.syntax
+    def _walk(
+        self, scene: mi.Scene, sampler: mi.Sampler, ray: mi.Ray3f, active: mi.Bool
+    ) -> mi.Float:
+        """Light of two and more orders along the ray: a random walk that connects at each step."""
+        total, weight = mi.Float(0), mi.Float(1)
+        # Of the step before: the density of its direction, where it was a surface's.
+        turned = mi.Float(0)
+        step = mi.UInt32(0)
+        active = mi.Bool(active)
+        while active:
+            si = scene.ray_intersect(ray, active)
+            for sheet in self.sheets:
+                total += weight * self._found(scene, sheet, ray, si, turned, active)
+            # Russian roulette, which leaves the mean as it is.
+            survival = dr.select(step == 0, 1.0, dr.minimum(weight, SURVIVAL))
+            active &= sampler.next_1d(active) < survival
+            weight /= dr.maximum(survival, 1e-12)
+            for sheet in self.sheets:
+                total += weight * self._pairs(scene, sheet, sampler, ray, si, active)
+
+            # The next vertex: in the water with the odds of its loss, else on the surface.
+            free = -dr.log(1 - sampler.next_1d(active)) / dr.maximum(self.extinction, 1e-20)
+            in_water = active & (free < si.t) & mi.Bool(self.has_water)
+            on_surface = active & ~in_water & si.is_valid()
+            scattered, worth = self.phase.sample_direction(ray.d, sampler.next_2d(active))
+            bs, value = si.bsdf().sample(
+                mi.BSDFContext(), si, sampler.next_1d(active), sampler.next_2d(active), on_surface
+            )
+            albedo = self.scattering / dr.maximum(self.extinction, 1e-20)
+            weight *= dr.select(in_water, albedo * worth, value.x)
+            reached = dr.select(si.is_valid(), dr.exp(-self.extinction * si.t), 0.0)
+            turned = dr.select(on_surface, bs.pdf * reached, 0.0)
+            onward = si.spawn_ray(si.to_world(bs.wo))
+            ray.o = dr.select(in_water, ray(free), onward.o)
+            ray.d = dr.select(in_water, scattered, onward.d)
+            active = (in_water | on_surface) & (weight > 0) & (step < LONGEST_WALK)
+            step += 1
+        return total
+
+    def _pairs(
+        self,
+        scene: mi.Scene,
+        sheet: LaserSheet,
+        sampler: mi.Sampler,
+        ray: mi.Ray3f,
+        si: mi.SurfaceInteraction3f,
+        active: mi.Bool,
+    ) -> mi.Float:
+        """Light along the ray that had exactly two vertices: the sum of the four families."""
+        end = dr.select(si.is_valid(), dr.minimum(si.t, self.far), self.far)
+        fan = fan_density(sheet, ray(end), ray.time)
+        normals = mi.warp.square_to_std_normal(sampler.next_2d(active))
+        phi = fan.sample(sampler.next_1d(active))
+        power = sheet.power_density(phi) / fan.density(phi)
+        beam = Beam(fan, phi, power, normals.x)
+        spot = self._spot(scene, sheet, beam, normals.y, ray.time, active)
+        total = self._surface_surface(scene, ray, si, spot, active)
+        if self.has_water:
+            total += self._surface_water(scene, sheet, sampler, ray, si, beam, active)
+            total += self._water_surface(scene, sampler, ray, end, spot, active)
+            total += self._water_water(scene, sheet, sampler, ray, si, end, beam, active)
+        return total
+
+    def _spot(
+        self,
+        scene: mi.Scene,
+        sheet: LaserSheet,
+        beam: Beam,
+        lateral: mi.Float,
+        time: mi.Float,
+        active: mi.Bool,
+    ) -> Spot:
+        """Where a ray at the beam's angle, drawn across the sheet's thickness, meets a surface."""
+        apex = sheet.apex(time)
+        middle = sheet.direction(beam.phi)
+        spread = self._spread(scene, sheet, apex, middle, time, active)
+        towards = dr.normalize(middle + sheet.normal * (spread * lateral))
+        si = scene.ray_intersect(mi.Ray3f(apex, towards, time, []), active)
+        density = ray_density(
+            beam.fan.density(beam.phi), sheet.normal, towards, lateral, spread
+        )
+        facing = dr.abs(dr.dot(si.n, towards))
+        loss = dr.exp(-self.extinction * si.t)
+        flux = sheet.irradiance(si.p, time) * dr.square(si.t) / density * loss
+        valid = active & si.is_valid() & (facing > 1e-6)
+        return Spot(
+            si=si,
+            to_apex=-towards,
+            flux=dr.select(valid, flux / facing, 0.0),
+            density=dr.select(valid, density * facing / dr.square(si.t), 0.0),
+            valid=valid & (flux > 0),
+        )
+
+    def _spread(
+        self,
+        scene: mi.Scene,
+        sheet: LaserSheet,
+        apex: mi.Point3f,
+        middle: mi.Vector3f,
+        time: mi.Float,
+        active: mi.Bool,
+    ) -> mi.Float:
+        """Standard deviation, per rho, of the rays drawn about the sheet's middle."""
+        length = dr.norm(middle)
+        ray = mi.Ray3f(apex, middle / length, time, [])
+        hit = scene.ray_intersect_preliminary(ray, coherent=False, active=active)
+        waist = dr.maximum(dr.abs(sheet.waist_distance), 100.0)
+        rho = dr.select(hit.is_valid(), hit.t / length, waist)
+        return WIDER * 0.5 * sheet.half_width(rho) / rho
+
+    def _found(
+        self,
+        scene: mi.Scene,
+        sheet: LaserSheet,
+        ray: mi.Ray3f,
+        si: mi.SurfaceInteraction3f,
+        turned: mi.Float,
+        active: mi.Bool,
+    ) -> mi.Float:
+        """Interreflection, found by a ray that left a surface and meets the line by chance."""
+        possible = active & (turned > 0) & si.is_valid()
+        possible &= sheet.irradiance(si.p, ray.time) > 0
+        light = direct_light(scene, sheet, self.extinction, si, possible)
+        possible &= light > 0
+        chance = turned * dr.abs(dr.dot(si.n, ray.d)) / dr.square(si.t)
+
+        apex = sheet.apex(ray.time)
+        phi, rho, s = sheet.coordinates(si.p, ray.time)
+        middle = sheet.direction(phi)
+        spread = self._spread(scene, sheet, apex, middle, ray.time, possible)
+        towards = si.p - apex
+        distance = dr.norm(towards)
+        towards /= distance
+        fan = fan_density(sheet, ray.o, ray.time)
+        density = ray_density(
+            fan.density(phi), sheet.normal, towards, s / (rho * spread), spread
+        )
+        drawn = density * dr.abs(dr.dot(si.n, towards)) / dr.square(distance)
+        return dr.select(possible, light * chance / (chance + drawn), 0.0)
+
+    def _surface_surface(
+        self,
+        scene: mi.Scene,
+        ray: mi.Ray3f,
+        si: mi.SurfaceInteraction3f,
+        spot: Spot,
+        active: mi.Bool,
+    ) -> mi.Float:
+        """Interreflection: laser - line - surface - ray."""
+        lit = active & si.is_valid() & spot.valid
+        offset = spot.si.p - si.p
+        distance = dr.norm(offset)
+        towards = offset / distance
+        context, outgoing = mi.BSDFContext(), si.to_local(towards)
+        reflected, pdf = si.bsdf().eval_pdf(context, si, outgoing, lit)
+        lit &= (reflected.x > 0) & (distance > 0)
+        light = _reflected(spot, -towards, lit)
+        lit &= light > 0
+        lit &= ~scene.ray_test(si.spawn_ray_to(spot.si.p), lit)
+        loss = dr.exp(-self.extinction * (si.t + distance))
+        value = reflected.x * light * loss / dr.square(distance)
+        cosine = dr.abs(dr.dot(spot.si.n, towards))
+        chance = pdf * dr.exp(-self.extinction * si.t) * cosine / dr.square(distance)
+        return dr.select(lit, value * spot.density / (spot.density + chance), 0.0)
+
+    def _surface_water(
+        self,
+        scene: mi.Scene,
+        sheet: LaserSheet,
+        sampler: mi.Sampler,
+        ray: mi.Ray3f,
+        si: mi.SurfaceInteraction3f,
+        beam: Beam,
+        active: mi.Bool,
+    ) -> mi.Float:
+        """Light scattered onto the target: laser - water - surface - ray."""
+        lit = active & si.is_valid() & (beam.power > 0)
+        origin, direction, stretch = self._laser_line(sheet, beam, si.p, ray.time)
+        near = approach(self.phase, origin, direction, self.far, si.p)
+        place = near.sample(self.phase, sampler.next_1d(active))
+        lit &= (place > 0) & (place < self.far)
+        light, point = self._source(
+            scene, sheet, beam, place * stretch, si.p, ray.time, si.t, lit
+        )
+        towards = dr.normalize(point - si.p)
+        reflected = si.bsdf().eval(mi.BSDFContext(), si, si.to_local(towards), lit)
+        lit &= (reflected.x > 0) & (light > 0)
+        lit &= ~scene.ray_test(si.spawn_ray_to(point), lit)
+        density = near.density(self.phase, place)
+        return dr.select(lit, light * reflected.x * stretch / density, 0.0)
+
+    def _water_surface(
+        self,
+        scene: mi.Scene,
+        sampler: mi.Sampler,
+        ray: mi.Ray3f,
+        end: mi.Float,
+        spot: Spot,
+        active: mi.Bool,
+    ) -> mi.Float:
+        """The halo about the line: laser - line - water - ray."""
+        near = approach(self.phase, ray.o, ray.d, end, spot.si.p)
+        t = near.sample(self.phase, sampler.next_1d(active))
+        lit = active & spot.valid & (t > 0) & (t < end)
+        point = ray(t)
+        offset = point - spot.si.p
+        distance = dr.norm(offset)
+        outgoing = offset / distance
+        light = _reflected(spot, outgoing, lit)
+        lit &= light > 0
+        lit &= ~scene.ray_test(spot.si.spawn_ray_to(point), lit)
+        phase = self.phase.value(angle_between(outgoing, -ray.d))
+        loss = dr.exp(-self.extinction * (t + distance))
+        value = self.scattering * phase * light * loss / dr.square(distance)
+        return dr.select(lit, value / near.density(self.phase, t), 0.0)
+
+    def _water_water(
+        self,
+        scene: mi.Scene,
+        sheet: LaserSheet,
+        sampler: mi.Sampler,
+        ray: mi.Ray3f,
+        si: mi.SurfaceInteraction3f,
+        end: mi.Float,
+        beam: Beam,
+        active: mi.Bool,
+    ) -> mi.Float:
+        """The veil's blur: laser - water - water - ray, either vertex drawn from the other."""
+        apex = sheet.apex(ray.time)
+        middle = dr.normalize(sheet.direction(beam.phi))
+        _, foot, _ = _closest(ray.o, ray.d, apex, middle)
+        place = apex + middle * dr.clip(foot, 0, self.far)
+        origin, direction, stretch = self._laser_line(sheet, beam, place, ray.time)
+        t_near, l_near, gap = _closest(ray.o, ray.d, origin, direction)
+        on_ray = line_density(t_near, gap, end)
+        on_laser = line_density(l_near, gap, self.far)
+
+        first = sampler.next_1d(active) < 0.5
+        sample = sampler.next_1d(active)
+        t, place = on_ray.sample(sample), on_laser.sample(sample)
+        sample = sampler.next_1d(active)
+        # The other vertex, about the first one.
+        start = mi.Point3f(dr.select(first, origin, ray.o))
+        along = mi.Vector3f(dr.select(first, direction, ray.d))
+        about = mi.Point3f(dr.select(first, ray(t), origin + direction * place))
+        other = approach(self.phase, start, along, dr.select(first, self.far, end), about)
+        drawn = other.sample(self.phase, sample)
+        t, place = dr.select(first, t, drawn), dr.select(first, drawn, place)
+
+        lit = active & (beam.power > 0) & (t > 0) & (t < end) & (place > 0) & (place < self.far)
+        point = ray(t)
+        light, source = self._source(
+            scene, sheet, beam, place * stretch, point, ray.time, t, lit
+        )
+        offset = point - source
+        distance = dr.norm(offset)
+        outgoing = offset / distance
+        lit &= light > 0
+        lit &= ~scene.ray_test(_segment(source, outgoing, distance, ray.time), lit)
+        phase = self.phase.value(angle_between(outgoing, -ray.d))
+
+        from_ray = approach(self.phase, origin, direction, self.far, point)
+        from_laser = approach(self.phase, ray.o, ray.d, end, origin + direction * place)
+        density = 0.5 * (
+            on_ray.density(t) * from_ray.density(self.phase, place)
+            + on_laser.density(place) * from_laser.density(self.phase, t)
+        )
+        value = light * self.scattering * phase * stretch
+        return dr.select(lit & (density > 0), value / density, 0.0)
+
+    def _laser_line(
+        self, sheet: LaserSheet, beam: Beam, about: mi.Point3f, time: mi.Float
+    ) -> tuple[mi.Point3f, mi.Vector3f, mi.Float]:
+        """The beam as a straight line, displaced as it is nearest to ``about``.
+
+        Its origin, its unit direction, and rho per mm along it.
+        """
+        middle = sheet.direction(beam.phi)
+        stretch = dr.rcp(dr.norm(middle))
+        direction = middle * stretch
+        apex = sheet.apex(time)
+        rho = dr.maximum(dr.dot(about - apex, direction) * stretch, 0)
+        aside = sheet.normal * (beam.lateral * 0.5 * sheet.half_width(rho))
+        return apex + aside, direction, stretch
+
+    def _source(
+        self,
+        scene: mi.Scene,
+        sheet: LaserSheet,
+        beam: Beam,
+        rho: mi.Float,
+        target: mi.Point3f,
+        time: mi.Float,
+        beyond: mi.Float,
+        active: mi.Bool,
+    ) -> tuple[mi.Float, mi.Point3f]:
+        """Light the beam scatters at ``rho`` towards ``target``, and the point of the water.
+
+        Per mm of rho, over the squared distance, with the loss from the apex to ``target``
+        and ``beyond`` mm more.
+        """
+        aside = beam.lateral * 0.5 * sheet.half_width(rho)
+        apex = sheet.apex(time)
+        point = apex + sheet.direction(beam.phi) * rho + sheet.normal * aside
+        incoming = point - apex
+        depth = dr.norm(incoming)
+        incoming /= depth
+        offset = target - point
+        distance = dr.norm(offset)
+        phase = self.phase.value(angle_between(incoming, offset / distance))
+        lit = active & (distance > 0) & (depth > 0)
+        lit &= ~scene.ray_test(_segment(apex, incoming, depth, time), lit)
+        loss = dr.exp(-self.extinction * (depth + distance + beyond))
+        light = beam.power * self.scattering * phase * loss / dr.square(distance)
+        return dr.select(lit, light, 0.0), point
+
+    @dr.syntax
+    def _ambient(
+        self, scene: mi.Scene, sampler: mi.Sampler, ray: mi.Ray3f, active: mi.Bool
+    ) -> mi.Float:
+        """Ambient light that met more than one surface.
+
+        Along each leg the water dims it and adds b/c L (1 - exp(-c t)), as in the first order.
+        """
+        total, weight = mi.Float(0), mi.Float(1)
+        albedo = self.scattering / dr.maximum(self.extinction, 1e-20)
+        step = mi.UInt32(0)
+        active = mi.Bool(active)
+        while active:
+            si = scene.ray_intersect(ray, active)
+            hit = si.is_valid()
+            reached = dr.select(hit, dr.exp(-self.extinction * si.t), 0.0)
+            # The first leg's water and an open second leg are the other integrator's.
+            open_sky = dr.select(step > 1, 1.0, 0.0)
+            veil = dr.select(step > 0, albedo * (1 - reached), 0.0)
+            total += weight * dr.select(hit, veil, open_sky)
+            bs, value = si.bsdf().sample(
+                mi.BSDFContext(), si, sampler.next_1d(active), sampler.next_2d(active), active
+            )
+            weight *= value.x * reached
+            survival = dr.select(step < 4, 1.0, dr.minimum(weight, SURVIVAL))
+            active &= hit & (sampler.next_1d(active) < survival) & (step < LONGEST_WALK)
+            weight /= dr.maximum(survival, 1e-12)
+            onward = si.spawn_ray(si.to_world(bs.wo))
+            ray.o, ray.d = onward.o, onward.d
+            step += 1
+        return total * self.ambient_radiance
+
+
+def fan_density(sheet: LaserSheet, about: mi.Point3f, time: mi.Float) -> Falloff:
+    """The density of the fan's angle for light that goes to ``about``."""
+    phi, rho, s = sheet.coordinates(about, time)
+    centre = dr.clip(phi, -sheet.half_angle, sheet.half_angle)
+    aside = (dr.abs(s) + 0.5 * sheet.half_width(rho)) / dr.maximum(rho, 1.0)
+    scale = dr.clip(aside + dr.abs(phi - centre), NARROWEST, 1.0)
+    low = dr.asinh((-sheet.half_angle - centre) / scale)
+    high = dr.asinh((sheet.half_angle - centre) / scale)
+    return Falloff(centre, scale, low, high)
+
+
+def line_density(centre: mi.Float, scale: mi.Float, end: mi.Float) -> Falloff:
+    """The same density of a place between 0 and ``end`` on a line."""
+    centre = dr.clip(centre, 0, end)
+    scale = dr.clip(scale, 1e-2, FARTHEST_MM)
+    return Falloff(centre, scale, dr.asinh(-centre / scale), dr.asinh((end - centre) / scale))
+
+
+def ray_density(
+    fan: mi.Float, normal: mi.Vector3f, towards: mi.Vector3f, lateral: mi.Float, spread: mi.Float
+) -> mi.Float:
+    """Probability per steradian of a ray of the laser.
+
+    fan: density of its angle.  lateral: its offset in standard deviations, each ``spread``
+    per rho.  Rays of slope tau against the fan's plane cover dphi dtau / (1 + tau2)^1.5.
+    """
+    gaussian = dr.exp(-0.5 * dr.square(lateral)) / (sqrt(2 * pi) * spread)
+    flat2 = 1 - dr.square(dr.dot(towards, normal))  # 1 / (1 + tau2)
+    return fan * gaussian / (flat2 * dr.sqrt(flat2))
+
+
+def _reflected(spot: Spot, outgoing: mi.Vector3f, active: mi.Bool) -> mi.Float:
+    """mW/sr that the spot sends along ``outgoing``.
+
+    The BSDF is asked in the camera's sense, as stock integrators do, whose shading normals
+    count towards the laser.
+    """
+    si = mi.SurfaceInteraction3f(spot.si)
+    si.wi = si.to_local(outgoing)
+    value = si.bsdf().eval(mi.BSDFContext(), si, si.to_local(spot.to_apex), active)
+    return value.x * dr.abs(dr.dot(si.n, outgoing)) * spot.flux
+
+
+def _closest(
+    o: mi.Point3f, d: mi.Vector3f, p: mi.Point3f, e: mi.Vector3f
+) -> tuple[mi.Float, mi.Float, mi.Float]:
+    """Where two lines are closest: mm along each, and their gap over the sine between them."""
+    w = o - p
+    b, along, across = dr.dot(d, e), dr.dot(d, w), dr.dot(e, w)
+    squared = dr.maximum(1 - dr.square(b), 1e-6)
+    t, u = (b * across - along) / squared, (across - b * along) / squared
+    gap = dr.norm(w + d * t - e * u)
+    return t, u, gap * dr.rsqrt(squared)
+
+
+def _segment(start: mi.Point3f, towards: mi.Vector3f, length: mi.Float, time: mi.Float) -> mi.Ray3f:
+    return mi.Ray3f(start, towards, length, time, [])
+
+
+mi.register_integrator("multiple", MultipleIntegrator)

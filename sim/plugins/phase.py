@@ -1,0 +1,165 @@
+"""The water's phase function in tables: its value, and angles drawn from it two ways.
+
+Scattering that happens somewhere along a line, of light that comes from (or goes to) one
+point, has the angle psi between the line and that point's direction as its natural
+coordinate: with dt / r2 = dpsi / h the inverse square cancels, h being the point's distance
+from the line (equiangular sampling).  So angles are drawn along a line with the density
+p(psi), and in directions with p(psi) sin(psi).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from math import log1p, pi
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from lscan.records import Floats
+
+# Cells, evenly spaced in log(1 + psi / FINEST): fine where an oceanic forward peak is, which
+# rises down to some 1e-4 rad.  A cell is 0.4 % of its angle wide, so that the logarithm of
+# a peak as steep as psi^-2, taken as linear within it, is off by 1e-5.
+CELLS = 2048
+FINEST = 1e-3
+SCALE = CELLS / log1p(pi / FINEST)
+SMALLEST = 1e-5  # rad: closer to forward an infinite peak is taken as flat
+WITHIN = 16  # points a cell for its integrals
+
+
+class PhaseTable:
+    """A phase function for kernels; angles in radians, values in 1/sr."""
+
+    def __init__(self, phase: Callable[[Floats], Floats]) -> None:
+        """Tabulate ``phase``, a function of the angle, normalised over the sphere."""
+        place = np.arange(CELLS * WITHIN + 1) / WITHIN
+        angle = FINEST * np.expm1(place / SCALE)
+        angle[-1] = pi
+        value = phase(np.maximum(angle, SMALLEST))
+        steps = np.diff(angle)
+        middle = 0.5 * (value[1:] + value[:-1])
+        turned = 2 * np.sin(angle / 2) ** 2  # 1 - cos, exact near forward
+        along = (middle * steps).reshape(CELLS, WITHIN).sum(axis=1)
+        around = (2 * pi * middle * np.diff(turned)).reshape(CELLS, WITHIN).sum(axis=1)
+        nodes, total = angle[::WITHIN], around.sum()
+        self.nodes = _floats(nodes)
+        self.log_value = _floats(np.log(value[::WITHIN] / total))
+        line = np.concatenate([[0.0], np.cumsum(along / total)])
+        # Counted from the middle, so that the faint backward half keeps its digits.
+        self.line = _floats(line - np.interp(pi / 2, nodes, line))
+        self.sphere = _floats(np.concatenate([[0.0], np.cumsum(around / total)]))
+        self.turned = _floats(turned[::WITHIN])
+
+    def value(self, angle: mi.Float) -> mi.Float:
+        """The phase function at an angle."""
+        cell, part = self._place(angle)
+        return dr.exp(dr.lerp(*_pair(self.log_value, cell), part))
+
+    def line_integral(self, angle: mi.Float) -> mi.Float:
+        """Integral of the phase function over angles, up to ``angle`` from a fixed one."""
+        cell, _ = self._place(angle)
+        low, high = _pair(self.nodes, cell)
+        return dr.lerp(*_pair(self.line, cell), (angle - low) / (high - low))
+
+    def line_density(self, angle: mi.Float) -> mi.Float:
+        """Density, not normalised, of the angles that ``sample_line`` draws."""
+        cell, _ = self._place(angle)
+        low, high = _pair(self.nodes, cell)
+        below, above = _pair(self.line, cell)
+        return (above - below) / (high - low)
+
+    def sample_line(self, below: mi.Float, above: mi.Float, sample: mi.Float) -> mi.Float:
+        """An angle between two others, given by their line integrals."""
+        wanted = dr.lerp(below, above, sample)
+        cell = _search(self.line, wanted)
+        low, high = _pair(self.line, cell)
+        part = dr.select(high > low, (wanted - low) / (high - low), 0.5)
+        return dr.lerp(*_pair(self.nodes, cell), dr.clip(part, 0, 1))
+
+    def sample_direction(
+        self, direction: mi.Vector3f, sample: mi.Point2f
+    ) -> tuple[mi.Vector3f, mi.Float]:
+        """A direction scattered from ``direction``, and its weight: value over density."""
+        cell = _search(self.sphere, sample.x)
+        low, high = _pair(self.sphere, cell)
+        near, far = _pair(self.turned, cell)
+        turned = dr.lerp(near, far, dr.clip((sample.x - low) / (high - low), 0, 1))
+        sine = dr.safe_sqrt(turned * (2 - turned))
+        angle = 2 * dr.safe_asin(dr.sqrt(turned / 2))
+        weight = self.value(angle) * 2 * pi * (far - near) / (high - low)
+        s, c = dr.sincos(2 * pi * sample.y)
+        scattered = mi.Frame3f(direction).to_world(mi.Vector3f(sine * c, sine * s, 1 - turned))
+        return dr.normalize(scattered), weight
+
+    def _place(self, angle: mi.Float) -> tuple[mi.UInt32, mi.Float]:
+        place = dr.log(1 + angle / FINEST) * SCALE
+        cell = dr.clip(mi.UInt32(place), 0, CELLS - 1)
+        return cell, dr.clip(place - mi.Float(cell), 0, 1)
+
+
+@dataclass(frozen=True)
+class Approach:
+    """A line, and a point that light scattered on the line goes to or comes from.
+
+    The line runs from 0 to ``end`` along a unit direction; a place on it is ``foot`` less
+    ``beside`` times the cotangent of the scattering angle.  below, above: the phase
+    function's line integrals at the two ends.
+    """
+
+    foot: mi.Float
+    beside: mi.Float
+    below: mi.Float
+    above: mi.Float
+
+    def sample(self, table: PhaseTable, sample: mi.Float) -> mi.Float:
+        """A place on the line, drawn with the density of ``density``."""
+        angle = table.sample_line(self.below, self.above, sample)
+        sine, cosine = dr.sincos(angle)
+        return self.foot - self.beside * cosine / dr.maximum(sine, 1e-9)
+
+    def density(self, table: PhaseTable, place: mi.Float) -> mi.Float:
+        """Probability per mm of drawing a place."""
+        ahead = self.foot - place
+        squared = dr.square(ahead) + dr.square(self.beside)
+        mass = dr.maximum(self.above - self.below, 1e-30)
+        angle = dr.atan2(self.beside, ahead)
+        return table.line_density(angle) / mass * self.beside / squared
+
+
+def approach(
+    table: PhaseTable,
+    origin: mi.Point3f,
+    direction: mi.Vector3f,
+    end: mi.Float,
+    point: mi.Point3f,
+) -> Approach:
+    """The line from ``origin`` seen from ``point``."""
+    offset = point - origin
+    foot = dr.dot(offset, direction)
+    beside = dr.maximum(dr.norm(offset - direction * foot), 1e-5)
+    below = table.line_integral(dr.atan2(beside, foot))
+    above = table.line_integral(dr.atan2(beside, foot - end))
+    return Approach(foot, beside, below, above)
+
+
+def angle_between(a: mi.Vector3f, b: mi.Vector3f) -> mi.Float:
+    """The angle between two unit vectors, exact for small ones."""
+    return 2 * dr.safe_asin(0.5 * dr.norm(a - b))
+
+
+def _search(table: mi.Float, value: mi.Float) -> mi.UInt32:
+    """The cell of a rising table that holds ``value``."""
+    found = dr.binary_search(
+        0, CELLS, lambda index: dr.gather(mi.Float, table, index) <= value
+    )
+    return dr.clip(found, 1, CELLS) - 1
+
+
+def _pair(table: mi.Float, cell: mi.UInt32) -> tuple[mi.Float, mi.Float]:
+    return dr.gather(mi.Float, table, cell), dr.gather(mi.Float, table, cell + 1)
+
+
+def _floats(values: Floats) -> mi.Float:
+    return mi.Float(values.astype(np.float32))

@@ -1,0 +1,66 @@
+"""From electrons to the bytes of a picture: full well, gain, gamma, 8 bit, MJPEG."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from lscan.records import Bytes
+from sim.scene import Sensor
+
+FULL_SCALE_DN = 255.0
+SUBSAMPLING = {
+    "4:4:4": cv2.IMWRITE_JPEG_SAMPLING_FACTOR_444,
+    "4:2:2": cv2.IMWRITE_JPEG_SAMPLING_FACTOR_422,
+    "4:2:0": cv2.IMWRITE_JPEG_SAMPLING_FACTOR_420,
+}
+
+Picture = NDArray[np.float32]
+
+
+def digitise(electrons: Picture, sensor: Sensor) -> Bytes:
+    """Digital numbers of the electrons, same shape: full well, gain, gamma, 8 bit."""
+    return encode(linear_dn(electrons, sensor), sensor)
+
+
+def linear_dn(electrons: Picture, sensor: Sensor) -> Picture:
+    """What the converter reads, DN from 0 to 255, same shape, not yet rounded."""
+    held = np.minimum(electrons, np.float32(sensor.full_well_e))
+    # Dark noise may pull a pixel below zero electrons; only the black level keeps it in range.
+    return np.clip(sensor.black_level_dn + held * np.float32(_gain(sensor)), 0.0, FULL_SCALE_DN)
+
+
+def encode(linear: Picture, sensor: Sensor) -> Bytes:
+    """The linear DN, same shape, behind the camera's gamma and rounded to 8 bit."""
+    if sensor.gamma != 1:
+        linear = FULL_SCALE_DN * (linear / FULL_SCALE_DN) ** (1 / sensor.gamma)
+    return np.rint(linear).astype(np.uint8)
+
+
+def electrons_of(dn: float, sensor: Sensor) -> float:
+    """Electrons that ``digitise`` makes ``dn`` of, as far as the full well goes.
+
+    Zero or less where ``dn`` is not above the black level.
+    """
+    linear = FULL_SCALE_DN * (dn / FULL_SCALE_DN) ** sensor.gamma
+    return min((linear - sensor.black_level_dn) / _gain(sensor), sensor.full_well_e)
+
+
+def through_jpeg(image: Bytes, sensor: Sensor) -> Bytes:
+    """The (H, W, 3) RGB picture coded and decoded as one of MJPEG's; unchanged without one."""
+    if sensor.jpeg_quality is None:
+        return image
+    settings = [
+        cv2.IMWRITE_JPEG_QUALITY, sensor.jpeg_quality,
+        cv2.IMWRITE_JPEG_SAMPLING_FACTOR, SUBSAMPLING[sensor.jpeg_subsampling],
+    ]  # fmt: skip
+    _, coded = cv2.imencode(".jpg", cv2.cvtColor(image, cv2.COLOR_RGB2BGR), settings)
+    decoded = cv2.imdecode(coded, cv2.IMREAD_COLOR)
+    assert decoded is not None  # it was coded a line above
+    return np.asarray(cv2.cvtColor(decoded, cv2.COLOR_BGR2RGB), dtype=np.uint8)
+
+
+def _gain(sensor: Sensor) -> float:
+    """DN per electron."""
+    return sensor.gain * FULL_SCALE_DN / sensor.full_well_e

@@ -1,0 +1,72 @@
+"""Noise of the EMVA 1288 linear model: shot and dark noise, and the pixels' fixed patterns."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sim.scene import Sensor
+
+Electrons = NDArray[np.float32]
+
+# Each fixed pattern has a stream of the sensor's seed to itself, so that switching one on
+# leaves the others as they are.  Stream 1 is that of the pictures (sim.devices).
+SENSITIVITY_STREAM, OFFSET_STREAM, HOT_STREAM = 0, 2, 3
+# Far above the full well the shot noise no longer shows, and Poisson has its limits.
+MOST_FULL_WELLS = 1e3
+
+
+@dataclass(frozen=True)
+class FixedPattern:
+    """What makes one pixel differ from the next, in every picture the same way.
+
+    sensitivity: the shape of the electrons, mean 1 (PRNU).  hot_e: electrons of dark current
+    in the same shape, None where no pixel is hot.  offset_e: electrons (DSNU), or None.
+    """
+
+    sensitivity: NDArray[np.float32]
+    hot_e: Electrons | None
+    offset_e: Electrons | None
+
+
+def fixed_pattern(sensor: Sensor, shape: tuple[int, ...]) -> FixedPattern:
+    """The sensor's fixed pattern, drawn from its seed.
+
+    EMVA 1288: PRNU is multiplicative, DSNU additive, both Gaussian over the pixels.
+    """
+    sensitivity = 1 + sensor.prnu * _stream(sensor, SENSITIVITY_STREAM).standard_normal(shape)
+    hot = offset = None
+    if sensor.hot_pixels > 0:
+        is_hot = _stream(sensor, HOT_STREAM).random(shape) < sensor.hot_pixels
+        hot = (sensor.hot_e * is_hot).astype(np.float32)
+    if sensor.dsnu_e > 0:
+        offset = sensor.dsnu_e * _stream(sensor, OFFSET_STREAM).standard_normal(
+            shape, dtype=np.float32
+        )
+    return FixedPattern(np.maximum(sensitivity, 0).astype(np.float32), hot, offset)
+
+
+def noisy(
+    electrons: Electrons, sensor: Sensor, pattern: FixedPattern, generator: np.random.Generator
+) -> Electrons:
+    """Electrons read out, in the shape of the expected ``electrons``.
+
+    Shot noise is Poisson, of the dark current of hot pixels too; dark noise is Gaussian and
+    may leave a pixel below zero, as reading out does.
+    """
+    expected = electrons * pattern.sensitivity
+    if pattern.hot_e is not None:
+        expected += pattern.hot_e
+    np.minimum(expected, MOST_FULL_WELLS * sensor.full_well_e, out=expected)
+    read = generator.poisson(expected).astype(np.float32)
+    dark = generator.standard_normal(electrons.shape, dtype=np.float32)
+    read += np.float32(sensor.dark_noise_e) * dark
+    if pattern.offset_e is not None:
+        read += pattern.offset_e
+    return read
+
+
+def _stream(sensor: Sensor, stream: int) -> np.random.Generator:
+    return np.random.default_rng([sensor.seed, stream])

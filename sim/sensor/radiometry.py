@@ -1,0 +1,54 @@
+"""How many photons a pixel collects of the radiance before the lens."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from lscan.records import Floats
+from sim.scene import Lens, Sensor
+
+PLANCK_J_S = 6.62607015e-34  # exact, SI 2019
+LIGHT_M_S = 299792458.0  # exact, SI 2019
+AMBIENT_NM = 550.0  # photon energy of ambient light: the middle of the visible
+# Fixed-point iteration contracts wherever the distortion does not fold the picture; 1e-9 of
+# the tangent is a millionth of a pixel.
+UNDISTORT = (cv2.TERM_CRITERIA_COUNT + cv2.TERM_CRITERIA_EPS, 100, 1e-9)
+
+
+def photons_per_radiance(
+    lens: Lens, sensor: Sensor, exposure_ms: float, wavelength_nm: float
+) -> float:
+    """Photons a pixel on the axis collects for 1 W/(m2 sr) at the lens.
+
+    Irradiance in the image of a distant surface is pi L T / (4 N^2) (the camera equation,
+    e.g. Born & Wolf sec. 4.8); times pixel area, time, and the photons in a joule.
+    """
+    irradiance = np.pi * lens.transmission / (4 * lens.f_number**2)
+    area_m2 = (sensor.pixel_um * 1e-6) ** 2
+    joule_per_photon = PLANCK_J_S * LIGHT_M_S / (wavelength_nm * 1e-9)
+    return irradiance * area_m2 * exposure_ms * 1e-3 / joule_per_photon
+
+
+def vignetting(lens: Lens, size_px: tuple[int, int]) -> NDArray[np.float32]:
+    """What is left of the light off the axis: (H, W), 1 on the axis.
+
+    cos^k of the angle in air between a pixel's direction and the axis, k = lens.vignetting;
+    k = 4 is the natural law (Born & Wolf sec. 4.8).  size_px: (width, height).
+    """
+    x, y = np.moveaxis(directions(lens, size_px), -1, 0)
+    cosine = 1 / np.sqrt(1 + x**2 + y**2)
+    return (cosine**lens.vignetting).astype(np.float32)
+
+
+def directions(lens: Lens, size_px: tuple[int, int]) -> Floats:
+    """(H, W, 2) undistorted (x, y) of every pixel's centre: tangents in air, camera frame."""
+    width, height = size_px
+    u, v = np.meshgrid(np.arange(width, dtype=float), np.arange(height, dtype=float))
+    (cx, cy), focal = lens.centre_px, lens.focal_px
+    matrix = np.array([[focal, 0, cx], [0, focal, cy], [0, 0, 1.0]])
+    distortion = np.array([lens.k1, lens.k2, lens.p1, lens.p2, lens.k3])
+    pixels = np.stack([u, v], axis=-1).reshape(-1, 1, 2)
+    undistorted = cv2.undistortPoints(pixels, matrix, distortion, criteria=UNDISTORT)
+    return np.asarray(undistorted, dtype=float).reshape(height, width, 2)

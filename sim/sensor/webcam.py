@@ -1,0 +1,116 @@
+"""The webcam: lens, sensor and coding, one after the other."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lscan.records import Bytes
+from sim.scene import Response, Scene
+from sim.sensor.blur import point_spread
+from sim.sensor.coding import electrons_of, encode, linear_dn, through_jpeg
+from sim.sensor.colour import ColourFilter
+from sim.sensor.noise import fixed_pattern, noisy
+from sim.sensor.radiometry import AMBIENT_NM, photons_per_radiance, vignetting
+from sim.sensor.speckle import speckle_contrast, speckle_pattern
+from sim.tank import Layers
+
+Electrons = NDArray[np.float32]
+Picture = NDArray[np.float32]
+
+
+class Webcam:
+    """Lens and sensor of a scene; its fixed patterns stay the same from picture to picture."""
+
+    def __init__(self, scene: Scene) -> None:
+        """Draw the fixed patterns from the sensor's seed."""
+        self.lens, self.sensor = scene.tank.lens, scene.tank.sensor
+        self.wavelength_nm = scene.tank.laser.wavelength_nm
+        camera = scene.rig.camera
+        self._shape = (camera.height_px, camera.width_px)
+        self._falloff = vignetting(self.lens, (camera.width_px, camera.height_px))
+        bayer = self.sensor.bayer
+        self._filter = None if bayer == "none" else ColourFilter(bayer, self._shape)
+        pixels = (*self._shape, 3) if self._filter is None else self._shape
+        self._pattern = fixed_pattern(self.sensor, pixels) if self.sensor.noise else None
+
+    def expose(
+        self,
+        layers: Layers,
+        exposure_ms: float,
+        generator: np.random.Generator,
+        wavelength_nm: float | None = None,
+    ) -> Bytes:
+        """The picture, (H, W, 3) RGB, of the layers; all noise comes from ``generator``.
+
+        wavelength_nm: the laser's at this moment, the scene's nominal one if None.
+        With ``noise = false`` nothing is random: no speckle, no fixed pattern either.
+        """
+        nm = self.wavelength_nm if wavelength_nm is None else wavelength_nm
+        electrons = self._electrons(layers, exposure_ms, nm, self._speckle(nm, generator))
+        if self._filter is not None:
+            electrons = self._filter.mosaic(electrons)
+        if self._pattern is not None:
+            electrons = noisy(electrons, self.sensor, self._pattern, generator)
+        linear = linear_dn(electrons, self.sensor)
+        if self._filter is not None:
+            linear = self._filter.demosaic(linear)
+        return through_jpeg(encode(linear, self.sensor), self.sensor)
+
+    def mean_electrons(
+        self, layers: Layers, exposure_ms: float, wavelength_nm: float | None = None
+    ) -> Electrons:
+        """Expected electrons, (H, W, 3) RGB, before colour filter, noise and full well."""
+        nm = self.wavelength_nm if wavelength_nm is None else wavelength_nm
+        return self._electrons(layers, exposure_ms, nm, speckle=None)
+
+    def metered_ms(
+        self,
+        layers: Layers,
+        target_dn: float,
+        percentile: float,
+        wavelength_nm: float | None = None,
+    ) -> float:
+        """Exposure in ms that puts the bright end of the mean picture at ``target_dn``.
+
+        The bright end is the percentile, over the pixels, of their brightest colour; infinite
+        where it is dark.  It depends on the layers alone, not on noise.
+        """
+        brightest = self.mean_electrons(layers, 1.0, wavelength_nm).max(axis=-1)
+        per_ms = float(np.percentile(brightest, percentile))
+        return electrons_of(target_dn, self.sensor) / per_ms if per_ms > 0 else float("inf")
+
+    def _electrons(
+        self, layers: Layers, exposure_ms: float, laser_nm: float, speckle: Picture | None
+    ) -> Electrons:
+        laser = self._laser_photons(layers, exposure_ms, laser_nm, speckle)
+        ambient = self._photons(layers.ambient, exposure_ms, AMBIENT_NM)
+        to_laser = _rgb(self.sensor.laser_response)
+        to_ambient = _rgb(self.sensor.ambient_response)
+        return laser[..., None] * to_laser + ambient[..., None] * to_ambient
+
+    def _laser_photons(
+        self, layers: Layers, exposure_ms: float, laser_nm: float, speckle: Picture | None
+    ) -> Picture:
+        """Photons of the laser a pixel collects, those from surfaces times ``speckle``."""
+        if speckle is None:
+            return self._photons(layers.laser, exposure_ms, laser_nm)
+        direct = self._photons(layers.direct, exposure_ms, laser_nm)
+        return direct * speckle + self._photons(layers.scattered, exposure_ms, laser_nm)
+
+    def _photons(self, radiance: Picture, exposure_ms: float, wavelength_nm: float) -> Picture:
+        """Photons a pixel collects from radiance in W/(m2 sr), spread by the lens."""
+        factor = photons_per_radiance(self.lens, self.sensor, exposure_ms, wavelength_nm)
+        return point_spread(radiance * (np.float32(factor) * self._falloff), self.lens)
+
+    def _speckle(self, laser_nm: float, generator: np.random.Generator) -> Picture | None:
+        """A new pattern for each picture, for the head moves between them; None without one."""
+        light = self.sensor.speckle
+        if light == "none" or not self.sensor.noise:
+            return None
+        contrast = speckle_contrast(self.sensor.pixel_um, self.lens.f_number, laser_nm, light)
+        return speckle_pattern(self._shape, contrast, generator)
+
+
+def _rgb(response: Response) -> NDArray[np.float32]:
+    return np.array([response.red, response.green, response.blue], dtype=np.float32)

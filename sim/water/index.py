@@ -1,0 +1,107 @@
+"""The refractive index of water and of air.
+
+The index used throughout is that of Quan & Fry, which is relative to air.  With catalogue
+glass, also relative to air, and air = 1 it makes one consistent set; an absolute index
+(IAPWS) mixed in would be wrong by 3.7e-4.
+"""
+
+from __future__ import annotations
+
+from math import sqrt
+
+from sim.water.density import (
+    ATMOSPHERE_MPA,
+    PRESSURE_MPA,
+    ZERO_C_IN_K,
+    fresh_water_density,
+)
+from sim.water.limits import require
+
+# Ranges of Quan & Fry 1995, at atmospheric pressure.
+TEMPERATURE_C = (0.0, 30.0)
+SALINITY_PSU = (0.0, 35.0)
+INDEX_NM = (400.0, 700.0)
+AIR_NM = (300.0, 1690.0)  # range of Ciddor 1996
+# Ranges of IAPWS R9-97: 261.15 to 773.15 K, 0.2 to 1.1 um.
+IAPWS_KG_M3 = (0.0, 1060.0)
+IAPWS_C = (-12.0, 500.0)
+IAPWS_NM = (200.0, 1100.0)
+
+
+def refractive_index(
+    temperature_c: float,
+    salinity_psu: float,
+    wavelength_nm: float,
+    pressure_mpa: float = ATMOSPHERE_MPA,
+) -> float:
+    """Index of water relative to air: Quan & Fry 1995, and what pressure adds to it.
+
+    0-30 C, 0-35 psu, 400-700 nm; pressure_mpa is absolute, 0.1-100.  The rise with pressure is
+    that of fresh water (IAPWS index of the IAPWS-IF97 density) and is 0 at 0.101325 MPa; sea water
+    yields less, by 4 to 6 % of the rise (EOS-80).  Raises InputError outside the ranges.
+    """
+    require("temperature_c", temperature_c, TEMPERATURE_C)
+    require("salinity_psu", salinity_psu, SALINITY_PSU)
+    require("wavelength_nm", wavelength_nm, INDEX_NM)
+    require("pressure_mpa", pressure_mpa, PRESSURE_MPA)
+    t, s, nm = temperature_c, salinity_psu, wavelength_nm
+    at_atmosphere = (
+        1.31405
+        + (1.779e-4 - 1.05e-6 * t + 1.6e-8 * t**2) * s
+        - 2.02e-6 * t**2
+        + (15.868 + 0.01155 * s - 0.00423 * t) / nm
+        - 4382.0 / nm**2
+        + 1.1455e6 / nm**3
+    )
+    return at_atmosphere + _pressure_rise(t, nm, pressure_mpa)
+
+
+def _pressure_rise(temperature_c: float, wavelength_nm: float, pressure_mpa: float) -> float:
+    """What the index, relative to air, gains from atmospheric pressure to ``pressure_mpa``."""
+    pressed, at_atmosphere = (
+        iapws_index(fresh_water_density(temperature_c, mpa), temperature_c, wavelength_nm)
+        for mpa in (pressure_mpa, ATMOSPHERE_MPA)
+    )
+    return (pressed - at_atmosphere) / air_index(wavelength_nm)
+
+
+def air_index(wavelength_nm: float) -> float:
+    """Absolute index of standard air (15 C, 101325 Pa): Ciddor 1996 (300-1690 nm)."""
+    require("wavelength_nm", wavelength_nm, AIR_NM)
+    wavenumber2 = (1000 / wavelength_nm) ** 2
+    return 1 + 1e-8 * (5792105 / (238.0185 - wavenumber2) + 167917 / (57.362 - wavenumber2))
+
+
+def absolute_index(
+    temperature_c: float,
+    salinity_psu: float,
+    wavelength_nm: float,
+    pressure_mpa: float = ATMOSPHERE_MPA,
+) -> float:
+    """Index of water relative to vacuum, to be compared with IAPWS; ranges as Quan & Fry."""
+    relative = refractive_index(temperature_c, salinity_psu, wavelength_nm, pressure_mpa)
+    return relative * air_index(wavelength_nm)
+
+
+def iapws_index(density_kg_m3: float, temperature_c: float, wavelength_nm: float) -> float:
+    """Index of pure water relative to vacuum: IAPWS R9-97 (Harvey, Gallagher & Sengers 1998).
+
+    0-1060 kg/m3, -12 to 500 C, 200-1100 nm; raises InputError outside.
+    """
+    require("density_kg_m3", density_kg_m3, IAPWS_KG_M3)
+    require("temperature_c", temperature_c, IAPWS_C)
+    require("wavelength_nm", wavelength_nm, IAPWS_NM)
+    rho = density_kg_m3 / 1000
+    t = (temperature_c + ZERO_C_IN_K) / ZERO_C_IN_K
+    lam2 = (wavelength_nm / 589) ** 2
+    refraction = rho * (  # Lorentz and Lorenz: (n2 - 1) / (n2 + 2)
+        0.244257733
+        + 0.974634476e-2 * rho
+        - 0.373234996e-2 * t
+        + 0.268678472e-3 * lam2 * t
+        + 0.158920570e-2 / lam2
+        + 0.245934259e-2 / (lam2 - 0.229202**2)
+        + 0.900704920 / (lam2 - 5.432937**2)
+        - 0.166626219e-1 * rho**2
+    )
+    return sqrt((1 + 2 * refraction) / (1 - refraction))

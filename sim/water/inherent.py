@@ -1,0 +1,143 @@
+"""Absorption and scattering: of pure water, of waters with a name, and of a scene's water."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from sim.scene import Water
+from sim.water.index import SALINITY_PSU, TEMPERATURE_C
+from sim.water.limits import require
+
+# Pure water absorption, 1/m, at 22 C: Pope & Fry 1997.
+ABSORPTION_NM, ABSORPTION_PER_M = np.array(
+    [
+        (450, 0.00922), (500, 0.0204), (550, 0.0565), (600, 0.2224), (620, 0.2755),
+        (630, 0.2916), (640, 0.3108), (645, 0.325), (650, 0.340), (655, 0.371),
+        (660, 0.410), (670, 0.439), (680, 0.465), (700, 0.624),
+    ]
+).T  # fmt: skip
+WATER_NM = (450.0, 700.0)
+ABSORPTION_AT_C = 22.0
+# Its change with temperature and salinity, known here at 650 nm; used within SLOPES_WITHIN_NM.
+SLOPES_AT_NM, SLOPES_WITHIN_NM = 650.0, 5.0
+ABSORPTION_PER_M_C = -3.62e-4
+ABSORPTION_PER_M_PSU = 2.15e-5
+
+# Scattering of pure water and of sea water at 35 psu, 1/m, 20 C: Zhang, Hu & He 2009.
+MOLECULAR_NM = np.array([532.0, 650.0, 660.0])
+MOLECULAR_FRESH_PER_M = np.array([1.511e-3, 6.582e-4, 6.180e-4])
+MOLECULAR_SEA_PER_M = np.array([1.963e-3, 8.506e-4, 7.984e-4])
+SEA_PSU = 35.0
+
+
+@dataclass(frozen=True)
+class Coefficients:
+    """Of a water at one wavelength, 1/m: absorption, scattering and the molecules' part of it."""
+
+    absorption_per_m: float
+    scattering_per_m: float
+    molecular_per_m: float
+
+
+@dataclass(frozen=True)
+class SeaWater:
+    """Absorption and scattering of a natural sea water in all, 1/m, where they were printed."""
+
+    wavelength_nm: float
+    absorption_per_m: float
+    scattering_per_m: float
+
+
+# Petzold's waters: of the two sets in use, that at 532 nm (pure sea .053/.003, clear .069/.080,
+# coastal .088/.216, harbor .295/1.875), which was read in its source.  Petzold's own values at
+# 514 nm (.114/.037, .179/.219, .366/1.824) are recalled only, and not used.
+PETZOLD_WATERS = {
+    "clear": SeaWater(532.0, 0.069, 0.080),
+    "coastal": SeaWater(532.0, 0.088, 0.216),
+    "harbor": SeaWater(532.0, 0.295, 1.875),
+}
+# Jerlov's types near 640 to 650 nm, from one secondary source.  Type I shows that the printed
+# absorption leaves out 0.031 of pure water's at 650 nm.
+JERLOV_NM = 650.0
+JERLOV_MISSING_PER_M = 0.031
+JERLOV_WATERS = {
+    f"jerlov-{name}": SeaWater(JERLOV_NM, absorption + JERLOV_MISSING_PER_M, scattering)
+    for name, absorption, scattering in (
+        ("I", 0.309, 0.001), ("IB", 0.309, 0.045), ("II", 0.310, 0.270), ("III", 0.310, 0.737),
+        ("1C", 0.316, 0.274), ("7C", 0.351, 1.772), ("9C", 0.398, 2.347),
+    )
+}  # fmt: skip
+SEA_WATERS = PETZOLD_WATERS | JERLOV_WATERS
+# Turbid waters, roughly: what an NTU is depends on the instrument.  Only scattering is added;
+# how much the particles of a tank absorb is not to be had from a turbidity.
+SCATTERING_PER_M_NTU = 1.0
+
+
+def coefficients(water: Water, wavelength_nm: float) -> Coefficients:
+    """The scene's water at ``wavelength_nm`` (450 to 700; else InputError).
+
+    Where a and b are given in all, the molecules have the part of b that they have in pure
+    water, all of it where b is less.  Else pure water's and the particles' add up.
+    """
+    molecular = molecular_scattering_per_m(water.salinity_psu, wavelength_nm)
+    if water.absorption_per_m is not None and water.scattering_per_m is not None:
+        total = water.scattering_per_m
+        return Coefficients(water.absorption_per_m, total, min(molecular, total))
+    added_absorption, added_scattering = _particles(water)
+    pure = absorption_per_m(water.temperature_c, water.salinity_psu, wavelength_nm)
+    return Coefficients(pure + added_absorption, molecular + added_scattering, molecular)
+
+
+def _particles(water: Water) -> tuple[float, float]:
+    """Absorption and scattering, 1/m, that the water's particles add to pure water's."""
+    if water.kind in SEA_WATERS:
+        return particles_of(SEA_WATERS[water.kind])
+    if water.turbidity_ntu is not None:
+        return 0.0, SCATTERING_PER_M_NTU * water.turbidity_ntu
+    return water.particle_absorption_per_m or 0.0, water.particle_scattering_per_m or 0.0
+
+
+def particles_of(sea: SeaWater) -> tuple[float, float]:
+    """Absorption and scattering, 1/m, of what a sea water holds besides water and salt.
+
+    What pure sea water (22 C, 35 psu) has of the printed values is taken off where they were
+    printed, down to nothing.  The rest is used at every wavelength: particles as large as the
+    sea's scatter nearly alike at all, and of how they absorb elsewhere nothing was printed.
+    """
+    pure = absorption_per_m(ABSORPTION_AT_C, 0.0, sea.wavelength_nm)
+    molecular = molecular_scattering_per_m(SEA_PSU, sea.wavelength_nm)
+    return max(sea.absorption_per_m - pure, 0.0), max(sea.scattering_per_m - molecular, 0.0)
+
+
+def absorption_per_m(temperature_c: float, salinity_psu: float, wavelength_nm: float) -> float:
+    """Absorption of pure (sea) water, 1/m: Pope & Fry 1997, linear between 450 and 700 nm.
+
+    Temperature and salinity count only within 5 nm of 650 nm, where their slopes are known;
+    elsewhere the value is that of pure water at 22 C.  Raises InputError out of range.
+    """
+    require("temperature_c", temperature_c, TEMPERATURE_C)
+    require("salinity_psu", salinity_psu, SALINITY_PSU)
+    require("wavelength_nm", wavelength_nm, WATER_NM)
+    pure = float(np.interp(wavelength_nm, ABSORPTION_NM, ABSORPTION_PER_M))
+    if abs(wavelength_nm - SLOPES_AT_NM) > SLOPES_WITHIN_NM:
+        return pure
+    warming = ABSORPTION_PER_M_C * (temperature_c - ABSORPTION_AT_C)
+    return pure + warming + ABSORPTION_PER_M_PSU * salinity_psu
+
+
+def molecular_scattering_per_m(salinity_psu: float, wavelength_nm: float) -> float:
+    """Scattering of pure (sea) water, 1/m: a power law through Zhang, Hu & He 2009, 20 C.
+
+    Linear in salinity.  Fitted at 532 to 660 nm; carried on to 450 and 700 nm, where Morel's
+    exponent (-4.32 against the fit's -4.15) would differ by 3 %.  Raises InputError out of
+    range.
+    """
+    require("salinity_psu", salinity_psu, SALINITY_PSU)
+    require("wavelength_nm", wavelength_nm, WATER_NM)
+    fresh, sea = (
+        np.exp(np.polyval(np.polyfit(np.log(MOLECULAR_NM), np.log(b), 1), np.log(wavelength_nm)))
+        for b in (MOLECULAR_FRESH_PER_M, MOLECULAR_SEA_PER_M)
+    )
+    return float(fresh + (sea - fresh) * salinity_psu / SEA_PSU)

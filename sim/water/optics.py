@@ -1,0 +1,74 @@
+"""All that the tank asks of its water at one wavelength, in one record."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from lscan.records import Floats
+from sim.scene import Water
+from sim.water.fournier import FournierForand
+from sim.water.index import refractive_index
+from sim.water.inherent import coefficients
+from sim.water.petzold import PetzoldTable
+from sim.water.phase import HenyeyGreensteinMixture, PhaseFunction, molecular_phase
+
+MM_PER_M = 1000.0
+
+
+@dataclass(frozen=True)
+class Optics:
+    """The water at one wavelength.
+
+    index: refractive index relative to air.
+    absorption_per_mm, scattering_per_mm: of water and particles together.
+    particles: the phase function of the particles.
+    molecular_weight: the molecules' share of scattering_per_mm, 0 to 1.
+    """
+
+    index: float
+    absorption_per_mm: float
+    scattering_per_mm: float
+    particles: PhaseFunction
+    molecular_weight: float
+
+    @property
+    def extinction_per_mm(self) -> float:
+        """Beam attenuation, 1/mm: absorption and scattering."""
+        return self.absorption_per_mm + self.scattering_per_mm
+
+    def phase(self, angle: Floats) -> Floats:
+        """Phase function, 1/sr, at the scattering angle in rad (0 is forward).
+
+        Same shape as ``angle``; its integral over the sphere is 1.
+        """
+        share = self.molecular_weight
+        return (1 - share) * self.particles.density(angle) + share * molecular_phase(angle)
+
+
+def water_optics(water: Water, wavelength_nm: float) -> Optics:
+    """The optics of a scene's water at ``wavelength_nm`` (450 to 700); else InputError."""
+    found = coefficients(water, wavelength_nm)
+    scattering = found.scattering_per_m
+    return Optics(
+        index=refractive_index(
+            water.temperature_c, water.salinity_psu, wavelength_nm, water.pressure_mpa
+        ),
+        absorption_per_mm=found.absorption_per_m / MM_PER_M,
+        scattering_per_mm=scattering / MM_PER_M,
+        particles=particle_phase(water),
+        # Where nothing scatters, the molecules' share is as good as any.
+        molecular_weight=found.molecular_per_m / scattering if scattering > 0 else 1.0,
+    )
+
+
+def particle_phase(water: Water) -> PhaseFunction:
+    """The phase function that a scene names for its particles."""
+    match water.phase:
+        case "petzold-mixture":
+            return HenyeyGreensteinMixture()
+        case "petzold":
+            return PetzoldTable()
+        case "fournier-forand":
+            return FournierForand(water.particle_index, water.junge_slope)
+        case "henyey-greenstein":
+            return HenyeyGreensteinMixture((1.0,), (water.asymmetry,))
