@@ -118,9 +118,11 @@ class SimCamera:
         self._next = index + 1
         time_s = index * FRAME_PERIOD_S
         position_mm = self._track.position_mm
-        layers = self._tank.render(position_mm)
         wavelength_nm = self._scene.tank.laser.wavelength_at(time_s)
+        layers = self._tank.render(position_mm, time_s=time_s)
         exposure_ms = self._exposure_ms(layers, wavelength_nm)
+        if self._options.auto_exposure and self._scene.tank.head.speed_mm_s != 0:
+            layers = self._tank.render(position_mm, time_s=time_s, exposure_ms=exposure_ms)
         generator = self._generator(position_mm, index)
         image = self._webcam.expose(layers, exposure_ms, generator, wavelength_nm)
         return Grab(image=image, time_s=time_s, exposure_ms=exposure_ms)

@@ -20,9 +20,10 @@ FARTHEST_MM = 1e5  # beyond, single precision no longer carries a hundredth of a
 def write_render(
     scene: Scene, position_mm: float, folder: Path, samples: int | None = None
 ) -> dict[str, Path]:
-    """The files written: the webcam's picture (PNG) and the layers of light (NumPy .npz).
+    """The files written: picture and labels (PNG), and the layers of light (NumPy .npz).
 
-    The layers are float32 radiances in W/(m2 sr) in the air behind the port.
+    The layers are float32 radiances in W/(m2 sr) in the air behind the port.  labels.png has
+    a class for each pixel (sim.labels.Label), labels-colour.png the same to look at.
     """
     from sim.sensor import Webcam
     from sim.tank import Tank
@@ -34,8 +35,13 @@ def write_render(
     generator = np.random.default_rng([scene.tank.sensor.seed, 1])
     image = Webcam(scene).expose(layers, scene.rig.camera.exposure_ms, generator)
     make_folder(folder)
-    files = {"picture": folder / "picture.png", "layers": folder / "layers.npz"}
+    names = {"picture": "picture.png", "layers": "layers.npz", "labels": "labels.png"}
+    files = {key: folder / name for key, name in names.items()}
+    files["labels in colour"] = folder / "labels-colour.png"
+    labels = label_scene(scene, position_mm, layers)
     write_picture(files["picture"], image)
+    write_picture(files["labels"], labels)
+    write_picture(files["labels in colour"], colour_labels(labels))
     stream = BytesIO()
     np.savez_compressed(
         stream, direct=layers.direct, scattered=layers.scattered, ambient=layers.ambient

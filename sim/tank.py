@@ -8,26 +8,30 @@ from typing import Any
 
 import mitsuba as mi
 import numpy as np
-import trimesh
 from numpy.typing import NDArray
 
-from sim.meshes import Part, scene_parts
+from lscan.errors import InputError
+from sim.materials import mitsuba_shape
+from sim.meshes import scene_parts
 from sim.plugins.camera import RefractiveCamera
 from sim.plugins.integrator import LAYERS, SheetIntegrator
+from sim.plugins.multiple import HIGHER_LAYERS, MultipleIntegrator
 from sim.plugins.sheet import LaserSheet
-from sim.scene import Scene, camera_pose, head_pose
-from sim.water import Optics, water_optics
+from sim.scene import Scene, camera_pose, head_pose, track_direction
+from sim.water import HenyeyGreensteinMixture, Optics, glass_index, water_optics
 
 Radiance = NDArray[np.float32]
 W_PER_M2_IN_MW_PER_MM2 = 1e3  # 1 mW/mm2 is 1000 W/m2; scenes are in mW and mm
+UM_PER_MM = 1e3
 
 
 @dataclass(frozen=True)
 class Layers:
     """What reaches the lens, (H, W) float32 each, W/(m2 sr) in the air behind the port.
 
-    direct: laser light reflected by a surface.  scattered: laser light scattered by the
-    water (the veil).  ambient: everything that is not the laser's.
+    direct: laser light reflected once, by the surface the laser itself lit.  scattered: all
+    other laser light, of the veil, the halo about the line, and reflections of the line.
+    ambient: everything that is not the laser's.
     """
 
     direct: Radiance
@@ -41,21 +45,23 @@ class Layers:
 
 
 class Tank:
-    """A scene loaded into Mitsuba; only the head moves, so geometry is built once."""
+    """A scene loaded into Mitsuba; only the head moves, so geometry is built once.
+
+    integrator: light of the first order.  higher: light of all higher orders.
+    """
 
     def __init__(self, scene: Scene) -> None:
-        """Load meshes and plugins; InputError where a mesh cannot be read."""
+        """Load meshes and plugins; InputError where a mesh or a picture cannot be read."""
         self.scene = scene
-        tank = scene.tank
-        self.water = water_optics(tank.water, tank.laser.wavelength_nm)
-        self._camera = self.make_camera()
-        self.sheet = self._make_sheet()
+        laser = scene.tank.laser
+        self._lines = laser.sheets if laser.on else ()
+        self.sheets = [_plugin("laser_sheet", LaserSheet) for _ in self._lines]
         self.integrator = SheetIntegrator(mi.Properties())
-        self.integrator.configure(
-            self.water, self.sheet, tank.light.ambient_w_m2_sr / W_PER_M2_IN_MW_PER_MM2
-        )
-        self.place(scene.rig.plan.start_mm)
+        self.higher = MultipleIntegrator(mi.Properties())
+        self._tune(laser.wavelength_nm)
+        self._camera, self._random_camera = self.make_camera(), self.make_camera(jitter=True)
         self.mitsuba_scene = mi.load_dict(self._scene_dict())
+        self.place(scene.rig.plan.start_mm)
 
     def make_camera(
         self,
@@ -67,14 +73,13 @@ class Tank:
 
         window: (left, top, width, height) px of the picture to render, all of it if None.
         medium: a stock medium to stand in, which integrators of Mitsuba's own need.
-        jitter: random sub-pixel positions.  Without it they lie on a regular grid: the
-            picture is a smooth function of position, for which the grid converges at once
-            and adds no noise.
+        jitter: random samples.  Without it they lie on a regular grid: what is a smooth
+            function of position converges there at once, without noise.
         """
         section = self.scene.rig.camera
         left, top, width, height = window or (0, 0, section.width_px, section.height_px)
+        sampler = {"type": "independent"} if jitter else {"type": "stratified", "jitter": False}
         settings: dict[str, Any] = {
-            "type": "refractive_camera",
             "film": {
                 "type": "hdrfilm",
                 "width": section.width_px,
@@ -87,61 +92,142 @@ class Tank:
                 "component_format": "float32",
                 "rfilter": {"type": "box"},
             },
-            "sampler": {"type": "stratified", "jitter": jitter},
+            "sampler": sampler,
         }
         if medium is not None:
             settings["medium"] = medium
-        camera = mi.load_dict(settings)
-        assert isinstance(camera, RefractiveCamera)
-        camera.configure(self.scene.tank.lens, self.scene.tank.port, self.water.index)
+        camera = _plugin("refractive_camera", RefractiveCamera, settings)
+        self._focus(camera)
         head = self.scene.tank.head
         camera.place(head_pose(head, 0.0) @ camera_pose(head))
         return camera
 
-    def place(self, position_mm: float) -> None:
-        """Move the head, camera and laser, to a track position in mm."""
-        head = head_pose(self.scene.tank.head, position_mm)
-        self._camera.place(head @ camera_pose(self.scene.tank.head))
-        if self.sheet is not None:
-            self.sheet.place(head)
+    def place(self, position_mm: float, exposure_ms: float | None = None) -> None:
+        """Move the head, camera and laser, to a track position in mm.
 
-    def render(self, position_mm: float, samples: int | None = None) -> Layers:
-        """The layers seen from a track position; ``samples`` a pixel, the scene's if None."""
-        self.place(position_mm)
-        image = mi.render(
-            self.mitsuba_scene,
-            sensor=self._camera,
-            integrator=self.integrator,
-            spp=samples or self.scene.tank.render.samples,
-            seed=self.scene.tank.render.seed,
+        exposure_ms: how long the shutter is open, which matters where the head does not
+        stand still; the rig's if None.
+        """
+        head, sensor = self.scene.tank.head, self.scene.tank.sensor
+        pose = head_pose(head, position_mm)
+        velocity = head.speed_mm_s * track_direction(head)
+        if exposure_ms is None:
+            exposure_ms = self.scene.rig.camera.exposure_ms
+        for camera in (self._camera, self._random_camera):
+            camera.place(pose @ camera_pose(head))
+            if head.speed_mm_s != 0:
+                camera.move(velocity, exposure_ms, sensor.readout_ms)
+        for sheet in self.sheets:
+            sheet.place(pose, velocity)
+
+    def render(
+        self,
+        position_mm: float,
+        samples: int | None = None,
+        *,
+        scatter_samples: int | None = None,
+        time_s: float = 0.0,
+        exposure_ms: float | None = None,
+    ) -> Layers:
+        """The layers seen from a track position.
+
+        samples, scatter_samples: a pixel, for the first and for all higher orders of light;
+        the scene's if None.  time_s: since the laser was switched on.  exposure_ms: as
+        ``place``.
+        """
+        render, laser = self.scene.tank.render, self.scene.tank.laser
+        if laser.drift is not None:
+            self._tune(laser.wavelength_at(time_s))
+            self._focus(self._camera)
+            self._focus(self._random_camera)
+        self.place(position_mm, exposure_ms)
+        first = self._layers(self._camera, self.integrator, samples or render.samples, LAYERS)
+        more = render.scatter_samples if scatter_samples is None else scatter_samples
+        if more > 0:
+            higher = self._layers(self._random_camera, self.higher, more, HIGHER_LAYERS)
+            for name, layer in higher.items():
+                first[name] = first[name] + layer
+        return Layers(**first)
+
+    def _layers(
+        self,
+        camera: RefractiveCamera,
+        integrator: mi.Integrator,
+        samples: int,
+        names: tuple[str, ...],
+    ) -> dict[str, Radiance]:
+        """Each layer's name and picture."""
+        image = np.array(
+            mi.render(
+                self.mitsuba_scene,
+                sensor=camera,
+                integrator=integrator,
+                spp=samples,
+                seed=self.scene.tank.render.seed,
+            )
         )
-        channels = np.array(image)[..., -len(LAYERS) :] * np.float32(W_PER_M2_IN_MW_PER_MM2)
-        return Layers(*(np.ascontiguousarray(channels[..., k]) for k in range(len(LAYERS))))
+        channels = image[..., -len(names) :]
+        # Mitsuba weighs its own sum with the camera's transmission but not the channels beside
+        # it; within a pixel that weight is the same for all samples.
+        total = channels.sum(axis=-1)
+        weight = np.divide(image[..., 0], total, out=np.zeros_like(total), where=total > 0)
+        channels = channels * (weight * np.float32(W_PER_M2_IN_MW_PER_MM2))[..., np.newaxis]
+        return {name: np.ascontiguousarray(channels[..., k]) for k, name in enumerate(names)}
 
-    def _make_sheet(self) -> LaserSheet | None:
-        if not self.scene.tank.laser.on:
-            return None
-        sheet = mi.load_dict({"type": "laser_sheet"})
-        assert isinstance(sheet, LaserSheet)
-        sheet.configure(self.scene.tank.laser, self.water.index)
-        return sheet
+    def _tune(self, wavelength_nm: float) -> None:
+        """Set the water and the laser for a wavelength."""
+        tank = self.scene.tank
+        self.water = water_optics(tank.water, wavelength_nm)
+        self.glass_index = glass_index(tank.port.glass_index, wavelength_nm)
+        for sheet, line in zip(
+            self.sheets, tank.laser.sheets if tank.laser.on else (), strict=True
+        ):
+            sheet.configure(tank.laser, line, self.water.index, wavelength_nm)
+        ambient = tank.light.ambient_w_m2_sr / W_PER_M2_IN_MW_PER_MM2
+        for integrator in (self.integrator, self.higher):
+            integrator.configure(self.water, self.sheets, ambient)
+
+    def _focus(self, camera: RefractiveCamera) -> None:
+        """Set a camera's optics for the water as it is."""
+        lens, sensor = self.scene.tank.lens, self.scene.tank.sensor
+        focal_mm = lens.focal_px * sensor.pixel_um / UM_PER_MM
+        aperture_mm = 0.0 if lens.focus_mm is None else focal_mm / lens.f_number
+        camera.configure(
+            lens,
+            self.scene.tank.port,
+            self.glass_index,
+            self.water.index,
+            aperture_mm=aperture_mm,
+        )
 
     def _scene_dict(self) -> dict[str, object]:
-        parts = {f"part-{k}": _shape(part) for k, part in enumerate(scene_parts(self.scene))}
-        lights = {} if self.sheet is None else {"sheet": self.sheet}
+        parts = {
+            f"part-{k}": mitsuba_shape(part, self.water.index)
+            for k, part in enumerate(scene_parts(self.scene))
+        }
+        lights = {f"sheet-{k}": sheet for k, sheet in enumerate(self.sheets)}
         return {"type": "scene", **parts, **lights}
 
 
 def stock_medium(water: Optics) -> dict[str, Any]:
-    """The water as a stock homogeneous medium: nested blends of its lobes and Rayleigh's."""
+    """The water as a stock homogeneous medium: nested blends of its lobes and Rayleigh's.
+
+    Raises InputError where its phase function is none of Mitsuba's own.
+    """
+    if not isinstance(water.particles, HenyeyGreensteinMixture):
+        raise InputError(
+            "no phase function of Mitsuba's own",
+            where="water.phase",
+            value=type(water.particles).__name__,
+            allowed="henyey-greenstein or petzold-mixture",
+        )
     phase: dict[str, Any] = {"type": "rayleigh"}
     share = water.molecular_weight
-    weights = (1 - water.molecular_weight) * water.hg_weights
-    for weight, g in zip(weights, water.hg_g, strict=True):
-        share += weight
+    for weight, g in zip(water.particles.weights, water.particles.g, strict=True):
+        share += (1 - water.molecular_weight) * weight
         lobe = {"type": "hg", "g": float(g)}
         # blendphase = (1 - w) first + w second
-        blend = float(weight / share)
+        blend = float((1 - water.molecular_weight) * weight / share)
         phase = {"type": "blendphase", "weight": blend, "first": phase, "second": lobe}
     return {
         "type": "homogeneous",
@@ -152,34 +238,8 @@ def stock_medium(water: Optics) -> dict[str, Any]:
     }
 
 
-def _shape(part: Part) -> mi.Mesh:
-    """The part as a Mitsuba mesh with a two-sided diffuse surface."""
-    props = mi.Properties()
-    props["bsdf"] = mi.load_dict(
-        {
-            "type": "twosided",
-            "bsdf": {
-                "type": "diffuse",
-                "reflectance": {"type": "spectrum", "value": part.albedo},
-            },
-        }
-    )
-    mesh = part.mesh
-    shape = mi.Mesh(
-        part.name,
-        vertex_count=len(mesh.vertices),
-        face_count=len(mesh.faces),
-        has_vertex_normals=part.smooth,
-        props=props,
-    )
-    parameters = mi.traverse(shape)
-    parameters["vertex_positions"] = _flat(mesh.vertices)
-    parameters["faces"] = mi.UInt32(np.asarray(mesh.faces, dtype=np.uint32).ravel())
-    if part.smooth:
-        parameters["vertex_normals"] = _flat(mesh.vertex_normals)
-    parameters.update()
-    return shape
-
-
-def _flat(vectors: trimesh.caching.TrackedArray) -> mi.Float:
-    return mi.Float(np.asarray(vectors, dtype=np.float32).ravel())
+def _plugin(name: str, kind: type[Any], settings: Mapping[str, Any] | None = None) -> Any:
+    """A plugin of this project's, made by Mitsuba."""
+    plugin = mi.load_dict({"type": name, **(settings or {})})
+    assert isinstance(plugin, kind)
+    return plugin

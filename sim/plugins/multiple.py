@@ -9,12 +9,13 @@ drawn together, because a chance ray never meets a thin sheet or its line:
     x in the water, y on a surface   the halo about the line
     x in the water, y in the water   the veil's own blur
 
-One ray of the laser serves all four.  Its angle in the fan is drawn near the ray at hand;
-places in the water are drawn by the angle of scattering (sim.plugins.phase), from the
-surface's point or, in the last family, from each other, in either order, weighted by the
-balance heuristic (Veach 1997, sec. 9.2).  Interreflection is weighted against the surface's
-own sampling in the same way, for light that meets a surface near a corner.  Paths of three
-and more orders are walks from the camera that end in such a pair at every step.
+One ray of the laser serves all four.  It is drawn near the ray at hand (BeamDensity); places
+in the water are drawn by the angle of scattering (sim.plugins.phase), from the surface's
+point or, in the last family, from each other, in either order, weighted by the balance
+heuristic (Veach 1997, sec. 9.2).  Interreflection is weighted against the surface's own
+sampling by the power heuristic, for light that meets a surface near a corner.  Paths of three
+and more orders are walks from the camera that end in such a pair at every step; a walk turns
+as surface and water scatter, or towards the apex, from where most of the light comes.
 """
 
 from __future__ import annotations
@@ -28,18 +29,22 @@ import mitsuba as mi
 
 from sim.plugins.integrator import direct_light
 from sim.plugins.opaque import opaque
-from sim.plugins.phase import Approach, PhaseTable, angle_between, approach
+from sim.plugins.phase import PhaseTable, angle_between, approach
 from sim.plugins.sheet import LaserSheet
 from sim.water import Optics
 
 HIGHER_LAYERS = ("scattered", "ambient")
 FAR_OPTICAL_DEPTH = 25.0  # what lies deeper is dimmer by 1e-11
 FARTHEST_MM = 1e5
-# The line's ray is drawn from a Gaussian this much wider than the sheet where its middle
-# meets a surface, so that a nearer surface beside it, where it is wider seen from the
-# apex, does not weigh too much.
+# The beam is drawn from a Gaussian this much wider than the sheet where its middle meets a
+# surface, so that a nearer surface beside it, where it is wider seen from the apex, does not
+# weigh too much.
 WIDER = 1.3
 NARROWEST = 1e-4  # rad: the least scale on which the fan's angle is drawn
+# Within the line, half the beams are drawn about the point itself, no farther than this many
+# half widths: light between a line and a point beside it goes as 1 / distance.
+ABOUT, ABOUT_REACH, ABOUT_WITHIN = 0.5, 2.0, 1.5
+TO_APEX = 0.5  # share of a walk's turns that are drawn about the direction to the apex
 SURVIVAL = 0.95  # of a walk whose weight has not fallen
 LONGEST_WALK = 256
 
@@ -53,6 +58,8 @@ class Falloff:
 
     centre: mi.Float
     scale: mi.Float
+    first: mi.Float
+    last: mi.Float
     low: mi.Float
     high: mi.Float
 
@@ -67,25 +74,67 @@ class Falloff:
 
 
 @dataclass(frozen=True)
-class Beam:
-    """One ray of the laser, drawn for a ray of the camera's.
+class BeamDensity:
+    """How a ray of the laser is drawn for light that goes to a point.
 
-    fan: the density its angle was drawn from.  phi: the angle.  power: mW per unit of
-    that density.  lateral: its offset in standard deviations of the sheet's thickness.
+    fan: density of its angle phi.  Across the sheet it is drawn in units of the sheet's
+    standard deviation, from a Gaussian of WIDER; or, with the odds ``about``, in polar
+    coordinates around the point, of the radius ``reach`` mm.  phi, rho, offset: the point's
+    own; unit: mm of the standard deviation there.
     """
 
     fan: Falloff
+    about: mi.Float
+    reach: mi.Float
     phi: mi.Float
-    power: mi.Float
+    rho: mi.Float
+    offset: mi.Float
+    unit: mi.Float
+
+    def sample(
+        self, choice: mi.Float, first: mi.Point2f, second: mi.Float
+    ) -> tuple[mi.Float, mi.Float]:
+        """phi, and the offset across in standard deviations."""
+        s, c = dr.sincos(2 * pi * first.y)
+        radius = self.reach * first.x
+        near_phi = self.phi + radius * c / self.rho
+        near_lateral = (self.offset + radius * s) / self.unit
+        lateral = WIDER * mi.warp.square_to_std_normal(first).x
+        near = choice < self.about
+        phi = dr.select(near, near_phi, self.fan.sample(second))
+        return phi, dr.select(near, near_lateral, lateral)
+
+    def density(self, phi: mi.Float, lateral: mi.Float) -> mi.Float:
+        """Probability per radian and standard deviation."""
+        wide = self.fan.density(phi) * _gaussian(lateral / WIDER) / WIDER
+        along, across = self.rho * (phi - self.phi), self.unit * lateral - self.offset
+        radius = dr.maximum(dr.sqrt(dr.square(along) + dr.square(across)), 1e-9)
+        polar = self.rho * self.unit / (2 * pi * radius * self.reach)
+        near = dr.select(radius <= self.reach, polar, 0.0)
+        in_fan = (phi >= self.fan.first) & (phi <= self.fan.last)
+        return (1 - self.about) * dr.select(in_fan, wide, 0.0) + self.about * near
+
+
+@dataclass(frozen=True)
+class Beam:
+    """One ray of the laser.
+
+    phi: its angle in the fan.  lateral: its offset across, in standard deviations of the
+    sheet.  density: probability of both.  power: mW, of the Gaussian sheet, per that.
+    """
+
+    phi: mi.Float
     lateral: mi.Float
+    density: mi.Float
+    power: mi.Float
 
 
 @dataclass(frozen=True)
 class Spot:
     """Where a ray of the laser meets a surface.
 
-    flux: mW that arrive there per unit of the ray's density, after the water's loss.
-    density: probability per mm2 of drawing the point.
+    flux: mW that arrive there per unit of the ray's density, after the water's loss, over
+    the cosine.  density: probability per mm2 of drawing the point.
     """
 
     si: mi.SurfaceInteraction3f
@@ -164,20 +213,53 @@ class MultipleIntegrator(mi.SamplingIntegrator):
             free = -dr.log(1 - sampler.next_1d(active)) / dr.maximum(self.extinction, 1e-20)
             in_water = active & (free < si.t) & mi.Bool(self.has_water)
             on_surface = active & ~in_water & si.is_valid()
-            scattered, worth = self.phase.sample_direction(ray.d, sampler.next_2d(active))
-            bs, value = si.bsdf().sample(
-                mi.BSDFContext(), si, sampler.next_1d(active), sampler.next_2d(active), on_surface
-            )
-            albedo = self.scattering / dr.maximum(self.extinction, 1e-20)
-            weight *= dr.select(in_water, albedo * worth, value.x)
+            vertex = dr.select(in_water, ray(free), si.p)
+            onward, worth, density = self._turn(sampler, ray, si, vertex, in_water, on_surface)
+            weight *= worth
             reached = dr.select(si.is_valid(), dr.exp(-self.extinction * si.t), 0.0)
-            turned = dr.select(on_surface, bs.pdf * reached, 0.0)
-            onward = si.spawn_ray(si.to_world(bs.wo))
-            ray.o = dr.select(in_water, ray(free), onward.o)
-            ray.d = dr.select(in_water, scattered, onward.d)
+            turned = dr.select(on_surface, density * reached, 0.0)
+            spawned = si.spawn_ray(onward)
+            ray.o = dr.select(in_water, vertex, spawned.o)
+            ray.d = onward
             active = (in_water | on_surface) & (weight > 0) & (step < LONGEST_WALK)
             step += 1
         return total
+
+    def _turn(
+        self,
+        sampler: mi.Sampler,
+        ray: mi.Ray3f,
+        si: mi.SurfaceInteraction3f,
+        vertex: mi.Point3f,
+        in_water: mi.Bool,
+        on_surface: mi.Bool,
+    ) -> tuple[mi.Vector3f, mi.Float, mi.Float]:
+        """Where a walk goes from a vertex: the direction, its weight and its density.
+
+        Either as water or surface scatter, or scattered from the direction to the apex: light
+        that was turned a little on its way down is found that way alone.
+        """
+        active = in_water | on_surface
+        to_apex = dr.normalize(self.sheets[0].apex(ray.time) - vertex)
+        wanted = sampler.next_1d(active) < mi.Float(TO_APEX if self.has_water else 0.0)
+        context = mi.BSDFContext()
+        bs, _ = si.bsdf().sample(
+            context, si, sampler.next_1d(active), sampler.next_2d(active), on_surface & ~wanted
+        )
+        about = dr.select(wanted, to_apex, ray.d)
+        scattered = self.phase.sample_direction(about, sampler.next_2d(active))
+        onward = dr.select(on_surface & ~wanted, si.to_world(bs.wo), scattered)
+        onward = dr.normalize(onward)
+
+        value, pdf = si.bsdf().eval_pdf(context, si, si.to_local(onward), on_surface)
+        angle = angle_between(ray.d, onward)
+        albedo = self.scattering / dr.maximum(self.extinction, 1e-20)
+        worth = dr.select(in_water, albedo * self.phase.value(angle), value.x)
+        density = dr.select(in_water, self.phase.direction_density(angle), pdf)
+        if self.has_water:
+            lobe = self.phase.direction_density(angle_between(to_apex, onward))
+            density = (1 - TO_APEX) * density + TO_APEX * lobe
+        return onward, dr.select(density > 0, worth / density, 0.0), density
 
     def _pairs(
         self,
@@ -190,12 +272,13 @@ class MultipleIntegrator(mi.SamplingIntegrator):
     ) -> mi.Float:
         """Light along the ray that had exactly two vertices: the sum of the four families."""
         end = dr.select(si.is_valid(), dr.minimum(si.t, self.far), self.far)
-        fan = fan_density(sheet, ray(end), ray.time)
-        normals = mi.warp.square_to_std_normal(sampler.next_2d(active))
-        phi = fan.sample(sampler.next_1d(active))
-        power = sheet.power_density(phi) / fan.density(phi)
-        beam = Beam(fan, phi, power, normals.x)
-        spot = self._spot(scene, sheet, beam, normals.y, ray.time, active)
+        drawn = beam_density(sheet, ray(end), ray.time)
+        choice, second = sampler.next_1d(active), sampler.next_1d(active)
+        phi, lateral = drawn.sample(choice, sampler.next_2d(active), second)
+        density = drawn.density(phi, lateral)
+        power = sheet.power_density(phi) * _gaussian(lateral) / density
+        beam = Beam(phi, lateral, density, dr.select(density > 0, power, 0.0))
+        spot = self._spot(scene, sheet, beam, ray.time, active)
         total = self._surface_surface(scene, ray, si, spot, active)
         if self.has_water:
             total += self._surface_water(scene, sheet, sampler, ray, si, beam, active)
@@ -208,32 +291,29 @@ class MultipleIntegrator(mi.SamplingIntegrator):
         scene: mi.Scene,
         sheet: LaserSheet,
         beam: Beam,
-        lateral: mi.Float,
         time: mi.Float,
         active: mi.Bool,
     ) -> Spot:
-        """Where a ray at the beam's angle, drawn across the sheet's thickness, meets a surface."""
+        """Where the beam, as wide as where the sheet's middle meets a surface, meets one."""
         apex = sheet.apex(time)
         middle = sheet.direction(beam.phi)
-        spread = self._spread(scene, sheet, apex, middle, time, active)
-        towards = dr.normalize(middle + sheet.normal * (spread * lateral))
+        unit = self._unit_slope(scene, sheet, apex, middle, time, active)
+        towards = dr.normalize(middle + sheet.normal * (unit * beam.lateral))
         si = scene.ray_intersect(mi.Ray3f(apex, towards, time, []), active)
-        density = ray_density(
-            beam.fan.density(beam.phi), sheet.normal, towards, lateral, spread
-        )
+        density = ray_density(beam.density / unit, sheet.normal, towards)
         facing = dr.abs(dr.dot(si.n, towards))
         loss = dr.exp(-self.extinction * si.t)
         flux = sheet.irradiance(si.p, time) * dr.square(si.t) / density * loss
-        valid = active & si.is_valid() & (facing > 1e-6)
+        valid = active & si.is_valid() & (facing > 1e-6) & (flux > 0)
         return Spot(
             si=si,
             to_apex=-towards,
             flux=dr.select(valid, flux / facing, 0.0),
             density=dr.select(valid, density * facing / dr.square(si.t), 0.0),
-            valid=valid & (flux > 0),
+            valid=valid,
         )
 
-    def _spread(
+    def _unit_slope(
         self,
         scene: mi.Scene,
         sheet: LaserSheet,
@@ -242,13 +322,13 @@ class MultipleIntegrator(mi.SamplingIntegrator):
         time: mi.Float,
         active: mi.Bool,
     ) -> mi.Float:
-        """Standard deviation, per rho, of the rays drawn about the sheet's middle."""
+        """The sheet's standard deviation where its middle meets a surface, over rho there."""
         length = dr.norm(middle)
         ray = mi.Ray3f(apex, middle / length, time, [])
         hit = scene.ray_intersect_preliminary(ray, coherent=False, active=active)
         waist = dr.maximum(dr.abs(sheet.waist_distance), 100.0)
         rho = dr.select(hit.is_valid(), hit.t / length, waist)
-        return WIDER * 0.5 * sheet.half_width(rho) / rho
+        return 0.5 * sheet.half_width(rho) / rho
 
     def _found(
         self,
@@ -268,17 +348,14 @@ class MultipleIntegrator(mi.SamplingIntegrator):
 
         apex = sheet.apex(ray.time)
         phi, rho, s = sheet.coordinates(si.p, ray.time)
-        middle = sheet.direction(phi)
-        spread = self._spread(scene, sheet, apex, middle, ray.time, possible)
+        unit = self._unit_slope(scene, sheet, apex, sheet.direction(phi), ray.time, possible)
         towards = si.p - apex
         distance = dr.norm(towards)
         towards /= distance
-        fan = fan_density(sheet, ray.o, ray.time)
-        density = ray_density(
-            fan.density(phi), sheet.normal, towards, s / (rho * spread), spread
-        )
+        beam = beam_density(sheet, ray.o, ray.time).density(phi, s / (rho * unit))
+        density = ray_density(beam / unit, sheet.normal, towards)
         drawn = density * dr.abs(dr.dot(si.n, towards)) / dr.square(distance)
-        return dr.select(possible, light * chance / (chance + drawn), 0.0)
+        return dr.select(possible, light * _power_heuristic(chance, drawn), 0.0)
 
     def _surface_surface(
         self,
@@ -303,7 +380,7 @@ class MultipleIntegrator(mi.SamplingIntegrator):
         value = reflected.x * light * loss / dr.square(distance)
         cosine = dr.abs(dr.dot(spot.si.n, towards))
         chance = pdf * dr.exp(-self.extinction * si.t) * cosine / dr.square(distance)
-        return dr.select(lit, value * spot.density / (spot.density + chance), 0.0)
+        return dr.select(lit, value * _power_heuristic(spot.density, chance), 0.0)
 
     def _surface_water(
         self,
@@ -321,9 +398,7 @@ class MultipleIntegrator(mi.SamplingIntegrator):
         near = approach(self.phase, origin, direction, self.far, si.p)
         place = near.sample(self.phase, sampler.next_1d(active))
         lit &= (place > 0) & (place < self.far)
-        light, point = self._source(
-            scene, sheet, beam, place * stretch, si.p, ray.time, si.t, lit
-        )
+        light, point = self._source(scene, sheet, beam, place * stretch, si.p, ray.time, si.t, lit)
         towards = dr.normalize(point - si.p)
         reflected = si.bsdf().eval(mi.BSDFContext(), si, si.to_local(towards), lit)
         lit &= (reflected.x > 0) & (light > 0)
@@ -391,9 +466,7 @@ class MultipleIntegrator(mi.SamplingIntegrator):
 
         lit = active & (beam.power > 0) & (t > 0) & (t < end) & (place > 0) & (place < self.far)
         point = ray(t)
-        light, source = self._source(
-            scene, sheet, beam, place * stretch, point, ray.time, t, lit
-        )
+        light, source = self._source(scene, sheet, beam, place * stretch, point, ray.time, t, lit)
         offset = point - source
         distance = dr.norm(offset)
         outgoing = offset / distance
@@ -489,35 +562,54 @@ class MultipleIntegrator(mi.SamplingIntegrator):
         return total * self.ambient_radiance
 
 
-def fan_density(sheet: LaserSheet, about: mi.Point3f, time: mi.Float) -> Falloff:
-    """The density of the fan's angle for light that goes to ``about``."""
+def beam_density(sheet: LaserSheet, about: mi.Point3f, time: mi.Float) -> BeamDensity:
+    """How a ray of the sheet is drawn for light that goes to ``about``."""
     phi, rho, s = sheet.coordinates(about, time)
+    width = sheet.half_width(rho)
     centre = dr.clip(phi, -sheet.half_angle, sheet.half_angle)
-    aside = (dr.abs(s) + 0.5 * sheet.half_width(rho)) / dr.maximum(rho, 1.0)
-    scale = dr.clip(aside + dr.abs(phi - centre), NARROWEST, 1.0)
-    low = dr.asinh((-sheet.half_angle - centre) / scale)
-    high = dr.asinh((sheet.half_angle - centre) / scale)
-    return Falloff(centre, scale, low, high)
+    rho = dr.maximum(rho, 1.0)
+    scale = (dr.abs(s) + 0.5 * width) / rho + dr.abs(phi - centre)
+    fan = falloff(centre, dr.clip(scale, NARROWEST, 1.0), -sheet.half_angle, sheet.half_angle)
+    within = (dr.abs(s) < ABOUT_WITHIN * width) & (phi == centre)
+    return BeamDensity(
+        fan=fan,
+        about=dr.select(within, ABOUT, 0.0),
+        reach=ABOUT_REACH * width,
+        phi=phi,
+        rho=rho,
+        offset=s,
+        unit=0.5 * width,
+    )
+
+
+def falloff(centre: mi.Float, scale: mi.Float, first: mi.Float, last: mi.Float) -> Falloff:
+    """The density between ``first`` and ``last``."""
+    low, high = dr.asinh((first - centre) / scale), dr.asinh((last - centre) / scale)
+    return Falloff(centre, scale, first, last, low, high)
 
 
 def line_density(centre: mi.Float, scale: mi.Float, end: mi.Float) -> Falloff:
-    """The same density of a place between 0 and ``end`` on a line."""
-    centre = dr.clip(centre, 0, end)
-    scale = dr.clip(scale, 1e-2, FARTHEST_MM)
-    return Falloff(centre, scale, dr.asinh(-centre / scale), dr.asinh((end - centre) / scale))
+    """The density of a place between 0 and ``end`` on a line."""
+    return falloff(dr.clip(centre, 0, end), dr.clip(scale, 1e-2, FARTHEST_MM), mi.Float(0), end)
 
 
-def ray_density(
-    fan: mi.Float, normal: mi.Vector3f, towards: mi.Vector3f, lateral: mi.Float, spread: mi.Float
-) -> mi.Float:
-    """Probability per steradian of a ray of the laser.
+def ray_density(slope_density: mi.Float, normal: mi.Vector3f, towards: mi.Vector3f) -> mi.Float:
+    """Probability per steradian of a ray of the laser, from that per radian and slope.
 
-    fan: density of its angle.  lateral: its offset in standard deviations, each ``spread``
-    per rho.  Rays of slope tau against the fan's plane cover dphi dtau / (1 + tau2)^1.5.
+    Rays of slope tau against the fan's plane cover dphi dtau / (1 + tau2)^1.5.
     """
-    gaussian = dr.exp(-0.5 * dr.square(lateral)) / (sqrt(2 * pi) * spread)
     flat2 = 1 - dr.square(dr.dot(towards, normal))  # 1 / (1 + tau2)
-    return fan * gaussian / (flat2 * dr.sqrt(flat2))
+    return slope_density / (flat2 * dr.sqrt(flat2))
+
+
+def _gaussian(x: mi.Float) -> mi.Float:
+    return dr.exp(-0.5 * dr.square(x)) / sqrt(2 * pi)
+
+
+def _power_heuristic(mine: mi.Float, other: mi.Float) -> mi.Float:
+    """Weight of a sample that could have been drawn in two ways (Veach 1997, sec. 9.2)."""
+    ratio = other / dr.maximum(mine, 1e-30)
+    return dr.select(mine > 0, 1 / (1 + dr.square(ratio)), 0.0)
 
 
 def _reflected(spot: Spot, outgoing: mi.Vector3f, active: mi.Bool) -> mi.Float:

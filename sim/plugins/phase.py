@@ -78,20 +78,23 @@ class PhaseTable:
         part = dr.select(high > low, (wanted - low) / (high - low), 0.5)
         return dr.lerp(*_pair(self.nodes, cell), dr.clip(part, 0, 1))
 
-    def sample_direction(
-        self, direction: mi.Vector3f, sample: mi.Point2f
-    ) -> tuple[mi.Vector3f, mi.Float]:
-        """A direction scattered from ``direction``, and its weight: value over density."""
+    def sample_direction(self, direction: mi.Vector3f, sample: mi.Point2f) -> mi.Vector3f:
+        """A direction scattered from ``direction``, drawn with ``direction_density``."""
         cell = _search(self.sphere, sample.x)
         low, high = _pair(self.sphere, cell)
-        near, far = _pair(self.turned, cell)
-        turned = dr.lerp(near, far, dr.clip((sample.x - low) / (high - low), 0, 1))
+        part = dr.clip((sample.x - low) / (high - low), 0, 1)
+        turned = dr.lerp(*_pair(self.turned, cell), part)
         sine = dr.safe_sqrt(turned * (2 - turned))
-        angle = 2 * dr.safe_asin(dr.sqrt(turned / 2))
-        weight = self.value(angle) * 2 * pi * (far - near) / (high - low)
         s, c = dr.sincos(2 * pi * sample.y)
         scattered = mi.Frame3f(direction).to_world(mi.Vector3f(sine * c, sine * s, 1 - turned))
-        return dr.normalize(scattered), weight
+        return dr.normalize(scattered)
+
+    def direction_density(self, angle: mi.Float) -> mi.Float:
+        """Probability per steradian of a direction at an angle: constant in each cell."""
+        cell, _ = self._place(angle)
+        low, high = _pair(self.sphere, cell)
+        near, far = _pair(self.turned, cell)
+        return (high - low) / (2 * pi * (far - near))
 
     def _place(self, angle: mi.Float) -> tuple[mi.UInt32, mi.Float]:
         place = dr.log(1 + angle / FINEST) * SCALE
@@ -151,9 +154,7 @@ def angle_between(a: mi.Vector3f, b: mi.Vector3f) -> mi.Float:
 
 def _search(table: mi.Float, value: mi.Float) -> mi.UInt32:
     """The cell of a rising table that holds ``value``."""
-    found = dr.binary_search(
-        0, CELLS, lambda index: dr.gather(mi.Float, table, index) <= value
-    )
+    found = dr.binary_search(0, CELLS, lambda index: dr.gather(mi.Float, table, index) <= value)
     return dr.clip(found, 1, CELLS) - 1
 
 
