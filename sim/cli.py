@@ -101,8 +101,10 @@ def bench(
     if json:
         print_json([figure.as_json() for figure in figures])
     else:
-        rows = [[figure.what, figure.figure, figure.unit] for figure in figures]
-        print_table("bench", ["what", "figure", "unit"], rows)
+        rows = [[f.what, f.figure, "" if f.bar is None else f.bar, f.unit] for f in figures]
+        print_table("bench", ["what", "figure", "bar", "unit"], rows)
+    if any(figure.passed is False for figure in figures):
+        raise typer.Exit(1)
 
 
 @app.command()
@@ -155,7 +157,8 @@ def _print_summary(results: Any) -> None:
     )
     print(
         f"noise-free line: {stripe['stripe_rms_px']:.4f} px rms, "
-        f"{stripe['stripe_max_px']:.3f} px at most"
+        f"{stripe['stripe_max_px']:.3f} px at most; with the light the target and the water "
+        f"throw about, {stripe['all_orders_rms_px']:.4f} px rms"
     )
     rows = []
     for method, found in results["distances"].items():

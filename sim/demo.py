@@ -36,7 +36,7 @@ PARTS = ("board", "groove", "sandwave")
 # How the noise-free line is read: without noise the span may be wide enough to hold the whole
 # line, so that the centroid is not biased by its own window, nor by the black level.
 CHECK_STRIPE = StripeSection(extractor="centroid-relative", threshold_dn=20.0, span_px=6)
-CHECK_SAMPLES = 64
+CHECK_SAMPLES, CHECK_SCATTER_SAMPLES = 64, 8
 CHECK_EDGE_PX = 4.0  # columns this near to an end of the line are left out
 SANDWAVE_CHECKS = 5  # frames of the sandwave scan that are rendered again without noise
 
@@ -82,12 +82,13 @@ def compare(experiment: Experiment, scenes: Mapping[str, Scene]) -> dict[str, An
     """The entries of results.json that only the truth can give."""
     with progress_bar("compare with the truth") as progress:
         checks = [("groove", 0.0), *(("sandwave", s) for s in _check_positions(scenes["sandwave"]))]
-        errors = []
+        errors: list[list[Floats]] = [[], []]
         for done, (part, position_mm) in enumerate(checks):
             progress(done, len(checks))
-            errors.append(stripe_errors(scenes[part], position_mm))
+            for kept, scatter_samples in zip(errors, (0, CHECK_SCATTER_SAMPLES), strict=True):
+                kept.append(stripe_errors(scenes[part], position_mm, scatter_samples))
         progress(len(checks), len(checks))
-    stripe = np.concatenate(errors)
+    first, every = (np.concatenate(kept) for kept in errors)
     assert experiment.sandwave is not None
     visible = {
         name: _slice_errors(scenes["sandwave"], cut)
@@ -96,8 +97,10 @@ def compare(experiment: Experiment, scenes: Mapping[str, Scene]) -> dict[str, An
     return {
         "control_points": _control_points(experiment, scenes["board"]),
         "render_check": {
-            "stripe_rms_px": float(np.sqrt(np.mean(stripe**2))),
-            "stripe_max_px": float(np.abs(stripe).max()),
+            "stripe_rms_px": float(np.sqrt(np.mean(first**2))),
+            "stripe_max_px": float(np.abs(first).max()),
+            "all_orders_rms_px": float(np.sqrt(np.mean(every**2))),
+            "all_orders_max_px": float(np.abs(every).max()),
         },
         "sandwave": {
             "yaw_deg": {"true": scenes["sandwave"].tank.head.yaw_deg},
@@ -106,14 +109,16 @@ def compare(experiment: Experiment, scenes: Mapping[str, Scene]) -> dict[str, An
     }
 
 
-def stripe_errors(scene: Scene, position_mm: float) -> Floats:
+def stripe_errors(scene: Scene, position_mm: float, scatter_samples: int) -> Floats:
     """Centre of the line in a noise-free render less the truth, px, away from the line's ends.
 
-    (N,) over the columns where exactly one point is lit and seen.
+    (N,) over the columns where exactly one point is lit and seen.  scatter_samples: 0 leaves
+    out the light of higher orders, which moves the line itself: in a valley each side
+    lights the other.
     """
     quiet = scene.tank.sensor.model_copy(update={"noise": False})
     scene = replace(scene, tank=scene.tank.model_copy(update={"sensor": quiet}))
-    layers = Tank(scene).render(position_mm, samples=CHECK_SAMPLES)
+    layers = Tank(scene).render(position_mm, CHECK_SAMPLES, scatter_samples=scatter_samples)
     exposure_ms = scene.rig.camera.exposure_ms
     image = Webcam(scene).expose(layers, exposure_ms, np.random.default_rng(0))
     found = extract_stripe(image, CHECK_STRIPE)

@@ -25,6 +25,7 @@ def write_render(
     The layers are float32 radiances in W/(m2 sr) in the air behind the port.  labels.png has
     a class for each pixel (sim.labels.Label), labels-colour.png the same to look at.
     """
+    from sim.labels import colour_labels, label_scene
     from sim.sensor import Webcam
     from sim.tank import Tank
 
@@ -51,11 +52,17 @@ def write_render(
 
 
 def write_truth(scene: Scene, position_mm: float, folder: Path) -> dict[str, Path]:
-    """The files written: stripe.csv with the laser on, board.csv where a board stands there."""
+    """The files written: one table for each line of the laser, and one for the board.
+
+    stripe.csv with the laser on, stripe-0.csv, stripe-1.csv ... where it has several lines;
+    board.csv where a board stands there.  Raises InputError where there is neither.
+    """
     _check_place(position_mm)
+    laser = scene.tank.laser
     tables: dict[str, str] = {}
-    if scene.tank.laser.on:
-        tables["stripe"] = _stripe_table(scene, position_mm)
+    for line in range(len(laser.sheets) if laser.on else 0):
+        name = f"stripe-{line}" if len(laser.sheets) > 1 else "stripe"
+        tables[name] = _stripe_table(scene, position_mm, line)
     if scene.tank.target.shape == "board":
         tables["board"] = _board_table(scene, position_mm)
     if not tables:
@@ -73,15 +80,15 @@ def _check_place(position_mm: float) -> None:
         )
 
 
-def _stripe_table(scene: Scene, position_mm: float) -> str:
-    truth = stripe_truth(scene, position_mm)
+def _stripe_table(scene: Scene, position_mm: float, line: int) -> str:
+    truth = stripe_truth(scene, position_mm, line)
     table = StringIO()
-    table.write("column,centre_px,x_mm,z_mm,lit,seen,status\n")
-    points = zip(truth.centre_px.tolist(), truth.xz_mm.tolist(), strict=True)
-    for column, (centre, (x, z)) in enumerate(points):
+    table.write("column,centre_px,x_mm,y_mm,z_mm,lit,seen,status\n")
+    points = np.column_stack([truth.centre_px, truth.xz_mm[:, 0], truth.y_mm, truth.xz_mm[:, 1]])
+    for column, (centre, x, y, z) in enumerate(points.tolist()):
         flags = f"{int(truth.lit[column])},{int(truth.seen[column])}"
         status = Status(truth.status[column]).name
-        table.write(f"{column},{centre!r},{x!r},{z!r},{flags},{status}\n")
+        table.write(f"{column},{centre!r},{x!r},{y!r},{z!r},{flags},{status}\n")
     return table.getvalue()
 
 

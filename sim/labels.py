@@ -15,12 +15,13 @@ import numpy as np
 from lscan.errors import InputError
 from lscan.records import Bytes, Floats, Mask, Status
 from sim.scene import Scene
+from sim.sensor import photons_per_radiance
+from sim.sensor.coding import FULL_SCALE_DN, electrons_of
 from sim.tank import Layers
 from sim.truth import StripeTruth, sheet_of, stripe_truth
 from sim.water import water_optics
 
 CORE = 3.0  # standard deviations on either side of the line's centre
-DARK_SHARE = 1 / 255  # of the brightest pixel: one step of an 8-bit picture
 PUSH_MM = 0.2  # by which the sheet is pushed aside to find how wide the line is
 
 
@@ -35,7 +36,7 @@ class Label(IntEnum):
 
 
 LEGEND: Mapping[Label, str] = {
-    Label.DARK: "less light than one step of an 8-bit picture of this brightness",
+    Label.DARK: "less light than lifts the picture by one digital number",
     Label.LINE: "laser light from the target prevails, within 3 sigma of the line's true centre",
     Label.VEIL: "laser light scattered by the water prevails",
     Label.AMBIENT: "light that is not the laser's prevails",
@@ -50,28 +51,55 @@ COLOURS: Mapping[Label, tuple[int, int, int]] = {
 }
 
 
+def label_scene(scene: Scene, position_mm: float, layers: Layers) -> Bytes:
+    """(H, W) uint8 of Label: the classes of the scene's picture taken at a track position.
+
+    layers: of that picture.  The truth is told of every line of the laser; of none where it
+    is off.  Raises InputError as ``label_picture`` and ``stripe_truth``.
+    """
+    laser = scene.tank.laser
+    count = len(laser.sheets) if laser.on else 0
+    truths = [stripe_truth(scene, position_mm, line) for line in range(count)]
+    lines = [(truth, line_sigma_px(scene, truth)) for truth in truths]
+    return label_picture(layers, lines, one_step_w_m2_sr(scene))
+
+
 def label_picture(
-    layers: Layers, lines: Sequence[tuple[StripeTruth, Floats]], dark_w_m2_sr: float | None = None
+    layers: Layers, lines: Sequence[tuple[StripeTruth, Floats]], dark_w_m2_sr: float = 0.0
 ) -> Bytes:
     """(H, W) uint8 of Label: the layer that prevails in each pixel, and whether it is the line.
 
     lines: the truth of each of the laser's lines with its sigma across, (N,) px, as
     ``line_sigma_px`` gives it; none where the laser is off.  A column of several lit and seen
     points (``multiple``) has a line the truth tells no centre of: all its direct light counts
-    as LINE.  dark_w_m2_sr: radiance beneath which a pixel is DARK; 1/255 of the brightest
-    pixel's if None.  Raises InputError where picture and truth differ in size.
+    as LINE.  dark_w_m2_sr: radiance beneath which a pixel is DARK; one without light is so in
+    any case.  Raises InputError where picture and truth differ in size.
     """
     stack = np.stack([layers.direct, layers.scattered, layers.ambient])
     total = stack.sum(axis=0)
-    dark = DARK_SHARE * float(total.max()) if dark_w_m2_sr is None else dark_w_m2_sr
     core = np.zeros(total.shape, dtype=bool)
     for truth, sigma_px in lines:
         core |= core_mask(truth, sigma_px, (total.shape[0], total.shape[1]))
     classes = np.array([Label.REFLECTION, Label.VEIL, Label.AMBIENT], dtype=np.uint8)
     labels = classes[stack.argmax(axis=0)]
     labels[core & (labels == Label.REFLECTION)] = Label.LINE
-    labels[(total < dark) | (total <= 0)] = Label.DARK
+    labels[(total < dark_w_m2_sr) | (total <= 0)] = Label.DARK
     return labels
+
+
+def one_step_w_m2_sr(scene: Scene) -> float:
+    """Radiance in W/(m2 sr) that lifts a pixel on the axis from black by one digital number.
+
+    Of laser light, in the colour that sees it best, at the rig's exposure; infinite where no
+    light reaches the sensor's electrons.
+    """
+    lens, sensor, laser = scene.tank.lens, scene.tank.sensor, scene.tank.laser
+    response = sensor.laser_response
+    exposure_ms = scene.rig.camera.exposure_ms
+    photons = photons_per_radiance(lens, sensor, exposure_ms, laser.wavelength_nm)
+    electrons = photons * max(response.red, response.green, response.blue)
+    black_dn = FULL_SCALE_DN * (sensor.black_level_dn / FULL_SCALE_DN) ** (1 / sensor.gamma)
+    return electrons_of(black_dn + 1, sensor) / electrons if electrons > 0 else float("inf")
 
 
 def core_mask(truth: StripeTruth, sigma_px: Floats, shape: tuple[int, int]) -> Mask:

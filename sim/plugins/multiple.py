@@ -45,6 +45,7 @@ NARROWEST = 1e-4  # rad: the least scale on which the fan's angle is drawn
 # half widths: light between a line and a point beside it goes as 1 / distance.
 ABOUT, ABOUT_REACH, ABOUT_WITHIN = 0.5, 2.0, 1.5
 TO_APEX = 0.5  # share of a walk's turns that are drawn about the direction to the apex
+REFLECTIONS = 8  # rays of the laser that look for interreflection before the walk begins
 SURVIVAL = 0.95  # of a walk whose weight has not fallen
 LONGEST_WALK = 256
 
@@ -110,7 +111,8 @@ class BeamDensity:
         along, across = self.rho * (phi - self.phi), self.unit * lateral - self.offset
         radius = dr.maximum(dr.sqrt(dr.square(along) + dr.square(across)), 1e-9)
         polar = self.rho * self.unit / (2 * pi * radius * self.reach)
-        near = dr.select(radius <= self.reach, polar, 0.0)
+        # A hair more, for what rounding puts beside the circle.
+        near = dr.select(radius <= 1.0001 * self.reach, polar, 0.0)
         in_fan = (phi >= self.fan.first) & (phi <= self.fan.last)
         return (1 - self.about) * dr.select(in_fan, wide, 0.0) + self.about * near
 
@@ -183,7 +185,8 @@ class MultipleIntegrator(mi.SamplingIntegrator):
         active = mi.Bool(active)
         laser, ambient = mi.Float(0), mi.Float(0)
         if self.sheets:
-            laser = self._walk(scene, sampler, mi.Ray3f(ray), active)
+            laser = self._reflections(scene, sampler, mi.Ray3f(ray), active)
+            laser += self._walk(scene, sampler, mi.Ray3f(ray), active)
         if self.has_ambient:
             ambient = self._ambient(scene, sampler, mi.Ray3f(ray), active)
         return mi.Spectrum(laser + ambient), active, [laser, ambient]
@@ -200,14 +203,15 @@ class MultipleIntegrator(mi.SamplingIntegrator):
         active = mi.Bool(active)
         while active:
             si = scene.ray_intersect(ray, active)
+            rays = dr.select(step == 1, mi.Float(REFLECTIONS), 1.0)
             for sheet in self.sheets:
-                total += weight * self._found(scene, sheet, ray, si, turned, active)
+                total += weight * self._found(scene, sheet, ray, si, turned, rays, active)
             # Russian roulette, which leaves the mean as it is.
             survival = dr.select(step == 0, 1.0, dr.minimum(weight, SURVIVAL))
             active &= sampler.next_1d(active) < survival
             weight /= dr.maximum(survival, 1e-12)
             for sheet in self.sheets:
-                total += weight * self._pairs(scene, sheet, sampler, ray, si, active)
+                total += weight * self._pairs(scene, sheet, sampler, ray, si, step > 0, active)
 
             # The next vertex: in the water with the odds of its loss, else on the surface.
             free = -dr.log(1 - sampler.next_1d(active)) / dr.maximum(self.extinction, 1e-20)
@@ -225,6 +229,27 @@ class MultipleIntegrator(mi.SamplingIntegrator):
             step += 1
         return total
 
+    @dr.syntax
+    def _reflections(
+        self, scene: mi.Scene, sampler: mi.Sampler, ray: mi.Ray3f, active: mi.Bool
+    ) -> mi.Float:
+        """Interreflection seen by the camera's own ray: the mean over several of the laser's.
+
+        In a valley a ray of the laser finds the opposite side or does not, so one is noisy;
+        the line would be read wrong by chance.
+        """
+        si = scene.ray_intersect(ray, active)
+        total = mi.Float(0)
+        count = mi.UInt32(0)
+        seen = active & si.is_valid()
+        while count < REFLECTIONS:
+            for sheet in self.sheets:
+                beam = _drawn_beam(sheet, sampler, si.p, ray.time, seen)
+                spot = self._spot(scene, sheet, beam, ray.time, seen)
+                total += self._surface_surface(scene, ray, si, spot, mi.Float(REFLECTIONS), seen)
+            count += 1
+        return total / REFLECTIONS
+
     def _turn(
         self,
         sampler: mi.Sampler,
@@ -240,7 +265,7 @@ class MultipleIntegrator(mi.SamplingIntegrator):
         that was turned a little on its way down is found that way alone.
         """
         active = in_water | on_surface
-        to_apex = dr.normalize(self.sheets[0].apex(ray.time) - vertex)
+        to_apex = self._to_apex(vertex, ray.time)
         wanted = sampler.next_1d(active) < mi.Float(TO_APEX if self.has_water else 0.0)
         context = mi.BSDFContext()
         bs, _ = si.bsdf().sample(
@@ -256,10 +281,20 @@ class MultipleIntegrator(mi.SamplingIntegrator):
         albedo = self.scattering / dr.maximum(self.extinction, 1e-20)
         worth = dr.select(in_water, albedo * self.phase.value(angle), value.x)
         density = dr.select(in_water, self.phase.direction_density(angle), pdf)
-        if self.has_water:
-            lobe = self.phase.direction_density(angle_between(to_apex, onward))
-            density = (1 - TO_APEX) * density + TO_APEX * lobe
+        density = self._turn_density(density, to_apex, onward)
         return onward, dr.select(density > 0, worth / density, 0.0), density
+
+    def _to_apex(self, point: mi.Point3f, time: mi.Float) -> mi.Vector3f:
+        return dr.normalize(self.sheets[0].apex(time) - point)  # all sheets have one apex
+
+    def _turn_density(
+        self, scattering: mi.Float, to_apex: mi.Vector3f, onward: mi.Vector3f
+    ) -> mi.Float:
+        """Probability per steradian that a walk turns so, given that of surface or water."""
+        if not self.has_water:
+            return scattering
+        lobe = self.phase.direction_density(angle_between(to_apex, onward))
+        return (1 - TO_APEX) * scattering + TO_APEX * lobe
 
     def _pairs(
         self,
@@ -268,18 +303,17 @@ class MultipleIntegrator(mi.SamplingIntegrator):
         sampler: mi.Sampler,
         ray: mi.Ray3f,
         si: mi.SurfaceInteraction3f,
+        reflections: mi.Bool,
         active: mi.Bool,
     ) -> mi.Float:
-        """Light along the ray that had exactly two vertices: the sum of the four families."""
+        """Light along the ray that had exactly two vertices: the sum of the four families.
+
+        reflections: whether interreflection is among them.
+        """
         end = dr.select(si.is_valid(), dr.minimum(si.t, self.far), self.far)
-        drawn = beam_density(sheet, ray(end), ray.time)
-        choice, second = sampler.next_1d(active), sampler.next_1d(active)
-        phi, lateral = drawn.sample(choice, sampler.next_2d(active), second)
-        density = drawn.density(phi, lateral)
-        power = sheet.power_density(phi) * _gaussian(lateral) / density
-        beam = Beam(phi, lateral, density, dr.select(density > 0, power, 0.0))
+        beam = _drawn_beam(sheet, sampler, ray(end), ray.time, active)
         spot = self._spot(scene, sheet, beam, ray.time, active)
-        total = self._surface_surface(scene, ray, si, spot, active)
+        total = self._surface_surface(scene, ray, si, spot, mi.Float(1), active & reflections)
         if self.has_water:
             total += self._surface_water(scene, sheet, sampler, ray, si, beam, active)
             total += self._water_surface(scene, sampler, ray, end, spot, active)
@@ -304,7 +338,7 @@ class MultipleIntegrator(mi.SamplingIntegrator):
         facing = dr.abs(dr.dot(si.n, towards))
         loss = dr.exp(-self.extinction * si.t)
         flux = sheet.irradiance(si.p, time) * dr.square(si.t) / density * loss
-        valid = active & si.is_valid() & (facing > 1e-6) & (flux > 0)
+        valid = active & si.is_valid() & (facing > 1e-6) & (density > 0) & (flux > 0)
         return Spot(
             si=si,
             to_apex=-towards,
@@ -337,9 +371,13 @@ class MultipleIntegrator(mi.SamplingIntegrator):
         ray: mi.Ray3f,
         si: mi.SurfaceInteraction3f,
         turned: mi.Float,
+        rays: mi.Float,
         active: mi.Bool,
     ) -> mi.Float:
-        """Interreflection, found by a ray that left a surface and meets the line by chance."""
+        """Interreflection, found by a ray that left a surface and meets the line by chance.
+
+        turned: the density of its direction.  rays: how many of the laser's had looked for it.
+        """
         possible = active & (turned > 0) & si.is_valid()
         possible &= sheet.irradiance(si.p, ray.time) > 0
         light = direct_light(scene, sheet, self.extinction, si, possible)
@@ -355,7 +393,7 @@ class MultipleIntegrator(mi.SamplingIntegrator):
         beam = beam_density(sheet, ray.o, ray.time).density(phi, s / (rho * unit))
         density = ray_density(beam / unit, sheet.normal, towards)
         drawn = density * dr.abs(dr.dot(si.n, towards)) / dr.square(distance)
-        return dr.select(possible, light * _power_heuristic(chance, drawn), 0.0)
+        return dr.select(possible, light * _power_heuristic(chance, rays * drawn), 0.0)
 
     def _surface_surface(
         self,
@@ -363,9 +401,10 @@ class MultipleIntegrator(mi.SamplingIntegrator):
         ray: mi.Ray3f,
         si: mi.SurfaceInteraction3f,
         spot: Spot,
+        rays: mi.Float,
         active: mi.Bool,
     ) -> mi.Float:
-        """Interreflection: laser - line - surface - ray."""
+        """Interreflection: laser - line - surface - ray.  rays: of the laser, all in all."""
         lit = active & si.is_valid() & spot.valid
         offset = spot.si.p - si.p
         distance = dr.norm(offset)
@@ -379,8 +418,9 @@ class MultipleIntegrator(mi.SamplingIntegrator):
         loss = dr.exp(-self.extinction * (si.t + distance))
         value = reflected.x * light * loss / dr.square(distance)
         cosine = dr.abs(dr.dot(spot.si.n, towards))
-        chance = pdf * dr.exp(-self.extinction * si.t) * cosine / dr.square(distance)
-        return dr.select(lit, value * _power_heuristic(spot.density, chance), 0.0)
+        turn = self._turn_density(pdf, self._to_apex(si.p, ray.time), towards)
+        chance = turn * dr.exp(-self.extinction * si.t) * cosine / dr.square(distance)
+        return dr.select(lit, value * _power_heuristic(rays * spot.density, chance), 0.0)
 
     def _surface_water(
         self,
@@ -580,6 +620,18 @@ def beam_density(sheet: LaserSheet, about: mi.Point3f, time: mi.Float) -> BeamDe
         offset=s,
         unit=0.5 * width,
     )
+
+
+def _drawn_beam(
+    sheet: LaserSheet, sampler: mi.Sampler, about: mi.Point3f, time: mi.Float, active: mi.Bool
+) -> Beam:
+    """A ray of the sheet, drawn for light that goes to ``about``."""
+    drawn = beam_density(sheet, about, time)
+    choice, second = sampler.next_1d(active), sampler.next_1d(active)
+    phi, lateral = drawn.sample(choice, sampler.next_2d(active), second)
+    density = drawn.density(phi, lateral)
+    power = sheet.power_density(phi) * _gaussian(lateral) / density
+    return Beam(phi, lateral, density, dr.select(density > 0, power, 0.0))
 
 
 def falloff(centre: mi.Float, scale: mi.Float, first: mi.Float, last: mi.Float) -> Falloff:

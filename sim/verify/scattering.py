@@ -129,17 +129,17 @@ def _row(what: str, figure: float, bar: float, unit: str, tolerance_from: str) -
 def tank_scene(water: str) -> Scene:
     """A grooved block on a floor, beside the fan's middle so that it throws a shadow."""
     return scene_with(
-        camera={"width_px": 128, "height_px": 96},
-        lens={"focal_px": 170.0, "centre_px": [63.5, 47.5]},
-        head={"camera_mm": [0.0, -750.0, 50.0], "depression_deg": 30.0},
+        camera={"width_px": 64, "height_px": 48},
+        lens={"focal_px": 80.0, "centre_px": [31.5, 23.5]},
+        head={"camera_mm": [0.0, -360.0, 20.0], "depression_deg": 33.0},
         laser={
-            "power_mw": 100.0, "apex_mm": [-160.0, 0.0, 150.0], "fan_half_angle_deg": 50.0,
-            "aim_deg": 20.0, "waist_mm": 6.0, "waist_distance_mm": 600.0,
+            "power_mw": 100.0, "apex_mm": [-130.0, 0.0, 60.0], "fan_half_angle_deg": 50.0,
+            "aim_deg": 25.0, "waist_mm": 8.0, "waist_distance_mm": 300.0,
         },
         water={"kind": water, "phase": "henyey-greenstein", "asymmetry": ASYMMETRY},
         workpiece={"kind": "grooved-block"},
-        target={"shape": "workpiece", "position_mm": [-60.0, 0.0, -430.0], "albedo": 0.5},
-        floor={"z_mm": -430.0, "albedo": 0.4},
+        target={"shape": "workpiece", "position_mm": [-80.0, 0.0, -260.0], "albedo": 0.5},
+        floor={"z_mm": -260.0, "albedo": 0.4},
         render={"samples": OUR_GRID, "scatter_samples": OUR_SAMPLES},
     )  # fmt: skip
 

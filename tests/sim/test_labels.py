@@ -18,9 +18,12 @@ from sim.labels import (
     core_mask,
     half_width_mm,
     label_picture,
+    label_scene,
     line_sigma_px,
+    one_step_w_m2_sr,
 )
 from sim.scene import Scene
+from sim.sensor import Webcam
 from sim.tank import Layers
 from sim.truth import StripeTruth, stripe_truth
 
@@ -73,15 +76,38 @@ def test_each_layer_has_its_class():
         assert np.all(other == label)
 
 
-def test_what_is_dark_is_said_or_follows_from_the_brightest():
-    direct = np.zeros((2, 3))
-    direct[0] = [255.0, 1.01, 0.99]
-    none = label_picture(layers(direct), [])
-    assert none[0].tolist() == [Label.REFLECTION, Label.REFLECTION, Label.DARK]
-    assert np.all(none[1] == Label.DARK)
+def test_what_is_dark_is_said():
+    direct = np.array([[3.0, 2.01, 1.99], [0.0, 1.0, 3.0]])
     given = label_picture(layers(direct), [], dark_w_m2_sr=2.0)
-    assert given[0].tolist() == [Label.REFLECTION, Label.DARK, Label.DARK]
-    assert np.all(label_picture(layers(np.zeros((2, 3))), []) == Label.DARK)
+    r, d = Label.REFLECTION, Label.DARK
+    assert given.tolist() == [[r, r, d], [d, d, r]]
+    assert label_picture(layers(direct), []).tolist() == [[r, r, r], [d, r, r]]
+
+
+@pytest.mark.parametrize("gamma", [1.0, 2.2])
+def test_one_step_lifts_the_picture_by_one_digital_number(gamma):
+    """The camera equation backwards: the webcam's own picture of that radiance is 1 DN up."""
+    scene = tank(
+        camera={"width_px": 17, "height_px": 17},
+        lens={"vignetting": 0.0, "blur_px": 0.0},
+        sensor={"noise": False, "gamma": gamma, "black_level_dn": 30.0},
+    )
+    webcam, nothing = Webcam(scene), np.random.default_rng(0)
+    exposure_ms = scene.rig.camera.exposure_ms
+
+    def red(radiance: float) -> int:
+        lit = layers(np.full((17, 17), radiance))
+        return int(webcam.expose(lit, exposure_ms, nothing)[8, 8, 0])
+
+    step = one_step_w_m2_sr(scene)
+    # Behind gamma black is no whole number, but it and one more are rounded alike.
+    assert red(step) - red(0.0) == 1
+    assert red(0.01 * step) == red(0.0)
+
+
+def test_no_light_is_bright_enough_for_a_blind_sensor():
+    blind = {"red": 0.0, "green": 0.0, "blue": 0.0}
+    assert one_step_w_m2_sr(tank(sensor={"laser_response": blind})) == np.inf
 
 
 def test_rows_are_columns_turned():
@@ -108,6 +134,25 @@ def test_several_lines_are_all_lines():
         17,
         18,
     ]
+
+
+def test_a_scene_has_the_cores_of_all_its_lines():
+    lines = [{"tilt_deg": tilt, "share": 0.5} for tilt in (-2.0, 2.0)]
+    scene = floor(lines=lines)
+    lit = layers(np.ones((480, 640)))
+    labels = label_scene(scene, 0.0, lit)
+    cores = []
+    for line in range(2):
+        truth = stripe_truth(scene, 0.0, line)
+        cores.append(core_mask(truth, line_sigma_px(scene, truth), labels.shape))
+    assert cores[0].any() and cores[1].any() and not (cores[0] & cores[1]).any()
+    assert np.array_equal(labels == Label.LINE, cores[0] | cores[1])
+    one = label_scene(floor(tilt_deg=-2.0), 0.0, lit)
+    assert np.array_equal(one == Label.LINE, cores[0])
+    off = label_scene(floor(lines=lines, on=False), 0.0, lit)
+    assert np.all(off == Label.REFLECTION)
+    dim = layers(np.full((480, 640), 0.99 * one_step_w_m2_sr(scene)))
+    assert np.all(label_scene(scene, 0.0, dim) == Label.DARK)
 
 
 def test_sizes_that_differ_are_refused():

@@ -26,7 +26,7 @@ class StillTank:
     def __init__(self, scene: Scene) -> None:
         self._scene = scene
 
-    def render(self, position_mm: float) -> Layers:
+    def render(self, position_mm: float, **_: float) -> Layers:
         width = self._scene.rig.camera.width_px
         peak = 0.5 if position_mm > 5 else 0.05
         return layers_of(self._scene, direct=peak * np.arange(width) / (width - 1))
