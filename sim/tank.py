@@ -141,10 +141,13 @@ class Tank:
             self._focus(self._camera)
             self._focus(self._random_camera)
         self.place(position_mm, exposure_ms)
-        first = self._layers(self._camera, self.integrator, samples or render.samples, LAYERS)
+        # The noise of one picture of a scan says nothing about that of the next.
+        place = np.array([position_mm]).view(np.uint64)
+        seed = int(np.random.SeedSequence([render.seed, int(place[0])]).generate_state(1)[0])
+        first = self._layers(self._camera, self.integrator, samples or render.samples, seed, LAYERS)
         more = render.scatter_samples if scatter_samples is None else scatter_samples
         if more > 0:
-            higher = self._layers(self._random_camera, self.higher, more, HIGHER_LAYERS)
+            higher = self._layers(self._random_camera, self.higher, more, seed, HIGHER_LAYERS)
             for name, layer in higher.items():
                 first[name] = first[name] + layer
         return Layers(**first)
@@ -154,6 +157,7 @@ class Tank:
         camera: RefractiveCamera,
         integrator: mi.Integrator,
         samples: int,
+        seed: int,
         names: tuple[str, ...],
     ) -> dict[str, Radiance]:
         """Each layer's name and picture."""
@@ -163,7 +167,7 @@ class Tank:
                 sensor=camera,
                 integrator=integrator,
                 spp=samples,
-                seed=self.scene.tank.render.seed,
+                seed=seed,
             )
         )
         channels = image[..., -len(names) :]

@@ -12,6 +12,7 @@ from sim.verify.ports import ports
 from sim.verify.projection import projection
 from sim.verify.refraction import refraction
 from sim.verify.rows import Check
+from sim.verify.scattering import multiple_scattering
 from sim.verify.sensor import sensor
 from sim.verify.single import single_scattering
 
@@ -43,5 +44,7 @@ def chapters(full: bool) -> dict[str, Measure]:
         "energy": energy,
         "sensor": sensor,
     }
-    slow: dict[str, Measure] = {}
+    slow: dict[str, Measure] = {
+        "multiple scattering": lambda: multiple_scattering(("clear", "coastal", "harbor"), 16, 2048)
+    }
     return quick | slow if full else quick

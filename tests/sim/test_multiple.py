@@ -306,7 +306,7 @@ def arriving(albedo: float, water: Optics) -> tuple[Floats, Floats]:
         np.pi * area * radiance(scene, one, *rays).reshape(RUNS, -1).mean(axis=1)
         for one, rays in zip(
             both(water, [sheet], 0.0),
-            (wall_rays(RUNS * 2**17, seed=17), wall_rays(RUNS * 2**14, seed=18)),
+            (wall_rays(RUNS * 2**18, seed=17), wall_rays(RUNS * 2**14, seed=18)),
             strict=True,
         )
     )
