@@ -9,13 +9,14 @@ drawn together, because a chance ray never meets a thin sheet or its line:
     x in the water, y on a surface   the halo about the line
     x in the water, y in the water   the veil's own blur
 
-One ray of the laser serves all four.  It is drawn near the ray at hand (BeamDensity); places
-in the water are drawn by the angle of scattering (sim.plugins.phase), from the surface's
-point or, in the last family, from each other, in either order, weighted by the balance
-heuristic (Veach 1997, sec. 9.2).  Interreflection is weighted against the surface's own
-sampling by the power heuristic, for light that meets a surface near a corner.  Paths of three
-and more orders are walks from the camera that end in such a pair at every step; a walk turns
-as surface and water scatter, or towards the apex, from where most of the light comes.
+One ray of the laser serves the families with water, a few more the first.  It is drawn near
+the ray at hand (BeamDensity); places in the water are drawn by the angle of scattering
+(sim.plugins.phase), from the surface's point or, in the last family, from each other, in
+either order, weighted by the balance heuristic (Veach 1997, sec. 9.2).  Interreflection is
+weighted against the surface's own sampling by the power heuristic, for light that meets a
+surface near a corner.  Paths of three and more orders are walks from the camera that end in
+such a pair at every step; a walk turns as surface and water scatter, or towards the apex,
+from where most of the light comes.
 """
 
 from __future__ import annotations
@@ -45,7 +46,7 @@ NARROWEST = 1e-4  # rad: the least scale on which the fan's angle is drawn
 # half widths: light between a line and a point beside it goes as 1 / distance.
 ABOUT, ABOUT_REACH, ABOUT_WITHIN = 0.5, 2.0, 1.5
 TO_APEX = 0.5  # share of a walk's turns that are drawn about the direction to the apex
-REFLECTIONS = 8  # rays of the laser that look for interreflection before the walk begins
+REFLECTIONS = 4  # rays of the laser that look for interreflection at each step of a walk
 SURVIVAL = 0.95  # of a walk whose weight has not fallen
 LONGEST_WALK = 256
 
@@ -185,8 +186,7 @@ class MultipleIntegrator(mi.SamplingIntegrator):
         active = mi.Bool(active)
         laser, ambient = mi.Float(0), mi.Float(0)
         if self.sheets:
-            laser = self._reflections(scene, sampler, mi.Ray3f(ray), active)
-            laser += self._walk(scene, sampler, mi.Ray3f(ray), active)
+            laser = self._walk(scene, sampler, mi.Ray3f(ray), active)
         if self.has_ambient:
             ambient = self._ambient(scene, sampler, mi.Ray3f(ray), active)
         return mi.Spectrum(laser + ambient), active, [laser, ambient]
@@ -203,15 +203,16 @@ class MultipleIntegrator(mi.SamplingIntegrator):
         active = mi.Bool(active)
         while active:
             si = scene.ray_intersect(ray, active)
-            rays = dr.select(step == 1, mi.Float(REFLECTIONS), 1.0)
             for sheet in self.sheets:
-                total += weight * self._found(scene, sheet, ray, si, turned, rays, active)
+                total += weight * self._found(scene, sheet, ray, si, turned, active)
             # Russian roulette, which leaves the mean as it is.
             survival = dr.select(step == 0, 1.0, dr.minimum(weight, SURVIVAL))
             active &= sampler.next_1d(active) < survival
             weight /= dr.maximum(survival, 1e-12)
-            for sheet in self.sheets:
-                total += weight * self._pairs(scene, sheet, sampler, ray, si, step > 0, active)
+            total += weight * self._reflections(scene, sampler, ray, si, active)
+            if self.has_water:
+                for sheet in self.sheets:
+                    total += weight * self._in_water(scene, sheet, sampler, ray, si, active)
 
             # The next vertex: in the water with the odds of its loss, else on the surface.
             free = -dr.log(1 - sampler.next_1d(active)) / dr.maximum(self.extinction, 1e-20)
@@ -231,14 +232,18 @@ class MultipleIntegrator(mi.SamplingIntegrator):
 
     @dr.syntax
     def _reflections(
-        self, scene: mi.Scene, sampler: mi.Sampler, ray: mi.Ray3f, active: mi.Bool
+        self,
+        scene: mi.Scene,
+        sampler: mi.Sampler,
+        ray: mi.Ray3f,
+        si: mi.SurfaceInteraction3f,
+        active: mi.Bool,
     ) -> mi.Float:
-        """Interreflection seen by the camera's own ray: the mean over several of the laser's.
+        """Interreflection: the mean over several rays of the laser.
 
         In a valley a ray of the laser finds the opposite side or does not, so one is noisy;
         the line would be read wrong by chance.
         """
-        si = scene.ray_intersect(ray, active)
         total = mi.Float(0)
         count = mi.UInt32(0)
         seen = active & si.is_valid()
@@ -246,7 +251,7 @@ class MultipleIntegrator(mi.SamplingIntegrator):
             for sheet in self.sheets:
                 beam = _drawn_beam(sheet, sampler, si.p, ray.time, seen)
                 spot = self._spot(scene, sheet, beam, ray.time, seen)
-                total += self._surface_surface(scene, ray, si, spot, mi.Float(REFLECTIONS), seen)
+                total += self._surface_surface(scene, ray, si, spot, seen)
             count += 1
         return total / REFLECTIONS
 
@@ -296,29 +301,24 @@ class MultipleIntegrator(mi.SamplingIntegrator):
         lobe = self.phase.direction_density(angle_between(to_apex, onward))
         return (1 - TO_APEX) * scattering + TO_APEX * lobe
 
-    def _pairs(
+    def _in_water(
         self,
         scene: mi.Scene,
         sheet: LaserSheet,
         sampler: mi.Sampler,
         ray: mi.Ray3f,
         si: mi.SurfaceInteraction3f,
-        reflections: mi.Bool,
         active: mi.Bool,
     ) -> mi.Float:
-        """Light along the ray that had exactly two vertices: the sum of the four families.
-
-        reflections: whether interreflection is among them.
-        """
+        """Light along the ray that had two vertices, one at least in the water."""
         end = dr.select(si.is_valid(), dr.minimum(si.t, self.far), self.far)
         beam = _drawn_beam(sheet, sampler, ray(end), ray.time, active)
         spot = self._spot(scene, sheet, beam, ray.time, active)
-        total = self._surface_surface(scene, ray, si, spot, mi.Float(1), active & reflections)
-        if self.has_water:
-            total += self._surface_water(scene, sheet, sampler, ray, si, beam, active)
-            total += self._water_surface(scene, sampler, ray, end, spot, active)
-            total += self._water_water(scene, sheet, sampler, ray, si, end, beam, active)
-        return total
+        return (
+            self._surface_water(scene, sheet, sampler, ray, si, beam, active)
+            + self._water_surface(scene, sampler, ray, end, spot, active)
+            + self._water_water(scene, sheet, sampler, ray, si, end, beam, active)
+        )
 
     def _spot(
         self,
@@ -371,12 +371,11 @@ class MultipleIntegrator(mi.SamplingIntegrator):
         ray: mi.Ray3f,
         si: mi.SurfaceInteraction3f,
         turned: mi.Float,
-        rays: mi.Float,
         active: mi.Bool,
     ) -> mi.Float:
         """Interreflection, found by a ray that left a surface and meets the line by chance.
 
-        turned: the density of its direction.  rays: how many of the laser's had looked for it.
+        turned: the density of its direction.
         """
         possible = active & (turned > 0) & si.is_valid()
         possible &= sheet.irradiance(si.p, ray.time) > 0
@@ -393,7 +392,7 @@ class MultipleIntegrator(mi.SamplingIntegrator):
         beam = beam_density(sheet, ray.o, ray.time).density(phi, s / (rho * unit))
         density = ray_density(beam / unit, sheet.normal, towards)
         drawn = density * dr.abs(dr.dot(si.n, towards)) / dr.square(distance)
-        return dr.select(possible, light * _power_heuristic(chance, rays * drawn), 0.0)
+        return dr.select(possible, light * _power_heuristic(chance, REFLECTIONS * drawn), 0.0)
 
     def _surface_surface(
         self,
@@ -401,10 +400,9 @@ class MultipleIntegrator(mi.SamplingIntegrator):
         ray: mi.Ray3f,
         si: mi.SurfaceInteraction3f,
         spot: Spot,
-        rays: mi.Float,
         active: mi.Bool,
     ) -> mi.Float:
-        """Interreflection: laser - line - surface - ray.  rays: of the laser, all in all."""
+        """Interreflection: laser - line - surface - ray."""
         lit = active & si.is_valid() & spot.valid
         offset = spot.si.p - si.p
         distance = dr.norm(offset)
@@ -420,7 +418,7 @@ class MultipleIntegrator(mi.SamplingIntegrator):
         cosine = dr.abs(dr.dot(spot.si.n, towards))
         turn = self._turn_density(pdf, self._to_apex(si.p, ray.time), towards)
         chance = turn * dr.exp(-self.extinction * si.t) * cosine / dr.square(distance)
-        return dr.select(lit, value * _power_heuristic(rays * spot.density, chance), 0.0)
+        return dr.select(lit, value * _power_heuristic(REFLECTIONS * spot.density, chance), 0.0)
 
     def _surface_water(
         self,

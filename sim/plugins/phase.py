@@ -25,7 +25,10 @@ from lscan.records import Floats
 CELLS = 2048
 FINEST = 1e-3
 SCALE = CELLS / log1p(pi / FINEST)
-SMALLEST = 1e-5  # rad: closer to forward an infinite peak is taken as flat
+# Within the first cell, 4e-6 rad, an oceanic peak that is infinite forward is taken as flat:
+# at its mean, integrated from the second angle here up.  Along a line, where that mean would
+# be infinite too, angles are drawn as if it were flat from the first.
+FLAT, NEAREST = 1e-6, 1e-14
 WITHIN = 16  # points a cell for its integrals
 
 
@@ -33,23 +36,25 @@ class PhaseTable:
     """A phase function for kernels; angles in radians, values in 1/sr."""
 
     def __init__(self, phase: Callable[[Floats], Floats]) -> None:
-        """Tabulate ``phase``, a function of the angle, normalised over the sphere."""
+        """Tabulate ``phase``, a function of the angle whose integral over the sphere is 1."""
         place = np.arange(CELLS * WITHIN + 1) / WITHIN
         angle = FINEST * np.expm1(place / SCALE)
         angle[-1] = pi
-        value = phase(np.maximum(angle, SMALLEST))
+        value = phase(np.maximum(angle, FLAT))
         steps = np.diff(angle)
         middle = 0.5 * (value[1:] + value[:-1])
         turned = 2 * np.sin(angle / 2) ** 2  # 1 - cos, exact near forward
         along = (middle * steps).reshape(CELLS, WITHIN).sum(axis=1)
         around = (2 * pi * middle * np.diff(turned)).reshape(CELLS, WITHIN).sum(axis=1)
-        nodes, total = angle[::WITHIN], around.sum()
+        nodes, values = angle[::WITHIN], value[::WITHIN].copy()
+        around[0] = _within(phase, nodes[1])
+        values[0] = max(around[0] / (2 * pi * turned[WITHIN]), values[1])
         self.nodes = _floats(nodes)
-        self.log_value = _floats(np.log(value[::WITHIN] / total))
-        line = np.concatenate([[0.0], np.cumsum(along / total)])
+        self.log_value = _floats(np.log(values))
+        line = np.concatenate([[0.0], np.cumsum(along)])
         # Counted from the middle, so that the faint backward half keeps its digits.
         self.line = _floats(line - np.interp(pi / 2, nodes, line))
-        self.sphere = _floats(np.concatenate([[0.0], np.cumsum(around / total)]))
+        self.sphere = _floats(np.concatenate([[0.0], np.cumsum(around / around.sum())]))
         self.turned = _floats(turned[::WITHIN])
 
     def value(self, angle: mi.Float) -> mi.Float:
@@ -150,6 +155,13 @@ def approach(
 def angle_between(a: mi.Vector3f, b: mi.Vector3f) -> mi.Float:
     """The angle between two unit vectors, exact for small ones."""
     return 2 * dr.safe_asin(0.5 * dr.norm(a - b))
+
+
+def _within(phase: Callable[[Floats], Floats], angle: float) -> float:
+    """Share of the light that is scattered by less than a small angle."""
+    fine = np.geomspace(NEAREST, angle, 4001)
+    rings = 2 * pi * phase(fine) * fine**2  # of an equal step of the logarithm
+    return float(np.trapezoid(rings, np.log(fine)))
 
 
 def _search(table: mi.Float, value: mi.Float) -> mi.UInt32:
