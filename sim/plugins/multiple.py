@@ -15,8 +15,8 @@ the ray at hand (BeamDensity); places in the water are drawn by the angle of sca
 either order, weighted by the balance heuristic (Veach 1997, sec. 9.2).  Interreflection is
 weighted against the surface's own sampling by the power heuristic, for light that meets a
 surface near a corner.  Paths of three and more orders are walks from the camera that end in
-such a pair at every step; a walk turns as surface and water scatter, or towards the apex,
-from where most of the light comes.
+such a pair at every step; a walk turns as surface and water scatter, or towards the apex or
+the line, from where most of the light comes.
 """
 
 from __future__ import annotations
@@ -45,7 +45,8 @@ NARROWEST = 1e-4  # rad: the least scale on which the fan's angle is drawn
 # Within the line, half the beams are drawn about the point itself, no farther than this many
 # half widths: light between a line and a point beside it goes as 1 / distance.
 ABOUT, ABOUT_REACH, ABOUT_WITHIN = 0.5, 2.0, 1.5
-TO_APEX = 0.5  # share of a walk's turns that are drawn about the direction to the apex
+# Shares of a walk's turns that are drawn about the direction to the apex, and to the line.
+TO_APEX, TO_LINE = 0.25, 0.35
 REFLECTIONS = 4  # rays of the laser that look for interreflection at each step of a walk
 SURVIVAL = 0.95  # of a walk whose weight has not fallen
 LONGEST_WALK = 256
@@ -210,16 +211,21 @@ class MultipleIntegrator(mi.SamplingIntegrator):
             active &= sampler.next_1d(active) < survival
             weight /= dr.maximum(survival, 1e-12)
             total += weight * self._reflections(scene, sampler, ray, si, active)
+            aim = self.sheets[0].apex(ray.time)
             if self.has_water:
-                for sheet in self.sheets:
-                    total += weight * self._in_water(scene, sheet, sampler, ray, si, active)
+                for number, sheet in enumerate(self.sheets):
+                    light, spot = self._in_water(scene, sheet, sampler, ray, si, active)
+                    total += weight * light
+                    # The spot of any of the sheets, each as likely.
+                    chosen = spot.valid & (sampler.next_1d(active) < 1 / (number + 1))
+                    aim = dr.select(chosen, spot.si.p, aim)
 
             # The next vertex: in the water with the odds of its loss, else on the surface.
             free = -dr.log(1 - sampler.next_1d(active)) / dr.maximum(self.extinction, 1e-20)
             in_water = active & (free < si.t) & mi.Bool(self.has_water)
             on_surface = active & ~in_water & si.is_valid()
             vertex = dr.select(in_water, ray(free), si.p)
-            onward, worth, density = self._turn(sampler, ray, si, vertex, in_water, on_surface)
+            onward, worth, density = self._turn(sampler, ray, si, vertex, aim, in_water, on_surface)
             weight *= worth
             reached = dr.select(si.is_valid(), dr.exp(-self.extinction * si.t), 0.0)
             turned = dr.select(on_surface, density * reached, 0.0)
@@ -261,33 +267,42 @@ class MultipleIntegrator(mi.SamplingIntegrator):
         ray: mi.Ray3f,
         si: mi.SurfaceInteraction3f,
         vertex: mi.Point3f,
+        aim: mi.Point3f,
         in_water: mi.Bool,
         on_surface: mi.Bool,
     ) -> tuple[mi.Vector3f, mi.Float, mi.Float]:
-        """Where a walk goes from a vertex: the direction, its weight and its density.
+        """Where a walk goes from a vertex: the direction, its weight and its ``_turn_density``.
 
-        Either as water or surface scatter, or scattered from the direction to the apex: light
-        that was turned a little on its way down is found that way alone.
+        Either as water or surface scatter, or scattered from the direction to the apex or to
+        ``aim``, a point of the line: light that was turned a little on its way from there is
+        hardly found otherwise.
         """
         active = in_water | on_surface
         to_apex = self._to_apex(vertex, ray.time)
-        wanted = sampler.next_1d(active) < mi.Float(TO_APEX if self.has_water else 0.0)
+        to_aim = dr.normalize(aim - vertex)
+        choice = sampler.next_1d(active)
+        shares = (TO_APEX, TO_LINE) if self.has_water else (0.0, 0.0)
+        natural = choice >= shares[0] + shares[1]
+        about = dr.select(choice < shares[0], to_apex, dr.select(natural, ray.d, to_aim))
         context = mi.BSDFContext()
         bs, _ = si.bsdf().sample(
-            context, si, sampler.next_1d(active), sampler.next_2d(active), on_surface & ~wanted
+            context, si, sampler.next_1d(active), sampler.next_2d(active), on_surface & natural
         )
-        about = dr.select(wanted, to_apex, ray.d)
         scattered = self.phase.sample_direction(about, sampler.next_2d(active))
-        onward = dr.select(on_surface & ~wanted, si.to_world(bs.wo), scattered)
+        onward = dr.select(on_surface & natural, si.to_world(bs.wo), scattered)
         onward = dr.normalize(onward)
 
         value, pdf = si.bsdf().eval_pdf(context, si, si.to_local(onward), on_surface)
         angle = angle_between(ray.d, onward)
         albedo = self.scattering / dr.maximum(self.extinction, 1e-20)
         worth = dr.select(in_water, albedo * self.phase.value(angle), value.x)
-        density = dr.select(in_water, self.phase.direction_density(angle), pdf)
-        density = self._turn_density(density, to_apex, onward)
-        return onward, dr.select(density > 0, worth / density, 0.0), density
+        own = dr.select(in_water, self.phase.direction_density(angle), pdf)
+        without_aim = self._turn_density(own, to_apex, onward)
+        density = without_aim
+        if self.has_water:
+            lobe = self.phase.direction_density(angle_between(to_aim, onward))
+            density = without_aim + TO_LINE * lobe
+        return onward, dr.select(density > 0, worth / density, 0.0), without_aim
 
     def _to_apex(self, point: mi.Point3f, time: mi.Float) -> mi.Vector3f:
         return dr.normalize(self.sheets[0].apex(time) - point)  # all sheets have one apex
@@ -295,11 +310,14 @@ class MultipleIntegrator(mi.SamplingIntegrator):
     def _turn_density(
         self, scattering: mi.Float, to_apex: mi.Vector3f, onward: mi.Vector3f
     ) -> mi.Float:
-        """Probability per steradian that a walk turns so, given that of surface or water."""
+        """Density per steradian of a walk's turns, but for those that aim at the line.
+
+        The heuristic that weighs interreflection needs one that knows of no point aimed at.
+        """
         if not self.has_water:
             return scattering
         lobe = self.phase.direction_density(angle_between(to_apex, onward))
-        return (1 - TO_APEX) * scattering + TO_APEX * lobe
+        return (1 - TO_APEX - TO_LINE) * scattering + TO_APEX * lobe
 
     def _in_water(
         self,
@@ -309,16 +327,17 @@ class MultipleIntegrator(mi.SamplingIntegrator):
         ray: mi.Ray3f,
         si: mi.SurfaceInteraction3f,
         active: mi.Bool,
-    ) -> mi.Float:
-        """Light along the ray that had two vertices, one at least in the water."""
+    ) -> tuple[mi.Float, Spot]:
+        """Light along the ray that had two vertices, one at least in the water; a lit spot."""
         end = dr.select(si.is_valid(), dr.minimum(si.t, self.far), self.far)
         beam = _drawn_beam(sheet, sampler, ray(end), ray.time, active)
         spot = self._spot(scene, sheet, beam, ray.time, active)
-        return (
+        light = (
             self._surface_water(scene, sheet, sampler, ray, si, beam, active)
             + self._water_surface(scene, sampler, ray, end, spot, active)
             + self._water_water(scene, sheet, sampler, ray, si, end, beam, active)
         )
+        return light, spot
 
     def _spot(
         self,
