@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 
+from sim.verify.box import closed_box
 from sim.verify.energy import energy
 from sim.verify.matter import matter
 from sim.verify.phases import phases
@@ -45,6 +46,9 @@ def chapters(full: bool) -> dict[str, Measure]:
         "sensor": sensor,
     }
     slow: dict[str, Measure] = {
-        "multiple scattering": lambda: multiple_scattering(("clear", "coastal", "harbor"), 16, 2048)
+        "closed box": lambda: closed_box(1 << 19, 16),
+        "multiple scattering": lambda: multiple_scattering(
+            ("clear", "coastal", "harbor"), 16, 2048
+        ),
     }
     return quick | slow if full else quick
