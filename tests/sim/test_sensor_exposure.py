@@ -37,6 +37,7 @@ def rig_with(**options: object) -> RigFile:
     document["camera"] = {
         **document["camera"], "width_px": 160, "height_px": 120, "options": options,
     }  # fmt: skip
+    document["sensor"] = {**document["sensor"], "speckle": "none"}  # it has no upper end
     document["lens"] = {**document["lens"], "focal_px": 212.5, "centre_px": [79.5, 59.5]}
     return parse_rig(document, source="exposure")
 
