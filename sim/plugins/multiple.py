@@ -45,8 +45,10 @@ NARROWEST = 1e-4  # rad: the least scale on which the fan's angle is drawn
 # Within the line, half the beams are drawn about the point itself, no farther than this many
 # half widths: light between a line and a point beside it goes as 1 / distance.
 ABOUT, ABOUT_REACH, ABOUT_WITHIN = 0.5, 2.0, 1.5
-# Shares of a walk's turns that are drawn about the direction to the apex, and to the line.
-TO_APEX, TO_LINE = 0.25, 0.35
+# Shares of a walk's first turns that are drawn about the direction to the apex, and to the
+# line, and what is left of them at later turns: what is not drawn so weighs the more, by
+# 1 / (1 - both) a turn, which over the many turns in turbid water would grow beyond bounds.
+TO_APEX, TO_LINE, LATER = 0.25, 0.35, 0.15
 REFLECTIONS = 4  # rays of the laser that look for interreflection at each step of a walk
 SURVIVAL = 0.95  # of a walk whose weight has not fallen
 LONGEST_WALK = 256
@@ -210,7 +212,8 @@ class MultipleIntegrator(mi.SamplingIntegrator):
             survival = dr.select(step == 0, 1.0, dr.minimum(weight, SURVIVAL))
             active &= sampler.next_1d(active) < survival
             weight /= dr.maximum(survival, 1e-12)
-            total += weight * self._reflections(scene, sampler, ray, si, active)
+            aimed = dr.select(step == 0, mi.Float(1), LATER)
+            total += weight * self._reflections(scene, sampler, ray, si, aimed, active)
             aim = self.sheets[0].apex(ray.time)
             if self.has_water:
                 for number, sheet in enumerate(self.sheets):
@@ -225,7 +228,9 @@ class MultipleIntegrator(mi.SamplingIntegrator):
             in_water = active & (free < si.t) & mi.Bool(self.has_water)
             on_surface = active & ~in_water & si.is_valid()
             vertex = dr.select(in_water, ray(free), si.p)
-            onward, worth, density = self._turn(sampler, ray, si, vertex, aim, in_water, on_surface)
+            onward, worth, density = self._turn(
+                sampler, ray, si, vertex, aim, aimed, in_water, on_surface
+            )
             weight *= worth
             reached = dr.select(si.is_valid(), dr.exp(-self.extinction * si.t), 0.0)
             turned = dr.select(on_surface, density * reached, 0.0)
@@ -243,6 +248,7 @@ class MultipleIntegrator(mi.SamplingIntegrator):
         sampler: mi.Sampler,
         ray: mi.Ray3f,
         si: mi.SurfaceInteraction3f,
+        aimed: mi.Float,
         active: mi.Bool,
     ) -> mi.Float:
         """Interreflection: the mean over several rays of the laser.
@@ -257,7 +263,7 @@ class MultipleIntegrator(mi.SamplingIntegrator):
             for sheet in self.sheets:
                 beam = _drawn_beam(sheet, sampler, si.p, ray.time, seen)
                 spot = self._spot(scene, sheet, beam, ray.time, seen)
-                total += self._surface_surface(scene, ray, si, spot, seen)
+                total += self._surface_surface(scene, ray, si, spot, aimed, seen)
             count += 1
         return total / REFLECTIONS
 
@@ -268,6 +274,7 @@ class MultipleIntegrator(mi.SamplingIntegrator):
         si: mi.SurfaceInteraction3f,
         vertex: mi.Point3f,
         aim: mi.Point3f,
+        aimed: mi.Float,
         in_water: mi.Bool,
         on_surface: mi.Bool,
     ) -> tuple[mi.Vector3f, mi.Float, mi.Float]:
@@ -275,15 +282,15 @@ class MultipleIntegrator(mi.SamplingIntegrator):
 
         Either as water or surface scatter, or scattered from the direction to the apex or to
         ``aim``, a point of the line: light that was turned a little on its way from there is
-        hardly found otherwise.
+        hardly found otherwise.  aimed: what factor the shares of such turns have.
         """
         active = in_water | on_surface
         to_apex = self._to_apex(vertex, ray.time)
         to_aim = dr.normalize(aim - vertex)
         choice = sampler.next_1d(active)
-        shares = (TO_APEX, TO_LINE) if self.has_water else (0.0, 0.0)
-        natural = choice >= shares[0] + shares[1]
-        about = dr.select(choice < shares[0], to_apex, dr.select(natural, ray.d, to_aim))
+        aimed = aimed if self.has_water else mi.Float(0)
+        natural = choice >= aimed * (TO_APEX + TO_LINE)
+        about = dr.select(choice < aimed * TO_APEX, to_apex, dr.select(natural, ray.d, to_aim))
         context = mi.BSDFContext()
         bs, _ = si.bsdf().sample(
             context, si, sampler.next_1d(active), sampler.next_2d(active), on_surface & natural
@@ -297,18 +304,18 @@ class MultipleIntegrator(mi.SamplingIntegrator):
         albedo = self.scattering / dr.maximum(self.extinction, 1e-20)
         worth = dr.select(in_water, albedo * self.phase.value(angle), value.x)
         own = dr.select(in_water, self.phase.direction_density(angle), pdf)
-        without_aim = self._turn_density(own, to_apex, onward)
+        without_aim = self._turn_density(own, to_apex, onward, aimed)
         density = without_aim
         if self.has_water:
             lobe = self.phase.direction_density(angle_between(to_aim, onward))
-            density = without_aim + TO_LINE * lobe
+            density = without_aim + aimed * TO_LINE * lobe
         return onward, dr.select(density > 0, worth / density, 0.0), without_aim
 
     def _to_apex(self, point: mi.Point3f, time: mi.Float) -> mi.Vector3f:
         return dr.normalize(self.sheets[0].apex(time) - point)  # all sheets have one apex
 
     def _turn_density(
-        self, scattering: mi.Float, to_apex: mi.Vector3f, onward: mi.Vector3f
+        self, scattering: mi.Float, to_apex: mi.Vector3f, onward: mi.Vector3f, aimed: mi.Float
     ) -> mi.Float:
         """Density per steradian of a walk's turns, but for those that aim at the line.
 
@@ -317,7 +324,7 @@ class MultipleIntegrator(mi.SamplingIntegrator):
         if not self.has_water:
             return scattering
         lobe = self.phase.direction_density(angle_between(to_apex, onward))
-        return (1 - TO_APEX - TO_LINE) * scattering + TO_APEX * lobe
+        return (1 - aimed * (TO_APEX + TO_LINE)) * scattering + aimed * TO_APEX * lobe
 
     def _in_water(
         self,
@@ -419,6 +426,7 @@ class MultipleIntegrator(mi.SamplingIntegrator):
         ray: mi.Ray3f,
         si: mi.SurfaceInteraction3f,
         spot: Spot,
+        aimed: mi.Float,
         active: mi.Bool,
     ) -> mi.Float:
         """Interreflection: laser - line - surface - ray."""
@@ -435,7 +443,7 @@ class MultipleIntegrator(mi.SamplingIntegrator):
         loss = dr.exp(-self.extinction * (si.t + distance))
         value = reflected.x * light * loss / dr.square(distance)
         cosine = dr.abs(dr.dot(spot.si.n, towards))
-        turn = self._turn_density(pdf, self._to_apex(si.p, ray.time), towards)
+        turn = self._turn_density(pdf, self._to_apex(si.p, ray.time), towards, aimed)
         chance = turn * dr.exp(-self.extinction * si.t) * cosine / dr.square(distance)
         return dr.select(lit, value * _power_heuristic(REFLECTIONS * spot.density, chance), 0.0)
 
