@@ -24,14 +24,9 @@ from test_integrator import (
 )
 
 from lscan.records import Floats
+from sim.plugins.beams import BeamDensity, beam_density, falloff, line_density
 from sim.plugins.integrator import SheetIntegrator
-from sim.plugins.multiple import (
-    BeamDensity,
-    MultipleIntegrator,
-    beam_density,
-    falloff,
-    line_density,
-)
+from sim.plugins.multiple import MultipleIntegrator
 from sim.scene import Laser, Pose
 from sim.tank import Tank, stock_medium
 from sim.water import Optics
