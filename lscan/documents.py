@@ -140,11 +140,31 @@ def check(model: type[Model], document: Document, where: object, prefix: str = "
         raise InputError(_explain(error, prefix), where=where) from error
 
 
+def _names_a_type(part: str | int) -> bool:
+    """Whether a part of a fault's place names one of a union's types, not a key."""
+    kinds = ("constrained-", "literal[", "function-", "tuple[", "float", "int")
+    return isinstance(part, str) and part.startswith(kinds)
+
+
+def _field(fault: Any) -> tuple[str | int, ...]:
+    """The keys that lead to a fault."""
+    return tuple(part for part in fault["loc"] if not _names_a_type(part))
+
+
 def _explain(error: ValidationError, prefix: str) -> str:
     faults = error.errors()
     first = faults[0]
+    if first["type"] == "union_tag_invalid":
+        tags = first["ctx"]["expected_tags"]
+        kind = first["ctx"]["tag"]
+        key = ".".join([*([prefix] if prefix else []), *map(str, first["loc"])])
+        return f"{key}: no such kind {kind!r} (allowed: {tags})"
     path = [prefix] if prefix else []
-    path += [str(part) for part in first["loc"]]
+    path += [str(part) for part in first["loc"] if not _names_a_type(part)]
+    alternatives = [fault for fault in faults if _field(fault) == _field(first)]
+    if len(alternatives) > 1:  # of a value that may be of several kinds
+        wanted = ", or ".join(fault["msg"][0].lower() + fault["msg"][1:] for fault in alternatives)
+        return f"{'.'.join(path)}: {wanted} (got {first['input']!r})"
     if first["type"] == "wrong_type":
         path.append(first["ctx"]["key"])
     message = first["msg"].removeprefix("Value error, ")

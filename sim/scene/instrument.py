@@ -37,13 +37,13 @@ class Lens(Strict):
     k3: float = 0.0
     p1: float = 0.0
     p2: float = 0.0
-    f_number: PositiveFloat = 2.8
+    f_number: Annotated[float, Field(ge=0.5, le=64)] = 2.8
     transmission: Fraction = 0.85
     vignetting: Annotated[float, Field(ge=0, le=8)] = 4.0
     focus_mm: PositiveFloat | None = None
-    blur_px: NonNegativeFloat = 0.7
+    blur_px: Annotated[float, Field(ge=0, le=1000)] = 0.7
     glare: Annotated[float, Field(ge=0, lt=1)] = 0.0
-    glare_px: PositiveFloat = 20.0
+    glare_px: Annotated[float, Field(gt=0, le=1000)] = 20.0
 
 
 class FlatPort(Strict):
@@ -159,10 +159,15 @@ class Laser(Strict):
     on: bool = True
 
     @model_validator(mode="after")
-    def _shares_add_up(self) -> Self:
+    def _consistent(self) -> Self:
         total = sum(line.share for line in self.lines)
         if total > 1 + 1e-9:
             raise ValueError(f"lines: the shares of the power add up to {total:g}, more than 1")
+        warm_nm = self.wavelength_nm
+        if self.drift is not None:
+            warm_nm += self.drift.nm_per_c * self.drift.rise_c
+        if not 450 <= warm_nm <= 700:
+            raise ValueError(f"drift: warms up to {warm_nm:g} nm (allowed: 450 to 700)")
         if self.fan_rise != 0 and self.fan != "uniform":
             raise ValueError('fan_rise goes with fan = "uniform" only')
         return self
@@ -214,7 +219,7 @@ class Sensor(Strict):
     bayer: Literal["none", "RGGB", "BGGR", "GRBG", "GBRG"] = "none"
     jpeg_quality: Annotated[int, Field(ge=1, le=100)] | None = None
     jpeg_subsampling: Literal["4:4:4", "4:2:2", "4:2:0"] = "4:2:0"
-    readout_ms: NonNegativeFloat = 0.0
+    readout_ms: Annotated[float, Field(ge=0, le=1000)] = 0.0
     laser_response: Response = Response(red=0.40, green=0.03, blue=0.01)
     ambient_response: Response = Response(red=0.30, green=0.33, blue=0.28)
     noise: bool = True

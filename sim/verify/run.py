@@ -9,7 +9,7 @@ from pathlib import Path
 
 from lscan.disk import make_folder
 from sim.verify.chapters import chapters
-from sim.verify.gallery import Plate, gallery
+from sim.verify.gallery import Plate, gallery, scene_files
 from sim.verify.report import write_page
 from sim.verify.rows import Check, Row, rows_of, write_rows
 
@@ -45,6 +45,8 @@ def run_verify(
     progress: told (done, all) after each chapter.  Raises InputError where the disk refuses
     or a scene file is wrong.
     """
+    if full and scenes is not None:
+        scene_files(scenes)  # refuses a folder that is not there before minutes of work
     make_folder(folder)
     started = time.perf_counter()
     checks = []

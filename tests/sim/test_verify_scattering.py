@@ -18,7 +18,7 @@ from sim.verify.scattering import (
     sidak_bound,
 )
 
-RUNS, SAMPLES = 16, 1024
+RUNS, SAMPLES = 16, 768
 BOUND_TESTS = len(MASKS)
 
 
