@@ -20,19 +20,9 @@ pytestmark = pytest.mark.slow
 
 
 @pytest.fixture(scope="module")
-def scenes(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The paper's scenes, the sandwave's 400 pictures of the first order of light alone."""
-    folder = tmp_path_factory.mktemp("scenes")
-    for part, more in (("board", ""), ("groove", ""), ("sandwave", "scatter_samples = 0")):
-        text = f"include = {str(SCENES / f'{part}.toml')!r}\n[render]\n{more}\n"
-        (folder / f"{part}.toml").write_text(text)
-    return folder
-
-
-@pytest.fixture(scope="module")
 def folder(scenes: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("demo")
-    run_demo(scenes, folder)
+    run_demo(SCENES, folder)
     return folder
 
 
