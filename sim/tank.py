@@ -161,15 +161,15 @@ class Tank:
         names: tuple[str, ...],
     ) -> dict[str, Radiance]:
         """Each layer's name and picture."""
-        image = np.array(
-            mi.render(
-                self.mitsuba_scene,
-                sensor=camera,
-                integrator=integrator,
-                spp=samples,
-                seed=seed,
+        try:
+            image = mi.render(
+                self.mitsuba_scene, sensor=camera, integrator=integrator, spp=samples, seed=seed
             )
-        )
+        except RuntimeError as error:
+            if _interrupted(error):
+                raise KeyboardInterrupt from error
+            raise
+        image = np.array(image)
         channels = image[..., -len(names) :]
         # Mitsuba weighs its own sum with the camera's transmission but not the channels beside
         # it; within a pixel that weight is the same for all samples.
@@ -240,6 +240,15 @@ def stock_medium(water: Optics) -> dict[str, Any]:
         "phase": phase,
         "has_spectral_extinction": False,
     }
+
+
+def _interrupted(error: BaseException | None) -> bool:
+    """Whether Ctrl-C is behind an error: Mitsuba wraps what is raised while a plugin runs."""
+    while error is not None:
+        if isinstance(error, KeyboardInterrupt) or "KeyboardInterrupt" in str(error):
+            return True
+        error = error.__cause__ or error.__context__
+    return False
 
 
 def _plugin(name: str, kind: type[Any], settings: Mapping[str, Any] | None = None) -> Any:
