@@ -11,6 +11,8 @@ import pytest
 from lscan.errors import DeviceError, InputError
 from lscan.rig import RigFile, load_rig, parse_rig
 from sim.devices import SimCamera, SimTrack, TrackOptions, camera_driver, track_driver
+from sim.scene import scene_of
+from sim.tank import Tank
 
 SCENES = Path(__file__).resolve().parents[2] / "scenes" / "paper"
 
@@ -84,3 +86,22 @@ def test_travel_is_enforced(rig_file: RigFile) -> None:
     with pytest.raises(DeviceError, match=r"11\.0 mm.*-1000\.0 to 10\.0 mm"):
         track.move_to(11.0)
     assert track.position_mm == 0.0
+
+
+@pytest.mark.parametrize("behind", [KeyboardInterrupt, ValueError])
+def test_ctrl_c_in_a_render_is_not_taken_for_a_fault(
+    monkeypatch: pytest.MonkeyPatch, behind: type[BaseException]
+) -> None:
+    """Mitsuba wraps whatever is raised while a plugin runs; only Ctrl-C is unwrapped."""
+
+    def broken(*_: object, **__: object) -> None:
+        try:
+            raise behind
+        except behind as error:
+            raise RuntimeError("while rendering") from error
+
+    tank = Tank(scene_of(load_rig(SCENES / "groove.toml")))
+    monkeypatch.setattr("mitsuba.render", broken)
+    expected = KeyboardInterrupt if behind is KeyboardInterrupt else RuntimeError
+    with pytest.raises(expected):
+        tank.render(0.0)
