@@ -1,0 +1,50 @@
+"""What decides where a camera sees a point: pinhole, lens distortion, flat port."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from lscan.records import Floats
+
+
+@dataclass(frozen=True)
+class FlatPort:
+    """A flat window between the camera's air and the water.
+
+    gap_mm: air from the pinhole to the glass, along the glass's normal.  thickness_mm: of the
+    glass.  glass_index, water_index: relative to air, 1 or more.  tilt_x_deg, tilt_y_deg: the
+    normal is the camera's axis turned by Ry(tilt_y) Rx(tilt_x).
+    """
+
+    gap_mm: float
+    thickness_mm: float
+    glass_index: float
+    water_index: float
+    tilt_x_deg: float = 0.0
+    tilt_y_deg: float = 0.0
+
+    @property
+    def normal(self) -> Floats:
+        """(3,) unit normal of the glass in the camera frame, towards the water."""
+        a, b = np.radians([self.tilt_x_deg, self.tilt_y_deg])
+        return np.array([np.cos(a) * np.sin(b), -np.sin(a), np.cos(a) * np.cos(b)])
+
+
+@dataclass(frozen=True)
+class Camera:
+    """A pinhole with Brown-Conrady distortion as OpenCV writes it, behind a port or in air.
+
+    focal_px: the same for u and v (square pixels).  centre_px: (u, v) of the axis.
+    k1, k2, k3: radial, p1, p2: decentring distortion.  port: None for a camera in air.
+    """
+
+    focal_px: float
+    centre_px: tuple[float, float]
+    k1: float = 0.0
+    k2: float = 0.0
+    p1: float = 0.0
+    p2: float = 0.0
+    k3: float = 0.0
+    port: FlatPort | None = None
