@@ -6,6 +6,7 @@ Heavy modules are imported where they are used, so that ``lscan --help`` stays q
 from __future__ import annotations
 
 import sys
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -16,8 +17,8 @@ from lscan.errors import InputError
 if TYPE_CHECKING:
     from lscan.board import Board
     from lscan.planemap.api import PlaneMap
-    from lscan.records import Bytes, Floats
-    from lscan.rig import CalibrationSection, StripeSection
+    from lscan.records import BoardReading, Bytes, Floats
+    from lscan.rig import CalibrationSection, OpticsSection, StripeSection
     from lscan.run import Run
 
 CHANNELS = ("red", "green", "blue", "grey")
@@ -66,21 +67,66 @@ def parse_seeds(text: str | None) -> Floats | None:
     return np.array(numbers).reshape(3, 2)
 
 
-def board_picture(picture: Path, board: Path | None) -> tuple[Bytes, Board, CalibrationSection]:
-    """The picture of a board, the board, and how to calibrate with it."""
+@dataclass(frozen=True)
+class BoardPicture:
+    """The picture of a board, the board, how to calibrate with it, and what is known of the lens.
+
+    image: (H, W, 3) or (H, W) uint8.
+    """
+
+    image: Bytes
+    board: Board
+    calibration: CalibrationSection
+    optics: OpticsSection
+
+
+def board_picture(picture: Path, board: Path | None, optics: Path | None = None) -> BoardPicture:
+    """What a picture file or a run folder gives to calibrate from.
+
+    board, optics: files that stand in for what a run's rig file says; a picture file needs
+    the first.  Raises InputError where one is missing or cannot be used.
+    """
     from lscan.board import load_board
     from lscan.experiment import mean_picture, require_board
     from lscan.pictures import read_picture
-    from lscan.rig import CalibrationSection
+    from lscan.rig import CalibrationSection, OpticsSection
     from lscan.run import open_run
 
     if picture.is_dir():
         run = open_run(picture)
+        rig = run.rig_file.rig
         nominal = load_board(board) if board else require_board(run)
-        return mean_picture(run), nominal, run.rig_file.rig.calibration
+        known = read_optics(optics) if optics else rig.optics
+        return BoardPicture(mean_picture(run), nominal, rig.calibration, known)
     if board is None:
         raise InputError("a picture needs a board file", where="--board", allowed="a TOML file")
-    return read_picture(picture), load_board(board), CalibrationSection()
+    known = read_optics(optics) if optics else OpticsSection()
+    return BoardPicture(read_picture(picture), load_board(board), CalibrationSection(), known)
+
+
+def read_picture_of_board(
+    given: BoardPicture, seeds: str | None, channel: str | None
+) -> BoardReading:
+    """The marks of the board found in its picture, as ``--seeds`` and ``--channel`` say."""
+    from lscan.controlpoints import read_board
+
+    return read_board(
+        given.image,
+        given.board,
+        seeds=parse_seeds(seeds),
+        channel=choice("--channel", channel or given.calibration.channel, CHANNELS),
+    )
+
+
+def read_optics(path: Path) -> OpticsSection:
+    """The section [optics] of a TOML file, which may be a whole rig file; InputError if none."""
+    from lscan.documents import check, read_document
+    from lscan.rig import OpticsSection
+
+    document = read_document(path)
+    if "optics" not in document:
+        raise InputError("has no section [optics]", where=path)
+    return check(OpticsSection, document["optics"], where=path, prefix="optics")
 
 
 def stripe_picture(picture: Path, frame: int) -> tuple[Bytes, StripeSection]:

@@ -9,15 +9,14 @@ import numpy as np
 import typer
 
 from lscan.arguments import (
-    CHANNELS,
     board_picture,
-    choice,
     open_calibrated,
-    parse_seeds,
+    read_picture_of_board,
     require_folders,
     stripe_picture,
 )
 from lscan.console import print_json, print_table, progress_bar, run_command_line
+from lscan.summaries import calibration_summary, print_calibration, print_check
 
 app = typer.Typer(
     help="Laser line scanner: scan, calibrate, reconstruct, measure, report.",
@@ -32,6 +31,16 @@ PictureOrRun = Annotated[Path, typer.Argument(help="Picture file or run folder."
 CalibrationFile = Annotated[
     Path, typer.Option("--calibration", "-c", help="Calibration file (JSON).")
 ]
+BoardFile = Annotated[
+    Path | None, typer.Option("--board", help="Board file; a run folder has its own.")
+]
+Seeds = Annotated[
+    str | None,
+    typer.Option(
+        "--seeds", help="u,v of the upper-left dot, the one beneath and the one to its right."
+    ),
+]
+ChannelName = Annotated[str | None, typer.Option("--channel", help="red, green, blue or grey.")]
 Json = Annotated[bool, typer.Option("--json", help="Print the result as JSON.")]
 Overlay = Annotated[
     Path | None,
@@ -63,61 +72,69 @@ def scan(
 def calibrate(
     picture: PictureOrRun,
     output: Annotated[Path, typer.Option("--output", "-o", help="Calibration file to write.")],
-    board: Annotated[
-        Path | None, typer.Option("--board", help="Board file; a run folder has its own.")
+    board: BoardFile = None,
+    optics: Annotated[
+        Path | None,
+        typer.Option("--optics", help="TOML file with [optics]; a run folder has its own."),
     ] = None,
     plane_map: Annotated[
-        str | None, typer.Option("--map", help="Plane map, such as graticule-2.")
+        str | None, typer.Option("--map", help="Plane map, such as graticule-2; auto: the best.")
     ] = None,
-    seeds: Annotated[
-        str | None,
-        typer.Option(
-            "--seeds", help="u,v of the upper-left dot, the one beneath and the one to its right."
-        ),
-    ] = None,
-    channel: Annotated[
-        str | None, typer.Option("--channel", help="red, green, blue or grey.")
-    ] = None,
+    seeds: Seeds = None,
+    channel: ChannelName = None,
     overlay: Overlay = None,
     json: Json = False,
 ) -> None:
     """Find the board's control points in a picture and solve a plane map from them."""
-    from lscan.controlpoints import draw_overlay, read_board
+    from lscan.controlpoints import draw_overlay
     from lscan.pictures import write_picture
     from lscan.planemap.calibration import calibrate as solve
     from lscan.planemap.calibration import save_calibration
 
     require_folders(output, overlay)
-    image, nominal, section = board_picture(picture, board)
-    name = plane_map or section.plane_map
-    reading = read_board(
-        image,
-        nominal,
-        seeds=parse_seeds(seeds),
-        channel=choice("--channel", channel or section.channel, CHANNELS),
-    )
+    given = board_picture(picture, board, optics)
+    name = plane_map or given.calibration.plane_map
+    reading = read_picture_of_board(given, seeds, channel)
     if overlay:
-        write_picture(overlay, draw_overlay(image, reading))
-    calibration = solve(reading, name)
+        write_picture(overlay, draw_overlay(given.image, reading))
+    calibration = solve(reading, name, given.optics)
     save_calibration(output, calibration)
-    found = int(reading.grid.found.sum())
-    summary = {
-        "calibration": str(output),
-        "map": name,
-        "control_points": {"expected": len(reading.grid.found), "found": found},
-        "residuals": {
-            "rms_mm": calibration.rms_mm,
-            "max_mm": calibration.max_mm,
-            "rms_px": calibration.rms_px,
-        },
-    }
+    summary = calibration_summary(output, calibration)
     if json:
         print_json(summary)
     else:
-        print(
-            f"{name}: {found} of {len(reading.grid.found)} control points, residuals "
-            f"{calibration.rms_mm:.3f} mm rms, {calibration.max_mm:.3f} mm at most; {output}"
-        )
+        print_calibration(summary)
+
+
+@app.command()
+def check(
+    calibration: Annotated[Path, typer.Argument(help="Calibration file (JSON).")],
+    picture: PictureOrRun,
+    board: BoardFile = None,
+    placed: Annotated[
+        float | None,
+        typer.Option("--placed", help="How well the board was put back, mm; else not judged."),
+    ] = None,
+    level: Annotated[float, typer.Option("--level", help="Chance of a false alarm.")] = 0.01,
+    seeds: Seeds = None,
+    channel: ChannelName = None,
+    json: Json = False,
+) -> None:
+    """Score an old calibration against a new picture of the board; exit code 1 if it is off."""
+    from dataclasses import asdict
+
+    from lscan.planemap.calibration import load_calibration
+    from lscan.planemap.check import check_calibration
+
+    loaded = load_calibration(calibration)
+    reading = read_picture_of_board(board_picture(picture, board), seeds, channel)
+    found = check_calibration(loaded, reading, level, placed)
+    if json:
+        print_json({"agrees": found.agrees, **asdict(found)})
+    else:
+        print_check(found)
+    if not found.agrees:
+        raise typer.Exit(1)
 
 
 @app.command()
@@ -136,9 +153,7 @@ def extract(
     extractor: Annotated[
         str | None, typer.Option("--extractor", help="max, centroid, centroid-relative ...")
     ] = None,
-    channel: Annotated[
-        str | None, typer.Option("--channel", help="red, green, blue or grey.")
-    ] = None,
+    channel: ChannelName = None,
     threshold: Annotated[
         float | None, typer.Option("--threshold", help="Least height of the line, DN.")
     ] = None,

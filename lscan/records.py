@@ -46,6 +46,7 @@ class Status(IntEnum):
     OUT_OF_VIEW = 6  # a mark of the board that lies outside the picture
     OCCLUDED = 7  # hidden from the camera or from the laser
     NO_DATA = 8  # a grid cell or slice point without measurements near it
+    AMBIGUOUS = 9  # several lines in this column, and nothing tells which is meant
 
 
 def has_value(status: NDArray[np.integer]) -> Mask:
@@ -105,6 +106,30 @@ class RulerReading:
 
 
 @dataclass(frozen=True)
+class Mark:
+    """One named mark of the board.
+
+    image_px: (2,) centre (u, v); NaN where status is not OK.
+    sigma_px: standard uncertainty of u and of v; NaN where not OK.
+    """
+
+    image_px: Floats
+    sigma_px: float
+    status: Status
+
+
+@dataclass(frozen=True)
+class RingPoints:
+    """Points picked on the centre line of a milled circle.
+
+    image_px: (K, 2) of (u, v).  sigma_px: (K,) standard uncertainty across the line.
+    """
+
+    image_px: Floats
+    sigma_px: Floats
+
+
+@dataclass(frozen=True)
 class BoardReading:
     """All that was found of the calibration board in one picture.
 
@@ -113,8 +138,7 @@ class BoardReading:
     shape: (rows, columns) of the grid; ``grid`` lists its marks row by row, the top row
         first, so ``grid.image_px.reshape(rows, columns, 2)`` is the lattice.
     rulers: the auxiliary rulers, in the order of the board file.
-    dots: single named dots, name to (u, v) px, NaN where not found.
-    rings: points picked on the centre line of each named ring, name to (K, 2) px.
+    dots: single named dots by name.  rings: the milled circles by name.
     """
 
     image_size: tuple[int, int]
@@ -122,8 +146,8 @@ class BoardReading:
     shape: tuple[int, int]
     grid: Marks
     rulers: tuple[RulerReading, ...] = ()
-    dots: dict[str, Floats] = field(default_factory=dict)
-    rings: dict[str, Floats] = field(default_factory=dict)
+    dots: dict[str, Mark] = field(default_factory=dict)
+    rings: dict[str, RingPoints] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -136,6 +160,8 @@ class Stripe:
     sigma_px: (N,) standard uncertainty of centre_px.
     peak: (N,) highest grey value of the line above the background, in DN.
     status: (N,) of Status.
+    flux: (N,) light of the line's core, DN summed across it; NaN where there is no line.
+        None where an extractor was called by itself.
     """
 
     axis: Axis
@@ -143,6 +169,7 @@ class Stripe:
     sigma_px: Floats
     peak: Floats
     status: Ints
+    flux: Floats | None = None
 
     @property
     def image_px(self) -> Floats:
@@ -157,13 +184,18 @@ class PlanePoints:
     """Points in the laser sheet.
 
     xz_mm: (N, 2) in the plane frame; NaN where status gives no value.
-    sigma_mm: (N, 2) standard uncertainty of x and of z.
+    sigma_mm: (N, 2) standard uncertainty of x and of z, all causes together.
     status: (N,) of Status.
+    modes_mm: (N, 2, M) the part of sigma_mm that the calibration gives to all points in
+        common: M independent errors, each as it displaces every point when it is one standard
+        deviation large.  The covariance of points i and j is modes[i] @ modes[j].T; what is
+        left of sigma_mm² is each point's own.  None: nothing is known to be common.
     """
 
     xz_mm: Floats
     sigma_mm: Floats
     status: Ints
+    modes_mm: Floats | None = None
 
 
 @dataclass(frozen=True)
@@ -171,12 +203,13 @@ class Profile:
     """One scan line in the laser sheet of the head at ``position_mm``.
 
     points: one per column (or row) of the picture, in the picture's order.
-    peak: (N,) grey value of the line at that point, as in Stripe; used to find line ends.
+    brightness: (N,) of the line at each point, to find its ends by: the flux of the stripe, or
+        its peak where there is none; NaN where there is no line.
     """
 
     position_mm: float
     points: PlanePoints
-    peak: Floats
+    brightness: Floats
 
 
 @dataclass(frozen=True)
@@ -188,6 +221,9 @@ class Surface:
     sigma_mm: (F, N) standard uncertainty of z; sigma_x_mm: (F, N) of x.
     status: (F, N) of Status.
     position_mm: (F,) track positions.
+    modes_mm: (F, N, 3, M) single precision, what the calibration displaces all points by in
+        common, as in PlanePoints; part of the sigmas.  None: nothing is known to be common.
+    brightness: (F, N) as in Profile; None where it is not known.
     """
 
     xyz_mm: Floats
@@ -196,6 +232,8 @@ class Surface:
     status: Ints
     position_mm: Floats
     frame: Literal["head", "workpiece"] = "head"
+    modes_mm: NDArray[np.float32] | None = None
+    brightness: Floats | None = None
 
 
 @dataclass(frozen=True)

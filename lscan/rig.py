@@ -51,14 +51,71 @@ class Plan(Strict):
         return [self.start_mm + index * self.step_mm for index in range(self.frames)]
 
 
+class NoiseSection(Strict):
+    """What is known of the sensor's noise; without it, noise is estimated from each picture.
+
+    read_dn: standard deviation of a dark pixel, rounding included.  dn_per_electron: the
+    gain, so that light of I DN has the shot variance ``dn_per_electron · I`` DN².
+    speckle: contrast of the laser's speckle in one pixel; 0 where there is none.
+    """
+
+    read_dn: Annotated[float, Field(gt=0, le=100)]
+    dn_per_electron: Annotated[float, Field(ge=0, le=100)] = 0.0
+    speckle: Annotated[float, Field(ge=0, le=1)] = 0.0
+
+
 class StripeSection(Strict):
-    """How the laser line is found: the paper's rule is span 2 about the first maximum."""
+    """How the laser line is found: the paper's rule is span 2 about the first maximum.
+
+    returns: which line is meant where a column holds several.  smooth_px: standard deviation,
+    along the line, of a robust smoothing; 0 leaves every column to itself.  blur_px: standard
+    deviation of the camera's point spread, with which the shift that blur gives to a curved
+    line of uneven brightness is taken back; None takes nothing back.
+    """
 
     extractor: str = "centroid-relative"
     channel: Channel = "red"
     axis: Literal["columns", "rows"] = "columns"
     threshold_dn: Annotated[float, Field(ge=0, le=255)] = 40.0
     span_px: Annotated[int, Field(ge=1, le=100)] = 2
+    returns: Literal["brightest", "first", "last"] = "brightest"
+    smooth_px: Annotated[float, Field(ge=0, le=100)] = 0.0
+    blur_px: Annotated[float, Field(gt=0, le=20)] | None = None
+    noise: NoiseSection | None = None
+
+
+Known = tuple[float, Annotated[float, Field(ge=0)]]
+"""A number and its standard uncertainty, as in ``gap_mm = [10.0, 2.0]``; 0: known exactly."""
+
+
+class OpticsSection(Strict):
+    """What is known of the camera and its port before calibration, each with its uncertainty.
+
+    focal_px, centre_u_px, centre_v_px, k1, k2, p1, p2: pinhole and distortion in air, as
+    OpenCV writes them; None: next to nothing is known.
+    gap_mm: air between pinhole and glass; thickness_mm, glass_index: the flat glass;
+    water_index: what lies behind it, all indices relative to air.  tilt_x_deg, tilt_y_deg:
+    the glass against the camera's axis.  port = "none": a camera in air without a window.
+    board_offset_mm, board_tilt_deg: standard uncertainties of how far the board lay off the
+    laser sheet, and of its tilt against it about either axis: what alignment by eye leaves.
+    """
+
+    port: Literal["flat", "none"] = "flat"
+    focal_px: Known | None = None
+    centre_u_px: Known | None = None
+    centre_v_px: Known | None = None
+    k1: Known = (0.0, 0.5)
+    k2: Known = (0.0, 0.5)
+    p1: Known = (0.0, 0.001)
+    p2: Known = (0.0, 0.001)
+    gap_mm: Known = (10.0, 5.0)
+    thickness_mm: Known = (5.0, 3.0)
+    glass_index: Known = (1.49, 0.02)
+    water_index: Known = (1.333, 0.003)
+    tilt_x_deg: Known = (0.0, 0.0)
+    tilt_y_deg: Known = (0.0, 0.0)
+    board_offset_mm: Annotated[float, Field(ge=0, le=100)] = 0.0
+    board_tilt_deg: Annotated[float, Field(ge=0, le=20)] = 0.0
 
 
 class CalibrationSection(Strict):
@@ -77,6 +134,7 @@ class Rig(Strict):
     plan: Plan = Plan()
     stripe: StripeSection = StripeSection()
     calibration: CalibrationSection = CalibrationSection()
+    optics: OpticsSection = OpticsSection()
     board: Board | None = None
     workpiece: Workpiece | None = None
 

@@ -11,7 +11,9 @@ from dataclasses import dataclass
 from typing import Any, Protocol
 
 from lscan.records import BoardReading, Floats, PlanePoints
-from lscan.rig import find_plugin
+from lscan.rig import OpticsSection, find_plugin
+
+NOTHING_KNOWN = OpticsSection()
 
 
 class PlaneMap(Protocol):
@@ -38,9 +40,10 @@ class PlaneMap(Protocol):
 class PlaneMapSolver(Protocol):
     """Solves plane maps of one family."""
 
-    def solve(self, reading: BoardReading, variant: str) -> PlaneMap:
+    def solve(self, reading: BoardReading, variant: str, optics: OpticsSection) -> PlaneMap:
         """The map fitted to the marks that were found.
 
+        optics: what is known of the camera beforehand; a solver may do without.
         Raises InputError for an unknown variant, BoardNotFound for too few marks.
         """
         ...
@@ -58,9 +61,9 @@ class NamedSolver:
     solver: PlaneMapSolver
     variant: str
 
-    def solve(self, reading: BoardReading) -> PlaneMap:
+    def solve(self, reading: BoardReading, optics: OpticsSection | None = None) -> PlaneMap:
         """The map of this name fitted to ``reading``."""
-        return self.solver.solve(reading, self.variant)
+        return self.solver.solve(reading, self.variant, optics or NOTHING_KNOWN)
 
     def restore(self, parameters: dict[str, Any]) -> PlaneMap:
         """The map of this name that ``parameters`` came from."""

@@ -1,8 +1,8 @@
 """A calibration: a plane map together with the board reading it was solved from.
 
-Its file is JSON: format and version, model name, parameters with their covariances, the
-marks with their residuals, image size, software.  It holds data only, and all that is needed
-to solve the map again.
+Its file is JSON: format and version, model name, parameters with their covariances, what was
+known of the optics, the marks with their residuals, image size, software.  It holds data
+only, and all that is needed to solve the map again.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ import numpy as np
 
 import lscan
 from lscan.errors import InputError
-from lscan.planemap.api import PlaneMap, find_solver
+from lscan.planemap.api import NOTHING_KNOWN, PlaneMap, find_solver
 from lscan.planemap.calibrationfile import (
     FORMAT,
     VERSION,
@@ -25,6 +25,7 @@ from lscan.planemap.calibrationfile import (
     write_file,
 )
 from lscan.records import BoardReading, Floats
+from lscan.rig import OpticsSection
 
 STEP_PX = 1e-3  # for differences of a map: far above rounding, far below a cell
 SAME_MM = 1e-6  # residuals that belong to the parameters agree this well on any machine
@@ -37,6 +38,7 @@ class Calibration:
     residuals_mm: (N, 2) map of each control point less its nominal place; NaN where the
         point was not found or the map gives it no value.
     residuals_px: (N, 2) the same as a shift in the picture.
+    optics: what was known of the camera beforehand, as the solver was told.
     software: name and version of the program that solved it.
     """
 
@@ -45,6 +47,7 @@ class Calibration:
     reading: BoardReading
     residuals_mm: Floats
     residuals_px: Floats
+    optics: OpticsSection
     software: str
 
     @property
@@ -63,20 +66,24 @@ class Calibration:
         return _rms(self.residuals_px)
 
 
-def calibrate(reading: BoardReading, map_name: str) -> Calibration:
+def calibrate(
+    reading: BoardReading, map_name: str, optics: OpticsSection | None = None
+) -> Calibration:
     """The plane map of that full name solved from ``reading``.
 
+    optics: what is known of the camera beforehand; None: what an empty section [optics] says.
     Raises InputError for an unknown name, BoardNotFound for too few marks.
     """
-    plane_map = find_solver(map_name).solve(reading)
+    known = optics or NOTHING_KNOWN
+    plane_map = find_solver(map_name).solve(reading, known)
     software = f"lscan {lscan.__version__}"
     mm, px = residuals(plane_map, reading)
-    return Calibration(map_name, plane_map, reading, mm, px, software)
+    return Calibration(map_name, plane_map, reading, mm, px, known, software)
 
 
 def resolve(calibration: Calibration) -> Calibration:
-    """The same calibration solved again from the marks it holds."""
-    return calibrate(calibration.reading, calibration.name)
+    """The same calibration solved again from the marks and the optics it holds."""
+    return calibrate(calibration.reading, calibration.name, calibration.optics)
 
 
 def residuals(plane_map: PlaneMap, reading: BoardReading) -> tuple[Floats, Floats]:
@@ -105,6 +112,7 @@ def save_calibration(path: Path, calibration: Calibration) -> None:
         version=VERSION,
         software=calibration.software,
         plane_map=calibration.name,
+        optics=calibration.optics,
         parameters=calibration.plane_map.parameters(),
         reading=store_reading(calibration.reading),
         residuals=StoredResiduals(mm=calibration.residuals_mm, px=calibration.residuals_px),
@@ -129,7 +137,13 @@ def load_calibration(path: Path) -> Calibration:
     if not np.allclose(computed, stored.mm, rtol=0, atol=SAME_MM, equal_nan=True):
         raise InputError("residuals.mm: do not belong to the parameters", where=path)
     return Calibration(
-        content.plane_map, plane_map, reading, stored.mm, stored.px, content.software
+        name=content.plane_map,
+        plane_map=plane_map,
+        reading=reading,
+        residuals_mm=stored.mm,
+        residuals_px=stored.px,
+        optics=content.optics,
+        software=content.software,
     )
 
 

@@ -7,16 +7,17 @@ from pathlib import Path
 from typing import Annotated, Any, Final, Literal, Self
 
 import numpy as np
-from pydantic import Field, PositiveFloat, PositiveInt, model_validator
+from pydantic import Field, PositiveFloat, model_validator
 
 from lscan.disk import write_atomically
 from lscan.documents import Strict, check
 from lscan.errors import InputError
-from lscan.planemap.stored import Gaps, Matrix, Number
-from lscan.records import BoardReading, Marks, RulerReading, Status
+from lscan.planemap.stored import Gaps, Matrix, NotNegative, Number
+from lscan.records import BoardReading, Mark, Marks, RingPoints, RulerReading, Status
+from lscan.rig import OpticsSection
 
 FORMAT: Final = "lscan-calibration"
-VERSION = 1
+VERSION: Final = 2  # 2: marks with status and sigma for dots and rings; optics
 
 StatusName = Literal["OK", "NOT_FOUND", "OUT_OF_VIEW"]
 Side = Annotated[int, Field(strict=True, gt=0)]
@@ -60,6 +61,57 @@ def _store(marks: Marks) -> dict[str, Any]:
     }
 
 
+class StoredMark(Strict):
+    """records.Mark; ``null`` where it has no place."""
+
+    image_px: Gaps
+    sigma_px: NotNegative | None
+    status: StatusName
+
+    @model_validator(mode="after")
+    def _consistent(self) -> Self:
+        if self.image_px.shape != (2,):
+            raise ValueError("image_px must be two numbers")
+        found = self.status == "OK"
+        if (np.isfinite(self.image_px) != found).any() or (self.sigma_px is not None) != found:
+            raise ValueError("image_px and sigma_px must be numbers just where status is OK")
+        return self
+
+    def mark(self) -> Mark:
+        """As the program holds it."""
+        sigma_px = float("nan") if self.sigma_px is None else self.sigma_px
+        return Mark(self.image_px, sigma_px, Status[self.status])
+
+
+def _store_mark(mark: Mark) -> dict[str, Any]:
+    sigma_px = mark.sigma_px if mark.status == Status.OK else None
+    return {"image_px": mark.image_px, "sigma_px": sigma_px, "status": Status(mark.status).name}
+
+
+class StoredRing(Strict):
+    """records.RingPoints."""
+
+    image_px: Gaps
+    sigma_px: Gaps
+
+    @model_validator(mode="after")
+    def _consistent(self) -> Self:
+        count = self.sigma_px.size
+        if self.image_px.size and self.image_px.shape[1:] != (2,):
+            raise ValueError("image_px must be a list of pairs")
+        if self.sigma_px.shape != (count,) or self.image_px.size != 2 * count:
+            raise ValueError("image_px must hold one pair for each number of sigma_px")
+        if not (np.isfinite(self.image_px).all() and np.isfinite(self.sigma_px).all()):
+            raise ValueError("image_px and sigma_px must be finite numbers")
+        if (self.sigma_px < 0).any():
+            raise ValueError("sigma_px must not be below 0")
+        return self
+
+    def points(self) -> RingPoints:
+        """As the program holds them."""
+        return RingPoints(self.image_px.reshape(-1, 2), self.sigma_px)
+
+
 class StoredRuler(Strict):
     """records.RulerReading."""
 
@@ -76,18 +128,14 @@ class StoredReading(Strict):
     shape: tuple[Side, Side]
     grid: StoredMarks
     rulers: tuple[StoredRuler, ...]
-    dots: dict[str, Gaps]
-    rings: dict[str, Gaps]
+    dots: dict[str, StoredMark]
+    rings: dict[str, StoredRing]
 
     @model_validator(mode="after")
     def _whole_grid(self) -> Self:
         rows, columns = self.shape
         if len(self.grid.status) != rows * columns:
             raise ValueError(f"grid must hold {rows} by {columns} marks, as shape says")
-        if any(dot.shape != (2,) for dot in self.dots.values()):
-            raise ValueError("each of dots must be two numbers")
-        if any(ring.shape[1:] != (2,) and ring.size for ring in self.rings.values()):
-            raise ValueError("each of rings must be a list of pairs")
         return self
 
     def reading(self) -> BoardReading:
@@ -99,8 +147,8 @@ class StoredReading(Strict):
             shape=self.shape,
             grid=self.grid.marks(),
             rulers=tuple(rulers),
-            dots=self.dots,
-            rings={name: ring.reshape(-1, 2) for name, ring in self.rings.items()},
+            dots={name: dot.mark() for name, dot in self.dots.items()},
+            rings={name: ring.points() for name, ring in self.rings.items()},
         )
 
 
@@ -116,8 +164,11 @@ def store_reading(reading: BoardReading) -> StoredReading:
         "shape": reading.shape,
         "grid": _store(reading.grid),
         "rulers": rulers,
-        "dots": reading.dots,
-        "rings": reading.rings,
+        "dots": {name: _store_mark(dot) for name, dot in reading.dots.items()},
+        "rings": {
+            name: {"image_px": ring.image_px, "sigma_px": ring.sigma_px}
+            for name, ring in reading.rings.items()
+        },
     }
     return check(StoredReading, document, where="board reading")
 
@@ -133,9 +184,10 @@ class CalibrationFile(Strict):
     """The whole file."""
 
     format: Literal["lscan-calibration"]
-    version: Annotated[PositiveInt, Field(strict=True, le=VERSION)]
+    version: Literal[2]
     software: str
     plane_map: str
+    optics: OpticsSection
     parameters: dict[str, Any]
     reading: StoredReading
     residuals: StoredResiduals
@@ -160,6 +212,14 @@ def read_file(path: Path) -> CalibrationFile:
         raise InputError(f"is not valid JSON: {error}", where=path) from error
     if not isinstance(document, dict) or document.get("format") != FORMAT:
         raise InputError("is no calibration file", where=path, allowed=f'format "{FORMAT}"')
+    version = document.get("version")
+    if type(version) is not int or version != VERSION:
+        raise InputError(
+            "version: is not the one this program writes; calibrate again from the picture",
+            where=path,
+            value=version,
+            allowed=VERSION,
+        )
     return check(CalibrationFile, document, where=path)
 
 

@@ -9,15 +9,21 @@ import numpy as np
 
 from lscan.errors import InputError
 from lscan.planemap.region import Region
-from lscan.records import BoardReading, Floats, Marks, PlanePoints, Status
+from lscan.records import BoardReading, Floats, Marks, Mask, PlanePoints, Status
 
 
 @dataclass(frozen=True)
 class Estimate:
-    """xz_mm (N, 2) and variance_mm2 (N, 2), the noise part; NaN where there is no value."""
+    """The points of N pixels; NaN where there is no value.
+
+    xz_mm: (N, 2).  variance_mm2: (N, 2) all noise, the pixel's and the calibration's.
+    modes_mm: (N, 2, M) a square root of the calibration's part, as in PlanePoints; None
+        where the map keeps no account of what its points have in common.
+    """
 
     xz_mm: Floats
     variance_mm2: Floats
+    modes_mm: Floats | None = None
 
 
 class Estimator(Protocol):
@@ -60,7 +66,38 @@ def to_points(estimator: Estimator, image_px: Floats, sigma_px: Floats | None) -
     missing = np.isnan(image_px).any(axis=1)
     status = np.where(valued, Status.OK, np.where(missing, Status.NO_DATA, Status.OUT_OF_BOARD))
     xz[~valued], variance[~valued] = np.nan, np.nan
-    return PlanePoints(xz, np.sqrt(variance), status.astype(np.int64))
+    modes = _modes(estimate, covered, valued)
+    return PlanePoints(xz, np.sqrt(variance), status.astype(np.int64), modes)
+
+
+def _modes(estimate: Estimate, covered: Mask, valued: Mask) -> Floats | None:
+    """(N, 2, M) the modes of the covered pixels among all, NaN where there is no value."""
+    if estimate.modes_mm is None:
+        return None
+    modes = np.full((len(covered), *estimate.modes_mm.shape[1:]), np.nan)
+    modes[covered] = estimate.modes_mm
+    modes[~valued] = np.nan
+    return modes
+
+
+def square_root(covariance: Floats) -> Floats:
+    """(K, K) L with L @ L.T the covariance (K, K), which may be singular.
+
+    From the eigenvalues, with those that rounding took below 0 set to 0.
+    """
+    values, vectors = np.linalg.eigh(covariance)
+    return vectors * np.sqrt(np.maximum(values, 0.0))
+
+
+def separate_modes(of_x: Floats, of_z: Floats) -> Floats:
+    """(N, 2, P + Q) modes of maps whose x and z have no parameter in common.
+
+    of_x: (N, P) mm of x alone.  of_z: (N, Q) mm of z alone.
+    """
+    modes = np.zeros((len(of_x), 2, of_x.shape[1] + of_z.shape[1]))
+    modes[:, 0, : of_x.shape[1]] = of_x
+    modes[:, 1, of_x.shape[1] :] = of_z
+    return modes
 
 
 def _checked_sigma(image_px: Floats, sigma_px: Floats | None) -> Floats:
@@ -99,7 +136,7 @@ def lack_of_fit_mm(estimator: Estimator, reading: BoardReading) -> Floats:
 def _excess_mm(estimator: Estimator, reading: BoardReading, coordinate: int) -> float:
     direction = ("vertical", "horizontal")[coordinate]
     rulers = [ruler.marks for ruler in reading.rulers if ruler.direction == direction]
-    known, image, sigma = _found([reading.grid, *rulers])
+    known, image, sigma = found_marks([reading.grid, *rulers])
     covered = estimator.region.covers(image)
     estimate = estimator.estimate(image[covered], sigma[covered] ** 2)
     residual = estimate.xz_mm[:, coordinate] - known[covered, coordinate]
@@ -110,7 +147,8 @@ def _excess_mm(estimator: Estimator, reading: BoardReading, coordinate: int) -> 
     return float(np.sqrt(max(0.0, np.mean(residual[valued] ** 2) - np.mean(explained))))
 
 
-def _found(several: list[Marks]) -> tuple[Floats, Floats, Floats]:
+def found_marks(several: list[Marks]) -> tuple[Floats, Floats, Floats]:
+    """board_mm (N, 2), image_px (N, 2) and sigma_px (N,) of all marks found, in order."""
     return (
         np.vstack([marks.board_mm[marks.found] for marks in several]),
         np.vstack([marks.image_px[marks.found] for marks in several]),

@@ -13,6 +13,7 @@ import numpy as np
 
 from lscan.documents import Strict, check
 from lscan.errors import BoardNotFound, InputError
+from lscan.planemap.api import NOTHING_KNOWN
 from lscan.planemap.evaluate import Estimate, lack_of_fit_mm, to_points
 from lscan.planemap.lines import DEGREE, Fit, Line, fit_line
 from lscan.planemap.lineset import LineSet, Targets
@@ -20,6 +21,7 @@ from lscan.planemap.region import Region, covered_region, spacing_px
 from lscan.planemap.rulers import Ruler, fit_ruler
 from lscan.planemap.stored import Pair
 from lscan.records import BoardReading, Floats, Marks, Mask, PlanePoints
+from lscan.rig import OpticsSection
 
 NO_RULERS = "-norulers"
 VARIANTS: dict[str, tuple[Fit, bool]] = {
@@ -80,7 +82,9 @@ class Graticule:
 class GraticuleSolver:
     """Solves graticules; see the module for the variants."""
 
-    def solve(self, reading: BoardReading, variant: str) -> Graticule:
+    def solve(
+        self, reading: BoardReading, variant: str, optics: OpticsSection = NOTHING_KNOWN
+    ) -> Graticule:
         """The graticule through the marks that were found.
 
         A line needs one mark more than its order (four for the B-spline) and is left out

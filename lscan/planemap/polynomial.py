@@ -10,6 +10,7 @@ polynomials, so the map is that of eqs. (1) and (2), and it keeps its digits at 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Annotated, Any, Self
 
 import numpy as np
@@ -18,11 +19,19 @@ from pydantic import Field, model_validator
 
 from lscan.documents import Strict, check
 from lscan.errors import BoardNotFound, InputError
-from lscan.planemap.evaluate import Estimate, lack_of_fit_mm, to_points
+from lscan.planemap.api import NOTHING_KNOWN
+from lscan.planemap.evaluate import (
+    Estimate,
+    lack_of_fit_mm,
+    separate_modes,
+    square_root,
+    to_points,
+)
 from lscan.planemap.region import Region, covered_region
 from lscan.planemap.scaling import Scaling, box
 from lscan.planemap.stored import Matrix, Pair, check_covariance
 from lscan.records import BoardReading, Floats, PlanePoints
+from lscan.rig import OpticsSection
 
 ORDERS = range(1, 10)
 
@@ -68,7 +77,8 @@ class Polynomial:
         """Points in the sheet, (N, 2) mm, of the pixels (N, 2), as api.PlaneMap promises.
 
         sigma_mm combines the pixel's uncertainty, the covariance of the coefficients and
-        the map's mean lack of fit.
+        the map's mean lack of fit; the coefficients are the modes, those of x and those of
+        z apart.
         """
         return to_points(self, image_px, sigma_px)
 
@@ -77,9 +87,14 @@ class Polynomial:
         rows, by_u, by_v = terms(self.pixels.apply(image_px), self.order)
         slope_u = by_u @ self.coefficients.T / self.pixels.scale[0]
         slope_v = by_v @ self.coefficients.T / self.pixels.scale[1]
-        own = [((rows @ covariance) * rows).sum(axis=1) for covariance in self.covariances]
         noise = variance_px2[:, None] * (slope_u**2 + slope_v**2)
-        return Estimate(rows @ self.coefficients.T, noise + np.column_stack(own))
+        modes = separate_modes(*(rows @ root for root in self._roots))
+        return Estimate(rows @ self.coefficients.T, noise + (modes**2).sum(axis=2), modes)
+
+    @cached_property
+    def _roots(self) -> tuple[Floats, Floats]:
+        of_x, of_z = self.covariances
+        return square_root(of_x), square_root(of_z)
 
     def parameters(self) -> dict[str, Any]:
         """The coefficients, their covariances, the region and the lack of fit, as JSON types."""
@@ -95,7 +110,9 @@ class Polynomial:
 class PolynomialSolver:
     """Solves polynomial maps; the variant is the order."""
 
-    def solve(self, reading: BoardReading, variant: str) -> Polynomial:
+    def solve(
+        self, reading: BoardReading, variant: str, optics: OpticsSection = NOTHING_KNOWN
+    ) -> Polynomial:
         """The polynomials of eq. (1) that solve eq. (2) for the control points found.
 
         Raises InputError for an unknown order, BoardNotFound where the points found do not

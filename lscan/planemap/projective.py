@@ -16,11 +16,13 @@ from scipy.optimize import least_squares
 
 from lscan.documents import Strict, check
 from lscan.errors import BoardNotFound, InputError
-from lscan.planemap.evaluate import Estimate, lack_of_fit_mm, to_points
+from lscan.planemap.api import NOTHING_KNOWN
+from lscan.planemap.evaluate import Estimate, lack_of_fit_mm, square_root, to_points
 from lscan.planemap.region import Region, covered_region
 from lscan.planemap.scaling import Scaling, hartley
 from lscan.planemap.stored import Matrix, Pair, Vector, check_covariance
 from lscan.records import BoardReading, Floats, PlanePoints
+from lscan.rig import OpticsSection
 
 COUNT = 8
 
@@ -98,20 +100,26 @@ class Projective:
     def to_plane(self, image_px: Floats, sigma_px: Floats | None = None) -> PlanePoints:
         """Points in the sheet, (N, 2) mm, of the pixels (N, 2), as api.PlaneMap promises.
 
-        sigma_mm combines the pixel's uncertainty, the covariance of the matrix and the map's
-        mean lack of fit.
+        sigma_mm combines the pixel's uncertainty, the covariance of the matrix, which gives
+        the modes, and the map's mean lack of fit.
         """
         return to_points(self, image_px, sigma_px)
 
     def estimate(self, image_px: Floats, variance_px2: Floats) -> Estimate:
         """Points of covered pixels."""
-        scaled = self.pixels.apply(image_px)
-        homography = Homography(self.h)
-        rows = homography.by_parameters(scaled)
-        slope = homography.by_pixel(scaled) / self.pixels.scale
-        noise = ((rows @ self.covariance) * rows).sum(axis=2)
-        noise += variance_px2[:, None] * (slope**2).sum(axis=2)
-        return Estimate(self.plane.undo(homography.apply(scaled)), noise * self.plane.scale**2)
+        rows = Homography(self.h).by_parameters(self.pixels.apply(image_px))
+        modes = rows @ square_root(self.covariance) * self.plane.scale[:, None]
+        noise = variance_px2[:, None] * (self.slopes(image_px) ** 2).sum(axis=2)
+        return Estimate(self.places(image_px), noise + (modes**2).sum(axis=2), modes)
+
+    def places(self, image_px: Floats) -> Floats:
+        """(N, 2) mm of pixels (N, 2), wherever they lie."""
+        return self.plane.undo(Homography(self.h).apply(self.pixels.apply(image_px)))
+
+    def slopes(self, image_px: Floats) -> Floats:
+        """(N, 2, 2) mm a px, derivatives of (x, z) by (u, v)."""
+        scaled_slopes = Homography(self.h).by_pixel(self.pixels.apply(image_px))
+        return scaled_slopes * self.plane.scale[:, None] / self.pixels.scale
 
     def parameters(self) -> dict[str, Any]:
         """The scaled matrix, its covariance, the region and the lack of fit, as JSON types."""
@@ -128,7 +136,9 @@ class Projective:
 class ProjectiveSolver:
     """Solves projective maps."""
 
-    def solve(self, reading: BoardReading, variant: str) -> Projective:
+    def solve(
+        self, reading: BoardReading, variant: str, optics: OpticsSection = NOTHING_KNOWN
+    ) -> Projective:
         """The matrix that fits the control points found with the least error in the plane.
 
         The linear solution in Hartley's scaling is where the refinement starts.  Raises

@@ -15,8 +15,16 @@ from typing import Any, Literal
 import numpy as np
 from hypothesis import strategies as st
 
-from lscan.board import Board, load_board
-from lscan.records import BoardReading, Floats, Marks, RulerReading, Status
+from lscan.board import Board, Ring, load_board
+from lscan.records import (
+    BoardReading,
+    Floats,
+    Mark,
+    Marks,
+    RingPoints,
+    RulerReading,
+    Status,
+)
 
 PAPER_BOARD = Path(__file__).resolve().parents[2] / "scenes" / "paper" / "calibration-board.toml"
 
@@ -151,6 +159,15 @@ def read_board(
             status=status.astype(np.int64),
         )
 
+    def mark(name: str) -> Mark:
+        image = project(board.dot_mm(name)[None])[0]
+        return Mark(image, stated, Status.OK)
+
+    def ring_points(ring: Ring) -> RingPoints:
+        middle = np.array([ring.x_mm, ring.z_mm])
+        image = project(middle + ring.diameter_mm / 2 * circle)
+        return RingPoints(image, np.full(len(image), stated))
+
     turn = np.linspace(0.0, 2 * np.pi, 36, endpoint=False)
     circle = np.column_stack([np.cos(turn), np.sin(turn)])
     exact = BoardReading(
@@ -162,11 +179,8 @@ def read_board(
             RulerReading(ruler.direction, ruler.at_mm, marks(ruler.points_mm()))
             for ruler in board.ruler
         ),
-        dots={dot.name: project(board.dot_mm(dot.name)[None])[0] for dot in board.dot},
-        rings={
-            ring.name: project(np.array([ring.x_mm, ring.z_mm]) + ring.diameter_mm / 2 * circle)
-            for ring in board.ring
-        },
+        dots={dot.name: mark(dot.name) for dot in board.dot},
+        rings={ring.name: ring_points(ring) for ring in board.ring},
     )
     return exact if rng is None else with_noise(exact, noise_px, rng)
 

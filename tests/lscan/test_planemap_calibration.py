@@ -19,17 +19,19 @@ from lscan.planemap.calibration import (
     resolve,
     save_calibration,
 )
-from lscan.records import Marks, PlanePoints
+from lscan.records import Mark, Marks, PlanePoints, RingPoints, Status
+from lscan.rig import OpticsSection
 
 BOARD = paper_board()
-MAPS = ["graticule-2", "graticule-bspline-norulers", "projective", "polynomial-4"]
+MAPS = ["graticule-2", "graticule-bspline-norulers", "projective", "polynomial-4", "spline"]
+OPTICS = OpticsSection(focal_px=(850.0, 30.0), gap_mm=(12.0, 1.0))
 
 
 def _calibration(name: str = "graticule-2", noise_px: float = 0.05) -> Calibration:
     missing = np.zeros(100, dtype=bool)
     missing[[0, 17, 34, 99]] = True
     rng = np.random.default_rng(1)
-    return calibrate(read_board(BOARD, View().project, noise_px, rng, missing), name)
+    return calibrate(read_board(BOARD, View().project, noise_px, rng, missing), name, OPTICS)
 
 
 def _answer(calibration: Calibration) -> PlanePoints:
@@ -41,6 +43,9 @@ def _same_points(one: PlanePoints, other: PlanePoints) -> None:
     np.testing.assert_array_equal(one.xz_mm, other.xz_mm)
     np.testing.assert_array_equal(one.sigma_mm, other.sigma_mm)
     np.testing.assert_array_equal(one.status, other.status)
+    assert (one.modes_mm is None) == (other.modes_mm is None)
+    if one.modes_mm is not None:
+        np.testing.assert_array_equal(one.modes_mm, other.modes_mm)
 
 
 def _same_marks(one: Marks, other: Marks) -> None:
@@ -61,12 +66,15 @@ def test_round_trip_is_exact(name: str, tmp_path: Path) -> None:
     np.testing.assert_array_equal(saved.residuals_mm, loaded.residuals_mm)
     np.testing.assert_array_equal(saved.residuals_px, loaded.residuals_px)
     assert (saved.name, saved.software) == (loaded.name, loaded.software)
+    assert loaded.optics == OPTICS
     assert saved.plane_map.parameters() == loaded.plane_map.parameters()
     assert loaded.reading.image_size == (640, 480)
     for group in ("dots", "rings"):
         before, after = getattr(saved.reading, group), getattr(loaded.reading, group)
         assert before.keys() == after.keys()
-        assert all(np.array_equal(before[key], after[key]) for key in before)
+        for key in before:
+            np.testing.assert_array_equal(before[key].image_px, after[key].image_px)
+            np.testing.assert_array_equal(before[key].sigma_px, after[key].sigma_px)
 
 
 @pytest.mark.parametrize("name", MAPS)
@@ -75,6 +83,7 @@ def test_solved_again_from_its_own_file(name: str, tmp_path: Path) -> None:
     loaded = load_calibration(tmp_path / "c.json")
     again = resolve(loaded)
     _same_points(_answer(loaded), _answer(again))
+    assert again.optics == OPTICS
     assert again.plane_map.parameters() == loaded.plane_map.parameters()
 
 
@@ -93,12 +102,13 @@ def test_residuals_in_mm_and_px() -> None:
 
 def test_missing_dots_stay_missing(tmp_path: Path) -> None:
     reading = read_board(BOARD, View().project)
-    reading.dots["A1"] = np.full(2, np.nan)
-    reading.rings["E"] = np.empty((0, 2))
+    reading.dots["A1"] = Mark(np.full(2, np.nan), np.nan, Status.NOT_FOUND)
+    reading.rings["E"] = RingPoints(np.empty((0, 2)), np.empty(0))
     save_calibration(tmp_path / "c.json", calibrate(reading, "projective"))
     loaded = load_calibration(tmp_path / "c.json").reading
-    assert np.isnan(loaded.dots["A1"]).all()
-    assert loaded.rings["E"].shape == (0, 2)
+    assert np.isnan(loaded.dots["A1"].image_px).all()
+    assert loaded.dots["A1"].status is Status.NOT_FOUND
+    assert loaded.rings["E"].image_px.shape == (0, 2)
 
 
 def _set(path: str, value: Any) -> Callable[[dict[str, Any]], None]:
@@ -115,7 +125,11 @@ def _set(path: str, value: Any) -> Callable[[dict[str, Any]], None]:
     ("change", "said"),
     [
         (_set("format", "other"), "no calibration file"),
-        (_set("version", 2), "version"),
+        (_set("version", 1), "version: is not the one .* calibrate again .* allowed: 2"),
+        (_set("version", 3), "version"),
+        (_set("version", True), "version"),
+        (_set("optics.gap_mm", [10.0, -1.0]), "optics.gap_mm"),
+        (_set("optics.gaps", 1.0), "optics.gaps: unknown key"),
         (_set("colour", "red"), "colour: unknown key"),
         (_set("plane_map", "graticule-9"), "graticule-9"),
         (_set("plane_map", "nothing"), "no such family of plane maps"),
@@ -137,6 +151,10 @@ def _set(path: str, value: Any) -> Callable[[dict[str, Any]], None]:
         (_set("reading.grid.image_px.5", [1.0]), "reading.grid.image_px"),
         (_set("reading.grid.image_px.5", [1.0, "2"]), "reading.grid.image_px"),
         (_set("reading.rulers.0.direction", "slanted"), "reading.rulers.0.direction"),
+        (_set("reading.dots.A1.sigma_px", None), "reading.dots.A1"),
+        (_set("reading.dots.A1.image_px", [1.0]), "reading.dots.A1"),
+        (_set("reading.rings.E.sigma_px", [0.1]), "reading.rings.E"),
+        (_set("reading.rings.E.sigma_px.3", -0.1), "reading.rings.E"),
         (_set("reading.image_size", [640, 0]), "reading.image_size"),
         (_set("residuals.px", [[0.0, 0.0]]), "residuals"),
     ],
@@ -159,12 +177,12 @@ def document(tmp_path: Path) -> dict[str, Any]:
     return json.loads((tmp_path / "good.json").read_text())
 
 
-@pytest.mark.parametrize("name", ["polynomial-4", "projective"], ids=["polynomial", "projective"])
+@pytest.mark.parametrize("name", ["polynomial-4", "projective", "spline"])
 def test_refuses_parameters_of_wrong_size(name: str, tmp_path: Path) -> None:
     path = tmp_path / "c.json"
     save_calibration(path, _calibration(name))
     document = json.loads(path.read_text())
-    key = "coefficients" if name.startswith("poly") else "h"
+    key = "h" if name == "projective" else "coefficients"
     document["parameters"][key] = document["parameters"][key][:-1]
     path.write_text(json.dumps(document))
     with pytest.raises(InputError, match="parameters"):

@@ -28,7 +28,7 @@ def rms(errors: Floats) -> float:
 
 def distance_errors(graticule: Graticule, reading: BoardReading) -> Floats:
     """Measured less nominal of the distances of Table I, mm."""
-    ends = [[reading.dots[name] for name in pair] for pair in BOARD.distances]
+    ends = [[reading.dots[name].image_px for name in pair] for pair in BOARD.distances]
     points = graticule.to_plane(np.array(ends).reshape(-1, 2)).xz_mm.reshape(-1, 2, 2)
     measured = np.linalg.norm(points[:, 0] - points[:, 1], axis=1)
     return measured - [BOARD.distance_mm(*pair) for pair in BOARD.distances]
@@ -38,7 +38,7 @@ def diameter_errors(graticule: Graticule, reading: BoardReading) -> Floats:
     """Measured less nominal of the diameters of Table II, mm, by algebraic circle fits."""
     errors = []
     for ring in BOARD.ring:
-        points = graticule.to_plane(reading.rings[ring.name]).xz_mm
+        points = graticule.to_plane(reading.rings[ring.name].image_px).xz_mm
         system = np.column_stack([2 * points, np.ones(len(points))])
         a, b, c = np.linalg.lstsq(system, (points**2).sum(axis=1), rcond=None)[0]
         errors.append(2 * np.sqrt(c + a**2 + b**2) - ring.diameter_mm)

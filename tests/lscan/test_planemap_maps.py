@@ -18,7 +18,7 @@ from lscan.planemap.projective import solver as projective
 from lscan.records import BoardReading, Floats, Marks, RulerReading, Status
 
 BOARD = paper_board()
-MAPS = METHODS
+MAPS = (*METHODS, "spline")
 
 
 # --- closed forms -------------------------------------------------------------------------

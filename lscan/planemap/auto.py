@@ -1,0 +1,127 @@
+"""The map that predicts best: ``auto``.
+
+Every candidate is cross-validated on the reading; the one with the least rms error on marks
+held out is solved from all of them.  The map keeps the table of all scores.  No variants.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Annotated, Any
+
+from pydantic import Field
+
+from lscan.documents import Strict, check
+from lscan.errors import BoardNotFound, InputError
+from lscan.planemap.api import NOTHING_KNOWN, PlaneMap, find_solver
+from lscan.planemap.crossvalidation import Score, cross_validated
+from lscan.planemap.stored import NotNegative
+from lscan.records import BoardReading, Floats, PlanePoints
+from lscan.rig import OpticsSection
+
+CANDIDATES = (
+    "refractive",
+    "spline",
+    *(f"polynomial-{order}" for order in range(2, 8)),
+    "graticule-2",
+    "projective",
+)
+COMPLETE = 0.95  # of the marks that any candidate values, which the choice must value too
+
+
+class StoredScore(Strict):
+    """crossvalidation.Score without the time, which is the machine's and not the map's."""
+
+    name: str
+    rms_mm: NotNegative | None
+    max_mm: NotNegative | None
+    points: Annotated[int, Field(strict=True, ge=0)]
+    without_value: Annotated[int, Field(strict=True, ge=0)]
+    refused: str | None
+
+
+class AutoParameters(Strict):
+    """What a chosen map is made of, as a file holds it."""
+
+    chosen: str
+    parameters: dict[str, Any]
+    scores: tuple[StoredScore, ...]
+
+
+@dataclass(frozen=True)
+class Auto:
+    """The chosen map and why it was chosen.
+
+    chosen: the map, under its own name.  scores: of all candidates, the best first, those
+    that refused last.
+    """
+
+    chosen: PlaneMap
+    scores: tuple[Score, ...]
+    name: str = "auto"
+
+    def to_plane(self, image_px: Floats, sigma_px: Floats | None = None) -> PlanePoints:
+        """Points in the sheet, (N, 2) mm, of the pixels (N, 2), by the chosen map."""
+        return self.chosen.to_plane(image_px, sigma_px)
+
+    def parameters(self) -> dict[str, Any]:
+        """The chosen map's name and parameters, and the scores, in plain JSON types."""
+        kept = StoredScore.model_fields
+        return AutoParameters(
+            chosen=self.chosen.name,
+            parameters=self.chosen.parameters(),
+            scores=tuple(
+                StoredScore(**{key: getattr(score, key) for key in kept}) for score in self.scores
+            ),
+        ).model_dump(mode="json")
+
+
+class AutoSolver:
+    """Solves the candidate of the least cross-validated error."""
+
+    def solve(
+        self, reading: BoardReading, variant: str, optics: OpticsSection = NOTHING_KNOWN
+    ) -> Auto:
+        """The best candidate solved from the whole reading.
+
+        Raises InputError for any variant, BoardNotFound where every candidate refuses.
+        """
+        _refuse(variant)
+        scores = ranked(cross_validated(reading, CANDIDATES, optics))
+        if scores[0].refused is not None:
+            raise BoardNotFound(f"no plane map could be solved: {scores[0].refused}")
+        return Auto(find_solver(scores[0].name).solve(reading, optics), scores)
+
+    def restore(self, variant: str, parameters: dict[str, Any]) -> Auto:
+        """The map that ``parameters`` came from; InputError where they do not fit."""
+        _refuse(variant)
+        read = check(AutoParameters, parameters, where=None, prefix="parameters")
+        if read.chosen.partition("-")[0] == "auto":
+            raise InputError("is no candidate", where="parameters.chosen", value=read.chosen)
+        chosen = find_solver(read.chosen).restore(read.parameters)
+        return Auto(chosen, tuple(Score(**score.model_dump()) for score in read.scores))
+
+
+solver = AutoSolver()
+
+
+def ranked(scores: tuple[Score, ...]) -> tuple[Score, ...]:
+    """The scores, the best first: those that value enough marks by their rms error, then those
+    that value too few, then those refused.
+
+    Enough: 95 % of what the fullest map values, so that no map wins by leaving out what is hard.
+    """
+    most = max(score.points for score in scores)
+
+    def order(score: Score) -> tuple[bool, bool, float]:
+        too_few = score.points < COMPLETE * most
+        return score.rms_mm is None, too_few, score.rms_mm or 0.0
+
+    return tuple(sorted(scores, key=order))
+
+
+def _refuse(variant: str) -> None:
+    if variant:
+        raise InputError(
+            "no such choice of maps", where="plane map", value=f"auto-{variant}", allowed="auto"
+        )

@@ -1,0 +1,93 @@
+"""Rigid motions in the sheet, and the motion and scale between two sets of points.
+
+The sums of squares count errors by their covariance: each point's own, and modes that
+displace all points in common (records.PlanePoints).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from lscan.records import Floats
+
+LEAST_SIGMA_MM = 1e-6  # of a point's own, so that exact data of a test do not divide by 0
+
+
+@dataclass(frozen=True)
+class Motion:
+    """A turn about ``centre_mm`` (2,), x towards z by ``turn_rad``, then a shift (2,) mm."""
+
+    centre_mm: Floats
+    shift_mm: Floats
+    turn_rad: float
+
+    def apply(self, points_mm: Floats) -> Floats:
+        """(N, 2) moved."""
+        cosine, sine = np.cos(self.turn_rad), np.sin(self.turn_rad)
+        turned = (points_mm - self.centre_mm) @ np.array([[cosine, sine], [-sine, cosine]])
+        return turned + self.centre_mm + self.shift_mm
+
+
+@dataclass(frozen=True)
+class Likeness:
+    """The best motion and scale that take one set of points to another.
+
+    scale: lengths after over lengths before, less 1.  covariance: (4, 4) of the shift's x
+    and z in mm, of the turn in rad, and of the scale.
+    chi_square: of what motion and scale leave, over degrees_of_freedom.
+    """
+
+    motion: Motion
+    scale: float
+    covariance: Floats
+    chi_square: float
+    degrees_of_freedom: int
+
+
+def closest_motion(before_mm: Floats, after_mm: Floats) -> Motion:
+    """The motion of least squared distance from before (N, 2) to after (N, 2), unweighted.
+
+    The turn in closed form: Kanatani, IEEE PAMI 16 (1994) 543, in two dimensions.
+    """
+    centre, reached = before_mm.mean(axis=0), after_mm.mean(axis=0)
+    (x, z), (to_x, to_z) = (before_mm - centre).T, (after_mm - reached).T
+    turn = np.arctan2(np.sum(x * to_z - z * to_x), np.sum(x * to_x + z * to_z))
+    return Motion(centre, reached - centre, float(turn))
+
+
+def likeness(
+    before_mm: Floats, after_mm: Floats, sigma_mm: Floats, modes_mm: Floats | None
+) -> Likeness:
+    """The generalised least-squares motion and scale from before to after, each (N, 2).
+
+    sigma_mm (N, 2), modes_mm (N, 2, M) or None: the uncertainty of ``after`` as in
+    PlanePoints.  The unweighted motion comes first; what is left is small, and linear.
+    """
+    start = closest_motion(before_mm, after_mm)
+    near = start.apply(before_mm)
+    modes = np.zeros((len(near), 2, 0)) if modes_mm is None else modes_mm
+    own = np.sqrt(np.maximum(sigma_mm**2 - (modes**2).sum(axis=2), LEAST_SIGMA_MM**2)).ravel()
+    lever = near - (start.centre_mm + start.shift_mm)
+    unknowns = np.zeros((len(near), 2, 4))
+    unknowns[:, 0, 0] = unknowns[:, 1, 1] = 1.0
+    unknowns[:, 0, 2], unknowns[:, 1, 2] = -lever[:, 1], lever[:, 0]
+    unknowns[:, :, 3] = lever
+    # The modes' strengths are unknown too, but known to be 0 with a sigma of 1.
+    count = modes.shape[2]
+    rows = np.concatenate([unknowns, modes], axis=2).reshape(-1, 4 + count) / own[:, None]
+    known = np.hstack([np.zeros((count, 4)), np.eye(count)])
+    square, triangle = np.linalg.qr(np.vstack([rows, known]))
+    left = np.concatenate([(after_mm - near).ravel() / own, np.zeros(count)])
+    explained = square.T @ left
+    rest = left - square @ explained
+    inverse = np.linalg.inv(triangle)
+    found = inverse[:4] @ explained
+    return Likeness(
+        motion=Motion(start.centre_mm, start.shift_mm + found[:2], start.turn_rad + found[2]),
+        scale=float(found[3]),
+        covariance=inverse[:4] @ inverse[:4].T,
+        chi_square=float(rest @ rest),
+        degrees_of_freedom=2 * len(near) - 4,
+    )

@@ -1,0 +1,89 @@
+"""What the commands on calibrations print."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from lscan.console import print_table
+
+if TYPE_CHECKING:
+    from lscan.planemap.calibration import Calibration
+    from lscan.planemap.check import Check
+
+
+def calibration_summary(path: Path, calibration: Calibration) -> dict[str, Any]:
+    """What ``lscan calibrate --json`` prints of the calibration saved at ``path``.
+
+    A calibration by ``auto`` also says which map was chosen, and the scores of all.
+    """
+    from dataclasses import asdict
+
+    from lscan.planemap.auto import Auto
+
+    grid, plane_map = calibration.reading.grid, calibration.plane_map
+    summary: dict[str, Any] = {
+        "calibration": str(path),
+        "map": calibration.name,
+        "control_points": {"expected": len(grid.found), "found": int(grid.found.sum())},
+        "residuals": {
+            "rms_mm": calibration.rms_mm,
+            "max_mm": calibration.max_mm,
+            "rms_px": calibration.rms_px,
+        },
+    }
+    if isinstance(plane_map, Auto):
+        summary["chosen"] = plane_map.chosen.name
+        summary["scores"] = [asdict(score) for score in plane_map.scores]
+    return summary
+
+
+def print_calibration(summary: dict[str, Any]) -> None:
+    """Print a calibration's summary, with the table of scores where there is one."""
+    if "scores" in summary:
+        _print_scores(summary["scores"])
+    points, residuals = summary["control_points"], summary["residuals"]
+    chosen = f" ({summary['chosen']})" if "chosen" in summary else ""
+    print(
+        f"{summary['map']}{chosen}: {points['found']} of {points['expected']} control points, "
+        f"residuals {residuals['rms_mm']:.3f} mm rms, {residuals['max_mm']:.3f} mm at most; "
+        f"{summary['calibration']}"
+    )
+
+
+def _print_scores(scores: list[dict[str, Any]]) -> None:
+    solved = [score for score in scores if score["refused"] is None]
+    rows = [
+        [
+            score["name"],
+            f"{score['rms_mm']:.4f}",
+            f"{score['max_mm']:.4f}",
+            score["points"],
+            score["without_value"],
+            f"{score['ms']:.0f}",
+        ]
+        for score in solved
+    ]
+    headings = ["map", "rms mm", "max mm", "marks", "without value", "ms"]
+    print_table("marks held out of the map", headings, rows)
+    for score in scores:
+        if score["refused"] is not None:
+            print(f"{score['name']}: refused, {score['refused']}")
+
+
+def print_check(check: Check) -> None:
+    """Print how a calibration did on a new board picture."""
+    (x, z), (x_sigma, z_sigma) = check.shift_mm, check.shift_sigma_mm
+    print(f"{check.marks} marks compared, {check.without_value} outside the calibration")
+    print(f"as they are: {check.raw_rms_mm:.3f} mm rms, {check.raw_max_mm:.3f} mm at most")
+    print(
+        f"board put back with a shift of {x:.3f} ± {x_sigma:.3f} mm in x, {z:.3f} ± "
+        f"{z_sigma:.3f} mm in z and a turn of {check.turn_deg:.4f} ± {check.turn_sigma_deg:.4f} deg"
+    )
+    print(f"without those: {check.rms_mm:.3f} mm rms, {check.max_mm:.3f} mm at most")
+    print(f"scale error {1e6 * check.scale_error:.0f} ± {1e6 * check.scale_sigma:.0f} ppm")
+    print(f"chi-square {check.chi_square:.0f} for {check.degrees_of_freedom} degrees of freedom")
+    rows = [[mark.name, *mark.residual_mm, f"{mark.ratio:.1f}"] for mark in check.worst]
+    print_table("farthest off", ["mark", "x mm", "z mm", "sigmas"], rows)
+    verdict = "agrees" if check.agrees else f"disagrees: {', '.join(check.reasons)}"
+    print(f"the calibration {verdict} (chance of a false alarm {100 * check.level:g} %)")
