@@ -118,7 +118,7 @@ def column_intensities(images: Sequence[Bytes], column: int) -> Exhibit:
 
 def _centre(extractor: str, red: Floats, column: int) -> float:
     """Centre of the line in one column by a paper's extractor, px; NaN where there is none."""
-    stripe: Stripe = find_plugin("lscan.extractors", extractor)(red, StripeSection())
+    stripe: Stripe = find_plugin("lscan.extractors", extractor)(red, StripeSection(), red >= 255)
     return float(stripe.centre_px[column])
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from importlib import import_module
 from typing import cast
@@ -10,10 +10,17 @@ from typing import cast
 import numpy as np
 
 from lscan.errors import InputError
-from lscan.records import Bytes, Floats, Mask, Status, Stripe, has_value
+from lscan.records import Bytes, Floats, Mask, Status, Stripe
 from lscan.rig import StripeSection, find_plugin
 from lscan.stripe.api import Extractor
+from lscan.stripe.correction import line_flux, take_back_blur
 from lscan.stripe.lines import lines_of
+from lscan.stripe.noise import difference_noise
+from lscan.stripe.peaks import clipped_near
+from lscan.stripe.returns import choose_return, withhold
+from lscan.stripe.smoothing import smooth
+
+CORE_PX = 2  # on either side of the centre: more would take in what walls beside a line throw back
 
 
 def extract_stripe(
@@ -22,50 +29,80 @@ def extract_stripe(
     """The laser line in ``image``: one entry per column, or per row with ``axis="rows"``.
 
     image: (H, W) grey or (H, W, 3) RGB uint8, in DN.
-    settings: channel, axis, extractor, threshold and span.
+    settings: channel, axis, extractor, threshold and span; which of several lines is meant
+        (``returns``); the camera's blur to be taken back and the smoothing along the line,
+        neither of which is done by default.
     background: the same view with the laser off, same shape; subtracted where given.
 
     The highest value of a column must exceed the column's median by more than
     ``threshold_dn``, after the subtraction; NO_PEAK otherwise.  AT_BORDER: the picture's
     edge cuts the window.  SATURATED: a pixel within ``span_px`` of the centre is clipped in
-    ``image`` itself (but not in ``background``); sigma_px grows with the clipped width.
+    ``image`` itself (but not in ``background``); sigma_px grows with the clipped width, unless
+    the extractor says SATURATED itself, having allowed for it.  AMBIGUOUS: the column holds
+    several lines, and nothing tells which is meant.
 
     Raises InputError for pictures of another shape or type and for an unknown extractor.
     """
     extractor = find_extractor(settings.extractor)
+    light = _light(image, settings, background)
+    chosen = choose_return(light.grey.T, light.settings, light.clipped.T)
+    stripe = _called(extractor, light.settings, chosen.image, chosen.clipped)
+    stripe = _mark_saturated(stripe, chosen.clipped.T, settings.span_px)
+    stripe = withhold(stripe, chosen.ambiguous)
+    stripe = take_back_blur(stripe, settings, chosen.image.T)
+    stripe = smooth(stripe, settings.smooth_px)
+    return replace(stripe, flux=line_flux(stripe, chosen.image.T, CORE_PX))
+
+
+@dataclass(frozen=True)
+class _Light:
+    """What the laser adds to the picture, one row for each entry of the stripe.
+
+    grey: (N, L) in DN.  clipped: (N, L) pixels at the end of the range by the laser's doing.
+    settings: with the noise, where stated, that ``grey`` has.
+    """
+
+    grey: Floats
+    clipped: Mask
+    settings: StripeSection
+
+
+def _light(image: Bytes, settings: StripeSection, background: Bytes | None) -> _Light:
+    """The picture's lines less those of the background, if there is one."""
     lit = lines_of(image, settings.channel, settings.axis, where="image")
-    grey, clipped = lit.grey.astype(float), lit.clipped
-    if background is not None:
-        if background.shape != image.shape:
-            raise InputError(
-                "is not of the picture's shape",
-                where="background",
-                value=background.shape,
-                allowed=str(image.shape),
-            )
-        dark = lines_of(background, settings.channel, settings.axis, where="background")
-        grey -= dark.grey
-        clipped &= ~dark.clipped
-    stripe = _called(extractor, settings, grey.T)
-    if len(stripe.centre_px) != len(grey):
+    grey: Floats = lit.grey.astype(np.float64)
+    if background is None:
+        return _Light(grey, lit.clipped, settings)
+    if background.shape != image.shape:
         raise InputError(
-            "gave a stripe of the wrong length",
-            where=f"extractor {settings.extractor}",
-            value=len(stripe.centre_px),
-            allowed=str(len(grey)),
+            "is not of the picture's shape",
+            where="background",
+            value=background.shape,
+            allowed=str(image.shape),
         )
-    return _mark_saturated(stripe, clipped, settings.span_px)
+    dark = lines_of(background, settings.channel, settings.axis, where="background")
+    if settings.noise is not None:
+        both = difference_noise(settings.noise, float(dark.grey.mean()))
+        settings = settings.model_copy(update={"noise": both})
+    return _Light(grey - dark.grey, lit.clipped & ~dark.clipped, settings)
 
 
-def _called(extractor: Extractor, settings: StripeSection, columns: Floats) -> Stripe:
+def _called(extractor: Extractor, settings: StripeSection, image: Floats, clipped: Mask) -> Stripe:
     """What the extractor says, with the axis set; InputError where it is no extractor."""
     where = f"extractor {settings.extractor}"
     try:
-        stripe = extractor(columns, settings)
+        stripe = extractor(image, settings, clipped)
     except TypeError as error:
         raise InputError(f"cannot be called as an extractor: {error}", where=where) from error
     if not isinstance(stripe, Stripe):
         raise InputError("gave no Stripe", where=where, value=type(stripe).__name__)
+    if len(stripe.centre_px) != image.shape[1]:
+        raise InputError(
+            "gave a stripe of the wrong length",
+            where=where,
+            value=len(stripe.centre_px),
+            allowed=str(image.shape[1]),
+        )
     return replace(stripe, axis=settings.axis)
 
 
@@ -99,12 +136,11 @@ def _mark_saturated(stripe: Stripe, clipped: Mask, span_px: int) -> Stripe:
 
     clipped: (N, L) pixels that the laser drove to the end of the camera's range.  Where
     several are, the crest lies somewhere between the first and the last: a uniform
-    distribution as wide as they are apart, the whole column considered.
+    distribution as wide as they are apart, the whole column considered.  An extractor that
+    gave an entry as SATURATED has allowed for that itself.
     """
-    valued = np.flatnonzero(has_value(stripe.status))
-    middle = np.rint(stripe.centre_px[valued]).astype(int)[:, None]
-    window = np.clip(middle + np.arange(-span_px, span_px + 1), 0, clipped.shape[1] - 1)
-    at = valued[clipped[valued[:, None], window].any(axis=1)]
+    at = clipped_near(stripe, clipped, span_px)
+    at = at[stripe.status[at] == Status.OK]
     status, sigma_px = stripe.status.copy(), stripe.sigma_px.copy()
     status[at] = Status.SATURATED
     sigma_px[at] = np.hypot(sigma_px[at], _extent(clipped[at]) / np.sqrt(12))

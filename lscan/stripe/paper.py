@@ -7,25 +7,27 @@ how far from the nominal peak they put the centre of the line:
 - ``maximum``: at the nominal peak itself;
 - ``centroid``: eq. (8) with the grey values as weights;
 - ``centroid_relative``: eq. (8) with the smallest grey value of the window subtracted first.
+
+None of them takes account of which pixels are clipped.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 
 import numpy as np
 
-from lscan.records import Floats, Ints, Status, Stripe
+from lscan.records import Floats, Mask, Status, Stripe
 from lscan.rig import StripeSection
 from lscan.stripe.noise import Noise, constant_variance, line_variance_per_dn
+from lscan.stripe.peaks import Peaks, nominal_peaks, windows_about
 
 Centring = Callable[[Floats], tuple[Floats, Floats]]
 """From windows (K, n) of grey values to the line's offset (K,) from the middle pixel, in px,
 and the derivative (K, n) of that offset by each grey value, in px/DN."""
 
 
-def maximum(image: Floats, settings: StripeSection) -> Stripe:
+def maximum(image: Floats, settings: StripeSection, clipped: Mask) -> Stripe:
     """The line at the brightest pixel of each column of ``image``, (H, W) grey values in DN.
 
     The first such pixel from the top where several are equal.  See :func:`_extract`.
@@ -33,7 +35,7 @@ def maximum(image: Floats, settings: StripeSection) -> Stripe:
     return _extract(image, settings, _no_offset)
 
 
-def centroid(image: Floats, settings: StripeSection) -> Stripe:
+def centroid(image: Floats, settings: StripeSection, clipped: Mask) -> Stripe:
     """The line at the centroid, eq. (8), of the grey values of ``image``, (H, W) in DN.
 
     A background within the window draws it to the nominal peak.  See :func:`_extract`.
@@ -41,26 +43,13 @@ def centroid(image: Floats, settings: StripeSection) -> Stripe:
     return _extract(image, settings, _centroid_offset)
 
 
-def centroid_relative(image: Floats, settings: StripeSection) -> Stripe:
+def centroid_relative(image: Floats, settings: StripeSection, clipped: Mask) -> Stripe:
     """The line at the centroid of the grey values above the smallest one in the window.
 
     image: (H, W) grey values in DN.  Eq. (8) with the relative intensities of Sec. V.B.
     See :func:`_extract`.
     """
     return _extract(image, settings, _relative_offset, guesses_background=True)
-
-
-@dataclass(frozen=True)
-class _Peaks:
-    """The columns that have a whole line in them: K of W.
-
-    columns: (K,) their indices.  rows: (K,) row of the nominal peak.
-    base: (K,) the column's background in DN, its median.
-    """
-
-    columns: Ints
-    rows: Ints
-    base: Floats
 
 
 def _extract(
@@ -78,11 +67,11 @@ def _extract(
     Fast where ``image.T`` is contiguous in memory.
     """
     columns = np.ascontiguousarray(image.T)
-    stripe, peaks = _nominal_peaks(columns, settings)
+    stripe, peaks = nominal_peaks(columns, settings)
     if len(peaks.columns) == 0:
         return stripe
     # One pixel wider than the window on either side, to try the neighbour as nominal peak.
-    wide = _windows(columns, peaks, settings.span_px + 1)
+    wide = windows_about(columns, peaks, settings.span_px + 1)
     window = wide[:, 1:-1]
     light = window - peaks.base[:, None]
     variance = _pixel_variance(columns, light, peaks)
@@ -101,35 +90,7 @@ def _extract(
     return stripe
 
 
-def _nominal_peaks(columns: Floats, settings: StripeSection) -> tuple[Stripe, _Peaks]:
-    """A stripe with peaks and statuses but no centres yet, and the columns that have a line.
-
-    columns: (W, H) grey values in DN, one column of the picture a row.
-    """
-    width, height = columns.shape
-    rows = columns.argmax(axis=1)  # the first of several equal ones
-    # Grey values of cameras are exact in single precision, where the median is faster.
-    middle = height // 2
-    base = np.partition(columns.astype(np.float32), middle, axis=1)[:, middle].astype(float)
-    peak = np.take_along_axis(columns, rows[:, None], axis=1)[:, 0] - base
-    border = (rows < settings.span_px) | (rows >= height - settings.span_px)
-    status = np.full(width, int(Status.OK), dtype=np.int64)
-    status[border] = Status.AT_BORDER
-    status[peak <= settings.threshold_dn] = Status.NO_PEAK
-    empty = np.full(width, np.nan)
-    stripe = Stripe("columns", empty, empty.copy(), peak, status)
-    found = np.flatnonzero(status == Status.OK)
-    return stripe, _Peaks(found, rows[found], base[found])
-
-
-def _windows(columns: Floats, peaks: _Peaks, reach: int) -> Floats:
-    """Grey values (K, 2·reach + 1) about each nominal peak; the edge pixel is repeated."""
-    rows = peaks.rows[:, None] + np.arange(-reach, reach + 1)
-    inside = np.clip(rows, 0, columns.shape[1] - 1)
-    return columns[peaks.columns[:, None], inside]
-
-
-def _pixel_variance(columns: Floats, light: Floats, peaks: _Peaks) -> Floats:
+def _pixel_variance(columns: Floats, light: Floats, peaks: Peaks) -> Floats:
     """Noise variance (K, n) in DN² of the window's pixels, whose light is (K, n) in DN."""
     constant = constant_variance(columns)
     noise = Noise(constant, line_variance_per_dn(light, peaks.columns, constant))

@@ -127,7 +127,7 @@ def test_grey_is_clipped_where_any_colour_is():
 # -- plug-ins -------------------------------------------------------------------------
 
 
-def middle_of_the_picture(image, settings):
+def middle_of_the_picture(image, settings, clipped):
     """A user's extractor: half way down, always."""
     height, width = image.shape
     centre = np.full(width, (height - 1) / 2)
@@ -135,8 +135,8 @@ def middle_of_the_picture(image, settings):
     return Stripe("columns", centre, np.full(width, 0.5), np.full(width, 100.0), status)
 
 
-def one_column_short(image, settings):
-    return middle_of_the_picture(image[:, 1:], settings)
+def one_column_short(image, settings, clipped):
+    return middle_of_the_picture(image[:, 1:], settings, clipped)
 
 
 def test_a_users_function_is_found_by_its_full_name():
@@ -156,7 +156,7 @@ def test_the_papers_extractors_are_registered():
 
 
 @pytest.mark.parametrize(
-    "name", ["steger", "no.such.module:f", "lscan.stripe.paper:no_such", "numpy:pi", ":f", "a:"]
+    "name", ["magic", "no.such.module:f", "lscan.stripe.paper:no_such", "numpy:pi", ":f", "a:"]
 )
 def test_an_unknown_extractor_is_refused_by_name(name):
     with pytest.raises(InputError, match="no such") as caught:

@@ -24,6 +24,14 @@ FRAMES = {
 }
 
 
+DEFAULT = StripeSection()
+
+
+def run(extract, image, section=DEFAULT):
+    """The extractor's stripe of a picture in which nothing is clipped."""
+    return extract(image, section, np.zeros(image.shape, dtype=bool))
+
+
 def gaussian_line(centre, width, amplitude=150.0, height=80):
     """(height, W) picture of a Gaussian line, each pixel the mean of the light upon it."""
     rows = np.arange(height)[:, None]
@@ -60,8 +68,8 @@ def pictures(seed, columns=8, height=80, ground=30):
 def test_equation_8_gives_the_printed_results_of_frames_1_and_2(frame, raw, relative):
     image = column_of(*FRAMES[frame])
     printed = 0.5e-4  # four decimals
-    assert paper.centroid(image, StripeSection()).centre_px[0] == pytest.approx(raw, abs=printed)
-    found = paper.centroid_relative(image, StripeSection()).centre_px[0]
+    assert run(paper.centroid, image).centre_px[0] == pytest.approx(raw, abs=printed)
+    found = run(paper.centroid_relative, image).centre_px[0]
     assert found == pytest.approx(relative, abs=printed)
 
 
@@ -70,8 +78,8 @@ def test_frame_3_follows_from_its_printed_pixels_not_from_its_printed_results():
     # give 252.1894 and 252.5498.  The arithmetic is what can be tested.
     first, values = FRAMES[3]
     least = min(values)
-    raw = paper.centroid(column_of(first, values), StripeSection()).centre_px[0]
-    relative = paper.centroid_relative(column_of(first, values), StripeSection()).centre_px[0]
+    raw = run(paper.centroid, column_of(first, values)).centre_px[0]
+    relative = run(paper.centroid_relative, column_of(first, values)).centre_px[0]
     assert raw == pytest.approx(equation_8(first, values), abs=ROUNDING)
     assert relative == pytest.approx(
         equation_8(first, [value - least for value in values]), abs=ROUNDING
@@ -81,7 +89,7 @@ def test_frame_3_follows_from_its_printed_pixels_not_from_its_printed_results():
 
 @pytest.mark.parametrize(("frame", "peak"), [(1, 253), (2, 253), (3, 252)])
 def test_nominal_peak_is_the_underlined_pixel(frame, peak):
-    stripe = paper.maximum(column_of(*FRAMES[frame]), StripeSection())
+    stripe = run(paper.maximum, column_of(*FRAMES[frame]))
     assert stripe.centre_px[0] == peak
     assert stripe.peak[0] == 255  # above a black ground
 
@@ -94,8 +102,8 @@ def test_nominal_peak_is_the_underlined_pixel(frame, peak):
 @given(seed=st.integers(0, 2**32 - 1), shift=st.integers(-15, 15))
 def test_a_shift_by_whole_pixels_shifts_the_line(extract, seed, shift):
     image = pictures(seed)
-    before = extract(image, StripeSection())
-    after = extract(np.roll(image, shift, axis=0), StripeSection())
+    before = run(extract, image)
+    after = run(extract, np.roll(image, shift, axis=0))
     assert np.array_equal(before.status, after.status)
     np.testing.assert_allclose(after.centre_px, before.centre_px + shift, atol=ROUNDING)
 
@@ -105,8 +113,8 @@ def test_a_shift_by_whole_pixels_shifts_the_line(extract, seed, shift):
 @given(seed=st.integers(0, 2**32 - 1), gain=st.floats(0.1, 5.0))
 def test_gain_does_not_move_the_line(extract, seed, gain):
     image = pictures(seed)
-    before = extract(image, StripeSection(threshold_dn=20))
-    after = extract(gain * image, StripeSection(threshold_dn=20 * gain))
+    before = run(extract, image, StripeSection(threshold_dn=20))
+    after = run(extract, gain * image, StripeSection(threshold_dn=20 * gain))
     np.testing.assert_allclose(after.centre_px, before.centre_px, atol=ROUNDING)
 
 
@@ -115,7 +123,7 @@ def test_gain_does_not_move_the_line(extract, seed, gain):
 @given(seed=st.integers(0, 2**32 - 1), offset=st.integers(-100, 100))
 def test_an_even_background_does_not_move_the_relative_line(extract, seed, offset):
     image = pictures(seed)
-    before, after = (extract(picture, StripeSection()) for picture in (image, image + offset))
+    before, after = (run(extract, picture) for picture in (image, image + offset))
     np.testing.assert_allclose(after.centre_px, before.centre_px, atol=ROUNDING)
     np.testing.assert_allclose(after.sigma_px, before.sigma_px, rtol=1e-6)
     np.testing.assert_allclose(after.peak, before.peak, atol=ROUNDING)
@@ -123,7 +131,7 @@ def test_an_even_background_does_not_move_the_relative_line(extract, seed, offse
 
 def test_an_even_background_draws_the_raw_centroid_to_the_nominal_peak():
     image = gaussian_line(40.4, 1.0)
-    bare, veiled = (paper.centroid(image + veil, StripeSection()) for veil in (0, 60))
+    bare, veiled = (run(paper.centroid, image + veil) for veil in (0, 60))
     assert 40 < veiled.centre_px[0] < bare.centre_px[0]
 
 
@@ -133,7 +141,7 @@ def test_an_even_background_draws_the_raw_centroid_to_the_nominal_peak():
 def test_upside_down_is_mirrored_where_the_maximum_is_single(extract, seed):
     image = pictures(seed)
     image = image + np.random.default_rng(seed).uniform(0, 0.5, image.shape)  # no two equal
-    upright, flipped = (extract(picture, StripeSection()) for picture in (image, image[::-1]))
+    upright, flipped = (run(extract, picture) for picture in (image, image[::-1]))
     np.testing.assert_allclose(flipped.centre_px, 79 - upright.centre_px, atol=ROUNDING)
     np.testing.assert_allclose(flipped.sigma_px, upright.sigma_px, rtol=1e-6)
 
@@ -142,13 +150,13 @@ def test_upside_down_is_mirrored_where_the_maximum_is_single(extract, seed):
 @given(first=st.integers(3, 60), equal=st.integers(2, 10))
 def test_of_equal_maxima_the_first_from_the_top_is_the_peak(first, equal):
     image = column_of(first, [200] * equal, height=80)
-    assert paper.maximum(image, StripeSection()).centre_px[0] == first
+    assert run(paper.maximum, image).centre_px[0] == first
 
 
 def test_two_equal_lines_give_the_upper_one():
     image = gaussian_line(20.0, 1.0) + gaussian_line(60.0, 1.0)
     for extract in ALL:
-        assert extract(image, StripeSection()).centre_px[0] == pytest.approx(20.0, abs=1e-6)
+        assert run(extract, image).centre_px[0] == pytest.approx(20.0, abs=1e-6)
 
 
 # -- error bound against the truth --------------------------------------------------------
@@ -190,7 +198,7 @@ def bias_bound(centre, width, span, relative):
 )
 def test_noise_free_error_is_within_the_truncation_bound(extract, centre, width, span):
     assume(abs(centre % 1 - 0.5) > 1e-6)  # the nominal peak is the nearest pixel
-    stripe = extract(gaussian_line(centre, width), StripeSection(span_px=span))
+    stripe = run(extract, gaussian_line(centre, width), StripeSection(span_px=span))
     bound = bias_bound(centre, width, span, extract is paper.centroid_relative)
     assert abs(stripe.centre_px[0] - centre) <= bound + ROUNDING
 
@@ -198,7 +206,7 @@ def test_noise_free_error_is_within_the_truncation_bound(extract, centre, width,
 @pytest.mark.parametrize("extract", CENTROIDS)
 def test_the_bias_vanishes_with_a_large_span(extract):
     centre = np.linspace(39.51, 40.49, 99)
-    stripe = extract(gaussian_line(centre, 1.5), StripeSection(span_px=15))
+    stripe = run(extract, gaussian_line(centre, 1.5), StripeSection(span_px=15))
     # At 10 widths the tails hold 1e-23; what remains is aliasing, exp(-44) / pi.
     np.testing.assert_allclose(stripe.centre_px, centre, atol=ROUNDING)
 
@@ -208,7 +216,7 @@ def test_the_bias_vanishes_with_a_large_span(extract):
 def test_a_shift_by_part_of_a_pixel_shifts_the_line_within_the_bounds(centre, shift, width):
     places = np.array([centre, centre + shift])
     assume((np.abs(places % 1 - 0.5) > 1e-6).all())
-    stripe = paper.centroid_relative(gaussian_line(places, width), StripeSection(span_px=3))
+    stripe = run(paper.centroid_relative, gaussian_line(places, width), StripeSection(span_px=3))
     bounds = bias_bound(places, width, 3, relative=True)
     moved = stripe.centre_px[1] - stripe.centre_px[0]
     assert abs(moved - shift) <= bounds.sum() + ROUNDING
@@ -217,7 +225,7 @@ def test_a_shift_by_part_of_a_pixel_shifts_the_line_within_the_bounds(centre, sh
 @settings(max_examples=40, deadline=None, derandomize=True)
 @given(centre=st.floats(30, 50), width=st.floats(0.5, 3.0))
 def test_the_brightest_pixel_is_within_half_a_pixel(centre, width):
-    stripe = paper.maximum(gaussian_line(centre, width), StripeSection())
+    stripe = run(paper.maximum, gaussian_line(centre, width))
     assert abs(stripe.centre_px[0] - centre) <= 0.5 + ROUNDING
 
 
@@ -231,7 +239,7 @@ def test_nothing_above_the_threshold_is_no_peak(extract, seed, threshold):
     rng = np.random.default_rng(seed)
     # No value can exceed the median by more than the range of all values.
     image = rng.integers(20, 20 + threshold + 1, (60, 9)).astype(float)
-    stripe = extract(image, StripeSection(threshold_dn=threshold))
+    stripe = run(extract, image, StripeSection(threshold_dn=threshold))
     assert (stripe.status == Status.NO_PEAK).all()
     assert np.isnan(stripe.centre_px).all()
     assert np.isnan(stripe.sigma_px).all()
@@ -241,7 +249,7 @@ def test_nothing_above_the_threshold_is_no_peak(extract, seed, threshold):
 def test_the_peak_must_exceed_the_columns_median_by_more_than_the_threshold(extract):
     image = np.full((20, 3), 25.0)
     image[10] = 25.0 + np.array([39, 40, 41])
-    stripe = extract(image, StripeSection(threshold_dn=40))
+    stripe = run(extract, image, StripeSection(threshold_dn=40))
     np.testing.assert_array_equal(stripe.status, [Status.NO_PEAK, Status.NO_PEAK, Status.OK])
     np.testing.assert_array_equal(stripe.peak, [39, 40, 41])
 
@@ -252,7 +260,7 @@ def test_a_window_cut_by_the_border_has_no_value(extract, span):
     height = 40
     image = np.zeros((height, height))
     np.fill_diagonal(image, 200.0)  # column i has its peak in row i
-    stripe = extract(image, StripeSection(span_px=span))
+    stripe = run(extract, image, StripeSection(span_px=span))
     fits = (np.arange(height) >= span) & (np.arange(height) < height - span)
     assert (stripe.status[fits] == Status.OK).all()
     assert (stripe.status[~fits] == Status.AT_BORDER).all()
@@ -266,7 +274,7 @@ def test_any_picture_gives_values_exactly_where_the_status_says_so(extract, seed
     rng = np.random.default_rng(seed)
     shape = tuple(rng.integers(1, 50, 2))
     image = rng.integers(-200, 256, shape).astype(float)  # a background may have been taken off
-    stripe = extract(image, StripeSection(span_px=span))
+    stripe = run(extract, image, StripeSection(span_px=span))
     valued = has_value(stripe.status)
     assert np.array_equal(np.isfinite(stripe.centre_px), valued)
     assert np.array_equal(np.isfinite(stripe.sigma_px), valued)

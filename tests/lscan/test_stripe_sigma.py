@@ -12,6 +12,14 @@ from lscan.stripe import noise, paper
 HEIGHT, WIDTH = 480, 640
 
 
+DEFAULT = StripeSection()
+
+
+def run(extract, image, section=DEFAULT):
+    """The extractor's stripe of a picture in which nothing is clipped."""
+    return extract(image, section, np.zeros(image.shape, dtype=bool))
+
+
 def gaussian_picture(rng, line_width, amplitude):
     """A slightly sloping line at a random place: centres (W,) and noise-free picture."""
     centre = 240 + rng.uniform(-1, 1) + np.linspace(0, 9, WIDTH)
@@ -27,7 +35,7 @@ def pulls(extract, section, line_width, add_noise, pictures, seed):
     result = []
     for _ in range(pictures):
         centre, light = gaussian_picture(rng, line_width, amplitude=150.0)
-        stripe = extract(add_noise(rng, light), section)
+        stripe = run(extract, add_noise(rng, light), section)
         result.append((stripe.centre_px - centre) / stripe.sigma_px)
     pull = np.concatenate(result)
     assert np.isfinite(pull).all()
@@ -84,7 +92,7 @@ def test_noise_is_carried_through_the_derivative_of_the_centre(extract, values):
         high, low = column.copy(), column.copy()
         high[row] += step
         low[row] -= step
-        ends = [extract(picture, StripeSection()).centre_px[0] for picture in (high, low)]
+        ends = [run(extract, picture).centre_px[0] for picture in (high, low)]
         derivative.append((ends[0] - ends[1]) / (2 * step))
     noise_only = noise.ROUNDING_VARIANCE * np.square(derivative).sum()
     window = column[8:13].T
@@ -96,13 +104,13 @@ def test_noise_is_carried_through_the_derivative_of_the_centre(extract, values):
     # Central differences of a ratio of sums near 500 DN err by about (1e-4 / 500)² and by
     # rounding, 1e-14 / 1e-4.
     np.testing.assert_allclose(slope[0], derivative, atol=1e-9)
-    assert extract(column, StripeSection()).sigma_px[0] ** 2 >= noise_only * (1 - 1e-6)
+    assert run(extract, column).sigma_px[0] ** 2 >= noise_only * (1 - 1e-6)
 
 
 def test_sigma_of_the_brightest_pixel_is_that_of_rounding():
     rng = np.random.default_rng(3)
     _, light = gaussian_picture(rng, 0.8, 150.0)
-    stripe = paper.maximum(light, StripeSection())
+    stripe = run(paper.maximum, light)
     # A pixel is 1 px wide; two equally bright ones (within the rounding of grey values) are 2.
     doubtful = stripe.sigma_px > 1.5 / np.sqrt(12)
     np.testing.assert_allclose(stripe.sigma_px[~doubtful], 1 / np.sqrt(12), rtol=1e-12)

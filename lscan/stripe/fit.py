@@ -1,0 +1,172 @@
+"""Maximum likelihood of Gaussian lines under the sensor's noise, many columns at once.
+
+The noise of a pixel depends on its light (noise.py), so each step of Fisher's scoring weighs
+the pixels by the variance that the line fitted so far gives them.  A clipped pixel enters
+with the probability of what it says: the light was at least this (a censored observation,
+Tobin 1958).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import cast
+
+import numpy as np
+from scipy.special import log_ndtr
+
+from lscan.records import Floats, Ints, Mask
+from lscan.stripe.model import Lines, lines
+from lscan.stripe.noise import Noise
+
+_MOST_STEPS = 20
+_SETTLED = 1e-4
+"""A line is at rest where the step, squared, in units of the uncertainty is below this."""
+
+_LONGEST_STEP = np.array([1.0, 0.35, 0.7, np.inf, np.inf])
+"""Farthest a parameter may go in one step: beyond, the model is nothing like its tangent."""
+
+_LEAST = np.array([-np.inf, np.log(0.25), np.log(1e-3), -np.inf, -np.inf])
+_MOST = np.array([np.inf, np.log(40.0), np.log(1e6), np.inf, np.inf])
+"""Widths in px and heights in DN that a line can have; no picture tells more from less."""
+
+
+@dataclass(frozen=True)
+class View:
+    """The pixels about the peak of K columns, in windows of n pixels.
+
+    steps: (n,) place in px from the middle pixel.  grey: (K, n) in DN.
+    base: (K,) background of the whole column in DN.
+    used: (K, n) pixels that count: of the line and its near ground, and in the picture.
+    clipped: (K, n) pixels that may have seen any amount of light from ``grey`` upwards.
+    """
+
+    steps: Floats
+    grey: Floats
+    base: Floats
+    used: Mask
+    clipped: Mask
+
+    def of(self, chosen: Ints) -> View:
+        """The columns ``chosen`` alone."""
+        return View(
+            self.steps,
+            self.grey[chosen],
+            self.base[chosen],
+            self.used[chosen],
+            self.clipped[chosen],
+        )
+
+
+@dataclass(frozen=True)
+class Prior:
+    """What is known beforehand: (K, 5) expected parameters and 1/variance, 0 for nothing."""
+
+    mean: Floats
+    precision: Floats
+
+    def of(self, chosen: Ints) -> Prior:
+        """The columns ``chosen`` alone."""
+        return Prior(self.mean[chosen], self.precision[chosen])
+
+
+@dataclass(frozen=True)
+class Fit:
+    """K fitted lines.
+
+    parameters: (K, 5) as in model.py.  covariance: (K, 5, 5) of them.
+    settled: (K,) whether the search came to rest.
+    light: (K, n) the line at each pixel in DN.
+    square: (K, n) squared residual in DN² over what the fit leaves of its expectation.
+    seen: (K, n) the pixels whose residual means something: used and not clipped.
+    misfit: (K,) mean of square over its variance, 1 where the noise explains all.
+    """
+
+    parameters: Floats
+    covariance: Floats
+    settled: Mask
+    light: Floats
+    square: Floats
+    seen: Mask
+    misfit: Floats
+
+
+def fit_lines(view: View, start: Floats, noise: Noise, prior: Prior) -> Fit:
+    """The most probable lines in ``view``, searched from the parameters ``start`` (K, 5)."""
+    parameters = np.clip(start, _LEAST, _MOST)
+    settled = np.zeros(len(start), dtype=bool)
+    moving = np.arange(len(start))
+    part, known = view, prior
+    for _ in range(_MOST_STEPS):
+        information, score, _ = _normal_equations(part, parameters[moving], noise, known)
+        step = np.linalg.solve(information, score[..., None])[..., 0]
+        done = (step * score).sum(axis=1) < _SETTLED
+        step = np.clip(step, -_LONGEST_STEP, _LONGEST_STEP)
+        parameters[moving] = np.clip(parameters[moving] + step, _LEAST, _MOST)
+        settled[moving[done]] = True
+        if done.any():
+            moving = moving[~done]
+            part, known = view.of(moving), prior.of(moving)
+        if len(moving) == 0:
+            break
+    return _judged(view, parameters, settled, noise, prior)
+
+
+@dataclass(frozen=True)
+class _Weighted:
+    """Lines, the variance (K, n) of their pixels and the weight (K, n) that each has."""
+
+    model: Lines
+    variance: Floats
+    weight: Floats
+
+
+def _normal_equations(
+    view: View, parameters: Floats, noise: Noise, prior: Prior
+) -> tuple[Floats, Floats, _Weighted]:
+    """Fisher's information (K, 5, 5), the score (K, 5), and what they were made of."""
+    model = lines(parameters, view.steps)
+    variance = noise.variance(model.light, model.ground - view.base[:, None])
+    residual = view.grey - model.light - model.ground
+    weight = view.used / variance
+    pull = weight * residual
+    if view.clipped.any():
+        weight, pull = _censored(view, residual, variance, weight, pull)
+    information = (model.slopes * weight[:, None]) @ model.slopes.transpose(0, 2, 1)
+    diagonal = np.arange(parameters.shape[1])
+    information[:, diagonal, diagonal] += prior.precision
+    score = (model.slopes @ pull[..., None])[..., 0]
+    score += prior.precision * (prior.mean - parameters)
+    return information, score, _Weighted(model, variance, weight)
+
+
+def _censored(
+    view: View, residual: Floats, variance: Floats, weight: Floats, pull: Floats
+) -> tuple[Floats, Floats]:
+    """Weight and pull (K, n) with those of the clipped pixels put in.
+
+    Of ln Phi(z), z = (mu - limit) / sigma, the derivative by mu is lambda / sigma with
+    lambda = phi(z) / Phi(z), and minus the second is lambda (lambda + z) / sigma².  The limit
+    is half a grey value below the clipped one: what was rounded to it.
+    """
+    at = np.nonzero(view.clipped & view.used)
+    sigma = np.sqrt(variance[at])
+    z = (0.5 - residual[at]) / sigma
+    rate = np.exp(-0.5 * z**2 - 0.5 * np.log(2 * np.pi) - log_ndtr(z))
+    weight[at] = np.maximum(rate * (rate + z), 0.0) / sigma**2
+    pull[at] = rate / sigma
+    return weight, pull
+
+
+def _judged(view: View, parameters: Floats, settled: Mask, noise: Noise, prior: Prior) -> Fit:
+    """The fit at ``parameters`` with its covariance and how well it explains the pixels."""
+    information, _, end = _normal_equations(view, parameters, noise, prior)
+    covariance = cast(Floats, np.linalg.inv(information))
+    along = covariance @ end.model.slopes
+    leverage = end.weight * (end.model.slopes * along).sum(axis=1)
+    # A pixel that the fit follows nearly everywhere says little of the noise.
+    seen = view.used & ~view.clipped & (leverage < 0.9)
+    residual = view.grey - end.model.light - end.model.ground
+    square = residual**2 / np.where(seen, 1 - leverage, 1.0)
+    ratio = np.where(seen, square / end.variance, 0.0)
+    misfit = ratio.sum(axis=1) / np.maximum(seen.sum(axis=1), 1)
+    return Fit(parameters, covariance, settled, end.model.light, square, seen, misfit)

@@ -1,0 +1,67 @@
+"""The line as a pixel sees it: a Gaussian averaged over the pixel, on a sloping ground.
+
+    mu(x) = A · 1/1px · integral from x - 1/2 to x + 1/2 of exp(-(y - c)²/(2 s²)) dy + b + t x
+
+The parameters stand in an array (K, 5), one line a row: centre c in px from the middle pixel
+of the window, ln of the width s in px, ln of the height A in DN, ground b in DN, its slope t
+in DN/px.  The logarithms keep width and height positive however a fit wanders.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.special import ndtr
+
+from lscan.records import Floats
+
+CENTRE, LN_WIDTH, LN_HEIGHT, GROUND, TILT = range(5)
+_ROOT_TWO_PI = np.sqrt(2 * np.pi)
+
+
+@dataclass(frozen=True)
+class Lines:
+    """K lines as n pixels see them, and how that changes with the parameters.
+
+    light: (K, n) the line itself in DN.  ground: (K, n) what lies under it, in DN.
+    slopes: (K, 5, n) derivative of their sum by each parameter.
+    """
+
+    light: Floats
+    ground: Floats
+    slopes: Floats
+
+
+def lines(parameters: Floats, steps: Floats) -> Lines:
+    """The lines of ``parameters`` (K, 5) at the pixels ``steps`` (n,), px from the middle one.
+
+    The steps must be consecutive pixels.
+    """
+    centre, width, height = _columns(parameters)
+    ground = parameters[:, [GROUND]] + parameters[:, [TILT]] * steps
+    edges = np.append(steps - 0.5, steps[-1] + 0.5)
+    distance = (edges - centre) / width
+    density = np.exp(-0.5 * distance**2)
+    unit = width * _ROOT_TWO_PI * np.diff(ndtr(distance), axis=1)
+    light = height * unit
+    slopes = np.empty((len(parameters), 5, len(steps)))
+    slopes[:, CENTRE] = -height * np.diff(density, axis=1)
+    slopes[:, LN_WIDTH] = light - height * width * np.diff(distance * density, axis=1)
+    slopes[:, LN_HEIGHT] = light
+    slopes[:, GROUND] = 1.0
+    slopes[:, TILT] = steps
+    return Lines(light, ground, slopes)
+
+
+def parameters_of(
+    centre: Floats, width: Floats, height: Floats, ground: Floats, tilt: Floats
+) -> Floats:
+    """The parameters (K, 5) of lines given by five arrays (K,), see the module's text."""
+    return np.column_stack([centre, np.log(width), np.log(height), ground, tilt])
+
+
+def _columns(parameters: Floats) -> tuple[Floats, Floats, Floats]:
+    """Centre, width and height as columns (K, 1)."""
+    centre = parameters[:, [CENTRE]]
+    return centre, np.exp(parameters[:, [LN_WIDTH]]), np.exp(parameters[:, [LN_HEIGHT]])

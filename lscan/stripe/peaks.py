@@ -1,0 +1,70 @@
+"""Which columns of a picture have a line in them, and at which pixel it peaks."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lscan.records import Floats, Ints, Mask, Status, Stripe, has_value
+from lscan.rig import StripeSection
+
+_Pixel = TypeVar("_Pixel", bound=np.generic)
+
+
+@dataclass(frozen=True)
+class Peaks:
+    """The columns that have a whole line in them: K of W.
+
+    columns: (K,) their indices.  rows: (K,) row of the nominal peak.
+    base: (K,) the column's background in DN, its median.
+    """
+
+    columns: Ints
+    rows: Ints
+    base: Floats
+
+
+def nominal_peaks(columns: Floats, settings: StripeSection) -> tuple[Stripe, Peaks]:
+    """A stripe with peaks and statuses but no centres yet, and the columns that have a line.
+
+    columns: (W, H) grey values in DN, one column of the picture a row.
+
+    A column has a line where its highest value, the first maximum from the top, exceeds its
+    median by more than ``threshold_dn``: NO_PEAK otherwise, AT_BORDER where ``span_px`` to
+    either side do not fit the picture.
+    """
+    width, height = columns.shape
+    rows = columns.argmax(axis=1)  # the first of several equal ones
+    # Grey values of cameras are exact in single precision, where the median is faster.
+    middle = height // 2
+    base = np.partition(columns.astype(np.float32), middle, axis=1)[:, middle].astype(float)
+    peak = np.take_along_axis(columns, rows[:, None], axis=1)[:, 0] - base
+    border = (rows < settings.span_px) | (rows >= height - settings.span_px)
+    status = np.full(width, int(Status.OK), dtype=np.int64)
+    status[border] = Status.AT_BORDER
+    status[peak <= settings.threshold_dn] = Status.NO_PEAK
+    empty = np.full(width, np.nan)
+    stripe = Stripe("columns", empty, empty.copy(), peak, status)
+    found = np.flatnonzero(status == Status.OK)
+    return stripe, Peaks(found, rows[found], base[found])
+
+
+def windows_about(columns: NDArray[_Pixel], peaks: Peaks, reach: int) -> NDArray[_Pixel]:
+    """Pixels (K, 2·reach + 1) about each peak of ``columns`` (W, H); the edge one is repeated."""
+    rows = peaks.rows[:, None] + np.arange(-reach, reach + 1)
+    inside = np.clip(rows, 0, columns.shape[1] - 1)
+    return columns[peaks.columns[:, None], inside]
+
+
+def clipped_near(stripe: Stripe, clipped: Mask, span_px: int) -> Ints:
+    """Indices of the stripe's entries that have a clipped pixel within ``span_px`` of the centre.
+
+    clipped: (N, L), the pixels along the line's normal of each of the stripe's N entries.
+    """
+    valued = np.flatnonzero(has_value(stripe.status))
+    middle = np.rint(stripe.centre_px[valued]).astype(int)[:, None]
+    window = np.clip(middle + np.arange(-span_px, span_px + 1), 0, clipped.shape[1] - 1)
+    return valued[clipped[valued[:, None], window].any(axis=1)]

@@ -1,0 +1,41 @@
+"""How wide the laser line is in a picture."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from lscan.records import Floats, Ints
+
+_REACH_PX = 30
+_FWHM = 2 * np.sqrt(2 * np.log(2))
+_NARROWEST_PX = 0.5  # a line that falls into one pixel shows half a pixel's width
+
+
+def line_width(columns: Floats, at: Ints) -> float:
+    """Standard deviation in px, along the columns, of a Gaussian as wide as the line.
+
+    columns: (W, H) grey values in DN, one column of the picture a row.  at: the columns that
+    have a line, K of W, of which at least one.
+
+    The columns are laid over each other with their brightest pixels together; the width is
+    that of their mean profile at half its height above its lowest value, over 2.355.  A
+    clipped crest widens it, as a bright line's is to be.  Never below 0.5 px.
+    """
+    reach = min(_REACH_PX, columns.shape[1] - 1)
+    crest = columns[at].argmax(axis=1)
+    rows = np.clip(crest[:, None] + np.arange(-reach, reach + 1), 0, columns.shape[1] - 1)
+    profile = columns[at[:, None], rows].mean(axis=0)
+    profile = profile - profile.min()
+    half = profile[reach] / 2
+    fwhm = _half_width(profile[reach:], half) + _half_width(profile[reach::-1], half)
+    return max(fwhm / _FWHM, _NARROWEST_PX)
+
+
+def _half_width(flank: Floats, half: float) -> float:
+    """Distance in px from the crest, flank[0], to where the flank first falls to ``half``."""
+    below = np.flatnonzero(flank <= half)
+    if len(below) == 0 or below[0] == 0:
+        return float(len(flank) - 1) if len(below) == 0 else 0.0
+    outer = int(below[0])
+    inner = outer - 1
+    return inner + float((flank[inner] - half) / (flank[inner] - flank[outer]))
