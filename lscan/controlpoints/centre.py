@@ -14,6 +14,7 @@ scatter = noise / amplitude * exp(q) / (sqrt(2 pi) 2 q), q = r^2 / (2 sigma^2), 
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -23,7 +24,11 @@ from lscan.records import Floats, Ints, Mask
 
 SMALLEST_SIGMA_PX = 0.9  # a narrower Gaussian is not sampled well enough by whole pixels
 REACH = 4.0  # of sigma: the weights beyond are below 0.04 %
-STEPS = 6  # Newton's steps; from half a pixel away four reach 1e-6 px
+RIDGE = 5.0  # ratio of the curvatures beyond which a mark is a ridge
+WIDER = 1.6
+MOST_MOVED = 0.1  # of the window's sigma: perspective and neighbours move a dot by half of that
+MOST_MOVED_SIGMAS = 6.0
+STEPS = 6  # Newton's steps
 
 
 @dataclass(frozen=True)
@@ -57,31 +62,82 @@ def disc_height(radius_px: Floats, blur_px: float = 0.0) -> Floats:
     return 1 - np.exp(-(radius**2) / (2 * variance))
 
 
-def fit_centres(flat: NDArray[np.floating], start: Floats, sigma: Floats, noise: float) -> Centres:
+def fit_centres(
+    flat: NDArray[np.floating],
+    start: Floats,
+    sigma: Floats,
+    noise: NDArray[np.floating],
+    steps: int = STEPS,
+) -> Centres:
     """Maxima near ``start`` of second-order polynomials fitted to the picture.
 
     flat: (H, W) grey values, marks bright on a ground of 0; beyond its edge it counts as 0.
     start: (N, 2) of (u, v) px, the brightest pixels.  sigma: (N,) px, from ``window_sigma``.
-    noise: standard deviation of a grey value, assumed independent from pixel to pixel.
+    noise: (H, W) standard deviation of each grey value, independent from pixel to pixel.
+    steps: of Newton's method; the search is content with fewer.
     """
+    return _stationary(flat, start, sigma, noise, _inverse_of_peak, steps)
+
+
+def fit_saddles(
+    flat: NDArray[np.floating], start: Floats, sigma: Floats, noise: NDArray[np.floating]
+) -> Centres:
+    """Saddles near ``start`` of the same polynomials: the corners of a chessboard.
+
+    Two dark and two bright squares that meet are the same seen from their corner but for the
+    sign, so it is where the gradient vanishes under a Gaussian of any size and any blur.
+    Arguments and answer are those of :func:`fit_centres`; ``round`` says that it is a saddle,
+    no more than five times as steep one way as the other.
+    """
+    return _stationary(flat, start, sigma, noise, _inverse_of_saddle, STEPS)
+
+
+def stand_alone(
+    flat: NDArray[np.floating], centres: Centres, sigma: Floats, noise: NDArray[np.floating]
+) -> Mask:
+    """(N,) mask of the marks whose centre stays where it is in a window 1.6 times as wide.
+
+    Dirt beside a mark, or a smear that joins it to another, draws the wider window further.
+    flat, noise: as for fit_centres, which found ``centres`` with the windows ``sigma``.
+    """
+    wider = fit_centres(flat, centres.points, WIDER * sigma, noise)
+    moved = np.linalg.norm(wider.points - centres.points, axis=1)
+    own = np.hypot(wider.sigma_px, centres.sigma_px)
+    return wider.round & (moved <= MOST_MOVED * sigma + MOST_MOVED_SIGMAS * own)
+
+
+Inverse = Callable[[Floats], tuple[Floats, Mask]]
+
+
+def _stationary(
+    flat: NDArray[np.floating],
+    start: Floats,
+    sigma: Floats,
+    noise: NDArray[np.floating],
+    inverse_of: Inverse,
+    steps: int,
+) -> Centres:
+    """Where the polynomials' gradient vanishes, by Newton's steps with ``inverse_of`` Hessians."""
     if len(start) == 0:
         return Centres(np.empty((0, 2)), np.empty(0), np.empty(0), np.empty(0, bool))
     base = np.rint(start).astype(np.int64)
     reach = int(np.ceil(REACH * sigma.max())) + 1
     values = _windows(flat, base, reach)
     offset = np.zeros((len(base), 2))
-    for _ in range(STEPS):
+    for _ in range(steps):
         gradient, hessian, _ = _polynomial(values, offset, sigma, reach)
-        inverse, peaked = _inverse(hessian)
+        inverse, _ = inverse_of(hessian)
         step = -np.einsum("nij,nj->ni", inverse, gradient)
         length = np.linalg.norm(step, axis=1, keepdims=True)
         step *= np.minimum(1, sigma[:, None] / np.maximum(length, 1e-12))
         offset = np.clip(offset + step, -reach, reach)
     _, hessian, height = _polynomial(values, offset, sigma, reach)
-    inverse, peaked = _inverse(hessian)
+    inverse, wanted = inverse_of(hessian)
+    variance = _windows(noise, base, reach) ** 2
+    scatter = _scatter(inverse, variance, offset, sigma, reach)
     near = np.linalg.norm(offset, axis=1) <= np.maximum(1.5, sigma)
     settled = np.linalg.norm(step, axis=1) < 0.01
-    return Centres(base + offset, height, _scatter(inverse, sigma, noise), peaked & near & settled)
+    return Centres(base + offset, height, scatter, wanted & near & settled)
 
 
 def _windows(flat: NDArray[np.floating], base: Ints, reach: int) -> Floats:
@@ -90,7 +146,10 @@ def _windows(flat: NDArray[np.floating], base: Ints, reach: int) -> Floats:
     u, v = base[:, :1] + span, base[:, 1:] + span
     inside = ((v >= 0) & (v < height))[:, :, None] & ((u >= 0) & (u < width))[:, None, :]
     rows, columns = np.clip(v, 0, height - 1), np.clip(u, 0, width - 1)
-    return np.where(inside, flat[rows[:, :, None], columns[:, None, :]], 0.0).astype(np.float64)
+    values = flat[rows[:, :, None], columns[:, None, :]].astype(np.float64)
+    if not inside.all():
+        values[~inside] = 0.0
+    return values
 
 
 def _polynomial(
@@ -103,7 +162,10 @@ def _polynomial(
     span = np.arange(-reach, reach + 1)
     distance = (span - offset[:, :, None]) / sigma[:, None, None]  # (N, 2, window)
     weight = np.exp(-(distance**2) / 2)
-    powers = weight[:, None] * distance[:, None] ** np.arange(5)[:, None, None]  # (N, 5, 2, window)
+    powers = np.empty((len(values), 5, *weight.shape[1:]))  # (N, 5, 2, window)
+    powers[:, 0] = weight
+    for power in range(1, 5):
+        powers[:, power] = powers[:, power - 1] * distance
     moment = powers.sum(axis=3)
     in_u, in_v = powers[:, :3, 0], powers[:, :3, 1]
     right = in_v @ values @ in_u.transpose(0, 2, 1)  # (N, power of v, power of u)
@@ -115,27 +177,47 @@ def _polynomial(
     return gradient, hessian / sigma[:, None, None] ** 2, a
 
 
-def _inverse(hessian: Floats) -> tuple[Floats, Mask]:
+def _inverse_of_peak(hessian: Floats) -> tuple[Floats, Mask]:
     """Inverse of each Hessian, and which have a maximum no more than five times as long as wide.
 
     Where there is no maximum the inverse is 0: no step is taken.
     """
-    trace = hessian[:, 0, 0] + hessian[:, 1, 1]
-    determinant = hessian[:, 0, 0] * hessian[:, 1, 1] - hessian[:, 0, 1] ** 2
-    ridge = 5.0  # ratio of the curvatures; trace^2 / determinant = (ratio + 1)^2 / ratio
-    peaked = (trace < 0) & (determinant > trace**2 * ridge / (ridge + 1) ** 2)
-    safe = np.where(peaked, determinant, 1.0)
-    adjugate = np.stack(
-        [hessian[:, 1, 1], -hessian[:, 0, 1], -hessian[:, 1, 0], hessian[:, 0, 0]], axis=1
-    ).reshape(-1, 2, 2)
-    return np.where(peaked[:, None, None], adjugate / safe[:, None, None], 0.0), peaked
+    trace, determinant = np.trace(hessian, axis1=1, axis2=2), np.linalg.det(hessian)
+    # The ratio r of the curvatures gives trace^2 / determinant = (r + 1)^2 / r.
+    peaked = (trace < 0) & (determinant > trace**2 * RIDGE / (RIDGE + 1) ** 2)
+    return _inverse(hessian, peaked), peaked
 
 
-def _scatter(inverse: Floats, sigma: Floats, noise: float) -> Floats:
-    """(N,) standard uncertainty of a coordinate, px, mean of u and v.
+def _inverse_of_saddle(hessian: Floats) -> tuple[Floats, Mask]:
+    """The same for saddles, whose curvatures differ in sign and at most five times in size."""
+    trace, determinant = np.trace(hessian, axis1=1, axis2=2), np.linalg.det(hessian)
+    saddle = -determinant > trace**2 * RIDGE / (RIDGE - 1) ** 2
+    return _inverse(hessian, saddle), saddle
 
-    White noise n gives the Gaussian derivative the variance n^2 / (8 pi sigma^4); the inverse
-    Hessian turns a gradient into a shift.
+
+def _inverse(hessian: Floats, usable: Mask) -> Floats:
+    safe = np.where(usable[:, None, None], hessian, np.eye(2))
+    return np.where(usable[:, None, None], np.linalg.inv(safe), 0.0)
+
+
+def _scatter(
+    inverse: Floats, variance: Floats, offset: Floats, sigma: Floats, reach: int
+) -> Floats:
+    """(N,) standard uncertainty of a coordinate, px, root mean square of u and v.
+
+    The gradient is the sum of w d f over that of w d^2, w the weights, d the distances and f
+    the grey values, of ``variance`` each (N, window, window); the inverse Hessian turns its
+    covariance into that of the maximum.
     """
-    gradient = noise / (np.sqrt(8 * np.pi) * sigma**2)
-    return gradient * np.sqrt((inverse**2).sum(axis=(1, 2)) / 2)
+    span = np.arange(-reach, reach + 1)
+    distance = span - offset[:, :, None]  # (N, 2, window)
+    weight = np.exp(-((distance / sigma[:, None, None]) ** 2) / 2)
+    square = np.stack([weight**2 * distance**power for power in range(3)], axis=1)
+    moment = square[:, :, 1] @ variance @ square[:, :, 0].transpose(0, 2, 1)  # by powers v, u
+    covariance = np.stack(
+        [moment[:, 0, 2], moment[:, 1, 1], moment[:, 1, 1], moment[:, 2, 0]], axis=1
+    ).reshape(-1, 2, 2)
+    total = weight.sum(axis=2).prod(axis=1) * sigma**2
+    solved = inverse @ covariance @ inverse.transpose(0, 2, 1) / total[:, None, None] ** 2
+    both: Floats = np.trace(solved, axis1=1, axis2=2) / 2
+    return np.sqrt(np.maximum(both, 0.0))

@@ -8,16 +8,16 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from lscan.board import Dot, Ruler
-from lscan.controlpoints.centre import disc_height, window_sigma
+from lscan.controlpoints.centre import disc_height, stand_alone, window_sigma
 from lscan.controlpoints.lattice import LocalMap, grid_points_mm
+from lscan.controlpoints.perspective import BLUR_PX, shift_of_discs
 from lscan.controlpoints.picture import Picture
 from lscan.controlpoints.search import Nodes, look
-from lscan.records import Floats, Ints, Marks, Mask, RulerReading, Status
+from lscan.records import Floats, Ints, Mark, Marks, Mask, RulerReading, Status
 
 BOX = 0.3  # half side of the search box, of the distance to the next mark
 WIDEST_BOX_PX = 4.0  # the grid predicts a mark to some tenths of a pixel
 FAINTEST = 0.4  # of the height a mark of this size should have
-BLUR_PX = 0.7  # typical of a sharp picture: lens and pixel
 
 
 @dataclass(frozen=True)
@@ -59,12 +59,12 @@ def read_ruler(
     return RulerReading(ruler.direction, ruler.at_mm, marks)
 
 
-def read_dot(picture: Picture, mapping: LocalMap, contrast: Contrast, dot: Dot) -> Floats:
-    """(2,) of (u, v) px of a named dot (Fig. 18), NaN where it is not found."""
+def read_dot(picture: Picture, mapping: LocalMap, contrast: Contrast, dot: Dot) -> Mark:
+    """A named dot (Fig. 18)."""
     place = np.array([[dot.x_mm, dot.z_mm]])
     clear = 3 * dot.diameter_mm  # nothing else should be nearer than that
     marks = _read_marks(picture, mapping, contrast, place, dot.diameter_mm, clear)
-    return marks.image_px[0]
+    return Mark(marks.image_px[0], float(marks.sigma_px[0]), Status(int(marks.status[0])))
 
 
 def _read_marks(
@@ -76,17 +76,22 @@ def _read_marks(
     clear_mm: float,
 ) -> Marks:
     """Round marks of one size at known places (N, 2) mm, ``clear_mm`` apart from others."""
-    expected, scale = mapping(board_mm), mapping.scale(board_mm)
+    map_there = mapping.expanded(board_mm)
+    expected, scale = map_there.image_px, map_there.scale
     radius = scale * diameter_mm / 2
     in_view = picture.wholly_in_view(expected, radius)
     box = np.clip(BOX * clear_mm * scale, 1.0, WIDEST_BOX_PX)
-    centres = look(picture, expected, box, window_sigma(radius))
+    sigma = window_sigma(radius)
+    shift = shift_of_discs(map_there, diameter_mm / 2, sigma)
+    centres = look(picture, expected + shift, box, sigma)
     full = contrast.at(board_mm) * disc_height(radius, BLUR_PX)
-    miss = np.abs(centres.points - expected).max(axis=1)
+    points = centres.points - shift
+    miss = np.abs(points - expected).max(axis=1)
     found = in_view & centres.round & (centres.height > FAINTEST * full) & (miss <= box + 0.5)
+    found &= stand_alone(picture.flat, centres, sigma, picture.noise)
     return Marks(
         board_mm=board_mm,
-        image_px=np.where(found[:, None], centres.points, np.nan),
+        image_px=np.where(found[:, None], points, np.nan),
         sigma_px=np.where(found, centres.sigma_px, np.nan),
         status=mark_status(found, in_view),
     )

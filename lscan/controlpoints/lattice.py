@@ -14,9 +14,27 @@ from lscan.errors import BoardNotFound
 from lscan.records import Floats, Mask
 
 NEAREST = 20  # control points that carry a local polynomial of six coefficients
-STRAY = 0.02  # of the pitch: smallest miss that can make a dot a stray
+STRAY = 0.01  # of the pitch: smallest miss that can make a dot a stray
 STRAY_SIGMAS = 8.0
 RIM_EVIDENCE = 2  # nodes that must be seen to be empty beyond the rim of the board
+
+
+@dataclass(frozen=True)
+class Expansion:
+    """The local map about M places of the board.
+
+    image_px: (M, 2) of (u, v).  jacobian: (M, 2, 2) its derivative by (x, z), px per mm.
+    bend: (M, 2, 2, 2) second derivatives of u and v, by (x, z), by (x, z), px per mm².
+    """
+
+    image_px: Floats
+    jacobian: Floats
+    bend: Floats
+
+    @property
+    def scale(self) -> Floats:
+        """(M,) px per mm, geometric mean over the directions."""
+        return np.sqrt(np.abs(np.linalg.det(self.jacobian)))
 
 
 @dataclass(frozen=True)
@@ -34,29 +52,34 @@ class LocalMap:
 
     def __call__(self, board_mm: Floats) -> Floats:
         """(M, 2) px of the places (M, 2) mm in the plane frame."""
-        return self._fit(board_mm, skip=0)[0]
-
-    def jacobian(self, board_mm: Floats) -> Floats:
-        """(M, 2, 2) derivative of (u, v) with respect to (x, z), px per mm."""
-        return self._fit(board_mm, skip=0)[1]
+        return self.expanded(board_mm).image_px
 
     def scale(self, board_mm: Floats) -> Floats:
         """(M,) px per mm, geometric mean over the directions."""
-        return np.sqrt(np.abs(np.linalg.det(self.jacobian(board_mm))))
+        return self.expanded(board_mm).scale
+
+    def expanded(self, board_mm: Floats) -> Expansion:
+        """The map about the places (M, 2) mm to second order."""
+        return self._fit(board_mm, skip=0)
 
     def misfit(self) -> Floats:
         """(N,) px between each control point and what the others around it say."""
-        return np.linalg.norm(self._fit(self.board_mm, skip=1)[0] - self.image_px, axis=1)
+        return np.linalg.norm(self._fit(self.board_mm, skip=1).image_px - self.image_px, axis=1)
 
-    def _fit(self, board_mm: Floats, skip: int) -> tuple[Floats, Floats]:
+    def _fit(self, board_mm: Floats, skip: int) -> Expansion:
+        """The polynomials of the nearest control points, but for the ``skip`` nearest."""
         count = min(NEAREST + skip, len(self.board_mm))
         nearest = cKDTree(self.board_mm).query(board_mm, k=count)[1]
         index = np.asarray(nearest)[:, skip:]
         x, z = np.moveaxis((self.board_mm[index] - board_mm[:, None]) / self.pitch_mm, -1, 0)
         design = np.stack([np.ones_like(x), x, z, x * x, x * z, z * z], axis=-1)
         # pinv: on a narrow board the nearest points may leave a coefficient free; it is then 0.
-        solved = np.linalg.pinv(design, rcond=1e-9) @ self.image_px[index]  # (M, 6, 2)
-        return solved[:, 0], solved[:, 1:3].transpose(0, 2, 1) / self.pitch_mm
+        normal = np.linalg.pinv(design.transpose(0, 2, 1) @ design, rcond=1e-9, hermitian=True)
+        solved = normal @ (design.transpose(0, 2, 1) @ self.image_px[index])  # (M, 6, 2)
+        xx, xz, zz = 2 * solved[:, 3], solved[:, 4], 2 * solved[:, 5]
+        bend = np.stack([xx, xz, xz, zz], axis=-1).reshape(-1, 2, 2, 2)
+        slope = solved[:, 1:3].transpose(0, 2, 1)
+        return Expansion(solved[:, 0], slope / self.pitch_mm, bend / self.pitch_mm**2)
 
 
 def dot_part(grid: Grid) -> float:
@@ -97,17 +120,19 @@ def completed(nodes: Nodes, pitch_mm: float) -> Floats:
 def drop_strays(nodes: Nodes, pitch_mm: float) -> None:
     """Take out the dots that do not lie where those around them say.
 
-    Stray is what misses by more than eight robust sigmas and a fiftieth of the pitch.  Fewer
-    than nine dots cannot say.
+    Stray is what misses by more than eight robust sigmas and a hundredth of the pitch.  A
+    stray spoils what is expected of those around it, so the worst go first and the others are
+    judged again without them.  Fewer than nine dots cannot say.
     """
-    if nodes.found.sum() < 9:
-        return
-    misfit = local_map(nodes.points, pitch_mm).misfit()
-    pitch_px = float(np.nanmedian(local_pitch(nodes.points)))
-    limit = max(STRAY_SIGMAS * 1.4826 * float(np.median(misfit)), STRAY * pitch_px)
-    stray = np.zeros_like(nodes.found)
-    stray[nodes.found] = misfit > limit
-    nodes.drop(stray)
+    while nodes.found.sum() >= 9:
+        pitch_px = float(np.nanmedian(local_pitch(nodes.points)))
+        misfit = local_map(nodes.points, pitch_mm).misfit()
+        limit = max(STRAY_SIGMAS * 1.4826 * float(np.median(misfit)), STRAY * pitch_px)
+        if misfit.max() <= limit:
+            return
+        stray = np.zeros_like(nodes.found)
+        stray[nodes.found] = misfit > max(limit, misfit.max() / 2)
+        nodes.drop(stray)
 
 
 def place_on_board(picture: Picture, nodes: Nodes, grid: Grid, radius_px: float) -> Nodes:

@@ -42,10 +42,10 @@ def draw_overlay(image: NDArray[Any], reading: BoardReading) -> Bytes:
             _stroke(canvas, point, (2.0, 0.0), RULER)
             _stroke(canvas, point, (0.0, 2.0), RULER)
     for dot in reading.dots.values():
-        for point in _known(dot.reshape(1, 2)):
+        for point in _known(dot.image_px[None]):
             _circle(canvas, point, 4.0, DOT)
     for ring in reading.rings.values():
-        for point in _known(ring):
+        for point in _known(ring.image_px):
             _circle(canvas, point, 0.7, RING)
     return canvas
 

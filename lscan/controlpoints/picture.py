@@ -25,22 +25,31 @@ class Picture:
     """A picture ready for measuring.
 
     flat: (H, W) grey values, marks bright (for dark marks it is the paper's negative), with
-        the ground subtracted so that the plate is about 0 everywhere.
+        the ground subtracted so that the plate is about 0 everywhere.  Dark marks are brought
+        to one contrast by the light on the plate about them.
     smooth: (H, W) ``flat`` smoothed to the size of the control dots; its brightest pixel is
         the middle of a dot even where a single pixel of noise is brighter.
     smooth_sigma_px: Gaussian sigma of that smoothing.
-    noise: standard deviation of the grey values, same unit as ``flat``.
+    gain: (H, W) by which that has multiplied the grey values.
+    noise: (H, W) standard deviation of each value of ``flat``.
     """
 
     flat: Image
     smooth: Image
     smooth_sigma_px: float
-    noise: float
+    gain: Image
+    noise: Image
 
     @property
     def size(self) -> tuple[int, int]:
         """(width, height) in px."""
         return self.flat.shape[1], self.flat.shape[0]
+
+    def noise_at(self, points: Floats) -> Floats:
+        """(N,) noise of the pixels nearest to the places (N, 2) px."""
+        last = np.array(self.size) - 1
+        column, row = np.clip(np.rint(points), 0, last).astype(np.int64).T
+        return self.noise[row, column].astype(float)
 
     def wholly_in_view(self, points: Floats, radius_px: Floats | float) -> Mask:
         """(...) mask of the discs about ``points`` (..., 2) px that the picture does not cut."""
@@ -97,8 +106,12 @@ def noise_of(bright: Image) -> float:
     """
     mask = np.array([[1, -2, 1], [-2, 4, -2], [1, -2, 1]], dtype=np.float32)
     response = cv2.filter2D(bright, cv2.CV_32F, mask)[1:-1, 1:-1]
-    rounding = 1 / np.sqrt(12) * max(float(np.ptp(bright)), 1e-6) / 255
-    return max(float(np.median(np.abs(response))) / 0.6745 / 6, rounding)
+    return max(float(np.median(np.abs(response))) / 0.6745 / 6, rounding_of(bright))
+
+
+def rounding_of(bright: Image) -> float:
+    """Standard deviation that rounding to 1/255 of the picture's range gives a grey value."""
+    return max(float(np.ptp(bright)), 1e-6) / 255 / float(np.sqrt(12))
 
 
 def prepare(bright: Image, dot_radius_px: float) -> Picture:
@@ -110,12 +123,26 @@ def prepare(bright: Image, dot_radius_px: float) -> Picture:
     completed with zeros.
     """
     ground = _ground(bright, dot_radius_px)
-    flat: Image = bright - ground
+    gain = _gain(ground)
+    flat: Image = (bright - ground) * gain
     sigma = float(window_sigma(np.array([dot_radius_px]))[0])
     smooth = np.asarray(
         cv2.GaussianBlur(flat, (0, 0), sigma, borderType=cv2.BORDER_CONSTANT), dtype=np.float32
     )
-    return Picture(flat, smooth, sigma, noise_of(bright))
+    return Picture(flat, smooth, sigma, gain, gain * np.float32(noise_of(bright)))
+
+
+def _gain(ground: Image) -> Image:
+    """What brings the plate to its median brightness, within a factor of four; 1 if it is dark.
+
+    The contrast of dark marks is that of the light on the plate: where it falls to one side it
+    draws the marks' maxima to the other, by a quarter of the radius squared times its relative
+    slope.  A dark plate's grey value says nothing of the light.
+    """
+    usual = float(np.median(ground))
+    if usual >= 0:
+        return np.ones_like(ground)
+    return np.clip(usual / np.minimum(ground, usual / 4), 0.25, 4.0).astype(np.float32)
 
 
 def _ground(bright: Image, dot_radius_px: float) -> Image:

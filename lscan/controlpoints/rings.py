@@ -3,65 +3,121 @@
 The paper picks them by hand in an enlarged picture.  Here the predicted line is crossed by
 radial profiles, and each profile's maximum is that of a second-order polynomial, weighted by
 a Gaussian about itself, as for the dots (centre.py), in one dimension.
+
+Blur draws the ridge of a curved line inwards: a line of curvature k blurred by a Gaussian of
+variance B falls off as exp(-d² / 2B) / sqrt(1 + k d) with the distance d outwards, whose
+maximum lies at d = -k B / 2.  (From the blurred thin ring, exp(-(r² + R²) / 2B) I0(r R / B),
+for R² much larger than B.)  B is read off the profiles themselves and the shift taken back.
+The window works across the line only and along its bend, so it shifts nothing.
 """
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
-from scipy.ndimage import map_coordinates
+from scipy.ndimage import map_coordinates, spline_filter
 
 from lscan.board import Ring
 from lscan.controlpoints.centre import window_sigma
-from lscan.controlpoints.features import BLUR_PX, FAINTEST, Contrast
+from lscan.controlpoints.features import FAINTEST, Contrast
 from lscan.controlpoints.lattice import LocalMap
+from lscan.controlpoints.perspective import BLUR_PX
 from lscan.controlpoints.picture import Picture
-from lscan.records import Floats, Mask
+from lscan.records import Floats, Mask, RingPoints
 
-PROFILES = 72
+BREADTH_PX = np.array([-1.0, 0.0, 1.0])  # places along the line averaged into one profile
+SPACING_PX = float(len(BREADTH_PX))  # between profiles: no pixel counts twice
+FEWEST = 12  # profiles of a small ring
 REACH_PX = 4.0  # of a profile to either side
 SAMPLE_PX = 0.5
-BREADTH_PX = np.array([-1.0, 0.0, 1.0])  # places along the line averaged into one profile
 NOISE_LIMIT = 5.0
 STEPS = 8
 
 
-def read_ring(picture: Picture, mapping: LocalMap, contrast: Contrast, ring: Ring) -> Floats:
-    """(K, 2) of (u, v) px on the ring's centre line, counter-clockwise from its right.
+@dataclass(frozen=True)
+class Crossings:
+    """Where the line is expected, N places.
 
-    Only points that are seen: K is at most 72, and 0 where the ring is out of view.
+    middle: (N, 2) px.  normal: (N, 2) unit vectors across the line, outwards.  scale: (N,) px
+    per mm across it.  curvature: (N,) of the line in the picture, 1 / px, positive where it
+    bends inwards.
+    """
+
+    middle: Floats
+    normal: Floats
+    scale: Floats
+    curvature: Floats
+
+
+@dataclass(frozen=True)
+class Ridges:
+    """Second-order polynomials h + s d + b d² about the maxima of N profiles.
+
+    centre: (N,) px from the line expected.  height, bend: h and b there.  sigma_px: (N,)
+    standard uncertainty of centre.  peaked: (N,) mask: there is a maximum inside the profile.
+    """
+
+    centre: Floats
+    height: Floats
+    bend: Floats
+    sigma_px: Floats
+    peaked: Mask
+
+
+def read_ring(picture: Picture, mapping: LocalMap, contrast: Contrast, ring: Ring) -> RingPoints:
+    """Points on the ring's centre line, counter-clockwise from its right.
+
+    One for about every third pixel of the line, so that their errors are independent.  Only
+    points that are seen: none where the ring is out of view.
     """
     middle_mm = np.array([[ring.x_mm, ring.z_mm]])
     radius_px = float(mapping.scale(middle_mm)[0]) * ring.diameter_mm / 2
-    angle = 2 * np.pi * np.arange(PROFILES) / PROFILES
+    count = max(FEWEST, int(2 * np.pi * radius_px / SPACING_PX))
+    angle = 2 * np.pi * np.arange(count) / count
     # Averaged along the arc: along the tangent the line's sagitta would shrink the ring.
     fine = (angle[:, None] + BREADTH_PX / radius_px).ravel()
     outward_mm = np.column_stack([np.cos(fine), np.sin(fine)])
     board = middle_mm + outward_mm * ring.diameter_mm / 2
-    middle, normal, scale = _crossings(mapping, board, outward_mm)
+    crossings = _crossings(mapping, board, outward_mm, ring.diameter_mm / 2)
     offsets = _offsets(radius_px)
-    profile = _averaged(_profiles(picture, middle, normal, offsets))
-    board, middle, normal, scale = (array[1::3] for array in (board, middle, normal, scale))
-    sigma = float(window_sigma(np.array([ring.width_mm * np.median(scale) / 2]))[0])
-    centre, height, peaked = _maxima(profile, offsets, sigma)
-    seen = picture.wholly_in_view(middle, REACH_PX) & peaked
-    seen &= height > FAINTEST * contrast.at(board) * _line_height(ring.width_mm * scale, sigma)
-    seen &= height > NOISE_LIMIT * picture.noise / np.sqrt(len(BREADTH_PX))
-    seen &= _alike(centre, seen)
-    return (middle + centre[:, None] * normal)[seen]
+    profile, noise = _profiles(picture, crossings, offsets)
+    board, outward_mm = board[1::3], outward_mm[1::3]
+    crossings = _crossings(mapping, board, outward_mm, ring.diameter_mm / 2)
+    sigma = float(window_sigma(np.array([ring.width_mm * np.median(crossings.scale) / 2]))[0])
+    ridges = _ridges(profile, noise, offsets, sigma)
+    width_px = ring.width_mm * crossings.scale
+    full = contrast.at(board) * _line_height(width_px, sigma)
+    seen = picture.wholly_in_view(crossings.middle, REACH_PX) & ridges.peaked
+    seen &= ridges.height > np.maximum(
+        FAINTEST * full, NOISE_LIMIT * noise.mean(axis=1) / np.sqrt(SPACING_PX)
+    )
+    seen &= _alike(ridges.centre, seen)
+    blur_px2 = _blur(ridges, seen, sigma, width_px)
+    outwards = ridges.centre + crossings.curvature * blur_px2 / 2
+    points = crossings.middle + outwards[:, None] * crossings.normal
+    return RingPoints(points[seen], ridges.sigma_px[seen])
 
 
 def _crossings(
-    mapping: LocalMap, board_mm: Floats, outward_mm: Floats
-) -> tuple[Floats, Floats, Floats]:
-    """Place (N, 2) px, outward unit normal (N, 2) and px per mm across the line (N,)."""
-    jacobian = mapping.jacobian(board_mm)
+    mapping: LocalMap, board_mm: Floats, outward_mm: Floats, radius_mm: float
+) -> Crossings:
+    """The line through the places (N, 2) mm, as the local map draws it.
+
+    The curvature is that of the ellipse that the map's first derivatives make of the circle.
+    """
+    map_there = mapping.expanded(board_mm)
+    jacobian = map_there.jacobian
     along_mm = np.column_stack([-outward_mm[:, 1], outward_mm[:, 0]])
     along = np.einsum("nij,nj->ni", jacobian, along_mm)
     outward = np.einsum("nij,nj->ni", jacobian, outward_mm)
-    normal = np.column_stack([along[:, 1], -along[:, 0]])
-    normal /= np.linalg.norm(normal, axis=1, keepdims=True)
+    length = np.linalg.norm(along, axis=1)
+    normal = np.column_stack([along[:, 1], -along[:, 0]]) / length[:, None]
     across = (outward * normal).sum(axis=1)
-    return mapping(board_mm), normal * np.sign(across)[:, None], np.abs(across)
+    curvature = np.abs(across) / (radius_mm * length**2)
+    return Crossings(
+        map_there.image_px, normal * np.sign(across)[:, None], np.abs(across), curvature
+    )
 
 
 def _offsets(radius_px: float) -> Floats:
@@ -69,11 +125,20 @@ def _offsets(radius_px: float) -> Floats:
     return np.linspace(-count * SAMPLE_PX, count * SAMPLE_PX, 2 * count + 1)
 
 
-def _profiles(picture: Picture, middle: Floats, normal: Floats, offsets: Floats) -> Floats:
-    """(N, M) grey values along the normals."""
-    points = middle[:, None] + offsets[:, None] * normal[:, None]
-    grey = map_coordinates(picture.flat, [points[..., 1], points[..., 0]], order=3, cval=0.0)
-    return grey.astype(np.float64)
+def _profiles(picture: Picture, crossings: Crossings, offsets: Floats) -> tuple[Floats, Floats]:
+    """Grey values and noise of a pixel (N, M) along the normals, those of one place averaged."""
+    points = crossings.middle[:, None] + offsets[:, None] * crossings.normal[:, None]
+    low = np.maximum(np.floor(points.min(axis=(0, 1))).astype(int) - 12, 0)
+    high = np.maximum(np.ceil(points.max(axis=(0, 1))).astype(int) + 13, low + 1)
+    part = np.s_[low[1] : high[1], low[0] : high[0]]
+    if picture.flat[part].size == 0:
+        empty = np.zeros(points.shape[:2])
+        return _averaged(empty), _averaged(empty)
+    places = [points[..., 1] - low[1], points[..., 0] - low[0]]
+    spline = spline_filter(picture.flat[part].astype(np.float64))
+    grey = map_coordinates(spline, places, order=3, prefilter=False, cval=0.0)
+    noise = map_coordinates(picture.noise[part].astype(np.float64), places, order=1, mode="nearest")
+    return _averaged(grey), _averaged(noise)
 
 
 def _averaged(profiles: Floats) -> Floats:
@@ -83,8 +148,8 @@ def _averaged(profiles: Floats) -> Floats:
     return mean
 
 
-def _maxima(profile: Floats, offsets: Floats, sigma: float) -> tuple[Floats, Floats, Mask]:
-    """Offset (N,), height (N,) and whether there is a maximum, of each profile (N, M)."""
+def _ridges(profile: Floats, noise: Floats, offsets: Floats, sigma: float) -> Ridges:
+    """The maxima of the profiles (N, M), whose pixels have the noise (N, M)."""
     centre = offsets[profile.argmax(axis=1)]
     for _ in range(STEPS):
         distance = offsets - centre[:, None]
@@ -97,7 +162,28 @@ def _maxima(profile: Floats, offsets: Floats, sigma: float) -> tuple[Floats, Flo
         step = np.where(peaked, -slope / np.where(peaked, 2 * bend, -1.0), 0.0)
         centre = np.clip(centre + np.clip(step, -sigma, sigma), offsets[0], offsets[-1])
     inside = np.abs(centre) < offsets[-1] - SAMPLE_PX
-    return centre, height, peaked & inside & (np.abs(step) < 0.01)
+    sound = peaked & inside & (np.abs(step) < 0.01)
+    # The samples are finer than the pixels: noise n on an area a has the density n² a, so the
+    # slope, sum of w d f over that of w d², has the variance below.
+    product = weight * distance
+    spread = (product**2 * noise**2).sum(axis=1) * SAMPLE_PX / SPACING_PX
+    slope_variance = spread / ((product * distance).sum(axis=1) * SAMPLE_PX) ** 2
+    scatter = np.sqrt(slope_variance) / np.where(peaked, -2 * bend, 1.0)
+    return Ridges(centre, height, bend, scatter, sound)
+
+
+def _blur(ridges: Ridges, seen: Mask, sigma: float, width_px: Floats) -> float:
+    """Variance of the picture's blur across the line, px², of all profiles together.
+
+    With Gaussian weights of variance W the fit gives the smoothed line's height h + b W and
+    second derivative 2 b; their ratio is minus the variance of the smoothed line, T + W, and
+    T is that of the blur and of the line's width w, w² / 12.
+    """
+    if not seen.any():
+        return 0.0
+    height = (ridges.height + ridges.bend * sigma**2)[seen].mean()
+    total = -height / (2 * ridges.bend[seen].mean()) - sigma**2
+    return max(float(total - (width_px[seen] ** 2).mean() / 12), 0.0)
 
 
 def _line_height(width_px: Floats, sigma: float) -> Floats:

@@ -19,6 +19,7 @@ BOX = 0.22  # half side of the search box, of the pitch: keeps out what lies bet
 SEED_BOX = 0.34  # the same for seeds given by hand, which are rough
 FAINTEST = 0.5  # of the height of the dots beside it
 NOISE_LIMIT = 6.0  # sigmas above the ground
+SEARCH_STEPS = 4  # of Newton's: 1e-6 px from half a pixel away
 NEXT = ((0, 1), (0, -1), (1, 0), (-1, 0))
 
 
@@ -54,6 +55,13 @@ class Nodes:
     def part(self, window: tuple[slice, slice]) -> Nodes:
         """The same nodes, seen through a window: what is entered there is entered here."""
         return Nodes(self.points[window], self.height[window], self.sigma_px[window])
+
+    def turned(self, turns: int) -> Nodes:
+        """The same dots on the grid turned by quarter turns."""
+        points, height, sigma_px = (
+            np.rot90(array, turns).copy() for array in (self.points, self.height, self.sigma_px)
+        )
+        return Nodes(points, height, sigma_px)
 
     def extent(self) -> tuple[slice, slice]:
         """From the first to the last row and column that hold a dot."""
@@ -118,9 +126,10 @@ def look(picture: Picture, expected: Floats, half_box: Floats, sigma: Floats) ->
     A mark no higher than the noise is not round.
     """
     start = _brightest(picture, expected, half_box)
-    centres = fit_centres(picture.flat, start, sigma, picture.noise)
+    centres = fit_centres(picture.flat, start, sigma, picture.noise, SEARCH_STEPS)
     # White noise smoothed by a Gaussian: n / (2 sqrt(pi) sigma).
-    visible = centres.height > NOISE_LIMIT * picture.noise / (2 * np.sqrt(np.pi) * sigma)
+    noise = picture.noise_at(start)
+    visible = centres.height > NOISE_LIMIT * noise / (2 * np.sqrt(np.pi) * sigma)
     return Centres(centres.points, centres.height, centres.sigma_px, centres.round & visible)
 
 

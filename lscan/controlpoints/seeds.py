@@ -21,7 +21,7 @@ from lscan.records import Floats, Mask
 SMALLEST_RADIUS_PX = 1.2
 SIZE_STEP = 1.26  # between sizes tried: a third of an octave
 PITCH_RANGE = (0.6, 1.6)  # of the pitch expected from the dot's size: blur and foreshortening
-LEAN = 0.5  # tangent of the most a row or column may lean: 26 degrees
+LEAN = 0.5  # tangent of the most a row may lean against a column's square: 26 degrees
 UNEVEN = 0.15  # of the pitch: most by which opposite neighbours may miss being opposite
 NEIGHBOURS = 24
 PROPOSALS = 3
@@ -82,6 +82,8 @@ def _crosses(points: Floats, strength: Floats, pitch: float) -> Crosses:
     missing: Mask = np.equal(index, len(points))
     away = points[np.where(missing, 0, index)] - points[:, None]  # (N, count, 2)
     usable = ~missing & (distance >= low)
+    turn = _turn_to_upright(away, usable)
+    away = away @ turn
     right = _nearest(away, usable & (np.abs(away[..., 1]) < LEAN * away[..., 0]))
     left = _nearest(away, usable & (np.abs(away[..., 1]) < -LEAN * away[..., 0]))
     beneath = _nearest(away, usable & (np.abs(away[..., 0]) < LEAN * away[..., 1]))
@@ -90,8 +92,19 @@ def _crosses(points: Floats, strength: Floats, pitch: float) -> Crosses:
     misses = np.stack([right + left, beneath + above])
     uneven = np.sqrt((misses**2).sum(axis=2)) / scale
     good: Mask = np.all(uneven < UNEVEN, axis=0)  # False where a neighbour is missing (NaN)
+    back = turn.transpose(0, 2, 1)
+    beneath, right = ((step[:, None] @ back)[:, 0] for step in (beneath, right))
     seeds = np.stack([points, points + beneath, points + right], axis=1)
     return Crosses(seeds[good], uneven.sum(axis=0)[good], strength[good])
+
+
+def _turn_to_upright(away: Floats, usable: Mask) -> Floats:
+    """(N, 2, 2) rotations, by 45 degrees at most, that bring the nearest neighbour to an axis."""
+    nearest = _nearest(away, usable)
+    angle = np.arctan2(nearest[:, 1], nearest[:, 0])
+    lean = np.nan_to_num(angle - np.rint(angle / (np.pi / 2)) * (np.pi / 2))
+    cos, sin = np.cos(lean), np.sin(lean)
+    return np.stack([cos, -sin, sin, cos], axis=1).reshape(-1, 2, 2)
 
 
 def _nearest(away: Floats, wanted: Mask) -> Floats:

@@ -16,16 +16,18 @@ class Circle:
 
     centre_mm: (2,).  radius_mm.  covariance: (3, 3) of centre and radius, mm².
     rms_mm: scatter of the points about it, for the degrees of freedom left.
+    radius_by_point: (K, 2) derivative of the radius by each point's (x, z).
     """
 
     centre_mm: Floats
     radius_mm: float
     covariance: Floats
     rms_mm: float
+    radius_by_point: Floats
 
     @property
     def diameter_sigma_mm(self) -> float:
-        """Standard uncertainty of the diameter, mm."""
+        """Standard uncertainty of the diameter, mm, where the points err independently."""
         return 2 * float(np.sqrt(self.covariance[2, 2]))
 
 
@@ -42,8 +44,25 @@ def fit_circle(points_mm: Floats, sigma_mm: Floats) -> Circle:
     if len(points_mm) < 4:
         raise MeasurementError(f"circle: {len(points_mm)} points, 4 are needed")
     root = 1 / np.maximum(sigma_mm, 1e-6)
-    parameters: Floats = _algebraic(points_mm)
+    parameters = _closest(points_mm, root, _algebraic(points_mm))
     residual, jacobian = _distances(points_mm, parameters)
+    weighted = jacobian * root[:, None]
+    inverse = np.linalg.inv(weighted.T @ weighted).astype(float)
+    freedom = max(len(points_mm) - 3, 1)
+    scatter = float(np.sum((residual * root) ** 2)) / freedom
+    by_distance = -(inverse @ weighted.T)[2] * root  # of the radius, by each residual
+    return Circle(
+        centre_mm=parameters[:2],
+        radius_mm=float(parameters[2]),
+        covariance=inverse * max(1.0, scatter),
+        rms_mm=float(np.sqrt(np.sum(residual**2) / freedom)),
+        radius_by_point=-by_distance[:, None] * jacobian[:, :2],
+    )
+
+
+def _closest(points: Floats, root: Floats, parameters: Floats) -> Floats:
+    """(3,) centre and radius of least squares, from the start ``parameters``."""
+    residual, jacobian = _distances(points, parameters)
     damping = 1e-3
     for _ in range(100):
         weighted = jacobian * root[:, None]
@@ -51,7 +70,7 @@ def fit_circle(points_mm: Floats, sigma_mm: Floats) -> Circle:
         gradient = weighted.T @ (residual * root)
         damped = normal + damping * np.diag(np.diag(normal))
         step = np.linalg.solve(damped, -gradient).astype(float)
-        trial = _distances(points_mm, parameters + step)
+        trial = _distances(points, parameters + step)
         if np.sum((trial[0] * root) ** 2) <= np.sum((residual * root) ** 2):
             parameters, (residual, jacobian) = parameters + step, trial
             damping /= 10
@@ -59,12 +78,7 @@ def fit_circle(points_mm: Floats, sigma_mm: Floats) -> Circle:
             damping *= 10
         if np.abs(step).max() < 1e-10 * parameters[2]:
             break
-    weighted = jacobian * root[:, None]
-    freedom = max(len(points_mm) - 3, 1)
-    scatter = float(np.sum((residual * root) ** 2)) / freedom
-    covariance = np.linalg.inv(weighted.T @ weighted).astype(float) * max(1.0, scatter)
-    rms = float(np.sqrt(np.sum(residual**2) / freedom))
-    return Circle(parameters[:2], float(parameters[2]), covariance, rms)
+    return parameters
 
 
 def _algebraic(points: Floats) -> Floats:

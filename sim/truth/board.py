@@ -9,7 +9,16 @@ import numpy as np
 
 from lscan.board import Board, Ring
 from lscan.errors import InputError
-from lscan.records import BoardReading, Floats, Ints, Marks, RulerReading, Status
+from lscan.records import (
+    BoardReading,
+    Floats,
+    Ints,
+    Mark,
+    Marks,
+    RingPoints,
+    RulerReading,
+    Status,
+)
 from sim.scene import Scene, head_pose, target_pose
 from sim.truth.projection import project
 from sim.truth.section import surfaces_of
@@ -31,7 +40,7 @@ class BoardTruth:
         the two differ by the perspective's bias.  A ring's points count as dots as wide as its
     line.
     A mark is OUT_OF_VIEW where its centre lies outside the picture, OCCLUDED where something
-    stands before it; a point without status (dots, rings) is NaN then.
+    stands before it; a ring's points, which have no status, are NaN then.
     """
 
     centres: BoardReading
@@ -132,9 +141,13 @@ def _reading(board: Board, view: _View, image: Imager) -> BoardReading:
         shape=(grid.rows, grid.columns),
         grid=marks(grid.points_mm(), grid.dot_diameter_mm),
         rulers=tuple(rulers),
-        dots={name: mark.image_px[0] for name, mark in dots.items()},
-        rings={name: mark.image_px for name, mark in rings.items()},
+        dots={name: _single(mark) for name, mark in dots.items()},
+        rings={name: RingPoints(mark.image_px, mark.sigma_px) for name, mark in rings.items()},
     )
+
+
+def _single(marks: Marks) -> Mark:
+    return Mark(marks.image_px[0], float(marks.sigma_px[0]), Status(int(marks.status[0])))
 
 
 def _on_ring(ring: Ring) -> Floats:

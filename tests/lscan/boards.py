@@ -1,14 +1,14 @@
 """Pictures of calibration boards with known truth, for the tests of the control points.
 
 The lens is defined from the picture to the ray (a polynomial in the picture's radius), so a
-pixel's place on the board is a closed form: marks are drawn by asking, for 8 by 8 places in
-each pixel near a mark, whether they lie on it.  Only the truth needs an iteration.  None of
+pixel's place on the board is a closed form: marks are drawn by asking, for 4 by 4 places in
+each half pixel near a mark, whether they lie on it.  Only the truth needs an iteration.  None of
 the instrument's code is used.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
@@ -16,7 +16,8 @@ import numpy as np
 from lscan.board import Board
 from lscan.records import Bytes, Floats
 
-PARTS = 8  # per pixel and direction: the edge of a dot is placed to about 0.01 px
+PARTS = 4  # per fine pixel and direction: the edge of a dot is placed to about 0.01 px
+FINE = 2  # fine pixels in a pixel's side: the lens blurs before the sensor samples
 
 
 @dataclass(frozen=True)
@@ -82,7 +83,7 @@ class Light:
     """Grey values: of the plate and the marks, the light's slope across, blur and noise.
 
     ratio: light at the brightest edge over that at the darkest, falling along ``toward_rad``.
-    noise: standard deviation, of full scale.
+    noise: standard deviation, of full scale.  shot: variance in DN² for each DN of light.
     """
 
     plate: float = 0.85
@@ -91,19 +92,38 @@ class Light:
     toward_rad: float = 0.0
     blur_px: float = 0.6
     noise: float = 0.02
+    shot: float = 0.0
 
 
 def render(board: Board, view: View, light: Light = Light(), seed: int = 0) -> Bytes:
     """(H, W) 8-bit picture of the board."""
-    cover = np.zeros(view.size[::-1])
+    return expose(expected_dn(board, view, light), light, seed)
+
+
+def expose(expected: Floats, light: Light, seed: int) -> Bytes:
+    """(H, W) 8-bit picture: the grey values expected with noise, normal, added and rounded."""
+    sigma = np.sqrt((255 * light.noise) ** 2 + light.shot * expected)
+    noisy = expected + sigma * np.random.default_rng(seed).standard_normal(expected.shape)
+    return np.clip(np.rint(noisy), 0, 255).astype(np.uint8)
+
+
+def expected_dn(board: Board, view: View, light: Light = Light()) -> Floats:
+    """(H, W) grey values 0 to 255 of the board's picture without noise and rounding."""
+    width, height = view.size
+    finer = replace(
+        view,
+        size=(FINE * width, FINE * height),
+        focal_px=FINE * view.focal_px,
+        shift_px=(FINE * view.shift_px[0], FINE * view.shift_px[1]),
+    )
+    cover = np.zeros(finer.size[::-1])
     for places, diameter in _round_marks(board):
-        _add_discs(cover, view, places, diameter)
+        _add_discs(cover, finer, places, diameter)
     for ring in board.ring:
-        _add_ring(cover, view, np.array([ring.x_mm, ring.z_mm]), ring.diameter_mm, ring.width_mm)
-    cover = cv2.GaussianBlur(np.minimum(cover, 1), (0, 0), light.blur_px)
-    grey = _shade(view.size, light) * (light.plate + (light.mark - light.plate) * cover)
-    grey = grey + np.random.default_rng(seed).normal(0, light.noise, grey.shape)
-    return np.clip(np.rint(255 * grey), 0, 255).astype(np.uint8)
+        _add_ring(cover, finer, np.array([ring.x_mm, ring.z_mm]), ring.diameter_mm, ring.width_mm)
+    cover = cv2.GaussianBlur(np.minimum(cover, 1), (0, 0), FINE * light.blur_px)
+    cover = cover.reshape(height, FINE, width, FINE).mean(axis=(1, 3))
+    return 255 * _shade(view.size, light) * (light.plate + (light.mark - light.plate) * cover)
 
 
 def _round_marks(board: Board) -> list[tuple[Floats, float]]:

@@ -101,15 +101,15 @@ def test_rulers_and_dots(paper: tuple[View, Bytes, BoardReading]) -> None:
     assert np.sqrt(np.mean((miss / sigma[:, None]) ** 2)) == pytest.approx(1.0, abs=0.2)
     assert np.sqrt(np.mean(miss**2)) <= RMS_PX
     places = np.array([[dot.x_mm, dot.z_mm] for dot in PAPER.dot])
-    found = np.array([reading.dots[dot.name] for dot in PAPER.dot])
+    found = np.array([reading.dots[dot.name].image_px for dot in PAPER.dot])
     assert np.sqrt(np.mean((found - view.image_px(places)) ** 2)) <= RMS_PX
 
 
 def test_circles_through_the_true_map(paper: tuple[View, Bytes, BoardReading]) -> None:
     view, _, reading = paper
     for ring in PAPER.ring:
-        points = view.board_mm(reading.rings[ring.name])
-        assert len(points) >= 65  # of 72
+        points = view.board_mm(reading.rings[ring.name].image_px)
+        assert len(points) >= 0.7 * ring.diameter_mm  # every third pixel, 0.8 to 1 px a mm
         x, z = points.T
         fit = np.linalg.lstsq(np.column_stack([x, z, np.ones_like(x)]), x**2 + z**2, rcond=None)[0]
         middle = fit[:2] / 2
@@ -125,8 +125,10 @@ def test_circles_through_the_true_map(paper: tuple[View, Bytes, BoardReading]) -
 def test_bright_marks_read_as_dark_ones(paper: tuple[View, Bytes, BoardReading]) -> None:
     _, picture, reading = paper
     inverted = read_board(255 - picture, PAPER.model_copy(update={"marks": "bright"}))
-    # The same numbers but for the rounding of the ground to 1/255 of the grey values' range.
-    np.testing.assert_allclose(inverted.grid.image_px, reading.grid.image_px, atol=2e-3)
+    # The same numbers but for the rounding of the ground to 1/255 of the grey values' range,
+    # 0.002 px, and the slope of the light, 1.5:1 over 640 px, that only a bright plate shows: it
+    # shifts a maximum by the window's variance, 3.5 px², times ln 1.5 / 640 px, 0.0022 px.
+    np.testing.assert_allclose(inverted.grid.image_px, reading.grid.image_px, atol=4.2e-3)
     assert np.array_equal(inverted.grid.status, reading.grid.status)
 
 
@@ -275,7 +277,7 @@ def test_seeds_beside_the_dots(paper: tuple[View, Bytes, BoardReading]) -> None:
     seeds = reading.grid.image_px[[0, 10, 1]] + 25  # half a pitch off
     with pytest.raises(BoardNotFound, match="seeds"):
         read_board(picture, PAPER, seeds=seeds)
-    named = np.array([reading.dots[name] for name in ("B1", "B2", "B4")])
+    named = np.array([reading.dots[name].image_px for name in ("B1", "B2", "B4")])
     with pytest.raises(BoardNotFound):
         read_board(picture, PAPER, seeds=named)
 
@@ -323,7 +325,7 @@ def test_features_need_to_know_where_o_is(paper: tuple[View, Bytes, BoardReading
     with pytest.raises(InputError, match="origin"):
         read_board(picture, part)
     seeded = read_board(picture, part, seeds=reading.grid.image_px[[0, 10, 1]])
-    np.testing.assert_allclose(seeded.dots["A1"], reading.dots["A1"], atol=0.02)
+    np.testing.assert_allclose(seeded.dots["A1"].image_px, reading.dots["A1"].image_px, atol=0.02)
 
 
 def test_the_overlay_marks_the_dots(paper: tuple[View, Bytes, BoardReading]) -> None:

@@ -24,7 +24,9 @@ def test_the_middle_of_a_round_gaussian_is_exact(u0: float, v0: float, width: fl
     # the window is cut at four sigmas, at weights of 3.4e-4: a shift below that times 3 px.
     u, v = grid()
     picture = np.exp(-((u - u0) ** 2 + (v - v0) ** 2) / (2 * width**2))
-    found = fit_centres(picture, np.array([[HALF, HALF]]), np.array([width]), noise=0.01)
+    found = fit_centres(
+        picture, np.array([[HALF, HALF]]), np.array([width]), noise=np.full(picture.shape, 0.01)
+    )
     assert found.round.all()
     np.testing.assert_allclose(found.points[0] - HALF, [u0, v0], atol=1e-3)
 
@@ -33,7 +35,9 @@ def test_a_parabola_is_fitted_exactly() -> None:
     # A second-order polynomial fitted to a second-order polynomial is that polynomial.
     u, v = grid()
     picture = 7 - 0.02 * (u - 0.3) ** 2 - 0.03 * (v + 0.2) ** 2 + 0.01 * (u - 0.3) * (v + 0.2)
-    found = fit_centres(picture, np.array([[HALF, HALF]]), np.array([2.0]), noise=0.01)
+    found = fit_centres(
+        picture, np.array([[HALF, HALF]]), np.array([2.0]), noise=np.full(picture.shape, 0.01)
+    )
     np.testing.assert_allclose(found.points[0] - HALF, [0.3, -0.2], atol=1e-9)
     np.testing.assert_allclose(found.height, 7.0, atol=1e-9)
 
@@ -48,7 +52,9 @@ def test_the_scatter_is_the_one_promised() -> None:
     row, column = np.mgrid[:40, :50] * side + HALF
     start = np.column_stack([column.ravel(), row.ravel()]).astype(float)
     sigma = window_sigma(np.full(len(start), radius))
-    found = fit_centres(tiles + rng.normal(0, noise, tiles.shape), start, sigma, noise)
+    found = fit_centres(
+        tiles + rng.normal(0, noise, tiles.shape), start, sigma, np.full(tiles.shape, noise)
+    )
     assert found.round.all()
     promised = found.sigma_px
     assert np.std(found.points - start) == pytest.approx(np.mean(promised), rel=0.05)
@@ -72,9 +78,11 @@ def test_a_ridge_a_slope_and_a_flat_are_not_round() -> None:
     u, v = grid()
     start, sigma = np.array([[HALF, HALF]]), np.array([2.0])
     for picture in (np.exp(-(u**2) / 4) + 0 * v, u + 0.0, np.zeros_like(u), (u**2 + v**2) / 99):
-        assert not fit_centres(picture, start, sigma, noise=0.01).round.any()
+        assert not fit_centres(
+            picture, start, sigma, noise=np.full(picture.shape, 0.01)
+        ).round.any()
 
 
 def test_no_marks_no_centres() -> None:
-    found = fit_centres(np.zeros((9, 9)), np.empty((0, 2)), np.empty(0), noise=1.0)
+    found = fit_centres(np.zeros((9, 9)), np.empty((0, 2)), np.empty(0), np.ones((9, 9)))
     assert found.points.shape == (0, 2)

@@ -31,7 +31,7 @@ def photograph(name: str) -> Bytes:
 def test_the_dot_board_is_read() -> None:
     reading = read_board(photograph("dots/dot_pattern_05.jpg"), BOARD)
     found = reading.grid.found
-    assert found.sum() >= 0.95 * DOTS
+    assert found.sum() >= DOTS
     pixels = reading.grid.image_px[found]
     # Each dot once: the dots are 15 px apart, so no two of the reading may be within 10 px.
     lattice = reading.grid.image_px.reshape(*reading.shape, 2)
@@ -41,8 +41,8 @@ def test_the_dot_board_is_read() -> None:
     assert (np.diff(lattice[..., 0], axis=1) > 0)[
         np.isfinite(np.diff(lattice[..., 0], axis=1))
     ].all()
-    # Plain blob centroids leave 0.036 px on held-out dots of this picture; twice that allows
-    # for the dots at the shaded corner.  A wrong index would leave a pitch, 15 px.
+    # Plain blob centroids leave 0.036 px on held-out dots of this picture, with the same fifth
+    # order.  A wrong index would leave a pitch, 15 px.
     board = reading.grid.board_mm[found]
     at = (board - board.mean(axis=0)) / np.abs(board - board.mean(axis=0)).max(axis=0)
     terms = [(i, j) for i in range(6) for j in range(6 - i)]
@@ -50,7 +50,7 @@ def test_the_dot_board_is_read() -> None:
     held_out = np.arange(len(board)) % 2 == 1
     solved = np.linalg.lstsq(design[~held_out], pixels[~held_out], rcond=None)[0]
     miss = np.linalg.norm(design[held_out] @ solved - pixels[held_out], axis=1)
-    assert np.sqrt(np.mean(miss**2)) <= 2 * 0.036
+    assert np.sqrt(np.mean(miss**2)) <= 0.036
 
 
 @pytest.mark.parametrize("number", [10, 11])

@@ -62,9 +62,9 @@ def test_marks_are_the_board_s_places_projected(at, turn, tilt, yaw, position):
 
     shown = truth.grid.found
     assert np.abs(truth.grid.image_px - direct(grid))[shown].max(initial=0) < 1e-9
-    assert np.abs(truth.dots["A1"] - direct(np.array([[60.0, -30.0]]))[0]).max() < 1e-9
+    assert np.abs(truth.dots["A1"].image_px - direct(np.array([[60.0, -30.0]]))[0]).max() < 1e-9
     ring = np.array([[30 + 14.2, -70.0], [30.0, -70 + 14.2]])
-    assert np.abs(truth.rings["E"][[0, 18]] - direct(ring)).max() < 1e-9
+    assert np.abs(truth.rings["E"].image_px[[0, 18]] - direct(ring)).max() < 1e-9
     marks = truth.rulers[0].marks
     ruler = np.column_stack([np.full(11, 75.0), -10.0 * np.arange(11)])
     assert np.abs(marks.image_px - direct(ruler))[marks.found].max(initial=0) < 1e-9
@@ -120,7 +120,7 @@ def test_a_mark_is_where_the_head_saw_it_from_in_its_row_s_time():
 def test_the_back_of_the_board_shows_no_marks():
     truth = board_truth(board(turn_deg=180.0, position_mm=[75.0, 0.0, 0.0])).centres
     assert np.all(truth.grid.status == Status.OCCLUDED)
-    assert np.isnan(truth.dots["A1"]).all()
+    assert np.isnan(truth.dots["A1"].image_px).all()
 
 
 def test_another_target_is_refused():
