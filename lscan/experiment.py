@@ -87,7 +87,7 @@ def measure_board(run: Run, methods: Sequence[str] = METHODS) -> BoardResult:
     board = require_board(run)
     image = mean_picture(run)
     reading = read_board(image, board, channel=rig.calibration.channel)
-    calibrations = {name: calibrate(reading, name) for name in methods}
+    calibrations = {name: calibrate(reading, name, rig.optics) for name in methods}
     maps = {name: calibration.plane_map for name, calibration in calibrations.items()}
     return BoardResult(
         image=image,

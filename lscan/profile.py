@@ -15,7 +15,8 @@ def to_profile(stripe: Stripe, plane_map: PlaneMap, position_mm: float) -> Profi
     One point (x, z) in mm, in the plane frame, for each entry of the stripe and in its order.
     A point without a value in the stripe keeps the stripe's status, and so does a clipped
     one (SATURATED) that the map can place; every other has the map's.  The map combines the
-    stripe's sigma_px with its own uncertainty.
+    stripe's sigma_px with its own uncertainty, and its modes are passed on; like the numbers
+    they are NaN where there is no value.
     Raises InputError where ``position_mm`` is not finite.
     """
     if not np.isfinite(position_mm):
@@ -28,5 +29,11 @@ def to_profile(stripe: Stripe, plane_map: PlaneMap, position_mm: float) -> Profi
         xz_mm=np.where(valued, mapped.xz_mm, np.nan),
         sigma_mm=np.where(valued, mapped.sigma_mm, np.nan),
         status=status,
+        modes_mm=(
+            None
+            if mapped.modes_mm is None
+            else np.where(valued[..., None], mapped.modes_mm, np.nan)
+        ),
     )
-    return Profile(position_mm=float(position_mm), points=points, peak=stripe.peak)
+    brightness = stripe.peak if stripe.flux is None else stripe.flux
+    return Profile(position_mm=float(position_mm), points=points, brightness=brightness)

@@ -9,10 +9,11 @@ from itertools import pairwise
 import numpy as np
 
 from lscan.errors import InputError, MeasurementError
+from lscan.measure.ends import End, segment_ends
+from lscan.measure.lengths import Length, mean_length
 from lscan.measure.segments import (
     Segment,
     Trace,
-    end_mm,
     height_between,
     inner_points,
     joined,
@@ -21,9 +22,6 @@ from lscan.measure.segments import (
 )
 from lscan.records import Ints, Measured, Profile
 from lscan.targets import GroovedBlock
-
-Value = tuple[float, float]
-"""A measured length and its standard uncertainty, mm."""
 
 
 @dataclass(frozen=True)
@@ -48,9 +46,10 @@ def groove_dimensions(
     along the tops; heights are distances between straight lines fitted to segments with a
     common slope.  The block stands along the track, so that the sheet cuts it square; it may be
     tilted in the sheet by some degrees and lie anywhere in it.
-    Of several profiles the median is given, which a missing end point in one does not move, with
-    the sigma of one profile: sampling and calibration err alike in all of them, so no credit is
-    taken for their number.
+    Of several profiles the mean is given, weighted by each one's noise, strays left out.  Its
+    sigma_mm holds the noise of that mean and, undiminished, what errs alike in all profiles:
+    the calibration, of which only the difference it makes to the length counts where the plane
+    map tells its modes, and the columns' spacing where an end's brightness does not fall.
 
     Raises InputError where no profile is given, MeasurementError that names the profile and
     what is missing in it.
@@ -59,17 +58,14 @@ def groove_dimensions(
     if not several:
         raise InputError("no profile to measure", where="grooves", allowed="one or more")
     each = [_measure(profile, piece) for profile in several]
+    mean = {name: mean_length([lengths[name] for lengths in each]) for name in each[0]}
     return {
-        name: Measured(
-            nominal_mm=nominal,
-            measured_mm=float(np.median([values[name][0] for values in each])),
-            sigma_mm=float(np.sqrt(np.mean([values[name][1] ** 2 for values in each]))),
-        )
+        name: Measured(nominal, mean[name].value_mm, mean[name].sigma_mm)
         for name, nominal in piece.dimensions_mm().items()
     }
 
 
-def _measure(profile: Profile, piece: GroovedBlock) -> dict[str, Value]:
+def _measure(profile: Profile, piece: GroovedBlock) -> dict[str, Length]:
     try:
         line = trace(profile)
         parts = find_parts(line, piece)
@@ -153,7 +149,7 @@ def _width(line: Trace, part: Segment) -> float:
     return float(line.x[part.points[-1]] - line.x[part.points[0]])
 
 
-def _heights(line: Trace, parts: Parts) -> dict[str, Value]:
+def _heights(line: Trace, parts: Parts) -> dict[str, Length]:
     """H1, H3, H4 from each groove's bottom to the tops on both its sides; H2 to the floor."""
     heights = {}
     for name, groove in (("H3", 0), ("H4", 1), ("H1", 2)):
@@ -164,7 +160,7 @@ def _heights(line: Trace, parts: Parts) -> dict[str, Value]:
     return heights
 
 
-def _height(line: Trace, upper: Ints, lower: Ints, name: str) -> Value:
+def _height(line: Trace, upper: Ints, lower: Ints, name: str) -> Length:
     try:
         return height_between(line, upper, lower)
     except MeasurementError as error:
@@ -175,19 +171,32 @@ def _inner(line: Trace, parts: Sequence[Segment]) -> Ints:
     return np.concatenate([inner_points(line, part) for part in parts])
 
 
-def _separations(line: Trace, parts: Parts) -> dict[str, Value]:
+def _separations(line: Trace, parts: Parts) -> dict[str, Length]:
     """Widths and separations along the tops, from the ends of the tops' segments."""
-    left = [end_mm(line, ridge, -1) for ridge in parts.ridges]
-    right = [end_mm(line, ridge, +1) for ridge in parts.ridges]
-    along = float(np.hypot(1.0, line.tilt))
-    spans = {
-        "W1": (right[0], left[1]),
-        "W2": (right[1], left[2]),
-        "W3": (right[2], left[3]),
-        "S1": (left[0], right[2]),
-        "S2": (left[1], left[3]),
-    }
+    ends = segment_ends(line, parts.ridges)
+    left, right = [end[0] for end in ends], [end[1] for end in ends]
     return {
-        name: (along * (stop[0] - start[0]), along * float(np.hypot(start[1], stop[1])))
-        for name, (start, stop) in spans.items()
+        "W1": _between(line, right[0], left[1]),
+        "W2": _between(line, right[1], left[2]),
+        "W3": _between(line, right[2], left[3]),
+        "S1": _between(line, left[0], right[2]),
+        "S2": _between(line, left[1], left[3]),
     }
+
+
+def _between(line: Trace, start: End, stop: End) -> Length:
+    """Distance along the tops from one end to another, to its right."""
+    along = float(np.hypot(1.0, line.tilt))
+    ends = (start.point, stop.point)
+    sampling = np.hypot(start.sampling_mm, stop.sampling_mm)
+    modes, place = None, 0.0
+    if line.modes is None:
+        place = float(np.hypot(*line.sigma_x[list(ends)]))
+    else:
+        modes = along * (line.modes[stop.point, 0] - line.modes[start.point, 0])
+    return Length(
+        value_mm=along * (stop.x_mm - start.x_mm),
+        own_mm=along * float(np.hypot(start.own_mm, stop.own_mm)),
+        common_mm=along * float(np.hypot(sampling, place)),
+        modes_mm=modes,
+    )

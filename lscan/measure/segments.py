@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from lscan.errors import MeasurementError
+from lscan.measure.lengths import Length
 from lscan.records import Floats, Ints, Profile, has_value
 
 JUMP_MM = 3.0
@@ -25,9 +26,6 @@ MIN_POINTS = 4
 CORNER_MM = 2.0
 """Points this near to a segment's end are left out of line fits: corners lie in shadow, and
 the line spills over edges."""
-
-UNDIMMED = 0.95
-"""Brightness of a segment's last point, in units of the segment's, above which no fall is seen."""
 
 MAX_TILT = np.tan(np.radians(10.0))
 """Steepest slope of a profile's segments that is believed when its tilt is looked for."""
@@ -48,7 +46,9 @@ class Segment:
 class Trace:
     """A profile's valid points in the picture's order, turned so that x grows.
 
-    x, z, sigma_x, sigma_z: (P,) mm.  column: (P,) index in the profile.  peak: (P,) grey value.
+    x, z, sigma_x, sigma_z: (P,) mm.  column: (P,) index in the profile.  brightness: (P,) of
+    the line.
+    modes: (P, 2, M) mm, as PlanePoints.modes_mm; None where none are known.
     spacing_mm: median distance in x from one column to the next.
     tilt: common dz/dx of its level segments.
     """
@@ -58,9 +58,10 @@ class Trace:
     sigma_x: Floats
     sigma_z: Floats
     column: Ints
-    peak: Floats
+    brightness: Floats
     spacing_mm: float
     tilt: float
+    modes: Floats | None = None
 
 
 def trace(profile: Profile) -> Trace:
@@ -82,7 +83,8 @@ def trace(profile: Profile) -> Trace:
     if not spacing > 0:
         raise MeasurementError("no two neighbouring columns have a point: no segments")
     tilt = _common_tilt(x, z)
-    return Trace(x, z, sigma_x, sigma_z, column, profile.peak[column], spacing, tilt)
+    modes = None if profile.points.modes_mm is None else profile.points.modes_mm[column]
+    return Trace(x, z, sigma_x, sigma_z, column, profile.brightness[column], spacing, tilt, modes)
 
 
 def segments(line: Trace) -> list[Segment]:
@@ -107,57 +109,21 @@ def inner_points(line: Trace, segment: Segment) -> Ints:
     return segment.points[clear]
 
 
-def end_mm(line: Trace, segment: Segment, direction: int) -> tuple[float, float]:
-    """x in mm where a segment ends towards ``direction`` (+1: greater x), and its sigma.
-
-    The segment ends where its brightness falls to half of what it is along it, interpolated
-    between the columns.  The first column beyond is dark, or shows another surface that
-    outshone the segment: then it had less than half, and a quarter is taken for it.  Where no
-    fall is seen, the end is half a column beyond the last point.
-    sigma: that of an even distribution over one column, and of the end point's x.
-    """
-    order = segment.points[::direction]
-    last = order[-4:]
-    bright = [*_brightness(line, order, last), 0.25 if _joined_on(line, order, direction) else 0.0]
-    x = [*line.x[last], line.x[last[-1]] + direction * line.spacing_mm]
-    lit = max((k for k in range(len(last)) if bright[k] >= 0.5), default=len(last) - 1)
-    part = (bright[lit] - 0.5) / (bright[lit] - bright[lit + 1])
-    if bright[-2] > UNDIMMED or bright[lit] < 0.5:
-        lit, part = len(last) - 1, 0.5
-    sigma = np.hypot(line.spacing_mm / np.sqrt(12), line.sigma_x[last[-1]])
-    return float(x[lit] + part * (x[lit + 1] - x[lit])), float(sigma)
-
-
-def _brightness(line: Trace, order: Ints, which: Ints) -> list[float]:
-    """Peak of some points in units of the median near the end of ``order``, 1 where unknown."""
-    peaks = line.peak[order[-20:]]
-    known = peaks[np.isfinite(peaks)]
-    full = float(np.median(known)) if len(known) else 0.0
-    relative = line.peak[which] / full if full > 0 else np.ones(len(which))
-    return [float(value) for value in np.clip(np.nan_to_num(relative, nan=1.0), 0.0, 1.0)]
-
-
-def _joined_on(line: Trace, order: Ints, direction: int) -> bool:
-    """Whether the very next column beyond a segment's end holds a point of another surface."""
-    beyond = int(order[-1]) + direction
-    within = 0 <= beyond < len(line.x)
-    return within and abs(int(line.column[beyond]) - int(line.column[order[-1]])) == 1
-
-
-def height_between(line: Trace, upper: Ints, lower: Ints) -> tuple[float, float]:
-    """Distance in mm between two parallel lines, and its standard uncertainty.
+def height_between(line: Trace, upper: Ints, lower: Ints) -> Length:
+    """Distance in mm between two parallel lines, with its uncertainty.
 
     Both sets of points, indices into the trace, are fitted with one slope by least squares,
-    points farther than three robust deviations from their line left out.  The sigma adds to the
-    fit's the points' own sigma_z, once for each line: most of that is the plane map's, common
-    to neighbours, and does not average out.
+    points farther than three robust deviations from their line left out.  The height is a
+    weighted sum of their z, so each mode of the calibration changes it by that sum of the mode;
+    its own noise is the points' scatter through the same sum, what neighbours have in common
+    counted.  Where no modes are known the points' own sigma_z counts once for each line: most of
+    that is the plane map's, common to neighbours, and does not average out.
     Raises MeasurementError where either set holds fewer than MIN_POINTS points.
     """
     points = np.concatenate([upper, lower])
     which = np.repeat([0, 1], [len(upper), len(lower)])
+    design = _two_lines(line.x[points], which)
     keep = np.ones(len(points), dtype=bool)
-    middle = float(line.x[points].mean()) if len(points) else 0.0
-    design = np.column_stack([line.x[points] - middle, which == 0, which == 1]).astype(float)
     for _ in range(5):
         if min(np.sum(keep & (which == 0)), np.sum(keep & (which == 1))) < MIN_POINTS:
             raise MeasurementError(f"fewer than {MIN_POINTS} points clear of the corners")
@@ -165,16 +131,45 @@ def height_between(line: Trace, upper: Ints, lower: Ints) -> tuple[float, float]
         residual = line.z[points] - design @ solution
         scale = 1.4826 * float(np.median(np.abs(residual[keep])))
         keep = np.abs(residual) <= 3 * scale + 1e-6
-    used = design[keep]
-    freedom = max(int(keep.sum()) - 3, 1)
-    scatter = float(np.sum(residual[keep] ** 2)) / freedom
-    own = line.sigma_z[points] ** 2
-    common = sum(float(np.mean(own[keep & (which == side)])) for side in (0, 1))
-    difference = np.array([0.0, 1.0, -1.0])
-    inverse = np.linalg.inv(used.T @ used)
-    cosine = 1 / float(np.hypot(1.0, solution[0]))
-    sigma = np.sqrt(scatter * float(difference @ inverse @ difference) + common) * cosine
-    return float((solution[1] - solution[2]) * cosine), float(sigma)
+    used, side = points[keep], which[keep]
+    slope = float(solution[0])
+    cosine = 1 / float(np.hypot(1.0, slope))
+    # Rows of the pseudo-inverse: what each point's z adds to the slope and the two levels.
+    share = np.linalg.pinv(design[keep])
+    weight = (share[1] - share[2]) * cosine
+    freedom = max(len(used) - 3, 1)
+    scatter = float(np.sum(residual[keep] ** 2)) / freedom * _kinship(residual[keep])
+    modes, common = None, 0.0
+    if line.modes is None:
+        common = sum(float(np.mean(line.sigma_z[used[side == k]] ** 2)) for k in (0, 1))
+    else:
+        modes = weight @ (line.modes[used, 1] - slope * line.modes[used, 0])
+    return Length(
+        value_mm=float(solution[1] - solution[2]) * cosine,
+        own_mm=float(np.sqrt(scatter * (weight @ weight))),
+        common_mm=float(np.sqrt(common)) * cosine,
+        modes_mm=modes,
+    )
+
+
+def _two_lines(x: Floats, which: Ints) -> Floats:
+    """(K, 3) design of two lines of one slope, x counted from its mean."""
+    middle = float(x.mean()) if len(x) else 0.0
+    return np.column_stack([x - middle, which == 0, which == 1]).astype(float)
+
+
+def _kinship(residual: Floats) -> float:
+    """Factor by which the variance of a mean grows because neighbours err alike: 1 at least.
+
+    The camera's blur makes the speckle of columns next to each other one error.  The factor is
+    1 + 2 (r1 + r2), r1 and r2 the correlations of residuals one and two columns apart; for more
+    the blur of one pixel leaves nothing.
+    """
+    total = float(residual @ residual)
+    if total == 0 or len(residual) < 4 * MIN_POINTS:
+        return 1.0
+    near = sum(float(residual[k:] @ residual[:-k]) / total for k in (1, 2))
+    return max(1.0, 1 + 2 * near)
 
 
 def _without_walls(run: Ints, flat: Floats) -> Ints:

@@ -12,13 +12,16 @@ Because the shear acts before the rotations, all four are solved together by ite
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from collections.abc import Iterable
+from dataclasses import dataclass
 
 import numpy as np
 
 from lscan.errors import InputError, MeasurementError
-from lscan.records import Floats, Surface
-from lscan.surface.edges import EdgeFit, EdgeLine, EdgeSamples, fit_edges
+from lscan.records import Floats, Mask, Surface
+from lscan.surface.alignment import Alignment, own_variance, turned_modes
+from lscan.surface.datum import YAW, Datum, EdgeCrossings, parameter_modes
+from lscan.surface.edges import EdgeFit, EdgeSamples, fit_edges
 from lscan.surface.features import Crossings, Features, find_features
 from lscan.surface.levelling import level, plane_normal, shear
 from lscan.targets import Sandwave
@@ -27,6 +30,10 @@ SETTLED_RAD = 1e-7
 """Change of yaw and of the rotation about z below which the iteration ends."""
 
 MAX_ITERATIONS = 60
+
+UNDECIDED_ITERATIONS = 10
+"""Rounds after which it stays as it is which samples are strays: a doubtful one that came and
+went with the pose would keep the pose from settling."""
 
 MIN_SIDE_CROSSINGS = 50
 """Fewest profiles that must cross a side of the block for it to be used."""
@@ -37,45 +44,6 @@ yaw of 5 degrees shifts the block's corners, then over what is left of it."""
 
 CORNER_MARGIN_MM = 1.5
 """Crossings this near (along y) to the ends of an edge are left out: corners are never sharp."""
-
-
-@dataclass(frozen=True)
-class Alignment:
-    """How raw points become workpiece points: ``rotation @ shear(yaw) @ raw + translation``.
-
-    yaw_rad, yaw_sigma_rad: angle of the sheet against the track, its standard uncertainty.
-    rotation: (3, 3) of the four-step alignment without the shear.  translation_mm: (3,).
-    normal: (3,) unit normal of the base plane in the head's axes.
-    base_mm: height of the base plane in the workpiece frame.
-    flatness_mm: rms distance of the wedges' top points from the base plane.
-    left_corner_mm, right_corner_mm: (2,) W_L and W_R in the workpiece plan.
-    edges: the lines found, in the workpiece plan, by name: "left wedge, near edge" and so on,
-        "left side" and, where it is in the scan, "right side".
-    top_points: number of points the base plane was fitted to.
-    iterations: number of rounds of shear, levelling and rotation until they settled.
-    """
-
-    yaw_rad: float
-    yaw_sigma_rad: float
-    rotation: Floats
-    translation_mm: Floats
-    normal: Floats
-    base_mm: float
-    flatness_mm: float
-    left_corner_mm: Floats
-    right_corner_mm: Floats
-    edges: dict[str, EdgeLine]
-    top_points: int
-    iterations: int
-
-    def to_workpiece(self, raw_mm: Floats) -> Floats:
-        """(..., 3) workpiece points, mm, of raw head-frame points (..., 3), mm."""
-        return raw_mm @ (self.rotation @ shear(self.yaw_rad)).T + self.translation_mm
-
-    def to_raw(self, workpiece_mm: Floats) -> Floats:
-        """(..., 3) raw head-frame points, mm, of workpiece points (..., 3), mm."""
-        matrix = np.linalg.inv(self.rotation @ shear(self.yaw_rad))
-        return (workpiece_mm - self.translation_mm) @ matrix.T
 
 
 @dataclass(frozen=True)
@@ -93,6 +61,9 @@ class _Pose:
 
 def align_sandwave(surface: Surface, piece: Sandwave) -> Alignment:
     """The alignment of a raw scan of the sandwave block with its workpiece frame.
+
+    Where the surface knows the line's brightness, edges are found where it falls to half;
+    without it they are a part of a column off.
 
     The wedges' tops come to z = wedge.height_mm, the midpoint of the corners W_L and W_R to its
     nominal place in plan and the line between them along x.  The yaw makes the block's sides
@@ -113,26 +84,24 @@ def align_sandwave(surface: Surface, piece: Sandwave) -> Alignment:
         selected = _select(features, pose, piece, window)
         pose, edges, iterations = _refine(features.tops, selected, pose, piece)
         rounds += iterations
-    variance = _yaw_variance(edges, piece) + _sampling_variance(selected)
-    return _alignment(features.tops, pose, edges, variance, piece.wedge.height_mm, rounds)
-
-
-def apply(alignment: Alignment, surface: Surface) -> Surface:
-    """The surface in the workpiece frame, mm, its uncertainties turned with it.
-
-    Raises InputError for a surface that is not in the head frame.
-    """
-    if surface.frame != "head":
-        raise InputError(
-            "is aligned already", where="surface", value=surface.frame, allowed="the head frame"
-        )
-    turn = alignment.rotation
-    return replace(
-        surface,
-        xyz_mm=alignment.to_workpiece(surface.xyz_mm),
-        sigma_x_mm=np.hypot(turn[0, 0] * surface.sigma_x_mm, turn[0, 2] * surface.sigma_mm),
-        sigma_mm=np.hypot(turn[2, 0] * surface.sigma_x_mm, turn[2, 2] * surface.sigma_mm),
-        frame="workpiece",
+    datum = _datum(surface, features, selected, pose, edges, sharp=surface.brightness is not None)
+    modes = turned_modes(surface, pose.rotation @ shear(pose.yaw), datum.index)
+    errors = parameter_modes(datum, modes)
+    return Alignment(
+        yaw_rad=pose.yaw,
+        yaw_sigma_rad=float(np.linalg.norm(errors[YAW])),
+        rotation=pose.rotation,
+        translation_mm=pose.shift,
+        normal=plane_normal(features.tops @ shear(pose.yaw).T),
+        base_mm=piece.wedge.height_mm,
+        flatness_mm=float(datum.tops[:, 2].std()),
+        left_corner_mm=edges.left_corner,
+        right_corner_mm=edges.right_corner,
+        edges=dict(zip(edges.names, edges.fit.lines, strict=True)),
+        top_points=len(features.tops),
+        iterations=rounds,
+        pivot_mm=datum.pivot,
+        modes=errors,
     )
 
 
@@ -190,8 +159,7 @@ def _select(
         off = np.abs(plan[:, 0] - start[0] - slope * (plan[:, 1] - start[1]))
         low, high = start[1] + CORNER_MARGIN_MM, end[1] - CORNER_MARGIN_MM
         keep = (plan[:, 1] > low) & (plan[:, 1] < high) & (off < window_mm)
-        found = Crossings(crossings.inside[keep], crossings.outside[keep])
-        selected[name] = _Selected(slope, found)
+        selected[name] = _Selected(slope, crossings.only(keep))
     sides = {name: len(selected[name].crossings.inside) for name in ("left side", "right side")}
     if max(sides.values()) < MIN_SIDE_CROSSINGS:
         raise MeasurementError(
@@ -215,8 +183,10 @@ def _refine(
     tops: Floats, selected: dict[str, _Selected], pose: _Pose, piece: Sandwave
 ) -> tuple[_Pose, _Edges, int]:
     """The pose at which the base plane, the corners and the yaw agree, and the edges in it."""
+    kept = None
     for iteration in range(1, MAX_ITERATIONS + 1):
-        edges = _fit(selected, pose, piece)
+        edges = _fit(selected, pose, piece, kept)
+        kept = edges.fit.kept if iteration >= UNDECIDED_ITERATIONS else None
         across = edges.right_corner - edges.left_corner
         turn_error = float(np.arctan2(across[1], across[0]))
         # A lean towards +x with growing y says that the profiles were shifted too far.
@@ -251,27 +221,54 @@ class _Edges:
     right_corner: Floats
 
 
-def _fit(selected: dict[str, _Selected], pose: _Pose, piece: Sandwave) -> _Edges:
+def _fit(selected: dict[str, _Selected], pose: _Pose, piece: Sandwave, kept: Mask | None) -> _Edges:
     names = tuple(selected)
     samples = [
         EdgeSamples(s.slope, pose.plan(s.crossings.inside), pose.plan(s.crossings.outside))
         for s in selected.values()
     ]
-    fit = fit_edges(samples, names, pivot_mm=piece.side_mm / 2)
+    fit = fit_edges(samples, names, piece.side_mm / 2, kept)
     left_near, left_far, right_near, right_far = fit.lines[:4]
     return _Edges(names, fit, left_near.meet(left_far), right_near.meet(right_far))
 
 
-def _yaw_variance(edges: _Edges, piece: Sandwave) -> float:
-    """Variance of the lean of the edges against the line of the corners, rad²."""
-    left, right = piece.wedge_tips_mm()
-    slope = piece.wedge.reach_mm / (piece.wedge.base_mm / 2)
-    # The corner's y is the difference of its two edges' places over that of their slopes.
-    rise = 1 / (2 * slope * float(right[0] - left[0]))
-    gradient = np.zeros(len(edges.names) + 1)
-    gradient[0] = 1.0
-    gradient[1:5] = rise * np.array([1.0, -1.0, 1.0, -1.0])
-    return float(gradient @ edges.fit.covariance @ gradient)
+def _datum(
+    surface: Surface,
+    features: Features,
+    selected: dict[str, _Selected],
+    pose: _Pose,
+    edges: _Edges,
+    sharp: bool,
+) -> Datum:
+    """What the alignment was made from, in the workpiece frame that it leads to.
+
+    sharp: the edges lie where the line falls to half its brightness.  Else each is off by some
+    part of a column of its own, an even distribution: what lies behind it, dark or bright,
+    decides how far out the line is still seen.
+    """
+    blind = 0.0 if sharp else _median_gap(selected.values()) ** 2 / 12
+    place = pose.rotation @ shear(pose.yaw)
+    _, own_z = own_variance(surface)
+    return Datum(
+        tops=features.tops @ place.T + pose.shift,
+        top_index=features.top_index,
+        top_sigma_mm=np.sqrt(own_z.ravel()[features.top_index]),
+        edges=[
+            EdgeCrossings(s.slope, s.crossings.inside @ place.T + pose.shift, s.crossings.index)
+            for s in selected.values()
+        ],
+        edge_covariance=edges.fit.covariance + blind * np.diag([0.0, *np.ones(len(selected))]),
+        yaw_variance=_sampling_variance(selected),
+        corners=np.stack([edges.left_corner, edges.right_corner]),
+        rotation=pose.rotation,
+        yaw_rad=pose.yaw,
+    )
+
+
+def _median_gap(edges: Iterable[_Selected]) -> float:
+    """Distance from one column to the next where these edges are crossed, mm."""
+    gaps = [edge.crossings.outside[:, 0] - edge.crossings.inside[:, 0] for edge in edges]
+    return float(np.median(np.abs(np.concatenate(gaps))))
 
 
 def _sampling_variance(selected: dict[str, _Selected]) -> float:
@@ -284,30 +281,9 @@ def _sampling_variance(selected: dict[str, _Selected]) -> float:
     variances = []
     for name, edge in selected.items():
         if "side" in name:
-            inside, outside = edge.crossings.inside, edge.crossings.outside
-            gap = float(np.median(np.abs(outside[:, 0] - inside[:, 0])))
+            inside, gap = edge.crossings.inside, _median_gap([edge])
             length = float(np.ptp(inside[:, 1]))
             slope = float(np.polyfit(inside[:, 1], inside[:, 0], 1)[0])
             crossed = 1 + abs(slope) * length / gap
             variances.append((gap / length / crossed) ** 2 / 6)
     return 1 / sum(1 / variance for variance in variances)
-
-
-def _alignment(
-    tops: Floats, pose: _Pose, edges: _Edges, variance: float, base_mm: float, rounds: int
-) -> Alignment:
-    true = tops @ shear(pose.yaw).T
-    return Alignment(
-        yaw_rad=pose.yaw,
-        yaw_sigma_rad=float(np.sqrt(variance)),
-        rotation=pose.rotation,
-        translation_mm=pose.shift,
-        normal=plane_normal(true),
-        base_mm=base_mm,
-        flatness_mm=float((true @ pose.rotation[2]).std()),
-        left_corner_mm=edges.left_corner,
-        right_corner_mm=edges.right_corner,
-        edges=dict(zip(edges.names, edges.fit.lines, strict=True)),
-        top_points=len(tops),
-        iterations=rounds,
-    )

@@ -20,7 +20,7 @@ import numpy as np
 from scipy.special import expit
 
 from lscan.errors import MeasurementError
-from lscan.records import Floats, Ints
+from lscan.records import Floats, Ints, Mask
 
 SOFTNESS = 0.07
 """Scale of the logistic in units of the gap between two samples.  Small against 1, so that
@@ -70,18 +70,27 @@ class EdgeFit:
     """Edges fitted together.
 
     lean: dx/dy common to all, over and above their nominal slopes.
-    covariance: (E + 1, E + 1) of the lean and the E values of at_mm, in the edges' order.
+    covariance: (E + 1, E + 1) of the lean and the E values of at_mm, in the edges' order: that
+        of the likelihood, and that of the crossings' scatter.
+    kept: (K,) mask of the samples of all edges, in their order, that are no strays.
     """
 
     lines: tuple[EdgeLine, ...]
     lean: float
     covariance: Floats
+    kept: Mask
 
 
-def fit_edges(edges: Sequence[EdgeSamples], names: Sequence[str], pivot_mm: float) -> EdgeFit:
+def fit_edges(
+    edges: Sequence[EdgeSamples],
+    names: Sequence[str],
+    pivot_mm: float,
+    kept: Mask | None = None,
+) -> EdgeFit:
     """The edges that share one lean, each at x = at + (slope + lean) (y - pivot).
 
-    names: what each edge is called, for the error.
+    names: what each edge is called, for the error.  kept: (K,) mask of the samples that are no
+    strays, where that is decided already.
     Raises MeasurementError for an edge crossed by fewer than MIN_CROSSINGS profiles.
     """
     for name, edge in zip(names, edges, strict=True):
@@ -93,11 +102,12 @@ def fit_edges(edges: Sequence[EdgeSamples], names: Sequence[str], pivot_mm: floa
     which = np.repeat(np.arange(len(edges)), [len(edge.inside) for edge in edges])
     inside = np.concatenate([_upright(edge.inside, edge.slope, pivot_mm) for edge in edges])
     outside = np.concatenate([_upright(edge.outside, edge.slope, pivot_mm) for edge in edges])
-    keep = np.ones(len(which), dtype=bool)
+    keep = np.ones(len(which), dtype=bool) if kept is None else kept
     place = _least_absolute((inside + outside) / 2, which)
     for _ in range(3):
         place, covariance = _most_likely(inside[keep], outside[keep], which[keep], place)
-        keep = _violation(inside, outside, which, place) < STRAY
+        if kept is None:
+            keep = _violation(inside, outside, which, place) < STRAY
     lines = tuple(
         EdgeLine(
             at_mm=float(place[1 + k]),
@@ -108,7 +118,21 @@ def fit_edges(edges: Sequence[EdgeSamples], names: Sequence[str], pivot_mm: floa
         )
         for k, edge in enumerate(edges)
     )
-    return EdgeFit(lines, float(place[0]), covariance)
+    noise = _scatter_covariance((inside + outside)[keep] / 2, which[keep], place)
+    return EdgeFit(lines, float(place[0]), covariance + noise, keep)
+
+
+def _scatter_covariance(middle: Floats, which: Ints, place: Floats) -> Floats:
+    """Covariance of lean and places by least squares through the middles, as they scatter.
+
+    The likelihood takes every sample for surely on its side of the edge.  Speckle makes the
+    brightness, by which that is judged, uncertain; what the middles scatter about the lines
+    tells by how much.
+    """
+    design = _design(middle, which)
+    freedom = max(len(middle) - len(place), 1)
+    scatter = float(np.sum((middle[:, 0] - design @ place) ** 2)) / freedom
+    return np.asarray(scatter * np.linalg.inv(design.T @ design))
 
 
 def _upright(points: Floats, slope: float, pivot_mm: float) -> Floats:

@@ -24,10 +24,16 @@ class Crossings:
 
     inside: (K, 3) last sample on the edge's upper side.
     outside: (K, 3) where the next sample would lie if the upper side went on.
+    index: (K,) of the inside sample among all F N of the surface.
     """
 
     inside: Floats
     outside: Floats
+    index: Ints
+
+    def only(self, keep: Mask) -> Crossings:
+        """Those of the mask (K,)."""
+        return Crossings(self.inside[keep], self.outside[keep], self.index[keep])
 
 
 @dataclass(frozen=True)
@@ -35,12 +41,14 @@ class Features:
     """Landmarks in the raw head frame, mm.
 
     tops: (K, 3) points on the flat tops of both wedges, their outermost samples left out.
+    top_index: (K,) of them among all F N samples of the surface.
     centre_left, centre_right: (3,) centroids of the two tops.
     wedge_left, wedge_right: crossings of the wedges' inner edges, near and far together.
     side_left, side_right: crossings of the block's left and right side; may be empty.
     """
 
     tops: Floats
+    top_index: Ints
     centre_left: Floats
     centre_right: Floats
     wedge_left: Crossings
@@ -49,8 +57,18 @@ class Features:
     side_right: Crossings
 
 
+FALL_COLUMNS = 4
+"""Columns over which the blur draws the line's end out at most."""
+
+LEVEL_COLUMNS = 12
+"""Columns beyond them whose median tells how bright the line is before its end."""
+
+
 def find_features(surface: Surface, piece: Sandwave) -> Features:
     """The landmarks of ``piece`` in a raw scan of it.
+
+    Where the line's brightness is known, an edge lies where it falls to half; else where the last sample was seen, which is farther out before a dark surface than before
+    one that outshines it.
 
     The block lies roughly level (within 5°), turned by at most 10° about z, anywhere in the
     scan; the floor around it may be visible or not.
@@ -69,12 +87,15 @@ def find_features(surface: Surface, piece: Sandwave) -> Features:
     inner = ndimage.binary_erosion(patch_left | patch_right, np.ones((1, 5), dtype=bool))
     flat = block & (_near(height, 0.0, piece) | _near(height, piece.wedge.height_mm, piece))
 
+    bright = surface.brightness
+
     def crossings(mask: Mask, direction: int, open_end: Mask | None = None) -> Crossings:
-        return _crossings(surface.xyz_mm, mask, direction, spacing, plane[1], open_end)
+        return _crossings(surface.xyz_mm, mask, direction, spacing, plane[1], open_end, bright)
 
     unseen = (surface.status == Status.OUT_OF_BOARD) | (surface.status == Status.AT_BORDER)
     return Features(
         tops=surface.xyz_mm[inner],
+        top_index=np.flatnonzero(inner),
         centre_left=surface.xyz_mm[patch_left].mean(axis=0),
         centre_right=surface.xyz_mm[patch_right].mean(axis=0),
         wedge_left=crossings(patch_left, +1),
@@ -214,8 +235,10 @@ def _crossings(
     spacing: Floats,
     slope: float,
     open_end: Mask | None,
+    peak: Floats | None,
 ) -> Crossings:
-    """The outermost sample of ``mask`` in each row towards ``direction`` (+1: greater x).
+    """The outermost sample of ``mask`` in each row towards ``direction`` (+1: greater x), the
+    outermost that is half as bright as the line before it where ``peak`` (F, N) is known.
 
     slope: dz/dx of the rim's plane.  open_end: (F, N) samples that end the data without being
     an edge; a row that ends at one of them, or at the picture's border, is left out.
@@ -230,9 +253,28 @@ def _crossings(
         beside = np.clip(columns + towards, 0, last)
         keep = (beside != columns) & ~open_end[rows, beside]
         rows, columns = rows[keep], columns[keep]
+    if peak is not None:
+        columns = _last_bright(np.where(mask, peak, np.nan), rows, columns, towards)
     gap = direction * np.abs(spacing[_gap_index(columns, towards)])
     inside = xyz[rows, columns]
-    return Crossings(inside, inside + np.column_stack([gap, 0 * gap, slope * gap]))
+    outside = inside + np.column_stack([gap, 0 * gap, slope * gap])
+    return Crossings(inside, outside, rows * mask.shape[1] + columns)
+
+
+def _last_bright(peak: Floats, rows: Ints, columns: Ints, towards: int) -> Ints:
+    """(K,) the outermost of the last columns at which the peak is half that before its fall.
+
+    peak: (F, N), NaN off the surface.  The last column itself where nothing tells.
+    """
+    inwards = columns[:, None] - towards * np.arange(FALL_COLUMNS + LEVEL_COLUMNS)
+    there = (inwards >= 0) & (inwards < peak.shape[1])
+    run = np.where(there, peak[rows[:, None], np.clip(inwards, 0, peak.shape[1] - 1)], np.nan)
+    before = np.nan_to_num(run[:, FALL_COLUMNS:], nan=-1.0)
+    # The median of what is known: of LEVEL_COLUMNS, enough must be.
+    known = (before >= 0).sum(axis=1)
+    rank = np.sort(before, axis=1)[np.arange(len(rows)), -1 - known // 2]
+    bright = (run[:, :FALL_COLUMNS] >= rank[:, None] / 2) & (known[:, None] > 0)
+    return np.asarray(columns - towards * np.where(bright.any(axis=1), bright.argmax(axis=1), 0))
 
 
 def _gap_index(columns: Ints, towards: int) -> Ints:

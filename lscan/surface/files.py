@@ -14,7 +14,7 @@ import xarray as xr
 
 from lscan.disk import write_atomically
 from lscan.errors import InputError
-from lscan.records import Status, Surface, has_value
+from lscan.records import Floats, Status, Surface, has_value
 from lscan.surface.resample import Slice
 
 DIMENSIONS = ("frame", "column")
@@ -25,6 +25,8 @@ def save_surface(path: Path, surface: Surface) -> None:
 
     x, y, z and the standard uncertainties of x and z are (frame, column) float64 in mm, the
     status a byte with flag_values and flag_meanings, the track position (frame,) in mm.
+    Where the surface has modes, sigma_calibration is the part of the uncertainty of z that they
+    make common to all points; the modes themselves are not kept.
     Raises InputError where the file cannot be written.
     """
     with tempfile.TemporaryDirectory() as folder:
@@ -35,7 +37,7 @@ def save_surface(path: Path, surface: Surface) -> None:
 
 
 def load_surface(path: Path) -> Surface:
-    """The surface that :func:`save_surface` wrote, to the last bit.
+    """The surface that :func:`save_surface` wrote, to the last bit, but for its modes: None.
 
     Raises InputError where the file cannot be read or is not such a file.
     """
@@ -106,6 +108,7 @@ def _dataset(surface: Surface) -> xr.Dataset:
         "flag_meanings": " ".join(status.name.lower() for status in Status),
     }
     uncertain = {"standard_name_modifier": "standard_error", **length}
+    common = _calibration_part(surface, uncertain)
     x, y, z = np.moveaxis(surface.xyz_mm, -1, 0)
     variables = {
         "x": (
@@ -125,12 +128,13 @@ def _dataset(surface: Surface) -> xr.Dataset:
             {
                 "long_name": f"height in the {where} frame",
                 **length,
-                "ancillary_variables": "z_sigma status",
+                "ancillary_variables": " ".join(["z_sigma", *common, "status"]),
             },
         ),
         "x_sigma": (surface.sigma_x_mm, {"long_name": "standard uncertainty of x", **uncertain}),
         "z_sigma": (surface.sigma_mm, {"long_name": "standard uncertainty of z", **uncertain}),
         "status": (surface.status.astype(np.int8), flags),
+        **common,
     }
     arrays = {name: (DIMENSIONS, values, notes) for name, (values, notes) in variables.items()}
     track = {"long_name": "track position of the profile", **length}
@@ -142,3 +146,14 @@ def _dataset(surface: Surface) -> xr.Dataset:
             "frame": surface.frame,
         },
     )
+
+
+def _calibration_part(
+    surface: Surface, notes: dict[str, str]
+) -> dict[str, tuple[Floats, dict[str, str]]]:
+    """The variable sigma_calibration of a surface that has modes; none of one that has not."""
+    if surface.modes_mm is None:
+        return {}
+    common = np.sqrt(np.square(surface.modes_mm[..., 2, :], dtype=np.float64).sum(axis=-1))
+    name = "part of z_sigma that calibration and alignment give to all points in common"
+    return {"sigma_calibration": (common, {"long_name": name, **notes})}

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
+from numpy.typing import NDArray
 
 from lscan.errors import InputError
 from lscan.records import Profile, Surface
@@ -15,7 +16,10 @@ def stack(profiles: Sequence[Profile]) -> Surface:
 
     Frame "head": a point is (x, s, z) in mm, where x and z lie in the laser sheet and s is
     the track position of its profile.  This is not yet the true shape where the sheet is
-    yawed against the track: see :func:`lscan.surface.align.shear`.
+    yawed against the track: see :func:`lscan.surface.levelling.shear`.
+
+    modes_mm is the profiles' own, nothing common in y, in single precision; None unless every
+    profile has them.
 
     Raises InputError where there is no profile, where the profiles differ in length or
     where a track position is not finite.
@@ -44,4 +48,28 @@ def stack(profiles: Sequence[Profile]) -> Surface:
         sigma_mm=sigma[..., 1],
         status=status,
         position_mm=position,
+        modes_mm=_modes(profiles),
+        brightness=np.stack([profile.brightness for profile in profiles]),
     )
+
+
+def _modes(profiles: Sequence[Profile]) -> NDArray[np.float32] | None:
+    """(F, N, 3, M) modes of x, y and z."""
+    modes = [profile.points.modes_mm for profile in profiles]
+    known = [mode for mode in modes if mode is not None]
+    if len(known) < len(modes):
+        return None
+    counts = {mode.shape[2] for mode in known}
+    if len(counts) > 1:
+        raise InputError(
+            "profiles differ in their number of modes",
+            where="surface",
+            value=sorted(counts),
+            allowed="one calibration",
+        )
+    stacked = np.zeros((len(known), len(known[0]), 3, *counts), dtype=np.float32)
+    for row, mode in zip(stacked, known, strict=True):
+        row[:, [0, 2]] = mode
+    # y is the track's, without error, but holds no number where there is no point.
+    stacked[:, :, 1][np.isnan(stacked[:, :, 0])] = np.nan
+    return stacked

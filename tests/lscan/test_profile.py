@@ -21,6 +21,7 @@ class AffineMap:
     shift: np.ndarray
     sigma_mm: float = 0.0
     limit_mm: float = np.inf
+    modes_mm: np.ndarray | None = None  # (2, M), the same everywhere
     name: str = "affine"
 
     def to_plane(self, image_px, sigma_px=None):
@@ -29,7 +30,8 @@ class AffineMap:
         carried = np.sqrt((self.matrix**2).sum(axis=1)) * sigma_px[:, None]
         status = np.where(np.abs(xz[:, 0]) > self.limit_mm, Status.OUT_OF_BOARD, Status.OK)
         # What lies outside keeps its number here: to_profile must not let it through.
-        return PlanePoints(xz, np.hypot(carried, self.sigma_mm), status.astype(np.int64))
+        modes = None if self.modes_mm is None else np.tile(self.modes_mm, (len(xz), 1, 1))
+        return PlanePoints(xz, np.hypot(carried, self.sigma_mm), status.astype(np.int64), modes)
 
     def parameters(self) -> dict[str, Any]:
         return {}
@@ -52,7 +54,7 @@ def test_points_are_the_mapped_pixels_in_the_pictures_order(axis):
     along = np.arange(4.0)
     u, v = (along, centre) if axis == "columns" else (centre, along)
     np.testing.assert_allclose(profile.points.xz_mm, np.column_stack([u / 2 - 1, 10 - v / 2]))
-    np.testing.assert_array_equal(profile.peak, [100, 101, 102, 103])
+    np.testing.assert_array_equal(profile.brightness, [100, 101, 102, 103])
     assert profile.position_mm == 12.5
 
 
@@ -91,6 +93,17 @@ def test_numbers_stand_exactly_where_the_status_says_so(codes, limit):
     valued = has_value(points.status)[:, None] & np.ones(2, dtype=bool)
     np.testing.assert_array_equal(np.isfinite(points.xz_mm), valued)
     np.testing.assert_array_equal(np.isfinite(points.sigma_mm), valued)
+
+
+def test_modes_are_passed_on_where_there_is_a_value():
+    modes = np.array([[0.1, 0.0, 0.02], [0.0, 0.2, -0.03]])
+    map_of_2_mm = AffineMap(HALF_MM.matrix, np.zeros(2), limit_mm=2.0, modes_mm=modes)
+    codes = [Status.OK] * 6 + [Status.NO_PEAK]
+    points = to_profile(stripe_of(np.full(7, 4.0), codes), map_of_2_mm, 0.0).points
+    valued = has_value(points.status)
+    np.testing.assert_array_equal(points.modes_mm[valued], np.tile(modes, (5, 1, 1)))
+    assert np.isnan(points.modes_mm[~valued]).all()
+    assert to_profile(stripe_of(np.full(7, 4.0), codes), HALF_MM, 0.0).points.modes_mm is None
 
 
 @pytest.mark.parametrize("position", [np.nan, np.inf])

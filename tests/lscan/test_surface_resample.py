@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -53,14 +55,66 @@ def test_places_along_the_line() -> None:
     np.testing.assert_allclose(cut.xy_mm[[0, -1]], LINE)
 
 
-def test_curvature_costs_no_more_than_the_disc_allows() -> None:
-    """A plane fitted over a disc of radius r is off by curvature * r² / 8 at its centre."""
+@given(st.floats(-0.1, 0.1), st.floats(-0.1, 0.1), st.floats(-0.1, 0.1), st.floats(20, 130))
+@settings(max_examples=20, deadline=None, derandomize=True)
+def test_quadratics_are_met_exactly(a: float, b: float, c: float, y: float) -> None:
+    def height(x: Floats, y: Floats) -> Floats:
+        return a * (x - 75) ** 2 + b * (x - 75) * (y - 75) + c * (y - 75) ** 2
+
+    y_grid, x_grid = np.meshgrid(np.arange(0, 150.1, 0.5), np.arange(0, 150.1, 0.9), indexing="ij")
+    ends = (np.array([10.0, y]), np.array([140.0, 150.0 - y]))
+    cut = resample(gridded(height(x_grid, y_grid)), ends)
+    assert (cut.status == Status.OK).all()
+    np.testing.assert_allclose(cut.z_mm, height(*cut.xy_mm.T), atol=1e-8)
+
+
+def test_crests_are_kept() -> None:
+    """A quadratic over K points is off by no more than the third derivative times r³ / 6.
+
+    Taylor's remainder goes with rho³; for points that fill a disc the squares of the weights
+    add up to 4 / K and the sixth powers of rho to K r⁶ / 4, so that by Cauchy and Schwarz the
+    weighted sum of rho³ is below r³.
+    A plane is off by the second derivative times r² / 8 and would not pass on S3.
+    """
+    turning = np.hypot(PIECE.c_per_mm, PIECE.d_rad * PIECE.e_per_mm)
     for line in PIECE.slices_mm().values():
-        errors = compare_slice(resample(gridded(), line), PIECE)
-        slope_factor = 1 + (PIECE.d_rad * PIECE.e_per_mm / PIECE.c_per_mm) ** 2
-        curvature = 8.0 * PIECE.c_per_mm**2 * slope_factor
-        # Twice: the points do not fill the disc evenly.
-        assert max(errors.max_mm, -errors.min_mm) < 2 * curvature * 1.44**2 / 8
+        cut = resample(gridded(), line)
+        errors = compare_slice(cut, PIECE)
+        allowed = 8.0 * turning**3 * cut.radius_mm**3 / 6
+        assert max(errors.max_mm, -errors.min_mm) < allowed
+    assert allowed < 7.5 * turning**2 * cut.radius_mm**2 / 8
+
+
+def test_errors_in_common_do_not_average_out() -> None:
+    """One mode that lifts all by 0.2 mm, and one that shifts all in x by 0.3 mm on a slope."""
+    surface, own = plane(0.0, 0.5, 0.0), 0.1
+    shape = surface.status.shape
+    modes = np.zeros((*shape, 3, 2), dtype=np.float32)
+    modes[..., 2, 0], modes[..., 0, 1] = 0.2, 0.3
+    known = replace(
+        surface,
+        sigma_x_mm=np.full(shape, 0.3),
+        sigma_mm=np.full(shape, np.hypot(own, 0.2)),
+        modes_mm=modes,
+    )
+    cut = resample(known, LINE)
+    assert cut.modes_mm is not None
+    np.testing.assert_allclose(cut.modes_mm, [[0.2, -0.15]] * len(cut.z_mm), rtol=1e-5)
+    alone = replace(surface, sigma_x_mm=np.zeros(shape), sigma_mm=np.full(shape, own))
+    apart = resample(alone, LINE)
+    assert apart.modes_mm is None
+    np.testing.assert_allclose(cut.sigma_mm**2, apart.sigma_mm**2 + 0.2**2 + 0.15**2, rtol=1e-4)
+
+
+def test_a_plane_that_serves_tells_its_lack_of_fit() -> None:
+    """Along the surface's border the quadratic is less certain than one measurement."""
+    y, _ = np.meshgrid(np.arange(0, 150.1, 0.5), np.arange(0, 150.1, 0.9), indexing="ij")
+    bowl = gridded(0.05 * (y - 75) ** 2)
+    edge = resample(bowl, (np.array([20.0, 0.0]), np.array([130.0, 0.0])), step_mm=5.0)
+    served = edge.status == Status.OK
+    error = edge.z_mm[served] - 0.05 * 75.0**2
+    assert served.any()
+    assert (np.abs(error) < 3 * edge.sigma_mm[served]).all()
 
 
 def test_sigma_is_the_scatter_of_repeated_scans() -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -44,6 +45,41 @@ def test_points_without_value_keep_their_status_and_hold_no_number(surface: Surf
     assert (surface.status[:, 2] == Status.NO_PEAK).all()
     assert np.isnan(surface.xyz_mm[:, 2]).all()
     np.testing.assert_array_equal(has_value(surface.status), np.isfinite(surface.xyz_mm[..., 1]))
+
+
+def with_modes(one: Profile, count: int = 2) -> Profile:
+    modes = np.arange(len(one.brightness) * 2 * count, dtype=float).reshape(-1, 2, count)
+    modes[np.isnan(one.points.xz_mm[:, 0])] = np.nan
+    return replace(one, points=replace(one.points, modes_mm=modes))
+
+
+def test_stack_carries_modes_on_with_nothing_along_the_track() -> None:
+    profiles = [with_modes(profile(s)) for s in (0.0, 1.0)]
+    modes = stack(profiles).modes_mm
+    assert modes is not None
+    assert modes.shape == (2, 6, 3, 2)
+    assert modes.dtype == np.float32
+    np.testing.assert_array_equal(modes[1][:, [0, 2]], profiles[1].points.modes_mm)
+    np.testing.assert_array_equal(modes[0, [0, 1, 3, 4, 5], 1], 0.0)
+    assert np.isnan(modes[:, 2]).all()
+    assert stack([profiles[0], profile(1.0)]).modes_mm is None
+    with pytest.raises(InputError, match="number of modes"):
+        stack([profiles[0], with_modes(profile(1.0), count=3)])
+
+
+def test_netcdf_tells_the_common_part_of_sigma(tmp_path: Path) -> None:
+    surface = stack([with_modes(profile(s)) for s in (0.0, 1.0)])
+    save_surface(tmp_path / "surface.nc", surface)
+    with xr.open_dataset(tmp_path / "surface.nc", engine="h5netcdf") as data:
+        assert "sigma_calibration" in data["z"].attrs["ancillary_variables"].split()
+        common = data["sigma_calibration"]
+        assert common.attrs["units"] == "mm"
+        # Point 1 has the modes (6, 7) of z in both profiles: their root of squares.
+        np.testing.assert_allclose(common[:, 1], np.hypot(6.0, 7.0))
+        np.testing.assert_array_equal(np.isnan(common), np.isnan(data["z"]))
+    again = load_surface(tmp_path / "surface.nc")
+    assert_same(again, surface)
+    assert again.modes_mm is None
 
 
 @pytest.mark.parametrize(

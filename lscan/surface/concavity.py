@@ -1,0 +1,198 @@
+"""Taking back what the sheet's thickness does to a line on a sloping or curved target.
+
+Light that falls a little before or behind the sheet's middle plane meets the target at
+another height, and the camera, which looks at the sheet askew, sees it displaced even where
+the target is level.  In a column of the picture, which follows the direction d = (kappa, 1)
+in plan, light at the distance y from the middle plane appears in the sheet at the height
+
+    zeta(y) = h(kappa y, y) + tau y,      kappa = r_x / r_y,  tau = -r_z / r_y
+
+where h is the target's height about the point and r the line of sight.  A matt target lit by
+a sheet of Gaussian irradiance, standard deviation sigma, returns c(y) exp(-y²/2 sigma²), c
+being the cosine of incidence, and the picture stretches it by zeta'.  The centroid of
+zeta(y) under the weight c zeta' exp(-y²/2 sigma²) is displaced, to the second order in
+sigma, by
+
+    sigma² (3/2 zeta'' + zeta' (ln c)')
+
+(derived here: half of zeta'' is the mean of the parabola, one zeta'' the stretching).  The
+first term follows the concavity across the sheet, the second slope times concavity.
+Profiles of neighbouring track positions tell both, for the target stands still.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from lscan.errors import InputError
+from lscan.records import Floats, Surface, has_value
+from lscan.surface.levelling import shear
+
+REACH_IN_SIGMAS = 4.0
+"""Radius in plan over which the target is taken for a quadratic, in sigmas of the sheet; no
+less than REACH_IN_SAMPLES of the coarser sample spacing."""
+
+REACH_IN_SAMPLES = 2.0
+
+FEWEST_POINTS = 9
+"""Fewest points for the quadratic's six coefficients."""
+
+NO_BETTER_MM = 1e-6
+"""Heights are weighed as if known to no better than this: exact ones have weights too."""
+
+
+@dataclass(frozen=True)
+class SheetGeometry:
+    """The laser sheet and the view of it, in the head frame.
+
+    sigma_mm: standard deviation of the irradiance across the sheet, half its 1/e2 half width.
+    camera_mm: (3,) the camera's pinhole.  Behind a flat port that is close to the pinhole
+        the rays in the water come from there too, to a few mm.
+    apex_mm: (3,) where the laser's fan opens.
+    yaw_rad: angle of the sheet against the track, as ``align_sandwave`` finds it.
+    """
+
+    sigma_mm: float
+    camera_mm: tuple[float, float, float]
+    apex_mm: tuple[float, float, float]
+    yaw_rad: float = 0.0
+
+    def __post_init__(self) -> None:
+        """Refuse a sheet of no thickness and a camera in the sheet or beyond it."""
+        if not (np.isfinite(self.sigma_mm) and self.sigma_mm > 0):
+            raise InputError("sheet: sigma_mm", value=self.sigma_mm, allowed="> 0 mm")
+        places = np.array([*self.camera_mm, *self.apex_mm, self.yaw_rad], dtype=float)
+        if not np.isfinite(places).all():
+            raise InputError("sheet: a place is not finite", value=places.tolist())
+        if self.camera_mm[1] >= 0:
+            raise InputError("sheet: camera_mm", value=self.camera_mm, allowed="y below 0")
+
+
+def take_back_thickness(surface: Surface, sheet: SheetGeometry) -> Surface:
+    """The surface with its heights moved back to those of the sheet's middle plane.
+
+    surface: in the head frame, as stacked, its heights found from whole-line centroids.
+    The target is taken for matt, of one reflectance within the sheet's thickness.
+
+    Points without enough neighbours for their concavity keep their height.  sigma_mm grows by
+    the noise of the correction, and by all of it where within two sigmas of the sheet the
+    target folds out of the camera's sight, which the series does not describe.  Points kept
+    as they are get the root mean square of all corrections.
+    Raises InputError for a surface that is not in the head frame.
+    """
+    if surface.frame != "head":
+        raise InputError(
+            "is aligned already", where="surface", value=surface.frame, allowed="the head frame"
+        )
+    parts = [_shift(forms, surface.xyz_mm[f], sheet) for f, forms in _quadratics(surface, sheet)]
+    shift, sigma = (np.stack(column) for column in zip(*parts, strict=True))
+    known = np.isfinite(shift)
+    typical = float(np.sqrt(np.mean(shift[known] ** 2))) if known.any() else 0.0
+    xyz = surface.xyz_mm.copy()
+    xyz[..., 2] -= np.where(known, shift, 0.0)
+    total = np.hypot(surface.sigma_mm, np.where(known, sigma, typical))
+    return replace(surface, xyz_mm=xyz, sigma_mm=total)
+
+
+@dataclass(frozen=True)
+class _Quadratics:
+    """The local quadratics of one profile, (N,) each; NaN where there are too few points.
+
+    slope: (N, 2) of h by x and by y.  bend: (N, 3) of h by xx, xy, yy, 1/mm.
+    covariance: (N, 3, 3) of the bend.
+    """
+
+    slope: Floats
+    bend: Floats
+    covariance: Floats
+
+
+def _quadratics(surface: Surface, sheet: SheetGeometry) -> Iterator[tuple[int, _Quadratics]]:
+    """Index and local quadratics of each profile, fitted to it and its neighbours."""
+    valid = has_value(surface.status) & np.isfinite(surface.xyz_mm).all(axis=-1)
+    true = np.where(valid[..., None], surface.xyz_mm, np.nan) @ shear(sheet.yaw_rad).T
+    along, across = _spacing(true[..., 1], 0), _spacing(true[..., 0], 1)
+    radius = max(REACH_IN_SIGMAS * sheet.sigma_mm, REACH_IN_SAMPLES * max(along, across))
+    frames, columns = (int(np.ceil(radius / step)) for step in (along, across))
+    count = true.shape[1]
+    beside = np.arange(count)[:, None] + np.arange(-columns, columns + 1)
+    outside = (beside < 0) | (beside >= count)
+    beside = np.clip(beside, 0, count - 1)
+    for f in range(len(true)):
+        first, last = max(f - frames, 0), min(f + frames + 1, len(true))
+        offset = true[first:last, beside] - true[f][:, None]
+        offset[:, outside] = np.nan
+        noise = surface.sigma_mm[first:last, beside]
+        yield f, _fit(_flat(offset, count), _flat(noise, count), radius)
+
+
+def _spacing(coordinate: Floats, axis: int) -> float:
+    """Median distance of neighbours along an axis, mm; 1 where there are none."""
+    steps = np.abs(np.diff(coordinate, axis=axis))
+    steps = steps[np.isfinite(steps) & (steps > 0)]
+    return float(np.median(steps)) if len(steps) else 1.0
+
+
+def _flat(window: np.ndarray, count: int) -> np.ndarray:
+    """(frames, N, columns, ...) as (N, frames x columns, ...)."""
+    turned = np.moveaxis(window, 0, 1)
+    return turned.reshape(count, -1, *window.shape[3:])
+
+
+def _fit(offset: Floats, noise: Floats, radius: float) -> _Quadratics:
+    """The quadratics through (N, K, 3) offsets in mm of standard uncertainty (N, K)."""
+    x, y = offset[..., 0] / radius, offset[..., 1] / radius
+    used = np.isfinite(offset).all(axis=-1) & (np.hypot(x, y) <= 1)
+    terms = np.stack([np.ones_like(x), x, y, x**2 / 2, x * y, y**2 / 2], axis=-1)
+    count = used.sum(axis=1)
+    variance = np.maximum(noise**2, NO_BETTER_MM**2)
+    total = np.where(used, variance, 0.0).sum(axis=1, keepdims=True)
+    typical = total / np.maximum(count, 1)[:, None]
+    weight = np.where(used, typical / np.maximum(variance, 1e-3 * typical), 0.0)
+    design = np.where(used[..., None], terms, 0.0)
+    height = np.where(used, offset[..., 2], 0.0)
+    turned = np.swapaxes(design * weight[..., None], 1, 2)
+    normal = turned @ design
+    good = (count >= FEWEST_POINTS) & (np.linalg.eigvalsh(normal)[:, 0] > 1e-4)
+    inverse = np.linalg.inv(np.where(good[:, None, None], normal, np.eye(6)))
+    fitted = (inverse @ (turned @ height[..., None]))[..., 0]
+    residual = height - (design @ fitted[..., None])[..., 0]
+    scatter = (weight * residual**2).sum(axis=1) / np.maximum(count - 6, 1)
+    fitted = np.where(good[:, None], fitted, np.nan)
+    return _Quadratics(
+        slope=fitted[:, 1:3] / radius,
+        bend=fitted[:, 3:] / radius**2,
+        covariance=inverse[:, 3:, 3:]
+        * np.maximum(scatter, typical[:, 0])[:, None, None]
+        / radius**4,
+    )
+
+
+def _shift(forms: _Quadratics, points: Floats, sheet: SheetGeometry) -> tuple[Floats, Floats]:
+    """(N,) displacement in mm of the heights of one profile, and its uncertainty.
+
+    points: (N, 3) of the raw surface, whose x and z are those of the head frame.
+    """
+    camera, apex = np.array(sheet.camera_mm), np.array(sheet.apex_mm)
+    kappa = (points[:, 0] - camera[0]) / -camera[1]
+    tau = (points[:, 2] - camera[2]) / camera[1]
+    to_apex = apex[[0, 2]] - points[:, [0, 2]]
+    slope_x, slope_y = forms.slope.T
+    rise = kappa * slope_x + slope_y + tau
+    facing = to_apex[:, 1] - slope_x * to_apex[:, 0]  # cosine of incidence, but for lengths
+    upright = 1 + slope_x**2 + slope_y**2
+    # (ln c)' = by_x * (slope_x)' + by_y * (slope_y)', the primes along (kappa, 1).
+    by_x = -to_apex[:, 0] / facing - slope_x / upright
+    by_y = -slope_y / upright
+    nought, one = np.zeros_like(kappa), np.ones_like(kappa)
+    curving = np.stack([kappa**2, 2 * kappa, one], axis=-1)  # zeta'' of the bend
+    darkening = by_x[:, None] * np.stack([kappa, one, nought], axis=-1)
+    darkening += by_y[:, None] * np.stack([nought, kappa, one], axis=-1)
+    gain = sheet.sigma_mm**2 * (1.5 * curving + rise[:, None] * darkening)
+    shift = (gain * forms.bend).sum(axis=1)
+    variance = np.einsum("ni,nij,nj->n", gain, forms.covariance, gain)
+    folds = rise < 2 * sheet.sigma_mm * np.abs((curving * forms.bend).sum(axis=1))
+    return shift, np.sqrt(variance + np.where(folds, shift**2, 0.0))

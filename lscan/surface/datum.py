@@ -1,0 +1,154 @@
+"""What errors of the points do to the alignment that is found from them.
+
+The alignment makes seven quantities of the aligned points nought: height and two slopes of the
+wedges' tops, the turn of the line of the corners, the lean of the edges against that line, and
+the two coordinates of the corners' middle.  Each is a linear function of a small displacement
+of the points.  So is the displacement that each of the alignment's own seven parameters gives
+to them.  To first order, then, a displacement common to many points, such as an error of the
+calibration, is answered by the change of parameters that makes the seven nought again; and what
+noise leaves in the seven is answered by errors of the parameters that all points share.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import block_diag
+
+from lscan.records import Floats, Ints
+
+PARAMETERS = 7
+"""Rotations about x, y and z, yaw, shifts in x, y and z."""
+
+YAW = 3
+"""Index of the yaw among the parameters."""
+
+
+@dataclass(frozen=True)
+class EdgeCrossings:
+    """Crossings of one edge in the workpiece frame: its dx/dy, points (K, 3) mm, and their
+    index (K,) among all points of the surface."""
+
+    slope: float
+    points: Floats
+    index: Ints
+
+
+@dataclass(frozen=True)
+class Datum:
+    """What an alignment is made from, in the workpiece frame.
+
+    tops: (K, 3) points, mm, top_index: (K,) among all points of the surface, top_sigma_mm:
+    (K,) noise of their z, each one's own.  edges: the four of the wedges (left near, left far,
+    right near, right far), then the sides.  edge_covariance: (E + 1, E + 1) of the lean and of
+    each edge's place, mm.  yaw_variance: what is to be added to that of the lean, rad².
+    corners: (2, 2) left and right one.  rotation, yaw_rad: of the alignment.
+    """
+
+    tops: Floats
+    top_index: Ints
+    top_sigma_mm: Floats
+    edges: Sequence[EdgeCrossings]
+    edge_covariance: Floats
+    yaw_variance: float
+    corners: Floats
+    rotation: Floats
+    yaw_rad: float
+
+    @property
+    def index(self) -> Ints:
+        """(P,) of all the points it is made from: the tops, then edge by edge."""
+        return np.concatenate([self.top_index, *(edge.index for edge in self.edges)])
+
+    @property
+    def pivot(self) -> Floats:
+        """(3,) mm, the middle of the corners at the height of the tops."""
+        return np.array([*self.corners.mean(axis=0), self.tops[:, 2].mean()])
+
+
+def parameter_modes(datum: Datum, modes: NDArray[np.floating]) -> Floats:
+    """(7, M + 7) how the alignment's parameters err, in mm and rad.
+
+    modes: (P, 3, M) mm, displacements of the points of ``datum.index``, along the workpiece's axes.
+    The first M columns answer these; the last 7 are the noise of the alignment itself.
+    """
+    points = np.concatenate([datum.tops, *(edge.points for edge in datum.edges)])
+    given = displacement(points, datum.pivot, datum.rotation, datum.yaw_rad)
+    noise, vectors = np.linalg.eigh(_noise(datum))
+    left = np.column_stack([_seven(datum, modes), vectors * np.sqrt(np.maximum(noise, 0.0))])
+    return np.asarray(-np.linalg.solve(_seven(datum, given), left))
+
+
+def displacement(points: Floats, pivot: Floats, rotation: Floats, yaw_rad: float) -> Floats:
+    """(..., 3, 7) displacement of workpiece points (..., 3), mm, by each parameter's unit.
+
+    pivot: (3,) about which is turned, and where the yaw displaces nothing.
+    """
+    x, y, z = np.moveaxis(points - pivot, -1, 0)
+    nought = np.zeros_like(x)
+    # Track position of a point relative to the pivot, from its place: the inverse of the pose.
+    sine, cosine = np.sin(yaw_rad), np.cos(yaw_rad)
+    track = ((points - pivot) @ rotation)[..., 1] / cosine
+    about = [
+        np.stack([nought, -z, y], axis=-1),
+        np.stack([z, nought, -x], axis=-1),
+        np.stack([-y, x, nought], axis=-1),
+        track[..., None] * (rotation @ np.array([cosine, -sine, 0.0])),
+    ]
+    shifts = np.broadcast_to(np.eye(3), (*points.shape[:-1], 3, 3))
+    return np.concatenate([np.stack(about, axis=-1), shifts], axis=-1)
+
+
+def _seven(datum: Datum, field: NDArray[np.floating]) -> Floats:
+    """(7, C) the seven quantities of C displacements (P, 3, C) of the tops, then the edges."""
+    count = len(datum.tops)
+    plane = np.linalg.lstsq(_plane_design(datum), field[:count, 2], rcond=None)[0]
+    design = _edge_design(datum)
+    slope = np.repeat([edge.slope for edge in datum.edges], [len(e.index) for e in datum.edges])
+    across = field[count:, 0] - slope[:, None] * field[count:, 1]
+    edges = np.linalg.lstsq(design, across, rcond=None)[0]
+    return np.concatenate([plane, _from_edges(datum) @ edges])
+
+
+def _noise(datum: Datum) -> Floats:
+    """(7, 7) covariance of the seven quantities from the points' own noise."""
+    spread = np.linalg.pinv(_plane_design(datum)) * datum.top_sigma_mm
+    edges = _from_edges(datum)
+    of_edges = edges @ datum.edge_covariance @ edges.T
+    of_edges[1, 1] += datum.yaw_variance
+    return np.asarray(block_diag(spread @ spread.T, of_edges))
+
+
+def _plane_design(datum: Datum) -> Floats:
+    """(K, 3) of a plane through the tops."""
+    return np.column_stack([np.ones(len(datum.tops)), (datum.tops - datum.pivot)[:, :2]])
+
+
+def _edge_design(datum: Datum) -> Floats:
+    """(K, E + 1) what the lean and each edge's place do to the crossings, as in edges.py."""
+    which = np.repeat(np.arange(len(datum.edges)), [len(edge.index) for edge in datum.edges])
+    y = np.concatenate([edge.points[:, 1] for edge in datum.edges]) - datum.pivot[1]
+    return np.column_stack([y, np.eye(len(datum.edges))[which]])
+
+
+def _from_edges(datum: Datum) -> Floats:
+    """(4, E + 1) turn, lean against the line of the corners, and middle (x, y), from the lean
+    and the places of the edges."""
+    size = len(datum.edges) + 1
+    corners = []
+    for near, far in ((0, 1), (2, 3)):
+        # Where x = at + slope y of both edges agree.
+        y = np.zeros(size)
+        y[[1 + near, 1 + far]] = np.array([-1.0, 1.0]) / (
+            datum.edges[near].slope - datum.edges[far].slope
+        )
+        x = datum.edges[near].slope * y
+        x[1 + near] += 1.0
+        corners.append((x, y))
+    (left_x, left_y), (right_x, right_y) = corners
+    turn = (right_y - left_y) / (datum.corners[1, 0] - datum.corners[0, 0])
+    lean = np.eye(size)[0] + turn
+    return np.stack([turn, lean, (left_x + right_x) / 2, (left_y + right_y) / 2])

@@ -1,0 +1,142 @@
+"""The bench: its pictures are what they say, and its rows tell a known error for what it is."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from lscan.bench import ExtractorRow, bench_extractors, bench_maps, write_bench
+from lscan.bench.boards import BOARDS, VIEW, reading_of
+from lscan.bench.extractors import bound_px
+from lscan.bench.page import extractor_cells, map_cells
+from lscan.bench.pictures import BACKGROUND_DN, SHAPE, Case, centres, draw, mean_picture
+from lscan.errors import InputError
+from lscan.records import Floats, Mask, Status, Stripe
+from lscan.rig import NoiseSection, StripeSection
+
+QUIET = NoiseSection(read_dn=1.0)
+OFFSET_PX = 0.25
+WRONG = f"{__name__}:off_by_a_quarter"
+
+
+def off_by_a_quarter(image: Floats, settings: StripeSection, clipped: Mask) -> Stripe:
+    """The centroid above the background of the whole column, a quarter of a pixel too low."""
+    light = np.maximum(image - BACKGROUND_DN - 4.0, 0.0)
+    rows = np.arange(len(image))[:, None]
+    centre = (light * rows).sum(axis=0) / light.sum(axis=0) + OFFSET_PX
+    nothing = np.zeros(image.shape[1])
+    status = np.full(image.shape[1], int(Status.OK), dtype=np.int64)
+    return Stripe("columns", centre, nothing + OFFSET_PX, image.max(axis=0), status)
+
+
+@pytest.mark.parametrize("sigma_px", [0.8, 1.5, 3.0])
+def test_the_line_is_where_it_is_said_to_be(sigma_px: float) -> None:
+    true = centres(0.37)
+    light = mean_picture(Case("tap", sigma_px, 100.0, QUIET), true) - BACKGROUND_DN
+    rows = np.arange(SHAPE[0])[:, None]
+    # Pixel means keep the first moment, and add 1/12 to the second (Sheppard's corrections),
+    # but for aliases of the pixel grid: the Gaussian's transform one cycle a pixel away.
+    alias = 20 * np.exp(-2 * (np.pi * sigma_px) ** 2) + 1e-9
+    centroid = (light * rows).sum(axis=0) / light.sum(axis=0)
+    assert np.abs(centroid - true).max() < alias
+    spread = (light * (rows - true) ** 2).sum(axis=0) / light.sum(axis=0)
+    assert np.abs(spread - sigma_px**2 - 1 / 12).max() < alias
+
+
+def test_the_noise_is_the_noise_declared() -> None:
+    gain, contrast = 0.05, 0.2
+    noise = NoiseSection(read_dn=2.0, dn_per_electron=gain, speckle=contrast)
+    case, true = Case("tap", 2.0, 150.0, noise), centres(0.1)
+    generator = np.random.default_rng(5)
+    shots = np.array([draw(case, true, generator) for _ in range(400)], dtype=float)
+    mean = mean_picture(case, true)
+    light = mean - BACKGROUND_DN
+    variance = noise.read_dn**2 + gain * mean + (contrast * light) ** 2
+    crest = light > 30  # far from 0 and from 255 DN, where the range would cut the noise
+    assert mean.max() + 4 * np.sqrt(variance.max()) < 350
+    clear = crest & (mean + 4 * np.sqrt(variance) < 255)
+    pulls = (shots.mean(axis=0) - mean)[clear] / np.sqrt(variance[clear] / len(shots))
+    # Pulls of thousands of pixels: their mean square is 1 within four of its standard errors.
+    assert abs(np.mean(pulls**2) - 1) < 4 * np.sqrt(2 / clear.sum())
+    # Poisson and gamma noise have kurtosis; 5 % covers it many times over for so many pixels.
+    assert abs(np.mean(shots.var(axis=0)[clear] / variance[clear]) - 1) < 0.05
+
+
+def test_a_known_error_is_told_for_what_it_is() -> None:
+    rows = bench_extractors([WRONG, "centroid-relative"], pictures=4, quick=True)
+    ours = {row.case: row for row in rows if row.extractor == WRONG}
+    theirs = {row.case: row for row in rows if row.extractor == "centroid-relative"}
+    assert ours.keys() == theirs.keys() and len(ours) == 7
+    bright = next(c for c in ours if c.water == "tap" and c.peak_dn == 200 and not c.noise.speckle)
+    row = ours[bright]
+    error_of_mean = row.scatter_px / np.sqrt(4 * SHAPE[1])
+    assert abs(row.bias_px - OFFSET_PX) < 5 * error_of_mean + 1e-3
+    assert row.found == 1.0
+    assert row.bound_ratio is not None and row.bound_ratio > 1
+    # The span of the paper's centroid holds two sigma: its bias, by symmetry, vanishes.
+    assert abs(theirs[bright].bias_px) < 5 * theirs[bright].scatter_px / np.sqrt(4 * SHAPE[1])
+
+
+def test_the_bound_is_that_of_a_wide_line_in_additive_noise() -> None:
+    # physics.md section 4: (sigma_n / A) sqrt(2 w / sqrt(pi)); pixels narrow it by under 2 %.
+    case = Case("tap", 3.0, 100.0, NoiseSection(read_dn=2.0))
+    closed = 2.0 / 100.0 * np.sqrt(2 * 3.0 / np.sqrt(np.pi))
+    assert bound_px(case) == pytest.approx(closed, rel=0.02)
+
+
+def test_the_seed_fixes_the_rows() -> None:
+    def first(seed: int) -> ExtractorRow:
+        row = bench_extractors(["max"], seed=seed, pictures=1, quick=True)[0]
+        return replace(row, us_a_frame=0.0)
+
+    assert first(3) == first(3) != first(4)
+
+
+def test_unknown_names_are_refused() -> None:
+    with pytest.raises(InputError, match="no such"):
+        bench_extractors(["median"])
+    with pytest.raises(InputError, match="no such"):
+        bench_maps(["globe"])
+
+
+@pytest.mark.parametrize("board", BOARDS)
+def test_a_board_is_seen_whole_and_its_noise_is_the_noise_asked_for(board: str) -> None:
+    exact = reading_of(BOARDS[board], VIEW, 0.0, np.random.default_rng(1))
+    noisy = reading_of(BOARDS[board], VIEW, 0.1, np.random.default_rng(1))
+    assert exact.grid.found.all()
+    shift = noisy.grid.image_px - exact.grid.image_px
+    # chi-square of 2 N degrees of freedom, four standard deviations
+    count = shift.size
+    assert abs(np.sum(shift**2) / 0.1**2 - count) < 4 * np.sqrt(2 * count)
+
+
+def test_maps_are_judged_by_the_truth() -> None:
+    rows = bench_maps(["polynomial-1", "polynomial-5", "polynomial-9"], draws=2, quick=True)
+    exact = {row.plane_map: row for row in rows if row.noise_px == 0}
+    # paper-notes 8: global polynomials of order 5 leave 0.0022 mm on such a view.
+    assert exact["polynomial-5"].rms_mm < 0.004
+    assert exact["polynomial-1"].rms_mm > 1.0
+    assert exact["polynomial-5"].covered > 0.99
+    # 55 terms to 100 points: with noise the highest order is the worst of all.
+    noisy = {row.plane_map: row for row in rows if row.noise_px == 0.1}
+    assert noisy["polynomial-9"].rms_mm > noisy["polynomial-5"].rms_mm > 0.01
+
+
+def test_table_and_picture_are_written(tmp_path: Path) -> None:
+    extractors = bench_extractors(["max"], pictures=1, quick=True)
+    maps = bench_maps(["polynomial-2"], draws=1, quick=True)
+    nan = float("nan")
+    blind = replace(extractors[0], extractor="blind", bias_px=nan, scatter_px=nan, worst_z=nan)
+    refused = replace(maps[0], plane_map="shy", rms_mm=nan, max_mm=nan, refused="too few dots")
+    write_bench(tmp_path / "bench", [*extractors, blind], [*maps, refused])
+    content = json.loads((tmp_path / "bench" / "bench.json").read_text())
+    assert content["extractors"][0]["bias_px"] == extractors[0].bias_px
+    assert content["extractors"][-1]["scatter_px"] is None
+    assert content["maps"][-1]["refused"] == "too few dots"
+    assert (tmp_path / "bench" / "bench.png").read_bytes().startswith(b"\x89PNG")
+    assert len({len(cells) for cells in extractor_cells(extractors)}) == 1
+    assert map_cells([refused])[0][3] == "refused"
