@@ -1,0 +1,111 @@
+"""Every plane map on every board at several noises: rms and largest error, and its time."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from lscan.bench.boards import BOARDS, VIEW, reading_of
+from lscan.board import Board
+from lscan.errors import BoardNotFound, InputError
+from lscan.planemap.api import PlaneMap, find_solver
+from lscan.records import BoardReading, Floats, Status
+from lscan.rig import OpticsSection
+
+NOISES_PX = (0.0, 0.015, 0.1)  # exact, a good picture's, a poor one's
+PLACES = 4000  # at which a map is judged
+POINTS = 640  # of the profile whose time is taken
+
+
+Solve = Callable[[BoardReading, OpticsSection], PlaneMap]
+
+
+@dataclass(frozen=True)
+class MapRow:
+    """One plane map on one board and noise.
+
+    rms_mm, max_mm: distance from the truth over the covered part of the sheet, the rms over
+    all draws and the largest of all.  covered: share of the board within the map.
+    ms_solve, ms_profile: median milliseconds to solve it and to map 640 points.
+    refused: why there is no map; the figures are NaN then.
+    """
+
+    plane_map: str
+    board: str
+    noise_px: float
+    rms_mm: float
+    max_mm: float
+    covered: float
+    ms_solve: float
+    ms_profile: float
+    refused: str = ""
+
+
+def bench_maps(
+    names: Sequence[str], seed: int = 1, draws: int = 5, quick: bool = False
+) -> list[MapRow]:
+    """A row for each map, board and noise, all maps on the same readings.
+
+    Raises InputError for a map that does not exist.
+    """
+    solvers = {name: find_solver(name) for name in names}
+    boards: Mapping[str, Board] = {"paper": BOARDS["paper"]} if quick else BOARDS
+    rows = []
+    for number, (label, board) in enumerate(boards.items()):
+        places = _places(board, np.random.default_rng([seed, number]))
+        for noise in NOISES_PX:
+            generator = np.random.default_rng([seed, number, round(1e4 * noise)])
+            count = 1 if noise == 0 else draws
+            readings = [reading_of(board, VIEW, noise, generator) for _ in range(count)]
+            rows += [
+                _row(name, solvers[name].solve, label, noise, readings, places) for name in names
+            ]
+    return rows
+
+
+def _row(
+    name: str,
+    solve: Solve,
+    board: str,
+    noise_px: float,
+    readings: Sequence[BoardReading],
+    places: Floats,
+) -> MapRow:
+    pixels = VIEW.project(places)
+    errors, covered, solving, mapping = [], [], [], []
+    for reading in readings:
+        started = time.perf_counter()
+        try:
+            solved = solve(reading, VIEW.knowledge())
+        except (InputError, BoardNotFound) as refusal:
+            nan = float("nan")
+            return MapRow(name, board, noise_px, nan, nan, 0.0, nan, nan, str(refusal))
+        solving.append(time.perf_counter() - started)
+        answer = solved.to_plane(pixels)
+        known = answer.status == Status.OK
+        errors.append(np.linalg.norm(answer.xz_mm[known] - places[known], axis=1))
+        covered.append(float(known.mean()))
+        started = time.perf_counter()
+        solved.to_plane(pixels[:POINTS], np.full(POINTS, 0.05))
+        mapping.append(time.perf_counter() - started)
+    error = np.concatenate(errors)
+    return MapRow(
+        plane_map=name,
+        board=board,
+        noise_px=noise_px,
+        rms_mm=float(np.sqrt(np.mean(error**2))),
+        max_mm=float(error.max()),
+        covered=float(np.mean(covered)),
+        ms_solve=1e3 * float(np.median(solving)),
+        ms_profile=1e3 * float(np.median(mapping)),
+    )
+
+
+def _places(board: Board, generator: np.random.Generator) -> Floats:
+    """(PLACES, 2) of (x, z) mm, even over the board between its outermost control points."""
+    grid = board.grid
+    width, height = (grid.columns - 1) * grid.pitch_mm, (grid.rows - 1) * grid.pitch_mm
+    return generator.random((PLACES, 2)) * np.array([width, -height])
