@@ -6,7 +6,7 @@ BIN := .venv/bin
 ROOT := $(shell [ "$$(id -u)" = 0 ] || echo sudo -n)
 APT := $(ROOT) env DEBIAN_FRONTEND=noninteractive apt-get -qq
 
-.PHONY: help demo test lint bench verify clean
+.PHONY: help demo test lint bench verify accuracy clean
 .DELETE_ON_ERROR:
 
 help:
@@ -15,6 +15,7 @@ help:
 	@echo "make lint    the checks alone: ruff, mypy, import contracts"
 	@echo "make bench   measure speed and write out/bench.json"
 	@echo "make verify  hold the tank against references; out/verify.json, out/verify/report.html"
+	@echo "make accuracy  hold the instrument against the truth; out/accuracy.json"
 	@echo "make clean   remove all that was set up or made, save runs/"
 
 demo: .venv/llvm.stamp
@@ -34,6 +35,9 @@ bench: .venv/llvm.stamp
 
 verify: .venv/llvm.stamp
 	$(BIN)/lscan-sim verify --full -o out/verify --json-file out/verify.json
+
+accuracy: .venv/llvm.stamp
+	$(BIN)/lscan-sim accuracy -o out/accuracy.json
 
 clean:
 	rm -rf .venv out build *.egg-info

@@ -5,6 +5,7 @@ Heavy modules are imported where they are used, so that ``lscan --help`` stays q
 
 from __future__ import annotations
 
+import json
 import sys
 from dataclasses import dataclass
 from pathlib import Path
@@ -34,15 +35,37 @@ def require_folders(*outputs: Path | None) -> None:
 def open_calibrated(run: Path, calibration: Path) -> tuple[Run, PlaneMap]:
     """A run and the plane map for its pictures; a run that is not complete is said to be so."""
     from lscan.experiment import require_size
-    from lscan.planemap.calibration import load_calibration
     from lscan.run import open_run
 
-    opened, loaded = open_run(run), load_calibration(calibration)
-    require_size(opened, loaded.reading.image_size, calibration)
+    opened = open_run(run)
+    plane_map, size = _stored_map(calibration)
+    require_size(opened, size, calibration)
     planned = opened.rig_file.rig.plan.frames
     if len(opened) < planned:
         print(f"lscan: note: {run} holds {len(opened)} of {planned} frames", file=sys.stderr)
-    return opened, loaded.plane_map
+    return opened, plane_map
+
+
+def _stored_map(path: Path) -> tuple[PlaneMap, tuple[int, int]]:
+    """The map of a calibration file of either route, and the (width, height) it is for."""
+    from lscan.metric import load_metric
+    from lscan.metric.file import FORMAT
+    from lscan.planemap.calibration import load_calibration
+
+    if _format_of(path) == FORMAT:
+        metric = load_metric(path)
+        return metric.plane_map, metric.image_size
+    loaded = load_calibration(path)
+    return loaded.plane_map, loaded.reading.image_size
+
+
+def _format_of(path: Path) -> Any:
+    """What a JSON file says it is; None for any other file, whose reader will say what is wrong."""
+    try:
+        document = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError, RecursionError):
+        return None
+    return document.get("format") if isinstance(document, dict) else None
 
 
 def choice(option: str, value: str, allowed: tuple[str, ...]) -> Any:

@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 from typing import Annotated, Any
+
+# Before NumPy: its matrices here are small, and threads cost them more time than they save.
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import numpy as np
 import typer
@@ -15,11 +19,13 @@ from lscan.arguments import (
     require_folders,
     stripe_picture,
 )
+from lscan.bench_cli import bench
 from lscan.console import print_json, print_table, progress_bar, run_command_line
+from lscan.metric_cli import calibrate_metric
 from lscan.summaries import calibration_summary, print_calibration, print_check
 
 app = typer.Typer(
-    help="Laser line scanner: scan, calibrate, reconstruct, measure, report.",
+    help="Laser line scanner: scan, calibrate, reconstruct, measure, report, bench.",
     no_args_is_help=True,
     add_completion=False,
     pretty_exceptions_enable=False,
@@ -88,6 +94,7 @@ def calibrate(
     """Find the board's control points in a picture and solve a plane map from them."""
     from lscan.controlpoints import draw_overlay
     from lscan.pictures import write_picture
+    from lscan.planemap.auto import calibrate_best
     from lscan.planemap.calibration import calibrate as solve
     from lscan.planemap.calibration import save_calibration
 
@@ -97,7 +104,11 @@ def calibrate(
     reading = read_picture_of_board(given, seeds, channel)
     if overlay:
         write_picture(overlay, draw_overlay(given.image, reading))
-    calibration = solve(reading, name, given.optics)
+    with progress_bar("maps") as report:
+        if name == "auto":
+            calibration = calibrate_best(reading, given.optics, report)
+        else:
+            calibration = solve(reading, name, given.optics)
     save_calibration(output, calibration)
     summary = calibration_summary(output, calibration)
     if json:
@@ -301,6 +312,10 @@ def report(
         print_json(results)
     else:
         print(f"{output / 'report.html'}")
+
+
+app.command()(calibrate_metric)
+app.command()(bench)
 
 
 def _measure(run: Any, plane_map: Any, report: Any) -> dict[str, Any]:

@@ -20,10 +20,11 @@ from lscan.planemap.api import PlaneMap
 from lscan.planemap.calibration import Calibration, calibrate
 from lscan.profile import to_profile
 from lscan.records import BoardReading, Bytes, Floats, Measured, Profile, Stripe, Surface
-from lscan.rig import StripeSection
+from lscan.rig import SheetSection, StripeSection
 from lscan.run import Run
 from lscan.stripe import extract_stripe
 from lscan.surface import Alignment, Slice, align_sandwave, apply, resample, stack
+from lscan.surface.concavity import SheetGeometry, take_back_thickness
 from lscan.targets import GroovedBlock, Sandwave
 
 METHODS = (
@@ -124,8 +125,7 @@ def measure_sandwave(
     kept = range(first, min(len(run), first + PICTURES_KEPT))
     images = [run.frame(index).image for index in kept]
     raw = reconstruct(run, plane_map, progress=progress)
-    alignment = align_sandwave(raw, rig.workpiece)
-    aligned = apply(alignment, raw)
+    alignment, aligned = align_scan(raw, rig.workpiece, rig.sheet)
     slices = {name: resample(aligned, ends) for name, ends in rig.workpiece.slices_mm().items()}
     return SandwaveResult(
         images=images,
@@ -137,6 +137,26 @@ def measure_sandwave(
         errors={name: compare_slice(cut, rig.workpiece) for name, cut in slices.items()},
         step_mm=rig.plan.step_mm,
     )
+
+
+def align_scan(
+    raw: Surface, piece: Sandwave, sheet: SheetSection | None
+) -> tuple[Alignment, Surface]:
+    """The alignment of a raw scan of the sandwave, and the surface in the workpiece frame.
+
+    sheet: where known, what its thickness does to heights is taken back, which needs the yaw.
+    The alignment stays: on the wedges' flat tops there is nothing to take back.
+    """
+    alignment = align_sandwave(raw, piece)
+    if sheet is not None:
+        geometry = SheetGeometry(
+            sigma_mm=sheet.thickness_mm / 2,
+            camera_mm=sheet.camera_mm,
+            apex_mm=sheet.apex_mm,
+            yaw_rad=alignment.yaw_rad,
+        )
+        raw = take_back_thickness(raw, geometry)
+    return alignment, apply(alignment, raw)
 
 
 def reconstruct(

@@ -58,13 +58,15 @@ def _print_scores(scores: list[dict[str, Any]]) -> None:
             score["name"],
             f"{score['rms_mm']:.4f}",
             f"{score['max_mm']:.4f}",
+            f"{score['sigma_mm']:.4f}",
+            "yes" if score["tied"] else "",
             score["points"],
             score["without_value"],
             f"{score['ms']:.0f}",
         ]
         for score in solved
     ]
-    headings = ["map", "rms mm", "max mm", "marks", "without value", "ms"]
+    headings = ["map", "rms mm", "max mm", "sigma mm", "tied", "marks", "without value", "ms"]
     print_table("marks held out of the map", headings, rows)
     for score in scores:
         if score["refused"] is not None:

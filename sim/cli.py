@@ -10,7 +10,7 @@ import typer
 from lscan.console import print_json, print_table, progress_bar, run_command_line
 
 app = typer.Typer(
-    help="The tank in software: demo, render, truth, verify.",
+    help="The tank in software: demo, render, truth, views, verify.",
     no_args_is_help=True,
     add_completion=False,
     pretty_exceptions_enable=False,
@@ -85,6 +85,21 @@ def truth(
 
 
 @app.command()
+def views(
+    scene: SceneFile,
+    output: Annotated[Path, typer.Option("--output", "-o", help="Folder to write.")],
+    poses: Annotated[int, typer.Option("--poses", min=1, max=100, help="Of the board.")] = 10,
+    seed: Annotated[int, typer.Option("--seed", min=0, help="Of the poses and the noise.")] = 1,
+    json: Json = False,
+) -> None:
+    """A board held into the sheet in many poses: what lscan calibrate-metric takes."""
+    from sim.scene import load_scene
+    from sim.views import write_views
+
+    _print_files(write_views(load_scene(scene), output, poses, seed), json)
+
+
+@app.command()
 def bench(
     output: Annotated[Path, typer.Option("--output", "-o", help="JSON file to write.")] = Path(
         "out/bench.json"
@@ -138,6 +153,35 @@ def verify(
         print_table("verify", headings, table_cells(evidence.rows))
         print(f"{output / 'report.html'}\n{output / 'verify.json'}")
     if not evidence.passed:
+        raise typer.Exit(1)
+
+
+@app.command()
+def accuracy(
+    output: Annotated[Path, typer.Option("--output", "-o", help="JSON file to write.")] = Path(
+        "out/accuracy.json"
+    ),
+    scenes: Annotated[Path, typer.Option("--scenes", help="Folder of scene files.")] = Path(
+        "scenes"
+    ),
+    photographs: Annotated[
+        Path, typer.Option("--photographs", help="Folder of real pictures; may be missing.")
+    ] = Path("../shared/data"),
+    json: Json = False,
+) -> None:
+    """How near to the truth the instrument measures, figure by figure, each with its bar."""
+    from sim.accuracy.run import run_accuracy
+    from sim.verify.rows import table_cells
+
+    with progress_bar("accuracy") as progress:
+        rows = run_accuracy(scenes, photographs, output, progress)
+    if json:
+        print_json([row.as_json() for row in rows])
+    else:
+        headings = ["what", "figure", "bar", "unit", "within"]
+        print_table("accuracy", headings, table_cells(rows))
+        print(f"{output}")
+    if not all(row.passed for row in rows):
         raise typer.Exit(1)
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import product
 
@@ -56,11 +56,16 @@ def cases(quick: bool = False) -> Iterator[Case]:
 
 
 def bench_extractors(
-    names: Sequence[str], seed: int = 1, pictures: int = 6, quick: bool = False
+    names: Sequence[str],
+    seed: int = 1,
+    pictures: int = 6,
+    quick: bool = False,
+    progress: Callable[[int], None] | None = None,
 ) -> list[ExtractorRow]:
     """A row for each extractor and case, all extractors on the same pictures.
 
     names: as in ``stripe.extractor`` of a rig file, ``package.module:function`` too.
+    progress: told how many of the cases are done.
     Raises InputError for an unknown extractor or one that fails.
     """
     times = {name: _time_us(name, seed) for name in names}
@@ -73,6 +78,8 @@ def bench_extractors(
             settings = _settings(name, case)
             read = [(true, extract_stripe(image, settings)) for true, image in shown]
             rows.append(_row(name, case, read, times[name]))
+        if progress is not None:
+            progress(number + 1)
     return rows
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -44,25 +44,36 @@ class MapRow:
     refused: str = ""
 
 
+def sights(quick: bool = False) -> Iterator[tuple[str, float]]:
+    """Every board and noise of its marks in px; the paper's board alone where ``quick``."""
+    for label in ("paper",) if quick else BOARDS:
+        for noise in NOISES_PX:
+            yield label, noise
+
+
 def bench_maps(
-    names: Sequence[str], seed: int = 1, draws: int = 5, quick: bool = False
+    names: Sequence[str],
+    seed: int = 1,
+    draws: int = 5,
+    quick: bool = False,
+    progress: Callable[[int], None] | None = None,
 ) -> list[MapRow]:
     """A row for each map, board and noise, all maps on the same readings.
 
+    progress: told how many boards at a noise are done.
     Raises InputError for a map that does not exist.
     """
     solvers = {name: find_solver(name) for name in names}
-    boards: Mapping[str, Board] = {"paper": BOARDS["paper"]} if quick else BOARDS
     rows = []
-    for number, (label, board) in enumerate(boards.items()):
+    for done, (label, noise) in enumerate(sights(quick), start=1):
+        board, number = BOARDS[label], list(BOARDS).index(label)
         places = _places(board, np.random.default_rng([seed, number]))
-        for noise in NOISES_PX:
-            generator = np.random.default_rng([seed, number, round(1e4 * noise)])
-            count = 1 if noise == 0 else draws
-            readings = [reading_of(board, VIEW, noise, generator) for _ in range(count)]
-            rows += [
-                _row(name, solvers[name].solve, label, noise, readings, places) for name in names
-            ]
+        generator = np.random.default_rng([seed, number, round(1e4 * noise)])
+        count = 1 if noise == 0 else draws
+        readings = [reading_of(board, VIEW, noise, generator) for _ in range(count)]
+        rows += [_row(name, solvers[name].solve, label, noise, readings, places) for name in names]
+        if progress is not None:
+            progress(done)
     return rows
 
 

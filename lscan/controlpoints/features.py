@@ -10,8 +10,8 @@ from scipy.spatial import cKDTree
 from lscan.board import Dot, Ruler
 from lscan.controlpoints.centre import disc_height, stand_alone, window_sigma
 from lscan.controlpoints.lattice import LocalMap, grid_points_mm
-from lscan.controlpoints.perspective import BLUR_PX, shift_of_discs
-from lscan.controlpoints.picture import Picture
+from lscan.controlpoints.perspective import shift_of_discs
+from lscan.controlpoints.picture import BLUR_PX, Picture
 from lscan.controlpoints.search import Nodes, look
 from lscan.records import Floats, Ints, Mark, Marks, Mask, RulerReading, Status
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.ndimage import binary_dilation, maximum_filter
 from scipy.spatial import cKDTree
 
 from lscan.board import Grid
@@ -16,7 +17,11 @@ from lscan.records import Floats, Mask
 NEAREST = 20  # control points that carry a local polynomial of six coefficients
 STRAY = 0.01  # of the pitch: smallest miss that can make a dot a stray
 STRAY_SIGMAS = 8.0
+STRAY_SPOILS = 7  # nodes on a side, about a stray, whose miss may be the stray's doing
+SPREAD = 6  # nodes within which a dot carries the polynomials of others, at a corner too
+FREE = 1e-12  # of the diagonal's product: determinant of equations that do not fix all
 RIM_EVIDENCE = 2  # nodes that must be seen to be empty beyond the rim of the board
+ALL = slice(None)
 
 
 @dataclass(frozen=True)
@@ -25,11 +30,13 @@ class Expansion:
 
     image_px: (M, 2) of (u, v).  jacobian: (M, 2, 2) its derivative by (x, z), px per mm.
     bend: (M, 2, 2, 2) second derivatives of u and v, by (x, z), by (x, z), px per mm².
+    leverage: (M,) variance of image_px where each control point's is 1; large beyond the rim.
     """
 
     image_px: Floats
     jacobian: Floats
     bend: Floats
+    leverage: Floats
 
     @property
     def scale(self) -> Floats:
@@ -62,9 +69,15 @@ class LocalMap:
         """The map about the places (M, 2) mm to second order."""
         return self._fit(board_mm, skip=0)
 
-    def misfit(self) -> Floats:
-        """(N,) px between each control point and what the others around it say."""
-        return np.linalg.norm(self._fit(self.board_mm, skip=1).image_px - self.image_px, axis=1)
+    def misfit(self, which: Mask | slice = ALL) -> Floats:
+        """px between each control point, or ``which`` of them, and what those around it say.
+
+        At the rim they say it less surely: a miss is divided by its standard deviation for
+        errors of 1 px of each point, the square root of 1 + leverage.
+        """
+        said = self._fit(self.board_mm[which], skip=1)
+        miss = np.linalg.norm(said.image_px - self.image_px[which], axis=1)
+        return miss / np.sqrt(1 + said.leverage)
 
     def _fit(self, board_mm: Floats, skip: int) -> Expansion:
         """The polynomials of the nearest control points, but for the ``skip`` nearest."""
@@ -73,13 +86,29 @@ class LocalMap:
         index = np.asarray(nearest)[:, skip:]
         x, z = np.moveaxis((self.board_mm[index] - board_mm[:, None]) / self.pitch_mm, -1, 0)
         design = np.stack([np.ones_like(x), x, z, x * x, x * z, z * z], axis=-1)
-        # pinv: on a narrow board the nearest points may leave a coefficient free; it is then 0.
-        normal = np.linalg.pinv(design.transpose(0, 2, 1) @ design, rcond=1e-9, hermitian=True)
-        solved = normal @ (design.transpose(0, 2, 1) @ self.image_px[index])  # (M, 6, 2)
+        across = design.transpose(0, 2, 1)
+        at_place = np.broadcast_to(np.eye(6, 1), (len(index), 6, 1))
+        right = np.concatenate([across @ self.image_px[index], at_place], axis=2)
+        solved = _solved(across @ design, right)  # (M, 6, 3)
+        solved, leverage = solved[..., :2], solved[:, 0, 2]
         xx, xz, zz = 2 * solved[:, 3], solved[:, 4], 2 * solved[:, 5]
         bend = np.stack([xx, xz, xz, zz], axis=-1).reshape(-1, 2, 2, 2)
         slope = solved[:, 1:3].transpose(0, 2, 1)
-        return Expansion(solved[:, 0], slope / self.pitch_mm, bend / self.pitch_mm**2)
+        bend = bend / self.pitch_mm**2
+        return Expansion(solved[:, 0], slope / self.pitch_mm, bend, leverage)
+
+
+def _solved(left: Floats, right: Floats) -> Floats:
+    """Solutions (M, 6, K) of M normal equations, left (M, 6, 6), right (M, 6, K).
+
+    On a narrow board the nearest points may leave a coefficient free; it is then 0.
+    """
+    scale = np.einsum("mii->mi", left).prod(axis=1)
+    free = np.linalg.det(left) <= FREE * scale
+    regular = np.where(free[:, None, None], np.eye(6), left)
+    solved: Floats = np.linalg.solve(regular, right).astype(np.float64)
+    solved[free] = np.linalg.pinv(left[free], rcond=1e-9, hermitian=True) @ right[free]
+    return solved
 
 
 def dot_part(grid: Grid) -> float:
@@ -121,18 +150,22 @@ def drop_strays(nodes: Nodes, pitch_mm: float) -> None:
     """Take out the dots that do not lie where those around them say.
 
     Stray is what misses by more than eight robust sigmas and a hundredth of the pitch.  A
-    stray spoils what is expected of those around it, so the worst go first and the others are
-    judged again without them.  Fewer than nine dots cannot say.
+    stray spoils what is expected of those around it, so the worst thereabouts goes first and the
+    others are judged again without it.  Fewer than nine dots cannot say.
     """
-    while nodes.found.sum() >= 9:
+    misfit = np.full(nodes.found.shape, np.nan)
+    doubtful = nodes.found
+    while (found := nodes.found).sum() >= 9:
         pitch_px = float(np.nanmedian(local_pitch(nodes.points)))
-        misfit = local_map(nodes.points, pitch_mm).misfit()
-        limit = max(STRAY_SIGMAS * 1.4826 * float(np.median(misfit)), STRAY * pitch_px)
-        if misfit.max() <= limit:
+        misfit[doubtful] = local_map(nodes.points, pitch_mm).misfit(doubtful[found])
+        worst, usual = float(misfit[found].max()), float(np.median(misfit[found]))
+        limit = max(STRAY_SIGMAS * 1.4826 * usual, STRAY * pitch_px)
+        if worst <= limit:
             return
-        stray = np.zeros_like(nodes.found)
-        stray[nodes.found] = misfit > max(limit, misfit.max() / 2)
+        around = maximum_filter(np.where(found, misfit, 0.0), STRAY_SPOILS)
+        stray = found & (misfit > limit) & (misfit >= around)
         nodes.drop(stray)
+        doubtful = nodes.found & binary_dilation(stray, np.ones((2 * SPREAD + 1,) * 2, bool))
 
 
 def place_on_board(picture: Picture, nodes: Nodes, grid: Grid, radius_px: float) -> Nodes:

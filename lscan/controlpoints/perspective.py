@@ -13,9 +13,9 @@ from __future__ import annotations
 import numpy as np
 
 from lscan.controlpoints.lattice import Expansion
+from lscan.controlpoints.picture import BLUR_PX
 from lscan.records import Floats
 
-BLUR_PX = 0.7  # typical of a sharp picture: lens and pixel
 RINGS, SPOKES = 3, 8  # quadrature over the disc: exact to the fifth order in its points
 STEPS = 2  # Newton's; the shift is small beside the window, so the first is good to a percent
 

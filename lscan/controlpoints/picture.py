@@ -16,6 +16,7 @@ from lscan.rig import Channel
 
 Image = NDArray[np.float32]
 
+BLUR_PX = 0.7  # typical of a sharp picture: lens and pixel
 SMALLEST_PX = 16  # as for cameras in rig.py
 GROUND_WINDOW = 3.0  # of the dot's diameter: wide enough that a dot is the smaller part
 
@@ -57,9 +58,10 @@ class Picture:
 
 
 def wholly_in_view(points: Floats, radius_px: Floats | float, size: tuple[int, int]) -> Mask:
-    """(...) mask of the discs about ``points`` (..., 2) px inside a picture (width, height)."""
+    """(...) mask of the blurred discs about ``points`` (..., 2) px inside a picture of a size."""
     u, v = points[..., 0], points[..., 1]
-    radius = np.asarray(radius_px) - 0.5  # the outermost pixels reach half a pixel further
+    # The outermost pixels reach half a pixel further; so does, and more, the blurred rim.
+    radius = np.asarray(radius_px) - 0.5 + BLUR_PX
     width, height = size
     return (u >= radius) & (v >= radius) & (u <= width - 1 - radius) & (v <= height - 1 - radius)
 

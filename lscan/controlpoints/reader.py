@@ -9,7 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lscan.board import Board, Grid
-from lscan.controlpoints.centre import fit_centres, stand_alone, window_sigma
+from lscan.controlpoints.centre import (
+    STEPS_FROM_NEAR,
+    fit_centres,
+    stand_alone,
+    window_sigma,
+)
 from lscan.controlpoints.evidence import fault_of
 from lscan.controlpoints.features import Contrast, mark_status, read_dot, read_ruler
 from lscan.controlpoints.lattice import (
@@ -209,7 +214,8 @@ def _measured_again(picture: Picture, nodes: Nodes, mapping: LocalMap, grid: Gri
     board = grid_points_mm(nodes.height.shape, grid.pitch_mm)[nodes.found]
     map_there = mapping.expanded(board)
     sigma = window_sigma(map_there.scale * grid.dot_diameter_mm / 2)
-    centres = fit_centres(picture.flat, nodes.points[nodes.found], sigma, picture.noise)
+    start = nodes.points[nodes.found]
+    centres = fit_centres(picture.flat, start, sigma, picture.noise, STEPS_FROM_NEAR)
     shift = shift_of_discs(map_there, grid.dot_diameter_mm / 2, sigma)
     again = Nodes.empty(*nodes.height.shape)
     measured = replace(centres, points=centres.points - shift)

@@ -22,8 +22,7 @@ from lscan.board import Ring
 from lscan.controlpoints.centre import window_sigma
 from lscan.controlpoints.features import FAINTEST, Contrast
 from lscan.controlpoints.lattice import LocalMap
-from lscan.controlpoints.perspective import BLUR_PX
-from lscan.controlpoints.picture import Picture
+from lscan.controlpoints.picture import BLUR_PX, Picture
 from lscan.records import Floats, Mask, RingPoints
 
 BREADTH_PX = np.array([-1.0, 0.0, 1.0])  # places along the line averaged into one profile

@@ -19,6 +19,7 @@ BOX = 0.22  # half side of the search box, of the pitch: keeps out what lies bet
 SEED_BOX = 0.34  # the same for seeds given by hand, which are rough
 FAINTEST = 0.5  # of the height of the dots beside it
 NOISE_LIMIT = 6.0  # sigmas above the ground
+ELSEWHERE = 0.1  # of the box: a mark expected less far away would have been seen before
 SEARCH_STEPS = 4  # of Newton's: 1e-6 px from half a pixel away
 NEXT = ((0, 1), (0, -1), (1, 0), (-1, 0))
 
@@ -93,7 +94,8 @@ def grow(
     nodes.put(where, centres, centres.round & alike)
     if nodes.found.sum() < 3:
         return nodes
-    while _one_round(picture, nodes.part(_with_rim(nodes.extent())), dot):
+    vain = np.full_like(nodes.points, np.nan)
+    while _one_round(picture, nodes.part(part := _with_rim(nodes.extent())), vain[part], dot):
         pass
     return nodes
 
@@ -103,11 +105,16 @@ def _with_rim(extent: tuple[slice, slice]) -> tuple[slice, slice]:
     return rows, columns
 
 
-def _one_round(picture: Picture, nodes: Nodes, dot: float) -> bool:
-    """Search every node beside those found; True where a dot was added."""
+def _one_round(picture: Picture, nodes: Nodes, vain: Floats, dot: float) -> bool:
+    """Search every node beside those found; True where a dot was added.
+
+    vain: (R, C, 2) px, the places searched in vain: a node is searched again only once it is
+    expected elsewhere.  Those of this round are entered.
+    """
     expected, pitch, height = expectation(nodes)
     todo = ~nodes.found & np.isfinite(expected[..., 0]) & np.isfinite(pitch)
     todo &= picture.wholly_in_view(expected, dot * pitch / 2)
+    todo &= ~(np.linalg.norm(expected - vain, axis=2) < ELSEWHERE * BOX * pitch)
     where = np.nonzero(todo)
     box = BOX * pitch[todo]
     centres = look(picture, expected[todo], box, window_sigma(dot * pitch[todo] / 2))
@@ -116,6 +123,7 @@ def _one_round(picture: Picture, nodes: Nodes, dot: float) -> bool:
     accepted = centres.round & inside & (miss <= box + 1)
     accepted &= centres.height >= FAINTEST * height[todo]
     nodes.put(where, centres, accepted)
+    vain[where] = expected[todo]
     return bool(accepted.any())
 
 

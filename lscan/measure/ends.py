@@ -27,11 +27,24 @@ PIXEL = float(1 / np.sqrt(12))
 """Standard deviation, in columns, of a pixel's own width: the least blur there is."""
 
 USUAL_BLUR = 0.8  # columns, where the fit starts: a lens of 0.7 pixels, and the pixel's width
+USUAL_SCATTER = 0.1  # of brightness from column to column, relative, where the fit starts
+INSIDE = 0.99  # of a segment's brightness: columns that are not dimmed by an end
+ROUNDS = 3
 MOST_BLUR = 3.0  # columns; what falls more slowly is no end but a shadow
 
-DIMMEST = 0.05
-"""Least brightness that noise is computed for: it grows as the root of the light, between
-reading noise, alike everywhere, and speckle, in proportion to it."""
+LEAST_SHARE = 0.05
+"""Least brightness, in units of the segment's, of columns that tell of its end: dimmer ones are
+found only where speckle makes them bright."""
+
+UNMODELLED = 0.01
+"""Uncertainty of a column's brightness that is no noise, in units of the segment's: the halo of
+light that clear water scatters about a line."""
+
+FALSE_LIGHT = 0.03
+"""Standard uncertainty of an end, in columns, that no further picture lessens.  The halo about the
+line, and the line on a lit wall below the end, fill the foot of the fall: in clear water either
+adds a percent or two of the segment's brightness there, and moves a fall over two columns by as
+much of them, outwards."""
 
 
 @dataclass(frozen=True)
@@ -39,13 +52,14 @@ class End:
     """Where a segment ends.
 
     x_mm: the place.  own_mm: its standard uncertainty from noise, another in every picture.
-    sampling_mm: from the columns' spacing, alike in all pictures of one place.
+    common_mm: alike in all pictures of one place: FALSE_LIGHT, or, where no fall is seen, the
+    columns' spacing.
     point: index into the trace of the segment's outermost point.
     """
 
     x_mm: float
     own_mm: float
-    sampling_mm: float
+    common_mm: float
     point: int
 
 
@@ -58,15 +72,23 @@ def segment_ends(line: Trace, segments: Sequence[Segment]) -> list[tuple[End, En
     model = _Model.of(line, segments)
     if not len(model.falling):
         return model.ends(line, segments, model.start(), np.zeros(model.size))
-    values, scatter, slopes = model.start(), 0.0, np.zeros((1, model.size))
-    for _ in range(2):  # each time with the noise that the last fit's brightness says
-        sigma = np.sqrt(np.maximum(model.share(values), DIMMEST))
+    values, relative = model.start(), USUAL_SCATTER
+    for _ in range(ROUNDS):  # each with the noise and the choice of columns by the last one's fit
+        share = model.share(values)
+        used = share > LEAST_SHARE
+        sigma = np.hypot(relative * share, UNMODELLED) * model.level(values)
         answer = least_squares(
-            model.misfit, values, bounds=model.bounds(), x_scale=model.scales(), args=(sigma,)
+            model.misfit,
+            values,
+            bounds=model.bounds(),
+            x_scale=model.scales(),
+            args=(np.where(used, sigma, np.inf),),
         )
-        values, slopes = answer.x, np.asarray(answer.jac, dtype=float)
-        scatter = float(np.sum(answer.fun**2)) / max(len(model.peak) - model.size, 1)
-    variance = np.diag(np.linalg.pinv(slopes.T @ slopes)) * scatter
+        values = answer.x
+        relative = model.scatter(values)
+    slopes = np.asarray(answer.jac, dtype=float)
+    misfit = float(np.sum(answer.fun**2)) / max(int(used.sum()) - model.size, 1)
+    variance = np.diag(np.linalg.pinv(slopes.T @ slopes)) * max(misfit, 1.0)
     return model.ends(line, segments, values, np.sqrt(np.maximum(variance, 0.0)))
 
 
@@ -152,12 +174,21 @@ class _Model:
         inside = norm.cdf((self.x - left) / blur), norm.cdf((right - self.x) / blur)
         return np.nan_to_num(inside[0], nan=1.0) * np.nan_to_num(inside[1], nan=1.0)
 
-    def bright(self, values: Floats) -> Floats:
-        """(K,) brightness of each column, in DN."""
+    def level(self, values: Floats) -> Floats:
+        """(K,) brightness, in DN, that each column would have were its segment endless."""
         count = len(self.middle)
         along = (self.x - self.middle[self.segment]) / self.half[self.segment]
-        level = values[self.segment] + along * values[count + self.segment]
-        return level * self.share(values)
+        return values[self.segment] + along * values[count + self.segment]
+
+    def bright(self, values: Floats) -> Floats:
+        """(K,) brightness of each column, in DN."""
+        return self.level(values) * self.share(values)
+
+    def scatter(self, values: Floats) -> float:
+        """Robust standard deviation, relative, of columns far from any end about the fit."""
+        inside = self.share(values) > INSIDE
+        off = self.peak[inside] / self.bright(values)[inside] - 1
+        return 1.4826 * float(np.median(np.abs(off))) if inside.any() else USUAL_SCATTER
 
     def misfit(self, values: Floats, sigma: Floats) -> Floats:
         """(K,) brightness less what was seen, in units of ``sigma`` (K,)."""
@@ -169,14 +200,14 @@ class _Model:
         """The ends that the values tell, and those without a fall."""
         half, even = self.spacing_mm / 2, self.spacing_mm / np.sqrt(12)
         place = (self.outermost + np.array([[-half], [half]])).ravel()
-        own, sampling = np.zeros(len(place)), np.full(len(place), even)
+        own, common = np.zeros(len(place)), np.full(len(place), even)
         first = 2 * len(self.middle) + 1
         place[self.falling], own[self.falling] = values[first:], sigma[first:]
-        sampling[self.falling] = 0.0
+        common[self.falling] = FALSE_LIGHT * self.spacing_mm
         points = np.array([[part.points[k] for part in segments] for k in (0, -1)]).ravel()
         found = [
             End(float(x), float(s), float(e), int(p))
-            for x, s, e, p in zip(place, own, sampling, points, strict=True)
+            for x, s, e, p in zip(place, own, common, points, strict=True)
         ]
         return list(zip(found[: len(segments)], found[len(segments) :], strict=True))
 

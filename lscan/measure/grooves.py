@@ -49,7 +49,9 @@ def groove_dimensions(
     Of several profiles the mean is given, weighted by each one's noise, strays left out.  Its
     sigma_mm holds the noise of that mean and, undiminished, what errs alike in all profiles:
     the calibration, of which only the difference it makes to the length counts where the plane
-    map tells its modes, and the columns' spacing where an end's brightness does not fall.
+    map tells its modes; false light at the ends, or the columns' spacing where an end's
+    brightness does not fall (ends.py); and what a level line's place within the pixel does to
+    its height (segments.py).
 
     Raises InputError where no profile is given, MeasurementError that names the profile and
     what is missing in it.
@@ -188,7 +190,7 @@ def _between(line: Trace, start: End, stop: End) -> Length:
     """Distance along the tops from one end to another, to its right."""
     along = float(np.hypot(1.0, line.tilt))
     ends = (start.point, stop.point)
-    sampling = np.hypot(start.sampling_mm, stop.sampling_mm)
+    common = np.hypot(start.common_mm, stop.common_mm)
     modes, place = None, 0.0
     if line.modes is None:
         place = float(np.hypot(*line.sigma_x[list(ends)]))
@@ -197,6 +199,6 @@ def _between(line: Trace, start: End, stop: End) -> Length:
     return Length(
         value_mm=along * (stop.x_mm - start.x_mm),
         own_mm=along * float(np.hypot(start.own_mm, stop.own_mm)),
-        common_mm=along * float(np.hypot(sampling, place)),
+        common_mm=along * float(np.hypot(common, place)),
         modes_mm=modes,
     )

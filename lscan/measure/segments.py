@@ -27,6 +27,11 @@ CORNER_MM = 2.0
 """Points this near to a segment's end are left out of line fits: corners lie in shadow, and
 the line spills over edges."""
 
+PHASE = 0.01
+"""Standard uncertainty of a level line's height, in units of the columns' spacing: by so much of a
+pixel an extractor's centre may hang on where within the pixel a narrow line lies, and a line
+along the pixels' rows lies alike in all its columns, and in all pictures of one place."""
+
 MAX_TILT = np.tan(np.radians(10.0))
 """Steepest slope of a profile's segments that is believed when its tilt is looked for."""
 
@@ -116,8 +121,9 @@ def height_between(line: Trace, upper: Ints, lower: Ints) -> Length:
     points farther than three robust deviations from their line left out.  The height is a
     weighted sum of their z, so each mode of the calibration changes it by that sum of the mode;
     its own noise is the points' scatter through the same sum, what neighbours have in common
-    counted.  Where no modes are known the points' own sigma_z counts once for each line: most of
-    that is the plane map's, common to neighbours, and does not average out.
+    counted.  Either line may lie off by PHASE, in all pictures alike.  Where no modes are known
+    the points' own sigma_z counts once for each line: most of that is the plane map's, common to
+    neighbours, and does not average out.
     Raises MeasurementError where either set holds fewer than MIN_POINTS points.
     """
     points = np.concatenate([upper, lower])
@@ -139,9 +145,9 @@ def height_between(line: Trace, upper: Ints, lower: Ints) -> Length:
     weight = (share[1] - share[2]) * cosine
     freedom = max(len(used) - 3, 1)
     scatter = float(np.sum(residual[keep] ** 2)) / freedom * _kinship(residual[keep])
-    modes, common = None, 0.0
+    modes, common = None, 2 * (PHASE * line.spacing_mm) ** 2
     if line.modes is None:
-        common = sum(float(np.mean(line.sigma_z[used[side == k]] ** 2)) for k in (0, 1))
+        common += sum(float(np.mean(line.sigma_z[used[side == k]] ** 2)) for k in (0, 1))
     else:
         modes = weight @ (line.modes[used, 1] - slope * line.modes[used, 0])
     return Length(

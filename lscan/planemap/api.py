@@ -19,8 +19,10 @@ NOTHING_KNOWN = OpticsSection()
 class PlaneMap(Protocol):
     """A solved map from the picture to the laser sheet."""
 
-    name: str
-    """Full name, solver and variant."""
+    @property
+    def name(self) -> str:
+        """Full name, solver and variant."""
+        ...
 
     def to_plane(self, image_px: Floats, sigma_px: Floats | None = None) -> PlanePoints:
         """Points in the sheet, (N, 2) mm, of the pixels (N, 2); vectorised over N.

@@ -1,20 +1,24 @@
 """The map that predicts best: ``auto``.
 
-Every candidate is cross-validated on the reading; the one with the least rms error on marks
-held out is solved from all of them.  The map keeps the table of all scores.  No variants.
+Every candidate is cross-validated on the reading.  Of those whose error on marks held out
+chance does not tell from the least, the one that states the least uncertainty of itself is
+solved from all marks: with as little misfit, it is the one that noise moves least, as it has
+the fewest free numbers.  The map keeps the table of all scores.  No variants.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Annotated, Any
+from typing import Annotated, Any, cast
 
 from pydantic import Field
 
+import lscan
 from lscan.documents import Strict, check
 from lscan.errors import BoardNotFound, InputError
 from lscan.planemap.api import NOTHING_KNOWN, PlaneMap, find_solver
-from lscan.planemap.crossvalidation import Score, cross_validated
+from lscan.planemap.calibration import Calibration, residuals
+from lscan.planemap.crossvalidation import COMPLETE, Progress, Score, cross_validated
 from lscan.planemap.stored import NotNegative
 from lscan.records import BoardReading, Floats, PlanePoints
 from lscan.rig import OpticsSection
@@ -26,7 +30,6 @@ CANDIDATES = (
     "graticule-2",
     "projective",
 )
-COMPLETE = 0.95  # of the marks that any candidate values, which the choice must value too
 
 
 class StoredScore(Strict):
@@ -35,6 +38,8 @@ class StoredScore(Strict):
     name: str
     rms_mm: NotNegative | None
     max_mm: NotNegative | None
+    sigma_mm: NotNegative | None = None
+    tied: bool = False
     points: Annotated[int, Field(strict=True, ge=0)]
     without_value: Annotated[int, Field(strict=True, ge=0)]
     refused: str | None
@@ -77,17 +82,22 @@ class Auto:
 
 
 class AutoSolver:
-    """Solves the candidate of the least cross-validated error."""
+    """Solves the candidate that cross-validation finds best."""
 
     def solve(
-        self, reading: BoardReading, variant: str, optics: OpticsSection = NOTHING_KNOWN
+        self,
+        reading: BoardReading,
+        variant: str,
+        optics: OpticsSection = NOTHING_KNOWN,
+        progress: Progress | None = None,
     ) -> Auto:
         """The best candidate solved from the whole reading.
 
+        progress: told how many of the candidates have been tried.
         Raises InputError for any variant, BoardNotFound where every candidate refuses.
         """
         _refuse(variant)
-        scores = ranked(cross_validated(reading, CANDIDATES, optics))
+        scores = ranked(cross_validated(reading, CANDIDATES, optics, progress=progress))
         if scores[0].refused is not None:
             raise BoardNotFound(f"no plane map could be solved: {scores[0].refused}")
         return Auto(find_solver(scores[0].name).solve(reading, optics), scores)
@@ -105,17 +115,30 @@ class AutoSolver:
 solver = AutoSolver()
 
 
-def ranked(scores: tuple[Score, ...]) -> tuple[Score, ...]:
-    """The scores, the best first: those that value enough marks by their rms error, then those
-    that value too few, then those refused.
+def calibrate_best(
+    reading: BoardReading, optics: OpticsSection | None, progress: Progress | None = None
+) -> Calibration:
+    """What ``calibrate(reading, "auto", optics)`` gives, ``progress`` told of each candidate."""
+    known = optics or NOTHING_KNOWN
+    plane_map = cast(PlaneMap, solver.solve(reading, "", known, progress))
+    mm, px = residuals(plane_map, reading)
+    software = f"lscan {lscan.__version__}"
+    return Calibration(plane_map.name, plane_map, reading, mm, px, known, software)
 
-    Enough: 95 % of what the fullest map values, so that no map wins by leaving out what is hard.
+
+def ranked(scores: tuple[Score, ...]) -> tuple[Score, ...]:
+    """The scores, the best first: those tied with the least error by the uncertainty they state,
+    the others by their rms error, then those that value too few marks, then those refused.
+
+    Too few: under 95 % of what the fullest map values, so that no map wins by leaving out what
+    is hard.
     """
     most = max(score.points for score in scores)
 
-    def order(score: Score) -> tuple[bool, bool, float]:
+    def order(score: Score) -> tuple[bool, bool, bool, float]:
         too_few = score.points < COMPLETE * most
-        return score.rms_mm is None, too_few, score.rms_mm or 0.0
+        by = score.sigma_mm if score.tied and score.sigma_mm is not None else score.rms_mm
+        return score.rms_mm is None, too_few, not score.tied, by or 0.0
 
     return tuple(sorted(scores, key=order))
 

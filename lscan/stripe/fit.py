@@ -15,10 +15,14 @@ import numpy as np
 from scipy.special import log_ndtr
 
 from lscan.records import Floats, Ints, Mask
-from lscan.stripe.model import Lines, lines
+from lscan.stripe.model import CENTRE, Lines, lines
 from lscan.stripe.noise import Noise
 
-_MOST_STEPS = 20
+_MOST_STEPS = 30
+_BOLD_STEPS = 10
+"""Steps taken in full.  The weights follow the line, and now and then the line the weights, to
+and fro: half steps end that."""
+
 _SETTLED = 1e-4
 """A line is at rest where the step, squared, in units of the uncertainty is below this."""
 
@@ -74,18 +78,21 @@ class Fit:
     """K fitted lines.
 
     parameters: (K, 5) as in model.py.  covariance: (K, 5, 5) of them.
+    gain: (K, n) how far the centre moves with each pixel, px/DN.
     settled: (K,) whether the search came to rest.
     light: (K, n) the line at each pixel in DN.
-    square: (K, n) squared residual in DN² over what the fit leaves of its expectation.
+    residual: (K, n) what the pixel differs from the fit in DN, made larger by as much as the
+        fit, which follows the pixel, makes it smaller on average.
     seen: (K, n) the pixels whose residual means something: used and not clipped.
-    misfit: (K,) mean of square over its variance, 1 where the noise explains all.
+    misfit: (K,) mean of residual² over its variance, 1 where the noise explains all.
     """
 
     parameters: Floats
     covariance: Floats
+    gain: Floats
     settled: Mask
     light: Floats
-    square: Floats
+    residual: Floats
     seen: Mask
     misfit: Floats
 
@@ -96,11 +103,11 @@ def fit_lines(view: View, start: Floats, noise: Noise, prior: Prior) -> Fit:
     settled = np.zeros(len(start), dtype=bool)
     moving = np.arange(len(start))
     part, known = view, prior
-    for _ in range(_MOST_STEPS):
+    for turn in range(_MOST_STEPS):
         information, score, _ = _normal_equations(part, parameters[moving], noise, known)
         step = np.linalg.solve(information, score[..., None])[..., 0]
         done = (step * score).sum(axis=1) < _SETTLED
-        step = np.clip(step, -_LONGEST_STEP, _LONGEST_STEP)
+        step = np.clip(step, -_LONGEST_STEP, _LONGEST_STEP) * (1.0 if turn < _BOLD_STEPS else 0.5)
         parameters[moving] = np.clip(parameters[moving] + step, _LEAST, _MOST)
         settled[moving[done]] = True
         if done.any():
@@ -166,7 +173,8 @@ def _judged(view: View, parameters: Floats, settled: Mask, noise: Noise, prior: 
     # A pixel that the fit follows nearly everywhere says little of the noise.
     seen = view.used & ~view.clipped & (leverage < 0.9)
     residual = view.grey - end.model.light - end.model.ground
-    square = residual**2 / np.where(seen, 1 - leverage, 1.0)
-    ratio = np.where(seen, square / end.variance, 0.0)
+    residual /= np.sqrt(np.where(seen, 1 - leverage, 1.0))
+    ratio = np.where(seen, residual**2 / end.variance, 0.0)
     misfit = ratio.sum(axis=1) / np.maximum(seen.sum(axis=1), 1)
-    return Fit(parameters, covariance, settled, end.model.light, square, seen, misfit)
+    gain = along[:, CENTRE] * end.weight
+    return Fit(parameters, covariance, gain, settled, end.model.light, residual, seen, misfit)

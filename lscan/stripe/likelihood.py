@@ -30,9 +30,10 @@ def maximum_likelihood(image: Floats, settings: StripeSection, clipped: Mask) ->
     and slope are free, but held to the median of the neighbouring columns as far as those
     agree with one another: where a column alone cannot tell them, they do.
 
-    sigma_px follows from Fisher's information.  Where the pixels scatter about the line more
-    than the noise explains it grows by the root of that ratio (Birge 1932): the neighbours'
-    median of it, and the column's own where that is beyond chance.
+    sigma_px follows from Fisher's information, and from what the line differs from a Gaussian
+    alike in neighbouring columns (scatter.py), carried through the fit.  Where the pixels
+    scatter about the line more than the noise explains it grows by the root of that ratio
+    (Birge 1932): the neighbours' median of it, and the column's own where beyond chance.
     SATURATED columns have been allowed for.  Too few of their pixels are left to tell the
     noise by: unless that is stated, their sigma_px is at least what their centres scatter
     from one column to the next.  NO_PEAK also where no line can be fitted.
@@ -77,7 +78,8 @@ def _stripe(seen: Survey, fit: Fit) -> Stripe:
     common = median_filter(fit.misfit, _NEIGHBOURS, mode="nearest")
     own = np.where(fit.misfit > _FOREIGN, fit.misfit, 1.0)
     excess = np.maximum(np.maximum(common, own), 1.0)
-    sigma = np.sqrt(fit.covariance[:, CENTRE, CENTRE] * excess)
+    misfit = (fit.gain**2 * (seen.misfit * fit.light) ** 2).sum(axis=1)
+    sigma = np.sqrt(fit.covariance[:, CENTRE, CENTRE] * excess + misfit)
     kept = fit.settled & seen.is_near(offset, sigma)
     stripe = seen.stripe
     centre_px, sigma_px = stripe.centre_px.copy(), stripe.sigma_px.copy()

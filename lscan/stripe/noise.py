@@ -104,15 +104,14 @@ def line_variance_per_dn(light: Floats, at: Ints, constant: float) -> float:
 def scatter_noise(square: Floats, light: Floats, constant: float) -> Noise:
     """The noise that makes pixels scatter so about a fitted line.
 
-    square: (N,) squared residuals in DN², each divided by what the fit leaves of its
-    expectation.  light: (N,) the line's fitted grey values in DN, 0 or more.
+    square: (N,) in DN², on average the variance of the noise (scatter.py).
+    light: (N,) the line's fitted grey values in DN, 0 or more.
     constant: as in :class:`Noise`, known from elsewhere.
 
     Least squares of ``square - constant`` on light and light², neither term below 0,
     weighted by the inverse square of the variance: that of a normal residual's square is
     twice the variance squared.  Thrice, as the weights need the result; squares beyond 25
-    times their expectation (5 sigma) are left out.  What a line differs from a Gaussian is
-    proportional to its light and comes out as speckle: an uncertainty all the same.
+    times their expectation (5 sigma) are left out.
     """
     noise = Noise(constant, 0.0)
     for turn in range(4):

@@ -3,7 +3,8 @@
 A rule is judged by what it would do to the line that was there: a Gaussian of the
 neighbours' width at the place found, averaged over each pixel.  On that line it errs by a
 little even without noise (interpolation, pixels cut off), and has a derivative by each
-pixel, through which the pixels' noise reaches the centre.  sigma_px holds both.
+pixel, through which the pixels' noise reaches the centre, and so does what the real line
+differs by (scatter.py).  sigma_px holds all three.
 """
 
 from __future__ import annotations
@@ -118,7 +119,7 @@ def _sigma(rule: Rule, seen: Survey, ground: _Ground, light: Floats, offset: Flo
     steps, width = seen.view.steps, seen.width_px
     model = _ideal(steps, offset, width, light)
     veil = ground.values(seen.view.grey) - seen.view.base[:, None]
-    variance = seen.noise.variance(model, veil)
+    variance = seen.noise.variance(model, veil) + (seen.misfit * model) ** 2
     expected, derivative = rule(_lit(seen, ground.taken_off(model)))
     noise = (ground.carried(derivative) ** 2 * variance).sum(axis=1)
     return np.sqrt(noise + (expected - offset) ** 2)

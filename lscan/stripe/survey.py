@@ -16,14 +16,15 @@ from lscan.records import Floats, Ints, Mask, Status, Stripe
 from lscan.rig import StripeSection
 from lscan.stripe.fit import Fit, Prior, View, fit_lines
 from lscan.stripe.model import LN_HEIGHT, LN_WIDTH, TILT, parameters_of
-from lscan.stripe.noise import Noise, constant_variance, scatter_noise, stated_noise
+from lscan.stripe.noise import Noise, constant_variance, stated_noise
 from lscan.stripe.peaks import Peaks, nominal_peaks, windows_about
+from lscan.stripe.scatter import scatter_of
 
-_SAMPLE = 160
+_SAMPLE = 256
 _NEIGHBOURS = 9  # of the sample, whose median stands for the columns between them
 _FIRST_REACH_PX = 32
 _WIDTHS_PX = (0.4, 12.0)
-_NOISE_TURNS = 4  # of noise from residuals and residuals from noise, until they agree
+_NOISE_TURNS = 3  # of noise from residuals and residuals from noise, until they agree
 _WIDTH_DOUBT = 0.4  # of the logarithm of the first guess
 
 
@@ -45,6 +46,8 @@ class Survey:
     more, all of them in the picture.
     view: the pixels about the peaks.  start: (K, 5) a first guess of the line, as in model.py.
     ln_width: of the width in px.  tilt: of the ground, DN/px.
+    noise: of the pixels.  misfit: share of its light by which the line is no Gaussian; its part
+    that is odd about the centre (scatter.py).
     """
 
     stripe: Stripe
@@ -55,6 +58,7 @@ class Survey:
     ln_width: Guess
     tilt: Guess
     noise: Noise
+    misfit: float
 
     @property
     def width_px(self) -> Floats:
@@ -89,12 +93,16 @@ def survey(image: Floats, settings: StripeSection, clipped: Mask) -> Survey | St
         noise = Noise(_constant_aside(columns, peaks, rough), 0.0)
     view = _view(columns, lost, peaks, rough)
     start = _start(view, rough)
-    sample = _sample(len(rough))
-    fit, noise = _fit_sample(view.of(sample), start[sample], noise, settings)
+    sample = _pairs(len(rough))
+    fit, noise, misfit = _fit_sample(
+        view.of(sample), peaks.of(sample), start[sample], noise, settings
+    )
     ln_width = _between(fit, LN_WIDTH, sample, len(rough))
     tilt = _between(fit, TILT, sample, len(rough))
     start[:, LN_WIDTH], start[:, TILT] = ln_width.value, tilt.value
-    return Survey(stripe, peaks, _reach(rough, settings), view, start, ln_width, tilt, noise)
+    return Survey(
+        stripe, peaks, _reach(rough, settings), view, start, ln_width, tilt, noise, misfit
+    )
 
 
 def _first_noise(columns: Floats, peaks: Peaks, settings: StripeSection) -> Noise:
@@ -121,6 +129,12 @@ def _sample(count: int) -> Ints:
     return np.arange(0, count, -(-count // _SAMPLE))
 
 
+def _pairs(count: int) -> Ints:
+    """About _SAMPLE of ``count`` columns, evenly, each with the next."""
+    first = np.arange(0, count, max(1, -(-2 * count // _SAMPLE)))
+    return np.unique(np.minimum(np.concatenate([first, first + 1]), count - 1))
+
+
 def _rough_width(columns: Floats, peaks: Peaks, constant: float) -> Floats:
     """Width (K,) in px of each line, from the sums of its light and of its light squared.
 
@@ -128,7 +142,7 @@ def _rough_width(columns: Floats, peaks: Peaks, constant: float) -> Floats:
     in windows no wider than the line needs.
     """
     sample = _sample(len(peaks.rows))
-    chosen = Peaks(peaks.columns[sample], peaks.rows[sample], peaks.base[sample])
+    chosen = peaks.of(sample)
     reach = _FIRST_REACH_PX
     for _ in range(2):
         light = _above_ground(windows_about(columns, chosen, reach))
@@ -177,7 +191,7 @@ def _within(
     inside = (peaks.rows >= reach) & (peaks.rows < height - reach)
     status = stripe.status.copy()
     status[peaks.columns[~inside]] = Status.AT_BORDER
-    kept = Peaks(peaks.columns[inside], peaks.rows[inside], peaks.base[inside])
+    kept = peaks.of(np.flatnonzero(inside))
     return replace(stripe, status=status), kept, width_px[inside]
 
 
@@ -202,19 +216,23 @@ def _start(view: View, width_px: Floats) -> Floats:
 
 
 def _fit_sample(
-    view: View, start: Floats, noise: Noise, settings: StripeSection
-) -> tuple[Fit, Noise]:
-    """The sample's lines, and the noise: as given, or as its residuals have it."""
+    view: View, peaks: Peaks, start: Floats, noise: Noise, settings: StripeSection
+) -> tuple[Fit, Noise, float]:
+    """The lines of the sample, at its ``peaks``, the noise, and the lines' misfit.
+
+    The noise is that given where the settings state it, else as the lines' residuals have it.
+    """
     precision = weak_precision(start)
     precision[:, LN_WIDTH] = 1 / _WIDTH_DOUBT**2
     prior = Prior(start, precision)
-    fit = fit_lines(view, start, noise, prior)
+    fit, constant = fit_lines(view, start, noise, prior), noise.constant
+    scatter = scatter_of(fit, peaks.columns, peaks.rows)
     if settings.noise is None:
         for _ in range(_NOISE_TURNS):
-            seen = fit.seen
-            noise = scatter_noise(fit.square[seen], fit.light[seen], noise.constant)
+            noise = scatter.noise(constant)
             fit = fit_lines(view, fit.parameters, noise, prior)
-    return fit, noise
+            scatter = scatter_of(fit, peaks.columns, peaks.rows)
+    return fit, noise, scatter.misfit(noise)
 
 
 def weak_precision(start: Floats) -> Floats:

@@ -12,8 +12,8 @@ Because the shear acts before the rotations, all four are solved together by ite
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -22,6 +22,8 @@ from lscan.records import Floats, Mask, Surface
 from lscan.surface.alignment import Alignment, own_variance, turned_modes
 from lscan.surface.datum import YAW, Datum, EdgeCrossings, parameter_modes
 from lscan.surface.edges import EdgeFit, EdgeSamples, fit_edges
+from lscan.surface.faces import faces_beside
+from lscan.surface.fading import fit_fading
 from lscan.surface.features import Crossings, Features, find_features
 from lscan.surface.levelling import level, plane_normal, shear
 from lscan.targets import Sandwave
@@ -55,18 +57,25 @@ class _Pose:
     shift: Floats
     rotation: Floats
 
+    def place(self, raw: Floats) -> Floats:
+        """(..., 3) workpiece points of raw ones (..., 3), mm."""
+        return raw @ (self.rotation @ shear(self.yaw)).T + self.shift
+
     def plan(self, raw: Floats) -> Floats:
-        return (raw @ (self.rotation @ shear(self.yaw)).T + self.shift)[:, :2]
+        """(K, 2) of raw points (K, 3), mm."""
+        return self.place(raw)[:, :2]
 
 
 def align_sandwave(surface: Surface, piece: Sandwave) -> Alignment:
     """The alignment of a raw scan of the sandwave block with its workpiece frame.
 
-    Where the surface knows the line's brightness, edges are found where it falls to half;
-    without it they are a part of a column off.
+    Edges are first taken to lie beyond the last samples on them.  Where the surface knows the
+    line's brightness, they are then found by how it fades over them (fading.py): without that
+    they are off by the column, and by the sheet, whose thickness lights an edge ahead of it.
 
     The wedges' tops come to z = wedge.height_mm, the midpoint of the corners W_L and W_R to its
-    nominal place in plan and the line between them along x.  The yaw makes the block's sides
+    nominal place in plan and the line between them along x; where the line's brightness
+    places both sides of the block, the middle's x is theirs.  The yaw makes the block's sides
     orthogonal to that line: the left one, as in the paper, and where it is in the scan the
     right one too.  The wedges' edges have a small say as well, being symmetric about that
     line: a side that runs along the track to within a column or two is only known to that.
@@ -82,9 +91,13 @@ def align_sandwave(surface: Surface, piece: Sandwave) -> Alignment:
     pose, rounds = _rough_pose(features, piece), 0
     for window in WINDOWS_MM:
         selected = _select(features, pose, piece, window)
-        pose, edges, iterations = _refine(features.tops, selected, pose, piece)
+        pose, edges, iterations = _refine(features.tops, _crossed(selected, piece), pose, piece)
         rounds += iterations
-    datum = _datum(surface, features, selected, pose, edges, sharp=surface.brightness is not None)
+    fading = _fading(surface, pose, edges, piece)
+    if fading is not None:
+        pose, edges, iterations = _refine(features.tops, fading, pose, piece)
+        rounds += iterations
+    datum = _datum(surface, features, selected, pose, edges, sharp=fading is not None)
     modes = turned_modes(surface, pose.rotation @ shear(pose.yaw), datum.index)
     errors = parameter_modes(datum, modes)
     return Alignment(
@@ -179,19 +192,17 @@ def _side(piece: Sandwave, x: float) -> tuple[Floats, Floats]:
     return np.array([x, -reach]), np.array([x, piece.side_mm + reach])
 
 
-def _refine(
-    tops: Floats, selected: dict[str, _Selected], pose: _Pose, piece: Sandwave
-) -> tuple[_Pose, _Edges, int]:
+def _refine(tops: Floats, find: _Finder, pose: _Pose, piece: Sandwave) -> tuple[_Pose, _Edges, int]:
     """The pose at which the base plane, the corners and the yaw agree, and the edges in it."""
     kept = None
     for iteration in range(1, MAX_ITERATIONS + 1):
-        edges = _fit(selected, pose, piece, kept)
+        edges = find(pose, kept)
         kept = edges.fit.kept if iteration >= UNDECIDED_ITERATIONS else None
         across = edges.right_corner - edges.left_corner
         turn_error = float(np.arctan2(across[1], across[0]))
         # A lean towards +x with growing y says that the profiles were shifted too far.
         yaw_error = float(np.arctan(edges.fit.lean)) + turn_error
-        middle = (edges.left_corner + edges.right_corner) / 2
+        middle = edges.middle
         pose = _moved(tops, pose, yaw_error, turn_error, middle, piece)
         shift = float(np.abs(middle - _nominal_middle(piece)).max()) / piece.side_mm
         if max(abs(yaw_error), abs(turn_error), shift) < SETTLED_RAD:
@@ -213,23 +224,72 @@ def _moved(
 
 @dataclass(frozen=True)
 class _Edges:
-    """The edges fitted in one pose, and the corners (2,) where the wedges' edges meet."""
+    """The edges fitted in one pose, and the corners (2,) where the wedges' edges meet.
+
+    by_sides: the block's two sides say where it lies along x.  They are four times as long as
+    the wedges' edges and do not lean, so that brightness places them much better.
+    """
 
     names: tuple[str, ...]
     fit: EdgeFit
     left_corner: Floats
     right_corner: Floats
+    by_sides: bool = False
+
+    @property
+    def middle(self) -> Floats:
+        """(2,) of the corners; its x that of the sides where they tell it better."""
+        middle = (self.left_corner + self.right_corner) / 2
+        if not self.by_sides:
+            return middle
+        left, right = self.fit.lines[4:]
+        x = (left.at_mm + right.at_mm) / 2 + self.fit.lean * (middle[1] - left.pivot_mm)
+        return np.array([x, middle[1]])
 
 
-def _fit(selected: dict[str, _Selected], pose: _Pose, piece: Sandwave, kept: Mask | None) -> _Edges:
+_Finder = Callable[[_Pose, Mask | None], _Edges]
+"""Finds the edges in a pose; the mask says which samples are no strays, where that is decided."""
+
+
+def _crossed(selected: dict[str, _Selected], piece: Sandwave) -> _Finder:
+    """Finds edges between the last samples on them and the first ones off them."""
     names = tuple(selected)
-    samples = [
-        EdgeSamples(s.slope, pose.plan(s.crossings.inside), pose.plan(s.crossings.outside))
-        for s in selected.values()
-    ]
-    fit = fit_edges(samples, names, piece.side_mm / 2, kept)
+
+    def find(pose: _Pose, kept: Mask | None) -> _Edges:
+        samples = [
+            EdgeSamples(s.slope, pose.plan(s.crossings.inside), pose.plan(s.crossings.outside))
+            for s in selected.values()
+        ]
+        return _met(names, fit_edges(samples, names, piece.side_mm / 2, kept))
+
+    return find
+
+
+def _fading(surface: Surface, pose: _Pose, edges: _Edges, piece: Sandwave) -> _Finder | None:
+    """Finds edges by the fading of the line; None where too little of it is seen or known."""
+    if surface.brightness is None:
+        return None
+    beside = faces_beside(edges.names, pose.place(surface.xyz_mm), surface.brightness, piece)
+    if beside is None:
+        return None
+    raw = [surface.xyz_mm.reshape(-1, 3)[index] for index, _ in beside]
+    start = edges.fit
+
+    def find(pose: _Pose, kept: Mask | None) -> _Edges:
+        samples = [
+            replace(face, plan=pose.plan(points))
+            for points, (_, face) in zip(raw, beside, strict=True)
+        ]
+        fit = fit_fading(samples, start, piece.side_mm / 2, kept)
+        return _met(edges.names, fit, by_sides=len(samples) == 6)
+
+    return find
+
+
+def _met(names: tuple[str, ...], fit: EdgeFit, by_sides: bool = False) -> _Edges:
     left_near, left_far, right_near, right_far = fit.lines[:4]
-    return _Edges(names, fit, left_near.meet(left_far), right_near.meet(right_far))
+    corners = left_near.meet(left_far), right_near.meet(right_far)
+    return _Edges(names, fit, *corners, by_sides)
 
 
 def _datum(
@@ -242,9 +302,9 @@ def _datum(
 ) -> Datum:
     """What the alignment was made from, in the workpiece frame that it leads to.
 
-    sharp: the edges lie where the line falls to half its brightness.  Else each is off by some
-    part of a column of its own, an even distribution: what lies behind it, dark or bright,
-    decides how far out the line is still seen.
+    sharp: the edges were found by the fading of the line.  Else each is off by some part of a
+    column of its own, an even distribution: what lies behind it, dark or bright, decides how far
+    out the line is still seen; and columns sample the sides, which makes the yaw uncertain.
     """
     blind = 0.0 if sharp else _median_gap(selected.values()) ** 2 / 12
     place = pose.rotation @ shear(pose.yaw)
@@ -258,10 +318,11 @@ def _datum(
             for s in selected.values()
         ],
         edge_covariance=edges.fit.covariance + blind * np.diag([0.0, *np.ones(len(selected))]),
-        yaw_variance=_sampling_variance(selected),
+        yaw_variance=0.0 if sharp else _sampling_variance(selected),
         corners=np.stack([edges.left_corner, edges.right_corner]),
         rotation=pose.rotation,
         yaw_rad=pose.yaw,
+        by_sides=edges.by_sides,
     )
 
 

@@ -45,7 +45,8 @@ class Datum:
     (K,) noise of their z, each one's own.  edges: the four of the wedges (left near, left far,
     right near, right far), then the sides.  edge_covariance: (E + 1, E + 1) of the lean and of
     each edge's place, mm.  yaw_variance: what is to be added to that of the lean, rad².
-    corners: (2, 2) left and right one.  rotation, yaw_rad: of the alignment.
+    corners: (2, 2) left and right one.  rotation, yaw_rad: of the alignment.  by_sides: the
+    middle's x is that of the two sides, the last two edges, instead of the corners'.
     """
 
     tops: Floats
@@ -57,6 +58,7 @@ class Datum:
     corners: Floats
     rotation: Floats
     yaw_rad: float
+    by_sides: bool = False
 
     @property
     def index(self) -> Ints:
@@ -151,4 +153,7 @@ def _from_edges(datum: Datum) -> Floats:
     (left_x, left_y), (right_x, right_y) = corners
     turn = (right_y - left_y) / (datum.corners[1, 0] - datum.corners[0, 0])
     lean = np.eye(size)[0] + turn
-    return np.stack([turn, lean, (left_x + right_x) / 2, (left_y + right_y) / 2])
+    middle_x = (left_x + right_x) / 2
+    if datum.by_sides:
+        middle_x = np.where(np.arange(size) >= size - 2, 0.5, 0.0)
+    return np.stack([turn, lean, middle_x, (left_y + right_y) / 2])

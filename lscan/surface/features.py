@@ -57,18 +57,8 @@ class Features:
     side_right: Crossings
 
 
-FALL_COLUMNS = 4
-"""Columns over which the blur draws the line's end out at most."""
-
-LEVEL_COLUMNS = 12
-"""Columns beyond them whose median tells how bright the line is before its end."""
-
-
 def find_features(surface: Surface, piece: Sandwave) -> Features:
     """The landmarks of ``piece`` in a raw scan of it.
-
-    Where the line's brightness is known, an edge lies where it falls to half; else where the last sample was seen, which is farther out before a dark surface than before
-    one that outshines it.
 
     The block lies roughly level (within 5°), turned by at most 10° about z, anywhere in the
     scan; the floor around it may be visible or not.
@@ -84,13 +74,14 @@ def find_features(surface: Surface, piece: Sandwave) -> Features:
     spacing = _column_spacing(surface.xyz_mm, valid)
     block = valid & (height > -(piece.body_mm + _crest(piece)) / 2)
     patch_left, patch_right = _wedge_tops(surface.xyz_mm, block, height, piece)
-    inner = ndimage.binary_erosion(patch_left | patch_right, np.ones((1, 5), dtype=bool))
-    flat = block & (_near(height, 0.0, piece) | _near(height, piece.wedge.height_mm, piece))
-
-    bright = surface.brightness
+    tops = patch_left | patch_right
+    inner = tops & _clear(tops, surface.position_mm, spacing)
+    flat = block & (
+        near_level(height, 0.0, piece) | near_level(height, piece.wedge.height_mm, piece)
+    )
 
     def crossings(mask: Mask, direction: int, open_end: Mask | None = None) -> Crossings:
-        return _crossings(surface.xyz_mm, mask, direction, spacing, plane[1], open_end, bright)
+        return _crossings(surface.xyz_mm, mask, direction, spacing, plane[1], open_end)
 
     unseen = (surface.status == Status.OUT_OF_BOARD) | (surface.status == Status.AT_BORDER)
     return Features(
@@ -105,13 +96,27 @@ def find_features(surface: Surface, piece: Sandwave) -> Features:
     )
 
 
+TOP_MARGIN_MM = 1.5
+"""Sheets are that thick: nearer to an edge part of the light is lost, and the line displaced."""
+
+
+def _clear(tops: Mask, position_mm: Floats, spacing: Floats) -> Mask:
+    """Mask of the samples that are a margin away from where the tops end; holes are no end."""
+    track = float(np.median(np.abs(np.diff(position_mm))))
+    steps = (track, float(np.median(np.abs(spacing))))
+    rows, columns = (2 * int(np.ceil(TOP_MARGIN_MM / max(step, 0.1))) + 1 for step in steps)
+    whole = ndimage.binary_closing(tops, np.ones((3, 5), dtype=bool))
+    shape = np.ones((rows, max(columns, 5)), dtype=bool)
+    return np.asarray(ndimage.binary_erosion(whole, shape), dtype=bool)
+
+
 def _crest(piece: Sandwave) -> float:
     """Greatest height of the waves, mm."""
     return piece.a_mm + piece.b * piece.side_mm
 
 
-def _near(height: Floats, level: float, piece: Sandwave) -> Mask:
-    """Mask of the heights that belong to a flat at ``level``: nearer to it than to a crest."""
+def near_level(height: Floats, level: float, piece: Sandwave) -> Mask:
+    """Mask of the heights, mm, that belong to a flat at ``level``: nearer to it than to a crest."""
     tolerance = max((piece.wedge.height_mm - _crest(piece)) / 2, 0.1 * piece.wedge.height_mm)
     return np.abs(height - level) < tolerance
 
@@ -185,7 +190,7 @@ def _column_spacing(xyz: Floats, valid: Mask) -> Floats:
 
 def _wedge_tops(xyz: Floats, block: Mask, height: Floats, piece: Sandwave) -> tuple[Mask, Mask]:
     """Masks of the left and the right wedge's flat top: the two patches a block apart."""
-    high = block & _near(height, piece.wedge.height_mm, piece)
+    high = block & near_level(height, piece.wedge.height_mm, piece)
     # Single missing samples must not break a patch up.
     labels, count = ndimage.label(
         ndimage.binary_closing(high, np.ones((3, 5), dtype=bool)), np.ones((3, 3))
@@ -235,10 +240,8 @@ def _crossings(
     spacing: Floats,
     slope: float,
     open_end: Mask | None,
-    peak: Floats | None,
 ) -> Crossings:
-    """The outermost sample of ``mask`` in each row towards ``direction`` (+1: greater x), the
-    outermost that is half as bright as the line before it where ``peak`` (F, N) is known.
+    """The outermost sample of ``mask`` in each row towards ``direction`` (+1: greater x).
 
     slope: dz/dx of the rim's plane.  open_end: (F, N) samples that end the data without being
     an edge; a row that ends at one of them, or at the picture's border, is left out.
@@ -253,28 +256,10 @@ def _crossings(
         beside = np.clip(columns + towards, 0, last)
         keep = (beside != columns) & ~open_end[rows, beside]
         rows, columns = rows[keep], columns[keep]
-    if peak is not None:
-        columns = _last_bright(np.where(mask, peak, np.nan), rows, columns, towards)
     gap = direction * np.abs(spacing[_gap_index(columns, towards)])
     inside = xyz[rows, columns]
     outside = inside + np.column_stack([gap, 0 * gap, slope * gap])
     return Crossings(inside, outside, rows * mask.shape[1] + columns)
-
-
-def _last_bright(peak: Floats, rows: Ints, columns: Ints, towards: int) -> Ints:
-    """(K,) the outermost of the last columns at which the peak is half that before its fall.
-
-    peak: (F, N), NaN off the surface.  The last column itself where nothing tells.
-    """
-    inwards = columns[:, None] - towards * np.arange(FALL_COLUMNS + LEVEL_COLUMNS)
-    there = (inwards >= 0) & (inwards < peak.shape[1])
-    run = np.where(there, peak[rows[:, None], np.clip(inwards, 0, peak.shape[1] - 1)], np.nan)
-    before = np.nan_to_num(run[:, FALL_COLUMNS:], nan=-1.0)
-    # The median of what is known: of LEVEL_COLUMNS, enough must be.
-    known = (before >= 0).sum(axis=1)
-    rank = np.sort(before, axis=1)[np.arange(len(rows)), -1 - known // 2]
-    bright = (run[:, :FALL_COLUMNS] >= rank[:, None] / 2) & (known[:, None] > 0)
-    return np.asarray(columns - towards * np.where(bright.any(axis=1), bright.argmax(axis=1), 0))
 
 
 def _gap_index(columns: Ints, towards: int) -> Ints:

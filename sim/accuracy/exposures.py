@@ -65,9 +65,13 @@ def with_contrast(scene: Scene, contrast: float) -> Scene:
     """The scene with the aperture at which depolarised speckle has this contrast in a pixel.
 
     The lamps and the laser make up for the light that the aperture takes, so that grey values
-    stay; 0 switches speckle off.
+    stay; 0 switches speckle off.  Where the rig states the contrast, it states this one.
     """
-    tank = scene.tank
+    tank, stripe = scene.tank, scene.rig.stripe
+    if stripe.noise is not None:
+        noise = stripe.noise.model_copy(update={"speckle": contrast})
+        rig = scene.rig.model_copy(update={"stripe": stripe.model_copy(update={"noise": noise})})
+        scene = replace(scene, rig=rig)
     if contrast == 0:
         sensor = tank.sensor.model_copy(update={"speckle": "none"})
         return replace(scene, tank=tank.model_copy(update={"sensor": sensor}))

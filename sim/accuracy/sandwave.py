@@ -7,11 +7,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from lscan.experiment import align_scan
 from lscan.measure import compare_slice
 from lscan.planemap.api import PlaneMap
 from lscan.profile import to_profile
 from lscan.records import Floats, Status, Surface
-from lscan.surface import align_sandwave, apply, grid_cells, resample, stack
+from lscan.surface import grid_cells, resample, stack
 from lscan.targets import Sandwave
 from sim.accuracy.exposures import Reading
 from sim.scene import Scene
@@ -44,8 +45,7 @@ def aligned_surface(scene: Scene, reading: Reading, plane_map: PlaneMap) -> Surf
         to_profile(stripe, plane_map, position)
         for stripe, position in zip(reading.stripes, reading.positions_mm, strict=True)
     ]
-    raw = stack(profiles)
-    return apply(align_sandwave(raw, _piece(scene)), raw)
+    return align_scan(stack(profiles), _piece(scene), scene.rig.sheet)[1]
 
 
 def slice_figures(scene: Scene, surface: Surface) -> dict[str, SliceFigures]:
@@ -65,7 +65,7 @@ def grid_errors(scene: Scene, surface: Surface) -> GridErrors:
     """The cells on the waves that hold a value and are lit and seen."""
     piece = _piece(scene)
     grid = grid_cells(surface, CELL_MM)
-    x, y = grid.x_mm.ravel(), grid.y_mm.ravel()
+    x, y = (plan.ravel() for plan in np.meshgrid(grid.x_mm, grid.y_mm))
     inside = np.minimum(np.minimum(x, piece.side_mm - x), np.minimum(y, piece.side_mm - y))
     kept = (grid.status.ravel() == Status.OK) & (inside > BORDER_MM)
     kept[kept] = slice_visibility(scene, np.column_stack([x, y])[kept])

@@ -11,7 +11,7 @@ from sim.scene.instrument import Fraction, Seed, Vector
 
 FLOOR_HALF_SIDE_MM = 3000.0  # beyond, a metre of turbid water has swallowed the light
 WaterKind = Literal[
-    "given", "pure", "clear", "coastal", "harbor", "tank",
+    "given", "pure", "clear", "coastal", "harbor", "tank", "air",
     "jerlov-I", "jerlov-IB", "jerlov-II", "jerlov-III", "jerlov-1C", "jerlov-7C", "jerlov-9C",
 ]  # fmt: skip
 PhaseName = Literal["petzold-mixture", "petzold", "fournier-forand", "henyey-greenstein"]
@@ -29,7 +29,8 @@ class Water(Strict):
     kind: a water with a name (with ``turbidity_ntu`` for "tank"), or "given": by what
     particles add to pure water at the laser's wavelength (particle_absorption_per_m,
     particle_scattering_per_m; nothing if left out), or by all there is of both
-    (absorption_per_m and scattering_per_m).
+    (absorption_per_m and scattering_per_m).  "air": no water at all, the index 1 and nothing
+    absorbed or scattered, whatever the temperature, the salinity and the pressure.
     phase: the particles' phase function.  "petzold-mixture": four Henyey-Greenstein lobes
     fitted to Petzold's average particle, "petzold": his table; "fournier-forand" with
     ``particle_index`` and ``junge_slope``; "henyey-greenstein" with ``asymmetry``.

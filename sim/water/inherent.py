@@ -79,8 +79,12 @@ def coefficients(water: Water, wavelength_nm: float) -> Coefficients:
     """The scene's water at ``wavelength_nm`` (450 to 700; else InputError).
 
     Where a and b are given in all, the molecules have the part of b that they have in pure
-    water, all of it where b is less.  Else pure water's and the particles' add up.
+    water, all of it where b is less.  Else pure water's and the particles' add up.  Air has
+    neither.
     """
+    if water.kind == "air":
+        require("wavelength_nm", wavelength_nm, WATER_NM)
+        return Coefficients(0.0, 0.0, 0.0)
     molecular = molecular_scattering_per_m(water.salinity_psu, wavelength_nm)
     if water.absorption_per_m is not None and water.scattering_per_m is not None:
         total = water.scattering_per_m

@@ -8,12 +8,22 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from typer.testing import CliRunner
 
-from lscan.bench import ExtractorRow, bench_extractors, bench_maps, write_bench
+from lscan.bench import (
+    MAPS,
+    ExtractorRow,
+    bench_extractors,
+    bench_maps,
+    registered_extractors,
+    run_bench,
+    write_bench,
+)
 from lscan.bench.boards import BOARDS, VIEW, reading_of
 from lscan.bench.extractors import bound_px
 from lscan.bench.page import extractor_cells, map_cells
 from lscan.bench.pictures import BACKGROUND_DN, SHAPE, Case, centres, draw, mean_picture
+from lscan.cli import app
 from lscan.errors import InputError
 from lscan.records import Floats, Mask, Status, Stripe
 from lscan.rig import NoiseSection, StripeSection
@@ -140,3 +150,35 @@ def test_table_and_picture_are_written(tmp_path: Path) -> None:
     assert (tmp_path / "bench" / "bench.png").read_bytes().startswith(b"\x89PNG")
     assert len({len(cells) for cells in extractor_cells(extractors)}) == 1
     assert map_cells([refused])[0][3] == "refused"
+
+
+def test_the_whole_bench_takes_ones_own_extractor_and_tells_how_far_it_is(tmp_path: Path) -> None:
+    told: list[tuple[int, int]] = []
+    done = run_bench(
+        tmp_path, [WRONG], ["polynomial-2"], True, 2, lambda at, of: told.append((at, of))
+    )
+    assert told == [(step, 10) for step in range(1, 11)]  # 7 kinds of line, 3 noises
+    assert {row.extractor for row in done.extractors} == {WRONG}
+    assert json.loads((tmp_path / "bench.json").read_text()) == done.content
+    assert not run_bench(tmp_path, [], ["projective"], True).extractors
+
+
+def test_a_wrong_name_is_refused_before_anything_is_written(tmp_path: Path) -> None:
+    for names in (["median"], []), ([], ["globe"]):
+        with pytest.raises(InputError, match="no such"):
+            run_bench(tmp_path / "bench", *names, quick=True)
+    assert not (tmp_path / "bench").exists()
+
+
+def test_the_usual_ones_exist() -> None:
+    assert {"max", "centroid", "centroid-relative", "ml"} <= set(registered_extractors())
+    bench_maps(MAPS, draws=1, quick=True)
+
+
+def test_the_command_adds_ones_own_and_prints_json(tmp_path: Path) -> None:
+    own = ["--extractor", WRONG, "--map", "polynomial-2", "--only", "--quick", "--json"]
+    result = CliRunner().invoke(app, ["bench", "-o", str(tmp_path), *own])
+    assert result.exit_code == 0
+    printed = json.loads(result.stdout)
+    assert {row["extractor"] for row in printed["extractors"]} == {WRONG}
+    assert {row["plane_map"] for row in printed["maps"]} == {"polynomial-2"}

@@ -11,9 +11,9 @@ from hypothesis import strategies as st
 from scipy.stats import norm
 
 from lscan.measure import groove_dimensions
-from lscan.measure.ends import segment_ends
+from lscan.measure.ends import FALSE_LIGHT, segment_ends
 from lscan.measure.lengths import Length, mean_length
-from lscan.measure.segments import Segment, Trace
+from lscan.measure.segments import PHASE, Segment, Trace
 from lscan.records import Floats, PlanePoints, Profile, Status
 from lscan.targets import GroovedBlock
 
@@ -24,7 +24,7 @@ DARKEST = 0.08  # of a top's brightness: a threshold of 15 DN under a peak of 18
 
 def top(left: float, right: float, blur: float, speckle: float, seed: int) -> Trace:
     """One top from ``left`` to ``right`` mm, its brightness blurred by ``blur`` columns."""
-    x = (np.arange(80) - 10) * PITCH_MM
+    x: Floats = (np.arange(80.0) - 10) * PITCH_MM
     lit = norm.cdf((x - left) / blur / PITCH_MM) * norm.cdf((right - x) / blur / PITCH_MM)
     shading = 180 * (1 + 0.002 * x)
     rng = np.random.default_rng(seed)
@@ -61,13 +61,13 @@ def test_ends_move_with_the_top_and_scale_with_nothing_bright(shift: int, seed: 
 def test_stated_uncertainty_of_an_end_is_its_scatter() -> None:
     """60 tops of one place with speckle of 0.15: their deviation is known to 9 %.
 
-    Noise is taken to grow as the root of the light where speckle grows in proportion: stated
-    too large in the dim columns, so scatter may be as little as half of what is stated.
+    The fit weighs by the noise drawn, but for UNMODELLED, which makes the stated uncertainty a
+    little too large: no more than 3 * 9 % and that.
     """
     pairs = [ends(top(0.3, 40.2, 0.8, 0.15, seed)) for seed in range(60)]
     places, stated = np.array([p for p, _ in pairs]), np.array([s for _, s in pairs])
     ratio = places.std(axis=0, ddof=1) / np.sqrt((stated**2).mean(axis=0))
-    assert (ratio > 0.5).all()
+    assert (ratio > 0.65).all()
     assert (ratio < 1.27).all()
     # The bias of the mean of 60 is known to an eighth of the deviation.
     assert (np.abs(places.mean(axis=0) - [0.3, 40.2]) < 0.4 * stated.mean(axis=0)).all()
@@ -79,7 +79,25 @@ def test_a_sharp_end_is_half_a_column_out_to_within_one() -> None:
     found = segment_ends(level, [Segment(np.arange(len(level.x)), 0.0)])[0]
     assert found[0].x_mm == pytest.approx(level.x[0] - PITCH_MM / 2)
     assert found[1].x_mm == pytest.approx(level.x[-1] + PITCH_MM / 2)
-    assert found[0].sampling_mm == pytest.approx(PITCH_MM / np.sqrt(12))
+    assert found[0].common_mm == pytest.approx(PITCH_MM / np.sqrt(12))
+
+
+@pytest.mark.parametrize("false_light", [0.01, 0.02])
+def test_false_light_moves_an_end_outwards_by_about_what_is_stated(false_light: float) -> None:
+    """A percent or two of the brightness along the foot: FALSE_LIGHT is its standard deviation."""
+    one = top(0.3, 40.2, 0.76, 0.0, 0)
+    place, _ = ends(replace(one, brightness=one.brightness + false_light * 180))
+    outwards = (place - [0.3, 40.2]) * [-1, 1] / PITCH_MM
+    assert (outwards > 0).all()
+    assert (outwards < 3 * FALSE_LIGHT).all()
+
+
+@given(st.floats(0.5, 3.0), st.integers(0, 30))
+@settings(max_examples=15, deadline=None, derandomize=True)
+def test_more_speckle_is_never_stated_as_less(factor: float, seed: int) -> None:
+    """The same draw of speckle, ``factor`` times as strong; a fit's own freedom leaves 5 %."""
+    less, more = (ends(top(0.3, 40.2, 0.8, c, seed))[1] for c in (0.05, 0.05 * (1 + factor)))
+    assert (more > 0.95 * less).all()
 
 
 # Means
@@ -137,14 +155,19 @@ def block(modes: bool, bend_mm: float = 0.0, seed: int | None = None) -> Profile
 
 
 def test_modes_make_the_sigma_that_redoing_the_measurement_shows() -> None:
-    """With everything else exact, sigma is what a displacement by one deviation changes."""
-    stated = groove_dimensions(block(modes=True), PIECE)
+    """What the modes add to sigma is what a displacement by one deviation changes."""
+    one = block(modes=True)
+    assert one.points.modes_mm is not None
+    still = replace(one, points=replace(one.points, modes_mm=0 * one.points.modes_mm))
+    stated, alone = groove_dimensions(one, PIECE), groove_dimensions(still, PIECE)
     plus, minus = (groove_dimensions(block(True, bend), PIECE) for bend in (1.0, -1.0))
     for name, length in stated.items():
         change = (plus[name].measured_mm - minus[name].measured_mm) / 2
-        # One of the two modes alone changes each entry: widths stretch, heights bend.  What the
-        # fit's residuals add on top is no more than the noise of an exact profile: nought.
-        assert length.sigma_mm == pytest.approx(abs(change), rel=0.15, abs=2e-3), name
+        # One of the two modes alone changes each entry: widths stretch, heights bend.
+        added = np.sqrt(length.sigma_mm**2 - alone[name].sigma_mm ** 2)
+        assert added == pytest.approx(abs(change), rel=0.15, abs=2e-3), name
+        common = FALSE_LIGHT if name[0] in "WS" else PHASE
+        assert alone[name].sigma_mm >= np.sqrt(2) * common * PITCH_MM * (1 - 1e-3), name
 
 
 def test_without_modes_nothing_cancels() -> None:

@@ -12,9 +12,9 @@ from hypothesis import strategies as st
 from planeviews import BARREL, View, affine, board_points, paper_board, read_board
 
 from lscan.errors import BoardNotFound, InputError
-from lscan.planemap import auto
+from lscan.planemap import auto, crossvalidation
 from lscan.planemap.api import find_solver
-from lscan.planemap.auto import Auto, ranked
+from lscan.planemap.auto import Auto, calibrate_best, ranked
 from lscan.planemap.calibration import calibrate, load_calibration, resolve, save_calibration
 from lscan.planemap.crossvalidation import Score, cross_validated, deal, without
 from lscan.records import BoardReading, Floats, Marks, RulerReading
@@ -185,6 +185,57 @@ def test_ranked_by_error_among_the_complete() -> None:
         Score("better", 0.02, 0.09, points=97),
     )
     assert [score.name for score in ranked(scores)] == ["better", "worse", "choosy", "refused"]
+
+
+def test_of_tied_maps_the_surest_comes_first() -> None:
+    scores = (
+        Score("least error", 0.020, 0.04, sigma_mm=0.03, tied=True, points=100),
+        Score("surest", 0.021, 0.04, sigma_mm=0.01, tied=True, points=100),
+        Score("sure but wrong", 0.040, 0.09, sigma_mm=0.001, points=100),
+    )
+    assert [score.name for score in ranked(scores)] == ["surest", "least error", "sure but wrong"]
+
+
+def test_ties_are_of_maps_that_the_marks_do_not_tell_apart() -> None:
+    """Fourth and fifth orders differ on the view by less than the noise; second orders miss a
+    hundred times that.  The map of least error is always one of the tied."""
+    scores = cross_validated(_reading(), ("polynomial-4", "polynomial-5", "polynomial-2"))
+    assert not scores[2].tied
+    least = min(scores, key=lambda score: score.rms_mm or np.inf)
+    assert least.tied
+    for score in scores:
+        assert score.sigma_mm is not None
+        assert score.sigma_mm > 0
+
+
+def test_the_same_map_twice_is_a_tie() -> None:
+    both = cross_validated(_reading(), ("projective", "projective"))
+    assert both[0].tied
+    assert both[1].tied
+
+
+def test_slow_maps_are_solved_fewer_times_and_judged_on_all_marks(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setitem(crossvalidation.FEWER_FOLDS, "projective", 4)
+    reading, told = _reading(), []
+    slow, quick = cross_validated(
+        reading, ("projective", "spline"), progress=lambda done, total: told.append((done, total))
+    )
+    assert told == [(0, 2), (1, 2)]
+    found = sum(int(marks.found.sum()) for marks in _marks(reading))
+    assert slow.points + slow.without_value == quick.points + quick.without_value == found
+
+
+@pytest.mark.usefixtures("quick")
+def test_calibrate_best_is_calibrate_by_auto() -> None:
+    reading, told = _reading(), []
+    one = calibrate(reading, "auto")
+    other = calibrate_best(reading, None, lambda done, total: told.append(done))
+    assert told == [0, 1, 2, 3]
+    assert other.plane_map.parameters() == one.plane_map.parameters()
+    assert (other.name, other.software, other.optics) == (one.name, one.software, one.optics)
+    np.testing.assert_array_equal(other.residuals_px, one.residuals_px)
 
 
 @pytest.mark.usefixtures("quick")

@@ -39,8 +39,9 @@ def test_intervals_of_normal_errors_hold_95_percent() -> None:
 
 
 def test_speckle_of_another_contrast_keeps_the_grey_values() -> None:
-    scene = load_scene(SCENES / "paper" / "groove.toml")
+    scene = load_scene(SCENES / "best" / "groove.toml")
     other = with_contrast(scene, 0.25)
+    assert other.rig.stripe.noise is not None and other.rig.stripe.noise.speckle == 0.25
     lens, sensor, laser = other.tank.lens, other.tank.sensor, other.tank.laser
     found = speckle_contrast(sensor.pixel_um, lens.f_number, laser.wavelength_nm, sensor.speckle)
     assert found == pytest.approx(0.25, abs=1e-6)

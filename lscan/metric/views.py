@@ -1,0 +1,36 @@
+"""What one picture of the board gives to the metric route."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from lscan.records import Axis, Floats, Marks
+
+
+@dataclass(frozen=True)
+class LinePoints:
+    """The laser line on a board, where it was found.
+
+    image_px: (K, 2) of (u, v).  sigma_px: (K,) standard uncertainty across the line.
+    axis: "columns": the line was looked for in each column, its v is what is uncertain;
+        "rows": in each row, and its u is.
+    """
+
+    image_px: Floats
+    sigma_px: Floats
+    axis: Axis
+
+
+@dataclass(frozen=True)
+class View:
+    """One pose of the board.
+
+    name: the picture's, for messages.  marks: the board's own, None where it was not found.
+    line: the laser line on it, None where there is none.
+    fault: why marks, or the line that was looked for, are missing; "" where nothing is.
+    """
+
+    name: str
+    marks: Marks | None
+    line: LinePoints | None = None
+    fault: str = ""
