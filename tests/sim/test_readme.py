@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import re
+from importlib.metadata import entry_points
 from pathlib import Path
 
 import pytest
 from pydantic import BaseModel
 
+from lscan.rig import NoiseSection, OpticsSection, SheetSection, StripeSection
 from sim.devices import CameraOptions, TrackOptions
 from sim.scene import (
     DomePort,
@@ -81,3 +83,24 @@ def test_every_scene_is_listed() -> None:
     folder = ROOT / "scenes"
     files = {path.relative_to(folder).as_posix() for path in scene_files(folder)}
     assert sorted(rows) == sorted(files)
+
+
+@pytest.mark.parametrize("model", [StripeSection, NoiseSection, OpticsSection, SheetSection])
+def test_every_key_of_a_rig_file_is_told(model: type[BaseModel]) -> None:
+    rig_files = README.split("## Rig files")[1].split("\n## ")[0]
+    missing = set(model.model_fields) - names(rig_files)
+    assert not missing, sorted(missing)
+
+
+def test_every_map_and_extractor_is_told() -> None:
+    told = names_of_methods(README.split("## Plane maps and stripe extractors")[1])
+    for group in ("lscan.extractors", "lscan.planemaps"):
+        ours = {entry.name for entry in entry_points(group=group) if "lscan." in entry.value}
+        assert ours <= told, sorted(ours - told)
+
+
+def names_of_methods(text: str) -> set[str]:
+    """What stands in backticks in the first cells, families without their variants."""
+    cells = [line.split("|")[1] for line in text.splitlines() if line.startswith("| `")]
+    spans = {span for cell in cells for span in re.findall(r"`([^`]+)`", cell)}
+    return spans | {span.split("-")[0] for span in spans}
