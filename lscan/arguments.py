@@ -137,7 +137,9 @@ def read_picture_of_board(
         given.image,
         given.board,
         seeds=parse_seeds(seeds),
-        channel=choice("--channel", channel or given.calibration.channel, CHANNELS),
+        channel=given.calibration.channel
+        if channel is None
+        else choice("--channel", channel, CHANNELS),
     )
 
 

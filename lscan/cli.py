@@ -100,7 +100,7 @@ def calibrate(
 
     require_folders(output, overlay)
     given = board_picture(picture, board, optics)
-    name = plane_map or given.calibration.plane_map
+    name = given.calibration.plane_map if plane_map is None else plane_map
     reading = read_picture_of_board(given, seeds, channel)
     if overlay:
         write_picture(overlay, draw_overlay(given.image, reading))

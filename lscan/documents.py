@@ -137,7 +137,7 @@ def check(model: type[Model], document: Document, where: object, prefix: str = "
     try:
         return model.model_validate(document)
     except ValidationError as error:
-        raise InputError(_explain(error, prefix), where=where) from error
+        raise InputError(_explain(error, document, prefix), where=where) from error
 
 
 def _names_a_type(part: str | int) -> bool:
@@ -146,12 +146,28 @@ def _names_a_type(part: str | int) -> bool:
     return isinstance(part, str) and part.startswith(kinds)
 
 
-def _field(fault: Any) -> tuple[str | int, ...]:
-    """The keys that lead to a fault."""
-    return tuple(part for part in fault["loc"] if not _names_a_type(part))
+def _field(fault: Any, document: Document) -> tuple[str | int, ...]:
+    """The keys that lead to a fault, less the kinds that pydantic puts among them."""
+    keys: list[str | int] = []
+    inner: Any = document
+    for part in fault["loc"]:
+        if _names_a_type(part) or _names_the_kind(part, inner):
+            continue
+        keys.append(part)
+        if isinstance(inner, dict):
+            inner = inner.get(part)
+        else:
+            inside = isinstance(inner, list | tuple) and isinstance(part, int) and part < len(inner)
+            inner = inner[part] if inside else None
+    return tuple(keys)
 
 
-def _explain(error: ValidationError, prefix: str) -> str:
+def _names_the_kind(part: str | int, table: Any) -> bool:
+    """Whether a part of a fault's place is the table's ``kind``, and no key of it."""
+    return isinstance(table, dict) and part not in table and table.get("kind") == part
+
+
+def _explain(error: ValidationError, document: Document, prefix: str) -> str:
     faults = error.errors()
     first = faults[0]
     if first["type"] == "union_tag_invalid":
@@ -159,9 +175,11 @@ def _explain(error: ValidationError, prefix: str) -> str:
         kind = first["ctx"]["tag"]
         key = ".".join([*([prefix] if prefix else []), *map(str, first["loc"])])
         return f"{key}: no such kind {kind!r} (allowed: {tags})"
-    path = [prefix] if prefix else []
-    path += [str(part) for part in first["loc"] if not _names_a_type(part)]
-    alternatives = [fault for fault in faults if _field(fault) == _field(first)]
+    field = _field(first, document)
+    path = [*([prefix] if prefix else []), *map(str, field)]
+    if first["type"] == "union_tag_not_found":
+        return f"{'.'.join([*path, 'kind'])}: field required"
+    alternatives = [fault for fault in faults if _field(fault, document) == field]
     if len(alternatives) > 1:  # of a value that may be of several kinds
         wanted = ", or ".join(fault["msg"][0].lower() + fault["msg"][1:] for fault in alternatives)
         return f"{'.'.join(path)}: {wanted} (got {first['input']!r})"

@@ -84,8 +84,14 @@ class StripeSection(Strict):
     noise: NoiseSection | None = None
 
 
-Known = tuple[float, Annotated[float, Field(ge=0)]]
+Uncertainty = Annotated[float, Field(ge=0, le=1e9)]
+Known = tuple[Annotated[float, Field(ge=-1e6, le=1e6)], Uncertainty]
 """A number and its standard uncertainty, as in ``gap_mm = [10.0, 2.0]``; 0: known exactly."""
+KnownFocal = tuple[Annotated[float, Field(ge=1, le=100_000)], Uncertainty]
+KnownCentre = tuple[Annotated[float, Field(ge=-100_000, le=100_000)], Uncertainty]
+KnownLength = tuple[Annotated[float, Field(ge=0, le=10_000)], Uncertainty]
+KnownIndex = tuple[Annotated[float, Field(ge=1, le=4)], Uncertainty]
+KnownTilt = tuple[Annotated[float, Field(ge=-45, le=45)], Uncertainty]
 
 
 class OpticsSection(Strict):
@@ -101,19 +107,19 @@ class OpticsSection(Strict):
     """
 
     port: Literal["flat", "none"] = "flat"
-    focal_px: Known | None = None
-    centre_u_px: Known | None = None
-    centre_v_px: Known | None = None
+    focal_px: KnownFocal | None = None
+    centre_u_px: KnownCentre | None = None
+    centre_v_px: KnownCentre | None = None
     k1: Known = (0.0, 0.5)
     k2: Known = (0.0, 0.5)
     p1: Known = (0.0, 0.001)
     p2: Known = (0.0, 0.001)
-    gap_mm: Known = (10.0, 5.0)
-    thickness_mm: Known = (5.0, 3.0)
-    glass_index: Known = (1.49, 0.02)
-    water_index: Known = (1.333, 0.003)
-    tilt_x_deg: Known = (0.0, 0.0)
-    tilt_y_deg: Known = (0.0, 0.0)
+    gap_mm: KnownLength = (10.0, 5.0)
+    thickness_mm: KnownLength = (5.0, 3.0)
+    glass_index: KnownIndex = (1.49, 0.02)
+    water_index: KnownIndex = (1.333, 0.003)
+    tilt_x_deg: KnownTilt = (0.0, 0.0)
+    tilt_y_deg: KnownTilt = (0.0, 0.0)
     board_offset_mm: Annotated[float, Field(ge=0, le=100)] = 0.0
     board_tilt_deg: Annotated[float, Field(ge=0, le=20)] = 0.0
 

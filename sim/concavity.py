@@ -17,7 +17,6 @@ from typing import Any
 
 import numpy as np
 import trimesh
-from numpy.typing import NDArray
 
 from lscan.disk import make_folder, write_atomically
 from lscan.documents import merge
@@ -30,8 +29,8 @@ from sim.sensor import Webcam
 from sim.tank import Tank
 from sim.truth import StripeTruth, project, stripe_truth
 
-FINER = 2  # see ``finer``
-SAMPLES = 4  # of each of the finer pixels
+FINENESS = 2  # or the line's own width on level ground, 0.3 px, would follow the pixels
+SAMPLES = 16  # a pixel
 LINE_REACH_PX = 14  # of the window about the brightest pixel: six sigmas of the widest line here
 DIMMEST = 0.05  # of the picture's brightest column: a camera of 8 bits sees no less
 EDGE_PX = 6.0  # columns this near to an end of the line are left out
@@ -63,17 +62,19 @@ def concavity_errors(
     pixel, of the light of all higher orders; 0 leaves them out, and the water's veil with
     them: the line's own light alone is looked at.
     """
-    tank, webcam = Tank(finer(scene)), Webcam(finer(scene))
+    render = scene.tank.render.model_copy(update={"samples": SAMPLES, "fineness": FINENESS})
+    scene = replace(scene, tank=scene.tank.model_copy(update={"render": render}))
+    tank, webcam = Tank(scene), Webcam(scene)
     blur_px = scene.tank.lens.blur_px or None
     settings = StripeSection(blur_px=blur_px)
     truths = [stripe_truth(scene, position) for position in positions_mm]
     found, sharp = [], []
     for truth in truths:
-        layers = tank.render(truth.position_mm, SAMPLES, scatter_samples=scatter_samples)
+        layers = tank.render(truth.position_mm, scatter_samples=scatter_samples)
         if scatter_samples == 0:
             layers = replace(layers, scattered=np.zeros_like(layers.scattered))
         electrons = webcam.mean_electrons(layers, scene.rig.camera.exposure_ms)[..., 0]
-        light = _binned(electrons).T
+        light = electrons.T.astype(float)
         stripe = whole_line(light * (PEAK_DN / light.max()))
         found.append(_heights(scene, truth, stripe))
         sharp.append(_heights(scene, truth, take_back_blur(stripe, settings, light)))
@@ -89,34 +90,6 @@ def concavity_errors(
         rms_mm=_three(float(np.sqrt(np.mean(e**2))) for e in off),
         q99_mm=_three(float(np.quantile(e, 0.99)) for e in off),
     )
-
-
-def finer(scene: Scene) -> Scene:
-    """The scene with a camera of FINER times as many pixels a side, each as much smaller.
-
-    The tank spreads light by the lens after the pixels have gathered it.  The line's own
-    width on level ground, 0.3 px, is too narrow for that: its centroid would follow the
-    pixels by exp(-2 pi² 0.3²) / pi, 0.05 px.  Finer pixels are added up after the lens.
-    """
-    camera, lens = scene.rig.camera, scene.tank.lens
-    size = {"width_px": camera.width_px * FINER, "height_px": camera.height_px * FINER}
-    u, v = (FINER * (c + 0.5) - 0.5 for c in lens.centre_px)
-    sharper = {
-        "focal_px": lens.focal_px * FINER,
-        "centre_px": (u, v),
-        "blur_px": lens.blur_px * FINER,
-        "glare_px": lens.glare_px * FINER,
-    }
-    rig = scene.rig.model_copy(update={"camera": camera.model_copy(update=size)})
-    tank = scene.tank.model_copy(update={"lens": lens.model_copy(update=sharper)})
-    return replace(scene, rig=rig, tank=tank)
-
-
-def _binned(electrons: NDArray[np.float32]) -> Floats:
-    """(H, W) sums over FINER by FINER pixels."""
-    height, width = (side // FINER for side in electrons.shape)
-    blocks = electrons[: height * FINER, : width * FINER].reshape(height, FINER, width, FINER)
-    return blocks.sum(axis=(1, 3), dtype=float)
 
 
 def whole_line(light: Floats) -> Stripe:
@@ -223,7 +196,7 @@ def cases(scenes: Path, folder: Path) -> list[Case]:
         Case("sphere of 60 mm", on_mesh(sphere, -380.0), short),
         Case("sphere, sheet of 2.5 mm", on_mesh(sphere, -380.0, laser=thick), short),
         Case("sphere, 532 nm", on_mesh(sphere, -380.0, laser=green), short),
-        Case("sphere, all orders, turbid", on_mesh(sphere, -380.0, water=sea), short, 4),
+        Case("sphere, all orders, turbid", on_mesh(sphere, -380.0, water=sea), short, 16),
         Case("cylinders of 8 mm along the track", on_mesh(along, -330.0), short),
         Case("cylinders of 8 mm across the track", on_mesh(across, -330.0), short),
         Case("mound of flat facets", on_mesh(scenes / "targets" / "mound.ply", -372.0), short),

@@ -12,6 +12,7 @@ from lscan.errors import InputError
 from lscan.pictures import write_picture
 from lscan.records import Marks, Status
 from sim.scene import Scene
+from sim.scene.file import check_samples
 from sim.truth import board_truth, stripe_truth
 
 FARTHEST_MM = 1e5  # beyond, single precision no longer carries a hundredth of a millimetre
@@ -22,7 +23,8 @@ def write_render(
 ) -> dict[str, Path]:
     """The files written: picture and labels (PNG), and the layers of light (NumPy .npz).
 
-    The layers are float32 radiances in W/(m2 sr) in the air behind the port.  labels.png has
+    The layers are float32 radiances in W/(m2 sr) in the air behind the port, (H, W) as the
+    picture whatever the render's fineness.  labels.png has
     a class for each pixel (sim.labels.Label), labels-colour.png the same to look at.
     """
     from sim.labels import colour_labels, label_scene
@@ -30,8 +32,8 @@ def write_render(
     from sim.tank import Tank
 
     _check_place(position_mm)
-    if samples is not None and round(samples**0.5) ** 2 != samples:
-        raise InputError("not a square number", where="--samples", value=samples)
+    if samples is not None:
+        check_samples(samples, scene.tank.render.fineness, where="--samples")
     layers = Tank(scene).render(position_mm, samples)
     generator = np.random.default_rng([scene.tank.sensor.seed, 1])
     image = Webcam(scene).expose(layers, scene.rig.camera.exposure_ms, generator)
@@ -43,9 +45,9 @@ def write_render(
     write_picture(files["picture"], image)
     write_picture(files["labels"], labels)
     write_picture(files["labels in colour"], colour_labels(labels))
-    stream = BytesIO()
+    pixels, stream = layers.binned(image.shape[:2]), BytesIO()
     np.savez_compressed(
-        stream, direct=layers.direct, scattered=layers.scattered, ambient=layers.ambient
+        stream, direct=pixels.direct, scattered=pixels.scattered, ambient=pixels.ambient
     )
     write_atomically(files["layers"], stream.getvalue())
     return files

@@ -54,14 +54,15 @@ COLOURS: Mapping[Label, tuple[int, int, int]] = {
 def label_scene(scene: Scene, position_mm: float, layers: Layers) -> Bytes:
     """(H, W) uint8 of Label: the classes of the scene's picture taken at a track position.
 
-    layers: of that picture.  The truth is told of every line of the laser; of none where it
-    is off.  Raises InputError as ``label_picture`` and ``stripe_truth``.
+    layers: of that picture, of its pixels or finer.  The truth is told of every line of the
+    laser; of none where it is off.  Raises InputError as ``label_picture`` and ``stripe_truth``.
     """
-    laser = scene.tank.laser
+    laser, camera = scene.tank.laser, scene.rig.camera
     count = len(laser.sheets) if laser.on else 0
     truths = [stripe_truth(scene, position_mm, line) for line in range(count)]
     lines = [(truth, line_sigma_px(scene, truth)) for truth in truths]
-    return label_picture(layers, lines, one_step_w_m2_sr(scene))
+    pixels = layers.binned((camera.height_px, camera.width_px))
+    return label_picture(pixels, lines, one_step_w_m2_sr(scene))
 
 
 def label_picture(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from math import ceil
 from typing import Any
 
 import mitsuba as mi
@@ -11,13 +12,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lscan.errors import InputError
+from sim.fineness import binned, fineness_of, finer_lens
 from sim.materials import mitsuba_shape
 from sim.meshes import scene_parts
-from sim.plugins.camera import RefractiveCamera
+from sim.plugins.finefilm import FineCamera
 from sim.plugins.integrator import LAYERS, SheetIntegrator
 from sim.plugins.multiple import HIGHER_LAYERS, MultipleIntegrator
 from sim.plugins.sheet import LaserSheet
 from sim.scene import Scene, camera_pose, head_pose, track_direction
+from sim.scene.file import check_samples
 from sim.water import HenyeyGreensteinMixture, Optics, glass_index, water_optics
 
 Radiance = NDArray[np.float32]
@@ -29,6 +32,7 @@ UM_PER_MM = 1e3
 class Layers:
     """What reaches the lens, (H, W) float32 each, W/(m2 sr) in the air behind the port.
 
+    (f H, f W) where the scene's render has a fineness f: the lens has yet to blur them.
     direct: laser light reflected once, by the surface the laser itself lit.  scattered: all
     other laser light, of the veil, the halo about the line, and reflections of the line.
     ambient: everything that is not the laser's.
@@ -42,6 +46,15 @@ class Layers:
     def laser(self) -> Radiance:
         """Direct and scattered light together."""
         return self.direct + self.scattered
+
+    def binned(self, shape: tuple[int, int]) -> Layers:
+        """The layers of whole pixels, for a picture of ``shape`` (H, W): the means over each.
+
+        Raises InputError where the layers are not a whole multiple of it.
+        """
+        fineness = fineness_of(self.direct.shape, shape)
+        layers = (self.direct, self.scattered, self.ambient)
+        return Layers(*(binned(layer, fineness) for layer in layers))
 
 
 class Tank:
@@ -68,35 +81,37 @@ class Tank:
         window: tuple[int, int, int, int] | None = None,
         medium: Mapping[str, Any] | None = None,
         jitter: bool = False,
-    ) -> RefractiveCamera:
+    ) -> FineCamera:
         """A camera of the scene, the head at track position 0, for any integrator.
 
+        Its film has the scene's fineness of rows and columns to each of the picture's.
         window: (left, top, width, height) px of the picture to render, all of it if None.
         medium: a stock medium to stand in, which integrators of Mitsuba's own need.
         jitter: random samples.  Without it they lie on a regular grid: what is a smooth
             function of position converges there at once, without noise.
         """
-        section = self.scene.rig.camera
+        section, fineness = self.scene.rig.camera, self.scene.tank.render.fineness
         left, top, width, height = window or (0, 0, section.width_px, section.height_px)
         sampler = {"type": "independent"} if jitter else {"type": "stratified", "jitter": False}
         settings: dict[str, Any] = {
             "film": {
                 "type": "hdrfilm",
-                "width": section.width_px,
-                "height": section.height_px,
-                "crop_offset_x": left,
-                "crop_offset_y": top,
-                "crop_width": width,
-                "crop_height": height,
+                "width": fineness * section.width_px,
+                "height": fineness * section.height_px,
+                "crop_offset_x": fineness * left,
+                "crop_offset_y": fineness * top,
+                "crop_width": fineness * width,
+                "crop_height": fineness * height,
                 "pixel_format": "luminance",
                 "component_format": "float32",
                 "rfilter": {"type": "box"},
             },
             "sampler": sampler,
+            "fineness": fineness,
         }
         if medium is not None:
             settings["medium"] = medium
-        camera = _plugin("refractive_camera", RefractiveCamera, settings)
+        camera = _plugin("fine_camera", FineCamera, settings)
         self._focus(camera)
         head = self.scene.tank.head
         camera.place(head_pose(head, 0.0) @ camera_pose(head))
@@ -129,13 +144,17 @@ class Tank:
         time_s: float = 0.0,
         exposure_ms: float | None = None,
     ) -> Layers:
-        """The layers seen from a track position.
+        """The layers seen from a track position, (f H, f W) with the scene's fineness f.
 
         samples, scatter_samples: a pixel, for the first and for all higher orders of light;
-        the scene's if None.  time_s: since the laser was switched on.  exposure_ms: as
-        ``place``.
+        the scene's if None.  Each of a pixel's f² parts gets its share of them, of the
+        scattered ones rounded up.  time_s: since the laser was switched on.  exposure_ms: as
+        ``place``.  Raises InputError where samples are no square in each part.
         """
         render, laser = self.scene.tank.render, self.scene.tank.laser
+        samples = render.samples if samples is None else samples
+        check_samples(samples, render.fineness, where="samples")
+        parts = render.fineness**2
         if laser.drift is not None:
             self._tune(laser.wavelength_at(time_s))
             self._focus(self._camera)
@@ -144,17 +163,18 @@ class Tank:
         # The noise of one picture of a scan says nothing about that of the next.
         place = np.array([position_mm]).view(np.uint64)
         seed = int(np.random.SeedSequence([render.seed, int(place[0])]).generate_state(1)[0])
-        first = self._layers(self._camera, self.integrator, samples or render.samples, seed, LAYERS)
+        first = self._layers(self._camera, self.integrator, samples // parts, seed, LAYERS)
         more = render.scatter_samples if scatter_samples is None else scatter_samples
         if more > 0:
-            higher = self._layers(self._random_camera, self.higher, more, seed, HIGHER_LAYERS)
+            share = ceil(more / parts)
+            higher = self._layers(self._random_camera, self.higher, share, seed, HIGHER_LAYERS)
             for name, layer in higher.items():
                 first[name] = first[name] + layer
         return Layers(**first)
 
     def _layers(
         self,
-        camera: RefractiveCamera,
+        camera: FineCamera,
         integrator: mi.Integrator,
         samples: int,
         seed: int,
@@ -191,13 +211,13 @@ class Tank:
         for integrator in (self.integrator, self.higher):
             integrator.configure(self.water, self.sheets, ambient)
 
-    def _focus(self, camera: RefractiveCamera) -> None:
+    def _focus(self, camera: FineCamera) -> None:
         """Set a camera's optics for the water as it is."""
         lens, sensor = self.scene.tank.lens, self.scene.tank.sensor
         focal_mm = lens.focal_px * sensor.pixel_um / UM_PER_MM
         aperture_mm = 0.0 if lens.focus_mm is None else focal_mm / lens.f_number
         camera.configure(
-            lens,
+            finer_lens(lens, camera.fineness),
             self.scene.tank.port,
             self.glass_index,
             self.water.index,

@@ -11,6 +11,8 @@ from typing import Any
 from lscan.bench.extractors import ExtractorRow, bench_extractors, cases
 from lscan.bench.maps import MapRow, bench_maps, sights
 from lscan.bench.page import write_bench
+from lscan.disk import make_folder
+from lscan.errors import InputError
 from lscan.planemap.api import find_solver
 from lscan.stripe import find_extractor
 
@@ -57,12 +59,16 @@ def run_bench(
 
     extractors: names, or ``package.module:function`` of one's own.  quick: fewer kinds of lines
     and boards, for a first look.  progress: told of each kind of line and each board done.
-    Raises InputError for a name that does not exist, before anything else, and from the disk.
+    Raises InputError where nothing is named, for a name that does not exist, and for a folder
+    that cannot be made, before anything else, and from the disk.
     """
+    if not extractors and not maps:
+        raise InputError("nothing to judge", where="bench", allowed="an extractor or a plane map")
     for name in extractors:
         find_extractor(name)
     for name in maps:
         find_solver(name)
+    make_folder(folder)
     kinds = len(list(cases(quick))) if extractors else 0
     total = kinds + (len(list(sights(quick))) if maps else 0)
 

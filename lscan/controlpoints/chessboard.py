@@ -21,19 +21,24 @@ from lscan.controlpoints.picture import Image, bright_marks, noise_of
 from lscan.controlpoints.search import local_pitch
 from lscan.errors import BoardNotFound, InputError
 from lscan.records import Bytes, Floats, Ints, Marks, Status
+from lscan.rig import Channel
 
 WINDOW = 0.15  # Gaussian sigma, of the distance between corners: the next weigh nothing
 LARGEST_SIGMA_PX = 4.0
+CLEAR = 1 / 3  # Gaussian sigma, of the way to the next marker: what lies beyond weighs 1 % at most
 NARROWER = 1 / 1.6  # of the second window that a corner is seen through
 MOST_MOVED = 0.2  # of the distance between corners, from where OpenCV saw it
 FEWEST = 6  # corners of a ChArUco board: a pose needs four, its check two more
 SIDES = range(3, 1001)
 
 
-def read_chessboard(image: NDArray[Any], columns: int, rows: int, square_mm: float) -> Marks:
+def read_chessboard(
+    image: NDArray[Any], columns: int, rows: int, square_mm: float, channel: Channel = "grey"
+) -> Marks:
     """All inner corners of a chessboard, row by row, the board's upper row first.
 
     image: (H, W) or (H, W, 3) RGB.  columns, rows: inner corners along and down the board.
+    channel: of an RGB image; one that the laser's line does not show in, where it is on.
     board_mm: (rows * columns, 2) of (x, z), the first corner at the origin, x right, z up,
     ``square_mm`` apart.  Where columns and rows are both even or both odd the board looks the
     same turned by half a turn: the row that is upper in the picture is then the first.
@@ -42,12 +47,12 @@ def read_chessboard(image: NDArray[Any], columns: int, rows: int, square_mm: flo
     are seen.
     """
     _check_board(columns, rows, square_mm)
-    grey = bright_marks(image, "grey", "bright")
+    grey = bright_marks(image, channel, "bright")
     seen = _find_corners(_eight_bit(grey), columns, rows)
     lattice = seen.reshape(rows, columns, 2)
     row, column = np.divmod(np.arange(rows * columns), columns)
     board = np.column_stack([column, -row]) * float(square_mm)
-    return _measured(grey, board, seen, local_pitch(lattice).ravel())
+    return _measured(grey, board, seen, local_pitch(lattice).ravel(), WINDOW)
 
 
 def read_charuco(
@@ -57,11 +62,12 @@ def read_charuco(
     square_mm: float,
     marker_mm: float,
     dictionary: str,
+    channel: Channel = "grey",
 ) -> Marks:
     """The inner corners of a ChArUco board, row by row; those not seen have the status NOT_FOUND.
 
     image: (H, W) or (H, W, 3) RGB.  columns, rows: inner corners, one less than the squares.
-    dictionary: of the markers, as OpenCV calls it: "DICT_4X4_50".  board_mm as for
+    dictionary: of the markers, as OpenCV calls it: "DICT_4X4_50".  channel, board_mm as for
     :func:`read_chessboard`, the first corner beside the board's upper left square.
 
     Raises InputError for what is no picture or no board, BoardNotFound where fewer than six
@@ -71,9 +77,10 @@ def read_charuco(
     if not 0 < marker_mm < square_mm:
         allowed = f"above 0, below square_mm = {square_mm:g}"
         raise InputError("bad size", where="marker_mm", value=marker_mm, allowed=allowed)
-    grey = bright_marks(image, "grey", "bright")
+    grey = bright_marks(image, channel, "bright")
     size = (columns + 1, rows + 1)
-    board = cv2.aruco.CharucoBoard(size, square_mm, marker_mm, _dictionary(dictionary))
+    markers = _dictionary(dictionary, size[0] * size[1] // 2)
+    board = cv2.aruco.CharucoBoard(size, square_mm, marker_mm, markers)
     corners, numbers, _, _ = cv2.aruco.CharucoDetector(board).detectBoard(_eight_bit(grey))
     count = 0 if numbers is None else len(numbers)
     if count < FEWEST:
@@ -87,7 +94,9 @@ def read_charuco(
     row, column = np.divmod(np.arange(rows * columns), columns)
     places = np.column_stack([column, -row]) * float(square_mm)
     pitch = local_pitch(seen.reshape(rows, columns, 2)).ravel()
-    return _measured(grey, places, seen, pitch)
+    # A marker stands in the middle of its square: its corner is nearest, along the diagonal.
+    clear = CLEAR * (1 - marker_mm / square_mm) / np.sqrt(2)
+    return _measured(grey, places, seen, pitch, min(WINDOW, clear))
 
 
 def _check_board(columns: int, rows: int, square_mm: float) -> None:
@@ -99,12 +108,21 @@ def _check_board(columns: int, rows: int, square_mm: float) -> None:
         raise InputError("bad size", where="square_mm", value=square_mm, allowed="above 0 mm")
 
 
-def _dictionary(name: str) -> cv2.aruco.Dictionary:
+def _dictionary(name: str, needed: int) -> cv2.aruco.Dictionary:
+    """The dictionary of that name; InputError where there is none or it has too few markers."""
     known = sorted(key for key in dir(cv2.aruco) if key.startswith("DICT_"))
     if name not in known:
         allowed = ", ".join(known)
         raise InputError("no such dictionary", where="dictionary", value=name, allowed=allowed)
-    return cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, name))
+    dictionary = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, name))
+    if len(dictionary.bytesList) < needed:
+        raise InputError(
+            f"has {len(dictionary.bytesList)} markers, the board {needed}",
+            where="dictionary",
+            value=name,
+            allowed="a larger dictionary, or fewer columns and rows",
+        )
+    return dictionary
 
 
 def _eight_bit(grey: Image) -> Bytes:
@@ -133,10 +151,13 @@ def _find_corners(picture: Bytes, columns: int, rows: int) -> Floats:
     return points.reshape(-1, 2)
 
 
-def _measured(grey: Image, board_mm: Floats, seen: Floats, pitch: Floats) -> Marks:
-    """The corners ``seen`` (N, 2) px, NaN where not, measured anew."""
+def _measured(grey: Image, board_mm: Floats, seen: Floats, pitch: Floats, window: float) -> Marks:
+    """The corners ``seen`` (N, 2) px, NaN where not, measured anew.
+
+    pitch: (N,) px between corners.  window: Gaussian sigma they are seen through, of the pitch.
+    """
     known = np.isfinite(seen[:, 0]) & np.isfinite(pitch)
-    sigma = np.clip(WINDOW * pitch[known], SMALLEST_SIGMA_PX, LARGEST_SIGMA_PX)
+    sigma = np.clip(window * pitch[known], SMALLEST_SIGMA_PX, LARGEST_SIGMA_PX)
     noise = np.full_like(grey, noise_of(grey))
     corners = fit_saddles(grey, seen[known], sigma, noise)
     moved = np.linalg.norm(corners.points - seen[known], axis=1)

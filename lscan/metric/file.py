@@ -11,6 +11,7 @@ from pydantic import Field, model_validator
 from lscan.disk import write_atomically
 from lscan.documents import Strict, check
 from lscan.errors import InputError
+from lscan.metric.bundle import COUNT
 from lscan.metric.planemap import solver
 from lscan.metric.solve import MetricCalibration, ViewReport
 from lscan.metric.views import LinePoints, View
@@ -57,6 +58,14 @@ class StoredView(Strict):
     line_rms_mm: Number | None
     reason: str
 
+    @model_validator(mode="after")
+    def _used_what_there_is(self) -> Self:
+        if self.used and (self.marks is None or self.rms_px is None or not self.marks_used):
+            raise ValueError("used must be false without marks, marks_used and rms_px")
+        if self.line_used and (self.line is None or self.line_rms_mm is None or not self.used):
+            raise ValueError("line_used must be false without a used view, line and line_rms_mm")
+        return self
+
     def view(self) -> View:
         """As the program holds what was read."""
         line = self.line
@@ -96,6 +105,14 @@ class MetricFile(Strict):
     parameters: dict[str, Any]
     camera_sigma: Vector
     views: tuple[StoredView, ...]
+
+    @model_validator(mode="after")
+    def _whole(self) -> Self:
+        if self.camera_sigma.shape != (COUNT,) or (self.camera_sigma < 0).any():
+            raise ValueError(f"camera_sigma must be {COUNT} numbers not below 0")
+        if not any(view.line_used for view in self.views):
+            raise ValueError("views must hold a line that was used")
+        return self
 
 
 def save_metric(path: Path, calibration: MetricCalibration) -> None:

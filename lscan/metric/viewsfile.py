@@ -172,7 +172,9 @@ def _marks(document: ViewsDocument, picture: Bytes, board: Board | None) -> Mark
     section = document.board
     match section:
         case Chessboard():
-            return read_chessboard(picture, section.columns, section.rows, section.square_mm)
+            return read_chessboard(
+                picture, section.columns, section.rows, section.square_mm, document.channel
+            )
         case Charuco():
             return read_charuco(
                 picture,
@@ -181,6 +183,7 @@ def _marks(document: ViewsDocument, picture: Bytes, board: Board | None) -> Mark
                 section.square_mm,
                 section.marker_mm,
                 section.dictionary,
+                document.channel,
             )
         case Dots():
             assert board is not None

@@ -38,9 +38,13 @@ def leave_port(port: FlatPort, air: Floats) -> tuple[Floats, Floats]:
 
 
 def _refracted(along: Floats, normal: Floats, index: float) -> Floats:
-    """(N, 3) unit rays in a medium: Snell's law for the part ``along`` the face of a ray in air."""
+    """(N, 3) unit rays in a medium: Snell's law for the part ``along`` the face of a ray in air.
+
+    NaN where an index below 1, which a search for it may try, reflects all of the ray.
+    """
     inside = along / index
-    return inside + np.sqrt(1 - (inside**2).sum(axis=1))[:, None] * normal
+    square = 1 - (inside**2).sum(axis=1)
+    return inside + np.sqrt(np.where(square >= 0, square, np.nan))[:, None] * normal
 
 
 def aim_through_port(port: FlatPort, points_mm: Floats) -> Floats:

@@ -211,7 +211,10 @@ def read_file(path: Path) -> CalibrationFile:
     except (ValueError, RecursionError) as error:
         raise InputError(f"is not valid JSON: {error}", where=path) from error
     if not isinstance(document, dict) or document.get("format") != FORMAT:
-        raise InputError("is no calibration file", where=path, allowed=f'format "{FORMAT}"')
+        found = document.get("format") if isinstance(document, dict) else None
+        raise InputError(
+            "is no calibration file", where=path, value=found, allowed=f'format "{FORMAT}"'
+        )
     version = document.get("version")
     if type(version) is not int or version != VERSION:
         raise InputError(

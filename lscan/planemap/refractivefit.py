@@ -28,6 +28,7 @@ LEAST_SIGMA_PX = 0.002  # a quarter of what is reached in an 8-bit picture; ours
 FEWEST = 10  # control points: 20 equations for the 13 unknowns of lens and pose
 START_PX = 10.0  # residuals above this count linearly while the start is sought
 WRONG = 6.0  # sigmas: one good mark in 6e7 is as far off (Rayleigh)
+MOST_MISSED = 0.1  # of the pitch: how far off the median mark may lie in a view that explains; ours
 MOST_WRONG = 0.25  # of all marks; beyond it the fit explains nothing
 MEDIAN = np.sqrt(2 * np.log(2))  # of the length of a residual of unit uncertainty (Rayleigh)
 FAR_PX = 1e4  # stands for the residual of a mark that has no image at all
@@ -143,7 +144,8 @@ def fit_view(reading: BoardReading, optics: OpticsSection) -> Fit:
     where that is above 1.
 
     Raises InputError for a prior out of its range, BoardNotFound where fewer than FEWEST
-    control points are found or more than a quarter of the marks fit no view.
+    control points are found, more than a quarter of the marks fit no view, or none fits as the
+    priors are.
     """
     found = int(reading.grid.found.sum())
     if found < FEWEST:
@@ -162,7 +164,19 @@ def fit_view(reading: BoardReading, optics: OpticsSection) -> Fit:
             raise BoardNotFound(
                 f"{int((~good).sum())} of the {len(good)} marks found fit no view of the board"
             )
+    _require_explained(view, marks, reading.pitch_mm)
     return Fit(view, _covariance_root(view, marks.only(good), known), good)
+
+
+def _require_explained(view: BoardView, marks: Observations, pitch_mm: float) -> None:
+    """Refuse a view that misses the marks by so much that what was known must be wrong."""
+    miss_px = float(np.median(_lengths(view, marks) * marks.sigma_px))
+    miss_mm = miss_px * float(view.theta[-1])
+    if not miss_mm <= MOST_MISSED * pitch_mm:
+        raise BoardNotFound(
+            f"no camera as [optics] knows it explains the marks: the median one lies {miss_px:.0f} "
+            f"px off, {miss_mm:.0f} mm of a pitch of {pitch_mm:g} mm; check what [optics] says"
+        )
 
 
 def _lengths(view: BoardView, marks: Observations) -> Floats:

@@ -2,10 +2,15 @@
 
 from __future__ import annotations
 
-from typing import Protocol
+from typing import Any, Protocol
 
-from lscan.records import Floats, Mask, Stripe
+import numpy as np
+
+from lscan.errors import InputError
+from lscan.records import Floats, Mask, Status, Stripe, has_value
 from lscan.rig import StripeSection
+
+_GIVEN = (Status.OK, Status.SATURATED, Status.NO_PEAK, Status.AT_BORDER, Status.AMBIGUOUS)
 
 
 class Extractor(Protocol):
@@ -29,3 +34,45 @@ class Extractor(Protocol):
         Always works along columns; ``extract_stripe`` turns pictures whose line runs down.
         """
         ...
+
+
+def require_stripe(stripe: Any, shape: tuple[int, ...], where: str) -> None:
+    """Refuse what is not a stripe of a picture of ``shape`` (H, W), as Extractor promises it.
+
+    Raises InputError that names ``where``, the first column at fault and its value.
+    """
+    if not isinstance(stripe, Stripe):
+        raise InputError("gave no Stripe", where=where, value=type(stripe).__name__)
+    height, width = shape
+    for name in ("centre_px", "sigma_px", "peak", "status"):
+        values = getattr(stripe, name)
+        if not isinstance(values, np.ndarray):
+            found = type(values).__name__
+            raise InputError(f"gave no array as {name}", where=where, value=found)
+        if values.shape != (width,):
+            raise InputError(
+                "gave a stripe of the wrong length",
+                where=f"{where}: {name}",
+                value=len(values) if values.ndim == 1 else values.shape,
+                allowed=str(width),
+            )
+    unknown = ~np.isin(stripe.status, _GIVEN)
+    names = ", ".join(f"{status:d} {status.name}" for status in _GIVEN)
+    _refuse(where, "status", stripe.status, unknown, names)
+    valued = has_value(stripe.status)
+    inside = (stripe.centre_px >= -0.5) & (stripe.centre_px <= height - 0.5)
+    _refuse(where, "centre_px", stripe.centre_px, valued & ~inside, f"-0.5 to {height - 0.5}")
+    sure = (stripe.sigma_px > 0) & np.isfinite(stripe.sigma_px)
+    _refuse(where, "sigma_px", stripe.sigma_px, valued & ~sure, "finite, above 0")
+
+
+def _refuse(where: str, name: str, values: Any, wrong: Mask, allowed: str) -> None:
+    """InputError for the first column that is wrong, if one is."""
+    if wrong.any():
+        column = int(wrong.argmax())
+        raise InputError(
+            f"gave a bad {name} in column {column}",
+            where=where,
+            value=values[column].item(),
+            allowed=allowed,
+        )

@@ -5,20 +5,23 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from importlib import import_module
-from typing import cast
+from typing import TypeVar, cast
 
 import numpy as np
+from numpy.typing import NDArray
 
-from lscan.errors import InputError
+from lscan.errors import InputError, LscanError
 from lscan.records import Bytes, Floats, Mask, Status, Stripe
 from lscan.rig import StripeSection, find_plugin
-from lscan.stripe.api import Extractor
+from lscan.stripe.api import Extractor, require_stripe
 from lscan.stripe.correction import line_flux, take_back_blur
 from lscan.stripe.lines import lines_of
 from lscan.stripe.noise import difference_noise
 from lscan.stripe.peaks import clipped_near
 from lscan.stripe.returns import choose_return, withhold
 from lscan.stripe.smoothing import smooth
+
+_Value = TypeVar("_Value", bound=np.generic)
 
 CORE_PX = 2  # on either side of the centre: more would take in what walls beside a line throw back
 
@@ -88,22 +91,29 @@ def _light(image: Bytes, settings: StripeSection, background: Bytes | None) -> _
 
 
 def _called(extractor: Extractor, settings: StripeSection, image: Floats, clipped: Mask) -> Stripe:
-    """What the extractor says, with the axis set; InputError where it is no extractor."""
+    """What the extractor says, with the axis set; InputError where it is no extractor.
+
+    An extractor may be a stranger's: it cannot write into the picture, and what it gives is
+    believed only once it has been looked at.
+    """
     where = f"extractor {settings.extractor}"
     try:
-        stripe = extractor(image, settings, clipped)
+        stripe = extractor(_read_only(image), settings, _read_only(clipped))
+    except LscanError:
+        raise
     except TypeError as error:
         raise InputError(f"cannot be called as an extractor: {error}", where=where) from error
-    if not isinstance(stripe, Stripe):
-        raise InputError("gave no Stripe", where=where, value=type(stripe).__name__)
-    if len(stripe.centre_px) != image.shape[1]:
-        raise InputError(
-            "gave a stripe of the wrong length",
-            where=where,
-            value=len(stripe.centre_px),
-            allowed=str(image.shape[1]),
-        )
+    except Exception as error:
+        told = " ".join(f"{type(error).__name__}: {error}".split())
+        raise InputError(f"failed: {told}", where=where) from error
+    require_stripe(stripe, image.shape, where)
     return replace(stripe, axis=settings.axis)
+
+
+def _read_only(picture: NDArray[_Value]) -> NDArray[_Value]:
+    view = picture.view()
+    view.flags.writeable = False
+    return view
 
 
 @lru_cache(maxsize=32)

@@ -24,7 +24,9 @@ _REACH_PX = 8  # a spot is where the picture exceeds half of its highest value s
 _GROUND_PX = 61  # what is wider than this, along the column, is ground: four FWHM of 6 px lines
 _GAP = 4  # columns that speckle or a dark grain may take out of a run
 _WEAKER = 0.35
-"""Share of another line's light below which one is taken for a reflection of it."""
+"""Share of another line's light below which one is taken for a reflection of it.  Where two pieces
+of one line succeed each other neither reflects the other, and a piece's last column, which blur
+dims, tells where it ends: "first" and "last" then go by place alone."""
 _SPECK = 2.0  # a blob no longer than so many times its height is no line
 _LONGER = 3.0  # unless the other is no longer than so many times the blob
 _MUCH_LONGER = 10.0  # a picture with a line has one so many times as long as a stray blob
@@ -57,10 +59,11 @@ def choose_return(image: Floats, settings: StripeSection, clipped: Mask) -> OneR
     there is nothing to choose.
 
     A run no longer than twice its height beside one thrice as long is a speck; one with
-    less than 0.35 of another's light, in the columns they share, is a reflection.  Of those
-    left, "first" takes the uppermost, "last" the lowest, "brightest" the run with the most
-    light in the shared columns, if it has 1.25 times that of the next: otherwise the columns
-    are ambiguous.  A blob by itself, no longer than high, is no line even where there is no
+    less than 0.35 of another's light, in the columns they share, is a reflection, unless the
+    two share so few that they are pieces of one line that takes a step.  Of those left,
+    "first" takes the uppermost, "last" the lowest, "brightest" the run with the most light in
+    the shared columns, if it has 1.25 times that of the next: otherwise the columns are
+    ambiguous.  A blob by itself, no longer than high, is no line even where there is no
     other, if the picture has a line ten times as long.  A line counts from ``threshold_dn``
     above the ground near it.
 
@@ -232,8 +235,9 @@ def _beaten(spots: _Spots, run: Ints, first: Ints, second: Ints, settings: Strip
     light_b = np.where(succeed, each_b, np.bincount(pair, each_b)[pair])
     speck_a = ~succeed & (length[a] <= _SPECK * height[a]) & (length[b] > _LONGER * length[a])
     speck_b = ~succeed & (length[b] <= _SPECK * height[b]) & (length[a] > _LONGER * length[b])
-    a_goes = speck_a | (~speck_b & (light_a < _WEAKER * light_b))
-    b_goes = speck_b | (~speck_a & (light_b < _WEAKER * light_a))
+    by_light = ~succeed | (settings.returns == "brightest")
+    a_goes = speck_a | (~speck_b & by_light & (light_a < _WEAKER * light_b))
+    b_goes = speck_b | (~speck_a & by_light & (light_b < _WEAKER * light_a))
     beaten = np.zeros(len(run), dtype=bool)
     beaten[first[a_goes]] = beaten[second[b_goes]] = True
     both = ~beaten[first] & ~beaten[second]

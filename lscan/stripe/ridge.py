@@ -76,8 +76,9 @@ def steger(image: Floats, settings: StripeSection, clipped: Mask) -> Stripe:
     smoothed = _both_ways(light, variance, scale)
     _place(stripe, smoothed, _crest(smoothed, light, lit, settings.threshold_dn), lit)
     ends = _near_ends(stripe, lit, scale)
-    alone = _along_columns(light, variance, scale)
-    _place(stripe, alone, _crest(alone, light, ends, settings.threshold_dn), ends)
+    if len(ends):
+        alone = _along_columns(light, variance, scale)
+        _place(stripe, alone, _crest(alone, light, ends, settings.threshold_dn), ends)
     stripe.centre_px[:] += rows.start
     _mark_border(stripe, lit, columns.shape[1], max(settings.span_px, int(np.ceil(2 * width))))
     return stripe

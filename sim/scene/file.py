@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from math import isqrt
 from pathlib import Path
 from typing import Annotated, Any, Self
 
@@ -18,22 +19,42 @@ from sim.scene.poses import Pose, head_pose, rotation_x, rotation_y, rotation_z
 
 
 class Render(Strict):
-    """How many samples a pixel.
+    """How many samples a pixel, and in how many parts.
 
     samples: for light that meets one surface or one place of the water, a square number:
     they lie on a regular grid inside the pixel.  scatter_samples: for light of all higher
-    orders, drawn at random; 0 leaves those orders out.
+    orders, drawn at random; 0 leaves those orders out.  fineness: parts of a pixel's side
+    in which the lens spreads the light before the pixel gathers it (sim.fineness).
     """
 
     samples: Annotated[int, Field(ge=1, le=65536)] = 9
     scatter_samples: Annotated[int, Field(ge=0, le=65536)] = 1
+    fineness: Annotated[int, Field(ge=1, le=3)] = 1
     seed: Seed = 1
 
     @model_validator(mode="after")
     def _square(self) -> Self:
-        if round(self.samples**0.5) ** 2 != self.samples:
-            raise ValueError("samples must be a square number (1, 4, 9, 16, 25 ...)")
+        if not _shared_out(self.samples, self.fineness):
+            raise ValueError(f"samples must be {_allowed(self.fineness)}")
         return self
+
+
+def check_samples(samples: int, fineness: int, where: str) -> None:
+    """Refuse, by InputError, samples a pixel that are no square number in each of its parts."""
+    if samples < 1 or not _shared_out(samples, fineness):
+        what = "not a square number" + (" in each part of a pixel" if fineness > 1 else "")
+        raise InputError(what, where=where, value=samples, allowed=_allowed(fineness))
+
+
+def _shared_out(samples: int, fineness: int) -> bool:
+    side = isqrt(samples)
+    return side**2 == samples and side % fineness == 0
+
+
+def _allowed(fineness: int) -> str:
+    some = ", ".join(str((fineness * side) ** 2) for side in range(1, 6))
+    share = f" times the square of fineness {fineness}" if fineness > 1 else ""
+    return f"a square number{share} ({some} ...)"
 
 
 class Tank(Strict):

@@ -1,4 +1,7 @@
-"""The webcam: lens, sensor and coding, one after the other."""
+"""The webcam: lens, sensor and coding, one after the other.
+
+The lens acts on layers as fine as they are; what follows acts on whole pixels.
+"""
 
 from __future__ import annotations
 
@@ -6,7 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lscan.records import Bytes
-from sim.scene import Response, Scene
+from sim.fineness import binned, fineness_of, finer_lens
+from sim.scene import Lens, Response, Scene
 from sim.sensor.blur import point_spread
 from sim.sensor.coding import electrons_of, encode, linear_dn, through_jpeg
 from sim.sensor.colour import ColourFilter
@@ -28,7 +32,7 @@ class Webcam:
         self.wavelength_nm = scene.tank.laser.wavelength_nm
         camera = scene.rig.camera
         self._shape = (camera.height_px, camera.width_px)
-        self._falloff = vignetting(self.lens, (camera.width_px, camera.height_px))
+        self._lenses: dict[int, tuple[Lens, Picture]] = {}
         bayer = self.sensor.bayer
         self._filter = None if bayer == "none" else ColourFilter(bayer, self._shape)
         pixels = (*self._shape, 3) if self._filter is None else self._shape
@@ -43,6 +47,7 @@ class Webcam:
     ) -> Bytes:
         """The picture, (H, W, 3) RGB, of the layers; all noise comes from ``generator``.
 
+        layers: (f H, f W) for any whole f; InputError where they are not (sim.fineness).
         wavelength_nm: the laser's at this moment, the scene's nominal one if None.
         With ``noise = false`` nothing is random: no speckle, no fixed pattern either.
         """
@@ -99,9 +104,20 @@ class Webcam:
         return direct * speckle + self._photons(layers.scattered, exposure_ms, laser_nm)
 
     def _photons(self, radiance: Picture, exposure_ms: float, wavelength_nm: float) -> Picture:
-        """Photons a pixel collects from radiance in W/(m2 sr), spread by the lens."""
+        """(H, W) photons a pixel collects from (f H, f W) radiance in W/(m2 sr)."""
         factor = photons_per_radiance(self.lens, self.sensor, exposure_ms, wavelength_nm)
-        return point_spread(radiance * (np.float32(factor) * self._falloff), self.lens)
+        fineness = fineness_of(radiance.shape, self._shape)
+        lens, falloff = self._fine(fineness)
+        return binned(point_spread(radiance * (np.float32(factor) * falloff), lens), fineness)
+
+    def _fine(self, fineness: int) -> tuple[Lens, Picture]:
+        """The lens in parts of a pixel, and its (f H, f W) vignetting; kept for next time."""
+        if fineness not in self._lenses:
+            lens = finer_lens(self.lens, fineness)
+            height, width = self._shape
+            falloff = vignetting(lens, (fineness * width, fineness * height))
+            self._lenses[fineness] = lens, falloff
+        return self._lenses[fineness]
 
     def _speckle(self, laser_nm: float, generator: np.random.Generator) -> Picture | None:
         """A new pattern for each picture, for the head moves between them; None without one."""

@@ -16,6 +16,9 @@ from sim.truth.bow import Bow, bowed_pieces
 
 # A line of sight ends on a surface: what it meets this close to its end is that surface.
 SELF_MM = 1e-3
+# A line of sight that leaves a polygon's plane by less lies in it: it has no place where it
+# meets it.  Rounding of places a metre away is 1e-13 mm.
+LEVEL_MM = 1e-9
 MOST_PAIRS = 1_000_000  # of pieces and edges compared at a time
 
 
@@ -68,7 +71,7 @@ class Polygon:
         normal = newell_normal(self.corners_mm)
         ray = end - start
         approach = ray @ normal
-        level = approach == 0
+        level = np.abs(approach) < LEVEL_MM
         part = (self.corners_mm[0] - start) @ normal / np.where(level, 1.0, approach)
         left = (1 - part) * np.linalg.norm(ray, axis=1)
         hit = ~level & (part > 0) & (left > SELF_MM)

@@ -9,6 +9,7 @@ the instrument's code is used.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import cv2
 import numpy as np
@@ -107,8 +108,17 @@ def expose(expected: Floats, light: Light, seed: int) -> Bytes:
     return np.clip(np.rint(noisy), 0, 255).astype(np.uint8)
 
 
-def expected_dn(board: Board, view: View, light: Light = Light()) -> Floats:
+def expected_dn(board: Board, view: View, light: Light = Light(), parts: int = PARTS) -> Floats:
     """(H, W) grey values 0 to 255 of the board's picture without noise and rounding."""
+    width, height = view.size
+    cover = cv2.GaussianBlur(_cover(board, view, parts), (0, 0), FINE * light.blur_px)
+    cover = cover.reshape(height, FINE, width, FINE).mean(axis=(1, 3))
+    return 255 * _shade(view.size, light) * (light.plate + (light.mark - light.plate) * cover)
+
+
+@lru_cache(maxsize=4)  # the same marks are seen through several lenses, each in turn
+def _cover(board: Board, view: View, parts: int) -> Floats:
+    """(FINE * H, FINE * W) share of each fine pixel that marks cover, not to be written to."""
     width, height = view.size
     finer = replace(
         view,
@@ -118,12 +128,11 @@ def expected_dn(board: Board, view: View, light: Light = Light()) -> Floats:
     )
     cover = np.zeros(finer.size[::-1])
     for places, diameter in _round_marks(board):
-        _add_discs(cover, finer, places, diameter)
+        _add_discs(cover, finer, places, diameter, parts)
     for ring in board.ring:
-        _add_ring(cover, finer, np.array([ring.x_mm, ring.z_mm]), ring.diameter_mm, ring.width_mm)
-    cover = cv2.GaussianBlur(np.minimum(cover, 1), (0, 0), FINE * light.blur_px)
-    cover = cover.reshape(height, FINE, width, FINE).mean(axis=(1, 3))
-    return 255 * _shade(view.size, light) * (light.plate + (light.mark - light.plate) * cover)
+        middle = np.array([ring.x_mm, ring.z_mm])
+        _add_ring(cover, finer, middle, ring.diameter_mm, ring.width_mm, parts)
+    return np.minimum(cover, 1)
 
 
 def _round_marks(board: Board) -> list[tuple[Floats, float]]:
@@ -140,11 +149,11 @@ def _shade(size: tuple[int, int], light: Light) -> Floats:
     return light.ratio ** (-(along + 1) / 2)
 
 
-def _pixels(view: View, middle: Floats, reach: int) -> tuple[Floats, tuple[Floats, Floats]]:
+def _pixels(middle: Floats, reach: int, parts: int) -> tuple[Floats, tuple[Floats, Floats]]:
     """Places in the pixels about each ``middle`` (N, 2), and those pixels' (rows, columns)."""
     base = np.rint(middle).astype(int)
     span = np.arange(-reach, reach + 1)
-    inner = (np.arange(PARTS) + 0.5) / PARTS - 0.5
+    inner = (np.arange(parts) + 0.5) / parts - 0.5
     fine = (span[:, None] + inner).ravel()
     u, v = base[:, None, :1] + fine[None, None, :], base[:, None, 1:] + fine[None, None, :]
     count = len(fine)
@@ -161,28 +170,31 @@ def _pixels(view: View, middle: Floats, reach: int) -> tuple[Floats, tuple[Float
 def _add(cover: Floats, on: Floats, where: tuple[Floats, Floats]) -> None:
     rows, columns = where
     n, pixels = rows.shape
-    part = on.reshape(n, pixels, PARTS, pixels, PARTS).mean(axis=(2, 4))
+    parts = on.shape[1] // pixels
+    part = on.reshape(n, pixels, parts, pixels, parts).mean(axis=(2, 4))
     row = np.broadcast_to(rows[:, :, None], part.shape)
     column = np.broadcast_to(columns[:, None, :], part.shape)
     inside = (row >= 0) & (row < cover.shape[0]) & (column >= 0) & (column < cover.shape[1])
     np.add.at(cover, (row[inside], column[inside]), part[inside])
 
 
-def _add_discs(cover: Floats, view: View, places_mm: Floats, diameter_mm: float) -> None:
+def _add_discs(
+    cover: Floats, view: View, places_mm: Floats, diameter_mm: float, parts: int
+) -> None:
     middle = view.image_px(places_mm)
     per_px = np.abs(np.linalg.det(view.jacobian(middle))).min() ** 0.5
     reach = int(np.ceil(0.75 * diameter_mm / per_px)) + 1
     near = ((middle > -reach) & (middle < np.array(view.size) + reach)).all(axis=1)
-    places, where = _pixels(view, middle[near], reach)
+    places, where = _pixels(middle[near], reach, parts)
     away = view.board_mm(places) - places_mm[near][:, None, None]
     _add(cover, (away**2).sum(axis=-1) <= (diameter_mm / 2) ** 2, where)
 
 
 def _add_ring(
-    cover: Floats, view: View, middle_mm: Floats, diameter_mm: float, width_mm: float
+    cover: Floats, view: View, middle_mm: Floats, diameter_mm: float, width_mm: float, parts: int
 ) -> None:
     middle = view.image_px(middle_mm[None])
     per_px = np.abs(np.linalg.det(view.jacobian(middle))).min() ** 0.5
-    places, where = _pixels(view, middle, int(np.ceil(0.75 * diameter_mm / per_px)) + 2)
+    places, where = _pixels(middle, int(np.ceil(0.75 * diameter_mm / per_px)) + 2, parts)
     radius = np.linalg.norm(view.board_mm(places) - middle_mm, axis=-1)
     _add(cover, np.abs(radius - diameter_mm / 2) <= width_mm / 2, where)

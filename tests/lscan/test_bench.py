@@ -182,3 +182,21 @@ def test_the_command_adds_ones_own_and_prints_json(tmp_path: Path) -> None:
     printed = json.loads(result.stdout)
     assert {row["extractor"] for row in printed["extractors"]} == {WRONG}
     assert {row["plane_map"] for row in printed["maps"]} == {"polynomial-2"}
+
+
+def test_a_folder_that_cannot_be_made_is_said_before_the_work(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("")
+    for folder in (tmp_path / "file", tmp_path / "file" / "under"):
+        with pytest.raises(InputError, match="cannot be made a folder"):
+            run_bench(folder, (f"{__name__}:never",), ())
+
+
+def never(image: Floats, settings: StripeSection, clipped: Mask) -> Stripe:
+    """Must not be called."""
+    raise AssertionError
+
+
+def test_a_bench_of_nothing_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"nothing to judge.*an extractor or a plane map"):
+        run_bench(tmp_path / "out", (), ())
+    assert not (tmp_path / "out").exists()

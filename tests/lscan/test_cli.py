@@ -283,7 +283,7 @@ def test_the_bust_with_its_background(tmp_path: Path, capsys: pytest.CaptureFixt
 def test_ctrl_c_says_how_to_go_on(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """A scan stopped by SIGINT leaves with 130 and a line, and --resume finishes it."""
     scene = tmp_path / "scene.toml"
-    scene.write_text(f'include = "{SCENES / "groove.toml"}"\n[plan]\nframes = 30\nstep_mm = 0.1\n')
+    scene.write_text(f'include = "{SCENES / "groove.toml"}"\n[plan]\nframes = 8\nstep_mm = 0.1\n')
     command = [sys.executable, "-m", "lscan.cli", "scan", str(scene), "-o", str(tmp_path / "run")]
     with subprocess.Popen(command, stderr=subprocess.PIPE, text=True) as process:
         first = tmp_path / "run" / "frames" / "000001.png"
@@ -295,4 +295,4 @@ def test_ctrl_c_says_how_to_go_on(tmp_path: Path, capsys: pytest.CaptureFixture[
     assert err == "lscan: stopped; a scan goes on with --resume\n"
     code, out, err = call(capsys, "scan", scene, "-o", tmp_path / "run", "--resume", "--json")
     assert code == 0, err
-    assert json.loads(out)["frames"] == 30
+    assert json.loads(out)["frames"] == 8

@@ -21,6 +21,7 @@ SHARP = pytest.mark.xfail(
     strict=True, reason="in sharp, quiet pictures a dot's own edge counts as noise: sigma too large"
 )
 VIEW = View(distance_mm=880.0, roll_rad=0.03)
+PARTS = 12  # four would draw a rim pixel in steps of 180 / 64 DN, themselves a noise of 0.8 DN
 
 
 def big_dots(diameter_mm: float) -> boards.Board:
@@ -55,11 +56,8 @@ def across_the_ring(view: View, reading: BoardReading, name: str) -> Floats:
 
 
 @pytest.mark.parametrize("blur_px", [0.5, 0.7, 1.0])
-def test_rings_are_not_drawn_inwards_by_blur(
-    blur_px: float, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(boards, "PARTS", 8)
-    reading = read_board(expected_dn(PAPER, VIEW, Light(blur_px=blur_px)), PAPER)
+def test_rings_are_not_drawn_inwards_by_blur(blur_px: float) -> None:
+    reading = read_board(expected_dn(PAPER, VIEW, Light(blur_px=blur_px), PARTS), PAPER)
     for ring in PAPER.ring:
         shift = blur_px**2 / 2 / (0.5 * ring.diameter_mm)  # uncorrected, at 1 px a mm
         # A tenth of the largest shift of the smallest ring, 0.035 px.
@@ -76,14 +74,10 @@ def test_rings_are_not_drawn_inwards_by_blur(
         (4.0, 0.0, 1.5),
     ],
 )
-def test_sigma_is_the_scatter(
-    noise_dn: float, shot: float, blur_px: float, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_sigma_is_the_scatter(noise_dn: float, shot: float, blur_px: float) -> None:
     """About its mean over pictures, so that the truth's drawing plays no part."""
-    # Four parts would draw a rim pixel in steps of 180 / 64 DN, themselves a noise of 0.8 DN.
-    monkeypatch.setattr(boards, "PARTS", 12)
     light = Light(blur_px=blur_px, ratio=1.3, noise=noise_dn / 255, shot=shot)
-    expected = expected_dn(PAPER, VIEW, light)
+    expected = expected_dn(PAPER, VIEW, light, PARTS)
     readings = [read_board(expose(expected, light, seed), PAPER) for seed in range(5)]
     marks = {"grid": [reading.grid for reading in readings]}
     for k in range(5):
@@ -113,9 +107,8 @@ def squares(image_px: list[Floats], sigma_px: list[Floats]) -> Floats:
     return (away**2 / sigma[:, seen, None] ** 2).ravel() * len(points) / (len(points) - 1)
 
 
-def test_more_noise_is_more_sigma(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(boards, "PARTS", 12)
-    expected = expected_dn(PLAIN, VIEW, Light())
+def test_more_noise_is_more_sigma() -> None:
+    expected = expected_dn(PLAIN, VIEW, Light(), PARTS)
     sigma = [
         np.nanmean(read_board(expose(expected, Light(noise=n / 255), 1), PLAIN).grid.sigma_px)
         for n in (1.0, 2.0, 4.0)

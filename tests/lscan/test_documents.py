@@ -11,6 +11,8 @@ from hypothesis import strategies as st
 from lscan.board import Grid, load_board
 from lscan.documents import check, merge, read_document
 from lscan.errors import InputError
+from lscan.planemap.refractivefit import LIMITS
+from lscan.rig import OpticsSection, Rig
 from lscan.targets import GroovedBlock, Sandwave
 
 TABLES = st.recursive(
@@ -113,3 +115,41 @@ def test_the_sandwave_fits_the_papers_text() -> None:
     assert piece.side_mm * piece.e_per_mm / (2 * 3.14159265) == pytest.approx(1, abs=0.01)
     assert piece.a_mm + piece.b * piece.side_mm == pytest.approx(8, abs=0.06)
     assert piece.side_mm + 2 * piece.rim_mm == 210
+
+
+@pytest.mark.parametrize(
+    ("piece", "message"),
+    [
+        ({"kind": "grooved-block", "colour": 1}, r": workpiece\.colour: unknown key"),
+        ({"colour": 1}, r": workpiece\.kind: field required"),
+        ({"kind": "sphere"}, r": workpiece: no such kind 'sphere'"),
+    ],
+)
+def test_a_fault_names_the_keys_of_the_file_alone(piece: dict, message: str) -> None:
+    devices = {"camera": {"driver": "replay"}, "track": {"driver": "replay"}}
+    with pytest.raises(InputError, match=message):
+        check(Rig, {**devices, "workpiece": piece}, where="rig.toml")
+
+
+@pytest.mark.parametrize(
+    ("key", "value"),
+    [
+        ("focal_px", [0.0, 10.0]),
+        ("focal_px", [1e9, 0.0]),
+        ("centre_u_px", [1e6, 1.0]),
+        ("gap_mm", [-10.0, 1.0]),
+        ("thickness_mm", [-5.0, 0.0]),
+        ("glass_index", [0.9, 0.0]),
+        ("water_index", [5.0, 0.0]),
+        ("tilt_x_deg", [89.0, 0.0]),
+    ],
+)
+def test_optics_out_of_range_are_refused_before_a_scan(key: str, value: list[float]) -> None:
+    with pytest.raises(InputError, match=rf"rig\.toml: optics\.{key}\.0: .*got {value[0]}"):
+        check(OpticsSection, {key: value}, where="rig.toml", prefix="optics")
+
+
+def test_the_fit_of_a_view_may_go_wherever_a_rig_file_may_begin() -> None:
+    for name, (low, high) in LIMITS.items():
+        for value in (low, min(high, 1e4)):
+            check(OpticsSection, {name: [value, 0.0]}, where="rig.toml")

@@ -110,6 +110,9 @@ def spoilt(key: str, value: Any) -> Callable[[dict[str, Any]], None]:
         (spoilt("views.0.line.sigma_px", [0.1]), "views.0.line"),
         (spoilt("views.0.marks.status", ["OK"]), "views.0.marks"),
         (spoilt("image_size", [640, 0]), "image_size"),
+        (spoilt("camera_sigma", [1.0]), "camera_sigma"),
+        (spoilt("views.0.rms_px", None), "views.0"),
+        (spoilt("views.8.used", True), "views.8"),
     ],
 )
 def test_a_spoilt_file_is_refused(

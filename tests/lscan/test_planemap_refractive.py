@@ -90,7 +90,7 @@ def ignorance(view: View, known: OpticsSection) -> float:
     return float(np.linalg.norm([*departures, *axis]))
 
 
-@settings(max_examples=6, deadline=None, derandomize=True, phases=(Phase.explicit, Phase.generate))
+@settings(max_examples=4, deadline=None, derandomize=True, phases=(Phase.explicit, Phase.generate))
 @given(view=rigs())
 def test_exact_marks_give_an_exact_map(view: View) -> None:
     """Of lens, port and pose only rough values are known, and the map is right to 1e-3 mm rms.
@@ -176,15 +176,20 @@ def test_equivariant_in_origin_and_size(scale: float, shift: tuple[float, float]
 # --- uncertainty ---------------------------------------------------------------------------
 
 
-TRIALS = 50
+# A map of the known lens errs in 6 independent ways all over the board, one of a lens of which
+# little is known in 11 (the square of the covariance's trace over the sum of its squares), and
+# takes seven times as long to solve.  Both numbers of draws make it some 290 errors, whose mean
+# square is good to sqrt(2 / 290) = 8 %.
+TRIALS, TRIALS_LITTLE_KNOWN = 50, 27
 
 
 @cache
 def draws(little_known: bool) -> tuple[Refractive, ...]:
-    """Maps of the same view, solved from marks drawn TRIALS times."""
+    """Maps of the same view, each solved from marks drawn anew."""
     known, rng = OpticsSection() if little_known else PAPER_LENS, np.random.default_rng(2)
     exact = read_board(BOARD, View().project, sigma_px=NOISE_PX)
-    return tuple(solver.solve(with_noise(exact, NOISE_PX, rng), "", known) for _ in range(TRIALS))
+    trials = TRIALS_LITTLE_KNOWN if little_known else TRIALS
+    return tuple(solver.solve(with_noise(exact, NOISE_PX, rng), "", known) for _ in range(trials))
 
 
 @pytest.mark.parametrize("little_known", [False, pytest.param(True, marks=pytest.mark.slow)])
@@ -396,6 +401,16 @@ def test_marks_that_fit_no_view() -> None:
 def test_bad_knowledge(key: str, value: tuple[float, float]) -> None:
     known = PAPER_LENS.model_copy(update={key: value})
     with pytest.raises(InputError, match=rf"optics\.{key}: out of range.*allowed"):
+        solver.solve(read_board(BOARD, View().project), "", known)
+
+
+@pytest.mark.parametrize(
+    ("key", "value"), [("focal_px", 1.0), ("centre_u_px", 90_000.0), ("focal_px", 100_000.0)]
+)
+def test_knowledge_that_explains_no_mark(key: str, value: float) -> None:
+    """Within its range, but held to be exact: the marks cannot be where they are."""
+    known = PAPER_LENS.model_copy(update={key: (value, 0.0)})
+    with pytest.raises(BoardNotFound):
         solver.solve(read_board(BOARD, View().project), "", known)
 
 

@@ -171,6 +171,54 @@ def test_an_extractor_that_loses_columns_is_refused():
         extract_stripe(np.zeros((11, 5), np.uint8), StripeSection(extractor=name))
 
 
+def spoilt(name, value):
+    """An extractor that gives one column a bad value."""
+
+    def extractor(image, settings, clipped):
+        stripe = middle_of_the_picture(image, settings, clipped)
+        getattr(stripe, name)[3] = value
+        return stripe
+
+    return extractor
+
+
+def failing(image, settings, clipped):
+    raise ValueError("two\nlines")
+
+
+def scribbling(image, settings, clipped):
+    image[:] = 0
+
+
+lost = spoilt("centre_px", np.nan)
+far = spoilt("centre_px", 11.0)
+negative = spoilt("sigma_px", -0.1)
+certain = spoilt("sigma_px", 0.0)
+unsure = spoilt("sigma_px", np.nan)
+strange = spoilt("status", 77)
+
+
+@pytest.mark.parametrize(
+    ("function", "message"),
+    [
+        ("lost", r"bad centre_px in column 3 \(got nan; allowed: -0\.5 to 10\.5\)"),
+        ("far", r"bad centre_px in column 3 \(got 11\.0"),
+        ("negative", r"bad sigma_px in column 3 \(got -0\.1; allowed: finite, above 0\)"),
+        ("certain", r"bad sigma_px in column 3 \(got 0\.0"),
+        ("unsure", r"bad sigma_px in column 3 \(got nan"),
+        ("strange", r"bad status in column 3 \(got 77; allowed: 0 OK"),
+        ("failing", r"failed: ValueError: two lines$"),
+        ("scribbling", r"failed: ValueError: .*read-only"),
+    ],
+)
+def test_an_extractor_that_breaks_its_word_is_named(function, message):
+    name = f"{__name__}:{function}"
+    with pytest.raises(InputError, match=message) as caught:
+        extract_stripe(np.zeros((11, 5), np.uint8), StripeSection(extractor=name))
+    assert str(caught.value).startswith(f"extractor {name}: ")
+    assert "\n" not in str(caught.value)
+
+
 # -- bad input ------------------------------------------------------------------------
 
 

@@ -158,3 +158,20 @@ def test_line_width_is_that_of_the_line(width_px):
     # times the bend of the flank, 0.6 / width: 10 % in all at 0.8 px.
     expected = np.sqrt(width_px**2 + 2 / 12)
     assert found == pytest.approx(expected, rel=0.1)
+
+
+@pytest.mark.parametrize("lit", [0, 70, WIDTH - 1])
+def test_a_line_one_column_long_has_no_ridge(lit):
+    # Light in one column runs along it: there is nothing to cross.
+    image = np.zeros((HEIGHT, WIDTH))
+    image[:, lit] = drawn(sloping(0.0), 1.5, HEIGHT)[:, lit]
+    stripe = ridge_of(image)
+    assert (stripe.status == Status.NO_PEAK).all()
+
+
+@pytest.mark.parametrize("shape", [(1, 1), (1, 30), (2, 2), (30, 1), (3, 3)])
+def test_a_picture_of_next_to_no_size_is_read(shape):
+    image = np.random.default_rng(1).integers(0, 256, shape).astype(np.uint8)
+    stripe = extract_stripe(image, StripeSection(extractor="steger", threshold_dn=8.0))
+    assert len(stripe.centre_px) == shape[1]
+    assert np.isin(stripe.status, [Status.NO_PEAK, Status.AT_BORDER, Status.AMBIGUOUS]).all()

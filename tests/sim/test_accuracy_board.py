@@ -9,9 +9,9 @@ import pytest
 
 from lscan.controlpoints import read_board
 from lscan.records import BoardReading, Floats
-from sim.accuracy.board import _blurred_in_parts
 from sim.scene import Scene, load_scene
 from sim.sensor import Webcam
+from sim.tank import Tank
 from sim.truth import board_truth
 
 SCENES = Path(__file__).resolve().parents[2] / "scenes"
@@ -25,11 +25,11 @@ def scene() -> Scene:
 @pytest.fixture(scope="module")
 def reading(scene: Scene) -> BoardReading:
     """Of a picture without noise and rounding."""
-    sharp, layers = _blurred_in_parts(scene)
-    electrons = Webcam(sharp).mean_electrons(layers, scene.rig.camera.exposure_ms)
-    board = scene.rig.board
+    layers = Tank(scene).render(scene.rig.plan.start_mm)
+    camera, board = scene.rig.camera, scene.rig.board
+    electrons = Webcam(scene).mean_electrons(layers, camera.exposure_ms)
     assert board is not None
-    return read_board(electrons.reshape(*layers.ambient.shape, -1)[..., 0], board)
+    return read_board(electrons.reshape(camera.height_px, camera.width_px, -1)[..., 0], board)
 
 
 def ruler_px(reading: BoardReading) -> Floats:

@@ -8,19 +8,10 @@ import numpy as np
 import pytest
 
 from lscan.records import Status
-from sim.concavity import cases, concavity_errors, finer, sheet_geometry, whole_line
+from sim.concavity import cases, concavity_errors, sheet_geometry, whole_line
 from sim.scene import load_scene
-from sim.truth import project
 
 SCENES = Path(__file__).resolve().parents[2] / "scenes"
-
-
-def test_finer_pixels_see_the_same_places() -> None:
-    """The middle of coarse pixel u is that of the fine pixels 2u and 2u + 1."""
-    scene = load_scene(SCENES / "paper" / "groove.toml")
-    points = np.array([[225.0, 0.0, -300.0], [120.0, 5.0, -330.0], [400.0, -3.0, -200.0]])
-    coarse, fine = project(scene, points), project(finer(scene), points)
-    np.testing.assert_allclose(fine, 2 * coarse + 0.5, atol=1e-9)
 
 
 def test_the_whole_line_is_found_where_there_is_one() -> None:

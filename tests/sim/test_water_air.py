@@ -114,14 +114,28 @@ def test_a_render_in_air_shows_what_a_pinhole_sees() -> None:
     centroid errs by 2.95 sqrt(20) / 111 / 27 = 0.0044 px rms at most, and their mean, over 35
     dots, by a sixth of that.
     """
-    scene = load_scene(SCENES / "air.toml")
-    off = scene.tank.laser.model_copy(update={"on": False})
-    scene = replace(scene, tank=scene.tank.model_copy(update={"laser": off}))
+    scene = around_the_dots(load_scene(SCENES / "air.toml"))
     image = Tank(scene).render(0.0, 1024, scatter_samples=0).ambient
     expected = board_truth(scene).centroids.grid.image_px
     miss = np.array([centroid(image, place) - place for place in expected])
     assert np.sqrt((miss**2).mean(axis=0)).max() <= 0.005
     assert np.abs(miss.mean(axis=0)).max() <= 0.002
+
+
+def around_the_dots(scene: Scene) -> Scene:
+    """The scene without the laser, and with only the pixels that show the dots and 15 px more."""
+    dots = board_truth(scene).centroids.grid.image_px
+    low = np.floor(dots.min(axis=0)).astype(int) - 15
+    width, height = (np.ceil(dots.max(axis=0)).astype(int) + 16 - low).tolist()
+    camera = scene.rig.camera.model_copy(update={"width_px": width, "height_px": height})
+    centre = tuple((np.array(scene.tank.lens.centre_px) - low).tolist())
+    lens = scene.tank.lens.model_copy(update={"centre_px": centre})
+    laser = scene.tank.laser.model_copy(update={"on": False})
+    return replace(
+        scene,
+        rig=scene.rig.model_copy(update={"camera": camera}),
+        tank=scene.tank.model_copy(update={"lens": lens, "laser": laser}),
+    )
 
 
 def centroid(image: np.ndarray, place: np.ndarray) -> np.ndarray:

@@ -1,0 +1,40 @@
+"""Light of a line's core above the ground beside it: what tells where the line ends."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from lscan.records import Floats, Ints, Stripe, has_value
+
+CORE_PX = 2  # on either side of the centre: more would take in what walls beside a line throw back
+GROUND_PX = (4, 6)
+"""First and last pixel, on either side, that tell the ground: clear of a line of 1.2 px, near
+enough that a wall or a halo is as bright there as beneath the line."""
+
+
+def core_flux(stripe: Stripe, light: Floats) -> Floats:
+    """(N,) light within CORE_PX of the line's centre above the ground beside it, DN.
+
+    light: (N, L) in DN, one row for each entry of the stripe.  NaN where the stripe has no
+    value, and where no light is left above the ground.
+
+    The ground is the mean of the pixels at GROUND_PX on both sides.  The halo of light that
+    water scatters is as bright there as beneath the line; a lit wall that hangs from the line's
+    end fills one half of the core and one of the two sides.  Both would otherwise fill the foot
+    of the fall of light at that end, which shows where the line ends, and move it outwards.
+    """
+    flux = np.full(len(stripe.status), np.nan)
+    valued = np.flatnonzero(has_value(stripe.status))
+    row = np.rint(stripe.centre_px[valued]).astype(int)
+    core = np.arange(-CORE_PX, CORE_PX + 1)
+    beside = np.arange(GROUND_PX[0], GROUND_PX[1] + 1)
+    ground = (_at(light, valued, row, -beside) + _at(light, valued, row, beside)) / 2
+    total = len(core) * (_at(light, valued, row, core) - ground)
+    flux[valued] = np.where(total > 0, total, np.nan)
+    return flux
+
+
+def _at(light: Floats, entry: Ints, row: Ints, steps: Ints) -> Floats:
+    """(K,) mean light of the pixels at ``steps`` from ``row`` (K,); at the border its last one."""
+    rows = np.clip(row[:, None] + steps, 0, light.shape[1] - 1)
+    return np.asarray(light[entry[:, None], rows].mean(axis=1))
