@@ -40,11 +40,10 @@ UNMODELLED = 0.01
 """Uncertainty of a column's brightness that is no noise, in units of the segment's: the halo of
 light that clear water scatters about a line."""
 
-FALSE_LIGHT = 0.03
-"""Standard uncertainty of an end, in columns, that no further picture lessens.  The halo about the
-line, and the line on a lit wall below the end, fill the foot of the fall: in clear water either
-adds a percent or two of the segment's brightness there, and moves a fall over two columns by as
-much of them, outwards."""
+FALSE_LIGHT = 0.015
+"""Standard uncertainty of an end, in columns, that no further picture lessens.  Half a percent of
+the segment's brightness, left of a halo or a lit wall where the ground beside the line is taken
+off (stripe/core.py), moves a fall over two columns by as much, outwards."""
 
 
 @dataclass(frozen=True)

@@ -27,7 +27,7 @@ CORNER_MM = 2.0
 """Points this near to a segment's end are left out of line fits: corners lie in shadow, and
 the line spills over edges."""
 
-PHASE = 0.01
+PHASE = 0.005
 """Standard uncertainty of a level line's height, in units of the columns' spacing: by so much of a
 pixel an extractor's centre may hang on where within the pixel a narrow line lies, and a line
 along the pixels' rows lies alike in all its columns, and in all pictures of one place."""

@@ -14,7 +14,8 @@ from lscan.errors import InputError, LscanError
 from lscan.records import Bytes, Floats, Mask, Status, Stripe
 from lscan.rig import StripeSection, find_plugin
 from lscan.stripe.api import Extractor, require_stripe
-from lscan.stripe.correction import line_flux, take_back_blur
+from lscan.stripe.core import core_flux
+from lscan.stripe.correction import take_back_blur
 from lscan.stripe.lines import lines_of
 from lscan.stripe.noise import difference_noise
 from lscan.stripe.peaks import clipped_near
@@ -22,8 +23,6 @@ from lscan.stripe.returns import choose_return, withhold
 from lscan.stripe.smoothing import smooth
 
 _Value = TypeVar("_Value", bound=np.generic)
-
-CORE_PX = 2  # on either side of the centre: more would take in what walls beside a line throw back
 
 
 def extract_stripe(
@@ -54,7 +53,7 @@ def extract_stripe(
     stripe = withhold(stripe, chosen.ambiguous)
     stripe = take_back_blur(stripe, settings, chosen.image.T)
     stripe = smooth(stripe, settings.smooth_px)
-    return replace(stripe, flux=line_flux(stripe, chosen.image.T, CORE_PX))
+    return replace(stripe, flux=core_flux(stripe, chosen.image.T))
 
 
 @dataclass(frozen=True)
