@@ -1,0 +1,28 @@
+"""A webcam, a network stream or a video file, read through OpenCV.
+
+    [camera]
+    driver = "opencv"
+    width_px = 1280
+    height_px = 720
+    exposure_ms = 20.0
+    options = { device = 0, pixel_format = "MJPG", gain = 0, focus = 30, white_balance = 4600 }
+
+In place of ``device``, a number or a path such as "/dev/video0": ``url`` of a stream, or
+``file``, a video.  All options: :class:`OpencvOptions`.
+"""
+
+from lscan.devices.opencv_camera.camera import OpencvCamera
+from lscan.devices.opencv_camera.capture import Capture, OpenCapture, open_capture
+from lscan.devices.opencv_camera.driver import camera_driver
+from lscan.devices.opencv_camera.options import OpencvOptions
+from lscan.devices.opencv_camera.settings import Setting
+
+__all__ = [
+    "Capture",
+    "OpenCapture",
+    "OpencvCamera",
+    "OpencvOptions",
+    "Setting",
+    "camera_driver",
+    "open_capture",
+]

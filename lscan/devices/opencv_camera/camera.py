@@ -1,0 +1,269 @@
+"""The camera of the opencv driver: fresh pictures, checked one by one."""
+
+from __future__ import annotations
+
+import logging
+import math
+import time
+
+import cv2
+import numpy as np
+
+from lscan.devices.api import Grab
+from lscan.devices.opencv_camera.capture import Capture, OpenCapture, open_capture
+from lscan.devices.opencv_camera.options import OpencvOptions
+from lscan.devices.opencv_camera.reader import DeviceLost, Picture, Reader, Source
+from lscan.devices.opencv_camera.settings import Setting, Settings, apply_settings
+from lscan.errors import DeviceError
+from lscan.records import Bytes
+from lscan.rig import CameraSection
+
+_log = logging.getLogger(__name__)
+
+
+class OpencvCamera:
+    """A webcam, a stream or a video file as a camera.
+
+    Opening raises DeviceError where the camera does not open, sends pictures that are not of
+    the rig's size or, with strict_settings, does not do as it is set.
+    """
+
+    def __init__(
+        self,
+        section: CameraSection,
+        options: OpencvOptions,
+        open_capture: OpenCapture = open_capture,
+    ) -> None:
+        self._section, self._options = section, options
+        self._open_capture = open_capture
+        self._black_is_meant = options.black == "accept"
+        self._closed = False
+        self._shape: tuple[int, ...] | None = None
+        self._last: Bytes | None = None
+        self._last_time_s = -math.inf
+        self._read = 0  # pictures of a file taken so far
+        self._reader = Reader(self._source())
+        self._settings = self._first_settings()
+
+    @property
+    def size_px(self) -> tuple[int, int]:
+        """(width, height) of every picture."""
+        return self._section.width_px, self._section.height_px
+
+    @property
+    def settings(self) -> tuple[Setting, ...]:
+        """Each setting with what was asked and what the camera reports; none for a stream."""
+        return self._settings.settings
+
+    @property
+    def can_set_exposure(self) -> bool:
+        """Whether :meth:`set_exposure` can be asked of it: a device, not a stream or a file."""
+        return self._options.device is not None and not self._options.auto_exposure
+
+    def set_exposure(self, exposure_ms: float) -> float:
+        """The exposure time in ms as read back after setting it; the camera is opened anew.
+
+        Raises DeviceError where it cannot be set, or where the camera does not come back.
+        """
+        if not self.can_set_exposure:
+            raise DeviceError(f"{self._options.name}: its exposure cannot be set")
+        self._section = self._section.model_copy(update={"exposure_ms": exposure_ms})
+        self._renew_reader()
+        self._settings = self._first_settings()
+        return self._settings.exposure_ms
+
+    def accept_black(self) -> None:
+        """From now on black pictures are meant: the cap is on."""
+        self._black_is_meant = True
+
+    def grab(self, frame: int | None = None) -> Grab:
+        """A picture that arrived after this call began, RGB; DeviceError where none can be had.
+
+        frame: where the camera is a video file, which of its pictures is wanted; so a resumed
+        scan goes on where it stopped.
+        """
+        if self._closed:
+            raise DeviceError(f"{self._options.name}: is closed")
+        began_s = time.monotonic()
+        lost: DeviceLost | None = None
+        attempts = 1 + (self._options.reconnects if self._options.live else 0)
+        for attempt in range(attempts):
+            try:
+                if attempt:
+                    time.sleep(self._options.reconnect_wait_s)
+                    self._reconnect()
+                return self._grab(began_s, frame)
+            except DeviceLost as error:
+                lost = error
+                _log.warning("%s", error)
+        raise DeviceError(f"{lost}" + (f" (opened {attempts - 1} times anew)" * (attempts > 1)))
+
+    def close(self) -> None:
+        """Release the camera; closing twice is harmless."""
+        self._closed = True
+        self._reader.give_up(self._options.timeout_s)
+
+    # ---- taking pictures ----------------------------------------------------------------
+
+    def _grab(self, began_s: float, frame: int | None) -> Grab:
+        if self._options.live:
+            after_s = began_s + self._options.flush_ms / 1000
+            for _ in range(self._options.flush_frames):
+                self._take(after_s)
+        else:
+            after_s = -math.inf
+            self._wind_to(frame)
+        pictures = [self._sound_picture(after_s) for _ in range(self._options.average_frames)]
+        images = [_rgb(picture.image) for picture in pictures]
+        image = images[0] if len(images) == 1 else _mean(images)
+        # A clock that has not ticked since the last picture is moved by the least step.
+        later_s = math.nextafter(self._last_time_s, math.inf)
+        self._last_time_s = max(pictures[-1].time_s, later_s)
+        return Grab(image, self._last_time_s, self._settings.exposure_ms)
+
+    def _sound_picture(self, after_s: float) -> Picture:
+        """The next picture that is neither black nor the last one again."""
+        retries = self._options.retries if self._options.live else 0
+        fault = ""
+        for _ in range(retries + 1):
+            picture = self._take(after_s)
+            fault = self._fault(picture.image)
+            if not fault:
+                self._last = picture.image
+                return picture
+        raise DeviceError(f"{self._options.name}: {fault}, {retries + 1} times in a row")
+
+    def _take(self, after_s: float) -> Picture:
+        picture = self._reader.take(after_s, self._options.timeout_s, self._options.retries)
+        self._read += 1
+        return picture
+
+    def _fault(self, image: Bytes) -> str:
+        """What is wrong with a picture of the right size; "" where nothing is."""
+        if self._is_black(image) and not self._black_is_meant:
+            said = f"a black picture, brightest pixel {int(image.max())} DN at {self._exposure}"
+            if self._options.black == "refuse":
+                return f"{said}; take the cap off, or set camera.options.black = 'accept'"
+            _log.warning("%s: %s", self._options.name, said)
+        same = self._last is not None and np.array_equal(image, self._last)
+        if same and not self._may_repeat(image):
+            return "sent the picture of the grab before again; plug it in anew"
+        return ""
+
+    def _is_black(self, image: Bytes) -> bool:
+        return int(image.max()) <= self._options.black_dn
+
+    def _may_repeat(self, image: Bytes) -> bool:
+        """A file's may.  Black ones may: they hold no noise to tell by, and have their own rule."""
+        return not self._options.live or self._is_black(image)
+
+    @property
+    def _exposure(self) -> str:
+        return f"{self._settings.exposure_ms:g} ms"
+
+    def _wind_to(self, frame: int | None) -> None:
+        """Bring a video file to the pictures of a frame of the scan."""
+        if frame is None:
+            return
+        wanted = frame * self._options.average_frames
+        if wanted < self._read:
+            self._renew_reader()
+            self._first_settings()
+        while self._read < wanted:
+            self._take(-math.inf)
+
+    # ---- opening ------------------------------------------------------------------------
+
+    def _source(self) -> Source:
+        options = self._options
+        return Source(
+            name=options.name,
+            start=self._start,
+            check=self._checked,
+            may_repeat=self._may_repeat,
+            live=options.live,
+            stamped=options.device is not None,
+            skip=options.warm_up_frames if options.live else 0,
+        )
+
+    def _start(self) -> tuple[Capture, Settings]:
+        """Runs in the reader's thread: opens the capture and sets it."""
+        capture = self._open_capture(self._options)
+        if not capture.isOpened():
+            capture.release()
+            raise DeviceLost(
+                f"{self._options.name}: cannot be opened; check that it is there, that no other "
+                "program uses it, and the name (`lscan devices` lists what is connected)"
+            )
+        try:
+            return capture, apply_settings(capture, self._section, self._options)
+        except BaseException:
+            capture.release()
+            raise
+
+    def _first_settings(self) -> Settings:
+        """The settings of a camera just opened; it is released where they are refused."""
+        try:
+            settings = self._reader.started(self._options.timeout_s)
+            ignored = "; ".join(map(str, settings.ignored))
+            if ignored and self._options.strict_settings:
+                raise DeviceError(
+                    f"{self._options.name}: does not do as it is set: {ignored}; "
+                    "ask for what it has, or set camera.options.strict_settings = false"
+                )
+        except DeviceError:
+            self._reader.give_up(self._options.timeout_s)
+            raise
+        if ignored:
+            _log.warning("%s: does not do as it is set: %s", self._options.name, ignored)
+        return settings
+
+    def _reconnect(self) -> None:
+        self._renew_reader()
+        settings = self._first_settings()
+        if settings != self._settings:
+            changed = zip(settings.settings, self._settings.settings, strict=True)
+            told = "; ".join(f"{now}, before {was.got}" for now, was in changed if now != was)
+            raise DeviceError(
+                f"{self._options.name}: came back with other settings ({told or self._exposure}); "
+                "its pictures would not match those before: begin a new scan"
+            )
+
+    def _renew_reader(self) -> None:
+        self._reader.give_up(self._options.timeout_s)
+        self._read = 0
+        self._reader = Reader(self._source())
+
+    def _checked(self, raw: object) -> Bytes:
+        """The picture, if it is what a run can hold and what the rig says: DeviceError."""
+        image = np.asarray(raw)
+        if image.ndim == 3 and image.shape[2] == 1:
+            image = image[:, :, 0]
+        if image.dtype != np.uint8 or image.shape[2:] not in ((), (3,)) or image.ndim < 2:
+            raise DeviceError(
+                f"{self._options.name}: a picture is {image.dtype} of shape {image.shape}; "
+                "allowed: uint8, (H, W) or (H, W, 3); ask for another camera.options.pixel_format"
+            )
+        got = image.shape[1], image.shape[0]
+        if got != self.size_px:
+            raise DeviceError(
+                f"{self._options.name}: pictures are {got[0]} by {got[1]} px; the rig says "
+                f"{self.size_px[0]} by {self.size_px[1]} px (camera.width_px, camera.height_px)"
+            )
+        self._shape = self._shape or image.shape
+        if image.shape != self._shape:
+            raise DeviceError(
+                f"{self._options.name}: pictures change from shape {self._shape} to {image.shape}"
+            )
+        return image
+
+
+def _rgb(image: Bytes) -> Bytes:
+    """The picture as RGB, or grey, in memory of its own."""
+    if image.ndim == 2:
+        return image.copy()
+    return np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2RGB), dtype=np.uint8)
+
+
+def _mean(images: list[Bytes]) -> Bytes:
+    return np.rint(np.mean(images, axis=0)).astype(np.uint8)

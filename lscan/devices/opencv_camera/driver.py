@@ -1,0 +1,34 @@
+"""The driver of the entry point ``opencv``: checks the options, opens the camera."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from lscan.devices.api import Track
+from lscan.devices.opencv_camera.camera import OpencvCamera
+from lscan.devices.opencv_camera.options import OpencvOptions
+from lscan.documents import check
+from lscan.errors import InputError
+from lscan.rig import RigFile
+
+
+class _CameraDriver:
+    sections: frozenset[str] = frozenset()
+
+    def validate(self, rig_file: RigFile) -> None:
+        """Check the options, and that a video file is there, touching no device: InputError."""
+        self._options(rig_file)
+
+    def open(self, rig_file: RigFile, track: Track) -> OpencvCamera:
+        """The camera, ready to grab; DeviceError where it is not as the rig file says."""
+        return OpencvCamera(rig_file.rig.camera, self._options(rig_file))
+
+    def _options(self, rig_file: RigFile) -> OpencvOptions:
+        section, where = rig_file.rig.camera, rig_file.source
+        options = check(OpencvOptions, section.options, where=where, prefix="camera.options")
+        if options.file is not None and not Path(options.file).is_file():
+            raise InputError("camera.options.file: no such file", where=where, value=options.file)
+        return options
+
+
+camera_driver = _CameraDriver()

@@ -1,0 +1,85 @@
+"""What ``[camera.options]`` of a rig file may say to the opencv driver."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal, Self
+
+from pydantic import Field, StrictBool, model_validator
+
+from lscan.documents import Strict
+
+_OF_A_DEVICE = ("pixel_format", "fps", "gain", "focus", "white_balance", "auto_exposure")
+
+
+class OpencvOptions(Strict):
+    """Which camera, how it is set, and what is done with its pictures.
+
+    One of: device, a number or a path; url, of a stream; file, of a video, whose pictures come
+    one by one in their order.  A device and a stream are *live*: they go on without being asked.
+
+    For a device only; what is left out is left as the camera has it:
+    pixel_format: four letters, such as "MJPG" or "YUYV".  fps: pictures per second.
+    gain, focus, white_balance: in the camera's own units (white balance mostly in kelvin);
+    a stated focus or white balance switches the automatic one off.  auto_exposure: lets the
+    camera choose, in place of ``camera.exposure_ms``.
+    strict_settings: refuse a camera that does not do as it is set, instead of reporting it.
+
+    For live cameras only:
+    warm_up_frames: dropped after opening, while the camera settles.
+    flush_frames: dropped after the call, since a picture that arrives after it may have been
+    exposed before it; flush_ms: only what arrives this long after the call is looked at.
+    retries: black or repeated pictures in a row that are passed over before giving up.
+    reconnects: how often in one grab a camera that hung or vanished is opened again, each time
+    after reconnect_wait_s: a cable just plugged in takes a second.
+
+    average_frames: pictures averaged into one, pixel by pixel, rounded.
+    timeout_s: how long to wait for the camera to open, and for each picture.
+    black: what becomes of a picture with no pixel above black_dn: "refuse" it, "report" it
+    with a warning, or "accept" it (the cap is on, the laser is off in a dark room).
+    """
+
+    device: Annotated[int, Field(ge=0, le=63)] | Annotated[str, Field(min_length=1)] | None = None
+    url: Annotated[str, Field(pattern=r"^(https?|rtsps?|rtmp|udp|tcp)://\S+$")] | None = None
+    file: Annotated[str, Field(min_length=1)] | None = None
+
+    pixel_format: Annotated[str, Field(pattern=r"^[ -~]{4}$")] | None = None
+    fps: Annotated[float, Field(gt=0, le=1000)] | None = None
+    gain: Annotated[float, Field(ge=0, le=1e6)] | None = None
+    focus: Annotated[float, Field(ge=0, le=1e6)] | None = None
+    white_balance: Annotated[float, Field(ge=0, le=1e6)] | None = None
+    auto_exposure: StrictBool = False
+    strict_settings: StrictBool = False
+
+    warm_up_frames: Annotated[int, Field(ge=0, le=1000)] = 5
+    flush_frames: Annotated[int, Field(ge=0, le=100)] = 2
+    flush_ms: Annotated[float, Field(ge=0, le=60_000)] = 0.0
+    retries: Annotated[int, Field(ge=0, le=1000)] = 30
+    reconnects: Annotated[int, Field(ge=0, le=100)] = 2
+    reconnect_wait_s: Annotated[float, Field(ge=0, le=600)] = 1.0
+
+    average_frames: Annotated[int, Field(ge=1, le=256)] = 1
+    timeout_s: Annotated[float, Field(ge=0.02, le=600)] = 5.0
+    black: Literal["refuse", "report", "accept"] = "refuse"
+    black_dn: Annotated[float, Field(ge=0, le=254)] = 1.0
+
+    @model_validator(mode="after")
+    def _one_source(self) -> Self:
+        sources = (self.device, self.url, self.file)
+        if sum(source is not None for source in sources) != 1:
+            raise ValueError("needs exactly one of device, url and file")
+        stated = sorted(self.model_fields_set & set(_OF_A_DEVICE))
+        if self.device is None and stated:
+            raise ValueError(f"{stated[0]} can only be set on a device, not on a url or a file")
+        return self
+
+    @property
+    def live(self) -> bool:
+        """Whether pictures come without being asked: a device or a stream."""
+        return self.file is None
+
+    @property
+    def name(self) -> str:
+        """What messages call the camera."""
+        if self.device is not None:
+            return f"camera opencv (device {self.device})"
+        return f"camera opencv ({self.url or self.file})"

@@ -1,0 +1,166 @@
+"""Setting a camera, and reading back what it made of it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import cv2
+
+from lscan.devices.opencv_camera.capture import Capture
+from lscan.devices.opencv_camera.options import OpencvOptions
+from lscan.rig import CameraSection
+
+RELATIVE_TOLERANCE = 0.01
+"""A number read back within one per cent counts as obeyed: cameras round to steps."""
+
+Value = float | str
+
+
+@dataclass(frozen=True)
+class Setting:
+    """One setting: what was asked, and what the camera then reported (None: nothing)."""
+
+    name: str
+    asked: Value
+    got: Value | None
+
+    @property
+    def obeyed(self) -> bool:
+        """Whether the camera reports what was asked, numbers within 1 %."""
+        if isinstance(self.asked, str) or isinstance(self.got, str) or self.got is None:
+            return self.asked == self.got
+        return abs(self.got - self.asked) <= RELATIVE_TOLERANCE * abs(self.asked)
+
+    def __str__(self) -> str:
+        got = "nothing" if self.got is None else f"{self.got}"
+        return f"{self.name}: asked {self.asked}, got {got}"
+
+
+@dataclass(frozen=True)
+class Settings:
+    """All settings of a camera as read back, and its exposure time.
+
+    exposure_ms: as reported by the camera; the rig file's where it reports none.
+    """
+
+    settings: tuple[Setting, ...]
+    exposure_ms: float
+
+    @property
+    def ignored(self) -> tuple[Setting, ...]:
+        """Those the camera did not obey."""
+        return tuple(setting for setting in self.settings if not setting.obeyed)
+
+
+@dataclass(frozen=True)
+class _Exposure:
+    """How one of OpenCV's back ends writes exposure times."""
+
+    to_raw: Callable[[float], float]
+    to_ms: Callable[[float], float | None]
+    manual: float
+    automatic: float
+
+
+# Video4Linux: exposure_time_absolute in 100 µs; auto_exposure 1 is manual, 3 aperture priority
+# (Linux kernel documentation, "Camera Control Reference").
+_LINUX = _Exposure(
+    to_raw=lambda ms: float(max(1, round(10 * ms))),
+    to_ms=lambda raw: raw / 10 if raw > 0 else None,
+    manual=1.0,
+    automatic=3.0,
+)
+# DirectShow and Media Foundation: whole powers of two of a second (Microsoft,
+# KSPROPERTY_CAMERACONTROL_EXPOSURE).
+_WINDOWS = _Exposure(
+    to_raw=lambda ms: float(round(math.log2(ms / 1000))),
+    to_ms=lambda raw: 1000 * 2.0**raw if -30 < raw < 0 else None,
+    manual=0.0,
+    automatic=1.0,
+)
+
+
+@dataclass(frozen=True)
+class _Control:
+    """One property of the camera.  to_user: from OpenCV's number; None where it means nothing."""
+
+    name: str
+    property_id: int
+    asked: Value
+    raw: float
+    to_user: Callable[[float], Value | None]
+
+
+def apply_settings(capture: Capture, section: CameraSection, options: OpencvOptions) -> Settings:
+    """What the camera reports once everything the rig file states has been set.
+
+    All is set before anything is read: one setting may change another.  Streams and files have
+    nothing to set; their exposure is the rig file's.
+    """
+    if options.device is None:
+        return Settings((), section.exposure_ms)
+    exposure = _LINUX if capture.getBackendName() == "V4L2" else _WINDOWS
+    controls = _controls(section, options, exposure)
+    for control in controls:
+        capture.set(control.property_id, control.raw)
+    settings = tuple(
+        Setting(control.name, control.asked, control.to_user(capture.get(control.property_id)))
+        for control in controls
+    )
+    exposure_ms = exposure.to_ms(capture.get(cv2.CAP_PROP_EXPOSURE))
+    return Settings(settings, exposure_ms or section.exposure_ms)
+
+
+def _controls(
+    section: CameraSection, options: OpencvOptions, exposure: _Exposure
+) -> list[_Control]:
+    """What is to be set, in this order: the format first, automatics before their values."""
+    controls = []
+    if options.pixel_format is not None:
+        code = float(cv2.VideoWriter.fourcc(*options.pixel_format))
+        fourcc = cv2.CAP_PROP_FOURCC
+        controls.append(_Control("pixel_format", fourcc, options.pixel_format, code, fourcc_text))
+    controls += [
+        _number("width_px", cv2.CAP_PROP_FRAME_WIDTH, section.width_px),
+        _number("height_px", cv2.CAP_PROP_FRAME_HEIGHT, section.height_px),
+    ]
+    if options.fps is not None:
+        controls.append(_number("fps", cv2.CAP_PROP_FPS, options.fps))
+    mode = exposure.automatic if options.auto_exposure else exposure.manual
+    controls.append(_number("auto_exposure", cv2.CAP_PROP_AUTO_EXPOSURE, mode))
+    if not options.auto_exposure:
+        asked_ms = section.exposure_ms
+        raw = exposure.to_raw(asked_ms)
+        controls.append(
+            _Control("exposure_ms", cv2.CAP_PROP_EXPOSURE, asked_ms, raw, exposure.to_ms)
+        )
+    if options.gain is not None:
+        controls.append(_number("gain", cv2.CAP_PROP_GAIN, options.gain))
+    if options.focus is not None:
+        controls.append(_number("autofocus", cv2.CAP_PROP_AUTOFOCUS, 0))
+        controls.append(_number("focus", cv2.CAP_PROP_FOCUS, options.focus))
+    if options.white_balance is not None:
+        controls.append(_number("auto_white_balance", cv2.CAP_PROP_AUTO_WB, 0))
+        controls.append(
+            _number("white_balance", cv2.CAP_PROP_WB_TEMPERATURE, options.white_balance)
+        )
+    return controls
+
+
+def _number(name: str, property_id: int, asked: float) -> _Control:
+    return _Control(name, property_id, float(asked), float(asked), _reported)
+
+
+def _reported(raw: float) -> float | None:
+    """OpenCV's number, None for -1: it says so of what the camera does not have."""
+    return None if raw == -1 else raw
+
+
+def fourcc_text(raw: float) -> str | None:
+    """The four letters of a pixel format in OpenCV's number; None where it is not one."""
+    code = int(raw)
+    letters = bytes(code >> shift & 0xFF for shift in (0, 8, 16, 24)) if code > 0 else b""
+    text = letters.decode("latin-1")
+    return text if len(text) == 4 and text.isprintable() else None

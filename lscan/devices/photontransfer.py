@@ -1,0 +1,241 @@
+"""A camera's noise and gain from its own pictures: the photon transfer of EMVA 1288.
+
+Photons come at random, so the variance of a pixel grows in proportion to its light:
+``variance = read² + gain · (mean - dark)``, all in digital numbers (DN); the slope is DN per
+electron and what is left in the dark is the reading noise (EMVA Standard 1288, "Linear camera
+model").  Here, as there, the variance is taken from differences of two pictures of the same
+still scene, in which everything that stands still drops out.
+
+The standard wants an evenly lit sensor.  Any still scene serves: its pixels are sorted into
+levels of grey by one half of the pictures and measured in the other half.  Sorting and
+measuring by the same pictures would put a pixel that happened to be bright in a brighter
+level, and so flatten the slope.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from lscan.errors import InputError, MeasurementError
+from lscan.records import Bytes, Floats, Ints, Mask
+
+BRIGHTEST_DN = 255
+ROUNDING_DN = 12**-0.5
+"""Standard deviation of rounding to whole digital numbers."""
+
+LEVEL_DN = 4.0
+"""Width of a level of grey."""
+
+FEWEST_DIFFERENCES = 100
+"""A level with fewer of them is passed over: its variance is known to worse than 14 %."""
+
+MOST_CLIPPED = 1e-3
+"""Share of clipped values above which a level is passed over.  Of Gaussian noise, that is a
+level 3 standard deviations from the limit, and it takes less than 1 % off the variance."""
+
+LINEAR_RANGE = (0.05, 0.95)
+"""Part of the range in which a camera is judged for linearity (EMVA 1288, "Linearity")."""
+
+
+@dataclass(frozen=True)
+class Levels:
+    """Levels of grey and how pixels of each scatter in time.
+
+    mean_dn, variance: (N,) mean in DN, temporal variance in DN².
+    differences: (N,) independent differences of two values that the variance comes from; its
+    relative standard uncertainty is ``sqrt(2 / differences)`` for Gaussian noise.
+    clipped: (N,) share of values at either end of the range.
+    """
+
+    mean_dn: Floats
+    variance: Floats
+    differences: Floats
+    clipped: Floats
+
+    def __add__(self, other: Levels) -> Levels:
+        """The levels of both, one after the other."""
+        pairs = zip(self._arrays(), other._arrays(), strict=True)
+        return Levels(*(np.concatenate(pair) for pair in pairs))
+
+    def __getitem__(self, which: Mask) -> Levels:
+        """Some of the levels."""
+        return Levels(*(array[which] for array in self._arrays()))
+
+    def _arrays(self) -> tuple[Floats, Floats, Floats, Floats]:
+        return self.mean_dn, self.variance, self.differences, self.clipped
+
+
+@dataclass(frozen=True)
+class PhotonTransfer:
+    """Noise and gain of a camera, each with its standard uncertainty.
+
+    dark_dn: grey value without light; 0 where no dark pictures were taken.
+    read_dn: standard deviation of a dark pixel, rounding included, in DN.
+    dn_per_electron: the gain; in doubt it may come out below 0.
+    chi2: the levels' squared distance from the straight line in units of their own
+    uncertainty, per degree of freedom: 1 for a linear camera, far more for one with a gamma
+    curve or with noise reduction.
+    """
+
+    dark_dn: float
+    read_dn: float
+    read_sigma_dn: float
+    dn_per_electron: float
+    gain_sigma: float
+    chi2: float
+    levels: Levels
+
+
+@dataclass(frozen=True)
+class Linearity:
+    """How straight the grey value goes with the exposure time.
+
+    error_percent: mean of |grey value - line| / line, in per cent, between 5 % and 95 % of the
+    range.  dn_per_ms, offset_dn: the line.
+    """
+
+    error_percent: float
+    dn_per_ms: float
+    offset_dn: float
+
+
+def grey_levels(pictures: Bytes) -> Levels:
+    """Levels of grey of a still scene, and how its pixels scatter.
+
+    pictures: (N, H, W) uint8, one channel, N at least 4; of an odd number the last is unused,
+    and so are two where N is not a multiple of 4.  A change of the light between two pictures
+    of a pair is taken out where it is the same everywhere in a level.
+    Levels that are clipped or rare are passed over; none may be left.
+    """
+    _require(pictures, 4)
+    half = len(pictures) // 4 * 2
+    # Sorted into as many levels as the scene has: by means of one half, in steps of LEVEL_DN.
+    sorting = pictures[:half].mean(axis=0).ravel()
+    levels = _levels(pictures[half : 2 * half], np.floor(sorting / LEVEL_DN).astype(np.int64))
+    return levels[(levels.differences >= FEWEST_DIFFERENCES) & (levels.clipped <= MOST_CLIPPED)]
+
+
+def dark_level(pictures: Bytes) -> Levels:
+    """The one level of pictures taken in the dark, clipped or not.
+
+    pictures: (N, H, W) uint8, one channel, N at least 2.
+    """
+    _require(pictures, 2)
+    paired = pictures[: len(pictures) // 2 * 2]
+    return _levels(paired, np.zeros(paired[0].size, dtype=np.int64))
+
+
+def photon_transfer(levels: Levels, dark: Levels | None = None) -> PhotonTransfer:
+    """Reading noise and gain: the straight line of variance over mean, by weighted least squares.
+
+    dark: the level of pictures taken in the dark.  Without it, and where the camera clips its
+    noise in the dark, grey value 0 counts as dark and the line is drawn on to it.
+    Raises MeasurementError where there are no two levels of grey at least 1 DN apart.
+    """
+    dark_is_seen = dark is not None and float(dark.clipped[0]) <= MOST_CLIPPED
+    every = dark + levels if dark is not None and dark_is_seen else levels
+    dark_dn = float(every.mean_dn[0]) if dark_is_seen else 0.0
+    light = every.mean_dn - dark_dn
+    if len(light) < 2 or np.ptp(light) < 1.0:
+        raise MeasurementError(
+            f"photon transfer: {len(light)} unclipped levels of grey, {np.round(light, 2).tolist()}"
+            " DN; needed: two at least 1 DN apart; show the camera a still scene with bright and "
+            "dark parts, neither black nor white"
+        )
+    (dark_variance, gain), covariance, chi2 = _weighted_line(light, every)
+    read_dn = float(np.sqrt(max(dark_variance, ROUNDING_DN**2)))
+    return PhotonTransfer(
+        dark_dn=dark_dn,
+        read_dn=read_dn,
+        read_sigma_dn=float(np.sqrt(covariance[0, 0])) / (2 * read_dn),
+        dn_per_electron=float(gain),
+        gain_sigma=float(np.sqrt(covariance[1, 1])),
+        chi2=chi2,
+        levels=levels,
+    )
+
+
+def _weighted_line(light: Floats, levels: Levels) -> tuple[Floats, Floats, float]:
+    """(offset, slope) of variance over light, their covariance, and chi² per degree of freedom.
+
+    The weights come from the line itself, found in a few rounds: weights from the measured
+    variances would favour those that came out small by chance.
+    """
+    share = np.sqrt(2 / levels.differences)
+    design = np.stack([np.ones_like(light), light], axis=1)
+    model = levels.variance
+    for _ in range(5):
+        # No variance is smaller than that of rounding, so no level gets an endless weight.
+        sigma = share * np.maximum(model, ROUNDING_DN**2)
+        weighted = design / sigma[:, None]
+        covariance = np.linalg.inv(weighted.T @ weighted)
+        line = covariance @ weighted.T @ (levels.variance / sigma)
+        model = design @ line
+    chi2 = float((((levels.variance - model) / sigma) ** 2).sum() / max(len(light) - 2, 1))
+    return line, covariance, chi2
+
+
+def linearity(exposure_ms: Floats, mean_dn: Floats) -> Linearity:
+    """How straight mean grey values go with exposure times (EMVA 1288, "Linearity").
+
+    exposure_ms, mean_dn: (N,) exposure time in ms and mean grey value in DN of one scene.  The
+    line is the one whose relative distances are least in squares.
+    Raises MeasurementError with fewer than three different exposures in the range judged.
+    """
+    low, high = (part * BRIGHTEST_DN for part in LINEAR_RANGE)
+    inside = (mean_dn >= low) & (mean_dn <= high)
+    if len(np.unique(exposure_ms[inside])) < 3:
+        raise MeasurementError(
+            f"linearity: needs three exposures with mean grey values from {low:.0f} to "
+            f"{high:.0f} DN; found: {np.round(mean_dn, 1).tolist()}"
+        )
+    time_ms, grey = exposure_ms[inside], mean_dn[inside]
+    design = np.stack([np.ones_like(time_ms), time_ms], axis=1)
+    offset, slope = np.linalg.lstsq(design / grey[:, None], np.ones_like(grey), rcond=None)[0]
+    line = offset + slope * time_ms
+    error = float(np.mean(np.abs(grey - line) / np.abs(line)))
+    return Linearity(100 * error, float(slope), float(offset))
+
+
+def _levels(pictures: Bytes, level: Ints) -> Levels:
+    """Mean and variance of the pixels of each level that has any.  level: (H · W,) which one."""
+    flat = pictures.reshape(len(pictures), -1)
+    pixels = np.bincount(level).astype(float)
+
+    def sums(values: Floats) -> Floats:
+        summed: Floats = np.bincount(level, weights=values, minlength=len(pixels)).astype(float)
+        return summed
+
+    total, squares, clipped = np.zeros_like(pixels), np.zeros_like(pixels), np.zeros_like(pixels)
+    pairs = len(flat) // 2
+    for first, second in zip(flat[::2].astype(float), flat[1::2].astype(float), strict=True):
+        total += sums(first + second)
+        difference = first - second
+        squares += sums(difference**2) - sums(difference) ** 2 / np.maximum(pixels, 1)
+        clipped += sums(_clipped(first) + _clipped(second))
+    # The drift of the light spends one degree of freedom of each pair.
+    differences = pairs * (pixels - 1)
+    held = differences > 0
+    values = 2 * pairs * pixels[held]
+    return Levels(
+        mean_dn=total[held] / values,
+        # Half the variance of a difference is that of a value.
+        variance=squares[held] / (2 * differences[held]),
+        differences=differences[held],
+        clipped=clipped[held] / values,
+    )
+
+
+def _clipped(values: Floats) -> Floats:
+    return ((values <= 0) | (values >= BRIGHTEST_DN)).astype(float)
+
+
+def _require(pictures: Bytes, fewest: int) -> None:
+    if pictures.ndim != 3 or pictures.dtype != np.uint8 or len(pictures) < fewest:
+        raise InputError(
+            "cannot measure noise in these pictures",
+            value=f"{pictures.dtype} of shape {pictures.shape}",
+            allowed=f"uint8 of shape (N, H, W), N at least {fewest}",
+        )
