@@ -41,6 +41,7 @@ class World:
     stamps: bool = False
     grey: bool = False
     obeys: Callable[[int, float], float] = lambda _, value: value
+    last: Bytes | None = None
     reads: int = 0
     opened: int = 0
     released: int = 0
@@ -61,7 +62,6 @@ class FakeCapture:
         self._under_way = deque([(world.scene, time.monotonic())] * world.delay)
         self._stamp_s = 0.0
         self._properties: dict[int, float] = {}
-        self._last: Bytes | None = None
 
     def isOpened(self) -> bool:  # noqa: N802
         return not self._away
@@ -95,10 +95,10 @@ class FakeCapture:
             return True, None
         if fault == "raise":
             raise cv2.error("the driver broke\n in two lines")
-        if fault == "same" and self._last is not None:
-            return True, self._last
-        self._last = _spoilt(self._picture(), fault)
-        return True, self._last
+        if fault == "same" and world.last is not None:
+            return True, world.last
+        world.last = _spoilt(self._picture(), fault)
+        return True, world.last
 
     def _picture(self) -> Bytes:
         self._under_way.append((self._world.scene, time.monotonic()))

@@ -117,6 +117,18 @@ def test_one_that_comes_back_set_otherwise_is_refused() -> None:
     camera.close()
 
 
+def test_one_that_comes_back_with_the_old_picture_is_refused() -> None:
+    """A server begun anew may send what it sent last, though the head has moved."""
+    world = World(period_s=0.05)  # time to plan the next read
+    camera = camera_in(world, flush_frames=0, retries=0)
+    camera.grab()
+    start = world.reads
+    world.faults = {start: "gone", **dict.fromkeys(range(start + 1, ALWAYS), "same")}
+    with pytest.raises(DeviceError, match="sent the picture of the grab before again"):
+        camera.grab()
+    camera.close()
+
+
 def test_a_camera_that_is_not_there() -> None:
     world = World(closes=1, opened=1)
     with pytest.raises(DeviceError, match=r"device 0\): cannot be opened; check .*lscan devices"):
