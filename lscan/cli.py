@@ -21,6 +21,7 @@ from lscan.arguments import (
 )
 from lscan.bench_cli import bench
 from lscan.console import print_json, print_table, progress_bar, run_command_line
+from lscan.devices_cli import devices
 from lscan.metric_cli import calibrate_metric
 from lscan.summaries import calibration_summary, print_calibration, print_check
 
@@ -315,6 +316,7 @@ def report(
 
 
 app.command()(calibrate_metric)
+app.command()(devices)
 app.command()(bench)
 
 
