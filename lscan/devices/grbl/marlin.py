@@ -1,0 +1,118 @@
+"""Marlin as a machine: one axis, ``G1`` and ``M400``, positions by ``M114``.
+
+Source: Marlin's G-code reference, pages G28, M114, M115, M400, M410, and "host keepalive"
+(``echo:busy: processing`` every two seconds while a command takes its time).
+"""
+
+from __future__ import annotations
+
+import re
+from typing import Final
+
+from lscan.devices.grbl.link import Link
+from lscan.devices.grbl.machine import Travel, agreed
+from lscan.devices.grbl.options import SerialTrackOptions
+from lscan.errors import DeviceError
+
+STEP_MM: Final = 0.01
+"""M114 writes two decimals."""
+
+_PLACE = re.compile(r"(?:^|\s)([XYZ]):(-?\d+\.\d+)")
+_REPORT = re.compile(r"X:-?\d+\.\d+ Y:-?\d+\.\d+ Z:-?\d+\.\d+(?: .*)?")
+
+
+class MarlinMachine:
+    """The axis of a controller that runs Marlin."""
+
+    def __init__(self, link: Link, options: SerialTrackOptions) -> None:
+        self._link, self._options = link, options
+
+    def wake(self) -> Travel:
+        """Wait for ``start``, ask for the firmware's name, choose mm and absolute positions."""
+        link, options = self._link, self._options
+        deadline_s = link.clock() + options.boot_s
+        while (text := link.line(deadline_s)) is not None and text != "start":
+            pass
+        while link.line(link.clock() + 0.05) is not None:  # the settings a start prints
+            pass
+        firmware = " ".join(self._command("M115"))
+        if "FIRMWARE_NAME:Marlin" not in firmware:
+            raise DeviceError(
+                f"{link.name}: is no Marlin: M115 answers {firmware[:60]!r}; set track.options."
+                "dialect, or check port and baud rate"
+            )
+        self._command("G21")
+        self._command("G90")
+        return Travel(step_mm=STEP_MM)
+
+    def home(self) -> None:
+        """Run ``G28`` for the axis."""
+        self._command(f"G28 {self._options.axis}", self._options.homing_s)
+
+    def move(self, target_mm: float, feed_mm_min: float, within_s: float) -> None:
+        """Move and wait for the end of all motion."""
+        self._command(f"G1 {self._options.axis}{target_mm:.3f} F{feed_mm_min:.1f}")
+        self._command("M400", within_s)
+
+    def position_mm(self) -> float:
+        """The axis's position, two reports alike."""
+        return agreed(self._reported_mm, "position", self._link.name)
+
+    def laser(self, power: float) -> None:
+        """M3 with S, or M5."""
+        self._command(f"M3 S{power:g}" if power > 0 else "M5")
+
+    def stop(self) -> None:
+        """Stop all motion and wait until it has ended."""
+        self._command("M410")
+        self._command("M400")
+
+    def close(self) -> None:
+        """Release the line."""
+        self._link.close()
+
+    def _reported_mm(self) -> float:
+        for answer in self._command("M114"):
+            if _REPORT.fullmatch(answer):
+                # "Count" and what follows are motor steps, not mm.
+                places = dict(_PLACE.findall(answer.partition(" Count")[0]))
+                if self._options.axis in places:
+                    return float(places[self._options.axis])
+        raise DeviceError(
+            f"{self._link.name}: M114 gave no readable position of axis {self._options.axis}; "
+            "check the cable, then open the track again"
+        )
+
+    def _command(self, text: str, within_s: float | None = None) -> list[str]:
+        """Send a line; the lines until its ok.  DeviceError if refused or unanswered."""
+        link = self._link
+        while (stale := link.line(link.clock())) is not None:
+            self._heed(stale)
+        deadline_s = link.clock() + (self._options.answer_s if within_s is None else within_s)
+        link.send(text)
+        answers: list[str] = []
+        while (answer := link.line(deadline_s)) is not None:
+            self._heed(answer)
+            if answer == "ok" or answer.startswith("ok "):
+                return answers
+            if not answer.startswith("echo:busy:"):
+                answers.append(answer)
+        raise DeviceError(
+            f"{link.name}: silent: no ok to {text!r} in time ({link.noise_bytes} bytes of noise "
+            "so far); check cable, power and for a jam, then open the track again"
+        )
+
+    def _heed(self, text: str) -> None:
+        """Raise DeviceError where a line says that the controller stopped or restarted."""
+        if text.startswith(("Error:", "!!")):
+            raise DeviceError(
+                f"{self._link.name}: stopped: {text[:80]!r}; clear the cause, reset the "
+                "controller, home, and open the track again"
+            )
+        if text.startswith("echo:Unknown command"):
+            raise DeviceError(f"{self._link.name}: {text[:80]!r}; the firmware lacks this command")
+        if text == "start":
+            raise DeviceError(
+                f"{self._link.name}: the controller has restarted, so its position is lost; check "
+                "its power and the USB cable, home, and open the track again"
+            )

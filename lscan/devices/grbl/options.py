@@ -1,0 +1,86 @@
+"""``[track.options]`` of the serial track, checked before any device is touched."""
+
+from __future__ import annotations
+
+from typing import Annotated, Final, Literal, Self
+
+from pydantic import Field, model_validator
+
+from lscan.documents import Strict, check
+from lscan.errors import InputError
+from lscan.rig import RigFile
+
+Place = Annotated[float, Field(ge=-100_000, le=100_000)]
+ROUNDING_MM: Final = 0.0005
+"""Half of the last of three decimals, with which coordinates go over the line."""
+
+Switch = Annotated[bool, Field(strict=True)]
+
+
+class SerialTrackOptions(Strict):
+    """The track's port, its frame and how it moves.
+
+    port: the serial port, as ``/dev/ttyUSB0`` or ``COM3``.  min_mm, max_mm: positions the head
+    may be sent to; the approach needs ``approach_mm`` of free way below min_mm.
+    zero_mm: the machine coordinate where the position is 0; invert: positions grow where
+    machine coordinates fall.  approach_mm: every position is reached upwards, over at least
+    this way, so that backlash is taken up; 0: from wherever the head stands.
+    tolerance_mm: how far from its target the head may report to have stopped.
+    settle_s: rest before a picture.  homing: search the switches on opening; without it the
+    machine's zero is where the head stood when the controller started, and any restart moves it.
+    boot_s, answer_s, homing_s: how long a start, an answer, a homing may take.
+    laser_power: S word of M3.
+    """
+
+    port: Annotated[str, Field(min_length=1)]
+    baud: Annotated[int, Field(ge=1200, le=4_000_000)] = 115_200
+    dialect: Literal["grbl", "marlin"] = "grbl"
+    axis: Literal["X", "Y", "Z"] = "X"
+    min_mm: Place
+    max_mm: Place
+    zero_mm: Place = 0.0
+    invert: Switch = False
+    feed_mm_min: Annotated[float, Field(gt=0, le=60_000)] = 600.0
+    approach_mm: Annotated[float, Field(ge=0, le=100)] = 1.0
+    tolerance_mm: Annotated[float, Field(gt=0, le=1)] = 0.02
+    settle_s: Annotated[float, Field(ge=0, le=60)] = 0.2
+    homing: Switch = True
+    boot_s: Annotated[float, Field(ge=0, le=30)] = 3.0
+    answer_s: Annotated[float, Field(gt=0, le=60)] = 2.0
+    homing_s: Annotated[float, Field(gt=0, le=600)] = 60.0
+    laser_power: Annotated[float, Field(ge=0, le=100_000)] = 1000.0
+
+    @model_validator(mode="after")
+    def _not_empty(self) -> Self:
+        if self.min_mm >= self.max_mm:
+            raise ValueError("min_mm must be below max_mm")
+        return self
+
+    def machine_mm(self, position_mm: float) -> float:
+        """Machine coordinate in mm of a position of the track."""
+        return self.zero_mm + (-position_mm if self.invert else position_mm)
+
+    def position_mm(self, machine_mm: float) -> float:
+        """Position of the track in mm of a machine coordinate."""
+        offset_mm = machine_mm - self.zero_mm
+        return -offset_mm if self.invert else offset_mm
+
+
+def read_options(rig_file: RigFile) -> SerialTrackOptions:
+    """The rig's track options; InputError where one is wrong or the plan leaves the travel."""
+    source = rig_file.source
+    options = check(
+        SerialTrackOptions, rig_file.rig.track.options, where=source, prefix="track.options"
+    )
+    width_mm = options.max_mm - options.min_mm
+    positions_mm = rig_file.rig.plan.positions_mm()
+    for position_mm in (positions_mm[0], positions_mm[-1]):
+        if not -ROUNDING_MM <= position_mm - options.min_mm <= width_mm + ROUNDING_MM:
+            raise InputError(
+                "plan: leaves the track's travel",
+                where=source,
+                value=position_mm,
+                allowed=f"{options.min_mm:g} to {options.max_mm:g} mm, track.options.min_mm "
+                "and max_mm",
+            )
+    return options

@@ -1,0 +1,176 @@
+"""A linear track behind a Grbl or Marlin controller."""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Callable, Iterator
+
+from lscan.devices.grbl.machine import Machine, Travel
+from lscan.devices.grbl.options import ROUNDING_MM, SerialTrackOptions
+from lscan.errors import DeviceError
+
+
+class SerialTrack:
+    """A track that moves only upwards into every position, and believes only what it reads.
+
+    After a failed motion nothing is known of where the head stands or what still lies in the
+    controller: the track then refuses, with the reason, until it is opened again.  Steps that
+    a stalled motor loses are not known to the controller and can be seen only by homing.
+    """
+
+    def __init__(
+        self,
+        machine: Machine,
+        options: SerialTrackOptions,
+        name: str,
+        sleep: Callable[[float], None],
+    ) -> None:
+        """Wake the machine and home it where the options say so; DeviceError if it fails."""
+        self._machine, self._options, self._name, self._sleep = machine, options, name, sleep
+        self._refusal: str | None = None
+        self._engaged = self._lit = False
+        try:
+            self._travel: Travel = machine.wake()
+            self._check_travel()
+            if options.homing:
+                machine.home()
+            self._position_mm = options.position_mm(machine.position_mm())
+        except BaseException:
+            machine.close()
+            raise
+
+    @property
+    def limits_mm(self) -> tuple[float, float]:
+        """Lowest and highest position that can be commanded."""
+        return self._options.min_mm, self._options.max_mm
+
+    @property
+    def tolerance_mm(self) -> float:
+        """How far from its target the head may report to stand.
+
+        Never below half a motor step and the rounding of both the command and the report.
+        """
+        return max(self._options.tolerance_mm, self._travel.step_mm / 2 + 2 * ROUNDING_MM)
+
+    @property
+    def position_mm(self) -> float:
+        """Where the head stands, as the controller last reported it at rest.
+
+        Raises DeviceError where a failed motion left that unknown.
+        """
+        self._ready()
+        return self._position_mm
+
+    def move_to(self, position_mm: float) -> float:
+        """The position reported after moving there upwards and coming to rest, mm.
+
+        Raises DeviceError naming the limit where the position lies outside the travel (the
+        head stays), and saying what to do where the controller is silent, in alarm,
+        restarted, or stops anywhere else.
+        """
+        self._ready()
+        low, high = self.limits_mm
+        if not low - ROUNDING_MM <= position_mm <= high + ROUNDING_MM:  # also refuses NaN
+            raise DeviceError(
+                f"{self._name}: cannot move to {position_mm:.9g} mm; "
+                f"allowed: {low:.9g} mm to {high:.9g} mm"
+            )
+        with self._latched():
+            self._check_undisturbed()
+            return self._approach(float(position_mm))
+
+    def laser_on(self) -> None:
+        """Switch the laser on with the rig's ``laser_power``."""
+        self._ready()
+        with self._latched():
+            self._lit = True
+            self._machine.laser(self._options.laser_power)
+
+    def laser_off(self) -> None:
+        """Switch the laser off."""
+        self._ready()
+        with self._latched():
+            self._machine.laser(0.0)
+            self._lit = False
+
+    def close(self) -> None:
+        """Stop any motion, switch off a laser that is on, release the port."""
+        if self._refusal == "is closed":
+            return
+        with contextlib.suppress(DeviceError):
+            self._machine.stop()
+        if self._lit:
+            with contextlib.suppress(DeviceError):
+                self._machine.laser(0.0)
+        self._machine.close()
+        self._refusal = "is closed"
+
+    def _approach(self, target_mm: float) -> float:
+        """Go there from below; where the head already came from below, straight on."""
+        way_mm = self._options.approach_mm
+        rise_mm = target_mm - self._position_mm
+        if way_mm > 0 and not (rise_mm >= way_mm or (self._engaged and rise_mm >= 0)):
+            self._engaged = False
+            self._go(target_mm - way_mm)
+        self._go(target_mm)
+        self._engaged = True
+        return self._position_mm
+
+    def _go(self, target_mm: float) -> None:
+        """Move, rest, and see that the head stands where it was sent."""
+        options, travel = self._options, self._travel
+        way_mm = abs(target_mm - self._position_mm)
+        speed_mm_s = min(options.feed_mm_min, travel.max_mm_min) / 60.0
+        expected_s = way_mm / speed_mm_s + speed_mm_s / travel.accel_mm_s2
+        self._machine.move(
+            options.machine_mm(target_mm), options.feed_mm_min, 1.5 * expected_s + options.answer_s
+        )
+        self._sleep(options.settle_s)
+        stands_mm = options.position_mm(self._machine.position_mm())
+        if not abs(stands_mm - target_mm) <= self.tolerance_mm:
+            raise DeviceError(
+                f"{self._name}: stands at {stands_mm:g} mm instead of {target_mm:g} mm, allowed: "
+                f"{self.tolerance_mm:g} mm; something stopped it or the line garbled the command: "
+                "check the way and the cable, then open the track again"
+            )
+        self._position_mm = stands_mm
+
+    def _check_undisturbed(self) -> None:
+        """A head that is elsewhere than it was left was moved, or its controller restarted."""
+        stands_mm = self._options.position_mm(self._machine.position_mm())
+        if not abs(stands_mm - self._position_mm) <= self.tolerance_mm:
+            raise DeviceError(
+                f"{self._name}: reports {stands_mm:g} mm but was left at {self._position_mm:g} mm; "
+                "the controller restarted or something else moved it: home and open the track again"
+            )
+
+    def _check_travel(self) -> None:
+        """Refuse a rig whose positions, with their approach, leave the controller's travel."""
+        options, travel = self._options, self._travel
+        lowest_mm = options.min_mm - options.approach_mm
+        for position_mm in (lowest_mm, options.max_mm):
+            machine_mm = options.machine_mm(position_mm)
+            if not travel.low_mm <= machine_mm <= travel.high_mm:
+                ends = sorted(map(options.position_mm, (travel.low_mm, travel.high_mm)))
+                raise DeviceError(
+                    f"{self._name}: track.options ask for {lowest_mm:g} to {options.max_mm:g} mm "
+                    f"(approach_mm below min_mm included), the controller's soft limits allow "
+                    f"{ends[0]:g} to {ends[1]:g} mm; change min_mm, max_mm, approach_mm, zero_mm "
+                    "or invert, or the travel $130 to $132"
+                )
+
+    def _ready(self) -> None:
+        if self._refusal is not None:
+            raise DeviceError(f"{self._name}: {self._refusal}")
+
+    @contextlib.contextmanager
+    def _latched(self) -> Iterator[None]:
+        """Remember that what runs within failed, and stop what may still move."""
+        try:
+            yield
+        except BaseException as error:
+            self._refusal = f"failed before and must be opened again ({error})"
+            self._engaged = False
+            with contextlib.suppress(DeviceError):
+                self._machine.stop()
+            raise

@@ -1,0 +1,93 @@
+"""Blocks of G-code, read and checked as Grbl 1.1 does, with its error codes."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass, field
+
+LONGEST = 80  # Grbl's LINE_BUFFER_SIZE; a longer line is error 11
+
+_WORD = re.compile(r"([A-Z])([-+]?(?:\d+\.?\d*|\.\d+))")
+_COMMENT = re.compile(r"\([^)]*\)|;.*")
+
+GROUPS = {
+    "motion": (0, 1, 80),
+    "units": (20, 21),
+    "distance": (90, 91),
+    "feed mode": (94,),
+    "plane": (17,),
+    "coordinates": (54,),
+    "once": (4, 53, 92),
+}
+"""Modal groups and the G codes of each that are emulated."""
+
+
+class GcodeError(Exception):
+    """A block that Grbl answers with ``error:code``."""
+
+    def __init__(self, code: int) -> None:
+        super().__init__(code)
+        self.code = code
+
+
+@dataclass
+class Block:
+    """A checked block.
+
+    codes: the G codes by group.  mcodes: the M codes.  axes: axis words by letter.
+    words: all other words by letter.
+    """
+
+    codes: dict[str, int] = field(default_factory=dict)
+    mcodes: list[int] = field(default_factory=list)
+    axes: dict[str, float] = field(default_factory=dict)
+    words: dict[str, float] = field(default_factory=dict)
+
+
+def clean(text: str) -> str:
+    """The line as Grbl keeps it: no spaces, no comments, capitals."""
+    return re.sub(r"\s", "", _COMMENT.sub("", text)).upper()
+
+
+def parse_block(text: str) -> Block:
+    """The block of a cleaned line; GcodeError where Grbl would refuse it."""
+    block, at = Block(), 0
+    while at < len(text):
+        if not text[at].isalpha():
+            raise GcodeError(1)
+        word = _WORD.match(text, at)
+        if word is None:
+            raise GcodeError(2)
+        _take(block, word[1], float(word[2]))
+        at = word.end()
+    return block
+
+
+def _take(block: Block, letter: str, value: float) -> None:
+    if letter in "GM" and value != int(value):
+        raise GcodeError(23 if letter == "M" else 20)
+    if letter == "G":
+        group = next((name for name, codes in GROUPS.items() if value in codes), None)
+        if group is None:
+            raise GcodeError(20)
+        if group in block.codes:
+            raise GcodeError(21)
+        block.codes[group] = int(value)
+    elif letter == "M":
+        if value not in (3, 4, 5, 8, 9):
+            raise GcodeError(20)
+        if block.mcodes:
+            raise GcodeError(21)
+        block.mcodes.append(int(value))
+    elif letter in "XYZ":
+        if letter in block.axes:
+            raise GcodeError(25)
+        block.axes[letter] = value
+    elif letter in "FSPNT":
+        if letter in block.words:
+            raise GcodeError(25)
+        if value < 0:
+            raise GcodeError(4)
+        block.words[letter] = value
+    else:
+        raise GcodeError(20 if letter in "ABCDEHO" else 36)

@@ -1,0 +1,126 @@
+"""Serial lines to an emulated controller: one in simulated time, one the system can open."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import select
+import threading
+import tty
+from typing import Protocol, Self
+
+TICK_S = 0.002  # of simulated time that a read without an answer takes
+POLL_S = 0.002  # between looks at a controller that has not been spoken to
+
+
+class Controller(Protocol):
+    """Bytes in, bytes out; OSError where the line is unplugged."""
+
+    def receive(self, data: bytes) -> None: ...
+    def transmit(self) -> bytes: ...
+
+
+class SimulatedTime:
+    """A clock that goes on only when someone sleeps."""
+
+    def __init__(self) -> None:
+        self.now_s = 0.0
+
+    def __call__(self) -> float:
+        """The time, s."""
+        return self.now_s
+
+    def sleep(self, seconds: float) -> None:
+        """Let ``seconds`` pass at once."""
+        self.now_s += seconds
+
+
+class DirectLine:
+    """A serial port without a wire: reading what has not come lets simulated time pass."""
+
+    def __init__(self, controller: Controller, time: SimulatedTime) -> None:
+        self._controller, self._time = controller, time
+        self._waiting = bytearray()
+        self.closed = False
+
+    @property
+    def in_waiting(self) -> int:
+        """Bytes ready to be read."""
+        self._check_open()
+        self._waiting += self._controller.transmit()
+        return len(self._waiting)
+
+    def read(self, size: int) -> bytes:
+        """Up to ``size`` bytes; none after a tick of simulated time."""
+        if not self.in_waiting:
+            self._time.sleep(TICK_S)
+        data = bytes(self._waiting[:size])
+        del self._waiting[:size]
+        return data
+
+    def write(self, data: bytes) -> int:
+        """Send bytes."""
+        self._check_open()
+        self._controller.receive(data)
+        return len(data)
+
+    def close(self) -> None:
+        """Close the port."""
+        self.closed = True
+
+    def _check_open(self) -> None:
+        if self.closed:
+            raise OSError("the port is closed")
+
+
+class PseudoTerminal:
+    """A controller behind a pseudo-terminal, in real time, in a thread of its own.
+
+    with PseudoTerminal(GrblEmulator()) as terminal:
+        ...  # open terminal.port as a serial port
+    """
+
+    def __init__(self, controller: Controller) -> None:
+        self._controller = controller
+        self._master, self._slave = os.openpty()
+        tty.setraw(self._slave)  # no echo, no line ends changed
+        self.port = os.ttyname(self._slave)
+        self._ended = threading.Event()
+        self._thread = threading.Thread(target=self._serve, name=f"serial {self.port}", daemon=True)
+        self._thread.start()
+
+    def unplug(self) -> None:
+        """Pull the cable: the port vanishes under whoever has it open."""
+        self._ended.set()
+        if self._thread is not threading.current_thread():
+            self._thread.join()
+        for end in (self._master, self._slave):
+            with contextlib.suppress(OSError):
+                os.close(end)
+        self._master = self._slave = -1
+
+    def close(self) -> None:
+        """End the thread and close the terminal; closing twice is harmless."""
+        if self._master >= 0:
+            self.unplug()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def _serve(self) -> None:
+        """Carry bytes until unplugged, by the controller or from outside."""
+        try:
+            while not self._ended.is_set():
+                ready, _, _ = select.select([self._master], [], [], POLL_S)
+                if ready:
+                    self._controller.receive(os.read(self._master, 4096))
+                if data := self._controller.transmit():
+                    os.write(self._master, data)
+        except OSError:
+            for end in (self._master, self._slave):
+                with contextlib.suppress(OSError):
+                    os.close(end)
+            self._master = self._slave = -1

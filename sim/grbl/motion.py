@@ -1,0 +1,203 @@
+"""Motion of the axes: ramps of constant acceleration, one block after another.
+
+Each block starts and ends at rest; Grbl joins blocks without stopping where it can, which a
+track that waits after every move never asks for.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from dataclasses import dataclass
+from typing import Protocol
+
+Place = tuple[float, float, float]
+
+
+class Ramp(Protocol):
+    """Way along a block as a function of the time since its start."""
+
+    @property
+    def duration_s(self) -> float: ...
+    def way_mm(self, time_s: float) -> float: ...
+    def speed_mm_s(self, time_s: float) -> float: ...
+
+
+@dataclass(frozen=True)
+class Trapezoid:
+    """From rest to rest over ``length_mm``, at most at ``top_mm_s``."""
+
+    length_mm: float
+    top_mm_s: float
+    accel_mm_s2: float
+
+    @property
+    def peak_mm_s(self) -> float:
+        """Speed reached: the top speed, or what half the way allows, v² = 2 a s."""
+        return min(self.top_mm_s, math.sqrt(self.accel_mm_s2 * self.length_mm))
+
+    @property
+    def duration_s(self) -> float:
+        """Time of the whole way: s / v + v / a."""
+        peak = self.peak_mm_s
+        return self.length_mm / peak + peak / self.accel_mm_s2 if self.length_mm else 0.0
+
+    def way_mm(self, time_s: float) -> float:
+        """Way gone after ``time_s``; the second half mirrors the first."""
+        if time_s > self.duration_s / 2:
+            return self.length_mm - self._rise_mm(max(0.0, self.duration_s - time_s))
+        return self._rise_mm(time_s)
+
+    def speed_mm_s(self, time_s: float) -> float:
+        """Speed after ``time_s``."""
+        return min(self.peak_mm_s, self.accel_mm_s2 * max(0.0, min(time_s, self._left_s(time_s))))
+
+    def _left_s(self, time_s: float) -> float:
+        return self.duration_s - time_s
+
+    def _rise_mm(self, time_s: float) -> float:
+        ramp_s = self.peak_mm_s / self.accel_mm_s2
+        speeding_s = min(time_s, ramp_s)
+        return self.accel_mm_s2 * speeding_s**2 / 2 + self.peak_mm_s * (time_s - speeding_s)
+
+
+@dataclass(frozen=True)
+class Braking:
+    """From ``start_mm_s`` to rest."""
+
+    start_mm_s: float
+    accel_mm_s2: float
+
+    @property
+    def duration_s(self) -> float:
+        """Time to rest: v / a."""
+        return self.start_mm_s / self.accel_mm_s2
+
+    def way_mm(self, time_s: float) -> float:
+        """Way gone after ``time_s``."""
+        time_s = min(time_s, self.duration_s)
+        return self.start_mm_s * time_s - self.accel_mm_s2 * time_s**2 / 2
+
+    def speed_mm_s(self, time_s: float) -> float:
+        """Speed after ``time_s``."""
+        return max(0.0, self.start_mm_s - self.accel_mm_s2 * time_s)
+
+
+@dataclass(frozen=True)
+class Block:
+    """A straight move, machine coordinates, with its limits along its own direction."""
+
+    target_mm: Place
+    feed_mm_s: float
+    accel_mm_s2: float
+    jog: bool = False
+
+
+class Planner:
+    """The queue of blocks and where the axes are in it.  All times on the caller's clock."""
+
+    def __init__(self, place_mm: Place = (0.0, 0.0, 0.0)) -> None:
+        self._queue: deque[Block] = deque()
+        self._start_mm, self._direction = place_mm, (0.0, 0.0, 0.0)
+        self._ramp: Ramp | None = None
+        self._block: Block | None = None
+        self._began_s = 0.0
+        self.braking = False
+
+    def __len__(self) -> int:
+        """Blocks not finished, the present one included."""
+        return len(self._queue) + (self._block is not None)
+
+    @property
+    def moving(self) -> bool:
+        """Whether an axis is in motion."""
+        return self._ramp is not None
+
+    @property
+    def jogging(self) -> bool:
+        """Whether the present block is a jog."""
+        return self._block is not None and self._block.jog
+
+    @property
+    def last_target_mm(self) -> Place:
+        """Where the queue ends; valid while it is not empty."""
+        block = self._queue[-1] if self._queue else self._block
+        assert block is not None
+        return block.target_mm
+
+    def push(self, block: Block, now_s: float) -> None:
+        """Queue a block; at rest it starts at once."""
+        self._queue.append(block)
+        if self._block is None:
+            self._begin(now_s)
+
+    def place_mm(self, now_s: float) -> Place:
+        """Where the axes are."""
+        if self._ramp is None:
+            return self._start_mm
+        way_mm = self._ramp.way_mm(now_s - self._began_s)
+        x, y, z = (a + way_mm * d for a, d in zip(self._start_mm, self._direction, strict=True))
+        return x, y, z
+
+    def speed_mm_s(self, now_s: float) -> float:
+        """Speed along the path."""
+        return 0.0 if self._ramp is None else self._ramp.speed_mm_s(now_s - self._began_s)
+
+    def advance(self, now_s: float) -> None:
+        """Finish what is finished by now and begin what follows."""
+        while self._ramp is not None and now_s - self._began_s >= self._ramp.duration_s:
+            ended_s = self._began_s + self._ramp.duration_s
+            if self.braking:
+                self._start_mm, self._ramp, self.braking = self.place_mm(ended_s), None, False
+                return
+            assert self._block is not None
+            self._start_mm, self._ramp, self._block = self._block.target_mm, None, None
+            if self._queue:
+                self._begin(ended_s)
+
+    def brake(self, now_s: float) -> None:
+        """Slow down to rest; the rest of the block stays to be resumed."""
+        if self._ramp is not None and not self.braking and self._block is not None:
+            place_mm, speed = self.place_mm(now_s), self.speed_mm_s(now_s)
+            self._start_mm, self._began_s = place_mm, now_s
+            self._ramp, self.braking = Braking(speed, self._block.accel_mm_s2), True
+
+    def resume(self, now_s: float) -> None:
+        """Go on with a block that was braked to rest."""
+        if self._block is not None and self._ramp is None:
+            self._queue.appendleft(self._block)
+            self._begin(now_s)
+
+    def flush(self) -> None:
+        """Forget every block; for axes at rest."""
+        self._queue.clear()
+        self._block = None
+
+    def halt(self, now_s: float) -> bool:
+        """Stop dead where the axes are and forget every block; whether anything moved."""
+        moved = self.moving
+        self._start_mm, self._ramp, self.braking = self.place_mm(now_s), None, False
+        self.flush()
+        return moved
+
+    def relabel(self, place_mm: Place) -> None:
+        """Give the place where the axes rest new coordinates; forgets every block."""
+        self._start_mm = place_mm
+        self.flush()
+
+    def hold_still(self, seconds: float) -> None:
+        """Let the present ramp lose ``seconds``: a stuck or slowed machine."""
+        self._began_s += seconds
+
+    def _begin(self, now_s: float) -> None:
+        self._block = block = self._queue.popleft()
+        way = [b - a for a, b in zip(self._start_mm, block.target_mm, strict=True)]
+        length_mm = math.hypot(*way)
+        if length_mm == 0.0:
+            self._direction, self._ramp = (0.0, 0.0, 0.0), Trapezoid(0.0, 1.0, 1.0)
+        else:
+            x, y, z = (part / length_mm for part in way)
+            self._direction = x, y, z
+            self._ramp = Trapezoid(length_mm, block.feed_mm_s, block.accel_mm_s2)
+        self._began_s = now_s
+        self.advance(now_s)
