@@ -220,7 +220,7 @@ class GrblEmulator:
         elif byte in (10, 13):
             self._pending.append(self._line.decode("ascii", errors="replace"))
             self._line.clear()
-        elif byte < 0x80 and len(self._line) <= LONGEST:
+        elif byte != ord(" ") and byte < 0x80 and len(self._line) <= LONGEST:
             self._line.append(byte)
 
     def _process(self) -> None:

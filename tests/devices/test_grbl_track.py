@@ -19,9 +19,7 @@ from lscan.rig import parse_rig
 from sim.grbl import DirectLine, GrblEmulator, MarlinEmulator, PseudoTerminal, SimulatedTime
 
 ZERO_MM = -190.0  # machine coordinate of position 0; travel is -200 to 0
-QUICK = dict.fromkeys((25, 110, 111, 112), 50_000) | dict.fromkeys(
-    (120, 121, 122), 20_000
-)  # a machine that takes no test's time
+QUICK = dict.fromkeys((25, 110, 111, 112), 50_000) | dict.fromkeys((120, 121, 122), 20_000)
 STEP_MM = 1 / 250  # $100
 
 
