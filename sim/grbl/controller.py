@@ -7,7 +7,6 @@ sleep, door; homing goes to the switches at once and stands off by $27.
 
 from __future__ import annotations
 
-import math
 import threading
 import time
 from collections import deque
@@ -19,12 +18,11 @@ import numpy as np
 from sim.grbl.axes import Axes
 from sim.grbl.faults import Faults, garbled
 from sim.grbl.gcode import LONGEST, Block, GcodeError, clean, parse_block
+from sim.grbl.modes import INCH_MM, Modes
 from sim.grbl.motion import Place
 
 BANNER = "Grbl 1.1h ['$' for help]"
 PLANNED = 15  # blocks the planner holds
-INCH_MM = 25.4
-AXES = "XYZ"
 
 DEFAULTS: Mapping[int, float] = {
     **{0: 10, 1: 25, 2: 0, 3: 0, 4: 0, 5: 0, 6: 0, 10: 1, 11: 0.01, 12: 0.002, 13: 0},
@@ -72,7 +70,7 @@ class GrblEmulator:
     @property
     def laser_power(self) -> float:
         """S word of the laser that is on; 0 where it is off."""
-        return self._speed if self._spindle else 0.0
+        return self._modes.speed if self._modes.spindle else 0.0
 
     @property
     def state(self) -> str:
@@ -143,10 +141,7 @@ class GrblEmulator:
     def _start(self) -> None:
         """Begin anew, as after a reset: motion forgotten, alarm kept."""
         self._homing = self._held = self._critical = False
-        self._absolute, self._inches, self._motion = True, False, 0
-        self._feed = self._speed = 0.0
-        self._spindle = self._tool = 0
-        self._wco: Place = (0.0, 0.0, 0.0)
+        self._modes = Modes()
         self._reports = 0
         self._pending.clear()
         self._line.clear()
@@ -246,14 +241,14 @@ class GrblEmulator:
         place_mm: Place | list[float] = self._axes.counted_mm(self._last_s)
         machine = bool(int(self.settings[10]) & 1)
         if not machine:
-            place_mm = [mm - zero for mm, zero in zip(place_mm, self._wco, strict=True)]
+            place_mm = [mm - zero for mm, zero in zip(place_mm, self._modes.offset_mm, strict=True)]
         feed = self._planner.speed_mm_s(self._last_s) * 60 * unit
         fields = [self._state(), f"{'MPos' if machine else 'WPos'}:{_triple(place_mm, unit)}"]
         if int(self.settings[10]) & 2:
             fields.append(f"Bf:{PLANNED - len(self._planner)},{128 - len(self._line)}")
         fields.append(f"FS:{feed:.0f},{self.laser_power:.0f}")
         if self._reports % 10 == 0:
-            fields.append(f"WCO:{_triple(self._wco, unit)}")
+            fields.append(f"WCO:{_triple(self._modes.offset_mm, unit)}")
         elif self._reports % 10 == 1:
             fields.append("Ov:100,100,100")
         self._reports += 1
@@ -270,7 +265,7 @@ class GrblEmulator:
         elif text == "#":
             self._parameters()
         elif text == "G":
-            self._say(self._modes())
+            self._say(self._modes.words())
         elif text not in ("$", "I", "X", "H") and "=" not in text:
             raise GcodeError(3)
         elif not resting:
@@ -306,17 +301,9 @@ class GrblEmulator:
     def _parameters(self) -> None:
         for name in ("G54", "G55", "G56", "G57", "G58", "G59", "G28", "G30"):
             self._say(f"[{name}:0.000,0.000,0.000]")
-        self._say(f"[G92:{_triple(self._wco)}]")
+        self._say(f"[G92:{_triple(self._modes.offset_mm)}]")
         self._say("[TLO:0.000]")
         self._say("[PRB:0.000,0.000,0.000:0]")
-
-    def _modes(self) -> str:
-        units, distance = 20 if self._inches else 21, 90 if self._absolute else 91
-        spindle = self._spindle or 5
-        return (
-            f"[GC:G{self._motion} G54 G17 G{units} G{distance} G94 M{spindle} M9 T{self._tool} "
-            f"F{self._feed:.0f} S{self._speed:.0f}]"
-        )
 
     def _home(self) -> None:
         """Begin to search the switches: each at 0, or at the travel's far end by mask $23."""
@@ -346,12 +333,10 @@ class GrblEmulator:
             raise GcodeError(26)
         if not block.words.get("F"):
             raise GcodeError(22)
-        inches = block.codes.get("units", 20 if self._inches else 21) == 20
-        target_mm = self._target(block, inches)
+        target_mm = self._target(block)
         if self._axes.beyond(target_mm):
             raise GcodeError(15)
-        feed = block.words["F"] * (INCH_MM if inches else 1.0)
-        self._axes.push(target_mm, feed, self._last_s, jog=True)
+        self._axes.push(target_mm, self._modes.feed_of(block), self._last_s, jog=True)
 
     def _execute(self, text: str) -> None:
         """Check the whole block, then let it act: nothing of a refused block is done."""
@@ -360,60 +345,23 @@ class GrblEmulator:
         if self._alarm or self._state() == "Jog":
             raise GcodeError(9)
         block = parse_block(text)
-        once = block.codes.get("once")
-        if once == 4 and "P" not in block.words:
-            raise GcodeError(28)
-        motion = block.codes.get("motion", self._motion)
-        inches = block.codes.get("units", 20 if self._inches else 21) == 20
-        feed = self._feed
-        if "F" in block.words:
-            feed = block.words["F"] * (INCH_MM if inches else 1.0)
-        moves = bool(block.axes) and once != 92
-        if once == 92 and not block.axes:
-            raise GcodeError(26)
-        if moves and motion == 80:
-            raise GcodeError(31)
-        if motion == 1 and (moves or block.codes.get("motion") == 1) and not feed:
-            raise GcodeError(22)
-        self._motion, self._inches, self._feed = motion, inches, feed
-        self._absolute = block.codes.get("distance", 90 if self._absolute else 91) == 90
-        self._speed = block.words.get("S", self._speed)
-        self._tool = int(block.words.get("T", self._tool))
-        for code in block.mcodes:
-            self._spindle = code if code in (3, 4) else 0 if code == 5 else self._spindle
-        if once == 92:
-            self._shift(block, inches)
-        elif moves:
-            self._feed_to(block, inches, rapid=motion == 0)
+        self._modes.take(block)
+        if block.codes.get("once") == 92:
+            self._modes.shift(block, self._axes.planned_mm(self._last_s))
+            self._reports = 0
+        elif block.axes:
+            self._feed_to(self._target(block))
 
-    def _feed_to(self, block: Block, inches: bool, rapid: bool) -> None:
-        target_mm = self._target(block, inches)
+    def _feed_to(self, target_mm: Place) -> None:
         if self._axes.beyond(target_mm):
             self._lock(2)
-            return
-        self._axes.push(target_mm, math.inf if rapid else self._feed, self._last_s)
+        else:
+            self._axes.push(target_mm, self._modes.rate_mm_min, self._last_s)
 
-    def _shift(self, block: Block, inches: bool) -> None:
-        """G92: the present place gets these work coordinates."""
-        unit, place_mm = INCH_MM if inches else 1.0, self._axes.planned_mm(self._last_s)
-        self._wco = tuple(  # type: ignore[assignment]
-            place - block.axes[axis] * unit if axis in block.axes else zero
-            for axis, place, zero in zip(AXES, place_mm, self._wco, strict=True)
-        )
-        self._reports = 0
-
-    def _target(self, block: Block, inches: bool) -> Place:
+    def _target(self, block: Block) -> Place:
         """The block's target in machine coordinates, on whole motor steps."""
-        unit = INCH_MM if inches else 1.0
-        machine = block.codes.get("once") == 53
-        absolute = machine or block.codes.get("distance", 90 if self._absolute else 91) == 90
-        target_mm = list(self._axes.planned_mm(self._last_s))
-        for letter, value in block.axes.items():
-            axis = AXES.index(letter)
-            zero_mm = 0.0 if machine else self._wco[axis]
-            mm = value * unit + (zero_mm if absolute else target_mm[axis])
-            target_mm[axis] = mm
-        return self._axes.on_steps(target_mm)
+        start_mm = self._axes.planned_mm(self._last_s)
+        return self._axes.on_steps(self._modes.target_mm(block, start_mm))
 
 
 def _triple(numbers: Place | list[float], unit: float = 1.0) -> str:
