@@ -79,9 +79,12 @@ def _crosses(points: Floats, strength: Floats, pitch: float) -> Crosses:
     count = min(NEIGHBOURS, len(points))
     found = cKDTree(points).query(points, k=count, distance_upper_bound=high)
     distance, index = (np.asarray(array) for array in found)
-    missing: Mask = np.equal(index, len(points))
-    away = points[np.where(missing, 0, index)] - points[:, None]  # (N, count, 2)
-    usable = ~missing & (distance >= low)
+    usable: Mask = np.less(index, len(points)) & (distance >= low)
+    enough = usable.sum(axis=1) >= 4  # most blobs of a wrong size end here
+    usable, index = usable[enough], index[enough]
+    neighbours = points[np.where(usable, index, 0)]
+    points, strength = points[enough], strength[enough]
+    away = neighbours - points[:, None]  # (N, count, 2)
     turn = _turn_to_upright(away, usable)
     away = away @ turn
     right = _nearest(away, usable & (np.abs(away[..., 1]) < LEAN * away[..., 0]))

@@ -27,6 +27,7 @@ from sim.verify.rows import Row
 DOTS = 4380  # to be found, of those that lie wholly in view
 # The photograph's pitch is not stated: it is called 1 mm, and a dot is about half as wide.
 DOT_BOARD = Board(grid=Grid(columns=100, rows=100, pitch_mm=1.0, dot_diameter_mm=0.5, whole=False))
+REPEATS = 5
 ORDERS = (5, 7, 9)  # of the polynomials that predict half of the dots from the others
 CHESSBOARDS, COLUMNS, ROWS = 16, 11, 6
 # Corners (u, v) of the laser line, read off the photograph by eye to about 5 px, in its three
@@ -64,9 +65,12 @@ def photograph_rows(folder: Path, extractor: str) -> list[Row]:
 def dot_rows(path: Path) -> list[Row]:
     """Dots that were missed, the error at held-out dots, and the seconds for reading."""
     image = read_picture(path)
-    started = time.perf_counter()
-    reading = read_board(image, DOT_BOARD)
-    seconds = time.perf_counter() - started
+    taken = []
+    for _ in range(REPEATS):
+        started = time.perf_counter()
+        reading = read_board(image, DOT_BOARD)
+        taken.append(time.perf_counter() - started)
+    seconds = float(np.median(taken))
     found = int(reading.grid.found.sum())
     errors = {order: held_out_rms_px(reading, order) for order in ORDERS}
     best = min(errors, key=lambda order: errors[order])
@@ -75,7 +79,7 @@ def dot_rows(path: Path) -> list[Row]:
         Row("dot photograph, dots missed", f"{DOTS} asked for, {found} found and indexed",
             max(0.0, float(DOTS - found)), 0, "dots", ASKED),
         Row("dot photograph, held-out half", half, errors[best], 0.036, "px rms", FIGURE_TO_BEAT),
-        Row("dot photograph, reading it", "wall clock", seconds, 1.0, "s", ASKED),
+        Row("dot photograph, reading it", f"median of {REPEATS}", seconds, 1.0, "s", ASKED),
     ]  # fmt: skip
 
 
