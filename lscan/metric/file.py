@@ -15,7 +15,7 @@ from lscan.metric.bundle import COUNT
 from lscan.metric.planemap import solver
 from lscan.metric.solve import MetricCalibration, ViewReport
 from lscan.metric.views import LinePoints, View
-from lscan.planemap.calibrationfile import Side, StoredMarks
+from lscan.planemap.calibrationfile import Side, StoredMarks, read_json
 from lscan.planemap.stored import Matrix, Number, Vector
 from lscan.records import Marks, Status
 from lscan.rig import Known, OpticsSection
@@ -156,21 +156,10 @@ def load_metric(path: Path) -> MetricCalibration:
 
 
 def _document(path: Path) -> dict[str, Any]:
-    try:
-        document = json.loads(path.read_text(encoding="utf-8"), parse_constant=_refuse_constant)
-    except OSError as error:
-        raise InputError(f"cannot be read: {error.strerror}", where=path) from error
-    except UnicodeDecodeError as error:
-        raise InputError("is not UTF-8 text", where=path) from error
-    except (ValueError, RecursionError) as error:
-        raise InputError(f"is not valid JSON: {error}", where=path) from error
+    document = read_json(path)
     if not isinstance(document, dict) or document.get("format") != FORMAT:
         raise InputError("is no metric calibration", where=path, allowed=f'format "{FORMAT}"')
     return document
-
-
-def _refuse_constant(name: str) -> float:
-    raise ValueError(f"{name} is no JSON number")
 
 
 def _store(view: View, report: ViewReport) -> StoredView:

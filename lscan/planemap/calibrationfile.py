@@ -200,16 +200,21 @@ class CalibrationFile(Strict):
         return self
 
 
-def read_file(path: Path) -> CalibrationFile:
-    """The file at ``path``; InputError names the key at fault."""
+def read_json(path: Path) -> Any:
+    """What the JSON file at ``path`` holds; InputError where it cannot be read or is none."""
     try:
-        document = json.loads(path.read_text(encoding="utf-8"), parse_constant=_refuse_constant)
+        return json.loads(path.read_text(encoding="utf-8"), parse_constant=_refuse_constant)
     except OSError as error:
         raise InputError(f"cannot be read: {error.strerror}", where=path) from error
     except UnicodeDecodeError as error:
         raise InputError("is not UTF-8 text", where=path) from error
     except (ValueError, RecursionError) as error:
         raise InputError(f"is not valid JSON: {error}", where=path) from error
+
+
+def read_file(path: Path) -> CalibrationFile:
+    """The file at ``path``; InputError names the key at fault."""
+    document = read_json(path)
     if not isinstance(document, dict) or document.get("format") != FORMAT:
         found = document.get("format") if isinstance(document, dict) else None
         raise InputError(
