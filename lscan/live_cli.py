@@ -1,0 +1,1 @@
+"""The command ``lscan live``: a thin face over lscan.live."""

@@ -1,0 +1,1 @@
+"""The figures of ``make hardware``: drivers, faults, resuming and the live page, emulated."""
