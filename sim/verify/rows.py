@@ -18,7 +18,8 @@ class Row:
     """One figure: how far the tank is from its reference, and how far it may be.
 
     what: the quantity.  reference: the closed form, the published value or the renderer it
-    is held against.  figure, bar: the largest deviation found and allowed, both in ``unit``.
+    is held against.  figure, bar: the largest deviation found and allowed, both in ``unit``;
+    at_least: the figure must instead be no smaller than the bar.
     tolerance_from: where the bar comes from.  seed: of the random numbers used, None where
     there are none.
     """
@@ -30,14 +31,17 @@ class Row:
     unit: str
     tolerance_from: str
     seed: int | None = None
+    at_least: bool = False
 
     @property
     def passed(self) -> bool:
-        """Whether the figure is a number no larger than its bar."""
-        return bool(isfinite(self.figure) and self.figure <= self.bar)
+        """Whether the figure is a number on the right side of its bar."""
+        kept = self.figure >= self.bar if self.at_least else self.figure <= self.bar
+        return bool(isfinite(self.figure) and kept)
 
     def as_json(self) -> dict[str, Any]:
         """The row as verify.json holds it; a figure that is no number is null there."""
+        side = {"at_least": True} if self.at_least else {}
         return {
             "what": self.what,
             "reference": self.reference,
@@ -47,6 +51,7 @@ class Row:
             "tolerance_from": self.tolerance_from,
             "seed": self.seed,
             "passed": self.passed,
+            **side,
         }
 
 

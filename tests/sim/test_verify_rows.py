@@ -122,3 +122,10 @@ def test_the_gallery_shows_whole_scenes_only() -> None:
 def test_a_gallery_of_nothing_is_refused(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="nowhere"):
         gallery(tmp_path / "nowhere")
+
+
+@pytest.mark.parametrize("figure, passed", [(14.9, False), (15.0, True), (float("nan"), False)])
+def test_a_figure_may_have_to_reach_its_bar(figure: float, passed: bool) -> None:
+    rate = row(figure, bar=15.0, at_least=True)
+    assert rate.passed is passed
+    assert rate.as_json()["at_least"] is True
