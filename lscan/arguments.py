@@ -127,6 +127,18 @@ def board_picture(picture: Path, board: Path | None, optics: Path | None = None)
     return BoardPicture(read_picture(picture), load_board(board), CalibrationSection(), known)
 
 
+def board_of(path: Path) -> Board:
+    """The board that a board file describes, or the one in the section [board] of a rig file."""
+    from lscan.board import Board
+    from lscan.documents import check, read_document
+    from lscan.rig import inline_board
+
+    document = inline_board(read_document(path))
+    if "board" in document:
+        return check(Board, document["board"], where=path, prefix="board")
+    return check(Board, document, where=path)
+
+
 def read_picture_of_board(
     given: BoardPicture, seeds: str | None, channel: str | None
 ) -> BoardReading:

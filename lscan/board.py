@@ -144,7 +144,7 @@ class Board(Strict):
 
     @model_validator(mode="after")
     def _marks_apart(self) -> Self:
-        discs = self._discs()
+        discs = self.discs_mm()
         for (x, z, d), (other_x, other_z, other_d) in _near_pairs(discs):
             if np.hypot(x - other_x, z - other_z) < (d + other_d) / 2:
                 raise ValueError(
@@ -158,7 +158,7 @@ class Board(Strict):
                 raise ValueError(f"ring {ring.name} runs over the mark at ({x:g}, {z:g}) mm")
         return self
 
-    def _discs(self) -> Floats:
+    def discs_mm(self) -> Floats:
         """(N, 3) of x, z and diameter of every dot and ruler mark, mm."""
         sets = [(self.grid.points_mm(), self.grid.dot_diameter_mm)]
         sets += [(ruler.points_mm(), ruler.mark_diameter_mm) for ruler in self.ruler]

@@ -315,6 +315,27 @@ def report(
         print(f"{output / 'report.html'}")
 
 
+@app.command()
+def draw_board(
+    board: Annotated[Path, typer.Argument(help="Board file, or a rig file that names one.")],
+    output: Annotated[Path, typer.Option("--output", "-o", help="SVG file to write.")],
+    json: Json = False,
+) -> None:
+    """Draw a calibration board at its true size, to be printed or milled."""
+    from lscan.arguments import board_of
+    from lscan.disk import write_atomically
+    from lscan.figures.plate import board_svg
+
+    require_folders(output)
+    drawn = board_of(board)
+    write_atomically(output, board_svg(drawn).encode())
+    left, right, bottom, top = drawn.outline_mm()
+    if json:
+        print_json({"drawing": str(output), "width_mm": right - left, "height_mm": top - bottom})
+    else:
+        print(f"{output}: {right - left:g} by {top - bottom:g} mm; print it at 100 %")
+
+
 app.command()(calibrate_metric)
 app.command()(devices)
 app.command()(bench)
