@@ -27,7 +27,8 @@ def run_command_line(app: typer.Typer, name: str) -> None:
     try:
         code = command.main(prog_name=name, standalone_mode=False)
     except LscanError as error:
-        sys.exit(_complain(name, str(error), error.exit_code))
+        message = "; ".join([str(error), *getattr(error, "__notes__", ())])
+        sys.exit(_complain(name, message, error.exit_code))
     except Exception as error:
         if type(error).__name__ == "NoArgsIsHelpError":
             print(error)

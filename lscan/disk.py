@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import fcntl
 import os
 from collections.abc import Iterator
@@ -10,13 +11,31 @@ from pathlib import Path
 
 from lscan.errors import InputError
 
+_MAKE_WRITABLE = "make it writable, or choose another folder"
+_BRING_BACK = "make its folder, or bring it back where it was moved or its disk taken away"
+_CHECK_DISK = "check the disk and its cable"
+REMEDIES = {
+    errno.ENOSPC: "make room on the disk",
+    errno.EDQUOT: "make room on the disk, or have the quota raised",
+    errno.EFBIG: "raise the limit for the size of files (ulimit -f)",
+    errno.EROFS: _MAKE_WRITABLE,
+    errno.EACCES: _MAKE_WRITABLE,
+    errno.EPERM: _MAKE_WRITABLE,
+    errno.ENOENT: _BRING_BACK,
+    errno.ENOTDIR: _BRING_BACK,
+    errno.EIO: _CHECK_DISK,
+    errno.ENODEV: _CHECK_DISK,
+    errno.ESTALE: _CHECK_DISK,
+}
+"""What to do where the system refuses a write, by its error number."""
+
 
 def read_bytes(file: Path) -> bytes:
     """The content of ``file``; InputError where it cannot be read."""
     try:
         return file.read_bytes()
     except OSError as error:
-        raise InputError(f"cannot be read: {error.strerror}", where=file) from error
+        raise _unreadable(file, error) from error
 
 
 def list_names(folder: Path) -> set[str]:
@@ -24,7 +43,7 @@ def list_names(folder: Path) -> set[str]:
     try:
         return {entry.name for entry in folder.iterdir()}
     except OSError as error:
-        raise InputError(f"cannot be read: {error.strerror}", where=folder) from error
+        raise _unreadable(folder, error) from error
 
 
 def make_folder(folder: Path) -> None:
@@ -115,11 +134,20 @@ def lock_folder(folder: Path) -> int:
 
 @contextmanager
 def disk_errors(where: Path) -> Iterator[None]:
-    """Turn an OSError of the block into an InputError that names the file and the reason."""
+    """Turn an OSError of the block into an InputError: the file, the reason, what to do."""
     try:
         yield
     except OSError as error:
-        raise InputError(f"cannot be written: {error.strerror}", where=where) from error
+        remedy = REMEDIES.get(error.errno or 0, "choose another place")
+        raise InputError(f"cannot be written: {error.strerror}; {remedy}", where=where) from error
+
+
+def _unreadable(path: Path, error: OSError) -> InputError:
+    gone = error.errno in (errno.ENOENT, errno.ENOTDIR)
+    remedy = "check its name, and that its disk is there" if gone else "check its permissions"
+    if error.errno in (errno.EIO, errno.ENODEV, errno.ESTALE):
+        remedy = _CHECK_DISK
+    return InputError(f"cannot be read: {error.strerror}; {remedy}", where=path)
 
 
 def _write_all(descriptor: int, data: bytes) -> None:

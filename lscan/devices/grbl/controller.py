@@ -77,7 +77,7 @@ class GrblMachine:
 
     def home(self) -> None:
         """Run ``$H``; it ends in an ok, in ALARM:6 to 9, or in silence."""
-        self._command("$H", self._options.homing_s)
+        self._command("$H", self._options.homing_s, "check for a jam on the way to the switch, ")
         self._command(MARK)
 
     def move(self, target_mm: float, feed_mm_min: float, within_s: float) -> None:
@@ -223,8 +223,11 @@ class GrblMachine:
         options = [a.text for a in answers if isinstance(a, Feedback) and a.kind == "OPT"]
         return any("Z" in text.partition(",")[0] for text in options)
 
-    def _command(self, text: str, within_s: float | None = None) -> list[Message]:
-        """Send a line; what was said until its ok.  DeviceError if refused or unanswered."""
+    def _command(self, text: str, within_s: float | None = None, first: str = "") -> list[Message]:
+        """Send a line; what was said until its ok.  DeviceError if refused or unanswered.
+
+        first: what to look at first where no answer comes.
+        """
         link = self._link
         answers: list[Message] = []
         self._drain()
@@ -234,9 +237,12 @@ class GrblMachine:
             if isinstance(message, Ok):
                 return answers
             if isinstance(message, Refusal):
-                raise DeviceError(f"{link.name}: refuses {text!r}: {error_in_words(message.code)}")
+                raise DeviceError(
+                    f"{link.name}: refuses {text!r}: {error_in_words(message.code)}; where the "
+                    "command is right, a noisy line garbled it: check the cable"
+                )
             answers.append(message)
-        raise self._silent(f"an answer to {text!r}")
+        raise self._silent(f"an answer to {text!r}", first)
 
     def _drain(self) -> None:
         """Read what has come unasked, so that no old ok answers a new line."""
@@ -267,10 +273,10 @@ class GrblMachine:
             "its power and the USB cable, home, and open the track again"
         )
 
-    def _silent(self, what: str) -> DeviceError:
+    def _silent(self, what: str, first: str = "") -> DeviceError:
         return DeviceError(
             f"{self._link.name}: silent: {what} did not come in time "
-            f"({self._link.noise_bytes} bytes of noise so far); check cable and power, then "
+            f"({self._link.noise_bytes} bytes of noise so far); {first}check cable and power, then "
             "open the track again"
         )
 

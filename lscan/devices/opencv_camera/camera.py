@@ -253,7 +253,8 @@ class OpencvCamera:
         self._shape = self._shape or image.shape
         if image.shape != self._shape:
             raise DeviceError(
-                f"{self._options.name}: pictures change from shape {self._shape} to {image.shape}"
+                f"{self._options.name}: pictures change from shape {self._shape} to "
+                f"{image.shape}; set camera.options.pixel_format, then scan with --resume"
             )
         return image
 

@@ -23,6 +23,9 @@ from lscan.records import Bytes
 OLDEST_STAMP_S = 60.0
 """A camera's own time stamp is on this machine's clock if it lies this near before arrival."""
 
+LATE = "check cable, power and light, or raise camera.options.timeout_s"
+RECONNECT = "check cable and power, then scan with --resume"
+
 
 class DeviceLost(DeviceError):
     """The camera hung, vanished or did not open: opening it again may help."""
@@ -33,11 +36,12 @@ class Picture:
     """A picture as read.  image: uint8, (H, W) or (H, W, 3) blue first.
 
     time_s: on the monotonic clock of this machine, when the camera says it took the picture,
-    else when it arrived.
+    else when it arrived.  arrived_s: when it arrived, on the same clock.
     """
 
     image: Bytes
     time_s: float
+    arrived_s: float
 
 
 @dataclass(frozen=True)
@@ -79,7 +83,7 @@ class Reader:
         deadline_s = time.monotonic() + timeout_s
         with self._changed:
             while self._picture is None or self._settings is None:
-                self._wait(deadline_s, f"gave no first picture within {timeout_s:g} s")
+                self._wait(deadline_s, f"gave no first picture within {timeout_s:g} s; {LATE}")
             return self._settings
 
     def take(self, after_s: float, timeout_s: float, retries: int) -> Picture:
@@ -89,18 +93,20 @@ class Reader:
         sends the same picture, byte for byte, more than ``retries`` times.
         """
         deadline_s = time.monotonic() + timeout_s
+        old: Picture | None = None
         with self._changed:
             while True:
                 picture, self._picture = self._picture, None
                 self._changed.notify_all()
                 if picture is not None and picture.time_s > after_s:
                     return picture
+                old = picture or old
                 if self._repeats > retries:
                     raise DeviceError(
                         f"{self._source.name}: sent the same picture {self._repeats + 1} times; "
                         f"it is stuck: plug it in anew or restart the stream"
                     )
-                self._wait(deadline_s, f"sent no new picture within {timeout_s:g} s")
+                self._wait(deadline_s, _late(old, after_s, timeout_s))
 
     def give_up(self, wait_s: float) -> None:
         """Let the thread release the camera and end; one that hangs is left to itself."""
@@ -115,10 +121,7 @@ class Reader:
             raise self._fault
         left_s = deadline_s - time.monotonic()
         if left_s <= 0:
-            raise DeviceLost(
-                f"{self._source.name}: {late}; check cable, power and light, "
-                "or raise camera.options.timeout_s"
-            )
+            raise DeviceLost(f"{self._source.name}: {late}")
         self._changed.wait(left_s)
 
     def _run(self) -> None:
@@ -133,7 +136,8 @@ class Reader:
             fault = error
         # Whatever a back end raises must reach the one who waits, not die with this thread.
         except Exception as error:
-            fault = DeviceLost(f"{self._source.name}: failed: {' '.join(str(error).split())}")
+            said = " ".join(str(error).split())
+            fault = DeviceLost(f"{self._source.name}: failed: {said}; {RECONNECT}")
         finally:
             if capture is not None:
                 capture.release()
@@ -149,14 +153,15 @@ class Reader:
             ok, raw = capture.read()
             if not ok or raw is None:
                 raise DeviceLost(f"{source.name}: {_ended(source.live, count)}")
-            time_s = _time_s(capture, source.stamped)
+            now_s = time.monotonic()
+            time_s = _time_s(capture, source.stamped, now_s)
             count += 1
             if count <= source.skip:
                 continue
             image = source.check(raw)
             same = last is not None and np.array_equal(image, last)
             last = image
-            self._deliver(Picture(image, time_s), same and not source.may_repeat(image))
+            self._deliver(Picture(image, time_s, now_s), same and not source.may_repeat(image))
 
     def _deliver(self, picture: Picture, repeated: bool) -> None:
         with self._changed:
@@ -168,15 +173,24 @@ class Reader:
             self._changed.notify_all()
 
 
-def _time_s(capture: Capture, stamped: bool) -> float:
-    now_s = time.monotonic()
+def _time_s(capture: Capture, stamped: bool, now_s: float) -> float:
     if not stamped:
         return now_s
     stamp_s = capture.get(cv2.CAP_PROP_POS_MSEC) / 1000
     return stamp_s if now_s - OLDEST_STAMP_S < stamp_s <= now_s else now_s
 
 
+def _late(old: Picture | None, after_s: float, timeout_s: float) -> str:
+    """Why no picture could be taken in time; old: the last one that was refused as too old."""
+    if old is None or old.arrived_s < time.monotonic() - timeout_s / 2:
+        return f"sent no new picture within {timeout_s:g} s; {LATE}"
+    return (
+        f"sends pictures stamped {after_s - old.time_s:.3g} s before they were asked for; its "
+        "clock was set back or it holds old pictures: plug it in anew, then scan with --resume"
+    )
+
+
 def _ended(live: bool, count: int) -> str:
     if live:
-        return f"is gone after {count} pictures; check cable and power, then scan with --resume"
+        return f"is gone after {count} pictures; {RECONNECT}"
     return f"holds no more pictures than {count}; plan fewer frames"
