@@ -22,7 +22,7 @@ from sim.hardware.marks import read_mark
 from sim.verify.rows import Row
 
 SEED: Final = 5005
-COUNT: Final = 600
+COUNT: Final = 23 * len(KINDS)
 BAR: Final = 500
 """Faults asked for by issue 5."""
 

@@ -8,7 +8,7 @@ from dataclasses import replace
 from lscan.devices.grbl import SerialTrack, SerialTrackOptions, open_track
 from sim.grbl import DirectLine, Faults, GrblEmulator, SimulatedTime
 
-ZERO_MM = -190.0
+ZERO_MM = -30.0
 """Where, counted from the switch, the track's position is 0."""
 
 FAULTS = {
