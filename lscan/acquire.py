@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from lscan.devices.api import Camera, Grab, Track
-from lscan.errors import DeviceError, LscanError
+from lscan.errors import DeviceError
 from lscan.records import Frame
 from lscan.rig import CameraSection, RigFile, find_plugin
 from lscan.run import Run
@@ -69,22 +69,8 @@ def acquire_into(
 
     Each picture and its row are on disk, synced, before the track moves on.  Raises
     DeviceError where a device fails or delivers what a run cannot hold (nothing of that
-    frame is recorded), InputError where the disk refuses; a note on the error says what is
-    kept.  The devices stay open.
+    frame is recorded), InputError where the disk refuses.  The devices stay open.
     """
-    try:
-        return _complete(writer, camera, track, progress)
-    except LscanError as error:
-        error.add_note(
-            f"{writer.written} of {writer.planned} frames are kept in {writer.path}; "
-            "go on with --resume"
-        )
-        raise
-
-
-def _complete(
-    writer: RunWriter, camera: Camera, track: Track, progress: Progress | None = None
-) -> Run:
     positions_mm = writer.rig_file.rig.plan.positions_mm()
     last_time_s = -math.inf
     if progress is not None:

@@ -28,7 +28,7 @@ from lscan.disk import (
     temporary_name,
     write_atomically,
 )
-from lscan.errors import InputError
+from lscan.errors import InputError, LscanError
 from lscan.records import Bytes, Frame
 from lscan.rig import RigFile
 from lscan.run import (
@@ -58,12 +58,19 @@ class RunWriter:
         with disk_errors(path / TABLE):
             table = os.open(path / TABLE, os.O_WRONLY | os.O_APPEND)
         self._table, self._held = table, [lock, table]
+        self._shape: tuple[int, ...] | None = None
 
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(self, *_: object) -> None:
+    def __exit__(self, _: object, error: BaseException | None, __: object) -> None:
+        """Let go of the folder; an error of the block gets a note that says what is kept."""
         self.close()
+        if isinstance(error, LscanError):
+            error.add_note(
+                f"{self.written} of {self.planned} frames are kept in {self.path}; "
+                "go on with --resume"
+            )
 
     def close(self) -> None:
         """Let go of the folder; closing twice is harmless."""
@@ -87,6 +94,7 @@ class RunWriter:
             raise InputError(
                 "frame out of order", where=self.path, value=frame.index, allowed=self.written
             )
+        self._require_alike(frame)
         png = _encode(frame.image)
         write_atomically(frame_file(self.path, frame.index), png)
         row = Row(
@@ -99,6 +107,23 @@ class RunWriter:
         )
         append_synced(self._table, f"{row.as_text()}\n".encode(), self.path / TABLE)
         self.written += 1
+
+    def _require_alike(self, frame: Frame) -> None:
+        """Raise InputError where the picture is not of the shape of the run's first one.
+
+        A camera's driver sees to it while it is open; a run may be resumed with another.
+        """
+        if self.written and self._shape is None:
+            self._shape = open_run(self.path).frame(0).image.shape
+        self._shape = self._shape or frame.image.shape
+        if frame.image.shape != self._shape:
+            raise InputError(
+                f"frame {frame.index} is not like the frames before; set the camera as it was, "
+                "or begin a new scan",
+                where=self.path,
+                value=frame.image.shape,
+                allowed=self._shape,
+            )
 
     def finish(self) -> Run:
         """Mark the run complete, where it is not yet, and return it.

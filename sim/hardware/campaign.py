@@ -176,7 +176,7 @@ def check_message(bench: Bench, error: BaseException | None, message: str) -> No
     named = DEVICE_NAMES.get(kind.device, str(bench.folder))
     _hold(message.startswith(named), f"does not name the device or file: {message}")
     _hold(re.search(kind.says, message) is not None, f"does not say what to do: {message}")
-    if bench.asked_s:
+    if bench.asked_s:  # a folder was begun, for something was to be written into it
         _hold("go on with --resume" in message, f"does not say what is kept: {message}")
 
 

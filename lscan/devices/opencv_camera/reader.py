@@ -23,7 +23,7 @@ from lscan.records import Bytes
 OLDEST_STAMP_S = 60.0
 """A camera's own time stamp is on this machine's clock if it lies this near before arrival."""
 
-LATE = "check cable, power and light, or raise camera.options.timeout_s"
+LIGHT = "check cable, power and light, or raise camera.options.timeout_s"
 RECONNECT = "check cable and power, then scan with --resume"
 
 
@@ -83,7 +83,7 @@ class Reader:
         deadline_s = time.monotonic() + timeout_s
         with self._changed:
             while self._picture is None or self._settings is None:
-                self._wait(deadline_s, f"gave no first picture within {timeout_s:g} s; {LATE}")
+                self._wait(deadline_s, f"gave no first picture within {timeout_s:g} s")
             return self._settings
 
     def take(self, after_s: float, timeout_s: float, retries: int) -> Picture:
@@ -106,7 +106,7 @@ class Reader:
                         f"{self._source.name}: sent the same picture {self._repeats + 1} times; "
                         f"it is stuck: plug it in anew or restart the stream"
                     )
-                self._wait(deadline_s, _late(old, after_s, timeout_s))
+                self._wait(deadline_s, *_late(old, after_s, timeout_s))
 
     def give_up(self, wait_s: float) -> None:
         """Let the thread release the camera and end; one that hangs is left to itself."""
@@ -115,13 +115,13 @@ class Reader:
             self._changed.notify_all()
         self._thread.join(wait_s)
 
-    def _wait(self, deadline_s: float, late: str) -> None:
+    def _wait(self, deadline_s: float, late: str, remedy: str = LIGHT) -> None:
         """Wait for a change; raises the reader's fault, or DeviceLost past the deadline."""
         if self._fault is not None:
             raise self._fault
         left_s = deadline_s - time.monotonic()
         if left_s <= 0:
-            raise DeviceLost(f"{self._source.name}: {late}")
+            raise DeviceLost(f"{self._source.name}: {late}; {remedy}")
         self._changed.wait(left_s)
 
     def _run(self) -> None:
@@ -180,13 +180,18 @@ def _time_s(capture: Capture, stamped: bool, now_s: float) -> float:
     return stamp_s if now_s - OLDEST_STAMP_S < stamp_s <= now_s else now_s
 
 
-def _late(old: Picture | None, after_s: float, timeout_s: float) -> str:
-    """Why no picture could be taken in time; old: the last one that was refused as too old."""
+def _late(old: Picture | None, after_s: float, timeout_s: float) -> tuple[str, str]:
+    """Why no picture could be taken in time, and what to do.
+
+    old: the last picture refused as too old.  One may be under way when the call comes; only
+    a camera that goes on sending such pictures has a wrong clock.
+    """
     if old is None or old.arrived_s < time.monotonic() - timeout_s / 2:
-        return f"sent no new picture within {timeout_s:g} s; {LATE}"
+        return f"sent no new picture within {timeout_s:g} s", LIGHT
     return (
         f"sends pictures stamped {after_s - old.time_s:.3g} s before they were asked for; its "
-        "clock was set back or it holds old pictures: plug it in anew, then scan with --resume"
+        "clock was set back or it holds old pictures",
+        "plug it in anew, then scan with --resume",
     )
 
 
