@@ -180,8 +180,8 @@ class RigFile:
 def load_rig(path: Path) -> RigFile:
     """The rig, or scene, described by the TOML file at ``path``.
 
-    Raises InputError where the file cannot be read, holds an unknown key or an unknown
-    driver, or where a driver refuses a section of its own.
+    Raises InputError where the file cannot be read, holds an unknown key, driver, extractor or
+    plane map, or where a driver refuses a section of its own.
     """
     document = inline_board(read_document(path))
     rig_file = parse_rig(document, source=str(path))
@@ -249,8 +249,20 @@ def _check_names(rig_file: RigFile) -> None:
     extractor, source = rig_file.rig.stripe.extractor, rig_file.source
     if ":" not in extractor:  # else a function of the user's, looked for when it is called
         find_plugin("lscan.extractors", extractor, where=f"{source}: stripe.extractor")
-    family = rig_file.rig.calibration.plane_map.partition("-")[0]
-    find_plugin("lscan.planemaps", family, where=f"{source}: calibration.plane_map")
+    _check_plane_map(rig_file.rig.calibration.plane_map, f"{source}: calibration.plane_map")
+
+
+def _check_plane_map(name: str, where: str) -> None:
+    family, _, variant = name.partition("-")
+    solver = find_plugin("lscan.planemaps", family, where=where)
+    # A solver from elsewhere may lack the check; it then refuses when it is called.
+    check_variant = getattr(solver, "check_variant", None)
+    if check_variant is None:
+        return
+    try:
+        check_variant(variant)
+    except InputError as error:
+        raise InputError(error.what, where=where, value=name, allowed=error.allowed) from error
 
 
 def _drivers(rig: Rig) -> list[Any]:

@@ -195,16 +195,20 @@ def region_around(image_px: Floats) -> Region:
 class MetricSolver:
     """Restores metric maps; they are solved from several pictures, not from one."""
 
-    def solve(
-        self, reading: BoardReading, variant: str, optics: OpticsSection = NOTHING_KNOWN
-    ) -> NoReturn:
-        """InputError: one picture of the board does not hold what a metric map needs."""
+    def check_variant(self, variant: str) -> NoReturn:
+        """InputError, whatever the variant: one picture of the board does not give this map."""
         raise InputError(
             "a metric map is solved from pictures of a board in several poses",
             where="plane map",
             value=f"metric-{variant}" if variant else "metric",
             allowed="lscan calibrate-metric VIEWS.toml -o FILE",
         )
+
+    def solve(
+        self, reading: BoardReading, variant: str, optics: OpticsSection = NOTHING_KNOWN
+    ) -> NoReturn:
+        """InputError: one picture of the board does not hold what a metric map needs."""
+        self.check_variant(variant)
 
     def restore(self, variant: str, parameters: dict[str, Any]) -> Metric:
         """The map that ``parameters`` came from; InputError where they do not fit."""

@@ -40,7 +40,11 @@ class PlaneMap(Protocol):
 
 
 class PlaneMapSolver(Protocol):
-    """Solves plane maps of one family."""
+    """Solves plane maps of one family.
+
+    One with a method ``check_variant(variant)``, which raises the InputError of ``solve`` for an
+    unknown variant without data, has a rig file that asks for it refused before the scan.
+    """
 
     def solve(self, reading: BoardReading, variant: str, optics: OpticsSection) -> PlaneMap:
         """The map fitted to the marks that were found.

@@ -84,6 +84,13 @@ class Auto:
 class AutoSolver:
     """Solves the candidate that cross-validation finds best."""
 
+    def check_variant(self, variant: str) -> None:
+        """InputError for a variant that there is not; nothing is solved."""
+        if variant:
+            raise InputError(
+                "no such choice of maps", where="plane map", value=f"auto-{variant}", allowed="auto"
+            )
+
     def solve(
         self,
         reading: BoardReading,
@@ -96,7 +103,7 @@ class AutoSolver:
         progress: told how many of the candidates have been tried.
         Raises InputError for any variant, BoardNotFound where every candidate refuses.
         """
-        _refuse(variant)
+        self.check_variant(variant)
         scores = ranked(cross_validated(reading, CANDIDATES, optics, progress=progress))
         if scores[0].refused is not None:
             raise BoardNotFound(f"no plane map could be solved: {scores[0].refused}")
@@ -104,7 +111,7 @@ class AutoSolver:
 
     def restore(self, variant: str, parameters: dict[str, Any]) -> Auto:
         """The map that ``parameters`` came from; InputError where they do not fit."""
-        _refuse(variant)
+        self.check_variant(variant)
         read = check(AutoParameters, parameters, where=None, prefix="parameters")
         if read.chosen.partition("-")[0] == "auto":
             raise InputError("is no candidate", where="parameters.chosen", value=read.chosen)
@@ -141,10 +148,3 @@ def ranked(scores: tuple[Score, ...]) -> tuple[Score, ...]:
         return score.rms_mm is None, too_few, not score.tied, by or 0.0
 
     return tuple(sorted(scores, key=order))
-
-
-def _refuse(variant: str) -> None:
-    if variant:
-        raise InputError(
-            "no such choice of maps", where="plane map", value=f"auto-{variant}", allowed="auto"
-        )

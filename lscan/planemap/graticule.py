@@ -82,6 +82,10 @@ class Graticule:
 class GraticuleSolver:
     """Solves graticules; see the module for the variants."""
 
+    def check_variant(self, variant: str) -> None:
+        """InputError for a variant that there is not; nothing is solved."""
+        _parse(variant)
+
     def solve(
         self, reading: BoardReading, variant: str, optics: OpticsSection = NOTHING_KNOWN
     ) -> Graticule:

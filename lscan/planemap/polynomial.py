@@ -110,6 +110,10 @@ class Polynomial:
 class PolynomialSolver:
     """Solves polynomial maps; the variant is the order."""
 
+    def check_variant(self, variant: str) -> None:
+        """InputError for a variant that there is not; nothing is solved."""
+        _order(variant)
+
     def solve(
         self, reading: BoardReading, variant: str, optics: OpticsSection = NOTHING_KNOWN
     ) -> Polynomial:

@@ -136,6 +136,16 @@ class Projective:
 class ProjectiveSolver:
     """Solves projective maps."""
 
+    def check_variant(self, variant: str) -> None:
+        """InputError for a variant that there is not; nothing is solved."""
+        if variant:
+            raise InputError(
+                "no such projective map",
+                where="plane map",
+                value=f"projective-{variant}",
+                allowed="projective",
+            )
+
     def solve(
         self, reading: BoardReading, variant: str, optics: OpticsSection = NOTHING_KNOWN
     ) -> Projective:
@@ -145,7 +155,7 @@ class ProjectiveSolver:
         InputError for any variant, BoardNotFound where four points in general position are
         missing.
         """
-        _refuse(variant)
+        self.check_variant(variant)
         grid, found = reading.grid, reading.grid.found
         region = covered_region(reading, found)
         pixels, plane = hartley(grid.image_px[found]), hartley(grid.board_mm[found])
@@ -157,7 +167,7 @@ class ProjectiveSolver:
 
     def restore(self, variant: str, parameters: dict[str, Any]) -> Projective:
         """The map that ``parameters`` came from; InputError where they do not fit."""
-        _refuse(variant)
+        self.check_variant(variant)
         read = check(ProjectiveParameters, parameters, where=None, prefix="parameters")
         return Projective(
             read.pixels, read.plane, read.h, read.covariance, read.region, read.lack_of_fit_mm
@@ -165,16 +175,6 @@ class ProjectiveSolver:
 
 
 solver = ProjectiveSolver()
-
-
-def _refuse(variant: str) -> None:
-    if variant:
-        raise InputError(
-            "no such projective map",
-            where="plane map",
-            value=f"projective-{variant}",
-            allowed="projective",
-        )
 
 
 def _linear(scaled: Floats, known: Floats) -> Floats:

@@ -143,6 +143,16 @@ def coplanarity_modes(
 class RefractiveSolver:
     """Solves refractive maps."""
 
+    def check_variant(self, variant: str) -> None:
+        """InputError for a variant that there is not; nothing is solved."""
+        if variant:
+            raise InputError(
+                "no such refractive map",
+                where="plane map",
+                value=f"refractive-{variant}",
+                allowed="refractive",
+            )
+
     def solve(
         self, reading: BoardReading, variant: str, optics: OpticsSection = NOTHING_KNOWN
     ) -> Refractive:
@@ -151,7 +161,7 @@ class RefractiveSolver:
         Raises InputError for any variant and for what is known out of its range,
         BoardNotFound where too few marks are found or too many of them are wrong.
         """
-        _refuse(variant)
+        self.check_variant(variant)
         fit = fit_view(reading, optics)
         sound, outliers = _set_aside(reading, fit.good)
         region = covered_region(sound, sound.grid.found)
@@ -167,7 +177,7 @@ class RefractiveSolver:
 
     def restore(self, variant: str, parameters: dict[str, Any]) -> Refractive:
         """The map that ``parameters`` came from; InputError where they do not fit."""
-        _refuse(variant)
+        self.check_variant(variant)
         read = check(RefractiveParameters, parameters, where=None, prefix="parameters")
         return Refractive(
             BoardView(np.array(list(read.theta.values())), read.centre_mm, read.port),
@@ -181,16 +191,6 @@ class RefractiveSolver:
 
 
 solver = RefractiveSolver()
-
-
-def _refuse(variant: str) -> None:
-    if variant:
-        raise InputError(
-            "no such refractive map",
-            where="plane map",
-            value=f"refractive-{variant}",
-            allowed="refractive",
-        )
 
 
 def _set_aside(reading: BoardReading, good: Mask) -> tuple[BoardReading, tuple[Floats, ...]]:

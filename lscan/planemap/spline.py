@@ -115,6 +115,13 @@ class Spline:
 class SplineSolver:
     """Solves spline maps."""
 
+    def check_variant(self, variant: str) -> None:
+        """InputError for a variant that there is not; nothing is solved."""
+        if variant:
+            raise InputError(
+                "no such spline map", where="plane map", value=f"spline-{variant}", allowed="spline"
+            )
+
     def solve(
         self, reading: BoardReading, variant: str, optics: OpticsSection = NOTHING_KNOWN
     ) -> Spline:
@@ -123,7 +130,7 @@ class SplineSolver:
         Raises InputError for any variant, BoardNotFound where the marks do not determine a
         quadratic surface with some to spare.
         """
-        _refuse(variant)
+        self.check_variant(variant)
         base = projective.solve(reading, "")
         grid, rulers = reading.grid, [ruler.marks for ruler in reading.rulers]
         known, image, sigma_px = found_marks([grid, *rulers])
@@ -150,7 +157,7 @@ class SplineSolver:
 
     def restore(self, variant: str, parameters: dict[str, Any]) -> Spline:
         """The map that ``parameters`` came from; InputError where they do not fit."""
-        _refuse(variant)
+        self.check_variant(variant)
         read = check(SplineParameters, parameters, where=None, prefix="parameters")
         return Spline(
             base=projective.restore("", read.base),
@@ -164,13 +171,6 @@ class SplineSolver:
 
 
 solver = SplineSolver()
-
-
-def _refuse(variant: str) -> None:
-    if variant:
-        raise InputError(
-            "no such spline map", where="plane map", value=f"spline-{variant}", allowed="spline"
-        )
 
 
 def _even_scaling(image_px: Floats) -> Scaling:
