@@ -4,15 +4,16 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, suppress
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
-from lscan.devices.api import Camera, Grab, Track
+from lscan.devices.api import Camera, Grab, LaserSwitch, Track
 from lscan.errors import DeviceError
-from lscan.records import Frame
-from lscan.rig import CameraSection, RigFile, find_plugin
+from lscan.records import Bytes, Frame
+from lscan.rig import CameraSection, Plan, RigFile, find_plugin
 from lscan.run import Run
 from lscan.runwriter import RunWriter, create_run, refuse_existing, resume_run
 
@@ -67,56 +68,123 @@ def acquire_into(
 ) -> Run:
     """The complete run: the frames still missing from ``writer`` are taken and written.
 
-    Each picture and its row are on disk, synced, before the track moves on.  Raises
-    DeviceError where a device fails or delivers what a run cannot hold (nothing of that
-    frame is recorded), InputError where the disk refuses.  The devices stay open.
+    Each frame's pictures and its row are on disk, synced, before the track moves on; a laser
+    that the plan switches is off at the end, whatever happened.  Raises DeviceError where a
+    device fails or delivers what a run cannot hold (nothing of that frame is recorded),
+    InputError where the disk refuses.  The devices stay open.
     """
-    positions_mm = writer.rig_file.rig.plan.positions_mm()
-    last_time_s = -math.inf
+    plan = writer.rig_file.rig.plan
+    positions_mm = plan.positions_mm()
     if progress is not None:
         progress(writer.written, writer.planned)
-    while writer.written < writer.planned:
-        frame = _take(writer.written, positions_mm[writer.written], camera, track)
-        _check(frame, writer.rig_file.rig.camera, last_time_s)
-        writer.append(frame)
-        last_time_s = frame.time_s
-        if progress is not None:
-            progress(writer.written, writer.planned)
+    with _laser(track, plan) as switch:
+        sitting = _Sitting(writer.rig_file.rig.camera, camera, track, switch)
+        while writer.written < writer.planned:
+            writer.append(sitting.take(writer.written, positions_mm[writer.written]))
+            if progress is not None:
+                progress(writer.written, writer.planned)
     return writer.finish()
 
 
-def _take(index: int, commanded_mm: float, camera: Camera, track: Track) -> Frame:
-    position_mm = track.move_to(commanded_mm)
-    grab: Grab = camera.grab(index)
-    return Frame(
-        image=grab.image,
-        index=index,
-        commanded_mm=commanded_mm,
-        position_mm=position_mm,
-        time_s=grab.time_s,
-        exposure_ms=grab.exposure_ms,
-    )
+@contextmanager
+def _laser(track: Track, plan: Plan) -> Iterator[LaserSwitch | None]:
+    """The laser's switch where the plan is of pairs, else None; at the end the laser is off.
+
+    For the plan "on" it is lit throughout the block; untouched, it is left as it is.  Raises
+    DeviceError where the track has no switch and the plan needs one.
+    """
+    if plan.laser == "untouched":
+        yield None
+        return
+    if not isinstance(track, LaserSwitch):
+        raise DeviceError(f"plan.laser = {plan.laser!r}: this track switches no laser")
+    try:
+        if plan.paired:
+            yield track
+        else:
+            track.laser_on()
+            yield None
+    except BaseException:
+        with suppress(DeviceError):  # the first fault is the one to be told
+            track.laser_off()
+        raise
+    track.laser_off()
 
 
-def _check(frame: Frame, section: CameraSection, last_time_s: float) -> None:
-    """Raise DeviceError where a device delivered what a run folder cannot hold."""
-    image = frame.image
-    if image.dtype != np.uint8 or image.ndim < 2 or image.shape[2:] not in ((), (3,)):
-        raise DeviceError(
-            f"camera {section.driver!r}: frame {frame.index} is {image.dtype} of shape "
-            f"{image.shape}; allowed: uint8, (H, W) or (H, W, 3)"
+@dataclass
+class _Sitting:
+    """Camera and track at work on one scan.
+
+    switch: of the laser, where each frame is a pair.  last_time_s: of the picture before, which
+    the next must exceed.
+    """
+
+    section: CameraSection
+    camera: Camera
+    track: Track
+    switch: LaserSwitch | None
+    last_time_s: float = -math.inf
+
+    def take(self, index: int, commanded_mm: float) -> Frame:
+        """The frame taken there, checked; DeviceError where a run cannot hold it."""
+        position_mm = self.track.move_to(commanded_mm)
+        if self.switch is not None:
+            self.switch.laser_on()
+        lit = self._checked(self.camera.grab(index), index)
+        background = None if self.switch is None else self._background(index, lit, self.switch)
+        if not math.isfinite(position_mm):
+            raise _not_finite("position_mm", index)
+        return Frame(
+            image=lit.image,
+            index=index,
+            commanded_mm=commanded_mm,
+            position_mm=position_mm,
+            time_s=lit.time_s,
+            exposure_ms=lit.exposure_ms,
+            background=background,
         )
-    height, width = image.shape[:2]
-    if (width, height) != (section.width_px, section.height_px):
-        raise _wrong_size((width, height), section)
-    for name in ("position_mm", "time_s", "exposure_ms"):
-        if not math.isfinite(getattr(frame, name)):
-            raise DeviceError(f"frame {frame.index}: a device reported {name} that is not finite")
-    if frame.time_s <= last_time_s:
-        raise DeviceError(
-            f"camera {section.driver!r}: frame {frame.index} is an old picture: its time, "
-            f"{frame.time_s} s, is not after that of the frame before, {last_time_s} s"
-        )
+
+    def _background(self, index: int, lit: Grab, switch: LaserSwitch) -> Bytes:
+        """The same view with the laser off, which must have been taken like the lit one."""
+        switch.laser_off()
+        dark = self._checked(self.camera.grab(index, dark=True), index)
+        for name, one, other in (
+            ("shape", dark.image.shape, lit.image.shape),
+            ("exposure_ms", dark.exposure_ms, lit.exposure_ms),
+        ):
+            if one != other:
+                raise DeviceError(
+                    f"camera {self.section.driver!r}: frame {index}: its background has {name} "
+                    f"{one}, the picture with the laser on {other}; they must be alike: let the "
+                    "camera change nothing by itself"
+                )
+        return dark.image
+
+    def _checked(self, grab: Grab, index: int) -> Grab:
+        """The picture; DeviceError where it is not what a run folder can hold."""
+        section, image = self.section, grab.image
+        if image.dtype != np.uint8 or image.ndim < 2 or image.shape[2:] not in ((), (3,)):
+            raise DeviceError(
+                f"camera {section.driver!r}: frame {index} is {image.dtype} of shape "
+                f"{image.shape}; allowed: uint8, (H, W) or (H, W, 3)"
+            )
+        height, width = image.shape[:2]
+        if (width, height) != (section.width_px, section.height_px):
+            raise _wrong_size((width, height), section)
+        for name in ("time_s", "exposure_ms"):
+            if not math.isfinite(getattr(grab, name)):
+                raise _not_finite(name, index)
+        if grab.time_s <= self.last_time_s:
+            raise DeviceError(
+                f"camera {section.driver!r}: frame {index} is an old picture: its time, "
+                f"{grab.time_s} s, is not after that of the picture before, {self.last_time_s} s"
+            )
+        self.last_time_s = grab.time_s
+        return grab
+
+
+def _not_finite(name: str, index: int) -> DeviceError:
+    return DeviceError(f"frame {index}: a device reported {name} that is not finite")
 
 
 def _wrong_size(size_px: tuple[int, int], section: CameraSection) -> DeviceError:

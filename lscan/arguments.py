@@ -166,17 +166,31 @@ def read_optics(path: Path) -> OpticsSection:
     return check(OpticsSection, document["optics"], where=path, prefix="optics")
 
 
-def stripe_picture(picture: Path, frame: int) -> tuple[Bytes, StripeSection]:
-    """A picture and how its line is to be found."""
+@dataclass(frozen=True)
+class StripePicture:
+    """The picture of a line and how the line is to be found.
+
+    image: (H, W, 3) or (H, W) uint8.  background: the same with the laser off, None where the
+    run has none.
+    """
+
+    image: Bytes
+    background: Bytes | None
+    settings: StripeSection
+
+
+def stripe_picture(picture: Path, frame: int) -> StripePicture:
+    """What a picture file or a frame of a run folder gives to find the line in."""
     from lscan.pictures import read_picture
     from lscan.rig import StripeSection
     from lscan.run import open_run
 
     if not picture.is_dir():
-        return read_picture(picture), StripeSection()
+        return StripePicture(read_picture(picture), None, StripeSection())
     run = open_run(picture)
     if not 0 <= frame < len(run):
         raise InputError(
             "no such frame", where="--frame", value=frame, allowed=f"0 to {len(run) - 1}"
         )
-    return run.frame(frame).image, run.rig_file.rig.stripe
+    taken = run.frame(frame)
+    return StripePicture(taken.image, taken.background, run.rig_file.rig.stripe)

@@ -183,7 +183,7 @@ def extract(
     from lscan.stripe import draw_stripe, extract_stripe, save_stripe
 
     require_folders(output, overlay)
-    image, section = stripe_picture(picture, frame)
+    shown = stripe_picture(picture, frame)
     given = {
         "axis": axis,
         "extractor": extractor,
@@ -192,10 +192,13 @@ def extract(
         "span_px": span,
     }
     changes = {key: value for key, value in given.items() if value is not None}
-    settings = check(StripeSection, {**section.model_dump(), **changes}, where="command line")
-    stripe = extract_stripe(image, settings, read_picture(background) if background else None)
+    settings = check(
+        StripeSection, {**shown.settings.model_dump(), **changes}, where="command line"
+    )
+    dark = read_picture(background) if background else shown.background
+    stripe = extract_stripe(shown.image, settings, dark)
     if overlay:
-        write_picture(overlay, draw_stripe(image, stripe))
+        write_picture(overlay, draw_stripe(shown.image, stripe))
     if output:
         save_stripe(output, stripe)
     counts = {

@@ -104,11 +104,11 @@ def measure_groove(run: Run, plane_map: PlaneMap) -> GrooveResult:
     piece = run.rig_file.rig.workpiece
     if not isinstance(piece, GroovedBlock):
         raise _wrong_piece(run, "grooved-block")
-    image = run.frame(0).image
+    first = run.frame(0)
     profiles = list(read_profiles(run, plane_map))
     return GrooveResult(
-        image=image,
-        stripe=extract_stripe(image, run.rig_file.rig.stripe),
+        image=first.image,
+        stripe=extract_stripe(first.image, run.rig_file.rig.stripe, first.background),
         profiles=profiles,
         dimensions=groove_dimensions(profiles, piece),
     )
@@ -123,13 +123,13 @@ def measure_sandwave(
         raise _wrong_piece(run, "sandwave")
     first = max(0, (len(run) - PICTURES_KEPT) // 2)
     kept = range(first, min(len(run), first + PICTURES_KEPT))
-    images = [run.frame(index).image for index in kept]
+    frames = [run.frame(index) for index in kept]
     raw = reconstruct(run, plane_map, progress=progress)
     alignment, aligned = align_scan(raw, rig.workpiece, rig.sheet)
     slices = {name: resample(aligned, ends) for name, ends in rig.workpiece.slices_mm().items()}
     return SandwaveResult(
-        images=images,
-        stripe=extract_stripe(images[0], rig.stripe),
+        images=[frame.image for frame in frames],
+        stripe=extract_stripe(frames[0].image, rig.stripe, frames[0].background),
         raw=raw,
         alignment=alignment,
         aligned=aligned,
@@ -181,14 +181,14 @@ def read_profiles(
     """One profile a picture, in the run's order."""
     settings = stripe or run.rig_file.rig.stripe
     for done, frame in enumerate(run.frames(), start=1):
-        found = extract_stripe(frame.image, settings)
+        found = extract_stripe(frame.image, settings, frame.background)
         yield to_profile(found, plane_map, frame.position_mm)
         if progress:
             progress(done, len(run))
 
 
 def mean_picture(run: Run) -> Bytes:
-    """The mean of the run's pictures, rounded, same shape as each."""
+    """The mean of the run's pictures, with the laser on, rounded, same shape as each."""
     if len(run) == 0:
         raise InputError("holds no picture yet", where=run.path)
     total: Floats | float = 0.0

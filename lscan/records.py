@@ -61,6 +61,8 @@ class Frame:
     image: (H, W) or (H, W, 3) uint8, colour as RGB.
     commanded_mm, position_mm: track position asked for, and reported by the track.
     time_s: the camera's clock.  exposure_ms: as reported by the camera.
+    background: same shape as image, the view from there with the laser off; None where the
+    plan asks for none.
     """
 
     image: Bytes
@@ -69,6 +71,7 @@ class Frame:
     position_mm: float
     time_s: float
     exposure_ms: float
+    background: Bytes | None = None
 
 
 @dataclass(frozen=True)

@@ -12,7 +12,7 @@ from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import Field
+from pydantic import Field, SerializerFunctionWrapHandler, model_serializer
 
 from lscan.board import Board
 from lscan.documents import Document, Strict, check, merge, read_document
@@ -40,15 +40,34 @@ class TrackSection(Strict):
 
 
 class Plan(Strict):
-    """The scan: ``frames`` pictures, ``step_mm`` apart, the first at ``start_mm``."""
+    """The scan: ``frames`` pictures, ``step_mm`` apart, the first at ``start_mm``.
+
+    laser: what the track's laser output does.  "untouched": nothing is sent to it.  "on": lit
+    from before the first picture until the scan ends.  "pairs": at each position one picture
+    with the laser on and one with it off, the background.
+    """
 
     start_mm: float = 0.0
     step_mm: float = 0.5
     frames: Annotated[int, Field(ge=1, le=1_000_000)] = 1
+    laser: Literal["untouched", "on", "pairs"] = "untouched"
+
+    @property
+    def paired(self) -> bool:
+        """Whether each frame has a background, taken with the laser off."""
+        return self.laser == "pairs"
 
     def positions_mm(self) -> list[float]:
         """Commanded track position of each frame, mm."""
         return [self.start_mm + index * self.step_mm for index in range(self.frames)]
+
+    @model_serializer(mode="wrap")
+    def _as_before(self, plain: SerializerFunctionWrapHandler) -> Document:
+        """Without a laser left untouched, so that run folders are as they were without the key."""
+        document: Document = plain(self)
+        if self.laser == "untouched":
+            del document["laser"]
+        return document
 
 
 class NoiseSection(Strict):
@@ -181,13 +200,15 @@ def load_rig(path: Path) -> RigFile:
     """The rig, or scene, described by the TOML file at ``path``.
 
     Raises InputError where the file cannot be read, holds an unknown key, driver, extractor or
-    plane map, or where a driver refuses a section of its own.
+    plane map, where a driver refuses a section of its own, or where the drivers cannot do with
+    the laser what the plan says.
     """
     document = inline_board(read_document(path))
     rig_file = parse_rig(document, source=str(path))
     for driver in _drivers(rig_file.rig):
         driver.validate(rig_file)
     _check_names(rig_file)
+    _check_laser(rig_file)
     return rig_file
 
 
@@ -263,6 +284,19 @@ def _check_plane_map(name: str, where: str) -> None:
         check_variant(variant)
     except InputError as error:
         raise InputError(error.what, where=where, value=name, allowed=error.allowed) from error
+
+
+def _check_laser(rig_file: RigFile) -> None:
+    """Refuse a plan for the laser that the drivers cannot carry out."""
+    rig, plan = rig_file.rig, rig_file.rig.plan
+    camera, track = _drivers(rig)
+    where = f"{rig_file.source}: plan.laser"
+    if plan.laser != "untouched" and not getattr(track, "switches_laser", False):
+        what = f"track driver {rig.track.driver!r} switches no laser"
+        raise InputError(what, where=where, value=plan.laser, allowed="untouched")
+    if plan.paired and not getattr(camera, "takes_dark", False):
+        what = f"camera driver {rig.camera.driver!r} takes no pictures with the laser off"
+        raise InputError(what, where=where, value=plan.laser, allowed="untouched, on")
 
 
 def _drivers(rig: Rig) -> list[Any]:

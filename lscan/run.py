@@ -4,6 +4,9 @@
     frames.csv         one row a frame: where, when, how long, and the picture's checksum
     frames/000000.png  the pictures, lossless, as the camera delivered them
 
+With ``plan.laser = "pairs"`` there is also frames/000000-dark.png, the same view with the laser
+off, and its checksum in a further column.
+
 A folder stands alone: copied to a machine without the rig file and without the drivers it
 still opens.  No file holds a wall-clock time or a host name, so that the same simulated
 scan gives the same bytes.  This module reads; runwriter.py writes.
@@ -33,6 +36,7 @@ from lscan.rig import Plan, RigFile, parse_rig
 
 MANIFEST, TABLE, FRAMES = "run.json", "frames.csv", "frames"
 COLUMNS = "index,commanded_mm,position_mm,time_s,exposure_ms,sha256,crc32"
+PAIRED_COLUMNS = "index,commanded_mm,position_mm,time_s,exposure_ms,sha256,dark_sha256,crc32"
 State = Literal["scanning", "complete"]
 Versions = dict[str, str]
 
@@ -71,7 +75,11 @@ class Manifest(Strict):
 
 @dataclass(frozen=True)
 class Row:
-    """One row of frames.csv; ``sha256`` is that of the picture's file, in hexadecimal."""
+    """One row of frames.csv.
+
+    sha256: of the picture's file, in hexadecimal; dark_sha256: of its background's, None where
+    the run has none.
+    """
 
     index: int
     commanded_mm: float
@@ -79,6 +87,7 @@ class Row:
     time_s: float
     exposure_ms: float
     sha256: str
+    dark_sha256: str | None = None
 
     def as_text(self) -> str:
         """The row without its line end.
@@ -87,22 +96,29 @@ class Row:
         CRC-32 of all that stands before it, so a changed digit does not pass unseen.
         """
         numbers = (self.commanded_mm, self.position_mm, self.time_s, self.exposure_ms)
-        text = ",".join([str(self.index), *(repr(float(x)) for x in numbers), self.sha256])
+        digests = [self.sha256] if self.dark_sha256 is None else [self.sha256, self.dark_sha256]
+        text = ",".join([str(self.index), *(repr(float(x)) for x in numbers), *digests])
         return f"{text},{_crc32(text)}"
 
     @classmethod
-    def from_text(cls, text: str, where: object) -> Row:
-        """The row that ``as_text`` wrote; InputError where it is torn or was changed."""
+    def from_text(cls, text: str, where: object, paired: bool = False) -> Row:
+        """The row that ``as_text`` wrote; InputError where it is torn or was changed.
+
+        paired: whether it must list a background, or must not.
+        """
         body, _, crc = text.rpartition(",")
         if crc != _crc32(body):
             raise InputError("row is torn or was changed", where=where, value=text)
         try:
-            index, *numbers, sha256 = body.split(",")
-            commanded, position, time, exposure = map(_finite, numbers)
-            return cls(int(index), commanded, position, time, exposure, sha256)
+            index, *fields = body.split(",")
+            commanded, position, time, exposure = map(_finite, fields[:4])
+            sha256, *dark_sha256 = fields[4:]
+            if len(dark_sha256) != paired:
+                raise ValueError("the wrong number of checksums")
+            return cls(int(index), commanded, position, time, exposure, sha256, *dark_sha256)
         except ValueError as error:
             what = "row does not hold what it should"
-            raise InputError(what, where=where, value=text, allowed=COLUMNS) from error
+            raise InputError(what, where=where, value=text, allowed=columns(paired)) from error
 
 
 @dataclass(frozen=True)
@@ -139,8 +155,15 @@ class Run:
             allowed = f"0 to {len(self) - 1}"
             raise InputError("no such frame", where=self.path, value=index, allowed=allowed)
         row = self.rows[index]
-        image = self._decoded(self._checked_bytes(row), index)
-        return Frame(image, index, row.commanded_mm, row.position_mm, row.time_s, row.exposure_ms)
+        return Frame(
+            image=self._picture(row),
+            index=index,
+            commanded_mm=row.commanded_mm,
+            position_mm=row.position_mm,
+            time_s=row.time_s,
+            exposure_ms=row.exposure_ms,
+            background=None if row.dark_sha256 is None else self._picture(row, dark=True),
+        )
 
     def frames(self) -> Iterator[Frame]:
         """All frames in order, each read when it is asked for; errors as ``frame``."""
@@ -150,18 +173,24 @@ class Run:
         """Read every picture's file and compare its checksum; InputError as ``frame``."""
         for row in self.rows:
             self._checked_bytes(row)
+            if row.dark_sha256 is not None:
+                self._checked_bytes(row, dark=True)
 
-    def _checked_bytes(self, row: Row) -> bytes:
-        file = frame_file(self.path, row.index)
+    def _picture(self, row: Row, dark: bool = False) -> Bytes:
+        """A frame's picture, or its background."""
+        data = self._checked_bytes(row, dark)
+        return self._decoded(data, frame_file(self.path, row.index, dark))
+
+    def _checked_bytes(self, row: Row, dark: bool = False) -> bytes:
+        file = frame_file(self.path, row.index, dark)
         data = read_bytes(file)
-        if hashlib.sha256(data).hexdigest() != row.sha256:
+        if hashlib.sha256(data).hexdigest() != (row.dark_sha256 if dark else row.sha256):
             what = f"is not the picture that {TABLE} line {row.index + 2} lists (checksum differs)"
             raise InputError(what, where=file)
         return data
 
-    def _decoded(self, data: bytes, index: int) -> Bytes:
+    def _decoded(self, data: bytes, file: Path) -> Bytes:
         camera = self.rig_file.rig.camera
-        file = frame_file(self.path, index)
         image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
         if image is None or image.dtype != np.uint8 or image.shape[2:] not in ((), (3,)):
             raise InputError("is not an 8-bit grey or RGB picture", where=file)
@@ -183,21 +212,28 @@ def open_run(path: Path) -> Run:
     fewer frames than planned.
     """
     manifest, rig_file = read_manifest(path)
-    rows, planned = _read_rows(path / TABLE), manifest.plan.frames
+    plan = manifest.plan
+    rows, planned = _read_rows(path / TABLE, plan.paired), plan.frames
     if len(rows) > planned or (manifest.state == "complete" and len(rows) < planned):
         what = f"the number of frames does not fit the plan of this {manifest.state} run"
         raise InputError(what, where=path / TABLE, value=len(rows), allowed=planned)
     present = list_names(path / FRAMES)
     for row in rows:
-        file = frame_file(path, row.index)
-        if file.name not in present:
-            raise InputError(f"missing, but {TABLE} line {row.index + 2} lists it", where=file)
+        for dark in (False, True) if plan.paired else (False,):
+            file = frame_file(path, row.index, dark)
+            if file.name not in present:
+                raise InputError(f"missing, but {TABLE} line {row.index + 2} lists it", where=file)
     return Run(path, rig_file, manifest.state, tuple(manifest.software), tuple(rows))
 
 
-def frame_file(path: Path, index: int) -> Path:
-    """Where the run folder ``path`` keeps the picture of frame ``index``."""
-    return path / FRAMES / f"{index:06d}.png"
+def frame_file(path: Path, index: int, dark: bool = False) -> Path:
+    """Where the run folder ``path`` keeps the picture of frame ``index``, or its background."""
+    return path / FRAMES / f"{index:06d}{'-dark' if dark else ''}.png"
+
+
+def columns(paired: bool) -> str:
+    """The header of frames.csv, for a run with or without backgrounds."""
+    return PAIRED_COLUMNS if paired else COLUMNS
 
 
 def read_manifest(path: Path) -> tuple[Manifest, RigFile]:
@@ -226,18 +262,19 @@ def software_versions() -> Versions:
     }
 
 
-def _read_rows(file: Path) -> list[Row]:
+def _read_rows(file: Path, paired: bool) -> list[Row]:
     # Latin-1 takes any byte for a character, so a stray one fails its row's checksum.
     header, *lines = read_bytes(file).decode("latin-1").split("\n")
-    if header != COLUMNS:
-        raise InputError("wrong header", where=f"{file} line 1", value=header, allowed=COLUMNS)
+    if header != columns(paired):
+        where = f"{file} line 1"
+        raise InputError("wrong header", where=where, value=header, allowed=columns(paired))
     if not lines or lines.pop() != "":
         where = f"{file} line {len(lines) + 2}"
         raise InputError("the last row is torn; lscan scan --resume cuts it off", where=where)
     rows: list[Row] = []
     for index, line in enumerate(lines):
         where = f"{file} line {index + 2}"
-        row = Row.from_text(line, where)
+        row = Row.from_text(line, where, paired)
         if row.index != index:
             what = "a frame is listed twice" if row.index < index else "a frame is skipped"
             raise InputError(what, where=where, value=row.index, allowed=index)

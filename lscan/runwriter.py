@@ -1,9 +1,9 @@
 """Writing a run folder so that any moment is a safe one to be killed at.
 
 A frame is written in this order: the picture under a temporary name, synced, renamed, its
-folder synced; then its row, synced.  So a row always has its picture.  What a killed scan
-may leave is a temporary file, a picture without a row, or a torn last row; ``resume_run``
-clears these away and goes on.
+folder synced; its background, if it has one, in the same way; then its row, synced.  So a row
+always has its pictures.  What a killed scan may leave is a temporary file, a picture without a
+row, or a torn last row; ``resume_run`` clears these away and goes on.
 """
 
 from __future__ import annotations
@@ -32,13 +32,13 @@ from lscan.errors import InputError, LscanError
 from lscan.records import Bytes, Frame
 from lscan.rig import RigFile
 from lscan.run import (
-    COLUMNS,
     FRAMES,
     MANIFEST,
     TABLE,
     Manifest,
     Row,
     Run,
+    columns,
     frame_file,
     open_run,
     read_manifest,
@@ -83,9 +83,10 @@ class RunWriter:
         return self.rig_file.rig.plan.frames
 
     def append(self, frame: Frame) -> None:
-        """Write the next frame; when this returns, picture and row are on disk, synced.
+        """Write the next frame; when this returns, pictures and row are on disk, synced.
 
-        frame: image (H, W) grey or (H, W, 3) RGB, uint8; its index must be ``written``.
+        frame: image (H, W) grey or (H, W, 3) RGB, uint8; its index must be ``written``; it has
+            a background where, and only where, the plan is of pairs.
         Raises InputError where the disk refuses; the frames before this one stay whole.
         """
         if not self._held:
@@ -95,15 +96,23 @@ class RunWriter:
                 "frame out of order", where=self.path, value=frame.index, allowed=self.written
             )
         self._require_alike(frame)
-        png = _encode(frame.image)
-        write_atomically(frame_file(self.path, frame.index), png)
+        paired = self.rig_file.rig.plan.paired
+        if (frame.background is not None) != paired:
+            what = "a frame of a paired run needs a background, any other has none"
+            raise InputError(what, where=self.path, value=frame.index)
+        sha256 = self._write_picture(frame.image, frame_file(self.path, frame.index))
+        dark_sha256 = None
+        if frame.background is not None:
+            file = frame_file(self.path, frame.index, dark=True)
+            dark_sha256 = self._write_picture(frame.background, file)
         row = Row(
             index=frame.index,
             commanded_mm=frame.commanded_mm,
             position_mm=frame.position_mm,
             time_s=frame.time_s,
             exposure_ms=frame.exposure_ms,
-            sha256=hashlib.sha256(png).hexdigest(),
+            sha256=sha256,
+            dark_sha256=dark_sha256,
         )
         append_synced(self._table, f"{row.as_text()}\n".encode(), self.path / TABLE)
         self.written += 1
@@ -124,6 +133,12 @@ class RunWriter:
                 value=frame.image.shape,
                 allowed=self._shape,
             )
+
+    def _write_picture(self, image: Bytes, file: Path) -> str:
+        """Write a picture, synced; the SHA-256 of its file."""
+        png = _encode(image)
+        write_atomically(file, png)
+        return hashlib.sha256(png).hexdigest()
 
     def finish(self) -> Run:
         """Mark the run complete, where it is not yet, and return it.
@@ -235,7 +250,7 @@ def _lay_out(path: Path, manifest: Manifest) -> None:
     """Make an empty run; run.json comes last, so where it is the folder is whole."""
     with disk_errors(path):
         (path / FRAMES).mkdir(exist_ok=True)
-    write_atomically(path / TABLE, f"{COLUMNS}\n".encode())
+    write_atomically(path / TABLE, f"{columns(manifest.plan.paired)}\n".encode())
     _write_manifest(path, manifest)
     with disk_errors(path):
         sync_folder(path.parent)

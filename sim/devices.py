@@ -6,6 +6,7 @@ scan, so a scan that is stopped and resumed gives the same bytes.
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING, Annotated, Self
 
 import numpy as np
@@ -21,7 +22,8 @@ if TYPE_CHECKING:
     from sim.sensor import Webcam
     from sim.tank import Layers, Tank
 
-FRAME_PERIOD_S = 0.2  # the simulated clock: a picture takes this long
+FRAME_PERIOD_S = 0.2  # the simulated clock: a frame takes this long, its background half of it
+_LIT, _DARK = 1, 2  # the streams that the noise of either picture is drawn from
 
 
 class TrackOptions(Strict):
@@ -59,11 +61,16 @@ class CameraOptions(Strict):
 
 
 class SimTrack:
-    """A track that is at once where it is told to go."""
+    """A track that is at once where it is told to go.
+
+    laser_is_on: whether the tank's laser, where its scene lights it, is on; until it is switched
+    it is.
+    """
 
     def __init__(self, options: TrackOptions) -> None:
         self._options = options
         self._position_mm = 0.0
+        self.laser_is_on = True
         self._closed = False
 
     @property
@@ -73,8 +80,7 @@ class SimTrack:
 
     def move_to(self, position_mm: float) -> float:
         """The position reached, mm; DeviceError outside the track's travel."""
-        if self._closed:
-            raise DeviceError("sim track: is closed")
+        self._require_open()
         low, high = self._options.min_mm, self._options.max_mm
         if not low <= position_mm <= high:  # also refuses NaN
             raise DeviceError(
@@ -83,9 +89,23 @@ class SimTrack:
         self._position_mm = float(position_mm)
         return self._position_mm
 
+    def laser_on(self) -> None:
+        """Light the tank with what lasers its scene has."""
+        self._require_open()
+        self.laser_is_on = True
+
+    def laser_off(self) -> None:
+        """Leave the tank to its ambient light."""
+        self._require_open()
+        self.laser_is_on = False
+
     def close(self) -> None:
         """Release the track."""
         self._closed = True
+
+    def _require_open(self) -> None:
+        if self._closed:
+            raise DeviceError("sim track: is closed")
 
 
 class SimCamera:
@@ -107,23 +127,28 @@ class SimCamera:
         camera = self._scene.rig.camera
         return camera.width_px, camera.height_px
 
-    def grab(self, frame: int | None = None) -> Grab:
+    def grab(self, frame: int | None = None, dark: bool = False) -> Grab:
         """A picture, (H, W, 3) RGB, seen from the track's position.
 
         frame: the index that fixes its noise and its time; the next one if None.
+        dark: it shows the ambient light alone, with noise of its own, half a period after the
+        frame's other picture and with that one's exposure.
         """
         if self._tank is None:
             raise DeviceError("sim camera: is closed")
         index = self._next if frame is None else frame
         self._next = index + 1
-        time_s = index * FRAME_PERIOD_S
+        time_s = (index + (0.5 if dark else 0.0)) * FRAME_PERIOD_S
         position_mm = self._track.position_mm
         wavelength_nm = self._scene.tank.laser.wavelength_at(time_s)
         layers = self._tank.render(position_mm, time_s=time_s)
         exposure_ms = self._exposure_ms(layers, wavelength_nm)
         if self._options.auto_exposure and self._scene.tank.head.speed_mm_s != 0:
             layers = self._tank.render(position_mm, time_s=time_s, exposure_ms=exposure_ms)
-        generator = self._generator(position_mm, index)
+        if dark or not getattr(self._track, "laser_is_on", True):
+            none = np.zeros_like(layers.ambient)
+            layers = replace(layers, direct=none, scattered=none)
+        generator = self._generator(position_mm, index, _DARK if dark else _LIT)
         image = self._webcam.expose(layers, exposure_ms, generator, wavelength_nm)
         return Grab(image=image, time_s=time_s, exposure_ms=exposure_ms)
 
@@ -144,16 +169,17 @@ class SimCamera:
         )
         return min(max(wanted, options.min_ms), options.max_ms)
 
-    def _generator(self, position_mm: float, index: int) -> np.random.Generator:
+    def _generator(self, position_mm: float, index: int, stream: int) -> np.random.Generator:
         nanometres = round(position_mm * 1e6)
         place = (abs(nanometres), int(nanometres < 0))
-        return np.random.default_rng([self._scene.tank.sensor.seed, 1, *place, index])
+        return np.random.default_rng([self._scene.tank.sensor.seed, stream, *place, index])
 
 
 class SimTrackDriver:
     """Registered as "sim" under ``lscan.tracks``."""
 
     sections: frozenset[str] = frozenset()
+    switches_laser = True
 
     def validate(self, rig_file: RigFile) -> None:
         """Check ``[track.options]`` and that the plan stays within the travel; else InputError."""
@@ -180,6 +206,7 @@ class SimCameraDriver:
     """Registered as "sim" under ``lscan.cameras``; owns the tank's sections."""
 
     sections: frozenset[str] = SECTIONS
+    takes_dark = True
 
     def validate(self, rig_file: RigFile) -> None:
         """Check options and the tank's sections; InputError names what is wrong."""

@@ -47,6 +47,19 @@ class Track(Protocol):
 
 
 @runtime_checkable
+class LaserSwitch(Protocol):
+    """A track whose controller also switches the laser."""
+
+    def laser_on(self) -> None:
+        """Switch the laser on; it is lit when this returns.  Raises DeviceError."""
+        ...
+
+    def laser_off(self) -> None:
+        """Switch the laser off; it is dark when this returns.  Raises DeviceError."""
+        ...
+
+
+@runtime_checkable
 class Camera(Protocol):
     """A camera that delivers pictures of one size."""
 
@@ -55,11 +68,12 @@ class Camera(Protocol):
         """(width, height) of every picture."""
         ...
 
-    def grab(self, frame: int | None = None) -> Grab:
-        """A picture taken after this call began.  Raises DeviceError where none comes.
+    def grab(self, frame: int | None = None, dark: bool = False) -> Grab:
+        """A picture exposed after this call began.  Raises DeviceError where none comes.
 
         frame: its index in the scan, None outside of one.  A simulated camera draws noise and
         clock from it, so that a resumed scan gives the same bytes; a real one ignores it.
+        dark: the laser is off, so that a black picture is as it should be.
         """
         ...
 
@@ -69,7 +83,11 @@ class Camera(Protocol):
 
 
 class TrackDriver(Protocol):
-    """Opens tracks of one kind."""
+    """Opens tracks of one kind.
+
+    One whose tracks are a :class:`LaserSwitch` says so by an attribute ``switches_laser``, True;
+    where it is missing, a plan that switches the laser is refused.
+    """
 
     sections: frozenset[str]
     """Top-level sections of a rig file that this driver owns."""
@@ -84,7 +102,12 @@ class TrackDriver(Protocol):
 
 
 class CameraDriver(Protocol):
-    """Opens cameras of one kind."""
+    """Opens cameras of one kind.
+
+    One whose cameras know the keyword ``dark`` of ``grab`` says so by an attribute
+    ``takes_dark``, True; where it is missing, ``plan.laser = "pairs"`` is refused and the
+    keyword never passed.
+    """
 
     sections: frozenset[str]
     """Top-level sections of a rig file that this driver owns."""

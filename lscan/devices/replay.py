@@ -4,6 +4,8 @@ Rig file, the same option for both devices, relative to the rig file:
 
     camera = { driver = "replay", options = { run_file = "runs/a" } }
     track = { driver = "replay", options = { run_file = "runs/a" } }
+
+``plan.laser = "pairs"`` needs a run that was recorded in pairs.
 """
 
 from __future__ import annotations
@@ -56,8 +58,7 @@ class ReplayTrack:
 
     def move_to(self, position_mm: float) -> float:
         """Move at once; DeviceError outside the recorded range or after closing."""
-        if self._closed:
-            raise DeviceError("replay track: is closed")
+        self._require_open()
         low, high = self.limits_mm
         if not low - ROUNDING_MM <= position_mm <= high + ROUNDING_MM:
             raise DeviceError(
@@ -68,9 +69,21 @@ class ReplayTrack:
         self._position_mm = float(self._reported_mm[nearest] + miss_mm)
         return self._position_mm
 
+    def laser_on(self) -> None:
+        """What was recorded with the laser on is asked of the camera: nothing to switch."""
+        self._require_open()
+
+    def laser_off(self) -> None:
+        """What was recorded with the laser off is asked of the camera: nothing to switch."""
+        self._require_open()
+
     def close(self) -> None:
         """Nothing is held open; the track can no longer be moved."""
         self._closed = True
+
+    def _require_open(self) -> None:
+        if self._closed:
+            raise DeviceError("replay track: is closed")
 
 
 class ReplayCamera:
@@ -91,26 +104,32 @@ class ReplayCamera:
         """(width, height) of the recorded pictures."""
         return _size_px(self._run.rig_file)
 
-    def grab(self, frame: int | None = None) -> Grab:
+    def grab(self, frame: int | None = None, dark: bool = False) -> Grab:
         """The recorded picture; DeviceError where none lies within half a step.
 
+        dark: instead, the background recorded with the picture just delivered there, or with
+        the nearest; DeviceError where the run has none.
         Raises InputError where the run folder was damaged.
         """
         if self._closed:
             raise DeviceError("replay camera: is closed")
-        index = self._nearest(self._track.position_mm)
+        index = self._nearest(self._track.position_mm, self._last_index - dark)
         recorded = self._run.frame(index)
+        image = recorded.background if dark else recorded.image
+        if image is None:
+            raise DeviceError(f"replay camera: {self._run.path} was recorded without backgrounds")
         time_s = recorded.time_s
         if time_s <= self._last_time_s:
             time_s = math.nextafter(self._last_time_s, math.inf)
         self._last_index, self._last_time_s = index, time_s
-        return Grab(recorded.image, time_s, recorded.exposure_ms)
+        return Grab(image, time_s, recorded.exposure_ms)
 
     def close(self) -> None:
         """Nothing is held open; the camera delivers no more pictures."""
         self._closed = True
 
-    def _nearest(self, position_mm: float) -> int:
+    def _nearest(self, position_mm: float, after: int) -> int:
+        """Index of the nearest frame; of several, the first whose index is above ``after``."""
         distance_mm = np.abs(self._run.positions_mm - position_mm)
         least_mm = float(distance_mm.min())
         if not least_mm <= self._reach_mm:
@@ -119,12 +138,13 @@ class ReplayCamera:
                 f"the nearest is {least_mm} mm away, allowed: {self._reach_mm} mm, half a step"
             )
         candidates = np.flatnonzero(distance_mm == least_mm)
-        later = candidates[candidates > self._last_index]
+        later = candidates[candidates > after]
         return int((later if later.size else candidates)[0])
 
 
 class _TrackDriver:
     sections: frozenset[str] = frozenset()
+    switches_laser = True
 
     def validate(self, rig_file: RigFile) -> None:
         self._run(rig_file)
@@ -138,6 +158,7 @@ class _TrackDriver:
 
 class _CameraDriver:
     sections: frozenset[str] = frozenset()
+    takes_dark = True
 
     def validate(self, rig_file: RigFile) -> None:
         self._run(rig_file)
@@ -154,6 +175,13 @@ class _CameraDriver:
                 where=rig_file.source,
                 value=asked,
                 allowed=recorded,
+            )
+        if rig_file.rig.plan.paired and not run.rig_file.rig.plan.paired:
+            raise InputError(
+                f"the run {run.path} was recorded without backgrounds",
+                where=f"{rig_file.source}: plan.laser",
+                value=rig_file.rig.plan.laser,
+                allowed="untouched, on",
             )
         return run
 

@@ -15,7 +15,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from lscan.devices.api import Camera, Track
+from lscan.devices.api import Camera, LaserSwitch, Track
 from lscan.errors import DeviceError
 
 
@@ -57,6 +57,15 @@ class CameraContract:
         kept = first.copy()
         camera.grab()
         np.testing.assert_array_equal(first, kept)
+
+    def test_a_dark_picture_is_like_any_other(self, camera: Camera) -> None:
+        """Of the same size and channels, taken after the one before, with the same exposure."""
+        lit = camera.grab(0)
+        dark = camera.grab(0, dark=True)
+        assert dark.image.dtype == np.uint8
+        assert dark.image.shape == lit.image.shape
+        assert dark.exposure_ms == lit.exposure_ms
+        assert lit.time_s < dark.time_s < camera.grab(1).time_s
 
     def test_closed_it_delivers_no_picture(self, camera: Camera) -> None:
         camera.close()
@@ -112,6 +121,18 @@ class TrackContract:
         with pytest.raises(DeviceError):
             track.move_to(value)
         assert track.position_mm == stood_mm
+
+    def test_a_laser_is_switched_without_a_move(self, track: Track) -> None:
+        """Twice the same is harmless.  A closed track switches nothing."""
+        if not isinstance(track, LaserSwitch):
+            pytest.skip("this track switches no laser")
+        stood_mm = track.move_to(self.limits_mm[0])
+        for switch in (track.laser_on, track.laser_on, track.laser_off, track.laser_off):
+            switch()
+            assert track.position_mm == stood_mm
+        track.close()
+        with pytest.raises(DeviceError):
+            track.laser_on()
 
     def test_closed_it_does_not_move(self, track: Track) -> None:
         track.close()

@@ -22,7 +22,7 @@ MISS_MM = 0.01  # how far, at most, the recorded track stood from where it was s
 RIG = """
 camera = {{ driver = "replay", width_px = 20, height_px = 16, options = {{ run_file = "{run}" }} }}
 track = {{ driver = "replay", options = {{ run_file = "{run}" }} }}
-plan = {{ start_mm = {start_mm}, step_mm = {step_mm}, frames = {frames} }}
+plan = {{ start_mm = {start_mm}, step_mm = {step_mm}, frames = {frames}, laser = "{laser}" }}
 """
 
 
@@ -40,11 +40,13 @@ class StandingTrack:
         pass
 
 
-def record(path: Path, frames: int = 5, step_mm: float = 0.5, written: int = 5) -> Run:
+def record(
+    path: Path, frames: int = 5, step_mm: float = 0.5, written: int = 5, laser: str = "untouched"
+) -> Run:
     """A run from 10 mm on; its track misses each stop by another amount."""
     generator = np.random.default_rng(4)
     camera = {"driver": "gone", "width_px": 20, "height_px": 16}
-    plan = {"start_mm": 10.0, "step_mm": step_mm, "frames": frames}
+    plan = {"start_mm": 10.0, "step_mm": step_mm, "frames": frames, "laser": laser}
     document = {"camera": camera, "track": {"driver": "gone"}, "plan": plan}
     rig_file = parse_rig(document, source="rig.toml", trusted=True)
     with create_run(path, rig_file) as writer:
@@ -52,13 +54,16 @@ def record(path: Path, frames: int = 5, step_mm: float = 0.5, written: int = 5) 
             image = generator.integers(0, 256, (16, 20, 3), dtype=np.uint8)
             miss_mm = float(generator.uniform(-MISS_MM, MISS_MM)) if step_mm else 0.0
             time_s = 0.1 * index
-            writer.append(Frame(image, index, commanded_mm, commanded_mm + miss_mm, time_s, 20.0))
+            position_mm = commanded_mm + miss_mm
+            dark = image // 2 if laser == "pairs" else None
+            writer.append(Frame(image, index, commanded_mm, position_mm, time_s, 20.0, dark))
     return open_run(path)
 
 
 def replay_rig(folder: Path, **values: Any) -> RigFile:
     """A rig file beside the recorded folder "a", read as the commands read it."""
-    plan = {"run": "a", "start_mm": 10.0, "step_mm": 0.5, "frames": 5, **values}
+    plan = {"run": "a", "start_mm": 10.0, "step_mm": 0.5, "frames": 5, "laser": "untouched"}
+    plan |= values
     (folder / "rig.toml").write_text(RIG.format(**plan))
     return load_rig(folder / "rig.toml")
 
@@ -77,7 +82,7 @@ class TestReplayCamera(CameraContract):
 
     @pytest.fixture
     def camera(self, tmp_path: Path) -> ReplayCamera:
-        run = record(tmp_path / "a")
+        run = record(tmp_path / "a", laser="pairs")
         return ReplayCamera(run, ReplayTrack(run))
 
 
@@ -88,6 +93,32 @@ def test_scanning_again_gives_the_same_frames(tmp_path: Path, step_mm: float) ->
     assert again.rows == recorded.rows
     for one, other in zip(again.frames(), recorded.frames(), strict=True):
         np.testing.assert_array_equal(one.image, other.image)
+
+
+@pytest.mark.parametrize("step_mm", [0.5, -0.5, 0.0])
+def test_pairs_scanned_again_are_the_same_pairs(tmp_path: Path, step_mm: float) -> None:
+    """Also where all were recorded at one place: a background stays with its picture."""
+    recorded = record(tmp_path / "a", step_mm=step_mm, laser="pairs")
+    again = scan(replay_rig(tmp_path, step_mm=step_mm, laser="pairs"), tmp_path / "b")
+    assert again.rows == recorded.rows
+    for one, other in zip(again.frames(), recorded.frames(), strict=True):
+        assert one.background is not None
+        assert other.background is not None
+        np.testing.assert_array_equal(one.background, other.background)
+
+
+def test_the_lit_pictures_of_pairs_serve_an_ordinary_scan(tmp_path: Path) -> None:
+    recorded = record(tmp_path / "a", laser="pairs")
+    again = scan(replay_rig(tmp_path, laser="on"), tmp_path / "b")
+    assert [row.sha256 for row in again.rows] == [row.sha256 for row in recorded.rows]
+
+
+def test_a_run_without_backgrounds_serves_no_pairs(tmp_path: Path) -> None:
+    run = record(tmp_path / "a")
+    with pytest.raises(InputError, match=r"plan\.laser: the run .*/a was recorded without"):
+        replay_rig(tmp_path, laser="pairs")
+    with pytest.raises(DeviceError, match="recorded without backgrounds"):
+        ReplayCamera(run, ReplayTrack(run)).grab(0, dark=True)
 
 
 def test_a_coarser_scan_takes_every_other_frame(tmp_path: Path) -> None:

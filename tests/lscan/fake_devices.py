@@ -21,9 +21,9 @@ WIDTH, HEIGHT = 20, 16
 
 
 def fake_rig(
-    frames: int = 5, width_px: int = WIDTH, height_px: int = HEIGHT, **plan: float
+    frames: int = 5, width_px: int = WIDTH, height_px: int = HEIGHT, **plan: Any
 ) -> RigFile:
-    """A rig of the fake devices; ``plan`` holds start_mm and step_mm."""
+    """A rig of the fake devices; ``plan`` holds start_mm, step_mm and laser."""
     document = {
         "name": "Prüfstand",
         "camera": {
@@ -41,11 +41,12 @@ def fake_rig(
 
 @dataclass
 class FakeTrack:
-    """Misses each commanded position by a fixed 0.013 mm; ``trace`` notes every move."""
+    """Misses each commanded position by a fixed 0.013 mm; ``trace`` notes all that is done."""
 
     trace: list[str] = field(default_factory=list)
     fail_at: int | None = None
     position_mm: float = 0.0
+    lit: bool = False
     moves: int = 0
     closed: int = 0
 
@@ -57,6 +58,16 @@ class FakeTrack:
         self.trace.append("move")
         self.position_mm = position_mm + 0.013
         return self.position_mm
+
+    def laser_on(self) -> None:
+        """Light the laser."""
+        self.trace.append("laser on")
+        self.lit = True
+
+    def laser_off(self) -> None:
+        """Put the laser out."""
+        self.trace.append("laser off")
+        self.lit = False
 
     def close(self) -> None:
         """Count the closings."""
@@ -75,7 +86,7 @@ class FakeCamera:
     grabs: dict[float, int] = field(default_factory=dict)
     closed: int = 0
 
-    def grab(self, frame: int | None = None) -> Grab:
+    def grab(self, frame: int | None = None, dark: bool = False) -> Grab:
         """A picture; at grab number ``fail_at`` the bad one, or a failure."""
         if sum(self.grabs.values()) == self.fail_at:
             if self.bad_picture is None:

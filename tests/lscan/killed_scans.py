@@ -4,6 +4,8 @@
     just before it (FOLDER/NNN) and, where it is a write, half way through (FOLDER/NNN-half).
 ``killed_scans.py FOLDER twice``: scans killed at a random call, resumed, killed again.
 ``killed_scans.py FOLDER anytime``: scans killed from outside after a random time.
+
+Two more arguments are the number of frames, 3 where it is left out, and the plan's ``laser``.
 """
 
 from __future__ import annotations
@@ -23,12 +25,14 @@ from fake_devices import FakeCamera, FakeTrack, fake_rig
 from lscan.acquire import acquire_into
 from lscan.runwriter import resume_run
 
+FRAMES = int(sys.argv[3]) if len(sys.argv) > 3 else 3
+PLAN = {"laser": sys.argv[4]} if len(sys.argv) > 4 else {}
 CALLS = ("mkdir", "open", "write", "fsync", "replace", "ftruncate", "unlink", "close")
 
 
 def scan(path: Path) -> None:
     """The test's scan, begun or resumed."""
-    with resume_run(path, fake_rig(frames=3)) as writer:
+    with resume_run(path, fake_rig(FRAMES, **PLAN)) as writer:
         track = FakeTrack()
         acquire_into(writer, FakeCamera(track), track)
 

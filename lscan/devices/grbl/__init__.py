@@ -43,6 +43,7 @@ def open_track(
 
 class _TrackDriver:
     sections: frozenset[str] = frozenset()
+    switches_laser = True
 
     def validate(self, rig_file: RigFile) -> None:
         read_options(rig_file)

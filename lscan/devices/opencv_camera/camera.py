@@ -76,11 +76,12 @@ class OpencvCamera:
         """From now on black pictures are meant: the cap is on."""
         self._black_is_meant = True
 
-    def grab(self, frame: int | None = None) -> Grab:
+    def grab(self, frame: int | None = None, dark: bool = False) -> Grab:
         """A picture that arrived after this call began, RGB; DeviceError where none can be had.
 
         frame: where the camera is a video file, which of its pictures is wanted; so a resumed
-        scan goes on where it stopped.
+        scan goes on where it stopped.  dark: the laser is off, and a black picture is meant.
+        What was exposed before the call is dropped with the first ``flush_frames`` pictures.
         """
         if self._closed:
             raise DeviceError(f"{self._options.name}: is closed")
@@ -92,7 +93,7 @@ class OpencvCamera:
                 if attempt:
                     time.sleep(self._options.reconnect_wait_s)
                     self._reconnect()
-                return self._grab(began_s, frame)
+                return self._grab(began_s, frame, dark or self._black_is_meant)
             except DeviceLost as error:
                 lost = error
                 _log.warning("%s", error)
@@ -105,7 +106,7 @@ class OpencvCamera:
 
     # ---- taking pictures ----------------------------------------------------------------
 
-    def _grab(self, began_s: float, frame: int | None) -> Grab:
+    def _grab(self, began_s: float, frame: int | None, may_be_black: bool) -> Grab:
         if self._options.live:
             after_s = began_s + self._options.flush_ms / 1000
             for _ in range(self._options.flush_frames):
@@ -113,7 +114,8 @@ class OpencvCamera:
         else:
             after_s = -math.inf
             self._wind_to(frame)
-        pictures = [self._sound_picture(after_s) for _ in range(self._options.average_frames)]
+        count = self._options.average_frames
+        pictures = [self._sound_picture(after_s, may_be_black) for _ in range(count)]
         images = [_rgb(picture.image) for picture in pictures]
         image = images[0] if len(images) == 1 else _mean(images)
         # A clock that has not ticked since the last picture is moved by the least step.
@@ -121,13 +123,13 @@ class OpencvCamera:
         self._last_time_s = max(pictures[-1].time_s, later_s)
         return Grab(image, self._last_time_s, self._settings.exposure_ms)
 
-    def _sound_picture(self, after_s: float) -> Picture:
-        """The next picture that is neither black nor the last one again."""
+    def _sound_picture(self, after_s: float, may_be_black: bool) -> Picture:
+        """The next picture that is neither black, unless it may be, nor the last one again."""
         retries = self._options.retries if self._options.live else 0
         fault = ""
         for _ in range(retries + 1):
             picture = self._take(after_s)
-            fault = self._fault(picture.image)
+            fault = self._fault(picture.image, may_be_black)
             if not fault:
                 self._last = picture.image
                 return picture
@@ -138,9 +140,9 @@ class OpencvCamera:
         self._read += 1
         return picture
 
-    def _fault(self, image: Bytes) -> str:
+    def _fault(self, image: Bytes, may_be_black: bool) -> str:
         """What is wrong with a picture of the right size; "" where nothing is."""
-        if self._is_black(image) and not self._black_is_meant:
+        if self._is_black(image) and not may_be_black:
             said = f"a black picture, brightest pixel {int(image.max())} DN at {self._exposure}"
             if self._options.black == "refuse":
                 return f"{said}; take the cap off, or set camera.options.black = 'accept'"

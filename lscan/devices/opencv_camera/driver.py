@@ -14,10 +14,21 @@ from lscan.rig import RigFile
 
 class _CameraDriver:
     sections: frozenset[str] = frozenset()
+    takes_dark = True
 
     def validate(self, rig_file: RigFile) -> None:
-        """Check the options, and that a video file is there, touching no device: InputError."""
-        self._options(rig_file)
+        """Check the options, and that a video file is there, touching no device: InputError.
+
+        A video was taken without the laser being switched for it: it serves no pairs.
+        """
+        options = self._options(rig_file)
+        if rig_file.rig.plan.paired and not options.live:
+            raise InputError(
+                "a video file does not see the laser being switched",
+                where=f"{rig_file.source}: plan.laser",
+                value=rig_file.rig.plan.laser,
+                allowed="untouched, on; or a camera.options.device or url",
+            )
 
     def open(self, rig_file: RigFile, track: Track) -> OpencvCamera:
         """The camera, ready to grab; DeviceError where it is not as the rig file says."""
