@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from lscan.devices.api import Camera, Grab, LaserSwitch, Track
+from lscan.devices.api import Camera, Grab, LaserSwitch, PlaceChecking, Track
 from lscan.errors import DeviceError
 from lscan.records import Bytes, Frame
 from lscan.rig import CameraSection, Plan, RigFile, find_plugin
@@ -77,6 +77,7 @@ def acquire_into(
     positions_mm = plan.positions_mm()
     if progress is not None:
         progress(writer.written, writer.planned)
+    _check_place(writer, track, positions_mm)
     with _laser(track, plan) as switch:
         sitting = _Sitting(writer.rig_file.rig.camera, camera, track, switch)
         while writer.written < writer.planned:
@@ -84,6 +85,14 @@ def acquire_into(
             if progress is not None:
                 progress(writer.written, writer.planned)
     return writer.finish()
+
+
+def _check_place(writer: RunWriter, track: Track, positions_mm: list[float]) -> None:
+    """Raise DeviceError where a scan that goes on might put its frames at shifted places."""
+    if writer.last_mm is None or writer.written == writer.planned:
+        return
+    if isinstance(track, PlaceChecking):
+        track.check_place(writer.last_mm, positions_mm[writer.written])
 
 
 @contextmanager

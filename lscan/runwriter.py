@@ -12,7 +12,7 @@ import hashlib
 import json
 import os
 import shutil
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any, Self
 
@@ -50,11 +50,15 @@ class RunWriter:
     """A run folder being written, locked so that two scans cannot mix.
 
     Made by ``create_run`` or ``resume_run``; use it in a ``with`` statement.
+
+    written: number of frames recorded so far.  last_mm: the position at which the last of them
+    was taken, None before the first.
     """
 
-    def __init__(self, path: Path, rig_file: RigFile, lock: int, written: int) -> None:
+    def __init__(self, path: Path, rig_file: RigFile, lock: int, rows: Sequence[Row] = ()) -> None:
         self.path, self.rig_file = path, rig_file
-        self.written = written
+        self.written = len(rows)
+        self.last_mm = rows[-1].position_mm if rows else None
         with disk_errors(path / TABLE):
             table = os.open(path / TABLE, os.O_WRONLY | os.O_APPEND)
         self._table, self._held = table, [lock, table]
@@ -116,6 +120,7 @@ class RunWriter:
         )
         append_synced(self._table, f"{row.as_text()}\n".encode(), self.path / TABLE)
         self.written += 1
+        self.last_mm = frame.position_mm
 
     def _require_alike(self, frame: Frame) -> None:
         """Raise InputError where the picture is not of the shape of the run's first one.
@@ -168,7 +173,7 @@ def create_run(path: Path, rig_file: RigFile) -> RunWriter:
     lock = lock_folder(path)
     try:
         _lay_out(path, manifest)
-        return RunWriter(path, rig_file, lock, written=0)
+        return RunWriter(path, rig_file, lock)
     except BaseException:
         os.close(lock)
         shutil.rmtree(path, ignore_errors=True)
@@ -190,8 +195,8 @@ def resume_run(path: Path, rig_file: RigFile) -> RunWriter:
         if _is_unborn(path):
             _remove_temporaries(path)
             _lay_out(path, _new_manifest(rig_file))
-            return RunWriter(path, rig_file, lock, written=0)
-        return RunWriter(path, rig_file, lock, written=_take_up(path, rig_file))
+            return RunWriter(path, rig_file, lock)
+        return RunWriter(path, rig_file, lock, _take_up(path, rig_file))
     except BaseException:
         os.close(lock)
         raise
@@ -264,8 +269,8 @@ def _is_unborn(path: Path) -> bool:
     return names <= early and not frames
 
 
-def _take_up(path: Path, rig_file: RigFile) -> int:
-    """Clear away what a killed scan left, check the rest, return the number of frames."""
+def _take_up(path: Path, rig_file: RigFile) -> tuple[Row, ...]:
+    """Clear away what a killed scan left, check the rest, return the rows of the frames."""
     manifest, kept = read_manifest(path)
     key = first_difference(kept.document, rig_file.document)
     if key is not None:
@@ -279,7 +284,7 @@ def _take_up(path: Path, rig_file: RigFile) -> int:
             _write_manifest(path, manifest.model_copy(update={"software": software}))
     run = open_run(path)
     run.verify()
-    return len(run)
+    return run.rows
 
 
 def _remove_temporaries(path: Path) -> None:

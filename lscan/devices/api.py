@@ -60,6 +60,18 @@ class LaserSwitch(Protocol):
 
 
 @runtime_checkable
+class PlaceChecking(Protocol):
+    """A track whose zero may be lost between two sittings of a scan."""
+
+    def check_place(self, last_mm: float, next_mm: float) -> None:
+        """Raise DeviceError, saying what to do, unless a scan can go on without a shift.
+
+        last_mm: where the last frame was recorded.  next_mm: where the next is due.
+        """
+        ...
+
+
+@runtime_checkable
 class Camera(Protocol):
     """A camera that delivers pictures of one size."""
 

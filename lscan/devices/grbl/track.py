@@ -28,7 +28,7 @@ class SerialTrack:
         """Wake the machine and home it where the options say so; DeviceError if it fails."""
         self._machine, self._options, self._name, self._sleep = machine, options, name, sleep
         self._refusal: str | None = None
-        self._engaged = self._lit = False
+        self._engaged = self._moved = self._lit = False
         try:
             self._travel: Travel = machine.wake()
             self._check_travel()
@@ -77,7 +77,36 @@ class SerialTrack:
             )
         with self._latched():
             self._check_undisturbed()
+            self._moved = True
             return self._approach(float(position_mm))
+
+    def check_place(self, last_mm: float, next_mm: float) -> None:
+        """Raise DeviceError unless a scan can go on without a shift of its frames.
+
+        last_mm: where its last frame was recorded.  next_mm: where the next is due.  Homing
+        finds the same zero each time, and a track that moved since it was opened has been
+        watched since.  Otherwise the head must report a place it can have been left at: between
+        the two, or as far below as the approach goes.  Zero of the machine is never such a
+        place, since a controller that has just started reports it wherever the head stands.
+        """
+        self._ready()
+        if self._options.homing or self._moved:
+            return
+        options, stands_mm, slack_mm = self._options, self._position_mm, self.tolerance_mm
+        low_mm = min(last_mm, next_mm) - options.approach_mm - slack_mm
+        high_mm = max(last_mm, next_mm) + slack_mm
+        start_mm = options.position_mm(0.0)
+        if low_mm <= stands_mm <= high_mm and abs(stands_mm - start_mm) > slack_mm:
+            return
+        resting_mm = max(last_mm, next_mm, key=lambda place_mm: abs(place_mm - start_mm))
+        raise DeviceError(
+            f"{self._name}: reports {stands_mm:g} mm, the last frame was recorded at {last_mm:g} "
+            "mm: the scan might go on at shifted places, since without homing a controller that "
+            f"restarts takes where the head stands for {start_mm:g} mm. If it did, switch it off, "
+            f"push the head by hand to where {start_mm:g} mm was, and switch it on; then jog to "
+            f"{resting_mm:g} mm and resume. Where opening the port restarts it, only a new scan "
+            "with track.options.homing = true can be resumed"
+        )
 
     def laser_on(self) -> None:
         """Switch the laser on with the rig's ``laser_power``."""
