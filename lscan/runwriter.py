@@ -294,11 +294,17 @@ def _remove_temporaries(path: Path) -> None:
                 file.unlink()
 
 
+# In noise nothing repeats: looking for repetitions, as OpenCV does by default, costs a fifth of
+# the time and saves nothing.  Other levels and filters are slower or, on some pictures, larger by
+# a third.  What JPEG has smoothed gets larger by this, all but black pictures several times, but
+# no picture takes longer than a noisy one.
+_PNG = (cv2.IMWRITE_PNG_STRATEGY, cv2.IMWRITE_PNG_STRATEGY_HUFFMAN_ONLY)
+
+
 def _encode(image: Bytes) -> bytes:
-    """The picture as PNG, at OpenCV's own setting: on noisy pictures of a laser line it is
-    faster than any compression level asked for by number, and smaller than most."""
+    """The picture as PNG, encoded in the way that is fastest for noisy ones."""
     bgr = image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_RGB2BGR)
-    done, data = cv2.imencode(".png", bgr)
+    done, data = cv2.imencode(".png", bgr, _PNG)
     if not done:
         raise InputError("the picture cannot be written as PNG", value=image.shape)
     return data.tobytes()
