@@ -123,7 +123,7 @@ class BeamCamera:
     """Pictures as bright as the emulated controller's laser is strong when they are taken."""
 
     emulator: GrblEmulator | MarlinEmulator
-    clock: SimulatedTime
+    clock: Interruptible
     size_px: tuple[int, int] = (WIDTH_PX, HEIGHT_PX)
 
     def grab(self, frame: int | None = None, dark: bool = False) -> Grab:
@@ -134,8 +134,20 @@ class BeamCamera:
     def close(self) -> None: ...
 
 
+class Interruptible(SimulatedTime):
+    """A time in which Ctrl-C is pressed, once, at ``interrupt_s``."""
+
+    interrupt_s = float("inf")
+
+    def sleep(self, seconds: float) -> None:
+        super().sleep(seconds)
+        if self.now_s > self.interrupt_s:
+            self.interrupt_s = float("inf")
+            raise KeyboardInterrupt
+
+
 def bench(dialect: str) -> tuple[SerialTrack, BeamCamera]:
-    clock = SimulatedTime()
+    clock = Interruptible()
     emulator = GrblEmulator(clock=clock) if dialect == "grbl" else MarlinEmulator(clock=clock)
     options = SerialTrackOptions(
         port="here", dialect=dialect, min_mm=0, max_mm=180, zero_mm=-190, laser_power=200
@@ -153,6 +165,27 @@ def test_pairs_through_a_controller(tmp_path: Path, dialect: str) -> None:
     for frame in run.frames():
         assert frame.background is not None
         assert (frame.image.min(), frame.background.max()) == (200, 0)
+
+
+@pytest.mark.parametrize("dialect", ["grbl", "marlin"])
+def test_stopped_in_mid_move_the_beam_is_off(tmp_path: Path, dialect: str) -> None:
+    """After a motion that failed the track refuses all but to switch the laser off."""
+    track, camera = bench(dialect)
+    powers = []
+
+    def stop(done: int, _: int) -> None:
+        if done == 1:
+            camera.clock.interrupt_s = camera.clock() + 0.5
+            powers.append(camera.emulator.laser_power)
+
+    document = {**rig_of(3).document, "plan": {"frames": 3, "laser": "on", "step_mm": 20.0}}
+    rig_file = parse_rig(document, source="rig.toml", trusted=True)
+    with create_run(tmp_path / "a", rig_file) as writer, pytest.raises(KeyboardInterrupt):
+        acquire_into(writer, camera, track, stop)
+    assert powers == [200]
+    assert camera.emulator.laser_power == 0
+    with pytest.raises(DeviceError, match="must be opened again"):
+        track.laser_on()
 
 
 @pytest.mark.parametrize("dialect", ["grbl", "marlin"])

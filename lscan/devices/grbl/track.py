@@ -9,6 +9,8 @@ from lscan.devices.grbl.machine import Machine, Travel
 from lscan.devices.grbl.options import ROUNDING_MM, SerialTrackOptions
 from lscan.errors import DeviceError
 
+_CLOSED = "is closed"
+
 
 class SerialTrack:
     """A track that moves only upwards into every position, and believes only what it reads.
@@ -116,15 +118,16 @@ class SerialTrack:
             self._machine.laser(self._options.laser_power)
 
     def laser_off(self) -> None:
-        """Switch the laser off."""
-        self._ready()
+        """Switch the laser off; after a failed motion too, for the sake of eyes."""
+        if self._refusal == _CLOSED:
+            self._ready()
         with self._latched():
             self._machine.laser(0.0)
             self._lit = False
 
     def close(self) -> None:
         """Stop any motion, switch off a laser that is on, release the port."""
-        if self._refusal == "is closed":
+        if self._refusal == _CLOSED:
             return
         with contextlib.suppress(DeviceError):
             self._machine.stop()
@@ -132,7 +135,7 @@ class SerialTrack:
             with contextlib.suppress(DeviceError):
                 self._machine.laser(0.0)
         self._machine.close()
-        self._refusal = "is closed"
+        self._refusal = _CLOSED
 
     def _approach(self, target_mm: float) -> float:
         """Go there from below; where the head already came from below, straight on."""
@@ -198,7 +201,8 @@ class SerialTrack:
         try:
             yield
         except BaseException as error:
-            self._refusal = f"failed before and must be opened again ({error})"
+            first = f"failed before and must be opened again ({error})"
+            self._refusal = self._refusal or first
             self._engaged = False
             with contextlib.suppress(DeviceError):
                 self._machine.stop()
