@@ -68,6 +68,13 @@ class GrblEmulator:
             return self._axes.head_mm(self._last_s)
 
     @property
+    def standing_mm(self) -> Place | None:
+        """Where the head rests, counted from the switches; None while it moves."""
+        with self._lock_out:
+            self._update()
+            return None if self._planner.moving else self._axes.head_mm(self._last_s)
+
+    @property
     def laser_power(self) -> float:
         """S word of the laser that is on; 0 where it is off."""
         return self._modes.speed if self._modes.spindle else 0.0

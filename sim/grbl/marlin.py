@@ -49,6 +49,13 @@ class MarlinEmulator:
             self._update()
             return self._axes.head_mm(self._clock())
 
+    @property
+    def standing_mm(self) -> Place | None:
+        """Where the head rests, counted from the switches; None while it moves."""
+        with self._lock_out:
+            self._update()
+            return None if self._axes.planner.moving else self._axes.head_mm(self._clock())
+
     def receive(self, data: bytes) -> None:
         """Take bytes from the line."""
         with self._lock_out:

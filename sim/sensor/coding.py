@@ -51,13 +51,27 @@ def through_jpeg(image: Bytes, sensor: Sensor) -> Bytes:
     """The (H, W, 3) RGB picture coded and decoded as one of MJPEG's; unchanged without one."""
     if sensor.jpeg_quality is None:
         return image
+    coded = jpeg_bytes(image, sensor.jpeg_quality, sensor.jpeg_subsampling)
+    return from_jpeg(coded)
+
+
+def jpeg_bytes(image: Bytes, quality: int, subsampling: str) -> bytes:
+    """The (H, W, 3) RGB picture as a JPEG file.
+
+    quality: 1 to 100, as libjpeg counts.  subsampling: of the chroma, a key of SUBSAMPLING.
+    """
     settings = [
-        cv2.IMWRITE_JPEG_QUALITY, sensor.jpeg_quality,
-        cv2.IMWRITE_JPEG_SAMPLING_FACTOR, SUBSAMPLING[sensor.jpeg_subsampling],
+        cv2.IMWRITE_JPEG_QUALITY, quality,
+        cv2.IMWRITE_JPEG_SAMPLING_FACTOR, SUBSAMPLING[subsampling],
     ]  # fmt: skip
     _, coded = cv2.imencode(".jpg", cv2.cvtColor(image, cv2.COLOR_RGB2BGR), settings)
-    decoded = cv2.imdecode(coded, cv2.IMREAD_COLOR)
-    assert decoded is not None  # it was coded a line above
+    return coded.tobytes()
+
+
+def from_jpeg(coded: bytes) -> Bytes:
+    """The (H, W, 3) RGB picture of a JPEG file that ``jpeg_bytes`` made."""
+    decoded = cv2.imdecode(np.frombuffer(coded, np.uint8), cv2.IMREAD_COLOR)
+    assert decoded is not None
     return np.asarray(cv2.cvtColor(decoded, cv2.COLOR_BGR2RGB), dtype=np.uint8)
 
 

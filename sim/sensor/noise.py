@@ -16,6 +16,10 @@ Electrons = NDArray[np.float32]
 SENSITIVITY_STREAM, OFFSET_STREAM, HOT_STREAM = 0, 2, 3
 # Far above the full well the shot noise no longer shows, and Poisson has its limits.
 MOST_FULL_WELLS = 1e3
+# Shot noise of m electrons on dark noise of d has the skewness m/(m + d^2)^1.5, at most
+# 2/(27^0.5 d), at m = 2 d^2.  At three sigma a skewness s moves the density by the share
+# s/6 (3^3 - 3*3) = 3 s (Edgeworth): from this dark noise on, by a tenth at most.
+LEAST_GAUSSIAN_DARK_E = 30 * 2 / 27**0.5
 
 
 @dataclass(frozen=True)
@@ -56,16 +60,43 @@ def noisy(
     Shot noise is Poisson, of the dark current of hot pixels too; dark noise is Gaussian and
     may leave a pixel below zero, as reading out does.
     """
-    expected = electrons * pattern.sensitivity
-    if pattern.hot_e is not None:
-        expected += pattern.hot_e
-    np.minimum(expected, MOST_FULL_WELLS * sensor.full_well_e, out=expected)
+    expected = gathered(electrons, sensor, pattern)
     read = generator.poisson(expected).astype(np.float32)
     dark = generator.standard_normal(electrons.shape, dtype=np.float32)
     read += np.float32(sensor.dark_noise_e) * dark
     if pattern.offset_e is not None:
         read += pattern.offset_e
     return read
+
+
+def nearly_noisy(
+    expected: Electrons, sensor: Sensor, pattern: FixedPattern, generator: np.random.Generator
+) -> Electrons:
+    """Electrons read out of those ``gathered``, in a third of the time of ``noisy``.
+
+    Shot and dark noise are one Gaussian of their joint variance: mean and variance are exact,
+    the skewness is lost.  Below LEAST_GAUSSIAN_DARK_E they are drawn apart, as in ``noisy``.
+    """
+    if sensor.dark_noise_e < LEAST_GAUSSIAN_DARK_E:
+        read = generator.poisson(expected).astype(np.float32)
+        spread: Electrons | np.float32 = np.float32(sensor.dark_noise_e)
+    else:
+        read = expected.copy()
+        spread = np.sqrt(expected + np.float32(sensor.dark_noise_e**2))
+    noise = generator.standard_normal(expected.shape, dtype=np.float32)
+    noise *= spread
+    read += noise
+    if pattern.offset_e is not None:
+        read += pattern.offset_e
+    return read
+
+
+def gathered(electrons: Electrons, sensor: Sensor, pattern: FixedPattern) -> Electrons:
+    """Electrons to be expected in these very pixels, in the shape of the expected ``electrons``."""
+    expected = electrons * pattern.sensitivity
+    if pattern.hot_e is not None:
+        expected += pattern.hot_e
+    return np.minimum(expected, MOST_FULL_WELLS * sensor.full_well_e, out=expected)
 
 
 def _stream(sensor: Sensor, stream: int) -> np.random.Generator:

@@ -8,15 +8,17 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from lscan.errors import InputError
 from lscan.records import Bytes
 from sim.fineness import binned, fineness_of, finer_lens
 from sim.scene import Lens, Response, Scene
 from sim.sensor.blur import point_spread
 from sim.sensor.coding import electrons_of, encode, linear_dn, through_jpeg
 from sim.sensor.colour import ColourFilter
-from sim.sensor.noise import fixed_pattern, noisy
+from sim.sensor.noise import fixed_pattern, gathered, noisy
 from sim.sensor.radiometry import AMBIENT_NM, photons_per_radiance, vignetting
 from sim.sensor.speckle import speckle_contrast, speckle_pattern
+from sim.sensor.still import StillView
 from sim.tank import Layers
 
 Electrons = NDArray[np.float32]
@@ -53,14 +55,35 @@ class Webcam:
         """
         nm = self.wavelength_nm if wavelength_nm is None else wavelength_nm
         electrons = self._electrons(layers, exposure_ms, nm, self._speckle(nm, generator))
-        if self._filter is not None:
-            electrons = self._filter.mosaic(electrons)
+        electrons = self._on_pixels(electrons)
         if self._pattern is not None:
             electrons = noisy(electrons, self.sensor, self._pattern, generator)
         linear = linear_dn(electrons, self.sensor)
         if self._filter is not None:
             linear = self._filter.demosaic(linear)
         return through_jpeg(encode(linear, self.sensor), self.sensor)
+
+    def still(self, layers: Layers, exposure_ms: float) -> StillView:
+        """The layers as seen again and again by a camera that stands still.
+
+        Its pictures are those of ``expose``, the nominal wavelength's, without the scene's own
+        JPEG.  Raises InputError where the sensor has no noise, for they would all be the same.
+        """
+        if self._pattern is None:
+            raise InputError("sensor.noise: without it all pictures are the same", allowed="true")
+        nm, sensor, pattern = self.wavelength_nm, self.sensor, self._pattern
+        contrast = self._speckle_contrast(nm)
+        nothing = np.zeros(self._shape, np.float32)
+        rest = self._electrons(layers, exposure_ms, nm, None if contrast is None else nothing)
+        steady = gathered(self._on_pixels(rest), sensor, pattern)
+        if contrast is None:
+            return StillView(sensor, pattern, self._filter, steady, nothing[:0], 0, 0.0)
+        photons = self._photons(layers.direct, exposure_ms, nm)
+        lit = np.flatnonzero((photons > 0).any(axis=1))
+        first, end = (int(lit[0]), int(lit[-1]) + 1) if lit.size else (0, 0)
+        speckled = self._on_pixels(photons[..., None] * _rgb(sensor.laser_response))
+        direct = np.ascontiguousarray((speckled * pattern.sensitivity)[first:end])
+        return StillView(sensor, pattern, self._filter, steady, direct, first, contrast)
 
     def mean_electrons(
         self, layers: Layers, exposure_ms: float, wavelength_nm: float | None = None
@@ -94,6 +117,10 @@ class Webcam:
         to_ambient = _rgb(self.sensor.ambient_response)
         return laser[..., None] * to_laser + ambient[..., None] * to_ambient
 
+    def _on_pixels(self, electrons: Electrons) -> Electrons:
+        """What of (H, W, 3) electrons the pixels collect: (H, W) behind a colour filter."""
+        return electrons if self._filter is None else self._filter.mosaic(electrons)
+
     def _laser_photons(
         self, layers: Layers, exposure_ms: float, laser_nm: float, speckle: Picture | None
     ) -> Picture:
@@ -121,11 +148,14 @@ class Webcam:
 
     def _speckle(self, laser_nm: float, generator: np.random.Generator) -> Picture | None:
         """A new pattern for each picture, for the head moves between them; None without one."""
+        contrast = self._speckle_contrast(laser_nm)
+        return None if contrast is None else speckle_pattern(self._shape, contrast, generator)
+
+    def _speckle_contrast(self, laser_nm: float) -> float | None:
         light = self.sensor.speckle
         if light == "none" or not self.sensor.noise:
             return None
-        contrast = speckle_contrast(self.sensor.pixel_um, self.lens.f_number, laser_nm, light)
-        return speckle_pattern(self._shape, contrast, generator)
+        return speckle_contrast(self.sensor.pixel_um, self.lens.f_number, laser_nm, light)
 
 
 def _rgb(response: Response) -> NDArray[np.float32]:

@@ -1,0 +1,52 @@
+"""Picture after picture of a place where nothing moves: only what differs is computed anew."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lscan.records import Bytes
+from sim.scene import Sensor
+from sim.sensor.coding import encode, linear_dn
+from sim.sensor.colour import ColourFilter
+from sim.sensor.noise import FixedPattern, nearly_noisy
+from sim.sensor.speckle import speckle_pattern
+
+Electrons = NDArray[np.float32]
+
+
+@dataclass(frozen=True)
+class StillView:
+    """Electrons that the sensor expects of one place, apart from noise.
+
+    steady: of all light without speckle, on the pixels: (H, W, 3), or (H, W) behind a colour
+    filter.  direct: of the light with speckle, only the rows that have any, from first_row on.
+    contrast: of the speckle.
+    """
+
+    sensor: Sensor
+    pattern: FixedPattern
+    filter: ColourFilter | None
+    steady: Electrons
+    direct: Electrons
+    first_row: int
+    contrast: float
+
+    def picture(self, generator: np.random.Generator) -> Bytes:
+        """The next picture, (H, W, 3) RGB; speckle and noise come from ``generator``."""
+        expected = self.steady
+        if self.direct.size:
+            expected = expected.copy()
+            height, width = self.direct.shape[:2]
+            speckle = speckle_pattern((height, width), self.contrast, generator)
+            if self.direct.ndim == 3:
+                speckle = speckle[..., np.newaxis]
+            expected[self.first_row : self.first_row + height] += self.direct * speckle
+        linear = linear_dn(
+            nearly_noisy(expected, self.sensor, self.pattern, generator), self.sensor
+        )
+        if self.filter is not None:
+            linear = self.filter.demosaic(linear)
+        return encode(linear, self.sensor)
