@@ -10,7 +10,7 @@ import typer
 from lscan.console import print_json, print_table, progress_bar, run_command_line
 
 app = typer.Typer(
-    help="The tank in software: demo, render, truth, views, verify.",
+    help="The tank in software: demo, render, truth, views, verify, serve.",
     no_args_is_help=True,
     add_completion=False,
     pretty_exceptions_enable=False,
@@ -183,6 +183,54 @@ def accuracy(
         print(f"{output}")
     if not all(row.passed for row in rows):
         raise typer.Exit(1)
+
+
+@app.command()
+def serve(
+    scene: SceneFile,
+    http_port: Annotated[int, typer.Option("--http-port", help="Of the webcam; 0: any.")] = 0,
+    fps: Annotated[float, typer.Option("--fps", help="Pictures per second.")] = 30.0,
+    quality: Annotated[int, typer.Option("--quality", help="Of the JPEGs, 1 to 100.")] = 95,
+    subsampling: Annotated[
+        str, typer.Option("--subsampling", help="Chroma: 4:4:4, or a webcam's 4:2:2, 4:2:0.")
+    ] = "4:4:4",
+    switched_laser: Annotated[
+        bool, typer.Option("--switched-laser", help="Lit only by M3, else always.")
+    ] = False,
+    prepare: Annotated[
+        bool, typer.Option("--prepare", help="Render the whole plan before opening.")
+    ] = False,
+    places: Annotated[int, typer.Option("--places", help="Renderings kept, 5 MB each.")] = 64,
+    dialect: Annotated[str, typer.Option("--dialect", help="grbl or marlin.")] = "grbl",
+    link: Annotated[
+        Path | None, typer.Option("--link", help="Lasting name for the serial port.")
+    ] = None,
+    write_rig: Annotated[
+        Path | None, typer.Option("--write-rig", help="Rig file to write, for lscan.")
+    ] = None,
+    fault: Annotated[
+        list[str] | None,
+        typer.Option("--fault", help="NAME@SECONDS after the start; none@SECONDS heals."),
+    ] = None,
+    json: Json = False,
+) -> None:
+    """The tank as a webcam (MJPEG, loopback) and a Grbl track; runs until Ctrl-C."""
+    from sim.scene import load_scene
+    from sim.serve import ServeOptions
+    from sim.serve.command import serve_until_stopped
+
+    options = ServeOptions(
+        http_port=http_port,
+        fps=fps,
+        quality=quality,
+        subsampling=subsampling,
+        places=places,
+        switched_laser=switched_laser,
+        prepare=prepare,
+        dialect=dialect,
+        link=link,
+    )
+    serve_until_stopped(load_scene(scene), options, write_rig, fault or [], json)
 
 
 def _print_files(files: dict[str, Path], json: bool) -> None:
