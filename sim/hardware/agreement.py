@@ -1,0 +1,119 @@
+"""The same scan through the drivers of real devices and through the tank's own."""
+
+from __future__ import annotations
+
+import shutil
+import time
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from lscan.acquire import scan
+from lscan.disk import make_folder
+from lscan.documents import merge
+from lscan.experiment import align_scan, measure_board, reconstruct
+from lscan.paper import CHOSEN_MAP
+from lscan.planemap.api import PlaneMap
+from lscan.profile import to_profile
+from lscan.records import Surface
+from lscan.rig import RigFile, load_rig, parse_rig
+from lscan.run import MANIFEST, Run
+from lscan.stripe import extract_stripe
+from lscan.surface import Alignment, apply, resample, stack
+from lscan.targets import Sandwave
+from sim.scene import scene_of
+from sim.sensor.coding import from_jpeg, jpeg_bytes
+from sim.serve import EmulatedHardware, ServeOptions
+from sim.verify.rows import Row
+
+FRAMES, STEP_MM = 100, 2.0  # as few as the alignment takes: ten profiles across each wedge
+BAR_MM = 0.15
+SOURCE = "issue 5, what must be shown"
+
+
+@dataclass(frozen=True)
+class Slices:
+    """The calibration, alignment and slices' ends of the scan all others are held against."""
+
+    piece: Sandwave
+    plane_map: PlaneMap
+    alignment: Alignment
+
+    def rms_mm(self, surface: Surface, reference: Surface) -> float:
+        """Rms difference in height of two raw surfaces on all slices, where both have a value."""
+        differences = []
+        for ends in self.piece.slices_mm().values():
+            one, other = (
+                resample(apply(self.alignment, raw), ends).z_mm for raw in (surface, reference)
+            )
+            differences.append(one - other)
+        difference = np.concatenate(differences)
+        return float(np.sqrt(np.nanmean(difference**2)))
+
+
+def agreement_rows(scenes: Path, output: Path = Path("out/hardware/agreement")) -> list[Row]:
+    """Slices of the sandwave scanned by the opencv and grbl drivers on the served tank, against
+    the same scan by the sim drivers, and what JPEG alone does to the latter.
+
+    scenes: folder that holds paper/board.toml and paper/sandwave.toml.  output: folder for the
+    runs; those of an earlier time are replaced.  Raises InputError where a scene is wrong.
+    """
+    board = _fresh(load_rig(scenes / "paper" / "board.toml"), output / "board")
+    plane_map = measure_board(board, (CHOSEN_MAP,)).calibrations[CHOSEN_MAP].plane_map
+    plan = {"plan": {"frames": FRAMES, "step_mm": STEP_MM}}
+    loaded = load_rig(scenes / "paper" / "sandwave.toml")
+    rig_file = parse_rig(merge(loaded.document, plan), source=loaded.source)
+    simulated = _fresh(rig_file, output / "simulated")
+    options = ServeOptions(prepare=True)
+    with EmulatedHardware(scene_of(rig_file), options) as hardware:
+        began_s = time.monotonic()
+        served = _fresh(hardware.rig_file(), output / "served")
+        frame_ms = 1000 * (time.monotonic() - began_s) / FRAMES
+    return _rows(simulated, served, plane_map, options, frame_ms)
+
+
+def _rows(
+    simulated: Run, served: Run, plane_map: PlaneMap, options: ServeOptions, frame_ms: float
+) -> list[Row]:
+    rig_file = simulated.rig_file
+    piece = rig_file.rig.workpiece
+    assert isinstance(piece, Sandwave)
+    reference = reconstruct(simulated, plane_map)
+    alignment, _ = align_scan(reference, piece, rig_file.rig.sheet)
+    slices = Slices(piece, plane_map, alignment)
+    seed = scene_of(rig_file).tank.sensor.seed
+    coding = f"JPEG quality {options.quality}, {options.subsampling}"
+    through = (
+        f"scan of {FRAMES} frames through opencv and grbl on the served tank: slices",
+        f"the sim drivers' scan, same calibration and alignment; {coding}; "
+        f"{frame_ms:.0f} ms a frame, motion and settling included",
+        slices.rms_mm(reconstruct(served, plane_map), reference),
+    )
+    alone = (
+        "the sim drivers' pictures through JPEG alone: slices",
+        f"the same pictures uncoded; {coding}",
+        slices.rms_mm(_coded(simulated, plane_map, options), reference),
+    )
+    return [
+        Row(what, against, figure, BAR_MM, "mm rms", SOURCE, seed)
+        for what, against, figure in (through, alone)
+    ]
+
+
+def _coded(run: Run, plane_map: PlaneMap, options: ServeOptions) -> Surface:
+    """The raw surface of the run's pictures, each through the served camera's JPEG."""
+    profiles = []
+    for frame in run.frames():
+        image = from_jpeg(jpeg_bytes(frame.image, options.quality, options.subsampling))
+        stripe = extract_stripe(image, run.rig_file.rig.stripe)
+        profiles.append(to_profile(stripe, plane_map, frame.position_mm))
+    return stack(profiles)
+
+
+def _fresh(rig_file: RigFile, folder: Path) -> Run:
+    """A new run; an earlier one in the same folder is replaced, nothing else is."""
+    if (folder / MANIFEST).exists():
+        shutil.rmtree(folder)
+    make_folder(folder.parent)
+    return scan(rig_file, folder)
