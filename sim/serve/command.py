@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import signal
 import sys
-import threading
 from collections.abc import Sequence
 from pathlib import Path
 from types import FrameType
@@ -34,7 +33,10 @@ def serve_until_stopped(
         for fault in timed:
             hardware.schedule(fault)
         _announce(hardware, rig, json)
-        threading.Event().wait()
+        while True:
+            # Not a lock: Mitsuba puts its SIGINT handler back in such a way (SA_RESTART) that
+            # the signal no longer interrupts waiting for one.
+            signal.pause()
 
 
 def _stop(number: int, frame: FrameType | None) -> None:

@@ -14,7 +14,15 @@ from lscan.rig import RigFile, parse_rig
 from sim.grbl import Faults, GrblEmulator, MarlinEmulator
 from sim.scene import Scene
 from sim.serve.camera import Coding, EmulatedCamera, Sight
-from sim.serve.faults import CAMERA_FAULTS, HEALED, TRACK_FAULTS, UNPLUGGED, TimedFault, check_name
+from sim.serve.faults import (
+    BREAK_THE_CONNECTION,
+    CAMERA_FAULTS,
+    HEALED,
+    TRACK_FAULTS,
+    UNPLUGGED,
+    TimedFault,
+    check_name,
+)
 from sim.serve.mjpeg import SNAPSHOT, STREAM, MjpegServer
 from sim.serve.options import ServeOptions
 from sim.serve.places import Places
@@ -105,9 +113,10 @@ class EmulatedHardware:
         elif name in TRACK_FAULTS:
             self._track.inject(TRACK_FAULTS[name])
         else:
-            self._camera.fault = CAMERA_FAULTS[name]
-            if name == "camera-drop":
+            if name in BREAK_THE_CONNECTION:
+                self._camera.fault = "drop"
                 self._server.drop()
+            self._camera.fault = CAMERA_FAULTS[name]
 
     def heal(self) -> None:
         """End all faults and plug in what was unplugged; an alarm stays until it is cleared."""

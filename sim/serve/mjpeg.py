@@ -75,6 +75,11 @@ class MjpegServer(ThreadingTCPServer):
             self._connections.add(request)
         super().process_request(request, client_address)
 
+    def process_request_thread(self, request: Any, client_address: Any) -> None:
+        """Answer one client, in a thread that is known by its name."""
+        threading.current_thread().name = f"client {client_address[1]}"
+        super().process_request_thread(request, client_address)
+
     def shutdown_request(self, request: Any) -> None:
         """Forget the connection."""
         with self._lock:

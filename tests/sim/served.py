@@ -10,7 +10,7 @@ from typing import Any
 
 from lscan.documents import merge
 from lscan.rig import RigFile, load_rig, parse_rig
-from sim.grbl import GrblEmulator
+from sim.grbl import GrblEmulator, MarlinEmulator
 from sim.scene import Scene, scene_of
 from sim.sensor.coding import from_jpeg
 from sim.serve import EmulatedHardware
@@ -33,8 +33,15 @@ def small_scene(**sections: Any) -> Scene:
 
 def hurry(hardware: EmulatedHardware) -> None:
     """Make the machine so quick that no test waits for it."""
-    assert isinstance(hardware.controller, GrblEmulator)
-    hardware.controller.settings.update(QUICK)
+    controller = hardware.controller
+    known = controller.settings if isinstance(controller, GrblEmulator) else _marlins(controller)
+    known.update(QUICK)
+
+
+def _marlins(controller: MarlinEmulator) -> dict[int, float]:
+    settings = controller._axes._settings
+    assert isinstance(settings, dict)
+    return settings
 
 
 def quick_rig(
@@ -85,5 +92,5 @@ def snapshot(hardware: EmulatedHardware) -> Any:
 
 def threads_of_hardware() -> list[str]:
     """Names of the threads that served hardware runs."""
-    names = ("emulated camera", "http", "serial ")
+    names = ("emulated camera", "http", "serial ", "client ")
     return [t.name for t in threading.enumerate() if t.name.startswith(names)]

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 import signal
 import subprocess
 import sys
@@ -59,7 +58,7 @@ def test_it_runs_until_sigterm_and_leaves_nothing(scene_file: Path, tmp_path: Pa
         where = read_json(process)
         with urllib.request.urlopen(where["snapshot"], timeout=PATIENCE_S) as answer:
             assert answer.read(2) == b"\xff\xd8"  # how a JPEG begins
-        assert where["port"] == str(link) and Path(os.readlink(link)).exists()
+        assert where["port"] == str(link) and link.readlink().exists()
         options = load_rig(Path(where["rig"])).rig
         assert options.camera.options["url"] == where["url"]
         assert options.track.options["port"] == str(link)
