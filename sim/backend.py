@@ -31,6 +31,7 @@ from types import ModuleType
 
 from lscan.disk import write_atomically
 from lscan.errors import InputError, LscanError
+from sim.debian import PackageError, install_first
 
 LLVM, CUDA = "llvm_ad_mono", "cuda_ad_mono"
 OLDEST_MAJOR = 15  # Dr.Jit itself refuses whatever lacks opaque pointers
@@ -279,43 +280,10 @@ def install_llvm() -> None:
 
     Raises BackendError where apt-get, the right to use it, or such a package is missing.
     """
-    admin = _as_root()
-    package = _offered()
-    if package is None:
-        _apt_get(admin, "update")
-        package = _offered()
-    if package is None:
-        raise BackendError(f"apt-get offers none of {', '.join(PACKAGES)}")
-    if not _apt_get(admin, "install", "-y", "--no-install-recommends", package):
-        _apt_get(admin, "update")  # the package list may be older than the archive
-        if not _apt_get(admin, "install", "-y", "--no-install-recommends", package):
-            raise BackendError(f"apt-get could not install {package}")
-
-
-def _as_root() -> list[str]:
-    if not shutil.which("apt-get"):
-        raise BackendError("there is no apt-get here to install it with")
-    if os.geteuid() == 0:
-        return []
-    if shutil.which("sudo") and _succeeds("sudo", "-n", "true"):
-        return ["sudo", "-n"]
-    raise BackendError("installing it takes root or a sudo that asks for no password")
-
-
-def _offered() -> str | None:
-    return next((name for name in PACKAGES if _succeeds("apt-cache", "show", name)), None)
-
-
-def _succeeds(*command: str) -> bool:
-    quiet = subprocess.DEVNULL
-    return subprocess.run(command, stdin=quiet, stdout=quiet, stderr=quiet).returncode == 0
-
-
-def _apt_get(admin: list[str], *arguments: str) -> bool:
-    quietly = ["env", "DEBIAN_FRONTEND=noninteractive", "apt-get", "-qq"]
-    patiently = ["-o", "DPkg::Lock::Timeout=120"]
-    command = [*admin, *quietly, *patiently, *arguments]
-    return subprocess.run(command, stdin=subprocess.DEVNULL, stdout=sys.stderr).returncode == 0
+    try:
+        install_first(PACKAGES)
+    except PackageError as refused:
+        raise BackendError(str(refused)) from refused
 
 
 def find_or_install() -> Library:
