@@ -21,7 +21,7 @@ help:
 demo: .venv/llvm.stamp
 	$(BIN)/lscan-sim demo -o out/demo
 
-test: lint .venv/llvm.stamp
+test: lint .venv/llvm.stamp .venv/chromium.stamp
 	$(BIN)/python -m pytest -n auto --maxprocesses 8
 
 lint: .venv/packages.stamp
@@ -46,6 +46,11 @@ clean:
 
 .venv/llvm.stamp: .venv/packages.stamp
 	@$(BIN)/python -m sim.backend --install
+	@touch $@
+
+# The live page is tested in a browser; where none can be had, those tests say so and skip.
+.venv/chromium.stamp: .venv/packages.stamp
+	@$(BIN)/python -m sim.hardware.browser --install
 	@touch $@
 
 .venv/packages.stamp: .venv/python.stamp requirements.lock pyproject.toml
