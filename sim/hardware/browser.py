@@ -22,7 +22,7 @@ import tempfile
 import time
 import urllib.request
 from collections.abc import Mapping
-from contextlib import suppress
+from contextlib import ExitStack, suppress
 from pathlib import Path
 from types import TracebackType
 from typing import Any
@@ -85,20 +85,18 @@ class Browser:
 
     def __init__(self, width: int = 1280, height: int = 800) -> None:
         binary = find_chromium()
-        self._profile = tempfile.TemporaryDirectory(
-            prefix="lscan-browser-", ignore_cleanup_errors=True
-        )
-        self._process = _start(binary, Path(self._profile.name))
         self._errors: list[str] = []
         self._last_id = 0
-        try:
-            self._page = self._attach()
+        with ExitStack() as opened:
+            kept = tempfile.TemporaryDirectory(prefix="lscan-browser-", ignore_cleanup_errors=True)
+            profile = Path(opened.enter_context(kept))
+            process = _start(binary, profile)
+            opened.callback(_end, process)
+            self._page = opened.enter_context(_attach(_wait_for_port(process, profile)))
             for domain in ("Page", "Runtime", "Log", "Network"):
                 self.call(f"{domain}.enable")
             self.resize(width, height)
-        except BaseException:
-            self._end()
-            raise
+            self._opened = opened.pop_all()
 
     def __enter__(self) -> Browser:
         return self
@@ -113,9 +111,7 @@ class Browser:
 
     def close(self) -> None:
         """End the browser and remove its profile; a second call does nothing."""
-        with suppress(OSError, ConnectionClosed):
-            self._page.close()
-        self._end()
+        self._opened.close()
 
     # ---- what a person does ---------------------------------------------------------------
 
@@ -147,8 +143,8 @@ class Browser:
             self.call("Input.dispatchMouseEvent", type=kind, x=place[0], y=place[1], **held)
 
     def press(self, key: str, *, shift: bool = False) -> None:
-        """Press and release one key: a character, or a name as in KeyboardEvent.key."""
-        code, text = _KEYS.get(key, (ord(key[0].upper()), key if len(key) == 1 else ""))
+        """Press and release one key: a character, or one of _KEYS as in KeyboardEvent.key."""
+        code, text = _KEYS[key] if key in _KEYS else (ord(key.upper()) * key.isalnum(), key)
         event = {
             "key": key,
             "windowsVirtualKeyCode": code,
@@ -246,31 +242,6 @@ class Browser:
                 entry = detail["entry"]
                 self._errors.append(f"{entry['source']}: {entry['text']} {entry.get('url', '')}")
 
-    def _attach(self) -> ClientConnection:
-        """A connection to the page that the browser opened with."""
-        listing = f"http://127.0.0.1:{self._wait_for_port()}/json/list"
-        with urllib.request.urlopen(listing, timeout=CALL_TIMEOUT_S) as answer:
-            targets = json.load(answer)
-        page = next(target for target in targets if target["type"] == "page")
-        return connect(page["webSocketDebuggerUrl"], max_size=None, open_timeout=CALL_TIMEOUT_S)
-
-    def _wait_for_port(self) -> int:
-        file = Path(self._profile.name) / "DevToolsActivePort"
-        deadline = time.monotonic() + START_TIMEOUT_S
-        while time.monotonic() < deadline and self._process.poll() is None:
-            with suppress(OSError, ValueError, IndexError):
-                return int(file.read_text().splitlines()[0])
-            time.sleep(POLL_S)
-        said = (Path(self._profile.name) / "stderr").read_text(errors="replace").strip()
-        last = said.splitlines()[-1] if said else "it said nothing"
-        raise BrowserError(f"Chromium does not start ({last})")
-
-    def _end(self) -> None:
-        with suppress(ProcessLookupError):
-            os.killpg(self._process.pid, signal.SIGKILL)  # its helpers are in its group
-        self._process.wait()
-        self._profile.cleanup()
-
 
 def _start(binary: str, profile: Path) -> subprocess.Popen[bytes]:
     options = [*_OPTIONS, f"--user-data-dir={profile}"]
@@ -284,6 +255,32 @@ def _start(binary: str, profile: Path) -> subprocess.Popen[bytes]:
             stderr=stderr,
             start_new_session=True,
         )
+
+
+def _end(process: subprocess.Popen[bytes]) -> None:
+    with suppress(ProcessLookupError):
+        os.killpg(process.pid, signal.SIGKILL)  # its helpers are in its group
+    process.wait()
+
+
+def _wait_for_port(process: subprocess.Popen[bytes], profile: Path) -> int:
+    """The port at which the browser just started answers; BrowserError if it never does."""
+    deadline = time.monotonic() + START_TIMEOUT_S
+    while time.monotonic() < deadline and process.poll() is None:
+        with suppress(OSError, ValueError, IndexError):
+            return int((profile / "DevToolsActivePort").read_text().splitlines()[0])
+        time.sleep(POLL_S)
+    said = (profile / "stderr").read_text(errors="replace").strip()
+    raise BrowserError(f"Chromium does not start ({said.splitlines()[-1] if said else 'no word'})")
+
+
+def _attach(port: int) -> ClientConnection:
+    """A connection to the page that the browser opened with."""
+    listing = f"http://127.0.0.1:{port}/json/list"
+    with urllib.request.urlopen(listing, timeout=CALL_TIMEOUT_S) as answer:
+        targets = json.load(answer)
+    page = next(target for target in targets if target["type"] == "page")
+    return connect(page["webSocketDebuggerUrl"], max_size=None, open_timeout=CALL_TIMEOUT_S)
 
 
 def _told(details: Mapping[str, Any]) -> str:
