@@ -12,7 +12,9 @@ const RATE_WINDOW_MS = 2000;
 const ENOUGH_MM = 0.5; // a board nearer to the sheet than this is well placed
 const ENOUGH_DEG = 0.1; // 0.4 mm at the edge of a board 0.5 m wide
 
-window.lscan = { framesDrawn: 0, lastNumber: 0, rateHz: 0, plot: null };
+// For whoever measures the page: pictures drawn, those of them with stripe and profile, the
+// number of the last, how many a second, and the window of the plot in mm and px.
+window.lscan = { framesDrawn: 0, profilesDrawn: 0, lastNumber: 0, rateHz: 0, plot: null };
 let state = null;
 let frame = null;
 
@@ -550,7 +552,8 @@ function showButtons() {
 }
 
 function showScan({ scan, plan }) {
-  write($("scan-state"), STATES[scan.state]);
+  const stopping = scan.state === "stopping";
+  write($("scan-state"), (stopping && scan.message) || STATES[scan.state]);
   const running = scan.state !== "idle" || scan.folder !== null;
   $("progress").value = running && scan.planned ? scan.done / scan.planned : 0;
   const parts = running
@@ -559,7 +562,7 @@ function showScan({ scan, plan }) {
         scan.left_s === null ? "" : `${clock(scan.left_s)} left`,
         `${clock(scan.elapsed_s)} gone`,
         scan.folder,
-        scan.state === "failed" ? "" : scan.message,
+        scan.state === "failed" || stopping ? "" : scan.message,
       ]
     : [`${plan.frames} frames from ${plan.start_mm} mm, every ${plan.step_mm} mm`];
   write($("scan-note"), parts.filter(Boolean).join(" · "));
@@ -659,14 +662,15 @@ function unpack(buffer) {
 
 const drawnAt = [];
 
-function countFrame(number) {
+function countFrame(f) {
   const now = performance.now();
   drawnAt.push(now);
   while (now - drawnAt[0] > RATE_WINDOW_MS) drawnAt.shift();
   const span = now - drawnAt[0];
   window.lscan.rateHz = span > 0 ? (1000 * (drawnAt.length - 1)) / span : 0;
-  window.lscan.lastNumber = number;
+  window.lscan.lastNumber = f.number;
   window.lscan.framesDrawn += 1;
+  if (f.stripe?.found && f.profile) window.lscan.profilesDrawn += 1;
 }
 
 const visible = () =>
@@ -681,7 +685,7 @@ function draw(bitmap, f) {
   frame = f;
   drawPicture(bitmap, f);
   if (f.mode === "stripe") drawProfile(f.profile);
-  countFrame(f.number);
+  countFrame(f);
   const now = performance.now();
   if (now - numbersAt < READABLE_MS) return;
   numbersAt = now;

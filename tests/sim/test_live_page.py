@@ -23,7 +23,7 @@ from live_mock import (
     served,
 )
 
-from sim.hardware.browser import Browser, BrowserError, BrowserMissing
+from sim.hardware.browser import Browser, BrowserError, BrowserMissing, main
 
 OUT = Path(__file__).resolve().parents[2] / "out" / "live"
 
@@ -191,6 +191,9 @@ def test_without_a_calibration_the_page_says_so(page: Browser, instrument: Instr
     shows(page, "[data-number=sigma]", "take a board picture")
     shows(page, "#devices", "no calibration")
     assert page.evaluate("window.lscan.plot") is None
+    drawn = page.evaluate("window.lscan.profilesDrawn")
+    page.wait_for(f"window.lscan.framesDrawn > {drawn + 5}")
+    assert page.evaluate("window.lscan.profilesDrawn") == drawn
 
 
 @pytest.mark.parametrize(
@@ -569,3 +572,30 @@ def test_without_chromium_the_package_is_named(monkeypatch: pytest.MonkeyPatch) 
     monkeypatch.setenv("LSCAN_CHROMIUM", "no-such-browser")
     with pytest.raises(BrowserMissing, match=r"LSCAN_CHROMIUM: .*'no-such-browser'"):
         Browser()
+
+
+def test_where_it_cannot_be_installed_the_tests_go_on_without(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.delenv("LSCAN_CHROMIUM", raising=False)
+    monkeypatch.setenv("PATH", "")
+    assert main([]) == 2
+    assert "install the Debian package chromium" in capsys.readouterr().err
+    assert main(["--install"]) == 0
+    assert "there is no apt-get here" in capsys.readouterr().err
+
+
+def test_a_browser_that_does_not_start_leaves_nothing(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    broken = tmp_path / "chromium"
+    script = '[ "$1" = --version ] && echo Chromium 1 && exit; echo no display >&2; exit 1'
+    broken.write_text(f"#!/bin/sh\n{script}\n")
+    broken.chmod(0o755)
+    kept = tmp_path / "profiles"
+    kept.mkdir()
+    monkeypatch.setenv("LSCAN_CHROMIUM", str(broken))
+    monkeypatch.setattr("tempfile.tempdir", str(kept))
+    with pytest.raises(BrowserError, match=r"does not start \(no display\)"):
+        Browser()
+    assert list(kept.iterdir()) == []
