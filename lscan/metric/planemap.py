@@ -17,8 +17,9 @@ from scipy.spatial import ConvexHull, QhullError
 
 from lscan.documents import Strict, check
 from lscan.errors import InputError, MeasurementError
-from lscan.metric.bundle import COUNT, NAMES
+from lscan.metric.bundle import COUNT, NAMES, camera_of
 from lscan.metric.lines import locate
+from lscan.optics import rays
 from lscan.planemap.api import NOTHING_KNOWN
 from lscan.planemap.evaluate import Estimate, to_points
 from lscan.planemap.refractivefit import LIMITS
@@ -87,6 +88,11 @@ class SheetView:
         pixels = np.vstack([self.origin_px, image_px])
         points = locate(self.theta, self.port, pixels, axes[:, 1], foot)
         return (points[1:] - points[0]) @ axes[:, [0, 2]]
+
+    def slopes(self, image_px: Floats) -> Floats:
+        """(N, 2) mm of x and of z that the rays of pixels (N, 2) run for each mm of y."""
+        direction = rays(camera_of(self.theta, self.port), image_px).direction @ self.axes
+        return direction[:, [0, 2]] / direction[:, 1:2]
 
     def displacements(self, modes: Floats, image_px: Floats) -> Floats:
         """(N, 2, M) mm by which one standard deviation of each mode (17, M) moves the points."""

@@ -91,18 +91,26 @@ def residuals(plane_map: PlaneMap, reading: BoardReading) -> tuple[Floats, Float
 
     In px: the shift of the mark that would make up for the residual, by the map's slope.
     """
-    image, steps = reading.grid.image_px, STEP_PX * np.eye(2)
+    image = reading.grid.image_px
     mm = plane_map.to_plane(image).xz_mm - reading.grid.board_mm
+    return mm, in_picture(plane_map, image, mm)
+
+
+def in_picture(plane_map: PlaneMap, image_px: Floats, shift_mm: Floats) -> Floats:
+    """(N, 2) px: how far pixels (N, 2) must move for the map to move them by (N, 2) mm.
+
+    By the map's slope there; NaN where it has none.
+    """
     slopes = [
-        (plane_map.to_plane(image + step).xz_mm - plane_map.to_plane(image - step).xz_mm)
+        (plane_map.to_plane(image_px + step).xz_mm - plane_map.to_plane(image_px - step).xz_mm)
         / (2 * STEP_PX)
-        for step in steps
+        for step in STEP_PX * np.eye(2)
     ]
     jacobian = np.stack(slopes, axis=2)
-    known = np.isfinite(jacobian).all(axis=(1, 2)) & np.isfinite(mm).all(axis=1)
-    px = np.full_like(mm, np.nan)
-    px[known] = np.linalg.solve(jacobian[known], mm[known, :, None])[:, :, 0]
-    return mm, px
+    known = np.isfinite(jacobian).all(axis=(1, 2)) & np.isfinite(shift_mm).all(axis=1)
+    px = np.full_like(shift_mm, np.nan)
+    px[known] = np.linalg.solve(jacobian[known], shift_mm[known, :, None])[:, :, 0]
+    return px
 
 
 def save_calibration(path: Path, calibration: Calibration) -> None:
