@@ -94,6 +94,31 @@ class Camera(Protocol):
         ...
 
 
+@runtime_checkable
+class Previewing(Protocol):
+    """A camera that can show what it sees without a grab, at its full rate."""
+
+    def preview(self) -> Grab:
+        """The newest picture; what later grabs give does not change by it.
+
+        Raises DeviceError where none comes.
+        """
+        ...
+
+
+@runtime_checkable
+class LaserSwitch(Protocol):
+    """A track whose controller switches the laser."""
+
+    def laser_on(self) -> None:
+        """Switch the laser on; DeviceError where the controller does not do it."""
+        ...
+
+    def laser_off(self) -> None:
+        """Switch the laser off; DeviceError where the controller does not do it."""
+        ...
+
+
 class TrackDriver(Protocol):
     """Opens tracks of one kind.
 

@@ -124,6 +124,13 @@ class ReplayCamera:
         self._last_index, self._last_time_s = index, time_s
         return Grab(image, time_s, recorded.exposure_ms)
 
+    def preview(self) -> Grab:
+        """The recorded picture, as it was; what is delivered next does not change by it."""
+        if self._closed:
+            raise DeviceError("replay camera: is closed")
+        recorded = self._run.frame(self._nearest(self._track.position_mm))
+        return Grab(recorded.image, recorded.time_s, recorded.exposure_ms)
+
     def close(self) -> None:
         """Nothing is held open; the camera delivers no more pictures."""
         self._closed = True

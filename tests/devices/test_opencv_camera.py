@@ -18,6 +18,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from lscan.acquire import scan
+from lscan.devices.api import Previewing
 from lscan.devices.opencv_camera import OpencvCamera, OpencvOptions, Setting, camera_driver
 from lscan.devices.opencv_camera.settings import fourcc_text
 from lscan.errors import DeviceError, InputError
@@ -384,3 +385,55 @@ def test_a_stopped_scan_of_a_file_resumes_with_the_same_pictures(
     track.moves_left = 10**6
     resumed = scan(rig_file, tmp_path / "stopped", resume=True)
     assert [row.sha256 for row in resumed.rows] == [row.sha256 for row in whole.rows]
+
+
+# ---- previews ---------------------------------------------------------------------------
+
+
+def test_a_preview_is_the_newest_picture_and_waits_for_no_flush():
+    world = World(delay=0)
+    camera = fake_camera(world, flush_frames=100)
+    assert isinstance(camera, Previewing)
+    world.scene = 2
+    shown = [camera.preview() for _ in range(3)]
+    assert len({picture.time_s for picture in shown}) == 3
+    assert scene_of(shown[-1].image) == 2
+    assert world.reads < 100
+    camera.close()
+    with pytest.raises(DeviceError, match="is closed"):
+        camera.preview()
+
+
+def test_previews_between_grabs_leave_the_grabs_fresh():
+    """Two pictures are under way in the camera: without the flush a grab would see the old."""
+    world = World(delay=2)
+    camera = fake_camera(world, flush_frames=2)
+    times = []
+    for scene in range(1, 21):
+        camera.preview()
+        world.scene = scene
+        grab = camera.grab()
+        assert scene_of(grab.image) == scene
+        times.append(grab.time_s)
+        camera.preview()
+    assert times == sorted(set(times))
+    camera.close()
+
+
+def test_a_preview_does_not_change_what_a_grab_compares_with():
+    """The picture of the grab before is refused also where a preview came between."""
+    world = World()
+    camera = fake_camera(world, retries=0)
+    grabbed = camera.grab()
+    camera.preview()
+    assert np.array_equal(camera._last, grabbed.image[..., ::-1])
+    camera.close()
+
+
+def test_a_black_preview_is_refused_with_the_reason():
+    world = World(faults=dict.fromkeys(range(2, 10_000), "black"))
+    camera = fake_camera(world)
+    with pytest.raises(DeviceError, match="black picture"):
+        for _ in range(3):
+            camera.preview()
+    camera.close()

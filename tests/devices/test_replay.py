@@ -191,3 +191,17 @@ def test_a_run_without_frames_is_refused(tmp_path: Path) -> None:
     record(tmp_path / "a", written=0)
     with pytest.raises(InputError, match=r"camera\.options\.run_file: a run without frames"):
         replay_rig(tmp_path)
+
+
+def test_previews_change_nothing_of_a_replayed_scan(tmp_path: Path) -> None:
+    recorded = record(tmp_path / "a")
+    track = ReplayTrack(recorded)
+    camera = ReplayCamera(recorded, track)
+    for row in recorded.rows:
+        track.move_to(row.commanded_mm)
+        shown, grab, again = camera.preview(), camera.grab(row.index), camera.preview()
+        assert grab.time_s == shown.time_s == again.time_s == row.time_s
+        np.testing.assert_array_equal(shown.image, grab.image)
+    camera.close()
+    with pytest.raises(DeviceError, match="is closed"):
+        camera.preview()

@@ -99,6 +99,20 @@ class OpencvCamera:
                 _log.warning("%s", error)
         raise DeviceError(f"{lost}" + (f" (opened {attempts - 1} times anew)" * (attempts > 1)))
 
+    def preview(self) -> Grab:
+        """The newest picture not yet taken, RGB, at once; DeviceError where none comes.
+
+        It is checked as that of a grab, and what a grab compares with stays as it is: the
+        picture and the time of the grab before.  A file gives its next picture.
+        """
+        if self._closed:
+            raise DeviceError(f"{self._options.name}: is closed")
+        picture = self._take(-math.inf)
+        fault = self._fault(picture.image)
+        if fault:
+            raise DeviceError(f"{self._options.name}: {fault}")
+        return Grab(_rgb(picture.image), picture.time_s, self._settings.exposure_ms)
+
     def close(self) -> None:
         """Release the camera; closing twice is harmless."""
         self._closed = True
