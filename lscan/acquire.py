@@ -14,10 +14,11 @@ from lscan.devices.api import Camera, Grab, LaserSwitch, PlaceChecking, Track
 from lscan.errors import DeviceError
 from lscan.records import Bytes, Frame
 from lscan.rig import CameraSection, Plan, RigFile, find_plugin
-from lscan.run import Run
+from lscan.run import Run, open_run
 from lscan.runwriter import RunWriter, create_run, refuse_existing, resume_run
 
 Progress = Callable[[int, int], None]
+GoOn = Callable[[], bool]
 
 
 def scan(
@@ -50,24 +51,43 @@ def open_devices(rig_file: RigFile) -> Iterator[tuple[Camera, Track]]:
     Raises InputError where a driver is unknown or refuses its options, DeviceError where a
     device does not open or the camera's pictures are not of the rig's size.
     """
-    rig = rig_file.rig
-    track_driver = find_plugin("lscan.tracks", rig.track.driver, where="track.driver")
-    camera_driver = find_plugin("lscan.cameras", rig.camera.driver, where="camera.driver")
     with ExitStack() as opened:
-        track = track_driver.open(rig_file)
+        track = open_track(rig_file)
         opened.callback(track.close)
-        camera = camera_driver.open(rig_file, track)
+        camera = open_camera(rig_file, track)
         opened.callback(camera.close)
-        if camera.size_px != (rig.camera.width_px, rig.camera.height_px):
-            raise _wrong_size(camera.size_px, rig.camera)
         yield camera, track
 
 
+def open_track(rig_file: RigFile) -> Track:
+    """The rig's track, opened by its driver; errors as open_devices."""
+    name = rig_file.rig.track.driver
+    track: Track = find_plugin("lscan.tracks", name, where="track.driver").open(rig_file)
+    return track
+
+
+def open_camera(rig_file: RigFile, track: Track) -> Camera:
+    """The rig's camera on an opened track; errors as open_devices, and it is closed then."""
+    section = rig_file.rig.camera
+    driver = find_plugin("lscan.cameras", section.driver, where="camera.driver")
+    camera: Camera = driver.open(rig_file, track)
+    if camera.size_px != (section.width_px, section.height_px):
+        camera.close()
+        raise _wrong_size(camera.size_px, section)
+    return camera
+
+
 def acquire_into(
-    writer: RunWriter, camera: Camera, track: Track, progress: Progress | None = None
+    writer: RunWriter,
+    camera: Camera,
+    track: Track,
+    progress: Progress | None = None,
+    go_on: GoOn | None = None,
 ) -> Run:
     """The complete run: the frames still missing from ``writer`` are taken and written.
 
+    go_on: asked before each frame; where it says no, the run is returned as it is then, to be
+        resumed.
     Each frame's pictures and its row are on disk, synced, before the track moves on; a laser
     that the plan switches is off at the end, whatever happened.  Raises DeviceError where a
     device fails or delivers what a run cannot hold (nothing of that frame is recorded),
@@ -81,6 +101,8 @@ def acquire_into(
     with _laser(track, plan) as switch:
         sitting = _Sitting(writer.rig_file.rig.camera, camera, track, switch)
         while writer.written < writer.planned:
+            if go_on is not None and not go_on():
+                return open_run(writer.path)
             writer.append(sitting.take(writer.written, positions_mm[writer.written]))
             if progress is not None:
                 progress(writer.written, writer.planned)

@@ -123,6 +123,16 @@ def test_frame_and_row_are_synced_before_the_track_moves_on(
 # Folders that exist, and resuming
 
 
+def test_a_scan_told_to_stop_ends_after_its_frame_and_goes_on(tmp_path: Path) -> None:
+    rig_file, track = fake_rig(), FakeTrack()
+    with create_run(tmp_path / "a", rig_file) as writer:
+        run = acquire_into(writer, FakeCamera(track), track, go_on=lambda: writer.written < 3)
+    assert (run.state, len(run), track.moves) == ("scanning", 3, 3)
+    assert resumed(tmp_path / "a").state == "complete"
+    fake_scan(tmp_path / "b")
+    assert folder_bytes(tmp_path / "a") == folder_bytes(tmp_path / "b")
+
+
 def test_an_existing_folder_is_refused(tmp_path: Path, drivers: FakeDrivers) -> None:
     (tmp_path / "a").mkdir()
     with pytest.raises(InputError, match=r"exists already.*--resume"):
