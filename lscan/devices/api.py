@@ -99,9 +99,9 @@ class Previewing(Protocol):
     """A camera that can show what it sees without a grab, at its full rate."""
 
     def preview(self) -> Grab:
-        """The newest picture; what later grabs give does not change by it.
+        """The newest picture, only looked at: no grab gives another picture because of it.
 
-        Raises DeviceError where none comes.
+        May be called while another thread grabs.  Raises DeviceError where none comes.
         """
         ...
 

@@ -420,20 +420,42 @@ def test_previews_between_grabs_leave_the_grabs_fresh():
     camera.close()
 
 
-def test_a_preview_does_not_change_what_a_grab_compares_with():
-    """The picture of the grab before is refused also where a preview came between."""
-    world = World()
-    camera = fake_camera(world, retries=0)
-    grabbed = camera.grab()
-    camera.preview()
-    assert np.array_equal(camera._last, grabbed.image[..., ::-1])
+def test_previews_from_another_thread_take_no_picture_away() -> None:
+    """Every picture of the grabs is fresh, whatever the other thread looks at meanwhile."""
+    world, stop = World(delay=2), threading.Event()
+    camera = fake_camera(world, flush_frames=2)
+    shown: list[float] = []
+
+    def look() -> None:
+        while not stop.is_set():
+            shown.append(camera.preview().time_s)
+
+    viewer = threading.Thread(target=look)
+    viewer.start()
+    try:
+        for scene in range(1, 31):
+            world.scene = scene
+            assert scene_of(camera.grab().image) == scene
+    finally:
+        stop.set()
+        viewer.join(30)
+        camera.close()
+    assert shown == sorted(set(shown))
+
+
+def test_a_file_is_shown_as_it_stands_and_no_picture_of_it_is_lost(video: Path) -> None:
+    camera = OpencvCamera(section(*VIDEO_PX), OpencvOptions(file=str(video)))
+    for index, picture in enumerate(video_pictures()):
+        camera.preview()
+        np.testing.assert_array_equal(camera.grab(index).image, picture)
+        camera.preview()
     camera.close()
 
 
-def test_a_black_preview_is_refused_with_the_reason():
+def test_a_black_preview_is_shown_and_a_black_grab_refused():
     world = World(faults=dict.fromkeys(range(2, 10_000), "black"))
     camera = fake_camera(world)
+    assert any(not camera.preview().image.any() for _ in range(3))
     with pytest.raises(DeviceError, match="black picture"):
-        for _ in range(3):
-            camera.preview()
+        camera.grab()
     camera.close()

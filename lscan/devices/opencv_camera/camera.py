@@ -41,6 +41,7 @@ class OpencvCamera:
         self._shape: tuple[int, ...] | None = None
         self._last: Bytes | None = None
         self._last_time_s = -math.inf
+        self._shown_s = -math.inf
         self._read = 0  # pictures of a file taken so far
         self._reader = Reader(self._source())
         self._settings = self._first_settings()
@@ -100,17 +101,15 @@ class OpencvCamera:
         raise DeviceError(f"{lost}" + (f" (opened {attempts - 1} times anew)" * (attempts > 1)))
 
     def preview(self) -> Grab:
-        """The newest picture not yet taken, RGB, at once; DeviceError where none comes.
+        """The newest picture not shown yet, RGB; DeviceError where none comes.
 
-        It is checked as that of a grab, and what a grab compares with stays as it is: the
-        picture and the time of the grab before.  A file gives its next picture.
+        It is only looked at: a grab, of another thread even, gets what it would get without.
+        A black one is shown like any other.  A file's stands until the next is grabbed.
         """
         if self._closed:
             raise DeviceError(f"{self._options.name}: is closed")
-        picture = self._take(-math.inf)
-        fault = self._fault(picture.image)
-        if fault:
-            raise DeviceError(f"{self._options.name}: {fault}")
+        picture = self._reader.peek(self._shown_s, self._options.timeout_s)
+        self._shown_s = picture.time_s
         return Grab(_rgb(picture.image), picture.time_s, self._settings.exposure_ms)
 
     def close(self) -> None:

@@ -72,6 +72,7 @@ class Reader:
         self._changed = threading.Condition()
         self._settings: Settings | None = None
         self._picture: Picture | None = None
+        self._newest: Picture | None = None  # stays when it has been taken
         self._repeats = 0
         self._fault: DeviceError | None = None
         self._given_up = False
@@ -107,6 +108,20 @@ class Reader:
                         f"it is stuck: plug it in anew or restart the stream"
                     )
                 self._wait(deadline_s, *_late(old, after_s, timeout_s))
+
+    def peek(self, after_s: float, timeout_s: float) -> Picture:
+        """The newest picture, later than ``after_s``, which can still be taken.
+
+        A file's stands until the next is read: it is given as it is.  Raises DeviceLost where
+        none comes in time or the camera is gone.
+        """
+        deadline_s = time.monotonic() + timeout_s
+        with self._changed:
+            while True:
+                picture = self._newest
+                if picture is not None and (picture.time_s > after_s or not self._source.live):
+                    return picture
+                self._wait(deadline_s, f"sent no new picture within {timeout_s:g} s")
 
     def give_up(self, wait_s: float) -> None:
         """Let the thread release the camera and end; one that hangs is left to itself."""
@@ -169,7 +184,7 @@ class Reader:
                 self._changed.wait()
             self._repeats = self._repeats + 1 if repeated else 0
             if not repeated:
-                self._picture = picture
+                self._picture = self._newest = picture
             self._changed.notify_all()
 
 
