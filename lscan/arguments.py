@@ -38,7 +38,7 @@ def open_calibrated(run: Path, calibration: Path) -> tuple[Run, PlaneMap]:
     from lscan.run import open_run
 
     opened = open_run(run)
-    plane_map, size = _stored_map(calibration)
+    plane_map, size = stored_map(calibration)
     require_size(opened, size, calibration)
     planned = opened.rig_file.rig.plan.frames
     if len(opened) < planned:
@@ -46,7 +46,7 @@ def open_calibrated(run: Path, calibration: Path) -> tuple[Run, PlaneMap]:
     return opened, plane_map
 
 
-def _stored_map(path: Path) -> tuple[PlaneMap, tuple[int, int]]:
+def stored_map(path: Path) -> tuple[PlaneMap, tuple[int, int]]:
     """The map of a calibration file of either route, and the (width, height) it is for."""
     from lscan.metric import load_metric
     from lscan.metric.file import FORMAT

@@ -22,11 +22,12 @@ from lscan.arguments import (
 from lscan.bench_cli import bench
 from lscan.console import print_json, print_table, progress_bar, run_command_line
 from lscan.devices_cli import devices
+from lscan.live_cli import live
 from lscan.metric_cli import calibrate_metric
 from lscan.summaries import calibration_summary, print_calibration, print_check
 
 app = typer.Typer(
-    help="Laser line scanner: scan, calibrate, reconstruct, measure, report, bench.",
+    help="Laser line scanner: scan, calibrate, reconstruct, measure, report, live, bench.",
     no_args_is_help=True,
     add_completion=False,
     pretty_exceptions_enable=False,
@@ -342,6 +343,7 @@ def draw_board(
 app.command()(calibrate_metric)
 app.command()(devices)
 app.command()(bench)
+app.command()(live)
 
 
 def _measure(run: Any, plane_map: Any, report: Any) -> dict[str, Any]:

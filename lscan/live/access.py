@@ -1,0 +1,112 @@
+"""Who may use the live page: whoever sits at this machine, or has the token.
+
+A page of another site, open in the same browser, must not move the track.  It cannot send the
+cookie (SameSite) nor hide where it is from (Origin), and a name that it makes point at this
+machine (DNS rebinding) is not a name that is served here (Host).
+"""
+
+from __future__ import annotations
+
+import re
+import secrets
+import socket
+from dataclasses import dataclass
+from http.cookies import CookieError, SimpleCookie
+from ipaddress import ip_address
+from urllib.parse import urlsplit
+
+from lscan.errors import InputError
+
+TOKEN = re.compile(r"[A-Za-z0-9_-]{8,200}")
+LOOPBACK = ("127.0.0.1", "localhost", "::1")
+EVERYWHERE = ("0.0.0.0", "::")
+
+
+@dataclass(frozen=True)
+class Access:
+    """Where the page is served, and to whom.  token: None where none is needed."""
+
+    host: str
+    port: int
+    token: str | None
+
+    @property
+    def cookie(self) -> str:
+        """Name of the cookie that holds the token; cookies do not tell ports apart."""
+        return f"lscan-{self.port}"
+
+    @property
+    def address(self) -> str:
+        """What to type into a browser."""
+        name = socket.gethostname() if self.host in EVERYWHERE else self.host
+        query = f"/?token={self.token}" if self.token else "/"
+        return f"http://{_bracketed(name)}:{self.port}{query}"
+
+    def refusal(
+        self, host: str, origin: str | None, cookie: str, query_token: str | None
+    ) -> str | None:
+        """Why a request is refused, a plain sentence; None where it is not.
+
+        host, origin, cookie: those headers, origin None where there is none.  query_token:
+        from the address of the page itself, None everywhere else.
+        """
+        if not self._serves(host):
+            return f"This page is not served under the name {host[:80]!r}."
+        if origin is not None and origin != f"http://{host}":
+            return "Requests from pages of other sites are refused."
+        if self.token is None:
+            return None
+        given = query_token if query_token is not None else self._from_cookie(cookie)
+        if given is None or not secrets.compare_digest(given.encode(), self.token.encode()):
+            return "A token is needed: open the whole address that lscan live printed."
+        return None
+
+    def _serves(self, host: str) -> bool:
+        try:
+            parts = urlsplit(f"//{host}")
+            name, port = parts.hostname or "", parts.port or 80
+        except ValueError:
+            return False
+        if port != self.port or parts.path or parts.query or parts.username is not None:
+            return False
+        if self.host in LOOPBACK:
+            return name in LOOPBACK
+        if self.host in EVERYWHERE:  # by number no site can be meant but this machine
+            return _is_address(name) or name in (*LOOPBACK, socket.gethostname().lower())
+        return name == self.host.lower()
+
+    def _from_cookie(self, header: str) -> str | None:
+        try:
+            morsel = SimpleCookie(header).get(self.cookie)
+        except CookieError:
+            return None
+        return morsel.value if morsel else None
+
+
+def grant(host: str, port: int, token: str | None) -> Access:
+    """Access as asked for: hosts other than this machine itself get a token if none is given.
+
+    Raises InputError for a token too short to keep anybody out, or that no address can hold.
+    """
+    if token is not None and not TOKEN.fullmatch(token):
+        raise InputError(
+            "not a token",
+            where="--token",
+            value=token,
+            allowed="8 to 200 letters, digits, '-' and '_'",
+        )
+    if token is None and host not in LOOPBACK:
+        token = secrets.token_urlsafe(16)
+    return Access(host, port, token)
+
+
+def _bracketed(name: str) -> str:
+    return f"[{name}]" if ":" in name else name
+
+
+def _is_address(name: str) -> bool:
+    try:
+        ip_address(name)
+    except ValueError:
+        return False
+    return True

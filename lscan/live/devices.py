@@ -1,0 +1,182 @@
+"""The rig's camera and track on the live page: opened once, shared, opened again after a failure.
+
+A camera that can be looked at (api.Previewing) is shown all the time.  Any other is shown by
+grabs while no scan goes on, and by the scan's own pictures while one does, so that a scan
+gets the pictures it would get without the page.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import threading
+from collections.abc import Callable, Iterator
+from typing import Any
+
+from lscan.acquire import open_camera, open_track
+from lscan.devices.api import Camera, Grab, LaserSwitch, Previewing, Track
+from lscan.errors import DeviceError, InputError, LscanError
+from lscan.rig import RigFile
+
+Show = Callable[[Grab], None]
+
+
+class LiveDevices:
+    """The devices of a rig.  Opening raises InputError and DeviceError, as open_devices does."""
+
+    def __init__(self, rig_file: RigFile, show: Show) -> None:
+        """show: called with every picture to be shown; it must not block."""
+        self._rig_file, self._show = rig_file, show
+        self._looking = threading.Lock()  # while one looks, reopens, or begins to scan
+        self._scanning = False
+        self._laser: bool | None = None
+        self.camera_error = ""
+        self.track = open_track(rig_file)
+        try:
+            self._camera = open_camera(rig_file, self.track)
+        except BaseException:
+            self.track.close()
+            raise
+
+    # ---- looking ------------------------------------------------------------------------
+
+    def look(self) -> bool:
+        """Show one picture; False where there is none to be had now: camera_error says why.
+
+        After a failure the camera is opened anew first, unless a scan has it.
+        """
+        with self._looking:
+            if self._scanning and not isinstance(self._camera, Previewing):
+                return False
+            try:
+                if self.camera_error and not self._scanning:
+                    self._reopen_camera()
+                camera = self._camera
+                grab = camera.preview() if isinstance(camera, Previewing) else camera.grab()
+            except LscanError as error:
+                self.camera_error = str(error)
+                return False
+            self.camera_error = ""
+        self._show(grab)
+        return True
+
+    def _reopen_camera(self) -> None:
+        self._camera.close()
+        self._camera = open_camera(self._rig_file, self.track)
+
+    # ---- the track and the laser --------------------------------------------------------
+
+    @property
+    def position_mm(self) -> float | None:
+        """Where the track says it stands; None where it does not know."""
+        return self._track_says()[0]
+
+    @property
+    def track_error(self) -> str:
+        """Why the track cannot move before it is opened again; "" where it can."""
+        return self._track_says()[1]
+
+    def _track_says(self) -> tuple[float | None, str]:
+        try:
+            return self.track.position_mm, ""
+        except DeviceError as error:
+            return None, str(error)
+
+    def ready(self) -> None:
+        """Open the track again where a failure has left it unusable; only ever when asked to.
+
+        Opening may home, so it moves; a simulated camera goes with its track.
+        Raises DeviceError where it does not open.
+        """
+        if not self.track_error:
+            return
+        with self._looking:
+            self.track.close()
+            self._laser = None
+            self.track = open_track(self._rig_file)
+            self._reopen_camera()
+
+    def move_to(self, position_mm: float) -> None:
+        """Move the head; DeviceError."""
+        self.ready()
+        self.track.move_to(position_mm)
+
+    @property
+    def can_switch_laser(self) -> bool:
+        """Whether the track's controller switches the laser."""
+        return isinstance(self.track, LaserSwitch)
+
+    @property
+    def laser(self) -> bool | None:
+        """Whether the laser was switched on or off here; None where nobody knows."""
+        return self._laser
+
+    def switch_laser(self, on: bool) -> None:
+        """Switch the laser.  Raises DeviceError, InputError where the track has no switch."""
+        self.ready()
+        track: Track | LaserSwitch = self.track
+        if not isinstance(track, LaserSwitch):
+            raise InputError(
+                "the track cannot switch the laser",
+                where="track.driver",
+                value=self._rig_file.rig.track.driver,
+            )
+        if on:
+            track.laser_on()
+        else:
+            track.laser_off()
+        self._laser = on
+
+    @contextlib.contextmanager
+    def laser_dark(self) -> Iterator[None]:
+        """Within the block a laser that was switched on is off."""
+        lit = self._laser is True
+        if lit:
+            self.switch_laser(False)
+        try:
+            yield
+        finally:
+            if lit:
+                self.switch_laser(True)
+
+    # ---- scanning -----------------------------------------------------------------------
+
+    @contextlib.contextmanager
+    def for_scan(self) -> Iterator[tuple[Camera, Track]]:
+        """Camera and track as an acquisition uses them."""
+        with self._looking:
+            self._scanning = True
+        try:
+            yield _ScanCamera(self._camera, self._show), self.track
+        finally:
+            with self._looking:
+                self._scanning = False
+
+    def close(self) -> None:
+        """The laser off and both devices released; closing twice is harmless."""
+        if self._laser and isinstance(self.track, LaserSwitch):
+            with contextlib.suppress(DeviceError):
+                self.track.laser_off()
+        self._laser = None
+        self._camera.close()
+        self.track.close()
+
+
+class _ScanCamera:
+    """The camera of a scan, whose pictures are shown where nobody can look at it meanwhile."""
+
+    def __init__(self, camera: Camera, show: Show) -> None:
+        self._camera, self._show = camera, show
+
+    @property
+    def size_px(self) -> tuple[int, int]:
+        return self._camera.size_px
+
+    def grab(self, frame: int | None = None, **told: Any) -> Grab:
+        """told: whatever else an acquisition tells a camera of the picture it wants."""
+        grab = self._camera.grab(frame, **told)
+        if not isinstance(self._camera, Previewing):
+            self._show(grab)
+        return grab
+
+    def close(self) -> None:
+        """It stays open for the page."""

@@ -1,0 +1,178 @@
+"""Start, pause, resume and stop of a scan, which runs in a thread of its own."""
+
+from __future__ import annotations
+
+import re
+import threading
+import time
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+from lscan.acquire import acquire_into
+from lscan.errors import InputError, LscanError
+from lscan.live.devices import LiveDevices
+from lscan.live.errors import NotNow
+from lscan.rig import RigFile
+from lscan.runwriter import RunWriter, create_run, resume_run
+
+State = Literal["idle", "scanning", "paused", "stopping", "done", "failed"]
+NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,99}")
+
+
+@dataclass(frozen=True)
+class Progress:
+    """How far a scan is.  left_s: None before there is anything to judge it by."""
+
+    state: State
+    folder: Path | None
+    done: int
+    planned: int
+    elapsed_s: float
+    left_s: float | None
+    message: str
+
+
+class Scanning:
+    """The scan of the live page: one at a time, each into a folder of ``output``."""
+
+    def __init__(self, rig_file: RigFile, devices: LiveDevices, output: Path) -> None:
+        self._rig_file, self._devices, self._output = rig_file, devices, output
+        self._lock = threading.Lock()
+        self._state: State = "idle"
+        self._after: State = "idle"  # the state that a scan told to stop goes to
+        self._folder: Path | None = None
+        self._done, self._message = 0, ""
+        self._begun_at, self._began_s, self._earlier_s = 0, 0.0, 0.0
+        self._thread: threading.Thread | None = None
+
+    @property
+    def active(self) -> bool:
+        """Whether a scan is going on, or about to end."""
+        return self._state in ("scanning", "stopping")
+
+    def progress(self) -> Progress:
+        """How far the scan is now."""
+        with self._lock:
+            planned = self._rig_file.rig.plan.frames
+            sitting_s = time.monotonic() - self._began_s if self.active else 0.0
+            taken = self._done - self._begun_at
+            known = self.active and taken > 0
+            left_s = sitting_s / taken * (planned - self._done) if known else None
+            elapsed_s = self._earlier_s + sitting_s
+            return Progress(
+                self._state, self._folder, self._done, planned, elapsed_s, left_s, self._message
+            )
+
+    def start(self, name: str | None = None) -> None:
+        """Begin a scan into a new folder, ``scan-NNN`` where no name is given.
+
+        Raises InputError for a name that is none or a folder that cannot be made, NotNow
+        while a scan goes on, DeviceError where the track does not come back.
+        """
+        self._refuse_active()
+        folder = self._output / (checked_name(name) if name else next_name(self._output, "scan"))
+        self._devices.ready()
+        self._earlier_s = 0.0
+        self._begin(create_run(folder, self._rig_file))
+
+    def resume(self) -> None:
+        """Go on with the scan that was paused, stopped or failed; errors as start."""
+        self._refuse_active()
+        if self._folder is None or self._state == "done":
+            raise NotNow("there is no scan to go on with")
+        self._devices.ready()
+        self._begin(resume_run(self._folder, self._rig_file))
+
+    def pause(self) -> None:
+        """End after the frame being taken, to be resumed.  Raises NotNow where none goes on."""
+        if self._state != "scanning":
+            raise NotNow("no scan is going on")
+        self._stop("paused", "pausing after this frame")
+
+    def stop(self) -> None:
+        """End after the frame being taken.  Raises NotNow where no scan goes on or is paused."""
+        if self._state == "paused":
+            with self._lock:
+                self._state, self._message = "idle", self._how_to_resume()
+        elif self.active:
+            self._stop("idle", "stopping after this frame")
+        else:
+            raise NotNow("no scan is going on")
+
+    def close(self) -> Path | None:
+        """Stop a scan and wait for its end; the folder of a scan that is not finished."""
+        if self.active:
+            self._stop("idle", "stopping after this frame")
+        if self._thread is not None:
+            self._thread.join()
+        return self._folder if 0 <= self._done < self._rig_file.rig.plan.frames else None
+
+    def _refuse_active(self) -> None:
+        if self.active:
+            raise NotNow("a scan is going on")
+
+    def _stop(self, after: State, message: str) -> None:
+        with self._lock:
+            if self.active:
+                self._state, self._after, self._message = "stopping", after, message
+
+    def _begin(self, writer: RunWriter) -> None:
+        with self._lock:
+            self._state, self._after, self._message = "scanning", "idle", ""
+            self._folder, self._done, self._begun_at = writer.path, writer.written, writer.written
+            self._began_s = time.monotonic()
+        self._thread = threading.Thread(target=self._run, args=(writer,), name="scan")
+        self._thread.start()
+
+    def _run(self, writer: RunWriter) -> None:
+        try:
+            with writer, self._devices.for_scan() as (camera, track):
+                run = acquire_into(writer, camera, track, self._count, self._go_on)
+        except LscanError as error:
+            self._end("failed", str(error))
+        except Exception as error:  # or the page would show a scan that goes on for ever
+            told = " ".join(f"{type(error).__name__}: {error}".split())
+            self._end("failed", told)
+        else:
+            if run.state == "complete":
+                self._end("done", f"{len(run)} frames in {run.path}")
+            else:
+                self._end(self._after, self._how_to_resume())
+
+    def _count(self, done: int, planned: int) -> None:
+        with self._lock:
+            self._done = done
+
+    def _go_on(self) -> bool:
+        return self._state == "scanning"
+
+    def _end(self, state: State, message: str) -> None:
+        with self._lock:
+            self._earlier_s += time.monotonic() - self._began_s
+            self._state, self._message = state, message
+
+    def _how_to_resume(self) -> str:
+        return f"{self._done} frames in {self._folder}; resume goes on, losing none"
+
+
+def checked_name(name: str) -> str:
+    """A name that is one plain folder; InputError for any other."""
+    if not NAME.fullmatch(name):
+        raise InputError(
+            "not a folder name",
+            where="name",
+            value=name,
+            allowed="letters, digits, '.', '_' and '-', the first a letter or a digit",
+        )
+    return name
+
+
+def next_name(output: Path, stem: str) -> str:
+    """``stem-NNN``, the number above the greatest there is in the folder ``output``."""
+    taken = [0]
+    for path in output.glob(f"{stem}-*") if output.is_dir() else ():
+        with suppress(ValueError):
+            taken.append(int(path.name.partition(".")[0][len(stem) + 1 :]))
+    return f"{stem}-{max(taken) + 1:03d}"

@@ -1,0 +1,291 @@
+"""The live page over HTTP: files, pictures by long poll, state and commands.
+
+The event loop only waits and sends; whatever may take time runs in threads.  A browser gets the
+next picture when it asks for it, so one that stops reading holds up itself alone.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import json
+import signal
+import socket
+import threading
+from collections.abc import AsyncIterator, Callable, Iterator
+from pathlib import Path
+from types import FrameType
+from typing import Annotated, Any, Literal, TypeVar
+
+import uvicorn
+from pydantic import Field, StrictBool
+from starlette.applications import Starlette
+from starlette.concurrency import run_in_threadpool
+from starlette.requests import ClientDisconnect, Request
+from starlette.responses import FileResponse, JSONResponse, PlainTextResponse, Response
+from starlette.routing import Route
+from starlette.types import ASGIApp, Message, Receive, Scope, Send
+
+from lscan.documents import Strict, check
+from lscan.errors import InputError, LscanError
+from lscan.live.access import Access
+from lscan.live.session import Session
+
+TEMPLATES = Path(__file__).parents[1] / "templates"
+FILES = {
+    "/": ("live.html", "text/html"),
+    "/live.js": ("live.js", "text/javascript"),
+    "/live.css": ("live.css", "text/css"),
+}
+LONGEST_WAIT_S = 5.0
+LONGEST_BODY = 10_000  # bytes; a command takes some fifty
+HEADERS = {
+    "Content-Security-Policy": "default-src 'self'; img-src 'self' blob:",
+    "X-Content-Type-Options": "nosniff",
+    "Referrer-Policy": "no-referrer",
+    "Cache-Control": "no-store",
+}
+
+
+class Nothing(Strict):
+    """The body of a command that has nothing to say."""
+
+
+class ModeBody(Strict):
+    """What is to be looked for."""
+
+    mode: Literal["stripe", "board"]
+
+
+class StartBody(Strict):
+    """name: of the new run folder."""
+
+    name: str | None = None
+
+
+class MoveBody(Strict):
+    """position_mm: where the head is to go."""
+
+    position_mm: Annotated[float, Field(ge=-1e6, le=1e6)]
+
+
+class LaserBody(Strict):
+    """on: whether the laser is to be."""
+
+    on: StrictBool
+
+
+Body = TypeVar("Body", bound=Strict)
+
+
+class LivePage:
+    """The application: answers for one session."""
+
+    def __init__(self, session: Session, access: Access) -> None:
+        self._session, self._access = session, access
+        self._changed = asyncio.Condition()
+        self._closing = False
+        self._loop: asyncio.AbstractEventLoop | None = None
+
+    def application(self) -> ASGIApp:
+        """The ASGI application, which lets in whom ``access`` does."""
+        command = self._command
+        session = self._session
+        scanning = session.scanning
+        routes = [
+            *(Route(path, self._file) for path in FILES),
+            Route("/api/frame", self._frame),
+            Route("/api/state", self._state),
+            command("/api/mode", ModeBody, lambda body: session.set_mode(body.mode)),
+            command("/api/board", Nothing, lambda _: session.take_board()),
+            command("/api/scan/start", StartBody, lambda body: session.start_scan(body.name)),
+            command("/api/scan/pause", Nothing, lambda _: scanning.pause()),
+            command("/api/scan/resume", Nothing, lambda _: session.resume_scan()),
+            command("/api/scan/stop", Nothing, lambda _: scanning.stop()),
+            command("/api/move", MoveBody, lambda body: session.move_to(body.position_mm)),
+            command("/api/laser", LaserBody, lambda body: session.switch_laser(body.on)),
+        ]
+        return _Door(Starlette(routes=routes, lifespan=self._lifespan), self._access)
+
+    def close(self) -> None:
+        """Let those who wait for a picture go; from any thread or signal handler."""
+        self._closing = True
+        self._tell()
+
+    @contextlib.asynccontextmanager
+    async def _lifespan(self, _: Starlette) -> AsyncIterator[None]:
+        self._loop = asyncio.get_running_loop()
+        self._session.frames.listen(self._tell)
+        yield
+
+    def _tell(self) -> None:
+        if self._loop is not None:
+            with contextlib.suppress(RuntimeError):  # the loop has ended before the pictures
+                self._loop.call_soon_threadsafe(self._wake)
+
+    def _wake(self) -> None:
+        async def notify() -> None:
+            async with self._changed:
+                self._changed.notify_all()
+
+        self._waking = asyncio.ensure_future(notify())
+
+    async def _file(self, request: Request) -> Response:
+        name, kind = FILES[request.url.path]
+        return FileResponse(TEMPLATES / name, media_type=kind)
+
+    async def _state(self, _: Request) -> Response:
+        return JSONResponse(await run_in_threadpool(self._session.state))
+
+    async def _frame(self, request: Request) -> Response:
+        text = request.query_params.get("after", "0")
+        if not (text.isascii() and text.isdigit() and len(text) < 16):
+            error = InputError("not a number", where="after", value=text, allowed="0 or above")
+            return _refused(error, 400)
+        newest = self._session.frames
+        async with self._changed:
+            with contextlib.suppress(TimeoutError):
+                await asyncio.wait_for(
+                    self._changed.wait_for(lambda: self._closing or newest.after(int(text))),
+                    LONGEST_WAIT_S,
+                )
+        found = newest.after(int(text))
+        if found is None or self._closing:
+            return Response(status_code=204)
+        return Response(found[1], media_type="application/octet-stream")
+
+    def _command(self, path: str, model: type[Body], act: Callable[[Body], None]) -> Route:
+        """A route that carries out a command and answers the state after it."""
+
+        async def answer(request: Request) -> Response:
+            try:
+                body = check(model, await _document(request), where=None)
+                await run_in_threadpool(act, body)
+            except InputError as error:
+                return _refused(error, 400)
+            except LscanError as error:
+                return _refused(error, 409)
+            return await self._state(request)
+
+        return Route(path, answer, methods=["POST"])
+
+
+async def _document(request: Request) -> dict[str, Any]:
+    """The JSON object in the body, {} for none; InputError for anything else."""
+    body = b""
+    try:
+        async for part in request.stream():
+            body += part
+            if len(body) > LONGEST_BODY:
+                raise InputError("is too long", where="body", allowed=f"{LONGEST_BODY} bytes")
+    except ClientDisconnect as error:
+        raise InputError("was cut short", where="body") from error
+    try:
+        document = json.loads(body or b"{}")
+    except (ValueError, RecursionError) as error:
+        raise InputError(f"is not valid JSON: {error}", where="body") from error
+    if not isinstance(document, dict):
+        raise InputError("is not a JSON object", where="body", value=document)
+    return document
+
+
+def _refused(error: LscanError, code: int) -> JSONResponse:
+    return JSONResponse({"error": str(error)}, status_code=code)
+
+
+class _Door:
+    """Lets requests in as ``access`` says, and puts the safety headers on all answers."""
+
+    def __init__(self, inner: ASGIApp, access: Access) -> None:
+        self._inner, self._access = inner, access
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        if scope["type"] != "http":
+            await self._inner(scope, receive, send)
+            return
+        request = Request(scope)
+        token = request.query_params.get("token") if request.url.path == "/" else None
+        headers = dict(HEADERS)
+        refusal = self._access.refusal(
+            request.headers.get("host", ""),
+            request.headers.get("origin"),
+            request.headers.get("cookie", ""),
+            token,
+        )
+        if refusal is None and self._access.token and token is not None:
+            headers["Set-Cookie"] = (
+                f"{self._access.cookie}={self._access.token}; HttpOnly; SameSite=Strict; Path=/"
+            )
+
+        async def send_safely(message: Message) -> None:
+            if message["type"] == "http.response.start":
+                extra = [(k.lower().encode(), v.encode()) for k, v in headers.items()]
+                message = {**message, "headers": [*message["headers"], *extra]}
+            await send(message)
+
+        inner = PlainTextResponse(refusal, 403) if refusal else self._inner
+        await inner(scope, receive, send_safely)
+
+
+class LiveServer(uvicorn.Server):
+    """Ends quietly on Ctrl-C and SIGTERM, so that what comes after it is still done."""
+
+    def __init__(self, config: uvicorn.Config, page: LivePage) -> None:
+        super().__init__(config)
+        self._page = page
+
+    def stop(self) -> None:
+        """End soon: those who wait for a picture are let go, nothing new is taken on."""
+        self.should_exit = True
+        self._page.close()
+
+    @contextlib.contextmanager
+    def capture_signals(self) -> Iterator[None]:
+        if threading.current_thread() is not threading.main_thread():
+            yield
+            return
+
+        def end(number: int, frame: FrameType | None) -> None:
+            self.stop()
+
+        before = {number: signal.signal(number, end) for number in (signal.SIGINT, signal.SIGTERM)}
+        try:
+            yield
+        finally:
+            for number, handler in before.items():
+                signal.signal(number, handler)
+
+
+def listen(host: str, port: int) -> socket.socket:
+    """A socket that listens there; port 0: any that is free.  InputError where it cannot."""
+    try:
+        family, kind, protocol, _, address = socket.getaddrinfo(
+            host, port, type=socket.SOCK_STREAM, flags=socket.AI_PASSIVE
+        )[0]
+        listening = socket.socket(family, kind, protocol)
+        try:
+            listening.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+            listening.bind(address)
+            listening.listen()
+        except OSError:
+            listening.close()
+            raise
+    except OSError as error:
+        where = f"--host {host} --port {port}"
+        raise InputError(f"cannot listen there: {error.strerror}", where=where) from error
+    return listening
+
+
+def make_server(session: Session, access: Access) -> LiveServer:
+    """The server of a session's page, to be run on a socket of :func:`listen`."""
+    page = LivePage(session, access)
+    config = uvicorn.Config(
+        page.application(),
+        log_level="critical",
+        access_log=False,
+        lifespan="on",
+        ws="none",
+        server_header=False,
+        timeout_graceful_shutdown=2,
+    )
+    return LiveServer(config, page)

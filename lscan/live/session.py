@@ -1,0 +1,279 @@
+"""One sitting at the live page: devices, the threads that look and measure, and the commands."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+from lscan.devices.api import Grab
+from lscan.errors import InputError, LscanError
+from lscan.live.analysis import Figures, measure_line, measure_picture
+from lscan.live.boardpicture import LiveCalibration, take_board
+from lscan.live.boardview import BoardFigures, read_live_board
+from lscan.live.devices import LiveDevices
+from lscan.live.errors import NotNow
+from lscan.live.newest import Newest
+from lscan.live.scanning import Progress, Scanning, next_name
+from lscan.live.wire import board_json, figures_json, jpeg_of, packed
+from lscan.rig import RigFile
+
+Mode = Literal["stripe", "board"]
+
+SHORTEST_PERIOD_S = 1 / 30
+"""Between two pictures looked at: more is not seen, and takes time from a scan."""
+
+RETRY_S = 1.0
+"""Between two attempts to open a camera that failed."""
+
+REST_PER_READING = 1.0
+"""How long the reading of boards rests, over how long a reading takes."""
+
+WAIT_S = 0.2
+"""How long a thread waits before it looks whether the page is being closed."""
+
+
+@dataclass(frozen=True)
+class Picture:
+    """A picture and where the head stood, by the track, when it came; taken_s: monotonic."""
+
+    grab: Grab
+    position_mm: float | None
+    taken_s: float
+
+
+@dataclass(frozen=True)
+class _Reading:
+    """The board in the picture that came at ``taken_s``."""
+
+    board: BoardFigures
+    taken_s: float
+
+
+class Session:
+    """Everything behind the page but the server.
+
+    Opening raises InputError and DeviceError as the devices do; from then on a device that
+    fails is told of in :meth:`state` and tried again.
+    """
+
+    def __init__(
+        self, rig_file: RigFile, output: Path, calibration: LiveCalibration | None = None
+    ) -> None:
+        """Open the devices and begin to look; scans go into folders of ``output``."""
+        self._rig_file, self._output, self._calibration = rig_file, output, calibration
+        self._pictures: Newest[Picture] = Newest()
+        self._mode: Mode = "stripe"
+        self._focus_best, self._reading = 0.0, None  # type: float, _Reading | None
+        self._fault = ""
+        self._task, self._task_message = "", ""
+        self._commands = threading.Lock()
+        self._closing = threading.Event()
+        self.frames: Newest[bytes] = Newest()
+        self._devices = LiveDevices(rig_file, self._show)
+        self.scanning = Scanning(rig_file, self._devices, output)
+        self._task_thread: threading.Thread | None = None
+        loops: tuple[Callable[[], None], ...] = (self._look, self._measure, self._read_boards)
+        self._threads = [threading.Thread(target=loop, name=loop.__name__) for loop in loops]
+        for thread in self._threads:
+            thread.start()
+
+    def close(self) -> Path | None:
+        """Stop a scan after its frame and release all; the folder of a scan to be resumed.
+
+        A scan that is finished, or that was never begun, gives None.
+        """
+        unfinished = self.scanning.close()
+        self._closing.set()
+        for thread in (*self._threads, self._task_thread):
+            if thread is not None:
+                thread.join()
+        self._devices.close()
+        return unfinished
+
+    # ---- commands -----------------------------------------------------------------------
+
+    def set_mode(self, mode: Mode) -> None:
+        """What is looked for in the pictures.  InputError where the rig has no board."""
+        if mode == "board" and self._rig_file.rig.board is None:
+            raise InputError("has no section [board]", where=self._rig_file.source)
+        self._mode, self._focus_best, self._reading = mode, 0.0, None
+
+    def take_board(self) -> None:
+        """Begin the board picture; NotNow while a scan or another command goes on."""
+        with self._exclusive():
+            if self._rig_file.rig.board is None:
+                raise InputError("has no section [board]", where=self._rig_file.source)
+            folder = self._output / next_name(self._output, "board")
+            self._task, self._task_message = "board picture", f"taking it into {folder}"
+            self._task_thread = threading.Thread(target=self._run_task, args=(folder,))
+            self._task_thread.start()
+
+    def start_scan(self, name: str | None = None) -> None:
+        """Begin a scan; errors as Scanning.start."""
+        with self._exclusive():
+            self.scanning.start(name)
+
+    def resume_scan(self) -> None:
+        """Go on with a scan; errors as Scanning.resume."""
+        with self._exclusive():
+            self.scanning.resume()
+
+    def move_to(self, position_mm: float) -> None:
+        """Move the head; DeviceError, and NotNow while something else moves it."""
+        with self._exclusive():
+            self._devices.move_to(position_mm)
+
+    def switch_laser(self, on: bool) -> None:
+        """Switch the laser; InputError where the track cannot, NotNow while a scan uses it."""
+        with self._exclusive():
+            self._devices.switch_laser(on)
+
+    @contextmanager
+    def _exclusive(self) -> Iterator[None]:
+        """One command at a time, and none beside a scan or a board picture."""
+        if not self._commands.acquire(blocking=False):
+            raise NotNow("another command is being carried out")
+        try:
+            if self.scanning.active:
+                raise NotNow("a scan is going on: pause or stop it first")
+            if self._task:
+                raise NotNow(f"wait for the {self._task}")
+            yield
+        finally:
+            self._commands.release()
+
+    def _run_task(self, folder: Path) -> None:
+        try:
+            calibration, told = take_board(self._rig_file, self._devices, folder)
+            self._calibration = calibration
+        except LscanError as error:
+            told = str(error)
+        except Exception as error:  # or the page would wait for it for ever
+            told = " ".join(f"{type(error).__name__}: {error}".split())
+        self._task, self._task_message = "", told
+
+    # ---- the threads --------------------------------------------------------------------
+
+    def _show(self, grab: Grab) -> None:
+        self._pictures.put(Picture(grab, self._devices.position_mm, time.monotonic()))
+
+    def _look(self) -> None:
+        while not self._closing.is_set():
+            began_s = time.monotonic()
+            shown = self._devices.look()
+            failed = not shown and not self.scanning.active
+            period_s = RETRY_S if failed else SHORTEST_PERIOD_S
+            self._closing.wait(max(0.0, began_s + period_s - time.monotonic()))
+
+    def _measure(self) -> None:
+        number = 0
+        while not self._closing.is_set():
+            newest = self._pictures.after(number, WAIT_S)
+            if newest is not None:
+                number, picture = newest
+                self.frames.put(self._frame(number, picture))
+
+    def _read_boards(self) -> None:
+        number = 0
+        while not self._closing.is_set():
+            newest = self._pictures.after(number, WAIT_S)
+            board = self._rig_file.rig.board
+            if newest is None or self._mode != "board" or board is None:
+                self._closing.wait(WAIT_S)
+                continue
+            number, picture = newest
+            calibration = self._calibration
+            plane_map = calibration.plane_map if calibration else None
+            try:
+                image = picture.grab.image
+                read = read_live_board(image, board, self._rig_file.rig, plane_map)
+            except LscanError as error:
+                self._fault = str(error)
+                continue
+            if self._mode == "board":
+                self._reading = _Reading(read, picture.taken_s)
+            self._closing.wait(REST_PER_READING * (time.monotonic() - picture.taken_s))
+
+    def _frame(self, number: int, picture: Picture) -> bytes:
+        """The picture measured and packed for the browsers, once for all of them."""
+        mode = self._mode
+        figures = self._figures(picture, mode)
+        self._focus_best = max(self._focus_best, figures.focus)
+        image, reading = picture.grab.image, self._reading
+        document = {
+            "number": number,
+            "time_s": picture.grab.time_s,
+            "size_px": [image.shape[1], image.shape[0]],
+            "rate_hz": self.frames.rate_hz(),
+            "camera_hz": self._pictures.rate_hz(),
+            "exposure_ms": picture.grab.exposure_ms,
+            "position_mm": picture.position_mm,
+            "mode": mode,
+            **figures_json(figures),
+            "focus_best": round(self._focus_best, 2),
+            "board": reading and board_json(reading.board, time.monotonic() - reading.taken_s),
+        }
+        return packed(document, jpeg_of(image))
+
+    def _figures(self, picture: Picture, mode: Mode) -> Figures:
+        settings, calibration = self._rig_file.rig.stripe, self._calibration
+        try:
+            if mode == "board":
+                figures = measure_picture(picture.grab.image, settings)
+            else:
+                table = calibration.table if calibration else None
+                figures = measure_line(picture.grab.image, settings, table)
+        except LscanError as error:
+            self._fault = str(error)
+            return Figures(0.0, 0.0, None, None)
+        self._fault = ""
+        return figures
+
+    # ---- the state ----------------------------------------------------------------------
+
+    def state(self) -> dict[str, Any]:
+        """The state of all as the page shows it, in JSON types."""
+        rig, devices, calibration = self._rig_file.rig, self._devices, self._calibration
+        return {
+            "rig": rig.name,
+            "source": self._rig_file.source,
+            "camera": {
+                "driver": rig.camera.driver,
+                "size_px": [rig.camera.width_px, rig.camera.height_px],
+                "error": devices.camera_error or self._fault,
+            },
+            "track": {
+                "driver": rig.track.driver,
+                "position_mm": devices.position_mm,
+                "error": devices.track_error,
+            },
+            "can_switch_laser": devices.can_switch_laser,
+            "laser": {True: "on", False: "off", None: None}[devices.laser],
+            "calibration": str(calibration.path) if calibration else None,
+            "board": rig.board is not None,
+            "mode": self._mode,
+            "plan": {
+                "start_mm": rig.plan.start_mm,
+                "step_mm": rig.plan.step_mm,
+                "frames": rig.plan.frames,
+            },
+            "scan": _scan_json(self.scanning.progress()),
+            "task": {"name": self._task, "message": self._task_message},
+        }
+
+
+def _scan_json(scan: Progress) -> dict[str, Any]:
+    return {
+        "state": scan.state,
+        "folder": str(scan.folder) if scan.folder else None,
+        "done": scan.done,
+        "planned": scan.planned,
+        "elapsed_s": round(scan.elapsed_s, 1),
+        "left_s": None if scan.left_s is None else round(scan.left_s, 1),
+        "message": scan.message,
+    }

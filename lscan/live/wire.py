@@ -1,0 +1,116 @@
+"""What goes over the wire for one picture: its figures as JSON, and the picture as JPEG.
+
+4 bytes   length of the JSON, big-endian
+JSON      UTF-8; numbers that are not known are null
+JPEG      the picture as the camera sees it
+"""
+
+from __future__ import annotations
+
+import json
+import struct
+from typing import Any
+
+import cv2
+import numpy as np
+
+from lscan.errors import InputError
+from lscan.live.analysis import Figures, StripeFigures
+from lscan.live.boardview import BoardFigures
+from lscan.live.maptable import LiveProfile
+from lscan.planemap.offsheet import OffSheet
+from lscan.records import Bytes, Floats, Status, has_value
+
+JPEG_QUALITY = 80
+
+
+def packed(document: dict[str, Any], jpeg: bytes) -> bytes:
+    """The answer to a browser that asked for a picture."""
+    text = json.dumps(document, allow_nan=False, separators=(",", ":")).encode()
+    return struct.pack(">I", len(text)) + text + jpeg
+
+
+def jpeg_of(image: Bytes) -> bytes:
+    """The picture, (H, W) grey or (H, W, 3) RGB, as JPEG."""
+    bgr = image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_RGB2BGR)
+    done, data = cv2.imencode(".jpg", bgr, [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])
+    if not done:
+        raise InputError("the picture cannot be written as JPEG", value=image.shape)
+    return data.tobytes()
+
+
+def figures_json(figures: Figures) -> dict[str, Any]:
+    """Saturation, focus, stripe and profile."""
+    return {
+        "saturated_percent": round(figures.saturated_percent, 3),
+        "focus": round(figures.focus, 2),
+        "stripe": figures.line and _stripe_json(figures.line),
+        "profile": figures.profile and _profile_json(figures.profile),
+    }
+
+
+def _stripe_json(line: StripeFigures) -> dict[str, Any]:
+    status = line.stripe.status
+    counts = {code.name: int((status == code).sum()) for code in Status}
+    return {
+        "axis": line.stripe.axis,
+        "centre_px": _with_nulls(line.stripe.centre_px, 2),
+        "found": int(has_value(status).sum()),
+        "of": len(status),
+        "clipped": counts["SATURATED"],
+        "width_px": _rounded(line.width_px, 2),
+        "snr": _rounded(line.snr, 1),
+        "status": {name: count for name, count in counts.items() if count},
+    }
+
+
+def _profile_json(profile: LiveProfile) -> dict[str, Any]:
+    sigma = profile.sigma_mm[np.isfinite(profile.sigma_mm)]
+    return {
+        "x_mm": _with_nulls(profile.xz_mm[:, 0], 3),
+        "z_mm": _with_nulls(profile.xz_mm[:, 1], 3),
+        "sigma_mm": round(float(np.median(sigma)), 4) if len(sigma) else None,
+    }
+
+
+def board_json(board: BoardFigures, age_s: float) -> dict[str, Any]:
+    """The board's reading, ``age_s`` after its picture was taken."""
+    rms_mm, _ = board.residual_mm or (None, None)
+    rms_px, max_px = board.residual_px or (None, None)
+    return {
+        "found": board.found,
+        "expected": board.expected,
+        "message": board.message,
+        "marks_px": np.round(board.marks_px, 2).tolist(),
+        "residual_rms_px": _rounded(rms_px, 4),
+        "residual_max_px": _rounded(max_px, 4),
+        "residual_rms_mm": _rounded(rms_mm, 4),
+        "offset": board.offset and _offset_json(board.offset),
+        "offset_message": board.offset_message,
+        "age_s": round(age_s, 2),
+    }
+
+
+def _offset_json(offset: OffSheet) -> dict[str, Any]:
+    def degrees(angle_rad: float) -> float:
+        return round(float(np.degrees(angle_rad)), 4)
+
+    return {
+        "distance_mm": round(offset.distance_mm, 3),
+        "sigma_mm": round(offset.distance_sigma_mm, 3),
+        "tilt_x_deg": degrees(offset.tilt_x_rad),
+        "tilt_x_sigma_deg": degrees(offset.tilt_x_sigma_rad),
+        "tilt_z_deg": degrees(offset.tilt_z_rad),
+        "tilt_z_sigma_deg": degrees(offset.tilt_z_sigma_rad),
+        "corners_mm": np.round(offset.corners_mm, 3).tolist(),
+        "message": "",
+    }
+
+
+def _rounded(value: float | None, decimals: int) -> float | None:
+    return None if value is None else round(value, decimals)
+
+
+def _with_nulls(values: Floats, decimals: int) -> list[float | None]:
+    numbers = np.round(values, decimals).tolist()
+    return [number if number == number else None for number in numbers]
