@@ -58,7 +58,7 @@ class Figures:
 def measure_line(image: Bytes, settings: StripeSection, table: MapTable | None) -> Figures:
     """The line, the profile and the figures of one picture, (H, W) or (H, W, 3) RGB uint8.
 
-    All but the saturation is taken from the band of the picture that holds the line, which is
+    All but saturation and noise is taken from the band of the picture that holds the line, which is
     quicker; a column's background is then the band's, not the whole column's.
     Raises InputError for another shape or type and for an extractor that cannot be used.
     """
@@ -67,7 +67,7 @@ def measure_line(image: Bytes, settings: StripeSection, table: MapTable | None) 
     part = image[band] if settings.axis == "columns" else image[:, band]
     stripe = extract_stripe(part, settings)
     grey, at = whole.grey[:, band], np.flatnonzero(has_value(stripe.status))
-    variance = constant_variance(grey.astype(np.float64))
+    variance = constant_variance(whole.grey.astype(np.float64))
     focus = sharpness(_light_about(grey, stripe.centre_px[at], at), variance)
     line = StripeFigures(
         stripe=replace(stripe, centre_px=stripe.centre_px + band.start),

@@ -15,7 +15,9 @@ from typing import Any
 from lscan.acquire import open_camera, open_track
 from lscan.devices.api import Camera, Grab, LaserSwitch, Previewing, Track
 from lscan.errors import DeviceError, InputError, LscanError
+from lscan.live.errors import told
 from lscan.rig import RigFile
+from lscan.stripe.lines import check_picture
 
 Show = Callable[[Grab], None]
 
@@ -52,12 +54,26 @@ class LiveDevices:
                     self._reopen_camera()
                 camera = self._camera
                 grab = camera.preview() if isinstance(camera, Previewing) else camera.grab()
-            except LscanError as error:
-                self.camera_error = str(error)
+                self._require_sound(grab)
+            except Exception as error:
+                self.camera_error = told(error)
                 return False
             self.camera_error = ""
         self._show(grab)
         return True
+
+    def _require_sound(self, grab: Grab) -> None:
+        """Raise InputError or DeviceError for what is no picture or not of the rig's size."""
+        check_picture(grab.image, "the camera's picture")
+        height, width = grab.image.shape[:2]
+        if (width, height) != self._camera.size_px:
+            raise DeviceError(f"the camera's picture is {width} by {height} px")
+
+    def _show_sound(self, grab: Grab) -> None:
+        """Show a scan's picture; one that is not sound the acquisition itself refuses."""
+        with contextlib.suppress(LscanError):
+            self._require_sound(grab)
+            self._show(grab)
 
     def _reopen_camera(self) -> None:
         self._camera.close()
@@ -146,7 +162,7 @@ class LiveDevices:
         with self._looking:
             self._scanning = True
         try:
-            yield _ScanCamera(self._camera, self._show), self.track
+            yield _ScanCamera(self._camera, self._show_sound), self.track
         finally:
             with self._looking:
                 self._scanning = False

@@ -1,4 +1,4 @@
-"""What the live page refuses beyond bad input."""
+"""Errors of the live page: what it refuses beyond bad input, and how it tells of any."""
 
 from __future__ import annotations
 
@@ -9,3 +9,10 @@ class NotNow(LscanError):
     """A command that is right but cannot be carried out as things stand."""
 
     exit_code = 1
+
+
+def told(error: Exception) -> str:
+    """The error as one line.  A thread of the page tells of any, for it must not die of it."""
+    if isinstance(error, LscanError):
+        return str(error)
+    return " ".join(f"{type(error).__name__}: {error}".split())

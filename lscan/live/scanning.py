@@ -11,9 +11,9 @@ from pathlib import Path
 from typing import Literal
 
 from lscan.acquire import acquire_into
-from lscan.errors import InputError, LscanError
+from lscan.errors import InputError
 from lscan.live.devices import LiveDevices
-from lscan.live.errors import NotNow
+from lscan.live.errors import NotNow, told
 from lscan.rig import RigFile
 from lscan.runwriter import RunWriter, create_run, resume_run
 
@@ -130,11 +130,8 @@ class Scanning:
         try:
             with writer, self._devices.for_scan() as (camera, track):
                 run = acquire_into(writer, camera, track, self._count, self._go_on)
-        except LscanError as error:
-            self._end("failed", str(error))
-        except Exception as error:  # or the page would show a scan that goes on for ever
-            told = " ".join(f"{type(error).__name__}: {error}".split())
-            self._end("failed", told)
+        except Exception as error:
+            self._end("failed", told(error))
         else:
             if run.state == "complete":
                 self._end("done", f"{len(run)} frames in {run.path}")

@@ -11,12 +11,12 @@ from pathlib import Path
 from typing import Any, Literal
 
 from lscan.devices.api import Grab
-from lscan.errors import InputError, LscanError
+from lscan.errors import InputError
 from lscan.live.analysis import Figures, measure_line, measure_picture
 from lscan.live.boardpicture import LiveCalibration, take_board
 from lscan.live.boardview import BoardFigures, read_live_board
 from lscan.live.devices import LiveDevices
-from lscan.live.errors import NotNow
+from lscan.live.errors import NotNow, told
 from lscan.live.newest import Newest
 from lscan.live.scanning import Progress, Scanning, next_name
 from lscan.live.wire import board_json, figures_json, jpeg_of, packed
@@ -149,13 +149,10 @@ class Session:
 
     def _run_task(self, folder: Path) -> None:
         try:
-            calibration, told = take_board(self._rig_file, self._devices, folder)
-            self._calibration = calibration
-        except LscanError as error:
-            told = str(error)
-        except Exception as error:  # or the page would wait for it for ever
-            told = " ".join(f"{type(error).__name__}: {error}".split())
-        self._task, self._task_message = "", told
+            self._calibration, message = take_board(self._rig_file, self._devices, folder)
+        except Exception as error:
+            message = told(error)
+        self._task, self._task_message = "", message
 
     # ---- the threads --------------------------------------------------------------------
 
@@ -192,8 +189,8 @@ class Session:
             try:
                 image = picture.grab.image
                 read = read_live_board(image, board, self._rig_file.rig, plane_map)
-            except LscanError as error:
-                self._fault = str(error)
+            except Exception as error:
+                self._fault = told(error)
                 continue
             if self._mode == "board":
                 self._reading = _Reading(read, picture.taken_s)
@@ -228,8 +225,8 @@ class Session:
             else:
                 table = calibration.table if calibration else None
                 figures = measure_line(picture.grab.image, settings, table)
-        except LscanError as error:
-            self._fault = str(error)
+        except Exception as error:
+            self._fault = told(error)
             return Figures(0.0, 0.0, None, None)
         self._fault = ""
         return figures

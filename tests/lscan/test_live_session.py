@@ -1,0 +1,379 @@
+"""The live page's session: scans and their states, devices that fail, the same bytes."""
+
+from __future__ import annotations
+
+import json
+import os
+import struct
+import threading
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from fake_devices import FakeCamera, FakeTrack, fake_rig, folder_bytes
+from live_rig import GatedTrack, SeeingCamera, SwitchTrack, live_bench, wait_for
+
+from lscan.acquire import acquire_into
+from lscan.errors import DeviceError, InputError
+from lscan.live.errors import NotNow
+from lscan.live.newest import Newest
+from lscan.live.scanning import next_name
+from lscan.live.session import Session
+from lscan.run import open_run
+from lscan.runwriter import create_run
+
+
+@pytest.fixture(autouse=True)
+def unsynced(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Spare the disk."""
+    monkeypatch.setattr(os, "fsync", lambda descriptor: None)
+
+
+def scan_of(session: Session) -> dict[str, Any]:
+    scan: dict[str, Any] = session.state()["scan"]
+    return scan
+
+
+def reaches(session: Session, *states: str) -> dict[str, Any]:
+    return wait_for(lambda: (scan := scan_of(session))["state"] in states and scan)
+
+
+def frame_of(session: Session, after: int = 0) -> dict[str, Any]:
+    data = wait_for(lambda: session.frames.after(after))[1]
+    (length,) = struct.unpack(">I", data[:4])
+    document: dict[str, Any] = json.loads(data[4 : 4 + length])
+    return document
+
+
+def reference(path: Path, frames: int = 5) -> dict[str, bytes]:
+    """The bytes of the same scan without a page."""
+    track = FakeTrack()
+    with create_run(path, fake_rig(frames)) as writer:
+        acquire_into(writer, FakeCamera(track), track)
+    return folder_bytes(path)
+
+
+# ---- scans ------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("camera", [FakeCamera, SeeingCamera])
+def test_a_scan_with_the_page_open_gives_the_same_bytes(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, camera: type[FakeCamera]
+) -> None:
+    with live_bench(monkeypatch, tmp_path / "runs", camera=camera) as bench:
+        session = bench.open(frames=12)
+        frame_of(session)
+        session.start_scan("a")
+        scan = reaches(session, "done", "failed")
+    assert (scan["state"], scan["done"], scan["planned"]) == ("done", 12, 12)
+    assert folder_bytes(tmp_path / "runs" / "a") == reference(tmp_path / "b", 12)
+
+
+def test_a_camera_that_can_be_looked_at_is_shown_while_a_scan_goes_on(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    track = GatedTrack(gate=threading.Semaphore(0))
+    with live_bench(monkeypatch, tmp_path, track, SeeingCamera) as bench:
+        session = bench.open()
+        session.start_scan()
+        seen = bench.drivers.camera.previews
+        wait_for(lambda: bench.drivers.camera.previews > seen + 5)
+        assert scan_of(session)["done"] == 0
+
+
+def test_the_scans_own_pictures_are_shown_where_nobody_else_may_grab(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    track = GatedTrack(gate=threading.Semaphore(0))
+    with live_bench(monkeypatch, tmp_path, track) as bench:
+        session = bench.open()
+        session.start_scan()
+        before = sum(bench.drivers.camera.grabs.values())
+        track.gate.release()
+        wait_for(lambda: scan_of(session)["done"] == 1)
+        shown = wait_for(lambda: (f := frame_of(session))["position_mm"] == 1.013 and f)
+        assert shown["size_px"] == [20, 16]
+        assert sum(bench.drivers.camera.grabs.values()) == before + 1
+
+
+def test_pause_and_resume_lose_and_repeat_no_frame(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    track = GatedTrack(gate=threading.Semaphore(0))
+    with live_bench(monkeypatch, tmp_path / "runs", track) as bench:
+        session = bench.open()
+        session.start_scan("a")
+        with pytest.raises(NotNow, match="a scan is going on"):
+            session.start_scan("b")
+        track.gate.release()
+        wait_for(lambda: scan_of(session)["done"] == 1)
+        session.scanning.pause()
+        assert scan_of(session)["state"] in ("stopping", "paused")
+        track.gate.release()  # the frame being taken, where it was begun before the pause
+        paused = reaches(session, "paused")
+        assert paused["done"] in (1, 2)
+        assert open_run(tmp_path / "runs" / "a").state == "scanning"
+        with pytest.raises(NotNow):
+            session.scanning.pause()
+        track.gate.release(10)
+        session.resume_scan()
+        done = reaches(session, "done")
+        assert (done["done"], done["left_s"]) == (5, None)
+        with pytest.raises(NotNow, match="no scan to go on with"):
+            session.resume_scan()
+    assert folder_bytes(tmp_path / "runs" / "a") == reference(tmp_path / "b")
+
+
+def test_a_stopped_scan_can_be_resumed_and_says_so(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    track = GatedTrack(gate=threading.Semaphore(2))
+    with live_bench(monkeypatch, tmp_path / "runs", track) as bench:
+        session = bench.open()
+        with pytest.raises(NotNow):
+            session.scanning.stop()
+        session.start_scan()
+        wait_for(lambda: scan_of(session)["done"] == 2)
+        session.scanning.stop()
+        track.gate.release(10)
+        stopped = reaches(session, "idle")
+        assert "resume" in stopped["message"]
+        assert stopped["folder"].endswith("scan-001")
+        session.resume_scan()
+        reaches(session, "done")
+    assert folder_bytes(tmp_path / "runs" / "scan-001") == reference(tmp_path / "b")
+
+
+def test_a_paused_scan_is_stopped_by_stop_and_left_by_a_new_one(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    track = GatedTrack(gate=threading.Semaphore(1))
+    with live_bench(monkeypatch, tmp_path, track) as bench:
+        session = bench.open()
+        session.start_scan("a")
+        wait_for(lambda: scan_of(session)["done"] == 1)
+        session.scanning.pause()
+        track.gate.release(100)
+        reaches(session, "paused")
+        session.scanning.stop()
+        assert scan_of(session)["state"] == "idle"
+        session.start_scan("b")
+        assert reaches(session, "done")["folder"].endswith("b")
+
+
+def test_closing_ends_a_scan_after_its_frame_and_names_its_folder(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    track = GatedTrack(gate=threading.Semaphore(1))
+    with live_bench(monkeypatch, tmp_path / "runs", track) as bench:
+        session = bench.open()
+        session.start_scan("a")
+        wait_for(lambda: scan_of(session)["done"] == 1)
+        threading.Timer(0.1, track.gate.release, [100]).start()
+        assert session.close() == tmp_path / "runs" / "a"
+        assert bench.drivers.camera.closed >= 1
+        assert track.closed >= 1
+        assert len(open_run(tmp_path / "runs" / "a")) < 5
+        again = bench.open()  # the page opened anew
+        with pytest.raises(InputError, match="exists already"):
+            again.start_scan("a")
+        again.start_scan()
+        reaches(again, "done")
+        assert again.close() is None
+
+
+@pytest.mark.parametrize("name", ["../a", "a/b", "", ".", "..", "a\n", "/tmp/x", "é", "a" * 101])
+def test_a_name_that_is_no_plain_folder_is_refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str
+) -> None:
+    output = tmp_path / "runs"
+    with live_bench(monkeypatch, output) as bench:
+        session = bench.open()
+        if name:
+            with pytest.raises(InputError, match="not a folder name"):
+                session.start_scan(name)
+            assert not output.exists()
+        else:
+            session.start_scan(name)
+            assert scan_of(session)["folder"] == str(output / "scan-001")
+
+
+def test_the_next_name_is_above_all_there_are(tmp_path: Path) -> None:
+    assert next_name(tmp_path / "none", "scan") == "scan-001"
+    for name in ("scan-002", "scan-9.json", "scan-x", "board-040"):
+        (tmp_path / name).mkdir()
+    assert next_name(tmp_path, "scan") == "scan-010"
+
+
+# ---- devices that fail ------------------------------------------------------------------
+
+
+def test_a_failing_track_fails_the_scan_which_can_be_resumed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    track = FakeTrack(fail_at=2)
+    with live_bench(monkeypatch, tmp_path / "runs", track) as bench:
+        session = bench.open()
+        session.start_scan("a")
+        failed = reaches(session, "failed")
+        assert failed["done"] == 2
+        assert "limit switch" in failed["message"]
+        frame_of(session, after=frame_of(session)["number"])  # the page lives on
+        track.fail_at = None
+        session.resume_scan()
+        reaches(session, "done")
+    assert folder_bytes(tmp_path / "runs" / "a") == reference(tmp_path / "b")
+
+
+def test_a_failing_camera_is_told_of_and_opened_again(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with live_bench(monkeypatch, tmp_path) as bench:
+        session, camera = bench.open(), bench.drivers.camera
+        frame_of(session)
+        opened = bench.drivers.opened
+        camera.fail_at = sum(camera.grabs.values()) + 1
+        wait_for(lambda: "no picture within" in session.state()["camera"]["error"])
+        wait_for(lambda: bench.drivers.opened > opened + 2)
+        camera.fail_at = None
+        wait_for(lambda: session.state()["camera"]["error"] == "")
+        frame_of(session, after=frame_of(session)["number"])
+
+
+@pytest.mark.parametrize("shape", [(16, 20, 4), (0, 0)])
+def test_a_picture_that_cannot_be_measured_is_told_of(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, shape: tuple[int, ...]
+) -> None:
+    with live_bench(monkeypatch, tmp_path) as bench:
+        session, camera = bench.open(), bench.drivers.camera
+        frame_of(session)
+        camera.bad_picture = np.zeros(shape, dtype=np.uint8)
+        camera.fail_at = sum(camera.grabs.values())
+        wait_for(lambda: session.state()["camera"]["error"])
+        camera.fail_at = None
+        wait_for(lambda: session.state()["camera"]["error"] == "")
+
+
+class LostTrack(FakeTrack):
+    """Fails once, and from then on knows nothing until it is opened again."""
+
+    lost = False
+
+    @property  # type: ignore[override]
+    def position_mm(self) -> float:
+        if self.lost:
+            raise DeviceError("lost track: must be opened again")
+        return self._at_mm
+
+    @position_mm.setter
+    def position_mm(self, value: float) -> None:
+        self._at_mm = value
+
+    def move_to(self, position_mm: float) -> float:
+        if self.moves == self.fail_at:
+            self.lost = True
+        return super().move_to(position_mm)
+
+    def close(self) -> None:
+        super().close()
+        self.lost, self.fail_at = False, None
+
+
+def test_a_lost_track_is_opened_again_only_when_it_is_to_move(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Opening may home: nothing may move by itself."""
+    track = LostTrack(fail_at=1)
+    with live_bench(monkeypatch, tmp_path, track, SeeingCamera) as bench:
+        session = bench.open()
+        session.start_scan()
+        reaches(session, "failed")
+        state = session.state()
+        assert state["track"]["position_mm"] is None
+        assert "opened again" in state["track"]["error"]
+        assert track.closed == 0
+        session.resume_scan()
+        reaches(session, "done")
+        assert track.closed == 1
+        assert session.state()["track"]["error"] == ""
+
+
+def test_devices_that_do_not_open_leave_nothing_open(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with live_bench(monkeypatch, tmp_path) as bench:
+        bench.drivers.camera.size_px = (30, 16)
+        with pytest.raises(DeviceError, match="30 by 16"):
+            bench.open()
+        assert bench.drivers.track.closed == 1
+        assert bench.drivers.camera.closed == 1
+
+
+# ---- the other commands -----------------------------------------------------------------
+
+
+def test_the_head_is_moved_but_not_beside_a_scan(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    track = GatedTrack(gate=threading.Semaphore(1))
+    with live_bench(monkeypatch, tmp_path, track) as bench:
+        session = bench.open()
+        session.move_to(7.0)
+        assert session.state()["track"]["position_mm"] == pytest.approx(7.013)
+        session.start_scan()
+        for command in (
+            lambda: session.move_to(1.0),
+            lambda: session.switch_laser(True),
+            session.take_board,
+            session.resume_scan,
+        ):
+            with pytest.raises(NotNow, match="a scan is going on"):
+                command()
+
+
+def test_the_laser_is_switched_where_the_track_can_and_off_at_the_end(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    track = SwitchTrack()
+    with live_bench(monkeypatch, tmp_path, track) as bench:
+        session = bench.open()
+        state = session.state()
+        assert (state["can_switch_laser"], state["laser"]) == (True, None)
+        session.switch_laser(True)
+        assert session.state()["laser"] == "on"
+        session.close()
+    assert track.trace == ["on", "off"]
+
+
+def test_a_track_without_a_switch_refuses(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    with live_bench(monkeypatch, tmp_path) as bench:
+        session = bench.open()
+        assert session.state()["can_switch_laser"] is False
+        with pytest.raises(InputError, match="cannot switch the laser"):
+            session.switch_laser(True)
+
+
+def test_board_commands_need_a_board(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    with live_bench(monkeypatch, tmp_path) as bench:
+        session = bench.open()
+        for command in (session.take_board, lambda: session.set_mode("board")):
+            with pytest.raises(InputError, match=r"no section \[board\]"):
+                command()
+        session.set_mode("stripe")
+
+
+# ---- the newest -------------------------------------------------------------------------
+
+
+def test_the_newest_replaces_what_nobody_took() -> None:
+    box: Newest[str] = Newest()
+    called: list[int] = []
+    box.listen(lambda: called.append(1))
+    assert box.after(0) is None
+    box.put("a")
+    box.put("b")
+    assert box.after(0) == box.after(1) == (2, "b")
+    assert box.after(2, timeout_s=0.01) is None
+    assert len(called) == 2
+    assert box.rate_hz() == 1.0  # two within two seconds
