@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -96,6 +97,8 @@ def live_bench(
     drivers = FakeDrivers(moving, camera(moving))
     monkeypatch.setattr(lscan.acquire, "find_plugin", drivers.find_plugin)
     monkeypatch.setattr("lscan.live.session.RETRY_S", 0.02)
+    monkeypatch.setattr("lscan.live.session.WAIT_S", 0.02)
+    monkeypatch.setattr(os, "fsync", lambda descriptor: None)  # spare the disk
     bench = Bench(drivers, output)
     try:
         yield bench

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 import struct
 import threading
 from pathlib import Path
@@ -22,12 +21,6 @@ from lscan.live.scanning import next_name
 from lscan.live.session import Session
 from lscan.run import open_run
 from lscan.runwriter import create_run
-
-
-@pytest.fixture(autouse=True)
-def unsynced(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Spare the disk."""
-    monkeypatch.setattr(os, "fsync", lambda descriptor: None)
 
 
 def scan_of(session: Session) -> dict[str, Any]:

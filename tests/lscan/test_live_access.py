@@ -1,0 +1,100 @@
+"""Who may use the live page: hosts, origins, tokens."""
+
+import socket
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from lscan.errors import InputError
+from lscan.live.access import Access, grant
+
+TOKEN = "correct-horse"
+
+
+@pytest.mark.parametrize("host", ["127.0.0.1:8765", "localhost:8765", "[::1]:8765"])
+@pytest.mark.parametrize("served", ["127.0.0.1", "localhost", "::1"])
+def test_this_machine_needs_no_token(served, host):
+    access = grant(served, 8765, None)
+    assert access.token is None
+    assert access.refusal(host, None, "", None) is None
+    assert access.refusal(host, f"http://{host}", "", None) is None
+
+
+@pytest.mark.parametrize(
+    "host",
+    [
+        "",
+        "evil.example",
+        "evil.example:8765",
+        "127.0.0.1",
+        "127.0.0.1:80",
+        "127.0.0.1:8766",
+        "127.0.0.1:8765.evil.example",
+        "localhost.evil.example:8765",
+        "127.0.0.1:8765@evil.example",
+        "user@127.0.0.1:8765",
+        "127.0.0.1:8765/x",
+        "[::1:8765",
+        "127.0.0.1:x",
+        "127.0.0.1:99999999",
+    ],
+)
+def test_another_name_is_refused(host):
+    """DNS rebinding: a name of somebody else's that was made to point here."""
+    refusal = grant("127.0.0.1", 8765, None).refusal(host, None, "", None)
+    assert "not served under the name" in refusal
+
+
+@pytest.mark.parametrize(
+    "origin",
+    ["http://evil.example", "null", "", "https://127.0.0.1:8765", "http://localhost:8765"],
+)
+def test_a_page_of_another_site_is_refused(origin):
+    access = grant("127.0.0.1", 8765, None)
+    assert "other sites" in access.refusal("127.0.0.1:8765", origin, "", None)
+
+
+def test_other_hosts_get_a_token_of_128_bits_each_another():
+    tokens = {grant("0.0.0.0", 8765, None).token for _ in range(20)}
+    assert len(tokens) == 20
+    assert all(len(token) >= 128 / 6 for token in tokens)  # 6 bits a character
+
+
+@pytest.mark.parametrize("served", ["127.0.0.1", "192.0.2.7", "scanner.example"])
+def test_the_token_opens_by_address_or_cookie_alone(served):
+    access = grant(served, 8765, TOKEN)
+    host = f"{served}:8765"
+    assert access.refusal(host, None, "", TOKEN) is None
+    assert access.refusal(host, None, f"other=1; lscan-8765={TOKEN}", None) is None
+    for cookie in ("", "lscan-8765=", "lscan-8765=wrong", f"lscan-1={TOKEN}", "\x00;;=", "é=é"):
+        assert "token is needed" in access.refusal(host, None, cookie, None)
+    for wrong in ("", "wrong", TOKEN + "x", TOKEN.upper(), "ünïcode"):
+        # A wrong token in the address is not made good by the cookie.
+        assert access.refusal(host, None, f"lscan-8765={TOKEN}", wrong)
+
+
+def test_the_address_holds_what_a_browser_needs():
+    assert grant("127.0.0.1", 80, None).address == "http://127.0.0.1:80/"
+    assert grant("::1", 8765, None).address == "http://[::1]:8765/"
+    assert grant("192.0.2.7", 1, TOKEN).address == f"http://192.0.2.7:1/?token={TOKEN}"
+    assert socket.gethostname() in grant("0.0.0.0", 1, TOKEN).address
+
+
+def test_everywhere_is_served_by_number_or_by_this_machines_name():
+    access = Access("0.0.0.0", 8765, TOKEN)
+    for host in ("192.0.2.7:8765", "[2001:db8::1]:8765", f"{socket.gethostname()}:8765"):
+        assert access.refusal(host, None, "", TOKEN) is None
+    assert access.refusal("evil.example:8765", None, "", TOKEN)
+
+
+@pytest.mark.parametrize("token", ["", "short", "with space", "semi;colon", "é" * 9, "a" * 201])
+def test_a_token_that_no_address_can_hold_is_refused(token):
+    with pytest.raises(InputError, match="--token"):
+        grant("127.0.0.1", 8765, token)
+
+
+@settings(max_examples=100, deadline=None, derandomize=True)
+@given(host=st.text(max_size=40), origin=st.none() | st.text(max_size=40), cookie=st.text())
+def test_no_header_gets_past_a_token_unknown(host, origin, cookie):
+    assert grant("192.0.2.7", 8765, TOKEN).refusal(host, origin, cookie, None)
