@@ -106,19 +106,6 @@ class Previewing(Protocol):
         ...
 
 
-@runtime_checkable
-class LaserSwitch(Protocol):
-    """A track whose controller switches the laser."""
-
-    def laser_on(self) -> None:
-        """Switch the laser on; DeviceError where the controller does not do it."""
-        ...
-
-    def laser_off(self) -> None:
-        """Switch the laser off; DeviceError where the controller does not do it."""
-        ...
-
-
 class TrackDriver(Protocol):
     """Opens tracks of one kind.
 

@@ -128,7 +128,7 @@ class ReplayCamera:
         """The recorded picture, as it was; what is delivered next does not change by it."""
         if self._closed:
             raise DeviceError("replay camera: is closed")
-        recorded = self._run.frame(self._nearest(self._track.position_mm))
+        recorded = self._run.frame(self._nearest(self._track.position_mm, self._last_index))
         return Grab(recorded.image, recorded.time_s, recorded.exposure_ms)
 
     def close(self) -> None:

@@ -10,7 +10,6 @@ from __future__ import annotations
 import contextlib
 import threading
 from collections.abc import Callable, Iterator
-from typing import Any
 
 from lscan.acquire import open_camera, open_track
 from lscan.devices.api import Camera, Grab, LaserSwitch, Previewing, Track
@@ -166,6 +165,8 @@ class LiveDevices:
         finally:
             with self._looking:
                 self._scanning = False
+                if self._rig_file.rig.plan.laser != "untouched":
+                    self._laser = False  # as a scan that switches it leaves it
 
     def close(self) -> None:
         """The laser off and both devices released; closing twice is harmless."""
@@ -187,9 +188,9 @@ class _ScanCamera:
     def size_px(self) -> tuple[int, int]:
         return self._camera.size_px
 
-    def grab(self, frame: int | None = None, **told: Any) -> Grab:
-        """told: whatever else an acquisition tells a camera of the picture it wants."""
-        grab = self._camera.grab(frame, **told)
+    def grab(self, frame: int | None = None, dark: bool = False) -> Grab:
+        # A camera that knows nothing of dark pictures serves scans without them.
+        grab = self._camera.grab(frame, dark=True) if dark else self._camera.grab(frame)
         if not isinstance(self._camera, Previewing):
             self._show(grab)
         return grab

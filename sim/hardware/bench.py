@@ -225,11 +225,11 @@ class WatchedCamera:
         """The real camera's."""
         return self.real.size_px
 
-    def grab(self, frame: int | None = None) -> Grab:
+    def grab(self, frame: int | None = None, dark: bool = False) -> Grab:
         """The real camera's."""
         assert frame is not None
         self.bench.grab_begins(frame)
-        grab = self.real.grab(frame)
+        grab = self.real.grab(frame, dark)
         self.bench.grab_ends(frame)
         return grab
 
