@@ -32,18 +32,38 @@ def require_folders(*outputs: Path | None) -> None:
             raise InputError("the folder to write to does not exist", where=output)
 
 
-def open_calibrated(run: Path, calibration: Path) -> tuple[Run, PlaneMap]:
-    """A run and the plane map for its pictures; a run that is not complete is said to be so."""
+def open_calibrated(
+    run: Path, calibration: Path, shaft: Path | None = None
+) -> tuple[Run, PlaneMap]:
+    """A run and the plane map for its pictures; a run that is not complete is said to be so.
+
+    shaft: TOML file whose [shaft] takes the place of the run's own.
+    """
     from lscan.experiment import require_size
     from lscan.run import open_run
 
     opened = open_run(run)
+    if shaft is not None:
+        opened = _about(opened, shaft)
     plane_map, size = stored_map(calibration)
     require_size(opened, size, calibration)
     planned = opened.rig_file.rig.plan.frames
     if len(opened) < planned:
         print(f"lscan: note: {run} holds {len(opened)} of {planned} frames", file=sys.stderr)
     return opened, plane_map
+
+
+def _about(run: Run, shaft: Path) -> Run:
+    """The run with the [shaft] of a file; InputError where it was not made about a shaft."""
+    from dataclasses import replace
+
+    from lscan.surface.shaftfile import load_shaft
+
+    rig_file = run.rig_file
+    if rig_file.rig.shaft is None:
+        raise InputError("was made on a linear track, without [shaft]", where=run.path)
+    rig = rig_file.rig.model_copy(update={"shaft": load_shaft(shaft)})
+    return replace(run, rig_file=replace(rig_file, rig=rig))
 
 
 def stored_map(path: Path) -> tuple[PlaneMap, tuple[int, int]]:

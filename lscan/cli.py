@@ -24,6 +24,7 @@ from lscan.console import print_json, print_table, progress_bar, run_command_lin
 from lscan.devices_cli import devices
 from lscan.live_cli import live
 from lscan.metric_cli import calibrate_metric
+from lscan.shaft_cli import calibrate_shaft
 from lscan.summaries import calibration_summary, print_calibration, print_check
 
 app = typer.Typer(
@@ -38,6 +39,10 @@ RunFolder = Annotated[Path, typer.Argument(help="Run folder.")]
 PictureOrRun = Annotated[Path, typer.Argument(help="Picture file or run folder.")]
 CalibrationFile = Annotated[
     Path, typer.Option("--calibration", "-c", help="Calibration file (JSON).")
+]
+ShaftFile = Annotated[
+    Path | None,
+    typer.Option("--shaft", help="TOML file with the [shaft] found; a run folder has its own."),
 ]
 BoardFile = Annotated[
     Path | None, typer.Option("--board", help="Board file; a run folder has its own.")
@@ -223,6 +228,7 @@ def reconstruct(
     points: Annotated[
         Path | None, typer.Option("--points", help="Point cloud to write (.ply).")
     ] = None,
+    shaft: ShaftFile = None,
     json: Json = False,
 ) -> None:
     """Turn a run's pictures into a surface, aligned where the rig names a sandwave."""
@@ -232,14 +238,15 @@ def reconstruct(
     from lscan.targets import Sandwave
 
     require_folders(output, points)
-    opened, plane_map = open_calibrated(run, calibration)
+    opened, plane_map = open_calibrated(run, calibration, shaft)
     with progress_bar("reconstruct") as report:
         surface = build(opened, plane_map, progress=report)
-    piece = opened.rig_file.rig.workpiece
+    rig = opened.rig_file.rig
     yaw_deg = None
-    if isinstance(piece, Sandwave):
-        alignment = align_sandwave(surface, piece)
-        surface, yaw_deg = apply(alignment, surface), float(np.degrees(alignment.yaw_rad))
+    if isinstance(rig.workpiece, Sandwave):
+        alignment = align_sandwave(surface, rig.workpiece, sheared=rig.shaft is None)
+        surface = apply(alignment, surface)
+        yaw_deg = float(np.degrees(alignment.yaw_rad)) if alignment.sheared else None
     save_surface(output, surface)
     if points:
         save_points(points, surface)
@@ -256,7 +263,8 @@ def reconstruct(
     if json:
         print_json(summary)
     else:
-        aligned = "" if yaw_deg is None else f", aligned, yaw {yaw_deg:.3f} deg"
+        aligned = ", aligned" if surface.frame == "workpiece" else ""
+        aligned += "" if yaw_deg is None else f", yaw {yaw_deg:.3f} deg"
         print(f"{found} points in {frames} profiles{aligned}; {output}")
 
 
@@ -267,6 +275,7 @@ def measure(
     output: Annotated[
         Path | None, typer.Option("--output", "-o", help="JSON file to write.")
     ] = None,
+    shaft: ShaftFile = None,
     json: Json = False,
 ) -> None:
     """Measure the run's board, grooved block or sandwave against its nominal shape."""
@@ -275,7 +284,7 @@ def measure(
     from lscan.disk import write_atomically
 
     require_folders(output)
-    opened, plane_map = open_calibrated(run, calibration)
+    opened, plane_map = open_calibrated(run, calibration, shaft)
     with progress_bar("measure") as report:
         measures = _measure(opened, plane_map, report)
     if output:
@@ -341,6 +350,7 @@ def draw_board(
 
 
 app.command()(calibrate_metric)
+app.command()(calibrate_shaft)
 app.command()(devices)
 app.command()(bench)
 app.command()(live)
@@ -389,7 +399,8 @@ def _print_measures(measures: dict[str, Any]) -> None:
 
 
 def _print_slices(entries: dict[str, Any]) -> None:
-    print(f"yaw {entries['yaw_deg']['estimated']:.3f} deg")
+    if entries["yaw_deg"]["estimated"] is not None:
+        print(f"yaw {entries['yaw_deg']['estimated']:.3f} deg")
     rows = [[name, *cut.values()] for name, cut in entries["slices"].items()]
     print_table("slices", ["", "points", "unseen", "rmse mm", "min mm", "max mm"], rows)
 

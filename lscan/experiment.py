@@ -20,11 +20,13 @@ from lscan.planemap.api import PlaneMap
 from lscan.planemap.calibration import Calibration, calibrate
 from lscan.profile import to_profile
 from lscan.records import BoardReading, Bytes, Floats, Measured, Profile, Stripe, Surface
-from lscan.rig import SheetSection, StripeSection
+from lscan.rig import Rig, StripeSection
 from lscan.run import Run
 from lscan.stripe import extract_stripe
 from lscan.surface import Alignment, Slice, align_sandwave, apply, resample, stack
 from lscan.surface.concavity import SheetGeometry, take_back_thickness
+from lscan.surface.shaft import shaft_of, stack_about
+from lscan.surface.shaftfit import ShaftFit, calibrate_shaft
 from lscan.targets import GroovedBlock, Sandwave
 
 METHODS = (
@@ -104,6 +106,12 @@ def measure_groove(run: Run, plane_map: PlaneMap) -> GrooveResult:
     piece = run.rig_file.rig.workpiece
     if not isinstance(piece, GroovedBlock):
         raise _wrong_piece(run, "grooved-block")
+    if run.rig_file.rig.shaft is not None:
+        raise InputError(
+            "the grooves are measured in profiles square to them, which a shaft turns askew",
+            where=run.path,
+            allowed="a scan on a linear track, without [shaft]",
+        )
     first = run.frame(0)
     profiles = list(read_profiles(run, plane_map))
     return GrooveResult(
@@ -125,7 +133,7 @@ def measure_sandwave(
     kept = range(first, min(len(run), first + PICTURES_KEPT))
     frames = [run.frame(index) for index in kept]
     raw = reconstruct(run, plane_map, progress=progress)
-    alignment, aligned = align_scan(raw, rig.workpiece, rig.sheet)
+    alignment, aligned = align_scan(raw, rig.workpiece, rig)
     slices = {name: resample(aligned, ends) for name, ends in rig.workpiece.slices_mm().items()}
     return SandwaveResult(
         images=[frame.image for frame in frames],
@@ -139,15 +147,14 @@ def measure_sandwave(
     )
 
 
-def align_scan(
-    raw: Surface, piece: Sandwave, sheet: SheetSection | None
-) -> tuple[Alignment, Surface]:
+def align_scan(raw: Surface, piece: Sandwave, rig: Rig) -> tuple[Alignment, Surface]:
     """The alignment of a raw scan of the sandwave, and the surface in the workpiece frame.
 
-    sheet: where known, what its thickness does to heights is taken back, which needs the yaw.
+    rig: about a ``[shaft]`` there is no yaw to find.  Where the ``[sheet]`` is known, what its
+    thickness does to heights is taken back, which needs the yaw.
     The alignment stays: on the wedges' flat tops there is nothing to take back.
     """
-    alignment = align_sandwave(raw, piece)
+    alignment, sheet = align_sandwave(raw, piece, sheared=rig.shaft is None), rig.sheet
     if sheet is not None:
         geometry = SheetGeometry(
             sigma_mm=sheet.thickness_mm / 2,
@@ -169,7 +176,27 @@ def reconstruct(
 
     stripe: how the line is found; the rig's own settings if None.
     """
-    return stack(list(read_profiles(run, plane_map, stripe, progress)))
+    return build_surface(list(read_profiles(run, plane_map, stripe, progress)), run.rig_file.rig)
+
+
+def build_surface(profiles: Sequence[Profile], rig: Rig) -> Surface:
+    """The raw surface of the rig's profiles, in the head frame: turned where it has a [shaft]."""
+    return stack(profiles) if rig.shaft is None else stack_about(profiles, shaft_of(rig.shaft))
+
+
+def find_shaft(run: Run, plane_map: PlaneMap, progress: Progress | None = None) -> ShaftFit:
+    """The rig's shaft as the run's scan of the sandwave shows it.
+
+    Raises InputError where the rig has no [shaft], one that is known exactly, or another
+    workpiece; MeasurementError where the scan does not carry it.
+    """
+    rig = run.rig_file.rig
+    if rig.shaft is None:
+        raise InputError("the rig file has no section [shaft]", where=run.path)
+    if not isinstance(rig.workpiece, Sandwave):
+        raise _wrong_piece(run, "sandwave")
+    profiles = list(read_profiles(run, plane_map, progress=progress))
+    return calibrate_shaft(profiles, rig.workpiece, shaft_of(rig.shaft))
 
 
 def read_profiles(

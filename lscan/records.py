@@ -220,13 +220,15 @@ class Surface:
     """All profiles of a run, stacked: F frames of N columns.
 
     xyz_mm: (F, N, 3) points; which frame they are in is said by ``frame``: "head" as
-        scanned (x and z in the sheet, y the track position), "workpiece" once aligned.
+        scanned (x and z in the sheet, y the track position; about a shaft, the frame of the
+        head at position 0), "workpiece" once aligned.
     sigma_mm: (F, N) standard uncertainty of z; sigma_x_mm: (F, N) of x.
     status: (F, N) of Status.
-    position_mm: (F,) track positions.
+    position_mm: (F,) track positions, of a shaft the arc turned by.
     modes_mm: (F, N, 3, M) single precision, what the calibration displaces all points by in
         common, as in PlanePoints; part of the sigmas.  None: nothing is known to be common.
     brightness: (F, N) as in Profile; None where it is not known.
+    sigma_y_mm: (F, N) standard uncertainty of y; None: it is the track's, taken for exact.
     """
 
     xyz_mm: Floats
@@ -237,6 +239,7 @@ class Surface:
     frame: Literal["head", "workpiece"] = "head"
     modes_mm: NDArray[np.float32] | None = None
     brightness: Floats | None = None
+    sigma_y_mm: Floats | None = None
 
 
 @dataclass(frozen=True)

@@ -93,11 +93,15 @@ def experiment_json(experiment: Experiment) -> dict[str, Any]:
 
 
 def sandwave_json(result: SandwaveResult) -> dict[str, Any]:
-    """The entry "sandwave" of results.json; the true yaw is the tank's to add."""
+    """The entry "sandwave" of results.json; the true yaw is the tank's to add.
+
+    About a shaft there is no yaw: None.
+    """
+    yaw_deg = float(np.degrees(result.alignment.yaw_rad)) if result.alignment.sheared else None
     return {
         "frames": len(result.raw.position_mm),
         "step_mm": result.step_mm,
-        "yaw_deg": {"estimated": float(np.degrees(result.alignment.yaw_rad))},
+        "yaw_deg": {"estimated": yaw_deg},
         "slices": {name: errors.as_json() for name, errors in result.errors.items()},
     }
 

@@ -9,10 +9,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from importlib.metadata import EntryPoint, entry_points
+from math import cos, degrees, hypot, pi, radians
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, Self
 
-from pydantic import Field, SerializerFunctionWrapHandler, model_serializer
+import numpy as np
+from pydantic import Field, SerializerFunctionWrapHandler, model_serializer, model_validator
 
 from lscan.board import Board
 from lscan.documents import Document, Strict, check, merge, read_document
@@ -157,6 +159,62 @@ class SheetSection(Strict):
     apex_mm: tuple[float, float, float]
 
 
+Coordinate = Annotated[float, Field(ge=-1e6, le=1e6)]
+OffsetSigma = Annotated[float, Field(ge=0, le=1000)]
+TiltSigma = Annotated[float, Field(ge=0, le=20)]
+Correlation = Annotated[float, Field(ge=-1, le=1)]
+
+LEAST_ANGLE_DEG = 1.0
+"""A shaft nearer than this to the sheet's normal turns the sheet within its own plane."""
+
+
+class ShaftSection(Strict):
+    """A rotating shaft: what the track driver moves turns the head instead of shifting it.
+
+    A position is the arc in mm that a point ``arc_radius_mm`` off the shaft has turned by: the
+    angle is position / arc_radius_mm, right-handed about ``direction``.  The default makes a
+    millimetre of the track driver a degree.
+    point_mm, direction: a point of the shaft and its direction, in the frame of the head at
+    position 0; the direction may have any length and is kept as a unit vector.
+
+    How well the shaft is known: two axes stand square to it, the first the sheet's normal y less
+    its part along the shaft, the second direction x first.  offset_sigma_mm: standard
+    uncertainties of the point along them; tilt_sigma_deg: of the direction's lean towards them.
+    scale_sigma: relative, of the angle.  correlation: of these five, the upper triangle row by
+    row; none if left out.  0: known exactly.
+    """
+
+    arc_radius_mm: Annotated[float, Field(gt=0, le=1e6)] = 180 / pi
+    point_mm: tuple[Coordinate, Coordinate, Coordinate]
+    direction: tuple[Coordinate, Coordinate, Coordinate]
+    offset_sigma_mm: tuple[OffsetSigma, OffsetSigma] = (0.0, 0.0)
+    tilt_sigma_deg: tuple[TiltSigma, TiltSigma] = (0.0, 0.0)
+    scale_sigma: Annotated[float, Field(ge=0, le=0.1)] = 0.0
+    correlation: Annotated[tuple[Correlation, ...], Field(min_length=10, max_length=10)] = (
+        0.0,
+    ) * 10
+
+    @model_validator(mode="after")
+    def _usable(self) -> Self:
+        length = hypot(*self.direction)
+        if length < 1e-9:
+            raise ValueError("direction must not be zero")
+        if abs(self.direction[1]) > length * cos(radians(LEAST_ANGLE_DEG)):
+            raise ValueError(
+                "direction lies along y, square to the sheet, which it would turn within its own "
+                f"plane and scan nothing; it must stand {LEAST_ANGLE_DEG:g} degree or more off y"
+            )
+        if np.linalg.eigvalsh(self.correlation_matrix()).min() < -1e-6:
+            raise ValueError("correlation must be that of five quantities: none is below nought")
+        return self
+
+    def correlation_matrix(self) -> np.ndarray:
+        """(5, 5) correlation of the two offsets, the two tilts and the scale."""
+        matrix = np.eye(5)
+        matrix[np.triu_indices(5, 1)] = self.correlation
+        return matrix + np.triu(matrix, 1).T
+
+
 class CalibrationSection(Strict):
     """Which plane map is solved from the board picture, and from which colour channel."""
 
@@ -175,6 +233,7 @@ class Rig(Strict):
     calibration: CalibrationSection = CalibrationSection()
     optics: OpticsSection = OpticsSection()
     sheet: SheetSection | None = None
+    shaft: ShaftSection | None = None
     board: Board | None = None
     workpiece: Workpiece | None = None
 
@@ -227,7 +286,29 @@ def parse_rig(document: Document, source: str, trusted: bool = False) -> RigFile
         if unknown:
             allowed = ", ".join(sorted({*Rig.model_fields, *owned}))
             raise InputError(f"{unknown[0]}: unknown section", where=source, allowed=allowed)
+    _check_shaft(rig, source)
     return RigFile(rig=rig, document=document, source=source)
+
+
+def _check_shaft(rig: Rig, source: str) -> None:
+    """Refuse more than a full turn about a shaft, and a sheet's thickness together with one."""
+    if rig.shaft is None:
+        return
+    plan = rig.plan
+    turn_deg = degrees((plan.frames - 1) * abs(plan.step_mm) / rig.shaft.arc_radius_mm)
+    if turn_deg > 360 * (1 + 1e-9):
+        raise InputError(
+            "plan: turns the head by more than a full turn about [shaft]",
+            where=source,
+            value=f"{turn_deg:g} deg",
+            allowed="360 deg or less",
+        )
+    if rig.sheet is not None:
+        raise InputError(
+            "sheet: what its thickness does is taken back on a linear track only",
+            where=source,
+            allowed="[sheet] or [shaft], not both",
+        )
 
 
 def inline_board(document: Document) -> Document:

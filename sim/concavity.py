@@ -20,6 +20,7 @@ import trimesh
 
 from lscan.disk import make_folder, write_atomically
 from lscan.documents import merge
+from lscan.errors import InputError
 from lscan.records import Floats, Mask, Status, Stripe, Surface
 from lscan.rig import StripeSection, load_rig, parse_rig
 from lscan.stripe.correction import take_back_blur
@@ -114,6 +115,8 @@ def whole_line(light: Floats) -> Stripe:
 def sheet_geometry(scene: Scene) -> SheetGeometry:
     """What the correction for thickness has to know, from the scene."""
     laser, head = scene.tank.laser, scene.tank.head
+    if head.shaft is not None:
+        raise InputError("thickness: is taken back on a linear track only", where=scene.source)
     yaw_rad = float(np.radians(head.yaw_deg))
     return SheetGeometry(laser.waist_mm / 2, head.camera_mm, laser.apex_mm, yaw_rad)
 

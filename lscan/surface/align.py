@@ -8,6 +8,7 @@ position s lies at (x + s sin yaw, s cos yaw, z).  Positive yaw: the raw profile
 towards +x in proportion to s.  (The paper shifts x alone, which takes cos yaw for 1: 0.07 %,
 or 0.15 mm over the block, at its 2.2 degrees.)
 Because the shear acts before the rotations, all four are solved together by iteration.
+About a shaft nothing is sheared: without the yaw, the block's sides tell the rotation about z.
 """
 
 from __future__ import annotations
@@ -66,7 +67,7 @@ class _Pose:
         return self.place(raw)[:, :2]
 
 
-def align_sandwave(surface: Surface, piece: Sandwave) -> Alignment:
+def align_sandwave(surface: Surface, piece: Sandwave, sheared: bool = True) -> Alignment:
     """The alignment of a raw scan of the sandwave block with its workpiece frame.
 
     Edges are first taken to lie beyond the last samples on them.  Where the surface knows the
@@ -80,6 +81,9 @@ def align_sandwave(surface: Surface, piece: Sandwave) -> Alignment:
     right one too.  The wedges' edges have a small say as well, being symmetric about that
     line: a side that runs along the track to within a column or two is only known to that.
 
+    sheared: False for a scan about a shaft: there is no yaw then, and what makes the sides run
+    along y is the rotation about z instead of the line of the corners.
+
     Raises InputError for a surface that is not in the head frame, MeasurementError that names
     what is missing in the scan.
     """
@@ -91,13 +95,14 @@ def align_sandwave(surface: Surface, piece: Sandwave) -> Alignment:
     pose, rounds = _rough_pose(features, piece), 0
     for window in WINDOWS_MM:
         selected = _select(features, pose, piece, window)
-        pose, edges, iterations = _refine(features.tops, _crossed(selected, piece), pose, piece)
+        found = _crossed(selected, piece)
+        pose, edges, iterations = _refine(features.tops, found, pose, piece, sheared)
         rounds += iterations
     fading = _fading(surface, pose, edges, piece)
     if fading is not None:
-        pose, edges, iterations = _refine(features.tops, fading, pose, piece)
+        pose, edges, iterations = _refine(features.tops, fading, pose, piece, sheared)
         rounds += iterations
-    datum = _datum(surface, features, selected, pose, edges, sharp=fading is not None)
+    datum = _datum(surface, features, selected, pose, edges, fading is not None, sheared)
     modes = turned_modes(surface, pose.rotation @ shear(pose.yaw), datum.index)
     errors = parameter_modes(datum, modes)
     return Alignment(
@@ -115,7 +120,18 @@ def align_sandwave(surface: Surface, piece: Sandwave) -> Alignment:
         iterations=rounds,
         pivot_mm=datum.pivot,
         modes=errors,
+        sheared=sheared,
     )
+
+
+def rough_pose(surface: Surface, piece: Sandwave) -> tuple[Floats, Floats]:
+    """(3, 3) rotation and (3,) shift, mm, from the head's frame to the workpiece's, to a few mm.
+
+    From the levels and middles of the wedges' tops alone, so that it stands much that is wrong
+    with the scan.  Raises MeasurementError where a wedge is not in it.
+    """
+    pose = _rough_pose(find_features(surface, piece), piece)
+    return pose.rotation, pose.shift
 
 
 def _rough_pose(features: Features, piece: Sandwave) -> _Pose:
@@ -192,7 +208,9 @@ def _side(piece: Sandwave, x: float) -> tuple[Floats, Floats]:
     return np.array([x, -reach]), np.array([x, piece.side_mm + reach])
 
 
-def _refine(tops: Floats, find: _Finder, pose: _Pose, piece: Sandwave) -> tuple[_Pose, _Edges, int]:
+def _refine(
+    tops: Floats, find: _Finder, pose: _Pose, piece: Sandwave, sheared: bool
+) -> tuple[_Pose, _Edges, int]:
     """The pose at which the base plane, the corners and the yaw agree, and the edges in it."""
     kept = None
     for iteration in range(1, MAX_ITERATIONS + 1):
@@ -202,14 +220,16 @@ def _refine(tops: Floats, find: _Finder, pose: _Pose, piece: Sandwave) -> tuple[
         turn_error = float(np.arctan2(across[1], across[0]))
         # A lean towards +x with growing y says that the profiles were shifted too far.
         yaw_error = float(np.arctan(edges.fit.lean)) + turn_error
+        if not sheared:
+            yaw_error, turn_error = 0.0, -float(np.arctan(edges.fit.lean))
         middle = edges.middle
         pose = _moved(tops, pose, yaw_error, turn_error, middle, piece)
         shift = float(np.abs(middle - _nominal_middle(piece)).max()) / piece.side_mm
         if max(abs(yaw_error), abs(turn_error), shift) < SETTLED_RAD:
             return pose, edges, iteration
     raise MeasurementError(
-        f"the yaw did not settle in {MAX_ITERATIONS} rounds: "
-        f"still {np.degrees(yaw_error):.2g} degrees off"
+        f"the alignment did not settle in {MAX_ITERATIONS} rounds: still "
+        f"{np.degrees(max(abs(yaw_error), abs(turn_error))):.2g} degrees off"
     )
 
 
@@ -299,6 +319,7 @@ def _datum(
     pose: _Pose,
     edges: _Edges,
     sharp: bool,
+    sheared: bool,
 ) -> Datum:
     """What the alignment was made from, in the workpiece frame that it leads to.
 
@@ -323,6 +344,7 @@ def _datum(
         rotation=pose.rotation,
         yaw_rad=pose.yaw,
         by_sides=edges.by_sides,
+        sheared=sheared,
     )
 
 

@@ -31,6 +31,7 @@ class Alignment:
     pivot_mm: (3,) the corners' middle, about which the parameters of ``modes`` turn.
     modes: (7, M + 7) how the alignment errs (datum.py): with each of the surface's M modes, and
         with seven independent errors of its own.
+    sheared: False where the scan was made about a shaft and so has no yaw.
     """
 
     yaw_rad: float
@@ -47,6 +48,7 @@ class Alignment:
     iterations: int
     pivot_mm: Floats
     modes: Floats
+    sheared: bool = True
 
     def to_workpiece(self, raw_mm: Floats) -> Floats:
         """(..., 3) workpiece points, mm, of raw head-frame points (..., 3), mm."""
@@ -80,11 +82,14 @@ def apply(alignment: Alignment, surface: Surface) -> Surface:
         matrix = (turn @ shear(alignment.yaw_rad)).astype(np.float32)
         modes[..., : surface.modes_mm.shape[-1]] += matrix @ surface.modes_mm
     total = np.square(modes, dtype=np.float64).sum(axis=-1)
+    own = np.stack([own_x, _own_y(surface), own_z], axis=-1) @ (turn**2).T
+    sigma = np.sqrt(own + total)
     return replace(
         surface,
         xyz_mm=xyz,
-        sigma_x_mm=np.sqrt(turn[0, 0] ** 2 * own_x + turn[0, 2] ** 2 * own_z + total[..., 0]),
-        sigma_mm=np.sqrt(turn[2, 0] ** 2 * own_x + turn[2, 2] ** 2 * own_z + total[..., 2]),
+        sigma_x_mm=sigma[..., 0],
+        sigma_y_mm=None if surface.sigma_y_mm is None else sigma[..., 1],
+        sigma_mm=sigma[..., 2],
         frame="workpiece",
         modes_mm=modes,
     )
@@ -100,6 +105,16 @@ def own_variance(surface: Surface) -> tuple[Floats, Floats]:
         np.maximum(variance_x - common[..., 0], 0.0),
         np.maximum(variance_z - common[..., 2], 0.0),
     )
+
+
+def _own_y(surface: Surface) -> Floats:
+    """(F, N) variance of y, mm², without what the modes make common; 0 where y is the track's."""
+    if surface.sigma_y_mm is None:
+        return np.zeros_like(surface.sigma_mm)
+    if surface.modes_mm is None:
+        return surface.sigma_y_mm**2
+    common = np.square(surface.modes_mm[..., 1, :], dtype=np.float64).sum(axis=-1)
+    return np.maximum(surface.sigma_y_mm**2 - common, 0.0)
 
 
 def turned_modes(surface: Surface, matrix: Floats, index: Ints) -> NDArray[np.float32]:

@@ -7,6 +7,9 @@ of the points.  So is the displacement that each of the alignment's own seven pa
 to them.  To first order, then, a displacement common to many points, such as an error of the
 calibration, is answered by the change of parameters that makes the seven nought again; and what
 noise leaves in the seven is answered by errors of the parameters that all points share.
+
+About a shaft there is no yaw, and the edges' lean is made nought in place of the line of the
+corners' turn: six parameters make six quantities nought.
 """
 
 from __future__ import annotations
@@ -25,6 +28,9 @@ PARAMETERS = 7
 
 YAW = 3
 """Index of the yaw among the parameters."""
+
+TURN, LEAN = 3, 4
+"""Indices, among the seven quantities, of the corners' turn and of the lean against it."""
 
 
 @dataclass(frozen=True)
@@ -47,6 +53,7 @@ class Datum:
     each edge's place, mm.  yaw_variance: what is to be added to that of the lean, rad².
     corners: (2, 2) left and right one.  rotation, yaw_rad: of the alignment.  by_sides: the
     middle's x is that of the two sides, the last two edges, instead of the corners'.
+    sheared: False for a scan about a shaft.
     """
 
     tops: Floats
@@ -59,6 +66,7 @@ class Datum:
     rotation: Floats
     yaw_rad: float
     by_sides: bool = False
+    sheared: bool = True
 
     @property
     def index(self) -> Ints:
@@ -76,12 +84,27 @@ def parameter_modes(datum: Datum, modes: NDArray[np.floating]) -> Floats:
 
     modes: (P, 3, M) mm, displacements of the points of ``datum.index``, along the workpiece's axes.
     The first M columns answer these; the last 7 are the noise of the alignment itself.
+    Without a yaw its row is nought.
     """
     points = np.concatenate([datum.tops, *(edge.points for edge in datum.edges)])
     given = displacement(points, datum.pivot, datum.rotation, datum.yaw_rad)
     noise, vectors = np.linalg.eigh(_noise(datum))
     left = np.column_stack([_seven(datum, modes), vectors * np.sqrt(np.maximum(noise, 0.0))])
-    return np.asarray(-np.linalg.solve(_seven(datum, given), left))
+    matrix = _seven(datum, given)
+    if datum.sheared:
+        return np.asarray(-np.linalg.solve(matrix, left))
+    free = np.delete(np.arange(PARAMETERS), YAW)
+    left, matrix = (np.delete(_leaning(rows), TURN, axis=0) for rows in (left, matrix))
+    errors = np.zeros((PARAMETERS, left.shape[1]))
+    errors[free] = -np.linalg.solve(matrix[:, free], left)
+    return errors
+
+
+def _leaning(seven: Floats) -> Floats:
+    """(7, C) the seven quantities with the edges' lean by itself, not against the corners."""
+    by_itself = seven.copy()
+    by_itself[LEAN] -= seven[TURN]
+    return by_itself
 
 
 def displacement(points: Floats, pivot: Floats, rotation: Floats, yaw_rad: float) -> Floats:

@@ -75,7 +75,7 @@ def find_features(surface: Surface, piece: Sandwave) -> Features:
     block = valid & (height > -(piece.body_mm + _crest(piece)) / 2)
     patch_left, patch_right = _wedge_tops(surface.xyz_mm, block, height, piece)
     tops = patch_left | patch_right
-    inner = tops & _clear(tops, surface.position_mm, spacing)
+    inner = tops & _clear(tops, _profile_spacing(surface.xyz_mm, valid), spacing)
     flat = block & (
         near_level(height, 0.0, piece) | near_level(height, piece.wedge.height_mm, piece)
     )
@@ -100,10 +100,12 @@ TOP_MARGIN_MM = 1.5
 """Sheets are that thick: nearer to an edge part of the light is lost, and the line displaced."""
 
 
-def _clear(tops: Mask, position_mm: Floats, spacing: Floats) -> Mask:
-    """Mask of the samples that are a margin away from where the tops end; holes are no end."""
-    track = float(np.median(np.abs(np.diff(position_mm))))
-    steps = (track, float(np.median(np.abs(spacing))))
+def _clear(tops: Mask, along_mm: float, spacing: Floats) -> Mask:
+    """Mask of the samples that are a margin away from where the tops end; holes are no end.
+
+    along_mm: from one profile to the next.  spacing: (N,) from one column to the next.
+    """
+    steps = (along_mm, float(np.median(np.abs(spacing))))
     rows, columns = (2 * int(np.ceil(TOP_MARGIN_MM / max(step, 0.1))) + 1 for step in steps)
     whole = ndimage.binary_closing(tops, np.ones((3, 5), dtype=bool))
     shape = np.ones((rows, max(columns, 5)), dtype=bool)
@@ -186,6 +188,12 @@ def _column_spacing(xyz: Floats, valid: Mask) -> Floats:
     spacing[:-1][known] = np.nanmedian(masked, axis=0)
     spacing[-1] = spacing[-2]
     return spacing
+
+
+def _profile_spacing(xyz: Floats, valid: Mask) -> float:
+    """Median distance in mm along y from one profile to the next; 0 where none has another."""
+    steps = np.diff(xyz[..., 1], axis=0)[valid[1:] & valid[:-1]]
+    return float(np.median(np.abs(steps))) if len(steps) else 0.0
 
 
 def _wedge_tops(xyz: Floats, block: Mask, height: Floats, piece: Sandwave) -> tuple[Mask, Mask]:

@@ -7,12 +7,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from lscan.experiment import align_scan
+from lscan.experiment import align_scan, build_surface
 from lscan.measure import compare_slice
 from lscan.planemap.api import PlaneMap
 from lscan.profile import to_profile
 from lscan.records import Floats, Status, Surface
-from lscan.surface import grid_cells, resample, stack
+from lscan.surface import grid_cells, resample
 from lscan.targets import Sandwave
 from sim.accuracy.exposures import Reading
 from sim.scene import Scene
@@ -45,7 +45,7 @@ def aligned_surface(scene: Scene, reading: Reading, plane_map: PlaneMap) -> Surf
         to_profile(stripe, plane_map, position)
         for stripe, position in zip(reading.stripes, reading.positions_mm, strict=True)
     ]
-    return align_scan(stack(profiles), _piece(scene), scene.rig.sheet)[1]
+    return align_scan(build_surface(profiles, scene.rig), _piece(scene), scene.rig)[1]
 
 
 def slice_figures(scene: Scene, surface: Surface) -> dict[str, SliceFigures]:

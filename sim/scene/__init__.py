@@ -4,7 +4,8 @@ Lengths mm, angles in degrees in the file, inherent optical properties per metre
 camera and laser are in the head frame (lscan.records): its plane y = 0 is where the laser
 sheet ought to lie, x and z are those of the plane frame, whose origin is control point O of
 the board.  The target stands in the world frame, which is the head frame of track position
-0 turned by the head's yaw, so that the track runs along y.
+0 turned by the head's yaw, so that the track runs along y.  On a shaft the head turns instead
+of shifting, and positions are arcs (lscan.rig.ShaftSection).
 """
 
 from sim.scene.file import (
@@ -28,6 +29,7 @@ from sim.scene.instrument import (
     Port,
     Response,
     Sensor,
+    TrueShaft,
 )
 from sim.scene.matter import (
     FLOOR_HALF_SIDE_MM,
@@ -42,6 +44,8 @@ from sim.scene.poses import (
     Pose,
     camera_pose,
     head_pose,
+    into_head,
+    into_world,
     rotation_x,
     rotation_y,
     rotation_z,
@@ -71,10 +75,13 @@ __all__ = [
     "Tank",
     "Target",
     "Texture",
+    "TrueShaft",
     "Water",
     "camera_pose",
     "check_lens",
     "head_pose",
+    "into_head",
+    "into_world",
     "load_scene",
     "rotation_x",
     "rotation_y",

@@ -13,7 +13,7 @@ from pydantic import Field, model_validator
 from lscan.documents import Document, Strict, check, read_document
 from lscan.errors import InputError
 from lscan.rig import Rig, RigFile, inline_board, parse_rig
-from sim.scene.instrument import FlatPort, Head, Laser, Lens, Port, Seed, Sensor
+from sim.scene.instrument import FlatPort, Head, Laser, Lens, Port, Seed, Sensor, TrueShaft
 from sim.scene.matter import Floor, Light, Target, Water
 from sim.scene.poses import Pose, head_pose, rotation_x, rotation_y, rotation_z
 
@@ -98,15 +98,37 @@ def load_scene(path: Path) -> Scene:
 def scene_of(rig_file: RigFile) -> Scene:
     """The scene in a rig file that has the tank's sections; InputError names what is wrong."""
     own = {key: value for key, value in rig_file.document.items() if key in SECTIONS}
+    tank = check(Tank, own, where=rig_file.source)
+    head = _on_its_shaft(tank.head, rig_file)
     scene = Scene(
         rig=rig_file.rig,
-        tank=check(Tank, own, where=rig_file.source),
+        tank=tank.model_copy(update={"head": head}),
         document=rig_file.document,
         source=rig_file.source,
     )
     _check_target(scene)
     check_lens(scene)
     return scene
+
+
+def _on_its_shaft(head: Head, rig_file: RigFile) -> Head:
+    """The head with the shaft it truly turns about, where the rig has one: else the rig's own."""
+    stated, source = rig_file.rig.shaft, rig_file.source
+    if stated is None:
+        if head.shaft is not None:
+            raise InputError("head.shaft: needs the section [shaft]", where=source)
+        return head
+    if head.speed_mm_s != 0:
+        raise InputError(
+            "head.speed_mm_s: a head on a shaft stands still while a picture is taken",
+            where=source,
+            value=head.speed_mm_s,
+            allowed="0",
+        )
+    true = head.shaft or TrueShaft(point_mm=stated.point_mm, direction=stated.direction)
+    if true.arc_radius_mm is None:
+        true = true.model_copy(update={"arc_radius_mm": stated.arc_radius_mm})
+    return head.model_copy(update={"shaft": true})
 
 
 def _check_target(scene: Scene) -> None:

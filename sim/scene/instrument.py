@@ -5,7 +5,7 @@ Lengths mm, angles degrees, wavelengths nm, as in the file.
 
 from __future__ import annotations
 
-from math import exp
+from math import exp, hypot
 from typing import Annotated, Any, Literal, Self
 
 from pydantic import Discriminator, Field, NonNegativeFloat, PositiveFloat, Tag, model_validator
@@ -89,6 +89,24 @@ Port = Annotated[
 ]
 
 
+class TrueShaft(Strict):
+    """The shaft that the tank's head truly turns about, in the head frame of position 0.
+
+    point_mm: a point of it.  direction: along it, right-hand rule, of any length.
+    arc_radius_mm: a position divided by it is the angle in rad; the rig's if left out.
+    """
+
+    point_mm: Vector
+    direction: Vector
+    arc_radius_mm: PositiveFloat | None = None
+
+    @model_validator(mode="after")
+    def _has_direction(self) -> Self:
+        if hypot(*self.direction) < 1e-9:
+            raise ValueError("direction must not be zero")
+        return self
+
+
 class Head(Strict):
     """Where the camera sits in the head, and how the head sits on the track.
 
@@ -97,6 +115,8 @@ class Head(Strict):
     yaw_deg: the head's plane y = 0 against the track, which runs along
     (sin yaw, cos yaw, 0) of the head.
     speed_mm_s: how fast the head moves along the track while a picture is taken; 0: it stands.
+    shaft: what the head truly turns about, where the rig has a ``[shaft]``; the rig's if left
+    out.
     """
 
     camera_mm: Vector
@@ -105,6 +125,7 @@ class Head(Strict):
     roll_deg: float = 0.0
     yaw_deg: SmallAngle = 0.0
     speed_mm_s: Annotated[float, Field(ge=-1e4, le=1e4)] = 0.0
+    shaft: TrueShaft | None = None
 
 
 class Line(Strict):

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from lscan.records import Floats
-from sim.scene.instrument import Head, Laser, Line
+from sim.scene.instrument import Head, Laser, Line, TrueShaft
 
 
 def rotation_z(angle_deg: float) -> Floats:
@@ -64,8 +64,48 @@ def camera_pose(head: Head) -> Pose:
 
 
 def head_pose(head: Head, position_mm: float) -> Pose:
-    """Head frame to world frame with the head at a track position in mm."""
-    return Pose(rotation_z(head.yaw_deg), np.array([0.0, position_mm, 0.0]))
+    """Head frame to world frame with the head at a track position in mm, or turned by that arc."""
+    level = rotation_z(head.yaw_deg)
+    if head.shaft is None:
+        return Pose(level, position_mm * track_direction(head))
+    point = np.array(head.shaft.point_mm)
+    turn = _about(head.shaft, np.array([position_mm]))[0]
+    return Pose(level, np.zeros(3)) @ Pose(turn, point - turn @ point)
+
+
+def into_world(head: Head, points_head: Floats, position_mm: Floats | float) -> Floats:
+    """(N, 3) points of the head frame in the world, mm; position_mm: one for all, or (N,)."""
+    position = np.broadcast_to(position_mm, len(points_head))
+    if head.shaft is None:
+        return head_pose(head, 0.0).apply(points_head) + np.outer(position, track_direction(head))
+    offset = points_head - np.array(head.shaft.point_mm)
+    turned = np.einsum("nij,nj->ni", _about(head.shaft, position), offset)
+    return head_pose(head, 0.0).apply(turned + np.array(head.shaft.point_mm))
+
+
+def into_head(head: Head, points_world: Floats, position_mm: Floats | float) -> Floats:
+    """(N, 3) points of the world in the head frame, mm; position_mm: one for all, or (N,)."""
+    position = np.broadcast_to(position_mm, len(points_world))
+    if head.shaft is None:
+        moved = np.outer(position, track_direction(head))
+        return head_pose(head, 0.0).invert(points_world - moved)
+    offset = head_pose(head, 0.0).invert(points_world) - np.array(head.shaft.point_mm)
+    turned = np.einsum("nji,nj->ni", _about(head.shaft, position), offset)
+    return turned + np.array(head.shaft.point_mm)
+
+
+def _about(shaft: TrueShaft, position_mm: Floats) -> Floats:
+    """(N, 3, 3) rotations of the head at positions (N,) on its shaft: from quaternions."""
+    assert shaft.arc_radius_mm is not None  # sim.scene.file has set it
+    half = position_mm / shaft.arc_radius_mm / 2
+    direction = np.array(shaft.direction) / np.linalg.norm(shaft.direction)
+    w, (x, y, z) = np.cos(half), np.sin(half) * direction[:, np.newaxis]
+    rows = [
+        [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+        [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+    ]
+    return np.moveaxis(np.array(rows), -1, 0)
 
 
 def sheet_pose(laser: Laser, line: Line) -> Pose:
@@ -79,5 +119,5 @@ def sheet_pose(laser: Laser, line: Line) -> Pose:
 
 
 def track_direction(head: Head) -> Floats:
-    """(3,) unit vector along which the track moves the head, world frame."""
+    """(3,) unit vector along which a track moves the head, world frame."""
     return np.array([0.0, 1.0, 0.0])

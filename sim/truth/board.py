@@ -19,12 +19,12 @@ from lscan.records import (
     RulerReading,
     Status,
 )
-from sim.scene import Scene, head_pose, target_pose
+from sim.scene import Scene, into_head, target_pose
 from sim.truth.projection import project
 from sim.truth.section import surfaces_of
 from sim.truth.shutter import row_positions_mm, travel_mm
 from sim.truth.surfaces import Surface
-from sim.truth.visibility import along_track, in_picture, seen
+from sim.truth.visibility import in_picture, seen
 
 RIM_POINTS = 128  # of a dot's outline, for its area's centroid
 RING_POINTS = 72  # on a ring's centre line
@@ -60,8 +60,7 @@ class _View:
         x, z = places.T
         world = target_pose(self.scene).apply(np.column_stack([x, np.zeros_like(x), z]))
         position = self._position(world)
-        moved = along_track(position, len(world))
-        return head_pose(self.scene.tank.head, 0.0).invert(world - moved), position
+        return into_head(self.scene.tank.head, world, position), position
 
     def _position(self, world: Floats) -> Floats:
         """(N,) where the head is, mm, in mid-exposure of the rows (N, 3) points show in.
@@ -73,9 +72,7 @@ class _View:
         scene, count = self.scene, len(world)
         position: Floats = np.full(count, self.position_mm)
         for _ in range(0 if travel_mm(scene) == 0 else TURNS):
-            moved = along_track(position, count)
-            local = head_pose(scene.tank.head, 0.0).invert(world - moved)
-            rows = project(scene, local)[:, 1]
+            rows = project(scene, into_head(scene.tank.head, world, position))[:, 1]
             there = row_positions_mm(scene, self.position_mm, rows)
             position = np.where(np.isfinite(there), there, self.position_mm)
         return position

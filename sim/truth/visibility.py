@@ -10,7 +10,18 @@ import numpy as np
 from lscan.errors import InputError
 from lscan.records import Floats, Mask
 from lscan.targets import Sandwave
-from sim.scene import Head, Laser, Pose, Scene, head_pose, rotation_z, target_pose
+from sim.scene import (
+    Head,
+    Laser,
+    Pose,
+    Scene,
+    TrueShaft,
+    head_pose,
+    into_head,
+    into_world,
+    rotation_z,
+    target_pose,
+)
 from sim.truth.projection import camera_of, project, rays_to
 from sim.truth.roots import increasing_roots
 from sim.truth.section import Section, surfaces_of
@@ -122,19 +133,28 @@ def slice_visibility(scene: Scene, points_mm: Floats, line: int = 0) -> Mask:
 
     sheet = sheet_of(scene, line)
     position = passing_mm(tank.head, world, sheet)
-    head = head_pose(tank.head, 0.0).invert(world - along_track(position, len(world)))
+    passed = np.isfinite(position)
+    world, position = world[passed], position[passed]
+    head = into_head(tank.head, world, position)
     apex = np.broadcast_to(np.array(tank.laser.apex_mm), head.shape)
     start = into_world(tank.head, apex, position)
     surfaces = surfaces_of(scene)
     shone = in_fan(tank.laser, sheet.flattened(head)) & ~blocked(surfaces, start, world)
-    return shone & in_picture(scene, project(scene, head)) & seen(scene, surfaces, head, position)
+    shone &= in_picture(scene, project(scene, head)) & seen(scene, surfaces, head, position)
+    visible = np.zeros(len(points), dtype=bool)
+    visible[passed] = shone
+    return visible
 
 
 def passing_mm(head: Head, points_world: Floats, sheet: Sheet = ALIGNED) -> Floats:
     """(N,) track positions at which a sheet passes through (N, 3) points of the world.
 
-    sheet: the head's plane y = 0 if left out.
+    sheet: the head's plane y = 0 if left out.  About a shaft a flat sheet passes a point twice
+    in a turn: the position nearer to 0 is given, NaN where it never does.  Raises InputError
+    for a bowed sheet about a shaft.
     """
+    if head.shaft is not None:
+        return _turning_past_mm(head.shaft, head_pose(head, 0.0).invert(points_world), sheet)
     normal = rotation_z(head.yaw_deg) @ sheet.pose.rotation[:, 1]
     ahead = sheet.pose.origin_mm @ sheet.pose.rotation[:, 1]
     flat = (points_world @ normal - ahead) / normal[1]
@@ -142,25 +162,35 @@ def passing_mm(head: Head, points_world: Floats, sheet: Sheet = ALIGNED) -> Floa
         return flat
 
     def behind(position: Floats) -> tuple[Floats, Floats]:
-        local = points_world - along_track(position, len(points_world))
-        clearance = sheet.clearance_mm(head_pose(head, 0.0).invert(local))
+        clearance = sheet.clearance_mm(into_head(head, points_world, position))
         return -clearance / normal[1], np.ones_like(position)
 
     bulge = 2 * np.abs(behind(flat)[0]) + SELF_MM
     return increasing_roots(behind, flat - bulge, flat + bulge)
 
 
-def into_world(head: Head, points_head: Floats, position_mm: Floats | float) -> Floats:
-    """(N, 3) points of the head frame in the world; position_mm for all, or (N,)."""
-    turned = head_pose(head, 0.0).apply(points_head)
-    return turned + along_track(position_mm, len(points_head))
+def _turning_past_mm(shaft: TrueShaft, points_mm: Floats, sheet: Sheet) -> Floats:
+    """(N,) arcs at which a flat sheet passes through (N, 3) points of the head frame of arc 0.
 
-
-def along_track(position_mm: Floats | float, count: int) -> Floats:
-    """(count, 3) displacement of the head at track positions, world frame, mm."""
-    shift = np.zeros((count, 3))
-    shift[:, 1] = position_mm
-    return shift
+    The head turned by a sees q = X - p at q_along + cos(a) q_across - sin(a) d x q, so that the
+    sheet's plane is met where A cos a + B sin a = C.
+    """
+    if sheet.bow is not None or shaft.arc_radius_mm is None:
+        raise InputError("no passing of a bowed sheet about a shaft", where="laser.port_tilt_deg")
+    normal = sheet.pose.rotation[:, 1]
+    point = np.array(shaft.point_mm)
+    direction = np.array(shaft.direction) / np.linalg.norm(shaft.direction)
+    offset = points_mm - point
+    along = np.outer(offset @ direction, direction)
+    even, odd = (offset - along) @ normal, -np.cross(direction, offset) @ normal
+    rest = (sheet.pose.origin_mm - point) @ normal - along @ normal
+    reach = np.hypot(even, odd)
+    met = reach > np.abs(rest)
+    ratio = np.divide(rest, reach, out=np.full(len(rest), np.nan), where=met)
+    middle, half = np.arctan2(odd, even), np.arccos(ratio)
+    angles = (np.stack([middle - half, middle + half]) + np.pi) % (2 * np.pi) - np.pi
+    nearer = np.abs(angles[0]) <= np.abs(angles[1])
+    return np.asarray(np.where(nearer, angles[0], angles[1]) * shaft.arc_radius_mm)
 
 
 def without_sand(scene: Scene) -> Scene:

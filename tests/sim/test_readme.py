@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 from pydantic import BaseModel
 
-from lscan.rig import NoiseSection, OpticsSection, SheetSection, StripeSection
+from lscan.rig import NoiseSection, OpticsSection, ShaftSection, SheetSection, StripeSection
 from sim.devices import CameraOptions, TrackOptions
 from sim.scene import (
     DomePort,
@@ -85,7 +85,9 @@ def test_every_scene_is_listed() -> None:
     assert sorted(rows) == sorted(files)
 
 
-@pytest.mark.parametrize("model", [StripeSection, NoiseSection, OpticsSection, SheetSection])
+@pytest.mark.parametrize(
+    "model", [StripeSection, NoiseSection, OpticsSection, SheetSection, ShaftSection]
+)
 def test_every_key_of_a_rig_file_is_told(model: type[BaseModel]) -> None:
     rig_files = README.split("## Rig files")[1].split("\n## ")[0]
     missing = set(model.model_fields) - names(rig_files)

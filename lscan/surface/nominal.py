@@ -1,0 +1,90 @@
+"""The sandwave block's nominal top: height and slope at a place in plan, clear of its steps."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from lscan.records import Floats, Mask
+from lscan.targets import Sandwave
+
+
+@dataclass(frozen=True)
+class NominalTop:
+    """The top of the block at N places in plan, workpiece frame.
+
+    height_mm: (N,).  slope: (N, 2) of the height by x and by y.  clear: (N,) whether the place
+    lies on the block and away from every step: from its sides, the border of the waves and the
+    edges of the wedges.
+    """
+
+    height_mm: Floats
+    slope: Floats
+    clear: Mask
+
+    @property
+    def normal(self) -> Floats:
+        """(N, 3) upward unit normals."""
+        upward = np.column_stack([-self.slope, np.ones(len(self.slope))])
+        return upward / np.linalg.norm(upward, axis=1, keepdims=True)
+
+
+def nominal_top(piece: Sandwave, plan_mm: Floats, margin_mm: float) -> NominalTop:
+    """The top at (N, 2) places (x, y), mm: eq. (4) on the waves, flat on rims and wedges.
+
+    margin_mm: a place nearer than this to a step is not clear.
+    """
+    x, y = plan_mm.T
+    far = piece.side_mm
+    inset = np.minimum(np.minimum(x, far - x), np.minimum(y, far - y))
+    waves = inset > 0
+    wedge = _into_wedge(piece, plan_mm)
+    height = np.where(waves, piece.height_mm(x, y), np.where(wedge > 0, piece.wedge.height_mm, 0.0))
+    slope = np.where(waves[:, None], _wave_slope(piece, x, y), 0.0)
+    clear = (np.abs(inset) > margin_mm) & (np.abs(wedge) > margin_mm)
+    return NominalTop(height, slope, clear & (inset + piece.rim_mm > margin_mm))
+
+
+FOOT_ROUNDS = 2
+"""Of looking for the foot: 1 mm off a crest of curvature 0.2/mm, each leaves a fifth."""
+
+
+def above_top(piece: Sandwave, points_mm: Floats, margin_mm: float) -> tuple[Floats, NominalTop]:
+    """(N,) distance of points (N, 3) above the top along its normal, mm, and the top at its foot.
+
+    The foot and not the place beneath the point: noise along the normal would else decide on
+    the slope too, and what goes with the slope would be biased by it.
+    """
+    plan = points_mm[:, :2]
+    for _ in range(FOOT_ROUNDS):
+        distance, top = _off_tangent(piece, points_mm, plan, margin_mm)
+        plan = points_mm[:, :2] - distance[:, None] * top.normal[:, :2]
+    return _off_tangent(piece, points_mm, plan, margin_mm)
+
+
+def _off_tangent(
+    piece: Sandwave, points_mm: Floats, plan_mm: Floats, margin_mm: float
+) -> tuple[Floats, NominalTop]:
+    """(N,) distance of points from the planes that touch the top at (N, 2) places, and the top."""
+    top = nominal_top(piece, plan_mm, margin_mm)
+    offset = points_mm - np.column_stack([plan_mm, top.height_mm])
+    return (offset * top.normal).sum(axis=1), top
+
+
+def _into_wedge(piece: Sandwave, plan_mm: Floats) -> Floats:
+    """(N,) distance in plan to the inner edges of the nearer wedge, mm; negative outside."""
+    x, y = plan_mm.T
+    half, reach = piece.wedge.base_mm / 2, piece.wedge.reach_mm
+    from_side = np.minimum(x + piece.rim_mm, piece.side_mm + piece.rim_mm - x)
+    short = 1 - from_side / reach - np.abs(y - piece.side_mm / 2) / half
+    return short / np.hypot(1 / reach, 1 / half)
+
+
+def _wave_slope(piece: Sandwave, x: Floats, y: Floats) -> Floats:
+    """(N, 2) partial derivatives of eq. (4) by x and y."""
+    amplitude = piece.a_mm + piece.b * y
+    phase = piece.c_per_mm * x + piece.d_rad * np.sin(piece.e_per_mm * y)
+    swing = amplitude * np.cos(phase)
+    along_y = swing * piece.d_rad * piece.e_per_mm * np.cos(piece.e_per_mm * y)
+    return np.column_stack([swing * piece.c_per_mm, along_y + piece.b * np.sin(phase)])

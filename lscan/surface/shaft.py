@@ -1,0 +1,180 @@
+"""Profiles turned about a shaft, the paper's other way to move the head (its Sec. I).
+
+The head turns rigidly about a line.  A point X of the head's frame at position s lies, in the
+frame of the head at position 0, at
+
+    p + R(d, s / r) (X - p)
+
+p being a point of the shaft, d its direction, r the arc radius and R Rodrigues' rotation.  What
+is not known of the shaft has five parameters: two offsets of p square to d, two tilts of d and
+the relative scale of the angle; each displaces every point of the scan in a way of its own.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from lscan.records import Floats, Profile, Surface
+from lscan.rig import ShaftSection
+from lscan.surface.alignment import own_variance
+from lscan.surface.stack import stack
+
+PARAMETERS = 5
+"""Offsets along the shaft's two axes (mm), tilts towards them (rad), scale of the angle."""
+
+
+@dataclass(frozen=True)
+class Shaft:
+    """A shaft in the frame of the head at position 0, and how well it is known.
+
+    point_mm: (3,) a point of it.  direction: (3,) unit vector, right-hand rule.
+    arc_radius_mm: a position divided by it is the angle in rad.
+    covariance: (5, 5) of two offsets (mm) and two tilts (rad) along ``axes``, and the scale.
+    """
+
+    point_mm: Floats
+    direction: Floats
+    arc_radius_mm: float
+    covariance: Floats
+
+    @property
+    def axes(self) -> Floats:
+        """(2, 3) unit vectors square to the shaft: y less its part along it, and the third."""
+        first = np.array([0.0, 1.0, 0.0]) - self.direction[1] * self.direction
+        first = first / np.linalg.norm(first)
+        return np.stack([first, np.cross(self.direction, first)])
+
+    def rotation(self, position_mm: Floats) -> Floats:
+        """(..., 3, 3) rotation of the head at positions (...,) mm: Rodrigues' formula."""
+        angle = np.asarray(position_mm)[..., None, None] / self.arc_radius_mm
+        cross = _cross_matrix(self.direction)
+        return np.eye(3) + np.sin(angle) * cross + (1 - np.cos(angle)) * (cross @ cross)
+
+    def turn(self, points_mm: Floats, position_mm: Floats) -> Floats:
+        """(..., 3) points of the head at positions (...,) in the frame of position 0, mm."""
+        offset = points_mm - self.point_mm
+        turned = (self.rotation(position_mm) @ offset[..., None])[..., 0]
+        return np.asarray(turned + self.point_mm)
+
+    def turn_back(self, points_mm: Floats, position_mm: Floats) -> Floats:
+        """(..., 3) points of the frame of position 0 in the head at positions (...,), mm."""
+        return self.turn(points_mm, -np.asarray(position_mm))
+
+    def moved(self, parameters: Floats) -> Shaft:
+        """The shaft with its five parameters (mm, rad, 1) changed; the covariance stays."""
+        offsets, tilts = parameters[:2] @ self.axes, parameters[2:4] @ self.axes
+        direction = self.direction + tilts
+        return replace(
+            self,
+            point_mm=self.point_mm + offsets,
+            direction=direction / np.linalg.norm(direction),
+            arc_radius_mm=self.arc_radius_mm / (1 + float(parameters[4])),
+        )
+
+    def displacement(
+        self, points_mm: Floats, position_mm: Floats, axes: Floats | None = None
+    ) -> Floats:
+        """(..., 3, 5) what the unit of each parameter displaces turned points (..., 3) by, mm.
+
+        points_mm: in the frame of position 0, as ``turn`` gives them.  axes: (2, 3) along which
+        offsets and tilts are counted, the shaft's own if None.  A tilt by e turns all about the
+        shaft by w = d x e: the points by w x R q, but q itself by -R (w x q), q = X - p.
+        """
+        turned = points_mm - self.point_mm
+        rotation = self.rotation(position_mm)
+        columns = []
+        own = self.axes if axes is None else axes
+        for axis in own:
+            columns.append(np.broadcast_to(axis - rotation @ axis, turned.shape))
+        for axis in own:
+            about = np.cross(self.direction, axis)
+            columns.append(np.cross(about, turned) - np.cross(rotation @ about, turned))
+        angle = np.asarray(position_mm)[..., None] / self.arc_radius_mm
+        columns.append(angle * np.cross(self.direction, turned))
+        return np.stack(columns, axis=-1)
+
+    def modes(self, points_mm: Floats, position_mm: Floats) -> Floats:
+        """(..., 3, 5) displacements as ``displacement``, by five independent errors of the shaft.
+
+        Each as it displaces the points when it is one standard deviation large.
+        """
+        return self.displacement(points_mm, position_mm) @ self.root
+
+    @property
+    def root(self) -> Floats:
+        """(5, 5) matrix whose product with its transpose is the covariance; it may be singular."""
+        sigma = np.sqrt(np.diag(self.covariance))
+        scale = np.where(sigma > 0, sigma, 1.0)
+        values, vectors = np.linalg.eigh(self.covariance / np.outer(scale, scale))
+        return np.asarray(scale[:, None] * vectors * np.sqrt(np.maximum(values, 0.0)))
+
+
+def shaft_of(section: ShaftSection) -> Shaft:
+    """The shaft that a rig file's ``[shaft]`` describes."""
+    direction = np.array(section.direction)
+    sigma = np.array(
+        [*section.offset_sigma_mm, *np.radians(section.tilt_sigma_deg), section.scale_sigma]
+    )
+    return Shaft(
+        point_mm=np.array(section.point_mm),
+        direction=direction / np.linalg.norm(direction),
+        arc_radius_mm=section.arc_radius_mm,
+        covariance=np.outer(sigma, sigma) * section.correlation_matrix(),
+    )
+
+
+def section_of(shaft: Shaft) -> ShaftSection:
+    """The ``[shaft]`` of a rig file that describes the shaft."""
+    sigma = np.sqrt(np.diag(shaft.covariance))
+    scale = np.where(sigma > 0, sigma, 1.0)
+    correlation = (shaft.covariance / np.outer(scale, scale))[np.triu_indices(PARAMETERS, 1)]
+    first, second, *tilts, of_scale = sigma.tolist()
+    return ShaftSection.model_validate(
+        {
+            "arc_radius_mm": shaft.arc_radius_mm,
+            "point_mm": shaft.point_mm.tolist(),
+            "direction": shaft.direction.tolist(),
+            "offset_sigma_mm": (first, second),
+            "tilt_sigma_deg": np.degrees(tilts).tolist(),
+            "scale_sigma": of_scale,
+            "correlation": np.clip(correlation, -1.0, 1.0).tolist(),
+        }
+    )
+
+
+def stack_about(profiles: Sequence[Profile], shaft: Shaft) -> Surface:
+    """The surface of F profiles of N points, turned about the shaft, in the frame of position 0.
+
+    Uncertainties and modes are turned along; where the profiles have modes, the shaft's five
+    independent errors are put behind them, else the shaft's alone are known.
+    Raises InputError as ``stack``.
+    """
+    raw = stack(profiles)
+    position = np.broadcast_to(raw.position_mm[:, None], raw.status.shape)
+    in_sheet = raw.xyz_mm * [1.0, 0.0, 1.0]
+    xyz = shaft.turn(in_sheet, position)
+    rotation = shaft.rotation(raw.position_mm)[:, None]
+    modes = shaft.modes(xyz, position).astype(np.float32)
+    if raw.modes_mm is not None:
+        modes = np.concatenate([rotation.astype(np.float32) @ raw.modes_mm, modes], axis=-1)
+    own_x, own_z = own_variance(raw)
+    common = np.square(modes, dtype=np.float64).sum(axis=-1)
+    own = rotation[..., 0] ** 2 * own_x[..., None] + rotation[..., 2] ** 2 * own_z[..., None]
+    sigma = np.sqrt(own + common)
+    return replace(
+        raw,
+        xyz_mm=xyz,
+        sigma_x_mm=sigma[..., 0],
+        sigma_y_mm=sigma[..., 1],
+        sigma_mm=sigma[..., 2],
+        modes_mm=modes,
+    )
+
+
+def _cross_matrix(vector: Floats) -> Floats:
+    """(3, 3) matrix that multiplies by ``vector`` (3,) from the left, as a cross product."""
+    x, y, z = vector
+    return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])

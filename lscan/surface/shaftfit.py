@@ -1,0 +1,302 @@
+"""A shaft's place and direction against the sheet, from a scan of the sandwave block.
+
+As the paper finds the yaw of its sheet (Sec. IV.C), from a workpiece whose shape is known.  The
+unknowns are the workpiece's pose (six), the five parameters of the shaft and the amounts of the
+plane map's modes; the rig's stated uncertainties of the shaft and the modes' own are the priors.
+What is made least is the sum of squares of the points' distances from the nominal top, each in
+units of its own uncertainty.
+
+Distances of neighbours err together where something in the picture is not described (a dim
+flank, a lens's blur), so the covariance is not that of as many independent points: scores are
+summed over cells of the block first, and it is their scatter from cell to cell that counts (a
+"sandwich" estimate, Huber 1967; summed over clusters, Liang and Zeger 1986).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from lscan.errors import InputError, MeasurementError
+from lscan.records import Floats, Ints, Mask, Profile, has_value
+from lscan.surface.align import rough_pose
+from lscan.surface.alignment import own_variance
+from lscan.surface.nominal import above_top
+from lscan.surface.shaft import PARAMETERS, Shaft, stack_about
+from lscan.surface.stack import stack
+from lscan.targets import Sandwave
+
+POSE = 6
+"""Rotations about x, y and z, then shifts, of the workpiece."""
+
+MOST_POINTS = 30_000
+"""More are thinned out evenly: what they add is far below what neighbours have in common."""
+
+MARGIN_MM = 2.5
+"""Points this near to a step of the block are left out: the sheet is about 1.5 mm thick."""
+
+STRAY = 4.0
+"""Points beyond so many robust standard deviations are left out: of a normal distribution one in
+16 000, so that leaving them out changes no variance by more than 0.1 %."""
+
+CELL_MM = 15.0
+"""Side of the cells whose scores are summed: near half a wave, over which errors change sign."""
+
+FEWEST_CELLS = 60
+"""The covariance of some twelve unknowns needs several times as many cells."""
+
+LEAST_SIGMA_MM = 1e-4
+"""Points are weighed as if known to no better than this: exact ones have weights too."""
+
+MAX_ITERATIONS = 60
+
+UNDECIDED_ITERATIONS = 15
+"""Rounds after which it stays as it is which points are strays."""
+
+SETTLED = 1e-4
+"""Length of a step, in standard deviations, at which the iteration ends."""
+
+
+@dataclass(frozen=True)
+class ShaftFit:
+    """A shaft found from a scan, its covariance in it.
+
+    prior: what was known before.  moved: (5,) by how much each parameter changed from it, along
+    the prior's axes (mm, rad, 1).
+    rotation, translation_mm: (3, 3), (3,) from the frame of the head at position 0 to the
+    workpiece's.
+    points: number of points used, strays: left out as too far off, cells: of the block seen.
+    rms_mm: root mean square distance of the points from the nominal top.
+    """
+
+    shaft: Shaft
+    prior: Shaft
+    moved: Floats
+    rotation: Floats
+    translation_mm: Floats
+    points: int
+    strays: int
+    cells: int
+    rms_mm: float
+
+    @property
+    def sigma(self) -> Floats:
+        """(5,) standard uncertainties of the shaft's parameters: mm, mm, rad, rad, 1."""
+        return np.sqrt(np.diag(self.shaft.covariance))
+
+    @property
+    def prior_sigma(self) -> Floats:
+        """(5,) the same before the scan."""
+        return np.sqrt(np.diag(self.prior.covariance))
+
+
+def calibrate_shaft(profiles: Sequence[Profile], piece: Sandwave, prior: Shaft) -> ShaftFit:
+    """The shaft that brings a scan of the sandwave block closest to its nominal shape.
+
+    prior: the rig's shaft; parameters of no uncertainty stay as they are.  A parameter that the
+    scan says nothing about keeps its uncertainty.
+
+    Raises InputError where all of the prior is known exactly, MeasurementError where the block is
+    not found or too little of it is in the scan.
+    """
+    if not np.any(prior.covariance):
+        raise InputError(
+            "shaft: is stated to be known exactly, which leaves nothing to find",
+            allowed="offset_sigma_mm, tilt_sigma_deg or scale_sigma above 0",
+        )
+    pose = rough_pose(stack_about(profiles, prior), piece)
+    samples = _samples(profiles)
+    nought = np.zeros(PARAMETERS + samples.modes.shape[2])
+    start = _State(*pose, nought)
+    state, terms, kept = _settled(samples, piece, prior, start)
+    covariance, cells = _covariance(terms, kept)
+    root = prior.root
+    moved = root @ state.amounts[:PARAMETERS]
+    shaft = prior.moved(moved)
+    own = covariance[POSE : POSE + PARAMETERS, POSE : POSE + PARAMETERS]
+    distance = terms.distance[kept]
+    return ShaftFit(
+        shaft=replace(shaft, covariance=_along(shaft.axes, prior.axes, root @ own @ root.T)),
+        prior=prior,
+        moved=moved,
+        rotation=state.rotation,
+        translation_mm=state.shift,
+        points=int(kept.sum()),
+        strays=int((terms.clear & ~kept).sum()),
+        cells=cells,
+        rms_mm=float(np.sqrt(np.mean(distance**2))),
+    )
+
+
+@dataclass(frozen=True)
+class _Samples:
+    """Points of the scan as measured in the sheet.
+
+    points: (N, 3) mm, y = 0.  position: (N,) mm.  variance: (N, 2) own, of x and z, mm².
+    modes: (N, 3, M) of the plane map, mm.
+    """
+
+    points: Floats
+    position: Floats
+    variance: Floats
+    modes: Floats
+
+
+def _samples(profiles: Sequence[Profile]) -> _Samples:
+    """The points that have a value, evenly thinned out to MOST_POINTS."""
+    raw = stack(profiles)
+    there = np.flatnonzero(has_value(raw.status) & np.isfinite(raw.xyz_mm).all(axis=-1))
+    there = there[:: int(np.ceil(len(there) / MOST_POINTS))]
+    rows, columns = np.unravel_index(there, raw.status.shape)
+    modes = np.zeros((len(there), 3, 0))
+    if raw.modes_mm is not None:
+        modes = raw.modes_mm[rows, columns].astype(float)
+    variance = np.stack([part[rows, columns] for part in own_variance(raw)], axis=-1)
+    points = raw.xyz_mm[rows, columns] * [1.0, 0.0, 1.0]
+    return _Samples(points, raw.position_mm[rows], variance, modes)
+
+
+@dataclass(frozen=True)
+class _State:
+    """The unknowns: the workpiece's pose (3, 3) and (3,) mm, and the amounts (5 + M,) of the
+    shaft's independent errors and of the plane map's modes, in standard deviations."""
+
+    rotation: Floats
+    shift: Floats
+    amounts: Floats
+
+    def stepped(self, step: Floats, pivot: Floats) -> _State:
+        """The state after a step (6 + 5 + M,), the workpiece turned about ``pivot`` (3,)."""
+        turn = Rotation.from_rotvec(step[:3]).as_matrix()
+        shift = turn @ (self.shift - pivot) + pivot + step[3:POSE]
+        return _State(turn @ self.rotation, shift, self.amounts + step[POSE:])
+
+
+@dataclass(frozen=True)
+class _Terms:
+    """The least squares about a state, N points by P unknowns.
+
+    distance: (N,) from the nominal top along its normal, mm, sigma: (N,) its own.
+    design: (N, P) of the distances.  pull: (P,) the state's amounts against their priors, prior:
+    (P,) weights of these.  clear: (N,) away from steps.  cell: (N,) which cell of the block.
+    """
+
+    distance: Floats
+    sigma: Floats
+    design: Floats
+    pull: Floats
+    prior: Floats
+    clear: Mask
+    cell: Ints
+
+
+def _settled(
+    samples: _Samples, piece: Sandwave, prior: Shaft, state: _State
+) -> tuple[_State, _Terms, Mask]:
+    """The state of least squares, the terms there, and which points had a part in it."""
+    pivot = np.array([piece.side_mm / 2, piece.side_mm / 2, 0.0])
+    kept: Mask | None = None
+    for iteration in range(MAX_ITERATIONS):
+        terms = _terms(samples, piece, prior, state, pivot)
+        if kept is None or iteration < UNDECIDED_ITERATIONS:
+            kept, terms = _without_strays(terms)
+        else:
+            terms = _weighed(terms, kept)
+        step, length = _step(terms, kept)
+        state = state.stepped(step, pivot)
+        if length < SETTLED and iteration >= UNDECIDED_ITERATIONS:
+            return state, _weighed(_terms(samples, piece, prior, state, pivot), kept), kept
+    raise MeasurementError(
+        f"the shaft did not settle in {MAX_ITERATIONS} rounds: still {length:.2g} sigma a step"
+    )
+
+
+def _terms(
+    samples: _Samples, piece: Sandwave, prior: Shaft, state: _State, pivot: Floats
+) -> _Terms:
+    """Distances from the nominal top and how they go with the unknowns, first order."""
+    root = prior.root
+    shaft = prior.moved(root @ state.amounts[:PARAMETERS])
+    in_sheet = samples.points + samples.modes @ state.amounts[PARAMETERS:]
+    turned = shaft.turn(in_sheet, samples.position)
+    place = turned @ state.rotation.T + state.shift
+    distance, top = above_top(piece, place, MARGIN_MM)
+    normal = top.normal
+    in_head = normal @ state.rotation
+    facing = np.einsum("ni,nij->nj", in_head, shaft.rotation(samples.position))
+    of_shaft = shaft.displacement(turned, samples.position, prior.axes) @ root
+    design = [
+        np.cross(place - pivot, normal),
+        normal,
+        np.einsum("ni,nij->nj", in_head, of_shaft),
+        np.einsum("ni,nij->nj", facing, samples.modes),
+    ]
+    variance = (facing[:, [0, 2]] ** 2 * samples.variance).sum(axis=1)
+    plan = np.floor((place[:, :2] + piece.rim_mm) / CELL_MM).astype(np.int64)
+    known = np.ones(len(state.amounts))
+    return _Terms(
+        distance=distance,
+        sigma=np.sqrt(np.maximum(variance, LEAST_SIGMA_MM**2)),
+        design=np.concatenate(design, axis=1),
+        pull=np.concatenate([np.zeros(POSE), state.amounts]),
+        prior=np.concatenate([np.zeros(POSE), known]),
+        clear=top.clear,
+        cell=np.unique(plan, axis=0, return_inverse=True)[1].ravel(),
+    )
+
+
+def _without_strays(terms: _Terms) -> tuple[Mask, _Terms]:
+    """Which clear points lie within STRAY robust standard deviations, and the terms so weighed."""
+    if not terms.clear.any():
+        raise MeasurementError("no point of the scan lies on the block's nominal top")
+    ratio = np.abs(terms.distance / terms.sigma)
+    # Of a normal distribution the median of the absolute value is 0.6745 sigma.
+    spread = float(np.median(ratio[terms.clear])) / 0.6745
+    kept = terms.clear & (ratio < STRAY * spread)
+    return kept, _weighed(terms, kept)
+
+
+def _weighed(terms: _Terms, kept: Mask) -> _Terms:
+    """The terms with sigmas widened to the scatter of the points, where that is larger."""
+    chi2 = float(np.mean((terms.distance[kept] / terms.sigma[kept]) ** 2))
+    return replace(terms, sigma=terms.sigma * max(np.sqrt(chi2), 1.0))
+
+
+def _step(terms: _Terms, kept: Mask) -> tuple[Floats, float]:
+    """The Gauss-Newton step (P,) and its length in standard deviations."""
+    weighted = terms.design[kept] / terms.sigma[kept, None]
+    hessian = weighted.T @ weighted + np.diag(terms.prior)
+    gradient = weighted.T @ (terms.distance[kept] / terms.sigma[kept]) + terms.prior * terms.pull
+    step = np.asarray(-np.linalg.solve(hessian, gradient), dtype=float)
+    return step, float(np.sqrt(step @ hessian @ step))
+
+
+def _covariance(terms: _Terms, kept: Mask) -> tuple[Floats, int]:
+    """(P, P) covariance of the unknowns, and the number of cells it was judged from."""
+    weighted = terms.design[kept] / terms.sigma[kept, None]
+    data = weighted.T @ weighted
+    _, cell = np.unique(terms.cell[kept], return_inverse=True)
+    cells = int(cell.max()) + 1
+    if cells < FEWEST_CELLS:
+        raise MeasurementError(
+            f"too little of the block is in the scan: {cells} cells of {CELL_MM:g} mm hold "
+            f"points, {FEWEST_CELLS} are needed"
+        )
+    scores = np.zeros((cells, data.shape[0]))
+    np.add.at(scores, cell, weighted * (terms.distance[kept] / terms.sigma[kept])[:, None])
+    bread = np.linalg.inv(data + np.diag(terms.prior))
+    # The fit takes its own freedom out of the scores' scatter.
+    fitted = float(np.trace(bread @ data))
+    meat = scores.T @ scores * (cells / max(cells - fitted, 1.0))
+    return bread @ (meat + np.diag(terms.prior)) @ bread, cells
+
+
+def _along(new: Floats, old: Floats, covariance: Floats) -> Floats:
+    """The covariance (5, 5) told along the ``new`` axes (2, 3) instead of the ``old``."""
+    turn = new @ old.T
+    matrix = np.eye(PARAMETERS)
+    matrix[:2, :2] = matrix[2:4, 2:4] = turn
+    return matrix @ covariance @ matrix.T
