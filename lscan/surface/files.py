@@ -25,6 +25,7 @@ def save_surface(path: Path, surface: Surface) -> None:
 
     x, y, z and the standard uncertainties of x and z are (frame, column) float64 in mm, the
     status a byte with flag_values and flag_meanings, the track position (frame,) in mm.
+    Where y is not the track's own, its uncertainty is there too.
     Where the surface has modes, sigma_calibration is the part of the uncertainty of z that they
     make common to all points; the modes themselves are not kept.
     Raises InputError where the file cannot be written.
@@ -56,6 +57,7 @@ def load_surface(path: Path) -> Surface:
             allowed=", ".join(names),
         )
     x, y, z, sigma_x, sigma_z, status, position = (data[name].to_numpy() for name in names)
+    sigma_y = data["y_sigma"].to_numpy() if "y_sigma" in data else None
     return Surface(
         xyz_mm=np.stack([x, y, z], axis=-1),
         sigma_x_mm=sigma_x,
@@ -63,6 +65,7 @@ def load_surface(path: Path) -> Surface:
         status=status.astype(np.int64),
         position_mm=position,
         frame=frame,
+        sigma_y_mm=sigma_y,
     )
 
 
@@ -109,6 +112,7 @@ def _dataset(surface: Surface) -> xr.Dataset:
     }
     uncertain = {"standard_name_modifier": "standard_error", **length}
     common = _calibration_part(surface, uncertain)
+    of_y = _uncertainty_of_y(surface, uncertain)
     x, y, z = np.moveaxis(surface.xyz_mm, -1, 0)
     variables = {
         "x": (
@@ -121,7 +125,11 @@ def _dataset(surface: Surface) -> xr.Dataset:
         ),
         "y": (
             y,
-            {"long_name": f"y in the {where} frame", **length, "ancillary_variables": "status"},
+            {
+                "long_name": f"y in the {where} frame",
+                **length,
+                "ancillary_variables": " ".join([*of_y, "status"]),
+            },
         ),
         "z": (
             z,
@@ -132,6 +140,7 @@ def _dataset(surface: Surface) -> xr.Dataset:
             },
         ),
         "x_sigma": (surface.sigma_x_mm, {"long_name": "standard uncertainty of x", **uncertain}),
+        **of_y,
         "z_sigma": (surface.sigma_mm, {"long_name": "standard uncertainty of z", **uncertain}),
         "status": (surface.status.astype(np.int8), flags),
         **common,
@@ -146,6 +155,15 @@ def _dataset(surface: Surface) -> xr.Dataset:
             "frame": surface.frame,
         },
     )
+
+
+def _uncertainty_of_y(
+    surface: Surface, notes: dict[str, str]
+) -> dict[str, tuple[Floats, dict[str, str]]]:
+    """The variable y_sigma of a surface that has it; none where y is the track's own."""
+    if surface.sigma_y_mm is None:
+        return {}
+    return {"y_sigma": (surface.sigma_y_mm, {"long_name": "standard uncertainty of y", **notes})}
 
 
 def _calibration_part(

@@ -10,6 +10,9 @@ Distances of neighbours err together where something in the picture is not descr
 flank, a lens's blur), so the covariance is not that of as many independent points: scores are
 summed over cells of the block first, and it is their scatter from cell to cell that counts (a
 "sandwich" estimate, Huber 1967; summed over clusters, Liang and Zeger 1986).
+
+All is of first order in the noise: on a crest of curvature k, noise s lifts the mean distance by
+k s² / 2, which at 0.1 mm is 0.001 mm and shifts a parameter by up to 0.4 of its uncertainty.
 """
 
 from __future__ import annotations
@@ -45,6 +48,9 @@ STRAY = 4.0
 CELL_MM = 15.0
 """Side of the cells whose scores are summed: near half a wave, over which errors change sign."""
 
+CELLS_ACROSS = 100_000
+"""More than there are on any block: numbers the cells row by row."""
+
 FEWEST_CELLS = 60
 """The covariance of some twelve unknowns needs several times as many cells."""
 
@@ -53,7 +59,7 @@ LEAST_SIGMA_MM = 1e-4
 
 MAX_ITERATIONS = 60
 
-UNDECIDED_ITERATIONS = 15
+UNDECIDED_ITERATIONS = 10
 """Rounds after which it stays as it is which points are strays."""
 
 SETTLED = 1e-4
@@ -181,7 +187,7 @@ class _Terms:
 
     distance: (N,) from the nominal top along its normal, mm, sigma: (N,) its own.
     design: (N, P) of the distances.  pull: (P,) the state's amounts against their priors, prior:
-    (P,) weights of these.  clear: (N,) away from steps.  cell: (N,) which cell of the block.
+    (P,) weights of these.  clear: (N,) away from steps.  cell: (N,) number of its cell.
     """
 
     distance: Floats
@@ -244,7 +250,7 @@ def _terms(
         pull=np.concatenate([np.zeros(POSE), state.amounts]),
         prior=np.concatenate([np.zeros(POSE), known]),
         clear=top.clear,
-        cell=np.unique(plan, axis=0, return_inverse=True)[1].ravel(),
+        cell=plan[:, 0] * CELLS_ACROSS + plan[:, 1],
     )
 
 
