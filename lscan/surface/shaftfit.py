@@ -35,6 +35,12 @@ from lscan.targets import Sandwave
 POSE = 6
 """Rotations about x, y and z, then shifts, of the workpiece."""
 
+OF_SHAFT = slice(POSE, POSE + PARAMETERS)
+
+ROUGHLY = np.array([0.05, 0.05, 0.05, 5.0, 5.0, 5.0])
+"""How well the wedges' tops place the workpiece to begin with, rad and mm: on a piece that does
+not tell where it lies in plan, the pose stays at that."""
+
 MOST_POINTS = 30_000
 """More are thinned out evenly: what they add is far below what neighbours have in common."""
 
@@ -113,16 +119,18 @@ def calibrate_shaft(profiles: Sequence[Profile], piece: Sandwave, prior: Shaft) 
             "shaft: is stated to be known exactly, which leaves nothing to find",
             allowed="offset_sigma_mm, tilt_sigma_deg or scale_sigma above 0",
         )
-    pose = rough_pose(stack_about(profiles, prior), piece)
-    samples = _samples(profiles)
-    nought = np.zeros(PARAMETERS + samples.modes.shape[2])
-    start = _State(*pose, nought)
+    roughly = stack_about(profiles, prior)
+    rotation, shift = rough_pose(roughly, piece)
+    height = roughly.xyz_mm @ rotation[2] + shift[2]
+    samples = _samples(profiles, height > -piece.body_mm / 2)
+    nought = np.zeros(POSE + PARAMETERS + samples.modes.shape[2])
+    start = _State(rotation, shift, nought)
     state, terms, kept = _settled(samples, piece, prior, start)
     covariance, cells = _covariance(terms, kept)
     root = prior.root
-    moved = root @ state.amounts[:PARAMETERS]
+    moved = root @ state.amounts[OF_SHAFT]
     shaft = prior.moved(moved)
-    own = covariance[POSE : POSE + PARAMETERS, POSE : POSE + PARAMETERS]
+    own = covariance[OF_SHAFT, OF_SHAFT]
     distance = terms.distance[kept]
     return ShaftFit(
         shaft=replace(shaft, covariance=_along(shaft.axes, prior.axes, root @ own @ root.T)),
@@ -151,10 +159,11 @@ class _Samples:
     modes: Floats
 
 
-def _samples(profiles: Sequence[Profile]) -> _Samples:
-    """The points that have a value, evenly thinned out to MOST_POINTS."""
+def _samples(profiles: Sequence[Profile], on_block: Mask) -> _Samples:
+    """The points on the block (F, N) that have a value, evenly thinned out to MOST_POINTS."""
     raw = stack(profiles)
-    there = np.flatnonzero(has_value(raw.status) & np.isfinite(raw.xyz_mm).all(axis=-1))
+    valid = has_value(raw.status) & np.isfinite(raw.xyz_mm).all(axis=-1)
+    there = np.flatnonzero(valid & on_block)
     there = there[:: int(np.ceil(len(there) / MOST_POINTS))]
     rows, columns = np.unravel_index(there, raw.status.shape)
     modes = np.zeros((len(there), 3, 0))
@@ -167,18 +176,19 @@ def _samples(profiles: Sequence[Profile]) -> _Samples:
 
 @dataclass(frozen=True)
 class _State:
-    """The unknowns: the workpiece's pose (3, 3) and (3,) mm, and the amounts (5 + M,) of the
-    shaft's independent errors and of the plane map's modes, in standard deviations."""
+    """The unknowns: the workpiece's pose (3, 3) and (3,) mm, and all amounts (11 + M,): by how
+    much the pose was changed (rad, mm), and, in standard deviations, of the shaft's independent
+    errors and of the plane map's modes."""
 
     rotation: Floats
     shift: Floats
     amounts: Floats
 
     def stepped(self, step: Floats, pivot: Floats) -> _State:
-        """The state after a step (6 + 5 + M,), the workpiece turned about ``pivot`` (3,)."""
+        """The state after a step (11 + M,), the workpiece turned about ``pivot`` (3,)."""
         turn = Rotation.from_rotvec(step[:3]).as_matrix()
         shift = turn @ (self.shift - pivot) + pivot + step[3:POSE]
-        return _State(turn @ self.rotation, shift, self.amounts + step[POSE:])
+        return _State(turn @ self.rotation, shift, self.amounts + step)
 
 
 @dataclass(frozen=True)
@@ -186,14 +196,14 @@ class _Terms:
     """The least squares about a state, N points by P unknowns.
 
     distance: (N,) from the nominal top along its normal, mm, sigma: (N,) its own.
-    design: (N, P) of the distances.  pull: (P,) the state's amounts against their priors, prior:
-    (P,) weights of these.  clear: (N,) away from steps.  cell: (N,) number of its cell.
+    design: (N, P) of the distances.  amounts: (P,) of the state, prior: (P,) their weights.
+    clear: (N,) away from steps.  cell: (N,) number of its cell.
     """
 
     distance: Floats
     sigma: Floats
     design: Floats
-    pull: Floats
+    amounts: Floats
     prior: Floats
     clear: Mask
     cell: Ints
@@ -225,8 +235,8 @@ def _terms(
 ) -> _Terms:
     """Distances from the nominal top and how they go with the unknowns, first order."""
     root = prior.root
-    shaft = prior.moved(root @ state.amounts[:PARAMETERS])
-    in_sheet = samples.points + samples.modes @ state.amounts[PARAMETERS:]
+    shaft = prior.moved(root @ state.amounts[OF_SHAFT])
+    in_sheet = samples.points + samples.modes @ state.amounts[POSE + PARAMETERS :]
     turned = shaft.turn(in_sheet, samples.position)
     place = turned @ state.rotation.T + state.shift
     distance, top = above_top(piece, place, MARGIN_MM)
@@ -242,13 +252,13 @@ def _terms(
     ]
     variance = (facing[:, [0, 2]] ** 2 * samples.variance).sum(axis=1)
     plan = np.floor((place[:, :2] + piece.rim_mm) / CELL_MM).astype(np.int64)
-    known = np.ones(len(state.amounts))
+    known = np.ones(len(state.amounts) - POSE)
     return _Terms(
         distance=distance,
         sigma=np.sqrt(np.maximum(variance, LEAST_SIGMA_MM**2)),
         design=np.concatenate(design, axis=1),
-        pull=np.concatenate([np.zeros(POSE), state.amounts]),
-        prior=np.concatenate([np.zeros(POSE), known]),
+        amounts=state.amounts,
+        prior=np.concatenate([ROUGHLY**-2.0, known]),
         clear=top.clear,
         cell=plan[:, 0] * CELLS_ACROSS + plan[:, 1],
     )
@@ -275,7 +285,7 @@ def _step(terms: _Terms, kept: Mask) -> tuple[Floats, float]:
     """The Gauss-Newton step (P,) and its length in standard deviations."""
     weighted = terms.design[kept] / terms.sigma[kept, None]
     hessian = weighted.T @ weighted + np.diag(terms.prior)
-    gradient = weighted.T @ (terms.distance[kept] / terms.sigma[kept]) + terms.prior * terms.pull
+    gradient = weighted.T @ (terms.distance[kept] / terms.sigma[kept]) + terms.prior * terms.amounts
     step = np.asarray(-np.linalg.solve(hessian, gradient), dtype=float)
     return step, float(np.sqrt(step @ hessian @ step))
 
