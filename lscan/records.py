@@ -6,7 +6,8 @@ only in files and on screen).  A scalar's name carries its unit.
 World frame: x to the right as the camera sees it, y along the track and away from the
 camera, z up; right-handed.  The head frame moves along the track with the scanner; its
 laser sheet is the plane y = 0, so with the sheet square to the track the sheet of the head
-at track position s is the world plane y = s.
+at track position s is the world plane y = s.  On a rotating shaft (rig.ShaftSection) the head
+turns instead; its scan is told in the frame of the head at position 0.
 
 Plane frame: (x, z) in the laser sheet, in mm.  The calibration board lies in it: origin at
 control point O (upper left), x right, z up, so points beneath O have negative z.

@@ -44,6 +44,7 @@ class TrackSection(Strict):
 class Plan(Strict):
     """The scan: ``frames`` pictures, ``step_mm`` apart, the first at ``start_mm``.
 
+    About a ``[shaft]`` start_mm and step_mm are arcs.
     laser: what the track's laser output does.  "untouched": nothing is sent to it.  "on": lit
     from before the first picture until the scan ends.  "pairs": at each position one picture
     with the laser on and one with it off, the background.

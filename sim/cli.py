@@ -262,7 +262,8 @@ def _print_summary(results: Any) -> None:
     rows = [[name, *entry.values()] for name, entry in results["groove"].items()]
     print_table("Table III", ["", "nominal mm", "measured mm", "error mm", "sigma mm"], rows)
     yaw = results["sandwave"]["yaw_deg"]
-    print(f"yaw: {yaw['estimated']:.3f} deg, truth {yaw['true']:.3f} deg")
+    if yaw["estimated"] is not None:
+        print(f"yaw: {yaw['estimated']:.3f} deg, truth {yaw['true']:.3f} deg")
     rows = [[name, *entry.values()] for name, entry in results["sandwave"]["slices"].items()]
     print_table("sandwave", ["slice", "points", "unseen", "rmse mm", "min mm", "max mm"], rows)
 
