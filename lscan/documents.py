@@ -7,14 +7,18 @@ repeating it.  Paths inside a document are relative to the file they stand in.
 
 from __future__ import annotations
 
+import re
 import tomllib
+from dataclasses import dataclass
+from functools import reduce
+from operator import getitem
 from pathlib import Path
-from types import UnionType
-from typing import Annotated, Any, Literal, TypeVar, Union, get_args, get_origin
+from typing import Any, TypeVar
 
 from pydantic import BaseModel, ConfigDict, ValidationError, model_validator
 from pydantic_core import PydanticCustomError
 
+from lscan.allowed import Keys, fields, in_words, misread, names, tags_in_words, trace
 from lscan.errors import InputError
 
 Document = dict[str, Any]
@@ -28,37 +32,13 @@ class Strict(BaseModel):
 
     @model_validator(mode="before")
     @classmethod
-    def _numbers_are_numbers(cls, data: Any) -> Any:
-        """Refuse "850" and true where a number is wanted, and 5.0 where a count is."""
+    def _types_as_written(cls, data: Any) -> Any:
+        """Refuse "850" and true where a number is wanted, 5.0 where a count is, and the like."""
         for name, value in data.items() if isinstance(data, dict) else ():
-            field = cls.model_fields.get(name)
-            wanted = _kinds(field.annotation) if field else set()
-            number = bool(wanted & {int, float})
-            if number and isinstance(value, bool | str) and type(value) not in wanted:
-                raise _wrong_type(name, value, "must be a number")
-            if number and float not in wanted and isinstance(value, float):
-                raise _wrong_type(name, value, "must be a whole number")
+            within = misread(fields(cls)[name], value) if name in cls.model_fields else None
+            if within is not None:
+                raise PydanticCustomError("wrong_type", "wrong type", {"keys": (name, *within)})
         return data
-
-
-def _kinds(annotation: Any) -> set[type]:
-    """The plain types a field may hold, whatever unions and constraints surround them."""
-    origin = get_origin(annotation)
-    if origin is Literal:
-        return {type(value) for value in get_args(annotation)}
-    if origin is Annotated:
-        return _kinds(get_args(annotation)[0])
-    if origin in (Union, UnionType):
-        return set().union(*(_kinds(part) for part in get_args(annotation)))
-    return {annotation} if isinstance(annotation, type) else set()
-
-
-def _wrong_type(name: str, value: Any, message: str) -> PydanticCustomError:
-    return PydanticCustomError(
-        "wrong_type",
-        "{message} (got {value})",
-        {"key": name, "value": repr(value), "message": message},
-    )
 
 
 def read_document(path: Path) -> Document:
@@ -75,14 +55,14 @@ def _read(path: Path, chain: tuple[Path, ...]) -> Document:
     if path in chain:
         raise InputError("includes itself", where=path, value=[p.name for p in chain])
     document = _parse(path)
-    _anchor_paths(document, path.parent)
+    _anchor_paths(document, path)
     includes = document.pop("include", [])
-    names = [includes] if isinstance(includes, str) else includes
-    if not isinstance(names, list) or not all(isinstance(name, str) for name in names):
+    files = [includes] if isinstance(includes, str) else includes
+    if not isinstance(files, list) or not all(map(_may_be_path, files)):
         raise InputError("bad include", where=path, value=includes, allowed="a path or a list")
     merged: Document = {}
-    for name in names:
-        merged = merge(merged, _read(path.parent / name, (*chain, path)))
+    for file in files:
+        merged = merge(merged, _read(path.parent / file, (*chain, path)))
     return merge(merged, document)
 
 
@@ -93,16 +73,24 @@ def _parse(path: Path) -> Document:
         raise InputError(f"cannot be read: {error.strerror}", where=path) from error
     except UnicodeDecodeError as error:
         raise InputError("is not UTF-8 text", where=path) from error
-    except tomllib.TOMLDecodeError as error:
+    except (ValueError, RecursionError) as error:  # also of a number of thousands of digits
         raise InputError(f"is not valid TOML: {error}", where=path) from error
 
 
-def _anchor_paths(table: Document, folder: Path) -> None:
+def _anchor_paths(table: Document, source: Path, within: str = "") -> None:
+    """Make the paths in a table of the file ``source`` absolute.  within: the table's key."""
     for key, value in table.items():
         if isinstance(value, dict):
-            _anchor_paths(value, folder)
+            _anchor_paths(value, source, f"{within}{key}.")
         elif isinstance(value, str) and (key == "file" or key.endswith("_file")):
-            table[key] = str((folder / value).resolve())
+            if not _may_be_path(value):
+                what = f"{within}{key}: must be a text that is a path"
+                raise InputError(what, where=source, value=value)
+            table[key] = str((source.parent / value).resolve())
+
+
+def _may_be_path(value: Any) -> bool:
+    return isinstance(value, str) and value != "" and "\0" not in value
 
 
 def merge(base: Document, over: Document) -> Document:
@@ -137,59 +125,71 @@ def check(model: type[Model], document: Document, where: object, prefix: str = "
     try:
         return model.model_validate(document)
     except ValidationError as error:
-        raise InputError(_explain(error, document, prefix), where=where) from error
+        raise _explain(error, model, document, where, prefix) from error
 
 
-def _names_a_type(part: str | int) -> bool:
-    """Whether a part of a fault's place names one of a union's types, not a key."""
-    kinds = ("constrained-", "literal[", "function-", "tuple[", "float", "int")
-    return isinstance(part, str) and part.startswith(kinds)
+@dataclass(frozen=True)
+class _Fault:
+    """One thing that is wrong: the keys that lead to it, what, the value, and what is allowed."""
+
+    keys: Keys
+    what: str
+    value: Any = None
+    allowed: str | None = None
 
 
-def _field(fault: Any, document: Document) -> tuple[str | int, ...]:
-    """The keys that lead to a fault, less the kinds that pydantic puts among them."""
-    keys: list[str | int] = []
-    inner: Any = document
-    for part in fault["loc"]:
-        if _names_a_type(part) or _names_the_kind(part, inner):
-            continue
-        keys.append(part)
-        if isinstance(inner, dict):
-            inner = inner.get(part)
-        else:
-            inside = isinstance(inner, list | tuple) and isinstance(part, int) and part < len(inner)
-            inner = inner[part] if inside else None
-    return tuple(keys)
+def _explain(
+    error: ValidationError, model: type[BaseModel], document: Document, where: object, prefix: str
+) -> InputError:
+    """The first fault as one line: the file, the key, the value and what is allowed."""
+    faults = [_fault(raw, model, document) for raw in error.errors()]
+    # Of a value that may be of several kinds each kind finds fault: the one that got furthest
+    # into the value says most.
+    place = faults[0].keys
+    same = [fault for fault in faults if fault.keys[: len(place)] == place]
+    first = max(same, key=lambda fault: len(fault.keys))
+    key = ".".join([*([prefix] if prefix else []), *map(str, first.keys)]) or "document"
+    more = f"; and {len(faults) - len(same)} more" if len(faults) > len(same) else ""
+    what = f"{key}: {first.what}{more}"
+    return InputError(what, where=where, value=first.value, allowed=first.allowed)
 
 
-def _names_the_kind(part: str | int, table: Any) -> bool:
-    """Whether a part of a fault's place is the table's ``kind``, and no key of it."""
-    return isinstance(table, dict) and part not in table and table.get("kind") == part
+def _fault(raw: Any, model: type[BaseModel], document: Document) -> _Fault:
+    """A fault that pydantic found, in the words and by the keys of the file."""
+    place, kind = raw["loc"], raw["type"]
+    if kind == "wrong_type":
+        place = (*place, *raw["ctx"]["keys"])
+    if kind in ("extra_forbidden", "unexpected_keyword_argument"):
+        keys, table = trace(model, place[:-1])
+        allowed = ", ".join(names(table))
+        return _Fault((*keys, place[-1]), "unknown key", raw["input"], allowed)
+    if kind == "missing" and isinstance(place[-1], int):  # the list itself is too short
+        place, kind = place[:-1], "too_short"
+    keys, annotation = trace(model, place)
+    value = _value_at(document, keys)
+    if kind.startswith("union_tag") and isinstance(value, dict):
+        what = "no such kind" if "kind" in value else "field required"
+        return _Fault((*keys, "kind"), what, value.get("kind"), tags_in_words(annotation))
+    if kind == "missing":
+        return _Fault(keys, "field required", None, in_words(annotation) or None)
+    message = raw["msg"].removeprefix("Value error, ")
+    if kind == "value_error":
+        return _Fault(keys, message, _named_in(message, value, annotation))
+    words = in_words(annotation)
+    return _Fault(keys, f"must be {words}" if words else message[0].lower() + message[1:], value)
 
 
-def _explain(error: ValidationError, document: Document, prefix: str) -> str:
-    faults = error.errors()
-    first = faults[0]
-    if first["type"] == "union_tag_invalid":
-        tags = first["ctx"]["expected_tags"]
-        kind = first["ctx"]["tag"]
-        key = ".".join([*([prefix] if prefix else []), *map(str, first["loc"])])
-        return f"{key}: no such kind {kind!r} (allowed: {tags})"
-    field = _field(first, document)
-    path = [*([prefix] if prefix else []), *map(str, field)]
-    if first["type"] == "union_tag_not_found":
-        return f"{'.'.join([*path, 'kind'])}: field required"
-    alternatives = [fault for fault in faults if _field(fault, document) == field]
-    if len(alternatives) > 1:  # of a value that may be of several kinds
-        wanted = ", or ".join(fault["msg"][0].lower() + fault["msg"][1:] for fault in alternatives)
-        return f"{'.'.join(path)}: {wanted} (got {first['input']!r})"
-    if first["type"] == "wrong_type":
-        path.append(first["ctx"]["key"])
-    message = first["msg"].removeprefix("Value error, ")
-    message = message[0].lower() + message[1:]
-    if first["type"] == "extra_forbidden":
-        message = "unknown key"
-    elif first["type"] != "missing" and not isinstance(first["input"], dict):
-        message += f" (got {first['input']!r})"
-    more = f"; and {len(faults) - 1} more" if len(faults) > 1 else ""
-    return f"{'.'.join(path) or 'document'}: {message}{more}"
+def _value_at(document: Any, keys: Keys) -> Any:
+    """What stands at the end of the keys; None where they lead nowhere."""
+    try:
+        return reduce(getitem, keys, document)
+    except (KeyError, IndexError, TypeError):
+        return None
+
+
+def _named_in(message: str, value: Any, annotation: Any) -> Any:
+    """Of a table, the keys that a rule over several of them speaks of, with their values."""
+    if not isinstance(value, dict):
+        return value
+    spoken = [name for name in names(annotation) if re.search(rf"\b{name}\b", message)]
+    return {name: value[name] for name in spoken if name in value} or None

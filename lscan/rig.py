@@ -263,9 +263,9 @@ def load_rig(path: Path) -> RigFile:
     plane map, where a driver refuses a section of its own, or where the drivers cannot do with
     the laser what the plan says.
     """
-    document = inline_board(read_document(path))
+    document = inline_board(read_document(path), source=str(path))
     rig_file = parse_rig(document, source=str(path))
-    for driver in _drivers(rig_file.rig):
+    for driver in _drivers(rig_file.rig, rig_file.source):
         driver.validate(rig_file)
     _check_names(rig_file)
     _check_laser(rig_file)
@@ -282,11 +282,14 @@ def parse_rig(document: Document, source: str, trusted: bool = False) -> RigFile
     rig = check(Rig, own, where=source)
     strange = set(document) - set(own)
     if strange and not trusted:
-        owned = {section for driver in _drivers(rig) for section in driver.sections}
+        owned = {section for driver in _drivers(rig, source) for section in driver.sections}
         unknown = sorted(strange - owned)
         if unknown:
             allowed = ", ".join(sorted({*Rig.model_fields, *owned}))
-            raise InputError(f"{unknown[0]}: unknown section", where=source, allowed=allowed)
+            value = document[unknown[0]]
+            raise InputError(
+                f"{unknown[0]}: unknown section", where=source, value=value, allowed=allowed
+            )
     _check_shaft(rig, source)
     return RigFile(rig=rig, document=document, source=source)
 
@@ -312,15 +315,21 @@ def _check_shaft(rig: Rig, source: str) -> None:
         )
 
 
-def inline_board(document: Document) -> Document:
-    """The document with ``[board] file = ...`` replaced by what that file holds."""
+def inline_board(document: Document, source: str) -> Document:
+    """The document with ``[board] file = ...`` replaced by what that file holds.
+
+    source: the document's own file, for the InputError raised where the board's cannot be read.
+    """
     board = document.get("board")
     if not isinstance(board, dict) or "file" not in board:
         return document
     if not isinstance(board["file"], str):
-        raise InputError("board.file: is not a path", value=board["file"], allowed="a text")
+        raise InputError("board.file: must be a path", where=source, value=board["file"])
     rest = {key: value for key, value in board.items() if key != "file"}
-    read = read_document(Path(board["file"]))
+    try:
+        read = read_document(Path(board["file"]))
+    except InputError as error:
+        raise InputError(f"board.file: must be a file of a board: {error}", where=source) from error
     return {**document, "board": merge(read, rest)}
 
 
@@ -371,7 +380,7 @@ def _check_plane_map(name: str, where: str) -> None:
 def _check_laser(rig_file: RigFile) -> None:
     """Refuse a plan for the laser that the drivers cannot carry out."""
     rig, plan = rig_file.rig, rig_file.rig.plan
-    camera, track = _drivers(rig)
+    camera, track = _drivers(rig, rig_file.source)
     where = f"{rig_file.source}: plan.laser"
     if plan.laser != "untouched" and not getattr(track, "switches_laser", False):
         what = f"track driver {rig.track.driver!r} switches no laser"
@@ -381,8 +390,8 @@ def _check_laser(rig_file: RigFile) -> None:
         raise InputError(what, where=where, value=plan.laser, allowed="untouched, on")
 
 
-def _drivers(rig: Rig) -> list[Any]:
+def _drivers(rig: Rig, source: str) -> list[Any]:
     return [
-        find_plugin("lscan.cameras", rig.camera.driver, where="camera.driver"),
-        find_plugin("lscan.tracks", rig.track.driver, where="track.driver"),
+        find_plugin("lscan.cameras", rig.camera.driver, where=f"{source}: camera.driver"),
+        find_plugin("lscan.tracks", rig.track.driver, where=f"{source}: track.driver"),
     ]

@@ -6,6 +6,7 @@ scan, so a scan that is stopped and resumed gives the same bytes.
 
 from __future__ import annotations
 
+import os
 from dataclasses import replace
 from typing import TYPE_CHECKING, Annotated, Self
 
@@ -13,6 +14,7 @@ import numpy as np
 from pydantic import Field, PositiveFloat, model_validator
 
 from lscan.devices.api import Grab, Track
+from lscan.devices.travel import check_plan
 from lscan.documents import Strict, check
 from lscan.errors import DeviceError, InputError
 from lscan.rig import RigFile
@@ -183,15 +185,8 @@ class SimTrackDriver:
 
     def validate(self, rig_file: RigFile) -> None:
         """Check ``[track.options]`` and that the plan stays within the travel; else InputError."""
-        options, plan = self._options(rig_file), rig_file.rig.plan
-        for position_mm in (plan.start_mm, plan.start_mm + (plan.frames - 1) * plan.step_mm):
-            if not options.min_mm <= position_mm <= options.max_mm:
-                raise InputError(
-                    "plan: leaves the track's travel",
-                    where=rig_file.source,
-                    value=position_mm,
-                    allowed=f"{options.min_mm:g} to {options.max_mm:g} mm",
-                )
+        options = self._options(rig_file)
+        check_plan(rig_file, options.min_mm, options.max_mm)
 
     def open(self, rig_file: RigFile) -> SimTrack:
         """The track at position 0."""
@@ -209,8 +204,10 @@ class SimCameraDriver:
     takes_dark = True
 
     def validate(self, rig_file: RigFile) -> None:
-        """Check options and the tank's sections; InputError names what is wrong."""
-        camera_options(scene_of(rig_file))
+        """Check options, the tank's sections and that the files they name are there: InputError."""
+        scene = scene_of(rig_file)
+        camera_options(scene)
+        _check_files(scene)
 
     def open(self, rig_file: RigFile, track: Track) -> SimCamera:
         """The camera, its tank loaded into Mitsuba."""
@@ -232,6 +229,22 @@ def camera_options(scene: Scene) -> CameraOptions:
             allowed=f"above {black_dn:.4g} DN, the sensor's black level behind its gamma",
         )
     return options
+
+
+def _check_files(scene: Scene) -> None:
+    target = scene.tank.target
+    named = {
+        "target.file": target.file,
+        "target.texture.file": target.texture.file if target.texture else None,
+    }
+    for key, file in named.items():
+        if file is not None and not os.path.isfile(file):  # noqa: PTH113 - takes any text
+            raise InputError(
+                f"{key}: no such file",
+                where=scene.source,
+                value=file,
+                allowed="a file, its path counted from the scene's folder",
+            )
 
 
 camera_driver = SimCameraDriver()

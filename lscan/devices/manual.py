@@ -13,6 +13,7 @@ from typing import Annotated, Self
 
 from pydantic import Field, model_validator
 
+from lscan.devices.travel import check_plan
 from lscan.documents import Strict, check
 from lscan.errors import DeviceError
 from lscan.rig import RigFile
@@ -104,7 +105,8 @@ class _TrackDriver:
     sections: frozenset[str] = frozenset()
 
     def validate(self, rig_file: RigFile) -> None:
-        self._options(rig_file)
+        options = self._options(rig_file)
+        check_plan(rig_file, options.min_mm, options.max_mm)
 
     def open(self, rig_file: RigFile) -> ManualTrack:
         return ManualTrack(self._options(rig_file))

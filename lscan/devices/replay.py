@@ -195,9 +195,17 @@ class _CameraDriver:
 
 def _recorded(options: dict[str, Any], source: str, prefix: str) -> Run:
     path = Path(check(ReplayOptions, options, where=source, prefix=prefix).run_file)
-    run = open_run(path)
+    key, wanted = f"{prefix}.run_file", "the folder of a recorded run"
+    try:
+        run = open_run(path)
+    except InputError as error:
+        raise InputError(
+            f"{key}: no recorded run: {error}", where=source, value=str(path), allowed=wanted
+        ) from error
     if len(run) == 0:
-        raise InputError(f"{prefix}.run_file: a run without frames", where=source, value=str(path))
+        raise InputError(
+            f"{key}: a run without frames", where=source, value=str(path), allowed=wanted
+        )
     return run
 
 

@@ -87,7 +87,7 @@ SECTIONS = frozenset(Tank.model_fields)
 
 def load_scene(path: Path) -> Scene:
     """The scene described by the TOML file at ``path``; InputError names what is wrong."""
-    document = inline_board(read_document(path))
+    document = inline_board(read_document(path), source=str(path))
     strange = sorted(set(document) - set(Rig.model_fields) - SECTIONS)
     if strange:
         allowed = ", ".join(sorted({*Rig.model_fields, *SECTIONS}))

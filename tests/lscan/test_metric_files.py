@@ -147,7 +147,7 @@ def test_what_is_no_json_is_refused(tmp_path: Path, text: str) -> None:
         (CHESSBOARD + "[[view]]\n", "view.0.picture"),
         (CHESSBOARD + '[[view]]\npicture = "a.png"\nlamp = 1\n', "lamp: unknown key"),
         (CHESSBOARD + '[[view]]\npicture = "a.png"\nbackground = "b.png"\n', "background"),
-        ('[board]\nkind = "stripes"\n[[view]]\npicture = "a.png"\n', "no such kind 'stripes'"),
+        ('[board]\nkind = "stripes"\n[[view]]\npicture = "a.png"\n', "no such kind (got 'stripes'"),
         (CHESSBOARD.replace("8", "2") + '[[view]]\npicture = "a.png"\n', "columns"),
         (CHESSBOARD + '[optics]\nport = "dome"\n[[view]]\npicture = "a.png"\n', "optics.port"),
     ],

@@ -137,7 +137,7 @@ def _set(path: str, value: Any) -> Callable[[dict[str, Any]], None]:
         (_set("parameters.latitudes.lines.0.curve.degree", "2"), "latitudes.lines.0.curve.degree"),
         (_set("parameters.latitudes.lines.0.curve.knots", [1.0, 2.0]), "latitudes.lines.0.curve"),
         (_set("parameters.latitudes.lines.0.curve.coefficients.1", None), "coefficients"),
-        (_set("parameters.latitudes.lines.0.curve.extra", 1.0), "curve.extra: unexpected"),
+        (_set("parameters.latitudes.lines.0.curve.extra", 1.0), "curve.extra: unknown key"),
         (_set("parameters.latitudes.lines.0.curve.covariance.0.0", -1.0), "negative variance"),
         (_set("parameters.latitudes.lines", []), "latitudes.lines"),
         (_set("parameters.region.outline_px", [[0.0, 0.0], [1.0, 0.0]]), "region"),

@@ -6,8 +6,8 @@ from typing import Annotated, Final, Literal, Self
 
 from pydantic import Field, model_validator
 
+from lscan.devices.travel import check_plan
 from lscan.documents import Strict, check
-from lscan.errors import InputError
 from lscan.rig import RigFile
 
 Place = Annotated[float, Field(ge=-100_000, le=100_000)]
@@ -72,15 +72,5 @@ def read_options(rig_file: RigFile) -> SerialTrackOptions:
     options = check(
         SerialTrackOptions, rig_file.rig.track.options, where=source, prefix="track.options"
     )
-    width_mm = options.max_mm - options.min_mm
-    positions_mm = rig_file.rig.plan.positions_mm()
-    for position_mm in (positions_mm[0], positions_mm[-1]):
-        if not -ROUNDING_MM <= position_mm - options.min_mm <= width_mm + ROUNDING_MM:
-            raise InputError(
-                "plan: leaves the track's travel",
-                where=source,
-                value=position_mm,
-                allowed=f"{options.min_mm:g} to {options.max_mm:g} mm, track.options.min_mm "
-                "and max_mm",
-            )
+    check_plan(rig_file, options.min_mm, options.max_mm, ROUNDING_MM)
     return options

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from pathlib import Path
+import os
 
 from lscan.devices.api import Track
 from lscan.devices.opencv_camera.camera import OpencvCamera
@@ -37,8 +37,13 @@ class _CameraDriver:
     def _options(self, rig_file: RigFile) -> OpencvOptions:
         section, where = rig_file.rig.camera, rig_file.source
         options = check(OpencvOptions, section.options, where=where, prefix="camera.options")
-        if options.file is not None and not Path(options.file).is_file():
-            raise InputError("camera.options.file: no such file", where=where, value=options.file)
+        if options.file is not None and not os.path.isfile(options.file):  # noqa: PTH113
+            raise InputError(
+                "camera.options.file: no such file",
+                where=where,
+                value=options.file,
+                allowed="a video, its path counted from the rig file's folder",
+            )
         return options
 
 

@@ -10,6 +10,17 @@ from lscan.documents import Strict
 
 _OF_A_DEVICE = ("pixel_format", "fps", "gain", "focus", "white_balance", "auto_exposure")
 
+Url = Annotated[
+    str,
+    Field(
+        pattern=r"^(https?|rtsps?|rtmp|udp|tcp)://\S+$",
+        description="an address that begins with http, https, rtsp, rtsps, rtmp, udp or tcp ://",
+    ),
+]
+FourLetters = Annotated[
+    str, Field(pattern=r"^[ -~]{4}$", description='four letters such as "MJPG" or "YUYV"')
+]
+
 
 class OpencvOptions(Strict):
     """Which camera, how it is set, and what is done with its pictures.
@@ -39,10 +50,10 @@ class OpencvOptions(Strict):
     """
 
     device: Annotated[int, Field(ge=0, le=63)] | Annotated[str, Field(min_length=1)] | None = None
-    url: Annotated[str, Field(pattern=r"^(https?|rtsps?|rtmp|udp|tcp)://\S+$")] | None = None
+    url: Url | None = None
     file: Annotated[str, Field(min_length=1)] | None = None
 
-    pixel_format: Annotated[str, Field(pattern=r"^[ -~]{4}$")] | None = None
+    pixel_format: FourLetters | None = None
     fps: Annotated[float, Field(gt=0, le=1000)] | None = None
     gain: Annotated[float, Field(ge=0, le=1e6)] | None = None
     focus: Annotated[float, Field(ge=0, le=1e6)] | None = None
