@@ -153,7 +153,7 @@ def board_of(path: Path) -> Board:
     from lscan.documents import check, read_document
     from lscan.rig import inline_board
 
-    document = inline_board(read_document(path))
+    document = inline_board(read_document(path), source=str(path))
     if "board" in document:
         return check(Board, document["board"], where=path, prefix="board")
     return check(Board, document, where=path)

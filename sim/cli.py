@@ -233,6 +233,35 @@ def serve(
     serve_until_stopped(load_scene(scene), options, write_rig, fault or [], json)
 
 
+@app.command()
+def hardware(
+    output: Annotated[Path, typer.Option("--output", "-o", help="JSON file to write.")] = Path(
+        "out/hardware.json"
+    ),
+    scenes: Annotated[Path, typer.Option("--scenes", help="Folder of scene files.")] = Path(
+        "scenes"
+    ),
+    json: Json = False,
+) -> None:
+    """Drivers, faults, resuming and the live page, on hardware that the tank emulates."""
+    from sim.hardware.campaign import kind_cells
+    from sim.hardware.run import run_hardware
+    from sim.verify.rows import table_cells
+
+    with progress_bar("hardware") as progress:
+        evidence = run_hardware(scenes, output, progress)
+    if json:
+        print_json([row.as_json() for row in evidence.rows])
+    else:
+        headings = ["fault", "injected", "borne", "stopped the scan", "not clean"]
+        print_table("faults", headings, kind_cells(evidence.outcomes))
+        headings = ["what", "figure", "bar", "unit", "within"]
+        print_table("hardware", headings, table_cells(evidence.rows))
+        print(f"{output}")
+    if not evidence.passed:
+        raise typer.Exit(1)
+
+
 def _print_files(files: dict[str, Path], json: bool) -> None:
     if json:
         print_json({name: str(path) for name, path in files.items()})

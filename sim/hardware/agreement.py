@@ -80,7 +80,7 @@ def _rows(
     piece = rig_file.rig.workpiece
     assert isinstance(piece, Sandwave)
     reference = reconstruct(simulated, plane_map)
-    alignment, _ = align_scan(reference, piece, rig_file.rig.sheet)
+    alignment, _ = align_scan(reference, piece, rig_file.rig)
     slices = Slices(piece, plane_map, alignment)
     seed = scene_of(rig_file).tank.sensor.seed
     coding = f"JPEG quality {options.quality}, {options.subsampling}"
