@@ -109,12 +109,12 @@ def draw_fault(kind: str, generator: np.random.Generator) -> Fault:
         frame=0 if phase == "opening" else int(generator.integers(last)),
         phase=phase,
         part=float(generator.random()),
-        strength=_strength(kind, stamped, generator),
+        strength=_strength(kind, phase, stamped, generator),
         stamped=stamped,
     )
 
 
-def _strength(kind: str, stamped: bool, generator: np.random.Generator) -> float:
+def _strength(kind: str, phase: Phase, stamped: bool, generator: np.random.Generator) -> float:
     """How strong: see ``strike`` of the device."""
     device = KINDS[kind].device
     if kind in ("serial garbled", "serial noisy"):
@@ -130,7 +130,8 @@ def _strength(kind: str, stamped: bool, generator: np.random.Generator) -> float
         sign = -1.0 if kind == "wall clock set" or generator.random() < 0.75 else 1.0
         return sign * float(10 ** generator.uniform(-2, 3))
     if kind == "camera garbage":
-        return float(generator.integers(len(GARBAGE)))
+        # A camera that is grey from the start has no fault.
+        return float(generator.integers(len(GARBAGE) - (phase == "opening")))
     if device == "camera":
         return math.inf if generator.random() < 0.6 else float(generator.integers(1, 6))
     return float(generator.random())

@@ -118,13 +118,14 @@ GARBAGE: tuple[Callable[[Bytes], Any], ...] = (
     lambda image: np.full(image.shape, math.nan),
     lambda image: np.dstack([image, image[:, :, :1]]),
     lambda image: image[:, :, :2],
-    lambda image: image[:, :, 0].copy(),
     lambda image: image.ravel(),
     lambda image: image[:0],
     lambda image: image[None],
     lambda image: "no picture",
     lambda image: [[1, 2], [3, 4]],
+    lambda image: image[:, :, 0].copy(),
 )
+"""What is no picture of the rig; the last, a grey one, only after pictures in colour."""
 
 
 class FaultyCapture:
