@@ -561,10 +561,11 @@ function showScan({ scan, plan }) {
         `${scan.done} of ${scan.planned} frames`,
         scan.left_s === null ? "" : `${clock(scan.left_s)} left`,
         `${clock(scan.elapsed_s)} gone`,
-        scan.folder,
+        scan.folder?.split("/").slice(-2).join("/"),
         scan.state === "failed" || stopping ? "" : scan.message,
       ]
     : [`${plan.frames} frames from ${plan.start_mm} mm, every ${plan.step_mm} mm`];
+  $("scan-note").title = scan.folder ?? "";
   write($("scan-note"), parts.filter(Boolean).join(" · "));
   const percent = Math.round(100 * $("progress").value);
   document.title = moving() ? `${percent} % · lscan live` : "lscan live";
