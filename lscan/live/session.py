@@ -168,12 +168,13 @@ class Session:
             self._closing.wait(max(0.0, began_s + period_s - time.monotonic()))
 
     def _measure(self) -> None:
-        number = 0
+        number, shown = 0, 0  # of pictures come, and of those measured: browsers count these
         while not self._closing.is_set():
             newest = self._pictures.after(number, WAIT_S)
             if newest is not None:
                 number, picture = newest
-                self.frames.put(self._frame(number, picture))
+                shown += 1
+                self.frames.put(self._frame(shown, picture))
 
     def _read_boards(self) -> None:
         number = 0

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import struct
 import threading
+import time
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +16,7 @@ from live_rig import GatedTrack, SeeingCamera, SwitchTrack, live_bench, wait_for
 
 from lscan.acquire import acquire_into
 from lscan.errors import DeviceError, InputError
+from lscan.live.analysis import Figures, measure_line
 from lscan.live.errors import NotNow
 from lscan.live.newest import Newest
 from lscan.live.scanning import next_name
@@ -197,6 +199,26 @@ def test_the_next_name_is_above_all_there_are(tmp_path: Path) -> None:
     for name in ("scan-002", "scan-9.json", "scan-x", "board-040"):
         (tmp_path / name).mkdir()
     assert next_name(tmp_path, "scan") == "scan-010"
+
+
+def test_frames_are_numbered_one_by_one_where_pictures_were_passed_over(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Or a browser that asks for what comes after its last would wait for pictures long gone."""
+
+    def slow_line(*arguments: Any) -> Figures:
+        time.sleep(0.15)  # of which some four pictures come
+        return measure_line(*arguments)
+
+    monkeypatch.setattr("lscan.live.session.measure_line", slow_line)
+    with live_bench(monkeypatch, tmp_path) as bench:
+        session = bench.open()
+        for number in range(1, 6):
+            newest = wait_for(lambda after=number - 1: session.frames.after(after))
+            assert newest[0] == number
+            (length,) = struct.unpack(">I", newest[1][:4])
+            assert json.loads(newest[1][4 : 4 + length])["number"] == number
+        assert session._pictures.after(number) is not None
 
 
 # ---- devices that fail ------------------------------------------------------------------
