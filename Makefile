@@ -6,7 +6,7 @@ BIN := .venv/bin
 ROOT := $(shell [ "$$(id -u)" = 0 ] || echo sudo -n)
 APT := $(ROOT) env DEBIAN_FRONTEND=noninteractive apt-get -qq
 
-.PHONY: help demo test lint bench verify accuracy clean
+.PHONY: help demo test lint bench verify accuracy hardware clean
 .DELETE_ON_ERROR:
 
 help:
@@ -16,6 +16,7 @@ help:
 	@echo "make bench   measure speed and write out/bench.json"
 	@echo "make verify  hold the tank against references; out/verify.json, out/verify/report.html"
 	@echo "make accuracy  hold the instrument against the truth; out/accuracy.json"
+	@echo "make hardware  hold drivers, runs and the live page to their bars; out/hardware.json"
 	@echo "make clean   remove all that was set up or made, save runs/"
 
 demo: .venv/llvm.stamp
@@ -38,6 +39,9 @@ verify: .venv/llvm.stamp
 
 accuracy: .venv/llvm.stamp
 	$(BIN)/lscan-sim accuracy -o out/accuracy.json
+
+hardware: .venv/llvm.stamp .venv/chromium.stamp
+	$(BIN)/lscan-sim hardware -o out/hardware.json
 
 clean:
 	rm -rf .venv out build *.egg-info
