@@ -253,7 +253,7 @@ def hardware(
     if json:
         print_json([row.as_json() for row in evidence.rows])
     else:
-        headings = ["fault", "injected", "borne", "stopped the scan", "not clean"]
+        headings = ["", "injected", "borne", "stopped the scan", "not clean"]
         print_table("faults", headings, kind_cells(evidence.outcomes))
         headings = ["what", "figure", "bar", "unit", "within"]
         print_table("hardware", headings, table_cells(evidence.rows))

@@ -58,6 +58,7 @@ def _stripe_json(line: StripeFigures) -> dict[str, Any]:
         "found": int(has_value(status).sum()),
         "of": len(status),
         "clipped": counts["SATURATED"],
+        "clipped_at": np.flatnonzero(status == Status.SATURATED).tolist(),
         "width_px": _rounded(line.width_px, 2),
         "snr": _rounded(line.snr, 1),
         "status": {name: count for name, count in counts.items() if count},
