@@ -9,7 +9,19 @@ from pathlib import Path
 import pytest
 from pydantic import BaseModel
 
-from lscan.rig import NoiseSection, OpticsSection, ShaftSection, SheetSection, StripeSection
+from lscan.devices.grbl import SerialTrackOptions
+from lscan.devices.manual import ManualOptions
+from lscan.devices.opencv_camera.options import OpencvOptions
+from lscan.devices.replay import ReplayOptions
+from lscan.rig import (
+    CameraSection,
+    NoiseSection,
+    OpticsSection,
+    Plan,
+    ShaftSection,
+    SheetSection,
+    StripeSection,
+)
 from sim.devices import CameraOptions, TrackOptions
 from sim.scene import (
     DomePort,
@@ -86,7 +98,20 @@ def test_every_scene_is_listed() -> None:
 
 
 @pytest.mark.parametrize(
-    "model", [StripeSection, NoiseSection, OpticsSection, SheetSection, ShaftSection]
+    "model",
+    [
+        CameraSection,
+        Plan,
+        OpencvOptions,
+        SerialTrackOptions,
+        ManualOptions,
+        ReplayOptions,
+        StripeSection,
+        NoiseSection,
+        OpticsSection,
+        SheetSection,
+        ShaftSection,
+    ],
 )
 def test_every_key_of_a_rig_file_is_told(model: type[BaseModel]) -> None:
     rig_files = README.split("## Rig files")[1].split("\n## ")[0]
