@@ -96,9 +96,11 @@ def misread(annotation: Any, value: Any) -> Keys | None:
                     return (index, *found)
         return None
     wanted = set().union(*(kind.plain for kind in kinds(annotation)))
-    if not isinstance(value, bool | int | float | str) or not wanted or type(value) in wanted:
+    # A NumPy number is a float too, and true is an int: the first that fits, in this order.
+    plain = next((kind for kind in (bool, int, float, str) if isinstance(value, kind)), None)
+    if plain is None or not wanted or plain in wanted:
         return None
-    return None if type(value) is int and float in wanted else ()
+    return None if plain is int and float in wanted else ()
 
 
 def trace(model: Any, place: Keys) -> tuple[Keys, Any]:

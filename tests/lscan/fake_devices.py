@@ -46,7 +46,6 @@ class FakeTrack:
     trace: list[str] = field(default_factory=list)
     fail_at: int | None = None
     position_mm: float = 0.0
-    lit: bool = False
     moves: int = 0
     closed: int = 0
 
@@ -59,6 +58,17 @@ class FakeTrack:
         self.position_mm = position_mm + 0.013
         return self.position_mm
 
+    def close(self) -> None:
+        """Count the closings."""
+        self.closed += 1
+
+
+@dataclass
+class LaserTrack(FakeTrack):
+    """A track that switches the laser too, and notes it in its trace."""
+
+    lit: bool = False
+
     def laser_on(self) -> None:
         """Light the laser."""
         self.trace.append("laser on")
@@ -68,10 +78,6 @@ class FakeTrack:
         """Put the laser out."""
         self.trace.append("laser off")
         self.lit = False
-
-    def close(self) -> None:
-        """Count the closings."""
-        self.closed += 1
 
 
 @dataclass

@@ -20,7 +20,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from fake_devices import FakeCamera, FakeTrack, fake_rig
+from fake_devices import FakeCamera, LaserTrack, fake_rig
 
 from lscan.acquire import acquire_into
 from lscan.runwriter import resume_run
@@ -33,7 +33,7 @@ CALLS = ("mkdir", "open", "write", "fsync", "replace", "ftruncate", "unlink", "c
 def scan(path: Path) -> None:
     """The test's scan, begun or resumed."""
     with resume_run(path, fake_rig(FRAMES, **PLAN)) as writer:
-        track = FakeTrack()
+        track = LaserTrack()
         acquire_into(writer, FakeCamera(track), track)
 
 

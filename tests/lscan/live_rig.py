@@ -45,19 +45,6 @@ class GatedTrack(FakeTrack):
 
 
 @dataclass
-class SwitchTrack(FakeTrack):
-    """A track that switches the laser, and notes it in its trace."""
-
-    def laser_on(self) -> None:
-        """Note it."""
-        self.trace.append("on")
-
-    def laser_off(self) -> None:
-        """Note it."""
-        self.trace.append("off")
-
-
-@dataclass
 class SeeingCamera(FakeCamera):
     """A camera that can be looked at beside its grabs."""
 
@@ -78,9 +65,9 @@ class Bench:
     output: Path
     sessions: list[Session] = field(default_factory=list)
 
-    def open(self, frames: int = 5, **options: Any) -> Session:
-        """A session of a rig of so many frames."""
-        session = Session(fake_rig(frames), self.output, **options)
+    def open(self, frames: int = 5, plan: dict[str, Any] | None = None, **options: Any) -> Session:
+        """A session of a rig of so many frames, and of what else its plan says."""
+        session = Session(fake_rig(frames, **(plan or {})), self.output, **options)
         self.sessions.append(session)
         return session
 

@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from fake_devices import FakeCamera, FakeTrack, fake_rig, folder_bytes
+from fake_devices import FakeCamera, LaserTrack, fake_rig, folder_bytes
 
 from lscan.acquire import acquire_into
 from lscan.cli import app
@@ -44,7 +44,7 @@ class TracingCamera(FakeCamera):
     """Notes in the track's trace each picture, whether it was to be dark, and the laser."""
 
     def grab(self, frame: int | None = None, dark: bool = False) -> Grab:
-        assert isinstance(self.track, FakeTrack)
+        assert isinstance(self.track, LaserTrack)
         said, seen = "dark" if dark else "lit", "lit" if self.track.lit else "dark"
         self.track.trace.append(f"grab {said}, laser {seen}")
         return super().grab(frame, dark)
@@ -54,8 +54,8 @@ def paired_rig(frames: int = 3) -> RigFile:
     return fake_rig(frames=frames, laser="pairs")
 
 
-def scanned(path: Path, rig_file: RigFile, track: FakeTrack | None = None, **camera: Any) -> Run:
-    track = track or FakeTrack()
+def scanned(path: Path, rig_file: RigFile, track: LaserTrack | None = None, **camera: Any) -> Run:
+    track = track or LaserTrack()
     with resume_run(path, rig_file) as writer:
         return acquire_into(writer, TracingCamera(track, **camera), track)
 
@@ -69,14 +69,14 @@ def run(tmp_path: Path) -> Run:
 
 
 def test_a_pair_is_taken_lit_then_dark_at_each_position(tmp_path: Path) -> None:
-    track = FakeTrack()
+    track = LaserTrack()
     scanned(tmp_path / "a", paired_rig(2), track)
     pair = ["move", "laser on", "grab lit, laser lit", "laser off", "grab dark, laser dark"]
     assert track.trace == [*pair, *pair, "laser off"]
 
 
 def test_on_lights_the_laser_for_the_whole_sitting(tmp_path: Path) -> None:
-    track = FakeTrack()
+    track = LaserTrack()
     scanned(tmp_path / "a", fake_rig(frames=2, laser="on"), track)
     frame = ["move", "grab lit, laser lit"]
     assert track.trace == ["laser on", *frame, *frame, "laser off"]
@@ -114,7 +114,7 @@ def test_untouched_sends_nothing_and_asks_nothing_new_of_a_camera(tmp_path: Path
 def test_both_pictures_and_the_row_are_there_before_the_track_moves_on(tmp_path: Path) -> None:
     found: list[tuple[list[str], int]] = []
 
-    class LookingTrack(FakeTrack):
+    class LookingTrack(LaserTrack):
         def move_to(self, position_mm: float) -> float:
             names = sorted(file.name for file in (tmp_path / "a" / "frames").iterdir())
             rows = (tmp_path / "a" / "frames.csv").read_text().count("\n") - 1
@@ -140,7 +140,7 @@ def test_each_file_is_synced_before_its_row_is_written(
 
     monkeypatch.setattr(os, "open", spy_open)
     monkeypatch.setattr(os, "fsync", lambda descriptor: trace.append(names[descriptor]))
-    track = FakeTrack()
+    track = LaserTrack()
     with create_run(tmp_path / "a", paired_rig(1)) as writer:
         trace.clear()
         acquire_into(writer, FakeCamera(track), track)
@@ -153,7 +153,7 @@ def test_each_file_is_synced_before_its_row_is_written(
 def test_whatever_fails_the_laser_is_off(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, laser: str, fault: str
 ) -> None:
-    track = FakeTrack(fail_at=1 if fault == "track" else None)
+    track = LaserTrack(fail_at=1 if fault == "track" else None)
     camera = TracingCamera(track, fail_at=1 if fault == "camera" else None)
     expected: type[BaseException] = DeviceError
     rig_file = fake_rig(frames=3, laser=laser)
@@ -179,7 +179,7 @@ def test_whatever_fails_the_laser_is_off(
 
 
 def test_a_laser_that_fails_too_does_not_hide_the_first_fault(tmp_path: Path) -> None:
-    class StuckTrack(FakeTrack):
+    class StuckTrack(LaserTrack):
         def laser_off(self) -> None:
             raise DeviceError("fake track: does not answer M5")
 
@@ -209,7 +209,7 @@ def test_a_background_that_does_not_fit_is_refused(
             grab = super().grab(frame, dark)
             return replace(grab, **changed) if dark and frame == 1 else grab
 
-    track = FakeTrack()
+    track = LaserTrack()
     with (
         create_run(tmp_path / "a", paired_rig()) as writer,
         pytest.raises(DeviceError, match=message),
@@ -227,7 +227,7 @@ def test_a_picture_older_than_the_background_before_it_is_refused(tmp_path: Path
             grab = super().grab(frame, dark)
             return replace(grab, time_s=10.0) if dark and frame == 0 else grab
 
-    track = FakeTrack()
+    track = LaserTrack()
     with (
         create_run(tmp_path / "a", paired_rig()) as writer,
         pytest.raises(DeviceError, match="frame 1 is an old picture"),
@@ -239,7 +239,7 @@ def test_a_picture_older_than_the_background_before_it_is_refused(tmp_path: Path
 
 
 def test_a_paired_run_holds_what_the_camera_delivered(run: Run) -> None:
-    track = FakeTrack()
+    track = LaserTrack()
     camera = FakeCamera(track)
     for index, frame in enumerate(run.frames()):
         assert frame.position_mm == track.move_to(1.0 + 0.1 * index)
@@ -472,5 +472,5 @@ def test_an_unknown_word_is_named_with_those_there_are(tmp_path: Path, laser: st
 
 
 def test_the_fakes_are_what_they_stand_for() -> None:
-    assert isinstance(FakeTrack(), LaserSwitch)
+    assert isinstance(LaserTrack(), LaserSwitch)
     assert parse_rig(paired_rig().document, "again", trusted=True).rig.plan.paired
