@@ -18,8 +18,7 @@ def distort(camera: Camera, tangents: Floats) -> Floats:
 
     NaN beyond the radius at which the radial distortion folds back: no image is formed there.
     """
-    q = (tangents**2).sum(axis=1)
-    inside = q < fold_radius(camera) ** 2
+    inside = np.hypot(*tangents.T) < fold_radius(camera)
     return _bent(camera, np.where(inside[:, None], tangents, np.nan))
 
 
@@ -37,7 +36,7 @@ def undistort(camera: Camera, distorted: Floats) -> Floats:
             if not (np.abs(step) > SMALL_STEP).any():  # NaN never converges, and need not
                 break
         arrived = (np.abs(step) <= SMALL_STEP).all(axis=1)
-        arrived &= (tangents**2).sum(axis=1) < fold_radius(camera) ** 2
+        arrived &= np.hypot(*tangents.T) < fold_radius(camera)
     return np.where(arrived[:, None], tangents, np.nan)
 
 

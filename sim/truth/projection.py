@@ -163,7 +163,7 @@ def image(camera: Camera, direction: Floats) -> Floats:
     ahead = np.where(direction[:, 2] > 0, direction[:, 2], np.nan)
     x, y = direction[:, 0] / ahead, direction[:, 1] / ahead
     q = x**2 + y**2
-    q = np.where(q < fold_radius(lens) ** 2, q, np.nan)
+    q = np.where(np.hypot(x, y) < fold_radius(lens), q, np.nan)
     radial = 1 + q * (lens.k1 + q * (lens.k2 + q * lens.k3))
     distorted = np.column_stack(
         [

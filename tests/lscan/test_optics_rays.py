@@ -136,6 +136,16 @@ def test_a_port_of_air_is_no_port() -> None:
     np.testing.assert_allclose(with_port, without, rtol=0, atol=1e-9)
 
 
+@pytest.mark.parametrize("k1", [-1e-300, -2.2e-313])
+def test_a_distortion_next_to_none_is_none(k1: float) -> None:
+    """The fold's radius is then so large that its square is no number any more."""
+    bent, straight = Camera(100.0, (0.0, 0.0), k1=k1), Camera(100.0, (0.0, 0.0))
+    points = points_ahead(1)
+    pixels = project(straight, points)
+    np.testing.assert_array_equal(project(bent, points), pixels)
+    np.testing.assert_array_equal(rays(bent, pixels).direction, rays(straight, pixels).direction)
+
+
 def test_no_image() -> None:
     """Inside the port, behind the pinhole, and where the lens folds back: NaN, and no more."""
     behind_port = Camera(800.0, (320.0, 240.0), port=FlatPort(10.0, 6.0, 1.49, 1.33))

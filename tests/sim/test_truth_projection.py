@@ -218,6 +218,14 @@ def test_what_cannot_be_imaged_has_no_pixel():
     ]
 
 
+@pytest.mark.parametrize("k1", [-1e-300, -2.2e-313, 1e-313])
+def test_a_distortion_next_to_none_is_none(k1):
+    """The fold's radius is then so large that its square is no number any more."""
+    lens = Lens(focal_px=100.0, centre_px=(0.0, 0.0), k1=k1)
+    camera = Camera(Pose(np.eye(3), np.zeros(3)), lens, FlatPort(), 1.33)
+    assert image(camera, np.array([[0.5, -0.25, 1.0]])).tolist() == [[50.0, -25.0]]
+
+
 def test_no_pixel_beyond_the_fold_of_the_distortion():
     # r (1 - r2/12) turns at 1 = 3 r2/12: r = 2.
     lens = Lens(focal_px=100.0, centre_px=(0.0, 0.0), k1=-1 / 12)
