@@ -10,7 +10,8 @@ import cv2
 import numpy as np
 
 from lscan.devices.api import Grab
-from lscan.devices.opencv_camera.capture import Capture, OpenCapture, open_capture
+from lscan.devices.opencv_camera.capture import Capture, OpenCapture
+from lscan.devices.opencv_camera.opening import open_capture
 from lscan.devices.opencv_camera.options import OpencvOptions
 from lscan.devices.opencv_camera.reader import DeviceLost, Picture, Reader, Source
 from lscan.devices.opencv_camera.settings import Setting, Settings, apply_settings

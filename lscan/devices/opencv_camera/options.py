@@ -39,6 +39,9 @@ class OpencvOptions(Strict):
     warm_up_frames: dropped after opening, while the camera settles.
     flush_frames: dropped after the call, since a picture that arrives after it may have been
     exposed before it; flush_ms: only what arrives this long after the call is looked at.
+    Should the program be held up for seconds, a device's own time stamps and, on a stream of
+    JPEG pictures, flush_frames of 2 keep out what queued meanwhile (see jpegstream for what is
+    not guaranteed); on a stream of another codec only flush_ms or the track's settle_s do.
     retries: black or repeated pictures in a row that are passed over before giving up.
     reconnects: how often in one grab a camera that hung or vanished is opened again, each time
     after reconnect_wait_s: a cable just plugged in takes a second.

@@ -1,0 +1,54 @@
+"""How a capture is opened for a device, a stream or a video file."""
+
+from __future__ import annotations
+
+import logging
+
+import cv2
+
+from lscan.devices.opencv_camera.capture import Capture
+from lscan.devices.opencv_camera.jpegstream import JpegStream
+from lscan.devices.opencv_camera.options import OpencvOptions
+from lscan.devices.opencv_camera.settings import fourcc_text
+
+_log = logging.getLogger(__name__)
+
+
+def open_capture(options: OpencvOptions) -> Capture:
+    """The OpenCV capture that ``options`` names, opened or not; never raises by itself."""
+    if options.device is not None:
+        if isinstance(options.device, int):
+            return cv2.VideoCapture(options.device)
+        linux = options.device.startswith("/dev/")
+        return cv2.VideoCapture(options.device, cv2.CAP_V4L2 if linux else cv2.CAP_ANY)
+    if options.url is not None:
+        return _open_stream(options.url, options)
+    return cv2.VideoCapture(options.file or "", cv2.CAP_FFMPEG)
+
+
+def _open_stream(url: str, options: OpencvOptions) -> Capture:
+    """The stream, as its own JPEG pictures where it is made of them and can be had so.
+
+    It is given the timeout too, so that a reader that was given up ends by itself.  It is
+    decoded by one thread: with n of them FFmpeg hands pictures out n - 1 pictures late.
+    """
+    limit_ms = max(1, round(1000 * options.timeout_s))
+    parameters = {
+        cv2.CAP_PROP_OPEN_TIMEOUT_MSEC: limit_ms,
+        cv2.CAP_PROP_READ_TIMEOUT_MSEC: limit_ms,
+        cv2.CAP_PROP_N_THREADS: 1,
+    }
+    pairs = [number for pair in parameters.items() for number in pair]
+    capture = cv2.VideoCapture(url, cv2.CAP_FFMPEG, pairs)
+    if not capture.isOpened():
+        return capture
+    code = (fourcc_text(capture.get(cv2.CAP_PROP_FOURCC)) or "unknown").upper()
+    if code == "MJPG" and capture.set(cv2.CAP_PROP_FORMAT, -1):
+        return JpegStream(capture, options.name)
+    _log.warning(
+        "%s: coded as %s: a change of the picture size while it runs would go unseen; "
+        "choose MJPEG where the camera has it",
+        options.name,
+        code,
+    )
+    return capture
