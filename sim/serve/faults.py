@@ -13,10 +13,9 @@ CAMERA_FAULTS: Mapping[str, CameraFault] = {
     "camera-hang": "hang",  # connected, and sends no more pictures
     "camera-drop": "drop",  # breaks the connection and refuses new ones
     "camera-black": "black",
-    "camera-wrong-size": "wrong-size",  # comes back half as wide and high
+    "camera-wrong-size": "wrong-size",  # from now on half as wide and high
     "camera-frozen": "frozen",  # the same picture, byte for byte
 }
-BREAK_THE_CONNECTION = frozenset({"camera-drop", "camera-wrong-size"})
 TRACK_FAULTS: Mapping[str, Faults] = {
     "track-silent": Faults(silent=True),
     "track-garbled": Faults(garble=0.2, seed=1),

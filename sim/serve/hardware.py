@@ -15,7 +15,6 @@ from sim.grbl import Faults, GrblEmulator, MarlinEmulator
 from sim.scene import Scene
 from sim.serve.camera import Coding, EmulatedCamera, Sight
 from sim.serve.faults import (
-    BREAK_THE_CONNECTION,
     CAMERA_FAULTS,
     HEALED,
     TRACK_FAULTS,
@@ -113,10 +112,9 @@ class EmulatedHardware:
         elif name in TRACK_FAULTS:
             self._track.inject(TRACK_FAULTS[name])
         else:
-            if name in BREAK_THE_CONNECTION:
-                self._camera.fault = "drop"
-                self._server.drop()
             self._camera.fault = CAMERA_FAULTS[name]
+            if self._camera.fault == "drop":
+                self._server.drop()
 
     def heal(self) -> None:
         """End all faults and plug in what was unplugged; an alarm stays until it is cleared."""
