@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import math
+import threading
 import time
 
 import cv2
@@ -38,7 +39,7 @@ class OpencvCamera:
         self._section, self._options = section, options
         self._open_capture = open_capture
         self._black_is_meant = options.black == "accept"
-        self._closed = False
+        self._closed = threading.Event()
         self._shape: tuple[int, ...] | None = None
         self._last: Bytes | None = None
         self._last_time_s = -math.inf
@@ -85,15 +86,14 @@ class OpencvCamera:
         scan goes on where it stopped.  dark: the laser is off, and a black picture is meant.
         What was exposed before the call is dropped with the first ``flush_frames`` pictures.
         """
-        if self._closed:
-            raise DeviceError(f"{self._options.name}: is closed")
+        self._require_open()
         began_s = time.monotonic()
         lost: DeviceLost | None = None
         attempts = 1 + (self._options.reconnects if self._options.live else 0)
         for attempt in range(attempts):
             try:
                 if attempt:
-                    time.sleep(self._options.reconnect_wait_s)
+                    self._closed.wait(self._options.reconnect_wait_s)
                     self._reconnect()
                 return self._grab(began_s, frame, dark or self._black_is_meant)
             except DeviceLost as error:
@@ -107,15 +107,14 @@ class OpencvCamera:
         It is only looked at: a grab, of another thread even, gets what it would get without.
         A black one is shown like any other.  A file's stands until the next is grabbed.
         """
-        if self._closed:
-            raise DeviceError(f"{self._options.name}: is closed")
+        self._require_open()
         picture = self._reader.peek(self._shown_s, self._options.timeout_s)
         self._shown_s = picture.time_s
         return Grab(_rgb(picture.image), picture.time_s, self._settings.exposure_ms)
 
     def close(self) -> None:
-        """Release the camera; closing twice is harmless."""
-        self._closed = True
+        """Release the camera; closing twice is harmless.  A grab under way elsewhere fails."""
+        self._closed.set()
         self._reader.give_up(self._options.timeout_s)
 
     # ---- taking pictures ----------------------------------------------------------------
@@ -247,8 +246,15 @@ class OpencvCamera:
 
     def _renew_reader(self) -> None:
         self._reader.give_up(self._options.timeout_s)
-        self._read = 0
-        self._reader = Reader(self._source())
+        self._require_open()
+        self._read, self._reader = 0, Reader(self._source())
+        if self._closed.is_set():  # by another thread meanwhile, which knew only the old reader
+            self._reader.give_up(self._options.timeout_s)
+            self._require_open()
+
+    def _require_open(self) -> None:
+        if self._closed.is_set():
+            raise DeviceError(f"{self._options.name}: is closed")
 
     def _checked(self, raw: object) -> Bytes:
         """The picture, if it is what a run can hold and what the rig says: DeviceError."""

@@ -65,7 +65,10 @@ class Source:
 
 
 class Reader:
-    """One opened camera and the thread that reads it."""
+    """One opened camera and the thread that reads it.
+
+    Once it is given up, whoever waits for a picture gets a DeviceError at once.
+    """
 
     def __init__(self, source: Source) -> None:
         self._source = source
@@ -134,6 +137,8 @@ class Reader:
         """Wait for a change; raises the reader's fault, or DeviceLost past the deadline."""
         if self._fault is not None:
             raise self._fault
+        if self._given_up:
+            raise DeviceError(f"{self._source.name}: is closed, or being opened anew")
         left_s = deadline_s - time.monotonic()
         if left_s <= 0:
             raise DeviceLost(f"{self._source.name}: {late}; {remedy}")
