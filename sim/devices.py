@@ -66,14 +66,22 @@ class SimTrack:
     """A track that is at once where it is told to go.
 
     laser_is_on: whether the tank's laser, where its scene lights it, is on; until it is switched
-    it is.
+    it is.  One that the track switched on is off when the track is closed.
     """
+
+    tolerance_mm = 0.0
 
     def __init__(self, options: TrackOptions) -> None:
         self._options = options
         self._position_mm = 0.0
         self.laser_is_on = True
+        self._switched_on = False
         self._closed = False
+
+    @property
+    def limits_mm(self) -> tuple[float, float]:
+        """Lowest and highest position it goes to."""
+        return self._options.min_mm, self._options.max_mm
 
     @property
     def position_mm(self) -> float:
@@ -83,7 +91,7 @@ class SimTrack:
     def move_to(self, position_mm: float) -> float:
         """The position reached, mm; DeviceError outside the track's travel."""
         self._require_open()
-        low, high = self._options.min_mm, self._options.max_mm
+        low, high = self.limits_mm
         if not low <= position_mm <= high:  # also refuses NaN
             raise DeviceError(
                 f"sim track: cannot move to {position_mm} mm (allowed: {low} to {high} mm)"
@@ -94,16 +102,18 @@ class SimTrack:
     def laser_on(self) -> None:
         """Light the tank with what lasers its scene has."""
         self._require_open()
-        self.laser_is_on = True
+        self.laser_is_on = self._switched_on = True
 
     def laser_off(self) -> None:
         """Leave the tank to its ambient light."""
         self._require_open()
-        self.laser_is_on = False
+        self.laser_is_on = self._switched_on = False
 
     def close(self) -> None:
         """Release the track."""
         self._closed = True
+        if self._switched_on:
+            self.laser_is_on = self._switched_on = False
 
     def _require_open(self) -> None:
         if self._closed:
@@ -136,17 +146,18 @@ class SimCamera:
         dark: it shows the ambient light alone, with noise of its own, half a period after the
         frame's other picture and with that one's exposure.
         """
-        if self._tank is None:
+        tank = self._tank  # another thread may close the camera meanwhile
+        if tank is None:
             raise DeviceError("sim camera: is closed")
         index = self._next if frame is None else frame
         self._next = index + 1
         time_s = (index + (0.5 if dark else 0.0)) * FRAME_PERIOD_S
         position_mm = self._track.position_mm
         wavelength_nm = self._scene.tank.laser.wavelength_at(time_s)
-        layers = self._tank.render(position_mm, time_s=time_s)
+        layers = tank.render(position_mm, time_s=time_s)
         exposure_ms = self._exposure_ms(layers, wavelength_nm)
         if self._options.auto_exposure and self._scene.tank.head.speed_mm_s != 0:
-            layers = self._tank.render(position_mm, time_s=time_s, exposure_ms=exposure_ms)
+            layers = tank.render(position_mm, time_s=time_s, exposure_ms=exposure_ms)
         if dark or not getattr(self._track, "laser_is_on", True):
             none = np.zeros_like(layers.ambient)
             layers = replace(layers, direct=none, scattered=none)

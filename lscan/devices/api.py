@@ -47,8 +47,23 @@ class Track(Protocol):
 
 
 @runtime_checkable
+class Limited(Protocol):
+    """A track that knows how far it goes, and how well."""
+
+    @property
+    def limits_mm(self) -> tuple[float, float]:
+        """Lowest and highest position it goes to."""
+        ...
+
+    @property
+    def tolerance_mm(self) -> float:
+        """How far from where it was sent it may report to stand."""
+        ...
+
+
+@runtime_checkable
 class LaserSwitch(Protocol):
-    """A track whose controller also switches the laser."""
+    """A track whose controller also switches the laser; closed, it has switched it off."""
 
     def laser_on(self) -> None:
         """Switch the laser on; it is lit when this returns.  Raises DeviceError."""
@@ -90,7 +105,10 @@ class Camera(Protocol):
         ...
 
     def close(self) -> None:
-        """Release the device; closing twice is harmless."""
+        """Release the device; closing twice is harmless.
+
+        A grab under way in another thread comes to its end, and the next raises DeviceError.
+        """
         ...
 
 

@@ -44,6 +44,16 @@ class ManualTrack:
         self._position_mm = self._read("manual track: where on its scale is the head now, in mm? ")
 
     @property
+    def limits_mm(self) -> tuple[float, float]:
+        """The ends of its scale."""
+        return self._options.min_mm, self._options.max_mm
+
+    @property
+    def tolerance_mm(self) -> float:
+        """How far a reading may be off what was asked."""
+        return self._options.tolerance_mm
+
+    @property
     def position_mm(self) -> float:
         """Where the operator last said the head stands."""
         return self._position_mm
@@ -56,11 +66,11 @@ class ManualTrack:
         """
         if self._closed:
             raise DeviceError("manual track: is closed")
-        options = self._options
-        if not options.min_mm <= position_mm <= options.max_mm:  # also refuses NaN
+        low, high = self.limits_mm
+        if not low <= position_mm <= high:  # also refuses NaN
             raise DeviceError(
                 f"manual track: cannot move to {position_mm:.9g} mm; "
-                f"allowed: {options.min_mm:.9g} mm to {options.max_mm:.9g} mm"
+                f"allowed: {low:.9g} mm to {high:.9g} mm"
             )
         if position_mm == self._position_mm:
             return self._position_mm
@@ -69,8 +79,8 @@ class ManualTrack:
             "then Enter, or the scale's reading in mm, or q to stop: "
         )
         reading_mm = self._read(text, float(position_mm))
-        while not abs(reading_mm - position_mm) <= options.tolerance_mm:
-            again = f"{reading_mm:g} mm is more than {options.tolerance_mm:g} mm off; {text}"
+        while not abs(reading_mm - position_mm) <= self.tolerance_mm:
+            again = f"{reading_mm:g} mm is more than {self.tolerance_mm:g} mm off; {text}"
             reading_mm = self._read(again, float(position_mm))
         self._position_mm = reading_mm
         return reading_mm

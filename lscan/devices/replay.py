@@ -52,6 +52,11 @@ class ReplayTrack:
         return float(self._commanded_mm.min()), float(self._commanded_mm.max())
 
     @property
+    def tolerance_mm(self) -> float:
+        """The furthest that the recorded track stood from where it was sent."""
+        return float(np.abs(self._reported_mm - self._commanded_mm).max()) + ROUNDING_MM
+
+    @property
     def position_mm(self) -> float:
         """Where the head stands."""
         return self._position_mm

@@ -67,20 +67,29 @@ def bench(machine: dict[int, float] | None = None, **values: Any) -> Bench:
 class TestGrblTrack(TrackContract):
     limits_mm = (0.0, 180.0)
     tolerance_mm = 0.02
+    name = "grbl track on"
+    emulator: GrblEmulator | MarlinEmulator
 
     @pytest.fixture
     def track(self) -> Iterator[Track]:
-        track = bench().track
-        yield track
-        track.close()
+        b = bench()
+        self.emulator = b.emulator
+        yield b.track
+        b.track.close()
+
+    def is_lit(self) -> bool:
+        return self.emulator.laser_power > 0
 
 
 class TestMarlinTrack(TestGrblTrack):
+    name = "marlin track on"
+
     @pytest.fixture
     def track(self) -> Iterator[Track]:
-        track = bench(dialect="marlin").track
-        yield track
-        track.close()
+        b = bench(dialect="marlin")
+        self.emulator = b.emulator
+        yield b.track
+        b.track.close()
 
 
 class TestTrackOnATerminal(TestGrblTrack):
@@ -88,7 +97,8 @@ class TestTrackOnATerminal(TestGrblTrack):
 
     @pytest.fixture
     def track(self) -> Iterator[Track]:
-        with PseudoTerminal(GrblEmulator(QUICK)) as terminal:
+        self.emulator = GrblEmulator(QUICK)
+        with PseudoTerminal(self.emulator) as terminal:
             chosen = options(port=terminal.port, feed_mm_min=50_000, settle_s=0, boot_s=0.2)
             track = open_track(chosen)
             yield track

@@ -31,6 +31,8 @@ class Operator:
 
 class TestManualTrack(TrackContract):
     limits_mm = (0.0, 300.0)
+    tolerance_mm = 0.5
+    name = "manual track"
 
     @pytest.fixture
     def track(self) -> Iterator[Track]:

@@ -95,6 +95,8 @@ def stream_url() -> Iterator[str]:
 
 class TestVideoFile(CameraContract):
     size_px = VIDEO_PX
+    name = "camera opencv"
+    live = False
 
     @pytest.fixture
     def camera(self, video: Path) -> Iterator[OpencvCamera]:
@@ -105,6 +107,7 @@ class TestVideoFile(CameraContract):
 
 class TestStream(CameraContract):
     size_px = VIDEO_PX
+    name = "camera opencv"
 
     @pytest.fixture
     def camera(self, stream_url: str) -> Iterator[OpencvCamera]:
@@ -115,6 +118,7 @@ class TestStream(CameraContract):
 
 class TestDevice(CameraContract):
     size_px = (WIDTH_PX, HEIGHT_PX)
+    name = "camera opencv"
 
     @pytest.fixture
     def camera(self) -> Iterator[OpencvCamera]:

@@ -26,16 +26,22 @@ def small_rig():
 class TestSimTrack(TrackContract):
     limits_mm = (-1000.0, 1000.0)
     tolerance_mm = 0.0
+    name = "sim track"
 
     @pytest.fixture
     def track(self) -> Iterator[SimTrack]:
-        track = track_driver.open(small_rig())
-        yield track
-        track.close()
+        self.opened = track_driver.open(small_rig())
+        yield self.opened
+        self.opened.close()
+
+    def is_lit(self) -> bool:
+        return self.opened.laser_is_on
 
 
 class TestSimCamera(CameraContract):
     size_px = SIZE_PX
+    name = "sim camera"
+    live = False
 
     @pytest.fixture
     def camera(self) -> Iterator[SimCamera]:
