@@ -12,8 +12,9 @@ import numpy as np
 
 from lscan.devices.api import Camera, Grab, LaserSwitch, PlaceChecking, Track
 from lscan.errors import DeviceError
+from lscan.plugins import find_plugin
 from lscan.records import Bytes, Frame
-from lscan.rig import CameraSection, Plan, RigFile, find_plugin
+from lscan.rig import CameraSection, Plan, RigFile
 from lscan.run import Run, open_run
 from lscan.runwriter import RunWriter, create_run, refuse_existing, resume_run
 
@@ -61,15 +62,17 @@ def open_devices(rig_file: RigFile) -> Iterator[tuple[Camera, Track]]:
 
 def open_track(rig_file: RigFile) -> Track:
     """The rig's track, opened by its driver; errors as open_devices."""
-    name = rig_file.rig.track.driver
-    track: Track = find_plugin("lscan.tracks", name, where="track.driver").open(rig_file)
+    where = f"{rig_file.source}: track.driver"
+    driver = find_plugin("lscan.tracks", rig_file.rig.track.driver, where=where)
+    track: Track = driver.open(rig_file)
     return track
 
 
 def open_camera(rig_file: RigFile, track: Track) -> Camera:
     """The rig's camera on an opened track; errors as open_devices, and it is closed then."""
     section = rig_file.rig.camera
-    driver = find_plugin("lscan.cameras", section.driver, where="camera.driver")
+    where = f"{rig_file.source}: camera.driver"
+    driver = find_plugin("lscan.cameras", section.driver, where=where)
     camera: Camera = driver.open(rig_file, track)
     if camera.size_px != (section.width_px, section.height_px):
         camera.close()

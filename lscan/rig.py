@@ -8,7 +8,6 @@ them itself, so a scene file of the tank is a rig file too.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from importlib.metadata import EntryPoint, entry_points
 from math import cos, degrees, hypot, pi, radians
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
@@ -19,6 +18,7 @@ from pydantic import Field, SerializerFunctionWrapHandler, model_serializer, mod
 from lscan.board import Board
 from lscan.documents import Document, Strict, check, merge, read_document
 from lscan.errors import InputError
+from lscan.plugins import find_plugin, find_plugin_or_function
 from lscan.targets import Workpiece
 
 Channel = Literal["red", "green", "blue", "grey"]
@@ -333,34 +333,10 @@ def inline_board(document: Document, source: str) -> Document:
     return {**document, "board": merge(read, rest)}
 
 
-_KINDS = {
-    "lscan.cameras": "camera driver",
-    "lscan.tracks": "track driver",
-    "lscan.extractors": "stripe extractor",
-    "lscan.planemaps": "family of plane maps",
-}
-
-
-def find_plugin(group: str, name: str, where: object = None) -> Any:
-    """The object registered under ``name`` in an entry-point group of this project.
-
-    group: "lscan.cameras", "lscan.tracks", "lscan.extractors" or "lscan.planemaps".
-    Raises InputError that lists the names there are.
-    """
-    found: dict[str, EntryPoint] = {entry.name: entry for entry in entry_points(group=group)}
-    if name not in found:
-        kind = _KINDS.get(group, group)
-        raise InputError(
-            f"no such {kind}", where=where, value=name, allowed=", ".join(sorted(found))
-        )
-    return found[name].load()
-
-
 def _check_names(rig_file: RigFile) -> None:
     """Refuse an unknown extractor or plane map before a scan, not after it."""
     extractor, source = rig_file.rig.stripe.extractor, rig_file.source
-    if ":" not in extractor:  # else a function of the user's, looked for when it is called
-        find_plugin("lscan.extractors", extractor, where=f"{source}: stripe.extractor")
+    find_plugin_or_function("lscan.extractors", extractor, where=f"{source}: stripe.extractor")
     _check_plane_map(rig_file.rig.calibration.plane_map, f"{source}: calibration.plane_map")
 
 

@@ -10,8 +10,9 @@ from matplotlib.axes import Axes
 from lscan import paper
 from lscan.figures import style
 from lscan.figures.exhibit import Exhibit
+from lscan.plugins import find_plugin
 from lscan.records import Bytes, Floats, Status, Stripe, has_value
-from lscan.rig import StripeSection, find_plugin
+from lscan.rig import StripeSection
 
 _FOUND, _COLUMN = "#35e0ff", "#ffd54a"
 _ZOOM_PX = 8

@@ -10,8 +10,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any, Protocol
 
+from lscan.plugins import find_plugin
 from lscan.records import BoardReading, Floats, PlanePoints
-from lscan.rig import OpticsSection, find_plugin
+from lscan.rig import OpticsSection
 
 NOTHING_KNOWN = OpticsSection()
 

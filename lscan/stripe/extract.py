@@ -4,15 +4,15 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from importlib import import_module
 from typing import TypeVar, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lscan.errors import InputError, LscanError
+from lscan.plugins import find_plugin_or_function
 from lscan.records import Bytes, Floats, Mask, Status, Stripe
-from lscan.rig import StripeSection, find_plugin
+from lscan.rig import StripeSection
 from lscan.stripe.api import Extractor, require_stripe
 from lscan.stripe.core import core_flux
 from lscan.stripe.correction import take_back_blur
@@ -121,23 +121,8 @@ def find_extractor(name: str) -> Extractor:
 
     Raises InputError where there is none.
     """
-    if ":" not in name:
-        return cast(Extractor, find_plugin("lscan.extractors", name, where="stripe.extractor"))
-    module, _, function = name.partition(":")
-    try:
-        found = getattr(import_module(module), function)
-    except (ImportError, AttributeError, ValueError, TypeError) as error:
-        raise InputError(
-            "no such extractor",
-            where="stripe.extractor",
-            value=name,
-            allowed=f"a name that can be imported: {error}",
-        ) from error
-    if not callable(found):
-        raise InputError(
-            "no such extractor", where="stripe.extractor", value=name, allowed="a function"
-        )
-    return cast(Extractor, found)
+    where = "stripe.extractor"
+    return cast(Extractor, find_plugin_or_function("lscan.extractors", name, where))
 
 
 def _mark_saturated(stripe: Stripe, clipped: Mask, span_px: int) -> Stripe:
