@@ -24,6 +24,10 @@ from lscan.errors import InputError
 Document = dict[str, Any]
 Model = TypeVar("Model", bound=BaseModel)
 
+MOST_LEVELS = 50
+"""Of tables and lists in one another; a rig file has six or so."""
+_TOO_DEEP = "tables and lists too deep in one another"
+
 
 class Strict(BaseModel):
     """Base of every model of a file: frozen, unknown keys and non-finite numbers refused."""
@@ -55,6 +59,7 @@ def _read(path: Path, chain: tuple[Path, ...]) -> Document:
     if path in chain:
         raise InputError("includes itself", where=path, value=[p.name for p in chain])
     document = _parse(path)
+    _check_values(document, path)
     _anchor_paths(document, path)
     includes = document.pop("include", [])
     files = [includes] if isinstance(includes, str) else includes
@@ -73,8 +78,28 @@ def _parse(path: Path) -> Document:
         raise InputError(f"cannot be read: {error.strerror}", where=path) from error
     except UnicodeDecodeError as error:
         raise InputError("is not UTF-8 text", where=path) from error
-    except (ValueError, RecursionError) as error:  # also of a number of thousands of digits
+    except ValueError as error:  # also of a number of thousands of digits
         raise InputError(f"is not valid TOML: {error}", where=path) from error
+    except RecursionError as error:
+        raise InputError(_TOO_DEEP, where=path, allowed=f"{MOST_LEVELS} levels") from error
+
+
+def _check_values(value: Any, source: Path, keys: Keys = ()) -> None:
+    """Refuse what no later step could take: a null character, and nesting without end."""
+    if isinstance(value, dict | list):
+        if len(keys) == MOST_LEVELS:
+            what = f"{_dotted(keys[:3])}...: {_TOO_DEEP}"
+            raise InputError(what, where=source, allowed=f"{MOST_LEVELS} levels")
+        for key, item in value.items() if isinstance(value, dict) else enumerate(value):
+            _check_values(key, source, keys)
+            _check_values(item, source, (*keys, key))
+    elif isinstance(value, str) and "\0" in value:
+        what = f"{_dotted(keys) or 'a key'}: holds a null character"
+        raise InputError(what, where=source, value=value, allowed="a text without")
+
+
+def _dotted(keys: Keys) -> str:
+    return ".".join(map(str, keys))
 
 
 def _anchor_paths(table: Document, source: Path, within: str = "") -> None:
@@ -90,7 +115,7 @@ def _anchor_paths(table: Document, source: Path, within: str = "") -> None:
 
 
 def _may_be_path(value: Any) -> bool:
-    return isinstance(value, str) and value != "" and "\0" not in value
+    return isinstance(value, str) and value != ""
 
 
 def merge(base: Document, over: Document) -> Document:
@@ -148,7 +173,7 @@ def _explain(
     place = faults[0].keys
     same = [fault for fault in faults if fault.keys[: len(place)] == place]
     first = max(same, key=lambda fault: len(fault.keys))
-    key = ".".join([*([prefix] if prefix else []), *map(str, first.keys)]) or "document"
+    key = _dotted((*([prefix] if prefix else []), *first.keys)) or "document"
     more = f"; and {len(faults) - len(same)} more" if len(faults) > len(same) else ""
     what = f"{key}: {first.what}{more}"
     return InputError(what, where=where, value=first.value, allowed=first.allowed)

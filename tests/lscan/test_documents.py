@@ -12,7 +12,7 @@ from lscan.board import Grid, load_board
 from lscan.documents import check, merge, read_document
 from lscan.errors import InputError
 from lscan.planemap.refractivefit import LIMITS
-from lscan.rig import OpticsSection, Rig
+from lscan.rig import CameraSection, OpticsSection, Rig
 from lscan.targets import GroovedBlock, Sandwave
 
 TABLES = st.recursive(
@@ -55,12 +55,39 @@ def test_paths_hold_from_anywhere(tmp_path: Path) -> None:
         (b"include = 5", "bad include.*5"),
         (b'include = "gone.toml"', r"gone\.toml.*cannot be read"),
         (b'include = ["top.toml"]', "includes itself"),
+        (b"a = " + b"9" * 5000, "not valid TOML: .*5000 digits"),
+        (b"a = 1979-13-45", "not valid TOML"),
+        (b'a = "x\0y"', "not valid TOML: Illegal character"),
+        (b'a = "x\\u0000y"', r"a: holds a null character \(got 'x\\x00y'; allowed: a text without"),
+        (b'a.b = [1, {c = "\\u0000"}]', r"a\.b\.1\.c: holds a null character"),
+        (b'a = {"\\u0000" = 1}', r"a: holds a null character"),
+        (b'include = "\\u0000"', "include: holds a null character"),
+        (b'm = {file = ""}', r"m\.file: must be a text that is a path.*''"),
+        (b"a = " + b"[" * 5000 + b"]" * 5000, "too deep.*allowed: 50 levels"),
+        (b"a = " + b"{a=" * 5000 + b"1" + b"}" * 5000, "too deep.*allowed: 50 levels"),
+        (b".".join([b"a"] * 5000) + b" = 1", r"a\.a\.a\.\.\.: .*too deep.*allowed: 50 levels"),
+        (b"[" + b".".join([b"a"] * 5000) + b"]", r"a\.a\.a\.\.\.: .*too deep"),
+        (b"a = " + b"[" * 50 + b"]" * 50, "too deep"),
     ],
 )
 def test_unreadable_documents_are_named(tmp_path: Path, text: bytes, message: str) -> None:
     (tmp_path / "top.toml").write_bytes(text)
-    with pytest.raises(InputError, match=message):
+    with pytest.raises(InputError, match=message) as caught:
         read_document(tmp_path / "top.toml")
+    assert "\n" not in str(caught.value)
+    assert str(tmp_path) in str(caught.value)
+
+
+def test_nesting_within_the_limit_and_numbers_of_thousands_of_digits_are_read(
+    tmp_path: Path,
+) -> None:
+    """Whether a model can hold such a number is for the model to say."""
+    file = tmp_path / "top.toml"
+    file.write_text("a = " + "[" * 49 + "]" * 49 + "\nb = 1" + "0" * 4000 + "\n")
+    assert read_document(file)["b"] == 10**4000
+    number = {"driver": "none", "exposure_ms": 10**4000}
+    with pytest.raises(InputError, match=r"top: camera\.exposure_ms: must be a number above 0"):
+        check(CameraSection, number, where="top", prefix="camera")
 
 
 @pytest.mark.parametrize(
