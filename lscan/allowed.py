@@ -13,7 +13,7 @@ from pydantic import BaseModel
 
 Keys = tuple[str | int, ...]
 
-_LIMITS = ("ge", "gt", "le", "lt", "min_length", "pattern")
+_LIMITS = ("ge", "gt", "le", "lt", "min_length", "max_length", "pattern")
 
 
 @dataclass(frozen=True)
@@ -21,8 +21,8 @@ class Kind:
     """One of the kinds of value a field may hold.
 
     type: a plain type, a model, or a ``Literal[...]``, ``tuple[...]``, ``list[...]`` or
-    ``dict[...]``.  limits: of "ge", "gt", "le", "lt", "min_length" and "pattern" those stated.
-    words: how the model itself describes it, "" where it does not.
+    ``dict[...]``.  limits: those stated of "ge", "gt", "le", "lt", "min_length", "max_length"
+    and "pattern".  words: how the model itself describes it, "" where it does not.
     """
 
     type: Any
@@ -189,11 +189,21 @@ def _in_words(kind: Kind) -> str:
 def _list_in_words(kind: Kind) -> str:
     parts = get_args(kind.type)
     if get_origin(kind.type) is list or parts[-1] is Ellipsis:
-        return f"a list, each item {in_words(parts[0])}"
+        return f"a list{_length(kind.limits)}, each item {in_words(parts[0])}"
     said = [in_words(part) for part in parts]
     if len(set(said)) == 1:
         return f"a list of {len(said)}, each {said[0]}"
     return f"a list of {len(said)}: {'; '.join(said)}"
+
+
+def _length(limits: dict[str, Any]) -> str:
+    """Such as " of 10" or " of 2 or more"; "" where any length will do."""
+    least, most = limits.get("min_length"), limits.get("max_length")
+    if least == most:
+        return "" if least is None else f" of {least}"
+    said = [f"{least} or more"] if least else []
+    said += [f"{most} or fewer"] if most is not None else []
+    return f" of {' and '.join(said)}"
 
 
 def _range(limits: dict[str, Any]) -> str:
