@@ -116,7 +116,11 @@ def _on_its_shaft(head: Head, rig_file: RigFile) -> Head:
     stated, source = rig_file.rig.shaft, rig_file.source
     if stated is None:
         if head.shaft is not None:
-            raise InputError("head.shaft: needs the section [shaft]", where=source)
+            raise InputError(
+                "head.shaft: needs the section [shaft]",
+                where=source,
+                allowed="head.shaft left out, or the section [shaft] beside it",
+            )
         return head
     if head.speed_mm_s != 0:
         raise InputError(
@@ -136,7 +140,10 @@ def _check_target(scene: Scene) -> None:
     needed: dict[str, Any] = {"board": rig.board, "workpiece": rig.workpiece}
     if shape in needed and needed[shape] is None:
         raise InputError(
-            f"target.shape needs the section [{shape}]", where=scene.source, value=shape
+            f"target.shape: needs the section [{shape}]",
+            where=scene.source,
+            value=shape,
+            allowed=f"the section [{shape}] beside it, or another shape",
         )
 
 
