@@ -2,41 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
 from typing import Any
 
-from lscan.documents import Document
-
-
-@dataclass(frozen=True)
-class Crossing:
-    """A rule and how to break it.
-
-    rule: the model's validator as ``Model.name``, or what the rule says where a driver keeps
-    it.  changes: keys and their new values.  key: what the message must name; words: what it
-    must say besides.  camera, track, sections: the drivers and sections of a rig it fits.
-    """
-
-    rule: str
-    changes: dict[str, Any]
-    key: str
-    words: tuple[str, ...]
-    camera: str | None = None
-    track: str | None = None
-    sections: dict[str, Any] = field(default_factory=dict)
-
-    def fits(self, document: Document) -> bool:
-        """Whether a rig has what the rule is about; sections: with these values in them."""
-        drivers = document["camera"]["driver"], document["track"]["driver"]
-        asked = self.camera or drivers[0], self.track or drivers[1]
-        return drivers == asked and all(
-            {**document.get(name, {}), **values} == document.get(name)
-            for name, values in self.sections.items()
-        )
-
+from sim.hardware.crossing import Crossing
+from sim.hardware.tankrules import TANK_CROSSINGS
 
 _BOARD: dict[str, Any] = {"sections": {"board": {"marks": "dark"}}}
-_SIM: dict[str, Any] = {"camera": "sim", "sections": {"port": {"kind": "flat"}}}
+_TURNED: dict[str, Any] = {"sections": {"shaft": {}}}
+_SHAFT = {"point_mm": [0.0, 0.0, 500.0], "direction": [1.0, 0.0, 0.0]}
 _EMPTY = {"track.options.min_mm": 5.0, "track.options.max_mm": 5.0}
 _BELOW = ("min_mm must be below max_mm", "5.0")
 
@@ -112,6 +85,99 @@ CROSSINGS: tuple[Crossing, ...] = (
         **_BOARD,
     ),
     Crossing(
+        "Board._marks_apart",
+        {"board.ring.0.x_mm": 5.0, "board.ring.0.z_mm": -50.0},
+        "board",
+        ("ring E runs over the mark at (0, -50)",),
+        **_BOARD,
+    ),
+    Crossing(
+        "ShaftSection._usable",
+        {"shaft.direction": [0.0, 0.0, 0.0]},
+        "shaft",
+        ("direction must not be zero", "[0.0, 0.0, 0.0]"),
+        **_TURNED,
+    ),
+    Crossing(
+        "ShaftSection._usable",
+        {"shaft.direction": [0.0, 2.0, 0.03]},
+        "shaft",
+        ("direction lies along y", "1 degree or more", "[0.0, 2.0, 0.03]"),
+        **_TURNED,
+    ),
+    Crossing(
+        "ShaftSection._usable",
+        {"shaft.correlation": [0.9, 0.9, 0.0, 0.0, -0.9, 0.0, 0.0, 0.0, 0.0, 0.0]},
+        "shaft",
+        ("correlation must be that of five quantities", "[0.9, 0.9, 0.0"),
+        **_TURNED,
+    ),
+    Crossing(
+        "a shaft turns once at most",
+        {"plan.frames": 3, "plan.step_mm": 181.0},
+        "plan",
+        ("more than a full turn about [shaft]", "362 deg", "allowed: 360 deg"),
+        **_TURNED,
+    ),
+    Crossing(
+        "no sheet's thickness about a shaft",
+        {"shaft": _SHAFT},
+        "sheet",
+        ("linear track only", "allowed: [sheet] or [shaft]"),
+        sections={"sheet": {}},
+    ),
+    Crossing(
+        "a replayed plan stays where was recorded",
+        {"plan.start_mm": 0.5},
+        "plan.start_mm",
+        ("travel", "1.5", "allowed: 0 to 1 mm", "track.options.run_file"),
+        track="replay",
+    ),
+    Crossing(
+        "the track switches the laser",
+        {"plan.laser": "on"},
+        "plan.laser",
+        ("'manual' switches no laser", "got 'on'", "allowed: untouched"),
+        track="manual",
+    ),
+    Crossing(
+        "a video has no pairs",
+        {"camera.options": {"file": "video.avi"}, "plan.laser": "pairs"},
+        "plan.laser",
+        ("a video file", "got 'pairs'", "allowed: untouched, on"),
+        camera="opencv",
+        track="grbl",
+    ),
+    Crossing(
+        "pairs are replayed of a run taken in pairs",
+        {"plan.laser": "pairs"},
+        "plan.laser",
+        ("recorded without backgrounds", "got 'pairs'", "allowed: untouched, on"),
+        camera="replay",
+        track="replay",
+    ),
+    Crossing(
+        "a function of the user's is there",
+        {"stripe.extractor": "no_such_module:function"},
+        "stripe.extractor",
+        ("no_such_module:function", "allowed: a name that can be imported"),
+        sections={"stripe": {}},
+    ),
+    Crossing(
+        "a function of the user's can be called",
+        {"stripe.extractor": "math:pi"},
+        "stripe.extractor",
+        ("math:pi", "allowed: a function"),
+        sections={"stripe": {}},
+    ),
+    Crossing(
+        "a plane map's variant is known",
+        {"calibration.plane_map": "polynomial-99"},
+        "calibration.plane_map",
+        ("polynomial-99", "allowed: "),
+        sections={"calibration": {}},
+    ),
+    Crossing(
         "OpencvOptions._one_source",
         {"camera.options.url": "http://127.0.0.1/x"},
         "camera.options",
@@ -152,109 +218,5 @@ CROSSINGS: tuple[Crossing, ...] = (
     *(_travel(track, 11.0, 0.0) for track in ("grbl", "manual", "sim")),
     *(_travel(track, 9.5, 1.0) for track in ("grbl", "manual", "sim")),
     *(_travel(track, 0.5, -1.0) for track in ("grbl", "manual", "sim")),
-    Crossing(
-        "CameraOptions._not_empty",
-        {"camera.options.min_ms": 5.0, "camera.options.max_ms": 2.0},
-        "camera.options",
-        ("min_ms must not be above max_ms", "5.0", "2.0"),
-        camera="sim",
-    ),
-    Crossing(
-        "the target is brighter than black",
-        {"camera.options.auto_exposure": True, "camera.options.target_dn": 1.0},
-        "camera.options.target_dn",
-        ("no brighter than black", "1.0", "allowed: above"),
-        camera="sim",
-    ),
-    Crossing(
-        "DomePort._pinhole_inside",
-        {"port.centre_mm": [0.0, 0.0, 46.0]},
-        "port",
-        ("centre_mm must lie within 0.9 radius_mm", "46.0", "50.0"),
-        sections={"port": {"kind": "dome"}},
-    ),
-    Crossing(
-        "Laser._consistent",
-        {"laser.lines.0.share": 0.6, "laser.lines": [{"tilt_deg": 0.0, "share": 0.6}] * 2},
-        "laser",
-        ("shares of the power add up to 1.2", "0.6"),
-        **_SIM,
-    ),
-    Crossing(
-        "Laser._consistent",
-        {"laser.drift.nm_per_c": 20.0},
-        "laser",
-        ("warms up to 850 nm", "450 to 700", "20.0"),
-        **_SIM,
-    ),
-    Crossing(
-        "Laser._consistent",
-        {"laser.fan": "gaussian", "laser.fan_rise": 0.5},
-        "laser",
-        ("fan_rise goes with", '"uniform"', "0.5"),
-        **_SIM,
-    ),
-    Crossing(
-        "Water._one_way",
-        {"water.kind": "pure", "water.absorption_per_m": 1.0},
-        "water",
-        ("absorption_per_m exclude each other", "1.0"),
-        **_SIM,
-    ),
-    Crossing(
-        "Water._one_way",
-        {"water.kind": "tank"},
-        "water",
-        ("turbidity_ntu goes with", "'tank'"),
-        **_SIM,
-    ),
-    Crossing(
-        "Water._one_way",
-        {"water.absorption_per_m": 1.0},
-        "water",
-        ("absorption_per_m and scattering_per_m go together", "1.0"),
-        **_SIM,
-    ),
-    Crossing(
-        "Target._consistent",
-        {"target.shape": "mesh"},
-        "target",
-        ('file goes with shape = "mesh"', "'mesh'"),
-        **_SIM,
-    ),
-    Crossing(
-        "Target._consistent",
-        {"target.albedo": [[650.0, 0.5], [600.0, 0.5]]},
-        "target",
-        ("albedo: two or more pairs, their wavelengths rising", "650.0"),
-        **_SIM,
-    ),
-    Crossing(
-        "the target's section is there",
-        {"target.shape": "workpiece"},
-        "target.shape",
-        ("'workpiece'", "[workpiece]"),
-        **_SIM,
-    ),
-    Crossing(
-        "a texture is there",
-        {"target.texture.file": "gone.png"},
-        "target.texture.file",
-        ("no such file", "gone.png", "allowed: a file"),
-        **_SIM,
-    ),
-    Crossing(
-        "Render._square",
-        {"render.samples": 8},
-        "render",
-        ("samples must be a square number", "8"),
-        **_SIM,
-    ),
-    Crossing(
-        "the lens does not fold the picture",
-        {"lens.k1": -5.0},
-        "lens",
-        ("folds the picture", "-5.0", "allowed: coefficients"),
-        **_SIM,
-    ),
+    *TANK_CROSSINGS,
 )

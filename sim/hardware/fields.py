@@ -8,20 +8,20 @@ from __future__ import annotations
 
 import re
 import tempfile
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from copy import deepcopy
 from dataclasses import dataclass
 from functools import reduce
-from importlib.metadata import entry_points
 from operator import getitem
 from pathlib import Path
-from typing import Any, get_origin
+from typing import Annotated, Any, get_args, get_origin
 from unittest.mock import patch
 
 from lscan.allowed import Keys, fields, kinds
 from lscan.documents import Document
 from lscan.errors import InputError
+from lscan.plugins import installed
 from lscan.rig import load_rig
 from sim.hardware.crossrules import CROSSINGS
 from sim.hardware.goodrigs import GoodRig, as_toml, good_rigs, write_beside
@@ -63,12 +63,14 @@ class Place:
     """Where a rig file holds a field: its keys, what it may hold, what it holds.
 
     owner: the model and the name of the field, None for an item of a list.
+    required: whether the file must state it.
     """
 
     keys: Keys
     annotation: Any
     value: Any
-    owner: tuple[Any, str] | None
+    owner: tuple[Any, str] | None = None
+    required: bool = False
 
 
 @dataclass(frozen=True)
@@ -86,22 +88,52 @@ def places(rig: GoodRig) -> Iterator[Place]:
     """Every field of the parts of a rig that are to be set wrong, tables before what they hold."""
     for part in rig.parts:
         table = _at(rig.document, part.prefix)
-        for name in part.sections:
-            inner = fields(part.model)[name]
-            yield from _within((*part.prefix, name), inner, table.get(name), (part.model, name))
+        yield from _members(part.prefix, part.model, table, part.sections)
 
 
-def _within(
-    keys: Keys, annotation: Any, value: Any, owner: tuple[Any, str] | None
-) -> Iterator[Place]:
-    yield Place(keys, annotation, value, owner)
-    for kind in kinds(annotation):
-        if kind.is_table and isinstance(value, dict) and _is_of(kind.type, value):
-            for name, inner in fields(kind.type).items():
-                yield from _within((*keys, name), inner, value.get(name), (kind.type, name))
-        elif isinstance(value, list) and get_origin(kind.type) in (tuple, list):
+def _members(keys: Keys, annotation: Any, table: Document, names: Sequence[str]) -> Iterator[Place]:
+    """The fields of these names, and all within them, of a table that is of one model."""
+    [model] = [k.type for k in kinds(annotation) if k.is_table and _is_of(k.type, table)]
+    for name in names or fields(model):
+        yield from _within(
+            Place(
+                keys=(*keys, name),
+                annotation=fields(model)[name],
+                value=table.get(name),
+                owner=(model, name),
+                required=_is_required(name, model, annotation),
+            )
+        )
+
+
+def _within(place: Place) -> Iterator[Place]:
+    """The place and all within it, tables before what they hold."""
+    yield place
+    keys, annotation, value = place.keys, place.annotation, place.value
+    if isinstance(value, dict) and any(kind.is_table for kind in kinds(annotation)):
+        yield from _members(keys, annotation, value, ())
+    for kind in kinds(annotation) if isinstance(value, list) else ():
+        if get_origin(kind.type) in (tuple, list):
             for index, item in enumerate(value):
-                yield from _within((*keys, index), kind.item(index), item, None)
+                yield from _within(Place((*keys, index), kind.item(index), item))
+
+
+def _is_required(name: str, model: Any, annotation: Any) -> bool:
+    """Whether a table of ``annotation``, now of ``model``, must have the key ``name``."""
+    told_by = list(_discriminators(annotation)) if name == "kind" else []
+    if told_by:  # a function tells the kind of a table without the key, too
+        return all(isinstance(by, str) for by in told_by)
+    return bool(model.model_fields[name].is_required())
+
+
+def _discriminators(annotation: Any) -> Iterator[Any]:
+    """The keys or functions by which pydantic tells apart the models a table may be of."""
+    if get_origin(annotation) is Annotated:
+        for note in annotation.__metadata__:
+            if getattr(note, "discriminator", None) is not None:
+                yield note.discriminator
+    for part in get_args(annotation):
+        yield from _discriminators(part)
 
 
 def _is_of(model: Any, table: Document) -> bool:
@@ -112,13 +144,10 @@ def _is_of(model: Any, table: Document) -> bool:
 
 def wrong_fields(rig: GoodRig) -> Iterator[WrongField]:
     """The rig with each of its fields wrong in every way, one at a time."""
-    found = list(places(rig))
-    for place in found:
+    for place in places(rig):
         yield from _wrong_values(rig, place)
         if place.owner is not None:
             yield from _wrong_keys(rig, place)
-    if found[0].keys[0] == "name":
-        yield _changed(rig, ("cammera",), {}, ("camera",))
 
 
 def _wrong_values(rig: GoodRig, place: Place) -> Iterator[WrongField]:
@@ -126,17 +155,15 @@ def _wrong_values(rig: GoodRig, place: Place) -> Iterator[WrongField]:
     for value in wrong_values(place.annotation, place.value):
         yield _changed(rig, place.keys, value, words)
     if place.keys in NAMED:
-        names = tuple(entry.name for entry in entry_points(group=NAMED[place.keys]))
+        names = tuple(installed(NAMED[place.keys]))
         yield _changed(rig, place.keys, "no such name", names)
 
 
 def _wrong_keys(rig: GoodRig, place: Place) -> Iterator[WrongField]:
     """The field misspelt beside itself, and left out where it is needed."""
-    assert place.owner is not None
-    model, name = place.owner
-    *table, _ = place.keys
-    yield _changed(rig, (*table, f"{name}_"), 1, (name,))
-    if model.model_fields[name].is_required():
+    *table, name = place.keys
+    yield _changed(rig, (*table, f"{name}_"), 1, (str(name),))
+    if place.required:
         document = deepcopy(rig.document)
         del _at(document, tuple(table))[name]
         words = ("field required", *words_wanted(place.annotation))
@@ -215,9 +242,9 @@ def devices_guarded() -> Iterator[list[str]]:
     targets = ["cv2.VideoCapture", "serial.Serial", "sim.devices.SimCamera", "sim.devices.SimTrack"]
     with ExitStack() as stack:
         for group in ("lscan.cameras", "lscan.tracks"):
-            for entry in entry_points(group=group):
+            for name, entry in installed(group).items():
                 kind = type(entry.load())
-                stack.enter_context(patch.object(kind, "open", opening(f"{group} {entry.name}")))
+                stack.enter_context(patch.object(kind, "open", opening(f"{group} {name}")))
         for target in targets:
             stack.enter_context(patch(target, opening(target)))
         yield touched

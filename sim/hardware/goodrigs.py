@@ -1,4 +1,4 @@
-"""Rig files that are right, one for each combination of drivers, each stating all it may state.
+"""Rig files that are right: every field stated in one of them, every pair of drivers in one.
 
 They name files beside them, which :func:`write_beside` makes: a recorded run, a video, a mesh
 and a picture.
@@ -57,16 +57,24 @@ _BOARD: Document = {
     "ring": [{"name": "E", "x_mm": 25.0, "z_mm": -75.0, "diameter_mm": 10.0}],
     "distances": [["A", "B"]],
 }
+_BLOCK: Document = {"kind": "grooved-block"}
+_WAVE: Document = {"kind": "sandwave"}
+_SHAFT: Document = {"point_mm": [0.0, 0.0, 500.0], "direction": [1.0, 0.0, 0.0]}
 _INSTRUMENT: Document = {
     "stripe": {"blur_px": 0.7, "noise": {"read_dn": 1.0}},
+    "calibration": {},
     "optics": {"focal_px": [800.0, 80.0], "centre_u_px": [8.0, 1.0], "centre_v_px": [8.0, 1.0]},
     "sheet": {
         "thickness_mm": 1.5,
         "camera_mm": [0.0, -500.0, 0.0],
         "apex_mm": [0.0, 0.0, 900.0],
     },
-    "board": _BOARD,
 }
+_MATT: Document = {
+    "texture": {"file": "picture.png", "size_mm": [10.0, 10.0]},
+    "sand": {},
+}
+_MESH: Document = {"shape": "mesh", "file": "mesh.ply", "albedo": [[600.0, 0.4], [650.0, 0.5]]}
 _TANK: Document = {
     "lens": {"focal_px": 20.0, "centre_px": [7.5, 7.5], "focus_mm": 800.0},
     "head": {"camera_mm": [75.0, -500.0, 290.0]},
@@ -77,11 +85,7 @@ _TANK: Document = {
         "drift": {},
         "lines": [{"tilt_deg": 0.0, "share": 0.5}],
     },
-    "target": {
-        "shape": "board",
-        "texture": {"file": "picture.png", "size_mm": [10.0, 10.0]},
-        "sand": {},
-    },
+    "target": {"shape": "none"},
     "floor": {"z_mm": -200.0},
 }
 
@@ -107,26 +111,74 @@ class GoodRig:
     document: Document
     parts: tuple[Part, ...]
 
+    @property
+    def drivers(self) -> tuple[str, str]:
+        """The names of its camera's and its track's driver."""
+        return self.document["camera"]["driver"], self.document["track"]["driver"]
+
 
 def good_rigs() -> list[GoodRig]:
-    """Rigs that together hold every field: rich ones, then one for each pair of drivers."""
-    every = tuple(Rig.model_fields)
-    block, wave = {"kind": "grooved-block"}, {"kind": "sandwave"}
-    dome, mesh = {"kind": "dome"}, {"shape": "mesh", "file": "mesh.ply"}
-    tank = Part(Tank, (), tuple(Tank.model_fields))
-    odd = Part(Tank, (), ("port", "target"))
-    rigs = [
-        _rig("opencv", "grbl", Part(Rig, (), every), **_INSTRUMENT, workpiece=block),
-        _rig("opencv", "manual", Part(Rig, (), ("workpiece",)), workpiece=wave),
-        _rig("sim", "sim", tank, board=_BOARD, **_TANK),
-        _rig("sim", "manual", odd, **{**_TANK, "port": dome, "target": mesh}),
-    ]
-    devices = Part(Rig, (), ("camera", "track", "plan"))
+    """Rigs that together hold every field, and every pair of drivers.
+
+    Each field is to be set wrong in one of them only, and each rig holds little besides: some
+    thousands of files are read.
+    """
+    rigs = [*_instruments(), *_tanks(), *_sources()]
+    pairs = {rig.drivers for rig in rigs}
     for camera in CAMERAS:
-        beside = {"board": _BOARD, **_TANK} if camera == "sim" else {}
-        rigs += [_rig(camera, track, devices, **beside) for track in TRACKS]
-    sources: tuple[Document, ...] = ({"url": "http://127.0.0.1/x"}, {"file": "video.avi"})
-    return rigs + [_rig("opencv", "manual", devices, source) for source in sources]
+        beside = _TANK if camera == "sim" else {}
+        rigs += [_rig(camera, track, **beside) for track in TRACKS if (camera, track) not in pairs]
+    return rigs
+
+
+def _instruments() -> list[GoodRig]:
+    """Rigs that hold every section of the instrument itself."""
+    return [
+        _rig("opencv", "manual", _of(Rig, "name", *_INSTRUMENT), **_INSTRUMENT),
+        _rig("replay", "manual", _of(Rig, "workpiece", "shaft"), workpiece=_WAVE, shaft=_SHAFT),
+        _rig("opencv", "grbl", _of(Rig, "board", "workpiece"), board=_BOARD, workpiece=_BLOCK),
+    ]
+
+
+def _tanks() -> list[GoodRig]:
+    """Rigs that hold every section of the tank, each kind of port and shape of target."""
+    rest = [name for name in Tank.model_fields if name not in ("head", "target")]
+    head = {**_TANK["head"], "shaft": {"point_mm": [0.0, 0.0, 500.0], "direction": [1.0, 0, 0]}}
+    turned = _TANK | {"head": head, "port": {"kind": "dome"}, "target": _MESH}
+    board = _TANK | {"board": _BOARD, "target": {"shape": "board", "sand": {}}}
+    piece = _TANK | {"workpiece": _BLOCK, "target": {**_MATT, "shape": "workpiece"}}
+    return [
+        _rig("sim", "sim", _of(Tank, *rest), switched="pairs", **_TANK),
+        _rig("sim", "manual", _of(Tank, "head", "port"), shaft=_SHAFT, **turned),
+        _rig("sim", "grbl", switched="pairs", **board),
+        _rig("sim", "sim", _of(Tank, "target"), **piece),
+    ]
+
+
+def _sources() -> list[GoodRig]:
+    """Rigs that hold every option of every driver, and each source of an opencv camera's."""
+    plan = _of(Rig, "camera", "track", "plan")
+    return [
+        _rig("opencv", "grbl", plan, _of_camera("opencv"), _of_track("grbl"), switched="pairs"),
+        _rig("opencv", "manual", _of_track("manual")),
+        _rig("replay", "replay", _of_camera("replay"), _of_track("replay"), switched="on"),
+        _rig("opencv", "sim", _of_track("sim"), switched="on"),
+        _rig("sim", "manual", _of_camera("sim"), **_TANK),
+        _rig("opencv", "manual", source={"url": "http://127.0.0.1/x"}),
+        _rig("opencv", "grbl", source={"file": "video.avi"}, switched="on"),
+    ]
+
+
+def _of(model: type[Strict], *sections: str) -> Part:
+    return Part(model, (), sections)
+
+
+def _of_camera(driver: str) -> Part:
+    return Part(CAMERAS[driver], ("camera", "options"), tuple(CAMERAS[driver].model_fields))
+
+
+def _of_track(driver: str) -> Part:
+    return Part(TRACKS[driver], ("track", "options"), tuple(TRACKS[driver].model_fields))
 
 
 def write_beside(folder: Path) -> None:
@@ -144,9 +196,17 @@ def write_beside(folder: Path) -> None:
 
 
 def _rig(
-    camera: str, track: str, part: Part, source: Document | None = None, **sections: Any
+    camera: str,
+    track: str,
+    *parts: Part,
+    source: Document | None = None,
+    switched: str = "untouched",
+    **sections: Any,
 ) -> GoodRig:
-    """The rig of two drivers with its defaults written out.  source: of an opencv camera."""
+    """The rig of two drivers with its defaults written out.
+
+    source: of an opencv camera.  switched: the plan for the laser.
+    """
     camera_options = _SOURCES[camera] if source is None else source
     if source is None:  # of a stream or a file, what only a device has may not even be stated
         camera_options = _written_out(CAMERAS[camera], camera_options)
@@ -155,16 +215,14 @@ def _rig(
     rig = {
         "camera": {"driver": camera, **size, "options": camera_options},
         "track": {"driver": track, "options": _written_out(TRACKS[track], _TRACK_OPTIONS[track])},
-        "plan": _PLAN,
+        "plan": {**_PLAN, "laser": switched},
         **{key: value for key, value in sections.items() if key in Rig.model_fields},
     }
     tank = {key: value for key, value in sections.items() if key in Tank.model_fields}
-    document = _written_out(Rig, rig) | (_written_out(Tank, tank) if tank else {})
-    options = (
-        Part(CAMERAS[camera], ("camera", "options"), tuple(CAMERAS[camera].model_fields)),
-        Part(TRACKS[track], ("track", "options"), tuple(TRACKS[track].model_fields)),
-    )
-    return GoodRig(f"{camera} and {track}", document, (part, *options))
+    written = _written_out(Rig, rig)
+    stated = {name: written[name] for name in ("name", *rig)}
+    document = stated | (_written_out(Tank, tank) if tank else {})
+    return GoodRig(f"{camera} and {track}", document, parts)
 
 
 def _written_out(model: type[Strict], document: Document) -> Document:

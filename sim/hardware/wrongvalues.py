@@ -43,8 +43,20 @@ def wrong_values(annotation: Any, value: Any) -> Iterator[Any]:
         yield from (1.5, 20.0)
     for kind in allowed:
         yield from (v for v in _outside(kind) if not any(_holds(k, v) for k in allowed))
-        if get_origin(kind.type) is tuple and get_args(kind.type)[-1] is not Ellipsis:
-            yield from ([], value[:-1], [*value, value[-1]]) if isinstance(value, list) else ()
+        yield from _of_wrong_length(kind, value) if isinstance(value, list) else ()
+
+
+def _of_wrong_length(kind: Kind, value: list[Any]) -> Iterator[list[Any]]:
+    """Lists of the items of ``value``, each an item too short or too long, and an empty one."""
+    if get_origin(kind.type) not in (tuple, list):
+        return
+    least, most = kind.limits.get("min_length", 0), kind.limits.get("max_length", math.inf)
+    if get_origin(kind.type) is tuple and get_args(kind.type)[-1] is not Ellipsis:
+        least = most = len(get_args(kind.type))
+    if least > 0:
+        yield from ([], value[: least - 1])
+    if most < math.inf and value:
+        yield [*value, *value[-1:] * (most + 1 - len(value))]
 
 
 def words_wanted(annotation: Any) -> list[str]:
@@ -64,7 +76,9 @@ def words_wanted(annotation: Any) -> list[str]:
         if kind.type is str:
             wanted.append(kind.words or "text")
         if get_origin(kind.type) in (tuple, list):
-            wanted.append("list of" if get_args(kind.type)[-1] is not Ellipsis else "list")
+            lengths = [kind.limits[k] for k in ("min_length", "max_length") if k in kind.limits]
+            fixed = get_args(kind.type)[-1] is not Ellipsis
+            wanted += ["list of" if fixed else "list", *map(str, lengths)]
     return wanted
 
 
