@@ -19,16 +19,9 @@ from lscan.documents import Strict
 from lscan.errors import InputError
 from lscan.rig import Rig
 from sim.hardware.crossrules import CROSSINGS
-from sim.hardware.fields import (
-    WrongField,
-    crossed_rigs,
-    devices_guarded,
-    places,
-    shortcoming,
-    try_all,
-    wrong_fields,
-)
+from sim.hardware.fields import devices_guarded, shortcoming, try_all
 from sim.hardware.goodrigs import CAMERAS, TRACKS, GoodRig, Part, good_rigs, write_beside
+from sim.hardware.wrongfields import WrongField, crossed_rigs, places, wrong_fields
 from sim.hardware.wrongvalues import wrong_values
 from sim.scene import Tank
 
@@ -196,7 +189,9 @@ GAP = WrongField(
         ("{file}: gap_mm: must be a number of 0 to 100 (got -1.0)", "optics.gap_mm"),
         ("{file}: optics.gap_mm: out of range (got -1.0)", "number"),
         ("{file}: optics.gap_mm: must be a number of at least 0 (got -1.0)", "'100'"),
-        ("{file}: optics.gap_mm: must be a number of 0 to 100", "'-1.0'"),
+        ("{file}: optics.gap_mm: must be a number of 0 to 100", "'got -1.0'"),
+        ("{file}: optics.gap_mm: must be a number up to 100 (got -1.0)", "'0'"),
+        ("{file}: optics.gap_mm: must be a number of 0 to 100.5 (got -1.0)", "'100'"),
         ("optics.gap_mm: must be a number of 0 to 100 (got -1.0)", "rig.toml"),
         ("{file}: optics.gap_mm: a number of 0 to 100\n (got -1.0)", "one line"),
         (
