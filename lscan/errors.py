@@ -53,5 +53,9 @@ class DeviceError(LscanError):
 
 
 def _short(value: object, limit: int = 80) -> str:
+    """The value in at most ``limit`` characters, both its ends kept: a path's name is the last."""
     text = repr(value)
-    return text if len(text) <= limit else text[: limit - 1] + "…"
+    if len(text) <= limit:
+        return text
+    tail = limit // 2
+    return f"{text[: limit - 1 - tail]}…{text[-tail:]}"
