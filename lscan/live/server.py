@@ -13,7 +13,6 @@ import signal
 import socket
 import threading
 from collections.abc import AsyncIterator, Callable, Iterator
-from pathlib import Path
 from types import FrameType
 from typing import Annotated, Any, Literal, TypeVar
 
@@ -29,14 +28,9 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 from lscan.documents import Strict, check
 from lscan.errors import InputError, LscanError
 from lscan.live.access import Access
+from lscan.live.files import page_files
 from lscan.live.session import Session
 
-TEMPLATES = Path(__file__).parents[1] / "templates"
-FILES = {
-    "/": ("live.html", "text/html"),
-    "/live.js": ("live.js", "text/javascript"),
-    "/live.css": ("live.css", "text/css"),
-}
 LONGEST_WAIT_S = 5.0
 LONGEST_BODY = 10_000  # bytes; a command takes some fifty
 HEADERS = {
@@ -83,6 +77,7 @@ class LivePage:
 
     def __init__(self, session: Session, access: Access) -> None:
         self._session, self._access = session, access
+        self._files = page_files()
         self._changed = asyncio.Condition()
         self._closing = False
         self._loop: asyncio.AbstractEventLoop | None = None
@@ -93,7 +88,7 @@ class LivePage:
         session = self._session
         scanning = session.scanning
         routes = [
-            *(Route(path, self._file) for path in FILES),
+            *(Route(path, self._file) for path in self._files),
             Route("/api/frame", self._frame),
             Route("/api/state", self._state),
             command("/api/mode", ModeBody, lambda body: session.set_mode(body.mode)),
@@ -131,8 +126,8 @@ class LivePage:
         self._waking = asyncio.ensure_future(notify())
 
     async def _file(self, request: Request) -> Response:
-        name, kind = FILES[request.url.path]
-        return FileResponse(TEMPLATES / name, media_type=kind)
+        file, kind = self._files[request.url.path]
+        return FileResponse(file, media_type=kind)
 
     async def _state(self, _: Request) -> Response:
         return JSONResponse(await run_in_threadpool(self._session.state))

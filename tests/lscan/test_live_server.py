@@ -22,6 +22,7 @@ from live_rig import LONG_S, Bench, GatedTrack, SeeingCamera, live_bench, wait_f
 
 from lscan.errors import InputError
 from lscan.live.access import grant
+from lscan.live.files import FOLDER
 from lscan.live.server import listen, make_server
 from lscan.live.session import Session
 from lscan.run import open_run
@@ -37,6 +38,7 @@ COMMANDS = [
     "laser",
 ]
 TOKEN = "correct-horse"
+KINDS = {"html": "text/html", "css": "text/css", "js": "text/javascript"}
 
 
 @dataclass
@@ -112,17 +114,18 @@ def request_for(port: int, after: int) -> bytes:
 # ---- files and headers ------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(
-    ("path", "kind"),
-    [("/", "text/html"), ("/live.js", "text/javascript"), ("/live.css", "text/css")],
-)
-def test_the_three_files_are_served_with_a_strict_policy(page: Page, path: str, kind: str) -> None:
-    answer = page.http.get(path)
-    assert answer.status_code == 200
-    assert answer.headers["content-type"].startswith(kind)
-    policy = answer.headers["content-security-policy"]
-    assert policy == "default-src 'self'; img-src 'self' blob:"
-    assert "set-cookie" not in answer.headers
+def test_every_file_of_the_page_is_served_with_its_type_and_a_strict_policy(page: Page) -> None:
+    names = sorted(file.name for file in FOLDER.iterdir())
+    assert {"index.html", "style.css", "main.js"} < set(names)
+    for name in names:
+        answer = page.http.get("/" if name == "index.html" else f"/live/{name}")
+        assert answer.status_code == 200, name
+        assert answer.content == (FOLDER / name).read_bytes()
+        kind = KINDS[name.rpartition(".")[2]]
+        assert answer.headers["content-type"] == f"{kind}; charset=utf-8"
+        policy = answer.headers["content-security-policy"]
+        assert policy == "default-src 'self'; img-src 'self' blob:"
+        assert "set-cookie" not in answer.headers
 
 
 @pytest.mark.parametrize(
@@ -131,9 +134,22 @@ def test_the_three_files_are_served_with_a_strict_policy(page: Page, path: str, 
         "/../rig.py",
         "/..%2frig.py",
         "/%2e%2e/%2e%2e/pyproject.toml",
-        "/live.html",
+        "/index.html",
+        "/live",
+        "/live/",
+        "/live/index.html",
+        "/live.js",
+        "/live/../main.js",
+        "/live/../../report.html.j2",
+        "/live/..%2f..%2frig.py",
+        "/live/%2e%2e/%2e%2e/rig.py",
+        "/live/....//rig.py",
+        "/live/.main.js",
+        "/live/main.js%00.css",
+        "/live//main.js",
+        "/live/MAIN.JS",
         "/report.html.j2",
-        "/templates/live.js",
+        "/templates/live/main.js",
         "//etc/passwd",
         "/api",
         "/api/frame/..",
@@ -150,7 +166,7 @@ def test_nothing_else_is_served(page: Page, path: str) -> None:
 
 def test_another_name_and_another_site_are_refused(page: Page) -> None:
     for headers in ({"host": "evil.example"}, {"origin": "http://evil.example"}):
-        for path in ("/", "/live.js", "/api/state", "/api/frame"):
+        for path in ("/", "/live/main.js", "/api/state", "/api/frame"):
             assert page.http.get(path, headers=headers).status_code == 403
         for command in COMMANDS:
             answer = page.http.post(f"/api/{command}", json={}, headers=headers)
@@ -165,7 +181,7 @@ def test_a_token_is_taken_from_the_address_and_kept_in_a_cookie(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     with live_bench(monkeypatch, tmp_path) as bench, served(bench, token=TOKEN) as page:
-        for path in ("/", "/?token=wrong-token", "/live.js", f"/api/state?token={TOKEN}"):
+        for path in ("/", "/?token=wrong-token", "/live/main.js", f"/api/state?token={TOKEN}"):
             answer = page.http.get(path)
             assert answer.status_code == 403
             assert "token" in answer.text
@@ -176,7 +192,7 @@ def test_a_token_is_taken_from_the_address_and_kept_in_a_cookie(
         cookie = answer.headers["set-cookie"]
         assert "HttpOnly" in cookie
         assert "SameSite=Strict" in cookie
-        assert page.http.get("/live.js").status_code == 200
+        assert page.http.get("/live/main.js").status_code == 200
         assert page.http.get("/api/state").status_code == 200
         assert page.post("mode", {"mode": "stripe"}).status_code == 200
 

@@ -10,19 +10,19 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from functools import cache
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
-from importlib.resources import files
 from typing import Any
 from urllib.parse import parse_qs, urlsplit
 
 import cv2
 import numpy as np
 
+from lscan.live.files import page_files
 from lscan.records import Floats
 
 WIDTH, HEIGHT = 640, 480
 MM_PER_PX = 0.25
 POLICY = "default-src 'self'; img-src 'self' blob:"
-TYPES = {".html": "text/html; charset=utf-8", ".js": "text/javascript", ".css": "text/css"}
+FILES = page_files()
 GAP = slice(100, 120)  # columns without a stripe
 CLIPPED = slice(300, 310)
 
@@ -228,7 +228,7 @@ def _handler(instrument: Instrument) -> type[BaseHTTPRequestHandler]:
                 self._json(200, instrument.state)
             elif url.path == "/api/frame":
                 self._frame(int(parse_qs(url.query)["after"][0]))
-            elif url.path in ("/", "/live.js", "/live.css"):
+            elif url.path in FILES:
                 self._file(url.path, given)
             else:
                 self._answer(404, "text/plain", b"no such page")
@@ -256,11 +256,10 @@ def _handler(instrument: Instrument) -> type[BaseHTTPRequestHandler]:
             self._answer(200, "application/octet-stream", body)
 
         def _file(self, path: str, given: str) -> None:
-            name = "live.html" if path == "/" else path[1:]
-            body = (files("lscan") / "templates" / name).read_bytes()
+            file, kind = FILES[path]
             cookie = {"Set-Cookie": f"token={given}; HttpOnly; SameSite=Strict"} if given else {}
-            kind = TYPES[name[name.index(".") :]]
-            self._answer(200, kind, body, {"Content-Security-Policy": POLICY, **cookie})
+            headers = {"Content-Security-Policy": POLICY, **cookie}
+            self._answer(200, f"{kind}; charset=utf-8", file.read_bytes(), headers)
 
         def _json(self, code: int, answer: dict[str, Any]) -> None:
             self._answer(code, "application/json", json.dumps(answer).encode())

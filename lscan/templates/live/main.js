@@ -1,0 +1,20 @@
+// The live page: draws each picture with what was measured in it, and sends the buttons' commands.
+//
+// Two loops talk to the server.  One asks for the next picture when the last is drawn, so that
+// a slow browser holds up itself and nobody else; the other asks for the state of camera, track
+// and scan.  Everything shown comes from these two answers.
+
+import { wireButtons } from "./buttons.js";
+import { followColours } from "./colours.js";
+import { followScales, watchFrames } from "./frames.js";
+import { wireKeys } from "./keys.js";
+import { watchState } from "./state.js";
+import { buildTiles } from "./tiles.js";
+
+followColours();
+followScales();
+buildTiles();
+wireButtons();
+wireKeys();
+watchState();
+watchFrames();
