@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -224,6 +225,54 @@ def test_each_number_has_its_verdict(
     shows(page, f"{tile} .value", value)
     assert page.evaluate(f"document.querySelector('{tile}').dataset.grade") == grade
     assert verdict in text(page, f"{tile} .verdict")
+
+
+@pytest.mark.parametrize(
+    ("name", "frame", "key", "values", "grades"),
+    [
+        ("saturation", {"mode": "board"}, "saturated_percent", (0.5, 5), "good fair bad"),
+        ("saturation", {"stripe": {"found": 1000}}, "clipped", (5, 50), "good fair bad"),
+        ("snr", {"stripe": {}}, "snr", (8, 15), "bad fair good"),
+        ("width", {"stripe": {}}, "width_px", (2, 8, 14), "fair good fair bad"),
+        ("found", {"stripe": {"of": 100, "status": {}}}, "found", (50, 95), "bad fair good"),
+        ("residual", {"board": {}}, "residual_rms_px", (0.2, 0.5), "good fair bad"),
+        ("focus", {"focus_best": 100}, "focus", (80, 95), "bad fair good"),
+    ],
+)
+def test_the_legend_names_each_limit_at_which_a_verdict_turns(
+    page: Browser,
+    name: str,
+    frame: dict[str, Any],
+    key: str,
+    values: tuple[float, ...],
+    grades: str,
+) -> None:
+    """Just below and just above each limit, the grades are those on either side of it."""
+    inner = next((part for part in ("stripe", "board") if part in frame), None)
+
+    def grade_and_legend(value: float) -> tuple[str, str]:
+        told = {**frame, inner: {**frame[inner], key: value}} if inner else {**frame, key: value}
+        script = f"""import("/live/figures.js").then(({{FIGURES}}) => {{
+            const figure = FIGURES.find((one) => one.name === {name!r});
+            return [figure.judge({json.dumps(told)})[0], figure.legend];
+        }})"""
+        grade, legend = page.evaluate(script)
+        return grade, legend
+
+    sides = grades.split()
+    for limit, below, above in zip(values, sides[:-1], sides[1:], strict=True):
+        assert grade_and_legend(0.999 * limit)[0] == below
+        assert grade_and_legend(1.001 * limit)[0] == above
+    legend = grade_and_legend(1.0)[1]
+    told = [limit / 10 for limit in values] if key == "clipped" else values  # of 1000, in %
+    assert [limit for limit in told if f" {limit:g} " not in legend.replace(",", " ")] == []
+    assert legend in page.evaluate("document.querySelector('#legend').textContent")
+
+
+def test_the_limits_of_the_board_and_of_the_rate_are_told(page: Browser) -> None:
+    legend = page.evaluate("document.querySelector('#legend').textContent")
+    for words in ("0.5 mm", "2 mm", "0.1°", "10 drawn", "under 3"):
+        assert words in legend
 
 
 def test_the_focus_bar_stands_against_the_best(page: Browser, instrument: Instrument) -> None:
@@ -512,6 +561,63 @@ def test_a_phone_shows_one_column_with_room_for_fingers(
         ".filter(([, box]) => box.height < 44 || box.width < 44).map(([name]) => name)"
     )
     assert small == []
+
+
+IN_REACH = """(() => [...document.querySelectorAll(".scan button")]
+  .filter((one) => one.checkVisibility())
+  .map((one) => [one, one.getBoundingClientRect()])
+  .filter(([one, box]) => box.top >= 0 && box.bottom <= innerHeight && box.height >= 44
+    && box.width >= 44
+    && one === document.elementFromPoint(box.x + box.width / 2, box.y + box.height / 2))
+  .map(([one]) => one.id))()"""
+
+
+@pytest.mark.parametrize("size", [(360, 740), (740, 360)])
+def test_a_phone_keeps_the_buttons_of_a_scan_within_reach(
+    page: Browser, instrument: Instrument, size: tuple[int, int]
+) -> None:
+    page.resize(*size, mobile=True)
+    page.evaluate("scrollTo(0, 0)")
+    assert page.evaluate(IN_REACH) == []  # no scan, no bar: the picture has the room
+    states = [("scanning", ["pause", "stop"]), ("paused", ["resume", "stop"])]
+    for state, buttons in states:
+        instrument.scan_is(state)
+        shows(page, "#scan-state", state)
+        for scroll_px in (0, 300, 10_000):
+            page.evaluate(f"scrollTo(0, {scroll_px})")
+            assert page.evaluate(IN_REACH) == buttons
+    # Scrolled to its end, the page ends above the bar, which hides nothing.
+    bar, end = page.evaluate(
+        "['.scan .buttons', 'main'].map((one) => document.querySelector(one)"
+        ".getBoundingClientRect()).map((box) => [box.top, box.bottom])"
+    )
+    assert end[1] <= bar[0]
+    page.evaluate("scrollTo(0, 0)")
+    page.click("#stop")
+    assert wait_for_post(instrument, 1) == ("/api/scan/stop", {})
+    page.evaluate("scrollTo(0, 0)")
+    page.wait_for(f"{IN_REACH}.length === 0")
+
+
+def test_what_is_reached_by_tab_is_not_under_the_bar(page: Browser, instrument: Instrument) -> None:
+    page.resize(360, 740, mobile=True)
+    instrument.scan_is("paused")
+    shows(page, "#scan-state", "paused")
+    page.evaluate("document.activeElement.blur()")
+    reached = set()
+    for _ in range(20):
+        page.press("Tab")
+        name, covered = page.evaluate(
+            "(() => { const one = document.activeElement, box = one.getBoundingClientRect();"
+            "const bar = document.querySelector('.scan .buttons');"
+            "return [one.id || one.dataset.by || one.tagName,"
+            "one !== document.body && !bar.contains(one) && box.bottom > bar.getBoundingClientRect().top]; })()"
+        )
+        if name in reached:
+            break
+        assert not covered, name
+        reached.add(name)
+    assert {"10", "target", "resume", "stop"} <= reached
 
 
 @pytest.mark.slow

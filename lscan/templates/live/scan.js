@@ -40,8 +40,10 @@ export function showButtons(state) {
   for (const [id, may] of Object.entries(allowed)) $(id).disabled = !may;
   for (const button of document.querySelectorAll(".jog"))
     button.disabled = !free || state.track.position_mm === null;
-  // A button that goes dead under the finger hands the focus to its neighbour.
-  if (active?.disabled) active.closest(".buttons")?.querySelector("button:enabled")?.focus();
+  // A button that goes dead under the finger hands the focus to its neighbour; what is looked at
+  // stays in view.
+  if (active?.disabled)
+    active.closest(".buttons")?.querySelector("button:enabled")?.focus({ preventScroll: true });
 }
 
 /** Show how far the scan is, or what it would be, and where its folder is. */
