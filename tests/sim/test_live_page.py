@@ -611,7 +611,8 @@ def test_what_is_reached_by_tab_is_not_under_the_bar(page: Browser, instrument: 
             "(() => { const one = document.activeElement, box = one.getBoundingClientRect();"
             "const bar = document.querySelector('.scan .buttons');"
             "return [one.id || one.dataset.by || one.tagName,"
-            "one !== document.body && !bar.contains(one) && box.bottom > bar.getBoundingClientRect().top]; })()"
+            "one !== document.body && !bar.contains(one)"
+            " && box.bottom > bar.getBoundingClientRect().top]; })()"
         )
         if name in reached:
             break
