@@ -28,7 +28,7 @@ NAMED = {
 }
 """Free texts that must be names: of plug-ins of these groups."""
 
-MOST_SHOWN = 60
+MOST_SHOWN = 30
 """Characters of a value that a message must show; a long one may be cut."""
 
 
