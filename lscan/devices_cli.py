@@ -1,4 +1,4 @@
-"""The command ``lscan devices``: a thin face over lscan.devices.listing and .trial."""
+"""The command ``lscan devices``: a thin face over lscan.devices.listing, .trial, .tracktrial."""
 
 from __future__ import annotations
 
@@ -11,18 +11,19 @@ import typer
 from lscan.console import print_json, print_table, progress_bar
 
 if TYPE_CHECKING:
-    from lscan.devices.api import Camera
-    from lscan.devices.trial import CameraTrial, Move
+    from lscan.devices.api import Camera, Fact
+    from lscan.devices.tracktrial import TrackTrial
+    from lscan.devices.trial import CameraTrial
     from lscan.records import Bytes
     from lscan.rig import RigFile
 
 
 def devices(
     rig: Annotated[
-        Path | None, typer.Argument(help="Rig file or scene file (TOML); for --test.")
+        Path | None, typer.Argument(help="Rig file or scene file (TOML): what its devices can do.")
     ] = None,
     test: Annotated[
-        bool, typer.Option("--test", help="Take pictures and move the track by 1 mm and back.")
+        bool, typer.Option("--test", help="Take pictures and move the track by 1 mm to and fro.")
     ] = False,
     dark: Annotated[
         bool, typer.Option("--dark", help="Ask for the cap on the lens, and measure the dark too.")
@@ -30,9 +31,17 @@ def devices(
     pictures: Annotated[
         int, typer.Option("--pictures", min=4, help="Pictures at each exposure time.")
     ] = 16,
+    approaches: Annotated[
+        int, typer.Option("--approaches", min=2, help="Moves to one place from either side.")
+    ] = 5,
     json: Annotated[bool, typer.Option("--json", help="Print the result as JSON.")] = False,
 ) -> None:
-    """List cameras, serial ports and drivers; with --test, try out a rig's camera and track."""
+    """List cameras, serial ports and drivers; with --test, try out a rig's camera and track.
+
+    For RIG it also lists what its devices can do, as their drivers tell without opening them.
+    For --test show the camera a still, evenly lit scene with bright and dark parts, and keep the
+    track's way clear by 2 mm.
+    """
     from lscan.errors import InputError
     from lscan.rig import load_rig
 
@@ -40,35 +49,30 @@ def devices(
         raise InputError("needs a rig file: lscan devices RIG --test", where="--test")
     if rig is not None and (test or dark):
         rig_file = load_rig(rig)
-        camera, moves = _try(rig_file, pictures, dark)
+        camera, track = _try(rig_file, pictures, approaches, dark)
         if json:
-            print_json(_trial_json(camera, moves))
+            print_json(_trial_json(camera, track))
         else:
-            _print_trial(camera, moves)
+            _print_track(track)
+            _print_camera(camera)
         return
-    listing = _listing()
-    if rig is not None:
-        listing["rig"] = _of_rig(load_rig(rig))
+    listing = _listing(None if rig is None else load_rig(rig))
     if json:
         print_json(listing)
     else:
         _print_listing(listing)
 
 
-def _listing() -> dict[str, Any]:
-    from lscan.devices.listing import drivers, serial_ports, video_devices
+def _listing(rig_file: RigFile | None) -> dict[str, Any]:
+    from lscan.devices.listing import drivers, rig_devices, serial_ports, video_devices
 
     ports = serial_ports()
-    return {
+    listing = {
         "cameras": [asdict(device) for device in video_devices()],
         "serial_ports": None if ports is None else [asdict(port) for port in ports],
         "drivers": [asdict(driver) for driver in drivers()],
     }
-
-
-def _of_rig(rig_file: RigFile) -> dict[str, str]:
-    """Which drivers a rig names."""
-    return {"camera": rig_file.rig.camera.driver, "track": rig_file.rig.track.driver}
+    return listing if rig_file is None else {**listing, "rig": rig_devices(rig_file)}
 
 
 def _print_listing(listing: dict[str, Any]) -> None:
@@ -93,18 +97,21 @@ def _print_listing(listing: dict[str, Any]) -> None:
         print("serial ports: " + ("none found" if ports == [] else "not listed, no pyserial here"))
     rows = [[driver["name"], driver["kind"], driver["does"]] for driver in listing["drivers"]]
     print_table("drivers", ["", "of a", ""], rows)
-    for kind, driver in listing.get("rig", {}).items():
-        print(f"the rig's {kind}: driver {driver!r}")
+    for kind, facts in listing.get("rig", {}).items():
+        _print_facts(f"the rig's {kind}", facts)
 
 
 def _size(size_px: tuple[int, int] | None) -> str:
     return "" if size_px is None else f"{size_px[0]}x{size_px[1]}"
 
 
-def _try(rig_file: RigFile, pictures: int, dark: bool) -> tuple[CameraTrial, list[Move]]:
+def _try(
+    rig_file: RigFile, pictures: int, approaches: int, dark: bool
+) -> tuple[CameraTrial, TrackTrial]:
     """Open the rig's devices and try them out; the cap first, where the dark is wanted."""
     from lscan.acquire import open_devices
-    from lscan.devices.trial import try_camera, try_track
+    from lscan.devices.tracktrial import try_track
+    from lscan.devices.trial import try_camera
 
     channel = rig_file.rig.stripe.channel
     if dark:
@@ -114,8 +121,12 @@ def _try(rig_file: RigFile, pictures: int, dark: bool) -> tuple[CameraTrial, lis
         typer.prompt("take the cap off, then press Enter", "", show_default=False, err=True)
     else:
         dark_pictures = None
-    with open_devices(rig_file) as (camera, track), progress_bar("pictures") as report:
-        return try_camera(camera, pictures, channel, dark_pictures, report), try_track(track)
+    with open_devices(rig_file) as (camera, track):
+        # The track first: what is wrong with it is known before the many pictures are taken.
+        with progress_bar("moves") as report:
+            moved = try_track(track, approaches, progress=report)
+        with progress_bar("pictures") as report:
+            return try_camera(camera, pictures, channel, dark_pictures, report), moved
 
 
 def _dark_pictures(rig_file: RigFile, pictures: int) -> Bytes:
@@ -130,22 +141,57 @@ def _dark_pictures(rig_file: RigFile, pictures: int) -> Bytes:
     return series
 
 
-def _trial_json(camera: CameraTrial, moves: list[Move]) -> dict[str, Any]:
+def _trial_json(camera: CameraTrial, track: TrackTrial) -> dict[str, Any]:
     from lscan.devices.trial import noise_section
 
     transfer = camera.transfer
     content = asdict(camera)
+    content["settings"] = [
+        {**asdict(setting), "obeyed": setting.obeyed} for setting in camera.settings
+    ]
     if transfer is not None:
         content["transfer"]["levels"] = {
             name: array.tolist() for name, array in content["transfer"]["levels"].items()
         }
         content["rig_section"] = noise_section(transfer)
-    return {"camera": content, "track": [asdict(move) for move in moves]}
+    return {"camera": content, "track": asdict(track)}
 
 
-def _print_trial(camera: CameraTrial, moves: list[Move]) -> None:
+def _print_track(trial: TrackTrial) -> None:
+    if trial.facts:
+        _print_facts("the track says", trial.facts)
+    found = trial.repeatability
+    longest_s = max(move.time_s for move in trial.moves)
+    print_table(
+        f"track at {found.place_mm:g} mm, {found.approaches} approaches from either side",
+        ["position as it reports it", "mm"],
+        [
+            ["mean, less what was asked", f"{found.deviation_mm:.4f}"],
+            ["standard deviation after approaches from below", f"{found.upward_sigma_mm:.4f}"],
+            ["standard deviation after approaches from above", f"{found.downward_sigma_mm:.4f}"],
+            ["mean from below, less mean from above", f"{found.reversal_mm:.4f}"],
+        ],
+    )
+    print(
+        f"{len(trial.moves)} moves, the longest took {longest_s:.2f} s; steps that a motor lost "
+        "show only on a scale"
+    )
+
+
+def _print_camera(camera: CameraTrial) -> None:
     from lscan.devices.trial import noise_section
 
+    if camera.settings:
+        rows = [
+            [
+                setting.name,
+                setting.asked,
+                "nothing" if setting.got is None else setting.got,
+                "" if setting.obeyed else "ignored",
+            ]
+            for setting in camera.settings
+        ]
+        print_table("camera settings", ["", "asked", "reported", ""], rows)
     timing = camera.timing
     print(
         f"timing: {timing.rate_hz:.2f} pictures/s, jitter {timing.jitter_ms:.2f} ms, "
@@ -155,8 +201,6 @@ def _print_trial(camera: CameraTrial, moves: list[Move]) -> None:
         print(f"dark: {camera.dark_dn:.2f} DN, noise {camera.dark_noise_dn:.3f} DN")
     if camera.linearity is not None:
         print(f"linearity: error {camera.linearity.error_percent:.2f} % (5 to 95 % of the range)")
-    rows = [[f"to {move.commanded_mm:g} mm", move.reported_mm, move.time_s] for move in moves]
-    print_table("track", ["", "reported mm", "s"], rows)
     for remark in camera.remarks:
         print(remark)
     transfer = camera.transfer
@@ -167,3 +211,17 @@ def _print_trial(camera: CameraTrial, moves: list[Move]) -> None:
             f"chi² {transfer.chi2:.2f} per degree of freedom (about 1 for a linear camera)"
         )
         print(f"\nfor the rig file:\n\n{noise_section(transfer)}")
+
+
+def _print_facts(title: str, facts: dict[str, Fact]) -> None:
+    """Facts one a line, in words."""
+    words = {True: "yes", False: "no", None: "not told"}
+    rows = [
+        [name, words[fact] if fact is None or isinstance(fact, bool) else _short(fact)]
+        for name, fact in facts.items()
+    ]
+    print_table(title, ["", ""], rows)
+
+
+def _short(fact: str | float) -> str:
+    return fact if isinstance(fact, str) else f"{fact:.6g}"

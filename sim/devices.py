@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Self
 import numpy as np
 from pydantic import Field, PositiveFloat, model_validator
 
-from lscan.devices.api import Grab, Track
+from lscan.devices.api import Fact, Grab, Track
 from lscan.devices.travel import check_plan
 from lscan.documents import Strict, check
 from lscan.errors import DeviceError, InputError
@@ -199,6 +199,10 @@ class SimTrackDriver:
         options = self._options(rig_file)
         check_plan(rig_file, options.min_mm, options.max_mm)
 
+    def abilities(self, rig_file: RigFile) -> dict[str, Fact]:
+        """Its travel."""
+        return {**dict(self._options(rig_file)), "tolerance_mm": SimTrack.tolerance_mm}
+
     def open(self, rig_file: RigFile) -> SimTrack:
         """The track at position 0."""
         return SimTrack(self._options(rig_file))
@@ -219,6 +223,11 @@ class SimCameraDriver:
         scene = scene_of(rig_file)
         camera_options(scene)
         _check_files(scene)
+
+    def abilities(self, rig_file: RigFile) -> dict[str, Fact]:
+        """How it is exposed."""
+        options = camera_options(scene_of(rig_file))
+        return {"auto_exposure": options.auto_exposure, "exposure_settable": False}
 
     def open(self, rig_file: RigFile, track: Track) -> SimCamera:
         """The camera, its tank loaded into Mitsuba."""

@@ -12,6 +12,9 @@ from typing import Protocol, runtime_checkable
 from lscan.records import Bytes
 from lscan.rig import RigFile
 
+Fact = str | float | bool | None
+"""What is told of a device under a name that carries the unit; None: it does not say."""
+
 
 @dataclass(frozen=True)
 class Grab:
@@ -75,6 +78,15 @@ class LaserSwitch(Protocol):
 
 
 @runtime_checkable
+class Describing(Protocol):
+    """A device that says what it is and how it stands."""
+
+    def describe(self) -> dict[str, Fact]:
+        """Facts by their names, asked of the device now.  Raises DeviceError."""
+        ...
+
+
+@runtime_checkable
 class PlaceChecking(Protocol):
     """A track whose zero may be lost between two sittings of a scan."""
 
@@ -121,6 +133,15 @@ class Previewing(Protocol):
 
         May be called while another thread grabs.  Raises DeviceError where none comes.
         """
+        ...
+
+
+@runtime_checkable
+class Foretelling(Protocol):
+    """A driver that knows from a rig file what its device can do, without touching it."""
+
+    def abilities(self, rig_file: RigFile) -> dict[str, Fact]:
+        """Facts by their names.  Raises InputError where an option is wrong."""
         ...
 
 

@@ -12,9 +12,11 @@ from pathlib import Path
 
 import cv2
 
+from lscan.devices.api import Fact, Foretelling
 from lscan.devices.opencv_camera import Capture, OpencvOptions, open_capture
 from lscan.devices.opencv_camera.settings import fourcc_text
 from lscan.errors import LscanError
+from lscan.rig import RigFile, find_plugin
 
 SIZES_PX = ((320, 240), (640, 480), (800, 600), (1280, 720), (1920, 1080), (3840, 2160))
 """Sizes a video device is asked for: those common among webcams."""
@@ -91,6 +93,36 @@ def drivers() -> list[Driver]:
         for kind in ("camera", "track")
         for entry in sorted(entry_points(group=f"lscan.{kind}s"), key=lambda entry: entry.name)
     ]
+
+
+def rig_devices(rig_file: RigFile) -> dict[str, dict[str, Fact]]:
+    """What the rig's "camera" and "track" can do, by name, as far as told without touching them.
+
+    Raises InputError where a driver is unknown or refuses its options.
+    """
+    section, where = rig_file.rig.camera, rig_file.source
+    camera = find_plugin("lscan.cameras", section.driver, f"{where}: camera.driver")
+    name = rig_file.rig.track.driver
+    track = find_plugin("lscan.tracks", name, f"{where}: track.driver")
+    return {
+        "camera": {
+            "driver": section.driver,
+            "width_px": section.width_px,
+            "height_px": section.height_px,
+            "exposure_ms": section.exposure_ms,
+            "takes_dark_pictures": getattr(camera, "takes_dark", False),
+            **_abilities(camera, rig_file),
+        },
+        "track": {
+            "driver": name,
+            "switches_laser": getattr(track, "switches_laser", False),
+            **_abilities(track, rig_file),
+        },
+    }
+
+
+def _abilities(driver: object, rig_file: RigFile) -> dict[str, Fact]:
+    return driver.abilities(rig_file) if isinstance(driver, Foretelling) else {}
 
 
 def _what_it_does(module: str) -> str:

@@ -13,6 +13,7 @@ from typing import Annotated, Self
 
 from pydantic import Field, model_validator
 
+from lscan.devices.api import Fact
 from lscan.devices.travel import check_plan
 from lscan.documents import Strict, check
 from lscan.errors import DeviceError
@@ -117,6 +118,9 @@ class _TrackDriver:
     def validate(self, rig_file: RigFile) -> None:
         options = self._options(rig_file)
         check_plan(rig_file, options.min_mm, options.max_mm)
+
+    def abilities(self, rig_file: RigFile) -> dict[str, Fact]:
+        return dict(self._options(rig_file))
 
     def open(self, rig_file: RigFile) -> ManualTrack:
         return ManualTrack(self._options(rig_file))

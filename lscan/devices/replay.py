@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from lscan.devices.api import Grab, Track
+from lscan.devices.api import Fact, Grab, Track
 from lscan.documents import Strict, check
 from lscan.errors import DeviceError, InputError
 from lscan.records import Floats
@@ -161,6 +161,11 @@ class _TrackDriver:
     def validate(self, rig_file: RigFile) -> None:
         self._run(rig_file)
 
+    def abilities(self, rig_file: RigFile) -> dict[str, Fact]:
+        track = self.open(rig_file)
+        low_mm, high_mm = track.limits_mm
+        return {"min_mm": low_mm, "max_mm": high_mm, "tolerance_mm": track.tolerance_mm}
+
     def open(self, rig_file: RigFile) -> ReplayTrack:
         return ReplayTrack(self._run(rig_file))
 
@@ -174,6 +179,10 @@ class _CameraDriver:
 
     def validate(self, rig_file: RigFile) -> None:
         self._run(rig_file)
+
+    def abilities(self, rig_file: RigFile) -> dict[str, Fact]:
+        run = self._run(rig_file)
+        return {"recorded_frames": len(run), "exposure_settable": False}
 
     def open(self, rig_file: RigFile, track: Track) -> ReplayCamera:
         return ReplayCamera(self._run(rig_file), track)

@@ -1,4 +1,4 @@
-"""Trying out a rig's camera and track: timing, noise, linearity, a short move."""
+"""Trying out a rig's camera: what it made of its settings, timing, noise, linearity."""
 
 from __future__ import annotations
 
@@ -11,8 +11,10 @@ from typing import Protocol, runtime_checkable
 
 import cv2
 import numpy as np
+from scipy.stats import chi2 as chi_square
 
-from lscan.devices.api import Camera, Track
+from lscan.devices.api import Camera
+from lscan.devices.opencv_camera.settings import Setting
 from lscan.devices.photontransfer import (
     BRIGHTEST_DN,
     LINEAR_RANGE,
@@ -24,7 +26,7 @@ from lscan.devices.photontransfer import (
     linearity,
     photon_transfer,
 )
-from lscan.errors import DeviceError, InputError, MeasurementError
+from lscan.errors import InputError, MeasurementError
 from lscan.records import Bytes, Floats
 from lscan.rig import Channel
 
@@ -33,6 +35,9 @@ FEWEST_PICTURES = 4
 
 EXPOSURE_PARTS = (0.125, 0.25, 0.375, 0.5, 0.625, 0.75, 0.875, 1.0)
 """Parts of the rig's exposure time at which linearity is measured."""
+
+RARE = 1e-4
+"""A linear camera's chi² is above what is held against it in one trial of ten thousand."""
 
 _COLOURS = {"red": 0, "green": 1, "blue": 2}
 
@@ -62,6 +67,16 @@ class BlackAccepting(Protocol):
         ...
 
 
+@runtime_checkable
+class SettingsReadBack(Protocol):
+    """A camera that reads back what it was set to."""
+
+    @property
+    def settings(self) -> tuple[Setting, ...]:
+        """Each setting with what was asked and what the camera reports."""
+        ...
+
+
 @dataclass(frozen=True)
 class Timing:
     """How fast pictures come.  rate_hz: pictures per second, one grab after the other.
@@ -79,26 +94,19 @@ class Timing:
 class CameraTrial:
     """What a camera turned out to be.
 
+    settings: what was asked of it and what it then reported; () where it has none to set.
     transfer, linearity: None where they could not be measured; ``remarks`` then say why.
     dark_dn, dark_noise_dn: mean and temporal standard deviation of a pixel with the cap on;
     None where that was not tried.
     """
 
+    settings: tuple[Setting, ...]
     timing: Timing
     transfer: PhotonTransfer | None
     linearity: Linearity | None
     dark_dn: float | None
     dark_noise_dn: float | None
     remarks: tuple[str, ...]
-
-
-@dataclass(frozen=True)
-class Move:
-    """One move of the track: sent to commanded_mm, it reports reported_mm after time_s."""
-
-    commanded_mm: float
-    reported_mm: float
-    time_s: float
 
 
 def grab_series(
@@ -148,6 +156,7 @@ def try_camera(
     to be measured is told in the remarks.
     """
     remarks: list[str] = []
+    settings = camera.settings if isinstance(camera, SettingsReadBack) else ()
     series, timing = grab_series(camera, pictures, channel, progress)
     levels = grey_levels(series)
     straight = None
@@ -164,9 +173,11 @@ def try_camera(
     transfer = None
     try:
         transfer = photon_transfer(levels, dark_levels)
+        remarks += _doubts(transfer)
     except MeasurementError as error:
         remarks.append(str(error))
     return CameraTrial(
+        settings=settings,
         timing=timing,
         transfer=transfer,
         linearity=straight,
@@ -176,18 +187,21 @@ def try_camera(
     )
 
 
-def try_track(track: Track, step_mm: float = 1.0) -> list[Move]:
-    """A move by ``step_mm`` and one back to where the track stood, each timed.
-
-    At the upper end of the track it moves the other way.  Raises DeviceError where it moves
-    neither way.
-    """
-    stood_mm = track.position_mm
-    try:
-        there = _move(track, stood_mm + step_mm)
-    except DeviceError:
-        there = _move(track, stood_mm - step_mm)
-    return [there, _move(track, stood_mm)]
+def _doubts(transfer: PhotonTransfer) -> list[str]:
+    """Why the noise found may not be relied on; empty where it may."""
+    gain = transfer.dn_per_electron
+    if transfer.read_sigma_dn > transfer.read_dn or transfer.gain_sigma > abs(gain):
+        return [
+            "noise: these pictures leave it open; show a still, evenly lit scene with bright and "
+            "dark parts, take more --pictures, and measure the dark with --dark"
+        ]
+    freedoms = max(len(transfer.levels.mean_dn) - 2, 1)
+    if gain <= 0 or transfer.chi2 > chi_square.isf(RARE, freedoms) / freedoms:
+        return [
+            "noise: it does not grow in proportion to the light, so the gain does not tell the "
+            "camera's; look for a gamma curve, sharpening, noise reduction or compression"
+        ]
+    return []
 
 
 def noise_section(transfer: PhotonTransfer) -> str:
@@ -222,12 +236,6 @@ def _exposure_series(
     kept = ((stack >= low) & (stack <= high)).all(axis=0)
     used = stack[:, kept] if kept.any() else stack.reshape(len(stack), -1)
     return reduce(add, levels), np.array(exposures_ms), used.mean(axis=1)
-
-
-def _move(track: Track, to_mm: float) -> Move:
-    began_s = time.monotonic()
-    reported_mm = track.move_to(to_mm)
-    return Move(to_mm, reported_mm, time.monotonic() - began_s)
 
 
 def _one_colour(image: Bytes, channel: Channel) -> Bytes:

@@ -20,7 +20,7 @@ from lscan.devices.api import Grab
 from lscan.devices.listing import drivers, serial_ports, video_devices
 from lscan.devices.opencv_camera import OpencvOptions
 from lscan.devices.photontransfer import ROUNDING_DN
-from lscan.devices.trial import grab_series, noise_section, try_camera, try_track
+from lscan.devices.trial import grab_series, noise_section, try_camera
 from lscan.documents import check
 from lscan.errors import DeviceError, InputError
 from lscan.rig import NoiseSection, parse_rig
@@ -188,14 +188,6 @@ def test_too_few_pictures() -> None:
         grab_series(LinearCamera(), 3, "grey")
 
 
-@pytest.mark.parametrize(("stood_mm", "there_mm"), [(2.0, 3.0), (9.5, 8.5)])
-def test_a_track_goes_there_and_back(stood_mm: float, there_mm: float) -> None:
-    there, back = try_track(ShortTrack(stood_mm))
-    assert (there.commanded_mm, back.commanded_mm) == (there_mm, stood_mm)
-    assert there.reported_mm == pytest.approx(there_mm + 0.01)
-    assert min(there.time_s, back.time_s) >= 0
-
-
 # ---- the command ------------------------------------------------------------------------
 
 
@@ -237,12 +229,16 @@ def test_the_list_as_json_and_in_words() -> None:
 
 
 def test_a_trial_as_json(rig: Path) -> None:
-    result = _run(str(rig), "--test", "--pictures", "4", "--json")
+    result = _run(str(rig), "--test", "--pictures", "4", "--approaches", "2", "--json")
     content = json.loads(result.stdout)
     transfer = content["camera"]["transfer"]
     assert abs(transfer["dn_per_electron"] - GAIN) < 5 * transfer["gain_sigma"]
     assert content["camera"]["rig_section"].startswith("[stripe.noise]\nread_dn = ")
-    assert [move["commanded_mm"] for move in content["track"]] == [1.0, 0.0]
+    assert content["camera"]["settings"] == []
+    commanded_mm = [move["commanded_mm"] for move in content["track"]["moves"]]
+    assert commanded_mm == [0.0, 1.0, 2.0, 1.0, 0.0, 1.0, 2.0, 1.0, 0.0]
+    assert content["track"]["repeatability"]["deviation_mm"] == pytest.approx(0.01)
+    assert content["track"]["facts"] == {}
 
 
 def test_a_trial_in_words_with_the_cap_first(rig: Path) -> None:

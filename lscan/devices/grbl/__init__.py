@@ -10,6 +10,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 
+from lscan.devices.api import Fact
 from lscan.devices.grbl.controller import GrblMachine
 from lscan.devices.grbl.link import Link, Transport, open_serial
 from lscan.devices.grbl.machine import Machine
@@ -47,6 +48,17 @@ class _TrackDriver:
 
     def validate(self, rig_file: RigFile) -> None:
         read_options(rig_file)
+
+    def abilities(self, rig_file: RigFile) -> dict[str, Fact]:
+        options = read_options(rig_file)
+        return {
+            "port": options.port,
+            "dialect": options.dialect,
+            "min_mm": options.min_mm,
+            "max_mm": options.max_mm,
+            "tolerance_mm": options.tolerance_mm,
+            "homes_on_opening": options.homing,
+        }
 
     def open(self, rig_file: RigFile) -> SerialTrack:
         return open_track(read_options(rig_file))

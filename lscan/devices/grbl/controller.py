@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from typing import Final, TypeGuard
 
+from lscan.devices.api import Fact
 from lscan.devices.grbl.codes import alarm_in_words, error_in_words
 from lscan.devices.grbl.link import Link
 from lscan.devices.grbl.machine import Travel, agreed
@@ -58,6 +59,7 @@ class GrblMachine:
         self._axis = AXES.index(options.axis)
         self._unit_mm = 1.0
         self._offset: float | None = None
+        self._version = ""
 
     def wake(self) -> Travel:
         """What the settings say of the axis, after the banner; a soft reset asks for one."""
@@ -74,6 +76,16 @@ class GrblMachine:
             upward = self._origin_at_switch() and int(settings[23]) >> self._axis & 1
             low_mm, high_mm = (0.0, travel_mm) if upward else (-travel_mm, 0.0)
         return Travel(low_mm, high_mm, 1.0 / per_mm, max_mm_min, accel_mm_s2)
+
+    def describe(self) -> dict[str, Fact]:
+        """The version its banner told, its state, and the inputs that are active (``Pn``)."""
+        status = self.status()
+        return {
+            "firmware": f"Grbl {self._version}",
+            "state": status.state,
+            "active_inputs": status.pins or "none",
+            "noise_bytes": self._link.noise_bytes,
+        }
 
     def home(self) -> None:
         """Run ``$H``; it ends in an ok, in ALARM:6 to 9, or in silence."""
@@ -181,6 +193,7 @@ class GrblMachine:
                         f"{link.name}: runs Grbl {message.version}; needed: 1.1 or a firmware "
                         "that answers as Grbl 1.1 does"
                     )
+                self._version = message.version
                 self._greet()
                 return
             link.send_bytes(SOFT_RESET)

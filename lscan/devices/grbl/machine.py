@@ -11,6 +11,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Final, Protocol, TypeVar
 
+from lscan.devices.api import Fact
 from lscan.errors import DeviceError
 
 READINGS: Final = 8
@@ -43,6 +44,10 @@ class Machine(Protocol):
 
     def wake(self) -> Travel:
         """Bring the controller to where it takes commands; what it says of its axis."""
+        ...
+
+    def describe(self) -> dict[str, Fact]:
+        """Its firmware, its state where it tells one, and the bytes of noise skipped so far."""
         ...
 
     def home(self) -> None:

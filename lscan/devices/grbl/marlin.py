@@ -9,6 +9,7 @@ from __future__ import annotations
 import re
 from typing import Final
 
+from lscan.devices.api import Fact
 from lscan.devices.grbl.link import Link
 from lscan.devices.grbl.machine import Travel, agreed
 from lscan.devices.grbl.options import SerialTrackOptions
@@ -18,6 +19,7 @@ STEP_MM: Final = 0.01
 """M114 writes two decimals."""
 
 _PLACE = re.compile(r"(?:^|\s)([XYZ]):(-?\d+\.\d+)")
+_FIRMWARE = re.compile(r"FIRMWARE_NAME:(Marlin.*?)(?= [A-Z_]+:|$)")
 _REPORT = re.compile(r"X:-?\d+\.\d+ Y:-?\d+\.\d+ Z:-?\d+\.\d+(?: .*)?")
 
 
@@ -26,6 +28,7 @@ class MarlinMachine:
 
     def __init__(self, link: Link, options: SerialTrackOptions) -> None:
         self._link, self._options = link, options
+        self._firmware = ""
 
     def wake(self) -> Travel:
         """Wait for ``start``, ask for the firmware's name, choose mm and absolute positions."""
@@ -35,15 +38,22 @@ class MarlinMachine:
             pass
         while link.line(link.clock() + 0.05) is not None:  # the settings a start prints
             pass
-        firmware = " ".join(self._command("M115"))
-        if "FIRMWARE_NAME:Marlin" not in firmware:
+        answer = " ".join(self._command("M115"))
+        firmware = _FIRMWARE.search(answer)
+        if firmware is None:
             raise DeviceError(
-                f"{link.name}: is no Marlin: M115 answers {firmware[:60]!r}; set track.options."
+                f"{link.name}: is no Marlin: M115 answers {answer[:60]!r}; set track.options."
                 "dialect, or check port and baud rate"
             )
+        self._firmware = firmware[1]
         self._command("G21")
         self._command("G90")
         return Travel(step_mm=STEP_MM)
+
+    def describe(self) -> dict[str, Fact]:
+        """The name ``M115`` gave; Marlin tells no state, only whether it answers."""
+        self._command("M400")
+        return {"firmware": self._firmware, "noise_bytes": self._link.noise_bytes}
 
     def home(self) -> None:
         """Run ``G28`` for the axis."""

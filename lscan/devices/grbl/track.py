@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import contextlib
+import math
 from collections.abc import Callable, Iterator
 
+from lscan.devices.api import Fact
 from lscan.devices.grbl.machine import Machine, Travel
 from lscan.devices.grbl.options import ROUNDING_MM, SerialTrackOptions
 from lscan.errors import DeviceError
@@ -81,6 +83,27 @@ class SerialTrack:
             self._check_undisturbed()
             self._moved = True
             return self._approach(float(position_mm))
+
+    def describe(self) -> dict[str, Fact]:
+        """What the controller says of itself, and of its axis in the track's positions.
+
+        firmware; state, the inputs that are active; noise_bytes skipped on the line so far;
+        the travel the controller guards; its motor step, fastest feed and acceleration.
+        None: it does not say.  Raises DeviceError.
+        """
+        self._ready()
+        travel = self._travel
+        ends = sorted(map(self._options.position_mm, (travel.low_mm, travel.high_mm)))
+        numbers = {
+            "travel_low_mm": ends[0],
+            "travel_high_mm": ends[1],
+            "step_mm": travel.step_mm,
+            "max_mm_min": travel.max_mm_min,
+            "accel_mm_s2": travel.accel_mm_s2,
+        }
+        with self._latched():
+            told = self._machine.describe()
+        return told | {name: _finite(number) for name, number in numbers.items()}
 
     def check_place(self, last_mm: float, next_mm: float) -> None:
         """Raise DeviceError unless a scan can go on without a shift of its frames.
@@ -207,3 +230,7 @@ class SerialTrack:
             with contextlib.suppress(DeviceError):
                 self._machine.stop()
             raise
+
+
+def _finite(number: float) -> float | None:
+    return number if math.isfinite(number) else None

@@ -61,7 +61,7 @@ class OpencvCamera:
     @property
     def can_set_exposure(self) -> bool:
         """Whether :meth:`set_exposure` can be asked of it: a device, not a stream or a file."""
-        return self._options.device is not None and not self._options.auto_exposure
+        return self._options.exposure_settable
 
     def set_exposure(self, exposure_ms: float) -> float:
         """The exposure time in ms as read back after setting it; the camera is opened anew.

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 
-from lscan.devices.api import Track
+from lscan.devices.api import Fact, Track
 from lscan.devices.opencv_camera.camera import OpencvCamera
 from lscan.devices.opencv_camera.options import OpencvOptions
 from lscan.documents import check
@@ -29,6 +29,15 @@ class _CameraDriver:
                 value=rig_file.rig.plan.laser,
                 allowed="untouched, on; or a camera.options.device or url",
             )
+
+    def abilities(self, rig_file: RigFile) -> dict[str, Fact]:
+        """Where its pictures come from, and whether its exposure can be set."""
+        options = self._options(rig_file)
+        kind = "device" if options.device is not None else "url" if options.url else "file"
+        return {
+            kind: str(getattr(options, kind)),
+            "exposure_settable": options.exposure_settable,
+        }
 
     def open(self, rig_file: RigFile, track: Track) -> OpencvCamera:
         """The camera, ready to grab; DeviceError where it is not as the rig file says."""

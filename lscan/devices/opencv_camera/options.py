@@ -92,6 +92,11 @@ class OpencvOptions(Strict):
         return self.file is None
 
     @property
+    def exposure_settable(self) -> bool:
+        """Whether ``exposure_ms`` is set: of a device that does not choose by itself."""
+        return self.device is not None and not self.auto_exposure
+
+    @property
     def name(self) -> str:
         """What messages call the camera."""
         if self.device is not None:
