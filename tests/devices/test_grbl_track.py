@@ -95,14 +95,23 @@ class TestMarlinTrack(TestGrblTrack):
 class TestTrackOnATerminal(TestGrblTrack):
     """The same code through pyserial and a pseudo-terminal, in real time."""
 
+    kind: type[GrblEmulator] | type[MarlinEmulator] = GrblEmulator
+
     @pytest.fixture
     def track(self) -> Iterator[Track]:
-        self.emulator = GrblEmulator(QUICK)
+        self.emulator = self.kind(QUICK)
+        dialect = "grbl" if self.kind is GrblEmulator else "marlin"
         with PseudoTerminal(self.emulator) as terminal:
-            chosen = options(port=terminal.port, feed_mm_min=50_000, settle_s=0, boot_s=0.2)
+            quick = {"feed_mm_min": 50_000, "settle_s": 0, "boot_s": 0.2}
+            chosen = options(port=terminal.port, dialect=dialect, **quick)
             track = open_track(chosen)
             yield track
             track.close()
+
+
+class TestMarlinOnATerminal(TestTrackOnATerminal):
+    name = "marlin track on"
+    kind = MarlinEmulator
 
 
 # ---- motion -----------------------------------------------------------------------------
