@@ -54,7 +54,7 @@ class Slices:
 
 def agreement_rows(scenes: Path, output: Path = Path("out/hardware/agreement")) -> list[Row]:
     """Slices of the sandwave scanned by the opencv and grbl drivers on the served tank, against
-    the same scan by the sim drivers, and what JPEG alone does to the latter.
+    the same scan by the sim drivers, and what JPEG alone and other noise alone do to the latter.
 
     scenes: folder that holds paper/board.toml and paper/sandwave.toml.  output: folder for the
     runs; those of an earlier time are replaced.  Raises InputError where a scene is wrong.
@@ -65,16 +65,24 @@ def agreement_rows(scenes: Path, output: Path = Path("out/hardware/agreement")) 
     loaded = load_rig(scenes / "paper" / "sandwave.toml")
     rig_file = parse_rig(merge(loaded.document, plan), source=loaded.source)
     simulated = _fresh(rig_file, output / "simulated")
+    noise = {"sensor": {"seed": scene_of(rig_file).tank.sensor.seed + 1}}
+    again = parse_rig(merge(rig_file.document, noise), source=loaded.source)
+    repeated = _fresh(again, output / "repeated")
     options = ServeOptions(prepare=True)
     with EmulatedHardware(scene_of(rig_file), options) as hardware:
         began_s = time.monotonic()
         served = _fresh(hardware.rig_file(), output / "served")
         frame_ms = 1000 * (time.monotonic() - began_s) / FRAMES
-    return _rows(simulated, served, plane_map, options, frame_ms)
+    return _rows(simulated, repeated, served, plane_map, options, frame_ms)
 
 
 def _rows(
-    simulated: Run, served: Run, plane_map: PlaneMap, options: ServeOptions, frame_ms: float
+    simulated: Run,
+    repeated: Run,
+    served: Run,
+    plane_map: PlaneMap,
+    options: ServeOptions,
+    frame_ms: float,
 ) -> list[Row]:
     rig_file = simulated.rig_file
     piece = rig_file.rig.workpiece
@@ -95,9 +103,14 @@ def _rows(
         f"the same pictures uncoded; {coding}",
         slices.rms_mm(_coded(simulated, plane_map, options), reference),
     )
+    noise = (
+        f"the sim drivers' scan with sensor seed {seed + 1}: slices",
+        "the same scan, calibration and alignment",
+        slices.rms_mm(reconstruct(repeated, plane_map), reference),
+    )
     return [
         Row(what, against, figure, BAR_MM, "mm rms", SOURCE, seed)
-        for what, against, figure in (through, alone)
+        for what, against, figure in (through, alone, noise)
     ]
 
 
