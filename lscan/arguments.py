@@ -9,9 +9,10 @@ import json
 import sys
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
+import typer
 
 from lscan.errors import InputError
 
@@ -21,6 +22,16 @@ if TYPE_CHECKING:
     from lscan.records import BoardReading, Bytes, Floats
     from lscan.rig import CalibrationSection, OpticsSection, StripeSection
     from lscan.run import Run
+
+RunFolder = Annotated[Path, typer.Argument(help="Run folder.")]
+CalibrationFile = Annotated[
+    Path, typer.Option("--calibration", "-c", help="Calibration file (JSON).")
+]
+ShaftFile = Annotated[
+    Path | None,
+    typer.Option("--shaft", help="TOML file with the [shaft] found; a run folder has its own."),
+]
+Json = Annotated[bool, typer.Option("--json", help="Print the result as JSON.")]
 
 CHANNELS = ("red", "green", "blue", "grey")
 

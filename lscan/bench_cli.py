@@ -7,6 +7,7 @@ from typing import Annotated
 
 import typer
 
+from lscan.arguments import Json
 from lscan.console import print_json, print_table, progress_bar
 
 
@@ -26,7 +27,7 @@ def bench(
     ] = False,
     quick: Annotated[bool, typer.Option("--quick", help="Fewer lines and boards.")] = False,
     seed: Annotated[int, typer.Option("--seed", min=0, help="Of all random numbers.")] = 1,
-    json: Annotated[bool, typer.Option("--json", help="Print the result as JSON.")] = False,
+    json: Json = False,
 ) -> None:
     """Judge stripe extractors and plane maps, one's own too, where the truth is known."""
     from lscan.bench import MAPS, registered_extractors, run_bench

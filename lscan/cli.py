@@ -4,25 +4,25 @@ from __future__ import annotations
 
 import os
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 # Before NumPy: its matrices here are small, and threads cost them more time than they save.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
-import numpy as np
 import typer
 
 from lscan.arguments import (
+    Json,
     board_picture,
-    open_calibrated,
     read_picture_of_board,
     require_folders,
     stripe_picture,
 )
 from lscan.bench_cli import bench
-from lscan.console import print_json, print_table, progress_bar, run_command_line
+from lscan.console import print_json, progress_bar, run_command_line
 from lscan.devices_cli import devices
 from lscan.live_cli import live
+from lscan.measure_cli import measure, reconstruct, report
 from lscan.metric_cli import calibrate_metric
 from lscan.shaft_cli import calibrate_shaft
 from lscan.summaries import calibration_summary, print_calibration, print_check
@@ -35,15 +35,7 @@ app = typer.Typer(
     rich_markup_mode=None,
 )
 
-RunFolder = Annotated[Path, typer.Argument(help="Run folder.")]
 PictureOrRun = Annotated[Path, typer.Argument(help="Picture file or run folder.")]
-CalibrationFile = Annotated[
-    Path, typer.Option("--calibration", "-c", help="Calibration file (JSON).")
-]
-ShaftFile = Annotated[
-    Path | None,
-    typer.Option("--shaft", help="TOML file with the [shaft] found; a run folder has its own."),
-]
 BoardFile = Annotated[
     Path | None, typer.Option("--board", help="Board file; a run folder has its own.")
 ]
@@ -54,7 +46,6 @@ Seeds = Annotated[
     ),
 ]
 ChannelName = Annotated[str | None, typer.Option("--channel", help="red, green, blue or grey.")]
-Json = Annotated[bool, typer.Option("--json", help="Print the result as JSON.")]
 Overlay = Annotated[
     Path | None,
     typer.Option("--overlay", help="Write the picture with what was found drawn on it."),
@@ -221,114 +212,6 @@ def extract(
 
 
 @app.command()
-def reconstruct(
-    run: RunFolder,
-    calibration: CalibrationFile,
-    output: Annotated[Path, typer.Option("--output", "-o", help="Surface to write (.nc).")],
-    points: Annotated[
-        Path | None, typer.Option("--points", help="Point cloud to write (.ply).")
-    ] = None,
-    shaft: ShaftFile = None,
-    json: Json = False,
-) -> None:
-    """Turn a run's pictures into a surface, aligned where the rig names a sandwave."""
-    from lscan.experiment import reconstruct as build
-    from lscan.records import has_value
-    from lscan.surface import align_sandwave, apply, save_points, save_surface
-    from lscan.targets import Sandwave
-
-    require_folders(output, points)
-    opened, plane_map = open_calibrated(run, calibration, shaft)
-    with progress_bar("reconstruct") as report:
-        surface = build(opened, plane_map, progress=report)
-    rig = opened.rig_file.rig
-    yaw_deg = None
-    if isinstance(rig.workpiece, Sandwave):
-        alignment = align_sandwave(surface, rig.workpiece, sheared=rig.shaft is None)
-        surface = apply(alignment, surface)
-        yaw_deg = float(np.degrees(alignment.yaw_rad)) if alignment.sheared else None
-    save_surface(output, surface)
-    if points:
-        save_points(points, surface)
-    frames, columns = surface.status.shape
-    found = int(has_value(surface.status).sum())
-    summary = {
-        "surface": str(output),
-        "frame": surface.frame,
-        "profiles": frames,
-        "columns": columns,
-        "points": found,
-        "yaw_deg": yaw_deg,
-    }
-    if json:
-        print_json(summary)
-    else:
-        aligned = ", aligned" if surface.frame == "workpiece" else ""
-        aligned += "" if yaw_deg is None else f", yaw {yaw_deg:.3f} deg"
-        print(f"{found} points in {frames} profiles{aligned}; {output}")
-
-
-@app.command()
-def measure(
-    run: RunFolder,
-    calibration: CalibrationFile,
-    output: Annotated[
-        Path | None, typer.Option("--output", "-o", help="JSON file to write.")
-    ] = None,
-    shaft: ShaftFile = None,
-    json: Json = False,
-) -> None:
-    """Measure the run's board, grooved block or sandwave against its nominal shape."""
-    import json as json_module
-
-    from lscan.disk import write_atomically
-
-    require_folders(output)
-    opened, plane_map = open_calibrated(run, calibration, shaft)
-    with progress_bar("measure") as report:
-        measures = _measure(opened, plane_map, report)
-    if output:
-        text = json_module.dumps(measures, indent=2, allow_nan=False) + "\n"
-        write_atomically(output, text.encode())
-    if json:
-        print_json(measures)
-    else:
-        _print_measures(measures)
-
-
-@app.command()
-def report(
-    output: Annotated[
-        Path, typer.Option("--output", "-o", help="Folder for report.html and results.json.")
-    ],
-    board: Annotated[Path, typer.Option("--board", help="Run folder of the board picture.")],
-    groove: Annotated[
-        Path | None, typer.Option("--groove", help="Run folder of the grooved block.")
-    ] = None,
-    sandwave: Annotated[
-        Path | None, typer.Option("--sandwave", help="Run folder of the sandwave.")
-    ] = None,
-    json: Json = False,
-) -> None:
-    """Evaluate the paper's experiment from its run folders and write the page."""
-    from lscan.results import evaluate, write_experiment
-    from lscan.run import open_run
-
-    with progress_bar("evaluate") as progress:
-        experiment = evaluate(
-            open_run(board),
-            open_run(groove) if groove else None,
-            open_run(sandwave) if sandwave else None,
-            progress=progress,
-        )
-    results = write_experiment(output, experiment)
-    if json:
-        print_json(results)
-    else:
-        print(f"{output / 'report.html'}")
-
-
-@app.command()
 def draw_board(
     board: Annotated[Path, typer.Argument(help="Board file, or a rig file that names one.")],
     output: Annotated[Path, typer.Option("--output", "-o", help="SVG file to write.")],
@@ -349,60 +232,14 @@ def draw_board(
         print(f"{output}: {right - left:g} by {top - bottom:g} mm; print it at 100 %")
 
 
+app.command()(reconstruct)
+app.command()(measure)
+app.command()(report)
 app.command()(calibrate_metric)
 app.command()(calibrate_shaft)
 app.command()(devices)
 app.command()(bench)
 app.command()(live)
-
-
-def _measure(run: Any, plane_map: Any, report: Any) -> dict[str, Any]:
-    """What a run can be measured for, by what its rig says stands in the tank."""
-    from lscan.controlpoints import read_board
-    from lscan.experiment import (
-        lengths_json,
-        mean_picture,
-        measure_groove,
-        measure_sandwave,
-        require_board,
-    )
-    from lscan.measure import diameters, distances, unmeasured_distances
-    from lscan.results import sandwave_json
-    from lscan.targets import GroovedBlock, Sandwave
-
-    piece = run.rig_file.rig.workpiece
-    if isinstance(piece, GroovedBlock):
-        return {"groove": lengths_json(measure_groove(run, plane_map).dimensions)}
-    if isinstance(piece, Sandwave):
-        return {"sandwave": sandwave_json(measure_sandwave(run, plane_map, report))}
-    board = require_board(run)
-    reading = read_board(mean_picture(run), board, channel=run.rig_file.rig.calibration.channel)
-    missing = unmeasured_distances(reading, board, plane_map)
-    return {
-        "distances": lengths_json(distances(reading, board, plane_map)),
-        "diameters": lengths_json(diameters(reading, board, plane_map)),
-        "unmeasured": {name: status.name for name, status in missing.items()},
-    }
-
-
-def _print_measures(measures: dict[str, Any]) -> None:
-    for title, entries in measures.items():
-        if title == "sandwave":
-            _print_slices(entries)
-            continue
-        if title == "unmeasured":
-            for name, reason in entries.items():
-                print(f"{name}: not measured, {reason}")
-            continue
-        rows = [[name, *entry.values()] for name, entry in entries.items()]
-        print_table(title, ["", "nominal mm", "measured mm", "error mm", "sigma mm"], rows)
-
-
-def _print_slices(entries: dict[str, Any]) -> None:
-    if entries["yaw_deg"]["estimated"] is not None:
-        print(f"yaw {entries['yaw_deg']['estimated']:.3f} deg")
-    rows = [[name, *cut.values()] for name, cut in entries["slices"].items()]
-    print_table("slices", ["", "points", "unseen", "rmse mm", "min mm", "max mm"], rows)
 
 
 def main() -> None:

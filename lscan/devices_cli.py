@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from lscan.arguments import Json
 from lscan.console import print_json, print_table, progress_bar
 
 if TYPE_CHECKING:
@@ -34,7 +35,7 @@ def devices(
     approaches: Annotated[
         int, typer.Option("--approaches", min=2, help="Moves to one place from either side.")
     ] = 5,
-    json: Annotated[bool, typer.Option("--json", help="Print the result as JSON.")] = False,
+    json: Json = False,
 ) -> None:
     """List cameras, serial ports and drivers; with --test, try out a rig's camera and track.
 

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from lscan.arguments import Json
 from lscan.console import print_json, print_table, progress_bar
 
 if TYPE_CHECKING:
@@ -16,7 +17,7 @@ if TYPE_CHECKING:
 def calibrate_metric(
     views: Annotated[Path, typer.Argument(help="VIEWS.toml: pictures of a board in many poses.")],
     output: Annotated[Path, typer.Option("--output", "-o", help="Calibration file to write.")],
-    json: Annotated[bool, typer.Option("--json", help="Print the result as JSON.")] = False,
+    json: Json = False,
 ) -> None:
     """Solve camera, port and laser sheet from pictures of a board in several poses."""
     from lscan.errors import InputError

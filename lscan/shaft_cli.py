@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import numpy as np
 import typer
 
-from lscan.arguments import open_calibrated, require_folders
+from lscan.arguments import Json, open_calibrated, require_folders
 from lscan.console import print_json, print_table, progress_bar
 
 if TYPE_CHECKING:
@@ -28,7 +28,7 @@ def calibrate_shaft(
     output: Annotated[
         Path, typer.Option("--output", "-o", help="File with [shaft] to write (TOML).")
     ],
-    json: Annotated[bool, typer.Option("--json", help="Print the result as JSON.")] = False,
+    json: Json = False,
 ) -> None:
     """Find a rotary axis from the scan of a workpiece whose shape is known."""
     from lscan.experiment import find_shaft
