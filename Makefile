@@ -23,7 +23,7 @@ demo: .venv/llvm.stamp
 	$(BIN)/lscan-sim demo -o out/demo
 
 test: lint .venv/llvm.stamp .venv/chromium.stamp
-	$(BIN)/python -m pytest -n auto --maxprocesses 8
+	$(BIN)/python -m pytest -n auto --maxprocesses 8 --dist loadgroup
 
 lint: .venv/packages.stamp
 	$(BIN)/ruff check .

@@ -19,6 +19,8 @@ from lscan.console import run_command_line
 from lscan.run import open_run
 from lscan.runwriter import create_run
 
+pytestmark = pytest.mark.xdist_group("cli")  # one worker: they share a fixture
+
 ROOT = Path(__file__).resolve().parents[2]
 SCENES = ROOT / "scenes" / "paper"
 DATA = ROOT.parent / "shared" / "data"

@@ -15,6 +15,8 @@ from lscan.pictures import write_picture
 from lscan.planemap import auto
 from lscan.planemap.calibration import load_calibration
 
+pytestmark = pytest.mark.xdist_group("cli_check")  # one worker: they share a fixture
+
 VIEW = boards.View()
 
 

@@ -22,6 +22,9 @@ from lscan.errors import InputError
 from lscan.report import ReportInputs, render_report, write_report
 from lscan.tables import LABELS, paper_tables
 
+pytestmark = pytest.mark.xdist_group("report")  # one worker: they share a fixture
+
+
 LOADING = ("src", "href", "xlink:href", "data", "action")
 
 

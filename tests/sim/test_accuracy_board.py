@@ -14,6 +14,8 @@ from sim.sensor import Webcam
 from sim.tank import Tank
 from sim.truth import board_truth
 
+pytestmark = pytest.mark.xdist_group("accuracy_board")  # one worker: they share a fixture
+
 SCENES = Path(__file__).resolve().parents[2] / "scenes"
 
 

@@ -16,7 +16,7 @@ from lscan.rig import load_rig
 from sim.demo import run_demo, thin_out
 
 SCENES = Path(__file__).resolve().parents[2] / "scenes" / "paper"
-pytestmark = pytest.mark.slow
+pytestmark = [pytest.mark.slow, pytest.mark.xdist_group("demo")]  # one worker: one demo
 
 
 @pytest.fixture(scope="module")

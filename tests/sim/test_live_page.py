@@ -26,6 +26,8 @@ from live_mock import (
 
 from sim.hardware.browser import Browser, BrowserError, BrowserMissing, main
 
+pytestmark = pytest.mark.xdist_group("live_page")  # one worker: they share a fixture
+
 OUT = Path(__file__).resolve().parents[2] / "out" / "live"
 
 # What marks the overlay in the picture: its colours are far from the red of the laser line.

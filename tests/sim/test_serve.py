@@ -30,6 +30,8 @@ from sim.scene import Scene
 from sim.sensor.coding import from_jpeg, jpeg_bytes
 from sim.serve import EmulatedHardware, ServeOptions
 
+pytestmark = pytest.mark.xdist_group("serve")  # one worker: they share a fixture
+
 PATIENCE_S = 30.0
 FPS = 100.0  # no test waits long for pictures this small
 

@@ -14,6 +14,8 @@ from lscan.run import open_run
 from sim.serve import EmulatedHardware, ServeOptions, TimedFault, parse_fault
 from sim.serve.faults import CAMERA_FAULTS, HEALED, NAMES, TRACK_FAULTS, UNPLUGGED
 
+pytestmark = pytest.mark.xdist_group("serve_faults")  # one worker: they share a fixture
+
 SHORT = {"timeout_s": 2.0, "retries": 2}
 
 SAID = {

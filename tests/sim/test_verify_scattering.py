@@ -18,6 +18,8 @@ from sim.verify.scattering import (
     sidak_bound,
 )
 
+pytestmark = pytest.mark.xdist_group("verify_scattering")  # one worker: they share a fixture
+
 RUNS, SAMPLES = 16, 768
 BOUND_TESTS = len(MASKS)
 
