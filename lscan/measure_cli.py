@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -31,6 +32,7 @@ def reconstruct(
     """Turn a run's pictures into a surface, aligned where the rig names a sandwave."""
     import numpy as np
 
+    from lscan.errors import MeasurementError
     from lscan.experiment import reconstruct as build
     from lscan.records import has_value
     from lscan.surface import align_sandwave, apply, save_points, save_surface
@@ -43,9 +45,14 @@ def reconstruct(
     rig = opened.rig_file.rig
     yaw_deg = None
     if isinstance(rig.workpiece, Sandwave):
-        alignment = align_sandwave(surface, rig.workpiece, sheared=rig.shaft is None)
-        surface = apply(alignment, surface)
-        yaw_deg = float(np.degrees(alignment.yaw_rad)) if alignment.sheared else None
+        try:
+            alignment = align_sandwave(surface, rig.workpiece, sheared=rig.shaft is None)
+        except MeasurementError as error:
+            # Too few frames show the block's edges, say: the surface itself is none the worse.
+            print(f"lscan: note: not aligned, in the head's frame: {error}", file=sys.stderr)
+        else:
+            surface = apply(alignment, surface)
+            yaw_deg = float(np.degrees(alignment.yaw_rad)) if alignment.sheared else None
     save_surface(output, surface)
     if points:
         save_points(points, surface)

@@ -18,6 +18,7 @@ from lscan.cli import app
 from lscan.console import run_command_line
 from lscan.run import open_run
 from lscan.runwriter import create_run
+from lscan.surface import load_surface
 
 pytestmark = pytest.mark.xdist_group("cli")  # one worker: they share a fixture
 
@@ -70,6 +71,23 @@ def calibration(runs: Path, capsys: pytest.CaptureFixture[str]) -> Path:
         code, _, err = call(capsys, "calibrate", runs / "board", "-o", path)
         assert code == 0, err
     return path
+
+
+@pytest.mark.slow
+def test_a_scan_too_short_to_be_aligned_is_written_as_scanned(
+    runs: Path, calibration: Path, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    """Three frames of the sandwave show none of its edges; what they show is not withheld."""
+    scene, run, surface = tmp_path / "scene.toml", tmp_path / "run", tmp_path / "surface.nc"
+    plan = "[plan]\nstart_mm = 60.0\nframes = 3\n[render]\nsamples = 4\n"
+    scene.write_text(f'include = "{SCENES / "sandwave.toml"}"\n{plan}')
+    assert call(capsys, "scan", scene, "-o", run)[0] == 0
+    code, out, err = call(capsys, "reconstruct", run, "-c", calibration, "-o", surface)
+    assert code == 0
+    assert "aligned" not in out and "not aligned" in err
+    read = load_surface(surface)
+    assert read.frame == "head"
+    assert set(np.unique(read.position_mm)) == {60.0, 60.5, 61.0}
 
 
 @pytest.mark.slow
