@@ -6,10 +6,11 @@ BIN := .venv/bin
 ROOT := $(shell [ "$$(id -u)" = 0 ] || echo sudo -n)
 APT := $(ROOT) env DEBIAN_FRONTEND=noninteractive apt-get -qq
 
-.PHONY: help demo test lint bench verify accuracy hardware clean
+.PHONY: help setup demo test lint bench verify accuracy hardware clean
 .DELETE_ON_ERROR:
 
 help:
+	@echo "make setup   set up what the others need: .venv, its packages, LLVM"
 	@echo "make demo    scan the tank once and write out/demo"
 	@echo "make test    all checks and all tests"
 	@echo "make lint    the checks alone: ruff, mypy, import contracts"
@@ -18,6 +19,8 @@ help:
 	@echo "make accuracy  hold the instrument against the truth; out/accuracy.json"
 	@echo "make hardware  hold drivers, runs and the live page to their bars; out/hardware.json"
 	@echo "make clean   remove all that was set up or made, save runs/"
+
+setup: .venv/llvm.stamp
 
 demo: .venv/llvm.stamp
 	$(BIN)/lscan-sim demo -o out/demo

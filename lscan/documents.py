@@ -26,6 +26,8 @@ Model = TypeVar("Model", bound=BaseModel)
 
 MOST_LEVELS = 50
 """Of tables and lists in one another; a rig file has six or so."""
+MOST_NAMED = 3
+"""Of keys at fault besides the first that a message names."""
 _TOO_DEEP = "tables and lists too deep in one another"
 
 
@@ -173,10 +175,19 @@ def _explain(
     place = faults[0].keys
     same = [fault for fault in faults if fault.keys[: len(place)] == place]
     first = max(same, key=lambda fault: len(fault.keys))
-    key = _dotted((*([prefix] if prefix else []), *first.keys)) or "document"
-    more = f"; and {len(faults) - len(same)} more" if len(faults) > len(same) else ""
-    what = f"{key}: {first.what}{more}"
+    above = [prefix] if prefix else []
+    key = _dotted((*above, *first.keys)) or "document"
+    others = dict.fromkeys(_dotted((*above, *fault.keys)) for fault in faults if fault not in same)
+    what = f"{key}: {first.what}{_also(list(others))}"
     return InputError(what, where=where, value=first.value, allowed=first.allowed)
+
+
+def _also(keys: list[str]) -> str:
+    """Where else something is wrong, by the first few keys."""
+    if not keys:
+        return ""
+    rest = f" and {len(keys) - MOST_NAMED} more" if len(keys) > MOST_NAMED else ""
+    return f"; see also {', '.join(keys[:MOST_NAMED])}{rest}"
 
 
 def _fault(raw: Any, model: type[BaseModel], document: Document) -> _Fault:

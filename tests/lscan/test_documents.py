@@ -12,7 +12,7 @@ from lscan.board import Grid, load_board
 from lscan.documents import check, merge, read_document
 from lscan.errors import InputError
 from lscan.planemap.refractivefit import LIMITS
-from lscan.rig import CameraSection, OpticsSection, Rig
+from lscan.rig import CameraSection, OpticsSection, Rig, SheetSection
 from lscan.targets import GroovedBlock, Sandwave
 
 TABLES = st.recursive(
@@ -180,3 +180,9 @@ def test_the_fit_of_a_view_may_go_wherever_a_rig_file_may_begin() -> None:
     for name, (low, high) in LIMITS.items():
         for value in (low, min(high, 1e4)):
             check(OpticsSection, {name: [value, 0.0]}, where="rig.toml")
+
+
+def test_other_faults_are_named_by_their_keys() -> None:
+    """One message tells all that must be mended, as far as one line holds it."""
+    with pytest.raises(InputError, match=r"sheet\.thickness_mm: .*; see also sheet\.apex_mm"):
+        check(SheetSection, {"camera_mm": [0.0, -900.0, 300.0]}, where="rig.toml", prefix="sheet")
