@@ -12,9 +12,9 @@ import hashlib
 import json
 import os
 import shutil
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, Self
+from typing import Self
 
 import cv2
 
@@ -44,6 +44,7 @@ from lscan.run import (
     read_manifest,
     software_versions,
 )
+from lscan.samerig import require_same_rig
 
 
 class RunWriter:
@@ -185,8 +186,9 @@ def resume_run(path: Path, rig_file: RigFile) -> RunWriter:
 
     A scan killed before its manifest was written has left no folder or an empty one; it is
     begun.  Raises InputError where the folder is something else than a run, was begun with
-    another rig (the first differing key path is named), is being written by another scan,
-    or is damaged in a way that being killed does not explain.
+    another rig (the first differing key path is named; how the devices are reached may have
+    changed, and run.json keeps what it was), is being written by another scan, or is damaged
+    in a way that being killed does not explain.
     """
     if not path.exists():
         return create_run(path, rig_file)
@@ -208,26 +210,6 @@ def refuse_existing(path: Path) -> None:
         raise InputError(
             "exists already", where=path, allowed="another name, or --resume to go on with it"
         )
-
-
-def first_difference(one: Any, other: Any) -> str | None:
-    """Key path, such as ``camera.options.seed``, of the first difference of two documents.
-
-    None where there is none.  1 and 1.0 differ: they would not give the same run.json.
-    """
-    left, right = dict(_leaves(one)), dict(_leaves(other))
-    return next((key for key in [*left, *right] if left.get(key) != right.get(key)), None)
-
-
-def _leaves(value: Any, key: str = "") -> Iterator[tuple[str, str]]:
-    if isinstance(value, dict) and value:
-        for name, inner in value.items():
-            yield from _leaves(inner, f"{key}.{name}" if key else name)
-    elif isinstance(value, list) and value:
-        for index, inner in enumerate(value):
-            yield from _leaves(inner, f"{key}[{index}]")
-    else:
-        yield key, repr(value)
 
 
 def _new_manifest(rig_file: RigFile) -> Manifest:
@@ -272,10 +254,7 @@ def _is_unborn(path: Path) -> bool:
 def _take_up(path: Path, rig_file: RigFile) -> tuple[Row, ...]:
     """Clear away what a killed scan left, check the rest, return the rows of the frames."""
     manifest, kept = read_manifest(path)
-    key = first_difference(kept.document, rig_file.document)
-    if key is not None:
-        what = f"cannot go on: the run was begun with another rig ({key} differs)"
-        raise InputError(what, where=path / MANIFEST)
+    require_same_rig(kept, rig_file, where=path / MANIFEST)
     if manifest.state == "scanning":
         _remove_temporaries(path)
         cut_torn_line(path / TABLE)

@@ -150,6 +150,10 @@ class TrackDriver(Protocol):
 
     One whose tracks are a :class:`LaserSwitch` says so by an attribute ``switches_laser``, True;
     where it is missing, a plan that switches the laser is refused.
+
+    An attribute ``connection_options``, a frozenset of names, says which of its options only tell
+    how the track is reached and waited for; they may differ where a scan is resumed.  Where it is
+    missing, none may.
     """
 
     sections: frozenset[str]
@@ -170,6 +174,8 @@ class CameraDriver(Protocol):
     One whose cameras know the keyword ``dark`` of ``grab`` says so by an attribute
     ``takes_dark``, True; where it is missing, ``plan.laser = "pairs"`` is refused and the
     keyword never passed.
+
+    ``connection_options`` as in :class:`TrackDriver`.
     """
 
     sections: frozenset[str]

@@ -24,7 +24,8 @@ from lscan.errors import InputError
 from lscan.records import Frame
 from lscan.rig import parse_rig
 from lscan.run import Manifest, Row, Run, open_run
-from lscan.runwriter import create_run, first_difference
+from lscan.runwriter import create_run
+from lscan.samerig import first_difference
 
 FINITE = st.floats(allow_nan=False, allow_infinity=False)
 ROWS = st.builds(

@@ -45,6 +45,7 @@ def open_track(
 class _TrackDriver:
     sections: frozenset[str] = frozenset()
     switches_laser = True
+    connection_options = frozenset({"port", "baud", "boot_s", "answer_s", "homing_s"})
 
     def validate(self, rig_file: RigFile) -> None:
         read_options(rig_file)

@@ -15,6 +15,9 @@ from lscan.rig import RigFile
 class _CameraDriver:
     sections: frozenset[str] = frozenset()
     takes_dark = True
+    connection_options = frozenset(
+        {"device", "url", "timeout_s", "retries", "reconnects", "reconnect_wait_s"}
+    )
 
     def validate(self, rig_file: RigFile) -> None:
         """Check the options, and that a video file is there, touching no device: InputError.
