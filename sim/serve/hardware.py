@@ -90,8 +90,13 @@ class EmulatedHardware:
 
     def rig_document(self) -> Document:
         """The rig file of this hardware, as a document."""
-        camera = camera_options(self.url, self._places.render_s)
-        return rig_document(self.scene, camera, self._track.rig_options())
+        camera = camera_options(self.url)
+        return rig_document(
+            self.scene,
+            camera,
+            self._track.rig_options(),
+            switched_laser=self.options.switched_laser,
+        )
 
     def rig_file(self) -> RigFile:
         """The rig of this hardware."""

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections import OrderedDict
 from dataclasses import dataclass, replace
 
@@ -39,15 +38,12 @@ class Places:
         self._exposure_ms = scene.rig.camera.exposure_ms
         self._most, self._switched = most, switched_laser
         self._kept: OrderedDict[float, _Place] = OrderedDict()
-        self.render_s = 0.0  # what the last rendering took
 
     def view(self, position_mm: float, *, lit: bool = True) -> StillView:
         """The view from a position in mm, rendered where it is not kept."""
         key = round(position_mm, NANOMETRE)
         if key not in self._kept:
-            began_s = time.monotonic()
             self._kept[key] = self._render(key)
-            self.render_s = time.monotonic() - began_s
             if len(self._kept) > self._most:
                 self._kept.popitem(last=False)
         self._kept.move_to_end(key)

@@ -11,27 +11,36 @@ from sim.scene import Scene
 from sim.serve.toml import toml_text
 
 HEADING = "# Written by `lscan-sim serve`: the tank as a webcam and a track.\n\n"
-LEAST_TIMEOUT_S = 5.0
-RENDERS = 5.0  # a picture may wait for this many renderings: of the places passed, and its own
+TIMEOUT_S = 30.0
+"""For a picture: it may wait for several renderings, of the places passed and its own, each of
+seconds on a busy machine.  Not measured: the same scene gives the same file each time."""
 
 
-def camera_options(url: str, render_s: float) -> dict[str, Any]:
-    """``[camera.options]`` for the stream at ``url`` of a tank that renders in ``render_s``.
+def camera_options(url: str) -> dict[str, Any]:
+    """``[camera.options]`` for the stream at ``url``.
 
     A picture handed out while the head rests is true when it is sent; flush_frames takes care
     of the one that was on its way when the head came to rest.
     """
-    timeout_s = round(LEAST_TIMEOUT_S + RENDERS * render_s, 1)
-    return {"url": url, "warm_up_frames": 2, "flush_frames": 1, "timeout_s": timeout_s}
+    return {"url": url, "warm_up_frames": 2, "flush_frames": 1, "timeout_s": TIMEOUT_S}
 
 
-def rig_document(scene: Scene, camera: Mapping[str, Any], track: Mapping[str, Any]) -> Document:
+def rig_document(
+    scene: Scene,
+    camera: Mapping[str, Any],
+    track: Mapping[str, Any],
+    *,
+    switched_laser: bool = False,
+) -> Document:
     """The scene's own sections without the tank's, and its devices replaced.
 
     camera, track: ``[camera.options]`` of the driver "opencv", ``[track.options]`` of "grbl".
+    switched_laser: the track lights the laser, so a plan that says nothing of it gets "on".
     """
     instrument = {key: value for key, value in scene.document.items() if key in Rig.model_fields}
     section = {key: value for key, value in instrument["camera"].items() if key != "options"}
+    if switched_laser:
+        instrument["plan"] = {"laser": "on", **instrument.get("plan", {})}
     return {
         **instrument,
         "camera": {**section, "driver": "opencv", "options": dict(camera)},
