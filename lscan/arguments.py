@@ -152,6 +152,10 @@ def board_picture(picture: Path, board: Path | None, optics: Path | None = None)
         nominal = load_board(board) if board else require_board(run)
         known = read_optics(optics) if optics else rig.optics
         return BoardPicture(mean_picture(run), nominal, rig.calibration, known)
+    if not picture.exists():
+        raise InputError(
+            "no such file or folder", where=picture, allowed="a picture file or a run folder"
+        )
     if board is None:
         raise InputError("a picture needs a board file", where="--board", allowed="a TOML file")
     known = read_optics(optics) if optics else OpticsSection()

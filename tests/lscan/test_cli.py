@@ -253,6 +253,7 @@ def test_bad_input_that_needs_nothing(tmp_path: Path, capsys: pytest.CaptureFixt
     refused(call(capsys, "calibrate", flat, "-o", out), "--board")
     refused(call(capsys, "calibrate", flat, "--board", SCENES / "rig.toml", "-o", out), "rig.toml")
     refused(call(capsys, "calibrate", tmp_path, "-o", out), "run.json")
+    refused(call(capsys, "calibrate", tmp_path / "nosuch", "-o", out), "no such file or folder")
     refused(call(capsys, "extract", tmp_path / "none.png"), "none.png")
     refused(call(capsys, "extract", flat, "--background", deep), "deep.png")
     refused(call(capsys, "extract", flat, "--axis", "diagonal"), "axis", "diagonal")
