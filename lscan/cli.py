@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import sys
 from pathlib import Path
 from typing import Annotated
 
@@ -19,7 +20,7 @@ from lscan.arguments import (
     stripe_picture,
 )
 from lscan.bench_cli import bench
-from lscan.console import print_json, progress_bar, run_command_line
+from lscan.console import print_json, progress_bar, run_command_line, tell_notes_when_stopped
 from lscan.devices_cli import devices
 from lscan.live_cli import live
 from lscan.measure_cli import measure, reconstruct, report
@@ -62,9 +63,13 @@ def scan(
     """Move the track, take the pictures, write a run folder."""
     from lscan.acquire import scan as acquire
     from lscan.rig import load_rig
+    from lscan.runwriter import holds_no_run
 
     rig_file = load_rig(rig)
-    with progress_bar("scan") as report:
+    if resume and holds_no_run(output):
+        what = f"there is nothing to resume in {output}; a new run is begun"
+        print(f"lscan: note: {what}", file=sys.stderr)
+    with tell_notes_when_stopped(), progress_bar("scan") as report:
         run = acquire(rig_file, output, resume=resume, progress=report)
     if json:
         print_json({"run": str(run.path), "frames": len(run), "state": run.state})

@@ -13,10 +13,10 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table
 
-from lscan.errors import LscanError
+from lscan.errors import LscanError, Stopped
 
 BAD_INPUT = 2
-STOPPED = 130  # as a shell reports SIGINT
+STOPPED = Stopped.exit_code
 
 Report = Callable[[int, int], None]
 
@@ -40,6 +40,21 @@ def run_command_line(app: typer.Typer, name: str) -> None:
     if code == STOPPED:  # what typer makes of Ctrl-C
         _complain(name, "stopped; a scan goes on with --resume", STOPPED)
     sys.exit(code if isinstance(code, int) else 0)
+
+
+@contextmanager
+def tell_notes_when_stopped() -> Iterator[None]:
+    """Turn a Ctrl-C that carries notes into an error with them: typer drops it, notes and all."""
+    try:
+        yield
+    except KeyboardInterrupt as stop:
+        notes = getattr(stop, "__notes__", ())
+        if not notes:
+            raise
+        told = Stopped("stopped")
+        for note in notes:
+            told.add_note(note)
+        raise told from stop
 
 
 def _usage_message(error: Exception) -> str | None:

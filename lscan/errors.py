@@ -52,6 +52,12 @@ class DeviceError(LscanError):
     exit_code = 1
 
 
+class Stopped(LscanError):
+    """Work that its user stopped with Ctrl-C."""
+
+    exit_code = 130  # as a shell reports SIGINT
+
+
 def _short(value: object, limit: int = 80) -> str:
     """The value in at most ``limit`` characters, both its ends kept: a path's name is the last."""
     text = repr(value)

@@ -69,9 +69,9 @@ class RunWriter:
         return self
 
     def __exit__(self, _: object, error: BaseException | None, __: object) -> None:
-        """Let go of the folder; an error of the block gets a note that says what is kept."""
+        """Let go of the folder; an error of the block, or Ctrl-C, gets a note of what is kept."""
         self.close()
-        if isinstance(error, LscanError):
+        if isinstance(error, (LscanError, KeyboardInterrupt)):
             error.add_note(
                 f"{self.written} of {self.planned} frames are kept in {self.path}; "
                 "go on with --resume"
@@ -194,7 +194,7 @@ def resume_run(path: Path, rig_file: RigFile) -> RunWriter:
         return create_run(path, rig_file)
     lock = lock_folder(path)
     try:
-        if _is_unborn(path):
+        if holds_no_run(path):
             _remove_temporaries(path)
             _lay_out(path, _new_manifest(rig_file))
             return RunWriter(path, rig_file, lock)
@@ -243,8 +243,14 @@ def _lay_out(path: Path, manifest: Manifest) -> None:
         sync_folder(path.parent)
 
 
-def _is_unborn(path: Path) -> bool:
-    """Whether the folder holds no more than ``_lay_out`` leaves when it is cut short."""
+def holds_no_run(path: Path) -> bool:
+    """Whether ``resume_run`` begins a new run there.
+
+    True where nothing is at ``path``, or a folder with no more than a scan killed before its
+    manifest was written has left.  Raises InputError where it cannot be read as a folder.
+    """
+    if not path.exists():
+        return True
     names = list_names(path)
     frames = list_names(path / FRAMES) if FRAMES in names else set()
     early = {FRAMES, TABLE, temporary_name(TABLE), temporary_name(MANIFEST)}
