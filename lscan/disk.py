@@ -9,7 +9,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
-from lscan.errors import InputError
+from lscan.errors import DiskError, InputError
 
 _MAKE_WRITABLE = "make it writable, or choose another folder"
 _BRING_BACK = "make its folder, or bring it back where it was moved or its disk taken away"
@@ -28,6 +28,9 @@ REMEDIES = {
     errno.ESTALE: _CHECK_DISK,
 }
 """What to do where the system refuses a write, by its error number."""
+_FULL_OR_FAILED = frozenset(
+    {errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO, errno.ENODEV, errno.ESTALE}
+)
 
 
 def read_bytes(file: Path) -> bytes:
@@ -134,12 +137,16 @@ def lock_folder(folder: Path) -> int:
 
 @contextmanager
 def disk_errors(where: Path) -> Iterator[None]:
-    """Turn an OSError of the block into an InputError: the file, the reason, what to do."""
+    """Turn an OSError of the block into an InputError: the file, the reason, what to do.
+
+    Where the disk is full or failed it is the DiskError among them, whose exit code differs.
+    """
     try:
         yield
     except OSError as error:
         remedy = REMEDIES.get(error.errno or 0, "choose another place")
-        raise InputError(f"cannot be written: {error.strerror}; {remedy}", where=where) from error
+        kind = DiskError if error.errno in _FULL_OR_FAILED else InputError
+        raise kind(f"cannot be written: {error.strerror}; {remedy}", where=where) from error
 
 
 def _unreadable(path: Path, error: OSError) -> InputError:

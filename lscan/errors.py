@@ -34,6 +34,12 @@ class InputError(LscanError):
         super().__init__(f"{prefix}{what}{suffix}")
 
 
+class DiskError(InputError):
+    """A disk that is full or failed while it was written to: no fault of what was given."""
+
+    exit_code = 1
+
+
 class BoardNotFound(LscanError):
     """The calibration board, or enough of it, could not be found in the picture."""
 

@@ -1,7 +1,9 @@
-"""What ``lscan scan`` says and leaves with when it is resumed or stopped."""
+"""What ``lscan scan`` says and leaves with when it is resumed, stopped or cannot write."""
 
 from __future__ import annotations
 
+import errno
+import os
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -14,6 +16,8 @@ from fake_devices import HEIGHT, WIDTH, FakeCamera, FakeTrack
 from lscan.cli import app
 from lscan.console import run_command_line
 from lscan.devices.api import Grab
+from lscan.disk import disk_errors
+from lscan.errors import DiskError, InputError
 
 FRAMES = 5
 UNPLUGGED = f"""
@@ -125,3 +129,46 @@ def test_ctrl_c_before_there_is_a_run_is_told_as_ever(
 
     monkeypatch.setattr("lscan.acquire.open_devices", stop)
     assert scan(tmp_path / "a") == (130, "lscan: stopped; a scan goes on with --resume\n")
+
+
+# The disk
+
+
+def test_a_disk_full_in_mid_scan_leaves_with_the_code_of_a_failed_device(
+    tmp_path: Path,
+    scan: Scan,
+    plugged_in: Callable[[FakeCamera, FakeTrack], None],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    track, write = FakeTrack(), os.write
+
+    def full(descriptor: int, data: Any) -> int:
+        if track.moves == 3:
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+        return write(descriptor, data)
+
+    plugged_in(FakeCamera(track), track)
+    monkeypatch.setattr(os, "write", full)
+    code, said = scan(tmp_path / "a")
+    assert (code, "make room on the disk; 2 of 5 frames are kept" in said) == (1, True)
+
+
+@pytest.mark.parametrize(
+    ("number", "kind"),
+    [
+        (errno.ENOSPC, DiskError),
+        (errno.EDQUOT, DiskError),
+        (errno.EFBIG, DiskError),
+        (errno.EIO, DiskError),
+        (errno.EACCES, InputError),
+        (errno.ENOENT, InputError),
+        (errno.ENAMETOOLONG, InputError),
+    ],
+)
+def test_only_a_disk_that_is_full_or_failed_is_no_bad_input(
+    tmp_path: Path, number: int, kind: type[InputError]
+) -> None:
+    with pytest.raises(InputError) as refused, disk_errors(tmp_path):
+        raise OSError(number, os.strerror(number))
+    assert type(refused.value) is kind
+    assert refused.value.exit_code == (1 if kind is DiskError else 2)
