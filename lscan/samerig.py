@@ -29,8 +29,8 @@ def require_same_rig(begun: RigFile, now: RigFile, where: Path) -> None:
     if key is None:
         return
     raise InputError(
-        f"cannot go on: the run was begun {_told(key, was)}, the rig now is {_told(key, is_now)}; "
-        f"make it in {now.source} what it was, or begin a new scan",
+        f"cannot go on: the run was begun {_told(key, was)}, this rig comes {_told(key, is_now)}; "
+        f"restore it in {now.source}, or begin a new scan",
         where=where,
     )
 
@@ -56,22 +56,23 @@ def _leaves(value: Any, key: str = "") -> Iterator[tuple[str, str]]:
 
 
 def _told(key: str, document: Mapping[str, Any]) -> str:
-    """The key with its value, or that it is not there: a table or list may be in its place."""
+    """The key with its value, or that it is not there, or that more than a value is."""
     leaves = dict(_leaves(document))
-    return f"with {key} = {leaves[key]}" if key in leaves else f"without {key}"
+    if key in leaves:
+        return f"with {key} = {leaves[key]}"
+    filled = any(leaf.startswith((f"{key}.", f"{key}[")) for leaf in leaves)
+    return f"with entries in {key}" if filled else f"without {key}"
 
 
 def _without_connection(rig_file: RigFile) -> Document:
     """The rig's document less what only says how its devices are reached."""
     kept = dict(rig_file.document)
-    for name, driver in (
-        ("camera", rig_file.rig.camera.driver),
-        ("track", rig_file.rig.track.driver),
-    ):
+    for name, group in _GROUPS.items():
+        section = {key: value for key, value in kept[name].items() if key != "options"}
+        connection = _connection_options(group, section["driver"])
         options = kept[name].get("options", {})
-        unbound = _connection_options(_GROUPS[name], driver)
-        lasting = {key: value for key, value in options.items() if key not in unbound}
-        kept[name] = {**kept[name], "options": lasting}
+        lasting = {key: value for key, value in options.items() if key not in connection}
+        kept[name] = {**section, "options": lasting} if lasting else section
     return kept
 
 

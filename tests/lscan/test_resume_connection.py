@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import pytest
-from fake_devices import HEIGHT, WIDTH, FakeCamera, FakeTrack, folder_bytes
+from fake_devices import HEIGHT, WIDTH, FakeCamera, FakeTrack, fake_rig, folder_bytes
 
 from lscan.acquire import acquire_into
 from lscan.devices.grbl import SerialTrackOptions
@@ -16,6 +17,7 @@ from lscan.devices.opencv_camera import camera_driver as opencv
 from lscan.errors import DeviceError, InputError
 from lscan.rig import RigFile, parse_rig
 from lscan.runwriter import create_run, resume_run
+from lscan.samerig import require_same_rig
 
 CAMERA = {"url": "http://bench:8080/stream", "flush_frames": 1}
 TRACK = {"port": "/dev/ttyUSB0", "min_mm": 0, "max_mm": 180}
@@ -77,21 +79,25 @@ def test_a_scan_goes_on_over_another_connection_to_the_same_bytes(tmp_path: Path
         (
             real_rig(camera=CAMERA | {"flush_frames": 2}),
             "begun with camera.options.flush_frames = 1, "
-            "the rig now is with camera.options.flush_frames = 2",
+            "this rig comes with camera.options.flush_frames = 2",
         ),
         (
             real_rig(track=TRACK | {"zero_mm": -1.0}),
-            "begun without track.options.zero_mm, the rig now is with track.options.zero_mm = -1.0",
+            "begun without track.options.zero_mm, this rig comes with track.options.zero_mm = -1.0",
         ),
         (
             real_rig(camera={"url": CAMERA["url"]}),
             "begun with camera.options.flush_frames = 1, "
-            "the rig now is without camera.options.flush_frames",
+            "this rig comes without camera.options.flush_frames",
+        ),
+        (
+            replace(real_rig(), document=real_rig().document | {"tank": {}}),
+            "begun without tank, this rig comes with tank = {}",
         ),
         (
             real_rig(camera={"file": "video.avi", "flush_frames": 1}),
             "begun without camera.options.file, "
-            "the rig now is with camera.options.file = 'video.avi'",
+            "this rig comes with camera.options.file = 'video.avi'",
         ),
     ],
 )
@@ -102,7 +108,7 @@ def test_any_other_difference_is_told_with_both_values(
     before = folder_bytes(tmp_path / "a")
     with pytest.raises(InputError) as refused:
         resume_run(tmp_path / "a", rig_file)
-    what_to_do = "make it in rig.toml what it was, or begin a new scan"
+    what_to_do = "restore it in rig.toml, or begin a new scan"
     assert f"{line}; {what_to_do}" in str(refused.value)
     assert folder_bytes(tmp_path / "a") == before
 
@@ -111,3 +117,29 @@ def test_connection_options_are_options() -> None:
     """A name spelt wrongly would let nothing differ."""
     assert opencv.connection_options <= set(OpencvOptions.model_fields)
     assert grbl.connection_options <= set(SerialTrackOptions.model_fields)
+
+
+def test_options_where_there_were_none_are_told(tmp_path: Path) -> None:
+    """A driver that is not installed names no connection: whatever differs is refused."""
+    plain = fake_rig()
+    camera = plain.document["camera"]
+    bare = {key: value for key, value in camera.items() if key != "options"}
+    rigs = [
+        parse_rig({**plain.document, "camera": section}, source="rig.toml", trusted=True)
+        for section in (bare, {**bare, "options": {}}, {**bare, "options": {"url": "x"}})
+    ]
+    require_same_rig(rigs[0], rigs[1], tmp_path)
+    for one, other, line in (
+        (0, 2, "begun without camera.options.url, this rig comes with camera.options.url = 'x'"),
+        (2, 1, "begun with camera.options.url = 'x', this rig comes without camera.options.url"),
+    ):
+        with pytest.raises(InputError, match=line):
+            require_same_rig(rigs[one], rigs[other], tmp_path)
+
+
+def test_a_table_that_is_filled_is_not_said_to_be_missing(tmp_path: Path) -> None:
+    """As is the key path of the whole table, where it is empty on one side."""
+    filled = fake_rig()
+    empty = replace(filled, document=filled.document | {"water": {}})
+    with pytest.raises(InputError, match=r"with water = {}, this rig comes with entries in water"):
+        require_same_rig(empty, filled, tmp_path)
