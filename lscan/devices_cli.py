@@ -13,6 +13,7 @@ from lscan.console import print_json, print_table, progress_bar
 
 if TYPE_CHECKING:
     from lscan.devices.api import Camera, Fact
+    from lscan.devices.photontransfer import PhotonTransfer
     from lscan.devices.tracktrial import TrackTrial
     from lscan.devices.trial import CameraTrial
     from lscan.records import Bytes
@@ -143,18 +144,17 @@ def _dark_pictures(rig_file: RigFile, pictures: int) -> Bytes:
 
 
 def _trial_json(camera: CameraTrial, track: TrackTrial) -> dict[str, Any]:
-    from lscan.devices.trial import noise_section
-
     transfer = camera.transfer
     content = asdict(camera)
     content["settings"] = [
         {**asdict(setting), "obeyed": setting.obeyed} for setting in camera.settings
     ]
+    content["rig_section"] = camera.noise_section
     if transfer is not None:
+        content["transfer"]["read_is_rounding"] = transfer.read_is_rounding
         content["transfer"]["levels"] = {
             name: array.tolist() for name, array in content["transfer"]["levels"].items()
         }
-        content["rig_section"] = noise_section(transfer)
     return {"camera": content, "track": asdict(track)}
 
 
@@ -180,8 +180,6 @@ def _print_track(trial: TrackTrial) -> None:
 
 
 def _print_camera(camera: CameraTrial) -> None:
-    from lscan.devices.trial import noise_section
-
     if camera.settings:
         rows = [
             [
@@ -204,14 +202,24 @@ def _print_camera(camera: CameraTrial) -> None:
         print(f"linearity: error {camera.linearity.error_percent:.2f} % (5 to 95 % of the range)")
     for remark in camera.remarks:
         print(remark)
-    transfer = camera.transfer
-    if transfer is not None:
-        print(
-            f"photon transfer: read noise {transfer.read_dn:.3f} ± {transfer.read_sigma_dn:.3f} DN,"
-            f" gain {transfer.dn_per_electron:.4f} ± {transfer.gain_sigma:.4f} DN per electron, "
-            f"chi² {transfer.chi2:.2f} per degree of freedom (about 1 for a linear camera)"
-        )
-        print(f"\nfor the rig file:\n\n{noise_section(transfer)}")
+    if camera.transfer is not None:
+        _print_noise(camera.transfer)
+    for doubt in camera.doubts:
+        print(doubt)
+    section = camera.noise_section
+    print(f"\nfor the rig file:\n\n{section}" if section else "no [stripe.noise] to rely on")
+
+
+def _print_noise(transfer: PhotonTransfer) -> None:
+    read = f"{transfer.read_dn:.3f} ± {transfer.read_sigma_dn:.3f} DN"
+    if transfer.read_is_rounding:
+        # The noise of rounding is a floor, not a figure of this camera.
+        read = f"at most {transfer.read_at_most_dn:.3f} DN (rounding makes {transfer.read_dn:.3f})"
+    print(
+        f"photon transfer: read noise {read}, "
+        f"gain {transfer.dn_per_electron:.4f} ± {transfer.gain_sigma:.4f} DN per electron, "
+        f"chi² {transfer.chi2:.2f} per degree of freedom (about 1 for a linear camera)"
+    )
 
 
 def _print_facts(title: str, facts: dict[str, Fact]) -> None:

@@ -72,7 +72,8 @@ class PhotonTransfer:
     """Noise and gain of a camera, each with its standard uncertainty.
 
     dark_dn: grey value without light; 0 where no dark pictures were taken.
-    read_dn: standard deviation of a dark pixel, rounding included, in DN.
+    read_dn: standard deviation of a dark pixel, rounding included, in DN; never below that of
+    rounding, and where it comes out there, ``read_at_most_dn`` is what is known.
     dn_per_electron: the gain; in doubt it may come out below 0.
     chi2: the levels' squared distance from the straight line in units of their own
     uncertainty, per degree of freedom: 1 for a linear camera, far more for one with a gamma
@@ -86,6 +87,16 @@ class PhotonTransfer:
     gain_sigma: float
     chi2: float
     levels: Levels
+
+    @property
+    def read_is_rounding(self) -> bool:
+        """Whether no noise beyond that of rounding was found in the dark."""
+        return self.read_dn <= ROUNDING_DN
+
+    @property
+    def read_at_most_dn(self) -> float:
+        """The reading noise in DN two standard uncertainties of its variance above ``read_dn``."""
+        return float(np.sqrt(self.read_dn**2 + 2 * 2 * self.read_dn * self.read_sigma_dn))
 
 
 @dataclass(frozen=True)

@@ -33,6 +33,9 @@ from lscan.rig import Channel
 FEWEST_PICTURES = 4
 """Two pairs: one to sort pixels by grey value, one to measure them."""
 
+FEWEST_LEVELS = 3
+"""Through two levels of grey there is always a straight line: nothing shows that it is right."""
+
 EXPOSURE_PARTS = (0.125, 0.25, 0.375, 0.5, 0.625, 0.75, 0.875, 1.0)
 """Parts of the rig's exposure time at which linearity is measured."""
 
@@ -96,6 +99,7 @@ class CameraTrial:
 
     settings: what was asked of it and what it then reported; () where it has none to set.
     transfer, linearity: None where they could not be measured; ``remarks`` then say why.
+    doubts: why the noise and gain of ``transfer`` may not be relied on, and what to show instead.
     dark_dn, dark_noise_dn: mean and temporal standard deviation of a pixel with the cap on;
     None where that was not tried.
     """
@@ -107,6 +111,14 @@ class CameraTrial:
     dark_dn: float | None
     dark_noise_dn: float | None
     remarks: tuple[str, ...]
+    doubts: tuple[str, ...]
+
+    @property
+    def noise_section(self) -> str | None:
+        """The ``[stripe.noise]`` section of a rig file; None where the noise is in doubt."""
+        if self.transfer is None or self.doubts:
+            return None
+        return noise_section(self.transfer)
 
 
 def grab_series(
@@ -173,7 +185,6 @@ def try_camera(
     transfer = None
     try:
         transfer = photon_transfer(levels, dark_levels)
-        remarks += _doubts(transfer)
     except MeasurementError as error:
         remarks.append(str(error))
     return CameraTrial(
@@ -184,31 +195,39 @@ def try_camera(
         dark_dn=None if dark_levels is None else float(dark_levels.mean_dn[0]),
         dark_noise_dn=None if dark_levels is None else float(dark_levels.variance[0] ** 0.5),
         remarks=tuple(remarks),
+        doubts=() if transfer is None else _doubts(transfer),
     )
 
 
-def _doubts(transfer: PhotonTransfer) -> list[str]:
+def _doubts(transfer: PhotonTransfer) -> tuple[str, ...]:
     """Why the noise found may not be relied on; empty where it may."""
-    gain = transfer.dn_per_electron
-    if transfer.read_sigma_dn > transfer.read_dn or transfer.gain_sigma > abs(gain):
-        return [
+    gain, doubts = transfer.dn_per_electron, []
+    levels = len(transfer.levels.mean_dn)
+    is_open = transfer.read_sigma_dn > transfer.read_dn or transfer.gain_sigma > abs(gain)
+    if is_open or levels < FEWEST_LEVELS:
+        doubts.append(
             "noise: these pictures leave it open; show a still, evenly lit scene with bright and "
-            "dark parts, take more --pictures, and measure the dark with --dark"
-        ]
-    freedoms = max(len(transfer.levels.mean_dn) - 2, 1)
+            "dark parts, such as a printed sheet under a lamp, the laser off; take more "
+            "--pictures, and measure the dark with --dark"
+        )
+    freedoms = max(levels - 2, 1)
     if gain <= 0 or transfer.chi2 > chi_square.isf(RARE, freedoms) / freedoms:
-        return [
+        doubts.append(
             "noise: it does not grow in proportion to the light, so the gain does not tell the "
-            "camera's; look for a gamma curve, sharpening, noise reduction or compression"
-        ]
-    return []
+            "camera's. JPEG pictures (a stream, pixel_format MJPG) hold noise smoothed away and "
+            "noise of the coding: ask for uncoded ones, such as YUYV. A laser's speckle grows "
+            "faster than the light: switch it off, and light the scene by a lamp. Else look for "
+            "a gamma curve, sharpening or noise reduction"
+        )
+    return tuple(doubts)
 
 
 def noise_section(transfer: PhotonTransfer) -> str:
     """The ``[stripe.noise]`` section of a rig file that states what was measured."""
+    bound = "  # of rounding alone" if transfer.read_is_rounding else ""
     return (
         "[stripe.noise]\n"
-        f"read_dn = {transfer.read_dn:.4g}\n"
+        f"read_dn = {transfer.read_dn:.4g}{bound}\n"
         f"dn_per_electron = {max(transfer.dn_per_electron, 0.0):.4g}\n"
     )
 
