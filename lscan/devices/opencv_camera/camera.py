@@ -11,6 +11,7 @@ import cv2
 import numpy as np
 
 from lscan.devices.api import Grab
+from lscan.devices.opencv_camera.address import unopened
 from lscan.devices.opencv_camera.capture import Capture, OpenCapture
 from lscan.devices.opencv_camera.opening import open_capture
 from lscan.devices.opencv_camera.options import OpencvOptions
@@ -206,15 +207,20 @@ class OpencvCamera:
         capture = self._open_capture(self._options)
         if not capture.isOpened():
             capture.release()
-            raise DeviceLost(
-                f"{self._options.name}: cannot be opened; check that it is there, that no other "
-                "program uses it, and the name (`lscan devices` lists what is connected)"
-            )
+            raise DeviceLost(f"{self._options.name}: {self._unopened()}")
         try:
             return capture, apply_settings(capture, self._section, self._options)
         except BaseException:
             capture.release()
             raise
+
+    def _unopened(self) -> str:
+        if self._options.url is not None:
+            return unopened(self._options.url)
+        return (
+            "cannot be opened; check that it is there, that no other program uses it, and the "
+            "name (`lscan devices` lists what is connected)"
+        )
 
     def _first_settings(self) -> Settings:
         """The settings of a camera just opened; it is released where they are refused."""

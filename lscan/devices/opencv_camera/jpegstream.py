@@ -23,7 +23,9 @@ from typing import Any
 import cv2
 import numpy as np
 
+from lscan.devices.opencv_camera.address import ended_early
 from lscan.devices.opencv_camera.capture import Capture
+from lscan.devices.opencv_camera.reader import DeviceLost
 from lscan.errors import DeviceError
 from lscan.records import Bytes
 
@@ -46,6 +48,8 @@ class JpegStream:
     def __init__(self, packets: Capture, name: str) -> None:
         """packets: opened, each of its pictures (1, N) uint8, a JPEG file.  name: in messages."""
         self._packets, self._name = packets, name
+        self._first: Bytes | None = None
+        self._count, self._handed_out = 0, False
 
     def isOpened(self) -> bool:  # noqa: N802 - OpenCV's name
         return self._packets.isOpened()
@@ -66,14 +70,18 @@ class JpegStream:
         """True and the next picture that was waited for, (H, W, 3) uint8, blue first, of the
         size it was sent in; (False, None) where the stream has ended.
 
-        Raises DeviceError where packets are broken, or never need to be waited for.
+        Raises DeviceError where packets are broken or never need to be waited for, DeviceLost
+        where it ends with its first, or before any could be handed out: it is a file's address.
         """
         for _ in range(MOST_BROKEN):
             packet = self._awaited()
             if packet is None:
+                if self._count <= 1 or not self._handed_out:
+                    raise DeviceLost(f"{self._name}: {ended_early(self._pictures())}")
                 return False, None
             image = decoded(packet)
             if image is not None:
+                self._handed_out = True
                 return True, image
         raise DeviceError(
             f"{self._name}: sent {MOST_BROKEN} broken JPEG pictures in a row; check the network "
@@ -88,12 +96,21 @@ class JpegStream:
             waited_s = time.monotonic() - asked_s
             if not ok or packet is None:
                 return None
+            packet = np.asarray(packet, dtype=np.uint8).ravel()
+            self._count += 1
+            if self._first is None:
+                self._first = packet
             if waited_s >= LEAST_WAIT_S:
-                return np.asarray(packet, dtype=np.uint8).ravel()
+                return packet
         raise DeviceError(
             f"{self._name}: sends more than {1 / LEAST_WAIT_S:g} pictures a second, which no "
             "camera does; a video goes into camera.options.file"
         )
+
+    def _pictures(self) -> int:
+        """How many packets came; 0 where the first is no picture, since then none is likely."""
+        whole = self._first is not None and decoded(self._first) is not None
+        return self._count if whole else 0
 
 
 def decoded(packet: Bytes) -> Bytes | None:
