@@ -169,7 +169,7 @@ def test_it_rests_before_it_returns() -> None:
 
 
 def test_lines_are_short_and_nothing_is_sent_for_a_refused_move() -> None:
-    b = bench(feed_mm_min=59_999.9)
+    b = bench({110: 60_000}, feed_mm_min=59_999.9)
     b.track.move_to(180.0)
     assert isinstance(b.line, Recorder)
     assert max(map(len, bytes(b.line.written).split(b"\n"))) < 70

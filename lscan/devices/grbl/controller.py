@@ -199,7 +199,8 @@ class GrblMachine:
             link.send_bytes(SOFT_RESET)
         raise DeviceError(
             f"{link.name}: no Grbl banner within {options.boot_s + options.answer_s:g} s, not "
-            "even after a soft reset; check the port, the baud rate and the controller's power"
+            "even after a soft reset; check the port, the baud rate, track.options.dialect "
+            "('marlin' for a controller with Marlin) and the controller's power"
         )
 
     def _greet(self) -> None:

@@ -18,6 +18,8 @@ from lscan.errors import DeviceError
 STEP_MM: Final = 0.01
 """M114 writes two decimals."""
 
+_OTHER_DIALECT: Final = "where the controller runs Grbl, set track.options.dialect = 'grbl'; "
+
 _PLACE = re.compile(r"(?:^|\s)([XYZ]):(-?\d+\.\d+)")
 _FIRMWARE = re.compile(r"FIRMWARE_NAME:(Marlin.*?)(?= [A-Z_]+:|$)")
 _REPORT = re.compile(r"X:-?\d+\.\d+ Y:-?\d+\.\d+ Z:-?\d+\.\d+(?: .*)?")
@@ -38,7 +40,7 @@ class MarlinMachine:
             pass
         while link.line(link.clock() + 0.05) is not None:  # the settings a start prints
             pass
-        answer = " ".join(self._command("M115"))
+        answer = " ".join(self._command("M115", first=_OTHER_DIALECT))
         firmware = _FIRMWARE.search(answer)
         if firmware is None:
             raise DeviceError(
@@ -93,8 +95,11 @@ class MarlinMachine:
             "check the cable, then open the track again"
         )
 
-    def _command(self, text: str, within_s: float | None = None) -> list[str]:
-        """Send a line; the lines until its ok.  DeviceError if refused or unanswered."""
+    def _command(self, text: str, within_s: float | None = None, first: str = "") -> list[str]:
+        """Send a line; the lines until its ok.  DeviceError if refused or unanswered.
+
+        first: what to look at first where no answer comes.
+        """
         link = self._link
         while (stale := link.line(link.clock())) is not None:
             self._heed(stale)
@@ -109,7 +114,7 @@ class MarlinMachine:
                 answers.append(answer)
         raise DeviceError(
             f"{link.name}: silent: no ok to {text!r} in time ({link.noise_bytes} bytes of noise "
-            "so far); check cable, power and for a jam, then open the track again"
+            f"so far); {first}check cable, power and for a jam, then open the track again"
         )
 
     def _heed(self, text: str) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import logging
 import math
 from collections.abc import Callable, Iterator
 
@@ -12,6 +13,7 @@ from lscan.devices.grbl.options import ROUNDING_MM, SerialTrackOptions
 from lscan.errors import DeviceError
 
 _CLOSED = "is closed"
+_log = logging.getLogger(__name__)
 
 
 class SerialTrack:
@@ -36,7 +38,10 @@ class SerialTrack:
         try:
             self._travel: Travel = machine.wake()
             self._check_travel()
+            self._check_feed()
             if options.homing:
+                # A warning, so that it is seen without logging set up: the head moves by itself.
+                _log.warning("%s: homing, within %g s", name, options.homing_s)
                 machine.home()
             self._position_mm = options.position_mm(machine.position_mm())
         except BaseException:
@@ -213,6 +218,16 @@ class SerialTrack:
                     f"{ends[0]:g} to {ends[1]:g} mm; change min_mm, max_mm, approach_mm, zero_mm "
                     "or invert, or the travel $130 to $132"
                 )
+
+    def _check_feed(self) -> None:
+        """Refuse a feed that the controller would cut to its own without a word."""
+        feed_mm_min, max_mm_min = self._options.feed_mm_min, self._travel.max_mm_min
+        if feed_mm_min > max_mm_min:
+            raise DeviceError(
+                f"{self._name}: track.options.feed_mm_min is {feed_mm_min:g}, the axis's fastest "
+                f"in the controller is {max_mm_min:g} mm/min; lower it, or raise the controller's "
+                "($110 to $112 in Grbl, M203 in Marlin) where the motor can do it"
+            )
 
     def _ready(self) -> None:
         if self._refusal is not None:
