@@ -226,7 +226,7 @@ class SerialTrack:
             raise DeviceError(
                 f"{self._name}: track.options.feed_mm_min is {feed_mm_min:g}, the axis's fastest "
                 f"in the controller is {max_mm_min:g} mm/min; lower it, or raise the controller's "
-                "($110 to $112 in Grbl, M203 in Marlin) where the motor can do it"
+                "($110 to $112) where the motor can do it"
             )
 
     def _ready(self) -> None:
