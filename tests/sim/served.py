@@ -50,7 +50,7 @@ def quick_rig(
     """The hardware's rig, with short waits; camera, track: options laid over it."""
     options = {
         "camera": {"options": {"reconnects": 0, **(camera or {})}},
-        "track": {"options": {"feed_mm_min": 60_000.0, **track}},
+        "track": {"options": {"feed_mm_min": 6_000.0, **track}},
     }
     return parse_rig(merge(hardware.rig_document(), options), source="served")
 

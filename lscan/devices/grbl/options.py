@@ -40,7 +40,7 @@ class SerialTrackOptions(Strict):
     max_mm: Place
     zero_mm: Place = 0.0
     invert: Switch = False
-    feed_mm_min: Annotated[float, Field(gt=0, le=60_000)] = 600.0
+    feed_mm_min: Annotated[float, Field(gt=0, le=60_000)] = 500.0
     approach_mm: Annotated[float, Field(ge=0, le=100)] = 1.0
     tolerance_mm: Annotated[float, Field(gt=0, le=1)] = 0.02
     settle_s: Annotated[float, Field(ge=0, le=60)] = 0.2
