@@ -2,18 +2,22 @@
 
 from __future__ import annotations
 
+import shutil
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
 from lscan.acquire import acquire_into
 from lscan.controlpoints import read_board
-from lscan.errors import InputError
+from lscan.devices.api import Limited, Track
+from lscan.errors import DeviceError, InputError
 from lscan.live.devices import LiveDevices
 from lscan.live.maptable import MapTable, tabulate
 from lscan.planemap.api import PlaneMap
 from lscan.planemap.calibration import calibrate, save_calibration
-from lscan.rig import RigFile, parse_rig
-from lscan.runwriter import create_run
+from lscan.rig import Plan, RigFile, parse_rig
+from lscan.runwriter import RunWriter, create_run
 
 
 @dataclass(frozen=True)
@@ -37,17 +41,18 @@ def take_board(
 ) -> tuple[LiveCalibration, str]:
     """The calibration from a board picture taken where the head stands, and a line about it.
 
+    A head that stands where it cannot be sent goes to the nearest place where it can.
     The picture goes into the run folder ``folder``, with a laser that was switched on off, and
     the calibration into ``folder.json``; ``lscan calibrate folder`` gives the same.
-    Raises DeviceError, BoardNotFound (the picture is kept), InputError.
+    Raises DeviceError (no folder is left), BoardNotFound (the picture is kept), InputError.
     """
     rig = rig_file.rig
     if rig.board is None:
         raise InputError("has no section [board]", where=rig_file.source)
     devices.ready()
-    standing = _one_picture(rig_file, devices.track.position_mm)
+    place_mm = _place_mm(devices.track, rig.plan)
     with (
-        create_run(folder, standing) as writer,
+        _run_if_taken(folder, _one_picture(rig_file, place_mm)) as writer,
         devices.laser_dark(),
         devices.for_scan() as (camera, track),
     ):
@@ -63,8 +68,37 @@ def take_board(
     return use_map(path, solved.plane_map, rig_file), told
 
 
+def _place_mm(track: Track, plan: Plan) -> float:
+    """Where the head stands, or the nearest place to it that it can be sent to.
+
+    After homing it rests at the switch, which may lie outside the travel.  Of a track that
+    does not state its travel, the start of the plan is the one other place known to be within.
+    """
+    stands_mm = track.position_mm
+    if isinstance(track, Limited):
+        low_mm, high_mm = track.limits_mm
+        return min(max(stands_mm, low_mm), high_mm)
+    try:
+        track.move_to(stands_mm)
+    except DeviceError:
+        return plan.start_mm
+    return stands_mm
+
+
+@contextmanager
+def _run_if_taken(folder: Path, rig_file: RigFile) -> Iterator[RunWriter]:
+    """A writer of a new run folder, which is removed again where no picture came into it."""
+    writer = create_run(folder, rig_file)
+    try:
+        with writer:
+            yield writer
+    finally:
+        if not writer.written:
+            shutil.rmtree(folder, ignore_errors=True)
+
+
 def _one_picture(rig_file: RigFile, position_mm: float) -> RigFile:
-    """The rig with the plan of one picture where the head stands."""
+    """The rig with the plan of one picture at that position."""
     plan = {**rig_file.document.get("plan", {}), "start_mm": position_mm, "frames": 1}
     document = {**rig_file.document, "plan": plan}
     return parse_rig(document, source=rig_file.source, trusted=True)
