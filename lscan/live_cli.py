@@ -43,7 +43,8 @@ def live(
         access = grant(host, listening.getsockname()[1], token)
         session = Session(rig_file, output, used)
         try:
-            print(f"{access.address}  (Ctrl-C ends)", flush=True)
+            first, *others = access.addresses
+            print(f"{first}  (Ctrl-C ends)", *others, sep="\n", flush=True)
             if access.token:
                 print("everybody with this address can move the track", flush=True)
             make_server(session, access).run(sockets=[listening])

@@ -10,6 +10,8 @@ from __future__ import annotations
 import re
 import secrets
 import socket
+from collections.abc import Iterable
+from contextlib import suppress
 from dataclasses import dataclass
 from http.cookies import CookieError, SimpleCookie
 from ipaddress import ip_address
@@ -19,7 +21,10 @@ from lscan.errors import InputError
 
 TOKEN = re.compile(r"[A-Za-z0-9_-]{8,200}")
 LOOPBACK = ("127.0.0.1", "localhost", "::1")
-EVERYWHERE = ("0.0.0.0", "::")
+EVERYWHERE = {"0.0.0.0": (socket.AF_INET,), "::": (socket.AF_INET, socket.AF_INET6)}
+"""What stands for all addresses of this machine, and which kinds of them are served then."""
+ELSEWHERE = {socket.AF_INET: "192.0.2.1", socket.AF_INET6: "2001:db8::1"}
+"""Addresses of nobody, kept for documentation (RFC 5737, RFC 3849): on no network of ours."""
 
 
 @dataclass(frozen=True)
@@ -36,11 +41,17 @@ class Access:
         return f"lscan-{self.port}"
 
     @property
-    def address(self) -> str:
-        """What to type into a browser."""
-        name = socket.gethostname() if self.host in EVERYWHERE else self.host
+    def addresses(self) -> tuple[str, ...]:
+        """What to type into a browser, the likeliest first.
+
+        Where all of this machine is served, its numbers and last its name, which a telephone
+        often cannot resolve.
+        """
+        names = (self.host,)
+        if self.host in EVERYWHERE:
+            names = (*machine_numbers(EVERYWHERE[self.host]), socket.gethostname())
         query = f"/?token={self.token}" if self.token else "/"
-        return f"http://{_bracketed(name)}:{self.port}{query}"
+        return tuple(f"http://{_bracketed(name)}:{self.port}{query}" for name in names)
 
     def refusal(
         self, host: str, origin: str | None, cookie: str, query_token: str | None
@@ -98,6 +109,38 @@ def grant(host: str, port: int, token: str | None) -> Access:
     if token is None and host not in LOOPBACK:
         token = secrets.token_urlsafe(16)
     return Access(host, port, token)
+
+
+def machine_numbers(
+    families: Iterable[socket.AddressFamily] = (socket.AF_INET,),
+) -> tuple[str, ...]:
+    """The IP addresses of this machine that others may reach it by, each once.
+
+    First those it goes out by, then those its own name has; no loopback and no link-local
+    ones, which a browser elsewhere cannot use.  Empty where there are none.
+    """
+    found: dict[str, None] = {}
+    for family in families:
+        for number in (*_going_out(family), *_of_own_name(family)):
+            address = ip_address(number)
+            if not (address.is_loopback or address.is_link_local or address.is_unspecified):
+                found[number] = None
+    return tuple(found)
+
+
+def _going_out(family: socket.AddressFamily) -> list[str]:
+    """The address that packets to elsewhere would bear; a UDP socket sends none to connect."""
+    with suppress(OSError), socket.socket(family, socket.SOCK_DGRAM) as probe:
+        probe.connect((ELSEWHERE[family], 9))
+        return [probe.getsockname()[0]]
+    return []
+
+
+def _of_own_name(family: socket.AddressFamily) -> list[str]:
+    with suppress(OSError):
+        known = socket.getaddrinfo(socket.gethostname(), None, family, socket.SOCK_STREAM)
+        return [str(address[0]).partition("%")[0] for *_, address in known]
+    return []
 
 
 def _bracketed(name: str) -> str:

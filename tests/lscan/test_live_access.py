@@ -75,10 +75,67 @@ def test_the_token_opens_by_address_or_cookie_alone(served):
 
 
 def test_the_address_holds_what_a_browser_needs():
-    assert grant("127.0.0.1", 80, None).address == "http://127.0.0.1:80/"
-    assert grant("::1", 8765, None).address == "http://[::1]:8765/"
-    assert grant("192.0.2.7", 1, TOKEN).address == f"http://192.0.2.7:1/?token={TOKEN}"
-    assert socket.gethostname() in grant("0.0.0.0", 1, TOKEN).address
+    assert grant("127.0.0.1", 80, None).addresses == ("http://127.0.0.1:80/",)
+    assert grant("::1", 8765, None).addresses == ("http://[::1]:8765/",)
+    assert grant("192.0.2.7", 1, TOKEN).addresses == (f"http://192.0.2.7:1/?token={TOKEN}",)
+
+
+class FakeProbe:
+    """A UDP socket on a machine that goes out by 198.51.100.4, and by IPv6 not at all."""
+
+    def __init__(self, family, kind):
+        assert kind == socket.SOCK_DGRAM
+        self.family = family
+
+    def __enter__(self):
+        return self
+
+    def __exit__(self, *_):
+        pass
+
+    def connect(self, _):
+        if self.family == socket.AF_INET6:
+            raise OSError("Network is unreachable")
+
+    def getsockname(self):
+        return "198.51.100.4", 40000
+
+
+def named(*numbers):
+    """A getaddrinfo by which this machine's name has these addresses."""
+
+    def getaddrinfo(_, __, family, ___):
+        kind = ":" if family == socket.AF_INET6 else "."
+        return [(family, 1, 6, "", (number, 0)) for number in numbers if kind in number]
+
+    return getaddrinfo
+
+
+def test_everywhere_has_an_address_for_each_number_and_the_name_last(monkeypatch):
+    """Debian gives a machine's name 127.0.1.1; fe80:: needs an interface that no browser takes."""
+    numbers = ("127.0.1.1", "198.51.100.4", "203.0.113.9", "::1", "fe80::1%eth0", "2001:db8::7")
+    monkeypatch.setattr("lscan.live.access.socket.socket", FakeProbe)
+    monkeypatch.setattr("lscan.live.access.socket.getaddrinfo", named(*numbers))
+    monkeypatch.setattr("lscan.live.access.socket.gethostname", lambda: "scanner")
+    expected = {
+        "0.0.0.0": ["198.51.100.4", "203.0.113.9", "scanner"],
+        "::": ["198.51.100.4", "203.0.113.9", "[2001:db8::7]", "scanner"],
+    }
+    for host, names in expected.items():
+        access = grant(host, 8766, TOKEN)
+        assert list(access.addresses) == [f"http://{name}:8766/?token={TOKEN}" for name in names]
+        for name in names:
+            assert access.refusal(f"{name}:8766", None, "", TOKEN) is None
+
+
+def test_a_machine_without_a_network_has_its_name_alone(monkeypatch):
+    def unreachable(*_):
+        raise OSError("Network is unreachable")
+
+    monkeypatch.setattr("lscan.live.access.socket.socket", unreachable)
+    monkeypatch.setattr("lscan.live.access.socket.getaddrinfo", unreachable)
+    name = socket.gethostname()
+    assert grant("::", 1, TOKEN).addresses == (f"http://{name}:1/?token={TOKEN}",)
 
 
 def test_everywhere_is_served_by_number_or_by_this_machines_name():
