@@ -47,7 +47,7 @@ class Access:
         Where all of this machine is served, its numbers and last its name, which a telephone
         often cannot resolve.
         """
-        names = (self.host,)
+        names: tuple[str, ...] = (self.host,)
         if self.host in EVERYWHERE:
             names = (*machine_numbers(EVERYWHERE[self.host]), socket.gethostname())
         query = f"/?token={self.token}" if self.token else "/"
