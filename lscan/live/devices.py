@@ -2,7 +2,8 @@
 
 A camera that can be looked at (api.Previewing) is shown all the time.  Any other is shown by
 grabs while no scan goes on, and by the scan's own pictures while one does, so that a scan
-gets the pictures it would get without the page.
+gets the pictures it would get without the page.  A track is asked now and then whether it still
+answers, and opened again by the next command that needs it.
 """
 
 from __future__ import annotations
@@ -12,7 +13,7 @@ import threading
 from collections.abc import Callable, Iterator
 
 from lscan.acquire import open_camera, open_track
-from lscan.devices.api import Camera, Grab, LaserSwitch, Previewing, Track
+from lscan.devices.api import Camera, Describing, Grab, LaserSwitch, Previewing, Track
 from lscan.errors import DeviceError, InputError, LscanError
 from lscan.live.errors import told
 from lscan.rig import RigFile
@@ -28,6 +29,7 @@ class LiveDevices:
         """show: called with every picture to be shown; it must not block."""
         self._rig_file, self._show = rig_file, show
         self._looking = threading.Lock()  # while one looks, reopens, or begins to scan
+        self._using = threading.RLock()  # while one uses the track; taken before _looking
         self._scanning = False
         self._laser: bool | None = None
         self.camera_error = ""
@@ -96,24 +98,42 @@ class LiveDevices:
         except DeviceError as error:
             return None, str(error)
 
+    def check_track(self) -> None:
+        """Ask a track that nobody uses whether it still answers; if not, track_error says so."""
+        if not self._using.acquire(blocking=False):
+            return
+        try:
+            self._ask_track()
+        finally:
+            self._using.release()
+
+    def _ask_track(self) -> None:
+        """A line that broke while nothing was sent is known of only once something is."""
+        if isinstance(self.track, Describing) and not self.track_error:
+            with contextlib.suppress(DeviceError):  # the track remembers it
+                self.track.describe()
+
     def ready(self) -> None:
-        """Open the track again where a failure has left it unusable; only ever when asked to.
+        """Open the track again where it does not answer; only ever when asked to move or switch.
 
         Opening may home, so it moves; a simulated camera goes with its track.
         Raises DeviceError where it does not open.
         """
-        if not self.track_error:
-            return
-        with self._looking:
-            self.track.close()
-            self._laser = None
-            self.track = open_track(self._rig_file)
-            self._reopen_camera()
+        with self._using:
+            self._ask_track()
+            if not self.track_error:
+                return
+            with self._looking:
+                self.track.close()
+                self._laser = None
+                self.track = open_track(self._rig_file)
+                self._reopen_camera()
 
     def move_to(self, position_mm: float) -> None:
         """Move the head; DeviceError."""
-        self.ready()
-        self.track.move_to(position_mm)
+        with self._using:
+            self.ready()
+            self.track.move_to(position_mm)
 
     @property
     def can_switch_laser(self) -> bool:
@@ -127,19 +147,20 @@ class LiveDevices:
 
     def switch_laser(self, on: bool) -> None:
         """Switch the laser.  Raises DeviceError, InputError where the track has no switch."""
-        self.ready()
-        track: Track | LaserSwitch = self.track
-        if not isinstance(track, LaserSwitch):
-            raise InputError(
-                "the track cannot switch the laser",
-                where="track.driver",
-                value=self._rig_file.rig.track.driver,
-            )
-        if on:
-            track.laser_on()
-        else:
-            track.laser_off()
-        self._laser = on
+        with self._using:
+            self.ready()
+            track: Track | LaserSwitch = self.track
+            if not isinstance(track, LaserSwitch):
+                raise InputError(
+                    "the track cannot switch the laser",
+                    where="track.driver",
+                    value=self._rig_file.rig.track.driver,
+                )
+            if on:
+                track.laser_on()
+            else:
+                track.laser_off()
+            self._laser = on
 
     @contextlib.contextmanager
     def laser_dark(self) -> Iterator[None]:
@@ -158,15 +179,16 @@ class LiveDevices:
     @contextlib.contextmanager
     def for_scan(self) -> Iterator[tuple[Camera, Track]]:
         """Camera and track as an acquisition uses them."""
-        with self._looking:
-            self._scanning = True
-        try:
-            yield _ScanCamera(self._camera, self._show_sound), self.track
-        finally:
+        with self._using:
             with self._looking:
-                self._scanning = False
-                if self._rig_file.rig.plan.laser != "untouched":
-                    self._laser = False  # as a scan that switches it leaves it
+                self._scanning = True
+            try:
+                yield _ScanCamera(self._camera, self._show_sound), self.track
+            finally:
+                with self._looking:
+                    self._scanning = False
+                    if self._rig_file.rig.plan.laser != "untouched":
+                        self._laser = False  # as a scan that switches it leaves it
 
     def close(self) -> None:
         """The laser off and both devices released; closing twice is harmless."""

@@ -95,7 +95,7 @@ class Scanning:
         """End after the frame being taken.  Raises NotNow where no scan goes on or is paused."""
         if self._state == "paused":
             with self._lock:
-                self._state, self._message = "idle", self._how_to_resume()
+                self._state, self._message = "idle", self._kept()
         elif self.active:
             self._stop("idle", "stopping after this frame")
         else:
@@ -131,12 +131,12 @@ class Scanning:
             with writer, self._devices.for_scan() as (camera, track):
                 run = acquire_into(writer, camera, track, self._count, self._go_on)
         except Exception as error:
-            self._end("failed", told(error))
+            self._end("failed", f"{told(error)}. {self._kept()}")
         else:
             if run.state == "complete":
-                self._end("done", f"{len(run)} frames in {run.path}")
+                self._end("done", "")
             else:
-                self._end(self._after, self._how_to_resume())
+                self._end(self._after, self._kept())
 
     def _count(self, done: int, planned: int) -> None:
         with self._lock:
@@ -150,8 +150,8 @@ class Scanning:
             self._earlier_s += time.monotonic() - self._began_s
             self._state, self._message = state, message
 
-    def _how_to_resume(self) -> str:
-        return f"{self._done} frames in {self._folder}; resume goes on, losing none"
+    def _kept(self) -> str:
+        return f"{self._done} of {self._rig_file.rig.plan.frames} frames are kept; Resume goes on"
 
 
 def checked_name(name: str) -> str:

@@ -30,6 +30,9 @@ SHORTEST_PERIOD_S = 1 / 30
 RETRY_S = 1.0
 """Between two attempts to open a camera that failed."""
 
+CHECK_S = 1.0
+"""Between two questions to a resting track whether it still answers."""
+
 REST_PER_READING = 1.0
 """How long the reading of boards rests, over how long a reading takes."""
 
@@ -77,7 +80,12 @@ class Session:
         self._devices = LiveDevices(rig_file, self._show)
         self.scanning = Scanning(rig_file, self._devices, output)
         self._task_thread: threading.Thread | None = None
-        loops: tuple[Callable[[], None], ...] = (self._look, self._measure, self._read_boards)
+        loops: tuple[Callable[[], None], ...] = (
+            self._look,
+            self._measure,
+            self._read_boards,
+            self._check_track,
+        )
         self._threads = [threading.Thread(target=loop, name=loop.__name__) for loop in loops]
         for thread in self._threads:
             thread.start()
@@ -166,6 +174,10 @@ class Session:
             failed = not shown and not self.scanning.active
             period_s = RETRY_S if failed else SHORTEST_PERIOD_S
             self._closing.wait(max(0.0, began_s + period_s - time.monotonic()))
+
+    def _check_track(self) -> None:
+        while not self._closing.wait(CHECK_S):
+            self._devices.check_track()
 
     def _measure(self) -> None:
         number, shown = 0, 0  # of pictures come, and of those measured: browsers count these

@@ -133,7 +133,7 @@ def test_a_stopped_scan_can_be_resumed_and_says_so(
         session.scanning.stop()
         track.gate.release(10)
         stopped = reaches(session, "idle")
-        assert "resume" in stopped["message"]
+        assert stopped["message"] == f"{stopped['done']} of 5 frames are kept; Resume goes on"
         assert stopped["folder"].endswith("scan-001")
         session.resume_scan()
         reaches(session, "done")
@@ -234,6 +234,7 @@ def test_a_failing_track_fails_the_scan_which_can_be_resumed(
         failed = reaches(session, "failed")
         assert failed["done"] == 2
         assert "limit switch" in failed["message"]
+        assert failed["message"].endswith("2 of 5 frames are kept; Resume goes on")
         frame_of(session, after=frame_of(session)["number"])  # the page lives on
         track.fail_at = None
         session.resume_scan()
