@@ -18,6 +18,7 @@ from lscan.rig import RigFile
 from lscan.runwriter import RunWriter, create_run, resume_run
 
 State = Literal["idle", "scanning", "paused", "stopping", "done", "failed"]
+KEPT = "frames are kept; Resume goes on"
 NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,99}")
 
 
@@ -95,7 +96,7 @@ class Scanning:
         """End after the frame being taken.  Raises NotNow where no scan goes on or is paused."""
         if self._state == "paused":
             with self._lock:
-                self._state, self._message = "idle", self._kept()
+                self._state, self._message = "idle", KEPT
         elif self.active:
             self._stop("idle", "stopping after this frame")
         else:
@@ -131,12 +132,13 @@ class Scanning:
             with writer, self._devices.for_scan() as (camera, track):
                 run = acquire_into(writer, camera, track, self._count, self._go_on)
         except Exception as error:
-            self._end("failed", f"{told(error)}. {self._kept()}")
+            kept = f"{writer.written} of {writer.planned} {KEPT}"
+            self._end("failed", f"{told(error)}. {kept}")
         else:
             if run.state == "complete":
                 self._end("done", "")
             else:
-                self._end(self._after, self._kept())
+                self._end(self._after, KEPT)
 
     def _count(self, done: int, planned: int) -> None:
         with self._lock:
@@ -149,9 +151,6 @@ class Scanning:
         with self._lock:
             self._earlier_s += time.monotonic() - self._began_s
             self._state, self._message = state, message
-
-    def _kept(self) -> str:
-        return f"{self._done} of {self._rig_file.rig.plan.frames} frames are kept; Resume goes on"
 
 
 def checked_name(name: str) -> str:

@@ -73,7 +73,7 @@ class Session:
         self._mode: Mode = "stripe"
         self._focus_best, self._reading = 0.0, None  # type: float, _Reading | None
         self._fault = ""
-        self._task, self._task_message = "", ""
+        self._task, self._task_message, self._task_failed = "", "", False
         self._commands = threading.Lock()
         self._closing = threading.Event()
         self.frames: Newest[bytes] = Newest()
@@ -110,6 +110,8 @@ class Session:
         if mode == "board" and self._rig_file.rig.board is None:
             raise InputError("has no section [board]", where=self._rig_file.source)
         self._mode, self._focus_best, self._reading = mode, 0.0, None
+        if self._task_failed:  # told of, and of no use in the other mode
+            self._task_message = ""
 
     def take_board(self) -> None:
         """Begin the board picture; NotNow while a scan or another command goes on."""
@@ -118,6 +120,7 @@ class Session:
                 raise InputError("has no section [board]", where=self._rig_file.source)
             folder = self._output / next_name(self._output, "board")
             self._task, self._task_message = "board picture", f"taking it into {folder}"
+            self._task_failed = False
             self._task_thread = threading.Thread(target=self._run_task, args=(folder,))
             self._task_thread.start()
 
@@ -159,7 +162,7 @@ class Session:
         try:
             self._calibration, message = take_board(self._rig_file, self._devices, folder)
         except Exception as error:
-            message = told(error)
+            self._task_failed, message = True, told(error)
         self._task, self._task_message = "", message
 
     # ---- the threads --------------------------------------------------------------------

@@ -75,6 +75,18 @@ def test_it_is_taken_where_the_head_stands_or_nearest_to_it(
     assert [frame.commanded_mm for frame in run.frames()] == [commanded_mm], message
 
 
+def test_a_failure_is_told_until_the_mode_is_chosen(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with live_bench(monkeypatch, tmp_path) as bench:
+        session = board_session(bench)
+        session.set_mode("board")
+        assert told_of_picture(session)
+        assert session.state()["task"]["message"]
+        session.set_mode("stripe")
+        assert session.state()["task"] == {"name": "", "message": ""}
+
+
 def test_no_folder_is_left_where_no_picture_was_taken(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

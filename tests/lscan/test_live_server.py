@@ -38,7 +38,12 @@ COMMANDS = [
     "laser",
 ]
 TOKEN = "correct-horse"
-KINDS = {"html": "text/html", "css": "text/css", "js": "text/javascript"}
+KINDS = {
+    "html": "text/html",
+    "css": "text/css",
+    "js": "text/javascript",
+    "svg": "image/svg+xml",
+}
 
 
 @dataclass

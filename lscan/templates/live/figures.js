@@ -31,7 +31,8 @@ export const FIGURES = [
       const percent = clippedPercent(f);
       if (percent === null) return ["", ""];
       const grade = gradeOfSmall(percent, CLIPPED_PERCENT);
-      if (grade === "good") return [grade, "not clipped"];
+      const some = f.mode === "board" ? "pixels" : f.stripe.axis;
+      if (grade === "good") return [grade, percent > 0 ? `a few ${some} clipped` : "not clipped"];
       return [grade, `${grade === "fair" ? "a little" : "too"} bright: shorten the exposure`];
     },
     legend:

@@ -13,6 +13,10 @@ const STATES = {
 
 const moving = ({ scan }) => ["scanning", "stopping"].includes(scan.state);
 
+/** The state in words; one left idle with a folder was stopped. */
+const inWords = ({ state, folder }) =>
+  state === "idle" && folder !== null ? "stopped" : STATES[state];
+
 function resumable({ scan }) {
   const unfinished = scan.folder !== null && scan.done < scan.planned;
   const ended = ["idle", "done"].includes(scan.state);
@@ -50,7 +54,7 @@ export function showButtons(state) {
 export function showScan({ scan, plan }) {
   document.body.dataset.scan = scan.state;
   const stopping = scan.state === "stopping";
-  write($("scan-state"), (stopping && scan.message) || STATES[scan.state]);
+  write($("scan-state"), (stopping && scan.message) || inWords(scan));
   const running = scan.state !== "idle" || scan.folder !== null;
   $("progress").value = running && scan.planned ? scan.done / scan.planned : 0;
   const parts = running

@@ -6,6 +6,7 @@ import { showButtons, showScan } from "./scan.js";
 import { Refused, ask, sleep } from "./server.js";
 
 const PERIOD_MS = 500;
+const REOPENS = " – Go, Start and Resume open it again by themselves.";
 
 let state = null;
 let queue = Promise.resolve(); // commands one after the other, each from the state the last left
@@ -29,7 +30,7 @@ function showState(answer) {
   showScan(state);
   showButtons(state);
   complain("camera", camera.error && `Camera: ${camera.error}`);
-  complain("track", track.error && `Track: ${track.error}`);
+  complain("track", track.error && `Track: ${track.error}${REOPENS}`);
   complain("scan", state.scan.state === "failed" && `Scan: ${state.scan.message}`);
 }
 
