@@ -70,14 +70,9 @@ def page(chromium: Browser, instrument: Instrument) -> Iterator[Browser]:
         chromium.open(url)
         chromium.wait_for(DRAWING)
         yield chromium
-        assert complaints(chromium) == []
+        assert chromium.take_errors() == []
         chromium.open("about:blank")
         chromium.take_errors()
-
-
-def complaints(browser: Browser) -> list[str]:
-    """The console's errors, save for the icon that browsers ask every site for."""
-    return browser.take_errors()
 
 
 def coloured(page: Browser, colour: tuple[int, int, int]) -> np.ndarray:
@@ -499,7 +494,7 @@ def test_a_server_that_went_away_is_waited_for(chromium: Browser) -> None:
         chromium.wait_for(f"window.lscan.framesDrawn > {drawn + 3}")
         chromium.wait_for("document.querySelector('#connection').innerText === 'live'")
         assert text(chromium, "#alert") == ""
-        errors = complaints(chromium)
+        errors = chromium.take_errors()
         assert errors, "the lost server stands in the console"
         assert all(error.startswith("network:") for error in errors)
         chromium.open("about:blank")
