@@ -6,13 +6,14 @@ BIN := .venv/bin
 ROOT := $(shell [ "$$(id -u)" = 0 ] || echo sudo -n)
 APT := $(ROOT) env DEBIAN_FRONTEND=noninteractive apt-get -qq
 
-.PHONY: help setup demo test lint bench verify accuracy hardware clean
+.PHONY: help setup demo test smoke lint bench verify accuracy hardware clean
 .DELETE_ON_ERROR:
 
 help:
 	@echo "make setup   set up what the others need: .venv, its packages, LLVM"
 	@echo "make demo    scan the tank once and write out/demo"
 	@echo "make test    all checks and all tests"
+	@echo "make smoke   every figure of the commands below and of the demo, quickly; out/quick"
 	@echo "make lint    the checks alone: ruff, mypy, import contracts"
 	@echo "make bench   measure speed and write out/bench.json"
 	@echo "make verify  hold the tank against references; out/verify.json, out/verify/report.html"
@@ -34,11 +35,19 @@ lint: .venv/packages.stamp
 	$(BIN)/mypy
 	$(BIN)/lint-imports
 
+# Every figures command, each with the least effort: what a later change broke shows here.
+smoke: .venv/llvm.stamp .venv/chromium.stamp
+	$(BIN)/lscan-sim demo --quick -o out/quick/demo
+	$(BIN)/lscan-sim verify --quick -o out/quick/verify
+	$(BIN)/lscan-sim accuracy --quick -o out/quick/accuracy.json
+	$(BIN)/lscan-sim bench --quick -o out/quick/bench.json
+	$(BIN)/lscan-sim hardware --quick -o out/quick/hardware.json
+
 bench: .venv/llvm.stamp
 	$(BIN)/lscan-sim bench -o out/bench.json
 
 verify: .venv/llvm.stamp
-	$(BIN)/lscan-sim verify --full -o out/verify --json-file out/verify.json
+	$(BIN)/lscan-sim verify -o out/verify --json-file out/verify.json
 
 accuracy: .venv/llvm.stamp
 	$(BIN)/lscan-sim accuracy -o out/accuracy.json

@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from lscan.console import print_json, print_table, progress_bar, run_command_line
+
+if TYPE_CHECKING:
+    from sim.verify.rows import Row
 
 app = typer.Typer(
     help="The tank in software: demo, render, truth, views, verify, serve.",
@@ -22,6 +26,10 @@ Position = Annotated[
     float | None, typer.Option("--position", help="Track position, mm; the plan's start.")
 ]
 Json = Annotated[bool, typer.Option("--json", help="Print the result as JSON.")]
+ScenesFolder = Annotated[Path, typer.Option("--scenes", help="Folder of scene files.")]
+Quick = Annotated[
+    bool, typer.Option("--quick", help="Every figure with the least effort, within a minute.")
+]
 
 
 @app.command()
@@ -107,19 +115,13 @@ def bench(
     scenes: Annotated[Path, typer.Option("--scenes", help="Folder with board and groove.")] = Path(
         "scenes/paper"
     ),
+    quick: Quick = False,
     json: Json = False,
 ) -> None:
     """Speed: against Mitsuba's volpath at equal noise, a frame, a picture, a profile."""
     from sim.bench import run_bench
 
-    figures = run_bench(scenes, output)
-    if json:
-        print_json([figure.as_json() for figure in figures])
-    else:
-        rows = [[f.what, f.figure, "" if f.bar is None else f.bar, f.unit] for f in figures]
-        print_table("bench", ["what", "figure", "bar", "unit"], rows)
-    if any(figure.passed is False for figure in figures):
-        raise typer.Exit(1)
+    _end_with_rows("bench", run_bench(scenes, output, quick), [output], json)
 
 
 @app.command()
@@ -127,33 +129,26 @@ def verify(
     output: Annotated[Path, typer.Option("--output", "-o", help="Folder to write.")] = Path(
         "out/verify"
     ),
-    full: Annotated[
-        bool, typer.Option("--full", help="The slow half too, and a picture of each scene.")
-    ] = False,
-    scenes: Annotated[Path, typer.Option("--scenes", help="Folder of scene files.")] = Path(
-        "scenes"
-    ),
+    scenes: ScenesFolder = Path("scenes"),
     json_file: Annotated[
         Path | None, typer.Option("--json-file", help="Write the rows to this file as well.")
     ] = None,
+    full: Annotated[bool, typer.Option("--full", hidden=True)] = False,
+    quick: Quick = False,
     json: Json = False,
 ) -> None:
     """The tank against closed forms, published values and other renderers; a page shows it."""
-    from sim.verify.rows import table_cells, write_rows
+    from sim.verify.rows import write_rows
     from sim.verify.run import run_verify
 
+    if full and quick:
+        raise typer.BadParameter("--full and --quick exclude each other")
     with progress_bar("verify") as progress:
-        evidence = run_verify(output, full, scenes, progress)
+        evidence = run_verify(output, scenes, quick, progress)
     if json_file is not None:
         write_rows(json_file, evidence.rows)
-    if json:
-        print_json([row.as_json() for row in evidence.rows])
-    else:
-        headings = ["what", "deviation", "bar", "unit", "within"]
-        print_table("verify", headings, table_cells(evidence.rows))
-        print(f"{output / 'report.html'}\n{output / 'verify.json'}")
-    if not evidence.passed:
-        raise typer.Exit(1)
+    files = [output / "report.html", output / "verify.json"]
+    _end_with_rows("verify", evidence.rows, files, json)
 
 
 @app.command()
@@ -161,28 +156,19 @@ def accuracy(
     output: Annotated[Path, typer.Option("--output", "-o", help="JSON file to write.")] = Path(
         "out/accuracy.json"
     ),
-    scenes: Annotated[Path, typer.Option("--scenes", help="Folder of scene files.")] = Path(
-        "scenes"
-    ),
+    scenes: ScenesFolder = Path("scenes"),
     photographs: Annotated[
         Path, typer.Option("--photographs", help="Folder of real pictures; may be missing.")
     ] = Path("../shared/data"),
+    quick: Quick = False,
     json: Json = False,
 ) -> None:
     """How near to the truth the instrument measures, figure by figure, each with its bar."""
     from sim.accuracy.run import run_accuracy
-    from sim.verify.rows import table_cells
 
     with progress_bar("accuracy") as progress:
-        rows = run_accuracy(scenes, photographs, output, progress)
-    if json:
-        print_json([row.as_json() for row in rows])
-    else:
-        headings = ["what", "figure", "bar", "unit", "within"]
-        print_table("accuracy", headings, table_cells(rows))
-        print(f"{output}")
-    if not all(row.passed for row in rows):
-        raise typer.Exit(1)
+        rows = run_accuracy(scenes, photographs, output, quick, progress)
+    _end_with_rows("accuracy", rows, [output], json)
 
 
 @app.command()
@@ -238,27 +224,32 @@ def hardware(
     output: Annotated[Path, typer.Option("--output", "-o", help="JSON file to write.")] = Path(
         "out/hardware.json"
     ),
-    scenes: Annotated[Path, typer.Option("--scenes", help="Folder of scene files.")] = Path(
-        "scenes"
-    ),
+    scenes: ScenesFolder = Path("scenes"),
+    quick: Quick = False,
     json: Json = False,
 ) -> None:
     """Drivers, faults, resuming and the live page, on hardware that the tank emulates."""
     from sim.hardware.campaign import kind_cells
     from sim.hardware.run import run_hardware
-    from sim.verify.rows import table_cells
 
     with progress_bar("hardware") as progress:
-        evidence = run_hardware(scenes, output, progress)
-    if json:
-        print_json([row.as_json() for row in evidence.rows])
-    else:
+        evidence = run_hardware(scenes, output, quick, progress)
+    if not json:
         headings = ["", "injected", "borne", "stopped the scan", "not clean"]
         print_table("faults", headings, kind_cells(evidence.outcomes))
-        headings = ["what", "figure", "bar", "unit", "within"]
-        print_table("hardware", headings, table_cells(evidence.rows))
-        print(f"{output}")
-    if not evidence.passed:
+    _end_with_rows("hardware", evidence.rows, [output], json)
+
+
+def _end_with_rows(title: str, rows: Sequence[Row], files: Sequence[Path], json: bool) -> None:
+    """Print the rows and where they are; exit code 1 where one is beyond its bar."""
+    from sim.verify.rows import HEADINGS, all_passed, table_cells
+
+    if json:
+        print_json([row.as_json() for row in rows])
+    else:
+        print_table(title, HEADINGS, table_cells(rows))
+        print(*files, sep="\n")
+    if not all_passed(rows):
         raise typer.Exit(1)
 
 

@@ -36,8 +36,8 @@ def fineness_of(shape: tuple[int, ...], picture: tuple[int, int]) -> int:
     return fineness
 
 
-def finer_lens(lens: Lens, fineness: int) -> Lens:
-    """The lens in units of a part of a pixel instead of a pixel.
+def finer_lens(lens: Lens, fineness: float) -> Lens:
+    """The lens in units of a part of a pixel instead of a pixel; below 1, of several pixels.
 
     The middle of pixel c is that of its parts f c to f c + f - 1: f c + (f - 1) / 2.
     """

@@ -9,6 +9,7 @@ import numpy as np
 
 from lscan.records import Measured
 from sim.accuracy.board import lengths, map_errors_mm, photograph
+from sim.accuracy.effort import Effort
 from sim.accuracy.exposures import read_scan, with_contrast
 from sim.accuracy.groove import dimensions
 from sim.accuracy.intervals import band_miss_percent, share_inside, share_of_lengths
@@ -20,104 +21,114 @@ from sim.accuracy.stripes import bound_rows
 from sim.scene import Scene, load_scene
 from sim.verify.rows import Row
 
-Chapter = Callable[[Path, Path], list[Row]]
+Chapter = Callable[[Path, Path, Effort], list[Row]]
 
-SEEDS = tuple(range(1, 21))
 SPECKLE = 0.25
-COVERAGE_STEP_MM = 1.0
 ASKED = "required of this project"
-SEEDED = f"seeds {SEEDS[0]} to {SEEDS[-1]}"
 
 
-def board_chapter(scenes: Path, photographs: Path) -> list[Row]:
+def board_chapter(scenes: Path, photographs: Path, effort: Effort) -> list[Row]:
     """The map on the sheet, Tables I and II, and the intervals of their lengths."""
-    scene = _best(scenes, "board")
-    boards = photograph(scene, SEEDS, scene.rig.calibration.plane_map)
+    scene = _best(scenes, effort, "board")
+    boards = photograph(scene, effort.seeds, scene.rig.calibration.plane_map)
     errors = [map_errors_mm(scene, calibration)[0] for calibration in boards.calibrations]
     distance = np.concatenate([np.hypot(*error.T) for error in errors])
     tables = lengths(boards)
     name = scene.rig.calibration.plane_map
-    truth = f"truth every 10 mm of the sheet, {SEEDED}"
+    truth, seed = f"truth every 10 mm of the sheet, {effort.seeded}", effort.seeds[0]
     return [
-        Row(f"map on the sheet ({name}), rms", truth, _rms(distance), 0.03, "mm", ASKED, SEEDS[0]),
+        Row(f"map on the sheet ({name}), rms", truth, _rms(distance), 0.03, "mm", ASKED, seed,
+            noisy=True),
         Row(f"map on the sheet ({name}), largest of all", truth, float(distance.max()), 0.10,
-            "mm", ASKED, SEEDS[0]),
-        *_largest("Tables I and II", tables, 0.06),
-        _interval("board distances and diameters", tables),
+            "mm", ASKED, seed, noisy=True),
+        *_largest("Tables I and II", tables, 0.06, effort),
+        _interval("board distances and diameters", tables, effort),
     ]  # fmt: skip
 
 
-def groove_chapter(scenes: Path, photographs: Path) -> list[Row]:
+def groove_chapter(scenes: Path, photographs: Path, effort: Effort) -> list[Row]:
     """Table III, and the intervals of its lengths."""
-    board, groove = _best(scenes, "board"), _best(scenes, "groove")
-    calibrations = photograph(board, SEEDS, board.rig.calibration.plane_map).calibrations
-    tables = dimensions(groove, SEEDS, [c.plane_map for c in calibrations])
-    return [*_largest("Table III", tables, 0.15), _interval("groove", tables)]
+    board, groove = _best(scenes, effort, "board"), _best(scenes, effort, "groove")
+    calibrations = photograph(board, effort.seeds, _map_name(board, effort)).calibrations
+    tables = dimensions(groove, effort.seeds, [c.plane_map for c in calibrations])
+    return [*_largest("Table III", tables, 0.15, effort), _interval("groove", tables, effort)]
 
 
-def slices_chapter(scenes: Path, photographs: Path) -> list[Row]:
-    """The slices of the sandwave with speckle and without, every frame of the scan."""
+def slices_chapter(scenes: Path, photographs: Path, effort: Effort) -> list[Row]:
+    """The slices of the sandwave with speckle."""
+    return _slices(scenes, effort, SPECKLE, rmse_mm=0.15, within_mm=0.4)
+
+
+def smooth_slices_chapter(scenes: Path, photographs: Path, effort: Effort) -> list[Row]:
+    """The slices of the sandwave without speckle."""
+    return _slices(scenes, effort, 0.0, rmse_mm=0.05, within_mm=0.2)
+
+
+def _slices(
+    scenes: Path, effort: Effort, contrast: float, rmse_mm: float, within_mm: float
+) -> list[Row]:
+    scene = with_contrast(_best(scenes, effort, "sandwave"), contrast)
+    board = with_contrast(_best(scenes, effort, "board"), contrast)
+    seed = effort.seeds[0]
+    solved = photograph(board, [seed], _map_name(board, effort)).calibrations[0]
+    positions = every_frame(scene, effort.slice_step_mm or scene.rig.plan.step_mm)
+    reading = read_scan(scene, positions, [seed], scene.rig.stripe)[0]
+    surface = aligned_surface(scene, reading, solved.plane_map)
     rows = []
-    for contrast, rmse, within in ((SPECKLE, 0.15, 0.4), (0.0, 0.05, 0.2)):
-        scene = with_contrast(_best(scenes, "sandwave"), contrast)
-        board = with_contrast(_best(scenes, "board"), contrast)
-        solved = photograph(board, SEEDS[:1], board.rig.calibration.plane_map).calibrations[0]
-        positions = scene.rig.plan.positions_mm()
-        reading = read_scan(scene, positions, SEEDS[:1], scene.rig.stripe)[0]
-        surface = aligned_surface(scene, reading, solved.plane_map)
-        for name, found in slice_figures(scene, surface).items():
-            what = f"sandwave {name}, speckle {contrast:g}"
-            truth = f"eq. (4) at {found.points} points lit and seen"
-            rows.append(Row(f"{what}, rmse", truth, found.rmse_mm, rmse, "mm", ASKED, SEEDS[0]))
-            rows.append(
-                Row(
-                    f"{what}, 99 % within", truth, found.within_99_mm, within, "mm", ASKED, SEEDS[0]
-                )
-            )
+    for name, found in slice_figures(scene, surface).items():
+        truth = f"eq. (4) at {found.points} points lit and seen"
+        for what, figure, bar in (
+            ("rmse", found.rmse_mm, rmse_mm),
+            ("99 % within", found.within_99_mm, within_mm),
+        ):
+            what = f"sandwave {name}, speckle {contrast:g}, {what}"
+            rows.append(Row(what, truth, figure, bar, "mm", ASKED, seed, noisy=True))
     return rows
 
 
-def grid_chapter(scenes: Path, photographs: Path) -> list[Row]:
+def grid_chapter(scenes: Path, photographs: Path, effort: Effort) -> list[Row]:
     """The intervals of the sandwave's grid cells, a millimetre between frames."""
-    scene = with_contrast(_best(scenes, "sandwave"), SPECKLE)
-    board = with_contrast(_best(scenes, "board"), SPECKLE)
-    calibrations = photograph(board, SEEDS, board.rig.calibration.plane_map).calibrations
-    positions = every_frame(scene, COVERAGE_STEP_MM)
-    readings = read_scan(scene, positions, SEEDS, scene.rig.stripe)
+    scene = with_contrast(_best(scenes, effort, "sandwave"), SPECKLE)
+    board = with_contrast(_best(scenes, effort, "board"), SPECKLE)
+    calibrations = photograph(board, effort.seeds, _map_name(board, effort)).calibrations
+    positions = every_frame(scene, effort.coverage_step_mm)
+    readings = read_scan(scene, positions, effort.seeds, scene.rig.stripe)
     cells = [
-        grid_errors(scene, aligned_surface(scene, reading, calibration.plane_map))
+        grid_errors(scene, aligned_surface(scene, reading, calibration.plane_map), effort.cell_mm)
         for reading, calibration in zip(readings, calibrations, strict=True)
     ]
     error = np.concatenate([grid.error_mm for grid in cells])
     share = share_inside(error, np.concatenate([grid.sigma_mm for grid in cells]))
-    return [_interval_row("sandwave grid cells", share, len(error))]
+    return [_interval_row("sandwave grid cells", share, len(error), effort)]
 
 
-def stripe_chapter(scenes: Path, photographs: Path) -> list[Row]:
+def stripe_chapter(scenes: Path, photographs: Path, effort: Effort) -> list[Row]:
     """The best extractor against the bound."""
-    return bound_rows(_best(scenes, "groove").rig.stripe.extractor)
+    return bound_rows(_best(scenes, effort, "groove").rig.stripe.extractor, effort)
 
 
-def metric_chapter(scenes: Path, photographs: Path) -> list[Row]:
+def metric_chapter(scenes: Path, photographs: Path, effort: Effort) -> list[Row]:
     """The metric route in air and in water."""
-    return metric_rows(scenes / "metric")
+    return metric_rows(scenes / "metric", effort)
 
 
-def misaligned_chapter(scenes: Path, photographs: Path) -> list[Row]:
+def misaligned_chapter(scenes: Path, photographs: Path, effort: Effort) -> list[Row]:
     """The coplanar route with a board that is not coplanar."""
-    scene = _best(scenes, "board")
+    scene = _best(scenes, effort, "board")
     return misaligned_rows(scene, scene.rig.calibration.plane_map)
 
 
-def photograph_chapter(scenes: Path, photographs: Path) -> list[Row]:
+def photograph_chapter(scenes: Path, photographs: Path, effort: Effort) -> list[Row]:
     """The real photographs."""
-    return photograph_rows(photographs, _best(scenes, "groove").rig.stripe.extractor)
+    extractor = _best(scenes, effort, "groove").rig.stripe.extractor
+    return photograph_rows(photographs, extractor, effort.repeats)
 
 
 # The longest first: chapters run side by side, and no processor shall wait at the end.
 CHAPTERS: Mapping[str, Chapter] = {
     "grid": grid_chapter,
     "slices": slices_chapter,
+    "slices without speckle": smooth_slices_chapter,
     "groove": groove_chapter,
     "board": board_chapter,
     "metric": metric_chapter,
@@ -127,31 +138,39 @@ CHAPTERS: Mapping[str, Chapter] = {
 }
 
 
-def _best(scenes: Path, name: str) -> Scene:
-    return load_scene(scenes / "best" / f"{name}.toml")
+def _best(scenes: Path, effort: Effort, name: str) -> Scene:
+    return effort.scene(load_scene(scenes / "best" / f"{name}.toml"))
+
+
+def _map_name(board: Scene, effort: Effort) -> str:
+    return effort.plane_map or board.rig.calibration.plane_map
 
 
 def _rms(values: np.ndarray) -> float:
     return float(np.sqrt(np.mean(values**2)))
 
 
-def _largest(what: str, tables: Sequence[Mapping[str, Measured]], bar_mm: float) -> list[Row]:
+def _largest(
+    what: str, tables: Sequence[Mapping[str, Measured]], bar_mm: float, effort: Effort
+) -> list[Row]:
     """The largest error of any entry: of the first seed's table, and of all seeds' tables."""
     worst = [max(abs(length.error_mm) for length in table.values()) for table in tables]
     what = f"{what}, largest error of any entry"
     middle = f"nominal lengths; median of the seeds {np.median(worst):.3f}"
+    seed = effort.seeds[0]
+    one = f"nominal lengths, seed {seed}"
     return [
-        Row(what, f"nominal lengths, seed {SEEDS[0]}", worst[0], bar_mm, "mm", ASKED, SEEDS[0]),
-        Row(f"{what}, {SEEDED}", middle, max(worst), bar_mm, "mm", ASKED, SEEDS[0]),
+        Row(what, one, worst[0], bar_mm, "mm", ASKED, seed, noisy=True),
+        Row(f"{what}, {effort.seeded}", middle, max(worst), bar_mm, "mm", ASKED, seed, noisy=True),
     ]
 
 
-def _interval(what: str, tables: Sequence[Mapping[str, Measured]]) -> Row:
+def _interval(what: str, tables: Sequence[Mapping[str, Measured]], effort: Effort) -> Row:
     every = [length for table in tables for length in table.values()]
-    return _interval_row(what, share_of_lengths(every), len(every))
+    return _interval_row(what, share_of_lengths(every), len(every), effort)
 
 
-def _interval_row(what: str, share: float, count: int) -> Row:
-    beside = f"{100 * share:.1f} % of {count} intervals hold the truth, {SEEDED}"
-    miss = band_miss_percent(share)
-    return Row(f"95 % intervals, {what}: off 95 %", beside, miss, 2.0, "points", ASKED, SEEDS[0])
+def _interval_row(what: str, share: float, count: int, effort: Effort) -> Row:
+    beside = f"{100 * share:.1f} % of {count} intervals hold the truth, {effort.seeded}"
+    what, miss = f"95 % intervals, {what}: off 95 %", band_miss_percent(share)
+    return Row(what, beside, miss, 2.0, "points", ASKED, effort.seeds[0], noisy=True)

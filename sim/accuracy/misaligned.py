@@ -56,11 +56,12 @@ def misaligned_rows(scene: Scene, map_name: str) -> list[Row]:
     asked = "required of this project"
     return [
         Row(f"{askew_by}: places outside their 95 % intervals, alignment owned up to",
-            "truth on the sheet", outside, 5.0, "%", asked, SEED),
+            "truth on the sheet", outside, 5.0, "%", asked, SEED,
+            noisy=True),
         Row(f"{askew_by}: misses of lscan check", "the board laid in well",
-            float(verdict.agrees), 0.0, "of 1", asked, SEED),
+            float(verdict.agrees), 0.0, "of 1", asked, SEED, noisy=True),
         Row("board laid in well: false alarms of lscan check", "the board laid in well, again",
-            float(not sound.agrees), 0.0, "of 1", asked, SEED),
+            float(not sound.agrees), 0.0, "of 1", asked, SEED, noisy=True),
     ]  # fmt: skip
 
 

@@ -18,7 +18,6 @@ from sim.accuracy.exposures import Reading
 from sim.scene import Scene
 from sim.truth import slice_visibility
 
-CELL_MM = 3.0
 BORDER_MM = 3.0  # cells this near to the border of the waves hold its step
 
 
@@ -61,10 +60,10 @@ def slice_figures(scene: Scene, surface: Surface) -> dict[str, SliceFigures]:
     return figures
 
 
-def grid_errors(scene: Scene, surface: Surface) -> GridErrors:
-    """The cells on the waves that hold a value and are lit and seen."""
+def grid_errors(scene: Scene, surface: Surface, cell_mm: float) -> GridErrors:
+    """The cells, so wide, on the waves that hold a value and are lit and seen."""
     piece = _piece(scene)
-    grid = grid_cells(surface, CELL_MM)
+    grid = grid_cells(surface, cell_mm)
     x, y = (plan.ravel() for plan in np.meshgrid(grid.x_mm, grid.y_mm))
     inside = np.minimum(np.minimum(x, piece.side_mm - x), np.minimum(y, piece.side_mm - y))
     kept = (grid.status.ravel() == Status.OK) & (inside > BORDER_MM)

@@ -22,25 +22,28 @@ from sim.hardware.browser import Browser
 from sim.scene import load_scene
 from sim.verify.rows import Row
 
-FRAMES, STEP_MM = 100, 2.0
-LONGEST_S, SHORTEST_S = 12.0, 10.0  # of the scan over which pictures are counted
+STEP_MM = 2.0
+SHORTEST = 5 / 6  # of the time over which pictures are to be counted
 BAR_HZ = 15.0
-SOURCE = "issue 5, what must be shown: 640 x 480 px, on 2 cores"
+SOURCE = "required of this project: 640 x 480 px, on 2 cores"
 COUNT = "[performance.now() / 1000, window.lscan.profilesDrawn]"
 
 
-def livepage_rows(scenes: Path, output: Path = Path("out/hardware/live")) -> list[Row]:
+def livepage_rows(
+    scenes: Path, frames: int, seconds: float, output: Path = Path("out/hardware/live")
+) -> list[Row]:
     """Pictures a second that headless Chromium draws, with stripe and profile, during a scan.
 
     The webcam, the track, the page and the browser are processes of their own, all on this
     machine; the scan is started and stopped by clicks.  scenes: folder that holds
-    paper/board.toml and paper/sandwave.toml.  output: folder for what is written, replaced if
-    it is there; a screenshot of the scan, page.png, stays in it.  Raises BrowserMissing where
-    there is no Chromium, MeasurementError where a process does not do its part.
+    paper/board.toml and paper/sandwave.toml.  frames: of the scan.  seconds: over which pictures
+    are counted.  output: folder for what is written, replaced if it is there; a screenshot of
+    the scan, page.png, stays in it.  Raises BrowserMissing where there is no Chromium,
+    MeasurementError where a process does not do its part.
     """
     shutil.rmtree(output, ignore_errors=True)
     make_folder(output)
-    calibration, scene = _calibration(scenes, output), _short_scene(scenes, output)
+    calibration, scene = _calibration(scenes, output), _short_scene(scenes, frames, output)
     rig = output / "rig.toml"
     serve = ["sim.cli", "serve", str(scene), "--prepare", "--write-rig", str(rig)]
     live = ["lscan.cli", "live", str(rig), "--calibration", str(calibration), "--port", "0"]
@@ -49,22 +52,24 @@ def livepage_rows(scenes: Path, output: Path = Path("out/hardware/live")) -> lis
         _running([*live, "--output", str(output / "runs")], "http", output / "live.log") as line,
         Browser() as browser,
     ):
-        rate_hz = _rate_while_scanning(browser, line.split()[0], output / "page.png")
+        rate_hz = _rate_while_scanning(browser, line.split()[0], seconds, output / "page.png")
     return [
         Row(
             what="live page: pictures drawn a second while scanning, with stripe and profile",
-            reference="performance.now() of headless Chromium, over at least 10 s of the scan",
+            reference="performance.now() of headless Chromium, over at least "
+            f"{SHORTEST * seconds:.3g} s of the scan",
             figure=rate_hz,
             bar=BAR_HZ,
             unit="1/s",
             tolerance_from=SOURCE,
             seed=load_scene(scene).tank.sensor.seed,
             at_least=True,
+            noisy=True,
         )
     ]
 
 
-def _rate_while_scanning(browser: Browser, address: str, screenshot: Path) -> float:
+def _rate_while_scanning(browser: Browser, address: str, seconds: float, screenshot: Path) -> float:
     """Start a scan by a click, count the pictures drawn while it goes on, and stop it."""
     browser.open(address)
     browser.wait_for(
@@ -75,15 +80,15 @@ def _rate_while_scanning(browser: Browser, address: str, screenshot: Path) -> fl
     browser.wait_for("document.querySelector('#progress').value > 0", timeout_s=60.0)
     began_s, began = browser.evaluate(COUNT)
     now_s, drawn = began_s, began
-    while now_s - began_s < LONGEST_S and browser.evaluate(
+    while now_s - began_s < seconds and browser.evaluate(
         "!document.querySelector('#pause').disabled"
     ):
         time.sleep(0.25)
         now_s, drawn = browser.evaluate(COUNT)
-    if now_s - began_s < SHORTEST_S:
+    if now_s - began_s < SHORTEST * seconds:
         fault = browser.evaluate("document.querySelector('#alert').innerText")
         raise MeasurementError(
-            f"the scan went on for {now_s - began_s:.1f} s only, {SHORTEST_S:g} s needed "
+            f"the scan went on for {now_s - began_s:.1f} s only, {SHORTEST * seconds:.3g} s needed "
             f"({fault or 'no fault told'})"
         )
     browser.screenshot(screenshot)
@@ -101,11 +106,11 @@ def _calibration(scenes: Path, output: Path) -> Path:
     return path
 
 
-def _short_scene(scenes: Path, output: Path) -> Path:
+def _short_scene(scenes: Path, frames: int, output: Path) -> Path:
     """The sandwave's scene with fewer frames, so that it is rendered in a minute or two."""
     path = output / "scene.toml"
     included = os.path.relpath(scenes / "paper" / "sandwave.toml", output)
-    plan = f"[plan]\nframes = {FRAMES}\nstep_mm = {STEP_MM}\n"
+    plan = f"[plan]\nframes = {frames}\nstep_mm = {STEP_MM}\n"
     write_atomically(path, f'include = "{Path(included).as_posix()}"\n\n{plan}'.encode())
     return path
 

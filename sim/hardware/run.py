@@ -3,20 +3,20 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
-from lscan.disk import make_folder
 from lscan.rig import load_rig
 from sim.hardware.agreement import agreement_rows
 from sim.hardware.campaign import Outcome, fault_rows
+from sim.hardware.effort import FULL, QUICK
 from sim.hardware.fields import field_rows
 from sim.hardware.kills import kill_rows
 from sim.hardware.livepage import livepage_rows
 from sim.hardware.overhead import overhead_rows
-from sim.verify.rows import Row, write_rows
+from sim.verify.rows import Row, RowFile, measured
 
 Progress = Callable[[int, int], None]
 NEEDED = ("board", "sandwave")
@@ -29,45 +29,46 @@ class Evidence:
     rows: tuple[Row, ...]
     outcomes: tuple[Outcome, ...]
 
-    @property
-    def passed(self) -> bool:
-        """Whether every figure keeps its bar."""
-        return all(row.passed for row in self.rows)
 
+def run_hardware(
+    scenes: Path, output: Path, quick: bool = False, progress: Progress | None = None
+) -> Evidence:
+    """The figures, whose rows are also written to ``output`` as they are measured.
 
-def run_hardware(scenes: Path, output: Path, progress: Progress | None = None) -> Evidence:
-    """The figures, whose rows are also written to ``output`` as a JSON list.
-
-    scenes: folder of the scene files.  progress: told (done, all) after each chapter.  The
-    chapters take turns, because one would spoil what another measures of time.  Raises
-    InputError where a scene file is wrong or the disk refuses, BrowserMissing without Chromium.
+    scenes: folder of the scene files.  quick: every row, with the least effort.  progress: told
+    (done, all) after each chapter.  The chapters take turns, because one would spoil what
+    another measures of time; one that ends with an error, as the live page's does without
+    Chromium, is a failed row.  Raises InputError where a scene file is wrong or the disk
+    refuses.
     """
     for name in NEEDED:
         load_rig(scenes / "paper" / f"{name}.toml")  # refuses a bad file before minutes of work
-    make_folder(output.parent)
+    file = RowFile(output, quick)
+    effort = QUICK if quick else FULL
     outcomes: list[Outcome] = []
 
     def faults() -> list[Row]:
         with _quiet():
-            rows, ended = fault_rows()
+            rows, ended = fault_rows(effort.faults)
         outcomes.extend(ended)
         return rows
 
-    chapters: Sequence[Callable[[], list[Row]]] = (
-        lambda: livepage_rows(scenes),
-        overhead_rows,
-        lambda: agreement_rows(scenes),
-        lambda: kill_rows(scenes / "paper" / "sandwave.toml"),
-        field_rows,
-        faults,
-    )
-    rows: list[Row] = []
-    for done, chapter in enumerate(chapters, start=1):
-        rows += chapter()
+    sandwave = scenes / "paper" / "sandwave.toml"
+    chapters: Mapping[str, Callable[[], list[Row]]] = {
+        "live page": lambda: livepage_rows(scenes, effort.live_frames, effort.live_s),
+        "overhead of a frame": lambda: overhead_rows(effort.overhead_frames, scene=sandwave),
+        "scan through opencv and grbl": lambda: agreement_rows(
+            scenes, effort.scan_frames, effort.aligned
+        ),
+        "kills": lambda: kill_rows(sandwave, effort.kills, effort.kill_frames),
+        "rig files with one field wrong": lambda: field_rows(effort.every_field),
+        "faults": faults,
+    }
+    for done, (name, chapter) in enumerate(chapters.items(), start=1):
+        file.add(measured(name, chapter))
         if progress is not None:
             progress(done, len(chapters))
-    write_rows(output, rows)
-    return Evidence(tuple(rows), tuple(outcomes))
+    return Evidence(tuple(file.rows), tuple(outcomes))
 
 
 @contextmanager

@@ -45,6 +45,7 @@ def closed_box(rays: int, batches: int) -> Check:
                 f"required of the tank; one standard error is {error:.1g} with {batches} batches "
                 f"of {rays} rays",
                 SEED,
+                noisy=True,
             ),
         ),
     )

@@ -22,20 +22,29 @@ Measure = Callable[[], Check]
 
 @dataclass(frozen=True)
 class Effort:
-    """How many random cases are drawn: rigs for the ports, lines of sight for the veil."""
+    """How much is measured.
+
+    rigs: random ones for the ports.  sights: random lines of sight for the veil.  box_rays,
+    box_batches: of the closed box.  runs, samples: independent pictures a side against
+    volpath, and its samples a pixel.
+    """
 
     rigs: int
     sights: int
+    box_rays: int
+    box_batches: int
+    runs: int
+    samples: int
 
 
-QUICK = Effort(rigs=10, sights=8)
-FULL = Effort(rigs=60, sights=60)
+FULL = Effort(rigs=60, sights=60, box_rays=1 << 19, box_batches=16, runs=16, samples=2048)
+QUICK = Effort(rigs=2, sights=2, box_rays=1 << 14, box_batches=4, runs=3, samples=16)
+WATERS = ("clear", "coastal", "harbor")
 
 
-def chapters(full: bool) -> dict[str, Measure]:
-    """Name to measurement of every check of the quick half, or of the full evidence."""
-    effort = FULL if full else QUICK
-    quick: dict[str, Measure] = {
+def chapters(effort: Effort) -> dict[str, Measure]:
+    """Name to measurement of every check, in the order of the page."""
+    return {
         "ports": lambda: ports(effort.rigs),
         "projection": lambda: projection(effort.rigs),
         "refraction": refraction,
@@ -44,11 +53,8 @@ def chapters(full: bool) -> dict[str, Measure]:
         "single scattering": lambda: single_scattering(effort.sights),
         "energy": energy,
         "sensor": sensor,
-    }
-    slow: dict[str, Measure] = {
-        "closed box": lambda: closed_box(1 << 19, 16),
-        "multiple scattering": lambda: multiple_scattering(
-            ("clear", "coastal", "harbor"), 16, 2048
+        "closed box": lambda: closed_box(effort.box_rays, effort.box_batches),
+        "all orders of scattering": lambda: multiple_scattering(
+            WATERS, effort.runs, effort.samples
         ),
     }
-    return quick | slow if full else quick

@@ -42,8 +42,8 @@ def render_page(checks: Sequence[Check], plates: Sequence[Plate] = (), seconds: 
     )
 
 
-def share_of_bar(figure: float, bar: float) -> float:
+def share_of_bar(figure: float, bar: float | None) -> float:
     """How much of its bar a figure uses, in percent, for the gauge: 100 where it is beyond."""
-    if not figure <= bar:
+    if bar is None or not figure <= bar:
         return 100.0
     return 100.0 * figure / bar if bar > 0 else 0.0

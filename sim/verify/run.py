@@ -1,17 +1,17 @@
-"""The whole run: measure every chapter, then write the figures and the page."""
+"""The whole run: measure every chapter, writing its figures, then show them on a page."""
 
 from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from lscan.disk import make_folder
-from sim.verify.chapters import chapters
+from sim.verify.chapters import FULL, QUICK, Measure, chapters
 from sim.verify.gallery import Plate, gallery, scene_files
 from sim.verify.report import write_page
-from sim.verify.rows import Check, Row, rows_of, write_rows
+from sim.verify.rows import Check, Row, RowFile, all_passed, failed_row, rows_of
 
 Progress = Callable[[int, int], None]
 
@@ -23,7 +23,6 @@ class Evidence:
     checks: tuple[Check, ...]
     plates: tuple[Plate, ...]
     seconds: float
-    full: bool
 
     @property
     def rows(self) -> list[Row]:
@@ -32,31 +31,67 @@ class Evidence:
 
     @property
     def passed(self) -> bool:
-        """Whether every figure is within its bar."""
-        return all(row.passed for row in self.rows)
+        """Whether no figure is beyond its bar."""
+        return all_passed(self.rows)
 
 
 def run_verify(
-    folder: Path, full: bool = False, scenes: Path | None = None, progress: Progress | None = None
+    folder: Path, scenes: Path, quick: bool = False, progress: Progress | None = None
 ) -> Evidence:
     """The evidence, also written to ``folder`` as verify.json and report.html.
 
-    full: with the slow half and one picture of each scene file beneath ``scenes``.
-    progress: told (done, all) after each chapter.  Raises InputError where the disk refuses
-    or a scene file is wrong.
+    The rows are written as they are measured; a chapter or a scene that ends with an error is
+    a failed row with its message.
+
+    Parameters
+    ----------
+    folder : Path
+        Where the files go; it is made.
+    scenes : Path
+        Folder of scene files, one picture of each.
+    quick : bool
+        Every row and every picture, but each with the least effort; what noise could spoil is
+        then not judged.
+    progress : callable, optional
+        Told (done, all) after each chapter.
+
+    Raises
+    ------
+    InputError
+        Where the disk refuses, or ``scenes`` is not there.
     """
-    if full and scenes is not None:
-        scene_files(scenes)  # refuses a folder that is not there before minutes of work
+    scene_files(scenes)  # refuses a folder that is not there before minutes of work
     make_folder(folder)
+    file = RowFile(folder / "verify.json", quick)
     started = time.perf_counter()
     checks = []
-    measures = chapters(full)
-    for done, measure in enumerate(measures.values(), start=1):
-        checks.append(measure())
+    measures = chapters(QUICK if quick else FULL)
+    for done, (name, measure) in enumerate(measures.items(), start=1):
+        check = _measured(name, measure)
+        checks.append(replace(check, rows=tuple(file.add(check.rows))))
         if progress is not None:
-            progress(done, len(measures))
-    plates = gallery(scenes) if full and scenes is not None else ()
-    evidence = Evidence(tuple(checks), plates, time.perf_counter() - started, full)
-    write_rows(folder / "verify.json", evidence.rows)
-    write_page(folder / "report.html", evidence.checks, plates, evidence.seconds)
+            progress(done, len(measures) + 1)
+    shown = gallery(scenes, quick)
+    checks.append(_scenes(tuple(file.add(shown.rows))))
+    evidence = Evidence(tuple(checks), shown.plates, time.perf_counter() - started)
+    write_page(folder / "report.html", evidence.checks, shown.plates, evidence.seconds)
     return evidence
+
+
+def _measured(name: str, measure: Measure) -> Check:
+    """The chapter's check; one that says so where it ends with an error."""
+    try:
+        return measure()
+    except Exception as error:  # whatever it is, the other chapters are still wanted
+        key = name.replace(" ", "-")
+        text = "This chapter ended with an error and has no figures."
+        return Check(key, name.capitalize(), text, (failed_row(name, error),))
+
+
+def _scenes(rows: tuple[Row, ...]) -> Check:
+    return Check(
+        key="gallery",
+        title="Scene files",
+        text="Every scene file is rendered once. A picture that cannot be taken is a failed row.",
+        rows=rows,
+    )

@@ -23,16 +23,16 @@ def test_killed_scans_are_finished_to_the_same_bytes() -> None:
 
 def test_a_scan_that_fails_by_itself_is_no_kill() -> None:
     with pytest.raises(RuntimeError, match=r"ended with code 2: .*gone\.toml.*cannot be read"):
-        kill_runs(SCENE.with_name("gone.toml"), count=1)
+        kill_runs(SCENE.with_name("gone.toml"), count=1, frames=20)
 
 
 def test_the_rows_count_kills_and_differing_runs(monkeypatch: pytest.MonkeyPatch) -> None:
     runs = [KilledRun((0, 0, 3, 9), True)] * 4 + [KilledRun((5, 9, 9), True)]
     monkeypatch.setattr(kills, "kill_runs", lambda *_, **__: runs)
-    rows = kill_rows(SCENE)
+    rows = kill_rows(SCENE, count=20, frames=120)
     assert [(row.figure, row.passed) for row in rows] == [(19, False), (0, True)]
     runs.append(KilledRun((2,), False))
-    rows = kill_rows(SCENE)
+    rows = kill_rows(SCENE, count=20, frames=120)
     assert [(row.figure, row.passed) for row in rows] == [(20, True), (1, False)]
 
 

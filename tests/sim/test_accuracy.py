@@ -13,6 +13,7 @@ from lscan.errors import InputError
 from lscan.records import Measured
 from lscan.rig import NoiseSection
 from sim.accuracy import run as accuracy
+from sim.accuracy.effort import FULL, QUICK, Effort
 from sim.accuracy.exposures import pictures, with_contrast
 from sim.accuracy.intervals import COVER, band_miss_percent, share_inside, share_of_lengths
 from sim.accuracy.misaligned import OFFSET_MM, TILT_DEG, misaligned
@@ -22,7 +23,7 @@ from sim.accuracy.stripes import cases, cell
 from sim.scene import head_pose, load_scene, target_pose
 from sim.sensor.speckle import speckle_contrast
 from sim.tank import Tank
-from sim.verify.rows import Row, write_rows
+from sim.verify.rows import Row
 
 ROOT = Path(__file__).resolve().parents[2]
 SCENES = ROOT / "scenes"
@@ -83,26 +84,46 @@ def test_positions_cover_the_scan() -> None:
 
 def test_a_bad_extractor_fails_the_bound() -> None:
     name, case = next(cases())
-    good, bad = cell("ml", case, name), cell("max", case, name)
+    good, bad = cell("ml", case, name, 100), cell("max", case, name, 100)
     # The brightest pixel has at least the scatter of rounding to whole pixels, 0.29 px.
     assert bad.ratio > 2 * good.ratio and bad.ratio > 1.1
-    silent = cell("ml", case.__class__("tap", 0.8, 20.0, NoiseSection(read_dn=1.0)), name)
+    silent = cell("ml", case.__class__("tap", 0.8, 20.0, NoiseSection(read_dn=1.0)), name, 4)
     assert silent.ratio == float("inf")  # beneath the threshold nothing is found
 
 
 def test_photographs_that_are_not_there_have_no_rows(tmp_path: Path) -> None:
-    assert photograph_rows(tmp_path / "none", "ml") == []
+    assert photograph_rows(tmp_path / "none", "ml", 1) == []
 
 
-def test_rows_are_written_as_measured(tmp_path: Path) -> None:
-    rows = accuracy.measure([_good, _bad], SCENES, tmp_path)
-    assert [row.passed for row in rows] == [True, False]
+def test_an_error_in_a_chapter_is_a_failed_row(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(accuracy, "CHAPTERS", {"good": _good, "ends": _ends, "bad": _bad})
     output = tmp_path / "deep" / "accuracy.json"
-    output.parent.mkdir()
-    write_rows(output, rows)
+    rows = accuracy.run_accuracy(SCENES, tmp_path, output)
+    assert [row.what for row in rows] == ["good", "ends", "bad"]
+    assert [row.passed for row in rows] == [True, False, False]
     written = json.loads(output.read_text())
-    assert [row["passed"] for row in written] == [True, False]
+    assert [row["passed"] for row in written] == [True, False, False]
+    assert "only 3 tops" in written[1]["error"]
     assert set(written[0]) >= {"what", "figure", "bar", "unit", "passed"}
+
+
+def test_a_quick_run_is_told_to_the_chapters(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(accuracy, "CHAPTERS", {"bad": _bad})
+    (row,) = accuracy.run_accuracy(SCENES, tmp_path, tmp_path / "accuracy.json", quick=True)
+    assert row.quick and row.seed == len(QUICK.seeds)
+
+
+def test_plain_scenes_are_rendered_with_few_samples() -> None:
+    scene = load_scene(SCENES / "best" / "board.toml")
+    assert FULL.scene(scene) is scene
+    plain = QUICK.scene(scene)
+    assert (plain.tank.render.fineness, plain.tank.render.scatter_samples) == (1, 0)
+    assert plain.tank.render.samples < scene.tank.render.samples
+    assert plain.tank.lens == scene.tank.lens
 
 
 def test_a_missing_scene_is_refused_before_any_work(tmp_path: Path) -> None:
@@ -111,9 +132,13 @@ def test_a_missing_scene_is_refused_before_any_work(tmp_path: Path) -> None:
     assert not (tmp_path / "accuracy.json").exists()
 
 
-def _good(scenes: Path, photographs: Path) -> list[Row]:
-    return [Row("good", "itself", 1.0, 2.0, "mm", "made up", 1)]
+def _good(scenes: Path, photographs: Path, effort: Effort) -> list[Row]:
+    return [Row("good", "itself", 1.0, 2.0, "mm", "made up", len(effort.seeds))]
 
 
-def _bad(scenes: Path, photographs: Path) -> list[Row]:
-    return [Row("bad", "itself", 3.0, 2.0, "mm", "made up", 1)]
+def _bad(scenes: Path, photographs: Path, effort: Effort) -> list[Row]:
+    return [Row("bad", "itself", 3.0, 2.0, "mm", "made up", len(effort.seeds))]
+
+
+def _ends(scenes: Path, photographs: Path, effort: Effort) -> list[Row]:
+    raise ValueError("only 3 tops")

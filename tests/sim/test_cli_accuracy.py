@@ -24,13 +24,13 @@ def test_exit_code_says_whether_all_rows_pass(
     rows = [_row(figure) for figure in figures]
     given = []
     monkeypatch.setattr(
-        sim.accuracy.run, "run_accuracy", lambda *args: given.append(args[:3]) or rows
+        sim.accuracy.run, "run_accuracy", lambda *args: given.append(args[:4]) or rows
     )
     options = ["--scenes", "s", "--photographs", "p", "--output", "o.json"]
     printed = CliRunner().invoke(app, ["accuracy", *options, "--json"])
     assert printed.exit_code == code
     assert json.loads(printed.stdout) == [row.as_json() for row in rows]
-    assert given == [(Path("s"), Path("p"), Path("o.json"))]
+    assert given == [(Path("s"), Path("p"), Path("o.json"), False)]
     table = CliRunner().invoke(app, ["accuracy", *options])
     assert table.exit_code == code
     assert ("NO" in table.stdout) == bool(code)

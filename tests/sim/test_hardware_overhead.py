@@ -5,9 +5,11 @@ from __future__ import annotations
 import os
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
 import pytest
 
@@ -15,7 +17,8 @@ from lscan.devices.api import Grab
 from lscan.records import Bytes
 from lscan.run import open_run
 from sim.hardware import overhead
-from sim.hardware.overhead import FreeCamera, frame_times, overhead_rows
+from sim.hardware.effort import FULL
+from sim.hardware.overhead import FreeCamera, SavingCamera, frame_times, overhead_rows
 
 SCENE = Path(__file__).resolve().parents[2] / overhead.SCENE
 SMALL = (16, 20, 3)
@@ -77,25 +80,43 @@ def test_what_is_timed_is_a_whole_scan(tmp_path: Path, pictures: list[Bytes]) ->
     assert (times_s > 0).all()
 
 
-def test_the_rows(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, pictures: list[Bytes]) -> None:
-    asked: dict[str, Any] = {}
-
-    def known_times(path: Path, pictures: list[Bytes], frames: int) -> np.ndarray:
-        asked.update(folder=path.parent.parent, frames=frames)
-        return np.array([0.004] * (frames - 1) + [0.004 + 0.001 * frames])
-
+def test_the_rows_are_ratios_to_saving_the_same_pictures(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, pictures: list[Bytes]
+) -> None:
+    """On a machine twice as slow both take twice as long, and the figures stay."""
     monkeypatch.setattr(overhead, "noisy_pictures", lambda scene: pictures)
-    monkeypatch.setattr(overhead, "frame_times", known_times)
-    rows = overhead_rows(tmp_path)
-    assert asked == {"folder": tmp_path, "frames": overhead.FRAMES}
-    assert overhead.FRAMES >= 200
-    assert [row.figure for row in rows] == pytest.approx([4.0, 5.0])
+
+    def times_on(slowness: float) -> Callable[..., np.ndarray]:
+        def known_times(path: Path, pictures: list[Bytes], frames: int, camera: Any) -> np.ndarray:
+            camera.keywords["saved_s"] += [0.010 * slowness] * frames
+            taken = np.array([0.004] * (frames - 1) + [0.004 + 0.001 * frames])
+            return slowness * taken
+
+        return known_times
+
+    for slowness in (1.0, 2.0):
+        monkeypatch.setattr(overhead, "frame_times", times_on(slowness))
+        rows = overhead_rows(FULL.overhead_frames, tmp_path)
+        assert [row.figure for row in rows] == pytest.approx([0.4, 0.5])
     assert [row.what.rpartition(": ")[2] for row in rows] == ["median", "mean"]
-    assert all(f"{overhead.FRAMES} frames" in row.what for row in rows)
-    assert {(row.bar, row.unit, row.seed, row.passed) for row in rows} == {
-        (10.0, "ms", overhead.SEED, True)
-    }
+    assert all(f"{FULL.overhead_frames} frames" in row.what for row in rows)
+    assert FULL.overhead_frames >= 200
+    assert {(row.unit, row.seed, row.passed) for row in rows} == {("ratio", overhead.SEED, True)}
     assert list(tmp_path.iterdir()) == [], "nothing is left behind"
+
+
+def test_plain_savings_are_timed_and_are_no_part_of_the_overhead(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, pictures: list[Bytes]
+) -> None:
+    """Syncs of 2 ms: one a plain saving, and as before three a frame and two at the end."""
+    clock = FakeClock()
+    monkeypatch.setattr(os, "fsync", slow_syncs(clock, 0.002))
+    saved_s: list[float] = []
+    camera = partial(SavingCamera, path=tmp_path / "plain.png", saved_s=saved_s)
+    times_s = frame_times(tmp_path / "a", pictures, 7, clock, camera)
+    np.testing.assert_allclose(saved_s, [0.002] * 7, atol=1e-9)
+    np.testing.assert_allclose(times_s, [0.006] * 6 + [0.010], atol=1e-9)
+    assert (cv2.imread(str(tmp_path / "plain.png")) == pictures[6 % 3]).all()
 
 
 def test_the_pictures_are_of_the_tank_with_its_noise() -> None:

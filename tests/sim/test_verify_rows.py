@@ -6,6 +6,7 @@ import json
 from pathlib import Path
 
 import pytest
+from click.testing import Result
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from typer.testing import CliRunner
@@ -16,7 +17,17 @@ from sim.cli import app
 from sim.verify import run
 from sim.verify.gallery import Plate, gallery, scene_files
 from sim.verify.report import render_page, share_of_bar
-from sim.verify.rows import Check, Row, number, rows_of, write_rows
+from sim.verify.rows import (
+    Check,
+    Row,
+    RowFile,
+    all_passed,
+    measured,
+    number,
+    rows_of,
+    table_cells,
+    write_rows,
+)
 
 
 def row(figure: float, bar: float = 1.0, **changes: object) -> Row:
@@ -47,7 +58,17 @@ def test_the_json_file_holds_every_row(tmp_path: Path) -> None:
     write_rows(tmp_path / "deep" / "verify.json", rows)
     read = json.loads((tmp_path / "deep" / "verify.json").read_text())
     assert [entry["passed"] for entry in read] == [True, False, False]
-    keys = {"what", "reference", "figure", "bar", "unit", "tolerance_from", "seed", "passed"}
+    keys = {
+        "what",
+        "reference",
+        "figure",
+        "bar",
+        "unit",
+        "tolerance_from",
+        "seed",
+        "quick",
+        "passed",
+    }
     assert all(set(entry) == keys for entry in read)
     assert [entry["figure"] for entry in read] == [0.5, 2.0, None]
 
@@ -89,14 +110,24 @@ def test_the_page_shows_every_check_and_loads_nothing() -> None:
     assert "All 1 figures are within" in render_page([check(0.5)])
 
 
+def invoked(
+    folder: Path, monkeypatch: pytest.MonkeyPatch, chapters: dict[str, object], *options: str
+) -> Result:
+    """``lscan-sim verify`` with chapters in the place of its own, on a folder of no scenes."""
+    scenes = folder / "scenes"
+    scenes.mkdir()
+    monkeypatch.setattr(run, "chapters", lambda effort: chapters)
+    output = ["-o", str(folder / "out"), "--scenes", str(scenes)]
+    return CliRunner().invoke(app, ["verify", *output, *options])
+
+
 @pytest.mark.parametrize(("figure", "code"), [(0.5, 0), (2.0, 1)])
 def test_the_exit_code_tells_of_a_row_beyond_its_bar(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, figure: float, code: int
 ) -> None:
-    monkeypatch.setattr(run, "chapters", lambda full: {"lengths": lambda: check(figure)})
-    copy = tmp_path / "copy.json"
-    folder = tmp_path / "out"
-    done = CliRunner().invoke(app, ["verify", "-o", str(folder), "--json-file", str(copy)])
+    copy, folder = tmp_path / "copy.json", tmp_path / "out"
+    chapters = {"lengths": lambda: check(figure)}
+    done = invoked(tmp_path, monkeypatch, chapters, "--json-file", str(copy))
     assert done.exit_code == code, done.output
     assert "a length" in done.output
     assert copy.read_bytes() == (folder / "verify.json").read_bytes()
@@ -107,9 +138,76 @@ def test_the_exit_code_tells_of_a_row_beyond_its_bar(
 def test_the_command_prints_its_rows_as_json(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(run, "chapters", lambda full: {"lengths": lambda: check(0.5)})
-    done = CliRunner().invoke(app, ["verify", "-o", str(tmp_path), "--json"])
+    done = invoked(tmp_path, monkeypatch, {"lengths": lambda: check(0.5)}, "--json")
     assert json.loads(done.stdout)[0]["what"] == "a length"
+
+
+def test_an_error_in_a_chapter_is_a_failed_row_and_not_the_end(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """What was measured before it is on disk by then, what comes behind it is measured too."""
+    path = tmp_path / "out" / "verify.json"
+
+    def broken() -> Check:
+        assert [entry["figure"] for entry in json.loads(path.read_text())] == [0.5]
+        raise ValueError("not a square number")
+
+    chapters = {"one": lambda: check(0.5), "two": broken, "three": lambda: check(0.7)}
+    done = invoked(tmp_path, monkeypatch, chapters)
+    assert done.exit_code == 1
+    rows = json.loads(path.read_text())
+    assert [entry["passed"] for entry in rows] == [True, False, True, True]
+    assert rows[1]["what"] == "two" and rows[1]["figure"] is None
+    assert "not a square number" in rows[1]["error"] and "not a square number" in done.output
+    assert "not a square number" in (tmp_path / "out" / "report.html").read_text()
+
+
+def test_a_quick_run_says_so_and_judges_only_what_noise_cannot_spoil(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    rows = (row(0.5), row(2.0, noisy=True), row(float("nan"), noisy=True))
+    chapters = {"lengths": lambda: Check("lengths", "Lengths", "Some.", rows[:2])}
+    done = invoked(tmp_path, monkeypatch, chapters, "--quick")
+    assert done.exit_code == 0, done.output
+    written = json.loads((tmp_path / "out" / "verify.json").read_text())
+    assert [entry["quick"] for entry in written] == [True] * 3
+    assert [entry["passed"] for entry in written] == [True, None, True]
+    assert "not judged" in (tmp_path / "out" / "report.html").read_text()
+    # Noise never makes a figure that is no number.
+    file = RowFile(tmp_path / "rows.json", quick=True)
+    assert [marked.passed for marked in file.add(rows)] == [True, None, False]
+    assert not all_passed(file.rows)
+    assert [cells[-1] for cells in table_cells(file.rows)] == ["yes", "-", "NO"]
+
+
+def test_rows_keep_their_places_whenever_they_come(tmp_path: Path) -> None:
+    file = RowFile(tmp_path / "deep" / "rows.json", quick=False)
+    assert json.loads(file.path.read_text()) == []
+    for place in (2, 0, 1):
+        file.add([row(float(place))], place)
+        held = [entry["figure"] for entry in json.loads(file.path.read_text())]
+        assert held == sorted(held) and place in held
+    file.add([row(9.0)])
+    assert [kept.figure for kept in file.rows] == [0.0, 1.0, 2.0, 9.0]
+
+
+def test_an_error_of_the_program_says_where_it_arose() -> None:
+    def wrong() -> list[Row]:
+        return [row([1.0][5])]
+
+    (failed,) = measured("a length", wrong)
+    assert failed.error.startswith("IndexError: list index out of range (test_verify_rows.py:")
+    (refused,) = measured("a length", lambda: write_rows(Path("/proc/none"), []))  # type: ignore[func-returns-value]
+    assert "/proc" in refused.error and "Error:" not in refused.error
+
+
+@pytest.mark.parametrize("stop", [KeyboardInterrupt, SystemExit])
+def test_a_stop_is_no_failed_row(stop: type[BaseException]) -> None:
+    def stopped() -> list[Row]:
+        raise stop
+
+    with pytest.raises(stop):
+        measured("a length", stopped)
 
 
 def test_the_gallery_shows_whole_scenes_only() -> None:

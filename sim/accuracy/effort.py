@@ -1,0 +1,67 @@
+"""How much of the accuracy table's work is done: all of it, or a quick look at every row."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+from sim.scene import Scene
+
+
+@dataclass(frozen=True)
+class Effort:
+    """What a run of the table measures.
+
+    seeds: of sensor noise and speckle.  plane_map: through which workpieces are measured;
+    None: the scene's own.  slice_step_mm: of the track between frames of the sandwave; None:
+    the scene's own.  coverage_step_mm, cell_mm: the same where intervals are counted, and the
+    grid's cells.  poses: of the metric route's board.  drawings: pictures of each kind of drawn
+    line.  repeats: of a call that is timed.  plain: rendered with few samples, each pixel as a
+    whole, in the first order of light.
+    """
+
+    seeds: tuple[int, ...]
+    plane_map: str | None
+    slice_step_mm: float | None
+    coverage_step_mm: float
+    cell_mm: float
+    poses: int
+    drawings: int
+    repeats: int
+    plain: bool
+
+    @property
+    def seeded(self) -> str:
+        """The seeds in words."""
+        return f"seeds {self.seeds[0]} to {self.seeds[-1]}"
+
+    def scene(self, scene: Scene) -> Scene:
+        """The scene as this effort renders it."""
+        if not self.plain:
+            return scene
+        least = {"fineness": 1, "samples": 4, "scatter_samples": 0}
+        render = scene.tank.render.model_copy(update=least)
+        return replace(scene, tank=scene.tank.model_copy(update={"render": render}))
+
+
+FULL = Effort(
+    seeds=tuple(range(1, 21)),
+    plane_map=None,
+    slice_step_mm=None,
+    coverage_step_mm=1.0,
+    cell_mm=3.0,
+    poses=10,
+    drawings=100,
+    repeats=5,
+    plain=False,
+)
+QUICK = Effort(
+    seeds=(1,),
+    plane_map="polynomial-5",  # a hundredth of the time that ray tracing takes to solve
+    slice_step_mm=2.0,  # the longest with which the alignment has ten profiles across a wedge
+    coverage_step_mm=2.0,
+    cell_mm=6.0,
+    poses=8,
+    drawings=4,
+    repeats=1,
+    plain=True,
+)
