@@ -18,7 +18,7 @@ from lscan import paper
 from lscan.checks import checks
 from lscan.disk import write_atomically
 from lscan.figures.exhibit import Exhibit, RowFits, RulerCurve, SliceData
-from lscan.records import BoardReading, Bytes, Floats, Stripe, Surface
+from lscan.records import BoardReading, Bytes, Floats, Mask, Stripe, Surface
 from lscan.tables import paper_tables
 
 if TYPE_CHECKING:
@@ -160,25 +160,41 @@ def _stripe_exhibits(inputs: ReportInputs) -> list[Exhibit]:
 
 
 def _surface_exhibits(inputs: ReportInputs) -> list[Exhibit]:
-    from lscan.figures import contours, relief
+    from lscan.figures import contours, interactive, relief
 
     raw = _drawable(inputs.raw.xyz_mm if inputs.raw else None)
     levelled, turned = _drawable(inputs.levelled), _drawable(inputs.turned)
     aligned = _drawable(inputs.aligned.xyz_mm if inputs.aligned else None)
     yaw_deg = ((inputs.results.get("sandwave") or {}).get("yaw_deg") or {}).get("estimated")
+    waves = _on_the_waves(inputs)
     exhibits = []
     if raw is not None:
         exhibits.append(relief.raw_relief(raw))
     if levelled is not None:
         exhibits.append(relief.levelled_relief(levelled, inputs.corners))
     if turned is not None:
-        exhibits.append(contours.contours_before(turned, yaw_deg))
+        exhibits.append(contours.contours_before(turned, yaw_deg, waves))
     if aligned is not None:
-        exhibits.append(contours.contours_after(aligned, yaw_deg, inputs.slices))
+        exhibits.append(contours.contours_after(aligned, yaw_deg, inputs.slices, waves))
     last = aligned if aligned is not None else raw
     if last is not None:
-        exhibits.append(contours.surface_to_turn(last))
+        exhibits.append(interactive.surface_to_turn(last, waves))
     return exhibits
+
+
+def _on_the_waves(inputs: ReportInputs) -> Mask | None:
+    """(F, N) the aligned points within the slices, one of which is the diagonal of the waves.
+
+    None where there are no such points.  The surface before alignment has the same points.
+    """
+    ends = [data.ends_mm for data in inputs.slices.values() if data.ends_mm is not None]
+    if inputs.aligned is None or not ends:
+        return None
+    low, high = (extreme(np.concatenate(ends), axis=0) for extreme in (np.min, np.max))
+    xyz = inputs.aligned.xyz_mm
+    inside = np.isfinite(xyz).all(axis=2)
+    inside &= ((xyz[..., :2] >= low) & (xyz[..., :2] <= high)).all(axis=2)
+    return inside if np.count_nonzero(inside.any(axis=1)) >= 2 else None
 
 
 def _drawable(xyz_mm: Floats | None) -> Floats | None:

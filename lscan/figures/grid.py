@@ -9,6 +9,9 @@ import numpy as np
 from lscan.errors import MeasurementError
 from lscan.records import Floats
 
+CELL_MM = 1.5
+"""The least cell of the grids drawn: three of the paper's steps."""
+
 
 @dataclass(frozen=True)
 class HeightGrid:
@@ -58,6 +61,12 @@ def cell_for(xyz_mm: Floats, least_mm: float, most_nodes: int = 220) -> float:
     plan = plan[np.isfinite(plan).all(axis=1)]
     extent = float(np.ptp(plan, axis=0).max()) if len(plan) else 0.0
     return max(least_mm, 1.5 * max(steps), extent / most_nodes)
+
+
+def height_range(xyz_mm: Floats) -> tuple[float, float]:
+    """Lowest and highest of the points (..., 3), in mm, less the outermost half percent each."""
+    low, high = np.nanpercentile(xyz_mm[..., 2], (0.5, 99.5))
+    return float(low), float(high)
 
 
 def _typical_step(values: Floats, axis: int) -> float:

@@ -28,8 +28,8 @@ def raw_relief(xyz_mm: Floats) -> Exhibit:
         title="Raw data",
         paper="Fig. 25",
         alt=alt,
-        caption=f"{valued:,} points of {frames} profiles as scanned, {_shown(frames)}; heights "
-        f"are drawn {gain:g} times as large as lengths. The piece stands as it was put down: "
+        caption=f"{valued:,} points of {frames} profiles as scanned, {_shown(frames)}, "
+        f"{_scaled(gain)}. The piece stands as it was put down: "
         f"its plane is off the scanner's by {_tilt(xyz_mm)}.",
         body=style.svg(figure, "raw", alt),
     )
@@ -57,7 +57,7 @@ def levelled_relief(xyz_mm: Floats, corners: tuple[Floats, Floats] | None) -> Ex
         paper="Fig. 26",
         alt=alt,
         caption=f"The same points turned until the tops of the wedges lie level, "
-        f"{_shown(len(xyz_mm))}; heights {gain:g} times.{note}",
+        f"{_shown(len(xyz_mm))}, {_scaled(gain)}.{note}",
         body=style.svg(figure, "levelled", alt),
     )
 
@@ -65,6 +65,10 @@ def levelled_relief(xyz_mm: Floats, corners: tuple[Floats, Floats] | None) -> Ex
 def _shown(frames: int) -> str:
     step = _profile_step(frames)
     return "every profile drawn" if step == 1 else f"one in {step} profiles drawn"
+
+
+def _scaled(gain: float) -> str:
+    return "heights true to scale" if gain == 1 else f"heights {gain:g} times too large"
 
 
 def _profile_step(frames: int) -> int:
@@ -120,14 +124,22 @@ def _draw_scale(axes: Axes, left: float, floor: float, gain: float) -> None:
     """Bars of 50 mm along x and y and of 10 mm along z, at the lower left."""
     origin = np.array([left - 45.0, floor])
     bars = (
-        ("x 50 mm", np.array([50.0, 0.0]), "left", "top"),
-        ("y 50 mm", 50.0 * np.array(_LEAN), "left", "center"),
-        ("z 10 mm", np.array([0.0, 10.0 * gain]), "center", "bottom"),
+        ("x 50 mm", np.array([50.0, 0.0]), (0, -3), "center", "top"),
+        ("y 50 mm", 50.0 * np.array(_LEAN), (0, 2), "center", "bottom"),
+        ("z 10 mm", np.array([0.0, 10.0 * gain]), (-4, 0), "right", "center"),
     )
-    for name, bar, ha, va in bars:
+    for name, bar, offset, ha, va in bars:
         axes.plot(*np.column_stack([origin, origin + bar]), color=style.MUTED, linewidth=1.0)
-        x, y = origin + 1.08 * bar
-        axes.text(x, y, name, color=style.MUTED, ha=ha, va=va, fontsize=8)
+        axes.annotate(
+            name,
+            origin + bar,
+            offset,
+            textcoords="offset points",
+            color=style.MUTED,
+            ha=ha,
+            va=va,
+            fontsize=8,
+        )
 
 
 def _draw_base_plane(

@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 
 from lscan import paper
 from lscan.errors import InputError, MeasurementError
-from lscan.figures import board, contours, relief, slices, stripes, style
+from lscan.figures import board, contours, interactive, relief, slices, stripes, style
 from lscan.figures.exhibit import RowFits, RulerCurve, SliceData, signed
 from lscan.figures.grid import cell_for, grid_heights
 from lscan.records import Status, Stripe
@@ -282,7 +282,7 @@ def test_contours_say_yaw_shift_and_slices():
 def test_surface_to_turn_is_plain_json_without_nan():
     points = examples.workpiece_mm(60, 60)
     points[20:30, 20:30] = np.nan
-    script = contours.surface_to_turn(points).script
+    script = interactive.surface_to_turn(points).script
     assert script.startswith('Plotly.newPlot("surface", [{"type": "surface"')
     assert "NaN" not in script and "null" in script
 
