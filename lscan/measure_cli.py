@@ -115,8 +115,10 @@ def report(
     json: Json = False,
 ) -> None:
     """Evaluate the paper's experiment from its run folders and write the page."""
-    from lscan.results import evaluate, write_experiment
+    from lscan.evaluation import evaluate
+    from lscan.results import write_experiment
     from lscan.run import open_run
+    from lscan.summaries import print_chains
 
     with progress_bar("evaluate") as progress:
         experiment = evaluate(
@@ -129,6 +131,7 @@ def report(
     if json:
         print_json(results)
     else:
+        print_chains(results)
         print(f"{output / 'report.html'}")
 
 

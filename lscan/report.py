@@ -8,18 +8,18 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from lscan import paper
+from lscan import paper, provenance
 from lscan.checks import checks
 from lscan.disk import write_atomically
 from lscan.figures.exhibit import Exhibit, RowFits, RulerCurve, SliceData
 from lscan.records import BoardReading, Bytes, Floats, Mask, Stripe, Surface
-from lscan.tables import paper_tables
+from lscan.tables import Table, paper_tables
 
 if TYPE_CHECKING:
     from jinja2 import Environment
@@ -89,11 +89,16 @@ def render_report(inputs: ReportInputs) -> str:
         _environment()
         .get_template("report.html.j2")
         .render(
-            scene=results.get("scene", "unnamed"),
+            title=provenance.title(results),
+            lead=provenance.lead(results),
+            cameras=provenance.cameras(results),
+            chains=provenance.chains_told(results),
+            names=provenance.chain_names(results),
             versions=results.get("versions", {}),
             seconds=results.get("seconds", {}),
             checks=checks(results, inputs.bars),
-            tables=paper_tables(results, inputs.bars),
+            checks_note=provenance.note(results, provenance.PARTS),
+            tables=[_noted_table(table, results) for table in paper_tables(results, inputs.bars)],
             sections=sections,
             misprints=paper.MISPRINTS,
             plotly=_plotly() if scripts else "",
@@ -103,14 +108,26 @@ def render_report(inputs: ReportInputs) -> str:
 
 
 def _sections(inputs: ReportInputs) -> list[Section]:
+    groove, sandwave = _stripe_exhibits(inputs)
     parts = {
-        "Calibration": _board_exhibits(inputs),
-        "The laser line": _stripe_exhibits(inputs),
-        "The surface": _surface_exhibits(inputs),
-        "Slices": _slice_exhibits(inputs),
-        "Sensitivity of the fits": _sensitivity_exhibits(inputs),
+        "Calibration": _noted(_board_exhibits(inputs), inputs, "board"),
+        "The laser line": _noted(groove, inputs, "groove") + _noted(sandwave, inputs, "sandwave"),
+        "The surface": _noted(_surface_exhibits(inputs), inputs, "board", "sandwave"),
+        "Slices": _noted(_slice_exhibits(inputs), inputs, "board", "sandwave"),
+        "Sensitivity of the fits": _noted(_sensitivity_exhibits(inputs), inputs, "board"),
     }
     return [Section(title, tuple(exhibits)) for title, exhibits in parts.items() if exhibits]
+
+
+def _noted(exhibits: Sequence[Exhibit], inputs: ReportInputs, *parts: str) -> list[Exhibit]:
+    """The exhibits, their captions saying where the pictures of these parts come from."""
+    note = provenance.note(inputs.results, parts)
+    return [replace(e, caption=f"{e.caption} {note}".rstrip()) for e in exhibits]
+
+
+def _noted_table(table: Table, results: Mapping[str, Any]) -> Table:
+    note = provenance.note(results, table.parts)
+    return replace(table, caption=f"{table.caption} {note}".rstrip())
 
 
 # The drawing modules load matplotlib, which takes a second: only where something is drawn.
@@ -144,19 +161,20 @@ def _sensitivity_exhibits(inputs: ReportInputs) -> list[Exhibit]:
     return [board.sensitivity(row, name, fig) for name, fig in figures.items() if name in there]
 
 
-def _stripe_exhibits(inputs: ReportInputs) -> list[Exhibit]:
+def _stripe_exhibits(inputs: ReportInputs) -> tuple[list[Exhibit], list[Exhibit]]:
+    """Those of the grooved block, and those of the sandwave."""
     from lscan.figures import stripes
 
-    exhibits = []
+    groove, sandwave = [], []
     if inputs.groove_image is not None:
-        exhibits.append(stripes.groove_snapshot(inputs.groove_image, inputs.groove_stripe))
+        groove.append(stripes.groove_snapshot(inputs.groove_image, inputs.groove_stripe))
     frames = list(inputs.sandwave_images)[:3]
     if frames:
         stripe = inputs.sandwave_stripe
         column = stripes.lit_column(stripe, frames[0].shape[1])
-        exhibits.append(stripes.sandwave_snapshot(frames[0], stripe, column))
-        exhibits.append(stripes.column_intensities(frames, column))
-    return exhibits
+        sandwave.append(stripes.sandwave_snapshot(frames[0], stripe, column))
+        sandwave.append(stripes.column_intensities(frames, column))
+    return groove, sandwave
 
 
 def _surface_exhibits(inputs: ReportInputs) -> list[Exhibit]:

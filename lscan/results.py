@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
@@ -12,18 +12,8 @@ import numpy as np
 
 from lscan.controlpoints import draw_overlay
 from lscan.disk import make_folder, write_atomically
-from lscan.experiment import (
-    METHODS,
-    BoardResult,
-    GrooveResult,
-    Progress,
-    SandwaveResult,
-    lengths_json,
-    measure_board,
-    measure_groove,
-    measure_sandwave,
-    require_size,
-)
+from lscan.evaluation import Experiment
+from lscan.experiment import BoardResult, SandwaveResult, lengths_json
 from lscan.figures.exhibit import RowFits, RulerCurve, SliceData
 from lscan.paper import CHOSEN_MAP
 from lscan.planemap.calibration import calibrate, save_calibration
@@ -31,65 +21,46 @@ from lscan.planemap.drawing import graticule_lines, ruler_conversions
 from lscan.planemap.graticule import Graticule
 from lscan.records import BoardReading, Floats
 from lscan.report import ReportInputs, write_report
-from lscan.run import Run, software_versions
+from lscan.run import software_versions
 from lscan.surface import levelling_step, save_points, save_surface
 
 FITS = ("graticule-1", "graticule-2", "graticule-bspline")  # Fig. 13
 
 
-@dataclass(frozen=True)
-class Experiment:
-    """What the paper's experiment gave; groove and sandwave are None where not scanned.
-
-    seconds: wall time spent on each part, where known.
-    """
-
-    scene: str
-    board: BoardResult
-    groove: GrooveResult | None = None
-    sandwave: SandwaveResult | None = None
-    seconds: Mapping[str, float] = field(default_factory=dict)
-
-
-def evaluate(
-    board: Run,
-    groove: Run | None = None,
-    sandwave: Run | None = None,
-    progress: Progress | None = None,
-) -> Experiment:
-    """All measurements of the experiment; the maps are solved from the board's run.
-
-    Raises what the measurements raise: InputError, BoardNotFound, MeasurementError.
-    """
-    on_board = measure_board(board, METHODS)
-    for run in filter(None, (groove, sandwave)):
-        require_size(run, on_board.reading.image_size, f"from {board.path}")
-    chosen = on_board.calibrations[CHOSEN_MAP].plane_map
-    return Experiment(
-        scene=(sandwave or groove or board).rig_file.rig.name,
-        board=on_board,
-        groove=measure_groove(groove, chosen) if groove else None,
-        sandwave=measure_sandwave(sandwave, chosen, progress) if sandwave else None,
-    )
-
-
 def experiment_json(experiment: Experiment) -> dict[str, Any]:
-    """What results.json holds, without what only the tank's truth can tell."""
-    board = experiment.board
-    grid = board.reading.grid
-    results: dict[str, Any] = {
+    """What results.json holds, without what only the tank's truth can tell.
+
+    ``pictures``: each run's camera driver, and of the tank's the noise seed.  ``chain``: what
+    turned them into the lengths that follow.  ``best``: the same of the best chain, with its own
+    ``chain``, ``distances``, ``diameters``, ``groove`` and ``sandwave``, or, where it could not
+    be followed, the reason as ``refused``.
+    """
+    grid = experiment.board.reading.grid
+    best = experiment.best
+    return {
         "scene": experiment.scene,
         "versions": software_versions(),
         "seconds": {name: round(value, 2) for name, value in experiment.seconds.items()},
+        "pictures": {part: source.as_json() for part, source in experiment.sources.items()},
         "control_points": {"expected": len(grid.found), "found": int(grid.found.sum())},
+        **_measures_json(experiment),
+        "best": _measures_json(best) if best else {"refused": experiment.best_refused},
+    }
+
+
+def _measures_json(experiment: Experiment) -> dict[str, Any]:
+    """What one chain measured."""
+    board = experiment.board
+    measures: dict[str, Any] = {
+        "chain": asdict(experiment.chain),
         "distances": {name: lengths_json(found) for name, found in board.distances.items()},
         "diameters": {name: lengths_json(found) for name, found in board.diameters.items()},
     }
     if experiment.groove:
-        results["groove"] = lengths_json(experiment.groove.dimensions)
+        measures["groove"] = lengths_json(experiment.groove.dimensions)
     if experiment.sandwave:
-        results["sandwave"] = sandwave_json(experiment.sandwave)
-    return results
+        measures["sandwave"] = sandwave_json(experiment.sandwave)
+    return measures
 
 
 def sandwave_json(result: SandwaveResult) -> dict[str, Any]:
@@ -115,7 +86,8 @@ def write_experiment(
     """
     results = experiment_json(experiment) if results is None else results
     make_folder(folder)
-    for name, calibration in experiment.board.calibrations.items():
+    best = experiment.best.board.calibrations if experiment.best else {}
+    for name, calibration in (experiment.board.calibrations | best).items():
         save_calibration(folder / f"calibration-{name}.json", calibration)
     if experiment.sandwave:
         save_surface(folder / "sandwave.nc", experiment.sandwave.aligned)

@@ -1,7 +1,8 @@
-"""What the commands on calibrations print."""
+"""What the commands on calibrations and reports print."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -10,6 +11,9 @@ from lscan.console import print_table
 if TYPE_CHECKING:
     from lscan.planemap.calibration import Calibration
     from lscan.planemap.check import Check
+    from lscan.tables import Block
+
+_LEFT_OUT = ("\nmm", "\n%")  # columns of the page that a terminal has no room for
 
 
 def calibration_summary(path: Path, calibration: Calibration) -> dict[str, Any]:
@@ -89,3 +93,30 @@ def print_check(check: Check) -> None:
     print_table("farthest off", ["mark", "x mm", "z mm", "sigmas"], rows)
     verdict = "agrees" if check.agrees else f"disagrees: {', '.join(check.reasons)}"
     print(f"the calibration {verdict} (chance of a false alarm {100 * check.level:g} %)")
+
+
+def print_chains(results: Mapping[str, Any]) -> None:
+    """Print where a report's pictures come from, and the errors of both chains side by side."""
+    from lscan.paper import Bars
+    from lscan.provenance import PARTS, chain_names, chains_told, note
+    from lscan.tables import paper_tables
+
+    for line in filter(None, (note(results, PARTS), chains_told(results))):
+        print(line)
+    names = [name.removeprefix("Ours, ") for name in chain_names(results)]
+    for table in paper_tables(results, Bars()):
+        if table.chains is not None:
+            _print_block(f"{table.title}, mm", table.chains, names)
+
+
+def _print_block(title: str, block: Block, names: Sequence[str]) -> None:
+    """The columns of errors and their sigmas: all of them are too many for a terminal."""
+    groups = [("paper", block.paper_heads)]
+    groups += [(name, block.our_heads) for name in (names if block.has_best else names[:1])]
+    columns = [f"{name}\n{head}" for name, heads in groups for head in heads]
+    kept = [k for k, column in enumerate(columns) if not column.endswith(_LEFT_OUT)]
+    rows = []
+    for row in block.rows:
+        cells = [cell.text for cell in row.paper + row.ours + row.best]
+        rows.append([row.label, *(cells[k] for k in kept)])
+    print_table(title, [block.names, *(columns[k] for k in kept)], rows)

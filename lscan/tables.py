@@ -1,15 +1,24 @@
-"""The paper's Tables I to III with our numbers beside the printed ones."""
+"""The paper's Tables I to III and its slices, with our numbers beside the printed ones."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
 from lscan.figures.exhibit import signed
-from lscan.paper import OUR_MAPS, TABLE_1, TABLE_2, TABLE_3, Bars, Printed
+from lscan.paper import (
+    CHOSEN_MAP,
+    OUR_MAPS,
+    SLICE_ERRORS_MM,
+    TABLE_1,
+    TABLE_2,
+    TABLE_3,
+    Bars,
+    Printed,
+)
 
 Results = Mapping[str, Any]
 PrintedTable = Mapping[str, Mapping[str, Printed]]
@@ -55,46 +64,75 @@ class Cell:
 class Row:
     """One line of a table: its label, a short name, the paper's cells and ours.
 
-    Of a length: paper measured, error, percent; ours measured, sigma, error, percent.
-    Of a summary: rms error, largest error and largest percentage, of both.
+    ours: by the paper's chain.  best: the same by the best chain, () where there is none.
     """
 
     label: str
     code: str
     paper: tuple[Cell, ...]
     ours: tuple[Cell, ...]
+    best: tuple[Cell, ...] = ()
 
 
 @dataclass(frozen=True)
 class Block:
-    """The rows under one heading."""
+    """Rows with one head.
 
-    heading: str
+    names: what stands in the first column.  paper_heads, our_heads: of the other columns.
+    """
+
+    names: str
     rows: tuple[Row, ...]
+    paper_heads: tuple[str, ...] = ("mm", "err.", "%")
+    our_heads: tuple[str, ...] = ("mm", "σ", "err.", "%")
+    caption: str = ""
+
+    @property
+    def has_best(self) -> bool:
+        """Whether any row has numbers of the best chain."""
+        return any(row.best for row in self.rows)
 
 
 @dataclass(frozen=True)
 class Table:
-    """One of the paper's tables: a block a feature, and a summary where methods compete."""
+    """One of the paper's tables, or its slices.
+
+    parts: the runs it comes from, "board", "groove" and "sandwave".  chains: the paper's numbers
+    beside those of our chains, None where methods compete and there is no best chain.
+    blocks: one a feature, and a summary, where methods compete.
+    """
 
     key: str
     title: str
     caption: str
-    blocks: tuple[Block, ...]
+    parts: tuple[str, ...]
+    chains: Block | None
+    blocks: tuple[Block, ...] = ()
     summary: Block | None = None
 
 
 def paper_tables(results: Results, bars: Bars) -> list[Table]:
-    """Those of Tables I to III that ``results`` (results.json) has numbers for."""
+    """Those of Tables I to III, and the slices, that results.json has numbers for."""
+    best = results.get("best") or {}
     tables = []
     for key, title, section, printed in (
         ("table-1", "Table I. Distances between known points", "distances", TABLE_1),
         ("table-2", "Table II. Diameters of circles", "diameters", TABLE_2),
     ):
         if results.get(section):
-            tables.append(_table_by_method(key, title, results[section], printed, bars))
+            table = _table_by_method(key, title, results[section], printed, bars)
+            chosen = results[section].get(CHOSEN_MAP) or {}
+            better = (best.get(section) or {}).get((best.get("chain") or {}).get("plane_map")) or {}
+            theirs = {name: row["Second rms"] for name, row in printed.items()}
+            if better and chosen:
+                chains = _chains(chosen, better, theirs, _beyond_percent(bars))
+                table = replace(table, chains=chains)
+            tables.append(table)
     if results.get("groove"):
-        tables.append(_groove_table(results["groove"], bars))
+        tables.append(_groove_table(results["groove"], best.get("groove") or {}, bars))
+    slices, better = ((r.get("sandwave") or {}).get("slices") or {} for r in (results, best))
+    if slices:
+        tables.append(_slice_table(slices, better, bars))
     return tables
 
 
@@ -130,10 +168,6 @@ def _table_by_method(
     names = [*(n for n in LABELS if n in section), *(n for n in section if n not in LABELS)]
     ours = {name: read_lengths(section[name]) for name in names}
     theirs = {name: _printed_lengths(printed, name, ours[name]) for name in names}
-
-    def beyond(length: Length) -> bool:
-        return length.percent is not None and abs(length.percent) > bars.board_percent
-
     features = dict.fromkeys(feature for lengths in ours.values() for feature in lengths)
     return Table(
         key,
@@ -141,9 +175,30 @@ def _table_by_method(
         "Measured lengths and errors in mm, the nominal length in parentheses; σ is one standard "
         "uncertainty. Marked "
         f"(▲): errors beyond {bars.board_percent:g} % of the length, the paper's claim.",
-        tuple(_feature_block(feature, ours, theirs, beyond) for feature in features),
-        _summary(ours, theirs, bars),
+        ("board",),
+        chains=None,
+        blocks=tuple(
+            _feature_block(feature, ours, theirs, _beyond_percent(bars)) for feature in features
+        ),
+        summary=_summary(ours, theirs, bars),
     )
+
+
+def _beyond_percent(bars: Bars) -> Beyond:
+    return lambda length: length.percent is not None and abs(length.percent) > bars.board_percent
+
+
+def _chains(ours: Results, best: Results, printed: Mapping[str, Printed], beyond: Beyond) -> Block:
+    """The paper's lengths beside those of our chains, a feature a row."""
+    measured, better = read_lengths(ours), read_lengths(best)
+    theirs = _of_same_piece({f: printed[f] for f in measured if f in printed}, measured)
+    rows = []
+    for feature, length in measured.items():
+        row = _row(_heading(feature, length), feature, theirs.get(feature), length, beyond)
+        if feature in better:
+            row = replace(row, best=_our_cells(better[feature], beyond))
+        rows.append(row)
+    return Block("Feature", tuple(rows))
 
 
 def _printed_lengths(
@@ -177,28 +232,45 @@ def _feature_block(
         _row(LABELS.get(name, name), name, theirs[name].get(feature), length, beyond)
         for name, length in mine.items()
     )
-    return Block(_heading(feature, next(iter(mine.values()))), rows)
+    return Block("Method", rows, caption=_heading(feature, next(iter(mine.values()))))
 
 
-def _groove_table(section: Results, bars: Bars) -> Table:
-    ours = read_lengths(section)
-    printed = {feature: TABLE_3[feature] for feature in ours if feature in TABLE_3}
-    theirs = _of_same_piece(printed, ours)
-
+def _groove_table(ours: Results, best: Results, bars: Bars) -> Table:
     def beyond(length: Length) -> bool:
         return length.error_mm is not None and abs(length.error_mm) > bars.groove_mm
 
-    rows = tuple(
-        _row(_heading(feature, length), feature, theirs.get(feature), length, beyond)
-        for feature, length in ours.items()
-    )
     return Table(
         "table-3",
         "Table III. The grooved block",
         "Measured lengths and errors in mm, the nominal length in parentheses; σ is one standard "
         "uncertainty. Marked "
         f"(▲): errors beyond {bars.groove_mm:g} mm, the paper's claim.",
-        (Block("Feature", rows),),
+        ("board", "groove"),
+        _chains(ours, best, TABLE_3, beyond),
+    )
+
+
+def _slice_table(ours: Results, best: Results, bars: Bars) -> Table:
+    def cells(entry: Results) -> tuple[Cell, ...]:
+        rmse, low, high = (known(entry, key) for key in ("rmse_mm", "min_mm", "max_mm"))
+        ends = (
+            Cell(_signed(x, 3), x is not None and abs(x) > bars.sandwave_mm) for x in (low, high)
+        )
+        return (Cell(_number(rmse, 3)), *ends)
+
+    theirs = tuple(Cell(_signed(error, 1)) for error in SLICE_ERRORS_MM)
+    rows = tuple(
+        Row(name, name, theirs, cells(entry), cells(best[name]) if name in best else ())
+        for name, entry in ours.items()
+    )
+    return Table(
+        "slices",
+        "Errors of the slices",
+        "Measured minus designed height in mm: rms, lowest and highest. The paper says of all "
+        f"slices that most errors lie between its two numbers. Marked (▲): errors beyond "
+        f"{bars.sandwave_mm:g} mm, the paper's claim.",
+        ("board", "sandwave"),
+        Block("Slice", rows, ("from", "to"), ("rms", "from", "to")),
     )
 
 
@@ -216,7 +288,8 @@ def _summary(
         )
         for name, lengths in ours.items()
     )
-    return Block("All features", rows)
+    heads = ("rms / mm", "largest / mm", "largest / %")
+    return Block("Method", rows, heads, heads, caption="All features together")
 
 
 def _summary_cells(lengths: Iterable[Length], bars: Bars) -> tuple[Cell, ...]:
@@ -235,13 +308,7 @@ def _summary_cells(lengths: Iterable[Length], bars: Bars) -> tuple[Cell, ...]:
 
 
 def _row(label: str, code: str, theirs: Length | None, ours: Length, beyond: Beyond) -> Row:
-    marked = beyond(ours)
-    mine = (
-        Cell(_number(ours.measured_mm, 3)),
-        Cell(_number(ours.sigma_mm, 3)),
-        Cell(_signed(ours.error_mm, 3), marked),
-        Cell(_signed(ours.percent, 2), marked),
-    )
+    mine = _our_cells(ours, beyond)
     if theirs is None:
         return Row(label, code, (Cell("—"),) * 3, mine)
     marked = beyond(theirs)
@@ -251,6 +318,17 @@ def _row(label: str, code: str, theirs: Length | None, ours: Length, beyond: Bey
         Cell(_signed(theirs.percent, 2), marked),
     )
     return Row(label, code, printed, mine)
+
+
+def _our_cells(length: Length, beyond: Beyond) -> tuple[Cell, ...]:
+    """Measured length, its sigma, error and percentage."""
+    marked = beyond(length)
+    return (
+        Cell(_number(length.measured_mm, 3)),
+        Cell(_number(length.sigma_mm, 3)),
+        Cell(_signed(length.error_mm, 3), marked),
+        Cell(_signed(length.percent, 2), marked),
+    )
 
 
 def _heading(feature: str, length: Length) -> str:

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from lscan.console import print_json, print_table, progress_bar, run_command_line
+from lscan.summaries import print_chains
 
 if TYPE_CHECKING:
     from sim.verify.rows import Row
@@ -278,14 +279,12 @@ def _print_summary(results: Any) -> None:
         errors += [entry["error_mm"] for entry in results["diameters"][method].values()]
         rms = (sum(error**2 for error in errors) / len(errors)) ** 0.5
         rows.append([method, rms, max(abs(error) for error in errors)])
-    print_table("Tables I and II", ["plane map", "rms error mm", "largest mm"], rows)
-    rows = [[name, *entry.values()] for name, entry in results["groove"].items()]
-    print_table("Table III", ["", "nominal mm", "measured mm", "error mm", "sigma mm"], rows)
+    title = "Tables I and II by the paper's maps and the baselines"
+    print_table(title, ["plane map", "rms error mm", "largest mm"], rows)
     yaw = results["sandwave"]["yaw_deg"]
     if yaw["estimated"] is not None:
         print(f"yaw: {yaw['estimated']:.3f} deg, truth {yaw['true']:.3f} deg")
-    rows = [[name, *entry.values()] for name, entry in results["sandwave"]["slices"].items()]
-    print_table("sandwave", ["slice", "points", "unseen", "rmse mm", "min mm", "max mm"], rows)
+    print_chains(results)
 
 
 def main() -> None:

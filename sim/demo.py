@@ -16,12 +16,11 @@ from lscan.acquire import scan
 from lscan.console import progress_bar
 from lscan.disk import make_folder
 from lscan.documents import merge
-from lscan.experiment import measure_board, measure_groove, measure_sandwave
+from lscan.evaluation import Experiment, evaluate
 from lscan.measure import compare_slice
-from lscan.paper import CHOSEN_MAP
 from lscan.records import Floats, Status
-from lscan.results import Experiment, experiment_json, write_experiment
-from lscan.rig import RigFile, StripeSection, load_rig, parse_rig
+from lscan.results import experiment_json, write_experiment
+from lscan.rig import Rig, RigFile, StripeSection, load_rig, parse_rig
 from lscan.run import MANIFEST, Run
 from lscan.stripe import extract_stripe
 from lscan.surface import Slice
@@ -41,33 +40,41 @@ CHECK_EDGE_PX = 4.0  # columns this near to an end of the line are left out
 SANDWAVE_CHECKS = 5  # frames of the sandwave scan that are rendered again without noise
 
 
-def run_demo(scenes: Path, output: Path, frames: int | None = None) -> Mapping[str, Any]:
+def run_demo(
+    scenes: Path, output: Path, frames: int | None = None, best: Path | None = None
+) -> Mapping[str, Any]:
     """results.json of the demo, written with report.html and the run folders to ``output``.
 
     scenes: folder with board.toml, groove.toml and sandwave.toml.
     frames: number of sandwave pictures, the scene's own if None; the scan's length is kept.
+    best: folder with the same three, which say how the best chain reads the same pictures; if
+    None, the folder ``best`` beside ``scenes``, and where there is none, the rigs' own.
     Progress bars show on a terminal.  Run folders of an earlier demo are replaced.
     """
     started = time.monotonic()
     rigs = {part: load_rig(scenes / f"{part}.toml") for part in PARTS}
+    better = _best_rigs(scenes.resolve().parent / "best" if best is None else best)
     if frames is not None:
         rigs["sandwave"] = thin_out(rigs["sandwave"], frames)
     seconds: dict[str, float] = {}
-    with _timed(seconds, "board"):
-        board = measure_board(_scan(rigs["board"], output, "board"))
-    chosen = board.calibrations[CHOSEN_MAP].plane_map
-    with _timed(seconds, "groove"):
-        groove = measure_groove(_scan(rigs["groove"], output, "groove"), chosen)
-    with _timed(seconds, "sandwave"):
-        run = _scan(rigs["sandwave"], output, "sandwave")
-        with progress_bar("measure sandwave") as progress:
-            sandwave = measure_sandwave(run, chosen, progress)
-    experiment = Experiment(run.rig_file.rig.name, board, groove, sandwave)
+    runs: dict[str, Run] = {}
+    for part, rig_file in rigs.items():
+        with _timed(seconds, part):
+            runs[part] = _scan(rig_file, output, part)
+    with _timed(seconds, "measure"), progress_bar("measure") as progress:
+        experiment = evaluate(**runs, progress=progress, best=better)
     truth = compare(experiment, {part: scene_of(rig) for part, rig in rigs.items()})
     seconds["total"] = time.monotonic() - started
     results = merge(experiment_json(replace(experiment, seconds=seconds)), truth)
     write_experiment(output, experiment, results)
     return results
+
+
+def _best_rigs(folder: Path) -> dict[str, Rig] | None:
+    """How the scenes of the folder have their pictures read; None where there is no folder."""
+    if not folder.is_dir():
+        return None
+    return {part: load_rig(folder / f"{part}.toml").rig for part in PARTS}
 
 
 def thin_out(rig_file: RigFile, frames: int) -> RigFile:
@@ -89,11 +96,6 @@ def compare(experiment: Experiment, scenes: Mapping[str, Scene]) -> dict[str, An
                 kept.append(stripe_errors(scenes[part], position_mm, scatter_samples))
         progress(len(checks), len(checks))
     first, every = (np.concatenate(kept) for kept in errors)
-    assert experiment.sandwave is not None
-    visible = {
-        name: _slice_errors(scenes["sandwave"], cut)
-        for name, cut in experiment.sandwave.slices.items()
-    }
     return {
         "control_points": _control_points(experiment, scenes["board"]),
         "render_check": {
@@ -102,10 +104,10 @@ def compare(experiment: Experiment, scenes: Mapping[str, Scene]) -> dict[str, An
             "all_orders_rms_px": float(np.sqrt(np.mean(every**2))),
             "all_orders_max_px": float(np.abs(every).max()),
         },
-        "sandwave": {
-            "yaw_deg": {"true": scenes["sandwave"].tank.head.yaw_deg},
-            "slices": visible,
-        },
+        "sandwave": _sandwave(experiment, scenes["sandwave"]),
+        "best": {"sandwave": _sandwave(experiment.best, scenes["sandwave"])}
+        if experiment.best
+        else {},
     }
 
 
@@ -138,6 +140,16 @@ def _control_points(experiment: Experiment, scene: Scene) -> dict[str, float]:
         "found": int(both.sum()),
         "rms_px": float(np.sqrt(np.mean(error**2))),
         "max_px": float(error.max()),
+    }
+
+
+def _sandwave(experiment: Experiment, scene: Scene) -> dict[str, Any]:
+    """The true yaw, and the slices' errors on the points that are lit and seen."""
+    assert experiment.sandwave is not None
+    slices = experiment.sandwave.slices
+    return {
+        "yaw_deg": {"true": scene.tank.head.yaw_deg},
+        "slices": {name: _slice_errors(scene, cut) for name, cut in slices.items()},
     }
 
 

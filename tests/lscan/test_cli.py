@@ -16,6 +16,8 @@ import pytest
 
 from lscan.cli import app
 from lscan.console import run_command_line
+from lscan.documents import merge
+from lscan.rig import parse_rig
 from lscan.run import open_run
 from lscan.runwriter import create_run
 from lscan.surface import load_surface
@@ -183,7 +185,37 @@ def test_a_report_of_two_runs(
     )
     assert code == 0, err
     assert "Table III" in (tmp_path / "report.html").read_text()
-    assert "sandwave" not in json.loads((tmp_path / "results.json").read_text())
+    results = json.loads((tmp_path / "results.json").read_text())
+    assert "sandwave" not in results
+    assert results["pictures"]["groove"] == {
+        "camera": "sim", "simulated": True, "noise": True, "noise_seed": 1,
+    }  # fmt: skip
+    # The rig has [optics]: its pictures are read by the best chain too, as the rig allows.
+    best = results["best"]
+    assert best["chain"] == {
+        "plane_map": "refractive", "extractors": ["ml"], "corrected_for": [],
+    }  # fmt: skip
+    assert set(best["groove"]) == set(results["groove"])
+    assert list(best["distances"]) == ["refractive"]
+
+
+@pytest.mark.slow
+def test_a_report_of_a_rig_without_optics_says_that_there_is_no_best_chain(
+    runs: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The same picture as if a webcam had taken it: no simulated tank, and nothing of its port."""
+    whole = open_run(runs / "board")
+    document = merge(whole.rig_file.document, {"camera": {"driver": "opencv"}})
+    del document["optics"]
+    with create_run(tmp_path / "run", parse_rig(document, "rig.toml", trusted=True)) as writer:
+        writer.append(whole.frame(0))
+    code, out, err = call(capsys, "report", "-o", tmp_path / "out", "--board", tmp_path / "run")
+    assert code == 0, err
+    assert "no section [optics]" in out
+    results = json.loads((tmp_path / "out" / "results.json").read_text())
+    assert "no section [optics]" in results["best"]["refused"]
+    assert results["pictures"] == {"board": {"camera": "opencv"}}
+    assert "imulated" not in out
 
 
 def other_size(calibration: Path, path: Path) -> Path:

@@ -88,6 +88,38 @@ def test_the_sandwave(results: Mapping[str, Any]) -> None:
         assert -1.5 <= cut["min_mm"] <= cut["max_mm"] <= 1.5, name
 
 
+def test_the_best_chain_on_the_same_pictures(results: Mapping[str, Any]) -> None:
+    """Better than the paper's chain on each slice, and what it is off by is what it owns up to.
+
+    A length's error is within four of its standard uncertainties: with normal errors one of the
+    26 would be beyond in one of 600 experiments.
+    """
+    best = results["best"]
+    assert best["chain"] == {
+        "plane_map": "refractive",
+        "extractors": ["ml"],
+        "corrected_for": ["blur", "sheet thickness"],
+    }
+    lengths = [*best["distances"]["refractive"].values(), *best["groove"].values()]
+    lengths += best["diameters"]["refractive"].values()
+    for entry in lengths:
+        assert abs(entry["error_mm"]) <= 4 * entry["sigma_mm"], entry
+    for name, cut in results["sandwave"]["slices"].items():
+        better = best["sandwave"]["slices"][name]
+        assert better["rmse_mm"] <= cut["rmse_mm"], name
+        assert better["unseen"] <= 0.05 * better["points"], name
+
+
+def test_the_page_says_that_the_tank_was_simulated(
+    folder: Path, results: Mapping[str, Any]
+) -> None:
+    source = {"camera": "sim", "simulated": True, "noise": True, "noise_seed": 1}
+    assert results["pictures"] == dict.fromkeys(("board", "groove", "sandwave"), source)
+    page = (folder / "report.html").read_text()
+    assert page.count("Simulated tank, noise seed 1.") >= 22  # figures and tables
+    assert "Ours, best chain" in page
+
+
 def test_the_page_has_every_table_and_figure(folder: Path) -> None:
     page = (folder / "report.html").read_text()
     for number in (9, 12, 13, 16, 21, 24, 25, 26, 27, 28, 29, 30, 31, 32, 33, 34, 35):
