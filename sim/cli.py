@@ -44,12 +44,13 @@ def demo(
     frames: Annotated[
         int | None, typer.Option("--frames", min=100, help="Sandwave pictures, if not 400.")
     ] = None,
+    quick: Quick = False,
     json: Json = False,
 ) -> None:
     """The paper's experiment: calibrate, scan, measure and compare, with a report."""
     from sim.demo import run_demo
 
-    results = run_demo(scenes, output, frames)
+    results = run_demo(scenes, output, frames, quick=quick)
     if json:
         print_json(results)
         return

@@ -6,7 +6,7 @@ import shutil
 import time
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -35,13 +35,42 @@ PARTS = ("board", "groove", "sandwave")
 # How the noise-free line is read: without noise the span may be wide enough to hold the whole
 # line, so that the centroid is not biased by its own window, nor by the black level.
 CHECK_STRIPE = StripeSection(extractor="centroid-relative", threshold_dn=20.0, span_px=6)
-CHECK_SAMPLES, CHECK_SCATTER_SAMPLES = 64, 8
 CHECK_EDGE_PX = 4.0  # columns this near to an end of the line are left out
-SANDWAVE_CHECKS = 5  # frames of the sandwave scan that are rendered again without noise
+
+
+@dataclass(frozen=True)
+class Effort:
+    """How much of the demo's work is done.
+
+    frames: of the sandwave; None: the scene's own.  render: what replaces the scenes' own
+    settings of rendering.  checks: frames of the sandwave scan that are rendered again without
+    noise.  samples, scatter_samples: a pixel in those.
+    """
+
+    frames: int | None
+    render: Mapping[str, int]
+    checks: int
+    samples: int
+    scatter_samples: int
+
+
+FULL = Effort(frames=None, render={}, checks=5, samples=64, scatter_samples=8)
+# A hundred frames are the fewest from which the sandwave's scan can be aligned.
+QUICK = Effort(
+    frames=100,
+    render={"samples": 1, "scatter_samples": 0},
+    checks=1,
+    samples=4,
+    scatter_samples=1,
+)
 
 
 def run_demo(
-    scenes: Path, output: Path, frames: int | None = None, best: Path | None = None
+    scenes: Path,
+    output: Path,
+    frames: int | None = None,
+    best: Path | None = None,
+    quick: bool = False,
 ) -> Mapping[str, Any]:
     """results.json of the demo, written with report.html and the run folders to ``output``.
 
@@ -49,13 +78,16 @@ def run_demo(
     frames: number of sandwave pictures, the scene's own if None; the scan's length is kept.
     best: folder with the same three, which say how the best chain reads the same pictures; if
     None, the folder ``best`` beside ``scenes``, and where there is none, the rigs' own.
+    quick: everything with the least effort, fewer frames and samples.
     Progress bars show on a terminal.  Run folders of an earlier demo are replaced.
     """
     started = time.monotonic()
-    rigs = {part: load_rig(scenes / f"{part}.toml") for part in PARTS}
+    effort = QUICK if quick else FULL
+    rigs = {part: _rendered(load_rig(scenes / f"{part}.toml"), effort) for part in PARTS}
     better = _best_rigs(scenes.resolve().parent / "best" if best is None else best)
-    if frames is not None:
-        rigs["sandwave"] = thin_out(rigs["sandwave"], frames)
+    fewer = effort.frames if frames is None else frames
+    if fewer is not None:
+        rigs["sandwave"] = thin_out(rigs["sandwave"], fewer)
     seconds: dict[str, float] = {}
     runs: dict[str, Run] = {}
     for part, rig_file in rigs.items():
@@ -63,9 +95,10 @@ def run_demo(
             runs[part] = _scan(rig_file, output, part)
     with _timed(seconds, "measure"), progress_bar("measure") as progress:
         experiment = evaluate(**runs, progress=progress, best=better)
-    truth = compare(experiment, {part: scene_of(rig) for part, rig in rigs.items()})
+    truth = compare(experiment, {part: scene_of(rig) for part, rig in rigs.items()}, effort)
     seconds["total"] = time.monotonic() - started
     results = merge(experiment_json(replace(experiment, seconds=seconds)), truth)
+    results = {"quick": quick, **results}
     write_experiment(output, experiment, results)
     return results
 
@@ -77,6 +110,14 @@ def _best_rigs(folder: Path) -> dict[str, Rig] | None:
     return {part: load_rig(folder / f"{part}.toml").rig for part in PARTS}
 
 
+def _rendered(rig_file: RigFile, effort: Effort) -> RigFile:
+    """The scene as this effort renders it."""
+    if not effort.render:
+        return rig_file
+    document = merge(rig_file.document, {"render": dict(effort.render)})
+    return parse_rig(document, source=rig_file.source, trusted=True)
+
+
 def thin_out(rig_file: RigFile, frames: int) -> RigFile:
     """The same scan with another number of pictures over the same length of track."""
     plan = rig_file.rig.plan
@@ -85,15 +126,20 @@ def thin_out(rig_file: RigFile, frames: int) -> RigFile:
     return parse_rig(document, source=rig_file.source)
 
 
-def compare(experiment: Experiment, scenes: Mapping[str, Scene]) -> dict[str, Any]:
+def compare(
+    experiment: Experiment, scenes: Mapping[str, Scene], effort: Effort = FULL
+) -> dict[str, Any]:
     """The entries of results.json that only the truth can give."""
     with progress_bar("compare with the truth") as progress:
-        checks = [("groove", 0.0), *(("sandwave", s) for s in _check_positions(scenes["sandwave"]))]
+        positions = _check_positions(scenes["sandwave"], effort.checks)
+        checks = [("groove", 0.0), *(("sandwave", position) for position in positions)]
         errors: list[list[Floats]] = [[], []]
         for done, (part, position_mm) in enumerate(checks):
             progress(done, len(checks))
-            for kept, scatter_samples in zip(errors, (0, CHECK_SCATTER_SAMPLES), strict=True):
-                kept.append(stripe_errors(scenes[part], position_mm, scatter_samples))
+            for kept, scatter_samples in zip(errors, (0, effort.scatter_samples), strict=True):
+                kept.append(
+                    stripe_errors(scenes[part], position_mm, effort.samples, scatter_samples)
+                )
         progress(len(checks), len(checks))
     first, every = (np.concatenate(kept) for kept in errors)
     return {
@@ -111,16 +157,17 @@ def compare(experiment: Experiment, scenes: Mapping[str, Scene]) -> dict[str, An
     }
 
 
-def stripe_errors(scene: Scene, position_mm: float, scatter_samples: int) -> Floats:
+def stripe_errors(scene: Scene, position_mm: float, samples: int, scatter_samples: int) -> Floats:
     """Centre of the line in a noise-free render less the truth, px, away from the line's ends.
 
-    (N,) over the columns where exactly one point is lit and seen.  scatter_samples: 0 leaves
+    (N,) over the columns where exactly one point is lit and seen.  samples: a pixel, a square
+    number, in each of its parts.  scatter_samples: 0 leaves
     out the light of higher orders, which moves the line itself: in a valley each side
     lights the other.
     """
     quiet = scene.tank.sensor.model_copy(update={"noise": False})
     scene = replace(scene, tank=scene.tank.model_copy(update={"sensor": quiet}))
-    layers = Tank(scene).render(position_mm, CHECK_SAMPLES, scatter_samples=scatter_samples)
+    layers = Tank(scene).render(position_mm, samples, scatter_samples=scatter_samples)
     exposure_ms = scene.rig.camera.exposure_ms
     image = Webcam(scene).expose(layers, exposure_ms, np.random.default_rng(0))
     found = extract_stripe(image, CHECK_STRIPE)
@@ -160,10 +207,10 @@ def _slice_errors(scene: Scene, cut: Slice) -> dict[str, float]:
     return compare_slice(cut, piece, visible=slice_visibility(scene, cut.xy_mm)).as_json()
 
 
-def _check_positions(scene: Scene) -> list[float]:
+def _check_positions(scene: Scene, count: int) -> list[float]:
     """Track positions spread over the scan, its ends left out."""
     positions = np.array(scene.rig.plan.positions_mm())
-    inner = np.linspace(0, len(positions) - 1, SANDWAVE_CHECKS + 2)[1:-1]
+    inner = np.linspace(0, len(positions) - 1, count + 2)[1:-1]
     return [float(positions[round(index)]) for index in inner]
 
 

@@ -137,3 +137,15 @@ def test_the_same_scan_twice_is_the_same_bytes(tmp_path: Path) -> None:
     )
     assert len(first) == 6
     assert first == second
+
+
+def test_a_quick_demo_has_every_part_and_says_so(tmp_path: Path) -> None:
+    """With the least effort: the same entries, tables and figures, and ``"quick": true``."""
+    run_demo(SCENES, tmp_path, quick=True)
+    found = json.loads((tmp_path / "results.json").read_text())
+    assert found["quick"] is True and found["sandwave"]["frames"] == 100
+    assert set(found["distances"]) == set(METHODS) and len(found["groove"]) == 9
+    assert set(found["best"]) >= {"sandwave", "groove"}
+    assert all(np.isfinite(value) for value in found["render_check"].values())
+    page = (tmp_path / "report.html").read_text()
+    assert all(f"Table {number}." in page for number in ("I", "II", "III"))
