@@ -2,7 +2,8 @@
 
 A page of another site, open in the same browser, must not move the track.  It cannot send the
 cookie (SameSite) nor hide where it is from (Origin), and a name that it makes point at this
-machine (DNS rebinding) is not a name that is served here (Host).
+machine (DNS rebinding) is not a name that is served here (Host).  A command is taken only where
+the browser states that it comes from this very page: to SameSite, another port is the same site.
 """
 
 from __future__ import annotations
@@ -25,6 +26,23 @@ EVERYWHERE = {"0.0.0.0": (socket.AF_INET,), "::": (socket.AF_INET, socket.AF_INE
 """What stands for all addresses of this machine, and which kinds of them are served then."""
 ELSEWHERE = {socket.AF_INET: "192.0.2.1", socket.AF_INET6: "2001:db8::1"}
 """Addresses of nobody, kept for documentation (RFC 5737, RFC 3849): on no network of ours."""
+
+
+@dataclass(frozen=True)
+class Asked:
+    """What a request says of where it comes from.
+
+    host, origin, cookie, fetch_site: its headers Host, Origin, Cookie and Sec-Fetch-Site, None
+    where there is none.  query_token: from the address of the page itself, None everywhere
+    else.  commands: whether it would change anything.
+    """
+
+    host: str
+    origin: str | None = None
+    cookie: str = ""
+    query_token: str | None = None
+    fetch_site: str | None = None
+    commands: bool = False
 
 
 @dataclass(frozen=True)
@@ -53,21 +71,20 @@ class Access:
         query = f"/?token={self.token}" if self.token else "/"
         return tuple(f"http://{_bracketed(name)}:{self.port}{query}" for name in names)
 
-    def refusal(
-        self, host: str, origin: str | None, cookie: str, query_token: str | None
-    ) -> str | None:
-        """Why a request is refused, a plain sentence; None where it is not.
-
-        host, origin, cookie: those headers, origin None where there is none.  query_token:
-        from the address of the page itself, None everywhere else.
-        """
+    def refusal(self, request: Asked) -> str | None:
+        """Why a request is refused, a plain sentence; None where it is not."""
+        host, origin = request.host, request.origin
         if not self._serves(host):
             return f"This page is not served under the name {host[:80]!r}."
         if origin is not None and origin != f"http://{host}":
             return "Requests from pages of other sites are refused."
+        if request.commands and origin is None and request.fetch_site != "same-origin":
+            return "Commands are taken from this page alone: the request names no Origin."
         if self.token is None:
             return None
-        given = query_token if query_token is not None else self._from_cookie(cookie)
+        given = request.query_token
+        if given is None:
+            given = self._from_cookie(request.cookie)
         if given is None or not secrets.compare_digest(given.encode(), self.token.encode()):
             return "A token is needed: open the whole address that lscan live printed."
         return None

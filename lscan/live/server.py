@@ -21,24 +21,19 @@ from pydantic import Field, StrictBool
 from starlette.applications import Starlette
 from starlette.concurrency import run_in_threadpool
 from starlette.requests import ClientDisconnect, Request
-from starlette.responses import FileResponse, JSONResponse, PlainTextResponse, Response
+from starlette.responses import FileResponse, JSONResponse, Response
 from starlette.routing import Route
-from starlette.types import ASGIApp, Message, Receive, Scope, Send
+from starlette.types import ASGIApp
 
 from lscan.documents import Strict, check
-from lscan.errors import InputError, LscanError
+from lscan.errors import DeviceError, InputError, LscanError
 from lscan.live.access import Access
+from lscan.live.door import Door
 from lscan.live.files import page_files
 from lscan.live.session import Session
 
 LONGEST_WAIT_S = 5.0
 LONGEST_BODY = 10_000  # bytes; a command takes some fifty
-HEADERS = {
-    "Content-Security-Policy": "default-src 'self'; img-src 'self' blob:",
-    "X-Content-Type-Options": "nosniff",
-    "Referrer-Policy": "no-referrer",
-    "Cache-Control": "no-store",
-}
 
 
 class Nothing(Strict):
@@ -100,7 +95,7 @@ class LivePage:
             command("/api/move", MoveBody, lambda body: session.move_to(body.position_mm)),
             command("/api/laser", LaserBody, lambda body: session.switch_laser(body.on)),
         ]
-        return _Door(Starlette(routes=routes, lifespan=self._lifespan), self._access)
+        return Door(Starlette(routes=routes, lifespan=self._lifespan), self._access)
 
     def close(self) -> None:
         """Let those who wait for a picture go; from any thread or signal handler."""
@@ -185,41 +180,8 @@ async def _document(request: Request) -> dict[str, Any]:
 
 
 def _refused(error: LscanError, code: int) -> JSONResponse:
-    return JSONResponse({"error": str(error)}, status_code=code)
-
-
-class _Door:
-    """Lets requests in as ``access`` says, and puts the safety headers on all answers."""
-
-    def __init__(self, inner: ASGIApp, access: Access) -> None:
-        self._inner, self._access = inner, access
-
-    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        if scope["type"] != "http":
-            await self._inner(scope, receive, send)
-            return
-        request = Request(scope)
-        token = request.query_params.get("token") if request.url.path == "/" else None
-        headers = dict(HEADERS)
-        refusal = self._access.refusal(
-            request.headers.get("host", ""),
-            request.headers.get("origin"),
-            request.headers.get("cookie", ""),
-            token,
-        )
-        if refusal is None and self._access.token and token is not None:
-            headers["Set-Cookie"] = (
-                f"{self._access.cookie}={self._access.token}; HttpOnly; SameSite=Strict; Path=/"
-            )
-
-        async def send_safely(message: Message) -> None:
-            if message["type"] == "http.response.start":
-                extra = [(k.lower().encode(), v.encode()) for k, v in headers.items()]
-                message = {**message, "headers": [*message["headers"], *extra]}
-            await send(message)
-
-        inner = PlainTextResponse(refusal, 403) if refusal else self._inner
-        await inner(scope, receive, send_safely)
+    answer = {"error": str(error), "device": isinstance(error, DeviceError)}
+    return JSONResponse(answer, status_code=code)
 
 
 class LiveServer(uvicorn.Server):

@@ -2,29 +2,23 @@
 
 from __future__ import annotations
 
-import json
 import signal
 import socket
-import struct
 import subprocess
 import sys
 import threading
 from collections.abc import Iterator
-from contextlib import contextmanager
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import httpx
 import pytest
 from fake_devices import FakeTrack, folder_bytes
-from live_rig import LONG_S, Bench, GatedTrack, SeeingCamera, live_bench, wait_for
+from live_rig import LONG_S, GatedTrack, SeeingCamera, live_bench, wait_for
+from live_served import Page, served
 
 from lscan.errors import InputError
-from lscan.live.access import grant
 from lscan.live.files import FOLDER
-from lscan.live.server import listen, make_server
-from lscan.live.session import Session
+from lscan.live.server import listen
 from lscan.run import open_run
 
 COMMANDS = [
@@ -44,47 +38,6 @@ KINDS = {
     "js": "text/javascript; charset=utf-8",
     "svg": "image/svg+xml",
 }
-
-
-@dataclass
-class Page:
-    """A served session and a browser of it."""
-
-    session: Session
-    port: int
-    http: httpx.Client
-    bench: Bench
-
-    def post(self, path: str, body: Any = None) -> httpx.Response:
-        return self.http.post(f"/api/{path}", json={} if body is None else body)
-
-    def frame(self, after: int) -> dict[str, Any] | None:
-        answer = self.http.get("/api/frame", params={"after": after})
-        if answer.status_code == 204:
-            return None
-        assert answer.headers["content-type"] == "application/octet-stream"
-        (length,) = struct.unpack(">I", answer.content[:4])
-        assert answer.content[4 + length :][:2] == b"\xff\xd8"  # a JPEG begins so
-        document: dict[str, Any] = json.loads(answer.content[4 : 4 + length])
-        return document
-
-
-@contextmanager
-def served(bench: Bench, frames: int = 5, token: str | None = None) -> Iterator[Page]:
-    session = bench.open(frames)
-    with listen("127.0.0.1", 0) as listening:
-        port = listening.getsockname()[1]
-        server = make_server(session, grant("127.0.0.1", port, token))
-        thread = threading.Thread(target=server.run, kwargs={"sockets": [listening]})
-        thread.start()
-        try:
-            wait_for(lambda: server.started)
-            with httpx.Client(base_url=f"http://127.0.0.1:{port}", timeout=LONG_S) as http:
-                yield Page(session, port, http, bench)
-        finally:
-            server.stop()
-            thread.join(LONG_S)
-            assert not thread.is_alive()
 
 
 @pytest.fixture(scope="module")
@@ -128,9 +81,32 @@ def test_every_file_of_the_page_is_served_with_its_type_and_a_strict_policy(page
         assert answer.content == (FOLDER / name).read_bytes()
         kind = KINDS[name.rpartition(".")[2]]
         assert answer.headers["content-type"] == kind
-        policy = answer.headers["content-security-policy"]
-        assert policy == "default-src 'self'; img-src 'self' blob:"
         assert "set-cookie" not in answer.headers
+
+
+def test_every_answer_has_the_safety_headers(page: Page) -> None:
+    """Of OWASP's secure headers those that hold for a page over plain HTTP."""
+    told = {
+        "x-frame-options": "DENY",
+        "x-content-type-options": "nosniff",
+        "referrer-policy": "no-referrer",
+    }
+    answers = [
+        page.http.get("/"),
+        page.http.get("/live/main.js"),
+        page.http.get("/api/state"),
+        page.http.get("/api/frame"),
+        page.http.get("/no-such-page"),
+        page.http.get("/", headers={"host": "evil.example"}),
+        page.post("mode", {"mode": "both"}),
+        page.post("scan/stop"),
+    ]
+    assert [answer.status_code for answer in answers] == [200, 200, 200, 200, 404, 403, 400, 409]
+    for answer in answers:
+        assert told.items() <= dict(answer.headers).items()
+        policy = answer.headers["content-security-policy"].split("; ")
+        assert {"default-src 'none'", "script-src 'self'", "frame-ancestors 'none'"} <= set(policy)
+        assert "unsafe" not in answer.headers["content-security-policy"]
 
 
 @pytest.mark.parametrize(
@@ -178,8 +154,30 @@ def test_another_name_and_another_site_are_refused(page: Page) -> None:
             assert answer.status_code == 403
             assert "content-security-policy" in answer.headers
     assert page.session.state()["scan"]["state"] == "idle"
-    own = {"origin": f"http://127.0.0.1:{page.port}"}
-    assert page.http.post("/api/mode", json={"mode": "stripe"}, headers=own).status_code == 200
+    assert page.post("mode", {"mode": "stripe"}).status_code == 200
+
+
+def test_a_command_names_the_page_that_it_is_from(page: Page) -> None:
+    """By Origin, or by Sec-Fetch-Site; another port is the same site but not the same origin."""
+    own = f"http://127.0.0.1:{page.port}"
+    bodies = {"mode": {"mode": "stripe"}, "move": {"position_mm": 0.0}, "laser": {"on": True}}
+    foreign: list[dict[str, str]] = [
+        {},
+        {"origin": "null"},
+        {"origin": "http://127.0.0.1:1"},
+        {"sec-fetch-site": "same-site"},
+        {"sec-fetch-site": "cross-site"},
+        {"sec-fetch-site": "none"},
+    ]
+    with httpx.Client(base_url=own, timeout=LONG_S) as program:
+        for headers in foreign:
+            for command in COMMANDS:
+                body = bodies.get(command, {})
+                answer = program.post(f"/api/{command}", json=body, headers=headers)
+                assert answer.status_code == 403, (command, headers)
+        for headers in ({"origin": own}, {"sec-fetch-site": "same-origin"}):
+            answer = program.post("/api/mode", json=bodies["mode"], headers=headers)
+            assert answer.status_code == 200
 
 
 def test_a_token_is_taken_from_the_address_and_kept_in_a_cookie(
@@ -192,11 +190,13 @@ def test_a_token_is_taken_from_the_address_and_kept_in_a_cookie(
             assert "token" in answer.text
             assert "set-cookie" not in answer.headers
         assert page.post("scan/start").status_code == 403
-        answer = page.http.get(f"/?token={TOKEN}")
-        assert answer.status_code == 200
-        cookie = answer.headers["set-cookie"]
-        assert "HttpOnly" in cookie
-        assert "SameSite=Strict" in cookie
+        for _ in range(2):  # the printed address goes on serving, this browser and others
+            answer = page.http.get(f"/?token={TOKEN}")
+            assert (answer.status_code, answer.headers["location"]) == (303, "/")
+            name, _, rest = answer.headers["set-cookie"].partition("=")
+            assert name == f"lscan-{page.port}"  # cookies do not tell ports apart
+            assert rest == f"{TOKEN}; HttpOnly; SameSite=Strict; Path=/"
+        assert TOKEN not in page.http.get("/").text
         assert page.http.get("/live/main.js").status_code == 200
         assert page.http.get("/api/state").status_code == 200
         assert page.post("mode", {"mode": "stripe"}).status_code == 200
@@ -267,7 +267,7 @@ def test_a_bad_body_gets_one_clear_line_and_does_nothing(
     before = page.bench.drivers.track.moves
     answer = page.http.post(f"/api/{command}", content=body)
     assert answer.status_code == 400
-    assert list(answer.json()) == ["error"]
+    assert answer.json()["device"] is False
     assert answer.json()["error"].count("\n") == 0
     assert page.bench.drivers.track.moves == before
     assert page.session.state()["scan"]["state"] == "idle"
@@ -290,6 +290,7 @@ def test_a_device_that_refuses_is_a_conflict_with_its_line(fresh: Page) -> None:
     answer = fresh.post("move", {"position_mm": 5})
     assert answer.status_code == 409
     assert "limit switch" in answer.json()["error"]
+    assert answer.json()["device"] is True
 
 
 # ---- pictures ---------------------------------------------------------------------------
@@ -419,7 +420,8 @@ def test_a_signal_ends_the_scan_after_its_frame(tmp_path: Path, number: int) -> 
     ) as process:
         assert process.stdout is not None
         address = process.stdout.readline().split()[0]
-        answer = httpx.post(f"{address}api/scan/start", json={}, timeout=LONG_S)
+        own = {"origin": address.rstrip("/")}
+        answer = httpx.post(f"{address}api/scan/start", json={}, headers=own, timeout=LONG_S)
         assert answer.status_code == 200
         wait_for(
             lambda: httpx.get(f"{address}api/state", timeout=LONG_S).json()["scan"]["done"] > 2

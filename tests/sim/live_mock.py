@@ -16,12 +16,12 @@ from urllib.parse import parse_qs, urlsplit
 import cv2
 import numpy as np
 
+from lscan.live.door import HEADERS
 from lscan.live.files import page_files
 from lscan.records import Floats
 
 WIDTH, HEIGHT = 640, 480
 MM_PER_PX = 0.25
-POLICY = "default-src 'self'; img-src 'self' blob:"
 FILES = page_files()
 GAP = slice(100, 120)  # columns without a stripe
 CLIPPED = slice(300, 310)
@@ -258,8 +258,7 @@ def _handler(instrument: Instrument) -> type[BaseHTTPRequestHandler]:
         def _file(self, path: str, given: str) -> None:
             file, kind = FILES[path]
             cookie = {"Set-Cookie": f"token={given}; HttpOnly; SameSite=Strict"} if given else {}
-            headers = {"Content-Security-Policy": POLICY, **cookie}
-            self._answer(200, f"{kind}; charset=utf-8", file.read_bytes(), headers)
+            self._answer(200, f"{kind}; charset=utf-8", file.read_bytes(), {**HEADERS, **cookie})
 
         def _json(self, code: int, answer: dict[str, Any]) -> None:
             self._answer(code, "application/json", json.dumps(answer).encode())
