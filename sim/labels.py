@@ -8,7 +8,6 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from enum import IntEnum
-from math import pi
 
 import numpy as np
 
@@ -148,13 +147,12 @@ def line_sigma_px(scene: Scene, truth: StripeTruth) -> Floats:
 
 
 def half_width_mm(scene: Scene, truth: StripeTruth) -> Floats:
-    """(N,) 1/e2 half width of the sheet where it meets the target, mm (physics.md section 4)."""
+    """(N,) 1/e2 half width of the sheet where it meets the target, mm."""
     laser = scene.tank.laser
     index = water_optics(scene.tank.water, laser.wavelength_nm).index
-    rayleigh_mm = pi * laser.waist_mm**2 * index / (laser.wavelength_nm * 1e-6 * laser.m2)
     points = np.column_stack([truth.xz_mm[:, 0], truth.y_mm, truth.xz_mm[:, 1]])
     distance = np.linalg.norm(points - np.array(laser.apex_mm), axis=1)
-    return laser.waist_mm * np.hypot(1.0, (distance - laser.waist_distance_mm) / rayleigh_mm)
+    return laser.half_thickness_mm(distance, index)
 
 
 def _pushed(scene: Scene, truth: StripeTruth, shift_mm: Floats) -> StripeTruth:

@@ -5,12 +5,14 @@ Lengths mm, angles degrees, wavelengths nm, as in the file.
 
 from __future__ import annotations
 
-from math import exp, hypot
+from math import exp, hypot, pi
 from typing import Annotated, Any, Literal, Self
 
+import numpy as np
 from pydantic import Discriminator, Field, NonNegativeFloat, PositiveFloat, Tag, model_validator
 
 from lscan.documents import Strict
+from lscan.records import Floats
 
 Vector = tuple[float, float, float]
 Fraction = Annotated[float, Field(ge=0, le=1)]
@@ -197,6 +199,16 @@ class Laser(Strict):
     def sheets(self) -> tuple[Line, ...]:
         """The sheets there are: ``lines``, or one that holds all the power."""
         return self.lines or (Line(tilt_deg=0.0, share=1.0),)
+
+    def half_thickness_mm(self, distance_mm: Floats, water_index: float) -> Floats:
+        """1/e2 half thickness of the sheet at distances from the apex, mm.
+
+        That of a Gaussian beam about its waist (physics.md, section 4).
+        """
+        rayleigh_mm = pi * self.waist_mm**2 * water_index / (self.wavelength_nm * 1e-6 * self.m2)
+        off_waist = (distance_mm - self.waist_distance_mm) / rayleigh_mm
+        thickness_mm: Floats = self.waist_mm * np.hypot(1.0, off_waist)
+        return thickness_mm
 
     def wavelength_at(self, time_s: float) -> float:
         """Wavelength in nm ``time_s`` after the laser was switched on."""

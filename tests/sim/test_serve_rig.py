@@ -5,11 +5,13 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
-from served import quick_rig, small_scene
+from served import SCENES, quick_rig, small_scene
 
 from lscan.acquire import scan
 from lscan.documents import Document
+from lscan.rig import SheetSection, load_rig
 from lscan.samerig import first_difference
 from sim.serve import EmulatedHardware, ServeOptions
 from sim.serve.rigfile import rig_document
@@ -41,6 +43,32 @@ def test_the_plan_lights_a_laser_that_is_switched(
     document = rig_document(small_scene(plan=plan), {}, {}, switched_laser=switched)
     assert document["plan"].get("laser") == laser
     assert document["plan"]["frames"] == 4
+
+
+def test_the_rig_says_where_the_sheet_is_lit_and_seen_from() -> None:
+    """As the ruler of scenes/best does in the same tank; a beam is thicker off its waist.
+
+    At the Rayleigh length pi w0² n / lambda, 104 mm for w0 = 0.127 mm at 650 nm in water of
+    index 1.33, it is sqrt(2) as thick.
+    """
+    tank = small_scene()
+    best = load_rig(SCENES.parent / "best" / "sandwave.toml").rig.sheet
+    assert best is not None
+    told = SheetSection(**rig_document(tank, {}, {})["sheet"])
+    for key, value in told:
+        assert value == pytest.approx(getattr(best, key), abs=0.05), key  # mm, as rounded there
+    # The camera's axis, 30 degrees down, meets the sheet 500 mm under the camera at 300 mm, which
+    # is 450 mm under the apex.
+    laser = {"waist_mm": 0.127, "waist_distance_mm": 450.0 - 104.0}
+    thick = rig_document(small_scene(laser=laser), {}, {})["sheet"]["thickness_mm"]
+    assert thick == pytest.approx(0.127 * np.sqrt(2), abs=0.006)  # rounded to 0.01
+
+
+def test_a_sheet_in_the_scene_is_the_rigs_own() -> None:
+    own = {"thickness_mm": 2.0, "camera_mm": [0.0, -1.0, 0.0], "apex_mm": [0.0, 0.0, 1.0]}
+    assert rig_document(small_scene(sheet=own), {}, {})["sheet"] == own
+    away = small_scene(head={"heading_deg": 180.0})  # the camera's back to the sheet
+    assert "sheet" not in rig_document(away, {}, {})
 
 
 def test_a_scan_with_the_rig_of_a_switched_laser_sees_the_line(tmp_path: Path) -> None:
