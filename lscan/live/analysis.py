@@ -33,12 +33,14 @@ class StripeFigures:
     """The line in one picture.
 
     width_px: full width at half height of its columns laid over each other; snr: median of
-    its peaks over the standard deviation of a dark pixel.  None where there is no line.
+    its peaks over the standard deviation of a dark pixel; slope: px across it for each px along
+    it, as :func:`slope_of`.  None where there is no line.
     """
 
     stripe: Stripe
     width_px: float | None
     snr: float | None
+    slope: float | None = None
 
 
 @dataclass(frozen=True)
@@ -73,6 +75,7 @@ def measure_line(image: Bytes, settings: StripeSection, table: MapTable | None) 
         stripe=replace(stripe, centre_px=stripe.centre_px + band.start),
         width_px=_width_px(grey, at),
         snr=_snr(stripe, at, variance),
+        slope=slope_of(stripe.centre_px),
     )
     profile = None if table is None else table.profile(line.stripe)
     return Figures(_saturated_percent(whole), focus, line, profile)
@@ -119,6 +122,19 @@ def sharpness(light: Floats, variance: float) -> float:
         return 0.0
     rough = float(np.vdot(steps, steps)) - 2 * steps.size * variance
     return 1000 * max(rough, 0.0) / energy
+
+
+def slope_of(centre_px: Floats) -> float | None:
+    """Slope of the straight line through centres (N,), one a column, NaN where there is none.
+
+    The median slope of the pairs of columns half the picture apart: a quarter of the columns
+    may hold something else (Sen, "Estimates of the regression coefficient based on Kendall's
+    tau", J. Am. Stat. Assoc. 63 (1968) 1379, on fewer pairs).  None where there is no pair.
+    """
+    apart = len(centre_px) // 2
+    rises = centre_px[apart:] - centre_px[: len(centre_px) - apart]
+    known = rises[np.isfinite(rises)]
+    return float(np.median(known) / apart) if len(known) and apart else None
 
 
 def _saturated_percent(lines: Lines) -> float:

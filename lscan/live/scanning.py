@@ -11,9 +11,10 @@ from pathlib import Path
 from typing import Literal
 
 from lscan.acquire import acquire_into
-from lscan.errors import InputError
+from lscan.errors import DeviceError, InputError
 from lscan.live.devices import LiveDevices
 from lscan.live.errors import NotNow, told
+from lscan.live.unfinished import find_unfinished
 from lscan.rig import RigFile
 from lscan.runwriter import RunWriter, create_run, resume_run
 
@@ -24,7 +25,11 @@ NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,99}")
 
 @dataclass(frozen=True)
 class Progress:
-    """How far a scan is.  left_s: None before there is anything to judge it by."""
+    """How far a scan is.
+
+    left_s: None before there is anything to judge it by.  by_device: whether it failed by a
+    fault of camera or track, which are told of themselves.
+    """
 
     state: State
     folder: Path | None
@@ -33,18 +38,24 @@ class Progress:
     elapsed_s: float
     left_s: float | None
     message: str
+    by_device: bool = False
 
 
 class Scanning:
-    """The scan of the live page: one at a time, each into a folder of ``output``."""
+    """The scan of the live page: one at a time, each into a folder of ``output``.
+
+    A run of the same rig that lies there unfinished can be resumed, the newest of them.
+    """
 
     def __init__(self, rig_file: RigFile, devices: LiveDevices, output: Path) -> None:
         self._rig_file, self._devices, self._output = rig_file, devices, output
         self._lock = threading.Lock()
         self._state: State = "idle"
         self._after: State = "idle"  # the state that a scan told to stop goes to
-        self._folder: Path | None = None
-        self._done, self._message = 0, ""
+        self._by_device = False
+        left = find_unfinished(output, rig_file)
+        self._folder: Path | None = left.folder if left else None
+        self._done, self._message = (left.done, KEPT) if left else (0, "")
         self._begun_at, self._began_s, self._earlier_s = 0, 0.0, 0.0
         self._thread: threading.Thread | None = None
 
@@ -52,6 +63,11 @@ class Scanning:
     def active(self) -> bool:
         """Whether a scan is going on, or about to end."""
         return self._state in ("scanning", "stopping")
+
+    @property
+    def under_way(self) -> bool:
+        """Whether a scan has begun that is to end with these very optics and settings."""
+        return self._state in ("scanning", "stopping", "paused", "failed")
 
     def progress(self) -> Progress:
         """How far the scan is now."""
@@ -63,7 +79,14 @@ class Scanning:
             left_s = sitting_s / taken * (planned - self._done) if known else None
             elapsed_s = self._earlier_s + sitting_s
             return Progress(
-                self._state, self._folder, self._done, planned, elapsed_s, left_s, self._message
+                self._state,
+                self._folder,
+                self._done,
+                planned,
+                elapsed_s,
+                left_s,
+                self._message,
+                self._by_device,
             )
 
     def start(self, name: str | None = None) -> None:
@@ -108,7 +131,8 @@ class Scanning:
             self._stop("idle", "stopping after this frame")
         if self._thread is not None:
             self._thread.join()
-        return self._folder if 0 <= self._done < self._rig_file.rig.plan.frames else None
+        unfinished = self._thread and self._done < self._rig_file.rig.plan.frames
+        return self._folder if unfinished else None
 
     def _refuse_active(self) -> None:
         if self.active:
@@ -133,6 +157,7 @@ class Scanning:
                 run = acquire_into(writer, camera, track, self._count, self._go_on)
         except Exception as error:
             kept = f"{writer.written} of {writer.planned} {KEPT}"
+            self._by_device = isinstance(error, DeviceError)
             self._end("failed", f"{told(error)}. {kept}")
         else:
             if run.state == "complete":

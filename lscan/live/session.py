@@ -17,12 +17,16 @@ from lscan.live.boardpicture import LiveCalibration, take_board
 from lscan.live.boardview import BoardFigures, read_live_board
 from lscan.live.devices import LiveDevices
 from lscan.live.errors import NotNow, told
+from lscan.live.focus import BestFocus
 from lscan.live.newest import Newest
 from lscan.live.scanning import Progress, Scanning, next_name
 from lscan.live.wire import board_json, figures_json, jpeg_of, packed
 from lscan.rig import RigFile
 
 Mode = Literal["stripe", "board"]
+Phase = Literal["alignment", "calibrated", "scan"]
+"""What goes on, by which advice holds: optics are turned in alignment alone, because a
+calibration and a scan are those of the optics that they began with."""
 
 SHORTEST_PERIOD_S = 1 / 30
 """Between two pictures looked at: more is not seen, and takes time from a scan."""
@@ -71,7 +75,8 @@ class Session:
         self._rig_file, self._output, self._calibration = rig_file, output, calibration
         self._pictures: Newest[Picture] = Newest()
         self._mode: Mode = "stripe"
-        self._focus_best, self._reading = 0.0, None  # type: float, _Reading | None
+        self._focus, self._reading = BestFocus(), None  # type: BestFocus, _Reading | None
+        self._shown_s: float | None = None  # monotonic, when the newest picture came
         self._fault = ""
         self._task, self._task_message, self._task_failed = "", "", False
         self._commands = threading.Lock()
@@ -109,7 +114,8 @@ class Session:
         """What is looked for in the pictures.  InputError where the rig has no board."""
         if mode == "board" and self._rig_file.rig.board is None:
             raise InputError("has no section [board]", where=self._rig_file.source)
-        self._mode, self._focus_best, self._reading = mode, 0.0, None
+        self._mode, self._reading = mode, None
+        self._focus.forget()
         if self._task_failed:  # told of, and of no use in the other mode
             self._task_message = ""
 
@@ -168,7 +174,8 @@ class Session:
     # ---- the threads --------------------------------------------------------------------
 
     def _show(self, grab: Grab) -> None:
-        self._pictures.put(Picture(grab, self._devices.position_mm, time.monotonic()))
+        self._shown_s = time.monotonic()
+        self._pictures.put(Picture(grab, self._devices.position_mm, self._shown_s))
 
     def _look(self) -> None:
         while not self._closing.is_set():
@@ -216,7 +223,7 @@ class Session:
         """The picture measured and packed for the browsers, once for all of them."""
         mode = self._mode
         figures = self._figures(picture, mode)
-        self._focus_best = max(self._focus_best, figures.focus)
+        best = self._focus.among(figures.focus, picture.position_mm)
         image, reading = picture.grab.image, self._reading
         document = {
             "number": number,
@@ -227,11 +234,17 @@ class Session:
             "exposure_ms": picture.grab.exposure_ms,
             "position_mm": picture.position_mm,
             "mode": mode,
+            "phase": self._phase(),
             **figures_json(figures),
-            "focus_best": round(self._focus_best, 2),
+            "focus_best": round(best, 2),
             "board": reading and board_json(reading.board, time.monotonic() - reading.taken_s),
         }
         return packed(document, jpeg_of(image))
+
+    def _phase(self) -> Phase:
+        if self.scanning.under_way:
+            return "scan"
+        return "calibrated" if self._calibration else "alignment"
 
     def _figures(self, picture: Picture, mode: Mode) -> Figures:
         settings, calibration = self._rig_file.rig.stripe, self._calibration
@@ -259,6 +272,8 @@ class Session:
                 "driver": rig.camera.driver,
                 "size_px": [rig.camera.width_px, rig.camera.height_px],
                 "error": devices.camera_error or self._fault,
+                "gone": bool(devices.camera_error),
+                "seen_s_ago": self._seen_s_ago(),
             },
             "track": {
                 "driver": rig.track.driver,
@@ -279,6 +294,10 @@ class Session:
             "task": {"name": self._task, "message": self._task_message},
         }
 
+    def _seen_s_ago(self) -> float | None:
+        """Seconds since the camera gave its last picture; None where it gave none yet."""
+        return None if self._shown_s is None else round(time.monotonic() - self._shown_s, 1)
+
 
 def _scan_json(scan: Progress) -> dict[str, Any]:
     return {
@@ -289,4 +308,5 @@ def _scan_json(scan: Progress) -> dict[str, Any]:
         "elapsed_s": round(scan.elapsed_s, 1),
         "left_s": None if scan.left_s is None else round(scan.left_s, 1),
         "message": scan.message,
+        "by_device": scan.by_device,
     }

@@ -61,6 +61,7 @@ def _stripe_json(line: StripeFigures) -> dict[str, Any]:
         "clipped_at": np.flatnonzero(status == Status.SATURATED).tolist(),
         "width_px": _rounded(line.width_px, 2),
         "snr": _rounded(line.snr, 1),
+        "slope": _rounded(line.slope, 5),
         "status": {name: count for name, count in counts.items() if count},
     }
 

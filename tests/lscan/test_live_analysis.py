@@ -16,6 +16,7 @@ from lscan.live.analysis import (
     measure_line,
     measure_picture,
     sharpness,
+    slope_of,
 )
 from lscan.live.maptable import NODE_PX, tabulate
 from lscan.live.wire import figures_json, jpeg_of, packed
@@ -56,6 +57,27 @@ def test_signal_to_noise_is_the_peak_over_the_dark_noise(read_dn):
     noise = np.sqrt(read_dn**2 + 1 / 12)
     # The highest of the few pixels at the crest lies up to some 2 sigma above it.
     assert 0.95 * 150 / noise < line.snr < 1.05 * (150 + 2 * noise) / noise
+
+
+@pytest.mark.parametrize("axis", ["columns", "rows"])
+@pytest.mark.parametrize("slope", [-0.06, 0.0, 0.004])
+def test_the_slope_is_that_of_the_line(slope, axis):
+    """To 0.1 px, what a centre is drawn and found to, over the half of the picture."""
+    centres = 120 + slope * np.arange(WIDTH)
+    image = picture(centres=centres, read_dn=2.0)
+    settings = SETTINGS.model_copy(update={"axis": axis})
+    line = measure_line(image if axis == "columns" else image.T, settings, None).line
+    assert line.slope == pytest.approx(slope, abs=0.1 / (WIDTH / 2))
+
+
+def test_the_slope_does_not_heed_what_stands_on_the_floor():
+    """A sixth of the columns is in a third of the pairs, which the median leaves out."""
+    centres = 50 + 0.02 * np.arange(120.0)
+    centres[70:90] -= 30.0
+    centres[5:15] = np.nan
+    assert slope_of(centres) == pytest.approx(0.02, abs=1e-12)
+    for nothing in (np.full(120, np.nan), np.zeros(1), np.zeros(0)):
+        assert slope_of(nothing) is None
 
 
 def test_saturation_counts_the_clipped_pixels_of_the_whole_picture():

@@ -228,10 +228,12 @@ def test_the_state_is_as_agreed(page: Page) -> None:
         "board", "mode", "plan", "scan", "task",
     }  # fmt: skip
     assert state["rig"] == "Prüfstand"
-    assert state["camera"] == {"driver": "fake", "size_px": [20, 16], "error": ""}
+    camera = state["camera"]
+    assert camera.pop("seen_s_ago") >= 0
+    assert camera == {"driver": "fake", "size_px": [20, 16], "error": "", "gone": False}
     assert state["plan"] == {"start_mm": 1.0, "step_mm": 0.1, "frames": 5}
     assert set(state["scan"]) == {
-        "state", "folder", "done", "planned", "elapsed_s", "left_s", "message",
+        "state", "folder", "done", "planned", "elapsed_s", "left_s", "message", "by_device",
     }  # fmt: skip
 
 

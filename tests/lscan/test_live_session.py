@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import struct
 import threading
 import time
@@ -15,9 +16,12 @@ from fake_devices import FakeCamera, FakeTrack, LaserTrack, fake_rig, folder_byt
 from live_rig import GatedTrack, SeeingCamera, live_bench, wait_for
 
 from lscan.acquire import acquire_into
-from lscan.errors import DeviceError, InputError
+from lscan.errors import DeviceError, DiskError, InputError
 from lscan.live.analysis import Figures, measure_line
+from lscan.live.boardpicture import LiveCalibration
 from lscan.live.errors import NotNow
+from lscan.live.focus import MOVED_MM, BestFocus
+from lscan.live.maptable import MapTable
 from lscan.live.newest import Newest
 from lscan.live.scanning import next_name
 from lscan.live.session import Session
@@ -178,6 +182,54 @@ def test_closing_ends_a_scan_after_its_frame_and_names_its_folder(
         assert again.close() is None
 
 
+def killed_scan(folder: Path, frames: int = 5, done: int = 2) -> None:
+    """A run that ended without a word after ``done`` frames, in the middle of the next row."""
+    track = FakeTrack()
+    with create_run(folder, fake_rig(frames)) as writer:
+        acquire_into(writer, FakeCamera(track), track, None, lambda: writer.written < done)
+    with (folder / "frames.csv").open("a") as table:
+        table.write("2,1.2")
+
+
+def test_a_run_left_unfinished_is_offered_by_the_page_opened_anew(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    output = tmp_path / "runs"
+    killed_scan(output / "a")
+    before = folder_bytes(output)
+    with live_bench(monkeypatch, output) as bench:
+        session = bench.open()
+        scan = scan_of(session)
+        assert (scan["state"], scan["done"], scan["planned"]) == ("idle", 2, 5)
+        assert scan["folder"] == str(output / "a")
+        assert scan["message"] == "frames are kept; Resume goes on"
+        assert folder_bytes(output) == before  # looked at, and left as it is
+        assert bench.drivers.track.moves == 0
+        session.resume_scan()
+        reaches(session, "done")
+    assert folder_bytes(output / "a") == reference(tmp_path / "b")
+
+
+def test_only_the_newest_run_of_this_rig_is_offered_and_only_if_unfinished(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    output = tmp_path / "runs"
+    killed_scan(output / "old")
+    killed_scan(output / "another-rig", frames=6)
+    (output / "no-run").mkdir()
+    (output / "no-run" / "frames.csv").write_text("x")
+    for seconds, name in enumerate(("old", "another-rig", "no-run")):
+        os.utime(output / name / "frames.csv", (seconds, seconds))
+    with live_bench(monkeypatch, output) as bench:
+        assert scan_of(bench.open())["folder"] == str(output / "old")
+        assert bench.sessions[0].close() is None  # nothing was scanned in this sitting
+        session = bench.open()
+        session.start_scan("new")
+        reaches(session, "done")
+        session.close()
+        assert scan_of(bench.open())["folder"] is None
+
+
 @pytest.mark.parametrize("name", ["../a", "a/b", "", ".", "..", "a\n", "/x", "é", "a" * 101])
 def test_a_name_that_is_no_plain_folder_is_refused(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str
@@ -271,6 +323,42 @@ def test_a_picture_that_cannot_be_measured_is_told_of(
         wait_for(lambda: session.state()["camera"]["error"] == "")
 
 
+def test_the_time_of_the_last_picture_of_a_camera_that_is_gone_is_told(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with live_bench(monkeypatch, tmp_path) as bench:
+        session, camera = bench.open(), bench.drivers.camera
+        frame_of(session)
+        assert session.state()["camera"]["gone"] is False
+        camera.fail_at = sum(camera.grabs.values()) + 1
+        gone = wait_for(lambda: (told := session.state()["camera"])["gone"] and told)
+        later = wait_for(  # told in tenths of a second
+            lambda: (told := session.state()["camera"])["seen_s_ago"] > gone["seen_s_ago"] and told
+        )
+        assert later["gone"]
+        camera.fail_at = None
+        wait_for(lambda: not session.state()["camera"]["gone"])
+
+
+def test_a_scan_that_a_device_ended_says_so(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The device's fault is told of the device itself; that of a disk, of the scan alone."""
+    with live_bench(monkeypatch, tmp_path, FakeTrack(fail_at=2)) as bench:
+        session = bench.open()
+        session.start_scan("a")
+        assert reaches(session, "failed")["by_device"] is True
+
+    def full(*_: object) -> None:
+        raise DiskError("cannot be written: no space left on device")
+
+    with live_bench(monkeypatch, tmp_path / "b") as bench:
+        session = bench.open()
+        monkeypatch.setattr("lscan.runwriter.RunWriter.append", full)
+        session.start_scan("b")
+        assert reaches(session, "failed")["by_device"] is False
+
+
 class LostTrack(FakeTrack):
     """Fails once, and from then on knows nothing until it is opened again."""
 
@@ -324,6 +412,67 @@ def test_devices_that_do_not_open_leave_nothing_open(
             bench.open()
         assert bench.drivers.track.closed == 1
         assert bench.drivers.camera.closed == 1
+
+
+# ---- which advice holds -----------------------------------------------------------------
+
+
+def test_optics_are_aligned_only_without_calibration_and_scan(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    track = GatedTrack(gate=threading.Semaphore(1))
+    with live_bench(monkeypatch, tmp_path, track) as bench:
+        session = bench.open()
+
+        def phase() -> str:
+            last = frame_of(session)["number"]
+            return str(frame_of(session, after=last + 1)["phase"])  # begun after the last came
+
+        assert phase() == "alignment"
+        session.start_scan("a")
+        wait_for(lambda: scan_of(session)["done"] == 1)
+        session.scanning.pause()
+        track.gate.release(1)
+        reaches(session, "paused")
+        assert phase() == "scan"
+        session.scanning.stop()
+        assert phase() == "alignment"
+        table = MapTable(np.full((5, 10, 10), np.nan))
+        session._calibration = LiveCalibration(tmp_path / "c.json", None, table)  # type: ignore
+        assert phase() == "calibrated"
+
+
+def test_the_best_focus_is_that_of_the_place_where_the_head_stands() -> None:
+    best = BestFocus()
+    assert [best.among(focus, 10.0) for focus in (5.0, 9.0, 7.0)] == [5.0, 9.0, 9.0]
+    assert best.among(6.0, 10.0 + MOVED_MM / 2) == 9.0  # a reading that scatters
+    assert best.among(3.0, 11.0) == 3.0
+    for crept_mm in np.arange(11.0, 11.0 + MOVED_MM, MOVED_MM / 4):
+        assert best.among(4.0, crept_mm) == 4.0
+    assert best.among(2.0, 11.0 + 1.01 * MOVED_MM) == 2.0  # it crept away all the same
+    assert best.among(1.0, None) == 1.0  # moved by who knows whom
+    assert best.among(0.5, None) == 1.0
+    best.forget()
+    assert best.among(0.5, None) == 0.5
+
+
+def test_the_best_focus_is_begun_anew_by_a_move(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    sharp = threading.Event()
+
+    def measured(*_: Any) -> Figures:
+        return Figures(0.0, 90.0 if sharp.is_set() else 30.0, None, None)
+
+    monkeypatch.setattr("lscan.live.session.measure_line", measured)
+    with live_bench(monkeypatch, tmp_path) as bench:
+        session = bench.open()
+        sharp.set()
+        wait_for(lambda: frame_of(session)["focus_best"] == 90.0)
+        sharp.clear()
+        wait_for(lambda: (f := frame_of(session))["focus"] == 30.0 and f["focus_best"] == 90.0)
+        session.move_to(5.0)
+        wait_for(lambda: frame_of(session)["focus_best"] == 30.0)
 
 
 # ---- the other commands -----------------------------------------------------------------
