@@ -78,6 +78,7 @@ def stripe_answer() -> dict[str, Any]:
             "clipped_at": list(range(CLIPPED.start, CLIPPED.stop)),
             "width_px": 4.7,
             "snr": 61.0,
+            "slope": 0.02,
             "status": {"OK": found - 10, "SATURATED": 10, "NO_PEAK": 20},
         },
         "profile": {"x_mm": with_gaps(X_MM), "z_mm": with_gaps(Z_MM), "sigma_mm": 0.084},
@@ -119,21 +120,28 @@ class Instrument:
     """The state behind the page: changed by its commands, and by the test.
 
     frame: changes to the JSON of every picture.  posts: (path, body) of every command.
-    refusal: the line with which the next commands are refused.  stuck: no new pictures.
+    refusal: the line with which the next commands are refused, by_device: for a device's sake.
+    stuck: no new pictures.
     """
 
     def __init__(self, rate_hz: float = 20.0) -> None:
         self.rate_hz = rate_hz
         self.frame: dict[str, Any] = {}
         self.posts: list[tuple[str, Any]] = []
-        self.refusal = ""
+        self.refusal, self.by_device = "", False
         self.stuck = False
         self.token = ""
         self._began = time.monotonic()
         self.state: dict[str, Any] = {
             "rig": "sandwave in the tank",
             "source": "rig.toml",
-            "camera": {"driver": "opencv", "size_px": [WIDTH, HEIGHT], "error": ""},
+            "camera": {
+                "driver": "opencv",
+                "size_px": [WIDTH, HEIGHT],
+                "error": "",
+                "gone": False,
+                "seen_s_ago": 0.0,
+            },
             "track": {"driver": "grbl", "position_mm": 12.0, "error": ""},
             "can_switch_laser": True,
             "laser": "on",
@@ -150,13 +158,22 @@ class Instrument:
         left = 0.25 * (100 - done) if state == "scanning" else None
         times = {"elapsed_s": 0.25 * done, "left_s": left}
         return {
-            "state": state, "folder": folder, "done": done, "planned": 100, **times, "message": ""
+            "state": state, "folder": folder, "done": done, "planned": 100, **times, "message": "",
+            "by_device": False,
         }  # fmt: skip
 
-    def scan_is(self, state: str, done: int = 34, message: str = "") -> None:
+    def scan_is(
+        self, state: str, done: int = 34, message: str = "", by_device: bool = False
+    ) -> None:
         """Put the scan into a state."""
         folder = None if state == "idle" else "runs/scan-003"
-        self.state["scan"] = {**self._scan(state, folder, done), "message": message}
+        scan = self._scan(state, folder, done)
+        self.state["scan"] = {**scan, "message": message, "by_device": by_device}
+
+    def _phase(self) -> str:
+        if self.state["scan"]["state"] in ("scanning", "stopping", "paused", "failed"):
+            return "scan"
+        return "calibrated" if self.state["calibration"] else "alignment"
 
     def next_frame(self, after: int) -> tuple[dict[str, Any], bytes] | None:
         """The newest picture numbered above ``after``, waited for; None where none came."""
@@ -179,6 +196,7 @@ class Instrument:
             "exposure_ms": 8.0,
             "position_mm": self.state["track"]["position_mm"],
             "mode": self.state["mode"],
+            "phase": self._phase(),
             "saturated_percent": 0.02,
             "focus": 91.0,
             "focus_best": 100.0,
@@ -191,7 +209,7 @@ class Instrument:
         """What the server answers to a POST: the code and the JSON."""
         self.posts.append((path, body))
         if self.refusal:
-            return 409, {"error": self.refusal}
+            return 409, {"error": self.refusal, "device": self.by_device}
         match path:
             case "/api/mode":
                 self.state["mode"] = body["mode"]

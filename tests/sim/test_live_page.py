@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -28,6 +29,7 @@ from sim.hardware.browser import Browser, BrowserError, BrowserMissing, main
 
 pytestmark = pytest.mark.xdist_group("live_page")  # one worker: they share a fixture
 
+README = Path(__file__).resolve().parents[2] / "README.md"
 OUT = Path(__file__).resolve().parents[2] / "out" / "live"
 
 # What marks the overlay in the picture: its colours are far from the red of the laser line.
@@ -43,6 +45,7 @@ OVERLAY = """(() => {
   return found;
 })()"""
 DRAWING = "window.lscan?.framesDrawn > 2 && !document.querySelector('#go').disabled"
+ALIGNING = {"phase": "alignment"}
 STRIPE, CLIPPED_COLOUR = (0, 220, 255), (255, 213, 0)
 
 
@@ -183,6 +186,76 @@ PLOTTED = """(() => {
 })()"""
 
 
+# The rectangles of all that is written on the profile's canvas, with the words.
+WRITTEN = """(() => {
+  const context = document.querySelector("#profile").getContext("2d"), told = [];
+  const write = context.fillText;
+  context.fillText = (text, x, y) => {
+    const box = context.measureText(text);
+    told.push([text, x - box.actualBoundingBoxLeft, x + box.actualBoundingBoxRight,
+               y - box.actualBoundingBoxAscent, y + box.actualBoundingBoxDescent]);
+    write.call(context, text, x, y);
+  };
+  document.querySelector("#equal").dispatchEvent(new Event("change"));
+  delete context.fillText;
+  return told;
+})()"""
+
+
+@pytest.mark.parametrize("highest_mm", [-20.0, -3.0, 0.0, 7.0, 999.0])
+def test_nothing_on_the_profile_is_written_over_another(
+    page: Browser, instrument: Instrument, highest_mm: float
+) -> None:
+    """Wherever the highest tick lies under the upper edge."""
+    z_mm = (Z_MM - Z_MM.max() + highest_mm).tolist()
+    instrument.frame = {"profile": {"x_mm": X_MM.tolist(), "z_mm": z_mm, "sigma_mm": 0.1}}
+    for size in ((1280, 800), (390, 844), (844, 390)):
+        page.resize(*size)
+        drawn = page.evaluate("window.lscan.framesDrawn")
+        page.wait_for(f"window.lscan.framesDrawn > {drawn + 5}")
+        written = page.evaluate(WRITTEN)
+        assert {"x in mm", "z in mm"} < {words for words, *_ in written}
+        for one, (words, left, right, top, bottom) in enumerate(written):
+            for other, other_left, other_right, other_top, other_bottom in written[:one]:
+                beside = right <= other_left or other_right <= left
+                assert beside or bottom <= other_top or other_bottom <= top, (words, other)
+
+
+def test_the_zoom_magnifies_the_stripe_where_it_is_clicked(page: Browser) -> None:
+    """Four times: the window is a quarter of the picture, about the stripe at that place."""
+    for column in (320, 128, 512):
+        click_on_picture(page, column / WIDTH)
+        page.click("#zoom")
+        after_pictures(page, 3)
+        pixels = np.vstack([coloured(page, STRIPE), coloured(page, CLIPPED_COLOUR)])
+        # Of a dot four pixels wide the middle is 1.5; the mouse hits a place to a pixel or two.
+        at = column + np.arange(-2, 3)
+        columns = (at - WIDTH / 8)[:, None] + (pixels[:, 0] - 1.5) / 4
+        rows = np.rint(CENTRE_PX[at] - HEIGHT / 8)[:, None] + (pixels[:, 1] - 1.5) / 4
+        off = np.abs(rows - np.interp(columns, np.arange(WIDTH), CENTRE_PX))
+        # Within a column, which has one dot, the stripe rises by its steepest.
+        assert off.max(axis=1).min() <= 0.25 + np.abs(np.diff(CENTRE_PX)).max() / 2
+        page.click("#zoom")
+        after_pictures(page, 3)
+        assert np.ptp(coloured(page, STRIPE)[:, 0]) == WIDTH - 1  # the whole again
+
+
+def after_pictures(page: Browser, count: int) -> None:
+    drawn = page.evaluate("window.lscan.framesDrawn")
+    page.wait_for(f"window.lscan.framesDrawn > {drawn + count}")
+
+
+def click_on_picture(page: Browser, share: float) -> None:
+    """Click on the middle of its height, so far along its width."""
+    box = "document.querySelector('#picture').getBoundingClientRect()"
+    x, y, width, height = page.evaluate(
+        f"(({{x, y, width, height}}) => [x, y, width, height])({box})"
+    )
+    place = {"x": x + share * width, "y": y + height / 2}
+    for kind in ("mousePressed", "mouseReleased"):
+        page.call("Input.dispatchMouseEvent", type=kind, button="left", clickCount=1, **place)
+
+
 def test_without_a_calibration_the_page_says_so(page: Browser, instrument: Instrument) -> None:
     instrument.state["calibration"] = None
     instrument.frame = {"profile": None}
@@ -201,7 +274,10 @@ def test_without_a_calibration_the_page_says_so(page: Browser, instrument: Instr
         ({"clipped": 3}, "saturation", "0.5 %", "good", "a few columns clipped"),
         ({"clipped": 124}, "saturation", "20.0 %", "bad", "too bright: shorten the exposure"),
         ({"snr": 5.0}, "snr", "5", "bad", "lengthen the exposure"),
-        ({"width_px": 1.4}, "width", "1.4 px", "fair", "very thin"),
+        ({"slope": 0.02}, "slope", "−1.15 °", "", "2.0 px in 100 px"),
+        ({"slope": -0.0014}, "slope", "+0.08 °", "", "0.1 px in 100 px"),
+        ({"slope": None}, "slope", "–", "", ""),
+        ({"width_px": 1.4}, "width", "1.4 px", "fair", "thin for a colour camera"),
         ({"width_px": 20.0}, "width", "20.0 px", "bad", "blurred"),
         ({"found": 0, "snr": None, "width_px": None}, "snr", "–", "", ""),
         ({"found": 200, "status": {"NO_PEAK": 440}}, "found", "200 of 640", "bad", "no peak 440"),
@@ -231,10 +307,10 @@ def test_each_number_has_its_verdict(
         ("saturation", {"mode": "board"}, "saturated_percent", (0.5, 5), "good fair bad"),
         ("saturation", {"stripe": {"found": 1000}}, "clipped", (5, 50), "good fair bad"),
         ("snr", {"stripe": {}}, "snr", (8, 15), "bad fair good"),
-        ("width", {"stripe": {}}, "width_px", (2, 8, 14), "fair good fair bad"),
+        ("width", {"stripe": {}}, "width_px", (2.5, 4, 8), "fair good fair bad"),
         ("found", {"stripe": {"of": 100, "status": {}}}, "found", (50, 95), "bad fair good"),
         ("residual", {"board": {}}, "residual_rms_px", (0.2, 0.5), "good fair bad"),
-        ("focus", {"focus_best": 100}, "focus", (80, 95), "bad fair good"),
+        ("focus", {**ALIGNING, "focus_best": 100}, "focus", (80, 95), "bad fair good"),
     ],
 )
 def test_the_legend_names_each_limit_at_which_a_verdict_turns(
@@ -245,7 +321,7 @@ def test_the_legend_names_each_limit_at_which_a_verdict_turns(
     values: tuple[float, ...],
     grades: str,
 ) -> None:
-    """Just below and just above each limit, the grades are those on either side of it."""
+    """Just below and just above each limit, the grades of a first picture are those there."""
     inner = next((part for part in ("stripe", "board") if part in frame), None)
 
     def grade_and_legend(value: float) -> tuple[str, str]:
@@ -274,11 +350,94 @@ def test_the_limits_of_the_board_and_of_the_rate_are_told(page: Browser) -> None
 
 
 def test_the_focus_bar_stands_against_the_best(page: Browser, instrument: Instrument) -> None:
+    instrument.state["calibration"] = None
     instrument.frame = {"focus": 30.0, "focus_best": 120.0}
     shows(page, "[data-number=focus]", "25 %")
     assert page.evaluate("document.querySelector('[data-number=focus] meter').value") == 0.25
     instrument.frame = {"focus": 120.0, "focus_best": 120.0}
     shows(page, "[data-number=focus]", "at its best")
+
+
+# Every verdict that any picture can get, by frames far on either side of each limit.
+VERDICTS = """import("/live/figures.js").then(({FIGURES}) => {
+  const told = [];
+  for (const level of [1e-3, 3, 6, 12, 60, 1e3])
+    for (const mode of ["stripe", "board"]) {
+      const f = {
+        mode, phase: "%s", focus: level, focus_best: 100, saturated_percent: level, rate_hz: 1,
+        camera_hz: 1, exposure_ms: 1, position_mm: 1, board: null, profile: null,
+        stripe: {axis: "columns", found: 100, of: 200, clipped: level, width_px: level,
+                 snr: level, slope: level, status: {NO_PEAK: 100}},
+      };
+      for (const figure of FIGURES) told.push(figure.judge(f)[1]);
+    }
+  return told;
+})"""
+
+
+@pytest.mark.parametrize(
+    ("phase", "optics", "exposure"),
+    [("alignment", True, True), ("calibrated", False, True), ("scan", False, False)],
+)
+def test_advice_about_optics_holds_in_alignment_alone(
+    page: Browser, phase: str, optics: bool, exposure: bool
+) -> None:
+    """A calibration and a scan are those of the optics and the exposure they began with."""
+    told = set(page.evaluate(VERDICTS % phase))
+    for words in ("turn the lens", "focus the lens", "open the lens", "the sheet", "take a board"):
+        assert any(words in verdict for verdict in told) is optics, words
+    for words in ("shorten", "lengthen"):
+        assert any(words in verdict for verdict in told) is exposure, words
+    faults = {verdict.split(":")[0] for verdict in told}  # are told in any phase
+    assert {
+        "wide",
+        "blurred",
+        "thin for a colour camera",
+        "too bright",
+        "weak",
+        "not calibrated",
+    } <= faults
+
+
+def test_a_scan_shows_no_bar_to_be_filled(page: Browser, instrument: Instrument) -> None:
+    instrument.state["calibration"] = None
+    instrument.frame = {"focus": 88.0, "focus_best": 100.0}
+    shows(page, "[data-number=focus]", "turn the lens until the bar is full")
+    instrument.scan_is("scanning")
+    shows(page, "[data-number=focus]", "leave the optics as they are")
+    assert page.evaluate("document.querySelector('[data-number=focus] meter').value") == 0
+
+
+def test_the_board_is_not_moved_while_a_scan_goes_on(page: Browser, instrument: Instrument) -> None:
+    instrument.state["mode"] = "board"
+    shows(page, "#board-advice", "Move the board")
+    instrument.scan_is("scanning")
+    page.wait_for("document.querySelector('#board-advice').innerText === ''")
+
+
+def test_the_verdict_of_a_width_does_not_flicker_at_a_limit(
+    page: Browser, instrument: Instrument
+) -> None:
+    """5 % on either side of 4 px: from 3.8 to 4.2 px it is what it was before."""
+    stripe = instrument.next_frame(0)[0]["stripe"]  # type: ignore[index]
+    steps = [
+        (3.5, "good"), (4.15, "good"), (4.3, "fair"), (3.85, "fair"), (3.75, "good"),
+        (2.4, "good"), (2.35, "fair"), (2.6, "fair"), (2.65, "good"),
+        (20.0, "bad"), (7.7, "bad"), (7.55, "fair"),
+    ]  # fmt: skip
+    tile = "document.querySelector('[data-number=width]')"
+    for width_px, grade in steps:
+        instrument.frame = {"stripe": {**stripe, "width_px": width_px, "snr": 1000 * width_px}}
+        shows(page, "[data-number=snr]", f"{1000 * width_px:.0f}")  # written with the width
+        assert page.evaluate(f"{tile}.dataset.grade") == grade, width_px
+
+
+def test_the_readme_gives_the_width_that_the_page_calls_good(page: Browser) -> None:
+    figure = "FIGURES.find((one) => one.name === 'width').legend"
+    legend = page.evaluate(f"import('/live/figures.js').then(({{FIGURES}}) => {figure})")
+    good = re.search(r"good from ([\d.]+) to ([\d.]+) px", legend)
+    assert good is not None
+    assert f"*Width.* {good[1]} to {good[2]} px, full width at half height" in README.read_text()
 
 
 # ---- board mode -------------------------------------------------------------------------
@@ -482,18 +641,77 @@ def test_faults_stand_in_the_alert_line_until_they_are_gone(
     page.wait_for("document.querySelector('#alert').innerText === ''")
 
 
+GREY = "getComputedStyle(document.querySelector('#picture')).filter.includes('grayscale')"
+DAY_S = 86_400
+
+
+def test_a_camera_that_is_gone_leaves_no_picture_that_looks_alive(
+    page: Browser, instrument: Instrument
+) -> None:
+    assert text(page, "#since") == ""
+    assert page.evaluate(GREY) is False
+    instrument.stuck = True
+    camera = instrument.state["camera"]
+    camera.update(gone=True, seen_s_ago=7200.0, error="no picture for 2.0 s")
+    shows(page, "#connection", "not live")
+    told = re.search(r"^last picture at .*(\d\d):(\d\d):(\d\d)$", text(page, "#since"))
+    assert told is not None
+    seen_s = np.dot([3600, 60, 1], [int(number) for number in told.groups()])
+    now = page.evaluate("((d) => [d.getHours(), d.getMinutes(), d.getSeconds()])(new Date())")
+    ago_s = (np.dot([3600, 60, 1], now) - seen_s) % DAY_S
+    assert 7200 - 1 <= ago_s <= 7200 + 60  # rounded to a second; read within a minute
+    assert page.evaluate(GREY)
+    # The track answers still; nothing that needs a picture can be asked for.
+    assert enabled(page) == {"laser", "go", *JOGS} | MODES
+    assert text(page, "#alert") == "Camera: no picture for 2.0 s"
+    instrument.stuck = False
+    camera.update(gone=False, seen_s_ago=0.0, error="")
+    page.wait_for("document.querySelector('#connection').innerText === 'live'")
+    assert (text(page, "#since"), text(page, "#alert"), page.evaluate(GREY)) == ("", "", False)
+    assert enabled(page) == FREE | MODES
+
+
+def test_a_fault_is_told_once(page: Browser, instrument: Instrument) -> None:
+    """What a device did to a command and to the scan is not told beside the device's own fault."""
+
+    def counts(word: str) -> int:
+        return str(page.evaluate("document.body.innerText")).count(word)
+
+    instrument.refusal, instrument.by_device = "the cable: cannot be opened", True
+    page.click("#start")
+    shows(page, "#alert", "the cable: cannot be opened")
+    page.take_errors()  # the browser notes every refused request in its console
+    instrument.state["track"]["error"] = "the cable is gone"
+    instrument.scan_is("failed", 34, message="frame 35: no answer of the cable", by_device=True)
+    shows(page, "#alert", "the cable is gone")
+    page.wait_for("document.body.dataset.scan === 'failed'")
+    assert counts("cable") == 1
+    instrument.state["track"]["error"] = ""
+    shows(page, "#alert", "no answer of the cable")  # why the scan failed is still to be known
+    assert counts("cable") == 1
+    instrument.state["track"]["error"] = "the cable is gone"
+    instrument.scan_is("failed", 34, message="the disk is full")  # another fault
+    shows(page, "#alert", "the disk is full")
+    assert (counts("cable"), counts("disk")) == (1, 1)
+
+
 def test_a_server_that_went_away_is_waited_for(chromium: Browser) -> None:
     first = Instrument()
     with served(first) as url:
         chromium.open(url)
         chromium.wait_for("window.lscan?.framesDrawn > 20")
-    chromium.wait_for("document.querySelector('#connection').innerText === 'no connection'")
+    chromium.wait_for("document.querySelector('#connection').innerText === 'not live'")
     assert "trying again" in text(chromium, "#alert")
+    assert "last picture at" in text(chromium, "#since")
+    assert chromium.evaluate(GREY)
+    assert enabled(chromium) == set()
     drawn = chromium.evaluate("window.lscan.framesDrawn")
     with served(Instrument(), urlsplit(url).port or 0):  # its numbers begin at 1 again
         chromium.wait_for(f"window.lscan.framesDrawn > {drawn + 3}")
         chromium.wait_for("document.querySelector('#connection').innerText === 'live'")
         assert text(chromium, "#alert") == ""
+        assert enabled(chromium) == FREE | MODES
+        assert chromium.evaluate(GREY) is False
         errors = chromium.take_errors()
         assert errors, "the lost server stands in the console"
         assert all(error.startswith("network:") for error in errors)
@@ -513,7 +731,7 @@ def test_a_token_is_asked_for_and_kept(chromium: Browser) -> None:
         assert wait_for_post(instrument, 1)[0] == "/api/scan/start"
         instrument.token = "another"  # the server was started anew
         shows(chromium, "#alert", "Open the address with its token")
-        shows(chromium, "#connection", "refused")
+        shows(chromium, "#connection", "not live")
         chromium.open("about:blank")
     chromium.take_errors()
 
@@ -571,13 +789,21 @@ IN_REACH = """(() => [...document.querySelectorAll(".scan button")]
   .map(([one]) => one.id))()"""
 
 
-@pytest.mark.parametrize("size", [(360, 740), (740, 360)])
+IN_VIEW = """(() => {
+  const one = document.querySelector("%s"), box = one.getBoundingClientRect();
+  const bar = document.querySelector(".bar");
+  const end = bar.contains(one) ? innerHeight : bar.getBoundingClientRect().top;
+  return box.height > 0 && box.top >= 0 && box.bottom <= end;
+})()"""
+
+
+@pytest.mark.parametrize("size", [(360, 740), (740, 360), (390, 844), (844, 390)])
 def test_a_phone_keeps_the_buttons_of_a_scan_within_reach(
     page: Browser, instrument: Instrument, size: tuple[int, int]
 ) -> None:
     page.resize(*size, mobile=True)
     page.evaluate("scrollTo(0, 0)")
-    assert page.evaluate(IN_REACH) == []  # no scan, no bar: the picture has the room
+    assert page.evaluate(IN_REACH) == ["start"]
     states = [("scanning", ["pause", "stop"]), ("paused", ["resume", "stop"])]
     for state, buttons in states:
         instrument.scan_is(state)
@@ -585,17 +811,22 @@ def test_a_phone_keeps_the_buttons_of_a_scan_within_reach(
         for scroll_px in (0, 300, 10_000):
             page.evaluate(f"scrollTo(0, {scroll_px})")
             assert page.evaluate(IN_REACH) == buttons
+            for part in ("#progress", "#scan-note"):
+                assert page.evaluate(IN_VIEW % part), part
+        page.evaluate("scrollTo(0, 0)")
+        assert page.evaluate(IN_VIEW % "#picture")
+        page.evaluate("scrollTo(0, 10_000)")
     # Scrolled to its end, the page ends above the bar, which hides nothing.
     bar, end = page.evaluate(
-        "['.scan .buttons', 'main'].map((one) => document.querySelector(one)"
+        "['.bar', 'main'].map((one) => document.querySelector(one)"
         ".getBoundingClientRect()).map((box) => [box.top, box.bottom])"
     )
-    assert end[1] <= bar[0]
+    assert end[1] <= bar[0] + 0.5  # scrolled to whole device pixels
     page.evaluate("scrollTo(0, 0)")
     page.click("#stop")
     assert wait_for_post(instrument, 1) == ("/api/scan/stop", {})
     page.evaluate("scrollTo(0, 0)")
-    page.wait_for(f"{IN_REACH}.length === 0")
+    page.wait_for(f"{IN_REACH}.join() === 'start,resume'")
 
 
 def test_what_is_reached_by_tab_is_not_under_the_bar(page: Browser, instrument: Instrument) -> None:
@@ -608,7 +839,7 @@ def test_what_is_reached_by_tab_is_not_under_the_bar(page: Browser, instrument: 
         page.press("Tab")
         name, covered = page.evaluate(
             "(() => { const one = document.activeElement, box = one.getBoundingClientRect();"
-            "const bar = document.querySelector('.scan .buttons');"
+            "const bar = document.querySelector('.bar');"
             "return [one.id || one.dataset.by || one.tagName,"
             "one !== document.body && !bar.contains(one)"
             " && box.bottom > bar.getBoundingClientRect().top]; })()"

@@ -2,7 +2,7 @@
 
 import { fixed } from "./page.js";
 
-const MARGIN = { left: 52, right: 14, top: 16, bottom: 36 };
+const MARGIN = { left: 52, right: 14, top: 28, bottom: 36 };
 
 /** Smallest 1, 2 or 5 times a power of ten that cuts the span into at most `most` parts. */
 function tickStep(span, most) {

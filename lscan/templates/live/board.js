@@ -1,5 +1,6 @@
 // The board before the sheet: a drawing of its corners, and what to do with it.
 
+import { holds } from "./advice.js";
 import { $, fixed, signed, write } from "./page.js";
 
 export const ENOUGH_MM = 0.5; // a board nearer to the sheet than this is well placed
@@ -30,21 +31,24 @@ function movesInto({ distance_mm, sigma_mm, ...tilt }) {
 }
 
 /** What to do with the board, in words. */
-function advice(board) {
+function advice(f) {
+  const { board } = f;
   if (!board) return "Looking for the board …";
   if (board.message) return board.message;
   if (!board.offset) return board.offset_message ?? "";
   const moves = movesInto(board.offset);
   const within = fixed(Math.max(ENOUGH_MM, 2 * board.offset.sigma_mm), 1);
   if (!moves.length) return `The board stands in the sheet, within ${within} mm.`;
+  if (!holds(f, "board")) return "";
   const text = moves.join("; ");
   return `${text[0].toUpperCase()}${text.slice(1)}.`;
 }
 
-/** Show how the board stands, in words and at its corners; null before it was looked for. */
-export function showBoard(board) {
+/** Show how a frame's board stands, in words and at its corners. */
+export function showBoard(f) {
+  const { board } = f; // null before it was looked for
   const offset = board?.offset ?? null;
-  write($("board-advice"), advice(board));
+  write($("board-advice"), advice(f));
   write($("board-age"), board ? `read ${fixed(board.age_s, 1)} s ago` : "");
   $("corners").dataset.known = offset !== null;
   $("corners").querySelectorAll("g").forEach((corner, index) => {

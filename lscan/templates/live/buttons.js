@@ -1,6 +1,7 @@
 // What a click on each button asks of the server.
 
 import { $ } from "./page.js";
+import { disableButtons } from "./scan.js";
 import { command, known } from "./state.js";
 
 const moveTo = (position) =>
@@ -35,6 +36,5 @@ export function wireButtons() {
     const target = $("target").valueAsNumber;
     moveTo(() => target);
   });
-  const controls = document.querySelectorAll("button, #name, #target");
-  for (const control of controls) control.disabled = true;
+  disableButtons();
 }

@@ -2,6 +2,7 @@
 //
 // Each limit stands once: the verdict keeps to it and the legend names it.
 
+import { advise } from "./advice.js";
 import { BOARD_FIGURES } from "./boardfigures.js";
 import { gradeOfGreat, gradeOfSmall } from "./grades.js";
 import { measured } from "./measured.js";
@@ -17,10 +18,13 @@ function clippedPercent(f) {
   return f.stripe?.found ? (100 * f.stripe.clipped) / f.stripe.found : null;
 }
 
-const focusShare = (f) => (f.focus_best > 0 ? f.focus / f.focus_best : null);
+// Only of use to whoever turns the lens: no bar is to be filled by anybody else.
+const focusShare = (f) =>
+  f.phase === "alignment" && f.focus_best > 0 ? f.focus / f.focus_best : null;
 
-// name, title, unit; mode: the only one it is shown in; show(frame): the number; judge(frame):
-// grade and verdict; meter(frame): a share to be shown as a bar; legend: what the verdict means.
+// name, title, unit; mode: the only one it is shown in; show(frame): the number; judge(frame,
+// before): grade and verdict, those of the frame before given; meter(frame): a share to be shown
+// as a bar; legend: what the verdict means.
 export const FIGURES = [
   {
     name: "saturation",
@@ -33,7 +37,8 @@ export const FIGURES = [
       const grade = gradeOfSmall(percent, CLIPPED_PERCENT);
       const some = f.mode === "board" ? "pixels" : f.stripe.axis;
       if (grade === "good") return [grade, percent > 0 ? `a few ${some} clipped` : "not clipped"];
-      return [grade, `${grade === "fair" ? "a little" : "too"} bright: shorten the exposure`];
+      const fault = `${grade === "fair" ? "a little" : "too"} bright`;
+      return [grade, advise(f, "exposure", fault, "shorten the exposure")];
     },
     legend:
       "Share of the stripe, or with a board of the whole picture, whose brightness is clipped. " +
@@ -49,14 +54,16 @@ export const FIGURES = [
     show: (f) => fixed(focusShare(f) && 100 * focusShare(f), 0),
     meter: (f) => focusShare(f) ?? 0,
     judge(f) {
+      if (f.phase !== "alignment") return ["", "for alignment; leave the optics as they are"];
       if (focusShare(f) === null) return ["", ""];
       const grade = gradeOfGreat(100 * focusShare(f), FOCUS_PERCENT);
-      return [grade, grade === "good" ? "at its best" : "turn the lens until the bar is full"];
+      if (grade === "good") return [grade, "at its best"];
+      return [grade, advise(f, "optics", "not sharp", "turn the lens until the bar is full")];
     },
     legend:
-      "Sharpness beside the sharpest picture since the page's camera was opened. Turn the lens " +
-      `through the best place and back to it: good from ${FOCUS_PERCENT.good} %, bad under ` +
-      `${FOCUS_PERCENT.bad} %.`,
+      "In alignment: sharpness beside the sharpest picture since the head last moved. Turn the " +
+      `lens through the best place and back to it: good from ${FOCUS_PERCENT.good} %, bad under ` +
+      `${FOCUS_PERCENT.bad} %. A calibration and a scan hold for the lens as it was.`,
   },
   {
     name: "rate",

@@ -51,7 +51,7 @@ function draw(bitmap, f) {
   if (now - figuresAt < READABLE_MS) return;
   figuresAt = now;
   showTiles(f);
-  if (f.mode === "board") showBoard(f.board);
+  if (f.mode === "board") showBoard(f);
 }
 
 /** Ask for the next picture when the last is drawn, for as long as the page is in view. */
@@ -78,9 +78,9 @@ export async function watchFrames() {
   }
 }
 
-/** Draw the profile anew when its scales are changed, also where no more pictures come. */
+/** Draw the profile anew when its scales or its size change, also where no more pictures come. */
 export function followScales() {
-  $("equal").addEventListener("change", () => {
-    if (shown?.mode === "stripe") drawProfile(shown.profile);
-  });
+  const redraw = () => shown?.mode === "stripe" && drawProfile(shown.profile);
+  $("equal").addEventListener("change", redraw);
+  window.addEventListener("resize", redraw);
 }

@@ -8,11 +8,13 @@ import { wireButtons } from "./buttons.js";
 import { followColours } from "./colours.js";
 import { followScales, watchFrames } from "./frames.js";
 import { wireKeys } from "./keys.js";
+import { followClicks } from "./picture.js";
 import { watchState } from "./state.js";
 import { buildTiles } from "./tiles.js";
 
 followColours();
 followScales();
+followClicks();
 buildTiles();
 wireButtons();
 wireKeys();

@@ -73,7 +73,7 @@ function drawAxes(plot, toX, toY) {
   profile.textBaseline = "bottom";
   profile.fillText("x in mm", right, bottom + 34);
   profile.textAlign = "left";
-  profile.fillText("z in mm", 4, top - 2);
+  profile.fillText("z in mm", 4, top - 10); // above the label of the highest tick
   profile.strokeStyle = COLOURS.muted;
   profile.strokeRect(left + 0.5, top + 0.5, right - left - 1, bottom - top - 1);
 }

@@ -23,19 +23,25 @@ function resumable({ scan }) {
   return ["paused", "failed"].includes(scan.state) || (ended && unfinished);
 }
 
-/** Enable exactly what the server would accept now. */
+/** Disable all that asks something of the server. */
+export function disableButtons() {
+  for (const control of document.querySelectorAll("button, #name, #target")) control.disabled = true;
+}
+
+/** Enable exactly what the server would accept now, and devices could carry out. */
 export function showButtons(state) {
   const scan = state.scan.state;
   const free = !moving(state) && !state.task.name;
+  const seeing = free && !state.camera.gone;
   const allowed = {
-    start: free && scan !== "paused",
+    start: seeing && scan !== "paused",
     name: free && scan !== "paused",
     pause: scan === "scanning",
-    resume: free && resumable(state),
+    resume: seeing && resumable(state),
     stop: scan === "scanning" || scan === "paused",
     "mode-stripe": true,
     "mode-board": state.board,
-    "take-board": state.board && free && scan !== "paused",
+    "take-board": state.board && seeing && scan !== "paused",
     laser: free,
     target: free,
     go: free,
@@ -61,7 +67,7 @@ export function showScan({ scan, plan }) {
     ? [
         `${scan.done} of ${scan.planned} frames`,
         scan.left_s === null ? "" : `${clock(scan.left_s)} left`,
-        `${clock(scan.elapsed_s)} gone`,
+        scan.elapsed_s ? `${clock(scan.elapsed_s)} gone` : "",
         scan.folder?.split("/").slice(-2).join("/"),
         scan.state === "failed" || stopping ? "" : scan.message,
       ]

@@ -4,8 +4,13 @@ const LONGEST_MS = 20000; // longer than the server ever holds back an answer
 
 export const sleep = (ms) => new Promise((wake) => setTimeout(wake, ms));
 
-/** The server said no, in words that are for whoever reads the page. */
-export class Refused extends Error {}
+/** The server said no, in words for whoever reads the page; byDevice: a device is to blame. */
+export class Refused extends Error {
+  constructor(message, byDevice) {
+    super(message);
+    this.byDevice = byDevice;
+  }
+}
 
 /** The answer to a request; Refused with the server's own words, TypeError without a server. */
 export async function ask(path, options = {}) {
@@ -13,11 +18,11 @@ export async function ask(path, options = {}) {
   const answer = await fetch(path, { cache: "no-store", signal, ...options });
   if (answer.ok) return answer;
   const text = await answer.text();
-  let line = text;
+  let told = { error: text };
   try {
-    line = JSON.parse(text).error ?? text;
+    told = JSON.parse(text);
   } catch {
     // a plain sentence
   }
-  throw new Refused(line);
+  throw new Refused(told.error ?? text, told.device ?? false);
 }

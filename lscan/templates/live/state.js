@@ -2,21 +2,42 @@
 
 import { complain, connected, disconnected } from "./alerts.js";
 import { $, write } from "./page.js";
-import { showButtons, showScan } from "./scan.js";
+import { disableButtons, showButtons, showScan } from "./scan.js";
 import { Refused, ask, sleep } from "./server.js";
 
 const PERIOD_MS = 500;
+const ANSWER_MS = 5000; // a server that takes longer to tell its state is taken for gone
 const REOPENS = " – Go, Start and Resume open it again by themselves.";
 
 let state = null;
+let seenAt = null; // Date when the camera gave its last picture
 let queue = Promise.resolve(); // commands one after the other, each from the state the last left
 
 /** What the server last said; null before its first answer. */
 export const known = () => state;
 
+/** Show whether the picture is of now, and if not, of when it is. */
+function showLive(live) {
+  document.body.dataset.live = String(live);
+  const today = seenAt?.toDateString() === new Date().toDateString();
+  const format = { dateStyle: today ? undefined : "short", timeStyle: "medium", hourCycle: "h23" };
+  const when = seenAt ? `last picture at ${seenAt.toLocaleString([], format)}` : "no picture yet";
+  write($("since"), live ? "" : when);
+}
+
+/** No answer: nothing can be asked for, and the picture is an old one. */
+function lost(error) {
+  disconnected(error);
+  disableButtons();
+  showLive(false);
+}
+
 function showState(answer) {
   state = answer;
   const { camera, track, task } = state;
+  seenAt = camera.seen_s_ago === null ? null : new Date(Date.now() - 1000 * camera.seen_s_ago);
+  connected(!camera.gone);
+  showLive(!camera.gone);
   write($("rig"), state.rig);
   const calibration = state.calibration ? state.calibration.split("/").pop() : "no calibration";
   const devices = [`camera ${camera.driver}`, `track ${track.driver}`, calibration];
@@ -31,7 +52,8 @@ function showState(answer) {
   showButtons(state);
   complain("camera", camera.error && `Camera: ${camera.error}`);
   complain("track", track.error && `Track: ${track.error}${REOPENS}`);
-  complain("scan", state.scan.state === "failed" && `Scan: ${state.scan.message}`);
+  const { scan } = state;
+  complain("scan", scan.state === "failed" && `Scan: ${scan.message}`, scan.by_device);
 }
 
 /** Send a command, its body made when its turn comes, and show the state that it leaves. */
@@ -43,8 +65,8 @@ export function command(path, body = () => ({})) {
       complain("command", "");
       showState(await answer.json());
     } catch (error) {
-      if (error instanceof Refused) complain("command", error.message);
-      else disconnected(error);
+      if (error instanceof Refused) complain("command", error.message, error.byDevice);
+      else lost(error);
     }
   });
 }
@@ -53,10 +75,10 @@ export function command(path, body = () => ({})) {
 export async function watchState() {
   for (;;) {
     try {
-      showState(await (await ask("/api/state")).json());
-      connected();
+      const signal = AbortSignal.timeout(ANSWER_MS);
+      showState(await (await ask("/api/state", { signal })).json());
     } catch (error) {
-      disconnected(error);
+      lost(error);
     }
     await sleep(PERIOD_MS);
   }

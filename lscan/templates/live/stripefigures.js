@@ -1,10 +1,12 @@
 // The figures of the stripe and its profile, their verdicts, and what the verdicts mean.
 
-import { gradeOfGreat, gradeOfSmall } from "./grades.js";
-import { fixed } from "./page.js";
+import { advise } from "./advice.js";
+import { gradeOfGreat, gradeOfSmall, steady } from "./grades.js";
+import { fixed, signed } from "./page.js";
 
 const SNR = { good: 15, bad: 8 };
-const WIDTH_PX = { thin: 2, good: 8, bad: 14 };
+const WIDTH_PX = { thin: 2.5, good: 4, bad: 8 }; // the README says the same
+const STEADY_PERCENT = 5; // by which a width passes a limit before its verdict turns
 const FOUND_PERCENT = { good: 95, bad: 50 };
 
 const REASONS = {
@@ -16,6 +18,21 @@ const REASONS = {
   OCCLUDED: "hidden",
   AMBIGUOUS: "several lines",
 };
+
+// Of each kind of width its grade, what is to be said, and what to do about it.
+const WIDTHS = {
+  thin: ["fair", "thin for a colour camera", "open the lens or widen the sheet"],
+  good: ["good", "sharp"],
+  wide: ["fair", "wide", "focus the lens, narrow the sheet"],
+  blurred: ["bad", "blurred", "focus the lens, narrow the sheet"],
+};
+
+function widthKind(width) {
+  if (width < WIDTH_PX.thin) return "thin";
+  return { good: "good", fair: "wide", bad: "blurred" }[gradeOfSmall(width, WIDTH_PX)];
+}
+
+const degrees = (slope) => (-180 / Math.PI) * Math.atan(slope); // v runs down
 
 const missing = ({ status }) =>
   Object.entries(status)
@@ -34,8 +51,9 @@ export const STRIPE_FIGURES = [
       if (snr === null) return ["", ""];
       const grade = gradeOfGreat(snr, SNR);
       if (grade === "good") return [grade, "clear"];
-      if (grade === "fair") return [grade, "weak: lengthen the exposure"];
-      return [grade, "lost in noise: lengthen the exposure or darken the room"];
+      if (grade === "fair") return [grade, advise(f, "exposure", "weak", "lengthen the exposure")];
+      const todo = "lengthen the exposure or darken the room";
+      return [grade, advise(f, "exposure", "lost in noise", todo)];
     },
     legend:
       `Median peak over the noise: good from ${SNR.good}, where the noise moves the centre of a ` +
@@ -48,20 +66,33 @@ export const STRIPE_FIGURES = [
     unit: "px",
     mode: "stripe",
     show: (f) => fixed(f.stripe?.width_px, 1),
-    judge(f) {
+    judge(f, before) {
       const width = f.stripe?.width_px ?? null;
       if (width === null) return ["", ""];
-      if (width < WIDTH_PX.thin) return ["fair", "very thin: open the lens or widen the sheet"];
-      const grade = gradeOfSmall(width, WIDTH_PX);
-      if (grade === "good") return [grade, "sharp"];
-      const fault = grade === "fair" ? "wide" : "blurred";
-      return [grade, `${fault}: focus the lens, narrow the sheet`];
+      const kind = steady(widthKind, width, before?.[2], STEADY_PERCENT);
+      const [grade, fault, todo] = WIDTHS[kind];
+      return [grade, todo ? advise(f, "optics", fault, todo) : fault, kind];
     },
     legend:
       "Median full width at half height: good from " +
-      `${WIDTH_PX.thin} to ${WIDTH_PX.good} px. Under that the pixels are too coarse for the ` +
-      "stripe and pull its centre to themselves; over it edges are rounded off, badly above " +
-      `${WIDTH_PX.bad} px.`,
+      `${WIDTH_PX.thin} to ${WIDTH_PX.good} px. Under that a colour camera, which has red on ` +
+      "every other row alone, pulls the centre to those rows; over it noise moves the centre and " +
+      `edges are rounded off, badly above ${WIDTH_PX.bad} px.`,
+  },
+  {
+    name: "slope",
+    title: "Slope of the stripe",
+    unit: "°",
+    mode: "stripe",
+    show: (f) => (f.stripe?.slope == null ? "–" : signed(degrees(f.stripe.slope), 2)),
+    judge(f) {
+      const slope = f.stripe?.slope ?? null;
+      return ["", slope === null ? "" : `${fixed(100 * Math.abs(slope), 1)} px in 100 px`];
+    },
+    legend:
+      "Of the straight line through the stripe against the picture's rows, + where its right end " +
+      "is the higher; against the columns, + where its upper end is farther right, of a stripe " +
+      "found in rows. 0 on a level target where sheet and camera are level with it.",
   },
   {
     name: "found",
@@ -86,7 +117,7 @@ export const STRIPE_FIGURES = [
     show: (f) => fixed(f.profile?.sigma_mm, 3),
     judge(f) {
       if (f.profile) return ["", "standard uncertainty, median"];
-      return ["fair", "not calibrated: take a board picture"];
+      return ["fair", advise(f, "calibration", "not calibrated", "take a board picture")];
     },
     legend:
       "Standard uncertainty of a point of the profile, as the calibration and the noise give it; " +

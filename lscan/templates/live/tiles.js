@@ -4,6 +4,7 @@ import { FIGURES } from "./figures.js";
 import { $, element, fixed, write } from "./page.js";
 
 const TILES = new Map(); // of each figure
+const judged = new Map(); // what each figure was last said to be
 
 /** One tile and one line of the legend for each figure. */
 export function buildTiles() {
@@ -31,8 +32,10 @@ export function buildTiles() {
 
 /** Show the figures of a frame. */
 export function showTiles(f) {
-  for (const [{ show, judge, meter }, tile] of TILES) {
-    const [grade, verdict] = judge(f);
+  for (const [figure, tile] of TILES) {
+    const { show, judge, meter } = figure;
+    judged.set(figure, judge(f, judged.get(figure)));
+    const [grade, verdict] = judged.get(figure);
     tile.dataset.grade = grade;
     write(tile.querySelector(".number"), show(f));
     write(tile.querySelector(".verdict"), verdict);
