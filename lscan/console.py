@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import json
+import signal
 import sys
+import threading
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from types import FrameType
 from typing import Any
 
 import typer
@@ -22,10 +25,14 @@ Report = Callable[[int, int], None]
 
 
 def run_command_line(app: typer.Typer, name: str) -> None:
-    """Run a command line and leave with its exit code; errors become one line on stderr."""
+    """Run a command line and leave with its exit code; errors become one line on stderr.
+
+    SIGINT and SIGTERM stop every command alike, see ``stopped_by_signals``.
+    """
     command = typer.main.get_command(app)
     try:
-        code = command.main(prog_name=name, standalone_mode=False)
+        with stopped_by_signals():
+            code = command.main(prog_name=name, standalone_mode=False)
     except LscanError as error:
         message = "; ".join([str(error), *getattr(error, "__notes__", ())])
         sys.exit(_complain(name, message, error.exit_code))
@@ -40,6 +47,29 @@ def run_command_line(app: typer.Typer, name: str) -> None:
     if code == STOPPED:  # what typer makes of Ctrl-C
         _complain(name, "stopped; a scan goes on with --resume", STOPPED)
     sys.exit(code if isinstance(code, int) else 0)
+
+
+@contextmanager
+def stopped_by_signals() -> Iterator[None]:
+    """Let SIGINT and SIGTERM raise KeyboardInterrupt within the block.
+
+    SIGINT does so also where the process was begun with it ignored, as ``nohup``, cron and a
+    script's ``&`` do: whoever then sends it by ``kill -INT`` means it.  SIGTERM, whose default
+    is to end the process at once, would leave a laser lit and a track moving.
+    """
+    if threading.current_thread() is not threading.main_thread():  # which alone may set handlers
+        yield
+        return
+    before = {number: signal.signal(number, _stop) for number in (signal.SIGINT, signal.SIGTERM)}
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
+def _stop(_number: int, _frame: FrameType | None) -> None:
+    raise KeyboardInterrupt
 
 
 @contextmanager

@@ -59,7 +59,7 @@ class DeviceError(LscanError):
 
 
 class Stopped(LscanError):
-    """Work that its user stopped with Ctrl-C."""
+    """Work that its user stopped, by Ctrl-C or another SIGINT or SIGTERM."""
 
     exit_code = 130  # as a shell reports SIGINT
 

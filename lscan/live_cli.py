@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import signal
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -36,7 +35,6 @@ def live(
     from lscan.live.session import Session
     from lscan.rig import load_rig
 
-    _heed_interrupts()
     rig_file = load_rig(rig)
     used = _calibration(calibration, rig_file) if calibration else None
     with listen(host, port) as listening:
@@ -52,15 +50,6 @@ def live(
             unfinished = session.close()
     if unfinished is not None:
         print(f"stopped; go on with: lscan scan {rig} -o {unfinished} --resume")
-
-
-def _heed_interrupts() -> None:
-    """Let SIGINT end the command also where it was begun with it ignored, as by ``&`` in a script.
-
-    Now, not when the server begins: a renderer of simulated pictures that is at work by then
-    puts back, picture for picture, the handler it has found.
-    """
-    signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
 def _calibration(path: Path, rig_file: RigFile) -> LiveCalibration:

@@ -27,6 +27,7 @@ pytestmark = pytest.mark.xdist_group("cli")  # one worker: they share a fixture
 ROOT = Path(__file__).resolve().parents[2]
 SCENES = ROOT / "scenes" / "paper"
 DATA = ROOT.parent / "shared" / "data"
+LONG_S = 300.0  # only a command that hangs takes so long
 
 
 def call(capsys: pytest.CaptureFixture[str], *arguments: object) -> tuple[int, str, str]:
@@ -333,21 +334,39 @@ def test_the_bust_with_its_background(tmp_path: Path, capsys: pytest.CaptureFixt
 
 
 @pytest.mark.slow
-def test_ctrl_c_says_how_to_go_on(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """A scan stopped by SIGINT leaves with 130 and a line, and --resume finishes it."""
+@pytest.mark.parametrize(
+    ("sent", "begun"),
+    [
+        (signal.SIGINT, signal.SIG_DFL),
+        (signal.SIGINT, signal.SIG_IGN),
+        (signal.SIGTERM, signal.SIG_DFL),
+    ],
+)
+def test_ctrl_c_says_how_to_go_on(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], sent: int, begun: signal.Handlers
+) -> None:
+    """A scan stopped by SIGINT or SIGTERM leaves with 130 and a line, and --resume finishes it.
+
+    Also one begun with SIGINT ignored, as a shell without job control begins a job with "&".
+    """
     scene = tmp_path / "scene.toml"
-    scene.write_text(f'include = "{SCENES / "groove.toml"}"\n[plan]\nframes = 8\nstep_mm = 0.1\n')
+    scene.write_text(f'include = "{SCENES / "groove.toml"}"\n[plan]\nframes = 12\nstep_mm = 0.1\n')
     command = [sys.executable, "-m", "lscan.cli", "scan", str(scene), "-o", str(tmp_path / "run")]
-    with subprocess.Popen(command, stderr=subprocess.PIPE, text=True) as process:
+    with subprocess.Popen(
+        command,
+        stderr=subprocess.PIPE,
+        text=True,
+        preexec_fn=lambda: signal.signal(signal.SIGINT, begun),
+    ) as process:
         first = tmp_path / "run" / "frames" / "000001.png"
         while not first.exists() and process.poll() is None:
             time.sleep(0.05)
-        process.send_signal(signal.SIGINT)
-        _, err = process.communicate(timeout=60)
+        process.send_signal(sent)
+        _, err = process.communicate(timeout=LONG_S)
     assert process.returncode == 130
     kept = len(list((tmp_path / "run" / "frames").glob("0*.png")))
-    note = f"of 8 frames are kept in {tmp_path / 'run'}; go on with --resume\n"
+    note = f"of 12 frames are kept in {tmp_path / 'run'}; go on with --resume\n"
     assert err in [f"lscan: stopped; {count} {note}" for count in (kept, kept - 1)]
     code, out, err = call(capsys, "scan", scene, "-o", tmp_path / "run", "--resume", "--json")
     assert code == 0, err
-    assert json.loads(out)["frames"] == 8
+    assert json.loads(out)["frames"] == 12
