@@ -91,10 +91,12 @@ class GrblEmulator:
             return "Alarm"
         if self._homing:
             return "Home"
+        if self._planner.jogging:
+            return "Jog"  # also while it brakes: a jog is cancelled, not held
         if self._held:
             return "Hold:1" if self._planner.moving else "Hold:0"
         if len(self._planner):
-            return "Jog" if self._planner.jogging else "Run"
+            return "Run"
         return "Idle"
 
     def inject(self, faults: Faults) -> None:
@@ -212,7 +214,7 @@ class GrblEmulator:
             if not self._homing:
                 self._report()
         elif byte == ord("!") or (byte == 0x85 and self._planner.jogging):
-            if self._planner.moving and not self._homing:
+            if not self._homing and not self._alarm:
                 self._planner.brake(self._last_s)
                 self._held = True
         elif byte == ord("~"):
@@ -227,7 +229,7 @@ class GrblEmulator:
 
     def _process(self) -> None:
         """Execute the lines that need not wait, and answer them."""
-        while self._pending and not self._critical and not self._homing:
+        while self._pending and not self._critical and not self._homing and not self._held:
             text = clean(self._pending[0])
             if len(self._planner) >= PLANNED or (len(self._planner) and "M" in text):
                 return

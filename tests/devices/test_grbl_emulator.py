@@ -133,6 +133,40 @@ def test_feed_hold_keeps_a_feed_and_ends_a_jog() -> None:
     assert desk.grbl.head_mm[0] < -30.0
 
 
+def test_a_reset_after_the_brake_keeps_the_position_and_during_it_does_not() -> None:
+    """Grbl 1.1 motion_control.c, mc_reset: ALARM:3 in a cycle, a jog, or an unfinished hold.
+
+    600 mm/min at 200 mm/s² brake within 0.05 s and 0.25 mm.
+    """
+    for line, byte, state in (("$J=X10F600", "\x85", "Idle"), ("G1X10F600", "!", "Hold:0")):
+        desk = Desk()
+        desk.line(line, 0.5)
+        desk.say(byte, 0.01)
+        assert desk.say("?")[0].startswith(("<Jog|", "<Hold:1|"))
+        desk.time.sleep(0.05)
+        assert desk.grbl.state == state
+        there_mm = desk.grbl.head_mm[0]
+        assert desk.say("\x18") == ["", "Grbl 1.1h ['$' for help]"]
+        assert desk.grbl.state == "Idle"
+        reported = parse_line(desk.say("?")[0])
+        assert isinstance(reported, Status)
+        assert reported.machine is not None
+        assert reported.machine[0] == pytest.approx(there_mm + 50.0, abs=0.0025)  # half a step
+        desk = Desk()
+        desk.line(line, 0.5)
+        desk.say(byte, 0.01)
+        assert desk.say("\x18")[0] == "ALARM:3"
+
+
+def test_a_hold_at_rest_lets_lines_wait() -> None:
+    desk = Desk()
+    desk.say("!")
+    assert desk.grbl.state == "Hold:0"
+    assert desk.line("$G") == []
+    assert desk.say("~")[-1] == "ok"
+    assert desk.grbl.state == "Idle"
+
+
 def test_inches_and_increments() -> None:
     desk = Desk()
     desk.line("G20G91G1X0.5F100", 20.0)
