@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from lscan.devices.api import Camera, Grab, LaserSwitch, PlaceChecking, Track
-from lscan.errors import DeviceError
+from lscan.errors import DeviceError, InputError
 from lscan.plugins import find_plugin
 from lscan.records import Bytes, Frame
 from lscan.rig import CameraSection, Plan, RigFile
@@ -23,12 +23,19 @@ GoOn = Callable[[], bool]
 
 
 def scan(
-    rig_file: RigFile, path: Path, *, resume: bool = False, progress: Progress | None = None
+    rig_file: RigFile,
+    path: Path,
+    *,
+    resume: bool = False,
+    position_restored: bool = False,
+    progress: Progress | None = None,
 ) -> Run:
     """The complete run of the rig's plan, written to the folder ``path``.
 
     resume: go on with the run in ``path``, losing no frame and repeating none; one that is
         complete is returned as it is, one that does not exist is begun.
+    position_restored: go on although the track may have lost its zero, because the user has put
+        the head back and says that the position it reports is the true one.
     progress: called with (frames done, frames planned) at the start and after each frame.
     Raises InputError where the folder cannot be used, DeviceError where a device fails;
     what was recorded until then can be resumed.  Devices are closed in all cases.
@@ -38,7 +45,9 @@ def scan(
             if writer.written == writer.planned:
                 return writer.finish()
             with open_devices(rig_file) as (camera, track):
-                return acquire_into(writer, camera, track, progress)
+                return acquire_into(
+                    writer, camera, track, progress, position_restored=position_restored
+                )
     # Devices first: where they do not open, no empty folder is in the next scan's way.
     refuse_existing(path)
     with open_devices(rig_file) as (camera, track), create_run(path, rig_file) as writer:
@@ -86,6 +95,8 @@ def acquire_into(
     track: Track,
     progress: Progress | None = None,
     go_on: GoOn | None = None,
+    *,
+    position_restored: bool = False,
 ) -> Run:
     """The complete run: the frames still missing from ``writer`` are taken and written.
 
@@ -100,8 +111,9 @@ def acquire_into(
     positions_mm = plan.positions_mm()
     if progress is not None:
         progress(writer.written, writer.planned)
-    _check_place(writer, track, positions_mm)
-    with _laser(track, plan) as switch:
+    if not position_restored:
+        _check_place(writer, track, positions_mm)
+    with _keeping_zero(writer, track), _laser(track, plan) as switch:
         sitting = _Sitting(writer.rig_file.rig.camera, camera, track, switch)
         while writer.written < writer.planned:
             if go_on is not None and not go_on():
@@ -117,7 +129,25 @@ def _check_place(writer: RunWriter, track: Track, positions_mm: list[float]) -> 
     if writer.last_mm is None or writer.written == writer.planned:
         return
     if isinstance(track, PlaceChecking):
-        track.check_place(writer.last_mm, positions_mm[writer.written])
+        track.check_place(writer.last_mm, positions_mm[writer.written], writer.zero)
+
+
+@contextmanager
+def _keeping_zero(writer: RunWriter, track: Track) -> Iterator[None]:
+    """Note in the run which zero its positions count from, and at once if that is lost.
+
+    Where the program is killed first, the track itself no longer has that zero.
+    """
+    if not isinstance(track, PlaceChecking) or track.zero is None:
+        yield
+        return
+    writer.keep_zero(track.zero)
+    try:
+        yield
+    except BaseException:
+        with suppress(InputError):  # the first fault is the one to be told
+            writer.keep_zero(track.zero)
+        raise
 
 
 @contextmanager

@@ -58,19 +58,31 @@ def scan(
     rig: Annotated[Path, typer.Argument(help="Rig file or scene file (TOML).")],
     output: Annotated[Path, typer.Option("--output", "-o", help="Run folder to write.")],
     resume: Annotated[bool, typer.Option("--resume", help="Go on with a stopped run.")] = False,
+    position_restored: Annotated[
+        bool,
+        typer.Option(
+            "--position-restored",
+            help="With --resume, after the track lost its zero: the head was put back by hand.",
+        ),
+    ] = False,
     json: Json = False,
 ) -> None:
     """Move the track, take the pictures, write a run folder."""
     from lscan.acquire import scan as acquire
+    from lscan.errors import InputError
     from lscan.rig import load_rig
     from lscan.runwriter import holds_no_run
 
+    if position_restored and not resume:
+        raise InputError("goes with --resume only", where="--position-restored")
     rig_file = load_rig(rig)
     if resume and holds_no_run(output):
         what = f"there is nothing to resume in {output}; a new run is begun"
         print(f"lscan: note: {what}", file=sys.stderr)
     with tell_notes_when_stopped(), progress_bar("scan") as report:
-        run = acquire(rig_file, output, resume=resume, progress=report)
+        run = acquire(
+            rig_file, output, resume=resume, position_restored=position_restored, progress=report
+        )
     if json:
         print_json({"run": str(run.path), "frames": len(run), "state": run.state})
     else:

@@ -42,7 +42,11 @@ Versions = dict[str, str]
 
 
 class Manifest(Strict):
-    """What run.json holds, without its checksum."""
+    """What run.json holds, without its checksum.
+
+    track_zero: name of the zero that the frames' positions count from, as
+    ``lscan.devices.api.PlaceChecking`` gives it; left out where the track finds it anew.
+    """
 
     format: Literal["lscan-run"] = "lscan-run"
     version: Literal[1] = 1
@@ -50,10 +54,13 @@ class Manifest(Strict):
     software: list[Versions]
     plan: Plan
     rig: Document
+    track_zero: str | None = None
 
     def as_text(self) -> str:
         """The file's text: JSON with, as its last key, the SHA-256 of its meaning."""
         content = self.model_dump(mode="json")
+        if self.track_zero is None:
+            del content["track_zero"]
         content["sha256"] = _digest(content)
         return json.dumps(content, indent=2, ensure_ascii=False, allow_nan=False) + "\n"
 

@@ -87,6 +87,17 @@ class RunWriter:
         """Number of frames of the whole scan."""
         return self.rig_file.rig.plan.frames
 
+    @property
+    def zero(self) -> str | None:
+        """Name of the zero that the positions so far count from, as ``keep_zero`` kept it."""
+        return read_manifest(self.path)[0].track_zero
+
+    def keep_zero(self, zero: str | None) -> None:
+        """Write the name of the zero into run.json, where it is another one."""
+        manifest, _ = read_manifest(self.path)
+        if manifest.track_zero != zero:
+            _write_manifest(self.path, manifest.model_copy(update={"track_zero": zero}))
+
     def append(self, frame: Frame) -> None:
         """Write the next frame; when this returns, pictures and row are on disk, synced.
 

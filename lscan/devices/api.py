@@ -90,10 +90,19 @@ class Describing(Protocol):
 class PlaceChecking(Protocol):
     """A track whose zero may be lost between two sittings of a scan."""
 
-    def check_place(self, last_mm: float, next_mm: float) -> None:
+    @property
+    def zero(self) -> str | None:
+        """Name of the zero that positions count from, for ``check_place`` to know it again.
+
+        None where it is found anew on each opening, as by homing.
+        """
+        ...
+
+    def check_place(self, last_mm: float, next_mm: float, zero: str | None) -> None:
         """Raise DeviceError, saying what to do, unless a scan can go on without a shift.
 
-        last_mm: where the last frame was recorded.  next_mm: where the next is due.
+        last_mm: where the last frame was recorded.  next_mm: where the next is due.  zero: what
+        ``zero`` was when the last frame was recorded.
         """
         ...
 

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-import time as wall
+import os
+import tty
 from collections import Counter
 from dataclasses import replace
 
@@ -10,6 +11,8 @@ import numpy as np
 import pytest
 
 from lscan.devices.grbl import SerialTrack, SerialTrackOptions, open_track
+from lscan.devices.grbl.link import Link, open_serial
+from lscan.devices.grbl.machine import ASKINGS
 from lscan.errors import DeviceError
 from sim.grbl import DirectLine, Faults, GrblEmulator, PseudoTerminal, SimulatedTime
 
@@ -35,7 +38,7 @@ def opened(time: SimulatedTime, emulator: GrblEmulator, homing: bool) -> SerialT
 LATE_OK = ("lost ok", 1.0)
 FAULTS = {
     "silent": (Faults(silent=True), r"silent: .*check cable and power"),
-    "lost ok": (Faults(lose_oks=1), r"silent: an answer to .* did not come.*check cable"),
+    "lost ok": (Faults(lose_oks=ASKINGS), r"silent: an answer to .* did not come.*check cable"),
     "alarm": (Faults(alarm=True), r"ALARM:1, a limit switch was hit.*home"),
     "stuck": (Faults(stuck=True), r"still in state Jog .*check for a jam"),
     "slow": (Faults(slow=20.0), r"still in state Jog .*check for a jam, the feed rate"),
@@ -68,6 +71,37 @@ def test_each_fault_is_one_clear_error(kind: str, after_s: float) -> None:
             again()
     track.close()
     track.close()
+
+
+@pytest.mark.parametrize("lost", range(1, ASKINGS))
+def test_a_question_whose_ok_was_lost_is_asked_again(lost: int) -> None:
+    """``$G`` changes nothing, so it can be; before a move it is the first line sent."""
+    time = SimulatedTime()
+    emulator = GrblEmulator(clock=time)
+    track = opened(time, emulator, homing=True)
+    emulator.inject(Faults(lose_oks=lost))
+    assert track.move_to(10.0) == pytest.approx(10.0, abs=TOLERANCE_MM)
+
+
+def test_a_question_that_arrived_garbled_is_asked_again() -> None:
+    """Grbl answers error:3 to a $ command it does not know."""
+
+    class Garbling(DirectLine):
+        left = 1
+
+        def write(self, data: bytes) -> int:
+            if data == b"$G\n" and self.left:
+                self.left -= 1
+                data = b"$g7\n"
+            return super().write(data)
+
+    time = SimulatedTime()
+    emulator = GrblEmulator(UNHOMED, clock=time)
+    options = SerialTrackOptions(port="here", min_mm=0, max_mm=40, homing=False)
+    line = Garbling(emulator, time)
+    track = open_track(options, line, time, time.sleep)
+    assert track.move_to(10.0) == pytest.approx(10.0, abs=TOLERANCE_MM)
+    assert line.left == 0
 
 
 def random_fault(generator: np.random.Generator) -> tuple[str, Faults]:
@@ -143,10 +177,8 @@ def test_a_cable_pulled_from_a_real_port() -> None:
     track = open_track(options)
     track.move_to(1.0)
     terminal.unplug()
-    began_s = wall.monotonic()
     with pytest.raises(DeviceError, match=r"the serial line broke .*check the cable"):
         track.move_to(2.0)
-    assert wall.monotonic() - began_s < 1.0
     track.close()
     terminal.close()
     with pytest.raises(DeviceError, match="cannot be opened"):
@@ -160,3 +192,18 @@ def test_a_second_program_does_not_get_the_port() -> None:
         with pytest.raises(DeviceError, match=r"cannot be opened.*no other program holds it"):
             open_track(options)
         track.close()
+
+
+def test_a_port_that_accepts_nothing_is_told_apart_from_a_broken_one() -> None:
+    """Nobody reads at the other end, as behind an adapter that hangs: its buffer fills up."""
+    ours, theirs = os.openpty()
+    try:
+        tty.setraw(theirs)
+        port = open_serial(os.ttyname(theirs), 115_200, "grbl track on here", write_s=0.05)
+        link = Link(port, "grbl track on here", write_s=0.05)
+        with pytest.raises(DeviceError, match=r"nothing for 0\.05 s; .*track\.options\.write_s"):
+            link.send_bytes(b"?" * 1_000_000)
+        link.close()
+    finally:
+        os.close(ours)
+        os.close(theirs)

@@ -271,7 +271,7 @@ def test_an_older_grbl_and_something_else_are_refused() -> None:
         old = DirectLine(Other(b"Grbl 0.9j ['$' for help]\r\n"), time)
         open_track(options(), old, time, time.sleep)
     line = DirectLine(Other(b"Welcome to my router\r\n"), time)
-    with pytest.raises(DeviceError, match=r"no Grbl banner within 5 s.*check the port"):
+    with pytest.raises(DeviceError, match=r"no Grbl banner within 7 s.*check the port"):
         open_track(options(), line, time, time.sleep)
     assert line.closed
     with pytest.raises(DeviceError, match=r"marlin track on here: .*M115.*check"):
@@ -313,6 +313,7 @@ def rig_with(plan: dict[str, Any] | None = None, **values: Any) -> Any:
         ("boot_s", 31),
         ("answer_s", 0),
         ("homing_s", 0),
+        ("write_s", 0),
         ("laser_power", -1),
         ("speed", 1),
     ],

@@ -104,6 +104,12 @@ def test_a_scan_without_resume_says_nothing_of_it(tmp_path: Path, scan: Scan) ->
     assert "nothing to resume" not in scan(tmp_path / "a")[1]
 
 
+def test_position_restored_is_a_word_about_resuming(tmp_path: Path, scan: Scan) -> None:
+    code, said = scan(tmp_path / "a", "--position-restored")
+    assert (code, said) == (2, "lscan: --position-restored: goes with --resume only\n")
+    assert not (tmp_path / "a").exists()
+
+
 # Ctrl-C
 
 

@@ -34,8 +34,9 @@ def open_track(
     Raises DeviceError where the port does not open or the controller does not answer.
     """
     name = f"{options.dialect} track on {options.port}"
-    line = open_serial(options.port, options.baud, name) if transport is None else transport
-    link = Link(line, name, clock, sleep)
+    if transport is None:
+        transport = open_serial(options.port, options.baud, name, options.write_s)
+    link = Link(transport, name, clock, sleep, options.write_s)
     machine: Machine = (
         GrblMachine(link, options) if options.dialect == "grbl" else MarlinMachine(link, options)
     )
@@ -45,7 +46,7 @@ def open_track(
 class _TrackDriver:
     sections: frozenset[str] = frozenset()
     switches_laser = True
-    connection_options = frozenset({"port", "baud", "boot_s", "answer_s", "homing_s"})
+    connection_options = frozenset({"port", "baud", "boot_s", "answer_s", "homing_s", "write_s"})
 
     def validate(self, rig_file: RigFile) -> None:
         read_options(rig_file)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import math
 import time
 from collections.abc import Callable
 from typing import Final, Protocol
@@ -34,14 +35,17 @@ class Transport(Protocol):
         ...
 
 
-def open_serial(port: str, baud: int, name: str) -> Transport:
-    """The serial port, opened for this program alone; DeviceError where it cannot be."""
+def open_serial(port: str, baud: int, name: str, write_s: float) -> Transport:
+    """The serial port, opened for this program alone; DeviceError where it cannot be.
+
+    write_s: how long it may take to accept what is sent.
+    """
     try:
         import serial
     except ImportError:
         raise DeviceError(f"{name}: needs the package pyserial; install it") from None
     try:
-        return serial.Serial(port, baud, timeout=0.01, write_timeout=1.0, exclusive=True)
+        return serial.Serial(port, baud, timeout=0.01, write_timeout=write_s, exclusive=True)
     except (OSError, ValueError) as error:
         raise DeviceError(
             f"{name}: {port!r} cannot be opened at {baud} baud: {error}; check the cable, the "
@@ -52,7 +56,8 @@ def open_serial(port: str, baud: int, name: str) -> Transport:
 class Link:
     """A serial line on which whole lines are exchanged.
 
-    name: how messages call the device.  noise_bytes: bytes skipped so far because they were
+    name: how messages call the device.  write_s: how long the transport waits until what is sent
+    is accepted.  noise_bytes: bytes skipped so far because they were
     part of no readable line.  clock, sleep: the time, for a line in simulated time.
     """
 
@@ -62,7 +67,9 @@ class Link:
         name: str,
         clock: Callable[[], float] = time.monotonic,
         sleep: Callable[[float], None] = time.sleep,
+        write_s: float = math.inf,
     ) -> None:
+        self._write_s = write_s
         self.name, self.clock, self.sleep = name, clock, sleep
         self.noise_bytes = 0
         self._transport = transport
@@ -82,7 +89,7 @@ class Link:
         try:
             self._transport.write(data)
         except OSError as error:
-            raise self._unplugged(error) from error
+            raise (self._stuck() if _timed_out(error) else self._unplugged(error)) from error
 
     def line(self, deadline_s: float) -> str | None:
         """The next readable line without its end; None where none is whole by the deadline.
@@ -125,8 +132,21 @@ class Link:
         self.noise_bytes += len(raw) + 1
         return None
 
+    def _stuck(self) -> DeviceError:
+        return DeviceError(
+            f"{self.name}: the port accepted nothing for {self._write_s:g} s; the adapter or the "
+            "controller hangs, or the computer was held up: switch the controller off and on, or "
+            "raise track.options.write_s, then open the track again"
+        )
+
     def _unplugged(self, error: OSError) -> DeviceError:
         return DeviceError(
             f"{self.name}: the serial line broke ({error}); check the cable and the controller's "
             "power, then open the track again"
         )
+
+
+def _timed_out(error: OSError) -> bool:
+    import serial  # here, as in open_serial: only a real port needs the package
+
+    return isinstance(error, serial.SerialTimeoutException)

@@ -6,6 +6,7 @@ in a row agree.
 
 from __future__ import annotations
 
+import contextlib
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -17,7 +18,15 @@ from lscan.errors import DeviceError
 READINGS: Final = 8
 """Readings of which two in a row must agree; a clean line needs two."""
 
+ASKINGS: Final = 3
+"""How often a question is asked that changes nothing, until it is answered readably."""
+
 Reading = TypeVar("Reading")
+Answer = TypeVar("Answer")
+
+
+class Unanswered(DeviceError):
+    """A line was not answered, or not readably: where it changes nothing, it can be sent again."""
 
 
 @dataclass(frozen=True)
@@ -41,6 +50,15 @@ class Machine(Protocol):
     Every method raises DeviceError where the controller is silent, refuses, is in alarm or
     has restarted, and says what to do.
     """
+
+    @property
+    def zero(self) -> str:
+        """Name of the machine's zero."""
+        ...
+
+    def has_kept(self, zero: str) -> bool:
+        """Whether its zero has not moved since it had this name, for all that can be told."""
+        ...
 
     def wake(self) -> Travel:
         """Bring the controller to where it takes commands; what it says of its axis."""
@@ -73,6 +91,14 @@ class Machine(Protocol):
     def close(self) -> None:
         """Release the line."""
         ...
+
+
+def asked(ask: Callable[[], Answer]) -> Answer:
+    """The answer of ``ask``, which is called again where it raises Unanswered, up to ASKINGS."""
+    for _ in range(ASKINGS - 1):
+        with contextlib.suppress(Unanswered):
+            return ask()
+    return ask()
 
 
 def agreed(read: Callable[[], Reading], what: str, name: str) -> Reading:

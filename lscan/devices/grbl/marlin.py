@@ -7,11 +7,12 @@ Source: Marlin's G-code reference, pages G28, M114, M115, M400, M410, and "host 
 from __future__ import annotations
 
 import re
+import secrets
 from typing import Final
 
 from lscan.devices.api import Fact
 from lscan.devices.grbl.link import Link
-from lscan.devices.grbl.machine import Travel, agreed
+from lscan.devices.grbl.machine import Travel, Unanswered, agreed, asked
 from lscan.devices.grbl.options import SerialTrackOptions
 from lscan.errors import DeviceError
 
@@ -31,16 +32,25 @@ class MarlinMachine:
     def __init__(self, link: Link, options: SerialTrackOptions) -> None:
         self._link, self._options = link, options
         self._firmware = ""
+        # Marlin keeps nothing by which a restart between two sittings could be told.
+        self.zero = f"opening {secrets.token_hex(4)}"
+
+    def has_kept(self, zero: str) -> bool:
+        """Whether the name is of this opening."""
+        return self.zero == zero
 
     def wake(self) -> Travel:
-        """Wait for ``start``, ask for the firmware's name, choose mm and absolute positions."""
+        """Wait for ``start``, ask for the firmware's name, choose mm and absolute positions.
+
+        What a killed program left moving is waited for: M410 stops it too, but loses steps.
+        """
         link, options = self._link, self._options
         deadline_s = link.clock() + options.boot_s
         while (text := link.line(deadline_s)) is not None and text != "start":
             pass
         while link.line(link.clock() + 0.05) is not None:  # the settings a start prints
             pass
-        answer = " ".join(self._command("M115", first=_OTHER_DIALECT))
+        answer = " ".join(asked(lambda: self._command("M115", first=_OTHER_DIALECT)))
         firmware = _FIRMWARE.search(answer)
         if firmware is None:
             raise DeviceError(
@@ -48,6 +58,7 @@ class MarlinMachine:
                 "dialect, or check port and baud rate"
             )
         self._firmware = firmware[1]
+        self._command("M400", options.homing_s)
         self._command("G21")
         self._command("G90")
         return Travel(step_mm=STEP_MM)
@@ -68,7 +79,7 @@ class MarlinMachine:
 
     def position_mm(self) -> float:
         """The axis's position, two reports alike."""
-        return agreed(self._reported_mm, "position", self._link.name)
+        return agreed(lambda: asked(self._reported_mm), "position", self._link.name)
 
     def laser(self, power: float) -> None:
         """M3 with S, or M5."""
@@ -90,15 +101,16 @@ class MarlinMachine:
                 places = dict(_PLACE.findall(answer.partition(" Count")[0]))
                 if self._options.axis in places:
                     return float(places[self._options.axis])
-        raise DeviceError(
+        raise Unanswered(
             f"{self._link.name}: M114 gave no readable position of axis {self._options.axis}; "
             "check the cable, then open the track again"
         )
 
     def _command(self, text: str, within_s: float | None = None, first: str = "") -> list[str]:
-        """Send a line; the lines until its ok.  DeviceError if refused or unanswered.
+        """Send a line; the lines until its ok.
 
-        first: what to look at first where no answer comes.
+        first: what to look at first where no answer comes.  Raises Unanswered where none comes,
+        DeviceError where the line is refused.
         """
         link = self._link
         while (stale := link.line(link.clock())) is not None:
@@ -112,7 +124,7 @@ class MarlinMachine:
                 return answers
             if not answer.startswith("echo:busy:"):
                 answers.append(answer)
-        raise DeviceError(
+        raise Unanswered(
             f"{link.name}: silent: no ok to {text!r} in time ({link.noise_bytes} bytes of noise "
             f"so far); {first}check cable, power and for a jam, then open the track again"
         )

@@ -28,7 +28,8 @@ class SerialTrackOptions(Strict):
     tolerance_mm: how far from its target the head may report to have stopped.
     settle_s: rest before a picture.  homing: search the switches on opening; without it the
     machine's zero is where the head stood when the controller started, and any restart moves it.
-    boot_s, answer_s, homing_s: how long a start, an answer, a homing may take.
+    boot_s, answer_s, homing_s: how long a start, an answer, a homing may take.  write_s: how
+    long the port may take to accept a line; longer where a busy computer or an adapter holds it up.
     laser_power: S word of M3.
     """
 
@@ -48,6 +49,7 @@ class SerialTrackOptions(Strict):
     boot_s: Annotated[float, Field(ge=0, le=30)] = 3.0
     answer_s: Annotated[float, Field(gt=0, le=60)] = 2.0
     homing_s: Annotated[float, Field(gt=0, le=600)] = 60.0
+    write_s: Annotated[float, Field(gt=0, le=60)] = 5.0
     laser_power: Annotated[float, Field(ge=0, le=100_000)] = 1000.0
 
     @model_validator(mode="after")

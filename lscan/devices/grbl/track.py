@@ -110,32 +110,52 @@ class SerialTrack:
             told = self._machine.describe()
         return told | {name: _finite(number) for name, number in numbers.items()}
 
-    def check_place(self, last_mm: float, next_mm: float) -> None:
+    @property
+    def zero(self) -> str | None:
+        """Name of the zero that positions count from; None where homing finds it each time."""
+        return None if self._options.homing else self._machine.zero
+
+    def check_place(self, last_mm: float, next_mm: float, zero: str | None) -> None:
         """Raise DeviceError unless a scan can go on without a shift of its frames.
 
-        last_mm: where its last frame was recorded.  next_mm: where the next is due.  Homing
-        finds the same zero each time, and a track that moved since it was opened has been
-        watched since.  Otherwise the head must report a place it can have been left at: between
-        the two, or as far below as the approach goes.  Zero of the machine is never such a
-        place, since a controller that has just started reports it wherever the head stands.
+        last_mm: where its last frame was recorded.  next_mm: where the next is due.  zero: what
+        ``zero`` was then.  Homing finds the same zero each time.  Without it the controller must
+        have counted its steps ever since; and unless the track was moved since it was opened,
+        and so watched, the head must stand where it can have been left: between the two places,
+        or as far below as the approach goes.
         """
         self._ready()
-        if self._options.homing or self._moved:
+        if self._options.homing:
             return
-        options, stands_mm, slack_mm = self._options, self._position_mm, self.tolerance_mm
-        low_mm = min(last_mm, next_mm) - options.approach_mm - slack_mm
+        stands_mm, slack_mm = self._position_mm, self.tolerance_mm
+        reports = (
+            f"{self._name}: reports {stands_mm:g} mm, the last frame was recorded at "
+            f"{last_mm:g} mm; the scan might go on at shifted places, since"
+        )
+        if zero is None or not self._machine.has_kept(zero):
+            raise DeviceError(f"{reports} {self._lost_zero()}")
+        low_mm = min(last_mm, next_mm) - self._options.approach_mm - slack_mm
         high_mm = max(last_mm, next_mm) + slack_mm
-        start_mm = options.position_mm(0.0)
-        if low_mm <= stands_mm <= high_mm and abs(stands_mm - start_mm) > slack_mm:
-            return
-        resting_mm = max(last_mm, next_mm, key=lambda place_mm: abs(place_mm - start_mm))
-        raise DeviceError(
-            f"{self._name}: reports {stands_mm:g} mm, the last frame was recorded at {last_mm:g} "
-            "mm: the scan might go on at shifted places, since without homing a controller that "
-            f"restarts takes where the head stands for {start_mm:g} mm. If it did, switch it off, "
-            f"push the head by hand to where {start_mm:g} mm was, and switch it on; then jog to "
-            f"{resting_mm:g} mm and resume. Where opening the port restarts it, only a new scan "
-            "with track.options.homing = true can be resumed"
+        if not self._moved and not low_mm <= stands_mm <= high_mm:
+            raise DeviceError(
+                f"{reports} the head was moved, or homed by hand, in between: jog to "
+                f"{last_mm:g} mm and resume, or, where it was homed as it was before the scan "
+                "began, resume with --position-restored"
+            )
+
+    def _lost_zero(self) -> str:
+        """Why the zero may have moved, and how it is put back."""
+        start_mm = self._options.position_mm(0.0)
+        why = (
+            "Marlin does not tell whether it restarted in between"
+            if self._options.dialect == "marlin"
+            else "the controller was restarted, reset or in alarm in between"
+        )
+        return (
+            f"{why}. Without homing {start_mm:g} mm is where the head stands when the controller "
+            f"starts: switch it off, push the head by hand to where {start_mm:g} mm was, switch "
+            "it on, and resume with --position-restored; or, where it was homed by hand before "
+            "the scan began, do so again and resume with --position-restored"
         )
 
     def laser_on(self) -> None:
