@@ -201,6 +201,15 @@ def test_a_frame_of_the_scan_names_the_picture_of_a_file(video: Path) -> None:
     camera.close()
 
 
+def test_a_picture_of_a_file_is_stamped_when_it_is_asked_for(video: Path) -> None:
+    """The first is read when the file is opened, maybe long before a trial of the track is over."""
+    camera = OpencvCamera(section(*VIDEO_PX), OpencvOptions(file=str(video)))
+    for _ in range(3):
+        asked_s = time.monotonic()
+        assert camera.grab().time_s >= asked_s
+    camera.close()
+
+
 def test_grey_pictures_stay_grey() -> None:
     camera = fake_camera(World(grey=True))
     assert camera.grab().image.shape == (HEIGHT_PX, WIDTH_PX)

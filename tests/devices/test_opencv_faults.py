@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+import os
+import subprocess
+import sys
 import time
 from itertools import pairwise
+from pathlib import Path
 from typing import Any
 
 import cv2
@@ -145,6 +149,30 @@ def test_a_stream_that_is_not_there() -> None:
     options = OpencvOptions(url="http://127.0.0.1:1/none", timeout_s=10)
     with pytest.raises(DeviceError, match=r"127.0.0.1:1/none\): cannot be opened"):
         OpencvCamera(SECTION, options)
+
+
+SPEECHLESS = """
+from lscan.devices.opencv_camera import OpencvOptions, open_capture
+
+url, device = "http://127.0.0.1:1/none", "/dev/video-none"
+for source in ({"url": url}, {"device": device}, {"file": __file__}):
+    assert not open_capture(OpencvOptions(timeout_s=60, **source)).isOpened()
+"""
+
+
+@pytest.mark.parametrize(("asked", "speaks"), [({}, False), ({"OPENCV_LOG_LEVEL": "INFO"}, True)])
+def test_the_libraries_write_nothing_of_their_own(
+    tmp_path: Path, asked: dict[str, str], speaks: bool
+) -> None:
+    """Neither OpenCV nor FFmpeg, unless their own variables ask for it."""
+    script = tmp_path / "script.py"
+    script.write_text(SPEECHLESS)
+    plain = {key: value for key, value in os.environ.items() if not key.startswith("OPENCV_")}
+    done = subprocess.run(
+        [sys.executable, str(script)], env=plain | asked, capture_output=True, text=True
+    )
+    assert done.returncode == 0, done.stderr
+    assert bool(done.stderr) == speaks, done.stderr
 
 
 @pytest.mark.parametrize("fault", ["wrong size", "deep"])

@@ -99,7 +99,8 @@ class OpencvCamera:
                 return self._grab(began_s, frame, dark or self._black_is_meant)
             except DeviceLost as error:
                 lost = error
-                _log.warning("%s", error)
+                if attempt + 1 < attempts:
+                    _log.warning("%s (it is opened anew)", error)
         raise DeviceError(f"{lost}" + (f" (opened {attempts - 1} times anew)" * (attempts > 1)))
 
     def preview(self) -> Grab:

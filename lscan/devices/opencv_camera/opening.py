@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import os
 
 import cv2
 
@@ -16,6 +17,7 @@ _log = logging.getLogger(__name__)
 
 def open_capture(options: OpencvOptions) -> Capture:
     """The OpenCV capture that ``options`` names, opened or not; never raises by itself."""
+    _silence_libraries()
     if options.device is not None:
         if isinstance(options.device, int):
             return cv2.VideoCapture(options.device)
@@ -24,6 +26,16 @@ def open_capture(options: OpencvOptions) -> Capture:
     if options.url is not None:
         return _open_stream(options.url, options)
     return cv2.VideoCapture(options.file or "", cv2.CAP_FFMPEG)
+
+
+def _silence_libraries() -> None:
+    """Keep OpenCV and its FFmpeg from writing to the terminal what is told here in one line.
+
+    Whoever sets OPENCV_LOG_LEVEL or OPENCV_FFMPEG_LOGLEVEL gets what they ask for.
+    """
+    os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")  # AV_LOG_QUIET; read by its first capture
+    if "OPENCV_LOG_LEVEL" not in os.environ:
+        cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
 
 
 def _open_stream(url: str, options: OpencvOptions) -> Capture:

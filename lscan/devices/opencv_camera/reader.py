@@ -10,7 +10,7 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
@@ -36,7 +36,7 @@ class Picture:
     """A picture as read.  image: uint8, (H, W) or (H, W, 3) blue first.
 
     time_s: on the monotonic clock of this machine, when the camera says it took the picture,
-    else when it arrived.  arrived_s: when it arrived, on the same clock.
+    else when it arrived; of a file, when it was asked for.  arrived_s: when it arrived, on the same clock.
     """
 
     image: Bytes
@@ -102,6 +102,9 @@ class Reader:
             while True:
                 picture, self._picture = self._picture, None
                 self._changed.notify_all()
+                if picture is not None and not self._source.live:
+                    # Read ahead, maybe long before it was wanted: it counts as taken now.
+                    return replace(picture, time_s=time.monotonic())
                 if picture is not None and picture.time_s > after_s:
                     return picture
                 old = picture or old
