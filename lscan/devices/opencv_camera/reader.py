@@ -36,7 +36,8 @@ class Picture:
     """A picture as read.  image: uint8, (H, W) or (H, W, 3) blue first.
 
     time_s: on the monotonic clock of this machine, when the camera says it took the picture,
-    else when it arrived; of a file, when it was asked for.  arrived_s: when it arrived, on the same clock.
+    else when it arrived; of a file, when it was asked for.  arrived_s: when it arrived, on the
+    same clock.
     """
 
     image: Bytes
