@@ -170,7 +170,7 @@ class Browser:
             raise BrowserError(f"{_told(answer['exceptionDetails'])} (in {script[:200]!r})")
         return answer["result"].get("value")
 
-    def wait_for(self, condition: str, timeout_s: float = 30.0) -> Any:
+    def wait_for(self, condition: str, timeout_s: float = 120.0) -> Any:
         """The first true value of the JavaScript ``condition``; BrowserError after timeout_s."""
         deadline = time.monotonic() + timeout_s
         while True:

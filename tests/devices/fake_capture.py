@@ -87,7 +87,7 @@ class FakeCapture:
         fault = world.faults.get(world.reads)
         world.reads += 1
         if fault == "hang":
-            world.free.wait(30)
+            world.free.wait(300)
             return False, None
         if fault == "gone":
             return False, None

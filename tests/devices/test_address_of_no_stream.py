@@ -49,7 +49,7 @@ def served(body: bytes, kind: str, code: int = 200, name: str = "stream") -> Ite
 
 def refusal_of(url: str) -> str:
     section = CameraSection(driver="opencv", width_px=WIDTH_PX, height_px=HEIGHT_PX)
-    options = OpencvOptions(url=url, timeout_s=20, reconnects=0)
+    options = OpencvOptions(url=url, timeout_s=120, reconnects=0)
     with pytest.raises(DeviceError) as caught:
         OpencvCamera(section, options)
     message = str(caught.value)

@@ -129,7 +129,7 @@ def test_a_device_that_hangs_does_not_hang_the_list(
     world = World()
 
     def hang(options: OpencvOptions) -> Any:
-        world.free.wait(30)
+        world.free.wait(300)
         return world.open(options)
 
     (device,) = video_devices(hang, tmp_path)

@@ -40,7 +40,7 @@ def opened(world: World, capture: type[FakeCapture], **options: Any) -> OpencvCa
 
 def test_a_camera_clock_set_back_is_told_from_a_silent_camera() -> None:
     world = World(stamps=True)
-    camera = opened(world, SetBack, timeout_s=0.3, reconnects=0)
+    camera = opened(world, SetBack, timeout_s=2.0, reconnects=0)
     pattern = r"stamped \d+(\.\d+)? s before .*its clock was set back.*plug it in anew"
     with pytest.raises(DeviceError, match=pattern):
         for _ in range(4):
@@ -51,10 +51,10 @@ def test_a_camera_clock_set_back_is_told_from_a_silent_camera() -> None:
 def test_one_old_picture_before_silence_is_silence() -> None:
     """The picture that was under way at the call is old by right: the camera then hung."""
     world = World(stamps=True, delay=3, period_s=0.01)
-    camera = opened(world, FakeCapture, timeout_s=0.4, reconnects=0)
+    camera = opened(world, FakeCapture, timeout_s=2.0, reconnects=0)
     assert scene_of(camera.grab().image) == 1
     world.faults = dict.fromkeys(range(world.reads + 1, 10**5), "hang")
-    with pytest.raises(DeviceError, match=r"sent no new picture within 0\.4 s; check cable"):
+    with pytest.raises(DeviceError, match=r"sent no new picture within 2 s; check cable"):
         for _ in range(3):
             camera.grab()
     world.free.set()

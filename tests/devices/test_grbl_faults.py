@@ -168,6 +168,7 @@ def on_terminal(terminal: PseudoTerminal) -> SerialTrackOptions:
         feed_mm_min=50_000,
         settle_s=0,
         boot_s=0.2,
+        answer_s=60,
     )
 
 

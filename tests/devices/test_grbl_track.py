@@ -102,7 +102,7 @@ class TestTrackOnATerminal(TestGrblTrack):
         self.emulator = self.kind(QUICK)
         dialect = "grbl" if self.kind is GrblEmulator else "marlin"
         with PseudoTerminal(self.emulator) as terminal:
-            quick = {"feed_mm_min": 50_000, "settle_s": 0, "boot_s": 0.2}
+            quick = {"feed_mm_min": 50_000, "settle_s": 0, "boot_s": 0.2, "answer_s": 60}
             chosen = options(port=terminal.port, dialect=dialect, **quick)
             track = open_track(chosen)
             yield track

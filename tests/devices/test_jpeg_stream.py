@@ -159,7 +159,7 @@ class _Served:
     large.  count: how many have been sent."""
 
     def __init__(self, change_at: int | None = None) -> None:
-        self.change_at, self.count = change_at, 0
+        self.change_at, self.count, self.period_s = change_at, 0, 0.01
 
     def send(self, write: Callable[[bytes], Any]) -> None:
         for number in range(1, 1 << BITS):
@@ -170,7 +170,7 @@ class _Served:
             head = f"--part\r\nContent-Type: image/jpeg\r\nContent-Length: {len(data)}\r\n\r\n"
             write(head.encode() + data + b"\r\n")
             self.count = number
-            time.sleep(0.01)
+            time.sleep(self.period_s)
 
 
 @contextmanager
@@ -197,7 +197,7 @@ MULTIPART = "multipart/x-mixed-replace; boundary=part"
 
 def camera_at(url: str, **options: Any) -> OpencvCamera:
     section = CameraSection(driver="opencv", width_px=SIZE_PX[0], height_px=SIZE_PX[1])
-    return OpencvCamera(section, OpencvOptions(url=url, timeout_s=20, **options))
+    return OpencvCamera(section, OpencvOptions(url=url, timeout_s=120, **options))
 
 
 def test_a_size_that_changes_in_mid_stream_is_refused() -> None:
@@ -226,16 +226,22 @@ def test_a_rig_that_says_another_size_is_refused_at_once() -> None:
         camera_at(url)
 
 
-def test_after_two_pictures_a_backlog_is_gone() -> None:
-    """Nobody reads while 40 pictures are sent: the third read is of one sent since."""
+def test_after_two_pictures_a_backlog_is_gone(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Nobody reads while 40 pictures are sent: the third read is of one sent since.
+
+    From then on a picture comes each second, and what is read within 0.3 s has lain in a buffer:
+    a busy machine does not make the one look like the other.
+    """
     served = _Served()
     with http(served.send, MULTIPART) as url:
-        capture = open_capture(OpencvOptions(url=url, timeout_s=20))
+        capture = open_capture(OpencvOptions(url=url, timeout_s=120))
         assert isinstance(capture, JpegStream)
         assert capture.read()[0]
         held_up_until = served.count + 40
         while served.count < held_up_until:
             time.sleep(0.01)
+        served.period_s = 1.0
+        monkeypatch.setattr(jpegstream, "LEAST_WAIT_S", 0.3)
         sent = served.count
         numbers = [number_of(capture.read()[1]) for _ in range(3)]
         capture.release()
@@ -257,7 +263,7 @@ def test_another_codec_is_read_as_before_and_said(
     ffv1: bytes, caplog: pytest.LogCaptureFixture
 ) -> None:
     with http(lambda write: write(ffv1), "video/avi") as url:
-        capture = open_capture(OpencvOptions(url=url, timeout_s=20))
+        capture = open_capture(OpencvOptions(url=url, timeout_s=120))
         assert "coded as FFV1: a change of the picture size" in caplog.text
         np.testing.assert_array_equal(capture.read()[1], picture(1))
         capture.release()
@@ -273,11 +279,11 @@ def test_another_codec_is_decoded_without_delay(ffv1: bytes) -> None:
 
     def send(write: Callable[[bytes], Any]) -> None:
         write(ffv1[:end])
-        in_time.append(all_read.wait(10))
+        in_time.append(all_read.wait(60))
         write(ffv1[end:])
 
     with http(send, "video/avi") as url:
-        capture = open_capture(OpencvOptions(url=url, timeout_s=20))
+        capture = open_capture(OpencvOptions(url=url, timeout_s=120))
         numbers = [number_of(capture.read()[1]) for _ in range(readable)]
         all_read.set()
         capture.release()

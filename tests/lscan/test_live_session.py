@@ -6,7 +6,6 @@ import json
 import os
 import struct
 import threading
-import time
 from pathlib import Path
 from typing import Any
 
@@ -257,14 +256,20 @@ def test_frames_are_numbered_one_by_one_where_pictures_were_passed_over(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Or a browser that asks for what comes after its last would wait for pictures long gone."""
+    sessions: list[Session] = []
 
     def slow_line(*arguments: Any) -> Figures:
-        time.sleep(0.15)  # of which some four pictures come
+        """Measure once four more pictures have come, or the session is being closed."""
+        session = wait_for(lambda: sessions and sessions[0])
+        newest = session._pictures.after(0)
+        last = newest[0] + 4 if newest else 4
+        wait_for(lambda: session._closing.is_set() or session._pictures.after(last - 1))
         return measure_line(*arguments)
 
     monkeypatch.setattr("lscan.live.session.measure_line", slow_line)
     with live_bench(monkeypatch, tmp_path) as bench:
         session = bench.open()
+        sessions.append(session)
         for number in range(1, 6):
             newest = wait_for(lambda after=number - 1: session.frames.after(after))
             assert newest[0] == number

@@ -280,10 +280,11 @@ def test_uncertainty_turns_with_the_axes(raw: Surface, alignment: Alignment) -> 
 
 
 def test_a_full_scan_is_aligned_in_time() -> None:
+    """By the time this process computes: what other programs take does not count."""
     surface = scan(PIECE, replace(SQUARE, columns=640, pitch_mm=0.45, occlusion=False))
-    start = time.perf_counter()
+    start = time.process_time()
     align_sandwave(surface, PIECE)
-    assert time.perf_counter() - start < 3.0
+    assert time.process_time() - start < 3.0
 
 
 # What cannot be aligned

@@ -16,6 +16,7 @@ from sim.sensor.coding import from_jpeg
 from sim.serve import EmulatedHardware
 
 SCENES = Path(__file__).resolve().parents[2] / "scenes" / "paper"
+LONG_S = 120.0  # only what hangs takes so long
 QUICK = {25: 60_000, 110: 60_000, 120: 20_000}  # mm/min, mm/s2: a move takes milliseconds
 
 
@@ -49,8 +50,8 @@ def quick_rig(
 ) -> RigFile:
     """The hardware's rig, with short waits; camera, track: options laid over it."""
     options = {
-        "camera": {"options": {"reconnects": 0, **(camera or {})}},
-        "track": {"options": {"feed_mm_min": 6_000.0, **track}},
+        "camera": {"options": {"reconnects": 0, "timeout_s": LONG_S, **(camera or {})}},
+        "track": {"options": {"feed_mm_min": 6_000.0, "answer_s": 60.0, **track}},
     }
     return parse_rig(merge(hardware.rig_document(), options), source="served")
 
@@ -58,7 +59,7 @@ def quick_rig(
 class Viewer:
     """A client of a stream that reads part by part."""
 
-    def __init__(self, url: str, timeout_s: float = 20.0) -> None:
+    def __init__(self, url: str, timeout_s: float = LONG_S) -> None:
         self._stream = urllib.request.urlopen(url, timeout=timeout_s)
 
     def picture(self) -> bytes:
@@ -79,14 +80,14 @@ def stalled(url: str) -> socket.socket:
     """A client that asks for a stream and never reads."""
     host, _, rest = url.removeprefix("http://").partition(":")
     port, _, path = rest.partition("/")
-    client = socket.create_connection((host, int(port)), timeout=10.0)
+    client = socket.create_connection((host, int(port)), timeout=LONG_S)
     client.sendall(f"GET /{path} HTTP/1.1\r\nHost: {host}\r\n\r\n".encode())
     return client
 
 
 def snapshot(hardware: EmulatedHardware) -> Any:
     """A picture by HTTP, (H, W, 3) RGB."""
-    with urllib.request.urlopen(hardware.snapshot_url, timeout=20.0) as answer:
+    with urllib.request.urlopen(hardware.snapshot_url, timeout=LONG_S) as answer:
         return from_jpeg(answer.read())
 
 

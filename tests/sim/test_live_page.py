@@ -103,7 +103,7 @@ def enabled(page: Browser, selector: str = "button") -> set[str]:
 
 def wait_for_post(instrument: Instrument, count: int) -> tuple[str, Any]:
     """The latest command once there are ``count``."""
-    deadline = time.monotonic() + 30.0
+    deadline = time.monotonic() + 120.0
     while len(instrument.posts) < count:
         assert time.monotonic() < deadline, instrument.posts
         time.sleep(0.02)

@@ -47,7 +47,7 @@ def test_a_fault_in_a_scan_is_told_and_the_scan_goes_on(
     hardware: EmulatedHardware, tmp_path: Path, name: str
 ) -> None:
     """After the second frame: two frames are on disk whole, and --resume takes the others."""
-    rig_file = quick_rig(hardware, SHORT, answer_s=0.5, settle_s=0.02)
+    rig_file = quick_rig(hardware, SHORT, answer_s=2.0, settle_s=0.02)
 
     def spoil(done: int, planned: int) -> None:
         if done == 2:
@@ -61,7 +61,8 @@ def test_a_fault_in_a_scan_is_told_and_the_scan_goes_on(
     spoilt = open_run(tmp_path / "run")
     kept = [frame.image.tobytes() for frame in spoilt.frames()]
     assert len(kept) == 2
-    whole = scan(rig_file, tmp_path / "run", resume=True)
+    patient = quick_rig(hardware, settle_s=0.02)
+    whole = scan(patient, tmp_path / "run", resume=True)
     frames = list(whole.frames())
     assert [frame.commanded_mm for frame in frames] == rig_file.rig.plan.positions_mm()
     assert [frame.image.tobytes() for frame in frames[:2]] == kept

@@ -27,7 +27,8 @@ POLL_S: Final = 0.02
 INCH_MM: Final = 25.4
 
 BRAKING_S: Final = 30.0
-"""Longest time to come to rest: from 300 mm/s at 10 mm/s², Grbl's default of $120."""
+"""How long what another program moves may take to come to rest: from 300 mm/s at 10 mm/s²,
+Grbl's default of $120."""
 
 MARKS: Final = range(100, 256)
 """Tool numbers nobody uses, up to Grbl's highest.  One of them, set by ``T``, marks a controller:
@@ -55,6 +56,7 @@ class GrblMachine:
         self._unit_mm = 1.0
         self._offset: float | None = None
         self._version = ""
+        self._braking_s = BRAKING_S
         self._mark = f"T{secrets.choice(MARKS)}"
         self._zero = f"{self._mark} {secrets.token_hex(4)}"
 
@@ -84,6 +86,7 @@ class GrblMachine:
         per_mm, max_mm_min, accel_mm_s2, travel_mm = (
             settings[base + self._axis] for base in (100, 110, 120, 130)
         )
+        self._braking_s = self._options.answer_s + self._options.feed_mm_min / 60 / accel_mm_s2
         low_mm, high_mm = -float("inf"), float("inf")
         if settings[20]:
             upward = self._origin_at_switch() and int(settings[23]) >> self._axis & 1
@@ -221,7 +224,7 @@ class GrblMachine:
 
         report: asks for a report; where it gives None, so does this.
         """
-        deadline_s = self._link.clock() + BRAKING_S
+        deadline_s = self._link.clock() + self._braking_s
         while (status := report()) is not None and _is_moving(status):
             if self._link.clock() > deadline_s:
                 raise self._not_idle(status)
