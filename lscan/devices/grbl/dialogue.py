@@ -138,9 +138,10 @@ class Dialogue:
     def restarted(self) -> DeviceError:
         """The error that says so; the position is lost from here on."""
         self.lost = True
+        mend = "home" if self.homes else "put the head back by hand"
         return DeviceError(
             f"{self.link.name}: the controller has restarted, so its position is lost; check "
-            "its power and the USB cable, home, and open the track again"
+            f"its power and the USB cable, {mend}, and open the track again"
         )
 
     def _silent(self, what: str, first: str = "") -> Unanswered:
