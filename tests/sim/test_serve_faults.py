@@ -61,7 +61,7 @@ def test_a_fault_in_a_scan_is_told_and_the_scan_goes_on(
     spoilt = open_run(tmp_path / "run")
     kept = [frame.image.tobytes() for frame in spoilt.frames()]
     assert len(kept) == 2
-    patient = quick_rig(hardware, settle_s=0.02)
+    patient = quick_rig(hardware, answer_s=10.0, settle_s=0.02)
     whole = scan(patient, tmp_path / "run", resume=True)
     frames = list(whole.frames())
     assert [frame.commanded_mm for frame in frames] == rig_file.rig.plan.positions_mm()
