@@ -45,7 +45,7 @@ def run_command_line(app: typer.Typer, name: str) -> None:
             raise
         sys.exit(_complain(name, usage, BAD_INPUT))
     if code == STOPPED:  # what typer makes of Ctrl-C
-        _complain(name, "stopped; a scan goes on with --resume", STOPPED)
+        _complain(name, "stopped", STOPPED)
     sys.exit(code if isinstance(code, int) else 0)
 
 

@@ -127,14 +127,14 @@ def test_ctrl_c_says_how_many_frames_are_kept(
     assert (code, said.splitlines()[-1]) == (130, f"lscan: stopped; {kept}")
 
 
-def test_ctrl_c_before_there_is_a_run_is_told_as_ever(
+def test_ctrl_c_before_there_is_a_run_speaks_of_none(
     tmp_path: Path, scan: Scan, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def stop(_: object) -> None:
         raise KeyboardInterrupt
 
     monkeypatch.setattr("lscan.acquire.open_devices", stop)
-    assert scan(tmp_path / "a") == (130, "lscan: stopped; a scan goes on with --resume\n")
+    assert scan(tmp_path / "a") == (130, "lscan: stopped\n")
 
 
 # The disk

@@ -13,7 +13,7 @@ from typer.testing import CliRunner
 
 from lscan.errors import InputError
 from lscan.figures.exhibit import Exhibit
-from sim.cli import app
+from sim.cli import app, main
 from sim.verify import run
 from sim.verify.gallery import Plate, gallery, scene_files
 from sim.verify.report import render_page, share_of_bar
@@ -199,6 +199,26 @@ def test_an_error_of_the_program_says_where_it_arose() -> None:
     assert failed.error.startswith("IndexError: list index out of range (test_verify_rows.py:")
     (refused,) = measured("a length", lambda: write_rows(Path("/proc/none"), []))  # type: ignore[func-returns-value]
     assert "/proc" in refused.error and "Error:" not in refused.error
+
+
+def test_ctrl_c_in_verify_speaks_of_no_scan(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """What was measured before it stays on disk."""
+
+    def stopped() -> Check:
+        raise KeyboardInterrupt
+
+    chapters = {"one": lambda: check(0.5), "two": stopped}
+    monkeypatch.setattr(run, "chapters", lambda effort: chapters)
+    command = ["lscan-sim", "verify", "-o", str(tmp_path / "out"), "--scenes", str(tmp_path)]
+    monkeypatch.setattr("sys.argv", command)
+    with pytest.raises(SystemExit) as left:
+        main()
+    assert left.value.code == 130
+    assert capsys.readouterr().err == "lscan-sim: stopped\n"
+    written = json.loads((tmp_path / "out" / "verify.json").read_text())
+    assert [entry["figure"] for entry in written] == [0.5]
 
 
 @pytest.mark.parametrize("stop", [KeyboardInterrupt, SystemExit])
