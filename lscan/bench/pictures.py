@@ -32,8 +32,8 @@ SLOPE = 0.0471  # px a column: 320 columns see every sub-pixel phase many times 
 class Case:
     """One kind of picture.
 
-    water: a key of SKIRTS.  sigma_px: width of the line.  peak_dn: its height before the
-    range ends at 255 DN; more is a saturated line.  noise: of the sensor.
+    water: a key of SKIRTS.  sigma_px: width of the line.  peak_dn: its height, without the
+    skirt, before the range ends at 255 DN.  noise: of the sensor.
     """
 
     water: str
@@ -43,8 +43,9 @@ class Case:
 
     @property
     def saturated(self) -> bool:
-        """Whether the crest is clipped, with four standard deviations of its noise to spare."""
-        return self.peak_dn + BACKGROUND_DN > FULL_SCALE_DN
+        """Whether the crest, on its skirt and the background, is clipped."""
+        crest = self.peak_dn * (1 + SKIRTS[self.water] / SKIRT_PX)
+        return crest + BACKGROUND_DN > FULL_SCALE_DN
 
 
 def centres(phase_px: float) -> Floats:
