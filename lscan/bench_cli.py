@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from pathlib import Path
 from typing import Annotated
 
@@ -29,7 +30,10 @@ def bench(
     seed: Annotated[int, typer.Option("--seed", min=0, help="Of all random numbers.")] = 1,
     json: Json = False,
 ) -> None:
-    """Judge stripe extractors and plane maps, one's own too, where the truth is known."""
+    """Judge stripe extractors and plane maps, one's own too, where the truth is known.
+
+    The exit code is 1 where one is out of the limits that every method must keep to.
+    """
     from lscan.bench import MAPS, registered_extractors, run_bench
     from lscan.bench.page import EXTRACTOR_HEADINGS, MAP_HEADINGS, extractor_cells, map_cells
 
@@ -39,12 +43,16 @@ def bench(
         done = run_bench(output, extractors, maps, quick, seed, progress)
     if json:
         print_json(done.content)
-        return
-    if done.extractors:
-        print_table("stripe extractors", EXTRACTOR_HEADINGS, extractor_cells(done.extractors))
-    if done.maps:
-        print_table("plane maps", MAP_HEADINGS, map_cells(done.maps))
-    print(f"{output / 'bench.json'}\n{output / 'bench.png'}")
+    else:
+        if done.extractors:
+            print_table("stripe extractors", EXTRACTOR_HEADINGS, extractor_cells(done.extractors))
+        if done.maps:
+            print_table("plane maps", MAP_HEADINGS, map_cells(done.maps))
+        print(f"{output / 'bench.json'}\n{output / 'bench.png'}")
+    if done.failed:
+        rows = len(done.extractors) + len(done.maps)
+        print(f"lscan: {done.failed} of {rows} rows out of their limits", file=sys.stderr)
+        raise typer.Exit(1)
 
 
 def _taking_part(usual: tuple[str, ...], more: list[str] | None) -> tuple[str, ...]:

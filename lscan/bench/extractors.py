@@ -10,6 +10,7 @@ from itertools import product
 import numpy as np
 
 from lscan.bench.pictures import BACKGROUND_DN, SKIRTS, Case, centres, draw
+from lscan.bench.shares import share_within
 from lscan.records import Floats, Stripe, has_value
 from lscan.rig import NoiseSection, StripeSection
 from lscan.stripe import extract_stripe
@@ -31,8 +32,11 @@ class ExtractorRow:
 
     bias_px: mean error.  scatter_px: standard deviation of the error.  bound_ratio: scatter
     over the Cramér-Rao bound; None for a clipped line.
-    worst_z: the largest error in units of the sigma stated.  found: share of the columns that
-    got a value.  us_a_frame: median microseconds for one picture of 640 by 480.
+    outliers: share of the errors beyond three standard deviations of the line's width.
+    within_3_sigma: share of them within three of the sigmas stated; worst_z: the largest in
+    units of its sigma.  found: share of the columns that got a value.
+    us_a_frame: median microseconds for one picture of 640 by 480.
+    Where nothing was found, the figures of the errors are NaN.
     """
 
     extractor: str
@@ -40,6 +44,8 @@ class ExtractorRow:
     bias_px: float
     scatter_px: float
     bound_ratio: float | None
+    outliers: float
+    within_3_sigma: float
     worst_z: float
     found: float
     us_a_frame: float
@@ -99,15 +105,19 @@ def _row(
     sigma = np.concatenate(
         [stripe.sigma_px[ok] for (_, stripe), ok in zip(read, valued, strict=True)]
     )
-    nothing = len(error) == 0
-    scatter = float("nan") if nothing else float(error.std())
+    if len(error) == 0:
+        error, sigma = np.array([np.nan]), np.array([np.nan])
+    scatter, z = float(error.std()), np.abs(error) / sigma
+    known = not case.saturated and np.isfinite(scatter)
     return ExtractorRow(
         extractor=name,
         case=case,
-        bias_px=float("nan") if nothing else float(error.mean()),
+        bias_px=float(error.mean()),
         scatter_px=scatter,
-        bound_ratio=None if case.saturated or nothing else scatter / bound_px(case),
-        worst_z=float("nan") if nothing else float(np.max(np.abs(error) / sigma)),
+        bound_ratio=scatter / bound_px(case) if known else None,
+        outliers=1 - share_within(3.0, np.abs(error) / case.sigma_px),
+        within_3_sigma=share_within(3.0, z),
+        worst_z=float(z.max()),
         found=float(np.mean(np.concatenate(valued))),
         us_a_frame=us_a_frame,
     )

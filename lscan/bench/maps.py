@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from lscan.bench.boards import BOARDS, VIEW, reading_of
+from lscan.bench.shares import share_within
 from lscan.board import Board
 from lscan.errors import BoardNotFound, InputError
 from lscan.planemap.api import PlaneMap, find_solver
@@ -28,7 +29,8 @@ class MapRow:
     """One plane map on one board and noise.
 
     rms_mm, max_mm: distance from the truth over the covered part of the sheet, the rms over
-    all draws and the largest of all.  covered: share of the board within the map.
+    all draws and the largest of all.  within_3_sigma: share of the errors of x and of z within
+    three of the sigmas stated.  covered: share of the board within the map.
     ms_solve, ms_profile: median milliseconds to solve it and to map 640 points.
     refused: why there is no map; the figures are NaN then.
     """
@@ -38,6 +40,7 @@ class MapRow:
     noise_px: float
     rms_mm: float
     max_mm: float
+    within_3_sigma: float
     covered: float
     ms_solve: float
     ms_profile: float
@@ -86,29 +89,34 @@ def _row(
     places: Floats,
 ) -> MapRow:
     pixels = VIEW.project(places)
-    errors, covered, solving, mapping = [], [], [], []
+    nan = float("nan")
+    errors, ratios, covered, solving, mapping = [], [], [], [], []
     for reading in readings:
         started = time.perf_counter()
         try:
             solved = solve(reading, VIEW.knowledge())
         except (InputError, BoardNotFound) as refusal:
-            nan = float("nan")
-            return MapRow(name, board, noise_px, nan, nan, 0.0, nan, nan, str(refusal))
+            return MapRow(name, board, noise_px, nan, nan, nan, 0.0, nan, nan, str(refusal))
         solving.append(time.perf_counter() - started)
         answer = solved.to_plane(pixels)
         known = answer.status == Status.OK
-        errors.append(np.linalg.norm(answer.xz_mm[known] - places[known], axis=1))
+        error_mm = answer.xz_mm[known] - places[known]
+        errors.append(np.linalg.norm(error_mm, axis=1))
+        ratios.append(np.abs(error_mm) / answer.sigma_mm[known])
         covered.append(float(known.mean()))
         started = time.perf_counter()
         solved.to_plane(pixels[:POINTS], np.full(POINTS, 0.05))
         mapping.append(time.perf_counter() - started)
-    error = np.concatenate(errors)
+    error, ratio = np.concatenate(errors), np.concatenate(ratios)
+    if len(error) == 0:
+        error = ratio = np.array([nan])
     return MapRow(
         plane_map=name,
         board=board,
         noise_px=noise_px,
         rms_mm=float(np.sqrt(np.mean(error**2))),
         max_mm=float(error.max()),
+        within_3_sigma=share_within(3.0, ratio),
         covered=float(np.mean(covered)),
         ms_solve=1e3 * float(np.median(solving)),
         ms_profile=1e3 * float(np.median(mapping)),

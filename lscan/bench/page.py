@@ -16,6 +16,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from lscan.bench.extractors import ExtractorRow
+from lscan.bench.limits import failed_of_extractor, failed_of_map
 from lscan.bench.maps import MapRow
 from lscan.bench.pictures import Case
 from lscan.disk import make_folder, write_atomically
@@ -24,12 +25,12 @@ from lscan.records import Floats
 from lscan.rig import NoiseSection
 
 EXTRACTOR_HEADINGS = (
-    "extractor", "water", "width px", "peak DN", "speckle", "bias px", "scatter px",
-    "to bound", "worst z", "found %", "us a frame",
+    "extractor", "water", "width px", "peak DN", "bias px", "scatter px",
+    "to bound", "outliers %", "3 sigma %", "found %", "us a frame", "out of limits",
 )  # fmt: skip
 MAP_HEADINGS = (
-    "plane map", "board", "noise px", "rms mm", "largest mm", "covered %", "ms solve",
-    "ms profile",
+    "plane map", "board", "noise px", "rms mm", "largest mm", "3 sigma %", "covered %",
+    "ms solve", "ms profile", "out of limits",
 )  # fmt: skip
 DPI = 90
 LEAST_PX, MOST_PX = 0.003, 1.0  # of the picture's colours
@@ -43,17 +44,26 @@ def extractor_cells(rows: Sequence[ExtractorRow]) -> list[list[str]]:
             row.extractor,
             row.case.water,
             f"{row.case.sigma_px:g}",
-            f"{row.case.peak_dn:g}{' clipped' if row.case.saturated else ''}",
-            f"{row.case.noise.speckle:g}",
+            _peak(row.case),
             f"{row.bias_px:+.4f}",
             f"{row.scatter_px:.4f}",
             "" if row.bound_ratio is None else f"{row.bound_ratio:.2f}",
-            f"{row.worst_z:.1f}",
+            f"{100 * row.outliers:.1f}",
+            f"{100 * row.within_3_sigma:.1f}",
             f"{100 * row.found:.1f}",
             f"{row.us_a_frame:.0f}",
+            ", ".join(failed_of_extractor(row)),
         ]
         for row in rows
     ]
+
+
+def _peak(case: Case) -> str:
+    """Such as "200 speckled"."""
+    words = [f"{case.peak_dn:g}"]
+    words += ["clipped"] if case.saturated else []
+    words += ["speckled"] if case.noise.speckle else []
+    return " ".join(words)
 
 
 def map_cells(rows: Sequence[MapRow]) -> list[list[str]]:
@@ -63,7 +73,8 @@ def map_cells(rows: Sequence[MapRow]) -> list[list[str]]:
             row.plane_map,
             row.board,
             f"{row.noise_px:g}",
-            *(["refused", *[""] * 4] if row.refused else _figures(row)),
+            *(["refused", *[""] * 5] if row.refused else _figures(row)),
+            ", ".join(failed_of_map(row)),
         ]
         for row in rows
     ]
@@ -73,6 +84,7 @@ def _figures(row: MapRow) -> list[str]:
     return [
         f"{row.rms_mm:.4f}",
         f"{row.max_mm:.3f}",
+        f"{100 * row.within_3_sigma:.1f}",
         f"{100 * row.covered:.1f}",
         f"{row.ms_solve:.1f}",
         f"{row.ms_profile:.2f}",
@@ -84,14 +96,19 @@ def write_bench(
 ) -> dict[str, Any]:
     """What bench.json holds, written to ``folder`` with bench.png; InputError from the disk."""
     content = {
-        "extractors": [_plain(asdict(row)) for row in extractors],
-        "maps": [_plain(asdict(row)) for row in maps],
+        "extractors": [_judged(row, failed_of_extractor(row)) for row in extractors],
+        "maps": [_judged(row, failed_of_map(row)) for row in maps],
     }
     make_folder(folder)
     text = json.dumps(content, indent=2, allow_nan=False)
     write_atomically(folder / "bench.json", f"{text}\n".encode())
     write_atomically(folder / "bench.png", draw_bench(extractors, maps))
     return content
+
+
+def _judged(row: ExtractorRow | MapRow, failed: list[str]) -> dict[str, Any]:
+    """The row in plain JSON types, and which of its figures are out of their limits."""
+    return {**_plain(asdict(row)), "failed": failed, "passed": not failed}
 
 
 def _plain(value: Any) -> Any:

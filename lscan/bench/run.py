@@ -41,6 +41,11 @@ class Bench:
     maps: list[MapRow]
     content: dict[str, Any]
 
+    @property
+    def failed(self) -> int:
+        """Number of rows with a figure out of its limit."""
+        return sum(not row["passed"] for rows in self.content.values() for row in rows)
+
 
 def registered_extractors() -> tuple[str, ...]:
     """The names of all extractors installed, in alphabetical order."""

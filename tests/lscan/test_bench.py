@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import json
-from dataclasses import replace
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -19,14 +20,18 @@ from lscan.bench import (
     run_bench,
     write_bench,
 )
+from lscan.bench import maps as maps_module
 from lscan.bench.boards import BOARDS, VIEW, reading_of
 from lscan.bench.extractors import bound_px
+from lscan.bench.limits import failed_of_extractor, failed_of_map
 from lscan.bench.page import extractor_cells, map_cells
 from lscan.bench.pictures import BACKGROUND_DN, SHAPE, Case, centres, draw, mean_picture
 from lscan.cli import app
 from lscan.errors import InputError
-from lscan.records import Floats, Mask, Status, Stripe
-from lscan.rig import NoiseSection, StripeSection
+from lscan.planemap.api import PlaneMap, find_solver
+from lscan.records import BoardReading, Floats, Mask, PlanePoints, Status, Stripe
+from lscan.rig import NoiseSection, OpticsSection, StripeSection
+from lscan.stripe import find_extractor
 
 QUIET = NoiseSection(read_dn=1.0)
 OFFSET_PX = 0.25
@@ -41,6 +46,39 @@ def off_by_a_quarter(image: Floats, settings: StripeSection, clipped: Mask) -> S
     nothing = np.zeros(image.shape[1])
     status = np.full(image.shape[1], int(Status.OK), dtype=np.int64)
     return Stripe("columns", centre, nothing + OFFSET_PX, image.max(axis=0), status)
+
+
+def constant_row(image: Floats, settings: StripeSection, clipped: Mask) -> Stripe:
+    """The middle row in every column, and the sigma of a uniform distribution over all rows."""
+    each = np.ones(image.shape[1])
+    height = float(len(image))
+    status = np.full(len(each), int(Status.OK))
+    return Stripe("columns", (height / 2) * each, height / 12**0.5 * each, 100 * each, status)
+
+
+def blind(image: Floats, settings: StripeSection, clipped: Mask) -> Stripe:
+    """No line anywhere."""
+    nan = np.full(image.shape[1], np.nan)
+    return Stripe("columns", nan, nan, nan, np.full(len(nan), int(Status.NO_PEAK)))
+
+
+def one_pixel_off(image: Floats, settings: StripeSection, clipped: Mask) -> Stripe:
+    """The best there is, a pixel too low, and a sigma that allows for it."""
+    stripe = find_extractor("ml")(image, settings, clipped)
+    return replace(stripe, centre_px=stripe.centre_px + 1, sigma_px=np.hypot(stripe.sigma_px, 1))
+
+
+def too_sure(image: Floats, settings: StripeSection, clipped: Mask) -> Stripe:
+    """The best there is, with a tenth of its sigma."""
+    stripe = find_extractor("ml")(image, settings, clipped)
+    return replace(stripe, sigma_px=stripe.sigma_px / 10)
+
+
+def now_and_then(image: Floats, settings: StripeSection, clipped: Mask) -> Stripe:
+    """The best there is, in every fortieth column the picture's first row: 2.5 % of outliers."""
+    stripe = find_extractor("ml")(image, settings, clipped)
+    wild = np.arange(len(stripe.centre_px)) % 40 == 0
+    return replace(stripe, centre_px=np.where(wild, 0.0, stripe.centre_px))
 
 
 @pytest.mark.parametrize("sigma_px", [0.8, 1.5, 3.0])
@@ -176,12 +214,13 @@ def test_the_usual_ones_exist() -> None:
 
 
 def test_the_command_adds_ones_own_and_prints_json(tmp_path: Path) -> None:
-    own = ["--extractor", WRONG, "--map", "polynomial-2", "--only", "--quick", "--json"]
+    own = ["--extractor", WRONG, "--map", "polynomial-3", "--only", "--quick", "--json"]
     result = CliRunner().invoke(app, ["bench", "-o", str(tmp_path), *own])
     assert result.exit_code == 0
     printed = json.loads(result.stdout)
     assert {row["extractor"] for row in printed["extractors"]} == {WRONG}
-    assert {row["plane_map"] for row in printed["maps"]} == {"polynomial-2"}
+    assert {row["plane_map"] for row in printed["maps"]} == {"polynomial-3"}
+    assert all(row["passed"] for rows in printed.values() for row in rows)
 
 
 def test_a_folder_that_cannot_be_made_is_said_before_the_work(tmp_path: Path) -> None:
@@ -200,3 +239,108 @@ def test_a_bench_of_nothing_is_refused(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"nothing to judge.*an extractor or a plane map"):
         run_bench(tmp_path / "out", (), ())
     assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize(
+    ("extractor", "figures"),
+    [
+        (constant_row, {"scatter", "outliers"}),
+        (blind, {"found"}),
+        (one_pixel_off, {"bias"}),
+        (too_sure, {"sigma"}),
+        (now_and_then, {"scatter", "outliers"}),
+    ],
+)
+def test_an_extractor_of_no_use_fails(
+    extractor: Callable[..., Stripe], figures: set[str], tmp_path: Path
+) -> None:
+    named = f"{__name__}:{extractor.__name__}"
+    call = ["bench", "-o", str(tmp_path), "--extractor", named, "--only", "--quick"]
+    result = CliRunner().invoke(app, call)
+    assert result.exit_code == 1
+    rows = json.loads((tmp_path / "bench.json").read_text())["extractors"]
+    assert [row["passed"] for row in rows] == [not row["failed"] for row in rows]
+    bright = next(row for row in rows if row["case"]["peak_dn"] == 200)
+    assert figures <= set(bright["failed"])
+    assert f"{sum(not row['passed'] for row in rows)} of {len(rows)} rows" in result.stderr
+    for figure in figures:
+        assert figure in result.stdout
+
+
+@dataclass(frozen=True)
+class Spoilt:
+    """Solves polynomial-5 and changes what it answers."""
+
+    spoil: Callable[[PlanePoints], PlanePoints]
+
+    def solve(self, reading: BoardReading, optics: OpticsSection) -> PlaneMap:
+        self.__dict__["solved"] = find_solver("polynomial-5").solve(reading, optics)
+        return self  # type: ignore[return-value]
+
+    def to_plane(self, image_px: Floats, sigma_px: Floats | None = None) -> PlanePoints:
+        solved: PlaneMap = self.__dict__["solved"]
+        return self.spoil(solved.to_plane(image_px, sigma_px))
+
+
+def moved(points: PlanePoints) -> PlanePoints:
+    # One pixel sees 0.82 mm of the sheet or more (the bench's view over the paper's board).
+    return replace(
+        points, xz_mm=points.xz_mm + 0.82 * np.array([1.0, 0.0]), sigma_mm=points.sigma_mm + 0.82
+    )
+
+
+def nowhere(points: PlanePoints) -> PlanePoints:
+    nan = np.full_like(points.xz_mm, np.nan)
+    lost = np.full_like(points.status, int(Status.OUT_OF_BOARD))
+    return PlanePoints(nan, nan, lost)
+
+
+@pytest.mark.parametrize(
+    ("spoil", "figure"),
+    [
+        (moved, "rms"),
+        (nowhere, "covered"),
+        (lambda points: replace(points, xz_mm=0 * points.xz_mm), "rms"),
+        (lambda points: replace(points, sigma_mm=points.sigma_mm / 10), "sigma"),
+        (lambda points: replace(points, xz_mm=points.xz_mm + np.nan), "rms"),
+    ],
+)
+def test_a_map_of_no_use_fails(
+    spoil: Callable[[PlanePoints], PlanePoints],
+    figure: str,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(maps_module, "find_solver", lambda name: Spoilt(spoil))
+    named = ["--map", "polynomial-5", "--only", "--quick"]
+    result = CliRunner().invoke(app, ["bench", "-o", str(tmp_path), *named])
+    assert result.exit_code == 1
+    rows = json.loads((tmp_path / "bench.json").read_text())["maps"]
+    assert any(figure in row["failed"] for row in rows)
+    assert figure in result.stdout
+
+
+def test_a_map_refused_fails_on_the_papers_board_alone() -> None:
+    row = bench_maps(["polynomial-5"], draws=1, quick=True)[0]
+    refused = replace(row, refused="too few dots", covered=0.0)
+    assert failed_of_map(row) == []
+    assert failed_of_map(refused) == ["refused"]
+    assert failed_of_map(replace(refused, board="coarse")) == []
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", [2, 3, 4])
+def test_all_that_is_shipped_keeps_to_the_limits(seed: int, tmp_path: Path) -> None:
+    done = run_bench(tmp_path, registered_extractors(), MAPS, quick=True, seed=seed)
+    out = [row for row in done.extractors if failed_of_extractor(row)]
+    assert not out
+    assert not [row for row in done.maps if failed_of_map(row)]
+    assert done.failed == 0
+
+
+def test_the_skirt_may_clip_a_line_that_is_not_clipped_by_itself() -> None:
+    # In harbor water 200 DN stand on a skirt of 133 DN; in tap water on none.
+    for water, clipped in (("tap", False), ("coastal", False), ("harbor", True)):
+        case = Case(water, 3.0, 200.0, QUIET)
+        assert case.saturated == clipped
+        assert (mean_picture(case, centres(0.0)).max() > 255) == clipped
