@@ -230,6 +230,7 @@ class Surface:
         common, as in PlanePoints; part of the sigmas.  None: nothing is known to be common.
     brightness: (F, N) as in Profile; None where it is not known.
     sigma_y_mm: (F, N) standard uncertainty of y; None: it is the track's, taken for exact.
+    corrections: what its points have been corrected for, in words.
     """
 
     xyz_mm: Floats
@@ -241,6 +242,7 @@ class Surface:
     modes_mm: NDArray[np.float32] | None = None
     brightness: Floats | None = None
     sigma_y_mm: Floats | None = None
+    corrections: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)

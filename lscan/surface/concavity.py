@@ -94,7 +94,10 @@ def take_back_thickness(surface: Surface, sheet: SheetGeometry) -> Surface:
     xyz = surface.xyz_mm.copy()
     xyz[..., 2] -= np.where(known, shift, 0.0)
     total = np.hypot(surface.sigma_mm, np.where(known, sigma, typical))
-    return replace(surface, xyz_mm=xyz, sigma_mm=total)
+    yaw_deg = float(np.degrees(sheet.yaw_rad))
+    done = f"sheet thickness of {2 * sheet.sigma_mm:g} mm at a yaw of {yaw_deg:.3f} deg"
+    corrections = (*surface.corrections, done)
+    return replace(surface, xyz_mm=xyz, sigma_mm=total, corrections=corrections)
 
 
 @dataclass(frozen=True)

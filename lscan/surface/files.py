@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import tempfile
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import trimesh
@@ -18,6 +19,12 @@ from lscan.records import Floats, Status, Surface, has_value
 from lscan.surface.resample import Slice
 
 DIMENSIONS = ("frame", "column")
+SEPARATOR = "; "  # of the corrections
+MODES = {
+    "long_name": "displacement along x, y and z by each independent error of calibration and "
+    "alignment, when it is one standard deviation large"
+}
+PACKED = {"zlib": True, "complevel": 1, "shuffle": True}
 
 
 def save_surface(path: Path, surface: Surface) -> None:
@@ -26,19 +33,22 @@ def save_surface(path: Path, surface: Surface) -> None:
     x, y, z and the standard uncertainties of x and z are (frame, column) float64 in mm, the
     status a byte with flag_values and flag_meanings, the track position (frame,) in mm.
     Where y is not the track's own, its uncertainty is there too.
-    Where the surface has modes, sigma_calibration is the part of the uncertainty of z that they
-    make common to all points; the modes themselves are not kept.
+    Where the surface has modes, they are there too (compressed), and sigma_calibration is the
+    part of the uncertainty of z that they make common to all points.
+    The attribute ``corrections`` says what the points have been corrected for.
     Raises InputError where the file cannot be written.
     """
     with tempfile.TemporaryDirectory() as folder:
         whole = Path(folder) / "surface.nc"
-        _dataset(surface).to_netcdf(whole, engine="h5netcdf")
+        data = _dataset(surface)
+        packed = {"modes": PACKED} if "modes" in data else {}
+        data.to_netcdf(whole, engine="h5netcdf", encoding=packed)
         content = whole.read_bytes()
     write_atomically(path, content)
 
 
 def load_surface(path: Path) -> Surface:
-    """The surface that :func:`save_surface` wrote, to the last bit, but for its modes: None.
+    """The surface that :func:`save_surface` wrote, to the last bit, but for its brightness: None.
 
     Raises InputError where the file cannot be read or is not such a file.
     """
@@ -57,7 +67,10 @@ def load_surface(path: Path) -> Surface:
             allowed=", ".join(names),
         )
     x, y, z, sigma_x, sigma_z, status, position = (data[name].to_numpy() for name in names)
-    sigma_y = data["y_sigma"].to_numpy() if "y_sigma" in data else None
+    sigma_y, modes = (
+        data[name].to_numpy() if name in data else None for name in ("y_sigma", "modes")
+    )
+    corrections = data.attrs.get("corrections", "")
     return Surface(
         xyz_mm=np.stack([x, y, z], axis=-1),
         sigma_x_mm=sigma_x,
@@ -65,7 +78,9 @@ def load_surface(path: Path) -> Surface:
         status=status.astype(np.int64),
         position_mm=position,
         frame=frame,
+        modes_mm=modes,
         sigma_y_mm=sigma_y,
+        corrections=tuple(filter(None, corrections.split(SEPARATOR))),
     )
 
 
@@ -145,7 +160,11 @@ def _dataset(surface: Surface) -> xr.Dataset:
         "status": (surface.status.astype(np.int8), flags),
         **common,
     }
-    arrays = {name: (DIMENSIONS, values, notes) for name, (values, notes) in variables.items()}
+    arrays: dict[str, Any] = {
+        name: (DIMENSIONS, values, notes) for name, (values, notes) in variables.items()
+    }
+    if surface.modes_mm is not None:
+        arrays["modes"] = ((*DIMENSIONS, "axis", "mode"), surface.modes_mm, {**MODES, **length})
     track = {"long_name": "track position of the profile", **length}
     return xr.Dataset(
         {**arrays, "position": ("frame", surface.position_mm, track)},
@@ -153,6 +172,7 @@ def _dataset(surface: Surface) -> xr.Dataset:
             "Conventions": "CF-1.11",
             "title": "Surface measured by a laser line scanner",
             "frame": surface.frame,
+            "corrections": SEPARATOR.join(surface.corrections),
         },
     )
 

@@ -67,7 +67,7 @@ def test_stack_carries_modes_on_with_nothing_along_the_track() -> None:
         stack([profiles[0], with_modes(profile(1.0), count=3)])
 
 
-def test_netcdf_tells_the_common_part_of_sigma(tmp_path: Path) -> None:
+def test_netcdf_keeps_the_modes_and_tells_the_common_part_of_sigma(tmp_path: Path) -> None:
     surface = stack([with_modes(profile(s)) for s in (0.0, 1.0)])
     save_surface(tmp_path / "surface.nc", surface)
     with xr.open_dataset(tmp_path / "surface.nc", engine="h5netcdf") as data:
@@ -79,7 +79,13 @@ def test_netcdf_tells_the_common_part_of_sigma(tmp_path: Path) -> None:
         np.testing.assert_array_equal(np.isnan(common), np.isnan(data["z"]))
     again = load_surface(tmp_path / "surface.nc")
     assert_same(again, surface)
-    assert again.modes_mm is None
+    np.testing.assert_array_equal(again.modes_mm, surface.modes_mm)
+
+
+def test_netcdf_keeps_what_was_corrected_for(surface: Surface, tmp_path: Path) -> None:
+    for done in ((), ("blur of 0.7 px", "sheet thickness of 1.5 mm")):
+        save_surface(tmp_path / "surface.nc", replace(surface, corrections=done))
+        assert load_surface(tmp_path / "surface.nc").corrections == done
 
 
 @pytest.mark.parametrize(
@@ -120,8 +126,9 @@ def test_netcdf_says_units_uncertainty_and_status(surface: Surface, tmp_path: Pa
 
 
 def test_files_of_the_same_surface_are_the_same_bytes(surface: Surface, tmp_path: Path) -> None:
+    modes = np.ones((*surface.status.shape, 3, 2), dtype=np.float32)
     for name in ("first", "second"):
-        save_surface(tmp_path / f"{name}.nc", surface)
+        save_surface(tmp_path / f"{name}.nc", replace(surface, modes_mm=modes))
         save_points(tmp_path / f"{name}.ply", surface)
         time.sleep(1.1)  # a time stamp inside a file would show
     for kind in ("nc", "ply"):
