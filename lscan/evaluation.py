@@ -10,7 +10,6 @@ from lscan.experiment import (
     METHODS,
     BoardResult,
     GrooveResult,
-    Progress,
     SandwaveResult,
     measure_board,
     measure_groove,
@@ -18,6 +17,7 @@ from lscan.experiment import (
     require_size,
 )
 from lscan.paper import CHOSEN_MAP
+from lscan.pipeline import Progress
 from lscan.provenance import Source, picture_source
 from lscan.rig import Rig
 from lscan.run import Run

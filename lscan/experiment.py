@@ -6,7 +6,7 @@ tank's runs and those of real hardware.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,16 +16,14 @@ from lscan.controlpoints import read_board
 from lscan.errors import InputError
 from lscan.measure import compare_slice, diameters, distances, groove_dimensions
 from lscan.measure.slices import SliceErrors
+from lscan.pipeline import Progress, read_profiles, reconstruct
 from lscan.planemap.api import PlaneMap
 from lscan.planemap.calibration import Calibration, calibrate
-from lscan.profile import to_profile
 from lscan.records import BoardReading, Bytes, Floats, Measured, Profile, Stripe, Surface
-from lscan.rig import Rig, StripeSection
 from lscan.run import Run
 from lscan.stripe import extract_stripe
-from lscan.surface import Alignment, Slice, align_sandwave, apply, resample, stack
-from lscan.surface.concavity import SheetGeometry, take_back_thickness
-from lscan.surface.shaft import shaft_of, stack_about
+from lscan.surface import Alignment, Slice, resample
+from lscan.surface.shaft import shaft_of
 from lscan.surface.shaftfit import ShaftFit, calibrate_shaft
 from lscan.targets import GroovedBlock, Sandwave
 
@@ -39,8 +37,6 @@ METHODS = (
     "polynomial-5",
 )
 PICTURES_KEPT = 3  # consecutive frames shown in the report (Fig. 35)
-
-Progress = Callable[[int, int], None]
 
 
 @dataclass(frozen=True)
@@ -132,56 +128,20 @@ def measure_sandwave(
     first = max(0, (len(run) - PICTURES_KEPT) // 2)
     kept = range(first, min(len(run), first + PICTURES_KEPT))
     frames = [run.frame(index) for index in kept]
-    raw = reconstruct(run, plane_map, progress=progress)
-    alignment, aligned = align_scan(raw, rig.workpiece, rig)
-    slices = {name: resample(aligned, ends) for name, ends in rig.workpiece.slices_mm().items()}
+    built = reconstruct(run, plane_map, progress)
+    alignment = built.require_alignment()
+    lines = rig.workpiece.slices_mm().items()
+    slices = {name: resample(built.surface, ends) for name, ends in lines}
     return SandwaveResult(
         images=[frame.image for frame in frames],
         stripe=extract_stripe(frames[0].image, rig.stripe, frames[0].background),
-        raw=raw,
+        raw=built.raw,
         alignment=alignment,
-        aligned=aligned,
+        aligned=built.surface,
         slices=slices,
         errors={name: compare_slice(cut, rig.workpiece) for name, cut in slices.items()},
         step_mm=rig.plan.step_mm,
     )
-
-
-def align_scan(raw: Surface, piece: Sandwave, rig: Rig) -> tuple[Alignment, Surface]:
-    """The alignment of a raw scan of the sandwave, and the surface in the workpiece frame.
-
-    rig: about a ``[shaft]`` there is no yaw to find.  Where the ``[sheet]`` is known, what its
-    thickness does to heights is taken back, which needs the yaw.
-    The alignment stays: on the wedges' flat tops there is nothing to take back.
-    """
-    alignment, sheet = align_sandwave(raw, piece, sheared=rig.shaft is None), rig.sheet
-    if sheet is not None:
-        geometry = SheetGeometry(
-            sigma_mm=sheet.thickness_mm / 2,
-            camera_mm=sheet.camera_mm,
-            apex_mm=sheet.apex_mm,
-            yaw_rad=alignment.yaw_rad,
-        )
-        raw = take_back_thickness(raw, geometry)
-    return alignment, apply(alignment, raw)
-
-
-def reconstruct(
-    run: Run,
-    plane_map: PlaneMap,
-    stripe: StripeSection | None = None,
-    progress: Progress | None = None,
-) -> Surface:
-    """The raw surface, in the head frame, of all the run's pictures.
-
-    stripe: how the line is found; the rig's own settings if None.
-    """
-    return build_surface(list(read_profiles(run, plane_map, stripe, progress)), run.rig_file.rig)
-
-
-def build_surface(profiles: Sequence[Profile], rig: Rig) -> Surface:
-    """The raw surface of the rig's profiles, in the head frame: turned where it has a [shaft]."""
-    return stack(profiles) if rig.shaft is None else stack_about(profiles, shaft_of(rig.shaft))
 
 
 def find_shaft(run: Run, plane_map: PlaneMap, progress: Progress | None = None) -> ShaftFit:
@@ -195,23 +155,8 @@ def find_shaft(run: Run, plane_map: PlaneMap, progress: Progress | None = None) 
         raise InputError("the rig file has no section [shaft]", where=run.path)
     if not isinstance(rig.workpiece, Sandwave):
         raise _wrong_piece(run, "sandwave")
-    profiles = list(read_profiles(run, plane_map, progress=progress))
+    profiles = list(read_profiles(run, plane_map, progress))
     return calibrate_shaft(profiles, rig.workpiece, shaft_of(rig.shaft))
-
-
-def read_profiles(
-    run: Run,
-    plane_map: PlaneMap,
-    stripe: StripeSection | None = None,
-    progress: Progress | None = None,
-) -> Iterator[Profile]:
-    """One profile a picture, in the run's order."""
-    settings = stripe or run.rig_file.rig.stripe
-    for done, frame in enumerate(run.frames(), start=1):
-        found = extract_stripe(frame.image, settings, frame.background)
-        yield to_profile(found, plane_map, frame.position_mm)
-        if progress:
-            progress(done, len(run))
 
 
 def mean_picture(run: Run) -> Bytes:

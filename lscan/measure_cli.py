@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -18,6 +18,10 @@ from lscan.arguments import (
 )
 from lscan.console import print_json, print_table, progress_bar
 
+if TYPE_CHECKING:
+    from lscan.pipeline import Reconstruction
+    from lscan.rig import Rig
+
 
 def reconstruct(
     run: RunFolder,
@@ -29,30 +33,20 @@ def reconstruct(
     shaft: ShaftFile = None,
     json: Json = False,
 ) -> None:
-    """Turn a run's pictures into a surface, aligned where the rig names a sandwave."""
+    """Turn a run's pictures into the surface that is measured, aligned if it is a sandwave's."""
     import numpy as np
 
-    from lscan.errors import MeasurementError
-    from lscan.experiment import reconstruct as build
+    from lscan.pipeline import reconstruct as build
     from lscan.records import has_value
-    from lscan.surface import align_sandwave, apply, save_points, save_surface
-    from lscan.targets import Sandwave
+    from lscan.surface import save_points, save_surface
 
     require_folders(output, points)
     opened, plane_map = open_calibrated(run, calibration, shaft)
     with progress_bar("reconstruct") as report:
-        surface = build(opened, plane_map, progress=report)
-    rig = opened.rig_file.rig
-    yaw_deg = None
-    if isinstance(rig.workpiece, Sandwave):
-        try:
-            alignment = align_sandwave(surface, rig.workpiece, sheared=rig.shaft is None)
-        except MeasurementError as error:
-            # Too few frames show the block's edges, say: the surface itself is none the worse.
-            print(f"lscan: note: not aligned, in the head's frame: {error}", file=sys.stderr)
-        else:
-            surface = apply(alignment, surface)
-            yaw_deg = float(np.degrees(alignment.yaw_rad)) if alignment.sheared else None
+        built = build(opened, plane_map, report)
+    _note_doubts(built, opened.rig_file.rig)
+    surface, alignment = built.surface, built.alignment
+    yaw_deg = float(np.degrees(alignment.yaw_rad)) if alignment and alignment.sheared else None
     save_surface(output, surface)
     if points:
         save_points(points, surface)
@@ -65,12 +59,14 @@ def reconstruct(
         "columns": columns,
         "points": found,
         "yaw_deg": yaw_deg,
+        "corrections": list(surface.corrections),
     }
     if json:
         print_json(summary)
     else:
         aligned = ", aligned" if surface.frame == "workpiece" else ""
         aligned += "" if yaw_deg is None else f", yaw {yaw_deg:.3f} deg"
+        aligned += "".join(f", corrected for {what}" for what in surface.corrections)
         print(f"{found} points in {frames} profiles{aligned}; {output}")
 
 
@@ -133,6 +129,21 @@ def report(
     else:
         print_chains(results)
         print(f"{output / 'report.html'}")
+
+
+def _note_doubts(built: Reconstruction, rig: Rig) -> None:
+    """Say on stderr that a sandwave was not found, and what of the sheet was taken for granted."""
+    notes = []
+    if built.unaligned:
+        # Too few frames show the block's edges, say: the surface itself is none the worse.
+        notes.append(f"not aligned, in the head's frame: {built.unaligned}")
+    if built.alignment is None and rig.sheet is not None:
+        notes.append(
+            "the sheet's thickness is corrected for as if the sheet stood square to the track: "
+            "without an alignment its yaw is not known"
+        )
+    for note in notes:
+        print(f"lscan: note: {note}", file=sys.stderr)
 
 
 def _measure(run: Any, plane_map: Any, report: Any) -> dict[str, Any]:

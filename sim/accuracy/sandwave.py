@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from lscan.experiment import align_scan, build_surface
 from lscan.measure import compare_slice
+from lscan.pipeline import build_surface, finish
 from lscan.planemap.api import PlaneMap
 from lscan.profile import to_profile
 from lscan.records import Floats, Status, Surface
@@ -44,7 +44,9 @@ def aligned_surface(scene: Scene, reading: Reading, plane_map: PlaneMap) -> Surf
         to_profile(stripe, plane_map, position)
         for stripe, position in zip(reading.stripes, reading.positions_mm, strict=True)
     ]
-    return align_scan(build_surface(profiles, scene.rig), _piece(scene), scene.rig)[1]
+    built = finish(build_surface(profiles, scene.rig), scene.rig)
+    built.require_alignment()
+    return built.surface
 
 
 def slice_figures(scene: Scene, surface: Surface) -> dict[str, SliceFigures]:

@@ -12,15 +12,16 @@ import numpy as np
 from lscan.acquire import scan
 from lscan.disk import make_folder
 from lscan.documents import merge
-from lscan.experiment import align_scan, measure_board, reconstruct
+from lscan.experiment import measure_board
 from lscan.paper import CHOSEN_MAP
+from lscan.pipeline import build_surface, place, reconstruct
 from lscan.planemap.api import PlaneMap
 from lscan.profile import to_profile
 from lscan.records import Floats, Surface
 from lscan.rig import RigFile, load_rig, parse_rig
 from lscan.run import MANIFEST, Run
 from lscan.stripe import extract_stripe
-from lscan.surface import apply, resample, stack
+from lscan.surface import Alignment, resample
 from lscan.targets import Sandwave
 from sim.scene import scene_of
 from sim.sensor.coding import from_jpeg, jpeg_bytes
@@ -72,8 +73,9 @@ def _rows(
     aligned: bool,
 ) -> list[Row]:
     rig_file = simulated.rig_file
-    reference = reconstruct(simulated, plane_map)
-    rms_mm = _on_slices(reference, rig_file) if aligned else _as_measured
+    built = reconstruct(simulated, plane_map)
+    reference = built.raw
+    rms_mm = _on_slices(built.require_alignment(), rig_file) if aligned else _as_measured
     where = "slices" if aligned else "columns"
     seed = scene_of(rig_file).tank.sensor.seed
     coding = f"JPEG quality {options.quality}, {options.subsampling}"
@@ -81,7 +83,7 @@ def _rows(
         f"scan of {len(served)} frames through opencv and grbl on the served tank: {where}",
         f"the sim drivers' scan, same calibration and alignment; {coding}; "
         f"{frame_ms:.0f} ms a frame, motion and settling included",
-        rms_mm(reconstruct(served, plane_map), reference),
+        rms_mm(reconstruct(served, plane_map).raw, reference),
     )
     alone = (
         f"the sim drivers' pictures through JPEG alone: {where}",
@@ -91,7 +93,7 @@ def _rows(
     noise = (
         f"the sim drivers' scan with sensor seed {seed + 1}: {where}",
         "the same scan, calibration and alignment",
-        rms_mm(reconstruct(repeated, plane_map), reference),
+        rms_mm(reconstruct(repeated, plane_map).raw, reference),
     )
     return [
         Row(what, against, figure, BAR_MM, "mm rms", SOURCE, seed, noisy=True)
@@ -99,16 +101,15 @@ def _rows(
     ]
 
 
-def _on_slices(reference: Surface, rig_file: RigFile) -> Difference:
-    """How to compare raw surfaces on the slices, by the reference's own alignment."""
+def _on_slices(alignment: Alignment, rig_file: RigFile) -> Difference:
+    """How to compare raw surfaces on the slices, all placed by one alignment."""
     piece = rig_file.rig.workpiece
     assert isinstance(piece, Sandwave)
-    alignment, _ = align_scan(reference, piece, rig_file.rig)
 
     def rms_mm(surface: Surface, other: Surface) -> float:
         heights = [
             np.concatenate([resample(moved, ends).z_mm for ends in piece.slices_mm().values()])
-            for moved in (apply(alignment, surface), apply(alignment, other))
+            for moved in (place(raw, alignment, rig_file.rig) for raw in (surface, other))
         ]
         return _rms(heights[0] - heights[1])
 
@@ -132,7 +133,7 @@ def _coded(run: Run, plane_map: PlaneMap, options: ServeOptions) -> Surface:
         image = from_jpeg(jpeg_bytes(frame.image, options.quality, options.subsampling))
         stripe = extract_stripe(image, run.rig_file.rig.stripe)
         profiles.append(to_profile(stripe, plane_map, frame.position_mm))
-    return stack(profiles)
+    return build_surface(profiles, run.rig_file.rig)
 
 
 def _fresh(rig_file: RigFile, folder: Path) -> Run:

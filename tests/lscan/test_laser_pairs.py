@@ -22,7 +22,8 @@ from lscan.cli import app
 from lscan.console import run_command_line
 from lscan.devices.api import Grab, LaserSwitch
 from lscan.errors import DeviceError, InputError
-from lscan.experiment import mean_picture, read_profiles
+from lscan.experiment import mean_picture
+from lscan.pipeline import read_profiles
 from lscan.records import Bytes, Floats, Frame, PlanePoints, Status
 from lscan.rig import RigFile, load_rig, parse_rig
 from lscan.run import Row, Run, open_run

@@ -9,9 +9,12 @@ from typing import Any
 
 import numpy as np
 import pytest
+from typer.testing import CliRunner
 
 from lscan.acquire import scan
+from lscan.cli import app
 from lscan.experiment import METHODS
+from lscan.paper import CHOSEN_MAP
 from lscan.rig import load_rig
 from sim.demo import run_demo, thin_out
 
@@ -126,6 +129,17 @@ def test_the_page_has_every_table_and_figure(folder: Path) -> None:
         assert f"Fig. {number}" in page or f"Figs. {number}" in page, number
     for table in ("Table I.", "Table II.", "Table III."):
         assert table in page
+
+
+def test_the_surface_kept_is_the_one_reconstruct_gives(folder: Path, tmp_path: Path) -> None:
+    again = tmp_path / "again"
+    arguments = ["reconstruct", folder / "runs" / "sandwave", "-o", f"{again}.nc"]
+    arguments += ["-c", folder / f"calibration-{CHOSEN_MAP}.json", "--points", f"{again}.ply"]
+    result = CliRunner().invoke(app, [str(argument) for argument in arguments])
+    assert result.exit_code == 0, result.output
+    for kind in ("nc", "ply"):
+        kept = (folder / f"sandwave.{kind}").read_bytes()
+        assert (tmp_path / f"again.{kind}").read_bytes() == kept
 
 
 def test_the_same_scan_twice_is_the_same_bytes(tmp_path: Path) -> None:
