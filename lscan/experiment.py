@@ -13,7 +13,7 @@ import numpy as np
 
 from lscan.board import Board
 from lscan.controlpoints import read_board
-from lscan.errors import InputError
+from lscan.errors import BoardNotFound, InputError
 from lscan.measure import compare_slice, diameters, distances, groove_dimensions
 from lscan.measure.slices import SliceErrors
 from lscan.pipeline import Progress, read_profiles, reconstruct
@@ -175,6 +175,51 @@ def require_board(run: Run) -> Board:
     if board is None:
         raise InputError("the rig file has no section [board]", where=run.path)
     return board
+
+
+def read_shown_board(run: Run) -> tuple[Board, BoardReading]:
+    """The board that the run's pictures show, and its marks.
+
+    A rig file may hold its [board] for calibration while something else is scanned, so only the
+    pictures tell.  A scan is judged by its first picture before all are averaged.
+
+    Parameters
+    ----------
+    run : Run
+        Of which nothing but a board can be measured: its rig names no workpiece.
+
+    Returns
+    -------
+    tuple of Board and BoardReading
+        The board of the rig file, and what was found of it in the mean picture, px.
+
+    Raises
+    ------
+    InputError
+        Where the rig has no board or the pictures show none; it says what can be measured.
+    """
+    rig = run.rig_file.rig
+    board, channel = rig.board, rig.calibration.channel
+    if board is None:
+        raise _nothing_to_measure(run, "names neither [board] nor [workpiece]")
+    lit = rig.plan.laser != "untouched"
+    scanned = len(run) > 0 and (lit or len(set(run.positions_mm)) > 1)
+    try:
+        if scanned:
+            read_board(run.frame(0).image, board, channel=channel)
+        return board, read_board(mean_picture(run), board, channel=channel)
+    except BoardNotFound as error:
+        missing = "names a [board] and no [workpiece], and the pictures show no board"
+        hint = "" if scanned else f" ({error})"  # a picture of one place may be a poor one of it
+        raise _nothing_to_measure(run, missing + hint) from error
+
+
+def _nothing_to_measure(run: Run, missing: str) -> InputError:
+    return InputError(
+        f"the run's rig file {missing}; `lscan reconstruct` gives the surface of what is there",
+        where=run.path,
+        allowed='a picture of the [board], or [workpiece] kind = "grooved-block" or "sandwave"',
+    )
 
 
 def require_size(run: Run, size_px: tuple[int, int], calibration: object) -> None:

@@ -148,25 +148,30 @@ def _note_doubts(built: Reconstruction, rig: Rig) -> None:
 
 def _measure(run: Any, plane_map: Any, report: Any) -> dict[str, Any]:
     """What a run can be measured for, by what its rig says stands in the tank."""
-    from lscan.controlpoints import read_board
+    from lscan.errors import MeasurementError
     from lscan.experiment import (
         lengths_json,
-        mean_picture,
         measure_groove,
         measure_sandwave,
-        require_board,
+        read_shown_board,
     )
     from lscan.measure import diameters, distances, unmeasured_distances
     from lscan.results import sandwave_json
     from lscan.targets import GroovedBlock, Sandwave
 
     piece = run.rig_file.rig.workpiece
-    if isinstance(piece, GroovedBlock):
-        return {"groove": lengths_json(measure_groove(run, plane_map).dimensions)}
-    if isinstance(piece, Sandwave):
-        return {"sandwave": sandwave_json(measure_sandwave(run, plane_map, report))}
-    board = require_board(run)
-    reading = read_board(mean_picture(run), board, channel=run.rig_file.rig.calibration.channel)
+    try:
+        if isinstance(piece, GroovedBlock):
+            return {"groove": lengths_json(measure_groove(run, plane_map).dimensions)}
+        if isinstance(piece, Sandwave):
+            return {"sandwave": sandwave_json(measure_sandwave(run, plane_map, report))}
+    except MeasurementError as error:
+        error.add_note(
+            f"[workpiece] of the run's rig file is a {piece.kind}; where something else was "
+            "scanned, `lscan reconstruct` gives its surface"
+        )
+        raise
+    board, reading = read_shown_board(run)
     missing = unmeasured_distances(reading, board, plane_map)
     return {
         "distances": lengths_json(distances(reading, board, plane_map)),

@@ -49,9 +49,10 @@ def rig_file(frames: int = 1, **sections: Any) -> RigFile:
     return parse_rig(document, source="rig.toml", trusted=True)
 
 
-def board_run(folder: Path) -> Run:
-    """One picture of the paper's board."""
-    return _written(folder, rig_file(), [render(load_board(BOARD_FILE), VIEW, Light(noise=0.004))])
+def board_run(folder: Path, frames: int = 1, **sections: Any) -> Run:
+    """Pictures of the paper's board, which stays where it is in them."""
+    picture = render(load_board(BOARD_FILE), VIEW, Light(noise=0.004))
+    return _written(folder, rig_file(frames, **sections), [picture] * frames)
 
 
 def sandwave_run(folder: Path, frames: int = FEWEST_FRAMES, **sections: Any) -> Run:
