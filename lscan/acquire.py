@@ -117,7 +117,7 @@ def acquire_into(
         sitting = _Sitting(writer.rig_file.rig.camera, camera, track, switch)
         while writer.written < writer.planned:
             if go_on is not None and not go_on():
-                return open_run(writer.path)
+                return open_run(writer.path, trusted=True)
             writer.append(sitting.take(writer.written, positions_mm[writer.written]))
             if progress is not None:
                 progress(writer.written, writer.planned)

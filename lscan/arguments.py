@@ -5,7 +5,6 @@ Heavy modules are imported where they are used, so that ``lscan --help`` stays q
 
 from __future__ import annotations
 
-import json
 import sys
 from dataclasses import dataclass
 from pathlib import Path
@@ -31,6 +30,10 @@ ShaftFile = Annotated[
     Path | None,
     typer.Option("--shaft", help="TOML file with the [shaft] found; a run folder has its own."),
 ]
+Trust = Annotated[
+    bool,
+    typer.Option("--trust", help="Run the code that a run folder names as its extractor."),
+]
 Json = Annotated[bool, typer.Option("--json", help="Print the result as JSON.")]
 
 CHANNELS = ("red", "green", "blue", "grey")
@@ -44,16 +47,16 @@ def require_folders(*outputs: Path | None) -> None:
 
 
 def open_calibrated(
-    run: Path, calibration: Path, shaft: Path | None = None
+    run: Path, calibration: Path, shaft: Path | None = None, trusted: bool = False
 ) -> tuple[Run, PlaneMap]:
     """A run and the plane map for its pictures; a run that is not complete is said to be so.
 
-    shaft: TOML file whose [shaft] takes the place of the run's own.
+    shaft: TOML file whose [shaft] takes the place of the run's own.  trusted: as ``open_run``.
     """
     from lscan.experiment import require_size
     from lscan.run import open_run
 
-    opened = open_run(run)
+    opened = open_run(run, trusted)
     if shaft is not None:
         opened = _about(opened, shaft)
     plane_map, size = stored_map(calibration)
@@ -92,9 +95,12 @@ def stored_map(path: Path) -> tuple[PlaneMap, tuple[int, int]]:
 
 def _format_of(path: Path) -> Any:
     """What a JSON file says it is; None for any other file, whose reader will say what is wrong."""
+    from lscan.documents import read_json
+    from lscan.planemap.calibrationfile import MOST_BYTES
+
     try:
-        document = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError, RecursionError):
+        document = read_json(path, MOST_BYTES)
+    except InputError:
         return None
     return document.get("format") if isinstance(document, dict) else None
 
@@ -134,11 +140,14 @@ class BoardPicture:
     optics: OpticsSection
 
 
-def board_picture(picture: Path, board: Path | None, optics: Path | None = None) -> BoardPicture:
+def board_picture(
+    picture: Path, board: Path | None, optics: Path | None = None, trusted: bool = False
+) -> BoardPicture:
     """What a picture file or a run folder gives to calibrate from.
 
     board, optics: files that stand in for what a run's rig file says; a picture file needs
-    the first.  Raises InputError where one is missing or cannot be used.
+    the first.  trusted: as ``open_run``.
+    Raises InputError where one is missing or cannot be used.
     """
     from lscan.board import load_board
     from lscan.experiment import mean_picture, require_board
@@ -147,7 +156,7 @@ def board_picture(picture: Path, board: Path | None, optics: Path | None = None)
     from lscan.run import open_run
 
     if picture.is_dir():
-        run = open_run(picture)
+        run = open_run(picture, trusted)
         rig = run.rig_file.rig
         nominal = load_board(board) if board else require_board(run)
         known = read_optics(optics) if optics else rig.optics
@@ -214,15 +223,18 @@ class StripePicture:
     settings: StripeSection
 
 
-def stripe_picture(picture: Path, frame: int) -> StripePicture:
-    """What a picture file or a frame of a run folder gives to find the line in."""
+def stripe_picture(picture: Path, frame: int, trusted: bool = False) -> StripePicture:
+    """What a picture file or a frame of a run folder gives to find the line in.
+
+    trusted: as ``open_run``.
+    """
     from lscan.pictures import read_picture
     from lscan.rig import StripeSection
     from lscan.run import open_run
 
     if not picture.is_dir():
         return StripePicture(read_picture(picture), None, StripeSection())
-    run = open_run(picture)
+    run = open_run(picture, trusted)
     if not 0 <= frame < len(run):
         raise InputError(
             "no such frame", where="--frame", value=frame, allowed=f"0 to {len(run) - 1}"

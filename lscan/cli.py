@@ -14,6 +14,7 @@ import typer
 
 from lscan.arguments import (
     Json,
+    Trust,
     board_picture,
     read_picture_of_board,
     require_folders,
@@ -104,6 +105,7 @@ def calibrate(
     seeds: Seeds = None,
     channel: ChannelName = None,
     overlay: Overlay = None,
+    trust: Trust = False,
     json: Json = False,
 ) -> None:
     """Find the board's control points in a picture and solve a plane map from them."""
@@ -114,7 +116,7 @@ def calibrate(
     from lscan.planemap.calibration import save_calibration
 
     require_folders(output, overlay)
-    given = board_picture(picture, board, optics)
+    given = board_picture(picture, board, optics, trust)
     name = given.calibration.plane_map if plane_map is None else plane_map
     reading = read_picture_of_board(given, seeds, channel)
     if overlay:
@@ -144,6 +146,7 @@ def check(
     level: Annotated[float, typer.Option("--level", help="Chance of a false alarm.")] = 0.01,
     seeds: Seeds = None,
     channel: ChannelName = None,
+    trust: Trust = False,
     json: Json = False,
 ) -> None:
     """Score an old calibration against a new picture of the board; exit code 1 if it is off."""
@@ -153,7 +156,8 @@ def check(
     from lscan.planemap.check import check_calibration
 
     loaded = load_calibration(calibration)
-    reading = read_picture_of_board(board_picture(picture, board), seeds, channel)
+    given = board_picture(picture, board, trusted=trust)
+    reading = read_picture_of_board(given, seeds, channel)
     found = check_calibration(loaded, reading, level, placed)
     if json:
         print_json({"agrees": found.agrees, **asdict(found)})
@@ -187,6 +191,7 @@ def extract(
         int | None, typer.Option("--span", help="Pixels either side of the peak.")
     ] = None,
     overlay: Overlay = None,
+    trust: Trust = False,
     json: Json = False,
 ) -> None:
     """Find the laser line in one picture."""
@@ -197,7 +202,7 @@ def extract(
     from lscan.stripe import draw_stripe, extract_stripe, save_stripe
 
     require_folders(output, overlay)
-    shown = stripe_picture(picture, frame)
+    shown = stripe_picture(picture, frame, trust)
     given = {
         "axis": axis,
         "extractor": extractor,

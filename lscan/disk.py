@@ -1,10 +1,16 @@
-"""Files written so that a crash or a full disk at any moment leaves no half file behind."""
+"""Files: read without trust in what is there, written whole or not at all.
+
+Reading: what is given may come from a stranger.  A FIFO would be waited for without end, a device
+read without end; so only regular files are read, and no more of them than is allowed.
+Writing: a crash or a full disk at any moment leaves no half file behind, and no link is followed.
+"""
 
 from __future__ import annotations
 
 import errno
 import fcntl
 import os
+import stat
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -26,19 +32,74 @@ REMEDIES = {
     errno.EIO: _CHECK_DISK,
     errno.ENODEV: _CHECK_DISK,
     errno.ESTALE: _CHECK_DISK,
+    errno.ELOOP: "put the file itself there instead of a link to it",
 }
 """What to do where the system refuses a write, by its error number."""
 _FULL_OR_FAILED = frozenset(
     {errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO, errno.ENODEV, errno.ESTALE}
 )
 
+MOST_TEXT_BYTES = 4 * 2**20
+"""Of a file that is written by hand, and of a run.json, which keeps one."""
 
-def read_bytes(file: Path) -> bytes:
-    """The content of ``file``; InputError where it cannot be read."""
+
+def read_bytes(file: Path, most: int, within: Path | None = None) -> bytes:
+    """The content of a regular file.
+
+    Parameters
+    ----------
+    file
+        Where it is; links are followed.
+    most
+        Its largest size in bytes.
+    within
+        A folder whose content is a stranger's, and ``file`` in it: no link out of it is followed.
+
+    Returns
+    -------
+    bytes
+        All that it holds.
+
+    Raises
+    ------
+    InputError
+        Where it is missing, no regular file, larger than ``most``, or outside ``within``.
+    """
+    if within is not None:
+        require_within(file, within)
     try:
-        return file.read_bytes()
+        # Looked at before it is opened, since opening alone wakes some devices, and again after,
+        # since it may have been replaced.
+        _require_regular(file.stat(), file, most)
+        descriptor = os.open(file, os.O_RDONLY | os.O_NONBLOCK | os.O_NOCTTY | os.O_CLOEXEC)
+        with os.fdopen(descriptor, "rb") as opened:
+            _require_regular(os.fstat(descriptor), file, most)
+            data = opened.read(most + 1)
     except OSError as error:
         raise _unreadable(file, error) from error
+    if len(data) > most:  # it grew, or said nothing of its size
+        raise _too_large(file, len(data), most)
+    return data
+
+
+def read_text(file: Path, most: int = MOST_TEXT_BYTES, within: Path | None = None) -> str:
+    """The text of a regular file in UTF-8; InputError where it is none, or as ``read_bytes``."""
+    try:
+        return read_bytes(file, most, within).decode("utf-8")
+    except UnicodeDecodeError as error:
+        raise InputError("is not UTF-8 text", where=file) from error
+
+
+def require_within(path: Path, folder: Path) -> None:
+    """Raise InputError where ``path``, followed through links, lies outside ``folder``."""
+    followed = os.path.realpath(path)
+    if not Path(followed).is_relative_to(os.path.realpath(folder)):
+        raise InputError(
+            f"is a link that leads out of {folder}",
+            where=path,
+            value=followed,
+            allowed="what lies in the folder itself; copy it there",
+        )
 
 
 def list_names(folder: Path) -> set[str]:
@@ -71,7 +132,10 @@ def write_atomically(file: Path, data: bytes) -> None:
     temporary = file.with_name(temporary_name(file.name))
     with disk_errors(file):
         try:
-            descriptor = os.open(temporary, os.O_WRONLY | os.O_CREAT | os.O_TRUNC, 0o666)
+            # What a killed writer left there, or a link that a stranger laid there.
+            temporary.unlink(missing_ok=True)
+            new = os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW
+            descriptor = os.open(temporary, new, 0o666)
             try:
                 _write_all(descriptor, data)
                 os.fsync(descriptor)
@@ -101,14 +165,27 @@ def append_synced(descriptor: int, data: bytes, file: Path) -> None:
             raise
 
 
-def cut_torn_line(file: Path) -> None:
-    """Cut off what stands after the last line end of ``file``, if it has a line end."""
-    data = read_bytes(file)
+def open_to_append(file: Path) -> int:
+    """Descriptor of ``file`` itself, opened to be appended to; InputError where it is a link."""
+    with disk_errors(file):
+        return os.open(file, os.O_WRONLY | os.O_APPEND | os.O_NOFOLLOW)
+
+
+def cut_torn_line(file: Path, most: int) -> None:
+    """Cut off what stands after the last line end of ``file``, if it has a line end.
+
+    most: its largest size in bytes.  Raises InputError as ``read_bytes``, and where it is a link.
+    """
+    data = read_bytes(file, most, within=file.parent)
     whole = data.rfind(b"\n") + 1
     if 0 < whole < len(data):
-        with disk_errors(file), file.open("r+b") as opened:
-            opened.truncate(whole)
-            os.fsync(opened.fileno())
+        descriptor = open_to_append(file)
+        try:
+            with disk_errors(file):
+                os.ftruncate(descriptor, whole)
+                os.fsync(descriptor)
+        finally:
+            os.close(descriptor)
 
 
 def sync_folder(folder: Path) -> None:
@@ -147,6 +224,28 @@ def disk_errors(where: Path) -> Iterator[None]:
         remedy = REMEDIES.get(error.errno or 0, "choose another place")
         kind = DiskError if error.errno in _FULL_OR_FAILED else InputError
         raise kind(f"cannot be written: {error.strerror}; {remedy}", where=where) from error
+
+
+def _require_regular(status: os.stat_result, file: Path, most: int) -> None:
+    if not stat.S_ISREG(status.st_mode):
+        what = next((name for test, name in _KINDS.items() if test(status.st_mode)), "no file")
+        raise InputError(f"cannot be read: it is {what}", where=file, allowed="a regular file")
+    if status.st_size > most:
+        raise _too_large(file, status.st_size, most)
+
+
+_KINDS = {
+    stat.S_ISDIR: "a folder",
+    stat.S_ISFIFO: "a FIFO",
+    stat.S_ISCHR: "a device",
+    stat.S_ISBLK: "a device",
+    stat.S_ISSOCK: "a socket",
+}
+
+
+def _too_large(file: Path, size: int, most: int) -> InputError:
+    allowed = f"{most} at most"
+    return InputError("is too large: bytes", where=file, value=size, allowed=allowed)
 
 
 def _unreadable(path: Path, error: OSError) -> InputError:

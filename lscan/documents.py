@@ -1,12 +1,14 @@
-"""TOML documents: read, merge their includes, and check them against strict models.
+"""Documents in TOML or JSON: read, their includes merged, checked against strict models.
 
-A document may name others to start from: ``include = "rig.toml"`` (or a list).  Tables are
+A TOML document may name others to start from: ``include = "rig.toml"`` (or a list).  Tables are
 merged key by key and the including file wins, so scenes share one rig instead of
 repeating it.  Paths inside a document are relative to the file they stand in.
 """
 
 from __future__ import annotations
 
+import json
+import os
 import re
 import tomllib
 from dataclasses import dataclass
@@ -19,6 +21,7 @@ from pydantic import BaseModel, ConfigDict, ValidationError, model_validator
 from pydantic_core import PydanticCustomError
 
 from lscan.allowed import Keys, fields, in_words, misread, names, tags_in_words, trace
+from lscan.disk import MOST_TEXT_BYTES, read_text
 from lscan.errors import InputError
 
 Document = dict[str, Any]
@@ -26,6 +29,8 @@ Model = TypeVar("Model", bound=BaseModel)
 
 MOST_LEVELS = 50
 """Of tables and lists in one another; a rig file has six or so."""
+MOST_FILES = 100
+"""That a document includes, all told; each may include others, and one file more than once."""
 MOST_NAMED = 3
 """Of keys at fault besides the first that a message names."""
 _TOO_DEEP = "tables and lists too deep in one another"
@@ -53,13 +58,21 @@ def read_document(path: Path) -> Document:
     Keys named ``file`` or ending in ``_file`` become paths that hold from anywhere.
     Raises InputError where a file is missing, is not TOML, or includes itself.
     """
-    return _read(path, chain=())
+    return _read(path, chain=(), read=[])
 
 
-def _read(path: Path, chain: tuple[Path, ...]) -> Document:
-    path = path.resolve()
+def _read(path: Path, chain: tuple[Path, ...], read: list[Path]) -> Document:
+    """The document at ``path``.
+
+    chain: the files that include it, one the other.  read: all files read so far, added to.
+    """
+    path = Path(os.path.realpath(path))
     if path in chain:
         raise InputError("includes itself", where=path, value=[p.name for p in chain])
+    if len(read) > MOST_FILES:
+        allowed = f"{MOST_FILES} files in all"
+        raise InputError("includes too many files", where=read[0], allowed=allowed)
+    read.append(path)
     document = _parse(path)
     _check_values(document, path)
     _anchor_paths(document, path)
@@ -69,21 +82,39 @@ def _read(path: Path, chain: tuple[Path, ...]) -> Document:
         raise InputError("bad include", where=path, value=includes, allowed="a path or a list")
     merged: Document = {}
     for file in files:
-        merged = merge(merged, _read(path.parent / file, (*chain, path)))
+        merged = merge(merged, _read(path.parent / file, (*chain, path), read))
     return merge(merged, document)
 
 
 def _parse(path: Path) -> Document:
     try:
-        return tomllib.loads(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise InputError(f"cannot be read: {error.strerror}", where=path) from error
-    except UnicodeDecodeError as error:
-        raise InputError("is not UTF-8 text", where=path) from error
+        return tomllib.loads(read_text(path))
     except ValueError as error:  # also of a number of thousands of digits
         raise InputError(f"is not valid TOML: {error}", where=path) from error
     except RecursionError as error:
         raise InputError(_TOO_DEEP, where=path, allowed=f"{MOST_LEVELS} levels") from error
+
+
+def read_json(path: Path, most: int = MOST_TEXT_BYTES, within: Path | None = None) -> Any:
+    """What the JSON file at ``path`` holds.
+
+    most, within: as ``disk.read_bytes`` has them.  Raises InputError where it cannot be read, is
+    no JSON, or holds what is no finite number, a null character, or tables too deep in one another.
+    """
+    text = read_text(path, most, within)
+    try:
+        content = json.loads(text, parse_constant=_refuse_constant)
+    except ValueError as error:  # also of a number of thousands of digits
+        raise InputError(f"is not valid JSON: {error}", where=path) from error
+    except RecursionError as error:
+        what, allowed = f"is not valid JSON: {_TOO_DEEP}", f"{MOST_LEVELS} levels"
+        raise InputError(what, where=path, allowed=allowed) from error
+    _check_values(content, path)
+    return content
+
+
+def _refuse_constant(name: str) -> float:
+    raise ValueError(f"{name} is not a number")
 
 
 def _check_values(value: Any, source: Path, keys: Keys = ()) -> None:
@@ -113,7 +144,7 @@ def _anchor_paths(table: Document, source: Path, within: str = "") -> None:
             if not _may_be_path(value):
                 what = f"{within}{key}: must be a text that is a path"
                 raise InputError(what, where=source, value=value)
-            table[key] = str((source.parent / value).resolve())
+            table[key] = os.path.realpath(source.parent / value)
 
 
 def _may_be_path(value: Any) -> bool:

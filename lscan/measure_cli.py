@@ -13,6 +13,7 @@ from lscan.arguments import (
     Json,
     RunFolder,
     ShaftFile,
+    Trust,
     open_calibrated,
     require_folders,
 )
@@ -31,6 +32,7 @@ def reconstruct(
         Path | None, typer.Option("--points", help="Point cloud to write (.ply).")
     ] = None,
     shaft: ShaftFile = None,
+    trust: Trust = False,
     json: Json = False,
 ) -> None:
     """Turn a run's pictures into the surface that is measured, aligned if it is a sandwave's."""
@@ -41,7 +43,7 @@ def reconstruct(
     from lscan.surface import save_points, save_surface
 
     require_folders(output, points)
-    opened, plane_map = open_calibrated(run, calibration, shaft)
+    opened, plane_map = open_calibrated(run, calibration, shaft, trust)
     with progress_bar("reconstruct") as report:
         built = build(opened, plane_map, report)
     _note_doubts(built, opened.rig_file.rig)
@@ -77,6 +79,7 @@ def measure(
         Path | None, typer.Option("--output", "-o", help="JSON file to write.")
     ] = None,
     shaft: ShaftFile = None,
+    trust: Trust = False,
     json: Json = False,
 ) -> None:
     """Measure the run's board, grooved block or sandwave against its nominal shape."""
@@ -85,7 +88,7 @@ def measure(
     from lscan.disk import write_atomically
 
     require_folders(output)
-    opened, plane_map = open_calibrated(run, calibration, shaft)
+    opened, plane_map = open_calibrated(run, calibration, shaft, trust)
     with progress_bar("measure") as report:
         measures = _measure(opened, plane_map, report)
     if output:
@@ -108,6 +111,7 @@ def report(
     sandwave: Annotated[
         Path | None, typer.Option("--sandwave", help="Run folder of the sandwave.")
     ] = None,
+    trust: Trust = False,
     json: Json = False,
 ) -> None:
     """Evaluate the paper's experiment from its run folders and write the page."""
@@ -118,9 +122,9 @@ def report(
 
     with progress_bar("evaluate") as progress:
         experiment = evaluate(
-            open_run(board),
-            open_run(groove) if groove else None,
-            open_run(sandwave) if sandwave else None,
+            open_run(board, trust),
+            open_run(groove, trust) if groove else None,
+            open_run(sandwave, trust) if sandwave else None,
             progress=progress,
         )
     results = write_experiment(output, experiment)

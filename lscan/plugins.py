@@ -36,12 +36,17 @@ def find_plugin(group: str, name: str, where: object = None) -> Any:
     return found[name].load()
 
 
+def names_code(name: str) -> bool:
+    """Whether a name is of a function to be imported, not of an installed plug-in."""
+    return ":" in name
+
+
 def find_plugin_or_function(group: str, name: str, where: object = None) -> Any:
     """The object registered under ``name``, or the function ``package.module:function``.
 
     Raises InputError where there is none.
     """
-    if ":" not in name:
+    if not names_code(name):
         return find_plugin(group, name, where)
     module, _, function = name.partition(":")
     what = f"no such {_KINDS.get(group, group)}"

@@ -22,14 +22,16 @@ from lscan.plugins import find_plugin, find_plugin_or_function
 from lscan.targets import Workpiece
 
 Channel = Literal["red", "green", "blue", "grey"]
+MOST_SIDE_PX = 8192
+Pixels = Annotated[int, Field(ge=16, le=MOST_SIDE_PX)]
 
 
 class CameraSection(Strict):
     """Which camera, and how it is set.  ``options`` go to the driver, which checks them."""
 
     driver: str
-    width_px: Annotated[int, Field(ge=16, le=8192)] = 640
-    height_px: Annotated[int, Field(ge=16, le=8192)] = 480
+    width_px: Pixels = 640
+    height_px: Pixels = 480
     exposure_ms: Annotated[float, Field(gt=0, le=60_000)] = 20.0
     options: dict[str, Any] = Field(default_factory=dict)
 
@@ -275,7 +277,7 @@ def load_rig(path: Path) -> RigFile:
 def parse_rig(document: Document, source: str, trusted: bool = False) -> RigFile:
     """The rig in an already merged document.
 
-    trusted: the document comes from a run folder, whose driver sections were checked when
+    trusted: its driver sections need no check, as those of a run folder, which were checked when
     it was written; the drivers then need not be installed.
     """
     own = {key: value for key, value in document.items() if key in Rig.model_fields}

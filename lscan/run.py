@@ -15,6 +15,7 @@ scan gives the same bytes.  This module reads; runwriter.py writes.
 from __future__ import annotations
 
 import hashlib
+import io
 import json
 import math
 import platform
@@ -28,15 +29,20 @@ import cv2
 import numpy as np
 
 import lscan
-from lscan.disk import list_names, read_bytes
-from lscan.documents import Document, Strict, check
+from lscan.disk import list_names, read_bytes, require_within
+from lscan.documents import Document, Strict, check, read_json
 from lscan.errors import InputError
+from lscan.pictureheaders import read_header
+from lscan.pictures import decode
+from lscan.plugins import installed, names_code
 from lscan.records import Bytes, Floats, Frame
 from lscan.rig import Plan, RigFile, parse_rig
 
 MANIFEST, TABLE, FRAMES = "run.json", "frames.csv", "frames"
 COLUMNS = "index,commanded_mm,position_mm,time_s,exposure_ms,sha256,crc32"
 PAIRED_COLUMNS = "index,commanded_mm,position_mm,time_s,exposure_ms,sha256,dark_sha256,crc32"
+MOST_ROW_BYTES = 300
+"""Of a line of the table: at most 247, of four numbers, two SHA-256 and a CRC-32."""
 State = Literal["scanning", "complete"]
 Versions = dict[str, str]
 
@@ -65,18 +71,15 @@ class Manifest(Strict):
         return json.dumps(content, indent=2, ensure_ascii=False, allow_nan=False) + "\n"
 
     @classmethod
-    def from_text(cls, text: str, where: object) -> Manifest:
-        """The manifest that ``as_text`` wrote; InputError where it is garbled or was edited."""
-        try:
-            content = json.loads(text, parse_constant=_refuse_constant)
-        except (ValueError, RecursionError) as error:
-            raise InputError(f"is not valid JSON: {error}", where=where) from error
+    def from_file(cls, file: Path) -> Manifest:
+        """The manifest whose text ``as_text`` wrote; InputError where it is garbled or edited."""
+        content = read_json(file, within=file.parent)
         if not isinstance(content, dict):
-            raise InputError("is not a run manifest", where=where)
+            raise InputError("is not a run manifest", where=file)
         digest = content.pop("sha256", None)
-        manifest = check(cls, content, where=where)
+        manifest = check(cls, content, where=file)
         if digest != _digest(content):
-            raise InputError("was changed after it was written", where=where)
+            raise InputError("was changed after it was written", where=file)
         return manifest
 
 
@@ -190,40 +193,53 @@ class Run:
 
     def _checked_bytes(self, row: Row, dark: bool = False) -> bytes:
         file = frame_file(self.path, row.index, dark)
-        data = read_bytes(file)
+        data = read_bytes(file, self._most_bytes(), within=self.path)
         if hashlib.sha256(data).hexdigest() != (row.dark_sha256 if dark else row.sha256):
             what = f"is not the picture that {TABLE} line {row.index + 2} lists (checksum differs)"
             raise InputError(what, where=file)
         return data
 
+    def _most_bytes(self) -> int:
+        """Of a picture's file: PNG needs hardly more than the pixels, 3 bytes each."""
+        camera = self.rig_file.rig.camera
+        return 4 * camera.width_px * camera.height_px + 2**20
+
     def _decoded(self, data: bytes, file: Path) -> Bytes:
         camera = self.rig_file.rig.camera
-        image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
-        if image is None or image.dtype != np.uint8 or image.shape[2:] not in ((), (3,)):
-            raise InputError("is not an 8-bit grey or RGB picture", where=file)
-        if image.shape[:2] != (camera.height_px, camera.width_px):
-            size = f"{image.shape[1]} by {image.shape[0]} px"
+        header = read_header(data)
+        if header is None or (header.format, header.depth_bits) != ("PNG", 8):
+            raise InputError("is not an 8-bit grey or RGB picture", where=file, allowed="PNG")
+        if (header.width_px, header.height_px) != (camera.width_px, camera.height_px):
+            size = f"{header.width_px} by {header.height_px} px"
             allowed = f"{camera.width_px} by {camera.height_px} px, as in the rig"
             raise InputError("wrong picture size", where=file, value=size, allowed=allowed)
+        image = decode(data)
+        if image is None or image.shape[2:] not in ((), (3,)):
+            raise InputError("is not an 8-bit grey or RGB picture", where=file)
         rgb = image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_BGR2RGB)
         return np.asarray(rgb, dtype=np.uint8)
 
 
-def open_run(path: Path) -> Run:
+def open_run(path: Path, trusted: bool = False) -> Run:
     """The run in the folder ``path``, complete or not.
 
+    trusted: whether it may name code, as ``stripe.extractor = "package.module:function"`` does,
+        that runs when the line is looked for; only the names of installed extractors otherwise.
     Manifest and table are checked here, and that every picture is there; a picture's bytes
     are checked against the table each time a frame is read (``Run.verify`` reads them all).
-    Raises InputError that names file and line: run.json missing, garbled, edited or of an
-    unknown version; a row torn, changed, repeated or skipped; a picture missing; more or
-    fewer frames than planned.
+    Raises InputError that names file and line: run.json missing, garbled, edited, of an
+    unknown version or naming code; a row torn, changed, repeated or skipped; a picture missing;
+    more or fewer frames than planned; a link that leads out of the folder.
     """
     manifest, rig_file = read_manifest(path)
+    if not trusted:
+        _refuse_code(rig_file)
     plan = manifest.plan
-    rows, planned = _read_rows(path / TABLE, plan.paired), plan.frames
+    rows, planned = _read_rows(path / TABLE, plan), plan.frames
     if len(rows) > planned or (manifest.state == "complete" and len(rows) < planned):
         what = f"the number of frames does not fit the plan of this {manifest.state} run"
         raise InputError(what, where=path / TABLE, value=len(rows), allowed=planned)
+    require_within(path / FRAMES, path)
     present = list_names(path / FRAMES)
     for row in rows:
         for dark in (False, True) if plan.paired else (False,):
@@ -248,11 +264,7 @@ def read_manifest(path: Path) -> tuple[Manifest, RigFile]:
     file = path / MANIFEST
     if path.is_dir() and not file.exists():
         raise InputError(f"is not a run folder: it has no {MANIFEST}", where=path)
-    try:
-        text = read_bytes(file).decode("utf-8")
-    except UnicodeDecodeError as error:
-        raise InputError("is not UTF-8 text", where=file) from error
-    manifest = Manifest.from_text(text, where=file)
+    manifest = Manifest.from_file(file)
     rig_file = parse_rig(manifest.rig, source=str(file), trusted=True)
     if rig_file.rig.plan != manifest.plan:
         raise InputError("plan and rig.plan differ", where=file)
@@ -269,19 +281,40 @@ def software_versions() -> Versions:
     }
 
 
-def _read_rows(file: Path, paired: bool) -> list[Row]:
+def _refuse_code(rig_file: RigFile) -> None:
+    """Raise InputError where a run's rig names a function by its module: it would be run."""
+    name = rig_file.rig.stripe.extractor
+    if names_code(name):
+        raise InputError(
+            "stripe.extractor: names code, which this run folder would have run; look at it, and "
+            "say --trust where you trust it",
+            where=rig_file.source,
+            value=name,
+            allowed=f"{', '.join(installed('lscan.extractors'))}; any with --trust",
+        )
+
+
+def most_table_bytes(plan: Plan) -> int:
+    """The largest size of a run's table: a header, and a row for each frame of the plan."""
+    return (plan.frames + 1) * MOST_ROW_BYTES
+
+
+def _read_rows(file: Path, plan: Plan) -> list[Row]:
+    data = read_bytes(file, most_table_bytes(plan), within=file.parent)
+    lines = io.BytesIO(data)
     # Latin-1 takes any byte for a character, so a stray one fails its row's checksum.
-    header, *lines = read_bytes(file).decode("latin-1").split("\n")
-    if header != columns(paired):
-        where = f"{file} line 1"
-        raise InputError("wrong header", where=where, value=header, allowed=columns(paired))
-    if not lines or lines.pop() != "":
-        where = f"{file} line {len(lines) + 2}"
+    header = lines.readline().decode("latin-1").removesuffix("\n")
+    if header != columns(plan.paired):
+        where, allowed = f"{file} line 1", columns(plan.paired)
+        raise InputError("wrong header", where=where, value=header, allowed=allowed)
+    if not data.endswith(b"\n"):
+        last = data.count(b"\n") + 1
+        where = f"{file} line {last}"
         raise InputError("the last row is torn; lscan scan --resume cuts it off", where=where)
     rows: list[Row] = []
     for index, line in enumerate(lines):
         where = f"{file} line {index + 2}"
-        row = Row.from_text(line, where, paired)
+        row = Row.from_text(line.decode("latin-1").removesuffix("\n"), where, plan.paired)
         if row.index != index:
             what = "a frame is listed twice" if row.index < index else "a frame is skipped"
             raise InputError(what, where=where, value=row.index, allowed=index)
@@ -294,10 +327,6 @@ def _finite(text: str) -> float:
     if not math.isfinite(number):
         raise ValueError(f"{text} is not finite")
     return number
-
-
-def _refuse_constant(name: str) -> float:
-    raise ValueError(f"{name} is not a number")
 
 
 def _digest(content: Document) -> str:

@@ -24,6 +24,8 @@ from lscan.disk import (
     disk_errors,
     list_names,
     lock_folder,
+    open_to_append,
+    require_within,
     sync_folder,
     temporary_name,
     write_atomically,
@@ -40,6 +42,7 @@ from lscan.run import (
     Run,
     columns,
     frame_file,
+    most_table_bytes,
     open_run,
     read_manifest,
     software_versions,
@@ -60,8 +63,7 @@ class RunWriter:
         self.path, self.rig_file = path, rig_file
         self.written = len(rows)
         self.last_mm = rows[-1].position_mm if rows else None
-        with disk_errors(path / TABLE):
-            table = os.open(path / TABLE, os.O_WRONLY | os.O_APPEND)
+        table = open_to_append(path / TABLE)
         self._table, self._held = table, [lock, table]
         self._shape: tuple[int, ...] | None = None
 
@@ -140,7 +142,7 @@ class RunWriter:
         A camera's driver sees to it while it is open; a run may be resumed with another.
         """
         if self.written and self._shape is None:
-            self._shape = open_run(self.path).frame(0).image.shape
+            self._shape = open_run(self.path, trusted=True).frame(0).image.shape
         self._shape = self._shape or frame.image.shape
         if frame.image.shape != self._shape:
             raise InputError(
@@ -169,7 +171,7 @@ class RunWriter:
         manifest, _ = read_manifest(self.path)
         if manifest.state != "complete":
             _write_manifest(self.path, manifest.model_copy(update={"state": "complete"}))
-        return open_run(self.path)
+        return open_run(self.path, trusted=True)
 
 
 def create_run(path: Path, rig_file: RigFile) -> RunWriter:
@@ -205,6 +207,7 @@ def resume_run(path: Path, rig_file: RigFile) -> RunWriter:
         return create_run(path, rig_file)
     lock = lock_folder(path)
     try:
+        require_within(path / FRAMES, path)
         if holds_no_run(path):
             _remove_temporaries(path)
             _lay_out(path, _new_manifest(rig_file))
@@ -274,11 +277,11 @@ def _take_up(path: Path, rig_file: RigFile) -> tuple[Row, ...]:
     require_same_rig(kept, rig_file, where=path / MANIFEST)
     if manifest.state == "scanning":
         _remove_temporaries(path)
-        cut_torn_line(path / TABLE)
+        cut_torn_line(path / TABLE, most_table_bytes(manifest.plan))
         if manifest.software[-1] != software_versions():
             software = [*manifest.software, software_versions()]
             _write_manifest(path, manifest.model_copy(update={"software": software}))
-    run = open_run(path)
+    run = open_run(path, trusted=True)  # its rig is the one the user gave
     run.verify()
     return run.rows
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import numpy as np
 import typer
 
-from lscan.arguments import Json, open_calibrated, require_folders
+from lscan.arguments import Json, Trust, open_calibrated, require_folders
 from lscan.console import print_json, print_table, progress_bar
 
 if TYPE_CHECKING:
@@ -28,6 +28,7 @@ def calibrate_shaft(
     output: Annotated[
         Path, typer.Option("--output", "-o", help="File with [shaft] to write (TOML).")
     ],
+    trust: Trust = False,
     json: Json = False,
 ) -> None:
     """Find a rotary axis from the scan of a workpiece whose shape is known."""
@@ -35,7 +36,7 @@ def calibrate_shaft(
     from lscan.surface.shaftfile import save_shaft
 
     require_folders(output)
-    opened, plane_map = open_calibrated(run, calibration)
+    opened, plane_map = open_calibrated(run, calibration, trusted=trust)
     with progress_bar("profiles") as report:
         fit = find_shaft(opened, plane_map, report)
     save_shaft(output, fit)

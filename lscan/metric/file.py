@@ -9,13 +9,13 @@ from typing import Annotated, Any, Final, Literal, Self
 from pydantic import Field, model_validator
 
 from lscan.disk import write_atomically
-from lscan.documents import Strict, check
+from lscan.documents import Strict, check, read_json
 from lscan.errors import InputError
 from lscan.metric.bundle import COUNT
 from lscan.metric.planemap import solver
 from lscan.metric.solve import MetricCalibration, ViewReport
 from lscan.metric.views import LinePoints, View
-from lscan.planemap.calibrationfile import Side, StoredMarks, read_json
+from lscan.planemap.calibrationfile import MOST_BYTES, Side, StoredMarks
 from lscan.planemap.stored import Matrix, Number, Vector
 from lscan.records import Marks, Status
 from lscan.rig import Known, OpticsSection
@@ -156,7 +156,7 @@ def load_metric(path: Path) -> MetricCalibration:
 
 
 def _document(path: Path) -> dict[str, Any]:
-    document = read_json(path)
+    document = read_json(path, MOST_BYTES)
     if not isinstance(document, dict) or document.get("format") != FORMAT:
         raise InputError("is no metric calibration", where=path, allowed=f'format "{FORMAT}"')
     return document

@@ -10,7 +10,7 @@ import numpy as np
 from pydantic import Field, PositiveFloat, model_validator
 
 from lscan.disk import write_atomically
-from lscan.documents import Strict, check
+from lscan.documents import Strict, check, read_json
 from lscan.errors import InputError
 from lscan.planemap.stored import Gaps, Matrix, NotNegative, Number
 from lscan.records import BoardReading, Mark, Marks, RingPoints, RulerReading, Status
@@ -18,6 +18,8 @@ from lscan.rig import OpticsSection
 
 FORMAT: Final = "lscan-calibration"
 VERSION: Final = 2  # 2: marks with status and sigma for dots and rings; optics
+MOST_BYTES: Final = 32 * 2**20
+"""Of a calibration file of either route; those of the paper's board have half a megabyte."""
 
 StatusName = Literal["OK", "NOT_FOUND", "OUT_OF_VIEW"]
 Side = Annotated[int, Field(strict=True, gt=0)]
@@ -200,21 +202,9 @@ class CalibrationFile(Strict):
         return self
 
 
-def read_json(path: Path) -> Any:
-    """What the JSON file at ``path`` holds; InputError where it cannot be read or is none."""
-    try:
-        return json.loads(path.read_text(encoding="utf-8"), parse_constant=_refuse_constant)
-    except OSError as error:
-        raise InputError(f"cannot be read: {error.strerror}", where=path) from error
-    except UnicodeDecodeError as error:
-        raise InputError("is not UTF-8 text", where=path) from error
-    except (ValueError, RecursionError) as error:
-        raise InputError(f"is not valid JSON: {error}", where=path) from error
-
-
 def read_file(path: Path) -> CalibrationFile:
     """The file at ``path``; InputError names the key at fault."""
-    document = read_json(path)
+    document = read_json(path, MOST_BYTES)
     if not isinstance(document, dict) or document.get("format") != FORMAT:
         found = document.get("format") if isinstance(document, dict) else None
         raise InputError(
@@ -229,10 +219,6 @@ def read_file(path: Path) -> CalibrationFile:
             allowed=VERSION,
         )
     return check(CalibrationFile, document, where=path)
-
-
-def _refuse_constant(name: str) -> float:
-    raise ValueError(f"{name} is no JSON number")
 
 
 def write_file(path: Path, content: CalibrationFile) -> None:

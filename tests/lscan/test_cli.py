@@ -282,7 +282,7 @@ def test_bad_input_that_needs_nothing(tmp_path: Path, capsys: pytest.CaptureFixt
     board = SCENES / "calibration-board.toml"
 
     refused(call(capsys, "calibrate", text, "--board", board, "-o", out), "text.png", "picture")
-    refused(call(capsys, "calibrate", deep, "--board", board, "-o", out), "deep.png", "uint16")
+    refused(call(capsys, "calibrate", deep, "--board", board, "-o", out), "deep.png", "16 bit")
     refused(call(capsys, "calibrate", flat, "-o", out), "--board")
     refused(call(capsys, "calibrate", flat, "--board", SCENES / "rig.toml", "-o", out), "rig.toml")
     refused(call(capsys, "calibrate", tmp_path, "-o", out), "run.json")

@@ -223,7 +223,7 @@ DAMAGE: dict[str, tuple[Callable[[Path], object], str]] = {
     "no table": (lambda p: (p / "frames.csv").unlink(), r"frames\.csv: cannot be read"),
     "empty table": (lambda p: (p / "frames.csv").write_text(""), r"frames\.csv line 1: wrong head"),
     "other header": (edit_table(lambda r: ["index\n", *r[1:]]), r"frames\.csv line 1: wrong head"),
-    "header alone": (edit_table(lambda r: [r[0].rstrip()]), r"frames\.csv line 2: .*torn"),
+    "header alone": (edit_table(lambda r: [r[0].rstrip()]), r"frames\.csv line 1: .*torn"),
     "torn": (edit_table(lambda r: [*r[:-1], r[-1][:30]]), r"frames\.csv line 5: .*torn"),
     "twice": (edit_table(lambda r: [*r[:3], r[2], *r[3:]]), r"line 4: .*twice \(got 1; allowed: 2"),
     "skipped": (edit_table(lambda r: [*r[:2], *r[3:]]), r"line 3: .*skipped \(got 2; allowed: 1"),

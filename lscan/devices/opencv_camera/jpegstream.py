@@ -27,6 +27,8 @@ from lscan.devices.opencv_camera.address import ended_early
 from lscan.devices.opencv_camera.capture import Capture
 from lscan.devices.opencv_camera.reader import DeviceLost
 from lscan.errors import DeviceError
+from lscan.pictureheaders import read_header
+from lscan.pictures import MOST_PX, decode, too_large
 from lscan.records import Bytes
 
 LEAST_WAIT_S = 0.001
@@ -117,9 +119,17 @@ def decoded(packet: Bytes) -> Bytes | None:
     """The picture of a JPEG file, (H, W, 3) uint8, blue first; None where it is not whole.
 
     packet: (N,) uint8; zeros and line ends after the end of the file are overlooked.
+    Raises DeviceError, before it is decoded, where it is larger than any camera's.
     """
     tail = packet[-64:].tobytes().rstrip(b"\0\r\n")
     if packet[:2].tobytes() != BEGIN or not tail.endswith(END):
         return None
-    image = cv2.imdecode(packet, _AS_STORED)
-    return None if image is None else np.asarray(image, dtype=np.uint8)
+    header = read_header(packet.tobytes())
+    if header is None:
+        return None
+    if too_large(header):
+        raise DeviceError(
+            f"the camera sent a picture of {header.width_px} by {header.height_px} px; allowed: "
+            f"{MOST_PX} px in all"
+        )
+    return decode(packet, _AS_STORED)
