@@ -81,7 +81,7 @@ class JpegStream:
                 if self._count <= 1 or not self._handed_out:
                     raise DeviceLost(f"{self._name}: {ended_early(self._pictures())}")
                 return False, None
-            image = decoded(packet)
+            image = decoded(packet, self._name)
             if image is not None:
                 self._handed_out = True
                 return True, image
@@ -111,14 +111,15 @@ class JpegStream:
 
     def _pictures(self) -> int:
         """How many packets came; 0 where the first is no picture, since then none is likely."""
-        whole = self._first is not None and decoded(self._first) is not None
+        whole = self._first is not None and decoded(self._first, self._name) is not None
         return self._count if whole else 0
 
 
-def decoded(packet: Bytes) -> Bytes | None:
+def decoded(packet: Bytes, name: str = "the stream") -> Bytes | None:
     """The picture of a JPEG file, (H, W, 3) uint8, blue first; None where it is not whole.
 
-    packet: (N,) uint8; zeros and line ends after the end of the file are overlooked.
+    packet: (N,) uint8; zeros and line ends after the end of the file are overlooked.  name: of
+    the stream, in messages.
     Raises DeviceError, before it is decoded, where it is larger than any camera's.
     """
     tail = packet[-64:].tobytes().rstrip(b"\0\r\n")
@@ -129,7 +130,7 @@ def decoded(packet: Bytes) -> Bytes | None:
         return None
     if too_large(header):
         raise DeviceError(
-            f"the camera sent a picture of {header.width_px} by {header.height_px} px; allowed: "
-            f"{MOST_PX} px in all"
+            f"{name}: sent a picture of {header.width_px} by {header.height_px} px; allowed: "
+            f"{MOST_PX} px in all; choose a smaller one in the camera"
         )
     return decode(packet, _AS_STORED)
