@@ -262,7 +262,7 @@ def columns(paired: bool) -> str:
 def read_manifest(path: Path) -> tuple[Manifest, RigFile]:
     """The manifest of the run folder ``path`` and the rig it keeps; InputError as open_run."""
     file = path / MANIFEST
-    if path.is_dir() and not file.exists():
+    if path.is_dir() and not file.exists() and not file.is_symlink():
         raise InputError(f"is not a run folder: it has no {MANIFEST}", where=path)
     manifest = Manifest.from_file(file)
     rig_file = parse_rig(manifest.rig, source=str(file), trusted=True)
