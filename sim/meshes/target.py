@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import io
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import trimesh
 
+from lscan.disk import read_bytes
 from lscan.errors import InputError
 from lscan.targets import GroovedBlock, Sandwave
 from sim.meshes.board import board_parts
@@ -17,6 +19,10 @@ from sim.meshes.sand import sanded_sandwave_mesh
 from sim.meshes.workpieces import grooved_block_mesh, sandwave_parts
 from sim.scene import FLOOR_HALF_SIDE_MM, Floor, Scene, Target, Texture, target_pose
 
+MOST_BYTES = {"ply": 2**28, "stl": 2**28, "obj": 2**26, "off": 2**26}
+"""Of a mesh file, by its ending.  Text takes up to fifty times as much once it is read."""
+FURTHEST_MM = 1e6
+"""Of a vertex from the origin, along an axis: a kilometre."""
 MARKS = "marks"  # the one part of a board that a texture leaves as it is
 
 
@@ -91,16 +97,27 @@ def load_mesh(path: Path) -> trimesh.Trimesh:
     """A user's mesh file, in mm; InputError where it cannot be read or has no triangles.
 
     Vertices that coincide are merged, unless the file colours them: two colours may meet
-    there.  Colours of faces and textures that the file names are not read.
+    there.  Colours of faces are not read, nor are other files that the file names.
     """
+    kind = path.suffix.lower().removeprefix(".")
+    if kind not in MOST_BYTES:
+        allowed = ", ".join(f".{name}" for name in MOST_BYTES)
+        raise InputError("is no kind of mesh file", where=path, value=path.suffix, allowed=allowed)
+    content = io.BytesIO(read_bytes(path, MOST_BYTES[kind]))
     try:
-        mesh = trimesh.load_mesh(path, process=False)
+        mesh = trimesh.load_mesh(content, file_type=kind, process=False)
     except Exception as error:  # trimesh raises whatever its format readers raise
-        raise InputError(f"is not a mesh that can be read: {error}", where=path) from error
+        told = " ".join(f"is not a mesh that can be read: {error}".split())
+        raise InputError(told, where=path) from error
     if not isinstance(mesh, trimesh.Trimesh) or len(mesh.faces) == 0:
         raise InputError("holds no triangles", where=path)
     if not np.isfinite(mesh.vertices).all():
         raise InputError("has vertices that are not finite", where=path)
+    if np.abs(mesh.vertices).max() > FURTHEST_MM:
+        allowed = f"{FURTHEST_MM:g} mm from the origin at most"
+        raise InputError("has vertices too far away", where=path, allowed=allowed)
+    if mesh.faces.min() < 0 or mesh.faces.max() >= len(mesh.vertices):
+        raise InputError("has triangles of vertices that are not there", where=path)
     if mesh.visual.kind != "vertex":
         mesh.merge_vertices(merge_tex=True, merge_norm=True)
     return mesh
