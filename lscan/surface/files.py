@@ -6,16 +6,19 @@ The same surface gives the same bytes.
 from __future__ import annotations
 
 import tempfile
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal, cast
 
 import numpy as np
 import trimesh
 import xarray as xr
+from numpy.typing import NDArray
 
 from lscan.disk import write_atomically
 from lscan.errors import InputError
 from lscan.records import Floats, Status, Surface, has_value
+from lscan.surface.netcdf import read_arrays
 from lscan.surface.resample import Slice
 
 DIMENSIONS = ("frame", "column")
@@ -52,36 +55,38 @@ def load_surface(path: Path) -> Surface:
 
     Raises InputError where the file cannot be read or is not such a file.
     """
-    try:
-        data = xr.load_dataset(path, engine="h5netcdf", mask_and_scale=False)
-    except (OSError, ValueError) as error:
-        raise InputError("cannot be read as NetCDF", where=path, value=str(error)) from error
     names = ("x", "y", "z", "x_sigma", "z_sigma", "status", "position")
-    missing = [name for name in names if name not in data]
-    frame = data.attrs.get("frame")
-    if missing or frame not in ("head", "workpiece"):
-        raise InputError(
-            "is not a surface of lscan",
-            where=path,
-            value=missing or frame,
-            allowed=", ".join(names),
-        )
-    x, y, z, sigma_x, sigma_z, status, position = (data[name].to_numpy() for name in names)
-    sigma_y, modes = (
-        data[name].to_numpy() if name in data else None for name in ("y_sigma", "modes")
-    )
-    corrections = data.attrs.get("corrections", "")
+    arrays, attributes = read_arrays(path, names, optional=("y_sigma", "modes"))
+    frame, corrections = attributes.get("frame"), attributes.get("corrections", "")
+    if not isinstance(frame, str) or frame not in ("head", "workpiece"):
+        allowed = "head, workpiece"
+        raise InputError("frame: is none of a surface", where=path, value=frame, allowed=allowed)
+    if not isinstance(corrections, str):
+        raise InputError("corrections: is no text", where=path, value=corrections)
+    _check_shapes(path, arrays)
+    if not np.isin(arrays["status"], list(Status)).all():
+        raise InputError("status: holds what is no status", where=path)
     return Surface(
-        xyz_mm=np.stack([x, y, z], axis=-1),
-        sigma_x_mm=sigma_x,
-        sigma_mm=sigma_z,
-        status=status.astype(np.int64),
-        position_mm=position,
-        frame=frame,
-        modes_mm=modes,
-        sigma_y_mm=sigma_y,
+        xyz_mm=np.stack([arrays["x"], arrays["y"], arrays["z"]], axis=-1),
+        sigma_x_mm=arrays["x_sigma"],
+        sigma_mm=arrays["z_sigma"],
+        status=arrays["status"].astype(np.int64),
+        position_mm=arrays["position"],
+        frame=cast(Literal["head", "workpiece"], frame),
+        modes_mm=cast(NDArray[np.float32] | None, arrays.get("modes")),
+        sigma_y_mm=arrays.get("y_sigma"),
         corrections=tuple(filter(None, corrections.split(SEPARATOR))),
     )
+
+
+def _check_shapes(path: Path, arrays: Mapping[str, Floats]) -> None:
+    """Refuse arrays that are not of one surface."""
+    shape = arrays["status"].shape
+    for name, array in arrays.items():
+        wanted = {"position": shape[:1], "modes": (*shape, 3, array.shape[-1])}.get(name, shape)
+        if len(shape) != 2 or array.shape != wanted:
+            allowed = "(frame, column), of one size; position (frame,); modes with axis and mode"
+            raise InputError(f"{name}: wrong shape", where=path, value=array.shape, allowed=allowed)
 
 
 def save_points(path: Path, surface: Surface) -> None:
