@@ -6,6 +6,7 @@ import json
 from pathlib import Path
 from typing import Annotated, Any, Final, Literal, Self
 
+import numpy as np
 from pydantic import Field, model_validator
 
 from lscan.disk import write_atomically
@@ -140,7 +141,8 @@ def load_metric(path: Path) -> MetricCalibration:
     """
     content = check(MetricFile, _document(path), where=path)
     try:
-        plane_map = solver.restore("", content.parameters)
+        with np.errstate(all="ignore"):  # of numbers that make no map
+            plane_map = solver.restore("", content.parameters)
     except InputError as error:
         raise InputError(str(error), where=path) from error
     return MetricCalibration(

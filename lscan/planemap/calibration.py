@@ -107,7 +107,9 @@ def in_picture(plane_map: PlaneMap, image_px: Floats, shift_mm: Floats) -> Float
         for step in STEP_PX * np.eye(2)
     ]
     jacobian = np.stack(slopes, axis=2)
-    known = np.isfinite(jacobian).all(axis=(1, 2)) & np.isfinite(shift_mm).all(axis=1)
+    finite = np.isfinite(jacobian).all(axis=(1, 2)) & np.isfinite(shift_mm).all(axis=1)
+    known = np.flatnonzero(finite)
+    known = known[np.linalg.det(jacobian[known]) != 0]
     px = np.full_like(shift_mm, np.nan)
     px[known] = np.linalg.solve(jacobian[known], shift_mm[known, :, None])[:, :, 0]
     return px
@@ -136,12 +138,13 @@ def load_calibration(path: Path) -> Calibration:
     residuals that do not belong to the parameters.
     """
     content = read_file(path)
-    try:
-        plane_map = find_solver(content.plane_map).restore(content.parameters)
-    except InputError as error:
-        raise InputError(f"plane_map: {error}", where=path) from error
     reading, stored = content.reading.reading(), content.residuals
-    computed, _ = residuals(plane_map, reading)
+    with np.errstate(all="ignore"):  # numbers that make no map do not give these residuals
+        try:
+            plane_map = find_solver(content.plane_map).restore(content.parameters)
+        except InputError as error:
+            raise InputError(f"plane_map: {error}", where=path) from error
+        computed, _ = residuals(plane_map, reading)
     if not np.allclose(computed, stored.mm, rtol=0, atol=SAME_MM, equal_nan=True):
         raise InputError("residuals.mm: do not belong to the parameters", where=path)
     return Calibration(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 
 import pytest
@@ -9,10 +10,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from lscan.board import Grid, load_board
-from lscan.documents import check, merge, read_document
+from lscan.documents import MOST_FILES, check, merge, read_document
 from lscan.errors import InputError
 from lscan.planemap.refractivefit import LIMITS
-from lscan.rig import CameraSection, OpticsSection, Rig, SheetSection
+from lscan.rig import CameraSection, OpticsSection, Rig, SheetSection, load_rig
 from lscan.targets import GroovedBlock, Sandwave
 
 TABLES = st.recursive(
@@ -76,6 +77,84 @@ def test_unreadable_documents_are_named(tmp_path: Path, text: bytes, message: st
         read_document(tmp_path / "top.toml")
     assert "\n" not in str(caught.value)
     assert str(tmp_path) in str(caught.value)
+
+
+def include(path: Path, *names: str) -> None:
+    path.write_text(f"include = {list(names)}\n")
+
+
+def test_includes_as_deep_as_the_limit_are_read_and_no_deeper(tmp_path: Path) -> None:
+    for depth in range(MOST_FILES):
+        include(tmp_path / f"{depth}.toml", f"{depth + 1}.toml")
+    (tmp_path / f"{MOST_FILES}.toml").write_text("a = 1\n")
+    assert read_document(tmp_path / "0.toml") == {"a": 1}
+    include(tmp_path / f"{MOST_FILES}.toml", "end.toml")
+    (tmp_path / "end.toml").write_text("a = 1\n")
+    with pytest.raises(InputError, match=r"0\.toml: includes too many files \(allowed: 100 "):
+        read_document(tmp_path / "0.toml")
+
+
+def test_includes_that_double_at_every_level_are_refused(tmp_path: Path) -> None:
+    """Forty files of a line each would be read a million million times."""
+    for depth in range(40):
+        include(tmp_path / f"{depth}.toml", f"{depth + 1}.toml", f"{depth + 1}.toml")
+    (tmp_path / "40.toml").write_text("a = 1\n")
+    with pytest.raises(InputError, match=r"0\.toml: includes too many files"):
+        read_document(tmp_path / "0.toml")
+
+
+def test_files_that_include_one_another_are_refused(tmp_path: Path) -> None:
+    include(tmp_path / "a.toml", "b.toml")
+    include(tmp_path / "b.toml", "c.toml")
+    (tmp_path / "c.toml").symlink_to("a.toml")
+    with pytest.raises(InputError, match=r"a\.toml: includes itself \(got \['a\.toml', 'b\.toml"):
+        read_document(tmp_path / "a.toml")
+
+
+@pytest.mark.parametrize("special", ["fifo", "device", "sparse", "loop", "folder"])
+def test_an_include_that_is_no_plain_file_is_refused(tmp_path: Path, special: str) -> None:
+    include(tmp_path / "top.toml", "base.toml")
+    base = tmp_path / "base.toml"
+    if special == "fifo":
+        os.mkfifo(base)
+    elif special == "device":
+        base.symlink_to("/dev/zero")
+    elif special == "loop":
+        base.symlink_to("base.toml")
+    elif special == "folder":
+        base.mkdir()
+    else:
+        base.touch()
+        os.truncate(base, 2**40)
+    with pytest.raises(
+        InputError, match="(cannot be read: (it is a|Too many)|is too large: bytes)"
+    ):
+        read_document(tmp_path / "top.toml")
+
+
+def test_a_path_through_a_loop_of_links_is_left_to_its_reader(tmp_path: Path) -> None:
+    (tmp_path / "loop").symlink_to("loop")
+    (tmp_path / "top.toml").write_text('m = { file = "loop/mesh.ply" }\n')
+    assert read_document(tmp_path / "top.toml")["m"]["file"] == str(tmp_path / "loop" / "mesh.ply")
+
+
+@settings(max_examples=200, deadline=None, derandomize=True)
+@given(data=st.data())
+def test_a_mutated_scene_is_read_or_refused(
+    tmp_path_factory: pytest.TempPathFactory, data: st.DataObject
+) -> None:
+    scenes = Path(__file__).resolve().parents[2] / "scenes" / "paper"
+    text = (scenes / "sandwave.toml").read_bytes() + (scenes / "rig.toml").read_bytes()
+    changed = bytearray(text.replace(b"include", b"included"))
+    for _ in range(data.draw(st.integers(1, 4))):
+        changed[data.draw(st.integers(0, len(changed) - 1))] = data.draw(st.integers(0, 255))
+    file = tmp_path_factory.getbasetemp() / "mutated.toml"
+    file.write_bytes(bytes(changed[: data.draw(st.integers(0, len(changed)))]))
+    try:
+        load_rig(file)
+    except InputError as error:
+        assert file.name in str(error)
+        assert "\n" not in str(error)
 
 
 def test_nesting_within_the_limit_and_numbers_of_thousands_of_digits_are_read(
