@@ -2,7 +2,8 @@
 
 A TOML document may name others to start from: ``include = "rig.toml"`` (or a list).  Tables are
 merged key by key and the including file wins, so scenes share one rig instead of
-repeating it.  Paths inside a document are relative to the file they stand in.
+repeating it.  ``exclude = ["workpiece", "lens.focus_mm"]`` beside it takes tables or keys out of
+what was included.  Paths inside a document are relative to the file they stand in.
 """
 
 from __future__ import annotations
@@ -56,7 +57,8 @@ def read_document(path: Path) -> Document:
     """The TOML document at ``path`` with its includes merged in and their paths resolved.
 
     Keys named ``file`` or ending in ``_file`` become paths that hold from anywhere.
-    Raises InputError where a file is missing, is not TOML, or includes itself.
+    Raises InputError where a file is missing, is not TOML, includes itself, or excludes what it
+    does not include.
     """
     return _read(path, chain=(), read=[])
 
@@ -76,14 +78,38 @@ def _read(path: Path, chain: tuple[Path, ...], read: list[Path]) -> Document:
     document = _parse(path)
     _check_values(document, path)
     _anchor_paths(document, path)
-    includes = document.pop("include", [])
-    files = [includes] if isinstance(includes, str) else includes
-    if not isinstance(files, list) or not all(map(_may_be_path, files)):
-        raise InputError("bad include", where=path, value=includes, allowed="a path or a list")
+    files, excluded = (_texts(document, key, path) for key in ("include", "exclude"))
     merged: Document = {}
     for file in files:
         merged = merge(merged, _read(path.parent / file, (*chain, path), read))
+    for name in excluded:
+        _take_out(merged, name, path)
     return merge(merged, document)
+
+
+def _texts(document: Document, key: str, source: Path) -> list[str]:
+    """What ``include`` or ``exclude`` names, taken out of the document of the file ``source``."""
+    value = document.pop(key, [])
+    texts = [value] if isinstance(value, str) else value
+    if not isinstance(texts, list) or not all(map(_may_be_path, texts)):
+        what = "a path" if key == "include" else "a dotted key"
+        raise InputError(f"bad {key}", where=source, value=value, allowed=f"{what} or a list")
+    return texts
+
+
+def _take_out(included: Document, name: str, source: Path) -> None:
+    """Remove the table or key ``name``, dotted, from what the file ``source`` includes."""
+    *tables, key = name.split(".")
+    table = _value_at(included, tuple(tables))
+    if not isinstance(table, dict) or key not in table:
+        there = ", ".join(sorted(included)) or "nothing, for the file includes none"
+        raise InputError(
+            "exclude: is not in what the file includes",
+            where=source,
+            value=name,
+            allowed=f"{there}; a key of a table as table.key",
+        )
+    del table[key]
 
 
 def _parse(path: Path) -> Document:

@@ -40,6 +40,45 @@ def test_a_file_wins_over_what_it_includes(tmp_path: Path) -> None:
     assert read_document(tmp_path / "top.toml") == {"a": 1, "t": {"x": 1, "y": 2, "z": 3}}
 
 
+def test_what_is_included_can_be_excluded(tmp_path: Path) -> None:
+    """A table or a key of one; what the file itself says of it then stands alone."""
+    (tmp_path / "base.toml").write_text("a = 1\n[t]\nx = 1\ny = 1\n[u]\nz = 1\n[u.v]\nw = 1\n")
+    (tmp_path / "middle.toml").write_text('include = "base.toml"\nexclude = "t.x"\n')
+    assert read_document(tmp_path / "middle.toml") == {
+        "a": 1, "t": {"y": 1}, "u": {"z": 1, "v": {"w": 1}},
+    }  # fmt: skip
+    (tmp_path / "top.toml").write_text(
+        'include = "middle.toml"\nexclude = ["a", "t", "u.v"]\n[t]\nnew = 2\n'
+    )
+    assert read_document(tmp_path / "top.toml") == {"t": {"new": 2}, "u": {"z": 1}}
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ('exclude = ["b"]', r"exclude: .*got 'b'; allowed: a, t; a key of a table as table\.key"),
+        ('exclude = ["t.y"]', r"exclude: .*got 't\.y'"),
+        ('exclude = ["a.x"]', r"exclude: .*got 'a\.x'"),
+        ('exclude = ["a", "a"]', "exclude: .*got 'a'; allowed: t;"),
+        ("exclude = 3", "bad exclude .*got 3; allowed: a dotted key or a list"),
+        ('exclude = [""]', "bad exclude"),
+        ('[t]\nz = 1\n[exclude]\nt = "x"', "bad exclude"),
+    ],
+)
+def test_what_is_not_included_cannot_be_excluded(tmp_path: Path, text: str, message: str) -> None:
+    (tmp_path / "base.toml").write_text("a = 1\n[t]\nx = 1\n")
+    (tmp_path / "top.toml").write_text(f'include = "base.toml"\n{text}\n')
+    with pytest.raises(InputError, match=message) as caught:
+        read_document(tmp_path / "top.toml")
+    assert str(caught.value).startswith(str(tmp_path / "top.toml"))
+
+
+def test_without_an_include_there_is_nothing_to_exclude(tmp_path: Path) -> None:
+    (tmp_path / "top.toml").write_text('exclude = ["t"]\n[t]\nx = 1\n')
+    with pytest.raises(InputError, match="exclude: .*nothing, for the file includes none"):
+        read_document(tmp_path / "top.toml")
+
+
 def test_paths_hold_from_anywhere(tmp_path: Path) -> None:
     (tmp_path / "sub").mkdir()
     (tmp_path / "sub" / "inner.toml").write_text('[m]\nfile = "mesh.ply"\n')
