@@ -69,10 +69,10 @@ def render(
     json: Json = False,
 ) -> None:
     """The picture the webcam would take, and the layers of light it is made of."""
+    from sim.devices import load_checked
     from sim.files import write_render
-    from sim.scene import load_scene
 
-    loaded = load_scene(scene)
+    loaded = load_checked(scene)
     place = loaded.rig.plan.start_mm if position is None else position
     files = write_render(loaded, place, output, samples)
     _print_files(files, json)
@@ -86,10 +86,10 @@ def truth(
     json: Json = False,
 ) -> None:
     """Where everything in the picture really is: the line's centre, the board's marks."""
+    from sim.devices import load_checked
     from sim.files import write_truth
-    from sim.scene import load_scene
 
-    loaded = load_scene(scene)
+    loaded = load_checked(scene)
     place = loaded.rig.plan.start_mm if position is None else position
     _print_files(write_truth(loaded, place, output), json)
 
@@ -103,10 +103,10 @@ def views(
     json: Json = False,
 ) -> None:
     """A board held into the sheet in many poses: what lscan calibrate-metric takes."""
-    from sim.scene import load_scene
+    from sim.devices import load_checked
     from sim.views import write_views
 
-    _print_files(write_views(load_scene(scene), output, poses, seed), json)
+    _print_files(write_views(load_checked(scene), output, poses, seed), json)
 
 
 @app.command()
@@ -203,7 +203,7 @@ def serve(
     json: Json = False,
 ) -> None:
     """The tank as a webcam (MJPEG, loopback) and a Grbl track; runs until Ctrl-C."""
-    from sim.scene import load_scene
+    from sim.devices import load_checked
     from sim.serve import ServeOptions
     from sim.serve.command import serve_until_stopped
 
@@ -218,7 +218,7 @@ def serve(
         dialect=dialect,
         link=link,
     )
-    serve_until_stopped(load_scene(scene), options, write_rig, fault or [], json)
+    serve_until_stopped(load_checked(scene), options, write_rig, fault or [], json)
 
 
 @app.command()

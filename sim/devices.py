@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import os
 from dataclasses import replace
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Self
 
 import numpy as np
@@ -17,7 +18,7 @@ from lscan.devices.api import Fact, Grab, Track
 from lscan.devices.travel import check_plan
 from lscan.documents import Strict, check
 from lscan.errors import DeviceError, InputError
-from lscan.rig import RigFile
+from lscan.rig import RigFile, load_rig
 from sim.scene import SECTIONS, Scene, scene_of
 
 if TYPE_CHECKING:
@@ -128,7 +129,7 @@ class SimCamera:
         from sim.tank import Tank
 
         self._scene, self._track = scene, track
-        self._options = camera_options(scene)
+        camera_options(scene)
         self._tank: Tank | None = Tank(scene)
         self._webcam: Webcam = Webcam(scene)
         self._next = 0
@@ -154,10 +155,7 @@ class SimCamera:
         time_s = (index + (0.5 if dark else 0.0)) * FRAME_PERIOD_S
         position_mm = self._track.position_mm
         wavelength_nm = self._scene.tank.laser.wavelength_at(time_s)
-        layers = tank.render(position_mm, time_s=time_s)
-        exposure_ms = self._exposure_ms(layers, wavelength_nm)
-        if self._options.auto_exposure and self._scene.tank.head.speed_mm_s != 0:
-            layers = tank.render(position_mm, time_s=time_s, exposure_ms=exposure_ms)
+        layers, exposure_ms = metered(self._scene, tank, self._webcam, position_mm, time_s=time_s)
         if dark or not getattr(self._track, "laser_is_on", True):
             none = np.zeros_like(layers.ambient)
             layers = replace(layers, direct=none, scattered=none)
@@ -168,19 +166,6 @@ class SimCamera:
     def close(self) -> None:
         """Release the tank."""
         self._tank = None
-
-    def _exposure_ms(self, layers: Layers, wavelength_nm: float) -> float:
-        """The rig's exposure, or the one this picture itself asks for.
-
-        A real webcam meters the pictures before; those a resumed scan does not have.
-        """
-        options = self._options
-        if not options.auto_exposure:
-            return self._scene.rig.camera.exposure_ms
-        wanted = self._webcam.metered_ms(
-            layers, options.target_dn, options.percentile, wavelength_nm
-        )
-        return min(max(wanted, options.min_ms), options.max_ms)
 
     def _generator(self, position_mm: float, index: int, stream: int) -> np.random.Generator:
         nanometres = round(position_mm * 1e6)
@@ -232,6 +217,41 @@ class SimCameraDriver:
     def open(self, rig_file: RigFile, track: Track) -> SimCamera:
         """The camera, its tank loaded into Mitsuba."""
         return SimCamera(scene_of(rig_file), track)
+
+
+def metered(
+    scene: Scene,
+    tank: Tank,
+    webcam: Webcam,
+    position_mm: float,
+    samples: int | None = None,
+    *,
+    time_s: float = 0.0,
+) -> tuple[Layers, float]:
+    """The layers seen from a track position, and the exposure in ms that the camera gives them.
+
+    samples, time_s: as ``Tank.render``.  The exposure is the rig's, or with auto exposure the one
+    that this very picture asks for: a real webcam meters the pictures before, which a resumed
+    scan does not have.
+    """
+    layers = tank.render(position_mm, samples=samples, time_s=time_s)
+    exposure_ms = _exposure_ms(scene, webcam, layers, scene.tank.laser.wavelength_at(time_s))
+    if exposure_ms != scene.rig.camera.exposure_ms and scene.tank.head.speed_mm_s != 0:
+        layers = tank.render(position_mm, samples=samples, time_s=time_s, exposure_ms=exposure_ms)
+    return layers, exposure_ms
+
+
+def _exposure_ms(scene: Scene, webcam: Webcam, layers: Layers, wavelength_nm: float) -> float:
+    options = camera_options(scene)
+    if not options.auto_exposure:
+        return scene.rig.camera.exposure_ms
+    wanted = webcam.metered_ms(layers, options.target_dn, options.percentile, wavelength_nm)
+    return min(max(wanted, options.min_ms), options.max_ms)
+
+
+def load_checked(path: Path) -> Scene:
+    """The scene in the file at ``path``, refused by InputError wherever a scan refuses it."""
+    return scene_of(load_rig(path))
 
 
 def camera_options(scene: Scene) -> CameraOptions:

@@ -27,6 +27,7 @@ def write_render(
     picture whatever the render's fineness.  labels.png has
     a class for each pixel (sim.labels.Label), labels-colour.png the same to look at.
     """
+    from sim.devices import metered
     from sim.labels import colour_labels, label_scene
     from sim.sensor import Webcam
     from sim.tank import Tank
@@ -34,9 +35,10 @@ def write_render(
     _check_place(position_mm)
     if samples is not None:
         check_samples(samples, scene.tank.render.fineness, where="--samples")
-    layers = Tank(scene).render(position_mm, samples)
+    webcam = Webcam(scene)
+    layers, exposure_ms = metered(scene, Tank(scene), webcam, position_mm, samples)
     generator = np.random.default_rng([scene.tank.sensor.seed, 1])
-    image = Webcam(scene).expose(layers, scene.rig.camera.exposure_ms, generator)
+    image = webcam.expose(layers, exposure_ms, generator)
     make_folder(folder)
     names = {"picture": "picture.png", "layers": "layers.npz", "labels": "labels.png"}
     files = {key: folder / name for key, name in names.items()}

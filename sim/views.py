@@ -83,15 +83,17 @@ def write_views(scene: Scene, folder: Path, count: int = 10, seed: int = 1) -> d
 def photograph(scene: Scene, generator: np.random.Generator) -> tuple[Bytes, Bytes]:
     """Two pictures, (H, W, 3) RGB: with the lamps alone, and with lamps and laser.
 
-    The head stands at track position 0.  Light adds up, so one render serves both.
+    The head stands at track position 0.  Light adds up, so one render serves both, and so does
+    the exposure of the second.
     """
+    from sim.devices import metered
     from sim.sensor import Webcam
     from sim.tank import Tank
 
-    layers, webcam = Tank(scene).render(0.0), Webcam(scene)
+    webcam = Webcam(scene)
+    layers, exposure_ms = metered(scene, Tank(scene), webcam, 0.0)
     nothing = np.zeros_like(layers.ambient)
     lamps = replace(layers, direct=nothing, scattered=nothing)
-    exposure_ms = scene.rig.camera.exposure_ms
     return (
         webcam.expose(lamps, exposure_ms, generator),
         webcam.expose(layers, exposure_ms, generator),

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import io
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 
@@ -17,7 +19,7 @@ from sim.meshes.paint import picture_paint, reflectance_at, vertex_paint
 from sim.meshes.parts import Finish, Part, moved, plain_mesh
 from sim.meshes.sand import sanded_sandwave_mesh
 from sim.meshes.workpieces import grooved_block_mesh, sandwave_parts
-from sim.scene import FLOOR_HALF_SIDE_MM, Floor, Scene, Target, Texture, target_pose
+from sim.scene import FLOOR_HALF_SIDE_MM, Floor, Scene, Texture, target_pose
 
 MOST_BYTES = {"ply": 2**28, "stl": 2**28, "obj": 2**26, "off": 2**26}
 """Of a mesh file, by its ending.  Text takes up to fifty times as much once it is read."""
@@ -58,7 +60,7 @@ def target_parts(scene: Scene) -> list[Part]:
     parts = [replace(part, finish=finish) for part in _bare_parts(scene, albedo)]
     if target.texture is None:
         return parts
-    return [_papered(part, target, target.texture) for part in parts]
+    return [_papered(part, scene, target.texture) for part in parts]
 
 
 def _bare_parts(scene: Scene, albedo: float) -> list[Part]:
@@ -68,7 +70,8 @@ def _bare_parts(scene: Scene, albedo: float) -> list[Part]:
     if target.sand is not None and not is_sandwave:
         raise InputError("target.sand goes with a sandwave only", where=scene.source)
     if target.shape == "mesh":
-        mesh = load_mesh(Path(target.file or ""))
+        with _named(scene, "target.file"):
+            mesh = load_mesh(Path(target.file or ""))
         return [Part("mesh", mesh, albedo, paint=vertex_paint(mesh))]
     if target.shape == "board":
         assert rig.board is not None  # sim.scene has checked it
@@ -81,16 +84,30 @@ def _bare_parts(scene: Scene, albedo: float) -> list[Part]:
     return sandwave_parts(rig.workpiece, albedo)
 
 
-def _papered(part: Part, target: Target, texture: Texture) -> Part:
+def _papered(part: Part, scene: Scene, texture: Texture) -> Part:
     """The part with the texture laid over it, seen along -y where it is a board, else from z."""
     if part.name == MARKS:
         return part
+    target = scene.tank.target
     if part.paint is not None:
         raise InputError(
-            "target.texture does not go with a mesh that has vertex colours", value=target.file
+            "target.texture does not go with a mesh that has vertex colours",
+            where=scene.source,
+            value=target.file,
         )
     plane = (0, 2) if target.shape == "board" else (0, 1)
-    return replace(part, paint=picture_paint(texture, part.mesh.vertices[:, plane]))
+    with _named(scene, "target.texture.file"):
+        paint = picture_paint(texture, part.mesh.vertices[:, plane])
+    return replace(part, paint=paint)
+
+
+@contextmanager
+def _named(scene: Scene, key: str) -> Iterator[None]:
+    """Put the scene and the key before an InputError about the file that the key names."""
+    try:
+        yield
+    except InputError as error:
+        raise InputError(f"{key}: {error}", where=scene.source) from error
 
 
 def load_mesh(path: Path) -> trimesh.Trimesh:
@@ -103,9 +120,11 @@ def load_mesh(path: Path) -> trimesh.Trimesh:
     if kind not in MOST_BYTES:
         allowed = ", ".join(f".{name}" for name in MOST_BYTES)
         raise InputError("is no kind of mesh file", where=path, value=path.suffix, allowed=allowed)
-    content = io.BytesIO(read_bytes(path, MOST_BYTES[kind]))
+    content = read_bytes(path, MOST_BYTES[kind])
+    if not content:
+        raise InputError("is an empty file", where=path)
     try:
-        mesh = trimesh.load_mesh(content, file_type=kind, process=False)
+        mesh = trimesh.load_mesh(io.BytesIO(content), file_type=kind, process=False)
     except Exception as error:  # trimesh raises whatever its format readers raise
         told = " ".join(f"is not a mesh that can be read: {error}".split())
         raise InputError(told, where=path) from error

@@ -75,7 +75,7 @@ def test_what_is_not_included_cannot_be_excluded(tmp_path: Path, text: str, mess
 
 def test_without_an_include_there_is_nothing_to_exclude(tmp_path: Path) -> None:
     (tmp_path / "top.toml").write_text('exclude = ["t"]\n[t]\nx = 1\n')
-    with pytest.raises(InputError, match="exclude: .*nothing, for the file includes none"):
+    with pytest.raises(InputError, match=r"exclude: .*nothing, for the file includes none"):
         read_document(tmp_path / "top.toml")
 
 
