@@ -19,6 +19,7 @@ from lscan.devices.travel import check_plan
 from lscan.documents import Strict, check
 from lscan.errors import DeviceError, InputError
 from lscan.rig import RigFile, load_rig
+from sim.placement import check_placement
 from sim.scene import SECTIONS, Scene, scene_of
 
 if TYPE_CHECKING:
@@ -215,8 +216,10 @@ class SimCameraDriver:
         return {"auto_exposure": options.auto_exposure, "exposure_settable": False}
 
     def open(self, rig_file: RigFile, track: Track) -> SimCamera:
-        """The camera, its tank loaded into Mitsuba."""
-        return SimCamera(scene_of(rig_file), track)
+        """The camera, its tank loaded into Mitsuba; InputError as ``check_placement``."""
+        scene = scene_of(rig_file)
+        check_placement(scene)
+        return SimCamera(scene, track)
 
 
 def metered(
@@ -250,8 +253,13 @@ def _exposure_ms(scene: Scene, webcam: Webcam, layers: Layers, wavelength_nm: fl
 
 
 def load_checked(path: Path) -> Scene:
-    """The scene in the file at ``path``, refused by InputError wherever a scan refuses it."""
-    return scene_of(load_rig(path))
+    """The scene in the file at ``path``, refused by InputError wherever a scan refuses it.
+
+    What is odd about its target is logged, as a scan does.
+    """
+    scene = scene_of(load_rig(path))
+    check_placement(scene)
+    return scene
 
 
 def camera_options(scene: Scene) -> CameraOptions:

@@ -25,6 +25,7 @@ MOST_BYTES = {"ply": 2**28, "stl": 2**28, "obj": 2**26, "off": 2**26}
 """Of a mesh file, by its ending.  Text takes up to fifty times as much once it is read."""
 FURTHEST_MM = 1e6
 """Of a vertex from the origin, along an axis: a kilometre."""
+MM_PER_UNIT = {"mm": 1.0, "cm": 10.0, "m": 1000.0, "inch": 25.4}
 MARKS = "marks"  # the one part of a board that a texture leaves as it is
 
 
@@ -72,6 +73,7 @@ def _bare_parts(scene: Scene, albedo: float) -> list[Part]:
     if target.shape == "mesh":
         with _named(scene, "target.file"):
             mesh = load_mesh(Path(target.file or ""))
+        mesh.apply_scale(MM_PER_UNIT[target.unit])
         return [Part("mesh", mesh, albedo, paint=vertex_paint(mesh))]
     if target.shape == "board":
         assert rig.board is not None  # sim.scene has checked it
@@ -111,7 +113,7 @@ def _named(scene: Scene, key: str) -> Iterator[None]:
 
 
 def load_mesh(path: Path) -> trimesh.Trimesh:
-    """A user's mesh file, in mm; InputError where it cannot be read or has no triangles.
+    """A user's mesh file, in its own unit; InputError where it cannot be read or has no triangles.
 
     Vertices that coincide are merged, unless the file colours them: two colours may meet
     there.  Colours of faces are not read, nor are other files that the file names.
