@@ -1,7 +1,7 @@
 """What the scanner ought to measure: float64 NumPy that shares no formula with what it judges.
 
 projection, dome: where a point of the water is seen.  sheet, bow: where the laser's light is.
-surfaces, wave, mesh, section: the target cut by it.  visibility: what is lit and seen.
+surfaces, wave, mesh, chains, section: the target cut by it.  visibility: what is lit and seen.
 stripe, shutter, board: the truth of a picture.
 """
 

@@ -21,9 +21,13 @@ EDGE = 1e-12  # relative: a line through an edge meets one of its two triangles 
 
 @dataclass(frozen=True)
 class Mesh:
-    """A triangle mesh in the world frame, mm."""
+    """A triangle mesh in the world frame, mm.
+
+    creased: whether its creases are edges of the line; those of a coat of sand are roughness.
+    """
 
     mesh: trimesh.Trimesh
+    creased: bool = True
 
     def cut(self, sheet: Pose, bow: Bow | None = None) -> Floats:
         """(M, 2, 2) pieces of the section, in no particular order; one a triangle if flat."""

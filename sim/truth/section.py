@@ -8,11 +8,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from lscan.board import Board
-from lscan.records import Floats, Ints
+from lscan.records import Floats, Ints, Mask
 from lscan.targets import GroovedBlock, Sandwave
 from sim.meshes import target_mesh
 from sim.scene import FLOOR_HALF_SIDE_MM, Pose, Scene, target_pose
 from sim.truth.bow import Bow
+from sim.truth.chains import chains
 from sim.truth.mesh import Mesh
 from sim.truth.surfaces import Polygon, Surface, extrusion, spread
 from sim.truth.wave import sandwave_surfaces
@@ -24,10 +25,16 @@ class Section:
 
     ends_mm: (M, 2, 2) two ends of (x, z) of each piece, in the sheet's plane (sim.truth.sheet).
     face: (M,) index of the surface it belongs to, in the list of ``surfaces_of``.
+    chain: (M,) number of the smooth line without gap or crease that it is part of.
     """
 
     ends_mm: Floats
     face: Ints
+    chain: Ints
+
+    def only(self, kept: Mask) -> Section:
+        """The pieces where ``kept``, (M,), is true."""
+        return Section(self.ends_mm[kept], self.face[kept], self.chain[kept])
 
 
 def surfaces_of(scene: Scene) -> list[Surface]:
@@ -47,7 +54,7 @@ def target_surfaces(scene: Scene) -> list[Surface]:
     if target.shape == "none":
         return []
     if target.shape == "mesh" or target.sand is not None:
-        return [Mesh(target_mesh(scene))]
+        return [Mesh(target_mesh(scene), creased=target.sand is None)]
     if target.shape == "board":
         assert rig.board is not None  # sim.scene has checked it
         return board_surfaces(rig.board, pose)
@@ -86,7 +93,9 @@ def section_at(surfaces: Sequence[Surface], sheet: Pose, bow: Bow | None = None)
     """
     pieces = [surface.cut(sheet, bow) for surface in surfaces]
     face = np.repeat(np.arange(len(pieces)), [len(piece) for piece in pieces])
-    return Section(np.concatenate([np.empty((0, 2, 2)), *pieces]), face)
+    ends = np.concatenate([np.empty((0, 2, 2)), *pieces])
+    creased = np.array([isinstance(surface, Mesh) and surface.creased for surface in surfaces])
+    return Section(ends, face, chains(ends, face, creased[face]))
 
 
 def split(section: Section, longest_mm: float) -> Section:
@@ -97,4 +106,4 @@ def split(section: Section, longest_mm: float) -> Section:
     owner, step = spread(count)
     parts = np.stack([step, step + 1]) / count[owner]
     ends = [start[owner] + part[:, np.newaxis] * (end[owner] - start[owner]) for part in parts]
-    return Section(np.stack(ends, axis=1), section.face[owner])
+    return Section(np.stack(ends, axis=1), section.face[owner], section.chain[owner])

@@ -112,7 +112,7 @@ def _joined(truths: Sequence[StripeTruth], rows: Floats) -> StripeTruth:
         return np.where(caught, mixed, np.nan).T
 
     status = np.where(caught, values("status", near), int(Status.NO_PEAK))
-    face = np.where(caught, values("face", near), -1)
+    continues = caught & np.append(caught[1:], False) & values("continues", near)
     return replace(
         truths[0],
         centre_px=blend("centre_px"),
@@ -122,8 +122,9 @@ def _joined(truths: Sequence[StripeTruth], rows: Floats) -> StripeTruth:
         seen=caught & values("seen", near),
         multiple=caught & values("multiple", near),
         status=status,
-        face=face,
-        edge_px=edge_distance(status, face),
+        face=np.where(caught, values("face", near), -1),
+        edge_px=edge_distance(status, continues),
+        continues=continues,
     )
 
 

@@ -17,6 +17,7 @@ from sim.truth.visibility import in_picture, lit, seen
 
 COARSE_MM = 5.0  # pieces looked at to find out which part of the section is in the picture
 FINE_MM = 0.05  # pieces the line's columns are found on
+JUMP_PX = 0.5  # of a line between two columns; less is within the spread of any lens
 MARGIN_PX = 100.0  # more than a coarse piece is long in the picture
 
 
@@ -35,7 +36,9 @@ class StripeTruth:
         uppermost of the hidden points; NO_PEAK, and NaN, where the sheet meets nothing.
     face: (N,) index of the surface in ``surfaces_of(scene)``; -1 where NO_PEAK.
     edge_px: (N,) distance along the line to the nearer end of the run of neighbouring OK
-        columns of one face, 0 at its ends; NaN where not OK.
+        columns that ``continues`` joins, 0 at its ends; NaN where not OK.
+    continues: (N,) whether the line runs on into the next column: on the same face, without a
+        gap, without a jump, and on a mesh without a crease (sim.truth.chains).
     multiple: (N,) whether the column holds more than one lit and seen point; the uppermost
         (leftmost for rows) is the one given.
 
@@ -55,6 +58,7 @@ class StripeTruth:
     status: Ints
     face: Ints
     edge_px: Floats
+    continues: Mask
     multiple: Mask
 
 
@@ -62,13 +66,16 @@ class StripeTruth:
 class Crossings:
     """Where the section crosses the columns: K points, several a column or none.
 
-    column: (K,).  centre_px: (K,) v there.  xz_mm: (K, 2) in the sheet's plane.  face: (K,).
+    column: (K,).  centre_px: (K,) v there.  slope: (K,) px of v per column there.
+    xz_mm: (K, 2) in the sheet's plane.  face, chain: (K,) as in Section.
     """
 
     column: Ints
     centre_px: Floats
+    slope: Floats
     xz_mm: Floats
     face: Ints
+    chain: Ints
 
 
 def standing_truth(
@@ -93,7 +100,7 @@ def crossings(scene: Scene, sheet: Sheet, section: Section) -> Crossings:
     fine = split(_in_view(scene, sheet, split(section, COARSE_MM)), FINE_MM)
     pixels = _project_ends(scene, sheet, fine)
     whole = np.all(np.isfinite(pixels), axis=(1, 2))
-    pixels, ends, face = pixels[whole], fine.ends_mm[whole], fine.face[whole]
+    pixels, fine = pixels[whole], fine.only(whole)
 
     start, end = pixels[:, 0, a], pixels[:, 1, a]
     first = np.clip(np.ceil(np.minimum(start, end)), 0, count).astype(int)
@@ -101,10 +108,13 @@ def crossings(scene: Scene, sheet: Sheet, section: Section) -> Crossings:
     owner, step = spread(last - first)
     column = first[owner] + step
     part = ((column - start[owner]) / (end[owner] - start[owner]))[:, np.newaxis]
-    xz = ends[owner, 0] + part * (ends[owner, 1] - ends[owner, 0])
-    place = pixels[owner, 0] + part * (pixels[owner, 1] - pixels[owner, 0])
+    ends, rise = fine.ends_mm[owner], pixels[owner, 1] - pixels[owner, 0]
+    xz = ends[:, 0] + part * (ends[:, 1] - ends[:, 0])
+    place = pixels[owner, 0] + part * rise
     kept = in_picture(scene, place)
-    return Crossings(column[kept], place[kept, b], xz[kept], face[owner][kept])
+    owner, slope = owner[kept], rise[kept, b] / rise[kept, a]
+    place, xz, column = place[kept, b], xz[kept], column[kept]
+    return Crossings(column, place, slope, xz, fine.face[owner], fine.chain[owner])
 
 
 def _in_view(scene: Scene, sheet: Sheet, section: Section) -> Section:
@@ -113,8 +123,7 @@ def _in_view(scene: Scene, sheet: Sheet, section: Section) -> Section:
     size = np.array([camera.width_px, camera.height_px])
     pixels = _project_ends(scene, sheet, section)
     near = (pixels > -MARGIN_PX) & (pixels < size + MARGIN_PX)
-    kept = np.any(np.all(near, axis=2), axis=1)
-    return Section(section.ends_mm[kept], section.face[kept])
+    return section.only(np.any(np.all(near, axis=2), axis=1))
 
 
 def _project_ends(scene: Scene, sheet: Sheet, section: Section) -> Floats:
@@ -150,7 +159,7 @@ def _assemble(
     column = found.column[best]
     status = np.full(count, int(Status.NO_PEAK))
     status[column] = np.where(choice.good[best], Status.OK, Status.OCCLUDED)
-    face = _fill(count, column, found.face[best], -1)
+    continues = continued(found, best, status)
     x, y, z = (_fill(count, column, coordinate, np.nan) for coordinate in points[best].T)
     return StripeTruth(
         position_mm=taken[0],
@@ -162,21 +171,39 @@ def _assemble(
         lit=_fill(count, column, choice.lit[best], False),
         seen=_fill(count, column, choice.seen[best], False),
         status=status,
-        face=face,
-        edge_px=edge_distance(status, face),
+        face=_fill(count, column, found.face[best], -1),
+        edge_px=edge_distance(status, continues),
+        continues=continues,
         multiple=np.bincount(found.column[choice.good], minlength=count) > 1,
     )
 
 
-def edge_distance(status: Ints, face: Ints) -> Floats:
-    """(N,) entries to the nearer end of the run of OK entries of one face; NaN where not OK."""
-    label = np.where(status == Status.OK, face, -1)
-    starts = np.flatnonzero(np.diff(label, prepend=label[0] + 1) != 0)
-    ends = np.append(starts[1:], len(label)) - 1
+def continued(found: Crossings, best: Ints, status: Ints) -> Mask:
+    """(N,) as in StripeTruth; best: the crossing that each column of ``found`` takes.
+
+    Between two columns a smooth line that bends one way climbs by no less than the one of its
+    slopes there and no more than the other: else another part of it lies in between, unseen.
+    """
+    column, climb = found.column[best], np.diff(found.centre_px[best])
+    slopes = np.sort(np.stack([found.slope[best][:-1], found.slope[best][1:]]), axis=0)
+    joined = np.diff(column) == 1
+    joined &= np.diff(found.chain[best]) == 0
+    joined &= (climb >= slopes[0] - JUMP_PX) & (climb <= slopes[1] + JUMP_PX)
+    joined &= (status[column[:-1]] == Status.OK) & (status[column[1:]] == Status.OK)
+    return _fill(len(status), column[:-1][joined], joined[joined], False)
+
+
+def edge_distance(status: Ints, continues: Mask) -> Floats:
+    """(N,) entries to the nearer end of the run of joined OK entries; NaN where not OK.
+
+    continues: (N,) whether an entry is joined to the next.
+    """
+    starts = np.flatnonzero(np.append(True, ~continues[:-1]))
+    ends = np.append(starts[1:], len(status)) - 1
     run = np.repeat(np.arange(len(starts)), ends - starts + 1)
-    index = np.arange(len(label))
+    index = np.arange(len(status))
     distance = np.minimum(index - starts[run], ends[run] - index).astype(float)
-    return np.where(label >= 0, distance, np.nan)
+    return np.where(status == Status.OK, distance, np.nan)
 
 
 def _fill(count: int, column: Ints, values: np.ndarray, missing: float) -> np.ndarray:

@@ -45,6 +45,7 @@ def truth(centre: list[float], axis: Any = "columns", multiple: int | None = Non
         status=np.where(there, Status.OK, Status.NO_PEAK),
         face=np.where(there, 0, -1),
         edge_px=np.where(there, 0.0, np.nan),
+        continues=np.zeros(count, dtype=bool),
         multiple=np.arange(count) == multiple,
     )
 

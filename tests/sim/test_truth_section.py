@@ -213,7 +213,7 @@ def test_floor_and_board_stand_where_they_should():
 @given(seed=st.integers(0, 2**31), longest=st.floats(0.05, 3))
 def test_split_keeps_the_curve(seed, longest):
     rng = np.random.default_rng(seed)
-    whole = Section(rng.uniform(-5, 5, (7, 2, 2)), np.arange(7))
+    whole = Section(rng.uniform(-5, 5, (7, 2, 2)), np.arange(7), np.arange(7))
     parts = split(whole, longest)
     assert lengths(parts.ends_mm).max() <= longest * (1 + 1e-12)
     for face in range(7):

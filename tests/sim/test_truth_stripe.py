@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import fields
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -28,7 +29,7 @@ from sim.truth import (
 )
 from sim.truth.mesh import Mesh
 from sim.truth.section import grooved_block_surfaces, target_surfaces
-from sim.truth.stripe import edge_distance
+from sim.truth.stripe import Crossings, continued, edge_distance
 from sim.truth.visibility import blocked, fan_angle, passing_mm
 
 FEW = settings(max_examples=10, deadline=None, derandomize=True)
@@ -251,9 +252,9 @@ def test_rows_are_columns_of_a_camera_rolled():
 
 def test_edge_distance():
     status = np.array([0, 0, 0, 7, 0, 0, 0, 0, 1])
-    face = np.array([2, 2, 2, 2, 2, 3, 3, 3, -1])
+    continues = np.array([1, 1, 0, 0, 0, 1, 1, 0, 0], dtype=bool)
     expected = [0, 1, 0, np.nan, 0, 0, 1, 0, np.nan]
-    assert np.array_equal(edge_distance(status, face), expected, equal_nan=True)
+    assert np.array_equal(edge_distance(status, continues), expected, equal_nan=True)
 
 
 def height(shape: Sandwave, x: np.ndarray, y: np.ndarray) -> np.ndarray:
@@ -346,6 +347,77 @@ def test_a_mesh_file_is_scanned_like_its_shape(tmp_path):
     assert np.array_equal(a.status[inner], b.status[inner])
     good = a.status == Status.OK
     assert np.abs(a.centre_px - b.centre_px)[good & inner].max() < 1e-6
+    # An edge that falls on a column's middle may count for either side.
+    assert np.abs(a.edge_px - b.edge_px)[good & (b.status == Status.OK)].max() <= 1
+
+
+def sphere_on_plate(folder: Path, **sections: Any) -> Scene:
+    """A ball of 30 mm that comes out of a plate 3 mm beneath its middle: one mesh, in one file."""
+    ball = trimesh.creation.icosphere(subdivisions=5, radius=30.0)
+    plate = trimesh.creation.box(bounds=[[-90, -60, -8], [90, 60, -3]])
+    trimesh.util.concatenate([ball, plate]).export(folder / "ball.ply")
+    target = {"shape": "mesh", "file": str(folder / "ball.ply"), "position_mm": [0, 0, -60.0]}
+    return tank(target=target, **sections)
+
+
+@pytest.mark.parametrize("position_mm", [0.0, -7.0, -25.0])
+def test_edges_inside_a_mesh_are_edges(tmp_path, position_mm):
+    """Where the line leaves the ball for the plate it jumps; on ball and plate it runs smoothly."""
+    scene = sphere_on_plate(tmp_path)
+    truth = stripe_truth(scene, position_mm)
+    ok = truth.status == Status.OK
+    on_plate = ok & (np.abs(truth.xz_mm[:, 1] + 63) < 1e-9)
+    on_ball = ok & ~on_plate
+    assert on_ball.sum() > 30 and on_plate.sum() > 60
+    assert np.all(truth.face[ok] == 0)
+    step = np.abs(np.diff(truth.centre_px))
+    jumps = np.flatnonzero(ok[:-1] & ok[1:] & (on_plate[:-1] != on_plate[1:]))
+    assert len(jumps) == 2 and np.all(step[jumps] > 6)
+    assert np.all(truth.edge_px[jumps] == 0) and np.all(truth.edge_px[jumps + 1] == 0)
+    assert np.all(step[np.isfinite(step) & (truth.edge_px[1:] > 0) & (truth.edge_px[:-1] > 0)] < 4)
+    # No edge but where the kind of surface or the status changes: facets are none.
+    kind = np.where(on_plate, 1, np.where(on_ball, 2, 0))
+    starts = np.flatnonzero(np.diff(kind, prepend=-1))
+    ends = np.append(starts[1:], len(kind)) - 1
+    for start, end in zip(starts.tolist(), ends.tolist(), strict=True):
+        run = np.arange(end - start + 1)
+        if kind[start]:
+            expected = np.minimum(run, run[::-1])
+            assert np.array_equal(truth.edge_px[start : end + 1], expected)
+
+
+def test_a_crease_is_an_edge_and_a_facet_is_none(tmp_path):
+    """Tubes along the track: of 36 sides, which turn by 10 degrees, and of 8, by 45."""
+    for sides, creased in ((36, False), (8, True)):
+        tube = trimesh.creation.cylinder(radius=60.0, height=100.0, sections=sides)
+        tube.apply_transform(trimesh.transformations.rotation_matrix(np.pi / 2, [1, 0, 0]))
+        tube.export(tmp_path / "tube.ply")
+        target = {"shape": "mesh", "file": str(tmp_path / "tube.ply"), "position_mm": [0, 0, -120]}
+        truth = stripe_truth(tank(target=target), 0.0)
+        inside = np.flatnonzero(truth.status == Status.OK)[3:-3]
+        assert len(inside) > 60
+        assert np.any(truth.edge_px[inside] == 0) == creased
+
+
+def test_grains_of_sand_are_no_edges():
+    bare, sanded = sandwave(), sandwave({"sand": {"grain_mm": 0.4}})
+    for scene in (bare, sanded):
+        truth = stripe_truth(scene, 20.0)
+        assert np.nanmax(truth.edge_px) > 30
+
+
+def test_a_line_that_folds_over_jumps():
+    """Two pieces of one chain in neighbouring columns, too far apart for their slopes."""
+    folded = Crossings(
+        column=np.array([0, 1, 2, 3]),
+        centre_px=np.array([10.0, 11.0, 20.0, 21.2]),
+        slope=np.array([1.0, 1.0, 1.0, 1.4]),
+        xz_mm=np.zeros((4, 2)),
+        face=np.zeros(4, dtype=int),
+        chain=np.zeros(4, dtype=int),
+    )
+    continues = continued(folded, np.arange(4), np.full(4, int(Status.OK)))
+    assert continues.tolist() == [True, False, True, False]
 
 
 GRAZING = {"apex_mm": [-220.0, 0.0, 60.0], "aim_deg": 75.0, "fan_half_angle_deg": 40.0}
