@@ -9,9 +9,12 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from lscan.console import print_json, print_table, progress_bar, run_command_line
+from lscan.errors import InputError
 from lscan.summaries import print_chains
 
 if TYPE_CHECKING:
+    from sim.files import Taken
+    from sim.scene import Scene
     from sim.verify.rows import Row
 
 app = typer.Typer(
@@ -80,18 +83,44 @@ def render(
 
 @app.command()
 def truth(
-    scene: SceneFile,
+    scene: Annotated[
+        Path, typer.Argument(help="Scene file (TOML), or a run folder of one: all its frames.")
+    ],
     output: Annotated[Path, typer.Option("--output", "-o", help="Folder to write.")],
-    position: Position = None,
+    position: Annotated[
+        list[float] | None,
+        typer.Option("--position", help="Track position, mm, again for more; the plan's start."),
+    ] = None,
     json: Json = False,
 ) -> None:
     """Where everything in the picture really is: the line's centre, the board's marks."""
     from sim.devices import load_checked
-    from sim.files import write_truth
+    from sim.files import taken_at, write_truth
 
-    loaded = load_checked(scene)
-    place = loaded.rig.plan.start_mm if position is None else position
-    _print_files(write_truth(loaded, place, output), json)
+    if scene.is_dir():
+        loaded, taken = _recorded(scene, position)
+    else:
+        loaded = load_checked(scene)
+        taken = taken_at(loaded, position or [loaded.rig.plan.start_mm])
+    with progress_bar("truth") as progress:
+        files = write_truth(loaded, taken, output, progress)
+    _print_files(files, json)
+
+
+def _recorded(folder: Path, position: list[float] | None) -> tuple[Scene, list[Taken]]:
+    """The scene and the pictures of a run folder, which has its own positions."""
+    from lscan.run import open_run
+    from sim.files import taken_in
+    from sim.placement import check_placement
+
+    if position:
+        raise InputError(
+            "a run folder has its own positions", where="--position", value=position[0],
+            allowed="none with a run folder",
+        )  # fmt: skip
+    loaded, taken = taken_in(open_run(folder))
+    check_placement(loaded)
+    return loaded, taken
 
 
 @app.command()

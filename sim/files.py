@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
-from io import BytesIO, StringIO
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from functools import partial
+from io import BytesIO
 from pathlib import Path
 
 import numpy as np
@@ -11,9 +14,18 @@ from lscan.disk import make_folder, write_atomically
 from lscan.errors import InputError
 from lscan.pictures import write_picture
 from lscan.records import Marks, Status
-from sim.scene import Scene
+from lscan.run import Run
+from sim.scene import SECTIONS, Scene, scene_of
 from sim.scene.file import check_samples
-from sim.truth import board_truth, stripe_truth
+from sim.truth import LineBrightness, StripeTruth, board_truth, line_brightness, stripe_truths
+
+STRIPE_COLUMNS = (
+    "frame,position_mm,column,centre_px,x_mm,y_mm,z_mm,lit,seen,multiple,edge_px,"
+    "height_dn,height_sigma_dn,noise_dn,snr,status"
+)
+BOARD_COLUMNS = "frame,position_mm,kind,x_mm,z_mm,u_px,v_px,status"
+AT_ONCE = 20  # pictures between two reports of progress: surfaces are made anew for each lot
+Progress = Callable[[int, int], None]
 
 FARTHEST_MM = 1e5  # beyond, single precision no longer carries a hundredth of a millimetre
 
@@ -55,26 +67,71 @@ def write_render(
     return files
 
 
-def write_truth(scene: Scene, position_mm: float, folder: Path) -> dict[str, Path]:
+@dataclass(frozen=True)
+class Taken:
+    """When a picture is taken.  frame: its number.  position_mm: of the track."""
+
+    frame: int
+    position_mm: float
+    exposure_ms: float
+
+
+def taken_at(scene: Scene, positions_mm: Sequence[float]) -> list[Taken]:
+    """Pictures of the scene at track positions, the exposure the rig's; InputError beyond reach."""
+    for position_mm in positions_mm:
+        _check_place(position_mm)
+    exposure_ms = scene.rig.camera.exposure_ms
+    return [Taken(frame, position, exposure_ms) for frame, position in enumerate(positions_mm)]
+
+
+def taken_in(run: Run) -> tuple[Scene, list[Taken]]:
+    """The scene that a run was made of, from its own rig document, and its recorded pictures.
+
+    Raises InputError where the run was not made in the tank, or holds no picture.
+    """
+    if not set(run.rig_file.document) & SECTIONS:
+        raise InputError(
+            "was not made in the tank: its rig document describes none, so nobody knows the truth",
+            where=run.path,
+            allowed='a run of camera and track with driver = "sim"',
+        )
+    if len(run) == 0:
+        raise InputError("holds no frame yet", where=run.path)
+    taken = [Taken(row.index, row.position_mm, row.exposure_ms) for row in run.rows]
+    return scene_of(run.rig_file), taken
+
+
+def write_truth(
+    scene: Scene, taken: Sequence[Taken], folder: Path, progress: Progress | None = None
+) -> dict[str, Path]:
     """The files written: one table for each line of the laser, and one for the board.
 
     stripe.csv with the laser on, stripe-0.csv, stripe-1.csv ... where it has several lines;
-    board.csv where a board stands there.  Raises InputError where there is neither.
+    board.csv where a board stands there.  Each holds all the pictures, one after the other.
+    progress: called with how many pictures' tables are done, and how many there are.
+    Raises InputError where there is neither line nor board.
     """
-    _check_place(position_mm)
     laser = scene.tank.laser
-    tables: dict[str, str] = {}
+    makers: dict[str, Callable[[Sequence[Taken]], Iterator[str]]] = {}
+    texts: dict[str, list[str]] = {}
     for line in range(len(laser.sheets) if laser.on else 0):
         name = f"stripe-{line}" if len(laser.sheets) > 1 else "stripe"
-        tables[name] = _stripe_table(scene, position_mm, line)
+        makers[name], texts[name] = partial(_stripe_rows, scene, line), [STRIPE_COLUMNS]
     if scene.tank.target.shape == "board":
-        tables["board"] = _board_table(scene, position_mm)
-    if not tables:
-        raise InputError("no truth to tell: the laser is off and no board stands there")
+        makers["board"], texts["board"] = partial(_board_rows, scene), [BOARD_COLUMNS]
+    if not makers:
+        raise InputError(
+            "no truth to tell: the laser is off and no board stands there", where=scene.source
+        )
+    for first in range(0, len(taken), AT_ONCE):
+        for name, rows in makers.items():
+            texts[name] += rows(taken[first : first + AT_ONCE])
+        if progress is not None:
+            progress(min(first + AT_ONCE, len(taken)), len(taken))
     make_folder(folder)
-    for name, table in tables.items():
-        write_atomically(folder / f"{name}.csv", table.encode())
-    return {name: folder / f"{name}.csv" for name in tables}
+    for name, lines in texts.items():
+        write_atomically(folder / f"{name}.csv", "".join(f"{line}\n" for line in lines).encode())
+    return {name: folder / f"{name}.csv" for name in texts}
 
 
 def _check_place(position_mm: float) -> None:
@@ -84,29 +141,38 @@ def _check_place(position_mm: float) -> None:
         )
 
 
-def _stripe_table(scene: Scene, position_mm: float, line: int) -> str:
-    truth = stripe_truth(scene, position_mm, line)
-    table = StringIO()
-    table.write("column,centre_px,x_mm,y_mm,z_mm,lit,seen,status\n")
-    points = np.column_stack([truth.centre_px, truth.xz_mm[:, 0], truth.y_mm, truth.xz_mm[:, 1]])
-    for column, (centre, x, y, z) in enumerate(points.tolist()):
-        flags = f"{int(truth.lit[column])},{int(truth.seen[column])}"
-        status = Status(truth.status[column]).name
-        table.write(f"{column},{centre!r},{x!r},{y!r},{z!r},{flags},{status}\n")
-    return table.getvalue()
+def _stripe_rows(scene: Scene, line: int, taken: Sequence[Taken]) -> Iterator[str]:
+    truths = stripe_truths(scene, [picture.position_mm for picture in taken], line)
+    lights = line_brightness(scene, truths, [picture.exposure_ms for picture in taken])
+    for picture, truth, light in zip(taken, truths, lights, strict=True):
+        yield from (f"{_start(picture)},{row}" for row in _columns(truth, light))
 
 
-def _board_table(scene: Scene, position_mm: float) -> str:
-    reading = board_truth(scene, position_mm).centres
-    table = StringIO()
-    table.write("kind,x_mm,z_mm,u_px,v_px,status\n")
-    _write_marks(table, "grid", reading.grid)
-    for number, ruler in enumerate(reading.rulers):
-        _write_marks(table, f"ruler-{number}", ruler.marks)
-    return table.getvalue()
+def _columns(truth: StripeTruth, light: LineBrightness) -> Iterator[str]:
+    columns = (
+        np.arange(len(truth.status)), truth.centre_px,
+        truth.xz_mm[:, 0], truth.y_mm, truth.xz_mm[:, 1],
+        truth.lit.astype(int), truth.seen.astype(int), truth.multiple.astype(int),
+        truth.edge_px, light.height_dn, light.height_sigma_dn, light.noise_dn, light.snr,
+    )  # fmt: skip
+    rows = zip(*(column.tolist() for column in columns), strict=True)
+    for status, row in zip(truth.status, rows, strict=True):
+        yield ",".join([*map(repr, row), Status(status).name])
 
 
-def _write_marks(table: StringIO, kind: str, marks: Marks) -> None:
+def _board_rows(scene: Scene, taken: Sequence[Taken]) -> Iterator[str]:
+    for picture in taken:
+        reading = board_truth(scene, picture.position_mm).centres
+        yield from _mark_rows(f"{_start(picture)},grid", reading.grid)
+        for number, ruler in enumerate(reading.rulers):
+            yield from _mark_rows(f"{_start(picture)},ruler-{number}", ruler.marks)
+
+
+def _start(picture: Taken) -> str:
+    return f"{picture.frame},{picture.position_mm!r}"
+
+
+def _mark_rows(start: str, marks: Marks) -> Iterator[str]:
     rows = zip(marks.board_mm.tolist(), marks.image_px.tolist(), marks.status, strict=True)
     for (x, z), (u, v), status in rows:
-        table.write(f"{kind},{x!r},{z!r},{u!r},{v!r},{Status(status).name}\n")
+        yield f"{start},{x!r},{z!r},{u!r},{v!r},{Status(status).name}"

@@ -5,6 +5,8 @@ The lens acts on layers as fine as they are; what follows acts on whole pixels.
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -19,7 +21,9 @@ from sim.sensor.noise import fixed_pattern, gathered, noisy
 from sim.sensor.radiometry import AMBIENT_NM, photons_per_radiance, vignetting
 from sim.sensor.speckle import speckle_contrast, speckle_pattern
 from sim.sensor.still import StillView
-from sim.tank import Layers
+
+if TYPE_CHECKING:
+    from sim.tank import Layers
 
 Electrons = NDArray[np.float32]
 Picture = NDArray[np.float32]

@@ -53,6 +53,19 @@ class Mesh:
         blocked[inside[line[hit]]] = True
         return blocked
 
+    def normals(self, places: Floats) -> Floats:
+        """(N, 3) unit normals of the triangles that places of the world lie on."""
+        return np.asarray(self.mesh.face_normals)[self.triangles_at(places)]
+
+    def triangles_at(self, places: Floats) -> Ints:
+        """(N,) the triangles that (N, 3) places of the surface, world frame, lie on."""
+        place, triangle = self._grid.around(places)
+        nearest = trimesh.triangles.closest_point(self._corners[triangle], places[place])
+        away = np.linalg.norm(nearest - places[place], axis=1)
+        order = np.lexsort([away, place])
+        _, first = np.unique(place[order], return_index=True)
+        return triangle[order[first]]
+
     @cached_property
     def _corners(self) -> Floats:
         return np.asarray(self.mesh.triangles, dtype=float)
@@ -116,9 +129,17 @@ class PlanGrid:
         low, high = np.minimum(start, start + piece), np.maximum(start, start + piece)
         box, cell = self.cells.under(low - ROUNDING_MM, high + ROUNDING_MM)
         level = (low[box, 2] <= self.top_mm[cell]) & (high[box, 2] >= self.bottom_mm[cell])
-        box, cell = box[level], cell[level]
+        box, triangle = self._in_cells(box[level], cell[level])
+        return line[box], triangle
+
+    def around(self, places: Floats) -> tuple[Ints, Ints]:
+        """Pairs (place, triangle) of (N, 3) places and all triangles of the cells they lie in."""
+        return self._in_cells(*self.cells.under(places - ROUNDING_MM, places + ROUNDING_MM))
+
+    def _in_cells(self, owner: Ints, cell: Ints) -> tuple[Ints, Ints]:
+        """Pairs (owner, triangle) for pairs (owner, cell)."""
         pair, entry = spread(self.first[cell + 1] - self.first[cell])
-        return line[box[pair]], self.triangle[self.first[cell[pair]] + entry]
+        return owner[pair], self.triangle[self.first[cell[pair]] + entry]
 
 
 def plan_grid(corners: Floats) -> PlanGrid:

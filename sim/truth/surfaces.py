@@ -37,6 +37,10 @@ class Surface(Protocol):
         """(N,) whether the surface comes between (N, 3) starts and ends, world frame, mm."""
         ...
 
+    def normals(self, places: Floats) -> Floats:
+        """(N, 3) unit normals, to either side, at (N, 3) places of the surface, world frame."""
+        ...
+
 
 @dataclass(frozen=True)
 class Polygon:
@@ -79,6 +83,10 @@ class Polygon:
         places = start[hit] + part[hit, np.newaxis] * ray[hit]
         hit[hit] = within(self.corners_mm[:, plan], places[:, plan])
         return hit
+
+    def normals(self, places: Floats) -> Floats:
+        """(N, 3) the polygon's normal."""
+        return np.broadcast_to(newell_normal(self.corners_mm), places.shape)
 
 
 def bowed_section(corners: Floats, bow: Bow) -> Floats:

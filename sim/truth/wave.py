@@ -85,6 +85,13 @@ class Wave:
             blocked[rays] = place[:, 2] < height - SELF_MM
         return blocked
 
+    def normals(self, places: Floats) -> Floats:
+        """(N, 3) unit normals of eq. (4) at places of the world, upwards."""
+        x, y, _ = self.pose.invert(places).T
+        slope_x, slope_y = self._slopes(x, y)
+        upwards = np.column_stack([-slope_x, -slope_y, np.ones_like(x)])
+        return upwards / np.linalg.norm(upwards, axis=1, keepdims=True) @ self.pose.rotation.T
+
     def _reach(self, sheet: Pose) -> Floats:
         """Samples of the sheet's x that hold the whole square."""
         side, top = self.shape.side_mm, self._amplitude()

@@ -123,8 +123,6 @@ def texture_over_colours(folder: Path) -> str:
 def test_errors_of_files_name_scene_and_key(
     tmp_path: Path, command: str, make: Callable[[Path], str], key: str, message: str
 ) -> None:
-    if command == "truth" and make is text_texture:
-        pytest.skip("the truth of a section asks for no texture")
     scene = write_scene(tmp_path, make(tmp_path))
     said = refusal(command, scene)
     assert said.startswith(f"{scene}: {key}")

@@ -1,0 +1,146 @@
+"""What reaches the lens from the middle of the line: the laser's power on its way there."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from lscan.records import Floats, Status
+from sim.scene import FlatPort, Laser, Line, Scene, head_pose, into_world
+from sim.truth.projection import Camera, Rays, camera_of, rays_to
+from sim.truth.reflection import Lit, Reflectance
+from sim.truth.sheet import Sheet
+from sim.truth.stripe import StripeTruth
+from sim.truth.visibility import fan_angle
+from sim.water import water_optics
+
+FAN_STEPS = 2001  # of the fan's power, whose sum over them is the laser's
+W_PER_M2_IN_MW_PER_MM2 = 1e3
+
+
+@dataclass(frozen=True)
+class LineInSpace:
+    """The OK columns of a true line, in space; N points.
+
+    points: (N, 3) head frame, mm.  normals: (N, 3) unit, of the surface, head frame.
+    rays: of the camera to the points.
+    lit: the same in the world.
+    """
+
+    points: Floats
+    normals: Floats
+    rays: Rays
+    lit: Lit
+
+
+def line_in_space(
+    scene: Scene, reflectance: Reflectance, truth: StripeTruth, positions_mm: Floats
+) -> LineInSpace:
+    """The line's OK columns, seen from the track positions (N,) of their moments."""
+    shown = truth.status == Status.OK
+    points = np.column_stack([truth.xz_mm[:, 0], truth.y_mm, truth.xz_mm[:, 1]])[shown]
+    camera, face, head = camera_of(scene), truth.face[shown], scene.tank.head
+    rays = rays_to(camera, points)
+    places = into_world(head, points, positions_mm)
+    apex = np.broadcast_to(np.array(scene.tank.laser.apex_mm), points.shape)
+    entry = camera.pose.apply(rays.entry_mm)
+    normals = np.empty_like(points)
+    for number, surface in enumerate(reflectance.surfaces):
+        normals[face == number] = surface.normals(places[face == number])
+    lit = Lit(
+        face=face,
+        places=places,
+        normals=normals,
+        to_laser=_unit(into_world(head, apex, positions_mm) - places),
+        to_camera=_unit(into_world(head, entry, positions_mm) - places),
+    )
+    turned = normals @ head_pose(head, truth.position_mm).rotation
+    return LineInSpace(points, turned, rays, lit)
+
+
+def line_radiance(
+    scene: Scene, reflectance: Reflectance, line: LineInSpace, sheet: Sheet, number: int
+) -> Floats:
+    """(N,) radiance of the line's middle in the air behind the port, W/(m2 sr), unblurred.
+
+    number: of the sheet among ``laser.sheets``.  Straight from the laser and straight to the
+    camera: what the water or other surfaces throw there is left out.
+    """
+    laser, camera = scene.tank.laser, camera_of(scene)
+    extinction = water_optics(scene.tank.water, laser.wavelength_nm).extinction_per_mm
+    entry = camera.pose.apply(line.rays.entry_mm)
+    way = np.linalg.norm(line.points - np.array(laser.apex_mm), axis=1)
+    way = way + np.linalg.norm(line.points - entry, axis=1)
+    light = irradiance(laser, laser.sheets[number], sheet, line.points, camera.water_index)
+    light = light * W_PER_M2_IN_MW_PER_MM2 * np.exp(-extinction * way)
+    return light * reflectance.towards_camera(line.lit) * port_weight(camera, line.rays.direction)
+
+
+def irradiance(
+    laser: Laser, line: Line, sheet: Sheet, points: Floats, water_index: float
+) -> Floats:
+    """(N,) mW/mm2 in the sheet's middle, across the light's way; without the water's loss.
+
+    The fan's power per radian, over the arc at that distance, over the sheet's Gaussian.
+    """
+    xz = sheet.flattened(points)
+    half = np.radians(laser.fan_half_angle_deg)
+    angle = np.linspace(-half, half, FAN_STEPS)
+    power = laser.power_mw * line.share / np.trapezoid(_fan(laser, angle), angle)
+    density = power * _fan(laser, fan_angle(laser, xz))
+    distance = np.linalg.norm(xz - np.array(laser.apex_mm)[[0, 2]], axis=1)
+    return density / distance / (np.sqrt(np.pi / 2) * half_width_mm(laser, distance, water_index))
+
+
+def half_width_mm(laser: Laser, distance_mm: Floats, water_index: float) -> Floats:
+    """(N,) 1/e2 half width of the sheet at (N,) distances from its apex, mm.
+
+    A Gaussian beam of quality m2 (Siegman, Lasers, sec. 17.1).
+    """
+    divergence = laser.m2 * laser.wavelength_nm * 1e-6 / (np.pi * laser.waist_mm * water_index)
+    return np.hypot(laser.waist_mm, divergence * (distance_mm - laser.waist_distance_mm))
+
+
+def port_weight(camera: Camera, direction: Floats) -> Floats:
+    """(N,) radiance in the air over that in the water, of rays in directions (N, 3), camera frame.
+
+    Both faces transmit as Fresnel says, unpolarised; radiance over the index squared is the same
+    along a ray.
+    """
+    port, towards = camera.port, _unit(direction)
+    glass, water = float(port.glass_index), camera.water_index
+    if isinstance(port, FlatPort):
+        sine = np.linalg.norm(np.cross(towards, camera.normal), axis=1)
+        sines = sine, sine
+    else:
+        # Index times the sine at each face, from the distance at which the ray passes the centre.
+        passing = np.linalg.norm(np.cross(towards, np.array(port.centre_mm)), axis=1)
+        sines = passing / port.radius_mm, passing / (port.radius_mm + port.thickness_mm)
+    faces = transmitted(sines[0], 1.0, glass) * transmitted(sines[1], glass, water)
+    return faces / water**2
+
+
+def transmitted(sine: Floats, before: float, behind: float) -> Floats:
+    """(N,) share of unpolarised light a face lets through; sine: times the index, kept by Snell.
+
+    From the amplitudes of Fresnel's sine and tangent laws (Born & Wolf sec. 1.5.2), with the
+    cosines of either side.
+    """
+    first, second = np.sqrt(1 - (sine / before) ** 2), np.sqrt(1 - (sine / behind) ** 2)
+    power = 4 * before * behind * first * second
+    across = power / (before * first + behind * second) ** 2
+    along = power / (behind * first + before * second) ** 2
+    return np.asarray((across + along) / 2)
+
+
+def _fan(laser: Laser, angle: Floats) -> Floats:
+    """(N,) the fan's power per angle, of any scale."""
+    relative = angle / np.radians(laser.fan_half_angle_deg)
+    if laser.fan == "gaussian":
+        return np.asarray(np.exp(-2 * relative**2))
+    return 1 + laser.fan_rise * relative**2
+
+
+def _unit(vectors: Floats) -> Floats:
+    return vectors / np.linalg.norm(vectors, axis=1, keepdims=True)
