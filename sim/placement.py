@@ -33,26 +33,28 @@ def check_placement(scene: Scene) -> None:
     Raises InputError, which names the key, where camera or laser lie inside the target or beneath
     the floor at a position of the plan, and where the target cannot be made.
     """
-    mesh = target_mesh(scene)
+    mesh, target = target_mesh(scene), scene.tank.target
+    if target.shape == "mesh":
+        _tell(scene, mesh_notes(scene, mesh))
     _check_outside(scene, mesh)
-    for note in target_notes(scene, mesh):
-        # Warnings, so that they are seen without logging set up.
+    if target.shape in ("mesh", "workpiece") and scene.tank.laser.on:
+        _tell(scene, out_of_reach(scene, mesh))
+
+
+def _tell(scene: Scene, notes: list[str]) -> None:
+    for note in notes:  # warnings, so that they are seen without logging set up
         _log.warning("note: %s: %s", scene.source, note)
 
 
-def target_notes(scene: Scene, mesh: trimesh.Trimesh) -> list[str]:
-    """What a user should know of the target; mesh: the target in the world, mm."""
-    target = scene.tank.target
-    notes = []
-    if target.shape == "mesh":
-        name = Path(target.file or "").name
-        own = target_pose(scene).invert(np.asarray(mesh.vertices))
-        size = " x ".join(f"{side:.4g}" for side in np.ptp(own, axis=0))
-        notes.append(f"target.file: {name} is {size} mm, {len(mesh.faces)} triangles")
-        notes += [f"target.file: {name} {gaps}" for gaps in gaps_of(mesh)]
-    if target.shape in ("mesh", "workpiece") and scene.tank.laser.on:
-        notes += out_of_reach(scene, mesh)
-    return notes
+def mesh_notes(scene: Scene, mesh: trimesh.Trimesh) -> list[str]:
+    """How large the target's mesh file is, and what it lacks; mesh: in the world, mm."""
+    name = Path(scene.tank.target.file or "").name
+    own = target_pose(scene).invert(np.asarray(mesh.vertices))
+    size = " x ".join(f"{side:.4g}" for side in np.ptp(own, axis=0))
+    return [
+        f"target.file: {name} is {size} mm, {len(mesh.faces)} triangles",
+        *(f"target.file: {name} {gaps}" for gaps in gaps_of(mesh)),
+    ]
 
 
 def gaps_of(mesh: trimesh.Trimesh) -> list[str]:
