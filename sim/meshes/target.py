@@ -72,8 +72,7 @@ def _bare_parts(scene: Scene, albedo: float) -> list[Part]:
         raise InputError("target.sand goes with a sandwave only", where=scene.source)
     if target.shape == "mesh":
         with _named(scene, "target.file"):
-            mesh = load_mesh(Path(target.file or ""))
-        mesh.apply_scale(MM_PER_UNIT[target.unit])
+            mesh = load_mesh(Path(target.file or ""), MM_PER_UNIT[target.unit])
         return [Part("mesh", mesh, albedo, paint=vertex_paint(mesh))]
     if target.shape == "board":
         assert rig.board is not None  # sim.scene has checked it
@@ -112,8 +111,8 @@ def _named(scene: Scene, key: str) -> Iterator[None]:
         raise InputError(f"{key}: {error}", where=scene.source) from error
 
 
-def load_mesh(path: Path) -> trimesh.Trimesh:
-    """A user's mesh file, in its own unit; InputError where it cannot be read or has no triangles.
+def load_mesh(path: Path, mm_per_unit: float = 1.0) -> trimesh.Trimesh:
+    """A user's mesh file, in mm; InputError where it cannot be read or has no triangles.
 
     Vertices that coincide are merged, unless the file colours them: two colours may meet
     there.  Colours of faces are not read, nor are other files that the file names.
@@ -134,6 +133,7 @@ def load_mesh(path: Path) -> trimesh.Trimesh:
         raise InputError("holds no triangles", where=path)
     if not np.isfinite(mesh.vertices).all():
         raise InputError("has vertices that are not finite", where=path)
+    mesh.apply_scale(mm_per_unit)
     if np.abs(mesh.vertices).max() > FURTHEST_MM:
         allowed = f"{FURTHEST_MM:g} mm from the origin at most"
         raise InputError("has vertices too far away", where=path, allowed=allowed)
