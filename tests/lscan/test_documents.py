@@ -166,7 +166,7 @@ def test_an_include_that_is_no_plain_file_is_refused(tmp_path: Path, special: st
         base.touch()
         os.truncate(base, 2**40)
     with pytest.raises(
-        InputError, match="(cannot be read: (it is a|Too many)|is too large: bytes)"
+        InputError, match=r"(cannot be read: (it is a|Too many)|is too large: bytes)"
     ):
         read_document(tmp_path / "top.toml")
 
