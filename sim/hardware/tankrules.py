@@ -107,6 +107,13 @@ TANK_CROSSINGS: tuple[Crossing, ...] = (
     ),
     Crossing(
         "Target._consistent",
+        {"target.unit": "m"},
+        "target",
+        ('unit goes with shape = "mesh" only', "'m'"),
+        **_SIM,
+    ),
+    Crossing(
+        "Target._consistent",
         {"target.albedo": [[650.0, 0.5], [600.0, 0.5]]},
         "target",
         ("albedo: two or more pairs, their wavelengths rising", "650.0"),

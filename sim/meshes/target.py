@@ -72,7 +72,7 @@ def _bare_parts(scene: Scene, albedo: float) -> list[Part]:
         raise InputError("target.sand goes with a sandwave only", where=scene.source)
     if target.shape == "mesh":
         with _named(scene, "target.file"):
-            mesh = load_mesh(Path(target.file or ""), MM_PER_UNIT[target.unit])
+            mesh = load_mesh(Path(target.file or ""), MM_PER_UNIT[target.unit or "mm"])
         return [Part("mesh", mesh, albedo, paint=vertex_paint(mesh))]
     if target.shape == "board":
         assert rig.board is not None  # sim.scene has checked it

@@ -96,8 +96,9 @@ class Target(Strict):
 
     shape "board": the rig's board, in the head's plane y = 0 at track position 0, moved by
     ``position_mm`` and turned, both in the head frame.  "workpiece": the rig's workpiece;
-    "mesh": a mesh file, its lengths in ``unit``; both placed in the world frame, turned about the
-    workpiece frame's origin first about x (tilt_x), then y (tilt_y), then z (turn).
+    "mesh": a mesh file, its lengths in ``unit``, mm if left out; both placed in the world frame,
+    turned about the workpiece frame's origin first about x (tilt_x), then y (tilt_y), then z
+    (turn).
     albedo: diffuse reflectance at the laser's wavelength, of the marks' ground where it is a
     board; or pairs (wavelength_nm, reflectance) to interpolate between, so that a red
     surface is bright to a red laser and dark to a green one.  A mesh file's vertex colours
@@ -109,7 +110,7 @@ class Target(Strict):
 
     shape: Literal["board", "workpiece", "mesh", "none"]
     file: str | None = None
-    unit: Literal["mm", "cm", "m", "inch"] = "mm"
+    unit: Literal["mm", "cm", "m", "inch"] | None = None
     position_mm: Vector = (0.0, 0.0, 0.0)
     turn_deg: float = 0.0
     tilt_x_deg: float = 0.0
@@ -126,7 +127,7 @@ class Target(Strict):
     def _consistent(self) -> Self:
         if (self.shape == "mesh") != (self.file is not None):
             raise ValueError('file goes with shape = "mesh", and only with it')
-        if self.shape != "mesh" and "unit" in self.model_fields_set:
+        if self.shape != "mesh" and self.unit is not None:
             raise ValueError('unit goes with shape = "mesh" only')
         if isinstance(self.albedo, tuple):
             wavelengths = [pair[0] for pair in self.albedo]
