@@ -231,11 +231,23 @@ def metered(
     *,
     time_s: float = 0.0,
 ) -> tuple[Layers, float]:
-    """The layers seen from a track position, and the exposure in ms that the camera gives them.
+    """What is seen from a track position, exposed as the scene's camera exposes it.
 
-    samples, time_s: as ``Tank.render``.  The exposure is the rig's, or with auto exposure the one
-    that this very picture asks for: a real webcam meters the pictures before, which a resumed
-    scan does not have.
+    By the rig's exposure, or with auto exposure the one that this very picture asks for: a real
+    webcam meters the pictures before, which a resumed scan does not have.
+
+    Parameters
+    ----------
+    scene, tank, webcam
+        The scene, and its tank and webcam.
+    position_mm
+        Of the track.
+    samples, time_s
+        As ``Tank.render``.
+
+    Returns
+    -------
+    The layers, and the exposure in ms.
     """
     layers = tank.render(position_mm, samples=samples, time_s=time_s)
     exposure_ms = _exposure_ms(scene, webcam, layers, scene.tank.laser.wavelength_at(time_s))

@@ -87,7 +87,10 @@ def taken_at(scene: Scene, positions_mm: Sequence[float]) -> list[Taken]:
 def taken_in(run: Run) -> tuple[Scene, list[Taken]]:
     """The scene that a run was made of, from its own rig document, and its recorded pictures.
 
-    Raises InputError where the run was not made in the tank, or holds no picture.
+    Raises
+    ------
+    InputError
+        Where the run was not made in the tank, or holds no picture.
     """
     if not set(run.rig_file.document) & SECTIONS:
         raise InputError(
@@ -108,8 +111,24 @@ def write_truth(
 
     stripe.csv with the laser on, stripe-0.csv, stripe-1.csv ... where it has several lines;
     board.csv where a board stands there.  Each holds all the pictures, one after the other.
-    progress: called with how many pictures' tables are done, and how many there are.
-    Raises InputError where there is neither line nor board.
+
+    Parameters
+    ----------
+    scene, taken
+        The scene, and when its pictures are taken.
+    folder
+        To write to; it is made.
+    progress
+        Called with how many pictures' tables are done, and how many there are.
+
+    Returns
+    -------
+    The tables' names and files.
+
+    Raises
+    ------
+    InputError
+        Where there is neither line nor board.
     """
     laser = scene.tank.laser
     makers: dict[str, Callable[[Sequence[Taken]], Iterator[str]]] = {}

@@ -30,8 +30,11 @@ _log = logging.getLogger(__name__)
 def check_placement(scene: Scene) -> None:
     """Refuse what cannot be scanned, and log what is odd about the target, as warnings.
 
-    Raises InputError, which names the key, where camera or laser lie inside the target or beneath
-    the floor at a position of the plan, and where the target cannot be made.
+    Raises
+    ------
+    InputError
+        Names the key, where camera or laser lie inside the target or beneath the floor at a
+        position of the plan, and where the target cannot be made.
     """
     mesh, target = target_mesh(scene), scene.tank.target
     if target.shape == "mesh":

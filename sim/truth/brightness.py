@@ -69,10 +69,25 @@ def line_brightness(
 ) -> list[LineBrightness]:
     """How bright each of the true lines is in its picture.
 
-    truths: of the scene.  exposures_ms: of their pictures; the rig's if None.  Where the line has
-    an end or an edge nearer than the lens blurs (``edge_px``) it is lower than said, by up to
-    half.  On sand each point counts with the facet it lies on.  A board's marks count as its
-    ground.  Raises InputError where a file of the target's cannot be read.
+    Where the line has an end or an edge nearer than the lens blurs (``edge_px``) it is lower than
+    said, by up to half.  On sand each point counts with the facet it lies on.  A board's marks
+    count as its ground.
+
+    Parameters
+    ----------
+    scene, truths
+        The scene, and true lines of it.
+    exposures_ms
+        Of their pictures; the rig's if None.
+
+    Returns
+    -------
+    One record for each of ``truths``.
+
+    Raises
+    ------
+    InputError
+        Where a file of the target's cannot be read.
     """
     reflectance = reflectance_of(scene, surfaces_of(scene))
     if exposures_ms is None:

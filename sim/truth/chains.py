@@ -16,10 +16,20 @@ CREASE_DEG = 30.0
 
 
 def chains(ends_mm: Floats, face: Ints, creased: Mask) -> Ints:
-    """(M,) number of the smooth line that each piece of a section is part of.
+    """Which pieces of a section lie on one smooth line.
 
-    ends_mm: (M, 2, 2) two ends of (x, z).  face: (M,) lines do not go from one face to another.
-    creased: (M,) whether an edge is seen where the piece meets the next at an angle.
+    Parameters
+    ----------
+    ends_mm
+        (M, 2, 2) two ends of (x, z) of each straight piece, in the sheet's plane.
+    face
+        (M,) surface of each; a line does not go from one to another.
+    creased
+        (M,) whether an edge is seen where the piece meets the next at an angle.
+
+    Returns
+    -------
+    (M,) the number of the line that each piece is part of.
     """
     count = len(ends_mm)
     if count == 0:

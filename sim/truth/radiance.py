@@ -62,10 +62,21 @@ def line_in_space(
 def line_radiance(
     scene: Scene, reflectance: Reflectance, line: LineInSpace, sheet: Sheet, number: int
 ) -> Floats:
-    """(N,) radiance of the line's middle in the air behind the port, W/(m2 sr), unblurred.
+    """Radiance of the line's middle, not yet blurred by the lens.
 
-    number: of the sheet among ``laser.sheets``.  Straight from the laser and straight to the
-    camera: what the water or other surfaces throw there is left out.
+    Straight from the laser and straight to the camera: what the water or other surfaces throw
+    there is left out.
+
+    Parameters
+    ----------
+    scene, reflectance, line
+        The scene, what its surfaces reflect, and N points of a line in it.
+    sheet, number
+        The sheet that lights them, and its number among ``laser.sheets``.
+
+    Returns
+    -------
+    (N,) W/(m2 sr), in the air behind the port.
     """
     laser, camera = scene.tank.laser, camera_of(scene)
     extinction = water_optics(scene.tank.water, laser.wavelength_nm).extinction_per_mm
@@ -80,9 +91,22 @@ def line_radiance(
 def irradiance(
     laser: Laser, line: Line, sheet: Sheet, points: Floats, water_index: float
 ) -> Floats:
-    """(N,) mW/mm2 in the sheet's middle, across the light's way; without the water's loss.
+    """Irradiance in the sheet's middle, across the light's way; without the water's loss.
 
     The fan's power per radian, over the arc at that distance, over the sheet's Gaussian.
+
+    Parameters
+    ----------
+    laser, line, sheet
+        The laser, one of its lines, and where that lies.
+    points
+        (N, 3) of the head frame, mm.
+    water_index
+        Relative to air.
+
+    Returns
+    -------
+    (N,) mW/mm2.
     """
     xz = sheet.flattened(points)
     half = np.radians(laser.fan_half_angle_deg)
