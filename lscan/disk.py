@@ -39,7 +39,7 @@ _FULL_OR_FAILED = frozenset(
     {errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO, errno.ENODEV, errno.ESTALE}
 )
 
-MOST_TEXT_BYTES = 4 * 2**20
+MOST_TEXT_BYTES = 2**20
 """Of a file that is written by hand, and of a run.json, which keeps one."""
 
 
