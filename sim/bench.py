@@ -29,6 +29,7 @@ from sim.scene import scene_of
 from sim.sensor import Webcam
 from sim.tank import Tank, stock_medium
 from sim.verify.rows import Row, RowFile, measured
+from sim.verify.scattering import render_with
 
 # (left, top, width, height) in px: the line on a ridge of the grooved block with the halo
 # about it, and water that the sheet crosses far above it.
@@ -120,8 +121,8 @@ def veil_efficiency(rig_file: RigFile, effort: Effort) -> list[Row]:
     tank = Tank(scene_of(rig_file))
     # At random places, for on its grid this render has no noise to compare.
     camera = tank.make_camera(VEIL_WINDOW, jitter=True)
-    truth = _mean(partial(_render, tank, camera, tank.integrator, effort.converged[0]))
-    ours = partial(_render, tank, camera, tank.integrator, VEIL_SAMPLES)
+    truth = _mean(partial(render_with, tank, camera, tank.integrator, effort.converged[0]))
+    ours = partial(render_with, tank, camera, tank.integrator, VEIL_SAMPLES)
     whole = {"veil": np.ones(truth.shape, dtype=bool)}
     found = _gains(ours, _theirs(tank, VEIL_WINDOW, FIRST_ORDER, effort), truth, whole, effort)
     return [_gain_row("veil, single scattering", found["veil"], effort, BARS["veil"])]
@@ -153,8 +154,8 @@ def _all_orders(tank: Tank, window: Window, effort: Effort) -> dict[str, Gain]:
     grid, random = tank.make_camera(window), tank.make_camera(window, jitter=True)
 
     def ours(samples: tuple[int, int], seed: int) -> Floats:
-        first = _render(tank, grid, tank.integrator, samples[0], seed)
-        return first + _render(tank, random, tank.higher, samples[1], seed)
+        first = render_with(tank, grid, tank.integrator, samples[0], seed)
+        return first + render_with(tank, random, tank.higher, samples[1], seed)
 
     truth = _mean(partial(ours, effort.converged))
     parts = {name: part for name, part in _parts(tank, window).items() if part.any()}
@@ -166,7 +167,7 @@ def _theirs(tank: Tank, window: Window, depth: int, effort: Effort) -> Picture:
     """How the reference renders a picture."""
     camera = tank.make_camera(window, stock_medium(tank.water), jitter=True)
     stock = mi.load_dict({"type": "volpath", "max_depth": depth, "rr_depth": 8})
-    return partial(_render, tank, camera, stock, effort.stock_samples)
+    return partial(render_with, tank, camera, stock, effort.stock_samples)
 
 
 def _mean(picture: Picture) -> Floats:
@@ -203,15 +204,6 @@ def gain_of(runs: list[Run]) -> Gain:
     sums = costs[drawn].sum(axis=1)
     low, high = np.quantile(sums[:, 1] / sums[:, 0], [(1 - CONFIDENCE) / 2, (1 + CONFIDENCE) / 2])
     return Gain(float(costs[:, 1].sum() / costs[:, 0].sum()), float(low), float(high))
-
-
-def _render(
-    tank: Tank, camera: mi.Sensor, integrator: mi.Integrator, samples: int, seed: int
-) -> Floats:
-    image = mi.render(
-        tank.mitsuba_scene, sensor=camera, integrator=integrator, spp=samples, seed=seed
-    )
-    return np.array(image, dtype=float)[..., 0]
 
 
 def _timed(call: Callable[[], list[Floats]]) -> tuple[Floats, float]:

@@ -163,7 +163,7 @@ def pictures(water: str, runs: int, samples: int) -> Pictures:
     # The reference first: our integrators hold the water they are given until the next.
     camera = tank.make_camera(medium=stock_medium(right), jitter=True)
     stock = mi.load_dict(STOCK)
-    theirs = [_render(tank, camera, stock, samples, SEED + run) for run in range(runs)]
+    theirs = [render_with(tank, camera, stock, samples, SEED + run) for run in range(runs)]
     other = _ours(tank, wrong, runs, SEED + 2 * runs)
     ours = _ours(tank, right, runs, SEED + runs)
     direct = tank.render(0.0, scatter_samples=0).direct.astype(float) / W_PER_M2_IN_MW_PER_MM2
@@ -185,16 +185,17 @@ def _ours(tank: Tank, water: Optics, runs: int, seed: int) -> Floats:
     camera = tank.make_camera(jitter=True)
     return np.array(
         [
-            _render(tank, camera, tank.integrator, OUR_GRID, seed + run)
-            + _render(tank, camera, tank.higher, OUR_SAMPLES, seed + run)
+            render_with(tank, camera, tank.integrator, OUR_GRID, seed + run)
+            + render_with(tank, camera, tank.higher, OUR_SAMPLES, seed + run)
             for run in range(runs)
         ]
     )
 
 
-def _render(
+def render_with(
     tank: Tank, camera: mi.Sensor, integrator: mi.Integrator, samples: int, seed: int
 ) -> Floats:
+    """(H, W) radiance times the camera's weight of the tank's scene, by any integrator."""
     image = mi.render(
         tank.mitsuba_scene, sensor=camera, integrator=integrator, spp=samples, seed=seed
     )
