@@ -18,7 +18,7 @@ from rich.table import Table
 
 from lscan.errors import LscanError, Stopped
 
-BAD_INPUT = 2
+FAILED, BAD_INPUT = 1, 2
 STOPPED = Stopped.exit_code
 
 Report = Callable[[int, int], None]
@@ -36,6 +36,11 @@ def run_command_line(app: typer.Typer, name: str) -> None:
     except LscanError as error:
         message = "; ".join([str(error), *getattr(error, "__notes__", ())])
         sys.exit(_complain(name, message, error.exit_code))
+    except MemoryError as error:
+        told = (
+            f"there is not enough memory: {error}" if str(error) else "there is not enough memory"
+        )
+        sys.exit(_complain(name, told, FAILED))
     except Exception as error:
         if type(error).__name__ == "NoArgsIsHelpError":
             print(error)

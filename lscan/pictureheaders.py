@@ -62,11 +62,18 @@ def _png(data: bytes) -> PictureHeader | None:
 
 
 def _whole(data: bytes) -> bool:
-    """Whether all chunks of a PNG file are there: memory is taken for as long as they say."""
-    place = 8
-    while data[place + 4 : place + 8] != b"IEND":
-        place += 12 + struct.unpack_from(">I", data, place)[0]
-    return place + 12 <= len(data)
+    """Whether all chunks of a PNG file are there, pixels among them, to an empty last one.
+
+    A decoder takes memory for as long a chunk as it is told of.
+    """
+    place, pixels = 8, False
+    while place + 12 <= len(data):
+        length, name = struct.unpack_from(">I", data, place)[0], data[place + 4 : place + 8]
+        place += 12 + length
+        if name == b"IEND":
+            return pixels and length == 0
+        pixels |= name == b"IDAT"
+    return False
 
 
 _LONE_MARKERS = frozenset({0x00, 0x01, *range(0xD0, 0xD8)})  # no segment follows

@@ -15,11 +15,10 @@ from lscan.disk import read_bytes, write_atomically
 from lscan.errors import InputError
 from lscan.pictureheaders import PictureHeader, read_header
 from lscan.records import Bytes
-from lscan.rig import MOST_SIDE_PX
 
 FORMATS = "PNG, JPEG, BMP, TIFF or WebP, 8 bit"
-MOST_PX = MOST_SIDE_PX**2
-"""Of a picture: as many as the largest camera that a rig file may have."""
+MOST_PX = 2**25
+"""Of a picture whose size no rig states; finding a line in it takes 60 bytes a pixel."""
 MOST_BYTES = 4 * MOST_PX + 2**20
 """Of a picture's file: four channels of 8 bit, stored plainly, and what stands around them."""
 
@@ -40,7 +39,7 @@ def read_picture(path: Path) -> Bytes:
             "is too large a picture",
             where=path,
             value=f"{header.width_px} by {header.height_px} px",
-            allowed=f"{MOST_PX} px in all, as {MOST_SIDE_PX} by {MOST_SIDE_PX}",
+            allowed=f"{MOST_PX} px in all, as 8192 by 4096",
         )
     image = None if header is None else decode(data)
     if image is None:

@@ -279,6 +279,8 @@ def _end_with_rows(title: str, rows: Sequence[Row], files: Sequence[Path], json:
         print_json([row.as_json() for row in rows])
     else:
         print_table(title, HEADINGS, table_cells(rows))
+        if any(row.quick for row in rows):
+            print("a quick run: figures marked - were measured with too little effort to be judged")
         print(*files, sep="\n")
     if not all_passed(rows):
         raise typer.Exit(1)

@@ -111,10 +111,11 @@ def _best_rigs(folder: Path) -> dict[str, Rig] | None:
 
 
 def _rendered(rig_file: RigFile, effort: Effort) -> RigFile:
-    """The scene as this effort renders it."""
+    """The scene as this effort renders it; its name, which the page shows, tells of less effort."""
     if not effort.render:
         return rig_file
-    document = merge(rig_file.document, {"render": dict(effort.render)})
+    name = f"{rig_file.rig.name} (quick run: few frames and samples, no figure to be judged)"
+    document = merge(rig_file.document, {"name": name, "render": dict(effort.render)})
     return parse_rig(document, source=rig_file.source, trusted=True)
 
 

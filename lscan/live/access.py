@@ -14,7 +14,6 @@ import socket
 from collections.abc import Iterable
 from contextlib import suppress
 from dataclasses import dataclass
-from http.cookies import CookieError, SimpleCookie
 from ipaddress import ip_address
 from urllib.parse import urlsplit
 
@@ -82,10 +81,10 @@ class Access:
             return "Commands are taken from this page alone: the request names no Origin."
         if self.token is None:
             return None
-        given = request.query_token
-        if given is None:
-            given = self._from_cookie(request.cookie)
-        if given is None or not secrets.compare_digest(given.encode(), self.token.encode()):
+        given = [request.query_token]
+        if request.query_token is None:
+            given = self._from_cookies(request.cookie)
+        if not any(map(self._is_token, given)):
             return "A token is needed: open the whole address that lscan live printed."
         return None
 
@@ -95,7 +94,7 @@ class Access:
             name, port = parts.hostname or "", parts.port or 80
         except ValueError:
             return False
-        if port != self.port or parts.path or parts.query or parts.username is not None:
+        if port != self.port or set(host) & set("/?#@"):
             return False
         if self.host in LOOPBACK:
             return name in LOOPBACK
@@ -103,12 +102,14 @@ class Access:
             return _is_address(name) or name in (*LOOPBACK, socket.gethostname().lower())
         return name == self.host.lower()
 
-    def _from_cookie(self, header: str) -> str | None:
-        try:
-            morsel = SimpleCookie(header).get(self.cookie)
-        except CookieError:
-            return None
-        return morsel.value if morsel else None
+    def _is_token(self, given: str | None) -> bool:
+        wanted = self.token or ""
+        return given is not None and secrets.compare_digest(given.encode(), wanted.encode())
+
+    def _from_cookies(self, header: str) -> list[str | None]:
+        """The values of all cookies of our name: other programs of this host set theirs too."""
+        pieces = (piece.strip().partition("=") for piece in header.split(";"))
+        return [value for name, _, value in pieces if name == self.cookie]
 
 
 def grant(host: str, port: int, token: str | None) -> Access:

@@ -1,4 +1,4 @@
-"""The run that an earlier sitting left unfinished in the folder of the runs."""
+"""The run that was left unfinished in the folder of the runs."""
 
 from __future__ import annotations
 
@@ -6,9 +6,10 @@ from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
+from lscan.disk import read_bytes
 from lscan.errors import LscanError
 from lscan.rig import RigFile
-from lscan.run import MANIFEST, TABLE, read_manifest
+from lscan.run import MANIFEST, TABLE, most_table_bytes, read_manifest
 from lscan.samerig import require_same_rig
 
 
@@ -33,7 +34,8 @@ def find_unfinished(output: Path, rig_file: RigFile) -> Unfinished | None:
             require_same_rig(begun, rig_file, where=table.parent / MANIFEST)
             if manifest.state == "complete":
                 return None
-            rows = table.read_bytes().count(b"\n") - 1  # under the header, a torn one left out
+            held = read_bytes(table, most_table_bytes(manifest.plan), within=table.parent)
+            rows = held.count(b"\n") - 1  # under the header, a torn one left out
             return Unfinished(table.parent, max(rows, 0))
     return None
 

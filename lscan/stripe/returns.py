@@ -27,6 +27,9 @@ _WEAKER = 0.35
 """Share of another line's light below which one is taken for a reflection of it.  Where two pieces
 of one line succeed each other neither reflects the other, and a piece's last column, which blur
 dims, tells where it ends: "first" and "last" then go by place alone."""
+_MOST_SPOTS = 32
+"""Of a column: those of the most light.  In a picture of noise each of thousands of rows may hold
+one, and spots are compared in pairs."""
 _SPECK = 2.0  # a blob no longer than so many times its height is no line
 _LONGER = 3.0  # unless the other is no longer than so many times the blob
 _MUCH_LONGER = 10.0  # a picture with a line has one so many times as long as a stray blob
@@ -143,8 +146,18 @@ def _spots(columns: Floats, smoothed: Floats, ground: Floats, threshold_dn: floa
     above = np.append((columns - ground).ravel(), 0.0)  # so that the last bound is within it
     total = np.add.reduceat(above, bounds)[::2] if len(bounds) else np.zeros(0)
     peak = np.maximum.reduceat(above, bounds)[::2] if len(bounds) else np.zeros(0)
-    high = peak > threshold_dn
-    return _Spots(column[high], top[high], bottom[high] - 1, total[high])
+    high = np.flatnonzero(peak > threshold_dn)
+    kept = high[_brightest(column[high], total[high])]
+    return _Spots(column[kept], top[kept], bottom[kept] - 1, total[kept])
+
+
+def _brightest(column: Ints, light: Floats) -> Mask:
+    """(K,) mask of the spots among the _MOST_SPOTS of the most light of their column."""
+    order = np.lexsort((-light, column))
+    begin = np.searchsorted(column, column[order])  # of each spot's column, for they rise
+    mask = np.zeros(len(column), dtype=bool)
+    mask[order[np.arange(len(column)) - begin < _MOST_SPOTS]] = True
+    return mask
 
 
 def _pairs(column: Ints, apart: int) -> tuple[Ints, Ints]:

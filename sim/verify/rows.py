@@ -188,7 +188,9 @@ def table_cells(rows: Iterable[Row]) -> list[list[str]]:
 
 
 def number(value: float) -> str:
-    """The number with two significant digits; powers of ten where it is small."""
+    """The number with two significant digits, or whole; powers of ten for very small and large."""
     if value == 0 or not isfinite(value):
         return f"{value:g}"
+    if abs(value) >= 100:
+        return f"{value:.0f}" if abs(value) < 1e6 else f"{value:.1e}"
     return f"{value:.2g}" if abs(value) >= 1e-3 else f"{value:.1e}"

@@ -85,6 +85,23 @@ def test_the_token_opens_by_address_or_cookie_alone(served):
         assert access.refusal(Asked(host, cookie=f"lscan-8765={TOKEN}", query_token=wrong))
 
 
+@pytest.mark.parametrize(
+    "other", ['x={"a":1}', "foo bar", "a b=1", "a[b]=1", 'theme="a,b', "x=é", "lscan-8765=evil", ""]
+)
+def test_cookies_of_other_programs_of_the_host_lock_nobody_out(other):
+    access = grant("192.0.2.7", 8765, TOKEN)
+    for cookies in (f"{other}; lscan-8765={TOKEN}", f"lscan-8765={TOKEN}; {other}"):
+        assert access.refusal(Asked("192.0.2.7:8765", cookie=cookies)) is None
+    assert access.refusal(Asked("192.0.2.7:8765", cookie=other)) is not None
+
+
+@pytest.mark.parametrize("beside", ["#", "#/x", "/", "?", "?x"])
+def test_a_host_is_a_name_and_a_port_alone(beside):
+    access = grant("127.0.0.1", 8765, None)
+    assert "not served" in access.refusal(Asked(f"127.0.0.1:8765{beside}"))
+    assert "not served" in access.refusal(Asked("somebody@127.0.0.1:8765"))
+
+
 def test_the_address_holds_what_a_browser_needs():
     assert grant("127.0.0.1", 80, None).addresses == ("http://127.0.0.1:80/",)
     assert grant("::1", 8765, None).addresses == ("http://[::1]:8765/",)

@@ -217,7 +217,9 @@ def test_only_the_newest_run_of_this_rig_is_offered_and_only_if_unfinished(
     killed_scan(output / "another-rig", frames=6)
     (output / "no-run").mkdir()
     (output / "no-run" / "frames.csv").write_text("x")
-    for seconds, name in enumerate(("old", "another-rig", "no-run")):
+    killed_scan(output / "sparse")
+    os.truncate(output / "sparse" / "frames.csv", 2**40)  # refused before it is read
+    for seconds, name in enumerate(("old", "another-rig", "no-run", "sparse")):
         os.utime(output / name / "frames.csv", (seconds, seconds))
     with live_bench(monkeypatch, output) as bench:
         assert scan_of(bench.open())["folder"] == str(output / "old")

@@ -119,16 +119,30 @@ def test_a_bomb_of_a_megabyte_takes_no_memory(tmp_path: Path) -> None:
     assert most_mib < 20
 
 
-def test_a_chunk_that_says_it_is_huge_takes_no_memory(tmp_path: Path) -> None:
-    """OpenCV takes as many bytes as a PNG's chunk declares, 2 GiB, before it reads them."""
+@pytest.mark.parametrize("name", [b"tEXt", b"IDAT", b"IEND"])
+def test_a_chunk_that_says_it_is_huge_takes_no_memory(tmp_path: Path, name: bytes) -> None:
+    """OpenCV takes as many bytes as a PNG's chunk declares, 2 to 4 GiB, before it reads them."""
     bomb = tmp_path / "bomb.png"
-    bomb.write_bytes(grey_png(16, 16, b"", chunk(b"tEXt", b"", length=2**31 - 20)))
+    whole = grey_png(16, 16, b"", chunk(name, b"", length=2**31 - 20))
+    end = whole.index(name) + 8  # the file ends there, too
+    bomb.write_bytes(whole if name == b"tEXt" else whole[:end])
     call = f"read_picture(Path({str(bomb)!r}))"
     said, most_mib = refused_within(
         "from pathlib import Path\nfrom lscan.pictures import read_picture", call
     )
     assert "bomb.png: is not a picture that can be read" in said
     assert most_mib < 20
+
+
+def test_a_png_without_pixels_has_no_header() -> None:
+    """Nor one whose last chunk is not empty: a decoder looks for pixels as far as it says."""
+    whole = grey_png(16, 16, zlib.compress(bytes(17 * 16)))
+    assert read_header(whole) is not None
+    start, end = whole.index(b"IDAT") - 4, whole.index(b"IEND") - 4
+    assert read_header(whole[:start] + whole[end:]) is None
+    long_end = chunk(b"IEND", b"", length=2**32 - 16)
+    assert read_header(whole[:end] + long_end) is None
+    assert read_header(whole[:start] + long_end) is None
 
 
 def test_a_file_larger_than_any_picture_is_not_read(tmp_path: Path) -> None:

@@ -162,4 +162,5 @@ def test_a_quick_demo_has_every_part_and_says_so(tmp_path: Path) -> None:
     assert set(found["best"]) >= {"sandwave", "groove"}
     assert all(np.isfinite(value) for value in found["render_check"].values())
     page = (tmp_path / "report.html").read_text()
+    assert "quick run" in page
     assert all(f"Table {number}." in page for number in ("I", "II", "III"))
