@@ -208,3 +208,12 @@ def test_the_lock_pins_all_that_the_project_asks_for() -> None:
         version, hashes = locked[_canonical(requirement.name)]
         assert version in requirement.specifier, requirement
         assert hashes > 0, requirement
+
+
+@pytest.mark.xdist_group("house")
+def test_groups_of_tests_stay_on_one_worker(request: pytest.FixtureRequest) -> None:
+    """pytest-xdist says so by the group's name in the test's own; without it, fixtures that tests
+    of a group share, a whole demo among them, are made once by each worker."""
+    if not request.config.getoption("loadgroup", False):
+        pytest.skip("not run in groups: --dist loadgroup")
+    assert request.node.nodeid.endswith("@house")
