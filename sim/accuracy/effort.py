@@ -51,7 +51,7 @@ FULL = Effort(
     cell_mm=3.0,
     poses=10,
     drawings=100,
-    repeats=5,
+    repeats=9,
     plain=False,
 )
 QUICK = Effort(
