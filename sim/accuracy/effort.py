@@ -34,11 +34,11 @@ class Effort:
         """The seeds in words."""
         return f"seeds {self.seeds[0]} to {self.seeds[-1]}"
 
-    def scene(self, scene: Scene) -> Scene:
-        """The scene as this effort renders it."""
+    def scene(self, scene: Scene, samples: int = 1) -> Scene:
+        """The scene as this effort renders it; samples: a pixel, of a plain one."""
         if not self.plain:
             return scene
-        least = {"fineness": 1, "samples": 4, "scatter_samples": 0}
+        least = {"fineness": 1, "samples": samples, "scatter_samples": 0}
         render = scene.tank.render.model_copy(update=least)
         return replace(scene, tank=scene.tank.model_copy(update={"render": render}))
 
@@ -60,7 +60,7 @@ QUICK = Effort(
     slice_step_mm=2.0,  # the longest with which the alignment has ten profiles across a wedge
     coverage_step_mm=2.0,
     cell_mm=6.0,
-    poses=8,
+    poses=5,
     drawings=4,
     repeats=1,
     plain=True,
