@@ -202,6 +202,7 @@ def test_the_rig_file_loads_and_is_the_scene_without_its_tank(
         for section in (ours, theirs):
             section[kind].pop("options")
         theirs[kind].pop("driver")
+    assert theirs.pop("sheet") is None and ours.pop("sheet") is not None  # a user's by ruler
     assert ours == theirs
     assert "lens" not in loaded.document
 
