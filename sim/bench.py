@@ -62,7 +62,7 @@ class Effort:
     repeats: int
 
 
-FULL = Effort(runs=16, stock_samples=1024, converged=(4096, 2048), repeats=15)
+FULL = Effort(runs=64, stock_samples=1024, converged=(4096, 2048), repeats=15)
 QUICK = Effort(runs=3, stock_samples=16, converged=(64, 32), repeats=1)
 
 

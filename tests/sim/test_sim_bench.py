@@ -28,7 +28,7 @@ def test_the_interval_holds_the_true_ratio() -> None:
     1.96 against 2.13: 92 % of a normal quantity.
     """
     generator = np.random.default_rng(3)
-    gains = [gain_of(pairs(generator, FULL.runs)) for _ in range(400)]
+    gains = [gain_of(pairs(generator, 16)) for _ in range(400)]
     held = np.mean([gain.low <= np.e <= gain.high for gain in gains])
     assert held >= 0.92 - 3 * 0.011
     assert all(gain.low <= gain.ratio <= gain.high for gain in gains)
