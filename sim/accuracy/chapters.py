@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from lscan.records import Measured
+from lscan.rig import StripeSection
 from sim.accuracy.board import lengths, map_errors_mm, photograph
 from sim.accuracy.effort import Effort
 from sim.accuracy.exposures import read_scan, with_contrast
@@ -72,7 +73,7 @@ def _slices(
     seed = effort.seeds[0]
     solved = photograph(board, [seed], _map_name(board, effort)).calibrations[0]
     positions = every_frame(scene, effort.slice_step_mm or scene.rig.plan.step_mm)
-    reading = read_scan(scene, positions, [seed], scene.rig.stripe)[0]
+    reading = read_scan(scene, positions, [seed], _stripe(scene, effort))[0]
     surface = aligned_surface(scene, reading, solved.plane_map)
     rows = []
     for name, found in slice_figures(scene, surface).items():
@@ -92,7 +93,7 @@ def grid_chapter(scenes: Path, photographs: Path, effort: Effort) -> list[Row]:
     board = with_contrast(_best(scenes, effort, "board"), SPECKLE)
     calibrations = photograph(board, effort.seeds, _map_name(board, effort)).calibrations
     positions = every_frame(scene, effort.coverage_step_mm)
-    readings = read_scan(scene, positions, effort.seeds, scene.rig.stripe)
+    readings = read_scan(scene, positions, effort.seeds, _stripe(scene, effort))
     cells = [
         grid_errors(scene, aligned_surface(scene, reading, calibration.plane_map), effort.cell_mm)
         for reading, calibration in zip(readings, calibrations, strict=True)
@@ -115,7 +116,7 @@ def metric_chapter(scenes: Path, photographs: Path, effort: Effort) -> list[Row]
 def misaligned_chapter(scenes: Path, photographs: Path, effort: Effort) -> list[Row]:
     """The coplanar route with a board that is not coplanar."""
     scene = _best(scenes, effort, "board")
-    return misaligned_rows(scene, scene.rig.calibration.plane_map)
+    return misaligned_rows(scene, _map_name(scene, effort))
 
 
 def photograph_chapter(scenes: Path, photographs: Path, effort: Effort) -> list[Row]:
@@ -144,6 +145,15 @@ def _best(scenes: Path, effort: Effort, name: str) -> Scene:
 
 def _map_name(board: Scene, effort: Effort) -> str:
     return effort.plane_map or board.rig.calibration.plane_map
+
+
+def _stripe(scene: Scene, effort: Effort) -> StripeSection:
+    stripe = scene.rig.stripe
+    return (
+        stripe
+        if effort.extractor is None
+        else stripe.model_copy(update={"extractor": effort.extractor})
+    )
 
 
 def _rms(values: np.ndarray) -> float:
