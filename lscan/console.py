@@ -37,10 +37,8 @@ def run_command_line(app: typer.Typer, name: str) -> None:
         message = "; ".join([str(error), *getattr(error, "__notes__", ())])
         sys.exit(_complain(name, message, error.exit_code))
     except MemoryError as error:
-        told = (
-            f"there is not enough memory: {error}" if str(error) else "there is not enough memory"
-        )
-        sys.exit(_complain(name, told, FAILED))
+        said = f": {error}" if str(error) else ""
+        sys.exit(_complain(name, f"there is not enough memory{said}", FAILED))
     except Exception as error:
         if type(error).__name__ == "NoArgsIsHelpError":
             print(error)

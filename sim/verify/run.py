@@ -11,7 +11,7 @@ from lscan.disk import make_folder
 from sim.verify.chapters import FULL, QUICK, Measure, chapters
 from sim.verify.gallery import Plate, gallery, scene_files
 from sim.verify.report import write_page
-from sim.verify.rows import Check, Row, RowFile, all_passed, failed_row, rows_of
+from sim.verify.rows import Check, Row, RowFile, failed_row, rows_of
 
 Progress = Callable[[int, int], None]
 
@@ -28,11 +28,6 @@ class Evidence:
     def rows(self) -> list[Row]:
         """All rows, in the order of the page."""
         return rows_of(self.checks)
-
-    @property
-    def passed(self) -> bool:
-        """Whether no figure is beyond its bar."""
-        return all_passed(self.rows)
 
 
 def run_verify(

@@ -137,7 +137,18 @@ def test_ctrl_c_before_there_is_a_run_speaks_of_none(
     assert scan(tmp_path / "a") == (130, "lscan: stopped\n")
 
 
-# The disk
+# The disk, the memory
+
+
+@pytest.mark.parametrize(("said", "line"), [("", ""), ("22 GiB", ": 22 GiB")])
+def test_too_little_memory_is_one_line(
+    tmp_path: Path, scan: Scan, monkeypatch: pytest.MonkeyPatch, said: str, line: str
+) -> None:
+    def exhaust(_: object) -> None:
+        raise MemoryError(said)
+
+    monkeypatch.setattr("lscan.acquire.open_devices", exhaust)
+    assert scan(tmp_path / "a") == (1, f"lscan: there is not enough memory{line}\n")
 
 
 def test_a_disk_full_in_mid_scan_leaves_with_the_code_of_a_failed_device(
