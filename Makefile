@@ -61,12 +61,12 @@ clean:
 	find lscan sim tests -name __pycache__ -type d -prune -exec rm -rf {} +
 
 .venv/llvm.stamp: .venv/packages.stamp
-	@$(BIN)/python -m sim.backend --install
+	@$(BIN)/python -m sim.render.backend --install
 	@touch $@
 
 # The live page is tested in a browser; where none can be had, those tests say so and skip.
 .venv/chromium.stamp: .venv/packages.stamp
-	@$(BIN)/python -m sim.hardware.browser --install
+	@$(BIN)/python -m sim.testing.browser --install
 	@touch $@
 
 .venv/packages.stamp: .venv/python.stamp requirements.lock pyproject.toml

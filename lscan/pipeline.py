@@ -5,17 +5,17 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
+from lscan.acquisition.run import Run
+from lscan.calibration.api import PlaneMap
+from lscan.config.rig import Rig
+from lscan.config.targets import Sandwave
 from lscan.errors import MeasurementError
-from lscan.planemap.api import PlaneMap
-from lscan.profile import to_profile
 from lscan.records import Profile, Surface
-from lscan.rig import Rig
-from lscan.run import Run
 from lscan.stripe import extract_stripe
 from lscan.surface import Alignment, align_sandwave, apply, stack
 from lscan.surface.concavity import SheetGeometry, take_back_thickness
+from lscan.surface.profile import to_profile
 from lscan.surface.shaft import shaft_of, stack_about
-from lscan.targets import Sandwave
 
 Progress = Callable[[int, int], None]
 

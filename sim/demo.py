@@ -12,22 +12,22 @@ from typing import Any
 
 import numpy as np
 
-from lscan.acquire import scan
-from lscan.console import progress_bar
-from lscan.disk import make_folder
-from lscan.documents import merge
-from lscan.evaluation import Experiment, evaluate
+from lscan.acquisition.run import MANIFEST, Run
+from lscan.acquisition.scan import scan
+from lscan.cli.console import progress_bar
+from lscan.config.documents import merge
+from lscan.config.rig import Rig, RigFile, StripeSection, load_rig, parse_rig
+from lscan.config.targets import Sandwave
+from lscan.files.disk import make_folder
 from lscan.measure import compare_slice
+from lscan.paper.evaluation import Experiment, evaluate
+from lscan.paper.results import experiment_json, write_experiment
 from lscan.records import Floats, Status
-from lscan.results import experiment_json, write_experiment
-from lscan.rig import Rig, RigFile, StripeSection, load_rig, parse_rig
-from lscan.run import MANIFEST, Run
 from lscan.stripe import extract_stripe
 from lscan.surface import Slice
-from lscan.targets import Sandwave
+from sim.render.tank import Tank
 from sim.scene import Scene, scene_of
 from sim.sensor import Webcam
-from sim.tank import Tank
 from sim.truth import board_truth, slice_visibility, stripe_truth
 
 PARTS = ("board", "groove", "sandwave")

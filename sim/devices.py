@@ -14,17 +14,17 @@ from typing import TYPE_CHECKING, Annotated, Self
 import numpy as np
 from pydantic import Field, PositiveFloat, model_validator
 
+from lscan.config.documents import Strict, check
+from lscan.config.rig import RigFile, load_rig
 from lscan.devices.api import Fact, Grab, Track
 from lscan.devices.travel import check_plan
-from lscan.documents import Strict, check
 from lscan.errors import DeviceError, InputError
-from lscan.rig import RigFile, load_rig
-from sim.placement import check_placement
 from sim.scene import SECTIONS, Scene, scene_of
+from sim.truth.placement import check_placement
 
 if TYPE_CHECKING:
+    from sim.render.tank import Layers, Tank
     from sim.sensor import Webcam
-    from sim.tank import Layers, Tank
 
 FRAME_PERIOD_S = 0.2  # the simulated clock: a frame takes this long, its background half of it
 _LIT, _DARK = 1, 2  # the streams that the noise of either picture is drawn from
@@ -126,8 +126,8 @@ class SimCamera:
     """A camera that renders the tank from where its track stands."""
 
     def __init__(self, scene: Scene, track: Track) -> None:
+        from sim.render.tank import Tank
         from sim.sensor import Webcam
-        from sim.tank import Tank
 
         self._scene, self._track = scene, track
         camera_options(scene)

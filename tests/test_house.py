@@ -14,10 +14,10 @@ from pathlib import Path
 import pytest
 from packaging.requirements import Requirement
 from packaging.version import Version
+from places import ROOT
 
 import lscan
 
-ROOT = Path(__file__).resolve().parents[1]
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
 MODULES = sorted(
     path.relative_to(ROOT) for folder in ("lscan", "sim") for path in (ROOT / folder).rglob("*.py")
@@ -48,10 +48,10 @@ def test_the_import_contracts_are_kept() -> None:
     [
         ("lscan/board.py", "import sim.scene", "the instrument does not know the tank"),
         ("lscan/report.py", "import mitsuba", "the instrument does not know the tank"),
-        ("lscan/board.py", "import lscan.cli", "the floors of lscan"),
+        ("lscan/board.py", "import lscan.cli.app", "the floors of lscan"),
         ("lscan/attic.py", "", "the floors of lscan"),
-        ("sim/scene/file.py", "import sim.tank", "the floors of sim"),
-        ("sim/truth.py", "import sim.plugins", "the truth judges code it does not use"),
+        ("sim/scene/file.py", "import sim.render.tank", "the floors of sim"),
+        ("sim/truth.py", "import sim.render.plugins", "the truth judges code it does not use"),
     ],
 )
 def test_the_contracts_notice(tmp_path: Path, module: str, line: str, contract: str) -> None:
@@ -67,7 +67,7 @@ def test_the_contracts_notice(tmp_path: Path, module: str, line: str, contract: 
 
 def test_no_lscan_module_loads_the_tank() -> None:
     names = [name for name in MODULE_NAMES if name.split(".")[0] == "lscan"]
-    assert "lscan.cli" in names
+    assert "lscan.cli.app" in names
     code = (
         "import importlib, sys\n"
         "for name in sys.argv[1:]: importlib.import_module(name)\n"

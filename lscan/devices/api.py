@@ -9,8 +9,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Protocol, runtime_checkable
 
+from lscan.config.rig import RigFile
 from lscan.records import Bytes
-from lscan.rig import RigFile
 
 Fact = str | float | bool | None
 """What is told of a device under a name that carries the unit; None: it does not say."""

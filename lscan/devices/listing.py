@@ -12,12 +12,12 @@ from pathlib import Path
 
 import cv2
 
+from lscan.config.plugins import find_plugin
+from lscan.config.rig import RigFile
 from lscan.devices.api import Fact, Foretelling
 from lscan.devices.opencv_camera import Capture, OpencvOptions, open_capture
 from lscan.devices.opencv_camera.settings import fourcc_text
 from lscan.errors import LscanError
-from lscan.plugins import find_plugin
-from lscan.rig import RigFile
 
 SIZES_PX = ((320, 240), (640, 480), (800, 600), (1280, 720), (1920, 1080), (3840, 2160))
 """Sizes a video device is asked for: those common among webcams."""

@@ -13,11 +13,11 @@ from typing import Annotated, Self
 
 from pydantic import Field, model_validator
 
+from lscan.config.documents import Strict, check
+from lscan.config.rig import RigFile
 from lscan.devices.api import Fact
 from lscan.devices.travel import check_plan
-from lscan.documents import Strict, check
 from lscan.errors import DeviceError
-from lscan.rig import RigFile
 
 Ask = Callable[[str], str]
 

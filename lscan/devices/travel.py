@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+from lscan.config.rig import RigFile
 from lscan.errors import InputError
-from lscan.rig import RigFile
 
 
 def check_plan(rig_file: RigFile, low_mm: float, high_mm: float, slack_mm: float = 0.0) -> None:

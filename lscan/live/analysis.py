@@ -6,12 +6,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from lscan.config.rig import StripeSection
 from lscan.live.maptable import LiveProfile, MapTable
 from lscan.records import Bytes, Floats, Ints, Stripe, has_value
-from lscan.rig import StripeSection
 from lscan.stripe import extract_stripe
 from lscan.stripe.lines import Lines, lines_of
-from lscan.stripe.noise import constant_variance
+from lscan.stripe.noise.model import constant_variance
 from lscan.stripe.width import line_width
 
 FULL_WIDTH = 2 * np.sqrt(2 * np.log(2))

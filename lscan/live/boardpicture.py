@@ -8,16 +8,16 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
-from lscan.acquire import acquire_into
-from lscan.controlpoints import read_board
+from lscan.acquisition.scan import acquire_into
+from lscan.acquisition.writer import RunWriter, create_run
+from lscan.board import read_board
+from lscan.calibration.api import PlaneMap
+from lscan.calibration.solve import calibrate, save_calibration
+from lscan.config.rig import Plan, RigFile, parse_rig
 from lscan.devices.api import Limited, Track
 from lscan.errors import DeviceError, InputError
 from lscan.live.devices import LiveDevices
 from lscan.live.maptable import MapTable, tabulate
-from lscan.planemap.api import PlaneMap
-from lscan.planemap.calibration import calibrate, save_calibration
-from lscan.rig import Plan, RigFile, parse_rig
-from lscan.runwriter import RunWriter, create_run
 
 
 @dataclass(frozen=True)

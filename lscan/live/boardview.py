@@ -6,15 +6,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from lscan.board import Board
-from lscan.controlpoints import read_board
+from lscan.board import read_board
+from lscan.calibration.api import PlaneMap
+from lscan.calibration.multiview.planemap import Metric
+from lscan.calibration.offsheet import OffSheet, Sight, off_sheet, seen_from
+from lscan.calibration.solve import calibrate, in_picture, residuals
+from lscan.config.board import Board
+from lscan.config.rig import Rig, SheetSection
 from lscan.errors import BoardNotFound, LscanError, MeasurementError
-from lscan.metric.planemap import Metric
-from lscan.planemap.api import PlaneMap
-from lscan.planemap.calibration import calibrate, in_picture, residuals
-from lscan.planemap.offsheet import OffSheet, Sight, off_sheet, seen_from
 from lscan.records import BoardReading, Bytes, Floats
-from lscan.rig import Rig, SheetSection
 
 UNCALIBRATED = "how far the board is from the sheet needs a calibration: --calibration FILE"
 NO_PLACE = (

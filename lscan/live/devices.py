@@ -12,11 +12,11 @@ import contextlib
 import threading
 from collections.abc import Callable, Iterator
 
-from lscan.acquire import open_camera, open_track
+from lscan.acquisition.scan import open_camera, open_track
+from lscan.config.rig import RigFile
 from lscan.devices.api import Camera, Describing, Grab, LaserSwitch, Previewing, Track
 from lscan.errors import DeviceError, InputError, LscanError
 from lscan.live.errors import told
-from lscan.rig import RigFile
 from lscan.stripe.lines import check_picture
 
 Show = Callable[[Grab], None]

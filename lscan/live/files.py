@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-FOLDER = Path(__file__).parents[1] / "templates" / "live"
+FOLDER = Path(__file__).parent / "page"
 KINDS = {
     ".html": "text/html",
     ".js": "text/javascript",

@@ -10,13 +10,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
-from lscan.acquire import acquire_into
+from lscan.acquisition.scan import acquire_into
+from lscan.acquisition.writer import RunWriter, create_run, resume_run
+from lscan.config.rig import RigFile
 from lscan.errors import DeviceError, InputError
 from lscan.live.devices import LiveDevices
 from lscan.live.errors import NotNow, told
 from lscan.live.unfinished import find_unfinished
-from lscan.rig import RigFile
-from lscan.runwriter import RunWriter, create_run, resume_run
 
 State = Literal["idle", "scanning", "paused", "stopping", "done", "failed"]
 KEPT = "frames are kept; Resume goes on"

@@ -25,7 +25,7 @@ from starlette.responses import FileResponse, JSONResponse, Response
 from starlette.routing import Route
 from starlette.types import ASGIApp
 
-from lscan.documents import Strict, check
+from lscan.config.documents import Strict, check
 from lscan.errors import DeviceError, InputError, LscanError
 from lscan.live.access import Access
 from lscan.live.door import Door

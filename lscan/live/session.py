@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
+from lscan.config.rig import RigFile
 from lscan.devices.api import Grab
 from lscan.errors import InputError
 from lscan.live.analysis import Figures, measure_line, measure_picture
@@ -21,7 +22,6 @@ from lscan.live.focus import BestFocus
 from lscan.live.newest import Newest
 from lscan.live.scanning import Progress, Scanning, next_name
 from lscan.live.wire import board_json, figures_json, jpeg_of, packed
-from lscan.rig import RigFile
 
 Mode = Literal["stripe", "board"]
 Phase = Literal["alignment", "calibrated", "scan"]

@@ -6,11 +6,11 @@ from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
-from lscan.disk import read_bytes
+from lscan.acquisition.run import MANIFEST, TABLE, most_table_bytes, read_manifest
+from lscan.acquisition.samerig import require_same_rig
+from lscan.config.rig import RigFile
 from lscan.errors import LscanError
-from lscan.rig import RigFile
-from lscan.run import MANIFEST, TABLE, most_table_bytes, read_manifest
-from lscan.samerig import require_same_rig
+from lscan.files.disk import read_bytes
 
 
 @dataclass(frozen=True)

@@ -14,11 +14,11 @@ from typing import Any
 import cv2
 import numpy as np
 
+from lscan.calibration.offsheet import OffSheet
 from lscan.errors import InputError
 from lscan.live.analysis import Figures, StripeFigures
 from lscan.live.boardview import BoardFigures
 from lscan.live.maptable import LiveProfile
-from lscan.planemap.offsheet import OffSheet
 from lscan.records import Bytes, Floats, Status, has_value
 
 JPEG_QUALITY = 80

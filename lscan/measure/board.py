@@ -12,10 +12,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from lscan.board import Board, Ring
+from lscan.calibration.api import PlaneMap
+from lscan.config.board import Board, Ring
 from lscan.errors import MeasurementError
 from lscan.measure.circle import fit_circle
-from lscan.planemap.api import PlaneMap
 from lscan.records import (
     BoardReading,
     Floats,

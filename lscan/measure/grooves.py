@@ -8,6 +8,7 @@ from itertools import pairwise
 
 import numpy as np
 
+from lscan.config.targets import GroovedBlock
 from lscan.errors import InputError, MeasurementError
 from lscan.measure.ends import End, segment_ends
 from lscan.measure.lengths import Length, mean_length
@@ -21,7 +22,6 @@ from lscan.measure.segments import (
     trace,
 )
 from lscan.records import Ints, Measured, Profile
-from lscan.targets import GroovedBlock
 
 
 @dataclass(frozen=True)

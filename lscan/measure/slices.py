@@ -6,10 +6,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from lscan.config.targets import Sandwave
 from lscan.errors import MeasurementError
 from lscan.records import Floats, Mask, has_value
 from lscan.surface import Slice
-from lscan.targets import Sandwave
 
 
 @dataclass(frozen=True)

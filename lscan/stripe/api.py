@@ -6,9 +6,9 @@ from typing import Any, Protocol
 
 import numpy as np
 
+from lscan.config.rig import StripeSection
 from lscan.errors import InputError
 from lscan.records import Floats, Mask, Status, Stripe, has_value
-from lscan.rig import StripeSection
 
 _GIVEN = (Status.OK, Status.SATURATED, Status.NO_PEAK, Status.AT_BORDER, Status.AMBIGUOUS)
 

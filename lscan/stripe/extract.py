@@ -9,18 +9,18 @@ from typing import TypeVar, cast
 import numpy as np
 from numpy.typing import NDArray
 
+from lscan.config.plugins import find_plugin_or_function
+from lscan.config.rig import StripeSection
 from lscan.errors import InputError, LscanError
-from lscan.plugins import find_plugin_or_function
 from lscan.records import Bytes, Floats, Mask, Status, Stripe
-from lscan.rig import StripeSection
 from lscan.stripe.api import Extractor, require_stripe
 from lscan.stripe.core import core_flux
-from lscan.stripe.correction import take_back_blur
+from lscan.stripe.corrections.blur import take_back_blur
+from lscan.stripe.corrections.smoothing import smooth
 from lscan.stripe.lines import lines_of
-from lscan.stripe.noise import difference_noise
+from lscan.stripe.noise.model import difference_noise
 from lscan.stripe.peaks import clipped_near
 from lscan.stripe.returns import choose_return, withhold
-from lscan.stripe.smoothing import smooth
 
 _Value = TypeVar("_Value", bound=np.generic)
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from lscan.disk import write_atomically
+from lscan.files.disk import write_atomically
 from lscan.records import Status, Stripe
 
 

@@ -15,8 +15,8 @@ import numpy as np
 from scipy.special import log_ndtr
 
 from lscan.records import Floats, Ints, Mask
-from lscan.stripe.model import CENTRE, Lines, lines
-from lscan.stripe.noise import Noise
+from lscan.stripe.crosssection import CENTRE, Lines, lines
+from lscan.stripe.noise.model import Noise
 
 _MOST_STEPS = 30
 _BOLD_STEPS = 10

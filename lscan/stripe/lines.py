@@ -8,9 +8,9 @@ from typing import cast
 import cv2
 import numpy as np
 
+from lscan.config.rig import Channel
 from lscan.errors import InputError
 from lscan.records import Axis, Bytes, Mask
-from lscan.rig import Channel
 
 CLIPPED_DN = 255
 """Highest value an 8-bit camera can give: such a pixel may have seen any amount of light."""

@@ -8,8 +8,8 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from lscan.config.rig import StripeSection
 from lscan.records import Floats, Ints, Mask, Status, Stripe, has_value
-from lscan.rig import StripeSection
 
 _Pixel = TypeVar("_Pixel", bound=np.generic)
 

@@ -16,8 +16,8 @@ import numpy as np
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
+from lscan.config.rig import StripeSection
 from lscan.records import Floats, Ints, Mask, Status, Stripe, has_value
-from lscan.rig import StripeSection
 
 _SMOOTHING_PX = 1.0  # as wide as a narrow line: speckle must not split a spot in two
 _REACH_PX = 8  # a spot is where the picture exceeds half of its highest value so near by

@@ -1,11 +1,11 @@
 """From profiles to a surface, its alignment with the workpiece, slices of it, and its files."""
 
-from lscan.surface.align import align_sandwave
-from lscan.surface.alignment import Alignment, apply
-from lscan.surface.edges import EdgeLine
+from lscan.surface.align.alignment import Alignment, apply
+from lscan.surface.align.edges import EdgeLine
+from lscan.surface.align.fit import align_sandwave
+from lscan.surface.align.levelling import level, levelling_step, shear
 from lscan.surface.files import load_surface, save_points, save_slice, save_surface
 from lscan.surface.grid import Grid, grid_cells
-from lscan.surface.levelling import level, levelling_step, shear
 from lscan.surface.resample import Slice, resample
 from lscan.surface.stack import stack
 

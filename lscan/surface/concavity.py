@@ -29,7 +29,7 @@ import numpy as np
 
 from lscan.errors import InputError
 from lscan.records import Floats, Surface, has_value
-from lscan.surface.levelling import shear
+from lscan.surface.align.levelling import shear
 
 REACH_IN_SIGMAS = 4.0
 """Radius in plan over which the target is taken for a quadratic, in sigmas of the sheet; no

@@ -15,8 +15,8 @@ import trimesh
 import xarray as xr
 from numpy.typing import NDArray
 
-from lscan.disk import write_atomically
 from lscan.errors import InputError
+from lscan.files.disk import write_atomically
 from lscan.records import Floats, Status, Surface, has_value
 from lscan.surface.netcdf import read_arrays
 from lscan.surface.resample import Slice

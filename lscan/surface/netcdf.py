@@ -15,8 +15,8 @@ from typing import Any
 import h5py
 import numpy as np
 
-from lscan.disk import read_bytes
 from lscan.errors import InputError
+from lscan.files.disk import read_bytes
 from lscan.records import Floats
 
 MOST_POINTS = 2**25

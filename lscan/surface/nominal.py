@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from lscan.config.targets import Sandwave
 from lscan.records import Floats, Mask
-from lscan.targets import Sandwave
 
 
 @dataclass(frozen=True)

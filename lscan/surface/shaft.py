@@ -17,9 +17,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from lscan.config.rig import ShaftSection
 from lscan.records import Floats, Profile, Surface
-from lscan.rig import ShaftSection
-from lscan.surface.alignment import own_variance
+from lscan.surface.align.alignment import own_variance
 from lscan.surface.stack import stack
 
 PARAMETERS = 5

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from lscan.disk import write_atomically
-from lscan.documents import check, read_document
+from lscan.config.documents import check, read_document
+from lscan.config.rig import ShaftSection
 from lscan.errors import InputError
-from lscan.rig import ShaftSection
+from lscan.files.disk import write_atomically
 from lscan.surface.shaft import section_of
 from lscan.surface.shaftfit import ShaftFit
 

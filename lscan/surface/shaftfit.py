@@ -23,14 +23,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from lscan.config.targets import Sandwave
 from lscan.errors import InputError, MeasurementError
 from lscan.records import Floats, Ints, Mask, Profile, has_value
-from lscan.surface.align import rough_pose
-from lscan.surface.alignment import own_variance
+from lscan.surface.align.alignment import own_variance
+from lscan.surface.align.fit import rough_pose
 from lscan.surface.nominal import above_top
 from lscan.surface.shaft import PARAMETERS, Shaft, stack_about
 from lscan.surface.stack import stack
-from lscan.targets import Sandwave
 
 POSE = 6
 """Rotations about x, y and z, then shifts, of the workpiece."""

@@ -5,7 +5,7 @@ camera and laser are in the head frame (lscan.records): its plane y = 0 is where
 sheet ought to lie, x and z are those of the plane frame, whose origin is control point O of
 the board.  The target stands in the world frame, which is the head frame of track position
 0 turned by the head's yaw, so that the track runs along y.  On a shaft the head turns instead
-of shifting, and positions are arcs (lscan.rig.ShaftSection).
+of shifting, and positions are arcs (lscan.config.rig.ShaftSection).
 """
 
 from sim.scene.file import (

@@ -10,9 +10,9 @@ from typing import Annotated, Any, Self
 import numpy as np
 from pydantic import Field, model_validator
 
-from lscan.documents import Document, Strict, check, read_document
+from lscan.config.documents import Document, Strict, check, read_document
+from lscan.config.rig import Rig, RigFile, inline_board, parse_rig
 from lscan.errors import InputError
-from lscan.rig import Rig, RigFile, inline_board, parse_rig
 from sim.scene.instrument import FlatPort, Head, Laser, Lens, Port, Seed, Sensor, TrueShaft
 from sim.scene.matter import Floor, Light, Target, Water
 from sim.scene.poses import Pose, head_pose, rotation_x, rotation_y, rotation_z
@@ -24,7 +24,7 @@ class Render(Strict):
     samples: for light that meets one surface or one place of the water, a square number:
     they lie on a regular grid inside the pixel.  scatter_samples: for light of all higher
     orders, drawn at random; 0 leaves those orders out.  fineness: parts of a pixel's side
-    in which the lens spreads the light before the pixel gathers it (sim.fineness).
+    in which the lens spreads the light before the pixel gathers it (sim.render.fineness).
     """
 
     samples: Annotated[int, Field(ge=1, le=65536)] = 9

@@ -11,7 +11,7 @@ from typing import Annotated, Any, Literal, Self
 import numpy as np
 from pydantic import Discriminator, Field, NonNegativeFloat, PositiveFloat, Tag, model_validator
 
-from lscan.documents import Strict
+from lscan.config.documents import Strict
 from lscan.records import Floats
 
 Vector = tuple[float, float, float]
@@ -161,7 +161,7 @@ class Laser(Strict):
     in the middle; "gaussian": a cylinder lens, the fan's half angle being the 1/e2 half width
     of its power, cut off there.
     port_tilt_deg: the laser's window against the sheet: where it is not 0 the sheet is bowed
-    (sim.plugins.sheet).  lines: several sheets of one diode; one straight sheet if empty.
+    (sim.render.plugins.sheet).  lines: several sheets of one diode; one straight sheet if empty.
     """
 
     power_mw: Annotated[float, Field(gt=0, le=1e5)]

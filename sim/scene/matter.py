@@ -6,7 +6,7 @@ from typing import Annotated, Literal, Self
 
 from pydantic import Field, NonNegativeFloat, PositiveFloat, model_validator
 
-from lscan.documents import Strict
+from lscan.config.documents import Strict
 from sim.scene.instrument import Fraction, Seed, Vector
 
 FLOOR_HALF_SIDE_MM = 3000.0  # beyond, a metre of turbid water has swallowed the light

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from lscan.errors import InputError
 from lscan.records import Bytes
-from sim.fineness import binned, fineness_of, finer_lens
+from sim.render.fineness import binned, fineness_of, finer_lens
 from sim.scene import Lens, Response, Scene
 from sim.sensor.blur import point_spread
 from sim.sensor.coding import electrons_of, encode, linear_dn, through_jpeg
@@ -23,7 +23,7 @@ from sim.sensor.speckle import speckle_contrast, speckle_pattern
 from sim.sensor.still import StillView
 
 if TYPE_CHECKING:
-    from sim.tank import Layers
+    from sim.render.tank import Layers
 
 Electrons = NDArray[np.float32]
 Picture = NDArray[np.float32]
@@ -53,7 +53,7 @@ class Webcam:
     ) -> Bytes:
         """The picture, (H, W, 3) RGB, of the layers; all noise comes from ``generator``.
 
-        layers: (f H, f W) for any whole f; InputError where they are not (sim.fineness).
+        layers: (f H, f W) for any whole f; InputError where they are not (sim.render.fineness).
         wavelength_nm: the laser's at this moment, the scene's nominal one if None.
         With ``noise = false`` nothing is random: no speckle, no fixed pattern either.
         """

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from lscan.board import Board, Ring
+from lscan.config.board import Board, Ring
 from lscan.errors import InputError
 from lscan.records import (
     BoardReading,

@@ -7,9 +7,9 @@ from dataclasses import replace
 
 import numpy as np
 
+from lscan.config.targets import Sandwave
 from lscan.errors import InputError
 from lscan.records import Floats, Mask
-from lscan.targets import Sandwave
 from sim.scene import (
     Head,
     Laser,

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from lscan.config.targets import Sandwave
 from lscan.errors import InputError
 from lscan.records import Floats, Mask
-from lscan.targets import Sandwave
 from sim.scene import Pose
 from sim.truth.bow import Bow
 from sim.truth.roots import increasing_roots

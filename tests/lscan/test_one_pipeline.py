@@ -14,14 +14,14 @@ import xarray as xr
 from drawn_runs import SHEET, board_run, flat_run, sandwave_run
 from typer.testing import CliRunner
 
-from lscan.arguments import stored_map
-from lscan.cli import app
-from lscan.experiment import SandwaveResult, measure_sandwave
+from lscan.acquisition.run import Run, open_run
+from lscan.cli.app import app
+from lscan.cli.arguments import stored_map
+from lscan.config.targets import Sandwave
 from lscan.measure import compare_slice
+from lscan.paper.experiment import SandwaveResult, measure_sandwave
 from lscan.records import has_value
-from lscan.run import Run, open_run
 from lscan.surface import load_surface, resample
-from lscan.targets import Sandwave
 
 pytestmark = pytest.mark.xdist_group("pipeline")  # one worker: they share a fixture
 

@@ -3,18 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from pathlib import Path
 
 import numpy as np
 import pytest
+from places import SCENES
 
+from lscan.config.rig import RigFile, load_rig, parse_rig
 from lscan.errors import DeviceError, InputError
-from lscan.rig import RigFile, load_rig, parse_rig
 from sim.devices import SimCamera, SimTrack, TrackOptions, camera_driver, track_driver
+from sim.render.tank import Tank
 from sim.scene import scene_of
-from sim.tank import Tank
 
-SCENES = Path(__file__).resolve().parents[2] / "scenes" / "paper"
+PAPER = SCENES / "paper"
 
 
 def small(rig_file: RigFile, **sections: dict) -> RigFile:
@@ -30,7 +30,7 @@ def small(rig_file: RigFile, **sections: dict) -> RigFile:
 
 @pytest.fixture(scope="module")
 def rig_file() -> RigFile:
-    return small(load_rig(SCENES / "sandwave.toml"))
+    return small(load_rig(PAPER / "sandwave.toml"))
 
 
 @pytest.fixture
@@ -100,7 +100,7 @@ def test_ctrl_c_in_a_render_is_not_taken_for_a_fault(
         except behind as error:
             raise RuntimeError("while rendering") from error
 
-    tank = Tank(scene_of(load_rig(SCENES / "groove.toml")))
+    tank = Tank(scene_of(load_rig(PAPER / "groove.toml")))
     monkeypatch.setattr("mitsuba.render", broken)
     expected = KeyboardInterrupt if behind is KeyboardInterrupt else RuntimeError
     with pytest.raises(expected):

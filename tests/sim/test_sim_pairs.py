@@ -7,18 +7,18 @@ from typing import Any
 
 import numpy as np
 import pytest
+from places import SCENES
 
-from lscan.acquire import scan
-from lscan.documents import merge
+from lscan.acquisition.run import Run
+from lscan.acquisition.scan import scan
+from lscan.config.documents import merge
+from lscan.config.rig import RigFile, load_rig, parse_rig
 from lscan.records import Status, has_value
-from lscan.rig import RigFile, load_rig, parse_rig
-from lscan.run import Run
 from lscan.stripe import extract_stripe
 from sim.devices import SimCamera, SimTrack, TrackOptions
 from sim.scene import scene_of
 from sim.truth import stripe_truth
 
-SCENES = Path(__file__).resolve().parents[2] / "scenes"
 # The window of the paper's picture that holds the block.
 LEFT, TOP, WIDTH, HEIGHT = 170, 310, 300, 150
 EDGE_PX = 4.0  # from the ends of what is lit and seen: test_stripe_hard_cases.py

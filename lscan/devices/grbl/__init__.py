@@ -10,6 +10,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 
+from lscan.config.rig import RigFile
 from lscan.devices.api import Fact
 from lscan.devices.grbl.controller import GrblMachine
 from lscan.devices.grbl.link import Link, Transport, open_serial
@@ -17,7 +18,6 @@ from lscan.devices.grbl.machine import Machine
 from lscan.devices.grbl.marlin import MarlinMachine
 from lscan.devices.grbl.options import SerialTrackOptions, read_options
 from lscan.devices.grbl.track import SerialTrack
-from lscan.rig import RigFile
 
 __all__ = ["SerialTrack", "SerialTrackOptions", "open_track", "track_driver"]
 

@@ -6,9 +6,9 @@ from typing import Annotated, Final, Literal, Self
 
 from pydantic import Field, model_validator
 
+from lscan.config.documents import Strict, check
+from lscan.config.rig import RigFile
 from lscan.devices.travel import check_plan
-from lscan.documents import Strict, check
-from lscan.rig import RigFile
 
 Place = Annotated[float, Field(ge=-100_000, le=100_000)]
 ROUNDING_MM: Final = 0.0005

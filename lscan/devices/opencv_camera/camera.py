@@ -10,6 +10,7 @@ import time
 import cv2
 import numpy as np
 
+from lscan.config.rig import CameraSection
 from lscan.devices.api import Grab
 from lscan.devices.opencv_camera.address import unopened
 from lscan.devices.opencv_camera.capture import Capture, OpenCapture
@@ -19,7 +20,6 @@ from lscan.devices.opencv_camera.reader import DeviceLost, Picture, Reader, Sour
 from lscan.devices.opencv_camera.settings import Setting, Settings, apply_settings
 from lscan.errors import DeviceError
 from lscan.records import Bytes
-from lscan.rig import CameraSection
 
 _log = logging.getLogger(__name__)
 

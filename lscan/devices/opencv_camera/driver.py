@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import os
 
+from lscan.config.documents import check
+from lscan.config.rig import RigFile
 from lscan.devices.api import Fact, Track
 from lscan.devices.opencv_camera.camera import OpencvCamera
 from lscan.devices.opencv_camera.options import OpencvOptions
-from lscan.documents import check
 from lscan.errors import InputError
-from lscan.rig import RigFile
 
 
 class _CameraDriver:

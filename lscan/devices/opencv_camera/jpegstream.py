@@ -27,8 +27,8 @@ from lscan.devices.opencv_camera.address import ended_early
 from lscan.devices.opencv_camera.capture import Capture
 from lscan.devices.opencv_camera.reader import DeviceLost
 from lscan.errors import DeviceError
-from lscan.pictureheaders import read_header
-from lscan.pictures import MOST_PX, decode, too_large
+from lscan.files.headers import read_header
+from lscan.files.pictures import MOST_PX, decode, too_large
 from lscan.records import Bytes
 
 LEAST_WAIT_S = 0.001

@@ -6,7 +6,7 @@ from typing import Annotated, Literal, Self
 
 from pydantic import Field, StrictBool, model_validator
 
-from lscan.documents import Strict
+from lscan.config.documents import Strict
 
 _OF_A_DEVICE = ("pixel_format", "fps", "gain", "focus", "white_balance", "auto_exposure")
 

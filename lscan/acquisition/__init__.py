@@ -1,0 +1,1 @@
+"""A scan and its run folder: acquiring, writing, resuming, reading back, replaying."""

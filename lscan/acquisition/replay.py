@@ -1,0 +1,231 @@
+"""A recorded run as a camera and a track: what was scanned once can be scanned again.
+
+Rig file, the same option for both devices, relative to the rig file:
+
+    camera = { driver = "replay", options = { run_file = "runs/a" } }
+    track = { driver = "replay", options = { run_file = "runs/a" } }
+
+``plan.laser = "pairs"`` needs a run that was recorded in pairs.
+"""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from lscan.acquisition.run import Run, open_run
+from lscan.config.documents import Strict, check
+from lscan.config.rig import RigFile
+from lscan.devices.api import Fact, Grab, Track
+from lscan.errors import DeviceError, InputError
+from lscan.records import Floats
+
+# Far below any track's resolution, far above the rounding of a position in mm.
+ROUNDING_MM = 1e-9
+
+
+class ReplayOptions(Strict):
+    """Options of both drivers.  run_file: the folder of the recorded run."""
+
+    run_file: str
+
+
+class ReplayTrack:
+    """A track that stands at once where it is told, within the recorded range.
+
+    It misses the commanded position by as much as the recorded track did at the nearest
+    stop, so that a replayed scan reports the positions of the recorded one.
+    """
+
+    def __init__(self, run: Run) -> None:
+        self._commanded_mm: Floats = np.array([row.commanded_mm for row in run.rows])
+        self._reported_mm = run.positions_mm
+        self._position_mm = float(self._reported_mm[0])
+        self._closed = False
+
+    @property
+    def limits_mm(self) -> tuple[float, float]:
+        """Lowest and highest position that can be commanded."""
+        return float(self._commanded_mm.min()), float(self._commanded_mm.max())
+
+    @property
+    def tolerance_mm(self) -> float:
+        """The furthest that the recorded track stood from where it was sent."""
+        return float(np.abs(self._reported_mm - self._commanded_mm).max()) + ROUNDING_MM
+
+    @property
+    def position_mm(self) -> float:
+        """Where the head stands."""
+        return self._position_mm
+
+    def move_to(self, position_mm: float) -> float:
+        """Move at once; DeviceError outside the recorded range or after closing."""
+        self._require_open()
+        low, high = self.limits_mm
+        if not low - ROUNDING_MM <= position_mm <= high + ROUNDING_MM:
+            raise DeviceError(
+                f"replay track: cannot move to {position_mm} mm; recorded: {low} mm to {high} mm"
+            )
+        nearest = int(np.argmin(np.abs(self._commanded_mm - position_mm)))
+        miss_mm = position_mm - self._commanded_mm[nearest]
+        self._position_mm = float(self._reported_mm[nearest] + miss_mm)
+        return self._position_mm
+
+    def laser_on(self) -> None:
+        """What was recorded with the laser on is asked of the camera: nothing to switch."""
+        self._require_open()
+
+    def laser_off(self) -> None:
+        """What was recorded with the laser off is asked of the camera: nothing to switch."""
+        self._require_open()
+
+    def close(self) -> None:
+        """Nothing is held open; the track can no longer be moved."""
+        self._closed = True
+
+    def _require_open(self) -> None:
+        if self._closed:
+            raise DeviceError("replay track: is closed")
+
+
+class ReplayCamera:
+    """A camera that delivers the recorded picture nearest to where the track stands.
+
+    Where several were recorded at one place they come in turn.  time_s is the recorded
+    one; where a picture comes again, the least step after the picture before.
+    """
+
+    def __init__(self, run: Run, track: Track) -> None:
+        self._run, self._track = run, track
+        self._reach_mm = abs(run.rig_file.rig.plan.step_mm) / 2 + ROUNDING_MM
+        self._last_index, self._last_time_s = -1, -math.inf
+        self._closed = False
+
+    @property
+    def size_px(self) -> tuple[int, int]:
+        """(width, height) of the recorded pictures."""
+        return _size_px(self._run.rig_file)
+
+    def grab(self, frame: int | None = None, dark: bool = False) -> Grab:
+        """The recorded picture; DeviceError where none lies within half a step.
+
+        dark: instead, the background recorded with the picture just delivered there, or with
+        the nearest; DeviceError where the run has none.
+        Raises InputError where the run folder was damaged.
+        """
+        if self._closed:
+            raise DeviceError("replay camera: is closed")
+        index = self._nearest(self._track.position_mm, self._last_index - dark)
+        recorded = self._run.frame(index)
+        image = recorded.background if dark else recorded.image
+        if image is None:
+            raise DeviceError(f"replay camera: {self._run.path} was recorded without backgrounds")
+        time_s = recorded.time_s
+        if time_s <= self._last_time_s:
+            time_s = math.nextafter(self._last_time_s, math.inf)
+        self._last_index, self._last_time_s = index, time_s
+        return Grab(image, time_s, recorded.exposure_ms)
+
+    def preview(self) -> Grab:
+        """The recorded picture, as it was; what is delivered next does not change by it."""
+        if self._closed:
+            raise DeviceError("replay camera: is closed")
+        recorded = self._run.frame(self._nearest(self._track.position_mm, self._last_index))
+        return Grab(recorded.image, recorded.time_s, recorded.exposure_ms)
+
+    def close(self) -> None:
+        """Nothing is held open; the camera delivers no more pictures."""
+        self._closed = True
+
+    def _nearest(self, position_mm: float, after: int) -> int:
+        """Index of the nearest frame; of several, the first whose index is above ``after``."""
+        distance_mm = np.abs(self._run.positions_mm - position_mm)
+        least_mm = float(distance_mm.min())
+        if not least_mm <= self._reach_mm:
+            raise DeviceError(
+                f"replay camera: no picture was recorded near {position_mm} mm; "
+                f"the nearest is {least_mm} mm away, allowed: {self._reach_mm} mm, half a step"
+            )
+        candidates = np.flatnonzero(distance_mm == least_mm)
+        later = candidates[candidates > after]
+        return int((later if later.size else candidates)[0])
+
+
+class _TrackDriver:
+    sections: frozenset[str] = frozenset()
+    switches_laser = True
+
+    def validate(self, rig_file: RigFile) -> None:
+        self._run(rig_file)
+
+    def abilities(self, rig_file: RigFile) -> dict[str, Fact]:
+        track = self.open(rig_file)
+        low_mm, high_mm = track.limits_mm
+        return {"min_mm": low_mm, "max_mm": high_mm, "tolerance_mm": track.tolerance_mm}
+
+    def open(self, rig_file: RigFile) -> ReplayTrack:
+        return ReplayTrack(self._run(rig_file))
+
+    def _run(self, rig_file: RigFile) -> Run:
+        return _recorded(rig_file.rig.track.options, rig_file.source, "track.options")
+
+
+class _CameraDriver:
+    sections: frozenset[str] = frozenset()
+    takes_dark = True
+
+    def validate(self, rig_file: RigFile) -> None:
+        self._run(rig_file)
+
+    def abilities(self, rig_file: RigFile) -> dict[str, Fact]:
+        run = self._run(rig_file)
+        return {"recorded_frames": len(run), "exposure_settable": False}
+
+    def open(self, rig_file: RigFile, track: Track) -> ReplayCamera:
+        return ReplayCamera(self._run(rig_file), track)
+
+    def _run(self, rig_file: RigFile) -> Run:
+        run = _recorded(rig_file.rig.camera.options, rig_file.source, "camera.options")
+        asked, recorded = _size_px(rig_file), _size_px(run.rig_file)
+        if asked != recorded:
+            raise InputError(
+                "camera.width_px, camera.height_px: not the size of the recorded pictures",
+                where=rig_file.source,
+                value=asked,
+                allowed=recorded,
+            )
+        if rig_file.rig.plan.paired and not run.rig_file.rig.plan.paired:
+            raise InputError(
+                f"the run {run.path} was recorded without backgrounds",
+                where=f"{rig_file.source}: plan.laser",
+                value=rig_file.rig.plan.laser,
+                allowed="untouched, on",
+            )
+        return run
+
+
+def _recorded(options: dict[str, Any], source: str, prefix: str) -> Run:
+    path = Path(check(ReplayOptions, options, where=source, prefix=prefix).run_file)
+    key, wanted = f"{prefix}.run_file", "the folder of a recorded run"
+    try:
+        run = open_run(path, trusted=True)  # for its pictures; how the line is found is not asked
+    except InputError as error:
+        raise InputError(
+            f"{key}: no recorded run: {error}", where=source, value=str(path), allowed=wanted
+        ) from error
+    if len(run) == 0:
+        raise InputError(
+            f"{key}: a run without frames", where=source, value=str(path), allowed=wanted
+        )
+    return run
+
+
+def _size_px(rig_file: RigFile) -> tuple[int, int]:
+    return rig_file.rig.camera.width_px, rig_file.rig.camera.height_px
+
+
+camera_driver = _CameraDriver()
+track_driver = _TrackDriver()

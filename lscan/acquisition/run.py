@@ -1,0 +1,339 @@
+"""The run folder: the pictures of one scan, and everything needed to make sense of them.
+
+    run.json           rig document as read, plan, state, software versions, own checksum
+    frames.csv         one row a frame: where, when, how long, and the picture's checksum
+    frames/000000.png  the pictures, lossless, as the camera delivered them
+
+With ``plan.laser = "pairs"`` there is also frames/000000-dark.png, the same view with the laser
+off, and its checksum in a further column.
+
+A folder stands alone: copied to a machine without the rig file and without the drivers it
+still opens.  No file holds a wall-clock time or a host name, so that the same simulated
+scan gives the same bytes.  This module reads; runwriter.py writes.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import io
+import json
+import math
+import platform
+import zlib
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+import cv2
+import numpy as np
+
+import lscan
+from lscan.config.documents import Document, Strict, check, read_json
+from lscan.config.plugins import installed, names_code
+from lscan.config.rig import Plan, RigFile, parse_rig
+from lscan.errors import InputError
+from lscan.files.disk import list_names, read_bytes, require_within
+from lscan.files.headers import read_header
+from lscan.files.pictures import decode
+from lscan.records import Bytes, Floats, Frame
+
+MANIFEST, TABLE, FRAMES = "run.json", "frames.csv", "frames"
+COLUMNS = "index,commanded_mm,position_mm,time_s,exposure_ms,sha256,crc32"
+PAIRED_COLUMNS = "index,commanded_mm,position_mm,time_s,exposure_ms,sha256,dark_sha256,crc32"
+MOST_ROW_BYTES = 300
+"""Of a line of the table: at most 247, of four numbers, two SHA-256 and a CRC-32."""
+State = Literal["scanning", "complete"]
+Versions = dict[str, str]
+
+
+class Manifest(Strict):
+    """What run.json holds, without its checksum.
+
+    track_zero: name of the zero that the frames' positions count from, as
+    ``lscan.devices.api.PlaceChecking`` gives it; left out where the track finds it anew.
+    """
+
+    format: Literal["lscan-run"] = "lscan-run"
+    version: Literal[1] = 1
+    state: State
+    software: list[Versions]
+    plan: Plan
+    rig: Document
+    track_zero: str | None = None
+
+    def as_text(self) -> str:
+        """The file's text: JSON with, as its last key, the SHA-256 of its meaning."""
+        content = self.model_dump(mode="json")
+        if self.track_zero is None:
+            del content["track_zero"]
+        content["sha256"] = _digest(content)
+        return json.dumps(content, indent=2, ensure_ascii=False, allow_nan=False) + "\n"
+
+    @classmethod
+    def from_file(cls, file: Path) -> Manifest:
+        """The manifest whose text ``as_text`` wrote; InputError where it is garbled or edited."""
+        content = read_json(file, within=file.parent)
+        if not isinstance(content, dict):
+            raise InputError("is not a run manifest", where=file)
+        digest = content.pop("sha256", None)
+        manifest = check(cls, content, where=file)
+        if digest != _digest(content):
+            raise InputError("was changed after it was written", where=file)
+        return manifest
+
+
+@dataclass(frozen=True)
+class Row:
+    """One row of frames.csv.
+
+    sha256: of the picture's file, in hexadecimal; dark_sha256: of its background's, None where
+    the run has none.
+    """
+
+    index: int
+    commanded_mm: float
+    position_mm: float
+    time_s: float
+    exposure_ms: float
+    sha256: str
+    dark_sha256: str | None = None
+
+    def as_text(self) -> str:
+        """The row without its line end.
+
+        Floats are written so that reading gives the same bits.  The last field is the
+        CRC-32 of all that stands before it, so a changed digit does not pass unseen.
+        """
+        numbers = (self.commanded_mm, self.position_mm, self.time_s, self.exposure_ms)
+        digests = [self.sha256] if self.dark_sha256 is None else [self.sha256, self.dark_sha256]
+        text = ",".join([str(self.index), *(repr(float(x)) for x in numbers), *digests])
+        return f"{text},{_crc32(text)}"
+
+    @classmethod
+    def from_text(cls, text: str, where: object, paired: bool = False) -> Row:
+        """The row that ``as_text`` wrote; InputError where it is torn or was changed.
+
+        paired: whether it must list a background, or must not.
+        """
+        body, _, crc = text.rpartition(",")
+        if crc != _crc32(body):
+            raise InputError("row is torn or was changed", where=where, value=text)
+        try:
+            index, *fields = body.split(",")
+            commanded, position, time, exposure = map(_finite, fields[:4])
+            sha256, *dark_sha256 = fields[4:]
+            if len(dark_sha256) != paired:
+                raise ValueError("the wrong number of checksums")
+            return cls(int(index), commanded, position, time, exposure, sha256, *dark_sha256)
+        except ValueError as error:
+            what = "row does not hold what it should"
+            raise InputError(what, where=where, value=text, allowed=columns(paired)) from error
+
+
+@dataclass(frozen=True)
+class Run:
+    """A run folder opened for reading.
+
+    rig_file: the rig the scan was made with, as the folder keeps it.
+    software: versions of what wrote the folder; more than one entry where a scan was
+        resumed under other versions.
+    rows: one per frame, in order.
+    """
+
+    path: Path
+    rig_file: RigFile
+    state: State
+    software: tuple[Versions, ...]
+    rows: tuple[Row, ...]
+
+    def __len__(self) -> int:
+        return len(self.rows)
+
+    @property
+    def positions_mm(self) -> Floats:
+        """(F,) track position of each frame as the track reported it, mm."""
+        return np.array([row.position_mm for row in self.rows], dtype=float)
+
+    def frame(self, index: int) -> Frame:
+        """Frame ``index``, 0 to len - 1, read from disk.
+
+        Raises InputError where there is no such frame, or where its picture is missing,
+        is not the one that was recorded, or is not of the rig's size.
+        """
+        if not 0 <= index < len(self):
+            allowed = f"0 to {len(self) - 1}"
+            raise InputError("no such frame", where=self.path, value=index, allowed=allowed)
+        row = self.rows[index]
+        return Frame(
+            image=self._picture(row),
+            index=index,
+            commanded_mm=row.commanded_mm,
+            position_mm=row.position_mm,
+            time_s=row.time_s,
+            exposure_ms=row.exposure_ms,
+            background=None if row.dark_sha256 is None else self._picture(row, dark=True),
+        )
+
+    def frames(self) -> Iterator[Frame]:
+        """All frames in order, each read when it is asked for; errors as ``frame``."""
+        return (self.frame(index) for index in range(len(self)))
+
+    def verify(self) -> None:
+        """Read every picture's file and compare its checksum; InputError as ``frame``."""
+        for row in self.rows:
+            self._checked_bytes(row)
+            if row.dark_sha256 is not None:
+                self._checked_bytes(row, dark=True)
+
+    def _picture(self, row: Row, dark: bool = False) -> Bytes:
+        """A frame's picture, or its background."""
+        data = self._checked_bytes(row, dark)
+        return self._decoded(data, frame_file(self.path, row.index, dark))
+
+    def _checked_bytes(self, row: Row, dark: bool = False) -> bytes:
+        file = frame_file(self.path, row.index, dark)
+        data = read_bytes(file, self._most_bytes(), within=self.path)
+        if hashlib.sha256(data).hexdigest() != (row.dark_sha256 if dark else row.sha256):
+            what = f"is not the picture that {TABLE} line {row.index + 2} lists (checksum differs)"
+            raise InputError(what, where=file)
+        return data
+
+    def _most_bytes(self) -> int:
+        """Of a picture's file: PNG needs hardly more than the pixels, 3 bytes each."""
+        camera = self.rig_file.rig.camera
+        return 4 * camera.width_px * camera.height_px + 2**20
+
+    def _decoded(self, data: bytes, file: Path) -> Bytes:
+        camera = self.rig_file.rig.camera
+        header = read_header(data)
+        if header is None or (header.format, header.depth_bits) != ("PNG", 8):
+            raise InputError("is not an 8-bit grey or RGB picture", where=file, allowed="PNG")
+        if (header.width_px, header.height_px) != (camera.width_px, camera.height_px):
+            size = f"{header.width_px} by {header.height_px} px"
+            allowed = f"{camera.width_px} by {camera.height_px} px, as in the rig"
+            raise InputError("wrong picture size", where=file, value=size, allowed=allowed)
+        image = decode(data)
+        if image is None or image.shape[2:] not in ((), (3,)):
+            raise InputError("is not an 8-bit grey or RGB picture", where=file)
+        rgb = image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_BGR2RGB)
+        return np.asarray(rgb, dtype=np.uint8)
+
+
+def open_run(path: Path, trusted: bool = False) -> Run:
+    """The run in the folder ``path``, complete or not.
+
+    trusted: whether it may name code, as ``stripe.extractor = "package.module:function"`` does,
+        that runs when the line is looked for; only the names of installed extractors otherwise.
+    Manifest and table are checked here, and that every picture is there; a picture's bytes
+    are checked against the table each time a frame is read (``Run.verify`` reads them all).
+    Raises InputError that names file and line: run.json missing, garbled, edited, of an
+    unknown version or naming code; a row torn, changed, repeated or skipped; a picture missing;
+    more or fewer frames than planned; a link that leads out of the folder.
+    """
+    manifest, rig_file = read_manifest(path)
+    if not trusted:
+        _refuse_code(rig_file)
+    plan = manifest.plan
+    rows, planned = _read_rows(path / TABLE, plan), plan.frames
+    if len(rows) > planned or (manifest.state == "complete" and len(rows) < planned):
+        what = f"the number of frames does not fit the plan of this {manifest.state} run"
+        raise InputError(what, where=path / TABLE, value=len(rows), allowed=planned)
+    require_within(path / FRAMES, path)
+    present = list_names(path / FRAMES)
+    for row in rows:
+        for dark in (False, True) if plan.paired else (False,):
+            file = frame_file(path, row.index, dark)
+            if file.name not in present:
+                raise InputError(f"missing, but {TABLE} line {row.index + 2} lists it", where=file)
+    return Run(path, rig_file, manifest.state, tuple(manifest.software), tuple(rows))
+
+
+def frame_file(path: Path, index: int, dark: bool = False) -> Path:
+    """Where the run folder ``path`` keeps the picture of frame ``index``, or its background."""
+    return path / FRAMES / f"{index:06d}{'-dark' if dark else ''}.png"
+
+
+def columns(paired: bool) -> str:
+    """The header of frames.csv, for a run with or without backgrounds."""
+    return PAIRED_COLUMNS if paired else COLUMNS
+
+
+def read_manifest(path: Path) -> tuple[Manifest, RigFile]:
+    """The manifest of the run folder ``path`` and the rig it keeps; InputError as open_run."""
+    file = path / MANIFEST
+    if path.is_dir() and not file.exists() and not file.is_symlink():
+        raise InputError(f"is not a run folder: it has no {MANIFEST}", where=path)
+    manifest = Manifest.from_file(file)
+    rig_file = parse_rig(manifest.rig, source=str(file), trusted=True)
+    if rig_file.rig.plan != manifest.plan:
+        raise InputError("plan and rig.plan differ", where=file)
+    return manifest, rig_file
+
+
+def software_versions() -> Versions:
+    """Name to version of what writes run folders here."""
+    return {
+        "lscan": lscan.__version__,
+        "python": platform.python_version(),
+        "numpy": np.__version__,
+        "opencv": cv2.__version__,
+    }
+
+
+def _refuse_code(rig_file: RigFile) -> None:
+    """Raise InputError where a run's rig names a function by its module: it would be run."""
+    name = rig_file.rig.stripe.extractor
+    if names_code(name):
+        raise InputError(
+            "stripe.extractor: names code, which this run folder would have run; look at it, and "
+            "say --trust where you trust it",
+            where=rig_file.source,
+            value=name,
+            allowed=f"{', '.join(installed('lscan.extractors'))}; any with --trust",
+        )
+
+
+def most_table_bytes(plan: Plan) -> int:
+    """The largest size of a run's table: a header, and a row for each frame of the plan."""
+    return (plan.frames + 1) * MOST_ROW_BYTES
+
+
+def _read_rows(file: Path, plan: Plan) -> list[Row]:
+    data = read_bytes(file, most_table_bytes(plan), within=file.parent)
+    lines = io.BytesIO(data)
+    # Latin-1 takes any byte for a character, so a stray one fails its row's checksum.
+    header = lines.readline().decode("latin-1").removesuffix("\n")
+    if header != columns(plan.paired):
+        where, allowed = f"{file} line 1", columns(plan.paired)
+        raise InputError("wrong header", where=where, value=header, allowed=allowed)
+    if not data.endswith(b"\n"):
+        last = data.count(b"\n") + 1
+        where = f"{file} line {last}"
+        raise InputError("the last row is torn; lscan scan --resume cuts it off", where=where)
+    rows: list[Row] = []
+    for index, line in enumerate(lines):
+        where = f"{file} line {index + 2}"
+        row = Row.from_text(line.decode("latin-1").removesuffix("\n"), where, plan.paired)
+        if row.index != index:
+            what = "a frame is listed twice" if row.index < index else "a frame is skipped"
+            raise InputError(what, where=where, value=row.index, allowed=index)
+        rows.append(row)
+    return rows
+
+
+def _finite(text: str) -> float:
+    number = float(text)
+    if not math.isfinite(number):
+        raise ValueError(f"{text} is not finite")
+    return number
+
+
+def _digest(content: Document) -> str:
+    """SHA-256 over sorted keys without spaces, so over what the document means."""
+    text = json.dumps(content, sort_keys=True, separators=(",", ":"))
+    return hashlib.sha256(text.encode()).hexdigest()
+
+
+def _crc32(text: str) -> str:
+    return f"{zlib.crc32(text.encode('latin-1')):08x}"

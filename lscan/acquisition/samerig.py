@@ -1,0 +1,84 @@
+"""Whether a run may go on with the rig as it now is: all that its data depend on is unchanged.
+
+What only says how a device is reached and waited for, its driver's ``connection_options``, may
+differ: a track that is plugged in again may be another port, and a server another address.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+from lscan.config.documents import Document
+from lscan.config.plugins import find_plugin, installed
+from lscan.config.rig import RigFile
+from lscan.errors import InputError
+
+_GROUPS = {"camera": "lscan.cameras", "track": "lscan.tracks"}
+
+
+def require_same_rig(begun: RigFile, now: RigFile, where: Path) -> None:
+    """Raise InputError where a run begun with one rig cannot go on with the other.
+
+    where: the file that keeps the first.  The error names the key path that differs first, what
+    it was, what it is, and what to do.
+    """
+    was, is_now = _without_connection(begun), _without_connection(now)
+    key = first_difference(was, is_now)
+    if key is None:
+        return
+    raise InputError(
+        f"cannot go on: the run was begun {_told(key, was)}, this rig comes {_told(key, is_now)}; "
+        f"restore it in {now.source}, or begin a new scan",
+        where=where,
+    )
+
+
+def first_difference(one: Any, other: Any) -> str | None:
+    """Key path, such as ``camera.options.seed``, of the first difference of two documents.
+
+    None where there is none.  1 and 1.0 differ: they would not give the same run.json.
+    """
+    left, right = dict(_leaves(one)), dict(_leaves(other))
+    return next((key for key in [*left, *right] if left.get(key) != right.get(key)), None)
+
+
+def _leaves(value: Any, key: str = "") -> Iterator[tuple[str, str]]:
+    if isinstance(value, dict) and value:
+        for name, inner in value.items():
+            yield from _leaves(inner, f"{key}.{name}" if key else name)
+    elif isinstance(value, list) and value:
+        for index, inner in enumerate(value):
+            yield from _leaves(inner, f"{key}[{index}]")
+    else:
+        yield key, repr(value)
+
+
+def _told(key: str, document: Mapping[str, Any]) -> str:
+    """The key with its value, or that it is not there, or that more than a value is."""
+    leaves = dict(_leaves(document))
+    if key in leaves:
+        return f"with {key} = {leaves[key]}"
+    filled = any(leaf.startswith((f"{key}.", f"{key}[")) for leaf in leaves)
+    return f"with entries in {key}" if filled else f"without {key}"
+
+
+def _without_connection(rig_file: RigFile) -> Document:
+    """The rig's document less what only says how its devices are reached."""
+    kept = dict(rig_file.document)
+    for name, group in _GROUPS.items():
+        section = {key: value for key, value in kept[name].items() if key != "options"}
+        connection = _connection_options(group, section["driver"])
+        options = kept[name].get("options", {})
+        lasting = {key: value for key, value in options.items() if key not in connection}
+        kept[name] = {**section, "options": lasting} if lasting else section
+    return kept
+
+
+def _connection_options(group: str, driver: str) -> frozenset[str]:
+    """Those the driver names; none where it names none or is not installed."""
+    if driver not in installed(group):
+        return frozenset()
+    named: frozenset[str] = getattr(find_plugin(group, driver), "connection_options", frozenset())
+    return named

@@ -1,0 +1,258 @@
+"""Acquisition: from a rig and its scan plan to a run folder."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager, suppress
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from lscan.acquisition.run import Run, open_run
+from lscan.acquisition.writer import RunWriter, create_run, refuse_existing, resume_run
+from lscan.config.plugins import find_plugin
+from lscan.config.rig import CameraSection, Plan, RigFile
+from lscan.devices.api import Camera, Grab, LaserSwitch, PlaceChecking, Track
+from lscan.errors import DeviceError, InputError
+from lscan.records import Bytes, Frame
+
+Progress = Callable[[int, int], None]
+GoOn = Callable[[], bool]
+
+
+def scan(
+    rig_file: RigFile,
+    path: Path,
+    *,
+    resume: bool = False,
+    position_restored: bool = False,
+    progress: Progress | None = None,
+) -> Run:
+    """The complete run of the rig's plan, written to the folder ``path``.
+
+    resume: go on with the run in ``path``, losing no frame and repeating none; one that is
+        complete is returned as it is, one that does not exist is begun.
+    position_restored: go on although the track may have lost its zero, because the user has put
+        the head back and says that the position it reports is the true one.
+    progress: called with (frames done, frames planned) at the start and after each frame.
+    Raises InputError where the folder cannot be used, DeviceError where a device fails;
+    what was recorded until then can be resumed.  Devices are closed in all cases.
+    """
+    if resume:
+        with resume_run(path, rig_file) as writer:
+            if writer.written == writer.planned:
+                return writer.finish()
+            with open_devices(rig_file) as (camera, track):
+                return acquire_into(
+                    writer, camera, track, progress, position_restored=position_restored
+                )
+    # Devices first: where they do not open, no empty folder is in the next scan's way.
+    refuse_existing(path)
+    with open_devices(rig_file) as (camera, track), create_run(path, rig_file) as writer:
+        return acquire_into(writer, camera, track, progress)
+
+
+@contextmanager
+def open_devices(rig_file: RigFile) -> Iterator[tuple[Camera, Track]]:
+    """The rig's camera and track, opened by their drivers and closed at the end of the block.
+
+    Raises InputError where a driver is unknown or refuses its options, DeviceError where a
+    device does not open or the camera's pictures are not of the rig's size.
+    """
+    with ExitStack() as opened:
+        track = open_track(rig_file)
+        opened.callback(track.close)
+        camera = open_camera(rig_file, track)
+        opened.callback(camera.close)
+        yield camera, track
+
+
+def open_track(rig_file: RigFile) -> Track:
+    """The rig's track, opened by its driver; errors as open_devices."""
+    where = f"{rig_file.source}: track.driver"
+    driver = find_plugin("lscan.tracks", rig_file.rig.track.driver, where=where)
+    track: Track = driver.open(rig_file)
+    return track
+
+
+def open_camera(rig_file: RigFile, track: Track) -> Camera:
+    """The rig's camera on an opened track; errors as open_devices, and it is closed then."""
+    section = rig_file.rig.camera
+    where = f"{rig_file.source}: camera.driver"
+    driver = find_plugin("lscan.cameras", section.driver, where=where)
+    camera: Camera = driver.open(rig_file, track)
+    if camera.size_px != (section.width_px, section.height_px):
+        camera.close()
+        raise _wrong_size(camera.size_px, section)
+    return camera
+
+
+def acquire_into(
+    writer: RunWriter,
+    camera: Camera,
+    track: Track,
+    progress: Progress | None = None,
+    go_on: GoOn | None = None,
+    *,
+    position_restored: bool = False,
+) -> Run:
+    """The complete run: the frames still missing from ``writer`` are taken and written.
+
+    go_on: asked before each frame; where it says no, the run is returned as it is then, to be
+        resumed.
+    Each frame's pictures and its row are on disk, synced, before the track moves on; a laser
+    that the plan switches is off at the end, whatever happened.  Raises DeviceError where a
+    device fails or delivers what a run cannot hold (nothing of that frame is recorded),
+    InputError where the disk refuses.  The devices stay open.
+    """
+    plan = writer.rig_file.rig.plan
+    positions_mm = plan.positions_mm()
+    if progress is not None:
+        progress(writer.written, writer.planned)
+    if not position_restored:
+        _check_place(writer, track, positions_mm)
+    with _keeping_zero(writer, track), _laser(track, plan) as switch:
+        sitting = _Sitting(writer.rig_file.rig.camera, camera, track, switch)
+        while writer.written < writer.planned:
+            if go_on is not None and not go_on():
+                return open_run(writer.path, trusted=True)
+            writer.append(sitting.take(writer.written, positions_mm[writer.written]))
+            if progress is not None:
+                progress(writer.written, writer.planned)
+    return writer.finish()
+
+
+def _check_place(writer: RunWriter, track: Track, positions_mm: list[float]) -> None:
+    """Raise DeviceError where a scan that goes on might put its frames at shifted places."""
+    if writer.last_mm is None or writer.written == writer.planned:
+        return
+    if isinstance(track, PlaceChecking):
+        track.check_place(writer.last_mm, positions_mm[writer.written], writer.zero)
+
+
+@contextmanager
+def _keeping_zero(writer: RunWriter, track: Track) -> Iterator[None]:
+    """Note in the run which zero its positions count from, and at once if that is lost.
+
+    Where the program is killed first, the track itself no longer has that zero.
+    """
+    if not isinstance(track, PlaceChecking) or track.zero is None:
+        yield
+        return
+    writer.keep_zero(track.zero)
+    try:
+        yield
+    except BaseException:
+        with suppress(InputError):  # the first fault is the one to be told
+            writer.keep_zero(track.zero)
+        raise
+
+
+@contextmanager
+def _laser(track: Track, plan: Plan) -> Iterator[LaserSwitch | None]:
+    """The laser's switch where the plan is of pairs, else None; at the end the laser is off.
+
+    For the plan "on" it is lit throughout the block; untouched, it is left as it is.  Raises
+    DeviceError where the track has no switch and the plan needs one.
+    """
+    if plan.laser == "untouched":
+        yield None
+        return
+    if not isinstance(track, LaserSwitch):
+        raise DeviceError(f"plan.laser = {plan.laser!r}: this track switches no laser")
+    try:
+        if plan.paired:
+            yield track
+        else:
+            track.laser_on()
+            yield None
+    except BaseException:
+        with suppress(DeviceError):  # the first fault is the one to be told
+            track.laser_off()
+        raise
+    track.laser_off()
+
+
+@dataclass
+class _Sitting:
+    """Camera and track at work on one scan.
+
+    switch: of the laser, where each frame is a pair.  last_time_s: of the picture before, which
+    the next must exceed.
+    """
+
+    section: CameraSection
+    camera: Camera
+    track: Track
+    switch: LaserSwitch | None
+    last_time_s: float = -math.inf
+
+    def take(self, index: int, commanded_mm: float) -> Frame:
+        """The frame taken there, checked; DeviceError where a run cannot hold it."""
+        position_mm = self.track.move_to(commanded_mm)
+        if self.switch is not None:
+            self.switch.laser_on()
+        lit = self._checked(self.camera.grab(index), index)
+        background = None if self.switch is None else self._background(index, lit, self.switch)
+        if not math.isfinite(position_mm):
+            raise _not_finite("position_mm", index)
+        return Frame(
+            image=lit.image,
+            index=index,
+            commanded_mm=commanded_mm,
+            position_mm=position_mm,
+            time_s=lit.time_s,
+            exposure_ms=lit.exposure_ms,
+            background=background,
+        )
+
+    def _background(self, index: int, lit: Grab, switch: LaserSwitch) -> Bytes:
+        """The same view with the laser off, which must have been taken like the lit one."""
+        switch.laser_off()
+        dark = self._checked(self.camera.grab(index, dark=True), index)
+        for name, one, other in (
+            ("shape", dark.image.shape, lit.image.shape),
+            ("exposure_ms", dark.exposure_ms, lit.exposure_ms),
+        ):
+            if one != other:
+                raise DeviceError(
+                    f"camera {self.section.driver!r}: frame {index}: its background has {name} "
+                    f"{one}, the picture with the laser on {other}; they must be alike: let the "
+                    "camera change nothing by itself"
+                )
+        return dark.image
+
+    def _checked(self, grab: Grab, index: int) -> Grab:
+        """The picture; DeviceError where it is not what a run folder can hold."""
+        section, image = self.section, grab.image
+        if image.dtype != np.uint8 or image.ndim < 2 or image.shape[2:] not in ((), (3,)):
+            raise DeviceError(
+                f"camera {section.driver!r}: frame {index} is {image.dtype} of shape "
+                f"{image.shape}; allowed: uint8, (H, W) or (H, W, 3)"
+            )
+        height, width = image.shape[:2]
+        if (width, height) != (section.width_px, section.height_px):
+            raise _wrong_size((width, height), section)
+        for name in ("time_s", "exposure_ms"):
+            if not math.isfinite(getattr(grab, name)):
+                raise _not_finite(name, index)
+        if grab.time_s <= self.last_time_s:
+            raise DeviceError(
+                f"camera {section.driver!r}: frame {index} is an old picture: its time, "
+                f"{grab.time_s} s, is not after that of the picture before, {self.last_time_s} s"
+            )
+        self.last_time_s = grab.time_s
+        return grab
+
+
+def _not_finite(name: str, index: int) -> DeviceError:
+    return DeviceError(f"frame {index}: a device reported {name} that is not finite")
+
+
+def _wrong_size(size_px: tuple[int, int], section: CameraSection) -> DeviceError:
+    return DeviceError(
+        f"camera {section.driver!r}: pictures are {size_px[0]} by {size_px[1]} px; "
+        f"the rig says {section.width_px} by {section.height_px} px"
+    )

@@ -1,0 +1,309 @@
+"""Writing a run folder so that any moment is a safe one to be killed at.
+
+A frame is written in this order: the picture under a temporary name, synced, renamed, its
+folder synced; its background, if it has one, in the same way; then its row, synced.  So a row
+always has its pictures.  What a killed scan may leave is a temporary file, a picture without a
+row, or a torn last row; ``resume_run`` clears these away and goes on.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import shutil
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Self
+
+import cv2
+
+from lscan.acquisition.run import (
+    FRAMES,
+    MANIFEST,
+    TABLE,
+    Manifest,
+    Row,
+    Run,
+    columns,
+    frame_file,
+    most_table_bytes,
+    open_run,
+    read_manifest,
+    software_versions,
+)
+from lscan.acquisition.samerig import require_same_rig
+from lscan.config.rig import RigFile
+from lscan.errors import InputError, LscanError
+from lscan.files.disk import (
+    append_synced,
+    cut_torn_line,
+    disk_errors,
+    list_names,
+    lock_folder,
+    open_to_append,
+    require_within,
+    sync_folder,
+    temporary_name,
+    write_atomically,
+)
+from lscan.records import Bytes, Frame
+
+
+class RunWriter:
+    """A run folder being written, locked so that two scans cannot mix.
+
+    Made by ``create_run`` or ``resume_run``; use it in a ``with`` statement.
+
+    written: number of frames recorded so far.  last_mm: the position at which the last of them
+    was taken, None before the first.
+    """
+
+    def __init__(self, path: Path, rig_file: RigFile, lock: int, rows: Sequence[Row] = ()) -> None:
+        self.path, self.rig_file = path, rig_file
+        self.written = len(rows)
+        self.last_mm = rows[-1].position_mm if rows else None
+        table = open_to_append(path / TABLE)
+        self._table, self._held = table, [lock, table]
+        self._shape: tuple[int, ...] | None = None
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, _: object, error: BaseException | None, __: object) -> None:
+        """Let go of the folder; an error of the block, or Ctrl-C, gets a note of what is kept."""
+        self.close()
+        if isinstance(error, (LscanError, KeyboardInterrupt)):
+            error.add_note(
+                f"{self.written} of {self.planned} frames are kept in {self.path}; "
+                "go on with --resume"
+            )
+
+    def close(self) -> None:
+        """Let go of the folder; closing twice is harmless."""
+        while self._held:
+            os.close(self._held.pop())
+
+    @property
+    def planned(self) -> int:
+        """Number of frames of the whole scan."""
+        return self.rig_file.rig.plan.frames
+
+    @property
+    def zero(self) -> str | None:
+        """Name of the zero that the positions so far count from, as ``keep_zero`` kept it."""
+        return read_manifest(self.path)[0].track_zero
+
+    def keep_zero(self, zero: str | None) -> None:
+        """Write the name of the zero into run.json, where it is another one."""
+        manifest, _ = read_manifest(self.path)
+        if manifest.track_zero != zero:
+            _write_manifest(self.path, manifest.model_copy(update={"track_zero": zero}))
+
+    def append(self, frame: Frame) -> None:
+        """Write the next frame; when this returns, pictures and row are on disk, synced.
+
+        frame: image (H, W) grey or (H, W, 3) RGB, uint8; its index must be ``written``; it has
+            a background where, and only where, the plan is of pairs.
+        Raises InputError where the disk refuses; the frames before this one stay whole.
+        """
+        if not self._held:
+            raise InputError("cannot be written: the writer is closed", where=self.path)
+        if frame.index != self.written or frame.index >= self.planned:
+            raise InputError(
+                "frame out of order", where=self.path, value=frame.index, allowed=self.written
+            )
+        self._require_alike(frame)
+        paired = self.rig_file.rig.plan.paired
+        if (frame.background is not None) != paired:
+            what = "a frame of a paired run needs a background, any other has none"
+            raise InputError(what, where=self.path, value=frame.index)
+        sha256 = self._write_picture(frame.image, frame_file(self.path, frame.index))
+        dark_sha256 = None
+        if frame.background is not None:
+            file = frame_file(self.path, frame.index, dark=True)
+            dark_sha256 = self._write_picture(frame.background, file)
+        row = Row(
+            index=frame.index,
+            commanded_mm=frame.commanded_mm,
+            position_mm=frame.position_mm,
+            time_s=frame.time_s,
+            exposure_ms=frame.exposure_ms,
+            sha256=sha256,
+            dark_sha256=dark_sha256,
+        )
+        append_synced(self._table, f"{row.as_text()}\n".encode(), self.path / TABLE)
+        self.written += 1
+        self.last_mm = frame.position_mm
+
+    def _require_alike(self, frame: Frame) -> None:
+        """Raise InputError where the picture is not of the shape of the run's first one.
+
+        A camera's driver sees to it while it is open; a run may be resumed with another.
+        """
+        if self.written and self._shape is None:
+            self._shape = open_run(self.path, trusted=True).frame(0).image.shape
+        self._shape = self._shape or frame.image.shape
+        if frame.image.shape != self._shape:
+            raise InputError(
+                f"frame {frame.index} is not like the frames before; set the camera as it was, "
+                "or begin a new scan",
+                where=self.path,
+                value=frame.image.shape,
+                allowed=self._shape,
+            )
+
+    def _write_picture(self, image: Bytes, file: Path) -> str:
+        """Write a picture, synced; the SHA-256 of its file."""
+        png = _encode(image)
+        write_atomically(file, png)
+        return hashlib.sha256(png).hexdigest()
+
+    def finish(self) -> Run:
+        """Mark the run complete, where it is not yet, and return it.
+
+        Raises InputError where frames are still missing.
+        """
+        if self.written < self.planned:
+            raise InputError(
+                "frames are missing", where=self.path, value=self.written, allowed=self.planned
+            )
+        manifest, _ = read_manifest(self.path)
+        if manifest.state != "complete":
+            _write_manifest(self.path, manifest.model_copy(update={"state": "complete"}))
+        return open_run(self.path, trusted=True)
+
+
+def create_run(path: Path, rig_file: RigFile) -> RunWriter:
+    """A writer of a new run in the folder ``path``, which must not exist.
+
+    Raises InputError where it exists, cannot be made, or the rig cannot be kept as JSON;
+    no folder is left behind then.
+    """
+    manifest = _new_manifest(rig_file)
+    refuse_existing(path)
+    with disk_errors(path):
+        path.mkdir(parents=True)
+    lock = lock_folder(path)
+    try:
+        _lay_out(path, manifest)
+        return RunWriter(path, rig_file, lock)
+    except BaseException:
+        os.close(lock)
+        shutil.rmtree(path, ignore_errors=True)
+        raise
+
+
+def resume_run(path: Path, rig_file: RigFile) -> RunWriter:
+    """A writer that goes on where the run in ``path`` stopped.
+
+    A scan killed before its manifest was written has left no folder or an empty one; it is
+    begun.  Raises InputError where the folder is something else than a run, was begun with
+    another rig (the first differing key path is named; how the devices are reached may have
+    changed, and run.json keeps what it was), is being written by another scan, or is damaged
+    in a way that being killed does not explain.
+    """
+    if not path.exists():
+        return create_run(path, rig_file)
+    lock = lock_folder(path)
+    try:
+        require_within(path / FRAMES, path)
+        if holds_no_run(path):
+            _remove_temporaries(path)
+            _lay_out(path, _new_manifest(rig_file))
+            return RunWriter(path, rig_file, lock)
+        return RunWriter(path, rig_file, lock, _take_up(path, rig_file))
+    except BaseException:
+        os.close(lock)
+        raise
+
+
+def refuse_existing(path: Path) -> None:
+    """Raise InputError where there is something at ``path`` already."""
+    if path.exists() or path.is_symlink():
+        raise InputError(
+            "exists already", where=path, allowed="another name, or --resume to go on with it"
+        )
+
+
+def _new_manifest(rig_file: RigFile) -> Manifest:
+    try:
+        json.dumps(rig_file.document, allow_nan=False)
+    except (TypeError, ValueError) as error:
+        raise InputError(
+            f"holds a value that a run folder cannot keep: {error}",
+            where=rig_file.source,
+            allowed="text, finite numbers, true, false, lists and tables",
+        ) from error
+    return Manifest(
+        state="scanning",
+        software=[software_versions()],
+        plan=rig_file.rig.plan,
+        rig=rig_file.document,
+    )
+
+
+def _write_manifest(path: Path, manifest: Manifest) -> None:
+    write_atomically(path / MANIFEST, manifest.as_text().encode())
+
+
+def _lay_out(path: Path, manifest: Manifest) -> None:
+    """Make an empty run; run.json comes last, so where it is the folder is whole."""
+    with disk_errors(path):
+        (path / FRAMES).mkdir(exist_ok=True)
+    write_atomically(path / TABLE, f"{columns(manifest.plan.paired)}\n".encode())
+    _write_manifest(path, manifest)
+    with disk_errors(path):
+        sync_folder(path.parent)
+
+
+def holds_no_run(path: Path) -> bool:
+    """Whether ``resume_run`` begins a new run there.
+
+    True where nothing is at ``path``, or a folder with no more than a scan killed before its
+    manifest was written has left.  Raises InputError where it cannot be read as a folder.
+    """
+    if not path.exists():
+        return True
+    names = list_names(path)
+    frames = list_names(path / FRAMES) if FRAMES in names else set()
+    early = {FRAMES, TABLE, temporary_name(TABLE), temporary_name(MANIFEST)}
+    return names <= early and not frames
+
+
+def _take_up(path: Path, rig_file: RigFile) -> tuple[Row, ...]:
+    """Clear away what a killed scan left, check the rest, return the rows of the frames."""
+    manifest, kept = read_manifest(path)
+    require_same_rig(kept, rig_file, where=path / MANIFEST)
+    if manifest.state == "scanning":
+        _remove_temporaries(path)
+        cut_torn_line(path / TABLE, most_table_bytes(manifest.plan))
+        if manifest.software[-1] != software_versions():
+            software = [*manifest.software, software_versions()]
+            _write_manifest(path, manifest.model_copy(update={"software": software}))
+    run = open_run(path, trusted=True)  # its rig is the one the user gave
+    run.verify()
+    return run.rows
+
+
+def _remove_temporaries(path: Path) -> None:
+    with disk_errors(path):
+        for pattern in (temporary_name("*"), f"{FRAMES}/{temporary_name('*')}"):
+            for file in path.glob(pattern):
+                file.unlink()
+
+
+# In noise nothing repeats: looking for repetitions, as OpenCV does by default, costs a fifth of
+# the time and saves nothing.  Other levels and filters are slower or, on some pictures, larger by
+# a third.  What JPEG has smoothed gets larger by this, all but black pictures several times, but
+# no picture takes longer than a noisy one.
+_PNG = (cv2.IMWRITE_PNG_STRATEGY, cv2.IMWRITE_PNG_STRATEGY_HUFFMAN_ONLY)
+
+
+def _encode(image: Bytes) -> bytes:
+    """The picture as PNG, encoded in the way that is fastest for noisy ones."""
+    bgr = image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_RGB2BGR)
+    done, data = cv2.imencode(".png", bgr, _PNG)
+    if not done:
+        raise InputError("the picture cannot be written as PNG", value=image.shape)
+    return data.tobytes()

@@ -1,0 +1,192 @@
+"""The corners of chessboards and of ChArUco boards, each with its uncertainty.
+
+OpenCV says which corner is which; where it is, is measured here as the saddle of a polynomial
+weighted by a Gaussian (centre.py), which also tells how far noise moves it.
+
+An ideal corner lies in the same place under windows of any size.  A real one does not: the
+paper bends, ink spreads, movement and coding smear the squares by unlike amounts.  What two
+windows disagree by, all corners together, is added to what noise does.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from lscan.board.centre import SMALLEST_SIGMA_PX, fit_saddles
+from lscan.board.picture import Image, bright_marks, noise_of
+from lscan.board.search import local_pitch
+from lscan.config.rig import Channel
+from lscan.errors import BoardNotFound, InputError
+from lscan.records import Bytes, Floats, Ints, Marks, Status
+
+WINDOW = 0.15  # Gaussian sigma, of the distance between corners: the next weigh nothing
+LARGEST_SIGMA_PX = 4.0
+CLEAR = 1 / 3  # Gaussian sigma, of the way to the next marker: what lies beyond weighs 1 % at most
+NARROWER = 1 / 1.6  # of the second window that a corner is seen through
+MOST_MOVED = 0.2  # of the distance between corners, from where OpenCV saw it
+FEWEST = 6  # corners of a ChArUco board: a pose needs four, its check two more
+SIDES = range(3, 1001)
+
+
+def read_chessboard(
+    image: NDArray[Any], columns: int, rows: int, square_mm: float, channel: Channel = "grey"
+) -> Marks:
+    """All inner corners of a chessboard, row by row, the board's upper row first.
+
+    image: (H, W) or (H, W, 3) RGB.  columns, rows: inner corners along and down the board.
+    channel: of an RGB image; one that the laser's line does not show in, where it is on.
+    board_mm: (rows * columns, 2) of (x, z), the first corner at the origin, x right, z up,
+    ``square_mm`` apart.  Where columns and rows are both even or both odd the board looks the
+    same turned by half a turn: the row that is upper in the picture is then the first.
+
+    Raises InputError for what is no picture or no board, BoardNotFound where not all corners
+    are seen.
+    """
+    _check_board(columns, rows, square_mm)
+    grey = bright_marks(image, channel, "bright")
+    seen = _find_corners(_eight_bit(grey), columns, rows)
+    lattice = seen.reshape(rows, columns, 2)
+    row, column = np.divmod(np.arange(rows * columns), columns)
+    board = np.column_stack([column, -row]) * float(square_mm)
+    return _measured(grey, board, seen, local_pitch(lattice).ravel(), WINDOW)
+
+
+def read_charuco(
+    image: NDArray[Any],
+    columns: int,
+    rows: int,
+    square_mm: float,
+    marker_mm: float,
+    dictionary: str,
+    channel: Channel = "grey",
+) -> Marks:
+    """The inner corners of a ChArUco board, row by row; those not seen have the status NOT_FOUND.
+
+    image: (H, W) or (H, W, 3) RGB.  columns, rows: inner corners, one less than the squares.
+    dictionary: of the markers, as OpenCV calls it: "DICT_4X4_50".  channel, board_mm as for
+    :func:`read_chessboard`, the first corner beside the board's upper left square.
+
+    Raises InputError for what is no picture or no board, BoardNotFound where fewer than six
+    corners are seen.
+    """
+    _check_board(columns, rows, square_mm)
+    if not 0 < marker_mm < square_mm:
+        allowed = f"above 0, below square_mm = {square_mm:g}"
+        raise InputError("bad size", where="marker_mm", value=marker_mm, allowed=allowed)
+    grey = bright_marks(image, channel, "bright")
+    size = (columns + 1, rows + 1)
+    markers = _dictionary(dictionary, size[0] * size[1] // 2)
+    board = cv2.aruco.CharucoBoard(size, square_mm, marker_mm, markers)
+    corners, numbers, _, _ = cv2.aruco.CharucoDetector(board).detectBoard(_eight_bit(grey))
+    count = 0 if numbers is None else len(numbers)
+    if count < FEWEST:
+        raise BoardNotFound(
+            f"only {count} corners of the ChArUco board were found, {FEWEST} are needed: check "
+            "the dictionary and that the markers are in view and sharp"
+        )
+    seen = np.full((rows * columns, 2), np.nan)
+    index: Ints = np.asarray(numbers, dtype=np.int64).ravel()
+    seen[index] = np.asarray(corners, dtype=float).reshape(-1, 2)
+    row, column = np.divmod(np.arange(rows * columns), columns)
+    places = np.column_stack([column, -row]) * float(square_mm)
+    pitch = local_pitch(seen.reshape(rows, columns, 2)).ravel()
+    # A marker stands in the middle of its square: its corner is nearest, along the diagonal.
+    clear = CLEAR * (1 - marker_mm / square_mm) / np.sqrt(2)
+    return _measured(grey, places, seen, pitch, min(WINDOW, clear))
+
+
+def _check_board(columns: int, rows: int, square_mm: float) -> None:
+    for where, value in (("columns", columns), ("rows", rows)):
+        if value not in SIDES:
+            allowed = f"{SIDES.start} to {SIDES.stop - 1} inner corners"
+            raise InputError("bad number of corners", where=where, value=value, allowed=allowed)
+    if not (np.isfinite(square_mm) and square_mm > 0):
+        raise InputError("bad size", where="square_mm", value=square_mm, allowed="above 0 mm")
+
+
+def _dictionary(name: str, needed: int) -> cv2.aruco.Dictionary:
+    """The dictionary of that name; InputError where there is none or it has too few markers."""
+    known = sorted(key for key in dir(cv2.aruco) if key.startswith("DICT_"))
+    if name not in known:
+        allowed = ", ".join(known)
+        raise InputError("no such dictionary", where="dictionary", value=name, allowed=allowed)
+    dictionary = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, name))
+    if len(dictionary.bytesList) < needed:
+        raise InputError(
+            f"has {len(dictionary.bytesList)} markers, the board {needed}",
+            where="dictionary",
+            value=name,
+            allowed="a larger dictionary, or fewer columns and rows",
+        )
+    return dictionary
+
+
+def _eight_bit(grey: Image) -> Bytes:
+    low, high = float(grey.min()), float(grey.max())
+    if low >= 0 and high > 1 and high <= 255:
+        return np.rint(grey).astype(np.uint8)
+    return np.rint((grey - low) * (255 / max(high - low, 1e-6))).astype(np.uint8)
+
+
+def _find_corners(picture: Bytes, columns: int, rows: int) -> Floats:
+    """(rows * columns, 2) px of the corners to about a pixel."""
+    size = (columns, rows)
+    found, corners = cv2.findChessboardCornersSB(picture, size, flags=cv2.CALIB_CB_EXHAUSTIVE)
+    if not found:
+        flags = cv2.CALIB_CB_ADAPTIVE_THRESH | cv2.CALIB_CB_NORMALIZE_IMAGE
+        found, corners = cv2.findChessboardCorners(picture, size, flags=flags)
+    if not found:
+        raise BoardNotFound(
+            f"no chessboard of {columns} by {rows} inner corners in the picture: all of them "
+            "must be in view, with a bright rim about the board"
+        )
+    points = np.asarray(corners, dtype=float).reshape(rows, columns, 2)
+    # Either end may come first: the upper row is the one higher in the picture.
+    if points[0, :, 1].mean() > points[-1, :, 1].mean() and (rows + columns) % 2 == 0:
+        points = points[::-1, ::-1]
+    return points.reshape(-1, 2)
+
+
+def _measured(grey: Image, board_mm: Floats, seen: Floats, pitch: Floats, window: float) -> Marks:
+    """The corners ``seen`` (N, 2) px, NaN where not, measured anew.
+
+    pitch: (N,) px between corners.  window: Gaussian sigma they are seen through, of the pitch.
+    """
+    known = np.isfinite(seen[:, 0]) & np.isfinite(pitch)
+    sigma = np.clip(window * pitch[known], SMALLEST_SIGMA_PX, LARGEST_SIGMA_PX)
+    noise = np.full_like(grey, noise_of(grey))
+    corners = fit_saddles(grey, seen[known], sigma, noise)
+    moved = np.linalg.norm(corners.points - seen[known], axis=1)
+    height, width = grey.shape
+    inside = ((corners.points >= 0) & (corners.points <= [width - 1, height - 1])).all(axis=1)
+    good = corners.round & inside & (moved <= MOST_MOVED * pitch[known])
+    image, sigma_px = np.full_like(seen, np.nan), np.full(len(seen), np.nan)
+    found = np.flatnonzero(known)[good]
+    image[found] = corners.points[good]
+    if len(found):
+        floor = _disagreement(grey, corners.points[good], sigma[good], noise)
+        sigma_px[found] = np.hypot(corners.sigma_px[good], floor)
+    status = np.full(len(seen), int(Status.NOT_FOUND), dtype=np.int64)
+    status[found] = int(Status.OK)
+    return Marks(board_mm, image, sigma_px, status)
+
+
+def _disagreement(grey: Image, points: Floats, sigma: Floats, noise: Image) -> float:
+    """Root mean square of a coordinate's change, px, when corners are seen through less.
+
+    points: (N, 2) px found with windows of ``sigma`` (N,) px.  What noise makes of it is taken
+    off: the errors in the narrower window are the larger and nearly hold those in the wider.
+    The median keeps out the corners at which the narrower window sees something else.
+    """
+    narrow = np.maximum(NARROWER * sigma, SMALLEST_SIGMA_PX)
+    again = fit_saddles(grey, points, narrow, noise)
+    if not again.round.any():
+        return 0.0
+    square = ((again.points - points)[again.round] ** 2).sum(axis=1)
+    # Of a normal error in u and in v the squared length has the median 2 ln 2 variances.
+    variance = float(np.median(square)) / (2 * np.log(2))
+    return float(np.sqrt(max(variance - float(np.median(again.sigma_px[again.round])) ** 2, 0.0)))

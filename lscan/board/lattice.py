@@ -1,0 +1,229 @@
+"""Which dot is which, the local map from board to picture, and dots that do not belong."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.ndimage import binary_dilation, maximum_filter
+from scipy.spatial import cKDTree
+
+from lscan.board.picture import Picture
+from lscan.board.search import NEXT, Nodes, expectation, local_pitch, moved
+from lscan.config.board import Grid
+from lscan.errors import BoardNotFound
+from lscan.records import Floats, Mask
+
+NEAREST = 20  # control points that carry a local polynomial of six coefficients
+STRAY = 0.01  # of the pitch: smallest miss that can make a dot a stray
+STRAY_SIGMAS = 8.0
+STRAY_SPOILS = 7  # nodes on a side, about a stray, whose miss may be the stray's doing
+SPREAD = 6  # nodes within which a dot carries the polynomials of others, at a corner too
+FREE = 1e-12  # of the diagonal's product: determinant of equations that do not fix all
+RIM_EVIDENCE = 2  # nodes that must be seen to be empty beyond the rim of the board
+ALL = slice(None)
+
+
+@dataclass(frozen=True)
+class Expansion:
+    """The local map about M places of the board.
+
+    image_px: (M, 2) of (u, v).  jacobian: (M, 2, 2) its derivative by (x, z), px per mm.
+    bend: (M, 2, 2, 2) second derivatives of u and v, by (x, z), by (x, z), px per mm².
+    leverage: (M,) variance of image_px where each control point's is 1; large beyond the rim.
+    """
+
+    image_px: Floats
+    jacobian: Floats
+    bend: Floats
+    leverage: Floats
+
+    @property
+    def scale(self) -> Floats:
+        """(M,) px per mm, geometric mean over the directions."""
+        return np.sqrt(np.abs(np.linalg.det(self.jacobian)))
+
+
+@dataclass(frozen=True)
+class LocalMap:
+    """A smooth map from board to picture, through the control points found.
+
+    At each place a second-order polynomial in (x, z) is fitted to the nearest control points:
+    within them the third order of a wide-angle lens is some 0.1 px, enough to say where to
+    look for a mark.  board_mm, image_px: (N, 2) of the control points.
+    """
+
+    board_mm: Floats
+    image_px: Floats
+    pitch_mm: float
+
+    def __call__(self, board_mm: Floats) -> Floats:
+        """(M, 2) px of the places (M, 2) mm in the plane frame."""
+        return self.expanded(board_mm).image_px
+
+    def scale(self, board_mm: Floats) -> Floats:
+        """(M,) px per mm, geometric mean over the directions."""
+        return self.expanded(board_mm).scale
+
+    def expanded(self, board_mm: Floats) -> Expansion:
+        """The map about the places (M, 2) mm to second order."""
+        return self._fit(board_mm, skip=0)
+
+    def misfit(self, which: Mask | slice = ALL) -> Floats:
+        """px between each control point, or ``which`` of them, and what those around it say.
+
+        At the rim they say it less surely: a miss is divided by its standard deviation for
+        errors of 1 px of each point, the square root of 1 + leverage.
+        """
+        said = self._fit(self.board_mm[which], skip=1)
+        miss = np.linalg.norm(said.image_px - self.image_px[which], axis=1)
+        return miss / np.sqrt(1 + said.leverage)
+
+    def _fit(self, board_mm: Floats, skip: int) -> Expansion:
+        """The polynomials of the nearest control points, but for the ``skip`` nearest."""
+        count = min(NEAREST + skip, len(self.board_mm))
+        nearest = cKDTree(self.board_mm).query(board_mm, k=count)[1]
+        index = np.asarray(nearest)[:, skip:]
+        x, z = np.moveaxis((self.board_mm[index] - board_mm[:, None]) / self.pitch_mm, -1, 0)
+        design = np.stack([np.ones_like(x), x, z, x * x, x * z, z * z], axis=-1)
+        across = design.transpose(0, 2, 1)
+        at_place = np.broadcast_to(np.eye(6, 1), (len(index), 6, 1))
+        right = np.concatenate([across @ self.image_px[index], at_place], axis=2)
+        solved = _solved(across @ design, right)  # (M, 6, 3)
+        solved, leverage = solved[..., :2], solved[:, 0, 2]
+        xx, xz, zz = 2 * solved[:, 3], solved[:, 4], 2 * solved[:, 5]
+        bend = np.stack([xx, xz, xz, zz], axis=-1).reshape(-1, 2, 2, 2)
+        slope = solved[:, 1:3].transpose(0, 2, 1)
+        bend = bend / self.pitch_mm**2
+        return Expansion(solved[:, 0], slope / self.pitch_mm, bend, leverage)
+
+
+def _solved(left: Floats, right: Floats) -> Floats:
+    """Solutions (M, 6, K) of M normal equations, left (M, 6, 6), right (M, 6, K).
+
+    On a narrow board the nearest points may leave a coefficient free; it is then 0.
+    """
+    scale = np.einsum("mii->mi", left).prod(axis=1)
+    free = np.linalg.det(left) <= FREE * scale
+    regular = np.where(free[:, None, None], np.eye(6), left)
+    solved: Floats = np.linalg.solve(regular, right).astype(np.float64)
+    solved[free] = np.linalg.pinv(left[free], rcond=1e-9, hermitian=True) @ right[free]
+    return solved
+
+
+def dot_part(grid: Grid) -> float:
+    """A control dot's diameter as a part of the pitch."""
+    return grid.dot_diameter_mm / grid.pitch_mm
+
+
+def grid_points_mm(shape: tuple[int, ...], pitch_mm: float) -> Floats:
+    """(R, C, 2) of (x, z) mm of a grid's nodes, the top left one at the origin."""
+    column, row = np.meshgrid(np.arange(shape[1]), np.arange(shape[0]))
+    return np.stack([column, -row], axis=-1).astype(float) * pitch_mm
+
+
+def local_map(points: Floats, pitch_mm: float) -> LocalMap:
+    """The map through all nodes (R, C, 2) px that are not NaN, origin at node (0, 0)."""
+    board = grid_points_mm(points.shape[:2], pitch_mm)
+    known = np.isfinite(points[..., 0])
+    return LocalMap(board[known], points[known], pitch_mm)
+
+
+def completed(nodes: Nodes, pitch_mm: float) -> Floats:
+    """(R, C, 2) px of all nodes: the dots found, and where the others would be.
+
+    Next to a dot found, the local polynomials say so; further out equal steps are taken,
+    which never fold back into the picture as a polynomial far outside does.
+    """
+    points = nodes.points.copy()
+    seen = nodes.found.astype(float)
+    seen[seen == 0] = np.nan
+    beside = ~nodes.found & np.any([np.isfinite(moved(seen, r, c)) for r, c in NEXT], axis=0)
+    board = grid_points_mm(points.shape[:2], pitch_mm)
+    points[beside] = local_map(nodes.points, pitch_mm)(board[beside])
+    while (empty := np.isnan(points[..., 0])).any():
+        points[empty] = expectation(Nodes(points, nodes.height, nodes.sigma_px))[0][empty]
+    return points
+
+
+def drop_strays(nodes: Nodes, pitch_mm: float) -> None:
+    """Take out the dots that do not lie where those around them say.
+
+    Stray is what misses by more than eight robust sigmas and a hundredth of the pitch.  A
+    stray spoils what is expected of those around it, so the worst thereabouts goes first and the
+    others are judged again without it.  Fewer than nine dots cannot say.
+    """
+    misfit = np.full(nodes.found.shape, np.nan)
+    doubtful = nodes.found
+    while (found := nodes.found).sum() >= 9:
+        pitch_px = float(np.nanmedian(local_pitch(nodes.points)))
+        misfit[doubtful] = local_map(nodes.points, pitch_mm).misfit(doubtful[found])
+        worst, usual = float(misfit[found].max()), float(np.median(misfit[found]))
+        limit = max(STRAY_SIGMAS * 1.4826 * usual, STRAY * pitch_px)
+        if worst <= limit:
+            return
+        around = maximum_filter(np.where(found, misfit, 0.0), STRAY_SPOILS)
+        stray = found & (misfit > limit) & (misfit >= around)
+        nodes.drop(stray)
+        doubtful = nodes.found & binary_dilation(stray, np.ones((2 * SPREAD + 1,) * 2, bool))
+
+
+def place_on_board(picture: Picture, nodes: Nodes, grid: Grid, radius_px: float) -> Nodes:
+    """The cropped nodes on the board: (rows, columns) of it, or of what is seen if not whole.
+
+    Where a whole board is cut by the picture, the place follows from a rim of the board that is
+    seen: a rim is where the next row or column would be in view and is not there.  Raises
+    BoardNotFound where neither the one rim nor the opposite one is seen.
+    """
+    rows, columns = nodes.height.shape
+    for found, most, what in ((rows, grid.rows, "rows"), (columns, grid.columns, "columns")):
+        if found > most:
+            raise BoardNotFound(
+                f"the picture shows {found} {what} of dots, more than the {most} of the board file"
+            )
+    if not grid.whole:
+        return nodes
+    beyond = _beyond(nodes)
+    seen = {side: _is_rim(picture, points, radius_px) for side, points in beyond.items()}
+    top = _first(grid.rows - rows, seen["top"], seen["bottom"], "rows", grid.rows, rows)
+    left = _first(
+        grid.columns - columns, seen["left"], seen["right"], "columns", grid.columns, columns
+    )
+    placed = Nodes.empty(grid.rows, grid.columns)
+    part = np.s_[top : top + rows, left : left + columns]
+    placed.points[part] = nodes.points
+    placed.height[part], placed.sigma_px[part] = nodes.height, nodes.sigma_px
+    return placed
+
+
+def _beyond(nodes: Nodes) -> dict[str, Floats]:
+    """Where the dots next beyond each rim would be, (N, 2) px, NaN beside a missing dot."""
+    p = nodes.points
+    return {
+        "top": 2 * p[0] - p[1],
+        "bottom": 2 * p[-1] - p[-2],
+        "left": 2 * p[:, 0] - p[:, 1],
+        "right": 2 * p[:, -1] - p[:, -2],
+    }
+
+
+def _is_rim(picture: Picture, points: Floats, radius_px: float) -> bool:
+    seen: Mask = picture.wholly_in_view(points, 2 * radius_px)  # False where NaN
+    return int(seen.sum()) >= RIM_EVIDENCE
+
+
+def _first(spare: int, first: bool, last: bool, what: str, whole: int, found: int) -> int:
+    """Index on the board of the first row or column found."""
+    if spare == 0 or (first and not last):
+        return 0
+    if last and not first:
+        return spare
+    if first and last:
+        raise BoardNotFound(
+            f"only {found} of the {whole} {what} of dots were found although both ends are in "
+            "view: check the board file, or give the seeds by hand"
+        )
+    raise BoardNotFound(
+        f"{found} of the {whole} {what} of dots are in view and neither end of them is, so "
+        "which is the first cannot be told: give the seeds by hand"
+    )

@@ -1,0 +1,128 @@
+"""How noisy each pixel is: the scatter of grey values on the plate and inside the dots.
+
+A sensor's noise grows with the light, so a bright plate is noisier than the dark dots on it.
+On the plate it is seen directly.  A dot of few pixels is nowhere flat; there the noise is what
+its odd third differences do not share with those of all other dots, which are alike.
+"""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+from scipy.stats import norm
+
+from lscan.board.picture import Image, rounding_of
+from lscan.board.search import Nodes
+from lscan.records import Floats, Ints, Mask
+
+CUT = 2.5  # sigmas beyond which a difference is taken for a mark's, not for noise
+KEPT = 1 - 2 * CUT * norm.pdf(CUT) / (2 * norm.cdf(CUT) - 1)  # variance of a normal so cut
+CLEAR = 1.7  # of the dot's radius: from there on the plate
+LEVELS = 8  # of the plate's brightness
+FEWEST_PIXELS = 400  # per level: they give sigma to 4 %
+MOST_PIXELS = 100_000  # they give the sigma of each level to 1 %
+FEWEST_DOTS = 40  # two differences each, 24 coefficients: sigma to 10 %
+
+
+def noise_image(bright: Image, nodes: Nodes, radius_px: float) -> Image:
+    """(H, W) standard deviation of the noise of each pixel, in grey values.
+
+    bright: the picture with bright marks.  nodes: the dots found, of about ``radius_px``.
+    Between the levels at which the variance is seen it is taken as linear in the grey value, as
+    shot noise is; it is at least that of rounding.
+    """
+    smooth = np.asarray(cv2.GaussianBlur(bright, (0, 0), 1.0), dtype=np.float32)
+    levels, variances = _on_plate(bright, smooth, nodes, radius_px)
+    dot = _in_dots(bright, nodes)
+    if dot is not None:
+        levels, variances = np.append(levels, dot[0]), np.append(variances, dot[1])
+    order = np.argsort(levels)
+    variance = np.interp(smooth, levels[order], variances[order])
+    return np.sqrt(np.maximum(variance, rounding_of(bright) ** 2)).astype(np.float32)
+
+
+def _on_plate(
+    bright: Image, smooth: Image, nodes: Nodes, radius_px: float
+) -> tuple[Floats, Floats]:
+    """Levels and variances of up to eight parts of the plate, from the darkest to the brightest.
+
+    The mask is Immerkær's (picture.noise_of), whose norm is 6.
+    """
+    mask = np.array([[1, -2, 1], [-2, 4, -2], [1, -2, 1]], dtype=np.float32)
+    response = cv2.filter2D(bright, cv2.CV_32F, mask)
+    plate = _clear_of(nodes, radius_px, bright.shape)
+    thinning = max(1, int(plate.sum()) // MOST_PIXELS)
+    values = response[plate][::thinning].astype(float)
+    level = smooth[plate][::thinning].astype(float)
+    count = int(np.clip(len(level) // FEWEST_PIXELS, 1, LEVELS))
+    order = np.argsort(level, kind="stable")
+    parts = np.array_split(order, count)
+    return (
+        np.array([np.median(level[part]) for part in parts]),
+        np.array([_cut_variance(values[part]) / 36 for part in parts]),
+    )
+
+
+def _clear_of(nodes: Nodes, radius_px: float, shape: tuple[int, ...]) -> Mask:
+    """(H, W) mask of the pixels well away from every dot, all inner pixels where none are."""
+    clear = np.zeros(shape, np.uint8)
+    clear[1:-1, 1:-1] = 1
+    radius = int(np.ceil(CLEAR * radius_px))
+    for u, v in np.rint(nodes.points[nodes.found]).astype(int):
+        cv2.circle(clear, (int(u), int(v)), radius, 0, -1)
+    if clear.sum() < FEWEST_PIXELS:
+        clear[1:-1, 1:-1] = 1
+    return clear.astype(bool)
+
+
+def _in_dots(bright: Image, nodes: Nodes) -> tuple[float, float] | None:
+    """Level and variance in the middle of the dots, None where too few were found.
+
+    The third difference [1 -2 1] by [-1 0 1], whose squared norm is 12, vanishes in the middle
+    of a symmetric dot; beside the middle it grows as an odd function of the distance from it,
+    alike in all dots but for their size, which changes evenly over the board.  A regression
+    over the dots takes that out.
+    """
+    points, contrast = nodes.points[nodes.found], nodes.height[nodes.found]
+    base = np.rint(points).astype(np.int64)
+    height, width = bright.shape
+    inner = (base >= 1).all(axis=1) & (base <= [width - 2, height - 2]).all(axis=1)
+    points, contrast, base = points[inner], contrast[inner], base[inner]
+    if len(base) < FEWEST_DOTS:
+        return None
+    patches = _patches(bright, base)
+    even, odd = np.array([1.0, -2.0, 1.0]), np.array([-1.0, 0.0, 1.0])
+    offset = points - base
+    middle = (points - points.mean(axis=0)) / points.std(axis=0)
+    place = np.column_stack([np.ones(len(points)), middle])
+    squares = []
+    for axis in (0, 1):
+        rows, columns = (odd, even) if axis == 1 else (even, odd)
+        difference = np.einsum("nij,i,j->n", patches, rows, columns)
+        along, across = offset[:, axis], offset[:, 1 - axis]
+        odd_terms = np.stack([along, along**3, along * across**2], axis=1)
+        sized = (odd_terms[:, :, None] * place[:, None]).reshape(len(base), -1)
+        rest = np.stack([np.ones_like(along), across, along**5], axis=1)
+        design = np.hstack([sized, rest]) * contrast[:, None]
+        solved = np.linalg.lstsq(design, difference, rcond=None)[0]
+        freedom = len(base) / (len(base) - design.shape[1])
+        squares.append(_cut_variance(difference - design @ solved) * freedom / 12)
+    return float(np.median(patches)), float(np.mean(squares))
+
+
+def _patches(bright: Image, base: Ints) -> Floats:
+    """(N, 3, 3) pixels about each of ``base`` (N, 2)."""
+    span = np.arange(-1, 2)
+    rows, columns = base[:, 1:] + span, base[:, :1] + span
+    return bright[rows[:, :, None], columns[:, None, :]].astype(np.float64)
+
+
+def _cut_variance(values: Floats) -> float:
+    """Variance of the normal noise in ``values``, what lies beyond 2.5 sigmas left out."""
+    variance = (float(np.median(np.abs(values))) / 0.6745) ** 2
+    for _ in range(10):
+        kept = values[values**2 <= CUT**2 * variance]
+        if len(kept) == 0 or variance == 0:
+            break
+        variance = float(np.mean(kept**2)) / KEPT
+    return variance

@@ -1,0 +1,97 @@
+"""The picture with all that was found drawn into it: the counterpart of Fig. 12."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from lscan.board.picture import bright_marks
+from lscan.board.search import BOX, local_pitch
+from lscan.records import BoardReading, Bytes, Floats
+
+Colour = tuple[int, int, int]
+CONTROL_POINT: Colour = (230, 30, 30)
+SEED: Colour = (255, 190, 0)
+SEARCH_BOX: Colour = (120, 120, 255)
+RULER: Colour = (0, 150, 70)
+DOT: Colour = (200, 0, 200)
+RING: Colour = (0, 140, 230)
+SUBPIXEL_BITS = 4
+
+
+def draw_overlay(image: NDArray[Any], reading: BoardReading) -> Bytes:
+    """(H, W, 3) RGB: the picture with an x on each control point found (Fig. 12).
+
+    Boxes show where each point was searched; those of dots #1, #2 and #3 are numbered.
+    Ruler marks are small crosses, named dots circles, ring points small dots.
+    image: the picture that was read, (H, W) or (H, W, 3) RGB; floats are spread to 0 to 255.
+    """
+    canvas = _canvas(image)
+    lattice = reading.grid.image_px.reshape(*reading.shape, 2)
+    pitch = local_pitch(lattice)
+    _draw_boxes(canvas, lattice, pitch)
+    arm = float(np.clip(np.nanmedian(pitch) / 10, 2, 8)) if np.isfinite(pitch).any() else 4.0
+    for point in _known(reading.grid.image_px):
+        _stroke(canvas, point, (arm, arm), CONTROL_POINT)
+        _stroke(canvas, point, (arm, -arm), CONTROL_POINT)
+    for ruler in reading.rulers:
+        for point in _known(ruler.marks.image_px):
+            _stroke(canvas, point, (2.0, 0.0), RULER)
+            _stroke(canvas, point, (0.0, 2.0), RULER)
+    for dot in reading.dots.values():
+        for point in _known(dot.image_px[None]):
+            _circle(canvas, point, 4.0, DOT)
+    for ring in reading.rings.values():
+        for point in _known(ring.image_px):
+            _circle(canvas, point, 0.7, RING)
+    return canvas
+
+
+def _canvas(image: NDArray[Any]) -> Bytes:
+    array = np.asarray(image)
+    if array.dtype != np.uint8:
+        grey = bright_marks(array, "grey", "bright")
+        array = (255 * (grey - grey.min()) / max(float(np.ptp(grey)), 1e-6)).astype(np.uint8)
+    bright_marks(array, "grey", "bright")  # refuses what is not a picture
+    return np.ascontiguousarray(np.stack([array] * 3, axis=-1) if array.ndim == 2 else array.copy())
+
+
+def _draw_boxes(canvas: Bytes, lattice: Floats, pitch: Floats) -> None:
+    for point, size in zip(lattice.reshape(-1, 2), pitch.ravel(), strict=True):
+        if np.isfinite(size) and np.isfinite(point[0]):
+            _box(canvas, point, BOX * size, SEARCH_BOX)
+    for number, (row, column) in enumerate([(0, 0), (1, 0), (0, 1)], start=1):
+        point, size = lattice[row, column], pitch[row, column]
+        if np.isfinite(size) and np.isfinite(point[0]):
+            _box(canvas, point, 1.3 * BOX * size, SEED)
+            corner = np.rint(point + 1.4 * BOX * size).astype(int)
+            place = (int(corner[0]), int(corner[1]))
+            font = cv2.FONT_HERSHEY_SIMPLEX
+            cv2.putText(canvas, f"#{number}", place, font, 0.4, SEED, 1, cv2.LINE_AA)
+
+
+def _known(points: Floats) -> Floats:
+    return points[np.isfinite(points).all(axis=-1)]
+
+
+def _fixed(point: Floats) -> tuple[int, int]:
+    u, v = np.rint(np.asarray(point) * 2**SUBPIXEL_BITS).astype(int)
+    return int(u), int(v)
+
+
+def _stroke(canvas: Bytes, middle: Floats, half: tuple[float, float], colour: Colour) -> None:
+    first, last = _fixed(middle - np.array(half)), _fixed(middle + np.array(half))
+    cv2.line(canvas, first, last, colour, 1, cv2.LINE_AA, SUBPIXEL_BITS)
+
+
+def _box(canvas: Bytes, middle: Floats, half: float, colour: Colour) -> None:
+    first, last = _fixed(middle - half), _fixed(middle + half)
+    cv2.rectangle(canvas, first, last, colour, 1, cv2.LINE_AA, SUBPIXEL_BITS)
+
+
+def _circle(canvas: Bytes, middle: Floats, radius: float, colour: Colour) -> None:
+    size = round(radius * 2**SUBPIXEL_BITS)
+    cv2.circle(canvas, _fixed(middle), size, colour, 1, cv2.LINE_AA, SUBPIXEL_BITS)

@@ -1,0 +1,156 @@
+"""The picture as the search wants it: one grey value a pixel, marks bright, ground level."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from lscan.board.centre import window_sigma
+from lscan.config.rig import Channel
+from lscan.errors import InputError
+from lscan.records import Floats, Mask
+
+Image = NDArray[np.float32]
+
+BLUR_PX = 0.7  # typical of a sharp picture: lens and pixel
+SMALLEST_PX = 16  # as for cameras in rig.py
+GROUND_WINDOW = 3.0  # of the dot's diameter: wide enough that a dot is the smaller part
+
+
+@dataclass(frozen=True)
+class Picture:
+    """A picture ready for measuring.
+
+    flat: (H, W) grey values, marks bright (for dark marks it is the paper's negative), with
+        the ground subtracted so that the plate is about 0 everywhere.  Dark marks are brought
+        to one contrast by the light on the plate about them.
+    smooth: (H, W) ``flat`` smoothed to the size of the control dots; its brightest pixel is
+        the middle of a dot even where a single pixel of noise is brighter.
+    smooth_sigma_px: Gaussian sigma of that smoothing.
+    gain: (H, W) by which that has multiplied the grey values.
+    noise: (H, W) standard deviation of each value of ``flat``.
+    """
+
+    flat: Image
+    smooth: Image
+    smooth_sigma_px: float
+    gain: Image
+    noise: Image
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """(width, height) in px."""
+        return self.flat.shape[1], self.flat.shape[0]
+
+    def noise_at(self, points: Floats) -> Floats:
+        """(N,) noise of the pixels nearest to the places (N, 2) px."""
+        last = np.array(self.size) - 1
+        column, row = np.clip(np.rint(points), 0, last).astype(np.int64).T
+        return self.noise[row, column].astype(float)
+
+    def wholly_in_view(self, points: Floats, radius_px: Floats | float) -> Mask:
+        """(...) mask of the discs about ``points`` (..., 2) px that the picture does not cut."""
+        return wholly_in_view(points, radius_px, self.size)
+
+
+def wholly_in_view(points: Floats, radius_px: Floats | float, size: tuple[int, int]) -> Mask:
+    """(...) mask of the blurred discs about ``points`` (..., 2) px inside a picture of a size."""
+    u, v = points[..., 0], points[..., 1]
+    # The outermost pixels reach half a pixel further; so does, and more, the blurred rim.
+    radius = np.asarray(radius_px) - 0.5 + BLUR_PX
+    width, height = size
+    return (u >= radius) & (v >= radius) & (u <= width - 1 - radius) & (v <= height - 1 - radius)
+
+
+def bright_marks(image: NDArray[Any], channel: Channel, marks: str) -> Image:
+    """(H, W) grey values with bright marks: the picture, or its negative for dark marks.
+
+    image: (H, W) or (H, W, 3) RGB, integer or float.  channel is ignored for grey pictures;
+    "grey" is the luma of ITU-R BT.601 (0.299, 0.587, 0.114).  Raises InputError for another
+    shape, a picture smaller than 16 px, or values that are not finite numbers.
+    """
+    array = np.asarray(image)
+    if array.ndim not in (2, 3) or (array.ndim == 3 and array.shape[2] != 3):
+        raise InputError("not a picture", where="image", value=array.shape, allowed="(H, W[, 3])")
+    if min(array.shape[:2]) < SMALLEST_PX:
+        allowed = f"at least {SMALLEST_PX} px a side"
+        raise InputError("picture too small", where="image", value=array.shape, allowed=allowed)
+    if not (np.issubdtype(array.dtype, np.integer) or np.issubdtype(array.dtype, np.floating)):
+        raise InputError("not a picture", where="image", value=str(array.dtype), allowed="numbers")
+    if not np.isfinite(array).all():
+        raise InputError("holds values that are not finite", where="image")
+    grey = np.ascontiguousarray(_one_channel(array.astype(np.float32), channel))
+    return grey if marks == "bright" else -grey
+
+
+def _one_channel(array: Image, channel: Channel) -> Image:
+    if array.ndim == 2:
+        return array
+    planes = {"red": 0, "green": 1, "blue": 2}
+    if channel in planes:
+        return array[..., planes[channel]]
+    if channel != "grey":
+        allowed = "red, green, blue, grey"
+        raise InputError("no such channel", where="channel", value=channel, allowed=allowed)
+    return array @ np.array([0.299, 0.587, 0.114], dtype=np.float32)
+
+
+def noise_of(bright: Image) -> float:
+    """Standard deviation of the noise, in grey values; at least that of 8-bit rounding.
+
+    Immerkær, "Fast noise variance estimation", CVIU 64 (1996): the mask below is blind to
+    edges and slopes and has norm 6; the median of its absolute response, rather than the
+    mean of the article, keeps the marks out.  0.6745 is the median of |N(0, 1)|.
+    """
+    mask = np.array([[1, -2, 1], [-2, 4, -2], [1, -2, 1]], dtype=np.float32)
+    response = cv2.filter2D(bright, cv2.CV_32F, mask)[1:-1, 1:-1]
+    return max(float(np.median(np.abs(response))) / 0.6745 / 6, rounding_of(bright))
+
+
+def rounding_of(bright: Image) -> float:
+    """Standard deviation that rounding to 1/255 of the picture's range gives a grey value."""
+    return max(float(np.ptp(bright)), 1e-6) / 255 / float(np.sqrt(12))
+
+
+def prepare(bright: Image, dot_radius_px: float) -> Picture:
+    """The picture levelled and smoothed for dots of about ``dot_radius_px``.
+
+    The ground is the median over a window of three dot diameters, then smoothed: a slope of
+    the light would shift every maximum by the slope over the curvature (about 0.01 px for 2:1
+    across the picture), and with the ground at 0 a dot close to the picture's edge can be
+    completed with zeros.
+    """
+    ground = _ground(bright, dot_radius_px)
+    gain = _gain(ground)
+    flat: Image = (bright - ground) * gain
+    sigma = float(window_sigma(np.array([dot_radius_px]))[0])
+    smooth = np.asarray(
+        cv2.GaussianBlur(flat, (0, 0), sigma, borderType=cv2.BORDER_CONSTANT), dtype=np.float32
+    )
+    return Picture(flat, smooth, sigma, gain, gain * np.float32(noise_of(bright)))
+
+
+def _gain(ground: Image) -> Image:
+    """What brings the plate to its median brightness, within a factor of four; 1 if it is dark.
+
+    The contrast of dark marks is that of the light on the plate: where it falls to one side it
+    draws the marks' maxima to the other, by a quarter of the radius squared times its relative
+    slope.  A dark plate's grey value says nothing of the light.
+    """
+    usual = float(np.median(ground))
+    if usual >= 0:
+        return np.ones_like(ground)
+    return np.clip(usual / np.minimum(ground, usual / 4), 0.25, 4.0).astype(np.float32)
+
+
+def _ground(bright: Image, dot_radius_px: float) -> Image:
+    window = 2 * int(np.ceil(GROUND_WINDOW * dot_radius_px)) + 1
+    low, high = float(bright.min()), float(bright.max())
+    step = max(high - low, 1e-6) / 255
+    median = cv2.medianBlur(np.round((bright - low) / step).astype(np.uint8), window)
+    smoothed = cv2.GaussianBlur(median.astype(np.float32), (0, 0), window / 4)
+    return smoothed * np.float32(step) + np.float32(low)

@@ -1,0 +1,237 @@
+"""Reading the whole calibration board from one picture, stage by stage."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lscan.board.centre import (
+    STEPS_FROM_NEAR,
+    fit_centres,
+    stand_alone,
+    window_sigma,
+)
+from lscan.board.evidence import fault_of
+from lscan.board.features import Contrast, mark_status, read_dot, read_ruler
+from lscan.board.lattice import (
+    LocalMap,
+    completed,
+    dot_part,
+    drop_strays,
+    grid_points_mm,
+    local_map,
+    place_on_board,
+)
+from lscan.board.noise import noise_image
+from lscan.board.perspective import shift_of_discs
+from lscan.board.picture import Image, Picture, bright_marks, noise_of, prepare
+from lscan.board.rings import read_ring
+from lscan.board.search import Nodes, grow, local_pitch
+from lscan.board.seeds import check_seeds, propose_seeds
+from lscan.config.board import Board, Grid
+from lscan.config.rig import Channel
+from lscan.errors import BoardNotFound, InputError
+from lscan.records import BoardReading, Floats, Marks, Status
+
+LEAST = 0.5  # of the other marks in view, for a turn that the first does not allow
+ENOUGH = 0.9  # of the other marks in view: the board is not looked at any other way up
+
+
+def read_board(
+    image: NDArray[Any],
+    board: Board,
+    *,
+    seeds: Floats | None = None,
+    channel: Channel = "grey",
+) -> BoardReading:
+    """All marks of the calibration board found in one picture (Sec. III.1 and III.3).
+
+    image: (H, W), or (H, W, 3) RGB, integer or float grey values.
+    board: which marks there are.  With ``grid.whole`` False the origin is the upper left node
+        of those seen, and the reading has as many rows and columns as are seen.
+    seeds: (3, 2) of (u, v) px of dots #1 (the upper left one), #2 (beneath it) and #3 (to its
+        right), each good to a third of the pitch; found in the picture where None.  Dots
+        above and to the left of #1 are not looked for.
+    channel: of a colour picture.
+
+    The board may be turned by any angle: rulers, dots and rings tell which way is up.  On a
+    board with none, O is the corner that is upper left in the picture.
+
+    Raises InputError for what is no picture, for seeds that are no corner of a grid, and for
+    rulers, dots or rings on a board with ``whole`` False unless seeds say where O is.  Raises
+    BoardNotFound where there is no board, too little of it, or no telling which dot is O.
+    """
+    bright = bright_marks(image, channel, board.marks)
+    if seeds is not None:
+        picture, nodes = _search_from(bright, board, check_seeds(seeds, bright.shape[::-1]))
+        return _all_marks(bright, picture, nodes, board)
+    _check_origin_known(board)
+    try:
+        picture, nodes = _search_from_anywhere(bright, board)
+    except BoardNotFound:
+        _refuse_other_contrast(-bright, board)
+        raise
+    return _upright(bright, picture, nodes, board)
+
+
+def _refuse_other_contrast(inverted: Image, board: Board) -> None:
+    """Raise BoardNotFound where the board is there with marks of the other brightness."""
+    other: Literal["dark", "bright"] = "bright" if board.marks == "dark" else "dark"
+    try:
+        _search_from_anywhere(inverted, board.model_copy(update={"marks": other}))
+    except BoardNotFound:
+        return
+    raise BoardNotFound(
+        f"no grid of {board.marks} dots in the picture, but one of {other} dots: say "
+        f'marks = "{other}" in the board file'
+    )
+
+
+def _upright(bright: Image, picture: Picture, nodes: Nodes, board: Board) -> BoardReading:
+    """The reading in the first quarter turn in which the board's other marks are found.
+
+    The grid alone looks alike in two or four of them: rulers, dots and rings tell.  Where they
+    tell nothing, the dot nearest to the picture's upper left corner is O.
+    """
+    radius_px = _median_radius(nodes, board.grid)
+    best, refusal = None, None
+    for turns in _quarter_turns(nodes, board):
+        try:
+            placed = place_on_board(picture, nodes.turned(turns), board.grid, radius_px)
+        except BoardNotFound as error:
+            refusal = refusal or error
+            continue
+        reading = _all_marks(bright, picture, placed, board)
+        share = _share_found(reading)
+        if best is None or share > best[0]:
+            best = share, reading
+        if share >= ENOUGH:
+            break
+    if refusal is not None and (best is None or best[0] < LEAST):
+        raise refusal
+    assert best is not None  # without a refusal there was a reading
+    return best[1]
+
+
+def _quarter_turns(nodes: Nodes, board: Board) -> range:
+    """Those worth trying: all where other marks can tell, else the first in which the grid fits."""
+    if board.ruler or board.dot or board.ring:
+        return range(4)
+    rows, columns = nodes.height.shape
+    upright = rows <= board.grid.rows and columns <= board.grid.columns
+    lying = rows <= board.grid.columns and columns <= board.grid.rows
+    return range(1, 2) if lying and not upright else range(1)
+
+
+def _share_found(reading: BoardReading) -> float:
+    """Mean share of the ruler marks and dots in view that were found, and of the rings."""
+    marks = [ruler.marks.status for ruler in reading.rulers]
+    marks.append(np.array([dot.status for dot in reading.dots.values()], dtype=np.int64))
+    in_view = [status[status != Status.OUT_OF_VIEW] for status in marks]
+    shares = [float((status == Status.OK).mean()) for status in in_view if len(status)]
+    if reading.rings:
+        shares.append(float(np.mean([len(r.sigma_px) > 0 for r in reading.rings.values()])))
+    return float(np.mean(shares)) if shares else 1.0
+
+
+def _all_marks(bright: Image, picture: Picture, nodes: Nodes, board: Board) -> BoardReading:
+    """The dots measured again on the board's place for them, and all other marks."""
+    mapping = local_map(completed(nodes, board.grid.pitch_mm), board.grid.pitch_mm)
+    noise = noise_image(bright, nodes, _median_radius(nodes, board.grid))
+    picture = replace(picture, noise=picture.gain * noise)
+    nodes = _measured_again(picture, nodes, mapping, board.grid)
+    mapping = local_map(completed(nodes, board.grid.pitch_mm), board.grid.pitch_mm)
+    contrast = Contrast.of(nodes, mapping, board.grid.dot_diameter_mm)
+    return BoardReading(
+        image_size=picture.size,
+        pitch_mm=board.grid.pitch_mm,
+        shape=(nodes.height.shape[0], nodes.height.shape[1]),
+        grid=_grid_marks(picture, nodes, mapping, board.grid),
+        rulers=tuple(read_ruler(picture, mapping, contrast, ruler) for ruler in board.ruler),
+        dots={dot.name: read_dot(picture, mapping, contrast, dot) for dot in board.dot},
+        rings={ring.name: read_ring(picture, mapping, contrast, ring) for ring in board.ring},
+    )
+
+
+def _check_origin_known(board: Board) -> None:
+    if not board.grid.whole and (board.ruler or board.dot or board.ring):
+        raise InputError(
+            "rulers, dots and rings cannot be placed where the origin is whichever dot is seen",
+            where="board",
+            allowed="grid.whole = true, seeds that say which dot is O, or control points alone",
+        )
+
+
+def _search_from_anywhere(bright: Image, board: Board) -> tuple[Picture, Nodes]:
+    """The dots found from the first automatic seeds that lead to a board."""
+    grid = board.grid
+    faults = []
+    for seeds in propose_seeds(bright, board, noise_of(bright)):
+        radius_px = _dot_radius(seeds, grid)
+        picture = prepare(bright, radius_px)
+        shape = (2 * grid.rows + 1, 2 * grid.columns + 1)  # the seed may be any dot of the board
+        nodes = grow(picture, seeds, shape, (grid.rows, grid.columns), dot_part(grid))
+        drop_strays(nodes, grid.pitch_mm)
+        fault = fault_of(picture, nodes, grid)
+        if fault is None:
+            return picture, nodes.part(nodes.extent())
+        faults.append((int(nodes.found.sum()), fault))
+    most = max(faults, key=lambda found: found[0])
+    raise BoardNotFound(f"the board was not found: {most[1]}")
+
+
+def _search_from(bright: Image, board: Board, seeds: Floats) -> tuple[Picture, Nodes]:
+    """The dots found from seeds given by hand, the first of which is the origin."""
+    grid = board.grid
+    picture = prepare(bright, _dot_radius(seeds, grid))
+    nodes = grow(picture, seeds, (grid.rows, grid.columns), (0, 0), dot_part(grid))
+    drop_strays(nodes, grid.pitch_mm)
+    fault = fault_of(picture, nodes, grid)
+    if fault is not None:
+        given = np.round(seeds, 1).tolist()
+        raise BoardNotFound(f"the board was not found from the seeds {given}: {fault}")
+    if grid.whole:
+        return picture, nodes
+    rows, columns = nodes.extent()
+    return picture, nodes.part((slice(0, rows.stop), slice(0, columns.stop)))
+
+
+def _dot_radius(seeds: Floats, grid: Grid) -> float:
+    """Radius of a control dot, px, from the distances of the seeds."""
+    pitch_px = float(np.linalg.norm(seeds[1:] - seeds[0], axis=1).mean())
+    return pitch_px * dot_part(grid) / 2
+
+
+def _median_radius(nodes: Nodes, grid: Grid) -> float:
+    return float(np.nanmedian(local_pitch(nodes.points))) * dot_part(grid) / 2
+
+
+def _measured_again(picture: Picture, nodes: Nodes, mapping: LocalMap, grid: Grid) -> Nodes:
+    """The same dots: windows by the local map, its bias taken back, the noise as it is there."""
+    board = grid_points_mm(nodes.height.shape, grid.pitch_mm)[nodes.found]
+    map_there = mapping.expanded(board)
+    sigma = window_sigma(map_there.scale * grid.dot_diameter_mm / 2)
+    start = nodes.points[nodes.found]
+    centres = fit_centres(picture.flat, start, sigma, picture.noise, STEPS_FROM_NEAR)
+    shift = shift_of_discs(map_there, grid.dot_diameter_mm / 2, sigma)
+    again = Nodes.empty(*nodes.height.shape)
+    measured = replace(centres, points=centres.points - shift)
+    alone = stand_alone(picture.flat, centres, sigma, picture.noise)
+    again.put(np.nonzero(nodes.found), measured, centres.round & alone)
+    return again
+
+
+def _grid_marks(picture: Picture, nodes: Nodes, mapping: LocalMap, grid: Grid) -> Marks:
+    board = grid_points_mm(nodes.height.shape, grid.pitch_mm).reshape(-1, 2)
+    map_there = mapping.expanded(board)
+    radius = map_there.scale * grid.dot_diameter_mm / 2
+    in_view = picture.wholly_in_view(map_there.image_px, radius)
+    return Marks(
+        board_mm=board,
+        image_px=nodes.points.reshape(-1, 2),
+        sigma_px=nodes.sigma_px.ravel(),
+        status=mark_status(nodes.found.ravel(), in_view),
+    )

@@ -1,0 +1,199 @@
+"""Points on the centre line of a milled circle (Figs. 18, 19), picked all around it.
+
+The paper picks them by hand in an enlarged picture.  Here the predicted line is crossed by
+radial profiles, and each profile's maximum is that of a second-order polynomial, weighted by
+a Gaussian about itself, as for the dots (centre.py), in one dimension.
+
+Blur draws the ridge of a curved line inwards: a line of curvature k blurred by a Gaussian of
+variance B falls off as exp(-d² / 2B) / sqrt(1 + k d) with the distance d outwards, whose
+maximum lies at d = -k B / 2.  (From the blurred thin ring, exp(-(r² + R²) / 2B) I0(r R / B),
+for R² much larger than B.)  B is read off the profiles themselves and the shift taken back.
+The window works across the line only and along its bend, so it shifts nothing.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.ndimage import map_coordinates, spline_filter
+
+from lscan.board.centre import window_sigma
+from lscan.board.features import FAINTEST, Contrast
+from lscan.board.lattice import LocalMap
+from lscan.board.picture import BLUR_PX, Picture
+from lscan.config.board import Ring
+from lscan.records import Floats, Mask, RingPoints
+
+BREADTH_PX = np.array([-1.0, 0.0, 1.0])  # places along the line averaged into one profile
+SPACING_PX = float(len(BREADTH_PX))  # between profiles: no pixel counts twice
+FEWEST = 12  # profiles of a small ring
+REACH_PX = 4.0  # of a profile to either side
+SAMPLE_PX = 0.5
+NOISE_LIMIT = 5.0
+STEPS = 8
+
+
+@dataclass(frozen=True)
+class Crossings:
+    """Where the line is expected, N places.
+
+    middle: (N, 2) px.  normal: (N, 2) unit vectors across the line, outwards.  scale: (N,) px
+    per mm across it.  curvature: (N,) of the line in the picture, 1 / px, positive where it
+    bends inwards.
+    """
+
+    middle: Floats
+    normal: Floats
+    scale: Floats
+    curvature: Floats
+
+
+@dataclass(frozen=True)
+class Ridges:
+    """Second-order polynomials h + s d + b d² about the maxima of N profiles.
+
+    centre: (N,) px from the line expected.  height, bend: h and b there.  sigma_px: (N,)
+    standard uncertainty of centre.  peaked: (N,) mask: there is a maximum inside the profile.
+    """
+
+    centre: Floats
+    height: Floats
+    bend: Floats
+    sigma_px: Floats
+    peaked: Mask
+
+
+def read_ring(picture: Picture, mapping: LocalMap, contrast: Contrast, ring: Ring) -> RingPoints:
+    """Points on the ring's centre line, counter-clockwise from its right.
+
+    One for about every third pixel of the line, so that their errors are independent.  Only
+    points that are seen: none where the ring is out of view.
+    """
+    middle_mm = np.array([[ring.x_mm, ring.z_mm]])
+    radius_px = float(mapping.scale(middle_mm)[0]) * ring.diameter_mm / 2
+    count = max(FEWEST, int(2 * np.pi * radius_px / SPACING_PX))
+    angle = 2 * np.pi * np.arange(count) / count
+    # Averaged along the arc: along the tangent the line's sagitta would shrink the ring.
+    fine = (angle[:, None] + BREADTH_PX / radius_px).ravel()
+    outward_mm = np.column_stack([np.cos(fine), np.sin(fine)])
+    board = middle_mm + outward_mm * ring.diameter_mm / 2
+    crossings = _crossings(mapping, board, outward_mm, ring.diameter_mm / 2)
+    offsets = _offsets(radius_px)
+    profile, noise = _profiles(picture, crossings, offsets)
+    board, outward_mm = board[1::3], outward_mm[1::3]
+    crossings = _crossings(mapping, board, outward_mm, ring.diameter_mm / 2)
+    sigma = float(window_sigma(np.array([ring.width_mm * np.median(crossings.scale) / 2]))[0])
+    ridges = _ridges(profile, noise, offsets, sigma)
+    width_px = ring.width_mm * crossings.scale
+    full = contrast.at(board) * _line_height(width_px, sigma)
+    seen = picture.wholly_in_view(crossings.middle, REACH_PX) & ridges.peaked
+    seen &= ridges.height > np.maximum(
+        FAINTEST * full, NOISE_LIMIT * noise.mean(axis=1) / np.sqrt(SPACING_PX)
+    )
+    seen &= _alike(ridges.centre, seen)
+    blur_px2 = _blur(ridges, seen, sigma, width_px)
+    outwards = ridges.centre + crossings.curvature * blur_px2 / 2
+    points = crossings.middle + outwards[:, None] * crossings.normal
+    return RingPoints(points[seen], ridges.sigma_px[seen])
+
+
+def _crossings(
+    mapping: LocalMap, board_mm: Floats, outward_mm: Floats, radius_mm: float
+) -> Crossings:
+    """The line through the places (N, 2) mm, as the local map draws it.
+
+    The curvature is that of the ellipse that the map's first derivatives make of the circle.
+    """
+    map_there = mapping.expanded(board_mm)
+    jacobian = map_there.jacobian
+    along_mm = np.column_stack([-outward_mm[:, 1], outward_mm[:, 0]])
+    along = np.einsum("nij,nj->ni", jacobian, along_mm)
+    outward = np.einsum("nij,nj->ni", jacobian, outward_mm)
+    length = np.linalg.norm(along, axis=1)
+    normal = np.column_stack([along[:, 1], -along[:, 0]]) / length[:, None]
+    across = (outward * normal).sum(axis=1)
+    curvature = np.abs(across) / (radius_mm * length**2)
+    return Crossings(
+        map_there.image_px, normal * np.sign(across)[:, None], np.abs(across), curvature
+    )
+
+
+def _offsets(radius_px: float) -> Floats:
+    count = int(min(REACH_PX, radius_px / 2) / SAMPLE_PX)
+    return np.linspace(-count * SAMPLE_PX, count * SAMPLE_PX, 2 * count + 1)
+
+
+def _profiles(picture: Picture, crossings: Crossings, offsets: Floats) -> tuple[Floats, Floats]:
+    """Grey values and noise of a pixel (N, M) along the normals, those of one place averaged."""
+    points = crossings.middle[:, None] + offsets[:, None] * crossings.normal[:, None]
+    low = np.maximum(np.floor(points.min(axis=(0, 1))).astype(int) - 12, 0)
+    high = np.maximum(np.ceil(points.max(axis=(0, 1))).astype(int) + 13, low + 1)
+    part = np.s_[low[1] : high[1], low[0] : high[0]]
+    if picture.flat[part].size == 0:
+        empty = np.zeros(points.shape[:2])
+        return _averaged(empty), _averaged(empty)
+    places = [points[..., 1] - low[1], points[..., 0] - low[0]]
+    spline = spline_filter(picture.flat[part].astype(np.float64))
+    grey = map_coordinates(spline, places, order=3, prefilter=False, cval=0.0)
+    noise = map_coordinates(picture.noise[part].astype(np.float64), places, order=1, mode="nearest")
+    return _averaged(grey), _averaged(noise)
+
+
+def _averaged(profiles: Floats) -> Floats:
+    """Each profile with its neighbours along the line: (3 N, M) to (N, M)."""
+    triples = profiles.reshape(-1, len(BREADTH_PX), profiles.shape[1])
+    mean: Floats = triples.mean(axis=1)
+    return mean
+
+
+def _ridges(profile: Floats, noise: Floats, offsets: Floats, sigma: float) -> Ridges:
+    """The maxima of the profiles (N, M), whose pixels have the noise (N, M)."""
+    centre = offsets[profile.argmax(axis=1)]
+    for _ in range(STEPS):
+        distance = offsets - centre[:, None]
+        weight = np.exp(-((distance / sigma) ** 2) / 2)
+        design = np.stack([np.ones_like(distance), distance, distance**2], axis=-1)
+        left = np.einsum("nm,nmi,nmj->nij", weight, design, design)
+        right = np.einsum("nm,nmi,nm->ni", weight, design, profile)
+        height, slope, bend = np.linalg.solve(left, right[..., None])[..., 0].T
+        peaked = bend < 0
+        step = np.where(peaked, -slope / np.where(peaked, 2 * bend, -1.0), 0.0)
+        centre = np.clip(centre + np.clip(step, -sigma, sigma), offsets[0], offsets[-1])
+    inside = np.abs(centre) < offsets[-1] - SAMPLE_PX
+    sound = peaked & inside & (np.abs(step) < 0.01)
+    # The samples are finer than the pixels: noise n on an area a has the density n² a, so the
+    # slope, sum of w d f over that of w d², has the variance below.
+    product = weight * distance
+    spread = (product**2 * noise**2).sum(axis=1) * SAMPLE_PX / SPACING_PX
+    slope_variance = spread / ((product * distance).sum(axis=1) * SAMPLE_PX) ** 2
+    scatter = np.sqrt(slope_variance) / np.where(peaked, -2 * bend, 1.0)
+    return Ridges(centre, height, bend, scatter, sound)
+
+
+def _blur(ridges: Ridges, seen: Mask, sigma: float, width_px: Floats) -> float:
+    """Variance of the picture's blur across the line, px², of all profiles together.
+
+    With Gaussian weights of variance W the fit gives the smoothed line's height h + b W and
+    second derivative 2 b; their ratio is minus the variance of the smoothed line, T + W, and
+    T is that of the blur and of the line's width w, w² / 12.
+    """
+    if not seen.any():
+        return 0.0
+    height = (ridges.height + ridges.bend * sigma**2)[seen].mean()
+    total = -height / (2 * ridges.bend[seen].mean()) - sigma**2
+    return max(float(total - (width_px[seen] ** 2).mean() / 12), 0.0)
+
+
+def _line_height(width_px: Floats, sigma: float) -> Floats:
+    """(N,) height of a smoothed line of contrast 1: its width times the blurred Gaussian's top."""
+    blurred = np.sqrt(sigma**2 + BLUR_PX**2)
+    return np.minimum(width_px / (np.sqrt(2 * np.pi) * blurred), 1.0)
+
+
+def _alike(centre: Floats, seen: Mask) -> Mask:
+    """The profiles whose maximum lies off the predicted line by about as much as the others'."""
+    if not seen.any():
+        return seen
+    apart = np.abs(centre - np.median(centre[seen]))
+    return apart <= 4 * 1.4826 * np.median(apart[seen]) + 0.3

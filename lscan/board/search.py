@@ -1,0 +1,210 @@
+"""The adaptive search from dot to dot (Sec. III.1, Fig. 12).
+
+The displacement from one dot to the next predicts the one after; a box about the predicted
+place is searched, and so on until no dot is left.  All dots at the rim of what has been found
+are searched at once, so a board of thousands of dots takes some tens of rounds.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from lscan.board.centre import Centres, fit_centres, window_sigma
+from lscan.board.picture import Picture
+from lscan.records import Floats, Ints, Mask
+
+BOX = 0.22  # half side of the search box, of the pitch: keeps out what lies between the dots
+SEED_BOX = 0.34  # the same for seeds given by hand, which are rough
+FAINTEST = 0.5  # of the height of the dots beside it
+NOISE_LIMIT = 6.0  # sigmas above the ground
+ELSEWHERE = 0.1  # of the box: a mark expected less far away would have been seen before
+SEARCH_STEPS = 4  # of Newton's: 1e-6 px from half a pixel away
+NEXT = ((0, 1), (0, -1), (1, 0), (-1, 0))
+
+
+@dataclass
+class Nodes:
+    """The nodes of a grid of R rows by C columns, filled in as dots are found.
+
+    points: (R, C, 2) px, NaN where no dot.  height: (R, C) grey values.  sigma_px: (R, C).
+    """
+
+    points: Floats
+    height: Floats
+    sigma_px: Floats
+
+    @classmethod
+    def empty(cls, rows: int, columns: int) -> Nodes:
+        """A grid without dots."""
+        blank = np.full((rows, columns), np.nan)
+        return cls(np.full((rows, columns, 2), np.nan), blank, blank.copy())
+
+    @property
+    def found(self) -> Mask:
+        """(R, C) mask of the nodes with a dot."""
+        return np.isfinite(self.height)
+
+    def put(self, where: tuple[Ints, ...], centres: Centres, accepted: Mask) -> None:
+        """Enter the accepted dots at the node indices ``where`` (rows, columns)."""
+        row, column = (index[accepted] for index in where)
+        self.points[row, column] = centres.points[accepted]
+        self.height[row, column] = centres.height[accepted]
+        self.sigma_px[row, column] = centres.sigma_px[accepted]
+
+    def part(self, window: tuple[slice, slice]) -> Nodes:
+        """The same nodes, seen through a window: what is entered there is entered here."""
+        return Nodes(self.points[window], self.height[window], self.sigma_px[window])
+
+    def turned(self, turns: int) -> Nodes:
+        """The same dots on the grid turned by quarter turns."""
+        points, height, sigma_px = (
+            np.rot90(array, turns).copy() for array in (self.points, self.height, self.sigma_px)
+        )
+        return Nodes(points, height, sigma_px)
+
+    def extent(self) -> tuple[slice, slice]:
+        """From the first to the last row and column that hold a dot."""
+        row, column = np.nonzero(self.found)
+        return slice(row.min(), row.max() + 1), slice(column.min(), column.max() + 1)
+
+    def drop(self, which: Mask) -> None:
+        """Take the dots of a (R, C) mask out again."""
+        for array in (self.points, self.height, self.sigma_px):
+            array[which] = np.nan
+
+
+def grow(
+    picture: Picture, seeds: Floats, shape: tuple[int, int], corner: tuple[int, int], dot: float
+) -> Nodes:
+    """All dots that can be reached from the seeds.
+
+    seeds: (3, 2) px of dots #1, #2 (beneath) and #3 (to the right), good to a third of the
+    pitch.  shape: (rows, columns) of the grid to fill.  corner: node of dot #1.
+    dot: the dot's diameter as a part of the pitch.  Fewer than three dots where the seeds do
+    not sit on dots.
+    """
+    nodes = Nodes.empty(*shape)
+    row, column = corner
+    where = (np.array([row, row + 1, row]), np.array([column, column, column + 1]))
+    pitch = np.full(3, np.linalg.norm(seeds[1:] - seeds[0], axis=1).mean())
+    centres = look(picture, seeds, SEED_BOX * pitch, window_sigma(dot * pitch / 2))
+    alike = centres.height > FAINTEST * np.median(centres.height)
+    nodes.put(where, centres, centres.round & alike)
+    if nodes.found.sum() < 3:
+        return nodes
+    vain = np.full_like(nodes.points, np.nan)
+    while _one_round(picture, nodes.part(part := _with_rim(nodes.extent())), vain[part], dot):
+        pass
+    return nodes
+
+
+def _with_rim(extent: tuple[slice, slice]) -> tuple[slice, slice]:
+    rows, columns = (slice(max(part.start - 1, 0), part.stop + 1) for part in extent)
+    return rows, columns
+
+
+def _one_round(picture: Picture, nodes: Nodes, vain: Floats, dot: float) -> bool:
+    """Search every node beside those found; True where a dot was added.
+
+    vain: (R, C, 2) px, the places searched in vain: a node is searched again only once it is
+    expected elsewhere.  Those of this round are entered.
+    """
+    expected, pitch, height = expectation(nodes)
+    todo = ~nodes.found & np.isfinite(expected[..., 0]) & np.isfinite(pitch)
+    todo &= picture.wholly_in_view(expected, dot * pitch / 2)
+    todo &= ~(np.linalg.norm(expected - vain, axis=2) < ELSEWHERE * BOX * pitch)
+    where = np.nonzero(todo)
+    box = BOX * pitch[todo]
+    centres = look(picture, expected[todo], box, window_sigma(dot * pitch[todo] / 2))
+    miss = np.abs(centres.points - expected[todo]).max(axis=1)
+    inside = picture.wholly_in_view(centres.points, dot * pitch[todo] / 2)
+    accepted = centres.round & inside & (miss <= box + 1)
+    accepted &= centres.height >= FAINTEST * height[todo]
+    nodes.put(where, centres, accepted)
+    vain[where] = expected[todo]
+    return bool(accepted.any())
+
+
+def look(picture: Picture, expected: Floats, half_box: Floats, sigma: Floats) -> Centres:
+    """Centres of the marks in boxes about the expected places, N of each.
+
+    expected: (N, 2) px.  half_box: (N,) px.  sigma: (N,) px, the window for the mark's size.
+    A mark no higher than the noise is not round.
+    """
+    start = _brightest(picture, expected, half_box)
+    centres = fit_centres(picture.flat, start, sigma, picture.noise, SEARCH_STEPS)
+    # White noise smoothed by a Gaussian: n / (2 sqrt(pi) sigma).
+    noise = picture.noise_at(start)
+    visible = centres.height > NOISE_LIMIT * noise / (2 * np.sqrt(np.pi) * sigma)
+    return Centres(centres.points, centres.height, centres.sigma_px, centres.round & visible)
+
+
+def _brightest(picture: Picture, expected: Floats, half_box: Floats) -> Floats:
+    """(N, 2) brightest pixel of the smoothed picture in each box."""
+    if len(expected) == 0:
+        return expected
+    width, height = picture.size
+    middle = np.rint(expected).astype(np.int64)
+    reach = int(np.ceil(half_box.max()))
+    span = np.arange(-reach, reach + 1)
+    u, v = middle[:, :1] + span, middle[:, 1:] + span
+    allowed = np.abs(span) <= np.maximum(np.round(half_box), 1)[:, None]
+    use_u, use_v = allowed & (u >= 0) & (u < width), allowed & (v >= 0) & (v < height)
+    window = picture.smooth[
+        np.clip(v, 0, height - 1)[:, :, None], np.clip(u, 0, width - 1)[:, None, :]
+    ]
+    usable = use_v[:, :, None] & use_u[:, None, :]
+    best = np.where(usable, window, -np.inf).reshape(len(middle), -1).argmax(axis=1)
+    row, column = np.divmod(best, len(span))
+    return np.column_stack([middle[:, 0] + span[column], middle[:, 1] + span[row]]).astype(float)
+
+
+def expectation(nodes: Nodes) -> tuple[Floats, Floats, Floats]:
+    """Where each node should be (R, C, 2), the pitch (R, C) px and the height (R, C) there.
+
+    The mean of the paper's step (the last displacement again) from each side and of the
+    parallelogram that completes each neighbouring cell; NaN where there is neither.
+    """
+    p = nodes.points
+    guesses = [2 * moved(p, r, c) - moved(p, 2 * r, 2 * c) for r, c in NEXT]
+    for r, c in ((1, 1), (1, -1), (-1, 1), (-1, -1)):
+        guesses.append(moved(p, r, 0) + moved(p, 0, c) - moved(p, r, c))
+    pitch = local_pitch(p)
+    return (
+        _mean_of_known(guesses),
+        _mean_of_known([moved(pitch, r, c) for r, c in NEXT]),
+        _mean_of_known([moved(nodes.height, r, c) for r, c in NEXT]),
+    )
+
+
+def local_pitch(points: Floats) -> Floats:
+    """(R, C) mean distance px from each of the nodes (R, C, 2) to its neighbours; NaN if none."""
+    steps = [np.linalg.norm(points - moved(points, r, c), axis=-1) for r, c in NEXT]
+    across = _mean_of_known(steps[:2])
+    along = _mean_of_known(steps[2:])
+    return _mean_of_known([across, along])
+
+
+def moved(array: Floats, rows: int, columns: int) -> Floats:
+    """The array with each node holding what stands ``rows``, ``columns`` away; NaN outside."""
+    height, width = array.shape[:2]
+    result = np.full_like(array, np.nan)
+    result[_part(-rows, height), _part(-columns, width)] = array[
+        _part(rows, height), _part(columns, width)
+    ]
+    return result
+
+
+def _part(shift: int, length: int) -> slice:
+    return slice(max(shift, 0), max(length + min(shift, 0), 0))
+
+
+def _mean_of_known(values: list[Floats]) -> Floats:
+    """Mean over the list of what is not NaN; NaN where nothing is known."""
+    stack = np.stack(values)
+    known = np.isfinite(stack)
+    count = known.sum(axis=0)
+    total = np.where(known, stack, 0).sum(axis=0)
+    return np.where(count > 0, total / np.maximum(count, 1), np.nan)

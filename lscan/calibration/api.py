@@ -1,0 +1,83 @@
+"""What a plane map is, and how one is found by name.
+
+A solver is registered under the entry-point group ``lscan.planemaps``.  A map's full name is
+the solver's name and, after a hyphen, its variant: ``graticule-2-norulers`` is solved by
+``graticule`` with the variant ``2-norulers``, ``projective`` by ``projective`` with "".
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+from lscan.config.plugins import find_plugin
+from lscan.config.rig import OpticsSection
+from lscan.records import BoardReading, Floats, PlanePoints
+
+NOTHING_KNOWN = OpticsSection()
+
+
+class PlaneMap(Protocol):
+    """A solved map from the picture to the laser sheet."""
+
+    @property
+    def name(self) -> str:
+        """Full name, solver and variant."""
+        ...
+
+    def to_plane(self, image_px: Floats, sigma_px: Floats | None = None) -> PlanePoints:
+        """Points in the sheet, (N, 2) mm, of the pixels (N, 2); vectorised over N.
+
+        sigma_px: (N,) standard uncertainty of each pixel coordinate, 0 where None.  The
+        uncertainty returned combines it with that of the map.  A pixel that is NaN has no
+        value and the status NO_DATA (only the caller knows why it is NaN); one outside the
+        covered region (region.py) has the status OUT_OF_BOARD and no number.
+        """
+        ...
+
+    def parameters(self) -> dict[str, Any]:
+        """What the map is made of, in plain JSON types; ``restore`` takes it back."""
+        ...
+
+
+class PlaneMapSolver(Protocol):
+    """Solves plane maps of one family.
+
+    One with a method ``check_variant(variant)``, which raises the InputError of ``solve`` for an
+    unknown variant without data, has a rig file that asks for it refused before the scan.
+    """
+
+    def solve(self, reading: BoardReading, variant: str, optics: OpticsSection) -> PlaneMap:
+        """The map fitted to the marks that were found.
+
+        optics: what is known of the camera beforehand; a solver may do without.
+        Raises InputError for an unknown variant, BoardNotFound for too few marks.
+        """
+        ...
+
+    def restore(self, variant: str, parameters: dict[str, Any]) -> PlaneMap:
+        """The map that ``parameters`` came from; InputError where they do not fit."""
+        ...
+
+
+@dataclass(frozen=True)
+class NamedSolver:
+    """A solver together with the full name it was asked for."""
+
+    name: str
+    solver: PlaneMapSolver
+    variant: str
+
+    def solve(self, reading: BoardReading, optics: OpticsSection | None = None) -> PlaneMap:
+        """The map of this name fitted to ``reading``."""
+        return self.solver.solve(reading, self.variant, optics or NOTHING_KNOWN)
+
+    def restore(self, parameters: dict[str, Any]) -> PlaneMap:
+        """The map of this name that ``parameters`` came from."""
+        return self.solver.restore(self.variant, parameters)
+
+
+def find_solver(name: str) -> NamedSolver:
+    """The solver for a full map name; InputError lists the families there are."""
+    family, _, variant = name.partition("-")
+    return NamedSolver(name, find_plugin("lscan.planemaps", family, where="plane map"), variant)

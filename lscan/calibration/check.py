@@ -1,0 +1,240 @@
+"""An old calibration against a new picture of the board: does it still hold?
+
+The marks of the new picture are taken to the sheet by the old map and compared with their
+nominal places.  Nobody puts a board back just where it was, so a shift and a turn in the
+sheet are fitted and reported but do not speak against the calibration; a change of scale or
+of shape does.  A shift does only where it is said how well the board was put back.
+
+Residuals count by their covariance: each mark's own uncertainty, and the errors that the old
+calibration gives to all marks in common.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from scipy import stats
+
+from lscan.calibration.api import PlaneMap
+from lscan.calibration.evaluate import found_marks
+from lscan.calibration.motion import Likeness, likeness
+from lscan.calibration.solve import Calibration
+from lscan.errors import InputError, MeasurementError
+from lscan.records import BoardReading, Floats, PlanePoints, Status
+
+LEVEL = 0.01
+LEAST_MARKS = 6
+WORST = 5  # marks named
+
+
+@dataclass(frozen=True)
+class CheckedMark:
+    """One mark: its name, how far off its place (x, z) in mm, and that in sigmas."""
+
+    name: str
+    residual_mm: tuple[float, float]
+    ratio: float
+
+
+@dataclass(frozen=True)
+class Check:
+    """How an old calibration did on a new board picture.
+
+    marks: how many were compared.  without_value: found, but outside what the map covers.
+    raw_rms_mm, raw_max_mm: distance of the marks from their nominal places as they are.
+    rms_mm, max_mm: the same once the board's shift and turn are taken out.
+    shift_mm, shift_sigma_mm: (x, z) of the middle of the marks.  turn_deg: from x to z.
+    scale_error: mapped lengths over nominal lengths, less 1.
+    chi_square: of the residuals once the scale is taken out too, over degrees_of_freedom.
+    level: chance at which a calibration that still holds is said not to.
+    reasons: which of "scale", "shape", "shift" disagree; none where the calibration holds.
+    worst: the marks that are the most sigmas off their places, the worst first.
+    """
+
+    marks: int
+    without_value: int
+    raw_rms_mm: float
+    raw_max_mm: float
+    rms_mm: float
+    max_mm: float
+    shift_mm: tuple[float, float]
+    shift_sigma_mm: tuple[float, float]
+    turn_deg: float
+    turn_sigma_deg: float
+    scale_error: float
+    scale_sigma: float
+    chi_square: float
+    degrees_of_freedom: int
+    level: float
+    reasons: tuple[str, ...]
+    worst: tuple[CheckedMark, ...]
+
+    @property
+    def agrees(self) -> bool:
+        """Whether nothing speaks against the calibration."""
+        return not self.reasons
+
+
+def check_calibration(
+    calibration: Calibration,
+    reading: BoardReading,
+    level: float = LEVEL,
+    placed_mm: float | None = None,
+) -> Check:
+    """The calibration's score on a new reading of its board.
+
+    level: chance of a false alarm, shared evenly by the questions asked.
+    placed_mm: standard uncertainty, in x and in z, with which the board was put back where
+        the calibration has it; None: not known, and the shift is not judged.
+    Raises InputError for a picture of another size and for a level or placed_mm that makes
+    no sense, MeasurementError where fewer than six marks get a value.
+    """
+    _require_sense(calibration, reading, level, placed_mm)
+    compared = _compare(calibration.plane_map, reading)
+    names, nominal, points, fit = compared.names, compared.nominal_mm, compared.points, compared.fit
+    own = _compare(calibration.plane_map, calibration.reading)
+    residual = points.xz_mm - fit.motion.apply(nominal)
+    sigma = np.sqrt(np.diag(fit.covariance))
+    return Check(
+        marks=len(nominal),
+        without_value=compared.without_value,
+        **_distances("raw_", points.xz_mm - nominal),
+        **_distances("", residual),
+        shift_mm=_pair(fit.motion.shift_mm),
+        shift_sigma_mm=_pair(sigma[:2]),
+        turn_deg=float(np.degrees(fit.motion.turn_rad)),
+        turn_sigma_deg=float(np.degrees(sigma[2])),
+        scale_error=fit.scale,
+        scale_sigma=compared.scale_sigma,
+        chi_square=fit.chi_square,
+        degrees_of_freedom=fit.degrees_of_freedom,
+        level=level,
+        reasons=_reasons(compared, own, level, placed_mm),
+        worst=_worst(names, residual, points.sigma_mm),
+    )
+
+
+def _require_sense(
+    calibration: Calibration, reading: BoardReading, level: float, placed_mm: float | None
+) -> None:
+    size = calibration.reading.image_size
+    if tuple(reading.image_size) != tuple(size):
+        raise InputError(
+            "the picture is not of the size of the calibration's",
+            where="image size",
+            value=tuple(reading.image_size),
+            allowed=f"{size[0]} x {size[1]} px",
+        )
+    if not 0 < level < 1:
+        raise InputError("bad chance", where="level", value=level, allowed="between 0 and 1")
+    if placed_mm is not None and not 0 <= placed_mm < np.inf:
+        raise InputError(
+            "bad uncertainty", where="placed_mm", value=placed_mm, allowed="0 mm or more"
+        )
+
+
+def _found(reading: BoardReading) -> tuple[np.ndarray, Floats, Floats, Floats]:
+    """Names (N,), nominal (N, 2) mm, image (N, 2) px and sigma (N,) px of all marks found."""
+    columns = reading.shape[1]
+    names = [
+        f"control point row {k // columns + 1} column {k % columns + 1}"
+        for k in np.flatnonzero(reading.grid.found)
+    ]
+    for ruler in reading.rulers:
+        along = 1 if ruler.direction == "vertical" else 0
+        names += [
+            f"{ruler.direction} ruler at {ruler.at_mm:g} mm, mark {place:g} mm"
+            for place in ruler.marks.board_mm[ruler.marks.found, along]
+        ]
+    marks = [reading.grid, *(ruler.marks for ruler in reading.rulers)]
+    return np.array(names, dtype=object), *found_marks(marks)
+
+
+@dataclass(frozen=True)
+class _Compared:
+    """The N marks that got a value, and the motion and scale from nominal to mapped.
+
+    scale_sigma: of the scale, with what the map does not explain.
+    """
+
+    names: np.ndarray
+    nominal_mm: Floats
+    points: PlanePoints
+    without_value: int
+    fit: Likeness
+    scale_sigma: float
+
+
+def _compare(plane_map: PlaneMap, reading: BoardReading) -> _Compared:
+    names, nominal, image, sigma_px = _found(reading)
+    valued = plane_map.to_plane(image, sigma_px).status == Status.OK
+    if valued.sum() < LEAST_MARKS:
+        raise MeasurementError(
+            f"of {len(valued)} marks found the calibration covers {int(valued.sum())}; "
+            f"a check needs {LEAST_MARKS}"
+        )
+    nominal, image = nominal[valued], image[valued]
+    points = plane_map.to_plane(image, sigma_px[valued])
+    fit = likeness(nominal, points.xz_mm, points.sigma_mm, points.modes_mm)
+    allowance = _unaveraged_scale(plane_map.to_plane(image), nominal)
+    return _Compared(
+        names=names[valued],
+        nominal_mm=nominal,
+        points=points,
+        without_value=int((~valued).sum()),
+        fit=fit,
+        scale_sigma=float(np.hypot(np.sqrt(fit.covariance[3, 3]), allowance)),
+    )
+
+
+def _unaveraged_scale(alone: PlanePoints, nominal_mm: Floats) -> float:
+    """The scale error there may be in what the map states without saying how it varies.
+
+    alone: the marks by the map alone, as if the picture were exact.  What is unexplained is
+    the lack of fit, and all of the noise of a map without modes.  It need not average out
+    over the marks; in the worst case all of it is a change of scale.
+    """
+    explained = 0.0 if alone.modes_mm is None else (alone.modes_mm**2).sum(axis=2)
+    unexplained = np.maximum(alone.sigma_mm**2 - explained, 0.0)
+    lever = nominal_mm - nominal_mm.mean(axis=0)
+    return float(np.sqrt(unexplained.sum() / (lever**2).sum()))
+
+
+def _distances(prefix: str, residual_mm: Floats) -> dict[str, Any]:
+    distance = np.hypot(*residual_mm.T)
+    rms = float(np.sqrt(np.mean(distance**2)))
+    return {f"{prefix}rms_mm": rms, f"{prefix}max_mm": float(distance.max())}
+
+
+def _pair(values: Floats) -> tuple[float, float]:
+    return float(values[0]), float(values[1])
+
+
+def _reasons(
+    new: _Compared, own: _Compared, level: float, placed_mm: float | None
+) -> tuple[str, ...]:
+    """The questions that a calibration which holds would fail with a chance of ``level`` in all.
+
+    own: how the map fits the marks it was solved from.  What it misses there by more than
+    its sigmas is a fault of its form and no change, so the new marks may be missed as much.
+    """
+    fit = new.fit
+    usual = max(1.0, own.fit.chi_square / own.fit.degrees_of_freedom)
+    chances: dict[str, Any] = {
+        "scale": 2 * stats.norm.sf(abs(fit.scale) / new.scale_sigma),
+        "shape": stats.chi2.sf(fit.chi_square / usual, fit.degrees_of_freedom),
+    }
+    if placed_mm is not None:
+        covariance = fit.covariance[:2, :2] + placed_mm**2 * np.eye(2)
+        shift = fit.motion.shift_mm
+        chances["shift"] = stats.chi2.sf(shift @ np.linalg.solve(covariance, shift), 2)
+    return tuple(what for what, chance in chances.items() if chance < level / len(chances))
+
+
+def _worst(names: np.ndarray, residual_mm: Floats, sigma_mm: Floats) -> tuple[CheckedMark, ...]:
+    sigma = np.maximum(np.hypot(*sigma_mm.T), np.finfo(float).tiny)
+    ratio = np.hypot(*residual_mm.T) / sigma
+    order = np.argsort(ratio)[::-1][:WORST]
+    return tuple(CheckedMark(names[k], _pair(residual_mm[k]), float(ratio[k])) for k in order)

@@ -1,0 +1,182 @@
+"""How well plane maps predict marks that they have not seen.
+
+The marks found are dealt to folds; each fold in turn is taken off the board, the map is
+solved from the others and judged on it.  Control points and ruler marks take part alike.
+What a map errs by on a mark held out is mostly the noise of that mark, the same for all maps:
+so maps are compared mark by mark, and those that chance does not tell apart are called tied.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from time import perf_counter
+
+import numpy as np
+
+from lscan.calibration.api import find_solver
+from lscan.config.rig import OpticsSection
+from lscan.errors import BoardNotFound, InputError
+from lscan.records import BoardReading, Floats, Ints, Marks, Mask, Status
+
+FOLDS = 8
+FEWER_FOLDS = {"refractive": 2}
+"""Families whose solution takes long: so many folds are taken off the board together."""
+
+COMPLETE = 0.95  # of the marks that any map values, which the best must value too
+SAME = 1e-6  # of the pitch: marks closer on the board are one mark and share a fold
+
+Progress = Callable[[int, int], None]
+
+
+@dataclass(frozen=True)
+class Score:
+    """How a map did on the marks held out of it.
+
+    rms_mm, max_mm: distance from the nominal place, over the marks that got a value.
+    sigma_mm: standard uncertainty that the map states of itself at those places, the marks'
+        own left out: rms of the two coordinates together.
+    tied: whether its mean squared error is no more than one standard error above the least.
+    points: how many did.  without_value: how many did not, because they lie beyond what the
+        other marks cover or where the map has gaps.
+    ms: median time of one solution; None where it was not kept.
+    refused: why the map could not be solved; it then has no figures.
+    """
+
+    name: str
+    rms_mm: float | None = None
+    max_mm: float | None = None
+    sigma_mm: float | None = None
+    tied: bool = False
+    points: int = 0
+    without_value: int = 0
+    ms: float | None = None
+    refused: str | None = None
+
+
+def cross_validated(
+    reading: BoardReading,
+    names: Sequence[str],
+    optics: OpticsSection | None = None,
+    folds: int = FOLDS,
+    seed: int = 0,
+    progress: Progress | None = None,
+) -> tuple[Score, ...]:
+    """The score of each map named, all on the same folds, in the order of ``names``.
+
+    A map that refuses the reading, or any part of it, is scored as refused with its reason.
+    seed: of the generator that deals the marks.  progress: told how many of the maps are done.
+    Raises InputError for fewer than two folds.
+    """
+    if folds < 2:
+        raise InputError("too few folds", where="folds", value=folds, allowed="2 or more")
+    fold = deal(reading, folds, np.random.default_rng(seed))
+    trials = []
+    for done, name in enumerate(names):
+        if progress is not None:
+            progress(done, len(names))
+        together = FEWER_FOLDS.get(name.partition("-")[0], 1) if folds > 2 else 1
+        trials.append(_tried(reading, name, optics, fold // together))
+    return _with_ties(trials)
+
+
+def deal(reading: BoardReading, folds: int, rng: np.random.Generator) -> Ints:
+    """(N,) the fold of each mark: first the grid's, then each ruler's, found or not.
+
+    Places on the board are gone through column by column; of any ``folds`` in succession,
+    each goes to another fold.  So no fold takes two neighbours or a whole border away, but
+    for chance at the ends of columns.  Marks at one place share a fold: they hold the same
+    error, and one would betray the other.
+    """
+    places = np.vstack([marks.board_mm for marks in _all_marks(reading)])
+    steps = np.round(places / (SAME * reading.pitch_mm)).astype(np.int64)
+    different, place = np.unique(steps, axis=0, return_inverse=True)
+    rounds = -(-len(different) // folds)
+    dealt = np.concatenate([rng.permutation(folds) for _ in range(rounds)])
+    return dealt[: len(different)][place.ravel()]
+
+
+def without(reading: BoardReading, held_out: Mask) -> BoardReading:
+    """The reading as if the marks held out, (N,) in the order of ``deal``, were not found."""
+    taken = iter(np.split(held_out, np.cumsum([len(m.status) for m in _all_marks(reading)])))
+    grid = _hidden(reading.grid, next(taken))
+    rulers = [replace(ruler, marks=_hidden(ruler.marks, next(taken))) for ruler in reading.rulers]
+    return replace(reading, grid=grid, rulers=tuple(rulers))
+
+
+def _all_marks(reading: BoardReading) -> list[Marks]:
+    return [reading.grid, *(ruler.marks for ruler in reading.rulers)]
+
+
+def _hidden(marks: Marks, hide: Mask) -> Marks:
+    hide = hide & marks.found
+    return Marks(
+        board_mm=marks.board_mm,
+        image_px=np.where(hide[:, None], np.nan, marks.image_px),
+        sigma_px=np.where(hide, np.nan, marks.sigma_px),
+        status=np.where(hide, int(Status.NOT_FOUND), marks.status),
+    )
+
+
+@dataclass(frozen=True)
+class _Trial:
+    """A map's score, and its squared error (N,) in mm² on each mark, NaN where it has none."""
+
+    score: Score
+    square: Floats
+
+
+def _tried(reading: BoardReading, name: str, optics: OpticsSection | None, fold: Ints) -> _Trial:
+    several = _all_marks(reading)
+    found = np.concatenate([marks.found for marks in several])
+    image = np.vstack([marks.image_px for marks in several])
+    known = np.vstack([marks.board_mm for marks in several])
+    times, error, sigma = [], np.full((len(fold), 2), np.nan), np.full((len(fold), 2), np.nan)
+    for number in np.unique(fold[found]):
+        held_out = found & (fold == number)
+        start = perf_counter()
+        try:
+            plane_map = find_solver(name).solve(without(reading, held_out), optics)
+        except (InputError, BoardNotFound) as refusal:
+            return _Trial(Score(name, refused=str(refusal)), np.full(len(fold), np.nan))
+        times.append(1e3 * (perf_counter() - start))
+        points = plane_map.to_plane(image[held_out])
+        error[held_out], sigma[held_out] = points.xz_mm - known[held_out], points.sigma_mm
+    square, stated = (error**2).sum(axis=1), (sigma**2).sum(axis=1)
+    return _Trial(_summary(name, square[found], stated[found], float(np.median(times))), square)
+
+
+def _summary(name: str, square: Floats, stated: Floats, ms: float) -> Score:
+    valued = np.isfinite(square)
+    if not valued.any():
+        return Score(name, without_value=len(square), ms=ms, refused="gives no mark a value")
+    return Score(
+        name=name,
+        rms_mm=float(np.sqrt(square[valued].mean())),
+        max_mm=float(np.sqrt(square[valued].max())),
+        sigma_mm=float(np.sqrt(stated[valued].mean())),
+        points=int(valued.sum()),
+        without_value=int((~valued).sum()),
+        ms=ms,
+    )
+
+
+def _with_ties(trials: Sequence[_Trial]) -> tuple[Score, ...]:
+    """The scores, those tied with the least error among the complete marked.
+
+    The one-standard-error rule (Breiman, Friedman, Olshen & Stone, Classification and
+    Regression Trees (1984), sec. 3.4.3), here with the standard error of the mean difference
+    of the squared errors, mark by mark: the marks' own noise is in both and drops out.
+    """
+    scores = [trial.score for trial in trials]
+    most = max((score.points for score in scores), default=0)
+    complete = [t for t in trials if t.score.points > 0 and t.score.points >= COMPLETE * most]
+    if not complete:
+        return tuple(scores)
+    best = min(complete, key=lambda trial: trial.score.rms_mm or 0.0)
+    return tuple(replace(t.score, tied=_is_tied(t.square - best.square)) for t in trials)
+
+
+def _is_tied(more: Floats) -> bool:
+    more = more[np.isfinite(more)]
+    return len(more) > 1 and bool(more.mean() <= more.std(ddof=1) / np.sqrt(len(more)))

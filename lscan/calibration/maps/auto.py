@@ -1,0 +1,150 @@
+"""The map that predicts best: ``auto``.
+
+Every candidate is cross-validated on the reading.  Of those whose error on marks held out
+chance does not tell from the least, the one that states the least uncertainty of itself is
+solved from all marks: with as little misfit, it is the one that noise moves least, as it has
+the fewest free numbers.  The map keeps the table of all scores.  No variants.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Annotated, Any, cast
+
+from pydantic import Field
+
+import lscan
+from lscan.calibration.api import NOTHING_KNOWN, PlaneMap, find_solver
+from lscan.calibration.crossvalidation import COMPLETE, Progress, Score, cross_validated
+from lscan.calibration.solve import Calibration, residuals
+from lscan.calibration.stored import NotNegative
+from lscan.config.documents import Strict, check
+from lscan.config.rig import OpticsSection
+from lscan.errors import BoardNotFound, InputError
+from lscan.records import BoardReading, Floats, PlanePoints
+
+CANDIDATES = (
+    "refractive",
+    "spline",
+    *(f"polynomial-{order}" for order in range(2, 8)),
+    "graticule-2",
+    "projective",
+)
+
+
+class StoredScore(Strict):
+    """crossvalidation.Score without the time, which is the machine's and not the map's."""
+
+    name: str
+    rms_mm: NotNegative | None
+    max_mm: NotNegative | None
+    sigma_mm: NotNegative | None = None
+    tied: bool = False
+    points: Annotated[int, Field(strict=True, ge=0)]
+    without_value: Annotated[int, Field(strict=True, ge=0)]
+    refused: str | None
+
+
+class AutoParameters(Strict):
+    """What a chosen map is made of, as a file holds it."""
+
+    chosen: str
+    parameters: dict[str, Any]
+    scores: tuple[StoredScore, ...]
+
+
+@dataclass(frozen=True)
+class Auto:
+    """The chosen map and why it was chosen.
+
+    chosen: the map, under its own name.  scores: of all candidates, the best first, those
+    that refused last.
+    """
+
+    chosen: PlaneMap
+    scores: tuple[Score, ...]
+    name: str = "auto"
+
+    def to_plane(self, image_px: Floats, sigma_px: Floats | None = None) -> PlanePoints:
+        """Points in the sheet, (N, 2) mm, of the pixels (N, 2), by the chosen map."""
+        return self.chosen.to_plane(image_px, sigma_px)
+
+    def parameters(self) -> dict[str, Any]:
+        """The chosen map's name and parameters, and the scores, in plain JSON types."""
+        kept = StoredScore.model_fields
+        return AutoParameters(
+            chosen=self.chosen.name,
+            parameters=self.chosen.parameters(),
+            scores=tuple(
+                StoredScore(**{key: getattr(score, key) for key in kept}) for score in self.scores
+            ),
+        ).model_dump(mode="json")
+
+
+class AutoSolver:
+    """Solves the candidate that cross-validation finds best."""
+
+    def check_variant(self, variant: str) -> None:
+        """InputError for a variant that there is not; nothing is solved."""
+        if variant:
+            raise InputError(
+                "no such choice of maps", where="plane map", value=f"auto-{variant}", allowed="auto"
+            )
+
+    def solve(
+        self,
+        reading: BoardReading,
+        variant: str,
+        optics: OpticsSection = NOTHING_KNOWN,
+        progress: Progress | None = None,
+    ) -> Auto:
+        """The best candidate solved from the whole reading.
+
+        progress: told how many of the candidates have been tried.
+        Raises InputError for any variant, BoardNotFound where every candidate refuses.
+        """
+        self.check_variant(variant)
+        scores = ranked(cross_validated(reading, CANDIDATES, optics, progress=progress))
+        if scores[0].refused is not None:
+            raise BoardNotFound(f"no plane map could be solved: {scores[0].refused}")
+        return Auto(find_solver(scores[0].name).solve(reading, optics), scores)
+
+    def restore(self, variant: str, parameters: dict[str, Any]) -> Auto:
+        """The map that ``parameters`` came from; InputError where they do not fit."""
+        self.check_variant(variant)
+        read = check(AutoParameters, parameters, where=None, prefix="parameters")
+        if read.chosen.partition("-")[0] == "auto":
+            raise InputError("is no candidate", where="parameters.chosen", value=read.chosen)
+        chosen = find_solver(read.chosen).restore(read.parameters)
+        return Auto(chosen, tuple(Score(**score.model_dump()) for score in read.scores))
+
+
+solver = AutoSolver()
+
+
+def calibrate_best(
+    reading: BoardReading, optics: OpticsSection | None, progress: Progress | None = None
+) -> Calibration:
+    """What ``calibrate(reading, "auto", optics)`` gives, ``progress`` told of each candidate."""
+    known = optics or NOTHING_KNOWN
+    plane_map = cast(PlaneMap, solver.solve(reading, "", known, progress))
+    mm, px = residuals(plane_map, reading)
+    software = f"lscan {lscan.__version__}"
+    return Calibration(plane_map.name, plane_map, reading, mm, px, known, software)
+
+
+def ranked(scores: tuple[Score, ...]) -> tuple[Score, ...]:
+    """The scores, the best first: those tied with the least error by the uncertainty they state,
+    the others by their rms error, then those that value too few marks, then those refused.
+
+    Too few: under 95 % of what the fullest map values, so that no map wins by leaving out what
+    is hard.
+    """
+    most = max(score.points for score in scores)
+
+    def order(score: Score) -> tuple[bool, bool, bool, float]:
+        too_few = score.points < COMPLETE * most
+        by = score.sigma_mm if score.tied and score.sigma_mm is not None else score.rms_mm
+        return score.rms_mm is None, too_few, not score.tied, by or 0.0
+
+    return tuple(sorted(scores, key=order))

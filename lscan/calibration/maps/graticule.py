@@ -1,0 +1,174 @@
+"""The paper's map: longitude and latitude lines with auxiliary rulers (Secs. II and III).
+
+Variants: "1", "2" or "bspline" for the fit of the lines (first-order rms, second-order rms,
+cubic B-spline), each also with "-norulers".
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from lscan.calibration.api import NOTHING_KNOWN
+from lscan.calibration.evaluate import Estimate, lack_of_fit_mm, to_points
+from lscan.calibration.maps.lines import DEGREE, Fit, Line, fit_line
+from lscan.calibration.maps.lineset import LineSet, Targets
+from lscan.calibration.maps.rulers import Ruler, fit_ruler
+from lscan.calibration.region import Region, covered_region, spacing_px
+from lscan.calibration.stored import Pair
+from lscan.config.documents import Strict, check
+from lscan.config.rig import OpticsSection
+from lscan.errors import BoardNotFound, InputError
+from lscan.records import BoardReading, Floats, Marks, Mask, PlanePoints
+
+NO_RULERS = "-norulers"
+VARIANTS: dict[str, tuple[Fit, bool]] = {
+    fit + ending: (fit, not ending) for fit in DEGREE for ending in ("", NO_RULERS)
+}
+
+
+class GraticuleParameters(Strict):
+    """What a graticule is made of, as a file holds it."""
+
+    latitudes: LineSet
+    longitudes: LineSet
+    region: Region
+    lack_of_fit_mm: Pair
+
+
+@dataclass(frozen=True)
+class Graticule:
+    """A solved graticule.
+
+    latitudes: the lines of the grid rows and the vertical rulers; they give z.
+    longitudes: the lines of the grid columns and the horizontal rulers; they give x.
+    lack_of_fit_mm: (2,) of x and of z (evaluate.py).
+    """
+
+    name: str
+    latitudes: LineSet
+    longitudes: LineSet
+    region: Region
+    lack_of_fit_mm: Floats
+
+    def to_plane(self, image_px: Floats, sigma_px: Floats | None = None) -> PlanePoints:
+        """Points in the sheet, (N, 2) mm, of the pixels (N, 2), as api.PlaneMap promises.
+
+        sigma_mm combines, to first order, the pixel's uncertainty, the covariances of the
+        two lines around the point, of the ruler's line and of its conversion curve, and the
+        map's mean lack of fit.  The last two are common to neighbouring points.
+        """
+        return to_points(self, image_px, sigma_px)
+
+    def estimate(self, image_px: Floats, variance_px2: Floats) -> Estimate:
+        """Points of covered pixels; NaN where no two lines of a direction surround one."""
+        u, v = image_px.T
+        x, variance_x = self.longitudes.locate(Targets(v, u, variance_px2))
+        z, variance_z = self.latitudes.locate(Targets(u, v, variance_px2))
+        return Estimate(np.column_stack([x, z]), np.column_stack([variance_x, variance_z]))
+
+    def parameters(self) -> dict[str, Any]:
+        """The lines, the rulers, the region and the lack of fit, in plain JSON types."""
+        return GraticuleParameters(
+            latitudes=self.latitudes,
+            longitudes=self.longitudes,
+            region=self.region,
+            lack_of_fit_mm=self.lack_of_fit_mm,
+        ).model_dump(mode="json")
+
+
+class GraticuleSolver:
+    """Solves graticules; see the module for the variants."""
+
+    def check_variant(self, variant: str) -> None:
+        """InputError for a variant that there is not; nothing is solved."""
+        _parse(variant)
+
+    def solve(
+        self, reading: BoardReading, variant: str, optics: OpticsSection = NOTHING_KNOWN
+    ) -> Graticule:
+        """The graticule through the marks that were found.
+
+        A line needs one mark more than its order (four for the B-spline) and is left out
+        where it has fewer; its neighbours then span two cells.  Raises InputError for an
+        unknown variant, BoardNotFound where fewer than two lines of a direction remain.
+        """
+        fit, with_rulers = _parse(variant)
+        rows = _fit_lines(reading, 0, fit)
+        columns = _fit_lines(reading, 1, fit)
+        used = _on_lines(reading, rows, columns)
+        reach = spacing_px(reading)
+        solved = Graticule(
+            name=f"graticule-{variant}",
+            latitudes=LineSet(_present(rows), _rulers(reading, 1, fit, with_rulers), reach),
+            longitudes=LineSet(_present(columns), _rulers(reading, 0, fit, with_rulers), reach),
+            region=covered_region(reading, used),
+            lack_of_fit_mm=np.zeros(2),
+        )
+        return replace(solved, lack_of_fit_mm=lack_of_fit_mm(solved, reading))
+
+    def restore(self, variant: str, parameters: dict[str, Any]) -> Graticule:
+        """The graticule that ``parameters`` came from; InputError where they do not fit."""
+        _parse(variant)
+        read = check(GraticuleParameters, parameters, where=None, prefix="parameters")
+        return Graticule(
+            f"graticule-{variant}",
+            read.latitudes,
+            read.longitudes,
+            read.region,
+            read.lack_of_fit_mm,
+        )
+
+
+solver = GraticuleSolver()
+
+
+def _parse(variant: str) -> tuple[Fit, bool]:
+    if variant not in VARIANTS:
+        raise InputError(
+            "no such graticule",
+            where="plane map",
+            value=f"graticule-{variant}",
+            allowed=", ".join(f"graticule-{name}" for name in VARIANTS),
+        )
+    return VARIANTS[variant]
+
+
+def _fit_lines(reading: BoardReading, along: int, fit: Fit) -> list[Line | None]:
+    """One line per grid row (along = 0) or per grid column (along = 1)."""
+    count = reading.shape[along]
+    index = np.indices(reading.shape)[along].ravel()
+    lines = [fit_line(_select(reading.grid, index == k), along, fit) for k in range(count)]
+    if len(_present(lines)) < 2:
+        kind = ("latitude", "longitude")[along]
+        raise BoardNotFound(
+            f"a graticule needs two {kind} lines of {DEGREE[fit] + 1} control points or more, "
+            f"found {len(_present(lines))} among {int(reading.grid.found.sum())} control points"
+        )
+    return lines
+
+
+def _select(marks: Marks, which: Mask) -> Marks:
+    return Marks(
+        marks.board_mm[which], marks.image_px[which], marks.sigma_px[which], marks.status[which]
+    )
+
+
+def _present(lines: list[Line | None]) -> tuple[Line, ...]:
+    return tuple(line for line in lines if line is not None)
+
+
+def _on_lines(reading: BoardReading, rows: list[Line | None], columns: list[Line | None]) -> Mask:
+    """Mask of the control points found on a latitude line and on a longitude line."""
+    row = np.array([line is not None for line in rows])
+    column = np.array([line is not None for line in columns])
+    return np.outer(row, column).ravel() & reading.grid.found
+
+
+def _rulers(reading: BoardReading, reads: int, fit: Fit, wanted: bool) -> tuple[Ruler, ...]:
+    """The rulers that read coordinate ``reads``: 0, the horizontal ones; 1, the vertical."""
+    direction = ("horizontal", "vertical")[reads]
+    fitted = [fit_ruler(r, fit) for r in reading.rulers if wanted and r.direction == direction]
+    return tuple(ruler for ruler in fitted if ruler is not None)

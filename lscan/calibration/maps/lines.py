@@ -1,0 +1,150 @@
+"""Fitted lines: the longitude and latitude lines of the graticule (paper Sec. III.2, Fig. 13).
+
+A line is a curve ``across = f(along)`` between the two pixel coordinates: along = u and
+across = v for a latitude line Y = Y(X), the other way round for a longitude line X = X(Y).
+All three fits of the paper are B-splines: a polynomial of order k is a spline of degree k
+without inner knots, and the least-squares fit in that basis is the paper's rms fit, only
+better conditioned than in powers of a pixel coordinate.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Literal
+
+import numpy as np
+from scipy.interpolate import BSpline, make_interp_spline
+
+from lscan.calibration.stored import STRICT, Count, Matrix, Number, Vector, check_covariance
+from lscan.records import Floats, Marks, Mask
+
+Fit = Literal["1", "2", "bspline"]
+DEGREE: dict[Fit, int] = {"1": 1, "2": 2, "bspline": 3}
+
+
+@dataclass(frozen=True)
+class Curve:
+    """A spline y = f(x) with the covariance of its coefficients.
+
+    knots: (M + degree + 1,) in the unit of x.  coefficients: (M,) in the unit of y.
+    covariance: (M, M).  Outside the knots the end pieces are continued.
+    """
+
+    __pydantic_config__ = STRICT
+    degree: Count
+    knots: Vector
+    coefficients: Vector
+    covariance: Matrix
+
+    def __post_init__(self) -> None:
+        """Raise ValueError where the parts do not make a spline."""
+        if self.degree < 0 or len(self.knots) != len(self.coefficients) + self.degree + 1:
+            raise ValueError("a spline has degree + 1 more knots than coefficients")
+        if len(self.coefficients) <= self.degree or np.any(np.diff(self.knots) < 0):
+            raise ValueError("knots must not fall, and coefficients must outnumber the degree")
+        if self.knots[self.degree] >= self.knots[-self.degree - 1]:
+            raise ValueError("knots must span a stretch")
+        check_covariance(self.covariance, len(self.coefficients))
+
+    @cached_property
+    def _spline(self) -> BSpline:
+        return BSpline(self.knots, self.coefficients, self.degree)
+
+    @cached_property
+    def _slope(self) -> BSpline:
+        return self._spline.derivative()
+
+    @cached_property
+    def _basis(self) -> BSpline:
+        return BSpline(self.knots, np.eye(len(self.coefficients)), self.degree)
+
+    def __call__(self, x: Floats) -> Floats:
+        """f at x, same shape."""
+        return self._spline(x)
+
+    def slope(self, x: Floats) -> Floats:
+        """df/dx at x, same shape."""
+        return self._slope(x)
+
+    def basis(self, x: Floats) -> Floats:
+        """(N, M) so that ``basis(x) @ coefficients`` is f at x (N,)."""
+        return self._basis(x)
+
+    def variance(self, rows: Floats) -> Floats:
+        """(N,) variance of ``rows @ coefficients`` for rows (N, M)."""
+        return ((rows @ self.covariance) * rows).sum(axis=1)
+
+
+def fit_polynomial(x: Floats, y: Floats, sigma_x: Floats, sigma_y: Floats, order: int) -> Curve:
+    """The least-squares polynomial of ``order`` through the points (x, y), each (N,).
+
+    sigma_x, sigma_y: (N,) standard uncertainties; they give the covariance (an error in x
+    counts as one of slope times that in y) and do not weigh the fit: the paper's is the
+    plain rms fit.  Needs order + 1 different x.
+    """
+    ends = np.array([x.min(), x.max()])
+    return _fit(x, y, sigma_x, sigma_y, np.repeat(ends, order + 1), order)
+
+
+def fit_spline(x: Floats, y: Floats, sigma_x: Floats, sigma_y: Floats) -> Curve:
+    """The cubic B-spline that passes through all points (x, y), each (N,), N at least 4.
+
+    The second and the last but one point are no knots ("not a knot").  sigma_x and sigma_y
+    as in :func:`fit_polynomial`.  The x must differ.
+    """
+    order = np.argsort(x)
+    knots = make_interp_spline(x[order], y[order], k=3).t
+    return _fit(x, y, sigma_x, sigma_y, knots, degree=3)
+
+
+def _fit(
+    x: Floats, y: Floats, sigma_x: Floats, sigma_y: Floats, knots: Floats, degree: int
+) -> Curve:
+    count = len(knots) - degree - 1
+    basis = BSpline(knots, np.eye(count), degree)
+    solve = np.linalg.pinv(basis(x))  # (M, N): coefficients are linear in y
+    coefficients = solve @ y
+    slope = BSpline(knots, coefficients, degree).derivative()(x)
+    variance = sigma_y**2 + (slope * sigma_x) ** 2
+    return Curve(degree, knots, coefficients, (solve * variance) @ solve.T)
+
+
+@dataclass(frozen=True)
+class Line:
+    """A longitude or latitude line.
+
+    at_mm: its place on the board: x of a longitude line, z of a latitude line.
+    curve: across px as a function of along px.
+    first_px, last_px: where its outermost marks lie, along px.
+    """
+
+    __pydantic_config__ = STRICT
+    at_mm: Number
+    curve: Curve
+    first_px: Number
+    last_px: Number
+
+    def reaches(self, along_px: Floats, beyond_px: float) -> Mask:
+        """Mask of the places that its marks span, or that lie at most ``beyond_px`` outside."""
+        return (along_px >= self.first_px - beyond_px) & (along_px <= self.last_px + beyond_px)
+
+
+def fit_line(marks: Marks, along: int, fit: Fit) -> Line | None:
+    """The line through the marks that were found, None where they are too few for ``fit``.
+
+    marks: those of one grid row (along = 0, that is u) or one grid column (along = 1).
+    """
+    found = marks.found
+    x, y = marks.image_px[found, along], marks.image_px[found, 1 - along]
+    if len(np.unique(x)) <= DEGREE[fit]:
+        return None
+    at_mm = float(marks.board_mm[:, 1 - along].mean())
+    return Line(at_mm, fit_curve(x, y, marks.sigma_px[found], fit), float(x.min()), float(x.max()))
+
+
+def fit_curve(x: Floats, y: Floats, sigma_px: Floats, fit: Fit) -> Curve:
+    """The curve y = f(x) of the kind ``fit``; x, y and their common sigma are (N,) in px."""
+    if fit == "bspline":
+        return fit_spline(x, y, sigma_px, sigma_px)
+    return fit_polynomial(x, y, sigma_px, sigma_px, DEGREE[fit])

@@ -1,0 +1,225 @@
+"""Steps 1 to 5 of the paper (Sec. III.3) for one coordinate of the board.
+
+To find z the lines are the latitude lines, ``across`` is v, ``along`` is u, and the rulers
+are the vertical ones.  To find x the same code runs with the roles swapped: longitude lines,
+across u, along v, horizontal rulers.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Annotated
+
+import numpy as np
+from pydantic import Field
+
+from lscan.calibration.maps.lines import Curve, Line
+from lscan.calibration.maps.rulers import Ruler
+from lscan.calibration.region import MARGIN
+from lscan.calibration.stored import STRICT, NotNegative
+from lscan.records import Floats, Ints, Mask
+
+# The region's margin, and as much again for what the outermost line misses its own marks by.
+WEIGHT_SLACK = 2 * MARGIN
+
+NEWTON_STEPS = 12
+NEWTON_PX = 1e-9
+
+
+@dataclass(frozen=True)
+class Targets:
+    """N points of the picture: along and across in px, and the variance of either in px^2."""
+
+    along: Floats
+    across: Floats
+    variance: Floats
+
+    def at(self, keep: Mask) -> Targets:
+        """Those under the mask."""
+        return Targets(self.along[keep], self.across[keep], self.variance[keep])
+
+
+@dataclass(frozen=True)
+class Between:
+    """The two lines on either side of each of N points, and where between them it lies.
+
+    lower, upper: (N,) indices of the lines; lower has the smaller across coordinate.
+    fraction: (N,) the weight of the upper line in eq. (3): 0 on the lower, 1 on the upper.
+    span_px: (N,) from line to line, along the across axis.
+    """
+
+    lower: Ints
+    upper: Ints
+    fraction: Floats
+    span_px: Floats
+
+    def at(self, keep: Mask) -> Between:
+        """Those under the mask."""
+        return Between(self.lower[keep], self.upper[keep], self.fraction[keep], self.span_px[keep])
+
+    def blend(self, values_of: Callable[[int, Mask], Floats], power: int = 1) -> Floats:
+        """(N,) weighted sum over the two lines; values_of(line, mask) gives a line's values."""
+        total = np.zeros(len(self.fraction))
+        for index, weight in ((self.lower, 1 - self.fraction), (self.upper, self.fraction)):
+            for line in np.unique(index):
+                here = index == line
+                total[here] += weight[here] ** power * values_of(int(line), here)
+        return total
+
+
+@dataclass(frozen=True)
+class LineSet:
+    """All lines of one direction and the rulers that cross them.
+
+    reach_px: how far a line may be continued beyond its outermost marks: the spacing of the
+        control points.  Next to a missing mark, or where the board looks slanted, the lines
+        around a point need not both have marks on either side of it.
+    """
+
+    __pydantic_config__ = STRICT
+    lines: Annotated[tuple[Line, ...], Field(min_length=2)]
+    rulers: tuple[Ruler, ...]
+    reach_px: NotNegative
+
+    def locate(self, targets: Targets) -> tuple[Floats, Floats]:
+        """Board coordinate in mm and its variance in mm^2, (N,) each; NaN where not surrounded.
+
+        With rulers the coordinate is read on the closest one (steps 3 and 4); where the
+        point's line meets no stretch of marks on it, or where there is no ruler, it is
+        linear in the weight between the two lines, if they are neighbours.
+        """
+        value, variance = np.full((2, len(targets.along)), np.nan)
+        between, inside = self.surround(targets)
+        value[inside], variance[inside] = self._read(targets.at(inside), between.at(inside))
+        return value, variance
+
+    def _read(self, targets: Targets, between: Between) -> tuple[Floats, Floats]:
+        value, variance = self._read_lines(targets, between)
+        if not self.rulers:
+            return value, variance
+        closest = self._closest_ruler(targets)
+        for k in np.unique(closest[closest >= 0]):
+            here = closest == k
+            ruled, ruled_variance = self._read_ruler(
+                self.rulers[k], targets.at(here), between.at(here)
+            )
+            met = np.isfinite(ruled)
+            value[here] = np.where(met, ruled, value[here])
+            variance[here] = np.where(met, ruled_variance, variance[here])
+        return value, variance
+
+    def surround(self, targets: Targets) -> tuple[Between, Mask]:
+        """Steps 1 and 2: the two lines around each point, the weight between them, and the
+        mask of the points that have a line on either side.
+
+        The paper iterates the weight (bisection, its footnote 1) until the interpolated
+        curve passes through the target.  At the target's own along coordinate eq. (3) is
+        linear in the weight, so here it is solved directly.
+        """
+        points = np.arange(len(targets.along))
+        heights = np.stack([line.curve(targets.along) for line in self.lines])
+        reached = np.stack([line.reaches(targets.along, self.reach_px) for line in self.lines])
+        order = np.argsort(np.where(reached, heights, np.inf), axis=0)
+        below = (reached & (heights <= targets.across)).sum(axis=0)
+        rank = np.clip(below - 1, 0, np.maximum(reached.sum(axis=0) - 2, 0))
+        lower, upper = order[rank, points], order[rank + 1, points]
+        start = heights[lower, points]
+        span = heights[upper, points] - start
+        known = (reached.sum(axis=0) >= 2) & (span > 0)
+        fraction = (targets.across - start) / np.where(known, span, 1.0)
+        inside = known & (fraction >= -WEIGHT_SLACK) & (fraction <= 1 + WEIGHT_SLACK)
+        return Between(lower, upper, fraction, span), inside
+
+    def _curve(self, line: int) -> Curve:
+        return self.lines[line].curve
+
+    def _height(self, between: Between, along: Floats) -> Floats:
+        """Eq. (3): the interpolated line H at ``along``, across px."""
+        return between.blend(lambda line, here: self._curve(line)(along[here]))
+
+    def _slope(self, between: Between, along: Floats) -> Floats:
+        return between.blend(lambda line, here: self._curve(line).slope(along[here]))
+
+    def _read_lines(self, targets: Targets, between: Between) -> tuple[Floats, Floats]:
+        """Without a ruler: linear in the weight (Sec. II)."""
+        places = np.array([line.at_mm for line in self.lines])
+        start = places[between.lower]
+        pitch = places[between.upper] - start
+        # Where a line between the two ends short of the target, the cell is twice as wide and
+        # the weight's linearity four times as wrong: only a ruler may be read there.
+        neighbours = np.abs(between.upper - between.lower) == 1
+        pitch = np.where(neighbours, pitch, np.nan)
+        along = targets.along
+        noise = targets.variance * (1 + self._slope(between, along) ** 2) + between.blend(
+            lambda line, here: self._curve(line).variance(self._curve(line).basis(along[here])),
+            power=2,
+        )
+        return start + between.fraction * pitch, noise * (pitch / between.span_px) ** 2
+
+    def _closest_ruler(self, targets: Targets) -> Ints:
+        """(N,) index of the ruler nearest to each point of those with marks beside it, or -1."""
+        gaps = np.stack([np.abs(r.line(targets.across) - targets.along) for r in self.rulers])
+        beside = np.stack([r.reaches(targets.across) for r in self.rulers])
+        closest = np.argmin(np.where(beside, gaps, np.inf), axis=0)
+        return np.where(beside.any(axis=0), closest, -1)
+
+    def _read_ruler(
+        self, ruler: Ruler, targets: Targets, between: Between
+    ) -> tuple[Floats, Floats]:
+        """Steps 3 and 4: NaN where the interpolated line misses the ruler's marks."""
+        place, meets = self._intersect(ruler, targets, between)
+        value = np.where(meets, ruler.conversion(place), np.nan)
+        return value, self._ruler_variance(ruler, targets, between, place)
+
+    def _intersect(self, ruler: Ruler, targets: Targets, between: Between) -> tuple[Floats, Mask]:
+        """Where the interpolated line H meets the ruler's line R, across px.
+
+        Newton on y - H(R(y)) from the target's own height.  H and R run nearly along the
+        two axes, so the slope hardly changes and is taken once.
+        """
+        place = targets.across
+        lean = self._slope(between, ruler.line(place)) * ruler.line.slope(place)
+        for _ in range(NEWTON_STEPS):
+            miss = place - self._height(between, ruler.line(place))
+            place = place - miss / (1 - lean)
+            if np.all(np.abs(miss) < NEWTON_PX):
+                break
+        return place, (np.abs(miss) < NEWTON_PX) & ruler.reaches(place)
+
+    def _ruler_variance(
+        self, ruler: Ruler, targets: Targets, between: Between, place: Floats
+    ) -> Floats:
+        """Variance of the value read, mm^2, to first order.
+
+        A change of the target, of the two lines and of the ruler's line moves the
+        intersection; the same two lines also set the weight, so their errors at the target
+        count against those at the intersection.
+        """
+        crossing = ruler.line(place)
+        slope = self._slope(between, crossing)
+        ends = (between.upper, between.lower)
+        far, near = (self._line_heights(index, crossing) for index in ends)
+        ratio = (far - near) / between.span_px
+
+        def line_variance(line: int, here: Mask) -> Floats:
+            curve = self._curve(line)
+            rows = curve.basis(crossing[here])
+            rows = rows - ratio[here, None] * curve.basis(targets.along[here])
+            return curve.variance(rows)
+
+        tilt = self._slope(between, targets.along)
+        across = ratio**2 * targets.variance * (1 + tilt**2)
+        across += between.blend(line_variance, power=2)
+        across += slope**2 * ruler.line.variance(ruler.line.basis(place))
+        lean = slope * ruler.line.slope(place)
+        scale = ruler.conversion.slope(place) / (1 - lean)
+        return scale**2 * across + ruler.conversion.variance(ruler.conversion.basis(place))
+
+    def _line_heights(self, index: Ints, along: Floats) -> Floats:
+        """(N,) height of line index[n] at along[n], across px."""
+        heights = np.empty(len(along))
+        for line in np.unique(index):
+            here = index == line
+            heights[here] = self._curve(int(line))(along[here])
+        return heights

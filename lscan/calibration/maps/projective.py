@@ -1,0 +1,218 @@
+"""One projective matrix for the whole picture: the map of Chen & Kak (paper Sec. I, [16]).
+
+Their 4 x 3 matrix takes a pixel to a point of the light sheet in space.  Expressed in the
+sheet's own (x, z) it has three rows, a plane homography of eight parameters.  It knows
+neither lens distortion nor the bending of rays at the port.  It has no variants.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any, Self
+
+import numpy as np
+from pydantic import model_validator
+from scipy.optimize import least_squares
+
+from lscan.calibration.api import NOTHING_KNOWN
+from lscan.calibration.evaluate import Estimate, lack_of_fit_mm, square_root, to_points
+from lscan.calibration.maps.scaling import Scaling, hartley
+from lscan.calibration.region import Region, covered_region
+from lscan.calibration.stored import Matrix, Pair, Vector, check_covariance
+from lscan.config.documents import Strict, check
+from lscan.config.rig import OpticsSection
+from lscan.errors import BoardNotFound, InputError
+from lscan.records import BoardReading, Floats, PlanePoints
+
+COUNT = 8
+
+
+@dataclass(frozen=True)
+class Homography:
+    """Eight numbers h that take scaled pixels (a, b) to scaled plane points.
+
+    first = (h0 + h1 a + h2 b) / (1 + h6 a + h7 b), second = (h3 + h4 a + h5 b) / (same).
+    The centroid of the control points is (0, 0), so the denominator is 1 there.
+    """
+
+    h: Floats
+
+    def denominator(self, scaled: Floats) -> Floats:
+        """(N,) of points (N, 2)."""
+        return 1 + scaled @ self.h[6:]
+
+    def apply(self, scaled: Floats) -> Floats:
+        """(N, 2) plane points of (N, 2)."""
+        above = self.h[[0, 3]] + scaled @ self.h[[[1, 4], [2, 5]]]
+        return above / self.denominator(scaled)[:, None]
+
+    def by_parameters(self, scaled: Floats) -> Floats:
+        """(N, 2, 8) derivatives of the plane points by h."""
+        plane = self.apply(scaled)
+        derivative = np.zeros((len(scaled), 2, COUNT))
+        homogeneous = np.column_stack([np.ones(len(scaled)), scaled])
+        derivative[:, 0, 0:3] = derivative[:, 1, 3:6] = homogeneous
+        derivative[:, :, 6:8] = -plane[:, :, None] * scaled[:, None, :]
+        return derivative / self.denominator(scaled)[:, None, None]
+
+    def by_pixel(self, scaled: Floats) -> Floats:
+        """(N, 2, 2) derivatives of the plane points by the scaled pixel."""
+        plane = self.apply(scaled)
+        direct = self.h[[[1, 2], [4, 5]]]
+        turned = direct - plane[:, :, None] * self.h[None, None, 6:]
+        return turned / self.denominator(scaled)[:, None, None]
+
+
+class ProjectiveParameters(Strict):
+    """What a projective map is made of, as a file holds it."""
+
+    pixels: Scaling
+    plane: Scaling
+    h: Vector
+    covariance: Matrix
+    region: Region
+    lack_of_fit_mm: Pair
+
+    @model_validator(mode="after")
+    def _sizes(self) -> Self:
+        if self.h.shape != (COUNT,):
+            raise ValueError(f"h must be {COUNT} numbers")
+        check_covariance(self.covariance, COUNT)
+        return self
+
+
+@dataclass(frozen=True)
+class Projective:
+    """A solved projective map.
+
+    pixels, plane: scalings of the two sides.  h: (8,) of :class:`Homography`, covariance:
+    (8, 8).  lack_of_fit_mm: (2,) of x and of z (evaluate.py).
+    """
+
+    pixels: Scaling
+    plane: Scaling
+    h: Floats
+    covariance: Floats
+    region: Region
+    lack_of_fit_mm: Floats
+    name: str = "projective"
+
+    def to_plane(self, image_px: Floats, sigma_px: Floats | None = None) -> PlanePoints:
+        """Points in the sheet, (N, 2) mm, of the pixels (N, 2), as api.PlaneMap promises.
+
+        sigma_mm combines the pixel's uncertainty, the covariance of the matrix, which gives
+        the modes, and the map's mean lack of fit.
+        """
+        return to_points(self, image_px, sigma_px)
+
+    def estimate(self, image_px: Floats, variance_px2: Floats) -> Estimate:
+        """Points of covered pixels."""
+        rows = Homography(self.h).by_parameters(self.pixels.apply(image_px))
+        modes = rows @ square_root(self.covariance) * self.plane.scale[:, None]
+        noise = variance_px2[:, None] * (self.slopes(image_px) ** 2).sum(axis=2)
+        return Estimate(self.places(image_px), noise + (modes**2).sum(axis=2), modes)
+
+    def places(self, image_px: Floats) -> Floats:
+        """(N, 2) mm of pixels (N, 2), wherever they lie."""
+        return self.plane.undo(Homography(self.h).apply(self.pixels.apply(image_px)))
+
+    def slopes(self, image_px: Floats) -> Floats:
+        """(N, 2, 2) mm a px, derivatives of (x, z) by (u, v)."""
+        scaled_slopes = Homography(self.h).by_pixel(self.pixels.apply(image_px))
+        return scaled_slopes * self.plane.scale[:, None] / self.pixels.scale
+
+    def parameters(self) -> dict[str, Any]:
+        """The scaled matrix, its covariance, the region and the lack of fit, as JSON types."""
+        return ProjectiveParameters(
+            pixels=self.pixels,
+            plane=self.plane,
+            h=self.h,
+            covariance=self.covariance,
+            region=self.region,
+            lack_of_fit_mm=self.lack_of_fit_mm,
+        ).model_dump(mode="json")
+
+
+class ProjectiveSolver:
+    """Solves projective maps."""
+
+    def check_variant(self, variant: str) -> None:
+        """InputError for a variant that there is not; nothing is solved."""
+        if variant:
+            raise InputError(
+                "no such projective map",
+                where="plane map",
+                value=f"projective-{variant}",
+                allowed="projective",
+            )
+
+    def solve(
+        self, reading: BoardReading, variant: str, optics: OpticsSection = NOTHING_KNOWN
+    ) -> Projective:
+        """The matrix that fits the control points found with the least error in the plane.
+
+        The linear solution in Hartley's scaling is where the refinement starts.  Raises
+        InputError for any variant, BoardNotFound where four points in general position are
+        missing.
+        """
+        self.check_variant(variant)
+        grid, found = reading.grid, reading.grid.found
+        region = covered_region(reading, found)
+        pixels, plane = hartley(grid.image_px[found]), hartley(grid.board_mm[found])
+        scaled, known = pixels.apply(grid.image_px[found]), plane.apply(grid.board_mm[found])
+        h = _refine(_linear(scaled, known), scaled, known)
+        covariance = _covariance(h, scaled, grid.sigma_px[found] / pixels.scale[0])
+        solved = Projective(pixels, plane, h, covariance, region, np.zeros(2))
+        return replace(solved, lack_of_fit_mm=lack_of_fit_mm(solved, reading))
+
+    def restore(self, variant: str, parameters: dict[str, Any]) -> Projective:
+        """The map that ``parameters`` came from; InputError where they do not fit."""
+        self.check_variant(variant)
+        read = check(ProjectiveParameters, parameters, where=None, prefix="parameters")
+        return Projective(
+            read.pixels, read.plane, read.h, read.covariance, read.region, read.lack_of_fit_mm
+        )
+
+
+solver = ProjectiveSolver()
+
+
+def _linear(scaled: Floats, known: Floats) -> Floats:
+    """(8,) the direct linear solution: denominator times plane point equals numerator."""
+    ones = np.column_stack([np.ones(len(scaled)), scaled])
+    zeros = np.zeros_like(ones)
+    first = np.hstack([ones, zeros, -known[:, :1] * scaled])
+    second = np.hstack([zeros, ones, -known[:, 1:] * scaled])
+    h, _, rank, _ = np.linalg.lstsq(np.vstack([first, second]), known.T.ravel(), rcond=None)
+    if rank < COUNT:
+        raise BoardNotFound(
+            f"a projective map needs four control points in general position, "
+            f"found {len(scaled)} control points"
+        )
+    return h
+
+
+def _refine(start: Floats, scaled: Floats, known: Floats) -> Floats:
+    """(8,) that minimise the sum of squared distances in the plane."""
+
+    def residual(h: Floats) -> Floats:
+        return (Homography(h).apply(scaled) - known).ravel()
+
+    def slopes(h: Floats) -> Floats:
+        return Homography(h).by_parameters(scaled).reshape(-1, COUNT)
+
+    answer = least_squares(
+        residual, start, jac=slopes, method="lm", xtol=1e-15, ftol=1e-15, gtol=1e-15
+    )
+    if not (Homography(answer.x).denominator(scaled) > 0).all():
+        raise BoardNotFound("the control points found are no picture of a plane")
+    return answer.x
+
+
+def _covariance(h: Floats, scaled: Floats, sigma: Floats) -> Floats:
+    """(8, 8) from the marks' own uncertainties, carried through the least-squares solution."""
+    homography = Homography(h)
+    solve = np.linalg.pinv(homography.by_parameters(scaled).reshape(-1, COUNT))
+    solve = solve.reshape(COUNT, len(scaled), 2)
+    spread = np.einsum("pnc,ncj->pnj", solve, homography.by_pixel(scaled)) * sigma[:, None]
+    return np.einsum("pnj,qnj->pq", spread, spread)

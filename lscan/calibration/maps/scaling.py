@@ -1,0 +1,48 @@
+"""Shifting and scaling of coordinates, so that least squares stays well conditioned."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from lscan.calibration.stored import STRICT, Vector
+from lscan.records import Floats
+
+
+@dataclass(frozen=True)
+class Scaling:
+    """scaled = (point - centre) / scale.  centre, scale: (2,) each, in the points' unit."""
+
+    __pydantic_config__ = STRICT
+    centre: Vector
+    scale: Vector
+
+    def __post_init__(self) -> None:
+        """Raise ValueError unless both are (2,) and no scale is 0 or less."""
+        if self.centre.shape != (2,) or self.scale.shape != (2,) or self.scale.min() <= 0:
+            raise ValueError("a scaling has two centres and two scales above 0")
+
+    def apply(self, points: Floats) -> Floats:
+        """(N, 2) scaled."""
+        return (points - self.centre) / self.scale
+
+    def undo(self, scaled: Floats) -> Floats:
+        """(N, 2) in the points' unit again."""
+        return scaled * self.scale + self.centre
+
+
+def hartley(points: Floats) -> Scaling:
+    """Centroid at the origin, mean distance from it sqrt(2).
+
+    Hartley, "In defense of the eight-point algorithm", IEEE PAMI 19 (1997), Sec. 4.
+    """
+    centre = points.mean(axis=0)
+    scale = np.linalg.norm(points - centre, axis=1).mean() / np.sqrt(2)
+    return Scaling(centre, np.array([scale, scale]))
+
+
+def box(points: Floats) -> Scaling:
+    """The points' bounding box becomes the square from -1 to 1."""
+    low, high = points.min(axis=0), points.max(axis=0)
+    return Scaling((low + high) / 2, (high - low) / 2)

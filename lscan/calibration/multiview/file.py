@@ -1,0 +1,198 @@
+"""The file of a metric calibration: all it was solved from, and the map."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Annotated, Any, Final, Literal, Self
+
+import numpy as np
+from pydantic import Field, model_validator
+
+from lscan.calibration.file import MOST_BYTES, Side, StoredMarks
+from lscan.calibration.multiview.bundle import COUNT
+from lscan.calibration.multiview.planemap import solver
+from lscan.calibration.multiview.solve import MetricCalibration, ViewReport
+from lscan.calibration.multiview.views import LinePoints, View
+from lscan.calibration.stored import Matrix, Number, Vector
+from lscan.config.documents import Strict, check, read_json
+from lscan.config.rig import Known, OpticsSection
+from lscan.errors import InputError
+from lscan.files.disk import write_atomically
+from lscan.records import Marks, Status
+
+FORMAT: Final = "lscan-metric-calibration"
+VERSION = 1
+Count = Annotated[int, Field(strict=True, ge=0)]
+Flag = Annotated[bool, Field(strict=True)]
+
+
+class StoredLine(Strict):
+    """views.LinePoints."""
+
+    image_px: Matrix
+    sigma_px: Vector
+    axis: Literal["columns", "rows"]
+
+    @model_validator(mode="after")
+    def _consistent(self) -> Self:
+        count = len(self.sigma_px)
+        if self.image_px.shape != (count, 2):
+            raise ValueError(f"image_px must hold {count} pairs, one for each of sigma_px")
+        if (self.sigma_px <= 0).any():
+            raise ValueError("sigma_px must be above 0")
+        return self
+
+
+class StoredView(Strict):
+    """views.View and what became of it; ``null`` for a root mean square of nothing."""
+
+    name: str
+    marks: StoredMarks | None
+    line: StoredLine | None
+    fault: str
+    used: Flag
+    marks_used: Count
+    rms_px: Number | None
+    line_used: Flag
+    line_points_used: Count
+    line_rms_mm: Number | None
+    reason: str
+
+    @model_validator(mode="after")
+    def _used_what_there_is(self) -> Self:
+        if self.used and (self.marks is None or self.rms_px is None or not self.marks_used):
+            raise ValueError("used must be false without marks, marks_used and rms_px")
+        if self.line_used and (self.line is None or self.line_rms_mm is None or not self.used):
+            raise ValueError("line_used must be false without a used view, line and line_rms_mm")
+        return self
+
+    def view(self) -> View:
+        """As the program holds what was read."""
+        line = self.line
+        return View(
+            self.name,
+            self.marks.marks() if self.marks else None,
+            LinePoints(line.image_px, line.sigma_px, line.axis) if line else None,
+            self.fault,
+        )
+
+    def report(self) -> ViewReport:
+        """As the program holds what became of it."""
+        found = int(self.marks.marks().found.sum()) if self.marks else 0
+        seen = len(self.line.sigma_px) if self.line else 0
+        return ViewReport(
+            name=self.name,
+            used=self.used,
+            marks=(self.marks_used, found),
+            rms_px=_or_nan(self.rms_px),
+            line_used=self.line_used,
+            line_points=(self.line_points_used, seen),
+            line_rms_mm=_or_nan(self.line_rms_mm),
+            fault=self.reason,
+        )
+
+
+class MetricFile(Strict):
+    """The whole file."""
+
+    format: Literal["lscan-metric-calibration"]
+    version: Annotated[int, Field(strict=True, ge=1, le=VERSION)]
+    software: str
+    plane_map: Literal["metric"]
+    image_size: tuple[Side, Side]
+    optics: OpticsSection
+    k3: Known
+    parameters: dict[str, Any]
+    camera_sigma: Vector
+    views: tuple[StoredView, ...]
+
+    @model_validator(mode="after")
+    def _whole(self) -> Self:
+        if self.camera_sigma.shape != (COUNT,) or (self.camera_sigma < 0).any():
+            raise ValueError(f"camera_sigma must be {COUNT} numbers not below 0")
+        if not any(view.line_used for view in self.views):
+            raise ValueError("views must hold a line that was used")
+        return self
+
+
+def save_metric(path: Path, calibration: MetricCalibration) -> None:
+    """Write the calibration to ``path``: a whole file or none; InputError where it cannot."""
+    content = MetricFile(
+        format=FORMAT,
+        version=VERSION,
+        software=calibration.software,
+        plane_map="metric",
+        image_size=calibration.image_size,
+        optics=calibration.optics,
+        k3=calibration.k3,
+        parameters=calibration.plane_map.parameters(),
+        camera_sigma=calibration.sigma,
+        views=tuple(map(_store, calibration.views, calibration.reports)),
+    )
+    text = json.dumps(content.model_dump(mode="json"), indent=1, allow_nan=False)
+    write_atomically(path, (text + "\n").encode())
+
+
+def load_metric(path: Path) -> MetricCalibration:
+    """The calibration that was saved at ``path``; it can be solved again from what it holds.
+
+    Raises InputError naming the file and the key for anything that is not as it was written.
+    """
+    content = check(MetricFile, _document(path), where=path)
+    try:
+        with np.errstate(all="ignore"):  # of numbers that make no map
+            plane_map = solver.restore("", content.parameters)
+    except InputError as error:
+        raise InputError(str(error), where=path) from error
+    return MetricCalibration(
+        plane_map=plane_map,
+        views=tuple(view.view() for view in content.views),
+        optics=content.optics,
+        k3=content.k3,
+        image_size=content.image_size,
+        reports=tuple(view.report() for view in content.views),
+        sigma=content.camera_sigma,
+        software=content.software,
+    )
+
+
+def _document(path: Path) -> dict[str, Any]:
+    document = read_json(path, MOST_BYTES)
+    if not isinstance(document, dict) or document.get("format") != FORMAT:
+        raise InputError("is no metric calibration", where=path, allowed=f'format "{FORMAT}"')
+    return document
+
+
+def _store(view: View, report: ViewReport) -> StoredView:
+    line = view.line
+    return StoredView(
+        name=view.name,
+        marks=_store_marks(view.marks) if view.marks else None,
+        line=StoredLine(image_px=line.image_px, sigma_px=line.sigma_px, axis=line.axis)
+        if line
+        else None,
+        fault=view.fault,
+        used=report.used,
+        marks_used=report.marks[0],
+        rms_px=_or_none(report.rms_px),
+        line_used=report.line_used,
+        line_points_used=report.line_points[0],
+        line_rms_mm=_or_none(report.line_rms_mm),
+        reason=report.fault,
+    )
+
+
+def _store_marks(marks: Marks) -> StoredMarks:
+    names: Any = tuple(Status(code).name for code in marks.status)
+    return StoredMarks(
+        board_mm=marks.board_mm, image_px=marks.image_px, sigma_px=marks.sigma_px, status=names
+    )
+
+
+def _or_none(value: float) -> float | None:
+    return None if value != value else value
+
+
+def _or_nan(value: float | None) -> float:
+    return float("nan") if value is None else value

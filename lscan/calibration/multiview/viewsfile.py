@@ -1,0 +1,214 @@
+"""VIEWS.toml: which pictures of which board, and how they are to be read."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Literal
+
+import numpy as np
+from pydantic import Field, PositiveFloat
+
+from lscan.board import read_board
+from lscan.board.chessboard import read_charuco, read_chessboard
+from lscan.calibration.multiview.planemap import region_around
+from lscan.calibration.multiview.views import LinePoints, View
+from lscan.config.board import Board, load_board
+from lscan.config.documents import Strict, check, read_document
+from lscan.config.rig import Channel, Known, OpticsSection, StripeSection
+from lscan.errors import BoardNotFound, InputError
+from lscan.files.pictures import read_picture
+from lscan.records import Bytes, Marks, Stripe, has_value
+from lscan.stripe import extract_stripe
+
+Side = Annotated[int, Field(ge=3, le=1000)]
+SAME = "same"  # the line is on the board's picture itself
+NONE = "none"  # nothing is subtracted
+Progress = Callable[[int, int], None]
+
+
+class Dots(Strict):
+    """A dot board, described by a board file."""
+
+    kind: Literal["dots"]
+    file: str
+
+
+class Chessboard(Strict):
+    """columns, rows: inner corners."""
+
+    kind: Literal["chessboard"]
+    columns: Side
+    rows: Side
+    square_mm: PositiveFloat
+
+
+class Charuco(Strict):
+    """columns, rows: inner corners.  dictionary: as OpenCV calls it."""
+
+    kind: Literal["charuco"]
+    columns: Side
+    rows: Side
+    square_mm: PositiveFloat
+    marker_mm: PositiveFloat
+    dictionary: str = "DICT_4X4_50"
+
+
+class ViewEntry(Strict):
+    """One pose.  laser: the picture with the line on it, or "same"; no line if left out.
+
+    background: of the laser's own picture, the same view with the laser off, to be subtracted;
+    the board's picture if left out, "none": nothing is subtracted, as where the lamps were
+    dimmed for the line.  Paths are relative to the file.
+    """
+
+    picture: str
+    laser: str | None = None
+    background: str | None = None
+
+
+class ViewsDocument(Strict):
+    """The whole file.
+
+    channel: in which the board is looked for.  k3: third radial coefficient and its standard
+    uncertainty, beside what [optics] says.
+    """
+
+    name: str = "unnamed"
+    channel: Channel = "grey"
+    board: Annotated[Dots | Chessboard | Charuco, Field(discriminator="kind")]
+    optics: OpticsSection = OpticsSection()
+    k3: Known = (0.0, 0.0)
+    stripe: StripeSection = StripeSection()
+    view: Annotated[tuple[ViewEntry, ...], Field(min_length=1, max_length=1000)]
+
+
+@dataclass(frozen=True)
+class ViewsFile:
+    """A views file as read, and the folder its paths are relative to."""
+
+    document: ViewsDocument
+    path: Path
+
+    def resolve(self, name: str) -> Path:
+        """The path of a picture that the file names."""
+        return self.path.parent / name
+
+
+def load_views(path: Path) -> ViewsFile:
+    """The views file at ``path``; InputError names the key that is wrong."""
+    document = check(ViewsDocument, read_document(path), where=path)
+    for number, entry in enumerate(document.view):
+        if entry.background is not None and entry.laser in (None, SAME):
+            raise InputError(
+                f"view.{number}.background: goes with a laser picture of its own",
+                where=path,
+                value=entry.background,
+            )
+    return ViewsFile(document, path)
+
+
+def read_views(
+    views: ViewsFile, progress: Progress | None = None
+) -> tuple[list[View], tuple[int, int]]:
+    """All views of the file, read, and the pictures' (width, height).
+
+    A picture without the board, or a line that is not there, makes a view with a fault.
+    progress: called with (views done, views in all).
+    Raises InputError for a picture that cannot be read or is of another size than the first.
+    """
+    board = _board(views.document)
+    found: list[View] = []
+    size: tuple[int, int] | None = None
+    for entry in views.document.view:
+        picture = read_picture(views.resolve(entry.picture))
+        size = size or (picture.shape[1], picture.shape[0])
+        _require_size(picture, size, views.resolve(entry.picture))
+        found.append(_read(views, entry, picture, board, size))
+        if progress is not None:
+            progress(len(found), len(views.document.view))
+    assert size is not None  # the file holds a view
+    return found, size
+
+
+def _board(document: ViewsDocument) -> Board | None:
+    return load_board(Path(document.board.file)) if isinstance(document.board, Dots) else None
+
+
+def _read(
+    views: ViewsFile, entry: ViewEntry, picture: Bytes, board: Board | None, size: tuple[int, int]
+) -> View:
+    try:
+        marks = _marks(views.document, picture, board)
+    except BoardNotFound as error:
+        return View(entry.picture, None, None, str(error))
+    if entry.laser is None:
+        return View(entry.picture, marks)
+    lit, dark = _laser_pictures(views, entry, picture, size)
+    line = line_on_board(extract_stripe(lit, views.document.stripe, dark), marks)
+    fault = "" if len(line.image_px) else "no laser line was found on the board"
+    return View(entry.picture, marks, line if not fault else None, fault)
+
+
+def _laser_pictures(
+    views: ViewsFile, entry: ViewEntry, picture: Bytes, size: tuple[int, int]
+) -> tuple[Bytes, Bytes | None]:
+    """The picture with the line on it, and what is to be subtracted from it."""
+
+    def read(name: str) -> Bytes:
+        image = read_picture(views.resolve(name))
+        _require_size(image, size, views.resolve(name))
+        return image
+
+    if entry.laser is None or entry.laser == SAME:
+        return picture, None
+    if entry.background == NONE:
+        return read(entry.laser), None
+    return read(entry.laser), picture if entry.background is None else read(entry.background)
+
+
+def _marks(document: ViewsDocument, picture: Bytes, board: Board | None) -> Marks:
+    section = document.board
+    match section:
+        case Chessboard():
+            return read_chessboard(
+                picture, section.columns, section.rows, section.square_mm, document.channel
+            )
+        case Charuco():
+            return read_charuco(
+                picture,
+                section.columns,
+                section.rows,
+                section.square_mm,
+                section.marker_mm,
+                section.dictionary,
+                document.channel,
+            )
+        case Dots():
+            assert board is not None
+            return read_board(picture, board, channel=document.channel).grid
+
+
+def line_on_board(stripe: Stripe, marks: Marks) -> LinePoints:
+    """The points of a stripe that lie within the hull of the board's marks in the picture.
+
+    Elsewhere the line falls on what stands behind the board.  Saturated points weigh as little
+    as their sigma_px says.
+    """
+    hull = region_around(marks.image_px[marks.found])
+    usable = np.flatnonzero(has_value(stripe.status))
+    places = stripe.image_px[usable]
+    kept = usable[hull.covers(places)]
+    return LinePoints(stripe.image_px[kept], stripe.sigma_px[kept], stripe.axis)
+
+
+def _require_size(picture: Bytes, size: tuple[int, int], path: Path) -> None:
+    found = (picture.shape[1], picture.shape[0])
+    if found != size:
+        raise InputError(
+            "is not of the first picture's size",
+            where=path,
+            value=found,
+            allowed=f"{size[0]} x {size[1]} px",
+        )

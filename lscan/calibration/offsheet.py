@@ -1,0 +1,223 @@
+"""How far a board stands off the laser sheet, from one picture of it.
+
+A plane map says where the line of sight of each mark crosses the sheet: at M = (x, z).  With
+the camera's place known, the mark itself, X, lies on that line, and where it stands y behind
+the sheet
+
+    M = (X_x, X_z) - s X_y,      s = (d_x, d_z) / d_y,
+
+d being the direction of sight (derived here: the line through X along d at y = 0).  The marks
+of a rigid board have six parameters between them; least squares finds them.  How large the
+board appears tells its distance, how it is distorted its tilts.
+
+Frame: the plane map's, with y the sheet's normal away from the camera; so a board behind the
+sheet has positive distances.  Tilts are right-handed about x and z.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from lscan.calibration.boardview import rotation
+from lscan.errors import MeasurementError
+from lscan.records import Floats, Mask, PlanePoints
+
+CAMERA_SIGMA_MM = 10.0  # of camera_mm, each coordinate: [sheet] is measured by ruler, to a cm
+FEWEST_MARKS = 6
+TURNS = 30
+CONVERGED = 1e-10  # of the last step, in mm and in radians
+
+
+@dataclass(frozen=True)
+class Sight:
+    """From where the marks are seen.
+
+    slope: (N, 2) s of each mark's line of sight, mm of x and of z for each mm of y.
+    loose: (N, 2, K) by how much one standard deviation of each of K errors changes it.
+    """
+
+    slope: Floats
+    loose: Floats
+
+
+@dataclass(frozen=True)
+class OffSheet:
+    """Where a board stands against the sheet, each number with its standard uncertainty.
+
+    distance_mm: of the board's middle, + behind the sheet.  tilt_x_rad, tilt_z_rad: about x
+    (+: its top leans towards the camera) and about z (+: its right side stands behind).
+    corners_mm: (4,) distances of the corners.  residual_mm: (N, 2) what the pose leaves of
+    each mark's place in the sheet, NaN for marks that were not used.
+    """
+
+    distance_mm: float
+    distance_sigma_mm: float
+    tilt_x_rad: float
+    tilt_x_sigma_rad: float
+    tilt_z_rad: float
+    tilt_z_sigma_rad: float
+    corners_mm: Floats
+    corners_sigma_mm: Floats
+    residual_mm: Floats
+
+
+def seen_from(
+    camera_mm: tuple[float, float, float], xz_mm: Floats, sigma_mm: float = CAMERA_SIGMA_MM
+) -> Sight:
+    """The lines of sight of a camera at ``camera_mm`` to points (N, 2) of the sheet.
+
+    camera_mm: (x, y, z) in the map's frame, y below 0; sigma_mm: standard uncertainty of each.
+    """
+    x, y, z = camera_mm
+    slope = (xz_mm - np.array([x, z])) / -y
+    loose = np.zeros((len(xz_mm), 2, 3))
+    loose[:, 0, 0] = loose[:, 1, 2] = 1 / y
+    loose[:, :, 1] = -slope / y
+    return Sight(slope, sigma_mm * loose)
+
+
+def off_sheet(board_mm: Floats, points: PlanePoints, sight: Sight, corners_mm: Floats) -> OffSheet:
+    """The board's pose against the sheet, by least squares from its marks.
+
+    board_mm: (N, 2) nominal (x, z) of the marks.  points: where the plane map puts them, with
+    its uncertainty; those without a value are left out.  sight: from where they were seen.
+    corners_mm: (4, 2) of the board, in board coordinates; their mean is its middle.
+
+    The uncertainties combine the marks' own, scaled up where the residuals are larger than
+    it, the errors that the map gives to all marks in common, and those of the camera's place.
+    Raises MeasurementError for too few marks and for marks that do not tell the pose.
+    """
+    used = np.asarray(np.isfinite(np.hstack([points.xz_mm, sight.slope])).all(axis=1))
+    if used.sum() < FEWEST_MARKS:
+        raise MeasurementError(
+            f"{int(used.sum())} marks in the calibrated part of the picture, "
+            f"{FEWEST_MARKS} needed to tell how far the board is from the sheet"
+        )
+    middle = corners_mm.mean(axis=0)
+    sought = _Marks(_in_space(board_mm[used] - middle), points.xz_mm[used], sight.slope[used])
+    sigma = _own_sigma(points, used)
+    pose = _solve(sought, _start(sought), sigma)
+    jacobian = sought.jacobian(pose) / sigma[:, None]
+    residual = sought.residual(pose)
+    root = _root(jacobian, residual / sigma, _common(points, used, sight, sought, pose), sigma)
+    whole = np.full_like(board_mm, np.nan)
+    whole[used] = residual.reshape(-1, 2)
+    return _answer(pose, root, _in_space(corners_mm - middle), whole)
+
+
+@dataclass(frozen=True)
+class _Pose:
+    """turn: (3, 3) of the board's axes into the map's.  place_mm: (3,) of its middle."""
+
+    turn: Floats
+    place_mm: Floats
+
+    def moved(self, step: Floats) -> _Pose:
+        """After a small rotation (3,) in radians and a shift (3,) in mm."""
+        return _Pose(rotation(step[:3]) @ self.turn, self.place_mm + step[3:])
+
+
+@dataclass(frozen=True)
+class _Marks:
+    """board: (N, 3) about the board's middle.  seen: (N, 2) M.  slope: (N, 2) s."""
+
+    board: Floats
+    seen: Floats
+    slope: Floats
+
+    def residual(self, pose: _Pose) -> Floats:
+        """(2N,) mm, where the pose puts the marks in the sheet less where they are seen."""
+        x = self.board @ pose.turn.T + pose.place_mm
+        return (x[:, [0, 2]] - self.slope * x[:, 1:2] - self.seen).ravel()
+
+    def jacobian(self, pose: _Pose) -> Floats:
+        """(2N, 6) of the residuals by the step of :meth:`_Pose.moved`, at none.
+
+        A small rotation w moves the arm r by w x r, that is by -[r]x w.
+        """
+        arm = self.board @ pose.turn.T
+        by_place = np.zeros((len(arm), 2, 3))
+        by_place[:, 0, 0] = by_place[:, 1, 2] = 1.0
+        by_place[:, :, 1] = -self.slope
+        by_turn = np.cross(arm[:, None, :], by_place)  # p . (w x r) = w . (r x p)
+        return np.concatenate([by_turn, by_place], axis=2).reshape(-1, 6)
+
+
+def _in_space(xz_mm: Floats) -> Floats:
+    return np.column_stack([xz_mm[:, 0], np.zeros(len(xz_mm)), xz_mm[:, 1]])
+
+
+def _own_sigma(points: PlanePoints, used: Mask) -> Floats:
+    """(2N,) mm standard uncertainty of each coordinate, less what all have in common."""
+    variance = points.sigma_mm[used] ** 2
+    if points.modes_mm is not None:
+        own = variance - (points.modes_mm[used] ** 2).sum(axis=2)
+        variance = np.maximum(own, 1e-6 * variance)
+    # A map may state none at all: then all marks count alike.
+    return np.sqrt(np.where(variance > 0, variance, 1.0)).ravel()
+
+
+def _start(marks: _Marks) -> _Pose:
+    """The board in the sheet: the plane's rotation and shift of least squares, closed form."""
+    one, other = (p - p.mean(axis=0) for p in (marks.board[:, [0, 2]], marks.seen))
+    turn = np.arctan2(
+        (one[:, 0] * other[:, 1] - one[:, 1] * other[:, 0]).sum(), (one * other).sum()
+    )
+    # From x to z is a left-handed turn about y.
+    about_y = rotation(np.array([0.0, -turn, 0.0]))
+    shift = marks.seen.mean(axis=0) - (marks.board.mean(axis=0) @ about_y.T)[[0, 2]]
+    return _Pose(about_y, np.array([shift[0], 0.0, shift[1]]))
+
+
+def _solve(marks: _Marks, pose: _Pose, sigma: Floats) -> _Pose:
+    """Gauss and Newton's steps to the pose of least squares."""
+    for _ in range(TURNS):
+        jacobian = marks.jacobian(pose) / sigma[:, None]
+        step, _, rank, _ = np.linalg.lstsq(jacobian, -marks.residual(pose) / sigma, rcond=1e-12)
+        if rank < 6 or not np.isfinite(step).all():
+            break
+        pose = pose.moved(np.asarray(step, dtype=np.float64))
+        if np.abs(step).max() < CONVERGED:
+            return pose
+    raise MeasurementError("the marks do not tell how far the board is from the sheet")
+
+
+def _common(points: PlanePoints, used: Mask, sight: Sight, marks: _Marks, pose: _Pose) -> Floats:
+    """(2N, K) mm by which one standard deviation of each common error moves the residuals."""
+    behind = (marks.board @ pose.turn.T + pose.place_mm)[:, 1]
+    parts = [-sight.loose[used] * behind[:, None, None]]
+    if points.modes_mm is not None:
+        parts.append(-points.modes_mm[used])
+    together = np.concatenate(parts, axis=2)
+    return together.reshape(-1, together.shape[2])
+
+
+def _root(jacobian: Floats, residual: Floats, common: Floats, sigma: Floats) -> Floats:
+    """(6, 6 + K) root, whose root @ root.T is the covariance of the pose's six parameters."""
+    free = len(residual) - 6
+    scale = np.sqrt(max(1.0, float(residual @ residual) / free))
+    inverse = np.linalg.pinv(jacobian)
+    _, own = np.linalg.qr(inverse.T)
+    return np.hstack([scale * own.T, inverse @ (common / sigma[:, None])])
+
+
+def _answer(pose: _Pose, root: Floats, corners: Floats, residual_mm: Floats) -> OffSheet:
+    """The pose as distances and tilts, and the uncertainties of these."""
+    arm = corners @ pose.turn.T
+    along = np.zeros((4, 6))
+    along[:, 0], along[:, 2], along[:, 4] = -arm[:, 2], arm[:, 0], 1.0  # y of w x r, and of t
+    normal = pose.turn[:, 1]
+    spread = np.linalg.norm(root, axis=1)
+    return OffSheet(
+        distance_mm=float(pose.place_mm[1]),
+        distance_sigma_mm=float(spread[4]),
+        tilt_x_rad=float(np.arctan2(normal[2], normal[1])),
+        tilt_x_sigma_rad=float(spread[0]),
+        tilt_z_rad=float(np.arctan2(-normal[0], normal[1])),
+        tilt_z_sigma_rad=float(spread[2]),
+        corners_mm=arm[:, 1] + pose.place_mm[1],
+        corners_sigma_mm=np.linalg.norm(along @ root, axis=1),
+        residual_mm=residual_mm,
+    )

@@ -1,0 +1,78 @@
+"""The covered part of the picture: where a plane map may be used.
+
+One rule for all maps: a pixel is covered where it lies in the convex hull of the control
+points that the map rests on, or outside it by no more than a twentieth of the spacing of
+neighbouring control points.  On the paper's board that margin is 2.5 mm, a dot's radius.
+Elsewhere a map gives OUT_OF_BOARD and no number: it never extrapolates.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from scipy.spatial import ConvexHull, QhullError
+
+from lscan.calibration.stored import STRICT, Matrix, NotNegative
+from lscan.errors import BoardNotFound
+from lscan.records import BoardReading, Floats, Mask
+
+MARGIN = 0.05  # of the spacing of neighbouring control points
+
+
+@dataclass(frozen=True)
+class Region:
+    """A convex polygon in the picture, grown by a margin.
+
+    outline_px: (K, 2) corners (u, v), each edge's inside on its left in a frame with u to
+        the right and v up.  margin_px: how far outside an edge still counts as inside.
+    """
+
+    __pydantic_config__ = STRICT
+    outline_px: Matrix
+    margin_px: NotNegative
+
+    def __post_init__(self) -> None:
+        """Raise ValueError unless the outline is a convex polygon turning left."""
+        if self.outline_px.ndim != 2 or self.outline_px.shape[1] != 2 or len(self.outline_px) < 3:
+            raise ValueError("outline_px must be at least three corners (u, v)")
+        edge = np.roll(self.outline_px, -1, axis=0) - self.outline_px
+        after = np.roll(edge, -1, axis=0)
+        if np.any(edge[:, 0] * after[:, 1] - edge[:, 1] * after[:, 0] <= 0):
+            raise ValueError("outline_px must be a convex polygon")
+
+    @cached_property
+    def _outward(self) -> Floats:
+        edge = np.roll(self.outline_px, -1, axis=0) - self.outline_px
+        normal = np.column_stack([edge[:, 1], -edge[:, 0]])
+        return normal / np.linalg.norm(normal, axis=1)[:, None]
+
+    def covers(self, image_px: Floats) -> Mask:
+        """(N,) mask of the finite pixels (N, 2) that lie in the region."""
+        offset = (self._outward * self.outline_px).sum(axis=1)
+        return (image_px @ self._outward.T - offset <= self.margin_px).all(axis=1)
+
+
+def covered_region(reading: BoardReading, used: Mask) -> Region:
+    """The region covered by the control points ``used``, a mask over ``reading.grid``.
+
+    Raises BoardNotFound where they do not span an area or where no two are neighbours.
+    """
+    points = reading.grid.image_px[used]
+    try:
+        hull = ConvexHull(points)
+    except (QhullError, ValueError) as error:
+        raise BoardNotFound(f"{len(points)} control points found: they span no area") from error
+    return Region(points[hull.vertices], MARGIN * spacing_px(reading))
+
+
+def spacing_px(reading: BoardReading) -> float:
+    """Median distance in px of neighbouring control points that were found."""
+    lattice = reading.grid.image_px.reshape(*reading.shape, 2)
+    steps = [np.diff(lattice, axis=axis).reshape(-1, 2) for axis in (0, 1)]
+    distances = np.linalg.norm(np.vstack(steps), axis=1)
+    known = distances[np.isfinite(distances)]
+    if not len(known):
+        raise BoardNotFound("no two neighbouring control points were found")
+    return float(np.median(known))

@@ -1,0 +1,162 @@
+"""A calibration: a plane map together with the board reading it was solved from.
+
+Its file is JSON: format and version, model name, parameters with their covariances, what was
+known of the optics, the marks with their residuals, image size, software.  It holds data
+only, and all that is needed to solve the map again.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+import lscan
+from lscan.calibration.api import NOTHING_KNOWN, PlaneMap, find_solver
+from lscan.calibration.file import (
+    FORMAT,
+    VERSION,
+    CalibrationFile,
+    StoredResiduals,
+    read_file,
+    store_reading,
+    write_file,
+)
+from lscan.config.rig import OpticsSection
+from lscan.errors import InputError
+from lscan.records import BoardReading, Floats
+
+STEP_PX = 1e-3  # for differences of a map: far above rounding, far below a cell
+SAME_MM = 1e-6  # residuals that belong to the parameters agree this well on any machine
+
+
+@dataclass(frozen=True)
+class Calibration:
+    """A solved plane map and what it rests on.
+
+    residuals_mm: (N, 2) map of each control point less its nominal place; NaN where the
+        point was not found or the map gives it no value.
+    residuals_px: (N, 2) the same as a shift in the picture.
+    optics: what was known of the camera beforehand, as the solver was told.
+    software: name and version of the program that solved it.
+    """
+
+    name: str
+    plane_map: PlaneMap
+    reading: BoardReading
+    residuals_mm: Floats
+    residuals_px: Floats
+    optics: OpticsSection
+    software: str
+
+    @property
+    def rms_mm(self) -> float:
+        """Root mean square distance of the control points from their nominal places."""
+        return _rms(self.residuals_mm)
+
+    @property
+    def max_mm(self) -> float:
+        """Greatest distance of a control point from its nominal place."""
+        return float(np.nanmax(np.hypot(*self.residuals_mm.T)))
+
+    @property
+    def rms_px(self) -> float:
+        """Root mean square of the residuals' lengths in the picture."""
+        return _rms(self.residuals_px)
+
+
+def calibrate(
+    reading: BoardReading, map_name: str, optics: OpticsSection | None = None
+) -> Calibration:
+    """The plane map of that full name solved from ``reading``.
+
+    optics: what is known of the camera beforehand; None: what an empty section [optics] says.
+    Raises InputError for an unknown name, BoardNotFound for too few marks.
+    """
+    known = optics or NOTHING_KNOWN
+    plane_map = find_solver(map_name).solve(reading, known)
+    software = f"lscan {lscan.__version__}"
+    mm, px = residuals(plane_map, reading)
+    return Calibration(map_name, plane_map, reading, mm, px, known, software)
+
+
+def resolve(calibration: Calibration) -> Calibration:
+    """The same calibration solved again from the marks and the optics it holds."""
+    return calibrate(calibration.reading, calibration.name, calibration.optics)
+
+
+def residuals(plane_map: PlaneMap, reading: BoardReading) -> tuple[Floats, Floats]:
+    """Residuals of the control points, (N, 2) in mm and (N, 2) in px, NaN where there is none.
+
+    In px: the shift of the mark that would make up for the residual, by the map's slope.
+    """
+    image = reading.grid.image_px
+    mm = plane_map.to_plane(image).xz_mm - reading.grid.board_mm
+    return mm, in_picture(plane_map, image, mm)
+
+
+def in_picture(plane_map: PlaneMap, image_px: Floats, shift_mm: Floats) -> Floats:
+    """(N, 2) px: how far pixels (N, 2) must move for the map to move them by (N, 2) mm.
+
+    By the map's slope there; NaN where it has none.
+    """
+    slopes = [
+        (plane_map.to_plane(image_px + step).xz_mm - plane_map.to_plane(image_px - step).xz_mm)
+        / (2 * STEP_PX)
+        for step in STEP_PX * np.eye(2)
+    ]
+    jacobian = np.stack(slopes, axis=2)
+    finite = np.isfinite(jacobian).all(axis=(1, 2)) & np.isfinite(shift_mm).all(axis=1)
+    known = np.flatnonzero(finite)
+    known = known[np.linalg.det(jacobian[known]) != 0]
+    px = np.full_like(shift_mm, np.nan)
+    px[known] = np.linalg.solve(jacobian[known], shift_mm[known, :, None])[:, :, 0]
+    return px
+
+
+def save_calibration(path: Path, calibration: Calibration) -> None:
+    """Write the calibration to ``path``: a whole file or none; InputError where it cannot."""
+    content = CalibrationFile(
+        format=FORMAT,
+        version=VERSION,
+        software=calibration.software,
+        plane_map=calibration.name,
+        optics=calibration.optics,
+        parameters=calibration.plane_map.parameters(),
+        reading=store_reading(calibration.reading),
+        residuals=StoredResiduals(mm=calibration.residuals_mm, px=calibration.residuals_px),
+    )
+    write_file(path, content)
+
+
+def load_calibration(path: Path) -> Calibration:
+    """The calibration that was saved at ``path``, number for number.
+
+    Raises InputError naming the file and the key for anything that is not as it was
+    written: unknown or missing keys, numbers out of range, a map that does not exist, and
+    residuals that do not belong to the parameters.
+    """
+    content = read_file(path)
+    reading, stored = content.reading.reading(), content.residuals
+    with np.errstate(all="ignore"):  # numbers that make no map do not give these residuals
+        try:
+            plane_map = find_solver(content.plane_map).restore(content.parameters)
+        except InputError as error:
+            raise InputError(f"plane_map: {error}", where=path) from error
+        computed, _ = residuals(plane_map, reading)
+    if not np.allclose(computed, stored.mm, rtol=0, atol=SAME_MM, equal_nan=True):
+        raise InputError("residuals.mm: do not belong to the parameters", where=path)
+    return Calibration(
+        name=content.plane_map,
+        plane_map=plane_map,
+        reading=reading,
+        residuals_mm=stored.mm,
+        residuals_px=stored.px,
+        optics=content.optics,
+        software=content.software,
+    )
+
+
+def _rms(pairs: Floats) -> float:
+    return float(np.sqrt(np.nanmean((pairs**2).sum(axis=1))))

@@ -1,0 +1,84 @@
+"""Brown-Conrady distortion and its inverse (Brown 1971, Conrady 1919; OpenCV's notation)."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+
+import numpy as np
+
+from lscan.camera.model import Camera
+from lscan.records import Floats
+
+SMALL_STEP = 1e-10  # tangents; a Newton step this small leaves an error at float64's rounding
+MOST_STEPS = 50
+
+
+def distort(camera: Camera, tangents: Floats) -> Floats:
+    """(N, 2) distorted tangents of (N, 2) tangents x/z, y/z of directions in air.
+
+    NaN beyond the radius at which the radial distortion folds back: no image is formed there.
+    """
+    inside = np.hypot(*tangents.T) < fold_radius(camera)
+    return _bent(camera, np.where(inside[:, None], tangents, np.nan))
+
+
+def undistort(camera: Camera, distorted: Floats) -> Floats:
+    """(N, 2) tangents that ``distort`` takes to ``distorted`` (N, 2).
+
+    By Newton's method from the distorted tangents; NaN where nothing is imaged there.
+    """
+    tangents = distorted
+    step = np.zeros_like(distorted)
+    with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
+        for _ in range(MOST_STEPS):
+            step = _newton_step(camera, tangents, distorted)
+            tangents = tangents - step
+            if not (np.abs(step) > SMALL_STEP).any():  # NaN never converges, and need not
+                break
+        arrived = (np.abs(step) <= SMALL_STEP).all(axis=1)
+        arrived &= np.hypot(*tangents.T) < fold_radius(camera)
+    return np.where(arrived[:, None], tangents, np.nan)
+
+
+def fold_radius(camera: Camera) -> float:
+    """Undistorted radius where the radial distortion turns back; infinite where it never does."""
+    return _fold_radius(camera.k1, camera.k2, camera.k3)
+
+
+@lru_cache(maxsize=1024)  # a fit asks for few distortions many times
+def _fold_radius(k1: float, k2: float, k3: float) -> float:
+    # d(r + k1 r^3 + k2 r^5 + k3 r^7)/dr = 0, as a polynomial in 1/r^2.
+    inverse = np.roots([1.0, 3 * k1, 5 * k2, 7 * k3])
+    real = inverse.real[(np.abs(inverse.imag) < 1e-12) & (inverse.real > 0)]
+    return float(1 / np.sqrt(real.max())) if len(real) else np.inf
+
+
+def _bent(camera: Camera, tangents: Floats) -> Floats:
+    x, y = tangents.T
+    q = x * x + y * y
+    radial = 1 + q * (camera.k1 + q * (camera.k2 + q * camera.k3))
+    return np.column_stack(
+        [
+            x * radial + 2 * camera.p1 * x * y + camera.p2 * (q + 2 * x * x),
+            y * radial + camera.p1 * (q + 2 * y * y) + 2 * camera.p2 * x * y,
+        ]
+    )
+
+
+def _newton_step(camera: Camera, tangents: Floats, distorted: Floats) -> Floats:
+    """(N, 2) by which ``tangents`` are too large, to first order."""
+    x, y = tangents.T
+    q = x * x + y * y
+    radial = 1 + q * (camera.k1 + q * (camera.k2 + q * camera.k3))
+    slope = 2 * (camera.k1 + q * (2 * camera.k2 + q * 3 * camera.k3))  # of radial, over x or y
+    by_x = radial + slope * x * x + 2 * camera.p1 * y + 6 * camera.p2 * x
+    cross = slope * x * y + 2 * camera.p1 * x + 2 * camera.p2 * y
+    by_y = radial + slope * y * y + 6 * camera.p1 * y + 2 * camera.p2 * x
+    too_far = _bent(camera, tangents) - distorted
+    determinant = by_x * by_y - cross * cross
+    return np.column_stack(
+        [
+            (by_y * too_far[:, 0] - cross * too_far[:, 1]) / determinant,
+            (by_x * too_far[:, 1] - cross * too_far[:, 0]) / determinant,
+        ]
+    )

@@ -1,0 +1,82 @@
+"""The bending of rays at a flat port: Snell's law, forwards and backwards.
+
+A ray from the pinhole crosses air, glass and water; its sine times the index is the same in
+each.  A point of the water, ``depth`` beyond the glass and r beside the normal through the
+pinhole, therefore obeys (physics.md section 6; written for tangents t in air)
+
+    gap t + thickness T(t, glass_index) + depth T(t, water_index) = r,
+    T(t, n) = t / sqrt(n^2 + (n^2 - 1) t^2),
+
+whose left side rises and is concave in t, so that Newton's method climbs to the root from
+below without ever passing it.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from lscan.camera.model import FlatPort
+from lscan.records import Floats
+
+SMALL_STEP = 1e-13  # relative to 1 + t: float64's rounding
+MOST_STEPS = 100
+
+
+def leave_port(port: FlatPort, air: Floats) -> tuple[Floats, Floats]:
+    """Where rays from the pinhole enter the water, (N, 3) mm, and their unit directions there.
+
+    air: (N, 3) unit directions before the glass.  Camera frame.  NaN for rays that do not
+    meet the glass.
+    """
+    normal = port.normal
+    cosine = air @ normal
+    cosine = np.where(cosine > 0, cosine, np.nan)[:, None]
+    along = air - cosine * normal
+    glass, water = (_refracted(along, normal, n) for n in (port.glass_index, port.water_index))
+    entry = air * (port.gap_mm / cosine) + glass * (port.thickness_mm / (glass @ normal))[:, None]
+    return entry, water
+
+
+def _refracted(along: Floats, normal: Floats, index: float) -> Floats:
+    """(N, 3) unit rays in a medium: Snell's law for the part ``along`` the face of a ray in air.
+
+    NaN where an index below 1, which a search for it may try, reflects all of the ray.
+    """
+    inside = along / index
+    square = 1 - (inside**2).sum(axis=1)
+    return inside + np.sqrt(np.where(square >= 0, square, np.nan))[:, None] * normal
+
+
+def aim_through_port(port: FlatPort, points_mm: Floats) -> Floats:
+    """(N, 3) directions in air, of any length, of the rays that reach (N, 3) points in the water.
+
+    Camera frame, mm.  NaN for points not beyond the glass or that no ray reaches.
+    """
+    normal = port.normal
+    height = points_mm @ normal
+    beside = points_mm - height[:, None] * normal
+    r = np.linalg.norm(beside, axis=1)
+    depth = height - port.gap_mm - port.thickness_mm
+    tangent = _air_tangent(port, r, np.where(depth > 0, depth, np.nan))
+    return normal + (tangent / np.where(r > 0, r, 1.0))[:, None] * beside
+
+
+def _air_tangent(port: FlatPort, r: Floats, depth: Floats) -> Floats:
+    """(N,) tangent of the angle in air; Newton's method from the paraxial ray."""
+    layers = ((port.thickness_mm, port.glass_index), (depth, port.water_index))
+    steepest = port.gap_mm + port.thickness_mm / port.glass_index + depth / port.water_index
+    tangent = r / steepest
+    step = np.zeros_like(tangent)
+    with np.errstate(over="ignore", invalid="ignore"):
+        for _ in range(MOST_STEPS):
+            reach, slope = port.gap_mm * tangent, np.full_like(tangent, port.gap_mm)
+            for thickness, index in layers:
+                root = np.sqrt(index**2 + (index**2 - 1) * tangent**2)
+                reach = reach + thickness * tangent / root
+                slope = slope + thickness * index**2 / root**3
+            step = (r - reach) / slope
+            tangent = tangent + step
+            if not (np.abs(step) > SMALL_STEP * (1 + np.abs(tangent))).any():
+                break
+        arrived = np.abs(step) <= SMALL_STEP * (1 + np.abs(tangent))
+    return np.where(arrived, tangent, np.nan)

@@ -1,0 +1,61 @@
+"""From pixels to rays in the water, and from points in the water to pixels."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from lscan.camera.lens import distort, undistort
+from lscan.camera.model import Camera
+from lscan.camera.port import aim_through_port, leave_port
+from lscan.errors import InputError
+from lscan.records import Floats
+
+
+@dataclass(frozen=True)
+class Rays:
+    """N rays in front of a camera, camera frame; NaN where a pixel has none.
+
+    origin_mm: (N, 3) where the ray enters the water; the pinhole for a camera in air.
+    direction: (N, 3) unit, away from the camera.
+    """
+
+    origin_mm: Floats
+    direction: Floats
+
+
+def rays(camera: Camera, image_px: Floats) -> Rays:
+    """The rays in the water of pixels (N, 2), camera frame.
+
+    NaN for pixels that are NaN, that the distortion never reaches, or whose rays miss the
+    port.  Raises InputError where ``image_px`` is not (N, 2).
+    """
+    pixels = _checked(image_px, "image_px", 2)
+    tangents = undistort(camera, (pixels - np.array(camera.centre_px)) / camera.focal_px)
+    ahead = np.column_stack([tangents, np.ones(len(tangents))])
+    air = ahead / np.linalg.norm(ahead, axis=1)[:, None]
+    if camera.port is None:
+        return Rays(np.where(np.isnan(air), np.nan, 0.0), air)
+    return Rays(*leave_port(camera.port, air))
+
+
+def project(camera: Camera, points_mm: Floats) -> Floats:
+    """(N, 2) pixels (u, v) of points (N, 3), camera frame, mm.
+
+    NaN where the camera forms no image: points not beyond the port's glass (or not ahead of
+    the pinhole), or so far off the axis that the distortion folds back.  A pixel may lie
+    outside the picture.  Raises InputError where ``points_mm`` is not (N, 3).
+    """
+    points = _checked(points_mm, "points_mm", 3)
+    direction = points if camera.port is None else aim_through_port(camera.port, points)
+    ahead = np.where(direction[:, 2] > 0, direction[:, 2], np.nan)
+    tangents = direction[:, :2] / ahead[:, None]
+    return camera.focal_px * distort(camera, tangents) + np.array(camera.centre_px)
+
+
+def _checked(array: Floats, name: str, columns: int) -> Floats:
+    values = np.asarray(array, dtype=float)
+    if values.ndim != 2 or values.shape[1] != columns:
+        raise InputError("bad shape", where=name, value=values.shape, allowed=f"(N, {columns})")
+    return values

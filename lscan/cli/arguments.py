@@ -1,0 +1,243 @@
+"""What the arguments of the command line name: pictures, runs, calibrations, seeds.
+
+Heavy modules are imported where they are used, so that ``lscan --help`` stays quick.
+"""
+
+from __future__ import annotations
+
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import numpy as np
+import typer
+
+from lscan.errors import InputError
+
+if TYPE_CHECKING:
+    from lscan.acquisition.run import Run
+    from lscan.calibration.api import PlaneMap
+    from lscan.config.board import Board
+    from lscan.config.rig import CalibrationSection, OpticsSection, StripeSection
+    from lscan.records import BoardReading, Bytes, Floats
+
+RunFolder = Annotated[Path, typer.Argument(help="Run folder.")]
+CalibrationFile = Annotated[
+    Path, typer.Option("--calibration", "-c", help="Calibration file (JSON).")
+]
+ShaftFile = Annotated[
+    Path | None,
+    typer.Option("--shaft", help="TOML file with the [shaft] found; a run folder has its own."),
+]
+Trust = Annotated[
+    bool,
+    typer.Option("--trust", help="Run the code that a run folder names as its extractor."),
+]
+Json = Annotated[bool, typer.Option("--json", help="Print the result as JSON.")]
+
+CHANNELS = ("red", "green", "blue", "grey")
+
+
+def require_folders(*outputs: Path | None) -> None:
+    """Refuse, before any work is done, an output whose folder does not exist."""
+    for output in outputs:
+        if output is not None and not output.parent.is_dir():
+            raise InputError("the folder to write to does not exist", where=output)
+
+
+def open_calibrated(
+    run: Path, calibration: Path, shaft: Path | None = None, trusted: bool = False
+) -> tuple[Run, PlaneMap]:
+    """A run and the plane map for its pictures; a run that is not complete is said to be so.
+
+    shaft: TOML file whose [shaft] takes the place of the run's own.  trusted: as ``open_run``.
+    """
+    from lscan.acquisition.run import open_run
+    from lscan.paper.experiment import require_size
+
+    opened = open_run(run, trusted)
+    if shaft is not None:
+        opened = _about(opened, shaft)
+    plane_map, size = stored_map(calibration)
+    require_size(opened, size, calibration)
+    planned = opened.rig_file.rig.plan.frames
+    if len(opened) < planned:
+        print(f"lscan: note: {run} holds {len(opened)} of {planned} frames", file=sys.stderr)
+    return opened, plane_map
+
+
+def _about(run: Run, shaft: Path) -> Run:
+    """The run with the [shaft] of a file; InputError where it was not made about a shaft."""
+    from dataclasses import replace
+
+    from lscan.surface.shaftfile import load_shaft
+
+    rig_file = run.rig_file
+    if rig_file.rig.shaft is None:
+        raise InputError("was made on a linear track, without [shaft]", where=run.path)
+    rig = rig_file.rig.model_copy(update={"shaft": load_shaft(shaft)})
+    return replace(run, rig_file=replace(rig_file, rig=rig))
+
+
+def stored_map(path: Path) -> tuple[PlaneMap, tuple[int, int]]:
+    """The map of a calibration file of either route, and the (width, height) it is for."""
+    from lscan.calibration.multiview import load_metric
+    from lscan.calibration.multiview.file import FORMAT
+    from lscan.calibration.solve import load_calibration
+
+    if _format_of(path) == FORMAT:
+        metric = load_metric(path)
+        return metric.plane_map, metric.image_size
+    loaded = load_calibration(path)
+    return loaded.plane_map, loaded.reading.image_size
+
+
+def _format_of(path: Path) -> Any:
+    """What a JSON file says it is; None for any other file, whose reader will say what is wrong."""
+    from lscan.calibration.file import MOST_BYTES
+    from lscan.config.documents import read_json
+
+    try:
+        document = read_json(path, MOST_BYTES)
+    except InputError:
+        return None
+    return document.get("format") if isinstance(document, dict) else None
+
+
+def choice(option: str, value: str, allowed: tuple[str, ...]) -> Any:
+    """The value, one of those allowed; InputError names the option and what it takes."""
+    if value not in allowed:
+        raise InputError("unknown value", where=option, value=value, allowed=", ".join(allowed))
+    return value
+
+
+def parse_seeds(text: str | None) -> Floats | None:
+    """(3, 2) px of "u1,v1,u2,v2,u3,v3", None for None; InputError where it is neither."""
+    if text is None:
+        return None
+    try:
+        numbers = [float(part) for part in text.replace(";", ",").split(",")]
+    except ValueError:
+        numbers = []
+    if len(numbers) != 6 or not np.isfinite(numbers).all():
+        raise InputError(
+            "not three points", where="--seeds", value=text, allowed="u1,v1,u2,v2,u3,v3 in px"
+        )
+    return np.array(numbers).reshape(3, 2)
+
+
+@dataclass(frozen=True)
+class BoardPicture:
+    """The picture of a board, the board, how to calibrate with it, and what is known of the lens.
+
+    image: (H, W, 3) or (H, W) uint8.
+    """
+
+    image: Bytes
+    board: Board
+    calibration: CalibrationSection
+    optics: OpticsSection
+
+
+def board_picture(
+    picture: Path, board: Path | None, optics: Path | None = None, trusted: bool = False
+) -> BoardPicture:
+    """What a picture file or a run folder gives to calibrate from.
+
+    board, optics: files that stand in for what a run's rig file says; a picture file needs
+    the first.  trusted: as ``open_run``.
+    Raises InputError where one is missing or cannot be used.
+    """
+    from lscan.acquisition.run import open_run
+    from lscan.config.board import load_board
+    from lscan.config.rig import CalibrationSection, OpticsSection
+    from lscan.files.pictures import read_picture
+    from lscan.paper.experiment import mean_picture, require_board
+
+    if picture.is_dir():
+        run = open_run(picture, trusted)
+        rig = run.rig_file.rig
+        nominal = load_board(board) if board else require_board(run)
+        known = read_optics(optics) if optics else rig.optics
+        return BoardPicture(mean_picture(run), nominal, rig.calibration, known)
+    if not picture.exists():
+        raise InputError(
+            "no such file or folder", where=picture, allowed="a picture file or a run folder"
+        )
+    if board is None:
+        raise InputError("a picture needs a board file", where="--board", allowed="a TOML file")
+    known = read_optics(optics) if optics else OpticsSection()
+    return BoardPicture(read_picture(picture), load_board(board), CalibrationSection(), known)
+
+
+def board_of(path: Path) -> Board:
+    """The board that a board file describes, or the one in the section [board] of a rig file."""
+    from lscan.config.board import Board
+    from lscan.config.documents import check, read_document
+    from lscan.config.rig import inline_board
+
+    document = inline_board(read_document(path), source=str(path))
+    if "board" in document:
+        return check(Board, document["board"], where=path, prefix="board")
+    return check(Board, document, where=path)
+
+
+def read_picture_of_board(
+    given: BoardPicture, seeds: str | None, channel: str | None
+) -> BoardReading:
+    """The marks of the board found in its picture, as ``--seeds`` and ``--channel`` say."""
+    from lscan.board import read_board
+
+    return read_board(
+        given.image,
+        given.board,
+        seeds=parse_seeds(seeds),
+        channel=given.calibration.channel
+        if channel is None
+        else choice("--channel", channel, CHANNELS),
+    )
+
+
+def read_optics(path: Path) -> OpticsSection:
+    """The section [optics] of a TOML file, which may be a whole rig file; InputError if none."""
+    from lscan.config.documents import check, read_document
+    from lscan.config.rig import OpticsSection
+
+    document = read_document(path)
+    if "optics" not in document:
+        raise InputError("has no section [optics]", where=path)
+    return check(OpticsSection, document["optics"], where=path, prefix="optics")
+
+
+@dataclass(frozen=True)
+class StripePicture:
+    """The picture of a line and how the line is to be found.
+
+    image: (H, W, 3) or (H, W) uint8.  background: the same with the laser off, None where the
+    run has none.
+    """
+
+    image: Bytes
+    background: Bytes | None
+    settings: StripeSection
+
+
+def stripe_picture(picture: Path, frame: int, trusted: bool = False) -> StripePicture:
+    """What a picture file or a frame of a run folder gives to find the line in.
+
+    trusted: as ``open_run``.
+    """
+    from lscan.acquisition.run import open_run
+    from lscan.config.rig import StripeSection
+    from lscan.files.pictures import read_picture
+
+    if not picture.is_dir():
+        return StripePicture(read_picture(picture), None, StripeSection())
+    run = open_run(picture, trusted)
+    if not 0 <= frame < len(run):
+        raise InputError(
+            "no such frame", where="--frame", value=frame, allowed=f"0 to {len(run) - 1}"
+        )
+    taken = run.frame(frame)
+    return StripePicture(taken.image, taken.background, run.rig_file.rig.stripe)

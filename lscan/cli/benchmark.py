@@ -1,0 +1,60 @@
+"""The command ``lscan bench``: a thin face over lscan.benchmark."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from lscan.cli.arguments import Json
+from lscan.cli.console import print_json, print_table, progress_bar
+
+
+def bench(
+    output: Annotated[
+        Path, typer.Option("--output", "-o", help="Folder for bench.json and bench.png.")
+    ] = Path("out/lscan-bench"),
+    extractor: Annotated[
+        list[str] | None,
+        typer.Option("--extractor", help="One more: a name, or package.module:function."),
+    ] = None,
+    plane_map: Annotated[
+        list[str] | None, typer.Option("--map", help="One more plane map, such as polynomial-4.")
+    ] = None,
+    only: Annotated[
+        bool, typer.Option("--only", help="Those of --extractor and --map, and no others.")
+    ] = False,
+    quick: Annotated[bool, typer.Option("--quick", help="Fewer lines and boards.")] = False,
+    seed: Annotated[int, typer.Option("--seed", min=0, help="Of all random numbers.")] = 1,
+    json: Json = False,
+) -> None:
+    """Judge stripe extractors and plane maps, one's own too, where the truth is known.
+
+    The exit code is 1 where one is out of the limits that every method must keep to.
+    """
+    from lscan.benchmark import MAPS, registered_extractors, run_bench
+    from lscan.benchmark.page import EXTRACTOR_HEADINGS, MAP_HEADINGS, extractor_cells, map_cells
+
+    extractors = _taking_part(() if only else registered_extractors(), extractor)
+    maps = _taking_part(() if only else MAPS, plane_map)
+    with progress_bar("bench") as progress:
+        done = run_bench(output, extractors, maps, quick, seed, progress)
+    if json:
+        print_json(done.content)
+    else:
+        if done.extractors:
+            print_table("stripe extractors", EXTRACTOR_HEADINGS, extractor_cells(done.extractors))
+        if done.maps:
+            print_table("plane maps", MAP_HEADINGS, map_cells(done.maps))
+        print(f"{output / 'bench.json'}\n{output / 'bench.png'}")
+    if done.failed:
+        rows = len(done.extractors) + len(done.maps)
+        print(f"lscan: {done.failed} of {rows} rows out of their limits", file=sys.stderr)
+        raise typer.Exit(1)
+
+
+def _taking_part(usual: tuple[str, ...], more: list[str] | None) -> tuple[str, ...]:
+    """The usual ones and those given, each once."""
+    return tuple(dict.fromkeys((*usual, *(more or ()))))

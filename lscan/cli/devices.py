@@ -1,0 +1,236 @@
+"""The command ``lscan devices``: a thin face over lscan.devices.listing, .trial, .tracktrial."""
+
+from __future__ import annotations
+
+from dataclasses import asdict
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from lscan.cli.arguments import Json
+from lscan.cli.console import print_json, print_table, progress_bar
+
+if TYPE_CHECKING:
+    from lscan.config.rig import RigFile
+    from lscan.devices.api import Camera, Fact
+    from lscan.devices.trials.camera import CameraTrial
+    from lscan.devices.trials.photontransfer import PhotonTransfer
+    from lscan.devices.trials.track import TrackTrial
+    from lscan.records import Bytes
+
+
+def devices(
+    rig: Annotated[
+        Path | None, typer.Argument(help="Rig file or scene file (TOML): what its devices can do.")
+    ] = None,
+    test: Annotated[
+        bool, typer.Option("--test", help="Take pictures and move the track by 1 mm to and fro.")
+    ] = False,
+    dark: Annotated[
+        bool, typer.Option("--dark", help="Ask for the cap on the lens, and measure the dark too.")
+    ] = False,
+    pictures: Annotated[
+        int, typer.Option("--pictures", min=4, help="Pictures at each exposure time.")
+    ] = 16,
+    approaches: Annotated[
+        int, typer.Option("--approaches", min=2, help="Moves to one place from either side.")
+    ] = 5,
+    json: Json = False,
+) -> None:
+    """List cameras, serial ports and drivers; with --test, try out a rig's camera and track.
+
+    For RIG it also lists what its devices can do, as their drivers tell without opening them.
+    For --test show the camera a still, evenly lit scene with bright and dark parts, and keep the
+    track's way clear by 2 mm.
+    """
+    from lscan.config.rig import load_rig
+    from lscan.errors import InputError
+
+    if (test or dark) and rig is None:
+        raise InputError("needs a rig file: lscan devices RIG --test", where="--test")
+    if rig is not None and (test or dark):
+        rig_file = load_rig(rig)
+        camera, track = _try(rig_file, pictures, approaches, dark)
+        if json:
+            print_json(_trial_json(camera, track))
+        else:
+            _print_track(track)
+            _print_camera(camera)
+        return
+    listing = _listing(None if rig is None else load_rig(rig))
+    if json:
+        print_json(listing)
+    else:
+        _print_listing(listing)
+
+
+def _listing(rig_file: RigFile | None) -> dict[str, Any]:
+    from lscan.devices.listing import drivers, rig_devices, serial_ports, video_devices
+
+    ports = serial_ports()
+    listing = {
+        "cameras": [asdict(device) for device in video_devices()],
+        "serial_ports": None if ports is None else [asdict(port) for port in ports],
+        "drivers": [asdict(driver) for driver in drivers()],
+    }
+    return listing if rig_file is None else {**listing, "rig": rig_devices(rig_file)}
+
+
+def _print_listing(listing: dict[str, Any]) -> None:
+    cameras = [
+        [
+            device["device"],
+            device["state"],
+            _size(device["size_px"]),
+            device["pixel_format"] or "",
+            ", ".join(map(_size, device["sizes_px"])),
+        ]
+        for device in listing["cameras"]
+    ]
+    if cameras:
+        print_table("cameras", ["", "", "now", "format", "sizes"], cameras)
+    else:
+        print("cameras: none found")
+    ports = listing["serial_ports"]
+    if ports:
+        print_table("serial ports", ["", ""], [[*port.values()] for port in ports])
+    else:
+        print("serial ports: " + ("none found" if ports == [] else "not listed, no pyserial here"))
+    rows = [[driver["name"], driver["kind"], driver["does"]] for driver in listing["drivers"]]
+    print_table("drivers", ["", "of a", ""], rows)
+    for kind, facts in listing.get("rig", {}).items():
+        _print_facts(f"the rig's {kind}", facts)
+
+
+def _size(size_px: tuple[int, int] | None) -> str:
+    return "" if size_px is None else f"{size_px[0]}x{size_px[1]}"
+
+
+def _try(
+    rig_file: RigFile, pictures: int, approaches: int, dark: bool
+) -> tuple[CameraTrial, TrackTrial]:
+    """Open the rig's devices and try them out; the cap first, where the dark is wanted."""
+    from lscan.acquisition.scan import open_devices
+    from lscan.devices.trials.camera import try_camera
+    from lscan.devices.trials.track import try_track
+
+    channel = rig_file.rig.stripe.channel
+    if dark:
+        # On stderr: stdout is for the result, which may be JSON.
+        typer.prompt("put the cap on the lens, then press Enter", "", show_default=False, err=True)
+        dark_pictures = _dark_pictures(rig_file, pictures)
+        typer.prompt("take the cap off, then press Enter", "", show_default=False, err=True)
+    else:
+        dark_pictures = None
+    with open_devices(rig_file) as (camera, track):
+        # The track first: what is wrong with it is known before the many pictures are taken.
+        with progress_bar("moves") as report:
+            moved = try_track(track, approaches, progress=report)
+        with progress_bar("pictures") as report:
+            return try_camera(camera, pictures, channel, dark_pictures, report), moved
+
+
+def _dark_pictures(rig_file: RigFile, pictures: int) -> Bytes:
+    from lscan.acquisition.scan import open_devices
+    from lscan.devices.trials.camera import BlackAccepting, grab_series
+
+    with open_devices(rig_file) as (camera, _):
+        opened: Camera = camera
+        if isinstance(opened, BlackAccepting):
+            opened.accept_black()
+        series, _ = grab_series(camera, pictures, rig_file.rig.stripe.channel)
+    return series
+
+
+def _trial_json(camera: CameraTrial, track: TrackTrial) -> dict[str, Any]:
+    transfer = camera.transfer
+    content = asdict(camera)
+    content["settings"] = [
+        {**asdict(setting), "obeyed": setting.obeyed} for setting in camera.settings
+    ]
+    content["rig_section"] = camera.noise_section
+    if transfer is not None:
+        content["transfer"]["read_is_rounding"] = transfer.read_is_rounding
+        content["transfer"]["levels"] = {
+            name: array.tolist() for name, array in content["transfer"]["levels"].items()
+        }
+    return {"camera": content, "track": asdict(track)}
+
+
+def _print_track(trial: TrackTrial) -> None:
+    if trial.facts:
+        _print_facts("the track says", trial.facts)
+    found = trial.repeatability
+    longest_s = max(move.time_s for move in trial.moves)
+    print_table(
+        f"track at {found.place_mm:g} mm, {found.approaches} approaches from either side",
+        ["position as it reports it", "mm"],
+        [
+            ["mean, less what was asked", f"{found.deviation_mm:.4f}"],
+            ["standard deviation after approaches from below", f"{found.upward_sigma_mm:.4f}"],
+            ["standard deviation after approaches from above", f"{found.downward_sigma_mm:.4f}"],
+            ["mean from below, less mean from above", f"{found.reversal_mm:.4f}"],
+        ],
+    )
+    print(
+        f"{len(trial.moves)} moves, the longest took {longest_s:.2f} s; steps that a motor lost "
+        "show only on a scale"
+    )
+
+
+def _print_camera(camera: CameraTrial) -> None:
+    if camera.settings:
+        rows = [
+            [
+                setting.name,
+                setting.asked,
+                "nothing" if setting.got is None else setting.got,
+                "" if setting.obeyed else "ignored",
+            ]
+            for setting in camera.settings
+        ]
+        print_table("camera settings", ["", "asked", "reported", ""], rows)
+    timing = camera.timing
+    print(
+        f"timing: {timing.rate_hz:.2f} pictures/s, jitter {timing.jitter_ms:.2f} ms, "
+        f"latency {timing.latency_ms:.1f} ms"
+    )
+    if camera.dark_dn is not None:
+        print(f"dark: {camera.dark_dn:.2f} DN, noise {camera.dark_noise_dn:.3f} DN")
+    if camera.linearity is not None:
+        print(f"linearity: error {camera.linearity.error_percent:.2f} % (5 to 95 % of the range)")
+    for remark in camera.remarks:
+        print(remark)
+    if camera.transfer is not None:
+        _print_noise(camera.transfer)
+    for doubt in camera.doubts:
+        print(doubt)
+    section = camera.noise_section
+    print(f"\nfor the rig file:\n\n{section}" if section else "no [stripe.noise] to rely on")
+
+
+def _print_noise(transfer: PhotonTransfer) -> None:
+    read = f"{transfer.read_dn:.3f} ± {transfer.read_sigma_dn:.3f} DN"
+    if transfer.read_is_rounding:
+        # The noise of rounding is a floor, not a figure of this camera.
+        read = f"at most {transfer.read_at_most_dn:.3f} DN (rounding makes {transfer.read_dn:.3f})"
+    print(
+        f"photon transfer: read noise {read}, "
+        f"gain {transfer.dn_per_electron:.4f} ± {transfer.gain_sigma:.4f} DN per electron, "
+        f"chi² {transfer.chi2:.2f} per degree of freedom (about 1 for a linear camera)"
+    )
+
+
+def _print_facts(title: str, facts: dict[str, Fact]) -> None:
+    """Facts one a line, in words."""
+    words = {True: "yes", False: "no", None: "not told"}
+    rows = [
+        [name, words[fact] if fact is None or isinstance(fact, bool) else _short(fact)]
+        for name, fact in facts.items()
+    ]
+    print_table(title, ["", ""], rows)
+
+
+def _short(fact: str | float) -> str:
+    return fact if isinstance(fact, str) else f"{fact:.6g}"

@@ -1,0 +1,89 @@
+"""The command ``lscan calibrate-metric``: a thin face over lscan.calibration.multiview."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from lscan.cli.arguments import Json
+from lscan.cli.console import print_json, print_table, progress_bar
+
+if TYPE_CHECKING:
+    from lscan.calibration.multiview import MetricCalibration
+
+
+def calibrate_metric(
+    views: Annotated[Path, typer.Argument(help="VIEWS.toml: pictures of a board in many poses.")],
+    output: Annotated[Path, typer.Option("--output", "-o", help="Calibration file to write.")],
+    json: Json = False,
+) -> None:
+    """Solve camera, port and laser sheet from pictures of a board in several poses."""
+    from lscan.calibration.multiview import calibrate_metric as solve
+    from lscan.calibration.multiview import load_views, read_views, save_metric
+    from lscan.errors import InputError
+
+    if not output.parent.is_dir():
+        raise InputError("the folder to write to does not exist", where=output)
+    file = load_views(views)
+    with progress_bar("views") as report:
+        found, size = read_views(file, report)
+    calibration = solve(found, file.document.optics, size, file.document.k3)
+    save_metric(output, calibration)
+    if json:
+        print_json({"calibration": str(output), **summary(calibration)})
+    else:
+        _print(calibration, output)
+
+
+def summary(calibration: MetricCalibration) -> dict[str, Any]:
+    """What a metric calibration found, in plain JSON types; None where there is no value."""
+    from lscan.calibration.multiview.bundle import NAMES
+
+    theta = calibration.plane_map.view.theta.tolist()
+    known = zip(NAMES, theta, calibration.sigma.tolist(), strict=True)
+    return {
+        "map": "metric",
+        "rms_px": calibration.rms_px,
+        "line_rms_mm": calibration.line_rms_mm,
+        "camera": {name: {"value": value, "sigma": sigma} for name, value, sigma in known},
+        "views": [
+            {
+                "view": report.name,
+                "used": report.used,
+                "marks": report.marks[0],
+                "rms_px": _plain(report.rms_px),
+                "line_used": report.line_used,
+                "line_points": report.line_points[0],
+                "line_rms_mm": _plain(report.line_rms_mm),
+                "fault": report.fault,
+            }
+            for report in calibration.reports
+        ],
+    }
+
+
+def _print(calibration: MetricCalibration, output: Path) -> None:
+    rows = [
+        [
+            report.name,
+            f"{report.marks[0]} of {report.marks[1]}",
+            report.rms_px,
+            f"{report.line_points[0]} of {report.line_points[1]}",
+            report.line_rms_mm,
+            report.fault or "used",
+        ]
+        for report in calibration.reports
+    ]
+    print_table("views", ["", "marks", "rms px", "line points", "rms mm", ""], rows)
+    used = sum(report.used for report in calibration.reports)
+    lines = sum(report.line_used for report in calibration.reports)
+    print(
+        f"metric: {used} of {len(rows)} views, {calibration.rms_px:.3f} px rms; {lines} lines, "
+        f"{calibration.line_rms_mm:.3f} mm rms off the sheet; {output}"
+    )
+
+
+def _plain(value: float) -> float | None:
+    return None if value != value else value

@@ -1,0 +1,74 @@
+"""The command ``lscan calibrate-shaft``: a thin face over lscan.surface.shaftfit."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import numpy as np
+import typer
+
+from lscan.cli.arguments import Json, Trust, open_calibrated, require_folders
+from lscan.cli.console import print_json, print_table, progress_bar
+
+if TYPE_CHECKING:
+    from lscan.surface.shaftfit import ShaftFit
+
+IN_FILE = np.array([1.0, 1.0, 180 / np.pi, 180 / np.pi, 1.0])
+"""From the fit's parameters to those of a file: radians to degrees."""
+
+NAMES = ("offset 1 mm", "offset 2 mm", "tilt 1 deg", "tilt 2 deg", "scale")
+
+
+def calibrate_shaft(
+    run: Annotated[Path, typer.Argument(help="Run folder of the sandwave, made about a shaft.")],
+    calibration: Annotated[
+        Path, typer.Option("--calibration", "-c", help="Calibration file (JSON).")
+    ],
+    output: Annotated[
+        Path, typer.Option("--output", "-o", help="File with [shaft] to write (TOML).")
+    ],
+    trust: Trust = False,
+    json: Json = False,
+) -> None:
+    """Find a rotary axis from the scan of a workpiece whose shape is known."""
+    from lscan.paper.experiment import find_shaft
+    from lscan.surface.shaftfile import save_shaft
+
+    require_folders(output)
+    opened, plane_map = open_calibrated(run, calibration, trusted=trust)
+    with progress_bar("profiles") as report:
+        fit = find_shaft(opened, plane_map, report)
+    save_shaft(output, fit)
+    if json:
+        print_json({"file": str(output), **summary(fit)})
+    else:
+        _print(fit, output)
+
+
+def summary(fit: ShaftFit) -> dict[str, Any]:
+    """What a fit found, in plain JSON types: mm and degrees, as in ``[shaft]``."""
+    from lscan.surface.shaft import section_of
+
+    columns = (part * IN_FILE for part in (fit.moved, fit.sigma, fit.prior_sigma))
+    rows = zip(NAMES, *columns, strict=True)
+    return {
+        "shaft": section_of(fit.shaft).model_dump(mode="json"),
+        "changes": {
+            name: {"change": float(change), "sigma": float(sigma), "sigma_before": float(before)}
+            for name, change, sigma, before in rows
+        },
+        "points": fit.points,
+        "strays": fit.strays,
+        "cells": fit.cells,
+        "rms_mm": fit.rms_mm,
+    }
+
+
+def _print(fit: ShaftFit, output: Path) -> None:
+    rows = [[name, *entry.values()] for name, entry in summary(fit)["changes"].items()]
+    print_table("shaft", ["", "change", "sigma", "sigma before"], rows)
+    print(
+        f"{fit.points} points, {fit.strays} left out, {fit.rms_mm:.3f} mm rms off the nominal "
+        f"shape; {output}"
+    )

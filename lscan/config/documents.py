@@ -1,0 +1,297 @@
+"""Documents in TOML or JSON: read, their includes merged, checked against strict models.
+
+A TOML document may name others to start from: ``include = "rig.toml"`` (or a list).  Tables are
+merged key by key and the including file wins, so scenes share one rig instead of
+repeating it.  ``exclude = ["workpiece", "lens.focus_mm"]`` beside it takes tables or keys out of
+what was included.  Paths inside a document are relative to the file they stand in.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import tomllib
+from dataclasses import dataclass
+from functools import reduce
+from operator import getitem
+from pathlib import Path
+from typing import Any, TypeVar
+
+from pydantic import BaseModel, ConfigDict, ValidationError, model_validator
+from pydantic_core import PydanticCustomError
+
+from lscan.config.allowed import Keys, fields, in_words, misread, names, tags_in_words, trace
+from lscan.errors import InputError
+from lscan.files.disk import MOST_TEXT_BYTES, read_text
+
+Document = dict[str, Any]
+Model = TypeVar("Model", bound=BaseModel)
+
+MOST_LEVELS = 50
+"""Of tables and lists in one another; a rig file has six or so."""
+MOST_FILES = 100
+"""That a document includes, all told; each may include others, and one file more than once."""
+MOST_NAMED = 3
+"""Of keys at fault besides the first that a message names."""
+_TOO_DEEP = "tables and lists too deep in one another"
+
+_PART = r"""(?:[\w-]++|"(?:[^"\\\n]|\\.)*+"|'[^'\n]*+')"""
+_DEEP_KEY = re.compile(rf"(?<![\w-])(?:{_PART}[ \t]*+\.[ \t]*+){{{MOST_LEVELS}}}")
+"""A dotted key of TOML with more parts than that."""
+
+
+class Strict(BaseModel):
+    """Base of every model of a file: frozen, unknown keys and non-finite numbers refused."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+
+    @model_validator(mode="before")
+    @classmethod
+    def _types_as_written(cls, data: Any) -> Any:
+        """Refuse "850" and true where a number is wanted, 5.0 where a count is, and the like."""
+        for name, value in data.items() if isinstance(data, dict) else ():
+            within = misread(fields(cls)[name], value) if name in cls.model_fields else None
+            if within is not None:
+                raise PydanticCustomError("wrong_type", "wrong type", {"keys": (name, *within)})
+        return data
+
+
+def read_document(path: Path) -> Document:
+    """The TOML document at ``path`` with its includes merged in and their paths resolved.
+
+    Keys named ``file`` or ending in ``_file`` become paths that hold from anywhere.
+    Raises InputError where a file is missing, is not TOML, includes itself, or excludes what it
+    does not include.
+    """
+    return _read(path, chain=(), read=[])
+
+
+def _read(path: Path, chain: tuple[Path, ...], read: list[Path]) -> Document:
+    """The document at ``path``.
+
+    chain: the files that include it, one the other.  read: all files read so far, added to.
+    """
+    path = Path(os.path.realpath(path))
+    if path in chain:
+        raise InputError("includes itself", where=path, value=[p.name for p in chain])
+    if len(read) > MOST_FILES:
+        allowed = f"{MOST_FILES} files in all"
+        raise InputError("includes too many files", where=read[0], allowed=allowed)
+    read.append(path)
+    document = _parse(path)
+    _check_values(document, path)
+    _anchor_paths(document, path)
+    files, excluded = (_texts(document, key, path) for key in ("include", "exclude"))
+    merged: Document = {}
+    for file in files:
+        merged = merge(merged, _read(path.parent / file, (*chain, path), read))
+    for name in excluded:
+        _take_out(merged, name, path)
+    return merge(merged, document)
+
+
+def _texts(document: Document, key: str, source: Path) -> list[str]:
+    """What ``include`` or ``exclude`` names, taken out of the document of the file ``source``."""
+    value = document.pop(key, [])
+    texts = [value] if isinstance(value, str) else value
+    if not isinstance(texts, list) or not all(map(_may_be_path, texts)):
+        what = "a path" if key == "include" else "a dotted key"
+        raise InputError(f"bad {key}", where=source, value=value, allowed=f"{what} or a list")
+    return texts
+
+
+def _take_out(included: Document, name: str, source: Path) -> None:
+    """Remove the table or key ``name``, dotted, from what the file ``source`` includes."""
+    *tables, key = name.split(".")
+    table = _value_at(included, tuple(tables))
+    if not isinstance(table, dict) or key not in table:
+        there = ", ".join(sorted(included)) or "nothing, for the file includes none"
+        raise InputError(
+            "exclude: is not in what the file includes",
+            where=source,
+            value=name,
+            allowed=f"{there}; a key of a table as table.key",
+        )
+    del table[key]
+
+
+def _parse(path: Path) -> Document:
+    text = read_text(path)
+    deep = _DEEP_KEY.search(text)
+    if deep:  # tomllib takes memory as the square of a key's parts: 4 GB for 32,000
+        what = f"{'.'.join(deep.group().split('.')[:3])}...: {_TOO_DEEP}"
+        raise InputError(what, where=path, allowed=f"{MOST_LEVELS} levels")
+    try:
+        return tomllib.loads(text)
+    except ValueError as error:  # also of a number of thousands of digits
+        raise InputError(f"is not valid TOML: {error}", where=path) from error
+    except RecursionError as error:
+        raise InputError(_TOO_DEEP, where=path, allowed=f"{MOST_LEVELS} levels") from error
+
+
+def read_json(path: Path, most: int = MOST_TEXT_BYTES, within: Path | None = None) -> Any:
+    """What the JSON file at ``path`` holds.
+
+    most, within: as ``disk.read_bytes`` has them.  Raises InputError where it cannot be read, is
+    no JSON, or holds what is no finite number, a null character, or tables too deep in one another.
+    """
+    text = read_text(path, most, within)
+    try:
+        content = json.loads(text, parse_constant=_refuse_constant)
+    except ValueError as error:  # also of a number of thousands of digits
+        raise InputError(f"is not valid JSON: {error}", where=path) from error
+    except RecursionError as error:
+        what, allowed = f"is not valid JSON: {_TOO_DEEP}", f"{MOST_LEVELS} levels"
+        raise InputError(what, where=path, allowed=allowed) from error
+    _check_values(content, path)
+    return content
+
+
+def _refuse_constant(name: str) -> float:
+    raise ValueError(f"{name} is not a number")
+
+
+def _check_values(value: Any, source: Path, keys: Keys = ()) -> None:
+    """Refuse what no later step could take: a null character, and nesting without end."""
+    if isinstance(value, dict | list):
+        if len(keys) == MOST_LEVELS:
+            what = f"{_dotted(keys[:3])}...: {_TOO_DEEP}"
+            raise InputError(what, where=source, allowed=f"{MOST_LEVELS} levels")
+        for key, item in value.items() if isinstance(value, dict) else enumerate(value):
+            _check_values(key, source, keys)
+            _check_values(item, source, (*keys, key))
+    elif isinstance(value, str) and "\0" in value:
+        what = f"{_dotted(keys) or 'a key'}: holds a null character"
+        raise InputError(what, where=source, value=value, allowed="a text without")
+
+
+def _dotted(keys: Keys) -> str:
+    return ".".join(map(str, keys))
+
+
+def _anchor_paths(table: Document, source: Path, within: str = "") -> None:
+    """Make the paths in a table of the file ``source`` absolute.  within: the table's key."""
+    for key, value in table.items():
+        if isinstance(value, dict):
+            _anchor_paths(value, source, f"{within}{key}.")
+        elif isinstance(value, str) and (key == "file" or key.endswith("_file")):
+            if not _may_be_path(value):
+                what = f"{within}{key}: must be a text that is a path"
+                raise InputError(what, where=source, value=value)
+            table[key] = os.path.realpath(source.parent / value)
+
+
+def _may_be_path(value: Any) -> bool:
+    return isinstance(value, str) and value != ""
+
+
+def merge(base: Document, over: Document) -> Document:
+    """A new document: ``base`` with the keys of ``over`` laid over it, table by table.
+
+    A table that is of another ``kind`` than the one beneath it replaces it: what was set for
+    a flat port says nothing about a dome.
+    """
+    result = dict(base)
+    for key, value in over.items():
+        beneath = result.get(key)
+        if (
+            isinstance(value, dict)
+            and isinstance(beneath, dict)
+            and not _other_kind(beneath, value)
+        ):
+            result[key] = merge(beneath, value)
+        else:
+            result[key] = value
+    return result
+
+
+def _other_kind(base: Document, over: Document) -> bool:
+    return "kind" in over and over["kind"] != base.get("kind")
+
+
+def check(model: type[Model], document: Document, where: object, prefix: str = "") -> Model:
+    """The document as a ``model``; every fault becomes one InputError line.
+
+    where: the file, for the message.  prefix: the key path the document sits under.
+    """
+    try:
+        return model.model_validate(document)
+    except ValidationError as error:
+        raise _explain(error, model, document, where, prefix) from error
+
+
+@dataclass(frozen=True)
+class _Fault:
+    """One thing that is wrong: the keys that lead to it, what, the value, and what is allowed."""
+
+    keys: Keys
+    what: str
+    value: Any = None
+    allowed: str | None = None
+
+
+def _explain(
+    error: ValidationError, model: type[BaseModel], document: Document, where: object, prefix: str
+) -> InputError:
+    """The first fault as one line: the file, the key, the value and what is allowed."""
+    faults = [_fault(raw, model, document) for raw in error.errors()]
+    # Of a value that may be of several kinds each kind finds fault: the one that got furthest
+    # into the value says most.
+    place = faults[0].keys
+    same = [fault for fault in faults if fault.keys[: len(place)] == place]
+    first = max(same, key=lambda fault: len(fault.keys))
+    above = [prefix] if prefix else []
+    key = _dotted((*above, *first.keys)) or "document"
+    others = dict.fromkeys(_dotted((*above, *fault.keys)) for fault in faults if fault not in same)
+    what = f"{key}: {first.what}{_also(list(others))}"
+    return InputError(what, where=where, value=first.value, allowed=first.allowed)
+
+
+def _also(keys: list[str]) -> str:
+    """Where else something is wrong, by the first few keys."""
+    if not keys:
+        return ""
+    rest = f" and {len(keys) - MOST_NAMED} more" if len(keys) > MOST_NAMED else ""
+    return f"; see also {', '.join(keys[:MOST_NAMED])}{rest}"
+
+
+def _fault(raw: Any, model: type[BaseModel], document: Document) -> _Fault:
+    """A fault that pydantic found, in the words and by the keys of the file."""
+    place, kind = raw["loc"], raw["type"]
+    if kind == "wrong_type":
+        place = (*place, *raw["ctx"]["keys"])
+    if kind in ("extra_forbidden", "unexpected_keyword_argument"):
+        keys, table = trace(model, place[:-1])
+        allowed = ", ".join(names(table))
+        return _Fault((*keys, place[-1]), "unknown key", raw["input"], allowed)
+    if kind == "missing" and isinstance(place[-1], int):  # the list itself is too short
+        place, kind = place[:-1], "too_short"
+    keys, annotation = trace(model, place)
+    value = _value_at(document, keys)
+    if kind.startswith("union_tag") and isinstance(value, dict):
+        what = "no such kind" if "kind" in value else "field required"
+        return _Fault((*keys, "kind"), what, value.get("kind"), tags_in_words(annotation))
+    if kind == "missing":
+        return _Fault(keys, "field required", None, in_words(annotation) or None)
+    message = raw["msg"].removeprefix("Value error, ")
+    if kind == "value_error":
+        return _Fault(keys, message, _named_in(message, value, annotation))
+    words = in_words(annotation)
+    return _Fault(keys, f"must be {words}" if words else message[0].lower() + message[1:], value)
+
+
+def _value_at(document: Any, keys: Keys) -> Any:
+    """What stands at the end of the keys; None where they lead nowhere."""
+    try:
+        return reduce(getitem, keys, document)
+    except (KeyError, IndexError, TypeError):
+        return None
+
+
+def _named_in(message: str, value: Any, annotation: Any) -> Any:
+    """Of a table, the keys that a rule over several of them speaks of, with their values."""
+    if not isinstance(value, dict):
+        return value
+    spoken = [name for name in names(annotation) if re.search(rf"\b{name}\b", message)]
+    return {name: value[name] for name in spoken if name in value} or None

@@ -1,0 +1,375 @@
+"""The rig file: camera, track, scan plan, board, and how the pictures are to be read.
+
+A rig file is TOML (documents.py).  Sections that belong to a driver (the tank's lens, water
+and laser, say) may stand in the same file: each driver names the sections it owns and checks
+them itself, so a scene file of the tank is a rig file too.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import cos, degrees, hypot, pi, radians
+from pathlib import Path
+from typing import Annotated, Any, Literal, Self
+
+import numpy as np
+from pydantic import Field, SerializerFunctionWrapHandler, model_serializer, model_validator
+
+from lscan.config.board import Board
+from lscan.config.documents import Document, Strict, check, merge, read_document
+from lscan.config.plugins import find_plugin, find_plugin_or_function
+from lscan.config.targets import Workpiece
+from lscan.errors import InputError
+
+Channel = Literal["red", "green", "blue", "grey"]
+MOST_SIDE_PX = 8192
+Pixels = Annotated[int, Field(ge=16, le=MOST_SIDE_PX)]
+
+
+class CameraSection(Strict):
+    """Which camera, and how it is set.  ``options`` go to the driver, which checks them."""
+
+    driver: str
+    width_px: Pixels = 640
+    height_px: Pixels = 480
+    exposure_ms: Annotated[float, Field(gt=0, le=60_000)] = 20.0
+    options: dict[str, Any] = Field(default_factory=dict)
+
+
+class TrackSection(Strict):
+    """Which track.  ``options`` go to the driver, which checks them."""
+
+    driver: str
+    options: dict[str, Any] = Field(default_factory=dict)
+
+
+class Plan(Strict):
+    """The scan: ``frames`` pictures, ``step_mm`` apart, the first at ``start_mm``.
+
+    About a ``[shaft]`` start_mm and step_mm are arcs.
+    laser: what the track's laser output does.  "untouched": nothing is sent to it.  "on": lit
+    from before the first picture until the scan ends.  "pairs": at each position one picture
+    with the laser on and one with it off, the background.
+    """
+
+    start_mm: float = 0.0
+    step_mm: float = 0.5
+    frames: Annotated[int, Field(ge=1, le=1_000_000)] = 1
+    laser: Literal["untouched", "on", "pairs"] = "untouched"
+
+    @property
+    def paired(self) -> bool:
+        """Whether each frame has a background, taken with the laser off."""
+        return self.laser == "pairs"
+
+    def positions_mm(self) -> list[float]:
+        """Commanded track position of each frame, mm."""
+        return [self.start_mm + index * self.step_mm for index in range(self.frames)]
+
+    @model_serializer(mode="wrap")
+    def _as_before(self, plain: SerializerFunctionWrapHandler) -> Document:
+        """Without a laser left untouched, so that run folders are as they were without the key."""
+        document: Document = plain(self)
+        if self.laser == "untouched":
+            del document["laser"]
+        return document
+
+
+class NoiseSection(Strict):
+    """What is known of the sensor's noise; without it, noise is estimated from each picture.
+
+    read_dn: standard deviation of a dark pixel, rounding included.  dn_per_electron: the
+    gain, so that light of I DN has the shot variance ``dn_per_electron · I`` DN².
+    speckle: contrast of the laser's speckle in one pixel; 0 where there is none.
+    """
+
+    read_dn: Annotated[float, Field(gt=0, le=100)]
+    dn_per_electron: Annotated[float, Field(ge=0, le=100)] = 0.0
+    speckle: Annotated[float, Field(ge=0, le=1)] = 0.0
+
+
+class StripeSection(Strict):
+    """How the laser line is found: the paper's rule is span 2 about the first maximum.
+
+    returns: which line is meant where a column holds several.  smooth_px: standard deviation,
+    along the line, of a robust smoothing; 0 leaves every column to itself.  blur_px: standard
+    deviation of the camera's point spread, with which the shift that blur gives to a curved
+    line of uneven brightness is taken back; None takes nothing back.
+    """
+
+    extractor: str = "centroid-relative"
+    channel: Channel = "red"
+    axis: Literal["columns", "rows"] = "columns"
+    threshold_dn: Annotated[float, Field(ge=0, le=255)] = 40.0
+    span_px: Annotated[int, Field(ge=1, le=100)] = 2
+    returns: Literal["brightest", "first", "last"] = "brightest"
+    smooth_px: Annotated[float, Field(ge=0, le=100)] = 0.0
+    blur_px: Annotated[float, Field(gt=0, le=20)] | None = None
+    noise: NoiseSection | None = None
+
+
+Uncertainty = Annotated[float, Field(ge=0, le=1e9)]
+Known = tuple[Annotated[float, Field(ge=-1e6, le=1e6)], Uncertainty]
+"""A number and its standard uncertainty, as in ``gap_mm = [10.0, 2.0]``; 0: known exactly."""
+KnownFocal = tuple[Annotated[float, Field(ge=1, le=100_000)], Uncertainty]
+KnownCentre = tuple[Annotated[float, Field(ge=-100_000, le=100_000)], Uncertainty]
+KnownLength = tuple[Annotated[float, Field(ge=0, le=10_000)], Uncertainty]
+KnownIndex = tuple[Annotated[float, Field(ge=1, le=4)], Uncertainty]
+KnownTilt = tuple[Annotated[float, Field(ge=-45, le=45)], Uncertainty]
+
+
+class OpticsSection(Strict):
+    """What is known of the camera and its port before calibration, each with its uncertainty.
+
+    focal_px, centre_u_px, centre_v_px, k1, k2, p1, p2: pinhole and distortion in air, as
+    OpenCV writes them; None: next to nothing is known.
+    gap_mm: air between pinhole and glass; thickness_mm, glass_index: the flat glass;
+    water_index: what lies behind it, all indices relative to air.  tilt_x_deg, tilt_y_deg:
+    the glass against the camera's axis.  port = "none": a camera in air without a window.
+    board_offset_mm, board_tilt_deg: standard uncertainties of how far the board lay off the
+    laser sheet, and of its tilt against it about either axis: what alignment by eye leaves.
+    """
+
+    port: Literal["flat", "none"] = "flat"
+    focal_px: KnownFocal | None = None
+    centre_u_px: KnownCentre | None = None
+    centre_v_px: KnownCentre | None = None
+    k1: Known = (0.0, 0.5)
+    k2: Known = (0.0, 0.5)
+    p1: Known = (0.0, 0.001)
+    p2: Known = (0.0, 0.001)
+    gap_mm: KnownLength = (10.0, 5.0)
+    thickness_mm: KnownLength = (5.0, 3.0)
+    glass_index: KnownIndex = (1.49, 0.02)
+    water_index: KnownIndex = (1.333, 0.003)
+    tilt_x_deg: KnownTilt = (0.0, 0.0)
+    tilt_y_deg: KnownTilt = (0.0, 0.0)
+    board_offset_mm: Annotated[float, Field(ge=0, le=100)] = 0.0
+    board_tilt_deg: Annotated[float, Field(ge=0, le=20)] = 0.0
+
+
+class SheetSection(Strict):
+    """The laser sheet's thickness and from where it is lit and seen, by ruler, to a cm.
+
+    thickness_mm: its 1/e² half thickness at the target, twice the standard deviation of the
+    irradiance.  camera_mm, apex_mm: the camera's pinhole and where the fan opens, in the head
+    frame.  What the thickness does goes with the angles of sight and incidence: 10 mm in 900 mm
+    change a correction of 0.1 mm by 0.001 mm.
+    """
+
+    thickness_mm: Annotated[float, Field(gt=0, le=100)]
+    camera_mm: tuple[float, Annotated[float, Field(lt=0)], float]
+    apex_mm: tuple[float, float, float]
+
+
+Coordinate = Annotated[float, Field(ge=-1e6, le=1e6)]
+OffsetSigma = Annotated[float, Field(ge=0, le=1000)]
+TiltSigma = Annotated[float, Field(ge=0, le=20)]
+Correlation = Annotated[float, Field(ge=-1, le=1)]
+
+LEAST_ANGLE_DEG = 1.0
+"""A shaft nearer than this to the sheet's normal turns the sheet within its own plane."""
+
+
+class ShaftSection(Strict):
+    """A rotating shaft: what the track driver moves turns the head instead of shifting it.
+
+    A position is the arc in mm that a point ``arc_radius_mm`` off the shaft has turned by: the
+    angle is position / arc_radius_mm, right-handed about ``direction``.  The default makes a
+    millimetre of the track driver a degree.
+    point_mm, direction: a point of the shaft and its direction, in the frame of the head at
+    position 0; the direction may have any length and is kept as a unit vector.
+
+    How well the shaft is known: two axes stand square to it, the first the sheet's normal y less
+    its part along the shaft, the second direction x first.  offset_sigma_mm: standard
+    uncertainties of the point along them; tilt_sigma_deg: of the direction's lean towards them.
+    scale_sigma: relative, of the angle.  correlation: of these five, the upper triangle row by
+    row; none if left out.  0: known exactly.
+    """
+
+    arc_radius_mm: Annotated[float, Field(gt=0, le=1e6)] = 180 / pi
+    point_mm: tuple[Coordinate, Coordinate, Coordinate]
+    direction: tuple[Coordinate, Coordinate, Coordinate]
+    offset_sigma_mm: tuple[OffsetSigma, OffsetSigma] = (0.0, 0.0)
+    tilt_sigma_deg: tuple[TiltSigma, TiltSigma] = (0.0, 0.0)
+    scale_sigma: Annotated[float, Field(ge=0, le=0.1)] = 0.0
+    correlation: Annotated[tuple[Correlation, ...], Field(min_length=10, max_length=10)] = (
+        0.0,
+    ) * 10
+
+    @model_validator(mode="after")
+    def _usable(self) -> Self:
+        length = hypot(*self.direction)
+        if length < 1e-9:
+            raise ValueError("direction must not be zero")
+        if abs(self.direction[1]) > length * cos(radians(LEAST_ANGLE_DEG)):
+            raise ValueError(
+                "direction lies along y, square to the sheet, which it would turn within its own "
+                f"plane and scan nothing; it must stand {LEAST_ANGLE_DEG:g} degree or more off y"
+            )
+        if np.linalg.eigvalsh(self.correlation_matrix()).min() < -1e-6:
+            raise ValueError("correlation must be that of five quantities: none is below nought")
+        return self
+
+    def correlation_matrix(self) -> np.ndarray:
+        """(5, 5) correlation of the two offsets, the two tilts and the scale."""
+        matrix = np.eye(5)
+        matrix[np.triu_indices(5, 1)] = self.correlation
+        return matrix + np.triu(matrix, 1).T
+
+
+class CalibrationSection(Strict):
+    """Which plane map is solved from the board picture, and from which colour channel."""
+
+    plane_map: str = "graticule-2"
+    channel: Channel = "grey"
+
+
+class Rig(Strict):
+    """A whole rig file without the sections that belong to drivers."""
+
+    name: str = "unnamed"
+    camera: CameraSection
+    track: TrackSection
+    plan: Plan = Plan()
+    stripe: StripeSection = StripeSection()
+    calibration: CalibrationSection = CalibrationSection()
+    optics: OpticsSection = OpticsSection()
+    sheet: SheetSection | None = None
+    shaft: ShaftSection | None = None
+    board: Board | None = None
+    workpiece: Workpiece | None = None
+
+
+@dataclass(frozen=True)
+class RigFile:
+    """A rig as read: the model, the whole merged document it came from, and from where.
+
+    document holds all sections, the drivers' included, with the board's file read in, so
+    that it stands alone: it is what a run folder keeps.
+    """
+
+    rig: Rig
+    document: Document
+    source: str
+
+    def section(self, name: str) -> Document:
+        """A driver's own section of the document, {} where the file has none."""
+        return self.document.get(name, {})
+
+
+def load_rig(path: Path) -> RigFile:
+    """The rig, or scene, described by the TOML file at ``path``.
+
+    Raises InputError where the file cannot be read, holds an unknown key, driver, extractor or
+    plane map, where a driver refuses a section of its own, or where the drivers cannot do with
+    the laser what the plan says.
+    """
+    document = inline_board(read_document(path), source=str(path))
+    rig_file = parse_rig(document, source=str(path))
+    for driver in _drivers(rig_file.rig, rig_file.source):
+        driver.validate(rig_file)
+    _check_names(rig_file)
+    _check_laser(rig_file)
+    return rig_file
+
+
+def parse_rig(document: Document, source: str, trusted: bool = False) -> RigFile:
+    """The rig in an already merged document.
+
+    trusted: its driver sections need no check, as those of a run folder, which were checked when
+    it was written; the drivers then need not be installed.
+    """
+    own = {key: value for key, value in document.items() if key in Rig.model_fields}
+    rig = check(Rig, own, where=source)
+    strange = set(document) - set(own)
+    if strange and not trusted:
+        owned = {section for driver in _drivers(rig, source) for section in driver.sections}
+        unknown = sorted(strange - owned)
+        if unknown:
+            allowed = ", ".join(sorted({*Rig.model_fields, *owned}))
+            value = document[unknown[0]]
+            raise InputError(
+                f"{unknown[0]}: unknown section", where=source, value=value, allowed=allowed
+            )
+    _check_shaft(rig, source)
+    return RigFile(rig=rig, document=document, source=source)
+
+
+def _check_shaft(rig: Rig, source: str) -> None:
+    """Refuse more than a full turn about a shaft, and a sheet's thickness together with one."""
+    if rig.shaft is None:
+        return
+    plan = rig.plan
+    turn_deg = degrees((plan.frames - 1) * abs(plan.step_mm) / rig.shaft.arc_radius_mm)
+    if turn_deg > 360 * (1 + 1e-9):
+        raise InputError(
+            "plan: turns the head by more than a full turn about [shaft]",
+            where=source,
+            value=f"{turn_deg:g} deg",
+            allowed="360 deg or less",
+        )
+    if rig.sheet is not None:
+        raise InputError(
+            "sheet: what its thickness does is taken back on a linear track only",
+            where=source,
+            allowed="[sheet] or [shaft], not both",
+        )
+
+
+def inline_board(document: Document, source: str) -> Document:
+    """The document with ``[board] file = ...`` replaced by what that file holds.
+
+    source: the document's own file, for the InputError raised where the board's cannot be read.
+    """
+    board = document.get("board")
+    if not isinstance(board, dict) or "file" not in board:
+        return document
+    if not isinstance(board["file"], str):
+        raise InputError("board.file: must be a path", where=source, value=board["file"])
+    rest = {key: value for key, value in board.items() if key != "file"}
+    try:
+        read = read_document(Path(board["file"]))
+    except InputError as error:
+        raise InputError(f"board.file: must be a file of a board: {error}", where=source) from error
+    return {**document, "board": merge(read, rest)}
+
+
+def _check_names(rig_file: RigFile) -> None:
+    """Refuse an unknown extractor or plane map before a scan, not after it."""
+    extractor, source = rig_file.rig.stripe.extractor, rig_file.source
+    find_plugin_or_function("lscan.extractors", extractor, where=f"{source}: stripe.extractor")
+    _check_plane_map(rig_file.rig.calibration.plane_map, f"{source}: calibration.plane_map")
+
+
+def _check_plane_map(name: str, where: str) -> None:
+    family, _, variant = name.partition("-")
+    solver = find_plugin("lscan.planemaps", family, where=where)
+    # A solver from elsewhere may lack the check; it then refuses when it is called.
+    check_variant = getattr(solver, "check_variant", None)
+    if check_variant is None:
+        return
+    try:
+        check_variant(variant)
+    except InputError as error:
+        raise InputError(error.what, where=where, value=name, allowed=error.allowed) from error
+
+
+def _check_laser(rig_file: RigFile) -> None:
+    """Refuse a plan for the laser that the drivers cannot carry out."""
+    rig, plan = rig_file.rig, rig_file.rig.plan
+    camera, track = _drivers(rig, rig_file.source)
+    where = f"{rig_file.source}: plan.laser"
+    if plan.laser != "untouched" and not getattr(track, "switches_laser", False):
+        what = f"track driver {rig.track.driver!r} switches no laser"
+        raise InputError(what, where=where, value=plan.laser, allowed="untouched")
+    if plan.paired and not getattr(camera, "takes_dark", False):
+        what = f"camera driver {rig.camera.driver!r} takes no pictures with the laser off"
+        raise InputError(what, where=where, value=plan.laser, allowed="untouched, on")
+
+
+def _drivers(rig: Rig, source: str) -> list[Any]:
+    return [
+        find_plugin("lscan.cameras", rig.camera.driver, where=f"{source}: camera.driver"),
+        find_plugin("lscan.tracks", rig.track.driver, where=f"{source}: track.driver"),
+    ]

@@ -1,0 +1,1 @@
+"""Files as bytes: atomic writing, pictures, and their headers read before decoding."""

@@ -1,0 +1,90 @@
+"""Picture files: read strictly, written whole or not at all; colour is RGB everywhere else.
+
+All that decodes a stranger's picture does it here, once its header says that it is not too large.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+
+from lscan.errors import InputError
+from lscan.files.disk import read_bytes, write_atomically
+from lscan.files.headers import PictureHeader, read_header
+from lscan.records import Bytes
+
+FORMATS = "PNG, JPEG, BMP, TIFF or WebP, 8 bit"
+MOST_PX = 2**25
+"""Of a picture whose size no rig states; finding a line in it takes 60 bytes a pixel."""
+MOST_BYTES = 4 * MOST_PX + 2**20
+"""Of a picture's file: four channels of 8 bit, stored plainly, and what stands around them."""
+
+
+def read_picture(path: Path) -> Bytes:
+    """The picture in a file, (H, W) grey or (H, W, 3) RGB uint8.
+
+    Raises InputError where the file is missing, is no picture, is not of 8 bit, or is larger than
+    ``MOST_PX``, which is known before it is decoded.
+    """
+    data = read_bytes(path, MOST_BYTES)
+    header = read_header(data)
+    if header is not None and header.depth_bits != 8:
+        value = f"{header.depth_bits} bit"
+        raise InputError("has the wrong depth", where=path, value=value, allowed=FORMATS)
+    if header is not None and too_large(header):
+        raise InputError(
+            "is too large a picture",
+            where=path,
+            value=f"{header.width_px} by {header.height_px} px",
+            allowed=f"{MOST_PX} px in all, as 8192 by 4096",
+        )
+    image = None if header is None else decode(data)
+    if image is None:
+        raise InputError("is not a picture that can be read", where=path, allowed=FORMATS)
+    if image.ndim == 2 or image.shape[2] == 1:
+        return image.reshape(image.shape[:2])
+    if image.shape[2] == 4:
+        image = image[..., :3]
+    return np.ascontiguousarray(image[..., ::-1])
+
+
+def too_large(header: PictureHeader) -> bool:
+    """Whether a picture has more than ``MOST_PX`` pixels."""
+    return header.width_px * header.height_px > MOST_PX
+
+
+def decode(data: bytes | Bytes, flags: int = cv2.IMREAD_UNCHANGED) -> Bytes | None:
+    """The picture of a file whose header has been looked at, colour as BGR.
+
+    Parameters
+    ----------
+    data
+        The whole file.
+    flags
+        As ``cv2.imdecode`` takes them.
+
+    Returns
+    -------
+    (H, W), (H, W, 3) or (H, W, 4) uint8, or None
+        None where it cannot be decoded, or not to 8 bit.
+    """
+    try:
+        image: Any = cv2.imdecode(np.frombuffer(data, np.uint8), flags)
+    except cv2.error:  # such as of sizes that OpenCV itself refuses
+        return None
+    return image if image is not None and image.dtype == np.uint8 else None
+
+
+def write_picture(path: Path, image: Bytes) -> None:
+    """Write (H, W) grey or (H, W, 3) RGB to ``path``, in the format its ending names."""
+    stored = image[..., ::-1] if image.ndim == 3 else image
+    try:
+        done, data = cv2.imencode(path.suffix or ".png", np.ascontiguousarray(stored))
+    except cv2.error:
+        done = False
+    if not done:
+        raise InputError("unknown picture format", where=path, allowed=".png, .jpg, .bmp, .tif")
+    write_atomically(path, data.tobytes())

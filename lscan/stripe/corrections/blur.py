@@ -1,0 +1,160 @@
+"""Taking back what the camera's blur does to a line that is curved or unevenly bright.
+
+The lens spreads light along the line as well as across it, so that a column of the picture
+holds light of its neighbours.  Light found in column u comes from a column u0 that is spread
+about u.  With a Gaussian point spread of variance s² and F(u) the light found in column u,
+the mean and the mean square of its origin are (Tweedie's formula: H. Robbins, An empirical
+Bayes approach to statistics, 1956)
+
+    E[u0 - u]    = s² F'/F
+    E[(u0 - u)²] = s² (1 + s² F''/F)
+
+and the centroid of a line v(u) is found displaced by
+
+    v' E[u0 - u] + v''/2 E[(u0 - u)²] = s² (v' F'/F + v''/2) + s⁴ (v''/2) F''/F.
+
+The first term follows slope times change of brightness: where a line folds away from the
+camera it darkens and bends at once.  The second follows concavity.  Both are exact for a
+line without noise up to the second derivative of v.  What the line's own thickness adds
+across it has no part in them: a centroid is linear in the light.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from lscan.config.rig import StripeSection
+from lscan.errors import InputError
+from lscan.records import Floats, Ints, Mask, Stripe, has_value
+
+PIXEL_VARIANCE = 1 / 12
+"""Variance in px² of the pixel's own width, which spreads light as the lens does."""
+
+REACH_PX = 4
+"""Derivatives are those of quadratics over this many columns on either side: noise of 1 px in
+the centre becomes one of 0.13 s² px of the correction for each unit of F'/F, and 0.057 s² px
+for the curvature."""
+
+FEWEST_COLUMNS = 5
+"""Fewest columns a quadratic is fitted to, so that something is left to judge its fit by."""
+
+BREAK_PX = 4.0
+"""A line that jumps farther than this from one column to the next is not one line."""
+
+FLUX_REACH_PX = 8
+"""Light this far from the centre counts as the line's."""
+
+
+def take_back_blur(stripe: Stripe, settings: StripeSection, light: Floats) -> Stripe:
+    """The stripe as a camera without blur along the line would have shown it.
+
+    stripe: as extracted, before any smoothing along the line.
+    settings: ``blur_px`` is the standard deviation of the lens's point spread; the stripe is
+        returned as it is where that is None.
+    light: (N, L) grey values in DN, row i being the column (or row) of the picture that entry
+        i of the stripe was found in; a picture with the laser off may have been subtracted.
+
+    Derivatives are taken from quadratics over REACH_PX columns to either side, never across a
+    gap or a jump.  sigma_px grows by the noise of the correction, by the term in s⁴, whose
+    v'' is too noisy to correct for, and, where a line is too short for derivatives,
+    by ``blur_px``: the shift of a line at 45 degrees that ends there.
+    Raises InputError where light and stripe differ in length.
+    """
+    if settings.blur_px is None:
+        return stripe
+    if light.ndim != 2 or len(light) != len(stripe.status):
+        raise InputError(
+            "is not of the stripe's length",
+            where="light",
+            value=light.shape,
+            allowed=f"({len(stripe.status)}, L)",
+        )
+    run = _runs(stripe)
+    if (run < 0).all():
+        return stripe
+    spread = settings.blur_px**2 + PIXEL_VARIANCE
+    centre = _derivatives(stripe.centre_px, stripe.sigma_px, run)
+    flux = line_flux(stripe, light)
+    bright = _derivatives(flux, np.zeros_like(flux), run)
+    shift, sigma = _shift(centre, bright, spread)
+    sigma = np.where(np.isfinite(shift), sigma, settings.blur_px)
+    moved = stripe.centre_px - np.where(np.isfinite(shift), shift, 0.0)
+    return replace(stripe, centre_px=moved, sigma_px=np.hypot(stripe.sigma_px, sigma))
+
+
+def line_flux(stripe: Stripe, light: Floats, reach_px: int = FLUX_REACH_PX) -> Floats:
+    """(N,) light of the line in each column, DN: all within ``reach_px`` of its centre.
+
+    light: (N, L) as in ``take_back_blur``; a column's background is its median.  NaN where
+    the stripe has no value, and where a column holds no light above its background.
+    """
+    valued = np.flatnonzero(has_value(stripe.status))
+    rows = np.rint(stripe.centre_px[valued]).astype(int)[:, None]
+    rows = rows + np.arange(-reach_px, reach_px + 1)
+    inside = (rows >= 0) & (rows < light.shape[1])
+    base = np.median(light[valued], axis=1)[:, None]
+    window = light[valued[:, None], np.clip(rows, 0, light.shape[1] - 1)] - base
+    total = np.where(inside, window, 0.0).sum(axis=1)
+    flux = np.full(len(stripe.status), np.nan)
+    flux[valued] = np.where(total > 0, total, np.nan)
+    return flux
+
+
+def _runs(stripe: Stripe) -> Ints:
+    """(N,) number of the unbroken piece of line each entry belongs to; -1 where there is none."""
+    valued = has_value(stripe.status)
+    jump = np.abs(np.diff(stripe.centre_px, prepend=np.nan))
+    goes_on = valued & np.roll(valued, 1) & (jump <= BREAK_PX)  # NaN is no small jump
+    return np.where(valued, np.cumsum(~goes_on), -1)
+
+
+@dataclass(frozen=True)
+class _Derivatives:
+    """Value, first and half second derivative by column, each (N,), and their covariances.
+
+    of: (N, 3); NaN where the line is too short.  covariance: (N, 3, 3).
+    """
+
+    of: Floats
+    covariance: Floats
+
+
+def _derivatives(values: Floats, sigma: Floats, run: Ints) -> _Derivatives:
+    """Those of the local quadratics through (N,) values of standard uncertainty ``sigma``.
+
+    The values are taken to scatter by no less than they do about the quadratic.
+    """
+    steps = np.arange(-REACH_PX, REACH_PX + 1)
+    index = np.arange(len(values))[:, None] + steps
+    inside = np.clip(index, 0, len(values) - 1)
+    used: Mask = (index == inside) & (run[inside] == run[:, None]) & (run[:, None] >= 0)
+    used &= np.isfinite(values)[inside]
+    design = np.stack([steps**power for power in range(3)], axis=-1) * used[..., None]
+    count = used.sum(axis=1)
+    good = count >= FEWEST_COLUMNS
+    normal = np.einsum("nki,nkj->nij", design, design)
+    inverse = np.linalg.inv(np.where(good[:, None, None], normal, np.eye(3)))
+    window = np.where(used, values[inside], 0.0)
+    fitted = np.einsum("nij,nkj,nk->ni", inverse, design, window)
+    residual = np.where(used, window - np.einsum("nki,ni->nk", design, fitted), 0.0)
+    scatter = (residual**2).sum(axis=1) / np.maximum(count - 3, 1)
+    stated = np.where(used, sigma[inside] ** 2, 0.0).sum(axis=1) / np.maximum(count, 1)
+    covariance = inverse * np.maximum(scatter, stated)[:, None, None]
+    return _Derivatives(np.where(good[:, None], fitted, np.nan), covariance)
+
+
+def _shift(centre: _Derivatives, flux: _Derivatives, spread: float) -> tuple[Floats, Floats]:
+    """(N,) displacement of the line by a blur of variance ``spread``, and its uncertainty, px."""
+    _, slope, half_curvature = centre.of.T
+    level, rise, half_bend = flux.of.T
+    level = np.where(level > 0, level, np.nan)
+    relative = rise / level
+    shift = spread * (slope * relative + half_curvature)
+    by_centre = np.stack([np.zeros_like(slope), relative, np.ones_like(slope)], axis=-1)
+    by_flux = np.stack([-slope * relative, slope, np.zeros_like(slope)], axis=-1) / level[:, None]
+    variance = np.einsum("ni,nij,nj->n", by_centre, centre.covariance, by_centre)
+    variance += np.einsum("ni,nij,nj->n", by_flux, flux.covariance, by_flux)
+    next_term = spread**2 * half_curvature * 2 * half_bend / level
+    return shift, np.sqrt(spread**2 * variance + next_term**2)

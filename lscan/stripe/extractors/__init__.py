@@ -1,0 +1,1 @@
+"""The stripe extractors: one method a module."""

@@ -1,0 +1,91 @@
+"""The extractor that makes the most of the pixels: maximum likelihood of a Gaussian line."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from scipy.ndimage import median_filter
+
+from lscan.config.rig import StripeSection
+from lscan.records import Floats, Ints, Mask, Status, Stripe
+from lscan.stripe.crosssection import CENTRE, LN_WIDTH, TILT
+from lscan.stripe.extractors.survey import Survey, survey, weak_precision
+from lscan.stripe.fit import Fit, Prior, fit_lines
+from lscan.stripe.noise.model import robust_variance
+from lscan.stripe.peaks import clipped_near
+
+_NEIGHBOURS = 31
+_FEWEST_TRIPLES = 16
+_FOREIGN = 3.0
+"""Misfit of a column beyond which something other than noise is in it: chi-square over its
+degrees of freedom, a dozen at least, passes 3 by chance once in a thousand times."""
+
+
+def maximum_likelihood(image: Floats, settings: StripeSection, clipped: Mask) -> Stripe:
+    """The line by maximum likelihood in each column of ``image``, (H, W) grey values in DN.
+
+    A Gaussian averaged over each pixel on a sloping ground (model.py) under reading noise,
+    shot noise and speckle; a clipped pixel (``clipped``, (H, W)) says "at least this".  Width
+    and slope are free, but held to the median of the neighbouring columns as far as those
+    agree with one another: where a column alone cannot tell them, they do.
+
+    sigma_px follows from Fisher's information, and from what the line differs from a Gaussian
+    alike in neighbouring columns (scatter.py), carried through the fit.  Where the pixels
+    scatter about the line more than the noise explains it grows by the root of that ratio
+    (Birge 1932): the neighbours' median of it, and the column's own where beyond chance.
+    SATURATED columns have been allowed for.  Too few of their pixels are left to tell the
+    noise by: unless that is stated, their sigma_px is at least what their centres scatter
+    from one column to the next.  NO_PEAK also where no line can be fitted.
+    """
+    seen = survey(image, settings, clipped)
+    if isinstance(seen, Stripe):
+        return seen
+    fit = fit_lines(seen.view, seen.start, seen.noise, _prior(seen))
+    stripe = _stripe(seen, fit)
+    saturated = clipped_near(stripe, clipped.T, settings.span_px)
+    status, sigma_px = stripe.status.copy(), stripe.sigma_px.copy()
+    status[saturated] = Status.SATURATED
+    if settings.noise is None:
+        sigma_px[saturated] *= _scatter(stripe, saturated)
+    return replace(stripe, status=status, sigma_px=sigma_px)
+
+
+def _scatter(stripe: Stripe, at: Ints) -> float:
+    """Scatter of the centres of the columns ``at`` over that by sigma_px, 1 at least.
+
+    By second differences, which take out the line's slope.  1 for fewer than 16 triples.
+    """
+    first = at[:-2][(at[2:] - at[:-2]) == 2]
+    if len(first) < _FEWEST_TRIPLES:
+        return 1.0
+    weights = np.array([1.0, -2.0, 1.0])
+    triples = first[:, None] + np.arange(3)
+    stated = np.sqrt((stripe.sigma_px[triples] ** 2) @ weights**2)
+    return max(float(np.sqrt(robust_variance(stripe.centre_px[triples] @ weights / stated))), 1.0)
+
+
+def _prior(seen: Survey) -> Prior:
+    precision = weak_precision(seen.start)
+    precision[:, LN_WIDTH] = 1 / seen.ln_width.spread**2
+    precision[:, TILT] = 1 / seen.tilt.spread**2
+    return Prior(seen.start, precision)
+
+
+def _stripe(seen: Survey, fit: Fit) -> Stripe:
+    """The survey's stripe with the centres of the fit."""
+    offset = fit.parameters[:, CENTRE]
+    common = median_filter(fit.misfit, _NEIGHBOURS, mode="nearest")
+    own = np.where(fit.misfit > _FOREIGN, fit.misfit, 1.0)
+    excess = np.maximum(np.maximum(common, own), 1.0)
+    misfit = (fit.gain**2 * (seen.misfit * fit.light) ** 2).sum(axis=1)
+    sigma = np.sqrt(fit.covariance[:, CENTRE, CENTRE] * excess + misfit)
+    kept = fit.settled & seen.is_near(offset, sigma)
+    stripe = seen.stripe
+    centre_px, sigma_px = stripe.centre_px.copy(), stripe.sigma_px.copy()
+    status = stripe.status.copy()
+    at = seen.peaks.columns
+    status[at[~kept]] = Status.NO_PEAK
+    centre_px[at[kept]] = (seen.peaks.rows + offset)[kept]
+    sigma_px[at[kept]] = sigma[kept]
+    return replace(stripe, centre_px=centre_px, sigma_px=sigma_px, status=status)

@@ -1,0 +1,157 @@
+"""The stripe extractors of the paper: brightest pixel, centroid, centroid of relative values.
+
+All three start from the nominal peak of each column, the first maximum from the top, and
+look at the window of ``span_px`` pixels on either side of it (Sec. V.B).  They differ only in
+how far from the nominal peak they put the centre of the line:
+
+- ``maximum``: at the nominal peak itself;
+- ``centroid``: eq. (8) with the grey values as weights;
+- ``centroid_relative``: eq. (8) with the smallest grey value of the window subtracted first.
+
+None of them takes account of which pixels are clipped.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from lscan.config.rig import StripeSection
+from lscan.records import Floats, Mask, Status, Stripe
+from lscan.stripe.noise.model import Noise, constant_variance, line_variance_per_dn
+from lscan.stripe.peaks import Peaks, nominal_peaks, windows_about
+
+Centring = Callable[[Floats], tuple[Floats, Floats]]
+"""From windows (K, n) of grey values to the line's offset (K,) from the middle pixel, in px,
+and the derivative (K, n) of that offset by each grey value, in px/DN."""
+
+
+def maximum(image: Floats, settings: StripeSection, clipped: Mask) -> Stripe:
+    """The line at the brightest pixel of each column of ``image``, (H, W) grey values in DN.
+
+    The first such pixel from the top where several are equal.  See :func:`_extract`.
+    """
+    return _extract(image, settings, _no_offset)
+
+
+def centroid(image: Floats, settings: StripeSection, clipped: Mask) -> Stripe:
+    """The line at the centroid, eq. (8), of the grey values of ``image``, (H, W) in DN.
+
+    A background within the window draws it to the nominal peak.  See :func:`_extract`.
+    """
+    return _extract(image, settings, _centroid_offset)
+
+
+def centroid_relative(image: Floats, settings: StripeSection, clipped: Mask) -> Stripe:
+    """The line at the centroid of the grey values above the smallest one in the window.
+
+    image: (H, W) grey values in DN.  Eq. (8) with the relative intensities of Sec. V.B.
+    See :func:`_extract`.
+    """
+    return _extract(image, settings, _relative_offset, guesses_background=True)
+
+
+def _extract(
+    image: Floats, settings: StripeSection, centring: Centring, guesses_background: bool = False
+) -> Stripe:
+    """The stripe of ``image``, one entry a column.
+
+    A column has a line where its highest value exceeds its median by more than
+    ``threshold_dn``: NO_PEAK otherwise, AT_BORDER where the window does not fit the picture.
+
+    sigma_px combines the noise of the pixels (noise.py), carried through the derivative of
+    the centre; the choice of the nominal peak; and, where the rule ``guesses_background``
+    from the window, that guess.  For a Gaussian line the last two are the size of what the
+    window cuts off; a line wider than the span, whose crest is flat, has sigma_px too large.
+    Fast where ``image.T`` is contiguous in memory.
+    """
+    columns = np.ascontiguousarray(image.T)
+    stripe, peaks = nominal_peaks(columns, settings)
+    if len(peaks.columns) == 0:
+        return stripe
+    # One pixel wider than the window on either side, to try the neighbour as nominal peak.
+    wide = windows_about(columns, peaks, settings.span_px + 1)
+    window = wide[:, 1:-1]
+    light = window - peaks.base[:, None]
+    variance = _pixel_variance(columns, light, peaks)
+    offset, slope = centring(window)
+    variance_px = (slope**2 * variance).sum(axis=1)
+    variance_px += _choice_variance(wide, offset, variance, centring)
+    if guesses_background:
+        variance_px += _background_variance(light, offset)
+
+    # Only grey values that are negative can throw the centroid out of its window.
+    kept = np.abs(offset) <= settings.span_px
+    at = peaks.columns[kept]
+    stripe.status[peaks.columns[~kept]] = Status.NO_PEAK
+    stripe.centre_px[at] = (peaks.rows + offset)[kept]
+    stripe.sigma_px[at] = np.sqrt(variance_px[kept])
+    return stripe
+
+
+def _pixel_variance(columns: Floats, light: Floats, peaks: Peaks) -> Floats:
+    """Noise variance (K, n) in DN² of the window's pixels, whose light is (K, n) in DN."""
+    constant = constant_variance(columns)
+    noise = Noise(constant, line_variance_per_dn(light, peaks.columns, constant))
+    return noise.variance(light)
+
+
+def _no_offset(window: Floats) -> tuple[Floats, Floats]:
+    return np.zeros(len(window)), np.zeros_like(window)
+
+
+def _centroid_offset(window: Floats) -> tuple[Floats, Floats]:
+    """Eq. (8) about the middle pixel; NaN where the weights have no positive sum."""
+    reach = window.shape[1] // 2
+    steps = np.arange(-reach, reach + 1, dtype=float)
+    total = window.sum(axis=1)
+    total = np.where(total > 0, total, np.nan)
+    offset = (window * steps).sum(axis=1) / total
+    return offset, (steps - offset[:, None]) / total[:, None]
+
+
+def _relative_offset(window: Floats) -> tuple[Floats, Floats]:
+    lowest = window.argmin(axis=1)[:, None]
+    offset, slope = _centroid_offset(window - np.take_along_axis(window, lowest, axis=1))
+    # The lowest pixel is taken off all weights, so it moves the centroid through all of them.
+    of_lowest = np.take_along_axis(slope, lowest, axis=1) - slope.sum(axis=1, keepdims=True)
+    np.put_along_axis(slope, lowest, of_lowest, axis=1)
+    return offset, slope
+
+
+def _choice_variance(wide: Floats, offset: Floats, variance: Floats, centring: Centring) -> Floats:
+    """Variance in px² (K,) that comes from the choice of the nominal peak.
+
+    The paper notes that the result is sensitive to this choice.  It is measured: by how much
+    the centre would move with the brighter neighbour as nominal peak (a whole pixel at
+    most), times the number of pixels within two standard deviations of the peak, which might
+    have been chosen as well.  That is the width of a uniform distribution.  For ``maximum``
+    and a clear peak it is the width of a pixel; for a centroid whose window holds the whole
+    line it vanishes; between them it accounts for the tails that the window cuts off.
+
+    wide: (K, n + 2) windows with one more pixel on either side.  variance: (K, n) in DN².
+    """
+    middle = wide.shape[1] // 2
+    below = wide[:, middle + 1] >= wide[:, middle - 1]
+    neighbour = np.where(below[:, None], wide[:, 2:], wide[:, :-2])
+    moved = np.where(below, 1.0, -1.0) + centring(neighbour)[0]
+    step = np.fmin(np.abs(moved - offset), 1.0)  # a whole pixel too where it is NaN
+    near = wide[:, [middle]] - 2 * np.sqrt(variance[:, [middle - 1]])
+    candidates = (wide[:, 1:-1] >= near).sum(axis=1)
+    width: Floats = candidates * step
+    return width**2 / 12
+
+
+def _background_variance(light: Floats, offset: Floats) -> Floats:
+    """Variance in px² (K,) of a centre that took the window's smallest value for background.
+
+    That value may be the line's own tail; the column's median is the guess that cannot be.
+    The truth lies between the two centroids, rather near the one found than near the other:
+    a triangular distribution, whose mean square about its high end is a sixth of its width's.
+
+    light: (K, n) grey values above the column's median in DN.  offset: (K,) as found, in px.
+    """
+    other, _ = _centroid_offset(light)
+    width: Floats = np.fmin(np.abs(other - offset), 1.0)
+    return width**2 / 6

@@ -1,0 +1,263 @@
+"""What every extractor that fits itself to the line must know first: place, width, noise.
+
+A sample of the columns is fitted with the full model (fit.py); the line's width and the
+slope of the ground under it vary little from one column to the next, so a running median
+over the sample holds for the columns between, and the residuals tell the noise.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.ndimage import median_filter
+
+from lscan.config.rig import StripeSection
+from lscan.records import Floats, Ints, Mask, Status, Stripe
+from lscan.stripe.crosssection import LN_HEIGHT, LN_WIDTH, TILT, parameters_of
+from lscan.stripe.fit import Fit, Prior, View, fit_lines
+from lscan.stripe.noise.model import Noise, constant_variance, stated_noise
+from lscan.stripe.noise.scatter import scatter_of
+from lscan.stripe.peaks import Peaks, nominal_peaks, windows_about
+
+_SAMPLE = 256
+_NEIGHBOURS = 9  # of the sample, whose median stands for the columns between them
+_FIRST_REACH_PX = 32
+_WIDTHS_PX = (0.4, 12.0)
+_NOISE_TURNS = 3  # of noise from residuals and residuals from noise, until they agree
+_WIDTH_DOUBT = 0.4  # of the logarithm of the first guess
+
+
+@dataclass(frozen=True)
+class Guess:
+    """A quantity of K columns and how far a single column may lie from it: (K,), one sigma."""
+
+    value: Floats
+    spread: float
+
+
+@dataclass(frozen=True)
+class Survey:
+    """The columns with a line in them, K, and what is known of that line.
+
+    stripe: statuses and peaks of all columns; no centres yet.
+    peaks: the pixel at which each line, smoothed over its width, is brightest.
+    reach_px: (K,) how far from there the centre may lie: two widths, or the span if that is
+    more, all of them in the picture.
+    view: the pixels about the peaks.  start: (K, 5) a first guess of the line, as in model.py.
+    ln_width: of the width in px.  tilt: of the ground, DN/px.
+    noise: of the pixels.  misfit: share of its light by which the line is no Gaussian; its part
+    that is odd about the centre (scatter.py).
+    """
+
+    stripe: Stripe
+    peaks: Peaks
+    reach_px: Floats
+    view: View
+    start: Floats
+    ln_width: Guess
+    tilt: Guess
+    noise: Noise
+    misfit: float
+
+    @property
+    def width_px(self) -> Floats:
+        """(K,) standard deviation of the line across it, as its neighbours have it."""
+        return np.exp(self.ln_width.value)
+
+    def is_near(self, offset: Floats, sigma: Floats) -> Mask:
+        """(K,) whether a centre was found: it and its sigma, both in px, within ``reach_px``."""
+        with np.errstate(invalid="ignore"):
+            near: Mask = np.abs(offset) <= self.reach_px
+            near &= (sigma > 0) & (sigma <= self.reach_px)
+        return near
+
+
+def survey(image: Floats, settings: StripeSection, clipped: Mask) -> Survey | Stripe:
+    """What is known of the line in ``image``, or the stripe itself where there is none.
+
+    image, clipped: (H, W) as extractors get them.
+    The noise is the one in ``settings.noise`` or, without, estimated from the picture.
+    """
+    columns, lost = np.ascontiguousarray(image.T), np.ascontiguousarray(clipped.T)
+    stripe, peaks = nominal_peaks(columns, settings)
+    if len(peaks.columns) == 0:
+        return stripe
+    noise = _first_noise(columns, peaks, settings)
+    rough = _rough_width(columns, peaks, noise.constant)
+    peaks = _recentred(columns, peaks, float(np.median(rough)))
+    stripe, peaks, rough = _within(stripe, peaks, rough, columns.shape[1], settings)
+    if len(peaks.columns) == 0:
+        return stripe
+    if settings.noise is None:
+        noise = Noise(_constant_aside(columns, peaks, rough), 0.0)
+    view = _view(columns, lost, peaks, rough)
+    start = _start(view, rough)
+    sample = _pairs(len(rough))
+    fit, noise, misfit = _fit_sample(
+        view.of(sample), peaks.of(sample), start[sample], noise, settings
+    )
+    ln_width = _between(fit, LN_WIDTH, sample, len(rough))
+    tilt = _between(fit, TILT, sample, len(rough))
+    start[:, LN_WIDTH], start[:, TILT] = ln_width.value, tilt.value
+    return Survey(
+        stripe, peaks, _reach(rough, settings), view, start, ln_width, tilt, noise, misfit
+    )
+
+
+def _first_noise(columns: Floats, peaks: Peaks, settings: StripeSection) -> Noise:
+    if settings.noise is not None:
+        return stated_noise(settings.noise, float(np.median(peaks.base)))
+    return Noise(constant_variance(columns), 0.0)
+
+
+def _constant_aside(columns: Floats, peaks: Peaks, width_px: Floats) -> float:
+    """Variance in DN² of the pixels more than six widths away from the line.
+
+    Those below it first, then, one odd pair in hundreds, those from the top on.
+    """
+    sample = _sample(len(peaks.rows))
+    height = columns.shape[1]
+    reach = int(np.ceil(6 * np.median(width_px))) + 2
+    rows = (peaks.rows[sample, None] + np.arange(reach, height - reach)) % height
+    if rows.shape[1] < 3:
+        return constant_variance(columns)
+    return constant_variance(columns[peaks.columns[sample, None], rows])
+
+
+def _sample(count: int) -> Ints:
+    return np.arange(0, count, -(-count // _SAMPLE))
+
+
+def _pairs(count: int) -> Ints:
+    """About _SAMPLE of ``count`` columns, evenly, each with the next."""
+    first = np.arange(0, count, max(1, -(-2 * count // _SAMPLE)))
+    return np.unique(np.minimum(np.concatenate([first, first + 1]), count - 1))
+
+
+def _rough_width(columns: Floats, peaks: Peaks, constant: float) -> Floats:
+    """Width (K,) in px of each line, from the sums of its light and of its light squared.
+
+    A Gaussian of flux F has the sum of squares F² / (2 sqrt(pi) s).  Twice, the second time
+    in windows no wider than the line needs.
+    """
+    sample = _sample(len(peaks.rows))
+    chosen = peaks.of(sample)
+    reach = _FIRST_REACH_PX
+    for _ in range(2):
+        light = _above_ground(windows_about(columns, chosen, reach))
+        flux = np.maximum(light.sum(axis=1), 0.0)
+        squares = (light**2).sum(axis=1) - light.shape[1] * constant
+        width = flux**2 / (2 * np.sqrt(np.pi) * np.maximum(squares, constant))
+        width = np.clip(width, *_WIDTHS_PX)
+        reach = int(np.ceil(4 * np.median(width))) + 3
+    smooth = median_filter(width, _NEIGHBOURS, mode="nearest")
+    return np.interp(np.arange(len(peaks.rows)), sample, smooth)
+
+
+def _above_ground(windows: Floats) -> Floats:
+    """Windows (K, n) less the straight line through the medians of their ends."""
+    n = windows.shape[1]
+    end = max(2, n // 8)
+    left, right = np.median(windows[:, :end], axis=1), np.median(windows[:, -end:], axis=1)
+    rise = np.clip((np.arange(n) - (end - 1) / 2) / (n - end), 0, 1)
+    return windows - left[:, None] - (right - left)[:, None] * rise
+
+
+def _recentred(columns: Floats, peaks: Peaks, width_px: float) -> Peaks:
+    """The peaks moved to the brightest pixel of the line smoothed with its own width.
+
+    Noise and clipping move the brightest pixel about; this one stays near the centre.
+    """
+    search = int(np.ceil(1.5 * width_px)) + 1
+    kernel_reach = int(np.ceil(3 * width_px))
+    windows = windows_about(columns, peaks, search + kernel_reach)
+    place = np.arange(-search, search + 1)[:, None]
+    pixel = np.arange(-search - kernel_reach, search + kernel_reach + 1)
+    kernel = np.exp(-0.5 * ((pixel - place) / width_px) ** 2)
+    kernel[np.abs(pixel - place) > kernel_reach] = 0
+    return replace(peaks, rows=peaks.rows + (windows @ kernel.T).argmax(axis=1) - search)
+
+
+def _reach(width_px: Floats, settings: StripeSection) -> Floats:
+    return np.maximum(np.ceil(2 * width_px), settings.span_px)
+
+
+def _within(
+    stripe: Stripe, peaks: Peaks, width_px: Floats, height: int, settings: StripeSection
+) -> tuple[Stripe, Peaks, Floats]:
+    """The peaks whose line lies whole in the picture; AT_BORDER for the others."""
+    reach = _reach(width_px, settings)
+    inside = (peaks.rows >= reach) & (peaks.rows < height - reach)
+    status = stripe.status.copy()
+    status[peaks.columns[~inside]] = Status.AT_BORDER
+    kept = peaks.of(np.flatnonzero(inside))
+    return replace(stripe, status=status), kept, width_px[inside]
+
+
+def _view(columns: Floats, lost: Mask, peaks: Peaks, width_px: Floats) -> View:
+    """The windows, four widths and two pixels to either side."""
+    reach = np.ceil(4 * width_px).astype(int)[:, None] + 2
+    steps = np.arange(-reach.max(), reach.max() + 1)
+    rows = peaks.rows[:, None] + steps
+    used = (np.abs(steps) <= reach) & (rows >= 0) & (rows < columns.shape[1])
+    most = int(reach.max())
+    grey = windows_about(columns, peaks, most)
+    return View(steps.astype(float), grey, peaks.base, used, windows_about(lost, peaks, most))
+
+
+def _start(view: View, width_px: Floats) -> Floats:
+    """First guess (K, 5) of the parameters: a line at the middle pixel, on the least ground."""
+    middle = view.grey.shape[1] // 2
+    ground = np.where(view.used, view.grey, np.inf).min(axis=1)
+    height = np.maximum(view.grey[:, middle - 1 : middle + 2].max(axis=1) - ground, 1e-3)
+    level = np.zeros(len(ground))
+    return parameters_of(level, width_px, height, ground, level)
+
+
+def _fit_sample(
+    view: View, peaks: Peaks, start: Floats, noise: Noise, settings: StripeSection
+) -> tuple[Fit, Noise, float]:
+    """The lines of the sample, at its ``peaks``, the noise, and the lines' misfit.
+
+    The noise is that given where the settings state it, else as the lines' residuals have it.
+    """
+    precision = weak_precision(start)
+    precision[:, LN_WIDTH] = 1 / _WIDTH_DOUBT**2
+    prior = Prior(start, precision)
+    fit, constant = fit_lines(view, start, noise, prior), noise.constant
+    scatter = scatter_of(fit, peaks.columns, peaks.rows)
+    if settings.noise is None:
+        for _ in range(_NOISE_TURNS):
+            noise = scatter.noise(constant)
+            fit = fit_lines(view, fit.parameters, noise, prior)
+            scatter = scatter_of(fit, peaks.columns, peaks.rows)
+    return fit, noise, scatter.misfit(noise)
+
+
+def weak_precision(start: Floats) -> Floats:
+    """1/variance (K, 5) of the little that is known of any line that begins at ``start``.
+
+    It decides only what the pixels leave open, as where all are clipped: the centre within
+    ten widths, the width and the height within a factor of 20, the ground within the height
+    and its slope within a tenth of the height a width.
+    """
+    width, height = np.exp(start[:, LN_WIDTH]), np.exp(start[:, LN_HEIGHT])
+    factor = np.full(len(start), np.log(20.0))
+    spread = np.column_stack([10 * width, factor, factor, height, height / (10 * width)])
+    precision: Floats = spread**-2
+    return precision
+
+
+def _between(fit: Fit, which: int, sample: Ints, count: int) -> Guess:
+    """A parameter at all columns from its running median over the sample.
+
+    Its spread is what single columns scatter beyond their own uncertainty, and at least that
+    of the median of so few.
+    """
+    value = fit.parameters[:, which]
+    smooth = median_filter(value, _NEIGHBOURS, mode="nearest")
+    scatter = (1.4826 * np.median(np.abs(value - smooth))) ** 2
+    own = np.median(fit.covariance[:, which, which])
+    spread = np.sqrt(max(scatter - own, 0.2 * own))
+    return Guess(np.interp(np.arange(count), sample, smooth), float(spread))

@@ -1,0 +1,1 @@
+"""The noise of a picture, and the bound it sets on every extractor."""

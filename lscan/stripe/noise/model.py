@@ -1,0 +1,162 @@
+"""The noise of a picture: as the rig file states it, or estimated from that picture alone.
+
+Three terms make up the variance of a pixel.  One is the same everywhere (reading noise,
+rounding, the ground's own light), seen in the pixels away from the line.  Shot noise grows in
+proportion to the light of the line; speckle, whose deviation (not variance) is proportional
+to the light, with its square.  Those two are seen in how pixels scatter about a fitted line
+(:func:`scatter_noise`), and told apart by pixels of different light.
+
+The paper's extractors fit no line.  For them one term stands for both, seen in how much the
+line's brightness jumps from one column to the next (:func:`line_variance_per_dn`): photon
+noise follows it exactly; speckle and the target's own texture are stated too large by it:
+their weight is at the line's crest, where a pixel hardly moves the centroid.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from lscan.config.rig import NoiseSection
+from lscan.records import Floats, Ints
+
+ROUNDING_VARIANCE = 1 / 12
+"""Variance of rounding to whole digital numbers, DN²: a uniform distribution one DN wide."""
+
+_SECOND_DIFFERENCE_GAIN = 6.0
+"""Variance of I[i-1] - 2 I[i] + I[i+1] over that of I, for independent pixels: 1 + 4 + 1."""
+
+_COLUMNS_SAMPLED = 64
+_FEWEST_TRIPLES = 16
+
+
+@dataclass(frozen=True)
+class Noise:
+    """Variance of a pixel: ``constant + per_dn · (light + veil) + (speckle · light)²``.
+
+    constant: DN², at least that of rounding.
+    per_dn: DN² of variance for each DN of light above the background.
+    speckle: contrast of the laser's speckle in one pixel.
+    """
+
+    constant: float
+    per_dn: float
+    speckle: float = 0.0
+
+    def variance(self, light: Floats, veil: Floats | float = 0.0) -> Floats:
+        """Variance in DN², same shape as ``light``, the line's grey values above the ground.
+
+        veil: by how much the ground under the line is brighter than the picture's; water's
+        scattered light, which has shot noise but no speckle.
+        """
+        shot = self.per_dn * np.maximum(light + veil, 0.0)
+        variance: Floats = self.constant + shot + (self.speckle * light) ** 2
+        return variance
+
+
+def stated_noise(section: NoiseSection, base: float) -> Noise:
+    """The noise that the rig file states, for a picture whose background is ``base`` DN."""
+    gain = section.dn_per_electron
+    return Noise(section.read_dn**2 + gain * max(base, 0.0), gain, section.speckle)
+
+
+def difference_noise(section: NoiseSection, dark_dn: float) -> NoiseSection:
+    """The noise of a picture from which another of mean grey value ``dark_dn`` was taken off.
+
+    Reading noise comes in twice, and so does the shot noise of the light in both.
+    """
+    variance = 2 * (section.read_dn**2 + section.dn_per_electron * max(dark_dn, 0.0))
+    return section.model_copy(update={"read_dn": variance**0.5})
+
+
+def constant_variance(columns: Floats) -> float:
+    """Variance in DN² of the pixels away from the line.
+
+    columns: (W, H) grey values in DN, one column of the picture a row.  Second differences
+    along the columns cancel the background and its slope; the line's own are outliers and
+    are cut off.  Neighbouring pixels must have independent noise: a picture that was
+    smoothed or strongly compressed states too little.
+    """
+    step = max(1, len(columns) // _COLUMNS_SAMPLED)
+    differences = np.diff(columns[::step], n=2, axis=1)
+    least = _SECOND_DIFFERENCE_GAIN * ROUNDING_VARIANCE
+    return max(robust_variance(differences, least) / _SECOND_DIFFERENCE_GAIN, ROUNDING_VARIANCE)
+
+
+def line_variance_per_dn(light: Floats, at: Ints, constant: float) -> float:
+    """Variance per DN of light on the line, in DN, from the scatter between columns.
+
+    light: (K, n) grey values above the background in the window of each column that has a
+        line.  at: (K,) the columns' indices, rising.  constant: as in :class:`Noise`.
+    0 where fewer than 16 triples of neighbouring columns have a line.  Columns that are
+    clipped scatter less than the light does.
+    """
+    together = (at[2:] - at[:-2]) == 2
+    if np.count_nonzero(together) < _FEWEST_TRIPLES:
+        return 0.0
+    sums = light.sum(axis=1)
+    least = _SECOND_DIFFERENCE_GAIN * ROUNDING_VARIANCE
+    scatter = robust_variance(np.diff(sums, n=2)[together], least) / _SECOND_DIFFERENCE_GAIN
+    return max(scatter - light.shape[1] * constant, 0.0) / float(np.median(sums))
+
+
+def scatter_noise(square: Floats, light: Floats, constant: float) -> Noise:
+    """The noise that makes pixels scatter so about a fitted line.
+
+    square: (N,) in DN², on average the variance of the noise (scatter.py).
+    light: (N,) the line's fitted grey values in DN, 0 or more.
+    constant: as in :class:`Noise`, known from elsewhere.
+
+    Least squares of ``square - constant`` on light and light², neither term below 0,
+    weighted by the inverse square of the variance: that of a normal residual's square is
+    twice the variance squared.  Thrice, as the weights need the result; squares beyond 25
+    times their expectation (5 sigma) are left out.
+    """
+    noise = Noise(constant, 0.0)
+    for turn in range(4):
+        variance = noise.variance(light)
+        # Nothing is known of the line's part yet at the first turn: all squares count.
+        core = (square <= 25 * variance) if turn else np.ones(len(square), dtype=bool)
+        weight = core / np.maximum(variance, 1e-3 * light**2) ** 2
+        shot, speckled = _two_terms(light, square - constant, weight)
+        noise = Noise(constant, shot, min(speckled**0.5, 1.0))
+    return noise
+
+
+def _two_terms(light: Floats, excess: Floats, weight: Floats) -> tuple[float, float]:
+    """Coefficients >= 0 of light and light² that fit ``excess`` best, all arrays (N,)."""
+    second, third, fourth = (float((weight * light**power).sum()) for power in (2, 3, 4))
+    one, two = (float((weight * excess * light**power).sum()) for power in (1, 2))
+    if fourth == 0:
+        return 0.0, 0.0
+    determinant = second * fourth - third**2
+    shot = (fourth * one - third * two) / determinant if determinant > 0 else 0.0
+    speckled = (second * two - third * one) / determinant if determinant > 0 else -1.0
+    if shot >= 0 and speckled >= 0:
+        return shot, speckled
+    only_shot, only_speckle = max(one, 0.0) / second, max(two, 0.0) / fourth
+    # The better of the two edges: it takes more off the sum of squares.
+    if one * only_shot > two * only_speckle:
+        return only_shot, 0.0
+    return 0.0, only_speckle
+
+
+def robust_variance(values: Floats, least: float = 0.0) -> float:
+    """Variance about zero of the normal core of ``values``, what lies outside 3 sigma cut off.
+
+    Starts from the median absolute deviation and cuts thrice; a normal distribution cut at
+    3 sigma keeps 0.97334 of its variance (1 - 6 phi(3) / (2 Phi(3) - 1)).
+    least: a variance there is in any case, where the search starts if most values agree.
+    """
+    if values.size == 0:
+        return 0.0
+    sizes = np.abs(values).ravel()
+    start = 1.4826 * float(np.median(sizes))
+    variance = max(start**2, least)
+    for _ in range(3):
+        core = sizes[sizes <= 3 * np.sqrt(variance)]
+        if core.size == 0:
+            break
+        variance = float(np.square(core).mean()) / 0.97334
+    return variance

@@ -1,0 +1,1 @@
+"""Alignment of a surface with its nominal target, and the features it rests on."""

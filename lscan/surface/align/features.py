@@ -1,0 +1,275 @@
+"""The landmarks of the sandwave block in a raw scan: wedge tops, wedge edges, block sides.
+
+Everything is found by elevation and place, from the nominal shape alone; no option is set by
+hand.  The block is what stands above the abrupt drop to the floor.  A plane fitted robustly to
+it settles on the rim, which shares the mean height of the waves; the wedges' tops are the flat
+patches that stand a wedge's height above it, one on each side.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import ndimage
+
+from lscan.config.targets import Sandwave
+from lscan.errors import MeasurementError
+from lscan.records import Floats, Ints, Mask, Status, Surface, has_value
+
+
+@dataclass(frozen=True)
+class Crossings:
+    """Where profiles cross an edge, in the raw head frame.
+
+    inside: (K, 3) last sample on the edge's upper side.
+    outside: (K, 3) where the next sample would lie if the upper side went on.
+    index: (K,) of the inside sample among all F N of the surface.
+    """
+
+    inside: Floats
+    outside: Floats
+    index: Ints
+
+    def only(self, keep: Mask) -> Crossings:
+        """Those of the mask (K,)."""
+        return Crossings(self.inside[keep], self.outside[keep], self.index[keep])
+
+
+@dataclass(frozen=True)
+class Features:
+    """Landmarks in the raw head frame, mm.
+
+    tops: (K, 3) points on the flat tops of both wedges, their outermost samples left out.
+    top_index: (K,) of them among all F N samples of the surface.
+    centre_left, centre_right: (3,) centroids of the two tops.
+    wedge_left, wedge_right: crossings of the wedges' inner edges, near and far together.
+    side_left, side_right: crossings of the block's left and right side; may be empty.
+    """
+
+    tops: Floats
+    top_index: Ints
+    centre_left: Floats
+    centre_right: Floats
+    wedge_left: Crossings
+    wedge_right: Crossings
+    side_left: Crossings
+    side_right: Crossings
+
+
+def find_features(surface: Surface, piece: Sandwave) -> Features:
+    """The landmarks of ``piece`` in a raw scan of it.
+
+    The block lies roughly level (within 5°), turned by at most 10° about z, anywhere in the
+    scan; the floor around it may be visible or not.
+
+    Raises MeasurementError where the surface is empty or a wedge is not in the scan.
+    """
+    valid = has_value(surface.status) & np.isfinite(surface.xyz_mm).all(axis=-1)
+    if valid.sum() < 100:
+        raise MeasurementError(
+            f"the surface holds {int(valid.sum())} measured points: no sandwave block in it"
+        )
+    height, plane = _height_above_rim(surface.xyz_mm, valid, piece)
+    spacing = _column_spacing(surface.xyz_mm, valid)
+    block = valid & (height > -(piece.body_mm + _crest(piece)) / 2)
+    patch_left, patch_right = _wedge_tops(surface.xyz_mm, block, height, piece)
+    tops = patch_left | patch_right
+    inner = tops & _clear(tops, _profile_spacing(surface.xyz_mm, valid), spacing)
+    flat = block & (
+        near_level(height, 0.0, piece) | near_level(height, piece.wedge.height_mm, piece)
+    )
+
+    def crossings(mask: Mask, direction: int, open_end: Mask | None = None) -> Crossings:
+        return _crossings(surface.xyz_mm, mask, direction, spacing, plane[1], open_end)
+
+    unseen = (surface.status == Status.OUT_OF_BOARD) | (surface.status == Status.AT_BORDER)
+    return Features(
+        tops=surface.xyz_mm[inner],
+        top_index=np.flatnonzero(inner),
+        centre_left=surface.xyz_mm[patch_left].mean(axis=0),
+        centre_right=surface.xyz_mm[patch_right].mean(axis=0),
+        wedge_left=crossings(patch_left, +1),
+        wedge_right=crossings(patch_right, -1),
+        side_left=crossings(flat, -1, unseen),
+        side_right=crossings(flat, +1, unseen),
+    )
+
+
+TOP_MARGIN_MM = 1.5
+"""Sheets are that thick: nearer to an edge part of the light is lost, and the line displaced."""
+
+
+def _clear(tops: Mask, along_mm: float, spacing: Floats) -> Mask:
+    """Mask of the samples that are a margin away from where the tops end; holes are no end.
+
+    along_mm: from one profile to the next.  spacing: (N,) from one column to the next.
+    """
+    steps = (along_mm, float(np.median(np.abs(spacing))))
+    rows, columns = (2 * int(np.ceil(TOP_MARGIN_MM / max(step, 0.1))) + 1 for step in steps)
+    whole = ndimage.binary_closing(tops, np.ones((3, 5), dtype=bool))
+    shape = np.ones((rows, max(columns, 5)), dtype=bool)
+    return np.asarray(ndimage.binary_erosion(whole, shape), dtype=bool)
+
+
+def _crest(piece: Sandwave) -> float:
+    """Greatest height of the waves, mm."""
+    return piece.a_mm + piece.b * piece.side_mm
+
+
+def near_level(height: Floats, level: float, piece: Sandwave) -> Mask:
+    """Mask of the heights, mm, that belong to a flat at ``level``: nearer to it than to a crest."""
+    tolerance = max((piece.wedge.height_mm - _crest(piece)) / 2, 0.1 * piece.wedge.height_mm)
+    return np.abs(height - level) < tolerance
+
+
+def _height_above_rim(xyz: Floats, valid: Mask, piece: Sandwave) -> tuple[Floats, Floats]:
+    """(F, N) height above the rim's plane in mm, NaN where not valid, and the plane.
+
+    The plane is z = c0 + c1 x + c2 s.  Tukey's biweight with a shrinking scale, from the whole
+    block's spread down to what tells the rim from the waves.
+    """
+    block = _above_drop(xyz[..., 2], valid, drop_mm=0.75 * piece.body_mm)
+    points = xyz[block]
+    design = np.column_stack([np.ones(len(points)), points[:, :2]])
+    plane = np.linalg.lstsq(design, points[:, 2], rcond=None)[0].astype(float)
+    for scale in np.geomspace(2 * piece.wedge.height_mm, 0.1 * piece.wedge.height_mm, 30):
+        residual = points[:, 2] - design @ plane
+        root = np.clip(1 - (residual / scale) ** 2, 0, None)
+        if np.count_nonzero(root) < 50:
+            break
+        weighted = design * root[:, None]
+        plane = np.linalg.lstsq(weighted, points[:, 2] * root, rcond=None)[0].astype(float)
+    cosine = 1 / np.sqrt(1 + plane[1] ** 2 + plane[2] ** 2)
+    height = (xyz[..., 2] - plane[0] - xyz[..., :2] @ plane[1:]) * cosine
+    return np.where(valid, height, np.nan), plane
+
+
+def _above_drop(z: Floats, valid: Mask, drop_mm: float) -> Mask:
+    """Mask of the samples between an abrupt rise and the abrupt fall after it, row by row.
+
+    A side may be missing where the floor is not visible there.  Profiles without any drop are
+    taken only where no profile has one: then there is no floor in the scan.
+    """
+    rank = np.cumsum(valid, axis=1) - 1
+    count = valid.sum(axis=1)
+    # Push the valid samples of each row to its left, so that neighbours are neighbours.
+    packed = np.full(z.shape, np.nan)
+    rows, columns = np.nonzero(valid)
+    packed[rows, rank[rows, columns]] = z[rows, columns]
+    # Up to two samples on the wall may lie between the upper and the lower side.
+    step = np.full(z.shape, np.nan)
+    step[:, 3:] = packed[:, 3:] - packed[:, :-3]
+    rises: Mask = np.greater(step, drop_mm)
+    falls: Mask = np.less(step, -drop_mm)
+    order = np.arange(z.shape[1])
+    first = np.where(rises.any(axis=1), np.argmax(rises, axis=1), 0)
+    beyond = falls & (order >= first[:, None])
+    # The first low sample may be three past the block's last one.
+    last = np.where(beyond.any(axis=1), np.argmax(beyond, axis=1) - 3, count - 1)
+    inside: Mask = (order >= first[:, None]) & (order <= last[:, None])
+    inside = inside & (order < count[:, None])
+    bounded: Mask = np.any(rises | falls, axis=1)
+    if np.count_nonzero(bounded) >= 10:
+        inside = inside & bounded[:, None]
+    mask = np.zeros_like(valid)
+    mask[rows, columns] = inside[rows, rank[rows, columns]]
+    return mask
+
+
+def _column_spacing(xyz: Floats, valid: Mask) -> Floats:
+    """(N,) distance in mm along x from each column to the next, its median over the profiles."""
+    step = np.diff(xyz, axis=1)
+    smooth = valid[:, 1:] & valid[:, :-1] & (np.abs(step[..., 2]) < np.abs(step[..., 0]))
+    overall = float(np.median(step[..., 0][smooth])) if smooth.any() else 1.0
+    known = smooth.sum(axis=0) >= 3
+    spacing = np.full(xyz.shape[1], overall)
+    masked = np.where(smooth, step[..., 0], np.nan)[:, known]
+    spacing[:-1][known] = np.nanmedian(masked, axis=0)
+    spacing[-1] = spacing[-2]
+    return spacing
+
+
+def _profile_spacing(xyz: Floats, valid: Mask) -> float:
+    """Median distance in mm along y from one profile to the next; 0 where none has another."""
+    steps = np.diff(xyz[..., 1], axis=0)[valid[1:] & valid[:-1]]
+    return float(np.median(np.abs(steps))) if len(steps) else 0.0
+
+
+def _wedge_tops(xyz: Floats, block: Mask, height: Floats, piece: Sandwave) -> tuple[Mask, Mask]:
+    """Masks of the left and the right wedge's flat top: the two patches a block apart."""
+    high = block & near_level(height, piece.wedge.height_mm, piece)
+    # Single missing samples must not break a patch up.
+    labels, count = ndimage.label(
+        ndimage.binary_closing(high, np.ones((3, 5), dtype=bool)), np.ones((3, 3))
+    )
+    labels = np.where(high, labels, 0)
+    areas = np.bincount(labels.ravel(), minlength=count + 1)[1:] * _sample_area(xyz, block)
+    nominal_area = piece.wedge.base_mm * piece.wedge.reach_mm / 2
+    right_size = (areas > 0.3 * nominal_area) & (areas < 2 * nominal_area)
+    large = [int(k) + 1 for k in np.flatnonzero(right_size)]
+    centres = {k: xyz[labels == k][:, :2].mean(axis=0) for k in large}
+    apart = piece.side_mm + 2 * piece.rim_mm - 2 * piece.wedge.reach_mm / 3
+    pairs = [
+        (abs(float(np.linalg.norm(centres[a] - centres[b])) - apart), a, b)
+        for a in large
+        for b in large
+        if centres[a][0] < centres[b][0]
+    ]
+    if not pairs or min(pairs)[0] > 0.1 * apart:
+        raise MeasurementError(_missing(centres, xyz[block]))
+    _, left, right = min(pairs)
+    return labels == left, labels == right
+
+
+def _missing(centres: dict[int, Floats], block: Floats) -> str:
+    """What to say where the pair of wedges is not complete."""
+    what = "no sandwave block in the scan: neither the left nor the right wedge's top is found"
+    if len(centres) == 1:
+        (centre,) = centres.values()
+        lost = "right" if centre[0] < np.median(block[:, 0]) else "left"
+        what = f"the {lost} wedge's flat top is not found in the scan"
+    return what
+
+
+def _sample_area(xyz: Floats, valid: Mask) -> float:
+    """Typical plan area of one sample, mm²."""
+    along_x = np.diff(xyz[..., 0], axis=1)[valid[:, 1:] & valid[:, :-1]]
+    along_y = np.diff(xyz[..., 1], axis=0)[valid[1:] & valid[:-1]]
+    if not len(along_x) or not len(along_y):
+        raise MeasurementError("the scan is a single profile or column: no surface to align")
+    return float(np.abs(np.median(along_x) * np.median(along_y)))
+
+
+def _crossings(
+    xyz: Floats,
+    mask: Mask,
+    direction: int,
+    spacing: Floats,
+    slope: float,
+    open_end: Mask | None,
+) -> Crossings:
+    """The outermost sample of ``mask`` in each row towards ``direction`` (+1: greater x).
+
+    slope: dz/dx of the rim's plane.  open_end: (F, N) samples that end the data without being
+    an edge; a row that ends at one of them, or at the picture's border, is left out.
+    """
+    # Columns may run towards greater or smaller x.
+    towards = direction * int(np.sign(np.median(spacing)))
+    rows = np.flatnonzero(mask.any(axis=1))
+    order = mask[rows]
+    last = mask.shape[1] - 1
+    columns = last - np.argmax(order[:, ::-1], axis=1) if towards > 0 else np.argmax(order, axis=1)
+    if open_end is not None:
+        beside = np.clip(columns + towards, 0, last)
+        keep = (beside != columns) & ~open_end[rows, beside]
+        rows, columns = rows[keep], columns[keep]
+    gap = direction * np.abs(spacing[_gap_index(columns, towards)])
+    inside = xyz[rows, columns]
+    outside = inside + np.column_stack([gap, 0 * gap, slope * gap])
+    return Crossings(inside, outside, rows * mask.shape[1] + columns)
+
+
+def _gap_index(columns: Ints, towards: int) -> Ints:
+    """Index into the spacings of the gap beyond each column: to the next or from the last."""
+    return columns if towards > 0 else np.maximum(columns - 1, 0)

@@ -1,0 +1,372 @@
+"""A raw scan of the sandwave block brought into the workpiece frame (Sec. IV.C, Figs. 25 to 28).
+
+Four adjustments as in the paper: two rotations that level the wedges' tops, one about z that
+lays the line of the wedges' corners along x, and the yaw of the laser sheet against the track.
+The yaw is not a rotation but a shear: with the sheet yawed by ``yaw`` the track moves the head
+along (sin yaw, cos yaw, 0) in the head's own axes, so the point x of the sheet at track
+position s lies at (x + s sin yaw, s cos yaw, z).  Positive yaw: the raw profiles must be shifted
+towards +x in proportion to s.  (The paper shifts x alone, which takes cos yaw for 1: 0.07 %,
+or 0.15 mm over the block, at its 2.2 degrees.)
+Because the shear acts before the rotations, all four are solved together by iteration.
+About a shaft nothing is sheared: without the yaw, the block's sides tell the rotation about z.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from lscan.config.targets import Sandwave
+from lscan.errors import InputError, MeasurementError
+from lscan.records import Floats, Mask, Surface
+from lscan.surface.align.alignment import Alignment, own_variance, turned_modes
+from lscan.surface.align.datum import YAW, Datum, EdgeCrossings, parameter_modes
+from lscan.surface.align.edges import EdgeFit, EdgeSamples, fit_edges
+from lscan.surface.align.faces import faces_beside
+from lscan.surface.align.fading import fit_fading
+from lscan.surface.align.features import Crossings, Features, find_features
+from lscan.surface.align.levelling import level, plane_normal, shear
+
+SETTLED_RAD = 1e-7
+"""Change of yaw and of the rotation about z below which the iteration ends."""
+
+MAX_ITERATIONS = 60
+
+UNDECIDED_ITERATIONS = 10
+"""Rounds after which it stays as it is which samples are strays: a doubtful one that came and
+went with the pose would keep the pose from settling."""
+
+MIN_SIDE_CROSSINGS = 50
+"""Fewest profiles that must cross a side of the block for it to be used."""
+
+WINDOWS_MM = (15.0, 3.0, 2.0)
+"""How far from its nominal place an edge is looked for, round after round: first over what a
+yaw of 5 degrees shifts the block's corners, then over what is left of it."""
+
+CORNER_MARGIN_MM = 1.5
+"""Crossings this near (along y) to the ends of an edge are left out: corners are never sharp."""
+
+
+@dataclass(frozen=True)
+class _Pose:
+    """The part of an alignment that is iterated."""
+
+    yaw: float
+    turn: float
+    shift: Floats
+    rotation: Floats
+
+    def place(self, raw: Floats) -> Floats:
+        """(..., 3) workpiece points of raw ones (..., 3), mm."""
+        return raw @ (self.rotation @ shear(self.yaw)).T + self.shift
+
+    def plan(self, raw: Floats) -> Floats:
+        """(K, 2) of raw points (K, 3), mm."""
+        return self.place(raw)[:, :2]
+
+
+def align_sandwave(surface: Surface, piece: Sandwave, sheared: bool = True) -> Alignment:
+    """The alignment of a raw scan of the sandwave block with its workpiece frame.
+
+    Edges are first taken to lie beyond the last samples on them.  Where the surface knows the
+    line's brightness, they are then found by how it fades over them (fading.py): without that
+    they are off by the column, and by the sheet, whose thickness lights an edge ahead of it.
+
+    The wedges' tops come to z = wedge.height_mm, the midpoint of the corners W_L and W_R to its
+    nominal place in plan and the line between them along x; where the line's brightness
+    places both sides of the block, the middle's x is theirs.  The yaw makes the block's sides
+    orthogonal to that line: the left one, as in the paper, and where it is in the scan the
+    right one too.  The wedges' edges have a small say as well, being symmetric about that
+    line: a side that runs along the track to within a column or two is only known to that.
+
+    sheared: False for a scan about a shaft: there is no yaw then, and what makes the sides run
+    along y is the rotation about z instead of the line of the corners.
+
+    Raises InputError for a surface that is not in the head frame, MeasurementError that names
+    what is missing in the scan.
+    """
+    if surface.frame != "head":
+        raise InputError(
+            "is aligned already", where="surface", value=surface.frame, allowed="the head frame"
+        )
+    features = find_features(surface, piece)
+    pose, rounds = _rough_pose(features, piece), 0
+    for window in WINDOWS_MM:
+        selected = _select(features, pose, piece, window)
+        found = _crossed(selected, piece)
+        pose, edges, iterations = _refine(features.tops, found, pose, piece, sheared)
+        rounds += iterations
+    fading = _fading(surface, pose, edges, piece)
+    if fading is not None:
+        pose, edges, iterations = _refine(features.tops, fading, pose, piece, sheared)
+        rounds += iterations
+    datum = _datum(surface, features, selected, pose, edges, fading is not None, sheared)
+    modes = turned_modes(surface, pose.rotation @ shear(pose.yaw), datum.index)
+    errors = parameter_modes(datum, modes)
+    return Alignment(
+        yaw_rad=pose.yaw,
+        yaw_sigma_rad=float(np.linalg.norm(errors[YAW])),
+        rotation=pose.rotation,
+        translation_mm=pose.shift,
+        normal=plane_normal(features.tops @ shear(pose.yaw).T),
+        base_mm=piece.wedge.height_mm,
+        flatness_mm=float(datum.tops[:, 2].std()),
+        left_corner_mm=edges.left_corner,
+        right_corner_mm=edges.right_corner,
+        edges=dict(zip(edges.names, edges.fit.lines, strict=True)),
+        top_points=len(features.tops),
+        iterations=rounds,
+        pivot_mm=datum.pivot,
+        modes=errors,
+        sheared=sheared,
+    )
+
+
+def rough_pose(surface: Surface, piece: Sandwave) -> tuple[Floats, Floats]:
+    """(3, 3) rotation and (3,) shift, mm, from the head's frame to the workpiece's, to a few mm.
+
+    From the levels and middles of the wedges' tops alone, so that it stands much that is wrong
+    with the scan.  Raises MeasurementError where a wedge is not in it.
+    """
+    pose = _rough_pose(find_features(surface, piece), piece)
+    return pose.rotation, pose.shift
+
+
+def _rough_pose(features: Features, piece: Sandwave) -> _Pose:
+    """Level, and turned and placed by the middles of the two wedge tops; no yaw yet."""
+    across = features.centre_right - features.centre_left
+    turn = float(np.arctan2(across[1], across[0]))
+    middle = (features.centre_left + features.centre_right) / 2
+    return _placed(features.tops, 0.0, turn, middle, piece)
+
+
+def _placed(tops: Floats, yaw: float, turn: float, raw_middle: Floats, piece: Sandwave) -> _Pose:
+    """The pose that brings the raw point (3,) between the corners to its nominal place."""
+    rotation = _about_z(-turn) @ level(tops @ shear(yaw).T)
+    matrix = rotation @ shear(yaw)
+    height = piece.wedge.height_mm - float((tops @ matrix[2]).mean())
+    shift = _nominal_middle(piece) - (matrix @ raw_middle)[:2]
+    return _Pose(yaw, turn, np.array([*shift, height]), rotation)
+
+
+def _about_z(angle: float) -> Floats:
+    cosine, sine = np.cos(angle), np.sin(angle)
+    return np.array([[cosine, -sine, 0.0], [sine, cosine, 0.0], [0.0, 0.0, 1.0]])
+
+
+def _nominal_middle(piece: Sandwave) -> Floats:
+    left, right = piece.wedge_tips_mm()
+    return (left + right) / 2
+
+
+@dataclass(frozen=True)
+class _Selected:
+    """The crossings that belong to one nominal edge, and that edge's dx/dy."""
+
+    slope: float
+    crossings: Crossings
+
+
+def _select(
+    features: Features, pose: _Pose, piece: Sandwave, window_mm: float
+) -> dict[str, _Selected]:
+    """The crossings that lie on each nominal edge to within ``window_mm``, by edge name."""
+    selected = {}
+    (left_near, left_tip, left_far), (right_far, right_tip, right_near) = piece.wedge_plans_mm()
+    for name, crossings, start, end in (
+        ("left wedge, near edge", features.wedge_left, left_near, left_tip),
+        ("left wedge, far edge", features.wedge_left, left_tip, left_far),
+        ("right wedge, near edge", features.wedge_right, right_near, right_tip),
+        ("right wedge, far edge", features.wedge_right, right_tip, right_far),
+        ("left side", features.side_left, *_side(piece, -piece.rim_mm)),
+        ("right side", features.side_right, *_side(piece, piece.side_mm + piece.rim_mm)),
+    ):
+        plan = pose.plan(crossings.inside)
+        slope = float((end[0] - start[0]) / (end[1] - start[1]))
+        off = np.abs(plan[:, 0] - start[0] - slope * (plan[:, 1] - start[1]))
+        low, high = start[1] + CORNER_MARGIN_MM, end[1] - CORNER_MARGIN_MM
+        keep = (plan[:, 1] > low) & (plan[:, 1] < high) & (off < window_mm)
+        selected[name] = _Selected(slope, crossings.only(keep))
+    sides = {name: len(selected[name].crossings.inside) for name in ("left side", "right side")}
+    if max(sides.values()) < MIN_SIDE_CROSSINGS:
+        raise MeasurementError(
+            f"neither side of the block is found: {sides['left side']} and "
+            f"{sides['right side']} profiles cross them, {MIN_SIDE_CROSSINGS} are needed"
+        )
+    return {
+        name: s
+        for name, s in selected.items()
+        if sides.get(name, 1) >= MIN_SIDE_CROSSINGS or "wedge" in name
+    }
+
+
+def _side(piece: Sandwave, x: float) -> tuple[Floats, Floats]:
+    """Ends of a side of the block, clear of its corners by a sixth of the rim."""
+    reach = piece.rim_mm * 5 / 6
+    return np.array([x, -reach]), np.array([x, piece.side_mm + reach])
+
+
+def _refine(
+    tops: Floats, find: _Finder, pose: _Pose, piece: Sandwave, sheared: bool
+) -> tuple[_Pose, _Edges, int]:
+    """The pose at which the base plane, the corners and the yaw agree, and the edges in it."""
+    kept = None
+    for iteration in range(1, MAX_ITERATIONS + 1):
+        edges = find(pose, kept)
+        kept = edges.fit.kept if iteration >= UNDECIDED_ITERATIONS else None
+        across = edges.right_corner - edges.left_corner
+        turn_error = float(np.arctan2(across[1], across[0]))
+        # A lean towards +x with growing y says that the profiles were shifted too far.
+        yaw_error = float(np.arctan(edges.fit.lean)) + turn_error
+        if not sheared:
+            yaw_error, turn_error = 0.0, -float(np.arctan(edges.fit.lean))
+        middle = edges.middle
+        pose = _moved(tops, pose, yaw_error, turn_error, middle, piece)
+        shift = float(np.abs(middle - _nominal_middle(piece)).max()) / piece.side_mm
+        if max(abs(yaw_error), abs(turn_error), shift) < SETTLED_RAD:
+            return pose, edges, iteration
+    raise MeasurementError(
+        f"the alignment did not settle in {MAX_ITERATIONS} rounds: still "
+        f"{np.degrees(max(abs(yaw_error), abs(turn_error))):.2g} degrees off"
+    )
+
+
+def _moved(
+    tops: Floats, pose: _Pose, yaw_error: float, turn_error: float, middle: Floats, piece: Sandwave
+) -> _Pose:
+    """The pose corrected by what was found, about the place the middle of the corners has."""
+    inverse = np.linalg.inv(pose.rotation @ shear(pose.yaw))
+    raw_middle = inverse @ (np.array([*middle, piece.wedge.height_mm]) - pose.shift)
+    return _placed(tops, pose.yaw - yaw_error, pose.turn + turn_error, raw_middle, piece)
+
+
+@dataclass(frozen=True)
+class _Edges:
+    """The edges fitted in one pose, and the corners (2,) where the wedges' edges meet.
+
+    by_sides: the block's two sides say where it lies along x.  They are four times as long as
+    the wedges' edges and do not lean, so that brightness places them much better.
+    """
+
+    names: tuple[str, ...]
+    fit: EdgeFit
+    left_corner: Floats
+    right_corner: Floats
+    by_sides: bool = False
+
+    @property
+    def middle(self) -> Floats:
+        """(2,) of the corners; its x that of the sides where they tell it better."""
+        middle = (self.left_corner + self.right_corner) / 2
+        if not self.by_sides:
+            return middle
+        left, right = self.fit.lines[4:]
+        x = (left.at_mm + right.at_mm) / 2 + self.fit.lean * (middle[1] - left.pivot_mm)
+        return np.array([x, middle[1]])
+
+
+_Finder = Callable[[_Pose, Mask | None], _Edges]
+"""Finds the edges in a pose; the mask says which samples are no strays, where that is decided."""
+
+
+def _crossed(selected: dict[str, _Selected], piece: Sandwave) -> _Finder:
+    """Finds edges between the last samples on them and the first ones off them."""
+    names = tuple(selected)
+
+    def find(pose: _Pose, kept: Mask | None) -> _Edges:
+        samples = [
+            EdgeSamples(s.slope, pose.plan(s.crossings.inside), pose.plan(s.crossings.outside))
+            for s in selected.values()
+        ]
+        return _met(names, fit_edges(samples, names, piece.side_mm / 2, kept))
+
+    return find
+
+
+def _fading(surface: Surface, pose: _Pose, edges: _Edges, piece: Sandwave) -> _Finder | None:
+    """Finds edges by the fading of the line; None where too little of it is seen or known."""
+    if surface.brightness is None:
+        return None
+    beside = faces_beside(edges.names, pose.place(surface.xyz_mm), surface.brightness, piece)
+    if beside is None:
+        return None
+    raw = [surface.xyz_mm.reshape(-1, 3)[index] for index, _ in beside]
+    start = edges.fit
+
+    def find(pose: _Pose, kept: Mask | None) -> _Edges:
+        samples = [
+            replace(face, plan=pose.plan(points))
+            for points, (_, face) in zip(raw, beside, strict=True)
+        ]
+        fit = fit_fading(samples, start, piece.side_mm / 2, kept)
+        return _met(edges.names, fit, by_sides=len(samples) == 6)
+
+    return find
+
+
+def _met(names: tuple[str, ...], fit: EdgeFit, by_sides: bool = False) -> _Edges:
+    left_near, left_far, right_near, right_far = fit.lines[:4]
+    corners = left_near.meet(left_far), right_near.meet(right_far)
+    return _Edges(names, fit, *corners, by_sides)
+
+
+def _datum(
+    surface: Surface,
+    features: Features,
+    selected: dict[str, _Selected],
+    pose: _Pose,
+    edges: _Edges,
+    sharp: bool,
+    sheared: bool,
+) -> Datum:
+    """What the alignment was made from, in the workpiece frame that it leads to.
+
+    sharp: the edges were found by the fading of the line.  Else each is off by some part of a
+    column of its own, an even distribution: what lies behind it, dark or bright, decides how far
+    out the line is still seen; and columns sample the sides, which makes the yaw uncertain.
+    """
+    blind = 0.0 if sharp else _median_gap(selected.values()) ** 2 / 12
+    place = pose.rotation @ shear(pose.yaw)
+    _, own_z = own_variance(surface)
+    return Datum(
+        tops=features.tops @ place.T + pose.shift,
+        top_index=features.top_index,
+        top_sigma_mm=np.sqrt(own_z.ravel()[features.top_index]),
+        edges=[
+            EdgeCrossings(s.slope, s.crossings.inside @ place.T + pose.shift, s.crossings.index)
+            for s in selected.values()
+        ],
+        edge_covariance=edges.fit.covariance + blind * np.diag([0.0, *np.ones(len(selected))]),
+        yaw_variance=0.0 if sharp else _sampling_variance(selected),
+        corners=np.stack([edges.left_corner, edges.right_corner]),
+        rotation=pose.rotation,
+        yaw_rad=pose.yaw,
+        by_sides=edges.by_sides,
+        sheared=sheared,
+    )
+
+
+def _median_gap(edges: Iterable[_Selected]) -> float:
+    """Distance from one column to the next where these edges are crossed, mm."""
+    gaps = [edge.crossings.outside[:, 0] - edge.crossings.inside[:, 0] for edge in edges]
+    return float(np.median(np.abs(np.concatenate(gaps))))
+
+
+def _sampling_variance(selected: dict[str, _Selected]) -> float:
+    """Variance of the yaw, rad², because columns sample the block's sides.
+
+    A side of length L that runs along the track within one column, of width g, may have any
+    slope below g / L, small ones more likely: a triangular distribution, of variance
+    (g / L)² / 6.  Each further column crossed ties the line down at one more place.
+    """
+    variances = []
+    for name, edge in selected.items():
+        if "side" in name:
+            inside, gap = edge.crossings.inside, _median_gap([edge])
+            length = float(np.ptp(inside[:, 1]))
+            slope = float(np.polyfit(inside[:, 1], inside[:, 0], 1)[0])
+            crossed = 1 + abs(slope) * length / gap
+            variances.append((gap / length / crossed) ** 2 / 6)
+    return 1 / sum(1 / variance for variance in variances)

@@ -1,0 +1,197 @@
+"""Files of a render and of its truth: pictures, layers and tables."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from functools import partial
+from io import BytesIO
+from pathlib import Path
+
+import numpy as np
+
+from lscan.acquisition.run import Run
+from lscan.errors import InputError
+from lscan.files.disk import make_folder, write_atomically
+from lscan.files.pictures import write_picture
+from lscan.records import Marks, Status
+from sim.scene import SECTIONS, Scene, scene_of
+from sim.scene.file import check_samples
+from sim.truth import LineBrightness, StripeTruth, board_truth, line_brightness, stripe_truths
+
+STRIPE_COLUMNS = (
+    "frame,position_mm,column,centre_px,x_mm,y_mm,z_mm,lit,seen,multiple,edge_px,"
+    "height_dn,height_sigma_dn,noise_dn,snr,status"
+)
+BOARD_COLUMNS = "frame,position_mm,kind,x_mm,z_mm,u_px,v_px,status"
+AT_ONCE = 20  # pictures between two reports of progress: surfaces are made anew for each lot
+Progress = Callable[[int, int], None]
+
+FARTHEST_MM = 1e5  # beyond, single precision no longer carries a hundredth of a millimetre
+
+
+def write_render(
+    scene: Scene, position_mm: float, folder: Path, samples: int | None = None
+) -> dict[str, Path]:
+    """The files written: picture and labels (PNG), and the layers of light (NumPy .npz).
+
+    The layers are float32 radiances in W/(m2 sr) in the air behind the port, (H, W) as the
+    picture whatever the render's fineness.  labels.png has
+    a class for each pixel (sim.datasets.labels.Label), labels-colour.png the same to look at.
+    """
+    from sim.datasets.labels import colour_labels, label_scene
+    from sim.devices import metered
+    from sim.render.tank import Tank
+    from sim.sensor import Webcam
+
+    _check_place(position_mm)
+    if samples is not None:
+        check_samples(samples, scene.tank.render.fineness, where="--samples")
+    webcam = Webcam(scene)
+    layers, exposure_ms = metered(scene, Tank(scene), webcam, position_mm, samples)
+    generator = np.random.default_rng([scene.tank.sensor.seed, 1])
+    image = webcam.expose(layers, exposure_ms, generator)
+    make_folder(folder)
+    names = {"picture": "picture.png", "layers": "layers.npz", "labels": "labels.png"}
+    files = {key: folder / name for key, name in names.items()}
+    files["labels in colour"] = folder / "labels-colour.png"
+    labels = label_scene(scene, position_mm, layers)
+    write_picture(files["picture"], image)
+    write_picture(files["labels"], labels)
+    write_picture(files["labels in colour"], colour_labels(labels))
+    pixels, stream = layers.binned(image.shape[:2]), BytesIO()
+    np.savez_compressed(
+        stream, direct=pixels.direct, scattered=pixels.scattered, ambient=pixels.ambient
+    )
+    write_atomically(files["layers"], stream.getvalue())
+    return files
+
+
+@dataclass(frozen=True)
+class Taken:
+    """When a picture is taken.  frame: its number.  position_mm: of the track."""
+
+    frame: int
+    position_mm: float
+    exposure_ms: float
+
+
+def taken_at(scene: Scene, positions_mm: Sequence[float]) -> list[Taken]:
+    """Pictures of the scene at track positions, the exposure the rig's; InputError beyond reach."""
+    for position_mm in positions_mm:
+        _check_place(position_mm)
+    exposure_ms = scene.rig.camera.exposure_ms
+    return [Taken(frame, position, exposure_ms) for frame, position in enumerate(positions_mm)]
+
+
+def taken_in(run: Run) -> tuple[Scene, list[Taken]]:
+    """The scene that a run was made of, from its own rig document, and its recorded pictures.
+
+    Raises
+    ------
+    InputError
+        Where the run was not made in the tank, or holds no picture.
+    """
+    if not set(run.rig_file.document) & SECTIONS:
+        raise InputError(
+            "was not made in the tank: its rig document describes none, so nobody knows the truth",
+            where=run.path,
+            allowed='a run of camera and track with driver = "sim"',
+        )
+    if len(run) == 0:
+        raise InputError("holds no frame yet", where=run.path)
+    taken = [Taken(row.index, row.position_mm, row.exposure_ms) for row in run.rows]
+    return scene_of(run.rig_file), taken
+
+
+def write_truth(
+    scene: Scene, taken: Sequence[Taken], folder: Path, progress: Progress | None = None
+) -> dict[str, Path]:
+    """The files written: one table for each line of the laser, and one for the board.
+
+    stripe.csv with the laser on, stripe-0.csv, stripe-1.csv ... where it has several lines;
+    board.csv where a board stands there.  Each holds all the pictures, one after the other.
+
+    Parameters
+    ----------
+    scene, taken
+        The scene, and when its pictures are taken.
+    folder
+        To write to; it is made.
+    progress
+        Called with how many pictures' tables are done, and how many there are.
+
+    Returns
+    -------
+    The tables' names and files.
+
+    Raises
+    ------
+    InputError
+        Where there is neither line nor board.
+    """
+    laser = scene.tank.laser
+    makers: dict[str, Callable[[Sequence[Taken]], Iterator[str]]] = {}
+    texts: dict[str, list[str]] = {}
+    for line in range(len(laser.sheets) if laser.on else 0):
+        name = f"stripe-{line}" if len(laser.sheets) > 1 else "stripe"
+        makers[name], texts[name] = partial(_stripe_rows, scene, line), [STRIPE_COLUMNS]
+    if scene.tank.target.shape == "board":
+        makers["board"], texts["board"] = partial(_board_rows, scene), [BOARD_COLUMNS]
+    if not makers:
+        raise InputError(
+            "no truth to tell: the laser is off and no board stands there", where=scene.source
+        )
+    for first in range(0, len(taken), AT_ONCE):
+        for name, rows in makers.items():
+            texts[name] += rows(taken[first : first + AT_ONCE])
+        if progress is not None:
+            progress(min(first + AT_ONCE, len(taken)), len(taken))
+    make_folder(folder)
+    for name, lines in texts.items():
+        write_atomically(folder / f"{name}.csv", "".join(f"{line}\n" for line in lines).encode())
+    return {name: folder / f"{name}.csv" for name in texts}
+
+
+def _check_place(position_mm: float) -> None:
+    if not abs(position_mm) <= FARTHEST_MM:  # also refuses NaN
+        raise InputError(
+            "out of range", where="--position", value=position_mm, allowed=f"+-{FARTHEST_MM:g} mm"
+        )
+
+
+def _stripe_rows(scene: Scene, line: int, taken: Sequence[Taken]) -> Iterator[str]:
+    truths = stripe_truths(scene, [picture.position_mm for picture in taken], line)
+    lights = line_brightness(scene, truths, [picture.exposure_ms for picture in taken])
+    for picture, truth, light in zip(taken, truths, lights, strict=True):
+        yield from (f"{_start(picture)},{row}" for row in _columns(truth, light))
+
+
+def _columns(truth: StripeTruth, light: LineBrightness) -> Iterator[str]:
+    columns = (
+        np.arange(len(truth.status)), truth.centre_px,
+        truth.xz_mm[:, 0], truth.y_mm, truth.xz_mm[:, 1],
+        truth.lit.astype(int), truth.seen.astype(int), truth.multiple.astype(int),
+        truth.edge_px, light.height_dn, light.height_sigma_dn, light.noise_dn, light.snr,
+    )  # fmt: skip
+    rows = zip(*(column.tolist() for column in columns), strict=True)
+    for status, row in zip(truth.status, rows, strict=True):
+        yield ",".join([*map(repr, row), Status(status).name])
+
+
+def _board_rows(scene: Scene, taken: Sequence[Taken]) -> Iterator[str]:
+    for picture in taken:
+        reading = board_truth(scene, picture.position_mm).centres
+        yield from _mark_rows(f"{_start(picture)},grid", reading.grid)
+        for number, ruler in enumerate(reading.rulers):
+            yield from _mark_rows(f"{_start(picture)},ruler-{number}", ruler.marks)
+
+
+def _start(picture: Taken) -> str:
+    return f"{picture.frame},{picture.position_mm!r}"
+
+
+def _mark_rows(start: str, marks: Marks) -> Iterator[str]:
+    rows = zip(marks.board_mm.tolist(), marks.image_px.tolist(), marks.status, strict=True)
+    for (x, z), (u, v), status in rows:
+        yield f"{start},{x!r},{z!r},{u!r},{v!r},{Status(status).name}"

@@ -1,0 +1,163 @@
+"""What each pixel of a rendered picture shows: classes for training, and masks.
+
+From the render's layers and the truth of the line, without looking at the picture itself.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from enum import IntEnum
+
+import numpy as np
+
+from lscan.errors import InputError
+from lscan.records import Bytes, Floats, Mask, Status
+from sim.render.tank import Layers
+from sim.scene import Scene
+from sim.sensor import photons_per_radiance
+from sim.sensor.coding import FULL_SCALE_DN, electrons_of
+from sim.truth import StripeTruth, sheet_of, stripe_truth
+from sim.water import water_optics
+
+CORE = 3.0  # standard deviations on either side of the line's centre
+PUSH_MM = 0.2  # by which the sheet is pushed aside to find how wide the line is
+
+
+class Label(IntEnum):
+    """Class of a pixel, and its value in the label picture."""
+
+    DARK = 0
+    LINE = 1
+    VEIL = 2
+    AMBIENT = 3
+    REFLECTION = 4
+
+
+LEGEND: Mapping[Label, str] = {
+    Label.DARK: "less light than lifts the picture by one digital number",
+    Label.LINE: "laser light from the target prevails, within 3 sigma of the line's true centre",
+    Label.VEIL: "laser light scattered by the water prevails",
+    Label.AMBIENT: "light that is not the laser's prevails",
+    Label.REFLECTION: "laser light from the target prevails, but away from the true line",
+}
+COLOURS: Mapping[Label, tuple[int, int, int]] = {
+    Label.DARK: (0, 0, 0),
+    Label.LINE: (230, 40, 40),
+    Label.VEIL: (70, 130, 220),
+    Label.AMBIENT: (150, 150, 150),
+    Label.REFLECTION: (250, 200, 40),
+}
+
+
+def label_scene(scene: Scene, position_mm: float, layers: Layers) -> Bytes:
+    """(H, W) uint8 of Label: the classes of the scene's picture taken at a track position.
+
+    layers: of that picture, of its pixels or finer.  The truth is told of every line of the
+    laser; of none where it is off.  Raises InputError as ``label_picture`` and ``stripe_truth``.
+    """
+    laser, camera = scene.tank.laser, scene.rig.camera
+    count = len(laser.sheets) if laser.on else 0
+    truths = [stripe_truth(scene, position_mm, line) for line in range(count)]
+    lines = [(truth, line_sigma_px(scene, truth)) for truth in truths]
+    pixels = layers.binned((camera.height_px, camera.width_px))
+    return label_picture(pixels, lines, one_step_w_m2_sr(scene))
+
+
+def label_picture(
+    layers: Layers, lines: Sequence[tuple[StripeTruth, Floats]], dark_w_m2_sr: float = 0.0
+) -> Bytes:
+    """(H, W) uint8 of Label: the layer that prevails in each pixel, and whether it is the line.
+
+    lines: the truth of each of the laser's lines with its sigma across, (N,) px, as
+    ``line_sigma_px`` gives it; none where the laser is off.  A column of several lit and seen
+    points (``multiple``) has a line the truth tells no centre of: all its direct light counts
+    as LINE.  dark_w_m2_sr: radiance beneath which a pixel is DARK; one without light is so in
+    any case.  Raises InputError where picture and truth differ in size.
+    """
+    stack = np.stack([layers.direct, layers.scattered, layers.ambient])
+    total = stack.sum(axis=0)
+    core = np.zeros(total.shape, dtype=bool)
+    for truth, sigma_px in lines:
+        core |= core_mask(truth, sigma_px, (total.shape[0], total.shape[1]))
+    classes = np.array([Label.REFLECTION, Label.VEIL, Label.AMBIENT], dtype=np.uint8)
+    labels = classes[stack.argmax(axis=0)]
+    labels[core & (labels == Label.REFLECTION)] = Label.LINE
+    labels[(total < dark_w_m2_sr) | (total <= 0)] = Label.DARK
+    return labels
+
+
+def one_step_w_m2_sr(scene: Scene) -> float:
+    """Radiance in W/(m2 sr) that lifts a pixel on the axis from black by one digital number.
+
+    Of laser light, in the colour that sees it best, at the rig's exposure; infinite where no
+    light reaches the sensor's electrons.
+    """
+    lens, sensor, laser = scene.tank.lens, scene.tank.sensor, scene.tank.laser
+    response = sensor.laser_response
+    exposure_ms = scene.rig.camera.exposure_ms
+    photons = photons_per_radiance(lens, sensor, exposure_ms, laser.wavelength_nm)
+    electrons = photons * max(response.red, response.green, response.blue)
+    black_dn = FULL_SCALE_DN * (sensor.black_level_dn / FULL_SCALE_DN) ** (1 / sensor.gamma)
+    return electrons_of(black_dn + 1, sensor) / electrons if electrons > 0 else float("inf")
+
+
+def core_mask(truth: StripeTruth, sigma_px: Floats, shape: tuple[int, int]) -> Mask:
+    """(H, W) the pixels within three sigma of the true line; all of a column of several.
+
+    A pixel belongs to the line where any part of it does: half a pixel is added.
+    """
+    by_columns = truth.axis == "columns"
+    across, along = shape if by_columns else shape[::-1]
+    if along != len(truth.centre_px) or sigma_px.shape != truth.centre_px.shape:
+        allowed = f"a picture of {len(truth.centre_px)} {truth.axis}"
+        raise InputError("layers and truth differ in size", value=shape, allowed=allowed)
+    shown = truth.status == Status.OK
+    reach = np.where(shown, CORE * sigma_px + 0.5, -1.0)
+    centre = np.where(shown, truth.centre_px, 0.0)
+    mask = np.abs(np.arange(across)[:, np.newaxis] - centre) <= reach
+    mask |= truth.multiple
+    return mask if by_columns else mask.T
+
+
+def colour_labels(labels: Bytes) -> Bytes:
+    """(H, W, 3) uint8 RGB of a label picture, to look at (``COLOURS``)."""
+    table = np.array([COLOURS[label] for label in Label], dtype=np.uint8)
+    return table[labels]
+
+
+def line_sigma_px(scene: Scene, truth: StripeTruth) -> Floats:
+    """(N,) standard deviation of the line across it in the picture, px; NaN where not OK.
+
+    The sheet's own (half its 1/e2 half width) as the camera sees it on the target, from the
+    truth of the same sheet pushed aside by 0.2 mm, and the lens's blur, added in squares.
+    Next to edges, where the pushed sheets meet another face, the neighbours' is carried on.
+    """
+    shift = PUSH_MM * sheet_of(scene, truth.line).pose.rotation[:, 1]
+    aside = [_pushed(scene, truth, sign * shift) for sign in (1.0, -1.0)]
+    same = truth.status == Status.OK
+    for pushed in aside:
+        same &= (pushed.status == Status.OK) & (pushed.face == truth.face)
+    rate = np.abs(aside[0].centre_px - aside[1].centre_px) / (2 * PUSH_MM)
+    index = np.arange(len(rate))
+    if same.any():
+        rate = np.interp(index, index[same], rate[same])
+    sigma = np.hypot(rate * half_width_mm(scene, truth) / 2, scene.tank.lens.blur_px)
+    return np.where(truth.status == Status.OK, sigma, np.nan)
+
+
+def half_width_mm(scene: Scene, truth: StripeTruth) -> Floats:
+    """(N,) 1/e2 half width of the sheet where it meets the target, mm."""
+    laser = scene.tank.laser
+    index = water_optics(scene.tank.water, laser.wavelength_nm).index
+    points = np.column_stack([truth.xz_mm[:, 0], truth.y_mm, truth.xz_mm[:, 1]])
+    distance = np.linalg.norm(points - np.array(laser.apex_mm), axis=1)
+    return laser.half_thickness_mm(distance, index)
+
+
+def _pushed(scene: Scene, truth: StripeTruth, shift_mm: Floats) -> StripeTruth:
+    """The truth with the laser moved by (3,) mm of the head frame."""
+    laser = scene.tank.laser
+    apex = tuple((np.array(laser.apex_mm) + shift_mm).tolist())
+    tank = scene.tank.model_copy(update={"laser": laser.model_copy(update={"apex_mm": apex})})
+    return stripe_truth(replace(scene, tank=tank), truth.position_mm, truth.line)

@@ -1,0 +1,57 @@
+"""Faults of the emulated hardware by name, as a command line gives them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from lscan.errors import InputError
+from sim.emulators.grbl import Faults
+from sim.emulators.webcam.camera import CameraFault
+
+CAMERA_FAULTS: Mapping[str, CameraFault] = {
+    "camera-hang": "hang",  # connected, and sends no more pictures
+    "camera-drop": "drop",  # breaks the connection and refuses new ones
+    "camera-black": "black",
+    "camera-wrong-size": "wrong-size",  # from now on half as wide and high
+    "camera-frozen": "frozen",  # the same picture, byte for byte
+}
+TRACK_FAULTS: Mapping[str, Faults] = {
+    "track-silent": Faults(silent=True),
+    "track-garbled": Faults(garble=0.2, seed=1),
+    "track-alarm": Faults(alarm=True),  # the limit switch closes in the next motion
+    "track-stuck": Faults(stuck=True),
+}
+UNPLUGGED, HEALED = "track-unplugged", "none"
+NAMES = (*CAMERA_FAULTS, *TRACK_FAULTS, UNPLUGGED, HEALED)
+
+
+@dataclass(frozen=True)
+class TimedFault:
+    """A fault, one of NAMES, and how long after the start it begins; "none" ends all others."""
+
+    name: str
+    after_s: float
+
+
+def parse_fault(text: str) -> TimedFault:
+    """The fault in ``NAME@SECONDS``, at once without the seconds; InputError for any other."""
+    name, at, seconds = text.partition("@")
+    try:
+        fault = TimedFault(check_name(name), float(seconds) if at else 0.0)
+    except ValueError:
+        raise _bad(text) from None
+    if not 0 <= fault.after_s <= 1e6:  # also refuses NaN
+        raise _bad(text)
+    return fault
+
+
+def check_name(name: str) -> str:
+    """The name; InputError where no fault is called so."""
+    if name not in NAMES:
+        raise InputError("no such fault", where="--fault", value=name, allowed=", ".join(NAMES))
+    return name
+
+
+def _bad(text: str) -> InputError:
+    return InputError("bad time", where="--fault", value=text, allowed="NAME@SECONDS, 0 to 1e6")

@@ -1,0 +1,20 @@
+"""A linear track whose controller answers as Grbl 1.1 does, written from its documentation.
+
+``GrblEmulator`` is the controller and the axes, ``DirectLine`` a serial line to it in simulated
+time, ``PseudoTerminal`` one that any program opens as a serial port, ``Faults`` what goes wrong.
+"""
+
+from sim.emulators.grbl.controller import DEFAULTS, GrblEmulator
+from sim.emulators.grbl.faults import Faults
+from sim.emulators.grbl.line import DirectLine, PseudoTerminal, SimulatedTime
+from sim.emulators.grbl.marlin import MarlinEmulator
+
+__all__ = [
+    "DEFAULTS",
+    "DirectLine",
+    "Faults",
+    "GrblEmulator",
+    "MarlinEmulator",
+    "PseudoTerminal",
+    "SimulatedTime",
+]

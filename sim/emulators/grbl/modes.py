@@ -1,0 +1,97 @@
+"""What a G-code controller keeps from line to line: its modal state, and how it reads targets."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from sim.emulators.grbl.gcode import Block, GcodeError
+from sim.emulators.grbl.motion import Place
+
+INCH_MM = 25.4
+AXES = "XYZ"
+
+
+@dataclass
+class Modes:
+    """Grbl's modal state, as ``$G`` lists it.
+
+    motion: 0 rapid, 1 feed, 80 none.  feed_mm_min: F.  speed: S.  spindle: 3, 4 or 0 for off.
+    offset_mm: machine coordinates of the work coordinates' origin (G92).
+    """
+
+    absolute: bool = True
+    inches: bool = False
+    motion: int = 0
+    feed_mm_min: float = 0.0
+    speed: float = 0.0
+    spindle: int = 0
+    tool: int = 0
+    offset_mm: Place = (0.0, 0.0, 0.0)
+
+    def words(self) -> str:
+        """The state as the answer to ``$G``."""
+        units, distance = 20 if self.inches else 21, 90 if self.absolute else 91
+        return (
+            f"[GC:G{self.motion} G54 G17 G{units} G{distance} G94 M{self.spindle or 5} M9 "
+            f"T{self.tool} F{self.feed_mm_min:.0f} S{self.speed:.0f}]"
+        )
+
+    def unit_mm(self, block: Block) -> float:
+        """Millimetres in a unit of the block's numbers."""
+        return INCH_MM if block.codes.get("units", 20 if self.inches else 21) == 20 else 1.0
+
+    def feed_of(self, block: Block) -> float:
+        """The block's feed in mm/min, the modal one where it has none."""
+        if "F" in block.words:
+            return block.words["F"] * self.unit_mm(block)
+        return self.feed_mm_min
+
+    @property
+    def rate_mm_min(self) -> float:
+        """The feed of a motion now; a rapid has no limit of its own."""
+        return math.inf if self.motion == 0 else self.feed_mm_min
+
+    def take(self, block: Block) -> None:
+        """Change to what the block says; GcodeError, and no change, where it cannot be."""
+        once, motion = block.codes.get("once"), block.codes.get("motion", self.motion)
+        moves = bool(block.axes) and once != 92
+        if once == 4 and "P" not in block.words:
+            raise GcodeError(28)
+        if once == 92 and not block.axes:
+            raise GcodeError(26)
+        if moves and motion == 80:
+            raise GcodeError(31)
+        feed_mm_min = self.feed_of(block)
+        if motion == 1 and (moves or "motion" in block.codes) and not feed_mm_min:
+            raise GcodeError(22)
+        self.motion, self.feed_mm_min = motion, feed_mm_min
+        self.absolute = self._counts_from_zero(block)
+        self.inches = self.unit_mm(block) == INCH_MM
+        self.speed = block.words.get("S", self.speed)
+        self.tool = int(block.words.get("T", self.tool))
+        for code in block.mcodes:
+            self.spindle = code if code in (3, 4) else 0 if code == 5 else self.spindle
+
+    def shift(self, block: Block, place_mm: Place) -> None:
+        """G92: the present machine place gets the block's numbers as work coordinates."""
+        unit_mm = self.unit_mm(block)
+        x, y, z = (
+            place - block.axes[axis] * unit_mm if axis in block.axes else zero
+            for axis, place, zero in zip(AXES, place_mm, self.offset_mm, strict=True)
+        )
+        self.offset_mm = x, y, z
+
+    def target_mm(self, block: Block, start_mm: Place) -> list[float]:
+        """The block's target in machine coordinates, for a motion from ``start_mm``."""
+        unit_mm, machine = self.unit_mm(block), block.codes.get("once") == 53
+        absolute = machine or self._counts_from_zero(block)
+        target_mm = list(start_mm)
+        for letter, value in block.axes.items():
+            axis = AXES.index(letter)
+            zero_mm = 0.0 if machine else self.offset_mm[axis]
+            target_mm[axis] = value * unit_mm + (zero_mm if absolute else target_mm[axis])
+        return target_mm
+
+    def _counts_from_zero(self, block: Block) -> bool:
+        return block.codes.get("distance", 90 if self.absolute else 91) == 90

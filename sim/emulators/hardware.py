@@ -1,0 +1,166 @@
+"""The tank as hardware: all of it, plugged in and switched on within a ``with`` block."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable
+from contextlib import ExitStack
+from pathlib import Path
+from typing import Self
+
+from lscan.config.documents import Document
+from lscan.config.rig import RigFile, parse_rig
+from lscan.files.disk import make_folder, write_atomically
+from sim.emulators.faults import (
+    CAMERA_FAULTS,
+    HEALED,
+    TRACK_FAULTS,
+    UNPLUGGED,
+    TimedFault,
+    check_name,
+)
+from sim.emulators.grbl import Faults, GrblEmulator, MarlinEmulator
+from sim.emulators.options import ServeOptions
+from sim.emulators.places import Places
+from sim.emulators.rigfile import camera_options, rig_document, rig_text
+from sim.emulators.track import EmulatedTrack
+from sim.emulators.webcam.camera import Coding, EmulatedCamera, Sight
+from sim.emulators.webcam.mjpeg import SNAPSHOT, STREAM, MjpegServer
+from sim.scene import Scene
+
+Progress = Callable[[int, int], None]
+PLACES_BESIDE_THE_PLAN = 4  # of homing and approach
+
+
+class EmulatedHardware:
+    """A webcam and a track in the tank of a scene.
+
+    with EmulatedHardware(scene) as hardware:
+        scan(hardware.rig_file(), folder)  # or open hardware.url and hardware.port
+    """
+
+    def __init__(
+        self,
+        scene: Scene,
+        options: ServeOptions | None = None,
+        progress: Progress | None = None,
+    ) -> None:
+        """Switch on; InputError where an option or the scene cannot be served.
+
+        progress: told (done, all) of the places that ``prepare`` renders.
+        """
+        self.scene, self.options = scene, (options or ServeOptions()).check()
+        self._timers: list[threading.Timer] = []
+        with ExitStack() as stack:
+            self._track = EmulatedTrack(scene.rig.plan, self.options.dialect, self.options.link)
+            stack.callback(self._track.close)
+            self._places = places = self._rendered(progress)
+            coding = Coding(self.options.quality, self.options.subsampling)
+            seed = scene.tank.sensor.seed
+            self._camera = EmulatedCamera(places, self._look, self.options.fps, coding, seed)
+            stack.callback(self._camera.close)
+            self._server = MjpegServer(self._camera, self.options.http_port)
+            stack.callback(self._server.close)
+            self._open = stack.pop_all()
+
+    @property
+    def url(self) -> str:
+        """Of the stream."""
+        return self._server.address + STREAM
+
+    @property
+    def snapshot_url(self) -> str:
+        """Of one picture."""
+        return self._server.address + SNAPSHOT
+
+    @property
+    def port(self) -> str:
+        """The track's serial port."""
+        return self._track.port
+
+    @property
+    def controller(self) -> GrblEmulator | MarlinEmulator:
+        """The emulated controller, whose ``head_mm`` is the truth."""
+        return self._track.controller
+
+    @property
+    def position_mm(self) -> float | None:
+        """The track position where the head truly rests; None while it moves."""
+        return self._track.position_mm
+
+    def rig_document(self) -> Document:
+        """The rig file of this hardware, as a document."""
+        camera = camera_options(self.url)
+        return rig_document(
+            self.scene,
+            camera,
+            self._track.rig_options(),
+            switched_laser=self.options.switched_laser,
+        )
+
+    def rig_file(self) -> RigFile:
+        """The rig of this hardware."""
+        return parse_rig(self.rig_document(), source="emulated hardware")
+
+    def write_rig(self, path: Path) -> None:
+        """Write the rig file; InputError where the disk refuses."""
+        make_folder(path.parent)
+        write_atomically(path, rig_text(self.rig_document()).encode())
+
+    def inject(self, name: str) -> None:
+        """Begin a fault of ``emulators.faults.NAMES``; "none" ends all.  InputError: no such."""
+        check_name(name)
+        if name == HEALED:
+            self.heal()
+        elif name == UNPLUGGED:
+            self._track.unplug()
+        elif name in TRACK_FAULTS:
+            self._track.inject(TRACK_FAULTS[name])
+        else:
+            self._camera.fault = CAMERA_FAULTS[name]
+            if self._camera.fault == "drop":
+                self._server.drop()
+
+    def heal(self) -> None:
+        """End all faults and plug in what was unplugged; an alarm stays until it is cleared."""
+        self._camera.fault = None
+        self._track.plug_in()
+        if isinstance(self.controller, GrblEmulator):
+            self._track.inject(Faults())
+
+    def schedule(self, fault: TimedFault) -> None:
+        """Let a fault begin in a while."""
+        timer = threading.Timer(fault.after_s, self.inject, args=(fault.name,))
+        timer.daemon = True
+        self._timers.append(timer)
+        timer.start()
+
+    def close(self) -> None:
+        """Switch off: no thread, port or link stays.  Closing twice is harmless."""
+        for timer in self._timers:
+            timer.cancel()
+        self._open.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def _look(self) -> Sight:
+        lit = self._track.lit if self.options.switched_laser else True
+        return Sight(self._track.position_mm, lit)
+
+    def _rendered(self, progress: Progress | None) -> Places:
+        """The places, with the plan's first or, to prepare, all of them rendered."""
+        options, plan = self.options, self.scene.rig.plan
+        wanted = plan.positions_mm() if options.prepare else plan.positions_mm()[:1]
+        most = max(options.places, len(wanted) + PLACES_BESIDE_THE_PLAN * options.prepare)
+        places = Places(self.scene, most, switched_laser=options.switched_laser)
+        for done, position_mm in enumerate(wanted):
+            if progress is not None:
+                progress(done, len(wanted))
+            places.view(self._track.travel.standing_mm(position_mm))
+        if progress is not None:
+            progress(len(wanted), len(wanted))
+        return places

@@ -1,0 +1,75 @@
+"""What the webcam sees from each place of the head, rendered once and kept."""
+
+from __future__ import annotations
+
+from collections import OrderedDict
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from lscan.errors import InputError
+from sim.devices import camera_options
+from sim.render.tank import Tank
+from sim.scene import Scene
+from sim.sensor import Webcam
+from sim.sensor.still import StillView
+
+NANOMETRE = 6  # decimals of a place in mm: finer, two places are one
+
+
+@dataclass(frozen=True)
+class _Place:
+    """lit: with the laser on.  dark: with the laser off; None where it is never switched."""
+
+    lit: StillView
+    dark: StillView | None
+
+
+class Places:
+    """Views of the tank from track positions; the ``most`` used last are kept.
+
+    One view of 640 by 480 px takes about 5 MB, twice that where the laser is switched.
+    """
+
+    def __init__(self, scene: Scene, most: int, *, switched_laser: bool = False) -> None:
+        """Load the tank; InputError where the scene holds what pictures kept cannot show."""
+        _refuse_change(scene)
+        self._tank, self._webcam = Tank(scene), Webcam(scene)
+        self._exposure_ms = scene.rig.camera.exposure_ms
+        self._most, self._switched = most, switched_laser
+        self._kept: OrderedDict[float, _Place] = OrderedDict()
+
+    def view(self, position_mm: float, *, lit: bool = True) -> StillView:
+        """The view from a position in mm, rendered where it is not kept."""
+        key = round(position_mm, NANOMETRE)
+        if key not in self._kept:
+            self._kept[key] = self._render(key)
+            if len(self._kept) > self._most:
+                self._kept.popitem(last=False)
+        self._kept.move_to_end(key)
+        place = self._kept[key]
+        return place.lit if lit or place.dark is None else place.dark
+
+    def _render(self, position_mm: float) -> _Place:
+        layers = self._tank.render(position_mm)
+        lit = self._webcam.still(layers, self._exposure_ms)
+        if not self._switched:
+            return _Place(lit, None)
+        none = np.zeros_like(layers.direct)
+        dark = self._webcam.still(replace(layers, direct=none, scattered=none), self._exposure_ms)
+        return _Place(lit, dark)
+
+
+def _refuse_change(scene: Scene) -> None:
+    """Refuse what makes two pictures of one place differ by more than noise, or not at all."""
+    refused = {
+        "laser.drift": (scene.tank.laser.drift is not None, "no such table"),
+        "head.speed_mm_s": (scene.tank.head.speed_mm_s != 0, "0"),
+        "camera.options.auto_exposure": (camera_options(scene).auto_exposure, "false"),
+        "sensor.noise": (not scene.tank.sensor.noise, "true: a camera without noise looks stuck"),
+    }
+    for key, (is_so, allowed) in refused.items():
+        if is_so:
+            raise InputError(
+                f"{key}: cannot be served as hardware", where=scene.source, allowed=allowed
+            )

@@ -1,0 +1,153 @@
+"""The emulated track: a controller behind a serial port, its travel made for a scan's plan."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+from lscan.config.rig import Plan
+from lscan.errors import InputError
+from sim.emulators.grbl import Faults, GrblEmulator, MarlinEmulator, PseudoTerminal
+
+Dialect = Literal["grbl", "marlin"]
+
+SPARE_MM = 5.0  # of way at either end of the plan
+APPROACH_MM, OFF_SWITCH_MM = 1.0, 1.0
+FEED_MM_MIN = 6000.0
+# Homing is as quick as moving; steps of 4 µm; 1000 mm/s2 is a tenth of g.
+MACHINE = {25: FEED_MM_MIN, 27: OFF_SWITCH_MM, 100: 250.0, 110: FEED_MM_MIN, 120: 1000.0}
+
+
+@dataclass(frozen=True)
+class Travel:
+    """Where the head may go.  min_mm, max_mm: positions.  zero_mm: machine coordinate of 0.
+
+    travel_mm: of the machine, from ``-travel_mm`` to its switch at 0.
+    """
+
+    min_mm: float
+    max_mm: float
+    zero_mm: float
+    travel_mm: float
+
+    def standing_mm(self, position_mm: float) -> float:
+        """The position at which the head comes to rest when sent to ``position_mm``.
+
+        Commands go over the line with three decimals, motors stand on whole steps.
+        """
+        steps = round(round(position_mm + self.zero_mm, 3) * MACHINE[100])
+        return steps / MACHINE[100] - self.zero_mm
+
+
+def travel_for(plan: Plan) -> Travel:
+    """The travel in which all of the plan lies, with some way to spare at either end."""
+    positions_mm = plan.positions_mm()
+    low_mm = math.floor(min(positions_mm) - SPARE_MM)
+    high_mm = math.ceil(max(positions_mm) + SPARE_MM)
+    zero_mm = -(high_mm + 2 * OFF_SWITCH_MM)
+    lowest_mm = low_mm - APPROACH_MM - OFF_SWITCH_MM
+    return Travel(float(low_mm), float(high_mm), zero_mm, -(lowest_mm + zero_mm))
+
+
+class EmulatedTrack:
+    """A controller on a pseudo-terminal, the head at the plan's start, the laser off."""
+
+    def __init__(self, plan: Plan, dialect: str = "grbl", link: Path | None = None) -> None:
+        """Plug it in.
+
+        link: a name for the port that stays the same; InputError where something has it.
+        """
+        self.travel = travel = travel_for(plan)
+        settings = {**MACHINE, 130: travel.travel_mm}
+        head_mm = (plan.start_mm + travel.zero_mm, -OFF_SWITCH_MM, -OFF_SWITCH_MM)
+        self.controller: GrblEmulator | MarlinEmulator = (
+            GrblEmulator(settings, head_mm)
+            if dialect == "grbl"
+            else MarlinEmulator(settings, head_mm)
+        )
+        self.dialect, self._link = dialect, link
+        self._refuse_taken()
+        self._terminal: PseudoTerminal | None = None
+        self.plug_in()
+
+    @property
+    def port(self) -> str:
+        """What to open as a serial port; "" while it is unplugged and has no link."""
+        if self._link is not None:
+            return str(self._link.absolute())
+        return "" if self._terminal is None else self._terminal.port
+
+    @property
+    def position_mm(self) -> float | None:
+        """Track position where the head truly rests; None while it moves."""
+        head_mm = self.controller.standing_mm
+        return None if head_mm is None else head_mm[0] - self.travel.zero_mm
+
+    @property
+    def lit(self) -> bool:
+        """Whether the controller has switched the laser on: M3 and S above 0."""
+        return self.controller.laser_power > 0
+
+    def inject(self, faults: Faults) -> None:
+        """Let faults act on the line and the machine; InputError where the dialect has none."""
+        if not isinstance(self.controller, GrblEmulator):
+            raise InputError("has no such faults", where="--fault", value="marlin", allowed="grbl")
+        self.controller.inject(faults)
+
+    def unplug(self) -> None:
+        """Pull the cable; the controller stays under power."""
+        if self._terminal is not None:
+            self._remove_link()
+            self._terminal.close()
+            self._terminal = None
+
+    def plug_in(self) -> None:
+        """Plug the cable in; nothing where it is."""
+        if self._terminal is not None:
+            return
+        self._terminal = PseudoTerminal(self.controller)
+        if self._link is not None:
+            try:
+                self._link.symlink_to(self._terminal.port)
+            except OSError as error:
+                self._terminal.close()
+                raise InputError(
+                    f"cannot be made a link: {error.strerror}",
+                    where="--link",
+                    value=str(self._link),
+                ) from error
+
+    def rig_options(self) -> dict[str, Any]:
+        """``[track.options]`` of a rig file for this track.
+
+        Nothing shakes when it stops; settle_s covers a picture that is on its way.  A pseudo-
+        terminal does not restart the controller when it is opened, so boot_s need not wait.
+        """
+        return {
+            "port": self.port,
+            "dialect": self.dialect,
+            "min_mm": self.travel.min_mm,
+            "max_mm": self.travel.max_mm,
+            "zero_mm": self.travel.zero_mm,
+            "feed_mm_min": FEED_MM_MIN,
+            "approach_mm": APPROACH_MM,
+            "settle_s": 0.05,
+            "boot_s": 0.2,
+        }
+
+    def close(self) -> None:
+        """Close the port and remove its link; closing twice is harmless."""
+        self.unplug()
+
+    def _refuse_taken(self) -> None:
+        link = self._link
+        if link is not None and link.is_symlink() and not link.exists():
+            link.unlink()  # left by one that was killed
+        if link is not None and link.exists():
+            raise InputError("is taken", where="--link", value=str(link), allowed="a new name")
+
+    def _remove_link(self) -> None:
+        if self._link is not None:
+            self._link.unlink(missing_ok=True)

@@ -1,0 +1,1 @@
+"""The tank as a webcam on a network."""

@@ -1,0 +1,144 @@
+"""The emulated camera: it goes on taking pictures from where the head stands."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from lscan.records import Bytes
+from sim.emulators.places import Places
+from sim.sensor.coding import jpeg_bytes
+
+CameraFault = Literal["hang", "drop", "black", "wrong-size", "frozen"]
+STREAM = 4  # of the sensor's seed; 0 to 3 are taken (sim.sensor.noise)
+
+
+@dataclass(frozen=True)
+class Sight:
+    """What there is to be seen.  position_mm: where the head rests, None while it moves.
+
+    lit: whether the laser is on.
+    """
+
+    position_mm: float | None
+    lit: bool
+
+
+@dataclass(frozen=True)
+class Shot:
+    """A picture as a JPEG file.  number: from 1 on.  sight: what it shows, never moving."""
+
+    number: int
+    jpeg: bytes
+    sight: Sight
+
+
+@dataclass(frozen=True)
+class Coding:
+    """How pictures are coded.  quality: of the JPEG, 1 to 100.  subsampling: of its chroma."""
+
+    quality: int
+    subsampling: str
+
+
+class EmulatedCamera:
+    """Pictures of the tank at a steady rate while anyone watches, in a thread of its own.
+
+    A picture handed out while the head rests shows where it rests.  While it moves, the last
+    place rendered is shown; once it rests where nothing has been rendered yet, nothing is
+    handed out until that is done.
+    """
+
+    def __init__(
+        self, places: Places, look: Callable[[], Sight], fps: float, coding: Coding, seed: int
+    ) -> None:
+        self._places, self._look, self._coding = places, look, coding
+        self._period_s = 1 / fps
+        self._generator = np.random.Generator(np.random.SFC64([seed, STREAM]))
+        self._changed = threading.Condition()
+        self._shot: Shot | None = None
+        self._count, self._watchers, self._ended = 0, 0, False
+        self.fault: CameraFault | None = None
+        self._thread = threading.Thread(target=self._run, name="emulated camera", daemon=True)
+        self._thread.start()
+
+    @property
+    def count(self) -> int:
+        """Pictures taken so far."""
+        return self._count
+
+    @contextmanager
+    def watched(self) -> Iterator[None]:
+        """Someone watches within the block; without anyone, no picture is taken."""
+        with self._changed:
+            self._watchers += 1
+            self._changed.notify_all()
+        try:
+            yield
+        finally:
+            with self._changed:
+                self._watchers -= 1
+
+    def newest(self, after: int, timeout_s: float) -> Shot | None:
+        """The newest picture if its number is above ``after`` and it is still true, or becomes
+        so in time; else None."""
+        with self._changed:
+            self._changed.wait_for(lambda: self._ended or self._is_true(after), timeout_s)
+            return self._shot if self._is_true(after) and not self._ended else None
+
+    def close(self) -> None:
+        """End the thread; closing twice is harmless."""
+        with self._changed:
+            self._ended = True
+            self._changed.notify_all()
+        self._thread.join()
+
+    def _is_true(self, after: int) -> bool:
+        """Whether the last shot may still be handed out: the head may have left since."""
+        if self._shot is None or self._shot.number <= after or self.fault == "hang":
+            return False
+        now, then = self._look(), self._shot.sight
+        return now.lit == then.lit and now.position_mm in (None, then.position_mm)
+
+    def _run(self) -> None:
+        due_s = time.monotonic()
+        while self._awaited(due_s):
+            due_s = max(due_s + self._period_s, time.monotonic())
+            shot = self._expose()
+            with self._changed:
+                if shot is not None:
+                    self._shot, self._count = shot, shot.number
+                self._changed.notify_all()
+
+    def _awaited(self, due_s: float) -> bool:
+        """Wait until the next picture is due and someone watches; False at the end."""
+        with self._changed:
+            self._changed.wait_for(lambda: self._ended, max(0.0, due_s - time.monotonic()))
+            self._changed.wait_for(lambda: self._ended or self._watchers > 0)
+            return not self._ended
+
+    def _expose(self) -> Shot | None:
+        """The next picture; None where the head moves and no place has been seen yet."""
+        sight, last = self._look(), self._shot
+        if sight.position_mm is None:
+            if last is None:
+                return None
+            sight = Sight(last.sight.position_mm, sight.lit)
+        if self.fault == "frozen" and last is not None:
+            return Shot(self._count + 1, last.jpeg, sight)
+        assert sight.position_mm is not None
+        view = self._places.view(sight.position_mm, lit=sight.lit)
+        image = self._spoilt(view.picture(self._generator))
+        jpeg = jpeg_bytes(image, self._coding.quality, self._coding.subsampling)
+        return Shot(self._count + 1, jpeg, sight)
+
+    def _spoilt(self, image: Bytes) -> Bytes:
+        if self.fault == "black":
+            return np.zeros_like(image)
+        return image[::2, ::2] if self.fault == "wrong-size" else image

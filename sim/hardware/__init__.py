@@ -1,1 +1,0 @@
-"""The figures of ``make hardware``: drivers, faults, resuming and the live page, emulated."""

@@ -1,0 +1,1 @@
+"""The renderer: meshes, materials, integrators and the backend they run on."""

@@ -1,0 +1,322 @@
+"""Mitsuba with an LLVM that can render: the one door through which ``sim`` reaches Mitsuba.
+
+Dr.Jit compiles its kernels with whatever libLLVM it finds first.  Version 14 and older are
+refused; 15 and 16 load and then abort the whole process at the first render ("Cannot select
+... fminimum", measured with Dr.Jit 1.5.0), which no ``except`` can catch.  So every candidate
+renders a few pixels once in a process of its own, and the answer is remembered.
+
+``python -m sim.render.backend`` prints the library chosen; with ``--install`` it first asks the
+package manager for one where none serves.
+"""
+
+from __future__ import annotations
+
+import argparse
+import importlib
+import importlib.util
+import json
+import os
+import re
+import shutil
+import signal
+import subprocess
+import sys
+import tempfile
+from collections.abc import Callable, Iterable, Mapping
+from contextlib import suppress
+from dataclasses import dataclass
+from importlib.metadata import version
+from pathlib import Path
+from types import ModuleType
+
+from lscan.errors import InputError, LscanError
+from lscan.files.disk import write_atomically
+from sim.debian import PackageError, install_first
+
+LLVM, CUDA = "llvm_ad_mono", "cuda_ad_mono"
+OLDEST_MAJOR = 15  # Dr.Jit itself refuses whatever lacks opaque pointers
+PACKAGES = ("libllvm19", "libllvm20", "libllvm21", "libllvm18", "libllvm17")
+PROBE_TIMEOUT_S = 120.0  # a probe takes about 1 s; this is for a machine under heavy load
+
+_NAME = re.compile(r"libLLVM(?:-(\d+)[\w.]*?)?\.so(?:\.(\d+)[\w.]*)?")
+_PLACES = (
+    "lib*",
+    "lib/*-linux-gnu*",
+    "lib/llvm-*/lib",
+    "lib64/llvm*/lib",
+)  # under /usr and the like
+_PROBE = """
+import resource, sys
+resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+import drjit as dr, mitsuba as mi
+mi.set_variant(sys.argv[1])
+mi.set_log_level(mi.LogLevel.Error)
+low = dr.minimum(dr.opaque(mi.Float, 1.0, 4), dr.opaque(mi.Float, 2.0, 4))
+assert dr.all(low == 1.0)
+scene = mi.load_dict({
+    "type": "scene",
+    "integrator": {"type": "path"},
+    "sensor": {"type": "perspective", "film": {"type": "hdrfilm", "width": 4, "height": 4}},
+    "light": {"type": "constant"},
+    "target": {"type": "sphere", "center": [0, 0, 5]},
+})
+assert dr.all(mi.render(scene, spp=1).array > 0.0)
+"""
+
+
+class BackendError(LscanError):
+    """Mitsuba cannot render on this machine; the line says what to install."""
+
+    exit_code = 2
+
+
+@dataclass(frozen=True)
+class Library:
+    """A libLLVM by its resolved path; ``major`` is None where the name does not tell."""
+
+    path: Path
+    major: int | None
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """Whether Mitsuba rendered; ``final`` where asking again would give the same answer."""
+
+    works: bool
+    reason: str = ""
+    final: bool = True
+
+
+Probe = Callable[[Library], Verdict]
+
+
+def load_mitsuba() -> ModuleType:
+    """The module ``mitsuba`` with its variant set, safe to render with.
+
+    The variant is ``llvm_ad_mono``, or ``cuda_ad_mono`` where the environment variable
+    LSCAN_VARIANT asks for it.  Sets DRJIT_LIBLLVM_PATH for this process and its children.
+    Raises BackendError where Mitsuba is missing or nothing on this machine can run it.
+    """
+    mitsuba = sys.modules.get("mitsuba")
+    if mitsuba is not None and mitsuba.variant() in (LLVM, CUDA):
+        return mitsuba
+    _require_mitsuba()
+    variant = os.environ.get("LSCAN_VARIANT") or LLVM
+    if variant == LLVM:
+        os.environ["DRJIT_LIBLLVM_PATH"] = str(find_llvm().path)
+    elif variant == CUDA:
+        _require_cuda()
+    else:
+        raise BackendError(f"LSCAN_VARIANT: got {variant!r} (allowed: {LLVM}, {CUDA})")
+    mitsuba = importlib.import_module("mitsuba")
+    mitsuba.set_variant(variant)
+    return mitsuba
+
+
+def find_llvm(candidates: Iterable[Path] | None = None, probe: Probe | None = None) -> Library:
+    """The newest libLLVM that Mitsuba renders with.
+
+    candidates: the files to choose from, by default DRJIT_LIBLLVM_PATH alone where the user
+    has set it, else all that this machine holds.  probe: tries one out, by default in a
+    process of its own, once.  Raises BackendError naming each candidate and its fault.
+    """
+    named = os.environ.get("DRJIT_LIBLLVM_PATH") if candidates is None else None
+    if named and not Path(named).is_file():
+        raise BackendError(f"DRJIT_LIBLLVM_PATH: no such file (got {named!r})")
+    paths = [Path(named)] if named else _installed() if candidates is None else candidates
+    faults = []
+    for library in newest_first(paths):
+        verdict = _try(library, probe or probe_remembered)
+        if verdict.works:
+            return library
+        faults.append(f"{library.path.name}: {verdict.reason}")
+    if named:
+        raise BackendError(
+            f"DRJIT_LIBLLVM_PATH: cannot render with {named} ({'; '.join(faults)}); "
+            "name a libLLVM of version 17 or newer, or unset it"
+        )
+    raise BackendError(_advice(faults))
+
+
+def newest_first(paths: Iterable[Path]) -> list[Library]:
+    """The libraries behind ``paths``, links resolved, each once, newest major version first.
+
+    Files that are not libLLVM itself are left out; those of unknown version come last.
+    """
+    libraries = set()
+    for path in paths:
+        resolved = path.resolve()
+        match = _NAME.fullmatch(resolved.name)
+        if match:
+            major = match[1] or match[2]
+            libraries.add(Library(resolved, int(major) if major else None))
+    return sorted(libraries, key=lambda found: (-(found.major or 0), str(found.path)))
+
+
+def _try(library: Library, probe: Probe) -> Verdict:
+    if library.major is not None and library.major < OLDEST_MAJOR:
+        return Verdict(works=False, reason=f"too old, Dr.Jit needs {OLDEST_MAJOR} or newer")
+    return probe(library)
+
+
+def _installed() -> list[Path]:
+    """Every file named like a libLLVM that the dynamic linker or the usual folders hold."""
+    paths = []
+    ldconfig = shutil.which("ldconfig", path=f"{os.environ.get('PATH', '')}:/usr/sbin:/sbin")
+    if ldconfig:
+        listed = subprocess.run([ldconfig, "-p"], capture_output=True, text=True).stdout
+        paths += [Path(name) for name in re.findall(r"=> (\S*libLLVM\S*)", listed)]
+    for root in ("/usr", "/usr/local", "/", sys.prefix):
+        for place in _PLACES:
+            paths += Path(root).glob(f"{place}/libLLVM*.so*")
+    return [path for path in paths if path.is_file()]
+
+
+def probe_library(library: Library) -> Verdict:
+    """Whether Mitsuba renders with this libLLVM, tried in a process of its own."""
+    return _probe(LLVM, {"DRJIT_LIBLLVM_PATH": str(library.path)})
+
+
+def _probe(variant: str, settings: Mapping[str, str]) -> Verdict:
+    # A fresh home, so that no kernel out of Dr.Jit's disk cache answers for the compiler.
+    with tempfile.TemporaryDirectory(prefix="lscan-probe-") as home:
+        try:
+            done = subprocess.run(
+                [sys.executable, "-c", _PROBE, variant],
+                env={**os.environ, **settings, "HOME": home},
+                cwd=home,
+                capture_output=True,
+                text=True,
+                errors="replace",
+                timeout=PROBE_TIMEOUT_S,
+            )
+        except subprocess.TimeoutExpired:
+            reason = f"no answer within {PROBE_TIMEOUT_S:.0f} s"
+            return Verdict(works=False, reason=reason, final=False)
+    return _judge(done.returncode, done.stderr)
+
+
+def _judge(code: int, stderr: str) -> Verdict:
+    """A crash is the library's doing; a plain failure may not be and is not held against it."""
+    if code == 0:
+        return Verdict(works=True)
+    lines = [line.strip() for line in stderr.splitlines() if line.strip()] or ["no message"]
+    told = [line for line in lines if "LLVM ERROR" in line]
+    reason = re.sub(r":? 0x.*", "", (told or lines[-1:])[0])[:120]  # without its addresses
+    if code > 0:
+        return Verdict(works=False, reason=reason, final=False)
+    crashed = -code in (signal.SIGABRT, signal.SIGSEGV, signal.SIGILL)
+    reason = f"takes the process down with {signal.Signals(-code).name} ({reason})"
+    return Verdict(works=False, reason=reason, final=crashed)
+
+
+def probe_remembered(library: Library, probe: Probe = probe_library) -> Verdict:
+    """What ``probe`` says of this library, or said before of the same file and Dr.Jit.
+
+    Answers are kept in ``lscan/llvm.json`` under XDG_CACHE_HOME; a file that cannot be read
+    counts as empty, and one that cannot be written is done without.
+    """
+    cache = _cache_file()
+    answers = _read_answers(cache)
+    facts = library.path.stat()
+    key = f"{library.path} {facts.st_mtime_ns} {facts.st_size} drjit-{version('drjit')}"
+    if key in answers:
+        return answers[key]
+    verdict = probe(library)
+    if verdict.final:
+        with suppress(OSError, InputError):
+            _write_answers(cache, {**answers, key: verdict})
+    return verdict
+
+
+def _cache_file() -> Path:
+    home = os.environ.get("HOME") or tempfile.gettempdir()
+    return Path(os.environ.get("XDG_CACHE_HOME") or f"{home}/.cache") / "lscan" / "llvm.json"
+
+
+def _read_answers(cache: Path) -> dict[str, Verdict]:
+    try:
+        stored = json.loads(cache.read_text(encoding="utf-8"))
+        return {
+            str(key): Verdict(works=entry["works"] is True, reason=str(entry["reason"]))
+            for key, entry in stored.items()
+        }
+    except (OSError, ValueError, TypeError, KeyError, AttributeError):
+        return {}
+
+
+def _write_answers(cache: Path, answers: Mapping[str, Verdict]) -> None:
+    stored = {key: {"works": one.works, "reason": one.reason} for key, one in answers.items()}
+    cache.parent.mkdir(parents=True, exist_ok=True)
+    write_atomically(cache, json.dumps(stored, indent=1).encode())
+
+
+def _require_mitsuba() -> None:
+    if importlib.util.find_spec("mitsuba") is None:
+        raise BackendError("mitsuba is not installed: pip install 'lscan[tank]', or run make test")
+
+
+def _require_cuda() -> None:
+    verdict = _probe(CUDA, {})
+    if not verdict.works:
+        raise BackendError(
+            f"LSCAN_VARIANT: {CUDA} needs an NVIDIA GPU with OptiX ({verdict.reason}); "
+            f"unset it to render with {LLVM}"
+        )
+
+
+def _advice(faults: list[str]) -> str:
+    tried = f"tried {'; '.join(faults)}" if faults else "found no libLLVM at all"
+    return (
+        "no usable LLVM: install the package libllvm19 (Debian 12 and 13, Ubuntu 24.04) or "
+        "llvm-libs (Fedora, Arch); Ubuntu 22.04 has nothing newer than libllvm15: add the LLVM "
+        "project's own apt repository for jammy and install libllvm19 from there, or move to "
+        f"24.04; or name another libLLVM in DRJIT_LIBLLVM_PATH; {tried}"
+    )
+
+
+def install_llvm() -> None:
+    """Install the first package of PACKAGES that apt-get offers; its output goes to stderr.
+
+    Raises BackendError where apt-get, the right to use it, or such a package is missing.
+    """
+    try:
+        install_first(PACKAGES)
+    except PackageError as refused:
+        raise BackendError(str(refused)) from refused
+
+
+def find_or_install() -> Library:
+    """The libLLVM to render with, installed first where none serves.
+
+    Raises BackendError; where installing failed too, its line says both.
+    """
+    try:
+        return find_llvm()
+    except BackendError as missing:
+        if os.environ.get("DRJIT_LIBLLVM_PATH"):
+            raise
+        try:
+            install_llvm()
+        except BackendError as refused:
+            raise BackendError(f"{missing}; {refused}") from refused
+    return find_llvm()
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """The exit code of ``python -m sim.render.backend [--install]``: 0, or 2 after one line."""
+    parser = argparse.ArgumentParser(prog="python -m sim.render.backend", description=main.__doc__)
+    parser.add_argument("--install", action="store_true", help="install an LLVM if none serves")
+    options = parser.parse_args(arguments)
+    try:
+        _require_mitsuba()
+        library = find_or_install() if options.install else find_llvm()
+    except BackendError as error:
+        print(error, file=sys.stderr)
+        return error.exit_code
+    print(library.path)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

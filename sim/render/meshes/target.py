@@ -1,0 +1,152 @@
+"""The target of a scene, and everything else that stands in the tank, as parts."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import trimesh
+
+from lscan.config.targets import GroovedBlock, Sandwave
+from lscan.errors import InputError
+from lscan.files.disk import read_bytes
+from sim.render.meshes.board import board_parts
+from sim.render.meshes.paint import picture_paint, reflectance_at, vertex_paint
+from sim.render.meshes.parts import Finish, Part, moved, plain_mesh
+from sim.render.meshes.sand import sanded_sandwave_mesh
+from sim.render.meshes.workpieces import grooved_block_mesh, sandwave_parts
+from sim.scene import FLOOR_HALF_SIDE_MM, Floor, Scene, Texture, target_pose
+
+MOST_BYTES = {"ply": 2**28, "stl": 2**28, "obj": 2**26, "off": 2**26}
+"""Of a mesh file, by its ending.  Text takes up to fifty times as much once it is read."""
+FURTHEST_MM = 1e6
+"""Of a vertex from the origin, along an axis: a kilometre."""
+MM_PER_UNIT = {"mm": 1.0, "cm": 10.0, "m": 1000.0, "inch": 25.4}
+MARKS = "marks"  # the one part of a board that a texture leaves as it is
+
+
+def scene_parts(scene: Scene) -> list[Part]:
+    """All parts that stand in the tank, in the world frame; InputError as ``target_parts``."""
+    pose = target_pose(scene)
+    parts = [moved(part, pose) for part in target_parts(scene)]
+    if scene.tank.floor is not None:
+        parts.append(floor_part(scene.tank.floor))
+    return parts
+
+
+def target_mesh(scene: Scene) -> trimesh.Trimesh:
+    """The whole target, without the floor, as one mesh in the world frame."""
+    pose = target_pose(scene)
+    meshes = [moved(part, pose).mesh for part in target_parts(scene)]
+    return trimesh.util.concatenate(meshes) if meshes else trimesh.Trimesh()
+
+
+def target_parts(scene: Scene) -> list[Part]:
+    """The target's parts in its own frame (workpiece, board or mesh file), finished.
+
+    Their albedo is the one at the laser's nominal wavelength: a drift of some nm does not
+    change it.  Raises InputError where sand does not go with the target, a mesh or a picture
+    cannot be read, or the albedo is not given at that wavelength.
+    """
+    target = scene.tank.target
+    if target.shape == "none":
+        return []
+    where = f"{scene.source}: target.albedo"
+    albedo = reflectance_at(target.albedo, scene.tank.laser.wavelength_nm, where)
+    finish = Finish(target.finish, target.roughness, target.coat_index)
+    parts = [replace(part, finish=finish) for part in _bare_parts(scene, albedo)]
+    if target.texture is None:
+        return parts
+    return [_papered(part, scene, target.texture) for part in parts]
+
+
+def _bare_parts(scene: Scene, albedo: float) -> list[Part]:
+    """The target's parts as its shape makes them, matt and without a texture."""
+    target, rig = scene.tank.target, scene.rig
+    is_sandwave = target.shape == "workpiece" and isinstance(rig.workpiece, Sandwave)
+    if target.sand is not None and not is_sandwave:
+        raise InputError("target.sand goes with a sandwave only", where=scene.source)
+    if target.shape == "mesh":
+        with _named(scene, "target.file"):
+            mesh = load_mesh(Path(target.file or ""), MM_PER_UNIT[target.unit or "mm"])
+        return [Part("mesh", mesh, albedo, paint=vertex_paint(mesh))]
+    if target.shape == "board":
+        assert rig.board is not None  # sim.scene has checked it
+        return board_parts(rig.board, albedo, target.mark_albedo)
+    if isinstance(rig.workpiece, GroovedBlock):
+        return [Part("grooved-block", grooved_block_mesh(rig.workpiece), albedo)]
+    assert isinstance(rig.workpiece, Sandwave)
+    if target.sand is not None:
+        return [Part("sand", sanded_sandwave_mesh(rig.workpiece, target.sand), albedo)]
+    return sandwave_parts(rig.workpiece, albedo)
+
+
+def _papered(part: Part, scene: Scene, texture: Texture) -> Part:
+    """The part with the texture laid over it, seen along -y where it is a board, else from z."""
+    if part.name == MARKS:
+        return part
+    target = scene.tank.target
+    if part.paint is not None:
+        raise InputError(
+            "target.texture does not go with a mesh that has vertex colours",
+            where=scene.source,
+            value=target.file,
+        )
+    plane = (0, 2) if target.shape == "board" else (0, 1)
+    with _named(scene, "target.texture.file"):
+        paint = picture_paint(texture, part.mesh.vertices[:, plane])
+    return replace(part, paint=paint)
+
+
+@contextmanager
+def _named(scene: Scene, key: str) -> Iterator[None]:
+    """Put the scene and the key before an InputError about the file that the key names."""
+    try:
+        yield
+    except InputError as error:
+        raise InputError(f"{key}: {error}", where=scene.source) from error
+
+
+def load_mesh(path: Path, mm_per_unit: float = 1.0) -> trimesh.Trimesh:
+    """A user's mesh file, in mm; InputError where it cannot be read or has no triangles.
+
+    Vertices that coincide are merged, unless the file colours them: two colours may meet
+    there.  Colours of faces are not read, nor are other files that the file names.
+    """
+    kind = path.suffix.lower().removeprefix(".")
+    if kind not in MOST_BYTES:
+        allowed = ", ".join(f".{name}" for name in MOST_BYTES)
+        raise InputError("is no kind of mesh file", where=path, value=path.suffix, allowed=allowed)
+    content = read_bytes(path, MOST_BYTES[kind])
+    if not content:
+        raise InputError("is an empty file", where=path)
+    try:
+        mesh = trimesh.load_mesh(io.BytesIO(content), file_type=kind, process=False)
+    except Exception as error:  # trimesh raises whatever its format readers raise
+        told = " ".join(f"is not a mesh that can be read: {error}".split())
+        raise InputError(told, where=path) from error
+    if not isinstance(mesh, trimesh.Trimesh) or len(mesh.faces) == 0:
+        raise InputError("holds no triangles", where=path)
+    if not np.isfinite(mesh.vertices).all():
+        raise InputError("has vertices that are not finite", where=path)
+    mesh.apply_scale(mm_per_unit)
+    if np.abs(mesh.vertices).max() > FURTHEST_MM:
+        allowed = f"{FURTHEST_MM:g} mm from the origin at most"
+        raise InputError("has vertices too far away", where=path, allowed=allowed)
+    if mesh.faces.min() < 0 or mesh.faces.max() >= len(mesh.vertices):
+        raise InputError("has triangles of vertices that are not there", where=path)
+    if mesh.visual.kind != "vertex":
+        mesh.merge_vertices(merge_tex=True, merge_norm=True)
+    return mesh
+
+
+def floor_part(floor: Floor) -> Part:
+    """The tank's floor, a level matt square in the world frame."""
+    s = FLOOR_HALF_SIDE_MM
+    corners = [[-s, -s], [s, -s], [s, s], [-s, s]]
+    vertices = np.column_stack([corners, np.full(4, floor.z_mm)])
+    return Part("floor", plain_mesh(vertices, np.array([[0, 1, 2], [0, 2, 3]])), floor.albedo)

@@ -1,0 +1,88 @@
+"""The paper's test pieces as meshes in their workpiece frames."""
+
+from __future__ import annotations
+
+import numpy as np
+import trimesh
+from shapely.geometry import Polygon, box
+
+from lscan.config.targets import GroovedBlock, Sandwave
+from lscan.records import Floats
+from sim.render.meshes.parts import Part, facing, grid_faces, plain_mesh
+
+# Chord error of the sandwave's facets: step² · max|z''| / 8 = 0.25 · 0.22 / 8 = 7 µm.
+WAVE_STEP_MM = 0.5
+
+
+def grooved_block_mesh(block: GroovedBlock) -> trimesh.Trimesh:
+    """The grooved block in its workpiece frame."""
+    prism = trimesh.creation.extrude_polygon(Polygon(block.outline_mm()), block.length_mm)
+    x, z, along = prism.vertices.T
+    turned = np.column_stack([x, block.length_mm / 2 - along, z])
+    return plain_mesh(turned, prism.faces)
+
+
+def sandwave_parts(piece: Sandwave, albedo: float) -> list[Part]:
+    """The sandwave block in its workpiece frame: wave, curtain to the rim, rim, body, wedges."""
+    wave, border = _wave_patch(piece)
+    rest = [_curtain(border), _rim(piece), sandwave_body(piece), *_wedges(piece)]
+    return [
+        Part("sandwave", wave, albedo, smooth=True),
+        Part("block", trimesh.util.concatenate(rest), albedo),
+    ]
+
+
+def _wave_patch(piece: Sandwave) -> tuple[trimesh.Trimesh, Floats]:
+    """The wave's mesh and its border, (N, 3), counter-clockwise and closed."""
+    count = int(np.ceil(piece.side_mm / WAVE_STEP_MM)) + 1
+    axis = np.linspace(0.0, piece.side_mm, count)
+    x, y = np.meshgrid(axis, axis)
+    z = piece.height_mm(x, y)
+    points = np.stack([x, y, z], axis=-1)
+    mesh = plain_mesh(points.reshape(-1, 3), grid_faces(count, count))
+    mesh.vertex_normals = _wave_normals(piece, x.ravel(), y.ravel())
+    sides = [points[0], points[:, -1], points[-1, ::-1], points[::-1, 0]]
+    return mesh, np.concatenate(sides)
+
+
+def _wave_normals(piece: Sandwave, x: Floats, y: Floats) -> Floats:
+    """(N, 3) unit normals of eq. (4) from its derivatives."""
+    phase = piece.c_per_mm * x + piece.d_rad * np.sin(piece.e_per_mm * y)
+    amplitude = piece.a_mm + piece.b * y
+    z_x = amplitude * piece.c_per_mm * np.cos(phase)
+    phase_y = piece.d_rad * piece.e_per_mm * np.cos(piece.e_per_mm * y)
+    z_y = piece.b * np.sin(phase) + amplitude * phase_y * np.cos(phase)
+    normals = np.column_stack([-z_x, -z_y, np.ones_like(z_x)])
+    return normals / np.linalg.norm(normals, axis=1, keepdims=True)
+
+
+def _curtain(border: Floats) -> trimesh.Trimesh:
+    """The upright strip between the wave's border and the rim's level z = 0."""
+    count = len(border)
+    foot = border * [1.0, 1.0, 0.0]
+    i = np.arange(count - 1)
+    faces = np.vstack(
+        [np.column_stack([i, i + 1, i + count]), np.column_stack([i + 1, i + count + 1, i + count])]
+    )
+    return plain_mesh(np.vstack([border, foot]), faces)
+
+
+def _rim(piece: Sandwave) -> trimesh.Trimesh:
+    low, high = -piece.rim_mm, piece.side_mm + piece.rim_mm
+    ring = box(low, low, high, high).difference(box(0, 0, piece.side_mm, piece.side_mm))
+    plan, faces = trimesh.creation.triangulate_polygon(ring, engine="earcut")
+    return facing(np.column_stack([plan, np.zeros(len(plan))]), faces, np.array([0, 0, 1.0]))
+
+
+def sandwave_body(piece: Sandwave) -> trimesh.Trimesh:
+    """Sides and underside of the sandwave block: a box without its lid."""
+    low, high = -piece.rim_mm, piece.side_mm + piece.rim_mm
+    body = trimesh.creation.box(bounds=[[low, low, -piece.body_mm], [high, high, 0.0]])
+    return body.submesh([body.face_normals[:, 2] < 0.5], append=True)
+
+
+def _wedges(piece: Sandwave) -> list[trimesh.Trimesh]:
+    return [
+        trimesh.creation.extrude_polygon(Polygon(plan), piece.wedge.height_mm)
+        for plan in piece.wedge_plans_mm()
+    ]

@@ -1,0 +1,196 @@
+"""The sensor plugin: a distorting lens behind a port, looking into water.
+
+A ray starts in the lens in air, crosses the port (sim.render.plugins.ports) and leaves the glass's
+outer face into the water, so no specular interface stands in the scene and any integrator
+can connect to it.  Through an aperture of its own size the lens blurs by defocus; a head that
+moves while the shutter is open blurs by motion.
+"""
+
+from __future__ import annotations
+
+import drjit as dr
+import mitsuba as mi
+
+from lscan.errors import InputError
+from lscan.records import Floats
+from sim.render.plugins.opaque import opaque, opaque_vector
+from sim.render.plugins.ports import PortOptics, closed_form
+from sim.scene import Lens, Port, Pose
+
+# Newton converges quadratically; from the distorted point as a start, a wide-angle barrel
+# (k1 = -0.3 at a radius of 0.6) is at single precision after four steps.
+UNDISTORT_STEPS = 6
+MS_PER_S = 1e3
+
+
+class RefractiveCamera(mi.Sensor):
+    """Rays of a webcam behind a port: ``configure``, ``place``, and ``move`` if it does."""
+
+    def __init__(self, props: mi.Properties) -> None:
+        """Stand still until ``move`` says otherwise."""
+        super().__init__(props)
+        self.lens_is_open = self.is_moving = False
+
+    def configure(
+        self,
+        lens: Lens,
+        port: Port,
+        glass_index: float,
+        water_index: float,
+        *,
+        aperture_mm: float = 0.0,
+    ) -> None:
+        """Set the optics; every number becomes an opaque value, so no kernel is recompiled.
+
+        glass_index, water_index: relative to air.  aperture_mm: diameter of the entrance
+        pupil of a thin lens in the pinhole's plane; 0 is a pinhole.  Raises InputError where
+        an open aperture lacks the distance it is focused at.
+        """
+        if aperture_mm > 0 and lens.focus_mm is None:
+            raise InputError(
+                "focus_mm of a lens with an open aperture", value=None, allowed="a distance in mm"
+            )
+        self.lens_is_open = aperture_mm > 0
+        self.pupil_radius = opaque(aperture_mm / 2)
+        self.focus = opaque(lens.focus_mm or 1.0)
+        self.focal, self.cx, self.cy = (
+            opaque(v) for v in (lens.focal_px, lens.centre_px[0], lens.centre_px[1])
+        )
+        self.k1, self.k2, self.k3, self.p1, self.p2 = (
+            opaque(v) for v in (lens.k1, lens.k2, lens.k3, lens.p1, lens.p2)
+        )
+        self.port = self.make_port(port, glass_index, water_index)
+
+    def make_port(self, port: Port, glass_index: float, water_index: float) -> PortOptics:
+        """The port as this kind of camera sees through it: in closed form."""
+        return closed_form(port, glass_index, water_index)
+
+    def place(self, pose: Pose) -> None:
+        """Put the camera at ``pose``, camera frame (x right, y down, z forward) to world."""
+        self.axes = [opaque_vector(column) for column in pose.rotation.T]
+        self.origin = mi.Point3f(opaque_vector(pose.origin_mm))
+
+    def move(self, velocity_mm_s: Floats, exposure_ms: float, readout_ms: float) -> None:
+        """Move the camera while the picture is taken, about the pose it is placed at.
+
+        velocity_mm_s: (3,), world frame.  exposure_ms: of each row.  readout_ms: how long a
+        rolling shutter takes over all rows.  Rays have the time, in seconds,
+        (row / height - 1/2) readout + (shutter sample - 1/2) exposure, and start displaced by
+        velocity times it; all times are 0 where neither velocity nor readout is set.
+        """
+        self.is_moving = any(velocity_mm_s) or readout_ms != 0
+        self.velocity = opaque_vector(velocity_mm_s)
+        self.exposure, self.readout = opaque(exposure_ms / MS_PER_S), opaque(readout_ms / MS_PER_S)
+        # Mitsuba draws a shutter sample, uniform between 0 and this, only where it is not 0.
+        shutter = mi.traverse(self)
+        shutter["shutter_open_time"] = 1.0 if self.is_moving else 0.0
+        shutter.update()
+
+    def sample_ray(
+        self,
+        time: mi.Float,
+        wavelength_sample: mi.Float,
+        position_sample: mi.Point2f,
+        aperture_sample: mi.Point2f,
+        active: mi.Bool = True,
+    ) -> tuple[mi.Ray3f, mi.Spectrum]:
+        """A ray in the water, world frame, and its weight (sim.render.plugins.ports.Crossing).
+
+        time: the shutter sample, 0 to 1.
+        """
+        film = self.film()
+        # The one place where Mitsuba's film convention meets ours: the sample spans [0, 1]
+        # of the film's crop window from edge to edge, our pixel (0, 0) is the centre of the
+        # top-left one of the whole picture.
+        place = position_sample * mi.Vector2f(film.crop_size()) + mi.Vector2f(film.crop_offset())
+        u, v = place.x - 0.5, place.y - 0.5
+        x, y = self._undistort((u - self.cx) / self.focal, (v - self.cy) / self.focal)
+        crossing = self.port.cross(*self._in_air(x, y, place, aperture_sample))
+
+        ray = dr.zeros(mi.Ray3f)
+        ray.o = self.origin + self._to_world(crossing.point)
+        ray.d = dr.normalize(self._to_world(crossing.direction))
+        ray.maxt = dr.largest(mi.Float)
+        ray.wavelengths = []
+        if self.is_moving:
+            ray.time = self._time(place, time)
+            ray.o += self.velocity * ray.time
+        return ray, mi.Spectrum(crossing.weight)
+
+    def sample_ray_differential(
+        self,
+        time: mi.Float,
+        wavelength_sample: mi.Float,
+        position_sample: mi.Point2f,
+        aperture_sample: mi.Point2f,
+        active: mi.Bool = True,
+    ) -> tuple[mi.RayDifferential3f, mi.Spectrum]:
+        """As ``sample_ray``; the differentials are left out, no texture here needs them."""
+        ray, weight = self.sample_ray(
+            time, wavelength_sample, position_sample, aperture_sample, active
+        )
+        return mi.RayDifferential3f(ray), weight
+
+    def bbox(self) -> mi.ScalarBoundingBox3f:
+        """An empty box: the camera adds nothing to the scene's extent."""
+        return mi.ScalarBoundingBox3f()
+
+    def _in_air(
+        self, x: mi.Float, y: mi.Float, place: mi.Point2f, aperture_sample: mi.Point2f
+    ) -> tuple[mi.Point3f, mi.Vector3f]:
+        """Start and unit direction in the air, camera frame, of the ray at tangents (x, y).
+
+        A thin lens sends what passes any point of its pupil to where the ray through its
+        middle meets the plane of focus.
+        """
+        through_middle = mi.Vector3f(x, y, 1.0)
+        if not self.lens_is_open:
+            return mi.Point3f(0.0), dr.normalize(through_middle)
+        sample = mi.Point2f(
+            self._shifted(aperture_sample.x, place, 0), self._shifted(aperture_sample.y, place, 1)
+        )
+        disc = mi.warp.square_to_uniform_disk_concentric(sample) * self.pupil_radius
+        start = mi.Point3f(disc.x, disc.y, 0.0)
+        return start, dr.normalize(through_middle * self.focus - mi.Vector3f(start))
+
+    def _time(self, place: mi.Point2f, shutter_sample: mi.Float) -> mi.Float:
+        """Seconds from the mid-exposure of the middle row, height / 2; rows are read whole."""
+        rows_read = dr.floor(place.y) / self.film().size().y
+        shutter = self._shifted(shutter_sample, place, 2)
+        return (rows_read - 0.5) * self.readout + (shutter - 0.5) * self.exposure
+
+    def _shifted(self, sample: mi.Float, place: mi.Point2f, dimension: int) -> mi.Float:
+        """The sample in [0, 1) moved round by an amount that each pixel has of its own.
+
+        A stratified sampler without jitter draws the same few values in every pixel: pupil
+        and shutter would be seen at those alone, and a blurred edge would be a staircase.
+        Moved round by a uniform shift (Cranley & Patterson 1976) every value is as likely,
+        and the few in a pixel stay as well spread.
+        """
+        pixel = mi.UInt32(place.y) * self.film().size().x + mi.UInt32(place.x)
+        moved = sample + mi.sample_tea_float32(pixel, mi.UInt32(dimension))
+        return moved - dr.floor(moved)
+
+    def _undistort(self, xd: mi.Float, yd: mi.Float) -> tuple[mi.Float, mi.Float]:
+        """Solve the Brown-Conrady equations for the undistorted point by Newton's method."""
+        x, y = mi.Float(xd), mi.Float(yd)
+        for _ in range(UNDISTORT_STEPS):
+            r2 = x * x + y * y
+            radial = 1 + r2 * (self.k1 + r2 * (self.k2 + r2 * self.k3))
+            slope = self.k1 + r2 * (2 * self.k2 + r2 * 3 * self.k3)  # d radial / d r2
+            ex = x * radial + 2 * self.p1 * x * y + self.p2 * (r2 + 2 * x * x) - xd
+            ey = y * radial + self.p1 * (r2 + 2 * y * y) + 2 * self.p2 * x * y - yd
+            xx = radial + 2 * x * x * slope + 2 * self.p1 * y + 6 * self.p2 * x
+            yy = radial + 2 * y * y * slope + 6 * self.p1 * y + 2 * self.p2 * x
+            xy = 2 * x * y * slope + 2 * self.p1 * x + 2 * self.p2 * y
+            determinant = xx * yy - xy * xy
+            x -= (yy * ex - xy * ey) / determinant
+            y -= (xx * ey - xy * ex) / determinant
+        return x, y
+
+    def _to_world(self, vector: mi.Vector3f) -> mi.Vector3f:
+        right, down, forward = self.axes
+        return right * vector.x + down * vector.y + forward * vector.z
+
+
+mi.register_sensor("refractive_camera", RefractiveCamera)

@@ -1,0 +1,177 @@
+"""The integrator plugin for light of the first order, without hit or miss.
+
+The picture is a sum of parts, each an estimator of its own path family with analytic
+transmittance: ``direct`` (apex - surface - camera), ``scattered`` (apex - water - camera, the
+veil), ``ambient``.  They are kept apart as layers.  Light that meets more surfaces or more
+places of the water is the other integrator's (sim.render.plugins.multiple): paths are partitioned
+by their order, so the two pictures add up.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from math import pi, sqrt
+
+import drjit as dr
+import mitsuba as mi
+
+from sim.render.plugins.opaque import opaque
+from sim.render.plugins.phase import PhaseTable, angle_between
+from sim.render.plugins.sheet import LaserSheet
+from sim.water import Optics
+
+LAYERS = ("direct", "scattered", "ambient")
+NEWTON_STEPS = 3  # a bow is a small deviation from a plane, whose crossing is the start
+NEWTON_REACH_MM = 0.5
+
+
+class SheetIntegrator(mi.SamplingIntegrator):
+    """Direct light, single scattering and ambient light; configured with ``configure``.
+
+    Radiances are in mW/(mm2 sr) just inside the water, times the camera's weight.
+    """
+
+    def __init__(self, props: mi.Properties) -> None:
+        super().__init__(props)
+        self.sheets: Sequence[LaserSheet] = ()
+
+    def configure(
+        self, water: Optics, sheets: Sequence[LaserSheet], ambient_mw_mm2_sr: float
+    ) -> None:
+        """Set the water, the laser's sheets (none: off) and the ambient radiance."""
+        self.sheets = tuple(sheets)
+        self.extinction = opaque(water.extinction_per_mm)
+        self.scattering = opaque(water.scattering_per_mm)
+        self.has_water = water.scattering_per_mm > 0
+        self.phase = PhaseTable(water.phase)
+        self.has_ambient = ambient_mw_mm2_sr > 0
+        self.ambient_radiance = opaque(ambient_mw_mm2_sr)
+
+    def aov_names(self) -> list[str]:
+        """One channel a layer, after the sum's own."""
+        return list(LAYERS)
+
+    def sample(
+        self,
+        scene: mi.Scene,
+        sampler: mi.Sampler,
+        ray: mi.RayDifferential3f,
+        medium: mi.Medium | None = None,
+        active: mi.Bool = True,
+    ) -> tuple[mi.Spectrum, mi.Bool, list[mi.Float]]:
+        """Radiance along the ray, validity, and the layers it is the sum of."""
+        active = mi.Bool(active)
+        si = scene.ray_intersect(ray, active)
+        direct, scattered, ambient = mi.Float(0), mi.Float(0), mi.Float(0)
+        for sheet in self.sheets:
+            direct += direct_light(scene, sheet, self.extinction, si, active)
+            if self.has_water:
+                scattered += self._scattered(scene, sheet, sampler, ray, si, active)
+        if self.has_ambient:
+            ambient = self._ambient(scene, sampler, si, active)
+        return mi.Spectrum(direct + scattered + ambient), active, [direct, scattered, ambient]
+
+    def _scattered(
+        self,
+        scene: mi.Scene,
+        sheet: LaserSheet,
+        sampler: mi.Sampler,
+        ray: mi.Ray3f,
+        si: mi.SurfaceInteraction3f,
+        active: mi.Bool,
+    ) -> mi.Float:
+        """Laser to water to camera: the in-scattering point is drawn about the crossing.
+
+        Along the ray the sheet is very nearly a Gaussian about the crossing t0 of its middle
+        plane, with sigma = w / (2 |d.n|) (physics.md section 7).  Drawing t from that
+        Gaussian, cut at the surface, leaves an integrand that hardly varies.
+        """
+        end = dr.select(si.is_valid(), si.t, dr.largest(mi.Float))
+        crossing, slope = crossing_of(sheet, ray)
+        _, rho, _ = sheet.coordinates(ray(crossing), ray.time)
+        sigma = sheet.half_width(rho) / (2 * dr.abs(slope))
+
+        low = _normal_cdf(-crossing / sigma)
+        share = _normal_cdf((end - crossing) / sigma) - low
+        quantile = low + sampler.next_1d(active) * share
+        z = sqrt(2) * dr.erfinv(dr.clip(2 * quantile - 1, -0.9999999, 0.9999999))
+        t = crossing + sigma * z
+        # The cut tails, below 1e-6 of the sheet's power, are left out.
+        valid = active & (share > 1e-6) & (t > 0) & (t < end) & dr.isfinite(t)
+
+        point = ray(t)
+        to_apex = sheet.apex(ray.time) - point
+        distance = dr.norm(to_apex)
+        to_apex /= distance
+        shadow = mi.Ray3f(point, to_apex, distance, ray.time, ray.wavelengths)
+        valid &= ~scene.ray_test(shadow, valid)
+
+        density = dr.exp(-0.5 * z * z) / (sqrt(2 * pi) * sigma) / share
+        # Light travels along -to_apex and leaves along -ray.d.
+        phase = self.phase.value(angle_between(to_apex, ray.d))
+        source = self.scattering * phase * sheet.irradiance(point, ray.time)
+        loss = dr.exp(-self.extinction * (distance + t))
+        return dr.select(valid, source * loss / density, 0.0)
+
+    def _ambient(
+        self,
+        scene: mi.Scene,
+        sampler: mi.Sampler,
+        si: mi.SurfaceInteraction3f,
+        active: mi.Bool,
+    ) -> mi.Float:
+        """Uniform ambient light: reflected where the sky is open, and scattered on the way.
+
+        In a field of the same radiance L from every side the water adds
+        b/c L (1 - exp(-c t)) along a path of length t.
+        """
+        lit = active & si.is_valid()
+        bs, weight = si.bsdf().sample(
+            mi.BSDFContext(), si, sampler.next_1d(lit), sampler.next_2d(lit), lit
+        )
+        lit &= ~scene.ray_test(si.spawn_ray(si.to_world(bs.wo)), lit)
+        t = dr.select(si.is_valid(), si.t, dr.largest(mi.Float))
+        transmittance = dr.exp(-self.extinction * t)
+        surface = dr.select(lit, weight.x * transmittance, 0.0)
+        albedo = dr.select(self.extinction > 0, self.scattering / self.extinction, 0.0)
+        return dr.select(
+            active, self.ambient_radiance * (surface + albedo * (1 - transmittance)), 0.0
+        )
+
+
+def direct_light(
+    scene: mi.Scene,
+    sheet: LaserSheet,
+    extinction: mi.Float,
+    si: mi.SurfaceInteraction3f,
+    active: mi.Bool,
+) -> mi.Float:
+    """Laser to surface to ray: one shadow ray, transmittance along both legs."""
+    lit = active & si.is_valid()
+    ds, irradiance = sheet.sample_direction(si, mi.Point2f(0), lit)
+    lit &= irradiance.x > 0
+    lit &= ~scene.ray_test(si.spawn_ray_to(ds.p), lit)
+    reflected = si.bsdf().eval(mi.BSDFContext(), si, si.to_local(ds.d), lit)
+    loss = dr.exp(-extinction * (ds.dist + si.t))
+    return dr.select(lit, reflected.x * irradiance.x * loss, 0.0)
+
+
+def crossing_of(sheet: LaserSheet, ray: mi.Ray3f) -> tuple[mi.Float, mi.Float]:
+    """Where a ray crosses the sheet's middle, mm along it, and its slope against it there."""
+    slope = dr.dot(ray.d, sheet.normal)
+    crossing = dr.dot(sheet.apex(ray.time) - ray.o, sheet.normal) / slope
+    if not sheet.is_bowed:
+        return crossing, slope
+    for _ in range(NEWTON_STEPS):
+        _, _, here = sheet.coordinates(ray(crossing), ray.time)
+        _, _, there = sheet.coordinates(ray(crossing + NEWTON_REACH_MM), ray.time)
+        slope = (there - here) / NEWTON_REACH_MM
+        crossing -= here / slope
+    return crossing, slope
+
+
+def _normal_cdf(x: mi.Float) -> mi.Float:
+    return 0.5 * (1 + dr.erf(x / sqrt(2)))
+
+
+mi.register_integrator("sheet", SheetIntegrator)

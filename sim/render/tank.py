@@ -1,0 +1,278 @@
+"""The tank: from a scene to radiance, in layers, wherever the head stands."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from math import ceil
+from typing import Any
+
+import mitsuba as mi
+import numpy as np
+from numpy.typing import NDArray
+
+from lscan.errors import InputError
+from sim.render.fineness import binned, fineness_of, finer_lens
+from sim.render.materials import mitsuba_shape
+from sim.render.meshes import scene_parts
+from sim.render.plugins.finefilm import FineCamera
+from sim.render.plugins.integrator import LAYERS, SheetIntegrator
+from sim.render.plugins.multiple import HIGHER_LAYERS, MultipleIntegrator
+from sim.render.plugins.sheet import LaserSheet
+from sim.scene import Scene, camera_pose, head_pose, track_direction
+from sim.scene.file import check_samples
+from sim.water import HenyeyGreensteinMixture, Optics, glass_index, water_optics
+
+Radiance = NDArray[np.float32]
+W_PER_M2_IN_MW_PER_MM2 = 1e3  # 1 mW/mm2 is 1000 W/m2; scenes are in mW and mm
+UM_PER_MM = 1e3
+
+
+@dataclass(frozen=True)
+class Layers:
+    """What reaches the lens, (H, W) float32 each, W/(m2 sr) in the air behind the port.
+
+    (f H, f W) where the scene's render has a fineness f: the lens has yet to blur them.
+    direct: laser light reflected once, by the surface the laser itself lit.  scattered: all
+    other laser light, of the veil, the halo about the line, and reflections of the line.
+    ambient: everything that is not the laser's.
+    """
+
+    direct: Radiance
+    scattered: Radiance
+    ambient: Radiance
+
+    @property
+    def laser(self) -> Radiance:
+        """Direct and scattered light together."""
+        return self.direct + self.scattered
+
+    def binned(self, shape: tuple[int, int]) -> Layers:
+        """The layers of whole pixels, for a picture of ``shape`` (H, W): the means over each.
+
+        Raises InputError where the layers are not a whole multiple of it.
+        """
+        fineness = fineness_of(self.direct.shape, shape)
+        layers = (self.direct, self.scattered, self.ambient)
+        return Layers(*(binned(layer, fineness) for layer in layers))
+
+
+class Tank:
+    """A scene loaded into Mitsuba; only the head moves, so geometry is built once.
+
+    integrator: light of the first order.  higher: light of all higher orders.
+    """
+
+    def __init__(self, scene: Scene) -> None:
+        """Load meshes and plugins; InputError where a mesh or a picture cannot be read."""
+        self.scene = scene
+        laser = scene.tank.laser
+        self._lines = laser.sheets if laser.on else ()
+        self.sheets = [_plugin("laser_sheet", LaserSheet) for _ in self._lines]
+        self.integrator = SheetIntegrator(mi.Properties())
+        self.higher = MultipleIntegrator(mi.Properties())
+        self._tune(laser.wavelength_nm)
+        self._camera, self._random_camera = self.make_camera(), self.make_camera(jitter=True)
+        self.mitsuba_scene = mi.load_dict(self._scene_dict())
+        self.place(scene.rig.plan.start_mm)
+
+    def make_camera(
+        self,
+        window: tuple[int, int, int, int] | None = None,
+        medium: Mapping[str, Any] | None = None,
+        jitter: bool = False,
+    ) -> FineCamera:
+        """A camera of the scene, the head at track position 0, for any integrator.
+
+        Its film has the scene's fineness of rows and columns to each of the picture's.
+        window: (left, top, width, height) px of the picture to render, all of it if None.
+        medium: a stock medium to stand in, which integrators of Mitsuba's own need.
+        jitter: random samples.  Without it they lie on a regular grid: what is a smooth
+            function of position converges there at once, without noise.
+        """
+        section, fineness = self.scene.rig.camera, self.scene.tank.render.fineness
+        left, top, width, height = window or (0, 0, section.width_px, section.height_px)
+        sampler = {"type": "independent"} if jitter else {"type": "stratified", "jitter": False}
+        settings: dict[str, Any] = {
+            "film": {
+                "type": "hdrfilm",
+                "width": fineness * section.width_px,
+                "height": fineness * section.height_px,
+                "crop_offset_x": fineness * left,
+                "crop_offset_y": fineness * top,
+                "crop_width": fineness * width,
+                "crop_height": fineness * height,
+                "pixel_format": "luminance",
+                "component_format": "float32",
+                "rfilter": {"type": "box"},
+            },
+            "sampler": sampler,
+            "fineness": fineness,
+        }
+        if medium is not None:
+            settings["medium"] = medium
+        camera = _plugin("fine_camera", FineCamera, settings)
+        self._focus(camera)
+        head = self.scene.tank.head
+        camera.place(head_pose(head, 0.0) @ camera_pose(head))
+        return camera
+
+    def place(self, position_mm: float, exposure_ms: float | None = None) -> None:
+        """Move the head, camera and laser, to a track position in mm.
+
+        exposure_ms: how long the shutter is open, which matters where the head does not
+        stand still; the rig's if None.
+        """
+        head, sensor = self.scene.tank.head, self.scene.tank.sensor
+        pose = head_pose(head, position_mm)
+        velocity = head.speed_mm_s * track_direction(head)
+        if exposure_ms is None:
+            exposure_ms = self.scene.rig.camera.exposure_ms
+        for camera in (self._camera, self._random_camera):
+            camera.place(pose @ camera_pose(head))
+            if head.speed_mm_s != 0:
+                camera.move(velocity, exposure_ms, sensor.readout_ms)
+        for sheet in self.sheets:
+            sheet.place(pose, velocity)
+
+    def render(
+        self,
+        position_mm: float,
+        samples: int | None = None,
+        *,
+        scatter_samples: int | None = None,
+        time_s: float = 0.0,
+        exposure_ms: float | None = None,
+    ) -> Layers:
+        """The layers seen from a track position, (f H, f W) with the scene's fineness f.
+
+        samples, scatter_samples: a pixel, for the first and for all higher orders of light;
+        the scene's if None.  Each of a pixel's f² parts gets its share of them, of the
+        scattered ones rounded up.  time_s: since the laser was switched on.  exposure_ms: as
+        ``place``.  Raises InputError where samples are no square in each part.
+        """
+        render, laser = self.scene.tank.render, self.scene.tank.laser
+        samples = render.samples if samples is None else samples
+        check_samples(samples, render.fineness, where="samples")
+        parts = render.fineness**2
+        if laser.drift is not None:
+            self._tune(laser.wavelength_at(time_s))
+            self._focus(self._camera)
+            self._focus(self._random_camera)
+        self.place(position_mm, exposure_ms)
+        # The noise of one picture of a scan says nothing about that of the next.
+        place = np.array([position_mm]).view(np.uint64)
+        seed = int(np.random.SeedSequence([render.seed, int(place[0])]).generate_state(1)[0])
+        first = self._layers(self._camera, self.integrator, samples // parts, seed, LAYERS)
+        more = render.scatter_samples if scatter_samples is None else scatter_samples
+        if more > 0:
+            share = ceil(more / parts)
+            higher = self._layers(self._random_camera, self.higher, share, seed, HIGHER_LAYERS)
+            for name, layer in higher.items():
+                first[name] = first[name] + layer
+        return Layers(**first)
+
+    def _layers(
+        self,
+        camera: FineCamera,
+        integrator: mi.Integrator,
+        samples: int,
+        seed: int,
+        names: tuple[str, ...],
+    ) -> dict[str, Radiance]:
+        """Each layer's name and picture."""
+        try:
+            image = mi.render(
+                self.mitsuba_scene, sensor=camera, integrator=integrator, spp=samples, seed=seed
+            )
+        except RuntimeError as error:
+            if _interrupted(error):
+                raise KeyboardInterrupt from error
+            raise
+        image = np.array(image)
+        channels = image[..., -len(names) :]
+        # Mitsuba weighs its own sum with the camera's transmission but not the channels beside
+        # it; within a pixel that weight is the same for all samples.
+        total = channels.sum(axis=-1)
+        weight = np.divide(image[..., 0], total, out=np.zeros_like(total), where=total > 0)
+        channels = channels * (weight * np.float32(W_PER_M2_IN_MW_PER_MM2))[..., np.newaxis]
+        return {name: np.ascontiguousarray(channels[..., k]) for k, name in enumerate(names)}
+
+    def _tune(self, wavelength_nm: float) -> None:
+        """Set the water and the laser for a wavelength."""
+        tank = self.scene.tank
+        self.water = water_optics(tank.water, wavelength_nm)
+        self.glass_index = glass_index(tank.port.glass_index, wavelength_nm)
+        for sheet, line in zip(
+            self.sheets, tank.laser.sheets if tank.laser.on else (), strict=True
+        ):
+            sheet.configure(tank.laser, line, self.water.index, wavelength_nm)
+        ambient = tank.light.ambient_w_m2_sr / W_PER_M2_IN_MW_PER_MM2
+        for integrator in (self.integrator, self.higher):
+            integrator.configure(self.water, self.sheets, ambient)
+
+    def _focus(self, camera: FineCamera) -> None:
+        """Set a camera's optics for the water as it is."""
+        lens, sensor = self.scene.tank.lens, self.scene.tank.sensor
+        focal_mm = lens.focal_px * sensor.pixel_um / UM_PER_MM
+        aperture_mm = 0.0 if lens.focus_mm is None else focal_mm / lens.f_number
+        camera.configure(
+            finer_lens(lens, camera.fineness),
+            self.scene.tank.port,
+            self.glass_index,
+            self.water.index,
+            aperture_mm=aperture_mm,
+        )
+
+    def _scene_dict(self) -> dict[str, object]:
+        parts = {
+            f"part-{k}": mitsuba_shape(part, self.water.index)
+            for k, part in enumerate(scene_parts(self.scene))
+        }
+        lights = {f"sheet-{k}": sheet for k, sheet in enumerate(self.sheets)}
+        return {"type": "scene", **parts, **lights}
+
+
+def stock_medium(water: Optics) -> dict[str, Any]:
+    """The water as a stock homogeneous medium: nested blends of its lobes and Rayleigh's.
+
+    Raises InputError where its phase function is none of Mitsuba's own.
+    """
+    if not isinstance(water.particles, HenyeyGreensteinMixture):
+        raise InputError(
+            "no phase function of Mitsuba's own",
+            where="water.phase",
+            value=type(water.particles).__name__,
+            allowed="henyey-greenstein or petzold-mixture",
+        )
+    phase: dict[str, Any] = {"type": "rayleigh"}
+    share = water.molecular_weight
+    for weight, g in zip(water.particles.weights, water.particles.g, strict=True):
+        share += (1 - water.molecular_weight) * weight
+        lobe = {"type": "hg", "g": float(g)}
+        # blendphase = (1 - w) first + w second
+        blend = float((1 - water.molecular_weight) * weight / share)
+        phase = {"type": "blendphase", "weight": blend, "first": phase, "second": lobe}
+    return {
+        "type": "homogeneous",
+        "sigma_t": water.extinction_per_mm,
+        "albedo": water.scattering_per_mm / water.extinction_per_mm,
+        "phase": phase,
+        "has_spectral_extinction": False,
+    }
+
+
+def _interrupted(error: BaseException | None) -> bool:
+    """Whether Ctrl-C is behind an error: Mitsuba wraps what is raised while a plugin runs."""
+    while error is not None:
+        if isinstance(error, KeyboardInterrupt) or "KeyboardInterrupt" in str(error):
+            return True
+        error = error.__cause__ or error.__context__
+    return False
+
+
+def _plugin(name: str, kind: type[Any], settings: Mapping[str, Any] | None = None) -> Any:
+    """A plugin of this project's, made by Mitsuba."""
+    plugin = mi.load_dict({"type": name, **(settings or {})})
+    assert isinstance(plugin, kind)
+    return plugin

@@ -1,0 +1,1 @@
+"""Studies of where an error comes from."""

@@ -1,0 +1,243 @@
+"""How far the line is found from where it is on curved targets, and what corrections leave.
+
+The paper's open question (its Sec. V): the error follows the target's concavity.  Here a
+short scan is rendered without noise, each line is found as the centroid of all its light,
+and its height is compared with the truth.  The plane map, the alignment and the sensor have
+no part in it, so what is left are the blur along the line (lscan.stripe.corrections.blur), the
+sheet's thickness (lscan.surface.concavity) and what neither describes.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import trimesh
+
+from lscan.config.documents import merge
+from lscan.config.rig import StripeSection, load_rig, parse_rig
+from lscan.errors import InputError
+from lscan.files.disk import make_folder, write_atomically
+from lscan.records import Floats, Mask, Status, Stripe, Surface
+from lscan.stripe.corrections.blur import take_back_blur
+from lscan.surface.concavity import SheetGeometry, take_back_thickness
+from sim.render.tank import Tank
+from sim.scene import Scene, scene_of
+from sim.sensor import Webcam
+from sim.truth import StripeTruth, project, stripe_truth
+
+FINENESS = 2  # or the line's own width on level ground, 0.3 px, would follow the pixels
+SAMPLES = 16  # a pixel
+LINE_REACH_PX = 14  # of the window about the brightest pixel: six sigmas of the widest line here
+DIMMEST = 0.05  # of the picture's brightest column: a camera of 8 bits sees no less
+EDGE_PX = 6.0  # columns this near to an end of the line are left out
+PEAK_DN = 200.0
+SIGMA_PX = 0.01  # stated of centroids that have no noise: what a good extractor reaches
+BEYOND = 6  # profiles at either end of the short scan that only serve as neighbours
+
+
+@dataclass(frozen=True)
+class Errors:
+    """Height found less true height over the points of a scan, mm.
+
+    points: how many are compared.  rms_mm, q99_mm: root mean square and the 99 % quantile of
+    the absolute error; one value each for the line as found, with the blur taken back, and
+    with the sheet's thickness taken back too.
+    """
+
+    points: int
+    rms_mm: tuple[float, float, float]
+    q99_mm: tuple[float, float, float]
+
+
+def concavity_errors(
+    scene: Scene, positions_mm: Sequence[float], scatter_samples: int = 0
+) -> Errors:
+    """The errors over a short scan of the scene, before and after the corrections.
+
+    positions_mm: rising track positions, more than 2 BEYOND of them.  scatter_samples: a
+    pixel, of the light of all higher orders; 0 leaves them out, and the water's veil with
+    them: the line's own light alone is looked at.
+    """
+    render = scene.tank.render.model_copy(update={"samples": SAMPLES, "fineness": FINENESS})
+    scene = replace(scene, tank=scene.tank.model_copy(update={"render": render}))
+    tank, webcam = Tank(scene), Webcam(scene)
+    blur_px = scene.tank.lens.blur_px or None
+    settings = StripeSection(blur_px=blur_px)
+    truths = [stripe_truth(scene, position) for position in positions_mm]
+    found, sharp = [], []
+    for truth in truths:
+        layers = tank.render(truth.position_mm, scatter_samples=scatter_samples)
+        if scatter_samples == 0:
+            layers = replace(layers, scattered=np.zeros_like(layers.scattered))
+        electrons = webcam.mean_electrons(layers, scene.rig.camera.exposure_ms)[..., 0]
+        light = electrons.T.astype(float)
+        stripe = whole_line(light * (PEAK_DN / light.max()))
+        found.append(_heights(scene, truth, stripe))
+        sharp.append(_heights(scene, truth, take_back_blur(stripe, settings, light)))
+    thin = take_back_thickness(_surface(truths, sharp), sheet_geometry(scene))
+    true = np.stack([truth.xz_mm[:, 1] for truth in truths])
+    errors = [np.stack([z for z, _ in found]), np.stack([z for z, _ in sharp]), thin.xyz_mm[..., 2]]
+    compared = np.stack([_clear(truth) for truth in truths])
+    compared[:BEYOND] = compared[len(truths) - BEYOND :] = False
+    compared &= np.isfinite(errors[0])
+    off = [np.abs((z - true)[compared]) for z in errors]
+    return Errors(
+        points=int(compared.sum()),
+        rms_mm=_three(float(np.sqrt(np.mean(e**2))) for e in off),
+        q99_mm=_three(float(np.quantile(e, 0.99)) for e in off),
+    )
+
+
+def whole_line(light: Floats) -> Stripe:
+    """The centroid of all light about the brightest pixel of each column.
+
+    light: (N, L) DN without noise, one column of the picture a row; the columns' medians are
+    taken for background.
+    """
+    above = light - np.median(light, axis=1)[:, None]
+    peak = above.max(axis=1)
+    rows = above.argmax(axis=1)[:, None] + np.arange(-LINE_REACH_PX, LINE_REACH_PX + 1)
+    inside = (rows >= 0) & (rows < light.shape[1])
+    rows = np.clip(rows, 0, light.shape[1] - 1)
+    window = np.where(inside, np.take_along_axis(above, rows, axis=1), 0.0)
+    bright = peak > DIMMEST * peak.max()
+    total = np.where(bright, window.sum(axis=1), 1.0)
+    centre = np.where(bright, (window * rows).sum(axis=1) / total, np.nan)
+    status = np.where(bright, int(Status.OK), int(Status.NO_PEAK))
+    return Stripe("columns", centre, np.where(bright, SIGMA_PX, np.nan), peak, status)
+
+
+def sheet_geometry(scene: Scene) -> SheetGeometry:
+    """What the correction for thickness has to know, from the scene."""
+    laser, head = scene.tank.laser, scene.tank.head
+    if head.shaft is not None:
+        raise InputError("thickness: is taken back on a linear track only", where=scene.source)
+    yaw_rad = float(np.radians(head.yaw_deg))
+    return SheetGeometry(laser.waist_mm / 2, head.camera_mm, laser.apex_mm, yaw_rad)
+
+
+def _heights(scene: Scene, truth: StripeTruth, stripe: Stripe) -> tuple[Floats, Floats]:
+    """(N,) heights in the sheet of a stripe's centres, and their sigmas, mm.
+
+    Through the true projection, linear about the true point: 1 mm off, the tank's lens is
+    nonlinear by less than 1e-3 mm.
+    """
+    known = np.flatnonzero(truth.status == Status.OK)
+    x, z = truth.xz_mm[known].T
+    here, above = (
+        project(scene, np.column_stack([x, np.zeros_like(x), height])) for height in (z, z + 0.5)
+    )
+    scale = np.full(len(truth.status), np.nan)
+    scale[known] = (above - here)[:, 1] / 0.5
+    height = truth.xz_mm[:, 1] + (stripe.centre_px - truth.centre_px) / scale
+    return height, stripe.sigma_px / np.abs(scale)
+
+
+def _surface(truths: Sequence[StripeTruth], heights: Sequence[tuple[Floats, Floats]]) -> Surface:
+    """The scan in the head frame."""
+    z, sigma = (np.stack(column) for column in zip(*heights, strict=True))
+    x = np.stack([truth.xz_mm[:, 0] for truth in truths])
+    position = np.array([truth.position_mm for truth in truths])
+    clear = np.stack([truth.status == Status.OK for truth in truths]) & np.isfinite(z)
+    xyz = np.stack([x, np.broadcast_to(position[:, None], x.shape), z], axis=-1)
+    status = np.where(clear, int(Status.OK), int(Status.NO_PEAK))
+    return Surface(
+        np.where(clear[..., None], xyz, np.nan), 0 * sigma, sigma, status, position, "head"
+    )
+
+
+def _clear(truth: StripeTruth) -> Mask:
+    """(N,) columns with one point that is lit and seen, of the target, away from line ends."""
+    inner: Mask = (truth.status == Status.OK) & ~truth.multiple & (truth.edge_px > EDGE_PX)
+    return inner & (truth.face == 0)
+
+
+def _three(values: Iterator[float]) -> tuple[float, float, float]:
+    first, second, third = values
+    return first, second, third
+
+
+@dataclass(frozen=True)
+class Case:
+    """A target to measure on.  derived: whether the relation was found on it."""
+
+    name: str
+    scene: Scene
+    positions_mm: tuple[float, ...]
+    scatter_samples: int = 0
+    derived: bool = False
+
+
+def cases(scenes: Path, folder: Path) -> list[Case]:
+    """The sandwave the relation was found on, and the targets it has to prove itself on.
+
+    scenes: folder of the scenes.  folder: where the meshes of a sphere and of two cylinders
+    are written.  The meshes' chords stay within 0.005 mm of the shapes.
+    """
+    paper = load_rig(scenes / "paper" / "sandwave.toml").document
+    mesh_base = load_rig(scenes / "paper" / "groove.toml").document
+    wave, short = tuple(np.arange(150.0, 160.0, 0.5)), tuple(np.arange(-5.0, 5.0, 0.5))
+    sphere, along, across = _meshes(folder)
+
+    def scene(document: dict[str, Any], **sections: Any) -> Scene:
+        return scene_of(parse_rig(merge(document, sections), source="concavity", trusted=True))
+
+    def on_mesh(path: Path, z_mm: float, **sections: Any) -> Scene:
+        target = {"shape": "mesh", "file": str(path), "position_mm": [225.0, 0.0, z_mm]}
+        return scene(mesh_base, target={**target, "albedo": 0.5, "turn_deg": 0.0}, **sections)
+
+    wide, green = {"blur_px": 1.2}, {"wavelength_nm": 532.0}
+    thick, sea = {"waist_mm": 2.5}, {"particle_scattering_per_m": 0.4}
+    return [
+        Case("sandwave, its steep end", scene(paper), wave, derived=True),
+        Case("sandwave, blur 1.2 px", scene(paper, lens=wide), wave),
+        Case("sphere of 60 mm", on_mesh(sphere, -380.0), short),
+        Case("sphere, sheet of 2.5 mm", on_mesh(sphere, -380.0, laser=thick), short),
+        Case("sphere, 532 nm", on_mesh(sphere, -380.0, laser=green), short),
+        Case("sphere, all orders, turbid", on_mesh(sphere, -380.0, water=sea), short, 16),
+        Case("cylinders of 8 mm along the track", on_mesh(along, -330.0), short),
+        Case("cylinders of 8 mm across the track", on_mesh(across, -330.0), short),
+        Case("mound of flat facets", on_mesh(scenes / "targets" / "mound.ply", -372.0), short),
+    ]
+
+
+def _meshes(folder: Path) -> tuple[Path, Path, Path]:
+    """Files of a sphere, and of rows of cylinders along and across the track."""
+    make_folder(folder)
+    sphere = trimesh.creation.icosphere(subdivisions=6, radius=60.0)
+    rods = [_rod(11.0 * k) for k in range(-9, 10)]
+    along = trimesh.util.concatenate(rods)
+    across = along.copy()
+    across.apply_transform(trimesh.transformations.rotation_matrix(np.pi / 2, [0, 0, 1]))
+    paths = [folder / f"{name}.ply" for name in ("sphere", "along", "across")]
+    for path, mesh in zip(paths, (sphere, along, across), strict=True):
+        write_atomically(path, mesh.export(file_type="ply"))
+    return paths[0], paths[1], paths[2]
+
+
+def _rod(x_mm: float) -> trimesh.Trimesh:
+    """A cylinder of 8 mm radius along y at ``x_mm``; rods 11 mm apart meet in grooves."""
+    rod = trimesh.creation.cylinder(radius=8.0, height=160.0, sections=720)
+    rod.apply_transform(trimesh.transformations.rotation_matrix(np.pi / 2, [1, 0, 0]))
+    rod.apply_translation([x_mm, 0.0, 0.0])
+    return rod
+
+
+def run_concavity(scenes: Path, output: Path) -> list[dict[str, Any]]:
+    """The rows of the table, also written to ``output``/concavity.json.
+
+    A row: name, whether the relation was derived on it, points, and rms and 99 % quantile in
+    mm of the line as found, with blur and with blur and thickness taken back.
+    """
+    rows: list[dict[str, Any]] = []
+    for case in cases(scenes, output / "concavity-cache"):
+        errors = concavity_errors(case.scene, case.positions_mm, case.scatter_samples)
+        row = {"name": case.name, "derived": case.derived, "points": errors.points}
+        rows.append({**row, "rms_mm": list(errors.rms_mm), "q99_mm": list(errors.q99_mm)})
+    write_atomically(output / "concavity.json", (json.dumps(rows, indent=2) + "\n").encode())
+    return rows

@@ -1,0 +1,250 @@
+"""A rig on the bench: real drivers on faulty devices, and a fault that strikes in its moment."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Final
+from unittest import mock
+
+import lscan.acquisition.scan
+from lscan.acquisition.run import Run
+from lscan.config.rig import RigFile, parse_rig
+from lscan.devices.api import Camera, Grab, Track
+from lscan.devices.grbl.options import read_options
+from lscan.devices.opencv_camera import OpencvCamera, OpencvOptions
+from sim.testing.faults import FRAMES, KINDS, Fault
+from sim.testing.faultycamera import HEIGHT_PX, WIDTH_PX, FaultyCamera
+from sim.testing.faultydisk import FaultyDisk
+from sim.testing.faultytrack import ZERO_MM, FaultyTrack
+
+STEP_MM: Final = 2.0
+SPEED_MM_S: Final = 10.0
+RIG: Final = {
+    "name": "bench",
+    "camera": {
+        "driver": "opencv",
+        "width_px": WIDTH_PX,
+        "height_px": HEIGHT_PX,
+        "options": {
+            "device": 0,
+            "warm_up_frames": 1,
+            "retries": 8,
+            "reconnects": 2,
+            "reconnect_wait_s": 0.0,
+            "timeout_s": 10.0,
+        },
+    },
+    "track": {
+        "driver": "grbl",
+        "options": {
+            "port": "bench",
+            "min_mm": 0.0,
+            "max_mm": 20.0,
+            "zero_mm": ZERO_MM,
+            "feed_mm_min": 60 * SPEED_MM_S,
+            "settle_s": 0.05,
+            "boot_s": 0.2,
+        },
+    },
+    "plan": {"start_mm": 1.0, "step_mm": STEP_MM, "frames": FRAMES},
+}
+
+PATIENCE_S: Final = {"camera hung": 0.15, "camera clock set": 0.5}
+"""Time-out under faults that wait for it; how each ends is the same however long it is.  A clock
+set wrong by less is borne, so there it must be long for a picture on a busy machine."""
+
+
+@dataclass
+class Bench:
+    """The devices of one experiment and its fault.
+
+    reported: frames reported as done so far.  asked_s: frame to when its last grab began, on
+    the monotonic clock.  struck: whether the fault's moment came.
+    """
+
+    fault: Fault
+    folder: Path
+    seed: int
+    reported: int = 0
+    struck: bool = False
+    asked_s: dict[int, float] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        self.rig_file: RigFile = parse_rig(RIG, source="bench.toml", trusted=True)
+        self.track = FaultyTrack()
+        self.camera = FaultyCamera(self.track.look, self.seed, self.fault.stamped)
+        self.disk = FaultyDisk(self.folder)
+        self.disk.on_call = self._disk_called
+        self._calls: int | None = None
+        self._over = False
+        self._clock_offset_s = 0.0
+
+    def scan(self) -> Run:
+        """The complete run, begun or resumed by ``acquisition.scan.scan``; errors as there."""
+        with ExitStack() as patches:
+            patches.enter_context(
+                mock.patch.object(lscan.acquisition.scan, "find_plugin", self._driver)
+            )
+            patches.enter_context(mock.patch.object(time, "time", self._wall_clock(time.time)))
+            patches.enter_context(self.disk.watched())
+            if self.fault.phase == "opening":
+                self._strike()
+            return lscan.acquisition.scan.scan(
+                self.rig_file, self.folder, resume=self._over, progress=self._report
+            )
+
+    def mend(self) -> None:
+        """End the fault; from now on scans are resumed, and nothing strikes any more."""
+        self._over = self.struck = True
+        self._clock_offset_s = 0.0
+        self.camera.mend()
+        self.track.mend()
+        self.disk.mend()
+
+    # ---- moments ------------------------------------------------------------------------
+
+    def move_begins(self, target_mm: float, from_mm: float) -> None:
+        """The track is about to be sent to ``target_mm``."""
+        self._calls = None
+        if self._is_turn(self._frame_at(target_mm), "before the move"):
+            self._strike()
+        if self._is_turn(self._frame_at(target_mm), "in mid-move"):
+            way_s = abs(target_mm - from_mm) / SPEED_MM_S
+            self.track.time.at(self.track.time() + self.fault.part * way_s, self._strike)
+
+    def grab_begins(self, frame: int) -> None:
+        """A picture is about to be asked for."""
+        if self._is_turn(frame, "before the grab"):
+            self._strike()
+        self.asked_s[frame] = time.monotonic()
+        self.camera.grab_begins()
+
+    def grab_ends(self, frame: int) -> None:
+        """What is written from now on is this frame."""
+        if self._is_turn(frame, "in the write"):
+            self._calls = 0
+
+    def _disk_called(self) -> None:
+        if self._calls is not None:
+            if self._calls == self.fault.call:
+                self._strike()
+            self._calls += 1
+
+    def _is_turn(self, frame: int, phase: str) -> bool:
+        return not self.struck and (frame, phase) == (self.fault.frame, self.fault.phase)
+
+    def _frame_at(self, target_mm: float) -> int:
+        return round((target_mm - self.rig_file.rig.plan.start_mm) / STEP_MM)
+
+    def _strike(self) -> None:
+        if self.struck:
+            return
+        self.struck = True
+        kind, strength = self.fault.kind, self.fault.strength
+        struck: dict[str, Callable[[str, float], None]] = {
+            "camera": self.camera.strike,
+            "track": self.track.strike,
+            "disk": self.disk.strike,
+            "clock": self._set_clock,
+        }
+        struck[KINDS[kind].device](kind, strength)
+
+    def _set_clock(self, _: str, offset_s: float) -> None:
+        self._clock_offset_s = offset_s
+
+    # ---- what the scan gets -------------------------------------------------------------
+
+    def _report(self, done: int, planned: int) -> None:
+        self.reported = max(self.reported, done)
+
+    def _driver(self, group: str, name: str, where: object = None) -> Any:
+        return _TrackDriver(self) if group == "lscan.tracks" else _CameraDriver(self)
+
+    def camera_options(self) -> OpencvOptions:
+        """The rig's, with less patience for faults that would only be waited for."""
+        options = OpencvOptions(**self.rig_file.rig.camera.options)
+        if self.fault.kind in PATIENCE_S and not self._over:
+            return options.model_copy(update={"timeout_s": PATIENCE_S[self.fault.kind]})
+        return options
+
+    def _wall_clock(self, real: Callable[[], float]) -> Callable[[], float]:
+        return lambda: real() + self._clock_offset_s
+
+
+@dataclass(frozen=True)
+class _TrackDriver:
+    bench: Bench
+
+    def open(self, rig_file: RigFile) -> Track:
+        return WatchedTrack(self.bench, self.bench.track.open(read_options(rig_file)))
+
+
+@dataclass(frozen=True)
+class _CameraDriver:
+    bench: Bench
+
+    def open(self, rig_file: RigFile, track: Track) -> Camera:
+        faulty, section = self.bench.camera, rig_file.rig.camera
+        real = OpencvCamera(section, self.bench.camera_options(), faulty.open)
+        return WatchedCamera(self.bench, real)
+
+
+@dataclass(frozen=True)
+class WatchedTrack:
+    """A track whose moves the bench is told of."""
+
+    bench: Bench
+    real: Track
+
+    @property
+    def position_mm(self) -> float:
+        """The real track's."""
+        return self.real.position_mm
+
+    def move_to(self, position_mm: float) -> float:
+        """The real track's."""
+        self.bench.move_begins(position_mm, self.real.position_mm)
+        return self.real.move_to(position_mm)
+
+    def close(self) -> None:
+        """The real track's."""
+        self.real.close()
+
+
+@dataclass(frozen=True)
+class WatchedCamera:
+    """A camera whose grabs the bench is told of."""
+
+    bench: Bench
+    real: Camera
+
+    @property
+    def size_px(self) -> tuple[int, int]:
+        """The real camera's."""
+        return self.real.size_px
+
+    def grab(self, frame: int | None = None, dark: bool = False) -> Grab:
+        """The real camera's."""
+        assert frame is not None
+        self.bench.grab_begins(frame)
+        grab = self.real.grab(frame, dark)
+        self.bench.grab_ends(frame)
+        return grab
+
+    def close(self) -> None:
+        """The real camera's."""
+        self.real.close()
+
+
+@contextmanager
+def bench_for(fault: Fault, folder: Path, seed: int) -> Iterator[Bench]:
+    """The bench, mended at the end so that no reading thread is left hanging."""
+    bench = Bench(fault, folder, seed)
+    try:
+        yield bench
+    finally:
+        bench.mend()

@@ -1,0 +1,137 @@
+"""Which faults there are, at which moments they strike, and how one is drawn."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Final, Literal
+
+import numpy as np
+
+from sim.testing.faultycamera import GARBAGE
+from sim.testing.faultydisk import CALLS_A_FRAME
+
+FRAMES: Final = 5
+"""Frames of each experiment's scan."""
+
+Device = Literal["camera", "track", "disk", "clock"]
+Phase = Literal["opening", "before the move", "in mid-move", "before the grab", "in the write"]
+PHASES: Final[tuple[Phase, ...]] = (
+    "opening",
+    "before the move",
+    "in mid-move",
+    "before the grab",
+    "in the write",
+)
+
+
+@dataclass(frozen=True)
+class Kind:
+    """A kind of fault.
+
+    says: what an error it leads to must say of what to do, as a regular expression; "" where
+    it must not lead to an error.
+    """
+
+    device: Device
+    says: str
+
+
+KINDS: Final[Mapping[str, Kind]] = {
+    "camera gone": Kind("camera", r"check cable and power|check that it is there"),
+    "camera hung": Kind("camera", r"check cable, power and light"),
+    "camera breaks": Kind("camera", r"check cable and power"),
+    "camera black": Kind("camera", r"take the cap off"),
+    "camera wrong size": Kind("camera", r"the rig says 64 by 48 px \(camera.width_px"),
+    "camera same twice": Kind("camera", r"plug it in anew"),
+    "camera late": Kind("camera", ""),
+    "camera garbage": Kind("camera", r"camera\.options\.pixel_format|camera\.width_px"),
+    "camera clock set": Kind("camera", r"its clock was set back"),
+    "serial silent": Kind("track", r"check cable and power|check the port"),
+    "serial garbled": Kind("track", r"check|shorten or shield|home"),
+    "serial noisy": Kind("track", r"check|shorten or shield|home"),
+    "serial unplugged": Kind("track", r"check the cable"),
+    "lost ok": Kind("track", r"check cable and power"),
+    "alarm": Kind("track", r"ALARM:\d.*clear the way, then home"),
+    "restart": Kind("track", r"has restarted.*home"),
+    "quiet restart": Kind("track", r"home"),
+    "stuck": Kind("track", r"check for a jam|check the way"),
+    "slow": Kind("track", r"check for a jam"),
+    "disk full": Kind("disk", r"No space left on device; make room"),
+    "file size limit": Kind("disk", r"File too large; .*limit"),
+    "folder read-only": Kind("disk", r"Read-only file system; make it writable"),
+    "folder vanished": Kind(
+        "disk", r"No such file or directory; (make its folder, or bring it back|check its name)"
+    ),
+    "disk error": Kind("disk", r"Input/output error; check the disk"),
+    "disk error in fsync": Kind("disk", r"Input/output error; check the disk"),
+    "disk pulled": Kind("disk", r"Input/output error; check the disk"),
+    "wall clock set": Kind("clock", ""),
+}
+
+
+@dataclass(frozen=True)
+class Fault:
+    """One fault.
+
+    frame: in whose turn it strikes.  phase: when within it; part: where within the phase, 0 to
+    1 of the way, or of the system calls that write the frame.  strength: as the device's
+    ``strike`` takes it.  stamped: whether the camera tells when it exposed a picture.
+    """
+
+    kind: str
+    frame: int
+    phase: Phase
+    part: float
+    strength: float
+    stamped: bool
+
+    @property
+    def call(self) -> int:
+        """Number of the system call of the frame's write that it strikes in."""
+        return int(self.part * CALLS_A_FRAME)
+
+
+def draw_fault(kind: str, generator: np.random.Generator) -> Fault:
+    """A fault of this kind, its moment and its strength drawn."""
+    device = KINDS[kind].device
+    phase: Phase = PHASES[int(generator.integers(len(PHASES)))]
+    if kind == "folder vanished" and phase == "opening":  # there is none yet
+        phase = "before the move"
+    if device == "disk" and generator.random() < 0.5:
+        phase = "in the write"
+    # What strikes the devices after the last picture's move has nothing left to spoil.
+    last = FRAMES if device == "disk" or phase == "before the move" else FRAMES - 1
+    stamped = bool(generator.integers(2)) or kind == "camera clock set"
+    return Fault(
+        kind=kind,
+        frame=0 if phase == "opening" else int(generator.integers(last)),
+        phase=phase,
+        part=float(generator.random()),
+        strength=_strength(kind, phase, stamped, generator),
+        stamped=stamped,
+    )
+
+
+def _strength(kind: str, phase: Phase, stamped: bool, generator: np.random.Generator) -> float:
+    """How strong: see ``strike`` of the device."""
+    device = KINDS[kind].device
+    if kind in ("serial garbled", "serial noisy"):
+        low, high = (-1.0, -0.3) if kind == "serial garbled" else (-4.0, -1.0)
+        return float(10 ** generator.uniform(low, high))
+    if kind == "lost ok":
+        return float(generator.integers(1, 4))
+    if kind == "camera late":
+        # Without time stamps lateness is known only by counting: flush_frames is 2, and one
+        # picture is always under way.
+        return float(generator.integers(1, 21)) if stamped else 1.0
+    if kind in ("camera clock set", "wall clock set"):
+        sign = -1.0 if kind == "wall clock set" or generator.random() < 0.75 else 1.0
+        return sign * float(10 ** generator.uniform(-2, 3))
+    if kind == "camera garbage":
+        # A camera that is grey from the start has no fault.
+        return float(generator.integers(len(GARBAGE) - (phase == "opening")))
+    if device == "camera":
+        return math.inf if generator.random() < 0.6 else float(generator.integers(1, 6))
+    return float(generator.random())

@@ -1,0 +1,247 @@
+"""Rig files that are right: every field stated in one of them, every pair of drivers in one.
+
+They name files beside them, which :func:`write_beside` makes: a recorded run, a video, a mesh
+and a picture.
+"""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from datetime import date
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from lscan.acquisition.replay import ReplayOptions
+from lscan.acquisition.writer import create_run
+from lscan.config.documents import Document, Strict
+from lscan.config.rig import Rig, parse_rig
+from lscan.devices.grbl import SerialTrackOptions
+from lscan.devices.manual import ManualOptions
+from lscan.devices.opencv_camera import OpencvOptions
+from lscan.records import Frame
+from sim.devices import CameraOptions, TrackOptions
+from sim.scene import Tank
+
+SIZE_PX = (16, 16)
+CAMERAS: dict[str, type[Strict]] = {
+    "opencv": OpencvOptions,
+    "replay": ReplayOptions,
+    "sim": CameraOptions,
+}
+TRACKS: dict[str, type[Strict]] = {
+    "grbl": SerialTrackOptions,
+    "manual": ManualOptions,
+    "replay": ReplayOptions,
+    "sim": TrackOptions,
+}
+_SOURCES: dict[str, Document] = {"opencv": {"device": 0}, "replay": {"run_file": "run"}, "sim": {}}
+_TRAVEL = {"min_mm": 0.0, "max_mm": 10.0}
+_TRACK_OPTIONS: dict[str, Document] = {
+    "grbl": {"port": "none", **_TRAVEL},
+    "manual": _TRAVEL,
+    "replay": {"run_file": "run"},
+    "sim": _TRAVEL,
+}
+_PLAN = {"start_mm": 0.0, "step_mm": 1.0, "frames": 2}
+
+_BOARD: Document = {
+    "grid": {"columns": 4, "rows": 3, "pitch_mm": 50.0, "dot_diameter_mm": 5.0},
+    "ruler": [{"direction": "vertical", "at_mm": -20.0, "first_mm": 0.0, "last_mm": -100.0}],
+    "dot": [
+        {"name": "A", "x_mm": 25.0, "z_mm": -25.0},
+        {"name": "B", "x_mm": 75.0, "z_mm": -25.0},
+    ],
+    "ring": [{"name": "E", "x_mm": 25.0, "z_mm": -75.0, "diameter_mm": 10.0}],
+    "distances": [["A", "B"]],
+}
+_BLOCK: Document = {"kind": "grooved-block"}
+_WAVE: Document = {"kind": "sandwave"}
+_SHAFT: Document = {"point_mm": [0.0, 0.0, 500.0], "direction": [1.0, 0.0, 0.0]}
+_INSTRUMENT: Document = {
+    "stripe": {"blur_px": 0.7, "noise": {"read_dn": 1.0}},
+    "calibration": {},
+    "optics": {"focal_px": [800.0, 80.0], "centre_u_px": [8.0, 1.0], "centre_v_px": [8.0, 1.0]},
+    "sheet": {
+        "thickness_mm": 1.5,
+        "camera_mm": [0.0, -500.0, 0.0],
+        "apex_mm": [0.0, 0.0, 900.0],
+    },
+}
+_MATT: Document = {
+    "texture": {"file": "picture.png", "size_mm": [10.0, 10.0]},
+    "sand": {},
+}
+_MESH: Document = {"shape": "mesh", "file": "mesh.ply", "albedo": [[600.0, 0.4], [650.0, 0.5]]}
+_TANK: Document = {
+    "lens": {"focal_px": 20.0, "centre_px": [7.5, 7.5], "focus_mm": 800.0},
+    "head": {"camera_mm": [75.0, -500.0, 290.0]},
+    "port": {"kind": "flat"},
+    "laser": {
+        "power_mw": 10.0,
+        "apex_mm": [75.0, 0.0, 900.0],
+        "drift": {},
+        "lines": [{"tilt_deg": 0.0, "share": 0.5}],
+    },
+    "target": {"shape": "none"},
+    "floor": {"z_mm": -200.0},
+}
+
+
+@dataclass(frozen=True)
+class Part:
+    """A table of a rig file that one model checks.
+
+    prefix: the keys that lead to the table; () is the whole file.  sections: those of the
+    model's fields that are set wrong in this rig.
+    """
+
+    model: type[Strict]
+    prefix: tuple[str, ...]
+    sections: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class GoodRig:
+    """A rig file that is right, and the parts of it that are to be set wrong."""
+
+    name: str
+    document: Document
+    parts: tuple[Part, ...]
+
+    @property
+    def drivers(self) -> tuple[str, str]:
+        """The names of its camera's and its track's driver."""
+        return self.document["camera"]["driver"], self.document["track"]["driver"]
+
+
+def good_rigs() -> list[GoodRig]:
+    """Rigs that together hold every field, and every pair of drivers.
+
+    Each field is to be set wrong in one of them only, and each rig holds little besides: some
+    thousands of files are read.
+    """
+    rigs = [*_instruments(), *_tanks(), *_sources()]
+    pairs = {rig.drivers for rig in rigs}
+    for camera in CAMERAS:
+        beside = _TANK if camera == "sim" else {}
+        rigs += [_rig(camera, track, **beside) for track in TRACKS if (camera, track) not in pairs]
+    return rigs
+
+
+def _instruments() -> list[GoodRig]:
+    """Rigs that hold every section of the instrument itself."""
+    return [
+        _rig("opencv", "manual", _of(Rig, "name", *_INSTRUMENT), **_INSTRUMENT),
+        _rig("replay", "manual", _of(Rig, "workpiece", "shaft"), workpiece=_WAVE, shaft=_SHAFT),
+        _rig("opencv", "grbl", _of(Rig, "board", "workpiece"), board=_BOARD, workpiece=_BLOCK),
+    ]
+
+
+def _tanks() -> list[GoodRig]:
+    """Rigs that hold every section of the tank, each kind of port and shape of target."""
+    rest = [name for name in Tank.model_fields if name not in ("head", "target")]
+    head = {**_TANK["head"], "shaft": {"point_mm": [0.0, 0.0, 500.0], "direction": [1.0, 0, 0]}}
+    turned = _TANK | {"head": head, "port": {"kind": "dome"}, "target": _MESH}
+    board = _TANK | {"board": _BOARD, "target": {"shape": "board", "sand": {}}}
+    piece = _TANK | {"workpiece": _BLOCK, "target": {**_MATT, "shape": "workpiece"}}
+    return [
+        _rig("sim", "sim", _of(Tank, *rest), switched="pairs", **_TANK),
+        _rig("sim", "manual", _of(Tank, "head", "port"), shaft=_SHAFT, **turned),
+        _rig("sim", "grbl", switched="pairs", **board),
+        _rig("sim", "sim", _of(Tank, "target"), **piece),
+    ]
+
+
+def _sources() -> list[GoodRig]:
+    """Rigs that hold every option of every driver, and each source of an opencv camera's."""
+    plan = _of(Rig, "camera", "track", "plan")
+    return [
+        _rig("opencv", "grbl", plan, _of_camera("opencv"), _of_track("grbl"), switched="pairs"),
+        _rig("opencv", "manual", _of_track("manual")),
+        _rig("replay", "replay", _of_camera("replay"), _of_track("replay"), switched="on"),
+        _rig("opencv", "sim", _of_track("sim"), switched="on"),
+        _rig("sim", "manual", _of_camera("sim"), **_TANK),
+        _rig("opencv", "manual", source={"url": "http://127.0.0.1/x"}),
+        _rig("opencv", "grbl", source={"file": "video.avi"}, switched="on"),
+    ]
+
+
+def _of(model: type[Strict], *sections: str) -> Part:
+    return Part(model, (), sections)
+
+
+def _of_camera(driver: str) -> Part:
+    return Part(CAMERAS[driver], ("camera", "options"), tuple(CAMERAS[driver].model_fields))
+
+
+def _of_track(driver: str) -> Part:
+    return Part(TRACKS[driver], ("track", "options"), tuple(TRACKS[driver].model_fields))
+
+
+def write_beside(folder: Path) -> None:
+    """Make in ``folder`` the files that the good rigs name."""
+    for name in ("video.avi", "mesh.ply", "picture.png"):
+        (folder / name).touch()
+    width_px, height_px = SIZE_PX
+    camera = {"driver": "gone", "width_px": width_px, "height_px": height_px}
+    document = {"camera": camera, "track": {"driver": "gone"}, "plan": _PLAN}
+    rig_file = parse_rig(document, source="rig.toml", trusted=True)
+    with create_run(folder / "run", rig_file) as writer:
+        for index, position_mm in enumerate(rig_file.rig.plan.positions_mm()):
+            image = np.full((height_px, width_px), 10, dtype=np.uint8)
+            writer.append(Frame(image, index, position_mm, position_mm, 0.1 * index, 20.0))
+
+
+def _rig(
+    camera: str,
+    track: str,
+    *parts: Part,
+    source: Document | None = None,
+    switched: str = "untouched",
+    **sections: Any,
+) -> GoodRig:
+    """The rig of two drivers with its defaults written out.
+
+    source: of an opencv camera.  switched: the plan for the laser.
+    """
+    camera_options = _SOURCES[camera] if source is None else source
+    if source is None:  # of a stream or a file, what only a device has may not even be stated
+        camera_options = _written_out(CAMERAS[camera], camera_options)
+    width_px, height_px = SIZE_PX
+    size = {"width_px": width_px, "height_px": height_px}
+    rig = {
+        "camera": {"driver": camera, **size, "options": camera_options},
+        "track": {"driver": track, "options": _written_out(TRACKS[track], _TRACK_OPTIONS[track])},
+        "plan": {**_PLAN, "laser": switched},
+        **{key: value for key, value in sections.items() if key in Rig.model_fields},
+    }
+    tank = {key: value for key, value in sections.items() if key in Tank.model_fields}
+    written = _written_out(Rig, rig)
+    stated = {name: written[name] for name in ("name", *rig)}
+    document = stated | (_written_out(Tank, tank) if tank else {})
+    return GoodRig(f"{camera} and {track}", document, parts)
+
+
+def _written_out(model: type[Strict], document: Document) -> Document:
+    """The document with every default that is not None stated."""
+    return model.model_validate(document).model_dump(mode="json", exclude_none=True)
+
+
+def as_toml(document: Document) -> str:
+    """The document as TOML text, one line for each of its keys."""
+    return "".join(f"{key} = {_value(value)}\n" for key, value in document.items())
+
+
+def _value(value: Any) -> str:
+    if isinstance(value, bool):
+        return str(value).lower()
+    if isinstance(value, dict):
+        return "{" + ", ".join(f"{key} = {_value(item)}" for key, item in value.items()) + "}"
+    if isinstance(value, list):
+        return f"[{', '.join(map(_value, value))}]"
+    if isinstance(value, date):
+        return value.isoformat()
+    return json.dumps(value) if isinstance(value, str) else repr(value)

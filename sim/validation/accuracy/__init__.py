@@ -1,0 +1,1 @@
+"""The instrument against the ground truth of the tank."""

@@ -1,0 +1,72 @@
+"""A board that does not lie in the sheet: does anything say so?"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from lscan.board import read_board
+from lscan.calibration.check import check_calibration
+from lscan.calibration.solve import calibrate
+from lscan.records import BoardReading
+from sim.render.tank import Tank
+from sim.scene import Scene
+from sim.validation.accuracy.board import map_errors_mm
+from sim.validation.accuracy.exposures import pictures
+from sim.validation.accuracy.intervals import COVER
+from sim.validation.rows import Row
+
+OFFSET_MM, TILT_DEG = 2.0, 0.5
+SEED = 51
+
+
+def misaligned(scene: Scene) -> Scene:
+    """The board's middle 2 mm behind the sheet, and the board leant by half a degree."""
+    board = scene.rig.board
+    assert board is not None
+    _, _, bottom, top = board.outline_mm()
+    lean = np.radians(TILT_DEG)
+    # The board is turned about O, which swings its middle out of the sheet.
+    swung_mm = float(-(bottom + top) / 2 * np.sin(lean))
+    update = {"position_mm": (0.0, OFFSET_MM - swung_mm, 0.0), "tilt_x_deg": TILT_DEG}
+    target = scene.tank.target.model_copy(update=update)
+    return replace(scene, tank=scene.tank.model_copy(update={"target": target}))
+
+
+def misaligned_rows(scene: Scene, map_name: str) -> list[Row]:
+    """Whether a careful user is told, in either of the two ways there are.
+
+    The uncertainty: a rig file that owns up to how well the board was laid in has intervals
+    that hold the error.  The check: a picture of the board laid in well disagrees with the
+    calibration of the one laid in badly.
+    """
+    askew = misaligned(scene)
+    badly, well, again = (_read(s, SEED + k) for k, s in enumerate((askew, scene, scene)))
+    told = scene.rig.optics.model_copy(
+        update={"board_offset_mm": OFFSET_MM, "board_tilt_deg": TILT_DEG}
+    )
+    owned = calibrate(badly, map_name, told)
+    error, sigma = map_errors_mm(scene, owned)
+    outside = 100 * float(np.mean(np.abs(error) > COVER * sigma))
+    believed = calibrate(badly, map_name, scene.rig.optics)
+    verdict = check_calibration(believed, well)
+    sound = check_calibration(calibrate(well, map_name, scene.rig.optics), again)
+    askew_by = f"board {OFFSET_MM:g} mm and {TILT_DEG:g} deg off the sheet"
+    asked = "required of this project"
+    return [
+        Row(f"{askew_by}: places outside their 95 % intervals, alignment owned up to",
+            "truth on the sheet", outside, 5.0, "%", asked, SEED,
+            noisy=True),
+        Row(f"{askew_by}: misses of lscan check", "the board laid in well",
+            float(verdict.agrees), 0.0, "of 1", asked, SEED, noisy=True),
+        Row("board laid in well: false alarms of lscan check", "the board laid in well, again",
+            float(not sound.agrees), 0.0, "of 1", asked, SEED, noisy=True),
+    ]  # fmt: skip
+
+
+def _read(scene: Scene, seed: int) -> BoardReading:
+    board = scene.rig.board
+    assert board is not None
+    image = pictures(scene, Tank(scene).render(0.0), [seed])[0]
+    return read_board(image, board, channel=scene.rig.calibration.channel)

@@ -1,0 +1,172 @@
+"""Real photographs: the dot board, the hand-held chessboards, the laser line with its dark pair.
+
+They lie in a folder beside the project and are no part of it (its README names their owners);
+where it is missing there are no rows.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from itertools import pairwise
+from pathlib import Path
+from typing import TypeVar
+
+import cv2
+import numpy as np
+
+from lscan.board import read_board
+from lscan.board.chessboard import read_chessboard
+from lscan.calibration.maps.polynomial import terms
+from lscan.calibration.maps.scaling import box
+from lscan.config.board import Board, Grid
+from lscan.config.rig import StripeSection
+from lscan.files.pictures import read_picture
+from lscan.records import BoardReading, Bytes, Floats, Mask, has_value
+from lscan.stripe import extract_stripe
+from sim.validation.rows import Row, measured
+
+Result = TypeVar("Result")
+
+DOTS = 4380  # to be found, of those that lie wholly in view
+# The photograph's pitch is not stated: it is called 1 mm, and a dot is about half as wide.
+DOT_BOARD = Board(grid=Grid(columns=100, rows=100, pitch_mm=1.0, dot_diameter_mm=0.5, whole=False))
+BLOB_PASSES = 3.3  # a second, on a machine where finding the blobs takes 0.3 s
+ORDERS = (5, 7, 9)  # of the polynomials that predict half of the dots from the others
+CHESSBOARDS, COLUMNS, ROWS = 16, 11, 6
+# Corners (u, v) of the laser line, read off the photograph by eye to about 5 px, in its three
+# pieces: helmet, head and bust, the turntable's rim.  Elsewhere no line is to be seen.
+LINE = (
+    ((595, 54), (560, 96), (531, 151), (530, 166), (523, 187), (511, 210), (517, 232), (550, 259)),
+    (
+        (567, 268), (579, 303), (567, 313), (573, 348), (565, 378), (561, 403), (562, 464),
+        (555, 504), (550, 522), (526, 534), (522, 607), (550, 608), (548, 633), (559, 640),
+        (563, 671), (549, 681), (561, 731), (572, 787), (571, 852), (559, 859), (559, 903),
+        (552, 913), (558, 933), (545, 953), (541, 988), (550, 1024), (577, 1064), (598, 1118),
+    ),
+    ((778, 1228), (778, 1273)),
+)  # fmt: skip
+BY_EYE_PX = 15  # reading error, half the line's width, and steps between corners
+END_PX = 5  # rows that near to an end of a piece may go either way
+ASKED = "required of this project"
+FIGURE_TO_BEAT = "the best figure known to us on these pictures"
+
+
+def photograph_rows(folder: Path, extractor: str, repeats: int) -> list[Row]:
+    """Rows of the real photographs in ``folder``; none where it is not there.
+
+    extractor: the one that reads the laser line.  repeats: of the reading that is timed.
+    """
+    if not folder.is_dir():
+        return []
+    return [
+        *measured(
+            "dot photograph",
+            lambda: dot_rows(folder / "dots" / "dot_pattern_05.jpg", repeats),
+        ),
+        *measured("chessboard photographs", lambda: chessboard_rows(folder / "webcam")),
+        *measured("laser photograph", lambda: line_rows(folder / "webcam", extractor)),
+    ]
+
+
+def dot_rows(path: Path, repeats: int) -> list[Row]:
+    """Dots that were missed, the error at held-out dots, and what reading costs.
+
+    The cost is a ratio to OpenCV's own blob detector on the same picture, run in turn.
+    """
+    image = read_picture(path)
+    grey = cv2.cvtColor(image, cv2.COLOR_RGB2GRAY) if image.ndim == 3 else image
+    detector = cv2.SimpleBlobDetector.create()
+    read_s, blobs_s = 0.0, 0.0
+    for _ in range(repeats):
+        seconds, reading = _timed(lambda: read_board(image, DOT_BOARD))
+        read_s += seconds
+        blobs_s += _timed(lambda: detector.detect(grey))[0]
+    found = int(reading.grid.found.sum())
+    errors = {order: held_out_rms_px(reading, order) for order in ORDERS}
+    best = min(errors, key=lambda order: errors[order])
+    half = f"polynomial of order {best} through the other half"
+    passes = f"OpenCV's blob detector on the same picture, {repeats} times in turn"
+    return [
+        Row("dot photograph, dots missed", f"{DOTS} asked for, {found} found and indexed",
+            max(0.0, float(DOTS - found)), 0, "dots", ASKED),
+        Row("dot photograph, held-out half", half, errors[best], 0.036, "px rms", FIGURE_TO_BEAT),
+        Row("dot photograph, reading it over finding its blobs", passes, read_s / blobs_s,
+            BLOB_PASSES, "ratio", ASKED, noisy=True),
+    ]  # fmt: skip
+
+
+def _timed(call: Callable[[], Result]) -> tuple[float, Result]:
+    """Seconds of a call, and what it returns."""
+    started = time.perf_counter()
+    result = call()
+    return time.perf_counter() - started, result
+
+
+def held_out_rms_px(reading: BoardReading, order: int) -> float:
+    """Rms distance in px of every other dot from where polynomials through the rest put it."""
+    grid = reading.grid
+    board, image = grid.board_mm[grid.found], grid.image_px[grid.found]
+    place = np.rint(board / reading.pitch_mm).astype(int)
+    kept = place.sum(axis=1) % 2 == 0  # the black squares of a chessboard
+    design = terms(box(board[kept]).apply(board), order)[0]
+    solved = np.linalg.lstsq(design[kept], image[kept], rcond=None)[0]
+    miss = image[~kept] - design[~kept] @ solved
+    return float(np.sqrt(np.mean((miss**2).sum(axis=1))))
+
+
+def chessboard_rows(folder: Path) -> list[Row]:
+    """Reprojection error of the plain camera model on the hand-held chessboards."""
+    pictures = [read_picture(folder / f"frame{k}.jpg") for k in range(CHESSBOARDS)]
+    marks = [read_chessboard(picture, COLUMNS, ROWS, 1.0) for picture in pictures]
+    height, width = pictures[0].shape[:2]
+    flat = [np.column_stack([m.board_mm, np.zeros(len(m.board_mm))]) for m in marks]
+    rms, *_ = cv2.calibrateCamera(
+        [points.astype(np.float32) for points in flat],
+        [m.image_px.astype(np.float32) for m in marks],
+        (width, height),
+        np.eye(3),
+        np.zeros(5),
+    )
+    against = "OpenCV's corners and plain solver: 0.225 px"
+    what = "chessboard photographs, reprojection"
+    return [Row(what, against, float(rms), 0.225, "px rms", FIGURE_TO_BEAT)]
+
+
+def line_rows(folder: Path, extractor: str) -> list[Row]:
+    """Rows of the laser photograph without the line they carry, and rows with one they do not."""
+    lit, dark = (read_picture(folder / f"bust_laser_{state}.png") for state in ("on", "off"))
+    missed, false = line_faults(lit, dark, extractor)
+    by_eye = "the line's rows, read off by eye"
+    return [
+        Row("laser photograph, rows missed", by_eye, 100 * missed, 5.0, "%", ASKED),
+        Row("laser photograph, rows found elsewhere", by_eye, float(false), 0, "rows", ASKED),
+    ]
+
+
+def line_faults(lit: Bytes, dark: Bytes, extractor: str) -> tuple[float, int]:
+    """Share of the rows that carry the line without it, and the count of wrong ones."""
+    stripe = extract_stripe(lit, StripeSection(axis="rows", extractor=extractor), background=dark)
+    found = has_value(stripe.status)
+    carries, near_end, expected = _by_eye(len(found))
+    right = found & (np.abs(stripe.centre_px - expected) <= BY_EYE_PX)
+    missed = float(np.mean(~right[carries & ~near_end]))
+    false = found & ~right & ~near_end
+    return missed, int(false.sum())
+
+
+def _by_eye(count: int) -> tuple[Mask, Mask, Floats]:
+    """(N,) rows that carry the line, rows near the ends of its pieces, and where it is, px."""
+    rows = np.arange(count)
+    carries, near_end = np.zeros(count, dtype=bool), np.zeros(count, dtype=bool)
+    expected = np.full(count, np.nan)
+    for piece in LINE:
+        u, v = np.array(piece, dtype=float).T
+        on = (rows >= v[0]) & (rows <= v[-1])
+        carries |= on
+        expected[on] = np.interp(rows[on], v, u)
+        near_end |= (np.abs(rows - v[0]) <= END_PX) | (np.abs(rows - v[-1]) <= END_PX)
+    for start, end in pairwise(LINE):
+        if start[-1][1] + 2 * END_PX >= end[0][1]:
+            near_end |= (rows > start[-1][1]) & (rows < end[0][1])
+    return carries, near_end, expected

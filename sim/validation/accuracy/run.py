@@ -1,0 +1,59 @@
+"""Every figure of the accuracy table, measured chapter by chapter."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Iterable, Mapping
+from concurrent.futures import Future, ProcessPoolExecutor, as_completed
+from multiprocessing import get_context
+from pathlib import Path
+
+from lscan.config.rig import load_rig
+from sim.validation.accuracy.chapters import CHAPTERS, Chapter
+from sim.validation.accuracy.effort import FULL, QUICK, Effort
+from sim.validation.rows import Row, RowFile, measured
+
+Progress = Callable[[int, int], None]
+BEST = ("board", "groove", "sandwave")
+
+
+def run_accuracy(
+    scenes: Path,
+    photographs: Path,
+    output: Path,
+    quick: bool = False,
+    progress: Progress | None = None,
+) -> list[Row]:
+    """The rows, also written to ``output`` as a JSON list, chapter by chapter.
+
+    scenes: folder of the scene files.  photographs: of the real pictures, whose rows are left
+    out where it is not there.  quick: every row, with the least effort.  progress: told
+    (done, all) after each chapter.  A chapter that ends with an error is a failed row.  Raises
+    InputError where a scene file is wrong or the disk refuses.
+    """
+    for name in BEST:
+        load_rig(scenes / "best" / f"{name}.toml")  # refuses a bad file before minutes of work
+    file = RowFile(output, quick)
+    effort = QUICK if quick else FULL
+    places = list(CHAPTERS)
+    chapters = measure(CHAPTERS, scenes, photographs, effort)
+    for done, (name, rows) in enumerate(chapters, start=1):
+        file.add(rows, places.index(name))
+        if progress is not None:
+            progress(done, len(CHAPTERS))
+    return file.rows
+
+
+def measure(
+    chapters: Mapping[str, Chapter], scenes: Path, photographs: Path, effort: Effort
+) -> Iterable[tuple[str, list[Row]]]:
+    """Name and rows of each chapter as it ends; as many run side by side as processors."""
+    workers = max(1, min(len(chapters), len(os.sched_getaffinity(0))))
+    # Spawned, not forked: Dr.Jit's threads do not survive a fork.
+    with ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as pool:
+        futures: dict[Future[list[Row]], str] = {
+            pool.submit(chapter, scenes, photographs, effort): name
+            for name, chapter in chapters.items()
+        }
+        for future in as_completed(futures):
+            yield futures[future], measured(futures[future], future.result)

@@ -1,0 +1,87 @@
+"""The sandwave: slices against eq. (4), and how often the intervals of its grid are right."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from lscan.calibration.api import PlaneMap
+from lscan.config.targets import Sandwave
+from lscan.measure import compare_slice
+from lscan.pipeline import build_surface, finish
+from lscan.records import Floats, Status, Surface
+from lscan.surface import grid_cells, resample
+from lscan.surface.profile import to_profile
+from sim.scene import Scene
+from sim.truth import slice_visibility
+from sim.validation.accuracy.exposures import Reading
+
+BORDER_MM = 3.0  # cells this near to the border of the waves hold its step
+
+
+@dataclass(frozen=True)
+class SliceFigures:
+    """One slice against eq. (4): points compared, rms error, the error that 99 % keep to, mm."""
+
+    points: int
+    rmse_mm: float
+    within_99_mm: float
+
+
+@dataclass(frozen=True)
+class GridErrors:
+    """Heights of the grid's cells less eq. (4), (K,) mm, and their sigmas, (K,) mm."""
+
+    error_mm: Floats
+    sigma_mm: Floats
+
+
+def aligned_surface(scene: Scene, reading: Reading, plane_map: PlaneMap) -> Surface:
+    """The surface of a scan's stripes in the workpiece frame."""
+    profiles = [
+        to_profile(stripe, plane_map, position)
+        for stripe, position in zip(reading.stripes, reading.positions_mm, strict=True)
+    ]
+    built = finish(build_surface(profiles, scene.rig), scene.rig)
+    built.require_alignment()
+    return built.surface
+
+
+def slice_figures(scene: Scene, surface: Surface) -> dict[str, SliceFigures]:
+    """The slices of Fig. 28, on the points that are lit and seen."""
+    piece = _piece(scene)
+    figures = {}
+    for name, ends in piece.slices_mm().items():
+        cut = resample(surface, ends)
+        compared = compare_slice(cut, piece, visible=slice_visibility(scene, cut.xy_mm))
+        error = np.abs(compared.error_mm[np.isfinite(compared.error_mm)])
+        quantile = float(np.quantile(error, 0.99, method="higher"))
+        figures[name] = SliceFigures(compared.points, compared.rmse_mm, quantile)
+    return figures
+
+
+def grid_errors(scene: Scene, surface: Surface, cell_mm: float) -> GridErrors:
+    """The cells, so wide, on the waves that hold a value and are lit and seen."""
+    piece = _piece(scene)
+    grid = grid_cells(surface, cell_mm)
+    x, y = (plan.ravel() for plan in np.meshgrid(grid.x_mm, grid.y_mm))
+    inside = np.minimum(np.minimum(x, piece.side_mm - x), np.minimum(y, piece.side_mm - y))
+    kept = (grid.status.ravel() == Status.OK) & (inside > BORDER_MM)
+    kept[kept] = slice_visibility(scene, np.column_stack([x, y])[kept])
+    error = grid.z_mm.ravel()[kept] - piece.height_mm(x[kept], y[kept])
+    return GridErrors(error, grid.sigma_mm.ravel()[kept])
+
+
+def every_frame(scene: Scene, step_mm: float) -> Sequence[float]:
+    """Track positions over the length of the scene's scan, ``step_mm`` apart."""
+    plan = scene.rig.plan
+    length = plan.step_mm * (plan.frames - 1)
+    return [plan.start_mm + k * step_mm for k in range(int(length / step_mm + 1e-9) + 1)]
+
+
+def _piece(scene: Scene) -> Sandwave:
+    piece = scene.rig.workpiece
+    assert isinstance(piece, Sandwave)
+    return piece

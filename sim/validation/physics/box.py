@@ -1,0 +1,110 @@
+"""A closed box: light of all orders in it is a geometric series."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from lscan.records import Floats
+from sim.render.tank import Tank
+from sim.scene import Scene
+from sim.validation.physics.rigs import scene_with
+from sim.validation.rows import Check, Row
+from sim.water import water_optics
+
+SEED = 83
+HALF_MM = 200.0
+ALBEDO, POWER_MW = 0.5, 1.0
+BAR = 1e-3
+
+
+def closed_box(rays: int, batches: int) -> Check:
+    """The power that a lit box's walls receive from each other, against the series' sum.
+
+    rays: in each of so many batches.
+    """
+    received = power_from_walls(rays, batches)
+    expected = POWER_MW * ALBEDO**2 / (1 - ALBEDO)
+    error = float(received.std(ddof=1) / np.sqrt(batches)) / expected
+    return Check(
+        key="closed-box",
+        title="A closed box",
+        text="In an empty box whose walls reflect the share a, the laser’s light is reflected "
+        "again and again: what the walls receive after two and more reflections is P a2 / (1 - a), "
+        "however the box looks. Nothing of the sampling of interreflection enters that sum.",
+        rows=(
+            Row(
+                "closed box, power of all reflections but the first",
+                "geometric series",
+                abs(float(received.mean()) / expected - 1),
+                BAR,
+                "relative",
+                f"required of the tank; one standard error is {error:.1g} with {batches} batches "
+                f"of {rays} rays",
+                SEED,
+                noisy=True,
+            ),
+        ),
+    )
+
+
+def power_from_walls(rays: int, batches: int) -> Floats:
+    """(batches,) mW that the walls receive by way of two and more reflections."""
+    tank = Tank(box_scene())
+    water = water_optics(tank.scene.tank.water, tank.scene.tank.laser.wavelength_nm)
+    dry = replace(water, absorption_per_mm=0.0, scattering_per_mm=0.0)
+    tank.higher.configure(dry, tank.sheets, 0.0)
+    scene = mi.load_dict({"type": "scene", **_walls(), "sheet": tank.sheets[0]})
+    area = 6 * (2 * HALF_MM) ** 2
+    return np.array(
+        [np.pi * area * _radiance(tank, scene, rays, SEED + k).mean() for k in range(batches)]
+    )
+
+
+def box_scene() -> Scene:
+    """A sheet of a narrow waist that opens beneath the middle of the box's lid."""
+    return scene_with(
+        laser={
+            "power_mw": POWER_MW, "apex_mm": [30.0, 20.0, 120.0], "fan_half_angle_deg": 40.0,
+            "waist_mm": 2.0, "waist_distance_mm": 300.0,
+        },
+    )  # fmt: skip
+
+
+def _walls() -> dict[str, object]:
+    """The six sides, in Mitsuba's description."""
+    matt = {"type": "diffuse", "reflectance": {"type": "spectrum", "value": ALBEDO}}
+    inside_out = mi.ScalarTransform4f().scale(HALF_MM)
+    return {
+        "box": {"type": "cube", "to_world": inside_out, "flip_normals": True, "bsdf": matt},
+    }
+
+
+def _radiance(tank: Tank, scene: mi.Scene, count: int, seed: int) -> Floats:
+    """(count,) mW/(mm2 sr) along rays from even places of the walls, drawn by their cosine.
+
+    Their mean times pi is what each mm2 of the walls receives.
+    """
+    generator = np.random.default_rng(seed)
+    side, upper = generator.integers(0, 3, count), generator.random(count) < 0.5
+    a, b = generator.uniform(-HALF_MM, HALF_MM, (2, count))
+    inward = np.where(upper, -1.0, 1.0)
+    azimuth, squared = generator.uniform(0, 2 * np.pi, count), generator.random(count)
+    start = np.column_stack([-(HALF_MM - 1e-2) * inward, a, b])
+    flat = np.sqrt(squared)
+    along = np.column_stack(
+        [inward * np.sqrt(1 - squared), flat * np.cos(azimuth), flat * np.sin(azimuth)]
+    )
+    turn = (np.arange(3) - side[:, np.newaxis]) % 3  # puts the wall's normal along its axis
+    origin, direction = (np.take_along_axis(v, turn, axis=1).T for v in (start, along))
+    ray = dr.zeros(mi.RayDifferential3f, count)
+    ray.o = mi.Point3f(*(mi.Float(v.astype(np.float32)) for v in origin))
+    ray.d = mi.Vector3f(*(mi.Float(v.astype(np.float32)) for v in direction))
+    ray.maxt = dr.largest(mi.Float)
+    sampler = mi.load_dict({"type": "independent"})
+    sampler.seed(seed, count)
+    _, _, layers = tank.higher.sample(scene, sampler, ray)
+    return np.array(layers[0], dtype=float)

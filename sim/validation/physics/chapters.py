@@ -1,0 +1,60 @@
+"""The chapters of the evidence, in the order of the page, and how much each measures."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from sim.validation.physics.box import closed_box
+from sim.validation.physics.energy import energy
+from sim.validation.physics.matter import matter
+from sim.validation.physics.phases import phases
+from sim.validation.physics.ports import ports
+from sim.validation.physics.projection import projection
+from sim.validation.physics.refraction import refraction
+from sim.validation.physics.scattering import multiple_scattering
+from sim.validation.physics.sensor import sensor
+from sim.validation.physics.single import single_scattering
+from sim.validation.rows import Check
+
+Measure = Callable[[], Check]
+
+
+@dataclass(frozen=True)
+class Effort:
+    """How much is measured.
+
+    rigs: random ones for the ports.  sights: random lines of sight for the veil.  box_rays,
+    box_batches: of the closed box.  runs, samples: independent pictures a side against
+    volpath, and its samples a pixel.
+    """
+
+    rigs: int
+    sights: int
+    box_rays: int
+    box_batches: int
+    runs: int
+    samples: int
+
+
+FULL = Effort(rigs=60, sights=60, box_rays=1 << 19, box_batches=16, runs=16, samples=2048)
+QUICK = Effort(rigs=2, sights=2, box_rays=1 << 14, box_batches=4, runs=3, samples=16)
+WATERS = ("clear", "coastal", "harbor")
+
+
+def chapters(effort: Effort) -> dict[str, Measure]:
+    """Name to measurement of every check, in the order of the page."""
+    return {
+        "ports": lambda: ports(effort.rigs),
+        "projection": lambda: projection(effort.rigs),
+        "refraction": refraction,
+        "matter": matter,
+        "phases": phases,
+        "single scattering": lambda: single_scattering(effort.sights),
+        "energy": energy,
+        "sensor": sensor,
+        "closed box": lambda: closed_box(effort.box_rays, effort.box_batches),
+        "all orders of scattering": lambda: multiple_scattering(
+            WATERS, effort.runs, effort.samples
+        ),
+    }

@@ -1,0 +1,108 @@
+"""One small picture of each scene file, as the webcam would take it."""
+
+from __future__ import annotations
+
+import base64
+from dataclasses import dataclass, replace
+from math import ceil, sqrt
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from lscan.config.documents import read_document
+from lscan.files.disk import list_names
+from lscan.records import Bytes
+from sim.render.fineness import finer_lens
+from sim.render.tank import Tank
+from sim.scene import Scene, load_scene
+from sim.sensor import Webcam
+from sim.validation.rows import Row, failed_row
+
+SAMPLES, QUICK_SAMPLES = 4, 1  # at least, a pixel
+QUICK_SHRINKING = 8  # of a quick run's pictures, in width and height
+WIDTH_PX = 480
+SEED = 97
+
+
+@dataclass(frozen=True)
+class Plate:
+    """A picture for the page: its scene's name and file, and the JPEG as a data URI."""
+
+    name: str
+    file: str
+    uri: str
+
+
+@dataclass(frozen=True)
+class Gallery:
+    """The plates of all scenes that could be rendered, and the rows that say which could not."""
+
+    plates: tuple[Plate, ...]
+    rows: tuple[Row, ...]
+
+
+def gallery(scenes: Path, quick: bool = False) -> Gallery:
+    """A plate of every scene file beneath ``scenes``; InputError where there is no such folder.
+
+    quick: pictures an eighth as wide and high, with the fewest samples there are.
+    """
+    plates, failed = [], []
+    files = scene_files(scenes)
+    for path in files:
+        try:
+            plates.append(plate(load_scene(path), path.relative_to(scenes), quick))
+        except Exception as error:  # one scene's fault is a row; the others are still shown
+            failed.append(failed_row(f"picture of the scene {path.relative_to(scenes)}", error))
+    whole = Row(
+        what="scenes of which there is no picture",
+        reference=f"all {len(files)} scene files beneath {scenes.name}/",
+        figure=len(failed),
+        bar=0,
+        unit="scenes",
+        tolerance_from="each scene file can be rendered",
+    )
+    return Gallery(tuple(plates), (whole, *failed))
+
+
+def scene_files(scenes: Path) -> list[Path]:
+    """The files that describe a whole, named scene; those that only serve others are none."""
+    list_names(scenes)  # refuses a folder that is not there
+    whole = {"name", "target"}
+    return [path for path in sorted(scenes.rglob("*.toml")) if whole <= set(read_document(path))]
+
+
+def plate(scene: Scene, file: Path, quick: bool = False) -> Plate:
+    """The scene's first picture, few samples a pixel, made small."""
+    if quick:
+        scene = shrunk(scene, QUICK_SHRINKING)
+    samples = least_samples(QUICK_SAMPLES if quick else SAMPLES, scene.tank.render.fineness)
+    layers = Tank(scene).render(scene.rig.plan.start_mm, samples)
+    generator = np.random.default_rng(SEED)
+    image = Webcam(scene).expose(layers, scene.rig.camera.exposure_ms, generator)
+    return Plate(name=scene.rig.name, file=str(file), uri=_thumbnail(image))
+
+
+def least_samples(wanted: int, fineness: int) -> int:
+    """The fewest samples a pixel, ``wanted`` or more, that are a square number in each part.
+
+    fineness: parts a side of each pixel.
+    """
+    return (fineness * ceil(sqrt(wanted) / fineness)) ** 2
+
+
+def shrunk(scene: Scene, times: int) -> Scene:
+    """The same view in a picture ``times`` smaller in width and height, in px."""
+    camera = scene.rig.camera
+    update = {"width_px": camera.width_px // times, "height_px": camera.height_px // times}
+    rig = scene.rig.model_copy(update={"camera": camera.model_copy(update=update)})
+    lens = finer_lens(scene.tank.lens, 1 / times)
+    return replace(scene, rig=rig, tank=scene.tank.model_copy(update={"lens": lens}))
+
+
+def _thumbnail(image: Bytes) -> str:
+    height, width = image.shape[:2]
+    size = (WIDTH_PX, round(height * WIDTH_PX / width))
+    small = cv2.resize(image, size, interpolation=cv2.INTER_AREA)
+    _, encoded = cv2.imencode(".jpg", small[:, :, ::-1], [cv2.IMWRITE_JPEG_QUALITY, 85])
+    return f"data:image/jpeg;base64,{base64.b64encode(encoded.tobytes()).decode('ascii')}"

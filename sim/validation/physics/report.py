@@ -1,0 +1,49 @@
+"""The page: every check explained, its figures beside their bars, its plots; self-contained."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from importlib.metadata import version
+from pathlib import Path
+
+from jinja2 import Environment, PackageLoader, StrictUndefined
+
+from lscan.files.disk import write_atomically
+from sim.validation.physics.gallery import Plate
+from sim.validation.rows import Check, number, rows_of
+
+SOFTWARE = ("lscan", "mitsuba", "drjit", "numpy", "scipy")
+
+
+def write_page(
+    path: Path, checks: Sequence[Check], plates: Sequence[Plate] = (), seconds: float = 0.0
+) -> None:
+    """Write the page to ``path``; InputError where the disk refuses."""
+    write_atomically(path, render_page(checks, plates, seconds).encode("utf-8"))
+
+
+def render_page(checks: Sequence[Check], plates: Sequence[Plate] = (), seconds: float = 0.0) -> str:
+    """The page as HTML text; it loads nothing from anywhere."""
+    environment = Environment(
+        loader=PackageLoader("sim.validation.physics", ""),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    environment.filters["number"] = number
+    environment.filters["share"] = share_of_bar
+    return environment.get_template("report.html.j2").render(
+        checks=checks,
+        plates=plates,
+        seconds=seconds,
+        rows=rows_of(checks),
+        versions={name: version(name) for name in SOFTWARE},
+    )
+
+
+def share_of_bar(figure: float, bar: float | None) -> float:
+    """How much of its bar a figure uses, in percent, for the gauge: 100 where it is beyond."""
+    if bar is None or not figure <= bar:
+        return 100.0
+    return 100.0 * figure / bar if bar > 0 else 0.0

@@ -1,0 +1,92 @@
+"""The whole run: measure every chapter, writing its figures, then show them on a page."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from lscan.files.disk import make_folder
+from sim.validation.physics.chapters import FULL, QUICK, Measure, chapters
+from sim.validation.physics.gallery import Plate, gallery, scene_files
+from sim.validation.physics.report import write_page
+from sim.validation.rows import Check, Row, RowFile, failed_row, rows_of
+
+Progress = Callable[[int, int], None]
+
+
+@dataclass(frozen=True)
+class Evidence:
+    """What a run found: its checks, the pictures of the scenes, and how long it took."""
+
+    checks: tuple[Check, ...]
+    plates: tuple[Plate, ...]
+    seconds: float
+
+    @property
+    def rows(self) -> list[Row]:
+        """All rows, in the order of the page."""
+        return rows_of(self.checks)
+
+
+def run_verify(
+    folder: Path, scenes: Path, quick: bool = False, progress: Progress | None = None
+) -> Evidence:
+    """The evidence, also written to ``folder`` as verify.json and report.html.
+
+    The rows are written as they are measured; a chapter or a scene that ends with an error is
+    a failed row with its message.
+
+    Parameters
+    ----------
+    folder : Path
+        Where the files go; it is made.
+    scenes : Path
+        Folder of scene files, one picture of each.
+    quick : bool
+        Every row and every picture, but each with the least effort; what noise could spoil is
+        then not judged.
+    progress : callable, optional
+        Told (done, all) after each chapter.
+
+    Raises
+    ------
+    InputError
+        Where the disk refuses, or ``scenes`` is not there.
+    """
+    scene_files(scenes)  # refuses a folder that is not there before minutes of work
+    make_folder(folder)
+    file = RowFile(folder / "verify.json", quick)
+    started = time.perf_counter()
+    checks = []
+    measures = chapters(QUICK if quick else FULL)
+    for done, (name, measure) in enumerate(measures.items(), start=1):
+        check = _measured(name, measure)
+        checks.append(replace(check, rows=tuple(file.add(check.rows))))
+        if progress is not None:
+            progress(done, len(measures) + 1)
+    shown = gallery(scenes, quick)
+    checks.append(_scenes(tuple(file.add(shown.rows))))
+    evidence = Evidence(tuple(checks), shown.plates, time.perf_counter() - started)
+    write_page(folder / "report.html", evidence.checks, shown.plates, evidence.seconds)
+    return evidence
+
+
+def _measured(name: str, measure: Measure) -> Check:
+    """The chapter's check; one that says so where it ends with an error."""
+    try:
+        return measure()
+    except Exception as error:  # whatever it is, the other chapters are still wanted
+        key = name.replace(" ", "-")
+        text = "This chapter ended with an error and has no figures."
+        return Check(key, name.capitalize(), text, (failed_row(name, error),))
+
+
+def _scenes(rows: tuple[Row, ...]) -> Check:
+    return Check(
+        key="gallery",
+        title="Scene files",
+        text="Every scene file is rendered once. A picture that cannot be taken is a failed row.",
+        rows=rows,
+    )

@@ -1,0 +1,281 @@
+"""All orders of scattering against Mitsuba's own ``volpath``, on the same emitter and scene."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import mitsuba as mi
+import numpy as np
+from scipy.ndimage import binary_dilation
+from scipy.stats import t as student
+
+from lscan.records import Floats, Mask, Status
+from sim.render.tank import W_PER_M2_IN_MW_PER_MM2, Tank, stock_medium
+from sim.scene import Scene
+from sim.truth import StripeTruth, stripe_truth
+from sim.validation.physics.rigs import scene_with
+from sim.validation.rows import Check, Row, measured
+from sim.water import HenyeyGreensteinMixture, Optics, water_optics
+
+SEED = 4000
+ASYMMETRY = 0.924  # Petzold's mean cosine, in one lobe
+# One lobe, because the reference must converge: an oceanic peak of 1e4 per sr, met by chance,
+# leaves its means short of the truth for hours while their scatter looks small.
+OTHER_ASYMMETRY = ASYMMETRY - 0.02
+LEVEL = 1e-3  # chance of a false alarm in all tests of a check together
+MASKS = ("core", "halo", "veil", "shadow")
+CENTROID_PX = 0.01
+OUR_SAMPLES, OUR_GRID = 64, 256  # of higher orders, and of the first
+STOCK = {"type": "volpath", "max_depth": -1, "rr_depth": 8}
+# A narrow window for the centre: farther out the halo, noisy in the reference, has a long lever.
+NEAR_PX, CENTRE_PX = 3, 1.5
+FAR_PX = 8
+
+
+@dataclass(frozen=True)
+class Pictures:
+    """Independent pictures of one scene, (runs, H, W) each, radiance times camera weight.
+
+    ours: this project's; theirs: volpath's; other: ours in water of another asymmetry.
+    direct: (H, W) light the laser's line sends straight to the camera, of ours.
+    """
+
+    ours: Floats
+    theirs: Floats
+    other: Floats
+    direct: Floats
+    truth: StripeTruth
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """Ours against theirs in one water.
+
+    z: difference over its standard error on each mask; share: that error over the mean.
+    degrees: of freedom, the fewest.  without_line, other_g: z on the masks where our
+    picture lacks the line, or the water's asymmetry is 0.02 less.  centroid_px: difference of
+    the line's centre, averaged over its columns, and its standard error.
+    """
+
+    z: dict[str, float]
+    share: dict[str, float]
+    degrees: float
+    without_line: dict[str, float]
+    other_g: dict[str, float]
+    centroid_px: float
+    centroid_error_px: float
+
+
+def multiple_scattering(waters: tuple[str, ...], runs: int, samples: int) -> Check:
+    """Masked z-tests and the line's centre in the waters named.
+
+    runs: independent pictures a side; samples: volpath's, a pixel of each.
+    """
+    tests = len(MASKS) * len(waters)
+    rows = [
+        row
+        for name in waters
+        for row in measured(
+            f"all orders of scattering, {name}",
+            lambda name=name: water_rows(name, runs, samples, tests),  # type: ignore[misc]
+        )
+    ]
+    return Check(
+        key="multiple-scattering",
+        title="All orders of scattering",
+        text="A block with grooves stands on the floor of a tank of turbid water. The same "
+        "emitter, scene and water are given to Mitsuba’s own volumetric path tracer, which "
+        "shares nothing with this renderer’s sampling. The sums over four parts of the picture "
+        "must agree within their noise: the line itself, the halo about it, the veil above it, "
+        "and the floor in the block’s shadow, where only light that was turned more than once "
+        "arrives. The same tests must fail when the line is taken out of our picture, or when "
+        "the phase function’s asymmetry is wrong by 0.02.",
+        rows=tuple(rows),
+    )
+
+
+def water_rows(name: str, runs: int, samples: int, tests: int) -> list[Row]:
+    """The rows of one water, whose z-tests are among so many of one chapter."""
+    result = compare(pictures(name, runs, samples))
+    bound = sidak_bound(tests, result.degrees)
+    shares = ", ".join(f"{mask} {100 * result.share[mask]:.2g} %" for mask in MASKS)
+    return [
+        _row(
+            f"{name}: largest |z| on core, halo, veil and shadow",
+            max(abs(z) for z in result.z.values()),
+            bound,
+            "standard errors",
+            f"Student's t, Sidak for {tests} tests at {LEVEL:g} in all; one standard error "
+            f"is {shares}; {runs} pictures of {samples} samples a side",
+        ),
+        _row(
+            f"{name}: the line's centre, mean over its columns",
+            result.centroid_px,
+            CENTROID_PX,
+            "px",
+            f"required of the tank; the reference's noise is {result.centroid_error_px:.1g} px",
+        ),
+        _row(
+            f"{name}: bound over |z| of the core if the line is removed",
+            bound / abs(result.without_line["core"]),
+            1.0,
+            "ratio",
+            "below 1, the test would fail",
+        ),
+        _row(
+            f"{name}: bound over the largest |z| if g is 0.02 less",
+            bound / max(abs(z) for z in result.other_g.values()),
+            1.0,
+            "ratio",
+            "below 1, the test would fail",
+        ),
+    ]
+
+
+def _row(what: str, figure: float, bar: float, unit: str, tolerance_from: str) -> Row:
+    reference = "Mitsuba's volpath"
+    return Row(what, reference, figure, bar, unit, tolerance_from, SEED, noisy=True)
+
+
+def tank_scene(water: str) -> Scene:
+    """A grooved block on a floor, beside the fan's middle so that it throws a shadow."""
+    return scene_with(
+        camera={"width_px": 64, "height_px": 48},
+        lens={"focal_px": 80.0, "centre_px": [31.5, 23.5]},
+        head={"camera_mm": [0.0, -360.0, 20.0], "depression_deg": 33.0},
+        laser={
+            "power_mw": 100.0, "apex_mm": [-130.0, 0.0, 60.0], "fan_half_angle_deg": 50.0,
+            "aim_deg": 25.0, "waist_mm": 8.0, "waist_distance_mm": 300.0,
+        },
+        water={"kind": water, "phase": "henyey-greenstein", "asymmetry": ASYMMETRY},
+        workpiece={"kind": "grooved-block"},
+        target={"shape": "workpiece", "position_mm": [-80.0, 0.0, -260.0], "albedo": 0.5},
+        floor={"z_mm": -260.0, "albedo": 0.4},
+        render={"samples": OUR_GRID, "scatter_samples": OUR_SAMPLES},
+    )  # fmt: skip
+
+
+def pictures(water: str, runs: int, samples: int) -> Pictures:
+    """Independent pictures of the scene in a named water, ours, volpath's, and of other g."""
+    scene = tank_scene(water)
+    tank = Tank(scene)
+    right, wrong = (_one_lobe(scene, g) for g in (ASYMMETRY, OTHER_ASYMMETRY))
+    # The reference first: our integrators hold the water they are given until the next.
+    camera = tank.make_camera(medium=stock_medium(right), jitter=True)
+    stock = mi.load_dict(STOCK)
+    theirs = [render_with(tank, camera, stock, samples, SEED + run) for run in range(runs)]
+    other = _ours(tank, wrong, runs, SEED + 2 * runs)
+    ours = _ours(tank, right, runs, SEED + runs)
+    direct = tank.render(0.0, scatter_samples=0).direct.astype(float) / W_PER_M2_IN_MW_PER_MM2
+    truth = stripe_truth(scene, 0.0)
+    return Pictures(ours, np.array(theirs), other, direct, truth)
+
+
+def _one_lobe(scene: Scene, asymmetry: float) -> Optics:
+    """The scene's water with all its scattering in one Henyey-Greenstein lobe."""
+    optics = water_optics(scene.tank.water, scene.tank.laser.wavelength_nm)
+    lobe = HenyeyGreensteinMixture(weights=(1.0,), g=(asymmetry,))
+    return replace(optics, particles=lobe, molecular_weight=0.0)
+
+
+def _ours(tank: Tank, water: Optics, runs: int, seed: int) -> Floats:
+    """(runs, H, W) pictures of this project's two integrators, added up."""
+    for integrator in (tank.integrator, tank.higher):
+        integrator.configure(water, tank.sheets, 0.0)
+    camera = tank.make_camera(jitter=True)
+    return np.array(
+        [
+            render_with(tank, camera, tank.integrator, OUR_GRID, seed + run)
+            + render_with(tank, camera, tank.higher, OUR_SAMPLES, seed + run)
+            for run in range(runs)
+        ]
+    )
+
+
+def render_with(
+    tank: Tank, camera: mi.Sensor, integrator: mi.Integrator, samples: int, seed: int
+) -> Floats:
+    """(H, W) radiance times the camera's weight of the tank's scene, by any integrator."""
+    image = mi.render(
+        tank.mitsuba_scene, sensor=camera, integrator=integrator, spp=samples, seed=seed
+    )
+    return np.array(image, dtype=float)[..., 0]
+
+
+def compare(found: Pictures) -> Comparison:
+    """Ours against theirs on the masks, and the line's centre."""
+    masks = parts_of_picture(found)
+    results = {name: _difference(found.ours, found.theirs, mask) for name, mask in masks.items()}
+    removed = found.ours - found.direct
+    shift, error = centroid_difference(found)
+    return Comparison(
+        z={name: z for name, (z, _, _) in results.items()},
+        share={name: share for name, (_, share, _) in results.items()},
+        degrees=min(degrees for _, _, degrees in results.values()),
+        without_line={n: _difference(removed, found.theirs, m)[0] for n, m in masks.items()},
+        other_g={n: _difference(found.other, found.theirs, m)[0] for n, m in masks.items()},
+        centroid_px=shift,
+        centroid_error_px=error,
+    )
+
+
+def parts_of_picture(found: Pictures) -> dict[str, Mask]:
+    """(H, W) masks: core, halo, veil, shadow, by where the line's direct light falls.
+
+    core: a third of its brightest or more.  halo: no more than 3 px from it, without direct
+    light.  veil: 8 px or more above the uppermost part of the line.  shadow: within 3 px of
+    where the truth has the sheet's hidden, unlit section, without direct light.
+    """
+    direct = found.direct
+    lit = direct > 1e-4 * direct.max()
+    core = direct > direct.max() / 3
+    beside = binary_dilation(core, iterations=NEAR_PX) & ~lit
+    rows = np.arange(direct.shape[0])[:, np.newaxis]
+    top = np.argmax(lit.any(axis=1))
+    veil = np.broadcast_to(rows < top - FAR_PX, direct.shape)
+    hidden = (found.truth.status == Status.OCCLUDED) & found.truth.seen
+    centre = np.where(hidden, found.truth.centre_px, np.inf)
+    shadow = (np.abs(rows - centre) <= NEAR_PX) & ~lit
+    return {"core": core, "halo": beside, "veil": veil, "shadow": shadow}
+
+
+def _difference(ours: Floats, theirs: Floats, mask: Mask) -> tuple[float, float, float]:
+    """z of two sets of pictures' sums over a mask, its error over the mean, and its degrees.
+
+    Welch's test: each set has its own variance.
+    """
+    a, b = ours[:, mask].sum(axis=1), theirs[:, mask].sum(axis=1)
+    part_a, part_b = a.var(ddof=1) / len(a), b.var(ddof=1) / len(b)
+    error = np.sqrt(part_a + part_b)
+    degrees = error**4 / (part_a**2 / (len(a) - 1) + part_b**2 / (len(b) - 1))
+    return float((a.mean() - b.mean()) / error), float(error / b.mean()), float(degrees)
+
+
+def sidak_bound(tests: int, degrees: float) -> float:
+    """|z| that all of so many tests stay below but for a chance of LEVEL (Sidak 1967)."""
+    each = 1 - (1 - LEVEL) ** (1 / tests)
+    return float(student.isf(each / 2, degrees))
+
+
+def centroid_difference(found: Pictures) -> tuple[float, float]:
+    """Difference of the line's centre, px, averaged over its columns, and its standard error.
+
+    The centre of a column is that of the light within 1.5 px of the true line.
+    """
+    shown = found.truth.status == Status.OK
+    ours, theirs = (
+        _centres(images, found.truth)[:, shown].mean(axis=1)
+        for images in (found.ours, found.theirs)
+    )
+    error = np.hypot(*(c.std(ddof=1) / np.sqrt(len(c)) for c in (ours, theirs)))
+    return abs(float(ours.mean() - theirs.mean())), float(error)
+
+
+def _centres(images: Floats, truth: StripeTruth) -> Floats:
+    """(runs, columns) centre of the light about the true line, px."""
+    rows = np.arange(images.shape[1])[:, np.newaxis]
+    line = np.where(np.isfinite(truth.centre_px), truth.centre_px, -np.inf)
+    near = np.abs(rows - line) <= CENTRE_PX
+    weight = images * near
+    total = weight.sum(axis=1)
+    return np.divide((weight * rows).sum(axis=1), total, out=np.zeros_like(total), where=total > 0)

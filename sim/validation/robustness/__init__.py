@@ -1,0 +1,1 @@
+"""Drivers, runs and the live page under faults."""

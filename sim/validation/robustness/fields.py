@@ -1,0 +1,152 @@
+"""Every field of a rig file set wrong, one at a time: refused by its key, and no device touched.
+
+Each wrong rig (sim.testing.wrongfields) is read from a real file.
+"""
+
+from __future__ import annotations
+
+import re
+import tempfile
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from unittest.mock import patch
+
+from lscan.config.plugins import installed
+from lscan.config.rig import load_rig
+from lscan.errors import InputError
+from sim.testing.goodrigs import GoodRig, as_toml, good_rigs, write_beside
+from sim.testing.wrongfields import MOST_SHOWN, WrongField, crossed_rigs, dotted, wrong_fields
+from sim.validation.rows import Row
+
+NOT_OURS = re.compile(r"(?i)input should|validation error|traceback|constrained|nonetype|pydantic")
+"""Words that no message may hold: they speak of the program, not of the file."""
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """What became of a wrong rig.  fault: why its refusal falls short, "" where it does not."""
+
+    wrong: WrongField
+    fault: str
+
+
+def shortcoming(wrong: WrongField, file: Path, read: Callable[[Path], object] = load_rig) -> str:
+    """Why the refusal of a wrong rig, written to ``file``, falls short; "" where it does not.
+
+    read: what reads a rig file.
+    """
+    file.write_text(as_toml(wrong.document), encoding="utf-8")
+    try:
+        read(file)
+    except InputError as error:
+        return _lacking(str(error), wrong, file)
+    except Exception as error:
+        return f"raises {type(error).__name__}: {error}"
+    return "is accepted"
+
+
+def _lacking(message: str, wrong: WrongField, file: Path) -> str:
+    """What a message does not say of a wrong field, with the message; "" where it says all."""
+    shown = [] if wrong.change is None else [f"got {repr(wrong.change)[:MOST_SHOWN]}"]
+    lacking, rest = [], message
+    for text in (str(file), dotted(wrong.keys), *shown):
+        lacking += [] if text in message else [text]
+        rest = rest.replace(text, "", 1)  # a limit of 0 is not said by a path with a 0 in it
+    lacking += [word for word in wrong.words if not _says(rest, word)]
+    if "\n" in message:
+        lacking.append("one line")
+    if NOT_OURS.search(message):
+        lacking.append("words of the file alone")
+    return f"lacks {lacking}: {message}" if lacking else ""
+
+
+def _says(text: str, word: str) -> bool:
+    """Whether a text holds a word; a number must stand alone in it."""
+    return re.search(rf"(?<![\w.-]){re.escape(word)}(?!\w|\.\d)", text) is not None
+
+
+@contextmanager
+def devices_guarded() -> Iterator[list[str]]:
+    """The devices opened while this lasts, of all drivers installed; none is really opened."""
+    touched: list[str] = []
+
+    def opening(name: str) -> Callable[..., None]:
+        def opened(*_: object, **__: object) -> None:
+            touched.append(name)
+            raise AssertionError(f"{name} was opened")
+
+        return opened
+
+    targets = ["cv2.VideoCapture", "serial.Serial", "sim.devices.SimCamera", "sim.devices.SimTrack"]
+    with ExitStack() as stack:
+        for group in ("lscan.cameras", "lscan.tracks"):
+            for name, entry in installed(group).items():
+                kind = type(entry.load())
+                stack.enter_context(patch.object(kind, "open", opening(f"{group} {name}")))
+        for target in targets:
+            stack.enter_context(patch(target, opening(target)))
+        yield touched
+
+
+def try_all(every: int = 1) -> tuple[list[Verdict], list[str]]:
+    """What became of every wrong rig, or of one in so many, and the devices that were touched.
+
+    Raises AssertionError where a rig that ought to be right is refused.
+    """
+    rigs = good_rigs()
+    with tempfile.TemporaryDirectory() as name, devices_guarded() as touched:
+        folder = Path(name)
+        write_beside(folder)
+        for rig in rigs:
+            _assert_good(rig, folder / "good.toml")
+        wrongs = [wrong for rig in rigs for wrong in wrong_fields(rig)]
+        wrongs += crossed_rigs(rigs)
+        file = folder / "my-rig.toml"
+        return [Verdict(wrong, shortcoming(wrong, file)) for wrong in wrongs[::every]], touched
+
+
+def _assert_good(rig: GoodRig, file: Path) -> None:
+    file.write_text(as_toml(rig.document), encoding="utf-8")
+    try:
+        load_rig(file)
+    except InputError as error:
+        raise AssertionError(f"the rig {rig.name} ought to be right: {error}") from error
+
+
+def field_rows(every: int = 1) -> list[Row]:
+    """The figures for a rig file with any one field wrong: how many, refused how, touching what.
+
+    every: one in so many of them is tried.
+    """
+    verdicts, touched = try_all(every)
+    bad = [verdict for verdict in verdicts if verdict.fault]
+    files = "real TOML files, every field of the models and every pair of drivers"
+    return [
+        Row(
+            what="rig files with one field wrong tried",
+            reference=files,
+            figure=len(verdicts),
+            bar=500 // every,
+            unit="files",
+            tolerance_from="some hundreds: each field is wrong in several ways",
+            at_least=True,
+        ),
+        Row(
+            what="of those not refused by file, key, value and what is allowed",
+            reference=files,
+            figure=len(bad),
+            bar=0,
+            unit="files",
+            tolerance_from="required: a message with the key and what is allowed",
+        ),
+        Row(
+            what="devices touched by a rig file with a field wrong",
+            reference="every driver's opening function, guarded",
+            figure=len(touched),
+            bar=0,
+            unit="devices",
+            tolerance_from="required: none reaches a device",
+        ),
+    ]

@@ -1,0 +1,176 @@
+"""A scan killed at random moments and resumed: the same bytes as the scan that was not killed.
+
+Each scan is the command ``lscan scan`` in a process of its own, on the simulated drivers.
+"""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+
+import lscan
+from lscan.acquisition.run import TABLE
+from sim.validation.rows import Row
+
+SEED: Final = 5020
+KILLS_A_RUN: Final = 4
+"""A run is killed up to so often before it may come to its end."""
+
+SMALL: Final = """
+include = {scene!r}
+[plan]
+frames = {frames}
+step_mm = 0.5
+[camera]
+width_px = 64
+height_px = 48
+[lens]
+focal_px = 85.0
+centre_px = [31.5, 23.5]
+[render]
+samples = 1
+"""
+"""The scene in pictures a tenth as wide and high, so that rendering takes next to no time."""
+
+Progress = Callable[[int, int], None]
+
+
+@dataclass(frozen=True)
+class KilledRun:
+    """One run.  kept: frames on disk after each kill.  same: whether, resumed, its files are
+    those of the undisturbed run, byte for byte."""
+
+    kept: tuple[int, ...]
+    same: bool
+
+
+def kill_runs(
+    scene: Path,
+    count: int,
+    frames: int,
+    seed: int = SEED,
+    progress: Progress | None = None,
+) -> list[KilledRun]:
+    """Runs of ``scene`` that were killed ``count`` times or more in all, and resumed.
+
+    The moments are uniform over the duration of the undisturbed scan, start-up included, each
+    drawn anew after a kill.  Raises RuntimeError where a scan fails by itself.
+    """
+    generator = np.random.default_rng(seed)
+    runs: list[KilledRun] = []
+    with tempfile.TemporaryDirectory(prefix="lscan-kills-") as name:
+        folder = Path(name)
+        small = folder / "small.toml"
+        small.write_text(SMALL.format(scene=str(scene.resolve()), frames=frames))
+        _finish(small, folder / "first")  # the renderer keeps what it compiled
+        began_s = time.monotonic()
+        _finish(small, folder / "whole")
+        whole_s = time.monotonic() - began_s
+        reference = folder_bytes(folder / "whole")
+        kills = 0
+        while kills < count:
+            run = folder / f"{len(runs):03d}"
+            kept = _killed(small, run, whole_s, generator)
+            _finish(small, run)
+            runs.append(KilledRun(kept, folder_bytes(run) == reference))
+            kills += len(kept)
+            if progress is not None:
+                progress(min(kills, count), count)
+    return runs
+
+
+def kill_rows(
+    scene: Path, count: int, frames: int, seed: int = SEED, progress: Progress | None = None
+) -> list[Row]:
+    """How many kills there were, and how many runs differ from the undisturbed one after them."""
+    runs = kill_runs(scene, count, frames, seed, progress)
+    reference = "the same scan without a kill, all files byte for byte"
+    kills = sum(len(run.kept) for run in runs)
+    differing = sum(not run.same for run in runs)
+    source = "required of this project"
+    return [
+        Row("kills of a scan, SIGKILL", reference, kills, count, "", source, seed, at_least=True),
+        Row("resumed runs whose bytes differ", reference, differing, 0, "", source, seed),
+    ]
+
+
+def folder_bytes(folder: Path) -> dict[str, bytes]:
+    """Every file beneath ``folder``, hidden ones too: its path there to its content."""
+    files = (file for file in sorted(folder.rglob("*")) if file.is_file())
+    return {str(file.relative_to(folder)): file.read_bytes() for file in files}
+
+
+def _killed(
+    scene: Path, run: Path, whole_s: float, generator: np.random.Generator
+) -> tuple[int, ...]:
+    """Frames on disk after each of up to KILLS_A_RUN kills; fewer where a scan came first."""
+    kept: list[int] = []
+    for _ in range(KILLS_A_RUN):
+        if not _dies(scene, run, float(generator.uniform(0, whole_s))):
+            break
+        kept.append(_frames_in(run))
+    return tuple(kept)
+
+
+def _dies(scene: Path, run: Path, after_s: float) -> bool:
+    """Go on with the run and kill it; False where it came to its end before."""
+    with _start(scene, run) as process:
+        try:
+            _, said = process.communicate(timeout=after_s)
+        except subprocess.TimeoutExpired:
+            process.kill()
+            _, said = process.communicate()
+    if process.returncode == -signal.SIGKILL:
+        return True
+    _require_success(process.returncode, said)
+    return False
+
+
+def _finish(scene: Path, run: Path) -> None:
+    """Begin the run or go on with it, to its end."""
+    with _start(scene, run) as process:
+        _, said = process.communicate()
+    _require_success(process.returncode, said)
+
+
+def _start(scene: Path, run: Path) -> subprocess.Popen[str]:
+    """``lscan scan`` of this very package, in a process of its own."""
+    home = str(Path(lscan.__file__).parents[1])
+    command = [
+        sys.executable,
+        "-m",
+        "lscan.cli.app",
+        "scan",
+        str(scene),
+        "-o",
+        str(run),
+        "--resume",
+    ]
+    return subprocess.Popen(
+        command,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.PIPE,
+        text=True,
+        env={**os.environ, "PYTHONPATH": home},
+    )
+
+
+def _require_success(code: int, said: str) -> None:
+    if code != 0:
+        raise RuntimeError(f"a scan ended with code {code}: {said.strip()}")
+
+
+def _frames_in(run: Path) -> int:
+    """Rows of the run's table that are whole."""
+    table = run / TABLE
+    return max(0, table.read_bytes().count(b"\n") - 1) if table.exists() else 0

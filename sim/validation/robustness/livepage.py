@@ -1,0 +1,142 @@
+"""The live page beside a scan of the served tank: pictures drawn a second, in a real browser."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+import sys
+import time
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+
+from lscan.acquisition.scan import scan
+from lscan.calibration.solve import save_calibration
+from lscan.config.rig import load_rig
+from lscan.errors import MeasurementError
+from lscan.files.disk import make_folder, write_atomically
+from lscan.paper.experiment import measure_board
+from lscan.paper.published import CHOSEN_MAP
+from sim.scene import load_scene
+from sim.testing.browser import Browser
+from sim.validation.rows import Row
+
+STEP_MM = 2.0
+SHORTEST = 5 / 6  # of the time over which pictures are to be counted
+BAR_HZ = 15.0
+SOURCE = "required of this project: 640 x 480 px, on 2 cores"
+COUNT = "[performance.now() / 1000, window.lscan.profilesDrawn]"
+
+
+def livepage_rows(
+    scenes: Path, frames: int, seconds: float, output: Path = Path("out/hardware/live")
+) -> list[Row]:
+    """Pictures a second that headless Chromium draws, with stripe and profile, during a scan.
+
+    The webcam, the track, the page and the browser are processes of their own, all on this
+    machine; the scan is started and stopped by clicks.  scenes: folder that holds
+    paper/board.toml and paper/sandwave.toml.  frames: of the scan.  seconds: over which pictures
+    are counted.  output: folder for what is written, replaced if it is there; a screenshot of
+    the scan, page.png, stays in it.  Raises BrowserMissing where there is no Chromium,
+    MeasurementError where a process does not do its part.
+    """
+    shutil.rmtree(output, ignore_errors=True)
+    make_folder(output)
+    calibration, scene = _calibration(scenes, output), _short_scene(scenes, frames, output)
+    rig = output / "rig.toml"
+    serve = ["sim.cli.app", "serve", str(scene), "--prepare", "--write-rig", str(rig)]
+    live = ["lscan.cli.app", "live", str(rig), "--calibration", str(calibration), "--port", "0"]
+    with (
+        _running(serve, "rig:", output / "serve.log"),
+        _running([*live, "--output", str(output / "runs")], "http", output / "live.log") as line,
+        Browser() as browser,
+    ):
+        rate_hz = _rate_while_scanning(browser, line.split()[0], seconds, output / "page.png")
+    return [
+        Row(
+            what="live page: pictures drawn a second while scanning, with stripe and profile",
+            reference="performance.now() of headless Chromium, over at least "
+            f"{SHORTEST * seconds:.3g} s of the scan",
+            figure=rate_hz,
+            bar=BAR_HZ,
+            unit="1/s",
+            tolerance_from=SOURCE,
+            seed=load_scene(scene).tank.sensor.seed,
+            at_least=True,
+            noisy=True,
+        )
+    ]
+
+
+def _rate_while_scanning(browser: Browser, address: str, seconds: float, screenshot: Path) -> float:
+    """Start a scan by a click, count the pictures drawn while it goes on, and stop it."""
+    browser.open(address)
+    browser.wait_for(
+        "window.lscan?.profilesDrawn > 0 && !document.querySelector('#start').disabled",
+        timeout_s=60.0,
+    )
+    browser.click("#start")
+    browser.wait_for("document.querySelector('#progress').value > 0", timeout_s=60.0)
+    began_s, began = browser.evaluate(COUNT)
+    now_s, drawn = began_s, began
+    while now_s - began_s < seconds and browser.evaluate(
+        "!document.querySelector('#pause').disabled"
+    ):
+        time.sleep(0.25)
+        now_s, drawn = browser.evaluate(COUNT)
+    if now_s - began_s < SHORTEST * seconds:
+        fault = browser.evaluate("document.querySelector('#alert').innerText")
+        raise MeasurementError(
+            f"the scan went on for {now_s - began_s:.1f} s only, {SHORTEST * seconds:.3g} s needed "
+            f"({fault or 'no fault told'})"
+        )
+    browser.screenshot(screenshot)
+    if browser.evaluate("!document.querySelector('#stop').disabled"):
+        browser.click("#stop")
+        browser.wait_for("document.querySelector('#stop').disabled", timeout_s=60.0)
+    return float((drawn - began) / (now_s - began_s))
+
+
+def _calibration(scenes: Path, output: Path) -> Path:
+    """A calibration from the board picture of the paper's scene, by the sim drivers."""
+    run = scan(load_rig(scenes / "paper" / "board.toml"), output / "board")
+    path = output / "board.json"
+    save_calibration(path, measure_board(run, (CHOSEN_MAP,)).calibrations[CHOSEN_MAP])
+    return path
+
+
+def _short_scene(scenes: Path, frames: int, output: Path) -> Path:
+    """The sandwave's scene with fewer frames, so that it is rendered in a minute or two."""
+    path = output / "scene.toml"
+    included = os.path.relpath(scenes / "paper" / "sandwave.toml", output)
+    plan = f"[plan]\nframes = {frames}\nstep_mm = {STEP_MM}\n"
+    write_atomically(path, f'include = "{Path(included).as_posix()}"\n\n{plan}'.encode())
+    return path
+
+
+@contextmanager
+def _running(module: Sequence[str], ready: str, log: Path) -> Iterator[str]:
+    """A command of this project while it runs; the line, begun with ``ready``, it got ready by.
+
+    log: where its stderr goes.  MeasurementError where it ends before it is ready.
+    """
+    with log.open("wb") as stderr:
+        process = subprocess.Popen(
+            [sys.executable, "-m", *module], stdout=subprocess.PIPE, stderr=stderr, text=True
+        )
+    assert process.stdout is not None
+    try:
+        line = next((line for line in process.stdout if line.startswith(ready)), None)
+        if line is None:
+            said = log.read_text(errors="replace").strip().splitlines() or ["no word"]
+            raise MeasurementError(f"{' '.join(module[:2])} does not start: {said[-1]}")
+        yield line
+    finally:
+        process.terminate()
+        try:
+            process.wait(timeout=60.0)
+        except subprocess.TimeoutExpired:
+            process.kill()
+            process.wait()
+        process.stdout.close()

@@ -1,0 +1,208 @@
+"""What acquisition costs beyond camera and track: checks, PNG, checksums and syncs.
+
+A camera and a track that cost nothing stand in for real ones; their pictures come from the
+tank's sensor beforehand, with all its noise, which is what a PNG encoder has to work on.  The
+cost is counted in plain savings of the same pictures, one beside each frame: what else the
+machine does, and how fast it is, is in both.
+"""
+
+from __future__ import annotations
+
+import os
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from functools import partial
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import cv2
+import numpy as np
+
+from lscan.acquisition.scan import acquire_into
+from lscan.acquisition.writer import create_run
+from lscan.config.rig import RigFile, parse_rig
+from lscan.devices.api import Grab
+from lscan.records import Bytes, Floats
+from sim.render.tank import Tank
+from sim.scene import load_scene
+from sim.sensor import Webcam
+from sim.validation.rows import Row
+
+SEED = 51
+PICTURES = 8  # that take turns
+BAR = 1.0
+SCENE = Path("scenes/paper/sandwave.toml")
+BAR_FROM = "no dearer than a plain saving; stricter than 10 ms where that takes 9.2 ms"
+
+Clock = Callable[[], float]
+
+
+@dataclass
+class Stopwatch:
+    """Runs while neither device is at work.
+
+    frames_s: for each frame, the time from its move until the next, or until ``stop``, less
+    what the devices took of it.
+    """
+
+    clock: Clock
+    frames_s: list[float] = field(default_factory=list)
+    _since_s: float = 0.0
+
+    def begin_frame(self) -> None:
+        """The track is told to move: what ran until now belongs to the frame before."""
+        if self.frames_s:
+            self.pause()
+        self.frames_s.append(0.0)
+
+    def pause(self) -> None:
+        """A device is called, or the scan has ended."""
+        self.frames_s[-1] += self.clock() - self._since_s
+
+    def go_on(self) -> None:
+        """A device has answered."""
+        self._since_s = self.clock()
+
+
+@dataclass
+class FreeTrack:
+    """A track that is at once where it is told to go."""
+
+    watch: Stopwatch
+    position_mm: float = 0.0
+
+    def move_to(self, position_mm: float) -> float:
+        """The position asked for, mm."""
+        self.watch.begin_frame()
+        self.position_mm = position_mm
+        self.watch.go_on()
+        return position_mm
+
+    def close(self) -> None:
+        """Nothing is held."""
+
+
+@dataclass
+class FreeCamera:
+    """A camera whose pictures, all (H, W, 3) RGB, have been taken beforehand."""
+
+    watch: Stopwatch
+    pictures: list[Bytes]
+
+    @property
+    def size_px(self) -> tuple[int, int]:
+        """(width, height) of every picture."""
+        height, width = self.pictures[0].shape[:2]
+        return width, height
+
+    def grab(self, frame: int | None = None, dark: bool = False) -> Grab:
+        """The picture whose turn it is."""
+        self.watch.pause()
+        grab = self._taken(0 if frame is None else frame)
+        self.watch.go_on()
+        return grab
+
+    def close(self) -> None:
+        """Nothing is held."""
+
+    def _taken(self, frame: int) -> Grab:
+        return Grab(self.pictures[frame % len(self.pictures)], float(frame), 20.0)
+
+
+@dataclass
+class SavingCamera(FreeCamera):
+    """Saves each picture plainly too, while nobody's time is taken, and remembers how long it took.
+
+    path: the file.  saved_s: the time each saving took, s.
+    """
+
+    path: Path = Path("plain.png")
+    saved_s: list[float] = field(default_factory=list)
+
+    def _taken(self, frame: int) -> Grab:
+        grab = super()._taken(frame)
+        began_s = self.watch.clock()
+        save_plainly(self.path, grab.image)
+        self.saved_s.append(self.watch.clock() - began_s)
+        return grab
+
+
+def save_plainly(path: Path, picture: Bytes) -> None:
+    """Write a picture (H, W, 3) as a script would: OpenCV's own PNG, and a sync."""
+    _, data = cv2.imencode(".png", picture)
+    with path.open("wb") as file:
+        file.write(data.tobytes())
+        file.flush()
+        os.fsync(file.fileno())
+
+
+def overhead_rows(frames: int, folder: Path = Path(), scene: Path = SCENE) -> list[Row]:
+    """The overhead of one frame of 640 by 480 px in colour, over saving its picture plainly.
+
+    frames: how many are scanned.  folder: on the disk that runs are written to; a memory file
+    system would sync for nothing.  scene: whose sensor takes the pictures.
+    Median over median, and mean over mean: the mean times the number of frames is what a scan
+    takes longer; a disk that now and then hesitates shows in it, and not in the median.
+    """
+    pictures = noisy_pictures(scene)
+    with TemporaryDirectory(dir=folder, prefix=".overhead-") as scratch:
+        saved_s: list[float] = []
+        camera = partial(SavingCamera, path=Path(scratch) / "plain.png", saved_s=saved_s)
+        taken_s = frame_times(Path(scratch) / "run", pictures, frames, camera=camera)
+    what = f"overhead of a frame, 640 x 480 colour, {frames} frames, over saving it plainly"
+    found = {
+        "median": (float(np.median(taken_s)), float(np.median(saved_s))),
+        "mean": (float(np.mean(taken_s)), float(np.mean(saved_s))),
+    }
+    return [
+        Row(
+            what=f"{what}: {name}",
+            reference=f"{1000 * taken:.1f} ms, and {1000 * saved:.1f} ms for OpenCV's PNG and a "
+            "sync; a camera and a track that cost nothing",
+            figure=taken / saved,
+            bar=BAR,
+            unit="ratio",
+            tolerance_from=BAR_FROM,
+            seed=SEED,
+            noisy=True,
+        )
+        for name, (taken, saved) in found.items()
+    ]
+
+
+def noisy_pictures(scene: Path = SCENE, count: int = PICTURES) -> list[Bytes]:
+    """Pictures (H, W, 3) RGB uint8 of one view of the tank, each with noise of its own."""
+    loaded = load_scene(scene)
+    layers, webcam = Tank(loaded).render(loaded.rig.plan.start_mm), Webcam(loaded)
+    generator = np.random.default_rng(SEED)
+    exposure_ms = loaded.rig.camera.exposure_ms
+    return [webcam.expose(layers, exposure_ms, generator) for _ in range(count)]
+
+
+def frame_times(
+    path: Path,
+    pictures: list[Bytes],
+    frames: int,
+    clock: Clock = time.perf_counter,
+    camera: Callable[[Stopwatch, list[Bytes]], FreeCamera] = FreeCamera,
+) -> Floats:
+    """(frames,) what acquisition itself took for each frame, s, scanning into the folder ``path``.
+
+    camera: takes the place of the one that costs nothing.
+    """
+    watch = Stopwatch(clock)
+    with create_run(path, _rig(pictures[0], frames)) as writer:
+        acquire_into(writer, camera(watch, pictures), FreeTrack(watch))
+        watch.pause()
+    return np.array(watch.frames_s)
+
+
+def _rig(picture: Bytes, frames: int) -> RigFile:
+    height, width = picture.shape[:2]
+    document = {
+        "camera": {"driver": "free", "width_px": width, "height_px": height},
+        "track": {"driver": "free"},
+        "plan": {"frames": frames},
+    }
+    return parse_rig(document, source="overhead", trusted=True)

@@ -1,0 +1,82 @@
+"""Every figure of the hardware table, measured one after the other on emulated hardware."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+
+from lscan.config.rig import load_rig
+from sim.validation.robustness.agreement import agreement_rows
+from sim.validation.robustness.campaign import Outcome, fault_rows
+from sim.validation.robustness.effort import FULL, QUICK
+from sim.validation.robustness.fields import field_rows
+from sim.validation.robustness.kills import kill_rows
+from sim.validation.robustness.livepage import livepage_rows
+from sim.validation.robustness.overhead import overhead_rows
+from sim.validation.rows import Row, RowFile, measured
+
+Progress = Callable[[int, int], None]
+NEEDED = ("board", "sandwave")
+
+
+@dataclass(frozen=True)
+class Evidence:
+    """The rows of the table, and what became of each injected fault."""
+
+    rows: tuple[Row, ...]
+    outcomes: tuple[Outcome, ...]
+
+
+def run_hardware(
+    scenes: Path, output: Path, quick: bool = False, progress: Progress | None = None
+) -> Evidence:
+    """The figures, whose rows are also written to ``output`` as they are measured.
+
+    scenes: folder of the scene files.  quick: every row, with the least effort.  progress: told
+    (done, all) after each chapter.  The chapters take turns, because one would spoil what
+    another measures of time; one that ends with an error, as the live page's does without
+    Chromium, is a failed row.  Raises InputError where a scene file is wrong or the disk
+    refuses.
+    """
+    for name in NEEDED:
+        load_rig(scenes / "paper" / f"{name}.toml")  # refuses a bad file before minutes of work
+    file = RowFile(output, quick)
+    effort = QUICK if quick else FULL
+    outcomes: list[Outcome] = []
+
+    def faults() -> list[Row]:
+        with _quiet():
+            rows, ended = fault_rows(effort.faults)
+        outcomes.extend(ended)
+        return rows
+
+    sandwave = scenes / "paper" / "sandwave.toml"
+    chapters: Mapping[str, Callable[[], list[Row]]] = {
+        "live page": lambda: livepage_rows(scenes, effort.live_frames, effort.live_s),
+        "overhead of a frame": lambda: overhead_rows(effort.overhead_frames, scene=sandwave),
+        "scan through opencv and grbl": lambda: agreement_rows(
+            scenes, effort.scan_frames, effort.aligned
+        ),
+        "kills": lambda: kill_rows(sandwave, effort.kills, effort.kill_frames),
+        "rig files with one field wrong": lambda: field_rows(effort.every_field),
+        "faults": faults,
+    }
+    for done, (name, chapter) in enumerate(chapters.items(), start=1):
+        file.add(measured(name, chapter))
+        if progress is not None:
+            progress(done, len(chapters))
+    return Evidence(tuple(file.rows), tuple(outcomes))
+
+
+@contextmanager
+def _quiet() -> Iterator[None]:
+    """Keep to itself what drivers say of each of hundreds of faults."""
+    before = logging.root.manager.disable
+    logging.disable(logging.WARNING)
+    try:
+        yield
+    finally:
+        logging.disable(before)

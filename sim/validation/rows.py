@@ -1,0 +1,196 @@
+"""The rows of every figures file: a figure beside its bar, and what it was held against."""
+
+from __future__ import annotations
+
+import json
+import traceback
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, replace
+from math import isfinite, nan
+from pathlib import Path
+from typing import Any
+
+from lscan.errors import LscanError
+from lscan.figures.exhibit import Exhibit
+from lscan.files.disk import make_folder, write_atomically
+
+
+@dataclass(frozen=True)
+class Row:
+    """One figure: how far something is from its reference, and how far it may be.
+
+    what: the quantity.  reference: the closed form, the published value or the renderer it
+    is held against.  figure: as measured, in ``unit``.  bar: the largest figure allowed, in
+    ``unit``; None where the figure is only told.  at_least: the figure must instead be no
+    smaller than the bar.  tolerance_from: where the bar comes from.  seed: of the random
+    numbers used, None where there are none.  noisy: noise moves the figure, so that the few
+    samples of a quick run may put it beyond its bar.  quick: it was measured in such a run.
+    error: what kept it from being measured, "" where nothing did.
+    """
+
+    what: str
+    reference: str
+    figure: float
+    bar: float | None
+    unit: str
+    tolerance_from: str
+    seed: int | None = None
+    at_least: bool = False
+    noisy: bool = False
+    quick: bool = False
+    error: str = ""
+
+    @property
+    def passed(self) -> bool | None:
+        """Whether the figure is a number on the right side of its bar.
+
+        None where a number is not judged: it has no bar, or a quick run's noise could spoil it.
+        """
+        if self.error or not isfinite(self.figure):
+            return False
+        if self.bar is None or (self.quick and self.noisy):
+            return None
+        return bool(self.figure >= self.bar if self.at_least else self.figure <= self.bar)
+
+    def as_json(self) -> dict[str, Any]:
+        """The row as the figures file holds it; a figure that is no number is null there."""
+        side = {"at_least": True} if self.at_least else {}
+        failed = {"error": self.error} if self.error else {}
+        return {
+            "what": self.what,
+            "reference": self.reference,
+            "figure": float(self.figure) if isfinite(self.figure) else None,
+            "bar": None if self.bar is None else float(self.bar),
+            "unit": self.unit,
+            "tolerance_from": self.tolerance_from,
+            "seed": self.seed,
+            "quick": self.quick,
+            "passed": self.passed,
+            **side,
+            **failed,
+        }
+
+
+@dataclass(frozen=True)
+class Check:
+    """One topic of the evidence.
+
+    key: short name, unique on the page.  title: a few words.  text: what is compared and
+    why that convinces, two or three sentences.  exhibits: figures for the page.
+    """
+
+    key: str
+    title: str
+    text: str
+    rows: tuple[Row, ...]
+    exhibits: tuple[Exhibit, ...] = ()
+
+
+class RowFile:
+    """A figures file that always holds all the rows measured so far.
+
+    Parameters
+    ----------
+    path : Path
+        The JSON file, a list of rows; its folder is made.
+    quick : bool
+        Whether the rows are those of a quick run, and marked as such.
+
+    Raises
+    ------
+    InputError
+        Where the disk refuses, before anything has been measured.
+    """
+
+    def __init__(self, path: Path, quick: bool) -> None:
+        self.path, self.quick = path, quick
+        self._parts: dict[int, list[Row]] = {}
+        self._write()
+
+    @property
+    def rows(self) -> list[Row]:
+        """All rows so far, in the order of their places."""
+        return [row for _, part in sorted(self._parts.items()) for row in part]
+
+    def add(self, rows: Iterable[Row], place: int | None = None) -> list[Row]:
+        """The rows, marked where the run is quick, once the file holds them too.
+
+        place: their rank in the file, behind all others if None.
+        """
+        part = [replace(row, quick=self.quick) for row in rows]
+        self._parts[max(self._parts, default=-1) + 1 if place is None else place] = part
+        self._write()
+        return part
+
+    def _write(self) -> None:
+        write_rows(self.path, self.rows)
+
+
+def measured(what: str, measure: Callable[[], Iterable[Row]]) -> list[Row]:
+    """The rows that ``measure`` returns; a single failed one where it ends with an error.
+
+    Parameters
+    ----------
+    what : str
+        What is measured; the name of the failed row.
+    measure : callable
+        Takes nothing and returns rows.
+    """
+    try:
+        return list(measure())
+    except Exception as error:  # whatever it is, the other figures are still wanted
+        return [failed_row(what, error)]
+
+
+def failed_row(what: str, error: Exception) -> Row:
+    """The row of a measurement that ended with ``error``: no figure, and the message."""
+    message = " ".join(str(error).split())
+    if not isinstance(error, LscanError):  # an error of the program: say where it arose
+        place = traceback.extract_tb(error.__traceback__)[-1:]
+        arose = "".join(f" ({Path(frame.filename).name}:{frame.lineno})" for frame in place)
+        message = f"{type(error).__name__}: {message}{arose}"
+    return Row(what, "none: not measured", nan, None, "", "every row is measured", error=message)
+
+
+def all_passed(rows: Iterable[Row]) -> bool:
+    """Whether no row failed; rows that are not judged do not count."""
+    return all(row.passed is not False for row in rows)
+
+
+def rows_of(checks: Iterable[Check]) -> list[Row]:
+    """All rows of the checks, in order."""
+    return [row for check in checks for row in check.rows]
+
+
+def write_rows(path: Path, rows: Sequence[Row]) -> None:
+    """Write the rows to ``path`` as a JSON list; InputError where the disk refuses."""
+    text = json.dumps([row.as_json() for row in rows], indent=2, allow_nan=False)
+    make_folder(path.parent)
+    write_atomically(path, f"{text}\n".encode())
+
+
+HEADINGS = ("what", "figure", "bar", "unit", "within")
+VERDICTS = {True: "yes", False: "NO", None: "-"}
+
+
+def table_cells(rows: Iterable[Row]) -> list[list[str]]:
+    """Cells of the printed table beneath HEADINGS; an error stands beside what it prevented."""
+    return [
+        [
+            f"{row.what}: {row.error}" if row.error else row.what,
+            number(row.figure),
+            "" if row.bar is None else number(row.bar),
+            row.unit,
+            VERDICTS[row.passed],
+        ]
+        for row in rows
+    ]
+
+
+def number(value: float) -> str:
+    """The number with two significant digits, or whole; powers of ten for very small and large."""
+    if value == 0 or not isfinite(value):
+        return f"{value:g}"
+    if abs(value) >= 100:
+        return f"{value:.0f}" if abs(value) < 1e6 else f"{value:.1e}"
+    return f"{value:.2g}" if abs(value) >= 1e-3 else f"{value:.1e}"

@@ -1,0 +1,272 @@
+"""Speed of the tank and of the instrument, measured as ratios side by side in one run.
+
+The reference for the tank is Mitsuba's own ``volpath`` on the same emitter, scene and picture
+window.  Efficiency is 1 / (mean squared error x time), the error being that against a
+converged picture; its ratio says how many times longer the reference has to render for the
+same error.  Both render in turn, a pair a run, so that what else the machine does slows both;
+the lower end of the ratio's interval over the runs is what is judged.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import mitsuba as mi
+import numpy as np
+
+from lscan.acquisition.scan import scan
+from lscan.calibration.solve import Calibration
+from lscan.config.rig import RigFile, StripeSection, load_rig
+from lscan.paper.experiment import METHODS, measure_board
+from lscan.records import Floats, Mask
+from lscan.stripe import extract_stripe
+from sim.render.tank import Tank, stock_medium
+from sim.scene import scene_of
+from sim.sensor import Webcam
+from sim.validation.physics.scattering import render_with
+from sim.validation.rows import Row, RowFile, measured
+
+# (left, top, width, height) in px: the line on a ridge of the grooved block with the halo
+# about it, and water that the sheet crosses far above it.
+LINE_WINDOW, VEIL_WINDOW = (190, 346, 64, 32), (240, 120, 64, 32)
+GRID_SAMPLES, SCATTER_SAMPLES = 16, 4  # ours, of the first and of all higher orders
+VEIL_SAMPLES = 4  # ours, of the first order alone
+OURS_A_RUN = 4  # pictures of ours for one of the reference, which takes some 20 times longer
+ALL_ORDERS, FIRST_ORDER = -1, 2  # volpath's max_depth
+BARS = {"line core": 150.0, "halo": 20.0, "veil": 1000.0}
+ASKED = "required of the tank"
+SEED, RESAMPLES = 0, 2000
+CONFIDENCE = 0.95
+
+Window = tuple[int, int, int, int]
+Picture = Callable[[int], Floats]
+
+
+@dataclass(frozen=True)
+class Effort:
+    """How much is rendered.
+
+    runs: pairs of pictures.  stock_samples: volpath's, a pixel.  converged: samples of the
+    first and of the higher orders in the pictures that all are held against.  repeats: of a
+    call that is timed.
+    """
+
+    runs: int
+    stock_samples: int
+    converged: tuple[int, int]
+    repeats: int
+
+
+FULL = Effort(runs=64, stock_samples=1024, converged=(4096, 2048), repeats=15)
+QUICK = Effort(runs=3, stock_samples=16, converged=(64, 32), repeats=1)
+
+
+@dataclass(frozen=True)
+class Run:
+    """One pair of pictures: squared error times seconds, of ours and of the reference."""
+
+    ours: float
+    theirs: float
+
+
+@dataclass(frozen=True)
+class Gain:
+    """Efficiency of ours over the reference's: all runs together, and its 95 % interval."""
+
+    ratio: float
+    low: float
+    high: float
+
+
+def run_bench(scenes: Path, output: Path, quick: bool = False) -> list[Row]:
+    """The rows, also written to ``output`` as they are measured.
+
+    scenes: folder of board.toml and groove.toml.  quick: every row, with the least effort.
+    Raises InputError where a scene file is wrong or the disk refuses.
+    """
+    groove, board = load_rig(scenes / "groove.toml"), load_rig(scenes / "board.toml")
+    effort = QUICK if quick else FULL
+    file = RowFile(output, quick)
+    for what, measure in {
+        "efficiency on line and halo": partial(line_efficiency, groove, effort),
+        "efficiency on the veil": partial(veil_efficiency, groove, effort),
+        "efficiency above the line": partial(water_efficiency, groove, effort),
+        "time of a frame": partial(frame_times, groove, effort),
+        "time of a plane map": partial(map_times, board, effort),
+    }.items():
+        file.add(measured(what, measure))
+    return file.rows
+
+
+def line_efficiency(rig_file: RigFile, effort: Effort) -> list[Row]:
+    """How many times the reference's render time buys our noise, on the line and its halo.
+
+    Both hold all orders of scattering.  The reference's rare bright specks are seldom among
+    its pictures, so its error, and the ratio, are rather too small.
+    """
+    found = _all_orders(Tank(scene_of(rig_file)), LINE_WINDOW, effort)
+    return [
+        _gain_row("line core, all orders", found["line core"], effort, BARS["line core"]),
+        _gain_row("halo, all orders", found["halo"], effort, BARS["halo"]),
+    ]
+
+
+def veil_efficiency(rig_file: RigFile, effort: Effort) -> list[Row]:
+    """The same on the veil, light scattered once, rendered as that by both."""
+    tank = Tank(scene_of(rig_file))
+    # At random places, for on its grid this render has no noise to compare.
+    camera = tank.make_camera(VEIL_WINDOW, jitter=True)
+    truth = _mean(partial(render_with, tank, camera, tank.integrator, effort.converged[0]))
+    ours = partial(render_with, tank, camera, tank.integrator, VEIL_SAMPLES)
+    whole = {"veil": np.ones(truth.shape, dtype=bool)}
+    found = _gains(ours, _theirs(tank, VEIL_WINDOW, FIRST_ORDER, effort), truth, whole, effort)
+    return [_gain_row("veil, single scattering", found["veil"], effort, BARS["veil"])]
+
+
+def water_efficiency(rig_file: RigFile, effort: Effort) -> list[Row]:
+    """The same part of the picture with all orders, which has no bar."""
+    found = _all_orders(Tank(scene_of(rig_file)), VEIL_WINDOW, effort)
+    return [_gain_row("water above the line, all orders", found["halo"], effort, None)]
+
+
+def _gain_row(what: str, gain: Gain, effort: Effort, bar: float | None) -> Row:
+    return Row(
+        what=f"efficiency against volpath, {what}: lower end of the interval",
+        reference=f"volpath, {effort.stock_samples} samples; all {effort.runs} runs together "
+        f"{gain.ratio:.3g}, {100 * CONFIDENCE:g} % interval {gain.low:.3g} to {gain.high:.3g}",
+        figure=gain.low,
+        bar=bar,
+        unit="ratio",
+        tolerance_from=ASKED if bar is not None else "told without a bar",
+        seed=SEED,
+        at_least=True,
+        noisy=True,
+    )
+
+
+def _all_orders(tank: Tank, window: Window, effort: Effort) -> dict[str, Gain]:
+    """The gain on each part of a window, all orders of scattering in both renders."""
+    grid, random = tank.make_camera(window), tank.make_camera(window, jitter=True)
+
+    def ours(samples: tuple[int, int], seed: int) -> Floats:
+        first = render_with(tank, grid, tank.integrator, samples[0], seed)
+        return first + render_with(tank, random, tank.higher, samples[1], seed)
+
+    truth = _mean(partial(ours, effort.converged))
+    parts = {name: part for name, part in _parts(tank, window).items() if part.any()}
+    taken = partial(ours, (GRID_SAMPLES, SCATTER_SAMPLES))
+    return _gains(taken, _theirs(tank, window, ALL_ORDERS, effort), truth, parts, effort)
+
+
+def _theirs(tank: Tank, window: Window, depth: int, effort: Effort) -> Picture:
+    """How the reference renders a picture."""
+    camera = tank.make_camera(window, stock_medium(tank.water), jitter=True)
+    stock = mi.load_dict({"type": "volpath", "max_depth": depth, "rr_depth": 8})
+    return partial(render_with, tank, camera, stock, effort.stock_samples)
+
+
+def _mean(picture: Picture) -> Floats:
+    """The mean of two pictures whose seeds no other picture has."""
+    return np.mean([picture(1000), picture(1001)], axis=0)
+
+
+def _gains(
+    ours: Picture, theirs: Picture, truth: Floats, parts: Mapping[str, Mask], effort: Effort
+) -> dict[str, Gain]:
+    """The gain on each part, from pairs of pictures rendered in turn."""
+    ours(0), theirs(0)  # compiles what is rendered
+    runs: dict[str, list[Run]] = {name: [] for name in parts}
+    for run in range(effort.runs):
+        seeds = range(1 + OURS_A_RUN * run, 1 + OURS_A_RUN * (run + 1))
+        mine, my_seconds = _timed(lambda seeds=seeds: [ours(seed) for seed in seeds])  # type: ignore[misc]
+        other, seconds = _timed(lambda run=run: [theirs(1 + run)])  # type: ignore[misc]
+        for name, part in parts.items():
+            cost = _square(mine, truth, part) * my_seconds / OURS_A_RUN
+            runs[name].append(Run(cost, _square(other, truth, part) * seconds))
+    return {name: gain_of(pairs) for name, pairs in runs.items()}
+
+
+def gain_of(runs: list[Run]) -> Gain:
+    """The ratio of the means over all runs, and its interval.
+
+    References
+    ----------
+    B. Efron and R. J. Tibshirani, An Introduction to the Bootstrap, 1993, ch. 13: the
+    percentile interval, runs drawn again with replacement.
+    """
+    costs = np.array([[run.ours, run.theirs] for run in runs])
+    drawn = np.random.default_rng(SEED).integers(0, len(runs), (RESAMPLES, len(runs)))
+    sums = costs[drawn].sum(axis=1)
+    low, high = np.quantile(sums[:, 1] / sums[:, 0], [(1 - CONFIDENCE) / 2, (1 + CONFIDENCE) / 2])
+    return Gain(float(costs[:, 1].sum() / costs[:, 0].sum()), float(low), float(high))
+
+
+def _timed(call: Callable[[], list[Floats]]) -> tuple[Floats, float]:
+    """(pictures, H, W) of a call, and its seconds."""
+    started = time.perf_counter()
+    pictures = call()
+    return np.array(pictures), time.perf_counter() - started
+
+
+def _parts(tank: Tank, window: Window) -> dict[str, Mask]:
+    """Masks of a window: the line's core, and the halo, where none of its light goes direct."""
+    left, top, width, height = window
+    direct = tank.render(0.0, scatter_samples=0).direct
+    inside = direct[top : top + height, left : left + width]
+    brightest = float(direct.max())
+    return {"line core": inside > 0.5 * brightest, "halo": inside < 1e-6 * brightest}
+
+
+def frame_times(rig_file: RigFile, effort: Effort) -> list[Row]:
+    """Milliseconds a frame of rendering, sensor and each of the paper's extractors."""
+    scene = scene_of(rig_file)
+    tank, webcam = Tank(scene), Webcam(scene)
+    layers = tank.render(0.0)
+    generator = np.random.default_rng(1)
+    image = webcam.expose(layers, scene.rig.camera.exposure_ms, generator)
+    samples = scene.tank.render.samples
+    calls: dict[str, Callable[[], object]] = {
+        f"render, {samples} samples a pixel": lambda: tank.render(0.0),
+        "sensor": lambda: webcam.expose(layers, 20.0, generator),
+    }
+    for name in ("max", "centroid", "centroid-relative"):
+        settings = StripeSection(extractor=name)
+        calls[f"extract, {name}"] = partial(extract_stripe, image, settings)
+    return [_time_row(what, call, "ms a frame", effort) for what, call in calls.items()]
+
+
+def map_times(board: RigFile, effort: Effort) -> list[Row]:
+    """Milliseconds each plane map takes for the 640 points of a profile."""
+    points = np.column_stack([np.arange(640.0), np.full(640, 300.0)])
+    return [
+        _time_row(f"map, {name}", partial(calibration.plane_map.to_plane, points), "ms", effort)
+        for name, calibration in _calibrations(board).items()
+    ]
+
+
+def _calibrations(board: RigFile) -> Mapping[str, Calibration]:
+    """Every plane map, solved from a board picture taken for the purpose."""
+    with TemporaryDirectory() as folder:
+        return measure_board(scan(board, Path(folder) / "board"), METHODS).calibrations
+
+
+def _square(pictures: Floats, truth: Floats, part: Mask) -> float:
+    """Mean squared error of the pictures over a part of them."""
+    return float(np.mean((pictures - truth)[:, part] ** 2))
+
+
+def _time_row(what: str, call: Callable[[], object], unit: str, effort: Effort) -> Row:
+    """Median milliseconds of a call, the first one left out."""
+    call()
+    times = []
+    for _ in range(effort.repeats):
+        started = time.perf_counter()
+        call()
+        times.append(time.perf_counter() - started)
+    reference = f"median of {effort.repeats}"
+    return Row(what, reference, 1e3 * float(np.median(times)), None, unit, "told without a bar")

@@ -1,0 +1,133 @@
+"""Corners of chessboards and ChArUco boards: truth, scatter, photographs, refusals."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+import pytest
+from places import PHOTOGRAPHS
+
+from lscan.board.chessboard import read_charuco, read_chessboard
+from lscan.errors import BoardNotFound, InputError
+from lscan.records import Bytes, Floats
+
+DATA = PHOTOGRAPHS / "webcam"
+TURN = np.deg2rad(7.0)
+SIDE = 40.0  # px
+
+
+def chessboard(noise_dn: float = 0.0, seed: int = 0) -> tuple[Floats, Floats]:
+    """A picture of 8 by 6 squares, a little turned and blurred, and its (35, 2) true corners."""
+    fine, blur = 4, 0.8
+    v, u = (np.mgrid[: 480 * fine, : 640 * fine] + 0.5) / fine - 0.5
+    cos, sin = np.cos(TURN), np.sin(TURN)
+    x = (cos * (u - 150) + sin * (v - 90)) / SIDE
+    y = (-sin * (u - 150) + cos * (v - 90)) / SIDE
+    inside = (x >= 0) & (x < 8) & (y >= 0) & (y < 6)
+    dark = inside & ((np.floor(x) + np.floor(y)) % 2 == 0)
+    sharp = np.where(dark, 30.0, 210.0)
+    grey = cv2.GaussianBlur(sharp, (0, 0), fine * blur)
+    grey = grey.reshape(480, fine, 640, fine).mean(axis=(1, 3))
+    row, column = np.divmod(np.arange(35), 7)
+    right, down = SIDE * (column + 1), SIDE * (row + 1)
+    truth = np.column_stack([150 + cos * right - sin * down, 90 + sin * right + cos * down])
+    return grey + np.random.default_rng(seed).normal(0, noise_dn, grey.shape), truth
+
+
+def test_corners_are_where_they_are() -> None:
+    grey, truth = chessboard()
+    marks = read_chessboard(grey, 7, 5, 10.0)
+    assert marks.found.all()
+    # Edges drawn on quarter pixels: those that meet in a corner err by less than 1/8 px each,
+    # and some 30 rows of them average out.
+    np.testing.assert_allclose(marks.image_px, truth, atol=0.02)
+    np.testing.assert_array_equal(marks.board_mm[[0, 1, 7]], [[0, 0], [10, 0], [0, -10]])
+
+
+def test_sigma_of_a_corner_is_its_scatter() -> None:
+    found = [read_chessboard(chessboard(4.0, seed)[0], 7, 5, 10.0) for seed in range(10)]
+    points = np.stack([marks.image_px for marks in found])
+    score = points.std(axis=0, ddof=1) ** 2 / (found[0].sigma_px ** 2)[:, None]
+    # 70 coordinates of 9 degrees of freedom: good to 6 %; three of that.
+    assert score.mean() == pytest.approx(1.0, abs=0.2)
+
+
+def test_an_ideal_corner_has_no_other_error_than_noise() -> None:
+    grey, _ = chessboard()
+    # The picture's edges are drawn on quarter pixels, as in test_corners_are_where_they_are.
+    assert read_chessboard(grey, 7, 5, 10.0).sigma_px.max() <= 0.02
+
+
+def test_sigma_of_a_corner_tells_of_slanting_light() -> None:
+    """Light that falls to one side moves all saddles, by the square of the window's size.
+
+    A window 1.6 times narrower moves them by 0.39 of that, so 0.61 of the shift s is seen, whose
+    square the median turns into a variance of (0.61 s)² / (2 ln 2): a sigma of 0.52 s.  The error
+    of a coordinate, s in one direction and 0 in the other, is 0.71 s: sigma is 0.73 of it.
+    """
+    grey, truth = chessboard()
+    lit = grey * np.exp(-np.arange(640) / 200.0)
+    marks = read_chessboard(lit, 7, 5, 10.0)
+    error = float(np.sqrt(np.mean((marks.image_px - truth) ** 2)))
+    assert error > 0.05  # above what the drawing does
+    # The shift grows a little faster than that by the squares' blur: a tenth to either side.
+    assert 0.65 <= float(np.mean(marks.sigma_px)) / error <= 0.81
+
+
+def photographs() -> list[Bytes]:
+    paths = sorted(DATA.glob("frame*.jpg"))
+    if not paths:
+        pytest.skip("the photographs are not here")
+    return [np.asarray(cv2.imread(str(path), cv2.IMREAD_GRAYSCALE)) for path in paths]
+
+
+@pytest.mark.slow
+def test_sixteen_photographs_calibrate_a_webcam() -> None:
+    pictures = photographs()
+    found = [read_chessboard(picture, 11, 6, 25.0) for picture in pictures]
+    assert len(found) == 16 and all(marks.found.all() for marks in found)
+    flat = [np.column_stack([m.board_mm, 0 * m.sigma_px]).astype(np.float32) for m in found]
+    seen = [m.image_px.astype(np.float32) for m in found]
+    height, width = pictures[0].shape
+    rms = cv2.calibrateCamera(flat, seen, (width, height), None, None)[0]
+    assert rms <= 0.225  # OpenCV's plain route on the same pictures
+
+
+def charuco() -> tuple[Bytes, cv2.aruco.CharucoBoard]:
+    dictionary = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_4X4_50)
+    board = cv2.aruco.CharucoBoard((7, 5), 20.0, 14.0, dictionary)
+    picture = np.full((480, 640), 255, np.uint8)
+    picture[40:440, 40:600] = board.generateImage((560, 400))
+    return picture, board
+
+
+def test_charuco_corners_and_those_that_are_hidden() -> None:
+    picture, _ = charuco()
+    marks = read_charuco(picture, 6, 4, 20.0, 14.0, "DICT_4X4_50")
+    assert marks.found.all()
+    row, column = np.divmod(np.arange(24), 6)
+    # Squares of 80 px from (40, 40): corners lie between pixels, half a pixel before.
+    truth = np.column_stack([119.5 + 80 * column, 119.5 + 80 * row])
+    np.testing.assert_allclose(marks.image_px, truth, atol=0.02)
+    picture[:, :200] = 255
+    hidden = read_charuco(picture, 6, 4, 20.0, 14.0, "DICT_4X4_50")
+    assert 6 <= hidden.found.sum() < 24
+    np.testing.assert_allclose(
+        hidden.image_px[hidden.found], marks.image_px[hidden.found], atol=0.02
+    )
+
+
+def test_no_board_and_bad_boards() -> None:
+    blank = np.full((480, 640), 128, np.uint8)
+    with pytest.raises(BoardNotFound, match="7 by 5"):
+        read_chessboard(blank, 7, 5, 10.0)
+    with pytest.raises(BoardNotFound, match="0 corners"):
+        read_charuco(blank, 6, 4, 20.0, 14.0, "DICT_4X4_50")
+    with pytest.raises(InputError, match="columns"):
+        read_chessboard(blank, 2, 5, 10.0)
+    with pytest.raises(InputError, match="square_mm"):
+        read_chessboard(blank, 7, 5, 0.0)
+    with pytest.raises(InputError, match="marker_mm"):
+        read_charuco(blank, 6, 4, 20.0, 24.0, "DICT_4X4_50")
+    with pytest.raises(InputError, match="dictionary"):
+        read_charuco(blank, 6, 4, 20.0, 14.0, "DICT_NONE")

@@ -1,0 +1,463 @@
+"""The refractive map: exact where its physics holds, honest where the marks are noisy."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import Phase, given, settings
+from hypothesis import strategies as st
+from planeviews import View, affine, board_points, paper_board, read_board, with_noise
+
+from lscan import camera as optics
+from lscan.calibration.api import find_solver
+from lscan.calibration.boardview import NAMES
+from lscan.calibration.maps.refractive import Refractive, coplanarity_modes, solver
+from lscan.calibration.maps.refractivefit import CENTRE_WIDTHS, FOCAL_WIDTHS
+from lscan.calibration.solve import calibrate, load_calibration, save_calibration
+from lscan.config.rig import OpticsSection
+from lscan.errors import BoardNotFound, InputError
+from lscan.records import BoardReading, Floats, Marks, RulerReading, Status
+
+BOARD = paper_board()
+NOISE_PX = 0.02
+PAPER_LENS = OpticsSection(  # the whole of View(), known exactly: only the pose is left
+    focal_px=(850.0, 0.0),
+    centre_u_px=(319.5, 0.0),
+    centre_v_px=(239.5, 0.0),
+    k1=(-0.22, 0.0),
+    k2=(0.06, 0.0),
+    p1=(0.0, 0.0),
+    p2=(0.0, 0.0),
+    gap_mm=(10.0, 0.0),
+    thickness_mm=(6.0, 0.0),
+    glass_index=(1.49, 0.0),
+    water_index=(1.331, 0.0),
+)
+
+
+@st.composite
+def rigs(draw: st.DrawFn) -> View:
+    """Any lens of 500 to 1500 px behind any flat port, up to 40 degrees off in any direction."""
+    focal = draw(st.floats(500.0, 1500.0))
+    return View(
+        distance_mm=focal * draw(st.floats(1.1, 1.35)),
+        elevation_deg=draw(st.floats(-40.0, 40.0)),
+        yaw_deg=draw(st.floats(-40.0, 40.0)),
+        roll_deg=draw(st.floats(-180.0, 180.0)),
+        focal_px=focal,
+        centre_px=(draw(st.floats(290.0, 350.0)), draw(st.floats(210.0, 270.0))),
+        k1=draw(st.floats(-0.3, 0.1)),
+        k2=draw(st.floats(-0.05, 0.1)),
+        gap_mm=draw(st.floats(5.0, 40.0)),
+        glass_mm=draw(st.floats(2.0, 10.0)),
+        n_glass=draw(st.floats(1.45, 1.53)),
+        n_water=draw(st.floats(1.33, 1.345)),
+    )
+
+
+def errors(solved: Refractive, view: View, count: int = 300) -> tuple[Floats, Floats]:
+    """(N, 2) errors and (N, 2) stated uncertainties at points of the board, mm."""
+    points = board_points(count, seed=1)
+    answer = solved.to_plane(view.project(points))
+    valued = answer.status == Status.OK
+    assert valued.mean() > 0.7
+    return (answer.xz_mm - points)[valued], answer.sigma_mm[valued]
+
+
+# --- where the physics holds ---------------------------------------------------------------
+
+
+def ignorance(view: View, known: OpticsSection) -> float:
+    """How far, in standard uncertainties all together, the truth is from what was known."""
+    truth = {
+        "gap_mm": view.gap_mm,
+        "thickness_mm": view.glass_mm,
+        "glass_index": view.n_glass,
+        "water_index": view.n_water,
+        "k1": view.k1,
+        "k2": view.k2,
+    }
+    departures = [(value - getattr(known, key)[0]) / getattr(known, key)[1]
+                  for key, value in truth.items()]  # fmt: skip
+    mean, sigma = 640 * np.array(FOCAL_WIDTHS)
+    departures.append((view.focal_px - mean) / sigma)
+    axis = (np.array(view.centre_px) - [319.5, 239.5]) / (640 * CENTRE_WIDTHS)
+    return float(np.linalg.norm([*departures, *axis]))
+
+
+@settings(max_examples=4, deadline=None, derandomize=True, phases=(Phase.explicit, Phase.generate))
+@given(view=rigs())
+def test_exact_marks_give_an_exact_map(view: View) -> None:
+    """Of lens, port and pose only rough values are known, and the map is right to 1e-3 mm rms.
+
+    Rough values pull the solution off the truth.  For a linear fit the pull at any point is at
+    most its stated uncertainty times the distance of the truth from what was known, in
+    uncertainties (Cauchy and Schwarz; the posterior covariance is below the prior's).
+    """
+    rough = OpticsSection(
+        gap_mm=(20.0, 15.0),
+        thickness_mm=(6.0, 3.0),
+        glass_index=(1.49, 0.03),
+        water_index=(1.337, 0.006),
+    )
+    solved = solver.solve(read_board(BOARD, view.project), "", rough)
+    error, sigma = errors(solved, view)
+    assert np.sqrt(np.mean(error**2)) < 1e-3
+    assert np.max(np.abs(error) / sigma) < ignorance(view, rough)
+    assert solved.outliers_mm == ()
+
+
+def test_a_camera_in_air() -> None:
+    """port = "none": a view without water, and no port parameter is touched."""
+    view = View(water=False, k1=-0.15)
+    in_air = OpticsSection(port="none")
+    solved = solver.solve(read_board(BOARD, view.project), "", in_air)
+    error, _ = errors(solved, view)
+    assert np.abs(error).max() < 1e-3
+    assert solved.view.camera.port is None
+    assert (solved.modes[NAMES.index("gap_mm") : NAMES.index("turn_x")] == 0).all()
+
+
+def test_what_is_known_exactly_is_held() -> None:
+    """With lens and port known, the pose is found: the true distance from pinhole to target."""
+    view = View()
+    solved = solver.solve(read_board(BOARD, view.project), "", PAPER_LENS)
+    assert solved.view.camera.focal_px == 850.0
+    target = solved.view.in_camera(np.array([view.target_mm]))[0]
+    np.testing.assert_allclose(target, [0.0, 0.0, 1000.0], rtol=0, atol=1e-3)
+    np.testing.assert_allclose(
+        solved.view.axes @ np.array([0.0, 1.0, 0.0]), view.axes()[1], rtol=0, atol=1e-6
+    )
+    assert solved.modes.shape[1] <= 6
+
+
+def _moved(reading: BoardReading, scale: float, shift: Floats) -> BoardReading:
+    def move(marks: Marks) -> Marks:
+        return replace(marks, board_mm=scale * marks.board_mm + shift)
+
+    rulers = tuple(
+        RulerReading(r.direction, scale * r.at_mm + shift[r.direction != "vertical"], move(r.marks))
+        for r in reading.rulers
+    )
+    return replace(
+        reading, pitch_mm=scale * reading.pitch_mm, grid=move(reading.grid), rulers=rulers
+    )
+
+
+@settings(max_examples=4, deadline=None, derandomize=True)
+@given(
+    scale=st.floats(0.1, 10.0), shift=st.tuples(st.floats(-500.0, 500.0), st.floats(-500.0, 500.0))
+)
+def test_equivariant_in_origin_and_size(scale: float, shift: tuple[float, float]) -> None:
+    """The same picture of a board and a port that are both ``scale`` times as large.
+
+    The sum of squares, some 650, is converged to 1e-9 of itself, so a point moves by no more
+    than sqrt(650e-9) of its uncertainty, 1e-3; to a hundredth.
+    """
+    view, offset = View(), np.array(shift)
+    reading = read_board(BOARD, view.project, NOISE_PX, np.random.default_rng(4))
+    image = view.project(board_points(60, seed=5))
+    scaled = PAPER_LENS.model_copy(
+        update={"gap_mm": (10.0 * scale, 0.0), "thickness_mm": (6.0 * scale, 0.0)}
+    )
+    before = solver.solve(reading, "", PAPER_LENS).to_plane(image)
+    after = solver.solve(_moved(reading, scale, offset), "", scaled).to_plane(image)
+    np.testing.assert_array_equal(before.status, after.status)
+    departure = (after.xz_mm - offset) / scale - before.xz_mm
+    assert np.nanmax(np.abs(departure) / before.sigma_mm) < 0.01
+    np.testing.assert_allclose(after.sigma_mm, scale * before.sigma_mm, rtol=1e-3)
+
+
+# --- uncertainty ---------------------------------------------------------------------------
+
+
+# A map of the known lens errs in 6 independent ways all over the board, one of a lens of which
+# little is known in 11 (the square of the covariance's trace over the sum of its squares), and
+# takes seven times as long to solve.  Both numbers of draws make it some 290 errors, whose mean
+# square is good to sqrt(2 / 290) = 8 %.
+TRIALS, TRIALS_LITTLE_KNOWN = 50, 27
+
+
+@cache
+def draws(little_known: bool) -> tuple[Refractive, ...]:
+    """Maps of the same view, each solved from marks drawn anew."""
+    known, rng = OpticsSection() if little_known else PAPER_LENS, np.random.default_rng(2)
+    exact = read_board(BOARD, View().project, sigma_px=NOISE_PX)
+    trials = TRIALS_LITTLE_KNOWN if little_known else TRIALS
+    return tuple(solver.solve(with_noise(exact, NOISE_PX, rng), "", known) for _ in range(trials))
+
+
+@pytest.mark.parametrize("little_known", [False, pytest.param(True, marks=pytest.mark.slow)])
+def test_sigma_is_honest(little_known: bool) -> None:
+    """Issue 4: 95 % intervals contain the truth in 93 to 97 %; and the variance is near 1."""
+    pairs = [errors(solved, View()) for solved in draws(little_known)]
+    scores = np.concatenate([(error / sigma).ravel() for error, sigma in pairs])
+    assert 0.8 < np.mean(scores**2) < 1.2
+    assert 0.93 < np.mean(np.abs(scores) < 1.96) < 0.97
+
+
+def test_modes_are_the_covariance_between_points() -> None:
+    """The scatter of the distance of two points over resampled marks: its variance is the
+    squared difference of their modes.  A standard deviation from n trials has a relative
+    one of 1/sqrt(2(n - 1)); 4 of those."""
+    ends = View().project(np.array([[60.0, -60.0], [60.0, -100.0], [400.0, -400.0]]))
+    exact = read_board(BOARD, View().project, sigma_px=NOISE_PX)
+    modes = solver.solve(exact, "", PAPER_LENS).to_plane(ends).modes_mm
+    assert modes is not None
+    found = np.array([solved.to_plane(ends).xz_mm for solved in draws(False)])
+    for one, other in ((0, 1), (0, 2)):
+        scatter = (found[:, one] - found[:, other]).std(axis=0, ddof=1)
+        stated = np.linalg.norm(modes[one] - modes[other], axis=1)
+        np.testing.assert_allclose(scatter, stated, rtol=4 / np.sqrt(2 * (TRIALS - 1)))
+
+
+def test_modes_and_pixel_make_up_sigma() -> None:
+    """sigma^2 is the modes' part, the pixel's own and the lack of fit, and no more; the pixel's
+    part is linear in its uncertainty."""
+    view = View()
+    reading = read_board(BOARD, view.project, NOISE_PX, np.random.default_rng(6))
+    solved = solver.solve(reading, "", PAPER_LENS)
+    image = view.project(board_points(40, seed=7))
+    exact, noisy, noisier = (
+        solved.to_plane(image, np.full(40, sigma)) for sigma in (0.0, 0.1, 0.2)
+    )
+    assert exact.modes_mm is not None
+    common = (exact.modes_mm**2).sum(axis=2) + solved.lack_of_fit_mm**2
+    np.testing.assert_allclose(exact.sigma_mm**2, common, rtol=1e-9)
+    pixel = noisy.sigma_mm**2 - common
+    np.testing.assert_allclose(noisier.sigma_mm**2 - common, 4 * pixel, rtol=1e-6)
+    # One px is about a mm on this view (paper notes, no. 7).
+    assert 0.05 < np.nanmean(np.sqrt(pixel)) < 0.2
+
+
+def test_looser_knowledge_never_makes_surer() -> None:
+    """Each uncertainty of what is known beforehand, doubled, leaves no point surer."""
+    reading = read_board(BOARD, View().project, sigma_px=NOISE_PX)
+    image = View().project(board_points(40, seed=8))
+    sigmas = []
+    for factor in (0.25, 1.0, 4.0):
+        known = PAPER_LENS.model_copy(
+            update={"focal_px": (850.0, 10 * factor), "k1": (-0.22, 0.001 * factor)}
+        )
+        sigmas.append(solver.solve(reading, "", known).to_plane(image).sigma_mm)
+    assert (sigmas[1] > sigmas[0] * (1 - 1e-6)).all()
+    assert (sigmas[2] > sigmas[1] * (1 - 1e-6)).all()
+
+
+# --- lack of fit ---------------------------------------------------------------------------
+
+
+def warped(xz_mm: Floats) -> Floats:
+    """The view seen through a pane that shifts it by 0.3 px in waves of some 250 px."""
+    image = View().project(xz_mm)
+    return image + 0.3 * np.sin(image[:, ::-1] / 40.0)
+
+
+def test_lack_of_fit_is_the_error_of_a_wrong_form() -> None:
+    """Noise of a tenth of the wave: the lack of fit is the map's error over the board, within
+    a factor of 1.5, and stays so when the marks' uncertainty is understated threefold."""
+    exact = read_board(BOARD, warped, sigma_px=NOISE_PX)
+    points = board_points(500, seed=9)
+    for stated in (NOISE_PX, NOISE_PX / 3):
+        reading = with_noise(exact, NOISE_PX, np.random.default_rng(10))
+        reading = replace(
+            reading, grid=replace(reading.grid, sigma_px=0 * reading.grid.sigma_px + stated)
+        )
+        solved = solver.solve(reading, "", PAPER_LENS)
+        error = solved.to_plane(warped(points)).xz_mm - points
+        ratio = solved.lack_of_fit_mm / np.sqrt(np.nanmean(error**2, axis=0))
+        assert (ratio > 1 / 1.5).all()
+        assert (ratio < 1.5).all()
+
+
+def test_understated_noise_is_no_lack_of_fit() -> None:
+    """Marks three times as noisy as they say.  In one coordinate of a draw noise passes for a
+    lack of fit with a chance of 1 in 40; among 20, more than 4 would be 1 in 5000.  And the
+    stated uncertainty follows the noise there is."""
+    view, rng = View(), np.random.default_rng(11)
+    exact = read_board(BOARD, view.project, sigma_px=NOISE_PX)
+    honest = solver.solve(exact, "", PAPER_LENS)
+    lacks, growth = [], []
+    for _ in range(10):
+        solved = solver.solve(with_noise(exact, 3 * NOISE_PX, rng), "", PAPER_LENS)
+        lacks.extend(solved.lack_of_fit_mm > 0)
+        growth.append(np.linalg.norm(solved.modes) / np.linalg.norm(honest.modes))
+    assert sum(lacks) <= 4
+    # chi of some 650 degrees of freedom is good to 1/sqrt(2 * 650) = 3 %; 5 of those.
+    np.testing.assert_allclose(growth, 3.0, rtol=0.14)
+
+
+# --- the board beside the sheet ------------------------------------------------------------
+
+
+@pytest.mark.parametrize("fault", [0, 1, 2])
+def test_modes_of_a_board_beside_the_sheet(fault: int) -> None:
+    """The laser sheet 2 mm behind the board, or tilted by half a degree about x or z: the
+    true point less the map's is the mode, to second order: the sheet's slope times the mode
+    itself (1 mm or so), and the square of the angle on 250 mm."""
+    view = View()
+    solved = solver.solve(read_board(BOARD, view.project), "", PAPER_LENS)
+    slope = np.zeros(2)
+    if fault:
+        slope[fault - 1] = np.tan(np.radians(0.5))
+    points = board_points(100, seed=12)
+    off = (points - solved.view.centre_mm) @ slope + (2.0 if fault == 0 else 0.0)
+    in_sheet = np.column_stack([points[:, 0], off, points[:, 1]])
+    port = optics.FlatPort(view.gap_mm, view.glass_mm, view.n_glass, view.n_water)
+    camera = optics.Camera(view.focal_px, view.centre_px, view.k1, view.k2, port=port)
+    image = optics.project(camera, (in_sheet - view.eye_mm()) @ view.axes())
+    answer = solved.to_plane(image)
+    valued = answer.status == Status.OK
+    modes = coplanarity_modes(solved, image, 2.0, 0.5)[valued, :, fault]
+    assert np.abs(modes).max() > 0.3
+    missed = (points - answer.xz_mm)[valued] - modes
+    assert np.abs(missed).max() < 2e-3 + np.linalg.norm(slope) * 2 * np.abs(modes).max()
+
+
+def test_a_board_beside_the_sheet_shows_in_sigma() -> None:
+    """[optics] board_offset_mm and board_tilt_deg reach the map, its sigma and its modes, but
+    not its lack of fit."""
+    reading = read_board(BOARD, View().project, sigma_px=NOISE_PX)
+    image = View().project(board_points(50, seed=13))
+    beside = PAPER_LENS.model_copy(update={"board_offset_mm": 2.0, "board_tilt_deg": 0.5})
+    coplanar, off = solver.solve(reading, "", PAPER_LENS), solver.solve(reading, "", beside)
+    np.testing.assert_array_equal(coplanar.lack_of_fit_mm, off.lack_of_fit_mm)
+    before, after = coplanar.to_plane(image), off.to_plane(image)
+    added = (coplanarity_modes(off, image, 2.0, 0.5) ** 2).sum(axis=2)
+    valued = after.status == Status.OK
+    np.testing.assert_allclose(
+        after.sigma_mm[valued] ** 2, before.sigma_mm[valued] ** 2 + added[valued], rtol=1e-9
+    )
+    assert after.modes_mm is not None
+    assert after.modes_mm.shape[2] == coplanar.modes.shape[1] + 3
+
+
+# --- wrong marks, too few marks, wrong knowledge -------------------------------------------
+
+
+@pytest.mark.parametrize("shift_px", [0.3, 40.0])
+def test_a_wrong_mark_is_named_and_set_aside(shift_px: float) -> None:
+    """A control point 15 sigmas off, or on its neighbour: the map is as without that mark."""
+    view = View()
+    reading = read_board(BOARD, view.project, NOISE_PX, np.random.default_rng(14))
+    image = reading.grid.image_px.copy()
+    image[37] += [shift_px, 0.0]
+    faulty = replace(reading, grid=replace(reading.grid, image_px=image))
+    missing = reading.grid.status.copy()
+    missing[37] = Status.NOT_FOUND
+    without = replace(reading, grid=replace(reading.grid, status=missing))
+    solved, expected = (solver.solve(r, "", PAPER_LENS) for r in (faulty, without))
+    assert [place.tolist() for place in solved.outliers_mm] == [reading.grid.board_mm[37].tolist()]
+    points = view.project(board_points(50, seed=15))
+    one, other = solved.to_plane(points), expected.to_plane(points)
+    assert np.nanmax(np.abs(one.xz_mm - other.xz_mm) / other.sigma_mm) < 0.01
+
+
+def test_too_few_marks() -> None:
+    missing = np.ones(100, dtype=bool)
+    missing[[0, 5, 9, 40, 45, 49, 90, 95, 99]] = False
+    with pytest.raises(BoardNotFound, match="needs 10 control points, found 9"):
+        solver.solve(read_board(BOARD, View().project, missing=missing), "")
+
+
+def test_a_single_row_is_no_board() -> None:
+    missing = np.ones((10, 10), dtype=bool)
+    missing[3] = False
+    reading = replace(read_board(BOARD, View().project, missing=missing.ravel()), rulers=())
+    with pytest.raises(BoardNotFound):
+        solver.solve(reading, "")
+
+
+def test_marks_that_fit_no_view() -> None:
+    """Places drawn at random, and the board seen in a mirror."""
+    reading = read_board(BOARD, View().project)
+    rng = np.random.default_rng(16)
+    scattered = rng.uniform(0.0, 480.0, reading.grid.image_px.shape)
+    with pytest.raises(BoardNotFound):
+        solver.solve(
+            replace(reading, rulers=(), grid=replace(reading.grid, image_px=scattered)), ""
+        )
+    mirrored = read_board(BOARD, lambda xz: [639.0, 0.0] + [-1.0, 1.0] * View().project(xz))
+    with pytest.raises(BoardNotFound, match="front"):
+        solver.solve(mirrored, "")
+
+
+@pytest.mark.parametrize(
+    ("key", "value"),
+    [
+        ("focal_px", (-850.0, 10.0)),
+        ("gap_mm", (-1.0, 1.0)),
+        ("glass_index", (0.9, 0.1)),
+        ("water_index", (0.0, 0.1)),
+        ("tilt_x_deg", (60.0, 1.0)),
+        ("k1", (float("nan"), 0.1)),
+    ],
+)
+def test_bad_knowledge(key: str, value: tuple[float, float]) -> None:
+    known = PAPER_LENS.model_copy(update={key: value})
+    with pytest.raises(InputError, match=rf"optics\.{key}: out of range.*allowed"):
+        solver.solve(read_board(BOARD, View().project), "", known)
+
+
+@pytest.mark.parametrize(
+    ("key", "value"), [("focal_px", 1.0), ("centre_u_px", 90_000.0), ("focal_px", 100_000.0)]
+)
+def test_knowledge_that_explains_no_mark(key: str, value: float) -> None:
+    """Within its range, but held to be exact: the marks cannot be where they are."""
+    known = PAPER_LENS.model_copy(update={key: (value, 0.0)})
+    with pytest.raises(BoardNotFound):
+        solver.solve(read_board(BOARD, View().project), "", known)
+
+
+def test_unknown_variant() -> None:
+    with pytest.raises(InputError, match="allowed"):
+        find_solver("refractive-2").solve(read_board(BOARD, affine))
+
+
+# --- files ---------------------------------------------------------------------------------
+
+
+def test_file_round_trip(tmp_path: Path) -> None:
+    """Number for number, outliers and the board's lie included."""
+    reading = read_board(BOARD, View().project, NOISE_PX, np.random.default_rng(17))
+    image = reading.grid.image_px.copy()
+    image[37] += 5.0
+    reading = replace(reading, grid=replace(reading.grid, image_px=image))
+    known = PAPER_LENS.model_copy(update={"board_offset_mm": 2.0, "board_tilt_deg": 0.5})
+    calibration = calibrate(reading, "refractive", known)
+    save_calibration(tmp_path / "calibration.json", calibration)
+    loaded = load_calibration(tmp_path / "calibration.json").plane_map
+    assert loaded.parameters() == calibration.plane_map.parameters()
+    points = View().project(board_points(50, seed=18))
+    one, other = (m.to_plane(points, np.full(50, 0.1)) for m in (calibration.plane_map, loaded))
+    np.testing.assert_array_equal(one.xz_mm, other.xz_mm)
+    np.testing.assert_array_equal(one.sigma_mm, other.sigma_mm)
+    np.testing.assert_array_equal(one.modes_mm, other.modes_mm)
+
+
+def test_parameters_are_read_strictly() -> None:
+    solved = solver.solve(read_board(BOARD, View().project, sigma_px=NOISE_PX), "", PAPER_LENS)
+
+    def changed(**changes: object) -> dict[str, object]:
+        return {**json.loads(json.dumps(solved.parameters())), **changes}
+
+    assert solver.restore("", changed()).parameters() == solved.parameters()
+    theta = solved.parameters()["theta"]
+    for changes, said in (
+        ({"theta": {**theta, "gap_mm": -1.0}}, "theta.gap_mm"),
+        ({"theta": {**theta, "k9": 0.0}}, "theta must hold"),
+        ({"theta": {**theta, "k1": "a"}}, "k1"),
+        ({"modes": [[1.0]]}, "modes"),
+        ({"centre_mm": [1.0]}, "centre_mm"),
+        ({"port": "dome"}, "port"),
+        ({"board_offset_mm": -1.0}, "board_offset_mm"),
+        ({"outliers_mm": [[1.0]]}, "outliers_mm"),
+        ({"more": 1}, "more"),
+    ):
+        with pytest.raises(InputError, match=said):
+            solver.restore("", changed(**changes))

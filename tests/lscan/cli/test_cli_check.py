@@ -1,0 +1,118 @@
+"""``lscan calibrate --map auto`` and ``lscan check``, as a user at sea calls them."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import boards
+import pytest
+from command_line import call, refused
+from planeviews import PAPER_BOARD, paper_board
+
+from lscan.calibration.maps import auto
+from lscan.calibration.solve import load_calibration
+from lscan.files.pictures import write_picture
+
+pytestmark = pytest.mark.xdist_group("cli_check")  # one worker: they share a fixture
+
+VIEW = boards.View()
+
+
+@pytest.fixture(scope="module")
+def pictures(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The board three times: for calibration, again as it was, and after a change of focus."""
+    folder = tmp_path_factory.mktemp("pictures")
+    refocused = replace(VIEW, focal_px=1.005 * VIEW.focal_px)
+    for name, view, seed in (("first", VIEW, 1), ("again", VIEW, 2), ("refocused", refocused, 3)):
+        write_picture(folder / f"{name}.png", boards.render(paper_board(), view, seed=seed))
+    (folder / "optics.toml").write_text("[optics]\nfocal_px = [850.0, 30.0]\n")
+    return folder
+
+
+@pytest.fixture(autouse=True)
+def quick(monkeypatch: pytest.MonkeyPatch) -> None:
+    """``auto`` with three quick candidates and one that does not exist."""
+    monkeypatch.setattr(auto, "CANDIDATES", ("spline", "polynomial-4", "projective", "nothing"))
+
+
+@pytest.fixture
+def calibration(pictures: Path, capsys: pytest.CaptureFixture[str]) -> Path:
+    path = pictures / "c.json"
+    if not path.exists():
+        code, _, err = call(capsys, "calibrate", pictures / "first.png", "--board", PAPER_BOARD,
+                            "-o", path, "--map", "spline")  # fmt: skip
+        assert code == 0, err
+    return path
+
+
+def test_auto_prints_its_table(
+    pictures: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    common = ("calibrate", pictures / "first.png", "--board", PAPER_BOARD, "--map", "auto",
+              "--optics", pictures / "optics.toml", "-o", tmp_path / "c.json")  # fmt: skip
+    code, out, err = call(capsys, *common)
+    assert code == 0, err
+    for word in ("spline", "polynomial-4", "nothing: refused", "without", "rms mm"):
+        assert word in out
+    code, out, err = call(capsys, *common, "--json")
+    assert code == 0, err
+    summary = json.loads(out)
+    assert summary["map"] == "auto"
+    assert summary["chosen"] == summary["scores"][0]["name"]
+    assert [score["name"] for score in summary["scores"]][-1] == "nothing"
+    assert load_calibration(tmp_path / "c.json").optics.focal_px == (850.0, 30.0)
+
+
+def test_check_agrees_with_the_same_board(
+    pictures: Path, calibration: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """At a level of one false alarm in a thousand: the pictures are noisy, but fixed."""
+    common = ("check", calibration, pictures / "again.png", "--board", PAPER_BOARD,
+              "--level", 0.001)  # fmt: skip
+    code, out, err = call(capsys, *common)
+    assert (code, err) == (0, "")
+    assert "the calibration agrees" in out
+    code, out, _ = call(capsys, *common, "--placed", 1.0, "--json")
+    assert code == 0
+    found = json.loads(out)
+    assert found["agrees"] is True
+    assert found["reasons"] == []
+    assert found["rms_mm"] < 0.2
+    assert len(found["worst"]) == 5
+
+
+def test_check_disagrees_after_a_change_of_focus(
+    pictures: Path, calibration: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    common = ("check", calibration, pictures / "refocused.png", "--board", PAPER_BOARD)
+    code, out, err = call(capsys, *common)
+    assert (code, err) == (1, "")
+    assert "the calibration disagrees: scale" in out
+    code, out, _ = call(capsys, *common, "--json")
+    assert code == 1
+    assert json.loads(out)["agrees"] is False
+
+
+def test_bad_input(
+    pictures: Path, calibration: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    picture = pictures / "again.png"
+    refused(call(capsys, "check", calibration, picture), "--board")
+    refused(call(capsys, "check", tmp_path / "no.json", picture, "--board", PAPER_BOARD), "no.json")
+    refused(
+        call(capsys, "check", calibration, picture, "--board", PAPER_BOARD, "--level", 2), "level"
+    )
+    empty = tmp_path / "empty.toml"
+    empty.write_text("")
+    refused(
+        call(capsys, "calibrate", picture, "--board", PAPER_BOARD, "--optics", empty,
+             "-o", tmp_path / "c.json"), "empty.toml", "[optics]",
+    )  # fmt: skip
+    empty.write_text("[optics]\ngap_mm = [10.0, -1.0]\n")
+    refused(
+        call(capsys, "calibrate", picture, "--board", PAPER_BOARD, "--optics", empty,
+             "-o", tmp_path / "c.json"), "empty.toml", "optics.gap_mm",
+    )  # fmt: skip
+    assert not (tmp_path / "c.json").exists()

@@ -1,0 +1,95 @@
+"""``lscan measure`` on runs of what can, and of what cannot, be measured."""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+from drawn_runs import board_run, flat_run
+
+from lscan.cli.app import app
+from lscan.cli.console import run_command_line
+
+pytestmark = pytest.mark.xdist_group("measure")  # one worker: they share a fixture
+
+Measure = Callable[[Path], tuple[int, str, str]]
+
+
+@pytest.fixture(scope="module")
+def calibrated(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with the run of one board picture, and the calibration of it."""
+    folder = tmp_path_factory.mktemp("measure")
+    board_run(folder / "board")
+    call = ["lscan", "calibrate", str(folder / "board"), "-o", str(folder / "c.json")]
+    with pytest.MonkeyPatch.context() as patch, pytest.raises(SystemExit) as left:
+        patch.setattr(sys, "argv", [*call, "--map", "polynomial-3"])
+        run_command_line(app, "lscan")
+    assert left.value.code == 0
+    return folder
+
+
+@pytest.fixture
+def measure(
+    calibrated: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> Measure:
+    """Exit code, stdout and stderr of ``lscan measure RUN --json``."""
+
+    def call(run: Path) -> tuple[int, str, str]:
+        capsys.readouterr()
+        more = ["-c", str(calibrated / "c.json"), "--json"]
+        monkeypatch.setattr(sys, "argv", ["lscan", "measure", str(run), *more])
+        with pytest.raises(SystemExit) as left:
+            run_command_line(app, "lscan")
+        output = capsys.readouterr()
+        assert isinstance(left.value.code, int)
+        return left.value.code, output.out, output.err
+
+    return call
+
+
+@pytest.mark.parametrize(
+    ("sections", "words"),
+    [
+        ({}, "names a [board] and no [workpiece], and the pictures show no board; "),
+        ({"plan": {"frames": 1}}, "the pictures show no board (no grid of dark dots"),
+        ({"plan": {"frames": 1, "laser": "on"}}, "the pictures show no board; "),
+        ({"board": None}, "names neither [board] nor [workpiece]"),
+    ],
+)
+def test_of_a_scan_of_something_else_it_says_what_can_be_measured(
+    sections: dict[str, Any], words: str, measure: Measure, tmp_path: Path
+) -> None:
+    frames = sections.get("plan", {"frames": 5})["frames"]
+    flat_run(tmp_path / "mesh", frames, **sections)
+    code, out, err = measure(tmp_path / "mesh")
+    assert (code, out, err.count("\n")) == (2, "", 1)
+    assert words in err
+    assert "`lscan reconstruct` gives the surface" in err
+    assert 'a picture of the [board], or [workpiece] kind = "grooved-block" or "sandwave"' in err
+
+
+@pytest.mark.parametrize(
+    "plan", [{}, {"frames": 3}, {"frames": 3, "step_mm": 0.0}, {"laser": "on"}]
+)
+def test_a_board_is_measured_however_its_run_was_planned(
+    plan: dict[str, Any], measure: Measure, tmp_path: Path
+) -> None:
+    """A rig of real hardware may share one plan among its board and its scans."""
+    board_run(tmp_path / "board", frames=plan.get("frames", 1), plan={"frames": 1, **plan})
+    code, out, err = measure(tmp_path / "board")
+    assert (code, err) == (0, "")
+    assert len(json.loads(out)["distances"]) > 0
+
+
+@pytest.mark.parametrize("kind", ["grooved-block", "sandwave"])
+def test_a_workpiece_that_is_not_there_is_named(
+    kind: str, measure: Measure, tmp_path: Path
+) -> None:
+    flat_run(tmp_path / "mesh", 5, workpiece={"kind": kind})
+    code, out, err = measure(tmp_path / "mesh")
+    assert (code, out, err.count("\n")) == (1, "", 1)
+    assert f"is a {kind}; where something else was scanned, `lscan reconstruct`" in err

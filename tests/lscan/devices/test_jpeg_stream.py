@@ -1,0 +1,293 @@
+"""Streams of JPEG pictures: their true size, whole files only, and no backlog."""
+
+from __future__ import annotations
+
+import re
+import threading
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager, suppress
+from http.server import BaseHTTPRequestHandler
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from loopback import listening
+
+from lscan.config.rig import CameraSection
+from lscan.devices.opencv_camera import OpencvCamera, OpencvOptions, jpegstream, open_capture
+from lscan.devices.opencv_camera.jpegstream import (
+    LEAST_WAIT_S,
+    MOST_BROKEN,
+    MOST_WAITING,
+    JpegStream,
+    decoded,
+)
+from lscan.errors import DeviceError
+from lscan.records import Bytes
+
+SIZE_PX = (64, 48)
+BITS = 12
+"""A picture's number is written into its top rows, a bit in each 4 columns, and survives JPEG."""
+
+
+def picture(number: int, size_px: tuple[int, int] = SIZE_PX) -> Bytes:
+    """Grey noise with the number in its first 16 rows, (H, W, 3)."""
+    generator = np.random.default_rng(number)
+    image = np.repeat(generator.integers(60, 190, (*size_px[::-1], 1), dtype=np.uint8), 3, axis=2)
+    for bit in range(BITS):
+        image[:16, 4 * bit : 4 * bit + 4] = 255 * (number >> bit & 1)
+    return image
+
+
+def number_of(image: Bytes) -> int:
+    return sum((image[:16, 4 * bit : 4 * bit + 4].mean() > 127) << bit for bit in range(BITS))
+
+
+def jpeg(image: Bytes) -> bytes:
+    ok, data = cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, 90])
+    assert ok
+    return data.tobytes()
+
+
+def packet(data: bytes) -> Bytes:
+    return np.frombuffer(data, dtype=np.uint8)
+
+
+# ---- one packet -------------------------------------------------------------------------
+
+
+@settings(max_examples=30, deadline=None, derandomize=True)
+@given(width=st.integers(1, 90), height=st.integers(1, 90), pad=st.sampled_from([b"", b"\0\0\r\n"]))
+def test_a_packet_has_the_size_it_says(width: int, height: int, pad: bytes) -> None:
+    image = decoded(packet(jpeg(np.full((height, width, 3), 90, np.uint8)) + pad))
+    assert image is not None and image.shape == (height, width, 3)
+    # A uniform picture has no coefficient but the mean's: 90 is off by rounding alone.
+    assert np.abs(image.astype(int) - 90).max() <= 1
+
+
+@settings(max_examples=60, deadline=None, derandomize=True)
+@given(share=st.floats(0, 1, exclude_max=True))
+def test_a_packet_cut_short_is_no_picture(share: float) -> None:
+    data = jpeg(picture(7))
+    assert decoded(packet(data[: int(share * len(data))])) is None
+
+
+@pytest.mark.parametrize("data", [b"", b"\xff\xd8", b"\xff\xd8\xff\xd9", b"<html>busy</html>"])
+def test_what_is_no_jpeg_is_no_picture(data: bytes) -> None:
+    assert decoded(packet(data)) is None
+
+
+def test_a_picture_is_not_turned_on_its_side() -> None:
+    """An EXIF mark "turn by a quarter" (orientation 6, tag 0x0112) is a wish of viewers only."""
+    tiff = b"II*\0\x08\0\0\0" + b"\x01\0" + b"\x12\x01\x03\0\x01\0\0\0\x06\0\0\0" + b"\0\0\0\0"
+    body = b"Exif\0\0" + tiff
+    data = jpeg(picture(7))
+    marked = data[:2] + b"\xff\xe1" + (len(body) + 2).to_bytes(2, "big") + body + data[2:]
+    turned = cv2.imdecode(packet(marked), cv2.IMREAD_COLOR)
+    assert turned is not None and turned.shape[:2] == SIZE_PX  # the mark is understood
+    image = decoded(packet(marked))
+    assert image is not None and image.shape[:2] == SIZE_PX[::-1]
+
+
+# ---- packets in a row, on a clock of the test's own ---------------------------------------
+
+
+class _Packets:
+    """Packets by their script: each with the seconds it must be waited for."""
+
+    def __init__(self, script: Sequence[tuple[float, bytes]]) -> None:
+        self._script, self.now_s = iter(script), 0.0
+
+    def read(self) -> tuple[bool, Any]:
+        for wait_s, data in self._script:
+            self.now_s += wait_s
+            return True, packet(data).reshape(1, -1)
+        return False, None
+
+
+def stream_of(
+    monkeypatch: pytest.MonkeyPatch, script: Sequence[tuple[float, bytes]]
+) -> Callable[[], tuple[bool, Any]]:
+    """The ``read`` of a stream on that script."""
+    packets = _Packets(script)
+    monkeypatch.setattr(jpegstream, "time", SimpleNamespace(monotonic=lambda: packets.now_s))
+    return JpegStream(packets, "camera x").read  # type: ignore[arg-type]
+
+
+WAIT_S = 10 * LEAST_WAIT_S
+
+
+def test_only_what_was_waited_for_is_handed_out(monkeypatch: pytest.MonkeyPatch) -> None:
+    waits = {3: WAIT_S, 4: WAIT_S, 9: WAIT_S}
+    script = [(waits.get(number, 0.0), jpeg(picture(number))) for number in range(11)]
+    read = stream_of(monkeypatch, script)
+    assert [number_of(read()[1]) for _ in range(3)] == [3, 4, 9]
+    assert read() == (False, None)
+
+
+def test_a_broken_picture_is_passed_over(monkeypatch: pytest.MonkeyPatch) -> None:
+    whole = jpeg(picture(5))
+    read = stream_of(monkeypatch, [(WAIT_S, whole[:-9])] * (MOST_BROKEN - 1) + [(WAIT_S, whole)])
+    assert number_of(read()[1]) == 5
+
+
+def test_nothing_but_broken_pictures_is_a_fault(monkeypatch: pytest.MonkeyPatch) -> None:
+    read = stream_of(monkeypatch, [(WAIT_S, jpeg(picture(5))[:-9])] * MOST_BROKEN)
+    with pytest.raises(DeviceError, match=f"camera x: sent {MOST_BROKEN} broken JPEG"):
+        read()
+
+
+def test_a_stream_that_never_needs_to_be_waited_for_is_a_fault(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    read = stream_of(monkeypatch, [(0.0, b"")] * MOST_WAITING)
+    with pytest.raises(DeviceError, match=r"camera x: sends more than 1000 .*options\.file"):
+        read()
+
+
+# ---- a stream over HTTP -------------------------------------------------------------------
+
+
+class _Served:
+    """What is sent: pictures of rising number, 100 a second; from ``change_at`` on half as
+    large.  count: how many have been sent."""
+
+    def __init__(self, change_at: int | None = None) -> None:
+        self.change_at, self.count, self.period_s = change_at, 0, 0.01
+
+    def send(self, write: Callable[[bytes], Any]) -> None:
+        for number in range(1, 1 << BITS):
+            image = picture(number)
+            if self.change_at is not None and number >= self.change_at:
+                image = image[::2, ::2]
+            data = jpeg(image)
+            head = f"--part\r\nContent-Type: image/jpeg\r\nContent-Length: {len(data)}\r\n\r\n"
+            write(head.encode() + data + b"\r\n")
+            self.count = number
+            time.sleep(self.period_s)
+
+
+@contextmanager
+def http(send: Callable[[Callable[[bytes], Any]], None], kind: str) -> Iterator[str]:
+    """The address at which what ``send`` writes is served."""
+
+    class Handler(BaseHTTPRequestHandler):
+        def do_GET(self) -> None:
+            self.send_response(200)
+            self.send_header("Content-Type", kind)
+            self.end_headers()
+            with suppress(OSError):  # the reader has gone
+                send(self.wfile.write)
+
+        def log_message(self, format: str, *args: Any) -> None:
+            pass
+
+    with listening(Handler) as address:
+        yield f"{address}/a"
+
+
+MULTIPART = "multipart/x-mixed-replace; boundary=part"
+
+
+def camera_at(url: str, **options: Any) -> OpencvCamera:
+    section = CameraSection(driver="opencv", width_px=SIZE_PX[0], height_px=SIZE_PX[1])
+    return OpencvCamera(section, OpencvOptions(url=url, timeout_s=120, **options))
+
+
+def test_a_size_that_changes_in_mid_stream_is_refused() -> None:
+    """Every picture until then is one that was sent, to the byte; after it there is none."""
+    served = _Served(change_at=60)
+    with http(served.send, MULTIPART) as url:
+        camera = camera_at(url)
+        grabbed: list[Bytes] = []
+        with pytest.raises(DeviceError, match=r"pictures are 32 by 24 px; the rig says 64 by 48"):
+            while served.count < 1000:
+                grabbed.append(camera.grab().image)
+        camera.close()
+    assert grabbed
+    for image in grabbed:
+        number = number_of(image)
+        assert number < 60
+        sent = cv2.imdecode(packet(jpeg(picture(number))), cv2.IMREAD_COLOR)
+        np.testing.assert_array_equal(image, sent[..., ::-1])
+
+
+def test_a_rig_that_says_another_size_is_refused_at_once() -> None:
+    with (
+        http(_Served(change_at=0).send, MULTIPART) as url,
+        pytest.raises(DeviceError, match="pictures are 32 by 24 px"),
+    ):
+        camera_at(url)
+
+
+def test_after_two_pictures_a_backlog_is_gone(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Nobody reads while 40 pictures are sent: the third read is of one sent since.
+
+    From then on a picture comes each second, and what is read within 0.3 s has lain in a buffer:
+    a busy machine does not make the one look like the other.
+    """
+    served = _Served()
+    with http(served.send, MULTIPART) as url:
+        capture = open_capture(OpencvOptions(url=url, timeout_s=120))
+        assert isinstance(capture, JpegStream)
+        assert capture.read()[0]
+        held_up_until = served.count + 40
+        while served.count < held_up_until:
+            time.sleep(0.01)
+        served.period_s = 1.0
+        monkeypatch.setattr(jpegstream, "LEAST_WAIT_S", 0.3)
+        sent = served.count
+        numbers = [number_of(capture.read()[1]) for _ in range(3)]
+        capture.release()
+    assert numbers[2] > sent, numbers
+
+
+@pytest.fixture
+def ffv1(tmp_path: Path) -> bytes:
+    """Pictures 1 to 12 in a lossless codec, as an AVI file."""
+    path = tmp_path / "a.avi"
+    writer = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*"FFV1"), 10, SIZE_PX)
+    for number in range(1, 13):
+        writer.write(picture(number))
+    writer.release()
+    return path.read_bytes()
+
+
+def test_another_codec_is_read_as_before_and_said(
+    ffv1: bytes, caplog: pytest.LogCaptureFixture
+) -> None:
+    with http(lambda write: write(ffv1), "video/avi") as url:
+        capture = open_capture(OpencvOptions(url=url, timeout_s=120))
+        assert "coded as FFV1: a change of the picture size" in caplog.text
+        np.testing.assert_array_equal(capture.read()[1], picture(1))
+        capture.release()
+
+
+def test_another_codec_is_decoded_without_delay(ffv1: bytes) -> None:
+    """FFmpeg's decoders of n threads hold n - 1 pictures back; of an AVI file, FFmpeg hands out
+    a picture when the next is there.  So of 11 sent 10 can be read before more is sent."""
+    sent, readable = 11, 10
+    end = [match.start() for match in re.finditer(b"00dc", ffv1)][sent]
+    all_read = threading.Event()
+    in_time: list[bool] = []
+
+    def send(write: Callable[[bytes], Any]) -> None:
+        write(ffv1[:end])
+        in_time.append(all_read.wait(60))
+        write(ffv1[end:])
+
+    with http(send, "video/avi") as url:
+        capture = open_capture(OpencvOptions(url=url, timeout_s=120))
+        numbers = [number_of(capture.read()[1]) for _ in range(readable)]
+        all_read.set()
+        capture.release()
+        while not in_time:
+            time.sleep(0.01)
+    assert numbers == list(range(1, readable + 1))
+    assert in_time == [True]

@@ -1,0 +1,232 @@
+"""Pictures of strangers: their size is known before they are decoded, and nothing crashes."""
+
+from __future__ import annotations
+
+import struct
+import zlib
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from peak_memory import refused_within
+from png_files import HUGE, chunk, grey_png
+
+from lscan.devices.opencv_camera.jpegstream import decoded
+from lscan.errors import DeviceError, InputError
+from lscan.files import pictures
+from lscan.files.headers import PictureHeader, read_header
+from lscan.files.pictures import MOST_PX, read_picture
+
+ENDINGS = {".png": "PNG", ".jpg": "JPEG", ".bmp": "BMP", ".tif": "TIFF", ".webp": "WebP"}
+
+
+def black_png(side: int) -> bytes:
+    """A square black picture, compressed a thousandfold."""
+    squeeze, row = zlib.compressobj(9), bytes(side + 1)
+    pixels = b"".join([squeeze.compress(row) for _ in range(side)]) + squeeze.flush()
+    return grey_png(side, side, pixels)
+
+
+def jpeg_of(width: int, height: int) -> bytes:
+    """A JPEG file, whole but for its size, which is as said."""
+    data = bytearray(encoded(".jpg", (16, 16)))
+    at = data.index(b"\xff\xc0") + 5
+    data[at : at + 4] = struct.pack(">HH", height, width)
+    return bytes(data)
+
+
+def tiff_of(*entries: tuple[int, int]) -> bytes:
+    """A TIFF file of LONGs and no more: (tag, value)."""
+    body = b"".join(struct.pack("<HHII", tag, 4, 1, value) for tag, value in entries)
+    return b"II\x2a\0" + struct.pack("<IH", 8, len(entries)) + body + bytes(4)
+
+
+def webp_of(width: int, height: int) -> bytes:
+    canvas = (width - 1).to_bytes(3, "little") + (height - 1).to_bytes(3, "little")
+    return b"RIFF" + struct.pack("<I", 22) + b"WEBPVP8X" + struct.pack("<I", 10) + bytes(4) + canvas
+
+
+def bmp_of(width: int, height: int) -> bytes:
+    shape = struct.pack("<IiiHH", 40, width, height, 1, 24)
+    return b"BM" + struct.pack("<IHHI", 54, 0, 0, 54) + shape + bytes(40)
+
+
+def encoded(ending: str, shape: tuple[int, ...], seed: int = 1) -> bytes:
+    image = np.random.default_rng(seed).integers(0, 256, shape, dtype=np.uint8)
+    done, data = cv2.imencode(ending, image)
+    assert done
+    return data.tobytes()
+
+
+BOMBS: dict[str, tuple[bytes, int, int]] = {
+    "png": (grey_png(HUGE, HUGE, b""), HUGE, HUGE),
+    "png beyond OpenCV's limit": (grey_png(2**16, 2**15, b""), 2**16, 2**15),
+    "png as wide as can be": (grey_png(2**31 - 1, 1, b""), 2**31 - 1, 1),
+    "jpeg": (jpeg_of(65_500, 65_500), 65_500, 65_500),
+    "bmp": (bmp_of(HUGE, -HUGE), HUGE, HUGE),
+    "tiff": (tiff_of((256, HUGE), (257, HUGE)), HUGE, HUGE),
+    "tiff of one huge tile": (tiff_of((256, 9), (257, 9), (322, HUGE), (323, HUGE)), HUGE, HUGE),
+    "tiff of two widths": (tiff_of((256, 9), (256, HUGE), (257, HUGE)), HUGE, HUGE),
+    "webp": (webp_of(16_383, 16_383), 16_383, 16_383),
+}
+
+
+@pytest.mark.parametrize("kind", BOMBS)
+def test_a_huge_picture_is_refused_by_its_header(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, kind: str
+) -> None:
+    def reached(*_: Any) -> None:
+        raise AssertionError("it was decoded")
+
+    monkeypatch.setattr(cv2, "imdecode", reached)
+    content, width, height = BOMBS[kind]
+    (tmp_path / "bomb").write_bytes(content)
+    with pytest.raises(InputError) as caught:
+        read_picture(tmp_path / "bomb")
+    assert f"bomb: is too large a picture (got '{width} by {height} px'; allowed: {MOST_PX} px" in (
+        str(caught.value)
+    )
+
+
+def test_a_bomb_of_a_megabyte_takes_no_memory(tmp_path: Path) -> None:
+    """Decoded it is 400 MB; refused by its header it is its own file, twice over, and no more."""
+    bomb = tmp_path / "bomb.png"
+    bomb.write_bytes(black_png(HUGE))
+    assert bomb.stat().st_size < 2**20
+    call = f"read_picture(Path({str(bomb)!r}))"
+    said, most_mib = refused_within(
+        "from pathlib import Path\nfrom lscan.files.pictures import read_picture", call
+    )
+    assert "bomb.png: is too large a picture" in said
+    assert most_mib < 20
+
+
+@pytest.mark.parametrize("name", [b"tEXt", b"IDAT", b"IEND"])
+def test_a_chunk_that_says_it_is_huge_takes_no_memory(tmp_path: Path, name: bytes) -> None:
+    """OpenCV takes as many bytes as a PNG's chunk declares, 2 to 4 GiB, before it reads them."""
+    bomb = tmp_path / "bomb.png"
+    whole = grey_png(16, 16, b"", chunk(name, b"", length=2**31 - 20))
+    end = whole.index(name) + 8  # the file ends there, too
+    bomb.write_bytes(whole if name == b"tEXt" else whole[:end])
+    call = f"read_picture(Path({str(bomb)!r}))"
+    said, most_mib = refused_within(
+        "from pathlib import Path\nfrom lscan.files.pictures import read_picture", call
+    )
+    assert "bomb.png: is not a picture that can be read" in said
+    assert most_mib < 20
+
+
+def test_a_png_without_pixels_has_no_header() -> None:
+    """Nor one whose last chunk is not empty: a decoder looks for pixels as far as it says."""
+    whole = grey_png(16, 16, zlib.compress(bytes(17 * 16)))
+    assert read_header(whole) is not None
+    start, end = whole.index(b"IDAT") - 4, whole.index(b"IEND") - 4
+    assert read_header(whole[:start] + whole[end:]) is None
+    long_end = chunk(b"IEND", b"", length=2**32 - 16)
+    assert read_header(whole[:end] + long_end) is None
+    assert read_header(whole[:start] + long_end) is None
+
+
+def test_a_file_larger_than_any_picture_is_not_read(tmp_path: Path) -> None:
+    sparse = tmp_path / "sparse.bmp"
+    with sparse.open("wb") as opened:
+        opened.truncate(2**40)
+    with pytest.raises(InputError, match=r"sparse\.bmp: is too large: bytes \(got 1099511627776"):
+        read_picture(sparse)
+
+
+@pytest.mark.parametrize(("ending", "name"), ENDINGS.items())
+@pytest.mark.parametrize("shape", [(18, 23), (18, 23, 3), (1, 1, 3)])
+def test_the_header_tells_the_size_and_kind(ending: str, name: str, shape: tuple[int, ...]) -> None:
+    data = encoded(ending, shape)
+    assert read_header(data) == PictureHeader(name, shape[1], shape[0])  # type: ignore[arg-type]
+
+
+def test_other_ways_to_write_a_header() -> None:
+    """Big-endian and BigTIFF, lossless WebP, BMP of OS/2, JPEG with what is no marker in it."""
+    big = struct.pack(">2sHIHHHIHHHHIHH", b"MM", 42, 8, 2, 256, 3, 1, 7, 0, 257, 3, 1, 9, 0)
+    assert read_header(big) == PictureHeader("TIFF", 7, 9)
+    entries = struct.pack("<HHQQHHQQ", 256, 16, 1, 7, 257, 16, 1, 9)
+    bigtiff = struct.pack("<2sHHHQQ", b"II", 43, 8, 0, 16, 2) + entries
+    assert read_header(bigtiff) == PictureHeader("TIFF", 7, 9)
+    lossless = cv2.imencode(".webp", np.zeros((9, 7, 3), np.uint8), [cv2.IMWRITE_WEBP_QUALITY, 101])
+    assert read_header(lossless[1].tobytes()) == PictureHeader("WebP", 7, 9)
+    os2 = b"BM" + bytes(12) + struct.pack("<IHHHH", 12, 7, 9, 1, 24)
+    assert read_header(os2) == PictureHeader("BMP", 7, 9)
+    jpeg = jpeg_of(7, 9)
+    assert read_header(jpeg[:2] + b"\xff\xff\xff\x01\0\0" + jpeg[2:]) == PictureHeader("JPEG", 7, 9)
+
+
+@pytest.mark.parametrize("ending", [".png", ".tif"])
+def test_sixteen_bits_are_refused_by_the_header(tmp_path: Path, ending: str) -> None:
+    cv2.imwrite(str(tmp_path / f"deep{ending}"), np.zeros((8, 8, 3), np.uint16))
+    with pytest.raises(InputError, match=r"deep.*has the wrong depth \(got '16 bit'; allowed: PNG"):
+        read_picture(tmp_path / f"deep{ending}")
+
+
+@pytest.mark.parametrize(
+    "content",
+    [b"GIF89a" + struct.pack("<HH", 60_000, 60_000) + bytes(99), b"P5 9 9 255 ", b"", b"B"],
+)
+def test_other_formats_are_refused(tmp_path: Path, content: bytes) -> None:
+    """OpenCV reads more formats; those the documentation names are those whose size is checked."""
+    (tmp_path / "other").write_bytes(content)
+    with pytest.raises(InputError, match=r"other: is not a picture that can be read .*PNG, JPEG"):
+        read_picture(tmp_path / "other")
+
+
+def mutated(data: st.DataObject, content: bytes) -> bytes:
+    """The content with a few bytes changed, then cut short or lengthened."""
+    changed = bytearray(content)
+    for _ in range(data.draw(st.integers(0, 4))):
+        # Headers are at the front, a TIFF's at the end.
+        near = st.integers(0, min(80, len(changed) - 1))
+        place = data.draw(near | near.map(lambda at: len(changed) - 1 - at))
+        changed[place] = data.draw(st.integers(0, 255))
+    end = data.draw(st.just(len(changed)) | st.integers(0, len(changed)))
+    return bytes(changed[:end]) + data.draw(st.binary(max_size=8))
+
+
+@pytest.mark.parametrize("ending", ENDINGS)
+@settings(max_examples=150, deadline=None, derandomize=True)
+@given(data=st.data())
+def test_a_mutated_picture_is_read_or_refused(
+    tmp_path_factory: pytest.TempPathFactory, ending: str, data: st.DataObject
+) -> None:
+    file = tmp_path_factory.getbasetemp() / f"mutated{ending}"
+    file.write_bytes(mutated(data, encoded(ending, (12, 10, 3))))
+    try:
+        image = read_picture(file)
+    except InputError as error:
+        assert file.name in str(error)
+    else:
+        assert image.dtype == np.uint8
+        assert image.size <= 3 * MOST_PX
+
+
+@settings(max_examples=300, deadline=None, derandomize=True)
+@given(
+    start=st.sampled_from(
+        [b"", b"\x89PNG\r\n\x1a\n", b"\xff\xd8\xff", b"BM", b"II\x2a\0", b"RIFF"]
+    ),
+    rest=st.binary(max_size=200),
+)
+def test_a_header_of_random_bytes_is_none_or_of_some_size(start: bytes, rest: bytes) -> None:
+    header = read_header(start + rest)
+    assert header is None or min(header.width_px, header.height_px) > 0
+
+
+def test_a_picture_from_the_network_is_refused_by_its_header(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    def reached(*_: Any) -> None:
+        raise AssertionError("it was decoded")
+
+    monkeypatch.setattr(pictures.cv2, "imdecode", reached)
+    served = np.frombuffer(jpeg_of(65_500, 65_500), np.uint8)
+    with pytest.raises(DeviceError, match="web: sent a picture of 65500 by 65500 px; allowed"):
+        decoded(served, "web")

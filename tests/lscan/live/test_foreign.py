@@ -1,0 +1,182 @@
+"""The served live page in headless Chromium, beside a foreign page, which is another origin."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from functools import partial
+from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
+from pathlib import Path
+
+import pytest
+from fake_devices import LaserTrack
+from live_rig import LONG_S, live_bench
+from live_served import Page, served
+
+from sim.testing.browser import Browser, BrowserMissing
+
+pytestmark = pytest.mark.xdist_group("live_page")  # one worker: one Chromium at a time
+TOKEN = "correct-horse"
+READY = "window.lscan?.framesDrawn > 0 && !document.querySelector('#start').disabled"
+
+
+@pytest.fixture(scope="module")
+def chromium() -> Iterator[Browser]:
+    try:
+        browser = Browser()
+    except BrowserMissing as missing:
+        pytest.skip(str(missing))
+    with browser:
+        yield browser
+
+
+@pytest.fixture
+def page(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Page]:
+    track = LaserTrack()
+    with live_bench(monkeypatch, tmp_path / "runs", track) as bench, served(bench) as page:
+        yield page
+
+
+class Quiet(SimpleHTTPRequestHandler):
+    """Serves a folder and says nothing."""
+
+    def log_message(self, format: str, *args: object) -> None:
+        """Say nothing: the tests' output is theirs."""
+
+
+@contextmanager
+def foreign(folder: Path, html: str, name: str = "127.0.0.1") -> Iterator[str]:
+    """The address of a page of somebody else's, on a port of its own, called by ``name``."""
+    folder.mkdir(exist_ok=True)
+    (folder / "index.html").write_text(html)
+    server = ThreadingHTTPServer(("127.0.0.1", 0), partial(Quiet, directory=str(folder)))
+    thread = threading.Thread(target=server.serve_forever, args=(0.05,), daemon=True)
+    thread.start()
+    try:
+        yield f"http://{name}:{server.server_address[1]}/"
+    finally:
+        server.shutdown()
+        server.server_close()
+        thread.join()
+
+
+def test_the_page_keeps_to_its_own_policy(chromium: Browser, page: Page) -> None:
+    chromium.take_errors()
+    chromium.open(f"http://127.0.0.1:{page.port}/")
+    chromium.wait_for(READY, LONG_S)
+    chromium.click("#start")
+    chromium.wait_for("document.querySelector('#scan-state').innerText === 'done'", LONG_S)
+    assert chromium.take_errors() == []  # Chromium notes there what the policy forbade
+
+
+def test_a_foreign_page_that_frames_it_starts_nothing(
+    chromium: Browser, page: Page, tmp_path: Path
+) -> None:
+    """Clicks through a page laid under another, as the victim of clickjacking does."""
+    own = f"http://127.0.0.1:{page.port}/"
+    chromium.open(own)
+    chromium.wait_for(READY, LONG_S)
+    start = chromium.evaluate(
+        "(({x, y, width, height}) => [x + width / 2, y + height / 2])"
+        "(document.querySelector('#start').getBoundingClientRect())"
+    )
+    html = (
+        f"<iframe src={own} style='position:fixed;left:0;top:0;width:100%;height:100%;border:0'"
+        " onload='window.loaded = true'></iframe>"
+    )
+    for name in ("127.0.0.1", "localhost"):  # the same site by SameSite, and another one
+        with foreign(tmp_path / name, html, name) as address:
+            chromium.open(address)
+            chromium.wait_for("window.loaded", LONG_S)
+            for _ in range(20):  # the framed page would have come to life meanwhile
+                for kind in ("mousePressed", "mouseReleased"):
+                    place = {"x": start[0], "y": start[1], "button": "left", "clickCount": 1}
+                    chromium.call("Input.dispatchMouseEvent", type=kind, **place)
+                chromium.evaluate("new Promise((go) => setTimeout(go, 100))")
+            assert page.session.state()["scan"]["state"] == "idle"
+    chromium.open("about:blank")
+    assert any("frame-ancestors" in error for error in chromium.take_errors())
+
+
+FORMS = """<form method=post action={own}api/{command} enctype=text/plain target=there>
+<input name='{{"a":"' value='"}}'></form><iframe name=there onload='window.answers = (window.answers
+ ?? -1) + 1'></iframe><script>
+const body = JSON.stringify({body});
+for (const mode of ["no-cors", "cors"])
+  for (const credentials of ["include", "omit"])
+    fetch("{own}api/{command}", {{method: "POST", mode, credentials, body}})
+      .catch(() => 0).then(() => window.tried = (window.tried ?? 0) + 1);
+document.forms[0].submit();
+</script>"""
+
+
+@pytest.mark.parametrize(
+    ("command", "body"),
+    [
+        ("scan/start", "{}"),
+        ("laser", '{"on": true}'),
+        ("move", '{"position_mm": 5}'),
+        ("mode", '{"mode": "board"}'),
+        ("board", "{}"),
+    ],
+)
+@pytest.mark.parametrize("name", ["127.0.0.1", "localhost"])
+def test_a_foreign_page_starts_nothing(
+    chromium: Browser, page: Page, tmp_path: Path, command: str, body: str, name: str
+) -> None:
+    own = f"http://127.0.0.1:{page.port}/"
+    chromium.open(own)
+    chromium.wait_for(READY, LONG_S)  # with whatever cookie there is
+    html = FORMS.format(own=own, command=command, body=body)
+    with foreign(tmp_path / "evil", html, name) as address:
+        chromium.open(address)
+        chromium.wait_for("window.tried === 4 && window.answers >= 1", LONG_S)
+    state = page.session.state()
+    assert (state["scan"]["state"], state["laser"], state["mode"]) == ("idle", None, "stripe")
+    assert page.bench.drivers.track.trace == []  # type: ignore[attr-defined]
+    chromium.open("about:blank")
+    chromium.take_errors()
+
+
+@contextmanager
+def with_token(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Page]:
+    with (
+        live_bench(monkeypatch, tmp_path / "runs") as bench,
+        served(bench, token=TOKEN) as page,
+    ):
+        yield page
+
+
+def test_the_token_leaves_the_address_bar_and_the_history(
+    chromium: Browser, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with with_token(tmp_path, monkeypatch) as page, with_token(tmp_path / "b", monkeypatch) as two:
+        for _ in range(2):  # the printed address serves the same browser again
+            for one in (page, two):  # whose cookies are those of all ports
+                chromium.open(f"http://127.0.0.1:{one.port}/?token={TOKEN}")
+                chromium.wait_for(READY, LONG_S)
+                assert chromium.evaluate("location.href") == f"http://127.0.0.1:{one.port}/"
+                assert chromium.evaluate("document.cookie") == ""
+        kept = chromium.call("Page.getNavigationHistory")["entries"]
+        assert [entry["url"] for entry in kept if TOKEN in entry["url"]] == []
+        for one in (page, two):  # bare, as it stands in the address bar
+            chromium.open(f"http://127.0.0.1:{one.port}/")
+            chromium.wait_for(READY, LONG_S)
+        chromium.open("about:blank")
+    chromium.take_errors()
+
+
+def test_a_link_with_the_token_on_another_site_opens_the_page(
+    chromium: Browser, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A browser that follows it withholds the cookie it was just given (SameSite=Strict)."""
+    with with_token(tmp_path, monkeypatch) as page:
+        own = f"http://127.0.0.1:{page.port}/"
+        link = f"<a id=link href='{own}?token={TOKEN}'>the scanner</a>"
+        with foreign(tmp_path / "mail", link, "localhost") as address:
+            chromium.open(address)
+            chromium.click("#link")
+            chromium.wait_for(f"location.href === '{own}' && {READY}", LONG_S)
+        chromium.open("about:blank")
+    chromium.take_errors()

@@ -1,0 +1,296 @@
+"""The figures: what they say is what the data hold, and their bytes are stable."""
+
+from __future__ import annotations
+
+import base64
+import dataclasses
+import re
+import xml.etree.ElementTree as ElementTree
+
+import cv2
+import numpy as np
+import pytest
+import report_examples as examples
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from lscan.errors import InputError, MeasurementError
+from lscan.figures import style
+from lscan.figures.exhibit import RowFits, RulerCurve, SliceData, signed
+from lscan.figures.grid import cell_for, grid_heights
+from lscan.paper import published as paper
+from lscan.paper.figures import board, contours, interactive, relief, slices, stripes
+from lscan.records import Status, Stripe
+
+
+def _plane(step_mm: float, offset_mm: float) -> np.ndarray:
+    along = offset_mm + np.arange(0, 30, step_mm)
+    x, y = np.meshgrid(along, along)
+    return np.stack([x, y, 0.3 * x - 0.7 * y + 5], axis=2)
+
+
+@settings(max_examples=40, deadline=None, derandomize=True)
+@given(st.integers(1, 4), st.floats(-5, 5))
+def test_grid_keeps_a_plane_sampled_evenly(per_cell, offset):
+    """The tent weights' first moment vanishes on a lattice whose step divides the cell."""
+    cell = 1.5
+    grid = grid_heights(_plane(cell / per_cell, offset), cell)
+    plane = 0.3 * grid.x_mm[None, :] - 0.7 * grid.y_mm[:, None] + 5
+    inner = (slice(2, -2), slice(2, -2))  # a node on the rim has points on one side only
+    np.testing.assert_allclose(grid.z_mm[inner], plane[inner], atol=1e-9)
+
+
+@settings(max_examples=40, deadline=None, derandomize=True)
+@given(st.integers(0, 2**32 - 1), st.integers(-50, 50))
+def test_grid_averages_and_moves_with_its_points(seed, cells):
+    points = np.random.default_rng(seed).normal(0, 10, (200, 3))
+    grid = grid_heights(points, 2.0)
+    held = grid.z_mm[np.isfinite(grid.z_mm)]
+    assert points[:, 2].min() - 1e-9 <= held.min() <= held.max() <= points[:, 2].max() + 1e-9
+    moved = grid_heights(points + np.array([2.0 * cells, 0, 0]), 2.0)
+    np.testing.assert_allclose(moved.x_mm, grid.x_mm + 2.0 * cells)
+    np.testing.assert_allclose(moved.z_mm, grid.z_mm, atol=1e-6)
+
+
+def test_grid_leaves_holes_and_refuses_nothing_at_all():
+    points = _plane(0.5, 0.0)
+    points[20:40, 20:40] = np.nan
+    grid = grid_heights(points, 1.5)
+    assert np.isnan(grid.z_mm[10, 10])
+    assert np.isfinite(grid.z_mm[3, 3])
+    with pytest.raises(MeasurementError, match="no point"):
+        grid_heights(np.full((4, 4, 3), np.nan), 1.5)
+
+
+def test_cell_is_no_finer_than_the_scan_nor_than_the_page_can_carry():
+    assert cell_for(_plane(0.5, 0.0), least_mm=1.5) == 1.5
+    assert cell_for(_plane(4.0, 0.0), least_mm=1.5) == pytest.approx(6.0)
+    assert cell_for(_plane(0.5, 0.0), 0.1, most_nodes=10) == pytest.approx(2.95)
+
+
+def test_svg_is_stable_follows_the_theme_and_keeps_its_ids_apart():
+    row = examples.row_fits(examples.to_image(np.array([[50.0 * k, 0.0] for k in range(10)])))
+    first, again = board.line_fits(row), board.line_fits(row)
+    assert first == again
+    ids = re.findall(r' id="([^"]+)"', first.body)
+    assert ids and all(name.startswith("line-fits-") for name in ids)
+    assert len(set(ids)) == len(ids)
+    targets = re.findall(r'href="#([^"]+)"|url\(#([^)]+)\)', first.body)
+    assert targets and {a or b for a, b in targets} <= set(ids)
+    bare = re.sub(r"var\(--\w+, #\w+\)", "", first.body)
+    assert not [colour for colour in style.PALETTE.values() if colour in bare]
+    assert ElementTree.fromstring(first.body).get("role") == "img"
+
+
+def test_photograph_shows_the_picture_in_pixel_coordinates():
+    image = np.full((24, 32, 3), (200, 40, 90), dtype=np.uint8)
+    text = style.photograph(image, style.spots(np.array([[3.0, 4.0]]), "#fff", 1), 'a "b" & <c>')
+    svg = ElementTree.fromstring(text)
+    assert svg.get("viewBox") == "-0.5 -0.5 32 24"
+    assert svg.get("aria-label") == 'a "b" & <c>'
+    picture, spot = svg
+    data = base64.b64decode(picture.get("href", "").removeprefix("data:image/jpeg;base64,"))
+    shown = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR)[:, :, ::-1]
+    # JPEG quality 90 rounds a flat block's mean by at most 2 DN in each of its three planes.
+    assert np.abs(shown.astype(int) - image).max() <= 6
+    assert spot.get("d") == "M3.00,4.00h0"
+
+
+@pytest.mark.parametrize(
+    "image", [np.zeros((4, 4)), np.zeros((4, 4, 4), np.uint8), np.zeros(4, np.uint8)]
+)
+def test_photograph_refuses_what_is_no_picture(image):
+    with pytest.raises(InputError, match="not a picture"):
+        style.photograph(image, "", "")
+
+
+def test_marks_without_a_place_are_not_drawn():
+    points = np.array([[1.0, 2.0], [np.nan, np.nan], [5.0, 6.0]])
+    assert style.crosses(points, "#fff", 2.0).count("M") == 2
+    assert style.spots(points, "#fff", 2.0).count("M") == 2
+
+
+def test_control_points_counts_what_was_found():
+    reading = examples.reading(np.random.default_rng(1))
+    image = np.zeros((480, 640), np.uint8)
+    exhibit = board.control_points(image, reading, marked=False)
+    found = int(reading.grid.found.sum())
+    assert f"{found} of 100 control points" in exhibit.caption
+    assert "230 of 230 marks of 5 rulers" in exhibit.caption
+    assert exhibit.body.count("M") >= found + 230
+    assert "Boxes" in board.control_points(image, reading, marked=True).caption
+    top, bottom = (
+        np.linalg.norm(np.diff(row, axis=0), axis=1).mean()
+        for row in reading.grid.image_px.reshape(10, 10, 2)[[0, -1]]
+    )
+    caption = board.board_picture(image, reading).caption
+    assert f"{top:.1f} px apart in the top row" in caption
+    assert f"{bottom:.1f} px in the bottom row" in caption
+
+
+def test_line_fits_report_their_residuals():
+    u = np.arange(0.0, 100.0, 10.0)
+    points = np.column_stack([u, np.where(np.arange(10) % 2, 3.0, 5.0)])
+    level = np.array([[0.0, 4.0], [90.0, 4.0]])  # 1 px off every point
+    exhibit = board.line_fits(RowFits(points, {"graticule-1": level, "graticule-bspline": points}))
+    assert "first-order rms 1.00 px rms, 1.00 px at most" in exhibit.caption
+    assert "cubic B-spline 0.00 px rms" in exhibit.caption
+    assert "second-order" not in exhibit.caption
+    turned = {"graticule-1": level[::-1], "graticule-bspline": points[::-1]}
+    assert board.line_fits(RowFits(points, turned)).caption == exhibit.caption
+
+
+def test_sensitivity_reports_move_and_inflections():
+    u = np.linspace(0, 5 * np.pi, 2000)
+    before = np.column_stack([u, 0.1 * u**2])
+    after = before + np.column_stack([0 * u, 0.75 * np.maximum(np.sin(u), -1 / 3)])
+    points = before[::200]
+    shifted = points + [[0, 1]] * (np.arange(len(points)) == 3)[:, None]
+    fits = {"graticule-2": before}, {"graticule-2": after}
+    exhibit = board.sensitivity(
+        RowFits(points, fits[0], shifted, fits[1]), "graticule-2", "Fig. 34"
+    )
+    assert "by up to 0.75 px" in exhibit.caption
+    assert "other way by up to 0.25 px" in exhibit.caption
+    waves = {"graticule-2": before}, {"graticule-2": np.column_stack([u, np.sin(u)])}
+    exhibit = board.sensitivity(RowFits(points, waves[0], shifted, waves[1]), "graticule-2", "")
+    # sin has an inflection at each multiple of pi: four within 0 to 5 pi; a parabola has none.
+    assert "changes sign 0 times before and 4 times after" in exhibit.caption
+
+
+def test_sensitivity_needs_the_shifted_fits():
+    row = RowFits(np.zeros((3, 2)), {"graticule-2": np.zeros((3, 2))})
+    with pytest.raises(ValueError, match="shifted"):
+        board.sensitivity(row, "graticule-2", "")
+
+
+def test_ruler_reports_the_size_of_a_pixel():
+    px = np.arange(0.0, 100.0, 8.0)
+    exhibit = board.ruler(RulerCurve("R4", "z", px, -1.25 * px, px, -1.25 * px))
+    assert "13 marks of ruler R4" in exhibit.caption
+    assert "1.25 to 1.25 mm" in exhibit.caption
+    assert "v / px" in exhibit.body and "z / mm" in exhibit.body
+
+
+def _paper_frames() -> list[np.ndarray]:
+    """Dark pictures whose 320th column holds the pixels printed in Sec. V.B."""
+    frames = []
+    for pixels in paper.COLUMN_PIXELS:
+        frame = np.zeros((480, 640, 3), np.uint8)
+        for v, intensity in pixels:
+            frame[v, paper.COLUMN, 0] = intensity
+        frames.append(frame)
+    return frames
+
+
+def test_column_intensities_give_the_papers_centres():
+    caption = stripes.column_intensities(_paper_frames(), paper.COLUMN).caption
+    for centre in (*paper.CENTRES_RAW_PX[:2], *paper.CENTRES_RELATIVE_PX[:2]):
+        assert f"{centre:.4f}" in caption
+    # Frame 3 as its printed pixels give it (paper.MISPRINTS).
+    assert "252.1894" in caption and "252.5498" in caption
+    assert "0.6774 px in the paper" in caption and "0.0813 px in the paper" in caption
+
+
+def test_column_without_a_line_is_said_to_have_none():
+    frames = [np.zeros((48, 64, 3), np.uint8)] * 3
+    assert "finds no line" in stripes.column_intensities(frames, 10).caption
+
+
+def _stripe(lit: list[int], width: int = 640) -> Stripe:
+    status = np.full(width, int(Status.NO_PEAK))
+    status[lit] = Status.OK
+    centre = np.where(status == Status.OK, 100.0, np.nan)
+    return Stripe("columns", centre, centre / 1000, np.zeros(width), status)
+
+
+def test_lit_column_is_the_papers_or_the_nearest_with_a_line():
+    assert stripes.lit_column(_stripe([100, 320, 330]), 640) == 320
+    assert stripes.lit_column(_stripe([100, 300, 331]), 640) == 331
+    assert stripes.lit_column(_stripe([]), 640) == 320
+    assert stripes.lit_column(None, 64) == 63
+
+
+def test_snapshots_say_how_much_of_the_line_was_found():
+    image = np.zeros((480, 640, 3), np.uint8)
+    stripe = _stripe([10, 11, 12])
+    assert "3 of 640 columns" in stripes.groove_snapshot(image, stripe).caption
+    exhibit = stripes.sandwave_snapshot(image, stripe, 320)
+    assert "median standard uncertainty 0.100 px" in exhibit.caption
+    assert "M320,0V480" in exhibit.body
+    assert stripes.sandwave_snapshot(image, None, None).body.count("<path") == 0
+
+
+def _slice(error: list[float], status: list[Status], **more: np.ndarray) -> SliceData:
+    errors, codes = np.array(error), np.array([int(s) for s in status])
+    along = np.arange(len(errors), dtype=float)
+    return SliceData(along, 5 + errors, codes, np.full(len(errors), 5.0), errors, **more)
+
+
+def test_slice_reports_its_error_and_its_gaps():
+    data = _slice(
+        [-0.5, 2.0, np.nan, np.nan, np.nan],
+        [Status.OK, Status.OK, Status.OCCLUDED, Status.OCCLUDED, Status.NO_DATA],
+    )
+    caption = slices.slice_plot("S1", data, "Fig. 29", 1.5).caption
+    assert "rmse 1.46 mm, from −0.50 to +2.00 mm; 50.0 % within ±1.5 mm" in caption
+    assert "Grey: 2 occluded, 1 no data, of 5 points" in caption
+    assert "two standard uncertainties" not in caption
+    uncompared = _slice([0.1, np.nan], [Status.OK, Status.OK])
+    uncompared = dataclasses.replace(uncompared, measured_mm=np.array([5.1, 7.0]))
+    caption = slices.slice_plot("S1", uncompared, "", 1.5).caption
+    assert "Measured but not compared: 1 points" in caption
+
+
+def test_slice_without_truth_or_without_points_is_still_drawn():
+    known = _slice([0.1, -0.1, 0.2], [Status.OK] * 3, sigma_mm=np.full(3, 0.1))
+    assert "two standard uncertainties" in slices.slice_plot("SD", known, "", 1.5).caption
+    assert "error / mm" in slices.slice_plot("SD", known, "", 1.5).body
+    bare = SliceData(known.along_mm, known.measured_mm, known.status)
+    exhibit = slices.slice_plot("SD", bare, "", 1.5)
+    assert "designed" not in exhibit.caption and "error / mm" not in exhibit.body
+    empty = _slice([np.nan] * 3, [Status.OCCLUDED] * 3)
+    assert "3 occluded" in slices.slice_plot("S1", empty, "", 1.5).caption
+
+
+def test_reliefs_say_tilt_count_and_corners():
+    x, y = np.meshgrid(np.linspace(0, 100, 60), np.linspace(0, 100, 200))
+    slope_x, slope_y = np.tan(np.radians([3.0, -2.0]))
+    points = np.stack([x, y, slope_x * x + slope_y * y], axis=2)
+    points[5, 5] = np.nan
+    caption = relief.raw_relief(points).caption
+    assert "11,999 points of 200 profiles" in caption
+    assert "+3.00° along x and −2.00° along y" in caption
+    assert "one in 3 profiles drawn" in caption
+    corners = (np.array([0.0, 50.0, 1.0]), np.array([90.0, 50.0, 1.0]))
+    exhibit = relief.levelled_relief(points, corners)
+    assert "90.00 mm apart" in exhibit.caption
+    assert "W_L" not in relief.levelled_relief(points, None).caption
+
+
+def test_contours_say_yaw_shift_and_slices():
+    points = examples.workpiece_mm(60, 60)
+    before = contours.contours_before(points, 2.2)
+    assert f"{210 * np.tan(np.radians(2.2)):.1f} mm over 210 mm" in before.caption
+    assert "2.200°" in before.caption
+    assert "°" not in contours.contours_before(points, None).caption
+    cuts = {"S1": _slice([0.0], [Status.OK], ends_mm=np.array([[0.0, 9.0], [150.0, 9.0]]))}
+    after = contours.contours_after(points, None, cuts)
+    assert "Lines: the slices S1." in after.caption
+    assert ">S1</text>" in after.body
+
+
+def test_surface_to_turn_is_plain_json_without_nan():
+    points = examples.workpiece_mm(60, 60)
+    points[20:30, 20:30] = np.nan
+    script = interactive.surface_to_turn(points).script
+    assert script.startswith('Plotly.newPlot("surface", [{"type": "surface"')
+    assert "NaN" not in script and "null" in script
+
+
+@given(st.floats(-1e3, 1e3))
+@settings(max_examples=50, deadline=None, derandomize=True)
+def test_signed_reads_back(value):
+    text = signed(value, 3)
+    assert text[0] in "+−"
+    assert abs(float(text.replace("−", "-")) - value) <= 0.0005 + 1e-9

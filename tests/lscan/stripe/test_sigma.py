@@ -1,0 +1,161 @@
+"""The stated uncertainty of the stripe against the scatter that noise really causes."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.stats import norm
+
+from lscan.config.rig import StripeSection
+from lscan.stripe.extractors import paper
+from lscan.stripe.noise import model as noise
+
+HEIGHT, WIDTH = 480, 640
+
+
+DEFAULT = StripeSection()
+
+
+def run(extract, image, section=DEFAULT):
+    """The extractor's stripe of a picture in which nothing is clipped."""
+    return extract(image, section, np.zeros(image.shape, dtype=bool))
+
+
+def gaussian_picture(rng, line_width, amplitude):
+    """A slightly sloping line at a random place: centres (W,) and noise-free picture."""
+    centre = 240 + rng.uniform(-1, 1) + np.linspace(0, 9, WIDTH)
+    rows = np.arange(HEIGHT)[:, None]
+    low, high = ((rows + half - centre) / line_width for half in (-0.5, 0.5))
+    light = amplitude * line_width * np.sqrt(2 * np.pi) * (norm.cdf(high) - norm.cdf(low))
+    return centre, light
+
+
+def pulls(extract, section, line_width, add_noise, pictures, seed):
+    """(error / stated sigma) of every column of several noisy pictures."""
+    rng = np.random.default_rng(seed)
+    result = []
+    for _ in range(pictures):
+        centre, light = gaussian_picture(rng, line_width, amplitude=150.0)
+        stripe = run(extract, add_noise(rng, light), section)
+        result.append((stripe.centre_px - centre) / stripe.sigma_px)
+    pull = np.concatenate(result)
+    assert np.isfinite(pull).all()
+    return pull
+
+
+def reading_noise(rng, light):
+    return np.rint(light + 30 + rng.normal(0, 2, light.shape)) - 30
+
+
+def photon_noise(rng, light):
+    """Two electrons for each digital number, and 1 DN of reading noise."""
+    return rng.poisson(2 * light) / 2 + rng.normal(0, 1, light.shape)
+
+
+@pytest.mark.parametrize("add_noise", [reading_noise, photon_noise])
+def test_sigma_of_the_centroid_is_the_scatter_where_the_window_holds_the_line(add_noise):
+    span, line_width = 8, 0.8  # the line ends 10 widths from the middle: nothing is cut off
+    pull = pulls(paper.centroid, StripeSection(span_px=span), line_width, add_noise, 10, seed=1)
+    mean_square = (pull**2).mean()
+    # 99.9 % of chi-square/N lies within 3.3 of its standard deviations.
+    chance = 3.3 * np.sqrt(2 / len(pull))
+    # Stated on top of the noise, hence allowed downwards: the choice of the nominal peak,
+    # whose two windows differ by one noisy pixel at either end, 2 (span + 1)² / 12 against
+    # n (n² - 1) / 12 of the noise, four times that in the tenth of columns with two
+    # candidates; and second differences on the line that look like noise, on at most the 8.4
+    # rows within 4 widths and a pixel of the crest, each at most 3² of the noise.
+    n = 2 * span + 1
+    choice = 1.3 * 2 * (span + 1) ** 2 / (n * (n**2 - 1))
+    mistaken = 8.4 / HEIGHT * (3**2 - 1)
+    assert (1 - chance) / (1 + choice + mistaken) <= mean_square <= 1 + chance
+
+
+@pytest.mark.parametrize("extract", [paper.maximum, paper.centroid, paper.centroid_relative])
+@pytest.mark.parametrize("span", [2, 4])
+@pytest.mark.parametrize("line_width", [0.6, 1.0, 1.4, 2.0])
+def test_two_sigma_cover_the_truth_where_the_window_cuts_the_line(extract, span, line_width):
+    # The centroid is then biased by up to a few tenths of a pixel, with the sign of the
+    # line's place within its pixel.  Coverage factor 2 is meant to hold 95 % (GUM 6.3.3).
+    pull = pulls(extract, StripeSection(span_px=span), line_width, reading_noise, 3, seed=2)
+    assert (np.abs(pull) <= 2).mean() >= 0.95
+
+
+@pytest.mark.parametrize("extract", [paper.centroid, paper.centroid_relative])
+@settings(max_examples=30, deadline=None, derandomize=True)
+@given(values=st.permutations([20.0, 60.0, 110.0, 140.0]))
+def test_noise_is_carried_through_the_derivative_of_the_centre(extract, values):
+    # A single column, without neighbours to scatter against, has the noise of rounding only.
+    column = np.zeros((21, 1))
+    column[8:13, 0] = [*values[:2], 200.0, *values[2:]]
+    step = 1e-4
+    derivative = []
+    for row in range(8, 13):
+        high, low = column.copy(), column.copy()
+        high[row] += step
+        low[row] -= step
+        ends = [run(extract, picture).centre_px[0] for picture in (high, low)]
+        derivative.append((ends[0] - ends[1]) / (2 * step))
+    noise_only = noise.ROUNDING_VARIANCE * np.square(derivative).sum()
+    window = column[8:13].T
+    offset_of = {
+        paper.centroid: paper._centroid_offset,
+        paper.centroid_relative: paper._relative_offset,
+    }
+    _, slope = offset_of[extract](window)
+    # Central differences of a ratio of sums near 500 DN err by about (1e-4 / 500)² and by
+    # rounding, 1e-14 / 1e-4.
+    np.testing.assert_allclose(slope[0], derivative, atol=1e-9)
+    assert run(extract, column).sigma_px[0] ** 2 >= noise_only * (1 - 1e-6)
+
+
+def test_sigma_of_the_brightest_pixel_is_that_of_rounding():
+    rng = np.random.default_rng(3)
+    _, light = gaussian_picture(rng, 0.8, 150.0)
+    stripe = run(paper.maximum, light)
+    # A pixel is 1 px wide; two equally bright ones (within the rounding of grey values) are 2.
+    doubtful = stripe.sigma_px > 1.5 / np.sqrt(12)
+    np.testing.assert_allclose(stripe.sigma_px[~doubtful], 1 / np.sqrt(12), rtol=1e-12)
+    np.testing.assert_allclose(stripe.sigma_px[doubtful], 2 / np.sqrt(12), rtol=1e-12)
+    # d(peak)/d(place) is about 0.5 A / w² per pixel at the edge between two: 120 DN/px, and
+    # two sigma of rounding are 0.58 DN, so less than 2 · 0.58 / 120 of the columns.
+    assert doubtful.mean() < 0.01
+
+
+@pytest.mark.parametrize("sigma", [1.0, 2.0, 5.0])
+def test_constant_variance_finds_the_noise_beside_a_line_and_on_a_slope(sigma):
+    rng = np.random.default_rng(4)
+    _, light = gaussian_picture(rng, 1.0, 150.0)
+    slope = np.linspace(20, 60, HEIGHT)[:, None]
+    picture = np.rint(light + slope + rng.normal(0, sigma, light.shape))
+    found = noise.constant_variance(np.ascontiguousarray(picture.T))
+    # Second differences of independent pixels are correlated by -2/3 and 1/6, which makes
+    # the relative variance of their mean square 2 (1 + 2 · 4/9 + 2/36) / N.
+    chance = 3.3 * np.sqrt(2 * 1.94 / (64 * (HEIGHT - 2)))
+    mistaken = 10 / HEIGHT * (3**2 - 1)  # as above, for a line of 1 px
+    expected = sigma**2 + 1 / 12
+    assert expected * (1 - chance) <= found <= expected * (1 + chance + mistaken)
+
+
+def test_constant_variance_is_never_below_rounding():
+    assert noise.constant_variance(np.full((10, 20), 7.0)) == pytest.approx(1 / 12)
+    assert noise.constant_variance(np.full((10, 2), 7.0)) == pytest.approx(1 / 12)
+
+
+def test_line_variance_is_that_of_photons():
+    rng = np.random.default_rng(5)
+    mean = np.array([20.0, 80.0, 150.0, 80.0, 20.0])
+    electrons_per_dn = 2.0
+    light = rng.poisson(electrons_per_dn * mean, (20_000, 5)) / electrons_per_dn
+    light += rng.normal(0, 1.5, light.shape)
+    found = noise.line_variance_per_dn(light, np.arange(20_000), constant=1.5**2)
+    # As above for 20,000 sums, whose variance is 5 · 1.5² reading noise on 350 / 2.
+    chance = 3.3 * np.sqrt(2 * 1.94 / 20_000) * (1 + 5 * 1.5**2 / 175)
+    assert found == pytest.approx(1 / electrons_per_dn, rel=chance)
+
+
+def test_line_variance_needs_neighbouring_columns():
+    rng = np.random.default_rng(6)
+    light = rng.uniform(50, 150, (40, 5))
+    assert noise.line_variance_per_dn(light, np.arange(0, 80, 2), constant=0.1) == 0
+    assert noise.line_variance_per_dn(light[:10], np.arange(10), constant=0.1) == 0
+    assert noise.line_variance_per_dn(light, np.arange(40), constant=0.1) > 0

@@ -1,0 +1,42 @@
+"""The command ``lscan-sim accuracy``: a thin face that passes options on and judges the rows."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+from typer.testing import CliRunner
+
+import sim.validation.accuracy.run
+from sim.cli.app import app
+from sim.validation.rows import Row
+
+
+def _row(figure: float) -> Row:
+    return Row("length", "nominal", figure, 0.1, "mm", "required")
+
+
+@pytest.mark.parametrize(("figures", "code"), [((0.05, 0.1), 0), ((0.05, 0.2), 1)])
+def test_exit_code_says_whether_all_rows_pass(
+    monkeypatch: pytest.MonkeyPatch, figures: tuple[float, ...], code: int
+) -> None:
+    rows = [_row(figure) for figure in figures]
+    given = []
+    monkeypatch.setattr(
+        sim.validation.accuracy.run, "run_accuracy", lambda *args: given.append(args[:4]) or rows
+    )
+    options = ["--scenes", "s", "--photographs", "p", "--output", "o.json"]
+    printed = CliRunner().invoke(app, ["accuracy", *options, "--json"])
+    assert printed.exit_code == code
+    assert json.loads(printed.stdout) == [row.as_json() for row in rows]
+    assert given == [(Path("s"), Path("p"), Path("o.json"), False)]
+    table = CliRunner().invoke(app, ["accuracy", *options])
+    assert table.exit_code == code
+    assert ("NO" in table.stdout) == bool(code)
+
+
+def test_a_missing_scene_folder_is_refused_before_minutes_of_work(tmp_path: Path) -> None:
+    result = CliRunner().invoke(app, ["accuracy", "--scenes", str(tmp_path / "none")])
+    assert result.exit_code != 0
+    assert "none" in str(result.exception)

@@ -1,0 +1,308 @@
+"""The tank as hardware: pictures true to the head, clients apart, doors closed behind it."""
+
+from __future__ import annotations
+
+import os
+import time
+import urllib.error
+import urllib.request
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+from served import (
+    Viewer,
+    hurry,
+    quick_rig,
+    small_scene,
+    snapshot,
+    stalled,
+    threads_of_hardware,
+)
+
+from lscan.acquisition.scan import open_devices, scan
+from lscan.config.rig import load_rig, parse_rig
+from lscan.errors import InputError
+from lscan.records import Bytes, Floats
+from sim.devices import SimCamera, SimTrack, TrackOptions
+from sim.emulators import EmulatedHardware, ServeOptions
+from sim.scene import Scene
+from sim.sensor.coding import from_jpeg, jpeg_bytes
+
+pytestmark = pytest.mark.xdist_group("serve")  # one worker: they share a fixture
+
+PATIENCE_S = 120.0
+FPS = 100.0  # no test waits long for pictures this small
+
+
+@pytest.fixture(scope="module")
+def scene() -> Scene:
+    return small_scene()
+
+
+@pytest.fixture(scope="module")
+def hardware(scene: Scene) -> Iterator[EmulatedHardware]:
+    with EmulatedHardware(scene, ServeOptions(prepare=True, fps=FPS)) as hardware:
+        hurry(hardware)
+        yield hardware
+
+
+def references(
+    scene: Scene, places_mm: list[float], pictures: int = 2
+) -> dict[float, list[Floats]]:
+    """Pictures of the sim camera from each place, with different noise."""
+    track = SimTrack(TrackOptions())
+    camera = SimCamera(scene, track)
+    found = {}
+    for place_mm in places_mm:
+        track.move_to(place_mm)
+        found[place_mm] = [camera.grab().image.astype(float) for _ in range(pictures)]
+    return found
+
+
+def nearest(image: Bytes, seen: dict[float, list[Floats]]) -> float:
+    """The place whose picture is most like this one."""
+    return min(seen, key=lambda place: rms(image - seen[place][0]))
+
+
+def rms(difference: Floats) -> float:
+    return float(np.sqrt(np.mean(difference**2)))
+
+
+# ---- the same scan ----------------------------------------------------------------------
+
+
+def test_a_scan_by_the_real_drivers_is_the_simulated_one_within_jpeg_and_noise(
+    scene: Scene, hardware: EmulatedHardware, tmp_path: Path
+) -> None:
+    """|J(a') - a| <= |J(a') - a'| + |a' - a|, J: the coding, a and a': one view, other noise.
+
+    Both terms are measured on the sim camera's pictures: over 57,600 numbers an rms is known
+    to 1/sqrt(2 * 57600) = 0.3 %, six of which are allowed.
+    """
+    run = scan(quick_rig(hardware), tmp_path / "run")
+    plan = scene.rig.plan.positions_mm()
+    seen = references(scene, plan, pictures=3)
+    assert [frame.commanded_mm for frame in run.frames()] == plan
+    for frame in run.frames():
+        one, other, third = seen[frame.commanded_mm]
+        coded = from_jpeg(jpeg_bytes(third.astype(np.uint8), 95, "4:4:4"))
+        allowed = rms(coded - third) + rms(other - one)
+        assert abs(frame.position_mm - frame.commanded_mm) <= 0.002  # half a motor step of 4 um
+        assert rms(frame.image - one) <= 1.018 * allowed
+        assert nearest(frame.image, seen) == frame.commanded_mm
+
+
+# ---- pictures after a move --------------------------------------------------------------
+
+
+@pytest.mark.parametrize("flush_frames", [1, 2])
+def test_after_a_move_the_driver_gives_the_new_place(
+    scene: Scene, hardware: EmulatedHardware, flush_frames: int
+) -> None:
+    """Whatever is handed out while the head rests is true, so only what was on its way when
+    the head came to rest can be old: with one picture dropped, none is."""
+    places = [20.0, 95.0]
+    seen = references(scene, places)
+    rig_file = quick_rig(hardware, {"flush_frames": flush_frames}, settle_s=0.0, approach_mm=0.0)
+    with open_devices(rig_file) as (camera, track):
+        for move in range(10):
+            place = places[move % 2]
+            track.move_to(place)
+            assert nearest(camera.grab().image, seen) == place
+
+
+def test_every_picture_sent_while_the_head_rests_shows_where_it_rests(scene: Scene) -> None:
+    """At the server's door, without any flushing: also of places that must be rendered first."""
+    places = [20.0, 95.0, 45.0, 95.0, 20.0]
+    seen = references(scene, sorted(set(places)))
+    with EmulatedHardware(scene) as hardware:
+        hurry(hardware)
+        rig_file = quick_rig(hardware, settle_s=0.0)
+        with open_devices(rig_file) as (_, track), hardware._camera.watched():
+            for place in places:
+                track.move_to(place)
+                shot = hardware._camera.newest(0, PATIENCE_S)
+                assert shot is not None
+                assert nearest(from_jpeg(shot.jpeg), seen) == place
+
+
+def test_no_two_pictures_of_a_resting_head_are_alike(hardware: EmulatedHardware) -> None:
+    viewer = Viewer(hardware.url)
+    pictures = [viewer.picture() for _ in range(10)]
+    viewer.close()
+    assert len(set(pictures)) == len(pictures)
+
+
+# ---- clients ----------------------------------------------------------------------------
+
+
+def test_a_client_that_does_not_read_holds_up_nobody(scene: Scene) -> None:
+    """More is sent to the one that reads than any socket buffer could hold for the other."""
+    with EmulatedHardware(scene, ServeOptions(fps=240)) as hardware:
+        client, viewer = stalled(hardware.url), Viewer(hardware.url)
+        sent = sum(len(viewer.picture()) for _ in range(150))
+        before = hardware._camera.count
+        for _ in range(20):
+            viewer.picture()
+        assert sent > 0 and hardware._camera.count >= before + 20
+        viewer.close()
+        client.close()
+
+
+def test_without_anyone_watching_no_picture_is_taken(hardware: EmulatedHardware) -> None:
+    viewer = Viewer(hardware.url)
+    viewer.picture()
+    viewer.close()
+    deadline_s = time.monotonic() + PATIENCE_S
+    while (count := hardware._camera.count) and time.monotonic() < deadline_s:
+        time.sleep(0.3)
+        if hardware._camera.count == count:
+            return
+    pytest.fail("pictures are taken for nobody")
+
+
+def test_a_snapshot_is_of_now_and_other_addresses_are_refused(hardware: EmulatedHardware) -> None:
+    assert snapshot(hardware).shape == (120, 160, 3)
+    with pytest.raises(urllib.error.HTTPError, match="404"):
+        urllib.request.urlopen(hardware.url + "x", timeout=PATIENCE_S)
+
+
+# ---- the laser --------------------------------------------------------------------------
+
+
+def test_a_switched_laser_is_lit_by_m3_and_dark_after_m5(scene: Scene) -> None:
+    """Dark: only the ambient layer, which this scene has none of: black level and noise.
+
+    2 DN and six times the dark noise, 53 e of 15,000 e a full scale, 0.9 DN.
+    """
+    options = ServeOptions(switched_laser=True, fps=FPS)
+    with EmulatedHardware(scene, options) as hardware:
+        hurry(hardware)
+        with open_devices(quick_rig(hardware)) as (camera, track):
+            assert camera.grab().image.max() < 2 + 6 * 0.9
+            track.laser_on()  # type: ignore[attr-defined]
+            assert camera.grab().image.max() > 100
+            track.laser_off()  # type: ignore[attr-defined]
+            assert camera.grab().image.max() < 2 + 6 * 0.9
+
+
+# ---- what it writes, and what it leaves --------------------------------------------------
+
+
+def test_the_rig_file_loads_and_is_the_scene_without_its_tank(
+    scene: Scene, hardware: EmulatedHardware, tmp_path: Path
+) -> None:
+    hardware.write_rig(tmp_path / "rig.toml")
+    loaded = load_rig(tmp_path / "rig.toml")
+    ours, theirs = loaded.rig.model_dump(), scene.rig.model_dump()
+    for kind, driver in (("camera", "opencv"), ("track", "grbl")):
+        assert ours[kind].pop("driver") == driver
+        for section in (ours, theirs):
+            section[kind].pop("options")
+        theirs[kind].pop("driver")
+    assert theirs.pop("sheet") is None and ours.pop("sheet") is not None  # a user's by ruler
+    assert ours == theirs
+    assert "lens" not in loaded.document
+
+
+@pytest.mark.parametrize(
+    ("start_mm", "step_mm", "frames"), [(0.0, 0.5, 400), (-130.3, -0.7, 40), (5000.0, 1.0, 1)]
+)
+def test_the_travel_holds_the_plan_wherever_it_lies(
+    start_mm: float, step_mm: float, frames: int
+) -> None:
+    """The controller's soft limits let the driver wake, home, and go to both ends."""
+    plan = {"start_mm": start_mm, "step_mm": step_mm, "frames": frames}
+    with EmulatedHardware(small_scene(plan=plan)) as hardware:
+        hurry(hardware)
+        with open_devices(quick_rig(hardware)) as (_, track):
+            for place in (start_mm, start_mm + (frames - 1) * step_mm):
+                assert track.move_to(place) == pytest.approx(place, abs=0.003)
+                assert hardware.position_mm == pytest.approx(place, abs=0.003)
+
+
+def test_marlin_is_served_too(scene: Scene, tmp_path: Path) -> None:
+    with EmulatedHardware(scene, ServeOptions(dialect="marlin", fps=FPS)) as hardware:
+        hurry(hardware)
+        run = scan(quick_rig(hardware), tmp_path / "run")
+    assert len(run) == 4
+
+
+def test_nothing_is_left_behind(scene: Scene, tmp_path: Path) -> None:
+    link = tmp_path / "track"
+    before = threads_of_hardware()
+    with EmulatedHardware(scene, ServeOptions(link=link)) as hardware:
+        url, port = hardware.snapshot_url, link.readlink()
+        client, viewer = stalled(hardware.url), Viewer(hardware.url)
+        assert threads_of_hardware() != before
+    hardware.close()
+    viewer.close()
+    client.close()
+    assert not os.path.lexists(link) and not port.exists()
+    assert threads_of_hardware() == before
+    with pytest.raises(urllib.error.URLError):
+        urllib.request.urlopen(url, timeout=5.0)
+
+
+def test_a_link_left_by_one_that_was_killed_is_replaced(scene: Scene, tmp_path: Path) -> None:
+    link = tmp_path / "track"
+    link.symlink_to(tmp_path / "gone")
+    with EmulatedHardware(scene, ServeOptions(link=link)):
+        assert link.exists()
+
+
+# ---- what cannot be served ---------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"quality": 0}, r"--quality: is out of range \(got 0; allowed: 1 to 100\)"),
+        ({"fps": 0.0}, "--fps: is out of range"),
+        ({"fps": float("nan")}, "--fps: is out of range"),
+        ({"places": 0}, "--places: is out of range"),
+        ({"http_port": 70_000}, "--http-port: is out of range"),
+        ({"subsampling": "4:1:0"}, "--subsampling: unknown .*4:2:2"),
+        ({"dialect": "gcode"}, "--dialect: unknown .*grbl, marlin"),
+    ],
+)
+def test_bad_options_are_refused(scene: Scene, options: dict[str, object], message: str) -> None:
+    with pytest.raises(InputError, match=message):
+        EmulatedHardware(scene, ServeOptions(**options))  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(
+    ("section", "key", "value"),
+    [
+        ("head", "speed_mm_s", 5.0),
+        ("sensor", "noise", False),
+        ("laser", "drift", {}),
+        ("camera", "options", {"auto_exposure": True}),
+    ],
+)
+def test_scenes_that_kept_pictures_cannot_show_are_refused(
+    section: str, key: str, value: object
+) -> None:
+    before = threads_of_hardware()
+    with pytest.raises(InputError, match=rf"{section}\.{key}.*cannot be served"):
+        EmulatedHardware(small_scene(**{section: {key: value}}))
+    assert threads_of_hardware() == before
+
+
+def test_a_taken_port_or_link_is_a_clear_error(
+    scene: Scene, hardware: EmulatedHardware, tmp_path: Path
+) -> None:
+    taken = int(hardware.url.split(":")[2].split("/")[0])
+    with pytest.raises(InputError, match=f"--http-port: cannot listen there: .*{taken}"):
+        EmulatedHardware(scene, ServeOptions(http_port=taken))
+    for link in (tmp_path, tmp_path / "no" / "folder"):
+        with pytest.raises(InputError, match="--link"):
+            EmulatedHardware(scene, ServeOptions(link=link))
+
+
+def test_a_document_of_the_rig_needs_no_scene(hardware: EmulatedHardware) -> None:
+    """Nothing of the tank is in it, so a reader that owns no tank takes every section."""
+    document = hardware.rig_document()
+    assert parse_rig(document, source="served").rig.camera.driver == "opencv"

@@ -1,0 +1,369 @@
+"""Choosing an LLVM: newest first, tried once in another process, never an abort in this one."""
+
+from __future__ import annotations
+
+import itertools
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from places import ROOT
+
+from sim.render import backend
+from sim.render.backend import BackendError, Library, Verdict
+
+WORKS = Verdict(works=True)
+FAILS = Verdict(works=False, reason="says no")
+
+
+class FakeProbe:
+    """Works for the given majors, fails for the rest, and keeps count of what it was asked."""
+
+    def __init__(self, *working: int, answer: Verdict = FAILS) -> None:
+        self.working, self.answer = working, answer
+        self.asked: list[int | None] = []
+
+    def __call__(self, library: Library) -> Verdict:
+        self.asked.append(library.major)
+        return WORKS if library.major in self.working else self.answer
+
+
+@pytest.fixture(autouse=True)
+def _clean_environment(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.delenv("DRJIT_LIBLLVM_PATH", raising=False)
+    monkeypatch.delenv("LSCAN_VARIANT", raising=False)
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+
+
+def _libraries(folder: Path, *names: str) -> list[Path]:
+    folder.mkdir(exist_ok=True)
+    files = [folder / name for name in names]
+    for file in files:
+        file.write_bytes(b"not really a library")
+    return files
+
+
+@pytest.fixture
+def crowd(tmp_path: Path) -> list[Path]:
+    """LLVM 14, 15, 16 and 19 together, under the names that Debian gives them."""
+    names = ("libLLVM-14.so.1", "libLLVM-15.so.1", "libLLVM-16.so.1", "libLLVM.so.19.1")
+    return _libraries(tmp_path / "lib", *names)
+
+
+@pytest.mark.parametrize(
+    ("name", "major"),
+    [
+        ("libLLVM-14.0.6.so.1", 14),  # Debian 12's old and new names, and conda's
+        ("libLLVM-16.so.1", 16),
+        ("libLLVM.so.19.1", 19),
+        ("libLLVM-18.so", 18),
+        ("libLLVM.so.22.0git", 22),
+        ("libLLVM.so", None),
+    ],
+)
+def test_a_name_tells_the_major_version(tmp_path: Path, name: str, major: int | None) -> None:
+    [library] = backend.newest_first(_libraries(tmp_path / "lib", name))
+    assert library.major == major
+
+
+@pytest.mark.parametrize(
+    "name", ["libLLVMSPIRVLib.so.14", "libLLVM-17-rust-1.75.0-stable.so", "libLLVMCore.a"]
+)
+def test_what_only_looks_like_llvm_is_left_out(tmp_path: Path, name: str) -> None:
+    assert backend.newest_first(_libraries(tmp_path / "lib", name)) == []
+
+
+def test_links_to_one_library_count_once(tmp_path: Path) -> None:
+    [real] = _libraries(tmp_path / "lib", "libLLVM.so.19.1")
+    links = [tmp_path / "lib" / "libLLVM-19.so", tmp_path / "libLLVM.so"]
+    for link in links:
+        link.symlink_to(real)
+    assert backend.newest_first([*links, real]) == [Library(real, 19)]
+
+
+def test_the_newest_is_chosen_in_whatever_order_they_are_found(crowd: list[Path]) -> None:
+    for order in itertools.permutations(crowd):
+        probe = FakeProbe(19)
+        assert backend.find_llvm(order, probe).major == 19
+        assert probe.asked == [19]
+
+
+def test_one_that_fails_gives_way_to_the_next_older(crowd: list[Path], tmp_path: Path) -> None:
+    newer = _libraries(tmp_path / "lib", "libLLVM.so.22.1", "libLLVM.so")
+    probe = FakeProbe(19)
+    assert backend.find_llvm([*crowd, *newer], probe).major == 19
+    assert probe.asked == [22, 19]
+
+
+def test_too_old_ones_are_never_probed_and_the_line_says_why(crowd: list[Path]) -> None:
+    probe = FakeProbe()
+    with pytest.raises(BackendError) as caught:
+        backend.find_llvm(crowd, probe)
+    assert probe.asked == [19, 16, 15]
+    assert "libLLVM-14.so.1: too old" in str(caught.value)
+    assert "libLLVM-16.so.1: says no" in str(caught.value)
+
+
+@pytest.mark.parametrize("candidates", [[], ["libLLVM-15.so.1"]])
+def test_where_none_serves_one_line_names_the_package(
+    tmp_path: Path, candidates: list[str]
+) -> None:
+    with pytest.raises(BackendError) as caught:
+        backend.find_llvm(_libraries(tmp_path / "lib", *candidates), FakeProbe())
+    line = str(caught.value)
+    assert "\n" not in line
+    assert "libllvm19 (Debian 12 and 13, Ubuntu 24.04)" in line
+    assert "Ubuntu 22.04" in line
+    assert caught.value.exit_code == 2
+
+
+def test_a_library_named_by_the_user_is_the_only_one_tried(
+    crowd: list[Path], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("DRJIT_LIBLLVM_PATH", str(crowd[2]))
+    probe = FakeProbe(16, 19)
+    assert backend.find_llvm(probe=probe).path == crowd[2]
+    assert probe.asked == [16]
+
+
+def test_a_library_named_by_the_user_that_fails_is_an_error(
+    crowd: list[Path], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("DRJIT_LIBLLVM_PATH", str(crowd[1]))
+    with pytest.raises(BackendError, match=r"DRJIT_LIBLLVM_PATH: .*says no.*17 or newer"):
+        backend.find_llvm(probe=FakeProbe(19))
+    monkeypatch.setenv("DRJIT_LIBLLVM_PATH", str(crowd[1].with_name("missing.so")))
+    with pytest.raises(BackendError, match=r"DRJIT_LIBLLVM_PATH: no such file .*missing\.so"):
+        backend.find_llvm(probe=FakeProbe(19))
+
+
+# ---- what is remembered -----------------------------------------------------------------
+
+
+CRASHED = Verdict(works=False, reason="took the process down")
+
+
+@pytest.mark.parametrize("answer", [WORKS, CRASHED])
+def test_a_final_answer_is_asked_for_once(crowd: list[Path], answer: Verdict) -> None:
+    library, probe = Library(crowd[3], 19), FakeProbe(answer=answer)
+    assert [backend.probe_remembered(library, probe) for _ in range(3)] == [answer] * 3
+    assert probe.asked == [19]
+
+
+def test_an_answer_that_is_not_final_is_asked_for_again(crowd: list[Path]) -> None:
+    library = Library(crowd[3], 19)
+    probe = FakeProbe(answer=Verdict(works=False, reason="no answer", final=False))
+    for _ in range(2):
+        backend.probe_remembered(library, probe)
+    assert probe.asked == [19, 19]
+
+
+def test_another_file_or_another_drjit_is_asked_anew(
+    crowd: list[Path], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    file, probe = crowd[3], FakeProbe(19)
+    backend.probe_remembered(Library(file, 19), probe)
+    file.write_bytes(b"a library of another size")
+    backend.probe_remembered(Library(file, 19), probe)
+    os.utime(file, ns=(1, 1))
+    backend.probe_remembered(Library(file, 19), probe)
+    monkeypatch.setattr(backend, "version", lambda _: "99.0")
+    backend.probe_remembered(Library(file, 19), probe)
+    assert probe.asked == [19] * 4
+    backend.probe_remembered(Library(crowd[0], 14), probe)
+    assert probe.asked[-1] == 14
+
+
+@pytest.mark.parametrize(
+    "content", [b"", b"{", b"\xff\xfe", b"[]", b'"x"', b'{"a": 1}', b'{"a": {"works": true}}']
+)
+def test_a_garbled_cache_counts_as_empty_and_is_replaced(
+    crowd: list[Path], tmp_path: Path, content: bytes
+) -> None:
+    cache = tmp_path / "cache" / "lscan" / "llvm.json"
+    cache.parent.mkdir(parents=True)
+    cache.write_bytes(content)
+    probe = FakeProbe(19)
+    for _ in range(2):
+        assert backend.probe_remembered(Library(crowd[3], 19), probe).works
+    assert probe.asked == [19]
+    assert len(json.loads(cache.read_text())) == 1
+    assert [entry.name for entry in cache.parent.iterdir()] == ["llvm.json"]
+
+
+def test_a_cache_that_cannot_be_written_is_done_without(crowd: list[Path], tmp_path: Path) -> None:
+    (tmp_path / "cache").write_text("a file where the folder should be")
+    probe = FakeProbe(19)
+    for _ in range(2):
+        assert backend.probe_remembered(Library(crowd[3], 19), probe).works
+    assert probe.asked == [19, 19]
+
+
+# ---- the verdict on a process -----------------------------------------------------------
+
+
+def test_a_crash_is_final_and_a_plain_failure_is_not() -> None:
+    abort = backend._judge(-6, "LLVM ERROR: Cannot select: 0x55: f32 = fminimum\n  more\n")
+    assert abort == Verdict(
+        works=False, reason="takes the process down with SIGABRT (LLVM ERROR: Cannot select)"
+    )
+    killed = backend._judge(-9, "")
+    assert (killed.works, killed.final) == (False, False)
+    failed = backend._judge(1, "Traceback\nImportError: the LLVM backend is inactive\n")
+    assert failed == Verdict(
+        works=False, reason="ImportError: the LLVM backend is inactive", final=False
+    )
+    assert backend._judge(0, "a warning") == WORKS
+
+
+def test_a_probe_without_an_answer_is_ended(
+    crowd: list[Path], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(backend, "_PROBE", "import time; time.sleep(60)")
+    monkeypatch.setattr(backend, "PROBE_TIMEOUT_S", 0.2)
+    verdict = backend.probe_library(Library(crowd[3], 19))
+    assert (verdict.works, verdict.final) == (False, False)
+
+
+# ---- the package manager ----------------------------------------------------------------
+
+
+@pytest.fixture
+def machine(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A machine whose apt-cache knows the names in ``known``, after an update those in ``new``.
+
+    apt-get writes what it was asked to do into ``log``.
+    """
+    programs = tmp_path / "programs"
+    programs.mkdir()
+    here = f"cd '{tmp_path}'\n"
+    _program(programs / "apt-cache", here + 'grep -qx "$2" known')
+    _program(
+        programs / "apt-get",
+        here + 'for word; do verb="$verb $word"; done\n'
+        'case "$verb" in *update*) echo update >>log; cat new >>known ;;\n'
+        '*) echo "install ${verb##* }" >>log ;; esac',
+    )
+    for file in ("known", "new", "log"):
+        (tmp_path / file).touch()
+    monkeypatch.setenv("PATH", f"{programs}:{os.environ['PATH']}")
+    monkeypatch.setattr(os, "geteuid", lambda: 0)
+    return tmp_path
+
+
+def _program(file: Path, body: str) -> None:
+    file.write_text(f"#!/bin/sh\n{body}\n")
+    file.chmod(0o755)
+
+
+@pytest.mark.parametrize(
+    ("known", "new", "done"),
+    [
+        ("libllvm18\nlibllvm19\nlibllvm20", "", ["install libllvm19"]),
+        ("libllvm17\nlibllvm21", "", ["install libllvm21"]),
+        ("", "libllvm19", ["update", "install libllvm19"]),
+    ],
+)
+def test_the_best_package_on_offer_is_installed(
+    machine: Path, known: str, new: str, done: list[str]
+) -> None:
+    (machine / "known").write_text(known)
+    (machine / "new").write_text(new)
+    backend.install_llvm()
+    assert (machine / "log").read_text().splitlines() == done
+
+
+def test_ubuntu_22_04_gets_no_install_but_a_line(machine: Path) -> None:
+    (machine / "known").write_text("libllvm14\nlibllvm15\n")
+    with pytest.raises(BackendError, match="offers none of libllvm19"):
+        backend.install_llvm()
+    assert (machine / "log").read_text().split() == ["update"]
+
+
+def test_a_failing_apt_get_is_an_error_after_one_update(machine: Path) -> None:
+    (machine / "known").write_text("libllvm19\n")
+    _program(machine / "programs" / "apt-get", f"echo try >>'{machine}/log'; exit 100")
+    with pytest.raises(BackendError, match="could not install libllvm19"):
+        backend.install_llvm()
+    assert (machine / "log").read_text().split() == ["try"] * 3
+
+
+def test_without_the_right_to_install_nothing_is_tried(
+    machine: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (machine / "known").write_text("libllvm19\n")
+    _program(machine / "programs" / "sudo", "exit 1")
+    monkeypatch.setattr(os, "geteuid", lambda: 1000)
+    with pytest.raises(BackendError, match="root or a sudo"):
+        backend.install_llvm()
+    assert (machine / "log").read_text() == ""
+
+
+def test_the_line_after_a_vain_install_says_both(
+    machine: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(backend, "_installed", list)
+    with pytest.raises(BackendError, match=r"no usable LLVM.*; apt-get offers none"):
+        backend.find_or_install()
+
+
+# ---- this machine -----------------------------------------------------------------------
+
+
+def _python(*arguments: str, **settings: str) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        [sys.executable, *arguments],
+        cwd=ROOT,
+        env={**os.environ, **settings},
+        capture_output=True,
+        text=True,
+    )
+
+
+def test_importing_the_backend_imports_no_mitsuba() -> None:
+    done = _python(
+        "-c", "import sim.render.backend, sys; print({'mitsuba', 'drjit'} & set(sys.modules))"
+    )
+    assert done.stdout.strip() == "set()", done.stderr
+
+
+def test_the_command_fails_with_one_line_and_code_2() -> None:
+    done = _python("-m", "sim.render.backend", DRJIT_LIBLLVM_PATH="missing.so")
+    assert done.returncode == 2
+    assert done.stdout == ""
+    assert done.stderr == "DRJIT_LIBLLVM_PATH: no such file (got 'missing.so')\n"
+
+
+def test_an_unknown_variant_is_refused() -> None:
+    code = "import sim.render.backend; sim.render.backend.load_mitsuba()"
+    done = _python("-c", code, LSCAN_VARIANT="scalar_rgb")
+    assert "LSCAN_VARIANT: got 'scalar_rgb'" in done.stderr
+
+
+def test_mitsuba_renders_with_the_library_chosen() -> None:
+    chosen = _python("-m", "sim.render.backend")
+    assert chosen.returncode == 0, chosen.stderr
+    code = (
+        "import os, sim.render.backend as b; mi = b.load_mitsuba(); assert mi is b.load_mitsuba();"
+        "import drjit as dr; print(dr.minimum(dr.opaque(mi.Float, 1, 2), mi.Float(2, 0)));"
+        "print(mi.variant(), os.environ['DRJIT_LIBLLVM_PATH'])"
+    )
+    done = _python("-c", code)
+    assert done.stdout.splitlines() == ["[1, 0]", f"llvm_ad_mono {chosen.stdout.strip()}"]
+
+
+@pytest.mark.slow
+def test_a_machine_with_llvm_14_15_16_and_19_picks_19() -> None:
+    libraries = backend.newest_first(backend._installed())
+    kept = [library for library in libraries if library.major in (14, 15, 16, 19)]
+    if [library.major for library in kept] != [19, 16, 15, 14]:
+        pytest.skip("this machine does not hold LLVM 14, 15, 16 and 19")
+    assert backend.find_llvm(library.path for library in kept).major == 19
+    with pytest.raises(BackendError) as caught:
+        backend.find_llvm(library.path for library in kept[1:])
+    crash = "takes the process down with SIGABRT (LLVM ERROR: Cannot select)"
+    assert f"libLLVM-16.so.1: {crash}; libLLVM-15.so.1: {crash}" in str(caught.value)
+    assert "libLLVM-14.so.1: too old" in str(caught.value)

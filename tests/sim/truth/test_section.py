@@ -1,0 +1,229 @@
+"""The section of the target: closed forms, and trimesh's section of the same shape."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import shapely
+import trimesh
+from hypothesis import assume, given, settings
+from hypothesis import strategies as st
+from truth_scenes import BOARD, block_mesh, tank
+
+from lscan.config.targets import GroovedBlock, Sandwave
+from lscan.errors import InputError
+from sim.scene import Pose, head_pose, rotation_x, rotation_y, rotation_z
+from sim.truth.mesh import Mesh
+from sim.truth.section import (
+    Section,
+    grooved_block_surfaces,
+    section_at,
+    split,
+    surfaces_of,
+)
+from sim.truth.surfaces import Polygon, spread, within
+from sim.truth.wave import Wave, sandwave_surfaces
+
+MANY = settings(max_examples=30, deadline=None, derandomize=True)
+TILT = st.floats(-8, 8)
+POSE = st.builds(
+    lambda x, y, z, at: Pose(rotation_z(z) @ rotation_y(y) @ rotation_x(x), np.array(at)),
+    TILT,
+    TILT,
+    st.floats(-40, 40),
+    st.tuples(st.floats(-50, 50), st.floats(-20, 20), st.floats(-400, -100)),
+)
+SHEET = st.builds(
+    lambda yaw, s: Pose(rotation_z(yaw), np.array([0.0, s, 0.0])), TILT, st.floats(-30, 30)
+)
+
+
+def lengths(ends: np.ndarray) -> np.ndarray:
+    """(M,) of pieces (M, 2, 2)."""
+    return np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1)
+
+
+@MANY
+@given(
+    seed=st.integers(0, 2**31),
+    corners=st.integers(3, 12),
+)
+def test_within_agrees_with_shapely(seed, corners):
+    rng = np.random.default_rng(seed)
+    angle = np.sort(rng.uniform(0, 2 * np.pi, corners))
+    star = rng.uniform(0.3, 1, (corners, 1)) * np.column_stack([np.cos(angle), np.sin(angle)])
+    points = rng.uniform(-1, 1, (200, 2))
+    polygon = shapely.Polygon(star)
+    assume(polygon.is_valid)
+    assert np.array_equal(within(star, points), shapely.contains_xy(polygon, points))
+
+
+def test_a_hole_and_a_slit_are_outside():
+    outer = np.array([[0, 0], [4, 0], [4, 4], [0, 4.0]])
+    inner = np.array([[1, 1], [3, 1], [3, 3], [1, 3.0]])
+    ring = np.vstack([outer, outer[:1], inner, inner[:1]])
+    points = np.array([[0.5, 0.4], [2.0, 2.1], [0.5, 3.6], [5.0, 1.0]])
+    assert within(ring, points).tolist() == [True, False, True, False]
+
+
+def test_the_turned_block_is_wider_by_the_cosine():
+    block = GroovedBlock()
+    pose = Pose(rotation_z(10.0), np.array([10.0, 5.0, -300.0]))
+    section = section_at(grooved_block_surfaces(block, pose), head_pose(tank().tank.head, 0.0))
+    wide = 1 / np.cos(np.radians(10.0))
+    top = section.ends_mm[np.all(section.ends_mm[..., 1] == -300.0 + block.height_mm, axis=1)]
+    ridges = [g.ridge_mm for g in block.grooves] + [block.last_ridge_mm]
+    assert np.sort(lengths(top)) == pytest.approx(np.sort(ridges) * wide, abs=1e-10)
+    upright = section.ends_mm[np.ptp(section.ends_mm[..., 0], axis=1) < 1e-9]
+    deep = [g.depth_mm for g in block.grooves for _ in (0, 1)] + [block.height_mm] * 2
+    assert np.sort(lengths(upright)) == pytest.approx(np.sort(deep), abs=1e-10)
+
+
+@MANY
+@given(pose=POSE, sheet=SHEET)
+def test_the_block_is_cut_as_trimesh_cuts_it(pose, sheet):
+    block = GroovedBlock()
+    ours = section_at(grooved_block_surfaces(block, pose), sheet).ends_mm
+    theirs = Mesh(block_mesh(block, pose)).cut(sheet)
+    # The same curve cut into other pieces: same length, and the same moments of length.
+    # 1e-6: trimesh takes vertices within 1e-8 of the plane as in it.
+    assert lengths(ours).sum() == pytest.approx(lengths(theirs).sum(), abs=1e-6)
+    for power in (1, 2):
+        here, there = (
+            np.sum(lengths(ends)[:, None] * gauss_mean(ends, power), axis=0)
+            for ends in (ours, theirs)
+        )
+        assert here == pytest.approx(there, rel=1e-9, abs=1e-4)
+
+
+def gauss_mean(ends: np.ndarray, power: int) -> np.ndarray:
+    """(M, 2) mean of x**power and z**power along pieces, by two-point Gauss (exact to 3)."""
+    nodes = (0.5 - 0.5 / np.sqrt(3), 0.5 + 0.5 / np.sqrt(3))
+    points = [(1 - t) * ends[:, 0] + t * ends[:, 1] for t in nodes]
+    return sum(p**power for p in points) / 2
+
+
+def wave_mesh(shape: Sandwave, pose: Pose, step: float) -> trimesh.Trimesh:
+    """Eq. (4) over its square as a grid of triangles."""
+    axis = np.linspace(0, shape.side_mm, round(shape.side_mm / step) + 1)
+    x, y = np.meshgrid(axis, axis, indexing="ij")
+    vertices = np.stack([x, y, shape.height_mm(x, y)], axis=-1).reshape(-1, 3)
+    n = len(axis)
+    corner = (np.arange(n - 1)[:, None] * n + np.arange(n - 1)).ravel()
+    faces = np.vstack(
+        [
+            np.column_stack([corner, corner + n, corner + n + 1]),
+            np.column_stack([corner, corner + n + 1, corner + 1]),
+        ]
+    )
+    return trimesh.Trimesh(pose.apply(vertices), faces, process=False)
+
+
+@settings(max_examples=6, deadline=None, derandomize=True)
+@given(pose=POSE, yaw=TILT, along=st.floats(5, 145))
+def test_the_wave_is_cut_as_trimesh_cuts_its_mesh(pose, yaw, along):
+    shape, step = Sandwave(), 0.5
+    middle = pose.apply(np.array([[75.0, along, 0.0]]))[0]
+    sheet = Pose(rotation_z(yaw), middle)
+    ours = Wave(shape, pose).cut(sheet)
+    theirs = Mesh(wave_mesh(shape, pose, step)).cut(sheet)
+    # A linear triangle of legs h misses by at most h2/8 (|zxx| + 2 |zxy| + |zyy|); the
+    # section of a tilted block moves by that over the cosine of tilt less slope times sine.
+    amplitude, k, m = 8.0, shape.c_per_mm, shape.d_rad * shape.e_per_mm
+    second = amplitude * (k + m) ** 2 + 2 * shape.b * (k + m) + amplitude * m * shape.e_per_mm
+    bound = step**2 / 8 * second / (np.cos(0.2) - 1.6 * np.sin(0.2))
+    order = np.argsort(ours[:, 0, 0])
+    x, z = ours[order, 0].T
+    corners = theirs.reshape(-1, 2)
+    common = (corners[:, 0] > x.min()) & (corners[:, 0] < ours[..., 0].max())
+    assert np.abs(np.interp(corners[common, 0], x, z) - corners[common, 1]).max() < bound
+    # The tilt leaves the ends of the section, on the square's border, as exact as that.
+    assert [x.min(), ours[..., 0].max()] == pytest.approx(
+        [corners[:, 0].min(), corners[:, 0].max()], abs=bound
+    )
+
+
+@MANY
+@given(pose=POSE, sheet=SHEET)
+def test_the_section_of_the_wave_lies_on_it_and_in_the_sheet(pose, sheet):
+    shape = Sandwave()
+    ends = Wave(shape, pose).cut(sheet)
+    points = np.concatenate([ends.reshape(-1, 2), ends.mean(axis=1)])
+    world = sheet.apply(np.column_stack([points[:, 0], np.zeros(len(points)), points[:, 1]]))
+    x, y, z = pose.invert(world).T
+    off = np.abs(z - shape.height_mm(x, y))
+    corners = 2 * len(ends)
+    # Corners: 1e-10, rounding of places some 400 mm from the origin.  Middles of the chords: the
+    # sag w2/8 z'', w = 0.05 mm, z'' at most 8 (k + m)2 + ... = 0.6 /mm, twice for the tilt.
+    assert off[:corners].max(initial=0) < 1e-10
+    assert off[corners:].max(initial=0) < 2 * 0.05**2 / 8 * 0.6
+    assert np.all((x > -1e-9) & (x < 150 + 1e-9) & (y > -1e-9) & (y < 150 + 1e-9))
+
+
+def test_the_sandwave_block_closes():
+    # Square to the sheet: outline of the block plus what lies inside the solid (the rim under
+    # a wedge, the foot of the wedge): cut through the wedges' tips.
+    shape = Sandwave()
+    pose = Pose(np.eye(3), np.array([0.0, -75.0, 0.0]))
+    section = section_at(sandwave_surfaces(shape, pose), Pose(np.eye(3), np.zeros(3)))
+    ends = section.ends_mm
+    level = np.all(ends[..., 1] == shape.wedge.height_mm, axis=1)
+    assert lengths(ends[level]).sum() == pytest.approx(2 * shape.wedge.reach_mm, abs=1e-10)
+    assert [ends[..., 0].min(), ends[..., 0].max()] == pytest.approx([-30, 180], abs=1e-12)
+    assert [ends[..., 1].min(), ends[..., 1].max()] == pytest.approx([-32, 10], abs=1e-12)
+    # The walls between wave and rim: from eq. (4) at the border to 0.
+    for x in (0.0, 150.0):
+        height = shape.height_mm(np.array(x), np.array(75.0))
+        wall = np.all(np.abs(ends[..., 0] - x) < 1e-12, axis=1)
+        assert lengths(ends[wall]).sum() == pytest.approx(abs(height), abs=3e-4)
+
+
+def test_a_sandwave_on_its_side_is_refused():
+    scene = tank(workpiece={"kind": "sandwave"}, target={"shape": "workpiece", "tilt_x_deg": 60.0})
+    with pytest.raises(InputError, match=r"tilted too far.*60.0 degrees"):
+        section_at(surfaces_of(scene), head_pose(scene.tank.head, 0.0))
+
+
+def test_nothing_in_the_tank_has_no_section():
+    scene = tank()
+    assert surfaces_of(scene) == []
+    assert section_at([], head_pose(scene.tank.head, 0.0)).ends_mm.shape == (0, 2, 2)
+
+
+def test_a_face_in_the_sheet_has_no_section():
+    square = Polygon(np.array([[0, 0, 0], [1, 0, 0], [1, 0, 1], [0, 0, 1.0]]))
+    assert square.cut(Pose(np.eye(3), np.zeros(3))).shape == (0, 2, 2)
+
+
+def test_floor_and_board_stand_where_they_should():
+    scene = tank(
+        board=BOARD,
+        target={"shape": "board", "position_mm": [20.0, -3.0, 5.0]},
+        floor={"z_mm": -200.0},
+    )
+    section = section_at(surfaces_of(scene), head_pose(scene.tank.head, 0.0))
+    plate = section.ends_mm[section.face < section.face.max()].reshape(-1, 2)
+    assert plate.min(axis=0) == pytest.approx([20 - 30, 5 - 100 - 30], abs=1e-12)
+    assert plate.max(axis=0) == pytest.approx([20 + 150 + 30, 5 + 30], abs=1e-12)
+    floor = section.ends_mm[section.face == section.face.max()]
+    assert np.all(floor[..., 1] == -200.0)
+
+
+@MANY
+@given(seed=st.integers(0, 2**31), longest=st.floats(0.05, 3))
+def test_split_keeps_the_curve(seed, longest):
+    rng = np.random.default_rng(seed)
+    whole = Section(rng.uniform(-5, 5, (7, 2, 2)), np.arange(7), np.arange(7))
+    parts = split(whole, longest)
+    assert lengths(parts.ends_mm).max() <= longest * (1 + 1e-12)
+    for face in range(7):
+        own = parts.ends_mm[parts.face == face]
+        assert np.allclose(own[0, 0], whole.ends_mm[face, 0], atol=1e-12)
+        assert np.allclose(own[-1, 1], whole.ends_mm[face, 1], atol=1e-12)
+        assert np.allclose(own[1:, 0], own[:-1, 1], atol=1e-12)
+
+
+def test_spread():
+    owner, step = spread(np.array([2, 0, 3]))
+    assert owner.tolist() == [0, 0, 2, 2, 2]
+    assert step.tolist() == [0, 1, 0, 1, 2]

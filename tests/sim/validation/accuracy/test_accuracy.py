@@ -1,0 +1,149 @@
+"""The accuracy table: its yardsticks are right, and it is written as it is measured."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from places import ROOT
+from scipy.stats import norm
+
+from lscan.config.rig import NoiseSection
+from lscan.errors import InputError
+from lscan.records import Measured
+from sim.render.tank import Tank
+from sim.scene import head_pose, load_scene, target_pose
+from sim.sensor.speckle import speckle_contrast
+from sim.validation.accuracy import run as accuracy
+from sim.validation.accuracy.effort import FULL, QUICK, Effort
+from sim.validation.accuracy.exposures import pictures, with_contrast
+from sim.validation.accuracy.intervals import (
+    COVER,
+    band_miss_percent,
+    share_inside,
+    share_of_lengths,
+)
+from sim.validation.accuracy.misaligned import OFFSET_MM, TILT_DEG, misaligned
+from sim.validation.accuracy.photographs import photograph_rows
+from sim.validation.accuracy.sandwave import every_frame
+from sim.validation.accuracy.stripes import cases, cell
+from sim.validation.rows import Row
+
+SCENES = ROOT / "scenes"
+
+
+def test_intervals_of_normal_errors_hold_95_percent() -> None:
+    assert norm.cdf(COVER) - norm.cdf(-COVER) == pytest.approx(0.95, abs=1e-6)
+    error = np.random.default_rng(1).normal(0.0, 2.0, 20_000)
+    # A binomial share of 20,000 has a standard error of 0.0015.
+    assert share_inside(error, np.full(error.shape, 2.0)) == pytest.approx(0.95, abs=0.006)
+    lengths = [Measured(10.0, 10.0 + off, 1.0) for off in (-3.0, -1.9, 0.0, 1.9)]
+    assert share_of_lengths(lengths) == 0.75
+    assert band_miss_percent(0.93) == pytest.approx(2.0) == band_miss_percent(0.97)
+
+
+def test_speckle_of_another_contrast_keeps_the_grey_values() -> None:
+    scene = load_scene(SCENES / "best" / "groove.toml")
+    other = with_contrast(scene, 0.25)
+    assert other.rig.stripe.noise is not None and other.rig.stripe.noise.speckle == 0.25
+    lens, sensor, laser = other.tank.lens, other.tank.sensor, other.tank.laser
+    found = speckle_contrast(sensor.pixel_um, lens.f_number, laser.wavelength_nm, sensor.speckle)
+    assert found == pytest.approx(0.25, abs=1e-6)
+    # Light on the sensor goes as power over the square of the f-number.
+    before = scene.tank.laser.power_mw / scene.tank.lens.f_number**2
+    assert laser.power_mw / lens.f_number**2 == pytest.approx(before)
+    assert with_contrast(scene, 0.0).tank.sensor.speckle == "none"
+
+
+def test_the_board_is_laid_in_askew_as_said() -> None:
+    scene = misaligned(load_scene(SCENES / "paper" / "board.toml"))
+    left, right, bottom, top = scene.rig.board.outline_mm()
+    middle = np.array([[(left + right) / 2, 0.0, (bottom + top) / 2]])
+    pose = target_pose(scene)
+    in_head = head_pose(scene.tank.head, 0.0).invert(pose.apply(middle))[0]
+    assert in_head[1] == pytest.approx(OFFSET_MM, abs=1e-9)  # the sheet is the head's y = 0
+    normal = pose.rotation @ np.array([0.0, 1.0, 0.0])
+    assert np.degrees(np.arcsin(abs(normal[2]))) == pytest.approx(TILT_DEG)
+
+
+def test_seeds_change_the_noise_and_nothing_else() -> None:
+    scene = load_scene(SCENES / "paper" / "groove.toml")
+    layers = Tank(scene).render(0.0, samples=1, scatter_samples=0)
+    first, again, second = pictures(scene, layers, [1, 1, 2])
+    assert (first == again).all() and (first != second).any()
+    lit = first[..., 0].astype(float) > 100
+    # Shot noise and speckle of a quarter: means of thousands of pixels agree to a percent.
+    ratio = second[..., 0][lit].mean() / first[..., 0][lit].mean()
+    assert ratio == pytest.approx(1.0, abs=0.05)
+
+
+def test_positions_cover_the_scan() -> None:
+    scene = load_scene(SCENES / "paper" / "sandwave.toml")
+    positions = every_frame(scene, 1.0)
+    planned = scene.rig.plan.positions_mm()
+    assert positions[0] == planned[0] and planned[-1] - positions[-1] < 1.0
+    assert np.allclose(np.diff(positions), 1.0)
+
+
+def test_a_bad_extractor_fails_the_bound() -> None:
+    name, case = next(cases())
+    good, bad = cell("ml", case, name, 100), cell("max", case, name, 100)
+    # The brightest pixel has at least the scatter of rounding to whole pixels, 0.29 px.
+    assert bad.ratio > 2 * good.ratio and bad.ratio > 1.1
+    silent = cell("ml", case.__class__("tap", 0.8, 20.0, NoiseSection(read_dn=1.0)), name, 4)
+    assert silent.ratio == float("inf")  # beneath the threshold nothing is found
+
+
+def test_photographs_that_are_not_there_have_no_rows(tmp_path: Path) -> None:
+    assert photograph_rows(tmp_path / "none", "ml", 1) == []
+
+
+def test_an_error_in_a_chapter_is_a_failed_row(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(accuracy, "CHAPTERS", {"good": _good, "ends": _ends, "bad": _bad})
+    output = tmp_path / "deep" / "accuracy.json"
+    rows = accuracy.run_accuracy(SCENES, tmp_path, output)
+    assert [row.what for row in rows] == ["good", "ends", "bad"]
+    assert [row.passed for row in rows] == [True, False, False]
+    written = json.loads(output.read_text())
+    assert [row["passed"] for row in written] == [True, False, False]
+    assert "only 3 tops" in written[1]["error"]
+    assert set(written[0]) >= {"what", "figure", "bar", "unit", "passed"}
+
+
+def test_a_quick_run_is_told_to_the_chapters(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(accuracy, "CHAPTERS", {"bad": _bad})
+    (row,) = accuracy.run_accuracy(SCENES, tmp_path, tmp_path / "accuracy.json", quick=True)
+    assert row.quick and row.seed == len(QUICK.seeds)
+
+
+def test_plain_scenes_are_rendered_with_few_samples() -> None:
+    scene = load_scene(SCENES / "best" / "board.toml")
+    assert FULL.scene(scene) is scene
+    plain = QUICK.scene(scene)
+    assert (plain.tank.render.fineness, plain.tank.render.scatter_samples) == (1, 0)
+    assert plain.tank.render.samples < scene.tank.render.samples
+    assert plain.tank.lens == scene.tank.lens
+
+
+def test_a_missing_scene_is_refused_before_any_work(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="board"):
+        accuracy.run_accuracy(tmp_path, tmp_path, tmp_path / "accuracy.json")
+    assert not (tmp_path / "accuracy.json").exists()
+
+
+def _good(scenes: Path, photographs: Path, effort: Effort) -> list[Row]:
+    return [Row("good", "itself", 1.0, 2.0, "mm", "made up", len(effort.seeds))]
+
+
+def _bad(scenes: Path, photographs: Path, effort: Effort) -> list[Row]:
+    return [Row("bad", "itself", 3.0, 2.0, "mm", "made up", len(effort.seeds))]
+
+
+def _ends(scenes: Path, photographs: Path, effort: Effort) -> list[Row]:
+    raise ValueError("only 3 tops")

@@ -1,0 +1,76 @@
+"""The comparison with volpath: that its tests pass, that they can fail, and what they rest on."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.stats import norm
+
+from sim.validation.physics.scattering import (
+    CENTROID_PX,
+    MASKS,
+    Pictures,
+    compare,
+    parts_of_picture,
+    pictures,
+    sidak_bound,
+)
+
+pytestmark = pytest.mark.xdist_group("verify_scattering")  # one worker: they share a fixture
+
+RUNS, SAMPLES = 16, 768
+BOUND_TESTS = len(MASKS)
+
+
+@pytest.fixture(scope="module")
+def coastal() -> Pictures:
+    return pictures("coastal", RUNS, SAMPLES)
+
+
+def test_the_bound_is_sidaks() -> None:
+    """With many degrees of freedom it is the normal quantile of 1 - (1 - level)^(1/tests)."""
+    assert sidak_bound(1, 1e9) == pytest.approx(norm.isf(0.5e-3), rel=1e-6)
+    each = 1 - (1 - 1e-3) ** (1 / 12)
+    assert sidak_bound(12, 1e9) == pytest.approx(norm.isf(each / 2), rel=1e-6)
+    assert sidak_bound(12, 15) > sidak_bound(12, 1e9) > sidak_bound(1, 1e9)
+
+
+@pytest.mark.slow
+def test_the_masks_hold_what_their_names_say(coastal: Pictures) -> None:
+    masks = parts_of_picture(coastal)
+    together = sum(mask.astype(int) for name, mask in masks.items() if name in ("core", "veil"))
+    assert np.max(together) == 1
+    assert all(mask.sum() > 20 for mask in masks.values())
+    for name in ("halo", "veil", "shadow"):
+        assert coastal.direct[masks[name]].max() <= 1e-4 * coastal.direct.max()
+
+
+@pytest.mark.slow
+def test_all_orders_equal_volpaths(coastal: Pictures) -> None:
+    """Line core, halo, veil and shadow within Sidak's bound, the centre within its bar and
+    three of its standard errors."""
+    found = compare(coastal)
+    bound = sidak_bound(BOUND_TESTS, found.degrees)
+    assert set(found.z) == set(MASKS)
+    assert max(abs(z) for z in found.z.values()) < bound
+    assert found.centroid_px < max(CENTROID_PX, 3 * found.centroid_error_px)
+
+
+@pytest.mark.slow
+def test_a_missing_line_and_a_wrong_asymmetry_are_seen(coastal: Pictures) -> None:
+    found = compare(coastal)
+    bound = sidak_bound(BOUND_TESTS, found.degrees)
+    assert abs(found.without_line["core"]) > bound
+    assert max(abs(z) for z in found.other_g.values()) > bound
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("rows", [-1, 1])
+def test_a_shifted_line_is_seen(coastal: Pictures, rows: int) -> None:
+    """A line one pixel off: the centre says so, and the core's sum does."""
+    shifted = replace(coastal, ours=np.roll(coastal.ours, rows, axis=1))
+    found = compare(shifted)
+    assert found.centroid_px > 10 * CENTROID_PX
+    assert abs(found.z["core"]) > sidak_bound(BOUND_TESTS, found.degrees)

@@ -1,0 +1,67 @@
+"""Scans killed and resumed: how the figure is made, and that it can fail."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from places import SCENES
+
+from sim.validation.robustness import kills
+from sim.validation.robustness.kills import KilledRun, folder_bytes, kill_rows, kill_runs
+
+SCENE = SCENES / "paper" / "sandwave.toml"
+
+
+@pytest.mark.slow
+def test_killed_scans_are_finished_to_the_same_bytes() -> None:
+    runs = kill_runs(SCENE, count=2, seed=1, frames=20)
+    assert sum(len(run.kept) for run in runs) >= 2
+    assert all(run.same for run in runs)
+    assert all(0 <= kept <= 20 for run in runs for kept in run.kept)
+
+
+def test_a_scan_that_fails_by_itself_is_no_kill() -> None:
+    with pytest.raises(RuntimeError, match=r"ended with code 2: .*gone\.toml.*cannot be read"):
+        kill_runs(SCENE.with_name("gone.toml"), count=1, frames=20)
+
+
+def test_the_rows_count_kills_and_differing_runs(monkeypatch: pytest.MonkeyPatch) -> None:
+    runs = [KilledRun((0, 0, 3, 9), True)] * 4 + [KilledRun((5, 9, 9), True)]
+    monkeypatch.setattr(kills, "kill_runs", lambda *_, **__: runs)
+    rows = kill_rows(SCENE, count=20, frames=120)
+    assert [(row.figure, row.passed) for row in rows] == [(19, False), (0, True)]
+    runs.append(KilledRun((2,), False))
+    rows = kill_rows(SCENE, count=20, frames=120)
+    assert [(row.figure, row.passed) for row in rows] == [(20, True), (1, False)]
+
+
+def test_a_byte_or_a_file_too_many_is_a_difference(tmp_path: Path) -> None:
+    for name in ("a", "b"):
+        (tmp_path / name / "frames").mkdir(parents=True)
+        (tmp_path / name / "frames" / "000000.png").write_bytes(b"picture")
+    assert folder_bytes(tmp_path / "a") == folder_bytes(tmp_path / "b")
+    (tmp_path / "b" / "frames" / ".000001.png.tmp").touch()
+    assert folder_bytes(tmp_path / "a") != folder_bytes(tmp_path / "b")
+    (tmp_path / "b" / "frames" / ".000001.png.tmp").unlink()
+    (tmp_path / "b" / "frames" / "000000.png").write_bytes(b"picturE")
+    assert folder_bytes(tmp_path / "a") != folder_bytes(tmp_path / "b")
+
+
+def test_a_run_is_killed_until_it_has_come_to_its_end(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """At most four times, each moment drawn anew within the scan's duration."""
+    moments: list[float] = []
+
+    def dies(scene: Path, run: Path, after_s: float) -> bool:
+        moments.append(after_s)
+        return len(moments) != 3
+
+    monkeypatch.setattr(kills, "_dies", dies)
+    generator = np.random.default_rng(1)
+    assert kills._killed(SCENE, tmp_path / "run", 5.0, generator) == (0, 0)
+    assert kills._killed(SCENE, tmp_path / "run", 5.0, generator) == (0, 0, 0, 0)
+    assert len(set(moments)) == 7
+    assert all(0 <= moment <= 5 for moment in moments)

@@ -1,0 +1,200 @@
+"""Pictures of calibration boards with known truth, for the tests of the control points.
+
+The lens is defined from the picture to the ray (a polynomial in the picture's radius), so a
+pixel's place on the board is a closed form: marks are drawn by asking, for 4 by 4 places in
+each half pixel near a mark, whether they lie on it.  Only the truth needs an iteration.  None of
+the instrument's code is used.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import lru_cache
+
+import cv2
+import numpy as np
+
+from lscan.config.board import Board
+from lscan.records import Bytes, Floats
+
+PARTS = 4  # per fine pixel and direction: the edge of a dot is placed to about 0.01 px
+FINE = 2  # fine pixels in a pixel's side: the lens blurs before the sensor samples
+
+
+@dataclass(frozen=True)
+class View:
+    """How a camera sees the board.
+
+    distance_mm: from the camera to the place ``target_mm`` of the board, which is seen in the
+    middle of the picture.  tilt_rad: of the optical axis below the board's normal.  roll_rad:
+    about the optical axis.  focal_px, barrel: a pixel at the radius r (in focal lengths) from
+    the middle lies on the ray of radius r (1 + barrel r^2).
+    """
+
+    distance_mm: float = 900.0
+    target_mm: tuple[float, float] = (225.0, -225.0)
+    tilt_rad: float = np.deg2rad(30.0)
+    roll_rad: float = 0.0
+    focal_px: float = 850.0
+    barrel: float = 0.15
+    size: tuple[int, int] = (640, 480)
+    shift_px: tuple[float, float] = (0.0, 0.0)
+
+    @property
+    def middle(self) -> Floats:
+        """(2,) px of the optical axis."""
+        return (np.array(self.size) - 1) / 2 + self.shift_px
+
+    def board_mm(self, image_px: Floats) -> Floats:
+        """(..., 2) of (x, z) on the board seen at the pixels (..., 2)."""
+        at = (image_px - self.middle) / self.focal_px
+        radius2 = (at**2).sum(axis=-1, keepdims=True)
+        right, down = np.moveaxis(at * (1 + self.barrel * radius2), -1, 0)
+        cos_r, sin_r = np.cos(self.roll_rad), np.sin(self.roll_rad)
+        right, down = cos_r * right + sin_r * down, cos_r * down - sin_r * right
+        cos_t, sin_t = np.cos(self.tilt_rad), np.sin(self.tilt_rad)
+        # World: x right, y away from the camera, z up; the board is y = 0.
+        away, up = cos_t - sin_t * down, -sin_t - cos_t * down
+        camera_y, camera_z = -self.distance_mm * cos_t, self.distance_mm * sin_t
+        reach = -camera_y / away
+        return np.stack(
+            [self.target_mm[0] + reach * right, self.target_mm[1] + camera_z + reach * up],
+            axis=-1,
+        )
+
+    def image_px(self, board_mm: Floats) -> Floats:
+        """(N, 2) px of places (N, 2) mm on the board, by Newton's method to 1e-9 px."""
+        at = np.tile(self.middle, (len(board_mm), 1))
+        for _ in range(30):
+            jacobian = self.jacobian(at)
+            miss = self.board_mm(at) - board_mm
+            step = np.linalg.solve(jacobian, miss[..., None])[..., 0]
+            at = at - np.clip(step, -100, 100)
+        return at
+
+    def jacobian(self, image_px: Floats) -> Floats:
+        """(N, 2, 2) derivative of the board's place, mm per px."""
+        sides = [np.array([0.5, 0.0]), np.array([0.0, 0.5])]
+        slopes = [self.board_mm(image_px + s) - self.board_mm(image_px - s) for s in sides]
+        return np.stack(slopes, axis=-1)
+
+
+@dataclass(frozen=True)
+class Light:
+    """Grey values: of the plate and the marks, the light's slope across, blur and noise.
+
+    ratio: light at the brightest edge over that at the darkest, falling along ``toward_rad``.
+    noise: standard deviation, of full scale.  shot: variance in DN² for each DN of light.
+    """
+
+    plate: float = 0.85
+    mark: float = 0.15
+    ratio: float = 1.0
+    toward_rad: float = 0.0
+    blur_px: float = 0.6
+    noise: float = 0.02
+    shot: float = 0.0
+
+
+def render(board: Board, view: View, light: Light = Light(), seed: int = 0) -> Bytes:
+    """(H, W) 8-bit picture of the board."""
+    return expose(expected_dn(board, view, light), light, seed)
+
+
+def expose(expected: Floats, light: Light, seed: int) -> Bytes:
+    """(H, W) 8-bit picture: the grey values expected with noise, normal, added and rounded."""
+    sigma = np.sqrt((255 * light.noise) ** 2 + light.shot * expected)
+    noisy = expected + sigma * np.random.default_rng(seed).standard_normal(expected.shape)
+    return np.clip(np.rint(noisy), 0, 255).astype(np.uint8)
+
+
+def expected_dn(board: Board, view: View, light: Light = Light(), parts: int = PARTS) -> Floats:
+    """(H, W) grey values 0 to 255 of the board's picture without noise and rounding."""
+    width, height = view.size
+    cover = cv2.GaussianBlur(_cover(board, view, parts), (0, 0), FINE * light.blur_px)
+    cover = cover.reshape(height, FINE, width, FINE).mean(axis=(1, 3))
+    return 255 * _shade(view.size, light) * (light.plate + (light.mark - light.plate) * cover)
+
+
+@lru_cache(maxsize=4)  # the same marks are seen through several lenses, each in turn
+def _cover(board: Board, view: View, parts: int) -> Floats:
+    """(FINE * H, FINE * W) share of each fine pixel that marks cover, not to be written to."""
+    width, height = view.size
+    finer = replace(
+        view,
+        size=(FINE * width, FINE * height),
+        focal_px=FINE * view.focal_px,
+        shift_px=(FINE * view.shift_px[0], FINE * view.shift_px[1]),
+    )
+    cover = np.zeros(finer.size[::-1])
+    for places, diameter in _round_marks(board):
+        _add_discs(cover, finer, places, diameter, parts)
+    for ring in board.ring:
+        middle = np.array([ring.x_mm, ring.z_mm])
+        _add_ring(cover, finer, middle, ring.diameter_mm, ring.width_mm, parts)
+    return np.minimum(cover, 1)
+
+
+def _round_marks(board: Board) -> list[tuple[Floats, float]]:
+    marks = [(board.grid.points_mm(), board.grid.dot_diameter_mm)]
+    marks += [(ruler.points_mm(), ruler.mark_diameter_mm) for ruler in board.ruler]
+    marks += [(np.array([[dot.x_mm, dot.z_mm]]), dot.diameter_mm) for dot in board.dot]
+    return marks
+
+
+def _shade(size: tuple[int, int], light: Light) -> Floats:
+    u, v = np.meshgrid(np.linspace(-1, 1, size[0]), np.linspace(-1, 1, size[1]))
+    along = u * np.cos(light.toward_rad) + v * np.sin(light.toward_rad)
+    along /= np.abs(along).max()
+    return light.ratio ** (-(along + 1) / 2)
+
+
+def _pixels(middle: Floats, reach: int, parts: int) -> tuple[Floats, tuple[Floats, Floats]]:
+    """Places in the pixels about each ``middle`` (N, 2), and those pixels' (rows, columns)."""
+    base = np.rint(middle).astype(int)
+    span = np.arange(-reach, reach + 1)
+    inner = (np.arange(parts) + 0.5) / parts - 0.5
+    fine = (span[:, None] + inner).ravel()
+    u, v = base[:, None, :1] + fine[None, None, :], base[:, None, 1:] + fine[None, None, :]
+    count = len(fine)
+    places = np.stack(
+        [
+            np.broadcast_to(u, (len(base), count, count)),
+            np.broadcast_to(v.transpose(0, 2, 1), (len(base), count, count)),
+        ],
+        axis=-1,
+    )
+    return places, (base[:, 1:] + span, base[:, :1] + span)
+
+
+def _add(cover: Floats, on: Floats, where: tuple[Floats, Floats]) -> None:
+    rows, columns = where
+    n, pixels = rows.shape
+    parts = on.shape[1] // pixels
+    part = on.reshape(n, pixels, parts, pixels, parts).mean(axis=(2, 4))
+    row = np.broadcast_to(rows[:, :, None], part.shape)
+    column = np.broadcast_to(columns[:, None, :], part.shape)
+    inside = (row >= 0) & (row < cover.shape[0]) & (column >= 0) & (column < cover.shape[1])
+    np.add.at(cover, (row[inside], column[inside]), part[inside])
+
+
+def _add_discs(
+    cover: Floats, view: View, places_mm: Floats, diameter_mm: float, parts: int
+) -> None:
+    middle = view.image_px(places_mm)
+    per_px = np.abs(np.linalg.det(view.jacobian(middle))).min() ** 0.5
+    reach = int(np.ceil(0.75 * diameter_mm / per_px)) + 1
+    near = ((middle > -reach) & (middle < np.array(view.size) + reach)).all(axis=1)
+    places, where = _pixels(middle[near], reach, parts)
+    away = view.board_mm(places) - places_mm[near][:, None, None]
+    _add(cover, (away**2).sum(axis=-1) <= (diameter_mm / 2) ** 2, where)
+
+
+def _add_ring(
+    cover: Floats, view: View, middle_mm: Floats, diameter_mm: float, width_mm: float, parts: int
+) -> None:
+    middle = view.image_px(middle_mm[None])
+    per_px = np.abs(np.linalg.det(view.jacobian(middle))).min() ** 0.5
+    places, where = _pixels(middle, int(np.ceil(0.75 * diameter_mm / per_px)) + 2, parts)
+    radius = np.linalg.norm(view.board_mm(places) - middle_mm, axis=-1)
+    _add(cover, np.abs(radius - diameter_mm / 2) <= width_mm / 2, where)

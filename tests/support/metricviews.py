@@ -1,0 +1,153 @@
+"""Synthetic views of a hand board crossing a laser sheet, with their truth.
+
+The marks' places come from lscan.camera, whose truth tests/sim/test_optics_truth.py checks
+against the tank's; what is tested with them is the adjustment, not the optics.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import cv2
+import numpy as np
+from hypothesis import strategies as st
+
+from lscan.calibration.multiview import LinePoints, View
+from lscan.calibration.multiview.planemap import SheetView
+from lscan.camera import Camera, FlatPort, project
+from lscan.config.rig import OpticsSection
+from lscan.records import Floats, Marks, Status
+
+SIZE = (640, 480)
+COLUMNS, ROWS, PITCH_MM = 8, 6, 25.0
+LINE_POINTS = 80
+VIEWS = 8
+STATED_PX = 0.02  # uncertainty that exact marks and lines state of themselves
+
+
+@dataclass(frozen=True)
+class Rig:
+    """A camera and a sheet: the plane ``q . X = 1`` of the camera frame."""
+
+    camera: Camera
+    q_per_mm: Floats
+
+    @property
+    def truth(self) -> SheetView:
+        """The map as it truly is."""
+        c, port = self.camera, self.camera.port
+        window = port or FlatPort(10.0, 5.0, 1.49, 1.0)
+        theta = [c.focal_px, *c.centre_px, c.k1, c.k2, c.p1, c.p2, c.k3]
+        theta += [window.gap_mm, window.thickness_mm, window.glass_index, window.water_index]
+        theta += [window.tilt_x_deg, window.tilt_y_deg]
+        kind: Literal["flat", "none"] = "flat" if port else "none"
+        middle = (np.array(SIZE) - 1) / 2
+        return SheetView(np.array(theta), kind, self.q_per_mm, middle)
+
+
+@dataclass(frozen=True)
+class Pose:
+    """A board in the camera frame: its axes as columns, and the middle of its marks, mm."""
+
+    rotation: Floats
+    place_mm: Floats
+
+
+@st.composite
+def rigs(draw: st.DrawFn, water: bool) -> Rig:
+    """A webcam, its lens and port anywhere in the usual range, the sheet 0.8 to 1.2 m away."""
+
+    def number(low: float, high: float) -> float:
+        return draw(st.floats(low, high))
+
+    port = FlatPort(number(5, 30), number(3, 10), 1.49, number(1.33, 1.345)) if water else None
+    centre = (number(310, 330), number(230, 250))
+    camera = Camera(number(700, 1000), centre, number(-0.3, 0.05), number(-0.05, 0.1), port=port)
+    lean, side = np.radians(number(15, 45)), np.radians(number(-10, 10))
+    normal = np.array([np.sin(side), np.sin(lean) * np.cos(side), np.cos(lean) * np.cos(side)])
+    return Rig(camera, normal / (number(800, 1200) * normal[2]))
+
+
+def paper_rig(water: bool = True) -> Rig:
+    """The paper's camera, port and depression, a metre from the sheet."""
+    port = FlatPort(10.0, 6.0, 1.488, 1.3313) if water else None
+    camera = Camera(850.0, (319.5, 239.5), -0.26, 0.06, port=port)
+    lean = np.radians(30.0)
+    normal = np.array([0.0, np.sin(lean), np.cos(lean)])
+    return Rig(camera, normal / (1000.0 * normal[2]))
+
+
+def known(rig: Rig, water_sigma: float = 0.0) -> OpticsSection:
+    """What a user knows of the rig: glass and water, and of the lens nothing at all.
+
+    The widths of what is not known are so large that they draw on nothing.
+    """
+    port = rig.camera.port
+    free = dict.fromkeys(("k1", "k2"), (0.0, 1e4)) | dict.fromkeys(("p1", "p2"), (0.0, 1e2))
+    if port is None:
+        return OpticsSection(port="none", **free)
+    return OpticsSection(
+        **free,
+        gap_mm=(port.gap_mm, 0.0),
+        thickness_mm=(port.thickness_mm, 0.0),
+        glass_index=(port.glass_index, 0.0),
+        water_index=(port.water_index, water_sigma),
+    )
+
+
+def poses(rig: Rig, rng: np.random.Generator, count: int = VIEWS) -> list[Pose]:
+    """Boards in the sheet, tilted by 25 to 40 degrees to all sides, all over the picture."""
+    found = []
+    for number in range(count):
+        tilt = np.radians(rng.uniform(25, 40))
+        side = 2 * np.pi * (number + rng.uniform(-0.3, 0.3)) / count
+        turn = np.array([tilt * np.cos(side), tilt * np.sin(side), rng.uniform(-0.1, 0.1)])
+        place = np.array([*rng.uniform(-110, 110, 1), *rng.uniform(-80, 80, 1), 0.0])
+        place[2] = (1 - rig.q_per_mm[:2] @ place[:2]) / rig.q_per_mm[2]
+        found.append(Pose(np.array(cv2.Rodrigues(turn)[0]), place))
+    return found
+
+
+def marks_of(rig: Rig, pose: Pose) -> Marks:
+    """The exact marks of a board; sigma_px is STATED_PX."""
+    column, row = np.meshgrid(np.arange(COLUMNS), np.arange(ROWS))
+    board = np.column_stack([column.ravel(), -row.ravel()]) * PITCH_MM
+    local = board - board.mean(axis=0)
+    flat = np.column_stack([local[:, 0], -local[:, 1], np.zeros(len(local))])
+    image = project(rig.camera, flat @ pose.rotation.T + pose.place_mm)
+    status = np.full(len(board), int(Status.OK), dtype=np.int64)
+    return Marks(board, image, np.full(len(board), STATED_PX), status)
+
+
+def line_of(rig: Rig, pose: Pose) -> LinePoints:
+    """The exact line of the sheet on a board whose middle lies in it; sigma_px is STATED_PX."""
+    along = np.cross(pose.rotation[:, 2], rig.q_per_mm)
+    along /= np.linalg.norm(along)
+    reach = np.linspace(-60, 60, LINE_POINTS)
+    image = project(rig.camera, pose.place_mm + reach[:, None] * along)
+    level = np.ptp(image[:, 0]) >= np.ptp(image[:, 1])
+    return LinePoints(image, np.full(len(image), STATED_PX), "columns" if level else "rows")
+
+
+def views_of(rig: Rig, boards: list[Pose]) -> list[View]:
+    """Exact views, marks and lines."""
+    return [
+        View(f"pose-{number}", marks_of(rig, pose), line_of(rig, pose))
+        for number, pose in enumerate(boards)
+    ]
+
+
+def with_noise(view: View, sigma_px: float, rng: np.random.Generator) -> View:
+    """The view with white noise of ``sigma_px`` on marks and, across it, on the line."""
+    assert view.marks is not None and view.line is not None
+    marks, line = view.marks, view.line
+    shaken = marks.image_px + sigma_px * rng.standard_normal(marks.image_px.shape)
+    across = 1 if line.axis == "columns" else 0
+    moved = line.image_px.copy()
+    moved[:, across] += sigma_px * rng.standard_normal(len(moved))
+    return replace(
+        view,
+        marks=replace(marks, image_px=shaken, sigma_px=np.full(len(shaken), sigma_px)),
+        line=replace(line, image_px=moved, sigma_px=np.full(len(moved), sigma_px)),
+    )

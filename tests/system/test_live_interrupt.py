@@ -1,0 +1,35 @@
+"""The end of ``lscan live`` on the tank's own drivers: Mitsuba handles SIGINT too as it renders."""
+
+from __future__ import annotations
+
+import signal
+import subprocess
+import sys
+import urllib.request
+from pathlib import Path
+
+import pytest
+from places import ROOT
+
+SCENE = ROOT / "scenes" / "paper" / "sandwave.toml"
+LONG_S = 120.0  # longer than it takes to render and to end; only a failure waits so long
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("at_first", ["trap - INT", "trap '' INT"])
+def test_an_interrupt_ends_it_while_mitsuba_renders(tmp_path: Path, at_first: str) -> None:
+    """Begun as in a terminal, and with SIGINT ignored, as a script begins a job with "&"."""
+    shell = ["sh", "-c", f'{at_first}; exec "$@"', "sh"]
+    options = ["--port", "0", "-o", str(tmp_path / "runs")]
+    command = [*shell, sys.executable, "-m", "lscan.cli.app", "live", str(SCENE), *options]
+    with subprocess.Popen(command, cwd=ROOT, stdout=subprocess.PIPE, text=True) as process:
+        try:
+            assert process.stdout is not None
+            address = process.stdout.readline().split()[0]
+            answer = f"{address}api/frame?after=0"
+            while urllib.request.urlopen(answer, timeout=LONG_S).status != 200:
+                assert process.poll() is None
+            process.send_signal(signal.SIGINT)
+            assert process.wait(LONG_S) == 0
+        finally:
+            process.kill()

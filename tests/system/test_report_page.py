@@ -1,0 +1,96 @@
+"""The report in headless Chromium at a phone's width: nothing of a table out of reach."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+import pytest
+
+from lscan.figures.grid import CELL_MM
+from lscan.paper.report import ReportInputs, write_report
+from lscan.records import Status, Surface
+from sim.testing.browser import Browser, BrowserMissing
+
+pytestmark = pytest.mark.xdist_group("live_page")
+PHONE = (390, 844)
+TABLES = """[...document.querySelectorAll("table")].map(table => {
+  const box = table.parentElement;
+  box.scrollLeft = 0;
+  const edge = element => element.getBoundingClientRect();
+  const rows = [...table.rows].filter(row => row.dataset.row);
+  const name = rows[0]?.cells[0], last = [...(rows[0]?.cells ?? [])].at(-1);
+  const wide = box.scrollWidth > box.clientWidth;
+  box.scrollLeft = box.scrollWidth;
+  return {
+    box: [edge(box).left, edge(box).right], wide,
+    last: last && [edge(last).left, edge(last).right],
+    name: name && [edge(name).left, edge(name).right],
+    reached: box.tabIndex,
+  };
+})"""
+
+
+@pytest.fixture(scope="module")
+def page(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Browser]:
+    path = tmp_path_factory.mktemp("report") / "report.html"
+    write_report(path, _inputs())
+    try:
+        browser = Browser(*PHONE)
+    except BrowserMissing as missing:
+        pytest.skip(str(missing))
+    with browser:
+        browser.resize(*PHONE, mobile=True)
+        browser.open(path.as_uri())
+        yield browser
+
+
+def _inputs() -> ReportInputs:
+    """Tables of both chains, and a surface of 400 by 200 by 50 mm to turn."""
+    entry = {"nominal_mm": 154.96, "measured_mm": 155.0, "error_mm": 0.04, "sigma_mm": 0.123}
+    groove = {name: dict(entry) for name in ("S1", "S2")}
+    lengths = {"A1A2": {**entry, "nominal_mm": 80.0}, "A2A3": dict(entry)}
+    maps = ("graticule-2", "graticule-2-norulers", "polynomial-5")
+    chain = {"plane_map": "graticule-2", "extractors": [], "corrected_for": []}
+    results = {
+        "chain": chain,
+        "distances": dict.fromkeys(maps, lengths),
+        "groove": groove,
+        "best": {
+            "chain": {**chain, "plane_map": "refractive"},
+            "distances": {"refractive": lengths},
+            "groove": groove,
+        },
+    }
+    x, y = np.meshgrid(np.arange(0, 400, 4 * CELL_MM), np.arange(0, 200, 4 * CELL_MM))
+    points = np.stack([x, y, np.where(np.abs(x - 200) < 100, 0.0, -50.0)], axis=2)
+    sigma, status = np.full(x.shape, 0.1), np.full(x.shape, int(Status.OK))
+    surface = Surface(points, sigma, sigma, status, y[:, 0], "workpiece")
+    return ReportInputs(results=results, aligned=surface)
+
+
+def test_every_column_of_a_table_is_within_reach_on_a_phone(page: Browser) -> None:
+    """The page keeps still; a wide table scrolls in its box to its last column, names in view."""
+    assert page.evaluate("[document.documentElement.scrollWidth, innerWidth]") == [390, 390]
+    tables = page.evaluate(TABLES)
+    assert sum(table["wide"] for table in tables) >= 3
+    for table in tables:
+        left, right = table["box"]
+        assert 0 <= left < right <= PHONE[0]
+        if not table["wide"]:
+            continue
+        assert table["reached"] == 0  # by the keyboard
+        for edges in (table["last"], table["name"]):
+            assert left - 1 <= edges[0] and edges[1] <= right + 1, table
+        assert table["name"][1] <= table["last"][0] + 1  # the one does not cover the other
+
+
+def test_the_surface_is_drawn_whole_on_a_phone(page: Browser) -> None:
+    """The picture's box has the shape that the start view was computed for."""
+    box = page.evaluate(
+        """(() => { const box = document.querySelector("#surface").getBoundingClientRect();
+        return [box.left, box.right, box.width / box.height]; })()"""
+    )
+    assert 0 <= box[0] < box[1] <= PHONE[0]
+    assert box[2] == pytest.approx(4 / 3, abs=0.02)
+    assert page.take_errors() == []

@@ -1,0 +1,89 @@
+"""``lscan-sim serve`` as a process: what it says, and that nothing stays when it is stopped."""
+
+from __future__ import annotations
+
+import json
+import signal
+import subprocess
+import sys
+import urllib.request
+from pathlib import Path
+from typing import Any
+
+import pytest
+from served import small_scene
+
+from lscan.config.rig import load_rig
+from sim.emulators.toml import toml_text
+
+PATIENCE_S = 120.0
+
+
+@pytest.fixture
+def scene_file(tmp_path: Path) -> Path:
+    file = tmp_path / "scene.toml"
+    file.write_text(toml_text(small_scene().document), encoding="utf-8")
+    return file
+
+
+def start(scene_file: Path, *arguments: str) -> subprocess.Popen[str]:
+    return subprocess.Popen(
+        [sys.executable, "-m", "sim.cli.app", "serve", str(scene_file), *arguments],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+
+
+def stop(process: subprocess.Popen[str], number: int) -> tuple[str, str]:
+    process.send_signal(number)
+    return process.communicate(timeout=PATIENCE_S)
+
+
+def read_json(process: subprocess.Popen[str]) -> Any:
+    """The first JSON object of its output."""
+    assert process.stdout is not None
+    text = ""
+    while line := process.stdout.readline():
+        text += line
+        if line == "}\n":
+            break
+    return json.loads(text)
+
+
+def test_it_runs_until_sigterm_and_leaves_nothing(scene_file: Path, tmp_path: Path) -> None:
+    link, rig = tmp_path / "track", tmp_path / "rig.toml"
+    process = start(scene_file, "--json", "--link", str(link), "--write-rig", str(rig))
+    try:
+        where = read_json(process)
+        with urllib.request.urlopen(where["snapshot"], timeout=PATIENCE_S) as answer:
+            assert answer.read(2) == b"\xff\xd8"  # how a JPEG begins
+        assert where["port"] == str(link) and link.readlink().exists()
+        options = load_rig(Path(where["rig"])).rig
+        assert options.camera.options["url"] == where["url"]
+        assert options.track.options["port"] == str(link)
+        _, errors = stop(process, signal.SIGTERM)
+    finally:
+        process.kill()
+    assert (process.returncode, errors) == (0, "")
+    left = sorted(path.name for path in tmp_path.iterdir())
+    assert left == ["rig.toml", "scene.toml"]
+
+
+def test_it_says_in_lines_where_everything_is_and_stops_at_ctrl_c(scene_file: Path) -> None:
+    process = start(scene_file)
+    try:
+        assert process.stdout is not None
+        lines = [process.stdout.readline() for _ in range(3)]
+        said, errors = stop(process, signal.SIGINT)
+    finally:
+        process.kill()
+    assert [line.split(": ")[0] for line in lines] == ["url", "snapshot", "port"]
+    assert (process.returncode, said, errors) == (0, "", "")
+
+
+def test_a_bad_option_is_one_clear_line(scene_file: Path) -> None:
+    process = start(scene_file, "--quality", "101")
+    said, errors = process.communicate(timeout=PATIENCE_S)
+    assert (process.returncode, said) == (2, "")
+    assert errors == "lscan-sim: --quality: is out of range (got 101; allowed: 1 to 100)\n"

@@ -1,0 +1,40 @@
+"""Every figures command of the Makefile is run by ``make smoke``, and that by CI."""
+
+from __future__ import annotations
+
+import re
+
+import pytest
+from places import ROOT
+from typer.testing import CliRunner
+
+from sim.cli.app import app
+
+MAKEFILE = (ROOT / "Makefile").read_text()
+
+
+def recipe(target: str) -> str:
+    """The commands of a target of the Makefile."""
+    found = re.search(rf"^{target}:.*\n((?:\t.*\n)+)", MAKEFILE, re.MULTILINE)
+    assert found is not None, target
+    return found[1]
+
+
+def figures_commands() -> set[str]:
+    """The commands of ``lscan-sim`` that a target of their own name runs."""
+    named = re.findall(r"^([a-z]+):.*\n\t\$\(BIN\)/lscan-sim ([a-z]+) ", MAKEFILE, re.MULTILINE)
+    return {command for target, command in named if target == command}
+
+
+def test_the_figures_commands_are_those_known() -> None:
+    assert figures_commands() >= {"demo", "verify", "accuracy", "bench", "hardware"}
+
+
+@pytest.mark.parametrize("command", sorted(figures_commands()))
+def test_smoke_runs_the_command_quickly(command: str) -> None:
+    assert f"lscan-sim {command} --quick -o out/quick/{command}" in recipe("smoke")
+    assert "--quick" in CliRunner().invoke(app, [command, "--help"]).output
+
+
+def test_continuous_integration_runs_smoke() -> None:
+    assert re.search(r"^if ! make smoke\b", (ROOT / ".ci" / "run").read_text(), re.MULTILINE)
