@@ -45,7 +45,7 @@ def run_on(rig: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
     environment = {key: value for key, value in os.environ.items() if "PYTEST" not in key}
     command = [sys.executable, "-m", "pytest", "-m", "hardware", "--rig", str(rig), *arguments]
     return subprocess.run(
-        [*command, "-p", "no:cacheprovider", "tests/devices/test_hardware.py"],
+        [*command, "-p", "no:cacheprovider", "tests/hardware/test_hardware.py"],
         cwd=ROOT,
         env={**environment, "PYTHONPATH": str(ROOT)},
         capture_output=True,

@@ -197,7 +197,7 @@ def test_an_error_of_the_program_says_where_it_arose() -> None:
         return [row([1.0][5])]
 
     (failed,) = measured("a length", wrong)
-    assert failed.error.startswith("IndexError: list index out of range (test_verify_rows.py:")
+    assert failed.error.startswith("IndexError: list index out of range (test_rows.py:")
     (refused,) = measured("a length", lambda: write_rows(Path("/proc/none"), []))  # type: ignore[func-returns-value]
     assert "/proc" in refused.error and "Error:" not in refused.error
 
