@@ -13,7 +13,7 @@ from lscan.errors import MeasurementError
 from lscan.records import Profile, Surface
 from lscan.stripe import extract_stripe
 from lscan.surface import Alignment, align_sandwave, apply, stack
-from lscan.surface.concavity import SheetGeometry, take_back_thickness
+from lscan.surface.concavity import SheetGeometry, correct_thickness
 from lscan.surface.profile import to_profile
 from lscan.surface.shaft import shaft_of, stack_about
 
@@ -114,12 +114,12 @@ def correct(raw: Surface, rig: Rig, yaw_rad: float = 0.0) -> Surface:
     if sheet is None:
         return raw
     geometry = SheetGeometry(
-        sigma_mm=sheet.thickness_mm / 2,
+        irradiance_sigma_mm=sheet.thickness_mm / 2,
         camera_mm=sheet.camera_mm,
         apex_mm=sheet.apex_mm,
         yaw_rad=yaw_rad,
     )
-    return take_back_thickness(raw, geometry)
+    return correct_thickness(raw, geometry)
 
 
 def build_surface(profiles: Sequence[Profile], rig: Rig) -> Surface:

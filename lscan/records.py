@@ -223,7 +223,7 @@ class Surface:
     xyz_mm: (F, N, 3) points; which frame they are in is said by ``frame``: "head" as
         scanned (x and z in the sheet, y the track position; about a shaft, the frame of the
         head at position 0), "workpiece" once aligned.
-    sigma_mm: (F, N) standard uncertainty of z; sigma_x_mm: (F, N) of x.
+    sigma_x_mm, sigma_z_mm: (F, N) standard uncertainties of x and of z.
     status: (F, N) of Status.
     position_mm: (F,) track positions, of a shaft the arc turned by.
     modes_mm: (F, N, 3, M) single precision, what the calibration displaces all points by in
@@ -235,7 +235,7 @@ class Surface:
 
     xyz_mm: Floats
     sigma_x_mm: Floats
-    sigma_mm: Floats
+    sigma_z_mm: Floats
     status: Ints
     position_mm: Floats
     frame: Literal["head", "workpiece"] = "head"

@@ -149,7 +149,7 @@ def _slice_data(sandwave: SandwaveResult, name: str) -> SliceData:
         status=cut.status,
         nominal_mm=errors.nominal_mm,
         error_mm=errors.error_mm,
-        sigma_mm=cut.sigma_mm,
+        sigma_mm=cut.sigma_z_mm,
         ends_mm=cut.xy_mm[[0, -1]],
     )
 

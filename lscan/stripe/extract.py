@@ -15,7 +15,7 @@ from lscan.errors import InputError, LscanError
 from lscan.records import Bytes, Floats, Mask, Status, Stripe
 from lscan.stripe.api import Extractor, require_stripe
 from lscan.stripe.core import core_flux
-from lscan.stripe.corrections.blur import take_back_blur
+from lscan.stripe.corrections.blur import correct_blur
 from lscan.stripe.corrections.smoothing import smooth
 from lscan.stripe.lines import lines_of
 from lscan.stripe.noise.model import difference_noise
@@ -51,7 +51,7 @@ def extract_stripe(
     stripe = _called(extractor, light.settings, chosen.image, chosen.clipped)
     stripe = _mark_saturated(stripe, chosen.clipped.T, settings.span_px)
     stripe = withhold(stripe, chosen.ambiguous)
-    stripe = take_back_blur(stripe, settings, chosen.image.T)
+    stripe = correct_blur(stripe, settings, chosen.image.T)
     stripe = smooth(stripe, settings.smooth_px)
     return replace(stripe, flux=core_flux(stripe, chosen.image.T))
 

@@ -48,22 +48,23 @@ NO_BETTER_MM = 1e-6
 class SheetGeometry:
     """The laser sheet and the view of it, in the head frame.
 
-    sigma_mm: standard deviation of the irradiance across the sheet, half its 1/e2 half width.
+    irradiance_sigma_mm: standard deviation across the sheet, half its 1/e2 half width.
     camera_mm: (3,) the camera's pinhole.  Behind a flat port that is close to the pinhole
         the rays in the water come from there too, to a few mm.
     apex_mm: (3,) where the laser's fan opens.
     yaw_rad: angle of the sheet against the track, as ``align_sandwave`` finds it.
     """
 
-    sigma_mm: float
+    irradiance_sigma_mm: float
     camera_mm: tuple[float, float, float]
     apex_mm: tuple[float, float, float]
     yaw_rad: float = 0.0
 
     def __post_init__(self) -> None:
         """Refuse a sheet of no thickness and a camera in the sheet or beyond it."""
-        if not (np.isfinite(self.sigma_mm) and self.sigma_mm > 0):
-            raise InputError("sheet: sigma_mm", value=self.sigma_mm, allowed="> 0 mm")
+        sigma = self.irradiance_sigma_mm
+        if not (np.isfinite(sigma) and sigma > 0):
+            raise InputError("sheet: irradiance_sigma_mm", value=sigma, allowed="> 0 mm")
         places = np.array([*self.camera_mm, *self.apex_mm, self.yaw_rad], dtype=float)
         if not np.isfinite(places).all():
             raise InputError("sheet: a place is not finite", value=places.tolist())
@@ -71,13 +72,13 @@ class SheetGeometry:
             raise InputError("sheet: camera_mm", value=self.camera_mm, allowed="y below 0")
 
 
-def take_back_thickness(surface: Surface, sheet: SheetGeometry) -> Surface:
+def correct_thickness(surface: Surface, sheet: SheetGeometry) -> Surface:
     """The surface with its heights moved back to those of the sheet's middle plane.
 
     surface: in the head frame, as stacked, its heights found from whole-line centroids.
     The target is taken for matt, of one reflectance within the sheet's thickness.
 
-    Points without enough neighbours for their concavity keep their height.  sigma_mm grows by
+    Points without enough neighbours for their concavity keep their height.  sigma_z_mm grows by
     the noise of the correction, and by all of it where within two sigmas of the sheet the
     target folds out of the camera's sight, which the series does not describe.  Points kept
     as they are get the root mean square of all corrections.
@@ -93,11 +94,11 @@ def take_back_thickness(surface: Surface, sheet: SheetGeometry) -> Surface:
     typical = float(np.sqrt(np.mean(shift[known] ** 2))) if known.any() else 0.0
     xyz = surface.xyz_mm.copy()
     xyz[..., 2] -= np.where(known, shift, 0.0)
-    total = np.hypot(surface.sigma_mm, np.where(known, sigma, typical))
+    total = np.hypot(surface.sigma_z_mm, np.where(known, sigma, typical))
     yaw_deg = float(np.degrees(sheet.yaw_rad))
-    done = f"sheet thickness of {2 * sheet.sigma_mm:g} mm at a yaw of {yaw_deg:.3f} deg"
+    done = f"sheet thickness of {2 * sheet.irradiance_sigma_mm:g} mm at a yaw of {yaw_deg:.3f} deg"
     corrections = (*surface.corrections, done)
-    return replace(surface, xyz_mm=xyz, sigma_mm=total, corrections=corrections)
+    return replace(surface, xyz_mm=xyz, sigma_z_mm=total, corrections=corrections)
 
 
 @dataclass(frozen=True)
@@ -118,7 +119,7 @@ def _quadratics(surface: Surface, sheet: SheetGeometry) -> Iterator[tuple[int, _
     valid = has_value(surface.status) & np.isfinite(surface.xyz_mm).all(axis=-1)
     true = np.where(valid[..., None], surface.xyz_mm, np.nan) @ shear(sheet.yaw_rad).T
     along, across = _spacing(true[..., 1], 0), _spacing(true[..., 0], 1)
-    radius = max(REACH_IN_SIGMAS * sheet.sigma_mm, REACH_IN_SAMPLES * max(along, across))
+    radius = max(REACH_IN_SIGMAS * sheet.irradiance_sigma_mm, REACH_IN_SAMPLES * max(along, across))
     frames, columns = (int(np.ceil(radius / step)) for step in (along, across))
     count = true.shape[1]
     beside = np.arange(count)[:, None] + np.arange(-columns, columns + 1)
@@ -128,7 +129,7 @@ def _quadratics(surface: Surface, sheet: SheetGeometry) -> Iterator[tuple[int, _
         first, last = max(f - frames, 0), min(f + frames + 1, len(true))
         offset = true[first:last, beside] - true[f][:, None]
         offset[:, outside] = np.nan
-        noise = surface.sigma_mm[first:last, beside]
+        noise = surface.sigma_z_mm[first:last, beside]
         yield f, _fit(_flat(offset, count), _flat(noise, count), radius)
 
 
@@ -194,8 +195,8 @@ def _shift(forms: _Quadratics, points: Floats, sheet: SheetGeometry) -> tuple[Fl
     curving = np.stack([kappa**2, 2 * kappa, one], axis=-1)  # zeta'' of the bend
     darkening = by_x[:, None] * np.stack([kappa, one, nought], axis=-1)
     darkening += by_y[:, None] * np.stack([nought, kappa, one], axis=-1)
-    gain = sheet.sigma_mm**2 * (1.5 * curving + rise[:, None] * darkening)
+    gain = sheet.irradiance_sigma_mm**2 * (1.5 * curving + rise[:, None] * darkening)
     shift = (gain * forms.bend).sum(axis=1)
     variance = np.einsum("ni,nij,nj->n", gain, forms.covariance, gain)
-    folds = rise < 2 * sheet.sigma_mm * np.abs((curving * forms.bend).sum(axis=1))
+    folds = rise < 2 * sheet.irradiance_sigma_mm * np.abs((curving * forms.bend).sum(axis=1))
     return shift, np.sqrt(variance + np.where(folds, shift**2, 0.0))

@@ -69,7 +69,7 @@ def load_surface(path: Path) -> Surface:
     return Surface(
         xyz_mm=np.stack([arrays["x"], arrays["y"], arrays["z"]], axis=-1),
         sigma_x_mm=arrays["x_sigma"],
-        sigma_mm=arrays["z_sigma"],
+        sigma_z_mm=arrays["z_sigma"],
         status=arrays["status"].astype(np.int64),
         position_mm=arrays["position"],
         frame=cast(Literal["head", "workpiece"], frame),
@@ -100,7 +100,7 @@ def save_points(path: Path, surface: Surface) -> None:
         raise InputError("no point has a value", where=path, allowed="a surface with points")
     cloud = trimesh.PointCloud(surface.xyz_mm[keep])
     cloud.vertex_attributes = {
-        "sigma_mm": surface.sigma_mm[keep].astype(np.float32),
+        "sigma_mm": surface.sigma_z_mm[keep].astype(np.float32),
         "status": surface.status[keep].astype(np.uint8),
     }
     content = cloud.export(file_type="ply")
@@ -114,7 +114,7 @@ def save_slice(path: Path, cut: Slice) -> None:
     Raises InputError where the file cannot be written.
     """
     lines = ["along_mm,x_mm,y_mm,z_mm,sigma_mm,status"]
-    rows = zip(cut.along_mm, cut.xy_mm, cut.z_mm, cut.sigma_mm, cut.status, strict=True)
+    rows = zip(cut.along_mm, cut.xy_mm, cut.z_mm, cut.sigma_z_mm, cut.status, strict=True)
     for along, (x, y), z, sigma, status in rows:
         value = f"{z:.6f},{sigma:.6f}" if np.isfinite(z) else ","
         lines.append(f"{along:.6f},{x:.6f},{y:.6f},{value},{Status(status).name}")
@@ -161,7 +161,7 @@ def _dataset(surface: Surface) -> xr.Dataset:
         ),
         "x_sigma": (surface.sigma_x_mm, {"long_name": "standard uncertainty of x", **uncertain}),
         **of_y,
-        "z_sigma": (surface.sigma_mm, {"long_name": "standard uncertainty of z", **uncertain}),
+        "z_sigma": (surface.sigma_z_mm, {"long_name": "standard uncertainty of z", **uncertain}),
         "status": (surface.status.astype(np.int8), flags),
         **common,
     }

@@ -25,9 +25,9 @@ class Grid:
 
     x_mm: (C,), y_mm: (R,) centres.  cell_mm: side of a cell.
     z_mm: (R, C) height at the centre; NaN where status is NO_DATA.
-    sigma_mm: (R, C) standard uncertainty of z, all causes together.  status: (R, C) of Status.
+    sigma_z_mm: (R, C) standard uncertainty of z, all causes together.  status: (R, C) of Status.
     points: (R, C) number of measurements in the cell.
-    modes_mm: (R, C, M) the part of sigma_mm that cells have in common, as in PlanePoints: the
+    modes_mm: (R, C, M) the part of sigma_z_mm that cells have in common, as in PlanePoints: the
         covariance of the heights of two cells is the product of their modes; NaN without data.
         None where the surface has none.
     """
@@ -36,7 +36,7 @@ class Grid:
     y_mm: Floats
     cell_mm: float
     z_mm: Floats
-    sigma_mm: Floats
+    sigma_z_mm: Floats
     status: Ints
     points: Ints
     modes_mm: Floats | None = None
@@ -116,7 +116,7 @@ def grid_cells(surface: Surface, cell_mm: float, bias_mm: Floats | None = None) 
         y_mm=y,
         cell_mm=cell_mm,
         z_mm=z,
-        sigma_mm=spread(np.sqrt(variance), np.nan),
+        sigma_z_mm=spread(np.sqrt(variance), np.nan),
         status=np.where(np.isfinite(z), Status.OK, Status.NO_DATA).astype(np.int64),
         points=np.bincount(samples.cell, minlength=rows * columns).reshape(rows, columns),
         modes_mm=None if modes is None else spread(modes, np.nan),

@@ -27,16 +27,16 @@ class Slice:
 
     xy_mm: (M, 2) where; along_mm: (M,) distance from the line's start.
     z_mm: (M,) height; NaN where the status is NO_DATA.
-    sigma_mm: (M,) standard uncertainty of z.  status: (M,) of Status.
+    sigma_z_mm: (M,) standard uncertainty of z.  status: (M,) of Status.
     radius_mm: how far around a point measurements were used; beyond it there is no data.
     modes_mm: (M, K) what the calibration's K errors displace all heights by in common, as in
-        Surface; part of sigma_mm.  None where the surface has none.
+        Surface; part of sigma_z_mm.  None where the surface has none.
     """
 
     xy_mm: Floats
     along_mm: Floats
     z_mm: Floats
-    sigma_mm: Floats
+    sigma_z_mm: Floats
     status: Ints
     radius_mm: float
     modes_mm: Floats | None = None
@@ -52,7 +52,7 @@ def resample(surface: Surface, line: tuple[Floats, Floats], step_mm: float = 0.5
     there is less certain than a single measurement, a plane is tried, and where that is no
     better the status is NO_DATA.
 
-    sigma_mm: the measurements' own errors average out, those of the calibration that all have
+    sigma_z_mm: the measurements' own errors average out, those of the calibration that all have
     in common (Surface.modes_mm) do not.  The plane's lack of fit counts as noise.
 
     Raises InputError for a line without length or a step that is not positive,
@@ -116,7 +116,7 @@ def _neighbours(surface: Surface, valid: Mask, xy: Floats, radius: float) -> _Ne
     _, nearest = cKDTree(points[:, :2]).query(xy, k=NEIGHBOURS, distance_upper_bound=radius)
     used: Mask = np.less(nearest, len(points))
     index = np.where(used, nearest, 0)
-    total = np.stack([surface.sigma_x_mm[near], surface.sigma_mm[near]], axis=-1)[index] ** 2
+    total = np.stack([surface.sigma_x_mm[near], surface.sigma_z_mm[near]], axis=-1)[index] ** 2
     modes = np.zeros((*used.shape, 3, 0))
     if surface.modes_mm is not None:
         modes = surface.modes_mm[near][index].astype(float)

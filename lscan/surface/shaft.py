@@ -169,7 +169,7 @@ def stack_about(profiles: Sequence[Profile], shaft: Shaft) -> Surface:
         xyz_mm=xyz,
         sigma_x_mm=sigma[..., 0],
         sigma_y_mm=sigma[..., 1],
-        sigma_mm=sigma[..., 2],
+        sigma_z_mm=sigma[..., 2],
         modes_mm=modes,
     )
 

@@ -45,7 +45,7 @@ def stack(profiles: Sequence[Profile]) -> Surface:
     return Surface(
         xyz_mm=np.stack([xz[..., 0], track, xz[..., 1]], axis=-1),
         sigma_x_mm=sigma[..., 0],
-        sigma_mm=sigma[..., 1],
+        sigma_z_mm=sigma[..., 1],
         status=status,
         position_mm=position,
         modes_mm=_modes(profiles),

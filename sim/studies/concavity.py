@@ -23,8 +23,8 @@ from lscan.config.rig import StripeSection, load_rig, parse_rig
 from lscan.errors import InputError
 from lscan.files.disk import make_folder, write_atomically
 from lscan.records import Floats, Mask, Status, Stripe, Surface
-from lscan.stripe.corrections.blur import take_back_blur
-from lscan.surface.concavity import SheetGeometry, take_back_thickness
+from lscan.stripe.corrections.blur import correct_blur
+from lscan.surface.concavity import SheetGeometry, correct_thickness
 from sim.render.tank import Tank
 from sim.scene import Scene, scene_of
 from sim.sensor import Webcam
@@ -78,8 +78,8 @@ def concavity_errors(
         light = electrons.T.astype(float)
         stripe = whole_line(light * (PEAK_DN / light.max()))
         found.append(_heights(scene, truth, stripe))
-        sharp.append(_heights(scene, truth, take_back_blur(stripe, settings, light)))
-    thin = take_back_thickness(_surface(truths, sharp), sheet_geometry(scene))
+        sharp.append(_heights(scene, truth, correct_blur(stripe, settings, light)))
+    thin = correct_thickness(_surface(truths, sharp), sheet_geometry(scene))
     true = np.stack([truth.xz_mm[:, 1] for truth in truths])
     errors = [np.stack([z for z, _ in found]), np.stack([z for z, _ in sharp]), thin.xyz_mm[..., 2]]
     compared = np.stack([_clear(truth) for truth in truths])

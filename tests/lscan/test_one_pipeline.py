@@ -70,9 +70,9 @@ def test_slices_of_the_saved_surface_are_those_measured(
     expected = measured.slices[name]
     np.testing.assert_array_equal(cut.status, expected.status)
     np.testing.assert_array_equal(cut.z_mm, expected.z_mm)
-    np.testing.assert_allclose(cut.sigma_mm, expected.sigma_mm, rtol=1e-12)
+    np.testing.assert_allclose(cut.sigma_z_mm, expected.sigma_z_mm, rtol=1e-12)
     within = [
-        np.abs(compare_slice(one, PIECE).error_mm) <= 2 * one.sigma_mm for one in (cut, expected)
+        np.abs(compare_slice(one, PIECE).error_mm) <= 2 * one.sigma_z_mm for one in (cut, expected)
     ]
     np.testing.assert_array_equal(*within)
 

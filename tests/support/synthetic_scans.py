@@ -112,7 +112,7 @@ def scan(piece: Sandwave, placing: Placing) -> Surface:
     return Surface(
         xyz_mm=np.where(seen[..., None], xyz, np.nan),
         sigma_x_mm=np.where(seen, 0.01, np.nan),
-        sigma_mm=np.where(seen, max(placing.noise_mm, 0.01), np.nan),
+        sigma_z_mm=np.where(seen, max(placing.noise_mm, 0.01), np.nan),
         status=np.where(seen, Status.OK, Status.NO_PEAK).astype(np.int64),
         position_mm=track.ravel(),
     )

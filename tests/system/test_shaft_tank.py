@@ -245,7 +245,7 @@ def test_a_misstated_shaft_is_found_in_the_tank(
         errors = calibrated.errors[name]
         assert errors.rmse_mm < stated["slices"][name]["rmse_mm"]
         compared = np.isfinite(errors.error_mm)
-        within = np.abs(errors.error_mm)[compared] < 3 * cut.sigma_mm[compared]
+        within = np.abs(errors.error_mm)[compared] < 3 * cut.sigma_z_mm[compared]
         # 3 sigma hold 99.7 %; neighbours err together, so that one stretch of a wave's slope (a
         # quarter of its 37.6 mm in 150 mm) may lie outside at once.
         assert within.mean() > 1 - 0.25 * 37.6 / 150

@@ -47,7 +47,7 @@ FLUX_REACH_PX = 8
 """Light this far from the centre counts as the line's."""
 
 
-def take_back_blur(stripe: Stripe, settings: StripeSection, light: Floats) -> Stripe:
+def correct_blur(stripe: Stripe, settings: StripeSection, light: Floats) -> Stripe:
     """The stripe as a camera without blur along the line would have shown it.
 
     stripe: as extracted, before any smoothing along the line.
@@ -87,7 +87,7 @@ def take_back_blur(stripe: Stripe, settings: StripeSection, light: Floats) -> St
 def line_flux(stripe: Stripe, light: Floats, reach_px: int = FLUX_REACH_PX) -> Floats:
     """(N,) light of the line in each column, DN: all within ``reach_px`` of its centre.
 
-    light: (N, L) as in ``take_back_blur``; a column's background is its median.  NaN where
+    light: (N, L) as in ``correct_blur``; a column's background is its median.  NaN where
     the stripe has no value, and where a column holds no light above its background.
     """
     valued = np.flatnonzero(has_value(stripe.status))

@@ -65,7 +65,7 @@ def apply(alignment: Alignment, surface: Surface) -> Surface:
 
     modes_mm are the surface's own, less what the alignment takes out of them (it is found from
     the same points), and seven more: the alignment's own errors.  They displace along all three
-    axes, so what an error of x or y does to a height is the slope's to say; sigma_mm is that of
+    axes, so what an error of x or y does to a height is the slope's to say; sigma_z_mm is that of
     z alone.  Where the surface has no modes only the alignment's own are known.
 
     Raises InputError for a surface that is not in the head frame.
@@ -89,7 +89,7 @@ def apply(alignment: Alignment, surface: Surface) -> Surface:
         xyz_mm=xyz,
         sigma_x_mm=sigma[..., 0],
         sigma_y_mm=None if surface.sigma_y_mm is None else sigma[..., 1],
-        sigma_mm=sigma[..., 2],
+        sigma_z_mm=sigma[..., 2],
         frame="workpiece",
         modes_mm=modes,
     )
@@ -97,7 +97,7 @@ def apply(alignment: Alignment, surface: Surface) -> Surface:
 
 def own_variance(surface: Surface) -> tuple[Floats, Floats]:
     """(F, N) variances of x and of z, mm², without what the modes make common to all points."""
-    variance_x, variance_z = surface.sigma_x_mm**2, surface.sigma_mm**2
+    variance_x, variance_z = surface.sigma_x_mm**2, surface.sigma_z_mm**2
     if surface.modes_mm is None:
         return variance_x, variance_z
     common = np.square(surface.modes_mm, dtype=np.float64).sum(axis=-1)
@@ -110,7 +110,7 @@ def own_variance(surface: Surface) -> tuple[Floats, Floats]:
 def _own_y(surface: Surface) -> Floats:
     """(F, N) variance of y, mm², without what the modes make common; 0 where y is the track's."""
     if surface.sigma_y_mm is None:
-        return np.zeros_like(surface.sigma_mm)
+        return np.zeros_like(surface.sigma_z_mm)
     if surface.modes_mm is None:
         return surface.sigma_y_mm**2
     common = np.square(surface.modes_mm[..., 1, :], dtype=np.float64).sum(axis=-1)

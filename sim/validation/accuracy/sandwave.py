@@ -71,7 +71,7 @@ def grid_errors(scene: Scene, surface: Surface, cell_mm: float) -> GridErrors:
     kept = (grid.status.ravel() == Status.OK) & (inside > BORDER_MM)
     kept[kept] = slice_visibility(scene, np.column_stack([x, y])[kept])
     error = grid.z_mm.ravel()[kept] - piece.height_mm(x[kept], y[kept])
-    return GridErrors(error, grid.sigma_mm.ravel()[kept])
+    return GridErrors(error, grid.sigma_z_mm.ravel()[kept])
 
 
 def every_frame(scene: Scene, step_mm: float) -> Sequence[float]:

@@ -13,7 +13,7 @@ from scipy.ndimage import gaussian_filter
 from lscan.config.rig import StripeSection
 from lscan.errors import InputError
 from lscan.records import Floats, Status, Stripe, has_value
-from lscan.stripe.corrections.blur import PIXEL_VARIANCE, REACH_PX, line_flux, take_back_blur
+from lscan.stripe.corrections.blur import PIXEL_VARIANCE, REACH_PX, correct_blur, line_flux
 
 COLUMNS, ROWS, FINE = 120, 96, 8
 U = np.arange(COLUMNS, dtype=float)
@@ -40,7 +40,7 @@ def errors(centre: Curve, flux: Curve, blur_px: float) -> tuple[Floats, Floats, 
     """Error as found, error corrected, both away from the picture's sides; the stripe."""
     light = picture(centre, flux, blur_px)
     found = centroids(light)
-    sharp = take_back_blur(found, StripeSection(blur_px=blur_px), light)
+    sharp = correct_blur(found, StripeSection(blur_px=blur_px), light)
     inner = slice(8, -8)
     truth = centre(U)
     return (found.centre_px - truth)[inner], (sharp.centre_px - truth)[inner], sharp
@@ -92,7 +92,7 @@ def test_waves_of_uneven_brightness_come_back(
 def test_nothing_changes_without_blur_or_without_a_line() -> None:
     light = picture(lambda u: 48 + 0 * u, np.ones_like, 0.7)
     found = centroids(light)
-    assert take_back_blur(found, StripeSection(), light) is found
+    assert correct_blur(found, StripeSection(), light) is found
     nothing = Stripe(
         "columns",
         np.full(COLUMNS, np.nan),
@@ -100,7 +100,7 @@ def test_nothing_changes_without_blur_or_without_a_line() -> None:
         np.zeros(COLUMNS),
         np.full(COLUMNS, int(Status.NO_PEAK)),
     )
-    same = take_back_blur(nothing, StripeSection(blur_px=0.7), light)
+    same = correct_blur(nothing, StripeSection(blur_px=0.7), light)
     np.testing.assert_array_equal(same.centre_px, nothing.centre_px)
     np.testing.assert_array_equal(same.status, nothing.status)
 
@@ -112,12 +112,12 @@ def test_shifted_lines_and_brighter_light_are_corrected_alike(by: float, gain: f
     wave = lambda u: 48 + 5 * np.sin(0.1 * u)  # noqa: E731
     light = picture(wave, lambda u: 1.5 + np.cos(0.1 * u), 1.0)
     found = centroids(light)
-    base = take_back_blur(found, settings_, light)
+    base = correct_blur(found, settings_, light)
     rolled = np.roll(light, round(by), axis=1) * gain
     moved = Stripe(
         "columns", found.centre_px + round(by), found.sigma_px, found.peak * gain, found.status
     )
-    again = take_back_blur(moved, settings_, rolled)
+    again = correct_blur(moved, settings_, rolled)
     np.testing.assert_allclose(again.centre_px - round(by), base.centre_px, atol=1e-9)
     np.testing.assert_allclose(again.sigma_px, base.sigma_px, rtol=1e-6)
 
@@ -138,7 +138,7 @@ def test_sigma_is_the_scatter_and_never_shrinks() -> None:
             found.status,
         )
         factor = generator.gamma(50.0, 1 / 50.0, COLUMNS)[:, None]
-        sharp = take_back_blur(noisy, settings_, light * factor)
+        sharp = correct_blur(noisy, settings_, light * factor)
         centres.append(sharp.centre_px)
         sigmas.append(sharp.sigma_px)
         assert (sharp.sigma_px >= noisy.sigma_px).all()
@@ -158,15 +158,15 @@ def test_a_gap_and_a_jump_are_not_bridged() -> None:
     centre = np.where(status == Status.OK, found.centre_px, np.nan)
     sigma = np.where(status == Status.OK, found.sigma_px, np.nan)
     left_only = Stripe("columns", centre, sigma, found.peak, status)
-    whole = take_back_blur(left_only, StripeSection(blur_px=1.0), light)
+    whole = correct_blur(left_only, StripeSection(blur_px=1.0), light)
     np.testing.assert_array_equal(np.isfinite(whole.centre_px), has_value(status))
     np.testing.assert_array_equal(np.isfinite(whole.sigma_px), has_value(status))
     changed = Stripe("columns", centre + 20.0 * (U > 60), sigma, found.peak, status)
-    other = take_back_blur(changed, StripeSection(blur_px=1.0), light)
+    other = correct_blur(changed, StripeSection(blur_px=1.0), light)
     np.testing.assert_array_equal(other.centre_px[:60], whole.centre_px[:60])
     jumped = Stripe("columns", found.centre_px + 6.0 * (U > 60), sigma, found.peak, found.status)
-    assert np.isfinite(take_back_blur(jumped, StripeSection(blur_px=1.0), light).centre_px).all()
-    shift = take_back_blur(jumped, StripeSection(blur_px=1.0), light).centre_px - jumped.centre_px
+    assert np.isfinite(correct_blur(jumped, StripeSection(blur_px=1.0), light).centre_px).all()
+    shift = correct_blur(jumped, StripeSection(blur_px=1.0), light).centre_px - jumped.centre_px
     assert np.abs(shift).max() < 0.1  # bridged, the jump would bend the line by a pixel a column
 
 
@@ -183,7 +183,7 @@ def test_a_short_piece_keeps_its_place_and_says_so() -> None:
         found.peak,
         status,
     )
-    kept = take_back_blur(short, StripeSection(blur_px=0.8), light)
+    kept = correct_blur(short, StripeSection(blur_px=0.8), light)
     np.testing.assert_array_equal(kept.centre_px, short.centre_px)
     np.testing.assert_allclose(kept.sigma_px[there], np.hypot(0.1, 0.8))
 
@@ -198,4 +198,4 @@ def test_the_flux_is_the_lines_light_above_the_background() -> None:
 def test_light_of_another_length_is_refused() -> None:
     light = picture(lambda u: 48 + 0 * u, np.ones_like, 0.7)
     with pytest.raises(InputError, match=r"light: is not of the stripe's length.*\(120, L\)"):
-        take_back_blur(centroids(light), StripeSection(blur_px=0.7), light[:-1])
+        correct_blur(centroids(light), StripeSection(blur_px=0.7), light[:-1])

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from lscan.errors import InputError
 from lscan.records import Floats, Status, Surface
-from lscan.surface.concavity import SheetGeometry, take_back_thickness
+from lscan.surface.concavity import SheetGeometry, correct_thickness
 
 SHEET = SheetGeometry(0.75, (0.0, -870.0, 300.0), (0.0, 0.0, 250.0))
 LEVEL_MM = -330.0
@@ -38,7 +38,7 @@ def displaced(height: Height, x: float, s: float, sheet: SheetGeometry) -> float
     Along the line of sight plane of the column, weighted by the cosine of incidence, the
     sheet's Gaussian and the stretching of the picture; derivatives are finite differences.
     """
-    y = np.linspace(-6, 6, 4001) * sheet.sigma_mm
+    y = np.linspace(-6, 6, 4001) * sheet.irradiance_sigma_mm
     z0 = LEVEL_MM + float(height(np.array(x), np.array(s)))
     depth = -sheet.camera_mm[1]
     kappa, tau = (x - sheet.camera_mm[0]) / depth, (sheet.camera_mm[2] - z0) / depth
@@ -51,16 +51,16 @@ def displaced(height: Height, x: float, s: float, sheet: SheetGeometry) -> float
     zeta = at(0, 0) - at(0, 0)[len(y) // 2] + tau * y
     light = sheet.apex_mm[0] - x, sheet.apex_mm[2] - z0
     cosine = (light[1] - slope_x * light[0]) / np.sqrt(1 + slope_x**2 + slope_y**2)
-    weight = cosine * np.exp(-0.5 * (y / sheet.sigma_mm) ** 2) * np.gradient(zeta, y)
+    weight = cosine * np.exp(-0.5 * (y / sheet.irradiance_sigma_mm) ** 2) * np.gradient(zeta, y)
     return float((zeta * weight).sum() / weight.sum())
 
 
 def test_a_level_plane_and_a_slope_are_left_alone() -> None:
     """Uneven light and stretching come from concavity: a plane has none."""
     surface = scan(lambda x, y: 0.2 * x + 0.3 * y)
-    moved = take_back_thickness(surface, SHEET)
+    moved = correct_thickness(surface, SHEET)
     np.testing.assert_allclose(moved.xyz_mm, surface.xyz_mm, atol=1e-9)
-    assert (moved.sigma_mm >= surface.sigma_mm).all()
+    assert (moved.sigma_z_mm >= surface.sigma_z_mm).all()
 
 
 @given(
@@ -76,14 +76,14 @@ def test_a_level_plane_and_a_slope_are_left_alone() -> None:
 def test_the_displacement_is_that_of_the_integral(
     xx: float, xy: float, yy: float, x1: float, y1: float, sigma: float, apex: float
 ) -> None:
-    sheet = replace(SHEET, sigma_mm=sigma, apex_mm=(apex, 0.0, 250.0))
+    sheet = replace(SHEET, irradiance_sigma_mm=sigma, apex_mm=(apex, 0.0, 250.0))
 
     def height(x: Floats, y: Floats) -> Floats:
         return x1 * x + y1 * y + xx / 2 * x**2 + xy * x * y + yy / 2 * y**2
 
     truth = displaced(height, 0.0, 0.0, sheet)
     surface = scan(height)
-    moved = take_back_thickness(surface, sheet)
+    moved = correct_thickness(surface, sheet)
     middle = (12, 15)
     found = surface.xyz_mm[middle][2] - moved.xyz_mm[middle][2]
     # The series goes on in (sigma zeta''/zeta')², here at most (sigma 0.03 / 0.6)², and in the
@@ -97,9 +97,9 @@ def test_a_yawed_track_is_unsheared() -> None:
     """The same bowl scanned along a track at 20 degrees gives the same displacement."""
     yaw = np.radians(20.0)
     bowl = lambda x, y: 0.01 * y**2  # noqa: E731
-    straight = take_back_thickness(scan(bowl), SHEET)
+    straight = correct_thickness(scan(bowl), SHEET)
     turned = scan(lambda x, s: bowl(x + s * np.sin(yaw), s * np.cos(yaw)))
-    moved = take_back_thickness(turned, replace(SHEET, yaw_rad=float(yaw)))
+    moved = correct_thickness(turned, replace(SHEET, yaw_rad=float(yaw)))
     there = np.s_[12, 15, 2]
     np.testing.assert_allclose(moved.xyz_mm[there], straight.xyz_mm[there], atol=1e-6)
 
@@ -111,11 +111,11 @@ def test_sigma_covers_the_noise_of_the_correction() -> None:
     for _ in range(100):
         surface = replace(
             scan(lambda x, y: 0.01 * y**2, 17, 13, generator.normal(0, 0.05, (17, 13))),
-            sigma_mm=np.full((17, 13), 0.05),
+            sigma_z_mm=np.full((17, 13), 0.05),
         )
-        moved = take_back_thickness(surface, SHEET)
+        moved = correct_thickness(surface, SHEET)
         shifts.append((surface.xyz_mm - moved.xyz_mm)[8, 6, 2])
-        sigmas.append(np.sqrt(moved.sigma_mm**2 - surface.sigma_mm**2)[8, 6])
+        sigmas.append(np.sqrt(moved.sigma_z_mm**2 - surface.sigma_z_mm**2)[8, 6])
     # The stated variance takes the larger of what is stated and what is found: 10 % more.
     assert np.std(shifts) == pytest.approx(np.sqrt(np.mean(np.square(sigmas))), rel=0.28 + 0.1)
 
@@ -126,30 +126,30 @@ def test_points_without_neighbours_keep_their_place_and_say_so() -> None:
     status[:, 16:] = int(Status.NO_PEAK)
     status[12, 28] = int(Status.OK)
     xyz = np.where((status == Status.OK)[..., None], surface.xyz_mm, np.nan)
-    moved = take_back_thickness(replace(surface, xyz_mm=xyz, status=status), SHEET)
+    moved = correct_thickness(replace(surface, xyz_mm=xyz, status=status), SHEET)
     assert moved.xyz_mm[12, 28, 2] == surface.xyz_mm[12, 28, 2]
-    assert moved.sigma_mm[12, 28] > surface.sigma_mm[12, 28]
+    assert moved.sigma_z_mm[12, 28] > surface.sigma_z_mm[12, 28]
     np.testing.assert_array_equal(np.isfinite(moved.xyz_mm), np.isfinite(xyz))
-    assert np.isfinite(moved.sigma_mm).all()
+    assert np.isfinite(moved.sigma_z_mm).all()
 
 
 def test_exact_heights_and_empty_scans_are_no_trouble() -> None:
     surface = scan(lambda x, y: 0.01 * y**2)
-    exact = take_back_thickness(replace(surface, sigma_mm=0 * surface.sigma_mm), SHEET)
+    exact = correct_thickness(replace(surface, sigma_z_mm=0 * surface.sigma_z_mm), SHEET)
     np.testing.assert_allclose(
-        exact.xyz_mm, take_back_thickness(surface, SHEET).xyz_mm, rtol=0, atol=1e-9
+        exact.xyz_mm, correct_thickness(surface, SHEET).xyz_mm, rtol=0, atol=1e-9
     )
     lost = np.full_like(surface.status, int(Status.NO_PEAK))
     empty = replace(surface, xyz_mm=np.nan * surface.xyz_mm, status=lost)
-    assert np.isnan(take_back_thickness(empty, SHEET).xyz_mm).all()
+    assert np.isnan(correct_thickness(empty, SHEET).xyz_mm).all()
 
 
 def test_bad_input_is_refused() -> None:
     surface = scan(lambda x, y: 0 * x)
     with pytest.raises(InputError, match="head frame"):
-        take_back_thickness(replace(surface, frame="workpiece"), SHEET)
-    with pytest.raises(InputError, match=r"sigma_mm.*> 0"):
-        replace(SHEET, sigma_mm=0.0)
+        correct_thickness(replace(surface, frame="workpiece"), SHEET)
+    with pytest.raises(InputError, match=r"irradiance_sigma_mm.*> 0"):
+        replace(SHEET, irradiance_sigma_mm=0.0)
     with pytest.raises(InputError, match="y below 0"):
         replace(SHEET, camera_mm=(0.0, 10.0, 300.0))
     with pytest.raises(InputError, match="not finite"):

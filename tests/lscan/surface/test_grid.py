@@ -21,7 +21,7 @@ def plain(seed: int = 0, size: float = 30.0) -> Surface:
     return Surface(
         xyz_mm=np.stack([x, y, z], axis=-1),
         sigma_x_mm=np.full(x.shape, 0.05),
-        sigma_mm=np.full(x.shape, 0.1),
+        sigma_z_mm=np.full(x.shape, 0.1),
         status=np.zeros(x.shape, dtype=np.int64),
         position_mm=np.arange(30.0),
         frame="workpiece",
@@ -39,7 +39,7 @@ def test_whole_cells_of_shift_move_the_grid(seed: int, i: int, j: int, dz: float
     np.testing.assert_allclose(there.x_mm, here.x_mm + 3.0 * i, atol=1e-9)
     np.testing.assert_array_equal(there.status, here.status)
     np.testing.assert_allclose(there.z_mm, here.z_mm + dz, atol=1e-7)
-    np.testing.assert_allclose(there.sigma_mm, here.sigma_mm, rtol=1e-6)
+    np.testing.assert_allclose(there.sigma_z_mm, here.sigma_z_mm, rtol=1e-6)
 
 
 @given(st.integers(0, 50))
@@ -50,7 +50,7 @@ def test_the_order_of_the_points_is_of_no_account(seed: int) -> None:
     turned = replace(one, xyz_mm=one.xyz_mm[::-1, ::-1], modes_mm=one.modes_mm[::-1, ::-1])
     here, there = grid_cells(one, 4.0), grid_cells(turned, 4.0)
     np.testing.assert_allclose(there.z_mm, here.z_mm, atol=1e-9)
-    np.testing.assert_allclose(there.sigma_mm, here.sigma_mm, rtol=1e-6)
+    np.testing.assert_allclose(there.sigma_z_mm, here.sigma_z_mm, rtol=1e-6)
 
 
 @given(st.floats(1.0, 5.0), st.integers(0, 20))
@@ -58,9 +58,9 @@ def test_the_order_of_the_points_is_of_no_account(seed: int) -> None:
 def test_sigma_grows_with_the_points(factor: float, seed: int) -> None:
     one = plain(seed)
     here = grid_cells(one, 4.0)
-    there = grid_cells(replace(one, sigma_mm=factor * one.sigma_mm), 4.0)
-    known = np.isfinite(here.sigma_mm)
-    assert (there.sigma_mm[known] >= here.sigma_mm[known]).all()
+    there = grid_cells(replace(one, sigma_z_mm=factor * one.sigma_z_mm), 4.0)
+    known = np.isfinite(here.sigma_z_mm)
+    assert (there.sigma_z_mm[known] >= here.sigma_z_mm[known]).all()
 
 
 def test_a_number_stands_exactly_where_the_status_says_so() -> None:
@@ -69,7 +69,7 @@ def test_a_number_stands_exactly_where_the_status_says_so() -> None:
     status = np.where(hole, int(Status.NO_PEAK), one.status)
     grid = grid_cells(replace(one, status=status), 3.0)
     assert grid.modes_mm is not None
-    for values in (grid.z_mm, grid.sigma_mm, grid.modes_mm[..., 0]):
+    for values in (grid.z_mm, grid.sigma_z_mm, grid.modes_mm[..., 0]):
         np.testing.assert_array_equal(np.isfinite(values), grid.status == Status.OK)
     assert set(np.unique(grid.status)) == {Status.OK, Status.NO_DATA}
     xs, ys = np.meshgrid(grid.x_mm, grid.y_mm)

@@ -94,16 +94,16 @@ def test_errors_in_common_do_not_average_out() -> None:
     known = replace(
         surface,
         sigma_x_mm=np.full(shape, 0.3),
-        sigma_mm=np.full(shape, np.hypot(own, 0.2)),
+        sigma_z_mm=np.full(shape, np.hypot(own, 0.2)),
         modes_mm=modes,
     )
     cut = resample(known, LINE)
     assert cut.modes_mm is not None
     np.testing.assert_allclose(cut.modes_mm, [[0.2, -0.15]] * len(cut.z_mm), rtol=1e-5)
-    alone = replace(surface, sigma_x_mm=np.zeros(shape), sigma_mm=np.full(shape, own))
+    alone = replace(surface, sigma_x_mm=np.zeros(shape), sigma_z_mm=np.full(shape, own))
     apart = resample(alone, LINE)
     assert apart.modes_mm is None
-    np.testing.assert_allclose(cut.sigma_mm**2, apart.sigma_mm**2 + 0.2**2 + 0.15**2, rtol=1e-4)
+    np.testing.assert_allclose(cut.sigma_z_mm**2, apart.sigma_z_mm**2 + 0.2**2 + 0.15**2, rtol=1e-4)
 
 
 def test_a_plane_that_serves_tells_its_lack_of_fit() -> None:
@@ -114,7 +114,7 @@ def test_a_plane_that_serves_tells_its_lack_of_fit() -> None:
     served = edge.status == Status.OK
     error = edge.z_mm[served] - 0.05 * 75.0**2
     assert served.any()
-    assert (np.abs(error) < 3 * edge.sigma_mm[served]).all()
+    assert (np.abs(error) < 3 * edge.sigma_z_mm[served]).all()
 
 
 def test_sigma_is_the_scatter_of_repeated_scans() -> None:
@@ -123,8 +123,8 @@ def test_sigma_is_the_scatter_of_repeated_scans() -> None:
     cuts = [resample(gridded(flat, noise, seed), LINE, step_mm=5.0) for seed in range(100)]
     scatter = np.std([cut.z_mm for cut in cuts], axis=0)
     # The scatter of 100 draws is known to 1 / sqrt(200) = 7 %; four times that.
-    np.testing.assert_allclose(scatter, cuts[0].sigma_mm, rtol=0.28)
-    assert (cuts[0].sigma_mm < noise).all()
+    np.testing.assert_allclose(scatter, cuts[0].sigma_z_mm, rtol=0.28)
+    assert (cuts[0].sigma_z_mm < noise).all()
 
 
 def test_holes_are_not_bridged() -> None:
@@ -132,14 +132,14 @@ def test_holes_are_not_bridged() -> None:
     hole = np.hypot(surface.xyz_mm[..., 0] - 70, surface.xyz_mm[..., 1] - 20) < 6
     status = np.where(hole, int(Status.OCCLUDED), surface.status)
     xyz = np.where(hole[..., None], np.nan, surface.xyz_mm)
-    holed = Surface(xyz, surface.sigma_x_mm, surface.sigma_mm, status, surface.position_mm)
+    holed = Surface(xyz, surface.sigma_x_mm, surface.sigma_z_mm, status, surface.position_mm)
     cut = resample(holed, LINE)
     inside = np.abs(cut.xy_mm[:, 0] - 70) < 6 - 0.9
     outside = np.abs(cut.xy_mm[:, 0] - 70) > 6 + cut.radius_mm
     assert (cut.status[inside] == Status.NO_DATA).all()
     assert (cut.status[outside] == Status.OK).all()
     np.testing.assert_array_equal(np.isfinite(cut.z_mm), cut.status == Status.OK)
-    np.testing.assert_array_equal(np.isfinite(cut.sigma_mm), cut.status == Status.OK)
+    np.testing.assert_array_equal(np.isfinite(cut.sigma_z_mm), cut.status == Status.OK)
     errors = compare_slice(cut, PIECE)
     assert errors.unseen >= inside.sum()
     assert errors.points + errors.unseen + errors.at_step == len(cut.status)
@@ -173,6 +173,6 @@ def test_bad_slices_are_refused() -> None:
     lost = np.full_like(surface.status, int(Status.NO_PEAK))
     with pytest.raises(MeasurementError, match="no measured point"):
         resample(
-            Surface(surface.xyz_mm * np.nan, surface.sigma_mm, surface.sigma_mm, lost, LINE[0]),
+            Surface(surface.xyz_mm * np.nan, surface.sigma_z_mm, surface.sigma_z_mm, lost, LINE[0]),
             LINE,
         )

@@ -197,7 +197,7 @@ def test_the_alignment_about_a_shaft_has_no_yaw(sheet: Floats) -> None:
     assert abs(middle[2]) < 0.05
     aligned = apply(alignment, raw)
     assert aligned.sigma_y_mm is not None
-    assert np.isfinite(aligned.sigma_y_mm[np.isfinite(aligned.sigma_mm)]).all()
+    assert np.isfinite(aligned.sigma_y_mm[np.isfinite(aligned.sigma_z_mm)]).all()
 
 
 def test_a_file_gives_the_shaft_back(sheet: Floats, tmp_path: Path) -> None:

@@ -181,7 +181,7 @@ def test_uncertainties_of_points_are_their_scatter() -> None:
             points = np.column_stack([place[:, 0], np.zeros(3), place[:, 1]])
             found[k, f] = turned(true, points, s)
     assert stated.sigma_y_mm is not None
-    sigmas = np.stack([stated.sigma_x_mm, stated.sigma_y_mm, stated.sigma_mm], axis=-1)
+    sigmas = np.stack([stated.sigma_x_mm, stated.sigma_y_mm, stated.sigma_z_mm], axis=-1)
     # A standard deviation of 4000 draws is known to 1/sqrt(8000) = 1.1 %: five of those.
     np.testing.assert_allclose(found.std(axis=0), sigmas, rtol=0.056)
     assert stated.modes_mm is not None
@@ -202,7 +202,7 @@ def test_points_without_a_value_stay_without() -> None:
     )
     assert np.isfinite(surface.xyz_mm[0, 0]).all()
     assert np.isnan(surface.xyz_mm[0, 1]).all()
-    assert np.isnan(surface.sigma_mm[0, 1])
+    assert np.isnan(surface.sigma_z_mm[0, 1])
 
 
 def test_a_surface_file_keeps_the_uncertainty_of_y(tmp_path: Path) -> None:

@@ -38,7 +38,7 @@ def test_stack_puts_each_value_where_it_belongs(surface: Surface) -> None:
     np.testing.assert_array_equal(surface.position_mm, [3.0, 3.5, 4.5])
     np.testing.assert_array_equal(surface.xyz_mm[1, 4], [4.0, 3.5, 43.5])
     assert surface.sigma_x_mm[0, 0] == 0.01
-    assert surface.sigma_mm[0, 0] == 0.02
+    assert surface.sigma_z_mm[0, 0] == 0.02
 
 
 def test_points_without_value_keep_their_status_and_hold_no_number(surface: Surface) -> None:
@@ -102,7 +102,7 @@ def test_stack_refuses(profiles: list[Profile], words: str) -> None:
 
 
 def assert_same(one: Surface, other: Surface) -> None:
-    for name in ("xyz_mm", "sigma_x_mm", "sigma_mm", "status", "position_mm"):
+    for name in ("xyz_mm", "sigma_x_mm", "sigma_z_mm", "status", "position_mm"):
         np.testing.assert_array_equal(getattr(one, name), getattr(other, name))
     assert one.frame == other.frame
 

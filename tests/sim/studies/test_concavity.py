@@ -28,7 +28,7 @@ def test_the_whole_line_is_found_where_there_is_one() -> None:
 def test_the_sheet_is_told_as_the_scene_has_it() -> None:
     scene = load_scene(SCENES / "paper" / "sandwave.toml")
     sheet = sheet_geometry(scene)
-    assert sheet.sigma_mm == 0.75
+    assert sheet.irradiance_sigma_mm == 0.75
     assert sheet.camera_mm == (225.0, -866.0254, 300.0)
     assert sheet.yaw_rad == pytest.approx(np.radians(2.2))
 

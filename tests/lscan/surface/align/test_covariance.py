@@ -30,7 +30,7 @@ def raw() -> Surface:
         bare,
         modes_mm=modes,
         sigma_x_mm=np.sqrt(0.01**2 + common[..., 0]),
-        sigma_mm=np.sqrt(0.02**2 + common[..., 2]),
+        sigma_z_mm=np.sqrt(0.02**2 + common[..., 2]),
     )
 
 
@@ -48,10 +48,10 @@ def displaced(raw: Surface, amounts: Floats) -> Surface:
 def test_sigma_is_what_is_own_and_what_is_common(raw: Surface, aligned: Surface) -> None:
     assert aligned.modes_mm is not None
     assert aligned.modes_mm.shape == (*raw.status.shape, 3, COUNT + 7)
-    seen = np.isfinite(raw.sigma_mm)
+    seen = np.isfinite(raw.sigma_z_mm)
     common = (aligned.modes_mm[seen].astype(float) ** 2).sum(axis=-1)
     # The block is tilted by 2.5 degrees: the own parts mix by its sine's square, 0.002.
-    own = aligned.sigma_mm[seen] ** 2 - common[:, 2]
+    own = aligned.sigma_z_mm[seen] ** 2 - common[:, 2]
     np.testing.assert_allclose(own, 0.02**2, rtol=0.005)
     assert np.isnan(aligned.modes_mm[~seen]).all()
 
@@ -165,7 +165,7 @@ def flat(x: Floats, y: Floats, z: Floats, sigma: float = 0.1, sigma_x: float = 0
     return Surface(
         xyz_mm=np.stack([x, y, z], axis=-1),
         sigma_x_mm=np.full(x.shape, sigma_x),
-        sigma_mm=np.full(x.shape, sigma),
+        sigma_z_mm=np.full(x.shape, sigma),
         status=np.zeros(x.shape, dtype=np.int64),
         position_mm=np.arange(len(x), dtype=float),
         frame="workpiece",
@@ -182,7 +182,7 @@ def test_a_cells_sigma_is_the_scatter_of_its_height() -> None:
         noise = rng.normal(0, 0.1, x.shape) - 0.5 * rng.normal(0, 0.2, x.shape)
         heights.append(grid_cells(flat(x, y, 0.5 * x + noise), 3.0).z_mm)
     scatter = np.std(heights, axis=0, ddof=1)
-    np.testing.assert_allclose(scatter / grid_cells(one, 3.0).sigma_mm, 1.0, atol=4 * 0.036)
+    np.testing.assert_allclose(scatter / grid_cells(one, 3.0).sigma_z_mm, 1.0, atol=4 * 0.036)
 
 
 def test_cells_change_by_their_modes_slope_and_all(aligned: Surface) -> None:
@@ -214,9 +214,9 @@ def test_a_bias_adds_to_sigma_and_does_not_average_out() -> None:
     x, y = np.meshgrid(np.arange(0.25, 6, 0.5), np.arange(0.25, 6, 0.5))
     one = flat(x, y, 0 * x)
     plain, biased = grid_cells(one, 3.0), grid_cells(one, 3.0, bias_mm=np.full(x.shape, 0.3))
-    np.testing.assert_allclose(biased.sigma_mm**2 - plain.sigma_mm**2, 0.3**2, rtol=1e-9)
-    doubled = grid_cells(replace(one, sigma_mm=2 * one.sigma_mm), 3.0)
-    np.testing.assert_allclose(doubled.sigma_mm, 2 * plain.sigma_mm, rtol=1e-9)
+    np.testing.assert_allclose(biased.sigma_z_mm**2 - plain.sigma_z_mm**2, 0.3**2, rtol=1e-9)
+    doubled = grid_cells(replace(one, sigma_z_mm=2 * one.sigma_z_mm), 3.0)
+    np.testing.assert_allclose(doubled.sigma_z_mm, 2 * plain.sigma_z_mm, rtol=1e-9)
 
 
 def test_without_modes_nothing_is_common() -> None:

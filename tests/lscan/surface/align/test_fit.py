@@ -267,15 +267,15 @@ def test_a_yaw_put_in_comes_out(raw: Surface, alignment: Alignment) -> None:
 
 def test_uncertainty_turns_with_the_axes(raw: Surface, alignment: Alignment) -> None:
     aligned = apply(alignment, raw)
-    seen = np.isfinite(raw.sigma_mm)
-    np.testing.assert_array_equal(np.isfinite(aligned.sigma_mm), seen)
+    seen = np.isfinite(raw.sigma_z_mm)
+    np.testing.assert_array_equal(np.isfinite(aligned.sigma_z_mm), seen)
     assert aligned.modes_mm is not None
     common = np.square(aligned.modes_mm, dtype=float).sum(axis=-1)
-    own = aligned.sigma_mm[seen] ** 2 - common[seen][:, 2]
+    own = aligned.sigma_z_mm[seen] ** 2 - common[seen][:, 2]
     # Rows of a rotation: the own variance of z is a mean of those of x and z, weighted by the
     # squares of the row, less what its y takes.
     row = alignment.rotation[2]
-    expected = row[0] ** 2 * raw.sigma_x_mm**2 + row[2] ** 2 * raw.sigma_mm**2
+    expected = row[0] ** 2 * raw.sigma_x_mm**2 + row[2] ** 2 * raw.sigma_z_mm**2
     np.testing.assert_allclose(own, expected[seen], rtol=1e-5)
 
 
@@ -324,7 +324,7 @@ def test_nothing_measured_is_said(raw: Surface, frames: int) -> None:
     few = Surface(
         raw.xyz_mm[:frames, :20],
         raw.sigma_x_mm[:frames, :20],
-        raw.sigma_mm[:frames, :20],
+        raw.sigma_z_mm[:frames, :20],
         raw.status[:frames, :20],
         raw.position_mm[:frames],
     )
