@@ -66,7 +66,15 @@ def read_arrays(
             told = {name: file.attrs[name] for name in ATTRIBUTES if name in file.attrs}
             return {name: _array(file, name, path) for name in names}, told
     # h5py raises whatever fits best to what HDF5 says of a damaged file.
-    except (OSError, ValueError, KeyError, RuntimeError, TypeError, AttributeError) as error:
+    except (
+        OSError,
+        ValueError,
+        KeyError,
+        RuntimeError,
+        TypeError,
+        AttributeError,
+        ArithmeticError,
+    ) as error:
         message = " ".join(str(error).split())
         raise InputError("cannot be read as NetCDF", where=path, value=message) from error
 
