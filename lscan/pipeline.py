@@ -1,16 +1,21 @@
-"""The one chain from a run's pictures to its surface: what is saved is what is measured."""
+"""The one chain from a run's pictures to its calibration and its surface."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
+import numpy as np
+
 from lscan.acquisition.run import Run
+from lscan.board import read_board
 from lscan.calibration.api import PlaneMap
+from lscan.calibration.solve import Calibration, calibrate
+from lscan.config.board import Board
 from lscan.config.rig import Rig
 from lscan.config.targets import Sandwave
-from lscan.errors import MeasurementError
-from lscan.records import Profile, Surface
+from lscan.errors import InputError, MeasurementError
+from lscan.records import Bytes, Floats, Profile, Surface
 from lscan.stripe import extract_stripe
 from lscan.surface import Alignment, align_sandwave, apply, stack
 from lscan.surface.concavity import SheetGeometry, correct_thickness
@@ -40,6 +45,28 @@ class Reconstruction:
         if self.alignment is None:
             raise self.unaligned or MeasurementError("the rig names no sandwave to align with")
         return self.alignment
+
+
+def calibrate_run(run: Run, plane_map: str | None = None) -> Calibration:
+    """The plane map solved from the board that the run's pictures show.
+
+    Parameters
+    ----------
+    run : Run
+        Of a rig that names its ``[board]``; its pictures are averaged.
+    plane_map : str, optional
+        Full name of the map, or "auto"; by default what the rig's ``[calibration]`` names.
+
+    Raises
+    ------
+    InputError
+        Where the rig has no board, or there is no map of that name.
+    BoardNotFound
+        Where the pictures do not show the board, or too few of its marks.
+    """
+    rig = run.rig_file.rig
+    reading = read_board(mean_picture(run), require_board(run), channel=rig.calibration.channel)
+    return calibrate(reading, plane_map or rig.calibration.plane_map, rig.optics)
 
 
 def reconstruct(run: Run, plane_map: PlaneMap, progress: Progress | None = None) -> Reconstruction:
@@ -136,3 +163,21 @@ def read_profiles(
         yield to_profile(found, plane_map, frame.position_mm)
         if progress:
             progress(done, len(run))
+
+
+def mean_picture(run: Run) -> Bytes:
+    """The mean of the run's pictures, with the laser on, rounded, same shape as each."""
+    if len(run) == 0:
+        raise InputError("holds no picture yet", where=run.path)
+    total: Floats | float = 0.0
+    for frame in run.frames():
+        total = total + frame.image.astype(float)
+    return np.rint(total / len(run)).astype(np.uint8)
+
+
+def require_board(run: Run) -> Board:
+    """The board of the run's rig; InputError where it has none."""
+    board = run.rig_file.rig.board
+    if board is None:
+        raise InputError("the rig file has no section [board]", where=run.path)
+    return board

@@ -19,6 +19,7 @@ from lscan.config.rig import RigFile, load_rig
 from lscan.devices.api import Fact, Grab, Track
 from lscan.devices.travel import check_plan
 from lscan.errors import DeviceError, InputError
+from lscan.records import Bytes
 from sim.scene import SECTIONS, Scene, scene_of
 from sim.truth.placement import check_placement
 
@@ -264,7 +265,40 @@ def _exposure_ms(scene: Scene, webcam: Webcam, layers: Layers, wavelength_nm: fl
     return min(max(wanted, options.min_ms), options.max_ms)
 
 
-def load_checked(path: Path) -> Scene:
+def render_picture(
+    scene: Scene, position_mm: float | None = None, samples: int | None = None
+) -> Bytes:
+    """The picture that the scene's webcam takes, as ``lscan-sim render`` writes it.
+
+    Parameters
+    ----------
+    scene : Scene
+        The tank, and the rig in it.
+    position_mm : float, optional
+        Of the track; by default where the rig's plan starts.
+    samples : int, optional
+        A pixel, a square number; by default the scene's.
+
+    Returns
+    -------
+    array of uint8
+        (H, W, 3), RGB.
+
+    Raises
+    ------
+    InputError
+        Where the number of samples cannot be had, or a mesh or picture cannot be read.
+    """
+    from sim.render.tank import Tank
+    from sim.sensor import Webcam
+
+    place = scene.rig.plan.start_mm if position_mm is None else position_mm
+    webcam = Webcam(scene)
+    layers, exposure_ms = metered(scene, Tank(scene), webcam, place, samples)
+    return webcam.expose(layers, exposure_ms, np.random.default_rng([scene.tank.sensor.seed, 1]))
+
+
+def load_checked(path: Path | str) -> Scene:
     """The scene in the file at ``path``, refused by InputError wherever a scan refuses it.
 
     What is odd about its target is logged, as a scan does.

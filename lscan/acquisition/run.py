@@ -28,7 +28,6 @@ from typing import Literal
 import cv2
 import numpy as np
 
-import lscan
 from lscan.config.documents import Document, Strict, check, read_json
 from lscan.config.plugins import installed, names_code
 from lscan.config.rig import Plan, RigFile, parse_rig
@@ -37,6 +36,7 @@ from lscan.files.disk import list_names, read_bytes, require_within
 from lscan.files.headers import read_header
 from lscan.files.pictures import decode
 from lscan.records import Bytes, Floats, Frame
+from lscan.version import __version__
 
 MANIFEST, TABLE, FRAMES = "run.json", "frames.csv", "frames"
 COLUMNS = "index,commanded_mm,position_mm,time_s,exposure_ms,sha256,crc32"
@@ -220,7 +220,7 @@ class Run:
         return np.asarray(rgb, dtype=np.uint8)
 
 
-def open_run(path: Path, trusted: bool = False) -> Run:
+def open_run(path: Path | str, trusted: bool = False) -> Run:
     """The run in the folder ``path``, complete or not.
 
     trusted: whether it may name code, as ``stripe.extractor = "package.module:function"`` does,
@@ -231,6 +231,7 @@ def open_run(path: Path, trusted: bool = False) -> Run:
     unknown version or naming code; a row torn, changed, repeated or skipped; a picture missing;
     more or fewer frames than planned; a link that leads out of the folder.
     """
+    path = Path(path)
     manifest, rig_file = read_manifest(path)
     if not trusted:
         _refuse_code(rig_file)
@@ -274,7 +275,7 @@ def read_manifest(path: Path) -> tuple[Manifest, RigFile]:
 def software_versions() -> Versions:
     """Name to version of what writes run folders here."""
     return {
-        "lscan": lscan.__version__,
+        "lscan": __version__,
         "python": platform.python_version(),
         "numpy": np.__version__,
         "opencv": cv2.__version__,

@@ -24,7 +24,7 @@ GoOn = Callable[[], bool]
 
 def scan(
     rig_file: RigFile,
-    path: Path,
+    path: Path | str,
     *,
     resume: bool = False,
     position_restored: bool = False,
@@ -40,6 +40,7 @@ def scan(
     Raises InputError where the folder cannot be used, DeviceError where a device fails;
     what was recorded until then can be resumed.  Devices are closed in all cases.
     """
+    path = Path(path)
     if resume:
         with resume_run(path, rig_file) as writer:
             if writer.written == writer.planned:

@@ -12,7 +12,6 @@ from pathlib import Path
 
 import numpy as np
 
-import lscan
 from lscan.calibration.api import NOTHING_KNOWN, PlaneMap, find_solver
 from lscan.calibration.file import (
     FORMAT,
@@ -26,6 +25,7 @@ from lscan.calibration.file import (
 from lscan.config.rig import OpticsSection
 from lscan.errors import InputError
 from lscan.records import BoardReading, Floats
+from lscan.version import __version__
 
 STEP_PX = 1e-3  # for differences of a map: far above rounding, far below a cell
 SAME_MM = 1e-6  # residuals that belong to the parameters agree this well on any machine
@@ -76,7 +76,7 @@ def calibrate(
     """
     known = optics or NOTHING_KNOWN
     plane_map = find_solver(map_name).solve(reading, known)
-    software = f"lscan {lscan.__version__}"
+    software = f"lscan {__version__}"
     mm, px = residuals(plane_map, reading)
     return Calibration(map_name, plane_map, reading, mm, px, known, software)
 
@@ -115,7 +115,7 @@ def in_picture(plane_map: PlaneMap, image_px: Floats, shift_mm: Floats) -> Float
     return px
 
 
-def save_calibration(path: Path, calibration: Calibration) -> None:
+def save_calibration(path: Path | str, calibration: Calibration) -> None:
     """Write the calibration to ``path``: a whole file or none; InputError where it cannot."""
     content = CalibrationFile(
         format=FORMAT,
@@ -127,17 +127,17 @@ def save_calibration(path: Path, calibration: Calibration) -> None:
         reading=store_reading(calibration.reading),
         residuals=StoredResiduals(mm=calibration.residuals_mm, px=calibration.residuals_px),
     )
-    write_file(path, content)
+    write_file(Path(path), content)
 
 
-def load_calibration(path: Path) -> Calibration:
+def load_calibration(path: Path | str) -> Calibration:
     """The calibration that was saved at ``path``, number for number.
 
     Raises InputError naming the file and the key for anything that is not as it was
     written: unknown or missing keys, numbers out of range, a map that does not exist, and
     residuals that do not belong to the parameters.
     """
-    content = read_file(path)
+    content = read_file(Path(path))
     reading, stored = content.reading.reading(), content.residuals
     with np.errstate(all="ignore"):  # numbers that make no map do not give these residuals
         try:

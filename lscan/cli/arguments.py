@@ -153,7 +153,7 @@ def board_picture(
     from lscan.config.board import load_board
     from lscan.config.rig import CalibrationSection, OpticsSection
     from lscan.files.pictures import read_picture
-    from lscan.paper.experiment import mean_picture, require_board
+    from lscan.pipeline import mean_picture, require_board
 
     if picture.is_dir():
         run = open_run(picture, trusted)

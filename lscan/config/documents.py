@@ -57,14 +57,14 @@ class Strict(BaseModel):
         return data
 
 
-def read_document(path: Path) -> Document:
+def read_document(path: Path | str) -> Document:
     """The TOML document at ``path`` with its includes merged in and their paths resolved.
 
     Keys named ``file`` or ending in ``_file`` become paths that hold from anywhere.
     Raises InputError where a file is missing, is not TOML, includes itself, or excludes what it
     does not include.
     """
-    return _read(path, chain=(), read=[])
+    return _read(Path(path), chain=(), read=[])
 
 
 def _read(path: Path, chain: tuple[Path, ...], read: list[Path]) -> Document:

@@ -258,7 +258,7 @@ class RigFile:
         return self.document.get(name, {})
 
 
-def load_rig(path: Path) -> RigFile:
+def load_rig(path: Path | str) -> RigFile:
     """The rig, or scene, described by the TOML file at ``path``.
 
     Raises InputError where the file cannot be read, holds an unknown key, driver, extractor or

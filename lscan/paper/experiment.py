@@ -9,8 +9,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-import numpy as np
-
 from lscan.acquisition.run import Run
 from lscan.board import read_board
 from lscan.calibration.api import PlaneMap
@@ -20,8 +18,8 @@ from lscan.config.targets import GroovedBlock, Sandwave
 from lscan.errors import BoardNotFound, InputError
 from lscan.measure import compare_slice, diameters, distances, groove_dimensions
 from lscan.measure.slices import SliceErrors
-from lscan.pipeline import Progress, read_profiles, reconstruct
-from lscan.records import BoardReading, Bytes, Floats, Measured, Profile, Stripe, Surface
+from lscan.pipeline import Progress, mean_picture, read_profiles, reconstruct, require_board
+from lscan.records import BoardReading, Bytes, Measured, Profile, Stripe, Surface
 from lscan.stripe import extract_stripe
 from lscan.surface import Alignment, Slice, resample
 from lscan.surface.shaft import shaft_of
@@ -157,24 +155,6 @@ def find_shaft(run: Run, plane_map: PlaneMap, progress: Progress | None = None) 
         raise _wrong_piece(run, "sandwave")
     profiles = list(read_profiles(run, plane_map, progress))
     return calibrate_shaft(profiles, rig.workpiece, shaft_of(rig.shaft))
-
-
-def mean_picture(run: Run) -> Bytes:
-    """The mean of the run's pictures, with the laser on, rounded, same shape as each."""
-    if len(run) == 0:
-        raise InputError("holds no picture yet", where=run.path)
-    total: Floats | float = 0.0
-    for frame in run.frames():
-        total = total + frame.image.astype(float)
-    return np.rint(total / len(run)).astype(np.uint8)
-
-
-def require_board(run: Run) -> Board:
-    """The board of the run's rig; InputError where it has none."""
-    board = run.rig_file.rig.board
-    if board is None:
-        raise InputError("the rig file has no section [board]", where=run.path)
-    return board
 
 
 def read_shown_board(run: Run) -> tuple[Board, BoardReading]:

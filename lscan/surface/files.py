@@ -30,7 +30,7 @@ MODES = {
 PACKED = {"zlib": True, "complevel": 1, "shuffle": True}
 
 
-def save_surface(path: Path, surface: Surface) -> None:
+def save_surface(path: Path | str, surface: Surface) -> None:
     """Write the surface to a NetCDF-4 file after the CF conventions 1.11.
 
     x, y, z and the standard uncertainties of x and z are (frame, column) float64 in mm, the
@@ -47,14 +47,15 @@ def save_surface(path: Path, surface: Surface) -> None:
         packed = {"modes": PACKED} if "modes" in data else {}
         data.to_netcdf(whole, engine="h5netcdf", encoding=packed)
         content = whole.read_bytes()
-    write_atomically(path, content)
+    write_atomically(Path(path), content)
 
 
-def load_surface(path: Path) -> Surface:
+def load_surface(path: Path | str) -> Surface:
     """The surface that :func:`save_surface` wrote, to the last bit, but for its brightness: None.
 
     Raises InputError where the file cannot be read or is not such a file.
     """
+    path = Path(path)
     names = ("x", "y", "z", "x_sigma", "z_sigma", "status", "position")
     arrays, attributes = read_arrays(path, names, optional=("y_sigma", "modes"))
     frame, corrections = attributes.get("frame"), attributes.get("corrections", "")

@@ -85,7 +85,7 @@ class Scene:
 SECTIONS = frozenset(Tank.model_fields)
 
 
-def load_scene(path: Path) -> Scene:
+def load_scene(path: Path | str) -> Scene:
     """The scene described by the TOML file at ``path``; InputError names what is wrong."""
     document = inline_board(read_document(path), source=str(path))
     strange = sorted(set(document) - set(Rig.model_fields) - SECTIONS)

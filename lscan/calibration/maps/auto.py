@@ -13,7 +13,6 @@ from typing import Annotated, Any, cast
 
 from pydantic import Field
 
-import lscan
 from lscan.calibration.api import NOTHING_KNOWN, PlaneMap, find_solver
 from lscan.calibration.crossvalidation import COMPLETE, Progress, Score, cross_validated
 from lscan.calibration.solve import Calibration, residuals
@@ -22,6 +21,7 @@ from lscan.config.documents import Strict, check
 from lscan.config.rig import OpticsSection
 from lscan.errors import BoardNotFound, InputError
 from lscan.records import BoardReading, Floats, PlanePoints
+from lscan.version import __version__
 
 CANDIDATES = (
     "refractive",
@@ -129,7 +129,7 @@ def calibrate_best(
     known = optics or NOTHING_KNOWN
     plane_map = cast(PlaneMap, solver.solve(reading, "", known, progress))
     mm, px = residuals(plane_map, reading)
-    software = f"lscan {lscan.__version__}"
+    software = f"lscan {__version__}"
     return Calibration(plane_map.name, plane_map, reading, mm, px, known, software)
 
 

@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-import lscan
 from lscan.calibration.multiview.bundle import (
     NAMES,
     Adjusted,
@@ -25,6 +24,7 @@ from lscan.calibration.multiview.views import View
 from lscan.config.rig import Known, OpticsSection
 from lscan.errors import InputError, MeasurementError
 from lscan.records import Floats, Mask
+from lscan.version import __version__
 
 FEWEST_VIEWS = 3  # Zhang 2000, Sec. 3.1: two give a camera without skew, a third checks it
 FEWEST_MARKS = 6  # of a view; its pose needs four
@@ -130,7 +130,7 @@ def calibrate_metric(
         image_size=image_size,
         reports=tuple(_report(number, view, board, sheet) for number, view in enumerate(views)),
         sigma=sigma,
-        software=f"lscan {lscan.__version__}",
+        software=f"lscan {__version__}",
     )
 
 

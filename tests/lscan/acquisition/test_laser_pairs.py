@@ -26,8 +26,7 @@ from lscan.cli.console import run_command_line
 from lscan.config.rig import RigFile, load_rig, parse_rig
 from lscan.devices.api import Grab, LaserSwitch
 from lscan.errors import DeviceError, InputError
-from lscan.paper.experiment import mean_picture
-from lscan.pipeline import read_profiles
+from lscan.pipeline import mean_picture, read_profiles
 from lscan.records import Bytes, Floats, Frame, PlanePoints, Status
 
 PAIRED_HEADER = "index,commanded_mm,position_mm,time_s,exposure_ms,sha256,dark_sha256,crc32"

@@ -15,6 +15,7 @@ import pytest
 from fake_devices import FakeCamera, FakeDrivers, FakeTrack, fake_rig, folder_bytes
 from places import ROOT, SUPPORT
 
+import lscan.acquisition.run
 import lscan.acquisition.scan
 from lscan.acquisition.run import Run, open_run
 from lscan.acquisition.scan import acquire_into, scan
@@ -227,7 +228,7 @@ def test_other_software_is_noted_on_resuming(
 ) -> None:
     with create_run(tmp_path / "a", fake_rig()):
         pass
-    monkeypatch.setattr(lscan, "__version__", "99.0")
+    monkeypatch.setattr(lscan.acquisition.run, "__version__", "99.0")
     assert [versions["lscan"] for versions in resumed(tmp_path / "a").software][1:] == ["99.0"]
 
 

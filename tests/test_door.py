@@ -1,0 +1,83 @@
+"""The public names of ``lscan`` and ``sim``: all there, typed, and loaded only when asked for."""
+
+from __future__ import annotations
+
+import ast
+import importlib
+import subprocess
+import sys
+from pathlib import Path
+from types import ModuleType
+
+import pytest
+from places import ROOT
+
+import lscan
+import sim
+
+DOORS = pytest.mark.parametrize("door", [lscan, sim], ids=lambda door: door.__name__)
+
+
+def typed_names(door: ModuleType) -> set[tuple[str, str]]:
+    """Module and name of each import that type checkers see."""
+    assert door.__file__ is not None
+    tree = ast.parse(Path(door.__file__).read_text(encoding="utf-8"))
+    checked = next(node for node in tree.body if isinstance(node, ast.If))
+    return {
+        (node.module or "", alias.name)
+        for node in checked.body
+        if isinstance(node, ast.ImportFrom)
+        for alias in node.names
+    }
+
+
+@DOORS
+def test_the_names_are_those_that_type_checkers_see(door: ModuleType) -> None:
+    loaded = {(home, name) for home, names in door._HOMES.items() for name in names}
+    assert loaded == typed_names(door)
+    assert sorted(door.__all__) == door.__all__ == dir(door)
+    assert set(door.__all__) - {"__version__"} == {name for _, name in loaded}
+
+
+@DOORS
+def test_every_name_is_there(door: ModuleType) -> None:
+    for name in door.__all__:
+        assert getattr(door, name).__doc__ or name == "__version__", name
+
+
+@DOORS
+def test_no_name_is_a_room(door: ModuleType) -> None:
+    """A room of the same name would hide it as soon as a module of the room is imported."""
+    assert door.__file__ is not None
+    rooms = {path.stem for path in Path(door.__file__).parent.iterdir()}
+    assert not rooms & set(door.__all__)
+
+
+@DOORS
+def test_another_name_is_refused(door: ModuleType) -> None:
+    with pytest.raises(AttributeError, match="no attribute 'attic'"):
+        _ = door.attic
+    with pytest.raises(ImportError):
+        importlib.import_module(f"{door.__name__}.attic")
+
+
+@DOORS
+def test_types_are_published(door: ModuleType) -> None:
+    assert door.__file__ is not None
+    assert Path(door.__file__).with_name("py.typed").is_file()
+
+
+@pytest.mark.parametrize(
+    ("module", "not_loaded"),
+    [
+        ("lscan", {"numpy", "pydantic"}),
+        ("sim", {"numpy", "mitsuba"}),
+        ("lscan.records", {"scipy", "cv2", "pydantic"}),
+    ],
+)
+def test_nothing_is_loaded_before_it_is_asked_for(module: str, not_loaded: set[str]) -> None:
+    code = f"import sys, {module}; print(*(sys.modules.keys() & {not_loaded}))"
+    done = subprocess.run(
+        [sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=True
+    )
+    assert done.stdout.strip() == ""
