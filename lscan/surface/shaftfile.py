@@ -6,8 +6,8 @@ from pathlib import Path
 
 from lscan.config.documents import check, read_document
 from lscan.config.rig import ShaftSection
+from lscan.config.toml import write_toml
 from lscan.errors import InputError
-from lscan.files.disk import write_atomically
 from lscan.surface.shaft import section_of
 from lscan.surface.shaftfit import ShaftFit
 
@@ -17,14 +17,10 @@ def save_shaft(path: Path, fit: ShaftFit) -> None:
 
     Numbers are written in full.  Raises InputError where the file cannot be written.
     """
-    lines = [
-        f"# Found from {fit.points} points of a scan, {fit.rms_mm:.4f} mm rms off the workpiece.",
-        "[shaft]",
-    ]
-    for key, value in section_of(fit.shaft).model_dump().items():
-        numbers = ", ".join(map(repr, value)) if isinstance(value, tuple) else None
-        lines.append(f"{key} = {value!r}" if numbers is None else f"{key} = [{numbers}]")
-    write_atomically(path, ("\n".join(lines) + "\n").encode())
+    found = (
+        f"# Found from {fit.points} points of a scan, {fit.rms_mm:.4f} mm rms off the workpiece."
+    )
+    write_toml(path, {"shaft": section_of(fit.shaft).model_dump()}, found)
 
 
 def load_shaft(path: Path) -> ShaftSection:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -10,8 +9,10 @@ from typing import Any
 import numpy as np
 
 from lscan.config.board import Board
+from lscan.config.documents import Document
+from lscan.config.toml import write_toml
 from lscan.errors import InputError
-from lscan.files.disk import make_folder, write_atomically
+from lscan.files.disk import make_folder
 from lscan.files.pictures import write_picture
 from lscan.records import Bytes, Floats, Mask
 from sim.scene import Scene, camera_pose, rotation_x, rotation_z, sheet_pose
@@ -74,9 +75,9 @@ def write_views(scene: Scene, folder: Path, count: int = 10, seed: int = 1) -> d
         for name, image in ((f"pose-{number}", dark), (f"pose-{number}-laser", lit)):
             files[name] = folder / f"{name}.png"
             write_picture(files[name], image)
-    for name, text in (("board", _board_text(scene)), ("views", _views_text(scene, count))):
+    for name, document in (("board", _board_document(scene)), ("views", _views(scene, count))):
         files[name] = folder / f"{name}.toml"
-        write_atomically(files[name], text.encode())
+        write_toml(files[name], document)
     return files
 
 
@@ -254,35 +255,24 @@ def _held(scene: Scene, board: Board, poses: Poses, number: int) -> Scene:
     return replace(scene, tank=scene.tank.model_copy(update={"target": target}))
 
 
-def _board_text(scene: Scene) -> str:
+def _board_document(scene: Scene) -> Document:
     assert scene.rig.board is not None
-    return _keys(scene.rig.board.model_dump(mode="json"))
+    return scene.rig.board.model_dump(mode="json", exclude_none=True)
 
 
-def _views_text(scene: Scene, count: int) -> str:
+def _views(scene: Scene, count: int) -> Document:
     """The views file, in the words of ``lscan calibrate-metric``."""
     rig = scene.rig
-    parts = [
-        "[board]\n" + _keys({"kind": "dots", "file": "board.toml"}),
-        "[optics]\n" + _keys(rig.optics.model_dump(mode="json", exclude_unset=True)),
-        "[stripe]\n" + _keys(rig.stripe.model_dump(mode="json", exclude_unset=True)),
-    ]
-    for number in range(count):
-        dark, lit = f"pose-{number}.png", f"pose-{number}-laser.png"
-        parts.append("[[view]]\n" + _keys({"picture": dark, "laser": lit, "background": dark}))
-    return "\n".join(parts)
-
-
-def _keys(table: dict[str, Any]) -> str:
-    """The table's keys as lines of TOML; None is left out."""
-    return "".join(f"{key} = {_value(v)}\n" for key, v in table.items() if v is not None)
-
-
-def _value(value: Any) -> str:
-    """A value in TOML; tables inline.  Text, numbers and truth values look as in JSON."""
-    if isinstance(value, dict):
-        inner = ", ".join(f"{k} = {_value(v)}" for k, v in value.items() if v is not None)
-        return f"{{ {inner} }}"
-    if isinstance(value, list | tuple):
-        return f"[{', '.join(_value(v) for v in value)}]"
-    return json.dumps(value, ensure_ascii=False)
+    return {
+        "board": {"kind": "dots", "file": "board.toml"},
+        "optics": rig.optics.model_dump(mode="json", exclude_unset=True, exclude_none=True),
+        "stripe": rig.stripe.model_dump(mode="json", exclude_unset=True, exclude_none=True),
+        "view": [
+            {
+                "picture": f"pose-{number}.png",
+                "laser": f"pose-{number}-laser.png",
+                "background": f"pose-{number}.png",
+            }
+            for number in range(count)
+        ],
+    }

@@ -10,7 +10,8 @@ from typing import Self
 
 from lscan.config.documents import Document
 from lscan.config.rig import RigFile, parse_rig
-from lscan.files.disk import make_folder, write_atomically
+from lscan.config.toml import write_toml
+from lscan.files.disk import make_folder
 from sim.emulators.faults import (
     CAMERA_FAULTS,
     HEALED,
@@ -22,7 +23,7 @@ from sim.emulators.faults import (
 from sim.emulators.grbl import Faults, GrblEmulator, MarlinEmulator
 from sim.emulators.options import ServeOptions
 from sim.emulators.places import Places
-from sim.emulators.rigfile import camera_options, rig_document, rig_text
+from sim.emulators.rigfile import HEADING, camera_options, rig_document
 from sim.emulators.track import EmulatedTrack
 from sim.emulators.webcam.camera import Coding, EmulatedCamera, Sight
 from sim.emulators.webcam.mjpeg import SNAPSHOT, STREAM, MjpegServer
@@ -105,7 +106,7 @@ class EmulatedHardware:
     def write_rig(self, path: Path) -> None:
         """Write the rig file; InputError where the disk refuses."""
         make_folder(path.parent)
-        write_atomically(path, rig_text(self.rig_document()).encode())
+        write_toml(path, self.rig_document(), HEADING)
 
     def inject(self, name: str) -> None:
         """Begin a fault of ``emulators.faults.NAMES``; "none" ends all.  InputError: no such."""

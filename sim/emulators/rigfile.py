@@ -9,11 +9,10 @@ import numpy as np
 
 from lscan.config.documents import Document
 from lscan.config.rig import Rig
-from sim.emulators.toml import toml_text
 from sim.scene import Scene, camera_pose
 from sim.water import water_optics
 
-HEADING = "# Written by `lscan-sim serve`: the tank as a webcam and a track.\n\n"
+HEADING = "# Written by `lscan-sim serve`: the tank as a webcam and a track."
 TIMEOUT_S = 30.0
 """For a picture: it may wait for several renderings, of the places passed and its own, each of
 seconds on a busy machine.  Not measured: the same scene gives the same file each time."""
@@ -72,8 +71,3 @@ def sheet_section(scene: Scene) -> dict[str, Any] | None:
         "camera_mm": list(scene.tank.head.camera_mm),
         "apex_mm": list(laser.apex_mm),
     }
-
-
-def rig_text(document: Document) -> str:
-    """The document as the text of a rig file."""
-    return HEADING + toml_text(document)

@@ -6,9 +6,7 @@ and a picture.
 
 from __future__ import annotations
 
-import json
 from dataclasses import dataclass
-from datetime import date
 from pathlib import Path
 from typing import Any
 
@@ -228,20 +226,3 @@ def _rig(
 def _written_out(model: type[Strict], document: Document) -> Document:
     """The document with every default that is not None stated."""
     return model.model_validate(document).model_dump(mode="json", exclude_none=True)
-
-
-def as_toml(document: Document) -> str:
-    """The document as TOML text, one line for each of its keys."""
-    return "".join(f"{key} = {_value(value)}\n" for key, value in document.items())
-
-
-def _value(value: Any) -> str:
-    if isinstance(value, bool):
-        return str(value).lower()
-    if isinstance(value, dict):
-        return "{" + ", ".join(f"{key} = {_value(item)}" for key, item in value.items()) + "}"
-    if isinstance(value, list):
-        return f"[{', '.join(map(_value, value))}]"
-    if isinstance(value, date):
-        return value.isoformat()
-    return json.dumps(value) if isinstance(value, str) else repr(value)

@@ -17,8 +17,8 @@ from places import ROOT
 from served import hurry, small_scene
 
 from lscan.config.documents import merge
+from lscan.config.toml import write_toml
 from sim.emulators import EmulatedHardware, ServeOptions
-from sim.emulators.rigfile import rig_text
 
 PATIENCE_S = 300.0
 
@@ -36,7 +36,7 @@ def write_rig(hardware: EmulatedHardware, path: Path, **sections: Any) -> Path:
     """The hardware's rig file without its waits, and with sections laid over it."""
     quick = {"track": {"options": {"feed_mm_min": 60_000.0, "boot_s": 0.0, "settle_s": 0.0}}}
     document = merge(merge(hardware.rig_document(), quick), sections)
-    path.write_text(rig_text(document), encoding="utf-8")
+    write_toml(path, document)
     return path
 
 

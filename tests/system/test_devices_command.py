@@ -13,8 +13,8 @@ from typer.testing import CliRunner
 
 from lscan.cli import devices as devices_cli
 from lscan.config.documents import merge
+from lscan.config.toml import write_toml
 from sim.emulators import EmulatedHardware
-from sim.emulators.rigfile import rig_text
 
 
 @pytest.fixture(scope="module")
@@ -28,7 +28,7 @@ def hardware() -> Iterator[EmulatedHardware]:
 def rig(hardware: EmulatedHardware, tmp_path: Path) -> Path:
     quick = {"track": {"options": {"feed_mm_min": 60_000.0, "boot_s": 0.0, "settle_s": 0.0}}}
     path = tmp_path / "rig.toml"
-    path.write_text(rig_text(merge(hardware.rig_document(), quick)), encoding="utf-8")
+    write_toml(path, merge(hardware.rig_document(), quick))
     return path
 
 

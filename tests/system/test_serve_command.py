@@ -14,7 +14,7 @@ import pytest
 from served import small_scene
 
 from lscan.config.rig import load_rig
-from sim.emulators.toml import toml_text
+from lscan.config.toml import write_toml
 
 PATIENCE_S = 120.0
 
@@ -22,7 +22,7 @@ PATIENCE_S = 120.0
 @pytest.fixture
 def scene_file(tmp_path: Path) -> Path:
     file = tmp_path / "scene.toml"
-    file.write_text(toml_text(small_scene().document), encoding="utf-8")
+    write_toml(file, small_scene().document)
     return file
 
 

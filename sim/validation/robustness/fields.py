@@ -15,8 +15,9 @@ from unittest.mock import patch
 
 from lscan.config.plugins import installed
 from lscan.config.rig import load_rig
+from lscan.config.toml import toml_text
 from lscan.errors import InputError
-from sim.testing.goodrigs import GoodRig, as_toml, good_rigs, write_beside
+from sim.testing.goodrigs import GoodRig, good_rigs, write_beside
 from sim.testing.wrongfields import MOST_SHOWN, WrongField, crossed_rigs, dotted, wrong_fields
 from sim.validation.rows import Row
 
@@ -37,7 +38,7 @@ def shortcoming(wrong: WrongField, file: Path, read: Callable[[Path], object] = 
 
     read: what reads a rig file.
     """
-    file.write_text(as_toml(wrong.document), encoding="utf-8")
+    file.write_text(toml_text(wrong.document), encoding="utf-8")
     try:
         read(file)
     except InputError as error:
@@ -108,7 +109,7 @@ def try_all(every: int = 1) -> tuple[list[Verdict], list[str]]:
 
 
 def _assert_good(rig: GoodRig, file: Path) -> None:
-    file.write_text(as_toml(rig.document), encoding="utf-8")
+    file.write_text(toml_text(rig.document), encoding="utf-8")
     try:
         load_rig(file)
     except InputError as error:
