@@ -6,7 +6,7 @@ from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from lscan.figures.exhibit import signed
+from lscan.figures.reportfigure import signed
 from lscan.paper import published as paper
 from lscan.paper.tables import Length, known, read_lengths, worst
 

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from lscan.acquisition import provenance
-from lscan.figures.exhibit import Exhibit, RowFits, RulerCurve, SliceData
+from lscan.figures.reportfigure import ReportFigure, RowFits, RulerCurve, SliceData
 from lscan.files.disk import write_atomically
 from lscan.paper import published as paper
 from lscan.paper.checks import checks
@@ -70,7 +70,7 @@ class Section:
     """A part of the page: its heading and its figures."""
 
     title: str
-    exhibits: tuple[Exhibit, ...]
+    figures: tuple[ReportFigure, ...]
 
 
 def write_report(path: Path, inputs: ReportInputs) -> None:
@@ -84,7 +84,7 @@ def write_report(path: Path, inputs: ReportInputs) -> None:
 def render_report(inputs: ReportInputs) -> str:
     """The page as HTML text."""
     sections = _sections(inputs)
-    scripts = [exhibit.script for part in sections for exhibit in part.exhibits if exhibit.script]
+    scripts = [figure.script for part in sections for figure in part.figures if figure.script]
     results = inputs.results
     return (
         _environment()
@@ -109,21 +109,23 @@ def render_report(inputs: ReportInputs) -> str:
 
 
 def _sections(inputs: ReportInputs) -> list[Section]:
-    groove, sandwave = _stripe_exhibits(inputs)
+    groove, sandwave = _stripe_figures(inputs)
     parts = {
-        "Calibration": _noted(_board_exhibits(inputs), inputs, "board"),
+        "Calibration": _noted(_board_figures(inputs), inputs, "board"),
         "The laser line": _noted(groove, inputs, "groove") + _noted(sandwave, inputs, "sandwave"),
-        "The surface": _noted(_surface_exhibits(inputs), inputs, "board", "sandwave"),
-        "Slices": _noted(_slice_exhibits(inputs), inputs, "board", "sandwave"),
-        "Sensitivity of the fits": _noted(_sensitivity_exhibits(inputs), inputs, "board"),
+        "The surface": _noted(_surface_figures(inputs), inputs, "board", "sandwave"),
+        "Slices": _noted(_slice_figures(inputs), inputs, "board", "sandwave"),
+        "Sensitivity of the fits": _noted(_sensitivity_figures(inputs), inputs, "board"),
     }
-    return [Section(title, tuple(exhibits)) for title, exhibits in parts.items() if exhibits]
+    return [Section(title, tuple(figures)) for title, figures in parts.items() if figures]
 
 
-def _noted(exhibits: Sequence[Exhibit], inputs: ReportInputs, *parts: str) -> list[Exhibit]:
-    """The exhibits, their captions saying where the pictures of these parts come from."""
+def _noted(
+    figures: Sequence[ReportFigure], inputs: ReportInputs, *parts: str
+) -> list[ReportFigure]:
+    """The figures, their captions saying where the pictures of these parts come from."""
     note = provenance.note(inputs.results, parts)
-    return [replace(e, caption=f"{e.caption} {note}".rstrip()) for e in exhibits]
+    return [replace(e, caption=f"{e.caption} {note}".rstrip()) for e in figures]
 
 
 def _noted_table(table: Table, results: Mapping[str, Any]) -> Table:
@@ -134,24 +136,24 @@ def _noted_table(table: Table, results: Mapping[str, Any]) -> Table:
 # The drawing modules load matplotlib, which takes a second: only where something is drawn.
 
 
-def _board_exhibits(inputs: ReportInputs) -> list[Exhibit]:
+def _board_figures(inputs: ReportInputs) -> list[ReportFigure]:
     from lscan.paper.figures import board
 
-    exhibits = []
+    figures = []
     if inputs.board_image is not None:
-        exhibits.append(board.board_picture(inputs.board_image, inputs.reading))
+        figures.append(board.board_picture(inputs.board_image, inputs.reading))
     marked = inputs.board_overlay is not None
     picture = inputs.board_overlay if marked else inputs.board_image
     if picture is not None and (marked or inputs.reading is not None):
-        exhibits.append(board.control_points(picture, inputs.reading, marked))
+        figures.append(board.control_points(picture, inputs.reading, marked))
     if inputs.row is not None:
-        exhibits.append(board.line_fits(inputs.row))
+        figures.append(board.line_fits(inputs.row))
     if inputs.ruler is not None:
-        exhibits.append(board.ruler(inputs.ruler))
-    return exhibits
+        figures.append(board.ruler(inputs.ruler))
+    return figures
 
 
-def _sensitivity_exhibits(inputs: ReportInputs) -> list[Exhibit]:
+def _sensitivity_figures(inputs: ReportInputs) -> list[ReportFigure]:
     from lscan.paper.figures import board
 
     row = inputs.row
@@ -162,7 +164,7 @@ def _sensitivity_exhibits(inputs: ReportInputs) -> list[Exhibit]:
     return [board.sensitivity(row, name, fig) for name, fig in figures.items() if name in there]
 
 
-def _stripe_exhibits(inputs: ReportInputs) -> tuple[list[Exhibit], list[Exhibit]]:
+def _stripe_figures(inputs: ReportInputs) -> tuple[list[ReportFigure], list[ReportFigure]]:
     """Those of the grooved block, and those of the sandwave."""
     from lscan.paper.figures import stripes
 
@@ -178,7 +180,7 @@ def _stripe_exhibits(inputs: ReportInputs) -> tuple[list[Exhibit], list[Exhibit]
     return groove, sandwave
 
 
-def _surface_exhibits(inputs: ReportInputs) -> list[Exhibit]:
+def _surface_figures(inputs: ReportInputs) -> list[ReportFigure]:
     from lscan.paper.figures import contours, interactive, relief
 
     raw = _drawable(inputs.raw.xyz_mm if inputs.raw else None)
@@ -186,19 +188,19 @@ def _surface_exhibits(inputs: ReportInputs) -> list[Exhibit]:
     aligned = _drawable(inputs.aligned.xyz_mm if inputs.aligned else None)
     yaw_deg = ((inputs.results.get("sandwave") or {}).get("yaw_deg") or {}).get("estimated")
     waves = _on_the_waves(inputs)
-    exhibits = []
+    figures = []
     if raw is not None:
-        exhibits.append(relief.raw_relief(raw))
+        figures.append(relief.raw_relief(raw))
     if levelled is not None:
-        exhibits.append(relief.levelled_relief(levelled, inputs.corners))
+        figures.append(relief.levelled_relief(levelled, inputs.corners))
     if turned is not None:
-        exhibits.append(contours.contours_before(turned, yaw_deg, waves))
+        figures.append(contours.contours_before(turned, yaw_deg, waves))
     if aligned is not None:
-        exhibits.append(contours.contours_after(aligned, yaw_deg, inputs.slices, waves))
+        figures.append(contours.contours_after(aligned, yaw_deg, inputs.slices, waves))
     last = aligned if aligned is not None else raw
     if last is not None:
-        exhibits.append(interactive.surface_to_turn(last, waves))
-    return exhibits
+        figures.append(interactive.surface_to_turn(last, waves))
+    return figures
 
 
 def _on_the_waves(inputs: ReportInputs) -> Mask | None:
@@ -224,7 +226,7 @@ def _drawable(xyz_mm: Floats | None) -> Floats | None:
     return xyz_mm if np.count_nonzero(held) >= 2 else None
 
 
-def _slice_exhibits(inputs: ReportInputs) -> list[Exhibit]:
+def _slice_figures(inputs: ReportInputs) -> list[ReportFigure]:
     from lscan.paper.figures import slices
 
     return [

@@ -15,7 +15,7 @@ from lscan.board import draw_overlay
 from lscan.calibration.maps.drawing import graticule_lines, ruler_conversions
 from lscan.calibration.maps.graticule import Graticule
 from lscan.calibration.solve import calibrate, save_calibration
-from lscan.figures.exhibit import RowFits, RulerCurve, SliceData
+from lscan.figures.reportfigure import RowFits, RulerCurve, SliceData
 from lscan.files.disk import make_folder, write_atomically
 from lscan.paper.evaluation import Experiment
 from lscan.paper.experiment import BoardResult, SandwaveResult, lengths_json

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from lscan.figures.exhibit import signed
+from lscan.figures.reportfigure import signed
 from lscan.paper.published import (
     CHOSEN_MAP,
     OUR_MAPS,

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from lscan.errors import LscanError
-from lscan.figures.exhibit import Exhibit
+from lscan.figures.reportfigure import ReportFigure
 from lscan.files.disk import make_folder, write_atomically
 
 
@@ -76,14 +76,14 @@ class Check:
     """One topic of the evidence.
 
     key: short name, unique on the page.  title: a few words.  text: what is compared and
-    why that convinces, two or three sentences.  exhibits: figures for the page.
+    why that convinces, two or three sentences.  figures: figures for the page.
     """
 
     key: str
     title: str
     text: str
     rows: tuple[Row, ...]
-    exhibits: tuple[Exhibit, ...] = ()
+    figures: tuple[ReportFigure, ...] = ()
 
 
 class RowFile:

@@ -14,7 +14,7 @@ from scipy.interpolate import CubicSpline
 
 from lscan.config.board import Board, load_board
 from lscan.config.targets import GroovedBlock, Sandwave
-from lscan.figures.exhibit import RowFits, RulerCurve, SliceData
+from lscan.figures.reportfigure import RowFits, RulerCurve, SliceData
 from lscan.paper.experiment import METHODS
 from lscan.paper.published import TABLE_1, TABLE_2, TABLE_3
 from lscan.paper.report import ReportInputs

@@ -8,7 +8,7 @@ import numpy as np
 from matplotlib.axes import Axes
 
 from lscan.figures import style
-from lscan.figures.exhibit import Exhibit, RowFits, RulerCurve
+from lscan.figures.reportfigure import ReportFigure, RowFits, RulerCurve
 from lscan.records import BoardReading, Bytes, Floats, Marks, Status
 
 FITS: Mapping[str, tuple[str, str]] = {
@@ -19,11 +19,11 @@ FITS: Mapping[str, tuple[str, str]] = {
 """The three fits of Fig. 13, top to bottom: plane map name to name and colour."""
 
 
-def board_picture(image: Bytes, reading: BoardReading | None) -> Exhibit:
+def board_picture(image: Bytes, reading: BoardReading | None) -> ReportFigure:
     """The calibration board as the camera sees it (Fig. 9), and how uneven its pitch is."""
     height, width = image.shape[:2]
     alt = f"Photograph of the calibration board, {width} by {height} pixels."
-    return Exhibit(
+    return ReportFigure(
         key="board",
         title="The calibration board as the camera sees it",
         paper="Fig. 9",
@@ -48,7 +48,7 @@ def _pitch(reading: BoardReading) -> str:
     )
 
 
-def control_points(image: Bytes, reading: BoardReading | None, marked: bool) -> Exhibit:
+def control_points(image: Bytes, reading: BoardReading | None, marked: bool) -> ReportFigure:
     """The marks that were found (Fig. 12).
 
     image: the board picture.  marked: the search boxes and crosses are painted into it
@@ -58,7 +58,7 @@ def control_points(image: Bytes, reading: BoardReading | None, marked: bool) -> 
     alt = "The board picture with a cross on every control point that was found."
     boxes = "Boxes show where each one was looked for. " if marked else ""
     found = "" if reading is None else _found(reading)
-    return Exhibit(
+    return ReportFigure(
         key="control-points",
         title="Control points found",
         paper="Fig. 12",
@@ -104,7 +104,7 @@ def _unseen(marks: Marks) -> str:
 
 
 @style.styled
-def line_fits(row: RowFits) -> Exhibit:
+def line_fits(row: RowFits) -> ReportFigure:
     """The three fits of one row of control points, one above the other (Fig. 13)."""
     fits = [name for name in FITS if name in row.curves]
     figure, axes = style.panels(len(fits), (style.WIDTH_IN, 1.4 * len(fits) + 0.4))
@@ -120,7 +120,7 @@ def line_fits(row: RowFits) -> Exhibit:
         panel.invert_yaxis()
     axes[-1].set_xlabel("u / px")
     alt = "One row of control points with " + ", ".join(FITS[name][0] for name in fits) + "."
-    return Exhibit(
+    return ReportFigure(
         key="line-fits",
         title="Fits of one row of control points",
         paper="Fig. 13",
@@ -149,7 +149,7 @@ def _across(curve: Floats, u: Floats) -> Floats:
 
 
 @style.styled
-def sensitivity(row: RowFits, name: str, paper: str) -> Exhibit:
+def sensitivity(row: RowFits, name: str, paper: str) -> ReportFigure:
     """What one control point shifted by one pixel does to a fit (Figs. 33 and 34).
 
     name: "graticule-bspline" or "graticule-2".  The row must carry its shifted fits.
@@ -175,7 +175,7 @@ def sensitivity(row: RowFits, name: str, paper: str) -> Exhibit:
     differences.set_ylabel("change of v / px")
     differences.set_xlabel("u / px")
     alt = f"A {title} through a row of control points, before and after one moved by a pixel."
-    return Exhibit(
+    return ReportFigure(
         key=key,
         title=f"Sensitivity of the {title} to one control point",
         paper=paper,
@@ -208,7 +208,7 @@ def _inflections(curve: Floats) -> int:
 
 
 @style.styled
-def ruler(curve: RulerCurve) -> Exhibit:
+def ruler(curve: RulerCurve) -> ReportFigure:
     """Pixel coordinate of a ruler's marks against their board coordinate (Fig. 16)."""
     pixel = "v" if curve.coordinate == "z" else "u"
     figure, (axes,) = style.panels(1, (style.WIDTH_IN, 3.4))
@@ -219,7 +219,7 @@ def ruler(curve: RulerCurve) -> Exhibit:
     scale = np.abs(np.gradient(curve.curve_mm, curve.curve_px))
     alt = f"Board coordinate against pixel coordinate for the marks of ruler {curve.name}."
     known = np.isfinite(curve.marks_px)
-    return Exhibit(
+    return ReportFigure(
         key="ruler",
         title=f"Conversion curve of ruler {curve.name}",
         paper="Fig. 16",

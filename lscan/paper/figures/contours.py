@@ -11,8 +11,8 @@ from matplotlib.figure import Figure
 from matplotlib.patheffects import withStroke
 
 from lscan.figures import style
-from lscan.figures.exhibit import Exhibit, SliceData
 from lscan.figures.grid import CELL_MM, HeightGrid, cell_for, grid_heights, height_range
+from lscan.figures.reportfigure import ReportFigure, SliceData
 from lscan.paper.published import YAW_DEG
 from lscan.records import Floats, Mask
 
@@ -27,7 +27,9 @@ _PAPERS_YAW = f"{YAW_DEG:.2f}° in the paper"
 
 
 @style.styled
-def contours_before(xyz_mm: Floats, yaw_deg: float | None, waves: Mask | None = None) -> Exhibit:
+def contours_before(
+    xyz_mm: Floats, yaw_deg: float | None, waves: Mask | None = None
+) -> ReportFigure:
     """Contours before yaw calibration (Fig. 27).
 
     xyz_mm: (F, N, 3), level and with W_L W_R along x.  yaw_deg: the yaw found, if any.
@@ -40,7 +42,7 @@ def contours_before(xyz_mm: Floats, yaw_deg: float | None, waves: Mask | None = 
         track_mm = float(np.ptp(xyz_mm[..., 1][np.isfinite(xyz_mm[..., 1])]))
         total_mm = track_mm * np.tan(np.radians(abs(yaw_deg)))
         shift += f", {total_mm:.1f} mm over {track_mm:.0f} mm at the yaw found, {yaw_deg:.3f}°"
-    return Exhibit(
+    return ReportFigure(
         key=key,
         title="Contours before yaw calibration",
         paper="Fig. 27",
@@ -57,7 +59,7 @@ def contours_after(
     yaw_deg: float | None,
     slices: Mapping[str, SliceData],
     waves: Mask | None = None,
-) -> Exhibit:
+) -> ReportFigure:
     """Contours after yaw calibration, with the places of the slices (Fig. 28).
 
     xyz_mm: (F, N, 3) of the aligned surface.  yaw_deg, waves: as ``contours_before``.
@@ -68,7 +70,7 @@ def contours_after(
     _draw_slices(axes, lines)
     found = "" if yaw_deg is None else f" by the yaw found, {yaw_deg:.3f}° ({_PAPERS_YAW})"
     named = f" Lines: the slices {', '.join(lines)}." if lines else ""
-    return Exhibit(
+    return ReportFigure(
         key=key,
         title="Contours after yaw calibration",
         paper="Fig. 28",

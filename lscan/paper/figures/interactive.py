@@ -8,8 +8,8 @@ from itertools import product
 import numpy as np
 
 from lscan.figures import style
-from lscan.figures.exhibit import Exhibit
 from lscan.figures.grid import CELL_MM, HeightGrid, cell_for, grid_heights, height_range
+from lscan.figures.reportfigure import ReportFigure
 from lscan.records import Floats, Mask
 
 BOX_ASPECT, SCENE_SHARE = 4 / 3, 0.83
@@ -22,7 +22,7 @@ _TOWARDS = np.array([-0.75, -1.6, 1.0])  # from the surface's middle to the eye
 _ROOM = 1.15  # for the names of the axes around the surface
 
 
-def surface_to_turn(xyz_mm: Floats, waves: Mask | None = None) -> Exhibit:
+def surface_to_turn(xyz_mm: Floats, waves: Mask | None = None) -> ReportFigure:
     """The surface, (F, N, 3), as an interactive figure; its script needs Plotly on the page.
 
     waves: (F, N) the points on the waves, to whose heights the colours keep; all if None.
@@ -31,7 +31,7 @@ def surface_to_turn(xyz_mm: Floats, waves: Mask | None = None) -> Exhibit:
     grid = grid_heights(xyz_mm, cell)
     colours = height_range(xyz_mm if waves is None else xyz_mm[waves])
     alt = "Interactive surface: drag to turn, scroll or pinch to come closer."
-    return Exhibit(
+    return ReportFigure(
         key="interactive",
         title="The surface to turn",
         paper="Figs. 22, 25 and 26",

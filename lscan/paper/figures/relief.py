@@ -7,7 +7,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from lscan.figures import style
-from lscan.figures.exhibit import Exhibit, signed
+from lscan.figures.reportfigure import ReportFigure, signed
 from lscan.records import Floats
 
 _LINES = 90  # profiles drawn of a relief
@@ -17,13 +17,13 @@ _LEAN = (0.32, 0.42)  # how far a step along y goes right and up
 
 
 @style.styled
-def raw_relief(xyz_mm: Floats) -> Exhibit:
+def raw_relief(xyz_mm: Floats) -> ReportFigure:
     """The surface as scanned, (F, N, 3) in the head frame (Fig. 25)."""
     valued = int(np.isfinite(xyz_mm[..., 2]).sum())
     frames = len(xyz_mm)
     figure, _, gain = _draw_relief(xyz_mm)
     alt = "Relief of the surface as scanned, one line for every few profiles, tilted."
-    return Exhibit(
+    return ReportFigure(
         key="raw",
         title="Raw data",
         paper="Fig. 25",
@@ -36,7 +36,7 @@ def raw_relief(xyz_mm: Floats) -> Exhibit:
 
 
 @style.styled
-def levelled_relief(xyz_mm: Floats, corners: tuple[Floats, Floats] | None) -> Exhibit:
+def levelled_relief(xyz_mm: Floats, corners: tuple[Floats, Floats] | None) -> ReportFigure:
     """The surface after reorientation, eqs. (5) to (7), with base plane and corners (Fig. 26).
 
     xyz_mm: (F, N, 3).  corners: W_L and W_R in the same frame, (3,) each, on the base plane.
@@ -51,7 +51,7 @@ def levelled_relief(xyz_mm: Floats, corners: tuple[Floats, Floats] | None) -> Ex
             f"and W_R, {span:.2f} mm apart."
         )
     alt = "Relief of the surface after reorientation, with the base plane and two corners."
-    return Exhibit(
+    return ReportFigure(
         key="levelled",
         title="After reorientation",
         paper="Fig. 26",

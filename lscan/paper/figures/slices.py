@@ -6,12 +6,12 @@ import numpy as np
 from matplotlib.axes import Axes
 
 from lscan.figures import style
-from lscan.figures.exhibit import Exhibit, SliceData, signed
+from lscan.figures.reportfigure import ReportFigure, SliceData, signed
 from lscan.records import Status
 
 
 @style.styled
-def slice_plot(name: str, data: SliceData, paper: str, bar_mm: float) -> Exhibit:
+def slice_plot(name: str, data: SliceData, paper: str, bar_mm: float) -> ReportFigure:
     """A slice: measured solid, designed dotted, and the error below (Figs. 29 to 32).
 
     bar_mm: the error bound that is drawn.
@@ -32,7 +32,7 @@ def slice_plot(name: str, data: SliceData, paper: str, bar_mm: float) -> Exhibit
         _shade_gaps(panel, data)
     axes[-1].set_xlabel(f"along {name} / mm")
     alt = f"Height along slice {name}, measured against theory, with the error below."
-    return Exhibit(
+    return ReportFigure(
         key=f"slice-{name}",
         title=f"Slice {name}",
         paper=paper,

@@ -10,7 +10,7 @@ from matplotlib.axes import Axes
 from lscan.config.plugins import find_plugin
 from lscan.config.rig import StripeSection
 from lscan.figures import style
-from lscan.figures.exhibit import Exhibit
+from lscan.figures.reportfigure import ReportFigure
 from lscan.paper import published as paper
 from lscan.records import Bytes, Floats, Status, Stripe, has_value
 
@@ -19,10 +19,10 @@ _ZOOM_PX = 8
 _COLOURS = (style.FIRST, style.SECOND, style.THIRD)
 
 
-def groove_snapshot(image: Bytes, stripe: Stripe | None) -> Exhibit:
+def groove_snapshot(image: Bytes, stripe: Stripe | None) -> ReportFigure:
     """The laser line on the grooved block (Fig. 21)."""
     alt = "Photograph of the laser line on the grooved block, broken where the height changes."
-    return Exhibit(
+    return ReportFigure(
         key="groove",
         title="The line on the grooved block",
         paper="Fig. 21",
@@ -33,7 +33,7 @@ def groove_snapshot(image: Bytes, stripe: Stripe | None) -> Exhibit:
     )
 
 
-def sandwave_snapshot(image: Bytes, stripe: Stripe | None, column: int | None) -> Exhibit:
+def sandwave_snapshot(image: Bytes, stripe: Stripe | None, column: int | None) -> ReportFigure:
     """The laser line on the sandwave, and the column of Fig. 35 (Fig. 24).
 
     column: u of the column that is marked, None for none.
@@ -45,7 +45,7 @@ def sandwave_snapshot(image: Bytes, stripe: Stripe | None, column: int | None) -
         overlay += f'<path {dashes} stroke="{_COLUMN}"/>'
         note = f" Dashed: column {column}, whose intensities follow."
     alt = "Photograph of the laser line across the sandwave."
-    return Exhibit(
+    return ReportFigure(
         key="sandwave",
         title="The line on the sandwave",
         paper="Fig. 24",
@@ -82,7 +82,7 @@ def lit_column(stripe: Stripe | None, width: int) -> int:
 
 
 @style.styled
-def column_intensities(images: Sequence[Bytes], column: int) -> Exhibit:
+def column_intensities(images: Sequence[Bytes], column: int) -> ReportFigure:
     """Intensities of one column over consecutive frames, with eq. (8)'s centres (Fig. 35).
 
     images: at most three frames, each (H, W) grey or (H, W, 3) RGB, whose red is shown.
@@ -104,7 +104,7 @@ def column_intensities(images: Sequence[Bytes], column: int) -> Exhibit:
     style.legend(whole)
     whole.set_xlim(0, len(reds[0]) - 1)
     alt = f"Red intensity along column {column} of {len(reds)} frames, whole and near the peak."
-    return Exhibit(
+    return ReportFigure(
         key="intensities",
         title=f"Intensities of column {column} in {len(reds)} consecutive frames",
         paper="Fig. 35",

@@ -8,7 +8,7 @@ import numpy as np
 from scipy.integrate import simpson
 
 from lscan.figures import style
-from lscan.figures.exhibit import Exhibit
+from lscan.figures.reportfigure import ReportFigure
 from lscan.records import Floats
 from sim.validation.rows import Check, Row
 from sim.water import FournierForand, HenyeyGreensteinMixture, PetzoldTable
@@ -55,7 +55,7 @@ def phases() -> Check:
             *_value_rows(fournier, mixture, petzold),
             *_integral_rows(fournier, mixture, petzold),
         ),
-        exhibits=(_exhibit(fournier, mixture, petzold),),
+        figures=(_figure(fournier, mixture, petzold),),
     )
 
 
@@ -147,7 +147,7 @@ def _roughness(density: Density) -> float:
 
 
 @style.styled
-def _exhibit(fournier: Density, mixture: Density, petzold: Density) -> Exhibit:
+def _figure(fournier: Density, mixture: Density, petzold: Density) -> ReportFigure:
     key, alt = "phase-functions", "Phase functions against Petzold's table, and their ratios."
     figure, (upper, lower) = style.panels(2, (style.WIDTH_IN, 4.2), heights=(3.0, 1.4))
     angles, table = np.array(PETZOLD_TABLE).T
@@ -165,7 +165,7 @@ def _exhibit(fournier: Density, mixture: Density, petzold: Density) -> Exhibit:
     lower.set_ylabel("over Petzold")
     lower.set_xlabel("scattering angle / degrees")
     style.legend(upper)
-    return Exhibit(
+    return ReportFigure(
         key=key,
         title="Phase functions over six powers of ten",
         paper="",

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from lscan.figures import style
-from lscan.figures.exhibit import Exhibit
+from lscan.figures.reportfigure import ReportFigure
 from lscan.records import Floats
 from sim.render.plugins.camera import RefractiveCamera
 from sim.render.plugins.traced import TracedCamera
@@ -55,7 +55,7 @@ def ports(rigs: int) -> Check:
         "random thickness, glass, tilt and decentring, and must leave the glass on the same "
         "line, measured as the pixel that would see it, and with the same share of their light.",
         rows=tuple(row for kind, values in found.items() for row in _rows(kind, values, rigs)),
-        exhibits=(_exhibit(found),),
+        figures=(_figure(found),),
     )
 
 
@@ -148,7 +148,7 @@ def _rays(
 
 
 @style.styled
-def _exhibit(found: dict[str, Deviations]) -> Exhibit:
+def _figure(found: dict[str, Deviations]) -> ReportFigure:
     key, alt = "port-errors", "Pixel error of the closed-form ports over the field."
     figure, (axes,) = style.panels(1, (style.WIDTH_IN, 2.6))
     for (kind, values), colour in zip(found.items(), (style.FIRST, style.SECOND), strict=True):
@@ -160,7 +160,7 @@ def _exhibit(found: dict[str, Deviations]) -> Exhibit:
     axes.set_xlabel("distance from the picture's centre / half diagonal")
     axes.set_ylabel("error / px")
     style.legend(axes)
-    return Exhibit(
+    return ReportFigure(
         key=key,
         title="Closed form against traced glass over the field",
         paper="",

@@ -6,7 +6,7 @@ import numpy as np
 from scipy.optimize import brentq, least_squares
 
 from lscan.figures import style
-from lscan.figures.exhibit import Exhibit
+from lscan.figures.reportfigure import ReportFigure
 from lscan.records import Floats
 from sim.render.plugins.camera import RefractiveCamera
 from sim.scene import Pose, Scene, camera_pose
@@ -65,7 +65,7 @@ def refraction() -> Check:
         "imitate this: fitted at 1 m with two distortion terms it errs nearer and farther, by "
         "amounts that were published and must come out of the projection here.",
         rows=tuple(rows),
-        exhibits=(_exhibit(),),
+        figures=(_figure(),),
     )
 
 
@@ -168,7 +168,7 @@ def _single_viewpoint(parameters: Floats, tangent: Floats) -> Floats:
 
 
 @style.styled
-def _exhibit() -> Exhibit:
+def _figure() -> ReportFigure:
     key, alt = "single-viewpoint", "Error of a single-viewpoint camera over the field."
     figure, (axes,) = style.panels(1, (style.WIDTH_IN, 2.6))
     fitted = fit_single_viewpoint()
@@ -179,7 +179,7 @@ def _exhibit() -> Exhibit:
     axes.set_xlabel("distance from the centre / px")
     axes.set_ylabel("error / px")
     style.legend(axes)
-    return Exhibit(
+    return ReportFigure(
         key=key,
         title="A single viewpoint is not enough",
         paper="",

@@ -16,8 +16,8 @@ from hypothesis import strategies as st
 
 from lscan.errors import InputError, MeasurementError
 from lscan.figures import style
-from lscan.figures.exhibit import RowFits, RulerCurve, SliceData, signed
 from lscan.figures.grid import cell_for, grid_heights
+from lscan.figures.reportfigure import RowFits, RulerCurve, SliceData, signed
 from lscan.paper import published as paper
 from lscan.paper.figures import board, contours, interactive, relief, slices, stripes
 from lscan.records import Status, Stripe
@@ -113,11 +113,11 @@ def test_marks_without_a_place_are_not_drawn():
 def test_control_points_counts_what_was_found():
     reading = examples.reading(np.random.default_rng(1))
     image = np.zeros((480, 640), np.uint8)
-    exhibit = board.control_points(image, reading, marked=False)
+    figure = board.control_points(image, reading, marked=False)
     found = int(reading.grid.found.sum())
-    assert f"{found} of 100 control points" in exhibit.caption
-    assert "230 of 230 marks of 5 rulers" in exhibit.caption
-    assert exhibit.body.count("M") >= found + 230
+    assert f"{found} of 100 control points" in figure.caption
+    assert "230 of 230 marks of 5 rulers" in figure.caption
+    assert figure.body.count("M") >= found + 230
     assert "Boxes" in board.control_points(image, reading, marked=True).caption
     top, bottom = (
         np.linalg.norm(np.diff(row, axis=0), axis=1).mean()
@@ -132,12 +132,12 @@ def test_line_fits_report_their_residuals():
     u = np.arange(0.0, 100.0, 10.0)
     points = np.column_stack([u, np.where(np.arange(10) % 2, 3.0, 5.0)])
     level = np.array([[0.0, 4.0], [90.0, 4.0]])  # 1 px off every point
-    exhibit = board.line_fits(RowFits(points, {"graticule-1": level, "graticule-bspline": points}))
-    assert "first-order rms 1.00 px rms, 1.00 px at most" in exhibit.caption
-    assert "cubic B-spline 0.00 px rms" in exhibit.caption
-    assert "second-order" not in exhibit.caption
+    figure = board.line_fits(RowFits(points, {"graticule-1": level, "graticule-bspline": points}))
+    assert "first-order rms 1.00 px rms, 1.00 px at most" in figure.caption
+    assert "cubic B-spline 0.00 px rms" in figure.caption
+    assert "second-order" not in figure.caption
     turned = {"graticule-1": level[::-1], "graticule-bspline": points[::-1]}
-    assert board.line_fits(RowFits(points, turned)).caption == exhibit.caption
+    assert board.line_fits(RowFits(points, turned)).caption == figure.caption
 
 
 def test_sensitivity_reports_move_and_inflections():
@@ -147,15 +147,13 @@ def test_sensitivity_reports_move_and_inflections():
     points = before[::200]
     shifted = points + [[0, 1]] * (np.arange(len(points)) == 3)[:, None]
     fits = {"graticule-2": before}, {"graticule-2": after}
-    exhibit = board.sensitivity(
-        RowFits(points, fits[0], shifted, fits[1]), "graticule-2", "Fig. 34"
-    )
-    assert "by up to 0.75 px" in exhibit.caption
-    assert "other way by up to 0.25 px" in exhibit.caption
+    figure = board.sensitivity(RowFits(points, fits[0], shifted, fits[1]), "graticule-2", "Fig. 34")
+    assert "by up to 0.75 px" in figure.caption
+    assert "other way by up to 0.25 px" in figure.caption
     waves = {"graticule-2": before}, {"graticule-2": np.column_stack([u, np.sin(u)])}
-    exhibit = board.sensitivity(RowFits(points, waves[0], shifted, waves[1]), "graticule-2", "")
+    figure = board.sensitivity(RowFits(points, waves[0], shifted, waves[1]), "graticule-2", "")
     # sin has an inflection at each multiple of pi: four within 0 to 5 pi; a parabola has none.
-    assert "changes sign 0 times before and 4 times after" in exhibit.caption
+    assert "changes sign 0 times before and 4 times after" in figure.caption
 
 
 def test_sensitivity_needs_the_shifted_fits():
@@ -166,10 +164,10 @@ def test_sensitivity_needs_the_shifted_fits():
 
 def test_ruler_reports_the_size_of_a_pixel():
     px = np.arange(0.0, 100.0, 8.0)
-    exhibit = board.ruler(RulerCurve("R4", "z", px, -1.25 * px, px, -1.25 * px))
-    assert "13 marks of ruler R4" in exhibit.caption
-    assert "1.25 to 1.25 mm" in exhibit.caption
-    assert "v / px" in exhibit.body and "z / mm" in exhibit.body
+    figure = board.ruler(RulerCurve("R4", "z", px, -1.25 * px, px, -1.25 * px))
+    assert "13 marks of ruler R4" in figure.caption
+    assert "1.25 to 1.25 mm" in figure.caption
+    assert "v / px" in figure.body and "z / mm" in figure.body
 
 
 def _paper_frames() -> list[np.ndarray]:
@@ -215,9 +213,9 @@ def test_snapshots_say_how_much_of_the_line_was_found():
     image = np.zeros((480, 640, 3), np.uint8)
     stripe = _stripe([10, 11, 12])
     assert "3 of 640 columns" in stripes.groove_snapshot(image, stripe).caption
-    exhibit = stripes.sandwave_snapshot(image, stripe, 320)
-    assert "median standard uncertainty 0.100 px" in exhibit.caption
-    assert "M320,0V480" in exhibit.body
+    figure = stripes.sandwave_snapshot(image, stripe, 320)
+    assert "median standard uncertainty 0.100 px" in figure.caption
+    assert "M320,0V480" in figure.body
     assert stripes.sandwave_snapshot(image, None, None).body.count("<path") == 0
 
 
@@ -247,8 +245,8 @@ def test_slice_without_truth_or_without_points_is_still_drawn():
     assert "two standard uncertainties" in slices.slice_plot("SD", known, "", 1.5).caption
     assert "error / mm" in slices.slice_plot("SD", known, "", 1.5).body
     bare = SliceData(known.along_mm, known.measured_mm, known.status)
-    exhibit = slices.slice_plot("SD", bare, "", 1.5)
-    assert "designed" not in exhibit.caption and "error / mm" not in exhibit.body
+    figure = slices.slice_plot("SD", bare, "", 1.5)
+    assert "designed" not in figure.caption and "error / mm" not in figure.body
     empty = _slice([np.nan] * 3, [Status.OCCLUDED] * 3)
     assert "3 occluded" in slices.slice_plot("S1", empty, "", 1.5).caption
 
@@ -263,8 +261,8 @@ def test_reliefs_say_tilt_count_and_corners():
     assert "+3.00° along x and −2.00° along y" in caption
     assert "one in 3 profiles drawn" in caption
     corners = (np.array([0.0, 50.0, 1.0]), np.array([90.0, 50.0, 1.0]))
-    exhibit = relief.levelled_relief(points, corners)
-    assert "90.00 mm apart" in exhibit.caption
+    figure = relief.levelled_relief(points, corners)
+    assert "90.00 mm apart" in figure.caption
     assert "W_L" not in relief.levelled_relief(points, None).caption
 
 

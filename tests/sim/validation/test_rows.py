@@ -13,7 +13,7 @@ from places import SCENES
 from typer.testing import CliRunner
 
 from lscan.errors import InputError
-from lscan.figures.exhibit import Exhibit
+from lscan.figures.reportfigure import ReportFigure
 from sim.cli.app import app, main
 from sim.validation.physics import run
 from sim.validation.physics.gallery import Plate, gallery, scene_files
@@ -94,8 +94,8 @@ def test_the_gauge_is_full_where_the_bar_is_broken() -> None:
 
 
 def test_the_page_shows_every_check_and_loads_nothing() -> None:
-    exhibit = Exhibit("plot", "A plot", "", "alt", "What is seen.", "<svg id='x'></svg>")
-    shown = Check("more", "More lengths", "Why.", (row(3.0, seed=7),), (exhibit,))
+    figure = ReportFigure("plot", "A plot", "", "alt", "What is seen.", "<svg id='x'></svg>")
+    shown = Check("more", "More lengths", "Why.", (row(3.0, seed=7),), (figure,))
     plates = (Plate("harbour water", "waters/harbor.toml", "data:image/jpeg;base64,AAAA"),)
     page = render_page([check(0.5), shown], plates, 12.0)
     for text in (

@@ -9,7 +9,7 @@ from lscan.records import Floats, Ints
 
 
 @dataclass(frozen=True)
-class Exhibit:
+class ReportFigure:
     """A figure ready for a page.
 
     key: short name, unique on the page.  title: what is shown, a few words.
