@@ -246,8 +246,16 @@ class Surface:
 
 
 @dataclass(frozen=True)
-class Measured:
-    """A length or an angle with its truth: measured minus nominal is the error."""
+class Length:
+    """A measured length and its nominal value, mm; NaN where a number is not known.
+
+    sigma_mm: standard uncertainty of measured_mm, all causes together.
+
+    Examples
+    --------
+    >>> round(Length(nominal_mm=20.0, measured_mm=20.1, sigma_mm=0.05).percent, 3)
+    0.5
+    """
 
     nominal_mm: float
     measured_mm: float
@@ -257,6 +265,11 @@ class Measured:
     def error_mm(self) -> float:
         """Measured minus nominal, mm."""
         return self.measured_mm - self.nominal_mm
+
+    @property
+    def percent(self) -> float:
+        """The error in percent of the nominal length."""
+        return 100 * self.error_mm / self.nominal_mm
 
     def as_json(self) -> dict[str, float]:
         """The four numbers under the keys results.json uses."""

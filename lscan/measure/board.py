@@ -19,8 +19,8 @@ from lscan.measure.circle import fit_circle
 from lscan.records import (
     BoardReading,
     Floats,
+    Length,
     Mark,
-    Measured,
     PlanePoints,
     RingPoints,
     Status,
@@ -32,14 +32,14 @@ NO_POINTS = RingPoints(np.empty((0, 2)), np.empty(0))
 
 
 @dataclass(frozen=True)
-class Diameter(Measured):
+class Diameter(Length):
     """A diameter, with the number of ring points it came from and the number left out."""
 
     points: int
     left_out: int
 
 
-def distances(reading: BoardReading, board: Board, plane_map: PlaneMap) -> dict[str, Measured]:
+def distances(reading: BoardReading, board: Board, plane_map: PlaneMap) -> dict[str, Length]:
     """The distances of Table I under keys like "A1A2", mm, in the order of board.distances.
 
     Each is the distance in the sheet of the two dots' places under ``plane_map``.  Its variance
@@ -73,7 +73,7 @@ def unmeasured_distances(
     return {key: reason for key, reason in reasons.items() if reason is not Status.OK}
 
 
-def diameters(reading: BoardReading, board: Board, plane_map: PlaneMap) -> dict[str, Measured]:
+def diameters(reading: BoardReading, board: Board, plane_map: PlaneMap) -> dict[str, Length]:
     """The diameters of Table II by ring name, mm, in the order of board.ring.
 
     A circle is fitted to the ring's points mapped into the sheet.  Points without a place there
@@ -156,10 +156,10 @@ def _why_not(first: _Place, second: _Place) -> Status:
     return Status.OK
 
 
-def _distance(first: _Place, second: _Place, nominal_mm: float) -> Measured:
+def _distance(first: _Place, second: _Place, nominal_mm: float) -> Length:
     across = second.xz - first.xz
     length = float(np.linalg.norm(across))
     direction = across / length if length > 0 else np.zeros(2)
     common = direction @ (second.modes - first.modes)
     variance = direction**2 @ (first.own + second.own) + common @ common
-    return Measured(nominal_mm, length, float(np.sqrt(variance)))
+    return Length(nominal_mm, length, float(np.sqrt(variance)))

@@ -11,7 +11,7 @@ import numpy as np
 from lscan.config.targets import GroovedBlock
 from lscan.errors import InputError, MeasurementError
 from lscan.measure.ends import End, segment_ends
-from lscan.measure.lengths import Length, mean_length
+from lscan.measure.lengths import LengthBudget, mean_length
 from lscan.measure.segments import (
     Segment,
     Trace,
@@ -21,7 +21,7 @@ from lscan.measure.segments import (
     segments,
     trace,
 )
-from lscan.records import Ints, Measured, Profile
+from lscan.records import Ints, Length, Profile
 
 
 @dataclass(frozen=True)
@@ -39,7 +39,7 @@ class Parts:
 
 def groove_dimensions(
     profiles: Profile | Sequence[Profile], piece: GroovedBlock
-) -> dict[str, Measured]:
+) -> dict[str, Length]:
     """The dimensions W1 to S2 of Table III, mm, measured as in the paper.
 
     Widths and separations lie between the end points of the tops' laser segments, measured
@@ -62,12 +62,12 @@ def groove_dimensions(
     each = [_measure(profile, piece) for profile in several]
     mean = {name: mean_length([lengths[name] for lengths in each]) for name in each[0]}
     return {
-        name: Measured(nominal, mean[name].value_mm, mean[name].sigma_mm)
+        name: Length(nominal, mean[name].value_mm, mean[name].sigma_mm)
         for name, nominal in piece.dimensions_mm().items()
     }
 
 
-def _measure(profile: Profile, piece: GroovedBlock) -> dict[str, Length]:
+def _measure(profile: Profile, piece: GroovedBlock) -> dict[str, LengthBudget]:
     try:
         line = trace(profile)
         parts = find_parts(line, piece)
@@ -151,7 +151,7 @@ def _width(line: Trace, part: Segment) -> float:
     return float(line.x[part.points[-1]] - line.x[part.points[0]])
 
 
-def _heights(line: Trace, parts: Parts) -> dict[str, Length]:
+def _heights(line: Trace, parts: Parts) -> dict[str, LengthBudget]:
     """H1, H3, H4 from each groove's bottom to the tops on both its sides; H2 to the floor."""
     heights = {}
     for name, groove in (("H3", 0), ("H4", 1), ("H1", 2)):
@@ -162,7 +162,7 @@ def _heights(line: Trace, parts: Parts) -> dict[str, Length]:
     return heights
 
 
-def _height(line: Trace, upper: Ints, lower: Ints, name: str) -> Length:
+def _height(line: Trace, upper: Ints, lower: Ints, name: str) -> LengthBudget:
     try:
         return height_between(line, upper, lower)
     except MeasurementError as error:
@@ -173,7 +173,7 @@ def _inner(line: Trace, parts: Sequence[Segment]) -> Ints:
     return np.concatenate([inner_points(line, part) for part in parts])
 
 
-def _separations(line: Trace, parts: Parts) -> dict[str, Length]:
+def _separations(line: Trace, parts: Parts) -> dict[str, LengthBudget]:
     """Widths and separations along the tops, from the ends of the tops' segments."""
     ends = segment_ends(line, parts.ridges)
     left, right = [end[0] for end in ends], [end[1] for end in ends]
@@ -186,7 +186,7 @@ def _separations(line: Trace, parts: Parts) -> dict[str, Length]:
     }
 
 
-def _between(line: Trace, start: End, stop: End) -> Length:
+def _between(line: Trace, start: End, stop: End) -> LengthBudget:
     """Distance along the tops from one end to another, to its right."""
     along = float(np.hypot(1.0, line.tilt))
     ends = (start.point, stop.point)
@@ -196,7 +196,7 @@ def _between(line: Trace, start: End, stop: End) -> Length:
         place = float(np.hypot(*line.sigma_x[list(ends)]))
     else:
         modes = along * (line.modes[stop.point, 0] - line.modes[start.point, 0])
-    return Length(
+    return LengthBudget(
         value_mm=along * (stop.x_mm - start.x_mm),
         own_mm=along * float(np.hypot(start.own_mm, stop.own_mm)),
         common_mm=along * float(np.hypot(common, place)),

@@ -17,8 +17,8 @@ TINY = 1e-6  # mm; lengths without any noise weigh alike
 
 
 @dataclass(frozen=True)
-class Length:
-    """A length as one picture gives it.
+class LengthBudget:
+    """A length with the parts of its uncertainty (the budget of the GUM).
 
     value_mm.  own_mm: standard uncertainty from noise, another in every picture.  common_mm:
     what errs alike in all pictures of one place and is not among the modes.  modes_mm: (M,) how
@@ -37,7 +37,7 @@ class Length:
         return float(np.linalg.norm([self.own_mm, self.common_mm, modes]))
 
 
-def mean_length(lengths: Sequence[Length]) -> Length:
+def mean_length(lengths: Sequence[LengthBudget]) -> LengthBudget:
     """The mean of a length over several pictures, weighted by what they know of it.
 
     Strays (see STRAY) are left out.  The mean's own_mm is that of its weights, enlarged where
@@ -57,7 +57,7 @@ def mean_length(lengths: Sequence[Length]) -> Length:
         spread = max(spread, float(np.sqrt(scatter)))
     modes = [length.modes_mm for length in lengths]
     known = [mode for mode in modes if mode is not None]
-    return Length(
+    return LengthBudget(
         value_mm=mean,
         own_mm=spread,
         common_mm=float(np.sqrt(weight @ common**2)),

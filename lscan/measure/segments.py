@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from lscan.errors import MeasurementError
-from lscan.measure.lengths import Length
+from lscan.measure.lengths import LengthBudget
 from lscan.records import Floats, Ints, Profile, has_value
 
 JUMP_MM = 3.0
@@ -114,7 +114,7 @@ def inner_points(line: Trace, segment: Segment) -> Ints:
     return segment.points[clear]
 
 
-def height_between(line: Trace, upper: Ints, lower: Ints) -> Length:
+def height_between(line: Trace, upper: Ints, lower: Ints) -> LengthBudget:
     """Distance in mm between two parallel lines, with its uncertainty.
 
     Both sets of points, indices into the trace, are fitted with one slope by least squares,
@@ -150,7 +150,7 @@ def height_between(line: Trace, upper: Ints, lower: Ints) -> Length:
         common += sum(float(np.mean(line.sigma_z[used[side == k]] ** 2)) for k in (0, 1))
     else:
         modes = weight @ (line.modes[used, 1] - slope * line.modes[used, 0])
-    return Length(
+    return LengthBudget(
         value_mm=float(solution[1] - solution[2]) * cosine,
         own_mm=float(np.sqrt(scatter * (weight @ weight))),
         common_mm=float(np.sqrt(common)) * cosine,

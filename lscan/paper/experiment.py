@@ -19,7 +19,7 @@ from lscan.errors import BoardNotFound, InputError
 from lscan.measure import compare_slice, diameters, distances, groove_dimensions
 from lscan.measure.slices import SliceErrors
 from lscan.pipeline import Progress, mean_picture, read_profiles, reconstruct, require_board
-from lscan.records import BoardReading, Bytes, Measured, Profile, Stripe, Surface
+from lscan.records import BoardReading, Bytes, Length, Profile, Stripe, Surface
 from lscan.stripe import extract_stripe
 from lscan.surface import Alignment, Slice, resample
 from lscan.surface.shaft import shaft_of
@@ -47,8 +47,8 @@ class BoardResult:
     image: Bytes
     reading: BoardReading
     calibrations: dict[str, Calibration]
-    distances: dict[str, dict[str, Measured]]
-    diameters: dict[str, dict[str, Measured]]
+    distances: dict[str, dict[str, Length]]
+    diameters: dict[str, dict[str, Length]]
 
 
 @dataclass(frozen=True)
@@ -58,7 +58,7 @@ class GrooveResult:
     image: Bytes
     stripe: Stripe
     profiles: list[Profile]
-    dimensions: dict[str, Measured]
+    dimensions: dict[str, Length]
 
 
 @dataclass(frozen=True)
@@ -214,7 +214,7 @@ def require_size(run: Run, size_px: tuple[int, int], calibration: object) -> Non
         )
 
 
-def lengths_json(lengths: dict[str, Measured]) -> dict[str, dict[str, float]]:
+def lengths_json(lengths: dict[str, Length]) -> dict[str, dict[str, float]]:
     """The entries of results.json for a set of measured lengths."""
     return {name: length.as_json() for name, length in lengths.items()}
 

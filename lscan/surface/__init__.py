@@ -4,7 +4,7 @@ from lscan.surface.align.alignment import Alignment, apply
 from lscan.surface.align.edges import EdgeLine
 from lscan.surface.align.fit import align_sandwave
 from lscan.surface.align.levelling import level, levelling_step, shear
-from lscan.surface.files import load_surface, save_points, save_slice, save_surface
+from lscan.surface.files import load_surface, save_points, save_surface
 from lscan.surface.grid import Grid, grid_cells
 from lscan.surface.resample import Slice, resample
 from lscan.surface.stack import stack
@@ -22,7 +22,6 @@ __all__ = [
     "load_surface",
     "resample",
     "save_points",
-    "save_slice",
     "save_surface",
     "shear",
     "stack",

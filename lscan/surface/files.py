@@ -1,4 +1,4 @@
-"""Files of a surface: NetCDF (kept and read back), PLY (points for other programs), CSV (slices).
+"""Files of a surface: NetCDF (kept and read back) and PLY (points for other programs).
 
 The same surface gives the same bytes.
 """
@@ -19,7 +19,6 @@ from lscan.errors import InputError
 from lscan.files.disk import write_atomically
 from lscan.records import Floats, Status, Surface, has_value
 from lscan.surface.netcdf import read_arrays
-from lscan.surface.resample import Slice
 
 DIMENSIONS = ("frame", "column")
 SEPARATOR = "; "  # of the corrections
@@ -106,21 +105,6 @@ def save_points(path: Path, surface: Surface) -> None:
     }
     content = cloud.export(file_type="ply")
     write_atomically(path, content)
-
-
-def save_slice(path: Path, cut: Slice) -> None:
-    """Write a slice as CSV: along, x, y, z and sigma of z in mm, and the status by name.
-
-    Points without a value leave z and sigma empty.
-    Raises InputError where the file cannot be written.
-    """
-    lines = ["along_mm,x_mm,y_mm,z_mm,sigma_mm,status"]
-    rows = zip(cut.along_mm, cut.xy_mm, cut.z_mm, cut.sigma_z_mm, cut.status, strict=True)
-    for along, (x, y), z, sigma, status in rows:
-        value = f"{z:.6f},{sigma:.6f}" if np.isfinite(z) else ","
-        lines.append(f"{along:.6f},{x:.6f},{y:.6f},{value},{Status(status).name}")
-    content = "\n".join(lines) + "\n"
-    write_atomically(path, content.encode("utf-8"))
 
 
 def _dataset(surface: Surface) -> xr.Dataset:

@@ -1,1 +1,1 @@
-"""Corrections of an extracted stripe: blur, smoothing, ends of the line."""
+"""Corrections of an extracted stripe: blur and smoothing."""

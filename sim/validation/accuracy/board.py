@@ -11,7 +11,7 @@ from lscan.board import read_board
 from lscan.calibration.solve import Calibration, calibrate
 from lscan.config.board import Board
 from lscan.measure import diameters, distances
-from lscan.records import BoardReading, Floats, Measured, Status
+from lscan.records import BoardReading, Floats, Length, Status
 from sim.render.tank import Tank
 from sim.scene import Scene
 from sim.truth import project
@@ -67,7 +67,7 @@ def _places(scene: Scene) -> Floats:
     return np.column_stack([x.ravel(), z.ravel()])
 
 
-def lengths(boards: Boards) -> list[dict[str, Measured]]:
+def lengths(boards: Boards) -> list[dict[str, Length]]:
     """Tables I and II together, once for each picture."""
     return [
         {

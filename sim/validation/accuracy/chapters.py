@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from lscan.config.rig import StripeSection
-from lscan.records import Measured
+from lscan.records import Length
 from sim.scene import Scene, load_scene
 from sim.validation.accuracy.board import lengths, map_errors_mm, photograph
 from sim.validation.accuracy.effort import Effort
@@ -166,7 +166,7 @@ def _rms(values: np.ndarray) -> float:
 
 
 def _largest(
-    what: str, tables: Sequence[Mapping[str, Measured]], bar_mm: float, effort: Effort
+    what: str, tables: Sequence[Mapping[str, Length]], bar_mm: float, effort: Effort
 ) -> list[Row]:
     """The largest error of any entry: of the first seed's table, and of all seeds' tables."""
     worst = [max(abs(length.error_mm) for length in table.values()) for table in tables]
@@ -180,7 +180,7 @@ def _largest(
     ]
 
 
-def _interval(what: str, tables: Sequence[Mapping[str, Measured]], effort: Effort) -> Row:
+def _interval(what: str, tables: Sequence[Mapping[str, Length]], effort: Effort) -> Row:
     every = [length for table in tables for length in table.values()]
     return _interval_row(what, share_of_lengths(every), len(every), effort)
 

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from lscan.calibration.api import PlaneMap
 from lscan.config.targets import GroovedBlock
 from lscan.measure import groove_dimensions
-from lscan.records import Measured
+from lscan.records import Length
 from lscan.surface.profile import to_profile
 from sim.scene import Scene
 from sim.validation.accuracy.exposures import Reading, read_scan
@@ -15,7 +15,7 @@ from sim.validation.accuracy.exposures import Reading, read_scan
 
 def dimensions(
     scene: Scene, seeds: Sequence[int], plane_maps: Sequence[PlaneMap]
-) -> list[dict[str, Measured]]:
+) -> list[dict[str, Length]]:
     """Table III from the scene's scan: one for each seed, through that seed's own map."""
     readings = read_scan(scene, scene.rig.plan.positions_mm(), seeds, scene.rig.stripe)
     return [
@@ -24,7 +24,7 @@ def dimensions(
     ]
 
 
-def _measured(scene: Scene, reading: Reading, plane_map: PlaneMap) -> dict[str, Measured]:
+def _measured(scene: Scene, reading: Reading, plane_map: PlaneMap) -> dict[str, Length]:
     piece = scene.rig.workpiece
     assert isinstance(piece, GroovedBlock)
     profiles = [

@@ -6,7 +6,7 @@ from collections.abc import Iterable
 
 import numpy as np
 
-from lscan.records import Floats, Measured
+from lscan.records import Floats, Length
 
 COVER = 1.959964  # standard deviations on either side that hold 95 % of a normal distribution
 BAND = (0.93, 0.97)
@@ -17,7 +17,7 @@ def share_inside(error: Floats, sigma: Floats) -> float:
     return float(np.mean(np.abs(error) <= COVER * sigma))
 
 
-def share_of_lengths(lengths: Iterable[Measured]) -> float:
+def share_of_lengths(lengths: Iterable[Length]) -> float:
     """Share of measured lengths whose 95 % interval contains the nominal one."""
     every = list(lengths)
     error = np.array([length.error_mm for length in every])

@@ -10,7 +10,7 @@ from tempfile import TemporaryDirectory
 import numpy as np
 
 from lscan.calibration.multiview import MetricCalibration, calibrate_metric, load_views, read_views
-from lscan.records import Floats, Measured
+from lscan.records import Floats, Length
 from sim.datasets.views import write_views
 from sim.scene import Scene, camera_pose, load_scene
 from sim.truth import sheet_of
@@ -37,7 +37,7 @@ class Finding:
     calibration: MetricCalibration
     angle_mrad: float
     distance_mm: float
-    lengths: dict[str, Measured]
+    lengths: dict[str, Length]
 
 
 def metric_rows(folder: Path, effort: Effort) -> list[Row]:

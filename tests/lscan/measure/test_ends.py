@@ -13,7 +13,7 @@ from scipy.stats import norm
 from lscan.config.targets import GroovedBlock
 from lscan.measure import groove_dimensions
 from lscan.measure.ends import FALSE_LIGHT, segment_ends
-from lscan.measure.lengths import Length, mean_length
+from lscan.measure.lengths import LengthBudget, mean_length
 from lscan.measure.segments import PHASE, Segment, Trace
 from lscan.records import Floats, PlanePoints, Profile, Status
 
@@ -111,7 +111,7 @@ lengths = st.lists(st.tuples(st.floats(9.9, 10.1), st.floats(0.01, 0.1)), min_si
 def test_a_mean_lies_among_its_values_and_keeps_what_is_common(
     pairs: list[tuple[float, float]], common: float
 ) -> None:
-    each = [Length(value, own, common, np.array([0.03, -0.04])) for value, own in pairs]
+    each = [LengthBudget(value, own, common, np.array([0.03, -0.04])) for value, own in pairs]
     mean = mean_length(each)
     assert min(v for v, _ in pairs) - 1e-9 <= mean.value_mm <= max(v for v, _ in pairs) + 1e-9
     assert mean.common_mm == pytest.approx(common)
@@ -121,9 +121,9 @@ def test_a_mean_lies_among_its_values_and_keeps_what_is_common(
 
 
 def test_a_stray_is_left_out_and_equals_average_as_one_over_root_n() -> None:
-    each = [Length(10.0 + d, 0.1, 0.0) for d in (-0.1, 0.1) * 8]
+    each = [LengthBudget(10.0 + d, 0.1, 0.0) for d in (-0.1, 0.1) * 8]
     assert mean_length(each).own_mm == pytest.approx(0.1 / 4, rel=0.05)
-    strayed = mean_length([*each, Length(13.0, 0.1, 0.0)])
+    strayed = mean_length([*each, LengthBudget(13.0, 0.1, 0.0)])
     assert strayed.value_mm == pytest.approx(10.0)
 
 

@@ -14,7 +14,6 @@ from places import PHOTOGRAPHS
 from lscan.config.rig import StripeSection
 from lscan.records import Status, has_value
 from lscan.stripe import extract_stripe
-from lscan.stripe.corrections.ends import line_ends
 
 FOLDER = PHOTOGRAPHS / "webcam"
 TAKEN = FOLDER / "bust_laser_on.png", FOLDER / "bust_laser_off.png"
@@ -94,13 +93,3 @@ def test_the_papers_extractor_is_less_certain_of_overexposed_rows(photographs):
     stripe = extract_stripe(lit, StripeSection(axis="rows"), background=dark)
     saturated, sound = stripe.status == Status.SATURATED, stripe.status == Status.OK
     assert np.median(stripe.sigma_px[saturated]) > np.median(stripe.sigma_px[sound])
-
-
-def test_the_line_of_the_rim_ends_where_the_rim_does(photographs):
-    lit, dark = photographs
-    chosen = StripeSection(axis="rows", extractor="steger")
-    ends = line_ends(extract_stripe(lit, chosen, dark), lit, chosen, dark)
-    assert [end.side for end in ends[-2:]] == ["start", "end"]
-    for end, row in zip(ends[-2:], CARRIED[-1], strict=True):
-        assert end.at_px == pytest.approx(row, abs=ROW_BY_EYE + 0.5)
-        assert end.centre_px == pytest.approx(RIM[0, 0], abs=ROW_BY_EYE)

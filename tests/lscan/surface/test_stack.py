@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import time
 from dataclasses import replace
 from pathlib import Path
@@ -14,7 +13,7 @@ import xarray as xr
 
 from lscan.errors import InputError
 from lscan.records import PlanePoints, Profile, Status, Surface, has_value
-from lscan.surface import Slice, load_surface, save_points, save_slice, save_surface, stack
+from lscan.surface import load_surface, save_points, save_surface, stack
 
 
 def profile(position_mm: float, count: int = 6, missing: int = 2) -> Profile:
@@ -141,17 +140,6 @@ def test_ply_holds_every_point_that_has_a_value(surface: Surface, tmp_path: Path
     points = np.asarray(trimesh.load(tmp_path / "points.ply").vertices)
     np.testing.assert_allclose(points, surface.xyz_mm[has_value(surface.status)], rtol=1e-6)
     assert b"property float sigma_mm" in (tmp_path / "points.ply").read_bytes()[:400]
-
-
-def test_csv_of_a_slice_leaves_holes_empty(tmp_path: Path) -> None:
-    along = np.arange(3.0)
-    z, sigma = np.array([1.5, np.nan, -2.0]), np.array([0.1, np.nan, 0.2])
-    status = np.array([Status.OK, Status.NO_DATA, Status.OK])
-    cut = Slice(np.column_stack([along, 2 * along]), along, z, sigma, status, 1.4)
-    save_slice(tmp_path / "s.csv", cut)
-    rows = list(csv.DictReader((tmp_path / "s.csv").open(encoding="utf-8")))
-    assert [row["status"] for row in rows] == ["OK", "NO_DATA", "OK"]
-    assert [row["z_mm"] for row in rows] == ["1.500000", "", "-2.000000"]
 
 
 def test_what_is_not_a_surface_file_is_refused(surface: Surface, tmp_path: Path) -> None:
