@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -15,14 +15,12 @@ from lscan.config.board import Board
 from lscan.config.rig import Rig
 from lscan.config.targets import Sandwave
 from lscan.errors import InputError, MeasurementError
-from lscan.records import Bytes, Floats, Profile, Surface
+from lscan.records import Bytes, Floats, Profile, Progress, Surface
 from lscan.stripe import extract_stripe
 from lscan.surface import Alignment, align_sandwave, apply, stack
 from lscan.surface.concavity import SheetGeometry, correct_thickness
 from lscan.surface.profile import to_profile
 from lscan.surface.shaft import shaft_of, stack_about
-
-Progress = Callable[[int, int], None]
 
 
 @dataclass(frozen=True)

@@ -21,6 +21,7 @@ Every measured coordinate has a standard uncertainty (one sigma) beside it.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from enum import IntEnum
 from typing import Literal
@@ -33,6 +34,9 @@ Ints = NDArray[np.int64]
 Bytes = NDArray[np.uint8]
 Mask = NDArray[np.bool_]
 Axis = Literal["columns", "rows"]
+
+Progress = Callable[[int, int], None]
+"""What long work calls with the number of its steps that are done and the number of all."""
 
 
 class Status(IntEnum):

@@ -16,9 +16,8 @@ from lscan.config.plugins import find_plugin
 from lscan.config.rig import CameraSection, Plan, RigFile
 from lscan.devices.api import Camera, Grab, LaserSwitch, PlaceChecking, Track
 from lscan.errors import DeviceError, InputError
-from lscan.records import Bytes, Frame
+from lscan.records import Bytes, Frame, Progress
 
-Progress = Callable[[int, int], None]
 GoOn = Callable[[], bool]
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from importlib.metadata import entry_points
 from pathlib import Path
@@ -14,6 +14,7 @@ from lscan.benchmark.page import write_bench
 from lscan.calibration.api import find_solver
 from lscan.errors import InputError
 from lscan.files.disk import make_folder
+from lscan.records import Progress
 from lscan.stripe import find_extractor
 
 MAPS = (
@@ -29,8 +30,6 @@ MAPS = (
 )
 PICTURES, QUICK_PICTURES = 6, 3  # of each kind of line
 DRAWS, QUICK_DRAWS = 5, 2  # of the noise of each board's marks
-
-Progress = Callable[[int, int], None]
 
 
 @dataclass(frozen=True)

@@ -8,7 +8,7 @@ so maps are compared mark by mark, and those that chance does not tell apart are
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from time import perf_counter
 
@@ -17,7 +17,7 @@ import numpy as np
 from lscan.calibration.api import find_solver
 from lscan.config.rig import OpticsSection
 from lscan.errors import BoardNotFound, InputError
-from lscan.records import BoardReading, Floats, Ints, Marks, Mask, Status
+from lscan.records import BoardReading, Floats, Ints, Marks, Mask, Progress, Status
 
 FOLDS = 8
 FEWER_FOLDS = {"refractive": 2}
@@ -25,8 +25,6 @@ FEWER_FOLDS = {"refractive": 2}
 
 COMPLETE = 0.95  # of the marks that any map values, which the best must value too
 SAME = 1e-6  # of the pitch: marks closer on the board are one mark and share a fold
-
-Progress = Callable[[int, int], None]
 
 
 @dataclass(frozen=True)

@@ -24,7 +24,7 @@ NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,99}")
 
 
 @dataclass(frozen=True)
-class Progress:
+class ScanProgress:
     """How far a scan is.
 
     left_s: None before there is anything to judge it by.  by_device: whether it failed by a
@@ -69,7 +69,7 @@ class Scanning:
         """Whether a scan has begun that is to end with these very optics and settings."""
         return self._state in ("scanning", "stopping", "paused", "failed")
 
-    def progress(self) -> Progress:
+    def progress(self) -> ScanProgress:
         """How far the scan is now."""
         with self._lock:
             planned = self._rig_file.rig.plan.frames
@@ -78,7 +78,7 @@ class Scanning:
             known = self.active and taken > 0
             left_s = sitting_s / taken * (planned - self._done) if known else None
             elapsed_s = self._earlier_s + sitting_s
-            return Progress(
+            return ScanProgress(
                 self._state,
                 self._folder,
                 self._done,

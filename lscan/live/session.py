@@ -20,7 +20,7 @@ from lscan.live.devices import LiveDevices
 from lscan.live.errors import NotNow, told
 from lscan.live.focus import BestFocus
 from lscan.live.newest import Newest
-from lscan.live.scanning import Progress, Scanning, next_name
+from lscan.live.scanning import Scanning, ScanProgress, next_name
 from lscan.live.wire import board_json, figures_json, jpeg_of, packed
 
 Mode = Literal["stripe", "board"]
@@ -299,7 +299,7 @@ class Session:
         return None if self._shown_s is None else round(time.monotonic() - self._shown_s, 1)
 
 
-def _scan_json(scan: Progress) -> dict[str, Any]:
+def _scan_json(scan: ScanProgress) -> dict[str, Any]:
     return {
         "state": scan.state,
         "folder": str(scan.folder) if scan.folder else None,

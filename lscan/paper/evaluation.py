@@ -20,7 +20,7 @@ from lscan.paper.experiment import (
     require_size,
 )
 from lscan.paper.published import CHOSEN_MAP
-from lscan.pipeline import Progress
+from lscan.records import Progress
 
 BEST_MAP, BEST_EXTRACTOR = "refractive", "ml"
 

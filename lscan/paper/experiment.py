@@ -18,8 +18,8 @@ from lscan.config.targets import GroovedBlock, Sandwave
 from lscan.errors import BoardNotFound, InputError
 from lscan.measure import compare_slice, diameters, distances, groove_dimensions
 from lscan.measure.slices import SliceErrors
-from lscan.pipeline import Progress, mean_picture, read_profiles, reconstruct, require_board
-from lscan.records import BoardReading, Bytes, Length, Profile, Stripe, Surface
+from lscan.pipeline import mean_picture, read_profiles, reconstruct, require_board
+from lscan.records import BoardReading, Bytes, Length, Profile, Progress, Stripe, Surface
 from lscan.stripe import extract_stripe
 from lscan.surface import Alignment, Slice, resample
 from lscan.surface.shaft import shaft_of

@@ -14,7 +14,7 @@ from lscan.acquisition.run import Run
 from lscan.errors import InputError
 from lscan.files.disk import make_folder, write_atomically
 from lscan.files.pictures import write_picture
-from lscan.records import Marks, Status
+from lscan.records import Marks, Progress, Status
 from sim.scene import SECTIONS, Scene, scene_of
 from sim.scene.file import check_samples
 from sim.truth import LineBrightness, StripeTruth, board_truth, line_brightness, stripe_truths
@@ -25,7 +25,6 @@ STRIPE_COLUMNS = (
 )
 BOARD_COLUMNS = "frame,position_mm,kind,x_mm,z_mm,u_px,v_px,status"
 AT_ONCE = 20  # pictures between two reports of progress: surfaces are made anew for each lot
-Progress = Callable[[int, int], None]
 
 FARTHEST_MM = 1e5  # beyond, single precision no longer carries a hundredth of a millimetre
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable
 from contextlib import ExitStack
 from pathlib import Path
 from typing import Self
@@ -12,6 +11,7 @@ from lscan.config.documents import Document
 from lscan.config.rig import RigFile, parse_rig
 from lscan.config.toml import write_toml
 from lscan.files.disk import make_folder
+from lscan.records import Progress
 from sim.emulators.faults import (
     CAMERA_FAULTS,
     HEALED,
@@ -29,7 +29,6 @@ from sim.emulators.webcam.camera import Coding, EmulatedCamera, Sight
 from sim.emulators.webcam.mjpeg import SNAPSHOT, STREAM, MjpegServer
 from sim.scene import Scene
 
-Progress = Callable[[int, int], None]
 PLACES_BESIDE_THE_PLAN = 4  # of homing and approach
 
 

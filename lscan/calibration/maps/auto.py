@@ -14,13 +14,13 @@ from typing import Annotated, Any, cast
 from pydantic import Field
 
 from lscan.calibration.api import NOTHING_KNOWN, PlaneMap, find_solver
-from lscan.calibration.crossvalidation import COMPLETE, Progress, Score, cross_validated
+from lscan.calibration.crossvalidation import COMPLETE, Score, cross_validated
 from lscan.calibration.solve import Calibration, residuals
 from lscan.calibration.stored import NotNegative
 from lscan.config.documents import Strict, check
 from lscan.config.rig import OpticsSection
 from lscan.errors import BoardNotFound, InputError
-from lscan.records import BoardReading, Floats, PlanePoints
+from lscan.records import BoardReading, Floats, PlanePoints, Progress
 from lscan.version import __version__
 
 CANDIDATES = (

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Literal
@@ -19,13 +18,12 @@ from lscan.config.documents import Strict, check, read_document
 from lscan.config.rig import Channel, Known, OpticsSection, StripeSection
 from lscan.errors import BoardNotFound, InputError
 from lscan.files.pictures import read_picture
-from lscan.records import Bytes, Marks, Stripe, has_value
+from lscan.records import Bytes, Marks, Progress, Stripe, has_value
 from lscan.stripe import extract_stripe
 
 Side = Annotated[int, Field(ge=3, le=1000)]
 SAME = "same"  # the line is on the board's picture itself
 NONE = "none"  # nothing is subtracted
-Progress = Callable[[int, int], None]
 
 
 class Dots(Strict):

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
 from dataclasses import dataclass
 from functools import reduce
 from operator import add
@@ -28,7 +27,7 @@ from lscan.devices.trials.photontransfer import (
     photon_transfer,
 )
 from lscan.errors import InputError, MeasurementError
-from lscan.records import Bytes, Floats
+from lscan.records import Bytes, Floats, Progress
 
 FEWEST_PICTURES = 4
 """Two pairs: one to sort pixels by grey value, one to measure them."""
@@ -43,8 +42,6 @@ RARE = 1e-4
 """A linear camera's chi² is above what is held against it in one trial of ten thousand."""
 
 _COLOURS = {"red": 0, "green": 1, "blue": 2}
-
-Progress = Callable[[int, int], None]
 
 
 @runtime_checkable

@@ -4,16 +4,14 @@ from __future__ import annotations
 
 import statistics
 import time
-from collections.abc import Callable
 from dataclasses import dataclass
 
 from lscan.devices.api import Describing, Fact, Limited, Track
 from lscan.errors import DeviceError, InputError
+from lscan.records import Progress
 
 FEWEST_APPROACHES = 2
 """From either side: a standard deviation needs two."""
-
-Progress = Callable[[int, int], None]
 
 
 @dataclass(frozen=True)

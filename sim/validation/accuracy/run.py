@@ -3,17 +3,17 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Iterable, Mapping
 from concurrent.futures import Future, ProcessPoolExecutor, as_completed
 from multiprocessing import get_context
 from pathlib import Path
 
 from lscan.config.rig import load_rig
+from lscan.records import Progress
 from sim.validation.accuracy.chapters import CHAPTERS, Chapter
 from sim.validation.accuracy.effort import FULL, QUICK, Effort
 from sim.validation.rows import Row, RowFile, measured
 
-Progress = Callable[[int, int], None]
 BEST = ("board", "groove", "sandwave")
 
 

@@ -3,17 +3,15 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 from lscan.files.disk import make_folder
+from lscan.records import Progress
 from sim.validation.physics.chapters import FULL, QUICK, Measure, chapters
 from sim.validation.physics.gallery import Plate, gallery, scene_files
 from sim.validation.physics.report import write_page
 from sim.validation.rows import Check, Row, RowFile, failed_row, rows_of
-
-Progress = Callable[[int, int], None]
 
 
 @dataclass(frozen=True)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 import tempfile
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from math import ceil
@@ -16,7 +16,7 @@ import numpy as np
 
 from lscan.acquisition.run import MANIFEST, TABLE, Run, frame_file, open_run
 from lscan.errors import InputError, LscanError
-from lscan.records import Frame
+from lscan.records import Frame, Progress
 from sim.testing.faultbench import Bench, bench_for
 from sim.testing.faults import FRAMES, KINDS, Fault, draw_fault
 from sim.testing.marks import read_mark
@@ -30,8 +30,6 @@ PLACE_TOLERANCE_MM: Final = 0.02
 """The rig's ``track.options.tolerance_mm``."""
 
 DEVICE_NAMES: Final = {"camera": "camera opencv (device 0): ", "track": "grbl track on bench: "}
-
-Progress = Callable[[int, int], None]
 
 
 @dataclass(frozen=True)

@@ -11,7 +11,6 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
@@ -20,6 +19,7 @@ import numpy as np
 
 import lscan
 from lscan.acquisition.run import TABLE
+from lscan.records import Progress
 from sim.validation.rows import Row
 
 SEED: Final = 5020
@@ -41,8 +41,6 @@ centre_px = [31.5, 23.5]
 samples = 1
 """
 """The scene in pictures a tenth as wide and high, so that rendering takes next to no time."""
-
-Progress = Callable[[int, int], None]
 
 
 @dataclass(frozen=True)

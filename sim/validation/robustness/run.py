@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from lscan.config.rig import load_rig
+from lscan.records import Progress
 from sim.validation.robustness.agreement import agreement_rows
 from sim.validation.robustness.campaign import Outcome, fault_rows
 from sim.validation.robustness.effort import FULL, QUICK
@@ -18,7 +19,6 @@ from sim.validation.robustness.livepage import livepage_rows
 from sim.validation.robustness.overhead import overhead_rows
 from sim.validation.rows import Row, RowFile, measured
 
-Progress = Callable[[int, int], None]
 NEEDED = ("board", "sandwave")
 
 
