@@ -13,10 +13,17 @@ Tests marked ``hardware`` open a real camera and move a real track, those of a r
 Anything less, or several processes that would share one track, skips them.
 """
 
+from __future__ import annotations
+
 import os
+from collections.abc import Iterator
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import pytest
+
+if TYPE_CHECKING:
+    from sim.testing.browser import Chromium
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
@@ -52,3 +59,18 @@ def rig_path(pytestconfig: pytest.Config) -> Path:
     """The rig file of the hardware under test."""
     path: str = pytestconfig.getoption("--rig")
     return Path(path).absolute()
+
+
+@pytest.fixture(scope="module")
+def chromium() -> Iterator[Chromium]:
+    """A headless Chromium for the tests of a module, which skip where there is none.
+
+    Not for the session: as long as it lasts, Playwright's event loop is that of this thread.
+    """
+    from sim.testing.browser import BrowserMissing, headless_chromium
+
+    try:
+        with headless_chromium() as browser:
+            yield browser
+    except BrowserMissing as missing:
+        pytest.skip(str(missing))

@@ -6,7 +6,7 @@ import json
 import re
 import time
 from collections.abc import Iterator
-from pathlib import Path
+from contextlib import contextmanager
 from typing import Any
 from urllib.parse import urlsplit
 
@@ -25,8 +25,12 @@ from live_mock import (
     served,
 )
 from places import ROOT
+from playwright.sync_api import Error, Page
 
-from sim.testing.browser import Browser, BrowserError, BrowserMissing, main
+from sim.testing.browser import (
+    Chromium,
+    wait_for,
+)
 
 pytestmark = pytest.mark.xdist_group("live_page")  # one worker: they share a fixture
 
@@ -50,51 +54,57 @@ ALIGNING = {"phase": "alignment"}
 STRIPE, CLIPPED_COLOUR = (0, 220, 255), (255, 213, 0)
 
 
-@pytest.fixture(scope="module")
-def chromium() -> Iterator[Browser]:
-    try:
-        browser = Browser()
-    except BrowserMissing as missing:
-        pytest.skip(str(missing))
-    with browser:
-        yield browser
-
-
 @pytest.fixture
 def instrument() -> Instrument:
     return Instrument()
 
 
-@pytest.fixture
-def page(chromium: Browser, instrument: Instrument) -> Iterator[Browser]:
-    """The page of the instrument, drawing; at the end, nothing may stand in the console."""
-    chromium.resize(1280, 800)
-    chromium.prefer("light")
+@contextmanager
+def drawing(chromium: Chromium, page: Page, instrument: Instrument) -> Iterator[Page]:
+    """The instrument's live page in ``page``; at the end, nothing may stand in the console."""
     with served(instrument) as url:
-        chromium.open(url)
-        chromium.wait_for(DRAWING)
-        yield chromium
+        page.goto(url)
+        wait_for(page, DRAWING)
+        yield page
         assert chromium.take_errors() == []
-        chromium.open("about:blank")
+        page.goto("about:blank")
         chromium.take_errors()
 
 
-def coloured(page: Browser, colour: tuple[int, int, int]) -> np.ndarray:
+@pytest.fixture
+def page(chromium: Chromium, instrument: Instrument) -> Iterator[Page]:
+    resize(chromium.page, 1280, 800)
+    chromium.page.emulate_media(color_scheme="light")
+    with drawing(chromium, chromium.page, instrument) as page:
+        yield page
+
+
+@pytest.fixture
+def phone(chromium: Chromium, instrument: Instrument) -> Iterator[Page]:
+    with chromium.phone() as phone, drawing(chromium, phone, instrument):
+        yield phone
+
+
+def resize(page: Page, width: int, height: int) -> None:
+    page.set_viewport_size({"width": width, "height": height})
+
+
+def coloured(page: Page, colour: tuple[int, int, int]) -> np.ndarray:
     """(N, 2) pixels (u, v) of the picture's canvas that have this colour."""
     found = page.evaluate(OVERLAY % (WIDTH, HEIGHT, *colour))
     return np.array(found, dtype=float).reshape(-1, 2)
 
 
-def text(page: Browser, selector: str) -> str:
+def text(page: Page, selector: str) -> str:
     return str(page.evaluate(f"document.querySelector('{selector}').innerText"))
 
 
-def shows(page: Browser, selector: str, words: str) -> None:
+def shows(page: Page, selector: str, words: str) -> None:
     """Wait until the element's text holds the words."""
-    page.wait_for(f"document.querySelector('{selector}').innerText.includes({words!r})")
+    wait_for(page, f"document.querySelector('{selector}').innerText.includes({words!r})")
 
 
-def enabled(page: Browser, selector: str = "button") -> set[str]:
+def enabled(page: Page, selector: str = "button") -> set[str]:
     """Names of the enabled buttons: their ids, or the way that they jog."""
     script = f"""[...document.querySelectorAll({selector!r})]
         .filter((one) => !one.disabled && !one.hidden)
@@ -115,7 +125,7 @@ def wait_for_post(instrument: Instrument, count: int) -> tuple[str, Any]:
 # ---- what is drawn ----------------------------------------------------------------------
 
 
-def test_the_stripe_is_drawn_on_its_line_and_nowhere_else(page: Browser) -> None:
+def test_the_stripe_is_drawn_on_its_line_and_nowhere_else(page: Page) -> None:
     # A dot is 2 px high about the centre: it covers one row fully, whose middle is within
     # 0.5 px of the centre, and two others in part.
     plain, clipped = coloured(page, STRIPE), coloured(page, CLIPPED_COLOUR)
@@ -127,7 +137,7 @@ def test_the_stripe_is_drawn_on_its_line_and_nowhere_else(page: Browser) -> None
     assert set(plain[:, 0]) == set(columns) - set(columns[CLIPPED]) - set(columns[GAP])
 
 
-def test_the_picture_under_the_stripe_is_the_cameras(page: Browser) -> None:
+def test_the_picture_under_the_stripe_is_the_cameras(page: Page) -> None:
     # JPEG leaves the flat ground within a few DN of the 14 it was painted with.
     pixels = page.evaluate(
         "[...document.querySelector('#picture').getContext('2d')"
@@ -137,7 +147,7 @@ def test_the_picture_under_the_stripe_is_the_cameras(page: Browser) -> None:
     assert abs(ground.mean() - 14.0) < 1.0
 
 
-def test_a_stripe_along_rows_is_drawn_across_them(page: Browser, instrument: Instrument) -> None:
+def test_a_stripe_along_rows_is_drawn_across_them(page: Page, instrument: Instrument) -> None:
     centre = [200.3] * HEIGHT
     stripe = {"axis": "rows", "centre_px": centre, "found": HEIGHT, "of": HEIGHT, "clipped": 0}
     instrument.frame = {"stripe": {**stripe, "width_px": 3.0, "snr": 20.0, "status": {}}}
@@ -147,7 +157,7 @@ def test_a_stripe_along_rows_is_drawn_across_them(page: Browser, instrument: Ins
     assert np.abs(pixels[:, 0] - 200.3).max() <= 1.0
 
 
-def test_the_profile_is_plotted_where_its_axes_say(page: Browser) -> None:
+def test_the_profile_is_plotted_where_its_axes_say(page: Page) -> None:
     for equal in (False, True):
         if equal:
             page.click("#equal")
@@ -205,15 +215,15 @@ WRITTEN = """(() => {
 
 @pytest.mark.parametrize("highest_mm", [-24.0, -4.0, 10.0, 16.0, 996.0])
 def test_nothing_on_the_profile_is_written_over_another(
-    page: Browser, instrument: Instrument, highest_mm: float
+    page: Page, instrument: Instrument, highest_mm: float
 ) -> None:
     """Also with the highest tick at the upper edge, -20, 0, 20 and 1000 mm there."""
     z_mm = (Z_MM - Z_MM.max() + highest_mm).tolist()
     instrument.frame = {"profile": {"x_mm": X_MM.tolist(), "z_mm": z_mm, "sigma_mm": 0.1}}
     for size in ((1280, 800), (390, 844), (844, 390)):
-        page.resize(*size)
+        resize(page, *size)
         drawn = page.evaluate("window.lscan.framesDrawn")
-        page.wait_for(f"window.lscan.framesDrawn > {drawn + 5}")
+        wait_for(page, f"window.lscan.framesDrawn > {drawn + 5}")
         written = page.evaluate(WRITTEN)
         assert {"x in mm", "z in mm"} < {words for words, *_ in written}
         for one, (words, left, right, top, bottom) in enumerate(written):
@@ -222,7 +232,7 @@ def test_nothing_on_the_profile_is_written_over_another(
                 assert beside or bottom <= other_top or other_bottom <= top, (words, other)
 
 
-def test_the_zoom_magnifies_the_stripe_where_it_is_clicked(page: Browser) -> None:
+def test_the_zoom_magnifies_the_stripe_where_it_is_clicked(page: Page) -> None:
     """Four times: the window is a quarter of the picture, about the stripe at that place."""
     for column in (320, 128, 512):
         click_on_picture(page, column / WIDTH)
@@ -241,30 +251,28 @@ def test_the_zoom_magnifies_the_stripe_where_it_is_clicked(page: Browser) -> Non
         assert np.ptp(coloured(page, STRIPE)[:, 0]) == WIDTH - 1  # the whole again
 
 
-def after_pictures(page: Browser, count: int) -> None:
+def after_pictures(page: Page, count: int) -> None:
     drawn = page.evaluate("window.lscan.framesDrawn")
-    page.wait_for(f"window.lscan.framesDrawn > {drawn + count}")
+    wait_for(page, f"window.lscan.framesDrawn > {drawn + count}")
 
 
-def click_on_picture(page: Browser, share: float) -> None:
+def click_on_picture(page: Page, share: float) -> None:
     """Click on the middle of its height, so far along its width."""
     box = "document.querySelector('#picture').getBoundingClientRect()"
     x, y, width, height = page.evaluate(
         f"(({{x, y, width, height}}) => [x, y, width, height])({box})"
     )
-    place = {"x": x + share * width, "y": y + height / 2}
-    for kind in ("mousePressed", "mouseReleased"):
-        page.call("Input.dispatchMouseEvent", type=kind, button="left", clickCount=1, **place)
+    page.mouse.click(x + share * width, y + height / 2)
 
 
-def test_without_a_calibration_the_page_says_so(page: Browser, instrument: Instrument) -> None:
+def test_without_a_calibration_the_page_says_so(page: Page, instrument: Instrument) -> None:
     instrument.state["calibration"] = None
     instrument.frame = {"profile": None}
     shows(page, "[data-number=sigma]", "take a board picture")
     shows(page, "#devices", "no calibration")
     assert page.evaluate("window.lscan.plot") is None
     drawn = page.evaluate("window.lscan.profilesDrawn")
-    page.wait_for(f"window.lscan.framesDrawn > {drawn + 5}")
+    wait_for(page, f"window.lscan.framesDrawn > {drawn + 5}")
     assert page.evaluate("window.lscan.profilesDrawn") == drawn
 
 
@@ -285,7 +293,7 @@ def test_without_a_calibration_the_page_says_so(page: Browser, instrument: Instr
     ],
 )
 def test_each_number_has_its_verdict(
-    page: Browser,
+    page: Page,
     instrument: Instrument,
     change: dict[str, Any],
     number: str,
@@ -315,7 +323,7 @@ def test_each_number_has_its_verdict(
     ],
 )
 def test_the_legend_names_each_limit_at_which_a_verdict_turns(
-    page: Browser,
+    page: Page,
     name: str,
     frame: dict[str, Any],
     key: str,
@@ -344,13 +352,13 @@ def test_the_legend_names_each_limit_at_which_a_verdict_turns(
     assert legend in page.evaluate("document.querySelector('#legend').textContent")
 
 
-def test_the_limits_of_the_board_and_of_the_rate_are_told(page: Browser) -> None:
+def test_the_limits_of_the_board_and_of_the_rate_are_told(page: Page) -> None:
     legend = page.evaluate("document.querySelector('#legend').textContent")
     for words in ("0.5 mm", "2 mm", "0.1°", "10 drawn", "under 3"):
         assert words in legend
 
 
-def test_the_focus_bar_stands_against_the_best(page: Browser, instrument: Instrument) -> None:
+def test_the_focus_bar_stands_against_the_best(page: Page, instrument: Instrument) -> None:
     instrument.state["calibration"] = None
     instrument.frame = {"focus": 30.0, "focus_best": 120.0}
     shows(page, "[data-number=focus]", "25 %")
@@ -381,7 +389,7 @@ VERDICTS = """import("/live/figures.js").then(({FIGURES}) => {
     [("alignment", True, True), ("calibrated", False, True), ("scan", False, False)],
 )
 def test_advice_about_optics_holds_in_alignment_alone(
-    page: Browser, phase: str, optics: bool, exposure: bool
+    page: Page, phase: str, optics: bool, exposure: bool
 ) -> None:
     """A calibration and a scan are those of the optics and the exposure they began with."""
     told = set(page.evaluate(VERDICTS % phase))
@@ -400,7 +408,7 @@ def test_advice_about_optics_holds_in_alignment_alone(
     } <= faults
 
 
-def test_a_scan_shows_no_bar_to_be_filled(page: Browser, instrument: Instrument) -> None:
+def test_a_scan_shows_no_bar_to_be_filled(page: Page, instrument: Instrument) -> None:
     instrument.state["calibration"] = None
     instrument.frame = {"focus": 88.0, "focus_best": 100.0}
     shows(page, "[data-number=focus]", "turn the lens until the bar is full")
@@ -409,15 +417,15 @@ def test_a_scan_shows_no_bar_to_be_filled(page: Browser, instrument: Instrument)
     assert page.evaluate("document.querySelector('[data-number=focus] meter').value") == 0
 
 
-def test_the_board_is_not_moved_while_a_scan_goes_on(page: Browser, instrument: Instrument) -> None:
+def test_the_board_is_not_moved_while_a_scan_goes_on(page: Page, instrument: Instrument) -> None:
     instrument.state["mode"] = "board"
     shows(page, "#board-advice", "Move the board")
     instrument.scan_is("scanning")
-    page.wait_for("document.querySelector('#board-advice').innerText === ''")
+    wait_for(page, "document.querySelector('#board-advice').innerText === ''")
 
 
 def test_the_verdict_of_a_width_does_not_flicker_at_a_limit(
-    page: Browser, instrument: Instrument
+    page: Page, instrument: Instrument
 ) -> None:
     """5 % on either side of 4 px: from 3.8 to 4.2 px it is what it was before."""
     stripe = instrument.next_frame(0)[0]["stripe"]  # type: ignore[index]
@@ -433,7 +441,7 @@ def test_the_verdict_of_a_width_does_not_flicker_at_a_limit(
         assert page.evaluate(f"{tile}.dataset.grade") == grade, width_px
 
 
-def test_the_readme_gives_the_width_that_the_page_calls_good(page: Browser) -> None:
+def test_the_readme_gives_the_width_that_the_page_calls_good(page: Page) -> None:
     figure = "FIGURES.find((one) => one.name === 'width').legend"
     legend = page.evaluate(f"import('/live/figures.js').then(({{FIGURES}}) => {figure})")
     good = re.search(r"good from ([\d.]+) to ([\d.]+) px", legend)
@@ -445,7 +453,7 @@ def test_the_readme_gives_the_width_that_the_page_calls_good(page: Browser) -> N
 
 
 def test_the_board_is_shown_with_its_marks_and_where_it_stands(
-    page: Browser, instrument: Instrument
+    page: Page, instrument: Instrument
 ) -> None:
     page.click("#mode-board")
     assert wait_for_post(instrument, 1) == ("/api/mode", {"mode": "board"})
@@ -479,7 +487,7 @@ def test_the_board_is_shown_with_its_marks_and_where_it_stands(
     ],
 )
 def test_the_advice_undoes_the_offset(
-    page: Browser, instrument: Instrument, offset: dict[str, float] | None, words: str
+    page: Page, instrument: Instrument, offset: dict[str, float] | None, words: str
 ) -> None:
     instrument.state["mode"] = "board"
     shows(page, "#board-advice", "Move the board")
@@ -490,11 +498,11 @@ def test_the_advice_undoes_the_offset(
     shows(page, "#board-advice", words)
 
 
-def test_a_board_that_is_not_found_says_why(page: Browser, instrument: Instrument) -> None:
+def test_a_board_that_is_not_found_says_why(page: Page, instrument: Instrument) -> None:
     lost = {"found": 0, "expected": 20, "message": "no dots in the picture", "marks_px": []}
     residuals = dict.fromkeys(["residual_rms_px", "residual_max_px", "residual_rms_mm"])
     instrument.frame = {"board": {**lost, **residuals, "offset": None, "age_s": 0.1}}
-    page.press("m")
+    page.keyboard.press("m")
     shows(page, "#board-advice", "no dots in the picture")
     assert "no board found" in text(page, "[data-number=marks]")
 
@@ -518,7 +526,7 @@ MODES = {"mode-stripe", "mode-board"}
     ],
 )
 def test_only_what_can_be_done_can_be_clicked(
-    page: Browser, instrument: Instrument, state: str, done: int, allowed: set[str]
+    page: Page, instrument: Instrument, state: str, done: int, allowed: set[str]
 ) -> None:
     instrument.scan_is(state, done)
     words = {"idle": "ready", "stopping": "stopping after this frame"}.get(state, state)
@@ -526,17 +534,17 @@ def test_only_what_can_be_done_can_be_clicked(
     assert enabled(page) == allowed | MODES
 
 
-def test_what_the_rig_lacks_cannot_be_clicked(page: Browser, instrument: Instrument) -> None:
+def test_what_the_rig_lacks_cannot_be_clicked(page: Page, instrument: Instrument) -> None:
     instrument.state.update(board=False, can_switch_laser=False)
     instrument.state["track"]["position_mm"] = None
     instrument.frame = {"position_mm": None}
-    page.wait_for("document.querySelector('#laser').hidden")
+    wait_for(page, "document.querySelector('#laser').hidden")
     assert enabled(page) == {"start", "go", "mode-stripe"}
 
 
-def test_clicks_send_their_commands(page: Browser, instrument: Instrument) -> None:
+def test_clicks_send_their_commands(page: Page, instrument: Instrument) -> None:
     page.click("#target")
-    page.type("47.5")
+    page.keyboard.type("47.5")
     commands: list[tuple[str, str, Any]] = [
         ("#go", "/api/move", {"position_mm": 47.5}),
         (".jog[data-by='-10']", "/api/move", {"position_mm": 37.5}),
@@ -550,62 +558,62 @@ def test_clicks_send_their_commands(page: Browser, instrument: Instrument) -> No
         ("#take-board", "/api/board", {}),
     ]
     for count, (button, path, body) in enumerate(commands, start=1):
-        page.wait_for(f'!document.querySelector("{button}").disabled')
+        wait_for(page, f'!document.querySelector("{button}").disabled')
         page.click(button)
         assert wait_for_post(instrument, count) == (path, body)
     shows(page, "#task", "board picture: taking picture 1 of 4")
     assert "take-board" not in enabled(page)
 
 
-def test_quick_jogs_add_up(page: Browser, instrument: Instrument) -> None:
+def test_quick_jogs_add_up(page: Page, instrument: Instrument) -> None:
     for _ in range(3):
         page.click(".jog[data-by='1']")
     wait_for_post(instrument, 3)
     assert [body["position_mm"] for _, body in instrument.posts] == [13.0, 14.0, 15.0]
 
 
-def test_a_disabled_button_does_not_answer(page: Browser, instrument: Instrument) -> None:
-    page.click("#pause")
-    page.press("p")
-    page.press("Escape")
-    page.press("b")
+def test_a_disabled_button_does_not_answer(page: Page, instrument: Instrument) -> None:
+    page.click("#pause", force=True)  # without waiting until it is enabled
+    page.keyboard.press("p")
+    page.keyboard.press("Escape")
+    page.keyboard.press("b")
     assert wait_for_post(instrument, 1) == ("/api/board", {})
 
 
-def test_a_whole_scan_by_the_keyboard(page: Browser, instrument: Instrument) -> None:
+def test_a_whole_scan_by_the_keyboard(page: Page, instrument: Instrument) -> None:
     page.evaluate("document.activeElement.blur()")
     for _ in range(30):
         if page.evaluate("document.activeElement.id") == "name":
             break
-        page.press("Tab")
-    page.type("bps")  # typed into the name, these are no shortcuts
+        page.keyboard.press("Tab")
+    page.keyboard.type("bps")  # typed into the name, these are no shortcuts
     assert page.evaluate("document.querySelector('#name').value") == "bps"
     assert page.evaluate("getComputedStyle(document.activeElement).outlineStyle") == "solid"
-    page.press("Tab")
+    page.keyboard.press("Tab")
     assert page.evaluate("document.activeElement.id") == "start"
-    page.press("Enter")
+    page.keyboard.press("Enter")
     assert wait_for_post(instrument, 1) == ("/api/scan/start", {"name": "bps"})
-    page.wait_for("document.activeElement.id === 'pause'")  # the next thing to press
-    page.press(" ")
+    wait_for(page, "document.activeElement.id === 'pause'")  # the next thing to press
+    page.keyboard.press(" ")
     assert wait_for_post(instrument, 2)[0] == "/api/scan/pause"
-    page.wait_for("document.activeElement.id === 'resume'")
+    wait_for(page, "document.activeElement.id === 'resume'")
     keys = [("p", "resume", "pause"), ("p", "pause", "resume"), ("p", "resume", "pause"),
             ("Escape", "stop", "resume")]  # fmt: skip
     for count, (key, path, next_button) in enumerate(keys, start=3):
-        page.press(key)
+        page.keyboard.press(key)
         assert wait_for_post(instrument, count)[0] == f"/api/scan/{path}"
         # What a key does depends on the state that the page knows of.
-        page.wait_for(f"!document.querySelector('#{next_button}').disabled")
+        wait_for(page, f"!document.querySelector('#{next_button}').disabled")
     shows(page, "#scan-note", "35 of 100 frames")
     shows(page, "#scan-state", "stopped")
     assert "resume" in enabled(page)
 
 
-def test_every_control_is_reached_by_tab(page: Browser) -> None:
+def test_every_control_is_reached_by_tab(page: Page) -> None:
     page.evaluate("document.activeElement.blur()")
     reached = []
     for _ in range(30):
-        page.press("Tab")
+        page.keyboard.press("Tab")
         name = page.evaluate(
             "(({id, dataset, tagName}) => id || dataset.by || tagName)(document.activeElement)"
         )
@@ -618,7 +626,7 @@ def test_every_control_is_reached_by_tab(page: Browser) -> None:
 # ---- progress and faults ----------------------------------------------------------------
 
 
-def test_the_progress_of_a_scan_is_told(page: Browser, instrument: Instrument) -> None:
+def test_the_progress_of_a_scan_is_told(page: Page, instrument: Instrument) -> None:
     instrument.scan_is("scanning", 34)
     shows(page, "#scan-note", "34 of 100 frames · 0:16 left · 0:08 gone · runs/scan-003")
     assert page.evaluate("document.querySelector('#progress').value") == 0.34
@@ -626,13 +634,13 @@ def test_the_progress_of_a_scan_is_told(page: Browser, instrument: Instrument) -
 
 
 def test_faults_stand_in_the_alert_line_until_they_are_gone(
-    page: Browser, instrument: Instrument
+    chromium: Chromium, page: Page, instrument: Instrument
 ) -> None:
     assert page.evaluate("document.querySelector('#alert').checkVisibility()") is False
     instrument.refusal = "a scan is going on"
     page.click("#start")
     shows(page, "#alert", "a scan is going on")
-    page.take_errors()  # the browser notes every refused request in its console
+    chromium.take_errors()  # the browser notes every refused request in its console
     instrument.state["camera"]["error"] = "no picture for 2.0 s"
     shows(page, "#alert", "Camera: no picture for 2.0 s")
     instrument.scan_is("failed", 34, message="the disk is full")
@@ -640,7 +648,7 @@ def test_faults_stand_in_the_alert_line_until_they_are_gone(
     instrument.refusal = ""
     instrument.state["camera"]["error"] = ""
     page.click("#resume")
-    page.wait_for("document.querySelector('#alert').innerText === ''")
+    wait_for(page, "document.querySelector('#alert').innerText === ''")
 
 
 GREY = "getComputedStyle(document.querySelector('#picture')).filter.includes('grayscale')"
@@ -648,7 +656,7 @@ DAY_S = 86_400
 
 
 def test_a_camera_that_is_gone_leaves_no_picture_that_looks_alive(
-    page: Browser, instrument: Instrument
+    page: Page, instrument: Instrument
 ) -> None:
     assert text(page, "#since") == ""
     assert page.evaluate(GREY) is False
@@ -668,12 +676,12 @@ def test_a_camera_that_is_gone_leaves_no_picture_that_looks_alive(
     assert text(page, "#alert") == "Camera: no picture for 2.0 s"
     instrument.stuck = False
     camera.update(gone=False, seen_s_ago=0.0, error="")
-    page.wait_for("document.querySelector('#connection').innerText === 'live'")
+    wait_for(page, "document.querySelector('#connection').innerText === 'live'")
     assert (text(page, "#since"), text(page, "#alert"), page.evaluate(GREY)) == ("", "", False)
     assert enabled(page) == FREE | MODES
 
 
-def test_a_fault_is_told_once(page: Browser, instrument: Instrument) -> None:
+def test_a_fault_is_told_once(chromium: Chromium, page: Page, instrument: Instrument) -> None:
     """What a device did to a command and to the scan is not told beside the device's own fault."""
 
     def counts(word: str) -> int:
@@ -682,11 +690,11 @@ def test_a_fault_is_told_once(page: Browser, instrument: Instrument) -> None:
     instrument.refusal, instrument.by_device = "the cable: cannot be opened", True
     page.click("#start")
     shows(page, "#alert", "the cable: cannot be opened")
-    page.take_errors()  # the browser notes every refused request in its console
+    chromium.take_errors()  # the browser notes every refused request in its console
     instrument.state["track"]["error"] = "the cable is gone"
     instrument.scan_is("failed", 34, message="frame 35: no answer of the cable", by_device=True)
     shows(page, "#alert", "the cable is gone")
-    page.wait_for("document.body.dataset.scan === 'failed'")
+    wait_for(page, "document.body.dataset.scan === 'failed'")
     assert counts("cable") == 1
     instrument.state["track"]["error"] = ""
     shows(page, "#alert", "no answer of the cable")  # why the scan failed is still to be known
@@ -697,59 +705,61 @@ def test_a_fault_is_told_once(page: Browser, instrument: Instrument) -> None:
     assert (counts("cable"), counts("disk")) == (1, 1)
 
 
-def test_a_server_that_went_away_is_waited_for(chromium: Browser) -> None:
+def test_a_server_that_went_away_is_waited_for(chromium: Chromium) -> None:
+    page = chromium.page
     first = Instrument()
     with served(first) as url:
-        chromium.open(url)
-        chromium.wait_for("window.lscan?.framesDrawn > 20")
-    chromium.wait_for("document.querySelector('#connection').innerText === 'not live'")
-    assert "trying again" in text(chromium, "#alert")
-    assert "last picture at" in text(chromium, "#since")
-    assert chromium.evaluate(GREY)
-    assert enabled(chromium) == set()
-    drawn = chromium.evaluate("window.lscan.framesDrawn")
+        page.goto(url)
+        wait_for(page, "window.lscan?.framesDrawn > 20")
+    wait_for(page, "document.querySelector('#connection').innerText === 'not live'")
+    assert "trying again" in text(page, "#alert")
+    assert "last picture at" in text(page, "#since")
+    assert page.evaluate(GREY)
+    assert enabled(page) == set()
+    drawn = page.evaluate("window.lscan.framesDrawn")
     with served(Instrument(), urlsplit(url).port or 0):  # its numbers begin at 1 again
-        chromium.wait_for(f"window.lscan.framesDrawn > {drawn + 3}")
-        chromium.wait_for("document.querySelector('#connection').innerText === 'live'")
-        assert text(chromium, "#alert") == ""
-        assert enabled(chromium) == FREE | MODES
-        assert chromium.evaluate(GREY) is False
+        wait_for(page, f"window.lscan.framesDrawn > {drawn + 3}")
+        wait_for(page, "document.querySelector('#connection').innerText === 'live'")
+        assert text(page, "#alert") == ""
+        assert enabled(page) == FREE | MODES
+        assert page.evaluate(GREY) is False
         errors = chromium.take_errors()
         assert errors, "the lost server stands in the console"
-        assert all(error.startswith("network:") for error in errors)
-        chromium.open("about:blank")
+        assert all("net::ERR_" in error for error in errors)
+        page.goto("about:blank")
     chromium.take_errors()
 
 
-def test_a_token_is_asked_for_and_kept(chromium: Browser) -> None:
+def test_a_token_is_asked_for_and_kept(chromium: Chromium) -> None:
+    page = chromium.page
     instrument = Instrument()
     instrument.token = "one-two-three"
     with served(instrument) as url:
-        chromium.open(url)
-        assert "Open the address with its token" in chromium.evaluate("document.body.innerText")
-        chromium.open(f"{url}?token=one-two-three")
-        chromium.wait_for(DRAWING)
-        chromium.click("#start")
+        page.goto(url)
+        assert "Open the address with its token" in page.evaluate("document.body.innerText")
+        page.goto(f"{url}?token=one-two-three")
+        wait_for(page, DRAWING)
+        page.click("#start")
         assert wait_for_post(instrument, 1)[0] == "/api/scan/start"
         instrument.token = "another"  # the server was started anew
-        shows(chromium, "#alert", "Open the address with its token")
-        shows(chromium, "#connection", "not live")
-        chromium.open("about:blank")
+        shows(page, "#alert", "Open the address with its token")
+        shows(page, "#connection", "not live")
+        page.goto("about:blank")
     chromium.take_errors()
 
 
-def test_a_hidden_page_asks_for_no_pictures(page: Browser) -> None:
+def test_a_hidden_page_asks_for_no_pictures(page: Page) -> None:
     page.evaluate(
         "Object.defineProperty(document, 'hidden', {get: () => window.covered, configurable: true})"
     )
     page.evaluate("window.covered = true")
-    page.wait_for("(window.lscan.seen ??= window.lscan.framesDrawn) && true")
+    wait_for(page, "(window.lscan.seen ??= window.lscan.framesDrawn) && true")
     page.evaluate("new Promise((go) => setTimeout(go, 300))")  # the picture on its way
     drawn = page.evaluate("window.lscan.framesDrawn")
     page.evaluate("new Promise((go) => setTimeout(go, 500))")
     assert page.evaluate("window.lscan.framesDrawn") == drawn
     page.evaluate("window.covered = false; document.dispatchEvent(new Event('visibilitychange'))")
-    page.wait_for(f"window.lscan.framesDrawn > {drawn}")
+    wait_for(page, f"window.lscan.framesDrawn > {drawn}")
 
 
 # ---- on a phone, and pictures to look at ------------------------------------------------
@@ -757,23 +767,23 @@ def test_a_hidden_page_asks_for_no_pictures(page: Browser) -> None:
 
 @pytest.mark.parametrize("mode", ["stripe", "board"])
 def test_a_phone_shows_one_column_with_room_for_fingers(
-    page: Browser, instrument: Instrument, mode: str
+    phone: Page, instrument: Instrument, mode: str
 ) -> None:
     instrument.state["mode"] = mode
     instrument.scan_is("scanning")
     instrument.state["scan"]["folder"] = "runs/" + "a-long-name-" * 6
-    page.resize(360, 740, mobile=True)
-    page.wait_for(f"document.body.dataset.mode === '{mode}'")
-    shows(page, "#scan-state", "scanning")
-    page.click("summary")
-    assert page.evaluate("[document.documentElement.scrollWidth, innerWidth]") == [360, 360]
-    beyond = page.evaluate(
+    resize(phone, 360, 740)
+    wait_for(phone, f"document.body.dataset.mode === '{mode}'")
+    shows(phone, "#scan-state", "scanning")
+    phone.click("summary")
+    assert phone.evaluate("[document.documentElement.scrollWidth, innerWidth]") == [360, 360]
+    beyond = phone.evaluate(
         "[...document.querySelectorAll('body *')].filter((one) => one.checkVisibility() "
         "&& !one.closest('.unseen') && one.getBoundingClientRect().right > 360.5)"
         ".map((one) => one.outerHTML.slice(0, 80))"
     )
     assert beyond == []
-    small = page.evaluate(
+    small = phone.evaluate(
         "[...document.querySelectorAll('button, input:not([type=checkbox]), label.check, summary')]"
         ".filter((one) => one.checkVisibility())"
         ".map((one) => [one.id || one.textContent.trim(), one.getBoundingClientRect()])"
@@ -801,45 +811,45 @@ IN_VIEW = """(() => {
 
 @pytest.mark.parametrize("size", [(360, 740), (740, 360), (390, 844), (844, 390)])
 def test_a_phone_keeps_the_buttons_of_a_scan_within_reach(
-    page: Browser, instrument: Instrument, size: tuple[int, int]
+    phone: Page, instrument: Instrument, size: tuple[int, int]
 ) -> None:
-    page.resize(*size, mobile=True)
-    page.evaluate("scrollTo(0, 0)")
-    assert page.evaluate(IN_REACH) == ["start"]
+    resize(phone, *size)
+    phone.evaluate("scrollTo(0, 0)")
+    assert phone.evaluate(IN_REACH) == ["start"]
     states = [("scanning", ["pause", "stop"]), ("paused", ["resume", "stop"])]
     for state, buttons in states:
         instrument.scan_is(state)
-        shows(page, "#scan-state", state)
+        shows(phone, "#scan-state", state)
         for scroll_px in (0, 300, 10_000):
-            page.evaluate(f"scrollTo(0, {scroll_px})")
-            assert page.evaluate(IN_REACH) == buttons
+            phone.evaluate(f"scrollTo(0, {scroll_px})")
+            assert phone.evaluate(IN_REACH) == buttons
             for part in ("#progress", "#scan-note"):
-                assert page.evaluate(IN_VIEW % part), part
-        page.evaluate("scrollTo(0, 0)")
-        assert page.evaluate(IN_VIEW % "#picture")
-        page.evaluate("scrollTo(0, 10_000)")
+                assert phone.evaluate(IN_VIEW % part), part
+        phone.evaluate("scrollTo(0, 0)")
+        assert phone.evaluate(IN_VIEW % "#picture")
+        phone.evaluate("scrollTo(0, 10_000)")
     # Scrolled to its end, the page ends above the bar, which hides nothing.
-    bar, end = page.evaluate(
+    bar, end = phone.evaluate(
         "['.bar', 'main'].map((one) => document.querySelector(one)"
         ".getBoundingClientRect()).map((box) => [box.top, box.bottom])"
     )
     assert end[1] <= bar[0] + 0.5  # scrolled to whole device pixels
-    page.evaluate("scrollTo(0, 0)")
-    page.click("#stop")
+    phone.evaluate("scrollTo(0, 0)")
+    phone.click("#stop")
     assert wait_for_post(instrument, 1) == ("/api/scan/stop", {})
-    page.evaluate("scrollTo(0, 0)")
-    page.wait_for(f"{IN_REACH}.join() === 'start,resume'")
+    phone.evaluate("scrollTo(0, 0)")
+    wait_for(phone, f"{IN_REACH}.join() === 'start,resume'")
 
 
-def test_what_is_reached_by_tab_is_not_under_the_bar(page: Browser, instrument: Instrument) -> None:
-    page.resize(360, 740, mobile=True)
+def test_what_is_reached_by_tab_is_not_under_the_bar(phone: Page, instrument: Instrument) -> None:
+    resize(phone, 360, 740)
     instrument.scan_is("paused")
-    shows(page, "#scan-state", "paused")
-    page.evaluate("document.activeElement.blur()")
+    shows(phone, "#scan-state", "paused")
+    phone.evaluate("document.activeElement.blur()")
     reached = set()
     for _ in range(20):
-        page.press("Tab")
-        name, covered = page.evaluate(
+        phone.keyboard.press("Tab")
+        name, covered = phone.evaluate(
             "(() => { const one = document.activeElement, box = one.getBoundingClientRect();"
             "const bar = document.querySelector('.bar');"
             "return [one.id || one.dataset.by || one.tagName,"
@@ -854,87 +864,44 @@ def test_what_is_reached_by_tab_is_not_under_the_bar(page: Browser, instrument: 
 
 
 @pytest.mark.slow
-def test_screenshots_are_kept(page: Browser, instrument: Instrument) -> None:
+def test_screenshots_are_kept(page: Page, phone: Page, instrument: Instrument) -> None:
+    resize(phone, 360, 740)
     for name in ("stripe", "board", "scanning"):
         mode = "board" if name == "board" else "stripe"
         instrument.state["mode"] = mode
         instrument.scan_is("scanning" if name == "scanning" else "idle")
-        page.wait_for(f"document.body.dataset.mode === '{mode}'")
-        for device, (width, height) in {"desktop": (1280, 800), "phone": (360, 740)}.items():
-            page.resize(width, height, mobile=device == "phone")
-            drawn = page.evaluate("window.lscan.framesDrawn")
-            page.wait_for(f"window.lscan.framesDrawn > {drawn + 8}")
+        for device, shown in {"desktop": page, "phone": phone}.items():
+            wait_for(shown, f"document.body.dataset.mode === '{mode}'")
+            after_pictures(shown, 8)
             path = OUT / f"{device}-{name}.png"
-            page.screenshot(path, whole=device == "phone")
+            shown.screenshot(path=path, full_page=device == "phone")
             assert path.stat().st_size > 10_000
-    page.prefer("dark")
-    page.resize(1280, 800)
+    page.emulate_media(color_scheme="dark")
     page.evaluate("new Promise((go) => setTimeout(go, 200))")
-    page.screenshot(OUT / "desktop-dark.png")
+    page.screenshot(path=OUT / "desktop-dark.png")
 
 
 # ---- the browser itself -----------------------------------------------------------------
 
 
-def test_what_is_covered_or_missing_cannot_be_clicked(chromium: Browser) -> None:
-    chromium.open(
+def test_what_is_covered_or_missing_cannot_be_clicked(chromium: Chromium) -> None:
+    chromium.page.goto(
         "data:text/html,<button id=a>a</button>"
         "<div style='position:fixed;inset:0' onclick='window.hit = 1'></div>"
     )
-    with pytest.raises(BrowserError, match="something covers it"):
-        chromium.click("#a")
-    with pytest.raises(BrowserError, match="no such element"):
-        chromium.click("#b")
-    with pytest.raises(BrowserError, match=r"not true within 0\.1 s: 1 > 2"):
-        chromium.wait_for("1 > 2", timeout_s=0.1)
+    with pytest.raises(Error, match="intercepts pointer events"):
+        chromium.page.click("#a", timeout=500)
+    with pytest.raises(Error, match=r'waiting for locator\("#b"\)'):
+        chromium.page.click("#b", timeout=100)
 
 
-def test_errors_of_a_page_are_told_once(chromium: Browser) -> None:
+def test_errors_of_a_page_are_listed_once(chromium: Chromium) -> None:
+    page = chromium.page
     chromium.take_errors()
-    chromium.open("data:text/html,<script>console.error('a', 1); lost.x</script>")
-    assert chromium.take_errors() == [
-        "console: a 1",
-        "exception: ReferenceError: lost is not defined",
-    ]
+    page.goto("data:text/html,<script>console.error('a', 1); lost.x</script>")
+    assert chromium.take_errors() == ["a 1", "ReferenceError: lost is not defined"]
     assert chromium.take_errors() == []
-    with pytest.raises(BrowserError, match="does not load"):
-        chromium.open("http://127.0.0.1:9/")
-    chromium.open("about:blank")
+    with pytest.raises(Error, match=r"net::ERR_"):
+        page.goto("http://127.0.0.1:9/")
+    page.goto("about:blank")
     chromium.take_errors()
-
-
-def test_without_chromium_the_package_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.delenv("LSCAN_CHROMIUM", raising=False)
-    monkeypatch.setenv("PATH", "")
-    with pytest.raises(BrowserMissing, match="install the Debian package chromium"):
-        Browser()
-    monkeypatch.setenv("LSCAN_CHROMIUM", "no-such-browser")
-    with pytest.raises(BrowserMissing, match=r"LSCAN_CHROMIUM: .*'no-such-browser'"):
-        Browser()
-
-
-def test_where_it_cannot_be_installed_the_tests_go_on_without(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.delenv("LSCAN_CHROMIUM", raising=False)
-    monkeypatch.setenv("PATH", "")
-    assert main([]) == 2
-    assert "install the Debian package chromium" in capsys.readouterr().err
-    assert main(["--install"]) == 0
-    assert "there is no apt-get here" in capsys.readouterr().err
-
-
-def test_a_browser_that_does_not_start_leaves_nothing(
-    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> None:
-    broken = tmp_path / "chromium"
-    script = '[ "$1" = --version ] && echo Chromium 1 && exit; echo no display >&2; exit 1'
-    broken.write_text(f"#!/bin/sh\n{script}\n")
-    broken.chmod(0o755)
-    kept = tmp_path / "profiles"
-    kept.mkdir()
-    monkeypatch.setenv("LSCAN_CHROMIUM", str(broken))
-    monkeypatch.setattr("tempfile.tempdir", str(kept))
-    with pytest.raises(BrowserError, match=r"does not start \(no display\)"):
-        Browser()
-    assert list(kept.iterdir()) == []

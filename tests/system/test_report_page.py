@@ -6,11 +6,12 @@ from collections.abc import Iterator
 
 import numpy as np
 import pytest
+from playwright.sync_api import Page
 
 from lscan.figures.grid import CELL_MM
 from lscan.paper.report import ReportInputs, write_report
 from lscan.records import Status, Surface
-from sim.testing.browser import Browser, BrowserMissing
+from sim.testing.browser import Chromium
 
 pytestmark = pytest.mark.xdist_group("live_page")
 PHONE = (390, 844)
@@ -32,17 +33,12 @@ TABLES = """[...document.querySelectorAll("table")].map(table => {
 
 
 @pytest.fixture(scope="module")
-def page(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Browser]:
+def page(chromium: Chromium, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Page]:
     path = tmp_path_factory.mktemp("report") / "report.html"
     write_report(path, _inputs())
-    try:
-        browser = Browser(*PHONE)
-    except BrowserMissing as missing:
-        pytest.skip(str(missing))
-    with browser:
-        browser.resize(*PHONE, mobile=True)
-        browser.open(path.as_uri())
-        yield browser
+    with chromium.phone(*PHONE) as page:
+        page.goto(path.as_uri())
+        yield page
 
 
 def _inputs() -> ReportInputs:
@@ -69,7 +65,7 @@ def _inputs() -> ReportInputs:
     return ReportInputs(results=results, aligned=surface)
 
 
-def test_every_column_of_a_table_is_within_reach_on_a_phone(page: Browser) -> None:
+def test_every_column_of_a_table_is_within_reach_on_a_phone(page: Page) -> None:
     """The page keeps still; a wide table scrolls in its box to its last column, names in view."""
     assert page.evaluate("[document.documentElement.scrollWidth, innerWidth]") == [390, 390]
     tables = page.evaluate(TABLES)
@@ -85,7 +81,7 @@ def test_every_column_of_a_table_is_within_reach_on_a_phone(page: Browser) -> No
         assert table["name"][1] <= table["last"][0] + 1  # the one does not cover the other
 
 
-def test_the_surface_is_drawn_whole_on_a_phone(page: Browser) -> None:
+def test_the_surface_is_drawn_whole_on_a_phone(chromium: Chromium, page: Page) -> None:
     """The picture's box has the shape that the start view was computed for."""
     box = page.evaluate(
         """(() => { const box = document.querySelector("#surface").getBoundingClientRect();
@@ -93,4 +89,4 @@ def test_the_surface_is_drawn_whole_on_a_phone(page: Browser) -> None:
     )
     assert 0 <= box[0] < box[1] <= PHONE[0]
     assert box[2] == pytest.approx(4 / 3, abs=0.02)
-    assert page.take_errors() == []
+    assert chromium.take_errors() == []

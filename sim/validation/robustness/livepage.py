@@ -10,6 +10,7 @@ import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from lscan.acquisition.scan import scan
 from lscan.calibration.solve import save_calibration
@@ -19,8 +20,11 @@ from lscan.files.disk import make_folder, write_atomically
 from lscan.paper.experiment import measure_board
 from lscan.paper.published import CHOSEN_MAP
 from sim.scene import load_scene
-from sim.testing.browser import Browser
+from sim.testing.browser import headless_chromium, wait_for
 from sim.validation.rows import Row
+
+if TYPE_CHECKING:
+    from playwright.sync_api import Page
 
 STEP_MM = 2.0
 SHORTEST = 5 / 6  # of the time over which pictures are to be counted
@@ -50,9 +54,11 @@ def livepage_rows(
     with (
         _running(serve, "rig:", output / "serve.log"),
         _running([*live, "--output", str(output / "runs")], "http", output / "live.log") as line,
-        Browser() as browser,
+        headless_chromium() as chromium,
     ):
-        rate_hz = _rate_while_scanning(browser, line.split()[0], seconds, output / "page.png")
+        page = chromium.page
+        page.goto(line.split()[0])
+        rate_hz = _rate_while_scanning(page, seconds, output / "page.png")
     return [
         Row(
             what="live page: pictures drawn a second while scanning, with stripe and profile",
@@ -69,32 +75,26 @@ def livepage_rows(
     ]
 
 
-def _rate_while_scanning(browser: Browser, address: str, seconds: float, screenshot: Path) -> float:
+def _rate_while_scanning(page: Page, seconds: float, screenshot: Path) -> float:
     """Start a scan by a click, count the pictures drawn while it goes on, and stop it."""
-    browser.open(address)
-    browser.wait_for(
-        "window.lscan?.profilesDrawn > 0 && !document.querySelector('#start').disabled",
-        timeout_s=60.0,
-    )
-    browser.click("#start")
-    browser.wait_for("document.querySelector('#progress').value > 0", timeout_s=60.0)
-    began_s, began = browser.evaluate(COUNT)
+    wait_for(page, "window.lscan?.profilesDrawn > 0")
+    page.click("#start")
+    wait_for(page, "document.querySelector('#progress').value > 0")
+    began_s, began = page.evaluate(COUNT)
     now_s, drawn = began_s, began
-    while now_s - began_s < seconds and browser.evaluate(
-        "!document.querySelector('#pause').disabled"
-    ):
+    while now_s - began_s < seconds and page.is_enabled("#pause"):
         time.sleep(0.25)
-        now_s, drawn = browser.evaluate(COUNT)
+        now_s, drawn = page.evaluate(COUNT)
     if now_s - began_s < SHORTEST * seconds:
-        fault = browser.evaluate("document.querySelector('#alert').innerText")
+        fault = page.inner_text("#alert")
         raise MeasurementError(
             f"the scan went on for {now_s - began_s:.1f} s only, {SHORTEST * seconds:.3g} s needed "
-            f"({fault or 'no fault told'})"
+            f"({fault or 'no fault stated'})"
         )
-    browser.screenshot(screenshot)
-    if browser.evaluate("!document.querySelector('#stop').disabled"):
-        browser.click("#stop")
-        browser.wait_for("document.querySelector('#stop').disabled", timeout_s=60.0)
+    page.screenshot(path=screenshot)
+    if page.is_enabled("#stop"):
+        page.click("#stop")
+        page.wait_for_selector("#stop:disabled", state="attached")
     return float((drawn - began) / (now_s - began_s))
 
 

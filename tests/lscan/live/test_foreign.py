@@ -11,24 +11,14 @@ from pathlib import Path
 
 import pytest
 from fake_devices import LaserTrack
-from live_rig import LONG_S, live_bench
+from live_rig import live_bench
 from live_served import Page, served
 
-from sim.testing.browser import Browser, BrowserMissing
+from sim.testing.browser import Chromium, wait_for
 
 pytestmark = pytest.mark.xdist_group("live_page")  # one worker: one Chromium at a time
 TOKEN = "correct-horse"
 READY = "window.lscan?.framesDrawn > 0 && !document.querySelector('#start').disabled"
-
-
-@pytest.fixture(scope="module")
-def chromium() -> Iterator[Browser]:
-    try:
-        browser = Browser()
-    except BrowserMissing as missing:
-        pytest.skip(str(missing))
-    with browser:
-        yield browser
 
 
 @pytest.fixture
@@ -61,23 +51,25 @@ def foreign(folder: Path, html: str, name: str = "127.0.0.1") -> Iterator[str]:
         thread.join()
 
 
-def test_the_page_keeps_to_its_own_policy(chromium: Browser, page: Page) -> None:
+def test_the_page_keeps_to_its_own_policy(chromium: Chromium, page: Page) -> None:
+    tab = chromium.page
     chromium.take_errors()
-    chromium.open(f"http://127.0.0.1:{page.port}/")
-    chromium.wait_for(READY, LONG_S)
-    chromium.click("#start")
-    chromium.wait_for("document.querySelector('#scan-state').innerText === 'done'", LONG_S)
+    tab.goto(f"http://127.0.0.1:{page.port}/")
+    wait_for(tab, READY)
+    tab.click("#start")
+    wait_for(tab, "document.querySelector('#scan-state').innerText === 'done'")
     assert chromium.take_errors() == []  # Chromium notes there what the policy forbade
 
 
 def test_a_foreign_page_that_frames_it_starts_nothing(
-    chromium: Browser, page: Page, tmp_path: Path
+    chromium: Chromium, page: Page, tmp_path: Path
 ) -> None:
     """Clicks through a page laid under another, as the victim of clickjacking does."""
+    tab = chromium.page
     own = f"http://127.0.0.1:{page.port}/"
-    chromium.open(own)
-    chromium.wait_for(READY, LONG_S)
-    start = chromium.evaluate(
+    tab.goto(own)
+    wait_for(tab, READY)
+    start = tab.evaluate(
         "(({x, y, width, height}) => [x + width / 2, y + height / 2])"
         "(document.querySelector('#start').getBoundingClientRect())"
     )
@@ -87,15 +79,13 @@ def test_a_foreign_page_that_frames_it_starts_nothing(
     )
     for name in ("127.0.0.1", "localhost"):  # the same site by SameSite, and another one
         with foreign(tmp_path / name, html, name) as address:
-            chromium.open(address)
-            chromium.wait_for("window.loaded", LONG_S)
+            tab.goto(address)
+            wait_for(tab, "window.loaded")
             for _ in range(20):  # the framed page would have come to life meanwhile
-                for kind in ("mousePressed", "mouseReleased"):
-                    place = {"x": start[0], "y": start[1], "button": "left", "clickCount": 1}
-                    chromium.call("Input.dispatchMouseEvent", type=kind, **place)
-                chromium.evaluate("new Promise((go) => setTimeout(go, 100))")
+                tab.mouse.click(*start)
+                tab.evaluate("new Promise((go) => setTimeout(go, 100))")
             assert page.session.state()["scan"]["state"] == "idle"
-    chromium.open("about:blank")
+    tab.goto("about:blank")
     assert any("frame-ancestors" in error for error in chromium.take_errors())
 
 
@@ -123,19 +113,20 @@ document.forms[0].submit();
 )
 @pytest.mark.parametrize("name", ["127.0.0.1", "localhost"])
 def test_a_foreign_page_starts_nothing(
-    chromium: Browser, page: Page, tmp_path: Path, command: str, body: str, name: str
+    chromium: Chromium, page: Page, tmp_path: Path, command: str, body: str, name: str
 ) -> None:
+    tab = chromium.page
     own = f"http://127.0.0.1:{page.port}/"
-    chromium.open(own)
-    chromium.wait_for(READY, LONG_S)  # with whatever cookie there is
+    tab.goto(own)
+    wait_for(tab, READY)  # with whatever cookie there is
     html = FORMS.format(own=own, command=command, body=body)
     with foreign(tmp_path / "evil", html, name) as address:
-        chromium.open(address)
-        chromium.wait_for("window.tried === 4 && window.answers >= 1", LONG_S)
+        tab.goto(address)
+        wait_for(tab, "window.tried === 4 && window.answers >= 1")
     state = page.session.state()
     assert (state["scan"]["state"], state["laser"], state["mode"]) == ("idle", None, "stripe")
     assert page.bench.drivers.track.trace == []  # type: ignore[attr-defined]
-    chromium.open("about:blank")
+    tab.goto("about:blank")
     chromium.take_errors()
 
 
@@ -149,34 +140,36 @@ def with_token(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Page
 
 
 def test_the_token_leaves_the_address_bar_and_the_history(
-    chromium: Browser, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    chromium: Chromium, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    tab = chromium.page
     with with_token(tmp_path, monkeypatch) as page, with_token(tmp_path / "b", monkeypatch) as two:
         for _ in range(2):  # the printed address serves the same browser again
             for one in (page, two):  # whose cookies are those of all ports
-                chromium.open(f"http://127.0.0.1:{one.port}/?token={TOKEN}")
-                chromium.wait_for(READY, LONG_S)
-                assert chromium.evaluate("location.href") == f"http://127.0.0.1:{one.port}/"
-                assert chromium.evaluate("document.cookie") == ""
-        kept = chromium.call("Page.getNavigationHistory")["entries"]
-        assert [entry["url"] for entry in kept if TOKEN in entry["url"]] == []
+                tab.goto(f"http://127.0.0.1:{one.port}/?token={TOKEN}")
+                wait_for(tab, READY)
+                assert tab.evaluate("location.href") == f"http://127.0.0.1:{one.port}/"
+                assert tab.evaluate("document.cookie") == ""
+        history = tab.context.new_cdp_session(tab).send("Page.getNavigationHistory")
+        assert [entry["url"] for entry in history["entries"] if TOKEN in entry["url"]] == []
         for one in (page, two):  # bare, as it stands in the address bar
-            chromium.open(f"http://127.0.0.1:{one.port}/")
-            chromium.wait_for(READY, LONG_S)
-        chromium.open("about:blank")
+            tab.goto(f"http://127.0.0.1:{one.port}/")
+            wait_for(tab, READY)
+        tab.goto("about:blank")
     chromium.take_errors()
 
 
 def test_a_link_with_the_token_on_another_site_opens_the_page(
-    chromium: Browser, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    chromium: Chromium, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A browser that follows it withholds the cookie it was just given (SameSite=Strict)."""
+    tab = chromium.page
     with with_token(tmp_path, monkeypatch) as page:
         own = f"http://127.0.0.1:{page.port}/"
         link = f"<a id=link href='{own}?token={TOKEN}'>the scanner</a>"
         with foreign(tmp_path / "mail", link, "localhost") as address:
-            chromium.open(address)
-            chromium.click("#link")
-            chromium.wait_for(f"location.href === '{own}' && {READY}", LONG_S)
-        chromium.open("about:blank")
+            tab.goto(address)
+            tab.click("#link")
+            wait_for(tab, f"location.href === '{own}' && {READY}")
+        tab.goto("about:blank")
     chromium.take_errors()
