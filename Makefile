@@ -2,6 +2,7 @@
 # environment, the packages of requirements.lock, and an LLVM that Mitsuba can use.
 
 PYTHON ?= python3
+PHOTOGRAPHS ?=
 BIN := .venv/bin
 ROOT := $(shell [ "$$(id -u)" = 0 ] || echo sudo -n)
 APT := $(ROOT) env DEBIAN_FRONTEND=noninteractive apt-get -qq
@@ -49,8 +50,9 @@ bench: .venv/llvm.stamp
 verify: .venv/llvm.stamp
 	$(BIN)/lscan-sim verify -o out/verify --json-file out/verify.json
 
+# The rows of real photographs need a folder of them: make accuracy PHOTOGRAPHS=FOLDER.
 accuracy: .venv/llvm.stamp
-	$(BIN)/lscan-sim accuracy -o out/accuracy.json
+	$(BIN)/lscan-sim accuracy $(if $(PHOTOGRAPHS),--photographs "$(PHOTOGRAPHS)") -o out/accuracy.json
 
 hardware: .venv/llvm.stamp .venv/chromium.stamp
 	$(BIN)/lscan-sim hardware -o out/hardware.json

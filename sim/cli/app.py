@@ -189,8 +189,13 @@ def accuracy(
     ),
     scenes: ScenesFolder = Path("scenes"),
     photographs: Annotated[
-        Path, typer.Option("--photographs", help="Folder of real pictures; may be missing.")
-    ] = Path("../shared/data"),
+        Path | None,
+        typer.Option(
+            "--photographs",
+            envvar="LSCAN_PHOTOGRAPHS",
+            help="Folder of real pictures, whose rows are skipped without it.",
+        ),
+    ] = None,
     quick: Quick = False,
     json: Json = False,
 ) -> None:
@@ -199,6 +204,8 @@ def accuracy(
 
     with progress_bar("accuracy") as progress:
         rows = run_accuracy(scenes, photographs, output, quick, progress)
+    if photographs is None and not json:
+        print("skipped: the rows of real photographs, which need --photographs FOLDER")
     _end_with_rows("accuracy", rows, [output], json)
 
 

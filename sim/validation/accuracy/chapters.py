@@ -27,13 +27,13 @@ from sim.validation.accuracy.sandwave import (
 from sim.validation.accuracy.stripes import bound_rows
 from sim.validation.rows import Row
 
-Chapter = Callable[[Path, Path, Effort], list[Row]]
+Chapter = Callable[[Path, Effort], list[Row]]
 
 SPECKLE = 0.25
 ASKED = "required of this project"
 
 
-def board_chapter(scenes: Path, photographs: Path, effort: Effort) -> list[Row]:
+def board_chapter(scenes: Path, effort: Effort) -> list[Row]:
     """The map on the sheet, Tables I and II, and the intervals of their lengths."""
     scene = _best(scenes, effort, "board")
     boards = photograph(scene, effort.seeds, scene.rig.calibration.plane_map)
@@ -52,7 +52,7 @@ def board_chapter(scenes: Path, photographs: Path, effort: Effort) -> list[Row]:
     ]  # fmt: skip
 
 
-def groove_chapter(scenes: Path, photographs: Path, effort: Effort) -> list[Row]:
+def groove_chapter(scenes: Path, effort: Effort) -> list[Row]:
     """Table III, and the intervals of its lengths."""
     board, groove = _best(scenes, effort, "board"), _best(scenes, effort, "groove")
     calibrations = photograph(board, effort.seeds, _map_name(board, effort)).calibrations
@@ -60,12 +60,12 @@ def groove_chapter(scenes: Path, photographs: Path, effort: Effort) -> list[Row]
     return [*_largest("Table III", tables, 0.15, effort), _interval("groove", tables, effort)]
 
 
-def slices_chapter(scenes: Path, photographs: Path, effort: Effort) -> list[Row]:
+def slices_chapter(scenes: Path, effort: Effort) -> list[Row]:
     """The slices of the sandwave with speckle."""
     return _slices(scenes, effort, SPECKLE, rmse_mm=0.15, within_mm=0.4)
 
 
-def smooth_slices_chapter(scenes: Path, photographs: Path, effort: Effort) -> list[Row]:
+def smooth_slices_chapter(scenes: Path, effort: Effort) -> list[Row]:
     """The slices of the sandwave without speckle."""
     return _slices(scenes, effort, 0.0, rmse_mm=0.05, within_mm=0.2)
 
@@ -92,7 +92,7 @@ def _slices(
     return rows
 
 
-def grid_chapter(scenes: Path, photographs: Path, effort: Effort) -> list[Row]:
+def grid_chapter(scenes: Path, effort: Effort) -> list[Row]:
     """The intervals of the sandwave's grid cells, a millimetre between frames."""
     scene = with_contrast(_best(scenes, effort, "sandwave"), SPECKLE)
     board = with_contrast(_best(scenes, effort, "board"), SPECKLE)
@@ -108,24 +108,24 @@ def grid_chapter(scenes: Path, photographs: Path, effort: Effort) -> list[Row]:
     return [_interval_row("sandwave grid cells", share, len(error), effort)]
 
 
-def stripe_chapter(scenes: Path, photographs: Path, effort: Effort) -> list[Row]:
+def stripe_chapter(scenes: Path, effort: Effort) -> list[Row]:
     """The best extractor against the bound."""
     return bound_rows(_best(scenes, effort, "groove").rig.stripe.extractor, effort)
 
 
-def metric_chapter(scenes: Path, photographs: Path, effort: Effort) -> list[Row]:
+def metric_chapter(scenes: Path, effort: Effort) -> list[Row]:
     """The metric route in air and in water."""
     return metric_rows(scenes / "metric", effort)
 
 
-def misaligned_chapter(scenes: Path, photographs: Path, effort: Effort) -> list[Row]:
+def misaligned_chapter(scenes: Path, effort: Effort) -> list[Row]:
     """The coplanar route with a board that is not coplanar."""
     scene = _best(scenes, effort, "board")
     return misaligned_rows(scene, _map_name(scene, effort))
 
 
-def photograph_chapter(scenes: Path, photographs: Path, effort: Effort) -> list[Row]:
-    """The real photographs."""
+def photograph_chapter(photographs: Path, scenes: Path, effort: Effort) -> list[Row]:
+    """The real photographs in a folder of that name."""
     extractor = _best(scenes, effort, "groove").rig.stripe.extractor
     return photograph_rows(photographs, extractor, effort.repeats)
 
@@ -140,7 +140,6 @@ CHAPTERS: Mapping[str, Chapter] = {
     "metric": metric_chapter,
     "stripe": stripe_chapter,
     "misaligned": misaligned_chapter,
-    "photographs": photograph_chapter,
 }
 
 

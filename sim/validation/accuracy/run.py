@@ -5,12 +5,14 @@ from __future__ import annotations
 import os
 from collections.abc import Iterable, Mapping
 from concurrent.futures import Future, ProcessPoolExecutor, as_completed
+from functools import partial
 from multiprocessing import get_context
 from pathlib import Path
 
 from lscan.config.rig import load_rig
+from lscan.files.disk import list_names
 from lscan.records import Progress
-from sim.validation.accuracy.chapters import CHAPTERS, Chapter
+from sim.validation.accuracy.chapters import CHAPTERS, Chapter, photograph_chapter
 from sim.validation.accuracy.effort import FULL, QUICK, Effort
 from sim.validation.rows import Row, RowFile, measured
 
@@ -19,41 +21,44 @@ BEST = ("board", "groove", "sandwave")
 
 def run_accuracy(
     scenes: Path,
-    photographs: Path,
+    photographs: Path | None,
     output: Path,
     quick: bool = False,
     progress: Progress | None = None,
 ) -> list[Row]:
     """The rows, also written to ``output`` as a JSON list, chapter by chapter.
 
-    scenes: folder of the scene files.  photographs: of the real pictures, whose rows are left
-    out where it is not there.  quick: every row, with the least effort.  progress: told
+    scenes: folder of the scene files.  photographs: folder of the real pictures, whose chapter
+    is skipped where it is None.  quick: every row, with the least effort.  progress: called with
     (done, all) after each chapter.  A chapter that ends with an error is a failed row.  Raises
-    InputError where a scene file is wrong or the disk refuses.
+    InputError where a scene file is wrong, ``photographs`` is not there, or the disk refuses.
     """
+    if photographs is not None:
+        list_names(photographs)  # refuses a folder that is not there
     for name in BEST:
         load_rig(scenes / "best" / f"{name}.toml")  # refuses a bad file before minutes of work
     file = RowFile(output, quick)
     effort = QUICK if quick else FULL
-    places = list(CHAPTERS)
-    chapters = measure(CHAPTERS, scenes, photographs, effort)
-    for done, (name, rows) in enumerate(chapters, start=1):
+    chapters: dict[str, Chapter] = dict(CHAPTERS)
+    if photographs is not None:
+        chapters["photographs"] = partial(photograph_chapter, photographs)
+    places = list(chapters)
+    for done, (name, rows) in enumerate(measure(chapters, scenes, effort), start=1):
         file.add(rows, places.index(name))
         if progress is not None:
-            progress(done, len(CHAPTERS))
+            progress(done, len(chapters))
     return file.rows
 
 
 def measure(
-    chapters: Mapping[str, Chapter], scenes: Path, photographs: Path, effort: Effort
+    chapters: Mapping[str, Chapter], scenes: Path, effort: Effort
 ) -> Iterable[tuple[str, list[Row]]]:
     """Name and rows of each chapter as it ends; as many run side by side as processors."""
     workers = max(1, min(len(chapters), len(os.sched_getaffinity(0))))
     # Spawned, not forked: Dr.Jit's threads do not survive a fork.
     with ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as pool:
         futures: dict[Future[list[Row]], str] = {
-            pool.submit(chapter, scenes, photographs, effort): name
-            for name, chapter in chapters.items()
+            pool.submit(chapter, scenes, effort): name for name, chapter in chapters.items()
         }
         for future in as_completed(futures):
             yield futures[future], measured(futures[future], future.result)

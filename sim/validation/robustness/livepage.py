@@ -42,23 +42,23 @@ def livepage_rows(
     machine; the scan is started and stopped by clicks.  scenes: folder that holds
     paper/board.toml and paper/sandwave.toml.  frames: of the scan.  seconds: over which pictures
     are counted.  output: folder for what is written, replaced if it is there; a screenshot of
-    the scan, page.png, stays in it.  Raises BrowserMissing where there is no Chromium,
-    MeasurementError where a process does not do its part.
+    the scan, page.png, stays in it.  Raises BrowserMissing where there is no Chromium or no
+    Playwright, MeasurementError where a process does not do its part.
     """
-    shutil.rmtree(output, ignore_errors=True)
-    make_folder(output)
-    calibration, scene = _calibration(scenes, output), _short_scene(scenes, frames, output)
-    rig = output / "rig.toml"
-    serve = ["sim.cli.app", "serve", str(scene), "--prepare", "--write-rig", str(rig)]
-    live = ["lscan.cli.app", "live", str(rig), "--calibration", str(calibration), "--port", "0"]
-    with (
-        _running(serve, "rig:", output / "serve.log"),
-        _running([*live, "--output", str(output / "runs")], "http", output / "live.log") as line,
-        headless_chromium() as chromium,
-    ):
-        page = chromium.page
-        page.goto(line.split()[0])
-        rate_hz = _rate_while_scanning(page, seconds, output / "page.png")
+    with headless_chromium() as chromium:  # first: it may be missing
+        shutil.rmtree(output, ignore_errors=True)
+        make_folder(output)
+        calibration, scene = _calibration(scenes, output), _short_scene(scenes, frames, output)
+        rig = output / "rig.toml"
+        serve = ["sim.cli.app", "serve", str(scene), "--prepare", "--write-rig", str(rig)]
+        live = ["lscan.cli.app", "live", str(rig), "--calibration", str(calibration)]
+        live += ["--port", "0", "--output", str(output / "runs")]
+        with (
+            _running(serve, "rig:", output / "serve.log"),
+            _running(live, "http", output / "live.log") as line,
+        ):
+            chromium.page.goto(line.split()[0])
+            rate_hz = _rate_while_scanning(chromium.page, seconds, output / "page.png")
     return [
         Row(
             what="live page: pictures drawn a second while scanning, with stripe and profile",

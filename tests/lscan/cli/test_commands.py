@@ -14,7 +14,7 @@ import cv2
 import numpy as np
 import pytest
 from command_line import call, refused
-from places import ROOT, SUPPORT
+from places import PHOTOGRAPHS, ROOT, SUPPORT
 
 from lscan.acquisition.run import open_run
 from lscan.acquisition.writer import create_run
@@ -25,7 +25,6 @@ from lscan.surface import load_surface
 pytestmark = pytest.mark.xdist_group("cli")  # one worker: they share a fixture
 
 SCENES = ROOT / "scenes" / "paper"
-DATA = ROOT.parent / "shared" / "data"
 LONG_S = 300.0  # only a command that hangs takes so long
 
 
@@ -283,24 +282,24 @@ def test_a_flat_picture_holds_no_line(tmp_path: Path, capsys: pytest.CaptureFixt
 
 
 @pytest.mark.slow
-@pytest.mark.skipif(not DATA.is_dir(), reason="the real photographs are not here")
+@pytest.mark.skipif(not PHOTOGRAPHS.is_dir(), reason="the real photographs are not here")
 def test_the_dot_photograph_with_no_option_set(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """At least 95 % of the 4,380 whole dots of the real photograph (shared/data/README)."""
+    """At least 95 % of the 4,380 whole dots of the real photograph."""
     board = SUPPORT / "dot-photograph.toml"
     code, out, err = call(
-        capsys, "calibrate", DATA / "dots" / "dot_pattern_05.jpg", "--board", board,
+        capsys, "calibrate", PHOTOGRAPHS / "dots" / "dot_pattern_05.jpg", "--board", board,
         "-o", tmp_path / "c.json", "--json",
     )  # fmt: skip
     assert code == 0, err
     assert json.loads(out)["control_points"]["found"] >= 0.95 * 4380
 
 
-@pytest.mark.skipif(not DATA.is_dir(), reason="the real photographs are not here")
+@pytest.mark.skipif(not PHOTOGRAPHS.is_dir(), reason="the real photographs are not here")
 def test_the_bust_with_its_background(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """The line covers about 1,110 of 1,280 rows; where it lies is test_stripe_photograph's."""
-    webcam = DATA / "webcam"
+    webcam = PHOTOGRAPHS / "webcam"
     code, out, err = call(
         capsys, "extract", webcam / "bust_laser_on.png", "--background",
         webcam / "bust_laser_off.png", "--axis", "rows", "--overlay", tmp_path / "o.png", "--json",

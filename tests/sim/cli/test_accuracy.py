@@ -33,7 +33,22 @@ def test_exit_code_says_whether_all_rows_pass(
     assert given == [(Path("s"), Path("p"), Path("o.json"), False)]
     table = CliRunner().invoke(app, ["accuracy", *options])
     assert table.exit_code == code
+    assert "skipped" not in table.stdout
     assert ("NO" in table.stdout) == bool(code)
+
+
+def test_the_photographs_folder_is_named_by_option_or_variable(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    given = []
+    monkeypatch.setattr(
+        sim.validation.accuracy.run, "run_accuracy", lambda *args: given.append(args[1]) or []
+    )
+    monkeypatch.delenv("LSCAN_PHOTOGRAPHS", raising=False)
+    without = CliRunner().invoke(app, ["accuracy"])
+    assert "skipped: the rows of real photographs" in without.stdout
+    CliRunner().invoke(app, ["accuracy"], env={"LSCAN_PHOTOGRAPHS": "named"})
+    assert given == [None, Path("named")]
 
 
 def test_a_missing_scene_folder_is_refused_before_minutes_of_work(tmp_path: Path) -> None:
