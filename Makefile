@@ -5,9 +5,10 @@ PYTHON ?= python3
 PHOTOGRAPHS ?=
 BIN := .venv/bin
 ROOT := $(shell [ "$$(id -u)" = 0 ] || echo sudo -n)
+MINUTES ?= 10
 APT := $(ROOT) env DEBIAN_FRONTEND=noninteractive apt-get -qq
 
-.PHONY: help setup demo test smoke lint bench verify accuracy hardware clean
+.PHONY: help setup demo test smoke soak lint house bench verify accuracy hardware clean
 .DELETE_ON_ERROR:
 
 help:
@@ -15,6 +16,8 @@ help:
 	@echo "make demo    scan the tank once and write out/demo"
 	@echo "make test    all checks and all tests"
 	@echo "make smoke   every figure of the commands below and of the demo, quickly; out/quick"
+	@echo "make soak    property tests with random examples for MINUTES=10, or as many as named"
+	@echo "make house   sizes of packages and README, names used twice, each with its bar"
 	@echo "make lint    the checks alone: ruff, mypy, import contracts"
 	@echo "make bench   measure speed and write out/bench.json"
 	@echo "make verify  hold the tank against references; out/verify.json, out/verify/report.html"
@@ -35,6 +38,13 @@ lint: .venv/packages.stamp
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 	$(BIN)/lint-imports
+
+# Stops at the first round that fails; it has said the seed and the example.
+soak: .venv/llvm.stamp
+	$(BIN)/python tests/support/soak.py $(MINUTES)
+
+house: .venv/packages.stamp
+	$(BIN)/python tests/support/house.py
 
 # Every figures command, each with the least effort: what a later change broke shows here.
 smoke: .venv/llvm.stamp .venv/chromium.stamp

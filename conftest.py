@@ -11,21 +11,37 @@ Tests marked ``hardware`` open a real camera and move a real track, those of a r
     pytest -m hardware --rig my-rig.toml
 
 Anything less, or several processes that would share one track, skips them.
+
+The folder says what a test is, and it is marked so: ``hardware``, ``system`` (several rooms
+together, as a command line or a browser uses them), or ``unit`` for all others.
+
+Property tests draw the same examples each time.  ``make soak`` draws others (the profile
+"soak", with a seed of its own for each round).
 """
 
 from __future__ import annotations
 
 import os
+import random
+import time
 from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import pytest
+from hypothesis import settings
 
 if TYPE_CHECKING:
     from sim.testing.browser import Chromium
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
+# No deadline: a test that is slow on a busy machine is no wrong test.
+settings.register_profile("quick", deadline=None, derandomize=True)
+settings.register_profile("soak", deadline=None, derandomize=False, print_blob=True)
+settings.load_profile("quick")
+
+UNTIL_S = pytest.StashKey[float | None]()
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
@@ -34,15 +50,45 @@ def pytest_addoption(parser: pytest.Parser) -> None:
         default=os.environ.get("LSCAN_RIG"),
         help="rig file of the hardware for -m hardware (default: what LSCAN_RIG says)",
     )
+    parser.addoption(
+        "--minutes",
+        type=float,
+        help="skip what has not begun by then, in an order of its own each time (make soak)",
+    )
 
 
+def pytest_configure(config: pytest.Config) -> None:
+    minutes = config.getoption("--minutes")
+    config.stash[UNTIL_S] = None if minutes is None else time.monotonic() + 60 * minutes
+
+
+@pytest.hookimpl(tryfirst=True)  # before -m chooses by the marks
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    tests = Path(__file__).parent / "tests"
+    for item in items:
+        folder = item.path.relative_to(tests).parts[0] if item.path.is_relative_to(tests) else ""
+        item.add_marker(folder if folder in ("system", "hardware") else "unit")
+    if config.getoption("--minutes") is not None:
+        _shuffle_modules(items, config.getoption("--hypothesis-seed"))
     reason = _why_not(config)
     if reason is None:
         return
     for item in items:
         if item.get_closest_marker("hardware") is not None:
             item.add_marker(pytest.mark.skip(reason=reason))
+
+
+def _shuffle_modules(items: list[pytest.Item], seed: str | None) -> None:
+    """Put the test modules in the seed's order; each keeps its own, for the fixtures it shares."""
+    modules = sorted({item.path for item in items})
+    random.Random(seed).shuffle(modules)
+    items.sort(key=lambda item: modules.index(item.path))
+
+
+def pytest_runtest_setup(item: pytest.Item) -> None:
+    until_s = item.config.stash[UNTIL_S]
+    if until_s is not None and time.monotonic() > until_s:
+        pytest.skip("the minutes are over")
 
 
 def _why_not(config: pytest.Config) -> str | None:

@@ -11,6 +11,7 @@ import sys
 import tomllib
 from pathlib import Path
 
+import house
 import pytest
 from packaging.requirements import Requirement
 from packaging.version import Version
@@ -132,6 +133,28 @@ def test_other_text_is_left_alone(line: str) -> None:
 @pytest.mark.parametrize("path", MODULES, ids=str)
 def test_every_module_says_what_it_is(path: Path) -> None:
     assert ast.get_docstring(ast.parse((ROOT / path).read_text(encoding="utf-8")))
+
+
+# ---- sizes and names --------------------------------------------------------------------
+
+
+def test_few_modules_lie_outside_of_a_room() -> None:
+    assert len(house.root_modules()) <= 6, house.root_modules()
+
+
+def test_code_is_counted_without_docstrings_comments_and_blank_lines(tmp_path: Path) -> None:
+    path = tmp_path / "module.py"
+    docstring = ['"""Not code.', "", 'Nor this."""', "", "# nor this"]
+    code = ["x = (", "    1,  # code", ")", "def f():", '    """No code."""', "    return 1"]
+    path.write_text("\n".join([*docstring, *code]), encoding="utf-8")
+    assert house.code_lines(path) == len(code) - 1
+
+
+def test_a_class_name_used_twice_is_noticed(tmp_path: Path) -> None:
+    for folder, name in {"lscan": "Tank", "sim": "_Tank"}.items():
+        (tmp_path / folder).mkdir()
+        (tmp_path / folder / "a.py").write_text(f"class {name}: ...\nclass {folder}Own: ...\n")
+    assert house.repeated_classes(tmp_path) == {"Tank": ["lscan/a.py:1", "sim/a.py:1"]}
 
 
 # ---- versions and packages --------------------------------------------------------------

@@ -60,7 +60,7 @@ def copy(recorded: Run, tmp_path: Path) -> Path:
 # Rows
 
 
-@settings(max_examples=200, deadline=None, derandomize=True)
+@settings(max_examples=200)
 @given(row=ROWS)
 def test_a_row_reads_back_with_the_same_bits(row: Row) -> None:
     back = Row.from_text(row.as_text(), where="here")
@@ -68,7 +68,7 @@ def test_a_row_reads_back_with_the_same_bits(row: Row) -> None:
     assert bits(back) == bits(row)
 
 
-@settings(max_examples=200, deadline=None, derandomize=True)
+@settings(max_examples=200)
 @given(row=ROWS, data=st.data())
 def test_a_row_cut_anywhere_is_torn(row: Row, data: st.DataObject) -> None:
     text = row.as_text()
@@ -86,7 +86,7 @@ def test_a_row_of_numpy_numbers_is_written_as_plain_ones() -> None:
 # Pictures
 
 
-@settings(max_examples=30, deadline=None, derandomize=True)
+@settings(max_examples=30)
 @given(seed=st.integers(0, 2**32 - 1), colour=st.booleans())
 def test_pictures_read_back_exactly(
     tmp_path_factory: pytest.TempPathFactory, seed: int, colour: bool
@@ -141,7 +141,7 @@ def meaning(run: Run) -> tuple[Any, ...]:
     return run.rows, run.state, run.software, run.rig_file.document, run.rig_file.rig
 
 
-@settings(max_examples=300, deadline=None, derandomize=True)
+@settings(max_examples=300)
 @given(
     name=st.sampled_from(["run.json", "frames.csv", "frames/000002.png"]),
     place=st.floats(0, 1, exclude_max=True),

@@ -31,7 +31,7 @@ def discs(svg: str) -> np.ndarray:
     return np.array(rows) * [1, -1, 2]
 
 
-@settings(max_examples=40, deadline=None, derandomize=True)
+@settings(max_examples=40)
 @given(
     columns=st.integers(3, 12),
     rows=st.integers(3, 12),

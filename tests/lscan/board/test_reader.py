@@ -67,7 +67,7 @@ def assert_right(reading: BoardReading, view: View, board: Board) -> None:
 
 
 @given(view=VIEWS, light=LIGHTS, seed=st.integers(0, 2**31))
-@settings(max_examples=20, deadline=None, derandomize=True, phases=(Phase.explicit, Phase.generate))
+@settings(max_examples=20, phases=(Phase.explicit, Phase.generate))
 def test_every_dot_in_view_is_found_in_its_place(view: View, light: Light, seed: int) -> None:
     # At these poses each row and column of the board is at least partly in view.
     picture = render(PLAIN, view, light, seed)
@@ -159,7 +159,7 @@ def test_a_transposed_board_gives_a_transposed_reading() -> None:
 
 
 @given(shake=st.lists(st.floats(-0.22, 0.22), min_size=6, max_size=6))
-@settings(max_examples=8, deadline=None, derandomize=True)
+@settings(max_examples=8)
 def test_rough_seeds_by_hand_give_the_automatic_reading(
     paper: tuple[View, Bytes, BoardReading], shake: list[float]
 ) -> None:

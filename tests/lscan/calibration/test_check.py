@@ -60,7 +60,7 @@ def _check(view: View, name: str = "spline", placed_mm: float | None = None) -> 
 # --- motions ------------------------------------------------------------------------------
 
 
-@settings(max_examples=30, deadline=None, derandomize=True)
+@settings(max_examples=30)
 @given(
     turn=st.floats(-3.1, 3.1),
     shift=st.tuples(st.floats(-90, 90), st.floats(-90, 90)),

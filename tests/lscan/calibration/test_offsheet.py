@@ -61,7 +61,7 @@ def test_a_board_moved_back_looks_smaller_and_is_behind_by_as_much():
     assert found.corners_mm == pytest.approx(np.full(4, 3.0), abs=1e-9)
 
 
-@settings(max_examples=60, deadline=None, derandomize=True)
+@settings(max_examples=60)
 @given(
     shift=st.tuples(*[st.floats(-20, 20)] * 3),
     tilt_deg=st.tuples(st.floats(-5, 5), st.floats(-5, 5)),

@@ -59,7 +59,7 @@ def change(data: st.DataObject, content: Any) -> None:
 
 
 @pytest.mark.parametrize("name", [*MAPS, "metric"])
-@settings(max_examples=40, deadline=None, derandomize=True)
+@settings(max_examples=40)
 @given(data=st.data())
 def test_a_mutated_calibration_is_read_or_refused(
     saved: dict[str, str],

@@ -13,7 +13,7 @@ from lscan.camera.lens import fold_radius
 from lscan.errors import InputError
 from lscan.records import Floats
 
-MANY = settings(max_examples=60, deadline=None, derandomize=True)
+MANY = settings(max_examples=60)
 PORTS = st.builds(
     FlatPort,
     gap_mm=st.floats(0.5, 60),

@@ -25,7 +25,7 @@ TABLES = st.recursive(
 ).filter(lambda value: isinstance(value, dict))
 
 
-@settings(max_examples=100, deadline=None, derandomize=True)
+@settings(max_examples=100)
 @given(a=TABLES, b=TABLES)
 def test_merging_keeps_every_key_and_the_later_wins(a: dict, b: dict) -> None:
     assert merge(a, {}) == merge({}, a) == a
@@ -178,7 +178,7 @@ def test_a_path_through_a_loop_of_links_is_left_to_its_reader(tmp_path: Path) ->
     assert read_document(tmp_path / "top.toml")["m"]["file"] == str(tmp_path / "loop" / "mesh.ply")
 
 
-@settings(max_examples=200, deadline=None, derandomize=True)
+@settings(max_examples=200)
 @given(data=st.data())
 def test_a_mutated_scene_is_read_or_refused(
     tmp_path_factory: pytest.TempPathFactory, data: st.DataObject

@@ -24,7 +24,7 @@ values = st.recursive(
 )
 
 
-@settings(max_examples=100, deadline=None, derandomize=True)
+@settings(max_examples=100)
 @given(st.dictionaries(texts, values, max_size=4))
 def test_what_is_written_is_read_back(document: dict[str, Any]) -> None:
     assert tomllib.loads(toml_text(document, "# Comments\n# stand first.")) == document

@@ -62,7 +62,7 @@ def packet(data: bytes) -> Bytes:
 # ---- one packet -------------------------------------------------------------------------
 
 
-@settings(max_examples=30, deadline=None, derandomize=True)
+@settings(max_examples=30)
 @given(width=st.integers(1, 90), height=st.integers(1, 90), pad=st.sampled_from([b"", b"\0\0\r\n"]))
 def test_a_packet_has_the_size_it_says(width: int, height: int, pad: bytes) -> None:
     image = decoded(packet(jpeg(np.full((height, width, 3), 90, np.uint8)) + pad))
@@ -71,7 +71,7 @@ def test_a_packet_has_the_size_it_says(width: int, height: int, pad: bytes) -> N
     assert np.abs(image.astype(int) - 90).max() <= 1
 
 
-@settings(max_examples=60, deadline=None, derandomize=True)
+@settings(max_examples=60)
 @given(share=st.floats(0, 1, exclude_max=True))
 def test_a_packet_cut_short_is_no_picture(share: float) -> None:
     data = jpeg(picture(7))

@@ -272,7 +272,7 @@ def test_strict_settings_refuse_it_by_name(name: str) -> None:
     assert world.released == 1
 
 
-@settings(max_examples=100, deadline=None, derandomize=True)
+@settings(max_examples=100)
 @given(asked=st.floats(0, 1e6), got=st.floats(0, 1e6))
 def test_a_number_is_obeyed_within_one_per_cent(asked: float, got: float) -> None:
     assert Setting("gain", asked, got).obeyed == (abs(got - asked) <= 0.01 * asked)
@@ -280,7 +280,7 @@ def test_a_number_is_obeyed_within_one_per_cent(asked: float, got: float) -> Non
     assert not Setting("gain", asked, None).obeyed
 
 
-@settings(max_examples=50, deadline=None, derandomize=True)
+@settings(max_examples=50)
 @given(letters=st.text(st.characters(min_codepoint=33, max_codepoint=126), min_size=4, max_size=4))
 def test_a_pixel_format_is_read_back_as_it_was_written(letters: str) -> None:
     assert fourcc_text(float(cv2.VideoWriter.fourcc(*letters))) == letters

@@ -192,7 +192,7 @@ def mutated(data: st.DataObject, content: bytes) -> bytes:
 
 
 @pytest.mark.parametrize("ending", ENDINGS)
-@settings(max_examples=150, deadline=None, derandomize=True)
+@settings(max_examples=150)
 @given(data=st.data())
 def test_a_mutated_picture_is_read_or_refused(
     tmp_path_factory: pytest.TempPathFactory, ending: str, data: st.DataObject
@@ -208,7 +208,7 @@ def test_a_mutated_picture_is_read_or_refused(
         assert image.size <= 3 * MOST_PX
 
 
-@settings(max_examples=300, deadline=None, derandomize=True)
+@settings(max_examples=300)
 @given(
     start=st.sampled_from(
         [b"", b"\x89PNG\r\n\x1a\n", b"\xff\xd8\xff", b"BM", b"II\x2a\0", b"RIFF"]

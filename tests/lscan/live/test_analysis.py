@@ -108,7 +108,7 @@ def test_the_sharpness_of_a_gaussian_is_the_closed_form(width_px):
     assert sharpness(light, 0.0) == pytest.approx(expected, rel=0.01)
 
 
-@settings(max_examples=25, deadline=None, derandomize=True)
+@settings(max_examples=25)
 @given(
     width_px=st.floats(1, 5),
     wider=st.floats(1.1, 2),

@@ -100,7 +100,7 @@ def replace_widths() -> GroovedBlock:
 
 
 @given(**poses)
-@settings(max_examples=40, deadline=None, derandomize=True)
+@settings(max_examples=40)
 def test_heights_are_exact_and_widths_within_sampling(
     tilt_deg: float, x_mm: float, z_mm: float
 ) -> None:
@@ -113,7 +113,7 @@ def test_heights_are_exact_and_widths_within_sampling(
 
 
 @given(**poses)
-@settings(max_examples=40, deadline=None, derandomize=True)
+@settings(max_examples=40)
 def test_brightness_at_the_ends_tells_parts_of_a_column(
     tilt_deg: float, x_mm: float, z_mm: float
 ) -> None:
@@ -126,7 +126,7 @@ def test_brightness_at_the_ends_tells_parts_of_a_column(
 
 
 @given(**poses, seed=st.integers(0, 10_000))
-@settings(max_examples=40, deadline=None, derandomize=True)
+@settings(max_examples=40)
 def test_noise_moves_heights_as_little_as_the_fit_allows(
     tilt_deg: float, x_mm: float, z_mm: float, seed: int
 ) -> None:

@@ -29,7 +29,7 @@ def _plane(step_mm: float, offset_mm: float) -> np.ndarray:
     return np.stack([x, y, 0.3 * x - 0.7 * y + 5], axis=2)
 
 
-@settings(max_examples=40, deadline=None, derandomize=True)
+@settings(max_examples=40)
 @given(st.integers(1, 4), st.floats(-5, 5))
 def test_grid_keeps_a_plane_sampled_evenly(per_cell, offset):
     """The tent weights' first moment vanishes on a lattice whose step divides the cell."""
@@ -40,7 +40,7 @@ def test_grid_keeps_a_plane_sampled_evenly(per_cell, offset):
     np.testing.assert_allclose(grid.z_mm[inner], plane[inner], atol=1e-9)
 
 
-@settings(max_examples=40, deadline=None, derandomize=True)
+@settings(max_examples=40)
 @given(st.integers(0, 2**32 - 1), st.integers(-50, 50))
 def test_grid_averages_and_moves_with_its_points(seed, cells):
     points = np.random.default_rng(seed).normal(0, 10, (200, 3))
@@ -287,7 +287,7 @@ def test_surface_to_turn_is_plain_json_without_nan():
 
 
 @given(st.floats(-1e3, 1e3))
-@settings(max_examples=50, deadline=None, derandomize=True)
+@settings(max_examples=50)
 def test_signed_reads_back(value):
     text = signed(value, 3)
     assert text[0] in "+−"

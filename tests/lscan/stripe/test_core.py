@@ -10,7 +10,7 @@ from lscan.stripe.core import CORE_PX, GROUND_PX, core_flux
 
 HEIGHT, WIDTH = 60, 40
 WIDTH_PX = 1.0
-FEW = settings(max_examples=20, deadline=None, derandomize=True)
+FEW = settings(max_examples=20)
 
 
 def stripe(centre, status=Status.OK):

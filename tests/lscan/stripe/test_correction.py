@@ -69,7 +69,7 @@ def test_a_sloping_line_of_exponential_brightness_is_displaced_by_their_product(
     st.floats(0.0, 0.5),
     st.floats(0.0, 6.0),
 )
-@settings(max_examples=12, deadline=None, derandomize=True)
+@settings(max_examples=12)
 def test_waves_of_uneven_brightness_come_back(
     blur_px: float, height: float, wave: float, contrast: float, phase: float
 ) -> None:
@@ -106,7 +106,7 @@ def test_nothing_changes_without_blur_or_without_a_line() -> None:
 
 
 @given(st.floats(-20, 20), st.floats(0.1, 10))
-@settings(max_examples=10, deadline=None, derandomize=True)
+@settings(max_examples=10)
 def test_shifted_lines_and_brighter_light_are_corrected_alike(by: float, gain: float) -> None:
     settings_ = StripeSection(blur_px=1.0)
     wave = lambda u: 48 + 5 * np.sin(0.1 * u)  # noqa: E731

@@ -30,7 +30,7 @@ def same(first, second):
 
 
 @pytest.mark.parametrize("name", NAMES)
-@settings(max_examples=15, deadline=None, derandomize=True)
+@settings(max_examples=15)
 @given(seed=st.integers(0, 2**32 - 1))
 def test_rows_are_the_columns_of_the_transposed_picture(name, seed):
     image = np.random.default_rng(seed).integers(0, 256, (40, 25, 3), dtype=np.uint8)
@@ -43,7 +43,7 @@ def test_rows_are_the_columns_of_the_transposed_picture(name, seed):
 
 
 @pytest.mark.parametrize("name", NAMES)
-@settings(max_examples=15, deadline=None, derandomize=True)
+@settings(max_examples=15)
 @given(seed=st.integers(0, 2**32 - 1))
 def test_subtracting_the_background_gives_the_stripe_of_the_line_alone(name, seed):
     line, _ = line_picture(seed)
@@ -75,7 +75,7 @@ def test_grey_weighs_the_colours():
 
 
 @pytest.mark.parametrize("name", NAMES)
-@settings(max_examples=25, deadline=None, derandomize=True)
+@settings(max_examples=25)
 @given(
     seed=st.integers(0, 2**32 - 1),
     amplitude=st.floats(300, 20_000),

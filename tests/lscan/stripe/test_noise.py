@@ -11,7 +11,7 @@ from lscan.stripe import extract_stripe
 from lscan.stripe.noise.model import Noise, difference_noise, scatter_noise, stated_noise
 
 
-@settings(max_examples=25, deadline=None, derandomize=True)
+@settings(max_examples=25)
 @given(
     seed=st.integers(0, 2**32 - 1),
     gain=st.floats(0.05, 1.0),

@@ -16,7 +16,7 @@ HEIGHT, WIDTH = 120, 200
 COLUMN = np.arange(WIDTH)
 UPPER = 40 + 8 * np.sin(COLUMN / 30)
 LOWER = 75 + 6 * np.sin(COLUMN / 25)
-FEW = settings(max_examples=10, deadline=None, derandomize=True)
+FEW = settings(max_examples=10)
 
 
 def chosen(light, returns="brightest", seed=1, contrast=0.2):

@@ -15,7 +15,7 @@ from lscan.stripe.extractors.ridge import steger
 from lscan.stripe.width import line_width
 
 HEIGHT, WIDTH = 90, 150
-FEW = settings(max_examples=12, deadline=None, derandomize=True)
+FEW = settings(max_examples=12)
 SLOPES = st.floats(-0.6, 0.6)
 
 

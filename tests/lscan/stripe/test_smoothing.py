@@ -11,7 +11,7 @@ from lscan.stripe.pieces import pieces
 
 N = 200
 COLUMN = np.arange(N, dtype=float)
-FEW = settings(max_examples=15, deadline=None, derandomize=True)
+FEW = settings(max_examples=15)
 
 
 def stripe_of(centre, sigma=0.1, status=None):

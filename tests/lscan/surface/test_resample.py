@@ -41,7 +41,7 @@ def plane(a: float, b: float, c: float) -> Surface:
 
 
 @given(st.floats(-50, 50), st.floats(-1, 1), st.floats(-1, 1), st.floats(10, 140))
-@settings(max_examples=20, deadline=None, derandomize=True)
+@settings(max_examples=20)
 def test_planes_are_met_exactly(a: float, b: float, c: float, y: float) -> None:
     cut = resample(plane(a, b, c), (np.array([10.0, y]), np.array([140.0, 145.0 - y])))
     assert (cut.status == Status.OK).all()
@@ -56,7 +56,7 @@ def test_places_along_the_line() -> None:
 
 
 @given(st.floats(-0.1, 0.1), st.floats(-0.1, 0.1), st.floats(-0.1, 0.1), st.floats(20, 130))
-@settings(max_examples=20, deadline=None, derandomize=True)
+@settings(max_examples=20)
 def test_quadratics_are_met_exactly(a: float, b: float, c: float, y: float) -> None:
     def height(x: Floats, y: Floats) -> Floats:
         return a * (x - 75) ** 2 + b * (x - 75) * (y - 75) + c * (y - 75) ** 2

@@ -20,7 +20,7 @@ from lscan.surface import load_surface, save_surface
 from lscan.surface.shaft import PARAMETERS, Shaft, section_of, shaft_of, stack_about
 from lscan.surface.shaftfile import load_shaft
 
-FEW = settings(max_examples=25, deadline=None, derandomize=True)
+FEW = settings(max_examples=25)
 EXACT = np.zeros((PARAMETERS, PARAMETERS))
 
 coordinates = st.floats(-300, 300)

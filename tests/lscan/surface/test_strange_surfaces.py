@@ -151,7 +151,7 @@ def test_a_fifo_is_not_waited_for(tmp_path: Path) -> None:
         load_surface(tmp_path / "surface.nc")
 
 
-@settings(max_examples=150, deadline=None, derandomize=True)
+@settings(max_examples=150)
 @given(data=st.data())
 def test_a_mutated_surface_is_read_or_refused(
     saved: Path, tmp_path_factory: pytest.TempPathFactory, data: st.DataObject

@@ -204,7 +204,7 @@ def test_a_move_takes_the_time_of_its_ramps() -> None:
     assert Braking(50.0, 200.0).way_mm(1.0) == pytest.approx(6.25)  # v²/2a
 
 
-@settings(max_examples=100, deadline=None, derandomize=True)
+@settings(max_examples=100)
 @given(
     length=st.floats(0.01, 1000),
     top=st.floats(0.1, 1000),

@@ -112,7 +112,7 @@ def grid(count: int = 9) -> Floats:
     return np.column_stack([u.ravel(), v.ravel()])
 
 
-@settings(max_examples=40, deadline=None, derandomize=True)
+@settings(max_examples=40)
 @given(
     focal=st.floats(500, 1200),
     k1=st.floats(-0.3, 0.2),
@@ -155,7 +155,7 @@ def test_a_ray_passes_through_what_its_pixel_sees(
     np.testing.assert_allclose(back, pixels, atol=0.005)
 
 
-@settings(max_examples=40, deadline=None, derandomize=True)
+@settings(max_examples=40)
 @given(
     radius=st.floats(20, 100),
     thickness=st.floats(1, 15),
@@ -265,7 +265,7 @@ def lens_in_air(aperture_mm: float, focus_mm: float, **size: int) -> RefractiveC
     return camera
 
 
-@settings(max_examples=15, deadline=None, derandomize=True)
+@settings(max_examples=15)
 @given(
     aperture=st.floats(0.5, 10),
     focus=st.floats(200, 3000),

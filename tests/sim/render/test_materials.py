@@ -31,8 +31,8 @@ FINISHES = [
 ]
 NAMES = [f"{finish.kind}-{finish.roughness}" for finish in FINISHES]
 finishes = pytest.mark.parametrize("finish", FINISHES, ids=NAMES)
-few = settings(max_examples=5, deadline=None, derandomize=True)
-some = settings(max_examples=10, deadline=None, derandomize=True)
+few = settings(max_examples=5)
+some = settings(max_examples=10)
 
 
 def square(finish: Finish, albedo: float = 0.5, paint: Paint | None = None) -> Part:

@@ -31,7 +31,7 @@ from sim.render.tank import Tank, stock_medium
 from sim.scene import Laser, Pose
 from sim.water import Optics
 
-FEW = settings(max_examples=15, deadline=None, derandomize=True)
+FEW = settings(max_examples=15)
 LASER = Laser(
     power_mw=3, apex_mm=(0, 0, 0), fan_half_angle_deg=35, waist_mm=2, waist_distance_mm=400,
     port_tilt_deg=8,

@@ -25,7 +25,7 @@ WATERS = {
     "one lobe": Water(particle_scattering_per_m=0.5, phase="henyey-greenstein", asymmetry=0.95),
 }
 every_water = pytest.mark.parametrize("name", WATERS)
-FEW = settings(max_examples=20, deadline=None, derandomize=True)
+FEW = settings(max_examples=20)
 SINGLE = 2.0**-24  # half a unit in the last place of single precision
 STEEPEST = 2.0  # no peak here is steeper than angle^-2
 

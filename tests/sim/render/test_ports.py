@@ -24,8 +24,8 @@ from sim.scene import DomePort, FlatPort, Port
 FOCAL_PX = 850.0
 GLASS, WATER = 1.488, 1.3313
 # A traced example costs a kernel, about a third of a second.
-RIGS = settings(max_examples=12, deadline=None, derandomize=True)
-MANY = settings(max_examples=60, deadline=None, derandomize=True)
+RIGS = settings(max_examples=12)
+MANY = settings(max_examples=60)
 
 
 def bundle(count: int, pupil_mm: float, widest_deg: float, seed: int) -> tuple[Floats, Floats]:

@@ -87,7 +87,7 @@ def test_other_files_that_a_mesh_names_are_not_opened(tmp_path: Path, named: str
 
 
 @pytest.mark.parametrize("kind", KINDS)
-@settings(max_examples=60, deadline=None, derandomize=True)
+@settings(max_examples=60)
 @given(data=st.data())
 def test_a_mutated_mesh_is_read_or_refused(
     tmp_path_factory: pytest.TempPathFactory, kind: str, data: st.DataObject

@@ -24,7 +24,7 @@ def test_the_mosaic_starts_as_its_name_says(pattern: str) -> None:
     assert np.array_equal(mosaic[2:4, 4:6], mosaic[:2, :2])
 
 
-@settings(max_examples=40, deadline=None, derandomize=True)
+@settings(max_examples=40)
 @given(
     pattern=st.sampled_from(PATTERNS), height=st.integers(4, 21), width=st.integers(4, 21),
     seed=st.integers(0, 2**31 - 1),

@@ -51,7 +51,7 @@ def opened(track: SimTrack, **options: object) -> SimCamera:
     return camera_driver.open(rig_with(**options), track)
 
 
-@settings(max_examples=25, deadline=None, derandomize=True)
+@settings(max_examples=25)
 @given(
     target=st.floats(60, 250), gamma=st.floats(1, 2.5), gain=st.floats(1, 3),
     peak=st.floats(1e-3, 10),

@@ -58,7 +58,7 @@ def test_limits_of_contrast() -> None:
     assert large == pytest.approx(np.sqrt(4 / np.pi) / 50, rel=1 / 50)
 
 
-@settings(max_examples=30, deadline=None, derandomize=True)
+@settings(max_examples=30)
 @given(pixel=st.floats(1, 12), f_number=st.floats(1, 8), nm=st.floats(450, 700))
 def test_contrast_depends_on_grains_per_pixel_alone(
     pixel: float, f_number: float, nm: float

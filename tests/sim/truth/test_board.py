@@ -34,7 +34,7 @@ def board(dot_mm: float = 5.0, floor: float | None = None, **target: object) -> 
     )
 
 
-@settings(max_examples=25, deadline=None, derandomize=True)
+@settings(max_examples=25)
 @given(
     at=st.tuples(st.floats(-80, 0), st.floats(-40, 40), st.floats(-60, 60)),
     turn=st.floats(-20, 20),

@@ -13,7 +13,7 @@ from sim.truth import entry_points, project
 from sim.truth.dome import dome_rays, polar_angle
 from sim.truth.projection import camera_of, flat_rays
 
-MANY = settings(max_examples=60, deadline=None, derandomize=True)
+MANY = settings(max_examples=60)
 
 
 @st.composite

@@ -30,7 +30,7 @@ PORT = st.builds(
 )
 
 
-@settings(max_examples=60, deadline=None, derandomize=True)
+@settings(max_examples=60)
 @given(lens=LENS, port=PORT, water=st.floats(1.33, 1.345), seed=st.integers(0, 1000))
 def test_projection_agrees(lens: Lens, port: FlatPort, water: float, seed: int) -> None:
     """To 1e-6 px, a thousandth of the least uncertainty any mark has."""

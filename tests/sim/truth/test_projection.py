@@ -15,7 +15,7 @@ from sim.truth import entry_points, project
 from sim.truth.projection import Camera, air_tangent, camera_of, fold_radius, image, rays_to
 from sim.water import refractive_index
 
-MANY = settings(max_examples=60, deadline=None, derandomize=True)
+MANY = settings(max_examples=60)
 LENS = st.builds(
     Lens,
     focal_px=st.floats(300, 1500),
@@ -143,7 +143,7 @@ def test_the_ray_found_passes_through_the_point(camera, seed):
     assert np.abs(entry - rays.entry_mm).max() < 1e-10
 
 
-@settings(max_examples=8, deadline=None, derandomize=True)
+@settings(max_examples=8)
 @given(port=PORT, lens=LENS, seed=st.integers(0, 2**31))
 def test_the_pixel_traced_back_meets_the_point(port, lens, seed):
     camera = Camera(Pose(np.eye(3), np.zeros(3)), lens, port, 1.3313)

@@ -24,7 +24,7 @@ from sim.truth.section import (
 from sim.truth.surfaces import Polygon, spread, within
 from sim.truth.wave import Wave, sandwave_surfaces
 
-MANY = settings(max_examples=30, deadline=None, derandomize=True)
+MANY = settings(max_examples=30)
 TILT = st.floats(-8, 8)
 POSE = st.builds(
     lambda x, y, z, at: Pose(rotation_z(z) @ rotation_y(y) @ rotation_x(x), np.array(at)),
@@ -119,7 +119,7 @@ def wave_mesh(shape: Sandwave, pose: Pose, step: float) -> trimesh.Trimesh:
     return trimesh.Trimesh(pose.apply(vertices), faces, process=False)
 
 
-@settings(max_examples=6, deadline=None, derandomize=True)
+@settings(max_examples=6)
 @given(pose=POSE, yaw=TILT, along=st.floats(5, 145))
 def test_the_wave_is_cut_as_trimesh_cuts_its_mesh(pose, yaw, along):
     shape, step = Sandwave(), 0.5

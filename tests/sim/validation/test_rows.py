@@ -42,7 +42,7 @@ def check(*figures: float, key: str = "lengths") -> Check:
     return Check(key, "Lengths", "Two <rods> & a ruler.", tuple(row(value) for value in figures))
 
 
-@settings(max_examples=50, deadline=None, derandomize=True)
+@settings(max_examples=50)
 @given(figure=st.floats(-1e9, 1e9), bar=st.floats(0, 1e9))
 def test_a_row_passes_where_its_figure_is_no_larger_than_its_bar(figure: float, bar: float) -> None:
     assert row(figure, bar).passed == (figure <= bar)

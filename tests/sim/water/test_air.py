@@ -21,7 +21,7 @@ from sim.water import water_optics
 METRIC = SCENES / "metric"
 
 
-@settings(max_examples=60, deadline=None, derandomize=True)
+@settings(max_examples=60)
 @given(
     nm=st.floats(450, 700),
     temperature=st.floats(0, 30),
@@ -67,7 +67,7 @@ def pinhole(scene: Scene, points: np.ndarray) -> np.ndarray:
 FINENESS = 2
 
 
-@settings(max_examples=40, deadline=None, derandomize=True)
+@settings(max_examples=40)
 @given(
     tilt=st.tuples(st.floats(-10, 10), st.floats(-10, 10)),
     gap=st.floats(1, 60),

@@ -98,7 +98,7 @@ def test_index_under_pressure_is_that_of_iapws(mpa, index):
     assert rise == pytest.approx(index - PRESSURES[0][1], abs=2 * digit)
 
 
-@settings(max_examples=40, deadline=None, derandomize=True)
+@settings(max_examples=40)
 @given(
     t=st.floats(0, 30),
     psu=st.floats(0, 35),

@@ -53,7 +53,7 @@ def backscattered(density) -> float:
 # ---- Henyey & Greenstein, molecules ------------------------------------------------------
 
 
-@settings(max_examples=30, deadline=None, derandomize=True)
+@settings(max_examples=30)
 @given(g=st.floats(-0.9, 0.999))  # the rule of integral() is coarse at a backward peak
 def test_a_lobe_has_its_mean_cosine(g):
     def lobe(angle):
@@ -66,7 +66,7 @@ def test_a_lobe_has_its_mean_cosine(g):
     )
 
 
-@settings(max_examples=30, deadline=None, derandomize=True)
+@settings(max_examples=30)
 @given(g=st.floats(0, 0.99999), angle=st.floats(0, 3))
 def test_a_backward_lobe_mirrors_a_forward_one(g, angle):
     # 1e-9: pi - angle is rounded to 4e-16, of a lobe as narrow as 1e-5 rad.
@@ -200,7 +200,7 @@ def literal(spheres: FournierForand, angle: float) -> float:
         return float(first / (4 * pi * (1 - d) ** 2 * d**nu) + second / (16 * pi))
 
 
-@settings(max_examples=60, deadline=None, derandomize=True)
+@settings(max_examples=60)
 @given(spheres=SPHERES, epsilon=st.floats(-0.2, 0.2), decades=st.floats(0, 14))
 def test_spheres_are_exact_near_delta_1(spheres, epsilon, decades):
     # Where the literal formula in double precision loses all its digits.
@@ -220,7 +220,7 @@ def test_the_closed_form_and_the_series_meet():
         assert below / above - 1 == pytest.approx(2.4e-9, abs=1e-9)
 
 
-@settings(max_examples=60, deadline=None, derandomize=True)
+@settings(max_examples=60)
 @given(spheres=SPHERES, low=st.floats(1e-6, 1.5), more=st.floats(0.01, 1.6))
 def test_the_cumulative_function_is_the_densitys_integral(spheres, low, more):
     found = spheres.cumulative(np.array([low, low + more]))
@@ -228,7 +228,7 @@ def test_the_cumulative_function_is_the_densitys_integral(spheres, low, more):
     assert found[1] - found[0] == pytest.approx(expected, abs=CDF)
 
 
-@settings(max_examples=60, deadline=None, derandomize=True)
+@settings(max_examples=60)
 @given(spheres=SPHERES)
 def test_spheres_scatter_all_and_nowhere_less_than_nothing(spheres):
     share = spheres.cumulative(ANGLES)

@@ -135,7 +135,7 @@ def test_molecules_count_in_clear_water():
 # ---- waters by number --------------------------------------------------------------------
 
 
-@settings(max_examples=20, deadline=None, derandomize=True)
+@settings(max_examples=20)
 @given(
     nm=st.floats(450, 700),
     t=st.floats(0, 30),
@@ -164,7 +164,7 @@ def test_optics_are_whole(nm, t, psu, mpa, a, b, phase):
     assert optics.index == refractive_index(t, psu, nm, mpa)
 
 
-@settings(max_examples=40, deadline=None, derandomize=True)
+@settings(max_examples=40)
 @given(a=st.floats(0, 2), b=st.floats(0, 5), nm=st.floats(450, 700))
 def test_totals_are_taken_as_they_are(a, b, nm):
     optics = water_optics(Water(absorption_per_m=a, scattering_per_m=b), nm)

@@ -195,7 +195,7 @@ def _miss_px(view: View, line: Line, axis: int) -> float:
     return float(np.abs(line.curve(image[reached, 1 - axis]) - image[reached, axis]).max())
 
 
-@settings(max_examples=12, deadline=None, derandomize=True)
+@settings(max_examples=12)
 @given(view=views())
 def test_round_trip_without_rulers_within_the_chord_bound(view: View) -> None:
     graticule = solver.solve(read_board(BOARD, view.project), "2-norulers")
@@ -209,7 +209,7 @@ def test_round_trip_without_rulers_within_the_chord_bound(view: View) -> None:
         assert error[:, axis].max() <= _chord_bound_mm(view, lines, axis, image[valued])
 
 
-@settings(max_examples=8, deadline=None, derandomize=True)
+@settings(max_examples=8)
 @given(view=views())
 def test_round_trip_with_rulers_within_twice_that_and_the_rulers_own(view: View) -> None:
     """Target and intersection have the same weight, so both obey the chord bound; the

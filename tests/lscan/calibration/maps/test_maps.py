@@ -24,7 +24,7 @@ MAPS = (*METHODS, "spline")
 # --- closed forms -------------------------------------------------------------------------
 
 
-@settings(max_examples=25, deadline=None, derandomize=True)
+@settings(max_examples=25)
 @given(view=views("perspective"))
 def test_projective_is_exact_on_perspective_views(view: View) -> None:
     reading = read_board(BOARD, view.project)
@@ -87,7 +87,7 @@ def _moved(reading: BoardReading, scale: float, shift: Floats) -> BoardReading:
 
 
 @pytest.mark.parametrize("name", MAPS)
-@settings(max_examples=2, deadline=None, derandomize=True)
+@settings(max_examples=2)
 @given(
     view=views(),
     scale=st.floats(0.1, 10.0),
@@ -125,7 +125,7 @@ def test_order_of_points_is_kept(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", MAPS)
-@settings(max_examples=3, deadline=None, derandomize=True)
+@settings(max_examples=3)
 @given(view=views())
 def test_no_value_outside_the_control_points(name: str, view: View) -> None:
     """Judged by OpenCV's hull of the marks: no pixel farther out than twice the margin of

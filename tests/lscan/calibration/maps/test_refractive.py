@@ -90,7 +90,7 @@ def ignorance(view: View, known: OpticsSection) -> float:
     return float(np.linalg.norm([*departures, *axis]))
 
 
-@settings(max_examples=4, deadline=None, derandomize=True, phases=(Phase.explicit, Phase.generate))
+@settings(max_examples=4, phases=(Phase.explicit, Phase.generate))
 @given(view=rigs())
 def test_exact_marks_give_an_exact_map(view: View) -> None:
     """Of lens, port and pose only rough values are known, and the map is right to 1e-3 mm rms.
@@ -149,7 +149,7 @@ def _moved(reading: BoardReading, scale: float, shift: Floats) -> BoardReading:
     )
 
 
-@settings(max_examples=4, deadline=None, derandomize=True)
+@settings(max_examples=4)
 @given(
     scale=st.floats(0.1, 10.0), shift=st.tuples(st.floats(-500.0, 500.0), st.floats(-500.0, 500.0))
 )

@@ -93,7 +93,7 @@ def test_a_track_of_unknown_limits_is_tried_within_them(stood_mm: float, place_m
     assert all(move.time_s >= 0 for move in trial.moves)
 
 
-@settings(max_examples=100, deadline=None, derandomize=True)
+@settings(max_examples=100)
 @given(
     low_mm=st.floats(-1000, 1000),
     length_mm=st.floats(0, 300),

@@ -48,7 +48,7 @@ def far(at: float, lean: float, slope: float) -> FaceSamples:
 
 
 @given(st.floats(-1, 1), st.floats(-0.02, 0.02), st.floats(0, 0.5))
-@settings(max_examples=20, deadline=None, derandomize=True)
+@settings(max_examples=20)
 def test_edges_of_the_model_are_found_exactly(at: float, lean: float, wall: float) -> None:
     """A closed form: the light is the model's own but for the product 0.002 y Phi."""
     edges = faces(at, lean, 0.867, wall), far(-at / 2, lean, -0.867)

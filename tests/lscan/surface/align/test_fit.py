@@ -43,7 +43,7 @@ def test_a_level_plane_is_left_alone() -> None:
 
 
 @given(angles, angles)
-@settings(max_examples=50, deadline=None, derandomize=True)
+@settings(max_examples=50)
 def test_levelling_step_leaves_a_third_order_rest(tilt_x: float, tilt_y: float) -> None:
     n = normal_of(tilt_x, tilt_y)
     rest = np.linalg.norm((levelling_step(n) @ n)[:2])
@@ -51,7 +51,7 @@ def test_levelling_step_leaves_a_third_order_rest(tilt_x: float, tilt_y: float) 
 
 
 @given(angles, angles, st.integers(0, 100))
-@settings(max_examples=30, deadline=None, derandomize=True)
+@settings(max_examples=30)
 def test_levelling_settles_at_the_vertical(tilt_x: float, tilt_y: float, seed: int) -> None:
     n = normal_of(tilt_x, tilt_y)
     xy = np.random.default_rng(seed).uniform(-100, 100, (50, 2))
@@ -88,7 +88,7 @@ def edge_samples(at: float, slope: float, lean: float, phase: float) -> EdgeSamp
 
 
 @given(st.floats(0.05, 0.2), st.floats(-1, 1), st.floats(0, 0.9))
-@settings(max_examples=40, deadline=None, derandomize=True)
+@settings(max_examples=40)
 def test_edges_are_found_far_within_a_sample(lean: float, at: float, phase: float) -> None:
     edges = [edge_samples(at, 0.0, lean, phase), edge_samples(at + 5, 0.3, lean, phase)]
     fit = fit_edges(edges, ["a", "b"], pivot_mm=0.0)
@@ -140,7 +140,7 @@ placings = st.builds(
 
 
 @given(placings)
-@settings(max_examples=6, deadline=None, derandomize=True, phases=[Phase.generate])
+@settings(max_examples=6, phases=[Phase.generate])
 def test_yaw_and_slices_of_any_placing(placing: Placing) -> None:
     surface = scan(PIECE, placing)
     alignment = align_sandwave(surface, PIECE)
