@@ -57,4 +57,5 @@ def write_toml(file: Path, document: Document, heading: str = "") -> None:
 
 
 def _on_one_line(found: re.Match[str]) -> str:
-    return f"[{', '.join(line.strip(' ,') for line in found[1].splitlines())}]"
+    lines = found[1].rstrip("\n").split("\n")  # splitlines() also splits at U+0085 and the like
+    return f"[{', '.join(line.strip(' ,') for line in lines)}]"
