@@ -1,0 +1,105 @@
+"""Sphinx directives that write what the code knows: keys, commands, codes, plug-ins, names."""
+
+from __future__ import annotations
+
+import importlib
+import inspect
+from typing import Any
+
+import commandline
+import drawing
+import gallery
+import lists
+import modelkeys
+import userfiles
+from docutils import nodes
+from sphinx.application import Sphinx
+from sphinx.util.docutils import SphinxDirective
+
+
+class Generated(SphinxDirective):
+    """Base of directives whose text is made from their one argument."""
+
+    required_arguments = 1
+    final_argument_whitespace = True
+
+    def text(self, argument: str) -> str:
+        """The MyST text that takes the directive's place."""
+        raise NotImplementedError
+
+    def run(self) -> list[nodes.Node]:
+        """The nodes of the text."""
+        self.env.note_reread()
+        text = self.text(self.arguments[0])
+        return list(self.parse_text_to_nodes(text, allow_section_headings=True))
+
+
+class FileKeys(Generated):
+    """``{file-keys} rig``: every section of a file with its keys."""
+
+    def text(self, argument: str) -> str:
+        parts = []
+        for section in userfiles.FILES[argument]:
+            name = f"[[{section.name}]]" if section.repeated else f"[{section.name}]"
+            title = f"`{name}`" if section.name else "At the top of the file"
+            if section.variant:
+                title += f", {section.variant}"
+            parts.append(modelkeys.as_markdown(section, title, level=2))
+        return "\n".join(parts)
+
+
+class Commands(Generated):
+    """``{commands} lscan``: every command with its arguments and options."""
+
+    def text(self, argument: str) -> str:
+        return commandline.as_markdown(argument)
+
+
+class Listed(Generated):
+    """``{listed} status``: a table of what the code registers or enumerates."""
+
+    def text(self, argument: str) -> str:
+        return lists.TABLES[argument]()
+
+
+class PublicNames(Generated):
+    """``{public-names} lscan``: autodoc of each name of the module's ``__all__``."""
+
+    def text(self, argument: str) -> str:
+        module = importlib.import_module(argument)
+        lines = ["```{eval-rst}"]
+        for name in getattr(module, "__all__", []):
+            value = getattr(module, name)
+            if inspect.isclass(value):
+                lines += [f".. autoclass:: {argument}.{name}", "   :members:", ""]
+            elif inspect.isroutine(value):
+                lines += [f".. autofunction:: {argument}.{name}", ""]
+            else:
+                lines += [f".. autodata:: {argument}.{name}", ""]
+        return "\n".join([*lines, "```"])
+
+
+class ImportGraph(Generated):
+    """``{import-graph} lscan``: the rooms of a package and what they import, drawn."""
+
+    def text(self, argument: str) -> str:
+        path = drawing.write(argument, self.env.srcdir)
+        return f"![Rooms of {argument}: an arrow is an import]({path})"
+
+
+class Gallery(Generated):
+    """``{gallery} scenes``: a picture of every scene."""
+
+    def text(self, argument: str) -> str:
+        return gallery.as_markdown(argument, self.env.srcdir)
+
+
+def setup(app: Sphinx) -> dict[str, Any]:
+    """Register the directives."""
+    app.add_directive("file-keys", FileKeys)
+    app.add_directive("commands", Commands)
+    app.add_directive("listed", Listed)
+    app.add_directive("public-names", PublicNames)
+    app.add_directive("import-graph", ImportGraph)
+    app.add_directive("gallery", Gallery)
+    return {"parallel_read_safe": False}
