@@ -8,7 +8,7 @@ ROOT := $(shell [ "$$(id -u)" = 0 ] || echo sudo -n)
 MINUTES ?= 10
 APT := $(ROOT) env DEBIAN_FRONTEND=noninteractive apt-get -qq
 
-.PHONY: help setup demo test smoke soak lint house bench verify accuracy hardware clean
+.PHONY: help setup demo test smoke soak lint house bench verify accuracy hardware docs clean
 .DELETE_ON_ERROR:
 
 help:
@@ -23,6 +23,7 @@ help:
 	@echo "make verify  hold the tank against references; out/verify.json, out/verify/report.html"
 	@echo "make accuracy  hold the instrument against the truth; out/accuracy.json"
 	@echo "make hardware  hold drivers, runs and the live page to their bars; out/hardware.json"
+	@echo "make docs    build the documentation, its pages' code included; out/docs/index.html"
 	@echo "make clean   remove all that was set up or made, save runs/"
 
 setup: .venv/llvm.stamp
@@ -66,6 +67,9 @@ accuracy: .venv/llvm.stamp
 
 hardware: .venv/llvm.stamp .venv/chromium.stamp
 	$(BIN)/lscan-sim hardware -o out/hardware.json
+
+docs: .venv/llvm.stamp
+	$(BIN)/python -m sphinx -W --keep-going -n -q docs out/docs
 
 clean:
 	rm -rf .venv out build *.egg-info

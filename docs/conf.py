@@ -2,32 +2,42 @@
 
 import os
 import sys
+from importlib.metadata import version as installed
 from pathlib import Path
 
-HERE = Path(__file__).parent
-ROOT = HERE.parent
-sys.path[:0] = [str(HERE / "_ext"), str(ROOT)]
+sys.path.insert(0, str(Path(__file__).parents[1]))
+sys.path.insert(0, str(Path(__file__).parent / "_ext"))
+
+import workspace
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-
-import lscan
+workspace.prepare()
 
 project = "lscan"
 author = "The lscan developers"
 copyright = author
-release = version = lscan.__version__
+release = version = installed("lscan")
 
-extensions = [
-    "myst_nb",
-    "sphinx.ext.autodoc",
-    "sphinx.ext.napoleon",
-    "lscan_docs",
-]
+extensions = ["myst_nb", "sphinx.ext.autodoc", "sphinx.ext.napoleon", "lscan_docs"]
 exclude_patterns = ["_ext"]
 source_suffix = {".md": "myst-nb"}
 
 html_theme = "furo"
 html_title = f"lscan {release}"
 
-myst_enable_extensions = ["dollarmath", "deflist", "colon_fence"]
+myst_enable_extensions = ["attrs_inline", "colon_fence", "dollarmath"]
 myst_heading_anchors = 3
+
+nb_execution_mode = "cache"
+nb_execution_cache_path = workspace.cache()
+nb_execution_timeout = 600
+nb_execution_raise_on_error = True
+nb_merge_streams = True
+
+napoleon_google_docstring = False
+autodoc_member_order = "bysource"
+autodoc_typehints_format = "short"
+nitpick_ignore_regex = [  # names of Python and of other packages, whose pages are not at hand
+    ("py:.*", r"(numpy|np|pathlib|collections|typing|annotated_types|pydantic)\..*"),
+    ("py:.*", r"(array|callable|float64|int64|optional|uint8|Ge|Gt|Le|Lt|FieldInfo|NoneType)"),
+]

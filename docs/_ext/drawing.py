@@ -61,7 +61,8 @@ def svg(package: str) -> str:
         f'width="{width:g}" height="{height:g}" font-family="sans-serif" font-size="13">',
         f'<rect width="{width:g}" height="{height:g}" fill="#ffffff"/>',
         '<defs><marker id="tip" viewBox="0 0 8 8" refX="8" refY="4" markerWidth="7" '
-        'markerHeight="7" orient="auto"><path d="M0,0 L8,4 L0,8 z" fill="#5577aa"/></marker></defs>',
+        'markerHeight="7" orient="auto"><path d="M0,0 L8,4 L0,8 z" fill="#5577aa"/></marker>'
+        "</defs>",
     ]
     pairs = sorted(pair for pair in imports(package) if set(pair) <= place.keys())
     parts += [_arrow(place[importer], place[imported]) for importer, imported in pairs]

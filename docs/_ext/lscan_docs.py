@@ -7,6 +7,7 @@ import inspect
 from typing import Any
 
 import commandline
+import docstrings
 import drawing
 import gallery
 import lists
@@ -102,4 +103,6 @@ def setup(app: Sphinx) -> dict[str, Any]:
     app.add_directive("public-names", PublicNames)
     app.add_directive("import-graph", ImportGraph)
     app.add_directive("gallery", Gallery)
+    app.connect("autodoc-process-docstring", docstrings.fields_as_list)
+    app.connect("missing-reference", docstrings.internal_name)
     return {"parallel_read_safe": False}
