@@ -39,12 +39,28 @@ def imports(package: str) -> set[tuple[str, str]]:
     return found
 
 
+def reduced(pairs: set[tuple[str, str]]) -> set[tuple[str, str]]:
+    """The pairs that no chain of others implies."""
+    beneath: dict[str, set[str]] = {}
+    for importer, imported in pairs:
+        beneath.setdefault(importer, set()).add(imported)
+
+    def reached(room: str) -> set[str]:
+        return {room}.union(*(reached(other) for other in beneath.get(room, set())))
+
+    return {
+        (importer, imported)
+        for importer, imported in pairs
+        if not any(imported in reached(other) for other in beneath[importer] - {imported})
+    }
+
+
 def _room(package: str, module: str) -> str:
     return module.removeprefix(f"{package}.").split(".")[0] if module != package else ""
 
 
 def svg(package: str) -> str:
-    """The drawing: one row a layer, an arrow for each import between rooms of two layers."""
+    """The drawing: one row a layer, an arrow for each import that others do not imply."""
     rows = layers(package)
     place: dict[str, tuple[float, float]] = {}
     across = max(len(row) for row in rows)
@@ -64,8 +80,10 @@ def svg(package: str) -> str:
         'markerHeight="7" orient="auto"><path d="M0,0 L8,4 L0,8 z" fill="#5577aa"/></marker>'
         "</defs>",
     ]
-    pairs = sorted(pair for pair in imports(package) if set(pair) <= place.keys())
-    parts += [_arrow(place[importer], place[imported]) for importer, imported in pairs]
+    drawn = {pair for pair in imports(package) if set(pair) <= place.keys()}
+    parts += [
+        _arrow(place[importer], place[imported]) for importer, imported in sorted(reduced(drawn))
+    ]
     parts += [_box(room, *where) for room, where in place.items()]
     return "\n".join([*parts, "</svg>", ""])
 
