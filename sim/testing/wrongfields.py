@@ -1,7 +1,7 @@
-"""Rig files with one thing wrong: every field of the good ones, in every way its type tells.
+"""Rig files with one thing wrong: every field of the good ones, in every way of its type.
 
-The fields and what they may hold are read from the models that check them; the wrong values
-follow from that (sim.testing.wrongvalues).
+The fields and what they may hold are read from the models' JSON schemas; the wrong values
+follow from those (sim.testing.wrongvalues).
 """
 
 from __future__ import annotations
@@ -11,14 +11,22 @@ from copy import deepcopy
 from dataclasses import dataclass
 from functools import reduce
 from operator import getitem
-from typing import Annotated, Any, get_args, get_origin
+from typing import Any
 
-from lscan.config.allowed import Keys, fields, kinds
 from lscan.config.documents import Document
 from lscan.config.plugins import installed
 from sim.testing.crossrules import CROSSINGS
 from sim.testing.goodrigs import GoodRig
-from sim.testing.wrongvalues import words_wanted, wrong_values
+from sim.testing.wrongvalues import (
+    Schema,
+    alternatives,
+    choices,
+    schema_of,
+    words_wanted,
+    wrong_values,
+)
+
+Keys = tuple[str | int, ...]
 
 NAMED = {
     ("camera", "driver"): "lscan.cameras",
@@ -49,16 +57,16 @@ class WrongField:
 
 @dataclass(frozen=True)
 class Place:
-    """Where a rig file holds a field: its keys, what it may hold, what it holds.
+    """Where a rig file holds a field: its keys, the schema of its values, its present value.
 
-    owner: the model and the name of the field, None for an item of a list.
+    owner: the names of the model and of the field, None for an item of a list.
     required: whether the file must state it.
     """
 
     keys: Keys
-    annotation: Any
+    schema: Schema
     value: Any
-    owner: tuple[Any, str] | None = None
+    owner: tuple[str, str] | None = None
     required: bool = False
 
 
@@ -66,58 +74,43 @@ def places(rig: GoodRig) -> Iterator[Place]:
     """Every field of the parts of a rig that are to be set wrong, tables before what they hold."""
     for part in rig.parts:
         table = _at(rig.document, part.prefix)
-        yield from _members(part.prefix, part.model, table, part.sections)
+        yield from _members(part.prefix, schema_of(part.model), table, part.sections)
 
 
-def _members(keys: Keys, annotation: Any, table: Document, names: Sequence[str]) -> Iterator[Place]:
+def _members(keys: Keys, schema: Schema, table: Document, names: Sequence[str]) -> Iterator[Place]:
     """The fields of these names, and all within them, of a table that is of one model."""
-    [model] = [k.type for k in kinds(annotation) if k.is_table and _is_of(k.type, table)]
-    for name in names or fields(model):
-        yield from _within(
-            Place(
-                keys=(*keys, name),
-                annotation=fields(model)[name],
-                value=table.get(name),
-                owner=(model, name),
-                required=_is_required(name, model, annotation),
-            )
-        )
+    [model] = [one for one in alternatives(schema) if _is_of(one, table)]
+    for name in names or model["properties"]:
+        field = model["properties"][name]
+        owner, required = (model["title"], name), _is_required(name, model, schema)
+        yield from _within(Place((*keys, name), field, table.get(name), owner, required))
 
 
 def _within(place: Place) -> Iterator[Place]:
     """The place and all within it, tables before what they hold."""
     yield place
-    keys, annotation, value = place.keys, place.annotation, place.value
-    if isinstance(value, dict) and any(kind.is_table for kind in kinds(annotation)):
-        yield from _members(keys, annotation, value, ())
-    for kind in kinds(annotation) if isinstance(value, list) else ():
-        if get_origin(kind.type) in (tuple, list):
-            for index, item in enumerate(value):
-                yield from _within(Place((*keys, index), kind.item(index), item))
+    keys, value = place.keys, place.value
+    for one in alternatives(place.schema):
+        if isinstance(value, list) and one["type"] == "array":
+            fixed = one.get("prefixItems") or [one["items"]] * len(value)
+            for index, (schema, item) in enumerate(zip(fixed, value, strict=True)):
+                yield from _within(Place((*keys, index), schema, item))
+        elif isinstance(value, dict) and "properties" in one and _is_of(one, value):
+            yield from _members(keys, place.schema, value, ())
 
 
-def _is_required(name: str, model: Any, annotation: Any) -> bool:
-    """Whether a table of ``annotation``, now of ``model``, must have the key ``name``."""
-    told_by = list(_discriminators(annotation)) if name == "kind" else []
-    if told_by:  # a function tells the kind of a table without the key, too
-        return all(isinstance(by, str) for by in told_by)
-    return bool(model.model_fields[name].is_required())
+def _is_required(name: str, model: Schema, schema: Schema) -> bool:
+    """Whether a table of ``schema``, now of ``model``, must have the key ``name``."""
+    unions = [part for part in (schema, *schema.get("anyOf", ())) if "oneOf" in part]
+    if name == "kind" and unions:  # a function selects the model without the key, too
+        return all("discriminator" in union for union in unions)
+    return name in model.get("required", ())
 
 
-def _discriminators(annotation: Any) -> Iterator[Any]:
-    """The keys or functions by which pydantic tells apart the models a table may be of."""
-    if get_origin(annotation) is Annotated:
-        for note in annotation.__metadata__:
-            if getattr(note, "discriminator", None) is not None:
-                yield note.discriminator
-    for part in get_args(annotation):
-        yield from _discriminators(part)
-
-
-def _is_of(model: Any, table: Document) -> bool:
-    """Whether a table is one of this model, where its ``kind`` tells."""
-    tag = kinds(fields(model)["kind"])[0] if "kind" in fields(model) else None
-    return tag is None or table.get("kind") in tag.type.__args__
+def _is_of(model: Schema, table: Document) -> bool:
+    """Whether a table is one of this model, where its ``kind`` says so."""
+    properties = model.get("properties", {})
+    return "kind" not in properties or table.get("kind") in choices(properties["kind"])
 
 
 def wrong_fields(rig: GoodRig) -> Iterator[WrongField]:
@@ -129,8 +122,8 @@ def wrong_fields(rig: GoodRig) -> Iterator[WrongField]:
 
 
 def _wrong_values(rig: GoodRig, place: Place) -> Iterator[WrongField]:
-    words = tuple(words_wanted(place.annotation))
-    for value in wrong_values(place.annotation, place.value):
+    words = tuple(words_wanted(place.schema))
+    for value in wrong_values(place.schema, place.value):
         yield _changed(rig, place.keys, value, words)
     if place.keys in NAMED:
         names = tuple(installed(NAMED[place.keys]))
@@ -144,7 +137,7 @@ def _wrong_keys(rig: GoodRig, place: Place) -> Iterator[WrongField]:
     if place.required:
         document = deepcopy(rig.document)
         del _at(document, tuple(table))[name]
-        words = ("field required", *words_wanted(place.annotation))
+        words = ("field required", *words_wanted(place.schema))
         yield WrongField(f"{rig.name}: no {dotted(place.keys)}", document, place.keys, None, words)
 
 

@@ -1,4 +1,8 @@
-"""Values that a field of a file must refuse, told from its type and its stated limits alone."""
+"""Values that a field of a file must refuse, and what the refusal must say.
+
+Both follow from the JSON schema that pydantic makes of a model, not from the code under test,
+which reads the same models in a way of its own (lscan.config.allowed).
+"""
 
 from __future__ import annotations
 
@@ -6,106 +10,146 @@ import math
 import re
 from collections.abc import Iterator
 from datetime import date
-from typing import Any, Literal, get_args, get_origin
+from typing import Any
 
-from lscan.config.allowed import Kind, fields, kinds, plain_number
+from pydantic import TypeAdapter
+
+Schema = dict[str, Any]
 
 A_DAY = date(1979, 5, 27)
 TOO_LARGE = 10**400
 """A whole number beyond what a float holds, 1.8e308."""
+LIMITS = ("minimum", "exclusiveMinimum", "maximum", "exclusiveMaximum")
 
 
-def wrong_values(annotation: Any, value: Any) -> Iterator[Any]:
-    """Values that no kind the annotation allows may hold, of every type TOML has.
+def schema_of(model: Any) -> Schema:
+    """The JSON schema of a model or an annotation, each reference replaced by its definition."""
+    whole = TypeAdapter(model).json_schema()
+    definitions = whole.pop("$defs", {})
 
-    value: what stands there now, from which lists of a wrong length are made.  What a kind may
-    hold is never among them: a whole number for a number, any text for a free text, any list
+    def inlined(node: Any) -> Any:
+        if isinstance(node, list):
+            return [inlined(item) for item in node]
+        if not isinstance(node, dict):
+            return node
+        if "$ref" in node:
+            return inlined(definitions[node["$ref"].rpartition("/")[2]])
+        return {key: inlined(item) for key, item in node.items()}
+
+    schema: Schema = inlined(whole)
+    return schema
+
+
+def alternatives(schema: Schema, description: str = "") -> list[Schema]:
+    """The schemas of one type each that a value may follow; null is left out."""
+    description = schema.get("description", description)
+    parts = schema.get("anyOf") or schema.get("oneOf")
+    if parts:
+        return [one for part in parts for one in alternatives(part, description)]
+    return [] if schema.get("type") == "null" else [{**schema, "description": description}]
+
+
+def choices(schema: Schema) -> list[Any]:
+    """The values of an enumeration, [] of any other schema."""
+    return [schema["const"]] if "const" in schema else schema.get("enum", [])
+
+
+def wrong_values(schema: Schema, value: Any) -> Iterator[Any]:
+    """Values that the schema does not allow, of every type TOML has.
+
+    value: the present one, from which lists of a wrong length are made.  What any alternative
+    allows is never among them: a whole number for a number, any text for a free text, any list
     for a list of any length.
     """
-    allowed = kinds(annotation)
-    plain = set().union(*(kind.plain for kind in allowed))
-    is_list = any(get_origin(kind.type) in (tuple, list) for kind in allowed)
-    is_table = any(kind.is_table or dict in (kind.type, get_origin(kind.type)) for kind in allowed)
+    allowed = alternatives(schema)
+    types = {one["type"] for one in allowed}
+    is_number = bool(types & {"integer", "number"})
     yield A_DAY
-    if not any(kind.type is str for kind in allowed):
+    if not any(one["type"] == "string" and not choices(one) for one in allowed):
         yield from ("wrong", "12", "")
-    if not plain & {int, float}:
+    if not is_number:
         yield from (12345.678, 1, 0)
-    if bool not in plain:
+    if "boolean" not in types:
         yield from (True, False)
-    if not is_list:
+    if "array" not in types:
         yield from ([], ["wrong"], [1.5])
-    if not is_table:
+    if "object" not in types:
         yield {"wrong": 1}
-    if plain & {int, float}:
+    if is_number:
         yield from (math.nan, math.inf, -math.inf, TOO_LARGE, -TOO_LARGE)
-    if int in plain and float not in plain:
+    if is_number and "number" not in types:
         yield from (1.5, 20.0)
-    for kind in allowed:
-        yield from (v for v in _outside(kind) if not any(_holds(k, v) for k in allowed))
-        yield from _of_wrong_length(kind, value) if isinstance(value, list) else ()
+    for one in allowed:
+        yield from (v for v in _outside(one) if not any(_holds(other, v) for other in allowed))
+        if one["type"] == "array" and isinstance(value, list):
+            yield from _of_wrong_length(one, value)
 
 
-def _of_wrong_length(kind: Kind, value: list[Any]) -> Iterator[list[Any]]:
+def _of_wrong_length(schema: Schema, value: list[Any]) -> Iterator[list[Any]]:
     """Lists of the items of ``value``, each an item too short or too long, and an empty one."""
-    if get_origin(kind.type) not in (tuple, list):
-        return
-    least, most = kind.limits.get("min_length", 0), kind.limits.get("max_length", math.inf)
-    if get_origin(kind.type) is tuple and get_args(kind.type)[-1] is not Ellipsis:
-        least = most = len(get_args(kind.type))
+    least, most = schema.get("minItems", 0), schema.get("maxItems", math.inf)
     if least > 0:
         yield from ([], value[: least - 1])
     if most < math.inf and value:
         yield [*value, *value[-1:] * (most + 1 - len(value))]
 
 
-def words_wanted(annotation: Any) -> list[str]:
-    """What a message must say of what is allowed: every limit, choice and key there is."""
-    wanted: list[str] = []
-    for kind in kinds(annotation):
-        wanted += [plain_number(v) for k, v in kind.limits.items() if k in ("ge", "gt", "le", "lt")]
-        if get_origin(kind.type) is Literal:
-            wanted += [repr(value) for value in get_args(kind.type)]
-        if kind.is_table:
-            table = fields(kind.type)
-            wanted += ["kind"] if "kind" in table else list(table)
-        if float in kind.plain or int in kind.plain:
-            wanted.append("whole number" if int in kind.plain else "number")
-        if kind.type is bool:
-            wanted.append("true or false")
-        if kind.type is str:
-            wanted.append(kind.words or "text")
-        if get_origin(kind.type) in (tuple, list):
-            lengths = [kind.limits[k] for k in ("min_length", "max_length") if k in kind.limits]
-            fixed = get_args(kind.type)[-1] is not Ellipsis
-            wanted += ["list of" if fixed else "list", *map(str, lengths)]
-    return wanted
-
-
-def _outside(kind: Kind) -> Iterator[Any]:
+def _outside(schema: Schema) -> Iterator[Any]:
     """The nearest values beyond each limit, the limit itself where it is excluded."""
-    limits, whole = kind.limits, int in kind.plain
-    for name, way in (("ge", -math.inf), ("le", math.inf)):
-        if name in limits:
-            edge = limits[name]
-            step = 1 if way > 0 else -1
-            yield edge + step if whole else math.nextafter(edge, way)
-    yield from (limits[name] for name in ("gt", "lt") if name in limits)
-    if kind.type is str and limits.get("min_length"):
+    whole = schema["type"] == "integer"
+    for name, way in (("minimum", -1), ("maximum", 1)):
+        if name in schema:
+            edge = schema[name]
+            yield edge + way if whole else math.nextafter(edge, way * math.inf)
+    yield from (schema[name] for name in ("exclusiveMinimum", "exclusiveMaximum") if name in schema)
+    if schema.get("minLength"):
         yield ""
-    if "pattern" in limits:
-        yield from (text for text in ("", "?", "wrong") if not re.search(limits["pattern"], text))
+    if "pattern" in schema:
+        yield from (text for text in ("", "?", "wrong") if not re.search(schema["pattern"], text))
 
 
-def _holds(kind: Kind, value: Any) -> bool:
-    """Whether a kind's type and limits let a number or a text pass."""
-    limits = kind.limits
+def _holds(schema: Schema, value: Any) -> bool:
+    """Whether the type and the limits of a schema allow a number or a text."""
     if isinstance(value, str):
-        short = len(value) < limits.get("min_length", 0)
-        fits = re.search(limits.get("pattern", ""), value) is not None
-        return kind.type is str and fits and not short
-    if not kind.plain & {int, float}:
+        fits = re.search(schema.get("pattern", ""), value) is not None
+        is_text = schema["type"] == "string" and not choices(schema)
+        return is_text and fits and len(value) >= schema.get("minLength", 0)
+    if schema["type"] not in ("integer", "number"):
         return False
-    above = limits.get("ge", -math.inf) <= value and limits.get("gt", -math.inf) < value
-    below = value <= limits.get("le", math.inf) and value < limits.get("lt", math.inf)
-    return bool(above and below)
+    low, above, high, below = (schema.get(name) for name in LIMITS)
+    return (
+        (low is None or low <= value)
+        and (above is None or above < value)
+        and (high is None or value <= high)
+        and (below is None or value < below)
+    )
+
+
+def words_wanted(schema: Schema) -> list[str]:
+    """What a message must say of what is allowed: every limit, choice and key."""
+    return [word for one in alternatives(schema) for word in _words_of(one)]
+
+
+def _words_of(schema: Schema) -> list[str]:
+    if choices(schema):
+        return [repr(value) for value in choices(schema)]
+    words = [_plain(schema[name]) for name in LIMITS if name in schema]
+    match schema["type"]:
+        case "integer":
+            return [*words, "whole number"]
+        case "number":
+            return [*words, "number"]
+        case "boolean":
+            return ["true or false"]
+        case "string":
+            return [schema["description"] or "text"]
+        case "array":
+            lengths = [str(schema[name]) for name in ("minItems", "maxItems") if name in schema]
+            return ["list of" if lengths else "list", *lengths]
+    keys = list(schema.get("properties", ()))
+    return ["kind"] if "kind" in keys else keys
+
+
+def _plain(limit: float) -> str:
+    """A limit as a person types it: 0 and 1000000, not 0.0 and 1e6."""
+    return repr(int(limit) if limit == int(limit) else limit)
