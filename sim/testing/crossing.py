@@ -1,35 +1,40 @@
-"""A rule over several fields of a rig file, and how it is broken."""
+"""Rules of a rig file over several of its fields, and how each is broken: crossings.toml."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
-from typing import Any
+import tomllib
+from collections.abc import Iterator
+from dataclasses import dataclass
+from importlib.resources import files
 
-from lscan.config.documents import Document
+from lscan.config.documents import Document, merge
 
 
 @dataclass(frozen=True)
 class Crossing:
     """A rule and how to break it.
 
-    rule: the model's validator as ``Model.name``, or what the rule says where a driver keeps
-    it.  changes: keys and their new values.  key: what the message must name; words: what it
-    must say besides.  camera, track, sections: the drivers and sections of a rig it fits.
+    rule: the model's validator as ``Model.name``, or a sentence where a driver checks it.
+    rig: what a rig must contain for the rule to apply.  changes: dotted keys and their new
+    values.  key: what the message must name; words: what else it must say.
     """
 
     rule: str
-    changes: dict[str, Any]
+    rig: Document
+    changes: Document
     key: str
     words: tuple[str, ...]
-    camera: str | None = None
-    track: str | None = None
-    sections: dict[str, Any] = field(default_factory=dict)
 
     def fits(self, document: Document) -> bool:
-        """Whether a rig has what the rule is about; sections: with these values in them."""
-        drivers = document["camera"]["driver"], document["track"]["driver"]
-        asked = self.camera or drivers[0], self.track or drivers[1]
-        return drivers == asked and all(
-            {**document.get(name, {}), **values} == document.get(name)
-            for name, values in self.sections.items()
-        )
+        """Whether a rig contains what the rule applies to."""
+        return merge(document, self.rig) == document
+
+
+def _read() -> Iterator[Crossing]:
+    text = files("sim.testing").joinpath("crossings.toml").read_text(encoding="utf-8")
+    for rule in tomllib.loads(text)["crossing"]:
+        for rig in rule["rigs"]:
+            yield Crossing(rule["rule"], rig, rule["changes"], rule["key"], tuple(rule["words"]))
+
+
+CROSSINGS: tuple[Crossing, ...] = tuple(_read())

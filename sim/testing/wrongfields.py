@@ -15,7 +15,7 @@ from typing import Any
 
 from lscan.config.documents import Document
 from lscan.config.plugins import installed
-from sim.testing.crossrules import CROSSINGS
+from sim.testing.crossing import CROSSINGS
 from sim.testing.goodrigs import GoodRig
 from sim.testing.wrongvalues import (
     Schema,

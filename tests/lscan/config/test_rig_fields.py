@@ -19,7 +19,7 @@ from lscan.config.documents import Strict
 from lscan.config.rig import Rig
 from lscan.errors import InputError
 from sim.scene import Tank
-from sim.testing.crossrules import CROSSINGS
+from sim.testing.crossing import CROSSINGS
 from sim.testing.goodrigs import CAMERAS, TRACKS, GoodRig, Part, good_rigs, write_beside
 from sim.testing.wrongfields import WrongField, crossed_rigs, places, wrong_fields
 from sim.testing.wrongvalues import schema_of, wrong_values
