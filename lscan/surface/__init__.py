@@ -1,7 +1,6 @@
 """From profiles to a surface, its alignment with the workpiece, slices of it, and its files."""
 
 from lscan.surface.align.alignment import Alignment, apply
-from lscan.surface.align.edges import EdgeLine
 from lscan.surface.align.fit import align_sandwave
 from lscan.surface.align.levelling import level, levelling_step, shear
 from lscan.surface.files import load_surface, save_points, save_surface
@@ -11,7 +10,6 @@ from lscan.surface.stack import stack
 
 __all__ = [
     "Alignment",
-    "EdgeLine",
     "Grid",
     "Slice",
     "align_sandwave",

@@ -8,7 +8,7 @@ import numpy as np
 
 from lscan.errors import InputError, MeasurementError
 from lscan.records import Floats, Ints, Mask, Status, Surface, has_value
-from lscan.surface.align.alignment import own_variance
+from lscan.surface.align.alignment import own_variances
 
 MIN_POINTS = 9
 """Fewest points of a cell: three to spare for the six coefficients of its quadratic."""
@@ -155,7 +155,7 @@ def _fitted(cell: Ints, offset: Floats, half_mm: float) -> tuple[_Samples, Ints]
 
 def _own(surface: Surface, valid: Mask, samples: _Samples, slopes: Floats) -> Floats:
     """(C,) variance of the heights from each point's own noise, mm²."""
-    own_x, own_z = (variance[valid][samples.order] for variance in own_variance(surface))
+    own_x, _, own_z = own_variances(surface)[valid][samples.order].T
     count = np.diff(samples.starts, append=len(samples.order))
     slope_x = np.repeat(slopes[:, 0], count)
     return samples.total(samples.weight[0] ** 2 * (own_z + slope_x**2 * own_x))

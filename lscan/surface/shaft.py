@@ -19,7 +19,7 @@ import numpy as np
 
 from lscan.config.rig import ShaftSection
 from lscan.records import Floats, Profile, Surface
-from lscan.surface.align.alignment import own_variance
+from lscan.surface.align.alignment import own_variances
 from lscan.surface.stack import stack
 
 PARAMETERS = 5
@@ -160,9 +160,8 @@ def stack_about(profiles: Sequence[Profile], shaft: Shaft) -> Surface:
     modes = shaft.modes(xyz, position).astype(np.float32)
     if raw.modes_mm is not None:
         modes = np.concatenate([rotation.astype(np.float32) @ raw.modes_mm, modes], axis=-1)
-    own_x, own_z = own_variance(raw)
+    own = own_variances(raw) @ np.swapaxes(rotation[:, 0] ** 2, 1, 2)
     common = np.square(modes, dtype=np.float64).sum(axis=-1)
-    own = rotation[..., 0] ** 2 * own_x[..., None] + rotation[..., 2] ** 2 * own_z[..., None]
     sigma = np.sqrt(own + common)
     return replace(
         raw,

@@ -26,7 +26,7 @@ from scipy.spatial.transform import Rotation
 from lscan.config.targets import Sandwave
 from lscan.errors import InputError, MeasurementError
 from lscan.records import Floats, Ints, Mask, Profile, has_value
-from lscan.surface.align.alignment import own_variance
+from lscan.surface.align.alignment import own_variances
 from lscan.surface.align.fit import rough_pose
 from lscan.surface.nominal import above_top
 from lscan.surface.shaft import PARAMETERS, Shaft, stack_about
@@ -169,7 +169,7 @@ def _samples(profiles: Sequence[Profile], on_block: Mask) -> _Samples:
     modes = np.zeros((len(there), 3, 0))
     if raw.modes_mm is not None:
         modes = raw.modes_mm[rows, columns].astype(float)
-    variance = np.stack([part[rows, columns] for part in own_variance(raw)], axis=-1)
+    variance = own_variances(raw)[rows, columns][:, [0, 2]]
     points = raw.xyz_mm[rows, columns] * [1.0, 0.0, 1.0]
     return _Samples(points, raw.position_mm[rows], variance, modes)
 

@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 from lscan.errors import InputError
 from lscan.records import Floats, Ints, Surface
 from lscan.surface.align.datum import displacement
-from lscan.surface.align.edges import EdgeLine
 from lscan.surface.align.levelling import shear
 
 
@@ -22,12 +21,7 @@ class Alignment:
     rotation: (3, 3) of the four-step alignment without the shear.  translation_mm: (3,).
     normal: (3,) unit normal of the base plane in the head's axes.
     base_mm: height of the base plane in the workpiece frame.
-    flatness_mm: rms distance of the wedges' top points from the base plane.
     left_corner_mm, right_corner_mm: (2,) W_L and W_R in the workpiece plan.
-    edges: the lines found, in the workpiece plan, by name: "left wedge, near edge" and so on,
-        "left side" and, where it is in the scan, "right side".
-    top_points: number of points the base plane was fitted to.
-    iterations: number of rounds of shear, levelling and rotation until they settled.
     pivot_mm: (3,) the corners' middle, about which the parameters of ``modes`` turn.
     modes: (7, M + 7) how the alignment errs (datum.py): with each of the surface's M modes, and
         with seven independent errors of its own.
@@ -40,12 +34,8 @@ class Alignment:
     translation_mm: Floats
     normal: Floats
     base_mm: float
-    flatness_mm: float
     left_corner_mm: Floats
     right_corner_mm: Floats
-    edges: dict[str, EdgeLine]
-    top_points: int
-    iterations: int
     pivot_mm: Floats
     modes: Floats
     sheared: bool = True
@@ -75,15 +65,13 @@ def apply(alignment: Alignment, surface: Surface) -> Surface:
             "is aligned already", where="surface", value=surface.frame, allowed="the head frame"
         )
     turn, xyz = alignment.rotation, alignment.to_workpiece(surface.xyz_mm)
-    own_x, own_z = own_variance(surface)
     answered = displacement(xyz, alignment.pivot_mm, turn, alignment.yaw_rad) @ alignment.modes
     modes = answered.astype(np.float32)
     if surface.modes_mm is not None:
         matrix = (turn @ shear(alignment.yaw_rad)).astype(np.float32)
         modes[..., : surface.modes_mm.shape[-1]] += matrix @ surface.modes_mm
     total = np.square(modes, dtype=np.float64).sum(axis=-1)
-    own = np.stack([own_x, _own_y(surface), own_z], axis=-1) @ (turn**2).T
-    sigma = np.sqrt(own + total)
+    sigma = np.sqrt(own_variances(surface) @ (turn**2).T + total)
     return replace(
         surface,
         xyz_mm=xyz,
@@ -95,26 +83,16 @@ def apply(alignment: Alignment, surface: Surface) -> Surface:
     )
 
 
-def own_variance(surface: Surface) -> tuple[Floats, Floats]:
-    """(F, N) variances of x and of z, mm², without what the modes make common to all points."""
-    variance_x, variance_z = surface.sigma_x_mm**2, surface.sigma_z_mm**2
-    if surface.modes_mm is None:
-        return variance_x, variance_z
-    common = np.square(surface.modes_mm, dtype=np.float64).sum(axis=-1)
-    return (
-        np.maximum(variance_x - common[..., 0], 0.0),
-        np.maximum(variance_z - common[..., 2], 0.0),
-    )
+def own_variances(surface: Surface) -> Floats:
+    """(F, N, 3) variances of x, y and z, mm², without what the modes make common to all points.
 
-
-def _own_y(surface: Surface) -> Floats:
-    """(F, N) variance of y, mm², without what the modes make common; 0 where y is the track's."""
-    if surface.sigma_y_mm is None:
-        return np.zeros_like(surface.sigma_z_mm)
+    That of y is 0 where y is the track's.
+    """
+    y = np.zeros_like(surface.sigma_z_mm) if surface.sigma_y_mm is None else surface.sigma_y_mm
+    total = np.stack([surface.sigma_x_mm, y, surface.sigma_z_mm], axis=-1) ** 2
     if surface.modes_mm is None:
-        return surface.sigma_y_mm**2
-    common = np.square(surface.modes_mm[..., 1, :], dtype=np.float64).sum(axis=-1)
-    return np.maximum(surface.sigma_y_mm**2 - common, 0.0)
+        return total
+    return np.maximum(total - np.square(surface.modes_mm, dtype=np.float64).sum(axis=-1), 0.0)
 
 
 def turned_modes(surface: Surface, matrix: Floats, index: Ints) -> NDArray[np.float32]:

@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 from scipy.linalg import block_diag
 
 from lscan.records import Floats, Ints
+from lscan.surface.align.edges import EdgeCrossings
 
 PARAMETERS = 7
 """Rotations about x, y and z, yaw, shifts in x, y and z."""
@@ -31,16 +32,6 @@ YAW = 3
 
 TURN, LEAN = 3, 4
 """Indices, among the seven quantities, of the corners' turn and of the lean against it."""
-
-
-@dataclass(frozen=True)
-class EdgeCrossings:
-    """Crossings of one edge in the workpiece frame: its dx/dy, points (K, 3) mm, and their
-    index (K,) among all points of the surface."""
-
-    slope: float
-    points: Floats
-    index: Ints
 
 
 @dataclass(frozen=True)
@@ -86,7 +77,7 @@ def parameter_modes(datum: Datum, modes: NDArray[np.floating]) -> Floats:
     The first M columns answer these; the last 7 are the noise of the alignment itself.
     Without a yaw its row is nought.
     """
-    points = np.concatenate([datum.tops, *(edge.points for edge in datum.edges)])
+    points = np.concatenate([datum.tops, *(edge.inside for edge in datum.edges)])
     given = displacement(points, datum.pivot, datum.rotation, datum.yaw_rad)
     noise, vectors = np.linalg.eigh(_noise(datum))
     left = np.column_stack([_seven(datum, modes), vectors * np.sqrt(np.maximum(noise, 0.0))])
@@ -155,7 +146,7 @@ def _plane_design(datum: Datum) -> Floats:
 def _edge_design(datum: Datum) -> Floats:
     """(K, E + 1) what the lean and each edge's place do to the crossings, as in edges.py."""
     which = np.repeat(np.arange(len(datum.edges)), [len(edge.index) for edge in datum.edges])
-    y = np.concatenate([edge.points[:, 1] for edge in datum.edges]) - datum.pivot[1]
+    y = np.concatenate([edge.inside[:, 1] for edge in datum.edges]) - datum.pivot[1]
     return np.column_stack([y, np.eye(len(datum.edges))[which]])
 
 

@@ -13,8 +13,8 @@ one unknown: the lean that a shear x + lean * y of the whole plan gives to each 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.special import expit
@@ -24,9 +24,9 @@ from lscan.records import Floats, Ints, Mask
 
 SOFTNESS = 0.07
 """Scale of the logistic in units of the gap between two samples.  Small against 1, so that
-the line keeps between the samples, yet not 0, so that a stray sample does not rule."""
+the line keeps between the samples, yet not 0, so that one outlier does not rule."""
 
-STRAY = 0.3
+OUTLIER = 0.3
 """A profile whose samples lie on the wrong side of the line by more than this many gaps is
 left out: a sample was missing there, or a wall was hit, and the edge was taken for elsewhere."""
 
@@ -34,92 +34,88 @@ MIN_CROSSINGS = 10
 
 
 @dataclass(frozen=True)
-class EdgeLine:
-    """A straight edge in plan, x = at_mm + slope * (y - pivot_mm), mm of the frame fitted in.
+class EdgeCrossings:
+    """Where K profiles cross one edge: points (K, 2) in plan or (K, 3), mm, in any frame.
 
-    crossings: number of profiles it was fitted to.  strays: number left out as strays.
+    inside: last sample on the edge's upper side.
+    outside: where the next sample would lie if the upper side went on.
+    index: (K,) of the inside sample among all F N of the surface.
+    slope: the edge's nominal dx/dy in the workpiece's plan.
     """
 
-    at_mm: float
-    slope: float
-    pivot_mm: float
-    crossings: int
-    strays: int
-
-    def meet(self, other: EdgeLine) -> Floats:
-        """(2,) x and y in mm where it meets another edge of the same pivot."""
-        y = (other.at_mm - self.at_mm) / (self.slope - other.slope)
-        return np.array([self.at_mm + self.slope * y, y + self.pivot_mm])
-
-
-@dataclass(frozen=True)
-class EdgeSamples:
-    """What is known of one edge.
-
-    slope: its nominal dx/dy.
-    inside, outside: (K, 2) plan points in mm of the last samples on it, the first off it.
-    """
-
-    slope: float
     inside: Floats
     outside: Floats
+    index: Ints
+    slope: float = 0.0
+
+    def only(self, keep: Mask) -> EdgeCrossings:
+        """Those of the mask (K,)."""
+        return replace(
+            self, inside=self.inside[keep], outside=self.outside[keep], index=self.index[keep]
+        )
+
+    def moved(self, to: Callable[[Floats], Floats]) -> EdgeCrossings:
+        """The same crossings in another frame; ``to`` takes points (K, 3) there."""
+        return replace(self, inside=to(self.inside), outside=to(self.outside))
 
 
 @dataclass(frozen=True)
 class EdgeFit:
-    """Edges fitted together.
+    """E straight edges in plan fitted together: x = at_mm + (slope + lean) * (y - pivot_mm).
 
-    lean: dx/dy common to all, over and above their nominal slopes.
-    covariance: (E + 1, E + 1) of the lean and the E values of at_mm, in the edges' order: that
-        of the likelihood, and that of the crossings' scatter.
-    kept: (K,) mask of the samples of all edges, in their order, that are no strays.
+    at_mm: (E,).  slope: (E,) nominal ones.  lean: dx/dy common to all, over and above those.
+    covariance: (E + 1, E + 1) of the lean and at_mm: that of the likelihood, and that of the
+        crossings' scatter.
+    kept: (K,) mask of the samples of all edges, in their order, that are no outliers.
     """
 
-    lines: tuple[EdgeLine, ...]
+    at_mm: Floats
+    slope: Floats
     lean: float
+    pivot_mm: float
     covariance: Floats
     kept: Mask
 
+    def meet(self, first: int, second: int) -> Floats:
+        """(2,) x and y in mm where two of the edges meet."""
+        y = (self.at_mm[second] - self.at_mm[first]) / (self.slope[first] - self.slope[second])
+        x = self.at_mm[first] + (self.slope[first] + self.lean) * y
+        return np.array([x, y + self.pivot_mm])
+
 
 def fit_edges(
-    edges: Sequence[EdgeSamples],
-    names: Sequence[str],
-    pivot_mm: float,
-    kept: Mask | None = None,
+    edges: Mapping[str, EdgeCrossings], pivot_mm: float, kept: Mask | None = None
 ) -> EdgeFit:
-    """The edges that share one lean, each at x = at + (slope + lean) (y - pivot).
+    """The edges, by name, that share one lean, from their crossings in plan.
 
-    names: what each edge is called, for the error.  kept: (K,) mask of the samples that are no
-    strays, where that is decided already.
+    kept: (K,) mask of the samples that are no outliers, where that is decided already.
     Raises MeasurementError for an edge crossed by fewer than MIN_CROSSINGS profiles.
     """
-    for name, edge in zip(names, edges, strict=True):
+    for name, edge in edges.items():
         if len(edge.inside) < MIN_CROSSINGS:
             raise MeasurementError(
                 f"{name} not found: {len(edge.inside)} profiles cross it, "
                 f"{MIN_CROSSINGS} are needed"
             )
-    which = np.repeat(np.arange(len(edges)), [len(edge.inside) for edge in edges])
-    inside = np.concatenate([_upright(edge.inside, edge.slope, pivot_mm) for edge in edges])
-    outside = np.concatenate([_upright(edge.outside, edge.slope, pivot_mm) for edge in edges])
+    each = list(edges.values())
+    which = np.repeat(np.arange(len(each)), [len(edge.inside) for edge in each])
+    inside = np.concatenate([_upright(edge.inside, edge.slope, pivot_mm) for edge in each])
+    outside = np.concatenate([_upright(edge.outside, edge.slope, pivot_mm) for edge in each])
     keep = np.ones(len(which), dtype=bool) if kept is None else kept
     place = _least_absolute((inside + outside) / 2, which)
     for _ in range(3):
         place, covariance = _most_likely(inside[keep], outside[keep], which[keep], place)
         if kept is None:
-            keep = _violation(inside, outside, which, place) < STRAY
-    lines = tuple(
-        EdgeLine(
-            at_mm=float(place[1 + k]),
-            slope=float(edge.slope + place[0]),
-            pivot_mm=pivot_mm,
-            crossings=int(np.sum(keep & (which == k))),
-            strays=int(np.sum(~keep & (which == k))),
-        )
-        for k, edge in enumerate(edges)
-    )
+            keep = _violation(inside, outside, which, place) < OUTLIER
     noise = _scatter_covariance((inside + outside)[keep] / 2, which[keep], place)
-    return EdgeFit(lines, float(place[0]), covariance + noise, keep)
+    return EdgeFit(
+        at_mm=place[1:],
+        slope=np.array([edge.slope for edge in each]),
+        lean=float(place[0]),
+        pivot_mm=pivot_mm,
+        covariance=covariance + noise,
+        kept=keep,
+    )
 
 
 def _scatter_covariance(middle: Floats, which: Ints, place: Floats) -> Floats:
@@ -147,7 +143,7 @@ def _design(points: Floats, which: Ints) -> Floats:
 
 
 def _least_absolute(middle: Floats, which: Ints) -> Floats:
-    """A start that stray samples do not spoil: least absolute deviations, by reweighting."""
+    """A start that outliers do not spoil: least absolute deviations, by reweighting."""
     design = _design(middle, which)
     weight = np.ones(len(middle))
     parameters: Floats = np.zeros(design.shape[1])

@@ -16,24 +16,7 @@ from scipy import ndimage
 from lscan.config.targets import Sandwave
 from lscan.errors import MeasurementError
 from lscan.records import Floats, Ints, Mask, Status, Surface, has_value
-
-
-@dataclass(frozen=True)
-class Crossings:
-    """Where profiles cross an edge, in the raw head frame.
-
-    inside: (K, 3) last sample on the edge's upper side.
-    outside: (K, 3) where the next sample would lie if the upper side went on.
-    index: (K,) of the inside sample among all F N of the surface.
-    """
-
-    inside: Floats
-    outside: Floats
-    index: Ints
-
-    def only(self, keep: Mask) -> Crossings:
-        """Those of the mask (K,)."""
-        return Crossings(self.inside[keep], self.outside[keep], self.index[keep])
+from lscan.surface.align.edges import EdgeCrossings
 
 
 @dataclass(frozen=True)
@@ -51,10 +34,10 @@ class Features:
     top_index: Ints
     centre_left: Floats
     centre_right: Floats
-    wedge_left: Crossings
-    wedge_right: Crossings
-    side_left: Crossings
-    side_right: Crossings
+    wedge_left: EdgeCrossings
+    wedge_right: EdgeCrossings
+    side_left: EdgeCrossings
+    side_right: EdgeCrossings
 
 
 def find_features(surface: Surface, piece: Sandwave) -> Features:
@@ -80,7 +63,7 @@ def find_features(surface: Surface, piece: Sandwave) -> Features:
         near_level(height, 0.0, piece) | near_level(height, piece.wedge.height_mm, piece)
     )
 
-    def crossings(mask: Mask, direction: int, open_end: Mask | None = None) -> Crossings:
+    def crossings(mask: Mask, direction: int, open_end: Mask | None = None) -> EdgeCrossings:
         return _crossings(surface.xyz_mm, mask, direction, spacing, plane[1], open_end)
 
     unseen = (surface.status == Status.OUT_OF_BOARD) | (surface.status == Status.AT_BORDER)
@@ -248,7 +231,7 @@ def _crossings(
     spacing: Floats,
     slope: float,
     open_end: Mask | None,
-) -> Crossings:
+) -> EdgeCrossings:
     """The outermost sample of ``mask`` in each row towards ``direction`` (+1: greater x).
 
     slope: dz/dx of the rim's plane.  open_end: (F, N) samples that end the data without being
@@ -267,7 +250,7 @@ def _crossings(
     gap = direction * np.abs(spacing[_gap_index(columns, towards)])
     inside = xyz[rows, columns]
     outside = inside + np.column_stack([gap, 0 * gap, slope * gap])
-    return Crossings(inside, outside, rows * mask.shape[1] + columns)
+    return EdgeCrossings(inside, outside, rows * mask.shape[1] + columns)
 
 
 def _gap_index(columns: Ints, towards: int) -> Ints:

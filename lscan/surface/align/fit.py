@@ -13,7 +13,7 @@ About a shaft nothing is sheared: without the yaw, the block's sides tell the ro
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -21,12 +21,12 @@ import numpy as np
 from lscan.config.targets import Sandwave
 from lscan.errors import InputError, MeasurementError
 from lscan.records import Floats, Mask, Surface
-from lscan.surface.align.alignment import Alignment, own_variance, turned_modes
-from lscan.surface.align.datum import YAW, Datum, EdgeCrossings, parameter_modes
-from lscan.surface.align.edges import EdgeFit, EdgeSamples, fit_edges
+from lscan.surface.align.alignment import Alignment, own_variances, turned_modes
+from lscan.surface.align.datum import YAW, Datum, parameter_modes
+from lscan.surface.align.edges import EdgeCrossings, EdgeFit, fit_edges
 from lscan.surface.align.faces import faces_beside
 from lscan.surface.align.fading import fit_fading
-from lscan.surface.align.features import Crossings, Features, find_features
+from lscan.surface.align.features import Features, find_features
 from lscan.surface.align.levelling import level, plane_normal, shear
 
 SETTLED_RAD = 1e-7
@@ -35,7 +35,7 @@ SETTLED_RAD = 1e-7
 MAX_ITERATIONS = 60
 
 UNDECIDED_ITERATIONS = 10
-"""Rounds after which it stays as it is which samples are strays: a doubtful one that came and
+"""Rounds after which it stays as it is which samples are outliers: a doubtful one that came and
 went with the pose would keep the pose from settling."""
 
 MIN_SIDE_CROSSINGS = 50
@@ -92,17 +92,14 @@ def align_sandwave(surface: Surface, piece: Sandwave, sheared: bool = True) -> A
             "is aligned already", where="surface", value=surface.frame, allowed="the head frame"
         )
     features = find_features(surface, piece)
-    pose, rounds = _rough_pose(features, piece), 0
+    pose = _rough_pose(features, piece)
     for window in WINDOWS_MM:
         selected = _select(features, pose, piece, window)
-        found = _crossed(selected, piece)
-        pose, edges, iterations = _refine(features.tops, found, pose, piece, sheared)
-        rounds += iterations
-    fading = _fading(surface, pose, edges, piece)
+        pose, edges = _refine(features.tops, _crossed(selected, piece), pose, piece, sheared)
+    fading = _fading(surface, pose, edges, list(selected), piece)
     if fading is not None:
-        pose, edges, iterations = _refine(features.tops, fading, pose, piece, sheared)
-        rounds += iterations
-    datum = _datum(surface, features, selected, pose, edges, fading is not None, sheared)
+        pose, edges = _refine(features.tops, fading, pose, piece, sheared)
+    datum = _datum(surface, features, selected, pose, edges, sheared)
     modes = turned_modes(surface, pose.rotation @ shear(pose.yaw), datum.index)
     errors = parameter_modes(datum, modes)
     return Alignment(
@@ -112,12 +109,8 @@ def align_sandwave(surface: Surface, piece: Sandwave, sheared: bool = True) -> A
         translation_mm=pose.shift,
         normal=plane_normal(features.tops @ shear(pose.yaw).T),
         base_mm=piece.wedge.height_mm,
-        flatness_mm=float(datum.tops[:, 2].std()),
         left_corner_mm=edges.left_corner,
         right_corner_mm=edges.right_corner,
-        edges=dict(zip(edges.names, edges.fit.lines, strict=True)),
-        top_points=len(features.tops),
-        iterations=rounds,
         pivot_mm=datum.pivot,
         modes=errors,
         sheared=sheared,
@@ -161,18 +154,10 @@ def _nominal_middle(piece: Sandwave) -> Floats:
     return (left + right) / 2
 
 
-@dataclass(frozen=True)
-class _Selected:
-    """The crossings that belong to one nominal edge, and that edge's dx/dy."""
-
-    slope: float
-    crossings: Crossings
-
-
 def _select(
     features: Features, pose: _Pose, piece: Sandwave, window_mm: float
-) -> dict[str, _Selected]:
-    """The crossings that lie on each nominal edge to within ``window_mm``, by edge name."""
+) -> dict[str, EdgeCrossings]:
+    """The raw crossings that lie on each nominal edge to within ``window_mm``, by edge name."""
     selected = {}
     (left_near, left_tip, left_far), (right_far, right_tip, right_near) = piece.wedge_plans_mm()
     for name, crossings, start, end in (
@@ -188,17 +173,17 @@ def _select(
         off = np.abs(plan[:, 0] - start[0] - slope * (plan[:, 1] - start[1]))
         low, high = start[1] + CORNER_MARGIN_MM, end[1] - CORNER_MARGIN_MM
         keep = (plan[:, 1] > low) & (plan[:, 1] < high) & (off < window_mm)
-        selected[name] = _Selected(slope, crossings.only(keep))
-    sides = {name: len(selected[name].crossings.inside) for name in ("left side", "right side")}
+        selected[name] = replace(crossings.only(keep), slope=slope)
+    sides = {name: len(selected[name].inside) for name in ("left side", "right side")}
     if max(sides.values()) < MIN_SIDE_CROSSINGS:
         raise MeasurementError(
             f"neither side of the block is found: {sides['left side']} and "
             f"{sides['right side']} profiles cross them, {MIN_SIDE_CROSSINGS} are needed"
         )
     return {
-        name: s
-        for name, s in selected.items()
-        if sides.get(name, 1) >= MIN_SIDE_CROSSINGS or "wedge" in name
+        name: edge
+        for name, edge in selected.items()
+        if name not in sides or sides[name] >= MIN_SIDE_CROSSINGS
     }
 
 
@@ -210,7 +195,7 @@ def _side(piece: Sandwave, x: float) -> tuple[Floats, Floats]:
 
 def _refine(
     tops: Floats, find: _Finder, pose: _Pose, piece: Sandwave, sheared: bool
-) -> tuple[_Pose, _Edges, int]:
+) -> tuple[_Pose, _Edges]:
     """The pose at which the base plane, the corners and the yaw agree, and the edges in it."""
     kept = None
     for iteration in range(1, MAX_ITERATIONS + 1):
@@ -226,7 +211,7 @@ def _refine(
         pose = _moved(tops, pose, yaw_error, turn_error, middle, piece)
         shift = float(np.abs(middle - _nominal_middle(piece)).max()) / piece.side_mm
         if max(abs(yaw_error), abs(turn_error), shift) < SETTLED_RAD:
-            return pose, edges, iteration
+            return pose, edges
     raise MeasurementError(
         f"the alignment did not settle in {MAX_ITERATIONS} rounds: still "
         f"{np.degrees(max(abs(yaw_error), abs(turn_error))):.2g} degrees off"
@@ -244,102 +229,102 @@ def _moved(
 
 @dataclass(frozen=True)
 class _Edges:
-    """The edges fitted in one pose, and the corners (2,) where the wedges' edges meet.
+    """The edges fitted in one pose: the wedges' four, then the sides that are in the scan.
 
-    by_sides: the block's two sides say where it lies along x.  They are four times as long as
-    the wedges' edges and do not lean, so that brightness places them much better.
+    by_brightness: found by how the line's light fades over them.
     """
 
-    names: tuple[str, ...]
     fit: EdgeFit
-    left_corner: Floats
-    right_corner: Floats
-    by_sides: bool = False
+    by_brightness: bool
+
+    @property
+    def by_sides(self) -> bool:
+        """Whether the block's two sides say where it lies along x.
+
+        They are four times as long as the wedges' edges and do not lean, so that brightness
+        places them much better.
+        """
+        return self.by_brightness and len(self.fit.at_mm) == 6
+
+    @property
+    def left_corner(self) -> Floats:
+        """(2,) where the left wedge's edges meet."""
+        return self.fit.meet(0, 1)
+
+    @property
+    def right_corner(self) -> Floats:
+        """(2,) where the right wedge's edges meet."""
+        return self.fit.meet(2, 3)
 
     @property
     def middle(self) -> Floats:
-        """(2,) of the corners; its x that of the sides where they tell it better."""
+        """(2,) of the corners; its x that of the sides where they place it better."""
         middle = (self.left_corner + self.right_corner) / 2
-        if not self.by_sides:
-            return middle
-        left, right = self.fit.lines[4:]
-        x = (left.at_mm + right.at_mm) / 2 + self.fit.lean * (middle[1] - left.pivot_mm)
-        return np.array([x, middle[1]])
+        if self.by_sides:
+            tilt = self.fit.lean * (middle[1] - self.fit.pivot_mm)
+            middle[0] = self.fit.at_mm[4:].mean() + tilt
+        return middle
 
 
 _Finder = Callable[[_Pose, Mask | None], _Edges]
-"""Finds the edges in a pose; the mask says which samples are no strays, where that is decided."""
+"""Finds the edges in a pose; the mask says which samples are no outliers, once decided."""
 
 
-def _crossed(selected: dict[str, _Selected], piece: Sandwave) -> _Finder:
+def _crossed(selected: Mapping[str, EdgeCrossings], piece: Sandwave) -> _Finder:
     """Finds edges between the last samples on them and the first ones off them."""
-    names = tuple(selected)
 
     def find(pose: _Pose, kept: Mask | None) -> _Edges:
-        samples = [
-            EdgeSamples(s.slope, pose.plan(s.crossings.inside), pose.plan(s.crossings.outside))
-            for s in selected.values()
-        ]
-        return _met(names, fit_edges(samples, names, piece.side_mm / 2, kept))
+        in_plan = {name: edge.moved(pose.plan) for name, edge in selected.items()}
+        return _Edges(fit_edges(in_plan, piece.side_mm / 2, kept), by_brightness=False)
 
     return find
 
 
-def _fading(surface: Surface, pose: _Pose, edges: _Edges, piece: Sandwave) -> _Finder | None:
+def _fading(
+    surface: Surface, pose: _Pose, edges: _Edges, names: Sequence[str], piece: Sandwave
+) -> _Finder | None:
     """Finds edges by the fading of the line; None where too little of it is seen or known."""
     if surface.brightness is None:
         return None
-    beside = faces_beside(edges.names, pose.place(surface.xyz_mm), surface.brightness, piece)
+    beside = faces_beside(names, pose.place(surface.xyz_mm), surface.brightness, piece)
     if beside is None:
         return None
     raw = [surface.xyz_mm.reshape(-1, 3)[index] for index, _ in beside]
-    start = edges.fit
 
     def find(pose: _Pose, kept: Mask | None) -> _Edges:
         samples = [
             replace(face, plan=pose.plan(points))
             for points, (_, face) in zip(raw, beside, strict=True)
         ]
-        fit = fit_fading(samples, start, piece.side_mm / 2, kept)
-        return _met(edges.names, fit, by_sides=len(samples) == 6)
+        return _Edges(fit_fading(samples, edges.fit, kept), by_brightness=True)
 
     return find
-
-
-def _met(names: tuple[str, ...], fit: EdgeFit, by_sides: bool = False) -> _Edges:
-    left_near, left_far, right_near, right_far = fit.lines[:4]
-    corners = left_near.meet(left_far), right_near.meet(right_far)
-    return _Edges(names, fit, *corners, by_sides)
 
 
 def _datum(
     surface: Surface,
     features: Features,
-    selected: dict[str, _Selected],
+    selected: Mapping[str, EdgeCrossings],
     pose: _Pose,
     edges: _Edges,
-    sharp: bool,
     sheared: bool,
 ) -> Datum:
     """What the alignment was made from, in the workpiece frame that it leads to.
 
-    sharp: the edges were found by the fading of the line.  Else each is off by some part of a
-    column of its own, an even distribution: what lies behind it, dark or bright, decides how far
-    out the line is still seen; and columns sample the sides, which makes the yaw uncertain.
+    Edges not found by brightness are each off by some part of a column of its own, an even
+    distribution: what lies behind it, dark or bright, decides how far out the line is still
+    seen; and columns sample the sides, which makes the yaw uncertain.
     """
-    blind = 0.0 if sharp else _median_gap(selected.values()) ** 2 / 12
-    place = pose.rotation @ shear(pose.yaw)
-    _, own_z = own_variance(surface)
+    blind, yaw_variance = 0.0, 0.0
+    if not edges.by_brightness:
+        blind, yaw_variance = _median_gap(selected.values()) ** 2 / 12, _sampling_variance(selected)
     return Datum(
-        tops=features.tops @ place.T + pose.shift,
+        tops=pose.place(features.tops),
         top_index=features.top_index,
-        top_sigma_mm=np.sqrt(own_z.ravel()[features.top_index]),
-        edges=[
-            EdgeCrossings(s.slope, s.crossings.inside @ place.T + pose.shift, s.crossings.index)
-            for s in selected.values()
-        ],
+        top_sigma_mm=np.sqrt(own_variances(surface)[..., 2].ravel()[features.top_index]),
+        edges=[edge.moved(pose.place) for edge in selected.values()],
         edge_covariance=edges.fit.covariance + blind * np.diag([0.0, *np.ones(len(selected))]),
-        yaw_variance=0.0 if sharp else _sampling_variance(selected),
+        yaw_variance=yaw_variance,
         corners=np.stack([edges.left_corner, edges.right_corner]),
         rotation=pose.rotation,
         yaw_rad=pose.yaw,
@@ -348,25 +333,24 @@ def _datum(
     )
 
 
-def _median_gap(edges: Iterable[_Selected]) -> float:
+def _median_gap(edges: Iterable[EdgeCrossings]) -> float:
     """Distance from one column to the next where these edges are crossed, mm."""
-    gaps = [edge.crossings.outside[:, 0] - edge.crossings.inside[:, 0] for edge in edges]
+    gaps = [edge.outside[:, 0] - edge.inside[:, 0] for edge in edges]
     return float(np.median(np.abs(np.concatenate(gaps))))
 
 
-def _sampling_variance(selected: dict[str, _Selected]) -> float:
+def _sampling_variance(selected: Mapping[str, EdgeCrossings]) -> float:
     """Variance of the yaw, rad², because columns sample the block's sides.
 
     A side of length L that runs along the track within one column, of width g, may have any
     slope below g / L, small ones more likely: a triangular distribution, of variance
     (g / L)² / 6.  Each further column crossed ties the line down at one more place.
     """
-    variances = []
+    precision = 0.0
     for name, edge in selected.items():
         if "side" in name:
-            inside, gap = edge.crossings.inside, _median_gap([edge])
-            length = float(np.ptp(inside[:, 1]))
-            slope = float(np.polyfit(inside[:, 1], inside[:, 0], 1)[0])
+            gap, length = _median_gap([edge]), float(np.ptp(edge.inside[:, 1]))
+            slope = float(np.polyfit(edge.inside[:, 1], edge.inside[:, 0], 1)[0])
             crossed = 1 + abs(slope) * length / gap
-            variances.append((gap / length / crossed) ** 2 / 6)
-    return 1 / sum(1 / variance for variance in variances)
+            precision += 6 * (crossed * length / gap) ** 2
+    return 1 / precision

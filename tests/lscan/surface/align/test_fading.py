@@ -12,7 +12,7 @@ from scipy.special import ndtr
 
 from lscan.errors import MeasurementError
 from lscan.records import Floats
-from lscan.surface.align.edges import EdgeFit, EdgeLine
+from lscan.surface.align.edges import EdgeFit
 from lscan.surface.align.fading import FaceSamples, fit_fading
 
 WIDTH_MM = 0.9
@@ -20,8 +20,8 @@ WIDTH_MM = 0.9
 
 def start(*edges: FaceSamples) -> EdgeFit:
     """All edges at their nominal place, x = slope * y, without lean."""
-    lines = tuple(EdgeLine(0.0, edge.slope, 0.0, 0, 0) for edge in edges)
-    return EdgeFit(lines, 0.0, np.zeros((0, 0)), np.zeros(0, dtype=bool))
+    slope = np.array([edge.slope for edge in edges])
+    return EdgeFit(0 * slope, slope, 0.0, 0.0, np.zeros((0, 0)), np.zeros(0, dtype=bool))
 
 
 def faces(
@@ -52,9 +52,9 @@ def far(at: float, lean: float, slope: float) -> FaceSamples:
 def test_edges_of_the_model_are_found_exactly(at: float, lean: float, wall: float) -> None:
     """A closed form: the light is the model's own but for the product 0.002 y Phi."""
     edges = faces(at, lean, 0.867, wall), far(-at / 2, lean, -0.867)
-    fit = fit_fading(edges, start(*edges), 0.0)
-    assert abs(fit.lines[0].at_mm - at) < 1e-4
-    assert abs(fit.lines[1].at_mm + at / 2) < 1e-4
+    fit = fit_fading(edges, start(*edges))
+    assert abs(fit.at_mm[0] - at) < 1e-4
+    assert abs(fit.at_mm[1] + at / 2) < 1e-4
     assert abs(fit.lean - lean) < 1e-5
 
 
@@ -65,9 +65,9 @@ def test_a_wall_would_displace_an_edge_told_by_its_upper_face_alone() -> None:
     alone = replace(
         edge, plan=edge.plan[kept], brightness=edge.brightness[kept], lower=edge.lower[kept]
     )
-    moved = fit_fading([alone], start(alone), 0.0).lines[0].at_mm
+    moved = fit_fading([alone], start(alone)).at_mm[0]
     assert moved > 0.2 * WIDTH_MM
-    assert abs(fit_fading([edge], start(edge), 0.0).lines[0].at_mm) < 1e-4
+    assert abs(fit_fading([edge], start(edge)).at_mm[0]) < 1e-4
 
 
 def test_covariance_is_the_scatter_of_repeats() -> None:
@@ -83,8 +83,8 @@ def test_covariance_is_the_scatter_of_repeats() -> None:
             faces(0.0, 0.0, 0.867, 0.3, 0.03, seed),
             faces(0.0, 0.0, -0.867, 0.3, 0.03, -1 - seed + 1000),
         ]
-        fit = fit_fading(edges, start(*edges), 0.0)
-        found.append(np.array([fit.lean, fit.lines[0].at_mm, fit.lines[1].at_mm]))
+        fit = fit_fading(edges, start(*edges))
+        found.append(np.array([fit.lean, fit.at_mm[0], fit.at_mm[1]]))
         said.append(np.sqrt(np.diag(fit.covariance)))
     stated = np.median(said, axis=0)
     ratio = np.std(found, axis=0, ddof=1) / stated
@@ -96,5 +96,5 @@ def test_covariance_is_the_scatter_of_repeats() -> None:
 def test_too_few_samples_are_refused() -> None:
     edge = faces(0.0, 0.0, 0.5, 0.0)
     few = replace(edge, plan=edge.plan[:5], brightness=edge.brightness[:5], lower=edge.lower[:5])
-    with pytest.raises(MeasurementError, match="do not determine"):
-        fit_fading([few], start(few), 0.0)
+    with pytest.raises(MeasurementError, match="do not fix"):
+        fit_fading([few], start(few))

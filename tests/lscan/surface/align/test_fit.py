@@ -16,7 +16,7 @@ from lscan.errors import InputError, MeasurementError
 from lscan.measure import compare_slice
 from lscan.records import Floats, Status, Surface
 from lscan.surface import Alignment, align_sandwave, apply, level, levelling_step, resample, shear
-from lscan.surface.align.edges import EdgeSamples, fit_edges
+from lscan.surface.align.edges import EdgeCrossings, fit_edges
 from lscan.surface.align.levelling import plane_normal
 
 PIECE = Sandwave()
@@ -79,22 +79,23 @@ def test_shear_moves_the_track_along_its_direction_and_keeps_the_sheet() -> None
 # Edges
 
 
-def edge_samples(at: float, slope: float, lean: float, phase: float) -> EdgeSamples:
+def edge_samples(at: float, slope: float, lean: float, phase: float) -> EdgeCrossings:
     """Samples 0.9 mm apart on both sides of x = at + (slope + lean) y, exactly."""
     y = np.arange(-60.0, 60.0, 0.5)
     x = at + (slope + lean) * y
     inside = np.floor((x - phase) / 0.9) * 0.9 + phase
-    return EdgeSamples(slope, np.column_stack([inside, y]), np.column_stack([inside + 0.9, y]))
+    places = (np.column_stack([x, y]) for x in (inside, inside + 0.9))
+    return EdgeCrossings(*places, np.arange(len(y)), slope)
 
 
 @given(st.floats(0.05, 0.2), st.floats(-1, 1), st.floats(0, 0.9))
 @settings(max_examples=40)
 def test_edges_are_found_far_within_a_sample(lean: float, at: float, phase: float) -> None:
-    edges = [edge_samples(at, 0.0, lean, phase), edge_samples(at + 5, 0.3, lean, phase)]
-    fit = fit_edges(edges, ["a", "b"], pivot_mm=0.0)
+    upright, leaning = (edge_samples(*edge, lean, phase) for edge in ((at, 0.0), (at + 5, 0.3)))
+    fit = fit_edges({"a": upright, "b": leaning}, pivot_mm=0.0)
     # Each of the 240 profiles bounds its edge to 0.9 mm; the bounds leave the line a freedom of
     # about a gap per crossed column, of which there are 120 * 0.05 / 0.9 = 6 at least.
-    assert abs(fit.lines[0].at_mm - at) < 0.9 / 6
+    assert abs(fit.at_mm[0] - at) < 0.9 / 6
     assert abs(fit.lean - lean) < 0.9 / 6 / 60
 
 
@@ -103,17 +104,16 @@ def test_stray_profiles_do_not_move_an_edge() -> None:
     inside, outside = clean.inside.copy(), clean.outside.copy()
     inside[::20, 0] -= 6.0
     outside[::20, 0] -= 6.0
-    fit = fit_edges([EdgeSamples(0.0, inside, outside)], ["a"], 0.0)
-    whole = fit_edges([clean], ["a"], 0.0)
-    assert fit.lines[0].strays == 12
-    assert abs(fit.lines[0].at_mm - whole.lines[0].at_mm) < 0.09  # a tenth of the gap
+    fit = fit_edges({"a": replace(clean, inside=inside, outside=outside)}, 0.0)
+    whole = fit_edges({"a": clean}, 0.0)
+    assert np.count_nonzero(~fit.kept) == 12
+    assert abs(fit.at_mm[0] - whole.at_mm[0]) < 0.09  # a tenth of the gap
 
 
 def test_an_edge_crossed_too_rarely_is_named() -> None:
-    few = edge_samples(0.0, 0.0, 0.1, 0.0)
-    few = EdgeSamples(0.0, few.inside[:4], few.outside[:4])
+    few = edge_samples(0.0, 0.0, 0.1, 0.0).only(np.arange(240) < 4)
     with pytest.raises(MeasurementError, match="left wedge, far edge not found: 4 profiles"):
-        fit_edges([few], ["left wedge, far edge"], 0.0)
+        fit_edges({"left wedge, far edge": few}, 0.0)
 
 
 # Whole scans
@@ -191,7 +191,7 @@ def test_tops_are_level_at_their_nominal_height(raw: Surface, alignment: Alignme
     # Five standard errors of a median of normal noise.
     error = 1.25 * SQUARE.noise_mm / np.sqrt(len(tops))
     assert abs(np.median(tops) - PIECE.wedge.height_mm) < 5 * error
-    assert abs(alignment.flatness_mm - SQUARE.noise_mm) < 0.02
+    assert abs(tops.std() - SQUARE.noise_mm) < 0.02
     np.testing.assert_allclose(alignment.rotation @ alignment.normal, [0, 0, 1], atol=1e-9)
 
 

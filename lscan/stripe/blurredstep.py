@@ -1,0 +1,199 @@
+"""Where a lit stretch ends: one model of a blurred step, and its least-squares fit.
+
+The blur of lens and pixel, and the thickness of the sheet, draw the end of a line out: light
+falls off there as the integral of a Gaussian, half of it being left at the end itself.  A wall
+below the end that faces the camera shines beside it, most where the sheet's middle meets it.  So
+
+    brightness = level * product over the ends of (Phi(t) + g phi(t)),   t = depth / width
+
+with the depth inside each end, the width of its blur, the wall's share g (0 without a wall), and
+a level that is linear in coefficients of its own.  (Model and derivation are ours.)
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.special import ndtr
+
+from lscan.errors import MeasurementError
+from lscan.records import Floats, Ints, Mask
+
+WALL = (-0.3, 1.0)
+"""Least and greatest share of a wall: of walls lit at a grazing angle 0.2 to 0.6 was seen."""
+
+FAINTEST = -2.0
+"""In widths: samples farther outside an end tell nothing of it.  The model is not evaluated there,
+where it vanishes (1 / Phi overflows) and, with a negative share of a wall, changes its sign."""
+
+OUTLIER = 4.0
+"""Samples whose brightness is off by more than this many standard deviations are left out."""
+
+FIRST_SCATTER = 0.1  # of brightness from sample to sample, relative, where the fit starts
+LEAST_SCATTER = 1e-9  # exact samples have weights too
+ROUNDS = 30
+SETTLED_MM = 1e-8
+
+
+@dataclass(frozen=True)
+class StepSamples:
+    """K samples of brightness on stretches that end, by P places of ends.
+
+    brightness: (K,) above 0.  level: (K, L) terms of the level.
+    by_place, offset: (J, K, P) and (J, K) mm: depth = by_place @ places - offset, inside each
+        of the at most J ends of a sample's stretch; ``no_end`` is the offset where there is none.
+    group: (K,) which width counts.  walled: (K, W) 1 where a sample is beside that wall.
+    """
+
+    brightness: Floats
+    level: Floats
+    by_place: Floats
+    offset: Floats
+    group: Ints
+    walled: Floats
+
+
+NO_END = -1e6
+"""Offset, mm, of an end that is not there: its depth is beyond any blur."""
+
+
+@dataclass(frozen=True)
+class StepLimits:
+    """What a fit may do and which samples it may use.
+
+    least_t: least depth in widths; most_mm: greatest depth inside the nearest end.
+    widths_mm: least and greatest width.  step_mm: farthest a place may move in one round.
+    unmodelled: uncertainty of brightness, relative to the level, that is no noise.
+    """
+
+    least_t: float
+    most_mm: float
+    widths_mm: tuple[float, float]
+    step_mm: float
+    unmodelled: float = 0.0
+
+
+@dataclass(frozen=True)
+class StepFit:
+    """Fitted ends.
+
+    place: (P,) mm.  width: (G,) mm.  wall: (W,) shares.  covariance: (P, P) of the places, mm².
+    kept: (K,) samples used.
+    """
+
+    place: Floats
+    width: Floats
+    wall: Floats
+    covariance: Floats
+    kept: Mask
+
+
+def fit_steps(
+    samples: StepSamples,
+    place: Floats,
+    width: Floats,
+    limits: StepLimits,
+    kept: Mask | None = None,
+) -> StepFit:
+    """The ends that fit the brightness best, searched from ``place`` (P,) and ``width`` (G,), mm.
+
+    kept: (K,) the samples to use, where that is decided already.
+
+    Gauss-Newton on brightness relative to the model's, for speckle grows with the light.  The
+    covariance is that of the samples' scatter.
+    Raises MeasurementError where the samples do not determine the ends.
+    """
+    state = _StepState(place, width, np.zeros(samples.walled.shape[1]), FIRST_SCATTER)
+    for _ in range(ROUNDS):
+        depth = samples.by_place @ state.place - samples.offset
+        t = depth / state.width[samples.group]
+        if kept is None:
+            used = (t > limits.least_t).all(axis=0) & (depth.min(axis=0) < limits.most_mm)
+            first = _solve(samples, state, used, t, limits.unmodelled)
+            used[used] = np.abs(first.residual) < OUTLIER * max(first.scatter, 1.0)
+        else:
+            used = kept & (t > FAINTEST).all(axis=0)
+        solution = _solve(samples, state, used, t, limits.unmodelled)
+        state, moved = _advanced(state, solution, limits)
+        if moved < SETTLED_MM:
+            break
+    size = len(place)
+    covariance = solution.covariance[:size, :size]
+    return StepFit(state.place, state.width, state.wall, covariance, used)
+
+
+@dataclass(frozen=True)
+class _StepState:
+    """The unknowns, as in StepFit, and the relative scatter of the samples about them."""
+
+    place: Floats
+    width: Floats
+    wall: Floats
+    scatter: float
+
+
+@dataclass(frozen=True)
+class _StepSolution:
+    """One step of all unknowns and their covariance.
+
+    residual: of each used sample, in units of its uncertainty.  scatter: theirs, robust.
+    """
+
+    step: Floats
+    covariance: Floats
+    residual: Floats
+    scatter: float
+
+
+def _solve(
+    samples: StepSamples, state: _StepState, used: Mask, t: Floats, unmodelled: float
+) -> _StepSolution:
+    """One Gauss-Newton step.  The levels enter linearly: they are solved anew each time."""
+    t, group, walled = t[:, used], samples.group[used], samples.walled[used]
+    width, wall = state.width[group], walled @ state.wall
+    density = np.exp(-(t**2) / 2) / np.sqrt(2 * np.pi)
+    share = ndtr(t) + wall * density
+    total = share.prod(axis=0)
+    levels, brightness = samples.level[used], samples.brightness[used]
+    level = levels @ np.linalg.lstsq(levels * total[:, None], brightness, rcond=None)[0]
+    by_t = density * (1 - wall * t) / share / width
+    design = np.column_stack(
+        [
+            np.einsum("jk,jkp->kp", by_t, samples.by_place[:, used]),
+            -(by_t * t).sum(axis=0)[:, None] * np.eye(len(state.width))[group],
+            (density / share).sum(axis=0)[:, None] * walled,
+            levels / level[:, None],
+        ]
+    )
+    relative = brightness / (level * total) - 1
+    weight = 1 / np.hypot(state.scatter, unmodelled / total)
+    design, weighted = design * weight[:, None], relative * weight
+    freedom = len(brightness) - design.shape[1]
+    if freedom <= 0 or not (level > 0).all():
+        raise MeasurementError(f"edges: {len(brightness)} samples beside them do not fix them")
+    inverse = np.linalg.pinv(design.T @ design)
+    step = inverse @ (design.T @ weighted)
+    residual = weighted - design @ step
+    chi2 = max(float(residual @ residual) / freedom, 1.0)
+    spread = 1.4826 * float(np.median(np.abs(residual)))
+    return _StepSolution(step, inverse * chi2, residual, spread)
+
+
+def _advanced(
+    state: _StepState, solution: _StepSolution, limits: StepLimits
+) -> tuple[_StepState, float]:
+    """The state after a bounded step, and how far an end moved, mm."""
+    sizes = [len(state.place), len(state.width), len(state.wall)]
+    place, width, wall, _ = np.split(solution.step, np.cumsum(sizes))
+    largest = float(np.abs(place).max())
+    half = state.width / 2
+    return (
+        _StepState(
+            state.place + place * min(1.0, limits.step_mm / max(largest, 1e-300)),
+            np.clip(state.width + np.clip(width, -half, half), *limits.widths_mm),
+            np.clip(state.wall + wall, *WALL),
+            max(state.scatter * solution.scatter, LEAST_SCATTER),
+        ),
+        largest,
+    )
