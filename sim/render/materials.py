@@ -13,8 +13,8 @@ import numpy as np
 
 from lscan.errors import InputError
 from lscan.records import Floats, Ints
+from sim.meshes import Finish, Part
 from sim.render.backend import load_mitsuba
-from sim.render.meshes import Finish, Part
 
 load_mitsuba()  # the variant: Mitsuba's classes depend on it
 

@@ -12,9 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lscan.errors import InputError
+from sim.meshes import scene_parts
 from sim.render.fineness import binned, fineness_of, finer_lens
 from sim.render.materials import mitsuba_shape
-from sim.render.meshes import scene_parts
 from sim.render.plugins.finefilm import FineCamera
 from sim.render.plugins.integrator import LAYERS, SheetIntegrator
 from sim.render.plugins.multiple import HIGHER_LAYERS, MultipleIntegrator

@@ -1,9 +1,23 @@
-"""What the scanner ought to measure: float64 NumPy that shares no formula with what it judges.
+"""What the scanner ought to measure, in float64 NumPy, to judge tank and instrument by.
 
-projection, dome: where a point of the water is seen.  sheet, bow: where the laser's light is.
-surfaces, wave, mesh, chains, section: the target cut by it.  visibility: what is lit and seen.
-stripe, shutter, board: the truth of a picture.  reflection, radiance, brightness: how bright its
-line is.
+projection, flat, dome: where a point of the water is seen.  sheet, bow: where the laser's light
+is.  surfaces, wave, mesh, chains, section: the target cut by it.  visibility: what is lit and
+seen.  stripe, shutter, board: the truth of a picture.  reflection, radiance, brightness: how
+bright its line is.
+
+The truth imports neither the renderer nor any room of the instrument that works on pictures
+(the import contract in pyproject.toml), and it solves for itself what they solve: rays through a
+flat port by Fermat's principle, through a dome by Bouguer's theorem, sections and visibility by
+analytic geometry.  What it shares with them is what defines the tank and cannot differ:
+
+- the scene's models and poses (sim.scene), the shapes of board and targets (lscan.config), among
+  them the paper's Eq. (4), and the triangles of a mesh (sim.meshes);
+- the indices and coefficients of water and glass (sim.water), which have tests of their own
+  against published values;
+- the Brown-Conrady polynomials that the lens is specified by, written twice and held to OpenCV's;
+- in sim.truth.brightness alone, the sensor's full scale, photons per radiance and contrast of
+  speckle (sim.sensor.coding, radiometry, speckle): that module judges how the instrument reads
+  a line of a given brightness, not the sensor, which closed forms and published values judge.
 """
 
 from sim.truth.board import BoardTruth, board_truth

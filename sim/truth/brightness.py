@@ -20,7 +20,8 @@ from sim.scene import FlatPort, Scene
 from sim.sensor.coding import FULL_SCALE_DN
 from sim.sensor.radiometry import AMBIENT_NM, photons_per_radiance
 from sim.sensor.speckle import speckle_contrast
-from sim.truth.projection import Camera, camera_of, project, rays_to
+from sim.truth.flat import flat_normal
+from sim.truth.projection import TrueCamera, camera_of, project, rays_to
 from sim.truth.radiance import LineInSpace, half_width_mm, line_in_space, line_radiance, port_weight
 from sim.truth.reflection import Reflectance, reflectance_of
 from sim.truth.section import surfaces_of
@@ -163,7 +164,7 @@ def offset_per_px(scene: Scene, line: LineInSpace, sheet: Sheet) -> Floats:
     )
 
 
-def defocus_variance(scene: Scene, camera: Camera, line: LineInSpace) -> Floats:
+def defocus_variance(scene: Scene, camera: TrueCamera, line: LineInSpace) -> Floats:
     """(N,) variance along an axis, px2, of the disc that a point out of focus is spread over.
 
     The pupil, moved by d, sees the point in another direction t; a point in focus, at the
@@ -178,11 +179,11 @@ def defocus_variance(scene: Scene, camera: Camera, line: LineInSpace) -> Floats:
         step = np.array([move, 0.0, 0.0])
         nearer: dict[str, Any]
         if isinstance(camera.port, FlatPort):
-            nearer = {"gap_mm": camera.port.gap_mm - float(step @ camera.normal)}
+            nearer = {"gap_mm": camera.port.gap_mm - float(step @ flat_normal(camera.port))}
         else:
             nearer = {"centre_mm": tuple(np.array(camera.port.centre_mm) - step)}
         port = camera.port.model_copy(update=nearer)
-        moved = Camera(camera.pose, lens, port, camera.water_index)
+        moved = TrueCamera(camera.pose, lens, port, camera.water_index)
         shifted = line.points - camera.pose.rotation @ step
         direction = rays_to(moved, shifted).direction
         seen.append(direction[:, 0] / direction[:, 2])

@@ -14,11 +14,11 @@ import trimesh
 
 from lscan.errors import InputError
 from lscan.records import Floats, Mask
-from sim.render.meshes import target_mesh
+from sim.meshes import target_mesh
 from sim.scene import FlatPort, Scene, camera_pose, head_pose, into_world, target_pose
 from sim.truth import Section, Sheet, project, section_at, sheet_of
+from sim.truth.flat import flat_normal
 from sim.truth.mesh import Mesh
-from sim.truth.projection import flat_normal
 from sim.truth.visibility import in_fan, in_picture, passing_mm
 
 MOST_PLACES = 25  # of the plan's, spread evenly, that are looked at

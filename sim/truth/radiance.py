@@ -8,7 +8,8 @@ import numpy as np
 
 from lscan.records import Floats, Status
 from sim.scene import FlatPort, Laser, Line, Scene, head_pose, into_world
-from sim.truth.projection import Camera, Rays, camera_of, rays_to
+from sim.truth.flat import flat_normal
+from sim.truth.projection import RaysToPoints, TrueCamera, camera_of, rays_to
 from sim.truth.reflection import Lit, Reflectance
 from sim.truth.sheet import Sheet
 from sim.truth.stripe import StripeTruth
@@ -30,7 +31,7 @@ class LineInSpace:
 
     points: Floats
     normals: Floats
-    rays: Rays
+    rays: RaysToPoints
     lit: Lit
 
 
@@ -126,7 +127,7 @@ def half_width_mm(laser: Laser, distance_mm: Floats, water_index: float) -> Floa
     return np.hypot(laser.waist_mm, divergence * (distance_mm - laser.waist_distance_mm))
 
 
-def port_weight(camera: Camera, direction: Floats) -> Floats:
+def port_weight(camera: TrueCamera, direction: Floats) -> Floats:
     """(N,) radiance in the air over that in the water, of rays in directions (N, 3), camera frame.
 
     Both faces transmit as Fresnel says, unpolarised; radiance over the index squared is the same
@@ -135,7 +136,7 @@ def port_weight(camera: Camera, direction: Floats) -> Floats:
     port, towards = camera.port, _unit(direction)
     glass, water = float(port.glass_index), camera.water_index
     if isinstance(port, FlatPort):
-        sine = np.linalg.norm(np.cross(towards, camera.normal), axis=1)
+        sine = np.linalg.norm(np.cross(towards, flat_normal(port)), axis=1)
         sines = sine, sine
     else:
         # Index times the sine at each face, from the distance at which the ray passes the centre.

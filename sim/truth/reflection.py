@@ -14,7 +14,7 @@ from scipy.ndimage import map_coordinates
 from scipy.special import erf, roots_legendre
 
 from lscan.records import Floats, Ints, Mask
-from sim.render.meshes import Paint, reflectance_at, target_parts
+from sim.meshes import Paint, reflectance_at, target_parts
 from sim.scene import Scene, target_pose
 from sim.truth.mesh import Mesh
 from sim.truth.surfaces import Surface

@@ -10,7 +10,7 @@ import numpy as np
 from lscan.config.board import Board
 from lscan.config.targets import GroovedBlock, Sandwave
 from lscan.records import Floats, Ints, Mask
-from sim.render.meshes import target_mesh
+from sim.meshes import target_mesh
 from sim.scene import FLOOR_HALF_SIDE_MM, Pose, Scene, target_pose
 from sim.truth.bow import Bow
 from sim.truth.chains import chains

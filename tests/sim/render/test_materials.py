@@ -14,9 +14,9 @@ from hypothesis import strategies as st
 
 from lscan.errors import InputError
 from lscan.records import Floats
+from sim.meshes import Finish, Paint, Part, load_mesh
+from sim.meshes.paint import vertex_paint
 from sim.render.materials import mi, mitsuba_shape, surface
-from sim.render.meshes import Finish, Paint, Part, load_mesh
-from sim.render.meshes.paint import vertex_paint
 
 WATER = 1.3313  # fresh water, 20 C, 650 nm
 SAMPLES = 100_000

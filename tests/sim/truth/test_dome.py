@@ -11,7 +11,8 @@ from truth_scenes import tank
 from sim.scene import DomePort, FlatPort, camera_pose
 from sim.truth import entry_points, project
 from sim.truth.dome import dome_rays, polar_angle
-from sim.truth.projection import camera_of, flat_rays
+from sim.truth.flat import flat_rays
+from sim.truth.projection import camera_of
 
 MANY = settings(max_examples=60)
 
@@ -165,7 +166,7 @@ def test_points_within_the_glass_have_no_pixel():
 
 
 def test_the_glass_may_be_named():
-    # PMMA at 650 nm: 1.488092 (Sultanova; physics.md section 1).
+    # PMMA at 650 nm: 1.488092 (Sultanova; docs/explanation/physics.md, section 1).
     for port in ({"kind": "dome", "centre_mm": [0.0, 3.0, 10.0]}, {"kind": "flat"}):
         named = tank(port={**port, "glass_index": "PMMA"})
         numbered = tank(port={**port, "glass_index": 1.488092})

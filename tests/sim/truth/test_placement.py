@@ -22,7 +22,7 @@ from lscan.config.targets import GroovedBlock
 from lscan.errors import InputError
 from sim.cli.app import app
 from sim.devices import SimTrack, TrackOptions, camera_driver, load_checked
-from sim.render.meshes import target_mesh
+from sim.meshes import target_mesh
 from sim.scene import Pose, Scene
 from sim.truth.placement import check_placement, gaps_of, inside
 

@@ -12,7 +12,8 @@ from truth_scenes import tank
 from lscan.errors import InputError
 from sim.scene import FlatPort, Lens, Pose, Scene, camera_pose, rotation_x, rotation_y, rotation_z
 from sim.truth import entry_points, project
-from sim.truth.projection import Camera, air_tangent, camera_of, fold_radius, image, rays_to
+from sim.truth.flat import crossed_at, flat_normal
+from sim.truth.projection import TrueCamera, camera_of, fold_radius, image, rays_to
 from sim.water import refractive_index
 
 MANY = settings(max_examples=60)
@@ -43,10 +44,12 @@ def poses(draw: st.DrawFn) -> Pose:
     return Pose(turned, np.array([draw(st.floats(-500, 500)) for _ in range(3)]))
 
 
-CAMERAS = st.builds(Camera, pose=poses(), lens=LENS, port=PORT, water_index=st.floats(1.33, 1.345))
+CAMERAS = st.builds(
+    TrueCamera, pose=poses(), lens=LENS, port=PORT, water_index=st.floats(1.33, 1.345)
+)
 
 
-def points_before(camera: Camera, seed: int, count: int = 40) -> np.ndarray:
+def points_before(camera: TrueCamera, seed: int, count: int = 40) -> np.ndarray:
     """(N, 3) points in the water within some 30 degrees of the axis, head frame."""
     rng = np.random.default_rng(seed)
     z = rng.uniform(250, 3000, count)
@@ -61,9 +64,9 @@ def refract(direction: np.ndarray, normal: np.ndarray, ratio: float) -> np.ndarr
     return ratio * direction + np.outer(after - ratio * cosine, normal)
 
 
-def trace(camera: Camera, direction: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def trace(camera: TrueCamera, direction: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Where rays of a direction in air (camera frame) enter the water, and their direction."""
-    port, normal = camera.port, camera.normal
+    port, normal = camera.port, flat_normal(camera.port)
     air = direction / np.linalg.norm(direction, axis=1, keepdims=True)
     glass = refract(air, normal, 1 / port.glass_index)
     water = refract(glass, normal, port.glass_index / camera.water_index)
@@ -72,7 +75,7 @@ def trace(camera: Camera, direction: np.ndarray) -> tuple[np.ndarray, np.ndarray
     return entry, water
 
 
-def undistorted(camera: Camera, pixels: np.ndarray, start: np.ndarray) -> np.ndarray:
+def undistorted(camera: TrueCamera, pixels: np.ndarray, start: np.ndarray) -> np.ndarray:
     """Directions (x, y, 1) that OpenCV's distortion takes to the pixels: Newton from start."""
     lens = camera.lens
     matrix = np.array(
@@ -101,16 +104,16 @@ def undistorted(camera: Camera, pixels: np.ndarray, start: np.ndarray) -> np.nda
     ],
 )
 def test_the_check_values_of_the_port(r_mm, z_mm, tangent):
-    # physics.md section 6: 10 mm of air, 6 mm of glass, n = 1 / 1.49 / 1.3313.
+    # docs/explanation/physics.md, section 6: 10 mm of air, 6 mm of glass, n = 1 / 1.49 / 1.3313.
     port = FlatPort(gap_mm=10.0, thickness_mm=6.0, glass_index=1.49)
-    found = air_tangent(np.array([r_mm]), np.array([z_mm - 16.0]), port, 1.3313)
-    assert found[0] == pytest.approx(tangent, abs=1e-10)
+    inner, _ = crossed_at(port, 1.3313, np.array([r_mm]), np.array([z_mm - 16.0]))
+    assert inner[0] / port.gap_mm == pytest.approx(tangent, abs=1e-10)
 
 
 @MANY
 @given(lens=LENS, pose=poses(), seed=st.integers(0, 2**31))
 def test_without_refraction_it_is_opencv(lens, pose, seed):
-    camera = Camera(pose, lens, FlatPort(glass_index=1.0, tilt_x_deg=5.0), water_index=1.0)
+    camera = TrueCamera(pose, lens, FlatPort(glass_index=1.0, tilt_x_deg=5.0), water_index=1.0)
     points = points_before(camera, seed)
     local = pose.invert(points)
     found = image(camera, rays_to(camera, points).direction)
@@ -146,7 +149,7 @@ def test_the_ray_found_passes_through_the_point(camera, seed):
 @settings(max_examples=8)
 @given(port=PORT, lens=LENS, seed=st.integers(0, 2**31))
 def test_the_pixel_traced_back_meets_the_point(port, lens, seed):
-    camera = Camera(Pose(np.eye(3), np.zeros(3)), lens, port, 1.3313)
+    camera = TrueCamera(Pose(np.eye(3), np.zeros(3)), lens, port, 1.3313)
     points = points_before(camera, seed, count=10)
     rays = rays_to(camera, points)
     pixels = image(camera, rays.direction)
@@ -166,7 +169,7 @@ def test_a_tilted_port_is_a_turned_camera_with_the_port_square(camera, seed):
     tilt = rotation_y(camera.port.tilt_y_deg) @ rotation_x(camera.port.tilt_x_deg)
     square = camera.port.model_copy(update={"tilt_x_deg": 0.0, "tilt_y_deg": 0.0})
     turned = Pose(camera.pose.rotation @ tilt, camera.pose.origin_mm)
-    expected = rays_to(Camera(turned, camera.lens, square, camera.water_index), points)
+    expected = rays_to(TrueCamera(turned, camera.lens, square, camera.water_index), points)
     found = rays_to(camera, points)
     assert np.allclose(found.direction, expected.direction @ tilt.T, rtol=0, atol=1e-11)
     assert np.allclose(found.entry_mm, expected.entry_mm @ tilt.T, rtol=0, atol=1e-9)
@@ -176,10 +179,10 @@ def test_a_tilted_port_is_a_turned_camera_with_the_port_square(camera, seed):
 @given(port=PORT, index=st.floats(1.33, 1.345), depth=st.floats(1, 3000))
 def test_farther_beside_is_steeper_and_farther_ahead_is_less_so(port, index, depth):
     r = np.linspace(0, 4000, 200)
-    steep = air_tangent(r, np.full(200, depth), port, index)
+    steep, _ = crossed_at(port, index, r, np.full(200, depth))
     assert steep[0] == 0
     assert np.all(np.diff(steep) > 0)
-    deeper = air_tangent(r, np.full(200, depth * 1.01), port, index)
+    deeper, _ = crossed_at(port, index, r, np.full(200, depth * 1.01))
     assert np.all(deeper[1:] < steep[1:])
 
 
@@ -222,14 +225,14 @@ def test_what_cannot_be_imaged_has_no_pixel():
 def test_a_distortion_next_to_none_is_none(k1):
     """The fold's radius is then so large that its square is no number any more."""
     lens = Lens(focal_px=100.0, centre_px=(0.0, 0.0), k1=k1)
-    camera = Camera(Pose(np.eye(3), np.zeros(3)), lens, FlatPort(), 1.33)
+    camera = TrueCamera(Pose(np.eye(3), np.zeros(3)), lens, FlatPort(), 1.33)
     assert image(camera, np.array([[0.5, -0.25, 1.0]])).tolist() == [[50.0, -25.0]]
 
 
 def test_no_pixel_beyond_the_fold_of_the_distortion():
     # r (1 - r2/12) turns at 1 = 3 r2/12: r = 2.
     lens = Lens(focal_px=100.0, centre_px=(0.0, 0.0), k1=-1 / 12)
-    camera = Camera(Pose(np.eye(3), np.zeros(3)), lens, FlatPort(), 1.33)
+    camera = TrueCamera(Pose(np.eye(3), np.zeros(3)), lens, FlatPort(), 1.33)
     assert fold_radius(lens) == pytest.approx(2.0, abs=1e-12)
     pixels = image(camera, np.array([[1.999, 0, 1.0], [2.001, 0, 1.0]]))
     assert np.isfinite(pixels[:, 0]).tolist() == [True, False]

@@ -10,7 +10,7 @@ import trimesh
 from lscan.errors import InputError
 from lscan.files.pictures import read_picture
 from lscan.records import Bytes, Floats
-from sim.render.meshes.parts import Paint
+from sim.meshes.parts import Paint
 from sim.scene import Texture
 
 LUMINANCE = (0.2126, 0.7152, 0.0722)  # of linear red, green and blue: ITU-R BT.709

@@ -7,8 +7,8 @@ import trimesh
 
 from lscan.config.targets import Sandwave
 from lscan.records import Floats
-from sim.render.meshes.parts import grid_faces, plain_mesh
-from sim.render.meshes.workpieces import sandwave_body
+from sim.meshes.parts import grid_faces, plain_mesh
+from sim.meshes.workpieces import sandwave_body
 from sim.scene import Sand
 
 # Facets a grain: fewer would flatten the caps.

@@ -10,7 +10,7 @@ from shapely.ops import unary_union
 from lscan.config.board import Board
 from lscan.errors import InputError
 from lscan.records import Floats
-from sim.render.meshes.parts import Part, facing
+from sim.meshes.parts import Part, facing
 
 # A polygon of so many corners departs from its circle by 3e-4 of the radius: 1 µm on a dot.
 CIRCLE_CORNERS = 96

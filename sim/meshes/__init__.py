@@ -1,14 +1,14 @@
 """Meshes of what stands in the tank, exact to the nominal shapes, in mm.
 
-Each shape is a few parts (sim.render.meshes.parts); a part is a triangle mesh of one surface.
+Each shape is a few parts (sim.meshes.parts); a part is a triangle mesh of one surface.
 """
 
-from sim.render.meshes.board import CIRCLE_CORNERS, board_parts
-from sim.render.meshes.paint import reflectance_at
-from sim.render.meshes.parts import Finish, Paint, Part
-from sim.render.meshes.sand import sanded_sandwave_mesh
-from sim.render.meshes.target import floor_part, load_mesh, scene_parts, target_mesh, target_parts
-from sim.render.meshes.workpieces import (
+from sim.meshes.board import CIRCLE_CORNERS, board_parts
+from sim.meshes.paint import reflectance_at
+from sim.meshes.parts import Finish, Paint, Part
+from sim.meshes.sand import sanded_sandwave_mesh
+from sim.meshes.target import floor_part, load_mesh, scene_parts, target_mesh, target_parts
+from sim.meshes.workpieces import (
     WAVE_STEP_MM,
     grooved_block_mesh,
     sandwave_body,

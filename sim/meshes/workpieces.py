@@ -8,7 +8,7 @@ from shapely.geometry import Polygon, box
 
 from lscan.config.targets import GroovedBlock, Sandwave
 from lscan.records import Floats
-from sim.render.meshes.parts import Part, facing, grid_faces, plain_mesh
+from sim.meshes.parts import Part, facing, grid_faces, plain_mesh
 
 # Chord error of the sandwave's facets: step² · max|z''| / 8 = 0.25 · 0.22 / 8 = 7 µm.
 WAVE_STEP_MM = 0.5

@@ -14,11 +14,11 @@ import trimesh
 from lscan.config.targets import GroovedBlock, Sandwave
 from lscan.errors import InputError
 from lscan.files.disk import read_bytes
-from sim.render.meshes.board import board_parts
-from sim.render.meshes.paint import picture_paint, reflectance_at, vertex_paint
-from sim.render.meshes.parts import Finish, Part, moved, plain_mesh
-from sim.render.meshes.sand import sanded_sandwave_mesh
-from sim.render.meshes.workpieces import grooved_block_mesh, sandwave_parts
+from sim.meshes.board import board_parts
+from sim.meshes.paint import picture_paint, reflectance_at, vertex_paint
+from sim.meshes.parts import Finish, Part, moved, plain_mesh
+from sim.meshes.sand import sanded_sandwave_mesh
+from sim.meshes.workpieces import grooved_block_mesh, sandwave_parts
 from sim.scene import FLOOR_HALF_SIDE_MM, Floor, Scene, Texture, target_pose
 
 MOST_BYTES = {"ply": 2**28, "stl": 2**28, "obj": 2**26, "off": 2**26}

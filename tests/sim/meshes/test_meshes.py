@@ -15,7 +15,7 @@ from places import SCENES
 from lscan.config.board import Board, Grid
 from lscan.config.targets import GroovedBlock, Sandwave
 from lscan.errors import InputError
-from sim.render.meshes import (
+from sim.meshes import (
     CIRCLE_CORNERS,
     WAVE_STEP_MM,
     Finish,
@@ -29,7 +29,7 @@ from sim.render.meshes import (
     target_mesh,
     target_parts,
 )
-from sim.render.meshes.paint import luminance
+from sim.meshes.paint import luminance
 from sim.scene import Sand, Scene, Texture, load_scene
 from sim.validation.physics.gallery import scene_files
 
