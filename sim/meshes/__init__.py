@@ -5,7 +5,7 @@ Each shape is a few parts (sim.meshes.parts); a part is a triangle mesh of one s
 
 from sim.meshes.board import CIRCLE_CORNERS, board_parts
 from sim.meshes.paint import reflectance_at
-from sim.meshes.parts import Finish, Paint, Part
+from sim.meshes.parts import Finish, MeshPart, Paint
 from sim.meshes.sand import sanded_sandwave_mesh
 from sim.meshes.target import floor_part, load_mesh, scene_parts, target_mesh, target_parts
 from sim.meshes.workpieces import (
@@ -19,8 +19,8 @@ __all__ = [
     "CIRCLE_CORNERS",
     "WAVE_STEP_MM",
     "Finish",
+    "MeshPart",
     "Paint",
-    "Part",
     "board_parts",
     "floor_part",
     "grooved_block_mesh",

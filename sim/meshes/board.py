@@ -10,7 +10,7 @@ from shapely.ops import unary_union
 from lscan.config.board import Board
 from lscan.errors import InputError
 from lscan.records import Floats
-from sim.meshes.parts import Part, facing
+from sim.meshes.parts import MeshPart, facing
 
 # A polygon of so many corners departs from its circle by 3e-4 of the radius: 1 µm on a dot.
 CIRCLE_CORNERS = 96
@@ -19,7 +19,7 @@ CIRCLE_CORNERS = 96
 CORNERS_OUT = 1 + (np.pi / CIRCLE_CORNERS) ** 2 / 3
 
 
-def board_parts(board: Board, plate_albedo: float, mark_albedo: float) -> list[Part]:
+def board_parts(board: Board, plate_albedo: float, mark_albedo: float) -> list[MeshPart]:
     """The board in the head frame: plate with holes, marks in the holes, and the plate's back.
 
     The face lies in y = 0 and looks towards the camera (-y); marks are flush with it, as
@@ -37,9 +37,9 @@ def board_parts(board: Board, plate_albedo: float, mark_albedo: float) -> list[P
         bounds=[[left, 1e-3, bottom], [right, board.plate.thickness_mm, top]]
     )
     return [
-        Part("plate", _face_mesh(plate.difference(marks)), ground),
-        Part("marks", _face_mesh(marks), ink),
-        Part("plate-body", body, ground),
+        MeshPart("plate", _face_mesh(plate.difference(marks)), ground),
+        MeshPart("marks", _face_mesh(marks), ink),
+        MeshPart("plate-body", body, ground),
     ]
 
 

@@ -35,7 +35,7 @@ class Paint:
 
 
 @dataclass(frozen=True)
-class Part:
+class MeshPart:
     """A mesh of one surface, in mm.
 
     albedo: its reflectance, which ``paint`` multiplies where there is one.
@@ -50,7 +50,7 @@ class Part:
     paint: Paint | None = None
 
 
-def moved(part: Part, pose: Pose) -> Part:
+def moved(part: MeshPart, pose: Pose) -> MeshPart:
     """The part, out of the pose's inner frame into its outer one."""
     mesh = part.mesh
     normals = mesh.vertex_normals @ pose.rotation.T if part.smooth else None

@@ -16,7 +16,7 @@ from lscan.errors import InputError
 from lscan.files.disk import read_bytes
 from sim.meshes.board import board_parts
 from sim.meshes.paint import picture_paint, reflectance_at, vertex_paint
-from sim.meshes.parts import Finish, Part, moved, plain_mesh
+from sim.meshes.parts import Finish, MeshPart, moved, plain_mesh
 from sim.meshes.sand import sanded_sandwave_mesh
 from sim.meshes.workpieces import grooved_block_mesh, sandwave_parts
 from sim.scene import FLOOR_HALF_SIDE_MM, Floor, Scene, Texture, target_pose
@@ -29,7 +29,7 @@ MM_PER_UNIT = {"mm": 1.0, "cm": 10.0, "m": 1000.0, "inch": 25.4}
 MARKS = "marks"  # the one part of a board that a texture leaves as it is
 
 
-def scene_parts(scene: Scene) -> list[Part]:
+def scene_parts(scene: Scene) -> list[MeshPart]:
     """All parts that stand in the tank, in the world frame; InputError as ``target_parts``."""
     pose = target_pose(scene)
     parts = [moved(part, pose) for part in target_parts(scene)]
@@ -45,7 +45,7 @@ def target_mesh(scene: Scene) -> trimesh.Trimesh:
     return trimesh.util.concatenate(meshes) if meshes else trimesh.Trimesh()
 
 
-def target_parts(scene: Scene) -> list[Part]:
+def target_parts(scene: Scene) -> list[MeshPart]:
     """The target's parts in its own frame (workpiece, board or mesh file), finished.
 
     Their albedo is the one at the laser's nominal wavelength: a drift of some nm does not
@@ -64,7 +64,7 @@ def target_parts(scene: Scene) -> list[Part]:
     return [_papered(part, scene, target.texture) for part in parts]
 
 
-def _bare_parts(scene: Scene, albedo: float) -> list[Part]:
+def _bare_parts(scene: Scene, albedo: float) -> list[MeshPart]:
     """The target's parts as its shape makes them, matt and without a texture."""
     target, rig = scene.tank.target, scene.rig
     is_sandwave = target.shape == "workpiece" and isinstance(rig.workpiece, Sandwave)
@@ -73,19 +73,19 @@ def _bare_parts(scene: Scene, albedo: float) -> list[Part]:
     if target.shape == "mesh":
         with _named(scene, "target.file"):
             mesh = load_mesh(Path(target.file or ""), MM_PER_UNIT[target.unit or "mm"])
-        return [Part("mesh", mesh, albedo, paint=vertex_paint(mesh))]
+        return [MeshPart("mesh", mesh, albedo, paint=vertex_paint(mesh))]
     if target.shape == "board":
         assert rig.board is not None  # sim.scene has checked it
         return board_parts(rig.board, albedo, target.mark_albedo)
     if isinstance(rig.workpiece, GroovedBlock):
-        return [Part("grooved-block", grooved_block_mesh(rig.workpiece), albedo)]
+        return [MeshPart("grooved-block", grooved_block_mesh(rig.workpiece), albedo)]
     assert isinstance(rig.workpiece, Sandwave)
     if target.sand is not None:
-        return [Part("sand", sanded_sandwave_mesh(rig.workpiece, target.sand), albedo)]
+        return [MeshPart("sand", sanded_sandwave_mesh(rig.workpiece, target.sand), albedo)]
     return sandwave_parts(rig.workpiece, albedo)
 
 
-def _papered(part: Part, scene: Scene, texture: Texture) -> Part:
+def _papered(part: MeshPart, scene: Scene, texture: Texture) -> MeshPart:
     """The part with the texture laid over it, seen along -y where it is a board, else from z."""
     if part.name == MARKS:
         return part
@@ -144,9 +144,9 @@ def load_mesh(path: Path, mm_per_unit: float = 1.0) -> trimesh.Trimesh:
     return mesh
 
 
-def floor_part(floor: Floor) -> Part:
+def floor_part(floor: Floor) -> MeshPart:
     """The tank's floor, a level matt square in the world frame."""
     s = FLOOR_HALF_SIDE_MM
     corners = [[-s, -s], [s, -s], [s, s], [-s, s]]
     vertices = np.column_stack([corners, np.full(4, floor.z_mm)])
-    return Part("floor", plain_mesh(vertices, np.array([[0, 1, 2], [0, 2, 3]])), floor.albedo)
+    return MeshPart("floor", plain_mesh(vertices, np.array([[0, 1, 2], [0, 2, 3]])), floor.albedo)

@@ -8,7 +8,7 @@ from shapely.geometry import Polygon, box
 
 from lscan.config.targets import GroovedBlock, Sandwave
 from lscan.records import Floats
-from sim.meshes.parts import Part, facing, grid_faces, plain_mesh
+from sim.meshes.parts import MeshPart, facing, grid_faces, plain_mesh
 
 # Chord error of the sandwave's facets: step² · max|z''| / 8 = 0.25 · 0.22 / 8 = 7 µm.
 WAVE_STEP_MM = 0.5
@@ -22,13 +22,13 @@ def grooved_block_mesh(block: GroovedBlock) -> trimesh.Trimesh:
     return plain_mesh(turned, prism.faces)
 
 
-def sandwave_parts(piece: Sandwave, albedo: float) -> list[Part]:
+def sandwave_parts(piece: Sandwave, albedo: float) -> list[MeshPart]:
     """The sandwave block in its workpiece frame: wave, curtain to the rim, rim, body, wedges."""
     wave, border = _wave_patch(piece)
     rest = [_curtain(border), _rim(piece), sandwave_body(piece), *_wedges(piece)]
     return [
-        Part("sandwave", wave, albedo, smooth=True),
-        Part("block", trimesh.util.concatenate(rest), albedo),
+        MeshPart("sandwave", wave, albedo, smooth=True),
+        MeshPart("block", trimesh.util.concatenate(rest), albedo),
     ]
 
 

@@ -79,7 +79,7 @@ class Library:
 
 
 @dataclass(frozen=True)
-class Verdict:
+class ProbeResult:
     """Whether Mitsuba rendered; ``final`` where asking again would give the same answer."""
 
     works: bool
@@ -87,7 +87,7 @@ class Verdict:
     final: bool = True
 
 
-Probe = Callable[[Library], Verdict]
+Probe = Callable[[Library], ProbeResult]
 
 
 def load_mitsuba() -> ModuleType:
@@ -153,9 +153,9 @@ def newest_first(paths: Iterable[Path]) -> list[Library]:
     return sorted(libraries, key=lambda found: (-(found.major or 0), str(found.path)))
 
 
-def _try(library: Library, probe: Probe) -> Verdict:
+def _try(library: Library, probe: Probe) -> ProbeResult:
     if library.major is not None and library.major < OLDEST_MAJOR:
-        return Verdict(works=False, reason=f"too old, Dr.Jit needs {OLDEST_MAJOR} or newer")
+        return ProbeResult(works=False, reason=f"too old, Dr.Jit needs {OLDEST_MAJOR} or newer")
     return probe(library)
 
 
@@ -172,12 +172,12 @@ def _installed() -> list[Path]:
     return [path for path in paths if path.is_file()]
 
 
-def probe_library(library: Library) -> Verdict:
+def probe_library(library: Library) -> ProbeResult:
     """Whether Mitsuba renders with this libLLVM, tried in a process of its own."""
     return _probe(LLVM, {"DRJIT_LIBLLVM_PATH": str(library.path)})
 
 
-def _probe(variant: str, settings: Mapping[str, str]) -> Verdict:
+def _probe(variant: str, settings: Mapping[str, str]) -> ProbeResult:
     # A fresh home, so that no kernel out of Dr.Jit's disk cache answers for the compiler.
     with tempfile.TemporaryDirectory(prefix="lscan-probe-") as home:
         try:
@@ -192,25 +192,25 @@ def _probe(variant: str, settings: Mapping[str, str]) -> Verdict:
             )
         except subprocess.TimeoutExpired:
             reason = f"no answer within {PROBE_TIMEOUT_S:.0f} s"
-            return Verdict(works=False, reason=reason, final=False)
+            return ProbeResult(works=False, reason=reason, final=False)
     return _judge(done.returncode, done.stderr)
 
 
-def _judge(code: int, stderr: str) -> Verdict:
+def _judge(code: int, stderr: str) -> ProbeResult:
     """A crash is the library's doing; a plain failure may not be and is not held against it."""
     if code == 0:
-        return Verdict(works=True)
+        return ProbeResult(works=True)
     lines = [line.strip() for line in stderr.splitlines() if line.strip()] or ["no message"]
     told = [line for line in lines if "LLVM ERROR" in line]
     reason = re.sub(r":? 0x.*", "", (told or lines[-1:])[0])[:120]  # without its addresses
     if code > 0:
-        return Verdict(works=False, reason=reason, final=False)
+        return ProbeResult(works=False, reason=reason, final=False)
     crashed = -code in (signal.SIGABRT, signal.SIGSEGV, signal.SIGILL)
     reason = f"takes the process down with {signal.Signals(-code).name} ({reason})"
-    return Verdict(works=False, reason=reason, final=crashed)
+    return ProbeResult(works=False, reason=reason, final=crashed)
 
 
-def probe_remembered(library: Library, probe: Probe = probe_library) -> Verdict:
+def probe_remembered(library: Library, probe: Probe = probe_library) -> ProbeResult:
     """What ``probe`` says of this library, or said before of the same file and Dr.Jit.
 
     Answers are kept in ``lscan/llvm.json`` under XDG_CACHE_HOME; a file that cannot be read
@@ -234,18 +234,18 @@ def _cache_file() -> Path:
     return Path(os.environ.get("XDG_CACHE_HOME") or f"{home}/.cache") / "lscan" / "llvm.json"
 
 
-def _read_answers(cache: Path) -> dict[str, Verdict]:
+def _read_answers(cache: Path) -> dict[str, ProbeResult]:
     try:
         stored = json.loads(cache.read_text(encoding="utf-8"))
         return {
-            str(key): Verdict(works=entry["works"] is True, reason=str(entry["reason"]))
+            str(key): ProbeResult(works=entry["works"] is True, reason=str(entry["reason"]))
             for key, entry in stored.items()
         }
     except (OSError, ValueError, TypeError, KeyError, AttributeError):
         return {}
 
 
-def _write_answers(cache: Path, answers: Mapping[str, Verdict]) -> None:
+def _write_answers(cache: Path, answers: Mapping[str, ProbeResult]) -> None:
     stored = {key: {"works": one.works, "reason": one.reason} for key, one in answers.items()}
     cache.parent.mkdir(parents=True, exist_ok=True)
     write_atomically(cache, json.dumps(stored, indent=1).encode())

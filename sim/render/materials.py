@@ -13,13 +13,13 @@ import numpy as np
 
 from lscan.errors import InputError
 from lscan.records import Floats, Ints
-from sim.meshes import Finish, Part
+from sim.meshes import Finish, MeshPart
 from sim.render.backend import load_mitsuba
 
 load_mitsuba()  # the variant: Mitsuba's classes depend on it
 
 
-def mitsuba_shape(part: Part, water_index: float) -> mi.Mesh:
+def mitsuba_shape(part: MeshPart, water_index: float) -> mi.Mesh:
     """The part as a Mitsuba mesh under water of the index ``water_index``, in mm.
 
     Raises InputError where a wet part's coat is not denser than the water.
@@ -46,7 +46,7 @@ def mitsuba_shape(part: Part, water_index: float) -> mi.Mesh:
     return shape
 
 
-def surface(part: Part, water_index: float) -> dict[str, Any]:
+def surface(part: MeshPart, water_index: float) -> dict[str, Any]:
     """Mitsuba's description of the part's two-sided scattering function.
 
     matt: Lambert's.  wet: a matt ground under a coat whose facets have Beckmann's distribution
@@ -79,7 +79,7 @@ def surface(part: Part, water_index: float) -> dict[str, Any]:
     return {"type": "twosided", "bsdf": bsdf}
 
 
-def _reflectance(part: Part) -> dict[str, Any]:
+def _reflectance(part: MeshPart) -> dict[str, Any]:
     """The part's albedo, or its paint times its albedo, as a texture of Mitsuba's."""
     if part.paint is None:
         return {"type": "spectrum", "value": part.albedo}

@@ -14,7 +14,7 @@ from lscan.config.documents import Document, Strict, check, read_document
 from lscan.config.rig import Rig, RigFile, inline_board, parse_rig
 from lscan.errors import InputError
 from sim.scene.instrument import FlatPort, Head, Laser, Lens, Port, Seed, Sensor, TrueShaft
-from sim.scene.matter import Floor, Light, Target, Water
+from sim.scene.matter import AmbientLight, Floor, Target, Water
 from sim.scene.poses import Pose, head_pose, rotation_x, rotation_y, rotation_z
 
 
@@ -57,7 +57,7 @@ def _allowed(fineness: int) -> str:
     return f"a square number{share} ({some} ...)"
 
 
-class Tank(Strict):
+class TankSections(Strict):
     """The sections of a scene file that a rig file of real hardware does not have."""
 
     lens: Lens
@@ -65,7 +65,7 @@ class Tank(Strict):
     port: Port = FlatPort()
     laser: Laser
     water: Water = Water()
-    light: Light = Light()
+    light: AmbientLight = AmbientLight()
     target: Target
     floor: Floor | None = None
     sensor: Sensor = Sensor()
@@ -77,12 +77,12 @@ class Scene:
     """A rig, the tank around it, and the document both came from."""
 
     rig: Rig
-    tank: Tank
+    tank: TankSections
     document: Document
     source: str
 
 
-SECTIONS = frozenset(Tank.model_fields)
+SECTIONS = frozenset(TankSections.model_fields)
 
 
 def load_scene(path: Path | str) -> Scene:
@@ -98,7 +98,7 @@ def load_scene(path: Path | str) -> Scene:
 def scene_of(rig_file: RigFile) -> Scene:
     """The scene in a rig file that has the tank's sections; InputError names what is wrong."""
     own = {key: value for key, value in rig_file.document.items() if key in SECTIONS}
-    tank = check(Tank, own, where=rig_file.source)
+    tank = check(TankSections, own, where=rig_file.source)
     head = _on_its_shaft(tank.head, rig_file)
     scene = Scene(
         rig=rig_file.rig,

@@ -130,7 +130,7 @@ class Head(Strict):
     shaft: TrueShaft | None = None
 
 
-class Line(Strict):
+class LaserLine(Strict):
     """One of several sheets: leans by ``tilt_deg`` more, and has this share of the power."""
 
     tilt_deg: SmallAngle
@@ -178,7 +178,7 @@ class Laser(Strict):
     waist_distance_mm: float = 600.0
     m2: Annotated[float, Field(ge=1)] = 1.0
     port_tilt_deg: SmallAngle = 0.0
-    lines: tuple[Line, ...] = ()
+    lines: tuple[LaserLine, ...] = ()
     on: bool = True
 
     @model_validator(mode="after")
@@ -196,9 +196,9 @@ class Laser(Strict):
         return self
 
     @property
-    def sheets(self) -> tuple[Line, ...]:
+    def sheets(self) -> tuple[LaserLine, ...]:
         """The sheets there are: ``lines``, or one that holds all the power."""
-        return self.lines or (Line(tilt_deg=0.0, share=1.0),)
+        return self.lines or (LaserLine(tilt_deg=0.0, share=1.0),)
 
     def half_thickness_mm(self, distance_mm: Floats, water_index: float) -> Floats:
         """1/e2 half thickness of the sheet at distances from the apex, mm.

@@ -65,7 +65,7 @@ class Water(Strict):
         return self
 
 
-class Light(Strict):
+class AmbientLight(Strict):
     """Ambient light: radiance in W/(m2 sr) that reaches every point from all directions."""
 
     ambient_w_m2_sr: Annotated[float, Field(ge=0, le=1e6)] = 0.0

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from lscan.records import Floats
-from sim.scene.instrument import Head, Laser, Line, TrueShaft
+from sim.scene.instrument import Head, Laser, LaserLine, TrueShaft
 
 
 def rotation_z(angle_deg: float) -> Floats:
@@ -108,7 +108,7 @@ def _about(shaft: TrueShaft, position_mm: Floats) -> Floats:
     return np.moveaxis(np.array(rows), -1, 0)
 
 
-def sheet_pose(laser: Laser, line: Line) -> Pose:
+def sheet_pose(laser: Laser, line: LaserLine) -> Pose:
     """Sheet frame of one of the laser's lines to head frame; its origin is the apex."""
     turned = (
         rotation_z(laser.skew_deg)

@@ -163,7 +163,7 @@ def _three(values: Iterator[float]) -> tuple[float, float, float]:
 
 
 @dataclass(frozen=True)
-class Case:
+class ConcavityCase:
     """A target to measure on.  derived: whether the relation was found on it."""
 
     name: str
@@ -173,7 +173,7 @@ class Case:
     derived: bool = False
 
 
-def cases(scenes: Path, folder: Path) -> list[Case]:
+def cases(scenes: Path, folder: Path) -> list[ConcavityCase]:
     """The sandwave the relation was found on, and the targets it has to prove itself on.
 
     scenes: folder of the scenes.  folder: where the meshes of a sphere and of two cylinders
@@ -194,15 +194,17 @@ def cases(scenes: Path, folder: Path) -> list[Case]:
     wide, green = {"blur_px": 1.2}, {"wavelength_nm": 532.0}
     thick, sea = {"waist_mm": 2.5}, {"particle_scattering_per_m": 0.4}
     return [
-        Case("sandwave, its steep end", scene(paper), wave, derived=True),
-        Case("sandwave, blur 1.2 px", scene(paper, lens=wide), wave),
-        Case("sphere of 60 mm", on_mesh(sphere, -380.0), short),
-        Case("sphere, sheet of 2.5 mm", on_mesh(sphere, -380.0, laser=thick), short),
-        Case("sphere, 532 nm", on_mesh(sphere, -380.0, laser=green), short),
-        Case("sphere, all orders, turbid", on_mesh(sphere, -380.0, water=sea), short, 16),
-        Case("cylinders of 8 mm along the track", on_mesh(along, -330.0), short),
-        Case("cylinders of 8 mm across the track", on_mesh(across, -330.0), short),
-        Case("mound of flat facets", on_mesh(scenes / "targets" / "mound.ply", -372.0), short),
+        ConcavityCase("sandwave, its steep end", scene(paper), wave, derived=True),
+        ConcavityCase("sandwave, blur 1.2 px", scene(paper, lens=wide), wave),
+        ConcavityCase("sphere of 60 mm", on_mesh(sphere, -380.0), short),
+        ConcavityCase("sphere, sheet of 2.5 mm", on_mesh(sphere, -380.0, laser=thick), short),
+        ConcavityCase("sphere, 532 nm", on_mesh(sphere, -380.0, laser=green), short),
+        ConcavityCase("sphere, all orders, turbid", on_mesh(sphere, -380.0, water=sea), short, 16),
+        ConcavityCase("cylinders of 8 mm along the track", on_mesh(along, -330.0), short),
+        ConcavityCase("cylinders of 8 mm across the track", on_mesh(across, -330.0), short),
+        ConcavityCase(
+            "mound of flat facets", on_mesh(scenes / "targets" / "mound.ply", -372.0), short
+        ),
     ]
 
 

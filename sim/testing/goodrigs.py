@@ -21,7 +21,7 @@ from lscan.devices.manual import ManualOptions
 from lscan.devices.opencv_camera import OpencvOptions
 from lscan.records import Frame
 from sim.devices import CameraOptions, TrackOptions
-from sim.scene import Tank
+from sim.scene import TankSections
 
 SIZE_PX = (16, 16)
 CAMERAS: dict[str, type[Strict]] = {
@@ -140,16 +140,16 @@ def _instruments() -> list[GoodRig]:
 
 def _tanks() -> list[GoodRig]:
     """Rigs that hold every section of the tank, each kind of port and shape of target."""
-    rest = [name for name in Tank.model_fields if name not in ("head", "target")]
+    rest = [name for name in TankSections.model_fields if name not in ("head", "target")]
     head = {**_TANK["head"], "shaft": {"point_mm": [0.0, 0.0, 500.0], "direction": [1.0, 0, 0]}}
     turned = _TANK | {"head": head, "port": {"kind": "dome"}, "target": _MESH}
     board = _TANK | {"board": _BOARD, "target": {"shape": "board", "sand": {}}}
     piece = _TANK | {"workpiece": _BLOCK, "target": {**_MATT, "shape": "workpiece"}}
     return [
-        _rig("sim", "sim", _of(Tank, *rest), switched="pairs", **_TANK),
-        _rig("sim", "manual", _of(Tank, "head", "port"), shaft=_SHAFT, **turned),
+        _rig("sim", "sim", _of(TankSections, *rest), switched="pairs", **_TANK),
+        _rig("sim", "manual", _of(TankSections, "head", "port"), shaft=_SHAFT, **turned),
         _rig("sim", "grbl", switched="pairs", **board),
-        _rig("sim", "sim", _of(Tank, "target"), **piece),
+        _rig("sim", "sim", _of(TankSections, "target"), **piece),
     ]
 
 
@@ -216,10 +216,10 @@ def _rig(
         "plan": {**_PLAN, "laser": switched},
         **{key: value for key, value in sections.items() if key in Rig.model_fields},
     }
-    tank = {key: value for key, value in sections.items() if key in Tank.model_fields}
+    tank = {key: value for key, value in sections.items() if key in TankSections.model_fields}
     written = _written_out(Rig, rig)
     stated = {name: written[name] for name in ("name", *rig)}
-    document = stated | (_written_out(Tank, tank) if tank else {})
+    document = stated | (_written_out(TankSections, tank) if tank else {})
     return GoodRig(f"{camera} and {track}", document, parts)
 
 

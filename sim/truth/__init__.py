@@ -1,9 +1,8 @@
 """What the scanner ought to measure, in float64 NumPy, to judge tank and instrument by.
 
-projection, flat, dome: where a point of the water is seen.  sheet, bow: where the laser's light
-is.  surfaces, wave, mesh, chains, section: the target cut by it.  visibility: what is lit and
-seen.  stripe, shutter, board: the truth of a picture.  reflection, radiance, brightness: how
-bright its line is.
+camera: where a point of the water is seen.  sheet, bow: where the laser's light is.  target: what
+stands in the tank, cut by it.  visibility: what is lit and seen.  stripe, shutter, board: the truth
+of a picture.  light: how bright its line is.  placement: whether a scene can be scanned at all.
 
 The truth imports neither the renderer nor any room of the instrument that works on pictures
 (the import contract in pyproject.toml), and it solves for itself what they solve: rays through a
@@ -15,26 +14,26 @@ analytic geometry.  What it shares with them is what defines the tank and cannot
 - the indices and coefficients of water and glass (sim.water), which have tests of their own
   against published values;
 - the Brown-Conrady polynomials that the lens is specified by, written twice and held to OpenCV's;
-- in sim.truth.brightness alone, the sensor's full scale, photons per radiance and contrast of
+- in sim.truth.light.brightness alone, the sensor's full scale, photons per radiance and contrast of
   speckle (sim.sensor.coding, radiometry, speckle): that module judges how the instrument reads
   a line of a given brightness, not the sensor, which closed forms and published values judge.
 """
 
 from sim.truth.board import BoardTruth, board_truth
-from sim.truth.brightness import LineBrightness, line_brightness
-from sim.truth.projection import entry_points, project
-from sim.truth.section import Section, section_at, surfaces_of
-from sim.truth.sheet import Sheet, sheet_of
+from sim.truth.camera.projection import entry_points, project
+from sim.truth.light.brightness import LineBrightness, line_brightness
+from sim.truth.sheet import TrueSheet, sheet_of
 from sim.truth.shutter import stripe_truth, stripe_truths
 from sim.truth.stripe import StripeTruth
+from sim.truth.target.section import SheetSection, section_at, surfaces_of
 from sim.truth.visibility import slice_visibility
 
 __all__ = [
     "BoardTruth",
     "LineBrightness",
-    "Section",
-    "Sheet",
+    "SheetSection",
     "StripeTruth",
+    "TrueSheet",
     "board_truth",
     "entry_points",
     "line_brightness",

@@ -20,10 +20,10 @@ from lscan.records import (
     Status,
 )
 from sim.scene import Scene, into_head, target_pose
-from sim.truth.projection import project
-from sim.truth.section import surfaces_of
+from sim.truth.camera.projection import project
 from sim.truth.shutter import row_positions_mm, travel_mm
-from sim.truth.surfaces import Surface
+from sim.truth.target.section import surfaces_of
+from sim.truth.target.surfaces import TankSurface
 from sim.truth.visibility import in_picture, seen
 
 RIM_POINTS = 128  # of a dot's outline, for its area's centroid
@@ -48,11 +48,11 @@ class BoardTruth:
 
 
 @dataclass(frozen=True)
-class _View:
+class BoardPicture:
     """The board picture of a scene: how places on the board, (N, 2) of (x, z) mm, are imaged."""
 
     scene: Scene
-    surfaces: Sequence[Surface]
+    surfaces: Sequence[TankSurface]
     position_mm: float
 
     def head(self, places: Floats) -> tuple[Floats, Floats]:
@@ -96,7 +96,7 @@ class _View:
         return area_centroids(self.centre(outline, 0.0).reshape(-1, RIM_POINTS, 2))
 
 
-Imager = Callable[[Floats, float], Floats]  # _View.centre or _View.centroid
+Imager = Callable[[Floats, float], Floats]  # BoardPicture.centre or BoardPicture.centroid
 
 
 def board_truth(scene: Scene, position_mm: float = 0.0) -> BoardTruth:
@@ -112,12 +112,12 @@ def board_truth(scene: Scene, position_mm: float = 0.0) -> BoardTruth:
             value=scene.tank.target.shape,
             allowed='shape = "board"',
         )
-    view = _View(scene, surfaces_of(scene), position_mm)
+    view = BoardPicture(scene, surfaces_of(scene), position_mm)
     board = scene.rig.board
     return BoardTruth(_reading(board, view, view.centre), _reading(board, view, view.centroid))
 
 
-def _reading(board: Board, view: _View, image: Imager) -> BoardReading:
+def _reading(board: Board, view: BoardPicture, image: Imager) -> BoardReading:
     def marks(places: Floats, diameter_mm: float) -> Marks:
         status = view.status(places)
         shown = (status == Status.OK)[:, np.newaxis]

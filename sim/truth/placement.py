@@ -16,9 +16,9 @@ from lscan.errors import InputError
 from lscan.records import Floats, Mask
 from sim.meshes import target_mesh
 from sim.scene import FlatPort, Scene, camera_pose, head_pose, into_world, target_pose
-from sim.truth import Section, Sheet, project, section_at, sheet_of
-from sim.truth.flat import flat_normal
-from sim.truth.mesh import Mesh
+from sim.truth import SheetSection, TrueSheet, project, section_at, sheet_of
+from sim.truth.camera.flat import flat_normal
+from sim.truth.target.mesh import Mesh
 from sim.truth.visibility import in_fan, in_picture, passing_mm
 
 MOST_PLACES = 25  # of the plan's, spread evenly, that are looked at
@@ -97,7 +97,7 @@ def out_of_reach(scene: Scene, mesh: trimesh.Trimesh) -> list[str]:
     ]
 
 
-def _missed(scene: Scene, mesh: trimesh.Trimesh, sheet: Sheet) -> str | None:
+def _missed(scene: Scene, mesh: trimesh.Trimesh, sheet: TrueSheet) -> str | None:
     """Why a sheet's line is not seen on the target; None where it is."""
     places = np.array(scene.rig.plan.positions_mm())
     head = scene.tank.head
@@ -121,7 +121,7 @@ def _missed(scene: Scene, mesh: trimesh.Trimesh, sheet: Sheet) -> str | None:
     return ", ".join(sorted(found))
 
 
-def _fault(scene: Scene, sheet: Sheet, section: Section, place: float) -> str | None:
+def _fault(scene: Scene, sheet: TrueSheet, section: SheetSection, place: float) -> str | None:
     """Why none of a section shows in a picture; None where some of it may."""
     xz = section.ends_mm.reshape(-1, 2)
     xz = np.concatenate([xz, section.ends_mm.mean(axis=1)])

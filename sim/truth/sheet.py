@@ -15,13 +15,13 @@ import numpy as np
 
 from lscan.errors import InputError
 from lscan.records import Floats
-from sim.scene import Laser, Line, Pose, Scene, rotation_x, rotation_z
+from sim.scene import Laser, LaserLine, Pose, Scene, rotation_x, rotation_z
 from sim.truth.bow import Bow, bow_of
 from sim.water import water_optics
 
 
 @dataclass(frozen=True)
-class Sheet:
+class TrueSheet:
     """One of the laser's sheets.  pose: frame of its plane to head frame.  bow: None if flat."""
 
     pose: Pose
@@ -43,17 +43,17 @@ class Sheet:
         return local[:, 1] if self.bow is None else self.bow.clearance_mm(local)
 
 
-def sheet_of(scene: Scene, line: int = 0) -> Sheet:
+def sheet_of(scene: Scene, line: int = 0) -> TrueSheet:
     """The sheet of a line, an index into ``laser.sheets``; InputError where there is none."""
     laser = scene.tank.laser
     if not 0 <= line < len(laser.sheets):
         allowed = f"0 to {len(laser.sheets) - 1}"
         raise InputError("line of the laser", where=scene.source, value=line, allowed=allowed)
     index = water_optics(scene.tank.water, laser.wavelength_nm).index
-    return Sheet(sheet_plane(laser, laser.sheets[line]), bow_of(laser, index))
+    return TrueSheet(sheet_plane(laser, laser.sheets[line]), bow_of(laser, index))
 
 
-def sheet_plane(laser: Laser, line: Line) -> Pose:
+def sheet_plane(laser: Laser, line: LaserLine) -> Pose:
     """Frame of the sheet's plane to head frame."""
     turned = rotation_z(laser.skew_deg) @ rotation_x(laser.tilt_deg + line.tilt_deg)
     apex = np.array(laser.apex_mm)

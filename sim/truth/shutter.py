@@ -14,9 +14,9 @@ import numpy as np
 
 from lscan.records import Floats, Ints, Mask, Status
 from sim.scene import Scene
-from sim.truth.section import surfaces_of
 from sim.truth.stripe import StripeTruth, edge_distance, standing_truth
-from sim.truth.surfaces import Surface
+from sim.truth.target.section import surfaces_of
+from sim.truth.target.surfaces import TankSurface
 
 # Between two positions the line's place is taken as linear in time.  On the sandwave it
 # bends by 1/2 px/mm2 at most (0.6/mm of curvature, 0.85 px/mm): 0.5/8 times 0.04 squared.
@@ -55,7 +55,7 @@ def row_positions_mm(scene: Scene, position_mm: float, rows: Floats) -> Floats:
 
 
 def _moving_truth(
-    scene: Scene, surfaces: Sequence[Surface], position_mm: float, line: int
+    scene: Scene, surfaces: Sequence[TankSurface], position_mm: float, line: int
 ) -> StripeTruth:
     height = scene.rig.camera.height_px
 

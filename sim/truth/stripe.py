@@ -9,10 +9,10 @@ import numpy as np
 
 from lscan.records import Axis, Floats, Ints, Mask, Status
 from sim.scene import Scene, head_pose
-from sim.truth.projection import project
-from sim.truth.section import Section, section_at, split
-from sim.truth.sheet import Sheet, sheet_of
-from sim.truth.surfaces import Surface, spread
+from sim.truth.camera.projection import project
+from sim.truth.sheet import TrueSheet, sheet_of
+from sim.truth.target.section import SheetSection, section_at, split
+from sim.truth.target.surfaces import TankSurface, spread
 from sim.truth.visibility import in_picture, lit, seen
 
 COARSE_MM = 5.0  # pieces looked at to find out which part of the section is in the picture
@@ -38,7 +38,7 @@ class StripeTruth:
     edge_px: (N,) distance along the line to the nearer end of the run of neighbouring OK
         columns that ``continues`` joins, 0 at its ends; NaN where not OK.
     continues: (N,) whether the line runs on into the next column: on the same face, without a
-        gap, without a jump, and on a mesh without a crease (sim.truth.chains).
+        gap, without a jump, and on a mesh without a crease (sim.truth.target.chains).
     multiple: (N,) whether the column holds more than one lit and seen point; the uppermost
         (leftmost for rows) is the one given.
 
@@ -63,11 +63,11 @@ class StripeTruth:
 
 
 @dataclass(frozen=True)
-class Crossings:
+class ColumnCrossings:
     """Where the section crosses the columns: K points, several a column or none.
 
     column: (K,).  centre_px: (K,) v there.  slope: (K,) px of v per column there.
-    xz_mm: (K, 2) in the sheet's plane.  face, chain: (K,) as in Section.
+    xz_mm: (K, 2) in the sheet's plane.  face, chain: (K,) as in SheetSection.
     """
 
     column: Ints
@@ -79,7 +79,7 @@ class Crossings:
 
 
 def standing_truth(
-    scene: Scene, surfaces: Sequence[Surface], position_mm: float, line: int = 0
+    scene: Scene, surfaces: Sequence[TankSurface], position_mm: float, line: int = 0
 ) -> StripeTruth:
     """The true line in a picture taken all at once with the head at ``position_mm``."""
     laser, sheet = scene.tank.laser, sheet_of(scene, line)
@@ -93,7 +93,7 @@ def standing_truth(
     return _assemble(scene, (position_mm, line), found, points, chosen)
 
 
-def crossings(scene: Scene, sheet: Sheet, section: Section) -> Crossings:
+def crossings(scene: Scene, sheet: TrueSheet, section: SheetSection) -> ColumnCrossings:
     """Where the section, projected, crosses the middles of the picture's columns (or rows)."""
     camera, axis = scene.rig.camera, scene.rig.stripe.axis
     a, b, count = (0, 1, camera.width_px) if axis == "columns" else (1, 0, camera.height_px)
@@ -114,10 +114,10 @@ def crossings(scene: Scene, sheet: Sheet, section: Section) -> Crossings:
     kept = in_picture(scene, place)
     owner, slope = owner[kept], rise[kept, b] / rise[kept, a]
     place, xz, column = place[kept, b], xz[kept], column[kept]
-    return Crossings(column, place, slope, xz, fine.face[owner], fine.chain[owner])
+    return ColumnCrossings(column, place, slope, xz, fine.face[owner], fine.chain[owner])
 
 
-def _in_view(scene: Scene, sheet: Sheet, section: Section) -> Section:
+def _in_view(scene: Scene, sheet: TrueSheet, section: SheetSection) -> SheetSection:
     """The pieces that may show in the picture."""
     camera = scene.rig.camera
     size = np.array([camera.width_px, camera.height_px])
@@ -126,7 +126,7 @@ def _in_view(scene: Scene, sheet: Sheet, section: Section) -> Section:
     return section.only(np.any(np.all(near, axis=2), axis=1))
 
 
-def _project_ends(scene: Scene, sheet: Sheet, section: Section) -> Floats:
+def _project_ends(scene: Scene, sheet: TrueSheet, section: SheetSection) -> Floats:
     """(M, 2, 2) pixels of the pieces' ends."""
     return project(scene, sheet.in_head(section.ends_mm.reshape(-1, 2))).reshape(-1, 2, 2)
 
@@ -141,7 +141,7 @@ class _Choice:
     best: Ints
 
 
-def _choice(found: Crossings, reached: Mask, visible: Mask) -> _Choice:
+def _choice(found: ColumnCrossings, reached: Mask, visible: Mask) -> _Choice:
     """The uppermost lit and seen point of each column, or a hidden one."""
     good = reached & visible
     order = np.lexsort([found.centre_px, ~reached, ~good, found.column])
@@ -150,7 +150,7 @@ def _choice(found: Crossings, reached: Mask, visible: Mask) -> _Choice:
 
 
 def _assemble(
-    scene: Scene, taken: tuple[float, int], found: Crossings, points: Floats, choice: _Choice
+    scene: Scene, taken: tuple[float, int], found: ColumnCrossings, points: Floats, choice: _Choice
 ) -> StripeTruth:
     """One entry a column.  taken: position and line; points: (K, 3) in the head frame."""
     camera, axis = scene.rig.camera, scene.rig.stripe.axis
@@ -178,7 +178,7 @@ def _assemble(
     )
 
 
-def continued(found: Crossings, best: Ints, status: Ints) -> Mask:
+def continued(found: ColumnCrossings, best: Ints, status: Ints) -> Mask:
     """(N,) as in StripeTruth; best: the crossing that each column of ``found`` takes.
 
     Between two columns a smooth line that bends one way climbs by no less than the one of its

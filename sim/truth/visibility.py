@@ -22,16 +22,16 @@ from sim.scene import (
     rotation_z,
     target_pose,
 )
-from sim.truth.projection import camera_of, project, rays_to
+from sim.truth.camera.projection import camera_of, project, rays_to
 from sim.truth.roots import increasing_roots
-from sim.truth.section import Section, surfaces_of
-from sim.truth.sheet import Sheet, sheet_of
-from sim.truth.surfaces import SELF_MM, Surface, spread
+from sim.truth.sheet import TrueSheet, sheet_of
+from sim.truth.target.section import SheetSection, surfaces_of
+from sim.truth.target.surfaces import SELF_MM, TankSurface, spread
 
-ALIGNED = Sheet(Pose(np.eye(3), np.zeros(3)), bow=None)
+ALIGNED = TrueSheet(Pose(np.eye(3), np.zeros(3)), bow=None)
 
 
-def blocked(surfaces: Sequence[Surface], start: Floats, end: Floats) -> Mask:
+def blocked(surfaces: Sequence[TankSurface], start: Floats, end: Floats) -> Mask:
     """(N,) whether anything comes between (N, 3) starts and ends; world frame, mm."""
     hidden = np.zeros(len(start), dtype=bool)
     for surface in surfaces:
@@ -54,7 +54,7 @@ def fan_angle(laser: Laser, xz_mm: Floats) -> Floats:
     return np.arctan2(across, ahead)
 
 
-def lit(laser: Laser, section: Section, xz_mm: Floats) -> Mask:
+def lit(laser: Laser, section: SheetSection, xz_mm: Floats) -> Mask:
     """(N,) whether the laser reaches (N, 2) points of the section: the first hit of its ray.
 
     Two-dimensional visibility in the sheet: every piece of the section is met by the rays
@@ -84,7 +84,7 @@ def lit(laser: Laser, section: Section, xz_mm: Floats) -> Mask:
 
 
 def seen(
-    scene: Scene, surfaces: Sequence[Surface], points_head: Floats, position_mm: Floats | float
+    scene: Scene, surfaces: Sequence[TankSurface], points_head: Floats, position_mm: Floats | float
 ) -> Mask:
     """(N,) whether the camera's line of sight to (N, 3) points of the head frame is free.
 
@@ -146,7 +146,7 @@ def slice_visibility(scene: Scene, points_mm: Floats, line: int = 0) -> Mask:
     return visible
 
 
-def passing_mm(head: Head, points_world: Floats, sheet: Sheet = ALIGNED) -> Floats:
+def passing_mm(head: Head, points_world: Floats, sheet: TrueSheet = ALIGNED) -> Floats:
     """(N,) track positions at which a sheet passes through (N, 3) points of the world.
 
     sheet: the head's plane y = 0 if left out.  About a shaft a flat sheet passes a point twice
@@ -169,7 +169,7 @@ def passing_mm(head: Head, points_world: Floats, sheet: Sheet = ALIGNED) -> Floa
     return increasing_roots(behind, flat - bulge, flat + bulge)
 
 
-def _turning_past_mm(shaft: TrueShaft, points_mm: Floats, sheet: Sheet) -> Floats:
+def _turning_past_mm(shaft: TrueShaft, points_mm: Floats, sheet: TrueSheet) -> Floats:
     """(N,) arcs at which a flat sheet passes through (N, 3) points of the head frame of arc 0.
 
     The head turned by a sees q = X - p at q_along + cos(a) q_across - sin(a) d x q, so that the

@@ -94,7 +94,7 @@ class RefractiveCamera(mi.Sensor):
         aperture_sample: mi.Point2f,
         active: mi.Bool = True,
     ) -> tuple[mi.Ray3f, mi.Spectrum]:
-        """A ray in the water, world frame, and its weight (sim.render.plugins.ports.Crossing).
+        """A ray in the water, world frame, and its weight (sim.render.plugins.ports.PortCrossing).
 
         time: the shutter sample, 0 to 1.
         """

@@ -20,7 +20,7 @@ from sim.scene import DomePort, FlatPort, Port, rotation_x, rotation_y
 
 
 @dataclass(frozen=True)
-class Crossing:
+class PortCrossing:
     """Rays that have crossed the port; camera frame.
 
     point: where they enter the water, mm.  direction: unit, in the water.
@@ -37,7 +37,7 @@ class Crossing:
 class PortOptics(Protocol):
     """What a camera asks of its port."""
 
-    def cross(self, origin: mi.Point3f, direction: mi.Vector3f) -> Crossing:
+    def cross(self, origin: mi.Point3f, direction: mi.Vector3f) -> PortCrossing:
         """Rays of the air, unit directions, behind the port."""
 
 
@@ -50,7 +50,7 @@ class FlatOptics:
         self.glass_index, self.water_index = opaque(glass_index), opaque(water_index)
         self.normal = opaque_vector(port_rotation(port)[:, 2])
 
-    def cross(self, origin: mi.Point3f, direction: mi.Vector3f) -> Crossing:
+    def cross(self, origin: mi.Point3f, direction: mi.Vector3f) -> PortCrossing:
         """The rays behind the glass; those that start beyond it or turn away weigh 0."""
         normal = self.normal
         cos_air = dr.dot(direction, normal)
@@ -59,7 +59,7 @@ class FlatOptics:
         water, _, outer = cross_face(glass, normal, self.glass_index, self.water_index)
         point = origin + direction * (ahead / cos_air) + glass * (self.thickness / cos_glass)
         weight = inner * outer / dr.square(self.water_index)
-        return Crossing(point, water, dr.select((ahead > 0) & (cos_air > 0), weight, 0.0))
+        return PortCrossing(point, water, dr.select((ahead > 0) & (cos_air > 0), weight, 0.0))
 
 
 class DomeOptics:
@@ -72,7 +72,7 @@ class DomeOptics:
         self.glass_index, self.water_index = opaque(glass_index), opaque(water_index)
         self.centre = opaque_vector(port.centre_mm)
 
-    def cross(self, origin: mi.Point3f, direction: mi.Vector3f) -> Crossing:
+    def cross(self, origin: mi.Point3f, direction: mi.Vector3f) -> PortCrossing:
         """The rays behind the glass; those that do not start inside the dome weigh 0."""
         start = mi.Vector3f(origin) - self.centre
         inside = dr.squared_norm(start) < dr.square(self.inner_radius)
@@ -83,7 +83,7 @@ class DomeOptics:
         water, _, outer = cross_face(glass, normal, self.glass_index, self.water_index)
         point = mi.Point3f(self.centre + normal * self.outer_radius)
         weight = inner * outer / dr.square(self.water_index)
-        return Crossing(point, water, dr.select(inside, weight, 0.0))
+        return PortCrossing(point, water, dr.select(inside, weight, 0.0))
 
 
 def closed_form(port: Port, glass_index: float, water_index: float) -> PortOptics:

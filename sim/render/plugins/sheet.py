@@ -20,7 +20,7 @@ import numpy as np
 
 from lscan.records import Floats
 from sim.render.plugins.opaque import opaque, opaque_vector
-from sim.scene import Laser, Line, Pose, sheet_pose
+from sim.scene import Laser, LaserLine, Pose, sheet_pose
 
 BOW_NODES = 16385  # linear between them: q is good to 1e-8 where the window is tilted by 12 deg
 
@@ -32,7 +32,7 @@ class LaserSheet(mi.Emitter):
         super().__init__(props)
         self.m_flags = int(mi.EmitterFlags.DeltaPosition)
 
-    def configure(self, laser: Laser, line: Line, water_index: float, nm: float) -> None:
+    def configure(self, laser: Laser, line: LaserLine, water_index: float, nm: float) -> None:
         """Set power, fan and beam; every number becomes opaque, so no kernel is recompiled.
 
         nm: the wavelength of the moment.

@@ -16,7 +16,7 @@ import numpy as np
 
 from lscan.records import Floats
 from sim.render.plugins.camera import RefractiveCamera
-from sim.render.plugins.ports import Crossing, PortOptics, port_rotation
+from sim.render.plugins.ports import PortCrossing, PortOptics, port_rotation
 from sim.scene import FlatPort, Port
 
 # A port has an inner and an outer face.
@@ -45,7 +45,7 @@ class TracedPort:
         self.context = mi.BSDFContext()
         self.context.component = 1
 
-    def cross(self, origin: mi.Point3f, direction: mi.Vector3f) -> Crossing:
+    def cross(self, origin: mi.Point3f, direction: mi.Vector3f) -> PortCrossing:
         """The rays behind the second face they meet; those that meet fewer weigh 0."""
         ray = mi.Ray3f(mi.Point3f(origin), direction)
         weight, active = mi.Float(1.0), mi.Bool(True)
@@ -57,7 +57,7 @@ class TracedPort:
             weight *= share.x
             refracted = si.to_world(lobe.wo)
             ray = mi.Ray3f(si.p + refracted * STEP_MM, refracted)
-        return Crossing(si.p, ray.d, dr.select(active, weight, 0.0))
+        return PortCrossing(si.p, ray.d, dr.select(active, weight, 0.0))
 
 
 class TracedCamera(RefractiveCamera):

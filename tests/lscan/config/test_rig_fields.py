@@ -18,7 +18,7 @@ from lscan.config.allowed import in_words
 from lscan.config.documents import Strict
 from lscan.config.rig import Rig
 from lscan.errors import InputError
-from sim.scene import Tank
+from sim.scene import TankSections
 from sim.testing.crossing import CROSSINGS
 from sim.testing.goodrigs import CAMERAS, TRACKS, GoodRig, Part, good_rigs, write_beside
 from sim.testing.wrongfields import WrongField, crossed_rigs, places, wrong_fields
@@ -41,7 +41,7 @@ def models_within(annotation: Any) -> Iterator[type[BaseModel]]:
 
 MODELS = {
     model
-    for root in (Rig, Tank, *CAMERAS.values(), *TRACKS.values())
+    for root in (Rig, TankSections, *CAMERAS.values(), *TRACKS.values())
     for model in models_within(root)
 }
 

@@ -13,20 +13,20 @@ import pytest
 from places import ROOT
 
 from sim.render import backend
-from sim.render.backend import BackendError, Library, Verdict
+from sim.render.backend import BackendError, Library, ProbeResult
 
-WORKS = Verdict(works=True)
-FAILS = Verdict(works=False, reason="says no")
+WORKS = ProbeResult(works=True)
+FAILS = ProbeResult(works=False, reason="says no")
 
 
 class FakeProbe:
     """Works for the given majors, fails for the rest, and keeps count of what it was asked."""
 
-    def __init__(self, *working: int, answer: Verdict = FAILS) -> None:
+    def __init__(self, *working: int, answer: ProbeResult = FAILS) -> None:
         self.working, self.answer = working, answer
         self.asked: list[int | None] = []
 
-    def __call__(self, library: Library) -> Verdict:
+    def __call__(self, library: Library) -> ProbeResult:
         self.asked.append(library.major)
         return WORKS if library.major in self.working else self.answer
 
@@ -143,11 +143,11 @@ def test_a_library_named_by_the_user_that_fails_is_an_error(
 # ---- what is remembered -----------------------------------------------------------------
 
 
-CRASHED = Verdict(works=False, reason="took the process down")
+CRASHED = ProbeResult(works=False, reason="took the process down")
 
 
 @pytest.mark.parametrize("answer", [WORKS, CRASHED])
-def test_a_final_answer_is_asked_for_once(crowd: list[Path], answer: Verdict) -> None:
+def test_a_final_answer_is_asked_for_once(crowd: list[Path], answer: ProbeResult) -> None:
     library, probe = Library(crowd[3], 19), FakeProbe(answer=answer)
     assert [backend.probe_remembered(library, probe) for _ in range(3)] == [answer] * 3
     assert probe.asked == [19]
@@ -155,7 +155,7 @@ def test_a_final_answer_is_asked_for_once(crowd: list[Path], answer: Verdict) ->
 
 def test_an_answer_that_is_not_final_is_asked_for_again(crowd: list[Path]) -> None:
     library = Library(crowd[3], 19)
-    probe = FakeProbe(answer=Verdict(works=False, reason="no answer", final=False))
+    probe = FakeProbe(answer=ProbeResult(works=False, reason="no answer", final=False))
     for _ in range(2):
         backend.probe_remembered(library, probe)
     assert probe.asked == [19, 19]
@@ -207,13 +207,13 @@ def test_a_cache_that_cannot_be_written_is_done_without(crowd: list[Path], tmp_p
 
 def test_a_crash_is_final_and_a_plain_failure_is_not() -> None:
     abort = backend._judge(-6, "LLVM ERROR: Cannot select: 0x55: f32 = fminimum\n  more\n")
-    assert abort == Verdict(
+    assert abort == ProbeResult(
         works=False, reason="takes the process down with SIGABRT (LLVM ERROR: Cannot select)"
     )
     killed = backend._judge(-9, "")
     assert (killed.works, killed.final) == (False, False)
     failed = backend._judge(1, "Traceback\nImportError: the LLVM backend is inactive\n")
-    assert failed == Verdict(
+    assert failed == ProbeResult(
         works=False, reason="ImportError: the LLVM backend is inactive", final=False
     )
     assert backend._judge(0, "a warning") == WORKS

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 
 from lscan.errors import InputError
 from lscan.records import Floats
-from sim.meshes import Finish, Paint, Part, load_mesh
+from sim.meshes import Finish, MeshPart, Paint, load_mesh
 from sim.meshes.paint import vertex_paint
 from sim.render.materials import mi, mitsuba_shape, surface
 
@@ -35,11 +35,11 @@ few = settings(max_examples=5)
 some = settings(max_examples=10)
 
 
-def square(finish: Finish, albedo: float = 0.5, paint: Paint | None = None) -> Part:
+def square(finish: Finish, albedo: float = 0.5, paint: Paint | None = None) -> MeshPart:
     """A level square of 1 by 1 mm with a corner at the origin."""
     corners = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0.0]])
     mesh = trimesh.Trimesh(corners, [[0, 1, 2], [0, 2, 3]], process=False)
-    return Part("square", mesh, albedo, finish=finish, paint=paint)
+    return MeshPart("square", mesh, albedo, finish=finish, paint=paint)
 
 
 def directions(generator: np.random.Generator, count: int) -> Floats:
@@ -55,7 +55,7 @@ def at(angle: float, count: int = SAMPLES) -> Floats:
     return np.tile([np.sin(angle), 0.0, np.cos(angle)], (count, 1))
 
 
-def scattering(part: Part, towards: Floats) -> tuple[mi.BSDF, mi.SurfaceInteraction3f]:
+def scattering(part: MeshPart, towards: Floats) -> tuple[mi.BSDF, mi.SurfaceInteraction3f]:
     """The part's scattering function, and interactions seen from ``towards``, (N, 3)."""
     si = dr.zeros(mi.SurfaceInteraction3f, len(towards))
     si.wi = vectors(towards)
@@ -66,13 +66,13 @@ def vectors(rows: Floats) -> mi.Vector3f:
     return mi.Vector3f(np.asarray(rows, dtype=np.float32).T)
 
 
-def evaluate(part: Part, towards: Floats, lit_from: Floats) -> Floats:
+def evaluate(part: MeshPart, towards: Floats, lit_from: Floats) -> Floats:
     """(N,) f cos, 1/sr, seen from ``towards`` and lit from ``lit_from``, (N, 3)."""
     bsdf, si = scattering(part, towards)
     return np.array(bsdf.eval(mi.BSDFContext(), si, vectors(lit_from))).ravel().astype(float)
 
 
-def sample(part: Part, towards: Floats, seed: int) -> tuple[mi.BSDFSample3f, Floats]:
+def sample(part: MeshPart, towards: Floats, seed: int) -> tuple[mi.BSDFSample3f, Floats]:
     """Directions drawn by Mitsuba, and their weights (N,)."""
     bsdf, si = scattering(part, towards)
     numbers = np.random.default_rng(seed).random((3, len(towards)), dtype=np.float32)
@@ -81,7 +81,7 @@ def sample(part: Part, towards: Floats, seed: int) -> tuple[mi.BSDFSample3f, Flo
     return bs, np.array(weight).ravel().astype(float)
 
 
-def reflectances(part: Part, place: Floats) -> Floats:
+def reflectances(part: MeshPart, place: Floats) -> Floats:
     """(N,) albedo of a matt part at places (N, 2), met by rays from above, lit from above."""
     scene = mi.load_dict({"type": "scene", "part": mitsuba_shape(part, WATER)})
     origins = vectors(np.column_stack([place, np.ones(len(place))]))
@@ -299,7 +299,7 @@ def test_colours_out_of_a_file_reach_the_surface(tmp_path: Path) -> None:
     header += ["element face 2", "property list uchar int vertex_indices", "end_header"]
     path.write_text("\n".join([*header, *lines, "3 0 1 2", "3 3 4 5"]) + "\n")
     mesh = load_mesh(path)
-    part = Part("mesh", mesh, 1.0, paint=vertex_paint(mesh))
+    part = MeshPart("mesh", mesh, 1.0, paint=vertex_paint(mesh))
     got = reflectances(part, np.array([[0.7, 0.6], [0.6, 0.7]]))
     assert got == pytest.approx([0.2, 0.8], abs=1e-6)
 

@@ -10,9 +10,9 @@ from hypothesis import strategies as st
 
 from lscan.records import Floats
 from sim.render.plugins.ports import (
-    Crossing,
     DomeOptics,
     FlatOptics,
+    PortCrossing,
     PortOptics,
     closed_form,
     cross_face,
@@ -43,7 +43,7 @@ def bundle(count: int, pupil_mm: float, widest_deg: float, seed: int) -> tuple[F
 
 def cross(optics: PortOptics, start: Floats, direction: Floats) -> tuple[Floats, Floats, Floats]:
     """Points (N, 3), directions (N, 3) and weights (N,) behind the port, double precision."""
-    crossing: Crossing = optics.cross(mi.Point3f(vector(start)), mi.Vector3f(vector(direction)))
+    crossing: PortCrossing = optics.cross(mi.Point3f(vector(start)), mi.Vector3f(vector(direction)))
     point = np.array(crossing.point, dtype=float).T
     return point, np.array(crossing.direction, dtype=float).T, np.array(crossing.weight)
 

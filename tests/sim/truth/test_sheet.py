@@ -18,7 +18,7 @@ from sim.scene import Laser, Pose, Scene, head_pose, rotation_y, sheet_pose, tar
 from sim.truth import StripeTruth, project, sheet_of, slice_visibility, stripe_truth
 from sim.truth.bow import bow_of, quarter
 from sim.truth.sheet import sheet_plane
-from sim.truth.surfaces import clipped
+from sim.truth.target.surfaces import clipped
 from sim.truth.visibility import fan_angle, passing_mm
 from sim.water import refractive_index
 

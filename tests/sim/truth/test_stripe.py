@@ -27,9 +27,9 @@ from sim.truth import (
     stripe_truths,
     surfaces_of,
 )
-from sim.truth.mesh import Mesh
-from sim.truth.section import grooved_block_surfaces, target_surfaces
-from sim.truth.stripe import Crossings, continued, edge_distance
+from sim.truth.stripe import ColumnCrossings, continued, edge_distance
+from sim.truth.target.mesh import Mesh
+from sim.truth.target.section import grooved_block_surfaces, target_surfaces
 from sim.truth.visibility import blocked, fan_angle, passing_mm
 
 FEW = settings(max_examples=10)
@@ -408,7 +408,7 @@ def test_grains_of_sand_are_no_edges():
 
 def test_a_line_that_folds_over_jumps():
     """Two pieces of one chain in neighbouring columns, too far apart for their slopes."""
-    folded = Crossings(
+    folded = ColumnCrossings(
         column=np.array([0, 1, 2, 3]),
         centre_px=np.array([10.0, 11.0, 20.0, 21.2]),
         slope=np.array([1.0, 1.0, 1.0, 1.4]),

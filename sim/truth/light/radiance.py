@@ -7,11 +7,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from lscan.records import Floats, Status
-from sim.scene import FlatPort, Laser, Line, Scene, head_pose, into_world
-from sim.truth.flat import flat_normal
-from sim.truth.projection import RaysToPoints, TrueCamera, camera_of, rays_to
-from sim.truth.reflection import Lit, Reflectance
-from sim.truth.sheet import Sheet
+from sim.scene import FlatPort, Laser, LaserLine, Scene, head_pose, into_world
+from sim.truth.camera.flat import flat_normal
+from sim.truth.camera.projection import RaysToPoints, TrueCamera, camera_of, rays_to
+from sim.truth.light.reflection import Lit, Reflectance
+from sim.truth.sheet import TrueSheet
 from sim.truth.stripe import StripeTruth
 from sim.truth.visibility import fan_angle
 from sim.water import water_optics
@@ -61,7 +61,7 @@ def line_in_space(
 
 
 def line_radiance(
-    scene: Scene, reflectance: Reflectance, line: LineInSpace, sheet: Sheet, number: int
+    scene: Scene, reflectance: Reflectance, line: LineInSpace, sheet: TrueSheet, number: int
 ) -> Floats:
     """Radiance of the line's middle, not yet blurred by the lens.
 
@@ -90,7 +90,7 @@ def line_radiance(
 
 
 def irradiance(
-    laser: Laser, line: Line, sheet: Sheet, points: Floats, water_index: float
+    laser: Laser, line: LaserLine, sheet: TrueSheet, points: Floats, water_index: float
 ) -> Floats:
     """Irradiance in the sheet's middle, across the light's way; without the water's loss.
 

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from lscan import camera as instrument
 from lscan.camera.lens import fold_radius as instruments_fold
 from sim.scene import FlatPort, Lens, Pose
-from sim.truth.projection import TrueCamera, fold_radius, image, rays_to
+from sim.truth.camera.projection import TrueCamera, fold_radius, image, rays_to
 
 MANY = settings(max_examples=60, deadline=None, derandomize=True)
 LENS = st.builds(

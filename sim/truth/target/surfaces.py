@@ -22,7 +22,7 @@ LEVEL_MM = 1e-9
 MOST_PAIRS = 1_000_000  # of pieces and edges compared at a time
 
 
-class Surface(Protocol):
+class TankSurface(Protocol):
     """One surface in the world frame, mm."""
 
     def cut(self, sheet: Pose, bow: Bow | None = None) -> Floats:

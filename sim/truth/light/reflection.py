@@ -16,8 +16,8 @@ from scipy.special import erf, roots_legendre
 from lscan.records import Floats, Ints, Mask
 from sim.meshes import Paint, reflectance_at, target_parts
 from sim.scene import Scene, target_pose
-from sim.truth.mesh import Mesh
-from sim.truth.surfaces import Surface
+from sim.truth.target.mesh import Mesh
+from sim.truth.target.surfaces import TankSurface
 from sim.water import water_optics
 
 FRESNEL_NODES = 64  # of the mean over a hemisphere: good to 1e-4
@@ -46,7 +46,7 @@ class Reflectance:
     """
 
     scene: Scene
-    surfaces: Sequence[Surface]
+    surfaces: Sequence[TankSurface]
     albedo: float
     paint: Paint | None
 
@@ -108,7 +108,7 @@ class Reflectance:
         return np.asarray(map_coordinates(self.paint.levels, at, order=1, mode="grid-wrap"))
 
 
-def reflectance_of(scene: Scene, surfaces: Sequence[Surface]) -> Reflectance:
+def reflectance_of(scene: Scene, surfaces: Sequence[TankSurface]) -> Reflectance:
     """What the scene's surfaces reflect; InputError where a file of theirs cannot be read.
 
     surfaces: those of ``surfaces_of(scene)``.

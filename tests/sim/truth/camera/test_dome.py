@@ -10,9 +10,9 @@ from truth_scenes import tank
 
 from sim.scene import DomePort, FlatPort, camera_pose
 from sim.truth import entry_points, project
-from sim.truth.dome import dome_rays, polar_angle
-from sim.truth.flat import flat_rays
-from sim.truth.projection import camera_of
+from sim.truth.camera.dome import dome_rays, polar_angle
+from sim.truth.camera.flat import flat_rays
+from sim.truth.camera.projection import camera_of
 
 MANY = settings(max_examples=60)
 

@@ -13,14 +13,14 @@ from lscan.records import Floats, Ints, Mask
 from sim.meshes import target_mesh
 from sim.scene import FLOOR_HALF_SIDE_MM, Pose, Scene, target_pose
 from sim.truth.bow import Bow
-from sim.truth.chains import chains
-from sim.truth.mesh import Mesh
-from sim.truth.surfaces import Polygon, Surface, extrusion, spread
-from sim.truth.wave import sandwave_surfaces
+from sim.truth.target.chains import chains
+from sim.truth.target.mesh import Mesh
+from sim.truth.target.surfaces import Polygon, TankSurface, extrusion, spread
+from sim.truth.target.wave import sandwave_surfaces
 
 
 @dataclass(frozen=True)
-class Section:
+class SheetSection:
     """A section as straight pieces, in no particular order.
 
     ends_mm: (M, 2, 2) two ends of (x, z) of each piece, in the sheet's plane (sim.truth.sheet).
@@ -32,12 +32,12 @@ class Section:
     face: Ints
     chain: Ints
 
-    def only(self, kept: Mask) -> Section:
+    def only(self, kept: Mask) -> SheetSection:
         """The pieces where ``kept``, (M,), is true."""
-        return Section(self.ends_mm[kept], self.face[kept], self.chain[kept])
+        return SheetSection(self.ends_mm[kept], self.face[kept], self.chain[kept])
 
 
-def surfaces_of(scene: Scene) -> list[Surface]:
+def surfaces_of(scene: Scene) -> list[TankSurface]:
     """All surfaces of the scene in the world frame: the target's, then the floor if any."""
     surfaces = target_surfaces(scene)
     floor = scene.tank.floor
@@ -48,7 +48,7 @@ def surfaces_of(scene: Scene) -> list[Surface]:
     return surfaces
 
 
-def target_surfaces(scene: Scene) -> list[Surface]:
+def target_surfaces(scene: Scene) -> list[TankSurface]:
     """The target's surfaces: analytic where its shape is, else its mesh."""
     target, rig, pose = scene.tank.target, scene.rig, target_pose(scene)
     if target.shape == "none":
@@ -64,27 +64,29 @@ def target_surfaces(scene: Scene) -> list[Surface]:
     return sandwave_surfaces(rig.workpiece, pose)
 
 
-def board_surfaces(board: Board, pose: Pose) -> list[Surface]:
+def board_surfaces(board: Board, pose: Pose) -> list[TankSurface]:
     """The plate: its face, with the marks, in y = 0 of its frame, its body behind."""
     left, right, bottom, top = board.outline_mm()
     outline = np.array([[left, bottom], [right, bottom], [right, top], [left, top]])
     return prism(outline, 0.0, board.plate.thickness_mm, pose)
 
 
-def grooved_block_surfaces(block: GroovedBlock, pose: Pose) -> list[Surface]:
+def grooved_block_surfaces(block: GroovedBlock, pose: Pose) -> list[TankSurface]:
     """The block's two ends, then its long faces in the order of its outline."""
     half = block.length_mm / 2
     return prism(block.outline_mm(), -half, half, pose)
 
 
-def prism(outline: Floats, front_mm: float, back_mm: float, pose: Pose) -> list[Surface]:
+def prism(outline: Floats, front_mm: float, back_mm: float, pose: Pose) -> list[TankSurface]:
     """The faces of a (K, 2) outline in (x, z) drawn out along y from front to back."""
     base = np.column_stack([outline[:, 0], np.full(len(outline), front_mm), outline[:, 1]])
     faces = extrusion(base, np.array([0.0, back_mm - front_mm, 0.0]))
     return [Polygon(pose.apply(face)) for face in faces]
 
 
-def section_at(surfaces: Sequence[Surface], sheet: Pose, bow: Bow | None = None) -> Section:
+def section_at(
+    surfaces: Sequence[TankSurface], sheet: Pose, bow: Bow | None = None
+) -> SheetSection:
     """The section of the surfaces by a sheet; sheet: frame of its plane to world frame.
 
     A flat sheet cuts polygons exactly, the sandwave within 1e-4 mm, meshes as their triangles
@@ -95,10 +97,10 @@ def section_at(surfaces: Sequence[Surface], sheet: Pose, bow: Bow | None = None)
     face = np.repeat(np.arange(len(pieces)), [len(piece) for piece in pieces])
     ends = np.concatenate([np.empty((0, 2, 2)), *pieces])
     creased = np.array([isinstance(surface, Mesh) and surface.creased for surface in surfaces])
-    return Section(ends, face, chains(ends, face, creased[face]))
+    return SheetSection(ends, face, chains(ends, face, creased[face]))
 
 
-def split(section: Section, longest_mm: float) -> Section:
+def split(section: SheetSection, longest_mm: float) -> SheetSection:
     """The same section in pieces no longer than ``longest_mm``."""
     start, end = section.ends_mm[:, 0], section.ends_mm[:, 1]
     count = np.ceil(np.linalg.norm(end - start, axis=1) / longest_mm).astype(int)
@@ -106,4 +108,4 @@ def split(section: Section, longest_mm: float) -> Section:
     owner, step = spread(count)
     parts = np.stack([step, step + 1]) / count[owner]
     ends = [start[owner] + part[:, np.newaxis] * (end[owner] - start[owner]) for part in parts]
-    return Section(np.stack(ends, axis=1), section.face[owner], section.chain[owner])
+    return SheetSection(np.stack(ends, axis=1), section.face[owner], section.chain[owner])

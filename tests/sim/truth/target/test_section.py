@@ -13,16 +13,16 @@ from truth_scenes import BOARD, block_mesh, tank
 from lscan.config.targets import GroovedBlock, Sandwave
 from lscan.errors import InputError
 from sim.scene import Pose, head_pose, rotation_x, rotation_y, rotation_z
-from sim.truth.mesh import Mesh
-from sim.truth.section import (
-    Section,
+from sim.truth.target.mesh import Mesh
+from sim.truth.target.section import (
+    SheetSection,
     grooved_block_surfaces,
     section_at,
     split,
     surfaces_of,
 )
-from sim.truth.surfaces import Polygon, spread, within
-from sim.truth.wave import Wave, sandwave_surfaces
+from sim.truth.target.surfaces import Polygon, spread, within
+from sim.truth.target.wave import Wave, sandwave_surfaces
 
 MANY = settings(max_examples=30)
 TILT = st.floats(-8, 8)
@@ -213,7 +213,7 @@ def test_floor_and_board_stand_where_they_should():
 @given(seed=st.integers(0, 2**31), longest=st.floats(0.05, 3))
 def test_split_keeps_the_curve(seed, longest):
     rng = np.random.default_rng(seed)
-    whole = Section(rng.uniform(-5, 5, (7, 2, 2)), np.arange(7), np.arange(7))
+    whole = SheetSection(rng.uniform(-5, 5, (7, 2, 2)), np.arange(7), np.arange(7))
     parts = split(whole, longest)
     assert lengths(parts.ends_mm).max() <= longest * (1 + 1e-12)
     for face in range(7):

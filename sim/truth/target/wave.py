@@ -13,7 +13,7 @@ from lscan.records import Floats, Mask
 from sim.scene import Pose
 from sim.truth.bow import Bow
 from sim.truth.roots import increasing_roots
-from sim.truth.surfaces import SELF_MM, Polygon, Surface, extrusion, stretch
+from sim.truth.target.surfaces import SELF_MM, Polygon, TankSurface, extrusion, stretch
 
 SAMPLE_MM = 0.05  # of the section: its chords stay within 1e-4 mm of eq. (4)
 MARCH_MM = 0.25  # along lines of sight: a crest they cut by less than 3 um may be missed
@@ -173,7 +173,7 @@ def boundaries(inside: Callable[[Floats], Mask], x: Floats) -> Floats:
     return high
 
 
-def sandwave_surfaces(shape: Sandwave, pose: Pose) -> list[Surface]:
+def sandwave_surfaces(shape: Sandwave, pose: Pose) -> list[TankSurface]:
     """The block's surfaces: wave, rim, sides and underside, the wave's walls, the wedges."""
     outer = square(-shape.rim_mm, shape.side_mm + shape.rim_mm)
     inner = square(0.0, shape.side_mm)

@@ -11,7 +11,7 @@ import trimesh
 from lscan.records import Floats, Ints, Mask
 from sim.scene import Pose
 from sim.truth.bow import Bow, bowed_pieces
-from sim.truth.surfaces import spread, stretch
+from sim.truth.target.surfaces import spread, stretch
 
 CELL_TRIANGLES = 2.0  # a cell's side over that of a triangle, about
 MOST_CELLS = 1000  # along a side of the grid

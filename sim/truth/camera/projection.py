@@ -1,4 +1,4 @@
-"""Where a point of the water is seen: port (sim.truth.flat, sim.truth.dome), pinhole, lens."""
+"""Where a point of the water is seen: port, pinhole, distortion."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ from scipy.optimize import brentq
 from lscan.errors import InputError
 from lscan.records import Floats
 from sim.scene import FlatPort, Lens, Port, Pose, Scene, camera_pose
-from sim.truth.dome import dome_rays
-from sim.truth.flat import flat_rays
+from sim.truth.camera.dome import dome_rays
+from sim.truth.camera.flat import flat_rays
 from sim.water import glass_index, water_optics
 
 MOST_HALVINGS = 2000  # more than float64 has numbers between 0 and 1, halved

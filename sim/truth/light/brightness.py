@@ -1,9 +1,9 @@
 """How bright the true line is in its picture, and how far it stands out of the noise.
 
-The light of the line's middle (sim.truth.radiance), spread by lens and pixel, in the grey values
-of the channel that the instrument reads.  Left out are light that the water or other surfaces
-throw onto the line, the blur of a moving head, and what a colour filter's interpolation and JPEG
-do: a line they blur is lower.
+The light of the line's middle (sim.truth.light.radiance), spread by lens and pixel, in the grey
+values of the channel that the instrument reads.  Left out are light that the water or other
+surfaces throw onto the line, the blur of a moving head, and what a colour filter's interpolation
+and JPEG do: a line they blur is lower.
 """
 
 from __future__ import annotations
@@ -20,14 +20,20 @@ from sim.scene import FlatPort, Scene
 from sim.sensor.coding import FULL_SCALE_DN
 from sim.sensor.radiometry import AMBIENT_NM, photons_per_radiance
 from sim.sensor.speckle import speckle_contrast
-from sim.truth.flat import flat_normal
-from sim.truth.projection import TrueCamera, camera_of, project, rays_to
-from sim.truth.radiance import LineInSpace, half_width_mm, line_in_space, line_radiance, port_weight
-from sim.truth.reflection import Reflectance, reflectance_of
-from sim.truth.section import surfaces_of
-from sim.truth.sheet import Sheet, sheet_of
+from sim.truth.camera.flat import flat_normal
+from sim.truth.camera.projection import TrueCamera, camera_of, project, rays_to
+from sim.truth.light.radiance import (
+    LineInSpace,
+    half_width_mm,
+    line_in_space,
+    line_radiance,
+    port_weight,
+)
+from sim.truth.light.reflection import Reflectance, reflectance_of
+from sim.truth.sheet import TrueSheet, sheet_of
 from sim.truth.shutter import row_positions_mm
 from sim.truth.stripe import StripeTruth
+from sim.truth.target.section import surfaces_of
 from sim.water import water_optics
 
 STEP_MM = 0.01  # of differences: the projection's third derivative costs 1e-9 of a slope
@@ -114,7 +120,9 @@ def _brightness(
     return LineBrightness(*entries)
 
 
-def brightest_pixel(scene: Scene, line: LineInSpace, sheet: Sheet, truth: StripeTruth) -> Floats:
+def brightest_pixel(
+    scene: Scene, line: LineInSpace, sheet: TrueSheet, truth: StripeTruth
+) -> Floats:
     """(N,) light of the brightest pixel across the line, over that of its unblurred middle.
 
     A straight line, Gaussian across: its variance grows by the point spread's (core and glare
@@ -143,7 +151,7 @@ def brightest_pixel(scene: Scene, line: LineInSpace, sheet: Sheet, truth: Stripe
     return light
 
 
-def offset_per_px(scene: Scene, line: LineInSpace, sheet: Sheet) -> Floats:
+def offset_per_px(scene: Scene, line: LineInSpace, sheet: TrueSheet) -> Floats:
     """(N, 2) mm by which the surface leaves the sheet's middle per px of u and of v.
 
     Along the tangent plane, by differences of the projection and of the sheet's clearance.

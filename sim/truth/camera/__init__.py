@@ -1,0 +1,1 @@
+"""Where a camera behind a flat port or a dome sees a point of the water."""

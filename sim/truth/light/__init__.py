@@ -1,0 +1,1 @@
+"""How bright the true line is in its picture."""

@@ -1,0 +1,1 @@
+"""The target and all else that stands in the tank, cut by the laser's sheet."""
