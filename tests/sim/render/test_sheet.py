@@ -14,9 +14,12 @@ from lscan.records import Floats
 from sim.render.plugins.sheet import BOW_NODES, LaserSheet, bow
 from sim.scene import Head, Laser, Pose, head_pose, sheet_pose
 from sim.truth.bow import bow_of
-from sim.truth.sheet import Sheet, sheet_plane
+from sim.truth.sheet import TrueSheet, sheet_plane
 
-INDEX, NM = 1.3313, 650.0  # fresh water in a red diode's light, physics.md section 1
+INDEX, NM = (
+    1.3313,
+    650.0,
+)  # fresh water in a red diode's light, docs/explanation/physics.md, section 1
 STILL = Pose(np.eye(3), np.zeros(3))
 FEW = settings(max_examples=25)
 # Positions of up to 1000 mm in single precision: half a unit in the last place is 3e-5 mm,
@@ -124,7 +127,7 @@ def test_no_light_outside_the_fan() -> None:
 
 
 def test_the_sheet_spreads_as_a_gaussian_beam() -> None:
-    """physics.md section 4: in water at 650 nm w0 = 0.25 mm gives z_R = 0.402 m, w(1 m) 0.67."""
+    """docs/explanation/physics.md, section 4: in water at 650 nm w0 = 0.25 mm gives z_R = 0.402 m, w(1 m) 0.67."""
     laser = Laser(power_mw=1, apex_mm=(0, 0, 0), waist_mm=0.25, waist_distance_mm=0)
     (sheet,) = sheets_of(laser)
     assert float(sheet.rayleigh[0]) == pytest.approx(402, abs=0.5)
@@ -134,7 +137,7 @@ def test_the_sheet_spreads_as_a_gaussian_beam() -> None:
 
 
 def test_the_sheet_is_its_thin_limit_across() -> None:
-    """What crosses a strip of the fan is P f(phi) / rho, physics.md section 7: the scale of
+    """What crosses a strip of the fan is P f(phi) / rho, docs/explanation/physics.md, section 7: the scale of
     the irradiance by an integral that Mitsuba has no part in."""
     laser = Laser(power_mw=1, apex_mm=(0, 0, 0), fan_half_angle_deg=30, waist_mm=2)
     (sheet,) = sheets_of(laser)
@@ -169,7 +172,7 @@ def test_the_sheet_lies_where_the_truth_has_it(laser: Laser, seed: int, position
     generator = np.random.default_rng(seed)
     head = head_pose(Head(camera_mm=(0, 0, 0), yaw_deg=3.0), position)
     (sheet,) = sheets_of(laser, head)
-    truth = Sheet(sheet_plane(laser, laser.sheets[0]), bow_of(laser, INDEX))
+    truth = TrueSheet(sheet_plane(laser, laser.sheets[0]), bow_of(laser, INDEX))
 
     half = np.radians(laser.fan_half_angle_deg)
     phi, rho = generator.uniform(-0.99 * half, 0.99 * half, 50), generator.uniform(100, 700, 50)

@@ -15,7 +15,7 @@ from lscan.camera.lens import fold_radius as instruments_fold
 from sim.scene import FlatPort, Lens, Pose
 from sim.truth.camera.projection import TrueCamera, fold_radius, image, rays_to
 
-MANY = settings(max_examples=60, deadline=None, derandomize=True)
+MANY = settings(max_examples=60)
 LENS = st.builds(
     Lens,
     focal_px=st.floats(500, 1500),
