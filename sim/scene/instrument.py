@@ -57,7 +57,7 @@ class FlatPort(Strict):
     kind: Literal["flat"] = "flat"
     gap_mm: PositiveFloat = 10.0
     thickness_mm: PositiveFloat = 6.0
-    glass_index: Glass = 1.488  # PMMA, physics.md section 1
+    glass_index: Glass = 1.488  # PMMA, docs/explanation/physics.md, section 1
     tilt_x_deg: SmallAngle = 0.0
     tilt_y_deg: SmallAngle = 0.0
 
@@ -203,7 +203,7 @@ class Laser(Strict):
     def half_thickness_mm(self, distance_mm: Floats, water_index: float) -> Floats:
         """1/e2 half thickness of the sheet at distances from the apex, mm.
 
-        That of a Gaussian beam about its waist (physics.md, section 4).
+        That of a Gaussian beam about its waist (docs/explanation/physics.md, section 4).
         """
         rayleigh_mm = pi * self.waist_mm**2 * water_index / (self.wavelength_nm * 1e-6 * self.m2)
         off_waist = (distance_mm - self.waist_distance_mm) / rayleigh_mm
@@ -227,7 +227,9 @@ class Response(Strict):
 
 
 class Sensor(Strict):
-    """EMVA 1288 linear model of a webcam's sensor (physics.md section 5), and what follows it.
+    """EMVA 1288 linear model of a webcam's sensor, and what follows it.
+
+    See docs/explanation/physics.md, section 5.
 
     gain: 1 puts the full well at 255 DN.  gamma: the camera's; 1 is linear, a webcam has 2.2.
     prnu, dsnu_e: spread of the pixels' sensitivities, and of their offsets in electrons.

@@ -16,7 +16,8 @@ from lscan.records import Floats
 
 DEPOLARISATION = 0.039  # of water's molecules: Zhang, Hu & He 2009
 
-# Four Henyey-Greenstein lobes fitted to Petzold's average particle (physics.md section 3):
+# Four Henyey-Greenstein lobes fitted to Petzold's average particle (docs/explanation/physics.md,
+# section 3):
 # within .91 to 1.13 of his table from 0.1 to 180 degrees.  One lobe fails in backscatter,
 # where many rigs look.
 PARTICLE_WEIGHTS = (0.11984, 0.37028, 0.50780, 0.00208)

@@ -83,8 +83,8 @@ class SheetIntegrator(mi.SamplingIntegrator):
         """Laser to water to camera: the in-scattering point is drawn about the crossing.
 
         Along the ray the sheet is very nearly a Gaussian about the crossing t0 of its middle
-        plane, with sigma = w / (2 |d.n|) (physics.md section 7).  Drawing t from that
-        Gaussian, cut at the surface, leaves an integrand that hardly varies.
+        plane, with sigma = w / (2 |d.n|) (docs/explanation/physics.md, section 7).  Drawing t
+        from that Gaussian, cut at the surface, leaves an integrand that hardly varies.
         """
         end = dr.select(si.is_valid(), si.t, dr.largest(mi.Float))
         crossing, slope = crossing_of(sheet, ray)

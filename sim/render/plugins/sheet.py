@@ -85,8 +85,9 @@ class LaserSheet(mi.Emitter):
     def irradiance(self, point: mi.Point3f, time: mi.Float) -> mi.Float:
         """mW/mm2 on a surface that faces the apex at ``point``, without the water's loss.
 
-        E = P f(phi) / rho * sqrt(2/pi) / w * exp(-2 s2 / w2), physics.md section 4: the fan's
-        power per arc of radius rho, spread over the Gaussian of 1/e2 half width w.
+        E = P f(phi) / rho * sqrt(2/pi) / w * exp(-2 s2 / w2), the fan's
+        power per arc of radius rho, spread over the Gaussian of 1/e2 half width w
+        (docs/explanation/physics.md, section 4).
         """
         phi, rho, s = self.coordinates(point, time)
         width = self.half_width(rho)
@@ -162,7 +163,7 @@ def fan_peak_density(laser: Laser, half_angle: float) -> float:
 def rayleigh_length_mm(laser: Laser, water_index: float, wavelength_nm: float) -> float:
     """Distance in mm from the waist at which the sheet is sqrt(2) as thick.
 
-    z_R = pi w0^2 n / (lambda M2), physics.md section 4.
+    z_R = pi w0^2 n / (lambda M2), docs/explanation/physics.md, section 4.
     """
     return pi * laser.waist_mm**2 * water_index / (wavelength_nm * 1e-6 * laser.m2)
 

@@ -196,7 +196,7 @@ def test_the_sheet_is_thinnest_at_its_waist():
     middle = np.nanargmin(np.abs(line.xz_mm[:, 0]))
     width = half_width_mm(scene, line)
     assert width[middle] == pytest.approx(0.3, rel=1e-4)  # the floor is 600 mm off
-    # w0 0.5 mm: 0.589 mm one metre from the waist (physics.md section 4).
+    # w0 0.5 mm: 0.589 mm one metre from the waist (docs/explanation/physics.md, section 4).
     far = floor(waist_mm=0.5, waist_distance_mm=-400.0)
     assert half_width_mm(far, stripe_truth(far, 0.0))[middle] == pytest.approx(0.589, abs=1e-3)
 

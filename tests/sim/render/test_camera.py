@@ -193,7 +193,8 @@ def test_rays_leave_from_the_glass_and_are_unit() -> None:
 
 
 def test_the_field_of_view_shrinks_by_the_index() -> None:
-    """The ratio of sines is exactly n: 30 degrees in air is 22.06 in water (physics.md, 6)."""
+    """The ratio of sines is exactly n: 30 degrees in air is 22.06 in water
+    (docs/explanation/physics.md, section 6)."""
     lens = Lens(focal_px=300.0, centre_px=(319.5, 239.5))
     scene = scene_with(lens, FlatPort(), SCENE.tank.head)
     index = water_optics(scene.tank.water, 650.0).index

@@ -42,7 +42,8 @@ def veil(sheet: LaserSheet, water: Optics, start: Floats, along: Floats, count: 
     return np.array(layers[1], dtype=float)
 
 
-# Published check values, physics.md section 7: metres and watts there, mm and mW here.
+# Published check values, docs/explanation/physics.md, section 7: metres and watts there, mm and mW
+# here.
 CHECK = [(0.0, 5.942212822e-4), (0.1, 9.540600974e-4), (0.2, 1.300616580e-3)]
 
 

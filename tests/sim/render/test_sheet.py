@@ -19,7 +19,7 @@ from sim.truth.sheet import TrueSheet, sheet_plane
 INDEX, NM = (
     1.3313,
     650.0,
-)  # fresh water in a red diode's light, docs/explanation/physics.md, section 1
+)  # fresh water, red diode: docs/explanation/physics.md, section 1
 STILL = Pose(np.eye(3), np.zeros(3))
 FEW = settings(max_examples=25)
 # Positions of up to 1000 mm in single precision: half a unit in the last place is 3e-5 mm,
@@ -127,7 +127,10 @@ def test_no_light_outside_the_fan() -> None:
 
 
 def test_the_sheet_spreads_as_a_gaussian_beam() -> None:
-    """docs/explanation/physics.md, section 4: in water at 650 nm w0 = 0.25 mm gives z_R = 0.402 m, w(1 m) 0.67."""
+    """In water at 650 nm w0 = 0.25 mm gives z_R = 0.402 m, w(1 m) 0.67.
+
+    docs/explanation/physics.md, section 4.
+    """
     laser = Laser(power_mw=1, apex_mm=(0, 0, 0), waist_mm=0.25, waist_distance_mm=0)
     (sheet,) = sheets_of(laser)
     assert float(sheet.rayleigh[0]) == pytest.approx(402, abs=0.5)
@@ -137,8 +140,12 @@ def test_the_sheet_spreads_as_a_gaussian_beam() -> None:
 
 
 def test_the_sheet_is_its_thin_limit_across() -> None:
-    """What crosses a strip of the fan is P f(phi) / rho, docs/explanation/physics.md, section 7: the scale of
-    the irradiance by an integral that Mitsuba has no part in."""
+    """The power across a strip of the fan is P f(phi) / rho.
+
+    docs/explanation/physics.md, section 7.
+
+    The scale of the irradiance by an integral that Mitsuba has no part in.
+    """
     laser = Laser(power_mw=1, apex_mm=(0, 0, 0), fan_half_angle_deg=30, waist_mm=2)
     (sheet,) = sheets_of(laser)
     s = np.linspace(-12, 12, 2001)

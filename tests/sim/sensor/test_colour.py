@@ -142,7 +142,7 @@ def coding_error_px(sigma_px: float, reach: float = 3.0, **coding: object) -> fl
 def test_coding_errors_of_a_line_are_of_the_order_published(
     sigma_px: float, bayer: float, jpeg90: float, jpeg75: float, both: float
 ) -> None:
-    """The table of physics.md section 5, whose windows and slopes are not given.
+    """The table of docs/explanation/physics.md, section 5, whose windows and slopes are not given.
 
     Of its order means within a factor of sqrt(10) either way.
     """
@@ -161,7 +161,7 @@ def test_eight_bits_cost_no_more_than_independent_rounding(sigma_px: float) -> N
     """Rounding of 1/sqrt(12) DN in every row of the window, carried into the centroid.
 
     The window cuts nothing off, and the wings round to zero with less error than that, so it
-    is an upper bound, but for 3 standard errors; physics.md section 5
+    is an upper bound, but for 3 standard errors; docs/explanation/physics.md, section 5
     has 0.016 to 0.004 px under conditions it does not give.
     """
     half = np.ceil(5 * sigma_px)

@@ -24,7 +24,8 @@ from sim.sensor.speckle import speckle_contrast, speckle_pattern
 def test_contrast_of_webcams(
     pixel_um: float, f_number: float, polarised: float, depolarised: float
 ) -> None:
-    """The numbers of physics.md section 4, at 650 nm, to the two digits given there."""
+    """The numbers of docs/explanation/physics.md, section 4, at 650 nm, to the two digits given
+    there."""
     assert round(speckle_contrast(pixel_um, f_number, 650.0, "polarised"), 2) == polarised
     assert round(speckle_contrast(pixel_um, f_number, 650.0, "depolarised"), 2) == depolarised
 
@@ -127,7 +128,8 @@ def scatter_px(scene: Scene, sigma_px: float, peak_e: float, pictures: int) -> F
 
 @pytest.mark.parametrize("sigma_px", [1.0, 2.0, 3.0])
 def test_speckle_scatters_the_centroid_as_published(sigma_px: float) -> None:
-    """0.375 C sqrt(sigma) px (physics.md section 4), C sqrt(sigma/(4 sqrt(pi))) in closed form.
+    """0.375 C sqrt(sigma) px (docs/explanation/physics.md, section 4), C sqrt(sigma/(4 sqrt(pi)))
+    in closed form.
 
     3 standard errors of a standard deviation, 3/sqrt(2 N); the closed form is the first order
     in C, and what it leaves out is of the order of the relative variance of the column's sum,
@@ -146,7 +148,8 @@ def test_speckle_scatters_the_centroid_as_published(sigma_px: float) -> None:
 
 
 def test_shot_noise_scatters_the_centroid_by_width_over_root_n() -> None:
-    """sigma/sqrt(N) of N electrons in the column (physics.md section 4); 3 standard errors.
+    """sigma/sqrt(N) of N electrons in the column (docs/explanation/physics.md, section 4); 3
+    standard errors.
 
     One DN an electron and no more than 250 of them: nothing is rounded.
     """
@@ -159,7 +162,8 @@ def test_shot_noise_scatters_the_centroid_by_width_over_root_n() -> None:
 
 
 def test_additive_noise_scatters_the_best_estimate_by_the_bound() -> None:
-    """(s/A) sqrt(2 w/sqrt(pi)) (physics.md section 4), reached by least squares of the shape.
+    """(s/A) sqrt(2 w/sqrt(pi)) (docs/explanation/physics.md, section 4), reached by least squares
+    of the shape.
 
     Dark noise of 4 DN on a peak of 150 DN; rounding and shot noise (below 1e-2 of the dark
     noise's variance) are added to it.  3 standard errors.

@@ -16,7 +16,8 @@ from sim.sensor import Webcam
 
 PAPER = SCENES / "paper"
 EXPOSURE_MS, F_NUMBER, LENS_T, PIXEL_M, FOCAL_PX = 10.0, 2.8, 0.85, 6e-6, 400.0
-WATER, GLASS = 1.331324, 1.488  # Quan & Fry at 20 C, 650 nm (physics.md section 1); PMMA
+# Quan & Fry at 20 C, 650 nm (docs/explanation/physics.md, section 1); PMMA
+WATER, GLASS = 1.331324, 1.488
 DEPTH_MM, GAP_MM, GLASS_MM, ALBEDO = 600.0, 10.0, 6.0, 0.3
 POWER_W, HALF_FAN_DEG = 5e-3, 30.0
 JOULE_METRE = 6.62607015e-34 * 299792458  # h c

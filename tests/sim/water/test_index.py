@@ -18,7 +18,8 @@ from sim.water import (
     refractive_index,
 )
 
-# physics.md section 1, 650 nm: T, Quan & Fry at S 0, the same times air, and both at S 35.
+# docs/explanation/physics.md, section 1, 650 nm: T, Quan & Fry at S 0, the same times air, and both
+# at S 35.
 QUAN_FRY = [
     (0, 1.332262, 1.332630, 1.339110, 1.339480),
     (10, 1.331995, 1.332363, 1.338532, 1.338902),

@@ -22,9 +22,10 @@ from sim.water.petzold import TABLE_PER_SR, TABLE_RAD, table_density, table_inte
 
 ANGLES = np.concatenate([[0.0], np.geomspace(1e-5, np.pi, 2000)])
 QUADRATURE = 1e-6  # of the panels, where a function has corners
-CDF = 2e-8  # accuracy physics.md section 3 gives the cumulative function
+CDF = 2e-8  # accuracy that docs/explanation/physics.md, section 3 gives the cumulative function
 
-# Petzold's average particle, degrees and 1/sr: every fifth row of physics.md section 3.
+# Petzold's average particle, degrees and 1/sr: every fifth row of docs/explanation/physics.md,
+# section 3.
 PETZOLD = [
     (0.1, 1.7826e3), (0.3162, 3.7978e2), (1, 7.2256e1), (3.162, 1.0106e1), (10, 1.1630),
     (35, 5.9844e-2), (60, 1.3244e-2), (85, 4.9979e-3), (110, 2.9386e-3), (135, 2.3982e-3),
@@ -207,7 +208,7 @@ def test_spheres_are_exact_near_delta_1(spheres, epsilon, decades):
     delta = 1 + (epsilon or 0.1) * 10**-decades
     angle = 2 * np.arcsin(np.sqrt(0.75 * delta) * (spheres.index - 1))
     expected = literal(spheres, angle)
-    # 2.3e-13 is what physics.md section 3 gives the series.
+    # 2.3e-13 is what docs/explanation/physics.md, section 3 gives the series.
     assert spheres.density(angle) == pytest.approx(expected, rel=2.3e-13)
 
 

@@ -21,7 +21,7 @@ from sim.water import (
     water_optics,
 )
 
-# physics.md section 2: printed absorption and scattering, 1/m.
+# docs/explanation/physics.md, section 2: printed absorption and scattering, 1/m.
 PETZOLD_532 = [("clear", 0.069, 0.080), ("coastal", 0.088, 0.216), ("harbor", 0.295, 1.875)]
 JERLOV_650 = [
     ("I", 0.309, 0.001), ("IB", 0.309, 0.045), ("II", 0.310, 0.270), ("III", 0.310, 0.737),
@@ -119,7 +119,8 @@ def test_a_tank_scatters_by_its_turbidity(ntu):
 
 
 def test_molecules_count_in_clear_water():
-    """physics.md, finding 4: at 650 nm and 170 degrees they compare with clear water's particles.
+    """docs/explanation/physics.md, section 2: at 650 nm and 170 degrees they compare with clear
+    water's particles.
 
     In Petzold's clear water b is 0.078 1/m of particles that scatter 3.06e-3 1/sr there, and
     8.5e-4 1/m of molecules that scatter 0.120 1/sr: 2.4e-4 and 1.0e-4 1/(m sr).
