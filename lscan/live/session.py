@@ -45,7 +45,7 @@ WAIT_S = 0.2
 
 
 @dataclass(frozen=True)
-class Picture:
+class LivePicture:
     """A picture and where the head stood, by the track, when it came; taken_s: monotonic."""
 
     grab: Grab
@@ -73,7 +73,7 @@ class Session:
     ) -> None:
         """Open the devices and begin to look; scans go into folders of ``output``."""
         self._rig_file, self._output, self._calibration = rig_file, output, calibration
-        self._pictures: Newest[Picture] = Newest()
+        self._pictures: Newest[LivePicture] = Newest()
         self._mode: Mode = "stripe"
         self._focus, self._reading = BestFocus(), None  # type: BestFocus, _Reading | None
         self._shown_s: float | None = None  # monotonic, when the newest picture came
@@ -175,7 +175,7 @@ class Session:
 
     def _show(self, grab: Grab) -> None:
         self._shown_s = time.monotonic()
-        self._pictures.put(Picture(grab, self._devices.position_mm, self._shown_s))
+        self._pictures.put(LivePicture(grab, self._devices.position_mm, self._shown_s))
 
     def _look(self) -> None:
         while not self._closing.is_set():
@@ -219,7 +219,7 @@ class Session:
                 self._reading = _Reading(read, picture.taken_s)
             self._closing.wait(REST_PER_READING * (time.monotonic() - picture.taken_s))
 
-    def _frame(self, number: int, picture: Picture) -> bytes:
+    def _frame(self, number: int, picture: LivePicture) -> bytes:
         """The picture measured and packed for the browsers, once for all of them."""
         mode = self._mode
         figures = self._figures(picture, mode)
@@ -246,7 +246,7 @@ class Session:
             return "scan"
         return "calibrated" if self._calibration else "alignment"
 
-    def _figures(self, picture: Picture, mode: Mode) -> Figures:
+    def _figures(self, picture: LivePicture, mode: Mode) -> Figures:
         settings, calibration = self._rig_file.rig.stripe, self._calibration
         try:
             if mode == "board":

@@ -11,7 +11,7 @@ from lscan.config.documents import Document, merge
 
 
 @dataclass(frozen=True)
-class Crossing:
+class CrossRule:
     """A rule and how to break it.
 
     rule: the model's validator as ``Model.name``, or a sentence where a driver checks it.
@@ -30,11 +30,11 @@ class Crossing:
         return merge(document, self.rig) == document
 
 
-def _read() -> Iterator[Crossing]:
+def _read() -> Iterator[CrossRule]:
     text = files("sim.testing").joinpath("crossings.toml").read_text(encoding="utf-8")
     for rule in tomllib.loads(text)["crossing"]:
         for rig in rule["rigs"]:
-            yield Crossing(rule["rule"], rig, rule["changes"], rule["key"], tuple(rule["words"]))
+            yield CrossRule(rule["rule"], rig, rule["changes"], rule["key"], tuple(rule["words"]))
 
 
-CROSSINGS: tuple[Crossing, ...] = tuple(_read())
+CROSSINGS: tuple[CrossRule, ...] = tuple(_read())

@@ -16,7 +16,7 @@ from lscan.config.rig import RigFile, parse_rig
 from lscan.devices.api import Camera, Grab, Track
 from lscan.devices.grbl.options import read_options
 from lscan.devices.opencv_camera import OpencvCamera, OpencvOptions
-from sim.testing.faults import FRAMES, KINDS, Fault
+from sim.testing.faults import FRAMES, KINDS, InjectedFault
 from sim.testing.faultycamera import HEIGHT_PX, WIDTH_PX, FaultyCamera
 from sim.testing.faultydisk import FaultyDisk
 from sim.testing.faultytrack import ZERO_MM, FaultyTrack
@@ -59,14 +59,14 @@ set wrong by less is borne, so there it must be long for a picture on a busy mac
 
 
 @dataclass
-class Bench:
+class FaultBench:
     """The devices of one experiment and its fault.
 
     reported: frames reported as done so far.  asked_s: frame to when its last grab began, on
     the monotonic clock.  struck: whether the fault's moment came.
     """
 
-    fault: Fault
+    fault: InjectedFault
     folder: Path
     seed: int
     reported: int = 0
@@ -177,7 +177,7 @@ class Bench:
 
 @dataclass(frozen=True)
 class _TrackDriver:
-    bench: Bench
+    bench: FaultBench
 
     def open(self, rig_file: RigFile) -> Track:
         return WatchedTrack(self.bench, self.bench.track.open(read_options(rig_file)))
@@ -185,7 +185,7 @@ class _TrackDriver:
 
 @dataclass(frozen=True)
 class _CameraDriver:
-    bench: Bench
+    bench: FaultBench
 
     def open(self, rig_file: RigFile, track: Track) -> Camera:
         faulty, section = self.bench.camera, rig_file.rig.camera
@@ -197,7 +197,7 @@ class _CameraDriver:
 class WatchedTrack:
     """A track whose moves the bench is told of."""
 
-    bench: Bench
+    bench: FaultBench
     real: Track
 
     @property
@@ -219,7 +219,7 @@ class WatchedTrack:
 class WatchedCamera:
     """A camera whose grabs the bench is told of."""
 
-    bench: Bench
+    bench: FaultBench
     real: Camera
 
     @property
@@ -241,9 +241,9 @@ class WatchedCamera:
 
 
 @contextmanager
-def bench_for(fault: Fault, folder: Path, seed: int) -> Iterator[Bench]:
+def bench_for(fault: InjectedFault, folder: Path, seed: int) -> Iterator[FaultBench]:
     """The bench, mended at the end so that no reading thread is left hanging."""
-    bench = Bench(fault, folder, seed)
+    bench = FaultBench(fault, folder, seed)
     try:
         yield bench
     finally:

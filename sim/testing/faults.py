@@ -27,7 +27,7 @@ PHASES: Final[tuple[Phase, ...]] = (
 
 
 @dataclass(frozen=True)
-class Kind:
+class FaultKind:
     """A kind of fault.
 
     says: what an error it leads to must say of what to do, as a regular expression; "" where
@@ -38,41 +38,41 @@ class Kind:
     says: str
 
 
-KINDS: Final[Mapping[str, Kind]] = {
-    "camera gone": Kind("camera", r"check cable and power|check that it is there"),
-    "camera hung": Kind("camera", r"check cable, power and light"),
-    "camera breaks": Kind("camera", r"check cable and power"),
-    "camera black": Kind("camera", r"take the cap off"),
-    "camera wrong size": Kind("camera", r"the rig says 64 by 48 px \(camera.width_px"),
-    "camera same twice": Kind("camera", r"plug it in anew"),
-    "camera late": Kind("camera", ""),
-    "camera garbage": Kind("camera", r"camera\.options\.pixel_format|camera\.width_px"),
-    "camera clock set": Kind("camera", r"its clock was set back"),
-    "serial silent": Kind("track", r"check cable and power|check the port"),
-    "serial garbled": Kind("track", r"check|shorten or shield|home"),
-    "serial noisy": Kind("track", r"check|shorten or shield|home"),
-    "serial unplugged": Kind("track", r"check the cable"),
-    "lost ok": Kind("track", r"check cable and power"),
-    "alarm": Kind("track", r"ALARM:\d.*clear the way, then home"),
-    "restart": Kind("track", r"has restarted.*home"),
-    "quiet restart": Kind("track", r"home"),
-    "stuck": Kind("track", r"check for a jam|check the way"),
-    "slow": Kind("track", r"check for a jam"),
-    "disk full": Kind("disk", r"No space left on device; make room"),
-    "file size limit": Kind("disk", r"File too large; .*limit"),
-    "folder read-only": Kind("disk", r"Read-only file system; make it writable"),
-    "folder vanished": Kind(
+KINDS: Final[Mapping[str, FaultKind]] = {
+    "camera gone": FaultKind("camera", r"check cable and power|check that it is there"),
+    "camera hung": FaultKind("camera", r"check cable, power and light"),
+    "camera breaks": FaultKind("camera", r"check cable and power"),
+    "camera black": FaultKind("camera", r"take the cap off"),
+    "camera wrong size": FaultKind("camera", r"the rig says 64 by 48 px \(camera.width_px"),
+    "camera same twice": FaultKind("camera", r"plug it in anew"),
+    "camera late": FaultKind("camera", ""),
+    "camera garbage": FaultKind("camera", r"camera\.options\.pixel_format|camera\.width_px"),
+    "camera clock set": FaultKind("camera", r"its clock was set back"),
+    "serial silent": FaultKind("track", r"check cable and power|check the port"),
+    "serial garbled": FaultKind("track", r"check|shorten or shield|home"),
+    "serial noisy": FaultKind("track", r"check|shorten or shield|home"),
+    "serial unplugged": FaultKind("track", r"check the cable"),
+    "lost ok": FaultKind("track", r"check cable and power"),
+    "alarm": FaultKind("track", r"ALARM:\d.*clear the way, then home"),
+    "restart": FaultKind("track", r"has restarted.*home"),
+    "quiet restart": FaultKind("track", r"home"),
+    "stuck": FaultKind("track", r"check for a jam|check the way"),
+    "slow": FaultKind("track", r"check for a jam"),
+    "disk full": FaultKind("disk", r"No space left on device; make room"),
+    "file size limit": FaultKind("disk", r"File too large; .*limit"),
+    "folder read-only": FaultKind("disk", r"Read-only file system; make it writable"),
+    "folder vanished": FaultKind(
         "disk", r"No such file or directory; (make its folder, or bring it back|check its name)"
     ),
-    "disk error": Kind("disk", r"Input/output error; check the disk"),
-    "disk error in fsync": Kind("disk", r"Input/output error; check the disk"),
-    "disk pulled": Kind("disk", r"Input/output error; check the disk"),
-    "wall clock set": Kind("clock", ""),
+    "disk error": FaultKind("disk", r"Input/output error; check the disk"),
+    "disk error in fsync": FaultKind("disk", r"Input/output error; check the disk"),
+    "disk pulled": FaultKind("disk", r"Input/output error; check the disk"),
+    "wall clock set": FaultKind("clock", ""),
 }
 
 
 @dataclass(frozen=True)
-class Fault:
+class InjectedFault:
     """One fault.
 
     frame: in whose turn it strikes.  phase: when within it; part: where within the phase, 0 to
@@ -93,7 +93,7 @@ class Fault:
         return int(self.part * CALLS_A_FRAME)
 
 
-def draw_fault(kind: str, generator: np.random.Generator) -> Fault:
+def draw_fault(kind: str, generator: np.random.Generator) -> InjectedFault:
     """A fault of this kind, its moment and its strength drawn."""
     device = KINDS[kind].device
     phase: Phase = PHASES[int(generator.integers(len(PHASES)))]
@@ -104,7 +104,7 @@ def draw_fault(kind: str, generator: np.random.Generator) -> Fault:
     # What strikes the devices after the last picture's move has nothing left to spoil.
     last = FRAMES if device == "disk" or phase == "before the move" else FRAMES - 1
     stamped = bool(generator.integers(2)) or kind == "camera clock set"
-    return Fault(
+    return InjectedFault(
         kind=kind,
         frame=0 if phase == "opening" else int(generator.integers(last)),
         phase=phase,

@@ -14,7 +14,7 @@ import numpy as np
 
 from lscan.devices.opencv_camera import OpencvOptions
 from lscan.records import Bytes
-from sim.testing.marks import Mark, draw_mark
+from sim.testing.marks import ExposureMark, draw_mark
 
 WIDTH_PX, HEIGHT_PX = 64, 48
 PERIOD_S = 0.001
@@ -94,7 +94,7 @@ class FaultyCamera:
         with self._lock:
             self._counter += 1
             head_mm, moving = self._look()
-            mark = Mark(self._counter, time.monotonic(), head_mm, moving)
+            mark = ExposureMark(self._counter, time.monotonic(), head_mm, moving)
             shape = (HEIGHT_PX, WIDTH_PX, 3)
             image = self._generator.integers(30, 60, shape, dtype=np.uint8)
         draw_mark(image, mark)

@@ -89,7 +89,7 @@ _TANK: Document = {
 
 
 @dataclass(frozen=True)
-class Part:
+class RigPart:
     """A table of a rig file that one model checks.
 
     prefix: the keys that lead to the table; () is the whole file.  sections: those of the
@@ -107,7 +107,7 @@ class GoodRig:
 
     name: str
     document: Document
-    parts: tuple[Part, ...]
+    parts: tuple[RigPart, ...]
 
     @property
     def drivers(self) -> tuple[str, str]:
@@ -167,16 +167,16 @@ def _sources() -> list[GoodRig]:
     ]
 
 
-def _of(model: type[Strict], *sections: str) -> Part:
-    return Part(model, (), sections)
+def _of(model: type[Strict], *sections: str) -> RigPart:
+    return RigPart(model, (), sections)
 
 
-def _of_camera(driver: str) -> Part:
-    return Part(CAMERAS[driver], ("camera", "options"), tuple(CAMERAS[driver].model_fields))
+def _of_camera(driver: str) -> RigPart:
+    return RigPart(CAMERAS[driver], ("camera", "options"), tuple(CAMERAS[driver].model_fields))
 
 
-def _of_track(driver: str) -> Part:
-    return Part(TRACKS[driver], ("track", "options"), tuple(TRACKS[driver].model_fields))
+def _of_track(driver: str) -> RigPart:
+    return RigPart(TRACKS[driver], ("track", "options"), tuple(TRACKS[driver].model_fields))
 
 
 def write_beside(folder: Path) -> None:
@@ -196,7 +196,7 @@ def write_beside(folder: Path) -> None:
 def _rig(
     camera: str,
     track: str,
-    *parts: Part,
+    *parts: RigPart,
     source: Document | None = None,
     switched: str = "untouched",
     **sections: Any,

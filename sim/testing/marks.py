@@ -16,7 +16,7 @@ LENGTH = _FIELDS.size + _CHECK.size
 
 
 @dataclass(frozen=True)
-class Mark:
+class ExposureMark:
     """One exposure.  counter: no two exposures have the same.
 
     exposed_s: on the machine's monotonic clock.  head_mm: where the head truly stood, counted
@@ -29,7 +29,7 @@ class Mark:
     moving: bool
 
 
-def draw_mark(image: Bytes, mark: Mark) -> None:
+def draw_mark(image: Bytes, mark: ExposureMark) -> None:
     """Write the mark, with its CRC-32, into the first pixels of the top row.
 
     image: (H, W, 3) uint8, W at least LENGTH.  All colours get the same bytes, so that it
@@ -40,7 +40,7 @@ def draw_mark(image: Bytes, mark: Mark) -> None:
     image[0, :LENGTH] = np.frombuffer(data, np.uint8)[:, None]
 
 
-def read_mark(image: Bytes) -> Mark | None:
+def read_mark(image: Bytes) -> ExposureMark | None:
     """The mark of a picture (H, W, 3) uint8; None where it carries none that is whole."""
     if image.ndim != 3 or image.shape[1] < LENGTH:
         return None
@@ -50,4 +50,4 @@ def read_mark(image: Bytes) -> Mark | None:
     data = first[:, 0].tobytes()
     if zlib.crc32(data[: _FIELDS.size]) != _CHECK.unpack(data[_FIELDS.size :])[0]:
         return None
-    return Mark(*_FIELDS.unpack(data[: _FIELDS.size]))
+    return ExposureMark(*_FIELDS.unpack(data[: _FIELDS.size]))

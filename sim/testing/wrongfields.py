@@ -56,7 +56,7 @@ class WrongField:
 
 
 @dataclass(frozen=True)
-class Place:
+class FieldPlace:
     """Where a rig file holds a field: its keys, the schema of its values, its present value.
 
     owner: the names of the model and of the field, None for an item of a list.
@@ -70,23 +70,25 @@ class Place:
     required: bool = False
 
 
-def places(rig: GoodRig) -> Iterator[Place]:
+def places(rig: GoodRig) -> Iterator[FieldPlace]:
     """Every field of the parts of a rig that are to be set wrong, tables before what they hold."""
     for part in rig.parts:
         table = _at(rig.document, part.prefix)
         yield from _members(part.prefix, schema_of(part.model), table, part.sections)
 
 
-def _members(keys: Keys, schema: Schema, table: Document, names: Sequence[str]) -> Iterator[Place]:
+def _members(
+    keys: Keys, schema: Schema, table: Document, names: Sequence[str]
+) -> Iterator[FieldPlace]:
     """The fields of these names, and all within them, of a table that is of one model."""
     [model] = [one for one in alternatives(schema) if _is_of(one, table)]
     for name in names or model["properties"]:
         field = model["properties"][name]
         owner, required = (model["title"], name), _is_required(name, model, schema)
-        yield from _within(Place((*keys, name), field, table.get(name), owner, required))
+        yield from _within(FieldPlace((*keys, name), field, table.get(name), owner, required))
 
 
-def _within(place: Place) -> Iterator[Place]:
+def _within(place: FieldPlace) -> Iterator[FieldPlace]:
     """The place and all within it, tables before what they hold."""
     yield place
     keys, value = place.keys, place.value
@@ -94,7 +96,7 @@ def _within(place: Place) -> Iterator[Place]:
         if isinstance(value, list) and one["type"] == "array":
             fixed = one.get("prefixItems") or [one["items"]] * len(value)
             for index, (schema, item) in enumerate(zip(fixed, value, strict=True)):
-                yield from _within(Place((*keys, index), schema, item))
+                yield from _within(FieldPlace((*keys, index), schema, item))
         elif isinstance(value, dict) and "properties" in one and _is_of(one, value):
             yield from _members(keys, place.schema, value, ())
 
@@ -121,7 +123,7 @@ def wrong_fields(rig: GoodRig) -> Iterator[WrongField]:
             yield from _wrong_keys(rig, place)
 
 
-def _wrong_values(rig: GoodRig, place: Place) -> Iterator[WrongField]:
+def _wrong_values(rig: GoodRig, place: FieldPlace) -> Iterator[WrongField]:
     words = tuple(words_wanted(place.schema))
     for value in wrong_values(place.schema, place.value):
         yield _changed(rig, place.keys, value, words)
@@ -130,7 +132,7 @@ def _wrong_values(rig: GoodRig, place: Place) -> Iterator[WrongField]:
         yield _changed(rig, place.keys, "no such name", names)
 
 
-def _wrong_keys(rig: GoodRig, place: Place) -> Iterator[WrongField]:
+def _wrong_keys(rig: GoodRig, place: FieldPlace) -> Iterator[WrongField]:
     """The field misspelt beside itself, and left out where it is needed."""
     *table, name = place.keys
     yield _changed(rig, (*table, f"{name}_"), 1, (str(name),))

@@ -72,7 +72,7 @@ class Row:
 
 
 @dataclass(frozen=True)
-class Check:
+class Topic:
     """One topic of the evidence.
 
     key: short name, unique on the page.  title: a few words.  text: what is compared and
@@ -157,7 +157,7 @@ def all_passed(rows: Iterable[Row]) -> bool:
     return all(row.passed is not False for row in rows)
 
 
-def rows_of(checks: Iterable[Check]) -> list[Row]:
+def rows_of(checks: Iterable[Topic]) -> list[Row]:
     """All rows of the checks, in order."""
     return [row for check in checks for row in check.rows]
 

@@ -48,7 +48,7 @@ Picture = Callable[[int], Floats]
 
 
 @dataclass(frozen=True)
-class Effort:
+class SpeedEffort:
     """How much is rendered.
 
     runs: pairs of pictures.  stock_samples: volpath's, a pixel.  converged: samples of the
@@ -62,12 +62,12 @@ class Effort:
     repeats: int
 
 
-FULL = Effort(runs=64, stock_samples=1024, converged=(4096, 2048), repeats=15)
-QUICK = Effort(runs=3, stock_samples=16, converged=(64, 32), repeats=1)
+FULL = SpeedEffort(runs=64, stock_samples=1024, converged=(4096, 2048), repeats=15)
+QUICK = SpeedEffort(runs=3, stock_samples=16, converged=(64, 32), repeats=1)
 
 
 @dataclass(frozen=True)
-class Run:
+class RunCost:
     """One pair of pictures: squared error times seconds, of ours and of the reference."""
 
     ours: float
@@ -103,7 +103,7 @@ def run_bench(scenes: Path, output: Path, quick: bool = False) -> list[Row]:
     return file.rows
 
 
-def line_efficiency(rig_file: RigFile, effort: Effort) -> list[Row]:
+def line_efficiency(rig_file: RigFile, effort: SpeedEffort) -> list[Row]:
     """How many times the reference's render time buys our noise, on the line and its halo.
 
     Both hold all orders of scattering.  The reference's rare bright specks are seldom among
@@ -116,7 +116,7 @@ def line_efficiency(rig_file: RigFile, effort: Effort) -> list[Row]:
     ]
 
 
-def veil_efficiency(rig_file: RigFile, effort: Effort) -> list[Row]:
+def veil_efficiency(rig_file: RigFile, effort: SpeedEffort) -> list[Row]:
     """The same on the veil, light scattered once, rendered as that by both."""
     tank = Tank(scene_of(rig_file))
     # At random places, for on its grid this render has no noise to compare.
@@ -128,13 +128,13 @@ def veil_efficiency(rig_file: RigFile, effort: Effort) -> list[Row]:
     return [_gain_row("veil, single scattering", found["veil"], effort, BARS["veil"])]
 
 
-def water_efficiency(rig_file: RigFile, effort: Effort) -> list[Row]:
+def water_efficiency(rig_file: RigFile, effort: SpeedEffort) -> list[Row]:
     """The same part of the picture with all orders, which has no bar."""
     found = _all_orders(Tank(scene_of(rig_file)), VEIL_WINDOW, effort)
     return [_gain_row("water above the line, all orders", found["halo"], effort, None)]
 
 
-def _gain_row(what: str, gain: Gain, effort: Effort, bar: float | None) -> Row:
+def _gain_row(what: str, gain: Gain, effort: SpeedEffort, bar: float | None) -> Row:
     return Row(
         what=f"efficiency against volpath, {what}: lower end of the interval",
         reference=f"volpath, {effort.stock_samples} samples; all {effort.runs} runs together "
@@ -149,7 +149,7 @@ def _gain_row(what: str, gain: Gain, effort: Effort, bar: float | None) -> Row:
     )
 
 
-def _all_orders(tank: Tank, window: Window, effort: Effort) -> dict[str, Gain]:
+def _all_orders(tank: Tank, window: Window, effort: SpeedEffort) -> dict[str, Gain]:
     """The gain on each part of a window, all orders of scattering in both renders."""
     grid, random = tank.make_camera(window), tank.make_camera(window, jitter=True)
 
@@ -163,7 +163,7 @@ def _all_orders(tank: Tank, window: Window, effort: Effort) -> dict[str, Gain]:
     return _gains(taken, _theirs(tank, window, ALL_ORDERS, effort), truth, parts, effort)
 
 
-def _theirs(tank: Tank, window: Window, depth: int, effort: Effort) -> Picture:
+def _theirs(tank: Tank, window: Window, depth: int, effort: SpeedEffort) -> Picture:
     """How the reference renders a picture."""
     camera = tank.make_camera(window, stock_medium(tank.water), jitter=True)
     stock = mi.load_dict({"type": "volpath", "max_depth": depth, "rr_depth": 8})
@@ -176,22 +176,22 @@ def _mean(picture: Picture) -> Floats:
 
 
 def _gains(
-    ours: Picture, theirs: Picture, truth: Floats, parts: Mapping[str, Mask], effort: Effort
+    ours: Picture, theirs: Picture, truth: Floats, parts: Mapping[str, Mask], effort: SpeedEffort
 ) -> dict[str, Gain]:
     """The gain on each part, from pairs of pictures rendered in turn."""
     ours(0), theirs(0)  # compiles what is rendered
-    runs: dict[str, list[Run]] = {name: [] for name in parts}
+    runs: dict[str, list[RunCost]] = {name: [] for name in parts}
     for run in range(effort.runs):
         seeds = range(1 + OURS_A_RUN * run, 1 + OURS_A_RUN * (run + 1))
         mine, my_seconds = _timed(lambda seeds=seeds: [ours(seed) for seed in seeds])  # type: ignore[misc]
         other, seconds = _timed(lambda run=run: [theirs(1 + run)])  # type: ignore[misc]
         for name, part in parts.items():
             cost = _square(mine, truth, part) * my_seconds / OURS_A_RUN
-            runs[name].append(Run(cost, _square(other, truth, part) * seconds))
+            runs[name].append(RunCost(cost, _square(other, truth, part) * seconds))
     return {name: gain_of(pairs) for name, pairs in runs.items()}
 
 
-def gain_of(runs: list[Run]) -> Gain:
+def gain_of(runs: list[RunCost]) -> Gain:
     """The ratio of the means over all runs, and its interval.
 
     References
@@ -222,7 +222,7 @@ def _parts(tank: Tank, window: Window) -> dict[str, Mask]:
     return {"line core": inside > 0.5 * brightest, "halo": inside < 1e-6 * brightest}
 
 
-def frame_times(rig_file: RigFile, effort: Effort) -> list[Row]:
+def frame_times(rig_file: RigFile, effort: SpeedEffort) -> list[Row]:
     """Milliseconds a frame of rendering, sensor and each of the paper's extractors."""
     scene = scene_of(rig_file)
     tank, webcam = Tank(scene), Webcam(scene)
@@ -240,7 +240,7 @@ def frame_times(rig_file: RigFile, effort: Effort) -> list[Row]:
     return [_time_row(what, call, "ms a frame", effort) for what, call in calls.items()]
 
 
-def map_times(board: RigFile, effort: Effort) -> list[Row]:
+def map_times(board: RigFile, effort: SpeedEffort) -> list[Row]:
     """Milliseconds each plane map takes for the 640 points of a profile."""
     points = np.column_stack([np.arange(640.0), np.full(640, 300.0)])
     return [
@@ -260,7 +260,7 @@ def _square(pictures: Floats, truth: Floats, part: Mask) -> float:
     return float(np.mean((pictures - truth)[:, part] ** 2))
 
 
-def _time_row(what: str, call: Callable[[], object], unit: str, effort: Effort) -> Row:
+def _time_row(what: str, call: Callable[[], object], unit: str, effort: SpeedEffort) -> Row:
     """Median milliseconds of a call, the first one left out."""
     call()
     times = []

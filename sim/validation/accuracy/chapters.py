@@ -11,7 +11,7 @@ from lscan.config.rig import StripeSection
 from lscan.records import Length
 from sim.scene import Scene, load_scene
 from sim.validation.accuracy.board import lengths, map_errors_mm, photograph
-from sim.validation.accuracy.effort import Effort
+from sim.validation.accuracy.effort import AccuracyEffort
 from sim.validation.accuracy.exposures import read_scan, with_contrast
 from sim.validation.accuracy.groove import dimensions
 from sim.validation.accuracy.intervals import band_miss_percent, share_inside, share_of_lengths
@@ -27,13 +27,13 @@ from sim.validation.accuracy.sandwave import (
 from sim.validation.accuracy.stripes import bound_rows
 from sim.validation.rows import Row
 
-Chapter = Callable[[Path, Effort], list[Row]]
+Chapter = Callable[[Path, AccuracyEffort], list[Row]]
 
 SPECKLE = 0.25
 ASKED = "required of this project"
 
 
-def board_chapter(scenes: Path, effort: Effort) -> list[Row]:
+def board_chapter(scenes: Path, effort: AccuracyEffort) -> list[Row]:
     """The map on the sheet, Tables I and II, and the intervals of their lengths."""
     scene = _best(scenes, effort, "board")
     boards = photograph(scene, effort.seeds, scene.rig.calibration.plane_map)
@@ -52,7 +52,7 @@ def board_chapter(scenes: Path, effort: Effort) -> list[Row]:
     ]  # fmt: skip
 
 
-def groove_chapter(scenes: Path, effort: Effort) -> list[Row]:
+def groove_chapter(scenes: Path, effort: AccuracyEffort) -> list[Row]:
     """Table III, and the intervals of its lengths."""
     board, groove = _best(scenes, effort, "board"), _best(scenes, effort, "groove")
     calibrations = photograph(board, effort.seeds, _map_name(board, effort)).calibrations
@@ -60,18 +60,18 @@ def groove_chapter(scenes: Path, effort: Effort) -> list[Row]:
     return [*_largest("Table III", tables, 0.15, effort), _interval("groove", tables, effort)]
 
 
-def slices_chapter(scenes: Path, effort: Effort) -> list[Row]:
+def slices_chapter(scenes: Path, effort: AccuracyEffort) -> list[Row]:
     """The slices of the sandwave with speckle."""
     return _slices(scenes, effort, SPECKLE, rmse_mm=0.15, within_mm=0.4)
 
 
-def smooth_slices_chapter(scenes: Path, effort: Effort) -> list[Row]:
+def smooth_slices_chapter(scenes: Path, effort: AccuracyEffort) -> list[Row]:
     """The slices of the sandwave without speckle."""
     return _slices(scenes, effort, 0.0, rmse_mm=0.05, within_mm=0.2)
 
 
 def _slices(
-    scenes: Path, effort: Effort, contrast: float, rmse_mm: float, within_mm: float
+    scenes: Path, effort: AccuracyEffort, contrast: float, rmse_mm: float, within_mm: float
 ) -> list[Row]:
     scene = with_contrast(_best(scenes, effort, "sandwave"), contrast)
     board = with_contrast(_best(scenes, effort, "board"), contrast)
@@ -92,7 +92,7 @@ def _slices(
     return rows
 
 
-def grid_chapter(scenes: Path, effort: Effort) -> list[Row]:
+def grid_chapter(scenes: Path, effort: AccuracyEffort) -> list[Row]:
     """The intervals of the sandwave's grid cells, a millimetre between frames."""
     scene = with_contrast(_best(scenes, effort, "sandwave"), SPECKLE)
     board = with_contrast(_best(scenes, effort, "board"), SPECKLE)
@@ -108,23 +108,23 @@ def grid_chapter(scenes: Path, effort: Effort) -> list[Row]:
     return [_interval_row("sandwave grid cells", share, len(error), effort)]
 
 
-def stripe_chapter(scenes: Path, effort: Effort) -> list[Row]:
+def stripe_chapter(scenes: Path, effort: AccuracyEffort) -> list[Row]:
     """The best extractor against the bound."""
     return bound_rows(_best(scenes, effort, "groove").rig.stripe.extractor, effort)
 
 
-def metric_chapter(scenes: Path, effort: Effort) -> list[Row]:
+def metric_chapter(scenes: Path, effort: AccuracyEffort) -> list[Row]:
     """The metric route in air and in water."""
     return metric_rows(scenes / "metric", effort)
 
 
-def misaligned_chapter(scenes: Path, effort: Effort) -> list[Row]:
+def misaligned_chapter(scenes: Path, effort: AccuracyEffort) -> list[Row]:
     """The coplanar route with a board that is not coplanar."""
     scene = _best(scenes, effort, "board")
     return misaligned_rows(scene, _map_name(scene, effort))
 
 
-def photograph_chapter(photographs: Path, scenes: Path, effort: Effort) -> list[Row]:
+def photograph_chapter(photographs: Path, scenes: Path, effort: AccuracyEffort) -> list[Row]:
     """The real photographs in a folder of that name."""
     extractor = _best(scenes, effort, "groove").rig.stripe.extractor
     return photograph_rows(photographs, extractor, effort.repeats)
@@ -143,15 +143,15 @@ CHAPTERS: Mapping[str, Chapter] = {
 }
 
 
-def _best(scenes: Path, effort: Effort, name: str) -> Scene:
+def _best(scenes: Path, effort: AccuracyEffort, name: str) -> Scene:
     return effort.scene(load_scene(scenes / "best" / f"{name}.toml"))
 
 
-def _map_name(board: Scene, effort: Effort) -> str:
+def _map_name(board: Scene, effort: AccuracyEffort) -> str:
     return effort.plane_map or board.rig.calibration.plane_map
 
 
-def _stripe(scene: Scene, effort: Effort) -> StripeSection:
+def _stripe(scene: Scene, effort: AccuracyEffort) -> StripeSection:
     stripe = scene.rig.stripe
     return (
         stripe
@@ -165,7 +165,7 @@ def _rms(values: np.ndarray) -> float:
 
 
 def _largest(
-    what: str, tables: Sequence[Mapping[str, Length]], bar_mm: float, effort: Effort
+    what: str, tables: Sequence[Mapping[str, Length]], bar_mm: float, effort: AccuracyEffort
 ) -> list[Row]:
     """The largest error of any entry: of the first seed's table, and of all seeds' tables."""
     worst = [max(abs(length.error_mm) for length in table.values()) for table in tables]
@@ -179,12 +179,12 @@ def _largest(
     ]
 
 
-def _interval(what: str, tables: Sequence[Mapping[str, Length]], effort: Effort) -> Row:
+def _interval(what: str, tables: Sequence[Mapping[str, Length]], effort: AccuracyEffort) -> Row:
     every = [length for table in tables for length in table.values()]
     return _interval_row(what, share_of_lengths(every), len(every), effort)
 
 
-def _interval_row(what: str, share: float, count: int, effort: Effort) -> Row:
+def _interval_row(what: str, share: float, count: int, effort: AccuracyEffort) -> Row:
     beside = f"{100 * share:.1f} % of {count} intervals hold the truth, {effort.seeded}"
     what, miss = f"95 % intervals, {what}: off 95 %", band_miss_percent(share)
     return Row(what, beside, miss, 2.0, "points", ASKED, effort.seeds[0], noisy=True)

@@ -8,7 +8,7 @@ from sim.scene import Scene
 
 
 @dataclass(frozen=True)
-class Effort:
+class AccuracyEffort:
     """What a run of the table measures.
 
     seeds: of sensor noise and speckle.  plane_map: through which workpieces are measured;
@@ -44,7 +44,7 @@ class Effort:
         return replace(scene, tank=scene.tank.model_copy(update={"render": render}))
 
 
-FULL = Effort(
+FULL = AccuracyEffort(
     seeds=tuple(range(1, 21)),
     plane_map=None,
     extractor=None,
@@ -56,7 +56,7 @@ FULL = Effort(
     repeats=9,
     plain=False,
 )
-QUICK = Effort(
+QUICK = AccuracyEffort(
     seeds=(1,),
     plane_map="polynomial-5",  # a hundredth of the time that ray tracing takes to solve
     extractor="centroid-relative",  # a tenth of the time of "ml", with which the groove is read

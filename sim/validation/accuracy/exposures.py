@@ -24,7 +24,7 @@ STREAM = 4  # of the generators: streams 0 to 3 are the sensor's own
 
 
 @dataclass(frozen=True)
-class Reading:
+class ScanReading:
     """The line of one exposure in all frames of a scan: where the head stood, and the stripes."""
 
     positions_mm: tuple[float, ...]
@@ -38,7 +38,7 @@ def pictures(scene: Scene, layers: Layers, seeds: Iterable[int]) -> list[Bytes]:
 
 def read_scan(
     scene: Scene, positions_mm: Sequence[float], seeds: Sequence[int], stripe: StripeSection
-) -> list[Reading]:
+) -> list[ScanReading]:
     """The scan's stripes once for each seed; each position is rendered only once."""
     tank, webcams = Tank(scene), [_webcam(scene, seed) for seed in seeds]
     found: list[list[Stripe]] = [[] for _ in seeds]
@@ -47,7 +47,7 @@ def read_scan(
         for seed, webcam, stripes in zip(seeds, webcams, found, strict=True):
             image = _exposed(webcam, layers, scene, (seed, number))
             stripes.append(extract_stripe(image, stripe))
-    return [Reading(tuple(positions_mm), tuple(stripes)) for stripes in found]
+    return [ScanReading(tuple(positions_mm), tuple(stripes)) for stripes in found]
 
 
 def _webcam(scene: Scene, seed: int) -> Webcam:

@@ -10,7 +10,7 @@ from lscan.measure import groove_dimensions
 from lscan.records import Length
 from lscan.surface.profile import to_profile
 from sim.scene import Scene
-from sim.validation.accuracy.exposures import Reading, read_scan
+from sim.validation.accuracy.exposures import ScanReading, read_scan
 
 
 def dimensions(
@@ -24,7 +24,7 @@ def dimensions(
     ]
 
 
-def _measured(scene: Scene, reading: Reading, plane_map: PlaneMap) -> dict[str, Length]:
+def _measured(scene: Scene, reading: ScanReading, plane_map: PlaneMap) -> dict[str, Length]:
     piece = scene.rig.workpiece
     assert isinstance(piece, GroovedBlock)
     profiles = [

@@ -14,7 +14,7 @@ from lscan.records import Floats, Length
 from sim.datasets.views import write_views
 from sim.scene import Scene, camera_pose, load_scene
 from sim.truth import sheet_of
-from sim.validation.accuracy.effort import Effort
+from sim.validation.accuracy.effort import AccuracyEffort
 from sim.validation.accuracy.groove import dimensions
 from sim.validation.rows import Row
 
@@ -40,7 +40,7 @@ class Finding:
     lengths: dict[str, Length]
 
 
-def metric_rows(folder: Path, effort: Effort) -> list[Row]:
+def metric_rows(folder: Path, effort: AccuracyEffort) -> list[Row]:
     """The laser plane's fit and the block's steps, in air and in water.
 
     folder: of ``air``, ``water``, ``block-air`` and ``block-water.toml``.
@@ -55,7 +55,7 @@ def metric_rows(folder: Path, effort: Effort) -> list[Row]:
     return rows
 
 
-def find(folder: Path, medium: str, effort: Effort) -> Finding:
+def find(folder: Path, medium: str, effort: AccuracyEffort) -> Finding:
     """The metric calibration of a medium's views, and the block measured through its map."""
     finding = calibrated(
         effort.scene(load_scene(folder / f"{medium}.toml"), PLAIN_SAMPLES), effort.poses

@@ -13,7 +13,7 @@ from lscan.config.rig import load_rig
 from lscan.files.disk import list_names
 from lscan.records import Progress
 from sim.validation.accuracy.chapters import CHAPTERS, Chapter, photograph_chapter
-from sim.validation.accuracy.effort import FULL, QUICK, Effort
+from sim.validation.accuracy.effort import FULL, QUICK, AccuracyEffort
 from sim.validation.rows import Row, RowFile, measured
 
 BEST = ("board", "groove", "sandwave")
@@ -51,7 +51,7 @@ def run_accuracy(
 
 
 def measure(
-    chapters: Mapping[str, Chapter], scenes: Path, effort: Effort
+    chapters: Mapping[str, Chapter], scenes: Path, effort: AccuracyEffort
 ) -> Iterable[tuple[str, list[Row]]]:
     """Name and rows of each chapter as it ends; as many run side by side as processors."""
     workers = max(1, min(len(chapters), len(os.sched_getaffinity(0))))

@@ -16,7 +16,7 @@ from lscan.surface import grid_cells, resample
 from lscan.surface.profile import to_profile
 from sim.scene import Scene
 from sim.truth import slice_visibility
-from sim.validation.accuracy.exposures import Reading
+from sim.validation.accuracy.exposures import ScanReading
 
 BORDER_MM = 3.0  # cells this near to the border of the waves hold its step
 
@@ -38,7 +38,7 @@ class GridErrors:
     sigma_mm: Floats
 
 
-def aligned_surface(scene: Scene, reading: Reading, plane_map: PlaneMap) -> Surface:
+def aligned_surface(scene: Scene, reading: ScanReading, plane_map: PlaneMap) -> Surface:
     """The surface of a scan's stripes in the workpiece frame."""
     profiles = [
         to_profile(stripe, plane_map, position)

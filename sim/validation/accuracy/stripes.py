@@ -13,7 +13,7 @@ from lscan.benchmark.pictures import Case, centres, draw
 from lscan.config.rig import NoiseSection, StripeSection
 from lscan.records import has_value
 from lscan.stripe import extract_stripe
-from sim.validation.accuracy.effort import Effort
+from sim.validation.accuracy.effort import AccuracyEffort
 from sim.validation.rows import Row
 
 WIDTHS_PX = (0.8, 1.2, 2.0, 3.0)
@@ -26,7 +26,7 @@ PHASES = 8  # bins of the sub-pixel place in which the bias is taken
 
 
 @dataclass(frozen=True)
-class Cell:
+class ExtractorFigures:
     """One kind of noise and width: scatter over the bound, and the largest bias of a phase."""
 
     name: str
@@ -34,7 +34,7 @@ class Cell:
     bias_px: float
 
 
-def bound_rows(extractor: str, effort: Effort) -> list[Row]:
+def bound_rows(extractor: str, effort: AccuracyEffort) -> list[Row]:
     """The extractor's worst scatter against the bound, and its worst bias at any phase.
 
     A hundred drawings of each line tell the bias of a phase to 0.003 px.
@@ -59,7 +59,7 @@ def cases() -> Iterator[tuple[str, Case]]:
             yield f"{kind} {ratio:g}, {width:g} px", Case("tap", width, PEAK_DN, noise)
 
 
-def cell(extractor: str, case: Case, name: str, drawings: int) -> Cell:
+def cell(extractor: str, case: Case, name: str, drawings: int) -> ExtractorFigures:
     """Scatter and bias of one case's drawings; a column without a value is infinitely wrong."""
     generator = np.random.default_rng([SEED, round(10 * case.sigma_px)])
     settings = StripeSection(extractor=extractor, threshold_dn=THRESHOLD_DN, noise=case.noise)
@@ -72,7 +72,7 @@ def cell(extractor: str, case: Case, name: str, drawings: int) -> Cell:
         phases.append(true % 1)
     error, phase = np.concatenate(errors), np.concatenate(phases)
     if not np.isfinite(error).all():
-        return Cell(name, float("inf"), float("inf"))
+        return ExtractorFigures(name, float("inf"), float("inf"))
     bins = np.minimum((phase * PHASES).astype(int), PHASES - 1)
     means = np.bincount(bins, error, PHASES) / np.bincount(bins, minlength=PHASES)
-    return Cell(name, float(error.std()) / bound_px(case), float(np.abs(means).max()))
+    return ExtractorFigures(name, float(error.std()) / bound_px(case), float(np.abs(means).max()))

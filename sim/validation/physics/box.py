@@ -12,7 +12,7 @@ from lscan.records import Floats
 from sim.render.tank import Tank
 from sim.scene import Scene
 from sim.validation.physics.rigs import scene_with
-from sim.validation.rows import Check, Row
+from sim.validation.rows import Row, Topic
 from sim.water import water_optics
 
 SEED = 83
@@ -21,7 +21,7 @@ ALBEDO, POWER_MW = 0.5, 1.0
 BAR = 1e-3
 
 
-def closed_box(rays: int, batches: int) -> Check:
+def closed_box(rays: int, batches: int) -> Topic:
     """The power that a lit box's walls receive from each other, against the series' sum.
 
     rays: in each of so many batches.
@@ -29,7 +29,7 @@ def closed_box(rays: int, batches: int) -> Check:
     received = power_from_walls(rays, batches)
     expected = POWER_MW * ALBEDO**2 / (1 - ALBEDO)
     error = float(received.std(ddof=1) / np.sqrt(batches)) / expected
-    return Check(
+    return Topic(
         key="closed-box",
         title="A closed box",
         text="In an empty box whose walls reflect the share a, the laser’s light is reflected "

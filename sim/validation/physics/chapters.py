@@ -15,13 +15,13 @@ from sim.validation.physics.refraction import refraction
 from sim.validation.physics.scattering import multiple_scattering
 from sim.validation.physics.sensor import sensor
 from sim.validation.physics.single import single_scattering
-from sim.validation.rows import Check
+from sim.validation.rows import Topic
 
-Measure = Callable[[], Check]
+Measure = Callable[[], Topic]
 
 
 @dataclass(frozen=True)
-class Effort:
+class VerifyEffort:
     """How much is measured.
 
     rigs: random ones for the ports.  sights: random lines of sight for the veil.  box_rays,
@@ -37,12 +37,12 @@ class Effort:
     samples: int
 
 
-FULL = Effort(rigs=60, sights=60, box_rays=1 << 19, box_batches=16, runs=16, samples=2048)
-QUICK = Effort(rigs=2, sights=2, box_rays=1 << 14, box_batches=4, runs=3, samples=16)
+FULL = VerifyEffort(rigs=60, sights=60, box_rays=1 << 19, box_batches=16, runs=16, samples=2048)
+QUICK = VerifyEffort(rigs=2, sights=2, box_rays=1 << 14, box_batches=4, runs=3, samples=16)
 WATERS = ("clear", "coastal", "harbor")
 
 
-def chapters(effort: Effort) -> dict[str, Measure]:
+def chapters(effort: VerifyEffort) -> dict[str, Measure]:
     """Name to measurement of every check, in the order of the page."""
     return {
         "ports": lambda: ports(effort.rigs),

@@ -13,7 +13,7 @@ from sim.render.tank import Tank
 from sim.scene import Scene
 from sim.validation.physics.ports import closed_form_rays
 from sim.validation.physics.rigs import scene_with
-from sim.validation.rows import Check, Row
+from sim.validation.rows import Row, Topic
 
 BAR = 1e-3
 POWER_MW = 7.0
@@ -31,7 +31,7 @@ FLOOR_ALBEDO = 0.6
 AMBIENT = 2.0
 
 
-def energy() -> Check:
+def energy() -> Topic:
     """The laser's power on a cylinder, on a plane, and at the glass; a white furnace."""
     rows = [
         *(_row(f"power through a cylinder, {name}", "the laser's power",
@@ -43,7 +43,7 @@ def energy() -> Check:
         _row("Fresnel at a face, R + T - 1", "Mitsuba's own Fresnel reflectance",
              fresnel_deviation()),
     ]  # fmt: skip
-    return Check(
+    return Topic(
         key="energy",
         title="Energy",
         text="All of the laser’s power crosses any surface around it, whatever the fan. A plane "

@@ -26,7 +26,7 @@ SEED = 97
 
 
 @dataclass(frozen=True)
-class Plate:
+class ScenePicture:
     """A picture for the page: its scene's name and file, and the JPEG as a data URI."""
 
     name: str
@@ -38,7 +38,7 @@ class Plate:
 class Gallery:
     """The plates of all scenes that could be rendered, and the rows that say which could not."""
 
-    plates: tuple[Plate, ...]
+    plates: tuple[ScenePicture, ...]
     rows: tuple[Row, ...]
 
 
@@ -72,7 +72,7 @@ def scene_files(scenes: Path) -> list[Path]:
     return [path for path in sorted(scenes.rglob("*.toml")) if whole <= set(read_document(path))]
 
 
-def plate(scene: Scene, file: Path, quick: bool = False) -> Plate:
+def plate(scene: Scene, file: Path, quick: bool = False) -> ScenePicture:
     """The scene's first picture, few samples a pixel, made small."""
     if quick:
         scene = shrunk(scene, QUICK_SHRINKING)
@@ -80,7 +80,7 @@ def plate(scene: Scene, file: Path, quick: bool = False) -> Plate:
     layers = Tank(scene).render(scene.rig.plan.start_mm, samples)
     generator = np.random.default_rng(SEED)
     image = Webcam(scene).expose(layers, scene.rig.camera.exposure_ms, generator)
-    return Plate(name=scene.rig.name, file=str(file), uri=_thumbnail(image))
+    return ScenePicture(name=scene.rig.name, file=str(file), uri=_thumbnail(image))
 
 
 def least_samples(wanted: int, fineness: int) -> int:

@@ -12,7 +12,7 @@ from importlib.util import find_spec
 import numpy as np
 
 from lscan.records import Floats
-from sim.validation.rows import Check, Row
+from sim.validation.rows import Row, Topic
 from sim.water import (
     absolute_index,
     absorption_per_m,
@@ -66,9 +66,9 @@ SCATTERING_TABLE = (
 LAST_DIGIT = "half of the last digit given"
 
 
-def matter() -> Check:
+def matter() -> Topic:
     """Index of water and glass, absorption and scattering of pure water."""
-    return Check(
+    return Topic(
         key="matter",
         title="Water and glass",
         text="The index of water decides where everything is seen, its absorption and "

@@ -10,7 +10,7 @@ from scipy.integrate import simpson
 from lscan.figures import style
 from lscan.figures.reportfigure import ReportFigure
 from lscan.records import Floats
-from sim.validation.rows import Check, Row
+from sim.validation.rows import Row, Topic
 from sim.water import FournierForand, HenyeyGreensteinMixture, PetzoldTable
 
 Density = Callable[[Floats], Floats]
@@ -41,10 +41,10 @@ NARROWEST = 1e-9  # rad: where the integrals start; a peak of psi^-1.42 leaves 1
 DIGITS = "half of the last digit given"
 
 
-def phases() -> Check:
+def phases() -> Topic:
     """Values, mean cosines and backscattered shares of every phase function there is."""
     fournier, mixture, petzold = particles()
-    return Check(
+    return Topic(
         key="phases",
         title="Phase functions",
         text="The veil’s brightness hangs on the phase function at large angles, the halo of the "

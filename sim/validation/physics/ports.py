@@ -21,7 +21,7 @@ from sim.validation.physics.rigs import (
     random_pixels,
     random_rig,
 )
-from sim.validation.rows import Check, Row
+from sim.validation.rows import Row, Topic
 
 Rays = Callable[[Scene, Floats], tuple[Floats, Floats, Floats]]
 
@@ -44,10 +44,10 @@ class Deviations:
     transmission: Floats
 
 
-def ports(rigs: int) -> Check:
+def ports(rigs: int) -> Topic:
     """Pixels and transmission, flat port and dome apart, over so many random rigs each."""
     found = {kind: deviations(kind, rigs) for kind in ("flat", "dome")}
-    return Check(
+    return Topic(
         key="ports",
         title="Ports in closed form",
         text="The camera bends its rays at the port by formula. The same rays are traced by "

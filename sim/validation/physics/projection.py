@@ -10,7 +10,7 @@ from sim.truth import project
 from sim.validation.physics.ports import Rays, closed_form_rays, traced_rays
 from sim.validation.physics.refraction import tangents
 from sim.validation.physics.rigs import random_pixels, random_rig
-from sim.validation.rows import Check, Row
+from sim.validation.rows import Row, Topic
 
 # r, z in mm and the tangent in air: 10 mm of air, 6 mm of glass, n = 1 / 1.49 / 1.3313.
 PUBLISHED = np.array(
@@ -26,7 +26,7 @@ PIXELS = 200
 SEED = 31
 
 
-def projection(rigs: int) -> Check:
+def projection(rigs: int) -> Topic:
     """The truth's pixels of points on the rays of both cameras, over so many random rigs."""
     ways = {"the camera plugin": closed_form_rays, "traced glass": traced_rays}
     rows = [
@@ -42,7 +42,7 @@ def projection(rigs: int) -> Check:
         for kind in ("flat", "dome")
         for name, rays in ways.items()
     ]
-    return Check(
+    return Topic(
         key="projection",
         title="The truth’s projection",
         text="The truth that all results are held against solves the port’s own equation in "

@@ -12,7 +12,7 @@ from sim.render.plugins.camera import RefractiveCamera
 from sim.scene import Pose, Scene, camera_pose
 from sim.truth import project
 from sim.validation.physics.rigs import camera_rays, make_camera, scene_with
-from sim.validation.rows import Check, Row
+from sim.validation.rows import Row, Topic
 from sim.water import refractive_index
 
 WATER_INDEX, GLASS_INDEX = 1.3313, 1.49  # of the published values
@@ -25,7 +25,7 @@ MEDIA = {"air": None, "fresh water": 0.0, "sea water": 35.0}  # salinity in psu
 AT_C, AT_NM = 20.0, 650.0
 
 
-def refraction() -> Check:
+def refraction() -> Topic:
     """Sines against the index in three media, and the single-viewpoint fit's own failure."""
     focal, errors = single_viewpoint_errors()
     worst = max(abs(errors[at] - figure) for at, figure in PUBLISHED_ERROR_PX.items())
@@ -56,7 +56,7 @@ def refraction() -> Check:
             "the published values' last digit",
         ),
     ]
-    return Check(
+    return Topic(
         key="refraction",
         title="Refraction through a flat port",
         text="Behind a flat port the sine of the angle in air is exactly the index times that "

@@ -9,20 +9,22 @@ from pathlib import Path
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
 from lscan.files.disk import write_atomically
-from sim.validation.physics.gallery import Plate
-from sim.validation.rows import Check, number, rows_of
+from sim.validation.physics.gallery import ScenePicture
+from sim.validation.rows import Topic, number, rows_of
 
 SOFTWARE = ("lscan", "mitsuba", "drjit", "numpy", "scipy")
 
 
 def write_page(
-    path: Path, checks: Sequence[Check], plates: Sequence[Plate] = (), seconds: float = 0.0
+    path: Path, checks: Sequence[Topic], plates: Sequence[ScenePicture] = (), seconds: float = 0.0
 ) -> None:
     """Write the page to ``path``; InputError where the disk refuses."""
     write_atomically(path, render_page(checks, plates, seconds).encode("utf-8"))
 
 
-def render_page(checks: Sequence[Check], plates: Sequence[Plate] = (), seconds: float = 0.0) -> str:
+def render_page(
+    checks: Sequence[Topic], plates: Sequence[ScenePicture] = (), seconds: float = 0.0
+) -> str:
     """The page as HTML text; it loads nothing from anywhere."""
     environment = Environment(
         loader=PackageLoader("sim.validation.physics", ""),

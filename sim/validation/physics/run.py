@@ -9,17 +9,17 @@ from pathlib import Path
 from lscan.files.disk import make_folder
 from lscan.records import Progress
 from sim.validation.physics.chapters import FULL, QUICK, Measure, chapters
-from sim.validation.physics.gallery import Plate, gallery, scene_files
+from sim.validation.physics.gallery import ScenePicture, gallery, scene_files
 from sim.validation.physics.report import write_page
-from sim.validation.rows import Check, Row, RowFile, failed_row, rows_of
+from sim.validation.rows import Row, RowFile, Topic, failed_row, rows_of
 
 
 @dataclass(frozen=True)
-class Evidence:
+class TankEvidence:
     """What a run found: its checks, the pictures of the scenes, and how long it took."""
 
-    checks: tuple[Check, ...]
-    plates: tuple[Plate, ...]
+    checks: tuple[Topic, ...]
+    plates: tuple[ScenePicture, ...]
     seconds: float
 
     @property
@@ -30,7 +30,7 @@ class Evidence:
 
 def run_verify(
     folder: Path, scenes: Path, quick: bool = False, progress: Progress | None = None
-) -> Evidence:
+) -> TankEvidence:
     """The evidence, also written to ``folder`` as verify.json and report.html.
 
     The rows are written as they are measured; a chapter or a scene that ends with an error is
@@ -66,23 +66,23 @@ def run_verify(
             progress(done, len(measures) + 1)
     shown = gallery(scenes, quick)
     checks.append(_scenes(tuple(file.add(shown.rows))))
-    evidence = Evidence(tuple(checks), shown.plates, time.perf_counter() - started)
+    evidence = TankEvidence(tuple(checks), shown.plates, time.perf_counter() - started)
     write_page(folder / "report.html", evidence.checks, shown.plates, evidence.seconds)
     return evidence
 
 
-def _measured(name: str, measure: Measure) -> Check:
+def _measured(name: str, measure: Measure) -> Topic:
     """The chapter's check; one that says so where it ends with an error."""
     try:
         return measure()
     except Exception as error:  # whatever it is, the other chapters are still wanted
         key = name.replace(" ", "-")
         text = "This chapter ended with an error and has no figures."
-        return Check(key, name.capitalize(), text, (failed_row(name, error),))
+        return Topic(key, name.capitalize(), text, (failed_row(name, error),))
 
 
-def _scenes(rows: tuple[Row, ...]) -> Check:
-    return Check(
+def _scenes(rows: tuple[Row, ...]) -> Topic:
+    return Topic(
         key="gallery",
         title="Scene files",
         text="Every scene file is rendered once. A picture that cannot be taken is a failed row.",

@@ -14,7 +14,7 @@ from sim.render.tank import W_PER_M2_IN_MW_PER_MM2, Tank, stock_medium
 from sim.scene import Scene
 from sim.truth import StripeTruth, stripe_truth
 from sim.validation.physics.rigs import scene_with
-from sim.validation.rows import Check, Row, measured
+from sim.validation.rows import Row, Topic, measured
 from sim.water import HenyeyGreensteinMixture, Optics, water_optics
 
 SEED = 4000
@@ -66,7 +66,7 @@ class Comparison:
     centroid_error_px: float
 
 
-def multiple_scattering(waters: tuple[str, ...], runs: int, samples: int) -> Check:
+def multiple_scattering(waters: tuple[str, ...], runs: int, samples: int) -> Topic:
     """Masked z-tests and the line's centre in the waters named.
 
     runs: independent pictures a side; samples: volpath's, a pixel of each.
@@ -80,7 +80,7 @@ def multiple_scattering(waters: tuple[str, ...], runs: int, samples: int) -> Che
             lambda name=name: water_rows(name, runs, samples, tests),  # type: ignore[misc]
         )
     ]
-    return Check(
+    return Topic(
         key="multiple-scattering",
         title="All orders of scattering",
         text="A block with grooves stands on the floor of a tank of turbid water. The same "

@@ -14,7 +14,7 @@ from sim.scene import FlatPort, Scene
 from sim.sensor import Webcam
 from sim.sensor.speckle import speckle_contrast
 from sim.validation.physics.rigs import scene_with
-from sim.validation.rows import Check, Row
+from sim.validation.rows import Row, Topic
 from sim.water import water_optics
 
 SEED = 53
@@ -36,9 +36,9 @@ NM, DEEP_WELL_E = 650.0, 1e6
 PLAIN_LENS = {"blur_px": 0.0, "vignetting": 0.0, "f_number": 2.8, "transmission": 0.85}
 
 
-def sensor() -> Check:
+def sensor() -> Topic:
     """Mean, variance and speckle contrast of flat fields, and a Lambertian plane on paper."""
-    return Check(
+    return Topic(
         key="sensor",
         title="The sensor",
         text="A flat field of known radiance is exposed and its digital numbers are counted: "

@@ -13,7 +13,7 @@ from lscan.records import Floats
 from sim.render.tank import Tank
 from sim.scene import Laser, Scene, sheet_pose
 from sim.validation.physics.rigs import scene_with
-from sim.validation.rows import Check, Row
+from sim.validation.rows import Row, Topic
 from sim.water import Optics, water_optics
 
 SEED = 71
@@ -25,7 +25,7 @@ REACH_SIGMAS = 10.0  # of the Gaussian along the ray: what lies beyond is below 
 
 
 @dataclass(frozen=True)
-class Sight:
+class LineOfSight:
     """A line of sight in a scene whose only content is water and one straight sheet.
 
     origin_mm, direction: (3,) in the world frame, the direction of unit length.
@@ -36,12 +36,12 @@ class Sight:
     direction: Floats
 
 
-def single_scattering(sights: int) -> Check:
+def single_scattering(sights: int) -> Topic:
     """The veil's radiance on the published and on so many random lines of sight."""
     generator = np.random.default_rng(SEED)
     lines = [published_sight(x) for x, _ in PUBLISHED]
     lines += [random_sight(generator) for _ in range(sights)]
-    return Check(
+    return Topic(
         key="single-scattering",
         title="Single scattering",
         text="Light that the water throws from the sheet straight into the camera is one "
@@ -83,7 +83,7 @@ def optics_of(scene: Scene) -> Optics:
     return water_optics(scene.tank.water, scene.tank.laser.wavelength_nm)
 
 
-def published_sight(x: float) -> Sight:
+def published_sight(x: float) -> LineOfSight:
     """The published geometry, turned so that its fan points down.
 
     There the apex is (.3, 0, 0) m, the fan's axis leans by 17 degrees from z and the sheet
@@ -98,7 +98,9 @@ def published_sight(x: float) -> Sight:
         laser={"fan_half_angle_deg": 30.0, "waist_mm": 2.0, "waist_distance_mm": 700.0},
     )
     direction = turn @ np.array([x, 0.05, 1.0])
-    return Sight(scene, turn @ np.array([-300.0, 0.0, 0.0]), direction / np.linalg.norm(direction))
+    return LineOfSight(
+        scene, turn @ np.array([-300.0, 0.0, 0.0]), direction / np.linalg.norm(direction)
+    )
 
 
 def sheet_scene(water: dict[str, object], laser: dict[str, object]) -> Scene:
@@ -109,7 +111,7 @@ def sheet_scene(water: dict[str, object], laser: dict[str, object]) -> Scene:
     )
 
 
-def random_sight(generator: np.random.Generator) -> Sight:
+def random_sight(generator: np.random.Generator) -> LineOfSight:
     """A line of sight through a random place of a random sheet, at least 10 degrees to it."""
     a, b = generator.uniform((0.2, 0.05), (0.6, 3.0))
     half, aim, tilt, skew = generator.uniform((15, -20, -20, -20), (60, 20, 20, 20))
@@ -134,10 +136,10 @@ def random_sight(generator: np.random.Generator) -> Sight:
     elevation, azimuth = np.radians(generator.uniform((10, 0), (80, 360)))
     flat = np.cos(elevation) * np.array([np.cos(azimuth), np.sin(azimuth)])
     direction = pose.rotation @ np.array([flat[0], np.sin(elevation), flat[1]])
-    return Sight(scene, place - generator.uniform(300, 1500) * direction, direction)
+    return LineOfSight(scene, place - generator.uniform(300, 1500) * direction, direction)
 
 
-def rendered(sight: Sight) -> float:
+def rendered(sight: LineOfSight) -> float:
     """Radiance in mW/(mm2 sr) that the tank's integrator finds along the line of sight."""
     tank = Tank(sight.scene)
     tank.place(0.0)
@@ -150,7 +152,7 @@ def rendered(sight: Sight) -> float:
     return float(np.array(layers["scattered"], dtype=float).mean())
 
 
-def quadrature(sight: Sight, optics: Optics | None = None) -> float:
+def quadrature(sight: LineOfSight, optics: Optics | None = None) -> float:
     """The same by adaptive quadrature along the ray (physics.md section 7 without its limit).
 
     optics: the water, the scene's own if None.

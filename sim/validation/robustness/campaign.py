@@ -17,8 +17,8 @@ import numpy as np
 from lscan.acquisition.run import MANIFEST, TABLE, Run, frame_file, open_run
 from lscan.errors import InputError, LscanError
 from lscan.records import Frame, Progress
-from sim.testing.faultbench import Bench, bench_for
-from sim.testing.faults import FRAMES, KINDS, Fault, draw_fault
+from sim.testing.faultbench import FaultBench, bench_for
+from sim.testing.faults import FRAMES, KINDS, InjectedFault, draw_fault
 from sim.testing.marks import read_mark
 from sim.validation.rows import Row
 
@@ -41,7 +41,7 @@ class Outcome:
     that did not hold, "" where all did.
     """
 
-    fault: Fault
+    fault: InjectedFault
     seed: int
     struck: bool
     ended: Literal["borne", "stopped"]
@@ -77,7 +77,7 @@ def run_campaign(
     return outcomes
 
 
-def run_experiment(fault: Fault, seed: int, path: Path) -> Outcome:
+def run_experiment(fault: InjectedFault, seed: int, path: Path) -> Outcome:
     """The outcome of one scan into the folder ``path`` that meets the fault, and is resumed."""
     ended: Literal["borne", "stopped"] = "borne"
     message, kept, violation = "", 0, ""
@@ -150,7 +150,7 @@ def kind_cells(outcomes: Sequence[Outcome]) -> list[list[str]]:
 # ---- what must hold -------------------------------------------------------------------------
 
 
-def _check_all(bench: Bench, error: BaseException | None, message: str) -> int:
+def _check_all(bench: FaultBench, error: BaseException | None, message: str) -> int:
     """The number of frames kept; raises Violation for the first thing that does not hold."""
     check_message(bench, error, message)
     path = bench.folder
@@ -176,7 +176,7 @@ def _check_all(bench: Bench, error: BaseException | None, message: str) -> int:
     return kept
 
 
-def check_message(bench: Bench, error: BaseException | None, message: str) -> None:
+def check_message(bench: FaultBench, error: BaseException | None, message: str) -> None:
     """(a) Borne, or ended in one line that names the device or file and says what to do."""
     kind = KINDS[bench.fault.kind]
     if error is None:
@@ -208,7 +208,7 @@ def check_folder(path: Path) -> int:
         raise Violation(f"does not open: {error}") from error
 
 
-def check_frames(run: Run, bench: Bench) -> None:
+def check_frames(run: Run, bench: FaultBench) -> None:
     """(c) Each picture was exposed after it was asked for, at rest where it says, once."""
     counters = []
     for index, frame in enumerate(run.frames()):

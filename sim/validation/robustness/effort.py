@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 
 @dataclass(frozen=True)
-class Effort:
+class HardwareEffort:
     """What a run of the table does.
 
     live_frames: of the scan beside the live page.  live_s: over which pictures are counted.
@@ -28,7 +28,7 @@ class Effort:
     faults: int
 
 
-FULL = Effort(
+FULL = HardwareEffort(
     live_frames=100,
     live_s=12.0,
     overhead_frames=240,
@@ -39,7 +39,7 @@ FULL = Effort(
     every_field=1,
     faults=23,
 )
-QUICK = Effort(
+QUICK = HardwareEffort(
     live_frames=20,
     live_s=2.0,
     overhead_frames=24,

@@ -26,7 +26,7 @@ NOT_OURS = re.compile(r"(?i)input should|validation error|traceback|constrained|
 
 
 @dataclass(frozen=True)
-class Verdict:
+class RefusalVerdict:
     """What became of a wrong rig.  fault: why its refusal falls short, "" where it does not."""
 
     wrong: WrongField
@@ -91,7 +91,7 @@ def devices_guarded() -> Iterator[list[str]]:
         yield touched
 
 
-def try_all(every: int = 1) -> tuple[list[Verdict], list[str]]:
+def try_all(every: int = 1) -> tuple[list[RefusalVerdict], list[str]]:
     """What became of every wrong rig, or of one in so many, and the devices that were touched.
 
     Raises AssertionError where a rig that ought to be right is refused.
@@ -105,7 +105,9 @@ def try_all(every: int = 1) -> tuple[list[Verdict], list[str]]:
         wrongs = [wrong for rig in rigs for wrong in wrong_fields(rig)]
         wrongs += crossed_rigs(rigs)
         file = folder / "my-rig.toml"
-        return [Verdict(wrong, shortcoming(wrong, file)) for wrong in wrongs[::every]], touched
+        return [
+            RefusalVerdict(wrong, shortcoming(wrong, file)) for wrong in wrongs[::every]
+        ], touched
 
 
 def _assert_good(rig: GoodRig, file: Path) -> None:

@@ -23,7 +23,7 @@ NEEDED = ("board", "sandwave")
 
 
 @dataclass(frozen=True)
-class Evidence:
+class HardwareEvidence:
     """The rows of the table, and what became of each injected fault."""
 
     rows: tuple[Row, ...]
@@ -32,7 +32,7 @@ class Evidence:
 
 def run_hardware(
     scenes: Path, output: Path, quick: bool = False, progress: Progress | None = None
-) -> Evidence:
+) -> HardwareEvidence:
     """The figures, whose rows are also written to ``output`` as they are measured.
 
     scenes: folder of the scene files.  quick: every row, with the least effort.  progress: told
@@ -68,7 +68,7 @@ def run_hardware(
         file.add(measured(name, chapter))
         if progress is not None:
             progress(done, len(chapters))
-    return Evidence(tuple(file.rows), tuple(outcomes))
+    return HardwareEvidence(tuple(file.rows), tuple(outcomes))
 
 
 @contextmanager

@@ -20,7 +20,7 @@ from lscan.config.rig import Rig
 from lscan.errors import InputError
 from sim.scene import TankSections
 from sim.testing.crossing import CROSSINGS
-from sim.testing.goodrigs import CAMERAS, TRACKS, GoodRig, Part, good_rigs, write_beside
+from sim.testing.goodrigs import CAMERAS, TRACKS, GoodRig, RigPart, good_rigs, write_beside
 from sim.testing.wrongfields import WrongField, crossed_rigs, places, wrong_fields
 from sim.testing.wrongvalues import schema_of, wrong_values
 from sim.validation.robustness.fields import devices_guarded, shortcoming, try_all
@@ -164,7 +164,7 @@ def test_a_kind_is_required_where_only_the_key_tells_it(
 ) -> None:
     model = create_model("File", __base__=Strict, piece=(annotation, ...))
     piece = {"kind": kind, "gap_mm": 1.0} if kind == "near" else {"kind": kind}
-    rig = GoodRig("x", {"piece": piece}, (Part(model, (), ("piece",)),))
+    rig = GoodRig("x", {"piece": piece}, (RigPart(model, (), ("piece",)),))
     found = {place.keys: place.required for place in places(rig)}
     assert found[("piece", "kind")] is required
     assert found.get(("piece", "gap_mm"), True)

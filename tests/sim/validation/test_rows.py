@@ -16,12 +16,12 @@ from lscan.errors import InputError
 from lscan.figures.reportfigure import ReportFigure
 from sim.cli.app import app, main
 from sim.validation.physics import run
-from sim.validation.physics.gallery import Plate, gallery, scene_files
+from sim.validation.physics.gallery import ScenePicture, gallery, scene_files
 from sim.validation.physics.report import render_page, share_of_bar
 from sim.validation.rows import (
-    Check,
     Row,
     RowFile,
+    Topic,
     all_passed,
     measured,
     number,
@@ -38,8 +38,8 @@ def row(figure: float, bar: float = 1.0, **changes: object) -> Row:
     return Row(figure=figure, bar=bar, **(fields | changes))  # type: ignore[arg-type]
 
 
-def check(*figures: float, key: str = "lengths") -> Check:
-    return Check(key, "Lengths", "Two <rods> & a ruler.", tuple(row(value) for value in figures))
+def check(*figures: float, key: str = "lengths") -> Topic:
+    return Topic(key, "Lengths", "Two <rods> & a ruler.", tuple(row(value) for value in figures))
 
 
 @settings(max_examples=50)
@@ -95,8 +95,8 @@ def test_the_gauge_is_full_where_the_bar_is_broken() -> None:
 
 def test_the_page_shows_every_check_and_loads_nothing() -> None:
     figure = ReportFigure("plot", "A plot", "", "alt", "What is seen.", "<svg id='x'></svg>")
-    shown = Check("more", "More lengths", "Why.", (row(3.0, seed=7),), (figure,))
-    plates = (Plate("harbour water", "waters/harbor.toml", "data:image/jpeg;base64,AAAA"),)
+    shown = Topic("more", "More lengths", "Why.", (row(3.0, seed=7),), (figure,))
+    plates = (ScenePicture("harbour water", "waters/harbor.toml", "data:image/jpeg;base64,AAAA"),)
     page = render_page([check(0.5), shown], plates, 12.0)
     for text in (
         "Two &lt;rods&gt; &amp; a ruler.",
@@ -149,7 +149,7 @@ def test_an_error_in_a_chapter_is_a_failed_row_and_not_the_end(
     """What was measured before it is on disk by then, what comes behind it is measured too."""
     path = tmp_path / "out" / "verify.json"
 
-    def broken() -> Check:
+    def broken() -> Topic:
         assert [entry["figure"] for entry in json.loads(path.read_text())] == [0.5]
         raise ValueError("not a square number")
 
@@ -167,7 +167,7 @@ def test_a_quick_run_says_so_and_judges_only_what_noise_cannot_spoil(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     rows = (row(0.5), row(2.0, noisy=True), row(float("nan"), noisy=True))
-    chapters = {"lengths": lambda: Check("lengths", "Lengths", "Some.", rows[:2])}
+    chapters = {"lengths": lambda: Topic("lengths", "Lengths", "Some.", rows[:2])}
     done = invoked(tmp_path, monkeypatch, chapters, "--quick")
     assert done.exit_code == 0, done.output
     written = json.loads((tmp_path / "out" / "verify.json").read_text())
@@ -207,7 +207,7 @@ def test_ctrl_c_in_verify_speaks_of_no_scan(
 ) -> None:
     """What was measured before it stays on disk."""
 
-    def stopped() -> Check:
+    def stopped() -> Topic:
         raise KeyboardInterrupt
 
     chapters = {"one": lambda: check(0.5), "two": stopped}

@@ -17,7 +17,7 @@ from sim.render.tank import Tank
 from sim.scene import head_pose, load_scene, target_pose
 from sim.sensor.speckle import speckle_contrast
 from sim.validation.accuracy import run as accuracy
-from sim.validation.accuracy.effort import FULL, QUICK, Effort
+from sim.validation.accuracy.effort import FULL, QUICK, AccuracyEffort
 from sim.validation.accuracy.exposures import pictures, with_contrast
 from sim.validation.accuracy.intervals import (
     COVER,
@@ -147,13 +147,13 @@ def test_a_missing_scene_is_refused_before_any_work(tmp_path: Path) -> None:
     assert not (tmp_path / "accuracy.json").exists()
 
 
-def _good(scenes: Path, effort: Effort) -> list[Row]:
+def _good(scenes: Path, effort: AccuracyEffort) -> list[Row]:
     return [Row("good", "itself", 1.0, 2.0, "mm", "made up", len(effort.seeds))]
 
 
-def _bad(scenes: Path, effort: Effort) -> list[Row]:
+def _bad(scenes: Path, effort: AccuracyEffort) -> list[Row]:
     return [Row("bad", "itself", 3.0, 2.0, "mm", "made up", len(effort.seeds))]
 
 
-def _ends(scenes: Path, effort: Effort) -> list[Row]:
+def _ends(scenes: Path, effort: AccuracyEffort) -> list[Row]:
     raise ValueError("only 3 tops")

@@ -24,10 +24,10 @@ from sim.validation.physics import (
 )
 from sim.validation.physics.chapters import QUICK, chapters
 from sim.validation.physics.gallery import gallery, least_samples, shrunk
-from sim.validation.rows import Check
+from sim.validation.rows import Topic
 
 
-def beyond(check: Check) -> list[str]:
+def beyond(check: Topic) -> list[str]:
     return [row.what for row in check.rows if not row.passed]
 
 

@@ -21,10 +21,10 @@ from lscan.devices.grbl import SerialTrack
 from lscan.devices.opencv_camera import OpencvCamera
 from lscan.errors import DeviceError, InputError
 from lscan.records import Frame
-from sim.testing.faults import FRAMES, Fault, Phase, draw_fault
+from sim.testing.faults import FRAMES, InjectedFault, Phase, draw_fault
 from sim.testing.faultycamera import FaultyCamera
 from sim.testing.faultytrack import FaultyTrack
-from sim.testing.marks import Mark, draw_mark, read_mark
+from sim.testing.marks import ExposureMark, draw_mark, read_mark
 from sim.validation.robustness import campaign
 from sim.validation.robustness.campaign import KINDS, Outcome, fault_rows, kind_cells, run_campaign
 
@@ -87,7 +87,7 @@ def test_every_moment_is_drawn(kind: str) -> None:
 
 
 def test_the_rows_count_faults_and_what_was_not_clean(monkeypatch: pytest.MonkeyPatch) -> None:
-    fault = Fault("alarm", 1, "before the move", 0.5, 0.5, True)
+    fault = InjectedFault("alarm", 1, "before the move", 0.5, 0.5, True)
     clean = Outcome(fault, 0, True, "stopped", "", 1, "")
     missed = replace(clean, struck=False)
     bad = replace(clean, ended="borne", violation="lost")
@@ -121,7 +121,7 @@ def test_the_rows_count_faults_and_what_was_not_clean(monkeypatch: pytest.Monkey
 def test_a_mark_is_read_back_or_not_at_all() -> None:
     image = np.random.default_rng(1).integers(0, 256, (48, 64, 3), dtype=np.uint8)
     assert read_mark(image) is None
-    mark = Mark(counter=7, exposed_s=123.456, head_mm=-0.004, moving=True)
+    mark = ExposureMark(counter=7, exposed_s=123.456, head_mm=-0.004, moving=True)
     draw_mark(image, mark)
     assert read_mark(image) == mark
     assert read_mark(image[:, :, ::-1]) == mark
@@ -140,7 +140,7 @@ def first_violation(
     path: Path, kind: str, phase: Phase, strength: float = np.inf, part: float = 0.99
 ) -> str:
     """What the checks say of one experiment, with the fault in the third frame's turn."""
-    fault = Fault(kind, 2, phase, part, strength, stamped=False)
+    fault = InjectedFault(kind, 2, phase, part, strength, stamped=False)
     return campaign.run_experiment(fault, 1, path / "run").violation
 
 
