@@ -72,7 +72,7 @@ docs: .venv/llvm.stamp
 	$(BIN)/python -m sphinx -W --keep-going -n -q docs out/docs
 
 clean:
-	rm -rf .venv out build *.egg-info
+	rm -rf .venv out build dist *.egg-info
 	rm -rf .pytest_cache .mypy_cache .ruff_cache .hypothesis .import_linter_cache
 	find lscan sim tests -name __pycache__ -type d -prune -exec rm -rf {} +
 

@@ -64,6 +64,14 @@ class Stopped(LscanError):
     exit_code = 130  # as a shell reports SIGINT
 
 
+def missing_package(error: ModuleNotFoundError) -> str:
+    """What to do about a package that an import did not find, in one line."""
+    return (
+        f"needs the package {error.name}, which is not installed; "
+        "what the tank needs is installed by pip install 'lscan[tank]'"
+    )
+
+
 def _short(value: object, limit: int = 80) -> str:
     """The value in at most ``limit`` characters, both its ends kept: a path's name is the last."""
     text = repr(value)

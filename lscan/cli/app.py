@@ -26,6 +26,7 @@ from lscan.cli.devices import devices
 from lscan.cli.live import live
 from lscan.cli.measure import measure, reconstruct, report
 from lscan.cli.multiview import calibrate_metric
+from lscan.cli.scenes import scenes
 from lscan.cli.shaft import calibrate_shaft
 from lscan.cli.summaries import calibration_summary, print_calibration, print_check
 
@@ -56,7 +57,7 @@ Overlay = Annotated[
 
 @app.command()
 def scan(
-    rig: Annotated[Path, typer.Argument(help="Rig file or scene file (TOML).")],
+    rig: Annotated[Path, typer.Argument(help="Rig file or scene file (TOML), or a scene's name.")],
     output: Annotated[Path, typer.Option("--output", "-o", help="Run folder to write.")],
     resume: Annotated[bool, typer.Option("--resume", help="Go on with a stopped run.")] = False,
     position_restored: Annotated[
@@ -259,6 +260,7 @@ app.command()(measure)
 app.command()(report)
 app.command()(calibrate_metric)
 app.command()(calibrate_shaft)
+app.command()(scenes)
 app.command()(devices)
 app.command()(bench)
 app.command()(live)

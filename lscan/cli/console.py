@@ -16,7 +16,7 @@ from rich import progress as rich_progress
 from rich.console import Console
 from rich.table import Table
 
-from lscan.errors import LscanError, Stopped
+from lscan.errors import LscanError, Stopped, missing_package
 from lscan.records import Progress
 
 FAILED, BAD_INPUT = 1, 2
@@ -38,6 +38,8 @@ def run_command_line(app: typer.Typer, name: str) -> None:
     except MemoryError as error:
         said = f": {error}" if str(error) else ""
         sys.exit(_complain(name, f"there is not enough memory{said}", FAILED))
+    except ModuleNotFoundError as error:
+        sys.exit(_complain(name, missing_package(error), BAD_INPUT))
     except Exception as error:
         if type(error).__name__ == "NoArgsIsHelpError":
             print(error)

@@ -22,6 +22,7 @@ from pydantic import BaseModel, ConfigDict, ValidationError, model_validator
 from pydantic_core import PydanticCustomError
 
 from lscan.config.allowed import Keys, fields, in_words, misread, names, tags_in_words, trace
+from lscan.config.scenes import scene_file
 from lscan.errors import InputError
 from lscan.files.disk import MOST_TEXT_BYTES, read_text
 
@@ -58,13 +59,13 @@ class Strict(BaseModel):
 
 
 def read_document(path: Path | str) -> Document:
-    """The TOML document at ``path`` with its includes merged in and their paths resolved.
+    """The TOML document at ``path``, or of a scene's name, its includes merged and paths resolved.
 
     Keys named ``file`` or ending in ``_file`` become paths that hold from anywhere.
     Raises InputError where a file is missing, is not TOML, includes itself, or excludes what it
     does not include.
     """
-    return _read(Path(path), chain=(), read=[])
+    return _read(scene_file(path), chain=(), read=[])
 
 
 def _read(path: Path, chain: tuple[Path, ...], read: list[Path]) -> Document:

@@ -7,7 +7,7 @@ from importlib import import_module
 from importlib.metadata import EntryPoint, entry_points
 from typing import Any
 
-from lscan.errors import InputError
+from lscan.errors import InputError, missing_package
 
 _KINDS = {
     "lscan.cameras": "camera driver",
@@ -27,13 +27,16 @@ def find_plugin(group: str, name: str, where: object = None) -> Any:
     """The object registered under ``name`` in an entry-point group of this project.
 
     group: "lscan.cameras", "lscan.tracks", "lscan.extractors" or "lscan.planemaps".
-    Raises InputError that lists the names there are.
+    Raises InputError that lists the names there are, or names the package that it lacks.
     """
     found = installed(group)
     if name not in found:
         kind = _KINDS.get(group, group)
         raise InputError(f"no such {kind}", where=where, value=name, allowed=", ".join(found))
-    return found[name].load()
+    try:
+        return found[name].load()
+    except ModuleNotFoundError as error:
+        raise InputError(missing_package(error), where=where, value=name) from error
 
 
 def names_code(name: str) -> bool:

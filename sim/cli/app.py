@@ -10,6 +10,7 @@ import typer
 
 from lscan.cli.console import print_json, print_table, progress_bar, run_command_line
 from lscan.cli.summaries import print_chains
+from lscan.config.scenes import scenes_folder
 from lscan.errors import InputError
 
 if TYPE_CHECKING:
@@ -25,12 +26,20 @@ app = typer.Typer(
     rich_markup_mode=None,
 )
 
-SceneFile = Annotated[Path, typer.Argument(help="Scene file (TOML).")]
+SceneFile = Annotated[
+    Path, typer.Argument(help="Scene file (TOML), or a name that `lscan scenes` lists.")
+]
 Position = Annotated[
     float | None, typer.Option("--position", help="Track position, mm; the plan's start.")
 ]
 Json = Annotated[bool, typer.Option("--json", help="Print the result as JSON.")]
-ScenesFolder = Annotated[Path, typer.Option("--scenes", help="Folder of scene files.")]
+ScenesFolder = Annotated[
+    Path | None, typer.Option("--scenes", help="Folder of scene files, if not those of lscan.")
+]
+PaperFolder = Annotated[
+    Path | None,
+    typer.Option("--scenes", help="Folder with board, groove and sandwave, if not the paper's."),
+]
 Quick = Annotated[
     bool, typer.Option("--quick", help="Every figure with the least effort, within a minute.")
 ]
@@ -41,9 +50,7 @@ def demo(
     output: Annotated[Path, typer.Option("--output", "-o", help="Folder to write.")] = Path(
         "out/demo"
     ),
-    scenes: Annotated[
-        Path, typer.Option("--scenes", help="Folder with board, groove and sandwave.")
-    ] = Path("scenes/paper"),
+    scenes: PaperFolder = None,
     frames: Annotated[
         int | None, typer.Option("--frames", min=100, help="Sandwave pictures, if not 400.")
     ] = None,
@@ -53,7 +60,7 @@ def demo(
     """The paper's experiment: calibrate, scan, measure and compare, with a report."""
     from sim.demo import run_demo
 
-    results = run_demo(scenes, output, frames, quick=quick)
+    results = run_demo(scenes or scenes_folder() / "paper", output, frames, quick=quick)
     if json:
         print_json(results)
         return
@@ -84,7 +91,7 @@ def render(
 @app.command()
 def truth(
     scene: Annotated[
-        Path, typer.Argument(help="Scene file (TOML), or a run folder of one: all its frames.")
+        Path, typer.Argument(help="Scene file or name, or a run folder of one: all its frames.")
     ],
     output: Annotated[Path, typer.Option("--output", "-o", help="Folder to write.")],
     position: Annotated[
@@ -143,16 +150,16 @@ def bench(
     output: Annotated[Path, typer.Option("--output", "-o", help="JSON file to write.")] = Path(
         "out/bench.json"
     ),
-    scenes: Annotated[Path, typer.Option("--scenes", help="Folder with board and groove.")] = Path(
-        "scenes/paper"
-    ),
+    scenes: PaperFolder = None,
     quick: Quick = False,
     json: Json = False,
 ) -> None:
     """Speed: against Mitsuba's volpath at equal noise, a frame, a picture, a profile."""
     from sim.validation.speed import run_bench
 
-    _end_with_rows("bench", run_bench(scenes, output, quick), [output], json)
+    _end_with_rows(
+        "bench", run_bench(scenes or scenes_folder() / "paper", output, quick), [output], json
+    )
 
 
 @app.command()
@@ -160,7 +167,7 @@ def verify(
     output: Annotated[Path, typer.Option("--output", "-o", help="Folder to write.")] = Path(
         "out/verify"
     ),
-    scenes: ScenesFolder = Path("scenes"),
+    scenes: ScenesFolder = None,
     json_file: Annotated[
         Path | None, typer.Option("--json-file", help="Write the rows to this file as well.")
     ] = None,
@@ -175,7 +182,7 @@ def verify(
     if full and quick:
         raise typer.BadParameter("--full and --quick exclude each other")
     with progress_bar("verify") as progress:
-        evidence = run_verify(output, scenes, quick, progress)
+        evidence = run_verify(output, scenes or scenes_folder(), quick, progress)
     if json_file is not None:
         write_rows(json_file, evidence.rows)
     files = [output / "report.html", output / "verify.json"]
@@ -187,7 +194,7 @@ def accuracy(
     output: Annotated[Path, typer.Option("--output", "-o", help="JSON file to write.")] = Path(
         "out/accuracy.json"
     ),
-    scenes: ScenesFolder = Path("scenes"),
+    scenes: ScenesFolder = None,
     photographs: Annotated[
         Path | None,
         typer.Option(
@@ -203,7 +210,7 @@ def accuracy(
     from sim.validation.accuracy.run import run_accuracy
 
     with progress_bar("accuracy") as progress:
-        rows = run_accuracy(scenes, photographs, output, quick, progress)
+        rows = run_accuracy(scenes or scenes_folder(), photographs, output, quick, progress)
     if photographs is None and not json:
         print("skipped: the rows of real photographs, which need --photographs FOLDER")
     _end_with_rows("accuracy", rows, [output], json)
@@ -262,7 +269,7 @@ def hardware(
     output: Annotated[Path, typer.Option("--output", "-o", help="JSON file to write.")] = Path(
         "out/hardware.json"
     ),
-    scenes: ScenesFolder = Path("scenes"),
+    scenes: ScenesFolder = None,
     quick: Quick = False,
     json: Json = False,
 ) -> None:
@@ -271,7 +278,7 @@ def hardware(
     from sim.validation.robustness.run import run_hardware
 
     with progress_bar("hardware") as progress:
-        evidence = run_hardware(scenes, output, quick, progress)
+        evidence = run_hardware(scenes or scenes_folder(), output, quick, progress)
     if not json:
         headings = ["", "injected", "borne", "stopped the scan", "not clean"]
         print_table("faults", headings, kind_cells(evidence.outcomes))

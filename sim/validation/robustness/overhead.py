@@ -32,7 +32,7 @@ from sim.validation.rows import Row
 SEED = 51
 PICTURES = 8  # that take turns
 BAR = 1.0
-SCENE = Path("scenes/paper/sandwave.toml")
+SCENE = Path("paper/sandwave")  # by name, from wherever the command is run
 BAR_FROM = "no dearer than a plain saving; stricter than 10 ms where that takes 9.2 ms"
 
 Clock = Callable[[], float]

@@ -1,0 +1,33 @@
+"""``lscan scenes``: the scenes that come with lscan, listed or copied."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from lscan.cli.arguments import Json
+from lscan.cli.console import print_json
+
+
+def scenes(
+    copy: Annotated[
+        Path | None, typer.Option("--copy", help="New folder to copy all scenes to.")
+    ] = None,
+    json: Json = False,
+) -> None:
+    """List the scenes and rigs whose names stand for their files, or copy them to be changed."""
+    from lscan.config.documents import read_document
+    from lscan.config.scenes import copy_scenes, scene_names
+
+    names = scene_names()
+    if copy is not None:
+        copy_scenes(copy)
+    if json:
+        print_json({"scenes": names, "copied_to": None if copy is None else str(copy)})
+    elif copy is not None:
+        print(f"{len(names)} scenes, rigs and boards in {copy}")
+    else:
+        for name in names:
+            print(f"{name:28}{read_document(name).get('name', '')}".rstrip())

@@ -1,0 +1,73 @@
+"""The scenes that come with lscan: found by name wherever a file of theirs is taken."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+from places import SCENES
+from typer.testing import CliRunner
+
+from lscan.cli.app import app
+from lscan.config.board import load_board
+from lscan.config.documents import read_document
+from lscan.config.rig import load_rig
+from lscan.config.scenes import copy_scenes, scene_file, scene_names, scenes_folder
+from lscan.errors import InputError
+
+
+def test_every_file_has_its_name() -> None:
+    assert scenes_folder() == SCENES
+    names = scene_names()
+    assert len(names) == len(list(SCENES.rglob("*.toml")))
+    assert all(scene_file(name) == SCENES / f"{name}.toml" for name in names)
+
+
+@pytest.mark.parametrize("name", ["paper/sandwave", Path("paper/sandwave")])
+def test_a_name_stands_for_the_file(name: Path | str) -> None:
+    assert load_rig(name).document == load_rig(SCENES / "paper" / "sandwave.toml").document
+
+
+def test_a_board_has_a_name_too() -> None:
+    board = load_board(Path("paper/calibration-board"))
+    assert board == load_board(SCENES / "paper" / "calibration-board.toml")
+
+
+def test_a_file_of_that_path_comes_first(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "paper" / "rig").mkdir(parents=True)  # a folder is no such file
+    (tmp_path / "paper" / "board").write_text("own = 1", encoding="utf-8")
+    assert read_document("paper/board") == {"own": 1}
+    assert "camera" in read_document("paper/rig")
+
+
+@pytest.mark.parametrize("path", ["paper/sandwav", "../scenes/paper/sandwav", "rig.toml", "a\0b"])
+def test_neither_file_nor_name_is_refused_by_both(path: str) -> None:
+    with pytest.raises(InputError, match="no such file, and no scene of that name") as refused:
+        read_document(path)
+    assert "lscan scenes" in str(refused.value)
+
+
+def test_a_path_from_the_root_is_no_name(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="gone: cannot be read: No such file"):
+        read_document(tmp_path / "gone")
+
+
+def test_copies_are_whole_and_never_overwrite(tmp_path: Path) -> None:
+    copy_scenes(tmp_path / "mine")
+    copied = {path.relative_to(tmp_path / "mine") for path in (tmp_path / "mine").rglob("*.*")}
+    assert copied == {path.relative_to(SCENES) for path in SCENES.rglob("*.*")}
+    assert load_rig(tmp_path / "mine" / "targets" / "coloured-mesh.toml")
+    with pytest.raises(InputError, match="mine: is there already"):
+        copy_scenes(tmp_path / "mine")
+
+
+def test_the_command_lists_names_and_copies(tmp_path: Path) -> None:
+    listed = CliRunner().invoke(app, ["scenes"]).output.splitlines()
+    assert [line.split()[0] for line in listed] == scene_names()
+    assert "paper: sandwave" in next(line for line in listed if line.startswith("paper/sandwave"))
+    copied = CliRunner().invoke(app, ["scenes", "--copy", str(tmp_path / "mine"), "--json"])
+    answer = json.loads(copied.output)
+    assert answer == {"scenes": scene_names(), "copied_to": str(tmp_path / "mine")}
+    assert (tmp_path / "mine" / "paper" / "rig.toml").is_file()

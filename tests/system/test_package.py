@@ -1,0 +1,107 @@
+"""The wheel in a clean environment and an empty folder: nothing of the checkout is needed."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import zipfile
+from pathlib import Path
+
+import pytest
+from built_package import build_wheel, clean, install
+from places import ROOT
+
+import lscan
+
+pytestmark = [pytest.mark.slow, pytest.mark.xdist_group("package")]
+
+TINY = "[render]\nsamples = 1\nscatter_samples = 0\n[plan]\nframes = 1\n"
+
+
+@pytest.fixture(scope="module")
+def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return build_wheel(tmp_path_factory.mktemp("wheel"))
+
+
+@pytest.fixture(scope="module")
+def programs(wheel: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return install(wheel, tmp_path_factory.mktemp("with-tank"))
+
+
+@pytest.fixture(scope="module")
+def without_tank(wheel: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return install(wheel, tmp_path_factory.mktemp("without-tank"), tank=False)
+
+
+def call(folder: Path, program: Path, *arguments: object) -> subprocess.CompletedProcess[str]:
+    """A program run in a folder, as somebody without the checkout runs it."""
+    command = [str(program), *map(str, arguments)]
+    return subprocess.run(command, cwd=folder, env=clean(), capture_output=True, text=True)
+
+
+def test_the_wheel_holds_every_file_of_the_packages_and_the_scenes(wheel: Path) -> None:
+    packed = set(zipfile.ZipFile(wheel).namelist())
+    assert {path.split("/")[0] for path in packed} == {
+        "lscan",
+        "sim",
+        f"lscan-{lscan.__version__}.dist-info",
+    }
+    for top, prefix in (("lscan", ""), ("sim", ""), ("scenes", "lscan/")):
+        for path in (ROOT / top).rglob("*.*"):
+            if path.is_file() and path.suffix != ".pyc":
+                assert f"{prefix}{path.relative_to(ROOT).as_posix()}" in packed
+
+
+def test_from_the_scenes_to_a_surface_in_an_empty_folder(programs: Path, tmp_path: Path) -> None:
+    listed = call(tmp_path, programs / "lscan", "scenes", "--copy", "mine", "--json")
+    assert listed.returncode == 0, listed.stderr
+    assert "paper/sandwave" in json.loads(listed.stdout)["scenes"]
+    for name in ("board", "groove"):
+        text = f'include = "mine/paper/{name}.toml"\n{TINY}'
+        (tmp_path / f"{name}.toml").write_text(text, encoding="utf-8")
+    scanned = call(tmp_path, programs / "lscan", "scan", "board.toml", "-o", "board")
+    assert scanned.returncode == 0, scanned.stderr
+    code = """if True:
+        import lscan
+        calibration = lscan.calibrate_run(lscan.open_run("board"), "graticule-2")
+        run = lscan.scan(lscan.load_rig("groove.toml"), "groove")
+        surface = lscan.reconstruct(run, calibration.plane_map).surface
+        lscan.save_surface("surface.nc", surface)
+        print(lscan.__file__, surface.status.shape)"""
+    done = call(tmp_path, programs / "python", "-c", code)
+    assert done.returncode == 0, done.stderr
+    file, _, shape = done.stdout.strip().partition(" ")
+    assert Path(file).is_relative_to(programs.parent)
+    assert shape == "(1, 640)"
+    assert (tmp_path / "surface.nc").is_file()
+
+
+def test_the_tanks_commands_find_the_scenes_by_name(programs: Path, tmp_path: Path) -> None:
+    done = call(tmp_path, programs / "lscan-sim", "truth", "paper/groove", "-o", "truth")
+    assert done.returncode == 0, done.stderr
+    assert (tmp_path / "truth" / "stripe.csv").is_file()
+
+
+def test_the_instrument_works_without_the_tank(without_tank: Path, tmp_path: Path) -> None:
+    drawn = call(tmp_path, without_tank / "lscan", "draw-board", "paper/board", "-o", "board.svg")
+    assert drawn.returncode == 0, drawn.stderr
+    rig = """camera = { driver = "opencv", options = { device = 0 } }
+    track = { driver = "manual", options = { min_mm = 0, max_mm = 10 } }"""
+    (tmp_path / "rig.toml").write_text(rig, encoding="utf-8")
+    code = "import lscan; print(lscan.load_rig('rig.toml').rig.camera.driver)"
+    assert call(tmp_path, without_tank / "python", "-c", code).stdout == "opencv\n"
+
+
+@pytest.mark.parametrize(
+    "command",
+    ["lscan scan paper/board -o run", "lscan-sim render paper/board -o run", "lscan-sim demo"],
+)
+def test_without_the_tank_one_line_says_what_to_install(
+    without_tank: Path, tmp_path: Path, command: str
+) -> None:
+    program, *arguments = command.split()
+    done = call(tmp_path, without_tank / program, *arguments)
+    assert done.returncode == 2
+    assert done.stderr.count("\n") == 1
+    assert "pip install 'lscan[tank]'" in done.stderr
+    assert not list(tmp_path.iterdir())
