@@ -6,7 +6,9 @@ and a picture.
 
 from __future__ import annotations
 
+import tomllib
 from dataclasses import dataclass
+from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
@@ -35,57 +37,11 @@ TRACKS: dict[str, type[Strict]] = {
     "replay": ReplayOptions,
     "sim": TrackOptions,
 }
-_SOURCES: dict[str, Document] = {"opencv": {"device": 0}, "replay": {"run_file": "run"}, "sim": {}}
-_TRAVEL = {"min_mm": 0.0, "max_mm": 10.0}
-_TRACK_OPTIONS: dict[str, Document] = {
-    "grbl": {"port": "none", **_TRAVEL},
-    "manual": _TRAVEL,
-    "replay": {"run_file": "run"},
-    "sim": _TRAVEL,
-}
-_PLAN = {"start_mm": 0.0, "step_mm": 1.0, "frames": 2}
-
-_BOARD: Document = {
-    "grid": {"columns": 4, "rows": 3, "pitch_mm": 50.0, "dot_diameter_mm": 5.0},
-    "ruler": [{"direction": "vertical", "at_mm": -20.0, "first_mm": 0.0, "last_mm": -100.0}],
-    "dot": [
-        {"name": "A", "x_mm": 25.0, "z_mm": -25.0},
-        {"name": "B", "x_mm": 75.0, "z_mm": -25.0},
-    ],
-    "ring": [{"name": "E", "x_mm": 25.0, "z_mm": -75.0, "diameter_mm": 10.0}],
-    "distances": [["A", "B"]],
-}
+_SECTIONS: Document = tomllib.loads(
+    files("sim.testing").joinpath("goodrigs.toml").read_text(encoding="utf-8")
+)
+_TANK, _SHAFT = _SECTIONS["tank"], _SECTIONS["shaft"]
 _BLOCK: Document = {"kind": "grooved-block"}
-_WAVE: Document = {"kind": "sandwave"}
-_SHAFT: Document = {"point_mm": [0.0, 0.0, 500.0], "direction": [1.0, 0.0, 0.0]}
-_INSTRUMENT: Document = {
-    "stripe": {"blur_px": 0.7, "noise": {"read_dn": 1.0}},
-    "calibration": {},
-    "optics": {"focal_px": [800.0, 80.0], "centre_u_px": [8.0, 1.0], "centre_v_px": [8.0, 1.0]},
-    "sheet": {
-        "thickness_mm": 1.5,
-        "camera_mm": [0.0, -500.0, 0.0],
-        "apex_mm": [0.0, 0.0, 900.0],
-    },
-}
-_MATT: Document = {
-    "texture": {"file": "picture.png", "size_mm": [10.0, 10.0]},
-    "sand": {},
-}
-_MESH: Document = {"shape": "mesh", "file": "mesh.ply", "albedo": [[600.0, 0.4], [650.0, 0.5]]}
-_TANK: Document = {
-    "lens": {"focal_px": 20.0, "centre_px": [7.5, 7.5], "focus_mm": 800.0},
-    "head": {"camera_mm": [75.0, -500.0, 290.0]},
-    "port": {"kind": "flat"},
-    "laser": {
-        "power_mw": 10.0,
-        "apex_mm": [75.0, 0.0, 900.0],
-        "drift": {},
-        "lines": [{"tilt_deg": 0.0, "share": 0.5}],
-    },
-    "target": {"shape": "none"},
-    "floor": {"z_mm": -200.0},
-}
 
 
 @dataclass(frozen=True)
@@ -131,20 +87,22 @@ def good_rigs() -> list[GoodRig]:
 
 def _instruments() -> list[GoodRig]:
     """Rigs that hold every section of the instrument itself."""
+    whole, board = _SECTIONS["instrument"], _SECTIONS["board"]
+    turned: Document = {"workpiece": {"kind": "sandwave"}, "shaft": _SHAFT}
     return [
-        _rig("opencv", "manual", _of(Rig, "name", *_INSTRUMENT), **_INSTRUMENT),
-        _rig("replay", "manual", _of(Rig, "workpiece", "shaft"), workpiece=_WAVE, shaft=_SHAFT),
-        _rig("opencv", "grbl", _of(Rig, "board", "workpiece"), board=_BOARD, workpiece=_BLOCK),
+        _rig("opencv", "manual", _of(Rig, "name", *whole), **whole),
+        _rig("replay", "manual", _of(Rig, *turned), **turned),
+        _rig("opencv", "grbl", _of(Rig, "board", "workpiece"), board=board, workpiece=_BLOCK),
     ]
 
 
 def _tanks() -> list[GoodRig]:
     """Rigs that hold every section of the tank, each kind of port and shape of target."""
     rest = [name for name in TankSections.model_fields if name not in ("head", "target")]
-    head = {**_TANK["head"], "shaft": {"point_mm": [0.0, 0.0, 500.0], "direction": [1.0, 0, 0]}}
-    turned = _TANK | {"head": head, "port": {"kind": "dome"}, "target": _MESH}
-    board = _TANK | {"board": _BOARD, "target": {"shape": "board", "sand": {}}}
-    piece = _TANK | {"workpiece": _BLOCK, "target": {**_MATT, "shape": "workpiece"}}
+    head = {**_TANK["head"], "shaft": _SHAFT}
+    turned = _TANK | {"head": head, "port": {"kind": "dome"}, "target": _SECTIONS["mesh"]}
+    board = _TANK | {"board": _SECTIONS["board"], "target": {"shape": "board", "sand": {}}}
+    piece = _TANK | {"workpiece": _BLOCK, "target": _SECTIONS["textured"]}
     return [
         _rig("sim", "sim", _of(TankSections, *rest), switched="pairs", **_TANK),
         _rig("sim", "manual", _of(TankSections, "head", "port"), shaft=_SHAFT, **turned),
@@ -185,7 +143,7 @@ def write_beside(folder: Path) -> None:
         (folder / name).touch()
     width_px, height_px = SIZE_PX
     camera = {"driver": "gone", "width_px": width_px, "height_px": height_px}
-    document = {"camera": camera, "track": {"driver": "gone"}, "plan": _PLAN}
+    document = {"camera": camera, "track": {"driver": "gone"}, "plan": _SECTIONS["plan"]}
     rig_file = parse_rig(document, source="rig.toml", trusted=True)
     with create_run(folder / "run", rig_file) as writer:
         for index, position_mm in enumerate(rig_file.rig.plan.positions_mm()):
@@ -205,15 +163,16 @@ def _rig(
 
     source: of an opencv camera.  switched: the plan for the laser.
     """
-    camera_options = _SOURCES[camera] if source is None else source
+    camera_options = _SECTIONS["sources"][camera] if source is None else source
     if source is None:  # of a stream or a file, what only a device has may not even be stated
         camera_options = _written_out(CAMERAS[camera], camera_options)
+    track_options = _written_out(TRACKS[track], _SECTIONS["track_options"][track])
     width_px, height_px = SIZE_PX
     size = {"width_px": width_px, "height_px": height_px}
     rig = {
         "camera": {"driver": camera, **size, "options": camera_options},
-        "track": {"driver": track, "options": _written_out(TRACKS[track], _TRACK_OPTIONS[track])},
-        "plan": {**_PLAN, "laser": switched},
+        "track": {"driver": track, "options": track_options},
+        "plan": {**_SECTIONS["plan"], "laser": switched},
         **{key: value for key, value in sections.items() if key in Rig.model_fields},
     }
     tank = {key: value for key, value in sections.items() if key in TankSections.model_fields}
