@@ -72,6 +72,35 @@ class Row:
 
 
 @dataclass(frozen=True)
+class Bar:
+    """What figures of one kind are held to; its fields are those of :class:`Row`.
+
+    limit: the row's bar.  source: where it comes from.
+    """
+
+    limit: float | None
+    unit: str
+    source: str
+    seed: int | None = None
+    at_least: bool = False
+    noisy: bool = False
+
+    def row(self, what: str, reference: str, figure: float) -> Row:
+        """The row of a figure that is held to this bar."""
+        return Row(
+            what=what,
+            reference=reference,
+            figure=figure,
+            bar=self.limit,
+            unit=self.unit,
+            tolerance_from=self.source,
+            seed=self.seed,
+            at_least=self.at_least,
+            noisy=self.noisy,
+        )
+
+
+@dataclass(frozen=True)
 class Topic:
     """One topic of the evidence.
 

@@ -29,7 +29,7 @@ from sim.render.tank import Tank, stock_medium
 from sim.scene import scene_of
 from sim.sensor import Webcam
 from sim.validation.physics.scattering import render_with
-from sim.validation.rows import Row, RowFile, measured
+from sim.validation.rows import Bar, Row, RowFile, measured
 
 # (left, top, width, height) in px: the line on a ridge of the grooved block with the halo
 # about it, and water that the sheet crosses far above it.
@@ -39,7 +39,7 @@ VEIL_SAMPLES = 4  # ours, of the first order alone
 OURS_A_RUN = 4  # pictures of ours for one of the reference, which takes some 20 times longer
 ALL_ORDERS, FIRST_ORDER = -1, 2  # volpath's max_depth
 BARS = {"line core": 150.0, "halo": 20.0, "veil": 1000.0}
-ASKED = "required of the tank"
+ASKED, NO_BAR = "required of the tank", "reported without a bar"
 SEED, RESAMPLES = 0, 2000
 CONFIDENCE = 0.95
 
@@ -135,17 +135,12 @@ def water_efficiency(rig_file: RigFile, effort: SpeedEffort) -> list[Row]:
 
 
 def _gain_row(what: str, gain: Gain, effort: SpeedEffort, bar: float | None) -> Row:
-    return Row(
-        what=f"efficiency against volpath, {what}: lower end of the interval",
-        reference=f"volpath, {effort.stock_samples} samples; all {effort.runs} runs together "
+    source = ASKED if bar is not None else NO_BAR
+    return Bar(bar, "ratio", source, SEED, at_least=True, noisy=True).row(
+        f"efficiency against volpath, {what}: lower end of the interval",
+        f"volpath, {effort.stock_samples} samples; all {effort.runs} runs together "
         f"{gain.ratio:.3g}, {100 * CONFIDENCE:g} % interval {gain.low:.3g} to {gain.high:.3g}",
-        figure=gain.low,
-        bar=bar,
-        unit="ratio",
-        tolerance_from=ASKED if bar is not None else "told without a bar",
-        seed=SEED,
-        at_least=True,
-        noisy=True,
+        gain.low,
     )
 
 
@@ -269,4 +264,4 @@ def _time_row(what: str, call: Callable[[], object], unit: str, effort: SpeedEff
         call()
         times.append(time.perf_counter() - started)
     reference = f"median of {effort.repeats}"
-    return Row(what, reference, 1e3 * float(np.median(times)), None, unit, "told without a bar")
+    return Row(what, reference, 1e3 * float(np.median(times)), None, unit, NO_BAR)

@@ -12,6 +12,7 @@ from lscan.records import Floats
 from sim.render.tank import Tank
 from sim.scene import Scene
 from sim.validation.physics.rigs import scene_with
+from sim.validation.physics.topics import topic
 from sim.validation.rows import Row, Topic
 from sim.water import water_optics
 
@@ -29,12 +30,8 @@ def closed_box(rays: int, batches: int) -> Topic:
     received = power_from_walls(rays, batches)
     expected = POWER_MW * ALBEDO**2 / (1 - ALBEDO)
     error = float(received.std(ddof=1) / np.sqrt(batches)) / expected
-    return Topic(
-        key="closed-box",
-        title="A closed box",
-        text="In an empty box whose walls reflect the share a, the laser’s light is reflected "
-        "again and again: what the walls receive after two and more reflections is P a2 / (1 - a), "
-        "however the box looks. Nothing of the sampling of interreflection enters that sum.",
+    return topic(
+        "closed-box",
         rows=(
             Row(
                 "closed box, power of all reflections but the first",

@@ -13,9 +13,10 @@ from sim.render.tank import Tank
 from sim.scene import Scene
 from sim.validation.physics.ports import closed_form_rays
 from sim.validation.physics.rigs import scene_with
-from sim.validation.rows import Row, Topic
+from sim.validation.physics.topics import topic
+from sim.validation.rows import Bar, Topic
 
-BAR = 1e-3
+BAR = Bar(1e-3, "relative", "required of the tank; single precision costs 1e-6")
 POWER_MW = 7.0
 FANS: dict[str, dict[str, Any]] = {
     "Powell fan": {"fan": "uniform", "fan_rise": 0.3},
@@ -34,35 +35,16 @@ AMBIENT = 2.0
 def energy() -> Topic:
     """The laser's power on a cylinder, on a plane, and at the glass; a white furnace."""
     rows = [
-        *(_row(f"power through a cylinder, {name}", "the laser's power",
+        *(BAR.row(f"power through a cylinder, {name}", "the laser's power",
                abs(power_through_cylinder(fan) / POWER_MW - 1)) for name, fan in FANS.items()),
-        _row("power a Lambertian plane reflects, summed over the picture", "albedo times power",
+        BAR.row("power a Lambertian plane reflects, summed over the picture", "albedo times power",
              abs(reflected_power() / (FLOOR_ALBEDO * POWER_MW) - 1)),
-        _row("white furnace: convex white surface in uniform light", "the light's radiance",
+        BAR.row("white furnace: convex white surface in uniform light", "the light's radiance",
              furnace_deviation()),
-        _row("Fresnel at a face, R + T - 1", "Mitsuba's own Fresnel reflectance",
+        BAR.row("Fresnel at a face, R + T - 1", "Mitsuba's own Fresnel reflectance",
              fresnel_deviation()),
     ]  # fmt: skip
-    return Topic(
-        key="energy",
-        title="Energy",
-        text="All of the laser’s power crosses any surface around it, whatever the fan. A plane "
-        "of known albedo gives back its share: the picture’s radiance, pixel by pixel times the "
-        "area each sees, adds up to it. White things in uniform light cannot be told from the "
-        "light, and what a face of glass does not reflect it lets through.",
-        rows=tuple(rows),
-    )
-
-
-def _row(what: str, reference: str, figure: float) -> Row:
-    return Row(
-        what,
-        reference,
-        figure,
-        BAR,
-        "relative",
-        "required of the tank; single precision costs 1e-6",
-    )
+    return topic("energy", rows=rows)
 
 
 def power_through_cylinder(fan: dict[str, Any]) -> float:

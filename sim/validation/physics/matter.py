@@ -12,7 +12,8 @@ from importlib.util import find_spec
 import numpy as np
 
 from lscan.records import Floats
-from sim.validation.rows import Row, Topic
+from sim.validation.physics.topics import topic
+from sim.validation.rows import Bar, Row, Topic
 from sim.water import (
     absolute_index,
     absorption_per_m,
@@ -24,7 +25,7 @@ from sim.water import (
 )
 
 NM = 650.0
-# T in C: Quan & Fry raw S 0, times air S 0, raw S 35, times air S 35; physics.md section 1.
+# T in C: Quan & Fry raw S 0, times air S 0, raw S 35, times air S 35.
 INDEX_TABLE = np.array(
     [
         (0, 1.332262, 1.332630, 1.339110, 1.339480),
@@ -68,15 +69,7 @@ LAST_DIGIT = "half of the last digit given"
 
 def matter() -> Topic:
     """Index of water and glass, absorption and scattering of pure water."""
-    return Topic(
-        key="matter",
-        title="Water and glass",
-        text="The index of water decides where everything is seen, its absorption and "
-        "scattering how bright. Each formula is evaluated where its authors or others printed "
-        "its value, and must agree to the digits given; two formulas of different origin, one "
-        "relative to air and one to vacuum, must meet once the air is counted.",
-        rows=(*_index_rows(), *_glass_rows(), *_water_rows(), *package_rows()),
-    )
+    return topic("matter", rows=(*_index_rows(), *_glass_rows(), *_water_rows(), *package_rows()))
 
 
 def largest(found: object, published: object) -> float:
@@ -113,14 +106,12 @@ def _pressure_rises() -> list[float]:
 
 
 def _glass_rows() -> list[Row]:
+    bar = Bar(5.5e-7, "", LAST_DIGIT)
     return [
-        Row(
+        bar.row(
             f"index of {glass}, 640 to 660 nm",
             "catalogue value",
             largest([glass_index(glass, nm) for nm in GLASS_NM], published),
-            5.5e-7,
-            "",
-            LAST_DIGIT,
         )
         for glass, published in GLASS_TABLE.items()
     ]

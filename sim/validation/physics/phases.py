@@ -10,12 +10,13 @@ from scipy.integrate import simpson
 from lscan.figures import style
 from lscan.figures.reportfigure import ReportFigure
 from lscan.records import Floats
+from sim.validation.physics.topics import topic
 from sim.validation.rows import Row, Topic
 from sim.water import FournierForand, HenyeyGreensteinMixture, PetzoldTable
 
 Density = Callable[[Floats], Floats]
 
-# Index, Junge slope: backscattered share (Mobley's pairs; physics.md section 3).
+# Index, Junge slope: backscattered share (Mobley, Sundman and Boss, Appl. Opt. 41 (2002) 1035).
 BACKSCATTER_TABLE = (
     (1.021, 3.0742, 1e-4), (1.040, 3.2010, 1e-3), (1.08, 3.483, 1e-2),
     (1.10, 3.5835, 0.01831), (1.175, 4.065, 0.1),
@@ -44,13 +45,8 @@ DIGITS = "half of the last digit given"
 def phases() -> Topic:
     """Values, mean cosines and backscattered shares of every phase function there is."""
     fournier, mixture, petzold = particles()
-    return Topic(
-        key="phases",
-        title="Phase functions",
-        text="The veil’s brightness hangs on the phase function at large angles, the halo of the "
-        "line on its forward peak, and both span six powers of ten. Values are held against "
-        "published ones, integrals over the sphere are done here by quadrature and must give "
-        "the published mean cosines and backscattered shares.",
+    return topic(
+        "phases",
         rows=(
             *_value_rows(fournier, mixture, petzold),
             *_integral_rows(fournier, mixture, petzold),

@@ -21,7 +21,8 @@ from sim.validation.physics.rigs import (
     random_pixels,
     random_rig,
 )
-from sim.validation.rows import Row, Topic
+from sim.validation.physics.topics import topic
+from sim.validation.rows import Bar, Row, Topic
 
 Rays = Callable[[Scene, Floats], tuple[Floats, Floats, Floats]]
 
@@ -29,6 +30,8 @@ REACHES_MM = (200.0, 2500.0)  # a ray is known by two of its points
 PIXELS = 400
 SHOWN = 800  # points of each port in the figure
 SEED = 11
+PIXEL = Bar(0.005, "px", "required of the tank; single precision costs up to 3e-3", SEED)
+SHARE = Bar(1e-3, "share", "a tenth of what the absolute radiometry is held to", SEED)
 
 
 @dataclass(frozen=True)
@@ -47,14 +50,9 @@ class Deviations:
 def ports(rigs: int) -> Topic:
     """Pixels and transmission, flat port and dome apart, over so many random rigs each."""
     found = {kind: deviations(kind, rigs) for kind in ("flat", "dome")}
-    return Topic(
-        key="ports",
-        title="Ports in closed form",
-        text="The camera bends its rays at the port by formula. The same rays are traced by "
-        "Mitsuba’s ray tracer through a real slab and a real spherical shell of dielectric, of "
-        "random thickness, glass, tilt and decentring, and must leave the glass on the same "
-        "line, measured as the pixel that would see it, and with the same share of their light.",
-        rows=tuple(row for kind, values in found.items() for row in _rows(kind, values, rigs)),
+    return topic(
+        "ports",
+        rows=(row for kind, values in found.items() for row in _rows(kind, values, rigs)),
         figures=(_figure(found),),
     )
 
@@ -62,23 +60,9 @@ def ports(rigs: int) -> Topic:
 def _rows(kind: str, found: Deviations, rigs: int) -> tuple[Row, Row]:
     reference = f"dielectric {'slab' if kind == 'flat' else 'shell'}, {rigs} random rigs"
     return (
-        Row(
-            f"closed-form {kind} port, ray",
-            reference,
-            float(found.error_px.max()),
-            0.005,
-            "px",
-            "required of the tank; single precision costs up to 3e-3",
-            SEED,
-        ),
-        Row(
-            f"closed-form {kind} port, transmission",
-            reference,
-            float(found.transmission.max()),
-            1e-3,
-            "share",
-            "a tenth of what the absolute radiometry is held to",
-            SEED,
+        PIXEL.row(f"closed-form {kind} port, ray", reference, float(found.error_px.max())),
+        SHARE.row(
+            f"closed-form {kind} port, transmission", reference, float(found.transmission.max())
         ),
     )
 

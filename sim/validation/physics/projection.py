@@ -10,7 +10,8 @@ from sim.truth import project
 from sim.validation.physics.ports import Rays, closed_form_rays, traced_rays
 from sim.validation.physics.refraction import tangents
 from sim.validation.physics.rigs import random_pixels, random_rig
-from sim.validation.rows import Row, Topic
+from sim.validation.physics.topics import topic
+from sim.validation.rows import Bar, Row, Topic
 
 # r, z in mm and the tangent in air: 10 mm of air, 6 mm of glass, n = 1 / 1.49 / 1.3313.
 PUBLISHED = np.array(
@@ -24,44 +25,31 @@ PUBLISHED = np.array(
 NEAREST_MM, FARTHEST_MM = 200.0, 2500.0
 PIXELS = 200
 SEED = 31
+PIXEL = Bar(0.005, "px", "required of the tank; single precision costs up to 3e-3", SEED)
+TANGENT = Bar(1e-10, "tangent", "the check values are given to twelve decimals")
 
 
 def projection(rigs: int) -> Topic:
     """The truth's pixels of points on the rays of both cameras, over so many random rigs."""
     ways = {"the camera plugin": closed_form_rays, "traced glass": traced_rays}
     rows = [
-        Row(
+        PIXEL.row(
             f"projection of points seen by {name}, {kind} port",
             f"{name}, {rigs} random rigs of {PIXELS} pixels",
             max(_rig_errors(kind, rays, rigs)),
-            0.005,
-            "px",
-            "required of the tank; single precision costs up to 3e-3",
-            SEED,
         )
         for kind in ("flat", "dome")
         for name, rays in ways.items()
     ]
-    return Topic(
-        key="projection",
-        title="The truth’s projection",
-        text="The truth that all results are held against solves the port’s own equation in "
-        "double precision and shares no formula with the renderer. Points at random distances "
-        "on the rays of the camera, and on rays traced through real glass, must come back to "
-        "the pixel they started from.",
-        rows=(_published_row(), *rows),
-    )
+    return topic("projection", rows=(_published_row(), *rows))
 
 
 def _published_row() -> Row:
     r, z, tangent = PUBLISHED.T
-    return Row(
+    return TANGENT.row(
         "tangent in air to four points behind a flat port",
         "published check values of the port's equation",
         float(np.abs(tangents(r, z) - tangent).max()),
-        1e-10,
-        "tangent",
-        "the check values are given to twelve decimals",
     )
 
 

@@ -12,7 +12,8 @@ from sim.render.plugins.camera import RefractiveCamera
 from sim.scene import Pose, Scene, camera_pose
 from sim.truth import project
 from sim.validation.physics.rigs import camera_rays, make_camera, scene_with
-from sim.validation.rows import Row, Topic
+from sim.validation.physics.topics import topic
+from sim.validation.rows import Bar, Row, Topic
 from sim.water import refractive_index
 
 WATER_INDEX, GLASS_INDEX = 1.3313, 1.49  # of the published values
@@ -23,6 +24,8 @@ PUBLISHED_ERROR_PX = {500.0: 0.98, 700.0: 0.42, 1500.0: 0.33, 2000.0: 0.49}
 PUBLISHED_FOCAL = 1.3278
 MEDIA = {"air": None, "fresh water": 0.0, "sea water": 35.0}  # salinity in psu
 AT_C, AT_NM = 20.0, 650.0
+DIGIT = "the published value's last digit"
+SINES = Bar(1e-6, "ratio", "single precision of the camera's directions, 6e-8 over a sine of 0.4")
 
 
 def refraction() -> Topic:
@@ -31,54 +34,27 @@ def refraction() -> Topic:
     worst = max(abs(errors[at] - figure) for at, figure in PUBLISHED_ERROR_PX.items())
     rows = [
         *(_sine_row(name, salinity) for name, salinity in MEDIA.items()),
-        Row(
+        Bar(0.005, "deg", DIGIT).row(
             "30° in air, angle in water",
             "Snell's law, published 22.06°",
             abs(angle_in_water_deg() - 22.06),
-            0.005,
-            "deg",
-            "the published value's last digit",
         ),
-        Row(
+        Bar(5e-5, "f", DIGIT).row(
             "focal length of a single-viewpoint fit at 1 m",
             "published 1.3278 f",
             abs(focal - PUBLISHED_FOCAL),
-            5e-5,
-            "f",
-            "the published value's last digit",
         ),
-        Row(
-            "error of that fit at 0.5, 0.7, 1.5 and 2 m",
-            "published .98, .42, .33, .49 px",
-            worst,
-            0.005,
-            "px",
-            "the published values' last digit",
+        Bar(0.005, "px", DIGIT).row(
+            "error of that fit at 0.5, 0.7, 1.5 and 2 m", "published .98, .42, .33, .49 px", worst
         ),
     ]
-    return Topic(
-        key="refraction",
-        title="Refraction through a flat port",
-        text="Behind a flat port the sine of the angle in air is exactly the index times that "
-        "in water, whatever the glass: the camera's rays are held against it with nothing, "
-        "fresh water and sea water behind the port. A camera with a single viewpoint cannot "
-        "imitate this: fitted at 1 m with two distortion terms it errs nearer and farther, by "
-        "amounts that were published and must come out of the projection here.",
-        rows=tuple(rows),
-        figures=(_figure(),),
-    )
+    return topic("refraction", rows=rows, figures=(_figure(),))
 
 
 def _sine_row(name: str, salinity: float | None) -> Row:
     index = 1.0 if salinity is None else refractive_index(AT_C, salinity, AT_NM)
-    return Row(
-        f"ratio of sines, {name} (n = {index:.4f})",
-        "Snell's law: exactly n",
-        _sine_error(index),
-        1e-6,
-        "ratio",
-        "single precision of the camera's directions, 6e-8 over a sine of 0.4",
-    )
+    what = f"ratio of sines, {name} (n = {index:.4f})"
+    return SINES.row(what, "Snell's law: exactly n", _sine_error(index))
 
 
 def _sine_error(index: float) -> float:

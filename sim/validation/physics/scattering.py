@@ -14,7 +14,8 @@ from sim.render.tank import W_PER_M2_IN_MW_PER_MM2, Tank, stock_medium
 from sim.scene import Scene
 from sim.truth import StripeTruth, stripe_truth
 from sim.validation.physics.rigs import scene_with
-from sim.validation.rows import Row, Topic, measured
+from sim.validation.physics.topics import topic
+from sim.validation.rows import Bar, Row, Topic, measured
 from sim.water import HenyeyGreensteinMixture, Optics, water_optics
 
 SEED = 4000
@@ -25,6 +26,8 @@ OTHER_ASYMMETRY = ASYMMETRY - 0.02
 LEVEL = 1e-3  # chance of a false alarm in all tests of a check together
 MASKS = ("core", "halo", "veil", "shadow")
 CENTROID_PX = 0.01
+REFERENCE = "Mitsuba's volpath"
+SEEN = Bar(1.0, "ratio", "below 1, the test would fail", SEED, noisy=True)
 OUR_SAMPLES, OUR_GRID = 64, 256  # of higher orders, and of the first
 STOCK = {"type": "volpath", "max_depth": -1, "rr_depth": 8}
 # A narrow window for the centre: farther out the halo, noisy in the reference, has a long lever.
@@ -80,18 +83,7 @@ def multiple_scattering(waters: tuple[str, ...], runs: int, samples: int) -> Top
             lambda name=name: water_rows(name, runs, samples, tests),  # type: ignore[misc]
         )
     ]
-    return Topic(
-        key="multiple-scattering",
-        title="All orders of scattering",
-        text="A block with grooves stands on the floor of a tank of turbid water. The same "
-        "emitter, scene and water are given to Mitsuba’s own volumetric path tracer, which "
-        "shares nothing with this renderer’s sampling. The sums over four parts of the picture "
-        "must agree within their noise: the line itself, the halo about it, the veil above it, "
-        "and the floor in the block’s shadow, where only light that was turned more than once "
-        "arrives. The same tests must fail when the line is taken out of our picture, or when "
-        "the phase function’s asymmetry is wrong by 0.02.",
-        rows=tuple(rows),
-    )
+    return topic("multiple-scattering", rows=rows)
 
 
 def water_rows(name: str, runs: int, samples: int, tests: int) -> list[Row]:
@@ -99,42 +91,31 @@ def water_rows(name: str, runs: int, samples: int, tests: int) -> list[Row]:
     result = compare(pictures(name, runs, samples))
     bound = sidak_bound(tests, result.degrees)
     shares = ", ".join(f"{mask} {100 * result.share[mask]:.2g} %" for mask in MASKS)
+    sidak = (
+        f"Student's t, Sidak for {tests} tests at {LEVEL:g} in all; one standard error "
+        f"is {shares}; {runs} pictures of {samples} samples a side"
+    )
+    noise = f"required of the tank; the reference's noise is {result.centroid_error_px:.1g} px"
     return [
-        _row(
+        Bar(bound, "standard errors", sidak, SEED, noisy=True).row(
             f"{name}: largest |z| on core, halo, veil and shadow",
+            REFERENCE,
             max(abs(z) for z in result.z.values()),
-            bound,
-            "standard errors",
-            f"Student's t, Sidak for {tests} tests at {LEVEL:g} in all; one standard error "
-            f"is {shares}; {runs} pictures of {samples} samples a side",
         ),
-        _row(
-            f"{name}: the line's centre, mean over its columns",
-            result.centroid_px,
-            CENTROID_PX,
-            "px",
-            f"required of the tank; the reference's noise is {result.centroid_error_px:.1g} px",
+        Bar(CENTROID_PX, "px", noise, SEED, noisy=True).row(
+            f"{name}: the line's centre, mean over its columns", REFERENCE, result.centroid_px
         ),
-        _row(
+        SEEN.row(
             f"{name}: bound over |z| of the core if the line is removed",
+            REFERENCE,
             bound / abs(result.without_line["core"]),
-            1.0,
-            "ratio",
-            "below 1, the test would fail",
         ),
-        _row(
+        SEEN.row(
             f"{name}: bound over the largest |z| if g is 0.02 less",
+            REFERENCE,
             bound / max(abs(z) for z in result.other_g.values()),
-            1.0,
-            "ratio",
-            "below 1, the test would fail",
         ),
     ]
-
-
-def _row(what: str, figure: float, bar: float, unit: str, tolerance_from: str) -> Row:
-    reference = "Mitsuba's volpath"
-    return Row(what, reference, figure, bar, unit, tolerance_from, SEED, noisy=True)
 
 
 def tank_scene(water: str) -> Scene:

@@ -14,15 +14,18 @@ from sim.scene import FlatPort, Scene
 from sim.sensor import Webcam
 from sim.sensor.speckle import speckle_contrast
 from sim.validation.physics.rigs import scene_with
-from sim.validation.rows import Row, Topic
+from sim.validation.physics.topics import topic
+from sim.validation.rows import Bar, Row, Topic
 from sim.water import water_optics
 
 SEED = 53
+CONTRAST = Bar(0.005, "contrast", "half of the last digit given")
+PLANE = Bar(0.01, "relative", "required of the tank; rounding to 8 bits costs 0.25 %")
 EXPOSURE_MS = 20.0
 FULL_SCALE_DN = 255.0
 STANDARD_ERRORS = 3.0
 PLANCK_J_S, LIGHT_M_S = 6.62607015e-34, 299792458.0  # exact, SI 2019
-# Pixel in um, f-number: contrast of polarised and of depolarised light (physics.md section 4).
+# Pixel in um, f-number: contrast of polarised and of depolarised light (Goodman 2020).
 SPECKLE = (
     (6.0, 2.0, 0.22, 0.15),
     (6.0, 2.8, 0.29, 0.21),
@@ -38,16 +41,7 @@ PLAIN_LENS = {"blur_px": 0.0, "vignetting": 0.0, "f_number": 2.8, "transmission"
 
 def sensor() -> Topic:
     """Mean, variance and speckle contrast of flat fields, and a Lambertian plane on paper."""
-    return Topic(
-        key="sensor",
-        title="The sensor",
-        text="A flat field of known radiance is exposed and its digital numbers are counted: "
-        "their mean and their variance must be those of the declared EMVA 1288 model, their "
-        "speckle contrast Goodman’s, each within three standard errors of so many pixels. The "
-        "absolute scale is worked out on paper for a Lambertian plane in the laser sheet, from "
-        "milliwatts to electrons, and held against a whole render.",
-        rows=(*_noise_rows(), *_speckle_rows(), plane_row()),
-    )
+    return topic("sensor", rows=(*_noise_rows(), *_speckle_rows(), plane_row()))
 
 
 def flat_field(scene: Scene, radiance: float, layer: str) -> Layers:
@@ -82,19 +76,20 @@ def _noise_rows() -> list[Row]:
         sensor={"prnu": 0.01, "dark_noise_e": 53.0, "dsnu_e": 40.0, "full_well_e": 15000.0},
     )
     results = [noise_deviations(scene, share) for share in (0.05, 0.3, 0.7)]
+    camera = scene.rig.camera
+    bar = _within_errors(f"{camera.width_px * camera.height_px} pixels")
     return [
-        Row(
+        bar.row(
             f"{name} of flat fields at 5, 30 and 70 % of the full well",
             "EMVA 1288 linear model",
             max(result[k] for result in results),
-            STANDARD_ERRORS,
-            "standard errors",
-            f"three standard errors of {scene.rig.camera.width_px * scene.rig.camera.height_px}"
-            " pixels",
-            SEED,
         )
         for k, name in enumerate(("mean", "variance"))
     ]
+
+
+def _within_errors(of: str) -> Bar:
+    return Bar(STANDARD_ERRORS, "standard errors", f"three standard errors of {of}", SEED)
 
 
 def noise_deviations(scene: Scene, share: float) -> tuple[float, float]:
@@ -129,22 +124,15 @@ def _speckle_rows() -> list[Row]:
             for (pixel, number, *_), contrast in zip(SPECKLE, declared, strict=True)
         ]
         rows += [
-            Row(
+            CONTRAST.row(
                 f"declared speckle contrast of six cameras, {light}",
                 "Goodman's integral, published to two decimals",
                 max(abs(a - b) for a, b in zip(declared, published, strict=True)),
-                0.005,
-                "contrast",
-                "half of the last digit given",
             ),
-            Row(
+            _within_errors("a gamma law's contrast over the picture").row(
                 f"realised speckle contrast of six cameras, {light}",
                 "the declared contrast",
                 max(realised),
-                STANDARD_ERRORS,
-                "standard errors",
-                "three standard errors of a gamma law's contrast over the picture",
-                SEED,
             ),
         ]
     return rows
@@ -186,13 +174,10 @@ def realised_contrast(pixel_um: float, f_number: float, light: str) -> tuple[flo
 def plane_row() -> Row:
     """A Lambertian plane square to the fan's axis, seen on the camera's axis: DN on paper."""
     expected, found = plane_on_paper(), plane_rendered()
-    return Row(
+    return PLANE.row(
         "Lambertian plane in the laser sheet, milliwatts to digital numbers",
         "camera equation and sheet irradiance on paper",
         abs(found / expected - 1),
-        0.01,
-        "relative",
-        "required of the tank; rounding to 8 bits costs 0.25 %",
     )
 
 

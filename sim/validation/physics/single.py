@@ -13,13 +13,25 @@ from lscan.records import Floats
 from sim.render.tank import Tank
 from sim.scene import Laser, Scene, sheet_pose
 from sim.validation.physics.rigs import scene_with
-from sim.validation.rows import Row, Topic
+from sim.validation.physics.topics import topic
+from sim.validation.rows import Bar, Topic
 from sim.water import Optics, water_optics
 
 SEED = 71
 SAMPLES = 200_000
 # x of the direction (x, .05, 1), and the radiance for 1 W in 1/m2: the published quadrature.
 PUBLISHED = ((0.0, 5.942212822e-4), (0.1, 9.540600974e-4), (0.2, 1.300616580e-3))
+QUADRATURE = Bar(
+    1e-8,
+    "relative",
+    "the sheet tapers by 8e-5 here, which moves its finite width's 5e-5 by 8e-9",
+)
+VEIL = Bar(
+    1e-4,
+    "relative",
+    f"{SAMPLES} samples of an integrand drawn from its own shape; single precision",
+    SEED,
+)
 PER_MM2_IN_PER_M2 = 1e6
 REACH_SIGMAS = 10.0  # of the Gaussian along the ray: what lies beyond is below 1e-22
 
@@ -41,31 +53,18 @@ def single_scattering(sights: int) -> Topic:
     generator = np.random.default_rng(SEED)
     lines = [published_sight(x) for x, _ in PUBLISHED]
     lines += [random_sight(generator) for _ in range(sights)]
-    return Topic(
-        key="single-scattering",
-        title="Single scattering",
-        text="Light that the water throws from the sheet straight into the camera is one "
-        "integral along the line of sight. The renderer draws it by chance; an adaptive "
-        "quadrature in double precision, written from the sheet’s irradiance and the water’s "
-        "phase function alone, must agree with it. Three published values vouch for the "
-        "quadrature.",
+    return topic(
+        "single-scattering",
         rows=(
-            Row(
+            QUADRATURE.row(
                 "the quadrature itself on three lines of sight",
                 "published quadrature",
                 max(abs(published_by_quadrature(x) / value - 1) for x, value in PUBLISHED),
-                1e-8,
-                "relative",
-                "the sheet tapers by 8e-5 here, which moves its finite width's 5e-5 by 8e-9",
             ),
-            Row(
+            VEIL.row(
                 f"veil on the published and on {sights} random lines of sight",
                 "quadrature in double precision",
                 max(abs(rendered(line) / quadrature(line) - 1) for line in lines),
-                1e-4,
-                "relative",
-                f"{SAMPLES} samples of an integrand drawn from its own shape; single precision",
-                SEED,
             ),
         ),
     )
@@ -153,7 +152,9 @@ def rendered(sight: LineOfSight) -> float:
 
 
 def quadrature(sight: LineOfSight, optics: Optics | None = None) -> float:
-    """The same by adaptive quadrature along the ray (physics.md section 7 without its limit).
+    """The same by adaptive quadrature along the ray, for a sheet of finite width.
+
+    docs/explanation/physics.md, section 7, gives the limit of a thin sheet.
 
     optics: the water, the scene's own if None.
     """
@@ -181,7 +182,9 @@ def quadrature(sight: LineOfSight, optics: Optics | None = None) -> float:
 
 
 def irradiance(laser: Laser, point: Floats, water_index: float) -> float:
-    """mW/mm2 of a straight, uniform sheet at (3,) a point of its frame, mm (physics.md, 4).
+    """mW/mm2 of a straight, uniform sheet at (3,) a point of its frame, mm.
+
+    docs/explanation/physics.md, section 4.
 
     The laser's power, spread evenly over the fan's angle and as a Gaussian over s.
     """

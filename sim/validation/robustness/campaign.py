@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import shutil
 import tempfile
 from collections import Counter
 from collections.abc import Sequence
@@ -20,7 +21,7 @@ from lscan.records import Frame, Progress
 from sim.testing.faultbench import FaultBench, bench_for
 from sim.testing.faults import FRAMES, KINDS, InjectedFault, draw_fault
 from sim.testing.marks import read_mark
-from sim.validation.rows import Row
+from sim.validation.rows import Bar, Row
 
 SEED: Final = 5005
 LEAST_STRUCK: Final = 0.81
@@ -95,7 +96,7 @@ def run_experiment(fault: InjectedFault, seed: int, path: Path) -> Outcome:
         except Violation as found:
             violation = str(found)
     if not violation:
-        remove_run(path)
+        shutil.rmtree(path)
     return Outcome(fault, seed, struck, ended, message.replace(str(path), "RUN"), kept, violation)
 
 
@@ -112,25 +113,15 @@ def fault_rows(
     injected = sum(outcome.struck for outcome in outcomes)
     unclean = sum(bool(outcome.violation) for outcome in outcomes)
     reference = "one fault each while scanning on the emulated camera, track and disk"
+    most = f"{each} of each kind, less those whose moment never comes"
     return [
-        Row(
-            what="faults injected",
-            reference=reference,
-            figure=injected,
-            bar=ceil(LEAST_STRUCK * count),
-            unit="",
-            tolerance_from=f"{each} of each kind, less those whose moment never comes",
-            seed=seed,
-            at_least=True,
+        Bar(ceil(LEAST_STRUCK * count), "", most, seed, at_least=True).row(
+            "faults injected", reference, injected
         ),
-        Row(
-            what="faults after which a frame was lost or wrong, or the end was unclear",
-            reference=reference,
-            figure=unclean,
-            bar=0,
-            unit="",
-            tolerance_from="no frame lost, none accepted wrong",
-            seed=seed,
+        Bar(0, "", "no frame lost, none accepted wrong", seed).row(
+            "faults after which a frame was lost or wrong, or the end was unclear",
+            reference,
+            unclean,
         ),
     ], outcomes
 
@@ -259,10 +250,3 @@ def _recorded(path: Path, kept: int) -> list[tuple[bytes, bytes]]:
     """Row and picture file of each of the first ``kept`` frames."""
     rows = _rows(path) if kept else []
     return [(rows[index], frame_file(path, index).read_bytes()) for index in range(kept)]
-
-
-def remove_run(path: Path) -> None:
-    """Remove what a clean experiment left."""
-    for file in sorted(path.rglob("*"), reverse=True):
-        file.rmdir() if file.is_dir() else file.unlink()
-    path.rmdir()

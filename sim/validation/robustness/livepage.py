@@ -21,7 +21,7 @@ from lscan.paper.experiment import measure_board
 from lscan.paper.published import CHOSEN_MAP
 from sim.scene import load_scene
 from sim.testing.browser import headless_chromium, wait_for
-from sim.validation.rows import Row
+from sim.validation.rows import Bar, Row
 
 if TYPE_CHECKING:
     from playwright.sync_api import Page
@@ -59,18 +59,13 @@ def livepage_rows(
         ):
             chromium.page.goto(line.split()[0])
             rate_hz = _rate_while_scanning(chromium.page, seconds, output / "page.png")
+    seed = load_scene(scene).tank.sensor.seed
     return [
-        Row(
-            what="live page: pictures drawn a second while scanning, with stripe and profile",
-            reference="performance.now() of headless Chromium, over at least "
+        Bar(BAR_HZ, "1/s", SOURCE, seed, at_least=True, noisy=True).row(
+            "live page: pictures drawn a second while scanning, with stripe and profile",
+            "performance.now() of headless Chromium, over at least "
             f"{SHORTEST * seconds:.3g} s of the scan",
-            figure=rate_hz,
-            bar=BAR_HZ,
-            unit="1/s",
-            tolerance_from=SOURCE,
-            seed=load_scene(scene).tank.sensor.seed,
-            at_least=True,
-            noisy=True,
+            rate_hz,
         )
     ]
 
