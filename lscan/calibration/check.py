@@ -18,8 +18,8 @@ import numpy as np
 from scipy import stats
 
 from lscan.calibration.api import PlaneMap
-from lscan.calibration.evaluate import found_marks
 from lscan.calibration.motion import Likeness, likeness
+from lscan.calibration.readings import all_marks, found_marks
 from lscan.calibration.solve import Calibration
 from lscan.errors import InputError, MeasurementError
 from lscan.records import BoardReading, Floats, PlanePoints, Status
@@ -148,8 +148,7 @@ def _found(reading: BoardReading) -> tuple[np.ndarray, Floats, Floats, Floats]:
             f"{ruler.direction} ruler at {ruler.at_mm:g} mm, mark {place:g} mm"
             for place in ruler.marks.board_mm[ruler.marks.found, along]
         ]
-    marks = [reading.grid, *(ruler.marks for ruler in reading.rulers)]
-    return np.array(names, dtype=object), *found_marks(marks)
+    return np.array(names, dtype=object), *found_marks(all_marks(reading))
 
 
 @dataclass(frozen=True)

@@ -15,9 +15,10 @@ from time import perf_counter
 import numpy as np
 
 from lscan.calibration.api import find_solver
+from lscan.calibration.readings import all_marks, without
 from lscan.config.rig import OpticsSection
 from lscan.errors import BoardNotFound, InputError
-from lscan.records import BoardReading, Floats, Ints, Marks, Mask, Progress, Status
+from lscan.records import BoardReading, Floats, Ints, Progress
 
 FOLDS = 8
 FEWER_FOLDS = {"refractive": 2}
@@ -86,34 +87,12 @@ def deal(reading: BoardReading, folds: int, rng: np.random.Generator) -> Ints:
     for chance at the ends of columns.  Marks at one place share a fold: they hold the same
     error, and one would betray the other.
     """
-    places = np.vstack([marks.board_mm for marks in _all_marks(reading)])
+    places = np.vstack([marks.board_mm for marks in all_marks(reading)])
     steps = np.round(places / (SAME * reading.pitch_mm)).astype(np.int64)
     different, place = np.unique(steps, axis=0, return_inverse=True)
     rounds = -(-len(different) // folds)
     dealt = np.concatenate([rng.permutation(folds) for _ in range(rounds)])
     return dealt[: len(different)][place.ravel()]
-
-
-def without(reading: BoardReading, held_out: Mask) -> BoardReading:
-    """The reading as if the marks held out, (N,) in the order of ``deal``, were not found."""
-    taken = iter(np.split(held_out, np.cumsum([len(m.status) for m in _all_marks(reading)])))
-    grid = _hidden(reading.grid, next(taken))
-    rulers = [replace(ruler, marks=_hidden(ruler.marks, next(taken))) for ruler in reading.rulers]
-    return replace(reading, grid=grid, rulers=tuple(rulers))
-
-
-def _all_marks(reading: BoardReading) -> list[Marks]:
-    return [reading.grid, *(ruler.marks for ruler in reading.rulers)]
-
-
-def _hidden(marks: Marks, hide: Mask) -> Marks:
-    hide = hide & marks.found
-    return Marks(
-        board_mm=marks.board_mm,
-        image_px=np.where(hide[:, None], np.nan, marks.image_px),
-        sigma_px=np.where(hide, np.nan, marks.sigma_px),
-        status=np.where(hide, int(Status.NOT_FOUND), marks.status),
-    )
 
 
 @dataclass(frozen=True)
@@ -125,7 +104,7 @@ class _Trial:
 
 
 def _tried(reading: BoardReading, name: str, optics: OpticsSection | None, fold: Ints) -> _Trial:
-    several = _all_marks(reading)
+    several = all_marks(reading)
     found = np.concatenate([marks.found for marks in several])
     image = np.vstack([marks.image_px for marks in several])
     known = np.vstack([marks.board_mm for marks in several])

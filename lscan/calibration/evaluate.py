@@ -7,9 +7,10 @@ from typing import Protocol
 
 import numpy as np
 
+from lscan.calibration.readings import found_marks
 from lscan.calibration.region import Region
 from lscan.errors import InputError
-from lscan.records import BoardReading, Floats, Marks, Mask, PlanePoints, Status
+from lscan.records import BoardReading, Floats, Mask, PlanePoints, Status
 
 
 @dataclass(frozen=True)
@@ -24,6 +25,16 @@ class Estimate:
     xz_mm: Floats
     variance_mm2: Floats
     modes_mm: Floats | None = None
+
+
+def propagated(xz_mm: Floats, slope: Floats, modes_mm: Floats, variance_px2: Floats) -> Estimate:
+    """The estimate of a map whose parameters give its modes; NaN where the variance is.
+
+    slope: (N, 2, 2) mm per px, the last axis by u and by v.  modes_mm: (N, 2, M).
+    variance_px2: (N,) of the pixels.
+    """
+    variance = variance_px2[:, None] * (slope**2).sum(axis=2) + (modes_mm**2).sum(axis=2)
+    return Estimate(np.where(np.isfinite(variance), xz_mm, np.nan), variance, modes_mm)
 
 
 class Estimator(Protocol):
@@ -145,12 +156,3 @@ def _excess_mm(estimator: Estimator, reading: BoardReading, coordinate: int) -> 
         return 0.0
     explained = estimate.variance_mm2[valued, coordinate]
     return float(np.sqrt(max(0.0, np.mean(residual[valued] ** 2) - np.mean(explained))))
-
-
-def found_marks(several: list[Marks]) -> tuple[Floats, Floats, Floats]:
-    """board_mm (N, 2), image_px (N, 2) and sigma_px (N,) of all marks found, in order."""
-    return (
-        np.vstack([marks.board_mm[marks.found] for marks in several]),
-        np.vstack([marks.image_px[marks.found] for marks in several]),
-        np.concatenate([marks.sigma_px[marks.found] for marks in several]),
-    )

@@ -6,22 +6,18 @@ cubic B-spline), each also with "-norulers".
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-from typing import Any
-
 import numpy as np
 
-from lscan.calibration.api import NOTHING_KNOWN
-from lscan.calibration.evaluate import Estimate, lack_of_fit_mm, to_points
+from lscan.calibration.evaluate import Estimate
 from lscan.calibration.maps.lines import DEGREE, Fit, Line, fit_line
 from lscan.calibration.maps.lineset import LineSet, Targets
 from lscan.calibration.maps.rulers import Ruler, fit_ruler
 from lscan.calibration.region import Region, covered_region, spacing_px
+from lscan.calibration.solved import MapSolver, SolvedMap, with_lack_of_fit
 from lscan.calibration.stored import Pair
-from lscan.config.documents import Strict, check
 from lscan.config.rig import OpticsSection
-from lscan.errors import BoardNotFound, InputError
-from lscan.records import BoardReading, Floats, Marks, Mask, PlanePoints
+from lscan.errors import BoardNotFound
+from lscan.records import BoardReading, Floats, Marks, Mask
 
 NO_RULERS = "-norulers"
 VARIANTS: dict[str, tuple[Fit, bool]] = {
@@ -29,38 +25,22 @@ VARIANTS: dict[str, tuple[Fit, bool]] = {
 }
 
 
-class GraticuleParameters(Strict):
-    """What a graticule is made of, as a file holds it."""
-
-    latitudes: LineSet
-    longitudes: LineSet
-    region: Region
-    lack_of_fit_mm: Pair
-
-
-@dataclass(frozen=True)
-class Graticule:
+class Graticule(SolvedMap):
     """A solved graticule.
 
     latitudes: the lines of the grid rows and the vertical rulers; they give z.
     longitudes: the lines of the grid columns and the horizontal rulers; they give x.
     lack_of_fit_mm: (2,) of x and of z (evaluate.py).
+
+    Its uncertainty combines, to first order, that of the pixel, the covariances of the two
+    lines around the point, of the ruler's line and of its conversion curve; the last two are
+    common to neighbouring points, which no modes say.
     """
 
-    name: str
     latitudes: LineSet
     longitudes: LineSet
     region: Region
-    lack_of_fit_mm: Floats
-
-    def to_plane(self, image_px: Floats, sigma_px: Floats | None = None) -> PlanePoints:
-        """Points in the sheet, (N, 2) mm, of the pixels (N, 2), as api.PlaneMap promises.
-
-        sigma_mm combines, to first order, the pixel's uncertainty, the covariances of the
-        two lines around the point, of the ruler's line and of its conversion curve, and the
-        map's mean lack of fit.  The last two are common to neighbouring points.
-        """
-        return to_points(self, image_px, sigma_px)
+    lack_of_fit_mm: Pair
 
     def estimate(self, image_px: Floats, variance_px2: Floats) -> Estimate:
         """Points of covered pixels; NaN where no two lines of a direction surround one."""
@@ -69,71 +49,35 @@ class Graticule:
         z, variance_z = self.latitudes.locate(Targets(u, v, variance_px2))
         return Estimate(np.column_stack([x, z]), np.column_stack([variance_x, variance_z]))
 
-    def parameters(self) -> dict[str, Any]:
-        """The lines, the rulers, the region and the lack of fit, in plain JSON types."""
-        return GraticuleParameters(
-            latitudes=self.latitudes,
-            longitudes=self.longitudes,
-            region=self.region,
-            lack_of_fit_mm=self.lack_of_fit_mm,
-        ).model_dump(mode="json")
 
-
-class GraticuleSolver:
+class GraticuleSolver(MapSolver[Graticule]):
     """Solves graticules; see the module for the variants."""
 
-    def check_variant(self, variant: str) -> None:
-        """InputError for a variant that there is not; nothing is solved."""
-        _parse(variant)
+    family, model, what = "graticule", Graticule, "graticule"
+    variants = tuple(VARIANTS)
+    allowed = ", ".join(f"graticule-{name}" for name in VARIANTS)
 
-    def solve(
-        self, reading: BoardReading, variant: str, optics: OpticsSection = NOTHING_KNOWN
-    ) -> Graticule:
+    def fit(self, reading: BoardReading, variant: str, optics: OpticsSection) -> Graticule:
         """The graticule through the marks that were found.
 
         A line needs one mark more than its order (four for the B-spline) and is left out
-        where it has fewer; its neighbours then span two cells.  Raises InputError for an
-        unknown variant, BoardNotFound where fewer than two lines of a direction remain.
+        where it has fewer; its neighbours then span two cells.  Raises BoardNotFound where
+        fewer than two lines of a direction remain.
         """
-        fit, with_rulers = _parse(variant)
+        fit, with_rulers = VARIANTS[variant]
         rows = _fit_lines(reading, 0, fit)
         columns = _fit_lines(reading, 1, fit)
-        used = _on_lines(reading, rows, columns)
         reach = spacing_px(reading)
         solved = Graticule(
-            name=f"graticule-{variant}",
             latitudes=LineSet(_present(rows), _rulers(reading, 1, fit, with_rulers), reach),
             longitudes=LineSet(_present(columns), _rulers(reading, 0, fit, with_rulers), reach),
-            region=covered_region(reading, used),
+            region=covered_region(reading, _on_lines(reading, rows, columns)),
             lack_of_fit_mm=np.zeros(2),
         )
-        return replace(solved, lack_of_fit_mm=lack_of_fit_mm(solved, reading))
-
-    def restore(self, variant: str, parameters: dict[str, Any]) -> Graticule:
-        """The graticule that ``parameters`` came from; InputError where they do not fit."""
-        _parse(variant)
-        read = check(GraticuleParameters, parameters, where=None, prefix="parameters")
-        return Graticule(
-            f"graticule-{variant}",
-            read.latitudes,
-            read.longitudes,
-            read.region,
-            read.lack_of_fit_mm,
-        )
+        return with_lack_of_fit(solved, reading)
 
 
 solver = GraticuleSolver()
-
-
-def _parse(variant: str) -> tuple[Fit, bool]:
-    if variant not in VARIANTS:
-        raise InputError(
-            "no such graticule",
-            where="plane map",
-            value=f"graticule-{variant}",
-            allowed=", ".join(f"graticule-{name}" for name in VARIANTS),
-        )
-    return VARIANTS[variant]
 
 
 def _fit_lines(reading: BoardReading, along: int, fit: Fit) -> list[Line | None]:

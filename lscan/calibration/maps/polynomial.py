@@ -9,7 +9,6 @@ polynomials, so the map is that of eqs. (1) and (2), and it keeps its digits at 
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Annotated, Any, Self
 
@@ -17,27 +16,26 @@ import numpy as np
 from numpy.polynomial import legendre
 from pydantic import Field, model_validator
 
-from lscan.calibration.api import NOTHING_KNOWN
-from lscan.calibration.evaluate import (
-    Estimate,
-    lack_of_fit_mm,
-    separate_modes,
-    square_root,
-    to_points,
-)
+from lscan.calibration.evaluate import Estimate, propagated, separate_modes, square_root
 from lscan.calibration.maps.scaling import Scaling, box
 from lscan.calibration.region import Region, covered_region
+from lscan.calibration.solved import MapSolver, SolvedMap, with_lack_of_fit
 from lscan.calibration.stored import Matrix, Pair, check_covariance
-from lscan.config.documents import Strict, check
 from lscan.config.rig import OpticsSection
 from lscan.errors import BoardNotFound, InputError
-from lscan.records import BoardReading, Floats, PlanePoints
+from lscan.records import BoardReading, Floats
 
 ORDERS = range(1, 10)
+TERMS = [(order + 1) * (order + 2) // 2 for order in ORDERS]
 
 
-class PolynomialParameters(Strict):
-    """What a polynomial map is made of, as a file holds it."""
+class Polynomial(SolvedMap):
+    """A solved polynomial map of order N with K = (N + 1)(N + 2) / 2 terms.
+
+    pixels: scales (u, v) to -1 to 1.  coefficients: (2, K) mm of x and of z, the C_ij and
+    D_ij of eq. (1) for Legendre products, i varying slowest.  covariances: (K, K) mm^2 of
+    either.  lack_of_fit_mm: (2,) of x and of z (evaluate.py).
+    """
 
     pixels: Scaling
     coefficients: Matrix
@@ -51,131 +49,71 @@ class PolynomialParameters(Strict):
             check_covariance(covariance, self.coefficients.shape[1])
         return self
 
-
-@dataclass(frozen=True)
-class Polynomial:
-    """A solved polynomial map of ``order`` N with K = (N + 1)(N + 2) / 2 terms.
-
-    pixels: scales (u, v) to -1 to 1.  coefficients: (2, K) mm of x and of z, the C_ij and
-    D_ij of eq. (1) for Legendre products, i varying slowest.  covariances: (K, K) mm^2 of
-    either.  lack_of_fit_mm: (2,) of x and of z (evaluate.py).
-    """
-
-    order: int
-    pixels: Scaling
-    coefficients: Floats
-    covariances: tuple[Floats, ...]
-    region: Region
-    lack_of_fit_mm: Floats
-
-    @property
-    def name(self) -> str:
-        """Full name, solver and order."""
-        return f"polynomial-{self.order}"
-
-    def to_plane(self, image_px: Floats, sigma_px: Floats | None = None) -> PlanePoints:
-        """Points in the sheet, (N, 2) mm, of the pixels (N, 2), as api.PlaneMap promises.
-
-        sigma_mm combines the pixel's uncertainty, the covariance of the coefficients and
-        the map's mean lack of fit; the coefficients are the modes, those of x and those of
-        z apart.
-        """
-        return to_points(self, image_px, sigma_px)
-
     def estimate(self, image_px: Floats, variance_px2: Floats) -> Estimate:
-        """Points of covered pixels."""
-        rows, by_u, by_v = terms(self.pixels.apply(image_px), self.order)
-        slope_u = by_u @ self.coefficients.T / self.pixels.scale[0]
-        slope_v = by_v @ self.coefficients.T / self.pixels.scale[1]
-        noise = variance_px2[:, None] * (slope_u**2 + slope_v**2)
+        """Points of covered pixels; those of x and those of z have no mode in common."""
+        order = ORDERS[TERMS.index(self.coefficients.shape[1])]
+        rows, by_u, by_v = terms(self.pixels.apply(image_px), order)
+        slope = _slope(by_u, by_v, self.coefficients, self.pixels)
         modes = separate_modes(*(rows @ root for root in self._roots))
-        return Estimate(rows @ self.coefficients.T, noise + (modes**2).sum(axis=2), modes)
+        return propagated(rows @ self.coefficients.T, slope, modes, variance_px2)
 
     @cached_property
     def _roots(self) -> tuple[Floats, Floats]:
         of_x, of_z = self.covariances
         return square_root(of_x), square_root(of_z)
 
-    def parameters(self) -> dict[str, Any]:
-        """The coefficients, their covariances, the region and the lack of fit, as JSON types."""
-        return PolynomialParameters(
-            pixels=self.pixels,
-            coefficients=self.coefficients,
-            covariances=self.covariances,
-            region=self.region,
-            lack_of_fit_mm=self.lack_of_fit_mm,
-        ).model_dump(mode="json")
 
-
-class PolynomialSolver:
+class PolynomialSolver(MapSolver[Polynomial]):
     """Solves polynomial maps; the variant is the order."""
 
-    def check_variant(self, variant: str) -> None:
-        """InputError for a variant that there is not; nothing is solved."""
-        _order(variant)
+    family, model, what = "polynomial", Polynomial, "polynomial map"
+    variants = tuple(map(str, ORDERS))
+    allowed = "polynomial-1 to polynomial-9"
 
-    def solve(
-        self, reading: BoardReading, variant: str, optics: OpticsSection = NOTHING_KNOWN
-    ) -> Polynomial:
-        """The polynomials of eq. (1) that solve eq. (2) for the control points found.
-
-        Raises InputError for an unknown order, BoardNotFound where the points found do not
-        determine all terms.
-        """
-        order = _order(variant)
+    def fit(self, reading: BoardReading, variant: str, optics: OpticsSection) -> Polynomial:
+        """The polynomials of eq. (1) that solve eq. (2) for the control points found."""
         grid, found = reading.grid, reading.grid.found
         region = covered_region(reading, found)
         pixels = box(grid.image_px[found])
-        rows, by_u, by_v = terms(pixels.apply(grid.image_px[found]), order)
+        rows, by_u, by_v = terms(pixels.apply(grid.image_px[found]), int(variant))
         if np.linalg.matrix_rank(rows) < rows.shape[1]:
             raise BoardNotFound(
-                f"a polynomial map of order {order} has {rows.shape[1]} terms, which the "
+                f"a polynomial map of order {variant} has {rows.shape[1]} terms, which the "
                 f"{len(rows)} control points found do not determine"
             )
         solve = np.linalg.pinv(rows)
         coefficients = (solve @ grid.board_mm[found]).T
-        slope_u = by_u @ coefficients.T / pixels.scale[0]
-        slope_v = by_v @ coefficients.T / pixels.scale[1]
-        noise = grid.sigma_px[found, None] ** 2 * (slope_u**2 + slope_v**2)
-        covariances = tuple((solve * noise[:, c]) @ solve.T for c in (0, 1))
-        solved = Polynomial(order, pixels, coefficients, covariances, region, np.zeros(2))
-        return replace(solved, lack_of_fit_mm=lack_of_fit_mm(solved, reading))
+        slope = _slope(by_u, by_v, coefficients, pixels)
+        noise = grid.sigma_px[found, None] ** 2 * (slope**2).sum(axis=2)
+        solved = Polynomial(
+            pixels=pixels,
+            coefficients=coefficients,
+            covariances=tuple((solve * noise[:, c]) @ solve.T for c in (0, 1)),
+            region=region,
+            lack_of_fit_mm=np.zeros(2),
+        )
+        return with_lack_of_fit(solved, reading)
 
     def restore(self, variant: str, parameters: dict[str, Any]) -> Polynomial:
         """The map that ``parameters`` came from; InputError where they do not fit."""
-        order = _order(variant)
-        read = check(PolynomialParameters, parameters, where=None, prefix="parameters")
-        count = (order + 1) * (order + 2) // 2
-        if read.coefficients.shape != (2, count):
+        solved = super().restore(variant, parameters)
+        shape = (2, TERMS[int(variant) - 1])
+        if solved.coefficients.shape != shape:
             raise InputError(
                 "bad shape",
                 where="parameters.coefficients",
-                value=read.coefficients.shape,
-                allowed=(2, count),
+                value=solved.coefficients.shape,
+                allowed=shape,
             )
-        return Polynomial(
-            order,
-            read.pixels,
-            read.coefficients,
-            read.covariances,
-            read.region,
-            read.lack_of_fit_mm,
-        )
+        return solved
 
 
 solver = PolynomialSolver()
 
 
-def _order(variant: str) -> int:
-    allowed = {str(order): order for order in ORDERS}
-    if variant not in allowed:
-        raise InputError(
-            "no such polynomial map",
-            where="plane map",
-            value=f"polynomial-{variant}",
-            allowed="polynomial-1 to polynomial-9",
-        )
-    return allowed[variant]
+def _slope(by_u: Floats, by_v: Floats, coefficients: Floats, pixels: Scaling) -> Floats:
+    """(N, 2, 2) mm per px of x and of z, by u and by v."""
+    return np.stack([by_u @ coefficients.T, by_v @ coefficients.T], axis=2) / pixels.scale
 
 
 def terms(scaled: Floats, order: int) -> tuple[Floats, Floats, Floats]:

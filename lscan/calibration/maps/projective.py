@@ -7,22 +7,21 @@ neither lens distortion nor the bending of rays at the port.  It has no variants
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-from typing import Any, Self
+from dataclasses import dataclass
+from typing import Self
 
 import numpy as np
 from pydantic import model_validator
 from scipy.optimize import least_squares
 
-from lscan.calibration.api import NOTHING_KNOWN
-from lscan.calibration.evaluate import Estimate, lack_of_fit_mm, square_root, to_points
+from lscan.calibration.evaluate import Estimate, propagated, square_root
 from lscan.calibration.maps.scaling import Scaling, hartley
 from lscan.calibration.region import Region, covered_region
+from lscan.calibration.solved import MapSolver, SolvedMap, with_lack_of_fit
 from lscan.calibration.stored import Matrix, Pair, Vector, check_covariance
-from lscan.config.documents import Strict, check
 from lscan.config.rig import OpticsSection
-from lscan.errors import BoardNotFound, InputError
-from lscan.records import BoardReading, Floats, PlanePoints
+from lscan.errors import BoardNotFound
+from lscan.records import BoardReading, Floats
 
 COUNT = 8
 
@@ -63,8 +62,12 @@ class Homography:
         return turned / self.denominator(scaled)[:, None, None]
 
 
-class ProjectiveParameters(Strict):
-    """What a projective map is made of, as a file holds it."""
+class Projective(SolvedMap):
+    """A solved projective map.
+
+    pixels, plane: scalings of the two sides.  h: (8,) of :class:`Homography`, covariance:
+    (8, 8).  lack_of_fit_mm: (2,) of x and of z (evaluate.py).
+    """
 
     pixels: Scaling
     plane: Scaling
@@ -80,98 +83,47 @@ class ProjectiveParameters(Strict):
         check_covariance(self.covariance, COUNT)
         return self
 
-
-@dataclass(frozen=True)
-class Projective:
-    """A solved projective map.
-
-    pixels, plane: scalings of the two sides.  h: (8,) of :class:`Homography`, covariance:
-    (8, 8).  lack_of_fit_mm: (2,) of x and of z (evaluate.py).
-    """
-
-    pixels: Scaling
-    plane: Scaling
-    h: Floats
-    covariance: Floats
-    region: Region
-    lack_of_fit_mm: Floats
-    name: str = "projective"
-
-    def to_plane(self, image_px: Floats, sigma_px: Floats | None = None) -> PlanePoints:
-        """Points in the sheet, (N, 2) mm, of the pixels (N, 2), as api.PlaneMap promises.
-
-        sigma_mm combines the pixel's uncertainty, the covariance of the matrix, which gives
-        the modes, and the map's mean lack of fit.
-        """
-        return to_points(self, image_px, sigma_px)
-
     def estimate(self, image_px: Floats, variance_px2: Floats) -> Estimate:
         """Points of covered pixels."""
         rows = Homography(self.h).by_parameters(self.pixels.apply(image_px))
         modes = rows @ square_root(self.covariance) * self.plane.scale[:, None]
-        noise = variance_px2[:, None] * (self.slopes(image_px) ** 2).sum(axis=2)
-        return Estimate(self.places(image_px), noise + (modes**2).sum(axis=2), modes)
+        return propagated(self.places(image_px), self.slopes(image_px), modes, variance_px2)
 
     def places(self, image_px: Floats) -> Floats:
         """(N, 2) mm of pixels (N, 2), wherever they lie."""
         return self.plane.undo(Homography(self.h).apply(self.pixels.apply(image_px)))
 
     def slopes(self, image_px: Floats) -> Floats:
-        """(N, 2, 2) mm a px, derivatives of (x, z) by (u, v)."""
+        """(N, 2, 2) mm per px, derivatives of (x, z) by (u, v)."""
         scaled_slopes = Homography(self.h).by_pixel(self.pixels.apply(image_px))
         return scaled_slopes * self.plane.scale[:, None] / self.pixels.scale
 
-    def parameters(self) -> dict[str, Any]:
-        """The scaled matrix, its covariance, the region and the lack of fit, as JSON types."""
-        return ProjectiveParameters(
-            pixels=self.pixels,
-            plane=self.plane,
-            h=self.h,
-            covariance=self.covariance,
-            region=self.region,
-            lack_of_fit_mm=self.lack_of_fit_mm,
-        ).model_dump(mode="json")
 
-
-class ProjectiveSolver:
+class ProjectiveSolver(MapSolver[Projective]):
     """Solves projective maps."""
 
-    def check_variant(self, variant: str) -> None:
-        """InputError for a variant that there is not; nothing is solved."""
-        if variant:
-            raise InputError(
-                "no such projective map",
-                where="plane map",
-                value=f"projective-{variant}",
-                allowed="projective",
-            )
+    family, model, what, allowed = "projective", Projective, "projective map", "projective"
 
-    def solve(
-        self, reading: BoardReading, variant: str, optics: OpticsSection = NOTHING_KNOWN
-    ) -> Projective:
+    def fit(self, reading: BoardReading, variant: str, optics: OpticsSection) -> Projective:
         """The matrix that fits the control points found with the least error in the plane.
 
         The linear solution in Hartley's scaling is where the refinement starts.  Raises
-        InputError for any variant, BoardNotFound where four points in general position are
-        missing.
+        BoardNotFound where four points in general position are missing.
         """
-        self.check_variant(variant)
         grid, found = reading.grid, reading.grid.found
         region = covered_region(reading, found)
         pixels, plane = hartley(grid.image_px[found]), hartley(grid.board_mm[found])
         scaled, known = pixels.apply(grid.image_px[found]), plane.apply(grid.board_mm[found])
         h = _refine(_linear(scaled, known), scaled, known)
-        covariance = _covariance(h, scaled, grid.sigma_px[found] / pixels.scale[0])
-        solved = Projective(pixels, plane, h, covariance, region, np.zeros(2))
-        return replace(solved, lack_of_fit_mm=lack_of_fit_mm(solved, reading))
-
-    def restore(self, variant: str, parameters: dict[str, Any]) -> Projective:
-        """The map that ``parameters`` came from; InputError where they do not fit."""
-        self.check_variant(variant)
-        read = check(ProjectiveParameters, parameters, where=None, prefix="parameters")
-        return Projective(
-            read.pixels, read.plane, read.h, read.covariance, read.region, read.lack_of_fit_mm
+        solved = Projective(
+            pixels=pixels,
+            plane=plane,
+            h=h,
+            covariance=_covariance(h, scaled, grid.sigma_px[found] / pixels.scale[0]),
+            region=region,
+            lack_of_fit_mm=np.zeros(2),
         )
+        return with_lack_of_fit(solved, reading)
 
 
 solver = ProjectiveSolver()

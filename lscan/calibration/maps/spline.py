@@ -12,32 +12,25 @@ Each mark counts by its own uncertainty, carried to mm by the matrix's slope.  N
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-from typing import Annotated, Any, Self
+from typing import Annotated, Self
 
 import numpy as np
 from pydantic import Field, model_validator
 
-from lscan.calibration.api import NOTHING_KNOWN
-from lscan.calibration.evaluate import (
-    Estimate,
-    found_marks,
-    lack_of_fit_mm,
-    separate_modes,
-    to_points,
-)
+from lscan.calibration.evaluate import Estimate, propagated, separate_modes
 from lscan.calibration.maps.polynomial import terms
 from lscan.calibration.maps.projective import Projective
 from lscan.calibration.maps.projective import solver as projective
 from lscan.calibration.maps.scaling import Scaling, box
 from lscan.calibration.maps.smoothing import COST, Smooth, smooth
 from lscan.calibration.maps.tensorspline import FLAT, ORDER, TensorBasis, even_basis
+from lscan.calibration.readings import all_marks, found_marks
 from lscan.calibration.region import Region, covered_region
+from lscan.calibration.solved import MapSolver, SolvedMap, with_lack_of_fit
 from lscan.calibration.stored import Matrix, Pair
-from lscan.config.documents import Strict, check
 from lscan.config.rig import OpticsSection
-from lscan.errors import BoardNotFound, InputError
-from lscan.records import BoardReading, Floats, PlanePoints
+from lscan.errors import BoardNotFound
+from lscan.records import BoardReading, Floats
 
 SEGMENTS = 6  # of the longer side; the penalty, not the knots, says how much the rest bends
 LEAST_SIGMA_PX = 1e-3  # no mark is known better, whatever it states
@@ -45,10 +38,16 @@ KEPT = 0.98  # of the variance, on the mean over the region, that the modes must
 LATTICE = 24  # places a side at which that is judged
 
 
-class SplineParameters(Strict):
-    """What a spline map is made of, as a file holds it."""
+class Spline(SolvedMap):
+    """A solved spline map.
 
-    base: dict[str, Any]
+    base: the projective map beneath.  pixels: scales (u, v), both alike, for the basis.
+    coefficients: (2, K) mm of x and of z beyond the base.  roots: of x and of z, (K, M) each,
+    mm; root @ root.T stands for the covariance of the coefficients (_strongest).
+    lack_of_fit_mm: (2,) of x and of z (evaluate.py).
+    """
+
+    base: Projective
     pixels: Scaling
     basis: TensorBasis
     coefficients: Matrix
@@ -64,83 +63,32 @@ class SplineParameters(Strict):
             raise ValueError(f"each of roots must have {self.basis.count} rows")
         return self
 
-
-@dataclass(frozen=True)
-class Spline:
-    """A solved spline map.
-
-    base: the projective map beneath.  pixels: scales (u, v), both alike, for the basis.
-    coefficients: (2, K) mm of x and of z beyond the base.  roots: of x and of z, (K, M) each,
-    mm; root @ root.T stands for the covariance of the coefficients (_strongest).
-    lack_of_fit_mm: (2,) of x and of z (evaluate.py).
-    """
-
-    base: Projective
-    pixels: Scaling
-    basis: TensorBasis
-    coefficients: Floats
-    roots: tuple[Floats, ...]
-    region: Region
-    lack_of_fit_mm: Floats
-    name: str = "spline"
-
-    def to_plane(self, image_px: Floats, sigma_px: Floats | None = None) -> PlanePoints:
-        """Points in the sheet, (N, 2) mm, of the pixels (N, 2), as api.PlaneMap promises.
-
-        sigma_mm combines the pixel's uncertainty, the scatter and bias of the smoothing,
-        which give the modes, and the map's mean lack of fit.
-        """
-        return to_points(self, image_px, sigma_px)
-
     def estimate(self, image_px: Floats, variance_px2: Floats) -> Estimate:
-        """Points of covered pixels."""
-        base, slope = self.base.places(image_px), self.base.slopes(image_px)
-        scaled = self.pixels.apply(image_px)
+        """Points of covered pixels; the scatter and bias of the smoothing give the modes."""
+        slope, scaled = self.base.slopes(image_px), self.pixels.apply(image_px)
         rows = self.basis.rows(scaled)
         for axis, by in enumerate(((1, 0), (0, 1))):
             bend = self.basis.rows(scaled, *by) @ self.coefficients.T
             slope[:, :, axis] += bend / self.pixels.scale[axis]
-        noise = variance_px2[:, None] * (slope**2).sum(axis=2)
         modes = separate_modes(*(rows @ root for root in self.roots))
-        places = base + rows @ self.coefficients.T
-        return Estimate(places, noise + (modes**2).sum(axis=2), modes)
-
-    def parameters(self) -> dict[str, Any]:
-        """The base, the coefficients, their roots, the region and the lack of fit, as JSON."""
-        return SplineParameters(
-            base=self.base.parameters(),
-            pixels=self.pixels,
-            basis=self.basis,
-            coefficients=self.coefficients,
-            roots=self.roots,
-            region=self.region,
-            lack_of_fit_mm=self.lack_of_fit_mm,
-        ).model_dump(mode="json")
+        places = self.base.places(image_px) + rows @ self.coefficients.T
+        return propagated(places, slope, modes, variance_px2)
 
 
-class SplineSolver:
+class SplineSolver(MapSolver[Spline]):
     """Solves spline maps."""
 
-    def check_variant(self, variant: str) -> None:
-        """InputError for a variant that there is not; nothing is solved."""
-        if variant:
-            raise InputError(
-                "no such spline map", where="plane map", value=f"spline-{variant}", allowed="spline"
-            )
+    family, model, what, allowed = "spline", Spline, "spline map", "spline"
 
-    def solve(
-        self, reading: BoardReading, variant: str, optics: OpticsSection = NOTHING_KNOWN
-    ) -> Spline:
+    def fit(self, reading: BoardReading, variant: str, optics: OpticsSection) -> Spline:
         """The spline through all marks found, control points and rulers.
 
-        Raises InputError for any variant, BoardNotFound where the marks do not determine a
-        quadratic surface with some to spare.
+        Raises BoardNotFound where the marks do not determine a quadratic surface with some to
+        spare.
         """
-        self.check_variant(variant)
         base = projective.solve(reading, "")
-        grid, rulers = reading.grid, [ruler.marks for ruler in reading.rulers]
-        known, image, sigma_px = found_marks([grid, *rulers])
-        region = covered_region(reading, grid.found)
+        known, image, sigma_px = found_marks(all_marks(reading))
+        region = covered_region(reading, reading.grid.found)
         pixels = _even_scaling(image)
         scaled = pixels.apply(image)
         _require_spread(scaled)
@@ -159,21 +107,7 @@ class SplineSolver:
             region=region,
             lack_of_fit_mm=np.zeros(2),
         )
-        return replace(solved, lack_of_fit_mm=lack_of_fit_mm(solved, reading))
-
-    def restore(self, variant: str, parameters: dict[str, Any]) -> Spline:
-        """The map that ``parameters`` came from; InputError where they do not fit."""
-        self.check_variant(variant)
-        read = check(SplineParameters, parameters, where=None, prefix="parameters")
-        return Spline(
-            base=projective.restore("", read.base),
-            pixels=read.pixels,
-            basis=read.basis,
-            coefficients=read.coefficients,
-            roots=read.roots,
-            region=read.region,
-            lack_of_fit_mm=read.lack_of_fit_mm,
-        )
+        return with_lack_of_fit(solved, reading)
 
 
 solver = SplineSolver()

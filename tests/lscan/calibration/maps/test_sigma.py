@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from planeviews import BARREL, View, board_points, paper_board, read_board, with_noise
 
 from lscan.calibration.api import PlaneMap, find_solver
 from lscan.calibration.maps.projective import solver as projective
+from lscan.calibration.solved import SolvedMap
 from lscan.records import Floats
 
 BOARD = paper_board()
@@ -19,7 +18,8 @@ TRIALS = 60
 
 def noise_only(plane_map: PlaneMap) -> PlaneMap:
     """The map without its lack of fit, which is no noise."""
-    return replace(plane_map, lack_of_fit_mm=np.zeros(2))  # type: ignore[type-var]
+    assert isinstance(plane_map, SolvedMap)
+    return plane_map.model_copy(update={"lack_of_fit_mm": np.zeros(2)})
 
 
 @pytest.mark.parametrize(

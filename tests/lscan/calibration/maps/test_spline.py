@@ -14,8 +14,8 @@ from planeviews import BARREL, View, board_points, paper_board, read_board, view
 
 from lscan.board import read_board as read_photograph
 from lscan.calibration.api import find_solver
-from lscan.calibration.crossvalidation import without
 from lscan.calibration.maps.spline import solver
+from lscan.calibration.readings import without
 from lscan.calibration.solve import residuals
 from lscan.config.board import Board
 from lscan.errors import BoardNotFound, InputError

@@ -1,0 +1,46 @@
+"""The marks of a board reading, control points and rulers together."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from lscan.records import BoardReading, Floats, Marks, Mask, Status
+
+
+def all_marks(reading: BoardReading) -> list[Marks]:
+    """The control points, then the marks of each ruler."""
+    return [reading.grid, *(ruler.marks for ruler in reading.rulers)]
+
+
+def found_marks(several: Sequence[Marks]) -> tuple[Floats, Floats, Floats]:
+    """board_mm (N, 2), image_px (N, 2) and sigma_px (N,) of all marks found, in order."""
+    return (
+        np.vstack([marks.board_mm[marks.found] for marks in several]),
+        np.vstack([marks.image_px[marks.found] for marks in several]),
+        np.concatenate([marks.sigma_px[marks.found] for marks in several]),
+    )
+
+
+def without(reading: BoardReading, left_out: Mask) -> BoardReading:
+    """The reading as if some of ``all_marks``, a mask (N,), were not found."""
+    counts = np.cumsum([len(marks.status) for marks in all_marks(reading)])[:-1]
+    grid, *on_rulers = map(_hidden, all_marks(reading), np.split(left_out, counts))
+    rulers = zip(reading.rulers, on_rulers, strict=True)
+    return replace(
+        reading,
+        grid=grid,
+        rulers=tuple(replace(ruler, marks=marks) for ruler, marks in rulers),
+    )
+
+
+def _hidden(marks: Marks, hide: Mask) -> Marks:
+    hide = hide & marks.found
+    return Marks(
+        board_mm=marks.board_mm,
+        image_px=np.where(hide[:, None], np.nan, marks.image_px),
+        sigma_px=np.where(hide, np.nan, marks.sigma_px),
+        status=np.where(hide, int(Status.NOT_FOUND), marks.status),
+    )

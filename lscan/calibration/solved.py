@@ -1,0 +1,107 @@
+"""What the plane maps of this package share: a record that is its file, and a solver's frame."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from typing import Any, ClassVar, Generic, TypeVar, cast
+
+from pydantic import PrivateAttr
+
+from lscan.calibration.api import NOTHING_KNOWN
+from lscan.calibration.evaluate import Estimator, lack_of_fit_mm, to_points
+from lscan.config.documents import Strict, check
+from lscan.config.rig import OpticsSection
+from lscan.errors import InputError
+from lscan.records import BoardReading, Floats, PlanePoints
+
+
+class SolvedMap(Strict):
+    """Base of the plane maps: the fields are what a calibration file holds of one.
+
+    A subclass gives ``estimate``, ``region`` and ``lack_of_fit_mm`` (evaluate.Estimator).
+    """
+
+    _name: str = PrivateAttr("")
+
+    @property
+    def name(self) -> str:
+        """Full name, family and variant."""
+        return self._name
+
+    def to_plane(self: Estimator, image_px: Floats, sigma_px: Floats | None = None) -> PlanePoints:
+        """Points in the sheet, (N, 2) mm, of the pixels (N, 2), as api.PlaneMap promises.
+
+        sigma_mm combines the pixel's uncertainty, that of the map's parameters, and the map's
+        mean lack of fit.
+        """
+        return to_points(self, image_px, sigma_px)
+
+    def parameters(self) -> dict[str, Any]:
+        """The fields as JSON types."""
+        dumped: dict[str, Any] = self.model_dump(mode="json")
+        return dumped
+
+
+Solved = TypeVar("Solved", bound=SolvedMap)
+
+
+class MapSolver(ABC, Generic[Solved]):
+    """Base of the solvers of one family of maps.
+
+    family: first part of a map's name.  model: the map.  variants: second parts there are.
+    what, allowed: the family and its names in words, for messages.
+    """
+
+    family: ClassVar[str]
+    model: type[Solved]
+    what: ClassVar[str]
+    variants: ClassVar[tuple[str, ...]] = ("",)
+    allowed: ClassVar[str]
+
+    def check_variant(self, variant: str) -> None:
+        """InputError for a variant that there is not; nothing is solved."""
+        if variant not in self.variants:
+            raise InputError(
+                f"no such {self.what}",
+                where="plane map",
+                value=full_name(self.family, variant),
+                allowed=self.allowed,
+            )
+
+    def solve(
+        self, reading: BoardReading, variant: str, optics: OpticsSection = NOTHING_KNOWN
+    ) -> Solved:
+        """The map fitted to the marks that were found.
+
+        Raises InputError for an unknown variant, BoardNotFound where the marks found do not
+        determine the map.
+        """
+        self.check_variant(variant)
+        return named(self.fit(reading, variant, optics), self.family, variant)
+
+    @abstractmethod
+    def fit(self, reading: BoardReading, variant: str, optics: OpticsSection) -> Solved:
+        """As ``solve``, of a variant that there is."""
+
+    def restore(self, variant: str, parameters: dict[str, Any]) -> Solved:
+        """The map that ``parameters`` came from; InputError where they do not fit."""
+        self.check_variant(variant)
+        read = check(self.model, parameters, where=None, prefix="parameters")
+        return named(read, self.family, variant)
+
+
+def named(solved: Solved, family: str, variant: str) -> Solved:
+    """The map, with its full name."""
+    solved._name = full_name(family, variant)
+    return solved
+
+
+def with_lack_of_fit(solved: Solved, reading: BoardReading) -> Solved:
+    """The map with the lack of fit that the marks of ``reading`` show."""
+    lack_mm = lack_of_fit_mm(cast(Estimator, solved), reading)
+    return solved.model_copy(update={"lack_of_fit_mm": lack_mm})
+
+
+def full_name(family: str, variant: str) -> str:
+    """The full name of a map."""
+    return f"{family}-{variant}" if variant else family
