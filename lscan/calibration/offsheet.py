@@ -20,7 +20,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from lscan.calibration.boardview import rotation
+from lscan.camera.boards import rotation
 from lscan.errors import MeasurementError
 from lscan.records import Floats, Mask, PlanePoints
 

@@ -6,11 +6,13 @@ declaration serves the program and the strict reading of its files.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Annotated, Any
 
 import numpy as np
 from pydantic import ConfigDict, Field, PlainSerializer, PlainValidator
 
+from lscan.camera.parameters import LIMITS
 from lscan.records import Floats
 
 STRICT = ConfigDict(extra="forbid")
@@ -100,3 +102,12 @@ def check_covariance(covariance: Floats, count: int) -> None:
         raise ValueError("covariance must be symmetric")
     if np.diag(covariance).min(initial=0.0) < 0:
         raise ValueError("covariance must have no negative variance")
+
+
+def check_theta(theta: dict[str, float], names: Sequence[str]) -> None:
+    """Raise ValueError unless ``theta`` holds just the names, each within the camera's LIMITS."""
+    if tuple(theta) != tuple(names):
+        raise ValueError(f"theta must hold {', '.join(names)}")
+    for name, (low, high) in LIMITS.items():
+        if not low <= theta[name] <= high:
+            raise ValueError(f"theta.{name} must be {low:g} to {high:g}")

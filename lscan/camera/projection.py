@@ -54,6 +54,14 @@ def project(camera: Camera, points_mm: Floats) -> Floats:
     return camera.focal_px * distort(camera, tangents) + np.array(camera.centre_px)
 
 
+def meet_plane(seen: Rays, normal: Floats, place_mm: Floats) -> Floats:
+    """(N, 3) mm where rays meet a plane of normal (3,) through a place (3,); NaN if not ahead."""
+    along = seen.direction @ normal
+    distance = ((place_mm - seen.origin_mm) @ normal) / np.where(along != 0, along, np.nan)
+    ahead = np.where(distance > 0, distance, np.nan)
+    return seen.origin_mm + ahead[:, None] * seen.direction
+
+
 def _checked(array: Floats, name: str, columns: int) -> Floats:
     values = np.asarray(array, dtype=float)
     if values.ndim != 2 or values.shape[1] != columns:

@@ -39,10 +39,10 @@ def calibrate_metric(
 
 def summary(calibration: MetricCalibration) -> dict[str, Any]:
     """What a metric calibration found, in plain JSON types; None where there is no value."""
-    from lscan.calibration.multiview.bundle import NAMES
+    from lscan.camera.parameters import CAMERA
 
     theta = calibration.plane_map.view.theta.tolist()
-    known = zip(NAMES, theta, calibration.sigma.tolist(), strict=True)
+    known = zip(CAMERA, theta, calibration.sigma.tolist(), strict=True)
     return {
         "map": "metric",
         "rms_px": calibration.rms_px,

@@ -13,7 +13,7 @@ import cv2
 import numpy as np
 from hypothesis import strategies as st
 
-from lscan.calibration.multiview import LinePoints, View
+from lscan.calibration.multiview import CalibrationView, LinePoints
 from lscan.calibration.multiview.planemap import SheetView
 from lscan.camera import Camera, FlatPort, project
 from lscan.config.rig import OpticsSection
@@ -130,15 +130,15 @@ def line_of(rig: Rig, pose: Pose) -> LinePoints:
     return LinePoints(image, np.full(len(image), STATED_PX), "columns" if level else "rows")
 
 
-def views_of(rig: Rig, boards: list[Pose]) -> list[View]:
+def views_of(rig: Rig, boards: list[Pose]) -> list[CalibrationView]:
     """Exact views, marks and lines."""
     return [
-        View(f"pose-{number}", marks_of(rig, pose), line_of(rig, pose))
+        CalibrationView(f"pose-{number}", marks_of(rig, pose), line_of(rig, pose))
         for number, pose in enumerate(boards)
     ]
 
 
-def with_noise(view: View, sigma_px: float, rng: np.random.Generator) -> View:
+def with_noise(view: CalibrationView, sigma_px: float, rng: np.random.Generator) -> CalibrationView:
     """The view with white noise of ``sigma_px`` on marks and, across it, on the line."""
     assert view.marks is not None and view.line is not None
     marks, line = view.marks, view.line

@@ -9,7 +9,12 @@ import numpy as np
 import pytest
 from places import SCENES
 
-from lscan.calibration.multiview import LinePoints, MetricCalibration, View, calibrate_metric
+from lscan.calibration.multiview import (
+    CalibrationView,
+    LinePoints,
+    MetricCalibration,
+    calibrate_metric,
+)
 from lscan.records import Floats, Status
 from sim.datasets.views import held_scenes
 from sim.scene import Scene, load_scene
@@ -33,7 +38,7 @@ def shifted(scene: Scene) -> Scene:
     )
 
 
-def true_view(scene: Scene, name: str, noise: float, rng: np.random.Generator) -> View:
+def true_view(scene: Scene, name: str, noise: float, rng: np.random.Generator) -> CalibrationView:
     """What the truth shows of a board and the line on it, with ``noise`` times usual noise."""
     marks, truth = board_truth(scene).centres.grid, stripe_truth(scene, 0.0)
     mark_px = marks.image_px + rng.normal(0, noise * MARK_PX, marks.image_px.shape)
@@ -42,7 +47,7 @@ def true_view(scene: Scene, name: str, noise: float, rng: np.random.Generator) -
     columns = np.flatnonzero(shown & (truth.face == front))
     line = np.column_stack([columns, truth.centre_px[columns]]).astype(float)
     line[:, 1] += rng.normal(0, noise * LINE_PX, len(line))
-    return View(
+    return CalibrationView(
         name,
         replace(marks, image_px=mark_px, sigma_px=np.full(len(mark_px), MARK_PX)),
         LinePoints(line, np.full(len(line), LINE_PX), "columns"),

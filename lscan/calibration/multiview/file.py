@@ -10,11 +10,11 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from lscan.calibration.file import MOST_BYTES, Side, StoredMarks
-from lscan.calibration.multiview.bundle import COUNT
 from lscan.calibration.multiview.planemap import solver
 from lscan.calibration.multiview.solve import MetricCalibration, ViewReport
-from lscan.calibration.multiview.views import LinePoints, View
+from lscan.calibration.multiview.views import CalibrationView, LinePoints
 from lscan.calibration.stored import Matrix, Number, Vector
+from lscan.camera.parameters import COUNT
 from lscan.config.documents import Strict, check, read_json
 from lscan.config.rig import Known, OpticsSection
 from lscan.errors import InputError
@@ -45,7 +45,7 @@ class StoredLine(Strict):
 
 
 class StoredView(Strict):
-    """views.View and what became of it; ``null`` for a root mean square of nothing."""
+    """views.CalibrationView and what became of it; ``null`` for a root mean square of nothing."""
 
     name: str
     marks: StoredMarks | None
@@ -67,10 +67,10 @@ class StoredView(Strict):
             raise ValueError("line_used must be false without a used view, line and line_rms_mm")
         return self
 
-    def view(self) -> View:
+    def view(self) -> CalibrationView:
         """As the program holds what was read."""
         line = self.line
-        return View(
+        return CalibrationView(
             self.name,
             self.marks.marks() if self.marks else None,
             LinePoints(line.image_px, line.sigma_px, line.axis) if line else None,
@@ -164,7 +164,7 @@ def _document(path: Path) -> dict[str, Any]:
     return document
 
 
-def _store(view: View, report: ViewReport) -> StoredView:
+def _store(view: CalibrationView, report: ViewReport) -> StoredView:
     line = view.line
     return StoredView(
         name=view.name,

@@ -9,68 +9,55 @@ that is not rolled against the horizon, x is horizontal.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any, Literal, NoReturn, Self
+from functools import cached_property
+from typing import Any, NoReturn, Self
 
 import numpy as np
 from pydantic import model_validator
 from scipy.spatial import ConvexHull, QhullError
 
 from lscan.calibration.api import NOTHING_KNOWN
-from lscan.calibration.evaluate import Estimate, to_points
-from lscan.calibration.maps.refractivefit import LIMITS
-from lscan.calibration.multiview.bundle import COUNT, NAMES, camera_of
-from lscan.calibration.multiview.lines import locate
+from lscan.calibration.evaluate import Estimate, propagated
 from lscan.calibration.region import Region
-from lscan.calibration.stored import Matrix, Number, Vector
+from lscan.calibration.solved import SolvedMap, named
+from lscan.calibration.stored import Matrix, Number, Vector, check_theta
 from lscan.camera import rays
-from lscan.config.documents import Strict, check
+from lscan.camera.covariance import (
+    Locate,
+    displacements,
+    modes_that_matter,
+    pixel_derivatives,
+)
+from lscan.camera.parameters import CAMERA, COUNT, PortKind, camera_of
+from lscan.camera.projection import meet_plane
+from lscan.config.documents import check
 from lscan.config.rig import OpticsSection
 from lscan.errors import InputError, MeasurementError
-from lscan.records import BoardReading, Floats, PlanePoints
-
-KEPT = 0.9999  # of the variance on the region's outline that the stored modes account for
-MODE_STEP = 0.01  # sigmas, for differences along a mode
-PIXEL_STEP = 0.01  # px, for differences by the pixel
-
-
-class MetricParameters(Strict):
-    """What a metric map is made of, as a file holds it."""
-
-    port: Literal["flat", "none"]
-    theta: dict[str, Number]
-    q_per_mm: Vector
-    origin_px: Vector
-    modes: Matrix
-    region: Region
-
-    @model_validator(mode="after")
-    def _sizes(self) -> Self:
-        if tuple(self.theta) != NAMES:
-            raise ValueError(f"theta must hold {', '.join(NAMES)}")
-        for name, (low, high) in LIMITS.items():
-            if not low <= self.theta[name] <= high:
-                raise ValueError(f"theta.{name} must be {low:g} to {high:g}")
-        if self.q_per_mm.shape != (3,) or not self.q_per_mm.any():
-            raise ValueError("q_per_mm must be three numbers, not all 0")
-        if self.origin_px.shape != (2,):
-            raise ValueError("origin_px must be two numbers")
-        if len(self.modes) != COUNT + 3:
-            raise ValueError(f"modes must hold {COUNT + 3} rows, one for each of theta and q")
-        return self
+from lscan.records import BoardReading, Floats
 
 
 @dataclass(frozen=True)
 class SheetView:
     """A camera and the laser's sheet before it.
 
-    theta: (14,) the camera (bundle.NAMES).  port: "none" in air.  q_per_mm: (3,), the sheet is
-    the plane q . X = 1 of the camera frame.  origin_px: (2,) the pixel that sees the origin.
+    theta: (14,) the camera (parameters.CAMERA).  port: "none" in air.  q_per_mm: (3,), the
+    sheet is the plane q . X = 1 of the camera frame.  origin_px: (2,) the pixel that sees the
+    origin.
     """
 
     theta: Floats
-    port: Literal["flat", "none"]
+    port: PortKind
     q_per_mm: Floats
     origin_px: Floats
+
+    @property
+    def vector(self) -> Floats:
+        """(17,) theta and q as one vector."""
+        return np.concatenate([self.theta, self.q_per_mm])
+
+    def map_of(self, vector: Floats) -> Locate:
+        """The map of other parameters (17,)."""
+        return replace(self, theta=vector[:COUNT], q_per_mm=vector[COUNT:]).locate
 
     @property
     def axes(self) -> Floats:
@@ -86,7 +73,7 @@ class SheetView:
         axes = self.axes
         foot = self.q_per_mm / (self.q_per_mm @ self.q_per_mm)  # a point of the plane
         pixels = np.vstack([self.origin_px, image_px])
-        points = locate(self.theta, self.port, pixels, axes[:, 1], foot)
+        points = meet_plane(rays(camera_of(self.theta, self.port), pixels), axes[:, 1], foot)
         return (points[1:] - points[0]) @ axes[:, [0, 2]]
 
     def slopes(self, image_px: Floats) -> Floats:
@@ -94,96 +81,69 @@ class SheetView:
         direction = rays(camera_of(self.theta, self.port), image_px).direction @ self.axes
         return direction[:, [0, 2]] / direction[:, 1:2]
 
-    def displacements(self, modes: Floats, image_px: Floats) -> Floats:
-        """(N, 2, M) mm by which one standard deviation of each mode (17, M) moves the points."""
-        moved = np.zeros((len(image_px), 2, modes.shape[1]))
-        for index, mode in enumerate(modes.T):
-            after, before = (
-                replace(
-                    self,
-                    theta=self.theta + way * mode[:COUNT],
-                    q_per_mm=self.q_per_mm + way * mode[COUNT:],
-                ).locate(image_px)
-                for way in (MODE_STEP, -MODE_STEP)
-            )
-            moved[:, :, index] = (after - before) / (2 * MODE_STEP)
-        return moved
 
-
-@dataclass(frozen=True)
-class Metric:
+class Metric(SolvedMap):
     """A solved metric map.
 
+    theta: the camera (parameters.CAMERA).  q_per_mm: (3,), the sheet is the plane q . X = 1 of
+        the camera frame.  origin_px: (2,) the pixel that sees the origin.
     modes: (17, M), the covariance of camera and sheet (theta, then q) is modes @ modes.T but
-    for what does not move the map.
+        for what does not move the map.
     """
 
-    view: SheetView
-    modes: Floats
+    port: PortKind
+    theta: dict[str, Number]
+    q_per_mm: Vector
+    origin_px: Vector
+    modes: Matrix
     region: Region
-    name: str = "metric"
+
+    @model_validator(mode="after")
+    def _sizes(self) -> Self:
+        check_theta(self.theta, CAMERA)
+        if self.q_per_mm.shape != (3,) or not self.q_per_mm.any():
+            raise ValueError("q_per_mm must be three numbers, not all 0")
+        if self.origin_px.shape != (2,):
+            raise ValueError("origin_px must be two numbers")
+        if len(self.modes) != COUNT + 3:
+            raise ValueError(f"modes must hold {COUNT + 3} rows, one for each of theta and q")
+        return self
+
+    @cached_property
+    def view(self) -> SheetView:
+        """Camera and sheet."""
+        theta = np.array(list(self.theta.values()))
+        return SheetView(theta, self.port, self.q_per_mm, self.origin_px)
 
     @property
     def lack_of_fit_mm(self) -> Floats:
         """(2,) none: the covariance is already scaled up by all that noise does not explain."""
         return np.zeros(2)
 
-    def to_plane(self, image_px: Floats, sigma_px: Floats | None = None) -> PlanePoints:
-        """Points in the sheet, (N, 2) mm, of the pixels (N, 2), as api.PlaneMap promises.
-
-        sigma_mm combines the pixel's uncertainty and the covariance of camera, port and sheet.
-        """
-        return to_points(self, image_px, sigma_px)
-
     def estimate(self, image_px: Floats, variance_px2: Floats) -> Estimate:
         """Points of covered pixels."""
-        modes = self.view.displacements(self.modes, image_px)
-        slope = self._pixel_slope(image_px)
-        variance = variance_px2[:, None] * (slope**2).sum(axis=2) + (modes**2).sum(axis=2)
-        xz = self.view.locate(image_px)
-        return Estimate(np.where(np.isfinite(variance), xz, np.nan), variance, modes)
-
-    def _pixel_slope(self, image_px: Floats) -> Floats:
-        """(N, 2, 2) mm per px, the last axis by u and v."""
-        moved = [
-            self.view.locate(image_px + way * step)
-            for step in PIXEL_STEP * np.eye(2)
-            for way in (1, -1)
-        ]
-        return np.stack([moved[0] - moved[1], moved[2] - moved[3]], axis=2) / (2 * PIXEL_STEP)
-
-    def parameters(self) -> dict[str, Any]:
-        """Camera, plane, their modes, and the region, as JSON types."""
-        return MetricParameters(
-            port=self.view.port,
-            theta=dict(zip(NAMES, self.view.theta.tolist(), strict=True)),
-            q_per_mm=self.view.q_per_mm,
-            origin_px=self.view.origin_px,
-            modes=self.modes,
-            region=self.region,
-        ).model_dump(mode="json")
+        view = self.view
+        modes = displacements(view.map_of, view.vector, self.modes, image_px)
+        slope = pixel_derivatives(view.locate, image_px)
+        return propagated(view.locate(image_px), slope, modes, variance_px2)
 
 
-def modes_that_matter(view: SheetView, root: Floats, image_px: Floats) -> Floats:
-    """(17, M) square root of the covariance root @ root.T, less what does not move the map.
+def metric_map(view: SheetView, root: Floats, region: Region) -> Metric:
+    """The map of a camera and a sheet.
 
-    image_px: (N, 2), where it counts.  Those directions are kept that together make KEPT of
-    the variance there.
+    root: (17, P), root @ root.T is the covariance of theta and q.  Those of its directions are
+    kept that move the map on the region's outline or half way to its middle.
     """
-    scale = _scale(root)
-    u, sizes, _ = np.linalg.svd(root / scale, full_matrices=False)
-    compact = scale * (u * sizes)  # (17, 17 at most), the same covariance
-    moved = view.displacements(compact, image_px)
-    moved = moved[np.isfinite(moved).all(axis=(1, 2))].reshape(-1, compact.shape[1])
-    _, sizes, directions = np.linalg.svd(moved, full_matrices=False)
-    share = np.cumsum(sizes**2) / max(float(np.sum(sizes**2)), 1e-300)
-    return compact @ directions[: int(np.searchsorted(share, KEPT)) + 1].T
-
-
-def _scale(root: Floats) -> Floats:
-    """(17, 1) standard uncertainties, 1 where there is none: parameters of all units alike."""
-    sigma = np.linalg.norm(root, axis=1, keepdims=True)
-    return np.where(sigma > 0, sigma, 1.0)
+    corners = region.outline_px
+    places = np.vstack([corners, (corners + corners.mean(axis=0)) / 2])
+    return Metric(
+        port=view.port,
+        theta=dict(zip(CAMERA, view.theta.tolist(), strict=True)),
+        q_per_mm=view.q_per_mm,
+        origin_px=view.origin_px,
+        modes=modes_that_matter(view.map_of, view.vector, root, places),
+        region=region,
+    )
 
 
 def region_around(image_px: Floats) -> Region:
@@ -222,10 +182,7 @@ class MetricSolver:
             raise InputError(
                 "no such metric map", where="plane map", value=f"metric-{variant}", allowed="metric"
             )
-        read = check(MetricParameters, parameters, where=None, prefix="parameters")
-        theta = np.array(list(read.theta.values()))
-        view = SheetView(theta, read.port, read.q_per_mm, read.origin_px)
-        return Metric(view, read.modes, read.region)
+        return named(check(Metric, parameters, where=None, prefix="parameters"), "metric", "")
 
 
 solver = MetricSolver()

@@ -9,36 +9,32 @@ all points of a view share, are counted with those two numbers, not with each po
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import combinations
 
 import numpy as np
 
-from lscan.calibration.multiview.bundle import Adjusted, Bundle, Prior
-from lscan.calibration.multiview.equations import SheetEquations, undetermined
-from lscan.calibration.multiview.lines import (
-    FEWEST_POINTS,
-    Sight,
-    distance_mm,
-    line_ends,
-    on_board,
-    straight,
-)
+from lscan.calibration.multiview.equations import PlaneEquations, undetermined
+from lscan.calibration.multiview.lines import FEWEST_POINTS, distance_mm, line_ends, straight
+from lscan.calibration.multiview.views import LinePoints
+from lscan.camera.boards import PosedBoards
+from lscan.camera.fit import CameraFit
 from lscan.errors import MeasurementError
 from lscan.records import Floats, Mask
 
-WRONG = 6.0  # sigmas: beyond them a view's line is wrong
+WRONG = 6.0  # sigmas: beyond them a view's line is an outlier
 MEDIAN_CHI_SQUARE = 2 * np.log(2)  # of two degrees of freedom
 LEAST_ANGLE_DEG = 10.0  # between board and sheet; the line's place on the board is unsure below
 MOST_TILT_DEG = 1.0  # standard uncertainty of the sheet's tilt beyond which it is not known
 
 
 @dataclass(frozen=True)
-class Sheet:
+class LaserPlane:
     """The laser's plane q . X = 1 in the camera frame.
 
     q_per_mm: (3,) its normal over its distance from the pinhole.
     root: (14 + 3, P), root @ root.T is the covariance of the camera's theta and of q together.
-    good: by view, the mask of the line points it rests on.  faults: by view, why a line was
-        set aside.  distances_mm: by view, of its line points from the plane.
+    good: by board, the mask of the line points it rests on.  faults: by board, why a line was
+        left out.  distances_mm: by board, of its line points from the plane.
     """
 
     q_per_mm: Floats
@@ -48,77 +44,84 @@ class Sheet:
     distances_mm: dict[int, Floats]
 
 
-def find_sheet(adjusted: Adjusted, prior: Prior, sights: list[Sight]) -> Sheet:
-    """The plane of generalised least squares through the lines of all views but wrong ones.
+def find_plane(fit: CameraFit, free: Mask, lines: dict[int, LinePoints]) -> LaserPlane:
+    """The plane of generalised least squares through the lines of all views but outliers.
 
-    A view is wrong where its two numbers lie more than WRONG standard uncertainties (or of
+    free: (14,) mask of the camera's parameters that were found.  lines: by number of the board.
+    A view is an outlier where its two numbers lie more than WRONG standard uncertainties (or of
     their usual size, where all are larger) from the plane of the others.  The covariance is
     scaled up by chi squared per degree of freedom of those two numbers where above 1.
 
-    Raises MeasurementError where fewer than two lines are left or where they do not tell the
-    plane: all in one line, or on boards nearly parallel to the sheet.
+    Raises MeasurementError where fewer than two lines are left or where they do not determine
+    the plane: all in one line, or on boards nearly parallel to the sheet.
     """
-    bundle = adjusted.bundle
-    masks = {sight.view: straight(bundle, sight) for sight in sights}
+    boards = fit.boards
+    masks = {board: straight(boards, line, board) for board, line in lines.items()}
     faults = {
-        sight.view: f"only {int(masks[sight.view].sum())} points of the line lie in one line"
-        for sight in sights
-        if masks[sight.view].sum() < FEWEST_POINTS
+        board: f"only {int(mask.sum())} points of the line lie in one line"
+        for board, mask in masks.items()
+        if mask.sum() < FEWEST_POINTS
     }
-    usable = [sight.only(masks[sight.view]) for sight in sights if sight.view not in faults]
+    usable = {board: lines[board].only(masks[board]) for board in lines if board not in faults}
     _require_two(usable, faults)
-    q = _agreed_plane(bundle, usable)
-    for sight in usable:
-        angle = _angle_deg(bundle, sight.view, q)
+    q = _agreed_plane(boards, usable)
+    for board in list(usable):
+        angle = _angle_deg(boards, board, q)
         if angle < LEAST_ANGLE_DEG:
-            faults[sight.view] = f"the board lies {angle:.1f} deg from the sheet: too near it"
-    usable = [sight for sight in usable if sight.view not in faults]
+            faults[board] = f"the board lies {angle:.1f} deg from the sheet: too near it"
+            del usable[board]
     while True:
         _require_two(usable, faults)
-        fitted = SheetEquations(adjusted, prior, usable)
-        q, takes = fitted.solve(q)
-        whole, chi = fitted.chi_squares(q, takes)
+        equations = PlaneEquations(fit, free, usable)
+        q, takes = equations.solve(q)
+        whole, chi = equations.chi_squares(q, takes)
         usual = max(1.0, float(np.median(chi)) / MEDIAN_CHI_SQUARE)
         worst = int(chi.argmax())
         if len(usable) < 3 or chi[worst] <= WRONG**2 * usual:
             break
-        view = usable[worst].view
-        off = distance_mm(on_board(bundle, usable[worst].image_px, view), q)
-        faults[view] = f"its line lies {_rms(off):.3f} mm rms off the sheet of the other views"
-        del usable[worst]
-    own = fitted.own_root(q, takes) * np.sqrt(max(1.0, whole / (2 * len(usable) - 3)))
+        board = list(usable)[worst]
+        off = distance_mm(boards.on_board(usable[board].image_px, board), q)
+        faults[board] = f"its line lies {_rms(off):.3f} mm rms off the sheet of the other views"
+        del usable[board]
+    own = equations.own_root(q, takes) * np.sqrt(max(1.0, whole / (2 * len(usable) - 3)))
     _require_sure(q, own)
-    root = fitted.joint_root(q, takes, own)
-    far = {s.view: distance_mm(on_board(bundle, s.image_px, s.view), q) for s in sights}
-    good = {s.view: masks[s.view] & (s.view not in faults) for s in sights}
-    return Sheet(q, root, good, faults, far)
+    return LaserPlane(
+        q_per_mm=q,
+        root=equations.joint_root(q, takes, own),
+        good={board: mask & (board not in faults) for board, mask in masks.items()},
+        faults=faults,
+        distances_mm={
+            board: distance_mm(boards.on_board(line.image_px, board), q)
+            for board, line in lines.items()
+        },
+    )
 
 
-def _agreed_plane(bundle: Bundle, sights: list[Sight]) -> Floats:
+def _agreed_plane(boards: PosedBoards, lines: dict[int, LinePoints]) -> Floats:
     """(3,) q of the plane through two views' lines that the median view lies nearest to."""
-    thirds = [on_board(bundle, s.image_px, s.view) for s in sights]
-    ends = np.stack([line_ends(points) for points in thirds])  # (V, 2, 3)
+    ends = np.stack(
+        [line_ends(boards.on_board(line.image_px, board)) for board, line in lines.items()]
+    )  # (V, 2, 3)
     best, least = None, np.inf
-    for i in range(len(ends)):
-        for j in range(i + 1, len(ends)):
-            four = np.vstack([ends[i], ends[j]])
-            normal = np.linalg.svd(four - four.mean(axis=0))[2][2]
-            height = float(four.mean(axis=0) @ normal)
-            off = np.sqrt((((ends @ normal) - height) ** 2).mean(axis=1))
-            score = float(np.median(np.sort(off)))
-            if score < least and abs(height) > 1e-6:
-                best, least = normal / height, score
+    for i, j in combinations(range(len(ends)), 2):
+        four = ends[[i, j]].reshape(4, 3)
+        normal = np.linalg.svd(four - four.mean(axis=0))[2][2]
+        height = float(four.mean(axis=0) @ normal)
+        off = np.sqrt((((ends @ normal) - height) ** 2).mean(axis=1))
+        score = float(np.median(off))
+        if score < least and abs(height) > 1e-6:
+            best, least = normal / height, score
     if best is None:
         raise MeasurementError("the laser lines lie in no plane before the camera")
     return best
 
 
-def _angle_deg(bundle: Bundle, view: int, q: Floats) -> float:
-    cosine = abs(bundle.rotation[view][:, 2] @ q) / np.linalg.norm(q)
+def _angle_deg(boards: PosedBoards, board: int, q: Floats) -> float:
+    cosine = abs(boards.axes[board][:, 1] @ q) / np.linalg.norm(q)
     return float(np.degrees(np.arccos(min(cosine, 1.0))))
 
 
-def _require_two(usable: list[Sight], faults: dict[int, str]) -> None:
+def _require_two(usable: dict[int, LinePoints], faults: dict[int, str]) -> None:
     if len(usable) < 2:
         reasons = "; ".join(sorted(set(faults.values())))
         raise MeasurementError(

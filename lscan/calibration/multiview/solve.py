@@ -5,35 +5,37 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
+import cv2
 import numpy as np
 
-from lscan.calibration.multiview.bundle import (
-    NAMES,
-    Adjusted,
-    Bundle,
-    Observations,
-    Prior,
-    adjust,
-    observations,
+from lscan.calibration.multiview.planemap import Metric, SheetView, metric_map, region_around
+from lscan.calibration.multiview.sheet import LaserPlane, find_plane
+from lscan.calibration.multiview.views import CalibrationView
+from lscan.camera.boards import PosedBoards
+from lscan.camera.fit import (
+    MEDIAN,
+    BoardMarks,
+    CameraFit,
+    chi_square,
+    fit_boards,
+    found_on,
+    sound_marks,
+    with_covariance,
 )
-from lscan.calibration.multiview.lines import Sight, sight_of
-from lscan.calibration.multiview.planemap import Metric, SheetView, modes_that_matter, region_around
-from lscan.calibration.multiview.sheet import Sheet, find_sheet
-from lscan.calibration.multiview.start import prior_of, start_bundle
-from lscan.calibration.multiview.views import View
+from lscan.camera.parameters import COUNT, WATER, CameraPriors, priors_of
+from lscan.camera.start import posed_boards
 from lscan.config.rig import Known, OpticsSection
 from lscan.errors import InputError, MeasurementError
-from lscan.records import Floats, Mask
+from lscan.records import Floats, Marks
 from lscan.version import __version__
 
 FEWEST_VIEWS = 3  # Zhang 2000, Sec. 3.1: two give a camera without skew, a third checks it
 FEWEST_MARKS = 6  # of a view; its pose needs four
-WRONG_MARK = 6.0  # sigmas: one good mark in 6e7 is as far off (Rayleigh)
 WRONG_VIEW = 4.0  # times the median of the views' rms residuals
-MEDIAN = np.sqrt(2 * np.log(2))  # of a residual's length over its uncertainty (Rayleigh)
-MOST_WRONG = 0.25  # of a view's marks; beyond it the view is wrong
+MOST_WRONG = 0.25  # of a view's marks; beyond it the view is an outlier
 LEAST_FOCAL = 0.05  # relative uncertainty of the focal length beyond which it is not known
 ROUNDS = 10
+TOLERANCE = 1e-12  # relative change of the sum of squares
 SETTLED = 1e-3  # relative change of chi squared
 TILTED = "hold it at different tilts, 20 to 45 deg, to different sides"
 
@@ -62,12 +64,12 @@ class MetricCalibration:
     """A metric map and what it rests on.
 
     views: as read.  optics, k3: what was known of the camera.  image_size: (width, height).
-    reports: one a view.  sigma: (14,) standard uncertainties of the camera (bundle.NAMES), 0
+    reports: one a view.  sigma: (14,) standard uncertainties of the camera (parameters.CAMERA), 0
     of what was held.
     """
 
     plane_map: Metric
-    views: tuple[View, ...]
+    views: tuple[CalibrationView, ...]
     optics: OpticsSection
     k3: Known
     image_size: tuple[int, int]
@@ -87,17 +89,16 @@ class MetricCalibration:
 
 
 @dataclass(frozen=True)
-class Board:
-    """The adjusted bundle of the views ``numbers``, and why others are not among them."""
+class UsedViews:
+    """The solution from the views ``numbers``, and why others are not among them."""
 
-    adjusted: Adjusted
-    marks: Observations
+    fit: CameraFit
     numbers: tuple[int, ...]
     faults: dict[int, str]
 
 
 def calibrate_metric(
-    views: Sequence[View],
+    views: Sequence[CalibrationView],
     optics: OpticsSection,
     image_size: tuple[int, int],
     k3: Known = (0.0, 0.0),
@@ -105,89 +106,120 @@ def calibrate_metric(
     """The camera, the laser's sheet and the map from views of a board in several poses.
 
     k3: third radial coefficient and its standard uncertainty, held at 0 if left out.
-    A view, or its line, that disagrees with the others is set aside, and its report says why.
+    A view, or its line, that disagrees with the others is left out, and its report says why.
 
     Raises InputError for what is known of the camera out of its range, MeasurementError where
-    fewer than three views are usable, where their poses do not tell the focal length, or where
-    the lines do not tell the sheet.
+    fewer than three views are usable, where their poses do not determine the focal length, or
+    where the lines do not determine the sheet.
     """
-    prior = prior_of(optics, k3, image_size)
-    board = adjust_views(views, optics, prior, image_size)
-    sights = [
-        sight_of(line, index)
-        for index, number in enumerate(board.numbers)
+    # Of focal length and centre nothing is assumed: several poses determine them.
+    priors = priors_of(optics, image_size, k3, assume_webcam=False)
+    used = fit_views(views, optics, priors, image_size)
+    lines = {
+        board: line
+        for board, number in enumerate(used.numbers)
         if (line := views[number].line) is not None
-    ]
-    sheet = find_sheet(board.adjusted, prior, sights)
-    plane_map = _map_of(board, sheet, sights, image_size)
-    sigma = np.zeros(len(NAMES))
-    sigma[prior.free] = np.linalg.norm(board.adjusted.root[: len(prior.free)], axis=1)
+    }
+    plane = find_plane(used.fit, priors.free, lines)
+    marks = used.fit.marks.image_px[used.fit.good]
+    on_lines = [line.image_px[plane.good[board]] for board, line in lines.items()]
+    middle = (np.array(image_size, dtype=float) - 1) / 2
+    view = SheetView(used.fit.boards.theta[:COUNT], optics.port, plane.q_per_mm, middle)
     return MetricCalibration(
-        plane_map=plane_map,
+        plane_map=metric_map(view, plane.root, region_around(np.vstack([marks, *on_lines]))),
         views=tuple(views),
         optics=optics,
         k3=k3,
         image_size=image_size,
-        reports=tuple(_report(number, view, board, sheet) for number, view in enumerate(views)),
-        sigma=sigma,
+        reports=tuple(_report(number, view, used, plane) for number, view in enumerate(views)),
+        sigma=np.linalg.norm(used.fit.root[:COUNT], axis=1),
         software=f"lscan {__version__}",
     )
 
 
-def adjust_views(
-    views: Sequence[View], optics: OpticsSection, prior: Prior, image_size: tuple[int, int]
-) -> Board:
-    """The bundle of all views but wrong ones.
+def fit_views(
+    views: Sequence[CalibrationView],
+    optics: OpticsSection,
+    priors: CameraPriors,
+    image_size: tuple[int, int],
+) -> UsedViews:
+    """Camera and poses from all views but outliers.
 
-    The worst view is set aside, one at a time, while its residuals are WRONG_VIEW times as
-    large as the median view's; within views, single marks that are more than WRONG_MARK
-    standard uncertainties (or of the residuals' usual size, where all are larger) off.
+    The worst view is left out, one at a time, while its residuals are WRONG_VIEW times as large
+    as the median view's; within views, single marks that are outliers (fit.sound_marks).
     """
     faults = {number: reason for number, view in enumerate(views) if (reason := _unusable(view))}
     numbers = [number for number in range(len(views)) if number not in faults]
     while True:
         _require_views(views, numbers, faults)
-        marks = observations([views[number] for number in numbers])
-        start = start_bundle(marks, len(numbers), prior, optics.port, image_size)
-        adjusted, marks = _fit(start, marks, prior)
-        wrong = _worst_view(adjusted, marks, numbers)
+        marks = found_on([_marks(views[number]) for number in numbers], range(len(numbers)))
+        fit = _fit(_start(marks, priors, optics, image_size), marks, priors)
+        wrong = _worst_view(fit, len(numbers))
         if wrong is None:
             break
         index, faults[numbers[index]] = wrong
         del numbers[index]
-    _require_focal(adjusted, prior)
-    return Board(adjusted, marks, tuple(numbers), faults)
+    _require_focal(fit, priors)
+    return UsedViews(fit, tuple(numbers), faults)
 
 
-def _fit(start: Bundle, marks: Observations, prior: Prior) -> tuple[Adjusted, Observations]:
-    """The bundle of the sound marks, and the marks with their uncertainties as it shows them.
+def _start(
+    marks: BoardMarks, priors: CameraPriors, optics: OpticsSection, size: tuple[int, int]
+) -> PosedBoards:
+    """Camera and boards near enough to the marks for least squares to go on from.
+
+    OpenCV finds the focal length of the pinhole in the water's stead.  size: (width, height).
+    Raises MeasurementError where no pinhole explains the pictures.
+    """
+    theta = priors.mean.copy()
+    focal, u, v = theta[:3]
+    apparent = focal * theta[WATER]
+    matrix = np.array([[apparent, 0, u], [0, apparent, v], [0, 0, 1.0]])
+    flags = cv2.CALIB_FIX_ASPECT_RATIO | cv2.CALIB_ZERO_TANGENT_DIST | cv2.CALIB_FIX_K2
+    flags |= cv2.CALIB_FIX_K3 | cv2.CALIB_FIX_PRINCIPAL_POINT | cv2.CALIB_USE_INTRINSIC_GUESS
+    x, z = (marks.board_mm - marks.board_mm.mean(axis=0)).T
+    flat = np.column_stack([x, -z, np.zeros_like(x)]).astype(np.float32)
+    each = [marks.board == number for number in range(int(marks.board.max()) + 1)]
+    places = [flat[mask] for mask in each], [marks.image_px[mask].astype("f4") for mask in each]
+    boards = None
+    try:
+        if not np.isfinite(priors.sigma[0]):
+            _, matrix, *_ = cv2.calibrateCamera(*places, size, matrix, np.zeros(5), flags=flags)
+            theta[0] = matrix[0, 0] / theta[WATER]
+        if np.isfinite(theta).all():
+            boards = posed_boards(theta, optics.port, marks)
+    except cv2.error as error:
+        raise MeasurementError("no camera explains the views of the board") from error
+    if boards is None:
+        raise MeasurementError("no camera explains the views of the board")
+    return boards
+
+
+def _fit(start: PosedBoards, marks: BoardMarks, priors: CameraPriors) -> CameraFit:
+    """The fit to the sound marks, with the marks' uncertainties as it shows them.
 
     What is left beyond the marks' own uncertainties (compression, an uneven board) is taken to
     displace all marks alike, and is added to each one's: a few marks of little noise must not
     decide alone.
     """
-    good = np.ones(len(marks.view), dtype=bool)
+    good = np.ones(len(marks.board), dtype=bool)
     own = marks.sigma_px
-    adjusted = adjust(start, marks, prior, good)
+    boards = fit_boards(start, marks, priors, TOLERANCE)
+    chi = chi_square(boards, marks, priors)
+    free = int(priors.free.sum()) + len(boards.theta) - COUNT
     for _ in range(ROUNDS):
-        marks = replace(marks, sigma_px=np.hypot(own, _excess_px(adjusted, marks, own)))
-        good = _sound_marks(adjusted, marks)
-        before, adjusted = adjusted, adjust(adjusted.bundle, marks, prior, good)
-        settled = np.isclose(adjusted.chi_square, before.chi_square, rtol=SETTLED)
-        if settled and (good == before.good).all():
+        miss = marks.missed_px(boards)[good]
+        excess = (miss**2).sum() / max(miss.size - free, 1) - np.mean(own[good] ** 2)
+        marks = replace(marks, sigma_px=np.hypot(own, np.sqrt(max(0.0, excess))))
+        before, good = good, sound_marks(marks.lengths(boards))
+        boards = fit_boards(boards, marks.only(good), priors, TOLERANCE)
+        chi_before, chi = chi, chi_square(boards, marks.only(good), priors)
+        if np.isclose(chi, chi_before, rtol=SETTLED) and (good == before).all():
             break
-    return adjusted, marks
+    return with_covariance(boards, marks, priors, good)
 
 
-def _excess_px(adjusted: Adjusted, marks: Observations, own: Floats) -> float:
-    """What u and v of the good marks are off by, rms, beyond their own uncertainties (N,)."""
-    miss = adjusted.bundle.misses_px(marks)[adjusted.good]
-    equations = miss.size
-    freedom = max(equations - adjusted.root.shape[0], 1)
-    return float(np.sqrt(max(0.0, (miss**2).sum() / freedom - np.mean(own[adjusted.good] ** 2))))
-
-
-def _unusable(view: View) -> str:
+def _unusable(view: CalibrationView) -> str:
     """Why a view has no marks to use; "" where it has."""
     if view.marks is None:
         return view.fault or "the board was not found"
@@ -195,17 +227,21 @@ def _unusable(view: View) -> str:
     return "" if found >= FEWEST_MARKS else f"only {found} marks found, {FEWEST_MARKS} are needed"
 
 
-def _worst_view(
-    adjusted: Adjusted, marks: Observations, numbers: list[int]
-) -> tuple[int, str] | None:
+def _marks(view: CalibrationView) -> Marks:
+    """Those of a view that is not unusable."""
+    assert view.marks is not None
+    return view.marks
+
+
+def _worst_view(fit: CameraFit, count: int) -> tuple[int, str] | None:
     """The index and the fault of the view that disagrees most with the others, if one does."""
-    lengths = np.hypot(*adjusted.bundle.misses_px(marks).T)
-    each = [marks.view == index for index in range(len(numbers))]
+    lengths = np.hypot(*fit.marks.missed_px(fit.boards).T)
+    each = [fit.marks.board == index for index in range(count)]
     rms = np.array([np.sqrt(np.mean(lengths[mask] ** 2)) for mask in each])
     level = np.array([np.median(lengths[mask]) for mask in each])
-    lost = np.array([np.mean(~adjusted.good[mask]) for mask in each])
+    lost = np.array([np.mean(~fit.good[mask]) for mask in each])
     worst = int(level.argmax())
-    usual = max(float(np.median(level)), MEDIAN * float(np.median(marks.sigma_px)))
+    usual = max(float(np.median(level)), MEDIAN * float(np.median(fit.marks.sigma_px)))
     if level[worst] > WRONG_VIEW * usual:
         return worst, f"its marks lie {rms[worst]:.2f} px rms off what the other views say"
     worst = int(lost.argmax())
@@ -214,15 +250,9 @@ def _worst_view(
     return None
 
 
-def _sound_marks(adjusted: Adjusted, marks: Observations) -> Mask:
-    """(N,) mask of the marks whose residuals are no larger than noise makes them."""
-    length = np.hypot(*adjusted.bundle.misses_px(marks).T) / marks.sigma_px
-    usual = max(1.0, float(np.median(length)) / MEDIAN)
-    sound: Mask = length <= WRONG_MARK * usual
-    return sound
-
-
-def _require_views(views: Sequence[View], numbers: list[int], faults: dict[int, str]) -> None:
+def _require_views(
+    views: Sequence[CalibrationView], numbers: list[int], faults: dict[int, str]
+) -> None:
     if len(numbers) < FEWEST_VIEWS:
         listed = "; ".join(f"{views[number].name}: {faults[number]}" for number in sorted(faults))
         raise MeasurementError(
@@ -231,12 +261,12 @@ def _require_views(views: Sequence[View], numbers: list[int], faults: dict[int, 
         )
 
 
-def _require_focal(adjusted: Adjusted, prior: Prior) -> None:
+def _require_focal(fit: CameraFit, priors: CameraPriors) -> None:
     """Refuse poses that leave the focal length open: boards that all face the camera do."""
-    if prior.sigma[0] == 0:
+    if priors.sigma[0] == 0:
         return
-    focal = float(adjusted.bundle.theta[0])
-    sigma = float(np.linalg.norm(adjusted.root[0]))
+    focal = float(fit.boards.theta[0])
+    sigma = float(np.linalg.norm(fit.root[0]))
     if not sigma <= LEAST_FOCAL * focal:
         raise MeasurementError(
             f"the views do not tell the focal length ({focal:.0f} px, standard uncertainty "
@@ -244,34 +274,21 @@ def _require_focal(adjusted: Adjusted, prior: Prior) -> None:
         )
 
 
-def _map_of(board: Board, sheet: Sheet, sights: list[Sight], image_size: tuple[int, int]) -> Metric:
-    """The map of a camera and a sheet; it holds where marks or lines were seen."""
-    bundle = board.adjusted.bundle
-    lines = [sight.image_px[sheet.good[sight.view]] for sight in sights]
-    region = region_around(np.vstack([board.marks.image_px[board.adjusted.good], *lines]))
-    middle = (np.array(image_size, dtype=float) - 1) / 2
-    view = SheetView(bundle.theta, bundle.port, sheet.q_per_mm, middle)
-    corners = region.outline_px
-    half_way = (corners + corners.mean(axis=0)) / 2
-    modes = modes_that_matter(view, sheet.root, np.vstack([corners, half_way]))
-    return Metric(view, modes, region)
-
-
-def _report(number: int, view: View, board: Board, sheet: Sheet) -> ViewReport:
+def _report(number: int, view: CalibrationView, used: UsedViews, plane: LaserPlane) -> ViewReport:
     found = 0 if view.marks is None else int(view.marks.found.sum())
     seen = 0 if view.line is None else len(view.line.image_px)
-    if number in board.faults:
-        reason = board.faults[number]
+    if number in used.faults:
+        reason = used.faults[number]
         return ViewReport(view.name, False, (0, found), np.nan, False, (0, seen), np.nan, reason)
-    index = board.numbers.index(number)
-    mine = (board.marks.view == index) & board.adjusted.good
-    miss = board.adjusted.bundle.misses_px(board.marks)[mine]
+    board, fit = used.numbers.index(number), used.fit
+    mine = (fit.marks.board == board) & fit.good
+    miss = fit.marks.missed_px(fit.boards)[mine]
     rms_px = float(np.sqrt((miss**2).sum(axis=1).mean()))
     marks = (int(mine.sum()), found)
     if view.line is None:
         return ViewReport(view.name, True, marks, rms_px, False, (0, 0), np.nan, view.fault)
-    good, fault = sheet.good[index], sheet.faults.get(index, "")
-    far = sheet.distances_mm[index]
+    good, fault = plane.good[board], plane.faults.get(board, "")
+    far = plane.distances_mm[board]
     shown = far[good] if good.any() else far[np.isfinite(far)]
     line_rms = float(np.sqrt(np.mean(shown**2))) if len(shown) else np.nan
     points = (int(good.sum()), seen)

@@ -1,10 +1,12 @@
-"""What one picture of the board gives to the metric route."""
+"""What one picture of the board gives to the multi-view calibration."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
-from lscan.records import Axis, Floats, Marks
+import numpy as np
+
+from lscan.records import Axis, Floats, Marks, Mask
 
 
 @dataclass(frozen=True)
@@ -20,9 +22,18 @@ class LinePoints:
     sigma_px: Floats
     axis: Axis
 
+    @property
+    def across(self) -> Floats:
+        """(2,) unit vector in the picture along which the points are uncertain."""
+        return np.array([0.0, 1.0] if self.axis == "columns" else [1.0, 0.0])
+
+    def only(self, wanted: Mask) -> LinePoints:
+        """Those of a mask (K,)."""
+        return replace(self, image_px=self.image_px[wanted], sigma_px=self.sigma_px[wanted])
+
 
 @dataclass(frozen=True)
-class View:
+class CalibrationView:
     """One pose of the board.
 
     name: the picture's, for messages.  marks: the board's own, None where it was not found.

@@ -12,7 +12,7 @@ from pydantic import Field, PositiveFloat
 from lscan.board import read_board
 from lscan.board.chessboard import read_charuco, read_chessboard
 from lscan.calibration.multiview.planemap import region_around
-from lscan.calibration.multiview.views import LinePoints, View
+from lscan.calibration.multiview.views import CalibrationView, LinePoints
 from lscan.config.board import Board, load_board
 from lscan.config.documents import Strict, check, read_document
 from lscan.config.rig import Channel, Known, OpticsSection, StripeSection
@@ -109,7 +109,7 @@ def load_views(path: Path) -> ViewsFile:
 
 def read_views(
     views: ViewsFile, progress: Progress | None = None
-) -> tuple[list[View], tuple[int, int]]:
+) -> tuple[list[CalibrationView], tuple[int, int]]:
     """All views of the file, read, and the pictures' (width, height).
 
     A picture without the board, or a line that is not there, makes a view with a fault.
@@ -117,7 +117,7 @@ def read_views(
     Raises InputError for a picture that cannot be read or is of another size than the first.
     """
     board = _board(views.document)
-    found: list[View] = []
+    found: list[CalibrationView] = []
     size: tuple[int, int] | None = None
     for entry in views.document.view:
         picture = read_picture(views.resolve(entry.picture))
@@ -136,17 +136,17 @@ def _board(document: ViewsDocument) -> Board | None:
 
 def _read(
     views: ViewsFile, entry: ViewEntry, picture: Bytes, board: Board | None, size: tuple[int, int]
-) -> View:
+) -> CalibrationView:
     try:
         marks = _marks(views.document, picture, board)
     except BoardNotFound as error:
-        return View(entry.picture, None, None, str(error))
+        return CalibrationView(entry.picture, None, None, str(error))
     if entry.laser is None:
-        return View(entry.picture, marks)
+        return CalibrationView(entry.picture, marks)
     lit, dark = _laser_pictures(views, entry, picture, size)
     line = line_on_board(extract_stripe(lit, views.document.stripe, dark), marks)
     fault = "" if len(line.image_px) else "no laser line was found on the board"
-    return View(entry.picture, marks, line if not fault else None, fault)
+    return CalibrationView(entry.picture, marks, line if not fault else None, fault)
 
 
 def _laser_pictures(

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from peak_memory import refused_within
 from places import SCENES
 
-from lscan.calibration.maps.refractivefit import LIMITS
+from lscan.camera.parameters import LIMITS
 from lscan.config.board import Grid, load_board
 from lscan.config.documents import MOST_FILES, check, merge, read_document
 from lscan.config.rig import CameraSection, OpticsSection, Rig, SheetSection, load_rig

@@ -16,8 +16,8 @@ from typer.testing import CliRunner
 
 from lscan.calibration.api import find_solver
 from lscan.calibration.multiview import (
+    CalibrationView,
     MetricCalibration,
-    View,
     calibrate_metric,
     load_metric,
     load_views,
@@ -37,7 +37,7 @@ CHESSBOARD = '[board]\nkind = "chessboard"\ncolumns = 8\nrows = 6\nsquare_mm = 2
 def solved() -> MetricCalibration:
     rig, rng = paper_rig(), np.random.default_rng(1)
     views = [with_noise(view, 0.02, rng) for view in views_of(rig, poses(rig, rng))]
-    views.append(View("dark.png", None, None, "no board"))
+    views.append(CalibrationView("dark.png", None, None, "no board"))
     return calibrate_metric(views, known(rig), SIZE)
 
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from metricviews import SIZE, Pose, known, line_of, marks_of, paper_rig, poses, views_of, with_noise
 
-from lscan.calibration.multiview import LinePoints, View, calibrate_metric
+from lscan.calibration.multiview import CalibrationView, LinePoints, calibrate_metric
 from lscan.errors import MeasurementError
 from lscan.records import Status
 
@@ -18,7 +18,7 @@ def shifted(line: LinePoints, by_px: float) -> LinePoints:
     return replace(line, image_px=line.image_px + across)
 
 
-def noisy_views(seed: int, noise: float = 0.02) -> list[View]:
+def noisy_views(seed: int, noise: float = 0.02) -> list[CalibrationView]:
     rig, rng = paper_rig(), np.random.default_rng(seed)
     return [with_noise(view, noise, rng) for view in views_of(rig, poses(rig, rng))]
 
@@ -88,8 +88,13 @@ def test_lines_in_one_line_of_space_are_refused() -> None:
         boards.append(Pose(np.column_stack([along, np.cross(away, along), away]), place))
     assert abs(normal @ along) < 1e-12
     tilted = poses(rig, rng, 4)  # of these only the marks: the camera is well known
-    views = [View(f"{k}", marks_of(rig, pose), line_of(rig, pose)) for k, pose in enumerate(boards)]
-    views += [View(f"m{k}", marks_of(rig, p), line_of(rig, p)) for k, p in enumerate(tilted)]
+    views = [
+        CalibrationView(f"{k}", marks_of(rig, pose), line_of(rig, pose))
+        for k, pose in enumerate(boards)
+    ]
+    views += [
+        CalibrationView(f"m{k}", marks_of(rig, p), line_of(rig, p)) for k, p in enumerate(tilted)
+    ]
     views = [with_noise(view, 0.03, rng) for view in views]
     views = [view if number < 4 else replace(view, line=None) for number, view in enumerate(views)]
     with pytest.raises(MeasurementError, match="not determined"):

@@ -15,7 +15,7 @@ import pytest
 from metricviews import SIZE, Pose, Rig, known, paper_rig, poses
 
 from lscan.board.chessboard import read_charuco
-from lscan.calibration.multiview import View, calibrate_metric, load_views, read_views
+from lscan.calibration.multiview import CalibrationView, calibrate_metric, load_views, read_views
 from lscan.camera import Camera, project
 from lscan.errors import BoardNotFound, InputError
 from lscan.files.pictures import write_picture
@@ -100,7 +100,7 @@ def level_poses() -> list[Pose]:
     return [p for p, (x, y, _) in zip(drawn, along, strict=True) if abs(y) < abs(x)][:POSES]
 
 
-def found(folder: Path, kind: str, way: str) -> tuple[list[View], list[Pose]]:
+def found(folder: Path, kind: str, way: str) -> tuple[list[CalibrationView], list[Pose]]:
     """The views of a file whose line is shown in one of the ways; written and read."""
     text = (CHARUCO if kind == "charuco" else CHESSBOARD) + STRIPE
     if way == "same":  # a red line across a corner would draw it aside

@@ -1,0 +1,146 @@
+"""A camera and the boards in front of it, as one vector of parameters."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from lscan.camera.model import Camera
+from lscan.camera.parameters import COUNT, PortKind, camera_of
+from lscan.camera.projection import Rays, meet_plane, project, rays
+from lscan.records import Floats, Ints, Mask
+
+POSE = ("turn_x", "turn_y", "turn_z", "seen_u_px", "seen_v_px", "mm_per_px")
+
+# Board axes (x right, y away, z up) of a board that squarely faces the camera, in its frame.
+FACING = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
+
+# For central differences by the parameters of camera and pose: each step moves the picture by
+# 1e-3 to 0.1 px, far above rounding and far below any curvature.
+STEPS = np.array(
+    [
+        *(0.05, 0.05, 0.05),  # focal length and centre, px
+        *(1e-4, 1e-4, 1e-5, 1e-5, 1e-4),  # distortion
+        *(0.01, 0.01, 1e-4, 1e-4, 1e-3, 1e-3),  # port: lengths, mm; indices; tilts, degrees
+        *(1e-5, 1e-5, 1e-5),  # turn, rad
+        *(0.01, 0.01, 1e-5),  # place seen, px; mm per px
+    ]
+)
+
+
+@dataclass(frozen=True)
+class PosedBoards:
+    """A camera and V boards before it.
+
+    theta: (14 + 6 V,) the camera in the order of parameters.CAMERA, then each board's pose in
+        that of POSE.  ``turn`` is the rotation vector (radians) by which the board is turned
+        from facing the ray on which ``centre_mm`` is seen; ``seen`` the pixel where it is
+        seen; mm_per_px how far on it lies along that ray, over the apparent focal length.
+        These change little when the lens does and the picture does not, which keeps least
+        squares quick.
+    centre_mm: (2,) the point (x, z) of each board about which it is turned.
+    port: "none" for a camera in air, whose port parameters mean nothing.
+
+    The frame of a board is x right, y away from the camera, z up; its marks lie in y = 0.
+    """
+
+    theta: Floats
+    centre_mm: Floats
+    port: PortKind = "flat"
+
+    @cached_property
+    def camera(self) -> Camera:
+        """The camera alone."""
+        return camera_of(self.theta, self.port)
+
+    @property
+    def poses(self) -> Floats:
+        """(V, 6) in the order of POSE."""
+        return self.theta[COUNT:].reshape(-1, len(POSE))
+
+    @cached_property
+    def apparent_focal_px(self) -> float:
+        """Focal length of the pinhole that sees the water like this camera near its axis."""
+        port = self.camera.port
+        return self.camera.focal_px * (port.water_index if port else 1.0)
+
+    @cached_property
+    def lines_of_sight(self) -> Rays:
+        """The V rays on which ``centre_mm`` is seen, camera frame."""
+        return rays(self.camera, self.poses[:, 3:5])
+
+    @cached_property
+    def axes(self) -> Floats:
+        """(V, 3, 3) the boards' axes x, y, z as columns, camera frame."""
+        turned: Floats = towards(self.lines_of_sight.direction) @ rotation(self.poses[:, :3])
+        return turned @ FACING
+
+    @cached_property
+    def places_mm(self) -> Floats:
+        """(V, 3) where ``centre_mm`` of each board is, camera frame."""
+        sight, distance = self.lines_of_sight, self.poses[:, 5:] * self.apparent_focal_px
+        return sight.origin_mm + distance * sight.direction
+
+    def in_camera(self, board_mm: Floats, board: Ints | int = 0) -> Floats:
+        """(N, 3) mm, camera frame, of points (N, 2) of (x, z) mm of the boards numbered (N,)."""
+        of_each = np.broadcast_to(board, len(board_mm))
+        across, up = self.axes[:, :, 0][of_each], self.axes[:, :, 2][of_each]
+        x, z = (board_mm - self.centre_mm).T
+        return x[:, None] * across + z[:, None] * up + self.places_mm[of_each]
+
+    def project(self, board_mm: Floats, board: Ints | int = 0) -> Floats:
+        """(N, 2) px of points (N, 2) of the boards numbered (N,); NaN where there is no image."""
+        return project(self.camera, self.in_camera(board_mm, board))
+
+    def on_board(self, image_px: Floats, board: int = 0) -> Floats:
+        """(K, 3) mm, camera frame, where the rays of pixels (K, 2) meet a board; NaN if not."""
+        normal, place = self.axes[board][:, 1], self.places_mm[board]
+        return meet_plane(rays(self.camera, image_px), normal, place)
+
+    def locate(self, image_px: Floats, board: int = 0) -> Floats:
+        """(K, 2) of (x, z) mm where the rays of pixels (K, 2) meet a board; NaN if not."""
+        beside = self.on_board(image_px, board) - self.places_mm[board]
+        return beside @ self.axes[board][:, [0, 2]] + self.centre_mm
+
+
+def parameter_derivatives(
+    quantity: Callable[[PosedBoards], Floats], boards: PosedBoards, free: Mask
+) -> Floats:
+    """Derivatives of a quantity by the camera and by the pose of the board it belongs to.
+
+    Parameters
+    ----------
+    quantity : gives (N, D), each row of which depends on the camera and on one board alone.
+    free : (14,) mask of the camera's parameters that count.
+
+    Returns
+    -------
+    (N, D, 20) by the parameters of the camera, 0 where not free, and by the pose of each row's
+    own board.
+    """
+    columns: list[Floats | None] = [None] * len(STEPS)
+    for index in (*np.flatnonzero(free), *range(COUNT, len(STEPS))):
+        step = np.zeros_like(boards.theta)
+        at = index if index < COUNT else slice(index, None, len(POSE))  # of all boards at once
+        step[at] = STEPS[index]
+        after, before = (quantity(replace(boards, theta=boards.theta + s)) for s in (step, -step))
+        columns[index] = (after - before) / (2 * STEPS[index])
+    nothing = np.zeros_like(columns[-1])
+    return np.stack([nothing if column is None else column for column in columns], axis=2)
+
+
+def towards(direction: Floats) -> Floats:
+    """(V, 3, 3) the smallest rotations that take the camera's axis to unit directions (V, 3)."""
+    across = np.column_stack([-direction[:, 1], direction[:, 0], np.zeros(len(direction))])
+    sine = np.linalg.norm(across, axis=1)
+    angle = np.arctan2(sine, direction[:, 2])
+    return rotation(across * (angle / np.where(sine > 0, sine, 1.0))[:, None])
+
+
+def rotation(vector: Floats) -> Floats:
+    """(..., 3, 3) rotations about vectors (..., 3) by their lengths in radians."""
+    return np.asarray(Rotation.from_rotvec(vector).as_matrix(), dtype=np.float64)

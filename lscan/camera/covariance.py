@@ -1,0 +1,72 @@
+"""The covariance of fitted parameters, and the modes of error that it gives to a map."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from lscan.records import Floats
+
+KEPT = 0.9999  # of the variance that the stored modes must account for
+MODE_STEP = 0.01  # sigmas, for differences along a mode: rounding is 1e-9, curvature less
+PIXEL_STEP = 0.01  # px, for differences of a map by the pixel
+
+Locate = Callable[[Floats], Floats]
+"""A map: (N, 2) mm of (x, z) in the sheet of pixels (N, 2)."""
+
+
+def covariance_root(design: Floats, chi_square: float) -> Floats:
+    """(P, P) square root of the covariance of P parameters.
+
+    design: (N, P) derivatives of the weighted residuals.  Its columns are brought to one length
+    first, for parameters of all units.  The covariance is scaled up by chi squared per degree
+    of freedom where that is above 1.
+    """
+    scale = np.maximum(np.linalg.norm(design, axis=0), 1e-300)
+    _, sizes, directions = np.linalg.svd(design / scale, full_matrices=False)
+    freedom = max(design.shape[0] - design.shape[1], 1)
+    root = (directions.T / np.maximum(sizes, 1e-12)) / scale[:, None]
+    return root * np.sqrt(max(1.0, chi_square / freedom))
+
+
+def displacements(
+    map_of: Callable[[Floats], Locate], theta: Floats, modes: Floats, image_px: Floats
+) -> Floats:
+    """(N, 2, M) mm by which one standard deviation of each mode moves the points of a map.
+
+    map_of: the map of parameters (K,).  modes: (K, M), changes of theta.
+    """
+    moved = np.zeros((len(image_px), 2, modes.shape[1]))
+    for index, mode in enumerate(MODE_STEP * modes.T):
+        after, before = (map_of(theta + way)(image_px) for way in (mode, -mode))
+        moved[:, :, index] = (after - before) / (2 * MODE_STEP)
+    return moved
+
+
+def modes_that_matter(
+    map_of: Callable[[Floats], Locate], theta: Floats, root: Floats, image_px: Floats
+) -> Floats:
+    """(K, M) square root of the covariance root @ root.T, less what does not move the map.
+
+    image_px: (N, 2), where it counts.  The singular values of what the columns do to the points
+    order them; those are kept that together make KEPT of the variance there.
+    """
+    sigma = np.linalg.norm(root, axis=1, keepdims=True)
+    scaled = root / np.where(sigma > 0, sigma, 1.0)  # parameters of all units alike
+    u, sizes, _ = np.linalg.svd(scaled, full_matrices=False)
+    compact = sigma * (u * sizes)  # K columns at most, the same covariance
+    moved = displacements(map_of, theta, compact, image_px)
+    moved = moved[np.isfinite(moved).all(axis=(1, 2))].reshape(-1, compact.shape[1])
+    _, sizes, directions = np.linalg.svd(moved, full_matrices=False)
+    share = np.cumsum(sizes**2) / max(float(np.sum(sizes**2)), 1e-300)
+    return compact @ directions[: int(np.searchsorted(share, KEPT)) + 1].T
+
+
+def pixel_derivatives(locate: Locate, image_px: Floats) -> Floats:
+    """(N, 2, 2) mm per px of a map at pixels (N, 2), the last axis by u and by v."""
+    moved = [
+        (locate(image_px + step) - locate(image_px - step)) / (2 * PIXEL_STEP)
+        for step in PIXEL_STEP * np.eye(2)
+    ]
+    return np.stack(moved, axis=2)

@@ -1,0 +1,52 @@
+"""Where least squares begins: a pinhole in the water's stead.
+
+Behind a port, rays near the axis are those of a pinhole with water_index times the focal length.
+"""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from lscan.camera.boards import FACING, PosedBoards, towards
+from lscan.camera.fit import BoardMarks
+from lscan.camera.parameters import COUNT, PortKind
+from lscan.camera.projection import rays
+from lscan.records import Floats
+
+
+def posed_boards(theta: Floats, port: PortKind, marks: BoardMarks) -> PosedBoards | None:
+    """The camera theta (14,) and the boards where a pinhole of its angle of view has them.
+
+    Each board's homography gives its pose (Zhang, "A flexible new technique for camera
+    calibration", IEEE PAMI 22 (2000), Sec. 3.1).  None where the marks of a board give none.
+    """
+    alone = PosedBoards(theta[:COUNT], marks.board_mm.mean(axis=0), port)
+    poses = []
+    for number in range(int(marks.board.max()) + 1):
+        pose = _pose(alone, marks.only(marks.board == number))
+        if pose is None:
+            return None
+        poses.append(pose)
+    return PosedBoards(np.concatenate([alone.theta, *poses]), alone.centre_mm, port)
+
+
+def _pose(alone: PosedBoards, marks: BoardMarks) -> Floats | None:
+    """(6,) the pose of one board before a camera alone."""
+    centre_px, apparent = np.array(alone.camera.centre_px), alone.apparent_focal_px
+    plane = marks.board_mm - alone.centre_mm
+    homography, _ = cv2.findHomography(plane, (marks.image_px - centre_px) / apparent)
+    if homography is None:
+        return None
+    homography = homography / np.linalg.norm(homography[:, :2], axis=0).mean()
+    homography *= np.sign(homography[2, 2])
+    x, z, shift = homography.T
+    u, _, vt = np.linalg.svd(np.column_stack([x, np.cross(z, x), z]))
+    axes = u @ vt
+    seen = centre_px + apparent * shift[:2] / shift[2]
+    sight = rays(alone.camera, seen[None]).direction
+    if np.linalg.det(axes) < 0 or np.isnan(sight).any():
+        return None
+    turn = Rotation.from_matrix(towards(sight)[0].T @ axes @ FACING.T).as_rotvec()
+    return np.array([*turn, *seen, np.linalg.norm(shift) / apparent])
