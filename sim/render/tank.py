@@ -15,9 +15,10 @@ from lscan.errors import InputError
 from sim.meshes import scene_parts
 from sim.render.fineness import binned, fineness_of, finer_lens
 from sim.render.materials import mitsuba_shape
+from sim.render.plugins.base import WaterIntegrator
 from sim.render.plugins.finefilm import FineCamera
-from sim.render.plugins.integrator import LAYERS, SheetIntegrator
-from sim.render.plugins.multiple import HIGHER_LAYERS, MultipleIntegrator
+from sim.render.plugins.integrator import SheetIntegrator
+from sim.render.plugins.multiple import MultipleIntegrator
 from sim.render.plugins.sheet import LaserSheet
 from sim.scene import Scene, camera_pose, head_pose, track_direction
 from sim.scene.file import check_samples
@@ -163,22 +164,17 @@ class Tank:
         # The noise of one picture of a scan says nothing about that of the next.
         place = np.array([position_mm]).view(np.uint64)
         seed = int(np.random.SeedSequence([render.seed, int(place[0])]).generate_state(1)[0])
-        first = self._layers(self._camera, self.integrator, samples // parts, seed, LAYERS)
+        first = self._layers(self._camera, self.integrator, samples // parts, seed)
         more = render.scatter_samples if scatter_samples is None else scatter_samples
         if more > 0:
             share = ceil(more / parts)
-            higher = self._layers(self._random_camera, self.higher, share, seed, HIGHER_LAYERS)
+            higher = self._layers(self._random_camera, self.higher, share, seed)
             for name, layer in higher.items():
                 first[name] = first[name] + layer
         return Layers(**first)
 
     def _layers(
-        self,
-        camera: FineCamera,
-        integrator: mi.Integrator,
-        samples: int,
-        seed: int,
-        names: tuple[str, ...],
+        self, camera: FineCamera, integrator: WaterIntegrator, samples: int, seed: int
     ) -> dict[str, Radiance]:
         """Each layer's name and picture."""
         try:
@@ -189,7 +185,7 @@ class Tank:
             if _interrupted(error):
                 raise KeyboardInterrupt from error
             raise
-        image = np.array(image)
+        image, names = np.array(image), integrator.layers
         channels = image[..., -len(names) :]
         # Mitsuba weighs its own sum with the camera's transmission but not the channels beside
         # it; within a pixel that weight is the same for all samples.

@@ -9,83 +9,46 @@ by their order, so the two pictures add up.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from math import pi, sqrt
 
 import drjit as dr
 import mitsuba as mi
 
-from sim.render.plugins.opaque import opaque
-from sim.render.plugins.phase import PhaseTable, angle_between
+from sim.render.plugins.base import Leg, WaterIntegrator
+from sim.render.plugins.phase import angle_between
 from sim.render.plugins.sheet import LaserSheet
-from sim.water import Optics
 
-LAYERS = ("direct", "scattered", "ambient")
 NEWTON_STEPS = 3  # a bow is a small deviation from a plane, whose crossing is the start
 NEWTON_REACH_MM = 0.5
 
 
-class SheetIntegrator(mi.SamplingIntegrator):
-    """Direct light, single scattering and ambient light; configured with ``configure``.
+class SheetIntegrator(WaterIntegrator):
+    """Direct light, single scattering and ambient light."""
 
-    Radiances are in mW/(mm2 sr) just inside the water, times the camera's weight.
-    """
+    layers = ("direct", "scattered", "ambient")
 
-    def __init__(self, props: mi.Properties) -> None:
-        super().__init__(props)
-        self.sheets: Sequence[LaserSheet] = ()
-
-    def configure(
-        self, water: Optics, sheets: Sequence[LaserSheet], ambient_mw_mm2_sr: float
-    ) -> None:
-        """Set the water, the laser's sheets (none: off) and the ambient radiance."""
-        self.sheets = tuple(sheets)
-        self.extinction = opaque(water.extinction_per_mm)
-        self.scattering = opaque(water.scattering_per_mm)
-        self.has_water = water.scattering_per_mm > 0
-        self.phase = PhaseTable(water.phase)
-        self.has_ambient = ambient_mw_mm2_sr > 0
-        self.ambient_radiance = opaque(ambient_mw_mm2_sr)
-
-    def aov_names(self) -> list[str]:
-        """One channel a layer, after the sum's own."""
-        return list(LAYERS)
-
-    def sample(
-        self,
-        scene: mi.Scene,
-        sampler: mi.Sampler,
-        ray: mi.RayDifferential3f,
-        medium: mi.Medium | None = None,
-        active: mi.Bool = True,
-    ) -> tuple[mi.Spectrum, mi.Bool, list[mi.Float]]:
-        """Radiance along the ray, validity, and the layers it is the sum of."""
-        active = mi.Bool(active)
-        si = scene.ray_intersect(ray, active)
+    def light(
+        self, scene: mi.Scene, sampler: mi.Sampler, ray: mi.Ray3f, active: mi.Bool
+    ) -> list[mi.Float]:
+        """Radiance along the ray of each layer."""
+        leg = Leg(scene, sampler, ray, scene.ray_intersect(ray, active), active)
         direct, scattered, ambient = mi.Float(0), mi.Float(0), mi.Float(0)
         for sheet in self.sheets:
-            direct += direct_light(scene, sheet, self.extinction, si, active)
+            direct += self.direct(leg, sheet)
             if self.has_water:
-                scattered += self._scattered(scene, sheet, sampler, ray, si, active)
+                scattered += self._scattered(leg, sheet)
         if self.has_ambient:
-            ambient = self._ambient(scene, sampler, si, active)
-        return mi.Spectrum(direct + scattered + ambient), active, [direct, scattered, ambient]
+            ambient = self._ambient(leg)
+        return [direct, scattered, ambient]
 
-    def _scattered(
-        self,
-        scene: mi.Scene,
-        sheet: LaserSheet,
-        sampler: mi.Sampler,
-        ray: mi.Ray3f,
-        si: mi.SurfaceInteraction3f,
-        active: mi.Bool,
-    ) -> mi.Float:
+    def _scattered(self, leg: Leg, sheet: LaserSheet) -> mi.Float:
         """Laser to water to camera: the in-scattering point is drawn about the crossing.
 
         Along the ray the sheet is very nearly a Gaussian about the crossing t0 of its middle
         plane, with sigma = w / (2 |d.n|) (docs/explanation/physics.md, section 7).  Drawing t
         from that Gaussian, cut at the surface, leaves an integrand that hardly varies.
         """
+        ray, si = leg.ray, leg.si
         end = dr.select(si.is_valid(), si.t, dr.largest(mi.Float))
         crossing, slope = crossing_of(sheet, ray)
         _, rho, _ = sheet.coordinates(ray(crossing), ray.time)
@@ -93,18 +56,18 @@ class SheetIntegrator(mi.SamplingIntegrator):
 
         low = _normal_cdf(-crossing / sigma)
         share = _normal_cdf((end - crossing) / sigma) - low
-        quantile = low + sampler.next_1d(active) * share
+        quantile = low + leg.sampler.next_1d(leg.active) * share
         z = sqrt(2) * dr.erfinv(dr.clip(2 * quantile - 1, -0.9999999, 0.9999999))
         t = crossing + sigma * z
         # The cut tails, below 1e-6 of the sheet's power, are left out.
-        valid = active & (share > 1e-6) & (t > 0) & (t < end) & dr.isfinite(t)
+        valid = leg.active & (share > 1e-6) & (t > 0) & (t < end) & dr.isfinite(t)
 
         point = ray(t)
         to_apex = sheet.apex(ray.time) - point
         distance = dr.norm(to_apex)
         to_apex /= distance
         shadow = mi.Ray3f(point, to_apex, distance, ray.time, ray.wavelengths)
-        valid &= ~scene.ray_test(shadow, valid)
+        valid &= ~leg.scene.ray_test(shadow, valid)
 
         density = dr.exp(-0.5 * z * z) / (sqrt(2 * pi) * sigma) / share
         # Light travels along -to_apex and leaves along -ray.d.
@@ -113,47 +76,24 @@ class SheetIntegrator(mi.SamplingIntegrator):
         loss = dr.exp(-self.extinction * (distance + t))
         return dr.select(valid, source * loss / density, 0.0)
 
-    def _ambient(
-        self,
-        scene: mi.Scene,
-        sampler: mi.Sampler,
-        si: mi.SurfaceInteraction3f,
-        active: mi.Bool,
-    ) -> mi.Float:
+    def _ambient(self, leg: Leg) -> mi.Float:
         """Uniform ambient light: reflected where the sky is open, and scattered on the way.
 
         In a field of the same radiance L from every side the water adds
         b/c L (1 - exp(-c t)) along a path of length t.
         """
-        lit = active & si.is_valid()
+        si, sampler = leg.si, leg.sampler
+        lit = leg.active & si.is_valid()
         bs, weight = si.bsdf().sample(
             mi.BSDFContext(), si, sampler.next_1d(lit), sampler.next_2d(lit), lit
         )
-        lit &= ~scene.ray_test(si.spawn_ray(si.to_world(bs.wo)), lit)
+        lit &= ~leg.scene.ray_test(si.spawn_ray(si.to_world(bs.wo)), lit)
         t = dr.select(si.is_valid(), si.t, dr.largest(mi.Float))
         transmittance = dr.exp(-self.extinction * t)
         surface = dr.select(lit, weight.x * transmittance, 0.0)
         albedo = dr.select(self.extinction > 0, self.scattering / self.extinction, 0.0)
-        return dr.select(
-            active, self.ambient_radiance * (surface + albedo * (1 - transmittance)), 0.0
-        )
-
-
-def direct_light(
-    scene: mi.Scene,
-    sheet: LaserSheet,
-    extinction: mi.Float,
-    si: mi.SurfaceInteraction3f,
-    active: mi.Bool,
-) -> mi.Float:
-    """Laser to surface to ray: one shadow ray, transmittance along both legs."""
-    lit = active & si.is_valid()
-    ds, irradiance = sheet.sample_direction(si, mi.Point2f(0), lit)
-    lit &= irradiance.x > 0
-    lit &= ~scene.ray_test(si.spawn_ray_to(ds.p), lit)
-    reflected = si.bsdf().eval(mi.BSDFContext(), si, si.to_local(ds.d), lit)
-    loss = dr.exp(-extinction * (ds.dist + si.t))
-    return dr.select(lit, reflected.x * irradiance.x * loss, 0.0)
+        light = self.ambient_radiance * (surface + albedo * (1 - transmittance))
+        return dr.select(leg.active, light, 0.0)
 
 
 def crossing_of(sheet: LaserSheet, ray: mi.Ray3f) -> tuple[mi.Float, mi.Float]:

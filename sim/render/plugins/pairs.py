@@ -1,0 +1,312 @@
+"""Light of two vertices, the last two before the camera: each way in which they can be drawn.
+
+x, on the ray at hand, and y, where the laser's light first turns, are drawn together, because a
+chance ray never meets a thin sheet or its line:
+
+    x on a surface, y on a surface   interreflection
+    x on a surface, y in the water   light scattered onto the target
+    x in the water, y on a surface   the halo about the line
+    x in the water, y in the water   the veil's own blur
+
+A ray of the laser is drawn near the ray at hand (sim.render.plugins.beams); places in the water
+are drawn by the angle of scattering (sim.render.plugins.phase), from the surface's point or, in
+the last family, from each other, in either order, weighted by the balance heuristic (Veach 1997,
+sec. 9.2).  Interreflection is weighted against the surface's own sampling by the power heuristic,
+for light that meets a surface near a corner.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import drjit as dr
+import mitsuba as mi
+
+from sim.render.plugins.base import Leg, WaterIntegrator
+from sim.render.plugins.beams import Beam, beam_density, drawn_beam, line_density, ray_density
+from sim.render.plugins.phase import angle_between, approach
+from sim.render.plugins.sheet import LaserSheet
+
+# Shares of a walk's first turns that are drawn about the direction to the apex, and to the
+# line: what is not drawn so weighs the more, by 1 / (1 - both) a turn.
+TO_APEX, TO_LINE = 0.25, 0.35
+REFLECTIONS = 4  # rays of the laser that look for interreflection at each step of a walk
+
+
+@dataclass(frozen=True)
+class Spot:
+    """Where a ray of the laser meets a surface.
+
+    flux: mW that arrive there per unit of the ray's density, after the water's loss, over
+    the cosine.  density: probability per mm2 of drawing the point.
+    """
+
+    si: mi.SurfaceInteraction3f
+    to_apex: mi.Vector3f
+    flux: mi.Float
+    density: mi.Float
+    valid: mi.Bool
+
+    def sent(self, outgoing: mi.Vector3f, active: mi.Bool) -> mi.Float:
+        """mW/sr that the spot sends along ``outgoing``.
+
+        The BSDF is asked in the camera's sense, as stock integrators do, whose shading normals
+        count towards the laser.
+        """
+        si = mi.SurfaceInteraction3f(self.si)
+        si.wi = si.to_local(outgoing)
+        value = si.bsdf().eval(mi.BSDFContext(), si, si.to_local(self.to_apex), active)
+        return value.x * dr.abs(dr.dot(si.n, outgoing)) * self.flux
+
+
+class PairIntegrator(WaterIntegrator):
+    """The estimators of all pairs of vertices, for a walk that connects at each step."""
+
+    def in_water(self, leg: Leg, sheet: LaserSheet) -> tuple[mi.Float, Spot]:
+        """Light along the ray that had two vertices, one at least in the water; a lit spot."""
+        ray, si = leg.ray, leg.si
+        end = dr.select(si.is_valid(), dr.minimum(si.t, self.far), self.far)
+        beam = drawn_beam(sheet, leg.sampler, ray(end), ray.time, leg.active)
+        spot = self.spot(leg, sheet, beam, leg.active)
+        light = (
+            self._surface_water(leg, sheet, beam)
+            + self._water_surface(leg, end, spot)
+            + self._water_water(leg, sheet, end, beam)
+        )
+        return light, spot
+
+    def spot(self, leg: Leg, sheet: LaserSheet, beam: Beam, active: mi.Bool) -> Spot:
+        """Where the beam, as wide as where the sheet's middle meets a surface, meets one."""
+        time = leg.ray.time
+        apex = sheet.apex(time)
+        middle = sheet.direction(beam.phi)
+        unit = self._unit_slope(leg, sheet, middle, active)
+        towards = dr.normalize(middle + sheet.normal * (unit * beam.lateral))
+        si = leg.scene.ray_intersect(mi.Ray3f(apex, towards, time, []), active)
+        density = ray_density(beam.density / unit, sheet.normal, towards)
+        facing = dr.abs(dr.dot(si.n, towards))
+        loss = dr.exp(-self.extinction * si.t)
+        flux = sheet.irradiance(si.p, time) * dr.square(si.t) / density * loss
+        valid = active & si.is_valid() & (facing > 1e-6) & (density > 0) & (flux > 0)
+        return Spot(
+            si=si,
+            to_apex=-towards,
+            flux=dr.select(valid, flux / facing, 0.0),
+            density=dr.select(valid, density * facing / dr.square(si.t), 0.0),
+            valid=valid,
+        )
+
+    def _unit_slope(
+        self, leg: Leg, sheet: LaserSheet, middle: mi.Vector3f, active: mi.Bool
+    ) -> mi.Float:
+        """The sheet's standard deviation where its middle meets a surface, over rho there."""
+        length, time = dr.norm(middle), leg.ray.time
+        ray = mi.Ray3f(sheet.apex(time), middle / length, time, [])
+        hit = leg.scene.ray_intersect_preliminary(ray, coherent=False, active=active)
+        waist = dr.maximum(dr.abs(sheet.waist_distance), 100.0)
+        rho = dr.select(hit.is_valid(), hit.t / length, waist)
+        return 0.5 * sheet.half_width(rho) / rho
+
+    def found(self, leg: Leg, sheet: LaserSheet, turned: mi.Float) -> mi.Float:
+        """Interreflection, found by a ray that left a surface and meets the line by chance.
+
+        turned: the density of its direction.
+        """
+        ray, si = leg.ray, leg.si
+        possible = leg.active & (turned > 0) & si.is_valid()
+        possible &= sheet.irradiance(si.p, ray.time) > 0
+        light = self.direct(Leg(leg.scene, leg.sampler, ray, si, possible), sheet)
+        possible &= light > 0
+        chance = turned * dr.abs(dr.dot(si.n, ray.d)) / dr.square(si.t)
+
+        phi, rho, s = sheet.coordinates(si.p, ray.time)
+        unit = self._unit_slope(leg, sheet, sheet.direction(phi), possible)
+        towards = si.p - sheet.apex(ray.time)
+        distance = dr.norm(towards)
+        towards /= distance
+        beam = beam_density(sheet, ray.o, ray.time).density(phi, s / (rho * unit))
+        density = ray_density(beam / unit, sheet.normal, towards)
+        drawn = density * dr.abs(dr.dot(si.n, towards)) / dr.square(distance)
+        return dr.select(possible, light * _power_heuristic(chance, REFLECTIONS * drawn), 0.0)
+
+    def surface_surface(self, leg: Leg, spot: Spot, aimed: mi.Float) -> mi.Float:
+        """Interreflection: laser - line - surface - ray."""
+        ray, si = leg.ray, leg.si
+        lit = leg.active & si.is_valid() & spot.valid
+        offset = spot.si.p - si.p
+        distance = dr.norm(offset)
+        towards = offset / distance
+        context, outgoing = mi.BSDFContext(), si.to_local(towards)
+        reflected, pdf = si.bsdf().eval_pdf(context, si, outgoing, lit)
+        lit &= (reflected.x > 0) & (distance > 0)
+        light = spot.sent(-towards, lit)
+        lit &= light > 0
+        lit &= ~leg.scene.ray_test(si.spawn_ray_to(spot.si.p), lit)
+        loss = dr.exp(-self.extinction * (si.t + distance))
+        value = reflected.x * light * loss / dr.square(distance)
+        cosine = dr.abs(dr.dot(spot.si.n, towards))
+        turn = self.turn_density(pdf, self.to_apex(si.p, ray.time), towards, aimed)
+        chance = turn * dr.exp(-self.extinction * si.t) * cosine / dr.square(distance)
+        return dr.select(lit, value * _power_heuristic(REFLECTIONS * spot.density, chance), 0.0)
+
+    def to_apex(self, point: mi.Point3f, time: mi.Float) -> mi.Vector3f:
+        """Unit direction to the apex, which is one for all sheets."""
+        return dr.normalize(self.sheets[0].apex(time) - point)
+
+    def turn_density(
+        self, scattering: mi.Float, to_apex: mi.Vector3f, onward: mi.Vector3f, aimed: mi.Float
+    ) -> mi.Float:
+        """Density per steradian of a walk's turns, but for those that aim at the line.
+
+        The heuristic that weighs interreflection needs one that knows of no point aimed at.
+        """
+        if not self.has_water:
+            return scattering
+        lobe = self.phase.direction_density(angle_between(to_apex, onward))
+        return (1 - aimed * (TO_APEX + TO_LINE)) * scattering + aimed * TO_APEX * lobe
+
+    def _surface_water(self, leg: Leg, sheet: LaserSheet, beam: Beam) -> mi.Float:
+        """Light scattered onto the target: laser - water - surface - ray."""
+        si, time = leg.si, leg.ray.time
+        lit = leg.active & si.is_valid() & (beam.power > 0)
+        origin, direction, stretch = self._laser_line(sheet, beam, si.p, time)
+        near = approach(self.phase, origin, direction, self.far, si.p)
+        place = near.sample(self.phase, leg.sampler.next_1d(leg.active))
+        lit &= (place > 0) & (place < self.far)
+        light, point = self._source(leg, sheet, beam, place * stretch, si.p, si.t, lit)
+        towards = dr.normalize(point - si.p)
+        reflected = si.bsdf().eval(mi.BSDFContext(), si, si.to_local(towards), lit)
+        lit &= (reflected.x > 0) & (light > 0)
+        lit &= ~leg.scene.ray_test(si.spawn_ray_to(point), lit)
+        density = near.density(self.phase, place)
+        return dr.select(lit, light * reflected.x * stretch / density, 0.0)
+
+    def _water_surface(self, leg: Leg, end: mi.Float, spot: Spot) -> mi.Float:
+        """The halo about the line: laser - line - water - ray."""
+        ray = leg.ray
+        near = approach(self.phase, ray.o, ray.d, end, spot.si.p)
+        t = near.sample(self.phase, leg.sampler.next_1d(leg.active))
+        lit = leg.active & spot.valid & (t > 0) & (t < end)
+        point = ray(t)
+        offset = point - spot.si.p
+        distance = dr.norm(offset)
+        outgoing = offset / distance
+        light = spot.sent(outgoing, lit)
+        lit &= light > 0
+        lit &= ~leg.scene.ray_test(spot.si.spawn_ray_to(point), lit)
+        phase = self.phase.value(angle_between(outgoing, -ray.d))
+        loss = dr.exp(-self.extinction * (t + distance))
+        value = self.scattering * phase * light * loss / dr.square(distance)
+        return dr.select(lit, value / near.density(self.phase, t), 0.0)
+
+    def _water_water(self, leg: Leg, sheet: LaserSheet, end: mi.Float, beam: Beam) -> mi.Float:
+        """The veil's blur: laser - water - water - ray, either vertex drawn from the other."""
+        ray, sampler = leg.ray, leg.sampler
+        apex = sheet.apex(ray.time)
+        middle = dr.normalize(sheet.direction(beam.phi))
+        _, foot, _ = _closest(ray.o, ray.d, apex, middle)
+        place = apex + middle * dr.clip(foot, 0, self.far)
+        origin, direction, stretch = self._laser_line(sheet, beam, place, ray.time)
+        t_near, l_near, gap = _closest(ray.o, ray.d, origin, direction)
+        on_ray = line_density(t_near, gap, end)
+        on_laser = line_density(l_near, gap, self.far)
+
+        first = sampler.next_1d(leg.active) < 0.5
+        sample = sampler.next_1d(leg.active)
+        t, place = on_ray.sample(sample), on_laser.sample(sample)
+        sample = sampler.next_1d(leg.active)
+        # The other vertex, about the first one.
+        start = mi.Point3f(dr.select(first, origin, ray.o))
+        along = mi.Vector3f(dr.select(first, direction, ray.d))
+        about = mi.Point3f(dr.select(first, ray(t), origin + direction * place))
+        other = approach(self.phase, start, along, dr.select(first, self.far, end), about)
+        drawn = other.sample(self.phase, sample)
+        t, place = dr.select(first, t, drawn), dr.select(first, drawn, place)
+
+        lit = leg.active & (beam.power > 0)
+        lit &= (t > 0) & (t < end) & (place > 0) & (place < self.far)
+        point = ray(t)
+        light, source = self._source(leg, sheet, beam, place * stretch, point, t, lit)
+        offset = point - source
+        distance = dr.norm(offset)
+        outgoing = offset / distance
+        lit &= light > 0
+        lit &= ~leg.scene.ray_test(_segment(source, outgoing, distance, ray.time), lit)
+        phase = self.phase.value(angle_between(outgoing, -ray.d))
+
+        from_ray = approach(self.phase, origin, direction, self.far, point)
+        from_laser = approach(self.phase, ray.o, ray.d, end, origin + direction * place)
+        density = 0.5 * (
+            on_ray.density(t) * from_ray.density(self.phase, place)
+            + on_laser.density(place) * from_laser.density(self.phase, t)
+        )
+        value = light * self.scattering * phase * stretch
+        return dr.select(lit & (density > 0), value / density, 0.0)
+
+    def _laser_line(
+        self, sheet: LaserSheet, beam: Beam, about: mi.Point3f, time: mi.Float
+    ) -> tuple[mi.Point3f, mi.Vector3f, mi.Float]:
+        """The beam as a straight line, displaced as it is nearest to ``about``.
+
+        Its origin, its unit direction, and rho per mm along it.
+        """
+        middle = sheet.direction(beam.phi)
+        stretch = dr.rcp(dr.norm(middle))
+        direction = middle * stretch
+        apex = sheet.apex(time)
+        rho = dr.maximum(dr.dot(about - apex, direction) * stretch, 0)
+        aside = sheet.normal * (beam.lateral * 0.5 * sheet.half_width(rho))
+        return apex + aside, direction, stretch
+
+    def _source(
+        self,
+        leg: Leg,
+        sheet: LaserSheet,
+        beam: Beam,
+        rho: mi.Float,
+        target: mi.Point3f,
+        beyond: mi.Float,
+        active: mi.Bool,
+    ) -> tuple[mi.Float, mi.Point3f]:
+        """Light the beam scatters at ``rho`` towards ``target``, and the point of the water.
+
+        Per mm of rho, over the squared distance, with the loss from the apex to ``target``
+        and ``beyond`` mm more.
+        """
+        time = leg.ray.time
+        aside = beam.lateral * 0.5 * sheet.half_width(rho)
+        apex = sheet.apex(time)
+        point = apex + sheet.direction(beam.phi) * rho + sheet.normal * aside
+        incoming = point - apex
+        depth = dr.norm(incoming)
+        incoming /= depth
+        offset = target - point
+        distance = dr.norm(offset)
+        phase = self.phase.value(angle_between(incoming, offset / distance))
+        lit = active & (distance > 0) & (depth > 0)
+        lit &= ~leg.scene.ray_test(_segment(apex, incoming, depth, time), lit)
+        loss = dr.exp(-self.extinction * (depth + distance + beyond))
+        light = beam.power * self.scattering * phase * loss / dr.square(distance)
+        return dr.select(lit, light, 0.0), point
+
+
+def _power_heuristic(mine: mi.Float, other: mi.Float) -> mi.Float:
+    """Weight of a sample that could have been drawn in two ways (Veach 1997, sec. 9.2)."""
+    ratio = other / dr.maximum(mine, 1e-30)
+    return dr.select(mine > 0, 1 / (1 + dr.square(ratio)), 0.0)
+
+
+def _closest(
+    o: mi.Point3f, d: mi.Vector3f, p: mi.Point3f, e: mi.Vector3f
+) -> tuple[mi.Float, mi.Float, mi.Float]:
+    """Where two lines are closest: mm along each, and their gap over the sine between them."""
+    w = o - p
+    b, along, across = dr.dot(d, e), dr.dot(d, w), dr.dot(e, w)
+    squared = dr.maximum(1 - dr.square(b), 1e-6)
+    t, u = (b * across - along) / squared, (across - b * along) / squared
+    gap = dr.norm(w + d * t - e * u)
+    return t, u, gap * dr.rsqrt(squared)
+
+
+def _segment(start: mi.Point3f, towards: mi.Vector3f, length: mi.Float, time: mi.Float) -> mi.Ray3f:
+    return mi.Ray3f(start, towards, length, time, [])
