@@ -7,12 +7,63 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 from types import FrameType
+from typing import TYPE_CHECKING, Annotated
+
+import typer
 
 from lscan.cli.console import print_json, progress_bar
-from sim.emulators.faults import parse_fault
-from sim.emulators.hardware import EmulatedHardware
-from sim.emulators.options import ServeOptions
-from sim.scene import Scene
+from sim.cli.arguments import Json, SceneFile
+
+if TYPE_CHECKING:
+    from sim.emulators.hardware import EmulatedHardware
+    from sim.emulators.options import ServeOptions
+    from sim.scene import Scene
+
+
+def serve(
+    scene: SceneFile,
+    http_port: Annotated[int, typer.Option("--http-port", help="Of the webcam; 0: any.")] = 0,
+    fps: Annotated[float, typer.Option("--fps", help="Pictures per second.")] = 30.0,
+    quality: Annotated[int, typer.Option("--quality", help="Of the JPEGs, 1 to 100.")] = 95,
+    subsampling: Annotated[
+        str, typer.Option("--subsampling", help="Chroma: 4:4:4, or a webcam's 4:2:2, 4:2:0.")
+    ] = "4:4:4",
+    switched_laser: Annotated[
+        bool, typer.Option("--switched-laser", help="Lit only by M3, else always.")
+    ] = False,
+    prepare: Annotated[
+        bool, typer.Option("--prepare", help="Render the whole plan before opening.")
+    ] = False,
+    places: Annotated[int, typer.Option("--places", help="Renderings kept, 5 MB each.")] = 64,
+    dialect: Annotated[str, typer.Option("--dialect", help="grbl or marlin.")] = "grbl",
+    link: Annotated[
+        Path | None, typer.Option("--link", help="Lasting name for the serial port.")
+    ] = None,
+    write_rig: Annotated[
+        Path | None, typer.Option("--write-rig", help="Rig file to write, for lscan.")
+    ] = None,
+    fault: Annotated[
+        list[str] | None,
+        typer.Option("--fault", help="NAME@SECONDS after the start; none@SECONDS heals."),
+    ] = None,
+    json: Json = False,
+) -> None:
+    """The tank as a webcam (MJPEG, loopback) and a Grbl track; runs until Ctrl-C."""
+    from sim.devices import load_checked
+    from sim.emulators.options import ServeOptions
+
+    options = ServeOptions(
+        http_port=http_port,
+        fps=fps,
+        quality=quality,
+        subsampling=subsampling,
+        places=places,
+        switched_laser=switched_laser,
+        prepare=prepare,
+        dialect=dialect,
+        link=link,
+    )
+    serve_until_stopped(load_checked(scene), options, write_rig, fault or [], json)
 
 
 def serve_until_stopped(
@@ -24,6 +75,9 @@ def serve_until_stopped(
     where things are in one JSON object, else in lines.  Raises InputError where an option,
     the scene, a fault or a file is wrong, before anything is said.
     """
+    from sim.emulators.faults import parse_fault
+    from sim.emulators.hardware import EmulatedHardware
+
     timed = [parse_fault(text) for text in faults]
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, _stop)

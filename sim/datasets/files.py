@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections import Counter
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from io import BytesIO
@@ -103,10 +104,18 @@ def taken_in(run: Run) -> tuple[Scene, list[Taken]]:
     return scene_of(run.rig_file), taken
 
 
+@dataclass(frozen=True)
+class TruthTable:
+    """A table of the truth that has been written.  statuses: its entries of each status."""
+
+    file: Path
+    statuses: Mapping[str, int]
+
+
 def write_truth(
     scene: Scene, taken: Sequence[Taken], folder: Path, progress: Progress | None = None
-) -> dict[str, Path]:
-    """The files written: one table for each line of the laser, and one for the board.
+) -> dict[str, TruthTable]:
+    """Write one table for each line of the laser, and one for the board.
 
     stripe.csv with the laser on, stripe-0.csv, stripe-1.csv ... where it has several lines;
     board.csv where a board stands there.  Each holds all the pictures, one after the other.
@@ -122,7 +131,7 @@ def write_truth(
 
     Returns
     -------
-    The tables' names and files.
+    The tables by their names.
 
     Raises
     ------
@@ -147,9 +156,14 @@ def write_truth(
         if progress is not None:
             progress(min(first + AT_ONCE, len(taken)), len(taken))
     make_folder(folder)
-    for name, lines in texts.items():
-        write_atomically(folder / f"{name}.csv", "".join(f"{line}\n" for line in lines).encode())
-    return {name: folder / f"{name}.csv" for name in texts}
+    return {name: _written(folder / f"{name}.csv", lines) for name, lines in texts.items()}
+
+
+def _written(file: Path, lines: Sequence[str]) -> TruthTable:
+    """The table in a file; lines: its head, then its rows, the status last in each."""
+    write_atomically(file, "".join(f"{line}\n" for line in lines).encode())
+    statuses = Counter(line.rpartition(",")[2] for line in lines[1:])
+    return TruthTable(file, dict(statuses.most_common()))
 
 
 def _check_place(position_mm: float) -> None:

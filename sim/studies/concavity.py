@@ -10,8 +10,8 @@ sheet's thickness (lscan.surface.concavity) and what neither describes.
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -22,7 +22,7 @@ from lscan.config.documents import merge
 from lscan.config.rig import StripeSection, load_rig, parse_rig
 from lscan.errors import InputError
 from lscan.files.disk import make_folder, write_atomically
-from lscan.records import Floats, Mask, Status, Stripe, Surface
+from lscan.records import Floats, Mask, Progress, Status, Stripe, Surface
 from lscan.stripe.corrections.blur import correct_blur
 from lscan.surface.concavity import SheetGeometry, correct_thickness
 from sim.render.tank import Tank
@@ -41,34 +41,47 @@ BEYOND = 6  # profiles at either end of the short scan that only serve as neighb
 
 
 @dataclass(frozen=True)
-class Errors:
-    """Height found less true height over the points of a scan, mm.
-
-    points: how many are compared.  rms_mm, q99_mm: root mean square and the 99 % quantile of
-    the absolute error; one value each for the line as found, with the blur taken back, and
-    with the sheet's thickness taken back too.
-    """
-
-    points: int
-    rms_mm: tuple[float, float, float]
-    q99_mm: tuple[float, float, float]
-
-
-def concavity_errors(
-    scene: Scene, positions_mm: Sequence[float], scatter_samples: int = 0
-) -> Errors:
-    """The errors over a short scan of the scene, before and after the corrections.
+class ConcavityCase:
+    """A target to measure on.
 
     positions_mm: rising track positions, more than 2 BEYOND of them.  scatter_samples: a
     pixel, of the light of all higher orders; 0 leaves them out, and the water's veil with
-    them: the line's own light alone is looked at.
+    them: the line's own light alone is looked at.  derived: whether the relation was found on it.
     """
+
+    name: str
+    scene: Scene
+    positions_mm: tuple[float, ...]
+    scatter_samples: int = 0
+    derived: bool = False
+
+
+@dataclass(frozen=True)
+class ConcavityErrors:
+    """Height found less true height over the points of a scan, mm.
+
+    name: of the target.  derived: whether the relation was found on it.  points: how many are
+    compared.  rms_mm, q99_mm: root mean square and the 99 % quantile of the absolute error; one
+    value each for the line as found, corrected for blur, and corrected for the sheet's thickness
+    too.
+    """
+
+    name: str
+    derived: bool
+    points: int
+    rms_mm: tuple[float, ...]
+    q99_mm: tuple[float, ...]
+
+
+def concavity_errors(case: ConcavityCase) -> ConcavityErrors:
+    """The errors over a short scan of the case's scene, before and after the corrections."""
+    scene, scatter_samples = case.scene, case.scatter_samples
     render = scene.tank.render.model_copy(update={"samples": SAMPLES, "fineness": FINENESS})
     scene = replace(scene, tank=scene.tank.model_copy(update={"render": render}))
     tank, webcam = Tank(scene), Webcam(scene)
     blur_px = scene.tank.lens.blur_px or None
     settings = StripeSection(blur_px=blur_px)
-    truths = [stripe_truth(scene, position) for position in positions_mm]
+    truths = [stripe_truth(scene, position) for position in case.positions_mm]
     found, sharp = [], []
     for truth in truths:
         layers = tank.render(truth.position_mm, scatter_samples=scatter_samples)
@@ -86,10 +99,12 @@ def concavity_errors(
     compared[:BEYOND] = compared[len(truths) - BEYOND :] = False
     compared &= np.isfinite(errors[0])
     off = [np.abs((z - true)[compared]) for z in errors]
-    return Errors(
+    return ConcavityErrors(
+        name=case.name,
+        derived=case.derived,
         points=int(compared.sum()),
-        rms_mm=_three(float(np.sqrt(np.mean(e**2))) for e in off),
-        q99_mm=_three(float(np.quantile(e, 0.99)) for e in off),
+        rms_mm=tuple(float(np.sqrt(np.mean(e**2))) for e in off),
+        q99_mm=tuple(float(np.quantile(e, 0.99)) for e in off),
     )
 
 
@@ -157,22 +172,6 @@ def _clear(truth: StripeTruth) -> Mask:
     return inner & (truth.face == 0)
 
 
-def _three(values: Iterator[float]) -> tuple[float, float, float]:
-    first, second, third = values
-    return first, second, third
-
-
-@dataclass(frozen=True)
-class ConcavityCase:
-    """A target to measure on.  derived: whether the relation was found on it."""
-
-    name: str
-    scene: Scene
-    positions_mm: tuple[float, ...]
-    scatter_samples: int = 0
-    derived: bool = False
-
-
 def cases(scenes: Path, folder: Path) -> list[ConcavityCase]:
     """The sandwave the relation was found on, and the targets it has to prove itself on.
 
@@ -230,16 +229,35 @@ def _rod(x_mm: float) -> trimesh.Trimesh:
     return rod
 
 
-def run_concavity(scenes: Path, output: Path) -> list[dict[str, Any]]:
-    """The rows of the table, also written to ``output``/concavity.json.
+def run_concavity(
+    scenes: Path, output: Path, only: str = "", progress: Progress | None = None
+) -> list[ConcavityErrors]:
+    """The table, also written to ``output``/concavity.json.
 
-    A row: name, whether the relation was derived on it, points, and rms and 99 % quantile in
-    mm of the line as found, with blur and with blur and thickness taken back.
+    Parameters
+    ----------
+    scenes, output
+        Folder of the scenes, and the one to write to.
+    only
+        What the names of the targets have to hold.
+    progress
+        Called with how many targets are done, and how many there are.
+
+    Raises
+    ------
+    InputError
+        Where there is no such target.
     """
-    rows: list[dict[str, Any]] = []
-    for case in cases(scenes, output / "concavity-cache"):
-        errors = concavity_errors(case.scene, case.positions_mm, case.scatter_samples)
-        row = {"name": case.name, "derived": case.derived, "points": errors.points}
-        rows.append({**row, "rms_mm": list(errors.rms_mm), "q99_mm": list(errors.q99_mm)})
-    write_atomically(output / "concavity.json", (json.dumps(rows, indent=2) + "\n").encode())
-    return rows
+    every = cases(scenes, output / "meshes")
+    chosen = [case for case in every if only in case.name]
+    if not chosen:
+        allowed = "; ".join(case.name for case in every)
+        raise InputError("no such target", where="--only", value=only, allowed=allowed)
+    errors = []
+    for done, case in enumerate(chosen):
+        if progress is not None:
+            progress(done, len(chosen))
+        errors.append(concavity_errors(case))
+    text = json.dumps([asdict(one) for one in errors], indent=2)
+    write_atomically(output / "concavity.json", f"{text}\n".encode())
+    return errors

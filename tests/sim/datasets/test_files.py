@@ -21,7 +21,7 @@ from lscan.config.rig import load_rig, parse_rig
 from lscan.errors import InputError
 from lscan.records import Status
 from sim.cli.app import app
-from sim.datasets.files import taken_at, write_render, write_truth
+from sim.datasets.files import TruthTable, taken_at, write_render, write_truth
 from sim.datasets.labels import Label, colour_labels, label_scene
 from sim.render.tank import Layers
 from sim.scene import Scene, load_scene, scene_of
@@ -52,8 +52,8 @@ def column(rows: list[dict[str, str]], name: str) -> np.ndarray:
 def test_a_line_has_one_table_that_reads_back_as_the_truth(tmp_path: Path) -> None:
     scene = small(laser={"tilt_deg": 3.0, "port_tilt_deg": 5.0})
     files = write_truth(scene, taken_at(scene, [12.5]), tmp_path)
-    assert files == {"stripe": tmp_path / "stripe.csv"}
-    rows, truth = read(files["stripe"]), stripe_truth(scene, 12.5)
+    assert files == {"stripe": TruthTable(tmp_path / "stripe.csv", {"OK": 64})}
+    rows, truth = read(files["stripe"].file), stripe_truth(scene, 12.5)
     # Floats are written with all their digits: they read back as they were.
     np.testing.assert_array_equal(column(rows, "column"), np.arange(64))
     np.testing.assert_array_equal(column(rows, "centre_px"), truth.centre_px)
@@ -77,8 +77,8 @@ def test_each_of_several_lines_has_a_table(tmp_path: Path) -> None:
     files = write_truth(scene, taken_at(scene, [0.0]), tmp_path)
     assert list(files) == ["stripe-0", "stripe-1", "stripe-2"]
     assert sorted(path.name for path in tmp_path.iterdir()) == [f"{name}.csv" for name in files]
-    for path, tilt in zip(files.values(), TILTS_DEG, strict=True):
-        rows = [row for row in read(path) if row["status"] == "OK"]
+    for table, tilt in zip(files.values(), TILTS_DEG, strict=True):
+        rows = [row for row in read(table.file) if row["status"] == "OK"]
         assert len(rows) > 30
         lean = (APEX_MM - FLOOR_MM) * np.tan(np.radians(tilt))
         # Double precision over lengths of a metre; nothing else stands between.
@@ -95,7 +95,7 @@ def test_a_board_has_a_table_beside_the_line(tmp_path: Path) -> None:
     scene = small(board=BOARD, target={"shape": "board"})
     files = write_truth(scene, taken_at(scene, [0.0]), tmp_path)
     assert list(files) == ["stripe", "board"]
-    rows, grid = read(files["board"]), board_truth(scene, 0.0).centres.grid
+    rows, grid = read(files["board"].file), board_truth(scene, 0.0).centres.grid
     np.testing.assert_array_equal(column(rows, "u_px"), grid.image_px[:, 0])
     dark = small(board=BOARD, target={"shape": "board"}, laser={"on": False})
     assert list(write_truth(dark, taken_at(dark, [0.0]), tmp_path / "dark")) == ["board"]
@@ -166,6 +166,8 @@ def test_several_positions_are_frames_of_one_table(tmp_path: Path) -> None:
     assert done.exit_code == 0, done.output
     rows, loaded = read(tmp_path / "stripe.csv"), load_scene(Path(scene))
     assert len(rows) == 2 * 640
+    shown = sum(row["status"] == "OK" for row in rows)
+    assert f"stripe: 2 pictures, 1280 entries: {shown} OK" in done.output
     for frame, place in enumerate([90.5, -20.0]):
         part = [row for row in rows if row["frame"] == str(frame)]
         assert {row["position_mm"] for row in part} == {repr(place)}
