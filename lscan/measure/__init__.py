@@ -1,13 +1,12 @@
 """Measures of the test pieces: the board's distances and circles, grooves, slices."""
 
-from lscan.measure.board import Diameter, diameters, distances, unmeasured_distances
+from lscan.measure.board import diameters, distances, unmeasured_distances
 from lscan.measure.circle import Circle, fit_circle
 from lscan.measure.grooves import groove_dimensions
 from lscan.measure.slices import SliceErrors, compare_slice
 
 __all__ = [
     "Circle",
-    "Diameter",
     "SliceErrors",
     "compare_slice",
     "diameters",

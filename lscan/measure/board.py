@@ -27,17 +27,6 @@ from lscan.records import (
     has_value,
 )
 
-NOT_FOUND = Mark(np.full(2, np.nan), float("nan"), Status.NOT_FOUND)
-NO_POINTS = RingPoints(np.empty((0, 2)), np.empty(0))
-
-
-@dataclass(frozen=True)
-class Diameter(Length):
-    """A diameter, with the number of ring points it came from and the number left out."""
-
-    points: int
-    left_out: int
-
 
 def distances(reading: BoardReading, board: Board, plane_map: PlaneMap) -> dict[str, Length]:
     """The distances of Table I under keys like "A1A2", mm, in the order of board.distances.
@@ -76,19 +65,18 @@ def unmeasured_distances(
 def diameters(reading: BoardReading, board: Board, plane_map: PlaneMap) -> dict[str, Length]:
     """The diameters of Table II by ring name, mm, in the order of board.ring.
 
-    A circle is fitted to the ring's points mapped into the sheet.  Points without a place there
-    are left out and counted: the values are of the class :class:`Diameter`.  The variance is
-    that of the points' own errors through the fit, that of the calibration's common errors
-    carried through the same fit, and once that of the map's lack of fit, which is alike in
-    neighbouring points and does not average out around a ring.
+    A circle is fitted to the ring's points mapped into the sheet; points without a place there
+    are left out.  The variance is that of the points' own errors through the fit, that of the
+    calibration's common errors carried through the same fit, and once that of the map's lack of
+    fit, which is alike in neighbouring points and does not average out around a ring.
 
     Raises MeasurementError that names the ring for which fewer than four points are left.
     """
     return {ring.name: _diameter(reading, ring, plane_map) for ring in board.ring}
 
 
-def _diameter(reading: BoardReading, ring: Ring, plane_map: PlaneMap) -> Diameter:
-    seen = reading.rings.get(ring.name, NO_POINTS)
+def _diameter(reading: BoardReading, ring: Ring, plane_map: PlaneMap) -> Length:
+    seen = reading.rings.get(ring.name, RingPoints(np.empty((0, 2)), np.empty(0)))
     points = plane_map.to_plane(seen.image_px, seen.sigma_px)
     good = has_value(points.status)
     if good.sum() < 4:
@@ -104,13 +92,7 @@ def _diameter(reading: BoardReading, ring: Ring, plane_map: PlaneMap) -> Diamete
     common = 2 * np.einsum("kc,kcm->m", circle.radius_by_point, modes)
     lack_of_fit = np.maximum(map_variance - (modes**2).sum(axis=2), 0.0).mean()
     variance = circle.diameter_sigma_mm**2 + common @ common + lack_of_fit
-    return Diameter(
-        nominal_mm=ring.diameter_mm,
-        measured_mm=2 * circle.radius_mm,
-        sigma_mm=float(np.sqrt(variance)),
-        points=int(good.sum()),
-        left_out=int((~good).sum()),
-    )
+    return Length(ring.diameter_mm, 2 * circle.radius_mm, float(np.sqrt(variance)))
 
 
 def _modes(points: PlanePoints) -> Floats:
@@ -119,7 +101,7 @@ def _modes(points: PlanePoints) -> Floats:
 
 
 @dataclass(frozen=True)
-class _Place:
+class DotPlace:
     """Where a dot lies in the sheet, or why it has no place.
 
     xz: (2,) mm.  own: (2,) mm², variances without the common part.  modes: (2, M) mm.
@@ -131,32 +113,29 @@ class _Place:
     status: Status
 
 
-def _dots_in_plane(reading: BoardReading, board: Board, plane_map: PlaneMap) -> dict[str, _Place]:
+def _dots_in_plane(reading: BoardReading, board: Board, plane_map: PlaneMap) -> dict[str, DotPlace]:
     """Every dot that a distance needs, mapped in one go."""
     names = sorted({name for pair in board.distances for name in pair})
-    marks = [reading.dots.get(name, NOT_FOUND) for name in names]
+    nowhere = Mark(np.full(2, np.nan), float("nan"), Status.NOT_FOUND)
+    marks = [reading.dots.get(name, nowhere) for name in names]
     image = np.array([mark.image_px for mark in marks]).reshape(-1, 2)
     points = plane_map.to_plane(image, np.array([mark.sigma_px for mark in marks]))
     modes = _modes(points)
     own = np.maximum(points.sigma_mm**2 - (modes**2).sum(axis=2), 0.0)
-    status = [
-        Status(int(points.status[k])) if mark.status == Status.OK else mark.status
-        for k, mark in enumerate(marks)
-    ]
-    return {
-        name: _Place(points.xz_mm[k], own[k], modes[k], status[k]) for k, name in enumerate(names)
-    }
+    places = {}
+    for k, (name, mark) in enumerate(zip(names, marks, strict=True)):
+        status = Status(int(points.status[k])) if mark.status == Status.OK else mark.status
+        places[name] = DotPlace(points.xz_mm[k], own[k], modes[k], status)
+    return places
 
 
-def _why_not(first: _Place, second: _Place) -> Status:
+def _why_not(first: DotPlace, second: DotPlace) -> Status:
     """OK where both dots have a place, or the reason why one has none."""
-    for place in (first, second):
-        if not has_value(np.array(place.status)):
-            return place.status
-    return Status.OK
+    missing = [p.status for p in (first, second) if not has_value(np.array(p.status))]
+    return missing[0] if missing else Status.OK
 
 
-def _distance(first: _Place, second: _Place, nominal_mm: float) -> Length:
+def _distance(first: DotPlace, second: DotPlace, nominal_mm: float) -> Length:
     across = second.xz - first.xz
     length = float(np.linalg.norm(across))
     direction = across / length if length > 0 else np.zeros(2)

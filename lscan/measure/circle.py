@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.optimize import least_squares
 
 from lscan.errors import MeasurementError
 from lscan.records import Floats
@@ -14,71 +15,77 @@ from lscan.records import Floats
 class Circle:
     """A fitted circle.
 
-    centre_mm: (2,).  radius_mm.  covariance: (3, 3) of centre and radius, mm².
-    rms_mm: scatter of the points about it, for the degrees of freedom left.
-    radius_by_point: (K, 2) derivative of the radius by each point's (x, z).
+    centre_mm: (2,).  radius_mm.  diameter_sigma_mm: standard uncertainty of the diameter where the
+    points err independently.  radius_by_point: (K, 2) derivative of the radius by each point's
+    (x, z).
     """
 
     centre_mm: Floats
     radius_mm: float
-    covariance: Floats
-    rms_mm: float
+    diameter_sigma_mm: float
     radius_by_point: Floats
-
-    @property
-    def diameter_sigma_mm(self) -> float:
-        """Standard uncertainty of the diameter, mm, where the points err independently."""
-        return 2 * float(np.sqrt(self.covariance[2, 2]))
 
 
 def fit_circle(points_mm: Floats, sigma_mm: Floats) -> Circle:
-    """The circle of least squared distances to the points (K, 2), mm.
+    """The circle of least squared distances to points.
 
-    sigma_mm: (K,) standard uncertainty of each point's distance from it; points are weighted
-    by it.  Gauss-Newton with Levenberg's damping from the algebraic circle of Kasa (IEEE Trans.
-    Instrum. Meas. 25, 8, 1976).  The covariance is that of the sigmas given or that of the
-    points' scatter, whichever is the larger.
+    Parameters
+    ----------
+    points_mm
+        (K, 2), mm.
+    sigma_mm
+        (K,) standard uncertainty of each point's distance from the circle; points are weighted
+        by it.
 
-    Raises MeasurementError for fewer than four points, or points that lie on a line.
+    Returns
+    -------
+    Circle
+        Its uncertainty is that of the sigmas given or that of the points' scatter, whichever is
+        the larger.
+
+    Raises
+    ------
+    MeasurementError
+        For fewer than four points, or points that lie on a line.
+
+    References
+    ----------
+    Starts from the algebraic circle of I. Kasa, IEEE Trans. Instrum. Meas. 25, 8 (1976).
+
+    Examples
+    --------
+    >>> corners = np.array([[0.0, 0.0], [0.0, 6.0], [8.0, 0.0], [8.0, 6.0]])
+    >>> round(fit_circle(corners, np.full(4, 0.1)).radius_mm, 6)
+    5.0
     """
     if len(points_mm) < 4:
         raise MeasurementError(f"circle: {len(points_mm)} points, 4 are needed")
     root = 1 / np.maximum(sigma_mm, 1e-6)
-    parameters = _closest(points_mm, root, _algebraic(points_mm))
-    residual, jacobian = _distances(points_mm, parameters)
-    weighted = jacobian * root[:, None]
-    inverse = np.linalg.inv(weighted.T @ weighted).astype(float)
-    freedom = max(len(points_mm) - 3, 1)
-    scatter = float(np.sum((residual * root) ** 2)) / freedom
-    by_distance = -(inverse @ weighted.T)[2] * root  # of the radius, by each residual
+
+    def weighted(parameters: Floats) -> Floats:
+        return (np.linalg.norm(points_mm - parameters[:2], axis=1) - parameters[2]) * root
+
+    def jacobian(parameters: Floats) -> Floats:
+        return _by_parameters(points_mm, parameters) * root[:, None]
+
+    fit = least_squares(weighted, _algebraic(points_mm), jacobian, method="lm", xtol=1e-12)
+    design = jacobian(fit.x)
+    inverse = np.linalg.inv(design.T @ design).astype(float)
+    scatter = 2 * float(fit.cost) / max(len(points_mm) - 3, 1)
+    by_distance = -(inverse @ design.T)[2] * root  # of the radius, by each residual
     return Circle(
-        centre_mm=parameters[:2],
-        radius_mm=float(parameters[2]),
-        covariance=inverse * max(1.0, scatter),
-        rms_mm=float(np.sqrt(np.sum(residual**2) / freedom)),
-        radius_by_point=-by_distance[:, None] * jacobian[:, :2],
+        centre_mm=fit.x[:2],
+        radius_mm=float(fit.x[2]),
+        diameter_sigma_mm=2 * float(np.sqrt(inverse[2, 2] * max(1.0, scatter))),
+        radius_by_point=-by_distance[:, None] * _by_parameters(points_mm, fit.x)[:, :2],
     )
 
 
-def _closest(points: Floats, root: Floats, parameters: Floats) -> Floats:
-    """(3,) centre and radius of least squares, from the start ``parameters``."""
-    residual, jacobian = _distances(points, parameters)
-    damping = 1e-3
-    for _ in range(100):
-        weighted = jacobian * root[:, None]
-        normal = weighted.T @ weighted
-        gradient = weighted.T @ (residual * root)
-        damped = normal + damping * np.diag(np.diag(normal))
-        step = np.linalg.solve(damped, -gradient).astype(float)
-        trial = _distances(points, parameters + step)
-        if np.sum((trial[0] * root) ** 2) <= np.sum((residual * root) ** 2):
-            parameters, (residual, jacobian) = parameters + step, trial
-            damping /= 10
-        else:
-            damping *= 10
-        if np.abs(step).max() < 1e-10 * parameters[2]:
-            break
-    return parameters
+def _by_parameters(points: Floats, parameters: Floats) -> Floats:
+    """(K, 3) derivatives of the points' distances from the circle by its centre and radius."""
+    away = points - parameters[:2]
+    distance = np.maximum(np.linalg.norm(away, axis=1, keepdims=True), 1e-12)
+    return np.column_stack([-away / distance, -np.ones(len(points))])
 
 
 def _algebraic(points: Floats) -> Floats:
@@ -93,11 +100,3 @@ def _algebraic(points: Floats) -> Floats:
     centre = -solution[:2] / 2
     radius = np.sqrt(max(float(centre @ centre - solution[2]), 0.0))
     return np.array([*(centre + middle), radius])
-
-
-def _distances(points: Floats, parameters: Floats) -> tuple[Floats, Floats]:
-    """(K,) signed distance of each point from the circle, and its (K, 3) derivatives."""
-    away = points - parameters[:2]
-    distance = np.maximum(np.hypot(away[:, 0], away[:, 1]), 1e-12)
-    jacobian = np.column_stack([-away / distance[:, None], -np.ones(len(points))])
-    return distance - parameters[2], jacobian

@@ -72,7 +72,8 @@ def segment_ends(line: Trace, segments: Sequence[Segment]) -> list[tuple[End, En
         limits = StepLimits(LEAST_T, np.inf, (BLURS[0] * step, BLURS[1] * step), step, UNMODELLED)
         last = line.x[outermost][falls]
         samples = _samples(line, segments, falls)
-        fit = fit_steps(samples, last, np.array([USUAL_BLUR * step]), limits)
+        within, blur = np.full(len(last), 1.5 * step), np.array([USUAL_BLUR * step])
+        fit = fit_steps(samples, last, within, blur, limits)
         place[falls] = np.clip(fit.place, last - 3 * step, last + 3 * step)
         own[falls] = np.sqrt(np.maximum(np.diag(fit.covariance), 0.0))
         common[falls] = FALSE_LIGHT * step

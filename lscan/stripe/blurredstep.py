@@ -23,6 +23,8 @@ from lscan.records import Floats, Ints, Mask
 WALL = (-0.3, 1.0)
 """Least and greatest share of a wall: of walls lit at a grazing angle 0.2 to 0.6 was seen."""
 
+WALL_SIGMA = 0.5
+
 FAINTEST = -2.0
 """In widths: samples farther outside an end tell nothing of it.  The model is not evaluated there,
 where it vanishes (1 / Phi overflows) and, with a negative share of a wall, changes its sign."""
@@ -92,29 +94,37 @@ class StepFit:
 def fit_steps(
     samples: StepSamples,
     place: Floats,
+    place_sigma: Floats,
     width: Floats,
     limits: StepLimits,
     kept: Mask | None = None,
 ) -> StepFit:
-    """The ends that fit the brightness best, searched from ``place`` (P,) and ``width`` (G,), mm.
+    """The most probable ends, searched from ``place`` (P,) and ``width`` (G,), mm.
 
+    place_sigma: (P,) how far the places may lie from where they are looked for, a weak prior as
+        are those of width (as large as it is) and wall: where the brightness does not fall
+        within the samples they keep the search from running away.
     kept: (K,) the samples to use, where that is decided already.
 
     Gauss-Newton on brightness relative to the model's, for speckle grows with the light.  The
     covariance is that of the samples' scatter.
     Raises MeasurementError where the samples do not determine the ends.
     """
-    state = _StepState(place, width, np.zeros(samples.walled.shape[1]), FIRST_SCATTER)
+    wall = np.zeros(samples.walled.shape[1])
+    state = _StepState(place, width, wall, FIRST_SCATTER)
+    expected = np.concatenate([place, width, wall, np.zeros(samples.level.shape[1])])
+    known = np.concatenate([place_sigma, width, np.full(len(wall), WALL_SIGMA)]) ** -2.0
+    prior = np.concatenate([known, np.zeros(samples.level.shape[1])])
     for _ in range(ROUNDS):
         depth = samples.by_place @ state.place - samples.offset
         t = depth / state.width[samples.group]
         if kept is None:
             used = (t > limits.least_t).all(axis=0) & (depth.min(axis=0) < limits.most_mm)
-            first = _solve(samples, state, used, t, limits.unmodelled)
+            first = _solve(samples, state, used, t, limits.unmodelled, (expected, prior))
             used[used] = np.abs(first.residual) < OUTLIER * max(first.scatter, 1.0)
         else:
             used = kept & (t > FAINTEST).all(axis=0)
-        solution = _solve(samples, state, used, t, limits.unmodelled)
+        solution = _solve(samples, state, used, t, limits.unmodelled, (expected, prior))
         state, moved = _advanced(state, solution, limits)
         if moved < SETTLED_MM:
             break
@@ -147,9 +157,17 @@ class _StepSolution:
 
 
 def _solve(
-    samples: StepSamples, state: _StepState, used: Mask, t: Floats, unmodelled: float
+    samples: StepSamples,
+    state: _StepState,
+    used: Mask,
+    t: Floats,
+    unmodelled: float,
+    prior: tuple[Floats, Floats],
 ) -> _StepSolution:
-    """One Gauss-Newton step.  The levels enter linearly: they are solved anew each time."""
+    """One Gauss-Newton step.  The levels enter linearly: they are solved anew each time.
+
+    prior: expected value and 1/variance of all unknowns, 0 for nothing.
+    """
     t, group, walled = t[:, used], samples.group[used], samples.walled[used]
     width, wall = state.width[group], walled @ state.wall
     density = np.exp(-(t**2) / 2) / np.sqrt(2 * np.pi)
@@ -172,8 +190,10 @@ def _solve(
     freedom = len(brightness) - design.shape[1]
     if freedom <= 0 or not (level > 0).all():
         raise MeasurementError(f"edges: {len(brightness)} samples beside them do not fix them")
-    inverse = np.linalg.pinv(design.T @ design)
-    step = inverse @ (design.T @ weighted)
+    expected, precision = prior
+    present = np.concatenate([state.place, state.width, state.wall, np.zeros(levels.shape[1])])
+    inverse = np.linalg.pinv(design.T @ design + np.diag(precision), hermitian=True)
+    step = inverse @ (design.T @ weighted + precision * (expected - present))
     residual = weighted - design @ step
     chi2 = max(float(residual @ residual) / freedom, 1.0)
     spread = 1.4826 * float(np.median(np.abs(residual)))

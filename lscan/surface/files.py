@@ -22,6 +22,7 @@ from lscan.surface.netcdf import read_arrays
 
 DIMENSIONS = ("frame", "column")
 SEPARATOR = "; "  # of the corrections
+LENGTH = {"units": "mm"}
 MODES = {
     "long_name": "displacement along x, y and z by each independent error of calibration and "
     "alignment, when it is one standard deviation large"
@@ -108,80 +109,45 @@ def save_points(path: Path, surface: Surface) -> None:
 
 
 def _dataset(surface: Surface) -> xr.Dataset:
+    """The surface as variables after the CF conventions."""
     where = "laser sheet and track" if surface.frame == "head" else "workpiece"
-    length = {"units": "mm"}
+    error = {"standard_name_modifier": "standard_error", **LENGTH}
     flags = {
-        "long_name": "why a point has, or has not, a value",
         "flag_values": np.array([int(status) for status in Status], dtype=np.int8),
         "flag_meanings": " ".join(status.name.lower() for status in Status),
     }
-    uncertain = {"standard_name_modifier": "standard_error", **length}
-    common = _calibration_part(surface, uncertain)
-    of_y = _uncertainty_of_y(surface, uncertain)
     x, y, z = np.moveaxis(surface.xyz_mm, -1, 0)
-    variables = {
-        "x": (
-            x,
-            {
-                "long_name": f"x in the {where} frame",
-                **length,
-                "ancillary_variables": "x_sigma status",
-            },
-        ),
-        "y": (
-            y,
-            {
-                "long_name": f"y in the {where} frame",
-                **length,
-                "ancillary_variables": " ".join([*of_y, "status"]),
-            },
-        ),
-        "z": (
-            z,
-            {
-                "long_name": f"height in the {where} frame",
-                **length,
-                "ancillary_variables": " ".join(["z_sigma", *common, "status"]),
-            },
-        ),
-        "x_sigma": (surface.sigma_x_mm, {"long_name": "standard uncertainty of x", **uncertain}),
-        **of_y,
-        "z_sigma": (surface.sigma_z_mm, {"long_name": "standard uncertainty of z", **uncertain}),
-        "status": (surface.status.astype(np.int8), flags),
-        **common,
+    variables: dict[str, tuple[NDArray[Any], str, dict[str, Any]]] = {
+        "x": (x, f"x in the {where} frame", LENGTH),
+        "y": (y, f"y in the {where} frame", LENGTH),
+        "z": (z, f"height in the {where} frame", LENGTH),
+        "x_sigma": (surface.sigma_x_mm, "standard uncertainty of x", error),
+        "z_sigma": (surface.sigma_z_mm, "standard uncertainty of z", error),
+        "status": (surface.status.astype(np.int8), "why a point has, or has not, a value", flags),
     }
-    arrays: dict[str, Any] = {
-        name: (DIMENSIONS, values, notes) for name, (values, notes) in variables.items()
-    }
+    ancillary = {"x": ["x_sigma", "status"], "y": ["status"], "z": ["z_sigma", "status"]}
+    if surface.sigma_y_mm is not None:
+        variables["y_sigma"] = (surface.sigma_y_mm, "standard uncertainty of y", error)
+        ancillary["y"].insert(0, "y_sigma")
     if surface.modes_mm is not None:
-        arrays["modes"] = ((*DIMENSIONS, "axis", "mode"), surface.modes_mm, {**MODES, **length})
-    track = {"long_name": "track position of the profile", **length}
-    return xr.Dataset(
-        {**arrays, "position": ("frame", surface.position_mm, track)},
-        attrs={
-            "Conventions": "CF-1.11",
-            "title": "Surface measured by a laser line scanner",
-            "frame": surface.frame,
-            "corrections": SEPARATOR.join(surface.corrections),
-        },
-    )
-
-
-def _uncertainty_of_y(
-    surface: Surface, notes: dict[str, str]
-) -> dict[str, tuple[Floats, dict[str, str]]]:
-    """The variable y_sigma of a surface that has it; none where y is the track's own."""
-    if surface.sigma_y_mm is None:
-        return {}
-    return {"y_sigma": (surface.sigma_y_mm, {"long_name": "standard uncertainty of y", **notes})}
-
-
-def _calibration_part(
-    surface: Surface, notes: dict[str, str]
-) -> dict[str, tuple[Floats, dict[str, str]]]:
-    """The variable sigma_calibration of a surface that has modes; none of one that has not."""
-    if surface.modes_mm is None:
-        return {}
-    common = np.sqrt(np.square(surface.modes_mm[..., 2, :], dtype=np.float64).sum(axis=-1))
-    name = "part of z_sigma that calibration and alignment give to all points in common"
-    return {"sigma_calibration": (common, {"long_name": name, **notes})}
+        common = np.sqrt(np.square(surface.modes_mm[..., 2, :], dtype=np.float64).sum(axis=-1))
+        name = "part of z_sigma that calibration and alignment give to all points in common"
+        variables["sigma_calibration"] = (common, name, error)
+        ancillary["z"].insert(1, "sigma_calibration")
+    arrays: dict[str, Any] = {
+        name: (DIMENSIONS, values, {"long_name": long_name, **notes})
+        for name, (values, long_name, notes) in variables.items()
+    }
+    for name, beside in ancillary.items():
+        arrays[name][2]["ancillary_variables"] = " ".join(beside)
+    if surface.modes_mm is not None:
+        arrays["modes"] = ((*DIMENSIONS, "axis", "mode"), surface.modes_mm, {**MODES, **LENGTH})
+    track = {"long_name": "track position of the profile", **LENGTH}
+    arrays["position"] = ("frame", surface.position_mm, track)
+    notes = {
+        "Conventions": "CF-1.11",
+        "title": "Surface measured by a laser line scanner",
+        "frame": surface.frame,
+        "corrections": SEPARATOR.join(surface.corrections),
+    }
+    return xr.Dataset(arrays, attrs=notes)

@@ -65,16 +65,9 @@ def read_arrays(
             names = [*needed, *(name for name in optional if name in present)]
             told = {name: file.attrs[name] for name in ATTRIBUTES if name in file.attrs}
             return {name: _array(file, name, path) for name in names}, told
-    # h5py raises whatever fits best to what HDF5 says of a damaged file.
-    except (
-        OSError,
-        ValueError,
-        KeyError,
-        RuntimeError,
-        TypeError,
-        AttributeError,
-        ArithmeticError,
-    ) as error:
+    except InputError:
+        raise
+    except Exception as error:  # h5py raises whatever fits best to what HDF5 says of damage
         message = " ".join(str(error).split())
         raise InputError("cannot be read as NetCDF", where=path, value=message) from error
 

@@ -24,6 +24,8 @@ REACH_MM = 9.0
 """How far from the edge samples are used: to tell the level, a few times the width."""
 
 FIRST_WIDTH_MM = 1.0
+PLACE_SIGMA_MM, LEAN_SIGMA = 1.0, 0.02
+"""How well edges are known from their crossings: to a column and the sheet's thickness."""
 
 LIMITS = StepLimits(least_t=0.3, most_mm=REACH_MM, widths_mm=(0.1, 2.5), step_mm=1.0)
 """At 0.3 widths a face has 62 % of its light and the other 38 %, which noise of 15 % a column
@@ -58,7 +60,8 @@ def fit_fading(edges: Sequence[FaceSamples], start: EdgeFit, kept: Mask | None =
     """
     place = np.array([start.lean, *start.at_mm])
     width = np.full(1 + max(edge.group for edge in edges), FIRST_WIDTH_MM)
-    fit = fit_steps(_samples(edges, start.pivot_mm), place, width, LIMITS, kept)
+    sigma = np.array([LEAN_SIGMA, *np.full(len(edges), PLACE_SIGMA_MM)])
+    fit = fit_steps(_samples(edges, start.pivot_mm), place, sigma, width, LIMITS, kept)
     return EdgeFit(
         at_mm=fit.place[1:],
         slope=np.array([edge.slope for edge in edges]),
