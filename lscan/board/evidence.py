@@ -6,7 +6,7 @@ import numpy as np
 from scipy.ndimage import map_coordinates
 
 from lscan.board.lattice import completed, dot_part, local_map
-from lscan.board.picture import Picture
+from lscan.board.picture import BoardPicture
 from lscan.board.search import Nodes, local_pitch
 from lscan.config.board import Grid
 from lscan.records import Floats
@@ -19,7 +19,7 @@ DIRECTIONS = 16
 UNEVEN = 0.03  # of the pitch: a board's dots miss a smooth grid by less than 0.01
 
 
-def fault_of(picture: Picture, nodes: Nodes, grid: Grid) -> str | None:
+def fault_of(picture: BoardPicture, nodes: Nodes, grid: Grid) -> str | None:
     """The first thing that speaks against the dots being the board's, in words, or None."""
     count = int(nodes.found.sum())
     if count < 3:
@@ -43,7 +43,7 @@ def fault_of(picture: Picture, nodes: Nodes, grid: Grid) -> str | None:
     return None
 
 
-def _are_discs(picture: Picture, points: Floats, part: float) -> bool:
+def _are_discs(picture: BoardPicture, points: Floats, part: float) -> bool:
     """Whether most marks are bright half-way to a dot's edge, and end beyond it, all around."""
     pitch = local_pitch(points)
     known = np.isfinite(points[..., 0]) & np.isfinite(pitch)
@@ -56,7 +56,7 @@ def _are_discs(picture: Picture, points: Floats, part: float) -> bool:
     return bool(fits.mean() > 0.5)
 
 
-def _grey_around(picture: Picture, points: Floats, radius: Floats) -> Floats:
+def _grey_around(picture: BoardPicture, points: Floats, radius: Floats) -> Floats:
     """(N, directions) grey values on circles about the points (N, 2)."""
     angle = 2 * np.pi * np.arange(DIRECTIONS) / DIRECTIONS
     u = points[:, :1] + radius[:, None] * np.cos(angle)
@@ -64,7 +64,7 @@ def _grey_around(picture: Picture, points: Floats, radius: Floats) -> Floats:
     return np.asarray(map_coordinates(picture.flat, [v, u], order=1), dtype=float)
 
 
-def _is_finest(picture: Picture, points: Floats) -> bool:
+def _is_finest(picture: BoardPicture, points: Floats) -> bool:
     """Whether there are no dots half-way between those found.
 
     Every other dot of a grid, or the black squares of a chessboard, would have some.
@@ -77,7 +77,7 @@ def _is_finest(picture: Picture, points: Floats) -> bool:
     return all(len(grey) == 0 or np.median(grey) < limit for grey in between)
 
 
-def _smooth_at(picture: Picture, points: Floats) -> Floats:
+def _smooth_at(picture: BoardPicture, points: Floats) -> Floats:
     known = points[np.isfinite(points[..., 0])]
     column, row = np.rint(known).astype(np.int64).T
     return picture.smooth[row, column].astype(float)

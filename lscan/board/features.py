@@ -10,7 +10,7 @@ from scipy.spatial import cKDTree
 from lscan.board.centre import disc_height, stand_alone, window_sigma
 from lscan.board.lattice import LocalMap, grid_points_mm
 from lscan.board.perspective import shift_of_discs
-from lscan.board.picture import BLUR_PX, Picture
+from lscan.board.picture import BLUR_PX, BoardPicture
 from lscan.board.search import Nodes, look
 from lscan.config.board import Dot, Ruler
 from lscan.records import Floats, Ints, Mark, Marks, Mask, RulerReading, Status
@@ -50,7 +50,7 @@ def mark_status(found: Mask, in_view: Mask) -> Ints:
 
 
 def read_ruler(
-    picture: Picture, mapping: LocalMap, contrast: Contrast, ruler: Ruler
+    picture: BoardPicture, mapping: LocalMap, contrast: Contrast, ruler: Ruler
 ) -> RulerReading:
     """The marks of one auxiliary ruler (Fig. 14), in the order of the board file."""
     marks = _read_marks(
@@ -59,7 +59,7 @@ def read_ruler(
     return RulerReading(ruler.direction, ruler.at_mm, marks)
 
 
-def read_dot(picture: Picture, mapping: LocalMap, contrast: Contrast, dot: Dot) -> Mark:
+def read_dot(picture: BoardPicture, mapping: LocalMap, contrast: Contrast, dot: Dot) -> Mark:
     """A named dot (Fig. 18)."""
     place = np.array([[dot.x_mm, dot.z_mm]])
     clear = 3 * dot.diameter_mm  # nothing else should be nearer than that
@@ -68,7 +68,7 @@ def read_dot(picture: Picture, mapping: LocalMap, contrast: Contrast, dot: Dot) 
 
 
 def _read_marks(
-    picture: Picture,
+    picture: BoardPicture,
     mapping: LocalMap,
     contrast: Contrast,
     board_mm: Floats,

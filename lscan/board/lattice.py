@@ -8,7 +8,7 @@ import numpy as np
 from scipy.ndimage import binary_dilation, maximum_filter
 from scipy.spatial import cKDTree
 
-from lscan.board.picture import Picture
+from lscan.board.picture import BoardPicture
 from lscan.board.search import NEXT, Nodes, expectation, local_pitch, moved
 from lscan.config.board import Grid
 from lscan.errors import BoardNotFound
@@ -168,7 +168,7 @@ def drop_strays(nodes: Nodes, pitch_mm: float) -> None:
         doubtful = nodes.found & binary_dilation(stray, np.ones((2 * SPREAD + 1,) * 2, bool))
 
 
-def place_on_board(picture: Picture, nodes: Nodes, grid: Grid, radius_px: float) -> Nodes:
+def place_on_board(picture: BoardPicture, nodes: Nodes, grid: Grid, radius_px: float) -> Nodes:
     """The cropped nodes on the board: (rows, columns) of it, or of what is seen if not whole.
 
     Where a whole board is cut by the picture, the place follows from a rim of the board that is
@@ -207,7 +207,7 @@ def _beyond(nodes: Nodes) -> dict[str, Floats]:
     }
 
 
-def _is_rim(picture: Picture, points: Floats, radius_px: float) -> bool:
+def _is_rim(picture: BoardPicture, points: Floats, radius_px: float) -> bool:
     seen: Mask = picture.wholly_in_view(points, 2 * radius_px)  # False where NaN
     return int(seen.sum()) >= RIM_EVIDENCE
 

@@ -22,7 +22,7 @@ GROUND_WINDOW = 3.0  # of the dot's diameter: wide enough that a dot is the smal
 
 
 @dataclass(frozen=True)
-class Picture:
+class BoardPicture:
     """A picture ready for measuring.
 
     flat: (H, W) grey values, marks bright (for dark marks it is the paper's negative), with
@@ -116,7 +116,7 @@ def rounding_of(bright: Image) -> float:
     return max(float(np.ptp(bright)), 1e-6) / 255 / float(np.sqrt(12))
 
 
-def prepare(bright: Image, dot_radius_px: float) -> Picture:
+def prepare(bright: Image, dot_radius_px: float) -> BoardPicture:
     """The picture levelled and smoothed for dots of about ``dot_radius_px``.
 
     The ground is the median over a window of three dot diameters, then smoothed: a slope of
@@ -131,7 +131,7 @@ def prepare(bright: Image, dot_radius_px: float) -> Picture:
     smooth = np.asarray(
         cv2.GaussianBlur(flat, (0, 0), sigma, borderType=cv2.BORDER_CONSTANT), dtype=np.float32
     )
-    return Picture(flat, smooth, sigma, gain, gain * np.float32(noise_of(bright)))
+    return BoardPicture(flat, smooth, sigma, gain, gain * np.float32(noise_of(bright)))
 
 
 def _gain(ground: Image) -> Image:

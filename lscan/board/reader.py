@@ -27,7 +27,7 @@ from lscan.board.lattice import (
 )
 from lscan.board.noise import noise_image
 from lscan.board.perspective import shift_of_discs
-from lscan.board.picture import Image, Picture, bright_marks, noise_of, prepare
+from lscan.board.picture import BoardPicture, Image, bright_marks, noise_of, prepare
 from lscan.board.rings import read_ring
 from lscan.board.search import Nodes, grow, local_pitch
 from lscan.board.seeds import check_seeds, propose_seeds
@@ -90,7 +90,7 @@ def _refuse_other_contrast(inverted: Image, board: Board) -> None:
     )
 
 
-def _upright(bright: Image, picture: Picture, nodes: Nodes, board: Board) -> BoardReading:
+def _upright(bright: Image, picture: BoardPicture, nodes: Nodes, board: Board) -> BoardReading:
     """The reading in the first quarter turn in which the board's other marks are found.
 
     The grid alone looks alike in two or four of them: rulers, dots and rings tell.  Where they
@@ -137,7 +137,7 @@ def _share_found(reading: BoardReading) -> float:
     return float(np.mean(shares)) if shares else 1.0
 
 
-def _all_marks(bright: Image, picture: Picture, nodes: Nodes, board: Board) -> BoardReading:
+def _all_marks(bright: Image, picture: BoardPicture, nodes: Nodes, board: Board) -> BoardReading:
     """The dots measured again on the board's place for them, and all other marks."""
     mapping = local_map(completed(nodes, board.grid.pitch_mm), board.grid.pitch_mm)
     noise = noise_image(bright, nodes, _median_radius(nodes, board.grid))
@@ -165,7 +165,7 @@ def _check_origin_known(board: Board) -> None:
         )
 
 
-def _search_from_anywhere(bright: Image, board: Board) -> tuple[Picture, Nodes]:
+def _search_from_anywhere(bright: Image, board: Board) -> tuple[BoardPicture, Nodes]:
     """The dots found from the first automatic seeds that lead to a board."""
     grid = board.grid
     faults = []
@@ -183,7 +183,7 @@ def _search_from_anywhere(bright: Image, board: Board) -> tuple[Picture, Nodes]:
     raise BoardNotFound(f"the board was not found: {most[1]}")
 
 
-def _search_from(bright: Image, board: Board, seeds: Floats) -> tuple[Picture, Nodes]:
+def _search_from(bright: Image, board: Board, seeds: Floats) -> tuple[BoardPicture, Nodes]:
     """The dots found from seeds given by hand, the first of which is the origin."""
     grid = board.grid
     picture = prepare(bright, _dot_radius(seeds, grid))
@@ -209,7 +209,7 @@ def _median_radius(nodes: Nodes, grid: Grid) -> float:
     return float(np.nanmedian(local_pitch(nodes.points))) * dot_part(grid) / 2
 
 
-def _measured_again(picture: Picture, nodes: Nodes, mapping: LocalMap, grid: Grid) -> Nodes:
+def _measured_again(picture: BoardPicture, nodes: Nodes, mapping: LocalMap, grid: Grid) -> Nodes:
     """The same dots: windows by the local map, its bias taken back, the noise as it is there."""
     board = grid_points_mm(nodes.height.shape, grid.pitch_mm)[nodes.found]
     map_there = mapping.expanded(board)
@@ -224,7 +224,7 @@ def _measured_again(picture: Picture, nodes: Nodes, mapping: LocalMap, grid: Gri
     return again
 
 
-def _grid_marks(picture: Picture, nodes: Nodes, mapping: LocalMap, grid: Grid) -> Marks:
+def _grid_marks(picture: BoardPicture, nodes: Nodes, mapping: LocalMap, grid: Grid) -> Marks:
     board = grid_points_mm(nodes.height.shape, grid.pitch_mm).reshape(-1, 2)
     map_there = mapping.expanded(board)
     radius = map_there.scale * grid.dot_diameter_mm / 2

@@ -21,7 +21,7 @@ from scipy.ndimage import map_coordinates, spline_filter
 from lscan.board.centre import window_sigma
 from lscan.board.features import FAINTEST, Contrast
 from lscan.board.lattice import LocalMap
-from lscan.board.picture import BLUR_PX, Picture
+from lscan.board.picture import BLUR_PX, BoardPicture
 from lscan.config.board import Ring
 from lscan.records import Floats, Mask, RingPoints
 
@@ -35,7 +35,7 @@ STEPS = 8
 
 
 @dataclass(frozen=True)
-class Crossings:
+class RingCrossings:
     """Where the line is expected, N places.
 
     middle: (N, 2) px.  normal: (N, 2) unit vectors across the line, outwards.  scale: (N,) px
@@ -64,7 +64,9 @@ class Ridges:
     peaked: Mask
 
 
-def read_ring(picture: Picture, mapping: LocalMap, contrast: Contrast, ring: Ring) -> RingPoints:
+def read_ring(
+    picture: BoardPicture, mapping: LocalMap, contrast: Contrast, ring: Ring
+) -> RingPoints:
     """Points on the ring's centre line, counter-clockwise from its right.
 
     One for about every third pixel of the line, so that their errors are independent.  Only
@@ -100,7 +102,7 @@ def read_ring(picture: Picture, mapping: LocalMap, contrast: Contrast, ring: Rin
 
 def _crossings(
     mapping: LocalMap, board_mm: Floats, outward_mm: Floats, radius_mm: float
-) -> Crossings:
+) -> RingCrossings:
     """The line through the places (N, 2) mm, as the local map draws it.
 
     The curvature is that of the ellipse that the map's first derivatives make of the circle.
@@ -114,7 +116,7 @@ def _crossings(
     normal = np.column_stack([along[:, 1], -along[:, 0]]) / length[:, None]
     across = (outward * normal).sum(axis=1)
     curvature = np.abs(across) / (radius_mm * length**2)
-    return Crossings(
+    return RingCrossings(
         map_there.image_px, normal * np.sign(across)[:, None], np.abs(across), curvature
     )
 
@@ -124,7 +126,9 @@ def _offsets(radius_px: float) -> Floats:
     return np.linspace(-count * SAMPLE_PX, count * SAMPLE_PX, 2 * count + 1)
 
 
-def _profiles(picture: Picture, crossings: Crossings, offsets: Floats) -> tuple[Floats, Floats]:
+def _profiles(
+    picture: BoardPicture, crossings: RingCrossings, offsets: Floats
+) -> tuple[Floats, Floats]:
     """Grey values and noise of a pixel (N, M) along the normals, those of one place averaged."""
     points = crossings.middle[:, None] + offsets[:, None] * crossings.normal[:, None]
     low = np.maximum(np.floor(points.min(axis=(0, 1))).astype(int) - 12, 0)

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from lscan.board.centre import Centres, fit_centres, window_sigma
-from lscan.board.picture import Picture
+from lscan.board.picture import BoardPicture
 from lscan.records import Floats, Ints, Mask
 
 BOX = 0.22  # half side of the search box, of the pitch: keeps out what lies between the dots
@@ -76,7 +76,11 @@ class Nodes:
 
 
 def grow(
-    picture: Picture, seeds: Floats, shape: tuple[int, int], corner: tuple[int, int], dot: float
+    picture: BoardPicture,
+    seeds: Floats,
+    shape: tuple[int, int],
+    corner: tuple[int, int],
+    dot: float,
 ) -> Nodes:
     """All dots that can be reached from the seeds.
 
@@ -105,7 +109,7 @@ def _with_rim(extent: tuple[slice, slice]) -> tuple[slice, slice]:
     return rows, columns
 
 
-def _one_round(picture: Picture, nodes: Nodes, vain: Floats, dot: float) -> bool:
+def _one_round(picture: BoardPicture, nodes: Nodes, vain: Floats, dot: float) -> bool:
     """Search every node beside those found; True where a dot was added.
 
     vain: (R, C, 2) px, the places searched in vain: a node is searched again only once it is
@@ -127,7 +131,7 @@ def _one_round(picture: Picture, nodes: Nodes, vain: Floats, dot: float) -> bool
     return bool(accepted.any())
 
 
-def look(picture: Picture, expected: Floats, half_box: Floats, sigma: Floats) -> Centres:
+def look(picture: BoardPicture, expected: Floats, half_box: Floats, sigma: Floats) -> Centres:
     """Centres of the marks in boxes about the expected places, N of each.
 
     expected: (N, 2) px.  half_box: (N,) px.  sigma: (N,) px, the window for the mark's size.
@@ -141,7 +145,7 @@ def look(picture: Picture, expected: Floats, half_box: Floats, sigma: Floats) ->
     return Centres(centres.points, centres.height, centres.sigma_px, centres.round & visible)
 
 
-def _brightest(picture: Picture, expected: Floats, half_box: Floats) -> Floats:
+def _brightest(picture: BoardPicture, expected: Floats, half_box: Floats) -> Floats:
     """(N, 2) brightest pixel of the smoothed picture in each box."""
     if len(expected) == 0:
         return expected

@@ -10,7 +10,7 @@ from lscan.config.rig import StripeSection
 from lscan.live.maptable import LiveProfile, MapTable
 from lscan.records import Bytes, Floats, Ints, Stripe, has_value
 from lscan.stripe import extract_stripe
-from lscan.stripe.lines import Lines, lines_of
+from lscan.stripe.lines import PictureLines, lines_of
 from lscan.stripe.noise.model import constant_variance
 from lscan.stripe.width import line_width
 
@@ -137,7 +137,7 @@ def slope_of(centre_px: Floats) -> float | None:
     return float(np.median(known) / apart) if len(known) and apart else None
 
 
-def _saturated_percent(lines: Lines) -> float:
+def _saturated_percent(lines: PictureLines) -> float:
     return 100 * float(lines.clipped.mean())
 
 

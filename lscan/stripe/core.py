@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from lscan.records import Floats, Ints, Stripe, has_value
+from lscan.records import Floats, Stripe, has_value
+from lscan.stripe.peaks import windows
 
 CORE_PX = 2  # on either side of the centre: more would take in what walls beside a line throw back
 GROUND_PX = (4, 6)
@@ -28,13 +29,7 @@ def core_flux(stripe: Stripe, light: Floats) -> Floats:
     row = np.rint(stripe.centre_px[valued]).astype(int)
     core = np.arange(-CORE_PX, CORE_PX + 1)
     beside = np.arange(GROUND_PX[0], GROUND_PX[1] + 1)
-    ground = (_at(light, valued, row, -beside) + _at(light, valued, row, beside)) / 2
-    total = len(core) * (_at(light, valued, row, core) - ground)
+    ground = windows(light, valued, row, np.append(-beside, beside)).mean(axis=1)
+    total = (windows(light, valued, row, core) - ground[:, None]).sum(axis=1)
     flux[valued] = np.where(total > 0, total, np.nan)
     return flux
-
-
-def _at(light: Floats, entry: Ints, row: Ints, steps: Ints) -> Floats:
-    """(K,) mean light of the pixels at ``steps`` from ``row`` (K,); at the border its last one."""
-    rows = np.clip(row[:, None] + steps, 0, light.shape[1] - 1)
-    return np.asarray(light[entry[:, None], rows].mean(axis=1))

@@ -21,7 +21,7 @@ _ROOT_TWO_PI = np.sqrt(2 * np.pi)
 
 
 @dataclass(frozen=True)
-class Lines:
+class CrossSections:
     """K lines as n pixels see them, and how that changes with the parameters.
 
     light: (K, n) the line itself in DN.  ground: (K, n) what lies under it, in DN.
@@ -33,7 +33,7 @@ class Lines:
     slopes: Floats
 
 
-def lines(parameters: Floats, steps: Floats) -> Lines:
+def lines(parameters: Floats, steps: Floats) -> CrossSections:
     """The lines of ``parameters`` (K, 5) at the pixels ``steps`` (n,), px from the middle one.
 
     The steps must be consecutive pixels.
@@ -51,7 +51,7 @@ def lines(parameters: Floats, steps: Floats) -> Lines:
     slopes[:, LN_HEIGHT] = light
     slopes[:, GROUND] = 1.0
     slopes[:, TILT] = steps
-    return Lines(light, ground, slopes)
+    return CrossSections(light, ground, slopes)
 
 
 def parameters_of(

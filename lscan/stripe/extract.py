@@ -57,7 +57,7 @@ def extract_stripe(
 
 
 @dataclass(frozen=True)
-class _Light:
+class _LaserLight:
     """What the laser adds to the picture, one row for each entry of the stripe.
 
     grey: (N, L) in DN.  clipped: (N, L) pixels at the end of the range by the laser's doing.
@@ -69,12 +69,12 @@ class _Light:
     settings: StripeSection
 
 
-def _light(image: Bytes, settings: StripeSection, background: Bytes | None) -> _Light:
+def _light(image: Bytes, settings: StripeSection, background: Bytes | None) -> _LaserLight:
     """The picture's lines less those of the background, if there is one."""
     lit = lines_of(image, settings.channel, settings.axis, where="image")
     grey: Floats = lit.grey.astype(np.float64)
     if background is None:
-        return _Light(grey, lit.clipped, settings)
+        return _LaserLight(grey, lit.clipped, settings)
     if background.shape != image.shape:
         raise InputError(
             "is not of the picture's shape",
@@ -86,7 +86,7 @@ def _light(image: Bytes, settings: StripeSection, background: Bytes | None) -> _
     if settings.noise is not None:
         both = difference_noise(settings.noise, float(dark.grey.mean()))
         settings = settings.model_copy(update={"noise": both})
-    return _Light(grey - dark.grey, lit.clipped & ~dark.clipped, settings)
+    return _LaserLight(grey - dark.grey, lit.clipped & ~dark.clipped, settings)
 
 
 def _called(extractor: Extractor, settings: StripeSection, image: Floats, clipped: Mask) -> Stripe:

@@ -15,7 +15,7 @@ import numpy as np
 from scipy.special import log_ndtr
 
 from lscan.records import Floats, Ints, Mask
-from lscan.stripe.crosssection import CENTRE, Lines, lines
+from lscan.stripe.crosssection import CENTRE, CrossSections, lines
 from lscan.stripe.noise.model import Noise
 
 _MOST_STEPS = 30
@@ -35,7 +35,7 @@ _MOST = np.array([np.inf, np.log(40.0), np.log(1e6), np.inf, np.inf])
 
 
 @dataclass(frozen=True)
-class View:
+class LineWindows:
     """The pixels about the peak of K columns, in windows of n pixels.
 
     steps: (n,) place in px from the middle pixel.  grey: (K, n) in DN.
@@ -50,9 +50,9 @@ class View:
     used: Mask
     clipped: Mask
 
-    def of(self, chosen: Ints) -> View:
+    def of(self, chosen: Ints) -> LineWindows:
         """The columns ``chosen`` alone."""
-        return View(
+        return LineWindows(
             self.steps,
             self.grey[chosen],
             self.base[chosen],
@@ -62,19 +62,19 @@ class View:
 
 
 @dataclass(frozen=True)
-class Prior:
+class LinePrior:
     """What is known beforehand: (K, 5) expected parameters and 1/variance, 0 for nothing."""
 
     mean: Floats
     precision: Floats
 
-    def of(self, chosen: Ints) -> Prior:
+    def of(self, chosen: Ints) -> LinePrior:
         """The columns ``chosen`` alone."""
-        return Prior(self.mean[chosen], self.precision[chosen])
+        return LinePrior(self.mean[chosen], self.precision[chosen])
 
 
 @dataclass(frozen=True)
-class Fit:
+class LineFit:
     """K fitted lines.
 
     parameters: (K, 5) as in model.py.  covariance: (K, 5, 5) of them.
@@ -97,7 +97,7 @@ class Fit:
     misfit: Floats
 
 
-def fit_lines(view: View, start: Floats, noise: Noise, prior: Prior) -> Fit:
+def fit_lines(view: LineWindows, start: Floats, noise: Noise, prior: LinePrior) -> LineFit:
     """The most probable lines in ``view``, searched from the parameters ``start`` (K, 5)."""
     parameters = np.clip(start, _LEAST, _MOST)
     settled = np.zeros(len(start), dtype=bool)
@@ -122,13 +122,13 @@ def fit_lines(view: View, start: Floats, noise: Noise, prior: Prior) -> Fit:
 class _Weighted:
     """Lines, the variance (K, n) of their pixels and the weight (K, n) that each has."""
 
-    model: Lines
+    model: CrossSections
     variance: Floats
     weight: Floats
 
 
 def _normal_equations(
-    view: View, parameters: Floats, noise: Noise, prior: Prior
+    view: LineWindows, parameters: Floats, noise: Noise, prior: LinePrior
 ) -> tuple[Floats, Floats, _Weighted]:
     """Fisher's information (K, 5, 5), the score (K, 5), and what they were made of."""
     model = lines(parameters, view.steps)
@@ -147,7 +147,7 @@ def _normal_equations(
 
 
 def _censored(
-    view: View, residual: Floats, variance: Floats, weight: Floats, pull: Floats
+    view: LineWindows, residual: Floats, variance: Floats, weight: Floats, pull: Floats
 ) -> tuple[Floats, Floats]:
     """Weight and pull (K, n) with those of the clipped pixels put in.
 
@@ -164,7 +164,9 @@ def _censored(
     return weight, pull
 
 
-def _judged(view: View, parameters: Floats, settled: Mask, noise: Noise, prior: Prior) -> Fit:
+def _judged(
+    view: LineWindows, parameters: Floats, settled: Mask, noise: Noise, prior: LinePrior
+) -> LineFit:
     """The fit at ``parameters`` with its covariance and how well it explains the pixels."""
     information, _, end = _normal_equations(view, parameters, noise, prior)
     covariance = cast(Floats, np.linalg.inv(information))
@@ -177,4 +179,4 @@ def _judged(view: View, parameters: Floats, settled: Mask, noise: Noise, prior: 
     ratio = np.where(seen, residual**2 / end.variance, 0.0)
     misfit = ratio.sum(axis=1) / np.maximum(seen.sum(axis=1), 1)
     gain = along[:, CENTRE] * end.weight
-    return Fit(parameters, covariance, gain, settled, end.model.light, residual, seen, misfit)
+    return LineFit(parameters, covariance, gain, settled, end.model.light, residual, seen, misfit)

@@ -19,7 +19,7 @@ _PLANE_OF: dict[Channel, int] = {"red": 0, "green": 1, "blue": 2}
 
 
 @dataclass(frozen=True)
-class Lines:
+class PictureLines:
     """The pixels along which the line is looked for, entry by entry of the stripe.
 
     grey: (N, L) uint8, the chosen channel in DN; row i is column i of the picture
@@ -32,7 +32,7 @@ class Lines:
     clipped: Mask
 
 
-def lines_of(picture: Bytes, channel: Channel, axis: Axis, where: str = "picture") -> Lines:
+def lines_of(picture: Bytes, channel: Channel, axis: Axis, where: str = "picture") -> PictureLines:
     """The lines of a picture, (H, W) grey or (H, W, 3) RGB uint8.
 
     ``channel`` is of no account in a picture that is grey already; "grey" weighs the colours
@@ -48,7 +48,7 @@ def lines_of(picture: Bytes, channel: Channel, axis: Axis, where: str = "picture
         brightest = _across(cv2.max(cv2.max(red, green), blue), axis)
     else:
         grey = brightest = _across(cv2.extractChannel(picture, _PLANE_OF[channel]), axis)
-    return Lines(grey, brightest >= CLIPPED_DN)
+    return PictureLines(grey, brightest >= CLIPPED_DN)
 
 
 def check_picture(picture: Bytes, where: str) -> None:

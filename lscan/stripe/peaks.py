@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TypeVar
 
 import numpy as np
@@ -56,11 +56,26 @@ def nominal_peaks(columns: Floats, settings: StripeSection) -> tuple[Stripe, Pea
     return stripe, Peaks(found, rows[found], base[found])
 
 
-def windows_about(columns: NDArray[_Pixel], peaks: Peaks, reach: int) -> NDArray[_Pixel]:
-    """Pixels (K, 2·reach + 1) about each peak of ``columns`` (W, H); the edge one is repeated."""
-    rows = peaks.rows[:, None] + np.arange(-reach, reach + 1)
-    inside = np.clip(rows, 0, columns.shape[1] - 1)
-    return columns[peaks.columns[:, None], inside]
+def windows(columns: NDArray[_Pixel], at: Ints, rows: Ints, steps: Ints | int) -> NDArray[_Pixel]:
+    """Pixels (K, n) of the columns ``at`` (K,) of (W, H), at ``steps`` (n,) from ``rows`` (K,).
+
+    An integer for steps: up to so many to either side.  Beyond an edge its pixel is repeated.
+    """
+    if isinstance(steps, int):
+        steps = np.arange(-steps, steps + 1)
+    inside = np.clip(rows[:, None] + steps, 0, columns.shape[1] - 1)
+    return columns[at[:, None], inside]
+
+
+def centred(stripe: Stripe, peaks: Peaks, offset: Floats, sigma_px: Floats, kept: Mask) -> Stripe:
+    """The stripe with centres at ``offset`` (K,) px from the peaks, NO_PEAK where not ``kept``."""
+    centre_px, sigma = stripe.centre_px.copy(), stripe.sigma_px.copy()
+    status = stripe.status.copy()
+    at = peaks.columns[kept]
+    status[peaks.columns[~kept]] = Status.NO_PEAK
+    centre_px[at] = (peaks.rows + offset)[kept]
+    sigma[at] = sigma_px[kept]
+    return replace(stripe, centre_px=centre_px, sigma_px=sigma, status=status)
 
 
 def clipped_near(stripe: Stripe, clipped: Mask, span_px: int) -> Ints:
@@ -69,6 +84,5 @@ def clipped_near(stripe: Stripe, clipped: Mask, span_px: int) -> Ints:
     clipped: (N, L), the pixels along the line's normal of each of the stripe's N entries.
     """
     valued = np.flatnonzero(has_value(stripe.status))
-    middle = np.rint(stripe.centre_px[valued]).astype(int)[:, None]
-    window = np.clip(middle + np.arange(-span_px, span_px + 1), 0, clipped.shape[1] - 1)
-    return valued[clipped[valued[:, None], window].any(axis=1)]
+    middle = np.rint(stripe.centre_px[valued]).astype(int)
+    return valued[windows(clipped, valued, middle, span_px).any(axis=1)]

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from lscan.records import Floats, Ints
+from lscan.stripe.peaks import windows
 
 _REACH_PX = 30
 _FWHM = 2 * np.sqrt(2 * np.log(2))
@@ -23,8 +24,7 @@ def line_width(columns: Floats, at: Ints) -> float:
     """
     reach = min(_REACH_PX, columns.shape[1] - 1)
     crest = columns[at].argmax(axis=1)
-    rows = np.clip(crest[:, None] + np.arange(-reach, reach + 1), 0, columns.shape[1] - 1)
-    profile = columns[at[:, None], rows].mean(axis=0)
+    profile = windows(columns, at, crest, reach).mean(axis=0)
     profile = profile - profile.min()
     half = profile[reach] / 2
     fwhm = _half_width(profile[reach:], half) + _half_width(profile[reach::-1], half)

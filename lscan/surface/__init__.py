@@ -4,13 +4,13 @@ from lscan.surface.align.alignment import Alignment, apply
 from lscan.surface.align.fit import align_sandwave
 from lscan.surface.align.levelling import level, levelling_step, shear
 from lscan.surface.files import load_surface, save_points, save_surface
-from lscan.surface.grid import Grid, grid_cells
+from lscan.surface.grid import HeightGrid, grid_cells
 from lscan.surface.resample import Slice, resample
 from lscan.surface.stack import stack
 
 __all__ = [
     "Alignment",
-    "Grid",
+    "HeightGrid",
     "Slice",
     "align_sandwave",
     "apply",

@@ -20,7 +20,7 @@ LARGEST_GRID = 4_000_000
 
 
 @dataclass(frozen=True)
-class Grid:
+class HeightGrid:
     """Heights at the centres of square cells, R rows along y by C columns along x.
 
     x_mm: (C,), y_mm: (R,) centres.  cell_mm: side of a cell.
@@ -43,7 +43,7 @@ class Grid:
 
 
 @dataclass(frozen=True)
-class _Samples:
+class _CellSamples:
     """The measured points in the order of their cells.
 
     order: (P,) index of each among the points as given.  cell: (P,) its cell; starts: (C,)
@@ -61,7 +61,7 @@ class _Samples:
         return np.add.reduceat(values, self.starts, axis=0)
 
 
-def grid_cells(surface: Surface, cell_mm: float, bias_mm: Floats | None = None) -> Grid:
+def grid_cells(surface: Surface, cell_mm: float, bias_mm: Floats | None = None) -> HeightGrid:
     """The heights of ``surface`` on a grid of square cells, from the least x and y upwards.
 
     cell_mm: side of a cell; cell boundaries lie at whole multiples of it.
@@ -111,7 +111,7 @@ def grid_cells(surface: Surface, cell_mm: float, bias_mm: Floats | None = None) 
     if modes is not None:
         variance += (modes**2).sum(axis=-1)
     z = spread(height, np.nan)
-    return Grid(
+    return HeightGrid(
         x_mm=x,
         y_mm=y,
         cell_mm=cell_mm,
@@ -137,7 +137,7 @@ def _check(surface: Surface, cell_mm: float, bias_mm: Floats | None, any_point: 
         raise MeasurementError("the surface holds no measured point to grid")
 
 
-def _fitted(cell: Ints, offset: Floats, half_mm: float) -> tuple[_Samples, Ints]:
+def _fitted(cell: Ints, offset: Floats, half_mm: float) -> tuple[_CellSamples, Ints]:
     """The weights of each point, and which of the cells with points have a height."""
     order = np.argsort(cell, kind="stable")
     ordered, (a, b) = cell[order], offset[order].T
@@ -150,10 +150,10 @@ def _fitted(cell: Ints, offset: Floats, half_mm: float) -> tuple[_Samples, Ints]
     rows = np.repeat(inverse[:, :3], count, axis=0)
     weight = np.einsum("pij,pj->ip", rows, design) / np.array([[1.0], [half_mm], [half_mm]])
     enclosed = np.flatnonzero(known & (inverse[:, 0, 0] < 1))
-    return _Samples(order, ordered, starts, weight), enclosed
+    return _CellSamples(order, ordered, starts, weight), enclosed
 
 
-def _own(surface: Surface, valid: Mask, samples: _Samples, slopes: Floats) -> Floats:
+def _own(surface: Surface, valid: Mask, samples: _CellSamples, slopes: Floats) -> Floats:
     """(C,) variance of the heights from each point's own noise, mm²."""
     own_x, _, own_z = own_variances(surface)[valid][samples.order].T
     count = np.diff(samples.starts, append=len(samples.order))
@@ -161,7 +161,7 @@ def _own(surface: Surface, valid: Mask, samples: _Samples, slopes: Floats) -> Fl
     return samples.total(samples.weight[0] ** 2 * (own_z + slope_x**2 * own_x))
 
 
-def _modes(surface: Surface, valid: Mask, samples: _Samples, slopes: Floats) -> Floats | None:
+def _modes(surface: Surface, valid: Mask, samples: _CellSamples, slopes: Floats) -> Floats | None:
     """(C, M) change of the heights by each mode, mm."""
     if surface.modes_mm is None:
         return None

@@ -146,7 +146,7 @@ def calibrate_shaft(profiles: Sequence[Profile], piece: Sandwave, prior: Shaft) 
 
 
 @dataclass(frozen=True)
-class _Samples:
+class _SheetSamples:
     """Points of the scan as measured in the sheet.
 
     points: (N, 3) mm, y = 0.  position: (N,) mm.  variance: (N, 2) own, of x and z, mm².
@@ -159,7 +159,7 @@ class _Samples:
     modes: Floats
 
 
-def _samples(profiles: Sequence[Profile], on_block: Mask) -> _Samples:
+def _samples(profiles: Sequence[Profile], on_block: Mask) -> _SheetSamples:
     """The points on the block (F, N) that have a value, evenly thinned out to MOST_POINTS."""
     raw = stack(profiles)
     valid = has_value(raw.status) & np.isfinite(raw.xyz_mm).all(axis=-1)
@@ -171,7 +171,7 @@ def _samples(profiles: Sequence[Profile], on_block: Mask) -> _Samples:
         modes = raw.modes_mm[rows, columns].astype(float)
     variance = own_variances(raw)[rows, columns][:, [0, 2]]
     points = raw.xyz_mm[rows, columns] * [1.0, 0.0, 1.0]
-    return _Samples(points, raw.position_mm[rows], variance, modes)
+    return _SheetSamples(points, raw.position_mm[rows], variance, modes)
 
 
 @dataclass(frozen=True)
@@ -210,7 +210,7 @@ class _Terms:
 
 
 def _settled(
-    samples: _Samples, piece: Sandwave, prior: Shaft, state: _State
+    samples: _SheetSamples, piece: Sandwave, prior: Shaft, state: _State
 ) -> tuple[_State, _Terms, Mask]:
     """The state of least squares, the terms there, and which points had a part in it."""
     pivot = np.array([piece.side_mm / 2, piece.side_mm / 2, 0.0])
@@ -231,7 +231,7 @@ def _settled(
 
 
 def _terms(
-    samples: _Samples, piece: Sandwave, prior: Shaft, state: _State, pivot: Floats
+    samples: _SheetSamples, piece: Sandwave, prior: Shaft, state: _State, pivot: Floats
 ) -> _Terms:
     """Distances from the nominal top and how they go with the unknowns, first order."""
     root = prior.root

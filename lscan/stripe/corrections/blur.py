@@ -1,4 +1,4 @@
-"""Taking back what the camera's blur does to a line that is curved or unevenly bright.
+"""Correcting for what the camera's blur does to a line that is curved or unevenly bright.
 
 The lens spreads light along the line as well as across it, so that a column of the picture
 holds light of its neighbours.  Light found in column u comes from a column u0 that is spread
@@ -28,6 +28,8 @@ import numpy as np
 from lscan.config.rig import StripeSection
 from lscan.errors import InputError
 from lscan.records import Floats, Ints, Mask, Stripe, has_value
+from lscan.stripe.peaks import windows
+from lscan.stripe.pieces import pieces
 
 PIXEL_VARIANCE = 1 / 12
 """Variance in px² of the pixel's own width, which spreads light as the lens does."""
@@ -39,9 +41,6 @@ for the curvature."""
 
 FEWEST_COLUMNS = 5
 """Fewest columns a quadratic is fitted to, so that something is left to judge its fit by."""
-
-BREAK_PX = 4.0
-"""A line that jumps farther than this from one column to the next is not one line."""
 
 FLUX_REACH_PX = 8
 """Light this far from the centre counts as the line's."""
@@ -71,7 +70,7 @@ def correct_blur(stripe: Stripe, settings: StripeSection, light: Floats) -> Stri
             value=light.shape,
             allowed=f"({len(stripe.status)}, L)",
         )
-    run = _runs(stripe)
+    run = pieces(stripe)
     if (run < 0).all():
         return stripe
     spread = settings.blur_px**2 + PIXEL_VARIANCE
@@ -91,23 +90,13 @@ def line_flux(stripe: Stripe, light: Floats, reach_px: int = FLUX_REACH_PX) -> F
     the stripe has no value, and where a column holds no light above its background.
     """
     valued = np.flatnonzero(has_value(stripe.status))
-    rows = np.rint(stripe.centre_px[valued]).astype(int)[:, None]
-    rows = rows + np.arange(-reach_px, reach_px + 1)
-    inside = (rows >= 0) & (rows < light.shape[1])
-    base = np.median(light[valued], axis=1)[:, None]
-    window = light[valued[:, None], np.clip(rows, 0, light.shape[1] - 1)] - base
-    total = np.where(inside, window, 0.0).sum(axis=1)
+    above = light[valued] - np.median(light[valued], axis=1)[:, None]
+    padded = np.pad(above, ((0, 0), (reach_px, reach_px)))
+    rows = np.rint(stripe.centre_px[valued]).astype(int) + reach_px
+    total = windows(padded, np.arange(len(valued)), rows, reach_px).sum(axis=1)
     flux = np.full(len(stripe.status), np.nan)
     flux[valued] = np.where(total > 0, total, np.nan)
     return flux
-
-
-def _runs(stripe: Stripe) -> Ints:
-    """(N,) number of the unbroken piece of line each entry belongs to; -1 where there is none."""
-    valued = has_value(stripe.status)
-    jump = np.abs(np.diff(stripe.centre_px, prepend=np.nan))
-    goes_on = valued & np.roll(valued, 1) & (jump <= BREAK_PX)  # NaN is no small jump
-    return np.where(valued, np.cumsum(~goes_on), -1)
 
 
 @dataclass(frozen=True)

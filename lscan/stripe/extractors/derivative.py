@@ -6,7 +6,7 @@ import numpy as np
 
 from lscan.config.rig import StripeSection
 from lscan.records import Floats, Ints, Mask, Stripe
-from lscan.stripe.extractors.rules import Light, extract_by
+from lscan.stripe.extractors.rules import LineLight, extract_by
 
 
 def blais_rioux(image: Floats, settings: StripeSection, clipped: Mask) -> Stripe:
@@ -21,7 +21,7 @@ def blais_rioux(image: Floats, settings: StripeSection, clipped: Mask) -> Stripe
     return extract_by(_zero_crossing, image, settings, clipped)
 
 
-def _zero_crossing(seen: Light) -> tuple[Floats, Floats]:
+def _zero_crossing(seen: LineLight) -> tuple[Floats, Floats]:
     """The crossing nearest the middle pixel, upwards as the sum above outgrows that below."""
     taps = np.maximum(np.rint(2 * seen.width_px), 1).astype(int)
     filtered = _filtered(seen.light, taps)

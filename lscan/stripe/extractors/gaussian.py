@@ -8,7 +8,7 @@ import numpy as np
 
 from lscan.config.rig import StripeSection
 from lscan.records import Floats, Mask, Stripe
-from lscan.stripe.extractors.rules import Light, extract_by
+from lscan.stripe.extractors.rules import LineLight, extract_by
 
 _DYNAMIC = 10.0
 """Of the logarithm: what a parabola puts farther below the peak has no weight to speak of."""
@@ -24,13 +24,13 @@ def gaussian(image: Floats, settings: StripeSection, clipped: Mask) -> Stripe:
     clipped ones: the logarithm of light I with
     the variance V has the variance V / I², so each pixel has the weight I² / V.  The weights
     come from the pixels first, then from the parabola found (Guo 2011, IEEE Signal
-    Processing Magazine 28(5), 134), as noisy weights prefer what noise made bright.  Light
+    Processing Magazine 28(5), 134), as noisy weights prefer what noise made bright.  LineLight
     below its own deviation counts as that: its logarithm says no more.  See rules.py.
     """
     return extract_by(_vertex, image, settings, clipped)
 
 
-def _vertex(seen: Light) -> tuple[Floats, Floats]:
+def _vertex(seen: LineLight) -> tuple[Floats, Floats]:
     """Vertex of the weighted parabola; the derivative holds the weights fixed."""
     reach = np.maximum(1, np.rint(2 * seen.width_px)) + seen.clipped.sum(axis=1) / 2
     near = (np.abs(seen.steps) <= reach[:, None]) & ~seen.clipped

@@ -11,9 +11,9 @@ from lscan.config.rig import StripeSection
 from lscan.records import Floats, Ints, Mask, Status, Stripe
 from lscan.stripe.crosssection import CENTRE, LN_WIDTH, TILT
 from lscan.stripe.extractors.survey import Survey, survey, weak_precision
-from lscan.stripe.fit import Fit, Prior, fit_lines
+from lscan.stripe.fit import LineFit, LinePrior, fit_lines
 from lscan.stripe.noise.model import robust_variance
-from lscan.stripe.peaks import clipped_near
+from lscan.stripe.peaks import centred, clipped_near
 
 _NEIGHBOURS = 31
 _FEWEST_TRIPLES = 16
@@ -65,14 +65,14 @@ def _scatter(stripe: Stripe, at: Ints) -> float:
     return max(float(np.sqrt(robust_variance(stripe.centre_px[triples] @ weights / stated))), 1.0)
 
 
-def _prior(seen: Survey) -> Prior:
+def _prior(seen: Survey) -> LinePrior:
     precision = weak_precision(seen.start)
     precision[:, LN_WIDTH] = 1 / seen.ln_width.spread**2
     precision[:, TILT] = 1 / seen.tilt.spread**2
-    return Prior(seen.start, precision)
+    return LinePrior(seen.start, precision)
 
 
-def _stripe(seen: Survey, fit: Fit) -> Stripe:
+def _stripe(seen: Survey, fit: LineFit) -> Stripe:
     """The survey's stripe with the centres of the fit."""
     offset = fit.parameters[:, CENTRE]
     common = median_filter(fit.misfit, _NEIGHBOURS, mode="nearest")
@@ -81,11 +81,4 @@ def _stripe(seen: Survey, fit: Fit) -> Stripe:
     misfit = (fit.gain**2 * (seen.misfit * fit.light) ** 2).sum(axis=1)
     sigma = np.sqrt(fit.covariance[:, CENTRE, CENTRE] * excess + misfit)
     kept = fit.settled & seen.is_near(offset, sigma)
-    stripe = seen.stripe
-    centre_px, sigma_px = stripe.centre_px.copy(), stripe.sigma_px.copy()
-    status = stripe.status.copy()
-    at = seen.peaks.columns
-    status[at[~kept]] = Status.NO_PEAK
-    centre_px[at[kept]] = (seen.peaks.rows + offset)[kept]
-    sigma_px[at[kept]] = sigma[kept]
-    return replace(stripe, centre_px=centre_px, sigma_px=sigma_px, status=status)
+    return centred(seen.stripe, seen.peaks, offset, sigma, kept)

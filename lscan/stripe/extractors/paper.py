@@ -18,9 +18,9 @@ from collections.abc import Callable
 import numpy as np
 
 from lscan.config.rig import StripeSection
-from lscan.records import Floats, Mask, Status, Stripe
+from lscan.records import Floats, Mask, Stripe
 from lscan.stripe.noise.model import Noise, constant_variance, line_variance_per_dn
-from lscan.stripe.peaks import Peaks, nominal_peaks, windows_about
+from lscan.stripe.peaks import Peaks, centred, nominal_peaks, windows
 
 Centring = Callable[[Floats], tuple[Floats, Floats]]
 """From windows (K, n) of grey values to the line's offset (K,) from the middle pixel, in px,
@@ -71,7 +71,7 @@ def _extract(
     if len(peaks.columns) == 0:
         return stripe
     # One pixel wider than the window on either side, to try the neighbour as nominal peak.
-    wide = windows_about(columns, peaks, settings.span_px + 1)
+    wide = windows(columns, peaks.columns, peaks.rows, settings.span_px + 1)
     window = wide[:, 1:-1]
     light = window - peaks.base[:, None]
     variance = _pixel_variance(columns, light, peaks)
@@ -83,11 +83,7 @@ def _extract(
 
     # Only grey values that are negative can throw the centroid out of its window.
     kept = np.abs(offset) <= settings.span_px
-    at = peaks.columns[kept]
-    stripe.status[peaks.columns[~kept]] = Status.NO_PEAK
-    stripe.centre_px[at] = (peaks.rows + offset)[kept]
-    stripe.sigma_px[at] = np.sqrt(variance_px[kept])
-    return stripe
+    return centred(stripe, peaks, offset, np.sqrt(variance_px), kept)
 
 
 def _pixel_variance(columns: Floats, light: Floats, peaks: Peaks) -> Floats:

@@ -23,6 +23,7 @@ from lscan.stripe.noise.model import (
     line_variance_per_dn,
     stated_noise,
 )
+from lscan.stripe.peaks import windows
 from lscan.stripe.pieces import pieces
 from lscan.stripe.width import line_width
 
@@ -153,8 +154,7 @@ def _noise(
         return stated_noise(settings.noise, float(np.median(columns)))
     constant = constant_variance(columns)
     reach = int(np.ceil(2 * width))
-    rows = light[lit].argmax(axis=1)[:, None] + np.arange(-reach, reach + 1)
-    window = light[lit[:, None], np.clip(rows, 0, light.shape[1] - 1)]
+    window = windows(light, lit, light[lit].argmax(axis=1), reach)
     return Noise(constant, line_variance_per_dn(window, lit, constant))
 
 

@@ -10,20 +10,21 @@ differs by (scatter.py).  sigma_px holds all three.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
 from lscan.config.rig import StripeSection
-from lscan.records import Floats, Mask, Status, Stripe
+from lscan.records import Floats, Mask, Stripe
 from lscan.stripe.crosssection import lines, parameters_of
 from lscan.stripe.extractors.survey import Survey, survey
-from lscan.stripe.fit import View
+from lscan.stripe.fit import LineWindows
 from lscan.stripe.noise.model import Noise
+from lscan.stripe.peaks import centred
 
 
 @dataclass(frozen=True)
-class Light:
+class LineLight:
     """The line in K columns, its ground taken off, in windows of n pixels.
 
     steps: (n,) place in px from the middle pixel.  light: (K, n) in DN.
@@ -38,7 +39,7 @@ class Light:
     noise: Noise
 
 
-Rule = Callable[[Light], tuple[Floats, Floats]]
+Rule = Callable[[LineLight], tuple[Floats, Floats]]
 """From K lines to the centre's offset (K,) from the middle pixel in px, NaN where there is
 none, and the derivative (K, n) of that offset by each value of the light, in px/DN."""
 
@@ -58,13 +59,7 @@ def extract_by(rule: Rule, image: Floats, settings: StripeSection, clipped: Mask
     offset, _ = rule(_lit(seen, light))
     sigma = _sigma(rule, seen, ground, light, np.nan_to_num(offset))
     kept = seen.is_near(offset, sigma)
-    at, stripe = seen.peaks.columns, seen.stripe
-    centre_px, sigma_px = stripe.centre_px.copy(), stripe.sigma_px.copy()
-    status = stripe.status.copy()
-    status[at[~kept]] = Status.NO_PEAK
-    centre_px[at[kept]] = (seen.peaks.rows + offset)[kept]
-    sigma_px[at[kept]] = sigma[kept]
-    return replace(stripe, centre_px=centre_px, sigma_px=sigma_px, status=status)
+    return centred(seen.stripe, seen.peaks, offset, sigma, kept)
 
 
 @dataclass(frozen=True)
@@ -76,7 +71,7 @@ class _Ground:
     slope: Floats
 
     @staticmethod
-    def beside(view: View, width_px: Floats) -> _Ground:
+    def beside(view: LineWindows, width_px: Floats) -> _Ground:
         """The ground by the means of the used pixels beyond three widths on either side.
 
         Level where only one side has any, zero where none has.
@@ -125,8 +120,8 @@ def _sigma(rule: Rule, seen: Survey, ground: _Ground, light: Floats, offset: Flo
     return np.sqrt(noise + (expected - offset) ** 2)
 
 
-def _lit(seen: Survey, light: Floats) -> Light:
-    return Light(seen.view.steps, light, seen.view.clipped, seen.width_px, seen.noise)
+def _lit(seen: Survey, light: Floats) -> LineLight:
+    return LineLight(seen.view.steps, light, seen.view.clipped, seen.width_px, seen.noise)
 
 
 def _ideal(steps: Floats, offset: Floats, width: Floats, light: Floats) -> Floats:

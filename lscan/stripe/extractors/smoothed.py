@@ -6,7 +6,7 @@ import numpy as np
 
 from lscan.config.rig import StripeSection
 from lscan.records import Floats, Mask, Stripe
-from lscan.stripe.extractors.rules import Light, extract_by
+from lscan.stripe.extractors.rules import LineLight, extract_by
 
 _APART = 0.5  # the three values', in widths of the line
 
@@ -22,7 +22,7 @@ def smoothed_peak(image: Floats, settings: StripeSection, clipped: Mask) -> Stri
     return extract_by(_parabola_at_the_peak, image, settings, clipped)
 
 
-def _parabola_at_the_peak(seen: Light) -> tuple[Floats, Floats]:
+def _parabola_at_the_peak(seen: LineLight) -> tuple[Floats, Floats]:
     """Vertex of the parabola through the highest smoothed value and its two neighbours."""
     apart = _APART * seen.width_px
     middle = _highest(seen)
@@ -36,7 +36,7 @@ def _parabola_at_the_peak(seen: Light) -> tuple[Floats, Floats]:
     return (middle + vertex) * apart, derivative
 
 
-def _highest(seen: Light) -> Floats:
+def _highest(seen: LineLight) -> Floats:
     """(K,) place, in steps of half a width, of the highest value near the middle pixel."""
     reach = int(np.ceil(np.max((seen.width_px + 2) / (_APART * seen.width_px))))
     places = np.arange(-reach, reach + 1, dtype=float)
@@ -45,7 +45,7 @@ def _highest(seen: Light) -> Floats:
     return places[smooth.argmax(axis=1)]
 
 
-def _kernel(seen: Light, places: Floats) -> Floats:
+def _kernel(seen: LineLight, places: Floats) -> Floats:
     """Weights (K, P, n) of the pixels in the smoothed values at ``places`` (K, P)."""
     width = seen.width_px[:, None, None]
     distance = (seen.steps - places[:, :, None]) / width

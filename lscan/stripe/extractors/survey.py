@@ -15,10 +15,10 @@ from scipy.ndimage import median_filter
 from lscan.config.rig import StripeSection
 from lscan.records import Floats, Ints, Mask, Status, Stripe
 from lscan.stripe.crosssection import LN_HEIGHT, LN_WIDTH, TILT, parameters_of
-from lscan.stripe.fit import Fit, Prior, View, fit_lines
+from lscan.stripe.fit import LineFit, LinePrior, LineWindows, fit_lines
 from lscan.stripe.noise.model import Noise, constant_variance, stated_noise
 from lscan.stripe.noise.scatter import scatter_of
-from lscan.stripe.peaks import Peaks, nominal_peaks, windows_about
+from lscan.stripe.peaks import Peaks, nominal_peaks, windows
 
 _SAMPLE = 256
 _NEIGHBOURS = 9  # of the sample, whose median stands for the columns between them
@@ -53,7 +53,7 @@ class Survey:
     stripe: Stripe
     peaks: Peaks
     reach_px: Floats
-    view: View
+    view: LineWindows
     start: Floats
     ln_width: Guess
     tilt: Guess
@@ -145,7 +145,7 @@ def _rough_width(columns: Floats, peaks: Peaks, constant: float) -> Floats:
     chosen = peaks.of(sample)
     reach = _FIRST_REACH_PX
     for _ in range(2):
-        light = _above_ground(windows_about(columns, chosen, reach))
+        light = _above_ground(windows(columns, chosen.columns, chosen.rows, reach))
         flux = np.maximum(light.sum(axis=1), 0.0)
         squares = (light**2).sum(axis=1) - light.shape[1] * constant
         width = flux**2 / (2 * np.sqrt(np.pi) * np.maximum(squares, constant))
@@ -171,12 +171,12 @@ def _recentred(columns: Floats, peaks: Peaks, width_px: float) -> Peaks:
     """
     search = int(np.ceil(1.5 * width_px)) + 1
     kernel_reach = int(np.ceil(3 * width_px))
-    windows = windows_about(columns, peaks, search + kernel_reach)
+    near = windows(columns, peaks.columns, peaks.rows, search + kernel_reach)
     place = np.arange(-search, search + 1)[:, None]
     pixel = np.arange(-search - kernel_reach, search + kernel_reach + 1)
     kernel = np.exp(-0.5 * ((pixel - place) / width_px) ** 2)
     kernel[np.abs(pixel - place) > kernel_reach] = 0
-    return replace(peaks, rows=peaks.rows + (windows @ kernel.T).argmax(axis=1) - search)
+    return replace(peaks, rows=peaks.rows + (near @ kernel.T).argmax(axis=1) - search)
 
 
 def _reach(width_px: Floats, settings: StripeSection) -> Floats:
@@ -195,18 +195,20 @@ def _within(
     return replace(stripe, status=status), kept, width_px[inside]
 
 
-def _view(columns: Floats, lost: Mask, peaks: Peaks, width_px: Floats) -> View:
+def _view(columns: Floats, lost: Mask, peaks: Peaks, width_px: Floats) -> LineWindows:
     """The windows, four widths and two pixels to either side."""
     reach = np.ceil(4 * width_px).astype(int)[:, None] + 2
     steps = np.arange(-reach.max(), reach.max() + 1)
     rows = peaks.rows[:, None] + steps
     used = (np.abs(steps) <= reach) & (rows >= 0) & (rows < columns.shape[1])
     most = int(reach.max())
-    grey = windows_about(columns, peaks, most)
-    return View(steps.astype(float), grey, peaks.base, used, windows_about(lost, peaks, most))
+    grey = windows(columns, peaks.columns, peaks.rows, most)
+    return LineWindows(
+        steps.astype(float), grey, peaks.base, used, windows(lost, peaks.columns, peaks.rows, most)
+    )
 
 
-def _start(view: View, width_px: Floats) -> Floats:
+def _start(view: LineWindows, width_px: Floats) -> Floats:
     """First guess (K, 5) of the parameters: a line at the middle pixel, on the least ground."""
     middle = view.grey.shape[1] // 2
     ground = np.where(view.used, view.grey, np.inf).min(axis=1)
@@ -216,15 +218,15 @@ def _start(view: View, width_px: Floats) -> Floats:
 
 
 def _fit_sample(
-    view: View, peaks: Peaks, start: Floats, noise: Noise, settings: StripeSection
-) -> tuple[Fit, Noise, float]:
+    view: LineWindows, peaks: Peaks, start: Floats, noise: Noise, settings: StripeSection
+) -> tuple[LineFit, Noise, float]:
     """The lines of the sample, at its ``peaks``, the noise, and the lines' misfit.
 
     The noise is that given where the settings state it, else as the lines' residuals have it.
     """
     precision = weak_precision(start)
     precision[:, LN_WIDTH] = 1 / _WIDTH_DOUBT**2
-    prior = Prior(start, precision)
+    prior = LinePrior(start, precision)
     fit, constant = fit_lines(view, start, noise, prior), noise.constant
     scatter = scatter_of(fit, peaks.columns, peaks.rows)
     if settings.noise is None:
@@ -249,7 +251,7 @@ def weak_precision(start: Floats) -> Floats:
     return precision
 
 
-def _between(fit: Fit, which: int, sample: Ints, count: int) -> Guess:
+def _between(fit: LineFit, which: int, sample: Ints, count: int) -> Guess:
     """A parameter at all columns from its running median over the sample.
 
     Its spread is what single columns scatter beyond their own uncertainty, and at least that

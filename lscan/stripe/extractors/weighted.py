@@ -6,7 +6,7 @@ import numpy as np
 
 from lscan.config.rig import StripeSection
 from lscan.records import Floats, Mask, Stripe
-from lscan.stripe.extractors.rules import Light, extract_by
+from lscan.stripe.extractors.rules import LineLight, extract_by
 
 
 def centroid_squared(image: Floats, settings: StripeSection, clipped: Mask) -> Stripe:
@@ -19,7 +19,7 @@ def centroid_squared(image: Floats, settings: StripeSection, clipped: Mask) -> S
     return extract_by(_centroid_of_squares, image, settings, clipped)
 
 
-def _centroid_of_squares(seen: Light) -> tuple[Floats, Floats]:
+def _centroid_of_squares(seen: LineLight) -> tuple[Floats, Floats]:
     reach = np.maximum(np.ceil(2.5 * seen.width_px), 2)[:, None]
     light = np.where(np.abs(seen.steps) <= reach, seen.light, 0.0)
     total = (light**2).sum(axis=1)

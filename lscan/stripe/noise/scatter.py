@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from lscan.records import Floats, Ints, Mask
-from lscan.stripe.fit import Fit
+from lscan.stripe.fit import LineFit
 from lscan.stripe.noise.model import Noise, robust_variance, scatter_noise
 
 _FEWEST = 8  # pairs of columns, some hundred pixels
@@ -63,7 +63,7 @@ class Scatter:
         return min(max(square, 0.0) ** 0.5, 1.0)
 
 
-def scatter_of(fit: Fit, columns: Ints, rows: Ints) -> Scatter:
+def scatter_of(fit: LineFit, columns: Ints, rows: Ints) -> Scatter:
     """The pixels of those fitted lines that have a neighbour, each with its neighbour's.
 
     columns, rows: (K,) place of the lines' middle pixels in the picture, columns rising.

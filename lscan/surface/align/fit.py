@@ -50,7 +50,7 @@ CORNER_MARGIN_MM = 1.5
 
 
 @dataclass(frozen=True)
-class _Pose:
+class _BlockPose:
     """The part of an alignment that is iterated."""
 
     yaw: float
@@ -127,7 +127,7 @@ def rough_pose(surface: Surface, piece: Sandwave) -> tuple[Floats, Floats]:
     return pose.rotation, pose.shift
 
 
-def _rough_pose(features: Features, piece: Sandwave) -> _Pose:
+def _rough_pose(features: Features, piece: Sandwave) -> _BlockPose:
     """Level, and turned and placed by the middles of the two wedge tops; no yaw yet."""
     across = features.centre_right - features.centre_left
     turn = float(np.arctan2(across[1], across[0]))
@@ -135,13 +135,15 @@ def _rough_pose(features: Features, piece: Sandwave) -> _Pose:
     return _placed(features.tops, 0.0, turn, middle, piece)
 
 
-def _placed(tops: Floats, yaw: float, turn: float, raw_middle: Floats, piece: Sandwave) -> _Pose:
+def _placed(
+    tops: Floats, yaw: float, turn: float, raw_middle: Floats, piece: Sandwave
+) -> _BlockPose:
     """The pose that brings the raw point (3,) between the corners to its nominal place."""
     rotation = _about_z(-turn) @ level(tops @ shear(yaw).T)
     matrix = rotation @ shear(yaw)
     height = piece.wedge.height_mm - float((tops @ matrix[2]).mean())
     shift = _nominal_middle(piece) - (matrix @ raw_middle)[:2]
-    return _Pose(yaw, turn, np.array([*shift, height]), rotation)
+    return _BlockPose(yaw, turn, np.array([*shift, height]), rotation)
 
 
 def _about_z(angle: float) -> Floats:
@@ -155,7 +157,7 @@ def _nominal_middle(piece: Sandwave) -> Floats:
 
 
 def _select(
-    features: Features, pose: _Pose, piece: Sandwave, window_mm: float
+    features: Features, pose: _BlockPose, piece: Sandwave, window_mm: float
 ) -> dict[str, EdgeCrossings]:
     """The raw crossings that lie on each nominal edge to within ``window_mm``, by edge name."""
     selected = {}
@@ -194,8 +196,8 @@ def _side(piece: Sandwave, x: float) -> tuple[Floats, Floats]:
 
 
 def _refine(
-    tops: Floats, find: _Finder, pose: _Pose, piece: Sandwave, sheared: bool
-) -> tuple[_Pose, _Edges]:
+    tops: Floats, find: _Finder, pose: _BlockPose, piece: Sandwave, sheared: bool
+) -> tuple[_BlockPose, _Edges]:
     """The pose at which the base plane, the corners and the yaw agree, and the edges in it."""
     kept = None
     for iteration in range(1, MAX_ITERATIONS + 1):
@@ -219,8 +221,13 @@ def _refine(
 
 
 def _moved(
-    tops: Floats, pose: _Pose, yaw_error: float, turn_error: float, middle: Floats, piece: Sandwave
-) -> _Pose:
+    tops: Floats,
+    pose: _BlockPose,
+    yaw_error: float,
+    turn_error: float,
+    middle: Floats,
+    piece: Sandwave,
+) -> _BlockPose:
     """The pose corrected by what was found, about the place the middle of the corners has."""
     inverse = np.linalg.inv(pose.rotation @ shear(pose.yaw))
     raw_middle = inverse @ (np.array([*middle, piece.wedge.height_mm]) - pose.shift)
@@ -266,14 +273,14 @@ class _Edges:
         return middle
 
 
-_Finder = Callable[[_Pose, Mask | None], _Edges]
+_Finder = Callable[[_BlockPose, Mask | None], _Edges]
 """Finds the edges in a pose; the mask says which samples are no outliers, once decided."""
 
 
 def _crossed(selected: Mapping[str, EdgeCrossings], piece: Sandwave) -> _Finder:
     """Finds edges between the last samples on them and the first ones off them."""
 
-    def find(pose: _Pose, kept: Mask | None) -> _Edges:
+    def find(pose: _BlockPose, kept: Mask | None) -> _Edges:
         in_plan = {name: edge.moved(pose.plan) for name, edge in selected.items()}
         return _Edges(fit_edges(in_plan, piece.side_mm / 2, kept), by_brightness=False)
 
@@ -281,7 +288,7 @@ def _crossed(selected: Mapping[str, EdgeCrossings], piece: Sandwave) -> _Finder:
 
 
 def _fading(
-    surface: Surface, pose: _Pose, edges: _Edges, names: Sequence[str], piece: Sandwave
+    surface: Surface, pose: _BlockPose, edges: _Edges, names: Sequence[str], piece: Sandwave
 ) -> _Finder | None:
     """Finds edges by the fading of the line; None where too little of it is seen or known."""
     if surface.brightness is None:
@@ -291,7 +298,7 @@ def _fading(
         return None
     raw = [surface.xyz_mm.reshape(-1, 3)[index] for index, _ in beside]
 
-    def find(pose: _Pose, kept: Mask | None) -> _Edges:
+    def find(pose: _BlockPose, kept: Mask | None) -> _Edges:
         samples = [
             replace(face, plan=pose.plan(points))
             for points, (_, face) in zip(raw, beside, strict=True)
@@ -305,7 +312,7 @@ def _datum(
     surface: Surface,
     features: Features,
     selected: Mapping[str, EdgeCrossings],
-    pose: _Pose,
+    pose: _BlockPose,
     edges: _Edges,
     sheared: bool,
 ) -> Datum:

@@ -11,7 +11,7 @@ from synthetic_scans import Placing, scan
 
 from lscan.config.targets import Sandwave
 from lscan.records import Floats, Surface
-from lscan.surface import Grid, align_sandwave, apply, grid_cells
+from lscan.surface import HeightGrid, align_sandwave, apply, grid_cells
 from lscan.surface.align.datum import displacement
 from lscan.surface.align.levelling import shear
 
@@ -145,7 +145,7 @@ def test_own_noise_of_the_alignment_is_what_repeating_the_scan_scatters() -> Non
 # Grid cells
 
 
-def cell_at(grid: Grid, x: float, y: float) -> tuple[int, int]:
+def cell_at(grid: HeightGrid, x: float, y: float) -> tuple[int, int]:
     return int(np.argmin(np.abs(grid.y_mm - y))), int(np.argmin(np.abs(grid.x_mm - x)))
 
 
@@ -204,7 +204,7 @@ def test_cells_change_by_their_modes_slope_and_all(aligned: Surface) -> None:
         assert np.sqrt(np.mean((change - stated) ** 2)) < 0.15 * size
 
 
-def waves(grid: Grid) -> np.ndarray:
+def waves(grid: HeightGrid) -> np.ndarray:
     """Mask (R, C) of the cells that lie in the waves, clear of their border."""
     xs, ys = np.meshgrid(grid.x_mm, grid.y_mm)
     return (np.minimum(xs, ys) > 6) & (np.maximum(xs, ys) < 144)
