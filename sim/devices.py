@@ -17,7 +17,7 @@ from pydantic import Field, PositiveFloat, model_validator
 from lscan.config.documents import Strict, check
 from lscan.config.rig import RigFile, load_rig
 from lscan.devices.api import Fact, Grab, Track
-from lscan.devices.travel import check_plan
+from lscan.devices.travel import TravelDriver, TravelOptions, require_reachable
 from lscan.errors import DeviceError, InputError
 from lscan.records import Bytes
 from sim.scene import SECTIONS, Scene, scene_of
@@ -31,17 +31,11 @@ FRAME_PERIOD_S = 0.2  # the simulated clock: a frame takes this long, its backgr
 _LIT, _DARK = 1, 2  # the streams that the noise of either picture is drawn from
 
 
-class TrackOptions(Strict):
+class TrackOptions(TravelOptions):
     """``[track.options]`` of the tank's track: its travel."""
 
     min_mm: float = -1000.0
     max_mm: float = 1000.0
-
-    @model_validator(mode="after")
-    def _not_empty(self) -> Self:
-        if self.min_mm >= self.max_mm:
-            raise ValueError("min_mm must be below max_mm")
-        return self
 
 
 class CameraOptions(Strict):
@@ -52,7 +46,7 @@ class CameraOptions(Strict):
     colour, closest to ``target_dn``.
     """
 
-    auto_exposure: Annotated[bool, Field(strict=True)] = False
+    auto_exposure: bool = False
     target_dn: Annotated[float, Field(gt=0, lt=255)] = 200.0
     percentile: Annotated[float, Field(gt=0, le=100)] = 99.9
     min_ms: PositiveFloat = 0.1
@@ -66,7 +60,7 @@ class CameraOptions(Strict):
 
 
 class SimTrack:
-    """A track that is at once where it is told to go.
+    """A track that reaches a commanded position at once.
 
     laser_is_on: whether the tank's laser, where its scene lights it, is on; until it is switched
     it is.  One that the track switched on is off when the track is closed.
@@ -94,11 +88,7 @@ class SimTrack:
     def move_to(self, position_mm: float) -> float:
         """The position reached, mm; DeviceError outside the track's travel."""
         self._require_open()
-        low, high = self.limits_mm
-        if not low <= position_mm <= high:  # also refuses NaN
-            raise DeviceError(
-                f"sim track: cannot move to {position_mm} mm (allowed: {low} to {high} mm)"
-            )
+        require_reachable("sim track", position_mm, self.limits_mm)
         self._position_mm = float(position_mm)
         return self._position_mm
 
@@ -175,28 +165,19 @@ class SimCamera:
         return np.random.default_rng([self._scene.tank.sensor.seed, stream, *place, index])
 
 
-class SimTrackDriver:
+class SimTrackDriver(TravelDriver[TrackOptions]):
     """Registered as "sim" under ``lscan.tracks``."""
 
-    sections: frozenset[str] = frozenset()
+    model = TrackOptions
     switches_laser = True
 
-    def validate(self, rig_file: RigFile) -> None:
-        """Check ``[track.options]`` and that the plan stays within the travel; else InputError."""
-        options = self._options(rig_file)
-        check_plan(rig_file, options.min_mm, options.max_mm)
-
-    def abilities(self, rig_file: RigFile) -> dict[str, Fact]:
+    def capabilities(self, rig_file: RigFile) -> dict[str, Fact]:
         """Its travel."""
-        return {**dict(self._options(rig_file)), "tolerance_mm": SimTrack.tolerance_mm}
+        return {**dict(self.options(rig_file)), "tolerance_mm": SimTrack.tolerance_mm}
 
     def open(self, rig_file: RigFile) -> SimTrack:
         """The track at position 0."""
-        return SimTrack(self._options(rig_file))
-
-    def _options(self, rig_file: RigFile) -> TrackOptions:
-        options = rig_file.rig.track.options
-        return check(TrackOptions, options, where=rig_file.source, prefix="track.options")
+        return SimTrack(self.options(rig_file))
 
 
 class SimCameraDriver:
@@ -211,7 +192,7 @@ class SimCameraDriver:
         camera_options(scene)
         _check_files(scene)
 
-    def abilities(self, rig_file: RigFile) -> dict[str, Fact]:
+    def capabilities(self, rig_file: RigFile) -> dict[str, Fact]:
         """How it is exposed."""
         options = camera_options(scene_of(rig_file))
         return {"auto_exposure": options.auto_exposure, "exposure_settable": False}

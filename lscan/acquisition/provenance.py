@@ -1,4 +1,4 @@
-"""Where a report's pictures come from and what turned them into numbers, told in words.
+"""Where a report's pictures come from and what turned them into numbers, in words.
 
 A run whose camera is the tank's says so; what was played back, or came over a network, may have
 been rendered as well, but no run can know.
@@ -22,7 +22,7 @@ Results = Mapping[str, Any]
 
 
 @dataclass(frozen=True)
-class Source:
+class PictureSource:
     """Where a run's pictures come from.
 
     camera: its driver.  simulated: whether that is known to be the tank's.
@@ -39,15 +39,15 @@ class Source:
         return asdict(self) if self.simulated else {"camera": self.camera}
 
 
-def picture_source(run: Run) -> Source:
+def picture_source(run: Run) -> PictureSource:
     """Where the run's pictures come from, by the rig document that it keeps."""
     driver = run.rig_file.rig.camera.driver
     if driver != _TANK_DRIVER:
-        return Source(driver, simulated=False)
+        return PictureSource(driver, simulated=False)
     sensor: object = run.rig_file.section("sensor")
     stated = sensor if isinstance(sensor, dict) else {}  # a run folder may come from anybody
     noise = stated.get("noise") is not False
-    return Source(driver, True, noise, _whole(stated.get("seed")))
+    return PictureSource(driver, True, noise, _whole(stated.get("seed")))
 
 
 def note(results: Results, parts: Collection[str]) -> str:
@@ -60,10 +60,10 @@ def note(results: Results, parts: Collection[str]) -> str:
     simulated = _simulated(there)
     if not simulated:
         return ""
-    told = f"{SIMULATED}, {_noise(simulated.values())}."
+    said = f"{SIMULATED}, {_noise(simulated.values())}."
     if len(simulated) < len(there):
-        told = f"{' and '.join(simulated)}: {told}"
-    return told[0].upper() + told[1:]
+        said = f"{' and '.join(simulated)}: {said}"
+    return said[0].upper() + said[1:]
 
 
 def title(results: Results) -> str:
@@ -111,18 +111,17 @@ def chain_names(results: Results) -> tuple[str, str]:
     return f"Ours, paper’s {'chain' if papers else 'map'}", "Ours, best chain"
 
 
-def chains_told(results: Results) -> str:
+def chains_in_words(results: Results) -> str:
     """What the two chains are, in two sentences, or why there is but one; "" if unknown."""
     chain, best = results.get("chain"), results.get("best") or {}
     if not chain:
         return ""
     first, second = (name.removeprefix("Ours, ") for name in chain_names(results))
-    told = f"The {first}: {_chain_told(chain)}."
+    paper = f"The {first}: {_chain_in_words(chain)}."
     if best.get("chain"):
-        return (
-            f"Two chains read the same pictures. {told} The {second}: {_chain_told(best['chain'])}."
-        )
-    return f"{told} No {second}: {best['refused']}." if best.get("refused") else told
+        ours = f"The {second}: {_chain_in_words(best['chain'])}."
+        return f"Two chains read the same pictures. {paper} {ours}"
+    return f"{paper} No {second}: {best['refused']}." if best.get("refused") else paper
 
 
 def _whole(number: object) -> int | None:
@@ -148,10 +147,10 @@ def _noise(sources: Collection[Mapping[str, Any]]) -> str:
     return f"noise seed{'s' if len(seeds) > 1 else ''} {' and '.join(map(str, sorted(seeds)))}"
 
 
-def _chain_told(chain: Results) -> str:
-    told = f"plane map {chain['plane_map']}"
+def _chain_in_words(chain: Results) -> str:
+    said = f"plane map {chain['plane_map']}"
     if chain["extractors"]:
-        told += f", line by {' and '.join(chain['extractors'])}"
+        said += f", line by {' and '.join(chain['extractors'])}"
     if chain["corrected_for"]:
-        told += f", corrected for {' and '.join(chain['corrected_for'])}"
-    return told
+        said += f", corrected for {' and '.join(chain['corrected_for'])}"
+    return said

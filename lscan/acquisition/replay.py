@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
-from typing import Any
+from typing import Literal
 
 import numpy as np
 
@@ -20,8 +20,9 @@ from lscan.acquisition.run import Run, open_run
 from lscan.config.documents import Strict, check
 from lscan.config.rig import RigFile
 from lscan.devices.api import Fact, Grab, Track
+from lscan.devices.travel import require_reachable
 from lscan.errors import DeviceError, InputError
-from lscan.records import Floats
+from lscan.records import Floats, Frame
 
 # Far below any track's resolution, far above the rounding of a position in mm.
 ROUNDING_MM = 1e-9
@@ -34,7 +35,7 @@ class ReplayOptions(Strict):
 
 
 class ReplayTrack:
-    """A track that stands at once where it is told, within the recorded range.
+    """A track that reaches a commanded position at once, within the recorded range.
 
     It misses the commanded position by as much as the recorded track did at the nearest
     stop, so that a replayed scan reports the positions of the recorded one.
@@ -64,11 +65,7 @@ class ReplayTrack:
     def move_to(self, position_mm: float) -> float:
         """Move at once; DeviceError outside the recorded range or after closing."""
         self._require_open()
-        low, high = self.limits_mm
-        if not low - ROUNDING_MM <= position_mm <= high + ROUNDING_MM:
-            raise DeviceError(
-                f"replay track: cannot move to {position_mm} mm; recorded: {low} mm to {high} mm"
-            )
+        require_reachable("replay track", position_mm, self.limits_mm, ROUNDING_MM)
         nearest = int(np.argmin(np.abs(self._commanded_mm - position_mm)))
         miss_mm = position_mm - self._commanded_mm[nearest]
         self._position_mm = float(self._reported_mm[nearest] + miss_mm)
@@ -116,32 +113,30 @@ class ReplayCamera:
         the nearest; DeviceError where the run has none.
         Raises InputError where the run folder was damaged.
         """
-        if self._closed:
-            raise DeviceError("replay camera: is closed")
-        index = self._nearest(self._track.position_mm, self._last_index - dark)
-        recorded = self._run.frame(index)
+        recorded = self._recorded(self._last_index - dark)
         image = recorded.background if dark else recorded.image
         if image is None:
             raise DeviceError(f"replay camera: {self._run.path} was recorded without backgrounds")
         time_s = recorded.time_s
         if time_s <= self._last_time_s:
             time_s = math.nextafter(self._last_time_s, math.inf)
-        self._last_index, self._last_time_s = index, time_s
+        self._last_index, self._last_time_s = recorded.index, time_s
         return Grab(image, time_s, recorded.exposure_ms)
 
     def preview(self) -> Grab:
         """The recorded picture, as it was; what is delivered next does not change by it."""
-        if self._closed:
-            raise DeviceError("replay camera: is closed")
-        recorded = self._run.frame(self._nearest(self._track.position_mm, self._last_index))
+        recorded = self._recorded(self._last_index)
         return Grab(recorded.image, recorded.time_s, recorded.exposure_ms)
 
     def close(self) -> None:
         """Nothing is held open; the camera delivers no more pictures."""
         self._closed = True
 
-    def _nearest(self, position_mm: float, after: int) -> int:
-        """Index of the nearest frame; of several, the first whose index is above ``after``."""
+    def _recorded(self, after: int) -> Frame:
+        """The nearest frame; of several, the first whose index is above ``after``."""
+        if self._closed:
+            raise DeviceError("replay camera: is closed")
+        position_mm = self._track.position_mm
         distance_mm = np.abs(self._run.positions_mm - position_mm)
         least_mm = float(distance_mm.min())
         if not least_mm <= self._reach_mm:
@@ -151,44 +146,50 @@ class ReplayCamera:
             )
         candidates = np.flatnonzero(distance_mm == least_mm)
         later = candidates[candidates > after]
-        return int((later if later.size else candidates)[0])
+        return self._run.frame(int((later if later.size else candidates)[0]))
 
 
-class _TrackDriver:
+class ReplayTrackDriver:
+    """Registered as "replay" under ``lscan.tracks``."""
+
     sections: frozenset[str] = frozenset()
     switches_laser = True
 
     def validate(self, rig_file: RigFile) -> None:
-        self._run(rig_file)
+        """Check that the recorded run is there: InputError."""
+        _recorded_run(rig_file, "track")
 
-    def abilities(self, rig_file: RigFile) -> dict[str, Fact]:
+    def capabilities(self, rig_file: RigFile) -> dict[str, Fact]:
+        """The recorded travel."""
         track = self.open(rig_file)
         low_mm, high_mm = track.limits_mm
         return {"min_mm": low_mm, "max_mm": high_mm, "tolerance_mm": track.tolerance_mm}
 
     def open(self, rig_file: RigFile) -> ReplayTrack:
-        return ReplayTrack(self._run(rig_file))
-
-    def _run(self, rig_file: RigFile) -> Run:
-        return _recorded(rig_file.rig.track.options, rig_file.source, "track.options")
+        """The track where the recorded one stood first."""
+        return ReplayTrack(_recorded_run(rig_file, "track"))
 
 
-class _CameraDriver:
+class ReplayCameraDriver:
+    """Registered as "replay" under ``lscan.cameras``."""
+
     sections: frozenset[str] = frozenset()
     takes_dark = True
 
     def validate(self, rig_file: RigFile) -> None:
+        """Check that the recorded run is there and fits the rig: InputError."""
         self._run(rig_file)
 
-    def abilities(self, rig_file: RigFile) -> dict[str, Fact]:
-        run = self._run(rig_file)
-        return {"recorded_frames": len(run), "exposure_settable": False}
+    def capabilities(self, rig_file: RigFile) -> dict[str, Fact]:
+        """How many pictures were recorded."""
+        return {"recorded_frames": len(self._run(rig_file)), "exposure_settable": False}
 
     def open(self, rig_file: RigFile, track: Track) -> ReplayCamera:
+        """The camera, which looks from where ``track`` stands."""
         return ReplayCamera(self._run(rig_file), track)
 
     def _run(self, rig_file: RigFile) -> Run:
-        run = _recorded(rig_file.rig.camera.options, rig_file.source, "camera.options")
+        run = _recorded_run(rig_file, "camera")
         asked, recorded = _size_px(rig_file), _size_px(run.rig_file)
         if asked != recorded:
             raise InputError(
@@ -207,19 +208,22 @@ class _CameraDriver:
         return run
 
 
-def _recorded(options: dict[str, Any], source: str, prefix: str) -> Run:
+def _recorded_run(rig_file: RigFile, device: Literal["camera", "track"]) -> Run:
+    """The run that a section's options name; InputError where there is none with frames."""
+    prefix, source = f"{device}.options", rig_file.source
+    options = getattr(rig_file.rig, device).options
     path = Path(check(ReplayOptions, options, where=source, prefix=prefix).run_file)
-    key, wanted = f"{prefix}.run_file", "the folder of a recorded run"
     try:
         run = open_run(path, trusted=True)  # for its pictures; how the line is found is not asked
+        if len(run) == 0:
+            raise InputError("a run without frames", where=path)
     except InputError as error:
         raise InputError(
-            f"{key}: no recorded run: {error}", where=source, value=str(path), allowed=wanted
+            f"{prefix}.run_file: no recorded run: {error}",
+            where=source,
+            value=str(path),
+            allowed="the folder of a recorded run",
         ) from error
-    if len(run) == 0:
-        raise InputError(
-            f"{key}: a run without frames", where=source, value=str(path), allowed=wanted
-        )
     return run
 
 
@@ -227,5 +231,5 @@ def _size_px(rig_file: RigFile) -> tuple[int, int]:
     return rig_file.rig.camera.width_px, rig_file.rig.camera.height_px
 
 
-camera_driver = _CameraDriver()
-track_driver = _TrackDriver()
+camera_driver = ReplayCameraDriver()
+track_driver = ReplayTrackDriver()

@@ -21,7 +21,7 @@ import math
 import platform
 import zlib
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import astuple, dataclass
 from pathlib import Path
 from typing import Literal
 
@@ -84,7 +84,7 @@ class Manifest(Strict):
 
 
 @dataclass(frozen=True)
-class Row:
+class FrameRow:
     """One row of frames.csv.
 
     sha256: of the picture's file, in hexadecimal; dark_sha256: of its background's, None where
@@ -105,13 +105,13 @@ class Row:
         Floats are written so that reading gives the same bits.  The last field is the
         CRC-32 of all that stands before it, so a changed digit does not pass unseen.
         """
-        numbers = (self.commanded_mm, self.position_mm, self.time_s, self.exposure_ms)
-        digests = [self.sha256] if self.dark_sha256 is None else [self.sha256, self.dark_sha256]
-        text = ",".join([str(self.index), *(repr(float(x)) for x in numbers), *digests])
+        index, *numbers, sha256, dark_sha256 = astuple(self)
+        digests = [sha256] if dark_sha256 is None else [sha256, dark_sha256]
+        text = ",".join([str(index), *(repr(float(x)) for x in numbers), *digests])
         return f"{text},{_crc32(text)}"
 
     @classmethod
-    def from_text(cls, text: str, where: object, paired: bool = False) -> Row:
+    def from_text(cls, text: str, where: object, paired: bool = False) -> FrameRow:
         """The row that ``as_text`` wrote; InputError where it is torn or was changed.
 
         paired: whether it must list a background, or must not.
@@ -145,7 +145,7 @@ class Run:
     rig_file: RigFile
     state: State
     software: tuple[Versions, ...]
-    rows: tuple[Row, ...]
+    rows: tuple[FrameRow, ...]
 
     def __len__(self) -> int:
         return len(self.rows)
@@ -165,15 +165,9 @@ class Run:
             allowed = f"0 to {len(self) - 1}"
             raise InputError("no such frame", where=self.path, value=index, allowed=allowed)
         row = self.rows[index]
-        return Frame(
-            image=self._picture(row),
-            index=index,
-            commanded_mm=row.commanded_mm,
-            position_mm=row.position_mm,
-            time_s=row.time_s,
-            exposure_ms=row.exposure_ms,
-            background=None if row.dark_sha256 is None else self._picture(row, dark=True),
-        )
+        places_mm = row.commanded_mm, row.position_mm
+        background = None if row.dark_sha256 is None else self._picture(row, dark=True)
+        return Frame(self._picture(row), index, *places_mm, row.time_s, row.exposure_ms, background)
 
     def frames(self) -> Iterator[Frame]:
         """All frames in order, each read when it is asked for; errors as ``frame``."""
@@ -186,26 +180,20 @@ class Run:
             if row.dark_sha256 is not None:
                 self._checked_bytes(row, dark=True)
 
-    def _picture(self, row: Row, dark: bool = False) -> Bytes:
-        """A frame's picture, or its background."""
-        data = self._checked_bytes(row, dark)
-        return self._decoded(data, frame_file(self.path, row.index, dark))
-
-    def _checked_bytes(self, row: Row, dark: bool = False) -> bytes:
-        file = frame_file(self.path, row.index, dark)
-        data = read_bytes(file, self._most_bytes(), within=self.path)
+    def _checked_bytes(self, row: FrameRow, dark: bool = False) -> bytes:
+        file, camera = frame_file(self.path, row.index, dark), self.rig_file.rig.camera
+        # PNG needs hardly more than the pixels, 3 bytes each.
+        most_bytes = 4 * camera.width_px * camera.height_px + 2**20
+        data = read_bytes(file, most_bytes, within=self.path)
         if hashlib.sha256(data).hexdigest() != (row.dark_sha256 if dark else row.sha256):
             what = f"is not the picture that {TABLE} line {row.index + 2} lists (checksum differs)"
             raise InputError(what, where=file)
         return data
 
-    def _most_bytes(self) -> int:
-        """Of a picture's file: PNG needs hardly more than the pixels, 3 bytes each."""
-        camera = self.rig_file.rig.camera
-        return 4 * camera.width_px * camera.height_px + 2**20
-
-    def _decoded(self, data: bytes, file: Path) -> Bytes:
-        camera = self.rig_file.rig.camera
+    def _picture(self, row: FrameRow, dark: bool = False) -> Bytes:
+        """A frame's picture, or its background."""
+        file, camera = frame_file(self.path, row.index, dark), self.rig_file.rig.camera
+        data = self._checked_bytes(row, dark)
         header = read_header(data)
         if header is None or (header.format, header.depth_bits) != ("PNG", 8):
             raise InputError("is not an 8-bit grey or RGB picture", where=file, allowed="PNG")
@@ -300,10 +288,10 @@ def most_table_bytes(plan: Plan) -> int:
     return (plan.frames + 1) * MOST_ROW_BYTES
 
 
-def _read_rows(file: Path, plan: Plan) -> list[Row]:
+def _read_rows(file: Path, plan: Plan) -> list[FrameRow]:
     data = read_bytes(file, most_table_bytes(plan), within=file.parent)
     lines = io.BytesIO(data)
-    # Latin-1 takes any byte for a character, so a stray one fails its row's checksum.
+    # Latin-1 takes any byte for a character, so a damaged one fails its row's checksum.
     header = lines.readline().decode("latin-1").removesuffix("\n")
     if header != columns(plan.paired):
         where, allowed = f"{file} line 1", columns(plan.paired)
@@ -312,10 +300,10 @@ def _read_rows(file: Path, plan: Plan) -> list[Row]:
         last = data.count(b"\n") + 1
         where = f"{file} line {last}"
         raise InputError("the last row is torn; lscan scan --resume cuts it off", where=where)
-    rows: list[Row] = []
+    rows: list[FrameRow] = []
     for index, line in enumerate(lines):
         where = f"{file} line {index + 2}"
-        row = Row.from_text(line.decode("latin-1").removesuffix("\n"), where, plan.paired)
+        row = FrameRow.from_text(line.decode("latin-1").removesuffix("\n"), where, plan.paired)
         if row.index != index:
             what = "a frame is listed twice" if row.index < index else "a frame is skipped"
             raise InputError(what, where=where, value=row.index, allowed=index)

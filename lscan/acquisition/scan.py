@@ -12,8 +12,7 @@ import numpy as np
 
 from lscan.acquisition.run import Run, open_run
 from lscan.acquisition.writer import RunWriter, create_run, refuse_existing, resume_run
-from lscan.config.plugins import find_plugin
-from lscan.config.rig import CameraSection, Plan, RigFile
+from lscan.config.rig import CameraSection, Plan, RigFile, camera_driver, track_driver
 from lscan.devices.api import Camera, Grab, LaserSwitch, PlaceChecking, Track
 from lscan.errors import DeviceError, InputError
 from lscan.records import Bytes, Frame, Progress
@@ -71,18 +70,14 @@ def open_devices(rig_file: RigFile) -> Iterator[tuple[Camera, Track]]:
 
 def open_track(rig_file: RigFile) -> Track:
     """The rig's track, opened by its driver; errors as open_devices."""
-    where = f"{rig_file.source}: track.driver"
-    driver = find_plugin("lscan.tracks", rig_file.rig.track.driver, where=where)
-    track: Track = driver.open(rig_file)
+    track: Track = track_driver(rig_file.rig, rig_file.source).open(rig_file)
     return track
 
 
 def open_camera(rig_file: RigFile, track: Track) -> Camera:
     """The rig's camera on an opened track; errors as open_devices, and it is closed then."""
     section = rig_file.rig.camera
-    where = f"{rig_file.source}: camera.driver"
-    driver = find_plugin("lscan.cameras", section.driver, where=where)
-    camera: Camera = driver.open(rig_file, track)
+    camera: Camera = camera_driver(rig_file.rig, rig_file.source).open(rig_file, track)
     if camera.size_px != (section.width_px, section.height_px):
         camera.close()
         raise _wrong_size(camera.size_px, section)
@@ -114,11 +109,11 @@ def acquire_into(
     if not position_restored:
         _check_place(writer, track, positions_mm)
     with _keeping_zero(writer, track), _laser(track, plan) as switch:
-        sitting = _Sitting(writer.rig_file.rig.camera, camera, track, switch)
+        session = _Session(writer.rig_file.rig.camera, camera, track, switch)
         while writer.written < writer.planned:
             if go_on is not None and not go_on():
                 return open_run(writer.path, trusted=True)
-            writer.append(sitting.take(writer.written, positions_mm[writer.written]))
+            writer.append(session.take(writer.written, positions_mm[writer.written]))
             if progress is not None:
                 progress(writer.written, writer.planned)
     return writer.finish()
@@ -145,7 +140,7 @@ def _keeping_zero(writer: RunWriter, track: Track) -> Iterator[None]:
     try:
         yield
     except BaseException:
-        with suppress(InputError):  # the first fault is the one to be told
+        with suppress(InputError):  # the first fault is the one to report
             writer.keep_zero(track.zero)
         raise
 
@@ -169,14 +164,14 @@ def _laser(track: Track, plan: Plan) -> Iterator[LaserSwitch | None]:
             track.laser_on()
             yield None
     except BaseException:
-        with suppress(DeviceError):  # the first fault is the one to be told
+        with suppress(DeviceError):  # the first fault is the one to report
             track.laser_off()
         raise
     track.laser_off()
 
 
 @dataclass
-class _Sitting:
+class _Session:
     """Camera and track at work on one scan.
 
     switch: of the laser, where each frame is a pair.  last_time_s: of the picture before, which
@@ -196,17 +191,9 @@ class _Sitting:
             self.switch.laser_on()
         lit = self._checked(self.camera.grab(index), index)
         background = None if self.switch is None else self._background(index, lit, self.switch)
-        if not math.isfinite(position_mm):
-            raise _not_finite("position_mm", index)
-        return Frame(
-            image=lit.image,
-            index=index,
-            commanded_mm=commanded_mm,
-            position_mm=position_mm,
-            time_s=lit.time_s,
-            exposure_ms=lit.exposure_ms,
-            background=background,
-        )
+        _require_finite("position_mm", position_mm, index)
+        places_mm = commanded_mm, position_mm
+        return Frame(lit.image, index, *places_mm, lit.time_s, lit.exposure_ms, background)
 
     def _background(self, index: int, lit: Grab, switch: LaserSwitch) -> Bytes:
         """The same view with the laser off, which must have been taken like the lit one."""
@@ -235,9 +222,8 @@ class _Sitting:
         height, width = image.shape[:2]
         if (width, height) != (section.width_px, section.height_px):
             raise _wrong_size((width, height), section)
-        for name in ("time_s", "exposure_ms"):
-            if not math.isfinite(getattr(grab, name)):
-                raise _not_finite(name, index)
+        _require_finite("time_s", grab.time_s, index)
+        _require_finite("exposure_ms", grab.exposure_ms, index)
         if grab.time_s <= self.last_time_s:
             raise DeviceError(
                 f"camera {section.driver!r}: frame {index} is an old picture: its time, "
@@ -247,8 +233,9 @@ class _Sitting:
         return grab
 
 
-def _not_finite(name: str, index: int) -> DeviceError:
-    return DeviceError(f"frame {index}: a device reported {name} that is not finite")
+def _require_finite(name: str, number: float, index: int) -> None:
+    if not math.isfinite(number):
+        raise DeviceError(f"frame {index}: a device reported {name} that is not finite")
 
 
 def _wrong_size(size_px: tuple[int, int], section: CameraSection) -> DeviceError:

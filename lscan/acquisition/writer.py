@@ -14,7 +14,7 @@ import os
 import shutil
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Self
+from typing import Any, Self
 
 import cv2
 
@@ -22,8 +22,8 @@ from lscan.acquisition.run import (
     FRAMES,
     MANIFEST,
     TABLE,
+    FrameRow,
     Manifest,
-    Row,
     Run,
     columns,
     frame_file,
@@ -59,7 +59,9 @@ class RunWriter:
     was taken, None before the first.
     """
 
-    def __init__(self, path: Path, rig_file: RigFile, lock: int, rows: Sequence[Row] = ()) -> None:
+    def __init__(
+        self, path: Path, rig_file: RigFile, lock: int, rows: Sequence[FrameRow] = ()
+    ) -> None:
         self.path, self.rig_file = path, rig_file
         self.written = len(rows)
         self.last_mm = rows[-1].position_mm if rows else None
@@ -96,9 +98,7 @@ class RunWriter:
 
     def keep_zero(self, zero: str | None) -> None:
         """Write the name of the zero into run.json, where it is another one."""
-        manifest, _ = read_manifest(self.path)
-        if manifest.track_zero != zero:
-            _write_manifest(self.path, manifest.model_copy(update={"track_zero": zero}))
+        _change_manifest(self.path, track_zero=zero)
 
     def append(self, frame: Frame) -> None:
         """Write the next frame; when this returns, pictures and row are on disk, synced.
@@ -114,23 +114,18 @@ class RunWriter:
                 "frame out of order", where=self.path, value=frame.index, allowed=self.written
             )
         self._require_alike(frame)
-        paired = self.rig_file.rig.plan.paired
-        if (frame.background is not None) != paired:
+        if (frame.background is not None) != self.rig_file.rig.plan.paired:
             what = "a frame of a paired run needs a background, any other has none"
             raise InputError(what, where=self.path, value=frame.index)
-        sha256 = self._write_picture(frame.image, frame_file(self.path, frame.index))
+        sha256 = _write_picture(frame.image, frame_file(self.path, frame.index))
         dark_sha256 = None
         if frame.background is not None:
-            file = frame_file(self.path, frame.index, dark=True)
-            dark_sha256 = self._write_picture(frame.background, file)
-        row = Row(
-            index=frame.index,
-            commanded_mm=frame.commanded_mm,
-            position_mm=frame.position_mm,
-            time_s=frame.time_s,
-            exposure_ms=frame.exposure_ms,
-            sha256=sha256,
-            dark_sha256=dark_sha256,
+            dark_sha256 = _write_picture(
+                frame.background, frame_file(self.path, frame.index, dark=True)
+            )
+        places_mm = frame.commanded_mm, frame.position_mm
+        row = FrameRow(
+            frame.index, *places_mm, frame.time_s, frame.exposure_ms, sha256, dark_sha256
         )
         append_synced(self._table, f"{row.as_text()}\n".encode(), self.path / TABLE)
         self.written += 1
@@ -153,12 +148,6 @@ class RunWriter:
                 allowed=self._shape,
             )
 
-    def _write_picture(self, image: Bytes, file: Path) -> str:
-        """Write a picture, synced; the SHA-256 of its file."""
-        png = _encode(image)
-        write_atomically(file, png)
-        return hashlib.sha256(png).hexdigest()
-
     def finish(self) -> Run:
         """Mark the run complete, where it is not yet, and return it.
 
@@ -168,9 +157,7 @@ class RunWriter:
             raise InputError(
                 "frames are missing", where=self.path, value=self.written, allowed=self.planned
             )
-        manifest, _ = read_manifest(self.path)
-        if manifest.state != "complete":
-            _write_manifest(self.path, manifest.model_copy(update={"state": "complete"}))
+        _change_manifest(self.path, state="complete")
         return open_run(self.path, trusted=True)
 
 
@@ -235,12 +222,16 @@ def _new_manifest(rig_file: RigFile) -> Manifest:
             where=rig_file.source,
             allowed="text, finite numbers, true, false, lists and tables",
         ) from error
-    return Manifest(
-        state="scanning",
-        software=[software_versions()],
-        plan=rig_file.rig.plan,
-        rig=rig_file.document,
-    )
+    software, plan = [software_versions()], rig_file.rig.plan
+    return Manifest(state="scanning", software=software, plan=plan, rig=rig_file.document)
+
+
+def _change_manifest(path: Path, **values: Any) -> None:
+    """Write run.json with these values, where they are others than it has."""
+    before, _ = read_manifest(path)
+    manifest = before.model_copy(update=values)
+    if manifest != before:
+        _write_manifest(path, manifest)
 
 
 def _write_manifest(path: Path, manifest: Manifest) -> None:
@@ -271,7 +262,7 @@ def holds_no_run(path: Path) -> bool:
     return names <= early and not frames
 
 
-def _take_up(path: Path, rig_file: RigFile) -> tuple[Row, ...]:
+def _take_up(path: Path, rig_file: RigFile) -> tuple[FrameRow, ...]:
     """Clear away what a killed scan left, check the rest, return the rows of the frames."""
     manifest, kept = read_manifest(path)
     require_same_rig(kept, rig_file, where=path / MANIFEST)
@@ -279,8 +270,7 @@ def _take_up(path: Path, rig_file: RigFile) -> tuple[Row, ...]:
         _remove_temporaries(path)
         cut_torn_line(path / TABLE, most_table_bytes(manifest.plan))
         if manifest.software[-1] != software_versions():
-            software = [*manifest.software, software_versions()]
-            _write_manifest(path, manifest.model_copy(update={"software": software}))
+            _change_manifest(path, software=[*manifest.software, software_versions()])
     run = open_run(path, trusted=True)  # its rig is the one the user gave
     run.verify()
     return run.rows
@@ -298,6 +288,13 @@ def _remove_temporaries(path: Path) -> None:
 # a third.  What JPEG has smoothed gets larger by this, all but black pictures several times, but
 # no picture takes longer than a noisy one.
 _PNG = (cv2.IMWRITE_PNG_STRATEGY, cv2.IMWRITE_PNG_STRATEGY_HUFFMAN_ONLY)
+
+
+def _write_picture(image: Bytes, file: Path) -> str:
+    """Write a picture, synced; the SHA-256 of its file."""
+    png = _encode(image)
+    write_atomically(file, png)
+    return hashlib.sha256(png).hexdigest()
 
 
 def _encode(image: Bytes) -> bytes:

@@ -10,6 +10,7 @@ from types import NoneType, UnionType
 from typing import Annotated, Any, Literal, Union, get_args, get_origin, get_type_hints
 
 from pydantic import BaseModel
+from pydantic.fields import FieldInfo
 
 Keys = tuple[str | int, ...]
 
@@ -67,40 +68,15 @@ def kinds(annotation: Any) -> list[Kind]:
 def _kinds(annotation: Any, limits: dict[str, Any], words: str) -> Iterator[Kind]:
     origin = get_origin(annotation)
     if origin is Annotated:
-        inner, *notes = get_args(annotation)
-        for note in notes:
-            words = getattr(note, "description", None) or words
-            for part in (note, *getattr(note, "metadata", ())):
-                stated = {name: getattr(part, name, None) for name in _LIMITS}
-                limits = limits | {k: v for k, v in stated.items() if v is not None}
-        yield from _kinds(inner, limits, words)
+        info = FieldInfo.from_annotation(annotation)
+        stated = [(name, getattr(note, name, None)) for note in info.metadata for name in _LIMITS]
+        limits = limits | {name: limit for name, limit in stated if limit is not None}
+        yield from _kinds(info.annotation, limits, info.description or words)
     elif origin in (Union, UnionType):
         for part in get_args(annotation):
             yield from _kinds(part, limits, words)
     else:
         yield Kind(annotation, limits, words)
-
-
-def misread(annotation: Any, value: Any) -> Keys | None:
-    """The keys, within ``value``, to what would pass only by being turned into another type.
-
-    That is "850" or true where a number is wanted, 5.0 where a count is, and "yes" or 1 where
-    true or false is; () where it is the value itself, None where all is as it is written.
-    """
-    if isinstance(value, list | tuple):
-        for index, item in enumerate(value):
-            for kind in kinds(annotation):
-                inner = kind.item(index)
-                found = misread(inner, item) if inner is not None else None
-                if found is not None:
-                    return (index, *found)
-        return None
-    wanted = set().union(*(kind.plain for kind in kinds(annotation)))
-    # A NumPy number is a float too, and true is an int: the first that fits, in this order.
-    plain = next((kind for kind in (bool, int, float, str) if isinstance(value, kind)), None)
-    if plain is None or not wanted or plain in wanted:
-        return None
-    return None if plain is int and float in wanted else ()
 
 
 def trace(model: Any, place: Keys) -> tuple[Keys, Any]:

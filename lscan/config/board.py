@@ -1,4 +1,4 @@
-"""The calibration board: where its marks are, as the milling machine was told.
+"""The calibration board: where its marks nominally are.
 
 Coordinates are those of the plane frame (records.py): origin at control point O, the
 upper-left dot of the grid, x right, z up, in mm.  The paper's board (Figs. 8, 14, 18) is

@@ -18,10 +18,10 @@ from operator import getitem
 from pathlib import Path
 from typing import Any, TypeVar
 
-from pydantic import BaseModel, ConfigDict, ValidationError, model_validator
-from pydantic_core import PydanticCustomError
+from pydantic import BaseModel, ConfigDict, GetCoreSchemaHandler, ValidationError
+from pydantic_core import CoreSchema, ErrorDetails
 
-from lscan.config.allowed import Keys, fields, in_words, misread, names, tags_in_words, trace
+from lscan.config.allowed import Keys, in_words, names, tags_in_words, trace
 from lscan.config.scenes import scene_file
 from lscan.errors import InputError
 from lscan.files.disk import MOST_TEXT_BYTES, read_text
@@ -32,7 +32,7 @@ Model = TypeVar("Model", bound=BaseModel)
 MOST_LEVELS = 50
 """Of tables and lists in one another; a rig file has six or so."""
 MOST_FILES = 100
-"""That a document includes, all told; each may include others, and one file more than once."""
+"""That a document includes in all; each may include others, and one file more than once."""
 MOST_NAMED = 3
 """Of keys at fault besides the first that a message names."""
 _TOO_DEEP = "tables and lists too deep in one another"
@@ -42,20 +42,32 @@ _DEEP_KEY = re.compile(rf"(?<![\w-])(?:{_PART}[ \t]*+\.[ \t]*+){{{MOST_LEVELS}}}
 """A dotted key of TOML with more parts than that."""
 
 
+def _make_scalars_strict(schema: Any) -> None:
+    """Refuse "850" and true where a number is wanted, 5.0 where a count is, and the like.
+
+    ``strict`` in a model's configuration would also refuse a list for a tuple, and TOML and JSON
+    have lists only.
+    """
+    if isinstance(schema, dict):
+        if schema.get("type") in ("bool", "int", "float", "str"):
+            schema["strict"] = True
+        for part in schema.values():
+            _make_scalars_strict(part)
+    elif isinstance(schema, list | tuple):
+        for part in schema:
+            _make_scalars_strict(part)
+
+
 class Strict(BaseModel):
     """Base of every model of a file: frozen, unknown keys and non-finite numbers refused."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
-    @model_validator(mode="before")
     @classmethod
-    def _types_as_written(cls, data: Any) -> Any:
-        """Refuse "850" and true where a number is wanted, 5.0 where a count is, and the like."""
-        for name, value in data.items() if isinstance(data, dict) else ():
-            within = misread(fields(cls)[name], value) if name in cls.model_fields else None
-            if within is not None:
-                raise PydanticCustomError("wrong_type", "wrong type", {"keys": (name, *within)})
-        return data
+    def __get_pydantic_core_schema__(cls, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
+        schema = handler(source)
+        _make_scalars_strict(schema)
+        return schema
 
 
 def read_document(path: Path | str) -> Document:
@@ -223,7 +235,7 @@ def check(model: type[Model], document: Document, where: object, prefix: str = "
 
 
 @dataclass(frozen=True)
-class _Fault:
+class _ModelFault:
     """One thing that is wrong: the keys that lead to it, what, the value, and what is allowed."""
 
     keys: Keys
@@ -257,29 +269,29 @@ def _also(keys: list[str]) -> str:
     return f"; see also {', '.join(keys[:MOST_NAMED])}{rest}"
 
 
-def _fault(raw: Any, model: type[BaseModel], document: Document) -> _Fault:
+def _fault(raw: ErrorDetails, model: type[BaseModel], document: Document) -> _ModelFault:
     """A fault that pydantic found, in the words and by the keys of the file."""
     place, kind = raw["loc"], raw["type"]
-    if kind == "wrong_type":
-        place = (*place, *raw["ctx"]["keys"])
     if kind in ("extra_forbidden", "unexpected_keyword_argument"):
         keys, table = trace(model, place[:-1])
         allowed = ", ".join(names(table))
-        return _Fault((*keys, place[-1]), "unknown key", raw["input"], allowed)
+        return _ModelFault((*keys, place[-1]), "unknown key", raw["input"], allowed)
     if kind == "missing" and isinstance(place[-1], int):  # the list itself is too short
         place, kind = place[:-1], "too_short"
     keys, annotation = trace(model, place)
     value = _value_at(document, keys)
     if kind.startswith("union_tag") and isinstance(value, dict):
         what = "no such kind" if "kind" in value else "field required"
-        return _Fault((*keys, "kind"), what, value.get("kind"), tags_in_words(annotation))
+        return _ModelFault((*keys, "kind"), what, value.get("kind"), tags_in_words(annotation))
     if kind == "missing":
-        return _Fault(keys, "field required", None, in_words(annotation) or None)
-    message = raw["msg"].removeprefix("Value error, ")
+        return _ModelFault(keys, "field required", None, in_words(annotation) or None)
     if kind == "value_error":
-        return _Fault(keys, message, _named_in(message, value, annotation))
-    words = in_words(annotation)
-    return _Fault(keys, f"must be {words}" if words else message[0].lower() + message[1:], value)
+        message = str(raw["ctx"]["error"])
+        return _ModelFault(keys, message, _named_in(message, value, annotation))
+    words, message = in_words(annotation), raw["msg"]
+    return _ModelFault(
+        keys, f"must be {words}" if words else message[0].lower() + message[1:], value
+    )
 
 
 def _value_at(document: Any, keys: Keys) -> Any:

@@ -94,7 +94,7 @@ class StripeSection(Strict):
     returns: which line is meant where a column holds several.  smooth_px: standard deviation,
     along the line, of a robust smoothing; 0 leaves every column to itself.  blur_px: standard
     deviation of the camera's point spread, with which the shift that blur gives to a curved
-    line of uneven brightness is taken back; None takes nothing back.
+    line of uneven brightness is corrected for; None: not corrected.
     """
 
     extractor: str = "centroid-relative"
@@ -311,7 +311,7 @@ def _check_shaft(rig: Rig, source: str) -> None:
         )
     if rig.sheet is not None:
         raise InputError(
-            "sheet: what its thickness does is taken back on a linear track only",
+            "sheet: its thickness is corrected for on a linear track only",
             where=source,
             allowed="[sheet] or [shaft], not both",
         )
@@ -368,8 +368,15 @@ def _check_laser(rig_file: RigFile) -> None:
         raise InputError(what, where=where, value=plan.laser, allowed="untouched, on")
 
 
+def camera_driver(rig: Rig, source: str) -> Any:
+    """The rig's camera driver; InputError, which names the file ``source``, for an unknown one."""
+    return find_plugin("lscan.cameras", rig.camera.driver, where=f"{source}: camera.driver")
+
+
+def track_driver(rig: Rig, source: str) -> Any:
+    """The rig's track driver; InputError, which names the file ``source``, for an unknown one."""
+    return find_plugin("lscan.tracks", rig.track.driver, where=f"{source}: track.driver")
+
+
 def _drivers(rig: Rig, source: str) -> list[Any]:
-    return [
-        find_plugin("lscan.cameras", rig.camera.driver, where=f"{source}: camera.driver"),
-        find_plugin("lscan.tracks", rig.track.driver, where=f"{source}: track.driver"),
-    ]
+    return [camera_driver(rig, source), track_driver(rig, source)]

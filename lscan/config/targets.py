@@ -1,4 +1,4 @@
-"""Nominal shapes of the paper's test pieces: what the milling machine was told.
+"""Nominal shapes of the paper's test pieces.
 
 Each piece has its own workpiece frame, in mm, z up; a scene places it in the tank.
 """
@@ -80,7 +80,7 @@ class GroovedBlock(Strict):
 
 
 class Wedge(Strict):
-    """The flat-topped wedges on the left and right rims (paper-notes: eqs. 5 to 7, Fig. 26).
+    """The flat-topped wedges on the left and right rims (eqs. 5 to 7, Fig. 26).
 
     In plan each is a triangle: its base lies on the block's side, its tip, the corner W_L
     or W_R, points inwards at mid-length.  height_mm is the top's height above z = 0.

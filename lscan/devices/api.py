@@ -13,7 +13,7 @@ from lscan.config.rig import RigFile
 from lscan.records import Bytes
 
 Fact = str | float | bool | None
-"""What is told of a device under a name that carries the unit; None: it does not say."""
+"""What is known of a device under a name that carries the unit; None: it does not say."""
 
 
 @dataclass(frozen=True)
@@ -35,18 +35,15 @@ class Track(Protocol):
     @property
     def position_mm(self) -> float:
         """Where the head stands, as the track itself reports it."""
-        ...
 
     def move_to(self, position_mm: float) -> float:
         """Move, wait until at rest, and return the reported position in mm.
 
         Raises DeviceError naming the limit where the position cannot be reached.
         """
-        ...
 
     def close(self) -> None:
         """Release the device; closing twice is harmless."""
-        ...
 
 
 @runtime_checkable
@@ -56,12 +53,10 @@ class Limited(Protocol):
     @property
     def limits_mm(self) -> tuple[float, float]:
         """Lowest and highest position it goes to."""
-        ...
 
     @property
     def tolerance_mm(self) -> float:
         """How far from where it was sent it may report to stand."""
-        ...
 
 
 @runtime_checkable
@@ -70,11 +65,9 @@ class LaserSwitch(Protocol):
 
     def laser_on(self) -> None:
         """Switch the laser on; it is lit when this returns.  Raises DeviceError."""
-        ...
 
     def laser_off(self) -> None:
         """Switch the laser off; it is dark when this returns.  Raises DeviceError."""
-        ...
 
 
 @runtime_checkable
@@ -83,12 +76,11 @@ class Describing(Protocol):
 
     def describe(self) -> dict[str, Fact]:
         """Facts by their names, asked of the device now.  Raises DeviceError."""
-        ...
 
 
 @runtime_checkable
 class PlaceChecking(Protocol):
-    """A track whose zero may be lost between two sittings of a scan."""
+    """A track whose zero may be lost between two sessions of a scan."""
 
     @property
     def zero(self) -> str | None:
@@ -96,7 +88,6 @@ class PlaceChecking(Protocol):
 
         None where it is found anew on each opening, as by homing.
         """
-        ...
 
     def check_place(self, last_mm: float, next_mm: float, zero: str | None) -> None:
         """Raise DeviceError, saying what to do, unless a scan can go on without a shift.
@@ -104,7 +95,6 @@ class PlaceChecking(Protocol):
         last_mm: where the last frame was recorded.  next_mm: where the next is due.  zero: what
         ``zero`` was when the last frame was recorded.
         """
-        ...
 
 
 @runtime_checkable
@@ -114,7 +104,6 @@ class Camera(Protocol):
     @property
     def size_px(self) -> tuple[int, int]:
         """(width, height) of every picture."""
-        ...
 
     def grab(self, frame: int | None = None, dark: bool = False) -> Grab:
         """A picture exposed after this call began.  Raises DeviceError where none comes.
@@ -123,14 +112,12 @@ class Camera(Protocol):
         clock from it, so that a resumed scan gives the same bytes; a real one ignores it.
         dark: the laser is off, so that a black picture is as it should be.
         """
-        ...
 
     def close(self) -> None:
         """Release the device; closing twice is harmless.
 
         A grab under way in another thread comes to its end, and the next raises DeviceError.
         """
-        ...
 
 
 @runtime_checkable
@@ -142,16 +129,14 @@ class Previewing(Protocol):
 
         May be called while another thread grabs.  Raises DeviceError where none comes.
         """
-        ...
 
 
 @runtime_checkable
-class Foretelling(Protocol):
+class CapabilityReporting(Protocol):
     """A driver that knows from a rig file what its device can do, without touching it."""
 
-    def abilities(self, rig_file: RigFile) -> dict[str, Fact]:
+    def capabilities(self, rig_file: RigFile) -> dict[str, Fact]:
         """Facts by their names.  Raises InputError where an option is wrong."""
-        ...
 
 
 class TrackDriver(Protocol):
@@ -160,7 +145,7 @@ class TrackDriver(Protocol):
     One whose tracks are a :class:`LaserSwitch` says so by an attribute ``switches_laser``, True;
     where it is missing, a plan that switches the laser is refused.
 
-    An attribute ``connection_options``, a frozenset of names, says which of its options only tell
+    An attribute ``connection_options``, a frozenset of names, says which of its options only say
     how the track is reached and waited for; they may differ where a scan is resumed.  Where it is
     missing, none may.
     """
@@ -170,11 +155,9 @@ class TrackDriver(Protocol):
 
     def validate(self, rig_file: RigFile) -> None:
         """Check the driver's options and sections without touching a device: InputError."""
-        ...
 
     def open(self, rig_file: RigFile) -> Track:
         """The track, ready to move."""
-        ...
 
 
 class CameraDriver(Protocol):
@@ -192,9 +175,7 @@ class CameraDriver(Protocol):
 
     def validate(self, rig_file: RigFile) -> None:
         """Check the driver's options and sections without touching a device: InputError."""
-        ...
 
     def open(self, rig_file: RigFile, track: Track) -> Camera:
         """The camera, ready to grab.  A simulated camera sees the tank from where ``track``
         stands; a real one ignores it."""
-        ...

@@ -12,9 +12,8 @@ from pathlib import Path
 
 import cv2
 
-from lscan.config.plugins import find_plugin
-from lscan.config.rig import RigFile
-from lscan.devices.api import Fact, Foretelling
+from lscan.config.rig import RigFile, camera_driver, track_driver
+from lscan.devices.api import CapabilityReporting, Fact
 from lscan.devices.opencv_camera import Capture, OpencvOptions, open_capture
 from lscan.devices.opencv_camera.settings import fourcc_text
 from lscan.errors import LscanError
@@ -97,33 +96,28 @@ def drivers() -> list[Driver]:
 
 
 def rig_devices(rig_file: RigFile) -> dict[str, dict[str, Fact]]:
-    """What the rig's "camera" and "track" can do, by name, as far as told without touching them.
+    """What the rig's "camera" and "track" can do, by name, as known without touching them.
 
     Raises InputError where a driver is unknown or refuses its options.
     """
-    section, where = rig_file.rig.camera, rig_file.source
-    camera = find_plugin("lscan.cameras", section.driver, f"{where}: camera.driver")
-    name = rig_file.rig.track.driver
-    track = find_plugin("lscan.tracks", name, f"{where}: track.driver")
+    rig = rig_file.rig
+    camera, track = camera_driver(rig, rig_file.source), track_driver(rig, rig_file.source)
     return {
         "camera": {
-            "driver": section.driver,
-            "width_px": section.width_px,
-            "height_px": section.height_px,
-            "exposure_ms": section.exposure_ms,
+            **rig.camera.model_dump(exclude={"options"}),
             "takes_dark_pictures": getattr(camera, "takes_dark", False),
-            **_abilities(camera, rig_file),
+            **_capabilities(camera, rig_file),
         },
         "track": {
-            "driver": name,
+            "driver": rig.track.driver,
             "switches_laser": getattr(track, "switches_laser", False),
-            **_abilities(track, rig_file),
+            **_capabilities(track, rig_file),
         },
     }
 
 
-def _abilities(driver: object, rig_file: RigFile) -> dict[str, Fact]:
-    return driver.abilities(rig_file) if isinstance(driver, Foretelling) else {}
+def _capabilities(driver: object, rig_file: RigFile) -> dict[str, Fact]:
+    return driver.capabilities(rig_file) if isinstance(driver, CapabilityReporting) else {}
 
 
 def _what_it_does(module: str) -> str:

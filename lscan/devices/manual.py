@@ -1,4 +1,4 @@
-"""A track moved by hand: the operator is told where to crank it and confirms.
+"""A track moved by hand: the operator is asked to crank it and confirms.
 
 [track]
 driver = "manual"
@@ -9,31 +9,22 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from typing import Annotated, Self
+from typing import Annotated
 
-from pydantic import Field, model_validator
+from pydantic import Field
 
-from lscan.config.documents import Strict, check
 from lscan.config.rig import RigFile
 from lscan.devices.api import Fact
-from lscan.devices.travel import check_plan
+from lscan.devices.travel import TravelDriver, TravelOptions, require_reachable
 from lscan.errors import DeviceError
 
 Ask = Callable[[str], str]
 
 
-class ManualOptions(Strict):
+class ManualOptions(TravelOptions):
     """Options.  min_mm, max_mm: the track's scale; tolerance_mm: how far a reading may be off."""
 
-    min_mm: float
-    max_mm: float
     tolerance_mm: Annotated[float, Field(gt=0, le=100)] = 0.5
-
-    @model_validator(mode="after")
-    def _not_empty(self) -> Self:
-        if self.min_mm >= self.max_mm:
-            raise ValueError("min_mm must be below max_mm")
-        return self
 
 
 class ManualTrack:
@@ -67,22 +58,15 @@ class ManualTrack:
         """
         if self._closed:
             raise DeviceError("manual track: is closed")
-        low, high = self.limits_mm
-        if not low <= position_mm <= high:  # also refuses NaN
-            raise DeviceError(
-                f"manual track: cannot move to {position_mm:.9g} mm; "
-                f"allowed: {low:.9g} mm to {high:.9g} mm"
-            )
+        require_reachable("manual track", position_mm, self.limits_mm)
         if position_mm == self._position_mm:
             return self._position_mm
-        text = (
+        asked = text = (
             f"manual track: crank to {position_mm:.9g} mm, always from below; "
             "then Enter, or the scale's reading in mm, or q to stop: "
         )
-        reading_mm = self._read(text, float(position_mm))
-        while not abs(reading_mm - position_mm) <= self.tolerance_mm:
-            again = f"{reading_mm:g} mm is more than {self.tolerance_mm:g} mm off; {text}"
-            reading_mm = self._read(again, float(position_mm))
+        while abs((reading_mm := self._read(asked, position_mm)) - position_mm) > self.tolerance_mm:
+            asked = f"{reading_mm:g} mm is more than {self.tolerance_mm:g} mm off; {text}"
         self._position_mm = reading_mm
         return reading_mm
 
@@ -103,7 +87,7 @@ class ManualTrack:
             if answer.lower() == "q":
                 raise DeviceError("manual track: stopped by the operator; --resume goes on")
             if not answer and default_mm is not None:
-                return default_mm
+                return float(default_mm)
             try:
                 reading_mm = float(answer)
             except ValueError:
@@ -112,22 +96,18 @@ class ManualTrack:
                 return reading_mm
 
 
-class _TrackDriver:
-    sections: frozenset[str] = frozenset()
+class ManualTrackDriver(TravelDriver[ManualOptions]):
+    """Registered as "manual" under ``lscan.tracks``."""
 
-    def validate(self, rig_file: RigFile) -> None:
-        options = self._options(rig_file)
-        check_plan(rig_file, options.min_mm, options.max_mm)
+    model = ManualOptions
 
-    def abilities(self, rig_file: RigFile) -> dict[str, Fact]:
-        return dict(self._options(rig_file))
+    def capabilities(self, rig_file: RigFile) -> dict[str, Fact]:
+        """Its scale."""
+        return dict(self.options(rig_file))
 
     def open(self, rig_file: RigFile) -> ManualTrack:
-        return ManualTrack(self._options(rig_file))
-
-    def _options(self, rig_file: RigFile) -> ManualOptions:
-        section = rig_file.rig.track.options
-        return check(ManualOptions, section, where=rig_file.source, prefix="track.options")
+        """The track, its head where the operator says."""
+        return ManualTrack(self.options(rig_file))
 
 
-track_driver = _TrackDriver()
+track_driver = ManualTrackDriver()

@@ -1,28 +1,74 @@
-"""Whether a scan stays within its track's travel, told before any device is touched."""
+"""What tracks with a travel share: its limits as options, and what lies outside it refused."""
 
 from __future__ import annotations
 
+from typing import Generic, Self, TypeVar
+
+from pydantic import model_validator
+
+from lscan.config.documents import Strict, check
 from lscan.config.rig import RigFile
-from lscan.errors import InputError
+from lscan.errors import DeviceError, InputError
 
 
-def check_plan(rig_file: RigFile, low_mm: float, high_mm: float, slack_mm: float = 0.0) -> None:
-    """Raise InputError where the first or the last position of the plan lies outside the travel.
+class TravelOptions(Strict):
+    """``[track.options]`` of a track that goes from min_mm to max_mm."""
 
-    low_mm, high_mm: the travel, ``track.options.min_mm`` and ``max_mm``.  slack_mm: how far
-    beyond it the track still goes.
+    min_mm: float
+    max_mm: float
+
+    @model_validator(mode="after")
+    def _not_empty(self) -> Self:
+        if self.min_mm >= self.max_mm:
+            raise ValueError("min_mm must be below max_mm")
+        return self
+
+
+Options = TypeVar("Options", bound=TravelOptions)
+
+
+class TravelDriver(Generic[Options]):
+    """The part of a track's driver that checks its options and the plan.
+
+    model: of ``[track.options]``.  slack_mm: how far beyond the travel the track still goes.
     """
-    plan = rig_file.rig.plan
-    last_mm = plan.start_mm + (plan.frames - 1) * plan.step_mm
-    ends = {
-        "plan.start_mm": plan.start_mm,
-        "plan.start_mm + (plan.frames - 1) * plan.step_mm": last_mm,
-    }
-    for key, position_mm in ends.items():
-        if not low_mm - slack_mm <= position_mm <= high_mm + slack_mm:
-            raise InputError(
-                f"{key}: leaves the track's travel",
-                where=rig_file.source,
-                value=position_mm,
-                allowed=f"{low_mm:.9g} to {high_mm:.9g} mm, track.options.min_mm and max_mm",
-            )
+
+    sections: frozenset[str] = frozenset()
+    model: type[Options]
+    slack_mm = 0.0
+
+    def validate(self, rig_file: RigFile) -> None:
+        """Check the options, and that the plan stays within the travel: InputError."""
+        self.options(rig_file)
+
+    def options(self, rig_file: RigFile) -> Options:
+        """The options; InputError where one is wrong or the plan leaves the travel."""
+        where, plan = rig_file.source, rig_file.rig.plan
+        section = rig_file.rig.track.options
+        options = check(self.model, section, where=where, prefix="track.options")
+        low_mm, high_mm = options.min_mm, options.max_mm
+        ends = {
+            "plan.start_mm": plan.start_mm,
+            "plan.start_mm + (plan.frames - 1) * plan.step_mm": plan.positions_mm()[-1],
+        }
+        for key, position_mm in ends.items():
+            if not low_mm - self.slack_mm <= position_mm <= high_mm + self.slack_mm:
+                raise InputError(
+                    f"{key}: leaves the track's travel",
+                    where=where,
+                    value=position_mm,
+                    allowed=f"{low_mm:.9g} to {high_mm:.9g} mm, track.options.min_mm and max_mm",
+                )
+        return options
+
+
+def require_reachable(
+    name: str, position_mm: float, limits_mm: tuple[float, float], slack_mm: float = 0.0
+) -> None:
+    """Raise DeviceError, naming the track and its limits, for a position beyond them or NaN."""
+    low_mm, high_mm = limits_mm
+    if not low_mm - slack_mm <= position_mm <= high_mm + slack_mm:
+        raise DeviceError(
+            f"{name}: cannot move to {position_mm:.9g} mm; "
+            f"allowed: {low_mm:.9g} mm to {high_mm:.9g} mm"
+        )

@@ -11,10 +11,11 @@ from typing import Any, Final
 from unittest import mock
 
 import lscan.acquisition.scan
+import lscan.config.rig
 from lscan.acquisition.run import Run
 from lscan.config.rig import RigFile, parse_rig
 from lscan.devices.api import Camera, Grab, Track
-from lscan.devices.grbl.options import read_options
+from lscan.devices.grbl import track_driver as serial_driver
 from lscan.devices.opencv_camera import OpencvCamera, OpencvOptions
 from sim.testing.faults import FRAMES, KINDS, InjectedFault
 from sim.testing.faultycamera import HEIGHT_PX, WIDTH_PX, FaultyCamera
@@ -86,9 +87,7 @@ class FaultBench:
     def scan(self) -> Run:
         """The complete run, begun or resumed by ``acquisition.scan.scan``; errors as there."""
         with ExitStack() as patches:
-            patches.enter_context(
-                mock.patch.object(lscan.acquisition.scan, "find_plugin", self._driver)
-            )
+            patches.enter_context(mock.patch.object(lscan.config.rig, "find_plugin", self._driver))
             patches.enter_context(mock.patch.object(time, "time", self._wall_clock(time.time)))
             patches.enter_context(self.disk.watched())
             if self.fault.phase == "opening":
@@ -180,7 +179,7 @@ class _TrackDriver:
     bench: FaultBench
 
     def open(self, rig_file: RigFile) -> Track:
-        return WatchedTrack(self.bench, self.bench.track.open(read_options(rig_file)))
+        return WatchedTrack(self.bench, self.bench.track.open(serial_driver.options(rig_file)))
 
 
 @dataclass(frozen=True)

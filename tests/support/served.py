@@ -12,7 +12,6 @@ from places import SCENES
 from lscan.config.documents import merge
 from lscan.config.rig import RigFile, load_rig, parse_rig
 from sim.emulators import EmulatedHardware
-from sim.emulators.grbl import GrblEmulator, MarlinEmulator
 from sim.scene import Scene, scene_of
 from sim.sensor.coding import from_jpeg
 
@@ -35,15 +34,7 @@ def small_scene(**sections: Any) -> Scene:
 
 def hurry(hardware: EmulatedHardware) -> None:
     """Make the machine so quick that no test waits for it."""
-    controller = hardware.controller
-    known = controller.settings if isinstance(controller, GrblEmulator) else _marlins(controller)
-    known.update(QUICK)
-
-
-def _marlins(controller: MarlinEmulator) -> dict[int, float]:
-    settings = controller._axes._settings
-    assert isinstance(settings, dict)
-    return settings
+    hardware.controller.settings.update(QUICK)
 
 
 def quick_rig(

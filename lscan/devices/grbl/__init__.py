@@ -14,10 +14,10 @@ from lscan.config.rig import RigFile
 from lscan.devices.api import Fact
 from lscan.devices.grbl.controller import GrblMachine
 from lscan.devices.grbl.link import Link, Transport, open_serial
-from lscan.devices.grbl.machine import Machine
 from lscan.devices.grbl.marlin import MarlinMachine
-from lscan.devices.grbl.options import SerialTrackOptions, read_options
+from lscan.devices.grbl.options import ROUNDING_MM, SerialTrackOptions
 from lscan.devices.grbl.track import SerialTrack
+from lscan.devices.travel import TravelDriver
 
 __all__ = ["SerialTrack", "SerialTrackOptions", "open_track", "track_driver"]
 
@@ -37,33 +37,26 @@ def open_track(
     if transport is None:
         transport = open_serial(options.port, options.baud, name, options.write_s)
     link = Link(transport, name, clock, sleep, options.write_s)
-    machine: Machine = (
-        GrblMachine(link, options) if options.dialect == "grbl" else MarlinMachine(link, options)
-    )
-    return SerialTrack(machine, options, name, sleep)
+    kind = GrblMachine if options.dialect == "grbl" else MarlinMachine
+    return SerialTrack(kind(link, options), options, name, sleep)
 
 
-class _TrackDriver:
-    sections: frozenset[str] = frozenset()
+class SerialTrackDriver(TravelDriver[SerialTrackOptions]):
+    """Registered as "grbl" under ``lscan.tracks``."""
+
+    model, slack_mm = SerialTrackOptions, ROUNDING_MM
     switches_laser = True
     connection_options = frozenset({"port", "baud", "boot_s", "answer_s", "homing_s", "write_s"})
 
-    def validate(self, rig_file: RigFile) -> None:
-        read_options(rig_file)
-
-    def abilities(self, rig_file: RigFile) -> dict[str, Fact]:
-        options = read_options(rig_file)
-        return {
-            "port": options.port,
-            "dialect": options.dialect,
-            "min_mm": options.min_mm,
-            "max_mm": options.max_mm,
-            "tolerance_mm": options.tolerance_mm,
-            "homes_on_opening": options.homing,
-        }
+    def capabilities(self, rig_file: RigFile) -> dict[str, Fact]:
+        """How it is reached, its travel, and whether it homes."""
+        options = self.options(rig_file)
+        names = {"port", "dialect", "min_mm", "max_mm", "tolerance_mm"}
+        return {**options.model_dump(include=names), "homes_on_opening": options.homing}
 
     def open(self, rig_file: RigFile) -> SerialTrack:
-        return open_track(read_options(rig_file))
+        """The track, awake and homed where its options say so."""
+        return open_track(self.options(rig_file))
 
 
-track_driver = _TrackDriver()
+track_driver = SerialTrackDriver()

@@ -8,14 +8,14 @@ from __future__ import annotations
 
 import secrets
 from collections.abc import Callable
-from typing import Final, TypeGuard
+from typing import Final
 
 from lscan.devices.api import Fact
 from lscan.devices.grbl.dialogue import Dialogue
 from lscan.devices.grbl.link import Link
-from lscan.devices.grbl.machine import Travel, agreed
+from lscan.devices.grbl.machine import AxisTravel, agreed
 from lscan.devices.grbl.options import SerialTrackOptions
-from lscan.devices.grbl.protocol import AXES, Banner, Feedback, Message, Setting, Status
+from lscan.devices.grbl.protocol import AXES, Banner, Feedback, GrblSetting, StatusReport
 from lscan.errors import DeviceError
 
 FEED_HOLD: Final = b"!"
@@ -34,7 +34,7 @@ MARKS: Final = range(100, 256)
 """Tool numbers nobody uses, up to Grbl's highest.  One of them, set by ``T``, marks a controller:
 any restart and any reset, so also the way out of an alarm, sets it back to T0 (Grbl 1.1, ``$G``).
 A restart whose banner was lost, which would take where the head stands for zero, is so noticed,
-and also one between two sittings of a scan."""
+and also one between two sessions of a scan."""
 
 LOST: Final = "lost"
 
@@ -72,7 +72,7 @@ class GrblMachine:
         """Whether it is the same zero still: that of this opening, or the mark found at it."""
         return self.zero in (zero, zero.partition(" ")[0])
 
-    def wake(self) -> Travel:
+    def wake(self) -> AxisTravel:
         """What the settings say of the axis, after the banner; a soft reset asks for one."""
         self._await_banner()
         status = self._greeted()
@@ -91,10 +91,10 @@ class GrblMachine:
         if settings[20]:
             upward = self._origin_at_switch() and int(settings[23]) >> self._axis & 1
             low_mm, high_mm = (0.0, travel_mm) if upward else (-travel_mm, 0.0)
-        return Travel(low_mm, high_mm, 1.0 / per_mm, max_mm_min, accel_mm_s2)
+        return AxisTravel(low_mm, high_mm, 1.0 / per_mm, max_mm_min, accel_mm_s2)
 
     def describe(self) -> dict[str, Fact]:
-        """The version its banner told, its state, and the inputs that are active (``Pn``)."""
+        """The version its banner stated, its state, and the inputs that are active (``Pn``)."""
         status = self.status()
         return {
             "firmware": f"Grbl {self._version}",
@@ -155,7 +155,7 @@ class GrblMachine:
         """Release the line."""
         self._link.close()
 
-    def status(self) -> Status:
+    def status(self) -> StatusReport:
         """A report asked for now, its lengths in the controller's unit."""
         status = self._dialogue.status()
         if status.offset is not None and len(status.offset) > self._axis:
@@ -219,7 +219,7 @@ class GrblMachine:
                 return True
         return False
 
-    def _halt(self, report: Callable[[], Status | None]) -> Status | None:
+    def _halt(self, report: Callable[[], StatusReport | None]) -> StatusReport | None:
         """What it reports when all motion has been stopped without loss of position.
 
         report: asks for a report; where it gives None, so does this.
@@ -232,7 +232,7 @@ class GrblMachine:
             self._link.sleep(POLL_S)
         return status
 
-    def _greeted(self) -> Status:
+    def _greeted(self) -> StatusReport:
         """The report after what follows the banner; DeviceError where it is neither at rest nor
         in alarm."""
         while self._dialogue.read(self._link.clock() + 0.05) is not None:
@@ -244,17 +244,17 @@ class GrblMachine:
 
     def _settings(self) -> dict[int, float]:
         """``$$`` as numbers by their number, complete and read twice alike."""
-        needed = {13, 20, 22, 23, *(base + self._axis for base in (100, 110, 120, 130))}
+        needed = (13, 20, 22, 23, *(base + self._axis for base in (100, 110, 120, 130)))
 
         def read() -> dict[int, float]:
-            answers = self._dialogue.query("$$")
-            return {answer.number: answer.value for answer in answers if _is_setting(answer)}
+            said = self._dialogue.query("$$")
+            return {s.number: s.value for s in said if isinstance(s, GrblSetting)}
 
         settings = agreed(read, "settings ($$)", self._link.name)
-        if missing := sorted(needed - settings.keys()):
+        if missing := [number for number in needed if number not in settings]:
             raise DeviceError(f"{self._link.name}: $$ does not name ${missing[0]}; needs Grbl 1.1")
-        for number in (100 + self._axis, 110 + self._axis, 120 + self._axis, 130 + self._axis):
-            if settings[number] <= 0:
+        for number in needed:
+            if number >= 100 and settings[number] <= 0:
                 raise DeviceError(
                     f"{self._link.name}: ${number}={settings[number]:g}; it must be above 0"
                 )
@@ -266,7 +266,7 @@ class GrblMachine:
         options = [a.text for a in answers if isinstance(a, Feedback) and a.kind == "OPT"]
         return any("Z" in text.partition(",")[0] for text in options)
 
-    def _not_idle(self, status: Status) -> DeviceError:
+    def _not_idle(self, status: StatusReport) -> DeviceError:
         remedy = _REMEDIES.get(status.state, "wait until it is at rest")
         if status.state == "Alarm":
             self._dialogue.lost = True
@@ -274,8 +274,8 @@ class GrblMachine:
         return DeviceError(f"{self._link.name}: is in state {status.state}; {remedy}")
 
 
-def _is_moving(status: Status) -> bool:
-    """Whether a reset now would lose steps (Grbl 1.1, "Real-time Status Reports")."""
+def _is_moving(status: StatusReport) -> bool:
+    """Whether a reset now would lose steps (Grbl 1.1, "Real-time StatusReport Reports")."""
     return status.state in ("Jog", "Run") or (status.state, status.substate) in (
         ("Hold", 1),  # still slowing down
         ("Door", 2),  # the same, or retracting
@@ -285,7 +285,3 @@ def _is_moving(status: Status) -> bool:
 
 def _is_mark(word: str) -> bool:
     return word[0] == "T" and word[1:].isdecimal() and int(word[1:]) in MARKS
-
-
-def _is_setting(message: Message) -> TypeGuard[Setting]:
-    return isinstance(message, Setting)

@@ -17,7 +17,7 @@ from lscan.devices.grbl.protocol import (
     Message,
     Ok,
     Refusal,
-    Status,
+    StatusReport,
     parse_line,
 )
 from lscan.errors import DeviceError
@@ -75,25 +75,25 @@ class Dialogue:
 
         return asked(ask)
 
-    def status(self) -> Status:
+    def status(self) -> StatusReport:
         """A report asked for now, its lengths in the controller's unit."""
         report = self._report(heed=True)
         if report is None:
             raise self._silent("a status report")
         return report
 
-    def any_status(self) -> Status | None:
+    def any_status(self) -> StatusReport | None:
         """As ``status``, of a controller that may have restarted; None where none comes."""
         return self._report(heed=False)
 
-    def _report(self, heed: bool) -> Status | None:
+    def _report(self, heed: bool) -> StatusReport | None:
         link, end_s = self.link, self.link.clock() + self._answer_s
         read = self._next if heed else self.read
         while link.clock() < end_s:
             link.send_bytes(STATUS)
             ask_again_s = min(end_s, link.clock() + ASK_AGAIN_S)
             while (message := read(ask_again_s)) is not None:
-                if isinstance(message, Status):
+                if isinstance(message, StatusReport):
                     return message
         return None
 

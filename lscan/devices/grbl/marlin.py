@@ -12,7 +12,7 @@ from typing import Final
 
 from lscan.devices.api import Fact
 from lscan.devices.grbl.link import Link
-from lscan.devices.grbl.machine import Travel, Unanswered, agreed, asked
+from lscan.devices.grbl.machine import AxisTravel, Unanswered, agreed, asked
 from lscan.devices.grbl.options import SerialTrackOptions
 from lscan.errors import DeviceError
 
@@ -32,14 +32,14 @@ class MarlinMachine:
     def __init__(self, link: Link, options: SerialTrackOptions) -> None:
         self._link, self._options = link, options
         self._firmware = ""
-        # Marlin keeps nothing by which a restart between two sittings could be told.
+        # Marlin keeps nothing by which a restart between two sessions could be noticed.
         self.zero = f"opening {secrets.token_hex(4)}"
 
     def has_kept(self, zero: str) -> bool:
         """Whether the name is of this opening."""
         return self.zero == zero
 
-    def wake(self) -> Travel:
+    def wake(self) -> AxisTravel:
         """Wait for ``start``, ask for the firmware's name, choose mm and absolute positions.
 
         What a killed program left moving is waited for: M410 stops it too, but loses steps.
@@ -61,10 +61,10 @@ class MarlinMachine:
         self._command("M400", options.homing_s)
         self._command("G21")
         self._command("G90")
-        return Travel(step_mm=STEP_MM)
+        return AxisTravel(step_mm=STEP_MM)
 
     def describe(self) -> dict[str, Fact]:
-        """The name ``M115`` gave; Marlin tells no state, only whether it answers."""
+        """The name ``M115`` gave; Marlin reports no state, only whether it answers."""
         self._command("M400")
         return {"firmware": self._firmware, "noise_bytes": self._link.noise_bytes}
 

@@ -2,22 +2,18 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Final, Literal, Self
+from typing import Annotated, Final, Literal
 
-from pydantic import Field, model_validator
+from pydantic import Field
 
-from lscan.config.documents import Strict, check
-from lscan.config.rig import RigFile
-from lscan.devices.travel import check_plan
+from lscan.devices.travel import TravelOptions
 
 Place = Annotated[float, Field(ge=-100_000, le=100_000)]
 ROUNDING_MM: Final = 0.0005
 """Half of the last of three decimals, with which coordinates go over the line."""
 
-Switch = Annotated[bool, Field(strict=True)]
 
-
-class SerialTrackOptions(Strict):
+class SerialTrackOptions(TravelOptions):
     """The track's port, its frame and how it moves.
 
     port: the serial port, as ``/dev/ttyUSB0`` or ``COM3``.  min_mm, max_mm: positions the head
@@ -40,23 +36,17 @@ class SerialTrackOptions(Strict):
     min_mm: Place
     max_mm: Place
     zero_mm: Place = 0.0
-    invert: Switch = False
+    invert: bool = False
     feed_mm_min: Annotated[float, Field(gt=0, le=60_000)] = 500.0
     approach_mm: Annotated[float, Field(ge=0, le=100)] = 1.0
     tolerance_mm: Annotated[float, Field(gt=0, le=1)] = 0.02
     settle_s: Annotated[float, Field(ge=0, le=60)] = 0.2
-    homing: Switch = True
+    homing: bool = True
     boot_s: Annotated[float, Field(ge=0, le=30)] = 3.0
     answer_s: Annotated[float, Field(gt=0, le=60)] = 2.0
     homing_s: Annotated[float, Field(gt=0, le=600)] = 60.0
     write_s: Annotated[float, Field(gt=0, le=60)] = 5.0
     laser_power: Annotated[float, Field(ge=0, le=100_000)] = 1000.0
-
-    @model_validator(mode="after")
-    def _not_empty(self) -> Self:
-        if self.min_mm >= self.max_mm:
-            raise ValueError("min_mm must be below max_mm")
-        return self
 
     def machine_mm(self, position_mm: float) -> float:
         """Machine coordinate in mm of a position of the track."""
@@ -66,13 +56,3 @@ class SerialTrackOptions(Strict):
         """Position of the track in mm of a machine coordinate."""
         offset_mm = machine_mm - self.zero_mm
         return -offset_mm if self.invert else offset_mm
-
-
-def read_options(rig_file: RigFile) -> SerialTrackOptions:
-    """The rig's track options; InputError where one is wrong or the plan leaves the travel."""
-    source = rig_file.source
-    options = check(
-        SerialTrackOptions, rig_file.rig.track.options, where=source, prefix="track.options"
-    )
-    check_plan(rig_file, options.min_mm, options.max_mm, ROUNDING_MM)
-    return options

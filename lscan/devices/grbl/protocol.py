@@ -1,7 +1,7 @@
 """What Grbl 1.1 says, line by line, as records.
 
 Source: Grbl 1.1 interface documentation, "Response Messages", "Push Messages" and
-"Real-time Status Reports".  The line carries no checksum, so a line that does not fit the
+"Real-time StatusReport Reports".  The line carries no checksum, so a line that does not fit the
 documented form exactly is taken for noise.
 """
 
@@ -44,7 +44,7 @@ class Banner:
 
 
 @dataclass(frozen=True)
-class Setting:
+class GrblSetting:
     """``$number=value``."""
 
     number: int
@@ -60,14 +60,12 @@ class Feedback:
 
 
 @dataclass(frozen=True)
-class Status:
+class StatusReport:
     """A real-time report.  Lengths are in the controller's report unit ($13), mm or inches.
 
     substate: the number after Hold or Door.  machine, work: position in machine or in work
-    coordinates, of which a report has one.  offset: work coordinates' origin (WCO).
-    blocks, bytes: what is free in the planner and the receive buffer (Bf).  feed, spindle:
-    present speed (F, FS).  overrides: feed, rapids, spindle in % (Ov).  pins: letters of the
-    inputs that are active (Pn).  accessories: A.  others: fields not documented, as text.
+    coordinates, of which a report has one.  offset: work coordinates' origin (WCO).  pins: letters
+    of the inputs that are active (Pn).  What else it holds must be as documented, and is not kept.
     """
 
     state: str
@@ -75,25 +73,16 @@ class Status:
     machine: Numbers | None = None
     work: Numbers | None = None
     offset: Numbers | None = None
-    blocks: int | None = None
-    bytes: int | None = None
-    line: int | None = None
-    feed: float | None = None
-    spindle: float | None = None
-    overrides: tuple[int, ...] | None = None
     pins: str = ""
-    accessories: str = ""
-    others: tuple[tuple[str, str], ...] = ()
 
 
-Message = Ok | Refusal | Alarm | Banner | Setting | Feedback | Status
+Message = Ok | Refusal | Alarm | Banner | GrblSetting | Feedback | StatusReport
 
 _NUMBER = r"-?\d+(?:\.\d*)?"
 _CODE = re.compile(r"(error|ALARM):(\d{1,3})")
 _BANNER = re.compile(r"Grbl (\d+\.\d+\w?)(?: \[.*\])?")
 _SETTING = re.compile(rf"\$(\d{{1,3}})=({_NUMBER})")
 _FEEDBACK = re.compile(r"\[(\w+):(.*)\]")
-_NUMBERS = re.compile(rf"{_NUMBER}(?:,{_NUMBER})*")
 
 
 def parse_line(text: str) -> Message | None:
@@ -105,7 +94,7 @@ def parse_line(text: str) -> Message | None:
     if banner := _BANNER.fullmatch(text):
         return Banner(banner[1])
     if setting := _SETTING.fullmatch(text):
-        return Setting(int(setting[1]), float(setting[2]))
+        return GrblSetting(int(setting[1]), float(setting[2]))
     if feedback := _FEEDBACK.fullmatch(text):
         return Feedback(feedback[1], feedback[2])
     if text.startswith(">") and text.endswith(":ok"):
@@ -113,55 +102,41 @@ def parse_line(text: str) -> Message | None:
     return parse_status(text)
 
 
-def parse_status(text: str) -> Status | None:
+_FIELDS = {
+    **dict.fromkeys(("MPos", "WPos", "WCO"), rf"{_NUMBER}(?:,{_NUMBER})*"),
+    **dict.fromkeys(("F", "Ln"), _NUMBER),
+    **dict.fromkeys(("FS", "Bf"), rf"{_NUMBER},{_NUMBER}"),
+    "Ov": rf"{_NUMBER},{_NUMBER},{_NUMBER}",
+    **dict.fromkeys(("Pn", "A"), "[A-Za-z]+"),
+}
+"""The documented fields of a report by their names, and what their values look like."""
+
+
+def parse_status(text: str) -> StatusReport | None:
     """The status report ``<State|field:values|...>``; None where the text is no such report.
 
-    A report has a documented state and a position of at least one axis.
+    A report has a documented state and a position of at least one axis; fields that are not
+    documented, as other firmware sends them, are passed over.
     """
     if not (text.startswith("<") and text.endswith(">")):
         return None
-    head, *fields = text[1:-1].split("|")
+    head, *parts = text[1:-1].split("|")
     state, colon, substate = head.partition(":")
     if state not in STATES or (colon and not substate.isdecimal()):
         return None
-    found: dict[str, object] = {"substate": int(substate) if colon else None}
-    others: list[tuple[str, str]] = []
-    for field in fields:
-        name, colon, values = field.partition(":")
-        read = _field(name, values) if colon else None
-        if read is None or found.keys() & read.keys():
+    fields: dict[str, str] = {}
+    for part in parts:
+        name, separator, values = part.partition(":")
+        fits = name.isalnum() and re.fullmatch(_FIELDS.get(name, ".*"), values)
+        if not separator or name in fields or not fits:
             return None
-        if "others" in read:
-            others.append((name, values))
-        else:
-            found |= read
-    if ("machine" in found) == ("work" in found):
+        fields[name] = values
+    if ("MPos" in fields) == ("WPos" in fields):
         return None
-    return Status(state=state, others=tuple(others), **found)  # type: ignore[arg-type]
+    machine, work, offset = (_numbers(fields.get(name)) for name in ("MPos", "WPos", "WCO"))
+    number = int(substate) if colon else None
+    return StatusReport(state, number, machine, work, offset, fields.get("Pn", ""))
 
 
-_LENGTHS = {"MPos": "machine", "WPos": "work", "WCO": "offset"}
-_COUNTS = {"Bf": ("blocks", "bytes"), "Ln": ("line",), "F": ("feed",), "FS": ("feed", "spindle")}
-
-
-def _field(name: str, values: str) -> dict[str, object] | None:
-    """One field as attributes of Status; None where its values are not of its kind."""
-    if name == "Pn":
-        return {"pins": values} if values.isalpha() else None
-    if name == "A":
-        return {"accessories": values} if values.isalpha() else None
-    if name not in _LENGTHS and name not in _COUNTS and name != "Ov":
-        return {"others": values} if name.isalnum() else None
-    if not _NUMBERS.fullmatch(values):
-        return None
-    numbers = tuple(float(value) for value in values.split(","))
-    if name in _LENGTHS:
-        return {_LENGTHS[name]: numbers}
-    whole = tuple(int(number) for number in numbers)
-    if name == "Ov":
-        return {"overrides": whole} if len(whole) == 3 else None
-    attributes = _COUNTS[name]
-    if len(numbers) != len(attributes):
-        return None
-    kept: Numbers = numbers if name in ("F", "FS") else whole
-    return dict(zip(attributes, kept, strict=True))
+def _numbers(text: str | None) -> Numbers | None:
+    return None if text is None else tuple(map(float, text.split(",")))

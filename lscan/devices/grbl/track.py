@@ -8,8 +8,10 @@ import math
 from collections.abc import Callable, Iterator
 
 from lscan.devices.api import Fact
-from lscan.devices.grbl.machine import Machine, Travel
+from lscan.devices.grbl.controller import GrblMachine
+from lscan.devices.grbl.marlin import MarlinMachine
 from lscan.devices.grbl.options import ROUNDING_MM, SerialTrackOptions
+from lscan.devices.travel import require_reachable
 from lscan.errors import DeviceError
 
 _CLOSED = "is closed"
@@ -26,7 +28,7 @@ class SerialTrack:
 
     def __init__(
         self,
-        machine: Machine,
+        machine: GrblMachine | MarlinMachine,
         options: SerialTrackOptions,
         name: str,
         sleep: Callable[[float], None],
@@ -36,7 +38,7 @@ class SerialTrack:
         self._refusal: str | None = None
         self._engaged = self._moved = self._lit = False
         try:
-            self._travel: Travel = machine.wake()
+            self._travel = machine.wake()
             self._check_travel()
             self._check_feed()
             if options.homing:
@@ -78,12 +80,7 @@ class SerialTrack:
         restarted, or stops anywhere else.
         """
         self._ready()
-        low, high = self.limits_mm
-        if not low - ROUNDING_MM <= position_mm <= high + ROUNDING_MM:  # also refuses NaN
-            raise DeviceError(
-                f"{self._name}: cannot move to {position_mm:.9g} mm; "
-                f"allowed: {low:.9g} mm to {high:.9g} mm"
-            )
+        require_reachable(self._name, position_mm, self.limits_mm, ROUNDING_MM)
         with self._latched():
             self._check_undisturbed()
             self._moved = True
@@ -98,17 +95,18 @@ class SerialTrack:
         """
         self._ready()
         travel = self._travel
-        ends = sorted(map(self._options.position_mm, (travel.low_mm, travel.high_mm)))
+        low_mm, high_mm = self._travel_ends_mm()
         numbers = {
-            "travel_low_mm": ends[0],
-            "travel_high_mm": ends[1],
+            "travel_low_mm": low_mm,
+            "travel_high_mm": high_mm,
             "step_mm": travel.step_mm,
             "max_mm_min": travel.max_mm_min,
             "accel_mm_s2": travel.accel_mm_s2,
         }
         with self._latched():
-            told = self._machine.describe()
-        return told | {name: _finite(number) for name, number in numbers.items()}
+            facts = self._machine.describe()
+        finite = {name: mm if math.isfinite(mm) else None for name, mm in numbers.items()}
+        return facts | finite
 
     @property
     def zero(self) -> str | None:
@@ -147,7 +145,7 @@ class SerialTrack:
         """Why the zero may have moved, and how it is put back."""
         start_mm = self._options.position_mm(0.0)
         why = (
-            "Marlin does not tell whether it restarted in between"
+            "Marlin does not report whether it restarted in between"
             if self._options.dialect == "marlin"
             else "the controller was restarted, reset or in alarm in between"
         )
@@ -231,13 +229,17 @@ class SerialTrack:
         for position_mm in (lowest_mm, options.max_mm):
             machine_mm = options.machine_mm(position_mm)
             if not travel.low_mm <= machine_mm <= travel.high_mm:
-                ends = sorted(map(options.position_mm, (travel.low_mm, travel.high_mm)))
+                low_mm, high_mm = self._travel_ends_mm()
                 raise DeviceError(
                     f"{self._name}: track.options ask for {lowest_mm:g} to {options.max_mm:g} mm "
                     f"(approach_mm below min_mm included), the controller's soft limits allow "
-                    f"{ends[0]:g} to {ends[1]:g} mm; change min_mm, max_mm, approach_mm, zero_mm "
+                    f"{low_mm:g} to {high_mm:g} mm; change min_mm, max_mm, approach_mm, zero_mm "
                     "or invert, or the travel $130 to $132"
                 )
+
+    def _travel_ends_mm(self) -> list[float]:
+        """The controller's travel as positions of the track, infinite where it guards none."""
+        return sorted(map(self._options.position_mm, (self._travel.low_mm, self._travel.high_mm)))
 
     def _check_feed(self) -> None:
         """Refuse a feed that the controller would cut to its own without a word."""
@@ -265,7 +267,3 @@ class SerialTrack:
             with contextlib.suppress(DeviceError):
                 self._machine.stop()
             raise
-
-
-def _finite(number: float) -> float | None:
-    return number if math.isfinite(number) else None

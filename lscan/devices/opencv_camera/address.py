@@ -14,8 +14,16 @@ NEEDED = (
 )
 
 
-def unopened(url: str) -> str:
-    """Why a stream could not be opened, in words, and what to do; asks an http address for it."""
+def unopened(url: str | None) -> str:
+    """Why a stream could not be opened, in words, and what to do; asks an http address for it.
+
+    url: None for a device or a file.
+    """
+    if url is None:
+        return (
+            "cannot be opened; check that it is there, that no other program uses it, and the "
+            "name (`lscan devices` lists what is connected)"
+        )
     answer = _answer(url) if url.startswith(("http://", "https://")) else None
     if answer is None:
         return (

@@ -16,7 +16,7 @@ from lscan.devices.opencv_camera.address import unopened
 from lscan.devices.opencv_camera.capture import Capture, OpenCapture
 from lscan.devices.opencv_camera.opening import open_capture
 from lscan.devices.opencv_camera.options import OpencvOptions
-from lscan.devices.opencv_camera.reader import DeviceLost, Picture, Reader, Source
+from lscan.devices.opencv_camera.reader import DeviceLost, Reader, TimedPicture
 from lscan.devices.opencv_camera.settings import Setting, Settings, apply_settings
 from lscan.errors import DeviceError
 from lscan.records import Bytes
@@ -46,7 +46,7 @@ class OpencvCamera:
         self._last_time_s = -math.inf
         self._shown_s = -math.inf
         self._read = 0  # pictures of a file taken so far
-        self._reader = Reader(self._source())
+        self._reader = self._new_reader()
         self._settings = self._first_settings()
 
     @property
@@ -110,14 +110,14 @@ class OpencvCamera:
         A black one is shown like any other.  A file's stands until the next is grabbed.
         """
         self._require_open()
-        picture = self._reader.peek(self._shown_s, self._options.timeout_s)
+        picture = self._reader.peek(self._shown_s)
         self._shown_s = picture.time_s
         return Grab(_rgb(picture.image), picture.time_s, self._settings.exposure_ms)
 
     def close(self) -> None:
         """Release the camera; closing twice is harmless.  A grab under way elsewhere fails."""
         self._closed.set()
-        self._reader.give_up(self._options.timeout_s)
+        self._reader.give_up()
 
     # ---- taking pictures ----------------------------------------------------------------
 
@@ -132,13 +132,13 @@ class OpencvCamera:
         count = self._options.average_frames
         pictures = [self._sound_picture(after_s, may_be_black) for _ in range(count)]
         images = [_rgb(picture.image) for picture in pictures]
-        image = images[0] if len(images) == 1 else _mean(images)
+        image = images[0] if count == 1 else np.rint(np.mean(images, axis=0)).astype(np.uint8)
         # A clock that has not ticked since the last picture is moved by the least step.
         later_s = math.nextafter(self._last_time_s, math.inf)
         self._last_time_s = max(pictures[-1].time_s, later_s)
         return Grab(image, self._last_time_s, self._settings.exposure_ms)
 
-    def _sound_picture(self, after_s: float, may_be_black: bool) -> Picture:
+    def _sound_picture(self, after_s: float, may_be_black: bool) -> TimedPicture:
         """The next picture that is neither black, unless it may be, nor the last one again."""
         retries = self._options.retries if self._options.live else 0
         fault = ""
@@ -150,15 +150,16 @@ class OpencvCamera:
                 return picture
         raise DeviceError(f"{self._options.name}: {fault}, {retries + 1} times in a row")
 
-    def _take(self, after_s: float) -> Picture:
-        picture = self._reader.take(after_s, self._options.timeout_s, self._options.retries)
+    def _take(self, after_s: float) -> TimedPicture:
+        picture = self._reader.take(after_s)
         self._read += 1
         return picture
 
     def _fault(self, image: Bytes, may_be_black: bool) -> str:
         """What is wrong with a picture of the right size; "" where nothing is."""
         if self._is_black(image) and not may_be_black:
-            said = f"a black picture, brightest pixel {int(image.max())} DN at {self._exposure}"
+            exposure_ms = self._settings.exposure_ms
+            said = f"a black picture, brightest pixel {image.max()} DN at {exposure_ms:g} ms"
             if self._options.black == "refuse":
                 return f"{said}; take the cap off, or set camera.options.black = 'accept'"
             _log.warning("%s: %s", self._options.name, said)
@@ -171,12 +172,8 @@ class OpencvCamera:
         return int(image.max()) <= self._options.black_dn
 
     def _may_repeat(self, image: Bytes) -> bool:
-        """A file's may.  Black ones may: they hold no noise to tell by, and have their own rule."""
+        """A file's may.  Black ones may: they hold no noise to compare, and have their own rule."""
         return not self._options.live or self._is_black(image)
-
-    @property
-    def _exposure(self) -> str:
-        return f"{self._settings.exposure_ms:g} ms"
 
     def _wind_to(self, frame: int | None) -> None:
         """Bring a video file to the pictures of a frame of the scan."""
@@ -191,42 +188,25 @@ class OpencvCamera:
 
     # ---- opening ------------------------------------------------------------------------
 
-    def _source(self) -> Source:
-        options = self._options
-        return Source(
-            name=options.name,
-            start=self._start,
-            check=self._checked,
-            may_repeat=self._may_repeat,
-            live=options.live,
-            stamped=options.device is not None,
-            skip=options.warm_up_frames if options.live else 0,
-        )
+    def _new_reader(self) -> Reader:
+        return Reader(self._options, self._start, self._checked, self._may_repeat)
 
     def _start(self) -> tuple[Capture, Settings]:
         """Runs in the reader's thread: opens the capture and sets it."""
         capture = self._open_capture(self._options)
         if not capture.isOpened():
             capture.release()
-            raise DeviceLost(f"{self._options.name}: {self._unopened()}")
+            raise DeviceLost(f"{self._options.name}: {unopened(self._options.url)}")
         try:
             return capture, apply_settings(capture, self._section, self._options)
         except BaseException:
             capture.release()
             raise
 
-    def _unopened(self) -> str:
-        if self._options.url is not None:
-            return unopened(self._options.url)
-        return (
-            "cannot be opened; check that it is there, that no other program uses it, and the "
-            "name (`lscan devices` lists what is connected)"
-        )
-
     def _first_settings(self) -> Settings:
         """The settings of a camera just opened; it is released where they are refused."""
         try:
-            settings = self._reader.started(self._options.timeout_s)
+            settings = self._reader.started()
             ignored = "; ".join(map(str, settings.ignored))
             if ignored and self._options.strict_settings:
                 raise DeviceError(
@@ -234,7 +214,7 @@ class OpencvCamera:
                     "ask for what it has, or set camera.options.strict_settings = false"
                 )
         except DeviceError:
-            self._reader.give_up(self._options.timeout_s)
+            self._reader.give_up()
             raise
         if ignored:
             _log.warning("%s: does not do as it is set: %s", self._options.name, ignored)
@@ -245,18 +225,19 @@ class OpencvCamera:
         settings = self._first_settings()
         if settings != self._settings:
             changed = zip(settings.settings, self._settings.settings, strict=True)
-            told = "; ".join(f"{now}, before {was.got}" for now, was in changed if now != was)
+            others = "; ".join(f"{now}, before {was.got}" for now, was in changed if now != was)
+            others = others or f"{settings.exposure_ms:g} ms"
             raise DeviceError(
-                f"{self._options.name}: came back with other settings ({told or self._exposure}); "
+                f"{self._options.name}: came back with other settings ({others}); "
                 "its pictures would not match those before: begin a new scan"
             )
 
     def _renew_reader(self) -> None:
-        self._reader.give_up(self._options.timeout_s)
+        self._reader.give_up()
         self._require_open()
-        self._read, self._reader = 0, Reader(self._source())
+        self._read, self._reader = 0, self._new_reader()
         if self._closed.is_set():  # by another thread meanwhile, which knew only the old reader
-            self._reader.give_up(self._options.timeout_s)
+            self._reader.give_up()
             self._require_open()
 
     def _require_open(self) -> None:
@@ -293,7 +274,3 @@ def _rgb(image: Bytes) -> Bytes:
     if image.ndim == 2:
         return image.copy()
     return np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2RGB), dtype=np.uint8)
-
-
-def _mean(images: list[Bytes]) -> Bytes:
-    return np.rint(np.mean(images, axis=0)).astype(np.uint8)

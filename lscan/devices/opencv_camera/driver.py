@@ -12,7 +12,9 @@ from lscan.devices.opencv_camera.options import OpencvOptions
 from lscan.errors import InputError
 
 
-class _CameraDriver:
+class OpencvCameraDriver:
+    """Registered as "opencv" under ``lscan.cameras``."""
+
     sections: frozenset[str] = frozenset()
     takes_dark = True
     connection_options = frozenset(
@@ -33,7 +35,7 @@ class _CameraDriver:
                 allowed="untouched, on; or a camera.options.device or url",
             )
 
-    def abilities(self, rig_file: RigFile) -> dict[str, Fact]:
+    def capabilities(self, rig_file: RigFile) -> dict[str, Fact]:
         """Where its pictures come from, and whether its exposure can be set."""
         options = self._options(rig_file)
         kind = "device" if options.device is not None else "url" if options.url else "file"
@@ -59,4 +61,4 @@ class _CameraDriver:
         return options
 
 
-camera_driver = _CameraDriver()
+camera_driver = OpencvCameraDriver()

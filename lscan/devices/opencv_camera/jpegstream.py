@@ -50,23 +50,10 @@ class JpegStream:
     def __init__(self, packets: Capture, name: str) -> None:
         """packets: opened, each of its pictures (1, N) uint8, a JPEG file.  name: in messages."""
         self._packets, self._name = packets, name
+        self.isOpened, self.get, self.set = packets.isOpened, packets.get, packets.set
+        self.release, self.getBackendName = packets.release, packets.getBackendName
         self._first: Bytes | None = None
         self._count, self._handed_out = 0, False
-
-    def isOpened(self) -> bool:  # noqa: N802 - OpenCV's name
-        return self._packets.isOpened()
-
-    def get(self, propId: int, /) -> float:  # noqa: N803 - OpenCV's name
-        return self._packets.get(propId)
-
-    def set(self, propId: int, value: float, /) -> bool:  # noqa: N803 - OpenCV's name
-        return self._packets.set(propId, value)
-
-    def release(self) -> None:
-        self._packets.release()
-
-    def getBackendName(self) -> str:  # noqa: N802 - OpenCV's name
-        return self._packets.getBackendName()
 
     def read(self) -> tuple[bool, Any]:
         """True and the next picture that was waited for, (H, W, 3) uint8, blue first, of the

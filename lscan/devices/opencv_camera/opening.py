@@ -29,7 +29,7 @@ def open_capture(options: OpencvOptions) -> Capture:
 
 
 def _silence_libraries() -> None:
-    """Keep OpenCV and its FFmpeg from writing to the terminal what is told here in one line.
+    """Keep OpenCV and its FFmpeg from writing to the terminal what is reported here in one line.
 
     Whoever sets OPENCV_LOG_LEVEL or OPENCV_FFMPEG_LOGLEVEL gets what they ask for.
     """

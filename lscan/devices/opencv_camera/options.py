@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Annotated, Literal, Self
 
-from pydantic import Field, StrictBool, model_validator
+from pydantic import Field, model_validator
 
 from lscan.config.documents import Strict
 
@@ -61,8 +61,8 @@ class OpencvOptions(Strict):
     gain: Annotated[float, Field(ge=0, le=1e6)] | None = None
     focus: Annotated[float, Field(ge=0, le=1e6)] | None = None
     white_balance: Annotated[float, Field(ge=0, le=1e6)] | None = None
-    auto_exposure: StrictBool = False
-    strict_settings: StrictBool = False
+    auto_exposure: bool = False
+    strict_settings: bool = False
 
     warm_up_frames: Annotated[int, Field(ge=0, le=1000)] = 5
     flush_frames: Annotated[int, Field(ge=0, le=100)] = 2

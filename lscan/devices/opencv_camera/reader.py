@@ -7,6 +7,7 @@ Every call to the capture, opening and releasing included, is made by that threa
 
 from __future__ import annotations
 
+import itertools
 import threading
 import time
 from collections.abc import Callable
@@ -16,6 +17,7 @@ import cv2
 import numpy as np
 
 from lscan.devices.opencv_camera.capture import Capture
+from lscan.devices.opencv_camera.options import OpencvOptions
 from lscan.devices.opencv_camera.settings import Settings
 from lscan.errors import DeviceError
 from lscan.records import Bytes
@@ -32,7 +34,7 @@ class DeviceLost(DeviceError):
 
 
 @dataclass(frozen=True)
-class Picture:
+class TimedPicture:
     """A picture as read.  image: uint8, (H, W) or (H, W, 3) blue first.
 
     time_s: on the monotonic clock of this machine, when the camera says it took the picture,
@@ -45,114 +47,115 @@ class Picture:
     arrived_s: float
 
 
-@dataclass(frozen=True)
-class Source:
-    """What a reader reads.
-
-    name: for messages.  start: opens the capture and sets it; raises DeviceError.
-    check: raises DeviceError for a picture of the wrong size or kind.
-    live: pictures come unasked.  stamped: its POS_MSEC tells when a picture was taken.
-    may_repeat: whether a picture may be the one before to the byte.
-    skip: pictures dropped at the start.
-    """
-
-    name: str
-    start: Callable[[], tuple[Capture, Settings]]
-    check: Callable[[object], Bytes]
-    may_repeat: Callable[[Bytes], bool]
-    live: bool
-    stamped: bool
-    skip: int
-
-
 class Reader:
     """One opened camera and the thread that reads it.
 
     Once it is given up, whoever waits for a picture gets a DeviceError at once.
+
+    Parameters
+    ----------
+    options
+        What is read.
+    start
+        Opens the capture and sets it; raises DeviceError.
+    check
+        Raises DeviceError for a picture of the wrong size or kind.
+    may_repeat
+        Whether a picture may be the one before to the byte.
     """
 
-    def __init__(self, source: Source) -> None:
-        self._source = source
+    def __init__(
+        self,
+        options: OpencvOptions,
+        start: Callable[[], tuple[Capture, Settings]],
+        check: Callable[[object], Bytes],
+        may_repeat: Callable[[Bytes], bool],
+    ) -> None:
+        self._options = options
+        self._start, self._check, self._may_repeat = start, check, may_repeat
         self._changed = threading.Condition()
         self._settings: Settings | None = None
-        self._picture: Picture | None = None
-        self._newest: Picture | None = None  # stays when it has been taken
+        self._picture: TimedPicture | None = None
+        self._newest: TimedPicture | None = None  # stays when it has been taken
         self._repeats = 0
         self._fault: DeviceError | None = None
         self._given_up = False
-        self._thread = threading.Thread(target=self._run, name=source.name, daemon=True)
+        self._thread = threading.Thread(target=self._run, name=options.name, daemon=True)
         self._thread.start()
 
-    def started(self, timeout_s: float) -> Settings:
+    def started(self) -> Settings:
         """The settings as read back, once the first picture has come.  Raises DeviceError."""
-        deadline_s = time.monotonic() + timeout_s
+        deadline_s = time.monotonic() + self._options.timeout_s
         with self._changed:
             while self._picture is None or self._settings is None:
-                self._wait(deadline_s, f"gave no first picture within {timeout_s:g} s")
+                late = f"gave no first picture within {self._options.timeout_s:g} s"
+                self._wait(deadline_s, late)
             return self._settings
 
-    def take(self, after_s: float, timeout_s: float, retries: int) -> Picture:
+    def take(self, after_s: float) -> TimedPicture:
         """The newest picture later than ``after_s``; each is given once.
 
         Raises DeviceLost where none comes in time or the camera is gone, DeviceError where it
         sends the same picture, byte for byte, more than ``retries`` times.
         """
-        deadline_s = time.monotonic() + timeout_s
-        old: Picture | None = None
+        options = self._options
+        deadline_s = time.monotonic() + options.timeout_s
+        old: TimedPicture | None = None
         with self._changed:
             while True:
                 picture, self._picture = self._picture, None
                 self._changed.notify_all()
-                if picture is not None and not self._source.live:
+                if picture is not None and not options.live:
                     # Read ahead, maybe long before it was wanted: it counts as taken now.
                     return replace(picture, time_s=time.monotonic())
                 if picture is not None and picture.time_s > after_s:
                     return picture
                 old = picture or old
-                if self._repeats > retries:
+                if self._repeats > options.retries:
                     raise DeviceError(
-                        f"{self._source.name}: sent the same picture {self._repeats + 1} times; "
+                        f"{options.name}: sent the same picture {self._repeats + 1} times; "
                         f"it is stuck: plug it in anew or restart the stream"
                     )
-                self._wait(deadline_s, *_late(old, after_s, timeout_s))
+                self._wait(deadline_s, *_late(old, after_s, options.timeout_s))
 
-    def peek(self, after_s: float, timeout_s: float) -> Picture:
+    def peek(self, after_s: float) -> TimedPicture:
         """The newest picture, later than ``after_s``, which can still be taken.
 
         A file's stands until the next is read: it is given as it is.  Raises DeviceLost where
         none comes in time or the camera is gone.
         """
+        timeout_s = self._options.timeout_s
         deadline_s = time.monotonic() + timeout_s
         with self._changed:
             while True:
                 picture = self._newest
-                if picture is not None and (picture.time_s > after_s or not self._source.live):
+                if picture is not None and (picture.time_s > after_s or not self._options.live):
                     return picture
                 self._wait(deadline_s, f"sent no new picture within {timeout_s:g} s")
 
-    def give_up(self, wait_s: float) -> None:
+    def give_up(self) -> None:
         """Let the thread release the camera and end; one that hangs is left to itself."""
         with self._changed:
             self._given_up = True
             self._changed.notify_all()
-        self._thread.join(wait_s)
+        self._thread.join(self._options.timeout_s)
 
     def _wait(self, deadline_s: float, late: str, remedy: str = LIGHT) -> None:
         """Wait for a change; raises the reader's fault, or DeviceLost past the deadline."""
         if self._fault is not None:
             raise self._fault
         if self._given_up:
-            raise DeviceError(f"{self._source.name}: is closed, or being opened anew")
+            raise DeviceError(f"{self._options.name}: is closed, or being opened anew")
         left_s = deadline_s - time.monotonic()
         if left_s <= 0:
-            raise DeviceLost(f"{self._source.name}: {late}; {remedy}")
+            raise DeviceLost(f"{self._options.name}: {late}; {remedy}")
         self._changed.wait(left_s)
 
     def _run(self) -> None:
         capture: Capture | None = None
         fault: DeviceError | None = None
         try:
-            capture, settings = self._source.start()
+            capture, settings = self._start()
             with self._changed:
                 self._settings = settings
             self._read(capture)
@@ -161,7 +164,7 @@ class Reader:
         # Whatever a back end raises must reach the one who waits, not die with this thread.
         except Exception as error:
             said = " ".join(str(error).split())
-            fault = DeviceLost(f"{self._source.name}: failed: {said}; {RECONNECT}")
+            fault = DeviceLost(f"{self._options.name}: failed: {said}; {RECONNECT}")
         finally:
             if capture is not None:
                 capture.release()
@@ -170,26 +173,27 @@ class Reader:
                 self._changed.notify_all()
 
     def _read(self, capture: Capture) -> None:
-        source = self._source
+        options = self._options
+        skip = options.warm_up_frames if options.live else 0
         last: Bytes | None = None
-        count = 0
-        while not self._given_up:
+        for count in itertools.count():
+            if self._given_up:
+                return
             ok, raw = capture.read()
             if not ok or raw is None:
-                raise DeviceLost(f"{source.name}: {_ended(source.live, count)}")
+                raise DeviceLost(f"{options.name}: {_ended(options.live, count)}")
             now_s = time.monotonic()
-            time_s = _time_s(capture, source.stamped, now_s)
-            count += 1
-            if count <= source.skip:
+            time_s = now_s if options.device is None else _stamped_s(capture, now_s)
+            if count < skip:
                 continue
-            image = source.check(raw)
+            image = self._check(raw)
             same = last is not None and np.array_equal(image, last)
             last = image
-            self._deliver(Picture(image, time_s, now_s), same and not source.may_repeat(image))
+            self._deliver(TimedPicture(image, time_s, now_s), same and not self._may_repeat(image))
 
-    def _deliver(self, picture: Picture, repeated: bool) -> None:
+    def _deliver(self, picture: TimedPicture, repeated: bool) -> None:
         with self._changed:
-            while not self._source.live and self._picture is not None and not self._given_up:
+            while not self._options.live and self._picture is not None and not self._given_up:
                 self._changed.wait()
             self._repeats = self._repeats + 1 if repeated else 0
             if not repeated:
@@ -197,14 +201,13 @@ class Reader:
             self._changed.notify_all()
 
 
-def _time_s(capture: Capture, stamped: bool, now_s: float) -> float:
-    if not stamped:
-        return now_s
+def _stamped_s(capture: Capture, now_s: float) -> float:
+    """When a device says that it took its last picture; ``now_s`` where its clock is another."""
     stamp_s = capture.get(cv2.CAP_PROP_POS_MSEC) / 1000
     return stamp_s if now_s - OLDEST_STAMP_S < stamp_s <= now_s else now_s
 
 
-def _late(old: Picture | None, after_s: float, timeout_s: float) -> tuple[str, str]:
+def _late(old: TimedPicture | None, after_s: float, timeout_s: float) -> tuple[str, str]:
     """Why no picture could be taken in time, and what to do.
 
     old: the last picture refused as too old.  One may be under way when the call comes; only

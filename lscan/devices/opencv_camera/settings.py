@@ -122,35 +122,33 @@ def _controls(
         code = float(cv2.VideoWriter.fourcc(*options.pixel_format))
         fourcc = cv2.CAP_PROP_FOURCC
         controls.append(_Control("pixel_format", fourcc, options.pixel_format, code, fourcc_text))
-    controls += [
-        _number("width_px", cv2.CAP_PROP_FRAME_WIDTH, section.width_px),
-        _number("height_px", cv2.CAP_PROP_FRAME_HEIGHT, section.height_px),
-    ]
-    if options.fps is not None:
-        controls.append(_number("fps", cv2.CAP_PROP_FPS, options.fps))
     mode = exposure.automatic if options.auto_exposure else exposure.manual
-    controls.append(_number("auto_exposure", cv2.CAP_PROP_AUTO_EXPOSURE, mode))
+    controls += _numbers(
+        ("width_px", cv2.CAP_PROP_FRAME_WIDTH, section.width_px),
+        ("height_px", cv2.CAP_PROP_FRAME_HEIGHT, section.height_px),
+        ("fps", cv2.CAP_PROP_FPS, options.fps),
+        ("auto_exposure", cv2.CAP_PROP_AUTO_EXPOSURE, mode),
+    )
     if not options.auto_exposure:
-        asked_ms = section.exposure_ms
+        asked_ms, key = section.exposure_ms, cv2.CAP_PROP_EXPOSURE
         raw = exposure.to_raw(asked_ms)
-        controls.append(
-            _Control("exposure_ms", cv2.CAP_PROP_EXPOSURE, asked_ms, raw, exposure.to_ms)
-        )
-    if options.gain is not None:
-        controls.append(_number("gain", cv2.CAP_PROP_GAIN, options.gain))
-    if options.focus is not None:
-        controls.append(_number("autofocus", cv2.CAP_PROP_AUTOFOCUS, 0))
-        controls.append(_number("focus", cv2.CAP_PROP_FOCUS, options.focus))
-    if options.white_balance is not None:
-        controls.append(_number("auto_white_balance", cv2.CAP_PROP_AUTO_WB, 0))
-        controls.append(
-            _number("white_balance", cv2.CAP_PROP_WB_TEMPERATURE, options.white_balance)
-        )
-    return controls
+        controls.append(_Control("exposure_ms", key, asked_ms, raw, exposure.to_ms))
+    return controls + _numbers(
+        ("gain", cv2.CAP_PROP_GAIN, options.gain),
+        ("autofocus", cv2.CAP_PROP_AUTOFOCUS, None if options.focus is None else 0),
+        ("focus", cv2.CAP_PROP_FOCUS, options.focus),
+        ("auto_white_balance", cv2.CAP_PROP_AUTO_WB, None if options.white_balance is None else 0),
+        ("white_balance", cv2.CAP_PROP_WB_TEMPERATURE, options.white_balance),
+    )
 
 
-def _number(name: str, property_id: int, asked: float) -> _Control:
-    return _Control(name, property_id, float(asked), float(asked), _reported)
+def _numbers(*stated: tuple[str, int, float | None]) -> list[_Control]:
+    """Controls that are set to a number as it is: name, property and number, None to leave it."""
+    return [
+        _Control(name, key, float(asked), float(asked), _reported)
+        for name, key, asked in stated
+        if asked is not None
+    ]
 
 
 def _reported(raw: float) -> float | None:

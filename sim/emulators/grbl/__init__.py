@@ -4,10 +4,11 @@
 time, ``PseudoTerminal`` one that any program opens as a serial port, ``Faults`` what goes wrong.
 """
 
-from sim.emulators.grbl.controller import DEFAULTS, GrblEmulator
+from sim.emulators.grbl.controller import GrblEmulator
 from sim.emulators.grbl.faults import Faults
 from sim.emulators.grbl.line import DirectLine, PseudoTerminal, SimulatedTime
 from sim.emulators.grbl.marlin import MarlinEmulator
+from sim.emulators.grbl.settings import DEFAULTS
 
 __all__ = [
     "DEFAULTS",

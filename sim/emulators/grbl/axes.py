@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 
-from sim.emulators.grbl.motion import Block, Place, Planner
+from sim.emulators.grbl.motion import Place, Planner, StraightMove
 
 ROUNDING_MM = 1e-9  # of a target that is a sum
 
@@ -25,26 +25,22 @@ class Axes:
     def head_mm(self, now_s: float) -> Place:
         """Where the head truly is."""
         place_mm = self.planner.place_mm(now_s)
-        x, y, z = (a + b for a, b in zip(place_mm, self._offset_mm, strict=True))
-        return x, y, z
+        return tuple(a + b for a, b in zip(place_mm, self._offset_mm, strict=True))
 
     def counted_mm(self, now_s: float) -> Place:
         """Machine coordinates, of whole motor steps."""
-        return self.on_steps(list(self.planner.place_mm(now_s)))
+        return self.on_steps(self.planner.place_mm(now_s))
 
-    def on_steps(self, target_mm: list[float]) -> Place:
+    def on_steps(self, target_mm: Place) -> Place:
         """The target on whole motor steps."""
-        x, y, z = (
-            round(mm * per_mm) / per_mm
-            for mm, per_mm in zip(target_mm, self._three(100), strict=True)
-        )
-        return x, y, z
+        steps = zip(target_mm, self._three(100), strict=True)
+        return tuple(round(mm * per_mm) / per_mm for mm, per_mm in steps)
 
     def planned_mm(self, now_s: float) -> Place:
         """Where the queue ends, from where the next block starts."""
         return self.planner.last_target_mm if len(self.planner) else self.planner.place_mm(now_s)
 
-    def beyond(self, target_mm: Place) -> bool:
+    def is_beyond(self, target_mm: Place) -> bool:
         """Whether soft limits are on and forbid the target."""
         travels_mm = self._three(130)
         return bool(self._settings[20]) and any(
@@ -64,19 +60,19 @@ class Axes:
             return min((limit / part for limit, part in limits if part), default=1.0)
 
         feed_mm_s = min(feed_mm_min, least(110)) / 60
-        self.planner.push(Block(target_mm, feed_mm_s, least(120), jog), now_s)
+        self.planner.push(StraightMove(target_mm, feed_mm_s, least(120), jog), now_s)
 
     def seek_switches(self, now_s: float) -> None:
         """Begin to home, at the search rate $25."""
-        switches = (switch for switch, _ in self._ends())
-        x, y, z = (a - b for a, b in zip(switches, self._offset_mm, strict=True))
-        self.push((x, y, z), self._settings[25], now_s)
+        switches = zip(self._switches_mm(), self._offset_mm, strict=True)
+        target_mm = tuple(switch_mm - offset_mm for switch_mm, offset_mm in switches)
+        self.push(target_mm, self._settings[25], now_s)
 
     def stand_off(self) -> None:
         """End homing: the head stands off its switches, and count and truth agree."""
         self._offset_mm = (0.0, 0.0, 0.0)
-        x, y, z = (stand for _, stand in self._ends())
-        self.planner.relabel((x, y, z))
+        off_mm = self._settings[27]
+        self.planner.relabel(tuple(mm + (off_mm if mm else -off_mm) for mm in self._switches_mm()))
 
     def forget(self, now_s: float) -> None:
         """Lose the count: where the head stands becomes zero."""
@@ -87,11 +83,7 @@ class Axes:
     def _three(self, base: int) -> list[float]:
         return [self._settings[base + axis] for axis in range(3)]
 
-    def _ends(self) -> list[tuple[float, float]]:
-        """Of each axis where its switch is, 0 or by mask $23 the far end, and its stand-off."""
-        ends = []
-        for axis, travel_mm in enumerate(self._three(130)):
-            far = int(self._settings[23]) >> axis & 1
-            off_mm = self._settings[27]
-            ends.append((-travel_mm, -travel_mm + off_mm) if far else (0.0, -off_mm))
-        return ends
+    def _switches_mm(self) -> list[float]:
+        """Where each axis has its switch: at 0, or by mask $23 at the far end."""
+        mask = int(self._settings[23])
+        return [-mm if mask >> axis & 1 else 0.0 for axis, mm in enumerate(self._three(130))]

@@ -7,77 +7,28 @@ sleep, door; homing goes to the switches at once and stands off by $27.
 
 from __future__ import annotations
 
-import threading
-import time
-from collections import deque
-from collections.abc import Callable, Mapping
 from dataclasses import replace
 
 import numpy as np
 
-from sim.emulators.grbl.axes import Axes
 from sim.emulators.grbl.faults import Faults, garbled
-from sim.emulators.grbl.gcode import LONGEST, Block, GcodeError, clean, parse_block
+from sim.emulators.grbl.gcode import LONGEST, GcodeBlock, GcodeError, clean, parse_block
+from sim.emulators.grbl.machine import EmulatedController
 from sim.emulators.grbl.modes import INCH_MM, Modes
 from sim.emulators.grbl.motion import Place
+from sim.emulators.grbl.settings import change_setting, coordinates, setting_lines
 
 BANNER = "Grbl 1.1h ['$' for help]"
+HELP = "[HLP:$$ $# $G $I $N $x=val $Nx=line $J=line $SLP $C $X $H ~ ! ? ctrl-x]"
 PLANNED = 15  # blocks the planner holds
 
-DEFAULTS: Mapping[int, float] = {
-    **{0: 10, 1: 25, 2: 0, 3: 0, 4: 0, 5: 0, 6: 0, 10: 1, 11: 0.01, 12: 0.002, 13: 0},
-    **{20: 1, 21: 0, 22: 1, 23: 0, 24: 25, 25: 500, 26: 250, 27: 1, 30: 1000, 31: 0, 32: 0},
-    **{100: 250, 101: 250, 102: 250, 110: 3000, 111: 3000, 112: 3000},
-    **{120: 200, 121: 200, 122: 200, 130: 200, 131: 200, 132: 200},
-}
-_WHOLE = frozenset(range(7)) | {10, 13, 20, 21, 22, 23, 26, 30, 31, 32}
 
+class GrblEmulator(EmulatedController):
+    """A controller with Grbl, and what goes wrong with it."""
 
-class GrblEmulator:
-    """A controller with its machine: bytes in by ``receive``, bytes out by ``transmit``.
+    line_end = b"\r\n"
 
-    settings: ``$`` settings that differ from DEFAULTS.  head_mm: where the head is at power-up,
-    counted from the switches, of which each axis has one at 0 and its travel below.
-    clock: seconds.  Machine coordinates are zero where the head stands at power-up, and agree
-    with head_mm after homing.
-    """
-
-    def __init__(
-        self,
-        settings: Mapping[int, float] | None = None,
-        head_mm: Place = (-50.0, -50.0, -50.0),
-        clock: Callable[[], float] = time.monotonic,
-    ) -> None:
-        self.settings = {**DEFAULTS, **(settings or {})}
-        self._lock_out = threading.RLock()  # the line's thread and whoever looks at the head
-        self._clock, self._last_s = clock, clock()
-        self._axes = Axes(self.settings, head_mm)
-        self._planner = self._axes.planner
-        self._out, self._line = bytearray(), bytearray()
-        self._pending: deque[str] = deque()
-        self.inject(Faults())
-        self._power_up()
-
-    # ---- the world's side ---------------------------------------------------------------
-
-    @property
-    def head_mm(self) -> Place:
-        """Where the head truly is, counted from the switches."""
-        with self._lock_out:
-            self._update()
-            return self._axes.head_mm(self._last_s)
-
-    @property
-    def standing_mm(self) -> Place | None:
-        """Where the head rests, counted from the switches; None while it moves."""
-        with self._lock_out:
-            self._update()
-            return None if self._planner.moving else self._axes.head_mm(self._last_s)
-
-    @property
-    def laser_power(self) -> float:
-        """S word of the laser that is on; 0 where it is off."""
-        return self._modes.speed if self._modes.spindle else 0.0
+    _faults, _generator = Faults(), np.random.default_rng(0)
 
     @property
     def state(self) -> str:
@@ -109,39 +60,47 @@ class GrblEmulator:
         self._axes.forget(self._last_s)
         self._power_up()
 
-    # ---- the line's side ----------------------------------------------------------------
+    # ---- faults -------------------------------------------------------------------------
 
-    def receive(self, data: bytes) -> None:
-        """Take bytes from the line; OSError while it is unplugged."""
-        with self._lock_out:
-            self._update()
-            self._check_plug()
-            if self._acting:
-                data = garbled(data, self._faults.garble, self._generator)
-            for byte in data:
-                self._take(byte)
-            self._process()
+    @property
+    def _acting(self) -> Faults:
+        """The faults that act by now."""
+        return self._faults if self._last_s >= self._faults.begin_s else Faults()
+
+    def _on_line(self, data: bytes) -> bytes:
+        faults = self._acting
+        if faults.unplug:
+            raise OSError("the device is gone")
+        return garbled(data, faults.garble, self._generator)
 
     def transmit(self) -> bytes:
         """The bytes to send by now; OSError while the line is unplugged."""
-        with self._lock_out:
-            self._update()
-            self._check_plug()
-            data, faults = bytes(self._out), self._faults
-            self._out.clear()
-            if not self._acting:
-                return data
-            return b"" if faults.silent else garbled(data, faults.garble, self._generator)
+        data = super().transmit()
+        return b"" if self._acting.silent else data
+
+    def _say(self, text: str) -> None:
+        if text == "ok" and self._acting.lose_oks > 0:
+            self._faults = replace(self._faults, lose_oks=self._faults.lose_oks - 1)
+        else:
+            super()._say(text)
+
+    def _let_faults_act(self, since_s: float) -> None:
+        """Faults of the machine, ``since_s`` being when they were looked at last."""
+        faults = self._acting
+        if self._planner.moving:
+            lost = 1.0 if faults.stuck else 1.0 - 1.0 / faults.slow
+            self._planner.hold_still(lost * (self._last_s - max(since_s, faults.begin_s)))
+        self._planner.advance(self._last_s)
+        if faults.alarm and self._planner.moving:
+            self._faults = replace(self._faults, alarm=False)
+            self._lock(1)
+        if faults.restart:
+            self._faults = replace(self._faults, restart=False)
+            self.power_cycle()
+            if faults.quietly:
+                self._out.clear()
 
     # ---- states -------------------------------------------------------------------------
-
-    @property
-    def _acting(self) -> bool:
-        return self._last_s >= self._faults.begin_s
-
-    def _check_plug(self) -> None:
-        if self._acting and self._faults.unplug:
-            raise OSError("the device is gone")
 
     def _power_up(self) -> None:
         self._alarm = bool(self.settings[22])
@@ -175,21 +134,8 @@ class GrblEmulator:
         self._say("[MSG:Reset to continue]")
 
     def _update(self) -> None:
-        """Bring the machine to the present time."""
-        now_s, before_s = self._clock(), self._last_s
-        faults, self._last_s = self._faults, now_s
-        if self._acting and self._planner.moving:
-            lost = 1.0 if faults.stuck else 1.0 - 1.0 / faults.slow
-            self._planner.hold_still(lost * (now_s - max(before_s, faults.begin_s)))
-        self._planner.advance(now_s)
-        if self._acting and faults.alarm and self._planner.moving:
-            self._faults = replace(faults, alarm=False)
-            self._lock(1)
-        if self._acting and faults.restart:
-            self._faults = replace(faults, restart=False)
-            self.power_cycle()
-            if faults.quietly:
-                self._out.clear()
+        before_s, self._last_s = self._last_s, self._clock()
+        self._let_faults_act(before_s)
         if self._homing and not self._planner.moving:
             self._end_homing()
         if self._held and self._planner.jogging and not self._planner.moving:
@@ -198,12 +144,6 @@ class GrblEmulator:
         self._process()
 
     # ---- bytes and lines ----------------------------------------------------------------
-
-    def _say(self, text: str) -> None:
-        if text == "ok" and self._acting and self._faults.lose_oks > 0:
-            self._faults = replace(self._faults, lose_oks=self._faults.lose_oks - 1)
-            return
-        self._out += text.encode("ascii") + b"\r\n"
 
     def _take(self, byte: int) -> None:
         if byte == 0x18:
@@ -222,13 +162,11 @@ class GrblEmulator:
                 self._held = False
                 self._planner.resume(self._last_s)
         elif byte in (10, 13):
-            self._pending.append(self._line.decode("ascii", errors="replace"))
-            self._line.clear()
+            self._end_line()
         elif byte != ord(" ") and byte < 0x80 and len(self._line) <= LONGEST:
             self._line.append(byte)
 
     def _process(self) -> None:
-        """Execute the lines that need not wait, and answer them."""
         while self._pending and not self._critical and not self._homing and not self._held:
             text = clean(self._pending[0])
             if len(self._planner) >= PLANNED or (len(self._planner) and "M" in text):
@@ -247,17 +185,18 @@ class GrblEmulator:
     def _report(self) -> None:
         """Answer ``?``: the offset in the first and then each tenth report, Ov in the next."""
         unit = 1 / INCH_MM if self.settings[13] else 1.0
-        place_mm: Place | list[float] = self._axes.counted_mm(self._last_s)
-        machine = bool(int(self.settings[10]) & 1)
-        if not machine:
-            place_mm = [mm - zero for mm, zero in zip(place_mm, self._modes.offset_mm, strict=True)]
+        place_mm = np.array(self._axes.counted_mm(self._last_s))
+        if int(self.settings[10]) & 1:
+            position = f"MPos:{coordinates(place_mm, unit)}"
+        else:
+            position = f"WPos:{coordinates(place_mm - self._modes.offset_mm, unit)}"
         feed = self._planner.speed_mm_s(self._last_s) * 60 * unit
-        fields = [self._state(), f"{'MPos' if machine else 'WPos'}:{_triple(place_mm, unit)}"]
+        fields = [self._state(), position]
         if int(self.settings[10]) & 2:
             fields.append(f"Bf:{PLANNED - len(self._planner)},{128 - len(self._line)}")
         fields.append(f"FS:{feed:.0f},{self.laser_power:.0f}")
         if self._reports % 10 == 0:
-            fields.append(f"WCO:{_triple(self._modes.offset_mm, unit)}")
+            fields.append(f"WCO:{coordinates(self._modes.offset_mm, unit)}")
         elif self._reports % 10 == 1:
             fields.append("Ov:100,100,100")
         self._reports += 1
@@ -266,9 +205,8 @@ class GrblEmulator:
     # ---- $ commands ---------------------------------------------------------------------
 
     def _command(self, text: str) -> None:
-        resting = self._state() in ("Idle", "Alarm")
         if text == "":
-            self._say("[HLP:$$ $# $G $I $N $x=val $Nx=line $J=line $SLP $C $X $H ~ ! ? ctrl-x]")
+            self._say(HELP)
         elif text.startswith("J"):
             self._jog(text)
         elif text == "#":
@@ -277,11 +215,11 @@ class GrblEmulator:
             self._say(self._modes.words())
         elif text not in ("$", "I", "X", "H") and "=" not in text:
             raise GcodeError(3)
-        elif not resting:
+        elif self._state() not in ("Idle", "Alarm"):
             raise GcodeError(8)
         elif text == "$":
-            for number in sorted(self.settings):
-                self._say(f"${number}={_setting(number, self.settings[number])}")
+            for line in setting_lines(self.settings):
+                self._say(line)
         elif text == "I":
             self._say("[VER:1.1h.20190830:]")
             self._say("[OPT:V,15,128]")
@@ -292,25 +230,12 @@ class GrblEmulator:
         elif text == "H":
             self._home()
         else:
-            self._set(*text.split("=", 1))
-
-    def _set(self, name: str, text: str) -> None:
-        if not name.isdecimal() or int(name) not in self.settings:
-            raise GcodeError(3)
-        try:
-            value = float(text)
-        except ValueError:
-            raise GcodeError(2) from None
-        if value < 0:
-            raise GcodeError(4)
-        if int(name) == 20 and value and not self.settings[22]:
-            raise GcodeError(10)
-        self.settings[int(name)] = value
+            change_setting(self.settings, *text.split("=", 1))
 
     def _parameters(self) -> None:
         for name in ("G54", "G55", "G56", "G57", "G58", "G59", "G28", "G30"):
             self._say(f"[{name}:0.000,0.000,0.000]")
-        self._say(f"[G92:{_triple(self._modes.offset_mm)}]")
+        self._say(f"[G92:{coordinates(self._modes.offset_mm)}]")
         self._say("[TLO:0.000]")
         self._say("[PRB:0.000,0.000,0.000:0]")
 
@@ -318,13 +243,8 @@ class GrblEmulator:
         """Begin to search the switches: each at 0, or at the travel's far end by mask $23."""
         if not self.settings[22]:
             raise GcodeError(5)
-        self._alarm, self._homing = False, True
-        self._axes.seek_switches(self._last_s)
-
-    def _end_homing(self) -> None:
-        self._homing = False
-        self._axes.stand_off()
-        self._say("ok")
+        self._alarm = False
+        self._start_homing()
 
     # ---- G-code -------------------------------------------------------------------------
 
@@ -343,7 +263,7 @@ class GrblEmulator:
         if not block.words.get("F"):
             raise GcodeError(22)
         target_mm = self._target(block)
-        if self._axes.beyond(target_mm):
+        if self._axes.is_beyond(target_mm):
             raise GcodeError(15)
         self._axes.push(target_mm, self._modes.feed_of(block), self._last_s, jog=True)
 
@@ -359,24 +279,13 @@ class GrblEmulator:
             self._modes.shift(block, self._axes.planned_mm(self._last_s))
             self._reports = 0
         elif block.axes:
-            self._feed_to(self._target(block))
+            target_mm = self._target(block)
+            if self._axes.is_beyond(target_mm):
+                self._lock(2)
+            else:
+                self._axes.push(target_mm, self._modes.rate_mm_min, self._last_s)
 
-    def _feed_to(self, target_mm: Place) -> None:
-        if self._axes.beyond(target_mm):
-            self._lock(2)
-        else:
-            self._axes.push(target_mm, self._modes.rate_mm_min, self._last_s)
-
-    def _target(self, block: Block) -> Place:
+    def _target(self, block: GcodeBlock) -> Place:
         """The block's target in machine coordinates, on whole motor steps."""
         start_mm = self._axes.planned_mm(self._last_s)
         return self._axes.on_steps(self._modes.target_mm(block, start_mm))
-
-
-def _triple(numbers: Place | list[float], unit: float = 1.0) -> str:
-    """Three coordinates as Grbl writes them, without a minus before zero."""
-    return ",".join(f"{round(number * unit, 3) + 0.0:.3f}" for number in numbers)
-
-
-def _setting(number: int, value: float) -> str:
-    return f"{value:.0f}" if number in _WHOLE else f"{value:.3f}"

@@ -31,7 +31,7 @@ class GcodeError(Exception):
 
 
 @dataclass
-class Block:
+class GcodeBlock:
     """A checked block.
 
     codes: the G codes by group.  mcodes: the M codes.  axes: axis words by letter.
@@ -49,9 +49,9 @@ def clean(text: str) -> str:
     return re.sub(r"\s", "", _COMMENT.sub("", text)).upper()
 
 
-def parse_block(text: str) -> Block:
+def parse_block(text: str) -> GcodeBlock:
     """The block of a cleaned line; GcodeError where Grbl would refuse it."""
-    block, at = Block(), 0
+    block, at = GcodeBlock(), 0
     while at < len(text):
         if not text[at].isalpha():
             raise GcodeError(1)
@@ -63,7 +63,7 @@ def parse_block(text: str) -> Block:
     return block
 
 
-def _take(block: Block, letter: str, value: float) -> None:
+def _take(block: GcodeBlock, letter: str, value: float) -> None:
     if letter in "GM" and value != int(value):
         raise GcodeError(23 if letter == "M" else 20)
     if letter == "G":

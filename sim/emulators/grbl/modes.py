@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from sim.emulators.grbl.gcode import Block, GcodeError
+from sim.emulators.grbl.gcode import GcodeBlock, GcodeError
 from sim.emulators.grbl.motion import Place
 
 INCH_MM = 25.4
@@ -37,11 +37,11 @@ class Modes:
             f"T{self.tool} F{self.feed_mm_min:.0f} S{self.speed:.0f}]"
         )
 
-    def unit_mm(self, block: Block) -> float:
+    def unit_mm(self, block: GcodeBlock) -> float:
         """Millimetres in a unit of the block's numbers."""
         return INCH_MM if block.codes.get("units", 20 if self.inches else 21) == 20 else 1.0
 
-    def feed_of(self, block: Block) -> float:
+    def feed_of(self, block: GcodeBlock) -> float:
         """The block's feed in mm/min, the modal one where it has none."""
         if "F" in block.words:
             return block.words["F"] * self.unit_mm(block)
@@ -52,7 +52,7 @@ class Modes:
         """The feed of a motion now; a rapid has no limit of its own."""
         return math.inf if self.motion == 0 else self.feed_mm_min
 
-    def take(self, block: Block) -> None:
+    def take(self, block: GcodeBlock) -> None:
         """Change to what the block says; GcodeError, and no change, where it cannot be."""
         once, motion = block.codes.get("once"), block.codes.get("motion", self.motion)
         moves = bool(block.axes) and once != 92
@@ -73,16 +73,15 @@ class Modes:
         for code in block.mcodes:
             self.spindle = code if code in (3, 4) else 0 if code == 5 else self.spindle
 
-    def shift(self, block: Block, place_mm: Place) -> None:
+    def shift(self, block: GcodeBlock, place_mm: Place) -> None:
         """G92: the present machine place gets the block's numbers as work coordinates."""
         unit_mm = self.unit_mm(block)
-        x, y, z = (
+        self.offset_mm = tuple(
             place - block.axes[axis] * unit_mm if axis in block.axes else zero
             for axis, place, zero in zip(AXES, place_mm, self.offset_mm, strict=True)
         )
-        self.offset_mm = x, y, z
 
-    def target_mm(self, block: Block, start_mm: Place) -> list[float]:
+    def target_mm(self, block: GcodeBlock, start_mm: Place) -> Place:
         """The block's target in machine coordinates, for a motion from ``start_mm``."""
         unit_mm, machine = self.unit_mm(block), block.codes.get("once") == 53
         absolute = machine or self._counts_from_zero(block)
@@ -91,7 +90,7 @@ class Modes:
             axis = AXES.index(letter)
             zero_mm = 0.0 if machine else self.offset_mm[axis]
             target_mm[axis] = value * unit_mm + (zero_mm if absolute else target_mm[axis])
-        return target_mm
+        return tuple(target_mm)
 
-    def _counts_from_zero(self, block: Block) -> bool:
+    def _counts_from_zero(self, block: GcodeBlock) -> bool:
         return block.codes.get("distance", 90 if self.absolute else 91) == 90

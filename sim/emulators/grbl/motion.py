@@ -11,7 +11,8 @@ from collections import deque
 from dataclasses import dataclass
 from typing import Protocol
 
-Place = tuple[float, float, float]
+Place = tuple[float, ...]
+"""Of the three axes, mm."""
 
 
 class Ramp(Protocol):
@@ -40,7 +41,7 @@ class Trapezoid:
     def duration_s(self) -> float:
         """Time of the whole way: s / v + v / a."""
         peak = self.peak_mm_s
-        return self.length_mm / peak + peak / self.accel_mm_s2 if self.length_mm else 0.0
+        return self.length_mm / peak + peak / self.accel_mm_s2 if peak else 0.0
 
     def way_mm(self, time_s: float) -> float:
         """Way gone after ``time_s``; the second half mirrors the first."""
@@ -50,10 +51,8 @@ class Trapezoid:
 
     def speed_mm_s(self, time_s: float) -> float:
         """Speed after ``time_s``."""
-        return min(self.peak_mm_s, self.accel_mm_s2 * max(0.0, min(time_s, self._left_s(time_s))))
-
-    def _left_s(self, time_s: float) -> float:
-        return self.duration_s - time_s
+        ramp_s = max(0.0, min(time_s, self.duration_s - time_s))
+        return min(self.peak_mm_s, self.accel_mm_s2 * ramp_s)
 
     def _rise_mm(self, time_s: float) -> float:
         ramp_s = self.peak_mm_s / self.accel_mm_s2
@@ -84,7 +83,7 @@ class Braking:
 
 
 @dataclass(frozen=True)
-class Block:
+class StraightMove:
     """A straight move, machine coordinates, with its limits along its own direction."""
 
     target_mm: Place
@@ -97,10 +96,10 @@ class Planner:
     """The queue of blocks and where the axes are in it.  All times on the caller's clock."""
 
     def __init__(self, place_mm: Place = (0.0, 0.0, 0.0)) -> None:
-        self._queue: deque[Block] = deque()
-        self._start_mm, self._direction = place_mm, (0.0, 0.0, 0.0)
+        self._queue: deque[StraightMove] = deque()
+        self._start_mm, self._direction = place_mm, place_mm
         self._ramp: Ramp | None = None
-        self._block: Block | None = None
+        self._block: StraightMove | None = None
         self._began_s = 0.0
         self.braking = False
 
@@ -125,7 +124,7 @@ class Planner:
         assert block is not None
         return block.target_mm
 
-    def push(self, block: Block, now_s: float) -> None:
+    def push(self, block: StraightMove, now_s: float) -> None:
         """Queue a block; at rest it starts at once."""
         self._queue.append(block)
         if self._block is None:
@@ -136,8 +135,7 @@ class Planner:
         if self._ramp is None:
             return self._start_mm
         way_mm = self._ramp.way_mm(now_s - self._began_s)
-        x, y, z = (a + way_mm * d for a, d in zip(self._start_mm, self._direction, strict=True))
-        return x, y, z
+        return tuple(a + way_mm * d for a, d in zip(self._start_mm, self._direction, strict=True))
 
     def speed_mm_s(self, now_s: float) -> float:
         """Speed along the path."""
@@ -193,11 +191,7 @@ class Planner:
         self._block = block = self._queue.popleft()
         way = [b - a for a, b in zip(self._start_mm, block.target_mm, strict=True)]
         length_mm = math.hypot(*way)
-        if length_mm == 0.0:
-            self._direction, self._ramp = (0.0, 0.0, 0.0), Trapezoid(0.0, 1.0, 1.0)
-        else:
-            x, y, z = (part / length_mm for part in way)
-            self._direction = x, y, z
-            self._ramp = Trapezoid(length_mm, block.feed_mm_s, block.accel_mm_s2)
+        self._direction = tuple(part / (length_mm or 1.0) for part in way)
+        self._ramp = Trapezoid(length_mm, block.feed_mm_s, block.accel_mm_s2)
         self._began_s = now_s
         self.advance(now_s)

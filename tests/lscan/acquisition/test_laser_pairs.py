@@ -18,7 +18,7 @@ import pytest
 from fake_devices import FakeCamera, LaserTrack, fake_rig, folder_bytes
 from places import ROOT, SUPPORT
 
-from lscan.acquisition.run import Row, Run, open_run
+from lscan.acquisition.run import FrameRow, Run, open_run
 from lscan.acquisition.scan import acquire_into
 from lscan.acquisition.writer import create_run, resume_run
 from lscan.cli.app import app
@@ -300,10 +300,10 @@ def test_swapped_pictures_are_noticed(run: Run) -> None:
 
 @pytest.mark.parametrize("paired", [False, True])
 def test_a_row_of_the_other_kind_is_refused(paired: bool) -> None:
-    row = Row(0, 1.0, 1.0, 0.0, 20.0, "ab", None if paired else "cd")
+    row = FrameRow(0, 1.0, 1.0, 0.0, 20.0, "ab", None if paired else "cd")
     with pytest.raises(InputError, match="does not hold what it should"):
-        Row.from_text(row.as_text(), "here", paired)
-    assert Row.from_text(row.as_text(), "here", not paired) == row
+        FrameRow.from_text(row.as_text(), "here", paired)
+    assert FrameRow.from_text(row.as_text(), "here", not paired) == row
 
 
 @pytest.mark.parametrize("laser", ["untouched", "on", "pairs"])

@@ -144,7 +144,7 @@ def test_a_coarser_scan_takes_every_other_frame(tmp_path: Path) -> None:
 
 def test_a_stopped_run_can_be_replayed_as_far_as_it_got(tmp_path: Path) -> None:
     record(tmp_path / "a", frames=9)
-    with pytest.raises(DeviceError, match=r"12\.5 mm.*10\.0 mm to 12\.0 mm"):
+    with pytest.raises(DeviceError, match=r"12\.5 mm.*10 mm to 12 mm"):
         scan(replay_rig(tmp_path, frames=9), tmp_path / "b")
     assert len(open_run(tmp_path / "b")) == 5
 
@@ -204,7 +204,7 @@ def test_a_run_that_is_not_there_is_named(tmp_path: Path) -> None:
 
 def test_a_run_without_frames_is_refused(tmp_path: Path) -> None:
     record(tmp_path / "a", written=0)
-    with pytest.raises(InputError, match=r"camera\.options\.run_file: a run without frames"):
+    with pytest.raises(InputError, match=r"camera\.options\.run_file: .*: a run without frames"):
         replay_rig(tmp_path)
 
 

@@ -18,7 +18,7 @@ from fake_devices import FakeCamera, FakeTrack, fake_rig, folder_bytes
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from lscan.acquisition.run import Manifest, Row, Run, open_run
+from lscan.acquisition.run import FrameRow, Manifest, Run, open_run
 from lscan.acquisition.samerig import first_difference
 from lscan.acquisition.scan import acquire_into
 from lscan.acquisition.writer import create_run
@@ -29,7 +29,7 @@ from lscan.records import Frame
 
 FINITE = st.floats(allow_nan=False, allow_infinity=False)
 ROWS = st.builds(
-    Row,
+    FrameRow,
     index=st.integers(0, 10**6),
     commanded_mm=FINITE,
     position_mm=FINITE,
@@ -39,7 +39,7 @@ ROWS = st.builds(
 )
 
 
-def bits(row: Row) -> list[bytes]:
+def bits(row: FrameRow) -> list[bytes]:
     numbers = (row.commanded_mm, row.position_mm, row.time_s, row.exposure_ms)
     return [struct.pack("d", number) for number in numbers]
 
@@ -62,24 +62,24 @@ def copy(recorded: Run, tmp_path: Path) -> Path:
 
 @settings(max_examples=200)
 @given(row=ROWS)
-def test_a_row_reads_back_with_the_same_bits(row: Row) -> None:
-    back = Row.from_text(row.as_text(), where="here")
+def test_a_row_reads_back_with_the_same_bits(row: FrameRow) -> None:
+    back = FrameRow.from_text(row.as_text(), where="here")
     assert back == row
     assert bits(back) == bits(row)
 
 
 @settings(max_examples=200)
 @given(row=ROWS, data=st.data())
-def test_a_row_cut_anywhere_is_torn(row: Row, data: st.DataObject) -> None:
+def test_a_row_cut_anywhere_is_torn(row: FrameRow, data: st.DataObject) -> None:
     text = row.as_text()
     end = data.draw(st.integers(0, len(text) - 1))
     with pytest.raises(InputError, match="torn"):
-        Row.from_text(text[:end], where="here")
+        FrameRow.from_text(text[:end], where="here")
 
 
 def test_a_row_of_numpy_numbers_is_written_as_plain_ones() -> None:
     number = np.float64(0.1)
-    text = Row(0, number, number, number, number, "ab").as_text()
+    text = FrameRow(0, number, number, number, number, "ab").as_text()
     assert text.startswith("0,0.1,0.1,0.1,0.1,ab,")
 
 
@@ -180,8 +180,8 @@ def edit_table(change: Callable[[list[str]], list[str]]) -> Callable[[Path], obj
 
 def with_index(line: str, index: int) -> str:
     """The row with another index and the right checksum, as a careless tool would write it."""
-    row = Row.from_text(line.rstrip("\n"), where="here")
-    return Row(**{**vars(row), "index": index}).as_text() + "\n"
+    row = FrameRow.from_text(line.rstrip("\n"), where="here")
+    return FrameRow(**{**vars(row), "index": index}).as_text() + "\n"
 
 
 def edit_manifest(**changes: Any) -> Callable[[Path], object]:
@@ -203,8 +203,8 @@ def replace_picture(path: Path, data: bytes) -> None:
     (path / "frames" / "000001.png").write_bytes(data)
     table = path / "frames.csv"
     lines = table.read_text().splitlines()
-    row = Row.from_text(lines[2], where="here")
-    lines[2] = Row(**{**vars(row), "sha256": hashlib.sha256(data).hexdigest()}).as_text()
+    row = FrameRow.from_text(lines[2], where="here")
+    lines[2] = FrameRow(**{**vars(row), "sha256": hashlib.sha256(data).hexdigest()}).as_text()
     table.write_text("\n".join(lines) + "\n")
 
 
@@ -261,7 +261,7 @@ def test_damage_is_named(copy: Path, kind: str) -> None:
 
 def test_a_row_with_a_number_that_is_none_is_refused() -> None:
     with pytest.raises(InputError, match="does not hold what it should"):
-        Row.from_text(Row(0, float("nan"), 0.0, 0.0, 0.0, "ab").as_text(), where="here")
+        FrameRow.from_text(FrameRow(0, float("nan"), 0.0, 0.0, 0.0, "ab").as_text(), where="here")
 
 
 # Manifest, documents, files

@@ -16,7 +16,7 @@ from fake_devices import FakeCamera, FakeDrivers, FakeTrack, fake_rig, folder_by
 from places import ROOT, SUPPORT
 
 import lscan.acquisition.run
-import lscan.acquisition.scan
+import lscan.config.rig
 from lscan.acquisition.run import Run, open_run
 from lscan.acquisition.scan import acquire_into, scan
 from lscan.acquisition.writer import create_run, resume_run
@@ -46,7 +46,7 @@ def resumed(path: Path, rig_file: RigFile | None = None) -> Run:
 def drivers(monkeypatch: pytest.MonkeyPatch) -> FakeDrivers:
     track = FakeTrack()
     drivers = FakeDrivers(track, FakeCamera(track))
-    monkeypatch.setattr(lscan.acquisition.scan, "find_plugin", drivers.find_plugin)
+    monkeypatch.setattr(lscan.config.rig, "find_plugin", drivers.find_plugin)
     return drivers
 
 

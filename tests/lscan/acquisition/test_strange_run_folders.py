@@ -19,7 +19,7 @@ from command_line import call, refused
 from fake_devices import FakeCamera, FakeTrack, fake_rig
 from png_files import HUGE, grey_png
 
-from lscan.acquisition.run import Manifest, Row, Run, open_run
+from lscan.acquisition.run import FrameRow, Manifest, Run, open_run
 from lscan.acquisition.scan import acquire_into, open_devices, scan
 from lscan.acquisition.writer import create_run, resume_run
 from lscan.config.rig import RigFile, parse_rig
@@ -192,9 +192,9 @@ def list_frame(path: Path, index: int, data: bytes) -> None:
     """Write into the table that frame ``index`` is that file."""
     table = path / "frames.csv"
     lines = table.read_text().splitlines()
-    row = Row.from_text(lines[index + 1], where="here")
+    row = FrameRow.from_text(lines[index + 1], where="here")
     digest = hashlib.sha256(data).hexdigest()
-    lines[index + 1] = Row(**{**vars(row), "sha256": digest}).as_text()
+    lines[index + 1] = FrameRow(**{**vars(row), "sha256": digest}).as_text()
     table.write_text("\n".join(lines) + "\n")
 
 

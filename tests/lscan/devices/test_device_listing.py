@@ -213,9 +213,7 @@ def _run(*arguments: str, typed: str = "") -> Any:
 @pytest.fixture
 def rig(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     kinds = {"lscan.cameras": _Driver(LinearCamera), "lscan.tracks": _Driver(ShortTrack)}
-    monkeypatch.setattr(
-        "lscan.acquisition.scan.find_plugin", lambda group, name, where: kinds[group]
-    )
+    monkeypatch.setattr("lscan.config.rig.find_plugin", lambda group, name, where: kinds[group])
     size = {"width_px": 64, "height_px": 48}
     document = {"camera": {"driver": "x", **size}, "track": {"driver": "x"}}
     rig_file = parse_rig(document, source="rig.toml", trusted=True)

@@ -101,6 +101,8 @@ def test_a_picture_is_not_turned_on_its_side() -> None:
 class _Packets:
     """Packets by their script: each with the seconds it must be waited for."""
 
+    isOpened = get = set = release = getBackendName = None  # noqa: N815 - OpenCV's names
+
     def __init__(self, script: Sequence[tuple[float, bytes]]) -> None:
         self._script, self.now_s = iter(script), 0.0
 

@@ -382,9 +382,7 @@ def test_a_stopped_scan_of_a_file_resumes_with_the_same_pictures(
 ) -> None:
     track = _StandingTrack()
     drivers = {"lscan.tracks": track, "lscan.cameras": camera_driver}
-    monkeypatch.setattr(
-        "lscan.acquisition.scan.find_plugin", lambda group, name, where: drivers[group]
-    )
+    monkeypatch.setattr("lscan.config.rig.find_plugin", lambda group, name, where: drivers[group])
     camera = {"driver": "opencv", "options": {"file": str(video), "average_frames": 2}}
     size = {"width_px": VIDEO_PX[0], "height_px": VIDEO_PX[1]}
     document = {

@@ -12,7 +12,8 @@ import numpy as np
 import pytest
 import report_examples as examples
 
-from lscan.acquisition.provenance import Source, chain_names, chains_told, note, picture_source
+from lscan.acquisition.provenance import PictureSource as Source
+from lscan.acquisition.provenance import chain_names, chains_in_words, note, picture_source
 from lscan.acquisition.run import Run
 from lscan.cli.summaries import print_chains
 from lscan.config.rig import parse_rig
@@ -165,7 +166,9 @@ def test_a_line_not_found_by_the_papers_rules_is_not_called_its_chain() -> None:
         other = copy.deepcopy(results)
         other["chain"][key] = value
         assert chain_names(other)[0] == "Ours, paper’s map"
-    assert chains_told(results).startswith("Two chains read the same pictures. The paper’s chain:")
+    assert chains_in_words(results).startswith(
+        "Two chains read the same pictures. The paper’s chain:"
+    )
 
 
 def test_the_summary_prints_both_chains(capsys) -> None:

@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from lscan.devices.grbl.protocol import Status, parse_line
+from lscan.devices.grbl.protocol import StatusReport, parse_line
 from sim.emulators.grbl import GrblEmulator, SimulatedTime
 from sim.emulators.grbl.motion import Braking, Trapezoid
 
@@ -149,7 +149,7 @@ def test_a_reset_after_the_brake_keeps_the_position_and_during_it_does_not() -> 
         assert desk.say("\x18") == ["", "Grbl 1.1h ['$' for help]"]
         assert desk.grbl.state == "Idle"
         reported = parse_line(desk.say("?")[0])
-        assert isinstance(reported, Status)
+        assert isinstance(reported, StatusReport)
         assert reported.machine is not None
         assert reported.machine[0] == pytest.approx(there_mm + 50.0, abs=0.0025)  # half a step
         desk = Desk()
@@ -189,12 +189,13 @@ def test_the_laser_waits_for_the_motion_before_it() -> None:
 def test_every_report_can_be_read_and_tells_the_offset_first() -> None:
     desk = Desk({**FREE, 10: 3})
     desk.line("G92X5")
-    first = parse_line(desk.say("?")[0])
-    assert isinstance(first, Status)
+    report = desk.say("?")[0]
+    first = parse_line(report)
+    assert isinstance(first, StatusReport)
     assert first.offset == (-5.0, 0.0, 0.0)
-    assert first.blocks == 15
+    assert "|Bf:15,128|" in report
     for _ in range(25):
-        assert isinstance(parse_line(desk.say("?")[0]), Status)
+        assert isinstance(parse_line(desk.say("?")[0]), StatusReport)
 
 
 def test_a_move_takes_the_time_of_its_ramps() -> None:

@@ -15,7 +15,7 @@ import pytest
 
 import lscan.acquisition.scan
 import lscan.acquisition.writer
-from lscan.acquisition.run import Row, frame_file, open_run
+from lscan.acquisition.run import FrameRow, frame_file, open_run
 from lscan.acquisition.writer import RunWriter
 from lscan.devices.grbl import SerialTrack
 from lscan.devices.opencv_camera import OpencvCamera
@@ -202,7 +202,7 @@ def test_a_row_written_before_its_picture_is_seen(
         png = lscan.acquisition.writer._encode(frame.image)
         numbers = (frame.commanded_mm, frame.position_mm, frame.time_s, frame.exposure_ms)
         digest = lscan.acquisition.writer.hashlib.sha256(png).hexdigest()
-        row = Row(frame.index, *numbers, digest).as_text()
+        row = FrameRow(frame.index, *numbers, digest).as_text()
         lscan.acquisition.writer.append_synced(
             self._table, f"{row}\n".encode(), self.path / "frames.csv"
         )
@@ -350,6 +350,6 @@ def retaken(path: Path) -> None:
     """Write the first row anew, with another time; everything else holds."""
     table = path / "frames.csv"
     header, first, *others = table.read_text().split("\n")
-    row = Row.from_text(first, table)
+    row = FrameRow.from_text(first, table)
     later = replace(row, time_s=row.time_s - 1e-6).as_text()
     table.write_text("\n".join([header, later, *others]))

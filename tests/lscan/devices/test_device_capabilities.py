@@ -27,7 +27,7 @@ NOWHERE = "/nowhere/that/exists"
 SANDWAVE = SCENES / "paper" / "sandwave.toml"
 SERIAL = {"port": NOWHERE, "min_mm": 0, "max_mm": 180, "homing": False}
 
-# ---- abilities --------------------------------------------------------------------------
+# ---- capabilities -----------------------------------------------------------------------
 
 
 def rig(camera: dict[str, Any], track: dict[str, Any]) -> RigFile:
@@ -122,7 +122,7 @@ def test_of_the_tank() -> None:
 
 
 def test_a_driver_of_somebody_else_need_not_tell(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("lscan.devices.listing.find_plugin", lambda *_: object())
+    monkeypatch.setattr("lscan.config.rig.find_plugin", lambda *_, **__: object())
     found = rig_devices(parse_rig({"camera": {"driver": "x"}, "track": {"driver": "y"}}, "rig"))
     expected: dict[str, Fact] = {"driver": "y", "switches_laser": False}
     assert found["track"] == expected
