@@ -3,12 +3,9 @@
 from __future__ import annotations
 
 import json
-import signal
 import sys
-import threading
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from types import FrameType
 from typing import Any
 
 import typer
@@ -16,6 +13,7 @@ from rich import progress as rich_progress
 from rich.console import Console
 from rich.table import Table
 
+from lscan.devices.signals import on_stop_signals
 from lscan.errors import LscanError, Stopped, missing_package
 from lscan.records import Progress
 
@@ -26,11 +24,11 @@ STOPPED = Stopped.exit_code
 def run_command_line(app: typer.Typer, name: str) -> None:
     """Run a command line and leave with its exit code; errors become one line on stderr.
 
-    SIGINT and SIGTERM stop every command alike, see ``stopped_by_signals``.
+    SIGINT and SIGTERM stop every command alike, see ``on_stop_signals``.
     """
     command = typer.main.get_command(app)
     try:
-        with stopped_by_signals():
+        with on_stop_signals(_interrupt):
             code = command.main(prog_name=name, standalone_mode=False)
     except LscanError as error:
         message = "; ".join([str(error), *getattr(error, "__notes__", ())])
@@ -53,26 +51,7 @@ def run_command_line(app: typer.Typer, name: str) -> None:
     sys.exit(code if isinstance(code, int) else 0)
 
 
-@contextmanager
-def stopped_by_signals() -> Iterator[None]:
-    """Let SIGINT and SIGTERM raise KeyboardInterrupt within the block.
-
-    SIGINT does so also where the process was begun with it ignored, as ``nohup``, cron and a
-    script's ``&`` do: whoever then sends it by ``kill -INT`` means it.  SIGTERM, whose default
-    is to end the process at once, would leave a laser lit and a track moving.
-    """
-    if threading.current_thread() is not threading.main_thread():  # which alone may set handlers
-        yield
-        return
-    before = {number: signal.signal(number, _stop) for number in (signal.SIGINT, signal.SIGTERM)}
-    try:
-        yield
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
-
-
-def _stop(_number: int, _frame: FrameType | None) -> None:
+def _interrupt() -> None:
     raise KeyboardInterrupt
 
 

@@ -9,11 +9,8 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import json
-import signal
 import socket
-import threading
 from collections.abc import AsyncIterator, Callable, Iterator
-from types import FrameType
 from typing import Annotated, Any, Literal, TypeVar
 
 import uvicorn
@@ -26,6 +23,7 @@ from starlette.routing import Route
 from starlette.types import ASGIApp
 
 from lscan.config.documents import Strict, check
+from lscan.devices.signals import on_stop_signals
 from lscan.errors import DeviceError, InputError, LscanError
 from lscan.live.access import Access
 from lscan.live.door import Door
@@ -198,19 +196,8 @@ class LiveServer(uvicorn.Server):
 
     @contextlib.contextmanager
     def capture_signals(self) -> Iterator[None]:
-        if threading.current_thread() is not threading.main_thread():
+        with on_stop_signals(self.stop):
             yield
-            return
-
-        def end(number: int, frame: FrameType | None) -> None:
-            self.stop()
-
-        before = {number: signal.signal(number, end) for number in (signal.SIGINT, signal.SIGTERM)}
-        try:
-            yield
-        finally:
-            for number, handler in before.items():
-                signal.signal(number, handler)
 
 
 def listen(host: str, port: int) -> socket.socket:
