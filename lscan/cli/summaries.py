@@ -97,11 +97,11 @@ def print_check(check: Check) -> None:
 
 def print_chains(results: Mapping[str, Any]) -> None:
     """Print where a report's pictures come from, and the errors of both chains side by side."""
-    from lscan.acquisition.provenance import PARTS, chain_names, chains_told, note
+    from lscan.acquisition.provenance import PARTS, chain_names, chains_in_words, note
     from lscan.paper.published import Bars
     from lscan.paper.tables import paper_tables
 
-    for line in filter(None, (note(results, PARTS), chains_told(results))):
+    for line in filter(None, (note(results, PARTS), chains_in_words(results))):
         print(line)
     names = [name.removeprefix("Ours, ") for name in chain_names(results)]
     for table in paper_tables(results, Bars()):

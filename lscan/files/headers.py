@@ -64,7 +64,7 @@ def _png(data: bytes) -> PictureHeader | None:
 def _whole(data: bytes) -> bool:
     """Whether all chunks of a PNG file are there, pixels among them, to an empty last one.
 
-    A decoder takes memory for as long a chunk as it is told of.
+    A decoder takes memory for as long a chunk as the file states.
     """
     place, pixels = 8, False
     while place + 12 <= len(data):

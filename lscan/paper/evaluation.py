@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
-from lscan.acquisition.provenance import Source, picture_source
+from lscan.acquisition.provenance import PictureSource, picture_source
 from lscan.acquisition.run import Run
 from lscan.config.rig import Rig
 from lscan.errors import InputError, LscanError
@@ -52,7 +52,7 @@ class Experiment:
     board: BoardResult
     groove: GrooveResult | None = None
     sandwave: SandwaveResult | None = None
-    sources: Mapping[str, Source] = field(default_factory=dict)
+    sources: Mapping[str, PictureSource] = field(default_factory=dict)
     best: Experiment | None = None
     best_refused: str = ""
     seconds: Mapping[str, float] = field(default_factory=dict)

@@ -93,7 +93,7 @@ def render_report(inputs: ReportInputs) -> str:
             title=provenance.title(results),
             lead=provenance.lead(results),
             cameras=provenance.cameras(results),
-            chains=provenance.chains_told(results),
+            chains=provenance.chains_in_words(results),
             names=provenance.chain_names(results),
             versions=results.get("versions", {}),
             seconds=results.get("seconds", {}),

@@ -25,7 +25,7 @@ from sim.emulators.options import ServeOptions
 from sim.emulators.places import Places
 from sim.emulators.rigfile import HEADING, camera_options, rig_document
 from sim.emulators.track import EmulatedTrack
-from sim.emulators.webcam.camera import Coding, EmulatedCamera, Sight
+from sim.emulators.webcam.camera import Coding, EmulatedCamera, HeadState
 from sim.emulators.webcam.mjpeg import SNAPSHOT, STREAM, MjpegServer
 from sim.scene import Scene
 
@@ -47,7 +47,7 @@ class EmulatedHardware:
     ) -> None:
         """Switch on; InputError where an option or the scene cannot be served.
 
-        progress: told (done, all) of the places that ``prepare`` renders.
+        progress: called with (done, all) of the places that ``prepare`` renders.
         """
         self.scene, self.options = scene, (options or ServeOptions()).check()
         self._timers: list[threading.Timer] = []
@@ -147,9 +147,9 @@ class EmulatedHardware:
     def __exit__(self, *_: object) -> None:
         self.close()
 
-    def _look(self) -> Sight:
+    def _look(self) -> HeadState:
         lit = self._track.lit if self.options.switched_laser else True
-        return Sight(self._track.position_mm, lit)
+        return HeadState(self._track.position_mm, lit)
 
     def _rendered(self, progress: Progress | None) -> Places:
         """The places, with the plan's first or, to prepare, all of them rendered."""

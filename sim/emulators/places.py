@@ -18,7 +18,7 @@ NANOMETRE = 6  # decimals of a place in mm: finer, two places are one
 
 
 @dataclass(frozen=True)
-class _Place:
+class _PlaceViews:
     """lit: with the laser on.  dark: with the laser off; None where it is never switched."""
 
     lit: StillView
@@ -37,7 +37,7 @@ class Places:
         self._tank, self._webcam = Tank(scene), Webcam(scene)
         self._exposure_ms = scene.rig.camera.exposure_ms
         self._most, self._switched = most, switched_laser
-        self._kept: OrderedDict[float, _Place] = OrderedDict()
+        self._kept: OrderedDict[float, _PlaceViews] = OrderedDict()
 
     def view(self, position_mm: float, *, lit: bool = True) -> StillView:
         """The view from a position in mm, rendered where it is not kept."""
@@ -50,14 +50,14 @@ class Places:
         place = self._kept[key]
         return place.lit if lit or place.dark is None else place.dark
 
-    def _render(self, position_mm: float) -> _Place:
+    def _render(self, position_mm: float) -> _PlaceViews:
         layers = self._tank.render(position_mm)
         lit = self._webcam.still(layers, self._exposure_ms)
         if not self._switched:
-            return _Place(lit, None)
+            return _PlaceViews(lit, None)
         none = np.zeros_like(layers.direct)
         dark = self._webcam.still(replace(layers, direct=none, scattered=none), self._exposure_ms)
-        return _Place(lit, dark)
+        return _PlaceViews(lit, dark)
 
 
 def _refuse_change(scene: Scene) -> None:

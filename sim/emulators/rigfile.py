@@ -54,7 +54,7 @@ def rig_document(
 
 
 def sheet_section(scene: Scene) -> dict[str, Any] | None:
-    """``[sheet]`` as a ruler at the scene's head would tell it, the thickness to 0.01 mm.
+    """``[sheet]`` as a ruler at the scene's head would measure it, the thickness to 0.01 mm.
 
     The thickness is that at the place the camera looks at, where its axis meets the head's
     plane y = 0.  None for a camera that does not look at that plane from before it.

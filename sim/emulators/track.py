@@ -21,7 +21,7 @@ MACHINE = {25: FEED_MM_MIN, 27: OFF_SWITCH_MM, 100: 250.0, 110: FEED_MM_MIN, 120
 
 
 @dataclass(frozen=True)
-class Travel:
+class TrackTravel:
     """Where the head may go.  min_mm, max_mm: positions.  zero_mm: machine coordinate of 0.
 
     travel_mm: of the machine, from ``-travel_mm`` to its switch at 0.
@@ -41,14 +41,14 @@ class Travel:
         return steps / MACHINE[100] - self.zero_mm
 
 
-def travel_for(plan: Plan) -> Travel:
+def travel_for(plan: Plan) -> TrackTravel:
     """The travel in which all of the plan lies, with some way to spare at either end."""
     positions_mm = plan.positions_mm()
     low_mm = math.floor(min(positions_mm) - SPARE_MM)
     high_mm = math.ceil(max(positions_mm) + SPARE_MM)
     zero_mm = -(high_mm + 2 * OFF_SWITCH_MM)
     lowest_mm = low_mm - APPROACH_MM - OFF_SWITCH_MM
-    return Travel(float(low_mm), float(high_mm), zero_mm, -(lowest_mm + zero_mm))
+    return TrackTravel(float(low_mm), float(high_mm), zero_mm, -(lowest_mm + zero_mm))
 
 
 class EmulatedTrack:

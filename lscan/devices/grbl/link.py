@@ -20,19 +20,15 @@ class Transport(Protocol):
     @property
     def in_waiting(self) -> int:
         """Bytes that have come and were not read."""
-        ...
 
     def read(self, size: int, /) -> bytes:
         """Up to ``size`` bytes, fewer or none after a short while.  OSError: line broken."""
-        ...
 
     def write(self, data: bytes, /) -> int | None:
         """Send bytes.  OSError: line broken."""
-        ...
 
     def close(self) -> None:
         """Release the port."""
-        ...
 
 
 def open_serial(port: str, baud: int, name: str, write_s: float) -> Transport:

@@ -51,20 +51,17 @@ class ExposureControl(Camera, Protocol):
     @property
     def can_set_exposure(self) -> bool:
         """Whether it can be changed as the camera is connected now."""
-        ...
 
     def set_exposure(self, exposure_ms: float) -> float:
         """The exposure time in ms as read back.  Raises DeviceError."""
-        ...
 
 
 @runtime_checkable
 class BlackAccepting(Protocol):
-    """A camera that takes black pictures for a fault until it is told that they are meant."""
+    """A camera that takes black pictures for a fault until it learns that they are meant."""
 
     def accept_black(self) -> None:
         """From now on black pictures are meant."""
-        ...
 
 
 @runtime_checkable
@@ -74,7 +71,6 @@ class SettingsReadBack(Protocol):
     @property
     def settings(self) -> tuple[Setting, ...]:
         """Each setting with what was asked and what the camera reports."""
-        ...
 
 
 @dataclass(frozen=True)
@@ -127,11 +123,8 @@ def grab_series(
     Raises InputError for fewer than four pictures, DeviceError where the camera fails.
     """
     if pictures < FEWEST_PICTURES:
-        raise InputError(
-            "too few pictures to measure noise",
-            value=pictures,
-            allowed=f"{FEWEST_PICTURES} or more",
-        )
+        what, allowed = "too few pictures to measure noise", f"{FEWEST_PICTURES} or more"
+        raise InputError(what, value=pictures, allowed=allowed)
     images, times_s, latencies_s = [], [], []
     for index in range(pictures):
         began_s = time.monotonic()
@@ -162,7 +155,7 @@ def try_camera(
     pictures: how many are taken at each exposure time.  dark: pictures (N, H, W) of the same
     colour taken with the cap on.  The exposure time is varied where the camera allows, and set
     back at the end.  Raises DeviceError where the camera fails; what the pictures do not allow
-    to be measured is told in the remarks.
+    to be measured stands in the remarks.
     """
     remarks: list[str] = []
     settings = camera.settings if isinstance(camera, SettingsReadBack) else ()
@@ -210,7 +203,7 @@ def _doubts(transfer: PhotonTransfer) -> tuple[str, ...]:
     freedoms = max(levels - 2, 1)
     if gain <= 0 or transfer.chi2 > chi_square.isf(RARE, freedoms) / freedoms:
         doubts.append(
-            "noise: it does not grow in proportion to the light, so the gain does not tell the "
+            "noise: it does not grow in proportion to the light, so the gain is not the "
             "camera's. JPEG pictures (a stream, pixel_format MJPG) hold noise smoothed away and "
             "noise of the coding: ask for uncoded ones, such as YUYV. A laser's speckle grows "
             "faster than the light: switch it off, and light the scene by a lamp. Else look for "

@@ -56,15 +56,12 @@ class Levels:
 
     def __add__(self, other: Levels) -> Levels:
         """The levels of both, one after the other."""
-        pairs = zip(self._arrays(), other._arrays(), strict=True)
+        pairs = zip(vars(self).values(), vars(other).values(), strict=True)
         return Levels(*(np.concatenate(pair) for pair in pairs))
 
     def __getitem__(self, which: Mask) -> Levels:
         """Some of the levels."""
-        return Levels(*(array[which] for array in self._arrays()))
-
-    def _arrays(self) -> tuple[Floats, Floats, Floats, Floats]:
-        return self.mean_dn, self.variance, self.differences, self.clipped
+        return Levels(*(array[which] for array in vars(self).values()))
 
 
 @dataclass(frozen=True)
@@ -155,35 +152,32 @@ def photon_transfer(levels: Levels, dark: Levels | None = None) -> PhotonTransfe
             " DN; needed: two at least 1 DN apart; show the camera a still scene with bright and "
             "dark parts, neither black nor white"
         )
-    (dark_variance, gain), covariance, chi2 = _weighted_line(light, every)
+    (gain, dark_variance), covariance, chi2 = _weighted_line(light, every)
     read_dn = float(np.sqrt(max(dark_variance, ROUNDING_DN**2)))
     return PhotonTransfer(
         dark_dn=dark_dn,
         read_dn=read_dn,
-        read_sigma_dn=float(np.sqrt(covariance[0, 0])) / (2 * read_dn),
+        read_sigma_dn=float(np.sqrt(covariance[1, 1])) / (2 * read_dn),
         dn_per_electron=float(gain),
-        gain_sigma=float(np.sqrt(covariance[1, 1])),
+        gain_sigma=float(np.sqrt(covariance[0, 0])),
         chi2=chi2,
         levels=levels,
     )
 
 
 def _weighted_line(light: Floats, levels: Levels) -> tuple[Floats, Floats, float]:
-    """(offset, slope) of variance over light, their covariance, and chi² per degree of freedom.
+    """(slope, offset) of variance over light, their covariance, and chi² per degree of freedom.
 
     The weights come from the line itself, found in a few rounds: weights from the measured
     variances would favour those that came out small by chance.
     """
     share = np.sqrt(2 / levels.differences)
-    design = np.stack([np.ones_like(light), light], axis=1)
     model = levels.variance
     for _ in range(5):
         # No variance is smaller than that of rounding, so no level gets an endless weight.
         sigma = share * np.maximum(model, ROUNDING_DN**2)
-        weighted = design / sigma[:, None]
-        covariance = np.linalg.inv(weighted.T @ weighted)
-        line = covariance @ weighted.T @ (levels.variance / sigma)
-        model = design @ line
+        line, covariance = np.polyfit(light, levels.variance, 1, w=1 / sigma, cov="unscaled")
+        model = np.asarray(np.polyval(line, light), dtype=float)
     chi2 = float((((levels.variance - model) / sigma) ** 2).sum() / max(len(light) - 2, 1))
     return line, covariance, chi2
 
@@ -203,8 +197,7 @@ def linearity(exposure_ms: Floats, mean_dn: Floats) -> Linearity:
             f"{high:.0f} DN; found: {np.round(mean_dn, 1).tolist()}"
         )
     time_ms, grey = exposure_ms[inside], mean_dn[inside]
-    design = np.stack([np.ones_like(time_ms), time_ms], axis=1)
-    offset, slope = np.linalg.lstsq(design / grey[:, None], np.ones_like(grey), rcond=None)[0]
+    slope, offset = np.polyfit(time_ms, grey, 1, w=1 / grey)
     line = offset + slope * time_ms
     error = float(np.mean(np.abs(grey - line) / np.abs(line)))
     return Linearity(100 * error, float(slope), float(offset))
@@ -216,8 +209,7 @@ def _levels(pictures: Bytes, level: Ints) -> Levels:
     pixels = np.bincount(level).astype(float)
 
     def sums(values: Floats) -> Floats:
-        summed: Floats = np.bincount(level, weights=values, minlength=len(pixels)).astype(float)
-        return summed
+        return np.bincount(level, weights=values, minlength=len(pixels)).astype(np.float64)
 
     total, squares, clipped = np.zeros_like(pixels), np.zeros_like(pixels), np.zeros_like(pixels)
     pairs = len(flat) // 2

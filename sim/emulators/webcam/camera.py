@@ -20,7 +20,7 @@ STREAM = 4  # of the sensor's seed; 0 to 3 are taken (sim.sensor.noise)
 
 
 @dataclass(frozen=True)
-class Sight:
+class HeadState:
     """What there is to be seen.  position_mm: where the head rests, None while it moves.
 
     lit: whether the laser is on.
@@ -36,7 +36,7 @@ class Shot:
 
     number: int
     jpeg: bytes
-    sight: Sight
+    sight: HeadState
 
 
 @dataclass(frozen=True)
@@ -56,7 +56,7 @@ class EmulatedCamera:
     """
 
     def __init__(
-        self, places: Places, look: Callable[[], Sight], fps: float, coding: Coding, seed: int
+        self, places: Places, look: Callable[[], HeadState], fps: float, coding: Coding, seed: int
     ) -> None:
         self._places, self._look, self._coding = places, look, coding
         self._period_s = 1 / fps
@@ -129,7 +129,7 @@ class EmulatedCamera:
         if sight.position_mm is None:
             if last is None:
                 return None
-            sight = Sight(last.sight.position_mm, sight.lit)
+            sight = HeadState(last.sight.position_mm, sight.lit)
         if self.fault == "frozen" and last is not None:
             return Shot(self._count + 1, last.jpeg, sight)
         assert sight.position_mm is not None
