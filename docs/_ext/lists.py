@@ -37,6 +37,7 @@ def _ours(value: str) -> bool:
     return value.startswith(("lscan.", "sim."))
 
 
+GROUPS = ("lscan.extractors", "lscan.planemaps", "lscan.cameras", "lscan.tracks")
 TABLES: dict[str, Callable[[], str]] = {
     "status": statuses,
     "extractors": lambda: _plugins("lscan.extractors"),

@@ -12,7 +12,7 @@ from lscan.devices.grbl import SerialTrackOptions
 from lscan.devices.manual import ManualOptions
 from lscan.devices.opencv_camera.options import OpencvOptions
 from sim.devices import CameraOptions, TrackOptions
-from sim.scene import Tank
+from sim.scene import TankSections
 
 IN_RIG_ONLY = ("board",)  # its keys are those of a board file
 
@@ -34,7 +34,7 @@ FILES: dict[str, list[Section]] = {
         Section("track.options", ReplayOptions, "replay"),
         Section("track.options", TrackOptions, "sim"),
     ],
-    "scene": list(sections(Tank)),
+    "scene": list(sections(TankSections)),
     "board": list(sections(Board)),
     "views": _without(list(sections(ViewsDocument)), ("optics",)),
 }
