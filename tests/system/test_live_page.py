@@ -34,7 +34,7 @@ from sim.testing.browser import (
 
 pytestmark = pytest.mark.xdist_group("live_page")  # one worker: they share a fixture
 
-README = ROOT / "README.md"
+GUIDE = ROOT / "docs" / "howto" / "use-the-live-page.md"
 OUT = ROOT / "out" / "live"
 
 # What marks the overlay in the picture: its colours are far from the red of the laser line.
@@ -446,7 +446,7 @@ def test_the_readme_gives_the_width_that_the_page_calls_good(page: Page) -> None
     legend = page.evaluate(f"import('/live/figures.js').then(({{FIGURES}}) => {figure})")
     good = re.search(r"good from ([\d.]+) to ([\d.]+) px", legend)
     assert good is not None
-    assert f"*Width.* {good[1]} to {good[2]} px, full width at half height" in README.read_text()
+    assert f"*Width.* {good[1]} to {good[2]} px, full width at half height" in GUIDE.read_text()
 
 
 # ---- board mode -------------------------------------------------------------------------

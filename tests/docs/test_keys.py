@@ -1,0 +1,112 @@
+"""The reference describes every key of every file, every status and every method, and no other."""
+
+from __future__ import annotations
+
+import re
+import sys
+from pathlib import Path
+
+import pytest
+from places import ROOT, SCENES
+
+sys.path.append(str(ROOT / "docs" / "_ext"))
+
+import commandline
+import drawing
+import lists
+import modelkeys
+import userfiles
+
+from lscan.records import Status
+from sim.validation.physics.gallery import scene_files
+
+SECTIONS = [
+    pytest.param(name, section, id=f"{name}-{section.label or 'file'}")
+    for name, found in userfiles.FILES.items()
+    for section in found
+]
+NOT_KEYS = {"status", *lists.GROUPS}
+"""Tables of the descriptions that are of no file."""
+
+
+@pytest.mark.parametrize(("name", "section"), SECTIONS)
+def test_every_key_is_described(name: str, section: modelkeys.Section) -> None:
+    """Each key is a row with a type and a default, or a section of its own."""
+    text = modelkeys.as_markdown(section, "title")
+    titles = {other.name for other in userfiles.FILES[name]} | {"board", "optics"}
+    for key in section.model.model_fields:
+        inner = f"{section.name}.{key}" if section.name else key
+        assert f"| `{key}` |" in text or inner in titles, key
+    for _, kind, _, _, default, _ in modelkeys.rows(section):
+        assert kind not in ("", "anything")
+        assert default
+
+
+def test_no_key_is_described_that_there_is_not() -> None:
+    keys: dict[str, set[str]] = {}
+    for found in userfiles.FILES.values():
+        for section in found:
+            keys.setdefault(section.label or "file", set()).update(section.model.model_fields)
+    for label, texts in modelkeys.DESCRIPTIONS.items():
+        if label not in NOT_KEYS:
+            assert label in keys, label
+            assert set(texts) - {"_"} <= keys[label], label
+
+
+def test_bounds_unit_and_default_are_those_of_the_model() -> None:
+    plan = next(part for part in userfiles.FILES["rig"] if part.name == "plan")
+    rows = {row[0]: row for row in modelkeys.rows(plan)}
+    assert rows["frames"][:5] == ("frames", "whole number", "≥ 1, ≤ 1e+06", "", "`1`")
+    assert rows["step_mm"][:5] == ("step_mm", "number", "", "mm", "`0.5`")
+    assert rows["laser"][1] == '`"untouched"`, `"on"`, `"pairs"`'
+
+
+def test_every_status_and_method_is_described() -> None:
+    assert set(modelkeys.DESCRIPTIONS["status"]) == {status.name for status in Status}
+    for table in lists.TABLES.values():
+        assert table().count("\n") >= 2
+
+
+@pytest.mark.parametrize("program", commandline.APPS)
+def test_every_command_is_listed_with_what_it_does(program: str) -> None:
+    text = commandline.as_markdown(program)
+    for name, command in commandline.commands(program).items():
+        assert f"### {program} {name}\n\n{command.help.split()[0]}" in text
+    assert ("| `SCENE` |" in text) or ("| `RIG` |" in text)
+
+
+@pytest.mark.parametrize("package", ["lscan", "sim"])
+def test_the_drawing_shows_every_room(package: str) -> None:
+    picture = drawing.svg(package)
+    rooms = {
+        path.name
+        for path in (ROOT / package).iterdir()
+        if path.is_dir() and (path / "__init__.py").exists()
+    }
+    assert all(f">{room}</text>" in picture for room in rooms)
+
+
+def test_implied_arrows_are_left_out() -> None:
+    pairs = {("a", "b"), ("b", "c"), ("a", "c"), ("a", "d")}
+    assert drawing.reduced(pairs) == {("a", "b"), ("b", "c"), ("a", "d")}
+
+
+def test_every_scene_is_listed() -> None:
+    listed = (SCENES / "README.md").read_text(encoding="utf-8")
+    rows = re.findall(r"^\| `([a-z0-9/-]+\.toml)` \|", listed, re.MULTILINE)
+    files = {path.relative_to(SCENES).as_posix() for path in scene_files(SCENES)}
+    assert sorted(rows) == sorted(files)
+
+
+def test_the_readme_is_short_and_its_pictures_are_small() -> None:
+    readme = (ROOT / "README.md").read_text(encoding="utf-8")
+    assert len(readme.splitlines()) <= 150
+    pictures = [ROOT / path for path in re.findall(r"!\[[^]]*\]\(([^)]+)\)", readme)]
+    assert len(pictures) == 2
+    assert all(path.stat().st_size <= 150_000 for path in pictures)
+
+
+def test_links_of_pages_outside_the_docs_lead_somewhere() -> None:
+    for page in (ROOT / "README.md", ROOT / "CONTRIBUTING.md"):
+        for target in re.findall(r"\]\(([^)#]+)\)", page.read_text(encoding="utf-8")):
+            assert Path(ROOT / target).exists(), target
