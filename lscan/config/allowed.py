@@ -31,13 +31,6 @@ class Kind:
     words: str = ""
 
     @property
-    def plain(self) -> set[type]:
-        """The plain types a scalar of this kind may have."""
-        if get_origin(self.type) is Literal:
-            return {type(value) for value in get_args(self.type)}
-        return {self.type} if self.type in (int, float, str, bool) else set()
-
-    @property
     def is_table(self) -> bool:
         """Whether it is a table whose keys are known: a model or a dataclass."""
         known = isinstance(self.type, type) and issubclass(self.type, BaseModel)
@@ -186,13 +179,13 @@ def _range(limits: dict[str, Any]) -> str:
     """Such as " of 0 to 100" or " above 0 and at most 1"; "" where there are no limits."""
     low, high = limits.get("ge"), limits.get("le")
     if low is not None and high is not None:
-        return f" of {plain_number(low)} to {plain_number(high)}"
+        return f" of {_plain_number(low)} to {_plain_number(high)}"
     names = {"ge": "at least", "gt": "above", "le": "at most", "lt": "below"}
-    said = [f"{names[n]} {plain_number(limits[n])}" for n in names if n in limits]
+    said = [f"{names[n]} {_plain_number(limits[n])}" for n in names if n in limits]
     return f" {' and '.join(said)}" if said else ""
 
 
-def plain_number(value: float) -> str:
+def _plain_number(value: float) -> str:
     """A limit as it would be typed: no exponent, no ".0"."""
     return str(int(value)) if float(value).is_integer() else repr(value)
 

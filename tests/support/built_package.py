@@ -14,7 +14,7 @@ from places import ROOT
 
 SOURCES = ("lscan", "sim", "scenes")
 FILES = ("pyproject.toml", "setup.py", "MANIFEST.in", "README.md", "LICENSE", "CHANGELOG.md")
-TANK = ("mitsuba", "drjit", "rtree", "shapely", "mapbox_earcut", "websockets")
+TANK = ("mitsuba", "drjit", "rtree", "shapely", "mapbox_earcut")
 """How the names of what only ``lscan[tank]`` installs begin."""
 
 
