@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from lscan.acquisition.scan import scan
     from lscan.board import read_board
     from lscan.calibration.api import PlaneMap
+    from lscan.calibration.loading import load_plane_map
     from lscan.calibration.solve import (
         Calibration,
         calibrate,
@@ -32,7 +33,7 @@ if TYPE_CHECKING:
     from lscan.devices.api import Camera, Track
     from lscan.errors import LscanError
     from lscan.measure import diameters, distances
-    from lscan.paper.experiment import measure_groove, measure_sandwave
+    from lscan.measurement import measure_groove, measure_run, measure_sandwave
     from lscan.pipeline import calibrate_run, mean_picture, reconstruct
     from lscan.records import BoardReading, Frame, Profile, Status, Stripe, Surface
     from lscan.stripe import extract_stripe
@@ -62,10 +63,12 @@ __all__ = [
     "distances",
     "extract_stripe",
     "load_calibration",
+    "load_plane_map",
     "load_rig",
     "load_surface",
     "mean_picture",
     "measure_groove",
+    "measure_run",
     "measure_sandwave",
     "open_run",
     "read_board",
@@ -80,6 +83,7 @@ _HOMES = {
     "lscan.acquisition.scan": ("scan",),
     "lscan.board": ("read_board",),
     "lscan.calibration.api": ("PlaneMap",),
+    "lscan.calibration.loading": ("load_plane_map",),
     "lscan.calibration.solve": (
         "Calibration",
         "calibrate",
@@ -90,7 +94,7 @@ _HOMES = {
     "lscan.devices.api": ("Camera", "Track"),
     "lscan.errors": ("LscanError",),
     "lscan.measure": ("diameters", "distances"),
-    "lscan.paper.experiment": ("measure_groove", "measure_sandwave"),
+    "lscan.measurement": ("measure_groove", "measure_run", "measure_sandwave"),
     "lscan.pipeline": ("calibrate_run", "mean_picture", "reconstruct"),
     "lscan.records": ("BoardReading", "Frame", "Profile", "Status", "Stripe", "Surface"),
     "lscan.stripe": ("extract_stripe",),

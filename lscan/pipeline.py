@@ -179,3 +179,15 @@ def require_board(run: Run) -> Board:
     if board is None:
         raise InputError("the rig file has no section [board]", where=run.path)
     return board
+
+
+def require_size(run: Run, size_px: tuple[int, int], calibration: object) -> None:
+    """InputError where the run's pictures are not of the size a calibration was made for."""
+    camera = run.rig_file.rig.camera
+    if (camera.width_px, camera.height_px) != tuple(size_px):
+        raise InputError(
+            f"pictures are not of the size of the calibration {calibration}",
+            where=run.path,
+            value=(camera.width_px, camera.height_px),
+            allowed=f"{size_px[0]} x {size_px[1]} px",
+        )

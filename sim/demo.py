@@ -8,7 +8,6 @@ from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -20,11 +19,11 @@ from lscan.config.rig import Rig, RigFile, StripeSection, load_rig, parse_rig
 from lscan.config.targets import Sandwave
 from lscan.files.disk import make_folder
 from lscan.measure import compare_slice
-from lscan.paper.evaluation import Experiment, evaluate
-from lscan.paper.results import experiment_json, write_experiment
+from lscan.paper.evaluation import evaluate
+from lscan.paper.experiment import ControlPoints, Experiment, GroundTruth, RenderCheck
+from lscan.paper.results import write_experiment
 from lscan.records import Floats, Status
 from lscan.stripe import extract_stripe
-from lscan.surface import Slice
 from sim.render.tank import Tank
 from sim.scene import Scene, scene_of
 from sim.sensor import Webcam
@@ -39,7 +38,7 @@ CHECK_EDGE_PX = 4.0  # columns this near to an end of the line are left out
 
 
 @dataclass(frozen=True)
-class Effort:
+class DemoEffort:
     """How much of the demo's work is done.
 
     frames: of the sandwave; None: the scene's own.  render: what replaces the scenes' own
@@ -54,9 +53,9 @@ class Effort:
     scatter_samples: int
 
 
-FULL = Effort(frames=None, render={}, checks=5, samples=64, scatter_samples=8)
+FULL = DemoEffort(frames=None, render={}, checks=5, samples=64, scatter_samples=8)
 # A hundred frames are the fewest from which the sandwave's scan can be aligned.
-QUICK = Effort(
+QUICK = DemoEffort(
     frames=100,
     render={"samples": 1, "scatter_samples": 0},
     checks=1,
@@ -71,15 +70,25 @@ def run_demo(
     frames: int | None = None,
     best: Path | None = None,
     quick: bool = False,
-) -> Mapping[str, Any]:
-    """results.json of the demo, written with report.html and the run folders to ``output``.
+) -> Experiment:
+    """The paper's experiment in the tank, compared with the ground truth.
 
-    scenes: folder with board.toml, groove.toml and sandwave.toml.
-    frames: number of sandwave pictures, the scene's own if None; the scan's length is kept.
-    best: folder with the same three, which say how the best chain reads the same pictures; if
-    None, the folder ``best`` beside ``scenes``, and where there is none, the rigs' own.
-    quick: everything with the least effort, fewer frames and samples.
-    Progress bars show on a terminal.  Run folders of an earlier demo are replaced.
+    Progress bars show on a terminal.
+
+    Parameters
+    ----------
+    scenes : Path
+        Folder with board.toml, groove.toml and sandwave.toml.
+    output : Path
+        Folder for results.json, report.html and the run folders; those of an earlier demo are
+        replaced.
+    frames : int, optional
+        Number of sandwave pictures, else the scene's own; the scan's length is kept.
+    best : Path, optional
+        Folder with the same three, which say how the best chain reads the same pictures; else
+        the folder ``best`` beside ``scenes``, and where there is none, the rigs' own.
+    quick : bool
+        Everything with the least effort, fewer frames and samples.
     """
     started = time.monotonic()
     effort = QUICK if quick else FULL
@@ -95,12 +104,12 @@ def run_demo(
             runs[part] = _scan(rig_file, output, part)
     with _timed(seconds, "measure"), progress_bar("measure") as progress:
         experiment = evaluate(**runs, progress=progress, best=better)
-    truth = compare(experiment, {part: scene_of(rig) for part, rig in rigs.items()}, effort)
+    scenes_of = {part: scene_of(rig_file) for part, rig_file in rigs.items()}
+    experiment = compare(experiment, scenes_of, effort)
     seconds["total"] = time.monotonic() - started
-    results = merge(experiment_json(replace(experiment, seconds=seconds)), truth)
-    results = {"quick": quick, **results}
-    write_experiment(output, experiment, results)
-    return results
+    experiment = replace(experiment, seconds=seconds, quick=quick)
+    write_experiment(output, experiment)
+    return experiment
 
 
 def _best_rigs(folder: Path) -> dict[str, Rig] | None:
@@ -110,7 +119,7 @@ def _best_rigs(folder: Path) -> dict[str, Rig] | None:
     return {part: load_rig(folder / f"{part}.toml").rig for part in PARTS}
 
 
-def _rendered(rig_file: RigFile, effort: Effort) -> RigFile:
+def _rendered(rig_file: RigFile, effort: DemoEffort) -> RigFile:
     """The scene as this effort renders it; its name, which the page shows, tells of less effort."""
     if not effort.render:
         return rig_file
@@ -128,13 +137,28 @@ def thin_out(rig_file: RigFile, frames: int) -> RigFile:
 
 
 def compare(
-    experiment: Experiment, scenes: Mapping[str, Scene], effort: Effort = FULL
-) -> dict[str, Any]:
-    """The entries of results.json that only the truth can give."""
+    experiment: Experiment, scenes: Mapping[str, Scene], effort: DemoEffort = FULL
+) -> Experiment:
+    """The experiment compared with the ground truth.
+
+    Its slices' errors are then those of the points that are lit and seen.
+    """
+    truth = GroundTruth(
+        control_points=_control_points(experiment, scenes["board"]),
+        render_check=_render_check(scenes, effort),
+        yaw_deg=scenes["sandwave"].tank.head.yaw_deg,
+    )
+    visible = _with_visible_errors(experiment, scenes["sandwave"])
+    best = experiment.best and _with_visible_errors(experiment.best, scenes["sandwave"])
+    return replace(visible, truth=truth, best=best)
+
+
+def _render_check(scenes: Mapping[str, Scene], effort: DemoEffort) -> RenderCheck:
+    """The line in noise-free renders of the groove and of places of the sandwave."""
+    positions = _check_positions(scenes["sandwave"], effort.checks)
+    checks = [("groove", 0.0), *(("sandwave", position) for position in positions)]
+    errors: list[list[Floats]] = [[], []]
     with progress_bar("compare with the truth") as progress:
-        positions = _check_positions(scenes["sandwave"], effort.checks)
-        checks = [("groove", 0.0), *(("sandwave", position) for position in positions)]
-        errors: list[list[Floats]] = [[], []]
         for done, (part, position_mm) in enumerate(checks):
             progress(done, len(checks))
             for kept, scatter_samples in zip(errors, (0, effort.scatter_samples), strict=True):
@@ -143,28 +167,20 @@ def compare(
                 )
         progress(len(checks), len(checks))
     first, every = (np.concatenate(kept) for kept in errors)
-    return {
-        "control_points": _control_points(experiment, scenes["board"]),
-        "render_check": {
-            "stripe_rms_px": float(np.sqrt(np.mean(first**2))),
-            "stripe_max_px": float(np.abs(first).max()),
-            "all_orders_rms_px": float(np.sqrt(np.mean(every**2))),
-            "all_orders_max_px": float(np.abs(every).max()),
-        },
-        "sandwave": _sandwave(experiment, scenes["sandwave"]),
-        "best": {"sandwave": _sandwave(experiment.best, scenes["sandwave"])}
-        if experiment.best
-        else {},
-    }
+    return RenderCheck(
+        stripe_rms_px=float(np.sqrt(np.mean(first**2))),
+        stripe_max_px=float(np.abs(first).max()),
+        all_orders_rms_px=float(np.sqrt(np.mean(every**2))),
+        all_orders_max_px=float(np.abs(every).max()),
+    )
 
 
 def stripe_errors(scene: Scene, position_mm: float, samples: int, scatter_samples: int) -> Floats:
     """Centre of the line in a noise-free render less the truth, px, away from the line's ends.
 
     (N,) over the columns where exactly one point is lit and seen.  samples: a pixel, a square
-    number, in each of its parts.  scatter_samples: 0 leaves
-    out the light of higher orders, which moves the line itself: in a valley each side
-    lights the other.
+    number, in each of its parts.  scatter_samples: 0 leaves out the light of higher orders, which
+    moves the line itself: in a valley each side lights the other.
     """
     quiet = scene.tank.sensor.model_copy(update={"noise": False})
     scene = replace(scene, tank=scene.tank.model_copy(update={"sensor": quiet}))
@@ -178,34 +194,28 @@ def stripe_errors(scene: Scene, position_mm: float, samples: int, scatter_sample
     return found.centre_px[clear] - truth.centre_px[clear]
 
 
-def _control_points(experiment: Experiment, scene: Scene) -> dict[str, float]:
+def _control_points(experiment: Experiment, scene: Scene) -> ControlPoints:
     """Control points found against those in view, and their distance from the truth."""
     grid, truth = experiment.board.reading.grid, board_truth(scene).centres.grid
     both = grid.found & truth.found
     error = np.hypot(*(grid.image_px[both] - truth.image_px[both]).T)
-    return {
-        "expected": int(truth.found.sum()),
-        "found": int(both.sum()),
-        "rms_px": float(np.sqrt(np.mean(error**2))),
-        "max_px": float(error.max()),
+    return ControlPoints(
+        expected=int(truth.found.sum()),
+        found=int(both.sum()),
+        rms_px=float(np.sqrt(np.mean(error**2))),
+        max_px=float(error.max()),
+    )
+
+
+def _with_visible_errors(experiment: Experiment, scene: Scene) -> Experiment:
+    """The experiment, its slices compared where they are lit and seen as the head passes."""
+    sandwave, piece = experiment.sandwave, scene.rig.workpiece
+    assert sandwave is not None and isinstance(piece, Sandwave)
+    errors = {
+        name: compare_slice(cut, piece, visible=slice_visibility(scene, cut.xy_mm))
+        for name, cut in sandwave.slices.items()
     }
-
-
-def _sandwave(experiment: Experiment, scene: Scene) -> dict[str, Any]:
-    """The true yaw, and the slices' errors on the points that are lit and seen."""
-    assert experiment.sandwave is not None
-    slices = experiment.sandwave.slices
-    return {
-        "yaw_deg": {"true": scene.tank.head.yaw_deg},
-        "slices": {name: _slice_errors(scene, cut) for name, cut in slices.items()},
-    }
-
-
-def _slice_errors(scene: Scene, cut: Slice) -> dict[str, float]:
-    """The slice's errors on the points that are lit and seen while the head passes."""
-    piece = scene.rig.workpiece
-    assert isinstance(piece, Sandwave)
-    return compare_slice(cut, piece, visible=slice_visibility(scene, cut.xy_mm)).as_json()
+    return replace(experiment, sandwave=replace(sandwave, errors=errors))
 
 
 def _check_positions(scene: Scene, count: int) -> list[float]:

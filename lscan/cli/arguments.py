@@ -22,6 +22,15 @@ if TYPE_CHECKING:
     from lscan.config.rig import CalibrationSection, OpticsSection, StripeSection
     from lscan.records import BoardReading, Bytes, Floats
 
+RigOrScene = Annotated[
+    Path, typer.Argument(help="Rig file or scene file (TOML), or a scene's name.")
+]
+PictureOrRun = Annotated[Path, typer.Argument(help="Picture file or run folder.")]
+ChannelName = Annotated[str | None, typer.Option("--channel", help="red, green, blue or grey.")]
+Overlay = Annotated[
+    Path | None,
+    typer.Option("--overlay", help="Write the picture with what was found drawn on it."),
+]
 RunFolder = Annotated[Path, typer.Argument(help="Run folder.")]
 CalibrationFile = Annotated[
     Path, typer.Option("--calibration", "-c", help="Calibration file (JSON).")
@@ -54,12 +63,13 @@ def open_calibrated(
     shaft: TOML file whose [shaft] takes the place of the run's own.  trusted: as ``open_run``.
     """
     from lscan.acquisition.run import open_run
-    from lscan.paper.experiment import require_size
+    from lscan.calibration.loading import load_plane_map
+    from lscan.pipeline import require_size
 
     opened = open_run(run, trusted)
     if shaft is not None:
         opened = _about(opened, shaft)
-    plane_map, size = stored_map(calibration)
+    plane_map, size = load_plane_map(calibration)
     require_size(opened, size, calibration)
     planned = opened.rig_file.rig.plan.frames
     if len(opened) < planned:
@@ -78,31 +88,6 @@ def _about(run: Run, shaft: Path) -> Run:
         raise InputError("was made on a linear track, without [shaft]", where=run.path)
     rig = rig_file.rig.model_copy(update={"shaft": load_shaft(shaft)})
     return replace(run, rig_file=replace(rig_file, rig=rig))
-
-
-def stored_map(path: Path) -> tuple[PlaneMap, tuple[int, int]]:
-    """The map of a calibration file of either route, and the (width, height) it is for."""
-    from lscan.calibration.multiview import load_metric
-    from lscan.calibration.multiview.file import FORMAT
-    from lscan.calibration.solve import load_calibration
-
-    if _format_of(path) == FORMAT:
-        metric = load_metric(path)
-        return metric.plane_map, metric.image_size
-    loaded = load_calibration(path)
-    return loaded.plane_map, loaded.reading.image_size
-
-
-def _format_of(path: Path) -> Any:
-    """What a JSON file says it is; None for any other file, whose reader will say what is wrong."""
-    from lscan.calibration.file import MOST_BYTES
-    from lscan.config.documents import read_json
-
-    try:
-        document = read_json(path, MOST_BYTES)
-    except InputError:
-        return None
-    return document.get("format") if isinstance(document, dict) else None
 
 
 def choice(option: str, value: str, allowed: tuple[str, ...]) -> Any:
@@ -138,6 +123,15 @@ class BoardPicture:
     board: Board
     calibration: CalibrationSection
     optics: OpticsSection
+
+    def read(self, seeds: Floats | None, channel: str | None) -> BoardReading:
+        """The marks found; seeds: (3, 2) px; channel: in place of what the rig says."""
+        from lscan.board import read_board
+
+        chosen = self.calibration.channel
+        if channel is not None:
+            chosen = choice("--channel", channel, CHANNELS)
+        return read_board(self.image, self.board, seeds=seeds, channel=chosen)
 
 
 def board_picture(
@@ -181,22 +175,6 @@ def board_of(path: Path) -> Board:
     if "board" in document:
         return check(Board, document["board"], where=path, prefix="board")
     return check(Board, document, where=path)
-
-
-def read_picture_of_board(
-    given: BoardPicture, seeds: str | None, channel: str | None
-) -> BoardReading:
-    """The marks of the board found in its picture, as ``--seeds`` and ``--channel`` say."""
-    from lscan.board import read_board
-
-    return read_board(
-        given.image,
-        given.board,
-        seeds=parse_seeds(seeds),
-        channel=given.calibration.channel
-        if channel is None
-        else choice("--channel", channel, CHANNELS),
-    )
 
 
 def read_optics(path: Path) -> OpticsSection:

@@ -21,6 +21,17 @@ FAILED, BAD_INPUT = 1, 2
 STOPPED = Stopped.exit_code
 
 
+def command_line(about: str) -> typer.Typer:
+    """A command line without commands; about: what its ``--help`` begins with."""
+    return typer.Typer(
+        help=about,
+        no_args_is_help=True,
+        add_completion=False,
+        pretty_exceptions_enable=False,
+        rich_markup_mode=None,
+    )
+
+
 def run_command_line(app: typer.Typer, name: str) -> None:
     """Run a command line and leave with its exit code; errors become one line on stderr.
 

@@ -7,13 +7,15 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from lscan.cli.arguments import RigOrScene
+
 if TYPE_CHECKING:
     from lscan.config.rig import RigFile
     from lscan.live.boardpicture import LiveCalibration
 
 
 def live(
-    rig: Annotated[Path, typer.Argument(help="Rig file or scene file (TOML).")],
+    rig: RigOrScene,
     calibration: Annotated[
         Path | None, typer.Option("--calibration", "-c", help="Calibration file (JSON).")
     ] = None,
@@ -54,11 +56,11 @@ def live(
 
 def _calibration(path: Path, rig_file: RigFile) -> LiveCalibration:
     """The calibration of a file; InputError where it is for pictures of another size."""
-    from lscan.cli.arguments import stored_map
+    from lscan.calibration.loading import load_plane_map
     from lscan.errors import InputError
     from lscan.live.boardpicture import use_map
 
-    plane_map, size_px = stored_map(path)
+    plane_map, size_px = load_plane_map(path)
     camera = rig_file.rig.camera
     if (camera.width_px, camera.height_px) != tuple(size_px):
         raise InputError(

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from lscan.cli.arguments import Json
+from lscan.cli.arguments import Json, require_folders
 from lscan.cli.console import print_json, print_table, progress_bar
 
 if TYPE_CHECKING:
@@ -22,10 +22,8 @@ def calibrate_metric(
     """Solve camera, port and laser sheet from pictures of a board in several poses."""
     from lscan.calibration.multiview import calibrate_metric as solve
     from lscan.calibration.multiview import load_views, read_views, save_metric
-    from lscan.errors import InputError
 
-    if not output.parent.is_dir():
-        raise InputError("the folder to write to does not exist", where=output)
+    require_folders(output)
     file = load_views(views)
     with progress_bar("views") as report:
         found, size = read_views(file, report)

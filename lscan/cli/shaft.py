@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import numpy as np
 import typer
 
-from lscan.cli.arguments import Json, Trust, open_calibrated, require_folders
+from lscan.cli.arguments import CalibrationFile, Json, Trust, open_calibrated, require_folders
 from lscan.cli.console import print_json, print_table, progress_bar
 
 if TYPE_CHECKING:
@@ -22,9 +22,7 @@ NAMES = ("offset 1 mm", "offset 2 mm", "tilt 1 deg", "tilt 2 deg", "scale")
 
 def calibrate_shaft(
     run: Annotated[Path, typer.Argument(help="Run folder of the sandwave, made about a shaft.")],
-    calibration: Annotated[
-        Path, typer.Option("--calibration", "-c", help="Calibration file (JSON).")
-    ],
+    calibration: CalibrationFile,
     output: Annotated[
         Path, typer.Option("--output", "-o", help="File with [shaft] to write (TOML).")
     ],
@@ -32,7 +30,7 @@ def calibrate_shaft(
     json: Json = False,
 ) -> None:
     """Find a rotary axis from the scan of a workpiece whose shape is known."""
-    from lscan.paper.experiment import find_shaft
+    from lscan.measurement import find_shaft
     from lscan.surface.shaftfile import save_shaft
 
     require_folders(output)

@@ -1,6 +1,4 @@
-"""The report's figures, counterparts of the paper's.
+"""How figures of reports look, and the grids that surfaces are drawn from.
 
-Each function of ``board``, ``stripes``, ``relief``, ``contours`` and ``slices`` takes records
-and returns an :class:`lscan.figures.reportfigure.ReportFigure`.  Importing this package loads no
-plotting library; those modules do.
+Importing this package loads no plotting library; ``style`` does.
 """

@@ -143,29 +143,12 @@ def photograph(image: Bytes, overlay: str, alt: str) -> str:
     return _labelled(text, alt)
 
 
-def crosses(points: Floats, colour: str, reach_px: float, width_px: float = 1.0) -> str:
-    """SVG of a × at each of (N, 2) points; a NaN point has none."""
-    r = reach_px
-    strokes = f"l{2 * r},{2 * r}m0,{-2 * r}l{-2 * r},{2 * r}"
-    path = "".join(f"M{u - r:.2f},{v - r:.2f}{strokes}" for u, v in _drawn(points))
-    return f'<path fill="none" stroke="{colour}" stroke-width="{width_px}" d="{path}"/>'
-
-
 def spots(points: Floats, colour: str, width_px: float) -> str:
     """SVG of a round spot at each of (N, 2) points; a NaN point has none."""
-    path = "".join(f"M{u:.2f},{v:.2f}h0" for u, v in _drawn(points))
+    seen = points[np.isfinite(points).all(axis=1)]
+    path = "".join(f"M{u:.2f},{v:.2f}h0" for u, v in seen)
     style = f'fill="none" stroke="{colour}" stroke-width="{width_px}" stroke-linecap="round"'
     return f'<path {style} d="{path}"/>'
-
-
-def label(at: tuple[float, float], text: str, colour: str, size_px: float = 13.0) -> str:
-    """SVG of a short text whose baseline starts ``at`` (u, v)."""
-    place = f'x="{at[0]:.2f}" y="{at[1]:.2f}"'
-    return f'<text {place} font-size="{size_px}" fill="{colour}">{text}</text>'
-
-
-def _drawn(points: Floats) -> Floats:
-    return points[np.isfinite(points).all(axis=1)]
 
 
 def _data_uri(image: Bytes) -> str:

@@ -4,15 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass
-from typing import Any
 
 from lscan.figures.reportfigure import signed
+from lscan.measure import SliceErrors
 from lscan.paper import published as paper
-from lscan.paper.tables import Length, known, read_lengths, worst
+from lscan.paper.experiment import Experiment
+from lscan.paper.tables import worst
+from lscan.records import Length
 
 
 @dataclass(frozen=True)
-class Check:
+class ReportCheck:
     """One line of the report's head: what, our figure, the bar and whether it was kept.
 
     paper: the paper's figure for the same.  passed: None where there is no bar.
@@ -25,110 +27,108 @@ class Check:
     passed: bool | None
 
 
-def checks(results: Mapping[str, Any], bars: paper.Bars) -> list[Check]:
-    """What ``results`` (results.json) says was measured, and whether it kept its bar.
+def checks(experiment: Experiment, bars: paper.Bars) -> list[ReportCheck]:
+    """What the experiment measured by the paper's chain, and whether it kept its bars.
 
-    A length that was not measured, or a slice without a point compared, does not pass.
+    Distances of which one was not measured do not pass.
     """
-    second = {
-        name: (results.get(name) or {}).get(paper.CHOSEN_MAP) or {}
-        for name in ("distances", "diameters")
-    }
+    board = experiment.board.measures[paper.CHOSEN_MAP]
+    groove = experiment.groove.dimensions if experiment.groove else {}
     return [
-        *_control_point_checks(results),
-        *_render_checks(results),
-        *_percent_check("Distances", second["distances"], paper.TABLE_1, bars.board_percent),
-        *_percent_check("Diameters", second["diameters"], paper.TABLE_2, bars.board_percent),
-        *_groove_check(results.get("groove") or {}, bars.groove_mm),
-        *_sandwave_checks(results.get("sandwave") or {}, bars.sandwave_mm),
+        *_control_point_checks(experiment),
+        *_render_checks(experiment),
+        *_percent_check(
+            "Distances", board.distances, paper.TABLE_1, bars.board_percent, len(board.unmeasured)
+        ),
+        *_percent_check("Diameters", board.diameters, paper.TABLE_2, bars.board_percent),
+        *_groove_check(groove.values(), bars.groove_mm),
+        *_sandwave_checks(experiment, bars.sandwave_mm),
     ]
 
 
 def _percent_check(
     what: str,
-    section: Mapping[str, Any],
-    printed: Mapping[str, Mapping[str, paper.Printed]],
+    lengths: Mapping[str, Length],
+    printed: paper.PrintedTable,
     bar_percent: float,
-) -> list[Check]:
-    """Largest errors by the second-order fit, none where no truth is known."""
-    lengths = read_lengths(section).values()
-    largest, missing = worst(lengths), _missing(lengths)
-    if largest is None and not missing:
+    missing: int = 0,
+) -> list[ReportCheck]:
+    """The largest errors by the second-order fit.  missing: how many more were not measured."""
+    if not lengths:
         return []
+    largest_mm, largest_percent = worst(lengths.values())
     theirs = [row["Second rms"] for row in printed.values()]
-    paper_mm, paper_percent = _largest_mm(theirs), max(abs(row.percent) for row in theirs)
-    ours = f"{largest[0]:.2f} mm, {largest[1]:.2f} %{missing}" if largest else f"none{missing}"
+    paper_percent = max(abs(row.percent) for row in theirs)
+    absent = f", {missing} of {missing + len(lengths)} not measured" if missing else ""
     return [
-        Check(
+        ReportCheck(
             f"{what}, largest error",
-            ours,
-            f"{paper_mm:.2f} mm, {paper_percent:.2f} %",
+            f"{largest_mm:.2f} mm, {largest_percent:.2f} %{absent}",
+            f"{_largest_mm(theirs):.2f} mm, {paper_percent:.2f} %",
             f"{bar_percent:g} %",
-            largest is not None and largest[1] <= bar_percent and not missing,
+            largest_percent <= bar_percent and not missing,
         )
     ]
 
 
-def _groove_check(section: Mapping[str, Any], bar_mm: float) -> list[Check]:
-    lengths = read_lengths(section).values()
-    largest, missing = worst(lengths), _missing(lengths)
-    if largest is None and not missing:
+def _groove_check(lengths: Collection[Length], bar_mm: float) -> list[ReportCheck]:
+    if not lengths:
         return []
+    largest_mm, _ = worst(lengths)
     return [
-        Check(
+        ReportCheck(
             "Grooved block, largest error",
-            f"{largest[0]:.2f} mm{missing}" if largest else f"none{missing}",
+            f"{largest_mm:.2f} mm",
             f"{_largest_mm(paper.TABLE_3.values()):.2f} mm",
             f"{bar_mm:g} mm",
-            largest is not None and largest[0] <= bar_mm and not missing,
+            largest_mm <= bar_mm,
         )
     ]
 
 
-def _missing(lengths: Collection[Length]) -> str:
-    """Such as ", 2 of 14 not measured", "" where all were."""
-    count = sum(length.measured_mm is None for length in lengths)
-    return f", {count} of {len(lengths)} not measured" if count else ""
-
-
-def _largest_mm(printed: Iterable[paper.Printed]) -> float:
+def _largest_mm(printed: Iterable[paper.PrintedLength]) -> float:
     return max(abs(row.error_mm) for row in printed)
 
 
-def _control_point_checks(results: Mapping[str, Any]) -> list[Check]:
-    points = results.get("control_points")
-    if not points:
-        return []
-    expected, found = points["expected"], points["found"]
-    lines = [Check("Control points found", f"{found} of {expected}", "—", "all", found == expected)]
-    if points.get("rms_px") is not None:
-        off = f"{points['rms_px']:.3f} px rms, {points['max_px']:.3f} px at most"
-        lines.append(Check("Control points, distance from the truth", off, "—", "—", None))
+def _control_point_checks(experiment: Experiment) -> list[ReportCheck]:
+    points = experiment.control_points
+    found = f"{points.found} of {points.expected}"
+    complete = points.found == points.expected
+    lines = [ReportCheck("Control points found", found, "—", "all", complete)]
+    if points.rms_px is not None:
+        off = f"{points.rms_px:.3f} px rms, {points.max_px:.3f} px at most"
+        lines.append(ReportCheck("Control points, distance from the truth", off, "—", "—", None))
     return lines
 
 
-def _render_checks(results: Mapping[str, Any]) -> list[Check]:
-    stripe = results.get("render_check")
-    if not stripe:
+def _render_checks(experiment: Experiment) -> list[ReportCheck]:
+    if experiment.truth is None:
         return []
-    off = f"{stripe['stripe_rms_px']:.3f} px rms, {stripe['stripe_max_px']:.3f} px at most"
-    return [Check("Line in the picture, distance from the truth", off, "—", "—", None)]
+    line = experiment.truth.render_check
+    off = f"{line.stripe_rms_px:.3f} px rms, {line.stripe_max_px:.3f} px at most"
+    return [ReportCheck("Line in the picture, distance from the truth", off, "—", "—", None)]
 
 
-def _sandwave_checks(sandwave: Mapping[str, Any], bar_mm: float) -> list[Check]:
-    lines = []
-    yaw = sandwave.get("yaw_deg") or {}
-    true, estimated = known(yaw, "true"), known(yaw, "estimated")
-    if estimated is not None:
-        found = f"{estimated:.3f}°" + (f" (true {true:.3f}°)" if true is not None else "")
-        lines.append(Check("Yaw of the sheet", found, f"{paper.YAW_DEG:.2f}°", "—", None))
+def _sandwave_checks(experiment: Experiment, bar_mm: float) -> list[ReportCheck]:
+    sandwave = experiment.sandwave
+    if sandwave is None:
+        return []
+    lines = [_slice_check(name, errors, bar_mm) for name, errors in sandwave.errors.items()]
+    yaw_deg = sandwave.alignment.yaw_deg
+    if yaw_deg is None:
+        return lines
+    true = f" (true {experiment.truth.yaw_deg:.3f}°)" if experiment.truth else ""
+    found, theirs = f"{yaw_deg:.3f}°{true}", f"{paper.YAW_DEG:.2f}°"
+    return [ReportCheck("Yaw of the sheet", found, theirs, "—", None), *lines]
+
+
+def _slice_check(name: str, errors: SliceErrors, bar_mm: float) -> ReportCheck:
     low, high = (signed(error, 1) for error in paper.SLICE_ERRORS_MM)
-    for name, entry in (sandwave.get("slices") or {}).items():
-        least, most, rmse = (known(entry, key) for key in ("min_mm", "max_mm", "rmse_mm"))
-        found, passed = "no point compared", False
-        if least is not None and most is not None and rmse is not None:
-            found = f"{signed(least, 2)} to {signed(most, 2)} mm, rmse {rmse:.2f} mm"
-            passed = max(-least, most) <= bar_mm
-        theirs, bar = f"most within {low} to {high} mm", f"±{bar_mm:g} mm"
-        lines.append(Check(f"Slice {name}, error", found, theirs, bar, passed))
-    return lines
+    least, most = errors.min_mm, errors.max_mm
+    return ReportCheck(
+        f"Slice {name}, error",
+        f"{signed(least, 2)} to {signed(most, 2)} mm, rmse {errors.rmse_mm:.2f} mm",
+        f"most within {low} to {high} mm",
+        f"±{bar_mm:g} mm",
+        max(-least, most) <= bar_mm,
+    )

@@ -3,59 +3,27 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 
-from lscan.acquisition.provenance import PictureSource, picture_source
 from lscan.acquisition.run import Run
 from lscan.config.rig import Rig
 from lscan.errors import InputError, LscanError
+from lscan.measurement import measure_groove, measure_sandwave
 from lscan.paper.experiment import (
     METHODS,
-    BoardResult,
-    GrooveResult,
-    SandwaveResult,
+    PICTURES_SHOWN,
+    Chain,
+    Experiment,
+    LinePictures,
     measure_board,
-    measure_groove,
-    measure_sandwave,
-    require_size,
 )
+from lscan.paper.provenance import picture_source
 from lscan.paper.published import CHOSEN_MAP
+from lscan.pipeline import require_size
 from lscan.records import Progress
+from lscan.stripe import extract_stripe
 
 BEST_MAP, BEST_EXTRACTOR = "refractive", "ml"
-
-
-@dataclass(frozen=True)
-class Chain:
-    """What turned pictures into lengths.
-
-    extractors: how the line was found, in alphabetical order; more than one where the runs
-        differ.  corrected_for: "blur", "sheet thickness", or neither.
-    """
-
-    plane_map: str
-    extractors: tuple[str, ...] = ()
-    corrected_for: tuple[str, ...] = ()
-
-
-@dataclass(frozen=True)
-class Experiment:
-    """What the paper's experiment gave; groove and sandwave are None where not scanned.
-
-    chain: how it was evaluated.  sources: of each run's pictures, "board" and so on.
-    best: the same pictures by the best chain, None where that was not possible, and
-    best_refused then says why.  seconds: wall time spent on each part, where known.
-    """
-
-    scene: str
-    chain: Chain
-    board: BoardResult
-    groove: GrooveResult | None = None
-    sandwave: SandwaveResult | None = None
-    sources: Mapping[str, PictureSource] = field(default_factory=dict)
-    best: Experiment | None = None
-    best_refused: str = ""
-    seconds: Mapping[str, float] = field(default_factory=dict)
 
 
 def evaluate(
@@ -71,9 +39,11 @@ def evaluate(
 
     Parameters
     ----------
-    progress
-        Called with the pictures of the sandwave that were read and have to be, by both chains.
-    best
+    board, groove, sandwave : Run
+        Scans of the three pieces; the last two may be missing.
+    progress : callable, optional
+        Called with the number of the sandwave's pictures that are read, and of all, by both chains.
+    best : mapping of str to Rig, optional
         "board", "groove" and "sandwave" to rigs that say how the best chain reads the pictures:
         their ``[calibration]``, ``[optics]``, ``[stripe]`` and ``[sheet]`` count.  If None, the
         runs' own rigs with the map ``refractive`` and the extractor ``ml``; that map wants the
@@ -87,15 +57,18 @@ def evaluate(
     """
     parts = {"board": board, "groove": groove, "sandwave": sandwave}
     runs = {part: run for part, run in parts.items() if run is not None}
-    experiment = _measure(runs, METHODS, CHOSEN_MAP, _half(progress, 0))
+    experiment = replace(
+        _measure(runs, METHODS, CHOSEN_MAP, _half(progress, 0)),
+        sources={part: picture_source(run) for part, run in runs.items()},
+        shown=_line_pictures(groove, sandwave),
+    )
     try:
         better = _best_runs(runs, best)
         plane_map = better["board"].rig_file.rig.calibration.plane_map
-        return replace(
-            experiment, best=_measure(better, (plane_map,), plane_map, _half(progress, 1))
-        )
+        measured = _measure(better, (plane_map,), plane_map, _half(progress, 1))
     except LscanError as error:
         return replace(experiment, best_refused=str(error))
+    return replace(experiment, best=measured)
 
 
 def _measure(
@@ -109,13 +82,30 @@ def _measure(
     plane_map = board.calibrations[chosen].plane_map
     groove, sandwave = others.get("groove"), others.get("sandwave")
     return Experiment(
-        scene=(sandwave or groove or runs["board"]).rig_file.rig.name,
+        scene=runs[max(runs)].rig_file.rig.name,  # the sandwave's, else the groove's
         chain=_chain(chosen, [run.rig_file.rig for run in others.values()]),
         board=board,
-        groove=measure_groove(groove, plane_map) if groove else None,
-        sandwave=measure_sandwave(sandwave, plane_map, progress) if sandwave else None,
-        sources={part: picture_source(run) for part, run in runs.items()},
+        groove=None if groove is None else measure_groove(groove, plane_map),
+        sandwave=None if sandwave is None else measure_sandwave(sandwave, plane_map, progress),
     )
+
+
+def _line_pictures(groove: Run | None, sandwave: Run | None) -> dict[str, LinePictures]:
+    """The first picture of the groove, and of the sandwave some from the middle of its scan."""
+    shown = {}
+    if groove is not None:
+        shown["groove"] = _pictures(groove, range(1))
+    if sandwave is not None:
+        first = max(0, (len(sandwave) - PICTURES_SHOWN) // 2)
+        last = min(len(sandwave), first + PICTURES_SHOWN)
+        shown["sandwave"] = _pictures(sandwave, range(first, last))
+    return shown
+
+
+def _pictures(run: Run, indices: Sequence[int]) -> LinePictures:
+    frames = [run.frame(index) for index in indices]
+    stripe = extract_stripe(frames[0].image, run.rig_file.rig.stripe, frames[0].background)
+    return LinePictures([frame.image for frame in frames], stripe)
 
 
 def _chain(plane_map: str, rigs: Sequence[Rig]) -> Chain:

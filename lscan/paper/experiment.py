@@ -1,29 +1,17 @@
-"""The paper's whole experiment, from run folders to numbers (Sec. IV).
-
-One function a test piece: board, grooved block, sandwave.  The same functions serve the
-tank's runs and those of real hardware.
-"""
+"""The records of the paper's whole experiment (Sec. IV), and what its board picture gives."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, field
+from typing import Any
 
 from lscan.acquisition.run import Run
 from lscan.board import read_board
-from lscan.calibration.api import PlaneMap
 from lscan.calibration.solve import Calibration, calibrate
-from lscan.config.board import Board
-from lscan.config.targets import GroovedBlock, Sandwave
-from lscan.errors import BoardNotFound, InputError
-from lscan.measure import compare_slice, diameters, distances, groove_dimensions
-from lscan.measure.slices import SliceErrors
-from lscan.pipeline import mean_picture, read_profiles, reconstruct, require_board
-from lscan.records import BoardReading, Bytes, Length, Profile, Progress, Stripe, Surface
-from lscan.stripe import extract_stripe
-from lscan.surface import Alignment, Slice, resample
-from lscan.surface.shaft import shaft_of
-from lscan.surface.shaftfit import ShaftFit, calibrate_shaft
+from lscan.measurement import BoardMeasures, GrooveMeasures, SandwaveMeasures, measure_reading
+from lscan.pipeline import mean_picture, require_board
+from lscan.records import BoardReading, Bytes, Stripe
 
 METHODS = (
     "graticule-1",
@@ -34,196 +22,154 @@ METHODS = (
     "polynomial-3",
     "polynomial-5",
 )
-PICTURES_KEPT = 3  # consecutive frames shown in the report (Fig. 35)
+PICTURES_SHOWN = 3  # of Fig. 35
+
+
+@dataclass(frozen=True)
+class PictureSource:
+    """Where a run's pictures come from.
+
+    camera: its driver.  simulated: whether that is known to be the tank's.
+    noise: whether the simulated sensor has any.  noise_seed: None where the run states none.
+    """
+
+    camera: str
+    simulated: bool
+    noise: bool = True
+    noise_seed: int | None = None
+
+    def as_json(self) -> dict[str, Any]:
+        """The entry of results.json: of a camera that is not the tank's its driver alone."""
+        return asdict(self) if self.simulated else {"camera": self.camera}
+
+
+@dataclass(frozen=True)
+class Chain:
+    """What turned pictures into lengths.
+
+    extractors: how the line was found, in alphabetical order; more than one where the runs
+        differ.  corrected_for: "blur", "sheet thickness", or neither.
+    """
+
+    plane_map: str
+    extractors: tuple[str, ...] = ()
+    corrected_for: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
 class BoardResult:
-    """What one board picture gives: calibrations and Tables I and II, by plane map's name.
+    """What one board picture gives: calibrations and lengths, by the plane map's full name.
 
     image: the mean of the run's pictures, (H, W, 3) or (H, W) uint8.
     """
 
     image: Bytes
     reading: BoardReading
-    calibrations: dict[str, Calibration]
-    distances: dict[str, dict[str, Length]]
-    diameters: dict[str, dict[str, Length]]
+    calibrations: Mapping[str, Calibration]
+    measures: Mapping[str, BoardMeasures]
 
 
 @dataclass(frozen=True)
-class GrooveResult:
-    """The grooved block: the first picture with its line, all profiles, Table III."""
+class LinePictures:
+    """Consecutive pictures of a scan, each (H, W, 3) or (H, W) uint8, and the line in the first."""
 
-    image: Bytes
+    images: Sequence[Bytes]
     stripe: Stripe
-    profiles: list[Profile]
-    dimensions: dict[str, Length]
 
 
 @dataclass(frozen=True)
-class SandwaveResult:
-    """The sandwave: three pictures from the middle, the surface raw and aligned, the slices."""
+class ControlPoints:
+    """How many control points were found, and of how many.
 
-    images: list[Bytes]
-    stripe: Stripe
-    raw: Surface
-    alignment: Alignment
-    aligned: Surface
-    slices: dict[str, Slice]
-    errors: dict[str, SliceErrors]
-    step_mm: float
+    rms_px, max_px: their distance from the ground truth; None where that is not known.
+    """
+
+    expected: int
+    found: int
+    rms_px: float | None = None
+    max_px: float | None = None
+
+
+@dataclass(frozen=True)
+class RenderCheck:
+    """Distance of the line in noise-free renders from the ground truth, px.
+
+    stripe_rms_px, stripe_max_px: of light that was scattered once.  all_orders_rms_px,
+    all_orders_max_px: with the light that target and water scatter further.
+    """
+
+    stripe_rms_px: float
+    stripe_max_px: float
+    all_orders_rms_px: float
+    all_orders_max_px: float
+
+
+@dataclass(frozen=True)
+class GroundTruth:
+    """What only a tank in software can tell of an experiment.  yaw_deg: of the sheet."""
+
+    control_points: ControlPoints
+    render_check: RenderCheck
+    yaw_deg: float
+
+
+@dataclass(frozen=True)
+class Experiment:
+    """What the paper's experiment gave; groove and sandwave are None where not scanned.
+
+    chain: how it was evaluated.  sources: of each run's pictures, by "board" and so on.
+    shown: pictures of the line, by "groove" and "sandwave".
+    best: the same pictures by the best chain, None where that was not possible, and
+    best_refused then says why.  seconds: wall time spent on each part, where known.
+    truth: None for real hardware.  quick: whether a tank's demo took the least effort.
+    """
+
+    scene: str
+    chain: Chain
+    board: BoardResult
+    groove: GrooveMeasures | None = None
+    sandwave: SandwaveMeasures | None = None
+    sources: Mapping[str, PictureSource] = field(default_factory=dict)
+    shown: Mapping[str, LinePictures] = field(default_factory=dict)
+    best: Experiment | None = None
+    best_refused: str = ""
+    seconds: Mapping[str, float] = field(default_factory=dict)
+    truth: GroundTruth | None = None
+    quick: bool | None = None
+
+    @property
+    def control_points(self) -> ControlPoints:
+        """Those found: of all that are in view where the truth is known, else of the board's."""
+        if self.truth is not None:
+            return self.truth.control_points
+        grid = self.board.reading.grid
+        return ControlPoints(len(grid.found), int(grid.found.sum()))
 
 
 def measure_board(run: Run, methods: Sequence[str] = METHODS) -> BoardResult:
-    """Calibrations and verification of the run's board picture, one for each method.
+    """Calibrations of the run's board picture, one for each plane map, and the board's lengths.
 
-    Raises InputError where the rig has no board, BoardNotFound where the picture has none.
+    Parameters
+    ----------
+    run : Run
+        Of the board; its pictures are averaged.
+    methods : sequence of str
+        Full names of plane maps.
+
+    Raises
+    ------
+    InputError
+        Where the rig has no board.
+    BoardNotFound
+        Where the picture shows none.
     """
     rig = run.rig_file.rig
     board = require_board(run)
     image = mean_picture(run)
     reading = read_board(image, board, channel=rig.calibration.channel)
     calibrations = {name: calibrate(reading, name, rig.optics) for name in methods}
-    maps = {name: calibration.plane_map for name, calibration in calibrations.items()}
-    return BoardResult(
-        image=image,
-        reading=reading,
-        calibrations=calibrations,
-        distances={name: distances(reading, board, plane) for name, plane in maps.items()},
-        diameters={name: diameters(reading, board, plane) for name, plane in maps.items()},
-    )
-
-
-def measure_groove(run: Run, plane_map: PlaneMap) -> GrooveResult:
-    """Table III from the run's pictures of the grooved block."""
-    piece = run.rig_file.rig.workpiece
-    if not isinstance(piece, GroovedBlock):
-        raise _wrong_piece(run, "grooved-block")
-    if run.rig_file.rig.shaft is not None:
-        raise InputError(
-            "the grooves are measured in profiles square to them, which a shaft turns askew",
-            where=run.path,
-            allowed="a scan on a linear track, without [shaft]",
-        )
-    first = run.frame(0)
-    profiles = list(read_profiles(run, plane_map))
-    return GrooveResult(
-        image=first.image,
-        stripe=extract_stripe(first.image, run.rig_file.rig.stripe, first.background),
-        profiles=profiles,
-        dimensions=groove_dimensions(profiles, piece),
-    )
-
-
-def measure_sandwave(
-    run: Run, plane_map: PlaneMap, progress: Progress | None = None
-) -> SandwaveResult:
-    """Surface, alignment and the slices of Fig. 28 from the run's pictures of the sandwave."""
-    rig = run.rig_file.rig
-    if not isinstance(rig.workpiece, Sandwave):
-        raise _wrong_piece(run, "sandwave")
-    first = max(0, (len(run) - PICTURES_KEPT) // 2)
-    kept = range(first, min(len(run), first + PICTURES_KEPT))
-    frames = [run.frame(index) for index in kept]
-    built = reconstruct(run, plane_map, progress)
-    alignment = built.require_alignment()
-    lines = rig.workpiece.slices_mm().items()
-    slices = {name: resample(built.surface, ends) for name, ends in lines}
-    return SandwaveResult(
-        images=[frame.image for frame in frames],
-        stripe=extract_stripe(frames[0].image, rig.stripe, frames[0].background),
-        raw=built.raw,
-        alignment=alignment,
-        aligned=built.surface,
-        slices=slices,
-        errors={name: compare_slice(cut, rig.workpiece) for name, cut in slices.items()},
-        step_mm=rig.plan.step_mm,
-    )
-
-
-def find_shaft(run: Run, plane_map: PlaneMap, progress: Progress | None = None) -> ShaftFit:
-    """The rig's shaft as the run's scan of the sandwave shows it.
-
-    Raises InputError where the rig has no [shaft], one that is known exactly, or another
-    workpiece; MeasurementError where the scan does not carry it.
-    """
-    rig = run.rig_file.rig
-    if rig.shaft is None:
-        raise InputError("the rig file has no section [shaft]", where=run.path)
-    if not isinstance(rig.workpiece, Sandwave):
-        raise _wrong_piece(run, "sandwave")
-    profiles = list(read_profiles(run, plane_map, progress))
-    return calibrate_shaft(profiles, rig.workpiece, shaft_of(rig.shaft))
-
-
-def read_shown_board(run: Run) -> tuple[Board, BoardReading]:
-    """The board that the run's pictures show, and its marks.
-
-    A rig file may hold its [board] for calibration while something else is scanned, so only the
-    pictures tell.  A scan is judged by its first picture before all are averaged.
-
-    Parameters
-    ----------
-    run : Run
-        Of which nothing but a board can be measured: its rig names no workpiece.
-
-    Returns
-    -------
-    tuple of Board and BoardReading
-        The board of the rig file, and what was found of it in the mean picture, px.
-
-    Raises
-    ------
-    InputError
-        Where the rig has no board or the pictures show none; it says what can be measured.
-    """
-    rig = run.rig_file.rig
-    board, channel = rig.board, rig.calibration.channel
-    if board is None:
-        raise _nothing_to_measure(run, "names neither [board] nor [workpiece]")
-    lit = rig.plan.laser != "untouched"
-    scanned = len(run) > 0 and (lit or len(set(run.positions_mm)) > 1)
-    try:
-        if scanned:
-            read_board(run.frame(0).image, board, channel=channel)
-        return board, read_board(mean_picture(run), board, channel=channel)
-    except BoardNotFound as error:
-        missing = "names a [board] and no [workpiece], and the pictures show no board"
-        hint = "" if scanned else f" ({error})"  # a picture of one place may be a poor one of it
-        raise _nothing_to_measure(run, missing + hint) from error
-
-
-def _nothing_to_measure(run: Run, missing: str) -> InputError:
-    return InputError(
-        f"the run's rig file {missing}; `lscan reconstruct` gives the surface of what is there",
-        where=run.path,
-        allowed='a picture of the [board], or [workpiece] kind = "grooved-block" or "sandwave"',
-    )
-
-
-def require_size(run: Run, size_px: tuple[int, int], calibration: object) -> None:
-    """InputError where the run's pictures are not of the size a calibration was made for."""
-    camera = run.rig_file.rig.camera
-    if (camera.width_px, camera.height_px) != tuple(size_px):
-        raise InputError(
-            f"pictures are not of the size of the calibration {calibration}",
-            where=run.path,
-            value=(camera.width_px, camera.height_px),
-            allowed=f"{size_px[0]} x {size_px[1]} px",
-        )
-
-
-def lengths_json(lengths: dict[str, Length]) -> dict[str, dict[str, float]]:
-    """The entries of results.json for a set of measured lengths."""
-    return {name: length.as_json() for name, length in lengths.items()}
-
-
-def _wrong_piece(run: Run, wanted: str) -> InputError:
-    piece = run.rig_file.rig.workpiece
-    return InputError(
-        "the run's rig file has another workpiece",
-        where=run.path,
-        value=piece.kind if piece else None,
-        allowed=f'[workpiece] kind = "{wanted}"',
-    )
+    measures = {
+        name: measure_reading(reading, board, calibration.plane_map)
+        for name, calibration in calibrations.items()
+    }
+    return BoardResult(image, reading, calibrations, measures)

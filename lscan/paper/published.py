@@ -25,7 +25,7 @@ OUR_MAPS: Mapping[str, str] = MappingProxyType(
 
 
 @dataclass(frozen=True)
-class Printed:
+class PrintedLength:
     """One cell group of a table: the error is measured minus nominal, percent of nominal."""
 
     nominal_mm: float
@@ -58,14 +58,17 @@ class Bars:
 
 
 Triple = tuple[float, float, float]
+PrintedTable = Mapping[str, Mapping[str, PrintedLength]]
+"""By feature, then by fitting method."""
 
 
-def _rows(nominal_mm: float, *rows: Triple) -> dict[str, Printed]:
+def _rows(nominal_mm: float, *rows: Triple) -> dict[str, PrintedLength]:
     """The rows of one feature, in the order of ``OUR_MAPS``."""
-    return {method: Printed(nominal_mm, *row) for method, row in zip(OUR_MAPS, rows, strict=True)}
+    named = zip(OUR_MAPS, rows, strict=True)
+    return {method: PrintedLength(nominal_mm, *row) for method, row in named}
 
 
-TABLE_1: Mapping[str, Mapping[str, Printed]] = MappingProxyType(
+TABLE_1: PrintedTable = MappingProxyType(
     {
         "A1A2": _rows(80.00, (80.19, 0.19, 0.24), (80.01, 0.01, 0.01), (86.82, 5.82, 7.28)),
         "A2A3": _rows(89.44, (89.68, 0.24, 0.27), (89.43, -0.02, -0.02), (94.73, 5.28, 5.91)),
@@ -85,7 +88,7 @@ TABLE_1: Mapping[str, Mapping[str, Printed]] = MappingProxyType(
 )
 """Table I, distances between known points: feature, then fitting method."""
 
-TABLE_2: Mapping[str, Mapping[str, Printed]] = MappingProxyType(
+TABLE_2: PrintedTable = MappingProxyType(
     {
         "E": _rows(28.40, (28.39, -0.01, -0.04), (28.22, -0.18, -0.64), (29.17, 0.77, 2.70)),
         "F": _rows(49.20, (49.04, -0.16, -0.32), (49.09, -0.11, -0.22), (50.39, 1.19, 2.42)),
@@ -94,17 +97,17 @@ TABLE_2: Mapping[str, Mapping[str, Printed]] = MappingProxyType(
 )
 """Table II, diameters of circles: feature, then fitting method."""
 
-TABLE_3: Mapping[str, Printed] = MappingProxyType(
+TABLE_3: Mapping[str, PrintedLength] = MappingProxyType(
     {
-        "W1": Printed(19.96, 20.03, 0.07, 0.34),
-        "W2": Printed(29.96, 29.76, -0.20, -0.67),
-        "W3": Printed(29.96, 30.12, 0.16, 0.53),
-        "H1": Printed(60.00, 59.45, -0.55, -0.91),
-        "H2": Printed(80.06, 79.40, -0.66, -0.83),
-        "H3": Printed(20.04, 19.97, -0.07, -0.36),
-        "H4": Printed(40.02, 39.67, -0.35, -0.89),
-        "S1": Printed(154.96, 154.56, -0.40, -0.26),
-        "S2": Printed(131.04, 130.73, -0.31, -0.24),
+        "W1": PrintedLength(19.96, 20.03, 0.07, 0.34),
+        "W2": PrintedLength(29.96, 29.76, -0.20, -0.67),
+        "W3": PrintedLength(29.96, 30.12, 0.16, 0.53),
+        "H1": PrintedLength(60.00, 59.45, -0.55, -0.91),
+        "H2": PrintedLength(80.06, 79.40, -0.66, -0.83),
+        "H3": PrintedLength(20.04, 19.97, -0.07, -0.36),
+        "H4": PrintedLength(40.02, 39.67, -0.35, -0.89),
+        "S1": PrintedLength(154.96, 154.56, -0.40, -0.26),
+        "S2": PrintedLength(131.04, 130.73, -0.31, -0.24),
     }
 )
 """Table III, the grooved block, by second-order rms; the nominal is a caliper's reading."""
@@ -153,4 +156,4 @@ MISPRINTS: tuple[Misprint, ...] = (
         follows="eq. (8) gives 252.5498 px for the five printed pixels",
     ),
 )
-"""Found by recomputing every printed number from the others (tests/lscan/test_paper.py)."""
+"""Found by recomputing every printed number from the others (tests/lscan/paper/test_paper.py)."""

@@ -2,21 +2,15 @@
 
 from __future__ import annotations
 
-import typer
-
-from lscan.cli.console import run_command_line
+from lscan.cli.console import command_line, run_command_line
 from sim.cli.demo import demo
 from sim.cli.figures import accuracy, bench, hardware, verify
 from sim.cli.pictures import render, truth, views
 from sim.cli.serve import serve
 from sim.cli.study import study
 
-app = typer.Typer(
-    help="The tank in software: demo, render, truth, views, serve, verify, accuracy, study.",
-    no_args_is_help=True,
-    add_completion=False,
-    pretty_exceptions_enable=False,
-    rich_markup_mode=None,
+app = command_line(
+    "The tank in software: demo, render, truth, views, serve, verify, accuracy, study."
 )
 for command in (demo, render, truth, views, bench, verify, accuracy, serve, hardware):
     app.command()(command)

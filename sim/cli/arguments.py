@@ -13,7 +13,6 @@ from lscan.cli.console import print_json
 SceneFile = Annotated[
     Path, typer.Argument(help="Scene file (TOML), or a name that `lscan scenes` lists.")
 ]
-Json = Annotated[bool, typer.Option("--json", help="Print the result as JSON.")]
 ScenesFolder = Annotated[
     Path | None, typer.Option("--scenes", help="Folder of scene files, if not those of lscan.")
 ]

@@ -7,9 +7,10 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from lscan.cli.arguments import Json
 from lscan.cli.console import progress_bar
 from lscan.errors import InputError
-from sim.cli.arguments import Json, OutputFolder, SceneFile, print_files
+from sim.cli.arguments import OutputFolder, SceneFile, print_files
 
 if TYPE_CHECKING:
     from sim.datasets.files import Taken

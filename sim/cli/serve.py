@@ -11,8 +11,9 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from lscan.cli.arguments import Json
 from lscan.cli.console import print_json, progress_bar
-from sim.cli.arguments import Json, SceneFile
+from sim.cli.arguments import SceneFile
 
 if TYPE_CHECKING:
     from sim.emulators.hardware import EmulatedHardware

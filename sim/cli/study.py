@@ -8,9 +8,10 @@ from typing import Annotated
 
 import typer
 
+from lscan.cli.arguments import Json
 from lscan.cli.console import print_json, print_table, progress_bar
 from lscan.config.scenes import scenes_folder
-from sim.cli.arguments import Json, OutputFolder, ScenesFolder
+from sim.cli.arguments import OutputFolder, ScenesFolder
 
 study = typer.Typer(help="Where an error comes from.", no_args_is_help=True)
 

@@ -15,11 +15,11 @@ from drawn_runs import SHEET, board_run, flat_run, sandwave_run
 from typer.testing import CliRunner
 
 from lscan.acquisition.run import Run, open_run
+from lscan.calibration.loading import load_plane_map
 from lscan.cli.app import app
-from lscan.cli.arguments import stored_map
 from lscan.config.targets import Sandwave
 from lscan.measure import compare_slice
-from lscan.paper.experiment import SandwaveResult, measure_sandwave
+from lscan.measurement import SandwaveMeasures, measure_sandwave
 from lscan.records import has_value
 from lscan.surface import load_surface, resample
 
@@ -47,8 +47,8 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="module")
-def measured(folder: Path) -> SandwaveResult:
-    plane_map, _ = stored_map(folder / "c.json")
+def measured(folder: Path) -> SandwaveMeasures:
+    plane_map, _ = load_plane_map(folder / "c.json")
     return measure_sandwave(open_run(folder / "sandwave"), plane_map)
 
 
@@ -63,7 +63,7 @@ def saved(folder: Path) -> Path:
 
 @pytest.mark.parametrize("name", ["S1", "S2", "S3", "SD"])
 def test_slices_of_the_saved_surface_are_those_measured(
-    measured: SandwaveResult, saved: Path, name: str
+    measured: SandwaveMeasures, saved: Path, name: str
 ) -> None:
     """The file holds double precision, its modes single: as the surface in memory."""
     cut = resample(load_surface(saved), PIECE.slices_mm()[name])
@@ -93,7 +93,7 @@ def test_the_point_cloud_is_the_saved_surface(saved: Path) -> None:
     np.testing.assert_allclose(points, surface.xyz_mm[has_value(surface.status)], atol=3.1e-5)
 
 
-def test_the_file_says_what_was_corrected_for(measured: SandwaveResult, saved: Path) -> None:
+def test_the_file_says_what_was_corrected_for(measured: SandwaveMeasures, saved: Path) -> None:
     with xr.open_dataset(saved, engine="h5netcdf") as data:
         assert data.attrs["corrections"].startswith("sheet thickness of 1.5 mm at a yaw of 2.")
     assert load_surface(saved).corrections == measured.aligned.corrections

@@ -1,36 +1,52 @@
-"""Made-up but realistic inputs of a report: the paper's experiment without a tank.
+"""Made-up but realistic experiments to report: the paper's experiment without a tank.
 
 A pinhole camera with barrel distortion looks at the laser sheet from 1 m, 30 degrees down.
 """
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+from dataclasses import replace
+from functools import cache
 from typing import Any
 
 import cv2
 import numpy as np
 from places import PAPER_BOARD
-from scipy.interpolate import CubicSpline
+from scipy.spatial.transform import Rotation
 
+from lscan.calibration.solve import Calibration, calibrate
 from lscan.config.board import Board, load_board
 from lscan.config.targets import GroovedBlock, Sandwave
-from lscan.figures.reportfigure import RowFits, RulerCurve, SliceData
-from lscan.paper.experiment import METHODS
+from lscan.measure import SliceErrors
+from lscan.measurement import BoardMeasures, GrooveMeasures, SandwaveMeasures
+from lscan.paper.experiment import (
+    METHODS,
+    BoardResult,
+    Chain,
+    ControlPoints,
+    Experiment,
+    GroundTruth,
+    LinePictures,
+    PictureSource,
+    RenderCheck,
+)
 from lscan.paper.published import TABLE_1, TABLE_2, TABLE_3
-from lscan.paper.report import ReportInputs
 from lscan.records import (
     BoardReading,
     Bytes,
     Floats,
+    Length,
     Marks,
     RulerReading,
     Status,
     Stripe,
     Surface,
 )
+from lscan.surface import Alignment, Slice
+from lscan.surface.align.alignment import shear
 
 WIDTH, HEIGHT = 640, 480
-MAPS = METHODS
 YAW_DEG = 2.2
 _BOARD = PAPER_BOARD
 
@@ -82,32 +98,6 @@ def board_image(rng: np.random.Generator) -> Bytes:
     image = cv2.GaussianBlur(image, (0, 0), 0.7) + rng.normal(0, 2.0, image.shape)
     tint = np.array([0.86, 1.0, 0.97])
     return np.clip(image[:, :, None] * tint, 0, 255).astype(np.uint8)
-
-
-def row_fits(points_px: Floats) -> RowFits:
-    """The three fits of a row, as found and with its fifth point shifted by a pixel."""
-    shifted = points_px.copy()
-    shifted[4, 1] += 1.0
-    return RowFits(points_px, _curves(points_px), shifted, _curves(shifted))
-
-
-def _curves(points: Floats) -> dict[str, Floats]:
-    u = np.linspace(points[0, 0], points[-1, 0], 400)
-    fits: dict[str, Any] = {
-        "graticule-1": np.poly1d(np.polyfit(*points.T, 1)),
-        "graticule-2": np.poly1d(np.polyfit(*points.T, 2)),
-        "graticule-bspline": CubicSpline(*points.T),
-    }
-    return {name: np.column_stack([u, fit(u)]) for name, fit in fits.items()}
-
-
-def ruler_curve(ruler: RulerReading) -> RulerCurve:
-    """The conversion curve of a vertical ruler."""
-    seen = ruler.marks.found
-    px, mm = ruler.marks.image_px[seen, 1], ruler.marks.board_mm[seen, 1]
-    curve = CubicSpline(px, mm)
-    along = np.linspace(px[0], px[-1], 300)
-    return RulerCurve("R4", "z", px, mm, along, curve(along))
 
 
 def line_picture(profile_mm: Floats, rng: np.random.Generator) -> tuple[Bytes, Stripe]:
@@ -172,117 +162,138 @@ def surface(xyz_mm: Floats, frame: Any) -> Surface:
     return Surface(xyz_mm, sigma, sigma, status, np.arange(len(xyz_mm)) * 1.05, frame)
 
 
-def slice_data(name: str, rng: np.random.Generator) -> SliceData:
-    """A slice of the sandwave with 0.15 mm of noise and a stretch that is hidden."""
+def slices(rng: np.random.Generator) -> tuple[dict[str, Slice], dict[str, SliceErrors]]:
+    """The slices of the sandwave and their errors, by name."""
+    cuts = {name: a_slice(name, rng) for name in Sandwave().slices_mm()}
+    return {name: cut for name, (cut, _) in cuts.items()}, {n: e for n, (_, e) in cuts.items()}
+
+
+def a_slice(name: str, rng: np.random.Generator) -> tuple[Slice, SliceErrors]:
+    """A slice with 0.1 mm of noise, an error that follows the curvature, and a hidden stretch."""
     piece = Sandwave()
     start, end = piece.slices_mm()[name]
     share = np.linspace(0, 1, 301)
-    x, y = (start + share[:, None] * (end - start)).T
-    nominal = piece.height_mm(x, y)
-    error = 0.3 * np.gradient(np.gradient(nominal, x, edge_order=2), x) * 5
-    error = error + rng.normal(0, 0.1, len(x))
+    xy = start + share[:, None] * (end - start)
+    nominal = piece.height_mm(*xy.T)
+    error = 0.3 * np.gradient(np.gradient(nominal, xy[:, 0], edge_order=2), xy[:, 0]) * 5
+    error = error + rng.normal(0, 0.1, len(xy))
     hidden = (share > 0.62) & (share < 0.67)
     error[hidden] = np.nan
-    return SliceData(
+    cut = Slice(
+        xy_mm=xy,
         along_mm=share * float(np.linalg.norm(end - start)),
-        measured_mm=nominal + error,
-        status=np.where(hidden, int(Status.OCCLUDED), int(Status.OK)),
-        nominal_mm=nominal,
-        error_mm=error,
-        sigma_mm=np.where(hidden, np.nan, 0.1),
-        ends_mm=np.array([start, end]),
+        z_mm=nominal + error,
+        sigma_z_mm=np.where(hidden, np.nan, 0.1),
+        status=np.where(hidden, int(Status.NO_DATA), int(Status.OK)),
+        radius_mm=2.0,
+    )
+    return cut, SliceErrors(nominal, error, int((~hidden).sum()), int(hidden.sum()), 0)
+
+
+def lengths(printed: Iterable[tuple[str, float]], rng: np.random.Generator) -> dict[str, Length]:
+    """Lengths of these features and nominal lengths, measured with 0.15 mm of noise."""
+    return {name: Length(mm, mm + float(rng.normal(0, 0.15)), 0.12) for name, mm in printed}
+
+
+def board_measures(rng: np.random.Generator) -> BoardMeasures:
+    """Tables I and II by one plane map."""
+    first, second = (
+        [(feature, row["First rms"].nominal_mm) for feature, row in table.items()]
+        for table in (TABLE_1, TABLE_2)
+    )
+    return BoardMeasures(lengths(first, rng), lengths(second, rng), {})
+
+
+@cache
+def solved() -> tuple[Bytes, BoardReading, dict[str, Calibration]]:
+    """The board's picture, its marks, and every map of the report solved from them."""
+    rng = np.random.default_rng(20)
+    read = reading(rng)
+    return board_image(rng), read, {name: calibrate(read, name) for name in METHODS}
+
+
+def board_result(rng: np.random.Generator) -> BoardResult:
+    """The board with lengths of the paper's features by every map."""
+    return BoardResult(*solved(), measures={name: board_measures(rng) for name in METHODS})
+
+
+def alignment() -> Alignment:
+    """The sheet yawed by YAW_DEG, the block turned by 4 degrees and tilted by 3 and 2."""
+    rotation = Rotation.from_euler("zyx", [4.0, 3.0, 2.0], degrees=True).as_matrix()
+    yaw_rad = np.radians(YAW_DEG)
+    normal = (rotation @ shear(yaw_rad)).T @ np.array([0.0, 0.0, 1.0])
+    left, right = Sandwave().wedge_tips_mm()
+    return Alignment(
+        yaw_rad=yaw_rad,
+        yaw_sigma_rad=1e-4,
+        rotation=rotation,
+        translation_mm=np.array([-150.0, 5.0, 390.0]),
+        normal=normal / np.linalg.norm(normal),
+        base_mm=Sandwave().wedge.height_mm,
+        left_corner_mm=left,
+        right_corner_mm=right,
+        pivot_mm=np.zeros(3),
+        modes=np.zeros((7, 7)),
     )
 
 
-def results(rng: np.random.Generator) -> dict[str, Any]:
-    """A whole results.json."""
-    piece = {name: slice_data(name, rng) for name in Sandwave().slices_mm()}
-    return {
-        "scene": "paper: the whole experiment",
-        "versions": {"lscan": "0.1.0", "numpy": "2.4.6"},
-        "seconds": {"board": 12.3, "groove": 8.1, "sandwave": 301.2, "total": 321.6},
-        "control_points": {"expected": 100, "found": 100, "rms_px": 0.031, "max_px": 0.092},
-        "render_check": {"stripe_rms_px": 0.041, "stripe_max_px": 0.217},
-        "distances": {
-            name: {f: _length(row["First rms"].nominal_mm, rng) for f, row in TABLE_1.items()}
-            for name in MAPS
-        },
-        "diameters": {
-            name: {f: _length(row["First rms"].nominal_mm, rng) for f, row in TABLE_2.items()}
-            for name in MAPS
-        },
-        "groove": {name: _length(row.nominal_mm, rng) for name, row in TABLE_3.items()},
-        "sandwave": {
-            "frames": 200,
-            "step_mm": 1.05,
-            "yaw_deg": {"true": YAW_DEG, "estimated": 2.187},
-            "slices": {name: _slice_summary(data) for name, data in piece.items()},
-        },
-    }
+def sandwave_measures(rng: np.random.Generator, xyz_mm: Floats | None = None) -> SandwaveMeasures:
+    """The sandwave of these workpiece points, a shadow among them, as scanned and as aligned."""
+    aligned = workpiece_mm() if xyz_mm is None else xyz_mm
+    aligned[..., 2] += rng.normal(0, 0.08, aligned.shape[:2])
+    aligned[aligned.shape[0] * 3 // 5, 100:140] = np.nan  # a shadow
+    found = alignment()
+    cuts, errors = slices(rng)
+    raw = surface(found.to_raw(aligned), "head")
+    return SandwaveMeasures(raw, found, surface(aligned, "workpiece"), cuts, errors, 1.05)
 
 
-def _length(nominal_mm: float, rng: np.random.Generator) -> dict[str, float]:
-    error = float(rng.normal(0, 0.15))
-    measured = nominal_mm + error
-    return {
-        "nominal_mm": nominal_mm,
-        "measured_mm": measured,
-        "error_mm": error,
-        "sigma_mm": 0.12,
-    }
+def truth() -> GroundTruth:
+    """What a tank would know."""
+    points = ControlPoints(100, 100, rms_px=0.031, max_px=0.092)
+    return GroundTruth(points, RenderCheck(0.041, 0.217, 0.05, 0.3), YAW_DEG)
 
 
-def _slice_summary(data: SliceData) -> dict[str, float]:
-    assert data.error_mm is not None
-    return {
-        "points": len(data.status),
-        "unseen": int((data.status == Status.OCCLUDED).sum()),
-        "rmse_mm": float(np.sqrt(np.nanmean(data.error_mm**2))),
-        "min_mm": float(np.nanmin(data.error_mm)),
-        "max_mm": float(np.nanmax(data.error_mm)),
-    }
-
-
-def whole_experiment(seed: int = 20) -> ReportInputs:
-    """Everything a report can show."""
+def experiment(seed: int = 20) -> Experiment:
+    """The whole experiment by the paper's chain."""
     rng = np.random.default_rng(seed)
-    read = reading(rng)
-    rows, columns = read.shape
-    lattice = read.grid.image_px.reshape(rows, columns, 2)
     groove_image, groove_stripe = line_picture(groove_profile(), rng)
     across = np.linspace(120.0, 330.0, 900)
     wave = np.column_stack([across, Sandwave().height_mm(across - 150.0, 75.0 + 0 * across) - 300])
     pictures = [line_picture(wave, rng) for _ in range(3)]
+    grooves = lengths([(name, row.nominal_mm) for name, row in TABLE_3.items()], rng)
+    grooves["H1"] = replace(grooves["H1"], measured_mm=59.3)  # 0.7 mm off, beyond the bar
+    return Experiment(
+        scene="paper: the whole experiment",
+        chain=Chain("graticule-2", ("centroid-relative",)),
+        board=board_result(rng),
+        groove=GrooveMeasures(grooves),
+        sandwave=sandwave_measures(rng),
+        shown={
+            "groove": LinePictures([groove_image], groove_stripe),
+            "sandwave": LinePictures([image for image, _ in pictures], pictures[0][1]),
+        },
+        seconds={"board": 12.3, "groove": 8.1, "sandwave": 301.2, "total": 321.6},
+        truth=truth(),
+    )
 
-    aligned = workpiece_mm()
-    aligned[..., 2] += rng.normal(0, 0.08, aligned.shape[:2])
-    aligned[120:124, 100:140] = np.nan  # a shadow
-    skewed = aligned.copy()
-    skewed[..., 0] += np.tan(np.radians(YAW_DEG)) * aligned[..., 1]
-    turn = np.radians(4.0)
-    turned = np.array(
-        [[np.cos(turn), -np.sin(turn), 0], [np.sin(turn), np.cos(turn), 0], [0, 0, 1]]
+
+def board_alone() -> Experiment:
+    """An experiment of which nothing but the board was scanned."""
+    rng = np.random.default_rng(3)
+    return Experiment("the board", Chain("graticule-2"), board_result(rng))
+
+
+def both_chains() -> Experiment:
+    """The whole experiment in a simulated tank, evaluated by the best chain as well."""
+    better = experiment(seed=5)
+    best = replace(
+        better,
+        chain=Chain("refractive", ("ml",), ("blur",)),
+        board=replace(
+            better.board, measures={"refractive": board_measures(np.random.default_rng(6))}
+        ),
     )
-    levelled = skewed @ turned.T
-    tips = np.array([[*tip, Sandwave().wedge.height_mm] for tip in Sandwave().wedge_tips_mm()])
-    tips[:, 0] += np.tan(np.radians(YAW_DEG)) * tips[:, 1]
-    tips = tips @ turned.T
-    raw = levelled.copy()
-    raw[..., 2] += 0.05 * raw[..., 0] - 0.03 * raw[..., 1] - 390.0
-    return ReportInputs(
-        results=results(rng),
-        board_image=board_image(rng),
-        reading=read,
-        row=row_fits(lattice[0]),
-        ruler=ruler_curve(read.rulers[1]),
-        groove_image=groove_image,
-        groove_stripe=groove_stripe,
-        sandwave_images=[image for image, _ in pictures],
-        sandwave_stripe=pictures[0][1],
-        raw=surface(raw, "head"),
-        levelled=levelled,
-        corners=(tips[0], tips[1]),
-        turned=skewed,
-        aligned=surface(aligned, "workpiece"),
-        slices={name: slice_data(name, rng) for name in Sandwave().slices_mm()},
-    )
+    tank = PictureSource("sim", simulated=True, noise_seed=7)
+    sources = dict.fromkeys(("board", "groove", "sandwave"), tank)
+    return replace(experiment(), sources=sources, best=best)

@@ -4,13 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-import numpy as np
 import pytest
+import report_examples as examples
 from playwright.sync_api import Page
 
-from lscan.figures.grid import CELL_MM
-from lscan.paper.report import ReportInputs, write_report
-from lscan.records import Status, Surface
+from lscan.paper.report import write_report
 from sim.testing.browser import Chromium
 
 pytestmark = pytest.mark.xdist_group("live_page")
@@ -35,34 +33,10 @@ TABLES = """[...document.querySelectorAll("table")].map(table => {
 @pytest.fixture(scope="module")
 def page(chromium: Chromium, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Page]:
     path = tmp_path_factory.mktemp("report") / "report.html"
-    write_report(path, _inputs())
+    write_report(path, examples.both_chains())
     with chromium.phone(*PHONE) as page:
         page.goto(path.as_uri())
         yield page
-
-
-def _inputs() -> ReportInputs:
-    """Tables of both chains, and a surface of 400 by 200 by 50 mm to turn."""
-    entry = {"nominal_mm": 154.96, "measured_mm": 155.0, "error_mm": 0.04, "sigma_mm": 0.123}
-    groove = {name: dict(entry) for name in ("S1", "S2")}
-    lengths = {"A1A2": {**entry, "nominal_mm": 80.0}, "A2A3": dict(entry)}
-    maps = ("graticule-2", "graticule-2-norulers", "polynomial-5")
-    chain = {"plane_map": "graticule-2", "extractors": [], "corrected_for": []}
-    results = {
-        "chain": chain,
-        "distances": dict.fromkeys(maps, lengths),
-        "groove": groove,
-        "best": {
-            "chain": {**chain, "plane_map": "refractive"},
-            "distances": {"refractive": lengths},
-            "groove": groove,
-        },
-    }
-    x, y = np.meshgrid(np.arange(0, 400, 4 * CELL_MM), np.arange(0, 200, 4 * CELL_MM))
-    points = np.stack([x, y, np.where(np.abs(x - 200) < 100, 0.0, -50.0)], axis=2)
-    sigma, status = np.full(x.shape, 0.1), np.full(x.shape, int(Status.OK))
-    surface = Surface(points, sigma, sigma, status, y[:, 0], "workpiece")
-    return ReportInputs(results=results, aligned=surface)
 
 
 def test_every_column_of_a_table_is_within_reach_on_a_phone(page: Page) -> None:

@@ -19,7 +19,7 @@ from lscan.cli.app import app
 from lscan.cli.arguments import open_calibrated
 from lscan.config.rig import load_rig, parse_rig
 from lscan.errors import InputError
-from lscan.paper.experiment import measure_sandwave
+from lscan.measurement import measure_sandwave
 from lscan.records import Floats, Status
 from sim.demo import stripe_errors
 from sim.scene import (

@@ -3,13 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass, replace
 
 import numpy as np
 from matplotlib.axes import Axes
 
+from lscan.board import draw_overlay
+from lscan.calibration.api import PlaneMap
+from lscan.calibration.maps.drawing import DrawnConversion, graticule_lines, ruler_conversions
+from lscan.calibration.maps.graticule import Graticule
+from lscan.calibration.solve import calibrate
 from lscan.figures import style
-from lscan.figures.reportfigure import ReportFigure, RowFits, RulerCurve
-from lscan.records import BoardReading, Bytes, Floats, Marks, Status
+from lscan.figures.reportfigure import ReportFigure
+from lscan.paper.experiment import BoardResult
+from lscan.paper.published import CHOSEN_MAP
+from lscan.records import BoardReading, Bytes, Floats, Status
 
 FITS: Mapping[str, tuple[str, str]] = {
     "graticule-1": ("first-order rms", style.THIRD),
@@ -18,8 +26,78 @@ FITS: Mapping[str, tuple[str, str]] = {
 }
 """The three fits of Fig. 13, top to bottom: plane map name to name and colour."""
 
+SENSITIVITIES = {"graticule-bspline": "Fig. 33", "graticule-2": "Fig. 34"}
 
-def board_picture(image: Bytes, reading: BoardReading | None) -> ReportFigure:
+
+@dataclass(frozen=True)
+class RowFits:
+    """One row of C control points and the latitude lines fitted to it, in px.
+
+    points_px: (C, 2) of (u, v), as found.  curves: plane map name to (K, 2) points along the
+    line fitted to them.  shifted_px, shifted_curves: the same after one control point was
+    moved by one pixel across the row.
+    """
+
+    points_px: Floats
+    curves: Mapping[str, Floats]
+    shifted_px: Floats
+    shifted_curves: Mapping[str, Floats]
+
+
+def board_figures(board: BoardResult) -> tuple[list[ReportFigure], list[ReportFigure]]:
+    """The figures of the calibration, and those of its sensitivity to one control point."""
+    row, conversion = row_fits(board), _last_vertical_ruler(board)
+    figures = [
+        board_picture(board.image, board.reading),
+        control_points(board.image, board.reading),
+        line_fits(row),
+    ]
+    if conversion is not None:
+        figures.append(ruler(conversion))
+    return figures, [sensitivity(row, name, paper) for name, paper in SENSITIVITIES.items()]
+
+
+def row_fits(board: BoardResult) -> RowFits:
+    """The middle row of control points with its three fits, and with one point moved by 1 px."""
+    rows, columns = board.reading.shape
+    row, moved = rows // 2, columns // 2
+    shifted = _shift_mark(board.reading, row * columns + moved)
+    fits = {name: board.calibrations[name].plane_map for name in FITS}
+    again = {name: calibrate(shifted, name).plane_map for name in FITS}
+    lattice = slice(row * columns, (row + 1) * columns)
+    at_mm = float(board.reading.grid.board_mm[lattice][0, 1])
+    return RowFits(
+        points_px=board.reading.grid.image_px[lattice],
+        curves={name: _latitude(plane, at_mm) for name, plane in fits.items()},
+        shifted_px=shifted.grid.image_px[lattice],
+        shifted_curves={name: _latitude(plane, at_mm) for name, plane in again.items()},
+    )
+
+
+def _shift_mark(reading: BoardReading, index: int) -> BoardReading:
+    """The reading with one control point one pixel higher in the picture (Fig. 33)."""
+    image_px = reading.grid.image_px.copy()
+    image_px[index, 1] -= 1.0
+    return replace(reading, grid=replace(reading.grid, image_px=image_px))
+
+
+def _latitude(plane_map: PlaneMap, at_mm: float) -> Floats:
+    """(K, 2) points in px of the latitude line at z = at_mm."""
+    assert isinstance(plane_map, Graticule)
+    lines = [line for line in graticule_lines(plane_map) if line.kind == "latitude"]
+    return min(lines, key=lambda line: abs(line.at_mm - at_mm)).image_px
+
+
+def _last_vertical_ruler(board: BoardResult) -> DrawnConversion | None:
+    """The conversion curve of the last vertical ruler; None where the board has none."""
+    plane_map = board.calibrations[CHOSEN_MAP].plane_map
+    assert isinstance(plane_map, Graticule)
+    rulers = ruler_conversions(plane_map, board.reading)
+    vertical = [ruler for ruler in rulers if ruler.direction == "vertical"]
+    return vertical[-1] if vertical else None
+
+
+def board_picture(image: Bytes, reading: BoardReading) -> ReportFigure:
     """The calibration board as the camera sees it (Fig. 9), and how uneven its pitch is."""
     height, width = image.shape[:2]
     alt = f"Photograph of the calibration board, {width} by {height} pixels."
@@ -29,7 +107,7 @@ def board_picture(image: Bytes, reading: BoardReading | None) -> ReportFigure:
         paper="Fig. 9",
         alt=alt,
         caption=f"One picture of {width} × {height} px calibrates the whole instrument."
-        f"{'' if reading is None else _pitch(reading)}",
+        f"{_pitch(reading)}",
         body=style.photograph(image, "", alt),
     )
 
@@ -39,8 +117,6 @@ def _pitch(reading: BoardReading) -> str:
     lattice = reading.grid.image_px.reshape(*reading.shape, 2)
     step = np.linalg.norm(np.diff(lattice, axis=1), axis=2)
     rows = step[np.isfinite(step).any(axis=1)]
-    if len(rows) == 0:
-        return ""
     return (
         f" Control points {reading.pitch_mm:g} mm apart on the board are {np.nanmean(rows[0]):.1f} "
         f"px apart in the top row and {np.nanmean(rows[-1]):.1f} px in the bottom row: what the "
@@ -48,69 +124,41 @@ def _pitch(reading: BoardReading) -> str:
     )
 
 
-def control_points(image: Bytes, reading: BoardReading | None, marked: bool) -> ReportFigure:
-    """The marks that were found (Fig. 12).
-
-    image: the board picture.  marked: the search boxes and crosses are painted into it
-    already; where False the crosses are drawn from ``reading``.
-    """
-    overlay = "" if marked or reading is None else _crossed(reading)
+def control_points(image: Bytes, reading: BoardReading) -> ReportFigure:
+    """The marks that were found, and the boxes in which they were looked for (Fig. 12)."""
     alt = "The board picture with a cross on every control point that was found."
-    boxes = "Boxes show where each one was looked for. " if marked else ""
-    found = "" if reading is None else _found(reading)
     return ReportFigure(
         key="control-points",
         title="Control points found",
         paper="Fig. 12",
         alt=alt,
-        caption=f"Every control point that was found is marked ×. {boxes}{found}",
-        body=style.photograph(image, overlay, alt),
+        caption="Every control point that was found is marked ×. Boxes show where each one was "
+        f"looked for. {_found(reading)}",
+        body=style.photograph(draw_overlay(image, reading), "", alt),
     )
-
-
-def _crossed(reading: BoardReading) -> str:
-    rulers = "".join(
-        style.crosses(ruler.marks.image_px, "#ffd54a", 2.2, 0.8) for ruler in reading.rulers
-    )
-    origin = reading.grid.image_px[0]
-    name = ""
-    if np.isfinite(origin).all():
-        name = style.label((origin[0] - 16, origin[1] - 8), "O", "#ff3b30")
-    return rulers + style.crosses(reading.grid.image_px, "#ff3b30", 6.0, 1.2) + name
 
 
 def _found(reading: BoardReading) -> str:
-    parts = [f"{_count(reading.grid)} control points"]
+    grid = reading.grid
+    parts = [f"{int(grid.found.sum())} of {len(grid.status)} control points"]
     if reading.rulers:
         seen = sum(int(ruler.marks.found.sum()) for ruler in reading.rulers)
         asked = sum(len(ruler.marks.status) for ruler in reading.rulers)
         parts.append(f"{seen} of {asked} marks of {len(reading.rulers)} rulers")
-    sigma = reading.grid.sigma_px[reading.grid.found]
-    typical = (
-        f"; the median standard uncertainty of a control point is {np.median(sigma):.3f} px"
-        if len(sigma)
-        else ""
+    outside = int((grid.status == Status.OUT_OF_VIEW).sum())
+    unseen = f" {outside} lie outside the picture." if outside else ""
+    return (
+        f"Found: {' and '.join(parts)}; the median standard uncertainty of a control point is "
+        f"{np.median(grid.sigma_px[grid.found]):.3f} px.{unseen}"
     )
-    return f"Found: {' and '.join(parts)}{typical}.{_unseen(reading.grid)}"
-
-
-def _count(marks: Marks) -> str:
-    return f"{int(marks.found.sum())} of {len(marks.status)}"
-
-
-def _unseen(marks: Marks) -> str:
-    outside = int((marks.status == Status.OUT_OF_VIEW).sum())
-    return f" {outside} lie outside the picture." if outside else ""
 
 
 @style.styled
 def line_fits(row: RowFits) -> ReportFigure:
     """The three fits of one row of control points, one above the other (Fig. 13)."""
-    fits = [name for name in FITS if name in row.curves]
-    figure, axes = style.panels(len(fits), (style.WIDTH_IN, 1.4 * len(fits) + 0.4))
+    figure, axes = style.panels(len(FITS), (style.WIDTH_IN, 1.4 * len(FITS) + 0.4))
     notes = []
-    for panel, name in zip(axes, fits, strict=True):
-        title, colour = FITS[name]
+    for panel, (name, (title, colour)) in zip(axes, FITS.items(), strict=True):
         rms, worst = _residual(row.points_px, row.curves[name])
         notes.append(f"{title} {rms:.2f} px rms, {worst:.2f} px at most")
         panel.plot(*row.curves[name].T, color=colour)
@@ -119,7 +167,7 @@ def line_fits(row: RowFits) -> ReportFigure:
         panel.set_ylabel("v / px")
         panel.invert_yaxis()
     axes[-1].set_xlabel("u / px")
-    alt = "One row of control points with " + ", ".join(FITS[name][0] for name in fits) + "."
+    alt = "One row of control points with " + ", ".join(title for title, _ in FITS.values()) + "."
     return ReportFigure(
         key="line-fits",
         title="Fits of one row of control points",
@@ -152,10 +200,8 @@ def _across(curve: Floats, u: Floats) -> Floats:
 def sensitivity(row: RowFits, name: str, paper: str) -> ReportFigure:
     """What one control point shifted by one pixel does to a fit (Figs. 33 and 34).
 
-    name: "graticule-bspline" or "graticule-2".  The row must carry its shifted fits.
+    name: "graticule-bspline" or "graticule-2".  paper: the paper's figure.
     """
-    if row.shifted_px is None or row.shifted_curves is None:
-        raise ValueError("the row has no shifted fits")
     title, colour = FITS[name]
     before, after = row.curves[name], row.shifted_curves[name]
     change = after[:, 1] - _across(before, after[:, 0])
@@ -208,24 +254,23 @@ def _inflections(curve: Floats) -> int:
 
 
 @style.styled
-def ruler(curve: RulerCurve) -> ReportFigure:
-    """Pixel coordinate of a ruler's marks against their board coordinate (Fig. 16)."""
-    pixel = "v" if curve.coordinate == "z" else "u"
+def ruler(curve: DrawnConversion) -> ReportFigure:
+    """Vertical pixel coordinate of a ruler's marks against their height on the board (Fig. 16)."""
     figure, (axes,) = style.panels(1, (style.WIDTH_IN, 3.4))
     axes.plot(curve.curve_px, curve.curve_mm, color=style.SECOND)
     axes.plot(curve.marks_px, curve.marks_mm, "o", color=style.INK, markersize=3)
-    axes.set_xlabel(f"{pixel} / px")
-    axes.set_ylabel(f"{curve.coordinate} / mm")
+    axes.set_xlabel("v / px")
+    axes.set_ylabel("z / mm")
     scale = np.abs(np.gradient(curve.curve_mm, curve.curve_px))
-    alt = f"Board coordinate against pixel coordinate for the marks of ruler {curve.name}."
-    known = np.isfinite(curve.marks_px)
+    name = f"at x = {curve.at_mm:g} mm"
+    alt = f"Board coordinate against pixel coordinate for the marks of ruler {name}."
     return ReportFigure(
         key="ruler",
-        title=f"Conversion curve of ruler {curve.name}",
+        title=f"Conversion curve of ruler {name}",
         paper="Fig. 16",
         alt=alt,
-        caption=f"{int(known.sum())} marks of ruler {curve.name} (dots) and the curve that "
-        f"turns {pixel} into {curve.coordinate}. A pixel is {scale.min():.2f} to "
+        caption=f"{len(curve.marks_px)} marks of ruler {name} (dots) and the curve that "
+        f"turns v into z. A pixel is {scale.min():.2f} to "
         f"{scale.max():.2f} mm on the board, larger where the board is farther away; the paper "
         "says about 1 mm.",
         body=style.svg(figure, "ruler", alt),

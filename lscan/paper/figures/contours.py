@@ -12,7 +12,8 @@ from matplotlib.patheffects import withStroke
 
 from lscan.figures import style
 from lscan.figures.grid import CELL_MM, HeightGrid, cell_for, grid_heights, height_range
-from lscan.figures.reportfigure import ReportFigure, SliceData
+from lscan.figures.reportfigure import ReportFigure
+from lscan.measurement import SandwaveMeasures
 from lscan.paper.published import YAW_DEG
 from lscan.records import Floats, Mask
 
@@ -26,22 +27,31 @@ _DASHES = ((0, (5, 2)), "solid", (0, (7, 1.5, 1.5, 1.5)), (0, (1.5, 1)))
 _PAPERS_YAW = f"{YAW_DEG:.2f}° in the paper"
 
 
-@style.styled
-def contours_before(
-    xyz_mm: Floats, yaw_deg: float | None, waves: Mask | None = None
-) -> ReportFigure:
-    """Contours before yaw calibration (Fig. 27).
+def on_the_waves(sandwave: SandwaveMeasures) -> Mask:
+    """(F, N) the points within the slices, one of which is the diagonal of the waves."""
+    ends = np.concatenate([cut.xy_mm[[0, -1]] for cut in sandwave.slices.values()])
+    xyz = sandwave.aligned.xyz_mm
+    plan = xyz[..., :2]
+    within: Mask = ((plan >= ends.min(axis=0)) & (plan <= ends.max(axis=0))).all(axis=2)
+    return within & np.isfinite(xyz).all(axis=2)
 
-    xyz_mm: (F, N, 3), level and with W_L W_R along x.  yaw_deg: the yaw found, if any.
-    waves: (F, N) the points on the waves, to which colours and contours keep; all if None.
+
+@style.styled
+def contours_before(sandwave: SandwaveMeasures, waves: Mask) -> ReportFigure:
+    """Contours before yaw calibration, level and with W_L W_R along x (Fig. 27).
+
+    waves: (F, N) the points on the waves, to which colours and contours keep.
     """
+    alignment = sandwave.alignment
+    xyz_mm = sandwave.raw.xyz_mm @ alignment.rotation.T + alignment.translation_mm
     key, alt = "contours-before", "Contour plot of the surface before yaw calibration."
     figure, _, note = _draw_surface(xyz_mm, waves)
     shift = "a little more than the one before"
-    if yaw_deg is not None:
-        track_mm = float(np.ptp(xyz_mm[..., 1][np.isfinite(xyz_mm[..., 1])]))
-        total_mm = track_mm * np.tan(np.radians(abs(yaw_deg)))
-        shift += f", {total_mm:.1f} mm over {track_mm:.0f} mm at the yaw found, {yaw_deg:.3f}°"
+    if alignment.yaw_deg is not None:
+        track_mm = float(np.nanmax(xyz_mm[..., 1]) - np.nanmin(xyz_mm[..., 1]))
+        total_mm = track_mm * np.tan(abs(alignment.yaw_rad))
+        shift += f", {total_mm:.1f} mm over {track_mm:.0f} mm at the yaw found, "
+        shift += f"{alignment.yaw_deg:.3f}°"
     return ReportFigure(
         key=key,
         title="Contours before yaw calibration",
@@ -54,28 +64,23 @@ def contours_before(
 
 
 @style.styled
-def contours_after(
-    xyz_mm: Floats,
-    yaw_deg: float | None,
-    slices: Mapping[str, SliceData],
-    waves: Mask | None = None,
-) -> ReportFigure:
+def contours_after(sandwave: SandwaveMeasures, waves: Mask) -> ReportFigure:
     """Contours after yaw calibration, with the places of the slices (Fig. 28).
 
-    xyz_mm: (F, N, 3) of the aligned surface.  yaw_deg, waves: as ``contours_before``.
+    waves: as ``contours_before``.
     """
     key, alt = "contours-after", "Contour plot of the surface after yaw calibration."
-    figure, axes, note = _draw_surface(xyz_mm, waves)
-    lines = {name: data.ends_mm for name, data in slices.items() if data.ends_mm is not None}
-    _draw_slices(axes, lines)
+    figure, axes, note = _draw_surface(sandwave.aligned.xyz_mm, waves)
+    _draw_slices(axes, {name: cut.xy_mm[[0, -1]] for name, cut in sandwave.slices.items()})
+    yaw_deg = sandwave.alignment.yaw_deg
     found = "" if yaw_deg is None else f" by the yaw found, {yaw_deg:.3f}° ({_PAPERS_YAW})"
-    named = f" Lines: the slices {', '.join(lines)}." if lines else ""
     return ReportFigure(
         key=key,
         title="Contours after yaw calibration",
         paper="Fig. 28",
         alt=alt,
-        caption=f"The profiles are shifted back along x{found}.{named} {note}",
+        caption=f"The profiles are shifted back along x{found}. Lines: the slices "
+        f"{', '.join(sandwave.slices)}. {note}",
         body=style.svg(figure, key, alt),
     )
 
@@ -86,12 +91,12 @@ def contour_step(low_mm: float, high_mm: float) -> float:
     return next((step for step in _STEPS_MM if span / step <= _MOST_CONTOURS), _STEPS_MM[-1])
 
 
-def _draw_surface(xyz_mm: Floats, waves: Mask | None) -> tuple[Figure, Axes, str]:
+def _draw_surface(xyz_mm: Floats, waves: Mask) -> tuple[Figure, Axes, str]:
     """The figure, its axes, and what a caption says of contours and colours.
 
     Over the heights of floor and wedges the waves would share one colour.
     """
-    inner = xyz_mm if waves is None else np.where(waves[..., None], xyz_mm, np.nan)
+    inner = np.where(waves[..., None], xyz_mm, np.nan)
     low, high = height_range(inner)
     cell = cell_for(xyz_mm, CELL_MM)
     whole, grid = grid_heights(xyz_mm, cell), grid_heights(inner, cell)
@@ -108,13 +113,12 @@ def _draw_surface(xyz_mm: Floats, waves: Mask | None) -> tuple[Figure, Axes, str
     step = _draw_contours(axes, grid, low, high)
     axes.grid(False)
     axes.set(xlabel="x / mm", ylabel="y / mm", aspect="equal")
-    note = f"Contours every {step:g} mm, thicker every {_INDEX * step:g} mm"
-    if waves is None:
-        figure.colorbar(shade, ax=axes, label="z / mm", shrink=0.85)
-        return figure, axes, note + "."
     figure.colorbar(shade, ax=axes, label="z / mm", shrink=0.85, extend="both")
     _frame(axes, grid, whole)
-    note += "; colours and contours keep to the heights of the waves: floor and wedges lie beyond."
+    note = (
+        f"Contours every {step:g} mm, thicker every {_INDEX * step:g} mm; colours and contours "
+        "keep to the heights of the waves: floor and wedges lie beyond."
+    )
     return figure, axes, note
 
 

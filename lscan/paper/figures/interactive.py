@@ -1,4 +1,4 @@
-"""The surface to turn with the mouse: Plotly's, told what to draw and from where to look."""
+"""The surface to turn with the mouse: what Plotly draws, and from where it looks."""
 
 from __future__ import annotations
 
@@ -22,14 +22,14 @@ _TOWARDS = np.array([-0.75, -1.6, 1.0])  # from the surface's middle to the eye
 _ROOM = 1.15  # for the names of the axes around the surface
 
 
-def surface_to_turn(xyz_mm: Floats, waves: Mask | None = None) -> ReportFigure:
+def surface_to_turn(xyz_mm: Floats, waves: Mask) -> ReportFigure:
     """The surface, (F, N, 3), as an interactive figure; its script needs Plotly on the page.
 
-    waves: (F, N) the points on the waves, to whose heights the colours keep; all if None.
+    waves: (F, N) the points on the waves, to whose heights the colours keep.
     """
     cell = cell_for(xyz_mm, CELL_MM)
     grid = grid_heights(xyz_mm, cell)
-    colours = height_range(xyz_mm if waves is None else xyz_mm[waves])
+    colours = height_range(xyz_mm[waves])
     alt = "Interactive surface: drag to turn, scroll or pinch to come closer."
     return ReportFigure(
         key="interactive",

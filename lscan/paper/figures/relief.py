@@ -9,6 +9,7 @@ from matplotlib.figure import Figure
 from lscan.figures import style
 from lscan.figures.reportfigure import ReportFigure, signed
 from lscan.records import Floats
+from lscan.surface import Alignment, levelling_step
 
 _LINES = 90  # profiles drawn of a relief
 _COLUMNS = 320  # points drawn of a profile, at most
@@ -36,20 +37,19 @@ def raw_relief(xyz_mm: Floats) -> ReportFigure:
 
 
 @style.styled
-def levelled_relief(xyz_mm: Floats, corners: tuple[Floats, Floats] | None) -> ReportFigure:
+def levelled_relief(xyz_mm: Floats, alignment: Alignment) -> ReportFigure:
     """The surface after reorientation, eqs. (5) to (7), with base plane and corners (Fig. 26).
 
-    xyz_mm: (F, N, 3).  corners: W_L and W_R in the same frame, (3,) each, on the base plane.
+    xyz_mm: (F, N, 3) as scanned.  alignment: of the sandwave in it.
     """
-    figure, axes, gain = _draw_relief(xyz_mm)
-    note = ""
-    if corners is not None:
-        _draw_base_plane(axes, xyz_mm, corners, gain)
-        span = float(np.linalg.norm(corners[1] - corners[0]))
-        note = (
-            " Dashed: the base plane through the tops of the wedges; dots: the corners W_L "
-            f"and W_R, {span:.2f} mm apart."
-        )
+    levelling = levelling_step(alignment.normal)
+    left, right = (
+        levelling @ alignment.to_raw(np.array([*corner, alignment.base_mm]))
+        for corner in (alignment.left_corner_mm, alignment.right_corner_mm)
+    )
+    levelled = xyz_mm @ levelling.T
+    figure, axes, gain = _draw_relief(levelled)
+    _draw_base_plane(axes, levelled, (left, right), gain)
     alt = "Relief of the surface after reorientation, with the base plane and two corners."
     return ReportFigure(
         key="levelled",
@@ -57,7 +57,8 @@ def levelled_relief(xyz_mm: Floats, corners: tuple[Floats, Floats] | None) -> Re
         paper="Fig. 26",
         alt=alt,
         caption=f"The same points turned until the tops of the wedges lie level, "
-        f"{_shown(len(xyz_mm))}, {_scaled(gain)}.{note}",
+        f"{_shown(len(xyz_mm))}, {_scaled(gain)}. Dashed: the base plane through the tops of the "
+        f"wedges; dots: the corners W_L and W_R, {np.linalg.norm(right - left):.2f} mm apart.",
         body=style.svg(figure, "levelled", alt),
     )
 
@@ -78,8 +79,6 @@ def _profile_step(frames: int) -> int:
 def _tilt(xyz_mm: Floats) -> str:
     """Slope along x and y of the plane that fits all points best, in words."""
     points = xyz_mm[np.isfinite(xyz_mm).all(axis=2)]
-    if len(points) < 3:
-        return "an unknown angle"
     centred = points - points.mean(axis=0)
     slopes = np.linalg.lstsq(centred[:, :2], centred[:, 2], rcond=None)[0]
     along_x, along_y = np.degrees(np.arctan(slopes))

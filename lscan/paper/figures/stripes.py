@@ -12,6 +12,7 @@ from lscan.config.rig import StripeSection
 from lscan.figures import style
 from lscan.figures.reportfigure import ReportFigure
 from lscan.paper import published as paper
+from lscan.paper.experiment import LinePictures
 from lscan.records import Bytes, Floats, Status, Stripe, has_value
 
 _FOUND, _COLUMN = "#35e0ff", "#ffd54a"
@@ -19,7 +20,7 @@ _ZOOM_PX = 8
 _COLOURS = (style.FIRST, style.SECOND, style.THIRD)
 
 
-def groove_snapshot(image: Bytes, stripe: Stripe | None) -> ReportFigure:
+def groove_snapshot(pictures: LinePictures) -> ReportFigure:
     """The laser line on the grooved block (Fig. 21)."""
     alt = "Photograph of the laser line on the grooved block, broken where the height changes."
     return ReportFigure(
@@ -28,40 +29,36 @@ def groove_snapshot(image: Bytes, stripe: Stripe | None) -> ReportFigure:
         paper="Fig. 21",
         alt=alt,
         caption="The line breaks where the height changes; the corners at the bottom of a "
-        f"groove lie in shadow. {_read(stripe)}",
-        body=style.photograph(image, _traced(stripe), alt),
+        f"groove lie in shadow. {_describe(pictures.stripe)}",
+        body=style.photograph(pictures.images[0], _traced(pictures.stripe), alt),
     )
 
 
-def sandwave_snapshot(image: Bytes, stripe: Stripe | None, column: int | None) -> ReportFigure:
+def sandwave_snapshot(pictures: LinePictures, column: int) -> ReportFigure:
     """The laser line on the sandwave, and the column of Fig. 35 (Fig. 24).
 
-    column: u of the column that is marked, None for none.
+    column: u of the column that is marked.
     """
-    overlay = _traced(stripe)
-    note = ""
-    if column is not None:
-        dashes = f'd="M{column},0V{image.shape[0]}" stroke-width="0.8" stroke-dasharray="4 4"'
-        overlay += f'<path {dashes} stroke="{_COLUMN}"/>'
-        note = f" Dashed: column {column}, whose intensities follow."
+    image = pictures.images[0]
+    dashes = f'd="M{column},0V{image.shape[0]}" stroke-width="0.8" stroke-dasharray="4 4"'
+    overlay = f'{_traced(pictures.stripe)}<path {dashes} stroke="{_COLUMN}"/>'
     alt = "Photograph of the laser line across the sandwave."
     return ReportFigure(
         key="sandwave",
         title="The line on the sandwave",
         paper="Fig. 24",
         alt=alt,
-        caption=f"One of the pictures of the scan. {_read(stripe)}{note}",
+        caption=f"One of the pictures of the scan. {_describe(pictures.stripe)} Dashed: column "
+        f"{column}, whose intensities follow.",
         body=style.photograph(image, overlay, alt),
     )
 
 
-def _traced(stripe: Stripe | None) -> str:
-    return "" if stripe is None else style.spots(stripe.image_px, _FOUND, 1.1)
+def _traced(stripe: Stripe) -> str:
+    return style.spots(stripe.image_px, _FOUND, 1.1)
 
 
-def _read(stripe: Stripe | None) -> str:
-    if stripe is None:
-        return ""
+def _describe(stripe: Stripe) -> str:
     valued = has_value(stripe.status)
     clipped = int((stripe.status == Status.SATURATED).sum())
     parts = [f"{int(valued.sum())} of {len(valued)} {stripe.axis} hold a line (pale dots)"]
@@ -72,10 +69,11 @@ def _read(stripe: Stripe | None) -> str:
     return f"{', '.join(parts)}."
 
 
-def lit_column(stripe: Stripe | None, width: int) -> int:
+def lit_column(pictures: LinePictures) -> int:
     """The column for Fig. 35: the paper's 320th, or the nearest one that holds a line."""
-    wanted = min(paper.COLUMN, width - 1)
-    if stripe is None or stripe.axis != "columns":
+    stripe = pictures.stripe
+    wanted = min(paper.COLUMN, pictures.images[0].shape[1] - 1)
+    if stripe.axis != "columns":
         return wanted
     lit = np.flatnonzero(has_value(stripe.status))
     return int(lit[np.abs(lit - wanted).argmin()]) if len(lit) else wanted

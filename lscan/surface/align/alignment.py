@@ -40,6 +40,11 @@ class Alignment:
     modes: Floats
     sheared: bool = True
 
+    @property
+    def yaw_deg(self) -> float | None:
+        """The yaw, degrees; None about a shaft, where there is none."""
+        return float(np.degrees(self.yaw_rad)) if self.sheared else None
+
     def to_workpiece(self, raw_mm: Floats) -> Floats:
         """(..., 3) workpiece points, mm, of raw head-frame points (..., 3), mm."""
         return raw_mm @ (self.rotation @ shear(self.yaw_rad)).T + self.translation_mm

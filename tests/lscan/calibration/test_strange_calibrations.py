@@ -16,9 +16,9 @@ from hypothesis import strategies as st
 from metricviews import SIZE, known, paper_rig, poses, views_of, with_noise
 from peak_memory import refused_within
 
+from lscan.calibration.loading import load_plane_map
 from lscan.calibration.multiview import calibrate_metric, save_metric
 from lscan.calibration.solve import save_calibration
-from lscan.cli.arguments import stored_map
 from lscan.errors import InputError, LscanError
 
 MAPS = ("graticule-2", "graticule-bspline", "projective", "polynomial-4", "spline", "auto")
@@ -73,7 +73,7 @@ def test_a_mutated_calibration_is_read_or_refused(
     path = tmp_path_factory.getbasetemp() / "mutated.json"
     path.write_text(json.dumps(document))
     try:
-        stored_map(path)
+        load_plane_map(path)
     except LscanError as error:
         assert path.name in str(error)
         assert "\n" not in str(error)
@@ -85,7 +85,7 @@ def test_a_map_that_is_flat_is_refused(saved: dict[str, str], tmp_path: Path) ->
     document["parameters"]["coefficients"] = [[0.0] * 15] * 2
     (tmp_path / "c.json").write_text(json.dumps(document))
     with pytest.raises(InputError, match=r"c\.json: residuals\.mm: do not belong"):
-        stored_map(tmp_path / "c.json")
+        load_plane_map(tmp_path / "c.json")
 
 
 @pytest.mark.parametrize(
@@ -101,7 +101,7 @@ def test_a_map_that_is_flat_is_refused(saved: dict[str, str], tmp_path: Path) ->
 def test_json_that_exhausts_its_reader_is_refused(tmp_path: Path, text: str, said: str) -> None:
     (tmp_path / "c.json").write_text(text)
     with pytest.raises(InputError, match=rf"c\.json: {said}") as caught:
-        stored_map(tmp_path / "c.json")
+        load_plane_map(tmp_path / "c.json")
     assert len(str(caught.value)) < 400 + len(str(tmp_path))
 
 
@@ -118,7 +118,7 @@ def test_what_is_no_plain_file_is_refused(tmp_path: Path, special: str) -> None:
         file.touch()
         os.truncate(file, 2**40)
     with pytest.raises(InputError, match=r"c\.json: (cannot be read: it is a|is too large: bytes)"):
-        stored_map(file)
+        load_plane_map(file)
 
 
 def test_a_file_takes_memory_in_proportion(tmp_path: Path) -> None:
@@ -130,9 +130,9 @@ def test_a_file_takes_memory_in_proportion(tmp_path: Path) -> None:
     count = 2**20
     (tmp_path / "c.json").write_text("[" + "[]," * count + "[]]")
     said, most_mib = refused_within(
-        "from pathlib import Path\nfrom lscan.cli.arguments import stored_map\n"
+        "from pathlib import Path\nfrom lscan.calibration.loading import load_plane_map\n"
         "import lscan.calibration.multiview, lscan.calibration.solve",
-        f"stored_map(Path({str(tmp_path / 'c.json')!r}))",
+        f"load_plane_map(Path({str(tmp_path / 'c.json')!r}))",
     )
     assert "c.json: is no calibration file" in said
     assert most_mib < 1.2 * 24 * 3
@@ -150,5 +150,5 @@ def test_a_calibration_names_installed_maps_only(
         within[key] = name
         (tmp_path / "c.json").write_text(json.dumps(document))
         with pytest.raises(InputError, match=r"c\.json: plane_map: .*no such family of plane maps"):
-            stored_map(tmp_path / "c.json")
+            load_plane_map(tmp_path / "c.json")
     assert "of_a_stranger" not in sys.modules

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import copy
-import dataclasses
 import os
 import re
 import subprocess
 import sys
+from dataclasses import replace
 from html.parser import HTMLParser
 from typing import Any
 
@@ -19,12 +18,16 @@ from places import SUPPORT
 from lscan.errors import InputError
 from lscan.paper import published as paper
 from lscan.paper.checks import checks
-from lscan.paper.report import ReportInputs, render_report, write_report
+from lscan.paper.experiment import ControlPoints, Experiment
+from lscan.paper.report import render_report, write_report
 from lscan.paper.tables import LABELS, paper_tables
+from lscan.records import Length, Status
+from lscan.version import __version__
 
 pytestmark = pytest.mark.xdist_group("report")  # one worker: they share a fixture
 
 
+CHOSEN = paper.CHOSEN_MAP
 LOADING = ("src", "href", "xlink:href", "data", "action")
 
 
@@ -49,9 +52,7 @@ class Page(HTMLParser):
         self.open.append(tag)
         if "id" in given:
             self.ids.append(given["id"])
-        self.loads += [
-            given[k] for k in ("src", "href", "xlink:href", "data", "action") if k in given
-        ]
+        self.loads += [given[name] for name in LOADING if name in given]
         if tag == "section":
             self.table = given.get("aria-labelledby", "")
         if tag == "caption" or tag == "table":
@@ -84,12 +85,12 @@ class Page(HTMLParser):
 
 
 @pytest.fixture(scope="module")
-def whole() -> ReportInputs:
-    return examples.whole_experiment()
+def whole() -> Experiment:
+    return examples.experiment()
 
 
 @pytest.fixture(scope="module")
-def page(whole: ReportInputs) -> Page:
+def page(whole: Experiment) -> Page:
     return Page(render_report(whole))
 
 
@@ -97,17 +98,17 @@ def _signed(value: float, digits: int) -> str:
     return format(value, f"+.{digits}f").replace("-", "−")
 
 
-def _our_cells(entry: dict[str, float], beyond: bool) -> list[tuple[str, bool]]:
-    percent = 100 * entry["error_mm"] / entry["nominal_mm"]
+def _our_cells(length: Length, beyond: bool) -> list[tuple[str, bool]]:
+    percent = 100 * length.error_mm / length.nominal_mm
     return [
-        (f"{entry['measured_mm']:.3f}", False),
-        (f"{entry['sigma_mm']:.3f}", False),
-        (_signed(entry["error_mm"], 3), beyond),
+        (f"{length.measured_mm:.3f}", False),
+        (f"{length.sigma_mm:.3f}", False),
+        (_signed(length.error_mm, 3), beyond),
         (_signed(percent, 2), beyond),
     ]
 
 
-def _paper_cells(row: paper.Printed | None, beyond: bool) -> list[tuple[str, bool]]:
+def _paper_cells(row: paper.PrintedLength | None, beyond: bool) -> list[tuple[str, bool]]:
     if row is None:
         return [("—", False)] * 3
     return [
@@ -129,28 +130,28 @@ THEIRS = {ours: theirs for theirs, ours in paper.OUR_MAPS.items()}
     [("table-1", "distances", paper.TABLE_1), ("table-2", "diameters", paper.TABLE_2)],
 )
 def test_tables_1_and_2_hold_the_papers_numbers_and_ours(page, whole, key, section, printed):
-    for name, entries in whole.results[section].items():
-        for feature, entry in entries.items():
+    for name, measures in whole.board.measures.items():
+        for feature, length in getattr(measures, section).items():
             row = printed[feature][THEIRS[name]] if name in THEIRS else None
-            heading = f"{_subscript(feature)} ({entry['nominal_mm']:.2f} mm)"
+            heading = f"{_subscript(feature)} ({length.nominal_mm:.2f} mm)"
             expected = _paper_cells(row, row is not None and abs(row.percent) > 1.0)
-            beyond = abs(100 * entry["error_mm"] / entry["nominal_mm"]) > 1.0
-            assert page.cells[key, heading, name] == expected + _our_cells(entry, beyond)
+            beyond = abs(100 * length.error_mm / length.nominal_mm) > 1.0
+            assert page.cells[key, heading, name] == expected + _our_cells(length, beyond)
 
 
 def test_table_3_holds_the_papers_numbers_and_ours(page, whole):
-    for feature, entry in whole.results["groove"].items():
+    for feature, length in whole.groove.dimensions.items():
         row = paper.TABLE_3[feature]
         expected = _paper_cells(row, abs(row.error_mm) > 0.6)
-        ours = _our_cells(entry, abs(entry["error_mm"]) > 0.6)
+        ours = _our_cells(length, abs(length.error_mm) > 0.6)
         assert page.cells["table-3", "", feature] == expected + ours
     assert page.cells["table-3", "", "H2"][1] == ("−0.66", True)
 
 
 def test_summaries_hold_rms_and_largest_of_both(page, whole):
-    for name, entries in whole.results["distances"].items():
-        errors = np.array([entry["error_mm"] for entry in entries.values()])
-        percent = 100 * errors / [entry["nominal_mm"] for entry in entries.values()]
+    for name, measures in whole.board.measures.items():
+        errors = np.array([length.error_mm for length in measures.distances.values()])
+        percent = 100 * errors / [length.nominal_mm for length in measures.distances.values()]
         cells = page.cells["table-1", "All features together", name]
         ours = [np.sqrt(np.mean(errors**2)), np.abs(errors).max(), np.abs(percent).max()]
         assert [text for text, _ in cells[3:]] == [f"{value:.2f}" for value in ours]
@@ -198,53 +199,49 @@ def test_page_is_small_enough_to_send(page):
 
 def test_head_names_scene_versions_seconds_and_what_passed(page, whole):
     head = page.text[page.text.index("<header>") :]
-    for expected in ("paper: the whole experiment", "lscan 0.1.0", "sandwave 301.2 s"):
+    for expected in ("paper: the whole experiment", f"lscan {__version__}", "sandwave 301.2 s"):
         assert expected in head
     assert "✓ within" in head and "▲ beyond" in head
 
 
-def _check(inputs: ReportInputs, what: str) -> Any:
-    (found,) = (check for check in checks(inputs.results, inputs.bars) if what in check.what)
+def _check(experiment: Experiment, what: str, bars: paper.Bars | None = None) -> Any:
+    (found,) = (line for line in checks(experiment, bars or paper.Bars()) if what in line.what)
     return found
 
 
+def _with_distances(experiment: Experiment, **changes: Any) -> Experiment:
+    """The experiment with other measures of the board by the paper's choice of map."""
+    measures = dict(experiment.board.measures)
+    measures[CHOSEN] = replace(measures[CHOSEN], **changes)
+    return replace(experiment, board=replace(experiment.board, measures=measures))
+
+
 def test_checks_compare_with_the_bars(whole):
-    worst = max(
-        whole.results["distances"]["graticule-2"].values(), key=lambda e: abs(e["error_mm"])
-    )
+    measures = whole.board.measures[CHOSEN]
+    worst = max(abs(length.error_mm) for length in measures.distances.values())
     distances = _check(whole, "Distances")
-    assert distances.figure.startswith(f"{abs(worst['error_mm']):.2f} mm")
+    assert distances.figure.startswith(f"{worst:.2f} mm")
     assert distances.paper == "0.28 mm, 0.57 %"
     assert _check(whole, "Grooved").paper == "0.66 mm"
     assert _check(whole, "Control points found").passed
     assert _check(whole, "Slice S3").passed
-    strict = dataclasses.replace(whole, bars=paper.Bars(0.01, 0.001, 0.1))
     for what in ("Distances", "Diameters", "Grooved", "Slice S3"):
-        assert _check(strict, what).passed is False
-    lenient = dataclasses.replace(whole, bars=paper.Bars(50, 50, 50))
-    assert not [check for check in checks(lenient.results, lenient.bars) if check.passed is False]
-    results = {**whole.results, "control_points": {"expected": 100, "found": 99}}
-    assert _check(dataclasses.replace(whole, results=results), "points found").passed is False
+        assert _check(whole, what, paper.Bars(0.01, 0.001, 0.1)).passed is False
+    lenient = checks(whole, paper.Bars(50, 50, 50))
+    assert not [line for line in lenient if line.passed is False]
+    truth = replace(whole.truth, control_points=ControlPoints(100, 99, 0.03, 0.1))
+    assert _check(replace(whole, truth=truth), "points found").passed is False
 
 
 _SMALL = """
-import numpy as np, report_examples as examples
-from lscan.paper.report import ReportInputs, render_report
+import report_examples as examples
+from lscan.paper.report import render_report
 
-rng = np.random.default_rng(3)
-points = examples.to_image(np.array([[50.0 * k, 0.0] for k in range(10)]))
-inputs = ReportInputs(
-    results=examples.results(rng),
-    board_image=examples.board_image(rng),
-    row=examples.row_fits(points),
-    turned=examples.workpiece_mm(60, 60),
-    slices={"SD": examples.slice_data("SD", rng)},
-)
-text = render_report(inputs)
+text = render_report(examples.board_alone())
 """
 
 
-def test_same_inputs_give_the_same_bytes_in_any_process():
+def test_same_experiments_give_the_same_bytes_in_any_process():
     here: dict[str, Any] = {}
     exec(_SMALL, here)
     folder = str(SUPPORT)
@@ -253,9 +250,10 @@ def test_same_inputs_give_the_same_bytes_in_any_process():
 
 
 def _run(script: str, **environment: str) -> str:
+    paths = [environment.pop("PYTHONPATH", ""), os.environ.get("PYTHONPATH", "")]
     done = subprocess.run(
         [sys.executable, "-c", script],
-        env={**os.environ, **environment},
+        env={**os.environ, **environment, "PYTHONPATH": os.pathsep.join(filter(None, paths))},
         capture_output=True,
         text=True,
         check=True,
@@ -268,109 +266,95 @@ def test_importing_the_report_loads_no_plotting_library():
     assert not {"matplotlib", "plotly", "jinja2"} & set(_run(script).split())
 
 
+BOARD_FIGURES = {
+    "board", "control-points", "line-fits", "ruler",
+    "sensitivity-graticule-bspline", "sensitivity-graticule-2",
+}  # fmt: skip
+SURFACE_FIGURES = {"raw", "levelled", "contours-before", "contours-after", "interactive"}
 PARTS = {
-    "nothing": ((), set()),
-    "board": (
-        ("board_image", "reading", "row", "ruler"),
-        {"board", "control-points", "line-fits", "ruler"},
+    "board": ((), set(), {"table-1", "table-2"}),
+    "groove": (("groove",), {"groove"}, {"table-1", "table-2", "table-3"}),
+    "sandwave": (
+        ("sandwave",),
+        {"sandwave", "intensities", *SURFACE_FIGURES, *(f"slice-S{k}" for k in "123D")},
+        {"table-1", "table-2", "slices"},
     ),
-    "groove": (("groove_image",), {"groove"}),
-    "sandwave": (("sandwave_images",), {"sandwave", "intensities"}),
-    "unknown surface": (("raw",), {"raw", "interactive"}),
-    "levelled only": (("levelled",), {"levelled"}),
 }
 
 
 @pytest.mark.parametrize("part", PARTS)
 def test_page_shows_the_parts_there_are(whole, part):
-    fields, figures = PARTS[part]
-    inputs = ReportInputs(**{name: getattr(whole, name) for name in fields})
-    page = Page(render_report(inputs))
-    shown = {name.removesuffix("-figure") for name in page.figures}
-    assert figures <= shown
-    assert shown - figures <= {"sensitivity-graticule-bspline", "sensitivity-graticule-2"}
-    assert not [tag for tag in page.tags if tag == "table"]
-    # Plotly weighs megabytes: it is there only where there is a surface to turn.
-    assert ("Plotly" in page.text) == ("interactive" in figures)
+    """The board's are always there; Plotly weighs megabytes and is, where there is a surface."""
+    scanned, figures, tables = PARTS[part]
+    missing = dict.fromkeys({"groove", "sandwave"} - set(scanned))
+    shown = {name: pictures for name, pictures in whole.shown.items() if name in scanned}
+    page = Page(render_report(replace(whole, shown=shown, **missing)))
+    assert {name.removesuffix("-figure") for name in page.figures} == BOARD_FIGURES | figures
+    assert {table for table, _, _ in page.cells} == tables
+    assert ("Plotly" in page.text) == (part == "sandwave")
 
 
-def test_surface_without_points_is_left_out(whole):
-    empty = examples.surface(np.full((5, 6, 3), np.nan), "head")
-    assert Page(render_report(ReportInputs(raw=empty))).figures == {}
+def test_results_without_truth_say_nothing_of_it(whole):
+    real = replace(whole, truth=None)
+    assert _check(whole, "Yaw").figure == "2.200° (true 2.200°)"
+    assert _check(real, "Yaw").figure == "2.200°"
+    found = int(whole.board.reading.grid.found.sum())
+    assert _check(real, "Control points").figure == f"{found} of 100"
+    assert "truth" not in " ".join(line.what for line in checks(real, paper.Bars()))
 
 
-def test_overlay_takes_the_place_of_drawn_crosses(whole):
-    inputs = ReportInputs(board_image=whole.board_image, board_overlay=whole.board_image)
-    assert set(Page(render_report(inputs)).figures) == {"board-figure", "control-points-figure"}
-
-
-def test_results_without_truth_show_dashes(whole):
-    results = copy.deepcopy(dict(whole.results))
-    del results["render_check"]
-    results["control_points"] = {"expected": 100, "found": 98, "rms_px": None, "max_px": None}
-    results["sandwave"]["yaw_deg"] = {"estimated": 2.1}
-    for entry in results["groove"].values():
-        del entry["nominal_mm"], entry["error_mm"]
-    del results["sandwave"]["slices"]
-    inputs = ReportInputs(results=results)
-    page = Page(render_report(inputs))
-    cells = [text for text, _ in page.cells["table-3", "", "W1"]]
-    measured = f"{results['groove']['W1']['measured_mm']:.3f}"
-    assert cells == ["—", "—", "—", measured, "0.120", "—", "—"]
-    assert _check(inputs, "Yaw").figure == "2.100°"
-    whats = " ".join(check.what for check in checks(inputs.results, inputs.bars))
-    assert "Grooved" not in whats and "Slice" not in whats and "truth" not in whats
+def test_a_scan_about_a_shaft_has_no_yaw(whole):
+    alignment = replace(whole.sandwave.alignment, yaw_rad=0.0, sheared=False)
+    turned = replace(whole, sandwave=replace(whole.sandwave, alignment=alignment))
+    assert "Yaw" not in " ".join(line.what for line in checks(turned, paper.Bars()))
+    assert "yaw found" not in render_report(turned)
 
 
 def test_what_was_not_measured_is_said_and_does_not_pass(whole):
-    results = copy.deepcopy(dict(whole.results))
-    nothing = {"nominal_mm": 80.0, "measured_mm": np.nan, "error_mm": np.nan, "sigma_mm": np.nan}
-    results["distances"]["graticule-2"] = {
-        name: {**entry, "error_mm": 0.0}
-        for name, entry in results["distances"]["graticule-2"].items()
+    distances = {
+        name: replace(length, measured_mm=length.nominal_mm)
+        for name, length in whole.board.measures[CHOSEN].distances.items()
     }
-    assert _check(ReportInputs(results=results), "Distances").passed
-    results["distances"]["graticule-2"]["A1A2"] = nothing
-    results["sandwave"]["slices"]["S1"] |= {"min_mm": None, "max_mm": None, "rmse_mm": None}
-    inputs = ReportInputs(results=results)
-    assert _check(inputs, "Distances").passed is False
-    assert "1 of 14 not measured" in _check(inputs, "Distances").figure
-    assert _check(inputs, "Slice S1").figure == "no point compared"
-    assert _check(inputs, "Slice S1").passed is False
-    cells = Page(render_report(inputs)).cells["table-1", "A₁A₂ (80.00 mm)", "graticule-2"]
-    assert [text for text, _ in cells[3:]] == ["—"] * 4
+    assert _check(_with_distances(whole, distances=distances), "Distances").passed
+    del distances["A1A2"]
+    missing = {"A1A2": Status.NOT_FOUND}
+    check = _check(_with_distances(whole, distances=distances, unmeasured=missing), "Distances")
+    assert check.passed is False
+    assert check.figure == "0.00 mm, 0.00 %, 1 of 14 not measured"
 
 
-def test_another_boards_length_is_not_compared_with_the_papers():
-    entry = {"nominal_mm": 50.0, "measured_mm": 50.1, "error_mm": 0.1, "sigma_mm": 0.1}
-    (table,) = paper_tables({"distances": {"graticule-2": {"A1A2": entry}}}, paper.Bars())
-    (row,) = table.blocks[0].rows
+def test_another_boards_length_is_not_compared_with_the_papers(whole):
+    other = _with_distances(whole, distances={"A1A2": Length(50.0, 50.1, 0.1)})
+    table = paper_tables(other, paper.Bars())[0]
+    row = next(row for row in table.blocks[0].rows if row.code == CHOSEN)
     assert [cell.text for cell in row.paper] == ["—"] * 3
 
 
-def test_maps_keep_the_papers_order_and_strangers_come_last():
-    entry = {"nominal_mm": 80.0, "measured_mm": 80.1, "error_mm": 0.1, "sigma_mm": 0.1}
-    names = ["my-map", *reversed(LABELS)]
-    (table,) = paper_tables({"distances": {n: {"A1A2": entry} for n in names}}, paper.Bars())
-    rows = table.blocks[0].rows
+def test_maps_keep_the_papers_order_and_strangers_come_last(whole):
+    some = whole.board.measures[CHOSEN]
+    measures = dict.fromkeys(["my-map", *reversed(LABELS)], some)
+    other = replace(whole, board=replace(whole.board, measures=measures))
+    rows = paper_tables(other, paper.Bars())[0].blocks[0].rows
     assert [row.code for row in rows] == [*LABELS, "my-map"]
     assert [row.label for row in rows][:3] == list(paper.OUR_MAPS)
     assert rows[-1].label == "my-map"
 
 
 def test_names_are_escaped():
-    page = Page(render_report(ReportInputs(results={"scene": "<script>alert(1)</script> & co"})))
+    odd = replace(examples.board_alone(), scene="<script>alert(1)</script> & co")
+    page = Page(render_report(odd))
     assert "script" not in page.tags
     assert "&lt;script&gt;" in page.text
 
 
 def test_refused_pictures_and_folders_leave_the_old_file(tmp_path):
     path = tmp_path / "report.html"
-    write_report(path, ReportInputs())
-    old = path.read_bytes()
+    path.write_text("old")
+    alone = examples.board_alone()
+    no_picture = replace(alone.board, image=np.zeros((4, 4), dtype=float))
     with pytest.raises(InputError, match="not a picture"):
-        write_report(path, ReportInputs(board_image=np.zeros((4, 4), dtype=float)))
-    assert path.read_bytes() == old
+        write_report(path, replace(alone, board=no_picture))
+    assert path.read_text() == "old"
     with pytest.raises(InputError, match="missing"):
-        write_report(tmp_path / "missing" / "report.html", ReportInputs())
+        write_report(tmp_path / "missing" / "report.html", alone)
     assert [entry.name for entry in tmp_path.iterdir()] == ["report.html"]

@@ -2,46 +2,39 @@
 
 from __future__ import annotations
 
-import copy
-import dataclasses
+import json
 import re
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
 import report_examples as examples
 
-from lscan.acquisition.provenance import PictureSource as Source
-from lscan.acquisition.provenance import chain_names, chains_in_words, note, picture_source
 from lscan.acquisition.run import Run
-from lscan.cli.summaries import print_chains
+from lscan.cli.report import print_chains
 from lscan.config.rig import parse_rig
 from lscan.paper import published as paper
-from lscan.paper.report import ReportInputs, render_report
+from lscan.paper.experiment import Experiment, PictureSource
+from lscan.paper.provenance import chain_names, describe_chains, note, picture_source
+from lscan.paper.report import render_report
+from lscan.paper.results import results_json
 from lscan.paper.tables import paper_tables
 
 pytestmark = pytest.mark.xdist_group("report")
-TANK = {"camera": "sim", "simulated": True, "noise": True, "noise_seed": 7}
 PARTS = ("board", "groove", "sandwave")
+WEBCAM = PictureSource("opencv", simulated=False)
 
 
-def both_chains(seed: int = 4) -> dict[str, Any]:
-    """A whole results.json of runs in the tank, evaluated by both chains."""
-    rng = np.random.default_rng(seed)
-    results, better = examples.results(rng), examples.results(rng)
-    best = {key: better[key] for key in ("groove", "sandwave")}
-    for section in ("distances", "diameters"):
-        best[section] = {"refractive": better[section]["graticule-2"]}
-    chain = {"plane_map": "graticule-2", "extractors": ["centroid-relative"], "corrected_for": []}
-    best["chain"] = {"plane_map": "refractive", "extractors": ["ml"], "corrected_for": ["blur"]}
-    pictures = {part: dict(TANK) for part in PARTS}
-    return {**results, "pictures": pictures, "chain": chain, "best": best}
+@pytest.fixture(scope="module")
+def both() -> Experiment:
+    """An experiment of runs in the tank, evaluated by both chains."""
+    return examples.both_chains()
 
 
-def page(results: dict[str, Any], whole: ReportInputs | None = None) -> str:
-    """The page of these results, with every figure if whole is given."""
-    return render_report(dataclasses.replace(whole or ReportInputs(), results=results))
+@pytest.fixture(scope="module")
+def page(both: Experiment) -> str:
+    return render_report(both)
 
 
 def captions(text: str) -> list[str]:
@@ -50,33 +43,30 @@ def captions(text: str) -> list[str]:
     return under + re.findall(r"</h2>\n<p>(.*?)</p>", text, re.DOTALL)
 
 
-def test_title_first_sentence_and_every_caption_say_that_the_tank_was_simulated() -> None:
-    text = page(both_chains(), examples.whole_experiment())
-    assert re.search(r"<title>[^<]*simulated tank[^<]*</title>", text)
-    assert re.search(r"<h1>[^<]*simulated tank[^<]*</h1>", text)
-    first = re.search(r'<p class="lead">([^.]*)\.', text)
+def test_title_first_sentence_and_every_caption_say_that_the_tank_was_simulated(page: str) -> None:
+    assert re.search(r"<title>[^<]*simulated tank[^<]*</title>", page)
+    assert re.search(r"<h1>[^<]*simulated tank[^<]*</h1>", page)
+    first = re.search(r'<p class="lead">([^.]*)\.', page)
     assert first and "simulated tank" in first[1] and "noise seed 7" in first[1]
-    found = captions(text)
+    found = captions(page)
     assert len(found) >= 18 + 4  # figures, and Tables I to III and the slices
     assert [c for c in found if "Simulated tank, noise seed 7." not in c] == []
 
 
-def test_a_report_of_real_hardware_says_nothing_of_a_simulation() -> None:
-    results = both_chains()
-    results["pictures"] = {part: {"camera": "opencv"} for part in PARTS}
-    text = page(results, examples.whole_experiment())
+def test_a_report_of_real_hardware_says_nothing_of_a_simulation(both: Experiment) -> None:
+    text = render_report(replace(both, sources=dict.fromkeys(PARTS, WEBCAM)))
     read = re.sub(r"<script>.*?</script>", "", text, flags=re.DOTALL)
     assert "imulated" not in read and "noise seed" not in read
     assert "opencv (board, groove, sandwave)" in read
 
 
-def test_only_the_captions_of_the_simulated_part_say_so() -> None:
-    results = both_chains()
-    results["pictures"]["board"] = {"camera": "opencv"}
-    assert note(results, ["board"]) == ""
-    assert note(results, ["groove"]) == "Simulated tank, noise seed 7."
-    assert note(results, ["board", "groove"]) == "Groove: simulated tank, noise seed 7."
-    assert "(simulated tank: groove, sandwave)" in page(results)
+def test_only_the_captions_of_the_simulated_part_say_so(both: Experiment) -> None:
+    sources = {**both.sources, "board": WEBCAM}
+    assert note(sources, ["board"]) == ""
+    assert note(sources, ["groove"]) == "Simulated tank, noise seed 7."
+    assert note(sources, ["board", "groove"]) == "Groove: simulated tank, noise seed 7."
+    alone = replace(examples.board_alone(), sources=sources)
+    assert "(simulated tank: groove, sandwave)" in render_report(alone)
 
 
 def _run(document: dict[str, Any]) -> Run:
@@ -88,20 +78,28 @@ def _run(document: dict[str, Any]) -> Run:
 @pytest.mark.parametrize(
     ("document", "source", "told"),
     [
-        ({"sensor": {"seed": 3}}, Source("sim", True, True, 3), "noise seed 3"),
-        ({"sensor": {}}, Source("sim", True), "noise seed not stated"),
-        ({"sensor": {"noise": False, "seed": 3}}, Source("sim", True, False, 3), "without noise"),
-        ({"sensor": {"seed": [{}]}}, Source("sim", True), "noise seed not stated"),
-        ({"sensor": "none"}, Source("sim", True), "noise seed not stated"),
+        ({"sensor": {"seed": 3}}, PictureSource("sim", True, True, 3), "noise seed 3"),
+        ({"sensor": {}}, PictureSource("sim", True), "noise seed not stated"),
+        (
+            {"sensor": {"noise": False, "seed": 3}},
+            PictureSource("sim", True, False, 3),
+            "without noise",
+        ),
+        ({"sensor": {"seed": [{}]}}, PictureSource("sim", True), "noise seed not stated"),
+        ({"sensor": "none"}, PictureSource("sim", True), "noise seed not stated"),
         # A replayed run, or a stream of the tank served as a webcam, cannot know.
-        ({"camera": {"driver": "replay"}, "sensor": {"seed": 3}}, Source("replay", False), ""),
-        ({"camera": {"driver": "opencv"}}, Source("opencv", False), ""),
+        (
+            {"camera": {"driver": "replay"}, "sensor": {"seed": 3}},
+            PictureSource("replay", False),
+            "",
+        ),
+        ({"camera": {"driver": "opencv"}}, PictureSource("opencv", False), ""),
     ],
 )
 def test_a_run_says_of_itself_what_it_knows(document, source, told) -> None:
     found = picture_source(_run(document))
     assert found == source
-    caption = note({"pictures": {"board": found.as_json()}}, PARTS)
+    caption = note({"board": found})
     assert told in caption and bool(told) == bool(caption)
 
 
@@ -109,17 +107,18 @@ def _texts(cells: Any) -> list[str]:
     return [cell.text for cell in cells]
 
 
-def test_the_tables_hold_the_papers_number_the_papers_chain_and_the_best() -> None:
-    results = both_chains()
-    tables = {table.key: table for table in paper_tables(results, paper.Bars())}
+def test_the_tables_hold_the_papers_number_the_papers_chain_and_the_best(
+    both: Experiment,
+) -> None:
+    tables = {table.key: table for table in paper_tables(both, paper.Bars())}
     assert list(tables) == ["table-1", "table-2", "table-3", "slices"]
+    board, better = both.board.measures[paper.CHOSEN_MAP], both.best.board.measures["refractive"]
     for key, ours, best in (
-        ("table-1", results["distances"]["graticule-2"], "distances"),
-        ("table-2", results["diameters"]["graticule-2"], "diameters"),
-        ("table-3", results["groove"], "groove"),
+        ("table-1", board.distances, better.distances),
+        ("table-2", board.diameters, better.diameters),
+        ("table-3", both.groove.dimensions, both.best.groove.dimensions),
     ):
-        block, better = tables[key].chains, results["best"][best]
-        better = better if best == "groove" else better["refractive"]
+        block = tables[key].chains
         assert [row.code for row in block.rows] == list(ours)
         for row in block.rows:
             printed = (
@@ -127,64 +126,82 @@ def test_the_tables_hold_the_papers_number_the_papers_chain_and_the_best() -> No
                 or (paper.TABLE_1.get(row.code) or paper.TABLE_2[row.code])["Second rms"]
             )
             assert _texts(row.paper)[0] == f"{printed.measured_mm:.2f}"
-            for cells, entry in ((row.ours, ours[row.code]), (row.best, better[row.code])):
-                assert _texts(cells)[:2] == [f"{entry[k]:.3f}" for k in ("measured_mm", "sigma_mm")]
+            for cells, length in ((row.ours, ours[row.code]), (row.best, best[row.code])):
+                expected = [f"{length.measured_mm:.3f}", f"{length.sigma_mm:.3f}"]
+                assert _texts(cells)[:2] == expected
     for row in tables["slices"].chains.rows:
         assert _texts(row.paper) == ["−1.0", "+1.5"]
-        entries = (r["sandwave"]["slices"][row.code] for r in (results, results["best"]))
-        for cells, entry in zip((row.ours, row.best), entries, strict=True):
-            assert cells[0].text == f"{entry['rmse_mm']:.3f}"
-            assert float(cells[1].text.replace("−", "-")) == pytest.approx(
-                entry["min_mm"], abs=6e-4
-            )
+        for cells, chain in ((row.ours, both), (row.best, both.best)):
+            errors = chain.sandwave.errors[row.code]
+            assert cells[0].text == f"{errors.rmse_mm:.3f}"
+            least = float(cells[1].text.replace("−", "-"))
+            assert least == pytest.approx(errors.min_mm, abs=6e-4)  # three decimals
 
 
-def test_the_page_has_both_chains_side_by_side() -> None:
-    text = page(both_chains())
-    assert text.count("Ours, paper’s chain</th>") == text.count("Ours, best chain</th>") + 1 == 5
-    row = text[text.index('data-row="H2"') :]
+def test_the_page_has_both_chains_side_by_side(page: str) -> None:
+    assert page.count("Ours, paper’s chain</th>") == page.count("Ours, best chain</th>") + 1 == 5
+    row = page[page.index('data-row="H2"') :]
     row = row[: row.index("</tr>")]
     assert [row.count(f'<td class="{name}') for name in ("ours", "best")] == [4, 4]
-    assert "plane map refractive, line by ml, corrected for blur." in text
+    assert "plane map refractive, line by ml, corrected for blur." in page
 
 
-def test_without_a_best_chain_the_page_says_why() -> None:
-    results = both_chains()
-    results["best"] = {"refused": "run: the rig file has no section [optics]"}
-    text = page(results)
+def test_without_a_best_chain_the_page_says_why(both: Experiment) -> None:
+    why = "run: the rig file has no section [optics]"
+    alone = replace(both, best=None, best_refused=why)
+    text = render_report(replace(alone, sandwave=None, shown={}))
     assert "Ours, best chain" not in text
-    assert "No best chain: run: the rig file has no section [optics]." in text
-    assert [t.chains is None for t in paper_tables(results, paper.Bars())] == [
-        True, True, False, False,
-    ]  # fmt: skip
+    assert f"No best chain: {why}." in text
+    tables = paper_tables(alone, paper.Bars())
+    assert [table.chains is None for table in tables] == [True, True, False, False]
 
 
-def test_a_line_not_found_by_the_papers_rules_is_not_called_its_chain() -> None:
-    results = both_chains()
-    assert chain_names(results)[0] == "Ours, paper’s chain"
-    for key, value in (("extractors", ["ml"]), ("corrected_for", ["blur"])):
-        other = copy.deepcopy(results)
-        other["chain"][key] = value
-        assert chain_names(other)[0] == "Ours, paper’s map"
-    assert chains_in_words(results).startswith(
-        "Two chains read the same pictures. The paper’s chain:"
-    )
+def test_a_line_not_found_by_the_papers_rules_is_not_called_its_chain(both: Experiment) -> None:
+    assert chain_names(both.chain)[0] == "Ours, paper’s chain"
+    for key, value in (("extractors", ("ml",)), ("corrected_for", ("blur",))):
+        assert chain_names(replace(both.chain, **{key: value}))[0] == "Ours, paper’s map"
+    words = describe_chains(both)
+    assert words.startswith("Two chains read the same pictures. The paper’s chain:")
 
 
-def test_the_summary_prints_both_chains(capsys) -> None:
-    results = both_chains()
-    print_chains(results)
+def test_the_summary_prints_both_chains(both: Experiment, capsys) -> None:
+    print_chains(both)
     printed = capsys.readouterr().out
     assert printed.startswith("Simulated tank, noise seed 7.\n")
     (line,) = (line for line in printed.splitlines() if line.startswith("│ H₂"))
     cells = [cell.strip() for cell in line.strip("│").split("│")]
-    ours, best = (r["groove"]["H2"] for r in (results, results["best"]))
     assert cells[1:] == ["−0.66"] + [
         text
-        for entry in (ours, best)
-        for text in (f"{entry['sigma_mm']:.3f}", f"{entry['error_mm']:+.3f}".replace("-", "−"))
+        for length in (both.groove.dimensions["H2"], both.best.groove.dimensions["H2"])
+        for text in (f"{length.sigma_mm:.3f}", f"{length.error_mm:+.3f}".replace("-", "−"))
     ]
     for name in ("S1", "SD"):
         assert f"│ {name}" in printed
-    print_chains({"groove": results["groove"]})
+    print_chains(replace(both, best=None))
     assert "best" not in capsys.readouterr().out
+
+
+def test_results_json_holds_the_numbers_of_both_chains(both: Experiment) -> None:
+    """The keys that a reader of results.json relies on, and plain JSON types alone."""
+    content = results_json(both)
+    json.dumps(content, allow_nan=False)
+    assert list(content) == [
+        "scene", "versions", "seconds", "pictures", "control_points", "chain", "distances",
+        "diameters", "groove", "sandwave", "best", "render_check",
+    ]  # fmt: skip
+    assert list(content["best"]) == ["chain", "distances", "diameters", "groove", "sandwave"]
+    a1a2 = both.board.measures["projective"].distances["A1A2"]
+    assert content["distances"]["projective"]["A1A2"] == {
+        "nominal_mm": a1a2.nominal_mm,
+        "measured_mm": a1a2.measured_mm,
+        "error_mm": a1a2.error_mm,
+        "sigma_mm": a1a2.sigma_mm,
+    }
+    for chain in (content, content["best"]):
+        assert chain["sandwave"]["yaw_deg"] == pytest.approx({"estimated": 2.2, "true": 2.2})
+    assert content["pictures"]["board"] == {
+        "camera": "sim", "simulated": True, "noise": True, "noise_seed": 7,
+    }  # fmt: skip
+    real = results_json(replace(both, truth=None, best=None, best_refused="why"))
+    assert real["best"] == {"refused": "why"}
+    assert set(real["control_points"]) == {"expected", "found"} and "render_check" not in real

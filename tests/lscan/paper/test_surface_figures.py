@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import dataclasses
 import json
 from collections.abc import Callable
+from dataclasses import replace
 from itertools import combinations, product
 from typing import Any
 
@@ -20,22 +20,20 @@ from matplotlib.transforms import Bbox
 
 from lscan.config.targets import Sandwave
 from lscan.figures import style
-from lscan.paper.report import ReportInputs, render_report
+from lscan.paper.experiment import Experiment
+from lscan.paper.figures import contours
+from lscan.paper.report import render_report
 
 pytestmark = pytest.mark.xdist_group("report")
 FLOOR_MM = -42.0
 
 
-def on_a_floor() -> ReportInputs:
-    """The whole experiment, its block on a floor that lies as deep as the demo's."""
-    inputs = examples.whole_experiment()
-    return dataclasses.replace(
-        inputs,
-        raw=dataclasses.replace(inputs.raw, xyz_mm=_with_floor(inputs.raw.xyz_mm)),
-        levelled=_with_floor(inputs.levelled),
-        turned=_with_floor(inputs.turned),
-        aligned=dataclasses.replace(inputs.aligned, xyz_mm=_with_floor(inputs.aligned.xyz_mm)),
+def on_a_floor() -> Experiment:
+    """The sandwave alone, its block on a floor that lies as deep as the demo's."""
+    sandwave = examples.sandwave_measures(
+        np.random.default_rng(20), _with_floor(examples.workpiece_mm())
     )
+    return replace(examples.board_alone(), sandwave=sandwave)
 
 
 def _with_floor(xyz_mm: np.ndarray) -> np.ndarray:
@@ -49,7 +47,7 @@ def _with_floor(xyz_mm: np.ndarray) -> np.ndarray:
 
 
 @pytest.fixture
-def drawn(monkeypatch: pytest.MonkeyPatch) -> Callable[[ReportInputs], dict[str, Figure]]:
+def drawn(monkeypatch: pytest.MonkeyPatch) -> Callable[[Experiment], dict[str, Figure]]:
     """What the figures of a report are, by key, laid out as they are saved."""
     figures: dict[str, Figure] = {}
     write = style.svg
@@ -58,9 +56,9 @@ def drawn(monkeypatch: pytest.MonkeyPatch) -> Callable[[ReportInputs], dict[str,
         figures[key] = figure
         return write(figure, key, alt)
 
-    def draw(inputs: ReportInputs) -> dict[str, Figure]:
+    def draw(experiment: Experiment) -> dict[str, Figure]:
         monkeypatch.setattr(style, "svg", keep)
-        render_report(inputs)
+        render_report(experiment)
         return figures
 
     return draw
@@ -109,13 +107,14 @@ def test_flat_parts_beside_the_waves_have_no_contours(drawn) -> None:
         assert (path.vertices >= -2.0).all() and (path.vertices <= 152.0).all()  # a cell beyond
 
 
-def test_a_surface_of_another_shape_has_few_enough_contours(drawn) -> None:
+def test_a_surface_of_another_shape_has_few_enough_contours() -> None:
     x, y = np.meshgrid(np.linspace(0, 100, 60), np.linspace(0, 100, 60))
-    steep = np.stack([x, y, 3 * x], axis=2)  # 300 mm high: every 10 mm
-    figures = drawn(ReportInputs(turned=steep))
-    np.testing.assert_allclose(np.diff(_contours(figures["contours-before"]).levels), 10.0)
-    flat = np.stack([x, y, 0.3 + 0.001 * x], axis=2)  # no whole millimetre among its heights
-    assert "contours-before" in drawn(ReportInputs(turned=flat))
+    for height, step_mm in ((3 * x, 10.0), (0.3 + 0.001 * x, 1.0)):
+        # 300 mm high: every 10 mm; the other has no whole millimetre among its heights.
+        points = examples.alignment().to_raw(np.stack([x, y, height], axis=2))
+        sandwave = replace(examples.experiment().sandwave, raw=examples.surface(points, "head"))
+        figure = contours.contours_before(sandwave, np.ones(x.shape, dtype=bool))
+        assert f"Contours every {step_mm:g} mm" in figure.caption
 
 
 def test_slices_differ_in_their_dashes(drawn) -> None:
@@ -159,9 +158,9 @@ def _extent(text: Text) -> Bbox:
     return Bbox.frozen((plate or text).get_window_extent())
 
 
-def _turned(inputs: ReportInputs) -> tuple[dict[str, Any], dict[str, Any]]:
+def _turned(experiment: Experiment) -> tuple[dict[str, Any], dict[str, Any]]:
     """Trace and layout that the page hands to Plotly."""
-    page = render_report(inputs)
+    page = render_report(experiment)
     arguments = page[page.rindex('Plotly.newPlot("surface", ') :].split('"surface", ', 1)[1]
     decoder = json.JSONDecoder()
     (trace,), end = decoder.raw_decode(arguments)

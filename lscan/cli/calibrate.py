@@ -1,0 +1,179 @@
+"""The commands ``lscan calibrate`` and ``lscan check``: thin faces over lscan.calibration."""
+
+from __future__ import annotations
+
+from dataclasses import asdict
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from lscan.cli.arguments import (
+    ChannelName,
+    Json,
+    Overlay,
+    PictureOrRun,
+    Trust,
+    board_picture,
+    parse_seeds,
+    require_folders,
+)
+from lscan.cli.console import print_json, print_table, progress_bar
+
+if TYPE_CHECKING:
+    from lscan.calibration.check import Check
+    from lscan.calibration.crossvalidation import Score
+    from lscan.calibration.solve import Calibration
+
+BoardFile = Annotated[
+    Path | None, typer.Option("--board", help="Board file; a run folder has its own.")
+]
+Seeds = Annotated[
+    str | None,
+    typer.Option(
+        "--seeds", help="u,v of the upper-left dot, the one beneath and the one to its right."
+    ),
+]
+
+
+def calibrate(
+    picture: PictureOrRun,
+    output: Annotated[Path, typer.Option("--output", "-o", help="Calibration file to write.")],
+    board: BoardFile = None,
+    optics: Annotated[
+        Path | None,
+        typer.Option("--optics", help="TOML file with [optics]; a run folder has its own."),
+    ] = None,
+    plane_map: Annotated[
+        str | None, typer.Option("--map", help="Plane map, such as graticule-2; auto: the best.")
+    ] = None,
+    seeds: Seeds = None,
+    channel: ChannelName = None,
+    overlay: Overlay = None,
+    trust: Trust = False,
+    json: Json = False,
+) -> None:
+    """Find the board's control points in a picture and solve a plane map from them."""
+    from lscan.board import draw_overlay
+    from lscan.calibration.maps.auto import calibrate_best
+    from lscan.calibration.solve import calibrate as solve
+    from lscan.calibration.solve import save_calibration
+    from lscan.files.pictures import write_picture
+
+    require_folders(output, overlay)
+    given = board_picture(picture, board, optics, trust)
+    name = given.calibration.plane_map if plane_map is None else plane_map
+    reading = given.read(parse_seeds(seeds), channel)
+    if overlay:
+        write_picture(overlay, draw_overlay(given.image, reading))
+    with progress_bar("maps") as progress:
+        if name == "auto":
+            calibration = calibrate_best(reading, given.optics, progress)
+        else:
+            calibration = solve(reading, name, given.optics)
+    save_calibration(output, calibration)
+    if json:
+        print_json(_calibration_json(output, calibration))
+    else:
+        _print_calibration(output, calibration)
+
+
+def check(
+    calibration: Annotated[Path, typer.Argument(help="Calibration file (JSON).")],
+    picture: PictureOrRun,
+    board: BoardFile = None,
+    placed: Annotated[
+        float | None,
+        typer.Option("--placed", help="How well the board was put back, mm; else not judged."),
+    ] = None,
+    level: Annotated[float, typer.Option("--level", help="Chance of a false alarm.")] = 0.01,
+    seeds: Seeds = None,
+    channel: ChannelName = None,
+    trust: Trust = False,
+    json: Json = False,
+) -> None:
+    """Score an old calibration against a new picture of the board; exit code 1 if it is off."""
+    from lscan.calibration.check import check_calibration
+    from lscan.calibration.solve import load_calibration
+
+    loaded = load_calibration(calibration)
+    given = board_picture(picture, board, trusted=trust)
+    found = check_calibration(loaded, given.read(parse_seeds(seeds), channel), level, placed)
+    if json:
+        print_json({"agrees": found.agrees, **asdict(found)})
+    else:
+        _print_check(found)
+    if not found.agrees:
+        raise typer.Exit(1)
+
+
+def _calibration_json(path: Path, calibration: Calibration) -> dict[str, Any]:
+    from lscan.calibration.maps.auto import Auto
+
+    grid, plane_map = calibration.reading.grid, calibration.plane_map
+    content: dict[str, Any] = {
+        "calibration": str(path),
+        "map": calibration.name,
+        "control_points": {"expected": len(grid.found), "found": int(grid.found.sum())},
+        "residuals": {
+            "rms_mm": calibration.rms_mm,
+            "max_mm": calibration.max_mm,
+            "rms_px": calibration.rms_px,
+        },
+    }
+    if isinstance(plane_map, Auto):
+        content["chosen"] = plane_map.chosen.name
+        content["scores"] = [asdict(score) for score in plane_map.scores]
+    return content
+
+
+def _print_calibration(path: Path, calibration: Calibration) -> None:
+    from lscan.calibration.maps.auto import Auto
+
+    found, plane_map, chosen = calibration.reading.grid.found, calibration.plane_map, ""
+    if isinstance(plane_map, Auto):
+        _print_scores(plane_map.scores)
+        chosen = f" ({plane_map.chosen.name})"
+    print(
+        f"{calibration.name}{chosen}: {found.sum()} of {len(found)} control points, "
+        f"residuals {calibration.rms_mm:.3f} mm rms, {calibration.max_mm:.3f} mm at most; {path}"
+    )
+
+
+def _print_scores(scores: tuple[Score, ...]) -> None:
+    rows = [
+        [
+            score.name,
+            f"{score.rms_mm:.4f}",
+            f"{score.max_mm:.4f}",
+            f"{score.sigma_mm:.4f}",
+            "yes" if score.tied else "",
+            score.points,
+            score.without_value,
+            f"{score.ms:.0f}",
+        ]
+        for score in scores
+        if score.refused is None
+    ]
+    headings = ["map", "rms mm", "max mm", "sigma mm", "tied", "marks", "without value", "ms"]
+    print_table("marks held out of the map", headings, rows)
+    for score in scores:
+        if score.refused is not None:
+            print(f"{score.name}: refused, {score.refused}")
+
+
+def _print_check(check: Check) -> None:
+    (x, z), (x_sigma, z_sigma) = check.shift_mm, check.shift_sigma_mm
+    print(f"{check.marks} marks compared, {check.without_value} outside the calibration")
+    print(f"as they are: {check.raw_rms_mm:.3f} mm rms, {check.raw_max_mm:.3f} mm at most")
+    print(
+        f"board put back with a shift of {x:.3f} ± {x_sigma:.3f} mm in x, {z:.3f} ± "
+        f"{z_sigma:.3f} mm in z and a turn of {check.turn_deg:.4f} ± {check.turn_sigma_deg:.4f} deg"
+    )
+    print(f"without those: {check.rms_mm:.3f} mm rms, {check.max_mm:.3f} mm at most")
+    print(f"scale error {1e6 * check.scale_error:.0f} ± {1e6 * check.scale_sigma:.0f} ppm")
+    print(f"chi-square {check.chi_square:.0f} for {check.degrees_of_freedom} degrees of freedom")
+    rows = [[mark.name, *mark.residual_mm, f"{mark.ratio:.1f}"] for mark in check.worst]
+    print_table("farthest off", ["mark", "x mm", "z mm", "sigmas"], rows)
+    verdict = "agrees" if check.agrees else f"disagrees: {', '.join(check.reasons)}"
+    print(f"the calibration {verdict} (chance of a false alarm {100 * check.level:g} %)")

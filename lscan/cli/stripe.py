@@ -1,0 +1,80 @@
+"""The command ``lscan extract``: a thin face over lscan.stripe."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from lscan.cli.arguments import (
+    ChannelName,
+    Json,
+    Overlay,
+    PictureOrRun,
+    Trust,
+    require_folders,
+    stripe_picture,
+)
+from lscan.cli.console import print_json
+
+
+def extract(
+    picture: PictureOrRun,
+    output: Annotated[
+        Path | None, typer.Option("--output", "-o", help="CSV table to write.")
+    ] = None,
+    background: Annotated[
+        Path | None, typer.Option("--background", help="The same view with the laser off.")
+    ] = None,
+    frame: Annotated[int, typer.Option("--frame", help="Which frame of a run folder.")] = 0,
+    axis: Annotated[
+        str | None, typer.Option("--axis", help="columns, or rows for an upright line.")
+    ] = None,
+    extractor: Annotated[
+        str | None, typer.Option("--extractor", help="max, centroid, centroid-relative ...")
+    ] = None,
+    channel: ChannelName = None,
+    threshold: Annotated[
+        float | None, typer.Option("--threshold", help="Least height of the line, DN.")
+    ] = None,
+    span: Annotated[
+        int | None, typer.Option("--span", help="Pixels either side of the peak.")
+    ] = None,
+    overlay: Overlay = None,
+    trust: Trust = False,
+    json: Json = False,
+) -> None:
+    """Find the laser line in one picture."""
+    from lscan.config.documents import check
+    from lscan.config.rig import StripeSection
+    from lscan.files.pictures import read_picture, write_picture
+    from lscan.records import Status, has_value
+    from lscan.stripe import draw_stripe, extract_stripe, save_stripe
+
+    require_folders(output, overlay)
+    shown = stripe_picture(picture, frame, trust)
+    given = {
+        "axis": axis,
+        "extractor": extractor,
+        "channel": channel,
+        "threshold_dn": threshold,
+        "span_px": span,
+    }
+    changes = {key: value for key, value in given.items() if value is not None}
+    document = {**shown.settings.model_dump(), **changes}
+    settings = check(StripeSection, document, where="command line")
+    dark = read_picture(background) if background else shown.background
+    stripe = extract_stripe(shown.image, settings, dark)
+    if overlay:
+        write_picture(overlay, draw_stripe(shown.image, stripe))
+    if output:
+        save_stripe(output, stripe)
+    counts = {status.name: int((stripe.status == status).sum()) for status in Status}
+    counts = {name: count for name, count in counts.items() if count}
+    found = int(has_value(stripe.status).sum())
+    if json:
+        print_json({settings.axis: len(stripe.status), "found": found, "status": counts})
+    else:
+        listed = ", ".join(f"{name} {count}" for name, count in counts.items())
+        print(f"line found in {found} of {len(stripe.status)} {settings.axis} ({listed})")
