@@ -22,7 +22,7 @@ from lscan.errors import InputError
 TOKEN = re.compile(r"[A-Za-z0-9_-]{8,200}")
 LOOPBACK = ("127.0.0.1", "localhost", "::1")
 EVERYWHERE = {"0.0.0.0": (socket.AF_INET,), "::": (socket.AF_INET, socket.AF_INET6)}
-"""What stands for all addresses of this machine, and which kinds of them are served then."""
+"""The hosts that mean all addresses of this machine, with the families served then."""
 ELSEWHERE = {socket.AF_INET: "192.0.2.1", socket.AF_INET6: "2001:db8::1"}
 """Addresses of nobody, kept for documentation (RFC 5737, RFC 3849): on no network of ours."""
 
@@ -54,7 +54,7 @@ class Access:
 
     @property
     def cookie(self) -> str:
-        """Name of the cookie that holds the token; cookies do not tell ports apart."""
+        """Name of the cookie that holds the token; cookies are shared by all ports."""
         return f"lscan-{self.port}"
 
     @property

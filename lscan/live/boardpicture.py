@@ -39,9 +39,9 @@ def use_map(path: Path, plane_map: PlaneMap, rig_file: RigFile) -> LiveCalibrati
 def take_board(
     rig_file: RigFile, devices: LiveDevices, folder: Path
 ) -> tuple[LiveCalibration, str]:
-    """The calibration from a board picture taken where the head stands, and a line about it.
+    """The calibration from a board picture taken at the head's present position, and a line about it.
 
-    A head that stands where it cannot be sent goes to the nearest place where it can.
+    A head outside its travel goes to the nearest position within.
     The picture goes into the run folder ``folder``, with a laser that was switched on off, and
     the calibration into ``folder.json``; ``lscan calibrate folder`` gives the same.
     Raises DeviceError (no folder is left), BoardNotFound (the picture is kept), InputError.
@@ -61,28 +61,28 @@ def take_board(
     solved = calibrate(reading, rig.calibration.plane_map, rig.optics)
     path = folder.with_name(f"{folder.name}.json")
     save_calibration(path, solved)
-    told = (
+    summary = (
         f"{int(reading.grid.found.sum())} control points in {folder}; "
         f"{solved.name}, {solved.rms_px:.3f} px rms, in {path}"
     )
-    return use_map(path, solved.plane_map, rig_file), told
+    return use_map(path, solved.plane_map, rig_file), summary
 
 
 def _place_mm(track: Track, plan: Plan) -> float:
-    """Where the head stands, or the nearest place to it that it can be sent to.
+    """The head's position, or the nearest one within the travel.
 
     After homing it rests at the switch, which may lie outside the travel.  Of a track that
     does not state its travel, the start of the plan is the one other place known to be within.
     """
-    stands_mm = track.position_mm
+    present_mm = track.position_mm
     if isinstance(track, Limited):
         low_mm, high_mm = track.limits_mm
-        return min(max(stands_mm, low_mm), high_mm)
+        return min(max(present_mm, low_mm), high_mm)
     try:
-        track.move_to(stands_mm)
+        track.move_to(present_mm)
     except DeviceError:
         return plan.start_mm
-    return stands_mm
+    return present_mm
 
 
 @contextmanager

@@ -98,7 +98,7 @@ def _against_map(
 def _offset(
     reading: BoardReading, plane_map: PlaneMap, sheet: SheetSection | None
 ) -> tuple[OffSheet | None, str]:
-    """Where the board stands off the sheet, or None and why that is not known."""
+    """The board's offset from the sheet, or None and why that is not known."""
     grid = reading.grid
     points = plane_map.to_plane(grid.image_px, grid.sigma_px)
     if isinstance(plane_map, Metric):

@@ -16,7 +16,7 @@ from lscan.acquisition.scan import open_camera, open_track
 from lscan.config.rig import RigFile
 from lscan.devices.api import Camera, Describing, Grab, LaserSwitch, Previewing, Track
 from lscan.errors import DeviceError, InputError, LscanError
-from lscan.live.errors import told
+from lscan.live.errors import one_line
 from lscan.stripe.lines import check_picture
 
 Show = Callable[[Grab], None]
@@ -57,7 +57,7 @@ class LiveDevices:
                 grab = camera.preview() if isinstance(camera, Previewing) else camera.grab()
                 self._require_sound(grab)
             except Exception as error:
-                self.camera_error = told(error)
+                self.camera_error = one_line(error)
                 return False
             self.camera_error = ""
         self._show(grab)
@@ -84,7 +84,7 @@ class LiveDevices:
 
     @property
     def position_mm(self) -> float | None:
-        """Where the track says it stands; None where it does not know."""
+        """The position that the track reports; None where it does not know it."""
         return self._track_says()[0]
 
     @property

@@ -1,4 +1,4 @@
-"""Errors of the live page: what it refuses beyond bad input, and how it tells of any."""
+"""Errors of the live page: what it refuses beyond bad input, and any error in one line."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ class NotNow(LscanError):
     exit_code = 1
 
 
-def told(error: Exception) -> str:
-    """The error as one line.  A thread of the page tells of any, for it must not die of it."""
+def one_line(error: Exception) -> str:
+    """The error as one line.  A thread of the page reports any, for it must not end by it."""
     if isinstance(error, LscanError):
         return str(error)
     return " ".join(f"{type(error).__name__}: {error}".split())

@@ -1,9 +1,9 @@
-"""The sharpest picture of the place that the head stands at, to hold the others against."""
+"""The greatest sharpness at the head's present position, the reference of the others."""
 
 from __future__ import annotations
 
 MOVED_MM = 0.1
-"""A head within this of where it stood looks at the same place: a track may tell it so often
+"""A head within this of where it stood looks at the same place: a track may report it so often
 that its readings scatter, and a line does not change within a tenth of a millimetre."""
 
 

@@ -6,39 +6,20 @@ import re
 import threading
 import time
 from contextlib import suppress
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 from lscan.acquisition.scan import acquire_into
 from lscan.acquisition.writer import RunWriter, create_run, resume_run
 from lscan.config.rig import RigFile
 from lscan.errors import DeviceError, InputError
 from lscan.live.devices import LiveDevices
-from lscan.live.errors import NotNow, told
+from lscan.live.errors import NotNow, one_line
 from lscan.live.unfinished import find_unfinished
 
 State = Literal["idle", "scanning", "paused", "stopping", "done", "failed"]
 KEPT = "frames are kept; Resume goes on"
 NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,99}")
-
-
-@dataclass(frozen=True)
-class ScanProgress:
-    """How far a scan is.
-
-    left_s: None before there is anything to judge it by.  by_device: whether it failed by a
-    fault of camera or track, which are told of themselves.
-    """
-
-    state: State
-    folder: Path | None
-    done: int
-    planned: int
-    elapsed_s: float
-    left_s: float | None
-    message: str
-    by_device: bool = False
 
 
 class Scanning:
@@ -51,7 +32,7 @@ class Scanning:
         self._rig_file, self._devices, self._output = rig_file, devices, output
         self._lock = threading.Lock()
         self._state: State = "idle"
-        self._after: State = "idle"  # the state that a scan told to stop goes to
+        self._after: State = "idle"  # the state after a requested stop
         self._by_device = False
         left = find_unfinished(output, rig_file)
         self._folder: Path | None = left.folder if left else None
@@ -69,25 +50,27 @@ class Scanning:
         """Whether a scan has begun that is to end with these very optics and settings."""
         return self._state in ("scanning", "stopping", "paused", "failed")
 
-    def progress(self) -> ScanProgress:
-        """How far the scan is now."""
+    def state(self) -> dict[str, Any]:
+        """How far the scan is now, in JSON types.
+
+        left_s: None before any frame is taken.  by_device: whether the scan failed by a fault
+        of the camera or the track, which report it themselves.
+        """
         with self._lock:
             planned = self._rig_file.rig.plan.frames
-            sitting_s = time.monotonic() - self._began_s if self.active else 0.0
+            session_s = time.monotonic() - self._began_s if self.active else 0.0
             taken = self._done - self._begun_at
-            known = self.active and taken > 0
-            left_s = sitting_s / taken * (planned - self._done) if known else None
-            elapsed_s = self._earlier_s + sitting_s
-            return ScanProgress(
-                self._state,
-                self._folder,
-                self._done,
-                planned,
-                elapsed_s,
-                left_s,
-                self._message,
-                self._by_device,
-            )
+            left_s = session_s / taken * (planned - self._done) if self.active and taken else None
+            return {
+                "state": self._state,
+                "folder": str(self._folder) if self._folder else None,
+                "done": self._done,
+                "planned": planned,
+                "elapsed_s": round(self._earlier_s + session_s, 1),
+                "left_s": None if left_s is None else round(left_s, 1),
+                "message": self._message,
+                "by_device": self._by_device,
+            }
 
     def start(self, name: str | None = None) -> None:
         """Begin a scan into a new folder, ``scan-NNN`` where no name is given.
@@ -158,7 +141,7 @@ class Scanning:
         except Exception as error:
             kept = f"{writer.written} of {writer.planned} {KEPT}"
             self._by_device = isinstance(error, DeviceError)
-            self._end("failed", f"{told(error)}. {kept}")
+            self._end("failed", f"{one_line(error)}. {kept}")
         else:
             if run.state == "complete":
                 self._end("done", "")

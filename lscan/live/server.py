@@ -98,15 +98,15 @@ class LivePage:
     def close(self) -> None:
         """Let those who wait for a picture go; from any thread or signal handler."""
         self._closing = True
-        self._tell()
+        self._notify()
 
     @contextlib.asynccontextmanager
     async def _lifespan(self, _: Starlette) -> AsyncIterator[None]:
         self._loop = asyncio.get_running_loop()
-        self._session.frames.listen(self._tell)
+        self._session.frames.listen(self._notify)
         yield
 
-    def _tell(self) -> None:
+    def _notify(self) -> None:
         if self._loop is not None:
             with contextlib.suppress(RuntimeError):  # the loop has ended before the pictures
                 self._loop.call_soon_threadsafe(self._wake)
@@ -203,21 +203,12 @@ class LiveServer(uvicorn.Server):
 def listen(host: str, port: int) -> socket.socket:
     """A socket that listens there; port 0: any that is free.  InputError where it cannot."""
     try:
-        family, kind, protocol, _, address = socket.getaddrinfo(
-            host, port, type=socket.SOCK_STREAM, flags=socket.AI_PASSIVE
-        )[0]
-        listening = socket.socket(family, kind, protocol)
-        try:
-            listening.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-            listening.bind(address)
-            listening.listen()
-        except OSError:
-            listening.close()
-            raise
+        family, *_ = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0]
+        return socket.create_server((host, port), family=family)
     except OSError as error:
+        reason = (error.strerror or "").partition(" (while attempting")[0]  # where is said already
         where = f"--host {host} --port {port}"
-        raise InputError(f"cannot listen there: {error.strerror}", where=where) from error
-    return listening
+        raise InputError(f"cannot listen there: {reason}", where=where) from error
 
 
 def make_server(session: Session, access: Access) -> LiveServer:

@@ -1,4 +1,4 @@
-"""One sitting at the live page: devices, the threads that look and measure, and the commands."""
+"""One session of the live page: devices, the threads that look and measure, and the commands."""
 
 from __future__ import annotations
 
@@ -17,10 +17,10 @@ from lscan.live.analysis import Figures, measure_line, measure_picture
 from lscan.live.boardpicture import LiveCalibration, take_board
 from lscan.live.boardview import BoardFigures, read_live_board
 from lscan.live.devices import LiveDevices
-from lscan.live.errors import NotNow, told
+from lscan.live.errors import NotNow, one_line
 from lscan.live.focus import BestFocus
 from lscan.live.newest import Newest
-from lscan.live.scanning import Scanning, ScanProgress, next_name
+from lscan.live.scanning import Scanning, next_name
 from lscan.live.wire import board_json, figures_json, jpeg_of, packed
 
 Mode = Literal["stripe", "board"]
@@ -53,19 +53,11 @@ class LivePicture:
     taken_s: float
 
 
-@dataclass(frozen=True)
-class _Reading:
-    """The board in the picture that came at ``taken_s``."""
-
-    board: BoardFigures
-    taken_s: float
-
-
 class Session:
     """Everything behind the page but the server.
 
     Opening raises InputError and DeviceError as the devices do; from then on a device that
-    fails is told of in :meth:`state` and tried again.
+    fails is reported by :meth:`state` and tried again.
     """
 
     def __init__(
@@ -75,7 +67,8 @@ class Session:
         self._rig_file, self._output, self._calibration = rig_file, output, calibration
         self._pictures: Newest[LivePicture] = Newest()
         self._mode: Mode = "stripe"
-        self._focus, self._reading = BestFocus(), None  # type: BestFocus, _Reading | None
+        self._focus = BestFocus()
+        self._board_read: tuple[BoardFigures, float] | None = None  # and when its picture came
         self._shown_s: float | None = None  # monotonic, when the newest picture came
         self._fault = ""
         self._task, self._task_message, self._task_failed = "", "", False
@@ -114,9 +107,9 @@ class Session:
         """What is looked for in the pictures.  InputError where the rig has no board."""
         if mode == "board" and self._rig_file.rig.board is None:
             raise InputError("has no section [board]", where=self._rig_file.source)
-        self._mode, self._reading = mode, None
+        self._mode, self._board_read = mode, None
         self._focus.forget()
-        if self._task_failed:  # told of, and of no use in the other mode
+        if self._task_failed:  # it says nothing of the other mode
             self._task_message = ""
 
     def take_board(self) -> None:
@@ -168,7 +161,7 @@ class Session:
         try:
             self._calibration, message = take_board(self._rig_file, self._devices, folder)
         except Exception as error:
-            self._task_failed, message = True, told(error)
+            self._task_failed, message = True, one_line(error)
         self._task, self._task_message = "", message
 
     # ---- the threads --------------------------------------------------------------------
@@ -213,10 +206,10 @@ class Session:
                 image = picture.grab.image
                 read = read_live_board(image, board, self._rig_file.rig, plane_map)
             except Exception as error:
-                self._fault = told(error)
+                self._fault = one_line(error)
                 continue
             if self._mode == "board":
-                self._reading = _Reading(read, picture.taken_s)
+                self._board_read = read, picture.taken_s
             self._closing.wait(REST_PER_READING * (time.monotonic() - picture.taken_s))
 
     def _frame(self, number: int, picture: LivePicture) -> bytes:
@@ -224,7 +217,7 @@ class Session:
         mode = self._mode
         figures = self._figures(picture, mode)
         best = self._focus.among(figures.focus, picture.position_mm)
-        image, reading = picture.grab.image, self._reading
+        image, board = picture.grab.image, self._board_read
         document = {
             "number": number,
             "time_s": picture.grab.time_s,
@@ -237,7 +230,7 @@ class Session:
             "phase": self._phase(),
             **figures_json(figures),
             "focus_best": round(best, 2),
-            "board": reading and board_json(reading.board, time.monotonic() - reading.taken_s),
+            "board": board and board_json(board[0], time.monotonic() - board[1]),
         }
         return packed(document, jpeg_of(image))
 
@@ -255,7 +248,7 @@ class Session:
                 table = calibration.table if calibration else None
                 figures = measure_line(picture.grab.image, settings, table)
         except Exception as error:
-            self._fault = told(error)
+            self._fault = one_line(error)
             return Figures(0.0, 0.0, None, None)
         self._fault = ""
         return figures
@@ -290,23 +283,10 @@ class Session:
                 "step_mm": rig.plan.step_mm,
                 "frames": rig.plan.frames,
             },
-            "scan": _scan_json(self.scanning.progress()),
+            "scan": self.scanning.state(),
             "task": {"name": self._task, "message": self._task_message},
         }
 
     def _seen_s_ago(self) -> float | None:
         """Seconds since the camera gave its last picture; None where it gave none yet."""
         return None if self._shown_s is None else round(time.monotonic() - self._shown_s, 1)
-
-
-def _scan_json(scan: ScanProgress) -> dict[str, Any]:
-    return {
-        "state": scan.state,
-        "folder": str(scan.folder) if scan.folder else None,
-        "done": scan.done,
-        "planned": scan.planned,
-        "elapsed_s": round(scan.elapsed_s, 1),
-        "left_s": None if scan.left_s is None else round(scan.left_s, 1),
-        "message": scan.message,
-        "by_device": scan.by_device,
-    }

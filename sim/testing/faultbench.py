@@ -7,7 +7,8 @@ from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Final
+from types import SimpleNamespace
+from typing import Final
 from unittest import mock
 
 import lscan.acquisition.scan
@@ -160,10 +161,19 @@ class FaultBench:
     def _report(self, done: int, planned: int) -> None:
         self.reported = max(self.reported, done)
 
-    def _driver(self, group: str, name: str, where: object = None) -> Any:
-        return _TrackDriver(self) if group == "lscan.tracks" else _CameraDriver(self)
+    def _driver(self, group: str, name: str, where: object = None) -> SimpleNamespace:
+        opening = self._open_track if group == "lscan.tracks" else self._open_camera
+        return SimpleNamespace(open=opening)
 
-    def camera_options(self) -> OpencvOptions:
+    def _open_track(self, rig_file: RigFile) -> Track:
+        return WatchedTrack(self, self.track.open(serial_driver.options(rig_file)))
+
+    def _open_camera(self, rig_file: RigFile, track: Track) -> Camera:
+        section = rig_file.rig.camera
+        real = OpencvCamera(section, self._camera_options(), self.camera.open)
+        return WatchedCamera(self, real)
+
+    def _camera_options(self) -> OpencvOptions:
         """The rig's, with less patience for faults that would only be waited for."""
         options = OpencvOptions(**self.rig_file.rig.camera.options)
         if self.fault.kind in PATIENCE_S and not self._over:
@@ -175,26 +185,8 @@ class FaultBench:
 
 
 @dataclass(frozen=True)
-class _TrackDriver:
-    bench: FaultBench
-
-    def open(self, rig_file: RigFile) -> Track:
-        return WatchedTrack(self.bench, self.bench.track.open(serial_driver.options(rig_file)))
-
-
-@dataclass(frozen=True)
-class _CameraDriver:
-    bench: FaultBench
-
-    def open(self, rig_file: RigFile, track: Track) -> Camera:
-        faulty, section = self.bench.camera, rig_file.rig.camera
-        real = OpencvCamera(section, self.bench.camera_options(), faulty.open)
-        return WatchedCamera(self.bench, real)
-
-
-@dataclass(frozen=True)
 class WatchedTrack:
-    """A track whose moves the bench is told of."""
+    """A track that reports its moves to the bench."""
 
     bench: FaultBench
     real: Track
@@ -216,7 +208,7 @@ class WatchedTrack:
 
 @dataclass(frozen=True)
 class WatchedCamera:
-    """A camera whose grabs the bench is told of."""
+    """A camera that reports its grabs to the bench."""
 
     bench: FaultBench
     real: Camera

@@ -77,7 +77,7 @@ class InjectedFault:
 
     frame: in whose turn it strikes.  phase: when within it; part: where within the phase, 0 to
     1 of the way, or of the system calls that write the frame.  strength: as the device's
-    ``strike`` takes it.  stamped: whether the camera tells when it exposed a picture.
+    ``strike`` takes it.  stamped: whether the camera stamps its pictures with their time.
     """
 
     kind: str

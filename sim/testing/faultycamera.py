@@ -27,7 +27,7 @@ Look = Callable[[], tuple[float, bool]]
 class FaultyCamera:
     """The camera itself, which outlives the captures opened on it.
 
-    look: where the head truly stands, mm, and whether it moves.  stamped: each picture says
+    look: the head's true position, mm, and whether it moves.  stamped: each picture says
     when it was exposed (POS_MSEC), on the machine's monotonic clock.
     """
 

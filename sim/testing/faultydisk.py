@@ -53,7 +53,7 @@ class FaultyDisk:
         """Let a fault begin; strength, 0 to 1: which part of the first write still succeeds.
 
         folder vanished: it is renamed.  file size limit: the kernel's own, at ``strength``
-        times 8 kB; it stands for a full disk that is no make-believe.
+        times 8 kB; a real refusal of the system, as of a full disk.
         """
         self._kind, self._part = kind, strength
         if kind == "folder vanished":

@@ -59,7 +59,7 @@ class FaultyTrack:
         return open_track(options, line, self.time, self.time.sleep)
 
     def look(self) -> tuple[float, bool]:
-        """Where the head truly stands, as a position of the track in mm; whether it moves."""
+        """The head's true position on the track, mm, and whether it moves."""
         before_mm = self._emulator.head_mm[0]
         return before_mm - ZERO_MM, self._emulator.state not in ("Idle", "Alarm")
 

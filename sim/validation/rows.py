@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import traceback
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, astuple, dataclass, replace
 from math import isfinite, nan
 from pathlib import Path
 from typing import Any
@@ -21,7 +21,7 @@ class Row:
 
     what: the quantity.  reference: the closed form, the published value or the renderer it
     is held against.  figure: as measured, in ``unit``.  bar: the largest figure allowed, in
-    ``unit``; None where the figure is only told.  at_least: the figure must instead be no
+    ``unit``; None where the figure is only reported.  at_least: the figure must instead be no
     smaller than the bar.  tolerance_from: where the bar comes from.  seed: of the random
     numbers used, None where there are none.  noisy: noise moves the figure, so that the few
     samples of a quick run may put it beyond its bar.  quick: it was measured in such a run.
@@ -54,26 +54,18 @@ class Row:
 
     def as_json(self) -> dict[str, Any]:
         """The row as the figures file holds it; a figure that is no number is null there."""
-        side = {"at_least": True} if self.at_least else {}
-        failed = {"error": self.error} if self.error else {}
-        return {
-            "what": self.what,
-            "reference": self.reference,
+        written = asdict(self) | {
             "figure": float(self.figure) if isfinite(self.figure) else None,
             "bar": None if self.bar is None else float(self.bar),
-            "unit": self.unit,
-            "tolerance_from": self.tolerance_from,
-            "seed": self.seed,
-            "quick": self.quick,
             "passed": self.passed,
-            **side,
-            **failed,
         }
+        left_out = {"noisy", *(name for name in ("at_least", "error") if not written[name])}
+        return {name: value for name, value in written.items() if name not in left_out}
 
 
 @dataclass(frozen=True)
 class Bar:
-    """What figures of one kind are held to; its fields are those of :class:`Row`.
+    """What figures of one kind are held to: the fields of :class:`Row` from ``bar`` to ``noisy``.
 
     limit: the row's bar.  source: where it comes from.
     """
@@ -87,17 +79,7 @@ class Bar:
 
     def row(self, what: str, reference: str, figure: float) -> Row:
         """The row of a figure that is held to this bar."""
-        return Row(
-            what=what,
-            reference=reference,
-            figure=figure,
-            bar=self.limit,
-            unit=self.unit,
-            tolerance_from=self.source,
-            seed=self.seed,
-            at_least=self.at_least,
-            noisy=self.noisy,
-        )
+        return Row(what, reference, figure, *astuple(self))
 
 
 @dataclass(frozen=True)
@@ -203,7 +185,7 @@ VERDICTS = {True: "yes", False: "NO", None: "-"}
 
 
 def table_cells(rows: Iterable[Row]) -> list[list[str]]:
-    """Cells of the printed table beneath HEADINGS; an error stands beside what it prevented."""
+    """Cells of the printed table beneath HEADINGS; an error follows what it prevented."""
     return [
         [
             f"{row.what}: {row.error}" if row.error else row.what,

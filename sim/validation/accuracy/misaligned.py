@@ -35,19 +35,19 @@ def misaligned(scene: Scene) -> Scene:
 
 
 def misaligned_rows(scene: Scene, map_name: str) -> list[Row]:
-    """Whether a careful user is told, in either of the two ways there are.
+    """Whether a careful user notices, in either of the two ways there are.
 
-    The uncertainty: a rig file that owns up to how well the board was laid in has intervals
+    The uncertainty: a rig file that states how well the board was laid in has intervals
     that hold the error.  The check: a picture of the board laid in well disagrees with the
     calibration of the one laid in badly.
     """
     askew = misaligned(scene)
     badly, well, again = (_read(s, SEED + k) for k, s in enumerate((askew, scene, scene)))
-    told = scene.rig.optics.model_copy(
+    stated = scene.rig.optics.model_copy(
         update={"board_offset_mm": OFFSET_MM, "board_tilt_deg": TILT_DEG}
     )
-    owned = calibrate(badly, map_name, told)
-    error, sigma = map_errors_mm(scene, owned)
+    careful = calibrate(badly, map_name, stated)
+    error, sigma = map_errors_mm(scene, careful)
     outside = 100 * float(np.mean(np.abs(error) > COVER * sigma))
     believed = calibrate(badly, map_name, scene.rig.optics)
     verdict = check_calibration(believed, well)
@@ -55,7 +55,7 @@ def misaligned_rows(scene: Scene, map_name: str) -> list[Row]:
     askew_by = f"board {OFFSET_MM:g} mm and {TILT_DEG:g} deg off the sheet"
     asked = "required of this project"
     return [
-        Row(f"{askew_by}: places outside their 95 % intervals, alignment owned up to",
+        Row(f"{askew_by}: places outside their 95 % intervals, alignment stated",
             "truth on the sheet", outside, 5.0, "%", asked, SEED,
             noisy=True),
         Row(f"{askew_by}: misses of lscan check", "the board laid in well",

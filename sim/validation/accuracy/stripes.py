@@ -37,7 +37,7 @@ class ExtractorFigures:
 def bound_rows(extractor: str, effort: AccuracyEffort) -> list[Row]:
     """The extractor's worst scatter against the bound, and its worst bias at any phase.
 
-    A hundred drawings of each line tell the bias of a phase to 0.003 px.
+    A hundred drawings of each line give the bias of a phase to 0.003 px.
     """
     cells = [cell(extractor, case, name, effort.drawings) for name, case in cases()]
     far, off = max(cells, key=lambda c: c.ratio), max(cells, key=lambda c: c.bias_px)

@@ -10,7 +10,7 @@ from scipy.integrate import simpson
 from lscan.figures import style
 from lscan.figures.reportfigure import ReportFigure
 from lscan.records import Floats
-from sim.validation.physics.topics import topic
+from sim.validation.physics.topics import page_figure, topic
 from sim.validation.rows import Row, Topic
 from sim.water import FournierForand, HenyeyGreensteinMixture, PetzoldTable
 
@@ -144,7 +144,6 @@ def _roughness(density: Density) -> float:
 
 @style.styled
 def _figure(fournier: Density, mixture: Density, petzold: Density) -> ReportFigure:
-    key, alt = "phase-functions", "Phase functions against Petzold's table, and their ratios."
     figure, (upper, lower) = style.panels(2, (style.WIDTH_IN, 4.2), heights=(3.0, 1.4))
     angles, table = np.array(PETZOLD_TABLE).T
     fine = np.geomspace(0.1, 180, 600)
@@ -161,12 +160,4 @@ def _figure(fournier: Density, mixture: Density, petzold: Density) -> ReportFigu
     lower.set_ylabel("over Petzold")
     lower.set_xlabel("scattering angle / degrees")
     style.legend(upper)
-    return ReportFigure(
-        key=key,
-        title="Phase functions over six powers of ten",
-        paper="",
-        alt=alt,
-        caption="Petzold’s average particle as measured (points), the four lobes fitted to it and "
-        "the Fournier–Forand function of the same backscattered share. Below, their ratios.",
-        body=style.svg(figure, key, alt),
-    )
+    return page_figure("phases", figure)

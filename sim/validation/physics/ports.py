@@ -21,7 +21,7 @@ from sim.validation.physics.rigs import (
     random_pixels,
     random_rig,
 )
-from sim.validation.physics.topics import topic
+from sim.validation.physics.topics import page_figure, topic
 from sim.validation.rows import Bar, Row, Topic
 
 Rays = Callable[[Scene, Floats], tuple[Floats, Floats, Floats]]
@@ -133,7 +133,6 @@ def _rays(
 
 @style.styled
 def _figure(found: dict[str, Deviations]) -> ReportFigure:
-    key, alt = "port-errors", "Pixel error of the closed-form ports over the field."
     figure, (axes,) = style.panels(1, (style.WIDTH_IN, 2.6))
     for (kind, values), colour in zip(found.items(), (style.FIRST, style.SECOND), strict=True):
         shown = slice(None, None, max(1, len(values.radius) // SHOWN))
@@ -144,12 +143,4 @@ def _figure(found: dict[str, Deviations]) -> ReportFigure:
     axes.set_xlabel("distance from the picture's centre / half diagonal")
     axes.set_ylabel("error / px")
     style.legend(axes)
-    return ReportFigure(
-        key=key,
-        title="Closed form against traced glass over the field",
-        paper="",
-        alt=alt,
-        caption="Each point is one pixel of one random rig; the dashed line is the bar. What is "
-        "left is single precision.",
-        body=style.svg(figure, key, alt),
-    )
+    return page_figure("ports", figure)

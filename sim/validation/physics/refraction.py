@@ -12,7 +12,7 @@ from sim.render.plugins.camera import RefractiveCamera
 from sim.scene import Pose, Scene, camera_pose
 from sim.truth import project
 from sim.validation.physics.rigs import camera_rays, make_camera, scene_with
-from sim.validation.physics.topics import topic
+from sim.validation.physics.topics import page_figure, topic
 from sim.validation.rows import Bar, Row, Topic
 from sim.water import refractive_index
 
@@ -145,7 +145,6 @@ def _single_viewpoint(parameters: Floats, tangent: Floats) -> Floats:
 
 @style.styled
 def _figure() -> ReportFigure:
-    key, alt = "single-viewpoint", "Error of a single-viewpoint camera over the field."
     figure, (axes,) = style.panels(1, (style.WIDTH_IN, 2.6))
     fitted = fit_single_viewpoint()
     colours = (style.FIRST, style.SECOND, style.THIRD, style.ACCENT)
@@ -155,12 +154,4 @@ def _figure() -> ReportFigure:
     axes.set_xlabel("distance from the centre / px")
     axes.set_ylabel("error / px")
     style.legend(axes)
-    return ReportFigure(
-        key=key,
-        title="A single viewpoint is not enough",
-        paper="",
-        alt=alt,
-        caption="The camera without a port that fits best at 1 m, seen at other distances: the "
-        "reason why this tank bends each ray at the port.",
-        body=style.svg(figure, key, alt),
-    )
+    return page_figure("refraction", figure)

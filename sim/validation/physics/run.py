@@ -46,7 +46,7 @@ def run_verify(
         Every row and every picture, but each with the least effort; what noise could spoil is
         then not judged.
     progress : callable, optional
-        Told (done, all) after each chapter.
+        Called with (done, all) after each chapter.
 
     Raises
     ------

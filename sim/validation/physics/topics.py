@@ -1,17 +1,32 @@
-"""The topics of the page, each with the title and the text of topics.toml."""
+"""The topics of the page and their figures, with the words of topics.toml."""
 
 from __future__ import annotations
 
 import tomllib
 from collections.abc import Iterable
 from importlib.resources import files
+from typing import Any
 
+from matplotlib.figure import Figure
+
+from lscan.figures import style
 from lscan.figures.reportfigure import ReportFigure
 from sim.validation.rows import Row, Topic
 
 
 def topic(key: str, rows: Iterable[Row], figures: tuple[ReportFigure, ...] = ()) -> Topic:
     """The topic of that key of topics.toml."""
+    words = _words(key)
+    return Topic(key, words["title"], words["text"].replace("\n", " "), tuple(rows), figures)
+
+
+def page_figure(key: str, drawn: Figure) -> ReportFigure:
+    """The figure of the topic of that key, as drawn."""
+    words = _words(key)["figure"]
+    words["caption"] = words["caption"].replace("\n", " ")
+    return ReportFigure(**words, paper="", body=style.svg(drawn, words["key"], words["alt"]))
+
+
+def _words(key: str) -> Any:
     text = files("sim.validation.physics").joinpath("topics.toml").read_text(encoding="utf-8")
-    said = tomllib.loads(text)[key]
-    return Topic(key, said["title"], " ".join(said["text"].split()), tuple(rows), figures)
+    return tomllib.loads(text)[key]

@@ -17,7 +17,7 @@ import numpy as np
 
 from lscan.acquisition.run import MANIFEST, TABLE, Run, frame_file, open_run
 from lscan.errors import InputError, LscanError
-from lscan.records import Frame, Progress
+from lscan.records import Frame
 from sim.testing.faultbench import FaultBench, bench_for
 from sim.testing.faults import FRAMES, KINDS, InjectedFault, draw_fault
 from sim.testing.marks import read_mark
@@ -56,11 +56,7 @@ class Violation(Exception):
 
 
 def run_campaign(
-    count: int,
-    seed: int,
-    folder: Path,
-    kinds: Sequence[str] = tuple(KINDS),
-    progress: Progress | None = None,
+    count: int, seed: int, folder: Path, kinds: Sequence[str] = tuple(KINDS)
 ) -> list[Outcome]:
     """The outcomes of ``count`` experiments, each with one fault.
 
@@ -73,8 +69,6 @@ def run_campaign(
         generator = np.random.default_rng([seed, number])
         fault = draw_fault(kinds[number % len(kinds)], generator)
         outcomes.append(run_experiment(fault, seed + number, folder / f"{number:04d}"))
-        if progress is not None:
-            progress(number + 1, count)
     return outcomes
 
 
@@ -100,16 +94,14 @@ def run_experiment(fault: InjectedFault, seed: int, path: Path) -> Outcome:
     return Outcome(fault, seed, struck, ended, message.replace(str(path), "RUN"), kept, violation)
 
 
-def fault_rows(
-    each: int, seed: int = SEED, progress: Progress | None = None
-) -> tuple[list[Row], list[Outcome]]:
+def fault_rows(each: int, seed: int = SEED) -> tuple[list[Row], list[Outcome]]:
     """How many faults were injected and how many did not end clean, and all outcomes.
 
     each: how many of each kind.
     """
     count = each * len(KINDS)
     with tempfile.TemporaryDirectory(prefix="lscan-faults-") as folder:
-        outcomes = run_campaign(count, seed, Path(folder), progress=progress)
+        outcomes = run_campaign(count, seed, Path(folder))
     injected = sum(outcome.struck for outcome in outcomes)
     unclean = sum(bool(outcome.violation) for outcome in outcomes)
     reference = "one fault each while scanning on the emulated camera, track and disk"
@@ -185,7 +177,7 @@ def check_message(bench: FaultBench, error: BaseException | None, message: str) 
 def check_folder(path: Path) -> int:
     """(b) The folder opens and is whole; the number of its frames, 0 where there is none.
 
-    A last row torn because the disk could not even be cut back is told, with the remedy.
+    A last row torn because the disk could not even be cut back is reported, with the remedy.
     """
     if not path.exists():
         return 0

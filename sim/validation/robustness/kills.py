@@ -19,7 +19,6 @@ import numpy as np
 
 import lscan
 from lscan.acquisition.run import TABLE
-from lscan.records import Progress
 from sim.validation.rows import Row
 
 SEED: Final = 5020
@@ -52,13 +51,7 @@ class KilledRun:
     same: bool
 
 
-def kill_runs(
-    scene: Path,
-    count: int,
-    frames: int,
-    seed: int = SEED,
-    progress: Progress | None = None,
-) -> list[KilledRun]:
+def kill_runs(scene: Path, count: int, frames: int, seed: int = SEED) -> list[KilledRun]:
     """Runs of ``scene`` that were killed ``count`` times or more in all, and resumed.
 
     The moments are uniform over the duration of the undisturbed scan, start-up included, each
@@ -82,16 +75,12 @@ def kill_runs(
             _finish(small, run)
             runs.append(KilledRun(kept, folder_bytes(run) == reference))
             kills += len(kept)
-            if progress is not None:
-                progress(min(kills, count), count)
     return runs
 
 
-def kill_rows(
-    scene: Path, count: int, frames: int, seed: int = SEED, progress: Progress | None = None
-) -> list[Row]:
+def kill_rows(scene: Path, count: int, frames: int, seed: int = SEED) -> list[Row]:
     """How many kills there were, and how many runs differ from the undisturbed one after them."""
-    runs = kill_runs(scene, count, frames, seed, progress)
+    runs = kill_runs(scene, count, frames, seed)
     reference = "the same scan without a kill, all files byte for byte"
     kills = sum(len(run.kept) for run in runs)
     differing = sum(not run.same for run in runs)
@@ -144,18 +133,9 @@ def _finish(scene: Path, run: Path) -> None:
 def _start(scene: Path, run: Path) -> subprocess.Popen[str]:
     """``lscan scan`` of this very package, in a process of its own."""
     home = str(Path(lscan.__file__).parents[1])
-    command = [
-        sys.executable,
-        "-m",
-        "lscan.cli.app",
-        "scan",
-        str(scene),
-        "-o",
-        str(run),
-        "--resume",
-    ]
+    command = [sys.executable, "-m", "lscan.cli.app", "scan", str(scene)]
     return subprocess.Popen(
-        command,
+        [*command, "-o", str(run), "--resume"],
         stdout=subprocess.DEVNULL,
         stderr=subprocess.PIPE,
         text=True,

@@ -56,7 +56,7 @@ class Stopwatch:
     _since_s: float = 0.0
 
     def begin_frame(self) -> None:
-        """The track is told to move: what ran until now belongs to the frame before."""
+        """The track is commanded to move: what ran until now belongs to the frame before."""
         if self.frames_s:
             self.pause()
         self.frames_s.append(0.0)
@@ -72,7 +72,7 @@ class Stopwatch:
 
 @dataclass
 class FreeTrack:
-    """A track that is at once where it is told to go."""
+    """A track that is at its target at once."""
 
     watch: Stopwatch
     position_mm: float = 0.0

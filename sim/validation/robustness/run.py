@@ -35,8 +35,8 @@ def run_hardware(
 ) -> HardwareEvidence:
     """The figures, whose rows are also written to ``output`` as they are measured.
 
-    scenes: folder of the scene files.  quick: every row, with the least effort.  progress: told
-    (done, all) after each chapter.  The chapters take turns, because one would spoil what
+    scenes: folder of the scene files.  quick: every row, with the least effort.  progress: called
+    with (done, all) after each chapter.  The chapters take turns, because one would spoil what
     another measures of time; one that ends with an error, as the live page's does without
     Chromium, is a failed row.  Raises InputError where a scene file is wrong or the disk
     refuses.
