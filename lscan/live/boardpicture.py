@@ -39,7 +39,7 @@ def use_map(path: Path, plane_map: PlaneMap, rig_file: RigFile) -> LiveCalibrati
 def take_board(
     rig_file: RigFile, devices: LiveDevices, folder: Path
 ) -> tuple[LiveCalibration, str]:
-    """The calibration from a board picture taken at the head's present position, and a line about it.
+    """The calibration from a board picture at the head's present position, and a line about it.
 
     A head outside its travel goes to the nearest position within.
     The picture goes into the run folder ``folder``, with a laser that was switched on off, and
