@@ -138,5 +138,5 @@ def test_marlin_ends_what_was_begun_and_without_homing_asks() -> None:
     assert emulator.head_mm[0] == pytest.approx(START_MM + 30.0)
     track.move_to(31.0)
     track.check_place(30.0, 31.0, track.zero)
-    with pytest.raises(DeviceError, match=r"Marlin does not tell.*--position-restored"):
+    with pytest.raises(DeviceError, match=r"Marlin does not report.*--position-restored"):
         track.check_place(30.0, 31.0, "that of an earlier opening")
