@@ -39,6 +39,7 @@ ELSEWHERE = {
     "lscan-sim serve": "tests/system/test_serve_command.py",
     "lscan-sim verify": "tests/system/test_smoke.py",
     "lscan-sim accuracy": "tests/system/test_smoke.py",
+    "lscan-sim study": "tests/sim/cli/test_study.py",
     "lscan-sim hardware": "tests/system/test_smoke.py",
     "make ": "Makefile",
     "pytest ": "conftest.py",
@@ -82,9 +83,10 @@ def test_the_arguments_are_known(page: Path) -> None:
 def parsed(program: str, arguments: list[str]) -> None:
     """Parse the arguments as the program does; its own error where it refuses them."""
     group = typer.main.get_command(APPS[program])
-    name, *rest = arguments
-    command = group.commands[name]  # type: ignore[attr-defined]
-    command.make_context(name, rest)
+    while hasattr(group, "commands"):
+        name, *arguments = arguments
+        group = group.commands[name]
+    group.make_context(name, arguments)
 
 
 def test_every_command_that_is_run_elsewhere_is() -> None:
