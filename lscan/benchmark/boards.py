@@ -18,7 +18,7 @@ DEPRESSION = np.radians(30.0)
 
 
 @dataclass(frozen=True)
-class BoardView:
+class PortView:
     """A camera that looks at the sheet's plane y = 0 from ``EYE_MM``."""
 
     camera: Camera
@@ -42,7 +42,7 @@ class BoardView:
         )
 
 
-VIEW = BoardView(
+VIEW = PortView(
     Camera(
         focal_px=850.0,
         centre_px=(319.5, 239.5),
@@ -74,7 +74,7 @@ BOARDS: Mapping[str, Board] = {
 
 
 def reading_of(
-    board: Board, view: BoardView, noise_px: float, generator: np.random.Generator
+    board: Board, view: PortView, noise_px: float, generator: np.random.Generator
 ) -> BoardReading:
     """The board's marks as ``view`` shows them, each shifted by normal noise in u and in v.
 

@@ -9,7 +9,7 @@ from itertools import product
 
 import numpy as np
 
-from lscan.benchmark.pictures import BACKGROUND_DN, SKIRTS, Case, centres, draw
+from lscan.benchmark.pictures import BACKGROUND_DN, SKIRTS, LineCase, centres, draw
 from lscan.benchmark.shares import share_within
 from lscan.config.rig import NoiseSection, StripeSection
 from lscan.records import Floats, Stripe, has_value
@@ -40,7 +40,7 @@ class ExtractorRow:
     """
 
     extractor: str
-    case: Case
+    case: LineCase
     bias_px: float
     scatter_px: float
     bound_ratio: float | None
@@ -51,14 +51,14 @@ class ExtractorRow:
     us_a_frame: float
 
 
-def cases(quick: bool = False) -> Iterator[Case]:
+def cases(quick: bool = False) -> Iterator[LineCase]:
     """Every water, width and peak; without speckle, and the bright line with it."""
     waters = ("tap", "harbor") if quick else tuple(SKIRTS)
     widths = WIDTHS_PX[1:2] if quick else WIDTHS_PX
     for water, width, peak in product(waters, widths, PEAKS_DN):
-        yield Case(water, width, peak, SENSOR)
+        yield LineCase(water, width, peak, SENSOR)
     for width in widths:
-        yield Case("tap", width, PEAKS_DN[1], SPECKLED)
+        yield LineCase("tap", width, PEAKS_DN[1], SPECKLED)
 
 
 def bench_extractors(
@@ -89,14 +89,14 @@ def bench_extractors(
     return rows
 
 
-def _settings(name: str, case: Case) -> StripeSection:
+def _settings(name: str, case: LineCase) -> StripeSection:
     return StripeSection(
         extractor=name, threshold_dn=THRESHOLD_DN, span_px=SPAN_PX, noise=case.noise
     )
 
 
 def _row(
-    name: str, case: Case, read: Sequence[tuple[Floats, Stripe]], us_a_frame: float
+    name: str, case: LineCase, read: Sequence[tuple[Floats, Stripe]], us_a_frame: float
 ) -> ExtractorRow:
     valued = [has_value(stripe.status) for _, stripe in read]
     error = np.concatenate(
@@ -123,7 +123,7 @@ def _row(
     )
 
 
-def bound_px(case: Case) -> float:
+def bound_px(case: LineCase) -> float:
     """The Cramér-Rao bound of a case that is not clipped, rms over the sub-pixel phases, px.
 
     The skirt's own shot noise is left out.  For speckle it is that of normal noise of the same
@@ -136,7 +136,7 @@ def bound_px(case: Case) -> float:
 
 def _time_us(name: str, seed: int, repeats: int = 7) -> float:
     """Median microseconds for a picture of 640 by 480 with a bright line, the first left out."""
-    case = Case("tap", 1.5, 200.0, SENSOR)
+    case = LineCase("tap", 1.5, 200.0, SENSOR)
     generator = np.random.default_rng(seed)
     small = draw(case, centres(0.3), generator)
     rows, columns = -(-480 // small.shape[0]), -(-640 // small.shape[1])

@@ -18,7 +18,7 @@ from matplotlib.figure import Figure
 from lscan.benchmark.extractors import ExtractorRow
 from lscan.benchmark.limits import failed_of_extractor, failed_of_map
 from lscan.benchmark.maps import MapRow
-from lscan.benchmark.pictures import Case
+from lscan.benchmark.pictures import LineCase
 from lscan.config.rig import NoiseSection
 from lscan.figures import style
 from lscan.files.disk import make_folder, write_atomically
@@ -58,7 +58,7 @@ def extractor_cells(rows: Sequence[ExtractorRow]) -> list[list[str]]:
     ]
 
 
-def _peak(case: Case) -> str:
+def _peak(case: LineCase) -> str:
     """Such as "200 speckled"."""
     words = [f"{case.peak_dn:g}"]
     words += ["clipped"] if case.saturated else []
@@ -146,7 +146,7 @@ def draw_bench(extractors: Sequence[ExtractorRow], maps: Sequence[MapRow]) -> by
     return buffer.getvalue()
 
 
-def _title(case: Case) -> str:
+def _title(case: LineCase) -> str:
     speckled = "\nspeckle" if case.noise.speckle else ""
     return f"{case.water}\n{case.sigma_px:g} px\n{case.peak_dn:g} DN{speckled}"
 

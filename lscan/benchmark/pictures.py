@@ -29,7 +29,7 @@ SLOPE = 0.0471  # px a column: 320 columns see every sub-pixel phase many times 
 
 
 @dataclass(frozen=True)
-class Case:
+class LineCase:
     """One kind of picture.
 
     water: a key of SKIRTS.  sigma_px: width of the line.  peak_dn: its height, without the
@@ -54,13 +54,13 @@ def centres(phase_px: float) -> Floats:
     return SHAPE[0] / 2 + phase_px + SLOPE * along
 
 
-def mean_picture(case: Case, centre_px: Floats) -> Floats:
+def mean_picture(case: LineCase, centre_px: Floats) -> Floats:
     """(H, W) expected grey values in DN, before noise and the end of the range."""
     light: Floats = _line(case, centre_px) + _skirt(case, centre_px)
     return BACKGROUND_DN + case.peak_dn * light
 
 
-def draw(case: Case, centre_px: Floats, generator: np.random.Generator) -> Bytes:
+def draw(case: LineCase, centre_px: Floats, generator: np.random.Generator) -> Bytes:
     """(H, W) uint8: one picture of the line with all its noise.
 
     Speckle, gamma distributed with the contrast given (Goodman's law for integrated speckle),
@@ -81,7 +81,7 @@ def draw(case: Case, centre_px: Floats, generator: np.random.Generator) -> Bytes
     return np.clip(np.rint(read), 0, FULL_SCALE_DN).astype(np.uint8)
 
 
-def _line(case: Case, centre_px: Floats) -> Floats:
+def _line(case: LineCase, centre_px: Floats) -> Floats:
     """(H, W) the Gaussian of height 1, its mean over each pixel."""
     edges = np.arange(SHAPE[0] + 1)[:, None] - 0.5 - centre_px
     area: Floats = np.diff(erf(edges / (np.sqrt(2) * case.sigma_px)), axis=0) / 2
@@ -89,7 +89,7 @@ def _line(case: Case, centre_px: Floats) -> Floats:
     return line
 
 
-def _skirt(case: Case, centre_px: Floats) -> Floats:
+def _skirt(case: LineCase, centre_px: Floats) -> Floats:
     distance = np.abs(np.arange(SHAPE[0])[:, None] - centre_px)
     skirt: Floats = SKIRTS[case.water] / (distance + SKIRT_PX)
     return skirt

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from lscan.benchmark.extractors import ExtractorRow, bench_extractors, cases
+from lscan.benchmark.limits import failed_of_extractor, failed_of_map
 from lscan.benchmark.maps import MapRow, bench_maps, sights
 from lscan.benchmark.page import write_bench
 from lscan.calibration.api import find_solver
@@ -33,7 +34,7 @@ DRAWS, QUICK_DRAWS = 5, 2  # of the noise of each board's marks
 
 
 @dataclass(frozen=True)
-class Bench:
+class Benchmark:
     """The rows of both tables, and what bench.json holds of them."""
 
     extractors: list[ExtractorRow]
@@ -43,7 +44,8 @@ class Bench:
     @property
     def failed(self) -> int:
         """Number of rows with a figure out of its limit."""
-        return sum(not row["passed"] for rows in self.content.values() for row in rows)
+        failed = [failed_of_extractor(row) for row in self.extractors]
+        return sum(map(bool, failed + [failed_of_map(row) for row in self.maps]))
 
 
 def registered_extractors() -> tuple[str, ...]:
@@ -58,7 +60,7 @@ def run_bench(
     quick: bool = False,
     seed: int = 1,
     progress: Progress | None = None,
-) -> Bench:
+) -> Benchmark:
     """The rows of the extractors and of the maps named, also written to ``folder``.
 
     extractors: names, or ``package.module:function`` of one's own.  quick: fewer kinds of lines
@@ -85,4 +87,4 @@ def run_bench(
     of_boards = (
         bench_maps(maps, seed, draws, quick, lambda done: step(kinds + done)) if maps else []
     )
-    return Bench(of_lines, of_boards, write_bench(folder, of_lines, of_boards))
+    return Benchmark(of_lines, of_boards, write_bench(folder, of_lines, of_boards))

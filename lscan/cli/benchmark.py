@@ -48,6 +48,9 @@ def bench(
             print_table("stripe extractors", EXTRACTOR_HEADINGS, extractor_cells(done.extractors))
         if done.maps:
             print_table("plane maps", MAP_HEADINGS, map_cells(done.maps))
+        refused = {(row.plane_map, row.board, row.refused) for row in done.maps if row.refused}
+        for name, board, reason in sorted(refused):
+            print(f"{name} on the board {board!r}: refused, {reason}")
         print(f"{output / 'bench.json'}\n{output / 'bench.png'}")
     if done.failed:
         rows = len(done.extractors) + len(done.maps)

@@ -27,6 +27,12 @@ if TYPE_CHECKING:
     from lscan.pipeline import Reconstruction
     from lscan.records import Length
 
+LEAST_SHARE = 0.02
+"""Of the columns: a line that spans less of its pictures may be no laser line at all."""
+_NO_SURFACE = (
+    "there is no surface to build; a run of the board is for `lscan calibrate` and `lscan measure`"
+)
+
 
 def reconstruct(
     run: RunFolder,
@@ -40,6 +46,7 @@ def reconstruct(
     json: Json = False,
 ) -> None:
     """Turn a run's pictures into the surface that is measured, aligned if it is a sandwave's."""
+    from lscan.errors import MeasurementError
     from lscan.pipeline import reconstruct as build
     from lscan.records import has_value
     from lscan.surface import save_points, save_surface
@@ -48,14 +55,24 @@ def reconstruct(
     opened, plane_map = open_calibrated(run, calibration, shaft, trust)
     with progress_bar("reconstruct") as progress:
         built = build(opened, plane_map, progress)
-    _note_doubts(built, opened.rig_file.rig)
     surface, alignment = built.surface, built.alignment
+    frames, columns = surface.status.shape
+    found = int(has_value(surface.status).sum())
+    if found == 0:
+        raise MeasurementError(
+            f"{run}: no laser line in any of its {frames} pictures, so {_NO_SURFACE}"
+        )
+    if found < LEAST_SHARE * surface.status.size:
+        print(
+            f"lscan: note: a line in {found} of {surface.status.size} columns alone; if the "
+            f"pictures show the board, {_NO_SURFACE}",
+            file=sys.stderr,
+        )
+    _note_doubts(built, opened.rig_file.rig)
     yaw_deg = alignment.yaw_deg if alignment else None
     save_surface(output, surface)
     if points:
         save_points(points, surface)
-    frames, columns = surface.status.shape
-    found = int(has_value(surface.status).sum())
     if json:
         summary = {
             "surface": str(output),

@@ -9,7 +9,7 @@ from itertools import product
 import numpy as np
 
 from lscan.benchmark.extractors import bound_px
-from lscan.benchmark.pictures import Case, centres, draw
+from lscan.benchmark.pictures import LineCase, centres, draw
 from lscan.config.rig import NoiseSection, StripeSection
 from lscan.records import has_value
 from lscan.stripe import extract_stripe
@@ -50,16 +50,16 @@ def bound_rows(extractor: str, effort: AccuracyEffort) -> list[Row]:
     ]  # fmt: skip
 
 
-def cases() -> Iterator[tuple[str, Case]]:
+def cases() -> Iterator[tuple[str, LineCase]]:
     """Every width and peak over noise, additive noise and shot noise apart."""
     for width, ratio in product(WIDTHS_PX, PEAK_TO_NOISE):
         additive = NoiseSection(read_dn=PEAK_DN / ratio)
         shot = NoiseSection(read_dn=READ_DN, dn_per_electron=PEAK_DN / ratio**2)
         for kind, noise in (("additive", additive), ("shot", shot)):
-            yield f"{kind} {ratio:g}, {width:g} px", Case("tap", width, PEAK_DN, noise)
+            yield f"{kind} {ratio:g}, {width:g} px", LineCase("tap", width, PEAK_DN, noise)
 
 
-def cell(extractor: str, case: Case, name: str, drawings: int) -> ExtractorFigures:
+def cell(extractor: str, case: LineCase, name: str, drawings: int) -> ExtractorFigures:
     """Scatter and bias of one case's drawings; a column without a value is infinitely wrong."""
     generator = np.random.default_rng([SEED, round(10 * case.sigma_px)])
     settings = StripeSection(extractor=extractor, threshold_dn=THRESHOLD_DN, noise=case.noise)

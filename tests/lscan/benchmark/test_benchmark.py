@@ -25,7 +25,7 @@ from lscan.benchmark.boards import BOARDS, VIEW, reading_of
 from lscan.benchmark.extractors import bound_px
 from lscan.benchmark.limits import failed_of_extractor, failed_of_map
 from lscan.benchmark.page import extractor_cells, map_cells
-from lscan.benchmark.pictures import BACKGROUND_DN, SHAPE, Case, centres, draw, mean_picture
+from lscan.benchmark.pictures import BACKGROUND_DN, SHAPE, LineCase, centres, draw, mean_picture
 from lscan.calibration.api import PlaneMap, find_solver
 from lscan.cli.app import app
 from lscan.config.rig import NoiseSection, OpticsSection, StripeSection
@@ -84,7 +84,7 @@ def now_and_then(image: Floats, settings: StripeSection, clipped: Mask) -> Strip
 @pytest.mark.parametrize("sigma_px", [0.8, 1.5, 3.0])
 def test_the_line_is_where_it_is_said_to_be(sigma_px: float) -> None:
     true = centres(0.37)
-    light = mean_picture(Case("tap", sigma_px, 100.0, QUIET), true) - BACKGROUND_DN
+    light = mean_picture(LineCase("tap", sigma_px, 100.0, QUIET), true) - BACKGROUND_DN
     rows = np.arange(SHAPE[0])[:, None]
     # Pixel means keep the first moment, and add 1/12 to the second (Sheppard's corrections),
     # but for aliases of the pixel grid: the Gaussian's transform one cycle a pixel away.
@@ -98,7 +98,7 @@ def test_the_line_is_where_it_is_said_to_be(sigma_px: float) -> None:
 def test_the_noise_is_the_noise_declared() -> None:
     gain, contrast = 0.05, 0.2
     noise = NoiseSection(read_dn=2.0, dn_per_electron=gain, speckle=contrast)
-    case, true = Case("tap", 2.0, 150.0, noise), centres(0.1)
+    case, true = LineCase("tap", 2.0, 150.0, noise), centres(0.1)
     generator = np.random.default_rng(5)
     shots = np.array([draw(case, true, generator) for _ in range(400)], dtype=float)
     mean = mean_picture(case, true)
@@ -131,7 +131,7 @@ def test_a_known_error_is_told_for_what_it_is() -> None:
 
 def test_the_bound_is_that_of_a_wide_line_in_additive_noise() -> None:
     # physics.md section 4: (sigma_n / A) sqrt(2 w / sqrt(pi)); pixels narrow it by under 2 %.
-    case = Case("tap", 3.0, 100.0, NoiseSection(read_dn=2.0))
+    case = LineCase("tap", 3.0, 100.0, NoiseSection(read_dn=2.0))
     closed = 2.0 / 100.0 * np.sqrt(2 * 3.0 / np.sqrt(np.pi))
     assert bound_px(case) == pytest.approx(closed, rel=0.02)
 
@@ -341,6 +341,14 @@ def test_all_that_is_shipped_keeps_to_the_limits(seed: int, tmp_path: Path) -> N
 def test_the_skirt_may_clip_a_line_that_is_not_clipped_by_itself() -> None:
     # In harbor water 200 DN stand on a skirt of 133 DN; in tap water on none.
     for water, clipped in (("tap", False), ("coastal", False), ("harbor", True)):
-        case = Case(water, 3.0, 200.0, QUIET)
+        case = LineCase(water, 3.0, 200.0, QUIET)
         assert case.saturated == clipped
         assert (mean_picture(case, centres(0.0)).max() > 255) == clipped
+
+
+def test_a_refused_map_is_said_to_be_so_with_the_reason(tmp_path: Path) -> None:
+    call = ["bench", "-o", str(tmp_path), "--only", "--quick", "--map", "polynomial-99"]
+    result = CliRunner().invoke(app, call)
+    assert result.exit_code == 1
+    assert "polynomial-99 on the board 'paper': refused, plane map: no such" in result.stdout
+    assert result.stdout.count("refused, ") == 1  # once for all noises

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import sys
 from collections.abc import Callable
 from pathlib import Path
@@ -93,3 +94,38 @@ def test_a_workpiece_that_is_not_there_is_named(
     code, out, err = measure(tmp_path / "mesh")
     assert (code, out, err.count("\n")) == (1, "", 1)
     assert f"is a {kind}; where something else was scanned, `lscan reconstruct`" in err
+
+
+def test_reconstruct_says_of_a_run_of_the_board_that_there_is_no_surface(
+    calibrated: Path,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    call = ["lscan", "reconstruct", str(calibrated / "board"), "-c", str(calibrated / "c.json")]
+    monkeypatch.setattr(sys, "argv", [*call, "-o", str(tmp_path / "s.nc")])
+    with pytest.raises(SystemExit) as left:
+        run_command_line(app, "lscan")
+    output = capsys.readouterr()
+    assert (left.value.code, output.err.count("\n")) == (0, 1)
+    assert re.match(
+        r"lscan: note: a line in \d+ of 640 columns alone; if the pictures show", output.err
+    )
+    assert "there is no surface to build; a run of the board is for `lscan calibrate`" in output.err
+
+
+def test_reconstruct_of_dark_pictures_writes_no_file(
+    calibrated: Path,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    flat_run(tmp_path / "dark", 1, stripe={"threshold_dn": 255.0})
+    call = ["lscan", "reconstruct", str(tmp_path / "dark"), "-c", str(calibrated / "c.json")]
+    monkeypatch.setattr(sys, "argv", [*call, "-o", str(tmp_path / "s.nc")])
+    with pytest.raises(SystemExit) as left:
+        run_command_line(app, "lscan")
+    output = capsys.readouterr()
+    assert (left.value.code, output.out, output.err.count("\n")) == (1, "", 1)
+    assert "no laser line in any of its 1 pictures, so there is no surface to build" in output.err
+    assert not (tmp_path / "s.nc").exists()
