@@ -118,7 +118,7 @@ def write_truth(
     """Write one table for each line of the laser, and one for the board.
 
     stripe.csv with the laser on, stripe-0.csv, stripe-1.csv ... where it has several lines;
-    board.csv where a board stands there.  Each holds all the pictures, one after the other.
+    board.csv where the target is the board.  Each holds all the pictures, one after the other.
 
     Parameters
     ----------
@@ -148,7 +148,7 @@ def write_truth(
         makers["board"], texts["board"] = partial(_board_rows, scene), [BOARD_COLUMNS]
     if not makers:
         raise InputError(
-            "no truth to tell: the laser is off and no board stands there", where=scene.source
+            "no truth to write: the laser is off and the target is no board", where=scene.source
         )
     for first in range(0, len(taken), AT_ONCE):
         for name, rows in makers.items():

@@ -6,7 +6,6 @@ From the render's layers and the truth of the line, without looking at the pictu
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 from enum import IntEnum
 
 import numpy as np
@@ -53,7 +52,7 @@ COLOURS: Mapping[Label, tuple[int, int, int]] = {
 def label_scene(scene: Scene, position_mm: float, layers: Layers) -> Bytes:
     """(H, W) uint8 of Label: the classes of the scene's picture taken at a track position.
 
-    layers: of that picture, of its pixels or finer.  The truth is told of every line of the
+    layers: of that picture, of its pixels or finer.  The truth is that of every line of the
     laser; of none where it is off.  Raises InputError as ``label_picture`` and ``stripe_truth``.
     """
     laser, camera = scene.tank.laser, scene.rig.camera
@@ -71,7 +70,7 @@ def label_picture(
 
     lines: the truth of each of the laser's lines with its sigma across, (N,) px, as
     ``line_sigma_px`` gives it; none where the laser is off.  A column of several lit and seen
-    points (``multiple``) has a line the truth tells no centre of: all its direct light counts
+    points (``multiple``) has a line without a single true centre: all its direct light counts
     as LINE.  dark_w_m2_sr: radiance beneath which a pixel is DARK; one without light is so in
     any case.  Raises InputError where picture and truth differ in size.
     """
@@ -157,7 +156,5 @@ def half_width_mm(scene: Scene, truth: StripeTruth) -> Floats:
 
 def _pushed(scene: Scene, truth: StripeTruth, shift_mm: Floats) -> StripeTruth:
     """The truth with the laser moved by (3,) mm of the head frame."""
-    laser = scene.tank.laser
-    apex = tuple((np.array(laser.apex_mm) + shift_mm).tolist())
-    tank = scene.tank.model_copy(update={"laser": laser.model_copy(update={"apex_mm": apex})})
-    return stripe_truth(replace(scene, tank=tank), truth.position_mm, truth.line)
+    apex = tuple((np.array(scene.tank.laser.apex_mm) + shift_mm).tolist())
+    return stripe_truth(scene.with_tank(laser={"apex_mm": apex}), truth.position_mm, truth.line)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -48,13 +48,7 @@ class Poses:
 
     def only(self, wanted: Any) -> Poses:
         """Those of a mask or of indices."""
-        return Poses(
-            self.middle_mm[wanted],
-            self.rotation[wanted],
-            self.turn_deg[wanted],
-            self.tilt_deg[wanted],
-            self.features[wanted],
-        )
+        return Poses(*(getattr(self, field.name)[wanted] for field in fields(self)))
 
 
 def write_views(scene: Scene, folder: Path, count: int = 10, seed: int = 1) -> dict[str, Path]:
@@ -251,8 +245,7 @@ def _held(scene: Scene, board: Board, poses: Poses, number: int) -> Scene:
         "tilt_x_deg": float(poses.tilt_deg[number]),
         "tilt_y_deg": 0.0,
     }
-    target = scene.tank.target.model_copy(update=update)
-    return replace(scene, tank=scene.tank.model_copy(update={"target": target}))
+    return scene.with_tank(target=update)
 
 
 def _board_document(scene: Scene) -> Document:

@@ -11,7 +11,7 @@ from lscan.errors import InputError
 from lscan.files.pictures import read_picture
 from lscan.records import Bytes, Floats
 from sim.meshes.parts import Paint
-from sim.scene import Texture
+from sim.scene.matter import Texture
 
 LUMINANCE = (0.2126, 0.7152, 0.0722)  # of linear red, green and blue: ITU-R BT.709
 # Two texels between whose centres, at u = 1/4 and 3/4, a picture rises linearly from 0 to 1.

@@ -9,7 +9,7 @@ from lscan.config.targets import Sandwave
 from lscan.records import Floats
 from sim.meshes.parts import grid_faces, plain_mesh
 from sim.meshes.workpieces import sandwave_body
-from sim.scene import Sand
+from sim.scene.matter import Sand
 
 # Facets a grain: fewer would flatten the caps.
 FACETS_PER_GRAIN = 3

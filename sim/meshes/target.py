@@ -19,7 +19,8 @@ from sim.meshes.paint import picture_paint, reflectance_at, vertex_paint
 from sim.meshes.parts import Finish, MeshPart, moved, plain_mesh
 from sim.meshes.sand import sanded_sandwave_mesh
 from sim.meshes.workpieces import grooved_block_mesh, sandwave_parts
-from sim.scene import FLOOR_HALF_SIDE_MM, Floor, Scene, Texture, target_pose
+from sim.scene import FLOOR_HALF_SIDE_MM, Scene, target_pose
+from sim.scene.matter import Floor, Texture
 
 MOST_BYTES = {"ply": 2**28, "stl": 2**28, "obj": 2**26, "off": 2**26}
 """Of a mesh file, by its ending.  Text takes up to fifty times as much once it is read."""
@@ -127,8 +128,8 @@ def load_mesh(path: Path, mm_per_unit: float = 1.0) -> trimesh.Trimesh:
     try:
         mesh = trimesh.load_mesh(io.BytesIO(content), file_type=kind, process=False)
     except Exception as error:  # trimesh raises whatever its format readers raise
-        told = " ".join(f"is not a mesh that can be read: {error}".split())
-        raise InputError(told, where=path) from error
+        message = " ".join(f"is not a mesh that can be read: {error}".split())
+        raise InputError(message, where=path) from error
     if not isinstance(mesh, trimesh.Trimesh) or len(mesh.faces) == 0:
         raise InputError("holds no triangles", where=path)
     if not np.isfinite(mesh.vertices).all():

@@ -72,7 +72,7 @@ class BackendError(LscanError):
 
 @dataclass(frozen=True)
 class Library:
-    """A libLLVM by its resolved path; ``major`` is None where the name does not tell."""
+    """A libLLVM by its resolved path; ``major`` is None where the name does not say."""
 
     path: Path
     major: int | None
@@ -201,8 +201,8 @@ def _judge(code: int, stderr: str) -> ProbeResult:
     if code == 0:
         return ProbeResult(works=True)
     lines = [line.strip() for line in stderr.splitlines() if line.strip()] or ["no message"]
-    told = [line for line in lines if "LLVM ERROR" in line]
-    reason = re.sub(r":? 0x.*", "", (told or lines[-1:])[0])[:120]  # without its addresses
+    fatal = [line for line in lines if "LLVM ERROR" in line]
+    reason = re.sub(r":? 0x.*", "", (fatal or lines[-1:])[0])[:120]  # without its addresses
     if code > 0:
         return ProbeResult(works=False, reason=reason, final=False)
     crashed = -code in (signal.SIGABRT, signal.SIGSEGV, signal.SIGILL)
@@ -275,17 +275,6 @@ def _advice(faults: list[str]) -> str:
     )
 
 
-def install_llvm() -> None:
-    """Install the first package of PACKAGES that apt-get offers; its output goes to stderr.
-
-    Raises BackendError where apt-get, the right to use it, or such a package is missing.
-    """
-    try:
-        install_first(PACKAGES)
-    except PackageError as refused:
-        raise BackendError(str(refused)) from refused
-
-
 def find_or_install() -> Library:
     """The libLLVM to render with, installed first where none serves.
 
@@ -297,8 +286,8 @@ def find_or_install() -> Library:
         if os.environ.get("DRJIT_LIBLLVM_PATH"):
             raise
         try:
-            install_llvm()
-        except BackendError as refused:
+            install_first(PACKAGES)
+        except PackageError as refused:
             raise BackendError(f"{missing}; {refused}") from refused
     return find_llvm()
 

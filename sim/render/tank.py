@@ -20,8 +20,9 @@ from sim.render.plugins.finefilm import FineCamera
 from sim.render.plugins.integrator import SheetIntegrator
 from sim.render.plugins.multiple import MultipleIntegrator
 from sim.render.plugins.sheet import LaserSheet
-from sim.scene import Scene, camera_pose, head_pose, track_direction
+from sim.scene import Scene, camera_pose, head_pose
 from sim.scene.file import check_samples
+from sim.scene.poses import track_direction
 from sim.water import HenyeyGreensteinMixture, Optics, glass_index, water_optics
 
 Radiance = NDArray[np.float32]

@@ -8,38 +8,9 @@ the board.  The target stands in the world frame, which is the head frame of tra
 of shifting, and positions are arcs (lscan.config.rig.ShaftSection).
 """
 
-from sim.scene.file import (
-    SECTIONS,
-    Render,
-    Scene,
-    TankSections,
-    check_lens,
-    load_scene,
-    scene_of,
-    target_pose,
-)
-from sim.scene.instrument import (
-    DomePort,
-    Drift,
-    FlatPort,
-    Head,
-    Laser,
-    LaserLine,
-    Lens,
-    Port,
-    Response,
-    Sensor,
-    TrueShaft,
-)
-from sim.scene.matter import (
-    FLOOR_HALF_SIDE_MM,
-    AmbientLight,
-    Floor,
-    Sand,
-    Target,
-    Texture,
-    Water,
-)
+from sim.scene.file import SECTIONS, Scene, load_scene, scene_of, target_pose
+from sim.scene.instrument import FlatPort, Head, Laser, LaserLine, Lens, Port, Sensor, TrueShaft
+from sim.scene.matter import FLOOR_HALF_SIDE_MM
 from sim.scene.poses import (
     Pose,
     camera_pose,
@@ -50,35 +21,22 @@ from sim.scene.poses import (
     rotation_y,
     rotation_z,
     sheet_pose,
-    track_direction,
 )
 
 __all__ = [
     "FLOOR_HALF_SIDE_MM",
     "SECTIONS",
-    "AmbientLight",
-    "DomePort",
-    "Drift",
     "FlatPort",
-    "Floor",
     "Head",
     "Laser",
     "LaserLine",
     "Lens",
     "Port",
     "Pose",
-    "Render",
-    "Response",
-    "Sand",
     "Scene",
     "Sensor",
-    "TankSections",
-    "Target",
-    "Texture",
     "TrueShaft",
-    "Water",
     "camera_pose",
-    "check_lens",
     "head_pose",
     "into_head",
     "into_world",
@@ -89,5 +47,4 @@ __all__ = [
     "scene_of",
     "sheet_pose",
     "target_pose",
-    "track_direction",
 ]

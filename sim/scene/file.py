@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
 from math import isqrt
 from pathlib import Path
 from typing import Annotated, Any, Self
@@ -80,6 +81,14 @@ class Scene:
     tank: TankSections
     document: Document
     source: str
+
+    def with_tank(self, **sections: Mapping[str, Any]) -> Scene:
+        """The scene with fields of its tank's sections replaced, which are not checked anew."""
+        changed = {
+            name: getattr(self.tank, name).model_copy(update=dict(fields))
+            for name, fields in sections.items()
+        }
+        return replace(self, tank=self.tank.model_copy(update=changed))
 
 
 SECTIONS = frozenset(TankSections.model_fields)

@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 from lscan.errors import InputError
 from lscan.records import Bytes
 from sim.render.fineness import binned, fineness_of, finer_lens
-from sim.scene import Lens, Response, Scene
+from sim.scene import Lens, Scene
+from sim.scene.instrument import Response
 from sim.sensor.blur import point_spread
 from sim.sensor.coding import electrons_of, encode, linear_dn, through_jpeg
 from sim.sensor.colour import ColourFilter

@@ -76,8 +76,7 @@ class ConcavityErrors:
 def concavity_errors(case: ConcavityCase) -> ConcavityErrors:
     """The errors over a short scan of the case's scene, before and after the corrections."""
     scene, scatter_samples = case.scene, case.scatter_samples
-    render = scene.tank.render.model_copy(update={"samples": SAMPLES, "fineness": FINENESS})
-    scene = replace(scene, tank=scene.tank.model_copy(update={"render": render}))
+    scene = scene.with_tank(render={"samples": SAMPLES, "fineness": FINENESS})
     tank, webcam = Tank(scene), Webcam(scene)
     blur_px = scene.tank.lens.blur_px or None
     settings = StripeSection(blur_px=blur_px)
@@ -131,7 +130,7 @@ def sheet_geometry(scene: Scene) -> SheetGeometry:
     """What the correction for thickness has to know, from the scene."""
     laser, head = scene.tank.laser, scene.tank.head
     if head.shaft is not None:
-        raise InputError("thickness: is taken back on a linear track only", where=scene.source)
+        raise InputError("thickness: is corrected for on a linear track only", where=scene.source)
     yaw_rad = float(np.radians(head.yaw_deg))
     return SheetGeometry(laser.waist_mm / 2, head.camera_mm, laser.apex_mm, yaw_rad)
 

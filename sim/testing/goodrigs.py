@@ -23,7 +23,7 @@ from lscan.devices.manual import ManualOptions
 from lscan.devices.opencv_camera import OpencvOptions
 from lscan.records import Frame
 from sim.devices import CameraOptions, TrackOptions
-from sim.scene import TankSections
+from sim.scene.file import TankSections
 
 SIZE_PX = (16, 16)
 CAMERAS: dict[str, type[Strict]] = {

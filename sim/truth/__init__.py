@@ -13,6 +13,7 @@ analytic geometry.  What it shares with them is what defines the tank and cannot
   them the paper's Eq. (4), and the triangles of a mesh (sim.meshes);
 - the indices and coefficients of water and glass (sim.water), which have tests of their own
   against published values;
+- the thickness of a Gaussian sheet (sim.scene.Laser), which the renderer computes for itself;
 - the Brown-Conrady polynomials that the lens is specified by, written twice and held to OpenCV's;
 - in sim.truth.light.brightness alone, the sensor's full scale, photons per radiance and contrast of
   speckle (sim.sensor.coding, radiometry, speckle): that module judges how the instrument reads
@@ -20,28 +21,22 @@ analytic geometry.  What it shares with them is what defines the tank and cannot
 """
 
 from sim.truth.board import BoardTruth, board_truth
-from sim.truth.camera.projection import entry_points, project
+from sim.truth.camera.projection import project
 from sim.truth.light.brightness import LineBrightness, line_brightness
-from sim.truth.sheet import TrueSheet, sheet_of
+from sim.truth.sheet import sheet_of
 from sim.truth.shutter import stripe_truth, stripe_truths
 from sim.truth.stripe import StripeTruth
-from sim.truth.target.section import SheetSection, section_at, surfaces_of
 from sim.truth.visibility import slice_visibility
 
 __all__ = [
     "BoardTruth",
     "LineBrightness",
-    "SheetSection",
     "StripeTruth",
-    "TrueSheet",
     "board_truth",
-    "entry_points",
     "line_brightness",
     "project",
-    "section_at",
     "sheet_of",
     "slice_visibility",
     "stripe_truth",
     "stripe_truths",
-    "surfaces_of",
 ]

@@ -40,7 +40,7 @@ class BoardTruth:
         the two differ by the perspective's bias.  A ring's points count as dots as wide as its
     line.
     A mark is OUT_OF_VIEW where its centre lies outside the picture, OCCLUDED where something
-    stands before it; a ring's points, which have no status, are NaN then.
+    occludes it; a ring's points, which have no status, are NaN then.
     """
 
     centres: BoardReading
@@ -85,7 +85,7 @@ class BoardPicture:
         return np.select([~shown, ~free], [Status.OUT_OF_VIEW, Status.OCCLUDED], Status.OK)
 
     def centre(self, places: Floats, diameter_mm: float) -> Floats:
-        """(N, 2) px of the places themselves, whatever stands there."""
+        """(N, 2) px of the places themselves."""
         return project(self.scene, self.head(places)[0])
 
     def centroid(self, places: Floats, diameter_mm: float) -> Floats:

@@ -33,7 +33,7 @@ STEEPEST = 1.5  # more than the distance to the sheet changes per mm
 
 @dataclass(frozen=True)
 class Bow:
-    """How far a bowed sheet stands off its plane; frame of the plane as sim.truth.sheet.
+    """How far a bowed sheet lies off its plane; frame of the plane as sim.truth.sheet.
 
     apex_mm: (x, z).  aim_rad: of the fan's axis.  leaning_rad: b, the angle in the water of
     the middle ray to the window's normal.  index: the water's.

@@ -1,6 +1,6 @@
-"""Whether camera, laser and target stand where a scan can be made of them.
+"""Whether camera, laser and target are placed so that they can be scanned.
 
-Refused: a camera or a laser inside the target or beneath the floor.  Told, for it may be meant:
+Refused: a camera or a laser inside the target or beneath the floor.  Logged as warnings, for it may be meant:
 how large a mesh file is and what it lacks, and a target that the line does not fall on.
 """
 
@@ -16,9 +16,11 @@ from lscan.errors import InputError
 from lscan.records import Floats, Mask
 from sim.meshes import target_mesh
 from sim.scene import FlatPort, Scene, camera_pose, head_pose, into_world, target_pose
-from sim.truth import SheetSection, TrueSheet, project, section_at, sheet_of
+from sim.truth import project, sheet_of
 from sim.truth.camera.flat import flat_normal
+from sim.truth.sheet import TrueSheet
 from sim.truth.target.mesh import Mesh
+from sim.truth.target.section import SheetSection, section_at
 from sim.truth.visibility import in_fan, in_picture, passing_mm
 
 MOST_PLACES = 25  # of the plan's, spread evenly, that are looked at
@@ -38,13 +40,13 @@ def check_placement(scene: Scene) -> None:
     """
     mesh, target = target_mesh(scene), scene.tank.target
     if target.shape == "mesh":
-        _tell(scene, mesh_notes(scene, mesh))
+        _warn(scene, mesh_notes(scene, mesh))
     _check_outside(scene, mesh)
     if target.shape in ("mesh", "workpiece") and scene.tank.laser.on:
-        _tell(scene, out_of_reach(scene, mesh))
+        _warn(scene, out_of_reach(scene, mesh))
 
 
-def _tell(scene: Scene, notes: list[str]) -> None:
+def _warn(scene: Scene, notes: list[str]) -> None:
     for note in notes:  # warnings, so that they are seen without logging set up
         _log.warning("note: %s: %s", scene.source, note)
 
@@ -63,7 +65,7 @@ def mesh_notes(scene: Scene, mesh: trimesh.Trimesh) -> list[str]:
 def gaps_of(mesh: trimesh.Trimesh) -> list[str]:
     """One note on the open edges of a mesh, none where every edge has a triangle on either side.
 
-    A loop of k open edges is closed by k - 2 triangles; loops that share a vertex are told apart
+    A loop of k open edges is closed by k - 2 triangles; loops that share a vertex are counted
     by Euler's formula: E edges, V vertices and C connected parts have E - V + C loops.  That
     counts a ring of gaps, each of which touches the next, as one loop more.
     """

@@ -3,7 +3,7 @@
 A sheet has a plane of its own, its frame turned out of the head's by the laser's skew and
 tilt: the apex has the same x and z in both, and a sheet without tilt, skew and offset lies
 in the head's y = 0, where the two frames are one.  Points of the sheet are given by their
-(x, z) in that plane; a bowed sheet stands off it in y.  The fan's rays are straight in
+(x, z) in that plane; a bowed sheet lies off it in y.  The fan's rays are straight in
 (x, z) whether the sheet is bowed or not: a cone's rays all pass through its apex.
 """
 
@@ -38,7 +38,7 @@ class TrueSheet:
         return self.pose.invert(points_head)[:, [0, 2]]
 
     def clearance_mm(self, points_head: Floats) -> Floats:
-        """(N,) how far in y of the sheet's plane (N, 3) points of the head frame stand off it."""
+        """(N,) how far in y of the sheet's plane (N, 3) points of the head frame lie off it."""
         local = self.pose.invert(points_head)
         return local[:, 1] if self.bow is None else self.bow.clearance_mm(local)
 

@@ -1,7 +1,7 @@
 """The laser line as it ought to be found, the shutter rolling while the head moves.
 
 Row v is exposed about the time (v/H - 1/2) readout_ms, so it shows what the head sees from
-where it stands then.  The line is told for head positions spread over those of the rows it
+where it is then.  The line is found for head positions spread over those of the rows it
 lies in, and each column takes its point from the two of them between which its row falls.
 """
 
@@ -95,7 +95,7 @@ def _joined(truths: Sequence[StripeTruth], rows: Floats) -> StripeTruth:
     centres = np.stack([truth.centre_px for truth in truths])
     index = np.arange(centres.shape[1])
     shown = centres if truths[0].axis == "columns" else index + 0 * centres
-    ahead = shown - rows[:, np.newaxis]  # of the row the head then stands for
+    ahead = shown - rows[:, np.newaxis]  # of the row read out with the head there
     near = np.where(np.isnan(ahead), np.inf, np.abs(ahead)).argmin(axis=0)
     other = _other_side(ahead, near)
     caught = np.abs(ahead[near, index]) <= rows[1] - rows[0]

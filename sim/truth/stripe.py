@@ -133,7 +133,7 @@ def _project_ends(scene: Scene, sheet: TrueSheet, section: SheetSection) -> Floa
 
 @dataclass(frozen=True)
 class _Choice:
-    """What is reached, seen, both, (K,) each, and the crossing best told of each column."""
+    """What is reached, seen, both, (K,) each, and the crossing that each column takes."""
 
     lit: Mask
     seen: Mask

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 
 import numpy as np
 
@@ -26,7 +25,7 @@ from sim.truth.camera.projection import camera_of, project, rays_to
 from sim.truth.roots import increasing_roots
 from sim.truth.sheet import TrueSheet, sheet_of
 from sim.truth.target.section import SheetSection, surfaces_of
-from sim.truth.target.surfaces import SELF_MM, TankSurface, spread
+from sim.truth.target.surfaces import SELF_MM, TankSurface, cross, spread
 
 ALIGNED = TrueSheet(Pose(np.eye(3), np.zeros(3)), bow=None)
 
@@ -75,9 +74,9 @@ def lit(laser: Laser, section: SheetSection, xz_mm: Floats) -> Mask:
     towards = offset[point] / distance[point, np.newaxis]
     start = section.ends_mm[owner, 0] - _apex(laser)
     along = section.ends_mm[owner, 1] - section.ends_mm[owner, 0]
-    across = _cross(towards, along)
+    across = cross(towards, along)
     radial = across == 0  # seen edge on: stops nothing
-    reach = np.where(radial, np.inf, _cross(start, along) / np.where(radial, 1.0, across))
+    reach = np.where(radial, np.inf, cross(start, along) / np.where(radial, 1.0, across))
     nearest = np.full(len(xz_mm), np.inf)
     np.minimum.at(nearest, point, reach)
     return in_fan(laser, xz_mm) & (distance <= nearest + SELF_MM)
@@ -118,7 +117,7 @@ def slice_visibility(scene: Scene, points_mm: Floats, line: int = 0) -> Mask:
     points = np.asarray(points_mm, dtype=float)
     if points.ndim != 2 or points.shape[1] != 2 or not np.isfinite(points).all():
         raise InputError("slice points", value=points.shape, allowed="finite, (N, 2)")
-    scene = without_sand(scene)
+    scene = scene.with_tank(target={"sand": None})
     tank, workpiece = scene.tank, scene.rig.workpiece
     if tank.target.shape != "workpiece" or not isinstance(workpiece, Sandwave):
         raise InputError(
@@ -193,15 +192,5 @@ def _turning_past_mm(shaft: TrueShaft, points_mm: Floats, sheet: TrueSheet) -> F
     return np.asarray(np.where(nearer, angles[0], angles[1]) * shaft.arc_radius_mm)
 
 
-def without_sand(scene: Scene) -> Scene:
-    """The scene with its target bare."""
-    target = scene.tank.target.model_copy(update={"sand": None})
-    return replace(scene, tank=scene.tank.model_copy(update={"target": target}))
-
-
 def _apex(laser: Laser) -> Floats:
     return np.array([laser.apex_mm[0], laser.apex_mm[2]])
-
-
-def _cross(a: Floats, b: Floats) -> Floats:
-    return a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]

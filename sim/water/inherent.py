@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sim.scene import Water
+from sim.scene.matter import Water
 from sim.water.index import SALINITY_PSU, TEMPERATURE_C
 from sim.water.limits import require
 

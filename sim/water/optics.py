@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from lscan.records import Floats
-from sim.scene import Water
+from sim.scene.matter import Water
 from sim.water.fournier import FournierForand
 from sim.water.index import refractive_index
 from sim.water.inherent import coefficients

@@ -16,7 +16,8 @@ import numpy as np
 
 from lscan.records import Floats
 from sim.render.plugins.opaque import opaque, opaque_vector
-from sim.scene import DomePort, FlatPort, Port, rotation_x, rotation_y
+from sim.scene import FlatPort, Port, rotation_x, rotation_y
+from sim.scene.instrument import DomePort
 
 
 @dataclass(frozen=True)

@@ -14,7 +14,7 @@ from math import hypot
 import numpy as np
 
 from lscan.records import Floats
-from sim.scene import DomePort
+from sim.scene.instrument import DomePort
 from sim.truth.roots import increasing_roots
 
 Shells = tuple[tuple[float, float, Floats | float], ...]  # index, inner and outer radius, mm

@@ -6,8 +6,8 @@ the point, light takes the one of the shortest optical path,
     hypot(gap, a) + n_glass hypot(thickness, b - a) + n_water hypot(depth, r - b),
 
 r being the point's distance from the normal through the pinhole, and a and b those of the places
-where the faces are crossed.  The sum is convex in a and b and is minimised here as it stands; no
-law of refraction is used.  The port's normal is the camera's axis turned by the port's tilts, in
+where the faces are crossed.  The sum is convex in a and b and is minimised numerically; no law
+of refraction is used.  The port's normal is the camera's axis turned by the port's tilts, in
 the camera frame Ry(tilt_y) Rx(tilt_x) (0, 0, 1).
 """
 

@@ -24,7 +24,6 @@ from sim.truth.camera.flat import flat_normal
 from sim.truth.camera.projection import TrueCamera, camera_of, project, rays_to
 from sim.truth.light.radiance import (
     LineInSpace,
-    half_width_mm,
     line_in_space,
     line_radiance,
     port_weight,
@@ -57,7 +56,7 @@ class LineBrightness:
     height_sigma_dn: (N,) standard deviation of the brightest pixel, speckle and the line's own
         shot noise included.
     snr: (N,) height_dn over noise_dn.  The highest of 480 pixels of pure noise stands out of it
-        by 3.0 (the mean of the largest of 480 normal numbers): below, a line cannot be told from
+        by 3.0 (the mean of the largest of 480 normal numbers): below, a line cannot be separated from
         noise.
     """
 
@@ -136,7 +135,7 @@ def brightest_pixel(
     distance = np.linalg.norm(
         sheet.flattened(line.points) - np.array(scene.tank.laser.apex_mm)[[0, 2]], axis=1
     )
-    width = half_width_mm(scene.tank.laser, distance, camera.water_index) / 2 / steep
+    width = scene.tank.laser.half_thickness_mm(distance, camera.water_index) / 2 / steep
     lean2 = (per_px[:, along] / per_px[:, across]) ** 2
     centre = truth.centre_px[truth.status == Status.OK]
     aside = centre - np.rint(centre)

@@ -10,7 +10,7 @@ from lscan.records import Floats, Status
 from sim.scene import FlatPort, Laser, LaserLine, Scene, head_pose, into_world
 from sim.truth.camera.flat import flat_normal
 from sim.truth.camera.projection import RaysToPoints, TrueCamera, camera_of, rays_to
-from sim.truth.light.reflection import Lit, Reflectance
+from sim.truth.light.reflection import Lit, Reflectance, fresnel
 from sim.truth.sheet import TrueSheet
 from sim.truth.stripe import StripeTruth
 from sim.truth.visibility import fan_angle
@@ -115,16 +115,9 @@ def irradiance(
     power = laser.power_mw * line.share / np.trapezoid(_fan(laser, angle), angle)
     density = power * _fan(laser, fan_angle(laser, xz))
     distance = np.linalg.norm(xz - np.array(laser.apex_mm)[[0, 2]], axis=1)
-    return density / distance / (np.sqrt(np.pi / 2) * half_width_mm(laser, distance, water_index))
-
-
-def half_width_mm(laser: Laser, distance_mm: Floats, water_index: float) -> Floats:
-    """(N,) 1/e2 half width of the sheet at (N,) distances from its apex, mm.
-
-    A Gaussian beam of quality m2 (Siegman, Lasers, sec. 17.1).
-    """
-    divergence = laser.m2 * laser.wavelength_nm * 1e-6 / (np.pi * laser.waist_mm * water_index)
-    return np.hypot(laser.waist_mm, divergence * (distance_mm - laser.waist_distance_mm))
+    return (
+        density / distance / (np.sqrt(np.pi / 2) * laser.half_thickness_mm(distance, water_index))
+    )
 
 
 def port_weight(camera: TrueCamera, direction: Floats) -> Floats:
@@ -142,21 +135,9 @@ def port_weight(camera: TrueCamera, direction: Floats) -> Floats:
         # Index times the sine at each face, from the distance at which the ray passes the centre.
         passing = np.linalg.norm(np.cross(towards, np.array(port.centre_mm)), axis=1)
         sines = passing / port.radius_mm, passing / (port.radius_mm + port.thickness_mm)
-    faces = transmitted(sines[0], 1.0, glass) * transmitted(sines[1], glass, water)
-    return faces / water**2
-
-
-def transmitted(sine: Floats, before: float, behind: float) -> Floats:
-    """(N,) share of unpolarised light a face lets through; sine: times the index, kept by Snell.
-
-    From the amplitudes of Fresnel's sine and tangent laws (Born & Wolf sec. 1.5.2), with the
-    cosines of either side.
-    """
-    first, second = np.sqrt(1 - (sine / before) ** 2), np.sqrt(1 - (sine / behind) ** 2)
-    power = 4 * before * behind * first * second
-    across = power / (before * first + behind * second) ** 2
-    along = power / (behind * first + before * second) ** 2
-    return np.asarray((across + along) / 2)
+    inner = 1 - fresnel(np.sqrt(1 - sines[0] ** 2), glass)
+    outer = 1 - fresnel(np.sqrt(1 - (sines[1] / glass) ** 2), water / glass)
+    return np.asarray(inner * outer / water**2)
 
 
 def _fan(laser: Laser, angle: Floats) -> Floats:

@@ -29,7 +29,7 @@ class TankSurface(Protocol):
         """(M, 2, 2) straight pieces of the section: two ends of (x, z) in the sheet's plane.
 
         sheet: frame of the sheet's plane to world frame; the plane is its y = 0.
-        bow: how the sheet stands off the plane, None where it lies in it.
+        bow: how far the sheet lies off the plane, None where it lies in it.
         """
         ...
 
@@ -123,9 +123,9 @@ def clipped(pieces: Floats, outline: Floats) -> Floats:
 def _clipped(pieces: Floats, outline: Floats) -> Floats:
     start, run = pieces[:, np.newaxis, 0], (pieces[:, 1] - pieces[:, 0])[:, np.newaxis]
     edge, offset = np.roll(outline, -1, axis=0) - outline, outline - start
-    across = _cross(run, edge)
+    across = cross(run, edge)
     safe = np.where(across == 0, 1.0, across)
-    along, aside = _cross(offset, edge) / safe, _cross(offset, run) / safe
+    along, aside = cross(offset, edge) / safe, cross(offset, run) / safe
     meets = (across != 0) & (along > 0) & (along < 1) & (aside >= 0) & (aside <= 1)
     piece, _ = np.nonzero(meets)
     every = np.arange(len(pieces))
@@ -138,7 +138,8 @@ def _clipped(pieces: Floats, outline: Floats) -> Floats:
     return ends[within(outline, ends.mean(axis=1))]
 
 
-def _cross(a: Floats, b: Floats) -> Floats:
+def cross(a: Floats, b: Floats) -> Floats:
+    """(...,) cross products of (..., 2) vectors in a plane."""
     return a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0]
 
 

@@ -14,15 +14,9 @@ import numpy as np
 from lscan.records import Floats
 from sim.validation.physics.topics import topic
 from sim.validation.rows import Bar, Row, Topic
-from sim.water import (
-    absolute_index,
-    absorption_per_m,
-    air_index,
-    glass_index,
-    iapws_index,
-    molecular_scattering_per_m,
-    refractive_index,
-)
+from sim.water import glass_index, refractive_index
+from sim.water.index import absolute_index, air_index, iapws_index
+from sim.water.inherent import absorption_per_m, molecular_scattering_per_m
 
 NM = 650.0
 # T in C: Quan & Fry raw S 0, times air S 0, raw S 35, times air S 35.

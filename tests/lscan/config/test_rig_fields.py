@@ -18,7 +18,7 @@ from lscan.config.allowed import in_words
 from lscan.config.documents import Strict
 from lscan.config.rig import Rig
 from lscan.errors import InputError
-from sim.scene import TankSections
+from sim.scene.file import TankSections
 from sim.testing.crossing import CROSSINGS
 from sim.testing.goodrigs import CAMERAS, TRACKS, GoodRig, RigPart, good_rigs, write_beside
 from sim.testing.wrongfields import WrongField, crossed_rigs, places, wrong_fields

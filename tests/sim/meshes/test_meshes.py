@@ -15,22 +15,14 @@ from places import SCENES
 from lscan.config.board import Board, Grid
 from lscan.config.targets import GroovedBlock, Sandwave
 from lscan.errors import InputError
-from sim.meshes import (
-    CIRCLE_CORNERS,
-    WAVE_STEP_MM,
-    Finish,
-    board_parts,
-    grooved_block_mesh,
-    load_mesh,
-    reflectance_at,
-    sanded_sandwave_mesh,
-    sandwave_parts,
-    scene_parts,
-    target_mesh,
-    target_parts,
-)
+from sim.meshes import Finish, reflectance_at, scene_parts, target_mesh, target_parts
+from sim.meshes.board import CIRCLE_CORNERS, board_parts
 from sim.meshes.paint import luminance
-from sim.scene import Sand, Scene, Texture, load_scene
+from sim.meshes.sand import sanded_sandwave_mesh
+from sim.meshes.target import load_mesh
+from sim.meshes.workpieces import WAVE_STEP_MM, grooved_block_mesh, sandwave_parts
+from sim.scene import Scene, load_scene
+from sim.scene.matter import Sand, Texture
 from sim.validation.physics.gallery import scene_files
 
 GALLERY = SCENES

@@ -13,7 +13,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from lscan.errors import InputError
-from sim.meshes import load_mesh
+from sim.meshes.target import load_mesh
 
 MANY = 1_000_000_000
 CORNERS = np.float32([[0, 0, 0], [1, 0, 0], [0, 1, 0]]).tobytes()

@@ -12,6 +12,7 @@ from pathlib import Path
 import pytest
 from places import ROOT
 
+from sim.debian import PackageError, install_first
 from sim.render import backend
 from sim.render.backend import BackendError, Library, ProbeResult
 
@@ -272,22 +273,22 @@ def test_the_best_package_on_offer_is_installed(
 ) -> None:
     (machine / "known").write_text(known)
     (machine / "new").write_text(new)
-    backend.install_llvm()
+    install_first(backend.PACKAGES)
     assert (machine / "log").read_text().splitlines() == done
 
 
 def test_ubuntu_22_04_gets_no_install_but_a_line(machine: Path) -> None:
     (machine / "known").write_text("libllvm14\nlibllvm15\n")
-    with pytest.raises(BackendError, match="offers none of libllvm19"):
-        backend.install_llvm()
+    with pytest.raises(PackageError, match="offers none of libllvm19"):
+        install_first(backend.PACKAGES)
     assert (machine / "log").read_text().split() == ["update"]
 
 
 def test_a_failing_apt_get_is_an_error_after_one_update(machine: Path) -> None:
     (machine / "known").write_text("libllvm19\n")
     _program(machine / "programs" / "apt-get", f"echo try >>'{machine}/log'; exit 100")
-    with pytest.raises(BackendError, match="could not install libllvm19"):
-        backend.install_llvm()
+    with pytest.raises(PackageError, match="could not install libllvm19"):
+        install_first(backend.PACKAGES)
     assert (machine / "log").read_text().split() == ["try"] * 3
 
 
@@ -297,8 +298,8 @@ def test_without_the_right_to_install_nothing_is_tried(
     (machine / "known").write_text("libllvm19\n")
     _program(machine / "programs" / "sudo", "exit 1")
     monkeypatch.setattr(os, "geteuid", lambda: 1000)
-    with pytest.raises(BackendError, match="root or a sudo"):
-        backend.install_llvm()
+    with pytest.raises(PackageError, match="root or a sudo"):
+        install_first(backend.PACKAGES)
     assert (machine / "log").read_text() == ""
 
 

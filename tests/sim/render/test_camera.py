@@ -16,18 +16,9 @@ from lscan.errors import InputError
 from lscan.records import Floats
 from sim.render.plugins.camera import RefractiveCamera
 from sim.render.plugins.traced import TracedCamera
-from sim.scene import (
-    DomePort,
-    FlatPort,
-    Head,
-    Lens,
-    Port,
-    Pose,
-    Scene,
-    camera_pose,
-    check_lens,
-    load_scene,
-)
+from sim.scene import FlatPort, Head, Lens, Port, Pose, Scene, camera_pose, load_scene
+from sim.scene.file import check_lens
+from sim.scene.instrument import DomePort
 from sim.truth import project
 from sim.water import water_optics
 

@@ -14,8 +14,9 @@ from hypothesis import strategies as st
 
 from lscan.errors import InputError
 from lscan.records import Floats
-from sim.meshes import Finish, MeshPart, Paint, load_mesh
+from sim.meshes import Finish, MeshPart, Paint
 from sim.meshes.paint import vertex_paint
+from sim.meshes.target import load_mesh
 from sim.render.materials import mi, mitsuba_shape, surface
 
 WATER = 1.3313  # fresh water, 20 C, 650 nm

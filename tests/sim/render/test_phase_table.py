@@ -14,7 +14,7 @@ from water_sphere import integral
 
 from lscan.records import Floats
 from sim.render.plugins.phase import FINEST, FLAT, SCALE, PhaseTable, angle_between, approach
-from sim.scene import Water
+from sim.scene.matter import Water
 from sim.water import Optics, water_optics
 from sim.water.petzold import TABLE_RAD
 

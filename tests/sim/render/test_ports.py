@@ -19,7 +19,8 @@ from sim.render.plugins.ports import (
     fresnel_transmission,
 )
 from sim.render.plugins.traced import TracedPort, dielectric, port_shapes
-from sim.scene import DomePort, FlatPort, Port
+from sim.scene import FlatPort, Port
+from sim.scene.instrument import DomePort
 
 FOCAL_PX = 850.0
 GLASS, WATER = 1.488, 1.3313

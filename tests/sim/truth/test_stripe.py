@@ -18,18 +18,11 @@ from lscan.config.targets import GroovedBlock, Sandwave
 from lscan.errors import InputError
 from lscan.records import Status
 from sim.scene import Pose, Scene, head_pose, rotation_y, target_pose
-from sim.truth import (
-    StripeTruth,
-    entry_points,
-    project,
-    slice_visibility,
-    stripe_truth,
-    stripe_truths,
-    surfaces_of,
-)
+from sim.truth import StripeTruth, project, slice_visibility, stripe_truth, stripe_truths
+from sim.truth.camera.projection import entry_points
 from sim.truth.stripe import ColumnCrossings, continued, edge_distance
 from sim.truth.target.mesh import Mesh
-from sim.truth.target.section import grooved_block_surfaces, target_surfaces
+from sim.truth.target.section import grooved_block_surfaces, surfaces_of, target_surfaces
 from sim.truth.visibility import blocked, fan_angle, passing_mm
 
 FEW = settings(max_examples=10)

@@ -14,7 +14,8 @@ from truth_scenes import tank
 from lscan.config.documents import check
 from lscan.errors import InputError
 from sim.render.tank import Tank
-from sim.scene import Scene, Water, camera_pose, load_scene
+from sim.scene import Scene, camera_pose, load_scene
+from sim.scene.matter import Water
 from sim.truth import board_truth, project
 from sim.water import water_optics
 

@@ -8,15 +8,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from lscan.errors import InputError
-from sim.water import (
-    absolute_index,
-    absorption_per_m,
-    air_index,
-    fresh_water_density,
-    glass_index,
-    iapws_index,
-    refractive_index,
-)
+from sim.water import glass_index, refractive_index
+from sim.water.density import fresh_water_density
+from sim.water.index import absolute_index, air_index, iapws_index
+from sim.water.inherent import absorption_per_m
 
 # docs/explanation/physics.md, section 1, 650 nm: T, Quan & Fry at S 0, the same times air, and both
 # at S 35.

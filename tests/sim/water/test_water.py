@@ -9,17 +9,16 @@ from hypothesis import strategies as st
 from water_sphere import integral
 
 from lscan.errors import InputError
-from sim.scene import Water
+from sim.scene.matter import Water
 from sim.water import (
     FournierForand,
     HenyeyGreensteinMixture,
     PetzoldTable,
-    absorption_per_m,
-    molecular_phase,
-    molecular_scattering_per_m,
     refractive_index,
     water_optics,
 )
+from sim.water.inherent import absorption_per_m, molecular_scattering_per_m
+from sim.water.phase import molecular_phase
 
 # docs/explanation/physics.md, section 2: printed absorption and scattering, 1/m.
 PETZOLD_532 = [("clear", 0.069, 0.080), ("coastal", 0.088, 0.216), ("harbor", 0.295, 1.875)]

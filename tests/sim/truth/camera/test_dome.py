@@ -8,11 +8,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from truth_scenes import tank
 
-from sim.scene import DomePort, FlatPort, camera_pose
-from sim.truth import entry_points, project
+from sim.scene import FlatPort, camera_pose
+from sim.scene.instrument import DomePort
+from sim.truth import project
 from sim.truth.camera.dome import dome_rays, polar_angle
 from sim.truth.camera.flat import flat_rays
-from sim.truth.camera.projection import camera_of
+from sim.truth.camera.projection import camera_of, entry_points
 
 MANY = settings(max_examples=60)
 

@@ -11,9 +11,16 @@ from truth_scenes import tank
 
 from lscan.errors import InputError
 from sim.scene import FlatPort, Lens, Pose, Scene, camera_pose, rotation_x, rotation_y, rotation_z
-from sim.truth import entry_points, project
+from sim.truth import project
 from sim.truth.camera.flat import crossed_at, flat_normal
-from sim.truth.camera.projection import TrueCamera, camera_of, fold_radius, image, rays_to
+from sim.truth.camera.projection import (
+    TrueCamera,
+    camera_of,
+    entry_points,
+    fold_radius,
+    image,
+    rays_to,
+)
 from sim.water import refractive_index
 
 MANY = settings(max_examples=60)
