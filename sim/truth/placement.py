@@ -1,7 +1,7 @@
 """Whether camera, laser and target are placed so that they can be scanned.
 
-Refused: a camera or a laser inside the target or beneath the floor.  Logged as warnings, for it may be meant:
-how large a mesh file is and what it lacks, and a target that the line does not fall on.
+Refused: a camera or a laser inside the target or beneath the floor.  Logged as warnings, for it
+may be meant: how large a mesh file is and what it lacks, and a target that the line does not fall on.
 """
 
 from __future__ import annotations

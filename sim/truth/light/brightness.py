@@ -56,8 +56,7 @@ class LineBrightness:
     height_sigma_dn: (N,) standard deviation of the brightest pixel, speckle and the line's own
         shot noise included.
     snr: (N,) height_dn over noise_dn.  The highest of 480 pixels of pure noise stands out of it
-        by 3.0 (the mean of the largest of 480 normal numbers): below, a line cannot be separated from
-        noise.
+        by 3.0 (the mean of the largest of 480 normal numbers): below, a line is lost in noise.
     """
 
     height_dn: Floats

@@ -103,7 +103,7 @@ def test_a_board_has_a_table_beside_the_line(tmp_path: Path) -> None:
 
 def test_bad_input_leaves_nothing(tmp_path: Path) -> None:
     folder = tmp_path / "none"
-    with pytest.raises(InputError, match="no truth to tell: the laser is off"):
+    with pytest.raises(InputError, match="no truth to write: the laser is off"):
         write_truth(small(laser={"on": False}), taken_at(small(), [0.0]), folder)
     for place in (float("nan"), 2e5):
         with pytest.raises(InputError, match="--position"):
