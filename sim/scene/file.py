@@ -14,7 +14,7 @@ from pydantic import Field, model_validator
 from lscan.config.documents import Document, Strict, check, read_document
 from lscan.config.rig import Rig, RigFile, inline_board, parse_rig
 from lscan.errors import InputError
-from sim.scene.instrument import FlatPort, Head, Laser, Lens, Port, Seed, Sensor, TrueShaft
+from sim.scene.instrument import Head, Laser, Lens, PlanePort, Port, Seed, Sensor, TrueShaft
 from sim.scene.matter import AmbientLight, Floor, Target, Water
 from sim.scene.poses import Pose, head_pose, rotation_x, rotation_y, rotation_z
 
@@ -63,7 +63,7 @@ class TankSections(Strict):
 
     lens: Lens
     head: Head
-    port: Port = FlatPort()
+    port: Port = PlanePort()
     laser: Laser
     water: Water = Water()
     light: AmbientLight = AmbientLight()

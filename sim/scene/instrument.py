@@ -48,7 +48,7 @@ class Lens(Strict):
     glare_px: Annotated[float, Field(gt=0, le=1000)] = 20.0
 
 
-class FlatPort(Strict):
+class PlanePort(Strict):
     """Flat port: ``gap_mm`` of air from pinhole to glass along its normal, then the glass.
 
     The normal is the camera's axis turned by the tilts about the camera's x and y.
@@ -87,7 +87,7 @@ def _port_kind(value: Any) -> Any:
 
 
 Port = Annotated[
-    Annotated[FlatPort, Tag("flat")] | Annotated[DomePort, Tag("dome")], Discriminator(_port_kind)
+    Annotated[PlanePort, Tag("flat")] | Annotated[DomePort, Tag("dome")], Discriminator(_port_kind)
 ]
 
 

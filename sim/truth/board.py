@@ -48,7 +48,7 @@ class BoardTruth:
 
 
 @dataclass(frozen=True)
-class BoardPicture:
+class BoardProjection:
     """The board picture of a scene: how places on the board, (N, 2) of (x, z) mm, are imaged."""
 
     scene: Scene
@@ -96,7 +96,7 @@ class BoardPicture:
         return area_centroids(self.centre(outline, 0.0).reshape(-1, RIM_POINTS, 2))
 
 
-Imager = Callable[[Floats, float], Floats]  # BoardPicture.centre or BoardPicture.centroid
+Imager = Callable[[Floats, float], Floats]  # BoardProjection.centre or BoardProjection.centroid
 
 
 def board_truth(scene: Scene, position_mm: float = 0.0) -> BoardTruth:
@@ -112,12 +112,12 @@ def board_truth(scene: Scene, position_mm: float = 0.0) -> BoardTruth:
             value=scene.tank.target.shape,
             allowed='shape = "board"',
         )
-    view = BoardPicture(scene, surfaces_of(scene), position_mm)
+    view = BoardProjection(scene, surfaces_of(scene), position_mm)
     board = scene.rig.board
     return BoardTruth(_reading(board, view, view.centre), _reading(board, view, view.centroid))
 
 
-def _reading(board: Board, view: BoardPicture, image: Imager) -> BoardReading:
+def _reading(board: Board, view: BoardProjection, image: Imager) -> BoardReading:
     def marks(places: Floats, diameter_mm: float) -> Marks:
         status = view.status(places)
         shown = (status == Status.OK)[:, np.newaxis]

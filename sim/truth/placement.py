@@ -1,7 +1,8 @@
 """Whether camera, laser and target are placed so that they can be scanned.
 
 Refused: a camera or a laser inside the target or beneath the floor.  Logged as warnings, for it
-may be meant: how large a mesh file is and what it lacks, and a target that the line does not fall on.
+may be meant: how large a mesh file is and what it lacks, and a target that the line does not fall
+on.
 """
 
 from __future__ import annotations
@@ -15,12 +16,12 @@ import trimesh
 from lscan.errors import InputError
 from lscan.records import Floats, Mask
 from sim.meshes import target_mesh
-from sim.scene import FlatPort, Scene, camera_pose, head_pose, into_world, target_pose
+from sim.scene import PlanePort, Scene, camera_pose, head_pose, into_world, target_pose
 from sim.truth import project, sheet_of
 from sim.truth.camera.flat import flat_normal
 from sim.truth.sheet import TrueSheet
 from sim.truth.target.mesh import Mesh
-from sim.truth.target.section import SheetSection, section_at
+from sim.truth.target.section import TargetSection, section_at
 from sim.truth.visibility import in_fan, in_picture, passing_mm
 
 MOST_PLACES = 25  # of the plan's, spread evenly, that are looked at
@@ -123,7 +124,7 @@ def _missed(scene: Scene, mesh: trimesh.Trimesh, sheet: TrueSheet) -> str | None
     return ", ".join(sorted(found))
 
 
-def _fault(scene: Scene, sheet: TrueSheet, section: SheetSection, place: float) -> str | None:
+def _fault(scene: Scene, sheet: TrueSheet, section: TargetSection, place: float) -> str | None:
     """Why none of a section shows in a picture; None where some of it may."""
     xz = section.ends_mm.reshape(-1, 2)
     xz = np.concatenate([xz, section.ends_mm.mean(axis=1)])
@@ -168,7 +169,7 @@ def _check_outside(scene: Scene, mesh: trimesh.Trimesh) -> None:
 def _camera_points(scene: Scene) -> Floats:
     """(2, 3) the pinhole, and the middle of the port's outer face; head frame, mm."""
     port = scene.tank.port
-    if isinstance(port, FlatPort):
+    if isinstance(port, PlanePort):
         front = (port.gap_mm + port.thickness_mm) * flat_normal(port)
     else:
         ahead = np.array([0.0, 0.0, port.radius_mm + port.thickness_mm])

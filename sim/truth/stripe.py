@@ -11,7 +11,7 @@ from lscan.records import Axis, Floats, Ints, Mask, Status
 from sim.scene import Scene, head_pose
 from sim.truth.camera.projection import project
 from sim.truth.sheet import TrueSheet, sheet_of
-from sim.truth.target.section import SheetSection, section_at, split
+from sim.truth.target.section import TargetSection, section_at, split
 from sim.truth.target.surfaces import TankSurface, spread
 from sim.truth.visibility import in_picture, lit, seen
 
@@ -67,7 +67,7 @@ class ColumnCrossings:
     """Where the section crosses the columns: K points, several a column or none.
 
     column: (K,).  centre_px: (K,) v there.  slope: (K,) px of v per column there.
-    xz_mm: (K, 2) in the sheet's plane.  face, chain: (K,) as in SheetSection.
+    xz_mm: (K, 2) in the sheet's plane.  face, chain: (K,) as in TargetSection.
     """
 
     column: Ints
@@ -93,7 +93,7 @@ def standing_truth(
     return _assemble(scene, (position_mm, line), found, points, chosen)
 
 
-def crossings(scene: Scene, sheet: TrueSheet, section: SheetSection) -> ColumnCrossings:
+def crossings(scene: Scene, sheet: TrueSheet, section: TargetSection) -> ColumnCrossings:
     """Where the section, projected, crosses the middles of the picture's columns (or rows)."""
     camera, axis = scene.rig.camera, scene.rig.stripe.axis
     a, b, count = (0, 1, camera.width_px) if axis == "columns" else (1, 0, camera.height_px)
@@ -117,7 +117,7 @@ def crossings(scene: Scene, sheet: TrueSheet, section: SheetSection) -> ColumnCr
     return ColumnCrossings(column, place, slope, xz, fine.face[owner], fine.chain[owner])
 
 
-def _in_view(scene: Scene, sheet: TrueSheet, section: SheetSection) -> SheetSection:
+def _in_view(scene: Scene, sheet: TrueSheet, section: TargetSection) -> TargetSection:
     """The pieces that may show in the picture."""
     camera = scene.rig.camera
     size = np.array([camera.width_px, camera.height_px])
@@ -126,7 +126,7 @@ def _in_view(scene: Scene, sheet: TrueSheet, section: SheetSection) -> SheetSect
     return section.only(np.any(np.all(near, axis=2), axis=1))
 
 
-def _project_ends(scene: Scene, sheet: TrueSheet, section: SheetSection) -> Floats:
+def _project_ends(scene: Scene, sheet: TrueSheet, section: TargetSection) -> Floats:
     """(M, 2, 2) pixels of the pieces' ends."""
     return project(scene, sheet.in_head(section.ends_mm.reshape(-1, 2))).reshape(-1, 2, 2)
 

@@ -24,7 +24,7 @@ from sim.scene import (
 from sim.truth.camera.projection import camera_of, project, rays_to
 from sim.truth.roots import increasing_roots
 from sim.truth.sheet import TrueSheet, sheet_of
-from sim.truth.target.section import SheetSection, surfaces_of
+from sim.truth.target.section import TargetSection, surfaces_of
 from sim.truth.target.surfaces import SELF_MM, TankSurface, cross, spread
 
 ALIGNED = TrueSheet(Pose(np.eye(3), np.zeros(3)), bow=None)
@@ -53,7 +53,7 @@ def fan_angle(laser: Laser, xz_mm: Floats) -> Floats:
     return np.arctan2(across, ahead)
 
 
-def lit(laser: Laser, section: SheetSection, xz_mm: Floats) -> Mask:
+def lit(laser: Laser, section: TargetSection, xz_mm: Floats) -> Mask:
     """(N,) whether the laser reaches (N, 2) points of the section: the first hit of its ray.
 
     Two-dimensional visibility in the sheet: every piece of the section is met by the rays

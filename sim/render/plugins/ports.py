@@ -16,7 +16,7 @@ import numpy as np
 
 from lscan.records import Floats
 from sim.render.plugins.opaque import opaque, opaque_vector
-from sim.scene import FlatPort, Port, rotation_x, rotation_y
+from sim.scene import PlanePort, Port, rotation_x, rotation_y
 from sim.scene.instrument import DomePort
 
 
@@ -45,7 +45,7 @@ class PortOptics(Protocol):
 class FlatOptics:
     """A flat port: two parallel planes across its normal."""
 
-    def __init__(self, port: FlatPort, glass_index: float, water_index: float) -> None:
+    def __init__(self, port: PlanePort, glass_index: float, water_index: float) -> None:
         """Take the port's numbers as opaque values; indices are relative to air."""
         self.gap, self.thickness = opaque(port.gap_mm), opaque(port.thickness_mm)
         self.glass_index, self.water_index = opaque(glass_index), opaque(water_index)
@@ -89,12 +89,12 @@ class DomeOptics:
 
 def closed_form(port: Port, glass_index: float, water_index: float) -> PortOptics:
     """The port's closed form; the indices of glass and water are relative to air."""
-    if isinstance(port, FlatPort):
+    if isinstance(port, PlanePort):
         return FlatOptics(port, glass_index, water_index)
     return DomeOptics(port, glass_index, water_index)
 
 
-def port_rotation(port: FlatPort) -> Floats:
+def port_rotation(port: PlanePort) -> Floats:
     """(3, 3) port frame to camera frame; the last column is the normal, towards the water."""
     return np.asarray(rotation_y(port.tilt_y_deg) @ rotation_x(port.tilt_x_deg))
 

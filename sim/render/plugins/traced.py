@@ -17,7 +17,7 @@ import numpy as np
 from lscan.records import Floats
 from sim.render.plugins.camera import RefractiveCamera
 from sim.render.plugins.ports import PortCrossing, PortOptics, port_rotation
-from sim.scene import FlatPort, Port
+from sim.scene import PlanePort, Port
 
 # A port has an inner and an outer face.
 FACES = 2
@@ -76,7 +76,7 @@ def port_shapes(port: Port, glass_index: float, water_index: float) -> dict[str,
     """
     inner = dielectric(1.0, glass_index)
     outer = dielectric(glass_index, water_index)
-    if isinstance(port, FlatPort):
+    if isinstance(port, PlanePort):
         near, far = port.gap_mm, port.gap_mm + port.thickness_mm
         rotation, side = port_rotation(port), FLAT_REACH * far
         return {

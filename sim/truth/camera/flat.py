@@ -17,7 +17,7 @@ import numpy as np
 
 from lscan.errors import MeasurementError
 from lscan.records import Floats
-from sim.scene import FlatPort, rotation_x, rotation_y
+from sim.scene import PlanePort, rotation_x, rotation_y
 
 # A step this small, relative to 1 + r mm, leaves an error at the rounding of float64.
 SMALL_STEP = 1e-13
@@ -26,7 +26,7 @@ ENOUGH = 0.1  # share of the shortening that the slope promises, for a step to b
 ROUNDING = 1e-15  # of a path's length, relative
 
 
-def flat_rays(port: FlatPort, water_index: float, points_mm: Floats) -> tuple[Floats, Floats]:
+def flat_rays(port: PlanePort, water_index: float, points_mm: Floats) -> tuple[Floats, Floats]:
     """Directions in the air and places where the rays enter the water, each (N, 3).
 
     points_mm: (N, 3).  All in the camera frame, mm.  NaN for points not beyond the glass.
@@ -44,13 +44,13 @@ def flat_rays(port: FlatPort, water_index: float, points_mm: Floats) -> tuple[Fl
     return direction, (port.gap_mm + port.thickness_mm) * normal + outer * outward
 
 
-def flat_normal(port: FlatPort) -> Floats:
+def flat_normal(port: PlanePort) -> Floats:
     """(3,) unit normal of a flat port in the camera frame, towards the water."""
     turned = rotation_y(port.tilt_y_deg) @ rotation_x(port.tilt_x_deg)
     return turned @ np.array([0.0, 0.0, 1.0])
 
 
-def crossed_at(port: FlatPort, water_index: float, r_mm: Floats, depth_mm: Floats) -> Floats:
+def crossed_at(port: PlanePort, water_index: float, r_mm: Floats, depth_mm: Floats) -> Floats:
     """(2, N) distances from the normal at which the rays to N points cross the glass's faces, mm.
 
     By Newton's method, with steps halved until the path becomes shorter.

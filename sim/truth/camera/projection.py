@@ -10,7 +10,7 @@ from scipy.optimize import brentq
 
 from lscan.errors import InputError
 from lscan.records import Floats
-from sim.scene import FlatPort, Lens, Port, Pose, Scene, camera_pose
+from sim.scene import Lens, PlanePort, Port, Pose, Scene, camera_pose
 from sim.truth.camera.dome import dome_rays
 from sim.truth.camera.flat import flat_rays
 from sim.water import glass_index, water_optics
@@ -79,7 +79,7 @@ def rays_to(camera: TrueCamera, points_head_mm: Floats) -> RaysToPoints:
     if points.ndim != 2 or points.shape[1] != 3 or not np.isfinite(points).all():
         raise InputError("points to project", value=points.shape, allowed="finite, (N, 3)")
     local = camera.pose.invert(points)
-    if isinstance(camera.port, FlatPort):
+    if isinstance(camera.port, PlanePort):
         return RaysToPoints(*flat_rays(camera.port, camera.water_index, local))
     return RaysToPoints(*dome_rays(camera.port, camera.water_index, local))
 

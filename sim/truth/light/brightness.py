@@ -16,7 +16,7 @@ import numpy as np
 from scipy.special import ndtr
 
 from lscan.records import Floats, Status
-from sim.scene import FlatPort, Scene
+from sim.scene import PlanePort, Scene
 from sim.sensor.coding import FULL_SCALE_DN
 from sim.sensor.radiometry import AMBIENT_NM, photons_per_radiance
 from sim.sensor.speckle import speckle_contrast
@@ -184,7 +184,7 @@ def defocus_variance(scene: Scene, camera: TrueCamera, line: LineInSpace) -> Flo
     for move in (STEP_MM, -STEP_MM):
         step = np.array([move, 0.0, 0.0])
         nearer: dict[str, Any]
-        if isinstance(camera.port, FlatPort):
+        if isinstance(camera.port, PlanePort):
             nearer = {"gap_mm": camera.port.gap_mm - float(step @ flat_normal(camera.port))}
         else:
             nearer = {"centre_mm": tuple(np.array(camera.port.centre_mm) - step)}

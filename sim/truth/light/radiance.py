@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from lscan.records import Floats, Status
-from sim.scene import FlatPort, Laser, LaserLine, Scene, head_pose, into_world
+from sim.scene import Laser, LaserLine, PlanePort, Scene, head_pose, into_world
 from sim.truth.camera.flat import flat_normal
 from sim.truth.camera.projection import RaysToPoints, TrueCamera, camera_of, rays_to
 from sim.truth.light.reflection import Lit, Reflectance, fresnel
@@ -128,7 +128,7 @@ def port_weight(camera: TrueCamera, direction: Floats) -> Floats:
     """
     port, towards = camera.port, _unit(direction)
     glass, water = float(port.glass_index), camera.water_index
-    if isinstance(port, FlatPort):
+    if isinstance(port, PlanePort):
         sine = np.linalg.norm(np.cross(towards, flat_normal(port)), axis=1)
         sines = sine, sine
     else:

@@ -20,7 +20,7 @@ from sim.truth.target.wave import sandwave_surfaces
 
 
 @dataclass(frozen=True)
-class SheetSection:
+class TargetSection:
     """A section as straight pieces, in no particular order.
 
     ends_mm: (M, 2, 2) two ends of (x, z) of each piece, in the sheet's plane (sim.truth.sheet).
@@ -32,9 +32,9 @@ class SheetSection:
     face: Ints
     chain: Ints
 
-    def only(self, kept: Mask) -> SheetSection:
+    def only(self, kept: Mask) -> TargetSection:
         """The pieces where ``kept``, (M,), is true."""
-        return SheetSection(self.ends_mm[kept], self.face[kept], self.chain[kept])
+        return TargetSection(self.ends_mm[kept], self.face[kept], self.chain[kept])
 
 
 def surfaces_of(scene: Scene) -> list[TankSurface]:
@@ -86,7 +86,7 @@ def prism(outline: Floats, front_mm: float, back_mm: float, pose: Pose) -> list[
 
 def section_at(
     surfaces: Sequence[TankSurface], sheet: Pose, bow: Bow | None = None
-) -> SheetSection:
+) -> TargetSection:
     """The section of the surfaces by a sheet; sheet: frame of its plane to world frame.
 
     A flat sheet cuts polygons exactly, the sandwave within 1e-4 mm, meshes as their triangles
@@ -97,10 +97,10 @@ def section_at(
     face = np.repeat(np.arange(len(pieces)), [len(piece) for piece in pieces])
     ends = np.concatenate([np.empty((0, 2, 2)), *pieces])
     creased = np.array([isinstance(surface, Mesh) and surface.creased for surface in surfaces])
-    return SheetSection(ends, face, chains(ends, face, creased[face]))
+    return TargetSection(ends, face, chains(ends, face, creased[face]))
 
 
-def split(section: SheetSection, longest_mm: float) -> SheetSection:
+def split(section: TargetSection, longest_mm: float) -> TargetSection:
     """The same section in pieces no longer than ``longest_mm``."""
     start, end = section.ends_mm[:, 0], section.ends_mm[:, 1]
     count = np.ceil(np.linalg.norm(end - start, axis=1) / longest_mm).astype(int)
@@ -108,4 +108,4 @@ def split(section: SheetSection, longest_mm: float) -> SheetSection:
     owner, step = spread(count)
     parts = np.stack([step, step + 1]) / count[owner]
     ends = [start[owner] + part[:, np.newaxis] * (end[owner] - start[owner]) for part in parts]
-    return SheetSection(np.stack(ends, axis=1), section.face[owner], section.chain[owner])
+    return TargetSection(np.stack(ends, axis=1), section.face[owner], section.chain[owner])

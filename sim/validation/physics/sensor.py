@@ -10,7 +10,7 @@ import numpy as np
 
 from lscan.records import Floats
 from sim.render.tank import Layers, Tank
-from sim.scene import FlatPort, Scene
+from sim.scene import PlanePort, Scene
 from sim.sensor import Webcam
 from sim.sensor.speckle import speckle_contrast
 from sim.validation.physics.rigs import scene_with
@@ -218,7 +218,7 @@ def plane_on_paper() -> float:
     """
     scene = plane_scene()
     laser, port, model = scene.tank.laser, scene.tank.port, scene.tank.sensor
-    assert isinstance(port, FlatPort)
+    assert isinstance(port, PlanePort)
     index = water_optics(scene.tank.water, laser.wavelength_nm).index
     fan = laser.power_mw / (2 * np.radians(laser.fan_half_angle_deg)) / APEX_HEIGHT_MM
     irradiance_w_m2 = 1e3 * fan * sqrt(2 / pi) / laser.waist_mm

@@ -16,7 +16,7 @@ from lscan.errors import InputError
 from lscan.records import Floats
 from sim.render.plugins.camera import RefractiveCamera
 from sim.render.plugins.traced import TracedCamera
-from sim.scene import FlatPort, Head, Lens, Port, Pose, Scene, camera_pose, load_scene
+from sim.scene import Head, Lens, PlanePort, Port, Pose, Scene, camera_pose, load_scene
 from sim.scene.file import check_lens
 from sim.scene.instrument import DomePort
 from sim.truth import project
@@ -24,7 +24,7 @@ from sim.water import water_optics
 
 SCENE = load_scene(SCENES / "paper" / "groove.toml")
 WIDTH, HEIGHT = SCENE.rig.camera.width_px, SCENE.rig.camera.height_px
-PORT = FlatPort(gap_mm=10.0, thickness_mm=6.0, glass_index=1.488)
+PORT = PlanePort(gap_mm=10.0, thickness_mm=6.0, glass_index=1.488)
 AT_ORIGIN = Pose(np.eye(3), np.zeros(3))  # the world is the camera frame
 
 
@@ -129,7 +129,7 @@ def test_a_ray_passes_through_what_its_pixel_sees(
     of a metre to some 1e-4 mm, which is 1e-4 px here.
     """
     lens = Lens(focal_px=focal, centre_px=centre, k1=k1, k2=k2, p1=p[0], p2=p[1])
-    port = FlatPort(
+    port = PlanePort(
         gap_mm=gap, thickness_mm=thickness, glass_index=glass,
         tilt_x_deg=tilt[0], tilt_y_deg=tilt[1],
     )  # fmt: skip
@@ -187,7 +187,7 @@ def test_the_field_of_view_shrinks_by_the_index() -> None:
     """The ratio of sines is exactly n: 30 degrees in air is 22.06 in water
     (docs/explanation/physics.md, section 6)."""
     lens = Lens(focal_px=300.0, centre_px=(319.5, 239.5))
-    scene = scene_with(lens, FlatPort(), SCENE.tank.head)
+    scene = scene_with(lens, PlanePort(), SCENE.tank.head)
     index = water_optics(scene.tank.water, 650.0).index
     pixels = np.array([[319.5 + 300 * np.tan(np.radians(30)), 239.5]])
     _, direction, _ = rays(scene, pixels)
@@ -229,7 +229,7 @@ def test_numbers_change_without_a_kernel_being_compiled(dome: bool) -> None:
         port = (
             DomePort(kind="dome", radius_mm=50 * scale, thickness_mm=4 * scale)
             if dome
-            else FlatPort(gap_mm=20 * scale, thickness_mm=6 * scale, tilt_x_deg=3 * scale)
+            else PlanePort(gap_mm=20 * scale, thickness_mm=6 * scale, tilt_x_deg=3 * scale)
         )
         lens = Lens(focal_px=850 * scale, centre_px=(319.5 * scale, 239.5), focus_mm=900 * scale)
         camera.configure(lens, port, 1.5 * scale, 1.3 * scale, aperture_mm=2 * scale)
@@ -251,7 +251,7 @@ def lens_in_air(aperture_mm: float, focus_mm: float, **size: int) -> RefractiveC
     camera = make_camera(**size)
     width, height = camera.film().size()
     lens = Lens(focal_px=850.0, centre_px=((width - 1) / 2, (height - 1) / 2), focus_mm=focus_mm)
-    port = FlatPort(gap_mm=40.0, glass_index=1.0)
+    port = PlanePort(gap_mm=40.0, glass_index=1.0)
     camera.configure(lens, port, 1.0, 1.0, aperture_mm=aperture_mm)
     camera.place(AT_ORIGIN)
     return camera

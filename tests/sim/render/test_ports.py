@@ -19,7 +19,7 @@ from sim.render.plugins.ports import (
     fresnel_transmission,
 )
 from sim.render.plugins.traced import TracedPort, dielectric, port_shapes
-from sim.scene import FlatPort, Port
+from sim.scene import PlanePort, Port
 from sim.scene.instrument import DomePort
 
 FOCAL_PX = 850.0
@@ -93,7 +93,7 @@ def test_a_flat_port_is_a_dielectric_slab(
     gap: float, thickness: float, glass: float, water: float, tilt: tuple[float, float],
     pupil: float,
 ) -> None:  # fmt: skip
-    port = FlatPort(
+    port = PlanePort(
         gap_mm=gap, thickness_mm=thickness, glass_index=glass, tilt_x_deg=tilt[0],
         tilt_y_deg=tilt[1],
     )  # fmt: skip
@@ -126,7 +126,7 @@ def test_a_pane_of_glass_in_air_is_a_cube() -> None:
     cube = {"type": "cube", "to_world": scale, "bsdf": dielectric(GLASS, 1.0)}
     rays = bundle(500, 4.0, 60, seed=3)
     traced = cross(TracedPort({"pane": cube}), *rays)
-    closed = cross(FlatOptics(FlatPort(gap_mm=10, thickness_mm=6), GLASS, 1.0), *rays)
+    closed = cross(FlatOptics(PlanePort(gap_mm=10, thickness_mm=6), GLASS, 1.0), *rays)
     assert apart_px(closed, traced) <= 0.005
     np.testing.assert_allclose(closed[2], traced[2], atol=1e-3)
     np.testing.assert_allclose(closed[1], rays[1], atol=1e-6)
@@ -180,7 +180,7 @@ def test_a_wide_dome_far_off_is_a_flat_port() -> None:
     rays = bundle(200, 0.0, 1.0, seed=6)
     _, behind, weight = cross(DomeOptics(dome, GLASS, WATER), *rays)
     _, straight, through = cross(
-        FlatOptics(FlatPort(gap_mm=12.0, thickness_mm=6.0), GLASS, WATER), *rays
+        FlatOptics(PlanePort(gap_mm=12.0, thickness_mm=6.0), GLASS, WATER), *rays
     )
     np.testing.assert_allclose(behind, straight, atol=0.0025)
     np.testing.assert_allclose(weight, through, rtol=1e-4)
@@ -234,7 +234,7 @@ def test_brewsters_angle_loses_half_of_what_s_light_does() -> None:
 
 def test_the_weight_on_the_axis_is_fresnels_loss_over_the_index_squared() -> None:
     """On the axis R = ((n1-n2)/(n1+n2))^2 at each face."""
-    optics = FlatOptics(FlatPort(), GLASS, WATER)
+    optics = FlatOptics(PlanePort(), GLASS, WATER)
     _, _, weight = cross(optics, np.zeros((1, 3)), np.array([[0.0, 0.0, 1.0]]))
     inner = 1 - ((GLASS - 1) / (GLASS + 1)) ** 2
     outer = 1 - ((GLASS - WATER) / (GLASS + WATER)) ** 2
@@ -243,7 +243,7 @@ def test_the_weight_on_the_axis_is_fresnels_loss_over_the_index_squared() -> Non
 
 def test_rays_that_do_not_come_through_weigh_nothing() -> None:
     """Those that turn away from a flat port or start beyond it, or start outside a dome."""
-    flat = FlatPort(gap_mm=5.0, thickness_mm=6.0)
+    flat = PlanePort(gap_mm=5.0, thickness_mm=6.0)
     away = np.array([[0.0, 0.6, -0.8]])
     beyond = np.array([[0.0, 0.0, 8.0]])
     ahead = np.array([[0.0, 0.0, 1.0]])

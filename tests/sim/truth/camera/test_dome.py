@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from truth_scenes import tank
 
-from sim.scene import FlatPort, camera_pose
+from sim.scene import PlanePort, camera_pose
 from sim.scene.instrument import DomePort
 from sim.truth import project
 from sim.truth.camera.dome import dome_rays, polar_angle
@@ -133,7 +133,7 @@ def test_turning_dome_and_points_turns_the_rays(port, seed, turn):
 def test_a_large_dome_is_a_flat_port():
     rng = np.random.default_rng(1)
     points = np.column_stack([rng.uniform(-300, 300, (50, 2)), rng.uniform(100, 1500, 50)])
-    flat = FlatPort(gap_mm=10.0, thickness_mm=6.0, glass_index=1.49)
+    flat = PlanePort(gap_mm=10.0, thickness_mm=6.0, glass_index=1.49)
     expected, _ = flat_rays(flat, 1.3313, points)
 
     def rays(radius_mm: float) -> np.ndarray:

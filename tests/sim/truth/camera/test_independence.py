@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from lscan import camera as instrument
 from lscan.camera.lens import fold_radius as instruments_fold
-from sim.scene import FlatPort, Lens, Pose
+from sim.scene import Lens, PlanePort, Pose
 from sim.truth.camera.projection import TrueCamera, fold_radius, image, rays_to
 
 MANY = settings(max_examples=60)
@@ -27,7 +27,7 @@ LENS = st.builds(
     p2=st.floats(-2e-3, 2e-3),
 )
 PORT = st.builds(
-    FlatPort,
+    PlanePort,
     gap_mm=st.floats(1, 60),
     thickness_mm=st.floats(0.5, 30),
     glass_index=st.floats(1.3, 1.9),
@@ -36,7 +36,7 @@ PORT = st.builds(
 )
 
 
-def instruments(lens: Lens, port: FlatPort, water_index: float) -> instrument.Camera:
+def instruments(lens: Lens, port: PlanePort, water_index: float) -> instrument.Camera:
     """The same camera as the instrument describes one."""
     window = instrument.FlatPort(
         port.gap_mm,
@@ -53,7 +53,7 @@ def instruments(lens: Lens, port: FlatPort, water_index: float) -> instrument.Ca
 @MANY
 @given(lens=LENS, port=PORT, water=st.floats(1.33, 1.345), seed=st.integers(0, 1000))
 def test_both_see_a_point_in_the_same_pixel(
-    lens: Lens, port: FlatPort, water: float, seed: int
+    lens: Lens, port: PlanePort, water: float, seed: int
 ) -> None:
     """To 1e-9 px.
 
@@ -80,7 +80,7 @@ def test_both_find_the_same_fold_of_the_distortion(lens: Lens) -> None:
     roots = np.roots([1.0, 3 * lens.k1, 5 * lens.k2, 7 * lens.k3])
     apart = np.abs(roots[:, np.newaxis] - roots)[np.triu_indices(len(roots), 1)]
     assume(apart.min() > 1e-5)
-    found, expected = fold_radius(lens), instruments_fold(instruments(lens, FlatPort(), 1.33))
+    found, expected = fold_radius(lens), instruments_fold(instruments(lens, PlanePort(), 1.33))
     assert np.isinf(found) == np.isinf(expected)
     if np.isfinite(expected):
         assert abs(found - expected) <= 1e-9 * expected

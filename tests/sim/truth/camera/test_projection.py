@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from truth_scenes import tank
 
 from lscan.errors import InputError
-from sim.scene import FlatPort, Lens, Pose, Scene, camera_pose, rotation_x, rotation_y, rotation_z
+from sim.scene import Lens, PlanePort, Pose, Scene, camera_pose, rotation_x, rotation_y, rotation_z
 from sim.truth import project
 from sim.truth.camera.flat import crossed_at, flat_normal
 from sim.truth.camera.projection import (
@@ -35,7 +35,7 @@ LENS = st.builds(
     p2=st.floats(-2e-3, 2e-3),
 )
 PORT = st.builds(
-    FlatPort,
+    PlanePort,
     gap_mm=st.floats(1, 60),
     thickness_mm=st.floats(0.5, 30),
     glass_index=st.floats(1.3, 1.9),
@@ -112,7 +112,7 @@ def undistorted(camera: TrueCamera, pixels: np.ndarray, start: np.ndarray) -> np
 )
 def test_the_check_values_of_the_port(r_mm, z_mm, tangent):
     # docs/explanation/physics.md, section 6: 10 mm of air, 6 mm of glass, n = 1 / 1.49 / 1.3313.
-    port = FlatPort(gap_mm=10.0, thickness_mm=6.0, glass_index=1.49)
+    port = PlanePort(gap_mm=10.0, thickness_mm=6.0, glass_index=1.49)
     inner, _ = crossed_at(port, 1.3313, np.array([r_mm]), np.array([z_mm - 16.0]))
     assert inner[0] / port.gap_mm == pytest.approx(tangent, abs=1e-10)
 
@@ -120,7 +120,7 @@ def test_the_check_values_of_the_port(r_mm, z_mm, tangent):
 @MANY
 @given(lens=LENS, pose=poses(), seed=st.integers(0, 2**31))
 def test_without_refraction_it_is_opencv(lens, pose, seed):
-    camera = TrueCamera(pose, lens, FlatPort(glass_index=1.0, tilt_x_deg=5.0), water_index=1.0)
+    camera = TrueCamera(pose, lens, PlanePort(glass_index=1.0, tilt_x_deg=5.0), water_index=1.0)
     points = points_before(camera, seed)
     local = pose.invert(points)
     found = image(camera, rays_to(camera, points).direction)
@@ -232,14 +232,14 @@ def test_what_cannot_be_imaged_has_no_pixel():
 def test_a_distortion_next_to_none_is_none(k1):
     """The fold's radius is then so large that its square is no number any more."""
     lens = Lens(focal_px=100.0, centre_px=(0.0, 0.0), k1=k1)
-    camera = TrueCamera(Pose(np.eye(3), np.zeros(3)), lens, FlatPort(), 1.33)
+    camera = TrueCamera(Pose(np.eye(3), np.zeros(3)), lens, PlanePort(), 1.33)
     assert image(camera, np.array([[0.5, -0.25, 1.0]])).tolist() == [[50.0, -25.0]]
 
 
 def test_no_pixel_beyond_the_fold_of_the_distortion():
     # r (1 - r2/12) turns at 1 = 3 r2/12: r = 2.
     lens = Lens(focal_px=100.0, centre_px=(0.0, 0.0), k1=-1 / 12)
-    camera = TrueCamera(Pose(np.eye(3), np.zeros(3)), lens, FlatPort(), 1.33)
+    camera = TrueCamera(Pose(np.eye(3), np.zeros(3)), lens, PlanePort(), 1.33)
     assert fold_radius(lens) == pytest.approx(2.0, abs=1e-12)
     pixels = image(camera, np.array([[1.999, 0, 1.0], [2.001, 0, 1.0]]))
     assert np.isfinite(pixels[:, 0]).tolist() == [True, False]

@@ -15,7 +15,7 @@ from lscan.errors import InputError
 from sim.scene import Pose, head_pose, rotation_x, rotation_y, rotation_z
 from sim.truth.target.mesh import Mesh
 from sim.truth.target.section import (
-    SheetSection,
+    TargetSection,
     grooved_block_surfaces,
     section_at,
     split,
@@ -213,7 +213,7 @@ def test_floor_and_board_stand_where_they_should():
 @given(seed=st.integers(0, 2**31), longest=st.floats(0.05, 3))
 def test_split_keeps_the_curve(seed, longest):
     rng = np.random.default_rng(seed)
-    whole = SheetSection(rng.uniform(-5, 5, (7, 2, 2)), np.arange(7), np.arange(7))
+    whole = TargetSection(rng.uniform(-5, 5, (7, 2, 2)), np.arange(7), np.arange(7))
     parts = split(whole, longest)
     assert lengths(parts.ends_mm).max() <= longest * (1 + 1e-12)
     for face in range(7):
