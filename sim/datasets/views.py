@@ -119,14 +119,7 @@ def held_scenes(scene: Scene, count: int = 10, seed: int = 1) -> list[Scene]:
 
 def _require(scene: Scene) -> Board:
     """The scene's board; InputError where there is none, no lamp or no laser."""
-    tank, board = scene.tank, scene.rig.board
-    if tank.target.shape != "board" or board is None:
-        raise InputError(
-            "target is not the board",
-            where=scene.source,
-            value=tank.target.shape,
-            allowed='shape = "board"',
-        )
+    tank, board = scene.tank, scene.board()
     if tank.light.ambient_w_m2_sr == 0:
         raise InputError("light: there is none to see the board by", where=scene.source)
     if not tank.laser.on:

@@ -11,6 +11,7 @@ from typing import Annotated, Any, Self
 import numpy as np
 from pydantic import Field, model_validator
 
+from lscan.config.board import Board
 from lscan.config.documents import Document, Strict, check, read_document
 from lscan.config.rig import Rig, RigFile, inline_board, parse_rig
 from lscan.errors import InputError
@@ -81,6 +82,17 @@ class Scene:
     tank: TankSections
     document: Document
     source: str
+
+    def board(self) -> Board:
+        """The board that is the target; InputError where the target is another."""
+        if self.tank.target.shape != "board" or self.rig.board is None:
+            raise InputError(
+                "target is not the board",
+                where=self.source,
+                value=self.tank.target.shape,
+                allowed='shape = "board"',
+            )
+        return self.rig.board
 
     def with_tank(self, **sections: Mapping[str, Any]) -> Scene:
         """The scene with fields of its tank's sections replaced, which are not checked anew."""

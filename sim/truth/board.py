@@ -8,7 +8,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from lscan.config.board import Board, Ring
-from lscan.errors import InputError
 from lscan.records import (
     BoardReading,
     Floats,
@@ -105,15 +104,8 @@ def board_truth(scene: Scene, position_mm: float = 0.0) -> BoardTruth:
     Where the head moves, that is its place in the middle of the read-out.
     Raises InputError where the scene's target is not the board.
     """
-    if scene.tank.target.shape != "board" or scene.rig.board is None:
-        raise InputError(
-            "target is not the board",
-            where=scene.source,
-            value=scene.tank.target.shape,
-            allowed='shape = "board"',
-        )
+    board = scene.board()
     view = BoardProjection(scene, surfaces_of(scene), position_mm)
-    board = scene.rig.board
     return BoardTruth(_reading(board, view, view.centre), _reading(board, view, view.centroid))
 
 

@@ -44,21 +44,14 @@ def dome_rays(port: DomePort, water_index: float, points_mm: Floats) -> tuple[Fl
     glass: Shells = ((float(port.glass_index), port.radius_mm, outer),)
     water: Shells = ((water_index, outer, distance[out]),)
     target = np.arctan2(r[out], height[out])
-    start[out] = starting_angle(target, from_centre, port.radius_mm, glass + water)
-    entry[out] = polar_angle(start[out], from_centre, port.radius_mm, glass)[0]
-    return _towards(start, axis, outward), centre + outer * _towards(entry, axis, outward)
 
-
-def starting_angle(
-    target: Floats, from_centre_mm: float, radius_mm: float, shells: Shells
-) -> Floats:
-    """(N,) angle at the pinhole, from the axis, of the rays that end at polar angles ``target``."""
-
-    def excess(start: Floats) -> tuple[Floats, Floats]:
-        reached, slope = polar_angle(start, from_centre_mm, radius_mm, shells)
+    def excess(angle: Floats) -> tuple[Floats, Floats]:
+        reached, slope = polar_angle(angle, from_centre, port.radius_mm, glass + water)
         return reached - target, slope
 
-    return increasing_roots(excess, np.zeros_like(target), np.full_like(target, np.pi))
+    start[out] = increasing_roots(excess, np.zeros_like(target), np.full_like(target, np.pi))
+    entry[out] = polar_angle(start[out], from_centre, port.radius_mm, glass)[0]
+    return _towards(start, axis, outward), centre + outer * _towards(entry, axis, outward)
 
 
 def polar_angle(
