@@ -33,11 +33,29 @@ FARTHEST_MM = 1e5  # beyond, single precision no longer carries a hundredth of a
 def write_render(
     scene: Scene, position_mm: float, folder: Path, samples: int | None = None
 ) -> dict[str, Path]:
-    """The files written: picture and labels (PNG), and the layers of light (NumPy .npz).
+    """Write picture and labels (PNG), and the layers of light (NumPy .npz).
 
     The layers are float32 radiances in W/(m2 sr) in the air behind the port, (H, W) as the
-    picture whatever the render's fineness.  labels.png has
-    a class for each pixel (sim.datasets.labels.Label), labels-colour.png the same to look at.
+    picture whatever the render's fineness.  labels.png has a class for each pixel
+    (sim.datasets.labels.Label), labels-colour.png the same to look at.
+
+    Parameters
+    ----------
+    scene, position_mm
+        The tank, and the head's track position.
+    folder
+        To write to; it is made.
+    samples
+        A pixel, a square number; the scene's if None.
+
+    Returns
+    -------
+    The files by their names.
+
+    Raises
+    ------
+    InputError
+        Where position or samples are out of range, or the disk refuses.
     """
     from sim.datasets.labels import colour_labels, label_scene
     from sim.devices import metered

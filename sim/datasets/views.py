@@ -52,14 +52,28 @@ class Poses:
 
 
 def write_views(scene: Scene, folder: Path, count: int = 10, seed: int = 1) -> dict[str, Path]:
-    """The files written: ``views.toml``, ``board.toml``, and two pictures for each pose.
+    """Write ``views.toml``, ``board.toml``, and two pictures for each pose.
 
-    scene: a board, lamps and laser; where the board stands is not looked at.  The pictures of
-    a pose, ``pose-0.png`` with the lamps alone and ``pose-0-laser.png`` with lamps and laser,
-    are what ``lscan calibrate-metric folder/views.toml`` takes.
-    count: of poses.  seed: of the poses and of all noise.
+    The pictures of a pose, ``pose-0.png`` with the lamps alone and ``pose-0-laser.png`` with lamps
+    and laser, are what ``lscan calibrate-metric folder/views.toml`` takes.
 
-    Raises InputError where the scene lacks board, lamps or laser, or where too few poses serve.
+    Parameters
+    ----------
+    scene
+        A board, lamps and laser; the board's own pose is not used.
+    folder
+        To write to; it is made.
+    count, seed
+        Of the poses; of the poses and of all noise.
+
+    Returns
+    -------
+    The files by their names.
+
+    Raises
+    ------
+    InputError
+        Where the scene lacks board, lamps or laser, or where too few poses serve.
     """
     held = held_scenes(scene, count, seed)
     make_folder(folder)

@@ -107,7 +107,24 @@ SECTIONS = frozenset(TankSections.model_fields)
 
 
 def load_scene(path: Path | str) -> Scene:
-    """The scene described by the TOML file at ``path``; InputError names what is wrong."""
+    """The scene described by a TOML file.
+
+    Parameters
+    ----------
+    path
+        The file, or a name that ``lscan scenes`` lists.
+
+    Raises
+    ------
+    InputError
+        Names the file, the key, the value and what is allowed.
+
+    Examples
+    --------
+    >>> scene = load_scene(Path("paper/groove"))
+    >>> scene.tank.laser.wavelength_nm
+    650.0
+    """
     document = inline_board(read_document(path), source=str(path))
     strange = sorted(set(document) - set(Rig.model_fields) - SECTIONS)
     if strange:

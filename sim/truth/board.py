@@ -99,10 +99,19 @@ Imager = Callable[[Floats, float], Floats]  # BoardProjection.centre or BoardPro
 
 
 def board_truth(scene: Scene, position_mm: float = 0.0) -> BoardTruth:
-    """The truth of the board picture taken with the head at ``position_mm``.
+    """The truth of the picture of the calibration board.
 
-    Where the head moves, that is its place in the middle of the read-out.
-    Raises InputError where the scene's target is not the board.
+    Parameters
+    ----------
+    scene
+        The board in its tank.
+    position_mm
+        Track position of the head; where it moves, in the middle of the read-out.
+
+    Raises
+    ------
+    InputError
+        Where the scene's target is not the board.
     """
     board = scene.board()
     view = BoardProjection(scene, surfaces_of(scene), position_mm)

@@ -25,18 +25,46 @@ MOST_STEPS = 500  # beyond, steps grow: 20 mm of travel in one read-out
 
 
 def stripe_truth(scene: Scene, position_mm: float, line: int = 0) -> StripeTruth:
-    """The true line in the picture of the head at ``position_mm``; see ``stripe_truths``."""
+    """The true line in one picture.
+
+    Parameters
+    ----------
+    scene
+        The tank.
+    position_mm
+        Track position of the head; where it moves, in the middle of the read-out.
+    line
+        Index into ``laser.sheets``.
+
+    Raises
+    ------
+    InputError
+        As ``stripe_truths``.
+    """
     return stripe_truths(scene, [position_mm], line)[0]
 
 
 def stripe_truths(scene: Scene, positions_mm: Sequence[float], line: int = 0) -> list[StripeTruth]:
-    """The true line at each track position, of the sheet ``laser.sheets[line]``.
+    """The true line at each track position.
 
-    With the head moving and the shutter rolling, position_mm is that of the middle of the
-    read-out; centres are good to 1e-4 px where the line is smooth.  Where it changes face or
-    status within STEP_MM of travel the point is that of the nearest position, up to
-    STEP_MM/2 away.  Raises InputError where there is no such line or the target cannot be
-    cut (a mesh file that is not one, a sandwave tilted past its slopes).
+    With the head moving and the shutter rolling, centres are good to 1e-4 px where the line is
+    smooth.  Where it changes face or status within STEP_MM of travel the point is that of the
+    nearest position, up to STEP_MM/2 away.
+
+    Parameters
+    ----------
+    scene
+        The tank.
+    positions_mm
+        Of the head; where it moves, in the middle of the read-out.
+    line
+        Index into ``laser.sheets``.
+
+    Raises
+    ------
+    InputError
+        Where there is no such line or the target cannot be cut: a mesh file that is not one, a
+        sandwave tilted too far for its slopes.
     """
     surfaces = surfaces_of(scene)
     if travel_mm(scene) == 0:

@@ -53,12 +53,25 @@ def camera_of(scene: Scene) -> TrueCamera:
 
 
 def project(scene: Scene, points_head_mm: Floats) -> Floats:
-    """(N, 2) pixels (u, v) of (N, 3) points in the head frame, mm.
+    """The pixels that points of the water are seen in.
 
-    NaN where the camera forms no image: points not beyond the port's glass, seen 90 degrees
-    or more off the axis, or so far off it that the distortion polynomial folds back.  A pixel
-    may lie outside the picture.  Raises InputError where the points are not finite or not
-    (N, 3).
+    Parameters
+    ----------
+    scene
+        The tank.
+    points_head_mm
+        (N, 3), head frame, mm.
+
+    Returns
+    -------
+    (N, 2) pixels (u, v), which may lie outside the picture; NaN where the camera forms no image:
+    points not beyond the port's glass, seen 90 degrees or more off the axis, or so far off it that
+    the distortion polynomial folds back.
+
+    Raises
+    ------
+    InputError
+        Where the points are not finite or not (N, 3).
     """
     camera = camera_of(scene)
     return image(camera, rays_to(camera, points_head_mm).direction)
