@@ -18,6 +18,8 @@ from sim.scene.instrument import DomePort
 from sim.truth.roots import increasing_roots
 
 Shells = tuple[tuple[float, float, Floats | float], ...]  # index, inner and outer radius, mm
+# A dome nearer to the pinhole than this is centred; below, dividing by the distance loses digits.
+CENTRED_MM = 1e-100
 
 
 def dome_rays(port: DomePort, water_index: float, points_mm: Floats) -> tuple[Floats, Floats]:
@@ -29,7 +31,7 @@ def dome_rays(port: DomePort, water_index: float, points_mm: Floats) -> tuple[Fl
     centre = np.array(port.centre_mm)
     from_centre = hypot(*port.centre_mm)  # safe from underflow
     # A centred dome has no axis of its own: any will do.
-    axis = -centre / from_centre if from_centre > 0 else np.array([0.0, 0.0, 1.0])
+    axis = -centre / from_centre if from_centre > CENTRED_MM else np.array([0.0, 0.0, 1.0])
     outer = port.radius_mm + port.thickness_mm
 
     local = points_mm - centre
