@@ -12,7 +12,7 @@ from lscan.devices.grbl import SerialTrackOptions
 from lscan.devices.manual import ManualOptions
 from lscan.devices.opencv_camera.options import OpencvOptions
 from sim.devices import CameraOptions, TrackOptions
-from sim.scene import TankSections
+from sim.scene.file import TankSections
 
 IN_RIG_ONLY = ("board",)  # its keys are those of a board file
 
