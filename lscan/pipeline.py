@@ -18,7 +18,7 @@ from lscan.errors import InputError, MeasurementError
 from lscan.records import Bytes, Floats, Profile, Progress, Surface
 from lscan.stripe import extract_stripe
 from lscan.surface import Alignment, align_sandwave, apply, stack
-from lscan.surface.concavity import SheetGeometry, correct_thickness
+from lscan.surface.concavity import correct_thickness
 from lscan.surface.profile import to_profile
 from lscan.surface.shaft import shaft_of, stack_about
 
@@ -135,16 +135,7 @@ def correct(raw: Surface, rig: Rig, yaw_rad: float = 0.0) -> Surface:
     Surface
         In the head frame.
     """
-    sheet = rig.sheet
-    if sheet is None:
-        return raw
-    geometry = SheetGeometry(
-        irradiance_sigma_mm=sheet.thickness_mm / 2,
-        camera_mm=sheet.camera_mm,
-        apex_mm=sheet.apex_mm,
-        yaw_rad=yaw_rad,
-    )
-    return correct_thickness(raw, geometry)
+    return raw if rig.sheet is None else correct_thickness(raw, rig.sheet, yaw_rad)
 
 
 def build_surface(profiles: Sequence[Profile], rig: Rig) -> Surface:

@@ -1,4 +1,4 @@
-"""Taking back what the sheet's thickness does to a line on a sloping or curved target.
+"""Correcting for what the sheet's thickness does to a line on a sloping or curved target.
 
 Light that falls a little before or behind the sheet's middle plane meets the target at
 another height, and the camera, which looks at the sheet askew, sees it displaced even where
@@ -27,6 +27,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from lscan.config.rig import SheetSection
 from lscan.errors import InputError
 from lscan.records import Floats, Surface, has_value
 from lscan.surface.align.levelling import shear
@@ -44,59 +45,46 @@ NO_BETTER_MM = 1e-6
 """Heights are weighed as if known to no better than this: exact ones have weights too."""
 
 
-@dataclass(frozen=True)
-class SheetGeometry:
-    """The laser sheet and the view of it, in the head frame.
+def correct_thickness(surface: Surface, sheet: SheetSection, yaw_rad: float = 0.0) -> Surface:
+    """The surface with its heights moved to those of the sheet's middle plane.
 
-    irradiance_sigma_mm: standard deviation across the sheet, half its 1/e2 half width.
-    camera_mm: (3,) the camera's pinhole.  Behind a flat port that is close to the pinhole
-        the rays in the water come from there too, to a few mm.
-    apex_mm: (3,) where the laser's fan opens.
-    yaw_rad: angle of the sheet against the track, as ``align_sandwave`` finds it.
-    """
+    The target is taken for matt, of one reflectance within the sheet's thickness.  Points without
+    enough neighbours for their concavity keep their height, and get the root mean square of all
+    corrections as a further uncertainty.  sigma_z_mm grows by the noise of the correction, and
+    by all of it where within two sigmas of the sheet the target folds out of the camera's
+    sight, which the series does not describe.
 
-    irradiance_sigma_mm: float
-    camera_mm: tuple[float, float, float]
-    apex_mm: tuple[float, float, float]
-    yaw_rad: float = 0.0
+    Parameters
+    ----------
+    surface : Surface
+        In the head frame, as stacked, its heights found from whole-line centroids.
+    sheet : SheetSection
+        Its thickness, twice the standard deviation of the irradiance; from where it is lit and
+        seen.  Behind a flat port the rays in the water come from close to the pinhole too.
+    yaw_rad : float
+        Angle of the sheet against the track, as ``align_sandwave`` finds it.
 
-    def __post_init__(self) -> None:
-        """Refuse a sheet of no thickness and a camera in the sheet or beyond it."""
-        sigma = self.irradiance_sigma_mm
-        if not (np.isfinite(sigma) and sigma > 0):
-            raise InputError("sheet: irradiance_sigma_mm", value=sigma, allowed="> 0 mm")
-        places = np.array([*self.camera_mm, *self.apex_mm, self.yaw_rad], dtype=float)
-        if not np.isfinite(places).all():
-            raise InputError("sheet: a place is not finite", value=places.tolist())
-        if self.camera_mm[1] >= 0:
-            raise InputError("sheet: camera_mm", value=self.camera_mm, allowed="y below 0")
-
-
-def correct_thickness(surface: Surface, sheet: SheetGeometry) -> Surface:
-    """The surface with its heights moved back to those of the sheet's middle plane.
-
-    surface: in the head frame, as stacked, its heights found from whole-line centroids.
-    The target is taken for matt, of one reflectance within the sheet's thickness.
-
-    Points without enough neighbours for their concavity keep their height.  sigma_z_mm grows by
-    the noise of the correction, and by all of it where within two sigmas of the sheet the
-    target folds out of the camera's sight, which the series does not describe.  Points kept
-    as they are get the root mean square of all corrections.
-    Raises InputError for a surface that is not in the head frame.
+    Raises
+    ------
+    InputError
+        For a surface that is not in the head frame.
     """
     if surface.frame != "head":
         raise InputError(
             "is aligned already", where="surface", value=surface.frame, allowed="the head frame"
         )
-    parts = [_shift(forms, surface.xyz_mm[f], sheet) for f, forms in _quadratics(surface, sheet)]
+    parts = [
+        _shift(forms, surface.xyz_mm[f], sheet)
+        for f, forms in _quadratics(surface, sheet.thickness_mm / 2, yaw_rad)
+    ]
     shift, sigma = (np.stack(column) for column in zip(*parts, strict=True))
     known = np.isfinite(shift)
     typical = float(np.sqrt(np.mean(shift[known] ** 2))) if known.any() else 0.0
     xyz = surface.xyz_mm.copy()
     xyz[..., 2] -= np.where(known, shift, 0.0)
     total = np.hypot(surface.sigma_z_mm, np.where(known, sigma, typical))
-    yaw_deg = float(np.degrees(sheet.yaw_rad))
-    done = f"sheet thickness of {2 * sheet.irradiance_sigma_mm:g} mm at a yaw of {yaw_deg:.3f} deg"
+    yaw_deg = float(np.degrees(yaw_rad))
+    done = f"sheet thickness of {sheet.thickness_mm:g} mm at a yaw of {yaw_deg:.3f} deg"
     corrections = (*surface.corrections, done)
     return replace(surface, xyz_mm=xyz, sigma_z_mm=total, corrections=corrections)
 
@@ -114,12 +102,14 @@ class _Quadratics:
     covariance: Floats
 
 
-def _quadratics(surface: Surface, sheet: SheetGeometry) -> Iterator[tuple[int, _Quadratics]]:
+def _quadratics(
+    surface: Surface, sigma_mm: float, yaw_rad: float
+) -> Iterator[tuple[int, _Quadratics]]:
     """Index and local quadratics of each profile, fitted to it and its neighbours."""
     valid = has_value(surface.status) & np.isfinite(surface.xyz_mm).all(axis=-1)
-    true = np.where(valid[..., None], surface.xyz_mm, np.nan) @ shear(sheet.yaw_rad).T
+    true = np.where(valid[..., None], surface.xyz_mm, np.nan) @ shear(yaw_rad).T
     along, across = _spacing(true[..., 1], 0), _spacing(true[..., 0], 1)
-    radius = max(REACH_IN_SIGMAS * sheet.irradiance_sigma_mm, REACH_IN_SAMPLES * max(along, across))
+    radius = max(REACH_IN_SIGMAS * sigma_mm, REACH_IN_SAMPLES * max(along, across))
     frames, columns = (int(np.ceil(radius / step)) for step in (along, across))
     count = true.shape[1]
     beside = np.arange(count)[:, None] + np.arange(-columns, columns + 1)
@@ -175,7 +165,7 @@ def _fit(offset: Floats, noise: Floats, radius: float) -> _Quadratics:
     )
 
 
-def _shift(forms: _Quadratics, points: Floats, sheet: SheetGeometry) -> tuple[Floats, Floats]:
+def _shift(forms: _Quadratics, points: Floats, sheet: SheetSection) -> tuple[Floats, Floats]:
     """(N,) displacement in mm of the heights of one profile, and its uncertainty.
 
     points: (N, 3) of the raw surface, whose x and z are those of the head frame.
@@ -195,8 +185,8 @@ def _shift(forms: _Quadratics, points: Floats, sheet: SheetGeometry) -> tuple[Fl
     curving = np.stack([kappa**2, 2 * kappa, one], axis=-1)  # zeta'' of the bend
     darkening = by_x[:, None] * np.stack([kappa, one, nought], axis=-1)
     darkening += by_y[:, None] * np.stack([nought, kappa, one], axis=-1)
-    gain = sheet.irradiance_sigma_mm**2 * (1.5 * curving + rise[:, None] * darkening)
+    gain = (sheet.thickness_mm / 2) ** 2 * (1.5 * curving + rise[:, None] * darkening)
     shift = (gain * forms.bend).sum(axis=1)
     variance = np.einsum("ni,nij,nj->n", gain, forms.covariance, gain)
-    folds = rise < 2 * sheet.irradiance_sigma_mm * np.abs((curving * forms.bend).sum(axis=1))
+    folds = rise < sheet.thickness_mm * np.abs((curving * forms.bend).sum(axis=1))
     return shift, np.sqrt(variance + np.where(folds, shift**2, 0.0))

@@ -19,12 +19,12 @@ import numpy as np
 import trimesh
 
 from lscan.config.documents import merge
-from lscan.config.rig import StripeSection, load_rig, parse_rig
+from lscan.config.rig import SheetSection, StripeSection, load_rig, parse_rig
 from lscan.errors import InputError
 from lscan.files.disk import make_folder, write_atomically
 from lscan.records import Floats, Mask, Progress, Status, Stripe, Surface
 from lscan.stripe.corrections.blur import correct_blur
-from lscan.surface.concavity import SheetGeometry, correct_thickness
+from lscan.surface.concavity import correct_thickness
 from sim.render.tank import Tank
 from sim.scene import Scene, scene_of
 from sim.sensor import Webcam
@@ -91,7 +91,7 @@ def concavity_errors(case: ConcavityCase) -> ConcavityErrors:
         stripe = whole_line(light * (PEAK_DN / light.max()))
         found.append(_heights(scene, truth, stripe))
         sharp.append(_heights(scene, truth, correct_blur(stripe, settings, light)))
-    thin = correct_thickness(_surface(truths, sharp), sheet_geometry(scene))
+    thin = correct_thickness(_surface(truths, sharp), *sheet_of(scene))
     true = np.stack([truth.xz_mm[:, 1] for truth in truths])
     errors = [np.stack([z for z, _ in found]), np.stack([z for z, _ in sharp]), thin.xyz_mm[..., 2]]
     compared = np.stack([_clear(truth) for truth in truths])
@@ -126,13 +126,15 @@ def whole_line(light: Floats) -> Stripe:
     return Stripe("columns", centre, np.where(bright, SIGMA_PX, np.nan), peak, status)
 
 
-def sheet_geometry(scene: Scene) -> SheetGeometry:
-    """What the correction for thickness has to know, from the scene."""
+def sheet_of(scene: Scene) -> tuple[SheetSection, float]:
+    """What the correction for thickness has to know, from the scene: the sheet, its yaw in rad."""
     laser, head = scene.tank.laser, scene.tank.head
     if head.shaft is not None:
         raise InputError("thickness: is corrected for on a linear track only", where=scene.source)
-    yaw_rad = float(np.radians(head.yaw_deg))
-    return SheetGeometry(laser.waist_mm / 2, head.camera_mm, laser.apex_mm, yaw_rad)
+    sheet = SheetSection(
+        thickness_mm=laser.waist_mm, camera_mm=head.camera_mm, apex_mm=laser.apex_mm
+    )
+    return sheet, float(np.radians(head.yaw_deg))
 
 
 def _heights(scene: Scene, truth: StripeTruth, stripe: Stripe) -> tuple[Floats, Floats]:

@@ -11,7 +11,7 @@ from places import SCENES
 
 from lscan.records import Status
 from sim.scene import load_scene
-from sim.studies.concavity import cases, concavity_errors, sheet_geometry, whole_line
+from sim.studies.concavity import cases, concavity_errors, sheet_of, whole_line
 
 
 def test_the_whole_line_is_found_where_there_is_one() -> None:
@@ -28,10 +28,10 @@ def test_the_whole_line_is_found_where_there_is_one() -> None:
 
 def test_the_sheet_is_told_as_the_scene_has_it() -> None:
     scene = load_scene(SCENES / "paper" / "sandwave.toml")
-    sheet = sheet_geometry(scene)
-    assert sheet.irradiance_sigma_mm == 0.75
+    sheet, yaw_rad = sheet_of(scene)
+    assert sheet.thickness_mm == 1.5
     assert sheet.camera_mm == (225.0, -866.0254, 300.0)
-    assert sheet.yaw_rad == pytest.approx(np.radians(2.2))
+    assert yaw_rad == pytest.approx(np.radians(2.2))
 
 
 @pytest.mark.slow
