@@ -77,12 +77,12 @@ def reconstruct(run: Run, plane_map: PlaneMap, progress: Progress | None = None)
     plane_map : PlaneMap
         Of the rig's camera, from its pixels to the laser sheet.
     progress : callable, optional
-        Told how many of the pictures are done.
+        Called with the number of pictures done, and of all.
 
     Returns
     -------
     Reconstruction
-        Of F profiles of N columns, mm.  Without an alignment nothing tells the sheet's yaw, and
+        Of F profiles of N columns, mm.  Without an alignment the sheet's yaw is not known, and
         its thickness is corrected for as ``correct`` does by default.
 
     Raises

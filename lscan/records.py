@@ -7,7 +7,7 @@ World frame: x to the right as the camera sees it, y along the track and away fr
 camera, z up; right-handed.  The head frame moves along the track with the scanner; its
 laser sheet is the plane y = 0, so with the sheet square to the track the sheet of the head
 at track position s is the world plane y = s.  On a rotating shaft (rig.ShaftSection) the head
-turns instead; its scan is told in the frame of the head at position 0.
+turns instead; its scan is given in the frame of the head at position 0.
 
 Plane frame: (x, z) in the laser sheet, in mm.  The calibration board lies in it: origin at
 control point O (upper left), x right, z up, so points beneath O have negative z.
@@ -51,7 +51,7 @@ class Status(IntEnum):
     OUT_OF_VIEW = 6  # a mark of the board that lies outside the picture
     OCCLUDED = 7  # hidden from the camera or from the laser
     NO_DATA = 8  # a grid cell or slice point without measurements near it
-    AMBIGUOUS = 9  # several lines in this column, and nothing tells which is meant
+    AMBIGUOUS = 9  # several lines in this column, and it is not known which is meant
 
 
 def has_value(status: NDArray[np.integer]) -> Mask:

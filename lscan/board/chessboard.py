@@ -1,7 +1,7 @@
 """The corners of chessboards and of ChArUco boards, each with its uncertainty.
 
 OpenCV says which corner is which; where it is, is measured here as the saddle of a polynomial
-weighted by a Gaussian (centre.py), which also tells how far noise moves it.
+weighted by a Gaussian (centre.py), which also gives how far noise moves it.
 
 An ideal corner lies in the same place under windows of any size.  A real one does not: the
 paper bends, ink spreads, movement and coding smear the squares by unlike amounts.  What two
@@ -94,7 +94,7 @@ def read_charuco(
     row, column = np.divmod(np.arange(rows * columns), columns)
     places = np.column_stack([column, -row]) * float(square_mm)
     pitch = local_pitch(seen.reshape(rows, columns, 2)).ravel()
-    # A marker stands in the middle of its square: its corner is nearest, along the diagonal.
+    # A marker lies in the middle of its square: its corner is nearest, along the diagonal.
     clear = CLEAR * (1 - marker_mm / square_mm) / np.sqrt(2)
     return _measured(grey, places, seen, pitch, min(WINDOW, clear))
 

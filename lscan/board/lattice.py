@@ -15,9 +15,9 @@ from lscan.errors import BoardNotFound
 from lscan.records import Floats, Mask
 
 NEAREST = 20  # control points that carry a local polynomial of six coefficients
-STRAY = 0.01  # of the pitch: smallest miss that can make a dot a stray
-STRAY_SIGMAS = 8.0
-STRAY_SPOILS = 7  # nodes on a side, about a stray, whose miss may be the stray's doing
+OUTLIER = 0.01  # of the pitch: smallest miss that can make a dot an outlier
+OUTLIER_SIGMAS = 8.0
+OUTLIER_SPOILS = 7  # nodes on a side, about an outlier, whose miss may be its doing
 SPREAD = 6  # nodes within which a dot carries the polynomials of others, at a corner too
 FREE = 1e-12  # of the diagonal's product: determinant of equations that do not fix all
 RIM_EVIDENCE = 2  # nodes that must be seen to be empty beyond the rim of the board
@@ -146,11 +146,11 @@ def completed(nodes: Nodes, pitch_mm: float) -> Floats:
     return points
 
 
-def drop_strays(nodes: Nodes, pitch_mm: float) -> None:
+def drop_outliers(nodes: Nodes, pitch_mm: float) -> None:
     """Take out the dots that do not lie where those around them say.
 
-    Stray is what misses by more than eight robust sigmas and a hundredth of the pitch.  A
-    stray spoils what is expected of those around it, so the worst thereabouts goes first and the
+    An outlier misses by more than eight robust sigmas and a hundredth of the pitch.  It
+    spoils what is expected of those around it, so the worst thereabouts goes first and the
     others are judged again without it.  Fewer than nine dots cannot say.
     """
     misfit = np.full(nodes.found.shape, np.nan)
@@ -159,13 +159,13 @@ def drop_strays(nodes: Nodes, pitch_mm: float) -> None:
         pitch_px = float(np.nanmedian(local_pitch(nodes.points)))
         misfit[doubtful] = local_map(nodes.points, pitch_mm).misfit(doubtful[found])
         worst, usual = float(misfit[found].max()), float(np.median(misfit[found]))
-        limit = max(STRAY_SIGMAS * 1.4826 * usual, STRAY * pitch_px)
+        limit = max(OUTLIER_SIGMAS * 1.4826 * usual, OUTLIER * pitch_px)
         if worst <= limit:
             return
-        around = maximum_filter(np.where(found, misfit, 0.0), STRAY_SPOILS)
-        stray = found & (misfit > limit) & (misfit >= around)
-        nodes.drop(stray)
-        doubtful = nodes.found & binary_dilation(stray, np.ones((2 * SPREAD + 1,) * 2, bool))
+        around = maximum_filter(np.where(found, misfit, 0.0), OUTLIER_SPOILS)
+        outlier = found & (misfit > limit) & (misfit >= around)
+        nodes.drop(outlier)
+        doubtful = nodes.found & binary_dilation(outlier, np.ones((2 * SPREAD + 1,) * 2, bool))
 
 
 def place_on_board(picture: BoardPicture, nodes: Nodes, grid: Grid, radius_px: float) -> Nodes:
@@ -225,5 +225,5 @@ def _first(spare: int, first: bool, last: bool, what: str, whole: int, found: in
         )
     raise BoardNotFound(
         f"{found} of the {whole} {what} of dots are in view and neither end of them is, so "
-        "which is the first cannot be told: give the seeds by hand"
+        "which is the first is not known: give the seeds by hand"
     )

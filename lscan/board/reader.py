@@ -20,7 +20,7 @@ from lscan.board.lattice import (
     LocalMap,
     completed,
     dot_part,
-    drop_strays,
+    drop_outliers,
     grid_points_mm,
     local_map,
     place_on_board,
@@ -57,7 +57,7 @@ def read_board(
         above and to the left of #1 are not looked for.
     channel: of a colour picture.
 
-    The board may be turned by any angle: rulers, dots and rings tell which way is up.  On a
+    The board may be turned by any angle: rulers, dots and rings show which way is up.  On a
     board with none, O is the corner that is upper left in the picture.
 
     Raises InputError for what is no picture, for seeds that are no corner of a grid, and for
@@ -93,8 +93,8 @@ def _refuse_other_contrast(inverted: Image, board: Board) -> None:
 def _upright(bright: Image, picture: BoardPicture, nodes: Nodes, board: Board) -> BoardReading:
     """The reading in the first quarter turn in which the board's other marks are found.
 
-    The grid alone looks alike in two or four of them: rulers, dots and rings tell.  Where they
-    tell nothing, the dot nearest to the picture's upper left corner is O.
+    The grid alone looks alike in two or four of them: rulers, dots and rings show.  Where they
+    show nothing, the dot nearest to the picture's upper left corner is O.
     """
     radius_px = _median_radius(nodes, board.grid)
     best, refusal = None, None
@@ -117,7 +117,7 @@ def _upright(bright: Image, picture: BoardPicture, nodes: Nodes, board: Board) -
 
 
 def _quarter_turns(nodes: Nodes, board: Board) -> range:
-    """Those worth trying: all where other marks can tell, else the first in which the grid fits."""
+    """Those worth trying: all where other marks can show, else the first in which the grid fits."""
     if board.ruler or board.dot or board.ring:
         return range(4)
     rows, columns = nodes.height.shape
@@ -174,7 +174,7 @@ def _search_from_anywhere(bright: Image, board: Board) -> tuple[BoardPicture, No
         picture = prepare(bright, radius_px)
         shape = (2 * grid.rows + 1, 2 * grid.columns + 1)  # the seed may be any dot of the board
         nodes = grow(picture, seeds, shape, (grid.rows, grid.columns), dot_part(grid))
-        drop_strays(nodes, grid.pitch_mm)
+        drop_outliers(nodes, grid.pitch_mm)
         fault = fault_of(picture, nodes, grid)
         if fault is None:
             return picture, nodes.part(nodes.extent())
@@ -188,7 +188,7 @@ def _search_from(bright: Image, board: Board, seeds: Floats) -> tuple[BoardPictu
     grid = board.grid
     picture = prepare(bright, _dot_radius(seeds, grid))
     nodes = grow(picture, seeds, (grid.rows, grid.columns), (0, 0), dot_part(grid))
-    drop_strays(nodes, grid.pitch_mm)
+    drop_outliers(nodes, grid.pitch_mm)
     fault = fault_of(picture, nodes, grid)
     if fault is not None:
         given = np.round(seeds, 1).tolist()
@@ -210,7 +210,7 @@ def _median_radius(nodes: Nodes, grid: Grid) -> float:
 
 
 def _measured_again(picture: BoardPicture, nodes: Nodes, mapping: LocalMap, grid: Grid) -> Nodes:
-    """The same dots: windows by the local map, its bias taken back, the noise as it is there."""
+    """The same dots: windows by the local map, corrected for its bias, the noise as it is there."""
     board = grid_points_mm(nodes.height.shape, grid.pitch_mm)[nodes.found]
     map_there = mapping.expanded(board)
     sigma = window_sigma(map_there.scale * grid.dot_diameter_mm / 2)

@@ -7,7 +7,8 @@ a Gaussian about itself, as for the dots (centre.py), in one dimension.
 Blur draws the ridge of a curved line inwards: a line of curvature k blurred by a Gaussian of
 variance B falls off as exp(-d² / 2B) / sqrt(1 + k d) with the distance d outwards, whose
 maximum lies at d = -k B / 2.  (From the blurred thin ring, exp(-(r² + R²) / 2B) I0(r R / B),
-for R² much larger than B.)  B is read off the profiles themselves and the shift taken back.
+for R² much larger than B.)  B is read off the profiles themselves, and the points
+are corrected for the shift.
 The window works across the line only and along its bend, so it shifts nothing.
 """
 

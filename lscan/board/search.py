@@ -192,7 +192,7 @@ def local_pitch(points: Floats) -> Floats:
 
 
 def moved(array: Floats, rows: int, columns: int) -> Floats:
-    """The array with each node holding what stands ``rows``, ``columns`` away; NaN outside."""
+    """The array with each node holding what is ``rows``, ``columns`` away; NaN outside."""
     height, width = array.shape[:2]
     result = np.full_like(array, np.nan)
     result[_part(-rows, height), _part(-columns, width)] = array[

@@ -57,7 +57,7 @@ def summary(fit: ShaftFit) -> dict[str, Any]:
             for name, change, sigma, before in rows
         },
         "points": fit.points,
-        "strays": fit.strays,
+        "outliers": fit.outliers,
         "cells": fit.cells,
         "rms_mm": fit.rms_mm,
     }
@@ -67,6 +67,6 @@ def _print(fit: ShaftFit, output: Path) -> None:
     rows = [[name, *entry.values()] for name, entry in summary(fit)["changes"].items()]
     print_table("shaft", ["", "change", "sigma", "sigma before"], rows)
     print(
-        f"{fit.points} points, {fit.strays} left out, {fit.rms_mm:.3f} mm rms off the nominal "
+        f"{fit.points} points, {fit.outliers} left out, {fit.rms_mm:.3f} mm rms off the nominal "
         f"shape; {output}"
     )

@@ -28,7 +28,7 @@ BLURS = (1 / np.sqrt(12), 3.0)
 a shadow."""
 
 LEAST_T = -1.645
-"""Depth, in widths of the blur, from which columns tell of the end: at 5 % of the segment's
+"""Depth, in widths of the blur, from which columns show the end: at 5 % of the segment's
 brightness.  Dimmer ones are found only where speckle makes them bright."""
 
 UNMODELLED = 0.01

@@ -46,10 +46,10 @@ def groove_dimensions(
     along the tops; heights are distances between straight lines fitted to segments with a
     common slope.  The block stands along the track, so that the sheet cuts it square; it may be
     tilted in the sheet by some degrees and lie anywhere in it.
-    Of several profiles the mean is given, weighted by each one's noise, strays left out.  Its
+    Of several profiles the mean is given, weighted by each one's noise, outliers left out.  Its
     sigma_mm holds the noise of that mean and, undiminished, what errs alike in all profiles:
     the calibration, of which only the difference it makes to the length counts where the plane
-    map tells its modes; false light at the ends, or the columns' spacing where an end's
+    map has modes; false light at the ends, or the columns' spacing where an end's
     brightness does not fall (ends.py); and what a level line's place within the pixel does to
     its height (segments.py).
 

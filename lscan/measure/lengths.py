@@ -9,7 +9,7 @@ import numpy as np
 
 from lscan.records import Floats
 
-STRAY = 5.0
+OUTLIER = 5.0
 """Values farther from the median than this many of their own standard uncertainties, and of the
 robust scatter of all, are left out of a mean."""
 
@@ -40,14 +40,14 @@ class LengthBudget:
 def mean_length(lengths: Sequence[LengthBudget]) -> LengthBudget:
     """The mean of a length over several pictures, weighted by what they know of it.
 
-    Strays (see STRAY) are left out.  The mean's own_mm is that of its weights, enlarged where
+    Outliers (see OUTLIER) are left out.  The mean's own_mm is that of its weights, enlarged where
     the values scatter more than their own noise says; what is common does not average out.
     """
     value = np.array([length.value_mm for length in lengths])
     own = np.array([length.own_mm for length in lengths])
     common = np.array([length.common_mm for length in lengths])
     off = np.abs(value - np.median(value))
-    kept = off <= STRAY * np.maximum(np.hypot(own, common), 1.4826 * np.median(off)) + 1e-9
+    kept = off <= OUTLIER * np.maximum(np.hypot(own, common), 1.4826 * np.median(off)) + 1e-9
     weight = kept / (own**2 + common**2 + TINY**2)
     weight = weight / weight.sum()
     mean = float(weight @ value)

@@ -58,7 +58,7 @@ class SliceErrors:
 def compare_slice(measured: Slice, piece: Sandwave, visible: Mask | None = None) -> SliceErrors:
     """The errors of a slice in the workpiece frame against eq. (4) of the sandwave.
 
-    visible: (M,) points known to be lit and seen, where a truth tells; all if None.
+    visible: (M,) points known to be lit and seen, where a truth says so; all if None.
     Points nearer to the border of the waves, or farther out, than the radius over which the
     slice's heights were taken are counted as ``at_step`` and not compared.
     Raises MeasurementError where no point is left to compare.

@@ -26,7 +26,7 @@ WALL = (-0.3, 1.0)
 WALL_SIGMA = 0.5
 
 FAINTEST = -2.0
-"""In widths: samples farther outside an end tell nothing of it.  The model is not evaluated there,
+"""In widths: samples farther outside an end say nothing of it.  The model is not evaluated there,
 where it vanishes (1 / Phi overflows) and, with a negative share of a wall, changes its sign."""
 
 OUTLIER = 4.0

@@ -1,4 +1,4 @@
-"""Light of a line's core above the ground beside it: what tells where the line ends."""
+"""Light of a line's core above the ground beside it: what shows where the line ends."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from lscan.stripe.peaks import windows
 
 CORE_PX = 2  # on either side of the centre: more would take in what walls beside a line throw back
 GROUND_PX = (4, 6)
-"""First and last pixel, on either side, that tell the ground: clear of a line of 1.2 px, near
+"""First and last pixel, on either side, that give the ground: clear of a line of 1.2 px, near
 enough that a wall or a halo is as bright there as beneath the line."""
 
 

@@ -25,12 +25,12 @@ class CrossSections:
     """K lines as n pixels see them, and how that changes with the parameters.
 
     light: (K, n) the line itself in DN.  ground: (K, n) what lies under it, in DN.
-    slopes: (K, 5, n) derivative of their sum by each parameter.
+    jacobian: (K, 5, n) derivative of their sum by each parameter.
     """
 
     light: Floats
     ground: Floats
-    slopes: Floats
+    jacobian: Floats
 
 
 def lines(parameters: Floats, steps: Floats) -> CrossSections:
@@ -45,13 +45,13 @@ def lines(parameters: Floats, steps: Floats) -> CrossSections:
     density = np.exp(-0.5 * distance**2)
     unit = width * _ROOT_TWO_PI * np.diff(ndtr(distance), axis=1)
     light = height * unit
-    slopes = np.empty((len(parameters), 5, len(steps)))
-    slopes[:, CENTRE] = -height * np.diff(density, axis=1)
-    slopes[:, LN_WIDTH] = light - height * width * np.diff(distance * density, axis=1)
-    slopes[:, LN_HEIGHT] = light
-    slopes[:, GROUND] = 1.0
-    slopes[:, TILT] = steps
-    return CrossSections(light, ground, slopes)
+    jacobian = np.empty((len(parameters), 5, len(steps)))
+    jacobian[:, CENTRE] = -height * np.diff(density, axis=1)
+    jacobian[:, LN_WIDTH] = light - height * width * np.diff(distance * density, axis=1)
+    jacobian[:, LN_HEIGHT] = light
+    jacobian[:, GROUND] = 1.0
+    jacobian[:, TILT] = steps
+    return CrossSections(light, ground, jacobian)
 
 
 def parameters_of(

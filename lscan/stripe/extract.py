@@ -32,7 +32,7 @@ def extract_stripe(
 
     image: (H, W) grey or (H, W, 3) RGB uint8, in DN.
     settings: channel, axis, extractor, threshold and span; which of several lines is meant
-        (``returns``); the camera's blur to be taken back and the smoothing along the line,
+        (``returns``); the camera's blur to be corrected for and the smoothing along the line,
         neither of which is done by default.
     background: the same view with the laser off, same shape; subtracted where given.
 
@@ -41,7 +41,7 @@ def extract_stripe(
     edge cuts the window.  SATURATED: a pixel within ``span_px`` of the centre is clipped in
     ``image`` itself (but not in ``background``); sigma_px grows with the clipped width, unless
     the extractor says SATURATED itself, having allowed for it.  AMBIGUOUS: the column holds
-    several lines, and nothing tells which is meant.
+    several lines, and it is not known which is meant.
 
     Raises InputError for pictures of another shape or type and for an unknown extractor.
     """
@@ -103,8 +103,8 @@ def _called(extractor: Extractor, settings: StripeSection, image: Floats, clippe
     except TypeError as error:
         raise InputError(f"cannot be called as an extractor: {error}", where=where) from error
     except Exception as error:
-        told = " ".join(f"{type(error).__name__}: {error}".split())
-        raise InputError(f"failed: {told}", where=where) from error
+        cause = " ".join(f"{type(error).__name__}: {error}".split())
+        raise InputError(f"failed: {cause}", where=where) from error
     require_stripe(stripe, image.shape, where)
     return replace(stripe, axis=settings.axis)
 

@@ -31,7 +31,7 @@ _LONGEST_STEP = np.array([1.0, 0.35, 0.7, np.inf, np.inf])
 
 _LEAST = np.array([-np.inf, np.log(0.25), np.log(1e-3), -np.inf, -np.inf])
 _MOST = np.array([np.inf, np.log(40.0), np.log(1e6), np.inf, np.inf])
-"""Widths in px and heights in DN that a line can have; no picture tells more from less."""
+"""Widths in px and heights in DN that a line can have; no picture distinguishes beyond."""
 
 
 @dataclass(frozen=True)
@@ -138,10 +138,10 @@ def _normal_equations(
     pull = weight * residual
     if view.clipped.any():
         weight, pull = _censored(view, residual, variance, weight, pull)
-    information = (model.slopes * weight[:, None]) @ model.slopes.transpose(0, 2, 1)
+    information = (model.jacobian * weight[:, None]) @ model.jacobian.transpose(0, 2, 1)
     diagonal = np.arange(parameters.shape[1])
     information[:, diagonal, diagonal] += prior.precision
-    score = (model.slopes @ pull[..., None])[..., 0]
+    score = (model.jacobian @ pull[..., None])[..., 0]
     score += prior.precision * (prior.mean - parameters)
     return information, score, _Weighted(model, variance, weight)
 
@@ -170,8 +170,8 @@ def _judged(
     """The fit at ``parameters`` with its covariance and how well it explains the pixels."""
     information, _, end = _normal_equations(view, parameters, noise, prior)
     covariance = cast(Floats, np.linalg.inv(information))
-    along = covariance @ end.model.slopes
-    leverage = end.weight * (end.model.slopes * along).sum(axis=1)
+    along = covariance @ end.model.jacobian
+    leverage = end.weight * (end.model.jacobian * along).sum(axis=1)
     # A pixel that the fit follows nearly everywhere says little of the noise.
     seen = view.used & ~view.clipped & (leverage < 0.9)
     residual = view.grey - end.model.light - end.model.ground

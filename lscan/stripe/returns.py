@@ -26,13 +26,13 @@ _GAP = 4  # columns that speckle or a dark grain may take out of a run
 _WEAKER = 0.35
 """Share of another line's light below which one is taken for a reflection of it.  Where two pieces
 of one line succeed each other neither reflects the other, and a piece's last column, which blur
-dims, tells where it ends: "first" and "last" then go by place alone."""
+dims, shows where it ends: "first" and "last" then go by place alone."""
 _MOST_SPOTS = 32
 """Of a column: those of the most light.  In a picture of noise each of thousands of rows may hold
 one, and spots are compared in pairs."""
 _SPECK = 2.0  # a blob no longer than so many times its height is no line
 _LONGER = 3.0  # unless the other is no longer than so many times the blob
-_MUCH_LONGER = 10.0  # a picture with a line has one so many times as long as a stray blob
+_MUCH_LONGER = 10.0  # a picture with a line has one so many times as long as an isolated blob
 _TURNOVER = 8
 """Columns that two pieces of one line may share where one succeeds the other at a step: as far
 as blur and an overhang reach.  There the brighter is taken column by column."""
@@ -76,7 +76,7 @@ def choose_return(image: Floats, settings: StripeSection, clipped: Mask) -> OneR
     smoothed, ground = _flattened(columns)
     spots = _spots(columns, smoothed, ground, settings.threshold_dn)
     run = _runs(spots)
-    beaten = _strays(spots, run)
+    beaten = _isolated(spots, run)
     first, second = _pairs(spots.column, 0)
     if len(first) == 0 and not beaten.any():
         return OneReturn(image, clipped, np.zeros(len(columns), dtype=bool))
@@ -199,7 +199,7 @@ def _runs(spots: _Spots) -> Ints:
     return np.asarray(connected_components(graph, directed=False)[1], dtype=np.int64)
 
 
-def _strays(spots: _Spots, run: Ints) -> Mask:
+def _isolated(spots: _Spots, run: Ints) -> Mask:
     """(K,) mask of the spots that are blobs by themselves: hot pixels, drifting particles.
 
     A run no longer than it is high in a picture with one that is ten times as long, unless it

@@ -17,7 +17,7 @@ sigma, by
 
 (derived here: half of zeta'' is the mean of the parabola, one zeta'' the stretching).  The
 first term follows the concavity across the sheet, the second slope times concavity.
-Profiles of neighbouring track positions tell both, for the target stands still.
+Profiles of neighbouring track positions give both, for the target stands still.
 """
 
 from __future__ import annotations
@@ -181,10 +181,10 @@ def _shift(forms: _Quadratics, points: Floats, sheet: SheetSection) -> tuple[Flo
     # (ln c)' = by_x * (slope_x)' + by_y * (slope_y)', the primes along (kappa, 1).
     by_x = -to_apex[:, 0] / facing - slope_x / upright
     by_y = -slope_y / upright
-    nought, one = np.zeros_like(kappa), np.ones_like(kappa)
+    zero, one = np.zeros_like(kappa), np.ones_like(kappa)
     curving = np.stack([kappa**2, 2 * kappa, one], axis=-1)  # zeta'' of the bend
-    darkening = by_x[:, None] * np.stack([kappa, one, nought], axis=-1)
-    darkening += by_y[:, None] * np.stack([nought, kappa, one], axis=-1)
+    darkening = by_x[:, None] * np.stack([kappa, one, zero], axis=-1)
+    darkening += by_y[:, None] * np.stack([zero, kappa, one], axis=-1)
     gain = (sheet.thickness_mm / 2) ** 2 * (1.5 * curving + rise[:, None] * darkening)
     shift = (gain * forms.bend).sum(axis=1)
     variance = np.einsum("ni,nij,nj->n", gain, forms.covariance, gain)

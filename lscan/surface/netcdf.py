@@ -63,8 +63,8 @@ def read_arrays(
                     "is not a surface of lscan", where=path, value=missing, allowed=allowed
                 )
             names = [*needed, *(name for name in optional if name in present)]
-            told = {name: file.attrs[name] for name in ATTRIBUTES if name in file.attrs}
-            return {name: _array(file, name, path) for name in names}, told
+            attributes = {name: file.attrs[name] for name in ATTRIBUTES if name in file.attrs}
+            return {name: _array(file, name, path) for name in names}, attributes
     except InputError:
         raise
     except Exception as error:  # h5py raises whatever fits best to what HDF5 says of damage

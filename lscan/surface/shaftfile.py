@@ -24,7 +24,7 @@ def save_shaft(path: Path, fit: ShaftFit) -> None:
 
 
 def load_shaft(path: Path) -> ShaftSection:
-    """The ``[shaft]`` of a TOML file, whatever else stands in it.
+    """The ``[shaft]`` of a TOML file, whatever else it holds.
 
     Raises InputError where the file cannot be read, has no such section or a bad one.
     """

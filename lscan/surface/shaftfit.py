@@ -39,7 +39,7 @@ OF_SHAFT = slice(POSE, POSE + PARAMETERS)
 
 ROUGHLY = np.array([0.05, 0.05, 0.05, 5.0, 5.0, 5.0])
 """How well the wedges' tops place the workpiece to begin with, rad and mm: on a piece that does
-not tell where it lies in plan, the pose stays at that."""
+not show where it lies in plan, the pose stays at that."""
 
 MOST_POINTS = 30_000
 """More are thinned out evenly: what they add is far below what neighbours have in common."""
@@ -47,7 +47,7 @@ MOST_POINTS = 30_000
 MARGIN_MM = 2.5
 """Points this near to a step of the block are left out: the sheet is about 1.5 mm thick."""
 
-STRAY = 4.0
+OUTLIER = 4.0
 """Points beyond so many robust standard deviations are left out: of a normal distribution one in
 16 000, so that leaving them out changes no variance by more than 0.1 %."""
 
@@ -66,7 +66,7 @@ LEAST_SIGMA_MM = 1e-4
 MAX_ITERATIONS = 60
 
 UNDECIDED_ITERATIONS = 10
-"""Rounds after which it stays as it is which points are strays."""
+"""Rounds after which it stays as it is which points are outliers."""
 
 SETTLED = 1e-4
 """Length of a step, in standard deviations, at which the iteration ends."""
@@ -80,7 +80,7 @@ class ShaftFit:
     the prior's axes (mm, rad, 1).
     rotation, translation_mm: (3, 3), (3,) from the frame of the head at position 0 to the
     workpiece's.
-    points: number of points used, strays: left out as too far off, cells: of the block seen.
+    points: number of points used, outliers: left out as too far off, cells: of the block seen.
     rms_mm: root mean square distance of the points from the nominal top.
     """
 
@@ -90,7 +90,7 @@ class ShaftFit:
     rotation: Floats
     translation_mm: Floats
     points: int
-    strays: int
+    outliers: int
     cells: int
     rms_mm: float
 
@@ -123,8 +123,8 @@ def calibrate_shaft(profiles: Sequence[Profile], piece: Sandwave, prior: Shaft) 
     rotation, shift = rough_pose(roughly, piece)
     height = roughly.xyz_mm @ rotation[2] + shift[2]
     samples = _samples(profiles, height > -piece.body_mm / 2)
-    nought = np.zeros(POSE + PARAMETERS + samples.modes.shape[2])
-    start = _State(rotation, shift, nought)
+    zero = np.zeros(POSE + PARAMETERS + samples.modes.shape[2])
+    start = _State(rotation, shift, zero)
     state, terms, kept = _settled(samples, piece, prior, start)
     covariance, cells = _covariance(terms, kept)
     root = prior.root
@@ -139,7 +139,7 @@ def calibrate_shaft(profiles: Sequence[Profile], piece: Sandwave, prior: Shaft) 
         rotation=state.rotation,
         translation_mm=state.shift,
         points=int(kept.sum()),
-        strays=int((terms.clear & ~kept).sum()),
+        outliers=int((terms.clear & ~kept).sum()),
         cells=cells,
         rms_mm=float(np.sqrt(np.mean(distance**2))),
     )
@@ -218,7 +218,7 @@ def _settled(
     for iteration in range(MAX_ITERATIONS):
         terms = _terms(samples, piece, prior, state, pivot)
         if kept is None or iteration < UNDECIDED_ITERATIONS:
-            kept, terms = _without_strays(terms)
+            kept, terms = _without_outliers(terms)
         else:
             terms = _weighed(terms, kept)
         step, length = _step(terms, kept)
@@ -264,14 +264,14 @@ def _terms(
     )
 
 
-def _without_strays(terms: _Terms) -> tuple[Mask, _Terms]:
-    """Which clear points lie within STRAY robust standard deviations, and the terms so weighed."""
+def _without_outliers(terms: _Terms) -> tuple[Mask, _Terms]:
+    """Which clear points are no outliers, and the terms so weighed."""
     if not terms.clear.any():
         raise MeasurementError("no point of the scan lies on the block's nominal top")
     ratio = np.abs(terms.distance / terms.sigma)
     # Of a normal distribution the median of the absolute value is 0.6745 sigma.
     spread = float(np.median(ratio[terms.clear])) / 0.6745
-    kept = terms.clear & (ratio < STRAY * spread)
+    kept = terms.clear & (ratio < OUTLIER * spread)
     return kept, _weighed(terms, kept)
 
 
@@ -311,7 +311,7 @@ def _covariance(terms: _Terms, kept: Mask) -> tuple[Floats, int]:
 
 
 def _along(new: Floats, old: Floats, covariance: Floats) -> Floats:
-    """The covariance (5, 5) told along the ``new`` axes (2, 3) instead of the ``old``."""
+    """The covariance (5, 5) given along the ``new`` axes (2, 3) instead of the ``old``."""
     turn = new @ old.T
     matrix = np.eye(PARAMETERS)
     matrix[:2, :2] = matrix[2:4, 2:4] = turn

@@ -55,7 +55,7 @@ def _gain(powers: Floats, weight: Floats) -> Floats:
     """(K, 3, n) the parabola's coefficients by each logarithm, in weighted least squares."""
     weighted = powers * weight[:, None]
     normal = weighted @ powers.transpose(0, 2, 1)
-    # Fewer than three pixels tell no parabola: this keeps it flat, and changes no other.
+    # Fewer than three pixels determine no parabola: this keeps it flat, and changes no other.
     normal += _TRACE * np.eye(3) * (1 + np.trace(normal, axis1=1, axis2=2))[:, None, None]
     return cast(Floats, np.linalg.solve(normal, weighted))
 

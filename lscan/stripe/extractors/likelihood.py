@@ -28,13 +28,13 @@ def maximum_likelihood(image: Floats, settings: StripeSection, clipped: Mask) ->
     A Gaussian averaged over each pixel on a sloping ground (model.py) under reading noise,
     shot noise and speckle; a clipped pixel (``clipped``, (H, W)) says "at least this".  Width
     and slope are free, but held to the median of the neighbouring columns as far as those
-    agree with one another: where a column alone cannot tell them, they do.
+    agree with one another: where a column alone does not determine them, they do.
 
     sigma_px follows from Fisher's information, and from what the line differs from a Gaussian
     alike in neighbouring columns (scatter.py), carried through the fit.  Where the pixels
     scatter about the line more than the noise explains it grows by the root of that ratio
     (Birge 1932): the neighbours' median of it, and the column's own where beyond chance.
-    SATURATED columns have been allowed for.  Too few of their pixels are left to tell the
+    SATURATED columns have been allowed for.  Too few of their pixels are left to estimate the
     noise by: unless that is stated, their sigma_px is at least what their centres scatter
     from one column to the next.  NO_PEAK also where no line can be fitted.
     """

@@ -1,4 +1,4 @@
-"""Extractors that put the centre where a rule says: what they share, and their honest sigma.
+"""Extractors that put the centre where a rule says: what they share, and their uncertainty.
 
 A rule is judged by what it would do to the line that was there: a Gaussian of the
 neighbours' width at the place found, averaged over each pixel.  On that line it errs by a

@@ -2,7 +2,7 @@
 
 A sample of the columns is fitted with the full model (fit.py); the line's width and the
 slope of the ground under it vary little from one column to the next, so a running median
-over the sample holds for the columns between, and the residuals tell the noise.
+over the sample holds for the columns between, and the residuals give the noise.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from lscan.stripe.noise.scatter import scatter_of
 from lscan.stripe.peaks import Peaks, nominal_peaks, windows
 
 _SAMPLE = 256
-_NEIGHBOURS = 9  # of the sample, whose median stands for the columns between them
+_NEIGHBOURS = 9  # of the sample, whose median holds for the columns between them
 _FIRST_REACH_PX = 32
 _WIDTHS_PX = (0.4, 12.0)
 _NOISE_TURNS = 3  # of noise from residuals and residuals from noise, until they agree

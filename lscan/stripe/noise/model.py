@@ -4,7 +4,7 @@ Three terms make up the variance of a pixel.  One is the same everywhere (readin
 rounding, the ground's own light), seen in the pixels away from the line.  Shot noise grows in
 proportion to the light of the line; speckle, whose deviation (not variance) is proportional
 to the light, with its square.  Those two are seen in how pixels scatter about a fitted line
-(:func:`scatter_noise`), and told apart by pixels of different light.
+(:func:`scatter_noise`), and distinguished by pixels of different light.
 
 The paper's extractors fit no line.  For them one term stands for both, seen in how much the
 line's brightness jumps from one column to the next (:func:`line_variance_per_dn`): photon

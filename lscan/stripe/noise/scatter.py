@@ -1,4 +1,4 @@
-"""Noise told from misfit: how the pixels of neighbouring columns scatter about their lines.
+"""Noise and misfit: how the pixels of neighbouring columns scatter about their lines.
 
 No laser line is quite a Gaussian.  What it differs by is much the same in the next column, and
 noise is not.  So half the squared difference of two neighbours' residuals is the variance of

@@ -1,15 +1,15 @@
 """What errors of the points do to the alignment that is found from them.
 
-The alignment makes seven quantities of the aligned points nought: height and two slopes of the
+The alignment makes seven quantities of the aligned points zero: height and two slopes of the
 wedges' tops, the turn of the line of the corners, the lean of the edges against that line, and
 the two coordinates of the corners' middle.  Each is a linear function of a small displacement
 of the points.  So is the displacement that each of the alignment's own seven parameters gives
 to them.  To first order, then, a displacement common to many points, such as an error of the
-calibration, is answered by the change of parameters that makes the seven nought again; and what
+calibration, is answered by the change of parameters that makes the seven zero again; and what
 noise leaves in the seven is answered by errors of the parameters that all points share.
 
-About a shaft there is no yaw, and the edges' lean is made nought in place of the line of the
-corners' turn: six parameters make six quantities nought.
+About a shaft there is no yaw, and the edges' lean is made zero in place of the line of the
+corners' turn: six parameters make six quantities zero.
 """
 
 from __future__ import annotations
@@ -75,7 +75,7 @@ def parameter_modes(datum: Datum, modes: NDArray[np.floating]) -> Floats:
 
     modes: (P, 3, M) mm, displacements of the points of ``datum.index``, along the workpiece's axes.
     The first M columns answer these; the last 7 are the noise of the alignment itself.
-    Without a yaw its row is nought.
+    Without a yaw its row is zero.
     """
     points = np.concatenate([datum.tops, *(edge.inside for edge in datum.edges)])
     given = displacement(points, datum.pivot, datum.rotation, datum.yaw_rad)
@@ -104,14 +104,14 @@ def displacement(points: Floats, pivot: Floats, rotation: Floats, yaw_rad: float
     pivot: (3,) about which is turned, and where the yaw displaces nothing.
     """
     x, y, z = np.moveaxis(points - pivot, -1, 0)
-    nought = np.zeros_like(x)
+    zero = np.zeros_like(x)
     # Track position of a point relative to the pivot, from its place: the inverse of the pose.
     sine, cosine = np.sin(yaw_rad), np.cos(yaw_rad)
     track = ((points - pivot) @ rotation)[..., 1] / cosine
     about = [
-        np.stack([nought, -z, y], axis=-1),
-        np.stack([z, nought, -x], axis=-1),
-        np.stack([-y, x, nought], axis=-1),
+        np.stack([zero, -z, y], axis=-1),
+        np.stack([z, zero, -x], axis=-1),
+        np.stack([-y, x, zero], axis=-1),
         track[..., None] * (rotation @ np.array([cosine, -sine, 0.0])),
     ]
     shifts = np.broadcast_to(np.eye(3), (*points.shape[:-1], 3, 3))

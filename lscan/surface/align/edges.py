@@ -123,7 +123,7 @@ def _scatter_covariance(middle: Floats, which: Ints, place: Floats) -> Floats:
 
     The likelihood takes every sample for surely on its side of the edge.  Speckle makes the
     brightness, by which that is judged, uncertain; what the middles scatter about the lines
-    tells by how much.
+    shows by how much.
     """
     design = _design(middle, which)
     freedom = max(len(middle) - len(place), 1)

@@ -5,7 +5,7 @@ light falls off as a blurred step (stripe/blurredstep.py), and where half is lef
 middle lies on the edge.  Where light that misses the edge falls on a lower face in view, the line
 found in the picture changes over to that one at about half; only samples before that are used.
 The share of a wall between them is that of both faces of an edge, where it pulls in opposite
-directions: with samples of one face alone it could not be told from the edge's place.  The
+directions: with samples of one face alone it could not be distinguished from the edge's place.  The
 level is linear over each face; the width is shared by the edges of a group.
 """
 
@@ -21,7 +21,7 @@ from lscan.stripe.blurredstep import StepLimits, StepSamples, fit_steps
 from lscan.surface.align.edges import EdgeFit
 
 REACH_MM = 9.0
-"""How far from the edge samples are used: to tell the level, a few times the width."""
+"""How far from the edge samples are used: to find the level, a few times the width."""
 
 FIRST_WIDTH_MM = 1.0
 PLACE_SIGMA_MM, LEAN_SIGMA = 1.0, 0.02

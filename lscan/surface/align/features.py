@@ -110,7 +110,7 @@ def _height_above_rim(xyz: Floats, valid: Mask, piece: Sandwave) -> tuple[Floats
     """(F, N) height above the rim's plane in mm, NaN where not valid, and the plane.
 
     The plane is z = c0 + c1 x + c2 s.  Tukey's biweight with a shrinking scale, from the whole
-    block's spread down to what tells the rim from the waves.
+    block's spread down to what distinguishes the rim from the waves.
     """
     block = _above_drop(xyz[..., 2], valid, drop_mm=0.75 * piece.body_mm)
     points = xyz[block]

@@ -8,7 +8,7 @@ position s lies at (x + s sin yaw, s cos yaw, z).  Positive yaw: the raw profile
 towards +x in proportion to s.  (The paper shifts x alone, which takes cos yaw for 1: 0.07 %,
 or 0.15 mm over the block, at its 2.2 degrees.)
 Because the shear acts before the rotations, all four are solved together by iteration.
-About a shaft nothing is sheared: without the yaw, the block's sides tell the rotation about z.
+About a shaft nothing is sheared: without the yaw, the block's sides give the rotation about z.
 """
 
 from __future__ import annotations
@@ -120,8 +120,8 @@ def align_sandwave(surface: Surface, piece: Sandwave, sheared: bool = True) -> A
 def rough_pose(surface: Surface, piece: Sandwave) -> tuple[Floats, Floats]:
     """(3, 3) rotation and (3,) shift, mm, from the head's frame to the workpiece's, to a few mm.
 
-    From the levels and middles of the wedges' tops alone, so that it stands much that is wrong
-    with the scan.  Raises MeasurementError where a wedge is not in it.
+    From the levels and middles of the wedges' tops alone, so that much may be wrong with
+    the scan.  Raises MeasurementError where a wedge is not in it.
     """
     pose = _rough_pose(find_features(surface, piece), piece)
     return pose.rotation, pose.shift

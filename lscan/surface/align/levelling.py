@@ -19,7 +19,7 @@ def levelling_step(normal: Floats) -> Floats:
     As printed, with alpha = -asin(n_y) and beta = asin(n_x), eqs. (5) and (6) would turn a
     level plane (alpha = beta = 0) by 90 degrees about both axes: their sines and cosines hold
     for angles counted from the axes, that is for alpha + 90° and beta + 90°.  With these put
-    in, sin becomes cos and cos becomes -sin, which is what stands here; then R_x R_y n is
+    in, sin becomes cos and cos becomes -sin, as here; then R_x R_y n is
     (0, 0, 1) but for terms of third order in the tilt, and repeating it (eq. 7) removes those.
     """
     alpha, beta = -np.arcsin(normal[1]), np.arcsin(normal[0])

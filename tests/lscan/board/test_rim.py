@@ -9,7 +9,7 @@ from places import PAPER_BOARD
 
 from lscan.board import read_board
 from lscan.board.centre import fit_centres
-from lscan.board.lattice import drop_strays, grid_points_mm, local_map
+from lscan.board.lattice import drop_outliers, grid_points_mm, local_map
 from lscan.board.search import Nodes
 from lscan.config.board import load_board
 from lscan.records import Floats
@@ -45,7 +45,7 @@ def test_a_stray_is_dropped_and_nothing_beside_it(stray: tuple[int, int]) -> Non
     points = lattice(0.005, 1)
     points[stray] += [0.8, -0.5]
     nodes = nodes_at(points)
-    drop_strays(nodes, PITCH_MM)
+    drop_outliers(nodes, PITCH_MM)
     expected = np.ones(SHAPE, bool)
     expected[stray] = False
     np.testing.assert_array_equal(nodes.found, expected)
@@ -57,7 +57,7 @@ def test_strays_are_judged_again_without_those_dropped() -> None:
     points[6, 6] += [3.0, 0.0]
     points[6, 7] += [0.4, 0.0]
     nodes = nodes_at(points)
-    drop_strays(nodes, PITCH_MM)
+    drop_outliers(nodes, PITCH_MM)
     assert np.argwhere(~nodes.found).tolist() == [[6, 6], [6, 7]]
 
 

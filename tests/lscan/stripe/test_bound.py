@@ -17,7 +17,8 @@ FOURTH_ORDER = 1e-3
 @settings(max_examples=40)
 @given(width=st.floats(1.2, 6.0), ratio=st.floats(5, 500), phase=st.floats(-0.5, 0.5))
 def test_additive_noise_gives_the_closed_form(width, ratio, phase):
-    # physics.md 4: (sigma_n / A) sqrt(2 w / sqrt(pi)); the height sinks as the width grows.
+    # (sigma_n / A) sqrt(2 w / sqrt(pi)), docs/explanation/physics.md, section 4; the height sinks
+    # as the width grows.
     seen = np.sqrt(width**2 + 1 / 12)
     closed = seen / width / ratio * np.sqrt(2 * seen / np.sqrt(np.pi))
     bound = centre_bound_px(width, 100.0, Noise((100.0 / ratio) ** 2, 0.0), phase)

@@ -177,7 +177,7 @@ def test_sigma_rises_with_the_noise(name, seed, more):
 def test_speckle_moves_the_centroid_of_squares_as_the_closed_form_says(width, contrast):
     # C² times the sum of (I dc/dI)², dc/dI = 2 I x / sum I²: for a Gaussian the fourth powers
     # have half its width, so C² s / sqrt(2 pi), against 0.375² C² s of a plain centroid
-    # (physics.md 4).  A pixel widens the line to sqrt(s² + 1/12).
+    # (docs/explanation/physics.md, section 4).  A pixel widens the line to sqrt(s² + 1/12).
     centre = centres_of(np.random.default_rng(12), 40)
     section = settings_for(0.0, 0.0, contrast)
     stripe = run("centroid-squared", light_of(centre, width, 150.0) + 20, section)

@@ -156,7 +156,7 @@ def test_strays_do_not_move_the_shaft(sheet: Floats) -> None:
     strayed = sheet.copy()
     strayed[generator.random(sheet.shape[:2]) < 0.02, 1] += 5.0
     fit = fitted(strayed, 3, modes=False)
-    assert fit.strays > 0.015 * fit.points
+    assert fit.outliers > 0.015 * fit.points
     # Two points in a hundred fewer, of which some hundred lie near enough to stay.
     assert (np.abs(errors(fit.shaft) - errors(clean.shaft)) < 0.5 * clean.sigma).all()
 
