@@ -60,12 +60,12 @@ def test_the_bound_is_of_the_shape_of_its_arguments():
 
 @settings(max_examples=40)
 @given(seed=st.integers(0, 2**32 - 1))
-def test_the_models_slopes_are_its_derivatives(seed):
+def test_the_models_jacobian_is_its_derivatives(seed):
     rng = np.random.default_rng(seed)
     ranges = [(-1.0, 1.0), np.log([0.5, 6.0]), np.log([5.0, 500.0]), (-20, 50), (-1, 1)]
     parameters = np.array([[rng.uniform(*ends) for ends in ranges]])
     steps = np.arange(-20.0, 21.0)
-    slopes = lines(parameters, steps).slopes[0]
+    jacobian = lines(parameters, steps).slopes[0]
     step = 1e-5
     for index in range(5):
         ends = []
@@ -76,4 +76,4 @@ def test_the_models_slopes_are_its_derivatives(seed):
             ends.append((model.light + model.ground)[0])
         # Central differences err by step² / 6 of a third derivative, below 1e4 DN here, and
         # by rounding, 1e-13 · 1e3 / step.
-        np.testing.assert_allclose(slopes[index], (ends[0] - ends[1]) / (2 * step), atol=1e-5)
+        np.testing.assert_allclose(jacobian[index], (ends[0] - ends[1]) / (2 * step), atol=1e-5)
