@@ -39,7 +39,7 @@ class CheckedMark:
 
 
 @dataclass(frozen=True)
-class Check:
+class CalibrationCheck:
     """How an old calibration did on a new board picture.
 
     marks: how many were compared.  without_value: found, but outside what the map covers.
@@ -82,7 +82,7 @@ def check_calibration(
     reading: BoardReading,
     level: float = LEVEL,
     placed_mm: float | None = None,
-) -> Check:
+) -> CalibrationCheck:
     """The calibration's score on a new reading of its board.
 
     level: chance of a false alarm, shared evenly by the questions asked.
@@ -97,7 +97,7 @@ def check_calibration(
     own = _compare(calibration.plane_map, calibration.reading)
     residual = points.xz_mm - fit.motion.apply(nominal)
     sigma = np.sqrt(np.diag(fit.covariance))
-    return Check(
+    return CalibrationCheck(
         marks=len(nominal),
         without_value=compared.without_value,
         **_distances("raw_", points.xz_mm - nominal),

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
-from typing import Annotated, Any, Final, Literal, Self
+from typing import Annotated, Any, Final, Literal, Self, cast
 
 import numpy as np
-from pydantic import Field, PositiveFloat, model_validator
+from pydantic import BeforeValidator, ConfigDict, Field, PositiveFloat, model_validator
 
 from lscan.calibration.stored import Gaps, Matrix, NotNegative, Number
-from lscan.config.documents import Strict, check, read_json
+from lscan.config.documents import Strict, check
 from lscan.config.rig import OpticsSection
 from lscan.errors import InputError
 from lscan.files.disk import write_atomically
@@ -25,13 +25,32 @@ StatusName = Literal["OK", "NOT_FOUND", "OUT_OF_VIEW"]
 Side = Annotated[int, Field(strict=True, gt=0)]
 
 
-class StoredMarks(Strict):
+def _name(status: Any) -> Any:
+    return status.name if isinstance(status, Status) else status
+
+
+def _names(status: Any) -> Any:
+    codes = isinstance(status, np.ndarray)
+    return tuple(Status(code).name for code in status) if codes else status
+
+
+def _none_for_nan(value: Any) -> Any:
+    return None if value != value else value
+
+
+class StoredRecord(Strict):
+    """Base of what holds a record of the program: it is made from the record itself."""
+
+    model_config = ConfigDict(from_attributes=True)
+
+
+class StoredMarks(StoredRecord):
     """records.Marks; ``null`` where a mark has no place."""
 
     board_mm: Matrix
     image_px: Gaps
     sigma_px: Gaps
-    status: tuple[StatusName, ...]
+    status: Annotated[tuple[StatusName, ...], BeforeValidator(_names)]
 
     @model_validator(mode="after")
     def _consistent(self) -> Self:
@@ -54,21 +73,12 @@ class StoredMarks(Strict):
         return Marks(self.board_mm, self.image_px, self.sigma_px, status)
 
 
-def _store(marks: Marks) -> dict[str, Any]:
-    return {
-        "board_mm": marks.board_mm,
-        "image_px": marks.image_px,
-        "sigma_px": marks.sigma_px,
-        "status": tuple(Status(code).name for code in marks.status),
-    }
-
-
-class StoredMark(Strict):
+class StoredMark(StoredRecord):
     """records.Mark; ``null`` where it has no place."""
 
     image_px: Gaps
-    sigma_px: NotNegative | None
-    status: StatusName
+    sigma_px: Annotated[NotNegative | None, BeforeValidator(_none_for_nan)]
+    status: Annotated[StatusName, BeforeValidator(_name)]
 
     @model_validator(mode="after")
     def _consistent(self) -> Self:
@@ -85,12 +95,7 @@ class StoredMark(Strict):
         return Mark(self.image_px, sigma_px, Status[self.status])
 
 
-def _store_mark(mark: Mark) -> dict[str, Any]:
-    sigma_px = mark.sigma_px if mark.status == Status.OK else None
-    return {"image_px": mark.image_px, "sigma_px": sigma_px, "status": Status(mark.status).name}
-
-
-class StoredRing(Strict):
+class StoredRing(StoredRecord):
     """records.RingPoints."""
 
     image_px: Gaps
@@ -114,7 +119,7 @@ class StoredRing(Strict):
         return RingPoints(self.image_px.reshape(-1, 2), self.sigma_px)
 
 
-class StoredRuler(Strict):
+class StoredRuler(StoredRecord):
     """records.RulerReading."""
 
     direction: Literal["vertical", "horizontal"]
@@ -122,7 +127,7 @@ class StoredRuler(Strict):
     marks: StoredMarks
 
 
-class StoredReading(Strict):
+class StoredReading(StoredRecord):
     """records.BoardReading."""
 
     image_size: tuple[Side, Side]
@@ -156,23 +161,7 @@ class StoredReading(Strict):
 
 def store_reading(reading: BoardReading) -> StoredReading:
     """The reading as the file holds it."""
-    rulers = [
-        {"direction": r.direction, "at_mm": r.at_mm, "marks": _store(r.marks)}
-        for r in reading.rulers
-    ]
-    document = {
-        "image_size": reading.image_size,
-        "pitch_mm": reading.pitch_mm,
-        "shape": reading.shape,
-        "grid": _store(reading.grid),
-        "rulers": rulers,
-        "dots": {name: _store_mark(dot) for name, dot in reading.dots.items()},
-        "rings": {
-            name: {"image_px": ring.image_px, "sigma_px": ring.sigma_px}
-            for name, ring in reading.rings.items()
-        },
-    }
-    return check(StoredReading, document, where="board reading")
+    return check(StoredReading, cast(Any, reading), where="board reading")
 
 
 class StoredResiduals(Strict):
@@ -202,9 +191,8 @@ class CalibrationFile(Strict):
         return self
 
 
-def read_file(path: Path) -> CalibrationFile:
-    """The file at ``path``; InputError names the key at fault."""
-    document = read_json(path, MOST_BYTES)
+def calibration_file(document: Any, path: Path) -> CalibrationFile:
+    """The content of a file as JSON has it; InputError names the key at fault."""
     if not isinstance(document, dict) or document.get("format") != FORMAT:
         found = document.get("format") if isinstance(document, dict) else None
         raise InputError(
@@ -221,7 +209,7 @@ def read_file(path: Path) -> CalibrationFile:
     return check(CalibrationFile, document, where=path)
 
 
-def write_file(path: Path, content: CalibrationFile) -> None:
-    """Write the file whole or not at all; InputError where the disk refuses."""
+def write_file(path: Path, content: Strict) -> None:
+    """Write a calibration whole or not at all; InputError where the disk refuses."""
     text = json.dumps(content.model_dump(mode="json"), indent=1, allow_nan=False)
     write_atomically(path, (text + "\n").encode())

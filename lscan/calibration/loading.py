@@ -1,42 +1,24 @@
-"""The plane map of a calibration file, whichever route it was solved by."""
+"""The plane map of a calibration file, whichever route made it."""
 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
 
 from lscan.calibration.api import PlaneMap
 from lscan.calibration.file import MOST_BYTES
-from lscan.calibration.multiview.file import FORMAT, load_metric
-from lscan.calibration.solve import load_calibration
+from lscan.calibration.multiview.file import FORMAT, metric_of
+from lscan.calibration.solve import calibration_of
 from lscan.config.documents import read_json
-from lscan.errors import InputError
 
 
 def load_plane_map(path: Path) -> tuple[PlaneMap, tuple[int, int]]:
-    """The plane map of a calibration file, and the (width, height) in px of its pictures.
+    """The map of a calibration file of either route, and the (width, height) it is for.
 
-    Parameters
-    ----------
-    path : Path
-        Written by ``save_calibration`` or by ``save_metric``.
-
-    Raises
-    ------
-    InputError
-        Where the file is no calibration, or is not as it was written.
+    Raises InputError as ``load_metric`` and ``load_calibration`` do.
     """
-    if _format_of(path) == FORMAT:
-        metric = load_metric(path)
+    document = read_json(path, MOST_BYTES)
+    if isinstance(document, dict) and document.get("format") == FORMAT:
+        metric = metric_of(document, path)
         return metric.plane_map, metric.image_size
-    loaded = load_calibration(path)
-    return loaded.plane_map, loaded.reading.image_size
-
-
-def _format_of(path: Path) -> Any:
-    """The format that a JSON file states; None for any other, whose reader says what is wrong."""
-    try:
-        document = read_json(path, MOST_BYTES)
-    except InputError:
-        return None
-    return document.get("format") if isinstance(document, dict) else None
+    calibration = calibration_of(document, path)
+    return calibration.plane_map, calibration.reading.image_size

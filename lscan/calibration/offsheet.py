@@ -20,6 +20,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from lscan.calibration.motion import closest_motion
 from lscan.camera.boards import rotation
 from lscan.errors import MeasurementError
 from lscan.records import Floats, Mask, PlanePoints
@@ -31,7 +32,7 @@ CONVERGED = 1e-10  # of the last step, in mm and in radians
 
 
 @dataclass(frozen=True)
-class Sight:
+class LinesOfSight:
     """From where the marks are seen.
 
     slope: (N, 2) s of each mark's line of sight, mm of x and of z for each mm of y.
@@ -65,7 +66,7 @@ class OffSheet:
 
 def seen_from(
     camera_mm: tuple[float, float, float], xz_mm: Floats, sigma_mm: float = CAMERA_SIGMA_MM
-) -> Sight:
+) -> LinesOfSight:
     """The lines of sight of a camera at ``camera_mm`` to points (N, 2) of the sheet.
 
     camera_mm: (x, y, z) in the map's frame, y below 0; sigma_mm: standard uncertainty of each.
@@ -75,10 +76,12 @@ def seen_from(
     loose = np.zeros((len(xz_mm), 2, 3))
     loose[:, 0, 0] = loose[:, 1, 2] = 1 / y
     loose[:, :, 1] = -slope / y
-    return Sight(slope, sigma_mm * loose)
+    return LinesOfSight(slope, sigma_mm * loose)
 
 
-def off_sheet(board_mm: Floats, points: PlanePoints, sight: Sight, corners_mm: Floats) -> OffSheet:
+def off_sheet(
+    board_mm: Floats, points: PlanePoints, sight: LinesOfSight, corners_mm: Floats
+) -> OffSheet:
     """The board's pose against the sheet, by least squares from its marks.
 
     board_mm: (N, 2) nominal (x, z) of the marks.  points: where the plane map puts them, with
@@ -96,7 +99,7 @@ def off_sheet(board_mm: Floats, points: PlanePoints, sight: Sight, corners_mm: F
             f"{FEWEST_MARKS} needed to tell how far the board is from the sheet"
         )
     middle = corners_mm.mean(axis=0)
-    sought = _Marks(_in_space(board_mm[used] - middle), points.xz_mm[used], sight.slope[used])
+    sought = SheetMarks(_in_space(board_mm[used] - middle), points.xz_mm[used], sight.slope[used])
     sigma = _own_sigma(points, used)
     pose = _solve(sought, _start(sought), sigma)
     jacobian = sought.jacobian(pose) / sigma[:, None]
@@ -108,32 +111,32 @@ def off_sheet(board_mm: Floats, points: PlanePoints, sight: Sight, corners_mm: F
 
 
 @dataclass(frozen=True)
-class _Pose:
+class BoardPose:
     """turn: (3, 3) of the board's axes into the map's.  place_mm: (3,) of its middle."""
 
     turn: Floats
     place_mm: Floats
 
-    def moved(self, step: Floats) -> _Pose:
+    def moved(self, step: Floats) -> BoardPose:
         """After a small rotation (3,) in radians and a shift (3,) in mm."""
-        return _Pose(rotation(step[:3]) @ self.turn, self.place_mm + step[3:])
+        return BoardPose(rotation(step[:3]) @ self.turn, self.place_mm + step[3:])
 
 
 @dataclass(frozen=True)
-class _Marks:
+class SheetMarks:
     """board: (N, 3) about the board's middle.  seen: (N, 2) M.  slope: (N, 2) s."""
 
     board: Floats
     seen: Floats
     slope: Floats
 
-    def residual(self, pose: _Pose) -> Floats:
+    def residual(self, pose: BoardPose) -> Floats:
         """(2N,) mm, where the pose puts the marks in the sheet less where they are seen."""
         x = self.board @ pose.turn.T + pose.place_mm
         return (x[:, [0, 2]] - self.slope * x[:, 1:2] - self.seen).ravel()
 
-    def jacobian(self, pose: _Pose) -> Floats:
-        """(2N, 6) of the residuals by the step of :meth:`_Pose.moved`, at none.
+    def jacobian(self, pose: BoardPose) -> Floats:
+        """(2N, 6) of the residuals by the step of :meth:`BoardPose.moved`, at none.
 
         A small rotation w moves the arm r by w x r, that is by -[r]x w.
         """
@@ -159,19 +162,16 @@ def _own_sigma(points: PlanePoints, used: Mask) -> Floats:
     return np.sqrt(np.where(variance > 0, variance, 1.0)).ravel()
 
 
-def _start(marks: _Marks) -> _Pose:
+def _start(marks: SheetMarks) -> BoardPose:
     """The board in the sheet: the plane's rotation and shift of least squares, closed form."""
-    one, other = (p - p.mean(axis=0) for p in (marks.board[:, [0, 2]], marks.seen))
-    turn = np.arctan2(
-        (one[:, 0] * other[:, 1] - one[:, 1] * other[:, 0]).sum(), (one * other).sum()
-    )
+    moved = closest_motion(marks.board[:, [0, 2]], marks.seen)
     # From x to z is a left-handed turn about y.
-    about_y = rotation(np.array([0.0, -turn, 0.0]))
-    shift = marks.seen.mean(axis=0) - (marks.board.mean(axis=0) @ about_y.T)[[0, 2]]
-    return _Pose(about_y, np.array([shift[0], 0.0, shift[1]]))
+    about_y = rotation(np.array([0.0, -moved.turn_rad, 0.0]))
+    shift = moved.apply(np.zeros((1, 2)))[0]
+    return BoardPose(about_y, np.array([shift[0], 0.0, shift[1]]))
 
 
-def _solve(marks: _Marks, pose: _Pose, sigma: Floats) -> _Pose:
+def _solve(marks: SheetMarks, pose: BoardPose, sigma: Floats) -> BoardPose:
     """Gauss and Newton's steps to the pose of least squares."""
     for _ in range(TURNS):
         jacobian = marks.jacobian(pose) / sigma[:, None]
@@ -184,7 +184,9 @@ def _solve(marks: _Marks, pose: _Pose, sigma: Floats) -> _Pose:
     raise MeasurementError("the marks do not tell how far the board is from the sheet")
 
 
-def _common(points: PlanePoints, used: Mask, sight: Sight, marks: _Marks, pose: _Pose) -> Floats:
+def _common(
+    points: PlanePoints, used: Mask, sight: LinesOfSight, marks: SheetMarks, pose: BoardPose
+) -> Floats:
     """(2N, K) mm by which one standard deviation of each common error moves the residuals."""
     behind = (marks.board @ pose.turn.T + pose.place_mm)[:, 1]
     parts = [-sight.loose[used] * behind[:, None, None]]
@@ -203,7 +205,7 @@ def _root(jacobian: Floats, residual: Floats, common: Floats, sigma: Floats) -> 
     return np.hstack([scale * own.T, inverse @ (common / sigma[:, None])])
 
 
-def _answer(pose: _Pose, root: Floats, corners: Floats, residual_mm: Floats) -> OffSheet:
+def _answer(pose: BoardPose, root: Floats, corners: Floats, residual_mm: Floats) -> OffSheet:
     """The pose as distances and tilts, and the uncertainties of these."""
     arm = corners @ pose.turn.T
     along = np.zeros((4, 6))

@@ -15,7 +15,7 @@ import numpy as np
 from scipy.spatial import ConvexHull, QhullError
 
 from lscan.calibration.stored import STRICT, Matrix, NotNegative
-from lscan.errors import BoardNotFound
+from lscan.errors import BoardNotFound, MeasurementError
 from lscan.records import BoardReading, Floats, Mask
 
 MARGIN = 0.05  # of the spacing of neighbouring control points
@@ -61,10 +61,18 @@ def covered_region(reading: BoardReading, used: Mask) -> Region:
     """
     points = reading.grid.image_px[used]
     try:
-        hull = ConvexHull(points)
-    except (QhullError, ValueError) as error:
+        return region_around(points, MARGIN * spacing_px(reading))
+    except MeasurementError as error:
         raise BoardNotFound(f"{len(points)} control points found: they span no area") from error
-    return Region(points[hull.vertices], MARGIN * spacing_px(reading))
+
+
+def region_around(image_px: Floats, margin_px: float = 0.0) -> Region:
+    """The convex hull of pixels (N, 2); MeasurementError where they span no area."""
+    try:
+        hull = ConvexHull(image_px)
+    except (QhullError, ValueError) as error:
+        raise MeasurementError("the marks and the line span no area of the picture") from error
+    return Region(image_px[hull.vertices], margin_px)
 
 
 def spacing_px(reading: BoardReading) -> float:

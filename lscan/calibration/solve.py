@@ -9,19 +9,22 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from lscan.calibration.api import NOTHING_KNOWN, PlaneMap, find_solver
 from lscan.calibration.file import (
     FORMAT,
+    MOST_BYTES,
     VERSION,
     CalibrationFile,
     StoredResiduals,
-    read_file,
+    calibration_file,
     store_reading,
     write_file,
 )
+from lscan.config.documents import read_json
 from lscan.config.rig import OpticsSection
 from lscan.errors import InputError
 from lscan.records import BoardReading, Floats
@@ -75,10 +78,16 @@ def calibrate(
     Raises InputError for an unknown name, BoardNotFound for too few marks.
     """
     known = optics or NOTHING_KNOWN
-    plane_map = find_solver(map_name).solve(reading, known)
-    software = f"lscan {__version__}"
+    return calibration_by(map_name, find_solver(map_name).solve(reading, known), reading, known)
+
+
+def calibration_by(
+    map_name: str, plane_map: PlaneMap, reading: BoardReading, optics: OpticsSection
+) -> Calibration:
+    """The calibration by the map of that name, solved from ``reading`` with ``optics`` known."""
     mm, px = residuals(plane_map, reading)
-    return Calibration(map_name, plane_map, reading, mm, px, known, software)
+    software = f"lscan {__version__}"
+    return Calibration(map_name, plane_map, reading, mm, px, optics, software)
 
 
 def resolve(calibration: Calibration) -> Calibration:
@@ -137,7 +146,12 @@ def load_calibration(path: Path | str) -> Calibration:
     written: unknown or missing keys, numbers out of range, a map that does not exist, and
     residuals that do not belong to the parameters.
     """
-    content = read_file(Path(path))
+    return calibration_of(read_json(Path(path), MOST_BYTES), Path(path))
+
+
+def calibration_of(document: Any, path: Path) -> Calibration:
+    """The calibration in the JSON document of the file ``path``, as ``load_calibration``."""
+    content = calibration_file(document, path)
     reading, stored = content.reading.reading(), content.residuals
     with np.errstate(all="ignore"):  # numbers that make no map do not give these residuals
         try:

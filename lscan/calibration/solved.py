@@ -60,6 +60,9 @@ class MapSolver(ABC, Generic[Solved]):
 
     def check_variant(self, variant: str) -> None:
         """InputError for a variant that there is not; nothing is solved."""
+        self._require(variant)
+
+    def _require(self, variant: str) -> None:
         if variant not in self.variants:
             raise InputError(
                 f"no such {self.what}",
@@ -77,7 +80,7 @@ class MapSolver(ABC, Generic[Solved]):
         determine the map.
         """
         self.check_variant(variant)
-        return named(self.fit(reading, variant, optics), self.family, variant)
+        return self._named(self.fit(reading, variant, optics), variant)
 
     @abstractmethod
     def fit(self, reading: BoardReading, variant: str, optics: OpticsSection) -> Solved:
@@ -85,15 +88,13 @@ class MapSolver(ABC, Generic[Solved]):
 
     def restore(self, variant: str, parameters: dict[str, Any]) -> Solved:
         """The map that ``parameters`` came from; InputError where they do not fit."""
-        self.check_variant(variant)
+        self._require(variant)
         read = check(self.model, parameters, where=None, prefix="parameters")
-        return named(read, self.family, variant)
+        return self._named(read, variant)
 
-
-def named(solved: Solved, family: str, variant: str) -> Solved:
-    """The map, with its full name."""
-    solved._name = full_name(family, variant)
-    return solved
+    def _named(self, solved: Solved, variant: str) -> Solved:
+        solved._name = full_name(self.family, variant)
+        return solved
 
 
 def with_lack_of_fit(solved: Solved, reading: BoardReading) -> Solved:

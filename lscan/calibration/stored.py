@@ -7,6 +7,7 @@ declaration serves the program and the strict reading of its files.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import partial
 from typing import Annotated, Any
 
 import numpy as np
@@ -44,14 +45,6 @@ def _checked(value: Any, dimensions: int) -> list[Any]:
     return value
 
 
-def _vector(value: Any) -> Floats:
-    return _numbers(value, 1)
-
-
-def _matrix(value: Any) -> Floats:
-    return _numbers(value, 2)
-
-
 def _pair(value: Any) -> Floats:
     array = _numbers(value, 1)
     if array.shape != (2,) or array.min() < 0:
@@ -83,14 +76,11 @@ def _plain_with_gaps(array: Floats) -> list[Any]:
     return plain.tolist()
 
 
-def _plain(array: Floats) -> list[Any]:
-    return array.tolist()
-
-
-Vector = Annotated[Floats, PlainValidator(_vector), PlainSerializer(_plain)]
-Pair = Annotated[Floats, PlainValidator(_pair), PlainSerializer(_plain)]
+_LISTS = PlainSerializer(np.ndarray.tolist)
+Vector = Annotated[Floats, PlainValidator(partial(_numbers, dimensions=1)), _LISTS]
+Matrix = Annotated[Floats, PlainValidator(partial(_numbers, dimensions=2)), _LISTS]
+Pair = Annotated[Floats, PlainValidator(_pair), _LISTS]
 Gaps = Annotated[Floats, PlainValidator(_with_gaps), PlainSerializer(_plain_with_gaps)]
-Matrix = Annotated[Floats, PlainValidator(_matrix), PlainSerializer(_plain)]
 
 
 def check_covariance(covariance: Floats, count: int) -> None:

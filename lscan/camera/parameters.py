@@ -42,10 +42,12 @@ class CameraPriors:
     """What is known of a camera beforehand, in the order of CAMERA.
 
     mean, sigma: (14,) each.  sigma 0: the parameter is held; infinite: nothing is known.
+    focal_given: whether the focal length is known, rather than assumed or open.
     """
 
     mean: Floats
     sigma: Floats
+    focal_given: bool
 
     @property
     def free(self) -> Mask:
@@ -108,4 +110,4 @@ def priors_of(
     if optics.port == "none":
         mean[WATER] = 1.0
         sigma[len(LENS) :] = 0.0
-    return CameraPriors(mean, sigma)
+    return CameraPriors(mean, sigma, optics.focal_px is not None)

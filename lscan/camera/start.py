@@ -10,10 +10,39 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from lscan.camera.boards import FACING, PosedBoards, towards
-from lscan.camera.fit import BoardMarks
-from lscan.camera.parameters import COUNT, PortKind
+from lscan.camera.fit import WRONG, BoardMarks, fit_within_limits
+from lscan.camera.parameters import COUNT, CameraPriors, PortKind
 from lscan.camera.projection import rays
 from lscan.records import Floats
+
+START_WIDTHS = (1.2, 0.7, 2.0)  # focal lengths over the width to start from where none is known
+START_PX = 10.0  # residuals above this count linearly while the start is sought
+EVALUATIONS = 15
+TOLERANCE = 1e-9  # relative change of the sum of squares
+
+
+def best_start(
+    marks: BoardMarks, priors: CameraPriors, port: PortKind, width: int
+) -> PosedBoards | None:
+    """Rough camera and poses; None where no board's marks are a picture of a plane.
+
+    The best of several, one for each focal length that may be.  The first that explains the
+    marks within their uncertainties is as good as any.  width: of the picture, px.
+    """
+    focals = [priors.mean[0]] if priors.focal_given else [share * width for share in START_WIDTHS]
+    robust = START_PX / float(np.median(marks.sigma_px))
+    best, least = None, np.inf
+    for focal in focals:
+        posed = posed_boards(np.array([focal, *priors.mean[1:]]), port, marks)
+        if posed is None:
+            continue
+        tried = fit_within_limits(posed, marks, priors, TOLERANCE, robust, EVALUATIONS)
+        size = float(np.median(marks.lengths(tried)))
+        if size < least:
+            best, least = tried, size
+        if least < WRONG:
+            break
+    return best
 
 
 def posed_boards(theta: Floats, port: PortKind, marks: BoardMarks) -> PosedBoards | None:

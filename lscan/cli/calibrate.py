@@ -21,7 +21,7 @@ from lscan.cli.arguments import (
 from lscan.cli.console import print_json, print_table, progress_bar
 
 if TYPE_CHECKING:
-    from lscan.calibration.check import Check
+    from lscan.calibration.check import CalibrationCheck
     from lscan.calibration.crossvalidation import Score
     from lscan.calibration.solve import Calibration
 
@@ -162,7 +162,7 @@ def _print_scores(scores: tuple[Score, ...]) -> None:
             print(f"{score.name}: refused, {score.refused}")
 
 
-def _print_check(check: Check) -> None:
+def _print_check(check: CalibrationCheck) -> None:
     (x, z), (x_sigma, z_sigma) = check.shift_mm, check.shift_sigma_mm
     print(f"{check.marks} marks compared, {check.without_value} outside the calibration")
     print(f"as they are: {check.raw_rms_mm:.3f} mm rms, {check.raw_max_mm:.3f} mm at most")

@@ -9,7 +9,7 @@ import numpy as np
 from lscan.board import read_board
 from lscan.calibration.api import PlaneMap
 from lscan.calibration.multiview.planemap import Metric
-from lscan.calibration.offsheet import OffSheet, Sight, off_sheet, seen_from
+from lscan.calibration.offsheet import LinesOfSight, OffSheet, off_sheet, seen_from
 from lscan.calibration.solve import calibrate, in_picture, residuals
 from lscan.config.board import Board
 from lscan.config.rig import Rig, SheetSection
@@ -103,7 +103,7 @@ def _offset(
     points = plane_map.to_plane(grid.image_px, grid.sigma_px)
     if isinstance(plane_map, Metric):
         slope = plane_map.view.slopes(grid.image_px)
-        sight = Sight(slope, np.zeros((*slope.shape, 0)))
+        sight = LinesOfSight(slope, np.zeros((*slope.shape, 0)))
     elif sheet is not None:
         sight = seen_from(sheet.camera_mm, points.xz_mm)
     else:

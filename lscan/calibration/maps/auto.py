@@ -15,13 +15,12 @@ from pydantic import Field
 
 from lscan.calibration.api import NOTHING_KNOWN, PlaneMap, find_solver
 from lscan.calibration.crossvalidation import COMPLETE, Score, cross_validated
-from lscan.calibration.solve import Calibration, residuals
+from lscan.calibration.solve import Calibration, calibration_by
 from lscan.calibration.stored import NotNegative
 from lscan.config.documents import Strict, check
 from lscan.config.rig import OpticsSection
 from lscan.errors import BoardNotFound, InputError
 from lscan.records import BoardReading, Floats, PlanePoints, Progress
-from lscan.version import __version__
 
 CANDIDATES = (
     "refractive",
@@ -128,9 +127,7 @@ def calibrate_best(
     """What ``calibrate(reading, "auto", optics)`` gives, ``progress`` told of each candidate."""
     known = optics or NOTHING_KNOWN
     plane_map = cast(PlaneMap, solver.solve(reading, "", known, progress))
-    mm, px = residuals(plane_map, reading)
-    software = f"lscan {__version__}"
-    return Calibration(plane_map.name, plane_map, reading, mm, px, known, software)
+    return calibration_by(plane_map.name, plane_map, reading, known)
 
 
 def ranked(scores: tuple[Score, ...]) -> tuple[Score, ...]:

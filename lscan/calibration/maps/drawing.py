@@ -8,8 +8,8 @@ from typing import Literal
 import numpy as np
 
 from lscan.calibration.maps.graticule import Graticule
-from lscan.calibration.maps.lines import Curve, Line
-from lscan.calibration.maps.rulers import Ruler, ruler_axis
+from lscan.calibration.maps.lines import Curve, GridLine
+from lscan.calibration.maps.rulers import FittedRuler, ruler_axis
 from lscan.records import BoardReading, Floats
 
 Kind = Literal["latitude", "longitude", "vertical ruler", "horizontal ruler"]
@@ -44,40 +44,20 @@ def graticule_lines(graticule: Graticule, samples: int = 200) -> list[DrawnLine]
 
     samples: points per line, S.
     """
-    drawn = [
-        _sample(kind, line.at_mm, line.curve, (line.first_px, line.last_px), samples)
-        for kind, lines in _lines_by_kind(graticule)
-        for line in lines
+    across, down = graticule.latitudes, graticule.longitudes
+    curves: list[tuple[Kind, GridLine | FittedRuler, Curve]] = [
+        *(("latitude", line, line.curve) for line in across.lines),
+        *(("longitude", line, line.curve) for line in down.lines),
+        *(("vertical ruler", ruler, ruler.line) for ruler in across.rulers),
+        *(("horizontal ruler", ruler, ruler.line) for ruler in down.rulers),
     ]
-    drawn += [
-        _sample(kind, ruler.at_mm, ruler.line, (ruler.first_px, ruler.last_px), samples)
-        for kind, rulers in _rulers_by_kind(graticule)
-        for ruler in rulers
-    ]
+    drawn = []
+    for kind, line, curve in curves:
+        along = np.linspace(line.first_px, line.last_px, samples)
+        runs_across = kind in ("latitude", "horizontal ruler")
+        pair = (along, curve(along)) if runs_across else (curve(along), along)
+        drawn.append(DrawnLine(kind, line.at_mm, np.column_stack(pair)))
     return drawn
-
-
-def _lines_by_kind(graticule: Graticule) -> list[tuple[Kind, tuple[Line, ...]]]:
-    return [
-        ("latitude", graticule.latitudes.lines),
-        ("longitude", graticule.longitudes.lines),
-    ]
-
-
-def _rulers_by_kind(graticule: Graticule) -> list[tuple[Kind, tuple[Ruler, ...]]]:
-    return [
-        ("vertical ruler", graticule.latitudes.rulers),
-        ("horizontal ruler", graticule.longitudes.rulers),
-    ]
-
-
-def _sample(
-    kind: Kind, at_mm: float, curve: Curve, stretch_px: tuple[float, float], samples: int
-) -> DrawnLine:
-    along = np.linspace(*stretch_px, samples)
-    runs_across = kind in ("latitude", "horizontal ruler")
-    pair = (along, curve(along)) if runs_across else (curve(along), along)
-    return DrawnLine(kind, at_mm, np.column_stack(pair))
 
 
 def ruler_conversions(
@@ -89,20 +69,18 @@ def ruler_conversions(
     """
     drawn = []
     for ruler in reading.rulers:
-        axis = ruler_axis(ruler)
-        lines = (graticule.longitudes, graticule.latitudes)[axis]
-        found = ruler.marks.found
-        for solved in lines.rulers:
-            if solved.at_mm == ruler.at_mm:
-                place = np.linspace(solved.first_px, solved.last_px, samples)
-                drawn.append(
-                    DrawnConversion(
-                        direction=ruler.direction,
-                        at_mm=ruler.at_mm,
-                        marks_px=ruler.marks.image_px[found, axis],
-                        marks_mm=ruler.marks.board_mm[found, axis],
-                        curve_px=place,
-                        curve_mm=solved.conversion(place),
-                    )
+        axis, found = ruler_axis(ruler), ruler.marks.found
+        fitted = (graticule.longitudes, graticule.latitudes)[axis].rulers
+        for solved in (one for one in fitted if one.at_mm == ruler.at_mm):
+            place = np.linspace(solved.first_px, solved.last_px, samples)
+            drawn.append(
+                DrawnConversion(
+                    direction=ruler.direction,
+                    at_mm=ruler.at_mm,
+                    marks_px=ruler.marks.image_px[found, axis],
+                    marks_mm=ruler.marks.board_mm[found, axis],
+                    curve_px=place,
+                    curve_mm=solved.conversion(place),
                 )
+            )
     return drawn

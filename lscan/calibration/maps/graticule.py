@@ -9,9 +9,9 @@ from __future__ import annotations
 import numpy as np
 
 from lscan.calibration.evaluate import Estimate
-from lscan.calibration.maps.lines import DEGREE, Fit, Line, fit_line
+from lscan.calibration.maps.lines import DEGREE, Fit, GridLine, fit_line
 from lscan.calibration.maps.lineset import LineSet, Targets
-from lscan.calibration.maps.rulers import Ruler, fit_ruler
+from lscan.calibration.maps.rulers import FittedRuler, fit_ruler
 from lscan.calibration.region import Region, covered_region, spacing_px
 from lscan.calibration.solved import MapSolver, SolvedMap, with_lack_of_fit
 from lscan.calibration.stored import Pair
@@ -80,7 +80,7 @@ class GraticuleSolver(MapSolver[Graticule]):
 solver = GraticuleSolver()
 
 
-def _fit_lines(reading: BoardReading, along: int, fit: Fit) -> list[Line | None]:
+def _fit_lines(reading: BoardReading, along: int, fit: Fit) -> list[GridLine | None]:
     """One line per grid row (along = 0) or per grid column (along = 1)."""
     count = reading.shape[along]
     index = np.indices(reading.shape)[along].ravel()
@@ -100,18 +100,20 @@ def _select(marks: Marks, which: Mask) -> Marks:
     )
 
 
-def _present(lines: list[Line | None]) -> tuple[Line, ...]:
+def _present(lines: list[GridLine | None]) -> tuple[GridLine, ...]:
     return tuple(line for line in lines if line is not None)
 
 
-def _on_lines(reading: BoardReading, rows: list[Line | None], columns: list[Line | None]) -> Mask:
+def _on_lines(
+    reading: BoardReading, rows: list[GridLine | None], columns: list[GridLine | None]
+) -> Mask:
     """Mask of the control points found on a latitude line and on a longitude line."""
     row = np.array([line is not None for line in rows])
     column = np.array([line is not None for line in columns])
     return np.outer(row, column).ravel() & reading.grid.found
 
 
-def _rulers(reading: BoardReading, reads: int, fit: Fit, wanted: bool) -> tuple[Ruler, ...]:
+def _rulers(reading: BoardReading, reads: int, fit: Fit, wanted: bool) -> tuple[FittedRuler, ...]:
     """The rulers that read coordinate ``reads``: 0, the horizontal ones; 1, the vertical."""
     direction = ("horizontal", "vertical")[reads]
     fitted = [fit_ruler(r, fit) for r in reading.rulers if wanted and r.direction == direction]

@@ -111,7 +111,7 @@ def _fit(
 
 
 @dataclass(frozen=True)
-class Line:
+class GridLine:
     """A longitude or latitude line.
 
     at_mm: its place on the board: x of a longitude line, z of a latitude line.
@@ -130,7 +130,7 @@ class Line:
         return (along_px >= self.first_px - beyond_px) & (along_px <= self.last_px + beyond_px)
 
 
-def fit_line(marks: Marks, along: int, fit: Fit) -> Line | None:
+def fit_line(marks: Marks, along: int, fit: Fit) -> GridLine | None:
     """The line through the marks that were found, None where they are too few for ``fit``.
 
     marks: those of one grid row (along = 0, that is u) or one grid column (along = 1).
@@ -140,7 +140,9 @@ def fit_line(marks: Marks, along: int, fit: Fit) -> Line | None:
     if len(np.unique(x)) <= DEGREE[fit]:
         return None
     at_mm = float(marks.board_mm[:, 1 - along].mean())
-    return Line(at_mm, fit_curve(x, y, marks.sigma_px[found], fit), float(x.min()), float(x.max()))
+    return GridLine(
+        at_mm, fit_curve(x, y, marks.sigma_px[found], fit), float(x.min()), float(x.max())
+    )
 
 
 def fit_curve(x: Floats, y: Floats, sigma_px: Floats, fit: Fit) -> Curve:

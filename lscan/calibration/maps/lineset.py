@@ -14,8 +14,8 @@ from typing import Annotated
 import numpy as np
 from pydantic import Field
 
-from lscan.calibration.maps.lines import Curve, Line
-from lscan.calibration.maps.rulers import Ruler
+from lscan.calibration.maps.lines import Curve, GridLine
+from lscan.calibration.maps.rulers import FittedRuler
 from lscan.calibration.region import MARGIN
 from lscan.calibration.stored import STRICT, NotNegative
 from lscan.records import Floats, Ints, Mask
@@ -60,12 +60,17 @@ class Between:
 
     def blend(self, values_of: Callable[[int, Mask], Floats], power: int = 1) -> Floats:
         """(N,) weighted sum over the two lines; values_of(line, mask) gives a line's values."""
-        total = np.zeros(len(self.fraction))
-        for index, weight in ((self.lower, 1 - self.fraction), (self.upper, self.fraction)):
-            for line in np.unique(index):
-                here = index == line
-                total[here] += weight[here] ** power * values_of(int(line), here)
-        return total
+        below = (1 - self.fraction) ** power * on_lines(self.lower, values_of)
+        return below + self.fraction**power * on_lines(self.upper, values_of)
+
+
+def on_lines(index: Ints, values_of: Callable[[int, Mask], Floats]) -> Floats:
+    """(N,) of the line index[n] each; values_of(line, mask) gives a line's values."""
+    values = np.empty(len(index))
+    for line in np.unique(index):
+        here = index == line
+        values[here] = values_of(int(line), here)
+    return values
 
 
 @dataclass(frozen=True)
@@ -78,8 +83,8 @@ class LineSet:
     """
 
     __pydantic_config__ = STRICT
-    lines: Annotated[tuple[Line, ...], Field(min_length=2)]
-    rulers: tuple[Ruler, ...]
+    lines: Annotated[tuple[GridLine, ...], Field(min_length=2)]
+    rulers: tuple[FittedRuler, ...]
     reach_px: NotNegative
 
     def locate(self, targets: Targets) -> tuple[Floats, Floats]:
@@ -165,14 +170,16 @@ class LineSet:
         return np.where(beside.any(axis=0), closest, -1)
 
     def _read_ruler(
-        self, ruler: Ruler, targets: Targets, between: Between
+        self, ruler: FittedRuler, targets: Targets, between: Between
     ) -> tuple[Floats, Floats]:
         """Steps 3 and 4: NaN where the interpolated line misses the ruler's marks."""
         place, meets = self._intersect(ruler, targets, between)
         value = np.where(meets, ruler.conversion(place), np.nan)
         return value, self._ruler_variance(ruler, targets, between, place)
 
-    def _intersect(self, ruler: Ruler, targets: Targets, between: Between) -> tuple[Floats, Mask]:
+    def _intersect(
+        self, ruler: FittedRuler, targets: Targets, between: Between
+    ) -> tuple[Floats, Mask]:
         """Where the interpolated line H meets the ruler's line R, across px.
 
         Newton on y - H(R(y)) from the target's own height.  H and R run nearly along the
@@ -188,7 +195,7 @@ class LineSet:
         return place, (np.abs(miss) < NEWTON_PX) & ruler.reaches(place)
 
     def _ruler_variance(
-        self, ruler: Ruler, targets: Targets, between: Between, place: Floats
+        self, ruler: FittedRuler, targets: Targets, between: Between, place: Floats
     ) -> Floats:
         """Variance of the value read, mm^2, to first order.
 
@@ -198,8 +205,11 @@ class LineSet:
         """
         crossing = ruler.line(place)
         slope = self._slope(between, crossing)
-        ends = (between.upper, between.lower)
-        far, near = (self._line_heights(index, crossing) for index in ends)
+
+        def height(line: int, here: Mask) -> Floats:
+            return self._curve(line)(crossing[here])
+
+        far, near = on_lines(between.upper, height), on_lines(between.lower, height)
         ratio = (far - near) / between.span_px
 
         def line_variance(line: int, here: Mask) -> Floats:
@@ -215,11 +225,3 @@ class LineSet:
         lean = slope * ruler.line.slope(place)
         scale = ruler.conversion.slope(place) / (1 - lean)
         return scale**2 * across + ruler.conversion.variance(ruler.conversion.basis(place))
-
-    def _line_heights(self, index: Ints, along: Floats) -> Floats:
-        """(N,) height of line index[n] at along[n], across px."""
-        heights = np.empty(len(along))
-        for line in np.unique(index):
-            here = index == line
-            heights[here] = self._curve(int(line))(along[here])
-        return heights

@@ -11,29 +11,23 @@ import numpy as np
 from lscan.calibration.readings import all_marks
 from lscan.camera.boards import PosedBoards
 from lscan.camera.fit import (
-    WRONG,
     BoardMarks,
     CameraFit,
     fit_boards,
-    fit_within_limits,
     found_on,
     sound_marks,
     with_covariance,
 )
-from lscan.camera.parameters import CameraPriors, priors_of
-from lscan.camera.start import posed_boards
+from lscan.camera.parameters import priors_of
+from lscan.camera.start import TOLERANCE, best_start
 from lscan.config.rig import OpticsSection
 from lscan.errors import BoardNotFound
 from lscan.records import BoardReading
 
-START_WIDTHS = (1.2, 0.7, 2.0)  # focal lengths over the width to start from where none is known
 FEWEST = 10  # control points: 20 equations for the 13 unknowns of lens and pose
-START_PX = 10.0  # residuals above this count linearly while the start is sought
-START_EVALUATIONS = 15
 MOST_MISSED = 0.1  # of the pitch: how far off the median mark may lie in a view that explains; ours
 MOST_WRONG = 0.25  # of all marks; beyond it the fit explains nothing
 ROUNDS = 8
-TOLERANCE = 1e-9  # relative change of the sum of squares
 
 
 def fit_view(reading: BoardReading, optics: OpticsSection) -> CameraFit:
@@ -50,7 +44,9 @@ def fit_view(reading: BoardReading, optics: OpticsSection) -> CameraFit:
     priors = priors_of(optics, reading.image_size)
     several = all_marks(reading)
     marks = found_on(several, [0] * len(several))
-    view = _start(marks, priors, reading.image_size[0], optics)
+    view = best_start(marks, priors, optics.port, reading.image_size[0])
+    if view is None or not view.axes[0, :, 1] @ view.places_mm[0] > 0:
+        raise BoardNotFound("the marks found are no picture of the board's front")
     good = np.ones(len(marks.sigma_px), dtype=bool)
     for _ in range(ROUNDS):
         view = fit_boards(view, marks.only(good), priors, TOLERANCE)
@@ -74,28 +70,3 @@ def _require_explained(view: PosedBoards, marks: BoardMarks, pitch_mm: float) ->
             f"no camera as [optics] knows it explains the marks: the median one lies {miss_px:.0f} "
             f"px off, {miss_mm:.0f} mm of a pitch of {pitch_mm:g} mm; check what [optics] says"
         )
-
-
-def _start(
-    marks: BoardMarks, priors: CameraPriors, width: int, optics: OpticsSection
-) -> PosedBoards:
-    """The best of several rough views, one for each focal length that may be.
-
-    The first that explains the marks within their uncertainties is as good as any.
-    """
-    focals = [priors.mean[0]] if optics.focal_px else [share * width for share in START_WIDTHS]
-    robust = START_PX / float(np.median(marks.sigma_px))
-    best, least = None, np.inf
-    for focal in focals:
-        posed = posed_boards(np.array([focal, *priors.mean[1:]]), optics.port, marks)
-        if posed is None or not posed.axes[0, :, 1] @ posed.places_mm[0] > 0:  # from behind
-            continue
-        tried = fit_within_limits(posed, marks, priors, TOLERANCE, robust, START_EVALUATIONS)
-        size = float(np.median(marks.lengths(tried)))
-        if size < least:
-            best, least = tried, size
-        if least < WRONG:
-            break
-    if best is None:
-        raise BoardNotFound("the marks found are no picture of the board's front")
-    return best

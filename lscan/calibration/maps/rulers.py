@@ -22,7 +22,7 @@ CONVERSION_ORDER = 4
 
 
 @dataclass(frozen=True)
-class Ruler:
+class FittedRuler:
     """A ruler that crosses the lines it reads: a vertical one crosses the latitude lines.
 
     at_mm: its fixed coordinate on the board.
@@ -45,7 +45,7 @@ class Ruler:
         return (across_px >= self.first_px) & (across_px <= self.last_px)
 
 
-def fit_ruler(reading: RulerReading, fit: Fit) -> Ruler | None:
+def fit_ruler(reading: RulerReading, fit: Fit) -> FittedRuler | None:
     """The ruler with a line of the same kind as the map's; None where too few marks are found.
 
     Too few: not enough for the line, or for a conversion curve with a mark to spare.
@@ -59,7 +59,7 @@ def fit_ruler(reading: RulerReading, fit: Fit) -> Ruler | None:
         return None
     order = min(CONVERSION_ORDER, different - 2)
     half = float(np.median(np.abs(np.diff(np.sort(place))))) / 2
-    return Ruler(
+    return FittedRuler(
         at_mm=reading.at_mm,
         line=fit_curve(place, along, sigma, fit),
         conversion=fit_polynomial(place, mm, sigma, np.zeros_like(sigma), order),

@@ -92,7 +92,8 @@ class SplineSolver(MapSolver[Spline]):
         pixels = _even_scaling(image)
         scaled = pixels.apply(image)
         _require_spread(scaled)
-        basis = _basis(scaled, region.margin_px / pixels.scale[0])
+        margin = region.margin_px / pixels.scale[0]  # by which a region goes beyond the marks
+        basis = even_basis(scaled.min(axis=0) - margin, scaled.max(axis=0) + margin, SEGMENTS)
         slope = np.sqrt((base.slopes(image) ** 2).sum(axis=2))
         sigma = np.maximum(sigma_px, LEAST_SIGMA_PX)[:, None] * slope
         rest, rows, rough = known - base.places(image), basis.rows(scaled), basis.roughness()
@@ -126,11 +127,6 @@ def _require_spread(scaled: Floats) -> None:
             f"a spline map needs {int(COST * FLAT) + 1} marks that determine a quadratic "
             f"surface, found {len(scaled)} marks"
         )
-
-
-def _basis(scaled: Floats, margin: float) -> TensorBasis:
-    """The basis over the points (N, 2) and the margin by which a region may go beyond them."""
-    return even_basis(scaled.min(axis=0) - margin, scaled.max(axis=0) + margin, SEGMENTS)
 
 
 def _lattice(region: Region) -> Floats:

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import Annotated, Any, Final, Literal, Self
 
 import numpy as np
 from pydantic import Field, model_validator
 
-from lscan.calibration.file import MOST_BYTES, Side, StoredMarks
+from lscan.calibration.file import MOST_BYTES, Side, StoredMarks, StoredRecord, write_file
 from lscan.calibration.multiview.planemap import solver
 from lscan.calibration.multiview.solve import MetricCalibration, ViewReport
 from lscan.calibration.multiview.views import CalibrationView, LinePoints
@@ -18,8 +17,6 @@ from lscan.camera.parameters import COUNT
 from lscan.config.documents import Strict, check, read_json
 from lscan.config.rig import Known, OpticsSection
 from lscan.errors import InputError
-from lscan.files.disk import write_atomically
-from lscan.records import Marks, Status
 
 FORMAT: Final = "lscan-metric-calibration"
 VERSION = 1
@@ -27,7 +24,7 @@ Count = Annotated[int, Field(strict=True, ge=0)]
 Flag = Annotated[bool, Field(strict=True)]
 
 
-class StoredLine(Strict):
+class StoredLine(StoredRecord):
     """views.LinePoints."""
 
     image_px: Matrix
@@ -130,8 +127,7 @@ def save_metric(path: Path, calibration: MetricCalibration) -> None:
         camera_sigma=calibration.sigma,
         views=tuple(map(_store, calibration.views, calibration.reports)),
     )
-    text = json.dumps(content.model_dump(mode="json"), indent=1, allow_nan=False)
-    write_atomically(path, (text + "\n").encode())
+    write_file(path, content)
 
 
 def load_metric(path: Path) -> MetricCalibration:
@@ -139,7 +135,14 @@ def load_metric(path: Path) -> MetricCalibration:
 
     Raises InputError naming the file and the key for anything that is not as it was written.
     """
-    content = check(MetricFile, _document(path), where=path)
+    return metric_of(read_json(path, MOST_BYTES), path)
+
+
+def metric_of(document: Any, path: Path) -> MetricCalibration:
+    """The calibration in the JSON document of the file ``path``, as ``load_metric``."""
+    if not isinstance(document, dict) or document.get("format") != FORMAT:
+        raise InputError("is no metric calibration", where=path, allowed=f'format "{FORMAT}"')
+    content = check(MetricFile, document, where=path)
     try:
         with np.errstate(all="ignore"):  # of numbers that make no map
             plane_map = solver.restore("", content.parameters)
@@ -157,21 +160,11 @@ def load_metric(path: Path) -> MetricCalibration:
     )
 
 
-def _document(path: Path) -> dict[str, Any]:
-    document = read_json(path, MOST_BYTES)
-    if not isinstance(document, dict) or document.get("format") != FORMAT:
-        raise InputError("is no metric calibration", where=path, allowed=f'format "{FORMAT}"')
-    return document
-
-
 def _store(view: CalibrationView, report: ViewReport) -> StoredView:
-    line = view.line
     return StoredView(
         name=view.name,
-        marks=_store_marks(view.marks) if view.marks else None,
-        line=StoredLine(image_px=line.image_px, sigma_px=line.sigma_px, axis=line.axis)
-        if line
-        else None,
+        marks=StoredMarks.model_validate(view.marks) if view.marks else None,
+        line=StoredLine.model_validate(view.line) if view.line else None,
         fault=view.fault,
         used=report.used,
         marks_used=report.marks[0],
@@ -180,13 +173,6 @@ def _store(view: CalibrationView, report: ViewReport) -> StoredView:
         line_points_used=report.line_points[0],
         line_rms_mm=_or_none(report.line_rms_mm),
         reason=report.fault,
-    )
-
-
-def _store_marks(marks: Marks) -> StoredMarks:
-    names: Any = tuple(Status(code).name for code in marks.status)
-    return StoredMarks(
-        board_mm=marks.board_mm, image_px=marks.image_px, sigma_px=marks.sigma_px, status=names
     )
 
 

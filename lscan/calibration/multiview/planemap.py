@@ -10,16 +10,14 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any, NoReturn, Self
+from typing import NoReturn, Self
 
 import numpy as np
 from pydantic import model_validator
-from scipy.spatial import ConvexHull, QhullError
 
-from lscan.calibration.api import NOTHING_KNOWN
 from lscan.calibration.evaluate import Estimate, propagated
 from lscan.calibration.region import Region
-from lscan.calibration.solved import SolvedMap, named
+from lscan.calibration.solved import MapSolver, SolvedMap, full_name
 from lscan.calibration.stored import Matrix, Number, Vector, check_theta
 from lscan.camera import rays
 from lscan.camera.covariance import (
@@ -30,9 +28,8 @@ from lscan.camera.covariance import (
 )
 from lscan.camera.parameters import CAMERA, COUNT, PortKind, camera_of
 from lscan.camera.projection import meet_plane
-from lscan.config.documents import check
 from lscan.config.rig import OpticsSection
-from lscan.errors import InputError, MeasurementError
+from lscan.errors import InputError
 from lscan.records import BoardReading, Floats
 
 
@@ -146,43 +143,23 @@ def metric_map(view: SheetView, root: Floats, region: Region) -> Metric:
     )
 
 
-def region_around(image_px: Floats) -> Region:
-    """The convex hull of pixels (N, 2): where marks and line were seen.
-
-    Raises MeasurementError where they span no area.
-    """
-    try:
-        hull = ConvexHull(image_px)
-    except (QhullError, ValueError) as error:
-        raise MeasurementError("the marks and the line span no area of the picture") from error
-    return Region(image_px[hull.vertices], 0.0)
-
-
-class MetricSolver:
+class MetricSolver(MapSolver[Metric]):
     """Restores metric maps; they are solved from several pictures, not from one."""
+
+    family, model, what, allowed = "metric", Metric, "metric map", "metric"
 
     def check_variant(self, variant: str) -> NoReturn:
         """InputError, whatever the variant: one picture of the board does not give this map."""
         raise InputError(
             "a metric map is solved from pictures of a board in several poses",
             where="plane map",
-            value=f"metric-{variant}" if variant else "metric",
+            value=full_name("metric", variant),
             allowed="lscan calibrate-metric VIEWS.toml -o FILE",
         )
 
-    def solve(
-        self, reading: BoardReading, variant: str, optics: OpticsSection = NOTHING_KNOWN
-    ) -> NoReturn:
+    def fit(self, reading: BoardReading, variant: str, optics: OpticsSection) -> NoReturn:
         """InputError: one picture of the board does not hold what a metric map needs."""
         self.check_variant(variant)
-
-    def restore(self, variant: str, parameters: dict[str, Any]) -> Metric:
-        """The map that ``parameters`` came from; InputError where they do not fit."""
-        if variant:
-            raise InputError(
-                "no such metric map", where="plane map", value=f"metric-{variant}", allowed="metric"
-            )
-        return named(check(Metric, parameters, where=None, prefix="parameters"), "metric", "")
 
 
 solver = MetricSolver()

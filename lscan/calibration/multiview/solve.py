@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-import cv2
 import numpy as np
 
-from lscan.calibration.multiview.planemap import Metric, SheetView, metric_map, region_around
+from lscan.calibration.multiview.planemap import Metric, SheetView, metric_map
 from lscan.calibration.multiview.sheet import LaserPlane, find_plane
 from lscan.calibration.multiview.views import CalibrationView
+from lscan.calibration.region import region_around
 from lscan.camera.boards import PosedBoards
 from lscan.camera.fit import (
     MEDIAN,
@@ -22,8 +22,8 @@ from lscan.camera.fit import (
     sound_marks,
     with_covariance,
 )
-from lscan.camera.parameters import COUNT, WATER, CameraPriors, priors_of
-from lscan.camera.start import posed_boards
+from lscan.camera.parameters import COUNT, CameraPriors, priors_of
+from lscan.camera.start import best_start
 from lscan.config.rig import Known, OpticsSection
 from lscan.errors import InputError, MeasurementError
 from lscan.records import Floats, Marks
@@ -153,7 +153,10 @@ def fit_views(
     while True:
         _require_views(views, numbers, faults)
         marks = found_on([_marks(views[number]) for number in numbers], range(len(numbers)))
-        fit = _fit(_start(marks, priors, optics, image_size), marks, priors)
+        start = best_start(marks, priors, optics.port, image_size[0])
+        if start is None:
+            raise MeasurementError("no camera explains the views of the board")
+        fit = _fit(start, marks, priors)
         wrong = _worst_view(fit, len(numbers))
         if wrong is None:
             break
@@ -161,38 +164,6 @@ def fit_views(
         del numbers[index]
     _require_focal(fit, priors)
     return UsedViews(fit, tuple(numbers), faults)
-
-
-def _start(
-    marks: BoardMarks, priors: CameraPriors, optics: OpticsSection, size: tuple[int, int]
-) -> PosedBoards:
-    """Camera and boards near enough to the marks for least squares to go on from.
-
-    OpenCV finds the focal length of the pinhole in the water's stead.  size: (width, height).
-    Raises MeasurementError where no pinhole explains the pictures.
-    """
-    theta = priors.mean.copy()
-    focal, u, v = theta[:3]
-    apparent = focal * theta[WATER]
-    matrix = np.array([[apparent, 0, u], [0, apparent, v], [0, 0, 1.0]])
-    flags = cv2.CALIB_FIX_ASPECT_RATIO | cv2.CALIB_ZERO_TANGENT_DIST | cv2.CALIB_FIX_K2
-    flags |= cv2.CALIB_FIX_K3 | cv2.CALIB_FIX_PRINCIPAL_POINT | cv2.CALIB_USE_INTRINSIC_GUESS
-    x, z = (marks.board_mm - marks.board_mm.mean(axis=0)).T
-    flat = np.column_stack([x, -z, np.zeros_like(x)]).astype(np.float32)
-    each = [marks.board == number for number in range(int(marks.board.max()) + 1)]
-    places = [flat[mask] for mask in each], [marks.image_px[mask].astype("f4") for mask in each]
-    boards = None
-    try:
-        if not np.isfinite(priors.sigma[0]):
-            _, matrix, *_ = cv2.calibrateCamera(*places, size, matrix, np.zeros(5), flags=flags)
-            theta[0] = matrix[0, 0] / theta[WATER]
-        if np.isfinite(theta).all():
-            boards = posed_boards(theta, optics.port, marks)
-    except cv2.error as error:
-        raise MeasurementError("no camera explains the views of the board") from error
-    if boards is None:
-        raise MeasurementError("no camera explains the views of the board")
-    return boards
 
 
 def _fit(start: PosedBoards, marks: BoardMarks, priors: CameraPriors) -> CameraFit:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Literal
@@ -11,9 +12,9 @@ from pydantic import Field, PositiveFloat
 
 from lscan.board import read_board
 from lscan.board.chessboard import read_charuco, read_chessboard
-from lscan.calibration.multiview.planemap import region_around
 from lscan.calibration.multiview.views import CalibrationView, LinePoints
-from lscan.config.board import Board, load_board
+from lscan.calibration.region import region_around
+from lscan.config.board import load_board
 from lscan.config.documents import Strict, check, read_document
 from lscan.config.rig import Channel, Known, OpticsSection, StripeSection
 from lscan.errors import BoardNotFound, InputError
@@ -116,76 +117,70 @@ def read_views(
     progress: called with (views done, views in all).
     Raises InputError for a picture that cannot be read or is of another size than the first.
     """
-    board = _board(views.document)
+    read_marks = _marks_reader(views.document)
     found: list[CalibrationView] = []
     size: tuple[int, int] | None = None
+
+    def read(name: str) -> Bytes:
+        nonlocal size
+        picture = read_picture(views.resolve(name))
+        own = (picture.shape[1], picture.shape[0])
+        size = size or own
+        if own != size:
+            raise InputError(
+                "is not of the first picture's size",
+                where=views.resolve(name),
+                value=own,
+                allowed=f"{size[0]} x {size[1]} px",
+            )
+        return picture
+
     for entry in views.document.view:
-        picture = read_picture(views.resolve(entry.picture))
-        size = size or (picture.shape[1], picture.shape[0])
-        _require_size(picture, size, views.resolve(entry.picture))
-        found.append(_read(views, entry, picture, board, size))
+        found.append(_read(entry, views.document.stripe, read, read_marks))
         if progress is not None:
             progress(len(found), len(views.document.view))
     assert size is not None  # the file holds a view
     return found, size
 
 
-def _board(document: ViewsDocument) -> Board | None:
-    return load_board(Path(document.board.file)) if isinstance(document.board, Dots) else None
+def _marks_reader(document: ViewsDocument) -> Callable[[Bytes], Marks]:
+    """What finds the marks of the file's board in a picture; BoardNotFound where they are not."""
+    section, channel = document.board, document.channel
+    match section:
+        case Dots():
+            board = load_board(Path(section.file))
+            return lambda picture: read_board(picture, board, channel=channel).grid
+        case Chessboard():
+            size = (section.columns, section.rows, section.square_mm)
+            return lambda picture: read_chessboard(picture, *size, channel)
+        case Charuco():
+            whole = (section.columns, section.rows, section.square_mm, section.marker_mm)
+            return lambda picture: read_charuco(picture, *whole, section.dictionary, channel)
 
 
 def _read(
-    views: ViewsFile, entry: ViewEntry, picture: Bytes, board: Board | None, size: tuple[int, int]
+    entry: ViewEntry,
+    stripe: StripeSection,
+    read: Callable[[str], Bytes],
+    read_marks: Callable[[Bytes], Marks],
 ) -> CalibrationView:
+    picture = read(entry.picture)
     try:
-        marks = _marks(views.document, picture, board)
+        marks = read_marks(picture)
     except BoardNotFound as error:
         return CalibrationView(entry.picture, None, None, str(error))
     if entry.laser is None:
         return CalibrationView(entry.picture, marks)
-    lit, dark = _laser_pictures(views, entry, picture, size)
-    line = line_on_board(extract_stripe(lit, views.document.stripe, dark), marks)
-    fault = "" if len(line.image_px) else "no laser line was found on the board"
-    return CalibrationView(entry.picture, marks, line if not fault else None, fault)
-
-
-def _laser_pictures(
-    views: ViewsFile, entry: ViewEntry, picture: Bytes, size: tuple[int, int]
-) -> tuple[Bytes, Bytes | None]:
-    """The picture with the line on it, and what is to be subtracted from it."""
-
-    def read(name: str) -> Bytes:
-        image = read_picture(views.resolve(name))
-        _require_size(image, size, views.resolve(name))
-        return image
-
-    if entry.laser is None or entry.laser == SAME:
-        return picture, None
-    if entry.background == NONE:
-        return read(entry.laser), None
-    return read(entry.laser), picture if entry.background is None else read(entry.background)
-
-
-def _marks(document: ViewsDocument, picture: Bytes, board: Board | None) -> Marks:
-    section = document.board
-    match section:
-        case Chessboard():
-            return read_chessboard(
-                picture, section.columns, section.rows, section.square_mm, document.channel
-            )
-        case Charuco():
-            return read_charuco(
-                picture,
-                section.columns,
-                section.rows,
-                section.square_mm,
-                section.marker_mm,
-                section.dictionary,
-                document.channel,
-            )
-        case Dots():
-            assert board is not None
-            return read_board(picture, board, channel=document.channel).grid
+    lit, dark = picture, None
+    if entry.laser != SAME:
+        lit = read(entry.laser)
+        dark = picture if entry.background is None else None
+        if entry.background is not None and entry.background != NONE:
+            dark = read(entry.background)
+    line = line_on_board(extract_stripe(lit, stripe, dark), marks)
+    if len(line.image_px) == 0:
+        return CalibrationView(entry.picture, marks, None, "no laser line was found on the board")
+    return CalibrationView(entry.picture, marks, line)
 
 
 def line_on_board(stripe: Stripe, marks: Marks) -> LinePoints:
@@ -199,14 +194,3 @@ def line_on_board(stripe: Stripe, marks: Marks) -> LinePoints:
     places = stripe.image_px[usable]
     kept = usable[hull.covers(places)]
     return LinePoints(stripe.image_px[kept], stripe.sigma_px[kept], stripe.axis)
-
-
-def _require_size(picture: Bytes, size: tuple[int, int], path: Path) -> None:
-    found = (picture.shape[1], picture.shape[0])
-    if found != size:
-        raise InputError(
-            "is not of the first picture's size",
-            where=path,
-            value=found,
-            allowed=f"{size[0]} x {size[1]} px",
-        )

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from planeviews import BARREL, View, paper_board, read_board, with_noise
 from scipy import stats
 
-from lscan.calibration.check import Check, check_calibration
+from lscan.calibration.check import CalibrationCheck, check_calibration
 from lscan.calibration.motion import Motion, closest_motion, likeness
 from lscan.calibration.solve import Calibration, calibrate
 from lscan.errors import InputError, MeasurementError
@@ -53,7 +53,7 @@ def _reading(view: View, seed: int) -> BoardReading:
     return read_board(BOARD, view.project, NOISE_PX, np.random.default_rng(seed))
 
 
-def _check(view: View, name: str = "spline", placed_mm: float | None = None) -> Check:
+def _check(view: View, name: str = "spline", placed_mm: float | None = None) -> CalibrationCheck:
     return check_calibration(_calibration(name), _reading(view, 2), placed_mm=placed_mm)
 
 

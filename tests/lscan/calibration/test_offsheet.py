@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from planeviews import paper_board
 from scipy.spatial.transform import Rotation
 
-from lscan.calibration.offsheet import Sight, off_sheet, seen_from
+from lscan.calibration.offsheet import LinesOfSight, off_sheet, seen_from
 from lscan.errors import MeasurementError
 from lscan.records import PlanePoints, Status
 
@@ -172,6 +172,6 @@ def test_marks_in_one_line_do_not_tell():
 
 def test_lines_of_sight_without_slope_do_not_tell():
     """Seen from infinitely far and squarely, nothing changes with the distance."""
-    square = Sight(np.zeros_like(BOARD_MM), np.zeros((len(BOARD_MM), 2, 0)))
+    square = LinesOfSight(np.zeros_like(BOARD_MM), np.zeros((len(BOARD_MM), 2, 0)))
     with pytest.raises(MeasurementError, match="do not tell"):
         off_sheet(BOARD_MM, plane_points(BOARD_MM), square, CORNERS_MM)

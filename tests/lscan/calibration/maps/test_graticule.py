@@ -12,7 +12,7 @@ from planeviews import BARREL, View, affine, board_points, paper_board, read_boa
 from lscan.calibration.api import find_solver
 from lscan.calibration.maps.drawing import graticule_lines, ruler_conversions
 from lscan.calibration.maps.graticule import VARIANTS, Graticule, solver
-from lscan.calibration.maps.lines import Line, fit_line
+from lscan.calibration.maps.lines import GridLine, fit_line
 from lscan.calibration.maps.lineset import LineSet
 from lscan.config.board import Board
 from lscan.errors import BoardNotFound, InputError
@@ -145,7 +145,7 @@ def _arc(shift_px: float) -> tuple[Floats, Marks]:
     return u, Marks(board, np.column_stack([u, v]), np.full(10, 0.05), np.zeros(10, dtype=int))
 
 
-def _curvature(line: Line | None, u: Floats) -> Floats:
+def _curvature(line: GridLine | None, u: Floats) -> Floats:
     assert line is not None
     step = 1e-3
     return (line.curve.slope(u + step) - line.curve.slope(u - step)) / (2 * step)
@@ -186,7 +186,7 @@ def _chord_bound_mm(view: View, lines: LineSet, axis: int, image: Floats) -> flo
     return float(1.05 * (bend * spans.max() ** 2 / 8 + 1.2 * slope * miss))
 
 
-def _miss_px(view: View, line: Line, axis: int) -> float:
+def _miss_px(view: View, line: GridLine, axis: int) -> float:
     """Greatest distance of a fitted line from where the view shows it."""
     along = np.linspace(0.0, 450.0, 200) * (1 if axis == 1 else -1)
     fixed = np.full(200, line.at_mm)
