@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from lscan.camera import Camera, FlatPort, project
+from lscan.camera import CameraModel, PortModel, project
 from lscan.config.board import Board, Grid, Ruler
 from lscan.config.rig import OpticsSection
 from lscan.records import BoardReading, Floats, Marks, RulerReading, Status
@@ -21,7 +21,7 @@ DEPRESSION = np.radians(30.0)
 class PortView:
     """A camera that looks at the sheet's plane y = 0 from ``EYE_MM``."""
 
-    camera: Camera
+    camera: CameraModel
 
     def project(self, xz_mm: Floats) -> Floats:
         """(N, 2) px of places (N, 2) in the sheet, mm."""
@@ -43,12 +43,12 @@ class PortView:
 
 
 VIEW = PortView(
-    Camera(
+    CameraModel(
         focal_px=850.0,
         centre_px=(319.5, 239.5),
         k1=-0.26,
         k2=0.06,
-        port=FlatPort(gap_mm=10.0, thickness_mm=6.0, glass_index=1.488, water_index=1.33131),
+        port=PortModel(gap_mm=10.0, thickness_mm=6.0, glass_index=1.488, water_index=1.33131),
     )
 )
 

@@ -64,7 +64,7 @@ def cross_validated(
     """The score of each map named, all on the same folds, in the order of ``names``.
 
     A map that refuses the reading, or any part of it, is scored as refused with its reason.
-    seed: of the generator that deals the marks.  progress: told how many of the maps are done.
+    seed: of the generator that deals the marks.  progress: called with (maps done, maps in all).
     Raises InputError for fewer than two folds.
     """
     if folds < 2:

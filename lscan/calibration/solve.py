@@ -41,7 +41,7 @@ class Calibration:
     residuals_mm: (N, 2) map of each control point less its nominal place; NaN where the
         point was not found or the map gives it no value.
     residuals_px: (N, 2) the same as a shift in the picture.
-    optics: what was known of the camera beforehand, as the solver was told.
+    optics: what was known of the camera beforehand.
     software: name and version of the program that solved it.
     """
 

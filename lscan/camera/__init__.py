@@ -3,7 +3,7 @@
 Camera frame: x right, y down, z ahead, origin at the pinhole, mm.
 """
 
-from lscan.camera.model import Camera, FlatPort
+from lscan.camera.model import CameraModel, PortModel
 from lscan.camera.projection import Rays, project, rays
 
-__all__ = ["Camera", "FlatPort", "Rays", "project", "rays"]
+__all__ = ["CameraModel", "PortModel", "Rays", "project", "rays"]

@@ -9,7 +9,7 @@ from functools import cached_property
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from lscan.camera.model import Camera
+from lscan.camera.model import CameraModel
 from lscan.camera.parameters import COUNT, PortKind, camera_of
 from lscan.camera.projection import Rays, meet_plane, project, rays
 from lscan.records import Floats, Ints, Mask
@@ -53,7 +53,7 @@ class PosedBoards:
     port: PortKind = "flat"
 
     @cached_property
-    def camera(self) -> Camera:
+    def camera(self) -> CameraModel:
         """The camera alone."""
         return camera_of(self.theta, self.port)
 

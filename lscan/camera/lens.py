@@ -6,14 +6,14 @@ from functools import lru_cache
 
 import numpy as np
 
-from lscan.camera.model import Camera
+from lscan.camera.model import CameraModel
 from lscan.records import Floats
 
 SMALL_STEP = 1e-10  # tangents; a Newton step this small leaves an error at float64's rounding
 MOST_STEPS = 50
 
 
-def distort(camera: Camera, tangents: Floats) -> Floats:
+def distort(camera: CameraModel, tangents: Floats) -> Floats:
     """(N, 2) distorted tangents of (N, 2) tangents x/z, y/z of directions in air.
 
     NaN beyond the radius at which the radial distortion folds back: no image is formed there.
@@ -22,7 +22,7 @@ def distort(camera: Camera, tangents: Floats) -> Floats:
     return _bent(camera, np.where(inside[:, None], tangents, np.nan))
 
 
-def undistort(camera: Camera, distorted: Floats) -> Floats:
+def undistort(camera: CameraModel, distorted: Floats) -> Floats:
     """(N, 2) tangents that ``distort`` takes to ``distorted`` (N, 2).
 
     By Newton's method from the distorted tangents; NaN where nothing is imaged there.
@@ -40,7 +40,7 @@ def undistort(camera: Camera, distorted: Floats) -> Floats:
     return np.where(arrived[:, None], tangents, np.nan)
 
 
-def fold_radius(camera: Camera) -> float:
+def fold_radius(camera: CameraModel) -> float:
     """Undistorted radius where the radial distortion turns back; infinite where it never does."""
     return _fold_radius(camera.k1, camera.k2, camera.k3)
 
@@ -53,7 +53,7 @@ def _fold_radius(k1: float, k2: float, k3: float) -> float:
     return float(1 / np.sqrt(real.max())) if len(real) else np.inf
 
 
-def _bent(camera: Camera, tangents: Floats) -> Floats:
+def _bent(camera: CameraModel, tangents: Floats) -> Floats:
     x, y = tangents.T
     q = x * x + y * y
     radial = 1 + q * (camera.k1 + q * (camera.k2 + q * camera.k3))
@@ -65,7 +65,7 @@ def _bent(camera: Camera, tangents: Floats) -> Floats:
     )
 
 
-def _newton_step(camera: Camera, tangents: Floats, distorted: Floats) -> Floats:
+def _newton_step(camera: CameraModel, tangents: Floats, distorted: Floats) -> Floats:
     """(N, 2) by which ``tangents`` are too large, to first order."""
     x, y = tangents.T
     q = x * x + y * y

@@ -10,7 +10,7 @@ from lscan.records import Floats
 
 
 @dataclass(frozen=True)
-class FlatPort:
+class PortModel:
     """A flat window between the camera's air and the water.
 
     gap_mm: air from the pinhole to the glass, along the glass's normal.  thickness_mm: of the
@@ -33,7 +33,7 @@ class FlatPort:
 
 
 @dataclass(frozen=True)
-class Camera:
+class CameraModel:
     """A pinhole with Brown-Conrady distortion as OpenCV writes it, behind a port or in air.
 
     focal_px: the same for u and v (square pixels).  centre_px: (u, v) of the axis.
@@ -47,4 +47,4 @@ class Camera:
     p1: float = 0.0
     p2: float = 0.0
     k3: float = 0.0
-    port: FlatPort | None = None
+    port: PortModel | None = None

@@ -7,7 +7,7 @@ from typing import Literal
 
 import numpy as np
 
-from lscan.camera.model import Camera, FlatPort
+from lscan.camera.model import CameraModel, PortModel
 from lscan.config.rig import Known, OpticsSection
 from lscan.errors import InputError
 from lscan.records import Floats, Mask
@@ -60,11 +60,11 @@ class CameraPriors:
         return self.free & np.isfinite(self.sigma)
 
 
-def camera_of(theta: Floats, port: PortKind) -> Camera:
+def camera_of(theta: Floats, port: PortKind) -> CameraModel:
     """The camera of parameters (14 or more,), of which the first are in the order of CAMERA."""
     focal, u, v, k1, k2, p1, p2, k3 = theta[: len(LENS)].tolist()
-    window = FlatPort(*theta[len(LENS) : COUNT].tolist()) if port == "flat" else None
-    return Camera(focal, (u, v), k1, k2, p1, p2, k3, window)
+    window = PortModel(*theta[len(LENS) : COUNT].tolist()) if port == "flat" else None
+    return CameraModel(focal, (u, v), k1, k2, p1, p2, k3, window)
 
 
 def priors_of(

@@ -2,7 +2,7 @@
 
 A ray from the pinhole crosses air, glass and water; its sine times the index is the same in
 each.  A point of the water, ``depth`` beyond the glass and r beside the normal through the
-pinhole, therefore obeys (physics.md section 6; written for tangents t in air)
+pinhole, therefore obeys (docs/explanation/physics.md, section 6; written for tangents t in air)
 
     gap t + thickness T(t, glass_index) + depth T(t, water_index) = r,
     T(t, n) = t / sqrt(n^2 + (n^2 - 1) t^2),
@@ -15,14 +15,14 @@ from __future__ import annotations
 
 import numpy as np
 
-from lscan.camera.model import FlatPort
+from lscan.camera.model import PortModel
 from lscan.records import Floats
 
 SMALL_STEP = 1e-13  # relative to 1 + t: float64's rounding
 MOST_STEPS = 100
 
 
-def leave_port(port: FlatPort, air: Floats) -> tuple[Floats, Floats]:
+def leave_port(port: PortModel, air: Floats) -> tuple[Floats, Floats]:
     """Where rays from the pinhole enter the water, (N, 3) mm, and their unit directions there.
 
     air: (N, 3) unit directions before the glass.  Camera frame.  NaN for rays that do not
@@ -47,7 +47,7 @@ def _refracted(along: Floats, normal: Floats, index: float) -> Floats:
     return inside + np.sqrt(np.where(square >= 0, square, np.nan))[:, None] * normal
 
 
-def aim_through_port(port: FlatPort, points_mm: Floats) -> Floats:
+def aim_through_port(port: PortModel, points_mm: Floats) -> Floats:
     """(N, 3) directions in air, of any length, of the rays that reach (N, 3) points in the water.
 
     Camera frame, mm.  NaN for points not beyond the glass or that no ray reaches.
@@ -61,7 +61,7 @@ def aim_through_port(port: FlatPort, points_mm: Floats) -> Floats:
     return normal + (tangent / np.where(r > 0, r, 1.0))[:, None] * beside
 
 
-def _air_tangent(port: FlatPort, r: Floats, depth: Floats) -> Floats:
+def _air_tangent(port: PortModel, r: Floats, depth: Floats) -> Floats:
     """(N,) tangent of the angle in air; Newton's method from the paraxial ray."""
     layers = ((port.thickness_mm, port.glass_index), (depth, port.water_index))
     steepest = port.gap_mm + port.thickness_mm / port.glass_index + depth / port.water_index

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from lscan.camera.lens import distort, undistort
-from lscan.camera.model import Camera
+from lscan.camera.model import CameraModel
 from lscan.camera.port import aim_through_port, leave_port
 from lscan.errors import InputError
 from lscan.records import Floats
@@ -25,11 +25,29 @@ class Rays:
     direction: Floats
 
 
-def rays(camera: Camera, image_px: Floats) -> Rays:
-    """The rays in the water of pixels (N, 2), camera frame.
+def rays(camera: CameraModel, image_px: Floats) -> Rays:
+    """The rays in the water on which a camera sees pixels.
 
-    NaN for pixels that are NaN, that the distortion never reaches, or whose rays miss the
-    port.  Raises InputError where ``image_px`` is not (N, 2).
+    Parameters
+    ----------
+    image_px : (N, 2) pixels (u, v).
+
+    Returns
+    -------
+    N rays, camera frame; NaN for pixels that are NaN, that the distortion never reaches, or
+    whose rays miss the port.
+
+    Raises
+    ------
+    InputError
+        Where ``image_px`` is not (N, 2).
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from lscan.camera import CameraModel, rays
+    >>> rays(CameraModel(800.0, (319.5, 239.5)), np.array([[319.5, 239.5]])).direction
+    array([[0., 0., 1.]])
     """
     pixels = _checked(image_px, "image_px", 2)
     tangents = undistort(camera, (pixels - np.array(camera.centre_px)) / camera.focal_px)
@@ -40,12 +58,30 @@ def rays(camera: Camera, image_px: Floats) -> Rays:
     return Rays(*leave_port(camera.port, air))
 
 
-def project(camera: Camera, points_mm: Floats) -> Floats:
-    """(N, 2) pixels (u, v) of points (N, 3), camera frame, mm.
+def project(camera: CameraModel, points_mm: Floats) -> Floats:
+    """The pixels at which a camera sees points.
 
-    NaN where the camera forms no image: points not beyond the port's glass (or not ahead of
-    the pinhole), or so far off the axis that the distortion folds back.  A pixel may lie
-    outside the picture.  Raises InputError where ``points_mm`` is not (N, 3).
+    Parameters
+    ----------
+    points_mm : (N, 3) in the camera frame, mm.
+
+    Returns
+    -------
+    (N, 2) pixels (u, v), some of which may lie outside the picture.  NaN where the camera forms
+    no image: points not beyond the port's glass (or not ahead of the pinhole), or so far off
+    the axis that the distortion folds back.
+
+    Raises
+    ------
+    InputError
+        Where ``points_mm`` is not (N, 3).
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from lscan.camera import CameraModel, project
+    >>> project(CameraModel(800.0, (319.5, 239.5)), np.array([[50.0, 0.0, 1000.0]]))
+    array([[359.5, 239.5]])
     """
     points = _checked(points_mm, "points_mm", 3)
     direction = points if camera.port is None else aim_through_port(camera.port, points)

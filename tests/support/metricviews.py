@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 
 from lscan.calibration.multiview import CalibrationView, LinePoints
 from lscan.calibration.multiview.planemap import SheetView
-from lscan.camera import Camera, FlatPort, project
+from lscan.camera import CameraModel, PortModel, project
 from lscan.config.rig import OpticsSection
 from lscan.records import Floats, Marks, Status
 
@@ -30,14 +30,14 @@ STATED_PX = 0.02  # uncertainty that exact marks and lines state of themselves
 class Rig:
     """A camera and a sheet: the plane ``q . X = 1`` of the camera frame."""
 
-    camera: Camera
+    camera: CameraModel
     q_per_mm: Floats
 
     @property
     def truth(self) -> SheetView:
         """The map as it truly is."""
         c, port = self.camera, self.camera.port
-        window = port or FlatPort(10.0, 5.0, 1.49, 1.0)
+        window = port or PortModel(10.0, 5.0, 1.49, 1.0)
         theta = [c.focal_px, *c.centre_px, c.k1, c.k2, c.p1, c.p2, c.k3]
         theta += [window.gap_mm, window.thickness_mm, window.glass_index, window.water_index]
         theta += [window.tilt_x_deg, window.tilt_y_deg]
@@ -61,9 +61,11 @@ def rigs(draw: st.DrawFn, water: bool) -> Rig:
     def number(low: float, high: float) -> float:
         return draw(st.floats(low, high))
 
-    port = FlatPort(number(5, 30), number(3, 10), 1.49, number(1.33, 1.345)) if water else None
+    port = PortModel(number(5, 30), number(3, 10), 1.49, number(1.33, 1.345)) if water else None
     centre = (number(310, 330), number(230, 250))
-    camera = Camera(number(700, 1000), centre, number(-0.3, 0.05), number(-0.05, 0.1), port=port)
+    camera = CameraModel(
+        number(700, 1000), centre, number(-0.3, 0.05), number(-0.05, 0.1), port=port
+    )
     lean, side = np.radians(number(15, 45)), np.radians(number(-10, 10))
     normal = np.array([np.sin(side), np.sin(lean) * np.cos(side), np.cos(lean) * np.cos(side)])
     return Rig(camera, normal / (number(800, 1200) * normal[2]))
@@ -71,8 +73,8 @@ def rigs(draw: st.DrawFn, water: bool) -> Rig:
 
 def paper_rig(water: bool = True) -> Rig:
     """The paper's camera, port and depression, a metre from the sheet."""
-    port = FlatPort(10.0, 6.0, 1.488, 1.3313) if water else None
-    camera = Camera(850.0, (319.5, 239.5), -0.26, 0.06, port=port)
+    port = PortModel(10.0, 6.0, 1.488, 1.3313) if water else None
+    camera = CameraModel(850.0, (319.5, 239.5), -0.26, 0.06, port=port)
     lean = np.radians(30.0)
     normal = np.array([0.0, np.sin(lean), np.cos(lean)])
     return Rig(camera, normal / (1000.0 * normal[2]))

@@ -99,7 +99,7 @@ class AutoSolver:
     ) -> Auto:
         """The best candidate solved from the whole reading.
 
-        progress: told how many of the candidates have been tried.
+        progress: called with (candidates tried, candidates in all).
         Raises InputError for any variant, BoardNotFound where every candidate refuses.
         """
         self.check_variant(variant)
@@ -124,7 +124,7 @@ solver = AutoSolver()
 def calibrate_best(
     reading: BoardReading, optics: OpticsSection | None, progress: Progress | None = None
 ) -> Calibration:
-    """What ``calibrate(reading, "auto", optics)`` gives, ``progress`` told of each candidate."""
+    """What ``calibrate(reading, "auto", optics)`` gives, with progress."""
     known = optics or NOTHING_KNOWN
     plane_map = cast(PlaneMap, solver.solve(reading, "", known, progress))
     return calibration_by(plane_map.name, plane_map, reading, known)

@@ -8,14 +8,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from lscan.camera import Camera, FlatPort, project, rays
+from lscan.camera import CameraModel, PortModel, project, rays
 from lscan.camera.lens import fold_radius
 from lscan.errors import InputError
 from lscan.records import Floats
 
 MANY = settings(max_examples=60)
 PORTS = st.builds(
-    FlatPort,
+    PortModel,
     gap_mm=st.floats(0.5, 60),
     thickness_mm=st.floats(0.5, 30),
     glass_index=st.floats(1.3, 1.9),
@@ -24,7 +24,7 @@ PORTS = st.builds(
     tilt_y_deg=st.floats(-15, 15),
 )
 CAMERAS = st.builds(
-    Camera,
+    CameraModel,
     focal_px=st.floats(300, 1500),
     centre_px=st.tuples(st.floats(200, 400), st.floats(150, 300)),
     k1=st.floats(-0.25, 0.25),
@@ -53,8 +53,8 @@ def points_ahead(seed: int, count: int = 60) -> Floats:
     ],
 )
 def test_computed_values(r: float, z: float, tangent: float) -> None:
-    """physics.md section 6: pinhole behind 10 mm of air and 6 mm of glass, to its 12 digits."""
-    camera = Camera(1.0, (0.0, 0.0), port=FlatPort(10.0, 6.0, 1.49, 1.3313))
+    """The 12 digits of docs/explanation/physics.md, section 6: 10 mm of air, 6 mm of glass."""
+    camera = CameraModel(1.0, (0.0, 0.0), port=PortModel(10.0, 6.0, 1.49, 1.3313))
     for direction in ([1.0, 0.0], [0.6, -0.8]):
         point = np.array([[*(1000 * r * np.array(direction)), 1000 * z]])
         expected = tangent * np.array(direction)
@@ -63,7 +63,7 @@ def test_computed_values(r: float, z: float, tangent: float) -> None:
 
 @MANY
 @given(camera=CAMERAS, seed=st.integers(0, 1000), on=st.floats(1.0, 5000.0))
-def test_round_trip(camera: Camera, seed: int, on: float) -> None:
+def test_round_trip(camera: CameraModel, seed: int, on: float) -> None:
     """A pixel's ray, followed any way into the water, is seen in that pixel: to 1e-9 px, the
     rounding of coordinates of 1e3 px and 1e3 mm with a few digits to spare."""
     pixels = project(camera, points_ahead(seed))
@@ -81,7 +81,7 @@ def test_round_trip(camera: Camera, seed: int, on: float) -> None:
 
 @MANY
 @given(camera=CAMERAS, seed=st.integers(0, 1000))
-def test_rays_pass_through_the_points(camera: Camera, seed: int) -> None:
+def test_rays_pass_through_the_points(camera: CameraModel, seed: int) -> None:
     """The distance of a point from its pixel's ray: 1e-12 of 3000 mm times what a wide port
     and a strong lens magnify it by."""
     points = points_ahead(seed)
@@ -93,10 +93,10 @@ def test_rays_pass_through_the_points(camera: Camera, seed: int) -> None:
 
 @MANY
 @given(port=PORTS, seed=st.integers(0, 1000))
-def test_snell_at_both_faces(port: FlatPort, seed: int) -> None:
+def test_snell_at_both_faces(port: PortModel, seed: int) -> None:
     """n sin(theta) is the same in air and water, the ray stays in the plane of incidence and
     leaves the glass where gap, glass and Snell's law put it."""
-    camera = Camera(800.0, (320.0, 240.0), port=port)
+    camera = CameraModel(800.0, (320.0, 240.0), port=port)
     pixels = np.random.default_rng(seed).uniform(0, 1, (50, 2)) * [640, 480]
     air = np.column_stack([(pixels - [320, 240]) / 800, np.ones(50)])
     air /= np.linalg.norm(air, axis=1)[:, None]
@@ -115,9 +115,9 @@ def test_snell_at_both_faces(port: FlatPort, seed: int) -> None:
 
 @MANY
 @given(camera=CAMERAS, seed=st.integers(0, 1000))
-def test_in_air_it_is_opencv(camera: Camera, seed: int) -> None:
+def test_in_air_it_is_opencv(camera: CameraModel, seed: int) -> None:
     """OpenCV's projectPoints, the definition of the distortion's parameters."""
-    air = Camera(**{**camera.__dict__, "port": None})
+    air = CameraModel(**{**camera.__dict__, "port": None})
     points = points_ahead(seed)
     tangents = np.linalg.norm(points[:, :2] / points[:, 2:], axis=1)
     points = points[tangents < 0.99 * fold_radius(air)]
@@ -130,16 +130,16 @@ def test_in_air_it_is_opencv(camera: Camera, seed: int) -> None:
 
 def test_a_port_of_air_is_no_port() -> None:
     points = points_ahead(1)
-    window = FlatPort(10.0, 6.0, 1.0, 1.0, tilt_x_deg=5.0)
-    with_port = project(Camera(800.0, (320.0, 240.0), k1=-0.1, port=window), points)
-    without = project(Camera(800.0, (320.0, 240.0), k1=-0.1), points)
+    window = PortModel(10.0, 6.0, 1.0, 1.0, tilt_x_deg=5.0)
+    with_port = project(CameraModel(800.0, (320.0, 240.0), k1=-0.1, port=window), points)
+    without = project(CameraModel(800.0, (320.0, 240.0), k1=-0.1), points)
     np.testing.assert_allclose(with_port, without, rtol=0, atol=1e-9)
 
 
 @pytest.mark.parametrize("k1", [-1e-300, -2.2e-313])
 def test_a_distortion_next_to_none_is_none(k1: float) -> None:
     """The fold's radius is then so large that its square is no number any more."""
-    bent, straight = Camera(100.0, (0.0, 0.0), k1=k1), Camera(100.0, (0.0, 0.0))
+    bent, straight = CameraModel(100.0, (0.0, 0.0), k1=k1), CameraModel(100.0, (0.0, 0.0))
     points = points_ahead(1)
     pixels = project(straight, points)
     np.testing.assert_array_equal(project(bent, points), pixels)
@@ -148,8 +148,8 @@ def test_a_distortion_next_to_none_is_none(k1: float) -> None:
 
 def test_no_image() -> None:
     """Inside the port, behind the pinhole, and where the lens folds back: NaN, and no more."""
-    behind_port = Camera(800.0, (320.0, 240.0), port=FlatPort(10.0, 6.0, 1.49, 1.33))
-    in_air = Camera(800.0, (320.0, 240.0), k1=-0.3)
+    behind_port = CameraModel(800.0, (320.0, 240.0), port=PortModel(10.0, 6.0, 1.49, 1.33))
+    in_air = CameraModel(800.0, (320.0, 240.0), k1=-0.3)
     points = np.array([[0.0, 0.0, 15.0], [0.0, 0.0, -5.0], [1.0, 2.0, 500.0], [np.nan, 0, 500]])
     lost = [True, True, False, True]
     np.testing.assert_array_equal(np.isnan(project(behind_port, points)).all(axis=1), lost)
@@ -163,7 +163,7 @@ def test_no_image() -> None:
 
 @pytest.mark.parametrize("shape", [(3,), (2, 4), (2, 1, 2)])
 def test_bad_shapes(shape: tuple[int, ...]) -> None:
-    camera = Camera(800.0, (320.0, 240.0))
+    camera = CameraModel(800.0, (320.0, 240.0))
     with pytest.raises(InputError, match="image_px: bad shape"):
         rays(camera, np.zeros(shape))
     with pytest.raises(InputError, match="points_mm: bad shape"):
@@ -171,6 +171,6 @@ def test_bad_shapes(shape: tuple[int, ...]) -> None:
 
 
 def test_nothing_in_nothing_out() -> None:
-    camera = Camera(800.0, (320.0, 240.0), port=FlatPort(10.0, 6.0, 1.49, 1.33))
+    camera = CameraModel(800.0, (320.0, 240.0), port=PortModel(10.0, 6.0, 1.49, 1.33))
     assert project(camera, np.zeros((0, 3))).shape == (0, 2)
     assert rays(camera, np.zeros((0, 2))).direction.shape == (0, 3)

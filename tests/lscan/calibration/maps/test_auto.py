@@ -220,21 +220,23 @@ def test_slow_maps_are_solved_fewer_times_and_judged_on_all_marks(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.setitem(crossvalidation.FEWER_FOLDS, "projective", 4)
-    reading, told = _reading(), []
+    reading, reported = _reading(), []
     slow, quick = cross_validated(
-        reading, ("projective", "spline"), progress=lambda done, total: told.append((done, total))
+        reading,
+        ("projective", "spline"),
+        progress=lambda done, total: reported.append((done, total)),
     )
-    assert told == [(0, 2), (1, 2)]
+    assert reported == [(0, 2), (1, 2)]
     found = sum(int(marks.found.sum()) for marks in _marks(reading))
     assert slow.points + slow.without_value == quick.points + quick.without_value == found
 
 
 @pytest.mark.usefixtures("quick")
 def test_calibrate_best_is_calibrate_by_auto() -> None:
-    reading, told = _reading(), []
+    reading, reported = _reading(), []
     one = calibrate(reading, "auto")
-    other = calibrate_best(reading, None, lambda done, total: told.append(done))
-    assert told == [0, 1, 2, 3]
+    other = calibrate_best(reading, None, lambda done, total: reported.append(done))
+    assert reported == [0, 1, 2, 3]
     assert other.plane_map.parameters() == one.plane_map.parameters()
     assert (other.name, other.software, other.optics) == (one.name, one.software, one.optics)
     np.testing.assert_array_equal(other.residuals_px, one.residuals_px)

@@ -191,7 +191,7 @@ def draws(little_known: bool) -> tuple[Refractive, ...]:
 
 @pytest.mark.parametrize("little_known", [False, pytest.param(True, marks=pytest.mark.slow)])
 def test_sigma_is_honest(little_known: bool) -> None:
-    """Issue 4: 95 % intervals contain the truth in 93 to 97 %; and the variance is near 1."""
+    """95 % intervals contain the truth in 93 to 97 %; and the variance is near 1."""
     pairs = [errors(solved, View()) for solved in draws(little_known)]
     scores = np.concatenate([(error / sigma).ravel() for error, sigma in pairs])
     assert 0.8 < np.mean(scores**2) < 1.2
@@ -228,7 +228,7 @@ def test_modes_and_pixel_make_up_sigma() -> None:
     np.testing.assert_allclose(exact.sigma_mm**2, common, rtol=1e-9)
     pixel = noisy.sigma_mm**2 - common
     np.testing.assert_allclose(noisier.sigma_mm**2 - common, 4 * pixel, rtol=1e-6)
-    # One px is about a mm on this view (paper notes, no. 7).
+    # One px is about a mm on this view, whose board of 450 mm fills the 480 rows.
     assert 0.05 < np.nanmean(np.sqrt(pixel)) < 0.2
 
 
@@ -305,8 +305,8 @@ def test_modes_of_a_board_beside_the_sheet(fault: int) -> None:
     points = board_points(100, seed=12)
     off = (points - solved.view.centre_mm) @ slope + (2.0 if fault == 0 else 0.0)
     in_sheet = np.column_stack([points[:, 0], off, points[:, 1]])
-    port = optics.FlatPort(view.gap_mm, view.glass_mm, view.n_glass, view.n_water)
-    camera = optics.Camera(view.focal_px, view.centre_px, view.k1, view.k2, port=port)
+    port = optics.PortModel(view.gap_mm, view.glass_mm, view.n_glass, view.n_water)
+    camera = optics.CameraModel(view.focal_px, view.centre_px, view.k1, view.k2, port=port)
     image = optics.project(camera, (in_sheet - view.eye_mm()) @ view.axes())
     answer = solved.to_plane(image)
     valued = answer.status == Status.OK

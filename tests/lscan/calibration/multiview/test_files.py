@@ -24,7 +24,7 @@ from lscan.calibration.multiview import (
     read_views,
     save_metric,
 )
-from lscan.camera import Camera, project
+from lscan.camera import CameraModel, project
 from lscan.cli.multiview import calibrate_metric as command
 from lscan.errors import InputError
 from lscan.files.pictures import write_picture
@@ -160,7 +160,7 @@ def test_a_bad_views_file_is_refused(tmp_path: Path, text: str, named: str) -> N
     assert str(path) in str(caught.value) and named in str(caught.value)
 
 
-def drawn(camera: Camera, rotation: Floats, place: Floats) -> Bytes:
+def drawn(camera: CameraModel, rotation: Floats, place: Floats) -> Bytes:
     """A chessboard of 8 by 6 inner corners as the camera sees it, supersampled twice."""
     scale = 4
     image = np.full((SIZE[1] * scale, SIZE[0] * scale), 120, dtype=np.uint8)
@@ -186,7 +186,7 @@ def drawn(camera: Camera, rotation: Floats, place: Floats) -> Bytes:
 def write_pictures(folder: Path) -> Path:
     """Views in air: the paper's camera without distortion, five chessboards with a line."""
     rig = paper_rig(water=False)
-    camera = Camera(850.0, (319.5, 239.5))
+    camera = CameraModel(850.0, (319.5, 239.5))
     text = CHESSBOARD + '[optics]\nport = "none"\n[stripe]\nthreshold_dn = 30.0\n'
     rng = np.random.default_rng(3)
     for number, pose in enumerate(poses(rig, rng, 6)):
@@ -215,11 +215,11 @@ def test_the_command_goes_all_the_way(tmp_path: Path) -> None:
     output = tmp_path / "metric.json"
     result = CliRunner().invoke(app, [str(path), "-o", str(output), "--json"])
     assert result.exit_code == 0, result.output
-    told = json.loads(result.output)
-    assert [view["used"] for view in told["views"]] == [True] * 6 + [False]
-    assert "no chessboard" in told["views"][6]["fault"]
-    assert told["rms_px"] < 0.1  # 8-bit corners drawn with squares whose edges are soft
-    focal = told["camera"]["focal_px"]
+    printed = json.loads(result.output)
+    assert [view["used"] for view in printed["views"]] == [True] * 6 + [False]
+    assert "no chessboard" in printed["views"][6]["fault"]
+    assert printed["rms_px"] < 0.1  # 8-bit corners drawn with squares whose edges are soft
+    focal = printed["camera"]["focal_px"]
     assert abs(focal["value"] - 850.0) < 5 * focal["sigma"]
     truth, found = paper_rig(water=False).q_per_mm, load_metric(output).plane_map.view.q_per_mm
     cosine = truth @ found / np.linalg.norm(truth) / np.linalg.norm(found)

@@ -42,9 +42,9 @@ def test_points_off_the_line_are_left_out() -> None:
     views, rig = noisy_views(2), paper_rig()
     line = views[0].line
     assert line is not None
-    stray = line.image_px.copy()
-    stray[10:30] += [0.0, 9.0] if line.axis == "columns" else [9.0, 0.0]
-    views[0] = replace(views[0], line=replace(line, image_px=stray))
+    outliers = line.image_px.copy()
+    outliers[10:30] += [0.0, 9.0] if line.axis == "columns" else [9.0, 0.0]
+    views[0] = replace(views[0], line=replace(line, image_px=outliers))
     found = calibrate_metric(views, known(rig), SIZE)
     assert found.reports[0].line_points == (60, 80)
     assert found.reports[0].line_used

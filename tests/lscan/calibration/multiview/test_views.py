@@ -16,7 +16,7 @@ from metricviews import SIZE, Pose, Rig, known, paper_rig, poses
 
 from lscan.board.chessboard import read_charuco
 from lscan.calibration.multiview import CalibrationView, calibrate_metric, load_views, read_views
-from lscan.camera import Camera, project
+from lscan.camera import CameraModel, project
 from lscan.errors import BoardNotFound, InputError
 from lscan.files.pictures import write_picture
 from lscan.records import Bytes, Floats
@@ -35,7 +35,7 @@ CHESSBOARD = (
     f'[board]\nkind = "chessboard"\ncolumns = {COLUMNS}\nrows = {ROWS}\nsquare_mm = {SQUARE_MM}\n'
 )
 STRIPE = '[stripe]\nextractor = "ml"\nthreshold_dn = 40.0\n'
-RIG = Rig(Camera(850.0, (319.5, 239.5)), paper_rig(water=False).q_per_mm)
+RIG = Rig(CameraModel(850.0, (319.5, 239.5)), paper_rig(water=False).q_per_mm)
 
 
 def printed(kind: str) -> Floats:

@@ -36,9 +36,9 @@ PORT = st.builds(
 )
 
 
-def instruments(lens: Lens, port: PlanePort, water_index: float) -> instrument.Camera:
+def instruments(lens: Lens, port: PlanePort, water_index: float) -> instrument.CameraModel:
     """The same camera as the instrument describes one."""
-    window = instrument.FlatPort(
+    window = instrument.PortModel(
         port.gap_mm,
         port.thickness_mm,
         float(port.glass_index),
@@ -47,7 +47,7 @@ def instruments(lens: Lens, port: PlanePort, water_index: float) -> instrument.C
         port.tilt_y_deg,
     )
     bent = (lens.k1, lens.k2, lens.p1, lens.p2, lens.k3)
-    return instrument.Camera(lens.focal_px, lens.centre_px, *bent, window)
+    return instrument.CameraModel(lens.focal_px, lens.centre_px, *bent, window)
 
 
 @MANY
