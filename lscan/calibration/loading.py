@@ -12,9 +12,17 @@ from lscan.config.documents import read_json
 
 
 def load_plane_map(path: Path) -> tuple[PlaneMap, tuple[int, int]]:
-    """The map of a calibration file of either route, and the (width, height) it is for.
+    """The plane map of a calibration file, and the (width, height) in px of its pictures.
 
-    Raises InputError as ``load_metric`` and ``load_calibration`` do.
+    Parameters
+    ----------
+    path : Path
+        Written by ``save_calibration`` or by ``save_metric``.
+
+    Raises
+    ------
+    InputError
+        Where the file is no calibration, or is not as it was written.
     """
     document = read_json(path, MOST_BYTES)
     if isinstance(document, dict) and document.get("format") == FORMAT:
