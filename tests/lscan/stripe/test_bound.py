@@ -65,7 +65,7 @@ def test_the_models_jacobian_is_its_derivatives(seed):
     ranges = [(-1.0, 1.0), np.log([0.5, 6.0]), np.log([5.0, 500.0]), (-20, 50), (-1, 1)]
     parameters = np.array([[rng.uniform(*ends) for ends in ranges]])
     steps = np.arange(-20.0, 21.0)
-    jacobian = lines(parameters, steps).slopes[0]
+    jacobian = lines(parameters, steps).jacobian[0]
     step = 1e-5
     for index in range(5):
         ends = []
