@@ -1,8 +1,9 @@
 """Documents in TOML or JSON: read, their includes merged, checked against strict models.
 
-A TOML document may name others to start from: ``include = "rig.toml"`` (or a list).  Tables are
-merged key by key and the including file wins, so scenes share one rig instead of
-repeating it.  ``exclude = ["workpiece", "lens.focus_mm"]`` beside it takes tables or keys out of
+A TOML document may name others to start from: ``include = "rig.toml"`` (or a list); a name such
+as "paper/rig" is that of a scene that comes with lscan.  Tables are merged key by key and the
+including file wins, so scenes share one rig instead of repeating it.
+``exclude = ["workpiece", "lens.focus_mm"]`` beside it takes tables or keys out of
 what was included.  Paths inside a document are relative to the file they stand in.
 """
 
@@ -22,7 +23,7 @@ from pydantic import BaseModel, ConfigDict, GetCoreSchemaHandler, ValidationErro
 from pydantic_core import CoreSchema, ErrorDetails
 
 from lscan.config.allowed import Keys, in_words, names, tags_in_words, trace
-from lscan.config.scenes import scene_file
+from lscan.config.scenes import included_file, scene_file
 from lscan.errors import InputError
 from lscan.files.disk import MOST_TEXT_BYTES, read_text
 
@@ -98,7 +99,7 @@ def _read(path: Path, chain: tuple[Path, ...], read: list[Path]) -> Document:
     files, excluded = (_texts(document, key, path) for key in ("include", "exclude"))
     merged: Document = {}
     for file in files:
-        merged = merge(merged, _read(path.parent / file, (*chain, path), read))
+        merged = merge(merged, _read(included_file(path.parent, file), (*chain, path), read))
     for name in excluded:
         _take_out(merged, name, path)
     return merge(merged, document)

@@ -66,6 +66,14 @@ def scene_file(path: Path | str) -> Path:
     )
 
 
+def included_file(folder: Path, name: str) -> Path:
+    """What a file in ``folder`` includes: the file beside it, else the scene of that name."""
+    beside = folder / name
+    if not os.path.isfile(beside) and name in scene_names():  # noqa: PTH113 - takes any text
+        return scenes_folder() / f"{name}.toml"
+    return beside
+
+
 def copy_scenes(folder: Path) -> None:
     """Copy all scenes to a new folder; InputError where it is there already, or cannot be made."""
     if os.path.lexists(folder):

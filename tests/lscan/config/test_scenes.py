@@ -42,6 +42,16 @@ def test_a_file_of_that_path_comes_first(tmp_path: Path, monkeypatch: pytest.Mon
     assert "camera" in read_document("paper/rig")
 
 
+def test_a_file_includes_a_scene_by_its_name(tmp_path: Path) -> None:
+    """Unless there is a file of that path beside it."""
+    own = tmp_path / "own.toml"
+    own.write_text('include = "paper/board"\nname = "own"', encoding="utf-8")
+    assert load_rig(own).document == {**load_rig("paper/board").document, "name": "own"}
+    (tmp_path / "paper").mkdir()
+    (tmp_path / "paper" / "board").write_text("mine = 1", encoding="utf-8")
+    assert read_document(own) == {"mine": 1, "name": "own"}
+
+
 @pytest.mark.parametrize("path", ["paper/sandwav", "../scenes/paper/sandwav", "rig.toml", "a\0b"])
 def test_neither_file_nor_name_is_refused_by_both(path: str) -> None:
     with pytest.raises(InputError, match="no such file, and no scene of that name") as refused:
