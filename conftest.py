@@ -120,3 +120,31 @@ def chromium() -> Iterator[Chromium]:
             yield browser
     except BrowserMissing as missing:
         pytest.skip(str(missing))
+
+
+@pytest.fixture(scope="session")
+def examples_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The folder that examples in docstrings run in: small scans of the paper's board and block.
+
+    board.toml, groove.toml, runs/board, runs/groove, calibration.json and surface.nc.
+    """
+    import lscan
+
+    folder = tmp_path_factory.mktemp("examples")
+    plans = {"board": "", "groove": "[plan]\nframes = 2\nstep_mm = 1.0\n"}
+    for name, plan in plans.items():
+        text = f'include = "paper/{name}"\n{plan}[render]\nsamples = 1\nscatter_samples = 0\n'
+        (folder / f"{name}.toml").write_text(text, encoding="utf-8")
+        lscan.scan(lscan.load_rig(folder / f"{name}.toml"), folder / "runs" / name)
+    calibration = lscan.calibrate_run(lscan.open_run(folder / "runs" / "board"), "graticule-2")
+    lscan.save_calibration(folder / "calibration.json", calibration)
+    run = lscan.open_run(folder / "runs" / "groove")
+    surface = lscan.reconstruct(run, calibration.plane_map).surface
+    lscan.save_surface(folder / "surface.nc", surface)
+    return folder
+
+
+@pytest.fixture(autouse=True)
+def _where_examples_run(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
+    if isinstance(request.node, pytest.DoctestItem):  # pytest --doctest-modules FILE
+        monkeypatch.chdir(request.getfixturevalue("examples_folder"))

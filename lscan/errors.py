@@ -4,7 +4,17 @@ from __future__ import annotations
 
 
 class LscanError(Exception):
-    """Base of every error a user may meet; its text is one line fit for the screen."""
+    """Base of every error a user may meet; its text is one line fit for the screen.
+
+    Examples
+    --------
+    >>> import lscan
+    >>> try:
+    ...     lscan.load_rig("paper/sandwaves")
+    ... except lscan.LscanError as error:
+    ...     print(error)
+    paper/sandwaves: cannot be read: there is no such file, and no scene of that name (allowed: ...
+    """
 
     exit_code = 2
 

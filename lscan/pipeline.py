@@ -61,6 +61,12 @@ def calibrate_run(run: Run, plane_map: str | None = None) -> Calibration:
         Where the rig has no board, or there is no map of that name.
     BoardNotFound
         Where the pictures do not show the board, or too few of its marks.
+
+    Examples
+    --------
+    >>> import lscan
+    >>> lscan.calibrate_run(lscan.open_run("runs/board"), "graticule-2").rms_mm < 0.2
+    True
     """
     rig = run.rig_file.rig
     reading = read_board(mean_picture(run), require_board(run), channel=rig.calibration.channel)
@@ -89,6 +95,14 @@ def reconstruct(run: Run, plane_map: PlaneMap, progress: Progress | None = None)
     ------
     InputError
         Where the run holds no picture, or one that cannot be read.
+
+    Examples
+    --------
+    >>> import lscan
+    >>> calibration = lscan.load_calibration("calibration.json")
+    >>> built = lscan.reconstruct(lscan.open_run("runs/groove"), calibration.plane_map)
+    >>> built.surface.xyz_mm.shape
+    (2, 640, 3)
     """
     rig = run.rig_file.rig
     raw = build_surface(list(read_profiles(run, plane_map, progress)), rig)
@@ -155,7 +169,14 @@ def read_profiles(
 
 
 def mean_picture(run: Run) -> Bytes:
-    """The mean of the run's pictures, with the laser on, rounded, same shape as each."""
+    """The mean of the run's pictures, with the laser on, rounded, same shape as each.
+
+    Examples
+    --------
+    >>> import lscan
+    >>> lscan.mean_picture(lscan.open_run("runs/board")).shape
+    (480, 640, 3)
+    """
     if len(run) == 0:
         raise InputError("holds no picture yet", where=run.path)
     total: Floats | float = 0.0

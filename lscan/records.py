@@ -40,7 +40,14 @@ Progress = Callable[[int, int], None]
 
 
 class Status(IntEnum):
-    """Why a point has, or has not, a value."""
+    """Why a point has, or has not, a value.
+
+    Examples
+    --------
+    >>> import lscan
+    >>> lscan.Status(7).name
+    'OCCLUDED'
+    """
 
     OK = 0
     NO_PEAK = 1  # nothing above the threshold in this column
@@ -68,6 +75,13 @@ class Frame:
     time_s: the camera's clock.  exposure_ms: as reported by the camera.
     background: same shape as image, the view from there with the laser off; None where the
     plan asks for none.
+
+    Examples
+    --------
+    >>> import lscan
+    >>> frame = lscan.open_run("runs/groove").frame(1)
+    >>> frame.image.shape, frame.position_mm
+    ((480, 640, 3), 1.0)
     """
 
     image: Bytes
@@ -147,6 +161,13 @@ class BoardReading:
         first, so ``grid.image_px.reshape(rows, columns, 2)`` is the lattice.
     rulers: the auxiliary rulers, in the order of the board file.
     dots: single named dots by name.  rings: the milled circles by name.
+
+    Examples
+    --------
+    >>> import lscan
+    >>> reading = lscan.load_calibration("calibration.json").reading
+    >>> reading.shape, int(reading.grid.found.sum())
+    ((10, 10), 100)
     """
 
     image_size: tuple[int, int]
@@ -170,6 +191,14 @@ class Stripe:
     status: (N,) of Status.
     flux: (N,) light of the line's core, DN summed across it; NaN where there is no line.
         None where an extractor was called by itself.
+
+    Examples
+    --------
+    >>> import lscan
+    >>> run = lscan.open_run("runs/groove")
+    >>> stripe = lscan.extract_stripe(run.frame(0).image, run.rig_file.rig.stripe)
+    >>> stripe.axis, stripe.image_px.shape
+    ('columns', (640, 2))
     """
 
     axis: Axis
@@ -213,6 +242,15 @@ class Profile:
     points: one per column (or row) of the picture, in the picture's order.
     brightness: (N,) of the line at each point, to find its ends by: the flux of the stripe, or
         its peak where there is none; NaN where there is no line.
+
+    Examples
+    --------
+    >>> import lscan
+    >>> from lscan.pipeline import read_profiles
+    >>> plane_map = lscan.load_calibration("calibration.json").plane_map
+    >>> profiles = read_profiles(lscan.open_run("runs/groove"), plane_map)
+    >>> [(profile.position_mm, len(profile.points.status)) for profile in profiles]
+    [(0.0, 640), (1.0, 640)]
     """
 
     position_mm: float
@@ -235,6 +273,13 @@ class Surface:
     brightness: (F, N) as in Profile; None where it is not known.
     sigma_y_mm: (F, N) standard uncertainty of y; None: it is the track's, taken for exact.
     corrections: what its points have been corrected for, in words.
+
+    Examples
+    --------
+    >>> import lscan
+    >>> surface = lscan.load_surface("surface.nc")
+    >>> surface.xyz_mm.shape, surface.frame
+    ((2, 640, 3), 'head')
     """
 
     xyz_mm: Floats

@@ -269,6 +269,12 @@ def render_picture(
     ------
     InputError
         Where the number of samples cannot be had, or a mesh or picture cannot be read.
+
+    Examples
+    --------
+    >>> import sim
+    >>> sim.render_picture(sim.load_scene("board.toml"), samples=1).shape
+    (480, 640, 3)
     """
     from sim.render.tank import Tank
     from sim.sensor import Webcam

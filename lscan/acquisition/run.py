@@ -139,6 +139,13 @@ class Run:
     software: versions of what wrote the folder; more than one entry where a scan was
         resumed under other versions.
     rows: one per frame, in order.
+
+    Examples
+    --------
+    >>> import lscan
+    >>> run = lscan.open_run("runs/groove")
+    >>> len(run), run.state, run.positions_mm.tolist()
+    (2, 'complete', [0.0, 1.0])
     """
 
     path: Path
@@ -218,6 +225,12 @@ def open_run(path: Path | str, trusted: bool = False) -> Run:
     Raises InputError that names file and line: run.json missing, garbled, edited, of an
     unknown version or naming code; a row torn, changed, repeated or skipped; a picture missing;
     more or fewer frames than planned; a link that leads out of the folder.
+
+    Examples
+    --------
+    >>> import lscan
+    >>> lscan.open_run("runs/groove").rig_file.rig.workpiece.kind
+    'grooved-block'
     """
     path = Path(path)
     manifest, rig_file = read_manifest(path)

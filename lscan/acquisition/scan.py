@@ -37,6 +37,13 @@ def scan(
     progress: called with (frames done, frames planned) at the start and after each frame.
     Raises InputError where the folder cannot be used, DeviceError where a device fails;
     what was recorded until then can be resumed.  Devices are closed in all cases.
+
+    Examples
+    --------
+    >>> import lscan
+    >>> run = lscan.scan(lscan.load_rig("board.toml"), "runs/again")
+    >>> len(run), run.state
+    (1, 'complete')
     """
     path = Path(path)
     if resume:

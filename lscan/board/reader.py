@@ -63,6 +63,14 @@ def read_board(
     Raises InputError for what is no picture, for seeds that are no corner of a grid, and for
     rulers, dots or rings on a board with ``whole`` False unless seeds say where O is.  Raises
     BoardNotFound where there is no board, too little of it, or no telling which dot is O.
+
+    Examples
+    --------
+    >>> import lscan
+    >>> run = lscan.open_run("runs/board")
+    >>> reading = lscan.read_board(run.frame(0).image, run.rig_file.rig.board)
+    >>> int(reading.grid.found.sum())
+    100
     """
     bright = bright_marks(image, channel, board.marks)
     if seeds is not None:

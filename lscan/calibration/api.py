@@ -18,7 +18,16 @@ NOTHING_KNOWN = OpticsSection()
 
 
 class PlaneMap(Protocol):
-    """A solved map from the picture to the laser sheet."""
+    """A solved map from the picture to the laser sheet.
+
+    Examples
+    --------
+    >>> import lscan, numpy as np
+    >>> plane_map = lscan.load_calibration("calibration.json").plane_map
+    >>> points = plane_map.to_plane(np.array([[320.0, 240.0]]), sigma_px=np.array([0.1]))
+    >>> points.xz_mm.shape, points.status.tolist()
+    ((1, 2), [0])
+    """
 
     @property
     def name(self) -> str:

@@ -43,6 +43,13 @@ class Calibration:
     residuals_px: (N, 2) the same as a shift in the picture.
     optics: what was known of the camera beforehand.
     software: name and version of the program that solved it.
+
+    Examples
+    --------
+    >>> import lscan
+    >>> calibration = lscan.load_calibration("calibration.json")
+    >>> calibration.name, calibration.rms_mm < 0.2
+    ('graticule-2', True)
     """
 
     name: str
@@ -76,6 +83,13 @@ def calibrate(
 
     optics: what is known of the camera beforehand; None: what an empty section [optics] says.
     Raises InputError for an unknown name, BoardNotFound for too few marks.
+
+    Examples
+    --------
+    >>> import lscan
+    >>> reading = lscan.load_calibration("calibration.json").reading
+    >>> lscan.calibrate(reading, "polynomial-5").plane_map.name
+    'polynomial-5'
     """
     known = optics or NOTHING_KNOWN
     return calibration_by(map_name, find_solver(map_name).solve(reading, known), reading, known)
@@ -125,7 +139,14 @@ def in_picture(plane_map: PlaneMap, image_px: Floats, shift_mm: Floats) -> Float
 
 
 def save_calibration(path: Path | str, calibration: Calibration) -> None:
-    """Write the calibration to ``path``: a whole file or none; InputError where it cannot."""
+    """Write the calibration to ``path``: a whole file or none; InputError where it cannot.
+
+    Examples
+    --------
+    >>> import lscan
+    >>> calibration = lscan.calibrate_run(lscan.open_run("runs/board"), "projective")
+    >>> lscan.save_calibration("projective.json", calibration)
+    """
     content = CalibrationFile(
         format=FORMAT,
         version=VERSION,
@@ -145,6 +166,13 @@ def load_calibration(path: Path | str) -> Calibration:
     Raises InputError naming the file and the key for anything that is not as it was
     written: unknown or missing keys, numbers out of range, a map that does not exist, and
     residuals that do not belong to the parameters.
+
+    Examples
+    --------
+    >>> import lscan
+    >>> calibration = lscan.load_calibration("calibration.json")
+    >>> calibration.plane_map.name
+    'graticule-2'
     """
     return calibration_of(read_json(Path(path), MOST_BYTES), Path(path))
 

@@ -95,6 +95,12 @@ class StripeSection(Strict):
     along the line, of a robust smoothing; 0 leaves every column to itself.  blur_px: standard
     deviation of the camera's point spread, with which the shift that blur gives to a curved
     line of uneven brightness is corrected for; None: not corrected.
+
+    Examples
+    --------
+    >>> import lscan
+    >>> lscan.StripeSection(extractor="gaussian", threshold_dn=15.0).span_px
+    2
     """
 
     extractor: str = "centroid-relative"
@@ -247,6 +253,13 @@ class RigFile:
 
     document holds all sections, the drivers' included, with the board's file read in, so
     that it stands alone: it is what a run folder keeps.
+
+    Examples
+    --------
+    >>> import lscan
+    >>> rig_file = lscan.load_rig("paper/sandwave")
+    >>> rig_file.rig.plan.frames, rig_file.rig.plan.step_mm
+    (400, 0.5)
     """
 
     rig: Rig
@@ -264,6 +277,12 @@ def load_rig(path: Path | str) -> RigFile:
     Raises InputError where the file cannot be read, holds an unknown key, driver, extractor or
     plane map, where a driver refuses a section of its own, or where the drivers cannot do with
     the laser what the plan says.
+
+    Examples
+    --------
+    >>> import lscan
+    >>> lscan.load_rig("paper/sandwave").rig.camera.driver
+    'sim'
     """
     document = inline_board(read_document(path), source=str(path))
     rig_file = parse_rig(document, source=str(path))

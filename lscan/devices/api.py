@@ -30,7 +30,17 @@ class Grab:
 
 @runtime_checkable
 class Track(Protocol):
-    """A linear track."""
+    """A linear track.
+
+    Examples
+    --------
+    >>> import lscan
+    >>> from lscan.acquisition.scan import open_track
+    >>> track = open_track(lscan.load_rig("paper/board"))
+    >>> track.move_to(12.5)
+    12.5
+    >>> track.close()
+    """
 
     @property
     def position_mm(self) -> float:
@@ -99,7 +109,16 @@ class PlaceChecking(Protocol):
 
 @runtime_checkable
 class Camera(Protocol):
-    """A camera that delivers pictures of one size."""
+    """A camera that delivers pictures of one size.
+
+    Examples
+    --------
+    >>> import lscan
+    >>> from lscan.acquisition.scan import open_devices
+    >>> with open_devices(lscan.load_rig("board.toml")) as (camera, track):
+    ...     isinstance(camera, lscan.Camera), camera.size_px
+    (True, (640, 480))
+    """
 
     @property
     def size_px(self) -> tuple[int, int]:

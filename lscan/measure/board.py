@@ -38,6 +38,15 @@ def distances(reading: BoardReading, board: Board, plane_map: PlaneMap) -> dict[
     :func:`unmeasured_distances` names them with their reason.
 
     Raises MeasurementError where not one distance can be measured.
+
+    Examples
+    --------
+    >>> import lscan
+    >>> calibration = lscan.load_calibration("calibration.json")
+    >>> board = lscan.load_rig("paper/board").rig.board
+    >>> found = lscan.distances(calibration.reading, board, calibration.plane_map)
+    >>> len(found), abs(found["A1A2"].error_mm) < 0.4
+    (14, True)
     """
     places = _dots_in_plane(reading, board, plane_map)
     measured = {
@@ -71,6 +80,14 @@ def diameters(reading: BoardReading, board: Board, plane_map: PlaneMap) -> dict[
     fit, which is alike in neighbouring points and does not average out around a ring.
 
     Raises MeasurementError that names the ring for which fewer than four points are left.
+
+    Examples
+    --------
+    >>> import lscan
+    >>> calibration = lscan.load_calibration("calibration.json")
+    >>> board = lscan.load_rig("paper/board").rig.board
+    >>> sorted(lscan.diameters(calibration.reading, board, calibration.plane_map))
+    ['E', 'F', 'G']
     """
     return {ring.name: _diameter(reading, ring, plane_map) for ring in board.ring}
 

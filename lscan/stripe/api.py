@@ -18,6 +18,15 @@ class Extractor(Protocol):
 
     Registered under the entry-point group ``lscan.extractors``, or named in the rig file as
     ``package.module:function``.
+
+    Examples
+    --------
+    >>> import lscan, numpy as np
+    >>> from lscan.stripe import find_extractor
+    >>> image = np.zeros((9, 3))
+    >>> image[4] = 200.0
+    >>> find_extractor("centroid")(image, lscan.StripeSection(), image > 254).centre_px
+    array([4., 4., 4.])
     """
 
     def __call__(self, image: Floats, settings: StripeSection, clipped: Mask) -> Stripe:

@@ -44,6 +44,14 @@ def extract_stripe(
     several lines, and it is not known which is meant.
 
     Raises InputError for pictures of another shape or type and for an unknown extractor.
+
+    Examples
+    --------
+    >>> import lscan, numpy as np
+    >>> image = np.zeros((9, 3), dtype=np.uint8)
+    >>> image[3:6] = [[90], [200], [90]]
+    >>> lscan.extract_stripe(image, lscan.StripeSection()).centre_px
+    array([4., 4., 4.])
     """
     extractor = find_extractor(settings.extractor)
     light = _light(image, settings, background)

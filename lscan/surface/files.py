@@ -40,6 +40,12 @@ def save_surface(path: Path | str, surface: Surface) -> None:
     part of the uncertainty of z that they make common to all points.
     The attribute ``corrections`` says what the points have been corrected for.
     Raises InputError where the file cannot be written.
+
+    Examples
+    --------
+    >>> import lscan
+    >>> surface = lscan.load_surface("surface.nc")
+    >>> lscan.save_surface("copy.nc", surface)
     """
     with tempfile.TemporaryDirectory() as folder:
         whole = Path(folder) / "surface.nc"
@@ -54,6 +60,12 @@ def load_surface(path: Path | str) -> Surface:
     """The surface that :func:`save_surface` wrote, to the last bit, but for its brightness: None.
 
     Raises InputError where the file cannot be read or is not such a file.
+
+    Examples
+    --------
+    >>> import lscan
+    >>> lscan.load_surface("surface.nc").status.shape
+    (2, 640)
     """
     path = Path(path)
     names = ("x", "y", "z", "x_sigma", "z_sigma", "status", "position")

@@ -37,6 +37,14 @@ class EmulatedHardware:
 
     with EmulatedHardware(scene) as hardware:
         scan(hardware.rig_file(), folder)  # or open hardware.url and hardware.port
+
+    Examples
+    --------
+    >>> import sim
+    >>> scene = sim.load_scene("board.toml")
+    >>> with sim.EmulatedHardware(scene) as hardware:
+    ...     hardware.url.startswith("http://127.0.0.1"), hardware.position_mm
+    (True, 0.0)
     """
 
     def __init__(

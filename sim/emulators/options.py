@@ -19,6 +19,12 @@ class ServeOptions:
     JPEGs, 1 to 100 and "4:4:4", "4:2:2" or "4:2:0".  places: how many are kept, 5 MB each at
     640 by 480 px.  switched_laser: lit only by M3, else always.  prepare: render all of the
     plan first, and keep it.  dialect: of the controller.  link: a lasting name for its port.
+
+    Examples
+    --------
+    >>> import sim
+    >>> sim.ServeOptions(fps=15.0, subsampling="4:2:2").check().dialect
+    'grbl'
     """
 
     http_port: int = 0

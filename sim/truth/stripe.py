@@ -45,6 +45,14 @@ class StripeTruth:
     Centres are good to 1e-4 px on the sandwave; on plane faces and meshes they are exact, with
     a bowed sheet good to 1e-4 px.  Shadow edges are exact but where the wave itself hides a
     point from the camera by less than 3 um.  With the laser off there is no line.
+
+    Examples
+    --------
+    >>> import sim
+    >>> scene = sim.load_scene("paper/groove")
+    >>> truth = sim.stripe_truth(scene, 0.0)
+    >>> truth.axis, truth.centre_px.shape, truth.xz_mm.shape
+    ('columns', (640,), (640, 2))
     """
 
     position_mm: float
