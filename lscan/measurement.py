@@ -114,6 +114,14 @@ def measure_run(run: Run, plane_map: PlaneMap, progress: Progress | None = None)
         Where the run shows nothing that can be measured.
     MeasurementError
         Where the piece is not what was scanned, or too little of it is seen.
+
+    Examples
+    --------
+    >>> import lscan
+    >>> plane_map = lscan.load_calibration("calibration.json").plane_map
+    >>> measures = lscan.measure_run(lscan.open_run("runs/groove"), plane_map)
+    >>> type(measures).__name__
+    'GrooveMeasures'
     """
     piece = run.rig_file.rig.workpiece
     if piece is None:
@@ -149,6 +157,14 @@ def measure_groove(run: Run, plane_map: PlaneMap) -> GrooveMeasures:
         Where the rig names another piece, or the scan was made about a shaft.
     MeasurementError
         Where a part of the block is not seen.
+
+    Examples
+    --------
+    >>> import lscan
+    >>> calibration = lscan.load_calibration("calibration.json")
+    >>> result = lscan.measure_groove(lscan.open_run("runs/groove"), calibration.plane_map)
+    >>> abs(result.dimensions["W1"].error_mm) < 0.7
+    True
     """
     piece = _require_piece(run, GroovedBlock)
     if run.rig_file.rig.shaft is not None:
@@ -171,6 +187,15 @@ def measure_sandwave(
         Where the rig names another piece.
     MeasurementError
         Where the block is not found in the surface.
+
+    Examples
+    --------
+    Of a run of ``paper/sandwave``, 400 pictures:
+
+    >>> import lscan
+    >>> calibration = lscan.load_calibration("calibration.json")
+    >>> run = lscan.open_run("runs/sandwave")  # doctest: +SKIP
+    >>> lscan.measure_sandwave(run, calibration.plane_map).errors["S1"]  # doctest: +SKIP
     """
     piece = _require_piece(run, Sandwave)
     built = reconstruct(run, plane_map, progress)

@@ -23,6 +23,14 @@ def load_plane_map(path: Path) -> tuple[PlaneMap, tuple[int, int]]:
     ------
     InputError
         Where the file is no calibration, or is not as it was written.
+
+    Examples
+    --------
+    >>> import lscan
+    >>> from pathlib import Path
+    >>> plane_map, size_px = lscan.load_plane_map(Path("calibration.json"))
+    >>> plane_map.name, size_px
+    ('graticule-2', (640, 480))
     """
     document = read_json(path, MOST_BYTES)
     if isinstance(document, dict) and document.get("format") == FORMAT:
