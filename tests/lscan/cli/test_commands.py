@@ -25,6 +25,7 @@ from lscan.surface import load_surface
 pytestmark = pytest.mark.xdist_group("cli")  # one worker: they share a fixture
 
 SCENES = ROOT / "scenes" / "paper"
+QUICKLY = "[render]\nsamples = 4\nscatter_samples = 0\n"
 LONG_S = 300.0  # only a command that hangs takes so long
 
 
@@ -326,7 +327,9 @@ def test_ctrl_c_says_how_to_go_on(
     Also one begun with SIGINT ignored, as a shell without job control begins a job with "&".
     """
     scene = tmp_path / "scene.toml"
-    scene.write_text(f'include = "{SCENES / "groove.toml"}"\n[plan]\nframes = 12\nstep_mm = 0.1\n')
+    scene.write_text(
+        f'include = "{SCENES / "groove.toml"}"\n[plan]\nframes = 20\nstep_mm = 0.1\n{QUICKLY}'
+    )
     command = [
         sys.executable,
         "-m",
@@ -349,8 +352,8 @@ def test_ctrl_c_says_how_to_go_on(
         _, err = process.communicate(timeout=LONG_S)
     assert process.returncode == 130
     kept = len(list((tmp_path / "run" / "frames").glob("0*.png")))
-    note = f"of 12 frames are kept in {tmp_path / 'run'}; go on with --resume\n"
+    note = f"of 20 frames are kept in {tmp_path / 'run'}; go on with --resume\n"
     assert err in [f"lscan: stopped; {count} {note}" for count in (kept, kept - 1)]
     code, out, err = call(capsys, "scan", scene, "-o", tmp_path / "run", "--resume", "--json")
     assert code == 0, err
-    assert json.loads(out)["frames"] == 12
+    assert json.loads(out)["frames"] == 20
