@@ -76,7 +76,15 @@ class TankSections(Strict):
 
 @dataclass(frozen=True)
 class Scene:
-    """A rig, the tank around it, and the document both came from."""
+    """A rig, the tank around it, and the document both came from.
+
+    Examples
+    --------
+    >>> import sim
+    >>> scene = sim.load_scene("paper/groove")
+    >>> scene.rig.name, scene.tank.target.shape
+    ('paper: grooved block', 'workpiece')
+    """
 
     rig: Rig
     tank: TankSections

@@ -40,6 +40,13 @@ class BoardTruth:
     line.
     A mark is OUT_OF_VIEW where its centre lies outside the picture, OCCLUDED where something
     occludes it; a ring's points, which have no status, are NaN then.
+
+    Examples
+    --------
+    >>> import sim
+    >>> scene = sim.load_scene("paper/board")
+    >>> sim.board_truth(scene, 0.0).centres.grid.image_px.shape
+    (100, 2)
     """
 
     centres: BoardReading
@@ -112,6 +119,13 @@ def board_truth(scene: Scene, position_mm: float = 0.0) -> BoardTruth:
     ------
     InputError
         Where the scene's target is not the board.
+
+    Examples
+    --------
+    >>> import sim
+    >>> scene = sim.load_scene("paper/board")
+    >>> int(sim.board_truth(scene, 0.0).centres.grid.found.sum())
+    100
     """
     board = scene.board()
     view = BoardProjection(scene, surfaces_of(scene), position_mm)

@@ -40,6 +40,14 @@ def stripe_truth(scene: Scene, position_mm: float, line: int = 0) -> StripeTruth
     ------
     InputError
         As ``stripe_truths``.
+
+    Examples
+    --------
+    >>> import sim
+    >>> scene = sim.load_scene("paper/groove")
+    >>> truth = sim.stripe_truth(scene, 0.0)
+    >>> bool((truth.lit & truth.seen).any())
+    True
     """
     return stripe_truths(scene, [position_mm], line)[0]
 
