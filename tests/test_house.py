@@ -164,6 +164,10 @@ def test_few_modules_lie_outside_of_a_room() -> None:
     assert len(house.root_modules()) <= 6, house.root_modules()
 
 
+def test_no_two_classes_share_a_name() -> None:
+    assert not house.repeated_classes()
+
+
 def test_code_is_counted_without_docstrings_comments_and_blank_lines(tmp_path: Path) -> None:
     path = tmp_path / "module.py"
     docstring = ['"""Not code.', "", 'Nor this."""', "", "# nor this"]

@@ -116,11 +116,11 @@ def acquire_into(
     if not position_restored:
         _check_place(writer, track, positions_mm)
     with _keeping_zero(writer, track), _laser(track, plan) as switch:
-        session = _Session(writer.rig_file.rig.camera, camera, track, switch)
+        devices = _ScanDevices(writer.rig_file.rig.camera, camera, track, switch)
         while writer.written < writer.planned:
             if go_on is not None and not go_on():
                 return open_run(writer.path, trusted=True)
-            writer.append(session.take(writer.written, positions_mm[writer.written]))
+            writer.append(devices.take(writer.written, positions_mm[writer.written]))
             if progress is not None:
                 progress(writer.written, writer.planned)
     return writer.finish()
@@ -178,7 +178,7 @@ def _laser(track: Track, plan: Plan) -> Iterator[LaserSwitch | None]:
 
 
 @dataclass
-class _Session:
+class _ScanDevices:
     """Camera and track at work on one scan.
 
     switch: of the laser, where each frame is a pair.  last_time_s: of the picture before, which

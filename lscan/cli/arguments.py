@@ -113,7 +113,7 @@ def parse_seeds(text: str | None) -> Floats | None:
 
 
 @dataclass(frozen=True)
-class BoardPicture:
+class BoardSource:
     """The picture of a board, the board, how to calibrate with it, and what is known of the lens.
 
     image: (H, W, 3) or (H, W) uint8.
@@ -136,7 +136,7 @@ class BoardPicture:
 
 def board_picture(
     picture: Path, board: Path | None, optics: Path | None = None, trusted: bool = False
-) -> BoardPicture:
+) -> BoardSource:
     """What a picture file or a run folder gives to calibrate from.
 
     board, optics: files that stand in for what a run's rig file says; a picture file needs
@@ -154,7 +154,7 @@ def board_picture(
         rig = run.rig_file.rig
         nominal = load_board(board) if board else require_board(run)
         known = read_optics(optics) if optics else rig.optics
-        return BoardPicture(mean_picture(run), nominal, rig.calibration, known)
+        return BoardSource(mean_picture(run), nominal, rig.calibration, known)
     if not picture.exists():
         raise InputError(
             "no such file or folder", where=picture, allowed="a picture file or a run folder"
@@ -162,7 +162,7 @@ def board_picture(
     if board is None:
         raise InputError("a picture needs a board file", where="--board", allowed="a TOML file")
     known = read_optics(optics) if optics else OpticsSection()
-    return BoardPicture(read_picture(picture), load_board(board), CalibrationSection(), known)
+    return BoardSource(read_picture(picture), load_board(board), CalibrationSection(), known)
 
 
 def board_of(path: Path) -> Board:

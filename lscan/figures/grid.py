@@ -14,7 +14,7 @@ CELL_MM = 1.5
 
 
 @dataclass(frozen=True)
-class HeightGrid:
+class NodeHeights:
     """Heights on a regular grid: x_mm (C,), y_mm (R,) its nodes, z_mm (R, C), NaN where empty."""
 
     x_mm: Floats
@@ -22,7 +22,7 @@ class HeightGrid:
     z_mm: Floats
 
 
-def grid_heights(xyz_mm: Floats, cell_mm: float) -> HeightGrid:
+def grid_heights(xyz_mm: Floats, cell_mm: float) -> NodeHeights:
     """The mean height about each node of a grid with nodes every ``cell_mm``.
 
     xyz_mm: (..., 3) points in mm, NaN where there is none.  Each point counts at its four
@@ -48,7 +48,7 @@ def grid_heights(xyz_mm: Floats, cell_mm: float) -> HeightGrid:
     held = weight > 0.25
     z_mm = np.where(held, total / np.where(held, weight, 1.0), np.nan).reshape(rows, columns)
     x_mm, y_mm = ((start[k] + np.arange(n)) * cell_mm for k, n in enumerate((columns, rows)))
-    return HeightGrid(x_mm, y_mm, z_mm)
+    return NodeHeights(x_mm, y_mm, z_mm)
 
 
 def cell_for(xyz_mm: Floats, least_mm: float, most_nodes: int = 220) -> float:

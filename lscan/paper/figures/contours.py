@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 from matplotlib.patheffects import withStroke
 
 from lscan.figures import style
-from lscan.figures.grid import CELL_MM, HeightGrid, cell_for, grid_heights, height_range
+from lscan.figures.grid import CELL_MM, NodeHeights, cell_for, grid_heights, height_range
 from lscan.figures.reportfigure import ReportFigure
 from lscan.measurement import SandwaveMeasures
 from lscan.paper.published import YAW_DEG
@@ -122,7 +122,7 @@ def _draw_surface(xyz_mm: Floats, waves: Mask) -> tuple[Figure, Axes, str]:
     return figure, axes, note
 
 
-def _draw_contours(axes: Axes, grid: HeightGrid, low_mm: float, high_mm: float) -> float:
+def _draw_contours(axes: Axes, grid: NodeHeights, low_mm: float, high_mm: float) -> float:
     """Contours at whole multiples of their step, which is returned in mm."""
     step = contour_step(low_mm, high_mm)
     counts = np.arange(np.ceil(low_mm / step), np.floor(high_mm / step) + 1)
@@ -141,7 +141,7 @@ def _draw_contours(axes: Axes, grid: HeightGrid, low_mm: float, high_mm: float) 
     return step
 
 
-def _frame(axes: Axes, grid: HeightGrid, whole: HeightGrid) -> None:
+def _frame(axes: Axes, grid: NodeHeights, whole: NodeHeights) -> None:
     """Show the waves with a margin, no farther than the surface goes."""
     for limit, inner, outer in (
         (axes.set_xlim, grid.x_mm, whole.x_mm),

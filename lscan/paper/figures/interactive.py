@@ -8,7 +8,7 @@ from itertools import product
 import numpy as np
 
 from lscan.figures import style
-from lscan.figures.grid import CELL_MM, HeightGrid, cell_for, grid_heights, height_range
+from lscan.figures.grid import CELL_MM, NodeHeights, cell_for, grid_heights, height_range
 from lscan.figures.reportfigure import ReportFigure
 from lscan.records import Floats, Mask
 
@@ -63,7 +63,7 @@ def start_eye(sides: Floats) -> Floats:
     return -forward * distance * _ROOM
 
 
-def _plotly_call(grid: HeightGrid, colours_mm: tuple[float, float]) -> str:
+def _plotly_call(grid: NodeHeights, colours_mm: tuple[float, float]) -> str:
     steps = np.linspace(0, 1, len(style.HEIGHT_COLOURS))
     low, high = colours_mm
     trace = {
@@ -90,7 +90,7 @@ def _plotly_call(grid: HeightGrid, colours_mm: tuple[float, float]) -> str:
     return f'Plotly.newPlot("surface", {", ".join(parts)}, {config});'
 
 
-def _layout(grid: HeightGrid) -> dict[str, object]:
+def _layout(grid: NodeHeights) -> dict[str, object]:
     """Plotly's layout: axes true to scale, their ranges those of the surface, and the eye."""
     ends = {
         axis: [float(np.nanmin(values)), float(np.nanmax(values))]
