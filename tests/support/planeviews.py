@@ -216,8 +216,8 @@ def views(draw: st.DrawFn, kind: Literal["perspective", "full"] = "full") -> Vie
     )
 
 
-# The paper notes, no. 8, do not say which lens their figures are for.  k1 is chosen here so
-# that first order without rulers has their 0.33 mm rms; their other figures then check the
+# docs/explanation/physics.md, section 9, does not say which lens its figures are for.  k1 is chosen here so
+# that first order without rulers has its 0.33 mm rms; its other figures then check the
 # rest.  (At the tank's k1 = -0.22 lens and port nearly cancel, and lines look straight.)
 BARREL = View(k1=-0.26)
 

@@ -124,7 +124,7 @@ def test_wedges_stand_where_the_nominal_shape_says() -> None:
     top = block.vertices[np.isclose(block.vertices[:, 2], piece.wedge.height_mm)]
     for tip in piece.wedge_tips_mm():
         assert np.isclose(top[:, :2], tip).all(axis=1).any()
-    # S1 and S3 lie at amplitudes of 2 and 7.5 mm (paper-notes 1).
+    # S1 and S3 lie at amplitudes of 2 and 7.5 mm (docs/explanation/physics.md, section 9).
     ends = piece.slices_mm()
     assert ends["S1"][0][1] == pytest.approx(11.6, abs=0.05)
     assert ends["S3"][0][1] == pytest.approx(139.5, abs=0.05)

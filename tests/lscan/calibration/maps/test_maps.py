@@ -59,8 +59,8 @@ def test_polynomial_is_exact_on_polynomials(order: int) -> None:
 @pytest.mark.parametrize(
     ("name", "noted_rms"), [("projective", 0.35), ("polynomial-3", 0.070), ("polynomial-5", 0.0022)]
 )
-def test_errors_of_the_paper_notes(name: str, noted_rms: float) -> None:
-    """Paper notes, no. 8, computed there with other code on a view that is known only
+def test_errors_computed_apart(name: str, noted_rms: float) -> None:
+    """docs/explanation/physics.md, section 9, computed with other code on a view known only
     roughly; the higher the order, the more it matters: within a third."""
     points = board_points(4000, seed=3)
     solved = find_solver(name).solve(read_board(BOARD, BARREL.project))
