@@ -71,7 +71,7 @@ def bench_extractors(
     """A row for each extractor and case, all extractors on the same pictures.
 
     names: as in ``stripe.extractor`` of a rig file, ``package.module:function`` too.
-    progress: told how many of the cases are done.
+    progress: called with how many of the cases are done.
     Raises InputError for an unknown extractor or one that fails.
     """
     times = {name: _time_us(name, seed) for name in names}

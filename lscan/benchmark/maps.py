@@ -63,7 +63,7 @@ def bench_maps(
 ) -> list[MapRow]:
     """A row for each map, board and noise, all maps on the same readings.
 
-    progress: told how many boards at a noise are done.
+    progress: called with how many boards at a noise are done.
     Raises InputError for a map that does not exist.
     """
     solvers = {name: find_solver(name) for name in names}

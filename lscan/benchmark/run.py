@@ -64,7 +64,7 @@ def run_bench(
     """The rows of the extractors and of the maps named, also written to ``folder``.
 
     extractors: names, or ``package.module:function`` of one's own.  quick: fewer kinds of lines
-    and boards, for a first look.  progress: told of each kind of line and each board done.
+    and boards, for a first look.  progress: called after each kind of line and each board done.
     Raises InputError where nothing is named, for a name that does not exist, and for a folder
     that cannot be made, before anything else, and from the disk.
     """

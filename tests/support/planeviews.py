@@ -216,9 +216,9 @@ def views(draw: st.DrawFn, kind: Literal["perspective", "full"] = "full") -> Vie
     )
 
 
-# docs/explanation/physics.md, section 9, does not say which lens its figures are for.  k1 is chosen here so
-# that first order without rulers has its 0.33 mm rms; its other figures then check the
-# rest.  (At the tank's k1 = -0.22 lens and port nearly cancel, and lines look straight.)
+# docs/explanation/physics.md, section 9, does not say which lens its figures are for.  k1 is
+# chosen here so that first order without rulers has its 0.33 mm rms; its other figures then
+# check the rest.  (At the tank's k1 = -0.22 lens and port nearly cancel, and lines look straight.)
 BARREL = View(k1=-0.26)
 
 

@@ -130,7 +130,8 @@ def test_a_known_error_is_told_for_what_it_is() -> None:
 
 
 def test_the_bound_is_that_of_a_wide_line_in_additive_noise() -> None:
-    # Cramer-Rao bound of a Gaussian in additive noise: (sigma_n / A) sqrt(2 w / sqrt(pi)); pixels narrow it by under 2 %.
+    # Cramer-Rao bound of a Gaussian in additive noise: (sigma_n / A) sqrt(2 w / sqrt(pi));
+    # pixels narrow it by under 2 %.
     case = LineCase("tap", 3.0, 100.0, NoiseSection(read_dn=2.0))
     closed = 2.0 / 100.0 * np.sqrt(2 * 3.0 / np.sqrt(np.pi))
     assert bound_px(case) == pytest.approx(closed, rel=0.02)
@@ -165,7 +166,8 @@ def test_a_board_is_seen_whole_and_its_noise_is_the_noise_asked_for(board: str) 
 def test_maps_are_judged_by_the_truth() -> None:
     rows = bench_maps(["polynomial-1", "polynomial-5", "polynomial-9"], draws=2, quick=True)
     exact = {row.plane_map: row for row in rows if row.noise_px == 0}
-    # docs/explanation/physics.md, section 9: global polynomials of order 5 leave 0.0022 mm on such a view.
+    # docs/explanation/physics.md, section 9: polynomials of order 5 leave 0.0022 mm on such
+    # a view.
     assert exact["polynomial-5"].rms_mm < 0.004
     assert exact["polynomial-1"].rms_mm > 1.0
     assert exact["polynomial-5"].covered > 0.99

@@ -274,7 +274,7 @@ def test_the_grooved_block_carries_all_nine_dimensions() -> None:
 
 
 def test_the_sandwave_fits_the_papers_text() -> None:
-    """docs/explanation/physics.md, section 9: four wavelengths, one meander, amplitude 1.5 to about 8 mm."""
+    """Four wavelengths, one meander, amplitude 1.5 to about 8 mm (docs/explanation/physics.md)."""
     piece = Sandwave()
     assert piece.side_mm * piece.c_per_mm / (2 * 3.14159265) == pytest.approx(4, abs=0.02)
     assert piece.side_mm * piece.e_per_mm / (2 * 3.14159265) == pytest.approx(1, abs=0.01)

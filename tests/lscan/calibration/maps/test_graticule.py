@@ -115,8 +115,8 @@ def test_second_order_beats_first_on_tables_1_and_2() -> None:
     ("variant", "noted_rms", "noted_max"), [("1-norulers", 0.33, 0.88), ("2-norulers", 0.23, 0.33)]
 )
 def test_errors_computed_apart(variant: str, noted_rms: float, noted_max: float) -> None:
-    """docs/explanation/physics.md, section 9, computed with other code; given to two digits, on a view
-    known only roughly: a tenth."""
+    """docs/explanation/physics.md, section 9, computed with other code; given to two digits, on
+    a view known only roughly: a tenth."""
     points = board_points(4000, seed=5)
     graticule = solver.solve(read_board(BOARD, BARREL.project), variant)
     error = np.linalg.norm(graticule.to_plane(BARREL.project(points)).xz_mm - points, axis=1)
