@@ -1,4 +1,4 @@
-"""Where the code of pages runs: as if in the root of a checkout, but beneath ``out``."""
+"""Where the code of pages runs: in empty folders beneath ``out``."""
 
 from __future__ import annotations
 
@@ -14,17 +14,16 @@ import atexit, os, shutil, tempfile
 from pathlib import Path
 folder = Path(tempfile.mkdtemp(dir={work!r}))
 os.chdir(folder)
-(folder / "scenes").symlink_to({scenes!r})
 atexit.register(shutil.rmtree, folder, ignore_errors=True)
 del folder
 """
 
 
 def prepare() -> None:
-    """Have every kernel start in an empty folder of its own in which ``scenes`` is."""
+    """Have every kernel start in an empty folder of its own."""
     startup = WORK / "ipython" / "profile_default" / "startup" / "00-folder.py"
     startup.parent.mkdir(parents=True, exist_ok=True)
-    text = STARTUP.format(work=str(WORK), scenes=str(ROOT / "scenes"))
+    text = STARTUP.format(work=str(WORK))
     startup.write_text(text, encoding="utf-8")
     os.environ["IPYTHONDIR"] = str(WORK / "ipython")
     path = os.environ.get("PYTHONPATH")

@@ -11,12 +11,12 @@ from lscan.calibration.solve import calibration_of
 from lscan.config.documents import read_json
 
 
-def load_plane_map(path: Path) -> tuple[PlaneMap, tuple[int, int]]:
+def load_plane_map(path: Path | str) -> tuple[PlaneMap, tuple[int, int]]:
     """The plane map of a calibration file, and the (width, height) in px of its pictures.
 
     Parameters
     ----------
-    path : Path
+    path : Path or str
         Written by ``save_calibration`` or by ``save_metric``.
 
     Raises
@@ -27,11 +27,11 @@ def load_plane_map(path: Path) -> tuple[PlaneMap, tuple[int, int]]:
     Examples
     --------
     >>> import lscan
-    >>> from pathlib import Path
-    >>> plane_map, size_px = lscan.load_plane_map(Path("calibration.json"))
+    >>> plane_map, size_px = lscan.load_plane_map("calibration.json")
     >>> plane_map.name, size_px
     ('graticule-2', (640, 480))
     """
+    path = Path(path)
     document = read_json(path, MOST_BYTES)
     if isinstance(document, dict) and document.get("format") == FORMAT:
         metric = metric_of(document, path)

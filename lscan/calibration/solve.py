@@ -122,14 +122,14 @@ def residuals(plane_map: PlaneMap, reading: BoardReading) -> tuple[Floats, Float
 def in_picture(plane_map: PlaneMap, image_px: Floats, shift_mm: Floats) -> Floats:
     """(N, 2) px: how far pixels (N, 2) must move for the map to move them by (N, 2) mm.
 
-    By the map's slope there; NaN where it has none.
+    By the map's Jacobian there; NaN where it has none.
     """
-    slopes = [
+    columns = [
         (plane_map.to_plane(image_px + step).xz_mm - plane_map.to_plane(image_px - step).xz_mm)
         / (2 * STEP_PX)
         for step in STEP_PX * np.eye(2)
     ]
-    jacobian = np.stack(slopes, axis=2)
+    jacobian = np.stack(columns, axis=2)
     finite = np.isfinite(jacobian).all(axis=(1, 2)) & np.isfinite(shift_mm).all(axis=1)
     known = np.flatnonzero(finite)
     known = known[np.linalg.det(jacobian[known]) != 0]

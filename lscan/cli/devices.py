@@ -224,7 +224,7 @@ def _print_noise(transfer: PhotonTransfer) -> None:
 
 def _print_facts(title: str, facts: dict[str, Fact]) -> None:
     """Facts one a line, in words."""
-    words = {True: "yes", False: "no", None: "not told"}
+    words = {True: "yes", False: "no", None: "unknown"}
     rows = [
         [name, words[fact] if fact is None or isinstance(fact, bool) else _short(fact)]
         for name, fact in facts.items()

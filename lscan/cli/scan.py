@@ -44,4 +44,4 @@ def scan(
     if json:
         print_json({"run": str(run.path), "frames": len(run), "state": run.state})
     else:
-        print(f"{len(run)} frames in {run.path}")
+        print(f"{len(run)} {'frame' if len(run) == 1 else 'frames'} in {run.path}")

@@ -10,6 +10,8 @@ import typer
 from lscan.cli.arguments import Json
 from lscan.cli.console import print_json
 
+UNNAMED = "(a rig or a board: to be named in a file, not to be scanned)"
+
 
 def scenes(
     copy: Annotated[
@@ -17,7 +19,7 @@ def scenes(
     ] = None,
     json: Json = False,
 ) -> None:
-    """List the scenes and rigs whose names stand for their files, or copy them to be changed."""
+    """List the scenes, rigs and boards that come with lscan, or copy them to be changed."""
     from lscan.config.documents import read_document
     from lscan.config.scenes import copy_scenes, scene_names
 
@@ -30,4 +32,4 @@ def scenes(
         print(f"{len(names)} scenes, rigs and boards in {copy}")
     else:
         for name in names:
-            print(f"{name:28}{read_document(name).get('name', '')}".rstrip())
+            print(f"{name:28}{read_document(name).get('name', UNNAMED)}")

@@ -56,7 +56,9 @@ def find_plugin_or_function(group: str, name: str, where: object = None) -> Any:
     try:
         found = getattr(import_module(module), function)
     except Exception as error:  # a module of the user's may raise anything
-        allowed = " ".join(f"a name that can be imported: {error}".split())
+        allowed = " ".join(
+            f"a name that can be imported, its folder in PYTHONPATH: {error}".split()
+        )
         raise InputError(what, where=where, value=name, allowed=allowed) from error
     if not callable(found):
         raise InputError(what, where=where, value=name, allowed="a function")

@@ -10,7 +10,8 @@ from sim.cli.serve import serve
 from sim.cli.study import study
 
 app = command_line(
-    "The tank in software: demo, render, truth, views, serve, verify, accuracy, study."
+    "The tank in software: demo, render, truth, views, serve, verify, accuracy, hardware,"
+    " bench, study."
 )
 for command in (demo, render, truth, views, bench, verify, accuracy, serve, hardware):
     app.command()(command)

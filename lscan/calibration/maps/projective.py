@@ -87,16 +87,16 @@ class Projective(SolvedMap):
         """Points of covered pixels."""
         rows = Homography(self.h).by_parameters(self.pixels.apply(image_px))
         modes = rows @ square_root(self.covariance) * self.plane.scale[:, None]
-        return propagated(self.places(image_px), self.slopes(image_px), modes, variance_px2)
+        return propagated(self.places(image_px), self.derivatives(image_px), modes, variance_px2)
 
     def places(self, image_px: Floats) -> Floats:
         """(N, 2) mm of pixels (N, 2), wherever they lie."""
         return self.plane.undo(Homography(self.h).apply(self.pixels.apply(image_px)))
 
-    def slopes(self, image_px: Floats) -> Floats:
+    def derivatives(self, image_px: Floats) -> Floats:
         """(N, 2, 2) mm per px, derivatives of (x, z) by (u, v)."""
-        scaled_slopes = Homography(self.h).by_pixel(self.pixels.apply(image_px))
-        return scaled_slopes * self.plane.scale[:, None] / self.pixels.scale
+        scaled = Homography(self.h).by_pixel(self.pixels.apply(image_px))
+        return scaled * self.plane.scale[:, None] / self.pixels.scale
 
 
 class ProjectiveSolver(MapSolver[Projective]):
@@ -150,11 +150,11 @@ def _refine(start: Floats, scaled: Floats, known: Floats) -> Floats:
     def residual(h: Floats) -> Floats:
         return (Homography(h).apply(scaled) - known).ravel()
 
-    def slopes(h: Floats) -> Floats:
+    def jacobian(h: Floats) -> Floats:
         return Homography(h).by_parameters(scaled).reshape(-1, COUNT)
 
     answer = least_squares(
-        residual, start, jac=slopes, method="lm", xtol=1e-15, ftol=1e-15, gtol=1e-15
+        residual, start, jac=jacobian, method="lm", xtol=1e-15, ftol=1e-15, gtol=1e-15
     )
     if not (Homography(answer.x).denominator(scaled) > 0).all():
         raise BoardNotFound("the control points found are no picture of a plane")

@@ -65,7 +65,7 @@ class Spline(SolvedMap):
 
     def estimate(self, image_px: Floats, variance_px2: Floats) -> Estimate:
         """Points of covered pixels; the scatter and bias of the smoothing give the modes."""
-        slope, scaled = self.base.slopes(image_px), self.pixels.apply(image_px)
+        slope, scaled = self.base.derivatives(image_px), self.pixels.apply(image_px)
         rows = self.basis.rows(scaled)
         for axis, by in enumerate(((1, 0), (0, 1))):
             bend = self.basis.rows(scaled, *by) @ self.coefficients.T
@@ -94,7 +94,7 @@ class SplineSolver(MapSolver[Spline]):
         _require_spread(scaled)
         margin = region.margin_px / pixels.scale[0]  # by which a region goes beyond the marks
         basis = even_basis(scaled.min(axis=0) - margin, scaled.max(axis=0) + margin, SEGMENTS)
-        slope = np.sqrt((base.slopes(image) ** 2).sum(axis=2))
+        slope = np.sqrt((base.derivatives(image) ** 2).sum(axis=2))
         sigma = np.maximum(sigma_px, LEAST_SIGMA_PX)[:, None] * slope
         rest, rows, rough = known - base.places(image), basis.rows(scaled), basis.roughness()
         fits = [smooth(rows, rest[:, c], sigma[:, c], rough, FLAT) for c in (0, 1)]

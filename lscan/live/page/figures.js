@@ -1,4 +1,4 @@
-// The figures told of every picture, their verdicts, and what the verdicts mean.
+// The figures shown of every picture, their verdicts, and what the verdicts mean.
 //
 // Each limit stands once: the verdict keeps to it and the legend names it.
 
@@ -49,7 +49,7 @@ export const FIGURES = [
   ...BOARD_FIGURES,
   {
     name: "focus",
-    title: "Focus, of the best",
+    title: "Focus, share of the best",
     unit: "%",
     show: (f) => fixed(focusShare(f) && 100 * focusShare(f), 0),
     meter: (f) => focusShare(f) ?? 0,

@@ -25,7 +25,7 @@ EXPOSURE_MS = 20.0
 FULL_SCALE_DN = 255.0
 STANDARD_ERRORS = 3.0
 PLANCK_J_S, LIGHT_M_S = 6.62607015e-34, 299792458.0  # exact, SI 2019
-# Pixel in um, f-number: contrast of polarised and of depolarised light (Goodman 2020).
+# Pixel in um, f-number: contrast of polarised and of depolarised light (Goodman 2007).
 SPECKLE = (
     (6.0, 2.0, 0.22, 0.15),
     (6.0, 2.8, 0.29, 0.21),
