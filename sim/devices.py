@@ -17,7 +17,7 @@ from pydantic import Field, PositiveFloat, model_validator
 from lscan.config.documents import Strict, check
 from lscan.config.rig import RigFile, load_rig
 from lscan.devices.api import Fact, Grab, Track
-from lscan.devices.travel import TravelDriver, TravelOptions, require_reachable
+from lscan.devices.travel import PassiveTrack, TravelDriver, TravelOptions
 from lscan.errors import DeviceError, InputError
 from lscan.records import Bytes
 from sim.scene import SECTIONS, Scene, scene_of
@@ -59,38 +59,25 @@ class CameraOptions(Strict):
         return self
 
 
-class SimTrack:
+class SimTrack(PassiveTrack):
     """A track that reaches a commanded position at once.
 
     laser_is_on: whether the tank's laser, where its scene lights it, is on; until it is switched
     it is.  One that the track switched on is off when the track is closed.
     """
 
-    tolerance_mm = 0.0
+    name = "sim track"
 
     def __init__(self, options: TrackOptions) -> None:
-        self._options = options
-        self._position_mm = 0.0
+        super().__init__(0.0, (options.min_mm, options.max_mm), tolerance_mm=0.0)
         self.laser_is_on = True
         self._switched_on = False
-        self._closed = False
-
-    @property
-    def limits_mm(self) -> tuple[float, float]:
-        """Lowest and highest position it goes to."""
-        return self._options.min_mm, self._options.max_mm
-
-    @property
-    def position_mm(self) -> float:
-        """Where the head stands, mm."""
-        return self._position_mm
 
     def move_to(self, position_mm: float) -> float:
         """The position reached, mm; DeviceError outside the track's travel."""
-        self._require_open()
-        require_reachable("sim track", position_mm, self.limits_mm)
-        self._position_mm = float(position_mm)
-        return self._position_mm
+        self._require_free_way(position_mm)
+        self.position_mm = float(position_mm)
+        return self.position_mm
 
     def laser_on(self) -> None:
         """Light the tank with what lasers its scene has."""
@@ -104,13 +91,9 @@ class SimTrack:
 
     def close(self) -> None:
         """Release the track."""
-        self._closed = True
+        super().close()
         if self._switched_on:
             self.laser_is_on = self._switched_on = False
-
-    def _require_open(self) -> None:
-        if self._closed:
-            raise DeviceError("sim track: is closed")
 
 
 class SimCamera:
@@ -173,7 +156,7 @@ class SimTrackDriver(TravelDriver[TrackOptions]):
 
     def capabilities(self, rig_file: RigFile) -> dict[str, Fact]:
         """Its travel."""
-        return {**dict(self.options(rig_file)), "tolerance_mm": SimTrack.tolerance_mm}
+        return {**dict(self.options(rig_file)), "tolerance_mm": 0.0}
 
     def open(self, rig_file: RigFile) -> SimTrack:
         """The track at position 0."""

@@ -20,9 +20,9 @@ from lscan.acquisition.run import Run, open_run
 from lscan.config.documents import Strict, check
 from lscan.config.rig import RigFile
 from lscan.devices.api import Fact, Grab, Track
-from lscan.devices.travel import require_reachable
+from lscan.devices.travel import PassiveTrack
 from lscan.errors import DeviceError, InputError
-from lscan.records import Floats, Frame
+from lscan.records import Frame
 
 # Far below any track's resolution, far above the rounding of a position in mm.
 ROUNDING_MM = 1e-9
@@ -34,42 +34,29 @@ class ReplayOptions(Strict):
     run_file: str
 
 
-class ReplayTrack:
+class ReplayTrack(PassiveTrack):
     """A track that reaches a commanded position at once, within the recorded range.
 
     It misses the commanded position by as much as the recorded track did at the nearest
     stop, so that a replayed scan reports the positions of the recorded one.
     """
 
+    name, slack_mm = "replay track", ROUNDING_MM
+
     def __init__(self, run: Run) -> None:
-        self._commanded_mm: Floats = np.array([row.commanded_mm for row in run.rows])
+        self._commanded_mm = np.array([row.commanded_mm for row in run.rows])
         self._reported_mm = run.positions_mm
-        self._position_mm = float(self._reported_mm[0])
-        self._closed = False
-
-    @property
-    def limits_mm(self) -> tuple[float, float]:
-        """Lowest and highest position that can be commanded."""
-        return float(self._commanded_mm.min()), float(self._commanded_mm.max())
-
-    @property
-    def tolerance_mm(self) -> float:
-        """The furthest that the recorded track stood from where it was sent."""
-        return float(np.abs(self._reported_mm - self._commanded_mm).max()) + ROUNDING_MM
-
-    @property
-    def position_mm(self) -> float:
-        """Where the head stands."""
-        return self._position_mm
+        limits_mm = float(self._commanded_mm.min()), float(self._commanded_mm.max())
+        miss_mm = float(np.abs(self._reported_mm - self._commanded_mm).max())
+        super().__init__(float(self._reported_mm[0]), limits_mm, miss_mm + ROUNDING_MM)
 
     def move_to(self, position_mm: float) -> float:
         """Move at once; DeviceError outside the recorded range or after closing."""
-        self._require_open()
-        require_reachable("replay track", position_mm, self.limits_mm, ROUNDING_MM)
+        self._require_free_way(position_mm)
         nearest = int(np.argmin(np.abs(self._commanded_mm - position_mm)))
         miss_mm = position_mm - self._commanded_mm[nearest]
-        self._position_mm = float(self._reported_mm[nearest] + miss_mm)
-        return self._position_mm
+        self.position_mm = float(self._reported_mm[nearest] + miss_mm)
+        return self.position_mm
 
     def laser_on(self) -> None:
         """What was recorded with the laser on is asked of the camera: nothing to switch."""
@@ -78,14 +65,6 @@ class ReplayTrack:
     def laser_off(self) -> None:
         """What was recorded with the laser off is asked of the camera: nothing to switch."""
         self._require_open()
-
-    def close(self) -> None:
-        """Nothing is held open; the track can no longer be moved."""
-        self._closed = True
-
-    def _require_open(self) -> None:
-        if self._closed:
-            raise DeviceError("replay track: is closed")
 
 
 class ReplayCamera:

@@ -15,7 +15,7 @@ from pydantic import Field
 
 from lscan.config.rig import RigFile
 from lscan.devices.api import Fact
-from lscan.devices.travel import TravelDriver, TravelOptions, require_reachable
+from lscan.devices.travel import PassiveTrack, TravelDriver, TravelOptions
 from lscan.errors import DeviceError
 
 Ask = Callable[[str], str]
@@ -27,28 +27,19 @@ class ManualOptions(TravelOptions):
     tolerance_mm: Annotated[float, Field(gt=0, le=100)] = 0.5
 
 
-class ManualTrack:
-    """A hand crank with a scale; ``ask`` shows a text and returns what the operator types."""
+class ManualTrack(PassiveTrack):
+    """A hand crank with a scale; ``ask`` shows a text and returns what the operator types.
+
+    It stands where the operator last said.
+    """
+
+    name = "manual track"
 
     def __init__(self, options: ManualOptions, ask: Ask = input) -> None:
         """Ask where the head stands now."""
-        self._options, self._ask, self._closed = options, ask, False
-        self._position_mm = self._read("manual track: where on its scale is the head now, in mm? ")
-
-    @property
-    def limits_mm(self) -> tuple[float, float]:
-        """The ends of its scale."""
-        return self._options.min_mm, self._options.max_mm
-
-    @property
-    def tolerance_mm(self) -> float:
-        """How far a reading may be off what was asked."""
-        return self._options.tolerance_mm
-
-    @property
-    def position_mm(self) -> float:
-        """Where the operator last said the head stands."""
-        return self._position_mm
+        self._ask = ask
+        stands_mm = self._read("manual track: where on its scale is the head now, in mm? ")
+        super().__init__(stands_mm, (options.min_mm, options.max_mm), options.tolerance_mm)
 
     def move_to(self, position_mm: float) -> float:
         """The position the operator reads after cranking there; Enter: exactly as asked.
@@ -56,23 +47,17 @@ class ManualTrack:
         A reading that is no number within the tolerance is asked for again.  Raises DeviceError
         outside the scale, after closing, and where the operator types q or the terminal ends.
         """
-        if self._closed:
-            raise DeviceError("manual track: is closed")
-        require_reachable("manual track", position_mm, self.limits_mm)
-        if position_mm == self._position_mm:
-            return self._position_mm
+        self._require_free_way(position_mm)
+        if position_mm == self.position_mm:
+            return self.position_mm
         asked = text = (
             f"manual track: crank to {position_mm:.9g} mm, always from below; "
             "then Enter, or the scale's reading in mm, or q to stop: "
         )
         while abs((reading_mm := self._read(asked, position_mm)) - position_mm) > self.tolerance_mm:
             asked = f"{reading_mm:g} mm is more than {self.tolerance_mm:g} mm off; {text}"
-        self._position_mm = reading_mm
+        self.position_mm = reading_mm
         return reading_mm
-
-    def close(self) -> None:
-        """Nothing is held open; the track can no longer be moved."""
-        self._closed = True
 
     def _read(self, text: str, default_mm: float | None = None) -> float:
         """The number typed; asked for again until it is one."""

@@ -1,4 +1,4 @@
-"""What tracks with a travel share: its limits as options, and what lies outside it refused."""
+"""What tracks with a travel share: limits, as options too, and what lies outside them refused."""
 
 from __future__ import annotations
 
@@ -22,6 +22,37 @@ class TravelOptions(Strict):
         if self.min_mm >= self.max_mm:
             raise ValueError("min_mm must be below max_mm")
         return self
+
+
+class PassiveTrack:
+    """The part of a track without a controller: where it stands, how far it goes, being closed.
+
+    position_mm: where the head stands.  limits_mm: lowest and highest position it goes to.
+    tolerance_mm: how far from where it was sent it may report to stand.
+    """
+
+    name: str
+    slack_mm = 0.0
+
+    def __init__(
+        self, position_mm: float, limits_mm: tuple[float, float], tolerance_mm: float
+    ) -> None:
+        self.position_mm, self.limits_mm = position_mm, limits_mm
+        self.tolerance_mm = tolerance_mm
+        self._closed = False
+
+    def close(self) -> None:
+        """Nothing is held open; the track can no longer be moved."""
+        self._closed = True
+
+    def _require_open(self) -> None:
+        if self._closed:
+            raise DeviceError(f"{self.name}: is closed")
+
+    def _require_free_way(self, position_mm: float) -> None:
+        """Raise DeviceError after closing, and for a position beyond the limits."""
+        self._require_open()
+        require_reachable(self.name, position_mm, self.limits_mm, self.slack_mm)
 
 
 Options = TypeVar("Options", bound=TravelOptions)

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections import OrderedDict
-from dataclasses import dataclass, replace
+from dataclasses import replace
+from functools import lru_cache
 
 import numpy as np
 
@@ -17,14 +17,6 @@ from sim.sensor.still import StillView
 NANOMETRE = 6  # decimals of a place in mm: finer, two places are one
 
 
-@dataclass(frozen=True)
-class _PlaceViews:
-    """lit: with the laser on.  dark: with the laser off; None where it is never switched."""
-
-    lit: StillView
-    dark: StillView | None
-
-
 class Places:
     """Views of the tank from track positions; the ``most`` used last are kept.
 
@@ -36,28 +28,23 @@ class Places:
         _refuse_change(scene)
         self._tank, self._webcam = Tank(scene), Webcam(scene)
         self._exposure_ms = scene.rig.camera.exposure_ms
-        self._most, self._switched = most, switched_laser
-        self._kept: OrderedDict[float, _PlaceViews] = OrderedDict()
+        self._switched = switched_laser
+        self._kept = lru_cache(most)(self._render)
 
     def view(self, position_mm: float, *, lit: bool = True) -> StillView:
         """The view from a position in mm, rendered where it is not kept."""
-        key = round(position_mm, NANOMETRE)
-        if key not in self._kept:
-            self._kept[key] = self._render(key)
-            if len(self._kept) > self._most:
-                self._kept.popitem(last=False)
-        self._kept.move_to_end(key)
-        place = self._kept[key]
-        return place.lit if lit or place.dark is None else place.dark
+        with_laser, without = self._kept(round(position_mm, NANOMETRE))
+        return with_laser if lit else without
 
-    def _render(self, position_mm: float) -> _PlaceViews:
+    def _render(self, position_mm: float) -> tuple[StillView, StillView]:
+        """The views with the laser on and off; both are lit where it is never switched."""
         layers = self._tank.render(position_mm)
         lit = self._webcam.still(layers, self._exposure_ms)
         if not self._switched:
-            return _PlaceViews(lit, None)
+            return lit, lit
         none = np.zeros_like(layers.direct)
-        dark = self._webcam.still(replace(layers, direct=none, scattered=none), self._exposure_ms)
-        return _PlaceViews(lit, dark)
+        dark = replace(layers, direct=none, scattered=none)
+        return lit, self._webcam.still(dark, self._exposure_ms)
 
 
 def _refuse_change(scene: Scene) -> None:

@@ -7,17 +7,12 @@ import os
 import select
 import threading
 import tty
-from typing import Protocol, Self
+from typing import Self
+
+from sim.emulators.grbl.machine import EmulatedController
 
 TICK_S = 0.002  # of simulated time that a read without an answer takes
 POLL_S = 0.002  # between looks at a controller that has not been spoken to
-
-
-class Controller(Protocol):
-    """Bytes in, bytes out; OSError where the line is unplugged."""
-
-    def receive(self, data: bytes) -> None: ...
-    def transmit(self) -> bytes: ...
 
 
 class SimulatedTime:
@@ -38,7 +33,7 @@ class SimulatedTime:
 class DirectLine:
     """A serial port without a wire: reading what has not come lets simulated time pass."""
 
-    def __init__(self, controller: Controller, time: SimulatedTime) -> None:
+    def __init__(self, controller: EmulatedController, time: SimulatedTime) -> None:
         self._controller, self._time = controller, time
         self._waiting = bytearray()
         self.closed = False
@@ -80,7 +75,7 @@ class PseudoTerminal:
         ...  # open terminal.port as a serial port
     """
 
-    def __init__(self, controller: Controller) -> None:
+    def __init__(self, controller: EmulatedController) -> None:
         self._controller = controller
         self._master, self._slave = os.openpty()
         tty.setraw(self._slave)  # no echo, no line ends changed
@@ -94,10 +89,7 @@ class PseudoTerminal:
         self._ended.set()
         if self._thread is not threading.current_thread():
             self._thread.join()
-        for end in (self._master, self._slave):
-            with contextlib.suppress(OSError):
-                os.close(end)
-        self._master = self._slave = -1
+        self._close_ends()
 
     def close(self) -> None:
         """End the thread and close the terminal; closing twice is harmless."""
@@ -120,7 +112,10 @@ class PseudoTerminal:
                 if data := self._controller.transmit():
                     os.write(self._master, data)
         except OSError:
-            for end in (self._master, self._slave):
-                with contextlib.suppress(OSError):
-                    os.close(end)
-            self._master = self._slave = -1
+            self._close_ends()
+
+    def _close_ends(self) -> None:
+        for end in (self._master, self._slave):
+            with contextlib.suppress(OSError):
+                os.close(end)
+        self._master = self._slave = -1
