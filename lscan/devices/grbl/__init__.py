@@ -38,7 +38,7 @@ def open_track(
         transport = open_serial(options.port, options.baud, name, options.write_s)
     link = Link(transport, name, clock, sleep, options.write_s)
     kind = GrblMachine if options.dialect == "grbl" else MarlinMachine
-    return SerialTrack(kind(link, options), options, name, sleep)
+    return SerialTrack(kind(link, options), options, link)
 
 
 class SerialTrackDriver(TravelDriver[SerialTrackOptions]):

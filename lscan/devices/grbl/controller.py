@@ -151,10 +151,6 @@ class GrblMachine:
         self._link.send_bytes(JOG_CANCEL)
         self._halt(self.status)
 
-    def close(self) -> None:
-        """Release the line."""
-        self._link.close()
-
     def status(self) -> StatusReport:
         """A report asked for now, its lengths in the controller's unit."""
         status = self._dialogue.status()

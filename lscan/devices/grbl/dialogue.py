@@ -1,15 +1,11 @@
-"""Talking with Grbl 1.1: lines and their answers, reports, and noise passed over.
-
-Every line is answered before the next is sent.
-"""
+"""Talking with Grbl 1.1: lines and their answers, reports, and noise passed over."""
 
 from __future__ import annotations
 
 from typing import Final
 
 from lscan.devices.grbl.codes import alarm_in_words, error_in_words
-from lscan.devices.grbl.link import Link
-from lscan.devices.grbl.machine import Unanswered, asked
+from lscan.devices.grbl.machine import Exchange, Unanswered, asked
 from lscan.devices.grbl.protocol import (
     Alarm,
     Banner,
@@ -26,43 +22,17 @@ STATUS: Final = b"?"
 ASK_AGAIN_S: Final = 0.25  # a report comes within 20 ms, but Grbl may drop a question
 
 
-class Dialogue:
-    """The exchange with one controller.
+class Dialogue(Exchange[Message]):
+    """The exchange with one controller.  homes: by its setting $22."""
 
-    answer_s: how long an answer may take.  homes: whether the controller can home ($22), for
-    what to do about an alarm.  lost: whether it has said since that its position is lost.
-    """
-
-    def __init__(self, link: Link, answer_s: float) -> None:
-        self.link, self._answer_s = link, answer_s
-        self.homes, self.lost = True, False
-
-    def command(self, text: str, within_s: float | None = None, first: str = "") -> list[Message]:
-        """Send a line; what was said until its ok.
-
-        within_s: how long that may take, if not ``answer_s``.  first: what to look at first where
-        no answer comes.  Raises Unanswered where it is refused or unanswered, DeviceError where
-        the position is lost.
-        """
-        link = self.link
-        answers: list[Message] = []
-        self.drain()
-        deadline_s = link.clock() + (self._answer_s if within_s is None else within_s)
-        link.send(text)
-        while (message := self._next(deadline_s)) is not None:
-            if isinstance(message, Ok):
-                return answers
-            if isinstance(message, Refusal):
-                raise Unanswered(
-                    f"{link.name}: refuses {text!r}: {error_in_words(message.code)}; where the "
-                    "command is right, a noisy line garbled it: check the cable"
-                )
-            answers.append(message)
-        raise self._silent(f"an answer to {text!r}", first)
-
-    def query(self, text: str) -> list[Message]:
-        """As ``command``, of a line that changes nothing: it is sent again where need be."""
-        return asked(lambda: self.command(text))
+    def ends(self, said: Message, text: str) -> bool:
+        """Whether it is an ok; Unanswered for a refusal, since noise may have caused it."""
+        if isinstance(said, Refusal):
+            raise Unanswered(
+                f"{self.link.name}: refuses {text!r}: {error_in_words(said.code)}; where the "
+                "command is right, a noisy line garbled it: check the cable"
+            )
+        return isinstance(said, Ok)
 
     def modes(self) -> list[str]:
         """The words of ``$G``, such as G54 or T0."""
@@ -71,7 +41,7 @@ class Dialogue:
             for answer in self.command("$G"):
                 if isinstance(answer, Feedback) and answer.kind == "GC":
                     return answer.text.split()
-            raise self._silent("a readable answer to '$G'")
+            raise self.silent("a readable answer to '$G'")
 
         return asked(ask)
 
@@ -79,7 +49,7 @@ class Dialogue:
         """A report asked for now, its lengths in the controller's unit."""
         report = self._report(heed=True)
         if report is None:
-            raise self._silent("a status report")
+            raise self.silent("a status report")
         return report
 
     def any_status(self) -> StatusReport | None:
@@ -88,7 +58,7 @@ class Dialogue:
 
     def _report(self, heed: bool) -> StatusReport | None:
         link, end_s = self.link, self.link.clock() + self._answer_s
-        read = self._next if heed else self.read
+        read = self.following if heed else self.read
         while link.clock() < end_s:
             link.send_bytes(STATUS)
             ask_again_s = min(end_s, link.clock() + ASK_AGAIN_S)
@@ -96,11 +66,6 @@ class Dialogue:
                 if isinstance(message, StatusReport):
                     return message
         return None
-
-    def drain(self) -> None:
-        """Read what has come unasked, so that no old ok answers a new line."""
-        while self._next(self.link.clock()) is not None:
-            pass
 
     def read(self, deadline_s: float) -> Message | None:
         """The next message, whatever it says; None where none is whole by the deadline."""
@@ -110,8 +75,8 @@ class Dialogue:
             self.link.skip(text)
         return None
 
-    def _next(self, deadline_s: float) -> Message | None:
-        """The next message; DeviceError where it says that the position can no longer be held."""
+    def following(self, deadline_s: float) -> Message | None:
+        """As ``read``; DeviceError where it says that the position can no longer be held."""
         message = self.read(deadline_s)
         if isinstance(message, Alarm):
             self.lost = True
@@ -133,20 +98,4 @@ class Dialogue:
             "clear the way, then unlock by $X, which leaves the position lost; this controller "
             "does not home ($22=0), so before a scan goes on switch it off, push the head by hand "
             "to where it stood when it was first switched on, and switch it on; or scan anew"
-        )
-
-    def restarted(self) -> DeviceError:
-        """The error that says so; the position is lost from here on."""
-        self.lost = True
-        mend = "home" if self.homes else "put the head back by hand"
-        return DeviceError(
-            f"{self.link.name}: the controller has restarted, so its position is lost; check "
-            f"its power and the USB cable, {mend}, and open the track again"
-        )
-
-    def _silent(self, what: str, first: str = "") -> Unanswered:
-        return Unanswered(
-            f"{self.link.name}: silent: {what} did not come in time "
-            f"({self.link.noise_bytes} bytes of noise so far); {first}check cable and power, then "
-            "open the track again"
         )

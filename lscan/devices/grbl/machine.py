@@ -1,5 +1,7 @@
 """What the controllers of a track have in common, whatever language they speak.
 
+Every line is answered before the next is sent.
+
 A serial line carries no checksum: whatever a position rests on is read until two readings
 in a row agree.
 """
@@ -8,10 +10,12 @@ from __future__ import annotations
 
 import contextlib
 import math
+from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Final, TypeVar
+from typing import Final, Generic, TypeVar
 
+from lscan.devices.grbl.link import Link
 from lscan.errors import DeviceError
 
 READINGS: Final = 8
@@ -20,6 +24,7 @@ READINGS: Final = 8
 ASKINGS: Final = 3
 """How often a question is asked that changes nothing, until it is answered readably."""
 
+Said = TypeVar("Said")
 Reading = TypeVar("Reading")
 Answer = TypeVar("Answer")
 
@@ -41,6 +46,72 @@ class AxisTravel:
     step_mm: float = 0.0
     max_mm_min: float = math.inf
     accel_mm_s2: float = math.inf
+
+
+class Exchange(ABC, Generic[Said]):
+    """Lines and their answers, with one controller.
+
+    answer_s: how long an answer may take.  homes: whether the controller can home, for what to do
+    about a position that is lost.  lost: whether it has said since that it is.
+    """
+
+    def __init__(self, link: Link, answer_s: float) -> None:
+        self.link, self._answer_s = link, answer_s
+        self.homes, self.lost = True, False
+
+    @abstractmethod
+    def following(self, deadline_s: float) -> Said | None:
+        """What is said next, None where nothing is whole by the deadline.
+
+        Raises DeviceError where it says that the position can no longer be held.
+        """
+
+    @abstractmethod
+    def ends(self, said: Said, text: str) -> bool:
+        """Whether it is the ok that ends the answer to a line; an error where it refuses it."""
+
+    def command(self, text: str, within_s: float | None = None, first: str = "") -> list[Said]:
+        """Send a line; what was said until its ok.
+
+        within_s: how long that may take, if not ``answer_s``.  first: what to look at first where
+        no answer comes.  Raises Unanswered where it is refused or unanswered, DeviceError where
+        the position is lost.
+        """
+        answers: list[Said] = []
+        self.drain()
+        deadline_s = self.link.clock() + (self._answer_s if within_s is None else within_s)
+        self.link.send(text)
+        while (said := self.following(deadline_s)) is not None:
+            if self.ends(said, text):
+                return answers
+            answers.append(said)
+        raise self.silent(f"an answer to {text!r}", first)
+
+    def query(self, text: str, first: str = "") -> list[Said]:
+        """As ``command``, of a line that changes nothing: it is sent again where need be."""
+        return asked(lambda: self.command(text, first=first))
+
+    def drain(self) -> None:
+        """Read what has come unasked, so that no old ok answers a new line."""
+        while self.following(self.link.clock()) is not None:
+            pass
+
+    def restarted(self) -> DeviceError:
+        """The error that says so; the position is lost from here on."""
+        self.lost = True
+        mend = "home" if self.homes else "put the head back by hand"
+        return DeviceError(
+            f"{self.link.name}: the controller has restarted, so its position is lost; check "
+            f"its power and the USB cable, {mend}, and open the track again"
+        )
+
+    def silent(self, what: str, first: str = "") -> Unanswered:
+        """The error that says that ``what`` did not come."""
+        return Unanswered(
+            f"{self.link.name}: silent: {what} did not come in time "
+            f"({self.link.noise_bytes} bytes of noise so far); {first}check cable and power, then "
+            "open the track again"
+        )
 
 
 def asked(ask: Callable[[], Answer]) -> Answer:

@@ -12,13 +12,14 @@ from typing import Final
 
 from lscan.devices.api import Fact
 from lscan.devices.grbl.link import Link
-from lscan.devices.grbl.machine import AxisTravel, Unanswered, agreed, asked
+from lscan.devices.grbl.machine import AxisTravel, Exchange, Unanswered, agreed, asked
 from lscan.devices.grbl.options import SerialTrackOptions
 from lscan.errors import DeviceError
 
 STEP_MM: Final = 0.01
 """M114 writes two decimals."""
 
+_JAM: Final = "check for a jam, "
 _OTHER_DIALECT: Final = "where the controller runs Grbl, set track.options.dialect = 'grbl'; "
 
 _PLACE = re.compile(r"(?:^|\s)([XYZ]):(-?\d+\.\d+)")
@@ -26,11 +27,37 @@ _FIRMWARE = re.compile(r"FIRMWARE_NAME:(Marlin.*?)(?= [A-Z_]+:|$)")
 _REPORT = re.compile(r"X:-?\d+\.\d+ Y:-?\d+\.\d+ Z:-?\d+\.\d+(?: .*)?")
 
 
+class MarlinExchange(Exchange[str]):
+    """Lines and their answers; a controller that is busy says so between them."""
+
+    def following(self, deadline_s: float) -> str | None:
+        """The next line; DeviceError where it says that the controller stopped or restarted."""
+        text, name = self.link.line(deadline_s), self.link.name
+        if text is None:
+            return None
+        if text.startswith(("Error:", "!!")):
+            raise DeviceError(
+                f"{name}: stopped: {text[:80]!r}; clear the cause, reset the controller, home, "
+                "and open the track again"
+            )
+        if text.startswith("echo:Unknown command"):
+            raise DeviceError(f"{name}: {text[:80]!r}; the firmware lacks this command")
+        if text == "start":
+            raise self.restarted()
+        return text
+
+    def ends(self, said: str, text: str) -> bool:
+        """Whether it is an ok, which may go on with more."""
+        return said == "ok" or said.startswith("ok ")
+
+
 class MarlinMachine:
     """The axis of a controller that runs Marlin."""
 
     def __init__(self, link: Link, options: SerialTrackOptions) -> None:
         self._link, self._options = link, options
+        self._exchange = MarlinExchange(link, options.answer_s)
+        self._command = self._exchange.command
         self._firmware = ""
         # Marlin keeps nothing by which a restart between two sessions could be noticed.
         self.zero = f"opening {secrets.token_hex(4)}"
@@ -50,7 +77,7 @@ class MarlinMachine:
             pass
         while link.line(link.clock() + 0.05) is not None:  # the settings a start prints
             pass
-        answer = " ".join(asked(lambda: self._command("M115", first=_OTHER_DIALECT)))
+        answer = " ".join(self._exchange.query("M115", _OTHER_DIALECT))
         firmware = _FIRMWARE.search(answer)
         if firmware is None:
             raise DeviceError(
@@ -58,7 +85,7 @@ class MarlinMachine:
                 "dialect, or check port and baud rate"
             )
         self._firmware = firmware[1]
-        self._command("M400", options.homing_s)
+        self._command("M400", options.homing_s, _JAM)
         self._command("G21")
         self._command("G90")
         return AxisTravel(step_mm=STEP_MM)
@@ -70,12 +97,12 @@ class MarlinMachine:
 
     def home(self) -> None:
         """Run ``G28`` for the axis."""
-        self._command(f"G28 {self._options.axis}", self._options.homing_s)
+        self._command(f"G28 {self._options.axis}", self._options.homing_s, _JAM)
 
     def move(self, target_mm: float, feed_mm_min: float, within_s: float) -> None:
         """Move and wait for the end of all motion."""
         self._command(f"G1 {self._options.axis}{target_mm:.3f} F{feed_mm_min:.1f}")
-        self._command("M400", within_s)
+        self._command("M400", within_s, _JAM)
 
     def position_mm(self) -> float:
         """The axis's position, two reports alike."""
@@ -90,10 +117,6 @@ class MarlinMachine:
         self._command("M410")
         self._command("M400")
 
-    def close(self) -> None:
-        """Release the line."""
-        self._link.close()
-
     def _reported_mm(self) -> float:
         for answer in self._command("M114"):
             if _REPORT.fullmatch(answer):
@@ -105,41 +128,3 @@ class MarlinMachine:
             f"{self._link.name}: M114 gave no readable position of axis {self._options.axis}; "
             "check the cable, then open the track again"
         )
-
-    def _command(self, text: str, within_s: float | None = None, first: str = "") -> list[str]:
-        """Send a line; the lines until its ok.
-
-        first: what to look at first where no answer comes.  Raises Unanswered where none comes,
-        DeviceError where the line is refused.
-        """
-        link = self._link
-        while (stale := link.line(link.clock())) is not None:
-            self._heed(stale)
-        deadline_s = link.clock() + (self._options.answer_s if within_s is None else within_s)
-        link.send(text)
-        answers: list[str] = []
-        while (answer := link.line(deadline_s)) is not None:
-            self._heed(answer)
-            if answer == "ok" or answer.startswith("ok "):
-                return answers
-            if not answer.startswith("echo:busy:"):
-                answers.append(answer)
-        raise Unanswered(
-            f"{link.name}: silent: no ok to {text!r} in time ({link.noise_bytes} bytes of noise "
-            f"so far); {first}check cable, power and for a jam, then open the track again"
-        )
-
-    def _heed(self, text: str) -> None:
-        """Raise DeviceError where a line says that the controller stopped or restarted."""
-        if text.startswith(("Error:", "!!")):
-            raise DeviceError(
-                f"{self._link.name}: stopped: {text[:80]!r}; clear the cause, reset the "
-                "controller, home, and open the track again"
-            )
-        if text.startswith("echo:Unknown command"):
-            raise DeviceError(f"{self._link.name}: {text[:80]!r}; the firmware lacks this command")
-        if text == "start":
-            raise DeviceError(
-                f"{self._link.name}: the controller has restarted, so its position is lost; check "
-                "its power and the USB cable, home, and open the track again"
-            )

@@ -5,10 +5,11 @@ from __future__ import annotations
 import contextlib
 import logging
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 
 from lscan.devices.api import Fact
 from lscan.devices.grbl.controller import GrblMachine
+from lscan.devices.grbl.link import Link
 from lscan.devices.grbl.marlin import MarlinMachine
 from lscan.devices.grbl.options import ROUNDING_MM, SerialTrackOptions
 from lscan.devices.travel import require_reachable
@@ -30,11 +31,10 @@ class SerialTrack:
         self,
         machine: GrblMachine | MarlinMachine,
         options: SerialTrackOptions,
-        name: str,
-        sleep: Callable[[float], None],
+        link: Link,
     ) -> None:
         """Wake the machine and home it where the options say so; DeviceError if it fails."""
-        self._machine, self._options, self._name, self._sleep = machine, options, name, sleep
+        self._machine, self._options, self._link, self._name = machine, options, link, link.name
         self._refusal: str | None = None
         self._engaged = self._moved = self._lit = False
         try:
@@ -43,11 +43,11 @@ class SerialTrack:
             self._check_feed()
             if options.homing:
                 # A warning, so that it is seen without logging set up: the head moves by itself.
-                _log.warning("%s: homing, within %g s", name, options.homing_s)
+                _log.warning("%s: homing, within %g s", link.name, options.homing_s)
                 machine.home()
             self._position_mm = options.position_mm(machine.position_mm())
         except BaseException:
-            machine.close()
+            link.close()
             raise
 
     @property
@@ -180,7 +180,7 @@ class SerialTrack:
         if self._lit:
             with contextlib.suppress(DeviceError):
                 self._machine.laser(0.0)
-        self._machine.close()
+        self._link.close()
         self._refusal = _CLOSED
 
     def _approach(self, target_mm: float) -> float:
@@ -203,7 +203,7 @@ class SerialTrack:
         self._machine.move(
             options.machine_mm(target_mm), options.feed_mm_min, 1.5 * expected_s + options.answer_s
         )
-        self._sleep(options.settle_s)
+        self._link.sleep(options.settle_s)
         stands_mm = options.position_mm(self._machine.position_mm())
         if not abs(stands_mm - target_mm) <= self.tolerance_mm:
             raise DeviceError(
