@@ -112,8 +112,7 @@ class SimCamera:
     @property
     def size_px(self) -> tuple[int, int]:
         """(width, height) of every picture."""
-        camera = self._scene.rig.camera
-        return camera.width_px, camera.height_px
+        return self._scene.rig.camera.size_px
 
     def grab(self, frame: int | None = None, dark: bool = False) -> Grab:
         """A picture, (H, W, 3) RGB, seen from the track's position.

@@ -83,7 +83,7 @@ class ReplayCamera:
     @property
     def size_px(self) -> tuple[int, int]:
         """(width, height) of the recorded pictures."""
-        return _size_px(self._run.rig_file)
+        return self._run.rig_file.rig.camera.size_px
 
     def grab(self, frame: int | None = None, dark: bool = False) -> Grab:
         """The recorded picture; DeviceError where none lies within half a step.
@@ -169,7 +169,7 @@ class ReplayCameraDriver:
 
     def _run(self, rig_file: RigFile) -> Run:
         run = _recorded_run(rig_file, "camera")
-        asked, recorded = _size_px(rig_file), _size_px(run.rig_file)
+        asked, recorded = rig_file.rig.camera.size_px, run.rig_file.rig.camera.size_px
         if asked != recorded:
             raise InputError(
                 "camera.width_px, camera.height_px: not the size of the recorded pictures",
@@ -204,10 +204,6 @@ def _recorded_run(rig_file: RigFile, device: Literal["camera", "track"]) -> Run:
             allowed="the folder of a recorded run",
         ) from error
     return run
-
-
-def _size_px(rig_file: RigFile) -> tuple[int, int]:
-    return rig_file.rig.camera.width_px, rig_file.rig.camera.height_px
 
 
 camera_driver = ReplayCameraDriver()

@@ -204,7 +204,7 @@ class Run:
         header = read_header(data)
         if header is None or (header.format, header.depth_bits) != ("PNG", 8):
             raise InputError("is not an 8-bit grey or RGB picture", where=file, allowed="PNG")
-        if (header.width_px, header.height_px) != (camera.width_px, camera.height_px):
+        if (header.width_px, header.height_px) != camera.size_px:
             size = f"{header.width_px} by {header.height_px} px"
             allowed = f"{camera.width_px} by {camera.height_px} px, as in the rig"
             raise InputError("wrong picture size", where=file, value=size, allowed=allowed)

@@ -85,7 +85,7 @@ def open_camera(rig_file: RigFile, track: Track) -> Camera:
     """The rig's camera on an opened track; errors as open_devices, and it is closed then."""
     section = rig_file.rig.camera
     camera: Camera = camera_driver(rig_file.rig, rig_file.source).open(rig_file, track)
-    if camera.size_px != (section.width_px, section.height_px):
+    if camera.size_px != section.size_px:
         camera.close()
         raise _wrong_size(camera.size_px, section)
     return camera
@@ -227,7 +227,7 @@ class _ScanDevices:
                 f"{image.shape}; allowed: uint8, (H, W) or (H, W, 3)"
             )
         height, width = image.shape[:2]
-        if (width, height) != (section.width_px, section.height_px):
+        if (width, height) != section.size_px:
             raise _wrong_size((width, height), section)
         _require_finite("time_s", grab.time_s, index)
         _require_finite("exposure_ms", grab.exposure_ms, index)

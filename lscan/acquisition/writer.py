@@ -47,6 +47,7 @@ from lscan.files.disk import (
     temporary_name,
     write_atomically,
 )
+from lscan.files.pictures import encoded
 from lscan.records import Bytes, Frame
 
 
@@ -120,9 +121,8 @@ class RunWriter:
         sha256 = _write_picture(frame.image, frame_file(self.path, frame.index))
         dark_sha256 = None
         if frame.background is not None:
-            dark_sha256 = _write_picture(
-                frame.background, frame_file(self.path, frame.index, dark=True)
-            )
+            dark_file = frame_file(self.path, frame.index, dark=True)
+            dark_sha256 = _write_picture(frame.background, dark_file)
         places_mm = frame.commanded_mm, frame.position_mm
         row = FrameRow(
             frame.index, *places_mm, frame.time_s, frame.exposure_ms, sha256, dark_sha256
@@ -299,8 +299,4 @@ def _write_picture(image: Bytes, file: Path) -> str:
 
 def _encode(image: Bytes) -> bytes:
     """The picture as PNG, encoded in the way that is fastest for noisy ones."""
-    bgr = image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_RGB2BGR)
-    done, data = cv2.imencode(".png", bgr, _PNG)
-    if not done:
-        raise InputError("the picture cannot be written as PNG", value=image.shape)
-    return data.tobytes()
+    return encoded(image, ".png", _PNG)

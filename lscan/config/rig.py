@@ -35,6 +35,11 @@ class CameraSection(Strict):
     exposure_ms: Annotated[float, Field(gt=0, le=60_000)] = 20.0
     options: dict[str, Any] = Field(default_factory=dict)
 
+    @property
+    def size_px(self) -> tuple[int, int]:
+        """(width, height) of every picture."""
+        return self.width_px, self.height_px
+
 
 class TrackSection(Strict):
     """Which track.  ``options`` go to the driver, which checks them."""
@@ -71,7 +76,7 @@ class Plan(Strict):
         """Without a laser left untouched, so that run folders are as they were without the key."""
         document: Document = plain(self)
         if self.laser == "untouched":
-            del document["laser"]
+            document.pop("laser", None)
         return document
 
 

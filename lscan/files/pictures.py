@@ -5,6 +5,7 @@ All that decodes a stranger's picture does it here, once its header says that it
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -78,13 +79,24 @@ def decode(data: bytes | Bytes, flags: int = cv2.IMREAD_UNCHANGED) -> Bytes | No
     return image if image is not None and image.dtype == np.uint8 else None
 
 
-def write_picture(path: Path, image: Bytes) -> None:
-    """Write (H, W) grey or (H, W, 3) RGB to ``path``, in the format its ending names."""
-    stored = image[..., ::-1] if image.ndim == 3 else image
+def encoded(
+    image: Bytes, ending: str, parameters: Sequence[int] = (), where: object = None
+) -> bytes:
+    """The file of (H, W) grey or (H, W, 3) RGB in the format of ``ending``, such as ".png".
+
+    parameters: as ``cv2.imencode`` takes them.  where: the file, for the InputError raised where
+    there is no such format.
+    """
+    bgr = image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_RGB2BGR)
     try:
-        done, data = cv2.imencode(path.suffix or ".png", np.ascontiguousarray(stored))
+        done, data = cv2.imencode(ending, bgr, parameters)
     except cv2.error:
         done = False
     if not done:
-        raise InputError("unknown picture format", where=path, allowed=".png, .jpg, .bmp, .tif")
-    write_atomically(path, data.tobytes())
+        raise InputError("unknown picture format", where=where, allowed=".png, .jpg, .bmp, .tif")
+    return data.tobytes()
+
+
+def write_picture(path: Path, image: Bytes) -> None:
+    """Write (H, W) grey or (H, W, 3) RGB to ``path``, in the format its ending names."""
+    write_atomically(path, encoded(image, path.suffix or ".png", where=path))

@@ -31,9 +31,7 @@ class LiveCalibration:
 
 def use_map(path: Path, plane_map: PlaneMap, rig_file: RigFile) -> LiveCalibration:
     """A plane map as the live page uses it, for pictures of the rig's size."""
-    camera = rig_file.rig.camera
-    table = tabulate(plane_map, (camera.width_px, camera.height_px))
-    return LiveCalibration(path, plane_map, table)
+    return LiveCalibration(path, plane_map, tabulate(plane_map, rig_file.rig.camera.size_px))
 
 
 def take_board(

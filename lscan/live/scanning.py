@@ -9,13 +9,15 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any, Literal
 
+from lscan.acquisition.run import MANIFEST, TABLE, most_table_bytes, read_manifest
+from lscan.acquisition.samerig import require_same_rig
 from lscan.acquisition.scan import acquire_into
 from lscan.acquisition.writer import RunWriter, create_run, resume_run
 from lscan.config.rig import RigFile
-from lscan.errors import DeviceError, InputError
+from lscan.errors import DeviceError, InputError, LscanError
+from lscan.files.disk import read_bytes
 from lscan.live.devices import LiveDevices
 from lscan.live.errors import NotNow, one_line
-from lscan.live.unfinished import find_unfinished
 
 State = Literal["idle", "scanning", "paused", "stopping", "done", "failed"]
 KEPT = "frames are kept; Resume goes on"
@@ -35,8 +37,8 @@ class Scanning:
         self._after: State = "idle"  # the state after a requested stop
         self._by_device = False
         left = find_unfinished(output, rig_file)
-        self._folder: Path | None = left.folder if left else None
-        self._done, self._message = (left.done, KEPT) if left else (0, "")
+        self._folder, self._done = left or (None, 0)  # type: Path | None, int
+        self._message = KEPT if left else ""
         self._begun_at, self._began_s, self._earlier_s = 0, 0.0, 0.0
         self._thread: threading.Thread | None = None
 
@@ -75,10 +77,9 @@ class Scanning:
     def start(self, name: str | None = None) -> None:
         """Begin a scan into a new folder, ``scan-NNN`` where no name is given.
 
-        Raises InputError for a name that is none or a folder that cannot be made, NotNow
-        while a scan goes on, DeviceError where the track does not come back.
+        The caller sees to it that none goes on.  Raises InputError for a name that is none or a
+        folder that cannot be made, DeviceError where the track does not come back.
         """
-        self._refuse_active()
         folder = self._output / (checked_name(name) if name else next_name(self._output, "scan"))
         self._devices.ready()
         self._earlier_s = 0.0
@@ -86,7 +87,6 @@ class Scanning:
 
     def resume(self) -> None:
         """Go on with the scan that was paused, stopped or failed; errors as start."""
-        self._refuse_active()
         if self._folder is None or self._state == "done":
             raise NotNow("there is no scan to go on with")
         self._devices.ready()
@@ -116,10 +116,6 @@ class Scanning:
             self._thread.join()
         unfinished = self._thread and self._done < self._rig_file.rig.plan.frames
         return self._folder if unfinished else None
-
-    def _refuse_active(self) -> None:
-        if self.active:
-            raise NotNow("a scan is going on")
 
     def _stop(self, after: State, message: str) -> None:
         with self._lock:
@@ -180,3 +176,29 @@ def next_name(output: Path, stem: str) -> str:
         with suppress(ValueError):
             taken.append(int(path.name.partition(".")[0][len(stem) + 1 :]))
     return f"{stem}-{max(taken) + 1:03d}"
+
+
+def find_unfinished(output: Path, rig_file: RigFile) -> tuple[Path, int] | None:
+    """Of this very rig's runs in ``output`` the last written to, if unfinished, and its frames.
+
+    None where that one is complete or there is none: an older one is left to ``lscan scan
+    --resume``.  Reads only; what a kill left of a frame is cleared away once it is resumed.
+    """
+    tables = [table for table in output.glob(f"*/{TABLE}") if table.is_file()]
+    for table in sorted(tables, key=_written_s, reverse=True):
+        with suppress(LscanError, OSError):
+            manifest, begun = read_manifest(table.parent)
+            require_same_rig(begun, rig_file, where=table.parent / MANIFEST)
+            if manifest.state == "complete":
+                return None
+            held = read_bytes(table, most_table_bytes(manifest.plan), within=table.parent)
+            rows = held.count(b"\n") - 1  # under the header, a torn one left out
+            return table.parent, max(rows, 0)
+    return None
+
+
+def _written_s(file: Path) -> float:
+    try:
+        return file.stat().st_mtime
+    except OSError:  # gone meanwhile
+        return 0.0

@@ -263,7 +263,7 @@ class Session:
             "source": self._rig_file.source,
             "camera": {
                 "driver": rig.camera.driver,
-                "size_px": [rig.camera.width_px, rig.camera.height_px],
+                "size_px": list(rig.camera.size_px),
                 "error": devices.camera_error or self._fault,
                 "gone": bool(devices.camera_error),
                 "seen_s_ago": self._seen_s_ago(),
@@ -278,11 +278,7 @@ class Session:
             "calibration": str(calibration.path) if calibration else None,
             "board": rig.board is not None,
             "mode": self._mode,
-            "plan": {
-                "start_mm": rig.plan.start_mm,
-                "step_mm": rig.plan.step_mm,
-                "frames": rig.plan.frames,
-            },
+            "plan": rig.plan.model_dump(include={"start_mm", "step_mm", "frames"}),
             "scan": self.scanning.state(),
             "task": {"name": self._task, "message": self._task_message},
         }

@@ -15,7 +15,7 @@ import cv2
 import numpy as np
 
 from lscan.calibration.offsheet import OffSheet
-from lscan.errors import InputError
+from lscan.files.pictures import encoded
 from lscan.live.analysis import Figures, StripeFigures
 from lscan.live.boardview import BoardFigures
 from lscan.live.maptable import LiveProfile
@@ -32,11 +32,7 @@ def packed(document: dict[str, Any], jpeg: bytes) -> bytes:
 
 def jpeg_of(image: Bytes) -> bytes:
     """The picture, (H, W) grey or (H, W, 3) RGB, as JPEG."""
-    bgr = image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_RGB2BGR)
-    done, data = cv2.imencode(".jpg", bgr, [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])
-    if not done:
-        raise InputError("the picture cannot be written as JPEG", value=image.shape)
-    return data.tobytes()
+    return encoded(image, ".jpg", [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])
 
 
 def figures_json(figures: Figures) -> dict[str, Any]:

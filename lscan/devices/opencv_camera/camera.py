@@ -52,7 +52,7 @@ class OpencvCamera:
     @property
     def size_px(self) -> tuple[int, int]:
         """(width, height) of every picture."""
-        return self._section.width_px, self._section.height_px
+        return self._section.size_px
 
     @property
     def settings(self) -> tuple[Setting, ...]:
