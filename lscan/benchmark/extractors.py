@@ -10,7 +10,6 @@ from itertools import product
 import numpy as np
 
 from lscan.benchmark.pictures import BACKGROUND_DN, SKIRTS, LineCase, centres, draw
-from lscan.benchmark.shares import share_within
 from lscan.config.rig import NoiseSection, StripeSection
 from lscan.records import Floats, Stripe, has_value
 from lscan.stripe import extract_stripe
@@ -121,6 +120,11 @@ def _row(
         found=float(np.mean(np.concatenate(valued))),
         us_a_frame=us_a_frame,
     )
+
+
+def share_within(limit: float, errors: Floats) -> float:
+    """Share of the errors, magnitudes of any shape, up to ``limit``; NaN where one is NaN."""
+    return float(np.mean(np.where(np.isnan(errors), np.nan, errors <= limit)))
 
 
 def bound_px(case: LineCase) -> float:

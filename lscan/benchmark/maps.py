@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from lscan.benchmark.boards import BOARDS, VIEW, reading_of
-from lscan.benchmark.shares import share_within
+from lscan.benchmark.extractors import share_within
 from lscan.calibration.api import PlaneMap, find_solver
 from lscan.config.board import Board
 from lscan.config.rig import OpticsSection

@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Any
 
 from lscan.benchmark.extractors import ExtractorRow, bench_extractors, cases
-from lscan.benchmark.limits import failed_of_extractor, failed_of_map
 from lscan.benchmark.maps import MapRow, bench_maps, sights
 from lscan.benchmark.page import write_bench
 from lscan.calibration.api import find_solver
@@ -44,8 +43,7 @@ class Benchmark:
     @property
     def failed(self) -> int:
         """Number of rows with a figure out of its limit."""
-        failed = [failed_of_extractor(row) for row in self.extractors]
-        return sum(map(bool, failed + [failed_of_map(row) for row in self.maps]))
+        return sum(not row["passed"] for rows in self.content.values() for row in rows)
 
 
 def registered_extractors() -> tuple[str, ...]:

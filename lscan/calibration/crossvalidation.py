@@ -16,6 +16,7 @@ import numpy as np
 
 from lscan.calibration.api import find_solver
 from lscan.calibration.readings import all_marks, without
+from lscan.calibration.stored import STRICT, Count, NotNegative
 from lscan.config.rig import OpticsSection
 from lscan.errors import BoardNotFound, InputError
 from lscan.records import BoardReading, Floats, Ints, Progress
@@ -42,13 +43,14 @@ class Score:
     refused: why the map could not be solved; it then has no figures.
     """
 
+    __pydantic_config__ = STRICT
     name: str
-    rms_mm: float | None = None
-    max_mm: float | None = None
-    sigma_mm: float | None = None
+    rms_mm: NotNegative | None = None
+    max_mm: NotNegative | None = None
+    sigma_mm: NotNegative | None = None
     tied: bool = False
-    points: int = 0
-    without_value: int = 0
+    points: Count = 0
+    without_value: Count = 0
     ms: float | None = None
     refused: str | None = None
 

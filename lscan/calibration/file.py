@@ -34,7 +34,8 @@ def _names(status: Any) -> Any:
     return tuple(Status(code).name for code in status) if codes else status
 
 
-def _none_for_nan(value: Any) -> Any:
+def none_for_nan(value: Any) -> Any:
+    """The value, None in place of NaN."""
     return None if value != value else value
 
 
@@ -77,7 +78,7 @@ class StoredMark(StoredRecord):
     """records.Mark; ``null`` where it has no place."""
 
     image_px: Gaps
-    sigma_px: Annotated[NotNegative | None, BeforeValidator(_none_for_nan)]
+    sigma_px: Annotated[NotNegative | None, BeforeValidator(none_for_nan)]
     status: Annotated[StatusName, BeforeValidator(_name)]
 
     @model_validator(mode="after")

@@ -19,7 +19,7 @@ from lscan.records import Floats
 STRICT = ConfigDict(extra="forbid")
 Number = Annotated[float, Field(strict=True, allow_inf_nan=False)]
 NotNegative = Annotated[float, Field(strict=True, allow_inf_nan=False, ge=0)]
-Count = Annotated[int, Field(strict=True)]
+Count = Annotated[int, Field(strict=True, ge=0)]
 
 
 def _numbers(value: Any, dimensions: int) -> Floats:

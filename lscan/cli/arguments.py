@@ -40,8 +40,7 @@ ShaftFile = Annotated[
     typer.Option("--shaft", help="TOML file with the [shaft] found; a run folder has its own."),
 ]
 Trust = Annotated[
-    bool,
-    typer.Option("--trust", help="Run the code that a run folder names as its extractor."),
+    bool, typer.Option("--trust", help="Run the code that a run folder names as its extractor.")
 ]
 Json = Annotated[bool, typer.Option("--json", help="Print the result as JSON.")]
 

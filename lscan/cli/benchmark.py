@@ -17,8 +17,7 @@ def bench(
         Path, typer.Option("--output", "-o", help="Folder for bench.json and bench.png.")
     ] = Path("out/lscan-bench"),
     extractor: Annotated[
-        list[str] | None,
-        typer.Option("--extractor", help="One more: a name, or package.module:function."),
+        list[str] | None, typer.Option(help="One more: a name, or package.module:function.")
     ] = None,
     plane_map: Annotated[
         list[str] | None, typer.Option("--map", help="One more plane map, such as polynomial-4.")
@@ -27,7 +26,7 @@ def bench(
         bool, typer.Option("--only", help="Those of --extractor and --map, and no others.")
     ] = False,
     quick: Annotated[bool, typer.Option("--quick", help="Fewer lines and boards.")] = False,
-    seed: Annotated[int, typer.Option("--seed", min=0, help="Of all random numbers.")] = 1,
+    seed: Annotated[int, typer.Option(min=0, help="Of all random numbers.")] = 1,
     json: Json = False,
 ) -> None:
     """Judge stripe extractors and plane maps, one's own too, where the truth is known.

@@ -41,8 +41,7 @@ def calibrate(
     output: Annotated[Path, typer.Option("--output", "-o", help="Calibration file to write.")],
     board: BoardFile = None,
     optics: Annotated[
-        Path | None,
-        typer.Option("--optics", help="TOML file with [optics]; a run folder has its own."),
+        Path | None, typer.Option(help="TOML file with [optics]; a run folder has its own.")
     ] = None,
     plane_map: Annotated[
         str | None, typer.Option("--map", help="Plane map, such as graticule-2; auto: the best.")
@@ -83,10 +82,9 @@ def check(
     picture: PictureOrRun,
     board: BoardFile = None,
     placed: Annotated[
-        float | None,
-        typer.Option("--placed", help="How well the board was put back, mm; else not judged."),
+        float | None, typer.Option(help="How well the board was put back, mm; else not judged.")
     ] = None,
-    level: Annotated[float, typer.Option("--level", help="Chance of a false alarm.")] = 0.01,
+    level: Annotated[float, typer.Option(help="Chance of a false alarm.")] = 0.01,
     seeds: Seeds = None,
     channel: ChannelName = None,
     trust: Trust = False,

@@ -30,11 +30,9 @@ def devices(
     dark: Annotated[
         bool, typer.Option("--dark", help="Ask for the cap on the lens, and measure the dark too.")
     ] = False,
-    pictures: Annotated[
-        int, typer.Option("--pictures", min=4, help="Pictures at each exposure time.")
-    ] = 16,
+    pictures: Annotated[int, typer.Option(min=4, help="Pictures at each exposure time.")] = 16,
     approaches: Annotated[
-        int, typer.Option("--approaches", min=2, help="Moves to one place from either side.")
+        int, typer.Option(min=2, help="Moves to one place from either side.")
     ] = 5,
     json: Json = False,
 ) -> None:

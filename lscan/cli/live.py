@@ -22,13 +22,10 @@ def live(
     output: Annotated[
         Path, typer.Option("--output", "-o", help="Folder for the run folders.")
     ] = Path("runs"),
-    host: Annotated[str, typer.Option("--host", help="Address to serve on.")] = "127.0.0.1",
-    port: Annotated[
-        int, typer.Option("--port", min=0, max=65535, help="Port; 0: any that is free.")
-    ] = 8765,
+    host: Annotated[str, typer.Option(help="Address to serve on.")] = "127.0.0.1",
+    port: Annotated[int, typer.Option(min=0, max=65535, help="Port; 0: any that is free.")] = 8765,
     token: Annotated[
-        str | None,
-        typer.Option("--token", help="What a browser must know; made where needed."),
+        str | None, typer.Option(help="What a browser must know; made where needed.")
     ] = None,
 ) -> None:
     """Serve a page with the picture, the line, the profile and the buttons of a scan."""

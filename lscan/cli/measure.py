@@ -38,9 +38,7 @@ def reconstruct(
     run: RunFolder,
     calibration: CalibrationFile,
     output: Annotated[Path, typer.Option("--output", "-o", help="Surface to write (.nc).")],
-    points: Annotated[
-        Path | None, typer.Option("--points", help="Point cloud to write (.ply).")
-    ] = None,
+    points: Annotated[Path | None, typer.Option(help="Point cloud to write (.ply).")] = None,
     shaft: ShaftFile = None,
     trust: Trust = False,
     json: Json = False,

@@ -22,13 +22,9 @@ def report(
     output: Annotated[
         Path, typer.Option("--output", "-o", help="Folder for report.html and results.json.")
     ],
-    board: Annotated[Path, typer.Option("--board", help="Run folder of the board picture.")],
-    groove: Annotated[
-        Path | None, typer.Option("--groove", help="Run folder of the grooved block.")
-    ] = None,
-    sandwave: Annotated[
-        Path | None, typer.Option("--sandwave", help="Run folder of the sandwave.")
-    ] = None,
+    board: Annotated[Path, typer.Option(help="Run folder of the board picture.")],
+    groove: Annotated[Path | None, typer.Option(help="Run folder of the grooved block.")] = None,
+    sandwave: Annotated[Path | None, typer.Option(help="Run folder of the sandwave.")] = None,
     trust: Trust = False,
     json: Json = False,
 ) -> None:

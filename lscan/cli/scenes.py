@@ -14,9 +14,7 @@ UNNAMED = "(a rig or a board: to be named in a file, not to be scanned)"
 
 
 def scenes(
-    copy: Annotated[
-        Path | None, typer.Option("--copy", help="New folder to copy all scenes to.")
-    ] = None,
+    copy: Annotated[Path | None, typer.Option(help="New folder to copy all scenes to.")] = None,
     json: Json = False,
 ) -> None:
     """List the scenes, rigs and boards that come with lscan, or copy them to be changed."""

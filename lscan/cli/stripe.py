@@ -25,22 +25,16 @@ def extract(
         Path | None, typer.Option("--output", "-o", help="CSV table to write.")
     ] = None,
     background: Annotated[
-        Path | None, typer.Option("--background", help="The same view with the laser off.")
+        Path | None, typer.Option(help="The same view with the laser off.")
     ] = None,
-    frame: Annotated[int, typer.Option("--frame", help="Which frame of a run folder.")] = 0,
-    axis: Annotated[
-        str | None, typer.Option("--axis", help="columns, or rows for an upright line.")
-    ] = None,
+    frame: Annotated[int, typer.Option(help="Which frame of a run folder.")] = 0,
+    axis: Annotated[str | None, typer.Option(help="columns, or rows for an upright line.")] = None,
     extractor: Annotated[
-        str | None, typer.Option("--extractor", help="max, centroid, centroid-relative ...")
+        str | None, typer.Option(help="max, centroid, centroid-relative ...")
     ] = None,
     channel: ChannelName = None,
-    threshold: Annotated[
-        float | None, typer.Option("--threshold", help="Least height of the line, DN.")
-    ] = None,
-    span: Annotated[
-        int | None, typer.Option("--span", help="Pixels either side of the peak.")
-    ] = None,
+    threshold: Annotated[float | None, typer.Option(help="Least height of the line, DN.")] = None,
+    span: Annotated[int | None, typer.Option(help="Pixels either side of the peak.")] = None,
     overlay: Overlay = None,
     trust: Trust = False,
     json: Json = False,

@@ -9,14 +9,11 @@ the fewest free numbers.  The map keeps the table of all scores.  No variants.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Annotated, Any, cast
-
-from pydantic import Field
+from typing import Any, cast
 
 from lscan.calibration.api import NOTHING_KNOWN, PlaneMap, find_solver
 from lscan.calibration.crossvalidation import COMPLETE, Score, cross_validated
 from lscan.calibration.solve import Calibration, calibration_by
-from lscan.calibration.stored import NotNegative
 from lscan.config.documents import Strict, check
 from lscan.config.rig import OpticsSection
 from lscan.errors import BoardNotFound, InputError
@@ -31,25 +28,15 @@ CANDIDATES = (
 )
 
 
-class StoredScore(Strict):
-    """crossvalidation.Score without the time, which is the machine's and not the map's."""
-
-    name: str
-    rms_mm: NotNegative | None
-    max_mm: NotNegative | None
-    sigma_mm: NotNegative | None = None
-    tied: bool = False
-    points: Annotated[int, Field(strict=True, ge=0)]
-    without_value: Annotated[int, Field(strict=True, ge=0)]
-    refused: str | None
-
-
 class AutoParameters(Strict):
-    """What a chosen map is made of, as a file holds it."""
+    """What a chosen map is made of, as a file holds it.
+
+    It leaves out the scores' times, which are the machine's and not the map's.
+    """
 
     chosen: str
     parameters: dict[str, Any]
-    scores: tuple[StoredScore, ...]
+    scores: tuple[Score, ...]
 
 
 @dataclass(frozen=True)
@@ -70,14 +57,10 @@ class Auto:
 
     def parameters(self) -> dict[str, Any]:
         """The chosen map's name and parameters, and the scores, in plain JSON types."""
-        kept = StoredScore.model_fields
-        return AutoParameters(
-            chosen=self.chosen.name,
-            parameters=self.chosen.parameters(),
-            scores=tuple(
-                StoredScore(**{key: getattr(score, key) for key in kept}) for score in self.scores
-            ),
-        ).model_dump(mode="json")
+        content = AutoParameters(
+            chosen=self.chosen.name, parameters=self.chosen.parameters(), scores=self.scores
+        )
+        return content.model_dump(mode="json", exclude={"scores": {"__all__": {"ms"}}})
 
 
 class AutoSolver:
@@ -115,7 +98,7 @@ class AutoSolver:
         if read.chosen.partition("-")[0] == "auto":
             raise InputError("is no candidate", where="parameters.chosen", value=read.chosen)
         chosen = find_solver(read.chosen).restore(read.parameters)
-        return Auto(chosen, tuple(Score(**score.model_dump()) for score in read.scores))
+        return Auto(chosen, read.scores)
 
 
 solver = AutoSolver()

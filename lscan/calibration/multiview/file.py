@@ -6,13 +6,20 @@ from pathlib import Path
 from typing import Annotated, Any, Final, Literal, Self
 
 import numpy as np
-from pydantic import Field, model_validator
+from pydantic import BeforeValidator, Field, model_validator
 
-from lscan.calibration.file import MOST_BYTES, Side, StoredMarks, StoredRecord, write_file
+from lscan.calibration.file import (
+    MOST_BYTES,
+    Side,
+    StoredMarks,
+    StoredRecord,
+    none_for_nan,
+    write_file,
+)
 from lscan.calibration.multiview.planemap import solver
 from lscan.calibration.multiview.solve import MetricCalibration, ViewReport
 from lscan.calibration.multiview.views import CalibrationView, LinePoints
-from lscan.calibration.stored import Matrix, Number, Vector
+from lscan.calibration.stored import Count, Matrix, Number, Vector
 from lscan.camera.parameters import COUNT
 from lscan.config.documents import Strict, check, read_json
 from lscan.config.rig import Known, OpticsSection
@@ -20,7 +27,7 @@ from lscan.errors import InputError
 
 FORMAT: Final = "lscan-metric-calibration"
 VERSION = 1
-Count = Annotated[int, Field(strict=True, ge=0)]
+RootMeanSquare = Annotated[Number | None, BeforeValidator(none_for_nan)]
 Flag = Annotated[bool, Field(strict=True)]
 
 
@@ -50,10 +57,10 @@ class StoredView(Strict):
     fault: str
     used: Flag
     marks_used: Count
-    rms_px: Number | None
+    rms_px: RootMeanSquare
     line_used: Flag
     line_points_used: Count
-    line_rms_mm: Number | None
+    line_rms_mm: RootMeanSquare
     reason: str
 
     @model_validator(mode="after")
@@ -168,16 +175,12 @@ def _store(view: CalibrationView, report: ViewReport) -> StoredView:
         fault=view.fault,
         used=report.used,
         marks_used=report.marks[0],
-        rms_px=_or_none(report.rms_px),
+        rms_px=report.rms_px,
         line_used=report.line_used,
         line_points_used=report.line_points[0],
-        line_rms_mm=_or_none(report.line_rms_mm),
+        line_rms_mm=report.line_rms_mm,
         reason=report.fault,
     )
-
-
-def _or_none(value: float) -> float | None:
-    return None if value != value else value
 
 
 def _or_nan(value: float | None) -> float:
