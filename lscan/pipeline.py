@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 
@@ -12,7 +13,7 @@ from lscan.board import read_board
 from lscan.calibration.api import PlaneMap
 from lscan.calibration.solve import Calibration, calibrate
 from lscan.config.board import Board
-from lscan.config.rig import Rig
+from lscan.config.rig import CameraSection, Rig
 from lscan.config.targets import Sandwave
 from lscan.errors import InputError, MeasurementError
 from lscan.records import Bytes, Floats, Profile, Progress, Surface
@@ -193,13 +194,17 @@ def require_board(run: Run) -> Board:
     return board
 
 
-def require_size(run: Run, size_px: tuple[int, int], calibration: object) -> None:
-    """InputError where the run's pictures are not of the size a calibration was made for."""
-    camera = run.rig_file.rig.camera
+def require_size(
+    camera: CameraSection, size_px: tuple[int, int], calibration: object, where: Path
+) -> None:
+    """InputError where a camera's pictures are not of the size a calibration was made for.
+
+    calibration: how a message names it.  where: the run or the rig file of the camera.
+    """
     if (camera.width_px, camera.height_px) != tuple(size_px):
         raise InputError(
             f"pictures are not of the size of the calibration {calibration}",
-            where=run.path,
+            where=where,
             value=(camera.width_px, camera.height_px),
             allowed=f"{size_px[0]} x {size_px[1]} px",
         )

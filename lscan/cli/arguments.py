@@ -69,10 +69,12 @@ def open_calibrated(
     if shaft is not None:
         opened = _about(opened, shaft)
     plane_map, size = load_plane_map(calibration)
-    require_size(opened, size, calibration)
-    planned = opened.rig_file.rig.plan.frames
-    if len(opened) < planned:
-        print(f"lscan: note: {run} holds {len(opened)} of {planned} frames", file=sys.stderr)
+    rig = opened.rig_file.rig
+    require_size(rig.camera, size, calibration, opened.path)
+    if len(opened) < rig.plan.frames:
+        print(
+            f"lscan: note: {run} holds {len(opened)} of {rig.plan.frames} frames", file=sys.stderr
+        )
     return opened, plane_map
 
 

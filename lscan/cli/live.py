@@ -35,7 +35,7 @@ def live(
     from lscan.live.session import Session
 
     rig_file = load_rig(rig)
-    used = _calibration(calibration, rig_file) if calibration else None
+    used = _calibration(calibration, rig, rig_file) if calibration else None
     with listen(host, port) as listening:
         access = grant(host, listening.getsockname()[1], token)
         session = Session(rig_file, output, used)
@@ -51,19 +51,12 @@ def live(
         print(f"stopped; go on with: lscan scan {rig} -o {unfinished} --resume")
 
 
-def _calibration(path: Path, rig_file: RigFile) -> LiveCalibration:
+def _calibration(path: Path, rig: Path, rig_file: RigFile) -> LiveCalibration:
     """The calibration of a file; InputError where it is for pictures of another size."""
     from lscan.calibration.loading import load_plane_map
-    from lscan.errors import InputError
     from lscan.live.boardpicture import use_map
+    from lscan.pipeline import require_size
 
     plane_map, size_px = load_plane_map(path)
-    camera = rig_file.rig.camera
-    if (camera.width_px, camera.height_px) != tuple(size_px):
-        raise InputError(
-            "the rig's pictures are not of the size of this calibration",
-            where=path,
-            value=(camera.width_px, camera.height_px),
-            allowed=f"{size_px[0]} x {size_px[1]} px",
-        )
+    require_size(rig_file.rig.camera, size_px, path, rig)
     return use_map(path, plane_map, rig_file)

@@ -78,7 +78,8 @@ def _measure(
     board = measure_board(runs["board"], methods)
     others = {part: run for part, run in runs.items() if part != "board"}
     for run in others.values():
-        require_size(run, board.reading.image_size, f"from {runs['board'].path}")
+        size_px = board.reading.image_size
+        require_size(run.rig_file.rig.camera, size_px, f"from {runs['board'].path}", run.path)
     plane_map = board.calibrations[chosen].plane_map
     groove, sandwave = others.get("groove"), others.get("sandwave")
     return Experiment(
