@@ -73,8 +73,8 @@ def measure_line(image: Bytes, settings: StripeSection, table: MapTable | None) 
     focus = sharpness(_light_about(grey, stripe.centre_px[at], at), variance)
     line = StripeFigures(
         stripe=replace(stripe, centre_px=stripe.centre_px + band.start),
-        width_px=_width_px(grey, at),
-        snr=_snr(stripe, at, variance),
+        width_px=FULL_WIDTH * line_width(grey.astype(np.float64), at) if len(at) else None,
+        snr=float(np.median(stripe.peak[at]) / np.sqrt(variance)) if len(at) else None,
         slope=slope_of(stripe.centre_px),
     )
     profile = None if table is None else table.profile(line.stripe)
@@ -147,11 +147,3 @@ def _light_about(grey: Bytes, centre_px: Floats, at: Ints) -> Floats:
     rows = middle + np.arange(-FOCUS_REACH_PX, FOCUS_REACH_PX + 1)
     window = grey[at[:, None], np.clip(rows, 0, grey.shape[1] - 1)].astype(np.float64)
     return window - np.median(grey[at], axis=1, keepdims=True)
-
-
-def _width_px(grey: Bytes, at: Ints) -> float | None:
-    return FULL_WIDTH * line_width(grey.astype(np.float64), at) if len(at) else None
-
-
-def _snr(stripe: Stripe, at: Ints, variance: float) -> float | None:
-    return float(np.median(stripe.peak[at]) / np.sqrt(variance)) if len(at) else None

@@ -23,7 +23,10 @@ Show = Callable[[Grab], None]
 
 
 class LiveDevices:
-    """The devices of a rig.  Opening raises InputError and DeviceError, as open_devices does."""
+    """The devices of a rig.  Opening raises InputError and DeviceError, as open_devices does.
+
+    laser: whether the laser was switched on or off here; None where nobody knows.
+    """
 
     def __init__(self, rig_file: RigFile, show: Show) -> None:
         """show: called with every picture to be shown; it must not block."""
@@ -31,7 +34,7 @@ class LiveDevices:
         self._looking = threading.Lock()  # while one looks, reopens, or begins to scan
         self._using = threading.RLock()  # while one uses the track; taken before _looking
         self._scanning = False
-        self._laser: bool | None = None
+        self.laser: bool | None = None
         self.camera_error = ""
         self.track = open_track(rig_file)
         try:
@@ -125,7 +128,7 @@ class LiveDevices:
                 return
             with self._looking:
                 self.track.close()
-                self._laser = None
+                self.laser = None
                 self.track = open_track(self._rig_file)
                 self._reopen_camera()
 
@@ -139,11 +142,6 @@ class LiveDevices:
     def can_switch_laser(self) -> bool:
         """Whether the track's controller switches the laser."""
         return isinstance(self.track, LaserSwitch)
-
-    @property
-    def laser(self) -> bool | None:
-        """Whether the laser was switched on or off here; None where nobody knows."""
-        return self._laser
 
     def switch_laser(self, on: bool) -> None:
         """Switch the laser.  Raises DeviceError, InputError where the track has no switch."""
@@ -160,12 +158,12 @@ class LiveDevices:
                 track.laser_on()
             else:
                 track.laser_off()
-            self._laser = on
+            self.laser = on
 
     @contextlib.contextmanager
     def laser_dark(self) -> Iterator[None]:
         """Within the block a laser that was switched on is off."""
-        lit = self._laser is True
+        lit = self.laser is True
         if lit:
             self.switch_laser(False)
         try:
@@ -188,14 +186,14 @@ class LiveDevices:
                 with self._looking:
                     self._scanning = False
                     if self._rig_file.rig.plan.laser != "untouched":
-                        self._laser = False  # as a scan that switches it leaves it
+                        self.laser = False  # as a scan that switches it leaves it
 
     def close(self) -> None:
         """The laser off and both devices released; closing twice is harmless."""
-        if self._laser and isinstance(self.track, LaserSwitch):
+        if self.laser and isinstance(self.track, LaserSwitch):
             with contextlib.suppress(DeviceError):
                 self.track.laser_off()
-        self._laser = None
+        self.laser = None
         self._camera.close()
         self.track.close()
 

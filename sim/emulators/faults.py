@@ -4,17 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import get_args
 
 from lscan.errors import InputError
 from sim.emulators.grbl import Faults
 from sim.emulators.webcam.camera import CameraFault
 
 CAMERA_FAULTS: Mapping[str, CameraFault] = {
-    "camera-hang": "hang",  # connected, and sends no more pictures
-    "camera-drop": "drop",  # breaks the connection and refuses new ones
-    "camera-black": "black",
-    "camera-wrong-size": "wrong-size",  # from now on half as wide and high
-    "camera-frozen": "frozen",  # the same picture, byte for byte
+    f"camera-{fault}": fault for fault in get_args(CameraFault)
 }
 TRACK_FAULTS: Mapping[str, Faults] = {
     "track-silent": Faults(silent=True),

@@ -20,7 +20,7 @@ from sim.emulators.faults import (
     TimedFault,
     check_name,
 )
-from sim.emulators.grbl import Faults, GrblEmulator, MarlinEmulator
+from sim.emulators.grbl import Faults, GrblEmulator
 from sim.emulators.options import ServeOptions
 from sim.emulators.places import Places
 from sim.emulators.rigfile import HEADING, camera_options, rig_document
@@ -34,6 +34,9 @@ PLACES_BESIDE_THE_PLAN = 4  # of homing and approach
 
 class EmulatedHardware:
     """A webcam and a track in the tank of a scene.
+
+    url, snapshot_url: of the stream, and of one picture.  controller: the emulated one, whose
+    ``head_mm`` is the truth.
 
     with EmulatedHardware(scene) as hardware:
         scan(hardware.rig_file(), folder)  # or open hardware.url and hardware.port
@@ -62,6 +65,7 @@ class EmulatedHardware:
         with ExitStack() as stack:
             self._track = EmulatedTrack(scene.rig.plan, self.options.dialect, self.options.link)
             stack.callback(self._track.close)
+            self.controller = self._track.controller
             self._places = places = self._rendered(progress)
             coding = Coding(self.options.quality, self.options.subsampling)
             seed = scene.tank.sensor.seed
@@ -69,27 +73,14 @@ class EmulatedHardware:
             stack.callback(self._camera.close)
             self._server = MjpegServer(self._camera, self.options.http_port)
             stack.callback(self._server.close)
+            address = self._server.address
+            self.url, self.snapshot_url = address + STREAM, address + SNAPSHOT
             self._open = stack.pop_all()
-
-    @property
-    def url(self) -> str:
-        """Of the stream."""
-        return self._server.address + STREAM
-
-    @property
-    def snapshot_url(self) -> str:
-        """Of one picture."""
-        return self._server.address + SNAPSHOT
 
     @property
     def port(self) -> str:
         """The track's serial port."""
         return self._track.port
-
-    @property
-    def controller(self) -> GrblEmulator | MarlinEmulator:
-        """The emulated controller, whose ``head_mm`` is the truth."""
-        return self._track.controller
 
     @property
     def position_mm(self) -> float | None:
@@ -98,13 +89,9 @@ class EmulatedHardware:
 
     def rig_document(self) -> Document:
         """The rig file of this hardware, as a document."""
-        camera = camera_options(self.url)
-        return rig_document(
-            self.scene,
-            camera,
-            self._track.rig_options(),
-            switched_laser=self.options.switched_laser,
-        )
+        camera, track = camera_options(self.url), self._track.rig_options()
+        lit = self.options.switched_laser
+        return rig_document(self.scene, camera, track, switched_laser=lit)
 
     def rig_file(self) -> RigFile:
         """The rig of this hardware."""

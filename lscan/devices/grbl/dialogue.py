@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Final
 
 from lscan.devices.grbl.codes import alarm_in_words, error_in_words
@@ -47,18 +48,17 @@ class Dialogue(Exchange[Message]):
 
     def status(self) -> StatusReport:
         """A report asked for now, its lengths in the controller's unit."""
-        report = self._report(heed=True)
+        report = self._report(self.following)
         if report is None:
             raise self.silent("a status report")
         return report
 
     def any_status(self) -> StatusReport | None:
         """As ``status``, of a controller that may have restarted; None where none comes."""
-        return self._report(heed=False)
+        return self._report(self.read)
 
-    def _report(self, heed: bool) -> StatusReport | None:
+    def _report(self, read: Callable[[float], Message | None]) -> StatusReport | None:
         link, end_s = self.link, self.link.clock() + self._answer_s
-        read = self.following if heed else self.read
         while link.clock() < end_s:
             link.send_bytes(STATUS)
             ask_again_s = min(end_s, link.clock() + ASK_AGAIN_S)

@@ -12,10 +12,9 @@ In place of ``device``, a number or a path such as "/dev/video0": ``url`` of a s
 """
 
 from lscan.devices.opencv_camera.camera import OpencvCamera
-from lscan.devices.opencv_camera.capture import Capture, OpenCapture
 from lscan.devices.opencv_camera.driver import camera_driver
 from lscan.devices.opencv_camera.opening import open_capture
-from lscan.devices.opencv_camera.options import OpencvOptions
+from lscan.devices.opencv_camera.options import Capture, OpenCapture, OpencvOptions
 from lscan.devices.opencv_camera.settings import Setting
 
 __all__ = [

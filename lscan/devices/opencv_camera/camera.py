@@ -13,9 +13,8 @@ import numpy as np
 from lscan.config.rig import CameraSection
 from lscan.devices.api import Grab
 from lscan.devices.opencv_camera.address import unopened
-from lscan.devices.opencv_camera.capture import Capture, OpenCapture
 from lscan.devices.opencv_camera.opening import open_capture
-from lscan.devices.opencv_camera.options import OpencvOptions
+from lscan.devices.opencv_camera.options import Capture, OpenCapture, OpencvOptions
 from lscan.devices.opencv_camera.reader import DeviceLost, Reader, TimedPicture
 from lscan.devices.opencv_camera.settings import Setting, Settings, apply_settings
 from lscan.errors import DeviceError

@@ -24,7 +24,7 @@ import cv2
 import numpy as np
 
 from lscan.devices.opencv_camera.address import ended_early
-from lscan.devices.opencv_camera.capture import Capture
+from lscan.devices.opencv_camera.options import Capture
 from lscan.devices.opencv_camera.reader import DeviceLost
 from lscan.errors import DeviceError
 from lscan.files.headers import read_header

@@ -7,9 +7,8 @@ import os
 
 import cv2
 
-from lscan.devices.opencv_camera.capture import Capture
 from lscan.devices.opencv_camera.jpegstream import JpegStream
-from lscan.devices.opencv_camera.options import OpencvOptions
+from lscan.devices.opencv_camera.options import Capture, OpencvOptions
 from lscan.devices.opencv_camera.settings import fourcc_text
 
 _log = logging.getLogger(__name__)

@@ -1,8 +1,9 @@
-"""What ``[camera.options]`` of a rig file may say to the opencv driver."""
+"""What ``[camera.options]`` of a rig file may say to the opencv driver, and what a capture is."""
 
 from __future__ import annotations
 
-from typing import Annotated, Literal, Self
+from collections.abc import Callable
+from typing import Annotated, Any, Literal, Protocol, Self
 
 from pydantic import Field, model_validator
 
@@ -102,3 +103,22 @@ class OpencvOptions(Strict):
         if self.device is not None:
             return f"camera opencv (device {self.device})"
         return f"camera opencv ({self.url or self.file})"
+
+
+class Capture(Protocol):
+    """What the driver needs of a ``cv2.VideoCapture``; tests put a faulty one in its place."""
+
+    def isOpened(self) -> bool: ...  # noqa: N802 - OpenCV's name
+
+    def read(self) -> tuple[bool, Any]: ...
+
+    def get(self, propId: int, /) -> float: ...  # noqa: N803 - OpenCV's name
+
+    def set(self, propId: int, value: float, /) -> bool: ...  # noqa: N803 - OpenCV's name
+
+    def release(self) -> None: ...
+
+    def getBackendName(self) -> str: ...  # noqa: N802 - OpenCV's name
+
+
+OpenCapture = Callable[[OpencvOptions], Capture]

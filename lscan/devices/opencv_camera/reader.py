@@ -16,8 +16,7 @@ from dataclasses import dataclass, replace
 import cv2
 import numpy as np
 
-from lscan.devices.opencv_camera.capture import Capture
-from lscan.devices.opencv_camera.options import OpencvOptions
+from lscan.devices.opencv_camera.options import Capture, OpencvOptions
 from lscan.devices.opencv_camera.settings import Settings
 from lscan.errors import DeviceError
 from lscan.records import Bytes

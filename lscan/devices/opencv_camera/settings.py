@@ -9,8 +9,7 @@ from dataclasses import dataclass
 import cv2
 
 from lscan.config.rig import CameraSection
-from lscan.devices.opencv_camera.capture import Capture
-from lscan.devices.opencv_camera.options import OpencvOptions
+from lscan.devices.opencv_camera.options import Capture, OpencvOptions
 
 RELATIVE_TOLERANCE = 0.01
 """A number read back within one per cent counts as obeyed: cameras round to steps."""

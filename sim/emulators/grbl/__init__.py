@@ -5,8 +5,7 @@ time, ``PseudoTerminal`` one that any program opens as a serial port, ``Faults``
 """
 
 from sim.emulators.grbl.controller import GrblEmulator
-from sim.emulators.grbl.faults import Faults
-from sim.emulators.grbl.line import DirectLine, PseudoTerminal, SimulatedTime
+from sim.emulators.grbl.line import DirectLine, Faults, PseudoTerminal, SimulatedTime
 from sim.emulators.grbl.marlin import MarlinEmulator
 from sim.emulators.grbl.settings import DEFAULTS
 

@@ -11,8 +11,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from sim.emulators.grbl.faults import Faults, garbled
 from sim.emulators.grbl.gcode import LONGEST, GcodeBlock, GcodeError, clean, parse_block
+from sim.emulators.grbl.line import Faults, garbled
 from sim.emulators.grbl.machine import EmulatedController
 from sim.emulators.grbl.modes import INCH_MM, Modes
 from sim.emulators.grbl.motion import Place

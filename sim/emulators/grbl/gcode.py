@@ -79,15 +79,12 @@ def _take(block: GcodeBlock, letter: str, value: float) -> None:
         if block.mcodes:
             raise GcodeError(21)
         block.mcodes.append(int(value))
-    elif letter in "XYZ":
-        if letter in block.axes:
+    elif letter in "XYZFSPNT":
+        words = block.axes if letter in "XYZ" else block.words
+        if letter in words:
             raise GcodeError(25)
-        block.axes[letter] = value
-    elif letter in "FSPNT":
-        if letter in block.words:
-            raise GcodeError(25)
-        if value < 0:
+        if value < 0 and letter not in "XYZ":
             raise GcodeError(4)
-        block.words[letter] = value
+        words[letter] = value
     else:
         raise GcodeError(20 if letter in "ABCDEHO" else 36)

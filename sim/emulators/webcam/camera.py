@@ -16,6 +16,8 @@ from sim.emulators.places import Places
 from sim.sensor.coding import jpeg_bytes
 
 CameraFault = Literal["hang", "drop", "black", "wrong-size", "frozen"]
+"""hang: connected, and sends no more pictures.  drop: breaks the connection and refuses new ones.
+wrong-size: from now on half as wide and high.  frozen: the same picture, byte for byte."""
 STREAM = 4  # of the sensor's seed; 0 to 3 are taken (sim.sensor.noise)
 
 
@@ -63,7 +65,7 @@ class EmulatedCamera:
         self._generator = np.random.Generator(np.random.SFC64([seed, STREAM]))
         self._changed = threading.Condition()
         self._shot: Shot | None = None
-        self._count, self._watchers, self._ended = 0, 0, False
+        self._watchers, self._ended = 0, False
         self.fault: CameraFault | None = None
         self._thread = threading.Thread(target=self._run, name="emulated camera", daemon=True)
         self._thread.start()
@@ -71,7 +73,7 @@ class EmulatedCamera:
     @property
     def count(self) -> int:
         """Pictures taken so far."""
-        return self._count
+        return self._shot.number if self._shot else 0
 
     @contextmanager
     def watched(self) -> Iterator[None]:
@@ -113,7 +115,7 @@ class EmulatedCamera:
             shot = self._expose()
             with self._changed:
                 if shot is not None:
-                    self._shot, self._count = shot, shot.number
+                    self._shot = shot
                 self._changed.notify_all()
 
     def _awaited(self, due_s: float) -> bool:
@@ -131,12 +133,12 @@ class EmulatedCamera:
                 return None
             sight = HeadState(last.sight.position_mm, sight.lit)
         if self.fault == "frozen" and last is not None:
-            return Shot(self._count + 1, last.jpeg, sight)
+            return Shot(self.count + 1, last.jpeg, sight)
         assert sight.position_mm is not None
         view = self._places.view(sight.position_mm, lit=sight.lit)
         image = self._spoilt(view.picture(self._generator))
         jpeg = jpeg_bytes(image, self._coding.quality, self._coding.subsampling)
-        return Shot(self._count + 1, jpeg, sight)
+        return Shot(self.count + 1, jpeg, sight)
 
     def _spoilt(self, image: Bytes) -> Bytes:
         if self.fault == "black":
