@@ -277,7 +277,7 @@ class RigFile:
 
 
 def load_rig(path: Path | str) -> RigFile:
-    """The rig, or scene, described by the TOML file at ``path``.
+    """The rig, or scene, described by the TOML file at ``path``, or the scene of that name.
 
     Raises InputError where the file cannot be read, holds an unknown key, driver, extractor or
     plane map, where a driver refuses a section of its own, or where the drivers cannot do with

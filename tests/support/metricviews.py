@@ -1,7 +1,7 @@
 """Synthetic views of a hand board crossing a laser sheet, with their truth.
 
-The marks' places come from lscan.camera, whose truth tests/sim/test_optics_truth.py checks
-against the tank's; what is tested with them is the adjustment, not the optics.
+The marks' places come from lscan.camera, which tests/sim/truth/camera/test_independence.py
+checks against the tank's truth; what is tested with them is the adjustment, not the optics.
 """
 
 from __future__ import annotations
