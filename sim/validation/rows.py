@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import json
 import traceback
-from collections.abc import Callable, Iterable, Sequence
-from dataclasses import asdict, astuple, dataclass, replace
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
 from math import isfinite, nan
 from pathlib import Path
 from typing import Any
@@ -13,6 +13,7 @@ from typing import Any
 from lscan.errors import LscanError
 from lscan.figures.reportfigure import ReportFigure
 from lscan.files.disk import make_folder, write_atomically
+from sim.tables import packaged_table
 
 
 @dataclass(frozen=True)
@@ -63,23 +64,21 @@ class Row:
         return {name: value for name, value in written.items() if name not in left_out}
 
 
-@dataclass(frozen=True)
-class Bar:
-    """What figures of one kind are held to: the fields of :class:`Row` from ``bar`` to ``noisy``.
+ROWS: Mapping[str, Mapping[str, Any]] = packaged_table("sim.validation", "rows.toml")
 
-    limit: the row's bar.  source: where it comes from.
+
+def row(
+    key: str, figure: float, *, bar: float | None = None, seed: int | None = None, **words: Any
+) -> Row:
+    """The row of that key of rows.toml.
+
+    bar: where the table has none.  words: what stands in the braces of its texts.
     """
-
-    limit: float | None
-    unit: str
-    source: str
-    seed: int | None = None
-    at_least: bool = False
-    noisy: bool = False
-
-    def row(self, what: str, reference: str, figure: float) -> Row:
-        """The row of a figure that is held to this bar."""
-        return Row(what, reference, figure, *astuple(self))
+    texts: dict[str, Any] = {
+        name: value.format(**words) if isinstance(value, str) else value
+        for name, value in ROWS[key].items()
+    }
+    return Row(**{"bar": bar, **texts}, figure=figure, seed=seed)
 
 
 @dataclass(frozen=True)

@@ -29,7 +29,7 @@ from sim.render.tank import Tank, stock_medium
 from sim.scene import scene_of
 from sim.sensor import Webcam
 from sim.validation.physics.scattering import render_with
-from sim.validation.rows import Bar, Row, RowFile, measured
+from sim.validation.rows import Row, RowFile, measured, row
 
 # (left, top, width, height) in px: the line on a ridge of the grooved block with the halo
 # about it, and water that the sheet crosses far above it.
@@ -39,7 +39,6 @@ VEIL_SAMPLES = 4  # ours, of the first order alone
 OURS_A_RUN = 4  # pictures of ours for one of the reference, which takes some 20 times longer
 ALL_ORDERS, FIRST_ORDER = -1, 2  # volpath's max_depth
 BARS = {"line core": 150.0, "halo": 20.0, "veil": 1000.0}
-ASKED, NO_BAR = "required of the tank", "reported without a bar"
 SEED, RESAMPLES = 0, 2000
 CONFIDENCE = 0.95
 
@@ -135,12 +134,16 @@ def water_efficiency(rig_file: RigFile, effort: SpeedEffort) -> list[Row]:
 
 
 def _gain_row(what: str, gain: Gain, effort: SpeedEffort, bar: float | None) -> Row:
-    source = ASKED if bar is not None else NO_BAR
-    return Bar(bar, "ratio", source, SEED, at_least=True, noisy=True).row(
-        f"efficiency against volpath, {what}: lower end of the interval",
-        f"volpath, {effort.stock_samples} samples; all {effort.runs} runs together "
-        f"{gain.ratio:.3g}, {100 * CONFIDENCE:g} % interval {gain.low:.3g} to {gain.high:.3g}",
+    return row(
+        "efficiency" if bar is not None else "efficiency-without-bar",
         gain.low,
+        bar=bar,
+        seed=SEED,
+        what=what,
+        samples=effort.stock_samples,
+        runs=effort.runs,
+        gain=gain,
+        percent=100 * CONFIDENCE,
     )
 
 
@@ -232,14 +235,14 @@ def frame_times(rig_file: RigFile, effort: SpeedEffort) -> list[Row]:
     for name in ("max", "centroid", "centroid-relative"):
         settings = StripeSection(extractor=name)
         calls[f"extract, {name}"] = partial(extract_stripe, image, settings)
-    return [_time_row(what, call, "ms a frame", effort) for what, call in calls.items()]
+    return [_time_row(what, call, " a frame", effort) for what, call in calls.items()]
 
 
 def map_times(board: RigFile, effort: SpeedEffort) -> list[Row]:
     """Milliseconds each plane map takes for the 640 points of a profile."""
     points = np.column_stack([np.arange(640.0), np.full(640, 300.0)])
     return [
-        _time_row(f"map, {name}", partial(calibration.plane_map.to_plane, points), "ms", effort)
+        _time_row(f"map, {name}", partial(calibration.plane_map.to_plane, points), "", effort)
         for name, calibration in _calibrations(board).items()
     ]
 
@@ -255,7 +258,7 @@ def _square(pictures: Floats, truth: Floats, part: Mask) -> float:
     return float(np.mean((pictures - truth)[:, part] ** 2))
 
 
-def _time_row(what: str, call: Callable[[], object], unit: str, effort: SpeedEffort) -> Row:
+def _time_row(what: str, call: Callable[[], object], per: str, effort: SpeedEffort) -> Row:
     """Median milliseconds of a call, the first one left out."""
     call()
     times = []
@@ -263,5 +266,5 @@ def _time_row(what: str, call: Callable[[], object], unit: str, effort: SpeedEff
         started = time.perf_counter()
         call()
         times.append(time.perf_counter() - started)
-    reference = f"median of {effort.repeats}"
-    return Row(what, reference, 1e3 * float(np.median(times)), None, unit, NO_BAR)
+    median_ms = 1e3 * float(np.median(times))
+    return row("time", median_ms, what=what, repeats=effort.repeats, per=per)

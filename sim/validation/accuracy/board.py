@@ -36,8 +36,7 @@ class Boards:
 
 def photograph(scene: Scene, seeds: Sequence[int], map_name: str) -> Boards:
     """The board of ``scene``, its calibration by ``map_name`` solved from each picture."""
-    rig, board = scene.rig, scene.rig.board
-    assert board is not None
+    rig, board = scene.rig, scene.board()
     layers = Tank(scene).render(rig.plan.start_mm)
     images = pictures(scene, layers, seeds)
     readings = [read_board(image, board, channel=rig.calibration.channel) for image in images]
@@ -58,9 +57,7 @@ def map_errors_mm(scene: Scene, calibration: Calibration) -> tuple[Floats, Float
 
 
 def _places(scene: Scene) -> Floats:
-    board = scene.rig.board
-    assert board is not None
-    grid = board.grid
+    grid = scene.board().grid
     across = np.arange(0.0, (grid.columns - 1) * grid.pitch_mm + STEP_MM / 2, STEP_MM)
     down = -np.arange(0.0, (grid.rows - 1) * grid.pitch_mm + STEP_MM / 2, STEP_MM)
     x, z = np.meshgrid(across, down)

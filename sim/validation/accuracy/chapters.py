@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -25,12 +26,11 @@ from sim.validation.accuracy.sandwave import (
     slice_figures,
 )
 from sim.validation.accuracy.stripes import bound_rows
-from sim.validation.rows import Row
+from sim.validation.rows import Row, row
 
 Chapter = Callable[[Path, AccuracyEffort], list[Row]]
 
 SPECKLE = 0.25
-ASKED = "required of this project"
 
 
 def board_chapter(scenes: Path, effort: AccuracyEffort) -> list[Row]:
@@ -40,16 +40,14 @@ def board_chapter(scenes: Path, effort: AccuracyEffort) -> list[Row]:
     errors = [map_errors_mm(scene, calibration)[0] for calibration in boards.calibrations]
     distance = np.concatenate([np.hypot(*error.T) for error in errors])
     tables = lengths(boards)
-    name = scene.rig.calibration.plane_map
-    truth, seed = f"truth every 10 mm of the sheet, {effort.seeded}", effort.seeds[0]
+    words: dict[str, Any] = {"seed": effort.seeds[0], "seeded": effort.seeded}
+    words["name"] = scene.rig.calibration.plane_map
     return [
-        Row(f"map on the sheet ({name}), rms", truth, _rms(distance), 0.03, "mm", ASKED, seed,
-            noisy=True),
-        Row(f"map on the sheet ({name}), largest of all", truth, float(distance.max()), 0.10,
-            "mm", ASKED, seed, noisy=True),
+        row("map-rms", _rms(distance), **words),
+        row("map-largest", float(distance.max()), **words),
         *_largest("Tables I and II", tables, 0.06, effort),
         _interval("board distances and diameters", tables, effort),
-    ]  # fmt: skip
+    ]
 
 
 def groove_chapter(scenes: Path, effort: AccuracyEffort) -> list[Row]:
@@ -82,13 +80,12 @@ def _slices(
     surface = aligned_surface(scene, reading, solved.plane_map)
     rows = []
     for name, found in slice_figures(scene, surface).items():
-        truth = f"eq. (4) at {found.points} points lit and seen"
-        for what, figure, bar in (
-            ("rmse", found.rmse_mm, rmse_mm),
-            ("99 % within", found.within_99_mm, within_mm),
-        ):
-            what = f"sandwave {name}, speckle {contrast:g}, {what}"
-            rows.append(Row(what, truth, figure, bar, "mm", ASKED, seed, noisy=True))
+        words: dict[str, Any] = {"seed": seed, "name": name, "points": found.points}
+        words["contrast"] = contrast
+        rows += [
+            row("slice", found.rmse_mm, bar=rmse_mm, kind="rmse", **words),
+            row("slice", found.within_99_mm, bar=within_mm, kind="99 % within", **words),
+        ]
     return rows
 
 
@@ -169,13 +166,16 @@ def _largest(
 ) -> list[Row]:
     """The largest error of any entry: of the first seed's table, and of all seeds' tables."""
     worst = [max(abs(length.error_mm) for length in table.values()) for table in tables]
-    what = f"{what}, largest error of any entry"
-    middle = f"nominal lengths; median of the seeds {np.median(worst):.3f}"
-    seed = effort.seeds[0]
-    one = f"nominal lengths, seed {seed}"
+    words: dict[str, Any] = {"bar": bar_mm, "seed": effort.seeds[0], "what": what}
     return [
-        Row(what, one, worst[0], bar_mm, "mm", ASKED, seed, noisy=True),
-        Row(f"{what}, {effort.seeded}", middle, max(worst), bar_mm, "mm", ASKED, seed, noisy=True),
+        row("table-one-seed", worst[0], one=effort.seeds[0], **words),
+        row(
+            "table-all-seeds",
+            max(worst),
+            seeded=effort.seeded,
+            median=np.median(worst),
+            **words,
+        ),
     ]
 
 
@@ -185,6 +185,10 @@ def _interval(what: str, tables: Sequence[Mapping[str, Length]], effort: Accurac
 
 
 def _interval_row(what: str, share: float, count: int, effort: AccuracyEffort) -> Row:
-    beside = f"{100 * share:.1f} % of {count} intervals hold the truth, {effort.seeded}"
-    what, miss = f"95 % intervals, {what}: off 95 %", band_miss_percent(share)
-    return Row(what, beside, miss, 2.0, "points", ASKED, effort.seeds[0], noisy=True)
+    words: dict[str, Any] = {
+        "what": what,
+        "percent": 100 * share,
+        "count": count,
+        "seeded": effort.seeded,
+    }
+    return row("intervals", band_miss_percent(share), seed=effort.seeds[0], **words)

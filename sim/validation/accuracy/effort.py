@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 from sim.scene import Scene
 
@@ -39,9 +39,7 @@ class AccuracyEffort:
         """The scene as this effort renders it; samples: a pixel, of a plain one."""
         if not self.plain:
             return scene
-        least = {"fineness": 1, "samples": samples, "scatter_samples": 0}
-        render = scene.tank.render.model_copy(update=least)
-        return replace(scene, tank=scene.tank.model_copy(update={"render": render}))
+        return scene.with_tank(render={"fineness": 1, "samples": samples, "scatter_samples": 0})
 
 
 FULL = AccuracyEffort(

@@ -52,8 +52,7 @@ def read_scan(
 
 def _webcam(scene: Scene, seed: int) -> Webcam:
     """The scene's webcam with a sensor of its own: its fixed pattern is one of many too."""
-    sensor = scene.tank.sensor.model_copy(update={"seed": seed})
-    return Webcam(replace(scene, tank=scene.tank.model_copy(update={"sensor": sensor})))
+    return Webcam(scene.with_tank(sensor={"seed": seed}))
 
 
 def _exposed(webcam: Webcam, layers: Layers, scene: Scene, stream: tuple[int, int]) -> Bytes:
@@ -73,8 +72,7 @@ def with_contrast(scene: Scene, contrast: float) -> Scene:
         rig = scene.rig.model_copy(update={"stripe": stripe.model_copy(update={"noise": noise})})
         scene = replace(scene, rig=rig)
     if contrast == 0:
-        sensor = tank.sensor.model_copy(update={"speckle": "none"})
-        return replace(scene, tank=tank.model_copy(update={"sensor": sensor}))
+        return scene.with_tank(sensor={"speckle": "none"})
 
     def excess(f_number: float) -> float:
         pixel, nm = tank.sensor.pixel_um, tank.laser.wavelength_nm
@@ -82,12 +80,9 @@ def with_contrast(scene: Scene, contrast: float) -> Scene:
 
     f_number = float(brentq(excess, 0.5, 32.0))
     light = (f_number / tank.lens.f_number) ** 2
-    changed = {
-        "lens": tank.lens.model_copy(update={"f_number": f_number}),
-        "sensor": tank.sensor.model_copy(update={"speckle": "depolarised"}),
-        "laser": tank.laser.model_copy(update={"power_mw": tank.laser.power_mw * light}),
-        "light": tank.light.model_copy(
-            update={"ambient_w_m2_sr": tank.light.ambient_w_m2_sr * light}
-        ),
-    }
-    return replace(scene, tank=tank.model_copy(update=changed))
+    return scene.with_tank(
+        lens={"f_number": f_number},
+        sensor={"speckle": "depolarised"},
+        laser={"power_mw": tank.laser.power_mw * light},
+        light={"ambient_w_m2_sr": tank.light.ambient_w_m2_sr * light},
+    )

@@ -24,32 +24,19 @@ from lscan.config.rig import StripeSection
 from lscan.files.pictures import read_picture
 from lscan.records import BoardReading, Bytes, Floats, Mask, has_value
 from lscan.stripe import extract_stripe
-from sim.validation.rows import Row, measured
+from sim.tables import packaged_table
+from sim.validation.rows import Row, measured, row
 
 Result = TypeVar("Result")
 
 DOTS = 4380  # to be found, of those that lie wholly in view
 # The photograph's pitch is not stated: it is called 1 mm, and a dot is about half as wide.
 DOT_BOARD = Board(grid=Grid(columns=100, rows=100, pitch_mm=1.0, dot_diameter_mm=0.5, whole=False))
-BLOB_PASSES = 3.3  # a second, on a machine where finding the blobs takes 0.3 s
 ORDERS = (5, 7, 9)  # of the polynomials that predict half of the dots from the others
 CHESSBOARDS, COLUMNS, ROWS = 16, 11, 6
-# Corners (u, v) of the laser line, read off the photograph by eye to about 5 px, in its three
-# pieces: helmet, head and bust, the turntable's rim.  Elsewhere no line is to be seen.
-LINE = (
-    ((595, 54), (560, 96), (531, 151), (530, 166), (523, 187), (511, 210), (517, 232), (550, 259)),
-    (
-        (567, 268), (579, 303), (567, 313), (573, 348), (565, 378), (561, 403), (562, 464),
-        (555, 504), (550, 522), (526, 534), (522, 607), (550, 608), (548, 633), (559, 640),
-        (563, 671), (549, 681), (561, 731), (572, 787), (571, 852), (559, 859), (559, 903),
-        (552, 913), (558, 933), (545, 953), (541, 988), (550, 1024), (577, 1064), (598, 1118),
-    ),
-    ((778, 1228), (778, 1273)),
-)  # fmt: skip
+LINE = packaged_table("sim.validation.accuracy", "photographs.toml")["line"]
 BY_EYE_PX = 15  # reading error, half the line's width, and steps between corners
 END_PX = 5  # rows that near to an end of a piece may go either way
-ASKED = "required of this project"
-FIGURE_TO_BEAT = "the best figure known to us on these pictures"
 
 
 def photograph_rows(folder: Path, extractor: str, repeats: int) -> list[Row]:
@@ -83,15 +70,11 @@ def dot_rows(path: Path, repeats: int) -> list[Row]:
     found = int(reading.grid.found.sum())
     errors = {order: held_out_rms_px(reading, order) for order in ORDERS}
     best = min(errors, key=lambda order: errors[order])
-    half = f"polynomial of order {best} through the other half"
-    passes = f"OpenCV's blob detector on the same picture, {repeats} times in turn"
     return [
-        Row("dot photograph, dots missed", f"{DOTS} asked for, {found} found and indexed",
-            max(0.0, float(DOTS - found)), 0, "dots", ASKED),
-        Row("dot photograph, held-out half", half, errors[best], 0.036, "px rms", FIGURE_TO_BEAT),
-        Row("dot photograph, reading it over finding its blobs", passes, read_s / blobs_s,
-            BLOB_PASSES, "ratio", ASKED, noisy=True),
-    ]  # fmt: skip
+        row("dots-missed", max(0.0, float(DOTS - found)), dots=DOTS, found=found),
+        row("dots-held-out", errors[best], order=best),
+        row("dots-time", read_s / blobs_s, repeats=repeats),
+    ]
 
 
 def _timed(call: Callable[[], Result]) -> tuple[float, Result]:
@@ -126,20 +109,14 @@ def chessboard_rows(folder: Path) -> list[Row]:
         np.eye(3),
         np.zeros(5),
     )
-    against = "OpenCV's corners and plain solver: 0.225 px"
-    what = "chessboard photographs, reprojection"
-    return [Row(what, against, float(rms), 0.225, "px rms", FIGURE_TO_BEAT)]
+    return [row("chessboards", float(rms))]
 
 
 def line_rows(folder: Path, extractor: str) -> list[Row]:
     """Rows of the laser photograph without the line they carry, and rows with one they do not."""
     lit, dark = (read_picture(folder / f"bust_laser_{state}.png") for state in ("on", "off"))
     missed, false = line_faults(lit, dark, extractor)
-    by_eye = "the line's rows, read off by eye"
-    return [
-        Row("laser photograph, rows missed", by_eye, 100 * missed, 5.0, "%", ASKED),
-        Row("laser photograph, rows found elsewhere", by_eye, float(false), 0, "rows", ASKED),
-    ]
+    return [row("laser-missed", 100 * missed), row("laser-false", float(false))]
 
 
 def line_faults(lit: Bytes, dark: Bytes, extractor: str) -> tuple[float, int]:

@@ -14,7 +14,7 @@ from lscan.config.rig import NoiseSection, StripeSection
 from lscan.records import has_value
 from lscan.stripe import extract_stripe
 from sim.validation.accuracy.effort import AccuracyEffort
-from sim.validation.rows import Row
+from sim.validation.rows import Row, row
 
 WIDTHS_PX = (0.8, 1.2, 2.0, 3.0)
 PEAK_TO_NOISE = (10.0, 30.0, 100.0, 200.0)
@@ -41,13 +41,10 @@ def bound_rows(extractor: str, effort: AccuracyEffort) -> list[Row]:
     """
     cells = [cell(extractor, case, name, effort.drawings) for name, case in cases()]
     far, off = max(cells, key=lambda c: c.ratio), max(cells, key=lambda c: c.bias_px)
-    asked = "required of this project"
     return [
-        Row(f"{extractor}: scatter over the bound, worst at {far.name}",
-            "Cramér-Rao bound", far.ratio, 1.1, "ratio", asked, SEED, noisy=True),
-        Row(f"{extractor}: bias at a sub-pixel phase, worst at {off.name}",
-            "centre drawn", off.bias_px, 0.01, "px", asked, SEED, noisy=True),
-    ]  # fmt: skip
+        row("extractor-scatter", far.ratio, seed=SEED, extractor=extractor, case=far.name),
+        row("extractor-bias", off.bias_px, seed=SEED, extractor=extractor, case=off.name),
+    ]
 
 
 def cases() -> Iterator[tuple[str, LineCase]]:

@@ -14,9 +14,8 @@ from sim.scene import Scene
 from sim.validation.physics.ports import closed_form_rays
 from sim.validation.physics.rigs import scene_with
 from sim.validation.physics.topics import topic
-from sim.validation.rows import Bar, Topic
+from sim.validation.rows import Topic, row
 
-BAR = Bar(1e-3, "relative", "required of the tank; single precision costs 1e-6")
 POWER_MW = 7.0
 FANS: dict[str, dict[str, Any]] = {
     "Powell fan": {"fan": "uniform", "fan_rise": 0.3},
@@ -27,23 +26,21 @@ FANS: dict[str, dict[str, Any]] = {
     },
 }  # fmt: skip
 RADIUS_MM = 600.0
-FLOOR_Z_MM = -400.0
-FLOOR_ALBEDO = 0.6
-AMBIENT = 2.0
 
 
 def energy() -> Topic:
     """The laser's power on a cylinder, on a plane, and at the glass; a white furnace."""
     rows = [
-        *(BAR.row(f"power through a cylinder, {name}", "the laser's power",
-               abs(power_through_cylinder(fan) / POWER_MW - 1)) for name, fan in FANS.items()),
-        BAR.row("power a Lambertian plane reflects, summed over the picture", "albedo times power",
-             abs(reflected_power() / (FLOOR_ALBEDO * POWER_MW) - 1)),
-        BAR.row("white furnace: convex white surface in uniform light", "the light's radiance",
-             furnace_deviation()),
-        BAR.row("Fresnel at a face, R + T - 1", "Mitsuba's own Fresnel reflectance",
-             fresnel_deviation()),
-    ]  # fmt: skip
+        *(
+            row(
+                "power-through-cylinder", abs(power_through_cylinder(fan) / POWER_MW - 1), name=name
+            )
+            for name, fan in FANS.items()
+        ),
+        row("power-reflected", reflected_deviation()),
+        row("white-furnace", furnace_deviation()),
+        row("fresnel", fresnel_deviation()),
+    ]
     return topic("energy", rows=rows)
 
 
@@ -73,45 +70,37 @@ def _in_sheet(sheet: Any, lateral: Floats, offset: Floats, depth: Floats) -> mi.
     return sheet.apex(mi.Float(0.0)) + sheet.across * x + sheet.normal * y + sheet.axis * z
 
 
-def floor_scene() -> Scene:
-    """A level floor beneath, seen from above at a slant; water that takes no light."""
-    return scene_with(
-        head={"camera_mm": [0.0, -700.0, 300.0], "depression_deg": 45.0},
-        floor={"z_mm": FLOOR_Z_MM, "albedo": FLOOR_ALBEDO},
-        laser={
-            "power_mw": POWER_MW, "apex_mm": [0.0, 0.0, 250.0], "fan_half_angle_deg": 15.0,
-            "waist_mm": 3.0, "waist_distance_mm": 650.0,
-        },
-    )  # fmt: skip
+def reflected_deviation() -> float:
+    """Relative deviation of the power a floor reflects from albedo times the laser's power.
+
+    From the picture: pi L over the area each pixel sees.
+    """
+    scene = scene_with("floor")
+    floor = scene.tank.floor
+    assert floor is not None
+    area, weight = _floor_areas_mm2(scene, floor.z_mm)
+    in_water = Tank(scene).render(0.0).direct.astype(float) / weight  # before port and lens
+    reflected_mw = float(np.pi * 1e-3 * np.sum(in_water * area))
+    return abs(reflected_mw / (floor.albedo * scene.tank.laser.power_mw) - 1)
 
 
-def reflected_power() -> float:
-    """mW that the floor reflects, from the picture: pi L over the area each pixel sees."""
-    scene = floor_scene()
-    layers = Tank(scene).render(0.0)
-    area, weight = _floor_areas_mm2(scene)
-    in_water = layers.direct.astype(float) / weight  # W/(m2 sr), before port and lens
-    return float(np.pi * 1e-3 * np.sum(in_water * area))
-
-
-def _floor_areas_mm2(scene: Scene) -> tuple[Floats, Floats]:
+def _floor_areas_mm2(scene: Scene, z_mm: float) -> tuple[Floats, Floats]:
     """(H, W) mm2 of the floor that each pixel sees, and the weight of its ray."""
     camera = scene.rig.camera
-    shape = camera.height_px, camera.width_px
-    v, u = np.indices((shape[0] + 1, shape[1] + 1)) - 0.5
-    corners = closed_form_rays(scene, np.column_stack([u.ravel(), v.ravel()]))
-    places = _on_floor(corners[0], corners[1]).reshape(shape[0] + 1, shape[1] + 1, 2)
-    one, two = places[1:, 1:] - places[:-1, :-1], places[1:, :-1] - places[:-1, 1:]
+    rows, columns = camera.height_px, camera.width_px
+    v, u = np.indices((rows + 1, columns + 1)) - 0.5
+    origins, directions, _ = closed_form_rays(scene, np.column_stack([u.ravel(), v.ravel()]))
+    path = (z_mm - origins[:, 2]) / directions[:, 2]
+    met = (origins + path[:, np.newaxis] * directions)[:, :2].reshape(rows + 1, columns + 1, 2)
+    one, two = met[1:, 1:] - met[:-1, :-1], met[1:, :-1] - met[:-1, 1:]
     area = 0.5 * np.abs(one[..., 0] * two[..., 1] - one[..., 1] * two[..., 0])
-    v, u = np.indices(shape, dtype=float)
-    weight = closed_form_rays(scene, np.column_stack([u.ravel(), v.ravel()]))[2]
-    return area, weight.reshape(shape)
+    return area, _weights(scene)
 
 
-def _on_floor(origins: Floats, directions: Floats) -> Floats:
-    """(N, 2) of (x, y) mm where rays meet the floor."""
-    path = (FLOOR_Z_MM - origins[:, 2]) / directions[:, 2]
-    return (origins + path[:, np.newaxis] * directions)[:, :2]
+def _weights(scene: Scene) -> Floats:
+    """(H, W) weights of the rays through the pixels."""
+    v, u = np.indices((scene.rig.camera.height_px, scene.rig.camera.width_px), dtype=float)
+    return closed_form_rays(scene, np.column_stack([u.ravel(), v.ravel()]))[2].reshape(u.shape)
 
 
 def furnace_deviation() -> float:
@@ -120,16 +109,9 @@ def furnace_deviation() -> float:
     The floor reflects 1 and the water takes nothing, so each pixel shows the light's radiance
     L, weighed by its ray's transmission over the squared index.
     """
-    scene = scene_with(
-        head={"camera_mm": [0.0, -700.0, 300.0], "depression_deg": 45.0},
-        floor={"z_mm": FLOOR_Z_MM, "albedo": 1.0},
-        laser={"on": False},
-        light={"ambient_w_m2_sr": AMBIENT},
-    )
+    scene = scene_with("furnace")
     seen = Tank(scene).render(0.0).ambient.astype(float)
-    v, u = np.indices(seen.shape, dtype=float)
-    weight = closed_form_rays(scene, np.column_stack([u.ravel(), v.ravel()]))[2]
-    return float(np.abs(seen.ravel() / (AMBIENT * weight) - 1).max())
+    return float(np.abs(seen / (scene.tank.light.ambient_w_m2_sr * _weights(scene)) - 1).max())
 
 
 def fresnel_deviation() -> float:

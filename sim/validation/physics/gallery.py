@@ -17,7 +17,7 @@ from sim.render.fineness import finer_lens
 from sim.render.tank import Tank
 from sim.scene import Scene, load_scene
 from sim.sensor import Webcam
-from sim.validation.rows import Bar, Row, failed_row
+from sim.validation.rows import Row, failed_row, row
 
 SAMPLES, QUICK_SAMPLES = 4, 1  # at least, a pixel
 QUICK_SHRINKING = 8  # of a quick run's pictures, in width and height
@@ -54,11 +54,7 @@ def gallery(scenes: Path, quick: bool = False) -> Gallery:
             plates.append(plate(load_scene(path), path.relative_to(scenes), quick))
         except Exception as error:  # one scene's fault is a row; the others are still shown
             failed.append(failed_row(f"picture of the scene {path.relative_to(scenes)}", error))
-    whole = Bar(0, "scenes", "each scene file can be rendered").row(
-        "scenes of which there is no picture",
-        f"all {len(files)} scene files beneath {scenes.name}/",
-        len(failed),
-    )
+    whole = row("scenes-without-picture", len(failed), count=len(files), folder=scenes.name)
     return Gallery(tuple(plates), (whole, *failed))
 
 

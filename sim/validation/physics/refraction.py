@@ -13,7 +13,7 @@ from sim.scene import Pose, Scene, camera_pose
 from sim.truth import project
 from sim.validation.physics.rigs import camera_rays, make_camera, scene_with
 from sim.validation.physics.topics import page_figure, topic
-from sim.validation.rows import Bar, Row, Topic
+from sim.validation.rows import Row, Topic, row
 from sim.water import refractive_index
 
 WATER_INDEX, GLASS_INDEX = 1.3313, 1.49  # of the published values
@@ -24,8 +24,6 @@ PUBLISHED_ERROR_PX = {500.0: 0.98, 700.0: 0.42, 1500.0: 0.33, 2000.0: 0.49}
 PUBLISHED_FOCAL = 1.3278
 MEDIA = {"air": None, "fresh water": 0.0, "sea water": 35.0}  # salinity in psu
 AT_C, AT_NM = 20.0, 650.0
-DIGIT = "the published value's last digit"
-SINES = Bar(1e-6, "ratio", "single precision of the camera's directions, 6e-8 over a sine of 0.4")
 
 
 def refraction() -> Topic:
@@ -34,27 +32,16 @@ def refraction() -> Topic:
     worst = max(abs(errors[at] - figure) for at, figure in PUBLISHED_ERROR_PX.items())
     rows = [
         *(_sine_row(name, salinity) for name, salinity in MEDIA.items()),
-        Bar(0.005, "deg", DIGIT).row(
-            "30° in air, angle in water",
-            "Snell's law, published 22.06°",
-            abs(angle_in_water_deg() - 22.06),
-        ),
-        Bar(5e-5, "f", DIGIT).row(
-            "focal length of a single-viewpoint fit at 1 m",
-            "published 1.3278 f",
-            abs(focal - PUBLISHED_FOCAL),
-        ),
-        Bar(0.005, "px", DIGIT).row(
-            "error of that fit at 0.5, 0.7, 1.5 and 2 m", "published .98, .42, .33, .49 px", worst
-        ),
+        row("angle-in-water", abs(angle_in_water_deg() - 22.06)),
+        row("single-viewpoint-focal", abs(focal - PUBLISHED_FOCAL)),
+        row("single-viewpoint-error", worst),
     ]
     return topic("refraction", rows=rows, figures=(_figure(),))
 
 
 def _sine_row(name: str, salinity: float | None) -> Row:
     index = 1.0 if salinity is None else refractive_index(AT_C, salinity, AT_NM)
-    what = f"ratio of sines, {name} (n = {index:.4f})"
-    return SINES.row(what, "Snell's law: exactly n", _sine_error(index))
+    return row("sines", _sine_error(index), name=name, index=index)
 
 
 def _sine_error(index: float) -> float:

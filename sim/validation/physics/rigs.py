@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 import mitsuba as mi
@@ -14,25 +15,27 @@ from lscan.records import Floats
 from sim.render.plugins.camera import RefractiveCamera
 from sim.render.plugins.traced import TracedCamera
 from sim.scene import Pose, Scene, scene_of
+from sim.tables import packaged_table
 from sim.water import glass_index
 
 PLUGINS = {RefractiveCamera: "refractive_camera", TracedCamera: "traced_camera"}
-BASE: Document = {
-    "camera": {"driver": "sim", "width_px": 640, "height_px": 480},
-    "track": {"driver": "sim"},
-    "lens": {"focal_px": 600.0, "centre_px": [319.5, 239.5]},
-    "head": {"camera_mm": [0.0, -700.0, 300.0], "depression_deg": 30.0},
-    "port": {"kind": "flat", "gap_mm": 10.0, "thickness_mm": 6.0, "glass_index": 1.49},
-    "laser": {"power_mw": 5.0, "apex_mm": [0.0, 0.0, 250.0]},
-    "water": {"absorption_per_m": 0.0, "scattering_per_m": 0.0},
-    "target": {"shape": "none"},
-    "render": {"samples": 9, "scatter_samples": 0},
-}
+SCENES = packaged_table("sim.validation.physics", "scenes.toml")
+RANDOM = SCENES["random"]
 
 
-def scene_with(**sections: Document) -> Scene:
-    """The base scene with these sections laid over it; InputError where they do not fit."""
-    return scene_of(parse_rig(merge(BASE, sections), source="verify", trusted=True))
+def scene_with(name: str = "base", **sections: Document) -> Scene:
+    """The scene of that name in scenes.toml with these sections laid over it.
+
+    InputError where they do not fit.
+    """
+    document = merge(merge(SCENES["base"], SCENES[name]), sections)
+    return scene_of(parse_rig(document, source="verify", trusted=True))
+
+
+def drawn(generator: np.random.Generator, ranges: Mapping[str, Any]) -> dict[str, Any]:
+    """A value for each key: uniform between two bounds, a list where there is a list of them."""
+    values = {key: generator.uniform(*np.array(pair).T) for key, pair in ranges.items()}
+    return {key: np.asarray(value).tolist() for key, value in values.items()}
 
 
 def random_rig(generator: np.random.Generator, kind: str) -> Scene:
@@ -41,9 +44,13 @@ def random_rig(generator: np.random.Generator, kind: str) -> Scene:
     Drawn again while its lens would fold the picture.
     """
     while True:
-        port = _flat(generator) if kind == "flat" else _dome(generator)
+        port = {"kind": kind, **drawn(generator, RANDOM[kind])}
+        if kind == "dome":
+            radius = port["radius_mm"]
+            port |= drawn(generator, {"centre_mm": [(-0.15 * radius, 0.15 * radius)] * 3})
         try:
-            return scene_with(lens=_lens(generator), port=port, head=_head(generator))
+            lens, head = (drawn(generator, RANDOM[name]) for name in ("lens", "head"))
+            return scene_with(lens=lens, port=port, head=head)
         except InputError:
             continue
 
@@ -89,49 +96,3 @@ def camera_rays(
 def picture_size(scene: Scene) -> tuple[int, int]:
     """(width, height) of the scene's pictures in px."""
     return scene.rig.camera.width_px, scene.rig.camera.height_px
-
-
-def _lens(generator: np.random.Generator) -> dict[str, Any]:
-    k1, k2 = generator.uniform((-0.25, -0.05), (0.15, 0.08))
-    p1, p2 = generator.uniform(-2e-3, 2e-3, 2)
-    centre = generator.uniform((290.0, 210.0), (350.0, 270.0))
-    return {
-        "focal_px": float(generator.uniform(500, 1200)),
-        "centre_px": centre.tolist(),
-        "k1": float(k1),
-        "k2": float(k2),
-        "p1": float(p1),
-        "p2": float(p2),
-    }
-
-
-def _head(generator: np.random.Generator) -> dict[str, Any]:
-    return {
-        "camera_mm": generator.uniform(-400, 400, 3).tolist(),
-        "depression_deg": float(generator.uniform(-20, 60)),
-        "heading_deg": float(generator.uniform(-30, 30)),
-        "roll_deg": float(generator.uniform(-20, 20)),
-    }
-
-
-def _flat(generator: np.random.Generator) -> dict[str, Any]:
-    tilts = generator.uniform(-8, 8, 2)
-    return {
-        "kind": "flat",
-        "gap_mm": float(generator.uniform(2, 60)),
-        "thickness_mm": float(generator.uniform(1, 25)),
-        "glass_index": float(generator.uniform(1.4, 1.6)),
-        "tilt_x_deg": float(tilts[0]),
-        "tilt_y_deg": float(tilts[1]),
-    }
-
-
-def _dome(generator: np.random.Generator) -> dict[str, Any]:
-    radius = float(generator.uniform(30, 100))
-    return {
-        "kind": "dome",
-        "radius_mm": radius,
-        "thickness_mm": float(generator.uniform(1.5, 12)),
-        "glass_index": float(generator.uniform(1.4, 1.6)),
-        "centre_mm": generator.uniform(-0.15 * radius, 0.15 * radius, 3).tolist(),
-    }

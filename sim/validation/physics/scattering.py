@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 import mitsuba as mi
 import numpy as np
@@ -15,7 +16,7 @@ from sim.scene import Scene
 from sim.truth import StripeTruth, stripe_truth
 from sim.validation.physics.rigs import scene_with
 from sim.validation.physics.topics import topic
-from sim.validation.rows import Bar, Row, Topic, measured
+from sim.validation.rows import Row, Topic, measured, row
 from sim.water import HenyeyGreensteinMixture, Optics, water_optics
 
 SEED = 4000
@@ -26,8 +27,6 @@ OTHER_ASYMMETRY = ASYMMETRY - 0.02
 LEVEL = 1e-3  # chance of a false alarm in all tests of a check together
 MASKS = ("core", "halo", "veil", "shadow")
 CENTROID_PX = 0.01
-REFERENCE = "Mitsuba's volpath"
-SEEN = Bar(1.0, "ratio", "below 1, the test would fail", SEED, noisy=True)
 OUR_SAMPLES, OUR_GRID = 64, 256  # of higher orders, and of the first
 STOCK = {"type": "volpath", "max_depth": -1, "rr_depth": 8}
 # A narrow window for the centre: farther out the halo, noisy in the reference, has a long lever.
@@ -91,54 +90,31 @@ def water_rows(name: str, runs: int, samples: int, tests: int) -> list[Row]:
     result = compare(pictures(name, runs, samples))
     bound = sidak_bound(tests, result.degrees)
     shares = ", ".join(f"{mask} {100 * result.share[mask]:.2g} %" for mask in MASKS)
-    sidak = (
-        f"Student's t, Sidak for {tests} tests at {LEVEL:g} in all; one standard error "
-        f"is {shares}; {runs} pictures of {samples} samples a side"
-    )
-    noise = f"required of the tank; the reference's noise is {result.centroid_error_px:.1g} px"
+    words: dict[str, Any] = {
+        "water": name,
+        "tests": tests,
+        "level": LEVEL,
+        "runs": runs,
+        "samples": samples,
+    }
+    words |= {"shares": shares, "noise_px": result.centroid_error_px}
+    worst, other = (max(abs(z) for z in zs.values()) for zs in (result.z, result.other_g))
+    core = abs(result.without_line["core"])
     return [
-        Bar(bound, "standard errors", sidak, SEED, noisy=True).row(
-            f"{name}: largest |z| on core, halo, veil and shadow",
-            REFERENCE,
-            max(abs(z) for z in result.z.values()),
-        ),
-        Bar(CENTROID_PX, "px", noise, SEED, noisy=True).row(
-            f"{name}: the line's centre, mean over its columns", REFERENCE, result.centroid_px
-        ),
-        SEEN.row(
-            f"{name}: bound over |z| of the core if the line is removed",
-            REFERENCE,
-            bound / abs(result.without_line["core"]),
-        ),
-        SEEN.row(
-            f"{name}: bound over the largest |z| if g is 0.02 less",
-            REFERENCE,
-            bound / max(abs(z) for z in result.other_g.values()),
-        ),
+        row("scattering", worst, bar=bound, seed=SEED, **words),
+        row("scattering-centre", result.centroid_px, bar=CENTROID_PX, seed=SEED, **words),
+        row("scattering-no-line", bound / core, seed=SEED, **words),
+        row("scattering-other-g", bound / other, seed=SEED, **words),
     ]
-
-
-def tank_scene(water: str) -> Scene:
-    """A grooved block on a floor, beside the fan's middle so that it throws a shadow."""
-    return scene_with(
-        camera={"width_px": 64, "height_px": 48},
-        lens={"focal_px": 80.0, "centre_px": [31.5, 23.5]},
-        head={"camera_mm": [0.0, -360.0, 20.0], "depression_deg": 33.0},
-        laser={
-            "power_mw": 100.0, "apex_mm": [-130.0, 0.0, 60.0], "fan_half_angle_deg": 50.0,
-            "aim_deg": 25.0, "waist_mm": 8.0, "waist_distance_mm": 300.0,
-        },
-        water={"kind": water, "phase": "henyey-greenstein", "asymmetry": ASYMMETRY},
-        workpiece={"kind": "grooved-block"},
-        target={"shape": "workpiece", "position_mm": [-80.0, 0.0, -260.0], "albedo": 0.5},
-        floor={"z_mm": -260.0, "albedo": 0.4},
-        render={"samples": OUR_GRID, "scatter_samples": OUR_SAMPLES},
-    )  # fmt: skip
 
 
 def pictures(water: str, runs: int, samples: int) -> Pictures:
     """Independent pictures of the scene in a named water, ours, volpath's, and of other g."""
-    scene = tank_scene(water)
+    scene = scene_with(
+        "block",
+        water={"kind": water, "asymmetry": ASYMMETRY},
+        render={"samples": OUR_GRID, "scatter_samples": OUR_SAMPLES},
+    )
     tank = Tank(scene)
     right, wrong = (_one_lobe(scene, g) for g in (ASYMMETRY, OTHER_ASYMMETRY))
     # The reference first: our integrators hold the water they are given until the next.

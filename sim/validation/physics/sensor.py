@@ -14,26 +14,15 @@ from sim.scene import PlanePort, Scene
 from sim.sensor import Webcam
 from sim.sensor.speckle import speckle_contrast
 from sim.validation.physics.rigs import scene_with
-from sim.validation.physics.topics import topic
-from sim.validation.rows import Bar, Row, Topic
+from sim.validation.physics.topics import reference, topic
+from sim.validation.rows import Row, Topic, row
 from sim.water import water_optics
 
 SEED = 53
-CONTRAST = Bar(0.005, "contrast", "half of the last digit given")
-PLANE = Bar(0.01, "relative", "required of the tank; rounding to 8 bits costs 0.25 %")
 EXPOSURE_MS = 20.0
 FULL_SCALE_DN = 255.0
 STANDARD_ERRORS = 3.0
 PLANCK_J_S, LIGHT_M_S = 6.62607015e-34, 299792458.0  # exact, SI 2019
-# Pixel in um, f-number: contrast of polarised and of depolarised light (Goodman 2007).
-SPECKLE = (
-    (6.0, 2.0, 0.22, 0.15),
-    (6.0, 2.8, 0.29, 0.21),
-    (4.2, 2.0, 0.30, 0.21),
-    (4.2, 2.8, 0.39, 0.28),
-    (3.0, 2.0, 0.39, 0.28),
-    (3.0, 2.8, 0.51, 0.36),
-)
 LIGHTS: tuple[Literal["polarised", "depolarised"], ...] = ("polarised", "depolarised")
 NM, DEEP_WELL_E = 650.0, 1e6
 PLAIN_LENS = {"blur_px": 0.0, "vignetting": 0.0, "f_number": 2.8, "transmission": 0.85}
@@ -77,19 +66,18 @@ def _noise_rows() -> list[Row]:
     )
     results = [noise_deviations(scene, share) for share in (0.05, 0.3, 0.7)]
     camera = scene.rig.camera
-    bar = _within_errors(f"{camera.width_px * camera.height_px} pixels")
+    pixels = camera.width_px * camera.height_px
     return [
-        bar.row(
-            f"{name} of flat fields at 5, 30 and 70 % of the full well",
-            "EMVA 1288 linear model",
-            max(result[k] for result in results),
+        row(
+            "noise-of-flat-fields",
+            max(column),
+            bar=STANDARD_ERRORS,
+            seed=SEED,
+            name=name,
+            pixels=pixels,
         )
-        for k, name in enumerate(("mean", "variance"))
+        for name, column in zip(("mean", "variance"), zip(*results, strict=True), strict=True)
     ]
-
-
-def _within_errors(of: str) -> Bar:
-    return Bar(STANDARD_ERRORS, "standard errors", f"three standard errors of {of}", SEED)
 
 
 def noise_deviations(scene: Scene, share: float) -> tuple[float, float]:
@@ -116,24 +104,18 @@ def noise_deviations(scene: Scene, share: float) -> tuple[float, float]:
 
 def _speckle_rows() -> list[Row]:
     rows = []
-    for column, light in enumerate(LIGHTS):
-        declared = [speckle_contrast(pixel, number, NM, light) for pixel, number, *_ in SPECKLE]
-        published = [values[column] for _, _, *values in SPECKLE]
+    pixels, numbers, *published = np.array(reference("sensor")["speckle"]).T
+    cameras = list(zip(pixels, numbers, strict=True))
+    for light, rounded in zip(LIGHTS, published, strict=True):
+        declared = [speckle_contrast(pixel, number, NM, light) for pixel, number in cameras]
         realised = [
-            contrast_errors(pixel, number, light, contrast)
-            for (pixel, number, *_), contrast in zip(SPECKLE, declared, strict=True)
+            contrast_errors(*camera, light, contrast)
+            for camera, contrast in zip(cameras, declared, strict=True)
         ]
+        off = float(np.abs(declared - rounded).max())
         rows += [
-            CONTRAST.row(
-                f"declared speckle contrast of six cameras, {light}",
-                "Goodman's integral, published to two decimals",
-                max(abs(a - b) for a, b in zip(declared, published, strict=True)),
-            ),
-            _within_errors("a gamma law's contrast over the picture").row(
-                f"realised speckle contrast of six cameras, {light}",
-                "the declared contrast",
-                max(realised),
-            ),
+            row("speckle-declared", off, light=light),
+            row("speckle-realised", max(realised), bar=STANDARD_ERRORS, seed=SEED, light=light),
         ]
     return rows
 
@@ -174,39 +156,24 @@ def realised_contrast(pixel_um: float, f_number: float, light: str) -> tuple[flo
 def plane_row() -> Row:
     """A Lambertian plane square to the fan's axis, seen on the camera's axis: DN on paper."""
     expected, found = plane_on_paper(), plane_rendered()
-    return PLANE.row(
-        "Lambertian plane in the laser sheet, milliwatts to digital numbers",
-        "camera equation and sheet irradiance on paper",
-        abs(found / expected - 1),
-    )
+    return row("lambertian-plane", abs(found / expected - 1))
 
 
-APEX_HEIGHT_MM, CAMERA_DISTANCE_MM = 650.0, 700.0  # from the line on the plane
-PLANE_ALBEDO, PLANE_ABSORPTION_PER_M, GLASS_INDEX = 0.4, 0.4, 1.49
-DEPRESSION_DEG = 60.0
+CAMERA_DISTANCE_MM, DEPRESSION_DEG = 700.0, 60.0  # from the line on the plane
+GLASS_INDEX = 1.49
 CENTRE = (240, 320)  # row and column of the pixel on the axis
 
 
 def plane_scene() -> Scene:
-    """A level floor through the origin, the fan straight above, the camera's axis on the line.
-
-    The sheet is 20 mm wide: over the 1 mm a pixel sees it falls by 0.03 % of its peak.
-    """
+    """A level floor through the origin, the fan straight above, the camera's axis on the line."""
     lean = np.radians(DEPRESSION_DEG)
     back, height = CAMERA_DISTANCE_MM * np.cos(lean), CAMERA_DISTANCE_MM * np.sin(lean)
     return scene_with(
+        "plane",
         lens={**PLAIN_LENS, "centre_px": list(CENTRE[::-1])},
         port={"glass_index": GLASS_INDEX},
         head={"camera_mm": [0.0, -float(back), float(height)], "depression_deg": DEPRESSION_DEG},
-        floor={"z_mm": 0.0, "albedo": PLANE_ALBEDO},
-        laser={
-            "power_mw": 60.0, "apex_mm": [0.0, 0.0, APEX_HEIGHT_MM], "waist_mm": 20.0,
-            "waist_distance_mm": APEX_HEIGHT_MM, "wavelength_nm": 650.0,
-            "fan_half_angle_deg": 30.0,
-        },
-        water={"absorption_per_m": PLANE_ABSORPTION_PER_M, "scattering_per_m": 0.0},
-        sensor={"noise": False, "black_level_dn": 0.0},
-    )  # fmt: skip
+    )
 
 
 def plane_on_paper() -> float:
@@ -218,13 +185,15 @@ def plane_on_paper() -> float:
     """
     scene = plane_scene()
     laser, port, model = scene.tank.laser, scene.tank.port, scene.tank.sensor
-    assert isinstance(port, PlanePort)
+    floor, absorption_per_m = scene.tank.floor, scene.tank.water.absorption_per_m
+    assert isinstance(port, PlanePort) and floor is not None and absorption_per_m is not None
     index = water_optics(scene.tank.water, laser.wavelength_nm).index
-    fan = laser.power_mw / (2 * np.radians(laser.fan_half_angle_deg)) / APEX_HEIGHT_MM
+    _, _, apex_mm = laser.apex_mm
+    fan = laser.power_mw / (2 * np.radians(laser.fan_half_angle_deg)) / apex_mm
     irradiance_w_m2 = 1e3 * fan * sqrt(2 / pi) / laser.waist_mm
-    in_water_mm = CAMERA_DISTANCE_MM - port.gap_mm - port.thickness_mm + APEX_HEIGHT_MM
-    in_water = PLANE_ALBEDO * irradiance_w_m2 / pi
-    in_water *= np.exp(-PLANE_ABSORPTION_PER_M * 1e-3 * in_water_mm)
+    in_water_mm = CAMERA_DISTANCE_MM - port.gap_mm - port.thickness_mm + apex_mm
+    in_water = floor.albedo * irradiance_w_m2 / pi
+    in_water *= np.exp(-absorption_per_m * 1e-3 * in_water_mm)
     outer = 1 - ((GLASS_INDEX - 1) / (GLASS_INDEX + 1)) ** 2
     inner = 1 - ((GLASS_INDEX - index) / (GLASS_INDEX + index)) ** 2
     in_air = float(in_water * outer * inner / index**2)

@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-import tomllib
 from collections.abc import Iterable
-from importlib.resources import files
 from typing import Any
 
 from matplotlib.figure import Figure
 
 from lscan.figures import style
 from lscan.figures.reportfigure import ReportFigure
+from sim.tables import packaged_table
 from sim.validation.rows import Row, Topic
 
 
@@ -28,5 +27,9 @@ def page_figure(key: str, drawn: Figure) -> ReportFigure:
 
 
 def _words(key: str) -> Any:
-    text = files("sim.validation.physics").joinpath("topics.toml").read_text(encoding="utf-8")
-    return tomllib.loads(text)[key]
+    return packaged_table("sim.validation.physics", "topics.toml")[key]
+
+
+def reference(key: str) -> Any:
+    """The published values that the topic of that key is held against."""
+    return packaged_table("sim.validation.physics", "references.toml")[key]

@@ -6,6 +6,7 @@ import shutil
 import time
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -26,11 +27,9 @@ from lscan.surface.profile import to_profile
 from sim.emulators import EmulatedHardware, ServeOptions
 from sim.scene import scene_of
 from sim.sensor.coding import from_jpeg, jpeg_bytes
-from sim.validation.rows import Row
+from sim.validation.rows import Row, row
 
 STEP_MM = 2.0
-BAR_MM = 0.15
-SOURCE = "required of this project"
 
 Difference = Callable[[Surface, Surface], float]
 
@@ -79,26 +78,14 @@ def _rows(
     where = "slices" if aligned else "columns"
     seed = scene_of(rig_file).tank.sensor.seed
     coding = f"JPEG quality {options.quality}, {options.subsampling}"
-    through = (
-        f"scan of {len(served)} frames through opencv and grbl on the served tank: {where}",
-        f"the sim drivers' scan, same calibration and alignment; {coding}; "
-        f"{frame_ms:.0f} ms a frame, motion and settling included",
-        rms_mm(reconstruct(served, plane_map).raw, reference),
-    )
-    alone = (
-        f"the sim drivers' pictures through JPEG alone: {where}",
-        f"the same pictures uncoded; {coding}",
-        rms_mm(_coded(simulated, plane_map, options), reference),
-    )
-    noise = (
-        f"the sim drivers' scan with sensor seed {seed + 1}: {where}",
-        "the same scan, calibration and alignment",
-        rms_mm(reconstruct(repeated, plane_map).raw, reference),
-    )
-    return [
-        Row(what, against, figure, BAR_MM, "mm rms", SOURCE, seed, noisy=True)
-        for what, against, figure in (through, alone, noise)
-    ]
+    words: dict[str, Any] = {"seed": seed, "where": where, "coding": coding}
+    figures = {
+        "served-scan": reconstruct(served, plane_map).raw,
+        "jpeg-alone": _coded(simulated, plane_map, options),
+        "noise-alone": reconstruct(repeated, plane_map).raw,
+    }
+    words |= {"frames": len(served), "frame_ms": frame_ms, "other": seed + 1}
+    return [row(key, rms_mm(raw, reference), **words) for key, raw in figures.items()]
 
 
 def _on_slices(alignment: Alignment, rig_file: RigFile) -> Difference:

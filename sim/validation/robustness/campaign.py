@@ -21,7 +21,7 @@ from lscan.records import Frame
 from sim.testing.faultbench import FaultBench, bench_for
 from sim.testing.faults import FRAMES, KINDS, InjectedFault, draw_fault
 from sim.testing.marks import read_mark
-from sim.validation.rows import Bar, Row
+from sim.validation.rows import Row, row
 
 SEED: Final = 5005
 LEAST_STRUCK: Final = 0.81
@@ -104,17 +104,10 @@ def fault_rows(each: int, seed: int = SEED) -> tuple[list[Row], list[Outcome]]:
         outcomes = run_campaign(count, seed, Path(folder))
     injected = sum(outcome.struck for outcome in outcomes)
     unclean = sum(bool(outcome.violation) for outcome in outcomes)
-    reference = "one fault each while scanning on the emulated camera, track and disk"
-    most = f"{each} of each kind, less those whose moment never comes"
+    least = ceil(LEAST_STRUCK * count)
     return [
-        Bar(ceil(LEAST_STRUCK * count), "", most, seed, at_least=True).row(
-            "faults injected", reference, injected
-        ),
-        Bar(0, "", "no frame lost, none accepted wrong", seed).row(
-            "faults after which a frame was lost or wrong, or the end was unclear",
-            reference,
-            unclean,
-        ),
+        row("faults-injected", injected, bar=least, seed=seed, each=each),
+        row("faults-unclean", unclean, seed=seed),
     ], outcomes
 
 

@@ -19,7 +19,7 @@ from lscan.config.toml import toml_text
 from lscan.errors import InputError
 from sim.testing.goodrigs import GoodRig, good_rigs, write_beside
 from sim.testing.wrongfields import MOST_SHOWN, WrongField, crossed_rigs, dotted, wrong_fields
-from sim.validation.rows import Bar, Row
+from sim.validation.rows import Row, row
 
 NOT_OURS = re.compile(r"(?i)input should|validation error|traceback|constrained|nonetype|pydantic")
 """Words that no message may hold: they speak of the program, not of the file."""
@@ -125,18 +125,8 @@ def field_rows(every: int = 1) -> list[Row]:
     """
     verdicts, touched = try_all(every)
     bad = [verdict for verdict in verdicts if verdict.fault]
-    files = "real TOML files, every field of the models and every pair of drivers"
-    some = "some hundreds: each field is wrong in several ways"
     return [
-        Bar(500 // every, "files", some, at_least=True).row(
-            "rig files with one field wrong tried", files, len(verdicts)
-        ),
-        Bar(0, "files", "required: a message with the key and what is allowed").row(
-            "of those not refused by file, key, value and what is allowed", files, len(bad)
-        ),
-        Bar(0, "devices", "required: none reaches a device").row(
-            "devices touched by a rig file with a field wrong",
-            "every driver's opening function, guarded",
-            len(touched),
-        ),
+        row("fields-tried", len(verdicts), bar=500 // every),
+        row("fields-badly-refused", len(bad)),
+        row("fields-touching-devices", len(touched)),
     ]

@@ -27,18 +27,11 @@ from lscan.records import Bytes, Floats
 from sim.render.tank import Tank
 from sim.scene import load_scene
 from sim.sensor import Webcam
-from sim.validation.rows import Bar, Row
+from sim.validation.rows import Row, row
 
 SEED = 51
 PICTURES = 8  # that take turns
 SCENE = Path("paper/sandwave")  # by name, from wherever the command is run
-BAR = Bar(
-    1.0,
-    "ratio",
-    "no dearer than a plain saving; stricter than 10 ms where that takes 9.2 ms",
-    SEED,
-    noisy=True,
-)
 
 Clock = Callable[[], float]
 
@@ -155,19 +148,20 @@ def overhead_rows(frames: int, folder: Path = Path(), scene: Path = SCENE) -> li
         saved_s: list[float] = []
         camera = partial(SavingCamera, path=Path(scratch) / "plain.png", saved_s=saved_s)
         taken_s = frame_times(Path(scratch) / "run", pictures, frames, camera=camera)
-    what = f"overhead of a frame, 640 x 480 colour, {frames} frames, over saving it plainly"
-    found = {
-        "median": (float(np.median(taken_s)), float(np.median(saved_s))),
-        "mean": (float(np.mean(taken_s)), float(np.mean(saved_s))),
-    }
     return [
-        BAR.row(
-            f"{what}: {name}",
-            f"{1000 * taken:.1f} ms, and {1000 * saved:.1f} ms for OpenCV's PNG and a sync; "
-            "a camera and a track that cost nothing",
+        row(
+            "overhead",
             taken / saved,
+            seed=SEED,
+            frames=frames,
+            name=name,
+            taken_ms=1000 * taken,
+            saved_ms=1000 * saved,
         )
-        for name, (taken, saved) in found.items()
+        for name, taken, saved in (
+            ("median", float(np.median(taken_s)), float(np.median(saved_s))),
+            ("mean", float(np.mean(taken_s)), float(np.mean(saved_s))),
+        )
     ]
 
 
