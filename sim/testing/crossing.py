@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import tomllib
 from collections.abc import Iterator
 from dataclasses import dataclass
-from importlib.resources import files
 
 from lscan.config.documents import Document, merge
+from sim.tables import packaged_table
 
 
 @dataclass(frozen=True)
@@ -31,8 +30,7 @@ class CrossRule:
 
 
 def _read() -> Iterator[CrossRule]:
-    text = files("sim.testing").joinpath("crossings.toml").read_text(encoding="utf-8")
-    for rule in tomllib.loads(text)["crossing"]:
+    for rule in packaged_table("sim.testing", "crossings.toml")["crossing"]:
         for rig in rule["rigs"]:
             yield CrossRule(rule["rule"], rig, rule["changes"], rule["key"], tuple(rule["words"]))
 

@@ -18,42 +18,14 @@ from lscan.config.rig import RigFile, parse_rig
 from lscan.devices.api import Camera, Grab, Track
 from lscan.devices.grbl import track_driver as serial_driver
 from lscan.devices.opencv_camera import OpencvCamera, OpencvOptions
-from sim.testing.faults import FRAMES, KINDS, InjectedFault
-from sim.testing.faultycamera import HEIGHT_PX, WIDTH_PX, FaultyCamera
+from sim.tables import packaged_table
+from sim.testing.faults import KINDS, InjectedFault
+from sim.testing.faultycamera import FaultyCamera
 from sim.testing.faultydisk import FaultyDisk
-from sim.testing.faultytrack import ZERO_MM, FaultyTrack
+from sim.testing.faultytrack import FaultyTrack
 
-STEP_MM: Final = 2.0
-SPEED_MM_S: Final = 10.0
-RIG: Final = {
-    "name": "bench",
-    "camera": {
-        "driver": "opencv",
-        "width_px": WIDTH_PX,
-        "height_px": HEIGHT_PX,
-        "options": {
-            "device": 0,
-            "warm_up_frames": 1,
-            "retries": 8,
-            "reconnects": 2,
-            "reconnect_wait_s": 0.0,
-            "timeout_s": 10.0,
-        },
-    },
-    "track": {
-        "driver": "grbl",
-        "options": {
-            "port": "bench",
-            "min_mm": 0.0,
-            "max_mm": 20.0,
-            "zero_mm": ZERO_MM,
-            "feed_mm_min": 60 * SPEED_MM_S,
-            "settle_s": 0.05,
-            "boot_s": 0.2,
-        },
-    },
-    "plan": {"start_mm": 1.0, "step_mm": STEP_MM, "frames": FRAMES},
-}
+RIG: Final = packaged_table("sim.testing", "bench.toml")
+SPEED_MM_S: Final = RIG["track"]["options"]["feed_mm_min"] / 60
 
 PATIENCE_S: Final = {"camera hung": 0.15, "camera clock set": 0.5}
 """Time-out under faults that wait for it; how each ends is the same however long it is.  A clock
@@ -138,7 +110,8 @@ class FaultBench:
         return not self.struck and (frame, phase) == (self.fault.frame, self.fault.phase)
 
     def _frame_at(self, target_mm: float) -> int:
-        return round((target_mm - self.rig_file.rig.plan.start_mm) / STEP_MM)
+        plan = self.rig_file.rig.plan
+        return round((target_mm - plan.start_mm) / plan.step_mm)
 
     def _strike(self) -> None:
         if self.struck:

@@ -5,25 +5,20 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Final, Literal
+from typing import Final, Literal, get_args
 
 import numpy as np
 
+from sim.tables import packaged_table
 from sim.testing.faultycamera import GARBAGE
 from sim.testing.faultydisk import CALLS_A_FRAME
 
-FRAMES: Final = 5
+FRAMES: Final[int] = packaged_table("sim.testing", "bench.toml")["plan"]["frames"]
 """Frames of each experiment's scan."""
 
 Device = Literal["camera", "track", "disk", "clock"]
 Phase = Literal["opening", "before the move", "in mid-move", "before the grab", "in the write"]
-PHASES: Final[tuple[Phase, ...]] = (
-    "opening",
-    "before the move",
-    "in mid-move",
-    "before the grab",
-    "in the write",
-)
+PHASES: Final[tuple[Phase, ...]] = get_args(Phase)
 
 
 @dataclass(frozen=True)
@@ -39,35 +34,8 @@ class FaultKind:
 
 
 KINDS: Final[Mapping[str, FaultKind]] = {
-    "camera gone": FaultKind("camera", r"check cable and power|check that it is there"),
-    "camera hung": FaultKind("camera", r"check cable, power and light"),
-    "camera breaks": FaultKind("camera", r"check cable and power"),
-    "camera black": FaultKind("camera", r"take the cap off"),
-    "camera wrong size": FaultKind("camera", r"the rig says 64 by 48 px \(camera.width_px"),
-    "camera same twice": FaultKind("camera", r"plug it in anew"),
-    "camera late": FaultKind("camera", ""),
-    "camera garbage": FaultKind("camera", r"camera\.options\.pixel_format|camera\.width_px"),
-    "camera clock set": FaultKind("camera", r"its clock was set back"),
-    "serial silent": FaultKind("track", r"check cable and power|check the port"),
-    "serial garbled": FaultKind("track", r"check|shorten or shield|home"),
-    "serial noisy": FaultKind("track", r"check|shorten or shield|home"),
-    "serial unplugged": FaultKind("track", r"check the cable"),
-    "lost ok": FaultKind("track", r"check cable and power"),
-    "alarm": FaultKind("track", r"ALARM:\d.*clear the way, then home"),
-    "restart": FaultKind("track", r"has restarted.*home"),
-    "quiet restart": FaultKind("track", r"home"),
-    "stuck": FaultKind("track", r"check for a jam|check the way"),
-    "slow": FaultKind("track", r"check for a jam"),
-    "disk full": FaultKind("disk", r"No space left on device; make room"),
-    "file size limit": FaultKind("disk", r"File too large; .*limit"),
-    "folder read-only": FaultKind("disk", r"Read-only file system; make it writable"),
-    "folder vanished": FaultKind(
-        "disk", r"No such file or directory; (make its folder, or bring it back|check its name)"
-    ),
-    "disk error": FaultKind("disk", r"Input/output error; check the disk"),
-    "disk error in fsync": FaultKind("disk", r"Input/output error; check the disk"),
-    "disk pulled": FaultKind("disk", r"Input/output error; check the disk"),
-    "wall clock set": FaultKind("clock", ""),
+    kind: FaultKind(**fields)
+    for kind, fields in packaged_table("sim.testing", "faults.toml")["kinds"].items()
 }
 
 

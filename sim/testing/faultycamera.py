@@ -14,9 +14,11 @@ import numpy as np
 
 from lscan.devices.opencv_camera import OpencvOptions
 from lscan.records import Bytes
+from sim.tables import packaged_table
 from sim.testing.marks import ExposureMark, draw_mark
 
-WIDTH_PX, HEIGHT_PX = 64, 48
+_CAMERA = packaged_table("sim.testing", "bench.toml")["camera"]
+WIDTH_PX, HEIGHT_PX = _CAMERA["width_px"], _CAMERA["height_px"]
 PERIOD_S = 0.001
 UNDER_WAY = 1
 """Pictures exposed but not delivered at any time, as in the buffers of a webcam."""

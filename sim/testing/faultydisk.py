@@ -11,25 +11,14 @@ from pathlib import Path
 from typing import Any
 from unittest import mock
 
+from sim.tables import packaged_table
+
 WRITING = os.O_WRONLY | os.O_RDWR | os.O_CREAT | os.O_TRUNC
 CALLS_A_FRAME = 8
 """open, write, fsync, rename, open and fsync of the folder; write and fsync of the row."""
 
-REFUSED: dict[str, tuple[int, frozenset[str]]] = {
-    "disk full": (errno.ENOSPC, frozenset({"write", "mkdir"})),
-    "folder read-only": (
-        errno.EROFS,
-        frozenset({"open", "write", "mkdir", "replace", "ftruncate", "unlink"}),
-    ),
-    "disk error": (errno.EIO, frozenset({"write", "fsync"})),
-    "disk error in fsync": (errno.EIO, frozenset({"fsync"})),
-    "disk pulled": (
-        errno.EIO,
-        frozenset({"open", "write", "fsync", "mkdir", "replace", "ftruncate", "unlink"}),
-    ),
-}
-"""Kind of fault to the error number and the calls it refuses.  A file system that falls back
-to read-only refuses even on descriptors that are open for writing."""
+REFUSED = packaged_table("sim.testing", "faults.toml")["disk"]
+"""Kind of fault to the name of the error and the calls it refuses."""
 
 PARTLY = frozenset({"disk full", "disk error", "disk pulled"})
 """Faults under which the write they strike still writes its first bytes."""
@@ -117,6 +106,7 @@ class FaultyDisk:
         return path == self._folder or self._folder in path.parents
 
     def _refuse(self, name: str) -> None:
-        number, calls = REFUSED.get(self._kind, (0, frozenset()))
-        if name in calls:
+        refused = REFUSED.get(self._kind)
+        if refused is not None and name in refused["calls"]:
+            number = getattr(errno, refused["error"])
             raise OSError(number, os.strerror(number))

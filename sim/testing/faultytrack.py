@@ -7,21 +7,14 @@ from dataclasses import replace
 
 from lscan.devices.grbl import SerialTrack, SerialTrackOptions, open_track
 from sim.emulators.grbl import DirectLine, Faults, GrblEmulator, SimulatedTime
+from sim.tables import packaged_table
 
-ZERO_MM = -30.0
+ZERO_MM: float = packaged_table("sim.testing", "bench.toml")["track"]["options"]["zero_mm"]
 """Where, counted from the switch, the track's position is 0."""
 
 FAULTS = {
-    "serial silent": Faults(silent=True),
-    "serial garbled": Faults(garble=0.5),
-    "serial noisy": Faults(garble=0.01),
-    "serial unplugged": Faults(unplug=True),
-    "lost ok": Faults(lose_oks=1),
-    "alarm": Faults(alarm=True),
-    "restart": Faults(restart=True),
-    "quiet restart": Faults(restart=True, quietly=True),
-    "stuck": Faults(stuck=True),
-    "slow": Faults(slow=20.0),
+    kind: Faults(**fields)
+    for kind, fields in packaged_table("sim.testing", "faults.toml")["track"].items()
 }
 
 

@@ -6,9 +6,7 @@ and a picture.
 
 from __future__ import annotations
 
-import tomllib
 from dataclasses import dataclass
-from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
@@ -24,6 +22,7 @@ from lscan.devices.opencv_camera import OpencvOptions
 from lscan.records import Frame
 from sim.devices import CameraOptions, TrackOptions
 from sim.scene.file import TankSections
+from sim.tables import packaged_table
 
 SIZE_PX = (16, 16)
 CAMERAS: dict[str, type[Strict]] = {
@@ -37,9 +36,7 @@ TRACKS: dict[str, type[Strict]] = {
     "replay": ReplayOptions,
     "sim": TrackOptions,
 }
-_SECTIONS: Document = tomllib.loads(
-    files("sim.testing").joinpath("goodrigs.toml").read_text(encoding="utf-8")
-)
+_SECTIONS: Document = packaged_table("sim.testing", "goodrigs.toml")
 _TANK, _SHAFT = _SECTIONS["tank"], _SECTIONS["shaft"]
 _BLOCK: Document = {"kind": "grooved-block"}
 

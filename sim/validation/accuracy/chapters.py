@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -58,19 +59,10 @@ def groove_chapter(scenes: Path, effort: AccuracyEffort) -> list[Row]:
     return [*_largest("Table III", tables, 0.15, effort), _interval("groove", tables, effort)]
 
 
-def slices_chapter(scenes: Path, effort: AccuracyEffort) -> list[Row]:
-    """The slices of the sandwave with speckle."""
-    return _slices(scenes, effort, SPECKLE, rmse_mm=0.15, within_mm=0.4)
-
-
-def smooth_slices_chapter(scenes: Path, effort: AccuracyEffort) -> list[Row]:
-    """The slices of the sandwave without speckle."""
-    return _slices(scenes, effort, 0.0, rmse_mm=0.05, within_mm=0.2)
-
-
-def _slices(
+def slices_chapter(
     scenes: Path, effort: AccuracyEffort, contrast: float, rmse_mm: float, within_mm: float
 ) -> list[Row]:
+    """The slices of the sandwave with speckle of this contrast, 0 for none."""
     scene = with_contrast(_best(scenes, effort, "sandwave"), contrast)
     board = with_contrast(_best(scenes, effort, "board"), contrast)
     seed = effort.seeds[0]
@@ -130,8 +122,8 @@ def photograph_chapter(photographs: Path, scenes: Path, effort: AccuracyEffort) 
 # The longest first: chapters run side by side, and no processor shall wait at the end.
 CHAPTERS: Mapping[str, Chapter] = {
     "grid": grid_chapter,
-    "slices": slices_chapter,
-    "slices without speckle": smooth_slices_chapter,
+    "slices": partial(slices_chapter, contrast=SPECKLE, rmse_mm=0.15, within_mm=0.4),
+    "slices without speckle": partial(slices_chapter, contrast=0.0, rmse_mm=0.05, within_mm=0.2),
     "groove": groove_chapter,
     "board": board_chapter,
     "metric": metric_chapter,

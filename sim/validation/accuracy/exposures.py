@@ -12,9 +12,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.optimize import brentq
 
+from lscan.calibration.api import PlaneMap
 from lscan.config.rig import StripeSection
-from lscan.records import Bytes, Stripe
+from lscan.records import Bytes, Profile, Stripe
 from lscan.stripe import extract_stripe
+from lscan.surface.profile import to_profile
 from sim.render.tank import Layers, Tank
 from sim.scene import Scene
 from sim.sensor import Webcam
@@ -29,6 +31,13 @@ class ScanReading:
 
     positions_mm: tuple[float, ...]
     stripes: tuple[Stripe, ...]
+
+    def profiles(self, plane_map: PlaneMap) -> list[Profile]:
+        """The stripes in the plane of the sheet, one for each position."""
+        return [
+            to_profile(stripe, plane_map, position)
+            for stripe, position in zip(self.stripes, self.positions_mm, strict=True)
+        ]
 
 
 def pictures(scene: Scene, layers: Layers, seeds: Iterable[int]) -> list[Bytes]:

@@ -8,9 +8,8 @@ from lscan.calibration.api import PlaneMap
 from lscan.config.targets import GroovedBlock
 from lscan.measure import groove_dimensions
 from lscan.records import Length
-from lscan.surface.profile import to_profile
 from sim.scene import Scene
-from sim.validation.accuracy.exposures import ScanReading, read_scan
+from sim.validation.accuracy.exposures import read_scan
 
 
 def dimensions(
@@ -18,17 +17,9 @@ def dimensions(
 ) -> list[dict[str, Length]]:
     """Table III from the scene's scan: one for each seed, through that seed's own map."""
     readings = read_scan(scene, scene.rig.plan.positions_mm(), seeds, scene.rig.stripe)
-    return [
-        _measured(scene, reading, plane_map)
-        for reading, plane_map in zip(readings, plane_maps, strict=True)
-    ]
-
-
-def _measured(scene: Scene, reading: ScanReading, plane_map: PlaneMap) -> dict[str, Length]:
     piece = scene.rig.workpiece
     assert isinstance(piece, GroovedBlock)
-    profiles = [
-        to_profile(stripe, plane_map, position)
-        for stripe, position in zip(reading.stripes, reading.positions_mm, strict=True)
+    return [
+        groove_dimensions(reading.profiles(plane_map), piece)
+        for reading, plane_map in zip(readings, plane_maps, strict=True)
     ]
-    return groove_dimensions(profiles, piece)

@@ -13,7 +13,6 @@ from lscan.measure import compare_slice
 from lscan.pipeline import build_surface, finish
 from lscan.records import Floats, Status, Surface
 from lscan.surface import grid_cells, resample
-from lscan.surface.profile import to_profile
 from sim.scene import Scene
 from sim.truth import slice_visibility
 from sim.validation.accuracy.exposures import ScanReading
@@ -40,11 +39,7 @@ class GridErrors:
 
 def aligned_surface(scene: Scene, reading: ScanReading, plane_map: PlaneMap) -> Surface:
     """The surface of a scan's stripes in the workpiece frame."""
-    profiles = [
-        to_profile(stripe, plane_map, position)
-        for stripe, position in zip(reading.stripes, reading.positions_mm, strict=True)
-    ]
-    built = finish(build_surface(profiles, scene.rig), scene.rig)
+    built = finish(build_surface(reading.profiles(plane_map), scene.rig), scene.rig)
     built.require_alignment()
     return built.surface
 

@@ -11,6 +11,7 @@ from lscan.records import Progress
 from sim.validation.physics.chapters import FULL, QUICK, Measure, chapters
 from sim.validation.physics.gallery import ScenePicture, gallery, scene_files
 from sim.validation.physics.report import write_page
+from sim.validation.physics.topics import topic
 from sim.validation.rows import Row, RowFile, Topic, failed_row, rows_of
 
 
@@ -65,7 +66,7 @@ def run_verify(
         if progress is not None:
             progress(done, len(measures) + 1)
     shown = gallery(scenes, quick)
-    checks.append(_scenes(tuple(file.add(shown.rows))))
+    checks.append(topic("gallery", file.add(shown.rows)))
     evidence = TankEvidence(tuple(checks), shown.plates, time.perf_counter() - started)
     write_page(folder / "report.html", evidence.checks, shown.plates, evidence.seconds)
     return evidence
@@ -79,12 +80,3 @@ def _measured(name: str, measure: Measure) -> Topic:
         key = name.replace(" ", "-")
         text = "This chapter ended with an error and has no figures."
         return Topic(key, name.capitalize(), text, (failed_row(name, error),))
-
-
-def _scenes(rows: tuple[Row, ...]) -> Topic:
-    return Topic(
-        key="gallery",
-        title="Scene files",
-        text="Every scene file is rendered once. A picture that cannot be taken is a failed row.",
-        rows=rows,
-    )

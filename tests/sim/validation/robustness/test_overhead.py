@@ -21,7 +21,7 @@ from sim.validation.robustness import overhead
 from sim.validation.robustness.effort import FULL
 from sim.validation.robustness.overhead import FreeCamera, SavingCamera, frame_times, overhead_rows
 
-SCENE = ROOT / overhead.SCENE
+SCENE = ROOT / "scenes" / "paper" / "sandwave.toml"
 SMALL = (16, 20, 3)
 
 
