@@ -82,8 +82,11 @@ def test_options_are_strict(rig_file: RigFile) -> None:
 
 
 def test_travel_is_enforced(rig_file: RigFile) -> None:
-    track = track_driver.open(small(rig_file, track={"options": {"max_mm": 10.0}}))
-    with pytest.raises(DeviceError, match=r"11\.0 mm.*-1000\.0 to 10\.0 mm"):
+    travel = {"options": {"max_mm": 10.0}}
+    with pytest.raises(InputError, match=r"leaves the track's travel \(got 199\.5"):
+        track_driver.open(small(rig_file, track=travel))
+    track = track_driver.open(small(rig_file, track=travel, plan={"frames": 2}))
+    with pytest.raises(DeviceError, match=r"11 mm.*-1000 mm to 10 mm"):
         track.move_to(11.0)
     assert track.position_mm == 0.0
 
