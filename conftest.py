@@ -19,8 +19,6 @@ Property tests draw the same examples each time.  ``make soak`` draws others (th
 "soak", with a seed of its own for each round).
 """
 
-from __future__ import annotations
-
 import os
 import random
 import time
@@ -108,7 +106,7 @@ def rig_path(pytestconfig: pytest.Config) -> Path:
 
 
 @pytest.fixture(scope="module")
-def chromium() -> Iterator[Chromium]:
+def chromium() -> Iterator["Chromium"]:
     """A headless Chromium for the tests of a module, which skip where there is none.
 
     Not for the session: as long as it lasts, Playwright's event loop is that of this thread.

@@ -3,8 +3,6 @@
 ``lscan.config.scenes`` finds them in both places.
 """
 
-from __future__ import annotations
-
 import shutil
 from pathlib import Path
 

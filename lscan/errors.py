@@ -1,7 +1,5 @@
 """What lscan raises: one clear line that names what, where, the value and what is allowed."""
 
-from __future__ import annotations
-
 
 class LscanError(Exception):
     """Base of every error a user may meet; its text is one line fit for the screen.

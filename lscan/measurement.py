@@ -3,8 +3,6 @@
 The same functions serve runs of the tank and of real hardware.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, TypeVar

@@ -1,7 +1,5 @@
 """The one chain from a run's pictures to its calibration and its surface."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path

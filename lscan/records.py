@@ -19,8 +19,6 @@ which has a value of lesser quality) holds NaN.  Nothing is dropped in silence.
 Every measured coordinate has a standard uncertainty (one sigma) beside it.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from enum import IntEnum

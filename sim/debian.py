@@ -1,7 +1,5 @@
 """Packages of Debian and its kin, installed where this process has the right to."""
 
-from __future__ import annotations
-
 import os
 import shutil
 import subprocess

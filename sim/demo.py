@@ -1,7 +1,5 @@
 """The paper's whole experiment in the tank: scan, evaluate, compare with the truth, report."""
 
-from __future__ import annotations
-
 import shutil
 import time
 from collections.abc import Iterator, Mapping

@@ -1,7 +1,5 @@
 """Tables that lie beside the modules of this package, as TOML."""
 
-from __future__ import annotations
-
 import tomllib
 from importlib.resources import files
 from typing import Any

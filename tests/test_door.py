@@ -1,7 +1,5 @@
 """The public names of ``lscan`` and ``sim``: all there, typed, and loaded only when asked for."""
 
-from __future__ import annotations
-
 import ast
 import importlib
 import subprocess

@@ -1,7 +1,5 @@
 """The examples in docstrings run, in a folder of small scans (``examples_folder``)."""
 
-from __future__ import annotations
-
 import doctest
 import importlib
 from pathlib import Path

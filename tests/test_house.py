@@ -1,7 +1,5 @@
 """The rules of the house, kept by tests: floors, versions, entry points, clean files."""
 
-from __future__ import annotations
-
 import ast
 import importlib.metadata
 import itertools

@@ -1,7 +1,5 @@
 """The commands of both programs, read from their typer apps."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import typer

@@ -4,8 +4,6 @@ The project's records describe their fields in lines such as ``xyz_mm: (F, N, 3)
 by indented ones.  Sphinx reads them as a list once they are written as one.
 """
 
-from __future__ import annotations
-
 import re
 import sys
 from typing import Any

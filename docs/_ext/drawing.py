@@ -1,7 +1,5 @@
 """The rooms of a package and their imports, read from the source and drawn as SVG."""
 
-from __future__ import annotations
-
 import os
 import tomllib
 from html import escape

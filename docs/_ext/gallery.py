@@ -1,7 +1,5 @@
 """A small picture of every scene, rendered once and kept beneath ``out``."""
 
-from __future__ import annotations
-
 import base64
 import hashlib
 import os

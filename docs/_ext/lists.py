@@ -1,7 +1,5 @@
 """Tables of what the code enumerates or registers: status codes, scenes, methods, drivers."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Callable
 from importlib.metadata import entry_points

@@ -1,7 +1,5 @@
 """Sphinx directives that write what the code knows: keys, commands, codes, plug-ins, names."""
 
-from __future__ import annotations
-
 import importlib
 import inspect
 from typing import Any

@@ -5,8 +5,6 @@ bounds and default come from the model; what a key means comes from its ``Field(
 or from ``keys.toml``.
 """
 
-from __future__ import annotations
-
 import tomllib
 from collections.abc import Iterator
 from dataclasses import dataclass

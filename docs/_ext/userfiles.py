@@ -1,7 +1,5 @@
 """Which models check the files a user writes: what the reference of keys is made from."""
 
-from __future__ import annotations
-
 from modelkeys import Section, sections
 
 from lscan.acquisition.replay import ReplayOptions

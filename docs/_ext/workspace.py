@@ -1,7 +1,5 @@
 """Where the code of pages runs: in empty folders beneath ``out``."""
 
-from __future__ import annotations
-
 import hashlib
 import os
 from pathlib import Path

@@ -4,8 +4,6 @@
 the surface that a scan of 200 such pictures gives.
 """
 
-from __future__ import annotations
-
 import os
 import tempfile
 from pathlib import Path

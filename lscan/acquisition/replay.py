@@ -8,8 +8,6 @@ Rig file, the same option for both devices, relative to the rig file:
 ``plan.laser = "pairs"`` needs a run that was recorded in pairs.
 """
 
-from __future__ import annotations
-
 import math
 from pathlib import Path
 from typing import Literal

@@ -12,8 +12,6 @@ still opens.  No file holds a wall-clock time or a host name, so that the same s
 scan gives the same bytes.  This module reads; runwriter.py writes.
 """
 
-from __future__ import annotations
-
 import hashlib
 import io
 import json
@@ -71,7 +69,7 @@ class Manifest(Strict):
         return json.dumps(content, indent=2, ensure_ascii=False, allow_nan=False) + "\n"
 
     @classmethod
-    def from_file(cls, file: Path) -> Manifest:
+    def from_file(cls, file: Path) -> "Manifest":
         """The manifest whose text ``as_text`` wrote; InputError where it is garbled or edited."""
         content = read_json(file, within=file.parent)
         if not isinstance(content, dict):
@@ -111,7 +109,7 @@ class FrameRow:
         return f"{text},{_crc32(text)}"
 
     @classmethod
-    def from_text(cls, text: str, where: object, paired: bool = False) -> FrameRow:
+    def from_text(cls, text: str, where: object, paired: bool = False) -> "FrameRow":
         """The row that ``as_text`` wrote; InputError where it is torn or was changed.
 
         paired: whether it must list a background, or must not.

@@ -4,8 +4,6 @@ What only says how a device is reached and waited for, its driver's ``connection
 differ: a track that is plugged in again may be another port, and a server another address.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any

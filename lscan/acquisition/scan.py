@@ -1,7 +1,5 @@
 """Acquisition: from a rig and its scan plan to a run folder."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager, suppress

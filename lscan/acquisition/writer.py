@@ -6,8 +6,6 @@ always has its pictures.  What a killed scan may leave is a temporary file, a pi
 row, or a torn last row; ``resume_run`` clears these away and goes on.
 """
 
-from __future__ import annotations
-
 import hashlib
 import json
 import os

@@ -1,7 +1,5 @@
 """Calibration boards seen through a flat port from the paper's place: exact marks, then noise."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 

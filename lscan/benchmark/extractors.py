@@ -1,7 +1,5 @@
 """Every stripe extractor on every kind of line: bias, scatter, bound, share found, speed."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass

@@ -4,8 +4,6 @@ The limits are no record to beat: each says what a method must do to be of any u
 simplest methods, the brightest pixel and the paper's own, keep to all of them.
 """
 
-from __future__ import annotations
-
 from lscan.benchmark.boards import BOARDS
 from lscan.benchmark.extractors import ExtractorRow
 from lscan.benchmark.maps import MapRow

@@ -1,7 +1,5 @@
 """Every plane map on every board at several noises: rms and largest error, and its time."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass

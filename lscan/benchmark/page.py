@@ -1,7 +1,5 @@
 """The bench's table and picture, printed and on disk."""
 
-from __future__ import annotations
-
 import io
 import json
 from collections.abc import Sequence

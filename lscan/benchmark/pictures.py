@@ -7,8 +7,6 @@ orders, median over the columns clear of edges); the form fits them to a fifth f
 40 px.  Then come speckle, shot noise, reading noise, the end of the range, and 8 bits.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """The whole bench: which readers of lines and which maps take part, and their rows."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from importlib.metadata import entry_points

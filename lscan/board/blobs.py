@@ -1,7 +1,5 @@
 """Round marks of one size anywhere in a picture: where the search may begin."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import cv2

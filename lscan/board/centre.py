@@ -12,8 +12,6 @@ where it is within 5 % of the Cramér-Rao bound of a dot blurred by 0.7 px (r = 
 scatter = noise / amplitude * exp(q) / (sqrt(2 pi) 2 q), q = r^2 / (2 sigma^2), least at q = 1.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 

@@ -8,8 +8,6 @@ paper bends, ink spreads, movement and coding smear the squares by unlike amount
 windows disagree by, all corners together, is added to what noise does.
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 import cv2

@@ -1,7 +1,5 @@
 """What speaks against the dots found being those of the board."""
 
-from __future__ import annotations
-
 import numpy as np
 from scipy.ndimage import map_coordinates
 

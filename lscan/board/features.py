@@ -1,7 +1,5 @@
 """Ruler marks and named dots: predicted from the grid, then found like the control points."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
@@ -31,7 +29,7 @@ class Contrast:
     contrast: Floats
 
     @classmethod
-    def of(cls, nodes: Nodes, mapping: LocalMap, diameter_mm: float) -> Contrast:
+    def of(cls, nodes: Nodes, mapping: LocalMap, diameter_mm: float) -> "Contrast":
         """The contrast of the control dots, of ``diameter_mm``, from their heights."""
         board = grid_points_mm(nodes.height.shape, mapping.pitch_mm)[nodes.found]
         radius = mapping.scale(board) * diameter_mm / 2

@@ -1,7 +1,5 @@
 """Which dot is which, the local map from board to picture, and dots that do not belong."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -5,8 +5,6 @@ On the plate it is seen directly.  A dot of few pixels is nowhere flat; there th
 its odd third differences do not share with those of all other dots, which are alike.
 """
 
-from __future__ import annotations
-
 import cv2
 import numpy as np
 from scipy.stats import norm

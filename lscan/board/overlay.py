@@ -1,7 +1,5 @@
 """The picture with all that was found drawn into it: the counterpart of Fig. 12."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import cv2

@@ -8,8 +8,6 @@ area det(J + Q x).  To leading order the shift grows as Q times the square of th
 (Heikkilä, IEEE Trans. PAMI 22, 10, 2000, gives that of the ellipse's centre under perspective).
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from lscan.board.lattice import Expansion

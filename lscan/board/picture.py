@@ -1,7 +1,5 @@
 """The picture as the search wants it: one grey value a pixel, marks bright, ground level."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any
 

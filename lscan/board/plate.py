@@ -1,7 +1,5 @@
 """A calibration board as a drawing at its true size, for a printer or a milling machine."""
 
-from __future__ import annotations
-
 from lscan.config.board import Board
 
 CHECK_BAR_MM = 100.0

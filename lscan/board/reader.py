@@ -1,7 +1,5 @@
 """Reading the whole calibration board from one picture, stage by stage."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Any, Literal
 

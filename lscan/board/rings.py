@@ -12,8 +12,6 @@ are corrected for the shift.
 The window works across the line only and along its bend, so it shifts nothing.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -5,8 +5,6 @@ place is searched, and so on until no dot is left.  All dots at the rim of what 
 are searched at once, so a board of thousands of dots takes some tens of rounds.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
@@ -36,7 +34,7 @@ class Nodes:
     sigma_px: Floats
 
     @classmethod
-    def empty(cls, rows: int, columns: int) -> Nodes:
+    def empty(cls, rows: int, columns: int) -> "Nodes":
         """A grid without dots."""
         blank = np.full((rows, columns), np.nan)
         return cls(np.full((rows, columns, 2), np.nan), blank, blank.copy())
@@ -53,11 +51,11 @@ class Nodes:
         self.height[row, column] = centres.height[accepted]
         self.sigma_px[row, column] = centres.sigma_px[accepted]
 
-    def part(self, window: tuple[slice, slice]) -> Nodes:
+    def part(self, window: tuple[slice, slice]) -> "Nodes":
         """The same nodes, seen through a window: what is entered there is entered here."""
         return Nodes(self.points[window], self.height[window], self.sigma_px[window])
 
-    def turned(self, turns: int) -> Nodes:
+    def turned(self, turns: int) -> "Nodes":
         """The same dots on the grid turned by quarter turns."""
         points, height, sigma_px = (
             np.rot90(array, turns).copy() for array in (self.points, self.height, self.sigma_px)

@@ -5,8 +5,6 @@ how large a dot is beside the pitch, so for each size of dot a picture could sho
 that size are looked through for dots with a neighbour at about the pitch on all four sides.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -5,8 +5,6 @@ the solver's name and, after a hyphen, its variant: ``graticule-2-norulers`` is 
 ``graticule`` with the variant ``2-norulers``, ``projective`` by ``projective`` with "".
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any, Protocol
 

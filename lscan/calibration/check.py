@@ -9,8 +9,6 @@ Residuals count by their covariance: each mark's own uncertainty, and the errors
 calibration gives to all marks in common.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any
 

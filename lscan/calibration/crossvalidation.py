@@ -6,8 +6,6 @@ What a map errs by on a mark held out is mostly the noise of that mark, the same
 so maps are compared mark by mark, and those that chance does not tell apart are called tied.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from time import perf_counter

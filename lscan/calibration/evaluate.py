@@ -1,7 +1,5 @@
 """What all plane maps share: which pixels get a value, and the uncertainty stated with it."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Protocol
 

@@ -1,7 +1,5 @@
 """The calibration file: its JSON layout, strict reading, and writing whole or not at all."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 from typing import Annotated, Any, Final, Literal, Self, cast

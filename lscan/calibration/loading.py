@@ -1,7 +1,5 @@
 """The plane map of a calibration file, whichever route made it."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 from lscan.calibration.api import PlaneMap

@@ -4,8 +4,6 @@ The sums of squares count errors by their covariance: each point's own, and mode
 displace all points in common (records.PlanePoints).
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -14,8 +14,6 @@ Frame: the plane map's, with y the sheet's normal away from the camera; so a boa
 sheet has positive distances.  Tilts are right-handed about x and z.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
@@ -117,7 +115,7 @@ class BoardPose:
     turn: Floats
     place_mm: Floats
 
-    def moved(self, step: Floats) -> BoardPose:
+    def moved(self, step: Floats) -> "BoardPose":
         """After a small rotation (3,) in radians and a shift (3,) in mm."""
         return BoardPose(rotation(step[:3]) @ self.turn, self.place_mm + step[3:])
 

@@ -1,7 +1,5 @@
 """The marks of a board reading, control points and rulers together."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 

@@ -6,8 +6,6 @@ neighbouring control points.  On the paper's board that margin is 2.5 mm, a dot'
 Elsewhere a map gives OUT_OF_BOARD and no number: it never extrapolates.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import cached_property
 

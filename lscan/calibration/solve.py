@@ -5,8 +5,6 @@ known of the optics, the marks with their residuals, image size, software.  It h
 only, and all that is needed to solve the map again.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """What the plane maps of this package share: a record that is its file, and a solver's frame."""
 
-from __future__ import annotations
-
 from abc import ABC, abstractmethod
 from typing import Any, ClassVar, Generic, TypeVar, cast
 

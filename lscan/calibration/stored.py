@@ -4,8 +4,6 @@ The dataclasses that maps are made of use these types for their fields, so that 
 declaration serves the program and the strict reading of its files.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from functools import partial
 from typing import Annotated, Any

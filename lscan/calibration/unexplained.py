@@ -5,8 +5,6 @@ board, so that neighbouring marks share it.  The mean product of neighbours' res
 therefore the mean square of the lack of fit, whatever the noise.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 
 import numpy as np

@@ -1,7 +1,5 @@
 """A camera and the boards in front of it, as one vector of parameters."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property

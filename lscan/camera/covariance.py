@@ -1,7 +1,5 @@
 """The covariance of fitted parameters, and the modes of error that it gives to a map."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import numpy as np

@@ -6,8 +6,6 @@ squares is that of the marks' residuals in the picture over their standard uncer
 the camera's departures from its priors over theirs.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -39,7 +37,7 @@ class BoardMarks:
     sigma_px: Floats
     board: Ints
 
-    def only(self, wanted: Mask) -> BoardMarks:
+    def only(self, wanted: Mask) -> "BoardMarks":
         """Those of a mask (N,)."""
         return BoardMarks(
             self.board_mm[wanted], self.image_px[wanted], self.sigma_px[wanted], self.board[wanted]

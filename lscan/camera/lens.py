@@ -1,7 +1,5 @@
 """Brown-Conrady distortion and its inverse (Brown 1971, Conrady 1919; OpenCV's notation)."""
 
-from __future__ import annotations
-
 from functools import lru_cache
 
 import numpy as np

@@ -1,7 +1,5 @@
 """What decides where a camera sees a point: pinhole, lens distortion, flat port."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The parameters of a camera behind a port: their order, limits, and what is known beforehand."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Literal
 

@@ -11,8 +11,6 @@ whose left side rises and is concave in t, so that Newton's method climbs to the
 below without ever passing it.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from lscan.camera.model import PortModel

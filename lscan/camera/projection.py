@@ -1,7 +1,5 @@
 """From pixels to rays in the water, and from points in the water to pixels."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -3,8 +3,6 @@
 Behind a port, rays near the axis are those of a pinhole with water_index times the focal length.
 """
 
-from __future__ import annotations
-
 import cv2
 import numpy as np
 from scipy.spatial.transform import Rotation

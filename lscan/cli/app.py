@@ -1,7 +1,5 @@
 """The command line ``lscan``: each command is a thin face over public functions."""
 
-from __future__ import annotations
-
 import os
 
 # Before NumPy: its matrices here are small, and threads cost them more time than they save.

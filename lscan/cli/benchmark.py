@@ -1,7 +1,5 @@
 """The command ``lscan bench``: a thin face over lscan.benchmark."""
 
-from __future__ import annotations
-
 import sys
 from pathlib import Path
 from typing import Annotated

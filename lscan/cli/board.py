@@ -1,7 +1,5 @@
 """The command ``lscan draw-board``: a thin face over lscan.board.plate."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Annotated
 

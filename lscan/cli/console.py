@@ -1,7 +1,5 @@
 """What the two command lines share: one clear line for an error, progress bars, JSON, tables."""
 
-from __future__ import annotations
-
 import json
 import sys
 from collections.abc import Iterator, Sequence

@@ -1,7 +1,5 @@
 """The command ``lscan scan``: a thin face over lscan.acquisition.scan."""
 
-from __future__ import annotations
-
 import sys
 from pathlib import Path
 from typing import Annotated

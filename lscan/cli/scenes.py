@@ -1,7 +1,5 @@
 """``lscan scenes``: the scenes that come with lscan, listed or copied."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Annotated
 

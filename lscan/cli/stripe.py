@@ -1,7 +1,5 @@
 """The command ``lscan extract``: a thin face over lscan.stripe."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Annotated
 

@@ -1,7 +1,5 @@
 """What a field of a file's model may hold: read from the model's types, said in words."""
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Iterator
 from dataclasses import dataclass, field

@@ -5,8 +5,6 @@ upper-left dot of the grid, x right, z up, in mm.  The paper's board (Figs. 8, 1
 ``scenes/paper/calibration-board.toml``.
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Annotated, Literal, Self
 

@@ -7,8 +7,6 @@ including file wins, so scenes share one rig instead of repeating it.
 what was included.  Paths inside a document are relative to the file they stand in.
 """
 
-from __future__ import annotations
-
 import json
 import os
 import re

@@ -1,7 +1,5 @@
 """Drivers, extractors and plane maps by name: installed ones, or a function of the user's."""
 
-from __future__ import annotations
-
 from functools import cache
 from importlib import import_module
 from importlib.metadata import EntryPoint, entry_points

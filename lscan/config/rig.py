@@ -5,8 +5,6 @@ and laser, say) may stand in the same file: each driver names the sections it ow
 them itself, so a scene file of the tank is a rig file too.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from math import cos, degrees, hypot, pi, radians
 from pathlib import Path

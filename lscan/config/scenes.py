@@ -3,8 +3,6 @@
 In a checkout they lie beside the packages, in an installed lscan within it.
 """
 
-from __future__ import annotations
-
 import os
 import shutil
 from functools import cache

@@ -3,8 +3,6 @@
 Each piece has its own workpiece frame, in mm, z up; a scene places it in the tank.
 """
 
-from __future__ import annotations
-
 from typing import Annotated, Literal
 
 import numpy as np

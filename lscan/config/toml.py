@@ -1,7 +1,5 @@
 """Documents written as TOML files."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 

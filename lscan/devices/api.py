@@ -4,8 +4,6 @@ A driver is an object registered under the entry-point group ``lscan.cameras`` o
 ``lscan.tracks``; its name there is what a rig file's ``driver`` key says.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Protocol, runtime_checkable
 

@@ -1,7 +1,5 @@
 """What is connected to this machine, and which drivers can use it."""
 
-from __future__ import annotations
-
 import importlib
 import sys
 import threading

@@ -5,8 +5,6 @@ driver = "manual"
 options = { min_mm = 0, max_mm = 300 }
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from typing import Annotated

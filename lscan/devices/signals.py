@@ -1,7 +1,5 @@
 """Ctrl-C and SIGTERM: what runs is ended in order, so that no laser stays lit."""
 
-from __future__ import annotations
-
 import signal
 import threading
 from collections.abc import Callable, Iterator

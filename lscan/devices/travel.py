@@ -1,7 +1,5 @@
 """What tracks with a travel share: limits, as options too, and what lies outside them refused."""
 
-from __future__ import annotations
-
 from typing import Generic, Self, TypeVar
 
 from pydantic import model_validator

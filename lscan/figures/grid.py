@@ -1,7 +1,5 @@
 """Scattered points of a surface averaged onto a regular grid, for pictures."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

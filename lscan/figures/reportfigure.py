@@ -1,7 +1,5 @@
 """A figure ready for a page, and numbers as a page writes them."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 

@@ -4,8 +4,6 @@ Figures are drawn in the light theme's colours; in the SVG each becomes a CSS va
 that colour as its fallback, so that the page may turn dark and a saved figure stays right.
 """
 
-from __future__ import annotations
-
 import base64
 import io
 import re

@@ -5,8 +5,6 @@ read without end; so only regular files are read, and no more of them than is al
 Writing: a crash or a full disk at any moment leaves no half file behind, and no link is followed.
 """
 
-from __future__ import annotations
-
 import errno
 import fcntl
 import os

@@ -9,8 +9,6 @@ PNG: ISO/IEC 15948, 11.2.2.  JPEG: ISO/IEC 10918-1, annex B.  BMP: Microsoft, BI
 TIFF: Adobe, revision 6.0, and Adobe Photoshop TIFF Technical Notes for BigTIFF.  WebP: RFC 9649.
 """
 
-from __future__ import annotations
-
 import struct
 from collections.abc import Callable
 from dataclasses import dataclass

@@ -3,8 +3,6 @@
 All that decodes a stranger's picture does it here, once its header says that it is not too large.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any

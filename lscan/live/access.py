@@ -6,8 +6,6 @@ machine (DNS rebinding) is not a name that is served here (Host).  A command is 
 the browser states that it comes from this very page: to SameSite, another port is the same site.
 """
 
-from __future__ import annotations
-
 import re
 import secrets
 import socket

@@ -1,7 +1,5 @@
 """What is measured of one picture for the live page."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The board picture taken from the live page, and the plane map solved from it."""
 
-from __future__ import annotations
-
 import shutil
 from collections.abc import Iterator
 from contextlib import contextmanager

@@ -1,7 +1,5 @@
 """What the live page says of the calibration board: its marks, residuals, place off the sheet."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -6,8 +6,6 @@ gets the pictures it would get without the page.  A track is asked now and then 
 answers, and opened again by the next command that needs it.
 """
 
-from __future__ import annotations
-
 import contextlib
 import threading
 from collections.abc import Callable, Iterator

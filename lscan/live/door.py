@@ -1,7 +1,5 @@
 """The door of the live page: whom it lets in, and the safety headers of all answers."""
 
-from __future__ import annotations
-
 from starlette.requests import Request
 from starlette.responses import PlainTextResponse, RedirectResponse
 from starlette.types import ASGIApp, Message, Receive, Scope, Send

@@ -1,7 +1,5 @@
 """Errors of the live page: what it refuses beyond bad input, and any error in one line."""
 
-from __future__ import annotations
-
 from lscan.errors import LscanError
 
 

@@ -1,7 +1,5 @@
 """The files of the live page, listed once: no path of a request reaches the file system."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 FOLDER = Path(__file__).parent / "page"

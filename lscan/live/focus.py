@@ -1,7 +1,5 @@
 """The greatest sharpness at the head's present position, the reference of the others."""
 
-from __future__ import annotations
-
 MOVED_MM = 0.1
 """A head within this of where it stood looks at the same place: a track may report it so often
 that its readings scatter, and a line does not change within a tenth of a millimetre."""

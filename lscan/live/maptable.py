@@ -6,8 +6,6 @@ NODE_PX² / 8 of the map's second derivative, microns for a camera of moderate d
 NODE_PX / 4 of the change of slope where the map is bent, as at the cells of a graticule.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

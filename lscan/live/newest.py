@@ -1,7 +1,5 @@
 """A place for the newest of a kind: whoever is slow misses the ones between, and holds up none."""
 
-from __future__ import annotations
-
 import threading
 import time
 from collections import deque

@@ -1,7 +1,5 @@
 """Start, pause, resume and stop of a scan, which runs in a thread of its own."""
 
-from __future__ import annotations
-
 import re
 import threading
 import time

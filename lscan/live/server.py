@@ -4,8 +4,6 @@ The event loop only waits and sends; whatever may take time runs in threads.  A 
 next picture when it asks for it, so one that stops reading holds up itself alone.
 """
 
-from __future__ import annotations
-
 import asyncio
 import contextlib
 import json

@@ -1,7 +1,5 @@
 """One session of the live page: devices, the threads that look and measure, and the commands."""
 
-from __future__ import annotations
-
 import threading
 import time
 from collections.abc import Callable, Iterator

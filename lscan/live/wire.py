@@ -5,8 +5,6 @@ JSON      UTF-8; numbers that are not known are null
 JPEG      the picture as the camera sees it
 """
 
-from __future__ import annotations
-
 import json
 import struct
 from typing import Any

@@ -6,8 +6,6 @@ distance only the difference at its two ends counts, of a diameter only what is 
 circle has followed the shift of its points.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The circle that lies closest to points in a plane."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -7,8 +7,6 @@ to the columns of the picture, so that speckle, which moves single columns, is a
 the fall.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

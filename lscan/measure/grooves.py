@@ -1,7 +1,5 @@
 """The nine dimensions of the grooved block from its profile (Sec. IV.B, Fig. 21, Table III)."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise

@@ -1,7 +1,5 @@
 """A measured length with the parts of its uncertainty, and the mean of it over pictures."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

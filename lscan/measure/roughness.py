@@ -5,8 +5,6 @@ scattering, which models take as a power spectrum, commonly a power law (D. R. J
 M. D. Richardson, High-Frequency Seafloor Acoustics, Springer 2007, ch. 6).
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Straight segments of a profile: runs of neighbouring points on one level."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """A measured slice of the sandwave against eq. (4) (Figs. 29 to 32)."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

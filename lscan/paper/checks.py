@@ -1,7 +1,5 @@
 """The head of the report: each part's figure beside the paper's, and whether it kept its bar."""
 
-from __future__ import annotations
-
 from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass
 

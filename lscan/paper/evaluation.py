@@ -1,7 +1,5 @@
 """The paper's experiment evaluated twice from the same pictures: by its chain and by the best."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 

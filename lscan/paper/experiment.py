@@ -1,7 +1,5 @@
 """The records of the paper's whole experiment (Sec. IV), and what its board picture gives."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from typing import Any
@@ -131,7 +129,7 @@ class Experiment:
     sandwave: SandwaveMeasures | None = None
     sources: Mapping[str, PictureSource] = field(default_factory=dict)
     shown: Mapping[str, LinePictures] = field(default_factory=dict)
-    best: Experiment | None = None
+    best: "Experiment | None" = None
     best_refused: str = ""
     seconds: Mapping[str, float] = field(default_factory=dict)
     truth: GroundTruth | None = None

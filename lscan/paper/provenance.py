@@ -4,8 +4,6 @@ A run whose camera is the tank's says so; what was played back, or came over a n
 been rendered as well, but no run can know.
 """
 
-from __future__ import annotations
-
 from collections.abc import Collection, Mapping
 
 from lscan.acquisition.run import Run

@@ -5,8 +5,6 @@ III, the pixels and centres of eq. (8), and the bounds its text claims.  Numbers
 as printed, misprints included; ``MISPRINTS`` lists those that contradict one another.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 from types import MappingProxyType

@@ -1,7 +1,5 @@
 """What an experiment leaves on disk: results.json, the report, the calibrations, the surface."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import asdict
 from pathlib import Path

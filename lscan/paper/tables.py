@@ -1,7 +1,5 @@
 """The paper's Tables I to III and its slices, with our numbers beside the printed ones."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, replace
 

@@ -1,7 +1,5 @@
 """What a stripe extractor is, and the one way to call it."""
 
-from __future__ import annotations
-
 from typing import Any, Protocol
 
 import numpy as np

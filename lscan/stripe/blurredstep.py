@@ -10,8 +10,6 @@ with the depth inside each end, the width of its blur, the wall's share g (0 wit
 a level that is linear in coefficients of its own.  (Model and derivation are ours.)
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

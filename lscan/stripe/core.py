@@ -1,7 +1,5 @@
 """Light of a line's core above the ground beside it: what shows where the line ends."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from lscan.records import Floats, Stripe, has_value

@@ -7,8 +7,6 @@ of the window, ln of the width s in px, ln of the height A in DN, ground b in DN
 in DN/px.  The logarithms keep width and height positive however a fit wanders.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -1,7 +1,5 @@
 """From a picture to the stripe in it: the one function that everybody calls."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import TypeVar, cast

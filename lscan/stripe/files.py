@@ -1,7 +1,5 @@
 """The line of one picture as a table."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 from lscan.files.disk import write_atomically

@@ -6,8 +6,6 @@ with the probability of what it says: the light was at least this (a censored ob
 Tobin 1958).
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import cast
 
@@ -50,7 +48,7 @@ class LineWindows:
     used: Mask
     clipped: Mask
 
-    def of(self, chosen: Ints) -> LineWindows:
+    def of(self, chosen: Ints) -> "LineWindows":
         """The columns ``chosen`` alone."""
         return LineWindows(
             self.steps,
@@ -68,7 +66,7 @@ class LinePrior:
     mean: Floats
     precision: Floats
 
-    def of(self, chosen: Ints) -> LinePrior:
+    def of(self, chosen: Ints) -> "LinePrior":
         """The columns ``chosen`` alone."""
         return LinePrior(self.mean[chosen], self.precision[chosen])
 

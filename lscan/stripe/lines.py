@@ -1,7 +1,5 @@
 """A picture laid out for stripe extraction: one row in memory for each entry of the stripe."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import cast
 

@@ -1,7 +1,5 @@
 """Pictures of what an extractor found."""
 
-from __future__ import annotations
-
 from typing import cast
 
 import cv2

@@ -1,7 +1,5 @@
 """Which columns of a picture have a line in them, and at which pixel it peaks."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from typing import TypeVar
 
@@ -26,7 +24,7 @@ class Peaks:
     rows: Ints
     base: Floats
 
-    def of(self, chosen: Ints) -> Peaks:
+    def of(self, chosen: Ints) -> "Peaks":
         """Those ``chosen`` alone."""
         return Peaks(self.columns[chosen], self.rows[chosen], self.base[chosen])
 

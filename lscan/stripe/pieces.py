@@ -1,7 +1,5 @@
 """The pieces of a stripe: stretches of neighbouring columns between gaps and jumps."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from lscan.records import Ints, Stripe, has_value

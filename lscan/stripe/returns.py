@@ -7,8 +7,6 @@ not chosen are then painted over, so that an extractor that looks at one column 
 one line in each.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import cv2

@@ -1,7 +1,5 @@
 """How wide the laser line is in a picture."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from lscan.records import Floats, Ints

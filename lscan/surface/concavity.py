@@ -20,8 +20,6 @@ first term follows the concavity across the sheet, the second slope times concav
 Profiles of neighbouring track positions give both, for the target stands still.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 

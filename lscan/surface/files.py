@@ -3,8 +3,6 @@
 The same surface gives the same bytes.
 """
 
-from __future__ import annotations
-
 import tempfile
 from collections.abc import Mapping
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Heights on a regular grid: what is left of a surface's noise and calibration in each cell."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -4,8 +4,6 @@ NetCDF-4 is HDF5, whose files may refer to others, declare more numbers than the
 and hold objects; of what a surface is made of, none does.
 """
 
-from __future__ import annotations
-
 import io
 from collections.abc import Mapping
 from math import prod

@@ -1,7 +1,5 @@
 """The sandwave block's nominal top: height and slope at a place in plan, clear of its steps."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

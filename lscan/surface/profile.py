@@ -1,7 +1,5 @@
 """From the stripe in a picture to the profile in the laser sheet."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from lscan.calibration.api import PlaneMap

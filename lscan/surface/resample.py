@@ -1,7 +1,5 @@
 """Slices of an aligned surface: the height along a straight line in plan (Fig. 28)."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

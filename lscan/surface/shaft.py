@@ -10,8 +10,6 @@ is not known of the shaft has five parameters: two offsets of p square to d, two
 the relative scale of the angle; each displaces every point of the scan in a way of its own.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -63,7 +61,7 @@ class Shaft:
         """(..., 3) points of the frame of position 0 in the head at positions (...,), mm."""
         return self.turn(points_mm, -np.asarray(position_mm))
 
-    def moved(self, parameters: Floats) -> Shaft:
+    def moved(self, parameters: Floats) -> "Shaft":
         """The shaft with its five parameters (mm, rad, 1) changed; the covariance stays."""
         offsets, tilts = parameters[:2] @ self.axes, parameters[2:4] @ self.axes
         direction = self.direction + tilts

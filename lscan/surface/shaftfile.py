@@ -1,7 +1,5 @@
 """The section ``[shaft]`` as a file by itself, to be included in a rig file."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 from lscan.config.documents import check, read_document

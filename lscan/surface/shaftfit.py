@@ -15,8 +15,6 @@ All is of first order in the noise: on a crest of curvature k, noise s lifts the
 k s² / 2, which at 0.1 mm is 0.001 mm and shifts a parameter by up to 0.4 of its uncertainty.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -184,7 +182,7 @@ class _State:
     shift: Floats
     amounts: Floats
 
-    def stepped(self, step: Floats, pivot: Floats) -> _State:
+    def stepped(self, step: Floats, pivot: Floats) -> "_State":
         """The state after a step (11 + M,), the workpiece turned about ``pivot`` (3,)."""
         turn = Rotation.from_rotvec(step[:3]).as_matrix()
         shift = turn @ (self.shift - pivot) + pivot + step[3:POSE]

@@ -1,7 +1,5 @@
 """Profiles stacked into a surface."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The command line ``lscan-sim``: thin faces over public functions, one module a topic."""
 
-from __future__ import annotations
-
 from lscan.cli.console import command_line, run_command_line
 from sim.cli.demo import demo
 from sim.cli.figures import accuracy, bench, hardware, verify

@@ -1,7 +1,5 @@
 """What the arguments of ``lscan-sim`` name, and how its commands print files."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated

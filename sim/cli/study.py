@@ -1,7 +1,5 @@
 """``lscan-sim study``: where an error comes from."""
 
-from __future__ import annotations
-
 from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated

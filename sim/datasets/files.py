@@ -1,7 +1,5 @@
 """Files of a render and of its truth: pictures, layers and tables."""
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass

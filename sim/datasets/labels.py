@@ -3,8 +3,6 @@
 From the render's layers and the truth of the line, without looking at the picture itself.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from enum import IntEnum
 

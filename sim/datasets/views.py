@@ -1,7 +1,5 @@
 """Pictures of a board held into the laser sheet in many poses: what the metric route is fed."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any
@@ -46,7 +44,7 @@ class Poses:
     tilt_deg: Floats
     features: Floats
 
-    def only(self, wanted: Any) -> Poses:
+    def only(self, wanted: Any) -> "Poses":
         """Those of a mask or of indices."""
         return Poses(*(getattr(self, field.name)[wanted] for field in fields(self)))
 

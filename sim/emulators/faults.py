@@ -1,7 +1,5 @@
 """Faults of the emulated hardware by name, as a command line gives them."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import get_args

@@ -1,7 +1,5 @@
 """The tank as hardware: all of it, plugged in and switched on within a ``with`` block."""
 
-from __future__ import annotations
-
 import threading
 from contextlib import ExitStack
 from pathlib import Path

@@ -1,7 +1,5 @@
 """How the tank is served as hardware."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Self, get_args

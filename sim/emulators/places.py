@@ -1,7 +1,5 @@
 """What the webcam sees from each place of the head, rendered once and kept."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import lru_cache
 

@@ -1,7 +1,5 @@
 """The rig file of the emulated hardware: the scene's instrument, with the drivers of real ones."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import Any
 

@@ -1,7 +1,5 @@
 """The emulated track: a controller behind a serial port, its travel made for a scan's plan."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from pathlib import Path

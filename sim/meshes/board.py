@@ -1,7 +1,5 @@
 """The calibration board as meshes, exact to the board file but for its circles' corners."""
 
-from __future__ import annotations
-
 import numpy as np
 import trimesh
 from shapely.geometry import MultiPolygon, Point, Polygon, box

@@ -1,7 +1,5 @@
 """Reflectances: at the laser's wavelength, out of a picture, out of a mesh's vertex colours."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Parts: what stands in the tank, as triangle meshes of one surface each."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from typing import Literal
 

@@ -1,7 +1,5 @@
 """A coat of sand on the sandwave block."""
 
-from __future__ import annotations
-
 import numpy as np
 import trimesh
 

@@ -1,7 +1,5 @@
 """The target of a scene, and everything else that stands in the tank, as parts."""
 
-from __future__ import annotations
-
 import io
 from collections.abc import Iterator
 from contextlib import contextmanager

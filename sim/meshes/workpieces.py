@@ -1,7 +1,5 @@
 """The paper's test pieces as meshes in their workpiece frames."""
 
-from __future__ import annotations
-
 import numpy as np
 import trimesh
 from shapely.geometry import Polygon, box

@@ -9,8 +9,6 @@ renders a few pixels once in a process of its own, and the answer is remembered.
 package manager for one where none serves.
 """
 
-from __future__ import annotations
-
 import argparse
 import importlib
 import importlib.util

@@ -8,8 +8,6 @@ pixel cut into ``fineness`` parts a side, blurred, and only then gathered, sigma
 before the blur, and in pixels behind it: both exponentials are then gone.
 """
 
-from __future__ import annotations
-
 import cv2
 import numpy as np
 from numpy.typing import NDArray

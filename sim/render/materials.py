@@ -4,8 +4,6 @@ No finish has a delta lobe: the integrators connect a surface to the laser's ape
 perfect mirror would reflect with probability 0.
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 import mitsuba as mi

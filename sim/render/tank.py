@@ -1,7 +1,5 @@
 """The tank: from a scene to radiance, in layers, wherever the head stands."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 from math import ceil
@@ -49,7 +47,7 @@ class Layers:
         """Direct and scattered light together."""
         return self.direct + self.scattered
 
-    def binned(self, shape: tuple[int, int]) -> Layers:
+    def binned(self, shape: tuple[int, int]) -> "Layers":
         """The layers of whole pixels, for a picture of ``shape`` (H, W): the means over each.
 
         Raises InputError where the layers are not a whole multiple of it.

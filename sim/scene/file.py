@@ -1,7 +1,5 @@
 """A scene file: a rig file whose camera and track are the tank's, and the tank around them."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from math import isqrt
@@ -102,7 +100,7 @@ class Scene:
             )
         return self.rig.board
 
-    def with_tank(self, **sections: Mapping[str, Any]) -> Scene:
+    def with_tank(self, **sections: Mapping[str, Any]) -> "Scene":
         """The scene with fields of its tank's sections replaced, which are not checked anew."""
         changed = {
             name: getattr(self.tank, name).model_copy(update=dict(fields))

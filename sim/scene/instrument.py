@@ -3,8 +3,6 @@
 Lengths mm, angles degrees, wavelengths nm, as in the file.
 """
 
-from __future__ import annotations
-
 from math import exp, hypot, pi
 from typing import Annotated, Any, Literal, Self
 

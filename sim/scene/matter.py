@@ -1,7 +1,5 @@
 """Sections of a scene file about what fills the tank: water, light, target, floor."""
 
-from __future__ import annotations
-
 from typing import Annotated, Literal, Self
 
 from pydantic import Field, NonNegativeFloat, PositiveFloat, model_validator

@@ -4,8 +4,6 @@ Frames: camera (x right, y down, z along the axis), sheet (x across the fan, y t
 normal, z against the fan's axis), target, head, world (lscan.records).
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
@@ -47,7 +45,7 @@ class Pose:
         """(..., 3) points of the outer frame in the inner one, mm."""
         return (points - self.origin_mm) @ self.rotation
 
-    def __matmul__(self, inner: Pose) -> Pose:
+    def __matmul__(self, inner: "Pose") -> "Pose":
         return Pose(self.rotation @ inner.rotation, self.apply(inner.origin_mm))
 
 

@@ -1,7 +1,5 @@
 """The lens's point spread: a core, and the glare around it."""
 
-from __future__ import annotations
-
 import cv2
 import numpy as np
 from numpy.typing import NDArray

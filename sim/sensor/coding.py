@@ -1,7 +1,5 @@
 """From electrons to the bytes of a picture: full well, gain, gamma, 8 bit, MJPEG."""
 
-from __future__ import annotations
-
 import cv2
 import numpy as np
 from numpy.typing import NDArray

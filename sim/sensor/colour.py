@@ -1,7 +1,5 @@
 """The colour filter before the pixels, and how a webcam fills in what it hides."""
 
-from __future__ import annotations
-
 import cv2
 import numpy as np
 from numpy.typing import NDArray

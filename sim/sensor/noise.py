@@ -1,7 +1,5 @@
 """Noise of the EMVA 1288 linear model: shot and dark noise, and the pixels' fixed patterns."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

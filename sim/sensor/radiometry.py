@@ -1,7 +1,5 @@
 """How many photons a pixel collects of the radiance before the lens."""
 
-from __future__ import annotations
-
 import cv2
 import numpy as np
 from numpy.typing import NDArray

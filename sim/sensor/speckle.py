@@ -6,8 +6,6 @@ surface reflects shows it: what the water scatters comes from particles that dri
 many wavelengths in an exposure, and its speckle averages out.
 """
 
-from __future__ import annotations
-
 from math import ceil, sqrt
 from typing import Literal
 

@@ -1,7 +1,5 @@
 """Picture after picture of a place where nothing moves: only what differs is computed anew."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

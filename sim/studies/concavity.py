@@ -7,8 +7,6 @@ no part in it, so what is left are the blur along the line (lscan.stripe.correct
 sheet's thickness (lscan.surface.concavity) and what neither describes.
 """
 
-from __future__ import annotations
-
 import json
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace

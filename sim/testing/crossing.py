@@ -1,7 +1,5 @@
 """Rules of a rig file over several of its fields, and how each is broken: crossings.toml."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """A rig on the bench: real drivers on faulty devices, and a fault that strikes in its moment."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager

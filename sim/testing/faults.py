@@ -1,7 +1,5 @@
 """Which faults there are, at which moments they strike, and how one is drawn."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """A webcam behind OpenCV's interface that fails on command, and marks what it saw when."""
 
-from __future__ import annotations
-
 import math
 import threading
 import time
@@ -76,7 +74,7 @@ class FaultyCamera:
 
     # ---- the captures' side -------------------------------------------------------------
 
-    def open(self, options: OpencvOptions) -> FaultyCapture:
+    def open(self, options: OpencvOptions) -> "FaultyCapture":
         """A capture; it does not open while the camera is gone."""
         away = self.befallen("camera gone")
         self.under_way.clear()

@@ -1,7 +1,5 @@
 """The system calls that write a run folder, made to fail on command."""
 
-from __future__ import annotations
-
 import errno
 import os
 import resource

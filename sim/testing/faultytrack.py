@@ -1,7 +1,5 @@
 """A Grbl track in simulated time, whose controller or line fails on command."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 

@@ -4,8 +4,6 @@ They name files beside them, which :func:`write_beside` makes: a recorded run, a
 and a picture.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """What a test picture carries in its pixels: which exposure it is, when and where it was taken."""
 
-from __future__ import annotations
-
 import struct
 import zlib
 from dataclasses import astuple, dataclass

@@ -4,8 +4,6 @@ The fields and what they may hold are read from the models' JSON schemas; the wr
 follow from those (sim.testing.wrongvalues).
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from copy import deepcopy
 from dataclasses import dataclass

@@ -4,8 +4,6 @@ Both follow from the JSON schema that pydantic makes of a model, not from the co
 which reads the same models in a way of its own (lscan.config.allowed).
 """
 
-from __future__ import annotations
-
 import math
 import re
 from collections.abc import Iterator

@@ -1,7 +1,5 @@
 """Where the calibration board's marks truly are in its picture."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 

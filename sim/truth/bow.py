@@ -12,8 +12,6 @@ which in the sheet's own frame (X across, D along the refracted middle ray, Y no
 reads  Y^2 cos(2b) - D Y sin(2b) + (n2 - 1) X^2 sin(b)^2 = 0.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -5,8 +5,6 @@ may be meant: how large a mesh file is and what it lacks, and a target that the 
 on.
 """
 
-from __future__ import annotations
-
 import logging
 from pathlib import Path
 

@@ -7,8 +7,6 @@ in the head's y = 0, where the two frames are one.  Points of the sheet are give
 (x, z) whether the sheet is bowed or not: a cone's rays all pass through its apex.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -5,8 +5,6 @@ where it is then.  The line is found for head positions spread over those of the
 lies in, and each column takes its point from the two of them between which its row falls.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """The laser line in a picture taken at one moment: one point for each of its columns."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

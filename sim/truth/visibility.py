@@ -1,7 +1,5 @@
 """What is lit by the laser and seen by the camera.  Both travel straight in the water."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

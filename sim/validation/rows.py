@@ -1,7 +1,5 @@
 """The rows of every figures file: a figure beside its bar, and what it was held against."""
 
-from __future__ import annotations
-
 import json
 import traceback
 from collections.abc import Callable, Iterable, Mapping, Sequence

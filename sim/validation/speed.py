@@ -7,8 +7,6 @@ same error.  Both render in turn, a pair a run, so that what else the machine do
 the lower end of the ratio's interval over the runs is what is judged.
 """
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass

@@ -4,8 +4,6 @@ The specific volume is v = R T / p* times the derivative of a dimensionless Gibb
 respect to pressure (IAPWS R7-97, equation 7 and table 2; its terms without pressure fall out).
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from sim.water.limits import require

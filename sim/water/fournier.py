@@ -6,8 +6,6 @@ Boss 2002.  With the index n and the Junge slope mu of the sizes,
     nu = (3 - mu) / 2,   delta = 4 sin2(angle / 2) / (3 (n - 1)2).
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The refractive index of the materials ports are made of, relative to air."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from math import sqrt
 

@@ -5,8 +5,6 @@ glass, also relative to air, and air = 1 it makes one consistent set; an absolut
 (IAPWS) mixed in would be wrong by 3.7e-4.
 """
 
-from __future__ import annotations
-
 from math import sqrt
 
 from sim.water.density import (

@@ -1,7 +1,5 @@
 """Absorption and scattering: of pure water, of waters with a name, and of a scene's water."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The refusal of values for which a published formula was not made."""
 
-from __future__ import annotations
-
 from lscan.errors import InputError
 
 Limits = tuple[float, float]

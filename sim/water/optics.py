@@ -1,7 +1,5 @@
 """All that the tank asks of its water at one wavelength, in one record."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 from lscan.records import Floats

@@ -1,7 +1,5 @@
 """Petzold's average particle: the phase function measured in natural waters, from its table."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import cache
 

@@ -4,8 +4,6 @@ Every function takes the scattering angle in rad (0 is forward), not its cosine,
 forward angle cannot be had back: 1 - cos is 2 sin2 of the half angle.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Protocol
 

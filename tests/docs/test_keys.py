@@ -1,7 +1,5 @@
 """The reference describes every key of every file, every status and every method, and no other."""
 
-from __future__ import annotations
-
 import re
 import sys
 from pathlib import Path

@@ -6,8 +6,6 @@ The head moves only within the rig's plan; a laser is switched only where the pl
 With ``driver = "manual"`` someone has to crank: add ``-s`` and read what is asked.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """What is saved is what is measured: every command's surface is the one ``lscan measure`` cuts."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable
 from pathlib import Path

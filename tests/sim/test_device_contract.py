@@ -1,7 +1,5 @@
 """The tank's camera and track keep the contract that real devices keep."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 
 import pytest

@@ -1,7 +1,5 @@
 """The tank's camera and track: the contract of every device, and what is theirs alone."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The tank's laser switched off for a background: what it shows, and what it is good for."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

@@ -6,8 +6,6 @@ each half pixel near a mark, whether they lie on it.  Only the truth needs an it
 the instrument's code is used.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from functools import lru_cache
 

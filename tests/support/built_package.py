@@ -1,7 +1,5 @@
 """The package as its users get it: built, and installed in an environment of its own."""
 
-from __future__ import annotations
-
 import os
 import shutil
 import subprocess

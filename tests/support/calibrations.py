@@ -1,7 +1,5 @@
 """A calibration of the drawn paper board."""
 
-from __future__ import annotations
-
 import numpy as np
 from planeviews import View, paper_board, read_board
 

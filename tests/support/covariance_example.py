@@ -1,7 +1,5 @@
 """A calibration that errs in four known ways, and what that does to the points of a scan."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from lscan.records import Floats, Surface

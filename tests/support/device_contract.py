@@ -8,8 +8,6 @@ A camera's fixture puts the head where the camera can see something.  What a cla
 device may also be set by the fixture, where only the opened device knows it.
 """
 
-from __future__ import annotations
-
 import math
 import threading
 from itertools import pairwise

@@ -1,7 +1,5 @@
 """Photographs of a dense dot board."""
 
-from __future__ import annotations
-
 import cv2
 import numpy as np
 import pytest

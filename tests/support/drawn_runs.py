@@ -3,8 +3,6 @@
 The camera of boards.py sees both.  What the sheet's thickness does is not drawn.
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

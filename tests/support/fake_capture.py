@@ -1,7 +1,5 @@
 """A capture in place of OpenCV's, whose faults are written into its plan."""
 
-from __future__ import annotations
-
 import threading
 import time
 from collections import deque
@@ -48,7 +46,7 @@ class World:
     free: threading.Event = field(default_factory=threading.Event)
     generator: np.random.Generator = field(default_factory=lambda: np.random.default_rng(5))
 
-    def open(self, options: OpencvOptions) -> FakeCapture:
+    def open(self, options: OpencvOptions) -> "FakeCapture":
         """A capture; not opened while the device is away."""
         self.opened += 1
         return FakeCapture(self, away=1 < self.opened <= 1 + self.closes)

@@ -4,8 +4,6 @@ The picture depends on the position and on how often it was grabbed there, count
 each process, as with the simulated camera; so does the clock.
 """
 
-from __future__ import annotations
-
 import zlib
 from dataclasses import dataclass, field
 from pathlib import Path

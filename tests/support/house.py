@@ -5,8 +5,6 @@
 Exit code 1 where one is beyond its bar.
 """
 
-from __future__ import annotations
-
 import ast
 import io
 import sys

@@ -1,7 +1,5 @@
 """Scenes, renders and statistical comparisons of integrators."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import mitsuba as mi

@@ -8,8 +8,6 @@
 Two more arguments are the number of frames, 3 where it is left out, and the plan's ``laser``.
 """
 
-from __future__ import annotations
-
 import os
 import signal
 import sys

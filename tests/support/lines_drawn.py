@@ -1,7 +1,5 @@
 """Gaussian lines drawn into pictures, each pixel the integral of the light over it."""
 
-from __future__ import annotations
-
 import numpy as np
 from scipy.stats import norm
 

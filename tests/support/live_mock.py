@@ -1,7 +1,5 @@
 """A server of the live page's interface without devices: scripted pictures, recorded commands."""
 
-from __future__ import annotations
-
 import copy
 import json
 import threading

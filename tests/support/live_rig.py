@@ -1,7 +1,5 @@
 """A session of the live page on fake devices, and waiting for what it does."""
 
-from __future__ import annotations
-
 import os
 import threading
 import time

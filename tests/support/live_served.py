@@ -1,7 +1,5 @@
 """The live page served on a port of its own, with a browser's client of it."""
 
-from __future__ import annotations
-
 import json
 import struct
 import threading

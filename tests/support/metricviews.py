@@ -4,8 +4,6 @@ The marks' places come from lscan.camera, which tests/sim/truth/camera/test_inde
 checks against the tank's truth; what is tested with them is the adjustment, not the optics.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from typing import Literal
 

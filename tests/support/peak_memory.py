@@ -1,7 +1,5 @@
 """The most memory that a program takes, measured in a process of its own."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 import textwrap

@@ -1,7 +1,5 @@
 """Where the tests find the repository, its scenes, and the photographs where a folder is named."""
 
-from __future__ import annotations
-
 import os
 from pathlib import Path
 

@@ -5,8 +5,6 @@ the plane maps it is to judge: Snell's law at a flat port (the ray's n sin(theta
 same in every layer), a pinhole, and radial distortion k1, k2.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any, Literal

@@ -1,7 +1,5 @@
 """PNG files written byte by byte."""
 
-from __future__ import annotations
-
 import struct
 import zlib
 

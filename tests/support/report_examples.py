@@ -3,8 +3,6 @@
 A pinhole camera with barrel distortion looks at the laser sheet from 1 m, 30 degrees down.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from dataclasses import replace
 from functools import cache

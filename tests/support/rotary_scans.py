@@ -3,8 +3,6 @@
 The rotation is scipy's, from a rotation vector, and shares no formula with the code under test.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """Scenes and layers for the tests of the sensor: flat fields and Gaussian lines."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import replace
 

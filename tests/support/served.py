@@ -1,7 +1,5 @@
 """A small tank served as hardware, for the tests: quick to render, quick to move."""
 
-from __future__ import annotations
-
 import socket
 import threading
 import urllib.request

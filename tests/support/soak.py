@@ -7,8 +7,6 @@ and ``pytest --hypothesis-profile=soak --hypothesis-seed=SEED`` finds it again. 
 soon as a round has failed.
 """
 
-from __future__ import annotations
-
 import secrets
 import subprocess
 import sys

@@ -4,8 +4,6 @@ Independent of the code under test: every sample is the nearest meeting of a col
 the wedges' tops, the rim, the waves or the floor; walls are thin and carry no sample.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -1,7 +1,5 @@
 """A Grbl track: one controller and its head over several sittings of a scan."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path

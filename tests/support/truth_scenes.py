@@ -1,7 +1,5 @@
 """Small scenes for the tests of the truth."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Integrals over the sphere of functions with a sharp forward peak, for tests of the water."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import numpy as np

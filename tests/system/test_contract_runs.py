@@ -1,7 +1,5 @@
 """``pytest -m hardware --rig RIG``, as someone with hardware runs it; the hardware is emulated."""
 
-from __future__ import annotations
-
 import importlib.util
 import os
 import re

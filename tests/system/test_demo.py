@@ -4,8 +4,6 @@ But for one thing: of the sandwave's 400 pictures half are taken, over the same 
 the time.  What is asserted holds of both.
 """
 
-from __future__ import annotations
-
 import json
 from collections.abc import Mapping
 from pathlib import Path

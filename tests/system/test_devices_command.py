@@ -1,7 +1,5 @@
 """``lscan devices RIG --test`` on the tank served as hardware, as a user runs it."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Iterator
 from pathlib import Path

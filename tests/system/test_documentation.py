@@ -5,8 +5,6 @@ versions of the scenes; those for hardware on what the tank emulates.  ``ELSEWHE
 that runs a command which takes long, or serves until it is stopped.
 """
 
-from __future__ import annotations
-
 import re
 import shlex
 import shutil

@@ -1,7 +1,5 @@
 """What the commands do, done from Python through the public names alone."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The end of ``lscan live`` on the tank's own drivers: Mitsuba handles SIGINT too as it renders."""
 
-from __future__ import annotations
-
 import signal
 import subprocess
 import sys

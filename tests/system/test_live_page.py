@@ -1,7 +1,5 @@
 """The live page in headless Chromium: real clicks and keys, real pixels, a mock of the server."""
 
-from __future__ import annotations
-
 import json
 import re
 import time

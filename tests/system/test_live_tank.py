@@ -1,7 +1,5 @@
 """The live page's board on the tank: how far off the sheet it is told to be, and the picture."""
 
-from __future__ import annotations
-
 import time
 from pathlib import Path
 

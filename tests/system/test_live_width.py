@@ -1,7 +1,5 @@
 """The width that the live page calls good is the one at which a line is found best."""
 
-from __future__ import annotations
-
 import re
 
 import numpy as np

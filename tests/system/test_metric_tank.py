@@ -1,7 +1,5 @@
 """The metric route on boards held into the tank's leaning sheet, in air and in water."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """The wheel in a clean environment and an empty folder: nothing of the checkout is needed."""
 
-from __future__ import annotations
-
 import json
 import subprocess
 import zipfile

@@ -1,7 +1,5 @@
 """The report in headless Chromium at a phone's width: nothing of a table out of reach."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 
 import pytest

@@ -1,7 +1,5 @@
 """``lscan-sim serve`` as a process: what it says, and that nothing stays when it is stopped."""
 
-from __future__ import annotations
-
 import json
 import signal
 import subprocess

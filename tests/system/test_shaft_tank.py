@@ -1,7 +1,5 @@
 """The tank's head on a shaft: poses, truth and renders against closed forms; a scan end to end."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """Every figures command of the Makefile is run by ``make smoke``, and that by CI."""
 
-from __future__ import annotations
-
 import re
 
 import pytest
@@ -36,6 +34,7 @@ def test_smoke_runs_the_command_quickly(command: str) -> None:
     assert "--quick" in CliRunner().invoke(app, [command, "--help"]).output
 
 
-def test_continuous_integration_runs_smoke() -> None:
+def test_continuous_integration_runs_the_tests_and_smoke() -> None:
     commands = (ROOT / ".ci" / "run").read_text()
-    assert re.search(r"^for target in smoke docs; do\n    if ! make \"\$target\"", commands, re.M)
+    for target in ("test", "smoke"):
+        assert re.search(rf"^if (! )?make {target}\b", commands, re.M)

@@ -6,8 +6,6 @@ own sigmas of a point of the line that is really there, with at most 0.3 % beyon
 error is beyond in 0.006 %, that of a pixel-wide uniform distribution never).
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import lru_cache
 from importlib.metadata import entry_points

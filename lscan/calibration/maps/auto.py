@@ -6,8 +6,6 @@ solved from all marks: with as little misfit, it is the one that noise moves lea
 the fewest free numbers.  The map keeps the table of all scores.  No variants.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any, cast
 

@@ -1,7 +1,5 @@
 """Curves of a solved graticule as points to draw (paper Figs. 13, 16, 33 and 34)."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Literal
 

@@ -4,8 +4,6 @@ Variants: "1", "2" or "bspline" for the fit of the lines (first-order rms, secon
 cubic B-spline), each also with "-norulers".
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from lscan.calibration.evaluate import Estimate

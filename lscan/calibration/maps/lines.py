@@ -7,8 +7,6 @@ without inner knots, and the least-squares fit in that basis is the paper's rms 
 better conditioned than in powers of a pixel coordinate.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Literal

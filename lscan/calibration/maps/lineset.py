@@ -5,8 +5,6 @@ are the vertical ones.  To find x the same code runs with the roles swapped: lon
 across u, along v, horizontal rulers.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Annotated
@@ -35,7 +33,7 @@ class Targets:
     across: Floats
     variance: Floats
 
-    def at(self, keep: Mask) -> Targets:
+    def at(self, keep: Mask) -> "Targets":
         """Those under the mask."""
         return Targets(self.along[keep], self.across[keep], self.variance[keep])
 
@@ -54,7 +52,7 @@ class Between:
     fraction: Floats
     span_px: Floats
 
-    def at(self, keep: Mask) -> Between:
+    def at(self, keep: Mask) -> "Between":
         """Those under the mask."""
         return Between(self.lower[keep], self.upper[keep], self.fraction[keep], self.span_px[keep])
 

@@ -7,8 +7,6 @@ Legendre polynomials of coordinates scaled to -1 to 1 are fitted: they span the 
 polynomials, so the map is that of eqs. (1) and (2), and it keeps its digits at order 9.
 """
 
-from __future__ import annotations
-
 from functools import cached_property
 from typing import Annotated, Any, Self
 

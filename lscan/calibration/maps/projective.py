@@ -5,8 +5,6 @@ sheet's own (x, z) it has three rows, a plane homography of eight parameters.  I
 neither lens distortion nor the bending of rays at the port.  It has no variants.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Self
 

@@ -5,8 +5,6 @@ stands on physics, so it needs few numbers and keeps its accuracy between the ma
 no variants; what is known of lens and port beforehand comes from the rig's [optics].
 """
 
-from __future__ import annotations
-
 from functools import cached_property
 from typing import Annotated, Self
 

@@ -4,8 +4,6 @@ One plane does not determine all parameters; what was known beforehand decides w
 leave a choice, and the covariance says how much choice there was.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from lscan.calibration.readings import all_marks

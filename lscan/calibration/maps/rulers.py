@@ -8,8 +8,6 @@ lines from mark to mark (0.009 mm), and it averages the noise of the marks: at 0
 standard error is about 0.015 mm, where two marks alone would leave 0.04 mm.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Shifting and scaling of coordinates, so that least squares stays well conditioned."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -13,8 +13,6 @@ over the surface, its intervals contain the truth as often as they state (Nychka
 Statist. Assoc. 83 (1988) 1134).
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

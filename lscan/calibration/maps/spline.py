@@ -10,8 +10,6 @@ remains of it is bent so little that the penalty costs next to nothing.
 Each mark counts by its own uncertainty, carried to mm by the matrix's slope.  No variants.
 """
 
-from __future__ import annotations
-
 from typing import Annotated, Self
 
 import numpy as np

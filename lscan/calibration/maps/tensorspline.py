@@ -1,7 +1,5 @@
 """Tensor-product cubic B-splines over the picture, and how rough such a surface is."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from math import comb
 

@@ -1,7 +1,5 @@
 """The laser's plane from lines on boards: two numbers a view, and their covariance."""
 
-from __future__ import annotations
-
 from functools import partial
 
 import numpy as np

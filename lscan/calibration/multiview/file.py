@@ -1,7 +1,5 @@
 """The file of a metric calibration: all it was solved from, and the map."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Annotated, Any, Final, Literal, Self
 

@@ -1,7 +1,5 @@
 """The laser line on a board: the points that lie in one straight line."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from lscan.calibration.multiview.views import LinePoints

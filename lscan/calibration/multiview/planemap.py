@@ -6,8 +6,6 @@ of the picture, a pixel, so that no uncertainty of the lens's centre displaces i
 that is not rolled against the horizon, x is horizontal.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import NoReturn, Self

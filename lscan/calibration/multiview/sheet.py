@@ -6,8 +6,6 @@ the sheet, and how it leans against it.  Errors of the board's pose and of the c
 all points of a view share, are counted with those two numbers, not with each point.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from itertools import combinations
 

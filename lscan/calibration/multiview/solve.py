@@ -1,7 +1,5 @@
 """From the views of a board to camera, laser sheet and map, and what became of each view."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 

@@ -1,7 +1,5 @@
 """What one picture of the board gives to the multi-view calibration."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -27,7 +25,7 @@ class LinePoints:
         """(2,) unit vector in the picture along which the points are uncertain."""
         return np.array([0.0, 1.0] if self.axis == "columns" else [1.0, 0.0])
 
-    def only(self, wanted: Mask) -> LinePoints:
+    def only(self, wanted: Mask) -> "LinePoints":
         """Those of a mask (K,)."""
         return replace(self, image_px=self.image_px[wanted], sigma_px=self.sigma_px[wanted])
 

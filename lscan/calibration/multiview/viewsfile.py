@@ -1,7 +1,5 @@
 """VIEWS.toml: which pictures of which board, and how they are to be read."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path

@@ -5,8 +5,6 @@ driver = "grbl"
 options = { port = "/dev/ttyUSB0", min_mm = 0, max_mm = 180, zero_mm = -190 }
 """
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable
 

@@ -4,8 +4,6 @@ Sources: the tables "Error Code Description" and "Alarm Code Description" of the
 interface documentation, reworded for someone who stands before a linear track.
 """
 
-from __future__ import annotations
-
 ERRORS = {
     1: "a word of the line does not begin with a letter",
     2: "a number is missing or cannot be read",

@@ -4,8 +4,6 @@ Motion is ``$J=G53``: a jog does not touch the controller's modal state, is refu
 beyond the soft limits, and one byte cancels it without loss of position (Grbl 1.1 "Jogging").
 """
 
-from __future__ import annotations
-
 import secrets
 from collections.abc import Callable
 from typing import Final

@@ -1,7 +1,5 @@
 """Talking with Grbl 1.1: lines and their answers, reports, and noise passed over."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Final
 

@@ -1,7 +1,5 @@
 """Lines over a serial port: sent whole, read until a deadline, noise skipped and counted."""
 
-from __future__ import annotations
-
 import contextlib
 import math
 import time

@@ -6,8 +6,6 @@ A serial line carries no checksum: whatever a position rests on is read until tw
 in a row agree.
 """
 
-from __future__ import annotations
-
 import contextlib
 import math
 from abc import ABC, abstractmethod

@@ -4,8 +4,6 @@ Source: Marlin's G-code reference, pages G28, M114, M115, M400, M410, and "host 
 (``echo:busy: processing`` every two seconds while a command takes its time).
 """
 
-from __future__ import annotations
-
 import re
 import secrets
 from typing import Final

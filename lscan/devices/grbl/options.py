@@ -1,7 +1,5 @@
 """``[track.options]`` of the serial track, checked before any device is touched."""
 
-from __future__ import annotations
-
 from typing import Annotated, Final, Literal
 
 from pydantic import Field

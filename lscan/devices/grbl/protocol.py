@@ -5,8 +5,6 @@ Source: Grbl 1.1 interface documentation, "Response Messages", "Push Messages" a
 documented form exactly is taken for noise.
 """
 
-from __future__ import annotations
-
 import re
 from dataclasses import dataclass
 from typing import Final

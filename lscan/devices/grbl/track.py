@@ -1,7 +1,5 @@
 """A linear track behind a Grbl or Marlin controller."""
 
-from __future__ import annotations
-
 import contextlib
 import logging
 import math

@@ -1,7 +1,5 @@
 """What an address that OpenCV cannot open as a stream answers instead."""
 
-from __future__ import annotations
-
 import urllib.error
 import urllib.request
 from http.client import HTTPException

@@ -1,7 +1,5 @@
 """The camera of the opencv driver: fresh pictures, checked one by one."""
 
-from __future__ import annotations
-
 import logging
 import math
 import threading

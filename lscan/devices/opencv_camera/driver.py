@@ -1,7 +1,5 @@
 """The driver of the entry point ``opencv``: checks the options, opens the camera."""
 
-from __future__ import annotations
-
 import os
 
 from lscan.config.documents import check

@@ -15,8 +15,6 @@ where there were none.  ``flush_ms`` and the track's settling time then cover wh
 set to.
 """
 
-from __future__ import annotations
-
 import time
 from typing import Any
 

@@ -1,7 +1,5 @@
 """How a capture is opened for a device, a stream or a video file."""
 
-from __future__ import annotations
-
 import logging
 import os
 

@@ -1,7 +1,5 @@
 """What ``[camera.options]`` of a rig file may say to the opencv driver, and what a capture is."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Annotated, Any, Literal, Protocol, Self
 

@@ -5,8 +5,6 @@ picture is kept.  A file is read one picture at a time, when the one before has 
 Every call to the capture, opening and releasing included, is made by that thread.
 """
 
-from __future__ import annotations
-
 import itertools
 import threading
 import time

@@ -1,7 +1,5 @@
 """Setting a camera, and reading back what it made of it."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from dataclasses import dataclass

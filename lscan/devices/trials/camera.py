@@ -1,7 +1,5 @@
 """Trying out a rig's camera: what it made of its settings, timing, noise, linearity."""
 
-from __future__ import annotations
-
 import time
 from dataclasses import dataclass
 from functools import reduce

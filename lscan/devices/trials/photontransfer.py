@@ -12,8 +12,6 @@ measuring by the same pictures would put a pixel that happened to be bright in a
 level, and so flatten the slope.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
@@ -54,12 +52,12 @@ class Levels:
     differences: Floats
     clipped: Floats
 
-    def __add__(self, other: Levels) -> Levels:
+    def __add__(self, other: "Levels") -> "Levels":
         """The levels of both, one after the other."""
         pairs = zip(vars(self).values(), vars(other).values(), strict=True)
         return Levels(*(np.concatenate(pair) for pair in pairs))
 
-    def __getitem__(self, which: Mask) -> Levels:
+    def __getitem__(self, which: Mask) -> "Levels":
         """Some of the levels."""
         return Levels(*(array[which] for array in vars(self).values()))
 

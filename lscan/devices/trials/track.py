@@ -1,7 +1,5 @@
 """Trying out a rig's track: moves from both sides, each timed, and how well they repeat."""
 
-from __future__ import annotations
-
 import statistics
 import time
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """Figures of the calibration: board picture, control points, line fits, ruler conversion."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 

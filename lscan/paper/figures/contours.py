@@ -1,7 +1,5 @@
 """Figures of the surface from above, before and after yaw calibration (Figs. 27 and 28)."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from itertools import cycle
 

@@ -1,7 +1,5 @@
 """The surface to turn with the mouse: what Plotly draws, and from where it looks."""
 
-from __future__ import annotations
-
 import json
 from itertools import product
 

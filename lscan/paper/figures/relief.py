@@ -1,7 +1,5 @@
 """Figures of the surface in relief: as scanned, and after reorientation (Figs. 25 and 26)."""
 
-from __future__ import annotations
-
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure

@@ -1,7 +1,5 @@
 """Figures of slices: measured against designed height, and the error (Figs. 29 to 32)."""
 
-from __future__ import annotations
-
 import numpy as np
 from matplotlib.axes import Axes
 

@@ -1,7 +1,5 @@
 """Figures of the laser line: snapshots with the stripe found, and one column's intensities."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

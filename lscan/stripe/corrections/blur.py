@@ -19,8 +19,6 @@ line without noise up to the second derivative of v.  What the line's own thickn
 across it has no part in them: a centroid is linear in the light.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import numpy as np

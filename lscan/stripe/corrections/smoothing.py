@@ -1,7 +1,5 @@
 """Robust smoothing along the line, for those who want less scatter than resolution."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

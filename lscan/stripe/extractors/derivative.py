@@ -1,7 +1,5 @@
 """Blais and Rioux's peak detector: the zero crossing of a filtered derivative."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from lscan.config.rig import StripeSection

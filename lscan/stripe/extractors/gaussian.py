@@ -1,7 +1,5 @@
 """The log-parabola: of a Gaussian the logarithm is a parabola, whose vertex is the centre."""
 
-from __future__ import annotations
-
 from typing import cast
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The extractor that makes the most of the pixels: maximum likelihood of a Gaussian line."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -11,8 +11,6 @@ how far from the nominal peak they put the centre of the line:
 None of them takes account of which pixels are clipped.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import numpy as np

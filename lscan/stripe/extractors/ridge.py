@@ -6,8 +6,6 @@ line's direction, so it smooths along the line as well as across it, and a steep
 smoothed across its own normal and not along the column.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import cv2

@@ -7,8 +7,6 @@ pixel, through which the pixels' noise reaches the centre, and so does what the 
 differs by (scatter.py).  sigma_px holds all three.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -71,7 +69,7 @@ class _Ground:
     slope: Floats
 
     @staticmethod
-    def beside(view: LineWindows, width_px: Floats) -> _Ground:
+    def beside(view: LineWindows, width_px: Floats) -> "_Ground":
         """The ground by the means of the used pixels beyond three widths on either side.
 
         Level where only one side has any, zero where none has.

@@ -1,7 +1,5 @@
 """The peak of the smoothed column, by a parabola through three values about it."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from lscan.config.rig import StripeSection

@@ -5,8 +5,6 @@ slope of the ground under it vary little from one column to the next, so a runni
 over the sample holds for the columns between, and the residuals give the noise.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import numpy as np

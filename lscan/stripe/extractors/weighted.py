@@ -1,7 +1,5 @@
 """The centroid of squared intensities: bright pixels count for more, noise far out for less."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from lscan.config.rig import StripeSection

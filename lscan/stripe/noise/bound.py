@@ -1,7 +1,5 @@
 """The Cramér-Rao bound: no unbiased extractor scatters less than this."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from lscan.records import Floats

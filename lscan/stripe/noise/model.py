@@ -12,8 +12,6 @@ noise follows it exactly; speckle and the target's own texture are stated too la
 their weight is at the line's crest, where a pixel hardly moves the centroid.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -6,8 +6,6 @@ the noise, and their product is the square of the misfit.  Of the misfit only th
 opposite signs on either side of the peak, moves the centre.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

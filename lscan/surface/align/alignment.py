@@ -1,7 +1,5 @@
 """An alignment, and a surface taken to the workpiece frame by it, errors and all."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import numpy as np

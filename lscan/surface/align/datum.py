@@ -12,8 +12,6 @@ About a shaft there is no yaw, and the edges' lean is made zero in place of the 
 corners' turn: six parameters make six quantities zero.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

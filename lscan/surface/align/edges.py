@@ -11,8 +11,6 @@ The directions of the edges against each other are those of the nominal shape, s
 one unknown: the lean that a shear x + lean * y of the whole plan gives to each of them.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 
@@ -48,13 +46,13 @@ class EdgeCrossings:
     index: Ints
     slope: float = 0.0
 
-    def only(self, keep: Mask) -> EdgeCrossings:
+    def only(self, keep: Mask) -> "EdgeCrossings":
         """Those of the mask (K,)."""
         return replace(
             self, inside=self.inside[keep], outside=self.outside[keep], index=self.index[keep]
         )
 
-    def moved(self, to: Callable[[Floats], Floats]) -> EdgeCrossings:
+    def moved(self, to: Callable[[Floats], Floats]) -> "EdgeCrossings":
         """The same crossings in another frame; ``to`` takes points (K, 3) there."""
         return replace(self, inside=to(self.inside), outside=to(self.outside))
 

@@ -1,7 +1,5 @@
 """The samples on the faces beside each edge of the sandwave block, clear of all other edges."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

@@ -9,8 +9,6 @@ directions: with samples of one face alone it could not be distinguished from th
 level is linear over each face; the width is shared by the edges of a group.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

@@ -6,8 +6,6 @@ it settles on the rim, which shares the mean height of the waves; the wedges' to
 patches that stand a wedge's height above it, one on each side.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -11,8 +11,6 @@ Because the shear acts before the rotations, all four are solved together by ite
 About a shaft nothing is sheared: without the yaw, the block's sides give the rotation about z.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
@@ -196,8 +194,8 @@ def _side(piece: Sandwave, x: float) -> tuple[Floats, Floats]:
 
 
 def _refine(
-    tops: Floats, find: _Finder, pose: _BlockPose, piece: Sandwave, sheared: bool
-) -> tuple[_BlockPose, _Edges]:
+    tops: Floats, find: "_Finder", pose: _BlockPose, piece: Sandwave, sheared: bool
+) -> tuple[_BlockPose, "_Edges"]:
     """The pose at which the base plane, the corners and the yaw agree, and the edges in it."""
     kept = None
     for iteration in range(1, MAX_ITERATIONS + 1):

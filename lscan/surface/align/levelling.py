@@ -1,7 +1,5 @@
 """The matrices of an alignment: the shear of the yaw, and the levelling of eqs. (5) to (7)."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from lscan.errors import MeasurementError

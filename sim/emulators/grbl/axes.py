@@ -1,7 +1,5 @@
 """The machine under the controller: three axes, their switches and limits, by Grbl's settings."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 

@@ -5,8 +5,6 @@ probing, coolant, start-up lines, overrides (their bytes are taken and ignored),
 sleep, door; homing goes to the switches at once and stands off by $27.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Blocks of G-code, read and checked as Grbl 1.1 does, with its error codes."""
 
-from __future__ import annotations
-
 import re
 from dataclasses import dataclass, field
 

@@ -1,7 +1,5 @@
 """Serial lines to an emulated controller, in simulated time or opened by the system; faults."""
 
-from __future__ import annotations
-
 import contextlib
 import os
 import select

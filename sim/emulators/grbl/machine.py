@@ -1,7 +1,5 @@
 """What the emulated controllers have in common: a machine of three axes, and bytes in and out."""
 
-from __future__ import annotations
-
 import threading
 import time
 from abc import ABC, abstractmethod

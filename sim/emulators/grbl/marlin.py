@@ -4,8 +4,6 @@ Source: Marlin's G-code reference, pages G0-G1, G20, G21, G28, G90, G91, M3, M5,
 M400, M410, and its host keepalive.
 """
 
-from __future__ import annotations
-
 from sim.emulators.grbl.gcode import GcodeError, clean, parse_block
 from sim.emulators.grbl.machine import EmulatedController
 from sim.emulators.grbl.modes import Modes

@@ -1,7 +1,5 @@
 """What a G-code controller keeps from line to line: its modal state, and how it reads targets."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

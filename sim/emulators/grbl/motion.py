@@ -4,8 +4,6 @@ Each block starts and ends at rest; Grbl joins blocks without stopping where it 
 track that waits after every move never asks for.
 """
 
-from __future__ import annotations
-
 import math
 from collections import deque
 from dataclasses import dataclass

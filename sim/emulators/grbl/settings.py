@@ -1,7 +1,5 @@
 """Grbl's ``$`` settings, and numbers as it writes them."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Mapping
 
 from sim.emulators.grbl.gcode import GcodeError

@@ -1,7 +1,5 @@
 """The emulated camera: it goes on taking pictures from where the head stands."""
 
-from __future__ import annotations
-
 import threading
 import time
 from collections.abc import Callable, Iterator

@@ -5,8 +5,6 @@ client has a thread of its own that takes the newest picture whenever the last o
 that stops reading holds up nobody, and nothing queues for it here.  Loopback only.
 """
 
-from __future__ import annotations
-
 import contextlib
 import socket
 import threading

@@ -1,7 +1,5 @@
 """What the integrators of the first and of all higher orders share: water, sheets, layers."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import ClassVar

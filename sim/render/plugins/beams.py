@@ -4,8 +4,6 @@ Its angle in the fan and its offset across the sheet are drawn near the point, f
 between a line and a point beside it falls off with the distance.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from math import pi, sqrt
 

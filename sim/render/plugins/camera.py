@@ -6,8 +6,6 @@ can connect to it.  Through an aperture of its own size the lens blurs by defocu
 moves while the shutter is open blurs by motion.
 """
 
-from __future__ import annotations
-
 import drjit as dr
 import mitsuba as mi
 

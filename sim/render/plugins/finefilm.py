@@ -1,7 +1,5 @@
 """The sensor plugin with a film finer than the sensor's pixels (sim.render.fineness)."""
 
-from __future__ import annotations
-
 import mitsuba as mi
 
 from sim.render.plugins.camera import RefractiveCamera

@@ -7,8 +7,6 @@ places of the water is the other integrator's (sim.render.plugins.multiple): pat
 by their order, so the two pictures add up.
 """
 
-from __future__ import annotations
-
 from math import pi, sqrt
 
 import drjit as dr

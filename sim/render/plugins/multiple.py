@@ -6,8 +6,6 @@ orders are walks from the camera that end in such a pair at every step; a walk t
 and water scatter, or towards the apex or the line, from where most of the light comes.
 """
 
-from __future__ import annotations
-
 import drjit as dr
 import mitsuba as mi
 

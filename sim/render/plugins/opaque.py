@@ -1,7 +1,5 @@
 """Numbers that may change between frames or rigs without a kernel being compiled anew."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 
 import drjit as dr

@@ -15,8 +15,6 @@ sec. 9.2).  Interreflection is weighted against the surface's own sampling by th
 for light that meets a surface near a corner.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import drjit as dr

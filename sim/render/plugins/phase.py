@@ -7,8 +7,6 @@ from the line (equiangular sampling).  So angles are drawn along a line with the
 p(psi), and in directions with p(psi) sin(psi).
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from math import log1p, pi

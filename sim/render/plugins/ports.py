@@ -5,8 +5,6 @@ face is crossed by Snell's law with its normal pointing along the way, towards t
 Single precision suffices: places are within some 100 mm of the pinhole.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Protocol
 

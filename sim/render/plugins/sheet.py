@@ -10,8 +10,6 @@ fan's plane; s, the offset from the sheet's middle along its normal.  A sheet th
 laser through a tilted window is bowed: its middle rises by q(phi) rho above the plane.
 """
 
-from __future__ import annotations
-
 from math import erf, pi, radians, sqrt
 
 import drjit as dr

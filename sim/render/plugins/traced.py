@@ -5,8 +5,6 @@ Geometry, refraction and Fresnel's loss are Mitsuba's own: stock shapes with the
 sim.render.plugins.ports without sharing a formula with it, and can stand in for it in any picture.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import Any
 

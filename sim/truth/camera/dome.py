@@ -7,8 +7,6 @@ the centre are counted from the radius through the pinhole; a straight ray that 
 centre at ``p`` and goes out from radius a to b advances by arcsin(p/a) - arcsin(p/b).
 """
 
-from __future__ import annotations
-
 from math import hypot
 
 import numpy as np

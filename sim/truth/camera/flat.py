@@ -11,8 +11,6 @@ of refraction is used.  The port's normal is the camera's axis turned by the por
 the camera frame Ry(tilt_y) Rx(tilt_x) (0, 0, 1).
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from lscan.errors import MeasurementError

@@ -1,7 +1,5 @@
 """Where a point of the water is seen: port, pinhole, distortion."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from itertools import pairwise
 

@@ -6,8 +6,6 @@ surfaces throw onto the line, the blur of a moving head, and what a colour filte
 and JPEG do: a line they blur is lower.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any

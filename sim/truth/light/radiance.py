@@ -1,7 +1,5 @@
 """What reaches the lens from the middle of the line: the laser's power on its way there."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

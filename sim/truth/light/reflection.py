@@ -3,8 +3,6 @@
 Written anew from the literature; the tank renders Mitsuba's own materials.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

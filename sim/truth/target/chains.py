@@ -1,7 +1,5 @@
 """Which pieces of a section make up one smooth line, without gap or crease."""
 
-from __future__ import annotations
-
 import numpy as np
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components

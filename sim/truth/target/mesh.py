@@ -1,7 +1,5 @@
 """A triangle mesh as a surface: sections by trimesh, lines of sight by a grid in plan."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -71,7 +69,7 @@ class Mesh:
         return np.asarray(self.mesh.triangles, dtype=float)
 
     @cached_property
-    def _grid(self) -> PlanGrid:
+    def _grid(self) -> "PlanGrid":
         return plan_grid(self._corners)
 
 

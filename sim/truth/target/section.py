@@ -1,7 +1,5 @@
 """The section: everything in the tank, cut by the laser sheet."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -32,7 +30,7 @@ class TargetSection:
     face: Ints
     chain: Ints
 
-    def only(self, kept: Mask) -> TargetSection:
+    def only(self, kept: Mask) -> "TargetSection":
         """The pieces where ``kept``, (M,), is true."""
         return TargetSection(self.ends_mm[kept], self.face[kept], self.chain[kept])
 

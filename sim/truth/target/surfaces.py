@@ -3,8 +3,6 @@
 A scene is a list of surfaces; the index of a surface in that list is its face number.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Protocol
 

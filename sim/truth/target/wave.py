@@ -1,7 +1,5 @@
 """The sandwave block: a height field over a square, its rims, wedges and sides."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """The board: the map on the sheet, Tables I and II, and how often their intervals are right."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

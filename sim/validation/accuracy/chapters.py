@@ -1,7 +1,5 @@
 """What the accuracy table has a figure for, a chapter each."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from pathlib import Path

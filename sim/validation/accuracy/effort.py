@@ -1,7 +1,5 @@
 """How much of the accuracy table's work is done: all of it, or a quick look at every row."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 from sim.scene import Scene

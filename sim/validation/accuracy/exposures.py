@@ -4,8 +4,6 @@ The light is the same each time; speckle, shot noise and reading noise are drawn
 what an uncertainty speaks of, at the cost of one render.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 

@@ -1,7 +1,5 @@
 """The grooved block: Table III, once for each seed."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 from lscan.calibration.api import PlaneMap

@@ -1,7 +1,5 @@
 """How often 95 % intervals contain the truth."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 
 import numpy as np

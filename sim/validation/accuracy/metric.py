@@ -1,7 +1,5 @@
 """The metric route: one grooved block measured in air and in water through a leaning sheet."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path

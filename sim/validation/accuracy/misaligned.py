@@ -1,7 +1,5 @@
 """A board that does not lie in the sheet: does anything say so?"""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -4,8 +4,6 @@ They are no part of the project: a folder of them is named by ``lscan-sim accura
 --photographs``.
 """
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable
 from itertools import pairwise

@@ -1,7 +1,5 @@
 """Every figure of the accuracy table, measured chapter by chapter."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Iterable, Mapping
 from concurrent.futures import Future, ProcessPoolExecutor, as_completed

@@ -1,7 +1,5 @@
 """The sandwave: slices against eq. (4), and how often the intervals of its grid are right."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

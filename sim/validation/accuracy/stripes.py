@@ -1,7 +1,5 @@
 """The best extractor against the Cramér-Rao bound, over all widths and noises asked for."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import product

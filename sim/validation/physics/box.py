@@ -1,7 +1,5 @@
 """A closed box: light of all orders in it is a geometric series."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import drjit as dr

@@ -1,7 +1,5 @@
 """The chapters of the evidence, in the order of the page, and how much each measures."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 

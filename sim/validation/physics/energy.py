@@ -1,7 +1,5 @@
 """Energy: what the laser emits arrives, what a plane reflects is seen, nothing is made of it."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import mitsuba as mi

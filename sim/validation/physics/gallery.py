@@ -1,7 +1,5 @@
 """One small picture of each scene file, as the webcam would take it."""
 
-from __future__ import annotations
-
 import base64
 from dataclasses import dataclass, replace
 from math import ceil, sqrt

@@ -4,8 +4,6 @@ The tables are check values, not the constants of sim.water: index tables comput
 from the same articles, and an independent package where one is installed.
 """
 
-from __future__ import annotations
-
 from importlib import import_module
 from importlib.util import find_spec
 

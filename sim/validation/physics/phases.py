@@ -1,7 +1,5 @@
 """Phase functions against published check values, with integrals done here by quadrature."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import numpy as np

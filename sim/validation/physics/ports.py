@@ -1,7 +1,5 @@
 """The camera's closed-form port against a slab and a dome of glass, traced face by face."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any

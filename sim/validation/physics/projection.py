@@ -1,7 +1,5 @@
 """The truth's projection against published values, the camera plugin and traced glass."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from lscan.records import Floats

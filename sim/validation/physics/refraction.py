@@ -1,7 +1,5 @@
 """Refraction as a diver knows it: what a flat port does to the field of view."""
 
-from __future__ import annotations
-
 import numpy as np
 from scipy.optimize import brentq, least_squares
 

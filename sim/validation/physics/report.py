@@ -1,7 +1,5 @@
 """The page: every check explained, its figures beside their bars, its plots; self-contained."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from importlib.metadata import version
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Scenes for the checks, built here: the evidence rests on no file that a user may edit."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import Any
 

@@ -1,7 +1,5 @@
 """The whole run: measure every chapter, writing its figures, then show them on a page."""
 
-from __future__ import annotations
-
 import time
 from dataclasses import dataclass, replace
 from pathlib import Path

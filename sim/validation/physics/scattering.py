@@ -1,7 +1,5 @@
 """All orders of scattering against Mitsuba's own ``volpath``, on the same emitter and scene."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from typing import Any
 

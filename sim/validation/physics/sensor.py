@@ -1,7 +1,5 @@
 """The sensor's realised noise and radiometry against what is declared for it."""
 
-from __future__ import annotations
-
 from dataclasses import fields
 from math import pi, sqrt
 from typing import Literal

@@ -1,7 +1,5 @@
 """Single scattering from the sheet against quadrature."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import drjit as dr

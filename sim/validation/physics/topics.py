@@ -1,7 +1,5 @@
 """The topics of the page and their figures, with the words of topics.toml."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from typing import Any
 

@@ -1,7 +1,5 @@
 """The same scan through the drivers of real devices and through the tank's own."""
 
-from __future__ import annotations
-
 import shutil
 import time
 from collections.abc import Callable

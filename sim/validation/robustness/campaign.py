@@ -1,7 +1,5 @@
 """Experiments with one fault each: a scan that meets it, and what must hold afterwards."""
 
-from __future__ import annotations
-
 import re
 import shutil
 import tempfile

@@ -1,7 +1,5 @@
 """How much of the hardware table's work is done: all of it, or a quick look at every row."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 

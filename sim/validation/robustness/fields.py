@@ -3,8 +3,6 @@
 Each wrong rig (sim.testing.wrongfields) is read from a real file.
 """
 
-from __future__ import annotations
-
 import re
 import tempfile
 from collections.abc import Callable, Iterator

@@ -3,8 +3,6 @@
 Each scan is the command ``lscan scan`` in a process of its own, on the simulated drivers.
 """
 
-from __future__ import annotations
-
 import os
 import signal
 import subprocess

@@ -6,8 +6,6 @@ cost is counted in plain savings of the same pictures, one beside each frame: wh
 machine does, and how fast it is, is in both.
 """
 
-from __future__ import annotations
-
 import os
 import time
 from collections.abc import Callable

@@ -1,7 +1,5 @@
 """Every figure of the hardware table, measured one after the other on emulated hardware."""
 
-from __future__ import annotations
-
 import logging
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager

@@ -1,7 +1,5 @@
 """Scans that switch the laser: what is taken when, what the run folder holds, and its readers."""
 
-from __future__ import annotations
-
 import csv
 import errno
 import json

@@ -1,7 +1,5 @@
 """The replay driver: a recorded run scanned again."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """A scan goes on after its devices are reached in another way, and with no other rig."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 from typing import Any

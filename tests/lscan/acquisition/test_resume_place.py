@@ -1,7 +1,5 @@
 """A scan resumed on a track without homing: never a frame at a shifted place."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

@@ -1,7 +1,5 @@
 """The run folder: what is written is what is read, and no damage passes unseen."""
 
-from __future__ import annotations
-
 import datetime
 import hashlib
 import json

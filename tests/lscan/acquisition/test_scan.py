@@ -1,7 +1,5 @@
 """Acquisition: the same bytes each time, whatever the scan was killed or stopped by."""
 
-from __future__ import annotations
-
 import errno
 import os
 import shutil

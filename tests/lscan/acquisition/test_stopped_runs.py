@@ -1,7 +1,5 @@
 """A run that stopped: what the error says is kept, and what may be added to it."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

@@ -1,7 +1,5 @@
 """A run folder of a stranger: it is read, or refused in one line; it harms nobody."""
 
-from __future__ import annotations
-
 import hashlib
 import json
 import os

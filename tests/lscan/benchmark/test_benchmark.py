@@ -1,7 +1,5 @@
 """The bench: its pictures are what they say, and its rows tell a known error for what it is."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable
 from dataclasses import dataclass, replace

@@ -1,7 +1,5 @@
 """The centre of a mark: the weighted second-order polynomial against closed forms."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given, settings

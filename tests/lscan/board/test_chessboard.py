@@ -1,7 +1,5 @@
 """Corners of chessboards and ChArUco boards: truth, scatter, photographs, refusals."""
 
-from __future__ import annotations
-
 import cv2
 import numpy as np
 import pytest

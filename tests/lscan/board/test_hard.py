@@ -1,7 +1,5 @@
 """Hard pictures of the board: turned, unevenly lit, glaring, dirty; and the other contrast."""
 
-from __future__ import annotations
-
 import cv2
 import numpy as np
 import pytest

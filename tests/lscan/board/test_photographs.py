@@ -1,7 +1,5 @@
 """Real photographs: a dot board that must be read, and chessboards that must not."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from dot_photographs import BOARD, photograph

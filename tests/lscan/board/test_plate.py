@@ -1,7 +1,5 @@
 """The drawing of a board: every mark where the board file says, and readable by the reader."""
 
-from __future__ import annotations
-
 import xml.etree.ElementTree as ET
 from pathlib import Path
 

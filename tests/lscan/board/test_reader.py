@@ -1,7 +1,5 @@
 """Reading boards whose truth is known: every mark found, in its place, with its index."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

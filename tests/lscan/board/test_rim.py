@@ -1,7 +1,5 @@
 """Places at the rim: of the picture, of the board, and of what a window sees."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from boards import Light, View, render

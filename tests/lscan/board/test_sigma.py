@@ -1,7 +1,5 @@
 """Centres without bias, and an uncertainty for each that is its scatter."""
 
-from __future__ import annotations
-
 import boards
 import numpy as np
 import pytest

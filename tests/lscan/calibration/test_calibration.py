@@ -1,7 +1,5 @@
 """Calibrations: residuals, the file's round trip, solving again, refusals."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable
 from pathlib import Path

@@ -1,7 +1,5 @@
 """An old calibration against new pictures: silent where it holds, loud where it does not."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from functools import cache
 

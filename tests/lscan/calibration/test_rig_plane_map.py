@@ -1,7 +1,5 @@
 """A plane map that is not there is refused when the rig is read, before any scan."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Calibration files of strangers: whatever they hold, they are read, or refused in one line."""
 
-from __future__ import annotations
-
 import copy
 import json
 import os

@@ -1,7 +1,5 @@
 """The one solver of camera and boards: its derivatives, and its outliers."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

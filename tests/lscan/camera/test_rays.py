@@ -1,7 +1,5 @@
 """Ray geometry: published and computed values, Snell's law, round trips, refusals."""
 
-from __future__ import annotations
-
 import cv2
 import numpy as np
 import pytest

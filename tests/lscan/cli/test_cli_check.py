@@ -1,7 +1,5 @@
 """``lscan calibrate --map auto`` and ``lscan check``, as a user at sea calls them."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The command line: every command as a user calls it, and every kind of bad input."""
 
-from __future__ import annotations
-
 import json
 import shutil
 import signal

@@ -1,7 +1,5 @@
 """``lscan measure`` on runs of what can, and of what cannot, be measured."""
 
-from __future__ import annotations
-
 import json
 import re
 import sys

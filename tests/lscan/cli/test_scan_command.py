@@ -1,7 +1,5 @@
 """What ``lscan scan`` says and leaves with when it is resumed, stopped or cannot write."""
 
-from __future__ import annotations
-
 import errno
 import os
 import sys

@@ -1,7 +1,5 @@
 """TOML documents: includes, merging, and what a wrong file is told."""
 
-from __future__ import annotations
-
 import os
 from pathlib import Path
 

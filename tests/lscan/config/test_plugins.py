@@ -1,7 +1,5 @@
 """Drivers, extractors and plane maps by name: found, or refused by file, key and choice."""
 
-from __future__ import annotations
-
 from importlib.metadata import entry_points
 from pathlib import Path
 

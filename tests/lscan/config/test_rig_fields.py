@@ -1,7 +1,5 @@
 """A rig file with any one field wrong is refused by its key, and reaches no device."""
 
-from __future__ import annotations
-
 import inspect
 from collections import Counter
 from collections.abc import Callable, Iterator

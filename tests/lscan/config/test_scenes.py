@@ -1,7 +1,5 @@
 """The scenes that come with lscan: found by name wherever a file of theirs is taken."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

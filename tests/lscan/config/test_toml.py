@@ -1,7 +1,5 @@
 """The writer of TOML against the standard library's reader."""
 
-from __future__ import annotations
-
 import tomllib
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """An address that sends one picture, a page or noise is told from a camera that has gone."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from contextlib import contextmanager
 from http.server import BaseHTTPRequestHandler

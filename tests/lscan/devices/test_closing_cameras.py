@@ -1,7 +1,5 @@
 """A camera closed while another thread waits for its picture: the wait ends at once."""
 
-from __future__ import annotations
-
 import threading
 import time
 from collections.abc import Callable

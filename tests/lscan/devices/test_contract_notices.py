@@ -1,7 +1,5 @@
 """The contracts notice what they are for: each is held against devices with one fault each."""
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Pictures with the laser off: black is as it should be, and none shows the laser still on."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -123,7 +121,7 @@ class BeamCamera:
     """Pictures as bright as the emulated controller's laser is strong when they are taken."""
 
     emulator: GrblEmulator | MarlinEmulator
-    clock: Interruptible
+    clock: "Interruptible"
     size_px: tuple[int, int] = (WIDTH_PX, HEIGHT_PX)
 
     def grab(self, frame: int | None = None, dark: bool = False) -> Grab:

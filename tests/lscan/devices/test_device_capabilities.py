@@ -1,7 +1,5 @@
 """What a rig's devices can do, told without touching them; what a camera made of its settings."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 from typing import Any

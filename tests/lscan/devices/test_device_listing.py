@@ -1,7 +1,5 @@
 """What is connected, what it can do, and the command ``lscan devices``."""
 
-from __future__ import annotations
-
 import json
 import tomllib
 from pathlib import Path

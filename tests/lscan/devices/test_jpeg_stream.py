@@ -1,7 +1,5 @@
 """Streams of JPEG pictures: their true size, whole files only, and no backlog."""
 
-from __future__ import annotations
-
 import re
 import threading
 import time

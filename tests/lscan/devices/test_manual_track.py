@@ -1,7 +1,5 @@
 """The track moved by hand: what is asked, and what answers are taken."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Iterator
 

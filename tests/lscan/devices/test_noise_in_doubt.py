@@ -1,7 +1,5 @@
 """Noise that the pictures do not tell is said to be in doubt, and offered to no rig file."""
 
-from __future__ import annotations
-
 import json
 from typing import Any
 

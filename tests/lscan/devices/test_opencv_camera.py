@@ -1,7 +1,5 @@
 """The opencv driver: options, settings read back, fresh pictures, files and streams."""
 
-from __future__ import annotations
-
 import threading
 import time
 from collections.abc import Iterator
@@ -363,7 +361,7 @@ class _StandingTrack:
     sections: frozenset[str] = frozenset()
     moves_left = 10**6
 
-    def open(self, rig_file: object) -> _StandingTrack:
+    def open(self, rig_file: object) -> "_StandingTrack":
         return self
 
     def move_to(self, position_mm: float) -> float:

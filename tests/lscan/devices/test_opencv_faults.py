@@ -1,7 +1,5 @@
 """Everything a camera can do wrong: one clear line, and never a wrong picture."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys

@@ -1,7 +1,5 @@
 """What a serial track refuses, and what it says, while it is being opened."""
 
-from __future__ import annotations
-
 import logging
 from typing import Any
 

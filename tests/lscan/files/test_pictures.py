@@ -1,7 +1,5 @@
 """Pictures of strangers: their size is known before they are decoded, and nothing crashes."""
 
-from __future__ import annotations
-
 import struct
 import zlib
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The board picture of the live page: where it is taken, and what is left where it is not."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """The files of the live page: which there are, and that none is missing or left over."""
 
-from __future__ import annotations
-
 import re
 import tomllib
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The served live page in headless Chromium, beside a foreign page, which is another origin."""
 
-from __future__ import annotations
-
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager

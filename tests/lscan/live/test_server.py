@@ -1,7 +1,5 @@
 """The live page over HTTP, by a real server on a port of its own."""
 
-from __future__ import annotations
-
 import signal
 import socket
 import subprocess

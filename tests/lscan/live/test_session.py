@@ -1,7 +1,5 @@
 """The live page's session: scans and their states, devices that fail, the same bytes."""
 
-from __future__ import annotations
-
 import json
 import os
 import struct

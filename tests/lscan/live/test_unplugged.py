@@ -1,7 +1,5 @@
 """The live page on an emulated Grbl whose cable is pulled and put back."""
 
-from __future__ import annotations
-
 import threading
 from collections.abc import Iterator
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Distances and circles: exact where the points are, unbiased under noise, honest sigma."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Ends of blurred, speckled tops, and what errs alike in the lengths between them."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

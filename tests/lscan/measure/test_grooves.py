@@ -1,7 +1,5 @@
 """The nine dimensions of the grooved block from ideal and noisy profiles of it."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Roughness against closed forms: sines, Parseval's theorem, white noise, power laws."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given, settings

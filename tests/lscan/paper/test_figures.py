@@ -1,7 +1,5 @@
 """The figures: what they say is what the data hold, and their bytes are stable."""
 
-from __future__ import annotations
-
 import base64
 import dataclasses
 import re

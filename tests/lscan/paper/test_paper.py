@@ -1,7 +1,5 @@
 """The paper's numbers: copied rightly, and consistent but for the misprints that are listed."""
 
-from __future__ import annotations
-
 import math
 import re
 

@@ -1,7 +1,5 @@
 """The page: every number in its place, only the parts there are, and nothing from outside."""
 
-from __future__ import annotations
-
 import os
 import re
 import subprocess

@@ -1,7 +1,5 @@
 """What a report says of where its pictures come from, and of the two chains that read them."""
 
-from __future__ import annotations
-
 import json
 import re
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """Figures of the surface: scaled to the waves, every label legible, the whole of it in view."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable
 from dataclasses import replace

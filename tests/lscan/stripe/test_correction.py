@@ -1,7 +1,5 @@
 """Blur along the line taken back: closed forms, random curves, noise, gaps, bad input."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import numpy as np

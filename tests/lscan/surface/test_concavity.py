@@ -1,7 +1,5 @@
 """The sheet's thickness corrected for: against the integral it stands for, noise, bad input."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 

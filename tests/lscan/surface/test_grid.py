@@ -1,7 +1,5 @@
 """What a grid refuses, leaves empty, and does not depend on."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Slices: exact on planes, bounded on curves, silent over holes, honest about uncertainty."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

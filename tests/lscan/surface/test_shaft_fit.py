@@ -1,7 +1,5 @@
 """A shaft found from a scan of the sandwave block: exactness, pulls, honesty, bad input."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

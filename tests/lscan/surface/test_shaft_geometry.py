@@ -1,7 +1,5 @@
 """Profiles turned about a shaft: closed forms, symmetries, uncertainties, files, bad input."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Stacking profiles, and the files of a surface."""
 
-from __future__ import annotations
-
 import time
 from dataclasses import replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Surface files of strangers: HDF5 that leads elsewhere, explodes or is broken is refused."""
 
-from __future__ import annotations
-
 import os
 import shutil
 from collections.abc import Callable

@@ -1,7 +1,5 @@
 """The command ``lscan-sim accuracy``: a thin face that passes options on and judges the rows."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

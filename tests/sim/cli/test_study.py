@@ -1,7 +1,5 @@
 """``lscan-sim study``: the table of a study, printed and written."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

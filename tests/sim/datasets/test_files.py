@@ -1,7 +1,5 @@
 """The files of ``lscan-sim render`` and ``truth``: what they hold, and bad input."""
 
-from __future__ import annotations
-
 import csv
 import json
 from pathlib import Path

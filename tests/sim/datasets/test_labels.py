@@ -1,7 +1,5 @@
 """Label pictures: layers drawn by hand, and the width of the line."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

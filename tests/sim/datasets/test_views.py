@@ -1,7 +1,5 @@
 """Boards held into the sheet: what the poses promise, and the files that come of them."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

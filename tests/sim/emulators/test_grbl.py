@@ -1,7 +1,5 @@
 """The emulated controller against Grbl 1.1's documentation, and its motion in closed form."""
 
-from __future__ import annotations
-
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st

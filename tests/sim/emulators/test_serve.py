@@ -1,7 +1,5 @@
 """The tank as hardware: pictures true to the head, clients apart, doors closed behind it."""
 
-from __future__ import annotations
-
 import os
 import time
 import urllib.error

@@ -1,7 +1,5 @@
 """Every fault of the served hardware ends in a DeviceError, and the run it spoilt goes on."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """The rig file that the served tank writes of itself."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Meshes against the nominal shapes they are made from."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

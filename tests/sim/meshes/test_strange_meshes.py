@@ -1,7 +1,5 @@
 """Mesh files of strangers: whatever they hold, they are read, or refused in one line."""
 
-from __future__ import annotations
-
 import os
 import struct
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Choosing an LLVM: newest first, tried once in another process, never an abort in this one."""
 
-from __future__ import annotations
-
 import itertools
 import json
 import os

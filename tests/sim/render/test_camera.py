@@ -1,7 +1,5 @@
 """The camera plugin: against the truth, which shares no formula with it; blur; motion."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import drjit as dr

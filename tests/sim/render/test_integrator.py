@@ -1,7 +1,5 @@
 """Light of the first order against quadrature and stock Mitsuba; helpers to compare pictures."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import drjit as dr

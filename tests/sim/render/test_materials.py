@@ -1,7 +1,5 @@
 """Surfaces as Mitsuba sees them: against closed forms, energy, reciprocity, their own sampling."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Light of the second and all higher orders: densities, stock Mitsuba, and conserved power."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Any
 

@@ -1,7 +1,5 @@
 """The phase function's tables: values, angles drawn along lines and in directions."""
 
-from __future__ import annotations
-
 from functools import cache
 
 import drjit as dr

@@ -1,7 +1,5 @@
 """Ports in closed form against dielectric geometry that Mitsuba traces, and closed cases."""
 
-from __future__ import annotations
-
 import mitsuba as mi
 import numpy as np
 import pytest

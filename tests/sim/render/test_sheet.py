@@ -1,7 +1,5 @@
 """The laser sheet: its power, its beam, where it lies, how it is bowed and how it moves."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import mitsuba as mi

@@ -1,7 +1,5 @@
 """Scene files: what they merge, what they refuse, and the frames they define."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

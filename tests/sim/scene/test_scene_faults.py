@@ -1,7 +1,5 @@
 """What the tank's commands refuse, as a scan does: options, files, and impossible geometry."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from pathlib import Path
 

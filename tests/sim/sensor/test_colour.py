@@ -1,7 +1,5 @@
 """Colour filter and coding: Bayer mosaic, demosaicing, gamma and MJPEG, and what they cost."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given, settings

@@ -1,7 +1,5 @@
 """Auto exposure: what it meters, what it reports, and that a resumed scan gets the same bytes."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given, settings

@@ -10,8 +10,6 @@ A symmetric kernel on the pixels themselves leaves that as it is.  In parts of 1
 same law has s f in place of s, and a part in place of the pixel.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 from typing import Any

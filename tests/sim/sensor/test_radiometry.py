@@ -1,7 +1,5 @@
 """Light on the sensor: the camera equation on paper, vignetting, point spread and glare."""
 
-from __future__ import annotations
-
 import cv2
 import numpy as np
 import pytest

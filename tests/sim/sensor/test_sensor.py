@@ -1,7 +1,5 @@
 """The sensor against its own declaration: EMVA noise, fixed patterns, clipping, repeatability."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given, settings

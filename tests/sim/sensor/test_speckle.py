@@ -1,7 +1,5 @@
 """Speckle: the contrast from Goodman's integral, the realised one, and what it does to a line."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given, settings

@@ -1,7 +1,5 @@
 """Views kept of a still place: the same light and the same noise as a picture exposed anew."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from numpy.typing import NDArray

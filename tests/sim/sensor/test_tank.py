@@ -3,8 +3,6 @@
 The camera looks straight down through its port at a Lambertian floor in clear water.
 """
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from places import SCENES

@@ -1,7 +1,5 @@
 """The line on curved targets in the tank: the corrections halve what concavity does to it."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Chromium that is missing, broken or not to be installed."""
 
-from __future__ import annotations
-
 import sys
 from pathlib import Path
 

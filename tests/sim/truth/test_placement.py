@@ -1,7 +1,5 @@
 """Where camera, laser and target stand: what is refused, and what is said of the target."""
 
-from __future__ import annotations
-
 import logging
 import subprocess
 import sys

@@ -1,7 +1,5 @@
 """The refractive map of the paper's view against the tank's ground truth."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

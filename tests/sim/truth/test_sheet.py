@@ -1,7 +1,5 @@
 """The truth of misaligned, bowed and several sheets: vectors, symmetries, limits."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

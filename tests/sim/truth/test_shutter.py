@@ -1,7 +1,5 @@
 """The true line under a rolling shutter: closed form, fixed point, limits."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Any
 

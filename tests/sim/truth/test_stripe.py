@@ -1,7 +1,5 @@
 """The true stripe and what is lit and seen: pencil and paper, symmetries, other algorithms."""
 
-from __future__ import annotations
-
 from dataclasses import fields
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """The evidence's machinery: rows, files, the page and the command's exit code."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """The bench's judgement: the lower end of the ratio's interval over its runs."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

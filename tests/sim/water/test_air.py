@@ -1,7 +1,5 @@
 """Water of the kind "air": nothing refracts, absorbs or scatters."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Index of water, air and glass, and density, against published values."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given, settings

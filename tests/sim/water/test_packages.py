@@ -1,7 +1,5 @@
 """The embedded formulas against packages that others wrote, over their whole ranges."""
 
-from __future__ import annotations
-
 import iapws
 import numpy as np
 import pytest

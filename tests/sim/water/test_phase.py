@@ -1,7 +1,5 @@
 """Phase functions against published values, exact arithmetic, and by quadrature."""
 
-from __future__ import annotations
-
 from decimal import Decimal, localcontext
 
 import numpy as np

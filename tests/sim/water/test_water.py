@@ -1,7 +1,5 @@
 """The water's absorption and scattering against published tables, and every way to name it."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given, settings

@@ -1,7 +1,5 @@
 """Cross-validation of plane maps, and the choice that rests on it."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

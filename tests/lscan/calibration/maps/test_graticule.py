@@ -1,7 +1,5 @@
 """The graticule: closed forms, the paper's tables, error bounds, gaps, sensitivity."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Projective and polynomial maps, and what every plane map must do."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import cv2

@@ -1,7 +1,5 @@
 """Modes: what the points of a map have in common, against resampled boards."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from planeviews import View, board_points, paper_board, read_board, with_noise

@@ -1,7 +1,5 @@
 """The refractive map: exact where its physics holds, honest where the marks are noisy."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 from functools import cache

@@ -1,7 +1,5 @@
 """The stated uncertainties of plane maps against resampled control points."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from planeviews import BARREL, View, board_points, paper_board, read_board, with_noise

@@ -1,7 +1,5 @@
 """Tensor-product splines and penalised least squares against closed forms."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given, settings

@@ -1,7 +1,5 @@
 """The spline map: exactness, accuracy, honest sigma and modes, missing marks, refusals."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from time import process_time
 

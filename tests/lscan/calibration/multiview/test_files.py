@@ -1,7 +1,5 @@
 """Views files, calibration files and the command of the metric route."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable
 from pathlib import Path

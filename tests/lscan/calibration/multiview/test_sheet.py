@@ -1,7 +1,5 @@
 """The laser's plane from lines on boards, and what is refused."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

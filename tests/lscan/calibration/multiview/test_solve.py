@@ -1,7 +1,5 @@
 """The metric route's adjustment: exact data, noise, and views that are wrong."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -4,8 +4,6 @@ The pictures are drawn: a board's print seen by the pinhole of ``metricviews`` i
 lamps and by a Gaussian laser line where the true sheet meets it.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Whatever goes wrong on the serial line ends in one clear error, never in a wrong position."""
 
-from __future__ import annotations
-
 import os
 import tty
 from collections import Counter

@@ -1,7 +1,5 @@
 """The serial track over emulated controllers, in simulated time and over a pseudo-terminal."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Iterator
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """What a Grbl does when it is reset or in alarm, and what a scan that is resumed makes of it."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 from pathlib import Path

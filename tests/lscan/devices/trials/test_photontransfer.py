@@ -1,7 +1,5 @@
 """Photon transfer on simulated sensors whose gain and noise are known."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given, settings

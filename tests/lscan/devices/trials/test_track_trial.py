@@ -1,7 +1,5 @@
 """Trying out a track: where it is sent, what is made of what it reports, what it says of itself."""
 
-from __future__ import annotations
-
 from itertools import pairwise
 from typing import Any
 

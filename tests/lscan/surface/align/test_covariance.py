@@ -1,7 +1,5 @@
 """The covariance of a scan, from the calibration to grid cells: against redoing everything."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

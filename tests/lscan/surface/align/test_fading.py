@@ -1,7 +1,5 @@
 """Edges by the fading of the line over them: a model scan whose edges are known."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Alignment of scans of the nominal sandwave: closed forms, truth, invariance, bad input."""
 
-from __future__ import annotations
-
 import time
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """The truth behind a dome: closed cases, a trace through the spheres, the limit of a plane."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given, settings

@@ -4,8 +4,6 @@ The truth shortens optical paths (Fermat) and brackets the fold of the distortio
 solves Snell's equation for the tangent in air and takes the roots of a polynomial.
 """
 
-from __future__ import annotations
-
 import numpy as np
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st

@@ -1,7 +1,5 @@
 """The truth's projection: published values, OpenCV, an independent trace through the port."""
 
-from __future__ import annotations
-
 import cv2
 import numpy as np
 import pytest

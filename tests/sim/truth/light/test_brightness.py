@@ -1,7 +1,5 @@
 """The line's expected height and noise, held against pictures of the tank."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 from dataclasses import replace

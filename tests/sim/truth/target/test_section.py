@@ -1,7 +1,5 @@
 """The section of the target: closed forms, and trimesh's section of the same shape."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import shapely

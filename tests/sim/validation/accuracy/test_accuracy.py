@@ -1,7 +1,5 @@
 """The accuracy table: its yardsticks are right, and it is written as it is measured."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

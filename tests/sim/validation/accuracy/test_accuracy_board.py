@@ -1,7 +1,5 @@
 """The board's picture as the accuracy table takes it: blurred before the pixels sum it up."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from places import SCENES

@@ -1,7 +1,5 @@
 """Each chapter of the evidence passes, and fails where the tank is made wrong."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

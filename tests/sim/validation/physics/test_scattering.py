@@ -1,7 +1,5 @@
 """The comparison with volpath: that its tests pass, that they can fail, and what they rest on."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The campaign of injected faults: clean on lscan as it is, and not on one that is broken."""
 
-from __future__ import annotations
-
 import logging
 import math
 import re

@@ -1,7 +1,5 @@
 """Errors that a campaign of injected faults found to say too little: each now says what to do."""
 
-from __future__ import annotations
-
 import errno
 import os
 import sys

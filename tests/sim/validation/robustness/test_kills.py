@@ -1,7 +1,5 @@
 """Scans killed and resumed: how the figure is made, and that it can fail."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The stopwatch of acquisition's overhead: what it counts, and what it leaves out."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Callable
 from dataclasses import dataclass
