@@ -29,7 +29,8 @@ if TYPE_CHECKING:
         load_calibration,
         save_calibration,
     )
-    from lscan.config.rig import RigFile, StripeSection, load_rig
+    from lscan.config.rig import StripeSection
+    from lscan.config.rigfile import RigFile, load_rig
     from lscan.devices.api import Camera, Track
     from lscan.errors import LscanError
     from lscan.measure import diameters, distances
@@ -90,7 +91,8 @@ _HOMES = {
         "load_calibration",
         "save_calibration",
     ),
-    "lscan.config.rig": ("RigFile", "StripeSection", "load_rig"),
+    "lscan.config.rig": ("StripeSection",),
+    "lscan.config.rigfile": ("RigFile", "load_rig"),
     "lscan.devices.api": ("Camera", "Track"),
     "lscan.errors": ("LscanError",),
     "lscan.measure": ("diameters", "distances"),

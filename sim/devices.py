@@ -15,7 +15,7 @@ import numpy as np
 from pydantic import Field, PositiveFloat, model_validator
 
 from lscan.config.documents import Strict, check
-from lscan.config.rig import RigFile, load_rig
+from lscan.config.rigfile import RigFile, load_rig
 from lscan.devices.api import Fact, Grab, Track
 from lscan.devices.travel import PassiveTrack, TravelDriver, TravelOptions
 from lscan.errors import DeviceError, InputError

@@ -28,7 +28,8 @@ import numpy as np
 
 from lscan.config.documents import Document, Strict, check, read_json
 from lscan.config.plugins import installed, names_code
-from lscan.config.rig import Plan, RigFile, parse_rig
+from lscan.config.rig import Plan
+from lscan.config.rigfile import RigFile, parse_rig
 from lscan.errors import InputError
 from lscan.files.disk import list_names, read_bytes, require_within
 from lscan.files.headers import read_header

@@ -10,7 +10,7 @@ from typing import Any
 
 from lscan.config.documents import Document
 from lscan.config.plugins import find_plugin, installed
-from lscan.config.rig import RigFile
+from lscan.config.rigfile import RigFile
 from lscan.errors import InputError
 
 _GROUPS = {"camera": "lscan.cameras", "track": "lscan.tracks"}

@@ -10,7 +10,8 @@ import numpy as np
 
 from lscan.acquisition.run import Run, open_run
 from lscan.acquisition.writer import RunWriter, create_run, refuse_existing, resume_run
-from lscan.config.rig import CameraSection, Plan, RigFile, camera_driver, track_driver
+from lscan.config.rig import CameraSection, Plan
+from lscan.config.rigfile import RigFile, camera_driver, track_driver
 from lscan.devices.api import Camera, Grab, LaserSwitch, PlaceChecking, Track
 from lscan.errors import DeviceError, InputError
 from lscan.records import Bytes, Frame, Progress

@@ -31,7 +31,7 @@ from lscan.acquisition.run import (
     software_versions,
 )
 from lscan.acquisition.samerig import require_same_rig
-from lscan.config.rig import RigFile
+from lscan.config.rigfile import RigFile
 from lscan.errors import InputError, LscanError
 from lscan.files.disk import (
     append_synced,

@@ -170,7 +170,7 @@ def board_of(path: Path) -> Board:
     """The board that a board file describes, or the one in the section [board] of a rig file."""
     from lscan.config.board import Board
     from lscan.config.documents import check, read_document
-    from lscan.config.rig import inline_board
+    from lscan.config.rigfile import inline_board
 
     document = inline_board(read_document(path), source=str(path))
     if "board" in document:

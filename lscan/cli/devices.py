@@ -12,7 +12,7 @@ from lscan.cli.arguments import Json
 from lscan.cli.console import print_json, print_table, progress_bar
 
 if TYPE_CHECKING:
-    from lscan.config.rig import RigFile
+    from lscan.config.rigfile import RigFile
     from lscan.devices.api import Camera, Fact
     from lscan.devices.trials.camera import CameraTrial
     from lscan.devices.trials.photontransfer import PhotonTransfer
@@ -42,7 +42,7 @@ def devices(
     For --test show the camera a still, evenly lit scene with bright and dark parts, and keep the
     track's way clear by 2 mm.
     """
-    from lscan.config.rig import load_rig
+    from lscan.config.rigfile import load_rig
     from lscan.errors import InputError
 
     if (test or dark) and rig is None:

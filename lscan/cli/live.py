@@ -10,7 +10,7 @@ import typer
 from lscan.cli.arguments import RigOrScene
 
 if TYPE_CHECKING:
-    from lscan.config.rig import RigFile
+    from lscan.config.rigfile import RigFile
     from lscan.live.boardpicture import LiveCalibration
 
 
@@ -29,7 +29,7 @@ def live(
     ] = None,
 ) -> None:
     """Serve a page with the picture, the line, the profile and the buttons of a scan."""
-    from lscan.config.rig import load_rig
+    from lscan.config.rigfile import load_rig
     from lscan.live.access import grant
     from lscan.live.server import listen, make_server
     from lscan.live.session import Session

@@ -7,7 +7,7 @@ A driver is an object registered under the entry-point group ``lscan.cameras`` o
 from dataclasses import dataclass
 from typing import Protocol, runtime_checkable
 
-from lscan.config.rig import RigFile
+from lscan.config.rigfile import RigFile
 from lscan.records import Bytes
 
 Fact = str | float | bool | None

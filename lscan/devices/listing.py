@@ -10,7 +10,7 @@ from pathlib import Path
 
 import cv2
 
-from lscan.config.rig import RigFile, camera_driver, track_driver
+from lscan.config.rigfile import RigFile, camera_driver, track_driver
 from lscan.devices.api import CapabilityReporting, Fact
 from lscan.devices.opencv_camera import Capture, OpencvOptions, open_capture
 from lscan.devices.opencv_camera.settings import fourcc_text

@@ -11,7 +11,8 @@ from lscan.acquisition.writer import RunWriter, create_run
 from lscan.board import read_board
 from lscan.calibration.api import PlaneMap
 from lscan.calibration.solve import calibrate, save_calibration
-from lscan.config.rig import Plan, RigFile, parse_rig
+from lscan.config.rig import Plan
+from lscan.config.rigfile import RigFile, parse_rig
 from lscan.devices.api import Limited, Track
 from lscan.errors import DeviceError, InputError
 from lscan.live.devices import LiveDevices

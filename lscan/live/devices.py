@@ -11,7 +11,7 @@ import threading
 from collections.abc import Callable, Iterator
 
 from lscan.acquisition.scan import open_camera, open_track
-from lscan.config.rig import RigFile
+from lscan.config.rigfile import RigFile
 from lscan.devices.api import Camera, Describing, Grab, LaserSwitch, Previewing, Track
 from lscan.errors import DeviceError, InputError, LscanError
 from lscan.live.errors import one_line

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
-from lscan.config.rig import RigFile
+from lscan.config.rigfile import RigFile
 from lscan.devices.api import Grab
 from lscan.errors import InputError
 from lscan.live.analysis import Figures, measure_line, measure_picture

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Self
 
 from lscan.config.documents import Document
-from lscan.config.rig import RigFile, parse_rig
+from lscan.config.rigfile import RigFile, parse_rig
 from lscan.config.toml import write_toml
 from lscan.files.disk import make_folder
 from lscan.records import Progress

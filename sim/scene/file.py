@@ -11,7 +11,8 @@ from pydantic import Field, model_validator
 
 from lscan.config.board import Board
 from lscan.config.documents import Document, Strict, check, read_document
-from lscan.config.rig import Rig, RigFile, inline_board, parse_rig
+from lscan.config.rig import Rig
+from lscan.config.rigfile import RigFile, inline_board, parse_rig
 from lscan.errors import InputError
 from sim.scene.instrument import Head, Laser, Lens, PlanePort, Port, Seed, Sensor, TrueShaft
 from sim.scene.matter import AmbientLight, Floor, Target, Water

@@ -10,9 +10,9 @@ from typing import Final
 from unittest import mock
 
 import lscan.acquisition.scan
-import lscan.config.rig
+import lscan.config.rigfile
 from lscan.acquisition.run import Run
-from lscan.config.rig import RigFile, parse_rig
+from lscan.config.rigfile import RigFile, parse_rig
 from lscan.devices.api import Camera, Grab, Track
 from lscan.devices.grbl import track_driver as serial_driver
 from lscan.devices.opencv_camera import OpencvCamera, OpencvOptions
@@ -58,7 +58,9 @@ class FaultBench:
     def scan(self) -> Run:
         """The complete run, begun or resumed by ``acquisition.scan.scan``; errors as there."""
         with ExitStack() as patches:
-            patches.enter_context(mock.patch.object(lscan.config.rig, "find_plugin", self._driver))
+            patches.enter_context(
+                mock.patch.object(lscan.config.rigfile, "find_plugin", self._driver)
+            )
             patches.enter_context(mock.patch.object(time, "time", self._wall_clock(time.time)))
             patches.enter_context(self.disk.watched())
             if self.fault.phase == "opening":

@@ -19,7 +19,8 @@ import numpy as np
 
 from lscan.acquisition.scan import scan
 from lscan.calibration.solve import Calibration
-from lscan.config.rig import RigFile, StripeSection, load_rig
+from lscan.config.rig import StripeSection
+from lscan.config.rigfile import RigFile, load_rig
 from lscan.paper.experiment import METHODS, measure_board
 from lscan.records import Floats, Mask
 from lscan.stripe import extract_stripe

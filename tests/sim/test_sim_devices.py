@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from places import SCENES
 
-from lscan.config.rig import RigFile, load_rig, parse_rig
+from lscan.config.rigfile import RigFile, load_rig, parse_rig
 from lscan.errors import DeviceError, InputError
 from sim.devices import SimCamera, SimTrack, TrackOptions, camera_driver, track_driver
 from sim.render.tank import Tank

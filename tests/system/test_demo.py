@@ -16,7 +16,7 @@ from typer.testing import CliRunner
 
 from lscan.acquisition.scan import scan
 from lscan.cli.app import app
-from lscan.config.rig import load_rig
+from lscan.config.rigfile import load_rig
 from lscan.paper.experiment import METHODS
 from lscan.paper.published import CHOSEN_MAP
 from sim.demo import run_demo, thin_out

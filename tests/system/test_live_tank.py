@@ -10,7 +10,8 @@ from places import SCENES
 from lscan.acquisition.run import open_run
 from lscan.board import read_board
 from lscan.calibration.solve import calibrate, load_calibration
-from lscan.config.rig import SheetSection, load_rig
+from lscan.config.rig import SheetSection
+from lscan.config.rigfile import load_rig
 from lscan.live.boardview import read_live_board
 from lscan.live.session import Session
 from lscan.records import Bytes

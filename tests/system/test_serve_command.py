@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 from served import small_scene
 
-from lscan.config.rig import load_rig
+from lscan.config.rigfile import load_rig
 from lscan.config.toml import write_toml
 
 PATIENCE_S = 120.0

@@ -7,7 +7,7 @@ from functools import partial
 from multiprocessing import get_context
 from pathlib import Path
 
-from lscan.config.rig import load_rig
+from lscan.config.rigfile import load_rig
 from lscan.files.disk import list_names
 from lscan.records import Progress
 from sim.validation.accuracy.chapters import CHAPTERS, Chapter, photograph_chapter

@@ -12,7 +12,7 @@ from lscan.acquisition.run import MANIFEST, Run
 from lscan.acquisition.scan import scan
 from lscan.calibration.api import PlaneMap
 from lscan.config.documents import merge
-from lscan.config.rig import RigFile, load_rig, parse_rig
+from lscan.config.rigfile import RigFile, load_rig, parse_rig
 from lscan.config.targets import Sandwave
 from lscan.files.disk import make_folder
 from lscan.paper.experiment import measure_board

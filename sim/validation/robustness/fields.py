@@ -12,7 +12,7 @@ from pathlib import Path
 from unittest.mock import patch
 
 from lscan.config.plugins import installed
-from lscan.config.rig import load_rig
+from lscan.config.rigfile import load_rig
 from lscan.config.toml import toml_text
 from lscan.errors import InputError
 from sim.testing.goodrigs import GoodRig, good_rigs, write_beside

@@ -6,7 +6,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
-from lscan.config.rig import load_rig
+from lscan.config.rigfile import load_rig
 from lscan.records import Progress
 from sim.validation.robustness.agreement import agreement_rows
 from sim.validation.robustness.campaign import Outcome, fault_rows

@@ -20,7 +20,7 @@ from lscan.acquisition.run import FrameRow, Manifest, Run, open_run
 from lscan.acquisition.samerig import first_difference
 from lscan.acquisition.scan import acquire_into
 from lscan.acquisition.writer import create_run
-from lscan.config.rig import parse_rig
+from lscan.config.rigfile import parse_rig
 from lscan.errors import InputError
 from lscan.files.disk import write_atomically
 from lscan.records import Frame

@@ -12,7 +12,8 @@ from places import SCENES
 from lscan.camera.parameters import LIMITS
 from lscan.config.board import Grid, load_board
 from lscan.config.documents import MOST_FILES, check, merge, read_document
-from lscan.config.rig import CameraSection, OpticsSection, Rig, SheetSection, load_rig
+from lscan.config.rig import CameraSection, OpticsSection, Rig, SheetSection
+from lscan.config.rigfile import load_rig
 from lscan.config.targets import GroovedBlock, Sandwave
 from lscan.errors import InputError
 

@@ -7,7 +7,7 @@ import pytest
 
 from lscan.acquisition.scan import open_devices
 from lscan.config.plugins import find_plugin, find_plugin_or_function, installed
-from lscan.config.rig import load_rig, parse_rig
+from lscan.config.rigfile import load_rig, parse_rig
 from lscan.errors import InputError
 from lscan.stripe.extractors.paper import centroid
 

@@ -15,7 +15,7 @@ from typer.testing import CliRunner
 from lscan.acquisition.run import open_run
 from lscan.acquisition.scan import scan
 from lscan.acquisition.writer import create_run
-from lscan.config.rig import load_rig, parse_rig
+from lscan.config.rigfile import load_rig, parse_rig
 from lscan.errors import InputError
 from lscan.records import Status
 from sim.cli.app import app

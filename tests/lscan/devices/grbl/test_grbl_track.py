@@ -10,7 +10,7 @@ from device_contract import TrackContract
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from lscan.config.rig import parse_rig
+from lscan.config.rigfile import parse_rig
 from lscan.devices.api import Track
 from lscan.devices.grbl import SerialTrack, SerialTrackOptions, open_track, track_driver
 from lscan.errors import DeviceError, InputError
