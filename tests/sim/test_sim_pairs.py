@@ -49,7 +49,7 @@ def test_a_dark_picture_is_that_of_the_tank_with_next_to_no_laser() -> None:
     assert lit.image[..., 0].max() > dark.image[..., 0].max() + 50
 
 
-def test_a_switched_off_laser_is_off_whatever_the_camera_was_told() -> None:
+def test_a_switched_off_laser_is_off_whatever_the_camera_is_set_to() -> None:
     track, camera = devices(rig_of(sensor={"noise": False}))
     lit = camera.grab(0).image
     track.laser_off()

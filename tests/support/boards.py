@@ -73,8 +73,8 @@ class View:
     def jacobian(self, image_px: Floats) -> Floats:
         """(N, 2, 2) derivative of the board's place, mm per px."""
         sides = [np.array([0.5, 0.0]), np.array([0.0, 0.5])]
-        slopes = [self.board_mm(image_px + s) - self.board_mm(image_px - s) for s in sides]
-        return np.stack(slopes, axis=-1)
+        differences = [self.board_mm(image_px + s) - self.board_mm(image_px - s) for s in sides]
+        return np.stack(differences, axis=-1)
 
 
 @dataclass(frozen=True)

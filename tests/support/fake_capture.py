@@ -27,7 +27,7 @@ class World:
 
     scene: what a picture exposed now shows.  faults: by number of the read, from 0 on.
     delay: pictures that are under way in the camera.  closes: times after the first opening
-    that it cannot be opened.  stamps: it tells when it took a picture, else only 0.
+    that it cannot be opened.  stamps: it reports when it took a picture, else only 0.
     obeys: what a setting becomes; by default what was asked.
     """
 

@@ -64,7 +64,7 @@ def with_gaps(values: Floats) -> list[float | None]:
 
 
 def stripe_answer() -> dict[str, Any]:
-    """The members of a frame's JSON that are told of the stripe."""
+    """The members of a frame's JSON on the stripe."""
     found = WIDTH - (GAP.stop - GAP.start)
     return {
         "stripe": {
@@ -85,7 +85,7 @@ def stripe_answer() -> dict[str, Any]:
 
 
 def board_answer() -> dict[str, Any]:
-    """The members of a frame's JSON that are told of the board."""
+    """The members of a frame's JSON on the board."""
     offset = {
         "distance_mm": 1.9,
         "sigma_mm": 0.3,

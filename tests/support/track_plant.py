@@ -1,4 +1,4 @@
-"""A Grbl track: one controller and its head over several sittings of a scan."""
+"""A Grbl track: one controller and its head over several sessions of a scan."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -38,7 +38,7 @@ class _Line(DirectLine):
 
 @dataclass
 class Plant:
-    """One controller and its head, over several sittings; time is simulated."""
+    """One controller and its head, over several sessions of a scan; time is simulated."""
 
     homing: bool = False
     zero_mm: float = 0.0
@@ -78,7 +78,7 @@ class Plant:
 
         return open_track(options, line, self.time, sleep)
 
-    def sitting(
+    def scan(
         self,
         path: Path,
         frames: int | None = None,

@@ -98,7 +98,7 @@ def test_the_sandwave(results: Mapping[str, Any]) -> None:
 
 
 def test_the_best_chain_on_the_same_pictures(results: Mapping[str, Any]) -> None:
-    """Better than the paper's chain on each slice, and what it is off by is what it owns up to.
+    """Better than the paper's chain on each slice, with errors within its uncertainty.
 
     A length's error is within four of its standard uncertainties: with normal errors one of the
     26 would be beyond in one of 600 experiments.

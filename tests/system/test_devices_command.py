@@ -48,7 +48,7 @@ def test_a_trial_of_served_hardware(hardware: EmulatedHardware, rig: Path) -> No
         facts["travel_low_mm"] <= options["min_mm"] < options["max_mm"] <= facts["travel_high_mm"]
     )
     assert facts["step_mm"] == pytest.approx(1 / hardware.controller.settings[100])
-    # Positions are told with three decimals, motors stand on whole steps.
+    # Positions are reported with three decimals, motors rest on whole steps.
     assert abs(found["deviation_mm"]) <= facts["step_mm"] / 2 + 0.001
     assert max(found["upward_sigma_mm"], found["downward_sigma_mm"]) <= 0.001
     assert abs(found["reversal_mm"]) <= 0.001
@@ -58,9 +58,9 @@ def test_a_trial_of_served_hardware(hardware: EmulatedHardware, rig: Path) -> No
 
 
 def test_a_trial_in_words_and_what_the_rig_can_do(hardware: EmulatedHardware, rig: Path) -> None:
-    told = run(str(rig), "--test", "--pictures", "4", "--approaches", "2")
+    text = run(str(rig), "--test", "--pictures", "4", "--approaches", "2")
     for words in ("Grbl 1.1h", "noise_bytes", "2 approaches from either side", "pictures/s"):
-        assert words in told, words
+        assert words in text, words
     listed = run(str(rig))
     assert hardware.port in listed
     assert hardware.url in listed

@@ -197,17 +197,17 @@ PLOTTED = """(() => {
 
 # The rectangles of all that is written on the profile's canvas, with the words.
 WRITTEN = """(() => {
-  const context = document.querySelector("#profile").getContext("2d"), told = [];
+  const context = document.querySelector("#profile").getContext("2d"), written = [];
   const write = context.fillText;
   context.fillText = (text, x, y) => {
     const box = context.measureText(text);
-    told.push([text, x - box.actualBoundingBoxLeft, x + box.actualBoundingBoxRight,
+    written.push([text, x - box.actualBoundingBoxLeft, x + box.actualBoundingBoxRight,
                y - box.actualBoundingBoxAscent, y + box.actualBoundingBoxDescent]);
     write.call(context, text, x, y);
   };
   document.querySelector("#equal").dispatchEvent(new Event("change"));
   delete context.fillText;
-  return told;
+  return written;
 })()"""
 
 
@@ -332,10 +332,10 @@ def test_the_legend_names_each_limit_at_which_a_verdict_turns(
     inner = next((part for part in ("stripe", "board") if part in frame), None)
 
     def grade_and_legend(value: float) -> tuple[str, str]:
-        told = {**frame, inner: {**frame[inner], key: value}} if inner else {**frame, key: value}
+        shown = {**frame, inner: {**frame[inner], key: value}} if inner else {**frame, key: value}
         script = f"""import("/live/figures.js").then(({{FIGURES}}) => {{
             const figure = FIGURES.find((one) => one.name === {name!r});
-            return [figure.judge({json.dumps(told)})[0], figure.legend];
+            return [figure.judge({json.dumps(shown)})[0], figure.legend];
         }})"""
         grade, legend = page.evaluate(script)
         return grade, legend
@@ -345,12 +345,12 @@ def test_the_legend_names_each_limit_at_which_a_verdict_turns(
         assert grade_and_legend(0.999 * limit)[0] == below
         assert grade_and_legend(1.001 * limit)[0] == above
     legend = grade_and_legend(1.0)[1]
-    told = [limit / 10 for limit in values] if key == "clipped" else values  # of 1000, in %
-    assert [limit for limit in told if f" {limit:g} " not in legend.replace(",", " ")] == []
+    named = [limit / 10 for limit in values] if key == "clipped" else values  # of 1000, in %
+    assert [limit for limit in named if f" {limit:g} " not in legend.replace(",", " ")] == []
     assert legend in page.evaluate("document.querySelector('#legend').textContent")
 
 
-def test_the_limits_of_the_board_and_of_the_rate_are_told(page: Page) -> None:
+def test_the_limits_of_the_board_and_of_the_rate_are_in_the_legend(page: Page) -> None:
     legend = page.evaluate("document.querySelector('#legend').textContent")
     for words in ("0.5 mm", "2 mm", "0.1°", "10 drawn", "under 3"):
         assert words in legend
@@ -367,7 +367,7 @@ def test_the_focus_bar_stands_against_the_best(page: Page, instrument: Instrumen
 
 # Every verdict that any picture can get, by frames far on either side of each limit.
 VERDICTS = """import("/live/figures.js").then(({FIGURES}) => {
-  const told = [];
+  const verdicts = [];
   for (const level of [1e-3, 3, 6, 12, 60, 1e3])
     for (const mode of ["stripe", "board"]) {
       const f = {
@@ -376,9 +376,9 @@ VERDICTS = """import("/live/figures.js").then(({FIGURES}) => {
         stripe: {axis: "columns", found: 100, of: 200, clipped: level, width_px: level,
                  snr: level, slope: level, status: {NO_PEAK: 100}},
       };
-      for (const figure of FIGURES) told.push(figure.judge(f)[1]);
+      for (const figure of FIGURES) verdicts.push(figure.judge(f)[1]);
     }
-  return told;
+  return verdicts;
 })"""
 
 
@@ -390,12 +390,12 @@ def test_advice_about_optics_holds_in_alignment_alone(
     page: Page, phase: str, optics: bool, exposure: bool
 ) -> None:
     """A calibration and a scan are those of the optics and the exposure they began with."""
-    told = set(page.evaluate(VERDICTS % phase))
+    verdicts = set(page.evaluate(VERDICTS % phase))
     for words in ("turn the lens", "focus the lens", "open the lens", "the sheet", "take a board"):
-        assert any(words in verdict for verdict in told) is optics, words
+        assert any(words in verdict for verdict in verdicts) is optics, words
     for words in ("shorten", "lengthen"):
-        assert any(words in verdict for verdict in told) is exposure, words
-    faults = {verdict.split(":")[0] for verdict in told}  # are told in any phase
+        assert any(words in verdict for verdict in verdicts) is exposure, words
+    faults = {verdict.split(":")[0] for verdict in verdicts}  # are given in any phase
     assert {
         "wide",
         "blurred",
@@ -624,7 +624,7 @@ def test_every_control_is_reached_by_tab(page: Page) -> None:
 # ---- progress and faults ----------------------------------------------------------------
 
 
-def test_the_progress_of_a_scan_is_told(page: Page, instrument: Instrument) -> None:
+def test_the_progress_of_a_scan_is_shown(page: Page, instrument: Instrument) -> None:
     instrument.scan_is("scanning", 34)
     shows(page, "#scan-note", "34 of 100 frames · 0:16 left · 0:08 gone · runs/scan-003")
     assert page.evaluate("document.querySelector('#progress').value") == 0.34
@@ -662,9 +662,9 @@ def test_a_camera_that_is_gone_leaves_no_picture_that_looks_alive(
     camera = instrument.state["camera"]
     camera.update(gone=True, seen_s_ago=7200.0, error="no picture for 2.0 s")
     shows(page, "#connection", "not live")
-    told = re.search(r"^last picture at .*(\d\d):(\d\d):(\d\d)$", text(page, "#since"))
-    assert told is not None
-    seen_s = np.dot([3600, 60, 1], [int(number) for number in told.groups()])
+    found = re.search(r"^last picture at .*(\d\d):(\d\d):(\d\d)$", text(page, "#since"))
+    assert found is not None
+    seen_s = np.dot([3600, 60, 1], [int(number) for number in found.groups()])
     now = page.evaluate("((d) => [d.getHours(), d.getMinutes(), d.getSeconds()])(new Date())")
     ago_s = (np.dot([3600, 60, 1], now) - seen_s) % DAY_S
     assert 7200 - 1 <= ago_s <= 7200 + 60  # rounded to a second; read within a minute
@@ -679,8 +679,8 @@ def test_a_camera_that_is_gone_leaves_no_picture_that_looks_alive(
     assert enabled(page) == FREE | MODES
 
 
-def test_a_fault_is_told_once(chromium: Chromium, page: Page, instrument: Instrument) -> None:
-    """What a device did to a command and to the scan is not told beside the device's own fault."""
+def test_a_fault_is_shown_once(chromium: Chromium, page: Page, instrument: Instrument) -> None:
+    """What a device did to a command and to the scan is not shown beside the device's own fault."""
 
     def counts(word: str) -> int:
         return str(page.evaluate("document.body.innerText")).count(word)

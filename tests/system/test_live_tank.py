@@ -1,4 +1,4 @@
-"""The live page's board on the tank: how far off the sheet it is told to be, and the picture."""
+"""The live page's board on the tank: its offset from the sheet, and the picture."""
 
 import time
 from pathlib import Path
@@ -39,7 +39,7 @@ def picture(scene: Scene, seed: int) -> Bytes:
     return image
 
 
-def test_a_board_laid_in_badly_is_told_within_its_uncertainty(quick: Path) -> None:
+def test_the_offset_of_a_misplaced_board_is_within_its_uncertainty(quick: Path) -> None:
     """The sheet is where the board lay when the map was solved; three sigma, 1 in 370 each."""
     scene = load_scene(quick)
     rig, board = scene.rig, scene.rig.board
@@ -49,13 +49,13 @@ def test_a_board_laid_in_badly_is_told_within_its_uncertainty(quick: Path) -> No
     rig = rig.model_copy(update={"sheet": by_ruler})
     well = read_board(picture(scene, 61), board, channel=rig.calibration.channel)
     plane_map = calibrate(well, "graticule-2", rig.optics).plane_map
-    told = read_live_board(picture(misaligned(scene), 62), board, rig, plane_map)
-    offset = told.offset
-    assert offset is not None, told.offset_message
+    reading = read_live_board(picture(misaligned(scene), 62), board, rig, plane_map)
+    offset = reading.offset
+    assert offset is not None, reading.offset_message
     assert abs(offset.distance_mm - OFFSET_MM) < 3 * offset.distance_sigma_mm
     assert abs(offset.tilt_x_rad - np.radians(TILT_DEG)) < 3 * offset.tilt_x_sigma_rad
     assert abs(offset.tilt_z_rad) < 3 * offset.tilt_z_sigma_rad
-    # And it is of use: a tenth of what is to be told.
+    # And it is of use: a tenth of the offset.
     assert offset.distance_sigma_mm < 0.2
     assert np.degrees(offset.tilt_x_sigma_rad) < 0.05
 

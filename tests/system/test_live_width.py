@@ -19,7 +19,7 @@ SETTINGS = StripeSection(extractor="ml", threshold_dn=20)
 
 
 def width_and_error(full_width_px: float, repeats: int = 6) -> tuple[float, float]:
-    """What the page tells of a line drawn so wide for a colour camera, and the centre's rms error.
+    """The page's width of a line drawn so wide for a colour camera, and the centre's rms error.
 
     The line is integrated over each pixel; the noise is the sensor's, the mosaic interpolated.
     """
@@ -47,9 +47,9 @@ def width_and_error(full_width_px: float, repeats: int = 6) -> tuple[float, floa
 @pytest.fixture(scope="module")
 def limits() -> dict[str, float]:
     """Those of the page: thin, good and bad."""
-    told = re.search(r"WIDTH_PX = \{(.*?)\}", (FOLDER / "stripefigures.js").read_text())
-    assert told is not None
-    pairs = (pair.split(":") for pair in told[1].split(","))
+    found = re.search(r"WIDTH_PX = \{(.*?)\}", (FOLDER / "stripefigures.js").read_text())
+    assert found is not None
+    pairs = (pair.split(":") for pair in found[1].split(","))
     return {name.strip(): float(value) for name, value in pairs}
 
 
@@ -59,14 +59,14 @@ def test_a_line_of_good_width_is_found_best(limits: dict[str, float]) -> None:
     Thinner, the mosaic, which leaves red on every other row, makes it at least three times as
     much; beyond the limit called bad, the noise of the many pixels makes it at least twice.
     """
-    told = [width_and_error(w) for w in (0.8, 1.2, 1.6, 2.0, 2.6, 3.0, 3.5, 3.8, 5.0, 8.5, 10.0)]
-    least = min(error for _, error in told)
-    good = [error for width, error in told if limits["thin"] <= width <= limits["good"]]
+    lines = [width_and_error(w) for w in (0.8, 1.2, 1.6, 2.0, 2.6, 3.0, 3.5, 3.8, 5.0, 8.5, 10.0)]
+    least = min(error for _, error in lines)
+    good = [error for width, error in lines if limits["thin"] <= width <= limits["good"]]
     assert len(good) == 3
     assert max(good) <= 1.5 * least
-    thin = [error for width, error in told if width < limits["thin"]]
+    thin = [error for width, error in lines if width < limits["thin"]]
     assert len(thin) == 4
     assert min(thin) >= 3 * least
-    bad = [error for width, error in told if width > limits["bad"]]
+    bad = [error for width, error in lines if width > limits["bad"]]
     assert len(bad) == 2
     assert min(bad) >= 2 * least

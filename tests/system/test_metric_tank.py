@@ -62,7 +62,7 @@ def solved(medium: str, seed: int, noise: float, moved: Moved = lambda s: s) -> 
 
 
 def step_errors(scene: Scene, calibration: MetricCalibration) -> tuple[Floats, Floats]:
-    """(N,) mm errors of steps of 60 mm in the sheet, and the standard uncertainties (N,) told."""
+    """(N,) mm errors of steps of 60 mm in the sheet, and their stated uncertainties (N,)."""
     x, z = np.meshgrid(np.linspace(150.0, 300.0, 6), np.linspace(-330.0, -150.0, 5))
     low = np.column_stack([x.ravel(), z.ravel()])
     high = low + np.array([0.0, 60.0])
@@ -80,7 +80,7 @@ def step_errors(scene: Scene, calibration: MetricCalibration) -> tuple[Floats, F
 def test_perfect_views_in_air_give_the_true_sheet() -> None:
     """Nothing pulls the sheet aside but what the rig file says of the lens.
 
-    A focal length said to be 830 +- 80 px, where 850 is true and the views tell it to s, comes
+    A focal length said to be 830 +- 80 px, where 850 is true and the views determine it to s, comes
     out too small by 20 s2 / 80 squared, some 4 ppm; that moves the sheet, 1 m away, by as much
     of its distance and its angle, and twice that is left to the rest of what is said.
     """
@@ -98,7 +98,7 @@ def test_perfect_views_in_air_give_the_true_sheet() -> None:
     ("medium", "moved"), [("air", lambda s: s), ("water", lambda s: s), ("water", shifted)]
 )
 def test_steps_in_the_sheet_whatever_the_board_did(medium: str, moved: Moved) -> None:
-    """Within four of the standard uncertainties told (one chance in 16,000) and 0.10 mm."""
+    """Within four of the stated standard uncertainties (one chance in 16,000) and 0.10 mm."""
     calibration = solved(medium, seed=2, noise=1.0, moved=moved)
     error, sigma = step_errors(load_scene(METRIC / f"{medium}.toml"), calibration)
     assert (np.abs(error) <= 4 * sigma).all()

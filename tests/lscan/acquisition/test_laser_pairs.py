@@ -73,7 +73,7 @@ def test_a_pair_is_taken_lit_then_dark_at_each_position(tmp_path: Path) -> None:
     assert track.trace == [*pair, *pair, "laser off"]
 
 
-def test_on_lights_the_laser_for_the_whole_sitting(tmp_path: Path) -> None:
+def test_on_lights_the_laser_for_the_whole_session(tmp_path: Path) -> None:
     track = LaserTrack()
     scanned(tmp_path / "a", fake_rig(frames=2, laser="on"), track)
     frame = ["move", "grab lit, laser lit"]

@@ -99,7 +99,7 @@ def test_a_scan_goes_on_over_another_connection_to_the_same_bytes(tmp_path: Path
         ),
     ],
 )
-def test_any_other_difference_is_told_with_both_values(
+def test_any_other_difference_is_reported_with_both_values(
     tmp_path: Path, rig_file: RigFile, line: str
 ) -> None:
     stop_after_two(tmp_path / "a")
@@ -117,7 +117,7 @@ def test_connection_options_are_options() -> None:
     assert grbl.connection_options <= set(SerialTrackOptions.model_fields)
 
 
-def test_options_where_there_were_none_are_told(tmp_path: Path) -> None:
+def test_options_where_there_were_none_are_reported(tmp_path: Path) -> None:
     """A driver that is not installed names no connection: whatever differs is refused."""
     plain = fake_rig()
     camera = plain.document["camera"]

@@ -16,8 +16,8 @@ from sim.emulators.grbl import GrblEmulator
 @pytest.mark.parametrize("homing", [False, True])
 def test_a_controller_that_ran_on_is_resumed(tmp_path: Path, done: int, homing: bool) -> None:
     plant = Plant(homing=homing)
-    assert plant.sitting(tmp_path / "a", done) is None
-    run = plant.sitting(tmp_path / "a")
+    assert plant.scan(tmp_path / "a", done) is None
+    run = plant.scan(tmp_path / "a")
     assert run is not None
     assert len(run) == FRAMES
     assert spacing_is_true(plant)
@@ -31,10 +31,10 @@ def test_a_restarted_controller_is_refused(
 ) -> None:
     """Also near the place where it started, where the window for the head holds zero."""
     plant = Plant(start_mm=start_mm, step_mm=step_mm)
-    plant.sitting(tmp_path / "a", done)
+    plant.scan(tmp_path / "a", done)
     plant.emulator.power_cycle()
     with pytest.raises(DeviceError, match="reports 0 mm, the last frame was recorded at") as caught:
-        plant.sitting(tmp_path / "a")
+        plant.scan(tmp_path / "a")
     assert "\n" not in str(caught.value)
     assert len(plant.seen_mm) == done, "nothing was taken"
     assert spacing_is_true(plant)
@@ -42,9 +42,9 @@ def test_a_restarted_controller_is_refused(
 
 def test_with_homing_a_restart_shifts_nothing(tmp_path: Path) -> None:
     plant = Plant(homing=True)
-    plant.sitting(tmp_path / "a", 4)
+    plant.scan(tmp_path / "a", 4)
     plant.emulator.power_cycle()
-    run = plant.sitting(tmp_path / "a")
+    run = plant.scan(tmp_path / "a")
     assert run is not None
     assert spacing_is_true(plant)
 
@@ -53,30 +53,30 @@ def test_with_homing_a_restart_shifts_nothing(tmp_path: Path) -> None:
 def test_what_the_message_says_to_do_works(tmp_path: Path, done: int) -> None:
     """The head pushed back to zero with the power off, the controller switched on."""
     plant = Plant()
-    plant.sitting(tmp_path / "a", done)
+    plant.scan(tmp_path / "a", done)
     plant.emulator.power_cycle()
     with pytest.raises(DeviceError) as caught:
-        plant.sitting(tmp_path / "a")
+        plant.scan(tmp_path / "a")
     assert "switch it on, and resume with --position-restored" in str(caught.value)
     plant.emulator = GrblEmulator(UNHOMED, (START_MM,) * 3, plant.time)
-    run = plant.sitting(tmp_path / "a", position_restored=True)
+    run = plant.scan(tmp_path / "a", position_restored=True)
     assert run is not None
     assert spacing_is_true(plant)
 
 
 def test_a_head_jogged_away_is_refused_until_it_is_back(tmp_path: Path) -> None:
     plant = Plant()
-    plant.sitting(tmp_path / "a", 5)
+    plant.scan(tmp_path / "a", 5)
     for place_mm in (15.0, -2.0):
         operator = plant.open()
         operator.move_to(place_mm)
         operator.close()
         with pytest.raises(DeviceError, match=rf"reports {place_mm:g} mm.*jog to 2 mm"):
-            plant.sitting(tmp_path / "a")
+            plant.scan(tmp_path / "a")
     operator = plant.open()
     operator.move_to(2.0)
     operator.close()
-    assert plant.sitting(tmp_path / "a") is not None
+    assert plant.scan(tmp_path / "a") is not None
     assert spacing_is_true(plant)
 
 
@@ -101,7 +101,7 @@ def test_the_window_reaches_from_the_approach_to_the_farther_place(
 
 
 def test_a_track_watched_since_it_was_opened_is_not_compared(tmp_path: Path) -> None:
-    """A scan paused and taken up in one sitting, the head moved meanwhile by the page."""
+    """A scan paused and resumed in one session, the head moved meanwhile by the page."""
     plant = Plant()
     track, camera = plant.open(), StillCamera(plant)
     with resume_run(tmp_path / "a", plant.rig_file) as writer:

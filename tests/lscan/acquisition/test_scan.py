@@ -121,7 +121,7 @@ def test_frame_and_row_are_synced_before_the_track_moves_on(
 # Folders that exist, and resuming
 
 
-def test_a_scan_told_to_stop_ends_after_its_frame_and_goes_on(tmp_path: Path) -> None:
+def test_a_scan_asked_to_stop_ends_after_its_frame_and_goes_on(tmp_path: Path) -> None:
     rig_file, track = fake_rig(), FakeTrack()
     with create_run(tmp_path / "a", rig_file) as writer:
         run = acquire_into(writer, FakeCamera(track), track, go_on=lambda: writer.written < 3)

@@ -182,8 +182,8 @@ def test_a_frame_is_of_the_rigs_size_before_it_is_decoded(
     monkeypatch.setattr(cv2, "imdecode", reached)
     with pytest.raises(InputError) as caught:
         run.frame(1)
-    told = f"wrong picture size (got '{size[0]} by {size[1]} px'; allowed: 20 by 16 px"
-    assert told in str(caught.value)
+    expected = f"wrong picture size (got '{size[0]} by {size[1]} px'; allowed: 20 by 16 px"
+    assert expected in str(caught.value)
 
 
 def list_frame(path: Path, index: int, data: bytes) -> None:

@@ -1,4 +1,4 @@
-"""The bench: its pictures are what they say, and its rows tell a known error for what it is."""
+"""The bench: its pictures are what they say, and its rows attribute a known error correctly."""
 
 import json
 from collections.abc import Callable
@@ -112,7 +112,7 @@ def test_the_noise_is_the_noise_declared() -> None:
     assert abs(np.mean(shots.var(axis=0)[clear] / variance[clear]) - 1) < 0.05
 
 
-def test_a_known_error_is_told_for_what_it_is() -> None:
+def test_a_known_error_is_attributed_correctly() -> None:
     rows = bench_extractors([WRONG, "centroid-relative"], pictures=4, quick=True)
     ours = {row.case: row for row in rows if row.extractor == WRONG}
     theirs = {row.case: row for row in rows if row.extractor == "centroid-relative"}
@@ -191,11 +191,11 @@ def test_table_and_picture_are_written(tmp_path: Path) -> None:
 
 
 def test_the_whole_bench_takes_ones_own_extractor_and_tells_how_far_it_is(tmp_path: Path) -> None:
-    told: list[tuple[int, int]] = []
+    steps: list[tuple[int, int]] = []
     done = run_bench(
-        tmp_path, [WRONG], ["polynomial-2"], True, 2, lambda at, of: told.append((at, of))
+        tmp_path, [WRONG], ["polynomial-2"], True, 2, lambda at, of: steps.append((at, of))
     )
-    assert told == [(step, 10) for step in range(1, 11)]  # 7 kinds of line, 3 noises
+    assert steps == [(step, 10) for step in range(1, 11)]  # 7 kinds of line, 3 noises
     assert {row.extractor for row in done.extractors} == {WRONG}
     assert json.loads((tmp_path / "bench.json").read_text()) == done.content
     assert not run_bench(tmp_path, [], ["projective"], True).extractors

@@ -87,7 +87,7 @@ def test_the_paper_board(paper: tuple[View, Bytes, BoardReading]) -> None:
     view, _, reading = paper
     assert_right(reading, view, PAPER)
     miss = reading.grid.image_px - view.image_px(reading.grid.board_mm)
-    # Uncertainties are honest: 200 coordinates know their scatter to 5 %; three of that.
+    # Uncertainties are correct: 200 coordinates know their scatter to 5 %; three of that.
     ratio = np.sqrt(np.mean((miss / reading.grid.sigma_px[:, None]) ** 2))
     assert 0.85 <= ratio <= 1.2
 

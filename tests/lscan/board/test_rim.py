@@ -38,19 +38,19 @@ def test_misfit_is_even_from_the_rim_to_the_middle() -> None:
     np.testing.assert_allclose(variance / 0.01**2, 1.0, atol=0.28)
 
 
-@pytest.mark.parametrize("stray", [(0, 0), (0, 6), (5, 5), (11, 13)])
-def test_a_stray_is_dropped_and_nothing_beside_it(stray: tuple[int, int]) -> None:
+@pytest.mark.parametrize("outlier", [(0, 0), (0, 6), (5, 5), (11, 13)])
+def test_an_outlier_is_dropped_and_nothing_beside_it(outlier: tuple[int, int]) -> None:
     points = lattice(0.005, 1)
-    points[stray] += [0.8, -0.5]
+    points[outlier] += [0.8, -0.5]
     nodes = nodes_at(points)
     drop_outliers(nodes, PITCH_MM)
     expected = np.ones(SHAPE, bool)
-    expected[stray] = False
+    expected[outlier] = False
     np.testing.assert_array_equal(nodes.found, expected)
 
 
-def test_strays_are_judged_again_without_those_dropped() -> None:
-    """Two strays side by side, the one's miss hidden by the other's until that is out."""
+def test_outliers_are_sought_again_without_those_dropped() -> None:
+    """Two neighbouring outliers: one's residual is hidden until the other is left out."""
     points = lattice(0.005, 2)
     points[6, 6] += [3.0, 0.0]
     points[6, 7] += [0.4, 0.0]

@@ -78,7 +78,7 @@ def test_a_mutated_calibration_is_read_or_refused(
 
 
 def test_a_map_that_is_flat_is_refused(saved: dict[str, str], tmp_path: Path) -> None:
-    """Its slope is no matrix that can be inverted."""
+    """Its Jacobian cannot be inverted."""
     document = json.loads(saved["polynomial-4"])
     document["parameters"]["coefficients"] = [[0.0] * 15] * 2
     (tmp_path / "c.json").write_text(json.dumps(document))

@@ -1,4 +1,4 @@
-"""TOML documents: includes, merging, and what a wrong file is told."""
+"""TOML documents: includes, merging, and the message for a wrong file."""
 
 import os
 from pathlib import Path
@@ -320,6 +320,6 @@ def test_the_fit_of_a_view_may_go_wherever_a_rig_file_may_begin() -> None:
 
 
 def test_other_faults_are_named_by_their_keys() -> None:
-    """One message tells all that must be mended, as far as one line holds it."""
+    """One message names all that must be corrected, as far as one line holds it."""
     with pytest.raises(InputError, match=r"sheet\.thickness_mm: .*; see also sheet\.apex_mm"):
         check(SheetSection, {"camera_mm": [0.0, -900.0, 300.0]}, where="rig.toml", prefix="sheet")

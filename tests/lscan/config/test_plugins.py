@@ -35,7 +35,7 @@ def test_a_function_of_the_users_needs_no_registering() -> None:
 
 
 @pytest.mark.parametrize(
-    ("code", "name", "told"),
+    ("code", "name", "reason"),
     [
         ("", "mine:gone", "has no attribute 'gone'"),
         ("def f(:", "mine:f", "invalid syntax"),
@@ -46,7 +46,7 @@ def test_a_function_of_the_users_needs_no_registering() -> None:
     ],
 )
 def test_a_users_extractor_that_fails_is_refused_with_the_rig(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, code: str, name: str, told: str
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, code: str, name: str, reason: str
 ) -> None:
     module = f"of_{tmp_path.name}"
     (tmp_path / f"{module}.py").write_text(code)
@@ -58,7 +58,7 @@ def test_a_users_extractor_that_fails_is_refused_with_the_rig(
         load_rig(rig)
     message = str(caught.value)
     assert message.startswith(f"{rig}: stripe.extractor: no such stripe extractor (got '{name}'")
-    assert told in message
+    assert reason in message
     assert "\n" not in message
 
 

@@ -28,7 +28,7 @@ EVERY = 40
 
 
 def models_within(annotation: Any) -> Iterator[type[BaseModel]]:
-    """Every model that a value of an annotation may hold, told from pydantic's own account."""
+    """Every model that a value of an annotation may hold, from pydantic's own schema."""
     if isinstance(annotation, type) and issubclass(annotation, BaseModel):
         yield annotation
         for field in annotation.model_fields.values():
@@ -94,7 +94,7 @@ def test_every_crossing_starts_from_a_good_rig() -> None:
 
 
 @pytest.mark.parametrize(
-    ("annotation", "stands", "among", "never"),
+    ("annotation", "good", "among", "never"),
     [
         (Annotated[int, Field(ge=2, le=5)], 3, [1, 6, 1.5, "12", True, []], [2, 5]),
         (Annotated[float, Field(gt=0, lt=1)], 0.5, [0, 1, "wrong", False], [0.5]),
@@ -111,9 +111,9 @@ def test_every_crossing_starts_from_a_good_rig() -> None:
     ],
 )
 def test_wrong_values_lie_just_outside(
-    annotation: Any, stands: Any, among: list[Any], never: list[Any]
+    annotation: Any, good: Any, among: list[Any], never: list[Any]
 ) -> None:
-    found = {repr(value) for value in wrong_values(schema_of(annotation), stands)}
+    found = {repr(value) for value in wrong_values(schema_of(annotation), good)}
     assert {repr(value) for value in among} - found == set()
     assert {repr(value) for value in never} & found == set()
 
@@ -181,7 +181,7 @@ GAP = WrongField(
 
 
 @pytest.mark.parametrize(
-    ("told", "fault"),
+    ("text", "fault"),
     [
         ("{file}: optics.gap_mm: must be a number of 0 to 100 (got -1.0)", ""),
         ("{file}: gap_mm: must be a number of 0 to 100 (got -1.0)", "optics.gap_mm"),
@@ -198,11 +198,11 @@ GAP = WrongField(
         ),
     ],
 )
-def test_a_message_too_thin_is_noticed(tmp_path: Path, told: str, fault: str) -> None:
+def test_a_message_too_thin_is_noticed(tmp_path: Path, text: str, fault: str) -> None:
     file = tmp_path / "rig.toml"
 
     def refuse(path: Path) -> None:
-        raise InputError(told.format(file=path))
+        raise InputError(text.format(file=path))
 
     found = shortcoming(GAP, file, read=refuse)
     assert fault in found

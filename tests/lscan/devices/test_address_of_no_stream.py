@@ -1,4 +1,4 @@
-"""An address that sends one picture, a page or noise is told from a camera that has gone."""
+"""An address that sends a picture, a page or noise is distinguished from a camera that is gone."""
 
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -65,7 +65,7 @@ def test_one_picture_is_no_stream(name: str) -> None:
 
 
 @pytest.mark.parametrize(
-    ("body", "kind", "code", "told"),
+    ("body", "kind", "code", "found"),
     [
         (b"<html><body>Sign in</body></html>" * 20, "text/html", 200, "text/html"),
         (NOISE.tobytes(), "application/octet-stream", 200, "application/octet-stream"),
@@ -74,12 +74,12 @@ def test_one_picture_is_no_stream(name: str) -> None:
     ],
     ids=["page", "noise", "nothing", "missing"],
 )
-def test_what_holds_no_pictures_is_told_for_what_it_is(
-    body: bytes, kind: str, code: int, told: str
+def test_the_message_says_what_the_address_sends(
+    body: bytes, kind: str, code: int, found: str
 ) -> None:
     with served(body, kind, code) as url:
         message = refusal_of(url)
-    assert f"what the address sends is no stream of pictures ({told}); needed: " in message
+    assert f"what the address sends is no stream of pictures ({found}); needed: " in message
 
 
 @pytest.mark.parametrize("body", [b"<html></html>" * 50, NOISE.tobytes()], ids=["page", "noise"])

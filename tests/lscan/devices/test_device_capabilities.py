@@ -1,4 +1,4 @@
-"""What a rig's devices can do, told without touching them; what a camera made of its settings."""
+"""A rig's capabilities, stated without opening devices; what a camera made of its settings."""
 
 import json
 from pathlib import Path
@@ -226,7 +226,7 @@ def test_a_bent_line_raises_doubt() -> None:
 
 
 def test_a_scene_of_one_brightness_leaves_the_noise_open() -> None:
-    """Over 5 DN of light, 1.5 DN in the standard deviation, little can be told of the slope.
+    """Over 5 DN of light, 1.5 DN in the standard deviation, the slope is poorly determined.
 
     A pair of 3072 pixels gives a variance of 7 DN² to 2.6 %, the slope to 0.18 / 1.5 = 0.12, more
     than its 0.1; at no light, 58 DN further down, the variance is open by 7 DN², not known at all.

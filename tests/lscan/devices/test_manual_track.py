@@ -37,7 +37,7 @@ class TestManualTrack(TrackContract):
         yield ManualTrack(OPTIONS, Operator("12", *[""] * 10))
 
 
-def test_the_operator_is_told_where_to_and_may_read_another_value() -> None:
+def test_the_operator_is_asked_to_move_and_may_read_another_value() -> None:
     operator = Operator("0", "", "20.3")
     track = ManualTrack(OPTIONS, operator)
     assert track.move_to(10.0) == 10.0

@@ -1,4 +1,4 @@
-"""Noise that the pictures do not tell is said to be in doubt, and offered to no rig file."""
+"""Noise that the pictures do not determine is reported as doubtful, without lines for the rig."""
 
 import json
 from typing import Any
@@ -90,10 +90,10 @@ def test_noise_that_is_not_the_sensors_is_not_offered(
     trial = try_camera(camera, 16, "red")
     assert trial.transfer is not None
     assert any(words in doubt for doubt in trial.doubts)
-    told = printed(trial, capsys)
-    assert words in told
-    assert "for the rig file" not in told
-    assert "read_dn =" not in told
+    text = printed(trial, capsys)
+    assert words in text
+    assert "for the rig file" not in text
+    assert "read_dn =" not in text
     assert as_json(trial)["rig_section"] is None
 
 
@@ -135,7 +135,7 @@ def test_read_noise_at_the_floor_of_rounding_is_a_bound() -> None:
     assert "of rounding alone" in noise_section(found)
 
 
-def test_a_bound_is_told_as_a_bound(capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_bound_is_reported_as_a_bound(capsys: pytest.CaptureFixture[str]) -> None:
     mean_dn = np.array([10.0, 100.0])
     levels = Levels(mean_dn, 0.05 + 0.001 * mean_dn, np.full(2, 1e6), np.zeros(2))
     devices_cli._print_noise(photon_transfer(levels))

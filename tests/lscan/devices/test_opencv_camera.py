@@ -356,7 +356,7 @@ def test_a_wrong_option_is_refused_before_a_device_is_touched(
 
 
 class _StandingTrack:
-    """A track that is where it is told."""
+    """A track that is where it is sent."""
 
     position_mm = 0.0
     sections: frozenset[str] = frozenset()

@@ -61,19 +61,21 @@ def test_grbl_on_marlin_names_the_dialect() -> None:
 
 
 @pytest.mark.parametrize("dialect", ["grbl", "marlin"])
-def test_homing_is_told_before_it_begins(dialect: str, caplog: pytest.LogCaptureFixture) -> None:
+def test_homing_is_announced_before_it_begins(
+    dialect: str, caplog: pytest.LogCaptureFixture
+) -> None:
     caplog.set_level(logging.WARNING)
     emulator = GrblEmulator if dialect == "grbl" else MarlinEmulator
     opened(emulator, dialect=dialect, homing_s=45.0).close()
     assert caplog.messages == [f"{dialect} track on here: homing, within 45 s"]
 
 
-def test_homing_that_fails_has_been_told(caplog: pytest.LogCaptureFixture) -> None:
+def test_homing_that_fails_has_been_announced(caplog: pytest.LogCaptureFixture) -> None:
     with pytest.raises(DeviceError):
         opened(machine={20: 0, 22: 0})
     assert "grbl track on here: homing, within 60 s" in caplog.messages
 
 
-def test_without_homing_nothing_is_told(caplog: pytest.LogCaptureFixture) -> None:
+def test_without_homing_nothing_is_announced(caplog: pytest.LogCaptureFixture) -> None:
     opened(machine={20: 0, 22: 0}, homing=False, zero_mm=0.0).close()
     assert caplog.messages == []

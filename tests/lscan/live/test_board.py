@@ -94,7 +94,7 @@ def test_without_the_cameras_place_it_says_which_key_to_add(seen):
     assert board.residual_mm == pytest.approx((1.0, 1.0), abs=1e-6)
 
 
-def test_a_board_off_the_sheet_is_told_with_its_sign(seen):
+def test_the_offset_of_a_board_from_the_sheet_has_its_sign(seen):
     turn = Rotation.from_euler("x", 0.5, degrees=True)
     seen(read_board(BOARD, moved(turn, [0.3, 2.0, -0.4])))
     board = read_live_board(IMAGE, BOARD, rig(sheet=sheet()), solved_map())
@@ -112,7 +112,7 @@ def test_a_board_off_the_sheet_is_told_with_its_sign(seen):
     assert document["residual_rms_px"] < 1e-3
 
 
-def test_too_few_marks_in_the_calibrated_part_are_told(seen):
+def test_too_few_marks_in_the_calibrated_part_are_reported(seen):
     seen(read_board(BOARD, moved(Rotation.identity(), [600.0, 0.0, 0.0])))
     board = read_live_board(IMAGE, BOARD, rig(sheet=sheet()), solved_map())
     assert board.offset is None

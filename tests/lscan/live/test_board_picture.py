@@ -46,7 +46,7 @@ def board_session(bench: Bench) -> Session:
     return session
 
 
-def told_of_picture(session: Session) -> str:
+def picture_error(session: Session) -> str:
     """What the page says once the board picture is over."""
     session.take_board()
     wait_for(lambda: not session.state()["task"]["name"])
@@ -68,18 +68,18 @@ def test_it_is_taken_where_the_head_stands_or_nearest_to_it(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, track: FakeTrack, commanded_mm: float
 ) -> None:
     with live_bench(monkeypatch, tmp_path, track) as bench:
-        message = told_of_picture(board_session(bench))
+        message = picture_error(board_session(bench))
     run = open_run(tmp_path / "board-001")  # kept, though noise shows no board
     assert [frame.commanded_mm for frame in run.frames()] == [commanded_mm], message
 
 
-def test_a_failure_is_told_until_the_mode_is_chosen(
+def test_a_failure_is_shown_until_the_mode_is_chosen(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     with live_bench(monkeypatch, tmp_path) as bench:
         session = board_session(bench)
         session.set_mode("board")
-        assert told_of_picture(session)
+        assert picture_error(session)
         assert session.state()["task"]["message"]
         session.set_mode("stripe")
         assert session.state()["task"] == {"name": "", "message": ""}
@@ -90,5 +90,5 @@ def test_no_folder_is_left_where_no_picture_was_taken(
 ) -> None:
     output = tmp_path / "runs"
     with live_bench(monkeypatch, output, LimitedTrack(fail_at=0)) as bench:
-        assert "limit switch" in told_of_picture(board_session(bench))
+        assert "limit switch" in picture_error(board_session(bench))
     assert not list(output.iterdir())

@@ -85,7 +85,7 @@ def test_every_file_of_the_page_is_served_with_its_type_and_a_strict_policy(page
 
 def test_every_answer_has_the_safety_headers(page: Page) -> None:
     """Of OWASP's secure headers those that hold for a page over plain HTTP."""
-    told = {
+    expected = {
         "x-frame-options": "DENY",
         "x-content-type-options": "nosniff",
         "referrer-policy": "no-referrer",
@@ -102,7 +102,7 @@ def test_every_answer_has_the_safety_headers(page: Page) -> None:
     ]
     assert [answer.status_code for answer in answers] == [200, 200, 200, 200, 404, 403, 400, 409]
     for answer in answers:
-        assert told.items() <= dict(answer.headers).items()
+        assert expected.items() <= dict(answer.headers).items()
         policy = answer.headers["content-security-policy"].split("; ")
         assert {"default-src 'none'", "script-src 'self'", "frame-ancestors 'none'"} <= set(policy)
         assert "unsafe" not in answer.headers["content-security-policy"]
@@ -193,7 +193,7 @@ def test_a_token_is_taken_from_the_address_and_kept_in_a_cookie(
             answer = page.http.get(f"/?token={TOKEN}")
             assert (answer.status_code, answer.headers["location"]) == (303, "/")
             name, _, rest = answer.headers["set-cookie"].partition("=")
-            assert name == f"lscan-{page.port}"  # cookies do not tell ports apart
+            assert name == f"lscan-{page.port}"  # cookies do not distinguish ports
             assert rest == f"{TOKEN}; HttpOnly; SameSite=Strict; Path=/"
         assert TOKEN not in page.http.get("/").text
         assert page.http.get("/live/main.js").status_code == 200

@@ -221,7 +221,7 @@ def test_only_the_newest_run_of_this_rig_is_offered_and_only_if_unfinished(
         os.utime(output / name / "frames.csv", (seconds, seconds))
     with live_bench(monkeypatch, output) as bench:
         assert scan_of(bench.open())["folder"] == str(output / "old")
-        assert bench.sessions[0].close() is None  # nothing was scanned in this sitting
+        assert bench.sessions[0].close() is None  # nothing was scanned in this session
         session = bench.open()
         session.start_scan("new")
         reaches(session, "done")
@@ -299,7 +299,7 @@ def test_a_failing_track_fails_the_scan_which_can_be_resumed(
     assert folder_bytes(tmp_path / "runs" / "a") == reference(tmp_path / "b")
 
 
-def test_a_failing_camera_is_told_of_and_opened_again(
+def test_a_failing_camera_is_reported_and_opened_again(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     with live_bench(monkeypatch, tmp_path) as bench:
@@ -315,7 +315,7 @@ def test_a_failing_camera_is_told_of_and_opened_again(
 
 
 @pytest.mark.parametrize("shape", [(16, 20, 4), (0, 0)])
-def test_a_picture_that_cannot_be_measured_is_told_of(
+def test_a_picture_that_cannot_be_measured_is_reported(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, shape: tuple[int, ...]
 ) -> None:
     with live_bench(monkeypatch, tmp_path) as bench:
@@ -328,7 +328,7 @@ def test_a_picture_that_cannot_be_measured_is_told_of(
         wait_for(lambda: session.state()["camera"]["error"] == "")
 
 
-def test_the_time_of_the_last_picture_of_a_camera_that_is_gone_is_told(
+def test_the_time_of_the_last_picture_of_a_camera_that_is_gone_is_shown(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     with live_bench(monkeypatch, tmp_path) as bench:
@@ -336,9 +336,11 @@ def test_the_time_of_the_last_picture_of_a_camera_that_is_gone_is_told(
         frame_of(session)
         assert session.state()["camera"]["gone"] is False
         camera.fail_at = sum(camera.grabs.values()) + 1
-        gone = wait_for(lambda: (told := session.state()["camera"])["gone"] and told)
-        later = wait_for(  # told in tenths of a second
-            lambda: (told := session.state()["camera"])["seen_s_ago"] > gone["seen_s_ago"] and told
+        gone = wait_for(lambda: (state := session.state()["camera"])["gone"] and state)
+        later = wait_for(  # shown in tenths of a second
+            lambda: (
+                (state := session.state()["camera"])["seen_s_ago"] > gone["seen_s_ago"] and state
+            )
         )
         assert later["gone"]
         camera.fail_at = None
@@ -348,7 +350,7 @@ def test_the_time_of_the_last_picture_of_a_camera_that_is_gone_is_told(
 def test_a_scan_that_a_device_ended_says_so(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The device's fault is told of the device itself; that of a disk, of the scan alone."""
+    """A device's fault is reported for the device; a fault of the disk, for the scan alone."""
     with live_bench(monkeypatch, tmp_path, FakeTrack(fail_at=2)) as bench:
         session = bench.open()
         session.start_scan("a")
@@ -365,7 +367,7 @@ def test_a_scan_that_a_device_ended_says_so(
 
 
 class LostTrack(FakeTrack):
-    """Fails once, and from then on knows nothing until it is opened again."""
+    """Fails once, and then has no position until it is opened again."""
 
     lost = False
 

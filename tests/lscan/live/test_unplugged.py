@@ -45,7 +45,7 @@ class Cable:
 
 
 class WaitingCamera(FakeCamera):
-    """Lets the scan's grabs through one by one, once it was told to."""
+    """Lets the scan's grabs through one by one, once it is released."""
 
     gate: threading.Semaphore | None = None
 
@@ -135,7 +135,7 @@ def test_a_move_that_is_refused_opens_nothing_anew(cable: Cable) -> None:
         devices.close()
 
 
-def test_a_resting_track_that_is_gone_is_told_of(
+def test_a_resting_track_that_is_gone_is_reported(
     cable: Cable, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("lscan.live.session.CHECK_S", 0.02)
@@ -143,9 +143,9 @@ def test_a_resting_track_that_is_gone_is_told_of(
     try:
         assert session.state()["track"]["error"] == ""
         cable.pull()
-        told = wait_for(lambda: (track := session.state()["track"])["error"] and track)
-        assert "opened again" in told["error"]
-        assert told["position_mm"] is None
+        state = wait_for(lambda: (track := session.state()["track"])["error"] and track)
+        assert "opened again" in state["error"]
+        assert state["position_mm"] is None
     finally:
         session.close()
 

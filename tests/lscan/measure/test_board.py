@@ -1,4 +1,4 @@
-"""Distances and circles: exact where the points are, unbiased under noise, honest sigma."""
+"""Distances and circles: exact where the points are, unbiased under noise, correct sigma."""
 
 from typing import Any
 
@@ -204,8 +204,8 @@ def test_circle_is_unbiased_and_its_sigma_is_its_scatter() -> None:
 def test_scatter_beyond_the_sigma_given_enlarges_the_sigma() -> None:
     rng = np.random.default_rng(4)
     points = arc(np.zeros(2), 20.0, 351) + rng.normal(0, 0.5, (40, 2))
-    told, known = (fit_circle(points, np.full(40, sigma)) for sigma in (0.01, 0.5))
-    assert told.diameter_sigma_mm == pytest.approx(known.diameter_sigma_mm, rel=0.3)
+    estimated, known = (fit_circle(points, np.full(40, sigma)) for sigma in (0.01, 0.5))
+    assert estimated.diameter_sigma_mm == pytest.approx(known.diameter_sigma_mm, rel=0.3)
 
 
 def test_points_that_make_no_circle_are_refused() -> None:

@@ -118,11 +118,11 @@ def test_a_mean_lies_among_its_values_and_keeps_what_is_common(
     assert mean.sigma_mm >= np.hypot(common, 0.05) * (1 - 1e-9)
 
 
-def test_a_stray_is_left_out_and_equals_average_as_one_over_root_n() -> None:
+def test_an_outlier_is_left_out_and_equals_average_as_one_over_root_n() -> None:
     each = [LengthBudget(10.0 + d, 0.1, 0.0) for d in (-0.1, 0.1) * 8]
     assert mean_length(each).own_mm == pytest.approx(0.1 / 4, rel=0.05)
-    strayed = mean_length([*each, LengthBudget(13.0, 0.1, 0.0)])
-    assert strayed.value_mm == pytest.approx(10.0)
+    with_outlier = mean_length([*each, LengthBudget(13.0, 0.1, 0.0)])
+    assert with_outlier.value_mm == pytest.approx(10.0)
 
 
 # Modes through to Table III

@@ -74,7 +74,7 @@ def _run(document: dict[str, Any]) -> Run:
 
 
 @pytest.mark.parametrize(
-    ("document", "source", "told"),
+    ("document", "source", "words"),
     [
         ({"sensor": {"seed": 3}}, PictureSource("sim", True, True, 3), "noise seed 3"),
         ({"sensor": {}}, PictureSource("sim", True), "noise seed not stated"),
@@ -94,11 +94,11 @@ def _run(document: dict[str, Any]) -> Run:
         ({"camera": {"driver": "opencv"}}, PictureSource("opencv", False), ""),
     ],
 )
-def test_a_run_says_of_itself_what_it_knows(document, source, told) -> None:
+def test_a_run_states_how_its_pictures_were_made(document, source, words) -> None:
     found = picture_source(_run(document))
     assert found == source
     caption = note({"board": found})
-    assert told in caption and bool(told) == bool(caption)
+    assert words in caption and bool(words) == bool(caption)
 
 
 def _texts(cells: Any) -> list[str]:

@@ -54,7 +54,7 @@ def test_the_bound_is_of_the_shape_of_its_arguments():
     noise = Noise(1.0, 0.1)
     both = centre_bound_px(np.array([1.0, 2.0]), 100.0, noise)
     assert both.shape == (2,)
-    # The wider line's reach holds for both; the pixels more tell nothing of the narrow one.
+    # The wider line's reach holds for both; more pixels add nothing on the narrow one.
     assert both[0] == pytest.approx(centre_bound_px(1.0, 100.0, noise)[0], rel=1e-9)
 
 

@@ -1,4 +1,4 @@
-"""Blur along the line taken back: closed forms, random curves, noise, gaps, bad input."""
+"""The correction for blur along the line: closed forms, random curves, noise, gaps, bad input."""
 
 from collections.abc import Callable
 

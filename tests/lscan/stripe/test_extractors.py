@@ -1,4 +1,4 @@
-"""The extractors beside the paper's: invariances, round trips, the bound, and honest sigmas."""
+"""The extractors beside the paper's: invariances, round trips, the bound, and correct sigmas."""
 
 import numpy as np
 import pytest

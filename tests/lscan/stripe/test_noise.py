@@ -1,4 +1,4 @@
-"""The noise model: told apart by its light, stated in the rig file, and of a difference."""
+"""The noise model: estimated by light, stated in the rig file, and of a difference."""
 
 import numpy as np
 import pytest
@@ -17,7 +17,7 @@ from lscan.stripe.noise.model import Noise, difference_noise, scatter_noise, sta
     gain=st.floats(0.05, 1.0),
     speckle=st.floats(0.0, 0.3),
 )
-def test_shot_noise_and_speckle_are_told_apart(seed, gain, speckle):
+def test_shot_noise_and_speckle_are_distinguished(seed, gain, speckle):
     rng = np.random.default_rng(seed)
     light, truth = rng.uniform(0, 200, 40_000), Noise(2.0, gain, speckle)
     square = truth.variance(light) * rng.standard_normal(light.shape) ** 2

@@ -1,4 +1,4 @@
-"""Steger's detector: closed forms, an honest sigma, invariances, and the ends of lines."""
+"""Steger's detector: closed forms, a correct sigma, invariances, and the ends of lines."""
 
 from itertools import pairwise
 

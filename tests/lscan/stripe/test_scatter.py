@@ -1,4 +1,4 @@
-"""Noise told from misfit by what neighbouring columns have in common."""
+"""Noise distinguished from lack of fit by what neighbouring columns have in common."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""Slices: exact on planes, bounded on curves, silent over holes, honest about uncertainty."""
+"""Slices: exact on planes, bounded on curves, no values over holes, correct uncertainty."""
 
 from dataclasses import replace
 

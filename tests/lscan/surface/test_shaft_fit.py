@@ -148,12 +148,12 @@ def test_a_misstated_shaft_is_found_and_the_surface_is_right_again(sheet: Floats
     assert spread[0] > 5 * spread[1]
 
 
-def test_strays_do_not_move_the_shaft(sheet: Floats) -> None:
+def test_outliers_do_not_move_the_shaft(sheet: Floats) -> None:
     clean = fitted(sheet, 3, modes=False)
     generator = np.random.default_rng(4)
-    strayed = sheet.copy()
-    strayed[generator.random(sheet.shape[:2]) < 0.02, 1] += 5.0
-    fit = fitted(strayed, 3, modes=False)
+    with_outliers = sheet.copy()
+    with_outliers[generator.random(sheet.shape[:2]) < 0.02, 1] += 5.0
+    fit = fitted(with_outliers, 3, modes=False)
     assert fit.outliers > 0.015 * fit.points
     # Two points in a hundred fewer, of which some hundred lie near enough to stay.
     assert (np.abs(errors(fit.shaft) - errors(clean.shaft)) < 0.5 * clean.sigma).all()
@@ -171,10 +171,10 @@ def test_a_flat_piece_does_not_tell_height_from_scale() -> None:
         ratios.append(calibrate_shaft(scan, piece, TRUE).sigma / SIGMA)
     by_offset, by_scale = SIGMA[1], 2 * -NODDING.place_mm[2] * SIGMA[4]
     left = by_offset * by_scale / np.hypot(by_offset, by_scale)
-    # The wedges, 10 mm nearer, and terms of a^4 tell a little more than the plane: 10 / 580 and
+    # The wedges, 10 mm nearer, and terms of a^4 inform a little more than the plane: 10 / 580 and
     # a²/3 are 2 %; a sigma judged from 196 cells is good to 1 / sqrt(2 * 196) = 5 %.
     np.testing.assert_allclose(ratios[0][[1, 4]], [left / by_offset, left / by_scale], rtol=0.07)
-    # Waves tell how the scan is stretched along y, h / d + k: both are found.
+    # Waves determine how the scan is stretched along y, h / d + k: both are found.
     assert (ratios[1][[1, 4]] < 0.25).all()
 
 

@@ -41,7 +41,7 @@ def hardware(tmp_path_factory: pytest.TempPathFactory) -> Iterator[EmulatedHardw
 
 
 @pytest.mark.parametrize("name", [name for name in NAMES if name != HEALED])
-def test_a_fault_in_a_scan_is_told_and_the_scan_goes_on(
+def test_a_fault_in_a_scan_is_reported_and_the_scan_goes_on(
     hardware: EmulatedHardware, tmp_path: Path, name: str
 ) -> None:
     """After the second frame: two frames are on disk whole, and --resume takes the others."""

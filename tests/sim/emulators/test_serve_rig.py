@@ -53,8 +53,8 @@ def test_the_rig_says_where_the_sheet_is_lit_and_seen_from() -> None:
     tank = small_scene()
     best = load_rig(PAPER.parent / "best" / "sandwave.toml").rig.sheet
     assert best is not None
-    told = SheetSection(**rig_document(tank, {}, {})["sheet"])
-    for key, value in told:
+    specified = SheetSection(**rig_document(tank, {}, {})["sheet"])
+    for key, value in specified:
         assert value == pytest.approx(getattr(best, key), abs=0.05), key  # mm, as rounded there
     # The camera's axis, 30 degrees down, meets the sheet 500 mm under the camera at 300 mm, which
     # is 450 mm under the apex.

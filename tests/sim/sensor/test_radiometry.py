@@ -51,7 +51,7 @@ def test_a_lambertian_plane_under_a_lamp(distance_mm: float) -> None:
 def test_directions_are_those_whose_distortion_is_the_pixel(
     k1: float, k2: float, p: float, focal_px: float
 ) -> None:
-    """OpenCV's forward model takes them back; bar: a thousandth of a pixel."""
+    """OpenCV's forward model inverts them; bar: a thousandth of a pixel."""
     lens = Lens(focal_px=focal_px, centre_px=(310.0, 250.0), k1=k1, k2=k2, p1=p, p2=-p)
     xy = directions(lens, (640, 480))[::60, ::60].reshape(-1, 2)
     matrix = np.array([[focal_px, 0, 310.0], [0, focal_px, 250.0], [0, 0, 1]])

@@ -24,7 +24,7 @@ def test_the_whole_line_is_found_where_there_is_one() -> None:
     assert np.isnan(stripe.centre_px[40:]).all()
 
 
-def test_the_sheet_is_told_as_the_scene_has_it() -> None:
+def test_the_sheet_is_specified_as_in_the_scene() -> None:
     scene = load_scene(SCENES / "paper" / "sandwave.toml")
     sheet, yaw_rad = sheet_of(scene)
     assert sheet.thickness_mm == 1.5
@@ -36,7 +36,7 @@ def test_the_sheet_is_told_as_the_scene_has_it() -> None:
 def test_corrections_take_back_most_of_the_error_on_another_target(tmp_path: Path) -> None:
     """On a sphere in a thicker sheet, neither of which the relations were derived on.
 
-    A correction has to take back at least half.
+    A correction has to remove at least half.
     """
     chosen = {case.name: case for case in cases(SCENES, tmp_path)}
     case = chosen["sphere, sheet of 2.5 mm"]

@@ -157,7 +157,7 @@ def test_a_mesh_in_metres_is_a_speck_until_its_unit_is_said(
         ({"floor": {"z_mm": -50.0}}, "it lies beneath the floor"),
     ],
 )
-def test_a_target_out_of_reach_is_told(
+def test_a_target_out_of_reach_is_reported(
     tmp_path: Path, caplog: pytest.LogCaptureFixture, sections: dict[str, Any], reason: str
 ) -> None:
     box = trimesh.creation.box(extents=(60.0, 50.0, 12.5))

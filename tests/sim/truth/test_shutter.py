@@ -108,7 +108,7 @@ def test_a_slope_is_sheared_as_on_paper():
     assert np.abs(truth.centre_px[same] - expected).max() < 1e-3  # second order: 0.3^2 / 100 px
 
 
-def test_rows_are_told_at_their_own_time():
+def test_each_row_has_the_time_of_its_own_exposure():
     scene = ramp(20.0, 30.0, "rows", roll_deg=90.0)
     truth = stripe_truth(scene, 0.0)
     good = np.flatnonzero((truth.status == Status.OK) & (truth.edge_px > 3))

@@ -57,7 +57,7 @@ def test_an_error_in_one_measurement_is_a_failed_row(
         raise ValueError("no kernel")
 
     def works(*_: object) -> list[Row]:
-        return [Row("a time", "a clock", 1.0, None, "ms", "told without a bar")]
+        return [Row("a time", "a clock", 1.0, None, "ms", "reported without a bar")]
 
     for name in ("line_efficiency", "veil_efficiency", "water_efficiency", "map_times"):
         monkeypatch.setattr(bench, name, works)

@@ -1,4 +1,4 @@
-"""The refractive map: exact where its physics holds, honest where the marks are noisy."""
+"""The refractive map: exact where its physics holds, correct sigma where marks are noisy."""
 
 import json
 from dataclasses import replace
@@ -293,12 +293,12 @@ def test_understated_noise_is_no_lack_of_fit() -> None:
     stated uncertainty follows the noise there is."""
     view, rng = View(), np.random.default_rng(11)
     exact = read_board(BOARD, view.project, sigma_px=NOISE_PX)
-    honest = solver.solve(exact, "", PAPER_LENS)
+    without_fault = solver.solve(exact, "", PAPER_LENS)
     lacks, growth = [], []
     for _ in range(10):
         solved = solver.solve(with_noise(exact, 3 * NOISE_PX, rng), "", PAPER_LENS)
         lacks.extend(solved.lack_of_fit_mm > 0)
-        growth.append(np.linalg.norm(solved.modes) / np.linalg.norm(honest.modes))
+        growth.append(np.linalg.norm(solved.modes) / np.linalg.norm(without_fault.modes))
     assert sum(lacks) <= 4
     # chi of some 650 degrees of freedom is good to 1/sqrt(2 * 650) = 3 %; 5 of those.
     np.testing.assert_allclose(growth, 3.0, rtol=0.14)

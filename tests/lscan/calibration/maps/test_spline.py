@@ -1,4 +1,4 @@
-"""The spline map: exactness, accuracy, honest sigma and modes, missing marks, refusals."""
+"""The spline map: exactness, accuracy, correct sigma and modes, missing marks, refusals."""
 
 from dataclasses import replace
 from time import process_time

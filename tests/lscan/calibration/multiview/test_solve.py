@@ -168,7 +168,7 @@ def test_boards_that_all_face_the_camera_are_refused() -> None:
     facing = [
         Pose(np.eye(3), pose.place_mm * np.array([1.0, 1.0, 1.0])) for pose in poses(rig, rng)
     ]
-    # All at one distance: size and distance cannot be told apart.
+    # All at one distance: size and distance cannot be distinguished.
     facing = [Pose(pose.rotation, np.array([*pose.place_mm[:2], 1000.0])) for pose in facing]
     views = [
         with_noise(

@@ -193,7 +193,7 @@ def test_a_second_program_does_not_get_the_port() -> None:
         track.close()
 
 
-def test_a_port_that_accepts_nothing_is_told_apart_from_a_broken_one() -> None:
+def test_a_port_that_accepts_nothing_is_distinguished_from_a_broken_one() -> None:
     """Nobody reads at the other end, as behind an adapter that hangs: its buffer fills up."""
     ours, theirs = os.openpty()
     try:

@@ -20,7 +20,7 @@ SLOW = {"start_mm": 0.0, "step_mm": 5.0, "feed_mm_min": 100.0, "boot_s": 0.1}
 
 def moving(plant: Plant, path: Path) -> Plant:
     """The plant after two frames, killed on its way to the third and still moving."""
-    plant.sitting(path, kill_after=2)
+    plant.scan(path, kill_after=2)
     assert plant.emulator.state == "Jog"
     assert len(plant.seen_mm) == 2
     return plant
@@ -38,7 +38,7 @@ def reset_in_motion(plant: Plant) -> None:
 def test_a_scan_killed_in_a_long_approach_is_resumed(tmp_path: Path, homing: bool) -> None:
     """The jog is cancelled before the soft reset, which in motion would be ALARM:3."""
     plant = moving(Plant(homing=homing, **SLOW), tmp_path / "a")
-    run = plant.sitting(tmp_path / "a")
+    run = plant.scan(tmp_path / "a")
     assert run is not None
     assert len(run) == FRAMES
     assert spacing_is_true(plant)
@@ -89,7 +89,7 @@ def test_unlocked_without_homing_a_scan_does_not_go_on(tmp_path: Path, looked: b
     if looked:
         plant.open().close()
     with pytest.raises(DeviceError, match=r"restarted, reset or in alarm.*--position-restored"):
-        plant.sitting(tmp_path / "a")
+        plant.scan(tmp_path / "a")
     assert len(plant.seen_mm) == 2, "nothing was taken"
 
 
@@ -98,16 +98,16 @@ def test_once_restored_it_stays_so(tmp_path: Path) -> None:
     reset_in_motion(plant)
     plant.emulator = GrblEmulator(UNHOMED, (START_MM,) * 3, plant.time)  # pushed back by hand
     with pytest.raises(DeviceError, match="--position-restored"):
-        plant.sitting(tmp_path / "a")
-    assert plant.sitting(tmp_path / "a", 4, position_restored=True) is None
-    assert plant.sitting(tmp_path / "a") is not None
+        plant.scan(tmp_path / "a")
+    assert plant.scan(tmp_path / "a", 4, position_restored=True) is None
+    assert plant.scan(tmp_path / "a") is not None
     assert spacing_is_true(plant)
 
 
 def test_an_alarm_met_in_a_scan_is_kept_in_the_run(tmp_path: Path) -> None:
     """A controller may be unlocked without a reset: the run itself says what was lost."""
     plant = Plant(**SLOW)
-    plant.sitting(tmp_path / "a", 2)
+    plant.scan(tmp_path / "a", 2)
     begun = json.loads((tmp_path / "a" / MANIFEST).read_text())["track_zero"]
     track = plant.open()
     plant.emulator.inject(replace(Faults(alarm=True), begin_s=plant.time()))
@@ -119,12 +119,12 @@ def test_an_alarm_met_in_a_scan_is_kept_in_the_run(tmp_path: Path) -> None:
 
 
 def test_a_homed_run_keeps_nothing(tmp_path: Path) -> None:
-    Plant(homing=True).sitting(tmp_path / "a", 2)
+    Plant(homing=True).scan(tmp_path / "a", 2)
     assert "track_zero" not in json.loads((tmp_path / "a" / MANIFEST).read_text())
 
 
 def test_marlin_ends_what_was_begun_and_without_homing_asks() -> None:
-    """It tells of no restart between two openings, and M410 would lose steps."""
+    """It reports no restart between two openings, and M410 would lose steps."""
     time = SimulatedTime()
     emulator = MarlinEmulator(clock=time)
     options = SerialTrackOptions(

@@ -69,7 +69,7 @@ def test_repeatability_of_numbers_worked_by_hand() -> None:
     assert found.reversal_mm == pytest.approx(-0.004)
 
 
-def test_a_reversal_is_told_from_an_offset() -> None:
+def test_a_reversal_is_distinguished_from_an_offset() -> None:
     found = try_track(EndlessTrack(5.0), approaches=4).repeatability
     assert found.reversal_mm == pytest.approx(REVERSAL_MM)
     assert found.deviation_mm == pytest.approx(OFFSET_MM - REVERSAL_MM / 2)
@@ -132,9 +132,9 @@ def test_what_cannot_be_tried_is_refused_before_a_move(
 
 
 def test_progress_counts_every_move() -> None:
-    told: list[tuple[int, int]] = []
-    try_track(EndlessTrack(5.0), 2, progress=lambda done, total: told.append((done, total)))
-    assert told == [(done, 9) for done in range(1, 10)]
+    steps: list[tuple[int, int]] = []
+    try_track(EndlessTrack(5.0), 2, progress=lambda done, total: steps.append((done, total)))
+    assert steps == [(done, 9) for done in range(1, 10)]
 
 
 # ---- controllers ------------------------------------------------------------------------
@@ -174,12 +174,12 @@ def test_grbl_says_what_it_is_and_how_far_it_goes() -> None:
     assert (facts["step_mm"], facts["max_mm_min"], facts["accel_mm_s2"]) == (1 / 200, 3000.0, 50.0)
 
 
-def test_travel_is_told_in_positions_also_where_they_run_the_other_way() -> None:
+def test_travel_is_reported_in_positions_also_where_they_run_the_other_way() -> None:
     facts = serial_track(invert=True, zero_mm=-10.0).describe()
     assert (facts["travel_low_mm"], facts["travel_high_mm"]) == (-10.0, 190.0)
 
 
-def test_travel_that_is_not_guarded_is_not_told() -> None:
+def test_travel_without_limits_is_not_reported() -> None:
     facts = serial_track({20: 0.0}).describe()
     assert facts["travel_low_mm"] is facts["travel_high_mm"] is None
 

@@ -56,7 +56,7 @@ def test_edges_of_the_model_are_found_exactly(at: float, lean: float, wall: floa
     assert abs(fit.lean - lean) < 1e-5
 
 
-def test_a_wall_would_displace_an_edge_told_by_its_upper_face_alone() -> None:
+def test_a_wall_would_displace_an_edge_found_from_its_upper_face_alone() -> None:
     """Phi(t) + g phi(t) is Phi(t + g) to first order: the edge moves by about g widths."""
     edge = faces(0.0, 0.0, 0.867, wall=0.4)
     kept = ~edge.lower

@@ -97,7 +97,7 @@ def test_edges_are_found_far_within_a_sample(lean: float, at: float, phase: floa
     assert abs(fit.lean - lean) < 0.9 / 6 / 60
 
 
-def test_stray_profiles_do_not_move_an_edge() -> None:
+def test_outlying_profiles_do_not_move_an_edge() -> None:
     clean = edge_samples(1.0, 0.0, 0.1, 0.0)
     inside, outside = clean.inside.copy(), clean.outside.copy()
     inside[::20, 0] -= 6.0

@@ -70,7 +70,7 @@ def test_both_see_a_point_in_the_same_pixel(
 @MANY
 @given(lens=LENS)
 def test_both_find_the_same_fold_of_the_distortion(lens: Lens) -> None:
-    """To 1e-9 of the radius, but next to a double root, which no float64 tells from none.
+    """To 1e-9 of the radius, but next to a double root, which float64 cannot distinguish from none.
 
     Coefficients known to 1e-16 move a root by 1e-16 over its distance from the next; 1e-5 apart
     they are sought only to 1e-11.

@@ -122,7 +122,7 @@ def test_an_error_in_a_chapter_is_a_failed_row(
     assert set(written[0]) >= {"what", "figure", "bar", "unit", "passed"}
 
 
-def test_a_quick_run_is_told_to_the_chapters(
+def test_the_chapters_receive_the_quick_option(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(accuracy, "CHAPTERS", {"bad": _bad})

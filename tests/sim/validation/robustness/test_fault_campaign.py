@@ -264,7 +264,7 @@ def test_a_picture_taken_in_motion_is_seen(tmp_path: Path, monkeypatch: pytest.M
 
 
 def believing(real: Callable[[SerialTrack, float], float]) -> Callable[[SerialTrack, float], float]:
-    """``move_to`` that answers, where the real one fails, what it was told."""
+    """``move_to`` that answers, where the real one fails, the position it was sent to."""
 
     def move_to(self: SerialTrack, position_mm: float) -> float:
         try:

@@ -36,7 +36,7 @@ def opened(world: World, capture: type[FakeCapture], **options: Any) -> OpencvCa
     return OpencvCamera(SECTION, OpencvOptions(**given), lambda _: capture(world))
 
 
-def test_a_camera_clock_set_back_is_told_from_a_silent_camera() -> None:
+def test_a_camera_clock_set_back_is_distinguished_from_a_silent_camera() -> None:
     world = World(stamps=True)
     camera = opened(world, SetBack, timeout_s=2.0, reconnects=0)
     pattern = r"stamped \d+(\.\d+)? s before .*its clock was set back.*plug it in anew"

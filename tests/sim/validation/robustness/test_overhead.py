@@ -25,7 +25,7 @@ SMALL = (16, 20, 3)
 
 @dataclass
 class FakeClock:
-    """Goes on only when told to."""
+    """Goes on only when released."""
 
     now_s: float = 100.0
 
