@@ -69,7 +69,7 @@ class LivePage:
     def __init__(self, session: Session, access: Access) -> None:
         self._session, self._access = session, access
         self._files = page_files()
-        self._changed = asyncio.Condition()
+        self._changed = asyncio.Event()  # set by the next change, then replaced
         self._closing = False
         self._loop: asyncio.AbstractEventLoop | None = None
 
@@ -110,11 +110,8 @@ class LivePage:
                 self._loop.call_soon_threadsafe(self._wake)
 
     def _wake(self) -> None:
-        async def notify() -> None:
-            async with self._changed:
-                self._changed.notify_all()
-
-        self._waking = asyncio.ensure_future(notify())
+        changed, self._changed = self._changed, asyncio.Event()
+        changed.set()
 
     async def _file(self, request: Request) -> Response:
         file, kind = self._files[request.url.path]
@@ -129,12 +126,11 @@ class LivePage:
             error = InputError("not a number", where="after", value=text, allowed="0 or above")
             return _refused(error, 400)
         newest = self._session.frames
-        async with self._changed:
-            with contextlib.suppress(TimeoutError):
-                await asyncio.wait_for(
-                    self._changed.wait_for(lambda: self._closing or newest.after(int(text))),
-                    LONGEST_WAIT_S,
-                )
+        with contextlib.suppress(TimeoutError):
+            async with asyncio.timeout(LONGEST_WAIT_S):
+                # No wake-up is missed: the event loop runs nothing between check and wait.
+                while not (self._closing or newest.after(int(text))):
+                    await self._changed.wait()
         found = newest.after(int(text))
         if found is None or self._closing:
             return Response(status_code=204)

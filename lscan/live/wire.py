@@ -48,7 +48,7 @@ def _stripe_json(line: StripeFigures) -> dict[str, Any]:
     counts = {code.name: int((status == code).sum()) for code in Status}
     return {
         "axis": line.stripe.axis,
-        "centre_px": _with_nulls(line.stripe.centre_px, 2),
+        "centre_px": _rounded(line.stripe.centre_px, 2),
         "found": int(has_value(status).sum()),
         "of": len(status),
         "clipped": counts["SATURATED"],
@@ -63,8 +63,8 @@ def _stripe_json(line: StripeFigures) -> dict[str, Any]:
 def _profile_json(profile: LiveProfile) -> dict[str, Any]:
     sigma = profile.sigma_mm[np.isfinite(profile.sigma_mm)]
     return {
-        "x_mm": _with_nulls(profile.xz_mm[:, 0], 3),
-        "z_mm": _with_nulls(profile.xz_mm[:, 1], 3),
+        "x_mm": _rounded(profile.xz_mm[:, 0], 3),
+        "z_mm": _rounded(profile.xz_mm[:, 1], 3),
         "sigma_mm": round(float(np.median(sigma)), 4) if len(sigma) else None,
     }
 
@@ -77,7 +77,7 @@ def board_json(board: BoardFigures, age_s: float) -> dict[str, Any]:
         "found": board.found,
         "expected": board.expected,
         "message": board.message,
-        "marks_px": np.round(board.marks_px, 2).tolist(),
+        "marks_px": _rounded(board.marks_px, 2),
         "residual_rms_px": _rounded(rms_px, 4),
         "residual_max_px": _rounded(max_px, 4),
         "residual_rms_mm": _rounded(rms_mm, 4),
@@ -88,25 +88,20 @@ def board_json(board: BoardFigures, age_s: float) -> dict[str, Any]:
 
 
 def _offset_json(offset: OffSheet) -> dict[str, Any]:
-    def degrees(angle_rad: float) -> float:
-        return round(float(np.degrees(angle_rad)), 4)
-
     return {
-        "distance_mm": round(offset.distance_mm, 3),
-        "sigma_mm": round(offset.distance_sigma_mm, 3),
-        "tilt_x_deg": degrees(offset.tilt_x_rad),
-        "tilt_x_sigma_deg": degrees(offset.tilt_x_sigma_rad),
-        "tilt_z_deg": degrees(offset.tilt_z_rad),
-        "tilt_z_sigma_deg": degrees(offset.tilt_z_sigma_rad),
-        "corners_mm": np.round(offset.corners_mm, 3).tolist(),
-        "message": "",
+        "distance_mm": _rounded(offset.distance_mm, 3),
+        "sigma_mm": _rounded(offset.distance_sigma_mm, 3),
+        "tilt_x_deg": _rounded(np.degrees(offset.tilt_x_rad), 4),
+        "tilt_x_sigma_deg": _rounded(np.degrees(offset.tilt_x_sigma_rad), 4),
+        "tilt_z_deg": _rounded(np.degrees(offset.tilt_z_rad), 4),
+        "tilt_z_sigma_deg": _rounded(np.degrees(offset.tilt_z_sigma_rad), 4),
+        "corners_mm": _rounded(offset.corners_mm, 3),
     }
 
 
-def _rounded(value: float | None, decimals: int) -> float | None:
-    return None if value is None else round(value, decimals)
-
-
-def _with_nulls(values: Floats, decimals: int) -> list[float | None]:
-    numbers = np.round(values, decimals).tolist()
-    return [number if number == number else None for number in numbers]
+def _rounded(values: Floats | float | None, decimals: int) -> Any:
+    """A number or an array of any shape in JSON types, None for what is not known."""
+    if values is None:
+        return None
+    numbers = np.round(values, decimals)
+    return np.where(np.isnan(numbers), None, numbers).tolist()

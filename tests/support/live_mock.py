@@ -94,7 +94,6 @@ def board_answer() -> dict[str, Any]:
         "tilt_z_deg": -0.2,
         "tilt_z_sigma_deg": 0.2,
         "corners_mm": [1.4, 0.6, -0.3, 4.4],
-        "message": "",
     }
     return {
         "stripe": None,

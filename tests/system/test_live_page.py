@@ -479,7 +479,7 @@ def test_the_board_is_shown_with_its_marks_and_where_it_stands(
     [
         ({"distance_mm": -2.5}, "Move the board 2.5 mm away from the camera; lean its top back"),
         ({"distance_mm": 0.2, "tilt_x_deg": -0.6}, "Lean its top forward by 0.6°."),
-        ({"distance_mm": 0.2, "tilt_x_deg": 0.0}, "The board stands in the sheet, within 0.6 mm"),
+        ({"distance_mm": 0.2, "tilt_x_deg": 0.0}, "The board lies in the sheet, within 0.6 mm"),
         ({"tilt_x_deg": 0.0, "tilt_z_deg": 1.0}, "; turn its right side forward by 1.0°."),
         (None, "Add camera_mm to [sheet]"),
     ],

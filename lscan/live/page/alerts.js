@@ -3,21 +3,21 @@
 import { $, write } from "./page.js";
 import { Refused } from "./server.js";
 
-const faults = {}; // of each origin [text, whether camera or track is to blame]
+const faults = {}; // of each origin [text, whether camera or track is at fault]
 const textOf = (origin) => faults[origin]?.[0] ?? "";
 
 /**
- * Show a fault of one origin in the alert line, or take it away with "".
+ * Show the fault of one origin in the alert line, or clear it with "".
  *
- * Each is told once: what came of a fault of camera or track, not beside that fault itself; and
- * without a server nothing but this is known.
+ * Each fault is shown once: a consequence of a fault of camera or track is not shown beside that
+ * fault, and without a server its absence alone is shown.
  */
 export function complain(origin, text, byDevice = false) {
   faults[origin] = [text || "", byDevice];
   const device = textOf("camera") || textOf("track");
   if (device && faults.command?.[1]) delete faults.command;
-  const told = Object.values(faults).filter(([, blamed]) => !(device && blamed));
-  write($("alert"), textOf("connection") || told.map(([one]) => one).filter(Boolean).join("\n"));
+  const shown = Object.values(faults).filter(([, byDevice]) => !(device && byDevice));
+  write($("alert"), textOf("connection") || shown.map(([text]) => text).filter(Boolean).join("\n"));
 }
 
 function showConnection(name, text) {

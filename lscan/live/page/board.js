@@ -38,13 +38,13 @@ function advice(f) {
   if (!board.offset) return board.offset_message ?? "";
   const moves = movesInto(board.offset);
   const within = fixed(Math.max(ENOUGH_MM, 2 * board.offset.sigma_mm), 1);
-  if (!moves.length) return `The board stands in the sheet, within ${within} mm.`;
+  if (!moves.length) return `The board lies in the sheet, within ${within} mm.`;
   if (!holds(f, "board")) return "";
   const text = moves.join("; ");
   return `${text[0].toUpperCase()}${text.slice(1)}.`;
 }
 
-/** Show how a frame's board stands, in words and at its corners. */
+/** Show the board's distance from the sheet, in words and at its corners. */
 export function showBoard(f) {
   const { board } = f; // null before it was looked for
   const offset = board?.offset ?? null;

@@ -1,4 +1,4 @@
-// What the page tells whoever measures it, as window.lscan.
+// What tests and benchmarks read of the page, as window.lscan.
 //
 // framesDrawn: pictures drawn; profilesDrawn: those of them with stripe and profile; lastNumber:
 // of the last; rateHz: pictures drawn a second; plot: the profile's window in mm and px.

@@ -4,7 +4,7 @@ const LONGEST_MS = 20000; // longer than the server ever holds back an answer
 
 export const sleep = (ms) => new Promise((wake) => setTimeout(wake, ms));
 
-/** The server said no, in words for whoever reads the page; byDevice: a device is to blame. */
+/** The server refused a request, with a message for the user; byDevice: a device is at fault. */
 export class Refused extends Error {
   constructor(message, byDevice) {
     super(message);
@@ -18,11 +18,11 @@ export async function ask(path, options = {}) {
   const answer = await fetch(path, { cache: "no-store", signal, ...options });
   if (answer.ok) return answer;
   const text = await answer.text();
-  let told = { error: text };
+  let refusal = { error: text };
   try {
-    told = JSON.parse(text);
+    refusal = JSON.parse(text);
   } catch {
     // a plain sentence
   }
-  throw new Refused(told.error ?? text, told.device ?? false);
+  throw new Refused(refusal.error ?? text, refusal.device ?? false);
 }

@@ -6,7 +6,7 @@ import { disableButtons, showButtons, showScan } from "./scan.js";
 import { Refused, ask, sleep } from "./server.js";
 
 const PERIOD_MS = 500;
-const ANSWER_MS = 5000; // a server that takes longer to tell its state is taken for gone
+const ANSWER_MS = 5000; // a server that takes longer to answer counts as lost
 const REOPENS = " – Go, Start and Resume open it again by themselves.";
 
 let state = null;

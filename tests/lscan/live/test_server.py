@@ -1,5 +1,6 @@
 """The live page over HTTP, by a real server on a port of its own."""
 
+import asyncio
 import signal
 import socket
 import subprocess
@@ -7,6 +8,8 @@ import sys
 import threading
 from collections.abc import Iterator
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import httpx
 import pytest
@@ -17,8 +20,10 @@ from places import SUPPORT
 
 from lscan.acquisition.run import open_run
 from lscan.errors import InputError
+from lscan.live.access import grant
 from lscan.live.files import FOLDER
-from lscan.live.server import listen
+from lscan.live.newest import Newest
+from lscan.live.server import LivePage, listen
 
 COMMANDS = [
     "mode",
@@ -295,6 +300,22 @@ def test_a_device_that_refuses_is_a_conflict_with_its_line(fresh: Page) -> None:
 
 
 # ---- pictures ---------------------------------------------------------------------------
+
+
+def test_a_picture_that_comes_as_the_server_ends_leaves_nothing_undone() -> None:
+    """The event loop ends in the very round in which it learns of the picture."""
+    session: Any = SimpleNamespace(frames=Newest[bytes]())
+    page = LivePage(session, grant("127.0.0.1", 80, None))
+
+    async def serve_and_end() -> None:
+        async with page._lifespan(None):  # type: ignore[arg-type]
+            session.frames.put(b"")
+
+    loop = asyncio.new_event_loop()
+    loop.run_until_complete(serve_and_end())
+    assert not asyncio.all_tasks(loop)
+    loop.close()
+    session.frames.put(b"")  # and the next one finds no loop
 
 
 def test_each_picture_is_answered_once_and_newer_than_the_last(page: Page) -> None:
