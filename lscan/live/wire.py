@@ -104,4 +104,4 @@ def _rounded(values: Floats | float | None, decimals: int) -> Any:
     if values is None:
         return None
     numbers = np.round(values, decimals)
-    return np.where(np.isnan(numbers), None, numbers).tolist()
+    return np.where(np.isnan(numbers), np.array(None), numbers).tolist()
