@@ -12,8 +12,11 @@ a scan of the calibration board and one of an object to a surface:
     lscan.save_surface("surface.nc", surface)
 """
 
+import inspect
+from collections.abc import Callable
+from functools import cache, wraps
 from importlib import import_module
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, get_type_hints
 
 from lscan.version import __version__
 
@@ -107,11 +110,42 @@ _HOMES = {
 
 
 def __getattr__(name: str) -> Any:
-    """A public name, its module imported now."""
+    """A public name, its module imported now; a function refuses arguments of another kind."""
     for home, names in _HOMES.items():
         if name in names:
-            return getattr(import_module(home), name)
+            found = getattr(import_module(home), name)
+            return _checked(found) if inspect.isfunction(found) else found
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+
+
+@cache
+def _checked(function: Callable[..., Any]) -> Callable[..., Any]:
+    """The function, which raises TypeError for an argument that is not of its class of lscan.
+
+    Arguments of other types, such as paths and arrays, are left to the function.
+    """
+    types = get_type_hints(function)
+    kinds = {name: kind for name, kind in types.items() if _is_of_lscan(kind)}
+    signature = inspect.signature(function)
+
+    @wraps(function)
+    def checked(*arguments: Any, **named: Any) -> Any:
+        for name, value in signature.bind(*arguments, **named).arguments.items():
+            kind = kinds.get(name, object)
+            if not isinstance(value, kind):
+                given = type(value).__name__
+                fields = getattr(value, "__dataclass_fields__", ())
+                fitting = [part for part in fields if isinstance(getattr(value, part), kind)]
+                hint = f"; its .{fitting[0]} is one" if fitting else ""
+                what = f"{function.__name__}: {name}: must be a {kind.__name__}, not a {given}"
+                raise TypeError(what + hint)
+        return function(*arguments, **named)
+
+    return checked
+
+
+def _is_of_lscan(kind: Any) -> bool:
+    return inspect.isclass(kind) and kind.__module__.startswith("lscan.")
 
 
 def __dir__() -> list[str]:

@@ -8,10 +8,10 @@ class LscanError(Exception):
     --------
     >>> import lscan
     >>> try:
-    ...     lscan.load_rig("paper/sandwaves")
+    ...     lscan.load_rig("paper/sandwav")
     ... except lscan.LscanError as error:
     ...     print(error)
-    paper/sandwaves: cannot be read: there is no such file, and no scene of that name (allowed: ...
+    paper/sandwav: cannot be read: ... of that name; did you mean paper/sandwave? (allowed: ...
     """
 
     exit_code = 2

@@ -1,6 +1,7 @@
 """The one chain from a run's pictures to its calibration and its surface."""
 
 from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -13,7 +14,7 @@ from lscan.calibration.solve import Calibration, calibrate
 from lscan.config.board import Board
 from lscan.config.rig import CameraSection, Rig
 from lscan.config.targets import Sandwave
-from lscan.errors import InputError, MeasurementError
+from lscan.errors import BoardNotFound, InputError, MeasurementError
 from lscan.records import Bytes, Floats, Profile, Progress, Surface
 from lscan.stripe import extract_stripe
 from lscan.surface import Alignment, align_sandwave, apply, stack
@@ -68,7 +69,8 @@ def calibrate_run(run: Run, plane_map: str | None = None) -> Calibration:
     True
     """
     rig = run.rig_file.rig
-    reading = read_board(mean_picture(run), require_board(run), channel=rig.calibration.channel)
+    with board_expected(run):
+        reading = read_board(mean_picture(run), require_board(run), channel=rig.calibration.channel)
     return calibrate(reading, plane_map or rig.calibration.plane_map, rig.optics)
 
 
@@ -190,6 +192,27 @@ def require_board(run: Run) -> Board:
     if board is None:
         raise InputError("the rig file has no section [board]", where=run.path)
     return board
+
+
+@contextmanager
+def board_expected(run: Run) -> Iterator[None]:
+    """Say of a run of something else that it is none of the board, where none is found.
+
+    Advice on how to light a board would mislead there: BoardNotFound names what was scanned.
+    """
+    try:
+        yield
+    except BoardNotFound as error:
+        rig = run.rig_file.rig
+        shown = "a scan from several places" if len(set(run.positions_mm)) > 1 else None
+        if rig.workpiece is not None:
+            shown = f"a scan of the [workpiece] {rig.workpiece.kind!r}"
+        if shown is None:
+            raise
+        raise BoardNotFound(
+            f"{run.path}: shows no board: by its rig file it is {shown}; calibrate from a run or "
+            "a picture of the board, such as a scan of paper/board"
+        ) from error
 
 
 def require_size(

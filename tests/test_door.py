@@ -6,12 +6,14 @@ import subprocess
 import sys
 from pathlib import Path
 from types import ModuleType
+from typing import Any
 
 import pytest
 from places import ROOT
 
 import lscan
 import sim
+from lscan.records import Floats, PlanePoints
 
 DOORS = pytest.mark.parametrize("door", [lscan, sim], ids=lambda door: door.__name__)
 
@@ -57,6 +59,35 @@ def test_another_name_is_refused(door: ModuleType) -> None:
         _ = door.attic
     with pytest.raises(ImportError):
         importlib.import_module(f"{door.__name__}.attic")
+
+
+def test_an_argument_of_another_kind_is_refused_by_name() -> None:
+    nothing: Any = None
+    run = lscan.Run(Path("r"), nothing, "complete", (), ())
+    rest = [nothing] * 5
+    calibration = lscan.Calibration("any", AnyMap(), *rest)
+    called: Any = lscan.measure_groove
+    with pytest.raises(TypeError) as refused:
+        called(run, calibration)
+    assert str(refused.value) == (
+        "measure_groove: plane_map: must be a PlaneMap, not a Calibration; its .plane_map is one"
+    )
+    with pytest.raises(TypeError, match=r"run: must be a Run, not a str$"):
+        called("runs/groove", AnyMap())
+    with pytest.raises(TypeError, match="missing a required argument"):
+        called(run)
+
+
+class AnyMap:
+    """A plane map by its methods alone."""
+
+    name = "any"
+
+    def to_plane(self, image_px: Floats, sigma_px: Floats | None = None) -> PlanePoints:
+        raise NotImplementedError
+
+    def parameters(self) -> dict[str, Any]:
+        return {}
 
 
 @DOORS

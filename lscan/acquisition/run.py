@@ -156,6 +156,10 @@ class Run:
     def __len__(self) -> int:
         return len(self.rows)
 
+    def __repr__(self) -> str:
+        rig, frames = self.rig_file.rig, f"{len(self)} of {self.rig_file.rig.plan.frames} frames"
+        return f"<Run {str(self.path)!r}: {rig.name!r}, {frames}, {self.state}>"
+
     @property
     def positions_mm(self) -> Floats:
         """(F,) track position of each frame as the track reported it, mm."""

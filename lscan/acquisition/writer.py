@@ -207,7 +207,10 @@ def refuse_existing(path: Path) -> None:
     """Raise InputError where there is something at ``path`` already."""
     if path.exists() or path.is_symlink():
         raise InputError(
-            "exists already", where=path, allowed="another name, or --resume to go on with it"
+            "exists already",
+            where=path,
+            allowed="another folder; or, to go on with the run there or take it as it is if "
+            "complete, --resume, in Python resume=True",
         )
 
 

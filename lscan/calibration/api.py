@@ -6,7 +6,7 @@ the solver's name and, after a hyphen, its variant: ``graticule-2-norulers`` is 
 """
 
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any, Protocol, runtime_checkable
 
 from lscan.config.plugins import find_plugin
 from lscan.config.rig import OpticsSection
@@ -15,6 +15,7 @@ from lscan.records import BoardReading, Floats, PlanePoints
 NOTHING_KNOWN = OpticsSection()
 
 
+@runtime_checkable
 class PlaneMap(Protocol):
     """A solved map from the picture to the laser sheet.
 

@@ -6,6 +6,7 @@ Heavy modules are imported where they are used, so that ``lscan --help`` stays q
 from __future__ import annotations
 
 import sys
+from contextlib import nullcontext
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -117,22 +118,25 @@ def parse_seeds(text: str | None) -> Floats | None:
 class BoardSource:
     """The picture of a board, the board, how to calibrate with it, and what is known of the lens.
 
-    image: (H, W, 3) or (H, W) uint8.
+    image: (H, W, 3) or (H, W) uint8.  run: whose mean picture it is, None of a picture file.
     """
 
     image: Bytes
     board: Board
     calibration: CalibrationSection
     optics: OpticsSection
+    run: Run | None = None
 
     def read(self, seeds: Floats | None, channel: str | None) -> BoardReading:
         """The marks found; seeds: (3, 2) px; channel: in place of what the rig says."""
         from lscan.board import read_board
+        from lscan.pipeline import board_expected
 
         chosen = self.calibration.channel
         if channel is not None:
             chosen = choice("--channel", channel, CHANNELS)
-        return read_board(self.image, self.board, seeds=seeds, channel=chosen)
+        with board_expected(self.run) if self.run else nullcontext():
+            return read_board(self.image, self.board, seeds=seeds, channel=chosen)
 
 
 def board_picture(
@@ -155,7 +159,7 @@ def board_picture(
         rig = run.rig_file.rig
         nominal = load_board(board) if board else require_board(run)
         known = read_optics(optics) if optics else rig.optics
-        return BoardSource(mean_picture(run), nominal, rig.calibration, known)
+        return BoardSource(mean_picture(run), nominal, rig.calibration, known, run)
     if not picture.exists():
         raise InputError(
             "no such file or folder", where=picture, allowed="a picture file or a run folder"

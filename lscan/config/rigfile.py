@@ -69,6 +69,12 @@ def parse_rig(document: Document, source: str, trusted: bool = False) -> RigFile
     it was written; the drivers then need not be installed.
     """
     own = {key: value for key, value in document.items() if key in Rig.model_fields}
+    if not {"camera", "track"} & own.keys():
+        raise InputError(
+            "is no rig: it has neither [camera] nor [track]",
+            where=source,
+            allowed="a rig file, or a scene; `lscan scenes` lists those that come with lscan",
+        )
     rig = check(Rig, own, where=source)
     strange = set(document) - set(own)
     if strange and not trusted:

@@ -5,6 +5,7 @@ In a checkout they lie beside the packages, in an installed lscan within it.
 
 import os
 import shutil
+from difflib import get_close_matches
 from functools import cache
 from pathlib import Path
 
@@ -57,8 +58,10 @@ def scene_file(path: Path | str) -> Path:
         return scenes_folder() / f"{path}.toml"
     if os.path.lexists(path):  # a folder, a link to nowhere: whoever reads it says what is wrong
         return path
+    near = get_close_matches(path.as_posix().removesuffix(".toml"), scene_names(), n=1)
+    suggested = f"; did you mean {near[0]}?" if near else ""
     raise InputError(
-        "cannot be read: there is no such file, and no scene of that name",
+        f"cannot be read: there is no such file, and no scene of that name{suggested}",
         where=path,
         allowed="a TOML file, or a name that `lscan scenes` lists",
     )

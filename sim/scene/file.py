@@ -143,6 +143,14 @@ def load_scene(path: Path | str) -> Scene:
 def scene_of(rig_file: RigFile) -> Scene:
     """The scene in a rig file that has the tank's sections; InputError names what is wrong."""
     own = {key: value for key, value in rig_file.document.items() if key in SECTIONS}
+    required = {name for name, field in TankSections.model_fields.items() if field.is_required()}
+    if required - own.keys() == {"target"}:
+        raise InputError(
+            "is a rig in the tank with nothing to scan: it has no section [target]",
+            where=rig_file.source,
+            allowed="a scene, such as paper/board, or a file that includes this one and adds "
+            "[target]; `lscan scenes` lists all",
+        )
     tank = check(TankSections, own, where=rig_file.source)
     head = _on_its_shaft(tank.head, rig_file)
     scene = Scene(

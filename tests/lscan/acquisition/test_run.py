@@ -55,6 +55,11 @@ def copy(recorded: Run, tmp_path: Path) -> Path:
     return Path(shutil.copytree(recorded.path, tmp_path / "copy"))
 
 
+def test_a_run_is_shown_in_a_line(recorded: Run) -> None:
+    expected = f"<Run {str(recorded.path)!r}: 'fake', 4 of 4 frames, complete>"
+    assert repr(recorded) == expected.replace("fake", recorded.rig_file.rig.name)
+
+
 # Rows
 
 

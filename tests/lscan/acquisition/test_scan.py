@@ -133,7 +133,7 @@ def test_a_scan_asked_to_stop_ends_after_its_frame_and_goes_on(tmp_path: Path) -
 
 def test_an_existing_folder_is_refused(tmp_path: Path, drivers: FakeDrivers) -> None:
     (tmp_path / "a").mkdir()
-    with pytest.raises(InputError, match=r"exists already.*--resume"):
+    with pytest.raises(InputError, match=r"exists already.*another folder.*--resume.*resume=True"):
         scan(fake_rig(), tmp_path / "a")
     assert drivers.opened == 0
 

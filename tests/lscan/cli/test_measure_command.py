@@ -9,9 +9,12 @@ from typing import Any
 
 import pytest
 from drawn_runs import board_run, flat_run
+from typer.testing import CliRunner
 
+import lscan
 from lscan.cli.app import app
 from lscan.cli.console import run_command_line
+from lscan.errors import BoardNotFound
 
 pytestmark = pytest.mark.xdist_group("measure")  # one worker: they share a fixture
 
@@ -110,6 +113,26 @@ def test_reconstruct_says_of_a_run_of_the_board_that_there_is_no_surface(
         r"lscan: note: a line in \d+ of 640 columns alone; if the pictures show", output.err
     )
     assert "there is no surface to build; a run of the board is for `lscan calibrate`" in output.err
+
+
+@pytest.mark.parametrize(
+    ("frames", "sections", "words"),
+    [
+        (5, {"workpiece": {"kind": "sandwave"}}, "a scan of the [workpiece] 'sandwave'; calibrate"),
+        (5, {}, "a scan from several places; calibrate from a run or a picture of the board"),
+        (1, {}, "light and sharpen the board"),
+    ],
+)
+def test_calibrate_says_of_a_run_of_something_else_what_it_shows(
+    frames: int, sections: dict[str, Any], words: str, tmp_path: Path
+) -> None:
+    flat_run(tmp_path / "mesh", frames, **sections)
+    call = ["calibrate", str(tmp_path / "mesh"), "-o", str(tmp_path / "c.json")]
+    with pytest.raises(BoardNotFound) as refused:
+        CliRunner().invoke(app, call, catch_exceptions=False)
+    assert words in str(refused.value)
+    with pytest.raises(BoardNotFound, match=re.escape(words)):
+        lscan.calibrate_run(lscan.open_run(tmp_path / "mesh"))
 
 
 def test_reconstruct_of_dark_pictures_writes_no_file(

@@ -57,6 +57,28 @@ def test_neither_file_nor_name_is_refused_by_both(path: str) -> None:
     assert "lscan scenes" in str(refused.value)
 
 
+@pytest.mark.parametrize("path", ["paper/sandwav", "paper/sandwave.tml", "nothing"])
+def test_a_name_with_a_typing_error_brings_the_nearest(path: str) -> None:
+    with pytest.raises(InputError) as refused:
+        read_document(path)
+    meant = "; did you mean paper/sandwave? (" in str(refused.value)
+    assert meant == (path != "nothing")
+
+
+@pytest.mark.parametrize(
+    ("name", "words"),
+    [
+        ("paper/rig", "a rig in the tank with nothing to scan: it has no section [target]"),
+        ("paper/calibration-board", "is no rig: it has neither [camera] nor [track]"),
+    ],
+)
+def test_what_cannot_be_scanned_says_what_it_is(name: str, words: str) -> None:
+    with pytest.raises(InputError) as refused:
+        load_rig(name)
+    assert words in str(refused.value)
+    assert "scene" in str(refused.value.allowed)
+
+
 def test_a_path_from_the_root_is_no_name(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="gone: cannot be read: No such file"):
         read_document(tmp_path / "gone")
