@@ -94,15 +94,16 @@ def test_exact_marks_give_an_exact_map(view: View) -> None:
 
     Rough values pull the solution off the truth.  For a linear fit the pull at any point is at
     most its stated uncertainty times the distance of the truth from what was known, in
-    uncertainties (Cauchy and Schwarz; the posterior covariance is below the prior's).
+    uncertainties (Cauchy and Schwarz; the posterior covariance is below the prior's).  Within
+    half a degree of square the marks do not determine the focal length: the fit is not linear
+    over the cameras that explain them, and the bound need not hold.
     """
-    assume(max(abs(view.elevation_deg), abs(view.yaw_deg)) > 2.0)  # see the next test
+    assume(max(abs(view.elevation_deg), abs(view.yaw_deg)) > 0.5)
     hold_to_the_truth(view)
 
 
-@pytest.mark.xfail(strict=True, reason="the fit ends 2.7 sigma, 0.002 mm, from the truth")
-def test_exact_marks_all_but_square_to_the_board() -> None:
-    """One degree from square, a tilt and its opposite look nearly the same."""
+def test_exact_marks_nearly_square_to_the_board() -> None:
+    """One degree from square the fit converges slowly: it takes 171 evaluations."""
     view = View(
         distance_mm=791.045, elevation_deg=-0.01556, yaw_deg=-0.99999, roll_deg=-0.33333,
         focal_px=592.071, centre_px=(320.0, 256.39661), k1=-0.19081, k2=0.08557,
