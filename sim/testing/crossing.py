@@ -4,7 +4,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 from lscan.config.documents import Document, merge
-from sim.tables import packaged_table
+from lscan.files.packaged import packaged_table
 
 
 @dataclass(frozen=True)

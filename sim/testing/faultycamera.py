@@ -11,8 +11,8 @@ import cv2
 import numpy as np
 
 from lscan.devices.opencv_camera import OpencvOptions
+from lscan.files.packaged import packaged_table
 from lscan.records import Bytes
-from sim.tables import packaged_table
 from sim.testing.marks import ExposureMark, draw_mark
 
 _CAMERA = packaged_table("sim.testing", "bench.toml")["camera"]

@@ -4,8 +4,8 @@ from collections.abc import Callable
 from dataclasses import replace
 
 from lscan.devices.grbl import SerialTrack, SerialTrackOptions, open_track
+from lscan.files.packaged import packaged_table
 from sim.emulators.grbl import DirectLine, Faults, GrblEmulator, SimulatedTime
-from sim.tables import packaged_table
 
 ZERO_MM: float = packaged_table("sim.testing", "bench.toml")["track"]["options"]["zero_mm"]
 """Where, counted from the switch, the track's position is 0."""

@@ -18,10 +18,10 @@ from lscan.config.rigfile import parse_rig
 from lscan.devices.grbl import SerialTrackOptions
 from lscan.devices.manual import ManualOptions
 from lscan.devices.opencv_camera import OpencvOptions
+from lscan.files.packaged import packaged_table
 from lscan.records import Frame
 from sim.devices import CameraOptions, TrackOptions
 from sim.scene.file import TankSections
-from sim.tables import packaged_table
 
 SIZE_PX = (16, 16)
 CAMERAS: dict[str, type[Strict]] = {

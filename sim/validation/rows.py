@@ -11,7 +11,7 @@ from typing import Any
 from lscan.errors import LscanError
 from lscan.figures.reportfigure import ReportFigure
 from lscan.files.disk import make_folder, write_atomically
-from sim.tables import packaged_table
+from lscan.files.packaged import packaged_table
 
 
 @dataclass(frozen=True)

@@ -19,10 +19,10 @@ from lscan.calibration.maps.polynomial import terms
 from lscan.calibration.maps.scaling import box
 from lscan.config.board import Board, Grid
 from lscan.config.rig import StripeSection
+from lscan.files.packaged import packaged_table
 from lscan.files.pictures import read_picture
 from lscan.records import BoardReading, Bytes, Floats, Mask, has_value
 from lscan.stripe import extract_stripe
-from sim.tables import packaged_table
 from sim.validation.rows import Row, measured, row
 
 Result = TypeVar("Result")

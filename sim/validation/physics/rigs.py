@@ -9,11 +9,11 @@ import numpy as np
 from lscan.config.documents import Document, merge
 from lscan.config.rigfile import parse_rig
 from lscan.errors import InputError
+from lscan.files.packaged import packaged_table
 from lscan.records import Floats
 from sim.render.plugins.camera import RefractiveCamera
 from sim.render.plugins.traced import TracedCamera
 from sim.scene import Pose, Scene, scene_of
-from sim.tables import packaged_table
 from sim.water import glass_index
 
 PLUGINS = {RefractiveCamera: "refractive_camera", TracedCamera: "traced_camera"}
