@@ -12,7 +12,7 @@ from types import MappingProxyType
 from typing import Any
 
 import cv2
-import matplotlib
+import matplotlib.style
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_svg import FigureCanvasSVG
@@ -34,8 +34,7 @@ PALETTE: Mapping[str, str] = MappingProxyType(
         "accent": "#c2185b",
     }
 )
-INK, MUTED, RULE, PAPER = (PALETTE[name] for name in ("ink", "muted", "rule", "paper"))
-FIRST, SECOND, THIRD, ACCENT = (PALETTE[name] for name in ("first", "second", "third", "accent"))
+INK, MUTED, RULE, PAPER, FIRST, SECOND, THIRD, ACCENT = PALETTE.values()
 
 HEIGHT_COLOURS = ("#0c3547", "#1f6274", "#5d8f80", "#b5b07c", "#f1e3b3")
 """Deep water to sand; lightness rises throughout, so it reads in grey too."""
@@ -48,33 +47,8 @@ NOTE: Any = {"textcoords": "offset points", "va": "center", "fontweight": "bold"
 PLATE: Any = {"facecolor": PAPER, "edgecolor": "none", "alpha": 0.8, "pad": 1.2}
 """Keywords of the ground behind a label that lies on a picture."""
 
-_SETTINGS: Any = {
-    "svg.fonttype": "none",
-    "svg.hashsalt": "lscan",
-    "font.family": "DejaVu Sans",  # comes with matplotlib: the layout is the same anywhere
-    "font.size": 9.0,
-    "axes.linewidth": 0.7,
-    "axes.edgecolor": MUTED,
-    "axes.labelcolor": INK,
-    "axes.titlesize": 9.0,
-    "axes.titlecolor": INK,
-    "axes.titlelocation": "left",
-    "axes.spines.top": False,
-    "axes.spines.right": False,
-    "axes.grid": True,
-    "axes.facecolor": "none",
-    "grid.color": RULE,
-    "grid.linewidth": 0.5,
-    "text.color": INK,
-    "xtick.color": MUTED,
-    "ytick.color": MUTED,
-    "lines.linewidth": 1.4,
-    "legend.frameon": False,
-    "legend.fontsize": 8.5,
-}
-
-styled = matplotlib.rc_context(_SETTINGS)
-"""Decorator of the functions that draw: matplotlib has this look within them only."""
+styled = matplotlib.style.context("lscan.figures.report")
+"""Decorator of the functions that draw: matplotlib has report.mplstyle's look in them only."""
 
 WIDTH_IN = 5.8
 """Width of most figures: their 9 pt type then shows at the page's own size."""
