@@ -14,6 +14,7 @@ from lscan.calibration.solve import calibrate
 from lscan.figures import style
 from lscan.figures.reportfigure import ReportFigure
 from lscan.paper.experiment import BoardResult
+from lscan.paper.figures.words import drawn, photographed
 from lscan.paper.published import CHOSEN_MAP
 from lscan.records import BoardReading, Bytes, Floats, Status
 
@@ -98,56 +99,29 @@ def _last_vertical_ruler(board: BoardResult) -> DrawnConversion | None:
 def board_picture(image: Bytes, reading: BoardReading) -> ReportFigure:
     """The calibration board as the camera sees it (Fig. 9), and how uneven its pitch is."""
     height, width = image.shape[:2]
-    alt = f"Photograph of the calibration board, {width} by {height} pixels."
-    return ReportFigure(
-        key="board",
-        title="The calibration board as the camera sees it",
-        paper="Fig. 9",
-        alt=alt,
-        caption=f"One picture of {width} × {height} px calibrates the whole instrument."
-        f"{_pitch(reading)}",
-        body=style.photograph(image, "", alt),
-    )
-
-
-def _pitch(reading: BoardReading) -> str:
-    """Mean distance of neighbours in the highest and in the lowest row that hold some."""
+    # Mean distance of neighbours in the highest and in the lowest row that hold some.
     lattice = reading.grid.image_px.reshape(*reading.shape, 2)
     step = np.linalg.norm(np.diff(lattice, axis=1), axis=2)
     rows = step[np.isfinite(step).any(axis=1)]
-    return (
-        f" Control points {reading.pitch_mm:g} mm apart on the board are {np.nanmean(rows[0]):.1f} "
-        f"px apart in the top row and {np.nanmean(rows[-1]):.1f} px in the bottom row: what the "
-        "plane map has to undo."
-    )
+    pitch = {"top": np.nanmean(rows[0]), "bottom": np.nanmean(rows[-1])}
+    return photographed("board", image, width=width, height=height, pitch=reading.pitch_mm, **pitch)
 
 
 def control_points(image: Bytes, reading: BoardReading) -> ReportFigure:
     """The marks that were found, and the boxes in which they were looked for (Fig. 12)."""
-    alt = "The board picture with a cross on every control point that was found."
-    return ReportFigure(
-        key="control-points",
-        title="Control points found",
-        paper="Fig. 12",
-        alt=alt,
-        caption="Every control point that was found is marked ×. Boxes show where each one was "
-        f"looked for. {_found(reading)}",
-        body=style.photograph(draw_overlay(image, reading), "", alt),
-    )
-
-
-def _found(reading: BoardReading) -> str:
     grid = reading.grid
-    parts = [f"{int(grid.found.sum())} of {len(grid.status)} control points"]
+    found = f"{int(grid.found.sum())} of {len(grid.status)} control points"
     if reading.rulers:
         seen = sum(int(ruler.marks.found.sum()) for ruler in reading.rulers)
         asked = sum(len(ruler.marks.status) for ruler in reading.rulers)
-        parts.append(f"{seen} of {asked} marks of {len(reading.rulers)} rulers")
+        found += f" and {seen} of {asked} marks of {len(reading.rulers)} rulers"
     outside = int((grid.status == Status.OUT_OF_VIEW).sum())
-    unseen = f" {outside} lie outside the picture." if outside else ""
-    return (
-        f"Found: {' and '.join(parts)}; the median standard uncertainty of a control point is "
-        f"{np.median(grid.sigma_px[grid.found]):.3f} px.{unseen}"
+    return photographed(
+        "control-points",
+        draw_overlay(image, reading),
+        found=found,
+        sigma=np.median(grid.sigma_px[grid.found]),
+        unseen=f" {outside} lie outside the picture." if outside else "",
     )
 
 
@@ -165,17 +139,8 @@ def line_fits(row: RowFits) -> ReportFigure:
         panel.set_ylabel("v / px")
         panel.invert_yaxis()
     axes[-1].set_xlabel("u / px")
-    alt = "One row of control points with " + ", ".join(title for title, _ in FITS.values()) + "."
-    return ReportFigure(
-        key="line-fits",
-        title="Fits of one row of control points",
-        paper="Fig. 13",
-        alt=alt,
-        caption="One row of control points (×) and the latitude line fitted to it, from top to "
-        "bottom; v is stretched. Distance between control points and line: "
-        f"{'; '.join(notes)}.",
-        body=style.svg(figure, "line-fits", alt),
-    )
+    fits = ", ".join(title for title, _ in FITS.values())
+    return drawn("line-fits", figure, fits=fits, distances="; ".join(notes))
 
 
 def _mark(panel: Axes, points: Floats, colour: str = style.INK) -> None:
@@ -204,7 +169,6 @@ def sensitivity(row: RowFits, name: str, paper: str) -> ReportFigure:
     before, after = row.curves[name], row.shifted_curves[name]
     change = after[:, 1] - _across(before, after[:, 0])
     moved = int(np.nanargmax(np.abs(row.shifted_px - row.points_px).max(axis=1)))
-    key = f"sensitivity-{name}"
     figure, (lines, differences) = style.panels(2, (style.WIDTH_IN, 4.0), (1.4, 1.0))
     lines.plot(*before.T, color=style.INK, linewidth=1.0, label="control points as found")
     lines.plot(*after.T, color=colour, label="one shifted by 1 px")
@@ -218,26 +182,17 @@ def sensitivity(row: RowFits, name: str, paper: str) -> ReportFigure:
     differences.set_ylim(1.25, -1.25)
     differences.set_ylabel("change of v / px")
     differences.set_xlabel("u / px")
-    alt = f"A {title} through a row of control points, before and after one moved by a pixel."
-    return ReportFigure(
-        key=key,
-        title=f"Sensitivity of the {title} to one control point",
-        paper=paper,
-        alt=alt,
-        caption=f"Above, the {title} of one row before and after the ringed control point is "
-        f"shifted by 1 px; below, by how much the line moves. {_ripple(change)} Its "
-        f"curvature changes sign {_inflections(before)} times before and {_inflections(after)} "
-        "times after the shift.",
-        body=style.svg(figure, key, alt),
-    )
-
-
-def _ripple(change: Floats) -> str:
     sign = 1.0 if abs(change.max()) >= abs(change.min()) else -1.0
-    along, against = float((sign * change).max()), float(max(0.0, (-sign * change).max()))
-    return (
-        f"It follows the shift by up to {along:.2f} px and swings the other way by up to "
-        f"{against:.2f} px."
+    return drawn(
+        "sensitivity",
+        figure,
+        plane_map=name,
+        fit=title,
+        paper=paper,
+        along=(sign * change).max(),
+        against=max(0.0, (-sign * change).max()),
+        before=_inflections(before),
+        after=_inflections(after),
     )
 
 
@@ -260,16 +215,5 @@ def ruler(curve: DrawnConversion) -> ReportFigure:
     axes.set_xlabel("v / px")
     axes.set_ylabel("z / mm")
     scale = np.abs(np.gradient(curve.curve_mm, curve.curve_px))
-    name = f"at x = {curve.at_mm:g} mm"
-    alt = f"Board coordinate against pixel coordinate for the marks of ruler {name}."
-    return ReportFigure(
-        key="ruler",
-        title=f"Conversion curve of ruler {name}",
-        paper="Fig. 16",
-        alt=alt,
-        caption=f"{len(curve.marks_px)} marks of ruler {name} (dots) and the curve that "
-        f"turns v into z. A pixel is {scale.min():.2f} to "
-        f"{scale.max():.2f} mm on the board, larger where the board is farther away; the paper "
-        "says about 1 mm.",
-        body=style.svg(figure, "ruler", alt),
-    )
+    marks = len(curve.marks_px)
+    return drawn("ruler", figure, at=curve.at_mm, marks=marks, least=scale.min(), most=scale.max())

@@ -12,6 +12,7 @@ from lscan.figures import style
 from lscan.figures.grid import CELL_MM, NodeHeights, cell_for, grid_heights, height_range
 from lscan.figures.reportfigure import ReportFigure
 from lscan.measurement import SandwaveMeasures
+from lscan.paper.figures.words import drawn
 from lscan.paper.published import YAW_DEG
 from lscan.records import Floats, Mask
 
@@ -42,23 +43,14 @@ def contours_before(sandwave: SandwaveMeasures, waves: Mask) -> ReportFigure:
     """
     alignment = sandwave.alignment
     xyz_mm = sandwave.raw.xyz_mm @ alignment.rotation.T + alignment.translation_mm
-    key, alt = "contours-before", "Contour plot of the surface before yaw calibration."
-    figure, _, note = _draw_surface(xyz_mm, waves)
-    shift = "a little more than the one before"
+    figure, _, contours = _draw_surface(xyz_mm, waves)
+    shift = ""
     if alignment.yaw_deg is not None:
         track_mm = float(np.nanmax(xyz_mm[..., 1]) - np.nanmin(xyz_mm[..., 1]))
         total_mm = track_mm * np.tan(abs(alignment.yaw_rad))
-        shift += f", {total_mm:.1f} mm over {track_mm:.0f} mm at the yaw found, "
+        shift = f", {total_mm:.1f} mm over {track_mm:.0f} mm at the yaw found, "
         shift += f"{alignment.yaw_deg:.3f}°"
-    return ReportFigure(
-        key=key,
-        title="Contours before yaw calibration",
-        paper="Fig. 27",
-        alt=alt,
-        caption="A square block shows as a parallelogram where the laser sheet is yawed against "
-        f"the track: each profile is shifted along x {shift}. {note}",
-        body=style.svg(figure, key, alt),
-    )
+    return drawn("contours-before", figure, shift=shift, contours=contours)
 
 
 @style.styled
@@ -67,20 +59,12 @@ def contours_after(sandwave: SandwaveMeasures, waves: Mask) -> ReportFigure:
 
     waves: as ``contours_before``.
     """
-    key, alt = "contours-after", "Contour plot of the surface after yaw calibration."
-    figure, axes, note = _draw_surface(sandwave.aligned.xyz_mm, waves)
+    figure, axes, contours = _draw_surface(sandwave.aligned.xyz_mm, waves)
     _draw_slices(axes, {name: cut.xy_mm[[0, -1]] for name, cut in sandwave.slices.items()})
     yaw_deg = sandwave.alignment.yaw_deg
-    found = "" if yaw_deg is None else f" by the yaw found, {yaw_deg:.3f}° ({_PAPERS_YAW})"
-    return ReportFigure(
-        key=key,
-        title="Contours after yaw calibration",
-        paper="Fig. 28",
-        alt=alt,
-        caption=f"The profiles are shifted back along x{found}. Lines: the slices "
-        f"{', '.join(sandwave.slices)}. {note}",
-        body=style.svg(figure, key, alt),
-    )
+    yaw = "" if yaw_deg is None else f" by the yaw found, {yaw_deg:.3f}° ({_PAPERS_YAW})"
+    names = ", ".join(sandwave.slices)
+    return drawn("contours-after", figure, yaw=yaw, slices=names, contours=contours)
 
 
 def contour_step(low_mm: float, high_mm: float) -> float:

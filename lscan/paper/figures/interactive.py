@@ -8,6 +8,7 @@ import numpy as np
 from lscan.figures import style
 from lscan.figures.grid import CELL_MM, NodeHeights, cell_for, grid_heights, height_range
 from lscan.figures.reportfigure import ReportFigure
+from lscan.paper.figures.words import words_of
 from lscan.records import Floats, Mask
 
 BOX_ASPECT, SCENE_SHARE = 4 / 3, 0.83
@@ -28,18 +29,10 @@ def surface_to_turn(xyz_mm: Floats, waves: Mask) -> ReportFigure:
     cell = cell_for(xyz_mm, CELL_MM)
     grid = grid_heights(xyz_mm, cell)
     colours = height_range(xyz_mm[waves])
-    alt = "Interactive surface: drag to turn, scroll or pinch to come closer."
-    return ReportFigure(
-        key="interactive",
-        title="The surface to turn",
-        paper="Figs. 22, 25 and 26",
-        alt=alt,
-        caption=f"Drag to turn, scroll or pinch to come closer. Heights averaged over cells of "
-        f"{cell:.3g} mm, true to scale.",
-        body=f'<div id="surface" style="aspect-ratio: {BOX_ASPECT:.4g}" role="img" '
-        f'aria-label="{alt}"></div>',
-        script=_plotly_call(grid, colours),
-    )
+    words = words_of("interactive", cell=cell)
+    box = f'<div id="surface" style="aspect-ratio: {BOX_ASPECT:.4g}" role="img" '
+    box += f'aria-label="{words["alt"]}"></div>'
+    return ReportFigure(**words, body=box, script=_plotly_call(grid, colours))
 
 
 def start_eye(sides: Floats) -> Floats:

@@ -6,6 +6,7 @@ from matplotlib.figure import Figure
 
 from lscan.figures import style
 from lscan.figures.reportfigure import ReportFigure, signed
+from lscan.paper.figures.words import drawn
 from lscan.records import Floats
 from lscan.surface import Alignment, levelling_step
 
@@ -18,19 +19,19 @@ _LEAN = (0.32, 0.42)  # how far a step along y goes right and up
 @style.styled
 def raw_relief(xyz_mm: Floats) -> ReportFigure:
     """The surface as scanned, (F, N, 3) in the head frame (Fig. 25)."""
-    valued = int(np.isfinite(xyz_mm[..., 2]).sum())
-    frames = len(xyz_mm)
     figure, _, gain = _draw_relief(xyz_mm)
-    alt = "Relief of the surface as scanned, one line for every few profiles, tilted."
-    return ReportFigure(
-        key="raw",
-        title="Raw data",
-        paper="Fig. 25",
-        alt=alt,
-        caption=f"{valued:,} points of {frames} profiles as scanned, {_shown(frames)}, "
-        f"{_scaled(gain)}. The piece stands as it was put down: "
-        f"its plane is off the scanner's by {_tilt(xyz_mm)}.",
-        body=style.svg(figure, "raw", alt),
+    points = xyz_mm[np.isfinite(xyz_mm).all(axis=2)]
+    centred = points - points.mean(axis=0)
+    slopes = np.linalg.lstsq(centred[:, :2], centred[:, 2], rcond=None)[0]
+    along_x, along_y = (signed(tilt, 2) for tilt in np.degrees(np.arctan(slopes)))
+    return drawn(
+        "raw",
+        figure,
+        points=int(np.isfinite(xyz_mm[..., 2]).sum()),
+        frames=len(xyz_mm),
+        drawn=_describe(len(xyz_mm), gain),
+        along_x=along_x,
+        along_y=along_y,
     )
 
 
@@ -48,39 +49,20 @@ def levelled_relief(xyz_mm: Floats, alignment: Alignment) -> ReportFigure:
     levelled = xyz_mm @ levelling.T
     figure, axes, gain = _draw_relief(levelled)
     _draw_base_plane(axes, levelled, (left, right), gain)
-    alt = "Relief of the surface after reorientation, with the base plane and two corners."
-    return ReportFigure(
-        key="levelled",
-        title="After reorientation",
-        paper="Fig. 26",
-        alt=alt,
-        caption=f"The same points turned until the tops of the wedges lie level, "
-        f"{_shown(len(xyz_mm))}, {_scaled(gain)}. Dashed: the base plane through the tops of the "
-        f"wedges; dots: the corners W_L and W_R, {np.linalg.norm(right - left):.2f} mm apart.",
-        body=style.svg(figure, "levelled", alt),
-    )
+    apart = np.linalg.norm(right - left)
+    return drawn("levelled", figure, drawn=_describe(len(xyz_mm), gain), apart=apart)
 
 
-def _shown(frames: int) -> str:
+def _describe(frames: int, gain: float) -> str:
+    """How many profiles are drawn, and at what scale."""
     step = _profile_step(frames)
-    return "every profile drawn" if step == 1 else f"one in {step} profiles drawn"
-
-
-def _scaled(gain: float) -> str:
-    return "heights true to scale" if gain == 1 else f"heights {gain:g} times too large"
+    shown = "every profile drawn" if step == 1 else f"one in {step} profiles drawn"
+    scale = "heights true to scale" if gain == 1 else f"heights {gain:g} times too large"
+    return f"{shown}, {scale}"
 
 
 def _profile_step(frames: int) -> int:
     return max(1, -(-frames // _LINES))
-
-
-def _tilt(xyz_mm: Floats) -> str:
-    """Slope along x and y of the plane that fits all points best, in words."""
-    points = xyz_mm[np.isfinite(xyz_mm).all(axis=2)]
-    centred = points - points.mean(axis=0)
-    slopes = np.linalg.lstsq(centred[:, :2], centred[:, 2], rcond=None)[0]
-    along_x, along_y = np.degrees(np.arctan(slopes))
-    return f"about {signed(along_x, 2)}° along x and {signed(along_y, 2)}° along y"
 
 
 def _draw_relief(xyz_mm: Floats) -> tuple[Figure, Axes, float]:

@@ -6,6 +6,7 @@ from matplotlib.axes import Axes
 from lscan.figures import style
 from lscan.figures.reportfigure import ReportFigure, signed
 from lscan.measure import SliceErrors
+from lscan.paper.figures.words import drawn
 from lscan.records import Status
 from lscan.surface import Slice
 
@@ -27,15 +28,18 @@ def slice_plot(
     for panel in (heights, below):
         _shade_gaps(panel, cut)
     below.set_xlabel(f"along {name} / mm")
-    alt = f"Height along slice {name}, measured against theory, with the error below."
-    return ReportFigure(
-        key=f"slice-{name}",
-        title=f"Slice {name}",
+    compared = np.isfinite(errors.error_mm)
+    return drawn(
+        "slice",
+        figure,
+        name=name,
         paper=paper,
-        alt=alt,
-        caption=f"Measured (solid) and designed (dotted) height along "
-        f"{name}. {_slice_note(cut, errors, bar_mm)}",
-        body=style.svg(figure, f"slice-{name}", alt),
+        rmse=errors.rmse_mm,
+        least=signed(errors.min_mm, 2),
+        most=signed(errors.max_mm, 2),
+        within=100 * np.mean(np.abs(errors.error_mm[compared]) <= bar_mm),
+        bar=bar_mm,
+        gaps=_gaps(cut, int((np.isfinite(cut.z_mm) & ~compared).sum())),
     )
 
 
@@ -59,19 +63,12 @@ def _shade_gaps(axes: Axes, cut: Slice) -> None:
     )
 
 
-def _slice_note(cut: Slice, errors: SliceErrors, bar_mm: float) -> str:
-    measured, compared = np.isfinite(cut.z_mm), np.isfinite(errors.error_mm)
-    codes, counts = np.unique(cut.status[~measured], return_counts=True)
+def _gaps(cut: Slice, skipped: int) -> str:
+    """What is missing in a slice, in words.  skipped: points measured but not compared."""
+    codes, counts = np.unique(cut.status[~np.isfinite(cut.z_mm)], return_counts=True)
     why = ", ".join(
         f"{count} {Status(int(code)).name.lower().replace('_', ' ')}"
         for code, count in zip(codes, counts, strict=True)
     )
     gaps = f" Grey: {why}, of {len(cut.status)} points." if why else ""
-    skipped = int((measured & ~compared).sum())
-    gaps += f" Measured but not compared: {skipped} points." if skipped else ""
-    within = 100 * np.mean(np.abs(errors.error_mm[compared]) <= bar_mm)
-    return (
-        f"Error (band: two standard uncertainties): rmse {errors.rmse_mm:.2f} mm, from "
-        f"{signed(errors.min_mm, 2)} to {signed(errors.max_mm, 2)} mm; {within:.1f} % within "
-        f"±{bar_mm:g} mm (dashed).{gaps}"
-    )
+    return gaps + (f" Measured but not compared: {skipped} points." if skipped else "")

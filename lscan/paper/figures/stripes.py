@@ -11,6 +11,7 @@ from lscan.figures import style
 from lscan.figures.reportfigure import ReportFigure
 from lscan.paper import published as paper
 from lscan.paper.experiment import LinePictures
+from lscan.paper.figures.words import drawn, photographed
 from lscan.records import Bytes, Floats, Status, Stripe, has_value
 
 _FOUND, _COLUMN = "#35e0ff", "#ffd54a"
@@ -20,16 +21,8 @@ _COLOURS = (style.FIRST, style.SECOND, style.THIRD)
 
 def groove_snapshot(pictures: LinePictures) -> ReportFigure:
     """The laser line on the grooved block (Fig. 21)."""
-    alt = "Photograph of the laser line on the grooved block, broken where the height changes."
-    return ReportFigure(
-        key="groove",
-        title="The line on the grooved block",
-        paper="Fig. 21",
-        alt=alt,
-        caption="The line breaks where the height changes; the corners at the bottom of a "
-        f"groove lie in shadow. {_describe(pictures.stripe)}",
-        body=style.photograph(pictures.images[0], _traced(pictures.stripe), alt),
-    )
+    stripe = pictures.stripe
+    return photographed("groove", pictures.images[0], _traced(stripe), line=_describe(stripe))
 
 
 def sandwave_snapshot(pictures: LinePictures, column: int) -> ReportFigure:
@@ -37,19 +30,10 @@ def sandwave_snapshot(pictures: LinePictures, column: int) -> ReportFigure:
 
     column: u of the column that is marked.
     """
-    image = pictures.images[0]
+    image, stripe = pictures.images[0], pictures.stripe
     dashes = f'd="M{column},0V{image.shape[0]}" stroke-width="0.8" stroke-dasharray="4 4"'
-    overlay = f'{_traced(pictures.stripe)}<path {dashes} stroke="{_COLUMN}"/>'
-    alt = "Photograph of the laser line across the sandwave."
-    return ReportFigure(
-        key="sandwave",
-        title="The line on the sandwave",
-        paper="Fig. 24",
-        alt=alt,
-        caption=f"One of the pictures of the scan. {_describe(pictures.stripe)} Dashed: column "
-        f"{column}, whose intensities follow.",
-        body=style.photograph(image, overlay, alt),
-    )
+    overlay = f'{_traced(stripe)}<path {dashes} stroke="{_COLUMN}"/>'
+    return photographed("sandwave", image, overlay, line=_describe(stripe), column=column)
 
 
 def _traced(stripe: Stripe) -> str:
@@ -99,17 +83,13 @@ def column_intensities(images: Sequence[Bytes], column: int) -> ReportFigure:
     close.set_title("(b) near the peak")
     style.legend(whole)
     whole.set_xlim(0, len(reds[0]) - 1)
-    alt = f"Red intensity along column {column} of {len(reds)} frames, whole and near the peak."
-    return ReportFigure(
-        key="intensities",
-        title=f"Intensities of column {column} in {len(reds)} consecutive frames",
-        paper="Fig. 35",
-        alt=alt,
-        caption=f"(a) The red channel along column {column}; (b) the same near the peak, with the "
-        "centres by eq. (8): dashed on relative intensities, dotted on raw ones. "
-        f"{_spread('relative', relative, paper.CENTRES_RELATIVE_PX)} "
-        f"{_spread('raw', raw, paper.CENTRES_RAW_PX)}",
-        body=style.svg(figure, "intensities", alt),
+    return drawn(
+        "intensities",
+        figure,
+        column=column,
+        frames=len(reds),
+        relative=_spread("relative", relative, paper.CENTRES_RELATIVE_PX),
+        raw=_spread("raw", raw, paper.CENTRES_RAW_PX),
     )
 
 
