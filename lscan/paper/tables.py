@@ -1,7 +1,7 @@
 """The paper's Tables I to III and its slices, with our numbers beside the printed ones."""
 
 from collections.abc import Callable, Collection, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -26,6 +26,16 @@ Lengths = Mapping[str, Length]
 Beyond = Callable[[Length | PrintedLength], bool]
 """Whether an error is larger than what is accepted."""
 
+_TITLES = {
+    "table-1": "Table I. Distances between known points",
+    "table-2": "Table II. Diameters of circles",
+    "table-3": "Table III. The grooved block",
+    "slices": "Errors of the slices",
+}
+_CAPTION = (
+    "Measured lengths and errors in mm, the nominal length in parentheses; σ is one standard "
+    "uncertainty. Marked (▲): errors beyond {bar}, the paper's claim."
+)
 _SAME_MM = 0.05  # a nominal this close to the paper's is the same piece, read by a caliper
 _METHODS = {ours: theirs for theirs, ours in OUR_MAPS.items()}
 _OTHER_MAPS = {
@@ -46,7 +56,8 @@ class TableCell:
     beyond: bool = False
 
 
-NO_CELLS = (TableCell("—"),) * 3
+Cells = tuple[TableCell, ...]
+NO_CELLS: Cells = (TableCell("—"),) * 3
 
 
 @dataclass(frozen=True)
@@ -58,9 +69,9 @@ class TableRow:
 
     label: str
     code: str
-    paper: tuple[TableCell, ...]
-    ours: tuple[TableCell, ...]
-    best: tuple[TableCell, ...] = ()
+    paper: Cells
+    ours: Cells
+    best: Cells = ()
 
 
 @dataclass(frozen=True)
@@ -103,24 +114,16 @@ class ReportTable:
 def paper_tables(experiment: Experiment, bars: Bars) -> list[ReportTable]:
     """Those of Tables I to III, and the slices, that the experiment has numbers for."""
     measures, best = experiment.board.measures, experiment.best
-    better = best.board.measures[best.chain.plane_map] if best else None
     distances = {name: found.distances for name, found in measures.items()}
     diameters = {name: found.diameters for name, found in measures.items()}
+    better = best.board.measures[best.chain.plane_map] if best else None
     tables = [
-        _table_by_method(
-            ("table-1", "Table I. Distances between known points"),
-            (distances, better.distances if better else {}),
-            TABLE_1,
-            bars,
-        )
+        _table_by_method("table-1", distances, better.distances if better else {}, TABLE_1, bars)
     ]
     if diameters[CHOSEN_MAP]:
         tables.append(
             _table_by_method(
-                ("table-2", "Table II. Diameters of circles"),
-                (diameters, better.diameters if better else {}),
-                TABLE_2,
-                bars,
+                "table-2", diameters, better.diameters if better else {}, TABLE_2, bars
             )
         )
     if experiment.groove:
@@ -139,76 +142,26 @@ def worst(lengths: Collection[Length | PrintedLength]) -> tuple[float, float]:
 
 
 def _table_by_method(
-    names: tuple[str, str],
-    found: tuple[Mapping[str, Lengths], Lengths],
-    printed: PrintedTable,
-    bars: Bars,
+    key: str, by_map: Mapping[str, Lengths], best: Lengths, printed: PrintedTable, bars: Bars
 ) -> ReportTable:
-    """The table of this key and title: ours by plane map, and those of the best chain."""
-    (key, title), (by_map, best) = names, found
+    """Table I or II: our lengths by plane map, and those of the best chain."""
 
     def beyond(length: Length | PrintedLength) -> bool:
         return abs(length.percent) > bars.board_percent
 
     order = [*(n for n in LABELS if n in by_map), *(n for n in by_map if n not in LABELS)]
     ours = {name: by_map[name] for name in order}
-    theirs = {name: _printed_lengths(printed, name, ours[name]) for name in order}
+    theirs = {name: _printed_by(name, printed, ours[name]) for name in order}
     features = dict.fromkeys(feature for lengths in ours.values() for feature in lengths)
     return ReportTable(
         key,
-        title,
-        "Measured lengths and errors in mm, the nominal length in parentheses; σ is one standard "
-        "uncertainty. Marked "
-        f"(▲): errors beyond {bars.board_percent:g} % of the length, the paper's claim.",
+        _TITLES[key],
+        _CAPTION.format(bar=f"{bars.board_percent:g} % of the length"),
         ("board",),
         chains=_chains(ours[CHOSEN_MAP], best, theirs[CHOSEN_MAP], beyond) if best else None,
         blocks=tuple(_feature_block(feature, ours, theirs, beyond) for feature in features),
         summary=_summary(ours, theirs, bars),
     )
-
-
-def _chains(
-    ours: Lengths, best: Lengths, theirs: Mapping[str, PrintedLength], beyond: Beyond
-) -> TableBlock:
-    """The paper's lengths beside those of our chains, a feature a row."""
-    rows = []
-    for feature, length in ours.items():
-        row = _row(_heading(feature, length), feature, theirs.get(feature), length, beyond)
-        if feature in best:
-            row = replace(row, best=_our_cells(best[feature], beyond))
-        rows.append(row)
-    return TableBlock("Feature", tuple(rows))
-
-
-def _printed_lengths(printed: PrintedTable, name: str, ours: Lengths) -> dict[str, PrintedLength]:
-    """The paper's lengths by the fit that our map ``name`` stands for, of the same features."""
-    if name not in _METHODS:
-        return {}
-    rows = {feature: row[_METHODS[name]] for feature, row in printed.items()}
-    return _of_same_piece(rows, ours)
-
-
-def _of_same_piece(printed: Mapping[str, PrintedLength], ours: Lengths) -> dict[str, PrintedLength]:
-    """The printed lengths whose nominal is ours too: another board's A1A2 is another length."""
-    return {
-        feature: row
-        for feature, row in printed.items()
-        if feature in ours and abs(ours[feature].nominal_mm - row.nominal_mm) <= _SAME_MM
-    }
-
-
-def _feature_block(
-    feature: str,
-    ours: Mapping[str, Lengths],
-    theirs: Mapping[str, Mapping[str, PrintedLength]],
-    beyond: Beyond,
-) -> TableBlock:
-    mine = {name: lengths[feature] for name, lengths in ours.items() if feature in lengths}
-    rows = tuple(
-        _row(LABELS.get(name, name), name, theirs[name].get(feature), length, beyond)
-        for name, length in mine.items()
-    )
-    return TableBlock("Method", rows, caption=_heading(feature, next(iter(mine.values()))))
 
 
 def _groove_table(ours: Lengths, best: Lengths, bars: Bars) -> ReportTable:
@@ -217,10 +170,8 @@ def _groove_table(ours: Lengths, best: Lengths, bars: Bars) -> ReportTable:
 
     return ReportTable(
         "table-3",
-        "Table III. The grooved block",
-        "Measured lengths and errors in mm, the nominal length in parentheses; σ is one standard "
-        "uncertainty. Marked "
-        f"(▲): errors beyond {bars.groove_mm:g} mm, the paper's claim.",
+        _TITLES["table-3"],
+        _CAPTION.format(bar=f"{bars.groove_mm:g} mm"),
         ("board", "groove"),
         _chains(ours, best, _of_same_piece(TABLE_3, ours), beyond),
     )
@@ -229,7 +180,7 @@ def _groove_table(ours: Lengths, best: Lengths, bars: Bars) -> ReportTable:
 def _slice_table(
     ours: Mapping[str, SliceErrors], best: Mapping[str, SliceErrors], bars: Bars
 ) -> ReportTable:
-    def cells(errors: SliceErrors) -> tuple[TableCell, ...]:
+    def cells(errors: SliceErrors) -> Cells:
         ends = (errors.min_mm, errors.max_mm)
         marked = (TableCell(signed(end, 3), abs(end) > bars.sandwave_mm) for end in ends)
         return (TableCell(f"{errors.rmse_mm:.3f}"), *marked)
@@ -241,13 +192,65 @@ def _slice_table(
     )
     return ReportTable(
         "slices",
-        "Errors of the slices",
+        _TITLES["slices"],
         "Measured minus designed height in mm: rms, lowest and highest. The paper says of all "
         f"slices that most errors lie between its two numbers. Marked (▲): errors beyond "
         f"{bars.sandwave_mm:g} mm, the paper's claim.",
         ("board", "sandwave"),
         TableBlock("Slice", rows, ("from", "to"), ("rms", "from", "to")),
     )
+
+
+def _printed_by(name: str, printed: PrintedTable, ours: Lengths) -> Mapping[str, PrintedLength]:
+    """The paper's lengths by the fit that our map ``name`` stands for, of the same features."""
+    if name not in _METHODS:
+        return {}
+    return _of_same_piece({key: rows[_METHODS[name]] for key, rows in printed.items()}, ours)
+
+
+def _of_same_piece(printed: Mapping[str, PrintedLength], ours: Lengths) -> dict[str, PrintedLength]:
+    """The printed lengths whose nominal is ours too: another board's A1A2 is another length."""
+    return {
+        feature: row
+        for feature, row in printed.items()
+        if feature in ours and abs(ours[feature].nominal_mm - row.nominal_mm) <= _SAME_MM
+    }
+
+
+def _chains(
+    ours: Lengths, best: Lengths, theirs: Mapping[str, PrintedLength], beyond: Beyond
+) -> TableBlock:
+    """The paper's lengths beside those of our chains, a feature a row."""
+    rows = tuple(
+        TableRow(
+            _heading(feature, length),
+            feature,
+            _cells(theirs.get(feature), beyond),
+            _cells(length, beyond),
+            _cells(best[feature], beyond) if feature in best else (),
+        )
+        for feature, length in ours.items()
+    )
+    return TableBlock("Feature", rows)
+
+
+def _feature_block(
+    feature: str,
+    ours: Mapping[str, Lengths],
+    theirs: Mapping[str, Mapping[str, PrintedLength]],
+    beyond: Beyond,
+) -> TableBlock:
+    mine = {name: lengths[feature] for name, lengths in ours.items() if feature in lengths}
+    rows = tuple(
+        TableRow(
+            LABELS.get(name, name),
+            name,
+            _cells(theirs[name].get(feature), beyond),
+            _cells(length, beyond),
+        )
+        for name, length in mine.items()
+    )
+    return TableBlock("Method", rows, caption=_heading(feature, next(iter(mine.values()))))
 
 
 def _summary(
@@ -266,9 +269,7 @@ def _summary(
     return TableBlock("Method", rows, heads, heads, caption="All features together")
 
 
-def _summary_cells(
-    lengths: Collection[Length | PrintedLength], bars: Bars
-) -> tuple[TableCell, ...]:
+def _summary_cells(lengths: Collection[Length | PrintedLength], bars: Bars) -> Cells:
     if not lengths:
         return NO_CELLS
     largest_mm, largest_percent = worst(lengths)
@@ -280,27 +281,16 @@ def _summary_cells(
     )
 
 
-def _row(
-    label: str, code: str, theirs: PrintedLength | None, ours: Length, beyond: Beyond
-) -> TableRow:
-    printed = NO_CELLS
-    if theirs is not None:
-        marked = beyond(theirs)
-        printed = (
-            TableCell(f"{theirs.measured_mm:.2f}"),
-            TableCell(signed(theirs.error_mm, 2), marked),
-            TableCell(signed(theirs.percent, 2), marked),
-        )
-    return TableRow(label, code, printed, _our_cells(ours, beyond))
-
-
-def _our_cells(length: Length, beyond: Beyond) -> tuple[TableCell, ...]:
-    """Measured length, its sigma, error and percentage."""
-    marked = beyond(length)
+def _cells(length: Length | PrintedLength | None, beyond: Beyond) -> Cells:
+    """Length, ours with its sigma, error and percentage; dashes where the paper has none."""
+    if length is None:
+        return NO_CELLS
+    sigma = () if isinstance(length, PrintedLength) else (TableCell(f"{length.sigma_mm:.3f}"),)
+    digits, marked = (3 if sigma else 2), beyond(length)
     return (
-        TableCell(f"{length.measured_mm:.3f}"),
-        TableCell(f"{length.sigma_mm:.3f}"),
-        TableCell(signed(length.error_mm, 3), marked),
+        TableCell(f"{length.measured_mm:.{digits}f}"),
+        *sigma,
+        TableCell(signed(length.error_mm, digits), marked),
         TableCell(signed(length.percent, 2), marked),
     )
 
