@@ -19,9 +19,18 @@ RAMP = np.array([[0.0, 1.0]])
 def reflectance_at(
     albedo: float | tuple[tuple[float, float], ...], wavelength_nm: float, where: object = None
 ) -> float:
-    """Reflectance at a wavelength in nm, of a number or of (nm, reflectance) pairs.
+    """Reflectance at a wavelength, 0 to 1; linear between the pairs.
 
-    Linear between the pairs; InputError, which names ``where``, for a wavelength outside them.
+    Parameters
+    ----------
+    albedo : float or tuple, a number, or (nm, reflectance) pairs of rising wavelength
+    wavelength_nm : float, nm
+    where : str or Path, what the error names as the place of the albedo
+
+    Raises
+    ------
+    InputError
+        The wavelength lies outside the pairs.
     """
     if not isinstance(albedo, tuple):
         return albedo

@@ -23,9 +23,11 @@ class Finish:
 class Paint:
     """A reflectance that varies over a part, as a picture laid over it.
 
-    levels: (H, W) reflectances from 0 to 1, the uppermost row first.
-    uv: (N, 2) of every vertex: (0, 0) is the picture's lower left corner, (1, 1) its upper
-    right one; it repeats beyond.
+    Attributes
+    ----------
+    levels : (H, W) array, reflectances from 0 to 1, the uppermost row first
+    uv : (N, 2) array, of every vertex: (0, 0) is the picture's lower left corner, (1, 1) its upper
+        right one; it repeats beyond
     """
 
     levels: Floats
@@ -36,8 +38,14 @@ class Paint:
 class MeshPart:
     """A mesh of one surface, in mm.
 
-    albedo: its reflectance, which ``paint`` multiplies where there is one.
-    smooth: shade it with interpolated vertex normals.
+    Attributes
+    ----------
+    name : str, of the part
+    mesh : Trimesh, mm, frame of the target or of the world
+    albedo : float, its reflectance, which ``paint`` multiplies where there is one
+    smooth : bool, shade it with interpolated vertex normals
+    finish : Finish, how it reflects
+    paint : Paint or None, its reflectance by place, if it varies
     """
 
     name: str

@@ -29,7 +29,17 @@ MARKS = "marks"  # the one part of a board that a texture leaves as it is
 
 
 def scene_parts(scene: Scene) -> list[MeshPart]:
-    """All parts that stand in the tank, in the world frame; InputError as ``target_parts``."""
+    """All parts that stand in the tank, in the world frame, mm.
+
+    Parameters
+    ----------
+    scene : Scene, its target and its floor
+
+    Raises
+    ------
+    InputError
+        As ``target_parts``.
+    """
     pose = target_pose(scene)
     parts = [moved(part, pose) for part in target_parts(scene)]
     if scene.tank.floor is not None:
@@ -38,18 +48,37 @@ def scene_parts(scene: Scene) -> list[MeshPart]:
 
 
 def target_mesh(scene: Scene) -> trimesh.Trimesh:
-    """The whole target, without the floor, as one mesh in the world frame."""
+    """The whole target, without the floor, as one mesh in the world frame, mm.
+
+    Parameters
+    ----------
+    scene : Scene, its target
+
+    Raises
+    ------
+    InputError
+        As ``target_parts``.
+    """
     pose = target_pose(scene)
     meshes = [moved(part, pose).mesh for part in target_parts(scene)]
     return trimesh.util.concatenate(meshes) if meshes else trimesh.Trimesh()
 
 
 def target_parts(scene: Scene) -> list[MeshPart]:
-    """The target's parts in its own frame (workpiece, board or mesh file), finished.
+    """The target's parts in its own frame (workpiece, board or mesh file), mm, finished.
 
     Their albedo is the one at the laser's nominal wavelength: a drift of some nm does not
-    change it.  Raises InputError where sand does not go with the target, a mesh or a picture
-    cannot be read, or the albedo is not given at that wavelength.
+    change it.
+
+    Parameters
+    ----------
+    scene : Scene, its target
+
+    Raises
+    ------
+    InputError
+        Sand does not go with the target, a mesh or a picture cannot be read, or the albedo is not
+        given at that wavelength.
     """
     target = scene.tank.target
     if target.shape == "none":

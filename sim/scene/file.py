@@ -41,7 +41,19 @@ class Render(Strict):
 
 
 def check_samples(samples: int, fineness: int, where: str) -> None:
-    """Refuse, by InputError, samples a pixel that are no square number in each of its parts."""
+    """Refuse samples a pixel that are no square number in each of its parts.
+
+    Parameters
+    ----------
+    samples : int, rays a pixel
+    fineness : int, parts a side of each pixel
+    where : str or Path, what the error names as the place of the number
+
+    Raises
+    ------
+    InputError
+        The samples are no such number; names those that are close to it.
+    """
     if samples < 1 or not _shared_out(samples, fineness):
         what = "not a square number" + (" in each part of a pixel" if fineness > 1 else "")
         raise InputError(what, where=where, value=samples, allowed=_allowed(fineness))
@@ -77,6 +89,13 @@ class TankSections(Strict):
 class Scene:
     """A rig, the tank around it, and the document both came from.
 
+    Attributes
+    ----------
+    rig : Rig, camera, track and plan, as the scanner has them
+    tank : TankSections, the sections that only the tank has
+    document : Document, the file as it was read, boards written in
+    source : str, path of the file, for errors
+
     Examples
     --------
     >>> import sim
@@ -102,7 +121,12 @@ class Scene:
         return self.rig.board
 
     def with_tank(self, **sections: Mapping[str, Any]) -> "Scene":
-        """The scene with fields of its tank's sections replaced, which are not checked anew."""
+        """The scene with fields of its tank's sections replaced, which are not checked anew.
+
+        Parameters
+        ----------
+        sections : mapping, by name of a section, the fields to replace with their values
+        """
         changed = {
             name: getattr(self.tank, name).model_copy(update=dict(fields))
             for name, fields in sections.items()
@@ -141,7 +165,17 @@ def load_scene(path: Path | str) -> Scene:
 
 
 def scene_of(rig_file: RigFile) -> Scene:
-    """The scene in a rig file that has the tank's sections; InputError names what is wrong."""
+    """The scene in a rig file that has the tank's sections.
+
+    Parameters
+    ----------
+    rig_file : RigFile, read by ``lscan.load_rig``
+
+    Raises
+    ------
+    InputError
+        Names the file, the key, the value and what is allowed.
+    """
     own = {key: value for key, value in rig_file.document.items() if key in SECTIONS}
     required = {name for name, field in TankSections.model_fields.items() if field.is_required()}
     if required - own.keys() == {"target"}:
@@ -220,7 +254,12 @@ def check_lens(scene: Scene) -> None:
 
 
 def target_pose(scene: Scene) -> Pose:
-    """Workpiece (or board, or mesh) frame to world frame."""
+    """Workpiece (or board, or mesh) frame to world frame.
+
+    Parameters
+    ----------
+    scene : Scene, its target is placed; a board turns with the head's yaw
+    """
     target = scene.tank.target
     turned = (
         rotation_z(target.turn_deg) @ rotation_y(target.tilt_y_deg) @ rotation_x(target.tilt_x_deg)

@@ -199,9 +199,16 @@ class Laser(Strict):
         return self.lines or (LaserLine(tilt_deg=0.0, share=1.0),)
 
     def half_thickness_mm(self, distance_mm: Floats, water_index: float) -> Floats:
-        """1/e2 half thickness of the sheet at distances from the apex, mm.
+        """1/e2 half thickness of the sheet, that of a Gaussian beam, mm; same shape.
 
-        That of a Gaussian beam about its waist (docs/explanation/physics.md, section 4).
+        Parameters
+        ----------
+        distance_mm : array, mm, from the apex
+        water_index : float, refractive index of the water
+
+        References
+        ----------
+        docs/explanation/physics.md, section 4.
         """
         rayleigh_mm = pi * self.waist_mm**2 * water_index / (self.wavelength_nm * 1e-6 * self.m2)
         off_waist = (distance_mm - self.waist_distance_mm) / rayleigh_mm
@@ -209,7 +216,12 @@ class Laser(Strict):
         return thickness_mm
 
     def wavelength_at(self, time_s: float) -> float:
-        """Wavelength in nm ``time_s`` after the laser was switched on."""
+        """Wavelength, nm.
+
+        Parameters
+        ----------
+        time_s : float, s since the laser was switched on
+        """
         if self.drift is None:
             return self.wavelength_nm
         warmed = self.drift.rise_c * (1 - exp(-time_s / self.drift.time_s))

@@ -13,36 +13,67 @@ from sim.scene.instrument import Head, Laser, LaserLine, TrueShaft
 
 
 def rotation_z(angle_deg: float) -> Floats:
-    """(3, 3) rotation about z, counter-clockwise seen from above."""
+    """(3, 3) rotation about z, counter-clockwise seen from above.
+
+    Parameters
+    ----------
+    angle_deg : float, degrees
+    """
     c, s = np.cos(np.radians(angle_deg)), np.sin(np.radians(angle_deg))
     return np.array([[c, -s, 0], [s, c, 0], [0, 0, 1.0]])
 
 
 def rotation_x(angle_deg: float) -> Floats:
-    """(3, 3) rotation about x, y towards z."""
+    """(3, 3) rotation about x, y towards z.
+
+    Parameters
+    ----------
+    angle_deg : float, degrees
+    """
     c, s = np.cos(np.radians(angle_deg)), np.sin(np.radians(angle_deg))
     return np.array([[1.0, 0, 0], [0, c, -s], [0, s, c]])
 
 
 def rotation_y(angle_deg: float) -> Floats:
-    """(3, 3) rotation about y, z towards x."""
+    """(3, 3) rotation about y, z towards x.
+
+    Parameters
+    ----------
+    angle_deg : float, degrees
+    """
     c, s = np.cos(np.radians(angle_deg)), np.sin(np.radians(angle_deg))
     return np.array([[c, 0, s], [0, 1.0, 0], [-s, 0, c]])
 
 
 @dataclass(frozen=True)
 class Pose:
-    """A rigid motion: P_outer = rotation @ P_inner + origin_mm."""
+    """A rigid motion: P_outer = rotation @ P_inner + origin_mm.
+
+    Attributes
+    ----------
+    rotation : (3, 3) array, inner to outer frame
+    origin_mm : (3,) array, mm, the inner frame's origin in the outer frame
+    """
 
     rotation: Floats
     origin_mm: Floats
 
     def apply(self, points: Floats) -> Floats:
-        """(..., 3) points of the inner frame in the outer one, mm."""
+        """Points of the inner frame in the outer one; same shape, mm.
+
+        Parameters
+        ----------
+        points : (..., 3) array, mm, inner frame
+        """
         return points @ self.rotation.T + self.origin_mm
 
     def invert(self, points: Floats) -> Floats:
-        """(..., 3) points of the outer frame in the inner one, mm."""
+        """Points of the outer frame in the inner one; same shape, mm.
+
+        Parameters
+        ----------
+        points : (..., 3) array, mm, outer frame
+        """
         return (points - self.origin_mm) @ self.rotation
 
     def __matmul__(self, inner: "Pose") -> "Pose":
@@ -50,7 +81,12 @@ class Pose:
 
 
 def camera_pose(head: Head) -> Pose:
-    """Camera frame (x right, y down, z along the axis) to head frame."""
+    """Camera frame (x right, y down, z along the axis) to head frame.
+
+    Parameters
+    ----------
+    head : Head, its camera's place and angles
+    """
     level = np.array([[1.0, 0, 0], [0, 0, 1.0], [0, -1.0, 0]])  # looking along the head's y
     rotation = (
         rotation_z(head.heading_deg)
@@ -62,7 +98,13 @@ def camera_pose(head: Head) -> Pose:
 
 
 def head_pose(head: Head, position_mm: float) -> Pose:
-    """Head frame to world frame with the head at a track position in mm, or turned by that arc."""
+    """Head frame to world frame.
+
+    Parameters
+    ----------
+    head : Head, its yaw, and the shaft it turns about, if any
+    position_mm : float, mm along the track, or along the arc about the shaft
+    """
     level = rotation_z(head.yaw_deg)
     if head.shaft is None:
         return Pose(level, position_mm * track_direction(head))
@@ -72,7 +114,14 @@ def head_pose(head: Head, position_mm: float) -> Pose:
 
 
 def into_world(head: Head, points_head: Floats, position_mm: Floats | float) -> Floats:
-    """(N, 3) points of the head frame in the world, mm; position_mm: one for all, or (N,)."""
+    """Points of the head frame in the world; (N, 3), mm.
+
+    Parameters
+    ----------
+    head : Head, its yaw, and the shaft it turns about, if any
+    points_head : (N, 3) array, mm, head frame
+    position_mm : array or float, mm along the track or arc; one for all points, or (N,)
+    """
     position = np.broadcast_to(position_mm, len(points_head))
     if head.shaft is None:
         return head_pose(head, 0.0).apply(points_head) + np.outer(position, track_direction(head))
@@ -82,7 +131,14 @@ def into_world(head: Head, points_head: Floats, position_mm: Floats | float) -> 
 
 
 def into_head(head: Head, points_world: Floats, position_mm: Floats | float) -> Floats:
-    """(N, 3) points of the world in the head frame, mm; position_mm: one for all, or (N,)."""
+    """Points of the world in the head frame; (N, 3), mm.
+
+    Parameters
+    ----------
+    head : Head, its yaw, and the shaft it turns about, if any
+    points_world : (N, 3) array, mm, world frame
+    position_mm : array or float, mm along the track or arc; one for all points, or (N,)
+    """
     position = np.broadcast_to(position_mm, len(points_world))
     if head.shaft is None:
         moved = np.outer(position, track_direction(head))
@@ -107,7 +163,17 @@ def _about(shaft: TrueShaft, position_mm: Floats) -> Floats:
 
 
 def sheet_pose(laser: Laser, line: LaserLine) -> Pose:
-    """Sheet frame of one of the laser's lines to head frame; its origin is the apex."""
+    """Sheet frame of one of the laser's lines to head frame; its origin is the apex.
+
+    Parameters
+    ----------
+    laser : Laser, its apex and angles
+    line : LaserLine, one of ``laser.sheets``
+
+    References
+    ----------
+    docs/explanation/physics.md, section 4.
+    """
     turned = (
         rotation_z(laser.skew_deg)
         @ rotation_x(laser.tilt_deg + line.tilt_deg)
@@ -117,5 +183,10 @@ def sheet_pose(laser: Laser, line: LaserLine) -> Pose:
 
 
 def track_direction(head: Head) -> Floats:
-    """(3,) unit vector along which a track moves the head, world frame."""
+    """(3,) unit vector along which a track moves the head, world frame.
+
+    Parameters
+    ----------
+    head : Head, any; the track is the world's y axis
+    """
     return np.array([0.0, 1.0, 0.0])

@@ -40,6 +40,11 @@ def electrons_of(dn: float, sensor: Sensor) -> float:
     """Electrons that ``digitise`` makes ``dn`` of, as far as the full well goes.
 
     Zero or less where ``dn`` is not above the black level.
+
+    Parameters
+    ----------
+    dn : float, grey value, DN, 0 to 255
+    sensor : Sensor, its gain, gamma, black level and full well
     """
     linear = FULL_SCALE_DN * (dn / FULL_SCALE_DN) ** sensor.gamma
     return min((linear - sensor.black_level_dn) / _gain(sensor), sensor.full_well_e)
@@ -54,9 +59,13 @@ def through_jpeg(image: Bytes, sensor: Sensor) -> Bytes:
 
 
 def jpeg_bytes(image: Bytes, quality: int, subsampling: str) -> bytes:
-    """The (H, W, 3) RGB picture as a JPEG file.
+    """The picture as a JPEG file.
 
-    quality: 1 to 100, as libjpeg counts.  subsampling: of the chroma, a key of SUBSAMPLING.
+    Parameters
+    ----------
+    image : (H, W, 3) uint8 array, RGB
+    quality : int, 1 to 100, as libjpeg counts
+    subsampling : str, of the chroma, a key of SUBSAMPLING
     """
     settings = [
         cv2.IMWRITE_JPEG_QUALITY, quality,
@@ -67,7 +76,12 @@ def jpeg_bytes(image: Bytes, quality: int, subsampling: str) -> bytes:
 
 
 def from_jpeg(coded: bytes) -> Bytes:
-    """The (H, W, 3) RGB picture of a JPEG file that ``jpeg_bytes`` made."""
+    """The picture of a JPEG file that ``jpeg_bytes`` made; (H, W, 3) uint8, RGB.
+
+    Parameters
+    ----------
+    coded : bytes, the whole file
+    """
     decoded = cv2.imdecode(np.frombuffer(coded, np.uint8), cv2.IMREAD_COLOR)
     assert decoded is not None
     return np.asarray(cv2.cvtColor(decoded, cv2.COLOR_BGR2RGB), dtype=np.uint8)

@@ -20,8 +20,20 @@ def photons_per_radiance(
 ) -> float:
     """Photons a pixel on the axis collects for 1 W/(m2 sr) at the lens.
 
-    Irradiance in the image of a distant surface is pi L T / (4 N^2) (the camera equation,
-    e.g. Born & Wolf sec. 4.8); times pixel area, time, and the photons in a joule.
+    Irradiance in the image of a distant surface is pi L T / (4 N^2); times pixel area, time, and
+    the photons in a joule.
+
+    Parameters
+    ----------
+    lens : Lens, its f-number N and transmission T
+    sensor : Sensor, its pixel's side
+    exposure_ms : float, ms
+    wavelength_nm : float, nm
+
+    References
+    ----------
+    Born & Wolf, Principles of Optics, sec. 4.8 (the camera equation); docs/explanation/physics.md,
+    section 5.
     """
     irradiance = np.pi * lens.transmission / (4 * lens.f_number**2)
     area_m2 = (sensor.pixel_um * 1e-6) ** 2

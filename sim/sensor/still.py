@@ -19,9 +19,16 @@ Electrons = NDArray[np.float32]
 class StillView:
     """Electrons that the sensor expects of one place, apart from noise.
 
-    steady: of all light without speckle, on the pixels: (H, W, 3), or (H, W) behind a colour
-    filter.  direct: of the light with speckle, only the rows that have any, from first_row on.
-    contrast: of the speckle.
+    Attributes
+    ----------
+    sensor : Sensor, of the camera
+    pattern : FixedPattern, fixed pattern of the pixels
+    filter : ColourFilter or None, colour filter, None where every pixel sees all colours
+    steady : (H, W, 3) array, or (H, W) behind a colour filter, electrons of all light without
+        speckle
+    direct : array, electrons of the light with speckle, only the rows that have any
+    first_row : int, row of the picture at which ``direct`` begins
+    contrast : float, of the speckle
     """
 
     sensor: Sensor
@@ -33,7 +40,12 @@ class StillView:
     contrast: float
 
     def picture(self, generator: np.random.Generator) -> Bytes:
-        """The next picture, (H, W, 3) RGB; speckle and noise come from ``generator``."""
+        """The next picture, (H, W, 3) uint8, RGB.
+
+        Parameters
+        ----------
+        generator : Generator, speckle and noise come from it
+        """
         expected = self.steady
         if self.direct.size:
             expected = expected.copy()

@@ -52,11 +52,21 @@ class Webcam:
         generator: np.random.Generator,
         wavelength_nm: float | None = None,
     ) -> Bytes:
-        """The picture, (H, W, 3) RGB, of the layers; all noise comes from ``generator``.
+        """The picture of the layers, (H, W, 3) uint8, RGB.
 
-        layers: (f H, f W) for any whole f; InputError where they are not (sim.render.fineness).
-        wavelength_nm: the laser's at this moment, the scene's nominal one if None.
         With ``noise = false`` nothing is random: no speckle, no fixed pattern either.
+
+        Parameters
+        ----------
+        layers : Layers, (f H, f W) radiances, for any whole f
+        exposure_ms : float, ms
+        generator : Generator, all noise comes from it
+        wavelength_nm : float or None, the laser's at this moment, the scene's nominal one if None
+
+        Raises
+        ------
+        InputError
+            The layers are no whole multiple of the picture.
         """
         nm = self.wavelength_nm if wavelength_nm is None else wavelength_nm
         electrons = self._electrons(layers, exposure_ms, nm, self._speckle(nm, generator))
@@ -72,7 +82,18 @@ class Webcam:
         """The layers as seen again and again by a camera that stands still.
 
         Its pictures are those of ``expose``, the nominal wavelength's, without the scene's own
-        JPEG.  Raises InputError where the sensor has no noise, for they would all be the same.
+        JPEG.
+
+        Parameters
+        ----------
+        layers : Layers, (f H, f W) radiances, for any whole f
+        exposure_ms : float, ms
+
+        Raises
+        ------
+        InputError
+            The sensor has no noise, so that all pictures would be the same, or the layers are no
+            whole multiple of the picture.
         """
         if self._pattern is None:
             raise InputError("sensor.noise: without it all pictures are the same", allowed="true")
@@ -93,7 +114,14 @@ class Webcam:
     def mean_electrons(
         self, layers: Layers, exposure_ms: float, wavelength_nm: float | None = None
     ) -> Electrons:
-        """Expected electrons, (H, W, 3) RGB, before colour filter, noise and full well."""
+        """Expected electrons, (H, W, 3) RGB, before colour filter, noise and full well.
+
+        Parameters
+        ----------
+        layers : Layers, (f H, f W) radiances, for any whole f
+        exposure_ms : float, ms
+        wavelength_nm : float or None, the laser's at this moment, the scene's nominal one if None
+        """
         nm = self.wavelength_nm if wavelength_nm is None else wavelength_nm
         return self._electrons(layers, exposure_ms, nm, speckle=None)
 
@@ -106,8 +134,18 @@ class Webcam:
     ) -> float:
         """Exposure in ms that puts the bright end of the mean picture at ``target_dn``.
 
-        The bright end is the percentile, over the pixels, of their brightest colour; infinite
-        where it is dark.  It depends on the layers alone, not on noise.
+        It depends on the layers alone, not on noise.
+
+        Parameters
+        ----------
+        layers : Layers, (f H, f W) radiances, for any whole f
+        target_dn : float, grey value, DN
+        percentile : float, over the pixels, of their brightest colour: the bright end
+        wavelength_nm : float or None, the laser's at this moment, the scene's nominal one if None
+
+        Returns
+        -------
+        Exposure, ms; infinite where the picture is dark.
         """
         brightest = self.mean_electrons(layers, 1.0, wavelength_nm).max(axis=-1)
         per_ms = float(np.percentile(brightest, percentile))

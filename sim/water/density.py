@@ -37,10 +37,29 @@ TERMS = np.array(
 
 
 def fresh_water_density(temperature_c: float, pressure_mpa: float = ATMOSPHERE_MPA) -> float:
-    """Density of fresh water, kg/m3: IAPWS-IF97 (0-90 C, 0.1-100 MPa absolute).
+    """Density of fresh water, kg/m3.
 
-    Between 0 and 30 C within 0.02 kg/m3 of the scientific formulation IAPWS-95, which is 6e-6
-    of the index.  Raises InputError outside those ranges.
+    Between 0 and 30 C it is within 0.02 kg/m3 of the scientific formulation IAPWS-95, which is 6e-6
+    of the index.
+
+    Parameters
+    ----------
+    temperature_c : float, C, 0 to 90
+    pressure_mpa : float, absolute pressure, MPa, 0.1 to 100
+
+    Raises
+    ------
+    InputError
+        A value lies outside its range.
+
+    References
+    ----------
+    IAPWS R7-97, region 1 (IAPWS-IF97): equation 7 and table 2.
+
+    Examples
+    --------
+    >>> round(fresh_water_density(20.0), 2)
+    998.21
     """
     require("temperature_c", temperature_c, TEMPERATURE_C)
     require("pressure_mpa", pressure_mpa, PRESSURE_MPA)

@@ -23,8 +23,21 @@ SMALLEST_RAD = 1e-100  # below, the density is held: it is infinite at 0
 class FournierForand:
     """The phase function of particles of a relative ``index`` and a ``junge_slope`` of sizes.
 
-    index: above 1, to 1.5.  junge_slope: between 3 and 5.  Raises InputError outside.
     (1.10, 3.5835) scatters back as much as Petzold's particle does.
+
+    Attributes
+    ----------
+    index : float, refractive index relative to the water, above 1, to 1.5
+    junge_slope : float, exponent of the sizes' power law, between 3 and 5
+
+    Raises
+    ------
+    InputError
+        A value lies outside its range.
+
+    References
+    ----------
+    Fournier & Forand 1994; Fournier & Jonasz 1999; Mobley, Sundman & Boss 2002.
     """
 
     index: float

@@ -37,10 +37,29 @@ GLASSES = {
 
 
 def glass_index(glass: float | str, wavelength_nm: float) -> float:
-    """Index, relative to air, of a material by name; a number is an index and passes through.
+    """Index, relative to air, of a port's material.
 
-    Raises InputError where the name is unknown, the number is not an index (1 to 2.5) or the
-    wavelength lies outside the range of the material's formula.
+    Parameters
+    ----------
+    glass : float or str, name of a material in GLASSES, or an index from 1 to 2.5, which passes
+        through
+    wavelength_nm : float, nm
+
+    Raises
+    ------
+    InputError
+        The name is unknown, the number is not an index, or the wavelength lies outside the range of
+        the material's formula.
+
+    References
+    ----------
+    Schott, data sheet N-BK7 517642.251; Malitson 1965 (fused silica); Sultanova, Kasarova & Nikolov
+    2009 (PMMA).
+
+    Examples
+    --------
+    >>> round(glass_index("PMMA", 650.0), 4)
+    1.4881
     """
     if not isinstance(glass, str):
         require("glass_index", glass, INDEX, where="port")

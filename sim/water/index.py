@@ -32,11 +32,31 @@ def refractive_index(
     wavelength_nm: float,
     pressure_mpa: float = ATMOSPHERE_MPA,
 ) -> float:
-    """Index of water relative to air: Quan & Fry 1995, and what pressure adds to it.
+    """Index of water relative to air.
 
-    0-30 C, 0-35 psu, 400-700 nm; pressure_mpa is absolute, 0.1-100.  The rise with pressure is
-    that of fresh water (IAPWS index of the IAPWS-IF97 density) and is 0 at 0.101325 MPa; sea water
-    yields less, by 4 to 6 % of the rise (EOS-80).  Raises InputError outside the ranges.
+    The rise with pressure is that of fresh water (IAPWS index of the IAPWS-IF97 density) and is 0
+    at 0.101325 MPa; sea water yields less, by 4 to 6 % of the rise (EOS-80).
+
+    Parameters
+    ----------
+    temperature_c : float, C, 0 to 30
+    salinity_psu : float, psu, 0 to 35
+    wavelength_nm : float, nm, 400 to 700
+    pressure_mpa : float, absolute pressure, MPa, 0.1 to 100
+
+    Raises
+    ------
+    InputError
+        A value lies outside its range.
+
+    References
+    ----------
+    Quan & Fry 1995; docs/explanation/physics.md, section 1.
+
+    Examples
+    --------
+    >>> round(refractive_index(20.0, 0.0, 650.0), 5)
+    1.33132
     """
     require("temperature_c", temperature_c, TEMPERATURE_C)
     require("salinity_psu", salinity_psu, SALINITY_PSU)
@@ -64,7 +84,21 @@ def _pressure_rise(temperature_c: float, wavelength_nm: float, pressure_mpa: flo
 
 
 def air_index(wavelength_nm: float) -> float:
-    """Absolute index of standard air (15 C, 101325 Pa): Ciddor 1996 (300-1690 nm)."""
+    """Absolute index of standard air (15 C, 101325 Pa).
+
+    Parameters
+    ----------
+    wavelength_nm : float, nm, 300 to 1690
+
+    Raises
+    ------
+    InputError
+        The wavelength lies outside the range.
+
+    References
+    ----------
+    Ciddor 1996.
+    """
     require("wavelength_nm", wavelength_nm, AIR_NM)
     wavenumber2 = (1000 / wavelength_nm) ** 2
     return 1 + 1e-8 * (5792105 / (238.0185 - wavenumber2) + 167917 / (57.362 - wavenumber2))
@@ -76,15 +110,38 @@ def absolute_index(
     wavelength_nm: float,
     pressure_mpa: float = ATMOSPHERE_MPA,
 ) -> float:
-    """Index of water relative to vacuum, to be compared with IAPWS; ranges as Quan & Fry."""
+    """Index of water relative to vacuum, to be compared with IAPWS.
+
+    Parameters
+    ----------
+    temperature_c, salinity_psu, wavelength_nm, pressure_mpa : float, as of ``refractive_index``
+
+    Raises
+    ------
+    InputError
+        A value lies outside the range of ``refractive_index``.
+    """
     relative = refractive_index(temperature_c, salinity_psu, wavelength_nm, pressure_mpa)
     return relative * air_index(wavelength_nm)
 
 
 def iapws_index(density_kg_m3: float, temperature_c: float, wavelength_nm: float) -> float:
-    """Index of pure water relative to vacuum: IAPWS R9-97 (Harvey, Gallagher & Sengers 1998).
+    """Index of pure water relative to vacuum.
 
-    0-1060 kg/m3, -12 to 500 C, 200-1100 nm; raises InputError outside.
+    Parameters
+    ----------
+    density_kg_m3 : float, kg/m3, 0 to 1060
+    temperature_c : float, C, -12 to 500
+    wavelength_nm : float, nm, 200 to 1100
+
+    Raises
+    ------
+    InputError
+        A value lies outside its range.
+
+    References
+    ----------
+    IAPWS R9-97; Harvey, Gallagher & Sengers 1998.
     """
     require("density_kg_m3", density_kg_m3, IAPWS_KG_M3)
     require("temperature_c", temperature_c, IAPWS_C)

@@ -41,7 +41,13 @@ class Coefficients:
 
 @dataclass(frozen=True)
 class SeaWater:
-    """Absorption and scattering of a natural sea water in all, 1/m, where they were printed."""
+    """Absorption and scattering of a natural sea water in all, where they were printed.
+
+    Attributes
+    ----------
+    wavelength_nm : float, nm
+    absorption_per_m, scattering_per_m : float, 1/m
+    """
 
     wavelength_nm: float
     absorption_per_m: float
@@ -74,11 +80,21 @@ SCATTERING_PER_M_NTU = 1.0
 
 
 def coefficients(water: Water, wavelength_nm: float) -> Coefficients:
-    """The scene's water at ``wavelength_nm`` (450 to 700; else InputError).
+    """The absorption and scattering of a scene's water.
 
     Where a and b are given in all, the molecules have the part of b that they have in pure
     water, all of it where b is less.  Else pure water's and the particles' add up.  Air has
     neither.
+
+    Parameters
+    ----------
+    water : Water, the scene's
+    wavelength_nm : float, nm, 450 to 700
+
+    Raises
+    ------
+    InputError
+        The wavelength lies outside the range.
     """
     if water.kind == "air":
         require("wavelength_nm", wavelength_nm, WATER_NM)
@@ -107,6 +123,18 @@ def particles_of(sea: SeaWater) -> tuple[float, float]:
     What pure sea water (22 C, 35 psu) has of the printed values is taken off where they were
     printed, down to nothing.  The rest is used at every wavelength: particles as large as the
     sea's scatter nearly alike at all, and of how they absorb elsewhere nothing was printed.
+
+    Parameters
+    ----------
+    sea : SeaWater, the water as printed
+
+    Returns
+    -------
+    Absorption, scattering, 1/m; neither negative.
+
+    References
+    ----------
+    docs/explanation/physics.md, section 2.
     """
     pure = absorption_per_m(ABSORPTION_AT_C, 0.0, sea.wavelength_nm)
     molecular = molecular_scattering_per_m(SEA_PSU, sea.wavelength_nm)
@@ -114,10 +142,30 @@ def particles_of(sea: SeaWater) -> tuple[float, float]:
 
 
 def absorption_per_m(temperature_c: float, salinity_psu: float, wavelength_nm: float) -> float:
-    """Absorption of pure (sea) water, 1/m: Pope & Fry 1997, linear between 450 and 700 nm.
+    """Absorption of pure (sea) water, 1/m; linear between the table's wavelengths.
 
     Temperature and salinity count only within 5 nm of 650 nm, where their slopes are known;
-    elsewhere the value is that of pure water at 22 C.  Raises InputError out of range.
+    elsewhere the value is that of pure water at 22 C.
+
+    Parameters
+    ----------
+    temperature_c : float, C, 0 to 30
+    salinity_psu : float, psu, 0 to 35
+    wavelength_nm : float, nm, 450 to 700
+
+    Raises
+    ------
+    InputError
+        A value lies outside its range.
+
+    References
+    ----------
+    Pope & Fry 1997; docs/explanation/physics.md, section 2.
+
+    Examples
+    --------
+    >>> round(absorption_per_m(22.0, 0.0, 650.0), 3)
+    0.34
     """
     require("temperature_c", temperature_c, TEMPERATURE_C)
     require("salinity_psu", salinity_psu, SALINITY_PSU)
@@ -130,11 +178,24 @@ def absorption_per_m(temperature_c: float, salinity_psu: float, wavelength_nm: f
 
 
 def molecular_scattering_per_m(salinity_psu: float, wavelength_nm: float) -> float:
-    """Scattering of pure (sea) water, 1/m: a power law through Zhang, Hu & He 2009, 20 C.
+    """Scattering of pure (sea) water at 20 C, 1/m.
 
-    Linear in salinity.  Fitted at 532 to 660 nm; carried on to 450 and 700 nm, where Morel's
-    exponent (-4.32 against the fit's -4.15) would differ by 3 %.  Raises InputError out of
-    range.
+    It is a power law of the wavelength and linear in salinity, fitted at 532 to 660 nm; carried on
+    to 450 and 700 nm, where Morel's exponent (-4.32 against the fit's -4.15) would differ by 3 %.
+
+    Parameters
+    ----------
+    salinity_psu : float, psu, 0 to 35
+    wavelength_nm : float, nm, 450 to 700
+
+    Raises
+    ------
+    InputError
+        A value lies outside its range.
+
+    References
+    ----------
+    Zhang, Hu & He 2009.
     """
     require("salinity_psu", salinity_psu, SALINITY_PSU)
     require("wavelength_nm", wavelength_nm, WATER_NM)

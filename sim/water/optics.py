@@ -17,10 +17,12 @@ MM_PER_M = 1000.0
 class Optics:
     """The water at one wavelength.
 
-    index: refractive index relative to air.
-    absorption_per_mm, scattering_per_mm: of water and particles together.
-    particles: the phase function of the particles.
-    molecular_weight: the molecules' share of scattering_per_mm, 0 to 1.
+    Attributes
+    ----------
+    index : float, refractive index relative to air
+    absorption_per_mm, scattering_per_mm : float, 1/mm, of water and particles together
+    particles : PhaseFunction, the phase function of the particles
+    molecular_weight : float, the molecules' share of scattering_per_mm, 0 to 1
     """
 
     index: float
@@ -35,16 +37,33 @@ class Optics:
         return self.absorption_per_mm + self.scattering_per_mm
 
     def phase(self, angle: Floats) -> Floats:
-        """Phase function, 1/sr, at the scattering angle in rad (0 is forward).
+        """Phase function, 1/sr; same shape as ``angle``.  Its integral over the sphere is 1.
 
-        Same shape as ``angle``; its integral over the sphere is 1.
+        Parameters
+        ----------
+        angle : array, scattering angle in rad; 0 is forward
         """
         share = self.molecular_weight
         return (1 - share) * self.particles.density(angle) + share * molecular_phase(angle)
 
 
 def water_optics(water: Water, wavelength_nm: float) -> Optics:
-    """The optics of a scene's water at ``wavelength_nm`` (450 to 700); else InputError."""
+    """The optics of a scene's water at one wavelength.
+
+    Parameters
+    ----------
+    water : Water, the scene's
+    wavelength_nm : float, nm, 450 to 700
+
+    Raises
+    ------
+    InputError
+        The wavelength lies outside the range.
+
+    References
+    ----------
+    docs/explanation/physics.md, sections 1 to 3.
+    """
     found = coefficients(water, wavelength_nm)
     scattering = found.scattering_per_m
     return Optics(
@@ -58,7 +77,18 @@ def water_optics(water: Water, wavelength_nm: float) -> Optics:
 
 
 def index_of(water: Water, wavelength_nm: float) -> float:
-    """Refractive index of a scene's water relative to air, 1 where it is air; else InputError."""
+    """Refractive index of a scene's water relative to air; 1 where it is air.
+
+    Parameters
+    ----------
+    water : Water, the scene's
+    wavelength_nm : float, nm, 400 to 700
+
+    Raises
+    ------
+    InputError
+        The wavelength lies outside the range.
+    """
     if water.kind == "air":
         return 1.0
     return refractive_index(

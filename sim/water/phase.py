@@ -38,8 +38,19 @@ class PhaseFunction(Protocol):
 class HenyeyGreensteinMixture:
     """A sum of Henyey and Greenstein's lobes; left out, the four of Petzold's particle.
 
-    weights: (K,) share of each lobe, none negative, together 1.  g: (K,) their mean cosines,
-    between -1 and 1.  Raises InputError for others.
+    Attributes
+    ----------
+    weights : (K,) share of each lobe, none negative, together 1
+    g : (K,) mean cosines of the lobes, between -1 and 1
+
+    Raises
+    ------
+    InputError
+        The lobes are no density.
+
+    References
+    ----------
+    Henyey & Greenstein 1941; docs/explanation/physics.md, section 3.
     """
 
     weights: tuple[float, ...] = PARTICLE_WEIGHTS
@@ -63,9 +74,16 @@ class HenyeyGreensteinMixture:
 
 
 def henyey_greenstein(angle: Floats, g: Floats | tuple[float, ...] | float) -> Floats:
-    """Henyey & Greenstein's phase function (1941), 1/sr, at angles in rad.
+    """Henyey & Greenstein's phase function, 1/sr; the arguments broadcast.
 
-    g: mean cosine, between -1 and 1; arguments broadcast.
+    Parameters
+    ----------
+    angle : array, scattering angle in rad; 0 is forward
+    g : array or float, mean cosine, between -1 and 1
+
+    References
+    ----------
+    Henyey & Greenstein 1941.
     """
     half, lean = np.asarray(angle, dtype=float) / 2, np.asarray(g, dtype=float)
     # 1 + g2 - 2 g cos, as a sum of squares whichever way the lobe points.
@@ -75,9 +93,17 @@ def henyey_greenstein(angle: Floats, g: Floats | tuple[float, ...] | float) -> F
 
 
 def molecular_phase(angle: Floats) -> Floats:
-    """Phase function of molecules, 1/sr, at angles in rad: 1 + cos2 (1 - d)/(1 + d), normalised.
+    """Phase function of molecules, 1/sr: 1 + cos2 (1 - d)/(1 + d), normalised; shape of ``angle``.
 
-    d is the depolarisation ratio, 0.039 (Zhang, Hu & He 2009).
+    d is the depolarisation ratio, 0.039.
+
+    Parameters
+    ----------
+    angle : array, scattering angle in rad; 0 is forward
+
+    References
+    ----------
+    Zhang, Hu & He 2009.
     """
     anisotropy = (1 - DEPOLARISATION) / (1 + DEPOLARISATION)
     return (1 + anisotropy * np.cos(angle) ** 2) / (4 * np.pi * (1 + anisotropy / 3))
