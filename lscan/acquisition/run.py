@@ -15,7 +15,6 @@ scan gives the same bytes.  This module reads; runwriter.py writes.
 import hashlib
 import io
 import json
-import math
 import platform
 import zlib
 from collections.abc import Iterator
@@ -25,6 +24,7 @@ from typing import Literal
 
 import cv2
 import numpy as np
+from pydantic import FiniteFloat, TypeAdapter
 
 from lscan.config.documents import Document, Strict, check, read_json
 from lscan.config.plugins import installed, names_code
@@ -91,10 +91,10 @@ class FrameRow:
     """
 
     index: int
-    commanded_mm: float
-    position_mm: float
-    time_s: float
-    exposure_ms: float
+    commanded_mm: FiniteFloat
+    position_mm: FiniteFloat
+    time_s: FiniteFloat
+    exposure_ms: FiniteFloat
     sha256: str
     dark_sha256: str | None = None
 
@@ -109,8 +109,8 @@ class FrameRow:
         text = ",".join([str(index), *(repr(float(x)) for x in numbers), *digests])
         return f"{text},{_crc32(text)}"
 
-    @classmethod
-    def from_text(cls, text: str, where: object, paired: bool = False) -> "FrameRow":
+    @staticmethod
+    def from_text(text: str, where: object, paired: bool = False) -> "FrameRow":
         """The row that ``as_text`` wrote; InputError where it is torn or was changed.
 
         paired: whether it must list a background, or must not.
@@ -119,15 +119,14 @@ class FrameRow:
         if crc != _crc32(body):
             raise InputError("row is torn or was changed", where=where, value=text)
         try:
-            index, *fields = body.split(",")
-            commanded, position, time, exposure = map(_finite, fields[:4])
-            sha256, *dark_sha256 = fields[4:]
-            if len(dark_sha256) != paired:
-                raise ValueError("the wrong number of checksums")
-            return cls(int(index), commanded, position, time, exposure, sha256, *dark_sha256)
+            fields = zip(columns(paired).split(",")[:-1], body.split(","), strict=True)
+            return _ROW.validate_strings(dict(fields))
         except ValueError as error:
             what = "row does not hold what it should"
             raise InputError(what, where=where, value=text, allowed=columns(paired)) from error
+
+
+_ROW = TypeAdapter(FrameRow)
 
 
 @dataclass(frozen=True)
@@ -325,13 +324,6 @@ def _read_rows(file: Path, plan: Plan) -> list[FrameRow]:
             raise InputError(what, where=where, value=row.index, allowed=index)
         rows.append(row)
     return rows
-
-
-def _finite(text: str) -> float:
-    number = float(text)
-    if not math.isfinite(number):
-        raise ValueError(f"{text} is not finite")
-    return number
 
 
 def _digest(content: Document) -> str:

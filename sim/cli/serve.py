@@ -50,20 +50,22 @@ def serve(
     json: Json = False,
 ) -> None:
     """The tank as a webcam (MJPEG, loopback) and a Grbl track; runs until Ctrl-C."""
+    from lscan.config.documents import check
     from sim.devices import load_checked
     from sim.emulators.options import ServeOptions
 
-    options = ServeOptions(
-        http_port=http_port,
-        fps=fps,
-        quality=quality,
-        subsampling=subsampling,
-        places=places,
-        switched_laser=switched_laser,
-        prepare=prepare,
-        dialect=dialect,
-        link=link,
-    )
+    given = {
+        "http_port": http_port,
+        "fps": fps,
+        "quality": quality,
+        "subsampling": subsampling,
+        "places": places,
+        "switched_laser": switched_laser,
+        "prepare": prepare,
+        "dialect": dialect,
+        "link": link,
+    }
+    options = check(ServeOptions, given, where="command line")
     serve_until_stopped(load_checked(scene), options, write_rig, fault or [], json)
 
 

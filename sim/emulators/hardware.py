@@ -54,11 +54,11 @@ class EmulatedHardware:
         options: ServeOptions | None = None,
         progress: Progress | None = None,
     ) -> None:
-        """Switch on; InputError where an option or the scene cannot be served.
+        """Switch on; InputError where the scene cannot be served or a port is taken.
 
         progress: called with (done, all) of the places that ``prepare`` renders.
         """
-        self.scene, self.options = scene, (options or ServeOptions()).check()
+        self.scene, self.options = scene, options or ServeOptions()
         self._timers: list[threading.Timer] = []
         with ExitStack() as stack:
             self._track = EmulatedTrack(scene.rig.plan, self.options.dialect, self.options.link)

@@ -52,7 +52,7 @@ def travel_for(plan: Plan) -> TrackTravel:
 class EmulatedTrack:
     """A controller on a pseudo-terminal, the head at the plan's start, the laser off."""
 
-    def __init__(self, plan: Plan, dialect: str = "grbl", link: Path | None = None) -> None:
+    def __init__(self, plan: Plan, dialect: Dialect = "grbl", link: Path | None = None) -> None:
         """Plug it in.
 
         link: a name for the port that stays the same; InputError where something has it.

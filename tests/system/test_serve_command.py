@@ -84,4 +84,5 @@ def test_a_bad_option_is_one_clear_line(scene_file: Path) -> None:
     process = start(scene_file, "--quality", "101")
     said, errors = process.communicate(timeout=PATIENCE_S)
     assert (process.returncode, said) == (2, "")
-    assert errors == "lscan-sim: --quality: is out of range (got 101; allowed: 1 to 100)\n"
+    allowed = "must be a whole number of 1 to 100"
+    assert errors == f"lscan-sim: command line: quality: {allowed} (got 101)\n"

@@ -3,7 +3,7 @@
 from collections.abc import Callable
 from typing import Final
 
-from lscan.devices.grbl.codes import alarm_in_words, error_in_words
+from lscan.devices.grbl.codes import in_words
 from lscan.devices.grbl.machine import Exchange, Unanswered, asked
 from lscan.devices.grbl.protocol import (
     Alarm,
@@ -28,7 +28,7 @@ class Dialogue(Exchange[Message]):
         """Whether it is an ok; Unanswered for a refusal, since noise may have caused it."""
         if isinstance(said, Refusal):
             raise Unanswered(
-                f"{self.link.name}: refuses {text!r}: {error_in_words(said.code)}; where the "
+                f"{self.link.name}: refuses {text!r}: {in_words('error', said.code)}; where the "
                 "command is right, a noisy line garbled it: check the cable"
             )
         return isinstance(said, Ok)
@@ -79,7 +79,7 @@ class Dialogue(Exchange[Message]):
         if isinstance(message, Alarm):
             self.lost = True
             raise DeviceError(
-                f"{self.link.name}: {alarm_in_words(message.code)}; {self.alarm_remedy()}"
+                f"{self.link.name}: {in_words('ALARM', message.code)}; {self.alarm_remedy()}"
             )
         if isinstance(message, Banner):
             raise self.restarted()

@@ -7,77 +7,53 @@ track that waits after every move never asks for.
 import math
 from collections import deque
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Self
 
 Place = tuple[float, ...]
 """Of the three axes, mm."""
 
 
-class Ramp(Protocol):
-    """Way along a block as a function of the time since its start."""
-
-    @property
-    def duration_s(self) -> float: ...
-    def way_mm(self, time_s: float) -> float: ...
-    def speed_mm_s(self, time_s: float) -> float: ...
-
-
 @dataclass(frozen=True)
-class Trapezoid:
-    """From rest to rest over ``length_mm``, at most at ``top_mm_s``."""
+class Ramp:
+    """Way along a block as a function of the time since its start.
 
-    length_mm: float
-    top_mm_s: float
-    accel_mm_s2: float
+    phases: of constant acceleration, one after the other: how long each lasts, s, the speed at
+    its start, mm/s, and the acceleration, mm/s².
+    """
 
-    @property
-    def peak_mm_s(self) -> float:
-        """Speed reached: the top speed, or what half the way allows, v² = 2 a s."""
-        return min(self.top_mm_s, math.sqrt(self.accel_mm_s2 * self.length_mm))
+    phases: tuple[tuple[float, float, float], ...]
+
+    @classmethod
+    def from_rest_to_rest(cls, length_mm: float, top_mm_s: float, accel_mm_s2: float) -> Self:
+        """Over a way at most at ``top_mm_s``, or at what half the way allows, v² = 2 a s."""
+        peak_mm_s = min(top_mm_s, math.sqrt(accel_mm_s2 * length_mm))
+        rise_s = peak_mm_s / accel_mm_s2
+        steady_s = max(0.0, length_mm / peak_mm_s - rise_s) if peak_mm_s else 0.0
+        rise, fall = (rise_s, 0.0, accel_mm_s2), (rise_s, peak_mm_s, -accel_mm_s2)
+        return cls((rise, (steady_s, peak_mm_s, 0.0), fall))
+
+    @classmethod
+    def to_rest(cls, start_mm_s: float, accel_mm_s2: float) -> Self:
+        """Braking from a speed."""
+        return cls(((start_mm_s / accel_mm_s2, start_mm_s, -accel_mm_s2),))
 
     @property
     def duration_s(self) -> float:
-        """Time of the whole way: s / v + v / a."""
-        peak = self.peak_mm_s
-        return self.length_mm / peak + peak / self.accel_mm_s2 if peak else 0.0
+        """Time to rest."""
+        return sum(lasts_s for lasts_s, _, _ in self.phases)
 
-    def way_mm(self, time_s: float) -> float:
-        """Way gone after ``time_s``; the second half mirrors the first."""
-        if time_s > self.duration_s / 2:
-            return self.length_mm - self._rise_mm(max(0.0, self.duration_s - time_s))
-        return self._rise_mm(time_s)
-
-    def speed_mm_s(self, time_s: float) -> float:
-        """Speed after ``time_s``."""
-        ramp_s = max(0.0, min(time_s, self.duration_s - time_s))
-        return min(self.peak_mm_s, self.accel_mm_s2 * ramp_s)
-
-    def _rise_mm(self, time_s: float) -> float:
-        ramp_s = self.peak_mm_s / self.accel_mm_s2
-        speeding_s = min(time_s, ramp_s)
-        return self.accel_mm_s2 * speeding_s**2 / 2 + self.peak_mm_s * (time_s - speeding_s)
-
-
-@dataclass(frozen=True)
-class Braking:
-    """From ``start_mm_s`` to rest."""
-
-    start_mm_s: float
-    accel_mm_s2: float
-
-    @property
-    def duration_s(self) -> float:
-        """Time to rest: v / a."""
-        return self.start_mm_s / self.accel_mm_s2
-
-    def way_mm(self, time_s: float) -> float:
-        """Way gone after ``time_s``."""
-        time_s = min(time_s, self.duration_s)
-        return self.start_mm_s * time_s - self.accel_mm_s2 * time_s**2 / 2
-
-    def speed_mm_s(self, time_s: float) -> float:
-        """Speed after ``time_s``."""
-        return max(0.0, self.start_mm_s - self.accel_mm_s2 * time_s)
+    def at(self, time_s: float) -> tuple[float, float]:
+        """Way gone after ``time_s``, mm, and the speed then, mm/s."""
+        way_mm = speed_mm_s = 0.0
+        left_s = max(0.0, time_s)
+        for lasts_s, start_mm_s, accel_mm_s2 in self.phases:
+            part_s = min(left_s, lasts_s)
+            way_mm += start_mm_s * part_s + accel_mm_s2 * part_s**2 / 2
+            speed_mm_s = start_mm_s + accel_mm_s2 * part_s
+            left_s -= part_s
+            if left_s <= 0:
+                break
+        return way_mm, max(0.0, speed_mm_s)
 
 
 @dataclass(frozen=True)
@@ -132,12 +108,12 @@ class Planner:
         """Where the axes are."""
         if self._ramp is None:
             return self._start_mm
-        way_mm = self._ramp.way_mm(now_s - self._began_s)
+        way_mm, _ = self._ramp.at(now_s - self._began_s)
         return tuple(a + way_mm * d for a, d in zip(self._start_mm, self._direction, strict=True))
 
     def speed_mm_s(self, now_s: float) -> float:
         """Speed along the path."""
-        return 0.0 if self._ramp is None else self._ramp.speed_mm_s(now_s - self._began_s)
+        return 0.0 if self._ramp is None else self._ramp.at(now_s - self._began_s)[1]
 
     def advance(self, now_s: float) -> None:
         """Finish what is finished by now and begin what follows."""
@@ -156,7 +132,7 @@ class Planner:
         if self._ramp is not None and not self.braking and self._block is not None:
             place_mm, speed = self.place_mm(now_s), self.speed_mm_s(now_s)
             self._start_mm, self._began_s = place_mm, now_s
-            self._ramp, self.braking = Braking(speed, self._block.accel_mm_s2), True
+            self._ramp, self.braking = Ramp.to_rest(speed, self._block.accel_mm_s2), True
 
     def resume(self, now_s: float) -> None:
         """Go on with a block that was braked to rest."""
@@ -190,6 +166,6 @@ class Planner:
         way = [b - a for a, b in zip(self._start_mm, block.target_mm, strict=True)]
         length_mm = math.hypot(*way)
         self._direction = tuple(part / (length_mm or 1.0) for part in way)
-        self._ramp = Trapezoid(length_mm, block.feed_mm_s, block.accel_mm_s2)
+        self._ramp = Ramp.from_rest_to_rest(length_mm, block.feed_mm_s, block.accel_mm_s2)
         self._began_s = now_s
         self.advance(now_s)

@@ -6,7 +6,7 @@ from hypothesis import strategies as st
 
 from lscan.devices.grbl.protocol import StatusReport, parse_line
 from sim.emulators.grbl import GrblEmulator, SimulatedTime
-from sim.emulators.grbl.motion import Braking, Trapezoid
+from sim.emulators.grbl.motion import Ramp
 
 FREE = {20: 0, 22: 0}  # no homing, no soft limits: nothing is locked
 
@@ -198,9 +198,9 @@ def test_every_report_can_be_read_and_tells_the_offset_first() -> None:
 
 def test_a_move_takes_the_time_of_its_ramps() -> None:
     """100 mm at 50 mm/s and 200 mm/s²: s/v + v/a = 2.25 s; 1 mm: 2 √(s/a) = 0.1414 s."""
-    assert Trapezoid(100.0, 50.0, 200.0).duration_s == pytest.approx(2.25)
-    assert Trapezoid(1.0, 50.0, 200.0).duration_s == pytest.approx(0.141421, abs=1e-6)
-    assert Braking(50.0, 200.0).way_mm(1.0) == pytest.approx(6.25)  # v²/2a
+    assert Ramp.from_rest_to_rest(100.0, 50.0, 200.0).duration_s == pytest.approx(2.25)
+    assert Ramp.from_rest_to_rest(1.0, 50.0, 200.0).duration_s == pytest.approx(0.141421, abs=1e-6)
+    assert Ramp.to_rest(50.0, 200.0).at(1.0)[0] == pytest.approx(6.25)  # v²/2a
 
 
 @settings(max_examples=100)
@@ -213,9 +213,10 @@ def test_a_move_takes_the_time_of_its_ramps() -> None:
 def test_a_ramp_is_symmetric_and_keeps_its_limits(
     length: float, top: float, accel: float, part: float
 ) -> None:
-    ramp = Trapezoid(length, top, accel)
+    ramp = Ramp.from_rest_to_rest(length, top, accel)
     time_s = part * ramp.duration_s
-    mirrored = length - ramp.way_mm(ramp.duration_s - time_s)
-    assert ramp.way_mm(time_s) == pytest.approx(mirrored, abs=1e-9 * length)
-    assert 0 <= ramp.speed_mm_s(time_s) <= top
-    assert -1e-9 * length <= ramp.way_mm(time_s) <= length * (1 + 1e-9)
+    way, speed = ramp.at(time_s)
+    mirrored = length - ramp.at(ramp.duration_s - time_s)[0]
+    assert way == pytest.approx(mirrored, abs=1e-9 * length)
+    assert 0 <= speed <= top * (1 + 1e-9)
+    assert -1e-9 * length <= way <= length * (1 + 1e-9)

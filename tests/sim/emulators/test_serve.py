@@ -6,6 +6,7 @@ import urllib.error
 import urllib.request
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -20,6 +21,7 @@ from served import (
 )
 
 from lscan.acquisition.scan import open_devices, scan
+from lscan.config.documents import check
 from lscan.config.rigfile import load_rig, parse_rig
 from lscan.errors import InputError
 from lscan.records import Bytes, Floats
@@ -257,18 +259,20 @@ def test_a_link_left_by_one_that_was_killed_is_replaced(scene: Scene, tmp_path: 
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"quality": 0}, r"--quality: is out of range \(got 0; allowed: 1 to 100\)"),
-        ({"fps": 0.0}, "--fps: is out of range"),
-        ({"fps": float("nan")}, "--fps: is out of range"),
-        ({"places": 0}, "--places: is out of range"),
-        ({"http_port": 70_000}, "--http-port: is out of range"),
-        ({"subsampling": "4:1:0"}, "--subsampling: unknown .*4:2:2"),
-        ({"dialect": "gcode"}, "--dialect: unknown .*grbl, marlin"),
+        ({"quality": 0}, r"quality: must be a whole number of 1 to 100 \(got 0\)"),
+        ({"fps": 0.0}, r"fps: must be a number of 0\.1 to 240"),
+        ({"fps": float("nan")}, r"fps: must be a number of 0\.1 to 240"),
+        ({"places": 0}, "places: must be a whole number of 1 to 100000"),
+        ({"http_port": 70_000}, "http_port: must be a whole number of 0 to 65535"),
+        ({"subsampling": "4:1:0"}, "subsampling: must be '4:4:4', '4:2:2' or '4:2:0'"),
+        ({"dialect": "gcode"}, "dialect: must be 'grbl' or 'marlin'"),
     ],
 )
-def test_bad_options_are_refused(scene: Scene, options: dict[str, object], message: str) -> None:
+def test_bad_options_are_refused(options: dict[str, Any], message: str) -> None:
     with pytest.raises(InputError, match=message):
-        EmulatedHardware(scene, ServeOptions(**options))  # type: ignore[arg-type]
+        check(ServeOptions, options, where="command line")
+    with pytest.raises(ValueError, match=next(iter(options))):
+        ServeOptions(**options)
 
 
 @pytest.mark.parametrize(

@@ -4,7 +4,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from lscan.devices.grbl.codes import ALARMS, ERRORS, alarm_in_words, error_in_words
+from lscan.devices.grbl.codes import CODES, in_words
 from lscan.devices.grbl.link import LONGEST_ANSWER, Link
 from lscan.devices.grbl.protocol import (
     Alarm,
@@ -96,12 +96,12 @@ def test_what_is_no_message_is_noise(text: str) -> None:
 
 
 def test_every_documented_code_has_its_words() -> None:
-    assert set(ERRORS) == {*range(1, 18), *range(20, 39)}
-    assert set(ALARMS) == set(range(1, 10))
-    assert "travel" in error_in_words(15)
-    assert "position is lost" in alarm_in_words(3)
-    assert "does not document" in error_in_words(99)
-    assert "does not document" in alarm_in_words(99)
+    assert set(map(int, CODES["error"])) == {*range(1, 18), *range(20, 39)}
+    assert set(map(int, CODES["ALARM"])) == set(range(1, 10))
+    assert "travel" in in_words("error", 15)
+    assert "position is lost" in in_words("ALARM", 3)
+    assert "does not document" in in_words("error", 99)
+    assert "does not document" in in_words("ALARM", 99)
 
 
 places = st.floats(-9999, 9999).map(lambda mm: round(mm, 3))
