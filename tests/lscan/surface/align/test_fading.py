@@ -11,7 +11,7 @@ from scipy.special import ndtr
 from lscan.errors import MeasurementError
 from lscan.records import Floats
 from lscan.surface.align.edges import EdgeFit
-from lscan.surface.align.fading import FaceSamples, fit_fading
+from lscan.surface.align.fading import PLACE_SIGMA_MM, FaceSamples, fit_fading
 
 WIDTH_MM = 0.9
 
@@ -96,3 +96,16 @@ def test_too_few_samples_are_refused() -> None:
     few = replace(edge, plan=edge.plan[:5], brightness=edge.brightness[:5], lower=edge.lower[:5])
     with pytest.raises(MeasurementError, match="do not fix"):
         fit_fading([few], start(few))
+
+
+def test_a_line_that_ends_without_fading_leaves_its_edge_to_the_prior() -> None:
+    """Nothing overflows, and the edge is known no better than before: to PLACE_SIGMA_MM.
+
+    Half of that is asked, for the samples do say that the edge is not among them.
+    """
+    edge = far(0.0, 0.0, 0.867)
+    speckle = np.random.default_rng(1).standard_normal(len(edge.plan))
+    even = replace(edge, brightness=100 * (1 + 0.01 * speckle))
+    with np.errstate(all="raise", under="ignore"):
+        fit = fit_fading([even], start(even))
+    assert np.sqrt(fit.covariance[1, 1]) > PLACE_SIGMA_MM / 2
