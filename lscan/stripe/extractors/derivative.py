@@ -2,25 +2,19 @@
 
 import numpy as np
 
-from lscan.config.rig import StripeSection
-from lscan.records import Floats, Ints, Mask, Stripe
-from lscan.stripe.extractors.rules import LineLight, extract_by
+from lscan.records import Floats, Ints
+from lscan.stripe.extractors.rules import LineLight, extractor
 
 
-def blais_rioux(image: Floats, settings: StripeSection, clipped: Mask) -> Stripe:
+@extractor
+def blais_rioux(seen: LineLight) -> tuple[Floats, Floats]:
     """The line where the derivative of each column's light crosses zero.
 
-    image: (H, W) grey values in DN.  clipped: (H, W), of no account to the rule.
     The derivative is the sum of the m pixels above less that of the m below (Blais & Rioux
     1986, Signal Processing 11, 145, who use orders 2 m of 2, 4 and 8), with m nearest twice
     the line's width; between the two pixels where it changes sign it is taken as straight.
     See rules.py.
     """
-    return extract_by(_zero_crossing, image, settings, clipped)
-
-
-def _zero_crossing(seen: LineLight) -> tuple[Floats, Floats]:
-    """The crossing nearest the middle pixel, upwards as the sum above outgrows that below."""
     taps = np.maximum(np.rint(2 * seen.width_px), 1).astype(int)
     filtered = _filtered(seen.light, taps)
     rises = (filtered[:, :-1] < 0) & (filtered[:, 1:] >= 0)

@@ -4,9 +4,8 @@ from typing import cast
 
 import numpy as np
 
-from lscan.config.rig import StripeSection
-from lscan.records import Floats, Mask, Stripe
-from lscan.stripe.extractors.rules import LineLight, extract_by
+from lscan.records import Floats
+from lscan.stripe.extractors.rules import LineLight, extractor
 
 _DYNAMIC = 10.0
 """Of the logarithm: what a parabola puts farther below the peak has no weight to speak of."""
@@ -14,22 +13,17 @@ _DYNAMIC = 10.0
 _TRACE = 1e-10
 
 
-def gaussian(image: Floats, settings: StripeSection, clipped: Mask) -> Stripe:
+@extractor
+def gaussian(seen: LineLight) -> tuple[Floats, Floats]:
     """The line by a parabola through the logarithms of the light about each column's peak.
 
-    image: (H, W) grey values in DN.  clipped: (H, W), pixels that are left out.
     Weighted least squares over the pixels within two widths, or as far beyond as there are
-    clipped ones: the logarithm of light I with
-    the variance V has the variance V / I², so each pixel has the weight I² / V.  The weights
-    come from the pixels first, then from the parabola found (Guo 2011, IEEE Signal
-    Processing Magazine 28(5), 134), as noisy weights prefer what noise made bright.  LineLight
+    clipped ones, which are left out: the logarithm of light I with the variance V has the
+    variance V / I², so each pixel has the weight I² / V.  The weights come from the pixels
+    first, then from the parabola found (Guo 2011, IEEE Signal Processing Magazine 28(5), 134),
+    as noisy weights prefer what noise made bright; the derivative holds them fixed.  Light
     below its own deviation counts as that: its logarithm says no more.  See rules.py.
     """
-    return extract_by(_vertex, image, settings, clipped)
-
-
-def _vertex(seen: LineLight) -> tuple[Floats, Floats]:
-    """Vertex of the weighted parabola; the derivative holds the weights fixed."""
     reach = np.maximum(1, np.rint(2 * seen.width_px)) + seen.clipped.sum(axis=1) / 2
     near = (np.abs(seen.steps) <= reach[:, None]) & ~seen.clipped
     deviation = np.sqrt(seen.noise.variance(seen.light))

@@ -9,11 +9,13 @@ differs by (scatter.py).  sigma_px holds all three.
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import wraps
 
 import numpy as np
 
 from lscan.config.rig import StripeSection
 from lscan.records import Floats, Mask, Stripe
+from lscan.stripe.api import Extractor
 from lscan.stripe.crosssection import lines, parameters_of
 from lscan.stripe.extractors.survey import Survey, survey
 from lscan.stripe.fit import LineWindows
@@ -42,22 +44,27 @@ Rule = Callable[[LineLight], tuple[Floats, Floats]]
 none, and the derivative (K, n) of that offset by each value of the light, in px/DN."""
 
 
-def extract_by(rule: Rule, image: Floats, settings: StripeSection, clipped: Mask) -> Stripe:
-    """The line of ``image``, (H, W) grey values in DN, by ``rule`` in each column.
+def extractor(rule: Rule) -> Extractor:
+    """Decorator of a rule that makes it an extractor, which applies it in each column.
 
     The ground under the line is the straight line through the means of the pixels three to
     four widths away.  Statuses as in peaks.py, in windows that suit the line's width;
     NO_PEAK also where the rule finds no centre near the peak, see :meth:`Survey.is_near`.
     """
-    seen = survey(image, settings, clipped)
-    if isinstance(seen, Stripe):
-        return seen
-    ground = _Ground.beside(seen.view, seen.width_px)
-    light = ground.taken_off(seen.view.grey)
-    offset, _ = rule(_lit(seen, light))
-    sigma = _sigma(rule, seen, ground, light, np.nan_to_num(offset))
-    kept = seen.is_near(offset, sigma)
-    return centred(seen.stripe, seen.peaks, offset, sigma, kept)
+
+    @wraps(rule)
+    def extract(image: Floats, settings: StripeSection, clipped: Mask) -> Stripe:
+        seen = survey(image, settings, clipped)
+        if isinstance(seen, Stripe):
+            return seen
+        ground = _Ground.beside(seen.view, seen.width_px)
+        light = ground.taken_off(seen.view.grey)
+        offset, _ = rule(_lit(seen, light))
+        sigma = _sigma(rule, seen, ground, light, np.nan_to_num(offset))
+        kept = seen.is_near(offset, sigma)
+        return centred(seen.stripe, seen.peaks, offset, sigma, kept)
+
+    return extract
 
 
 @dataclass(frozen=True)

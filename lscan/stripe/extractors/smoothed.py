@@ -2,26 +2,20 @@
 
 import numpy as np
 
-from lscan.config.rig import StripeSection
-from lscan.records import Floats, Mask, Stripe
-from lscan.stripe.extractors.rules import LineLight, extract_by
+from lscan.records import Floats
+from lscan.stripe.extractors.rules import LineLight, extractor
 
 _APART = 0.5  # the three values', in widths of the line
 
 
-def smoothed_peak(image: Floats, settings: StripeSection, clipped: Mask) -> Stripe:
-    """The line at the peak of each column of ``image`` smoothed with the line's own width.
+@extractor
+def smoothed_peak(seen: LineLight) -> tuple[Floats, Floats]:
+    """The line at the peak of each column smoothed with the line's own width.
 
-    image: (H, W) grey values in DN.  clipped: (H, W), of no account to the rule.
     A Gaussian as wide as the line is its matched filter: of all filters it raises the peak
     most above the noise.  The smoothed column is a function of any place, not of pixels alone,
     so the three values may be closer together than pixels: half a width.  See rules.py.
     """
-    return extract_by(_parabola_at_the_peak, image, settings, clipped)
-
-
-def _parabola_at_the_peak(seen: LineLight) -> tuple[Floats, Floats]:
-    """Vertex of the parabola through the highest smoothed value and its two neighbours."""
     apart = _APART * seen.width_px
     middle = _highest(seen)
     kernels = _kernel(seen, (np.arange(-1, 2) + middle[:, None]) * apart[:, None])  # (K, 3, n)
