@@ -116,6 +116,11 @@ class _Spots:
         """(K,) in px."""
         return self.bottom - self.top + 1
 
+    @property
+    def middle(self) -> Floats:
+        """(K,) row."""
+        return (self.top + self.bottom) / 2
+
 
 def _flattened(columns: Floats) -> tuple[Floats, Floats]:
     """The columns (W, H) smoothed along themselves, and the ground beneath their lines, in DN.
@@ -179,12 +184,11 @@ def _runs(spots: _Spots) -> Ints:
     with one more row on either side for each column between them.
     """
     count = len(spots.column)
-    middle = (spots.top + spots.bottom) / 2
     open_right, open_left = np.ones(count, dtype=bool), np.ones(count, dtype=bool)
     links: list[tuple[Ints, Ints]] = []
     for apart in range(1, _GAP + 1):
         first, second = _pairs(spots.column, apart)
-        distance = np.abs(middle[first] - middle[second])
+        distance = np.abs(spots.middle[first] - spots.middle[second])
         near = distance <= (spots.height[first] + spots.height[second]) / 2 + apart
         near &= open_right[first] & open_left[second]
         first, second, distance = first[near], second[near], distance[near]
@@ -211,8 +215,7 @@ def _isolated(spots: _Spots, run: Ints) -> Mask:
     beside = np.zeros(len(length), dtype=bool)
     for apart in range(1, _GAP + 1):
         first, second = _pairs(spots.column, apart)
-        between = np.abs(spots.top[first] + spots.bottom[first] - spots.top[second]
-                         - spots.bottom[second]) / 2  # fmt: skip
+        between = np.abs(spots.middle[first] - spots.middle[second])
         near = between <= (spots.height[first] + spots.height[second]) / 2 + _REACH_PX
         a, b = run[first[near]], run[second[near]]
         beside[a] |= ~blob[b]
@@ -236,29 +239,25 @@ def _beaten(spots: _Spots, run: Ints, first: Ints, second: Ints, settings: Strip
     """
     length = np.bincount(run)
     height = np.bincount(run, spots.height) / length
-    a, b = run[first], run[second]
+    # Each pair both ways round: a spot of run ``a`` and its rival of run ``b``.
+    spot, rival = np.concatenate([first, second]), np.concatenate([second, first])
+    a, b = run[spot], run[rival]
     # The light of either run in the columns that they share, or in each column by itself.
     _, pair = np.unique(a * len(length) + b, return_inverse=True)
     shared = np.bincount(pair)[pair]
     succeed = (shared <= _TURNOVER) & (2 * shared <= np.minimum(length[a], length[b]))
-    each_a, each_b = spots.light[first], spots.light[second]
-    light_a = np.where(succeed, each_a, np.bincount(pair, each_a)[pair])
-    light_b = np.where(succeed, each_b, np.bincount(pair, each_b)[pair])
-    speck_a = ~succeed & (length[a] <= _SPECK * height[a]) & (length[b] > _LONGER * length[a])
-    speck_b = ~succeed & (length[b] <= _SPECK * height[b]) & (length[a] > _LONGER * length[b])
+    own = np.where(succeed, spots.light[spot], np.bincount(pair, spots.light[spot])[pair])
+    other = np.roll(own, len(first))
+    speck = ~succeed & (length[a] <= _SPECK * height[a]) & (length[b] > _LONGER * length[a])
     by_light = ~succeed | (settings.returns == "brightest")
-    a_goes = speck_a | (~speck_b & by_light & (light_a < _WEAKER * light_b))
-    b_goes = speck_b | (~speck_a & by_light & (light_b < _WEAKER * light_a))
+    weaker = ~np.roll(speck, len(first)) & by_light & (own < _WEAKER * other)
     beaten = np.zeros(len(run), dtype=bool)
-    beaten[first[a_goes]] = beaten[second[b_goes]] = True
-    both = ~beaten[first] & ~beaten[second]
+    beaten[spot[speck | weaker]] = True
     if settings.returns == "brightest":
-        a_goes, b_goes = light_b >= _CLEARLY * light_a, light_a >= _CLEARLY * light_b
+        yields = other >= _CLEARLY * own
     else:
-        a_goes = np.full(len(first), settings.returns == "last")
-        b_goes = ~a_goes
-    beaten[first[both & a_goes]] = True
-    beaten[second[both & b_goes]] = True
+        yields = np.repeat([settings.returns == "last", settings.returns == "first"], len(first))
+    beaten[spot[yields & ~beaten[spot] & ~beaten[rival]]] = True
     return beaten
 
 

@@ -1,6 +1,7 @@
 """How wide the laser line is in a picture."""
 
 import numpy as np
+from scipy.signal import peak_widths
 
 from lscan.records import Floats, Ints
 from lscan.stripe.peaks import windows
@@ -24,16 +25,6 @@ def line_width(columns: Floats, at: Ints) -> float:
     crest = columns[at].argmax(axis=1)
     profile = windows(columns, at, crest, reach).mean(axis=0)
     profile = profile - profile.min()
-    half = profile[reach] / 2
-    fwhm = _half_width(profile[reach:], half) + _half_width(profile[reach::-1], half)
-    return max(fwhm / _FWHM, _NARROWEST_PX)
-
-
-def _half_width(flank: Floats, half: float) -> float:
-    """Distance in px from the crest, flank[0], to where the flank first falls to ``half``."""
-    below = np.flatnonzero(flank <= half)
-    if len(below) == 0 or below[0] == 0:
-        return float(len(flank) - 1) if len(below) == 0 else 0.0
-    outer = int(below[0])
-    inner = outer - 1
-    return inner + float((flank[inner] - half) / (flank[inner] - flank[outer]))
+    height, ends = profile[[reach]], np.array([[0], [2 * reach]])  # its lowest value is 0
+    (fwhm,), *_ = peak_widths(profile, [reach], rel_height=0.5, prominence_data=(height, *ends))
+    return max(float(fwhm) / _FWHM, _NARROWEST_PX)

@@ -15,6 +15,7 @@ their weight is at the line's crest, where a pixel hardly moves the centroid.
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.optimize import nnls
 
 from lscan.config.rig import NoiseSection
 from lscan.records import Floats, Ints
@@ -112,32 +113,17 @@ def scatter_noise(square: Floats, light: Floats, constant: float) -> Noise:
     times their expectation (5 sigma) are left out.
     """
     noise = Noise(constant, 0.0)
+    if len(light) == 0:
+        return noise
     for turn in range(4):
         variance = noise.variance(light)
         # Nothing is known of the line's part yet at the first turn: all squares count.
         core = (square <= 25 * variance) if turn else np.ones(len(square), dtype=bool)
-        weight = core / np.maximum(variance, 1e-3 * light**2) ** 2
-        shot, speckled = _two_terms(light, square - constant, weight)
-        noise = Noise(constant, shot, min(speckled**0.5, 1.0))
+        root = core / np.maximum(variance, 1e-3 * light**2)
+        terms = np.column_stack([light, light**2]) * root[:, None]
+        (shot, speckled), _ = nnls(terms, (square - constant) * root)
+        noise = Noise(constant, float(shot), min(float(speckled) ** 0.5, 1.0))
     return noise
-
-
-def _two_terms(light: Floats, excess: Floats, weight: Floats) -> tuple[float, float]:
-    """Coefficients >= 0 of light and light² that fit ``excess`` best, all arrays (N,)."""
-    second, third, fourth = (float((weight * light**power).sum()) for power in (2, 3, 4))
-    one, two = (float((weight * excess * light**power).sum()) for power in (1, 2))
-    if fourth == 0:
-        return 0.0, 0.0
-    determinant = second * fourth - third**2
-    shot = (fourth * one - third * two) / determinant if determinant > 0 else 0.0
-    speckled = (second * two - third * one) / determinant if determinant > 0 else -1.0
-    if shot >= 0 and speckled >= 0:
-        return shot, speckled
-    only_shot, only_speckle = max(one, 0.0) / second, max(two, 0.0) / fourth
-    # The better of the two edges: it takes more off the sum of squares.
-    if one * only_shot > two * only_speckle:
-        return only_shot, 0.0
-    return 0.0, only_speckle
 
 
 def robust_variance(values: Floats, least: float = 0.0) -> float:
