@@ -1,7 +1,6 @@
 """Calibration boards seen through a flat port from the paper's place: exact marks, then noise."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -11,44 +10,34 @@ from lscan.config.rig import OpticsSection
 from lscan.records import BoardReading, Floats, Marks, RulerReading, Status
 
 IMAGE_SIZE = (640, 480)
-EYE_MM = np.array([225.0, -866.0254, 300.0])  # as in scenes/paper/rig.toml: 1 m, 30 degrees down
+CAMERA_MM = np.array([225.0, -866.0254, 300.0])  # as in scenes/paper/rig.toml: 1 m, 30 degrees down
 DEPRESSION = np.radians(30.0)
 
 
-@dataclass(frozen=True)
-class PortView:
-    """A camera that looks at the sheet's plane y = 0 from ``EYE_MM``."""
-
-    camera: CameraModel
-
-    def project(self, xz_mm: Floats) -> Floats:
-        """(N, 2) px of places (N, 2) in the sheet, mm."""
-        head = np.column_stack([xz_mm[:, 0], np.zeros(len(xz_mm)), xz_mm[:, 1]]) - EYE_MM
-        cosine, sine = np.cos(DEPRESSION), np.sin(DEPRESSION)
-        right = np.array([1.0, 0.0, 0.0])
-        ahead, down = np.array([0.0, cosine, -sine]), np.array([0.0, -sine, -cosine])
-        return project(self.camera, head @ np.column_stack([right, down, ahead]))
-
-    def knowledge(self) -> OpticsSection:
-        """What the owner of such a rig knows of it: the port by ruler and data sheet."""
-        return OpticsSection(
-            focal_px=(830.0, 80.0),
-            gap_mm=(11.0, 3.0),
-            thickness_mm=(6.0, 0.3),
-            glass_index=(1.49, 0.005),
-            water_index=(1.3317, 0.0005),
-        )
-
-
-VIEW = PortView(
-    CameraModel(
-        focal_px=850.0,
-        centre_px=(319.5, 239.5),
-        k1=-0.26,
-        k2=0.06,
-        port=PortModel(gap_mm=10.0, thickness_mm=6.0, glass_index=1.488, water_index=1.33131),
-    )
+CAMERA = CameraModel(
+    focal_px=850.0,
+    centre_px=(319.5, 239.5),
+    k1=-0.26,
+    k2=0.06,
+    port=PortModel(gap_mm=10.0, thickness_mm=6.0, glass_index=1.488, water_index=1.33131),
 )
+OPTICS = OpticsSection(
+    focal_px=(830.0, 80.0),
+    gap_mm=(11.0, 3.0),
+    thickness_mm=(6.0, 0.3),
+    glass_index=(1.49, 0.005),
+    water_index=(1.3317, 0.0005),
+)
+"""What the owner of such a rig knows of it: the port by ruler and data sheet."""
+
+
+def image_px(xz_mm: Floats) -> Floats:
+    """(N, 2) px where the camera at ``CAMERA_MM`` sees places (N, 2) of the sheet y = 0, mm."""
+    head = np.column_stack([xz_mm[:, 0], np.zeros(len(xz_mm)), xz_mm[:, 1]]) - CAMERA_MM
+    cosine, sine = np.cos(DEPRESSION), np.sin(DEPRESSION)
+    right = np.array([1.0, 0.0, 0.0])
+    ahead, down = np.array([0.0, cosine, -sine]), np.array([0.0, -sine, -cosine])
+    return project(CAMERA, head @ np.column_stack([right, down, ahead]))
 
 
 def _ruled(grid: Grid) -> Board:
@@ -71,16 +60,14 @@ BOARDS: Mapping[str, Board] = {
 }
 
 
-def reading_of(
-    board: Board, view: PortView, noise_px: float, generator: np.random.Generator
-) -> BoardReading:
-    """The board's marks as ``view`` shows them, each shifted by normal noise in u and in v.
+def reading_of(board: Board, noise_px: float, generator: np.random.Generator) -> BoardReading:
+    """The board's marks as the camera shows them, each shifted by normal noise in u and in v.
 
     sigma_px: the noise, or 1e-4 px where there is none.
     """
 
     def marks(places: Floats) -> Marks:
-        image = view.project(places)
+        image = image_px(places)
         image = image + noise_px * generator.standard_normal(image.shape)
         seen = np.all((image >= 0) & (image <= np.array(IMAGE_SIZE) - 1), axis=1)
         return Marks(

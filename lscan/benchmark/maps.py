@@ -1,13 +1,14 @@
 """Every plane map on every board at several noises: rms and largest error, and its time."""
 
-import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
-from lscan.benchmark.boards import BOARDS, VIEW, reading_of
+from lscan.benchmark.boards import BOARDS, OPTICS, image_px, reading_of
 from lscan.benchmark.extractors import share_within
+from lscan.benchmark.timing import timed
 from lscan.calibration.api import PlaneMap, find_solver
 from lscan.config.board import Board
 from lscan.config.rig import OpticsSection
@@ -71,7 +72,7 @@ def bench_maps(
         places = _places(board, np.random.default_rng([seed, number]))
         generator = np.random.default_rng([seed, number, round(1e4 * noise)])
         count = 1 if noise == 0 else draws
-        readings = [reading_of(board, VIEW, noise, generator) for _ in range(count)]
+        readings = [reading_of(board, noise, generator) for _ in range(count)]
         rows += [_row(name, solvers[name].solve, label, noise, readings, places) for name in names]
         if progress is not None:
             progress(done)
@@ -86,25 +87,23 @@ def _row(
     readings: Sequence[BoardReading],
     places: Floats,
 ) -> MapRow:
-    pixels = VIEW.project(places)
+    pixels = image_px(places)
     nan = float("nan")
     errors, ratios, covered, solving, mapping = [], [], [], [], []
     for reading in readings:
-        started = time.perf_counter()
         try:
-            solved = solve(reading, VIEW.knowledge())
+            seconds, solved = timed(partial(solve, reading, OPTICS))
         except (InputError, BoardNotFound) as refusal:
             return MapRow(name, board, noise_px, nan, nan, nan, 0.0, nan, nan, str(refusal))
-        solving.append(time.perf_counter() - started)
+        solving.append(seconds)
         answer = solved.to_plane(pixels)
         known = answer.status == Status.OK
         error_mm = answer.xz_mm[known] - places[known]
         errors.append(np.linalg.norm(error_mm, axis=1))
         ratios.append(np.abs(error_mm) / answer.sigma_mm[known])
         covered.append(float(known.mean()))
-        started = time.perf_counter()
-        solved.to_plane(pixels[:POINTS], np.full(POINTS, 0.05))
-        mapping.append(time.perf_counter() - started)
+        profile = partial(solved.to_plane, pixels[:POINTS], np.full(POINTS, 0.05))
+        mapping.append(timed(profile)[0])
     error, ratio = np.concatenate(errors), np.concatenate(ratios)
     if len(error) == 0:
         error = ratio = np.array([nan])

@@ -2,58 +2,27 @@
 
 import io
 import json
-from collections.abc import Sequence
-from dataclasses import asdict
-from math import isfinite
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
+from pydantic_core import to_jsonable_python
 
 from lscan.benchmark.extractors import ExtractorRow
 from lscan.benchmark.limits import failed_of_extractor, failed_of_map
 from lscan.benchmark.maps import MapRow
 from lscan.benchmark.pictures import LineCase
-from lscan.config.rig import NoiseSection
 from lscan.figures import style
 from lscan.files.disk import make_folder, write_atomically
-from lscan.records import Floats
 
-EXTRACTOR_HEADINGS = (
-    "extractor", "water", "width px", "peak DN", "bias px", "scatter px",
-    "to bound", "outliers %", "3 sigma %", "found %", "us a frame", "out of limits",
-)  # fmt: skip
-MAP_HEADINGS = (
-    "plane map", "board", "noise px", "rms mm", "largest mm", "3 sigma %", "covered %",
-    "ms solve", "ms profile", "out of limits",
-)  # fmt: skip
+AnyRow = TypeVar("AnyRow", ExtractorRow, MapRow)
+
 DPI = 90
-LEAST_PX, MOST_PX = 0.003, 1.0  # of the picture's colours
-LEAST_MM, MOST_MM = 0.001, 1.0
-
-
-def extractor_cells(rows: Sequence[ExtractorRow]) -> list[list[str]]:
-    """Cells of the printed table, a list for each row, under EXTRACTOR_HEADINGS."""
-    return [
-        [
-            row.extractor,
-            row.case.water,
-            f"{row.case.sigma_px:g}",
-            _peak(row.case),
-            f"{row.bias_px:+.4f}",
-            f"{row.scatter_px:.4f}",
-            "" if row.bound_ratio is None else f"{row.bound_ratio:.2f}",
-            f"{100 * row.outliers:.1f}",
-            f"{100 * row.within_3_sigma:.1f}",
-            f"{100 * row.found:.1f}",
-            f"{row.us_a_frame:.0f}",
-            ", ".join(failed_of_extractor(row)),
-        ]
-        for row in rows
-    ]
+LIMITS_PX, LIMITS_MM = (0.003, 1.0), (0.001, 1.0)  # of the picture's colours
 
 
 def _peak(case: LineCase) -> str:
@@ -64,29 +33,47 @@ def _peak(case: LineCase) -> str:
     return " ".join(words)
 
 
-def map_cells(rows: Sequence[MapRow]) -> list[list[str]]:
-    """Cells of the printed table, a list for each row, under MAP_HEADINGS."""
-    return [
-        [
-            row.plane_map,
-            row.board,
-            f"{row.noise_px:g}",
-            *(["refused", *[""] * 5] if row.refused else _figures(row)),
-            ", ".join(failed_of_map(row)),
-        ]
-        for row in rows
-    ]
+def _if_solved(figure: Callable[[MapRow], str]) -> Callable[[MapRow], str]:
+    """The figure of a row, empty where the map was refused."""
+    return lambda row: "" if row.refused else figure(row)
 
 
-def _figures(row: MapRow) -> list[str]:
-    return [
-        f"{row.rms_mm:.4f}",
-        f"{row.max_mm:.3f}",
-        f"{100 * row.within_3_sigma:.1f}",
-        f"{100 * row.covered:.1f}",
-        f"{row.ms_solve:.1f}",
-        f"{row.ms_profile:.2f}",
-    ]
+EXTRACTOR_COLUMNS: Mapping[str, Callable[[ExtractorRow], str]] = {
+    "extractor": lambda row: row.extractor,
+    "water": lambda row: row.case.water,
+    "width px": lambda row: f"{row.case.sigma_px:g}",
+    "peak DN": lambda row: _peak(row.case),
+    "bias px": lambda row: f"{row.bias_px:+.4f}",
+    "scatter px": lambda row: f"{row.scatter_px:.4f}",
+    "to bound": lambda row: "" if row.bound_ratio is None else f"{row.bound_ratio:.2f}",
+    "outliers %": lambda row: f"{100 * row.outliers:.1f}",
+    "3 sigma %": lambda row: f"{100 * row.within_3_sigma:.1f}",
+    "found %": lambda row: f"{100 * row.found:.1f}",
+    "us a frame": lambda row: f"{row.us_a_frame:.0f}",
+    "out of limits": lambda row: ", ".join(failed_of_extractor(row)),
+}
+"""The printed table of the extractors: heading to cell."""
+
+MAP_COLUMNS: Mapping[str, Callable[[MapRow], str]] = {
+    "plane map": lambda row: row.plane_map,
+    "board": lambda row: row.board,
+    "noise px": lambda row: f"{row.noise_px:g}",
+    "rms mm": lambda row: "refused" if row.refused else f"{row.rms_mm:.4f}",
+    "largest mm": _if_solved(lambda row: f"{row.max_mm:.3f}"),
+    "3 sigma %": _if_solved(lambda row: f"{100 * row.within_3_sigma:.1f}"),
+    "covered %": _if_solved(lambda row: f"{100 * row.covered:.1f}"),
+    "ms solve": _if_solved(lambda row: f"{row.ms_solve:.1f}"),
+    "ms profile": _if_solved(lambda row: f"{row.ms_profile:.2f}"),
+    "out of limits": lambda row: ", ".join(failed_of_map(row)),
+}
+"""The printed table of the maps: heading to cell."""
+
+
+def table_cells(
+    rows: Iterable[AnyRow], columns: Mapping[str, Callable[[AnyRow], str]]
+) -> list[list[str]]:
+    """Cells of the printed table of the rows, a list for each row, under the columns' headings."""
+    return [[cell(row) for cell in columns.values()] for row in rows]
 
 
 def write_bench(
@@ -105,39 +92,31 @@ def write_bench(
 
 
 def _judged(row: ExtractorRow | MapRow, failed: list[str]) -> dict[str, Any]:
-    """The row in plain JSON types, and which of its figures are out of their limits."""
-    return {**_plain(asdict(row)), "failed": failed, "passed": not failed}
-
-
-def _plain(value: Any) -> Any:
-    """The value in plain JSON types, null for what is no number."""
-    if isinstance(value, NoiseSection):
-        return value.model_dump()
-    if isinstance(value, dict):
-        return {key: _plain(entry) for key, entry in value.items()}
-    return None if isinstance(value, float) and not isfinite(value) else value
+    """The row in JSON types, null for what is no number, and which figures are out of limits."""
+    written: dict[str, Any] = to_jsonable_python(row, inf_nan_mode="null")
+    return {**written, "failed": failed, "passed": not failed}
 
 
 @style.styled
 def draw_bench(extractors: Sequence[ExtractorRow], maps: Sequence[MapRow]) -> bytes:
     """The picture, PNG: how far each extractor and each map is off, everywhere."""
-    cases = list(dict.fromkeys(row.case for row in extractors))
-    readers = list(dict.fromkeys(row.extractor for row in extractors))
-    sights = list(dict.fromkeys((row.board, row.noise_px) for row in maps))
-    names = list(dict.fromkeys(row.plane_map for row in maps))
-    off = {(r.extractor, r.case): float(np.hypot(r.bias_px, r.scatter_px)) for r in extractors}
-    miss = {(r.plane_map, (r.board, r.noise_px)): r.rms_mm for r in maps}
-    height = 2.6 + 0.24 * (len(readers) + len(names))
-    figure = Figure(figsize=(19.0, height), layout="constrained", facecolor=style.PAPER)
-    sizes = {"height_ratios": [max(len(readers), 1), max(len(names), 1)]}
-    above, below = figure.subplots(2, 1, gridspec_kw=sizes)
-    errors = np.array([[off.get((name, case), np.nan) for case in cases] for name in readers])
-    _heat(above, errors, readers, [_title(case) for case in cases], (LEAST_PX, MOST_PX))
-    above.set_title("Stripe extractors: rms error in px (colour: its logarithm)")
-    errors = np.array([[miss.get((name, sight), np.nan) for sight in sights] for name in names])
-    labels = [f"{board}\n{noise:g} px" for board, noise in sights]
-    _heat(below, errors, names, labels, (LEAST_MM, MOST_MM))
-    below.set_title("Plane maps: rms error in mm, by board and noise of its marks")
+    errors_px = {
+        (row.extractor, _title(row.case)): float(np.hypot(row.bias_px, row.scatter_px))
+        for row in extractors
+    }
+    errors_mm = {(row.plane_map, f"{row.board}\n{row.noise_px:g} px"): row.rms_mm for row in maps}
+    parts = (
+        ("Stripe extractors: rms error in px (colour: its logarithm)", errors_px, LIMITS_PX),
+        ("Plane maps: rms error in mm, by board and noise of its marks", errors_mm, LIMITS_MM),
+    )
+    counts = [len({name for name, _ in errors}) for _, errors, _ in parts]
+    size = (19.0, 2.6 + 0.24 * sum(counts))
+    figure = Figure(figsize=size, layout="constrained", facecolor=style.PAPER)
+    heights = {"height_ratios": [max(count, 1) for count in counts]}
+    panels = figure.subplots(2, 1, gridspec_kw=heights)
+    for axes, (title, errors, limits) in zip(panels, parts, strict=True):
+        _heat(axes, errors, limits)
+        axes.set_title(title)
     buffer = io.BytesIO()
     FigureCanvasAgg(figure)
     figure.savefig(buffer, format="png", dpi=DPI, metadata={"Software": None})
@@ -149,18 +128,14 @@ def _title(case: LineCase) -> str:
     return f"{case.water}\n{case.sigma_px:g} px\n{case.peak_dn:g} DN{speckled}"
 
 
-def _heat(
-    axes: Axes,
-    values: Floats,
-    rows: Sequence[str],
-    columns: Sequence[str],
-    limits: tuple[float, float],
-) -> None:
-    """A table of numbers with a colour each; empty where there is no number."""
+def _heat(axes: Axes, errors: Mapping[tuple[str, str], float], limits: tuple[float, float]) -> None:
+    """A table of numbers with a colour each, by (row, column); empty where there is no number."""
     axes.grid(False)
-    if values.size == 0:
+    if not errors:
         axes.set_axis_off()
         return
+    rows, columns = (list(dict.fromkeys(names)) for names in zip(*errors, strict=True))
+    values = np.array([[errors.get((row, column), np.nan) for column in columns] for row in rows])
     low, high = np.log10(limits)
     shade = np.clip(np.log10(np.where(values > 0, values, limits[0])), low, high)
     shade = np.where(np.isfinite(values), shade, np.nan)

@@ -32,7 +32,7 @@ def bench(
     The exit code is 1 where one is out of the limits that every method must keep to.
     """
     from lscan.benchmark import MAPS, registered_extractors, run_bench
-    from lscan.benchmark.page import EXTRACTOR_HEADINGS, MAP_HEADINGS, extractor_cells, map_cells
+    from lscan.benchmark.page import EXTRACTOR_COLUMNS, MAP_COLUMNS, table_cells
 
     extractors = _taking_part(() if only else registered_extractors(), extractor)
     maps = _taking_part(() if only else MAPS, plane_map)
@@ -42,9 +42,10 @@ def bench(
         print_json(done.content)
     else:
         if done.extractors:
-            print_table("stripe extractors", EXTRACTOR_HEADINGS, extractor_cells(done.extractors))
+            cells = table_cells(done.extractors, EXTRACTOR_COLUMNS)
+            print_table("stripe extractors", list(EXTRACTOR_COLUMNS), cells)
         if done.maps:
-            print_table("plane maps", MAP_HEADINGS, map_cells(done.maps))
+            print_table("plane maps", list(MAP_COLUMNS), table_cells(done.maps, MAP_COLUMNS))
         refused = {(row.plane_map, row.board, row.refused) for row in done.maps if row.refused}
         for name, board, reason in sorted(refused):
             print(f"{name} on the board {board!r}: refused, {reason}")

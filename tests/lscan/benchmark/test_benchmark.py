@@ -19,10 +19,10 @@ from lscan.benchmark import (
     write_bench,
 )
 from lscan.benchmark import maps as maps_module
-from lscan.benchmark.boards import BOARDS, VIEW, reading_of
+from lscan.benchmark.boards import BOARDS, reading_of
 from lscan.benchmark.extractors import bound_px
 from lscan.benchmark.limits import failed_of_extractor, failed_of_map
-from lscan.benchmark.page import extractor_cells, map_cells
+from lscan.benchmark.page import EXTRACTOR_COLUMNS, MAP_COLUMNS, table_cells
 from lscan.benchmark.pictures import BACKGROUND_DN, SHAPE, LineCase, centres, draw, mean_picture
 from lscan.calibration.api import PlaneMap, find_solver
 from lscan.cli.app import app
@@ -152,8 +152,8 @@ def test_unknown_names_are_refused() -> None:
 
 @pytest.mark.parametrize("board", BOARDS)
 def test_a_board_is_seen_whole_and_its_noise_is_the_noise_asked_for(board: str) -> None:
-    exact = reading_of(BOARDS[board], VIEW, 0.0, np.random.default_rng(1))
-    noisy = reading_of(BOARDS[board], VIEW, 0.1, np.random.default_rng(1))
+    exact = reading_of(BOARDS[board], 0.0, np.random.default_rng(1))
+    noisy = reading_of(BOARDS[board], 0.1, np.random.default_rng(1))
     assert exact.grid.found.all()
     shift = noisy.grid.image_px - exact.grid.image_px
     # chi-square of 2 N degrees of freedom, four standard deviations
@@ -186,8 +186,9 @@ def test_table_and_picture_are_written(tmp_path: Path) -> None:
     assert content["extractors"][-1]["scatter_px"] is None
     assert content["maps"][-1]["refused"] == "too few dots"
     assert (tmp_path / "bench" / "bench.png").read_bytes().startswith(b"\x89PNG")
-    assert len({len(cells) for cells in extractor_cells(extractors)}) == 1
-    assert map_cells([refused])[0][3] == "refused"
+    lengths = {len(cells) for cells in table_cells(extractors, EXTRACTOR_COLUMNS)}
+    assert lengths == {len(EXTRACTOR_COLUMNS)}
+    assert table_cells([refused], MAP_COLUMNS)[0][3:] == ["refused", "", "", "", "", "", "refused"]
 
 
 def test_the_whole_bench_takes_ones_own_extractor_and_tells_how_far_it_is(tmp_path: Path) -> None:
