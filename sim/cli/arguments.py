@@ -1,4 +1,4 @@
-"""What the arguments of ``lscan-sim`` name, and how its commands print files."""
+"""What the arguments of ``lscan-sim`` name, and how its commands print where things are."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -25,10 +25,10 @@ OutputFolder = Annotated[Path, typer.Option("--output", "-o", help="Folder to wr
 OutputFile = Annotated[Path, typer.Option("--output", "-o", help="JSON file to write.")]
 
 
-def print_files(files: Mapping[str, Path], json: bool) -> None:
-    """Print what the files are and where they lie."""
+def print_places(places: Mapping[str, Path | str], json: bool) -> None:
+    """Print names, and the file or address of each."""
     if json:
-        print_json({name: str(path) for name, path in files.items()})
+        print_json({name: str(place) for name, place in places.items()})
     else:
-        for name, path in files.items():
-            print(f"{name}: {path}")
+        for name, place in places.items():
+            print(f"{name}: {place}")

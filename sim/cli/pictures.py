@@ -10,7 +10,7 @@ import typer
 from lscan.cli.arguments import Json
 from lscan.cli.console import progress_bar
 from lscan.errors import InputError
-from sim.cli.arguments import OutputFolder, SceneFile, print_files
+from sim.cli.arguments import OutputFolder, SceneFile, print_places
 
 if TYPE_CHECKING:
     from sim.datasets.files import Taken
@@ -35,7 +35,7 @@ def render(
     loaded = load_checked(scene)
     place = loaded.rig.plan.start_mm if position is None else position
     files = write_render(loaded, place, output, samples)
-    print_files(files, json)
+    print_places(files, json)
 
 
 def truth(
@@ -60,7 +60,7 @@ def truth(
         taken = taken_at(loaded, position or [loaded.rig.plan.start_mm])
     with progress_bar("truth") as progress:
         tables = write_truth(loaded, taken, output, progress)
-    print_files({name: table.file for name, table in tables.items()}, json)
+    print_places({name: table.file for name, table in tables.items()}, json)
     if not json:
         for name, table in tables.items():
             found = ", ".join(f"{count} {status}" for status, count in table.statuses.items())
@@ -94,4 +94,4 @@ def views(
     from sim.datasets.views import write_views
     from sim.devices import load_checked
 
-    print_files(write_views(load_checked(scene), output, poses, seed), json)
+    print_places(write_views(load_checked(scene), output, poses, seed), json)

@@ -6,17 +6,16 @@ import signal
 import sys
 from collections.abc import Sequence
 from pathlib import Path
-from types import FrameType
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from lscan.cli.arguments import Json
-from lscan.cli.console import print_json, progress_bar
-from sim.cli.arguments import SceneFile
+from lscan.cli.console import progress_bar
+from lscan.devices.signals import on_stop_signals
+from sim.cli.arguments import SceneFile, print_places
 
 if TYPE_CHECKING:
-    from sim.emulators.hardware import EmulatedHardware
     from sim.emulators.options import ServeOptions
     from sim.scene import Scene
 
@@ -82,34 +81,26 @@ def serve_until_stopped(
     from sim.emulators.hardware import EmulatedHardware
 
     timed = [parse_fault(text) for text in faults]
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, _stop)
-    with progress_bar("render") as progress, EmulatedHardware(scene, options, progress) as hardware:
+    with (
+        on_stop_signals(_leave),
+        progress_bar("render") as progress,
+        EmulatedHardware(scene, options, progress) as hardware,
+    ):
         if rig is not None:
             hardware.write_rig(rig)
         for fault in timed:
             hardware.schedule(fault)
-        _announce(hardware, rig, json)
+        places = {"url": hardware.url, "snapshot": hardware.snapshot_url, "port": hardware.port}
+        print_places(places if rig is None else {**places, "rig": rig}, json)
+        sys.stdout.flush()
         while True:
             # Not a lock: Mitsuba puts its SIGINT handler back in such a way (SA_RESTART) that
             # the signal no longer interrupts waiting for one.
             signal.pause()
 
 
-def _stop(number: int, frame: FrameType | None) -> None:
+def _leave() -> None:
     """Leave through every ``with`` block, which a second signal must not cut short."""
-    for name in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(name, signal.SIG_IGN)
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, signal.SIG_IGN)
     sys.exit(0)
-
-
-def _announce(hardware: EmulatedHardware, rig: Path | None, json: bool) -> None:
-    where = {"url": hardware.url, "snapshot": hardware.snapshot_url, "port": hardware.port}
-    if rig is not None:
-        where["rig"] = str(rig)
-    if json:
-        print_json(where)
-    else:
-        for name, place in where.items():
-            print(f"{name}: {place}")
-    sys.stdout.flush()

@@ -7,8 +7,7 @@ same error.  Both render in turn, a pair a run, so that what else the machine do
 the lower end of the ratio's interval over the runs is what is judged.
 """
 
-import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -18,6 +17,7 @@ import mitsuba as mi
 import numpy as np
 
 from lscan.acquisition.scan import scan
+from lscan.benchmark.timing import median_seconds, timed
 from lscan.calibration.solve import Calibration
 from lscan.config.rig import StripeSection
 from lscan.config.rigfile import RigFile, load_rig
@@ -47,29 +47,21 @@ Picture = Callable[[int], Floats]
 
 @dataclass(frozen=True)
 class SpeedEffort:
-    """How much is rendered.
+    """How much is rendered; by default all of it.
 
     runs: pairs of pictures.  stock_samples: volpath's, a pixel.  converged: samples of the
     first and of the higher orders in the pictures that all are held against.  repeats: of a
     call that is timed.
     """
 
-    runs: int
-    stock_samples: int
-    converged: tuple[int, int]
-    repeats: int
+    runs: int = 64
+    stock_samples: int = 1024
+    converged: tuple[int, int] = (4096, 2048)
+    repeats: int = 15
 
 
-FULL = SpeedEffort(runs=64, stock_samples=1024, converged=(4096, 2048), repeats=15)
+FULL = SpeedEffort()
 QUICK = SpeedEffort(runs=3, stock_samples=16, converged=(64, 32), repeats=1)
-
-
-@dataclass(frozen=True)
-class RunCost:
-    """One pair of pictures: squared error times seconds, of ours and of the reference."""
-
-    ours: float
-    theirs: float
 
 
 @dataclass(frozen=True)
@@ -177,37 +169,39 @@ def _gains(
 ) -> dict[str, Gain]:
     """The gain on each part, from pairs of pictures rendered in turn."""
     ours(0), theirs(0)  # compiles what is rendered
-    runs: dict[str, list[RunCost]] = {name: [] for name in parts}
+    costs: dict[str, list[list[float]]] = {name: [] for name in parts}
     for run in range(effort.runs):
         seeds = range(1 + OURS_A_RUN * run, 1 + OURS_A_RUN * (run + 1))
-        mine, my_seconds = _timed(lambda seeds=seeds: [ours(seed) for seed in seeds])  # type: ignore[misc]
-        other, seconds = _timed(lambda run=run: [theirs(1 + run)])  # type: ignore[misc]
+        pair = [timed(partial(_stack, ours, seeds)), timed(partial(_stack, theirs, [1 + run]))]
         for name, part in parts.items():
-            cost = _square(mine, truth, part) * my_seconds / OURS_A_RUN
-            runs[name].append(RunCost(cost, _square(other, truth, part) * seconds))
-    return {name: gain_of(pairs) for name, pairs in runs.items()}
+            costs[name].append(
+                [_square(taken, truth, part) * seconds / len(taken) for seconds, taken in pair]
+            )
+    return {name: gain_of(np.array(pairs)) for name, pairs in costs.items()}
 
 
-def gain_of(runs: list[RunCost]) -> Gain:
+def _stack(picture: Picture, seeds: Iterable[int]) -> Floats:
+    """(seeds, H, W) pictures, one for each seed."""
+    return np.array([picture(seed) for seed in seeds])
+
+
+def gain_of(costs: Floats) -> Gain:
     """The ratio of the means over all runs, and its interval.
+
+    Parameters
+    ----------
+    costs : (runs, 2) array
+        Squared error times seconds of a picture, of ours and of the reference.
 
     References
     ----------
     B. Efron and R. J. Tibshirani, An Introduction to the Bootstrap, 1993, ch. 13: the
     percentile interval, runs drawn again with replacement.
     """
-    costs = np.array([[run.ours, run.theirs] for run in runs])
-    drawn = np.random.default_rng(SEED).integers(0, len(runs), (RESAMPLES, len(runs)))
+    drawn = np.random.default_rng(SEED).integers(0, len(costs), (RESAMPLES, len(costs)))
     sums = costs[drawn].sum(axis=1)
     low, high = np.quantile(sums[:, 1] / sums[:, 0], [(1 - CONFIDENCE) / 2, (1 + CONFIDENCE) / 2])
     return Gain(float(costs[:, 1].sum() / costs[:, 0].sum()), float(low), float(high))
-
-
-def _timed(call: Callable[[], list[Floats]]) -> tuple[Floats, float]:
-    """(pictures, H, W) of a call, and its seconds."""
-    started = time.perf_counter()
-    pictures = call()
-    return np.array(pictures), time.perf_counter() - started
 
 
 def _parts(tank: Tank, window: Window) -> dict[str, Mask]:
@@ -259,11 +253,5 @@ def _square(pictures: Floats, truth: Floats, part: Mask) -> float:
 
 def _time_row(what: str, call: Callable[[], object], per: str, effort: SpeedEffort) -> Row:
     """Median milliseconds of a call, the first one left out."""
-    call()
-    times = []
-    for _ in range(effort.repeats):
-        started = time.perf_counter()
-        call()
-        times.append(time.perf_counter() - started)
-    median_ms = 1e3 * float(np.median(times))
+    median_ms = 1e3 * median_seconds(call, effort.repeats)
     return row("time", median_ms, what=what, repeats=effort.repeats, per=per)

@@ -1,7 +1,6 @@
 """The board: the map on the sheet, Tables I and II, and how often their intervals are right."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -18,28 +17,20 @@ from sim.validation.accuracy.exposures import pictures
 STEP_MM = 10.0  # of the grid of places at which the map is judged
 
 
-@dataclass(frozen=True)
-class Boards:
-    """The board of a scene, photographed with many seeds and read.
+def photograph(
+    scene: Scene, seeds: Sequence[int], map_name: str
+) -> list[tuple[BoardReading, Calibration]]:
+    """The board of ``scene`` read from one picture for each seed, and the calibrations.
 
-    seeds, readings, calibrations: one each, in the same order.
+    map_name: of the plane map that is solved from each picture.
     """
-
-    scene: Scene
-    board: Board
-    seeds: tuple[int, ...]
-    readings: tuple[BoardReading, ...]
-    calibrations: tuple[Calibration, ...]
-
-
-def photograph(scene: Scene, seeds: Sequence[int], map_name: str) -> Boards:
-    """The board of ``scene``, its calibration by ``map_name`` solved from each picture."""
-    rig, board = scene.rig, scene.board()
+    rig = scene.rig
     layers = Tank(scene).render(rig.plan.start_mm)
-    images = pictures(scene, layers, seeds)
-    readings = [read_board(image, board, channel=rig.calibration.channel) for image in images]
-    calibrations = [calibrate(reading, map_name, rig.optics) for reading in readings]
-    return Boards(scene, board, tuple(seeds), tuple(readings), tuple(calibrations))
+    readings = [
+        read_board(image, scene.board(), channel=rig.calibration.channel)
+        for image in pictures(scene, layers, seeds)
+    ]
+    return [(reading, calibrate(reading, map_name, rig.optics)) for reading in readings]
 
 
 def map_errors_mm(scene: Scene, calibration: Calibration) -> tuple[Floats, Floats]:
@@ -62,12 +53,7 @@ def _places(scene: Scene) -> Floats:
     return np.column_stack([x.ravel(), z.ravel()])
 
 
-def lengths(boards: Boards) -> list[dict[str, Length]]:
-    """Tables I and II together, once for each picture."""
-    return [
-        {
-            **distances(reading, boards.board, calibration.plane_map),
-            **diameters(reading, boards.board, calibration.plane_map),
-        }
-        for reading, calibration in zip(boards.readings, boards.calibrations, strict=True)
-    ]
+def lengths(board: Board, reading: BoardReading, calibration: Calibration) -> dict[str, Length]:
+    """Tables I and II together, of one picture."""
+    given = (reading, board, calibration.plane_map)
+    return {**distances(*given), **diameters(*given)}

@@ -7,14 +7,13 @@ from typing import Any
 
 import numpy as np
 
-from lscan.config.rig import StripeSection
-from lscan.records import Length
+from lscan.records import Floats, Length, Surface
 from sim.scene import Scene, load_scene
 from sim.validation.accuracy.board import lengths, map_errors_mm, photograph
 from sim.validation.accuracy.effort import AccuracyEffort
 from sim.validation.accuracy.exposures import read_scan, with_contrast
 from sim.validation.accuracy.groove import dimensions
-from sim.validation.accuracy.intervals import band_miss_percent, share_inside, share_of_lengths
+from sim.validation.accuracy.intervals import band_miss_percent, share_inside
 from sim.validation.accuracy.metric import metric_rows
 from sim.validation.accuracy.misaligned import misaligned_rows
 from sim.validation.accuracy.photographs import photograph_rows
@@ -35,39 +34,38 @@ SPECKLE = 0.25
 def board_chapter(scenes: Path, effort: AccuracyEffort) -> list[Row]:
     """The map on the sheet, Tables I and II, and the intervals of their lengths."""
     scene = _best(scenes, effort, "board")
-    boards = photograph(scene, effort.seeds, scene.rig.calibration.plane_map)
-    errors = [map_errors_mm(scene, calibration)[0] for calibration in boards.calibrations]
+    map_name = scene.rig.calibration.plane_map
+    boards = photograph(scene, effort.seeds, map_name)
+    errors = [map_errors_mm(scene, calibration)[0] for _, calibration in boards]
     distance = np.concatenate([np.hypot(*error.T) for error in errors])
-    tables = lengths(boards)
-    words: dict[str, Any] = {"seed": effort.seeds[0], "seeded": effort.seeded}
-    words["name"] = scene.rig.calibration.plane_map
+    tables = [lengths(scene.board(), *pair) for pair in boards]
+    words: dict[str, Any] = {"seed": effort.seeds[0], "seeded": effort.seeded, "name": map_name}
     return [
-        row("map-rms", _rms(distance), **words),
+        row("map-rms", float(np.sqrt(np.mean(distance**2))), **words),
         row("map-largest", float(distance.max()), **words),
         *_largest("Tables I and II", tables, 0.06, effort),
-        _interval("board distances and diameters", tables, effort),
+        _length_intervals("board distances and diameters", tables, effort),
     ]
 
 
 def groove_chapter(scenes: Path, effort: AccuracyEffort) -> list[Row]:
     """Table III, and the intervals of its lengths."""
     board, groove = _best(scenes, effort, "board"), _best(scenes, effort, "groove")
-    calibrations = photograph(board, effort.seeds, _map_name(board, effort)).calibrations
-    tables = dimensions(groove, effort.seeds, [c.plane_map for c in calibrations])
-    return [*_largest("Table III", tables, 0.15, effort), _interval("groove", tables, effort)]
+    boards = photograph(board, effort.seeds, _map_name(board, effort))
+    maps = [calibration.plane_map for _, calibration in boards]
+    tables = dimensions(groove, effort.seeds, maps)
+    return [
+        *_largest("Table III", tables, 0.15, effort),
+        _length_intervals("groove", tables, effort),
+    ]
 
 
 def slices_chapter(
     scenes: Path, effort: AccuracyEffort, contrast: float, rmse_mm: float, within_mm: float
 ) -> list[Row]:
     """The slices of the sandwave with speckle of this contrast, 0 for none."""
-    scene = with_contrast(_best(scenes, effort, "sandwave"), contrast)
-    board = with_contrast(_best(scenes, effort, "board"), contrast)
     seed = effort.seeds[0]
-    solved = photograph(board, [seed], _map_name(board, effort)).calibrations[0]
-    positions = every_frame(scene, effort.slice_step_mm or scene.rig.plan.step_mm)
-    reading = read_scan(scene, positions, [seed], _stripe(scene, effort))[0]
-    surface = aligned_surface(scene, reading, solved.plane_map)
+    scene, (surface,) = _sandwaves(scenes, effort, contrast, effort.slice_step_mm, [seed])
     rows = []
     for name, found in slice_figures(scene, surface).items():
         words: dict[str, Any] = {"seed": seed, "name": name, "points": found.points}
@@ -81,18 +79,35 @@ def slices_chapter(
 
 def grid_chapter(scenes: Path, effort: AccuracyEffort) -> list[Row]:
     """The intervals of the sandwave's grid cells, a millimetre between frames."""
-    scene = with_contrast(_best(scenes, effort, "sandwave"), SPECKLE)
-    board = with_contrast(_best(scenes, effort, "board"), SPECKLE)
-    calibrations = photograph(board, effort.seeds, _map_name(board, effort)).calibrations
-    positions = every_frame(scene, effort.coverage_step_mm)
-    readings = read_scan(scene, positions, effort.seeds, _stripe(scene, effort))
-    cells = [
-        grid_errors(scene, aligned_surface(scene, reading, calibration.plane_map), effort.cell_mm)
-        for reading, calibration in zip(readings, calibrations, strict=True)
+    step_mm = effort.coverage_step_mm
+    scene, surfaces = _sandwaves(scenes, effort, SPECKLE, step_mm, effort.seeds)
+    cells = [grid_errors(scene, surface, effort.cell_mm) for surface in surfaces]
+    error, sigma = (np.concatenate(column) for column in zip(*cells, strict=True))
+    return [_intervals("sandwave grid cells", error, sigma, effort)]
+
+
+def _sandwaves(
+    scenes: Path,
+    effort: AccuracyEffort,
+    contrast: float,
+    step_mm: float | None,
+    seeds: Sequence[int],
+) -> tuple[Scene, list[Surface]]:
+    """The sandwave's scene with speckle of this contrast, and its surface once for each seed.
+
+    step_mm: between frames, the scene's own if None.
+    """
+    scene = with_contrast(_best(scenes, effort, "sandwave"), contrast)
+    board = with_contrast(_best(scenes, effort, "board"), contrast)
+    boards = photograph(board, seeds, _map_name(board, effort))
+    stripe = scene.rig.stripe
+    if effort.extractor is not None:
+        stripe = stripe.model_copy(update={"extractor": effort.extractor})
+    readings = read_scan(scene, every_frame(scene, step_mm), seeds, stripe)
+    return scene, [
+        aligned_surface(scene, reading, calibration.plane_map)
+        for reading, (_, calibration) in zip(readings, boards, strict=True)
     ]
-    error = np.concatenate([grid.error_mm for grid in cells])
-    share = share_inside(error, np.concatenate([grid.sigma_mm for grid in cells]))
-    return [_interval_row("sandwave grid cells", share, len(error), effort)]
 
 
 def stripe_chapter(scenes: Path, effort: AccuracyEffort) -> list[Row]:
@@ -138,19 +153,6 @@ def _map_name(board: Scene, effort: AccuracyEffort) -> str:
     return effort.plane_map or board.rig.calibration.plane_map
 
 
-def _stripe(scene: Scene, effort: AccuracyEffort) -> StripeSection:
-    stripe = scene.rig.stripe
-    return (
-        stripe
-        if effort.extractor is None
-        else stripe.model_copy(update={"extractor": effort.extractor})
-    )
-
-
-def _rms(values: np.ndarray) -> float:
-    return float(np.sqrt(np.mean(values**2)))
-
-
 def _largest(
     what: str, tables: Sequence[Mapping[str, Length]], bar_mm: float, effort: AccuracyEffort
 ) -> list[Row]:
@@ -159,26 +161,27 @@ def _largest(
     words: dict[str, Any] = {"bar": bar_mm, "seed": effort.seeds[0], "what": what}
     return [
         row("table-one-seed", worst[0], one=effort.seeds[0], **words),
-        row(
-            "table-all-seeds",
-            max(worst),
-            seeded=effort.seeded,
-            median=np.median(worst),
-            **words,
-        ),
+        row("table-all-seeds", max(worst), seeded=effort.seeded, median=np.median(worst), **words),
     ]
 
 
-def _interval(what: str, tables: Sequence[Mapping[str, Length]], effort: AccuracyEffort) -> Row:
+def _length_intervals(
+    what: str, tables: Sequence[Mapping[str, Length]], effort: AccuracyEffort
+) -> Row:
     every = [length for table in tables for length in table.values()]
-    return _interval_row(what, share_of_lengths(every), len(every), effort)
+    errors, sigmas = np.array([(length.error_mm, length.sigma_mm) for length in every]).T
+    return _intervals(what, errors, sigmas, effort)
 
 
-def _interval_row(what: str, share: float, count: int, effort: AccuracyEffort) -> Row:
-    words: dict[str, Any] = {
-        "what": what,
-        "percent": 100 * share,
-        "count": count,
-        "seeded": effort.seeded,
-    }
-    return row("intervals", band_miss_percent(share), seed=effort.seeds[0], **words)
+def _intervals(what: str, error: Floats, sigma: Floats, effort: AccuracyEffort) -> Row:
+    """How far the share of the errors within their 95 % intervals is from 95 %."""
+    share = share_inside(error, sigma)
+    return row(
+        "intervals",
+        band_miss_percent(share),
+        seed=effort.seeds[0],
+        what=what,
+        percent=100 * share,
+        count=len(error),
+        seeded=effort.seeded,
+    )

@@ -7,7 +7,7 @@ from sim.scene import Scene
 
 @dataclass(frozen=True)
 class AccuracyEffort:
-    """What a run of the table measures.
+    """What a run of the table measures; by default all of it.
 
     seeds: of sensor noise and speckle.  plane_map: through which workpieces are measured;
     None: the scene's own.  extractor: of the sandwave's line, likewise.  slice_step_mm: of the
@@ -17,16 +17,16 @@ class AccuracyEffort:
     few samples, each pixel as a whole, in the first order of light.
     """
 
-    seeds: tuple[int, ...]
-    plane_map: str | None
-    extractor: str | None
-    slice_step_mm: float | None
-    coverage_step_mm: float
-    cell_mm: float
-    poses: int
-    drawings: int
-    repeats: int
-    plain: bool
+    seeds: tuple[int, ...] = tuple(range(1, 21))
+    plane_map: str | None = None
+    extractor: str | None = None
+    slice_step_mm: float | None = None
+    coverage_step_mm: float = 1.0
+    cell_mm: float = 3.0
+    poses: int = 10
+    drawings: int = 100
+    repeats: int = 9
+    plain: bool = False
 
     @property
     def seeded(self) -> str:
@@ -40,18 +40,7 @@ class AccuracyEffort:
         return scene.with_tank(render={"fineness": 1, "samples": samples, "scatter_samples": 0})
 
 
-FULL = AccuracyEffort(
-    seeds=tuple(range(1, 21)),
-    plane_map=None,
-    extractor=None,
-    slice_step_mm=None,
-    coverage_step_mm=1.0,
-    cell_mm=3.0,
-    poses=10,
-    drawings=100,
-    repeats=9,
-    plain=False,
-)
+FULL = AccuracyEffort()
 QUICK = AccuracyEffort(
     seeds=(1,),
     plane_map="polynomial-5",  # a hundredth of the time that ray tracing takes to solve

@@ -1,14 +1,13 @@
 """The metric route: one grooved block measured in air and in water through a leaning sheet."""
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
 import numpy as np
 
 from lscan.calibration.multiview import MetricCalibration, calibrate_metric, load_views, read_views
-from lscan.records import Floats, Length
+from lscan.records import Floats
 from sim.datasets.views import write_views
 from sim.scene import Scene, camera_pose, load_scene
 from sim.truth import sheet_of
@@ -24,8 +23,8 @@ PLAIN_SAMPLES = 4  # with fewer, a groove of the block is missed
 
 
 @dataclass(frozen=True)
-class Finding:
-    """Of one medium: the calibration, the sheet's error, and the block's dimensions.
+class MetricResult:
+    """The metric calibration of one scene's views, and the error of its sheet.
 
     angle_mrad, distance_mm: of the sheet that was found from the true one, the distance
     where the camera's axis meets it.
@@ -34,7 +33,6 @@ class Finding:
     calibration: MetricCalibration
     angle_mrad: float
     distance_mm: float
-    lengths: dict[str, Length]
 
 
 def metric_rows(folder: Path, effort: AccuracyEffort) -> list[Row]:
@@ -42,27 +40,33 @@ def metric_rows(folder: Path, effort: AccuracyEffort) -> list[Row]:
 
     folder: of ``air``, ``water``, ``block-air`` and ``block-water.toml``.
     """
-    found = {medium: find(folder, medium, effort) for medium in MEDIA}
-    rows = [_plane_row(f"in {medium}", finding) for medium, finding in found.items()]
-    rows.append(_agreement(found))
-    rows += [_nominal_row(medium, finding) for medium, finding in found.items()]
-    beside = effort.scene(sheet_beside(load_scene(folder / "water.toml")), PLAIN_SAMPLES)
-    finding = calibrated(beside, effort.poses)
-    rows.append(_plane_row(f"beside a board {BESIDE_MM:g} mm off", finding))
-    return rows
+
+    def scene(name: str) -> Scene:
+        return effort.scene(load_scene(folder / f"{name}.toml"), PLAIN_SAMPLES)
+
+    found = {medium: calibrated(scene(medium), effort.poses) for medium in MEDIA}
+    errors = {medium: step_errors(scene(f"block-{medium}"), found[medium]) for medium in MEDIA}
+    apart = errors["air"] - errors["water"]
+    each = ", ".join(f"{name} {mm:+.3f}" for name, mm in zip(HEIGHTS, apart, strict=True))
+    beside = calibrated(sheet_beside(scene("water")), effort.poses)
+    return [
+        *(_plane_row(f"in {medium}", found[medium]) for medium in MEDIA),
+        row("metric-media", float(np.abs(apart).max()), seed=SCAN_SEED, each=each),
+        *(
+            row("metric-steps", float(np.abs(errors[m]).max()), seed=SCAN_SEED, medium=m)
+            for m in MEDIA
+        ),
+        _plane_row(f"beside a board {BESIDE_MM:g} mm off", beside),
+    ]
 
 
-def find(folder: Path, medium: str, effort: AccuracyEffort) -> Finding:
-    """The metric calibration of a medium's views, and the block measured through its map."""
-    finding = calibrated(
-        effort.scene(load_scene(folder / f"{medium}.toml"), PLAIN_SAMPLES), effort.poses
-    )
-    block = effort.scene(load_scene(folder / f"block-{medium}.toml"), PLAIN_SAMPLES)
-    lengths = dimensions(block, [SCAN_SEED], [finding.calibration.plane_map])[0]
-    return replace(finding, lengths=lengths)
+def step_errors(block: Scene, result: MetricResult) -> Floats:
+    """(4,) mm: errors of the block's HEIGHTS, measured through a calibration's map."""
+    lengths = dimensions(block, [SCAN_SEED], [result.calibration.plane_map])[0]
+    return np.array([lengths[name].error_mm for name in HEIGHTS])
 
 
-def calibrated(scene: Scene, poses: int, seed: int = SEED) -> Finding:
+def calibrated(scene: Scene, poses: int, seed: int = SEED) -> MetricResult:
     """The metric calibration of rendered views, written and read as a user's would be."""
     with TemporaryDirectory() as folder:
         files = write_views(scene, Path(folder), poses, seed)
@@ -70,7 +74,7 @@ def calibrated(scene: Scene, poses: int, seed: int = SEED) -> Finding:
         views, size = read_views(document)
     solved = calibrate_metric(views, document.document.optics, size, document.document.k3)
     angle, distance = sheet_error(scene, solved.plane_map.view.q_per_mm)
-    return Finding(solved, angle, distance, lengths={})
+    return MetricResult(solved, angle, distance)
 
 
 def sheet_error(scene: Scene, q_per_mm: Floats) -> tuple[float, float]:
@@ -93,31 +97,15 @@ def sheet_beside(scene: Scene) -> Scene:
     return scene.with_tank(laser={"apex_mm": (x, y + BESIDE_MM, z)})
 
 
-def _plane_row(where: str, finding: Finding) -> Row:
-    reports = finding.calibration.reports
+def _plane_row(where: str, result: MetricResult) -> Row:
+    reports = result.calibration.reports
     return row(
         "metric-plane",
-        finding.calibration.line_rms_mm,
+        result.calibration.line_rms_mm,
         seed=SEED,
         where=where,
         used=sum(report.line_used for report in reports),
         views=len(reports),
-        angle_mrad=finding.angle_mrad,
-        distance_mm=finding.distance_mm,
+        angle_mrad=result.angle_mrad,
+        distance_mm=result.distance_mm,
     )
-
-
-def _agreement(found: dict[str, Finding]) -> Row:
-    air, water = (found[medium].lengths for medium in MEDIA)
-    apart = [air[name].error_mm - water[name].error_mm for name in HEIGHTS]
-    each = ", ".join(f"{n} {d:+.3f}" for n, d in zip(HEIGHTS, apart, strict=True))
-    return row("metric-media", _largest(apart), seed=SCAN_SEED, each=each)
-
-
-def _nominal_row(medium: str, finding: Finding) -> Row:
-    errors = [finding.lengths[name].error_mm for name in HEIGHTS]
-    return row("metric-steps", _largest(errors), seed=SCAN_SEED, medium=medium)
-
-
-def _largest(errors: Sequence[float]) -> float:
-    return max(abs(error) for error in errors)

@@ -4,15 +4,13 @@ They are no part of the project: a folder of them is named by ``lscan-sim accura
 --photographs``.
 """
 
-import time
-from collections.abc import Callable
 from itertools import pairwise
 from pathlib import Path
-from typing import TypeVar
 
 import cv2
 import numpy as np
 
+from lscan.benchmark.timing import timed
 from lscan.board import read_board
 from lscan.board.chessboard import read_chessboard
 from lscan.calibration.maps.polynomial import terms
@@ -24,8 +22,6 @@ from lscan.files.pictures import read_picture
 from lscan.records import BoardReading, Bytes, Floats, Mask, has_value
 from lscan.stripe import extract_stripe
 from sim.validation.rows import Row, measured, row
-
-Result = TypeVar("Result")
 
 DOTS = 4380  # to be found, of those that lie wholly in view
 # The photograph's pitch is not stated: it is called 1 mm, and a dot is about half as wide.
@@ -62,9 +58,9 @@ def dot_rows(path: Path, repeats: int) -> list[Row]:
     detector = cv2.SimpleBlobDetector.create()
     read_s, blobs_s = 0.0, 0.0
     for _ in range(repeats):
-        seconds, reading = _timed(lambda: read_board(image, DOT_BOARD))
+        seconds, reading = timed(lambda: read_board(image, DOT_BOARD))
         read_s += seconds
-        blobs_s += _timed(lambda: detector.detect(grey))[0]
+        blobs_s += timed(lambda: detector.detect(grey))[0]
     found = int(reading.grid.found.sum())
     errors = {order: held_out_rms_px(reading, order) for order in ORDERS}
     best = min(errors, key=lambda order: errors[order])
@@ -73,13 +69,6 @@ def dot_rows(path: Path, repeats: int) -> list[Row]:
         row("dots-held-out", errors[best], order=best),
         row("dots-time", read_s / blobs_s, repeats=repeats),
     ]
-
-
-def _timed(call: Callable[[], Result]) -> tuple[float, Result]:
-    """Seconds of a call, and what it returns."""
-    started = time.perf_counter()
-    result = call()
-    return time.perf_counter() - started, result
 
 
 def held_out_rms_px(reading: BoardReading, order: int) -> float:

@@ -27,14 +27,6 @@ class SliceFigures:
     within_99_mm: float
 
 
-@dataclass(frozen=True)
-class GridErrors:
-    """Heights of the grid's cells less eq. (4), (K,) mm, and their sigmas, (K,) mm."""
-
-    error_mm: Floats
-    sigma_mm: Floats
-
-
 def aligned_surface(scene: Scene, reading: ScanReading, plane_map: PlaneMap) -> Surface:
     """The surface of a scan's stripes in the workpiece frame."""
     built = finish(build_surface(reading.profiles(plane_map), scene.rig), scene.rig)
@@ -55,8 +47,11 @@ def slice_figures(scene: Scene, surface: Surface) -> dict[str, SliceFigures]:
     return figures
 
 
-def grid_errors(scene: Scene, surface: Surface, cell_mm: float) -> GridErrors:
-    """The cells, so wide, on the waves that hold a value and are lit and seen."""
+def grid_errors(scene: Scene, surface: Surface, cell_mm: float) -> tuple[Floats, Floats]:
+    """Heights of the grid's cells less eq. (4), (K,) mm, and their sigmas, (K,) mm.
+
+    Of the cells, so wide, on the waves that hold a value and are lit and seen.
+    """
     piece = _piece(scene)
     grid = grid_cells(surface, cell_mm)
     x, y = (plan.ravel() for plan in np.meshgrid(grid.x_mm, grid.y_mm))
@@ -64,12 +59,16 @@ def grid_errors(scene: Scene, surface: Surface, cell_mm: float) -> GridErrors:
     kept = (grid.status.ravel() == Status.OK) & (inside > BORDER_MM)
     kept[kept] = slice_visibility(scene, np.column_stack([x, y])[kept])
     error = grid.z_mm.ravel()[kept] - piece.height_mm(x[kept], y[kept])
-    return GridErrors(error, grid.sigma_z_mm.ravel()[kept])
+    return error, grid.sigma_z_mm.ravel()[kept]
 
 
-def every_frame(scene: Scene, step_mm: float) -> Sequence[float]:
-    """Track positions over the length of the scene's scan, ``step_mm`` apart."""
+def every_frame(scene: Scene, step_mm: float | None = None) -> Sequence[float]:
+    """Track positions over the length of the scene's scan.
+
+    step_mm: between them, the plan's if None.
+    """
     plan = scene.rig.plan
+    step_mm = step_mm or plan.step_mm
     length = plan.step_mm * (plan.frames - 1)
     return [plan.start_mm + k * step_mm for k in range(int(length / step_mm + 1e-9) + 1)]
 

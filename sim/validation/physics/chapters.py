@@ -20,22 +20,22 @@ Measure = Callable[[], Topic]
 
 @dataclass(frozen=True)
 class VerifyEffort:
-    """How much is measured.
+    """How much is measured; by default all of it.
 
     rigs: random ones for the ports.  sights: random lines of sight for the veil.  box_rays,
     box_batches: of the closed box.  runs, samples: independent pictures a side against
     volpath, and its samples a pixel.
     """
 
-    rigs: int
-    sights: int
-    box_rays: int
-    box_batches: int
-    runs: int
-    samples: int
+    rigs: int = 60
+    sights: int = 60
+    box_rays: int = 1 << 19
+    box_batches: int = 16
+    runs: int = 16
+    samples: int = 2048
 
 
-FULL = VerifyEffort(rigs=60, sights=60, box_rays=1 << 19, box_batches=16, runs=16, samples=2048)
+FULL = VerifyEffort()
 QUICK = VerifyEffort(rigs=2, sights=2, box_rays=1 << 14, box_batches=4, runs=3, samples=16)
 WATERS = ("clear", "coastal", "harbor")
 

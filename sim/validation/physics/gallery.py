@@ -4,12 +4,14 @@ import base64
 from dataclasses import dataclass, replace
 from math import ceil, sqrt
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
 
 from lscan.config.documents import read_document
 from lscan.files.disk import list_names
+from lscan.files.pictures import encoded
 from lscan.records import Bytes
 from sim.render.fineness import finer_lens
 from sim.render.tank import Tank
@@ -94,6 +96,6 @@ def shrunk(scene: Scene, times: int) -> Scene:
 def _thumbnail(image: Bytes) -> str:
     height, width = image.shape[:2]
     size = (WIDTH_PX, round(height * WIDTH_PX / width))
-    small = cv2.resize(image, size, interpolation=cv2.INTER_AREA)
-    _, encoded = cv2.imencode(".jpg", small[:, :, ::-1], [cv2.IMWRITE_JPEG_QUALITY, 85])
-    return f"data:image/jpeg;base64,{base64.b64encode(encoded.tobytes()).decode('ascii')}"
+    small: Any = cv2.resize(image, size, interpolation=cv2.INTER_AREA)
+    jpeg = encoded(small, ".jpg", [cv2.IMWRITE_JPEG_QUALITY, 85])
+    return f"data:image/jpeg;base64,{base64.b64encode(jpeg).decode('ascii')}"

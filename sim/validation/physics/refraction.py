@@ -1,7 +1,9 @@
 """Refraction as a diver knows it: what a flat port does to the field of view."""
 
+from collections.abc import Mapping
+
 import numpy as np
-from scipy.optimize import brentq, least_squares
+from scipy.optimize import brentq
 
 from lscan.figures import style
 from lscan.figures.reportfigure import ReportFigure
@@ -26,15 +28,18 @@ AT_C, AT_NM = 20.0, 650.0
 
 def refraction() -> Topic:
     """Sines against the index in three media, and the single-viewpoint fit's own failure."""
-    focal, errors = single_viewpoint_errors()
-    worst = max(abs(errors[at] - figure) for at, figure in PUBLISHED_ERROR_PX.items())
+    fitted = fit_single_viewpoint()
+    errors = {at: residuals(fitted, at) for at in PUBLISHED_ERROR_PX}
+    worst = max(
+        abs(np.abs(errors[at][1]).max() - published) for at, published in PUBLISHED_ERROR_PX.items()
+    )
     rows = [
         *(_sine_row(name, salinity) for name, salinity in MEDIA.items()),
         row("angle-in-water", abs(angle_in_water_deg() - 22.06)),
-        row("single-viewpoint-focal", abs(focal - PUBLISHED_FOCAL)),
-        row("single-viewpoint-error", worst),
+        row("single-viewpoint-focal", abs(float(fitted[0]) / FOCAL_PX - PUBLISHED_FOCAL)),
+        row("single-viewpoint-error", float(worst)),
     ]
-    return topic("refraction", rows=rows, figures=(_figure(),))
+    return topic("refraction", rows=rows, figures=(_figure(errors),))
 
 
 def _sine_row(name: str, salinity: float | None) -> Row:
@@ -97,45 +102,30 @@ def field_radii(z_mm: float) -> tuple[Floats, Floats]:
     return radii, FOCAL_PX * tangents(radii, np.full_like(radii, z_mm))
 
 
-def single_viewpoint_errors() -> tuple[float, dict[float, float]]:
-    """Focal length over f of the fit at 1 m, and its largest error in px at each distance."""
-    fitted = fit_single_viewpoint()
-    return float(fitted[0]) / FOCAL_PX, {
-        at: float(np.abs(residuals(fitted, at)[1]).max()) for at in PUBLISHED_ERROR_PX
-    }
-
-
 def fit_single_viewpoint() -> Floats:
-    """Focal length in px and two radial terms of the central camera that fits best at 1 m."""
+    """(3,) focal length f in px, f k1 and f k2 of the central camera that fits best at 1 m."""
     radii, pixels = field_radii(FIT_AT_MM)
-
-    def misses(parameters: Floats) -> Floats:
-        return _single_viewpoint(parameters, radii / FIT_AT_MM) - pixels
-
-    start, scale = np.array([800.0, 0.0, 0.0]), np.array([100.0, 1.0, 1.0])
-    solved = least_squares(misses, start, x_scale=scale, xtol=1e-15, ftol=1e-15)
-    return np.asarray(solved.x)
+    return np.asarray(np.linalg.lstsq(_odd_powers(radii / FIT_AT_MM), pixels, rcond=None)[0], float)
 
 
 def residuals(fitted: Floats, z_mm: float) -> tuple[Floats, Floats]:
     """(101,) pixel offsets at a distance, and the fitted camera's errors there, px."""
     radii, pixels = field_radii(z_mm)
-    return pixels, _single_viewpoint(fitted, radii / z_mm) - pixels
+    return pixels, _odd_powers(radii / z_mm) @ fitted - pixels
 
 
-def _single_viewpoint(parameters: Floats, tangent: Floats) -> Floats:
-    focal, k1, k2 = parameters
-    return np.asarray(focal * tangent * (1 + k1 * tangent**2 + k2 * tangent**4))
+def _odd_powers(tangent: Floats) -> Floats:
+    """(N, 3) what a central camera with two radial terms is linear in."""
+    return np.asarray(tangent[:, np.newaxis] ** [1, 3, 5])
 
 
 @style.styled
-def _figure() -> ReportFigure:
+def _figure(errors: Mapping[float, tuple[Floats, Floats]]) -> ReportFigure:
+    """errors: the camera's pixel offsets and errors in px at each distance in mm."""
     figure, (axes,) = style.panels(1, (style.WIDTH_IN, 2.6))
-    fitted = fit_single_viewpoint()
     colours = (style.FIRST, style.SECOND, style.THIRD, style.ACCENT)
-    for (at, _), colour in zip(PUBLISHED_ERROR_PX.items(), colours, strict=True):
-        pixels, errors = residuals(fitted, at)
-        axes.plot(pixels, errors, color=colour, label=f"{at / 1000:g} m")
+    for (at, (pixels, error)), colour in zip(errors.items(), colours, strict=True):
+        axes.plot(pixels, error, color=colour, label=f"{at / 1000:g} m")
     axes.set_xlabel("distance from the centre / px")
     axes.set_ylabel("error / px")
     style.legend(axes)

@@ -1,5 +1,6 @@
 """All orders of scattering against Mitsuba's own ``volpath``, on the same emitter and scene."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -48,22 +49,37 @@ class Pictures:
 
 
 @dataclass(frozen=True)
-class Comparison:
-    """Ours against theirs in one water.
+class ZTest:
+    """Two sets of pictures on one mask.
 
-    z: difference over its standard error on each mask; share: that error over the mean.
-    degrees: of freedom, the fewest.  without_line, other_g: z on the masks where our
-    picture lacks the line, or the water's asymmetry is 0.02 less.  centroid_px: difference of
-    the line's centre, averaged over its columns, and its standard error.
+    z: difference of their sums over its standard error.  share: that error over the mean.
+    degrees: of freedom.
     """
 
-    z: dict[str, float]
-    share: dict[str, float]
+    z: float
+    share: float
     degrees: float
-    without_line: dict[str, float]
-    other_g: dict[str, float]
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """Ours against theirs in one water, each test by the name of its mask.
+
+    without_line, other_g: of our picture without the line, and of water whose asymmetry is 0.02
+    less.  centroid_px: difference of the line's centre, averaged over its columns, and its
+    standard error.
+    """
+
+    tests: dict[str, ZTest]
+    without_line: dict[str, ZTest]
+    other_g: dict[str, ZTest]
     centroid_px: float
     centroid_error_px: float
+
+    @property
+    def degrees(self) -> float:
+        """Of freedom, the fewest of the tests of ours against theirs."""
+        return min(test.degrees for test in self.tests.values())
 
 
 def multiple_scattering(waters: tuple[str, ...], runs: int, samples: int) -> Topic:
@@ -87,23 +103,28 @@ def water_rows(name: str, runs: int, samples: int, tests: int) -> list[Row]:
     """The rows of one water, whose z-tests are among so many of one chapter."""
     result = compare(pictures(name, runs, samples))
     bound = sidak_bound(tests, result.degrees)
-    shares = ", ".join(f"{mask} {100 * result.share[mask]:.2g} %" for mask in MASKS)
     words: dict[str, Any] = {
+        "seed": SEED,
         "water": name,
         "tests": tests,
         "level": LEVEL,
         "runs": runs,
         "samples": samples,
+        "shares": ", ".join(f"{n} {100 * test.share:.2g} %" for n, test in result.tests.items()),
+        "noise_px": result.centroid_error_px,
     }
-    words |= {"shares": shares, "noise_px": result.centroid_error_px}
-    worst, other = (max(abs(z) for z in zs.values()) for zs in (result.z, result.other_g))
-    core = abs(result.without_line["core"])
+    core = abs(result.without_line["core"].z)
     return [
-        row("scattering", worst, bar=bound, seed=SEED, **words),
-        row("scattering-centre", result.centroid_px, bar=CENTROID_PX, seed=SEED, **words),
-        row("scattering-no-line", bound / core, seed=SEED, **words),
-        row("scattering-other-g", bound / other, seed=SEED, **words),
+        row("scattering", largest_z(result.tests), bar=bound, **words),
+        row("scattering-centre", result.centroid_px, bar=CENTROID_PX, **words),
+        row("scattering-no-line", bound / core, **words),
+        row("scattering-other-g", bound / largest_z(result.other_g), **words),
     ]
+
+
+def largest_z(tests: Mapping[str, ZTest]) -> float:
+    """The largest |z| of the tests."""
+    return max(abs(test.z) for test in tests.values())
 
 
 def pictures(water: str, runs: int, samples: int) -> Pictures:
@@ -160,18 +181,12 @@ def render_with(
 def compare(found: Pictures) -> Comparison:
     """Ours against theirs on the masks, and the line's centre."""
     masks = parts_of_picture(found)
-    results = {name: _difference(found.ours, found.theirs, mask) for name, mask in masks.items()}
-    removed = found.ours - found.direct
-    shift, error = centroid_difference(found)
-    return Comparison(
-        z={name: z for name, (z, _, _) in results.items()},
-        share={name: share for name, (_, share, _) in results.items()},
-        degrees=min(degrees for _, _, degrees in results.values()),
-        without_line={n: _difference(removed, found.theirs, m)[0] for n, m in masks.items()},
-        other_g={n: _difference(found.other, found.theirs, m)[0] for n, m in masks.items()},
-        centroid_px=shift,
-        centroid_error_px=error,
-    )
+
+    def tests(ours: Floats) -> dict[str, ZTest]:
+        return {name: _difference(ours, found.theirs, mask) for name, mask in masks.items()}
+
+    right, without_line = tests(found.ours), tests(found.ours - found.direct)
+    return Comparison(right, without_line, tests(found.other), *centroid_difference(found))
 
 
 def parts_of_picture(found: Pictures) -> dict[str, Mask]:
@@ -194,16 +209,14 @@ def parts_of_picture(found: Pictures) -> dict[str, Mask]:
     return {"core": core, "halo": beside, "veil": veil, "shadow": shadow}
 
 
-def _difference(ours: Floats, theirs: Floats, mask: Mask) -> tuple[float, float, float]:
-    """z of two sets of pictures' sums over a mask, its error over the mean, and its degrees.
-
-    Welch's test: each set has its own variance.
-    """
+def _difference(ours: Floats, theirs: Floats, mask: Mask) -> ZTest:
+    """Welch's test of two sets of pictures' sums over a mask: each set has its own variance."""
     a, b = ours[:, mask].sum(axis=1), theirs[:, mask].sum(axis=1)
     part_a, part_b = a.var(ddof=1) / len(a), b.var(ddof=1) / len(b)
     error = np.sqrt(part_a + part_b)
     degrees = error**4 / (part_a**2 / (len(a) - 1) + part_b**2 / (len(b) - 1))
-    return float((a.mean() - b.mean()) / error), float(error / b.mean()), float(degrees)
+    z = (a.mean() - b.mean()) / error
+    return ZTest(float(z), share=float(error / b.mean()), degrees=float(degrees))
 
 
 def sidak_bound(tests: int, degrees: float) -> float:

@@ -2,7 +2,7 @@
 
 from dataclasses import fields
 from math import pi, sqrt
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 
@@ -31,12 +31,14 @@ def sensor() -> Topic:
     return topic("sensor", rows=(*_noise_rows(), *_speckle_rows(), plane_row()))
 
 
-def flat_field(scene: Scene, radiance: float, layer: str) -> Layers:
-    """A picture that shows one radiance in W/(m2 sr) everywhere, in one layer."""
+def flat_field(scene: Scene, electrons: float) -> Floats:
+    """(H, W) digital numbers of even laser light that frees so many electrons in each pixel."""
     camera = scene.rig.camera
     dark = np.zeros((camera.height_px, camera.width_px), np.float32)
-    names = [field.name for field in fields(Layers)]
-    return Layers(**{name: dark + np.float32(radiance * (name == layer)) for name in names})
+    layers = {field.name: dark for field in fields(Layers)}
+    efficiency = scene.tank.sensor.laser_response.red
+    radiance = electrons / (photons(scene, 1.0, scene.tank.laser.wavelength_nm) * efficiency)
+    return expose(scene, Layers(**layers | {"direct": dark + np.float32(radiance)}))
 
 
 def photons(scene: Scene, radiance: float, wavelength_nm: float) -> float:
@@ -62,19 +64,12 @@ def _noise_rows() -> list[Row]:
         lens=PLAIN_LENS,
         sensor={"prnu": 0.01, "dark_noise_e": 53.0, "dsnu_e": 40.0, "full_well_e": 15000.0},
     )
-    results = [noise_deviations(scene, share) for share in (0.05, 0.3, 0.7)]
+    worst = np.max([noise_deviations(scene, share) for share in (0.05, 0.3, 0.7)], axis=0)
     camera = scene.rig.camera
-    pixels = camera.width_px * camera.height_px
+    words: dict[str, Any] = {"pixels": camera.width_px * camera.height_px, "seed": SEED}
     return [
-        row(
-            "noise-of-flat-fields",
-            max(column),
-            bar=STANDARD_ERRORS,
-            seed=SEED,
-            name=name,
-            pixels=pixels,
-        )
-        for name, column in zip(("mean", "variance"), zip(*results, strict=True), strict=True)
+        row("noise-of-flat-fields", float(figure), bar=STANDARD_ERRORS, name=name, **words)
+        for name, figure in zip(("mean", "variance"), worst, strict=True)
     ]
 
 
@@ -85,11 +80,8 @@ def noise_deviations(scene: Scene, share: float) -> tuple[float, float]:
     pixels: sigma / sqrt(N), and sigma2 sqrt(2/N).
     """
     model = scene.tank.sensor
-    wavelength = scene.tank.laser.wavelength_nm
-    efficiency = model.laser_response.red
-    radiance = share * model.full_well_e / (photons(scene, 1.0, wavelength) * efficiency)
-    image = expose(scene, flat_field(scene, radiance, "direct"))
     electrons, gain = share * model.full_well_e, FULL_SCALE_DN / model.full_well_e
+    image = flat_field(scene, electrons)
     own = electrons + model.dark_noise_e**2 + (model.prnu * electrons) ** 2 + model.dsnu_e**2
     variance = gain**2 * own + 1 / 12
     mean = model.black_level_dn + gain * electrons
@@ -123,17 +115,8 @@ def contrast_errors(pixel_um: float, f_number: float, light: str, contrast: floa
 
     Of N draws of a gamma law of contrast C the sample's contrast has the relative standard
     error sqrt((1 + C2) / (2 N)): the variance's, its excess kurtosis 6 C2 counted, and the
-    mean's, which goes with it.
-    """
-    found, count = realised_contrast(pixel_um, f_number, light)
-    return abs(found / contrast - 1) / sqrt((1 + contrast**2) / (2 * count))
-
-
-def realised_contrast(pixel_um: float, f_number: float, light: str) -> tuple[float, int]:
-    """Standard deviation over mean of a flat field of laser light, and its count of pixels.
-
-    A large full well leaves the light's own statistics: shot noise and the rounding are
-    taken from the variance as declared.
+    mean's, which goes with it.  A large full well leaves the light's own statistics: shot noise
+    and the rounding are taken from the variance as declared.
     """
     scene = scene_with(
         lens={**PLAIN_LENS, "f_number": f_number},
@@ -144,17 +127,17 @@ def realised_contrast(pixel_um: float, f_number: float, light: str) -> tuple[flo
         },
     )  # fmt: skip
     # At a tenth of the full well hardly any speckle is brighter than ten times the mean.
-    electrons = 0.1 * DEEP_WELL_E
-    radiance = electrons / (photons(scene, 1.0, NM) * scene.tank.sensor.laser_response.red)
-    image = expose(scene, flat_field(scene, radiance, "direct"))
-    gain = FULL_SCALE_DN / DEEP_WELL_E
-    return sqrt(image.var() - gain**2 * electrons - 1 / 12) / image.mean(), image.size
+    electrons, gain = 0.1 * DEEP_WELL_E, FULL_SCALE_DN / DEEP_WELL_E
+    image = flat_field(scene, electrons)
+    found = sqrt(image.var() - gain**2 * electrons - 1 / 12) / image.mean()
+    return abs(found / contrast - 1) / sqrt((1 + contrast**2) / (2 * image.size))
 
 
 def plane_row() -> Row:
     """A Lambertian plane square to the fan's axis, seen on the camera's axis: DN on paper."""
-    expected, found = plane_on_paper(), plane_rendered()
-    return row("lambertian-plane", abs(found / expected - 1))
+    scene = plane_scene()
+    found = float(expose(scene, Tank(scene).render(0.0))[CENTRE])
+    return row("lambertian-plane", abs(found / plane_on_paper(scene) - 1))
 
 
 CAMERA_DISTANCE_MM, DEPRESSION_DEG = 700.0, 60.0  # from the line on the plane
@@ -174,14 +157,13 @@ def plane_scene() -> Scene:
     )
 
 
-def plane_on_paper() -> float:
+def plane_on_paper(scene: Scene) -> float:
     """Digital number of the pixel on the axis, worked out without the renderer.
 
     The sheet's irradiance at its middle, P / (2 phi) / rho sqrt(2/pi) / w; a Lambertian
     plane's radiance rho E / pi; both legs' absorption; Fresnel at normal incidence on both
     faces; radiance over the squared index; the camera equation.
     """
-    scene = plane_scene()
     laser, port, model = scene.tank.laser, scene.tank.port, scene.tank.sensor
     floor, absorption_per_m = scene.tank.floor, scene.tank.water.absorption_per_m
     assert isinstance(port, PlanePort) and floor is not None and absorption_per_m is not None
@@ -197,9 +179,3 @@ def plane_on_paper() -> float:
     in_air = float(in_water * outer * inner / index**2)
     electrons = photons(scene, in_air, laser.wavelength_nm) * model.laser_response.red
     return FULL_SCALE_DN / model.full_well_e * electrons
-
-
-def plane_rendered() -> float:
-    """The same pixel's digital number in the picture the tank takes."""
-    scene = plane_scene()
-    return float(expose(scene, Tank(scene).render(0.0))[CENTRE])

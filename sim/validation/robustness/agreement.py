@@ -1,7 +1,6 @@
 """The same scan through the drivers of real devices and through the tank's own."""
 
 import shutil
-import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -10,8 +9,9 @@ import numpy as np
 
 from lscan.acquisition.run import MANIFEST, Run
 from lscan.acquisition.scan import scan
+from lscan.benchmark.timing import timed
 from lscan.calibration.api import PlaneMap
-from lscan.config.documents import merge
+from lscan.config.documents import Document, merge
 from lscan.config.rigfile import RigFile, load_rig, parse_rig
 from lscan.config.targets import Sandwave
 from lscan.files.disk import make_folder
@@ -27,63 +27,65 @@ from sim.scene import scene_of
 from sim.sensor.coding import from_jpeg, jpeg_bytes
 from sim.validation.rows import Row, row
 
+OUTPUT = Path("out/hardware/agreement")
 STEP_MM = 2.0
 
 Difference = Callable[[Surface, Surface], float]
 
 
-def agreement_rows(
-    scenes: Path, frames: int, aligned: bool, output: Path = Path("out/hardware/agreement")
-) -> list[Row]:
-    """Slices of the sandwave scanned by the opencv and grbl drivers on the served tank, against
-    the same scan by the sim drivers, and what JPEG alone and other noise alone do to the latter.
+def agreement_rows(scenes: Path, frames: int, aligned: bool) -> list[Row]:
+    """Rms differences in height between scans of the sandwave, taken through different drivers.
 
-    scenes: folder that holds paper/board.toml and paper/sandwave.toml.  frames: of the scan.
-    aligned: whether heights are compared on the slices, which takes a hundred frames, or where
-    they were measured.  output: folder for the runs; those of an earlier time are replaced.
-    Raises InputError where a scene is wrong.
+    The opencv and grbl drivers on the served tank, the sim drivers' pictures through JPEG alone,
+    and the sim drivers with other noise, each against the same scan by the sim drivers.
+
+    Parameters
+    ----------
+    scenes : Path
+        Folder that holds paper/board.toml and paper/sandwave.toml.
+    frames : int
+        Of each scan.
+    aligned : bool
+        Whether heights are compared on the slices, which takes a hundred frames, or where they
+        were measured.
+
+    Raises
+    ------
+    InputError
+        Where a scene is wrong.
     """
-    board = _fresh(load_rig(scenes / "paper" / "board.toml"), output / "board")
+    board = _fresh(load_rig(scenes / "paper" / "board.toml"), "board")
     plane_map = measure_board(board, (CHOSEN_MAP,)).calibrations[CHOSEN_MAP].plane_map
-    plan = {"plan": {"frames": frames, "step_mm": STEP_MM}}
-    loaded = load_rig(scenes / "paper" / "sandwave.toml")
-    rig_file = parse_rig(merge(loaded.document, plan), source=loaded.source)
-    simulated = _fresh(rig_file, output / "simulated")
-    noise = {"sensor": {"seed": scene_of(rig_file).tank.sensor.seed + 1}}
-    again = parse_rig(merge(rig_file.document, noise), source=loaded.source)
-    repeated = _fresh(again, output / "repeated")
+    plan = {"frames": frames, "step_mm": STEP_MM}
+    rig_file = _changed(load_rig(scenes / "paper" / "sandwave.toml"), plan=plan)
+    scene = scene_of(rig_file)
+    seed = scene.tank.sensor.seed
+    simulated = _fresh(rig_file, "simulated")
+    repeated = _fresh(_changed(rig_file, sensor={"seed": seed + 1}), "repeated")
     options = ServeOptions(prepare=True)
-    with EmulatedHardware(scene_of(rig_file), options) as hardware:
-        began_s = time.monotonic()
-        served = _fresh(hardware.rig_file(), output / "served")
-        frame_ms = 1000 * (time.monotonic() - began_s) / frames
-    return _rows(simulated, repeated, served, plane_map, options, frame_ms, aligned)
-
-
-def _rows(
-    simulated: Run,
-    repeated: Run,
-    served: Run,
-    plane_map: PlaneMap,
-    options: ServeOptions,
-    frame_ms: float,
-    aligned: bool,
-) -> list[Row]:
-    rig_file = simulated.rig_file
+    with EmulatedHardware(scene, options) as hardware:
+        seconds, served = timed(lambda: _fresh(hardware.rig_file(), "served"))
     built = reconstruct(simulated, plane_map)
-    reference = built.raw
     rms_mm = _on_slices(built.require_alignment(), rig_file) if aligned else _as_measured
-    where = "slices" if aligned else "columns"
-    seed = scene_of(rig_file).tank.sensor.seed
-    coding = f"JPEG quality {options.quality}, {options.subsampling}"
-    words: dict[str, Any] = {"seed": seed, "where": where, "coding": coding}
-    figures = {
+    surfaces = {
         "served-scan": reconstruct(served, plane_map).raw,
         "jpeg-alone": _coded(simulated, plane_map, options),
         "noise-alone": reconstruct(repeated, plane_map).raw,
     }
-    words |= {"frames": len(served), "frame_ms": frame_ms, "other": seed + 1}
-    return [row(key, rms_mm(raw, reference), **words) for key, raw in figures.items()]
+    words: dict[str, Any] = {
+        "seed": seed,
+        "other": seed + 1,
+        "where": "slices" if aligned else "columns",
+        "coding": f"JPEG quality {options.quality}, {options.subsampling}",
+        "frames": frames,
+        "frame_ms": 1000 * seconds / frames,
+    }
+    return [row(key, rms_mm(raw, built.raw), **words) for key, raw in surfaces.items()]
+
+
+def _changed(rig_file: RigFile, **sections: Document) -> RigFile:
+    """The rig with these sections laid over its own."""
+    return parse_rig(merge(rig_file.document, sections), source=rig_file.source)
 
 
 def _on_slices(alignment: Alignment, rig_file: RigFile) -> Difference:
@@ -121,9 +123,10 @@ def _coded(run: Run, plane_map: PlaneMap, options: ServeOptions) -> Surface:
     return build_surface(profiles, run.rig_file.rig)
 
 
-def _fresh(rig_file: RigFile, folder: Path) -> Run:
-    """A new run; an earlier one in the same folder is replaced, nothing else is."""
+def _fresh(rig_file: RigFile, name: str) -> Run:
+    """A new run in the folder of that name in OUTPUT, in the place of an earlier one."""
+    folder = OUTPUT / name
     if (folder / MANIFEST).exists():
         shutil.rmtree(folder)
-    make_folder(folder.parent)
+    make_folder(OUTPUT)
     return scan(rig_file, folder)

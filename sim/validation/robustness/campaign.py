@@ -15,7 +15,6 @@ import numpy as np
 
 from lscan.acquisition.run import MANIFEST, TABLE, Run, frame_file, open_run
 from lscan.errors import InputError, LscanError
-from lscan.records import Frame
 from sim.testing.faultbench import FaultBench, bench_for
 from sim.testing.faults import FRAMES, KINDS, InjectedFault, draw_fault
 from sim.testing.marks import read_mark
@@ -191,7 +190,12 @@ def check_frames(run: Run, bench: FaultBench) -> None:
             raise Violation(f"frame {index} is no picture of this camera")
         planned_mm = bench.rig_file.rig.plan.positions_mm()[index]
         _hold(frame.commanded_mm == planned_mm, f"frame {index} was not sent where planned")
-        _check_place(frame, mark.head_mm)
+        for name in ("commanded_mm", "position_mm"):
+            stated_mm = getattr(frame, name)
+            _hold(
+                abs(mark.head_mm - stated_mm) <= PLACE_TOLERANCE_MM,
+                f"frame {index} was exposed at {mark.head_mm:.4f} mm, {name} is {stated_mm:.4f} mm",
+            )
         _hold(not mark.moving, f"frame {index} was exposed while the head moved")
         _hold(
             mark.exposed_s >= bench.asked_s[index],
@@ -200,15 +204,6 @@ def check_frames(run: Run, bench: FaultBench) -> None:
         )
         counters.append(mark.counter)
     _hold(all(a < b for a, b in pairwise(counters)), f"pictures repeat: {counters}")
-
-
-def _check_place(frame: Frame, head_mm: float) -> None:
-    for name in ("commanded_mm", "position_mm"):
-        said_mm = getattr(frame, name)
-        _hold(
-            abs(head_mm - said_mm) <= PLACE_TOLERANCE_MM,
-            f"frame {frame.index} was exposed at {head_mm:.4f} mm, {name} is {said_mm:.4f} mm",
-        )
 
 
 def _hold(condition: bool, otherwise: str) -> None:

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class HardwareEffort:
-    """What a run of the table does.
+    """What a run of the table does; by default all of it.
 
     live_frames: of the scan beside the live page.  live_s: over which pictures are counted.
     overhead_frames: of the scan without devices.  scan_frames: of the scan on the served tank.
@@ -15,28 +15,18 @@ class HardwareEffort:
     faults: of each kind.
     """
 
-    live_frames: int
-    live_s: float
-    overhead_frames: int
-    scan_frames: int
-    aligned: bool
-    kills: int
-    kill_frames: int
-    every_field: int
-    faults: int
+    live_frames: int = 100
+    live_s: float = 12.0
+    overhead_frames: int = 240
+    scan_frames: int = 100  # as few as the alignment takes: ten profiles across each wedge
+    aligned: bool = True
+    kills: int = 20
+    kill_frames: int = 120  # lasts about as long as starting the program and its renderer
+    every_field: int = 1
+    faults: int = 23
 
 
-FULL = HardwareEffort(
-    live_frames=100,
-    live_s=12.0,
-    overhead_frames=240,
-    scan_frames=100,  # as few as the alignment takes: ten profiles across each wedge
-    aligned=True,
-    kills=20,
-    kill_frames=120,  # taking them lasts about as long as starting the program and its renderer
-    every_field=1,
-    faults=23,
-)
+FULL = HardwareEffort()
 QUICK = HardwareEffort(
     live_frames=20,
     live_s=2.0,

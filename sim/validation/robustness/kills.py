@@ -61,16 +61,16 @@ def kill_runs(scene: Path, count: int, frames: int, seed: int = SEED) -> list[Ki
         folder = Path(name)
         small = folder / "small.toml"
         small.write_text(SMALL.format(scene=str(scene.resolve()), frames=frames))
-        _finish(small, folder / "first")  # the renderer keeps what it compiled
+        _goes_on(small, folder / "first")  # the renderer keeps what it compiled
         began_s = time.monotonic()
-        _finish(small, folder / "whole")
+        _goes_on(small, folder / "whole")
         whole_s = time.monotonic() - began_s
         reference = folder_bytes(folder / "whole")
         kills = 0
         while kills < count:
             run = folder / f"{len(runs):03d}"
             kept = _killed(small, run, whole_s, generator)
-            _finish(small, run)
+            _goes_on(small, run)
             runs.append(KilledRun(kept, folder_bytes(run) == reference))
             kills += len(kept)
     return runs
@@ -99,49 +99,35 @@ def _killed(
     """Frames on disk after each of up to KILLS_A_RUN kills; fewer where a scan came first."""
     kept: list[int] = []
     for _ in range(KILLS_A_RUN):
-        if not _dies(scene, run, float(generator.uniform(0, whole_s))):
+        if _goes_on(scene, run, kill_after_s=float(generator.uniform(0, whole_s))):
             break
         kept.append(_frames_in(run))
     return tuple(kept)
 
 
-def _dies(scene: Path, run: Path, after_s: float) -> bool:
-    """Go on with the run and kill it; False where it came to its end before."""
-    with _start(scene, run) as process:
-        try:
-            _, said = process.communicate(timeout=after_s)
-        except subprocess.TimeoutExpired:
-            process.kill()
-            _, said = process.communicate()
-    if process.returncode == -signal.SIGKILL:
-        return True
-    _require_success(process.returncode, said)
-    return False
+def _goes_on(scene: Path, run: Path, kill_after_s: float | None = None) -> bool:
+    """Begin the run or go on with it, by ``lscan scan``; False where it was killed before its end.
 
-
-def _finish(scene: Path, run: Path) -> None:
-    """Begin the run or go on with it, to its end."""
-    with _start(scene, run) as process:
-        _, said = process.communicate()
-    _require_success(process.returncode, said)
-
-
-def _start(scene: Path, run: Path) -> subprocess.Popen[str]:
-    """``lscan scan`` of this very package, in a process of its own."""
+    The command is that of this very package, in a process of its own.
+    """
     home = str(Path(lscan.__file__).parents[1])
-    command = [sys.executable, "-m", "lscan.cli.app", "scan", str(scene)]
-    return subprocess.Popen(
-        [*command, "-o", str(run), "--resume"],
+    command = [sys.executable, "-m", "lscan.cli.app", "scan", str(scene), "-o", str(run)]
+    with subprocess.Popen(
+        [*command, "--resume"],
         stdout=subprocess.DEVNULL,
         stderr=subprocess.PIPE,
         text=True,
         env={**os.environ, "PYTHONPATH": home},
-    )
-
-
-def _require_success(code: int, said: str) -> None:
-    if code != 0:
-        raise RuntimeError(f"a scan ended with code {code}: {said.strip()}")
+    ) as process:
+        try:
+            _, said = process.communicate(timeout=kill_after_s)
+        except subprocess.TimeoutExpired:
+            process.kill()
+            _, said = process.communicate()
+    killed = kill_after_s is not None and process.returncode == -signal.SIGKILL
+    if process.returncode != 0 and not killed:
+        raise RuntimeError(f"a scan ended with code {process.returncode}: {said.strip()}")
+    return not killed
 
 
 def _frames_in(run: Path) -> int:

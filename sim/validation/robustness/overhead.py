@@ -10,7 +10,6 @@ import os
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -81,10 +80,14 @@ class FreeTrack:
 
 @dataclass
 class FreeCamera:
-    """A camera whose pictures, all (H, W, 3) RGB, have been taken beforehand."""
+    """A camera whose pictures, all (H, W, 3) RGB, have been taken beforehand.
+
+    aside: called with each picture while nobody's time is taken.
+    """
 
     watch: Stopwatch
     pictures: list[Bytes]
+    aside: Callable[[Bytes], None]
 
     @property
     def size_px(self) -> tuple[int, int]:
@@ -95,42 +98,35 @@ class FreeCamera:
     def grab(self, frame: int | None = None, dark: bool = False) -> Grab:
         """The picture whose turn it is."""
         self.watch.pause()
-        grab = self._taken(0 if frame is None else frame)
+        number = frame or 0
+        picture = self.pictures[number % len(self.pictures)]
+        self.aside(picture)
         self.watch.go_on()
-        return grab
+        return Grab(picture, float(number), 20.0)
 
     def close(self) -> None:
         """Nothing is held."""
 
-    def _taken(self, frame: int) -> Grab:
-        return Grab(self.pictures[frame % len(self.pictures)], float(frame), 20.0)
-
 
 @dataclass
-class SavingCamera(FreeCamera):
-    """Saves each picture plainly too, while nobody's time is taken, and remembers how long it took.
+class PlainSaver:
+    """Saves pictures (H, W, 3) as a script would: OpenCV's own PNG, and a sync.
 
-    path: the file.  saved_s: the time each saving took, s.
+    path: the file, written anew each time.  saved_s: the time that each saving took, s.
     """
 
-    path: Path = Path("plain.png")
+    path: Path
+    clock: Clock = time.perf_counter
     saved_s: list[float] = field(default_factory=list)
 
-    def _taken(self, frame: int) -> Grab:
-        grab = super()._taken(frame)
-        began_s = self.watch.clock()
-        save_plainly(self.path, grab.image)
-        self.saved_s.append(self.watch.clock() - began_s)
-        return grab
-
-
-def save_plainly(path: Path, picture: Bytes) -> None:
-    """Write a picture (H, W, 3) as a script would: OpenCV's own PNG, and a sync."""
-    _, data = cv2.imencode(".png", picture)
-    with path.open("wb") as file:
-        file.write(data.tobytes())
-        file.flush()
-        os.fsync(file.fileno())
+    def __call__(self, picture: Bytes) -> None:
+        began_s = self.clock()
+        _, data = cv2.imencode(".png", picture)
+        with self.path.open("wb") as file:
+            file.write(data.tobytes())
+            file.flush()
+            os.fsync(file.fileno())
+        self.saved_s.append(self.clock() - began_s)
 
 
 def overhead_rows(frames: int, folder: Path = Path(), scene: Path = SCENE) -> list[Row]:
@@ -143,24 +139,19 @@ def overhead_rows(frames: int, folder: Path = Path(), scene: Path = SCENE) -> li
     """
     pictures = noisy_pictures(scene)
     with TemporaryDirectory(dir=folder, prefix=".overhead-") as scratch:
-        saved_s: list[float] = []
-        camera = partial(SavingCamera, path=Path(scratch) / "plain.png", saved_s=saved_s)
-        taken_s = frame_times(Path(scratch) / "run", pictures, frames, camera=camera)
+        saver = PlainSaver(Path(scratch) / "plain.png")
+        taken_s = frame_times(Path(scratch) / "run", pictures, frames, aside=saver)
+    taken_ms, saved_ms = (
+        [1000 * float(np.median(times)), 1000 * float(np.mean(times))]
+        for times in (taken_s, saver.saved_s)
+    )
     return [
         row(
-            "overhead",
-            taken / saved,
-            seed=SEED,
-            frames=frames,
-            name=name,
-            taken_ms=1000 * taken,
-            saved_ms=1000 * saved,
+            "overhead", taken / saved, seed=SEED, frames=frames, name=name,
+            taken_ms=taken, saved_ms=saved,
         )
-        for name, taken, saved in (
-            ("median", float(np.median(taken_s)), float(np.median(saved_s))),
-            ("mean", float(np.mean(taken_s)), float(np.mean(saved_s))),
-        )
-    ]
+        for name, taken, saved in zip(("median", "mean"), taken_ms, saved_ms, strict=True)
+    ]  # fmt: skip
 
 
 def noisy_pictures(scene: Path = SCENE, count: int = PICTURES) -> list[Bytes]:
@@ -177,15 +168,15 @@ def frame_times(
     pictures: list[Bytes],
     frames: int,
     clock: Clock = time.perf_counter,
-    camera: Callable[[Stopwatch, list[Bytes]], FreeCamera] = FreeCamera,
+    aside: Callable[[Bytes], None] = lambda picture: None,
 ) -> Floats:
     """(frames,) what acquisition itself took for each frame, s, scanning into the folder ``path``.
 
-    camera: takes the place of the one that costs nothing.
+    aside: called with each picture, the time it takes left out.
     """
     watch = Stopwatch(clock)
     with create_run(path, _rig(pictures[0], frames)) as writer:
-        acquire_into(writer, camera(watch, pictures), FreeTrack(watch))
+        acquire_into(writer, FreeCamera(watch, pictures, aside), FreeTrack(watch))
         watch.pause()
     return np.array(watch.frames_s)
 

@@ -10,7 +10,6 @@ from scipy.stats import norm
 
 from lscan.config.rig import NoiseSection
 from lscan.errors import InputError
-from lscan.records import Length
 from sim.render.tank import Tank
 from sim.scene import head_pose, load_scene, target_pose
 from sim.sensor.speckle import speckle_contrast
@@ -21,7 +20,6 @@ from sim.validation.accuracy.intervals import (
     COVER,
     band_miss_percent,
     share_inside,
-    share_of_lengths,
 )
 from sim.validation.accuracy.misaligned import OFFSET_MM, TILT_DEG, misaligned
 from sim.validation.accuracy.sandwave import every_frame
@@ -37,8 +35,7 @@ def test_intervals_of_normal_errors_hold_95_percent() -> None:
     error = np.random.default_rng(1).normal(0.0, 2.0, 20_000)
     # A binomial share of 20,000 has a standard error of 0.0015.
     assert share_inside(error, np.full(error.shape, 2.0)) == pytest.approx(0.95, abs=0.006)
-    lengths = [Length(10.0, 10.0 + off, 1.0) for off in (-3.0, -1.9, 0.0, 1.9)]
-    assert share_of_lengths(lengths) == 0.75
+    assert share_inside(np.array([-3.0, -1.9, 0.0, 1.9]), np.ones(4)) == 0.75
     assert band_miss_percent(0.93) == pytest.approx(2.0) == band_miss_percent(0.97)
 
 

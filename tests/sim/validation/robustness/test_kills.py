@@ -53,11 +53,11 @@ def test_a_run_is_killed_until_it_has_come_to_its_end(
     """At most four times, each moment drawn anew within the scan's duration."""
     moments: list[float] = []
 
-    def dies(scene: Path, run: Path, after_s: float) -> bool:
-        moments.append(after_s)
-        return len(moments) != 3
+    def goes_on(scene: Path, run: Path, kill_after_s: float) -> bool:
+        moments.append(kill_after_s)
+        return len(moments) == 3
 
-    monkeypatch.setattr(kills, "_dies", dies)
+    monkeypatch.setattr(kills, "_goes_on", goes_on)
     generator = np.random.default_rng(1)
     assert kills._killed(SCENE, tmp_path / "run", 5.0, generator) == (0, 0)
     assert kills._killed(SCENE, tmp_path / "run", 5.0, generator) == (0, 0, 0, 0)

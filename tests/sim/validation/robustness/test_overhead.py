@@ -3,9 +3,7 @@
 import os
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
-from typing import Any
 
 import cv2
 import numpy as np
@@ -13,11 +11,10 @@ import pytest
 from places import ROOT
 
 from lscan.acquisition.run import open_run
-from lscan.devices.api import Grab
 from lscan.records import Bytes
 from sim.validation.robustness import overhead
 from sim.validation.robustness.effort import FULL
-from sim.validation.robustness.overhead import FreeCamera, SavingCamera, frame_times, overhead_rows
+from sim.validation.robustness.overhead import PlainSaver, frame_times, overhead_rows
 
 SCENE = ROOT / "scenes" / "paper" / "sandwave.toml"
 SMALL = (16, 20, 3)
@@ -46,15 +43,6 @@ def slow_syncs(clock: FakeClock, seconds: float) -> Callable[[int], None]:
     return fsync
 
 
-def slow_camera(clock: FakeClock, seconds: float) -> type[FreeCamera]:
-    class SlowCamera(FreeCamera):
-        def _taken(self, frame: int) -> Grab:
-            clock.now_s += seconds
-            return super()._taken(frame)
-
-    return SlowCamera
-
-
 @pytest.mark.parametrize("slow_s", [0.0, 0.5])
 def test_a_slow_camera_does_not_raise_the_figure(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, pictures: list[Bytes], slow_s: float
@@ -63,7 +51,11 @@ def test_a_slow_camera_does_not_raise_the_figure(
     the last frame has in addition the two by which the run is marked complete."""
     clock = FakeClock()
     monkeypatch.setattr(os, "fsync", slow_syncs(clock, 0.002))
-    times_s = frame_times(tmp_path / "a", pictures, 7, clock, slow_camera(clock, slow_s))
+
+    def wait_for_the_camera(picture: Bytes) -> None:
+        clock.now_s += slow_s
+
+    times_s = frame_times(tmp_path / "a", pictures, 7, clock, wait_for_the_camera)
     np.testing.assert_allclose(times_s, [0.006] * 6 + [0.010], atol=1e-9)
 
 
@@ -86,8 +78,10 @@ def test_the_rows_are_ratios_to_saving_the_same_pictures(
     monkeypatch.setattr(overhead, "noisy_pictures", lambda scene: pictures)
 
     def times_on(slowness: float) -> Callable[..., np.ndarray]:
-        def known_times(path: Path, pictures: list[Bytes], frames: int, camera: Any) -> np.ndarray:
-            camera.keywords["saved_s"] += [0.010 * slowness] * frames
+        def known_times(
+            path: Path, pictures: list[Bytes], frames: int, aside: PlainSaver
+        ) -> np.ndarray:
+            aside.saved_s += [0.010 * slowness] * frames
             taken = np.array([0.004] * (frames - 1) + [0.004 + 0.001 * frames])
             return slowness * taken
 
@@ -110,10 +104,9 @@ def test_plain_savings_are_timed_and_are_no_part_of_the_overhead(
     """Syncs of 2 ms: one a plain saving, and as before three a frame and two at the end."""
     clock = FakeClock()
     monkeypatch.setattr(os, "fsync", slow_syncs(clock, 0.002))
-    saved_s: list[float] = []
-    camera = partial(SavingCamera, path=tmp_path / "plain.png", saved_s=saved_s)
-    times_s = frame_times(tmp_path / "a", pictures, 7, clock, camera)
-    np.testing.assert_allclose(saved_s, [0.002] * 7, atol=1e-9)
+    saver = PlainSaver(tmp_path / "plain.png", clock)
+    times_s = frame_times(tmp_path / "a", pictures, 7, clock, saver)
+    np.testing.assert_allclose(saver.saved_s, [0.002] * 7, atol=1e-9)
     np.testing.assert_allclose(times_s, [0.006] * 6 + [0.010], atol=1e-9)
     assert (cv2.imread(str(tmp_path / "plain.png")) == pictures[6 % 3]).all()
 
