@@ -15,7 +15,7 @@ MOST_BIAS_PX = 0.5
 """Who names the right pixel and no more errs by up to half of it."""
 
 MOST_SCATTER = 1.0
-"""In standard deviations of the line's width: one photon alone tells the centre to that."""
+"""In standard deviations of the line's width: one photon alone determines the centre to that."""
 
 MOST_OUTLIERS = 0.01
 """Share of centres beyond three standard deviations of the width, where 0.3 % of the light is."""

@@ -46,7 +46,7 @@ class MapRow:
     refused: str = ""
 
 
-def sights(quick: bool = False) -> Iterator[tuple[str, float]]:
+def board_cases(quick: bool = False) -> Iterator[tuple[str, float]]:
     """Every board and noise of its marks in px; the paper's board alone where ``quick``."""
     for label in ("paper",) if quick else BOARDS:
         for noise in NOISES_PX:
@@ -62,12 +62,31 @@ def bench_maps(
 ) -> list[MapRow]:
     """A row for each map, board and noise, all maps on the same readings.
 
-    progress: called with how many boards at a noise are done.
-    Raises InputError for a map that does not exist.
+    Parameters
+    ----------
+    names : sequence of str
+        Full names of plane maps, such as "polynomial-5".
+    seed : int
+        Of the marks' noise.
+    draws : int
+        Readings of each board at each noise.
+    quick : bool
+        The paper's board alone.
+    progress : callable, optional
+        Called with how many boards at a noise are done.
+
+    Returns
+    -------
+    list of MapRow
+
+    Raises
+    ------
+    InputError
+        For a map that does not exist.
     """
     solvers = {name: find_solver(name) for name in names}
     rows = []
-    for done, (label, noise) in enumerate(sights(quick), start=1):
+    for done, (label, noise) in enumerate(board_cases(quick), start=1):
         board, number = BOARDS[label], list(BOARDS).index(label)
         places = _places(board, np.random.default_rng([seed, number]))
         generator = np.random.default_rng([seed, number, round(1e4 * noise)])

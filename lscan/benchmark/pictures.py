@@ -47,7 +47,18 @@ class LineCase:
 
 
 def centres(phase_px: float) -> Floats:
-    """(W,) the true centre of the line in each column, px."""
+    """The true centre of the line in each column.
+
+    Parameters
+    ----------
+    phase_px : float
+        By which the line is shifted.
+
+    Returns
+    -------
+    (W,) array
+        Rows, px.
+    """
     along: Floats = np.arange(float(SHAPE[1])) - SHAPE[1] / 2
     return SHAPE[0] / 2 + phase_px + SLOPE * along
 
@@ -59,10 +70,26 @@ def mean_picture(case: LineCase, centre_px: Floats) -> Floats:
 
 
 def draw(case: LineCase, centre_px: Floats, generator: np.random.Generator) -> Bytes:
-    """(H, W) uint8: one picture of the line with all its noise.
+    """One picture of the line with all its noise.
 
+    Parameters
+    ----------
+    case : LineCase
+        Water, width and brightness of the line, and the noise.
+    centre_px : (W,) array
+        The line's true centre in each column, as :func:`centres` gives it.
+    generator : numpy.random.Generator
+        Of the noise.
+
+    Returns
+    -------
+    (H, W) uint8 array
+        Grey values, DN.
+
+    Notes
+    -----
     Speckle, gamma distributed with the contrast given (Goodman's law for integrated speckle),
-    is of the light that the target throws back; the skirt comes from particles that drift.
+    is of the light that the target reflects; the skirt comes from particles that drift.
     """
     noise = case.noise
     line = case.peak_dn * _line(case, centre_px)

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from lscan.benchmark.extractors import ExtractorRow, bench_extractors, cases
-from lscan.benchmark.maps import MapRow, bench_maps, sights
+from lscan.benchmark.maps import MapRow, bench_maps, board_cases
 from lscan.benchmark.page import write_bench
 from lscan.calibration.api import find_solver
 from lscan.errors import InputError
@@ -59,10 +59,30 @@ def run_bench(
 ) -> Benchmark:
     """The rows of the extractors and of the maps named, also written to ``folder``.
 
-    extractors: names, or ``package.module:function`` of one's own.  quick: fewer kinds of lines
-    and boards, for a first look.  progress: called after each kind of line and each board done.
-    Raises InputError where nothing is named, for a name that does not exist, and for a folder
-    that cannot be made, before anything else, and from the disk.
+    Parameters
+    ----------
+    folder : Path
+        For bench.json and bench.png; it is made.
+    extractors : sequence of str
+        Names, or ``package.module:function`` of one's own.
+    maps : sequence of str
+        Full names of plane maps.
+    quick : bool
+        Fewer kinds of lines and boards, for a first look.
+    seed : int
+        Of all random numbers.
+    progress : callable, optional
+        Called with (done, all) after each kind of line and each board.
+
+    Returns
+    -------
+    Benchmark
+
+    Raises
+    ------
+    InputError
+        Where nothing is named, for a name that does not exist and for a folder that cannot be
+        made, before any work; and where the disk refuses.
     """
     if not extractors and not maps:
         raise InputError("nothing to judge", where="bench", allowed="an extractor or a plane map")
@@ -72,7 +92,7 @@ def run_bench(
         find_solver(name)
     make_folder(folder)
     kinds = len(list(cases(quick))) if extractors else 0
-    total = kinds + (len(list(sights(quick))) if maps else 0)
+    total = kinds + (len(list(board_cases(quick))) if maps else 0)
 
     def step(done: int) -> None:
         if progress is not None:

@@ -111,9 +111,31 @@ class Access:
 
 
 def grant(host: str, port: int, token: str | None) -> Access:
-    """Access as asked for: hosts other than this machine itself get a token if none is given.
+    """Where the live page is served, and to whom.
 
-    Raises InputError for a token too short to keep anybody out, or that no address can hold.
+    Parameters
+    ----------
+    host : str
+        Name or number to serve under.
+    port : int
+        TCP port.
+    token : str or None
+        What a browser must present.  None: no token on this machine's own addresses, a random
+        one on any other.
+
+    Returns
+    -------
+    Access
+
+    Raises
+    ------
+    InputError
+        For a token too short to keep anybody out, or that no address can hold.
+
+    Examples
+    --------
+    >>> grant("127.0.0.1", 8765, None).addresses
+    ('http://127.0.0.1:8765/',)
     """
     if token is not None and not TOKEN.fullmatch(token):
         raise InputError(

@@ -11,6 +11,7 @@ from lscan.acquisition.writer import RunWriter, create_run
 from lscan.board import read_board
 from lscan.calibration.api import PlaneMap
 from lscan.calibration.solve import calibrate, save_calibration
+from lscan.config.board import Board
 from lscan.config.rig import Plan
 from lscan.config.rigfile import RigFile, parse_rig
 from lscan.devices.api import Limited, Track
@@ -29,8 +30,29 @@ class LiveCalibration:
 
 
 def use_map(path: Path, plane_map: PlaneMap, rig_file: RigFile) -> LiveCalibration:
-    """A plane map as the live page uses it, for pictures of the rig's size."""
+    """A plane map as the live page uses it: tabulated for the rig's pictures.
+
+    Parameters
+    ----------
+    path : Path
+        The calibration file, which the page names.
+    plane_map : PlaneMap
+        Made for pictures of the rig's size.
+    rig_file : RigFile
+        The rig whose pictures are mapped.
+
+    Returns
+    -------
+    LiveCalibration
+    """
     return LiveCalibration(path, plane_map, tabulate(plane_map, rig_file.rig.camera.size_px))
+
+
+def board_of(rig_file: RigFile) -> Board:
+    """The board of a rig; InputError where it has none."""
+    if rig_file.rig.board is None:
+        raise InputError("has no section [board]", where=rig_file.source)
+    return rig_file.rig.board
 
 
 def take_board(
@@ -43,9 +65,7 @@ def take_board(
     the calibration into ``folder.json``; ``lscan calibrate folder`` gives the same.
     Raises DeviceError (no folder is left), BoardNotFound (the picture is kept), InputError.
     """
-    rig = rig_file.rig
-    if rig.board is None:
-        raise InputError("has no section [board]", where=rig_file.source)
+    rig, board = rig_file.rig, board_of(rig_file)
     devices.ready()
     place_mm = _place_mm(devices.track, rig.plan)
     with (
@@ -54,7 +74,7 @@ def take_board(
         devices.for_scan() as (camera, track),
     ):
         run = acquire_into(writer, camera, track)
-    reading = read_board(run.frame(0).image, rig.board, channel=rig.calibration.channel)
+    reading = read_board(run.frame(0).image, board, channel=rig.calibration.channel)
     solved = calibrate(reading, rig.calibration.plane_map, rig.optics)
     path = folder.with_name(f"{folder.name}.json")
     save_calibration(path, solved)

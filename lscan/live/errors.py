@@ -4,7 +4,7 @@ from lscan.errors import LscanError
 
 
 class NotNow(LscanError):
-    """A command that is right but cannot be carried out as things stand."""
+    """A valid command that the present state of the session does not allow."""
 
     exit_code = 1
 

@@ -195,7 +195,24 @@ class LiveServer(uvicorn.Server):
 
 
 def listen(host: str, port: int) -> socket.socket:
-    """A socket that listens there; port 0: any that is free.  InputError where it cannot."""
+    """A socket that listens at an address.
+
+    Parameters
+    ----------
+    host : str
+        Name or number of this machine.
+    port : int
+        TCP port; 0 for any that is free.
+
+    Returns
+    -------
+    socket.socket
+
+    Raises
+    ------
+    InputError
+        Where it cannot listen there.
+    """
     try:
         family, *_ = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0]
         return socket.create_server((host, port), family=family)
@@ -206,7 +223,20 @@ def listen(host: str, port: int) -> socket.socket:
 
 
 def make_server(session: Session, access: Access) -> LiveServer:
-    """The server of a session's page, to be run on a socket of :func:`listen`."""
+    """The server of a session's page.
+
+    Parameters
+    ----------
+    session : Session
+        What the page shows and commands.
+    access : Access
+        Whom it serves.
+
+    Returns
+    -------
+    LiveServer
+        Its ``run(sockets=[...])`` serves on a socket of :func:`listen` until it is stopped.
+    """
     page = LivePage(session, access)
     config = uvicorn.Config(
         page.application(),

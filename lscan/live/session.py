@@ -2,7 +2,7 @@
 
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -10,9 +10,8 @@ from typing import Any, Literal
 
 from lscan.config.rigfile import RigFile
 from lscan.devices.api import Grab
-from lscan.errors import InputError
 from lscan.live.analysis import Figures, measure_line, measure_picture
-from lscan.live.boardpicture import LiveCalibration, take_board
+from lscan.live.boardpicture import LiveCalibration, board_of, take_board
 from lscan.live.boardview import BoardFigures, read_live_board
 from lscan.live.devices import LiveDevices
 from lscan.live.errors import NotNow, one_line
@@ -52,16 +51,27 @@ class LivePicture:
 
 
 class Session:
-    """Everything behind the page but the server.
+    """Everything behind the live page but the server: devices, measurements and commands.
 
-    Opening raises InputError and DeviceError as the devices do; from then on a device that
-    fails is reported by :meth:`state` and tried again.
+    Parameters
+    ----------
+    rig_file : RigFile
+        Its camera and track are opened, and pictures are taken and measured from then on.
+    output : Path
+        Folder for the run folders of scans and of board pictures.
+    calibration : LiveCalibration, optional
+        The plane map of the profiles; without one there are none until a board picture is taken.
+
+    Raises
+    ------
+    InputError, DeviceError
+        Where a device does not open.  A device that fails later is reported by :meth:`state`,
+        and opened again.
     """
 
     def __init__(
         self, rig_file: RigFile, output: Path, calibration: LiveCalibration | None = None
     ) -> None:
-        """Open the devices and begin to look; scans go into folders of ``output``."""
         self._rig_file, self._output, self._calibration = rig_file, output, calibration
         self._pictures: Newest[LivePicture] = Newest()
         self._mode: Mode = "stripe"
@@ -76,20 +86,18 @@ class Session:
         self._devices = LiveDevices(rig_file, self._show)
         self.scanning = Scanning(rig_file, self._devices, output)
         self._task_thread: threading.Thread | None = None
-        loops: tuple[Callable[[], None], ...] = (
-            self._look,
-            self._measure,
-            self._read_boards,
-            self._check_track,
-        )
+        loops = (self._look, self._measure, self._read_boards, self._check_track)
         self._threads = [threading.Thread(target=loop, name=loop.__name__) for loop in loops]
         for thread in self._threads:
             thread.start()
 
     def close(self) -> Path | None:
-        """Stop a scan after its frame and release all; the folder of a scan to be resumed.
+        """Stop a scan after its frame and release the devices.
 
-        A scan that is finished, or that was never begun, gives None.
+        Returns
+        -------
+        Path or None
+            The run folder of a scan that is not finished; None where there is no such scan.
         """
         unfinished = self.scanning.close()
         self._closing.set()
@@ -103,8 +111,8 @@ class Session:
 
     def set_mode(self, mode: Mode) -> None:
         """What is looked for in the pictures.  InputError where the rig has no board."""
-        if mode == "board" and self._rig_file.rig.board is None:
-            raise InputError("has no section [board]", where=self._rig_file.source)
+        if mode == "board":
+            board_of(self._rig_file)
         self._mode, self._board_read = mode, None
         self._focus.forget()
         if self._task_failed:  # it says nothing of the other mode
@@ -113,8 +121,7 @@ class Session:
     def take_board(self) -> None:
         """Begin the board picture; NotNow while a scan or another command goes on."""
         with self._exclusive():
-            if self._rig_file.rig.board is None:
-                raise InputError("has no section [board]", where=self._rig_file.source)
+            board_of(self._rig_file)
             folder = self._output / next_name(self._output, "board")
             self._task, self._task_message = "board picture", f"taking it into {folder}"
             self._task_failed = False

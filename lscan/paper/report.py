@@ -22,8 +22,6 @@ from lscan.paper.published import MISPRINTS, Bars
 from lscan.paper.tables import ReportTable, paper_tables
 
 if TYPE_CHECKING:
-    from jinja2 import Environment
-
     from lscan.measurement import SandwaveMeasures
 
 _SLICE_FIGURES = {"S1": "Fig. 29", "S2": "Fig. 30", "S3": "Fig. 31", "SD": "Fig. 32"}
@@ -55,29 +53,27 @@ def render_report(experiment: Experiment, bars: Bars | None = None) -> str:
     bars : Bars, optional
         The largest errors accepted; those that the paper claims by default.
     """
+    from lscan.figures.template import page_template
+
     bars = bars or Bars()
     sources = experiment.sources
     sections = _sections(experiment, bars)
     scripts = [figure.script for part in sections for figure in part.figures if figure.script]
-    return (
-        _environment()
-        .get_template("report.html.j2")
-        .render(
-            title=provenance.title(experiment),
-            lead=provenance.lead(sources),
-            cameras=provenance.cameras(sources),
-            chains=provenance.describe_chains(experiment),
-            names=provenance.chain_names(experiment.chain),
-            versions=software_versions(),
-            seconds=experiment.seconds,
-            checks=checks(experiment, bars),
-            checks_note=provenance.note(sources),
-            tables=[_noted_table(table, sources) for table in paper_tables(experiment, bars)],
-            sections=sections,
-            misprints=MISPRINTS,
-            plotly=_plotly() if scripts else "",
-            scripts=scripts,
-        )
+    return page_template("lscan.paper", "report.html.j2", unbroken=_unbroken).render(
+        title=provenance.title(experiment),
+        lead=provenance.lead(sources),
+        cameras=provenance.cameras(sources),
+        chains=provenance.describe_chains(experiment),
+        names=provenance.chain_names(experiment.chain),
+        versions=software_versions(),
+        seconds=experiment.seconds,
+        checks=checks(experiment, bars),
+        checks_note=provenance.note(sources),
+        tables=[_noted_table(table, sources) for table in paper_tables(experiment, bars)],
+        sections=sections,
+        misprints=MISPRINTS,
+        plotly=_plotly() if scripts else "",
+        scripts=scripts,
     )
 
 
@@ -147,20 +143,6 @@ def _slice_figures(sandwave: SandwaveMeasures, bars: Bars) -> list[ReportFigure]
         slice_plot(name, cut, sandwave.errors[name], _SLICE_FIGURES.get(name, ""), bars.sandwave_mm)
         for name, cut in sandwave.slices.items()
     ]
-
-
-def _environment() -> Environment:
-    from jinja2 import Environment, PackageLoader, StrictUndefined
-
-    environment = Environment(
-        loader=PackageLoader("lscan.paper", ""),
-        autoescape=True,
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
-    environment.filters["unbroken"] = _unbroken
-    return environment
 
 
 def _unbroken(text: str) -> str:

@@ -45,12 +45,12 @@ class RigPart:
     """A table of a rig file that one model checks.
 
     prefix: the keys that lead to the table; () is the whole file.  sections: those of the
-    model's fields that are set wrong in this rig.
+    model's fields that are set wrong in this rig, () for all.
     """
 
     model: type[Strict]
     prefix: tuple[str, ...]
-    sections: tuple[str, ...]
+    sections: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -126,11 +126,11 @@ def _of(model: type[Strict], *sections: str) -> RigPart:
 
 
 def _of_camera(driver: str) -> RigPart:
-    return RigPart(CAMERAS[driver], ("camera", "options"), tuple(CAMERAS[driver].model_fields))
+    return RigPart(CAMERAS[driver], ("camera", "options"))
 
 
 def _of_track(driver: str) -> RigPart:
-    return RigPart(TRACKS[driver], ("track", "options"), tuple(TRACKS[driver].model_fields))
+    return RigPart(TRACKS[driver], ("track", "options"))
 
 
 def write_beside(folder: Path) -> None:

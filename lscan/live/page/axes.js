@@ -1,4 +1,4 @@
-// The axes of a plot: limits that stand still while they serve, ticks at round numbers.
+// The axes of a plot: limits that are kept while they fit, ticks at round numbers.
 
 import { fixed } from "./page.js";
 

@@ -1,6 +1,6 @@
 // The figures shown of every picture, their verdicts, and what the verdicts mean.
 //
-// Each limit stands once: the verdict keeps to it and the legend names it.
+// Each limit is written once: the verdict uses it and the legend names it.
 
 import { advise } from "./advice.js";
 import { BOARD_FIGURES } from "./boardfigures.js";
@@ -92,6 +92,6 @@ export const FIGURES = [
     unit: "mm",
     show: (f) => fixed(f.position_mm, 2),
     judge: (f) => ["", f.position_mm === null ? "not known" : ""],
-    legend: "Where the track says that the head stands.",
+    legend: "The position that the track reports.",
   },
 ];

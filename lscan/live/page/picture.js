@@ -21,7 +21,7 @@ export function followClicks() {
   });
 }
 
-/** The part to be shown: magnified about the stripe, it stands still while the stripe is in it. */
+/** The part to be shown: magnified about the stripe, it is kept while the stripe is in it. */
 function partOf(f, { width, height }) {
   if (!$("zoom").checked || f.mode !== "stripe" || !f.stripe?.found) return whole;
   const { axis, centre_px } = f.stripe;

@@ -6,7 +6,7 @@ import { measured } from "./measured.js";
 import { $ } from "./page.js";
 
 const profile = $("profile").getContext("2d");
-let kept = null; // limits of the axes in mm, kept while they serve, so that the axes stand still
+let kept = null; // limits of the axes in mm, kept while they fit, so that the axes do not move
 
 /** Plot the points of a frame's profile; without a calibration there are none, and a notice. */
 export function drawProfile(points) {

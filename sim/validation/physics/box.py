@@ -39,7 +39,7 @@ def power_from_walls(scene: Scene, rays: int, batches: int) -> Floats:
     water = water_optics(tank.scene.tank.water, tank.scene.tank.laser.wavelength_nm)
     dry = replace(water, absorption_per_mm=0.0, scattering_per_mm=0.0)
     tank.higher.configure(dry, tank.sheets, 0.0)
-    lit = mi.load_dict({"type": "scene", **_walls(), "sheet": tank.sheets[0]})
+    lit = mi.load_dict({"type": "scene", "walls": _walls(), "sheet": tank.sheets[0]})
     area = 6 * (2 * HALF_MM) ** 2
     return np.array(
         [np.pi * area * _radiance(tank, lit, rays, SEED + k).mean() for k in range(batches)]
@@ -49,10 +49,8 @@ def power_from_walls(scene: Scene, rays: int, batches: int) -> Floats:
 def _walls() -> dict[str, object]:
     """The six sides, in Mitsuba's description."""
     matt = {"type": "diffuse", "reflectance": {"type": "spectrum", "value": ALBEDO}}
-    inside_out = mi.ScalarTransform4f().scale(HALF_MM)
-    return {
-        "box": {"type": "cube", "to_world": inside_out, "flip_normals": True, "bsdf": matt},
-    }
+    scale = mi.ScalarTransform4f().scale(HALF_MM)
+    return {"type": "cube", "to_world": scale, "flip_normals": True, "bsdf": matt}
 
 
 def _radiance(tank: Tank, scene: mi.Scene, count: int, seed: int) -> Floats:

@@ -34,18 +34,20 @@ class ScenePicture:
     uri: str
 
 
-@dataclass(frozen=True)
-class Gallery:
-    """The plates of all scenes that could be rendered, and the rows that say which could not."""
+def gallery(scenes: Path, quick: bool = False) -> tuple[list[ScenePicture], list[Row]]:
+    """Pictures of all scene files beneath a folder, and the rows that say which there are not.
 
-    plates: tuple[ScenePicture, ...]
-    rows: tuple[Row, ...]
+    Parameters
+    ----------
+    scenes : Path
+        The folder.
+    quick : bool
+        Pictures an eighth as wide and high, with the fewest samples there are.
 
-
-def gallery(scenes: Path, quick: bool = False) -> Gallery:
-    """A plate of every scene file beneath ``scenes``; InputError where there is no such folder.
-
-    quick: pictures an eighth as wide and high, with the fewest samples there are.
+    Raises
+    ------
+    InputError
+        Where there is no such folder.
     """
     plates, failed = [], []
     files = scene_files(scenes)
@@ -55,7 +57,7 @@ def gallery(scenes: Path, quick: bool = False) -> Gallery:
         except Exception as error:  # one scene's fault is a row; the others are still shown
             failed.append(failed_row(f"picture of the scene {path.relative_to(scenes)}", error))
     whole = row("scenes-without-picture", len(failed), count=len(files), folder=scenes.name)
-    return Gallery(tuple(plates), (whole, *failed))
+    return plates, [whole, *failed]
 
 
 def scene_files(scenes: Path) -> list[Path]:

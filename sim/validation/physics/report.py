@@ -4,8 +4,7 @@ from collections.abc import Sequence
 from importlib.metadata import version
 from pathlib import Path
 
-from jinja2 import Environment, PackageLoader, StrictUndefined
-
+from lscan.figures.template import page_template
 from lscan.files.disk import write_atomically
 from sim.validation.physics.gallery import ScenePicture
 from sim.validation.rows import Topic, number, rows_of
@@ -24,16 +23,10 @@ def render_page(
     checks: Sequence[Topic], plates: Sequence[ScenePicture] = (), seconds: float = 0.0
 ) -> str:
     """The page as HTML text; it loads nothing from anywhere."""
-    environment = Environment(
-        loader=PackageLoader("sim.validation.physics", ""),
-        autoescape=True,
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
+    template = page_template(
+        "sim.validation.physics", "report.html.j2", number=number, share=share_of_bar
     )
-    environment.filters["number"] = number
-    environment.filters["share"] = share_of_bar
-    return environment.get_template("report.html.j2").render(
+    return template.render(
         checks=checks,
         plates=plates,
         seconds=seconds,

@@ -63,10 +63,10 @@ def run_verify(
         checks.append(replace(check, rows=tuple(file.add(check.rows))))
         if progress is not None:
             progress(done, len(measures) + 1)
-    shown = gallery(scenes, quick)
-    checks.append(topic("gallery", file.add(shown.rows)))
-    evidence = TankEvidence(tuple(checks), shown.plates, time.perf_counter() - started)
-    write_page(folder / "report.html", evidence.checks, shown.plates, evidence.seconds)
+    plates, rows = gallery(scenes, quick)
+    checks.append(topic("gallery", file.add(rows)))
+    evidence = TankEvidence(tuple(checks), tuple(plates), time.perf_counter() - started)
+    write_page(folder / "report.html", evidence.checks, plates, evidence.seconds)
     return evidence
 
 
