@@ -48,11 +48,10 @@ def verify(
     if full and quick:
         raise typer.BadParameter("--full and --quick exclude each other")
     with progress_bar("verify") as progress:
-        evidence = run_verify(output, scenes or scenes_folder(), quick, progress)
+        rows = run_verify(output, scenes or scenes_folder(), quick, progress)
     if json_file is not None:
-        write_rows(json_file, evidence.rows)
-    files = [output / "report.html", output / "verify.json"]
-    _end_with_rows("verify", evidence.rows, files, json)
+        write_rows(json_file, rows)
+    _end_with_rows("verify", rows, [output / "report.html", output / "verify.json"], json)
 
 
 def accuracy(
@@ -90,11 +89,11 @@ def hardware(
     from sim.validation.robustness.run import run_hardware
 
     with progress_bar("hardware") as progress:
-        evidence = run_hardware(scenes or scenes_folder(), output, quick, progress)
+        rows, outcomes = run_hardware(scenes or scenes_folder(), output, quick, progress)
     if not json:
         headings = ["", "injected", "borne", "stopped the scan", "not clean"]
-        print_table("faults", headings, kind_cells(evidence.outcomes))
-    _end_with_rows("hardware", evidence.rows, [output], json)
+        print_table("faults", headings, kind_cells(outcomes))
+    _end_with_rows("hardware", rows, [output], json)
 
 
 def _end_with_rows(title: str, rows: Sequence[Row], files: Sequence[Path], json: bool) -> None:

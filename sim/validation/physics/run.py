@@ -1,36 +1,22 @@
 """The whole run: measure every chapter, writing its figures, then show them on a page."""
 
 import time
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
 from lscan.files.disk import make_folder
 from lscan.records import Progress
 from sim.validation.physics.chapters import FULL, QUICK, Measure, chapters
-from sim.validation.physics.gallery import ScenePicture, gallery, scene_files
+from sim.validation.physics.gallery import gallery, scene_files
 from sim.validation.physics.report import write_page
 from sim.validation.physics.topics import topic
-from sim.validation.rows import Row, RowFile, Topic, failed_row, rows_of
-
-
-@dataclass(frozen=True)
-class TankEvidence:
-    """What a run found: its checks, the pictures of the scenes, and how long it took."""
-
-    checks: tuple[Topic, ...]
-    plates: tuple[ScenePicture, ...]
-    seconds: float
-
-    @property
-    def rows(self) -> list[Row]:
-        """All rows, in the order of the page."""
-        return rows_of(self.checks)
+from sim.validation.rows import Row, RowFile, Topic, failed_row
 
 
 def run_verify(
     folder: Path, scenes: Path, quick: bool = False, progress: Progress | None = None
-) -> TankEvidence:
-    """The evidence, also written to ``folder`` as verify.json and report.html.
+) -> list[Row]:
+    """All rows of the evidence, also written to ``folder`` as verify.json and report.html.
 
     The rows are written as they are measured; a chapter or a scene that ends with an error is
     a failed row with its message.
@@ -65,9 +51,8 @@ def run_verify(
             progress(done, len(measures) + 1)
     plates, rows = gallery(scenes, quick)
     checks.append(topic("gallery", file.add(rows)))
-    evidence = TankEvidence(tuple(checks), tuple(plates), time.perf_counter() - started)
-    write_page(folder / "report.html", evidence.checks, plates, evidence.seconds)
-    return evidence
+    write_page(folder / "report.html", checks, plates, time.perf_counter() - started)
+    return file.rows
 
 
 def _measured(name: str, measure: Measure) -> Topic:

@@ -3,7 +3,6 @@
 import logging
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass
 from pathlib import Path
 
 from lscan.config.rigfile import load_rig
@@ -20,18 +19,10 @@ from sim.validation.rows import Row, RowFile, measured
 NEEDED = ("board", "sandwave")
 
 
-@dataclass(frozen=True)
-class HardwareEvidence:
-    """The rows of the table, and what became of each injected fault."""
-
-    rows: tuple[Row, ...]
-    outcomes: tuple[Outcome, ...]
-
-
 def run_hardware(
     scenes: Path, output: Path, quick: bool = False, progress: Progress | None = None
-) -> HardwareEvidence:
-    """The figures, whose rows are also written to ``output`` as they are measured.
+) -> tuple[list[Row], list[Outcome]]:
+    """The rows, also written to ``output`` as they are measured, and what became of each fault.
 
     scenes: folder of the scene files.  quick: every row, with the least effort.  progress: called
     with (done, all) after each chapter.  The chapters take turns, because one would spoil what
@@ -66,7 +57,7 @@ def run_hardware(
         file.add(measured(name, chapter))
         if progress is not None:
             progress(done, len(chapters))
-    return HardwareEvidence(tuple(file.rows), tuple(outcomes))
+    return file.rows, outcomes
 
 
 @contextmanager
