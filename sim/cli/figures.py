@@ -91,7 +91,7 @@ def hardware(
     with progress_bar("hardware") as progress:
         rows, outcomes = run_hardware(scenes or scenes_folder(), output, quick, progress)
     if not json:
-        headings = ["", "injected", "borne", "stopped the scan", "not clean"]
+        headings = ["", "injected", "tolerated", "stopped the scan", "not clean"]
         print_table("faults", headings, kind_cells(outcomes))
     _end_with_rows("hardware", rows, [output], json)
 

@@ -1,4 +1,4 @@
-"""A rig on the bench: real drivers on faulty devices, and a fault that strikes in its moment."""
+"""A rig on the bench: real drivers on faulty devices, and a fault injected at its moment."""
 
 import time
 from collections.abc import Callable, Iterator
@@ -27,7 +27,7 @@ SPEED_MM_S: Final = RIG["track"]["options"]["feed_mm_min"] / 60
 
 PATIENCE_S: Final = {"camera hung": 0.15, "camera clock set": 0.5}
 """Time-out under faults that wait for it; how each ends is the same however long it is.  A clock
-set wrong by less is borne, so there it must be long for a picture on a busy machine."""
+set wrong by less is tolerated, so there it must be long for a picture on a busy machine."""
 
 
 @dataclass
@@ -35,14 +35,14 @@ class FaultBench:
     """The devices of one experiment and its fault.
 
     reported: frames reported as done so far.  asked_s: frame to when its last grab began, on
-    the monotonic clock.  struck: whether the fault's moment came.
+    the monotonic clock.  injected: whether the fault's moment came.
     """
 
     fault: InjectedFault
     folder: Path
     seed: int
     reported: int = 0
-    struck: bool = False
+    injected: bool = False
     asked_s: dict[int, float] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
@@ -64,18 +64,18 @@ class FaultBench:
             patches.enter_context(mock.patch.object(time, "time", self._wall_clock(time.time)))
             patches.enter_context(self.disk.watched())
             if self.fault.phase == "opening":
-                self._strike()
+                self._inject()
             return lscan.acquisition.scan.scan(
                 self.rig_file, self.folder, resume=self._over, progress=self._report
             )
 
-    def mend(self) -> None:
-        """End the fault; from now on scans are resumed, and nothing strikes any more."""
-        self._over = self.struck = True
+    def clear(self) -> None:
+        """End the fault; from now on scans are resumed, and no fault occurs any more."""
+        self._over = self.injected = True
         self._clock_offset_s = 0.0
-        self.camera.mend()
-        self.track.mend()
-        self.disk.mend()
+        self.camera.clear()
+        self.track.clear()
+        self.disk.clear()
 
     # ---- moments ------------------------------------------------------------------------
 
@@ -83,15 +83,15 @@ class FaultBench:
         """The track is about to be sent to ``target_mm``."""
         self._calls = None
         if self._is_turn(self._frame_at(target_mm), "before the move"):
-            self._strike()
+            self._inject()
         if self._is_turn(self._frame_at(target_mm), "in mid-move"):
             way_s = abs(target_mm - from_mm) / SPEED_MM_S
-            self.track.time.at(self.track.time() + self.fault.part * way_s, self._strike)
+            self.track.time.at(self.track.time() + self.fault.part * way_s, self._inject)
 
     def grab_begins(self, frame: int) -> None:
         """A picture is about to be asked for."""
         if self._is_turn(frame, "before the grab"):
-            self._strike()
+            self._inject()
         self.asked_s[frame] = time.monotonic()
         self.camera.grab_begins()
 
@@ -103,28 +103,28 @@ class FaultBench:
     def _disk_called(self) -> None:
         if self._calls is not None:
             if self._calls == self.fault.call:
-                self._strike()
+                self._inject()
             self._calls += 1
 
     def _is_turn(self, frame: int, phase: str) -> bool:
-        return not self.struck and (frame, phase) == (self.fault.frame, self.fault.phase)
+        return not self.injected and (frame, phase) == (self.fault.frame, self.fault.phase)
 
     def _frame_at(self, target_mm: float) -> int:
         plan = self.rig_file.rig.plan
         return round((target_mm - plan.start_mm) / plan.step_mm)
 
-    def _strike(self) -> None:
-        if self.struck:
+    def _inject(self) -> None:
+        if self.injected:
             return
-        self.struck = True
+        self.injected = True
         kind, strength = self.fault.kind, self.fault.strength
-        struck: dict[str, Callable[[str, float], None]] = {
-            "camera": self.camera.strike,
-            "track": self.track.strike,
-            "disk": self.disk.strike,
+        inject: dict[str, Callable[[str, float], None]] = {
+            "camera": self.camera.inject,
+            "track": self.track.inject,
+            "disk": self.disk.inject,
             "clock": self._set_clock,
         }
-        struck[KINDS[kind].device](kind, strength)
+        inject[KINDS[kind].device](kind, strength)
 
     def _set_clock(self, _: str, offset_s: float) -> None:
         self._clock_offset_s = offset_s
@@ -206,9 +206,9 @@ class WatchedCamera:
 
 @contextmanager
 def bench_for(fault: InjectedFault, folder: Path, seed: int) -> Iterator[FaultBench]:
-    """The bench, mended at the end so that no reading thread is left hanging."""
+    """The bench, its fault cleared at the end so that no reading thread is left hanging."""
     bench = FaultBench(fault, folder, seed)
     try:
         yield bench
     finally:
-        bench.mend()
+        bench.clear()

@@ -1,4 +1,4 @@
-"""Which faults there are, at which moments they strike, and how one is drawn."""
+"""Which faults there are, at which moments they occur, and how one is drawn."""
 
 import math
 from collections.abc import Mapping
@@ -41,9 +41,9 @@ KINDS: Final[Mapping[str, FaultKind]] = {
 class InjectedFault:
     """One fault.
 
-    frame: in whose turn it strikes.  phase: when within it; part: where within the phase, 0 to
+    frame: in whose turn it occurs.  phase: when within it; part: where within the phase, 0 to
     1 of the way, or of the system calls that write the frame.  strength: as the device's
-    ``strike`` takes it.  stamped: whether the camera stamps its pictures with their time.
+    ``inject`` takes it.  stamped: whether the camera stamps its pictures with their time.
     """
 
     kind: str
@@ -55,7 +55,7 @@ class InjectedFault:
 
     @property
     def call(self) -> int:
-        """Number of the system call of the frame's write that it strikes in."""
+        """Number of the system call of the frame's write at which it occurs."""
         return int(self.part * CALLS_A_FRAME)
 
 
@@ -67,7 +67,7 @@ def draw_fault(kind: str, generator: np.random.Generator) -> InjectedFault:
         phase = "before the move"
     if device == "disk" and generator.random() < 0.5:
         phase = "in the write"
-    # What strikes the devices after the last picture's move has nothing left to spoil.
+    # A fault of the devices after the last picture's move has no effect any more.
     last = FRAMES if device == "disk" or phase == "before the move" else FRAMES - 1
     stamped = bool(generator.integers(2)) or kind == "camera clock set"
     return InjectedFault(
@@ -81,7 +81,7 @@ def draw_fault(kind: str, generator: np.random.Generator) -> InjectedFault:
 
 
 def _strength(kind: str, phase: Phase, stamped: bool, generator: np.random.Generator) -> float:
-    """How strong: see ``strike`` of the device."""
+    """How strong: see ``inject`` of the device."""
     device = KINDS[kind].device
     if kind in ("serial garbled", "serial noisy"):
         low, high = (-1.0, -0.3) if kind == "serial garbled" else (-4.0, -1.0)

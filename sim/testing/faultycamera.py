@@ -45,7 +45,7 @@ class FaultyCamera:
 
     # ---- the world's side ---------------------------------------------------------------
 
-    def strike(self, kind: str, strength: float) -> None:
+    def inject(self, kind: str, strength: float) -> None:
         """Let a fault begin.
 
         camera late: ``strength`` pictures are held back until the next grab.  camera clock set:
@@ -62,7 +62,7 @@ class FaultyCamera:
         else:
             self._kind, self._left = kind, strength
 
-    def mend(self) -> None:
+    def clear(self) -> None:
         """End every fault; readings that hang come back."""
         self._kind, self._left, self.stamp_offset_s = "", 0.0, 0.0
         self.asked.set()
@@ -76,13 +76,13 @@ class FaultyCamera:
 
     def open(self, options: OpencvOptions) -> "FaultyCapture":
         """A capture; it does not open while the camera is gone."""
-        away = self.befallen("camera gone")
+        away = self.due_fault("camera gone")
         self.under_way.clear()
         self.freed.clear()
         self.asked.set()
         return FaultyCapture(self, away)
 
-    def befallen(self, *kinds: str) -> str:
+    def due_fault(self, *kinds: str) -> str:
         """The fault of this reading, if it is one of ``kinds`` (of any, if none are named)."""
         if self._left <= 0 or (kinds and self._kind not in kinds):
             return ""
@@ -100,7 +100,7 @@ class FaultyCamera:
         draw_mark(image, mark)
         return image, mark.exposed_s
 
-    def spoilt(self, image: Bytes, kind: str) -> Any:
+    def corrupted(self, image: Bytes, kind: str) -> Any:
         """What the fault makes of a picture."""
         if kind == "camera black":
             return np.zeros_like(image)
@@ -164,7 +164,7 @@ class FaultyCapture:
         camera.asked.wait(60)
         if len(camera.under_way) <= UNDER_WAY:  # else what was held back comes in one burst
             time.sleep(PERIOD_S)
-        fault = camera.befallen()
+        fault = camera.due_fault()
         if fault == "camera hung":
             camera.freed.wait(60)
         if fault in ("camera hung", "camera gone"):
@@ -175,6 +175,6 @@ class FaultyCapture:
             camera.under_way.append(camera.expose())
         image, exposed_s = camera.under_way.popleft()
         self._stamp_s = exposed_s + camera.stamp_offset_s if camera.stamped else 0.0
-        seen = camera.spoilt(image, fault)
+        seen = camera.corrupted(image, fault)
         camera.last = seen if fault == "camera same twice" else image
         return True, seen

@@ -19,7 +19,7 @@ REFUSED = packaged_table("sim.testing", "faults.toml")["disk"]
 """Kind of fault to the name of the error and the calls it refuses."""
 
 PARTLY = frozenset({"disk full", "disk error", "disk pulled"})
-"""Faults under which the write they strike still writes its first bytes."""
+"""Faults under which the write they hit still writes its first bytes."""
 
 
 class FaultyDisk:
@@ -36,7 +36,7 @@ class FaultyDisk:
         self._kind, self._part = "", 0.0
         self._limits = resource.getrlimit(resource.RLIMIT_FSIZE)
 
-    def strike(self, kind: str, strength: float) -> None:
+    def inject(self, kind: str, strength: float) -> None:
         """Let a fault begin; strength, 0 to 1: which part of the first write still succeeds.
 
         folder vanished: it is renamed.  file size limit: the kernel's own, at ``strength``
@@ -49,7 +49,7 @@ class FaultyDisk:
         elif kind == "file size limit":
             resource.setrlimit(resource.RLIMIT_FSIZE, (int(8000 * strength), self._limits[1]))
 
-    def mend(self) -> None:
+    def clear(self) -> None:
         """End the fault."""
         self._kind = ""
         resource.setrlimit(resource.RLIMIT_FSIZE, self._limits)

@@ -54,7 +54,7 @@ class FaultyTrack:
         before_mm = self._emulator.head_mm[0]
         return before_mm - ZERO_MM, self._emulator.state not in ("Idle", "Alarm")
 
-    def strike(self, kind: str, strength: float) -> None:
+    def inject(self, kind: str, strength: float) -> None:
         """Let a fault begin now; strength: of the noise, or how many ok are lost."""
         self._kind, fault = kind, FAULTS[kind]
         if fault.garble:
@@ -63,7 +63,7 @@ class FaultyTrack:
             fault = replace(fault, lose_oks=int(strength))
         self._emulator.inject(replace(fault, begin_s=self.time()))
 
-    def mend(self) -> None:
+    def clear(self) -> None:
         """End the fault; a controller whose cable was pulled has lost its power too."""
         self._emulator.inject(Faults())
         if self._kind == "serial unplugged":

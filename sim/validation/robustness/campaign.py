@@ -22,7 +22,7 @@ from sim.validation.rows import Row, row
 
 SEED: Final = 5005
 LEAST_STRUCK: Final = 0.81
-"""Share of the faults that must strike, 500 of 621: a scan can be over before their moment."""
+"""Share of the faults that must be injected, 500 of 621: a scan can be over before their moment."""
 
 PLACE_TOLERANCE_MM: Final = 0.02
 """The rig's ``track.options.tolerance_mm``."""
@@ -34,15 +34,15 @@ DEVICE_NAMES: Final = {"camera": "camera opencv (device 0): ", "track": "grbl tr
 class Outcome:
     """What became of one experiment.
 
-    ended: "borne" where the scan came to its end in spite of the fault, else "stopped".
+    ended: "tolerated" where the scan came to its end in spite of the fault, else "stopped".
     message: its error line.  kept: frames on disk when it ended.  violation: the first thing
     that did not hold, "" where all did.
     """
 
     fault: InjectedFault
     seed: int
-    struck: bool
-    ended: Literal["borne", "stopped"]
+    injected: bool
+    ended: Literal["tolerated", "stopped"]
     message: str
     kept: int
     violation: str
@@ -71,7 +71,7 @@ def run_campaign(
 
 def run_experiment(fault: InjectedFault, seed: int, path: Path) -> Outcome:
     """The outcome of one scan into the folder ``path`` that meets the fault, and is resumed."""
-    ended: Literal["borne", "stopped"] = "borne"
+    ended: Literal["tolerated", "stopped"] = "tolerated"
     message, kept, violation = "", 0, ""
     with bench_for(fault, path, seed) as bench:
         error: BaseException | None = None
@@ -80,15 +80,15 @@ def run_experiment(fault: InjectedFault, seed: int, path: Path) -> Outcome:
         except Exception as caught:
             error, ended = caught, "stopped"
             message = "; ".join([str(caught), *getattr(caught, "__notes__", ())])
-        struck = bench.struck
-        bench.mend()
+        injected = bench.injected
+        bench.clear()
         try:
             kept = _check_all(bench, error, message)
         except Violation as found:
             violation = str(found)
     if not violation:
         shutil.rmtree(path)
-    return Outcome(fault, seed, struck, ended, message.replace(str(path), "RUN"), kept, violation)
+    return Outcome(fault, seed, injected, ended, message.replace(str(path), "RUN"), kept, violation)
 
 
 def fault_rows(each: int, seed: int = SEED) -> tuple[list[Row], list[Outcome]]:
@@ -99,7 +99,7 @@ def fault_rows(each: int, seed: int = SEED) -> tuple[list[Row], list[Outcome]]:
     count = each * len(KINDS)
     with tempfile.TemporaryDirectory(prefix="lscan-faults-") as folder:
         outcomes = run_campaign(count, seed, Path(folder))
-    injected = sum(outcome.struck for outcome in outcomes)
+    injected = sum(outcome.injected for outcome in outcomes)
     unclean = sum(bool(outcome.violation) for outcome in outcomes)
     least = ceil(LEAST_STRUCK * count)
     return [
@@ -109,14 +109,14 @@ def fault_rows(each: int, seed: int = SEED) -> tuple[list[Row], list[Outcome]]:
 
 
 def kind_cells(outcomes: Sequence[Outcome]) -> list[list[str]]:
-    """Cells of a table: kind of fault, how many struck, were borne, stopped the scan, unclean."""
+    """Cells of a table: kind of fault, how many were injected, tolerated, stopped the scan, unclean."""
     counts: dict[str, Counter[str]] = {kind: Counter() for kind in KINDS}
     for outcome in outcomes:
-        if outcome.struck:
-            counts[outcome.fault.kind].update(["struck", outcome.ended])
+        if outcome.injected:
+            counts[outcome.fault.kind].update(["injected", outcome.ended])
         if outcome.violation:
             counts[outcome.fault.kind]["unclean"] += 1
-    columns = ("struck", "borne", "stopped", "unclean")
+    columns = ("injected", "tolerated", "stopped", "unclean")
     return [[kind, *(str(count[column]) for column in columns)] for kind, count in counts.items()]
 
 
@@ -155,7 +155,7 @@ def check_message(bench: FaultBench, error: BaseException | None, message: str) 
     if error is None:
         return
     _hold(isinstance(error, LscanError), f"ended in {type(error).__name__}: {error}")
-    _hold(kind.says != "", f"should have been borne: {message}")
+    _hold(kind.says != "", f"should have been tolerated: {message}")
     _hold("\n" not in message, f"more than one line: {message!r}")
     named = DEVICE_NAMES.get(kind.device, str(bench.folder))
     _hold(message.startswith(named), f"does not name the device or file: {message}")

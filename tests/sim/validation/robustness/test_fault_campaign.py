@@ -46,7 +46,7 @@ def test_a_fault_of_every_kind_ends_clean(tmp_path: Path) -> None:
     outcomes = run_campaign(len(KINDS), seed=1, folder=tmp_path)
     assert violations(outcomes) == []
     assert [outcome.fault.kind for outcome in outcomes] == list(KINDS)
-    assert all(outcome.struck for outcome in outcomes)
+    assert all(outcome.injected for outcome in outcomes)
     assert list(tmp_path.iterdir()) == []
 
 
@@ -56,10 +56,10 @@ def test_a_hundred_faults_end_clean_at_any_moment(tmp_path: Path) -> None:
     kinds = [kind for kind in KINDS if kind not in ("camera hung", "camera clock set")]
     outcomes = run_campaign(4 * len(kinds), 2, tmp_path, kinds)
     assert violations(outcomes) == []
-    assert all(outcome.struck for outcome in outcomes)
+    assert all(outcome.injected for outcome in outcomes)
     # A campaign that always stops, or never, would test only half of what it says.
     ended = [outcome.ended for outcome in outcomes]
-    assert len(outcomes) // 10 < ended.count("borne") < len(outcomes) // 2
+    assert len(outcomes) // 10 < ended.count("tolerated") < len(outcomes) // 2
     assert {outcome.kept for outcome in outcomes} == set(range(FRAMES + 1))
 
 
@@ -68,7 +68,7 @@ def test_a_seed_gives_the_same_faults_and_the_same_ends(tmp_path: Path) -> None:
 
     def ends(seed: int) -> list[tuple[Any, ...]]:
         outcomes = run_campaign(len(kinds), seed, tmp_path, kinds)
-        return [(each.fault, each.struck, each.ended, each.kept) for each in outcomes]
+        return [(each.fault, each.injected, each.ended, each.kept) for each in outcomes]
 
     assert ends(7) == ends(7)
     assert [each[0] for each in ends(7)] != [each[0] for each in ends(8)]
@@ -87,8 +87,8 @@ def test_every_moment_is_drawn(kind: str) -> None:
 def test_the_rows_count_faults_and_what_was_not_clean(monkeypatch: pytest.MonkeyPatch) -> None:
     fault = InjectedFault("alarm", 1, "before the move", 0.5, 0.5, True)
     clean = Outcome(fault, 0, True, "stopped", "", 1, "")
-    missed = replace(clean, struck=False)
-    bad = replace(clean, ended="borne", violation="lost")
+    missed = replace(clean, injected=False)
+    bad = replace(clean, ended="tolerated", violation="lost")
     each, count = 20, 20 * len(KINDS)
     least = math.ceil(0.81 * count)  # the share of 621 faults that 500 are
     outcomes = [clean] * (least - 1) + [missed] * (count - least + 1)
@@ -183,12 +183,14 @@ def test_an_end_that_does_not_say_what_is_kept_is_seen(
     assert "does not say what is kept" in violation
 
 
-def test_a_fault_that_should_be_borne_is_seen(
+def test_a_fault_that_should_be_tolerated_is_seen(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """(a)"""
     monkeypatch.setattr(OpencvCamera, "_sound_picture", broken("camera opencv (device 0): late"))
-    assert "should have been borne" in first_violation(tmp_path, "camera late", "in mid-move", 1)
+    assert "should have been tolerated" in first_violation(
+        tmp_path, "camera late", "in mid-move", 1
+    )
 
 
 def test_a_row_written_before_its_picture_is_seen(
