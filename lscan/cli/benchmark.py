@@ -31,8 +31,8 @@ def bench(
 
     The exit code is 1 where one is out of the limits that every method must keep to.
     """
-    from lscan.benchmark import MAPS, registered_extractors, run_bench
     from lscan.benchmark.page import EXTRACTOR_COLUMNS, MAP_COLUMNS, table_cells
+    from lscan.benchmark.run import MAPS, registered_extractors, run_bench
 
     extractors = _taking_part(() if only else registered_extractors(), extractor)
     maps = _taking_part(() if only else MAPS, plane_map)

@@ -1,8 +1,8 @@
 """A rig on the bench: real drivers on faulty devices, and a fault injected at its moment."""
 
 import time
-from collections.abc import Callable, Iterator
-from contextlib import ExitStack, contextmanager
+from collections.abc import Callable
+from contextlib import ExitStack
 from dataclasses import dataclass, field
 from pathlib import Path
 from types import SimpleNamespace
@@ -202,13 +202,3 @@ class WatchedCamera:
     def close(self) -> None:
         """The real camera's."""
         self.real.close()
-
-
-@contextmanager
-def bench_for(fault: InjectedFault, folder: Path, seed: int) -> Iterator[FaultBench]:
-    """The bench, its fault cleared at the end so that no reading thread is left hanging."""
-    bench = FaultBench(fault, folder, seed)
-    try:
-        yield bench
-    finally:
-        bench.clear()

@@ -15,7 +15,7 @@ import numpy as np
 
 from lscan.acquisition.run import MANIFEST, TABLE, Run, frame_file, open_run
 from lscan.errors import InputError, LscanError
-from sim.testing.faultbench import FaultBench, bench_for
+from sim.testing.faultbench import FaultBench
 from sim.testing.faults import FRAMES, KINDS, InjectedFault, draw_fault
 from sim.testing.marks import read_mark
 from sim.validation.rows import Row, row
@@ -73,19 +73,20 @@ def run_experiment(fault: InjectedFault, seed: int, path: Path) -> Outcome:
     """The outcome of one scan into the folder ``path`` that meets the fault, and is resumed."""
     ended: Literal["tolerated", "stopped"] = "tolerated"
     message, kept, violation = "", 0, ""
-    with bench_for(fault, path, seed) as bench:
-        error: BaseException | None = None
-        try:
-            bench.scan()
-        except Exception as caught:
-            error, ended = caught, "stopped"
-            message = "; ".join([str(caught), *getattr(caught, "__notes__", ())])
+    error: BaseException | None = None
+    bench = FaultBench(fault, path, seed)
+    try:
+        bench.scan()
+    except Exception as caught:
+        error, ended = caught, "stopped"
+        message = "; ".join([str(caught), *getattr(caught, "__notes__", ())])
+    finally:
         injected = bench.injected
-        bench.clear()
-        try:
-            kept = _check_all(bench, error, message)
-        except Violation as found:
-            violation = str(found)
+        bench.clear()  # or a reading thread would be left hanging
+    try:
+        kept = _check_all(bench, error, message)
+    except Violation as found:
+        violation = str(found)
     if not violation:
         shutil.rmtree(path)
     return Outcome(fault, seed, injected, ended, message.replace(str(path), "RUN"), kept, violation)
@@ -109,7 +110,7 @@ def fault_rows(each: int, seed: int = SEED) -> tuple[list[Row], list[Outcome]]:
 
 
 def kind_cells(outcomes: Sequence[Outcome]) -> list[list[str]]:
-    """Cells of a table: kind of fault, how many were injected, tolerated, stopped the scan, unclean."""
+    """Cells of a table: kind of fault, and how many were injected, tolerated, stopping, unclean."""
     counts: dict[str, Counter[str]] = {kind: Counter() for kind in KINDS}
     for outcome in outcomes:
         if outcome.injected:

@@ -9,21 +9,14 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from lscan.benchmark import (
-    MAPS,
-    ExtractorRow,
-    bench_extractors,
-    bench_maps,
-    registered_extractors,
-    run_bench,
-    write_bench,
-)
 from lscan.benchmark import maps as maps_module
 from lscan.benchmark.boards import BOARDS, reading_of
-from lscan.benchmark.extractors import bound_px
+from lscan.benchmark.extractors import ExtractorRow, bench_extractors, bound_px
 from lscan.benchmark.limits import failed_of_extractor, failed_of_map
-from lscan.benchmark.page import EXTRACTOR_COLUMNS, MAP_COLUMNS, table_cells
+from lscan.benchmark.maps import bench_maps
+from lscan.benchmark.page import EXTRACTOR_COLUMNS, MAP_COLUMNS, table_cells, write_bench
 from lscan.benchmark.pictures import BACKGROUND_DN, SHAPE, LineCase, centres, draw, mean_picture
+from lscan.benchmark.run import MAPS, registered_extractors, run_bench
 from lscan.calibration.api import PlaneMap, find_solver
 from lscan.cli.app import app
 from lscan.config.rig import NoiseSection, OpticsSection, StripeSection
