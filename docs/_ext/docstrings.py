@@ -1,7 +1,9 @@
 """Docstrings as the code has them, made ready for Sphinx, and references to what is not public.
 
 The project's records describe their fields in lines such as ``xyz_mm: (F, N, 3) points``, continued
-by indented ones.  Sphinx reads them as a list once they are written as one.
+by indented ones.  Sphinx reads them as a list once they are written as one.  A parameter of
+numpydoc stands in one line, ``image_px : (N, 2) array, px, of (u, v)``: only the first word after
+the shape is a type that Sphinx can refer to, and the rest becomes its text.
 """
 
 import re
@@ -12,6 +14,24 @@ from docutils import nodes
 
 FIELDS = re.compile(r"^(\s*)((?:[a-zA-Z_]\w*)(?:, [a-zA-Z_]\w*)*): (\S.*)$")
 HEADING = re.compile(r"^-{3,}$")
+SHAPE = r"(?P<shape>\([^)]*\)(?: or \([^)]*\))*) "
+DESCRIBED = re.compile(rf"^(?P<names>\w+(?:, \w+)*) : (?:{SHAPE})?(?P<type>[^,;]+), (?P<text>.+)$")
+
+
+def types_apart(
+    _app: Any, _what: str, _name: str, _obj: Any, _options: Any, lines: list[str]
+) -> None:
+    """Take what follows a type in a line ``name : type, text`` to a line of its own."""
+    written: list[str] = []
+    for line in lines:
+        described = DESCRIBED.match(line)
+        if described is None:
+            written.append(line)
+            continue
+        shape = described["shape"]
+        text = f"{shape}, {described['text']}" if shape else described["text"]
+        written += [f"{described['names']} : {described['type']}", f"    {text}"]
+    lines[:] = written
 
 
 def fields_as_list(

@@ -101,6 +101,7 @@ def setup(app: Sphinx) -> dict[str, Any]:
     app.add_directive("public-names", PublicNames)
     app.add_directive("import-graph", ImportGraph)
     app.add_directive("gallery", Gallery)
+    app.connect("autodoc-process-docstring", docstrings.types_apart, priority=400)  # first
     app.connect("autodoc-process-docstring", docstrings.fields_as_list)
     app.connect("missing-reference", docstrings.internal_name)
     return {"parallel_read_safe": False}
