@@ -32,8 +32,11 @@ from lscan.surface.shaftfit import ShaftFit, calibrate_shaft
 class BoardMeasures:
     """Lengths of the board by one plane map: Tables I and II.
 
-    distances, diameters: by feature, such as "A1A2" and "E".
-    unmeasured: the distances without a value, each with the reason.
+    Attributes
+    ----------
+    distances : mapping of Length, mm, by the two dots, such as "A1A2" (Table I)
+    diameters : mapping of Length, mm, by ring, such as "E" (Table II)
+    unmeasured : mapping of Status, the distances without a value, each with the reason
     """
 
     distances: Mapping[str, Length]
@@ -51,7 +54,12 @@ class BoardMeasures:
 
 @dataclass(frozen=True)
 class GrooveMeasures:
-    """Dimensions of the grooved block by their names in Table III."""
+    """Dimensions of the grooved block.
+
+    Attributes
+    ----------
+    dimensions : mapping of Length, mm, by their names in Table III
+    """
 
     dimensions: Mapping[str, Length]
 
@@ -64,7 +72,14 @@ class GrooveMeasures:
 class SandwaveMeasures:
     """The sandwave's surface as scanned and aligned, and its slices by name (Fig. 28).
 
-    errors: of each slice, measured minus designed height.
+    Attributes
+    ----------
+    raw : Surface, frame of the head, as scanned
+    alignment : Alignment, from the head's frame to the workpiece's
+    aligned : Surface, frame of the workpiece, corrected as ``reconstruct`` does
+    slices : mapping of Slice, frame of the workpiece, by name
+    errors : mapping of SliceErrors, measured minus designed height of each slice, mm
+    step_mm : float, mm, from one picture to the next along the track
     """
 
     raw: Surface
@@ -95,12 +110,9 @@ def measure_run(run: Run, plane_map: PlaneMap, progress: Progress | None = None)
 
     Parameters
     ----------
-    run : Run
-        Of the rig's ``[workpiece]``, or of its ``[board]`` where it names none.
-    plane_map : PlaneMap
-        Of the rig's camera, from its pixels to the laser sheet.
-    progress : callable, optional
-        Called with the number of pictures that are read and the number of all.
+    run : Run, of the rig's ``[workpiece]``, or of its ``[board]`` where it names none
+    plane_map : PlaneMap, of the rig's camera, from its pixels to the laser sheet
+    progress : callable, optional, called with the number of pictures that are read and of all
 
     Returns
     -------
@@ -138,7 +150,19 @@ def measure_run(run: Run, plane_map: PlaneMap, progress: Progress | None = None)
 
 
 def measure_reading(reading: BoardReading, board: Board, plane_map: PlaneMap) -> BoardMeasures:
-    """The board's lengths (Tables I and II); MeasurementError where none can be measured."""
+    """The board's lengths (Tables I and II).
+
+    Parameters
+    ----------
+    reading : BoardReading, px, the marks found
+    board : Board, mm, their nominal places and the distances wanted
+    plane_map : PlaneMap, of the camera that took the picture
+
+    Raises
+    ------
+    MeasurementError
+        Where not one distance can be measured, or a ring has fewer than four points in the sheet.
+    """
     return BoardMeasures(
         distances(reading, board, plane_map),
         diameters(reading, board, plane_map),
@@ -148,6 +172,11 @@ def measure_reading(reading: BoardReading, board: Board, plane_map: PlaneMap) ->
 
 def measure_groove(run: Run, plane_map: PlaneMap) -> GrooveMeasures:
     """The dimensions of the grooved block (Table III).
+
+    Parameters
+    ----------
+    run : Run, of a rig whose ``[workpiece]`` is a grooved block
+    plane_map : PlaneMap, of the rig's camera, from its pixels to the laser sheet
 
     Raises
     ------
@@ -178,6 +207,12 @@ def measure_sandwave(
     run: Run, plane_map: PlaneMap, progress: Progress | None = None
 ) -> SandwaveMeasures:
     """The sandwave's surface, its alignment and its slices (Figs. 28 to 32).
+
+    Parameters
+    ----------
+    run : Run, of a rig whose ``[workpiece]`` is a sandwave
+    plane_map : PlaneMap, of the rig's camera, from its pixels to the laser sheet
+    progress : callable, optional, called with the number of pictures that are read and of all
 
     Raises
     ------
@@ -212,6 +247,12 @@ def measure_sandwave(
 def find_shaft(run: Run, plane_map: PlaneMap, progress: Progress | None = None) -> ShaftFit:
     """The rig's shaft as the run's scan of the sandwave shows it.
 
+    Parameters
+    ----------
+    run : Run, of a rig with a ``[shaft]`` and a sandwave for its ``[workpiece]``
+    plane_map : PlaneMap, of the rig's camera, from its pixels to the laser sheet
+    progress : callable, optional, called with the number of pictures that are read and of all
+
     Raises
     ------
     InputError
@@ -235,8 +276,7 @@ def read_shown_board(run: Run) -> tuple[Board, BoardReading]:
 
     Parameters
     ----------
-    run : Run
-        Of which nothing but a board can be measured: its rig names no workpiece.
+    run : Run, of which nothing but a board can be measured: its rig names no workpiece
 
     Returns
     -------
@@ -265,7 +305,12 @@ def read_shown_board(run: Run) -> tuple[Board, BoardReading]:
 
 
 def lengths_json(lengths: Mapping[str, Length]) -> dict[str, dict[str, float]]:
-    """The entries of results.json for a set of measured lengths."""
+    """The entries of results.json for a set of measured lengths.
+
+    Parameters
+    ----------
+    lengths : mapping of Length, mm, by feature
+    """
     return {name: length.as_json() for name, length in lengths.items()}
 
 

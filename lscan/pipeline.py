@@ -27,10 +27,12 @@ from lscan.surface.shaft import shaft_of, stack_about
 class Reconstruction:
     """A run's surface, before and after all that is known of the rig has been corrected for.
 
-    raw: in the head frame, as the profiles give it.
-    surface: corrected; in the workpiece frame where ``alignment`` is known, else in the head's.
-    alignment: of the sandwave that the rig names; None where it names none or it was not found.
-    unaligned: why a sandwave was not found, None where it was or there is none to find.
+    Attributes
+    ----------
+    raw : Surface, frame of the head, as the profiles give it
+    surface : Surface, corrected; frame of the workpiece where it is aligned, else the head's
+    alignment : Alignment or None, of the sandwave; None where none is named or it was not found
+    unaligned : MeasurementError or None, why a sandwave that the rig names was not found
     """
 
     raw: Surface
@@ -39,7 +41,13 @@ class Reconstruction:
     unaligned: MeasurementError | None = None
 
     def require_alignment(self) -> Alignment:
-        """The alignment; MeasurementError where the sandwave was not found."""
+        """The alignment of the sandwave.
+
+        Raises
+        ------
+        MeasurementError
+            Where the rig names no sandwave, or it was not found in the surface.
+        """
         if self.alignment is None:
             raise self.unaligned or MeasurementError("the rig names no sandwave to align with")
         return self.alignment
@@ -113,7 +121,18 @@ def reconstruct(run: Run, plane_map: PlaneMap, progress: Progress | None = None)
 
 
 def finish(raw: Surface, rig: Rig) -> Reconstruction:
-    """The raw surface of a run of the rig, head frame, aligned and corrected as ``reconstruct``."""
+    """The raw surface of a run of the rig, aligned and corrected as ``reconstruct`` does.
+
+    Parameters
+    ----------
+    raw : Surface, frame of the head
+    rig : Rig, of the run: its ``[workpiece]``, ``[sheet]`` and ``[shaft]`` count
+
+    Returns
+    -------
+    Reconstruction
+        A sandwave that is not found leaves its MeasurementError in ``unaligned``; none is raised.
+    """
     if not isinstance(rig.workpiece, Sandwave):
         return Reconstruction(raw, correct(raw, rig))
     try:
@@ -127,6 +146,17 @@ def place(raw: Surface, alignment: Alignment, rig: Rig) -> Surface:
     """The raw surface corrected with the alignment's yaw, and taken to the workpiece frame.
 
     The alignment stays as it is: on the wedges' flat tops there is nothing to correct.
+
+    Parameters
+    ----------
+    raw : Surface, frame of the head
+    alignment : Alignment, found in ``raw``
+    rig : Rig, whose ``[sheet]`` says what is corrected for
+
+    Raises
+    ------
+    InputError
+        Where ``raw`` is not in the head frame.
     """
     return apply(alignment, correct(raw, rig, alignment.yaw_rad))
 
@@ -136,32 +166,67 @@ def correct(raw: Surface, rig: Rig, yaw_rad: float = 0.0) -> Surface:
 
     Parameters
     ----------
-    raw : Surface
-        In the head frame.
-    rig : Rig
-        Whose ``[sheet]`` says how thick the sheet is and how it is seen.
-    yaw_rad : float
-        Angle of the sheet against the track, rad.  0, a sheet square to the track, is what the
-        head frame itself takes it for.  A yaw of 2.2 degrees that is not known so leaves a
+    raw : Surface, frame of the head
+    rig : Rig, whose ``[sheet]`` says how thick the sheet is and how it is seen
+    yaw_rad : float, rad, angle of the sheet against the track.  0, a sheet square to the track, is
+        what the head frame itself takes it for.  A yaw of 2.2 degrees that is not known so leaves a
         quarter of the displacement on the sandwave (rms), far less than no correction does.
 
     Returns
     -------
     Surface
         In the head frame.
+
+    Raises
+    ------
+    InputError
+        Where ``raw`` is not in the head frame.
     """
     return raw if rig.sheet is None else correct_thickness(raw, rig.sheet, yaw_rad)
 
 
 def build_surface(profiles: Sequence[Profile], rig: Rig) -> Surface:
-    """The raw surface of the rig's profiles, in the head frame: turned where it has a [shaft]."""
+    """The raw surface of the rig's profiles, in the head frame: turned where it has a [shaft].
+
+    Parameters
+    ----------
+    profiles : sequence of Profile, frame of the sheet, mm; F of N points each
+    rig : Rig, they were taken with
+
+    Returns
+    -------
+    Surface
+        Of F by N points.
+
+    Raises
+    ------
+    InputError
+        Where there is no profile, or the profiles differ in length or in their number of modes.
+    """
     return stack(profiles) if rig.shaft is None else stack_about(profiles, shaft_of(rig.shaft))
 
 
 def read_profiles(
     run: Run, plane_map: PlaneMap, progress: Progress | None = None
 ) -> Iterator[Profile]:
-    """One profile a picture, in the run's order."""
+    """One profile a picture, in the run's order.
+
+    Parameters
+    ----------
+    run : Run, its rig's ``[stripe]`` says how the line is found
+    plane_map : PlaneMap, of the rig's camera, from its pixels to the laser sheet
+    progress : callable, optional, called with the number of pictures done, and of all
+
+    Yields
+    ------
+    Profile
+        In the frame of the sheet, mm.
+
+    Raises
+    ------
+    InputError
+        Where a picture cannot be read, or there is no extractor of that name.
+    """
     for done, frame in enumerate(run.frames(), start=1):
         found = extract_stripe(frame.image, run.rig_file.rig.stripe, frame.background)
         yield to_profile(found, plane_map, frame.position_mm)
@@ -171,6 +236,20 @@ def read_profiles(
 
 def mean_picture(run: Run) -> Bytes:
     """The mean of the run's pictures, with the laser on, rounded, same shape as each.
+
+    Parameters
+    ----------
+    run : Run, of one picture or more
+
+    Returns
+    -------
+    array
+        (H, W) grey or (H, W, 3) RGB, uint8, DN.
+
+    Raises
+    ------
+    InputError
+        Where the run holds no picture, or one that cannot be read.
 
     Examples
     --------
@@ -187,7 +266,17 @@ def mean_picture(run: Run) -> Bytes:
 
 
 def require_board(run: Run) -> Board:
-    """The board of the run's rig; InputError where it has none."""
+    """The board of the run's rig.
+
+    Parameters
+    ----------
+    run : Run, of a rig that names its ``[board]``
+
+    Raises
+    ------
+    InputError
+        Where the rig file has no section ``[board]``.
+    """
     board = run.rig_file.rig.board
     if board is None:
         raise InputError("the rig file has no section [board]", where=run.path)
@@ -198,7 +287,16 @@ def require_board(run: Run) -> Board:
 def board_expected(run: Run) -> Iterator[None]:
     """Say of a run of something else that it is none of the board, where none is found.
 
-    Advice on how to light a board would mislead there: BoardNotFound names what was scanned.
+    Advice on how to light a board would mislead there.
+
+    Parameters
+    ----------
+    run : Run, in whose pictures the board is looked for within this context
+
+    Raises
+    ------
+    BoardNotFound
+        In place of the one raised within: it names what was scanned.
     """
     try:
         yield
@@ -218,9 +316,19 @@ def board_expected(run: Run) -> Iterator[None]:
 def require_size(
     camera: CameraSection, size_px: tuple[int, int], calibration: object, where: Path
 ) -> None:
-    """InputError where a camera's pictures are not of the size a calibration was made for.
+    """Refuse a camera whose pictures are not of the size that a calibration was made for.
 
-    calibration: how a message names it.  where: the run or the rig file of the camera.
+    Parameters
+    ----------
+    camera : CameraSection, of the rig
+    size_px : tuple of int, (width, height) of the calibration's pictures, px
+    calibration : object, how the message names the calibration
+    where : Path, of the run or of the rig file of the camera
+
+    Raises
+    ------
+    InputError
+        Where the sizes differ.
     """
     if (camera.width_px, camera.height_px) != tuple(size_px):
         raise InputError(

@@ -60,7 +60,12 @@ class Status(IntEnum):
 
 
 def has_value(status: NDArray[np.integer]) -> Mask:
-    """Mask, same shape, of the points that hold a number: OK or SATURATED."""
+    """Mask, same shape, of the points that hold a number: OK or SATURATED.
+
+    Parameters
+    ----------
+    status : integer array, of Status
+    """
     return (status == Status.OK) | (status == Status.SATURATED)
 
 
@@ -68,11 +73,16 @@ def has_value(status: NDArray[np.integer]) -> Mask:
 class Frame:
     """One picture and where the head stood when it was taken.
 
-    image: (H, W) or (H, W, 3) uint8, colour as RGB.
-    commanded_mm, position_mm: track position asked for, and reported by the track.
-    time_s: the camera's clock.  exposure_ms: as reported by the camera.
-    background: same shape as image, the view from there with the laser off; None where the
-    plan asks for none.
+    Attributes
+    ----------
+    image : (H, W) or (H, W, 3) array, uint8, DN, colour as RGB
+    index : int, place in the run, from 0
+    commanded_mm : float, mm, track position asked for
+    position_mm : float, mm, track position reported by the track
+    time_s : float, s, by the camera's clock
+    exposure_ms : float, ms, as reported by the camera
+    background : array or None, same shape as ``image``, the view with the laser off; None where the
+        plan asks for none
 
     Examples
     --------
@@ -95,10 +105,12 @@ class Frame:
 class Marks:
     """Marks of the board with their place in the picture.
 
-    board_mm: (N, 2) nominal (x, z) in the plane frame.
-    image_px: (N, 2) centre (u, v); NaN where status is not OK.
-    sigma_px: (N,) standard uncertainty of u and of v; NaN where not OK.
-    status: (N,) of Status.
+    Attributes
+    ----------
+    board_mm : (N, 2) array, mm, nominal (x, z) in the plane frame
+    image_px : (N, 2) array, px, centre (u, v); NaN where status is not OK
+    sigma_px : (N,) array, px, standard uncertainty of u and of v; NaN where not OK
+    status : (N,) array, of Status
     """
 
     board_mm: Floats
@@ -116,8 +128,11 @@ class Marks:
 class RulerReading:
     """One auxiliary ruler as seen: a straight line of marks on the board.
 
-    direction: "vertical" (marks along z at fixed x) or "horizontal" (along x at fixed z).
-    at_mm: the fixed coordinate.
+    Attributes
+    ----------
+    direction : str, "vertical" (marks along z at fixed x) or "horizontal" (along x at fixed z)
+    at_mm : float, mm, the fixed coordinate
+    marks : Marks, in the order of the board file
     """
 
     direction: Literal["vertical", "horizontal"]
@@ -129,8 +144,11 @@ class RulerReading:
 class Mark:
     """One named mark of the board.
 
-    image_px: (2,) centre (u, v); NaN where status is not OK.
-    sigma_px: standard uncertainty of u and of v; NaN where not OK.
+    Attributes
+    ----------
+    image_px : (2,) array, px, centre (u, v); NaN where status is not OK
+    sigma_px : float, px, standard uncertainty of u and of v; NaN where not OK
+    status : Status, OK or why there is no place
     """
 
     image_px: Floats
@@ -142,7 +160,10 @@ class Mark:
 class RingPoints:
     """Points picked on the centre line of a milled circle.
 
-    image_px: (K, 2) of (u, v).  sigma_px: (K,) standard uncertainty across the line.
+    Attributes
+    ----------
+    image_px : (K, 2) array, px, of (u, v)
+    sigma_px : (K,) array, px, standard uncertainty across the line
     """
 
     image_px: Floats
@@ -153,12 +174,16 @@ class RingPoints:
 class BoardReading:
     """All that was found of the calibration board in one picture.
 
-    image_size: (width, height) in px.
-    pitch_mm: grid spacing.
-    shape: (rows, columns) of the grid; ``grid`` lists its marks row by row, the top row
-        first, so ``grid.image_px.reshape(rows, columns, 2)`` is the lattice.
-    rulers: the auxiliary rulers, in the order of the board file.
-    dots: single named dots by name.  rings: the milled circles by name.
+    Attributes
+    ----------
+    image_size : tuple of int, (width, height) of the picture, px
+    pitch_mm : float, mm, spacing of the grid
+    shape : tuple of int, (rows, columns) of the grid
+    grid : Marks, the control points row by row, the top row first, so that
+        ``grid.image_px.reshape(rows, columns, 2)`` is the lattice
+    rulers : tuple of RulerReading, the auxiliary rulers, in the order of the board file
+    dots : dict of Mark, single dots by name
+    rings : dict of RingPoints, the milled circles by name
 
     Examples
     --------
@@ -181,14 +206,16 @@ class BoardReading:
 class Stripe:
     """The laser line in one picture: one entry per column (or row) of the picture.
 
-    axis: "columns": entry i is column u = i and centre_px is v; "rows": entry i is row
-        v = i and centre_px is u.
-    centre_px: (N,) centre of the line across it; NaN where there is none.
-    sigma_px: (N,) standard uncertainty of centre_px.
-    peak: (N,) highest grey value of the line above the background, in DN.
-    status: (N,) of Status.
-    flux: (N,) light of the line's core, DN summed across it; NaN where there is no line.
-        None where an extractor was called by itself.
+    Attributes
+    ----------
+    axis : str, "columns": entry i is column u = i and centre_px is v; "rows": entry i is row v = i
+        and centre_px is u
+    centre_px : (N,) array, px, centre of the line across it; NaN where there is none
+    sigma_px : (N,) array, px, standard uncertainty of centre_px
+    peak : (N,) array, DN, highest grey value of the line above the background
+    status : (N,) array, of Status
+    flux : (N,) array or None, DN, light of the line's core summed across it; NaN where there is no
+        line.  None where an extractor was called by itself.
 
     Examples
     --------
@@ -218,13 +245,15 @@ class Stripe:
 class PlanePoints:
     """Points in the laser sheet.
 
-    xz_mm: (N, 2) in the plane frame; NaN where status gives no value.
-    sigma_mm: (N, 2) standard uncertainty of x and of z, all causes together.
-    status: (N,) of Status.
-    modes_mm: (N, 2, M) the part of sigma_mm that the calibration gives to all points in
-        common: M independent errors, each as it displaces every point when it is one standard
-        deviation large.  The covariance of points i and j is modes[i] @ modes[j].T; what is
-        left of sigma_mm² is each point's own.  None: nothing is known to be common.
+    Attributes
+    ----------
+    xz_mm : (N, 2) array, mm, (x, z) in the plane frame; NaN where status gives no value
+    sigma_mm : (N, 2) array, mm, standard uncertainty of x and of z, all causes together
+    status : (N,) array, of Status
+    modes_mm : (N, 2, M) array or None, mm, the part of sigma_mm that the calibration gives to all
+        points in common: M independent errors, each as it displaces every point when it is one
+        standard deviation large.  The covariance of points i and j is modes[i] @ modes[j].T; what
+        is left of sigma_mm² is each point's own.  None: nothing is known to be common.
     """
 
     xz_mm: Floats
@@ -237,9 +266,12 @@ class PlanePoints:
 class Profile:
     """One scan line in the laser sheet of the head at ``position_mm``.
 
-    points: one per column (or row) of the picture, in the picture's order.
-    brightness: (N,) of the line at each point, to find its ends by: the flux of the stripe, or
-        its peak where there is none; NaN where there is no line.
+    Attributes
+    ----------
+    position_mm : float, mm, of the track; of a shaft, the arc turned by
+    points : PlanePoints, one per column (or row) of the picture, in the picture's order
+    brightness : (N,) array, DN, of the line at each point, to find its ends by: the flux of the
+        stripe, or its peak where there is none; NaN where there is no line
 
     Examples
     --------
@@ -260,17 +292,21 @@ class Profile:
 class Surface:
     """All profiles of a run, stacked: F frames of N columns.
 
-    xyz_mm: (F, N, 3) points; which frame they are in is said by ``frame``: "head" as
-        scanned (x and z in the sheet, y the track position; about a shaft, the frame of the
-        head at position 0), "workpiece" once aligned.
-    sigma_x_mm, sigma_z_mm: (F, N) standard uncertainties of x and of z.
-    status: (F, N) of Status.
-    position_mm: (F,) track positions, of a shaft the arc turned by.
-    modes_mm: (F, N, 3, M) single precision, what the calibration displaces all points by in
-        common, as in PlanePoints; part of the sigmas.  None: nothing is known to be common.
-    brightness: (F, N) as in Profile; None where it is not known.
-    sigma_y_mm: (F, N) standard uncertainty of y; None: it is the track's, taken for exact.
-    corrections: what its points have been corrected for, in words.
+    Attributes
+    ----------
+    xyz_mm : (F, N, 3) array, mm, points in the frame that ``frame`` says
+    sigma_x_mm, sigma_z_mm : (F, N) array, mm, standard uncertainties of x and of z
+    status : (F, N) array, of Status
+    position_mm : (F,) array, mm, track positions; of a shaft, the arc turned by
+    frame : str, "head" as scanned (x and z in the sheet, y the track position; about a shaft, the
+        frame of the head at position 0), "workpiece" once aligned
+    modes_mm : (F, N, 3, M) array or None, mm, single precision, what the calibration displaces all
+        points by in common, as in PlanePoints; part of the sigmas.  None: nothing is known to be
+        common.
+    brightness : (F, N) array or None, DN, as in Profile; None where it is not known
+    sigma_y_mm : (F, N) array or None, mm, standard uncertainty of y; None: it is the track's, taken
+        for exact
+    corrections : tuple of str, what its points have been corrected for, in words
 
     Examples
     --------
@@ -294,9 +330,12 @@ class Surface:
 
 @dataclass(frozen=True)
 class Length:
-    """A measured length and its nominal value, mm; NaN where a number is not known.
+    """A measured length and its nominal value; NaN where a number is not known.
 
-    sigma_mm: standard uncertainty of measured_mm, all causes together.
+    Attributes
+    ----------
+    nominal_mm, measured_mm : float, mm
+    sigma_mm : float, mm, standard uncertainty of measured_mm, all causes together
 
     Examples
     --------
