@@ -13,7 +13,14 @@ CELL_MM = 1.5
 
 @dataclass(frozen=True)
 class NodeHeights:
-    """Heights on a regular grid: x_mm (C,), y_mm (R,) its nodes, z_mm (R, C), NaN where empty."""
+    """Heights on a regular grid of C by R nodes.
+
+    Attributes
+    ----------
+    x_mm : (C,) array, mm, of the nodes
+    y_mm : (R,) array, mm, of the nodes
+    z_mm : (R, C) array, mm, heights; NaN where there is no point near the node
+    """
 
     x_mm: Floats
     y_mm: Floats
@@ -21,11 +28,27 @@ class NodeHeights:
 
 
 def grid_heights(xyz_mm: Floats, cell_mm: float) -> NodeHeights:
-    """The mean height about each node of a grid with nodes every ``cell_mm``.
+    """The mean height about each node of a grid.
 
-    xyz_mm: (..., 3) points in mm, NaN where there is none.  Each point counts at its four
-    nearest nodes with the weights of bilinear interpolation, so that a plane sampled evenly
-    stays a plane.  Raises MeasurementError where there is no point at all.
+    Each point counts at its four nearest nodes with the weights of bilinear interpolation, so that
+    a plane sampled evenly stays a plane.
+
+    Parameters
+    ----------
+    xyz_mm : (..., 3) array, mm, points in any frame with z up; NaN where there is none
+    cell_mm : float, mm, from node to node along x and along y
+
+    Raises
+    ------
+    MeasurementError
+        Where there is no point at all.
+
+    Examples
+    --------
+    >>> corners = np.array([[0.0, 0.0, 1.0], [2.0, 0.0, 1.0], [0.0, 2.0, 3.0], [2.0, 2.0, 3.0]])
+    >>> grid_heights(corners, cell_mm=2.0).z_mm[:2, :2]
+    array([[1., 1.],
+           [3., 3.]])
     """
     points = xyz_mm.reshape(-1, 3)
     points = points[np.isfinite(points).all(axis=1)]
@@ -52,7 +75,11 @@ def grid_heights(xyz_mm: Floats, cell_mm: float) -> NodeHeights:
 def cell_for(xyz_mm: Floats, least_mm: float, most_nodes: int = 220) -> float:
     """The cell in mm that fits a scan: no finer than its points, nor than ``least_mm``.
 
-    xyz_mm: (F, N, 3) profiles.  most_nodes: along the longer side of the surface.
+    Parameters
+    ----------
+    xyz_mm : (F, N, 3) array, mm, F profiles of N points; NaN where there is none
+    least_mm : float, mm, the least cell
+    most_nodes : int, along the longer side of the surface
     """
     steps = [_typical_step(xyz_mm[..., 1], axis=0), _typical_step(xyz_mm[..., 0], axis=1)]
     plan = xyz_mm[..., :2].reshape(-1, 2)
@@ -62,7 +89,12 @@ def cell_for(xyz_mm: Floats, least_mm: float, most_nodes: int = 220) -> float:
 
 
 def height_range(xyz_mm: Floats) -> tuple[float, float]:
-    """Lowest and highest of the points (..., 3), in mm, less the outermost half percent each."""
+    """Lowest and highest height in mm, less the outermost half percent each.
+
+    Parameters
+    ----------
+    xyz_mm : (..., 3) array, mm, points with z up; NaN where there is none
+    """
     low, high = np.nanpercentile(xyz_mm[..., 2], (0.5, 99.5))
     return float(low), float(high)
 

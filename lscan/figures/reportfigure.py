@@ -7,11 +7,15 @@ from dataclasses import dataclass
 class ReportFigure:
     """A figure ready for a page.
 
-    key: short name, unique on the page.  title: what is shown, a few words.
-    paper: the paper's figure, such as "Fig. 13".  alt: the picture in words.
-    caption: what is seen, and the finding with its numbers.
-    body: self-contained HTML: an inline SVG, or a canvas with its script.
-    script: JavaScript to run after the page's plotting library, "" for a still picture.
+    Attributes
+    ----------
+    key : str, short name, unique on the page
+    title : str, what is shown, a few words
+    paper : str, the paper's figure, such as "Fig. 13"
+    alt : str, the picture in words
+    caption : str, what is seen, and the finding with its numbers
+    body : str, self-contained HTML: an inline SVG, or a canvas with its script
+    script : str, JavaScript to run after the page's plotting library, "" for a still picture
     """
 
     key: str
@@ -24,5 +28,16 @@ class ReportFigure:
 
 
 def signed(value: float, digits: int) -> str:
-    """The number with its sign, + or a true minus, and so many decimals."""
+    """The number as text with its sign, + or a true minus.
+
+    Parameters
+    ----------
+    value : float, in any unit
+    digits : int, decimals
+
+    Examples
+    --------
+    >>> signed(-0.256, 2)
+    '−0.26'
+    """
     return f"{value:+.{digits}f}".replace("-", "−")

@@ -55,7 +55,12 @@ WIDTH_IN = 5.8
 
 
 def legend(axes: Axes) -> None:
-    """Name the lines of ``axes`` in one row above its right end."""
+    """Name the lines of ``axes`` in one row above its right end.
+
+    Parameters
+    ----------
+    axes : Axes, its lines are labelled
+    """
     columns = len(axes.get_legend_handles_labels()[1])
     axes.legend(loc="lower right", bbox_to_anchor=(1.0, 0.98), ncols=columns, borderpad=0.1)
 
@@ -66,7 +71,20 @@ def panels(
     heights: tuple[float, ...] | None = None,
     share_x: bool = True,
 ) -> tuple[Figure, list[Axes]]:
-    """An empty figure of ``size_in`` inches with ``rows`` panels, one above the other."""
+    """An empty figure with panels one above the other.
+
+    Parameters
+    ----------
+    rows : int, number of panels
+    size_in : tuple of float, (width, height) of the figure, inches
+    heights : tuple of float, optional, of the panels, relative to each other; by default alike
+    share_x : bool, whether the panels share their x axis
+
+    Returns
+    -------
+    tuple of Figure and list of Axes
+        The panels from the top down.
+    """
     figure = Figure(figsize=size_in, layout="constrained", facecolor="none")
     options = {"height_ratios": heights} if heights else None
     grid = figure.subplots(rows, 1, sharex=share_x, squeeze=False, gridspec_kw=options)
@@ -76,7 +94,11 @@ def panels(
 def svg(figure: Figure, key: str, alt: str) -> str:
     """The figure as an inline SVG element; the same figure gives the same characters.
 
-    key: prefix of every id in it, so that several stand on one page.  alt: its description.
+    Parameters
+    ----------
+    figure : Figure, drawn in the colours of PALETTE
+    key : str, prefix of every id in it, so that several stand on one page
+    alt : str, its description
     """
     buffer = io.StringIO()
     FigureCanvasSVG(figure)
@@ -95,8 +117,16 @@ def svg(figure: Figure, key: str, alt: str) -> str:
 def photograph(image: Bytes, overlay: str, alt: str) -> str:
     """The picture as an inline SVG element, with SVG shapes over it in pixel coordinates.
 
-    image: (H, W) grey or (H, W, 3) RGB.  overlay: SVG elements whose coordinates are (u, v)
-    of records.py.  Raises InputError where the array is no such picture.
+    Parameters
+    ----------
+    image : (H, W) or (H, W, 3) array, uint8, DN, grey or RGB
+    overlay : str, SVG elements whose coordinates are pixels (u, v)
+    alt : str, its description
+
+    Raises
+    ------
+    InputError
+        Where the array is no such picture.
     """
     if image.dtype != np.uint8 or image.ndim not in (2, 3) or image.shape[2:] not in ((), (3,)):
         raise InputError(
@@ -116,7 +146,14 @@ def photograph(image: Bytes, overlay: str, alt: str) -> str:
 
 
 def spots(points: Floats, colour: str, width_px: float) -> str:
-    """SVG of a round spot at each of (N, 2) points; a NaN point has none."""
+    """SVG of a round spot at each point; a NaN point has none.
+
+    Parameters
+    ----------
+    points : (N, 2) array, px, of (u, v)
+    colour : str, as CSS writes it
+    width_px : float, px, diameter of a spot
+    """
     seen = points[np.isfinite(points).all(axis=1)]
     path = "".join(f"M{u:.2f},{v:.2f}h0" for u, v in seen)
     style = f'fill="none" stroke="{colour}" stroke-width="{width_px}" stroke-linecap="round"'

@@ -29,13 +29,21 @@ from lscan.records import (
 def distances(reading: BoardReading, board: Board, plane_map: PlaneMap) -> dict[str, Length]:
     """The distances of Table I under keys like "A1A2", mm, in the order of board.distances.
 
-    Each is the distance in the sheet of the two dots' places under ``plane_map``.  Its variance
-    is that of the two places along the line between them, each mark's own part added, the
-    part that the calibration gives to both in common taken as the difference it makes.
-    Distances of which a dot was not found or lies outside the map are not in the answer:
-    :func:`unmeasured_distances` names them with their reason.
+    Each is the distance in the sheet of the two dots' places.  Its variance is that of the two
+    places along the line between them, each mark's own part added, the part that the calibration
+    gives to both in common taken as the difference it makes.  Distances of which a dot was not
+    found or lies outside the map are not in the answer: :func:`unmeasured_distances` names them.
 
-    Raises MeasurementError where not one distance can be measured.
+    Parameters
+    ----------
+    reading : BoardReading, px, whose dots were found in a picture
+    board : Board, mm, nominal places of the dots and pairs wanted
+    plane_map : PlaneMap, from the pixels of that camera to the laser sheet
+
+    Raises
+    ------
+    MeasurementError
+        Where not one distance can be measured.
 
     Examples
     --------
@@ -63,7 +71,14 @@ def distances(reading: BoardReading, board: Board, plane_map: PlaneMap) -> dict[
 def unmeasured_distances(
     reading: BoardReading, board: Board, plane_map: PlaneMap
 ) -> dict[str, Status]:
-    """Why each distance of board.distances that ``distances`` leaves out has no value."""
+    """Why each distance of board.distances that ``distances`` leaves out has no value.
+
+    Parameters
+    ----------
+    reading : BoardReading, px, as for ``distances``
+    board : Board, mm, as for ``distances``
+    plane_map : PlaneMap, as for ``distances``
+    """
     places = _dots_in_plane(reading, board, plane_map)
     reasons = {a + b: _why_not(places[a], places[b]) for a, b in board.distances}
     return {key: reason for key, reason in reasons.items() if reason is not Status.OK}
@@ -77,7 +92,16 @@ def diameters(reading: BoardReading, board: Board, plane_map: PlaneMap) -> dict[
     calibration's common errors carried through the same fit, and once that of the map's lack of
     fit, which is alike in neighbouring points and does not average out around a ring.
 
-    Raises MeasurementError that names the ring for which fewer than four points are left.
+    Parameters
+    ----------
+    reading : BoardReading, px, with the points of the rings
+    board : Board, mm, nominal diameters of the rings wanted
+    plane_map : PlaneMap, from the pixels of that camera to the laser sheet
+
+    Raises
+    ------
+    MeasurementError
+        Names the ring for which fewer than four points are left, or whose points lie on a line.
 
     Examples
     --------

@@ -13,9 +13,13 @@ from lscan.records import Floats
 class Circle:
     """A fitted circle.
 
-    centre_mm: (2,).  radius_mm.  diameter_sigma_mm: standard uncertainty of the diameter where the
-    points err independently.  radius_by_point: (K, 2) derivative of the radius by each point's
-    (x, z).
+    Attributes
+    ----------
+    centre_mm : (2,) array, mm, frame of the points
+    radius_mm : float, mm
+    diameter_sigma_mm : float, mm, standard uncertainty of the diameter where the points err
+        independently
+    radius_by_point : (K, 2) array, derivative of the radius by each point's (x, z)
     """
 
     centre_mm: Floats
@@ -29,11 +33,9 @@ def fit_circle(points_mm: Floats, sigma_mm: Floats) -> Circle:
 
     Parameters
     ----------
-    points_mm
-        (K, 2), mm.
-    sigma_mm
-        (K,) standard uncertainty of each point's distance from the circle; points are weighted
-        by it.
+    points_mm : (K, 2) array, mm, in any plane
+    sigma_mm : (K,) array, mm, standard uncertainty of each point's distance from the circle; points
+        are weighted by it
 
     Returns
     -------

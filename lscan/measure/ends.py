@@ -43,10 +43,13 @@ off (stripe/core.py), moves a fall over two columns by as much, outwards."""
 class End:
     """Where a segment ends.
 
-    x_mm: the place.  own_mm: its standard uncertainty from noise, another in every picture.
-    common_mm: alike in all pictures of one place: FALSE_LIGHT, or, where no fall is seen, the
-    columns' spacing.
-    point: index into the trace of the segment's outermost point.
+    Attributes
+    ----------
+    x_mm : float, mm, the place, frame of the sheet
+    own_mm : float, mm, its standard uncertainty from noise, another in every picture
+    common_mm : float, mm, uncertainty alike in all pictures of one place: FALSE_LIGHT, or, where no
+        fall is seen, the columns' spacing
+    point : int, index into the trace of the segment's outermost point
     """
 
     x_mm: float
@@ -60,6 +63,11 @@ def segment_ends(line: Trace, segments: Sequence[Segment]) -> list[tuple[End, En
 
     Where no fall is seen, the end is half a column beyond the last point, to within an even
     distribution over one column.
+
+    Parameters
+    ----------
+    line : Trace, mm, the profile's points from left to right, with their brightness
+    segments : sequence of Segment, of that profile
     """
     outermost = np.array([[part.points[k] for part in segments] for k in (0, -1)])
     falls = np.array([[_falls(line, part, k) for part in segments] for k in (0, -1)])

@@ -26,8 +26,11 @@ from lscan.records import Ints, Length, Profile
 class Parts:
     """What a profile of the block consists of, each part as a segment of the profile.
 
-    ridges: the tops, from left to right, one more than there are grooves.
-    bottoms: what is seen of each groove's bottom.  floor: what is seen beside the block.
+    Attributes
+    ----------
+    ridges : tuple of Segment, the tops, from left to right, one more than there are grooves
+    bottoms : tuple of Segment, what is seen of each groove's bottom
+    floor : Segment, what is seen beside the block
     """
 
     ridges: tuple[Segment, ...]
@@ -42,17 +45,30 @@ def groove_dimensions(
 
     Widths and separations lie between the end points of the tops' laser segments, measured
     along the tops; heights are distances between straight lines fitted to segments with a
-    common slope.  The block stands along the track, so that the sheet cuts it square; it may be
-    tilted in the sheet by some degrees and lie anywhere in it.
-    Of several profiles the mean is given, weighted by each one's noise, outliers left out.  Its
-    sigma_mm holds the noise of that mean and, undiminished, what errs alike in all profiles:
-    the calibration, of which only the difference it makes to the length counts where the plane
-    map has modes; false light at the ends, or the columns' spacing where an end's
+    common slope.  Of several profiles the mean is given, weighted by each one's noise, outliers
+    left out.  Its sigma_mm holds the noise of that mean and, undiminished, what errs alike in all
+    profiles: the calibration, of which only the difference it makes to the length counts where the
+    plane map has modes; false light at the ends, or the columns' spacing where an end's
     brightness does not fall (ends.py); and what a level line's place within the pixel does to
     its height (segments.py).
 
-    Raises InputError where no profile is given, MeasurementError that names the profile and
-    what is missing in it.
+    Parameters
+    ----------
+    profiles : Profile or sequence of Profile, mm, frame of the sheet.  The block stands along the
+        track, so that the sheet cuts it square; it may be tilted in the sheet by some degrees and
+        lie anywhere in it.
+    piece : GroovedBlock, the nominal shape
+
+    Raises
+    ------
+    InputError
+        Where no profile is given.
+    MeasurementError
+        Names the profile and what is missing in it.
+
+    References
+    ----------
+    Sec. IV.B, Fig. 21 and Table III of the paper.
     """
     several = [profiles] if isinstance(profiles, Profile) else list(profiles)
     if not several:
@@ -79,7 +95,16 @@ def find_parts(line: Trace, piece: GroovedBlock) -> Parts:
 
     The tops are the highest level that a good part of the profile lies on; what lies between
     two of them is a groove, what lies outside them the floor.
-    Raises MeasurementError that names what is missing.
+
+    Parameters
+    ----------
+    line : Trace, mm, the profile's points from left to right
+    piece : GroovedBlock, the nominal shape
+
+    Raises
+    ------
+    MeasurementError
+        Names what is missing.
     """
     found = segments(line)
     shallowest = min(groove.depth_mm for groove in piece.grooves)

@@ -18,9 +18,13 @@ TINY = 1e-6  # mm; lengths without any noise weigh alike
 class LengthBudget:
     """A length with the parts of its uncertainty (the budget of the GUM).
 
-    value_mm.  own_mm: standard uncertainty from noise, another in every picture.  common_mm:
-    what errs alike in all pictures of one place and is not among the modes.  modes_mm: (M,) how
-    each mode of the calibration changes the length; None where none are known.
+    Attributes
+    ----------
+    value_mm : float, mm
+    own_mm : float, mm, standard uncertainty from noise, another in every picture
+    common_mm : float, mm, what errs alike in all pictures of one place and is not among the modes
+    modes_mm : (M,) array or None, mm, how each mode of the calibration changes the length; None
+        where none are known
     """
 
     value_mm: float
@@ -40,6 +44,10 @@ def mean_length(lengths: Sequence[LengthBudget]) -> LengthBudget:
 
     Outliers (see OUTLIER) are left out.  The mean's own_mm is that of its weights, enlarged where
     the values scatter more than their own noise says; what is common does not average out.
+
+    Parameters
+    ----------
+    lengths : sequence of LengthBudget, mm, one a picture
     """
     value = np.array([length.value_mm for length in lengths])
     own = np.array([length.own_mm for length in lengths])

@@ -21,10 +21,12 @@ MIN_POINTS = 16
 class Spectrum:
     """One-sided power spectral density of height.
 
-    wavenumber_per_mm: (K,) cycles per mm, 0 excluded.
-    density_mm3: (K,) mm² per (cycle / mm); its integral over wavenumber is the variance.
-    points: number of slice points it came from, the longest stretch without a hole.
-    left_out: number of the slice's other points.
+    Attributes
+    ----------
+    wavenumber_per_mm : (K,) array, cycles per mm, 0 excluded
+    density_mm3 : (K,) array, mm² per (cycle / mm); its integral over wavenumber is the variance
+    points : int, slice points it came from, the longest stretch without a hole
+    left_out : int, number of the slice's other points
     """
 
     wavenumber_per_mm: Floats
@@ -37,7 +39,11 @@ class Spectrum:
 class PowerLaw:
     """density = strength * wavenumber ** -exponent, strength at 1 cycle / mm.
 
-    exponent_sigma: standard uncertainty of the exponent from the scatter about the line.
+    Attributes
+    ----------
+    strength : float, mm³, density at 1 cycle / mm
+    exponent : float
+    exponent_sigma : float, standard uncertainty of the exponent from the scatter about the line
     """
 
     strength: float
@@ -48,7 +54,14 @@ class PowerLaw:
 def rms_height(measured: Slice) -> float:
     """Root-mean-square height in mm about the straight line that fits the slice best.
 
-    Raises MeasurementError for fewer than MIN_POINTS points with data.
+    Parameters
+    ----------
+    measured : Slice, mm; points without data are left out
+
+    Raises
+    ------
+    MeasurementError
+        For fewer than MIN_POINTS points with data.
     """
     seen = _seen(measured)
     _require(int(seen.sum()))
@@ -60,10 +73,21 @@ def rms_height(measured: Slice) -> float:
 def structure_function(measured: Slice) -> tuple[Floats, Floats, Ints]:
     """Mean squared height difference against distance.
 
-    Returns (L,) distance in mm, (L,) mean of (z(r + distance) - z(r))² in mm², and (L,) the
-    number of pairs, for distances of one step up to half the slice.  Holes are no obstacle:
-    only pairs with data at both ends count, and a distance without a pair is not in the answer.
-    Raises MeasurementError for fewer than MIN_POINTS points with data.
+    Parameters
+    ----------
+    measured : Slice, mm.  Holes are no obstacle: only pairs with data at both ends count, and a
+        distance without a pair is not in the answer.
+
+    Returns
+    -------
+    distance : (L,) array, mm, of one step up to half the slice
+    difference : (L,) array, mm², mean of (z(r + distance) - z(r))²
+    pairs : (L,) array, their number
+
+    Raises
+    ------
+    MeasurementError
+        For fewer than MIN_POINTS points with data.
     """
     seen = _seen(measured)
     _require(int(seen.sum()))
@@ -85,11 +109,21 @@ def structure_function(measured: Slice) -> tuple[Floats, Floats, Ints]:
 def power_spectrum(measured: Slice, window: str = "hann") -> Spectrum:
     """The power spectrum of the slice's longest stretch without a hole, its trend removed.
 
-    A periodogram under ``window`` (a name known to scipy.signal.get_window), scaled so that
-    its integral is the variance: exactly so under "boxcar" (Parseval's theorem).  The slice
-    itself is smoothed over its radius, so wavelengths below about twice that are damped.
-    Raises InputError for an unknown window, MeasurementError for a stretch of fewer than
-    MIN_POINTS points.
+    A periodogram, scaled so that its integral is the variance: exactly so under "boxcar"
+    (Parseval's theorem).  The slice itself is smoothed over its radius, so wavelengths below about
+    twice that are damped.
+
+    Parameters
+    ----------
+    measured : Slice, mm, of an even step
+    window : str, a name known to scipy.signal.get_window
+
+    Raises
+    ------
+    InputError
+        For an unknown window.
+    MeasurementError
+        For a stretch of fewer than MIN_POINTS points.
     """
     stretch = _longest_stretch(_seen(measured))
     z = measured.z_mm[stretch]
@@ -105,10 +139,23 @@ def power_spectrum(measured: Slice, window: str = "hann") -> Spectrum:
 
 
 def fit_power_law(spectrum: Spectrum, band_per_mm: tuple[float, float]) -> PowerLaw:
-    """The power law through the spectrum between two wavenumbers, cycles / mm.
+    """The power law through the spectrum of a slice.
 
     A straight line through log density against log wavenumber.
-    Raises MeasurementError where fewer than four values lie in the band.
+
+    Parameters
+    ----------
+    spectrum : Spectrum, of heights
+    band_per_mm : tuple of float, least and greatest wavenumber, cycles / mm
+
+    Raises
+    ------
+    MeasurementError
+        Where fewer than four values lie in the band.
+
+    References
+    ----------
+    D. R. Jackson and M. D. Richardson, High-Frequency Seafloor Acoustics, Springer 2007, ch. 6.
     """
     low, high = band_per_mm
     wavenumber, density = spectrum.wavenumber_per_mm, spectrum.density_mm3

@@ -38,7 +38,10 @@ MAX_TILT = np.tan(np.radians(10.0))
 class Segment:
     """Neighbouring points of one profile on one level.
 
-    points: (K,) indices into the profile.  level_mm: median of z - tilt * x.
+    Attributes
+    ----------
+    points : (K,) array, indices into the trace
+    level_mm : float, mm, median of z - tilt * x
     """
 
     points: Ints
@@ -47,13 +50,17 @@ class Segment:
 
 @dataclass(frozen=True)
 class Trace:
-    """A profile's valid points in the picture's order, turned so that x grows.
+    """A profile's P valid points in the picture's order, turned so that x grows.
 
-    x, z, sigma_x, sigma_z: (P,) mm.  column: (P,) index in the profile.  brightness: (P,) of
-    the line.
-    modes: (P, 2, M) mm, as PlanePoints.modes_mm; None where none are known.
-    spacing_mm: median distance in x from one column to the next.
-    tilt: common dz/dx of its level segments.
+    Attributes
+    ----------
+    x, z : (P,) array, mm, frame of the sheet
+    sigma_x, sigma_z : (P,) array, mm, standard uncertainties of x and of z
+    column : (P,) array, index in the profile
+    brightness : (P,) array, DN, of the line
+    spacing_mm : float, mm, median distance in x from one column to the next
+    tilt : float, common dz/dx of its level segments
+    modes : (P, 2, M) array or None, mm, as PlanePoints.modes_mm; None where none are known
     """
 
     x: Floats
@@ -70,7 +77,14 @@ class Trace:
 def trace(profile: Profile) -> Trace:
     """The profile's valid points from left to right, with the common tilt of its segments.
 
-    Raises MeasurementError where there are too few points to speak of segments.
+    Parameters
+    ----------
+    profile : Profile, mm, frame of the sheet
+
+    Raises
+    ------
+    MeasurementError
+        Where there are too few points to speak of segments.
     """
     valid = has_value(profile.points.status) & np.isfinite(profile.points.xz_mm).all(axis=1)
     column = np.flatnonzero(valid)
@@ -91,7 +105,12 @@ def trace(profile: Profile) -> Trace:
 
 
 def segments(line: Trace) -> list[Segment]:
-    """The segments of a trace from left to right, those of a few points (walls) left out."""
+    """The segments of a trace from left to right, those of a few points (walls) left out.
+
+    Parameters
+    ----------
+    line : Trace, mm
+    """
     flat = line.z - line.tilt * line.x
     runs = np.split(np.arange(len(flat)), _breaks(line.x, flat))
     level = [_without_walls(run, flat) for run in runs if len(run) >= MIN_POINTS]
@@ -99,14 +118,26 @@ def segments(line: Trace) -> list[Segment]:
 
 
 def joined(parts: Sequence[Segment], line: Trace) -> Segment:
-    """One segment of all the points of several that lie on one level."""
+    """One segment of all the points of several that lie on one level.
+
+    Parameters
+    ----------
+    parts : sequence of Segment, of ``line``
+    line : Trace, mm
+    """
     points = np.concatenate([part.points for part in parts])
     flat = line.z[points] - line.tilt * line.x[points]
     return Segment(points, float(np.median(flat)))
 
 
 def inner_points(line: Trace, segment: Segment) -> Ints:
-    """(K,) the segment's points that lie clear of its ends."""
+    """The segment's points that lie clear of its ends, (K,) indices into the trace.
+
+    Parameters
+    ----------
+    line : Trace, mm
+    segment : Segment, of ``line``
+    """
     x = line.x[segment.points]
     clear = (x > x.min() + CORNER_MM) & (x < x.max() - CORNER_MM)
     return segment.points[clear]
@@ -115,14 +146,22 @@ def inner_points(line: Trace, segment: Segment) -> Ints:
 def height_between(line: Trace, upper: Ints, lower: Ints) -> LengthBudget:
     """Distance in mm between two parallel lines, with its uncertainty.
 
-    Both sets of points, indices into the trace, are fitted with one slope by least squares,
-    points farther than three robust deviations from their line left out.  The height is a
-    weighted sum of their z, so each mode of the calibration changes it by that sum of the mode;
-    its own noise is the points' scatter through the same sum, what neighbours have in common
-    counted.  Either line may lie off by PHASE, in all pictures alike.  Where no modes are known
-    the points' own sigma_z counts once for each line: most of that is the plane map's, common to
-    neighbours, and does not average out.
-    Raises MeasurementError where either set holds fewer than MIN_POINTS points.
+    Both sets of points are fitted with one slope by least squares, points farther than three
+    robust deviations from their line left out.  The height is a weighted sum of their z, so each
+    mode of the calibration changes it by that sum of the mode; its own noise is the points' scatter
+    through the same sum, what neighbours have in common counted.  Either line may lie off by PHASE,
+    in all pictures alike.  Where no modes are known the points' own sigma_z counts once for each
+    line: most of that is the plane map's, common to neighbours, and does not average out.
+
+    Parameters
+    ----------
+    line : Trace, mm
+    upper, lower : (K,) array, indices into the trace of the points on either line
+
+    Raises
+    ------
+    MeasurementError
+        Where either set holds fewer than MIN_POINTS points.
     """
     points = np.concatenate([upper, lower])
     which = np.repeat([0, 1], [len(upper), len(lower)])

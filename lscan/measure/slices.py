@@ -12,13 +12,17 @@ from lscan.surface import Slice
 
 @dataclass(frozen=True)
 class SliceErrors:
-    """Errors of a slice, measured minus eq. (4), mm.
+    """Errors of a slice, measured minus eq. (4).
 
-    nominal_mm: (M,) eq. (4) at each point of the slice, also beyond the border of the waves.
-    error_mm: (M,) at each point of the slice; NaN where it was not compared.
-    points: number compared.  unseen: number without data, or known to be out of sight.
-    at_step: number left out beside the border of the waves: there the surface steps to the rim,
-        and a height measured over a radius is neither the one nor the other.
+    Attributes
+    ----------
+    nominal_mm : (M,) array, mm, eq. (4) at each point of the slice, also beyond the border of the
+        waves
+    error_mm : (M,) array, mm, at each point of the slice; NaN where it was not compared
+    points : int, number compared
+    unseen : int, number without data, or known to be out of sight
+    at_step : int, number left out beside the border of the waves: there the surface steps to the
+        rim, and a height measured over a radius is neither the one nor the other
     """
 
     nominal_mm: Floats
@@ -54,12 +58,25 @@ class SliceErrors:
 
 
 def compare_slice(measured: Slice, piece: Sandwave, visible: Mask | None = None) -> SliceErrors:
-    """The errors of a slice in the workpiece frame against eq. (4) of the sandwave.
+    """The errors of a slice against eq. (4) of the sandwave.
 
-    visible: (M,) points known to be lit and seen, where a truth says so; all if None.
     Points nearer to the border of the waves, or farther out, than the radius over which the
     slice's heights were taken are counted as ``at_step`` and not compared.
-    Raises MeasurementError where no point is left to compare.
+
+    Parameters
+    ----------
+    measured : Slice, of M points, mm, frame of the workpiece
+    piece : Sandwave, the nominal shape
+    visible : (M,) mask, optional, of the points known to be lit and seen; by default all
+
+    Raises
+    ------
+    MeasurementError
+        Where no point is left to compare.
+
+    References
+    ----------
+    Eq. (4) and Figs. 29 to 32 of the paper.
     """
     x, y = measured.xy_mm.T
     inset = np.minimum(np.minimum(x, piece.side_mm - x), np.minimum(y, piece.side_mm - y))
