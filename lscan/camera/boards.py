@@ -34,16 +34,17 @@ STEPS = np.array(
 class PosedBoards:
     """A camera and V boards before it.
 
-    theta: (14 + 6 V,) the camera in the order of parameters.CAMERA, then each board's pose in
-        that of POSE.  ``turn`` is the rotation vector (radians) by which the board is turned
-        from facing the ray on which ``centre_mm`` is seen; ``seen`` the pixel where it is
-        seen; mm_per_px how far on it lies along that ray, over the apparent focal length.
-        These change little when the lens does and the picture does not, which keeps least
-        squares quick.
-    centre_mm: (2,) the point (x, z) of each board about which it is turned.
-    port: "none" for a camera in air, whose port parameters mean nothing.
-
     The frame of a board is x right, y away from the camera, z up; its marks lie in y = 0.
+
+    Attributes
+    ----------
+    theta : (14 + 6 V,) array, the camera in the order of parameters.CAMERA, then each board's pose
+        in that of POSE.  ``turn`` is the rotation vector (rad) by which the board is turned from
+        facing the ray on which ``centre_mm`` is seen; ``seen`` the pixel where it is seen;
+        mm_per_px how far on it lies along that ray, over the apparent focal length.  These change
+        little when the lens does and the picture does not, which keeps least squares quick.
+    centre_mm : (2,) array, mm, the point (x, z) of each board about which it is turned
+    port : str, "flat", or "none" for a camera in air, whose port parameters mean nothing
     """
 
     theta: Floats
@@ -84,23 +85,47 @@ class PosedBoards:
         return sight.origin_mm + distance * sight.direction
 
     def in_camera(self, board_mm: Floats, board: Ints | int = 0) -> Floats:
-        """(N, 3) mm, camera frame, of points (N, 2) of (x, z) mm of the boards numbered (N,)."""
+        """(N, 3) mm, points of the boards in the camera frame.
+
+        Parameters
+        ----------
+        board_mm : (N, 2) array, mm, (x, z) on the board
+        board : (N,) array or int, number of each point's board
+        """
         of_each = np.broadcast_to(board, len(board_mm))
         across, up = self.axes[:, :, 0][of_each], self.axes[:, :, 2][of_each]
         x, z = (board_mm - self.centre_mm).T
         return x[:, None] * across + z[:, None] * up + self.places_mm[of_each]
 
     def project(self, board_mm: Floats, board: Ints | int = 0) -> Floats:
-        """(N, 2) px of points (N, 2) of the boards numbered (N,); NaN where there is no image."""
+        """(N, 2) px, (u, v) at which points of the boards are seen; NaN where there is no image.
+
+        Parameters
+        ----------
+        board_mm : (N, 2) array, mm, (x, z) on the board
+        board : (N,) array or int, number of each point's board
+        """
         return project(self.camera, self.in_camera(board_mm, board))
 
     def on_board(self, image_px: Floats, board: int = 0) -> Floats:
-        """(K, 3) mm, camera frame, where the rays of pixels (K, 2) meet a board; NaN if not."""
+        """(K, 3) mm, camera frame, where the rays of pixels meet a board; NaN if they do not.
+
+        Parameters
+        ----------
+        image_px : (K, 2) array, px, of (u, v)
+        board : int, number of the board
+        """
         normal, place = self.axes[board][:, 1], self.places_mm[board]
         return meet_plane(rays(self.camera, image_px), normal, place)
 
     def locate(self, image_px: Floats, board: int = 0) -> Floats:
-        """(K, 2) of (x, z) mm where the rays of pixels (K, 2) meet a board; NaN if not."""
+        """(K, 2) mm, (x, z) on a board where the rays of pixels meet it; NaN if they do not.
+
+        Parameters
+        ----------
+        image_px : (K, 2) array, px, of (u, v)
+        board : int, number of the board
+        """
         beside = self.on_board(image_px, board) - self.places_mm[board]
         return beside @ self.axes[board][:, [0, 2]] + self.centre_mm
 
@@ -112,13 +137,16 @@ def parameter_derivatives(
 
     Parameters
     ----------
-    quantity : gives (N, D), each row of which depends on the camera and on one board alone.
-    free : (14,) mask of the camera's parameters that count.
+    quantity : callable, gives (N, D), each row of which depends on the camera and on one board
+        alone
+    boards : PosedBoards, at which the derivatives are taken, by central differences
+    free : (14,) mask, of the camera's parameters that count
 
     Returns
     -------
-    (N, D, 20) by the parameters of the camera, 0 where not free, and by the pose of each row's
-    own board.
+    array
+        (N, D, 20), by the parameters of the camera, 0 where not free, and by the pose of each row's
+        own board.
     """
     columns: list[Floats | None] = [None] * len(STEPS)
     for index in (*np.flatnonzero(free), *range(COUNT, len(STEPS))):
@@ -132,7 +160,12 @@ def parameter_derivatives(
 
 
 def towards(direction: Floats) -> Floats:
-    """(V, 3, 3) the smallest rotations that take the camera's axis to unit directions (V, 3)."""
+    """(V, 3, 3) the smallest rotations that take the camera's axis to directions.
+
+    Parameters
+    ----------
+    direction : (V, 3) array, unit vectors, camera frame
+    """
     across = np.column_stack([-direction[:, 1], direction[:, 0], np.zeros(len(direction))])
     sine = np.linalg.norm(across, axis=1)
     angle = np.arctan2(sine, direction[:, 2])
@@ -140,5 +173,15 @@ def towards(direction: Floats) -> Floats:
 
 
 def rotation(vector: Floats) -> Floats:
-    """(..., 3, 3) rotations about vectors (..., 3) by their lengths in radians."""
+    """(..., 3, 3) rotation matrices of rotation vectors.
+
+    Parameters
+    ----------
+    vector : (..., 3) array, rad, the axis times the angle
+
+    Examples
+    --------
+    >>> rotation(np.array([0.0, 0.0, np.pi / 2])).round(6) @ np.array([1.0, 0.0, 0.0])
+    array([0., 1., 0.])
+    """
     return np.asarray(Rotation.from_rotvec(vector).as_matrix(), dtype=np.float64)

@@ -17,9 +17,13 @@ Locate = Callable[[Floats], Floats]
 def covariance_root(design: Floats, chi_square: float) -> Floats:
     """(P, P) square root of the covariance of P parameters.
 
-    design: (N, P) derivatives of the weighted residuals.  Its columns are brought to one length
-    first, for parameters of all units.  The covariance is scaled up by chi squared per degree
-    of freedom where that is above 1.
+    The design's columns are brought to one length first, for parameters of all units.  The
+    covariance is scaled up by chi squared per degree of freedom where that is above 1.
+
+    Parameters
+    ----------
+    design : (N, P) array, derivatives of the weighted residuals
+    chi_square : float, sum of squares of the weighted residuals
     """
     scale = np.maximum(np.linalg.norm(design, axis=0), 1e-300)
     _, sizes, directions = np.linalg.svd(design / scale, full_matrices=False)
@@ -33,7 +37,12 @@ def displacements(
 ) -> Floats:
     """(N, 2, M) mm by which one standard deviation of each mode moves the points of a map.
 
-    map_of: the map of parameters (K,).  modes: (K, M), changes of theta.
+    Parameters
+    ----------
+    map_of : callable, the map of parameters (K,)
+    theta : (K,) array, the parameters
+    modes : (K, M) array, changes of theta, each one standard deviation large
+    image_px : (N, 2) array, px, of (u, v)
     """
     moved = np.zeros((len(image_px), 2, modes.shape[1]))
     for index, mode in enumerate(MODE_STEP * modes.T):
@@ -45,10 +54,17 @@ def displacements(
 def modes_that_matter(
     map_of: Callable[[Floats], Locate], theta: Floats, root: Floats, image_px: Floats
 ) -> Floats:
-    """(K, M) square root of the covariance root @ root.T, less what does not move the map.
+    """(K, M) square root of a covariance, less what does not move the map.
 
-    image_px: (N, 2), where it counts.  The singular values of what the columns do to the points
-    order them; those are kept that together make KEPT of the variance there.
+    The singular values of what the columns do to the points order them; those are kept that
+    together make KEPT of the variance there.
+
+    Parameters
+    ----------
+    map_of : callable, the map of parameters (K,)
+    theta : (K,) array, the parameters
+    root : (K, P) array, root @ root.T is their covariance
+    image_px : (N, 2) array, px, (u, v) where it counts
     """
     sigma = np.linalg.norm(root, axis=1, keepdims=True)
     scaled = root / np.where(sigma > 0, sigma, 1.0)  # parameters of all units alike
@@ -62,7 +78,13 @@ def modes_that_matter(
 
 
 def pixel_derivatives(locate: Locate, image_px: Floats) -> Floats:
-    """(N, 2, 2) mm per px of a map at pixels (N, 2), the last axis by u and by v."""
+    """(N, 2, 2) mm per px of a map, the last axis by u and by v.
+
+    Parameters
+    ----------
+    locate : callable, the map: (N, 2) mm of (x, z) of pixels (N, 2)
+    image_px : (N, 2) array, px, of (u, v)
+    """
     moved = [
         (locate(image_px + step) - locate(image_px - step)) / (2 * PIXEL_STEP)
         for step in PIXEL_STEP * np.eye(2)

@@ -27,9 +27,14 @@ MOST_EVALUATIONS = 500  # one view within 2 degrees of square to the board takes
 
 @dataclass(frozen=True)
 class BoardMarks:
-    """Marks to fit, of all boards.
+    """N marks to fit, of all boards.
 
-    board_mm: (N, 2) of (x, z).  image_px: (N, 2).  sigma_px: (N,).  board: (N,) number of each.
+    Attributes
+    ----------
+    board_mm : (N, 2) array, mm, (x, z) on the board
+    image_px : (N, 2) array, px, of (u, v)
+    sigma_px : (N,) array, px, standard uncertainty of u and of v
+    board : (N,) array, number of each mark's board
     """
 
     board_mm: Floats
@@ -38,18 +43,35 @@ class BoardMarks:
     board: Ints
 
     def only(self, wanted: Mask) -> "BoardMarks":
-        """Those of a mask (N,)."""
+        """The marks of a mask.
+
+        Parameters
+        ----------
+        wanted : (N,) mask, of the marks kept
+        """
         return BoardMarks(
             self.board_mm[wanted], self.image_px[wanted], self.sigma_px[wanted], self.board[wanted]
         )
 
     def missed_px(self, boards: PosedBoards) -> Floats:
-        """(N, 2) px from each mark's place in the picture to where ``boards`` has it."""
+        """(N, 2) px from each mark's place in the picture to where ``boards`` has it.
+
+        A mark without an image counts as FAR_PX off.
+
+        Parameters
+        ----------
+        boards : PosedBoards, camera and poses
+        """
         seen = boards.project(self.board_mm, self.board)
         return np.nan_to_num(seen - self.image_px, nan=FAR_PX)
 
     def lengths(self, boards: PosedBoards) -> Floats:
-        """(N,) lengths of the residuals over their uncertainties."""
+        """(N,) lengths of the residuals over their uncertainties.
+
+        Parameters
+        ----------
+        boards : PosedBoards, camera and poses
+        """
         return np.hypot(*self.missed_px(boards).T) / self.sigma_px
 
 
@@ -57,8 +79,12 @@ class BoardMarks:
 class CameraFit:
     """A solution of least squares.
 
-    boards: camera and poses.  root: (14 + 6 V, P), the covariance of boards.theta is
-    root @ root.T.  marks: all marks.  good: (N,) mask of those that the solution rests on.
+    Attributes
+    ----------
+    boards : PosedBoards, camera and poses
+    root : (14 + 6 V, P) array, the covariance of boards.theta is root @ root.T
+    marks : BoardMarks, all N marks
+    good : (N,) mask, of those that the solution rests on
     """
 
     boards: PosedBoards
@@ -68,7 +94,13 @@ class CameraFit:
 
 
 def found_on(several: Sequence[Marks], board: Sequence[int]) -> BoardMarks:
-    """The marks that were found in several readings, each of the board of that number."""
+    """The marks that were found in several readings, each of the board of that number.
+
+    Parameters
+    ----------
+    several : sequence of Marks, one a reading; sigma_px below LEAST_SIGMA_PX counts as that
+    board : sequence of int, number of each reading's board
+    """
     counts = [int(marks.found.sum()) for marks in several]
     sigma_px = np.concatenate([marks.sigma_px[marks.found] for marks in several])
     return BoardMarks(
@@ -80,10 +112,14 @@ def found_on(several: Sequence[Marks], board: Sequence[int]) -> BoardMarks:
 
 
 def sound_marks(lengths: Floats) -> Mask:
-    """(N,) mask of the marks that are no outliers, by their residuals' lengths in sigmas.
+    """(N,) mask of the marks that are no outliers.
 
     An outlier is off by more than WRONG sigmas or, where residuals are altogether larger than
     their uncertainties, by more than WRONG of their usual size.
+
+    Parameters
+    ----------
+    lengths : (N,) array, the residuals' lengths over their uncertainties
     """
     usual = max(1.0, float(np.median(lengths)) / MEDIAN)
     return lengths <= WRONG * usual
@@ -137,11 +173,22 @@ class _Problem:
 def fit_boards(
     start: PosedBoards, marks: BoardMarks, priors: CameraPriors, tolerance: float
 ) -> PosedBoards:
-    """Camera and poses of least squares, from ``start`` on, within the camera's LIMITS.
+    """Camera and poses of least squares, within the camera's LIMITS.
 
     The valley of nearly equal cameras is long, narrow and bent: Levenberg and Marquardt's
     method follows it best, but knows no limits; where it leaves them, the bounded method has
-    the last word.  tolerance: relative change of the sum of squares at which it is done.
+    the last word.
+
+    Parameters
+    ----------
+    start : PosedBoards, where the search begins
+    marks : BoardMarks, mm on the boards, px in the pictures
+    priors : CameraPriors, what is known of the camera beforehand
+    tolerance : float, relative change of the sum of squares at which it is done
+
+    References
+    ----------
+    Z. Zhang, IEEE PAMI 22 (2000), Sec. 3.2.
     """
     problem = _Problem(start, marks, priors)
     if 2 * len(marks.board) + priors.informed.sum() < problem.free.sum():
@@ -172,8 +219,14 @@ def fit_within_limits(
 ) -> PosedBoards:
     """Camera and poses of least squares, each step of the search within the camera's LIMITS.
 
-    robust: size of residuals, in sigmas, beyond which they count linearly.
-    most: evaluations allowed.
+    Parameters
+    ----------
+    start : PosedBoards, where the search begins
+    marks : BoardMarks, mm on the boards, px in the pictures
+    priors : CameraPriors, what is known of the camera beforehand
+    tolerance : float, relative change of the sum of squares at which it is done
+    robust : float, size of residuals, in sigmas, beyond which they count linearly
+    most : int, evaluations allowed
     """
     problem = _Problem(start, marks, priors)
     low, high = np.full(len(start.theta), -np.inf), np.full(len(start.theta), np.inf)
@@ -193,7 +246,14 @@ def fit_within_limits(
 
 
 def chi_square(boards: PosedBoards, marks: BoardMarks, priors: CameraPriors) -> float:
-    """The sum of squares that is minimised."""
+    """The sum of squares that is minimised, of marks and priors over their uncertainties.
+
+    Parameters
+    ----------
+    boards : PosedBoards, camera and poses
+    marks : BoardMarks, mm on the boards, px in the pictures
+    priors : CameraPriors, what is known of the camera beforehand
+    """
     problem = _Problem(boards, marks, priors)
     return float((problem.residuals(boards.theta[problem.free]) ** 2).sum())
 
@@ -201,10 +261,17 @@ def chi_square(boards: PosedBoards, marks: BoardMarks, priors: CameraPriors) -> 
 def with_covariance(
     boards: PosedBoards, marks: BoardMarks, priors: CameraPriors, good: Mask
 ) -> CameraFit:
-    """The solution ``boards`` for the marks of the mask ``good``, with its covariance.
+    """The solution for some of the marks, with its covariance.
 
     The covariance is that of the normal equations, scaled up by chi squared per degree of
     freedom where that is above 1.
+
+    Parameters
+    ----------
+    boards : PosedBoards, the solution
+    marks : BoardMarks, all N marks
+    priors : CameraPriors, what is known of the camera beforehand
+    good : (N,) mask, of the marks that the solution rests on
     """
     used = marks.only(good)
     problem = _Problem(boards, used, priors)

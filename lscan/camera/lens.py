@@ -12,18 +12,26 @@ MOST_STEPS = 50
 
 
 def distort(camera: CameraModel, tangents: Floats) -> Floats:
-    """(N, 2) distorted tangents of (N, 2) tangents x/z, y/z of directions in air.
+    """(N, 2) distorted tangents; NaN beyond the radius at which the radial distortion folds back.
 
-    NaN beyond the radius at which the radial distortion folds back: no image is formed there.
+    Parameters
+    ----------
+    camera : CameraModel, whose k1, k2, k3, p1 and p2 count
+    tangents : (N, 2) array, x/z and y/z of directions in air, camera frame
     """
     inside = np.hypot(*tangents.T) < fold_radius(camera)
     return _bent(camera, np.where(inside[:, None], tangents, np.nan))
 
 
 def undistort(camera: CameraModel, distorted: Floats) -> Floats:
-    """(N, 2) tangents that ``distort`` takes to ``distorted`` (N, 2).
+    """(N, 2) tangents that ``distort`` takes to given ones; NaN where nothing is imaged there.
 
-    By Newton's method from the distorted tangents; NaN where nothing is imaged there.
+    By Newton's method from the distorted tangents.
+
+    Parameters
+    ----------
+    camera : CameraModel, whose k1, k2, k3, p1 and p2 count
+    distorted : (N, 2) array, pixels less the centre, over the focal length
     """
     tangents = distorted
     step = np.zeros_like(distorted)
@@ -39,7 +47,12 @@ def undistort(camera: CameraModel, distorted: Floats) -> Floats:
 
 
 def fold_radius(camera: CameraModel) -> float:
-    """Undistorted radius where the radial distortion turns back; infinite where it never does."""
+    """Undistorted radius where the radial distortion turns back; infinite where it never does.
+
+    Parameters
+    ----------
+    camera : CameraModel, whose k1, k2 and k3 count
+    """
     return _fold_radius(camera.k1, camera.k2, camera.k3)
 
 

@@ -11,9 +11,17 @@ from lscan.records import Floats
 class PortModel:
     """A flat window between the camera's air and the water.
 
-    gap_mm: air from the pinhole to the glass, along the glass's normal.  thickness_mm: of the
-    glass.  glass_index, water_index: relative to air, 1 or more.  tilt_x_deg, tilt_y_deg: the
-    normal is the camera's axis turned by Ry(tilt_y) Rx(tilt_x).
+    Attributes
+    ----------
+    gap_mm : float, mm, air from the pinhole to the glass, along the glass's normal
+    thickness_mm : float, mm, of the glass
+    glass_index, water_index : float, relative to air, 1 or more
+    tilt_x_deg, tilt_y_deg : float, degrees; the glass's normal is the camera's axis turned by
+        Ry(tilt_y) Rx(tilt_x)
+
+    References
+    ----------
+    docs/explanation/physics.md, section 6.
     """
 
     gap_mm: float
@@ -34,8 +42,14 @@ class PortModel:
 class CameraModel:
     """A pinhole with Brown-Conrady distortion as OpenCV writes it, behind a port or in air.
 
-    focal_px: the same for u and v (square pixels).  centre_px: (u, v) of the axis.
-    k1, k2, k3: radial, p1, p2: decentring distortion.  port: None for a camera in air.
+    Attributes
+    ----------
+    focal_px : float, px, the same for u and v (square pixels)
+    centre_px : tuple of float, px, (u, v) of the axis
+    k1, k2 : float, radial distortion
+    p1, p2 : float, decentring distortion
+    k3 : float, radial distortion
+    port : PortModel or None, None for a camera in air
     """
 
     focal_px: float

@@ -39,8 +39,12 @@ LEAST, GREATEST = np.array([LIMITS.get(name, (-np.inf, np.inf)) for name in CAME
 class CameraPriors:
     """What is known of a camera beforehand, in the order of CAMERA.
 
-    mean, sigma: (14,) each.  sigma 0: the parameter is held; infinite: nothing is known.
-    focal_given: whether the focal length is known, rather than assumed or open.
+    Attributes
+    ----------
+    mean : (14,) array, units as the names in CAMERA say
+    sigma : (14,) array, standard uncertainties; 0: the parameter is held; infinite: nothing is
+        known
+    focal_given : bool, whether the focal length is known, rather than assumed or open
     """
 
     mean: Floats
@@ -59,7 +63,13 @@ class CameraPriors:
 
 
 def camera_of(theta: Floats, port: PortKind) -> CameraModel:
-    """The camera of parameters (14 or more,), of which the first are in the order of CAMERA."""
+    """The camera of a vector of parameters.
+
+    Parameters
+    ----------
+    theta : (14 or more,) array, the first in the order of CAMERA
+    port : str, "flat", or "none" for a camera in air
+    """
     focal, u, v, k1, k2, p1, p2, k3 = theta[: len(LENS)].tolist()
     window = PortModel(*theta[len(LENS) : COUNT].tolist()) if port == "flat" else None
     return CameraModel(focal, (u, v), k1, k2, p1, p2, k3, window)
@@ -75,10 +85,11 @@ def priors_of(
 
     Parameters
     ----------
-    image_size : (width, height) of the pictures, px.
-    k3 : third radial coefficient and its standard uncertainty; held at 0 by default.
-    assume_webcam : whether a focal length or centre that is not given is assumed to be that of
-        a webcam; otherwise nothing is known of it.
+    optics : OpticsSection, of the rig file
+    image_size : tuple of int, (width, height) of the pictures, px
+    k3 : tuple of float, third radial coefficient and its standard uncertainty; held at 0 by default
+    assume_webcam : bool, whether a focal length or centre that is not given is assumed to be that
+        of a webcam; otherwise nothing is known of it
 
     Raises
     ------

@@ -23,8 +23,19 @@ MOST_STEPS = 100
 def leave_port(port: PortModel, air: Floats) -> tuple[Floats, Floats]:
     """Where rays from the pinhole enter the water, (N, 3) mm, and their unit directions there.
 
-    air: (N, 3) unit directions before the glass.  Camera frame.  NaN for rays that do not
-    meet the glass.
+    Parameters
+    ----------
+    port : PortModel, flat
+    air : (N, 3) array, unit directions before the glass, camera frame
+
+    Returns
+    -------
+    tuple of array
+        Camera frame; NaN for rays that do not meet the glass.
+
+    References
+    ----------
+    docs/explanation/physics.md, section 6.
     """
     normal = port.normal
     cosine = air @ normal
@@ -46,9 +57,18 @@ def _refracted(along: Floats, normal: Floats, index: float) -> Floats:
 
 
 def aim_through_port(port: PortModel, points_mm: Floats) -> Floats:
-    """(N, 3) directions in air, of any length, of the rays that reach (N, 3) points in the water.
+    """(N, 3) directions in air, of any length, of the rays that reach points in the water.
 
-    Camera frame, mm.  NaN for points not beyond the glass or that no ray reaches.
+    NaN for points not beyond the glass or that no ray reaches.
+
+    Parameters
+    ----------
+    port : PortModel, flat
+    points_mm : (N, 3) array, mm, camera frame
+
+    References
+    ----------
+    docs/explanation/physics.md, section 6.
     """
     normal = port.normal
     height = points_mm @ normal

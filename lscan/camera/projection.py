@@ -13,10 +13,13 @@ from lscan.records import Floats
 
 @dataclass(frozen=True)
 class Rays:
-    """N rays in front of a camera, camera frame; NaN where a pixel has none.
+    """N rays in front of a camera; NaN where a pixel has none.
 
-    origin_mm: (N, 3) where the ray enters the water; the pinhole for a camera in air.
-    direction: (N, 3) unit, away from the camera.
+    Attributes
+    ----------
+    origin_mm : (N, 3) array, mm, camera frame, where the ray enters the water; the pinhole for a
+        camera in air
+    direction : (N, 3) array, unit, camera frame, away from the camera
     """
 
     origin_mm: Floats
@@ -28,17 +31,23 @@ def rays(camera: CameraModel, image_px: Floats) -> Rays:
 
     Parameters
     ----------
-    image_px : (N, 2) pixels (u, v).
+    camera : CameraModel, in air or behind a port
+    image_px : (N, 2) array, px, of (u, v)
 
     Returns
     -------
-    N rays, camera frame; NaN for pixels that are NaN, that the distortion never reaches, or
-    whose rays miss the port.
+    Rays
+        N of them, camera frame; NaN for pixels that are NaN, that the distortion never reaches, or
+        whose rays miss the port.
 
     Raises
     ------
     InputError
         Where ``image_px`` is not (N, 2).
+
+    References
+    ----------
+    docs/explanation/physics.md, section 6.
 
     Examples
     --------
@@ -61,18 +70,24 @@ def project(camera: CameraModel, points_mm: Floats) -> Floats:
 
     Parameters
     ----------
-    points_mm : (N, 3) in the camera frame, mm.
+    camera : CameraModel, in air or behind a port
+    points_mm : (N, 3) array, mm, camera frame
 
     Returns
     -------
-    (N, 2) pixels (u, v), some of which may lie outside the picture.  NaN where the camera forms
-    no image: points not beyond the port's glass (or not ahead of the pinhole), or so far off
-    the axis that the distortion folds back.
+    array
+        (N, 2) pixels (u, v), some of which may lie outside the picture.  NaN where the camera forms
+        no image: points not beyond the port's glass (or not ahead of the pinhole), or so far off
+        the axis that the distortion folds back.
 
     Raises
     ------
     InputError
         Where ``points_mm`` is not (N, 3).
+
+    References
+    ----------
+    docs/explanation/physics.md, section 6.
 
     Examples
     --------
@@ -89,7 +104,14 @@ def project(camera: CameraModel, points_mm: Floats) -> Floats:
 
 
 def meet_plane(seen: Rays, normal: Floats, place_mm: Floats) -> Floats:
-    """(N, 3) mm where rays meet a plane of normal (3,) through a place (3,); NaN if not ahead."""
+    """(N, 3) mm where rays meet a plane; NaN if it is not ahead of them.
+
+    Parameters
+    ----------
+    seen : Rays, N of them
+    normal : (3,) array, of the plane, in the frame of the rays
+    place_mm : (3,) array, mm, a point of the plane, in the frame of the rays
+    """
     along = seen.direction @ normal
     distance = ((place_mm - seen.origin_mm) @ normal) / np.where(along != 0, along, np.nan)
     ahead = np.where(distance > 0, distance, np.nan)

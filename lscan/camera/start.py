@@ -25,7 +25,14 @@ def best_start(
     """Rough camera and poses; None where no board's marks are a picture of a plane.
 
     The best of several, one for each focal length that may be.  The first that explains the
-    marks within their uncertainties is as good as any.  width: of the picture, px.
+    marks within their uncertainties is as good as any.
+
+    Parameters
+    ----------
+    marks : BoardMarks, mm on the boards, px in the pictures
+    priors : CameraPriors, what is known of the camera beforehand
+    port : str, "flat", or "none" for a camera in air
+    width : int, px, of the picture
     """
     focals = [priors.mean[0]] if priors.focal_given else [share * width for share in START_WIDTHS]
     robust = START_PX / float(np.median(marks.sigma_px))
@@ -44,10 +51,19 @@ def best_start(
 
 
 def posed_boards(theta: Floats, port: PortKind, marks: BoardMarks) -> PosedBoards | None:
-    """The camera theta (14,) and the boards where a pinhole of its angle of view has them.
+    """The camera and the boards where a pinhole of its angle of view has them.
 
-    Each board's homography gives its pose (Zhang, "A flexible new technique for camera
-    calibration", IEEE PAMI 22 (2000), Sec. 3.1).  None where the marks of a board give none.
+    Each board's homography gives its pose.  None where the marks of a board give none.
+
+    Parameters
+    ----------
+    theta : (14 or more,) array, the camera in the order of parameters.CAMERA
+    port : str, "flat", or "none" for a camera in air
+    marks : BoardMarks, mm on the boards, px in the pictures
+
+    References
+    ----------
+    Z. Zhang, "A flexible new technique for camera calibration", IEEE PAMI 22 (2000), Sec. 3.1.
     """
     alone = PosedBoards(theta[:COUNT], marks.board_mm.mean(axis=0), port)
     poses = []
