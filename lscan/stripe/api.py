@@ -28,25 +28,42 @@ class Extractor(Protocol):
     """
 
     def __call__(self, image: Floats, settings: StripeSection, clipped: Mask) -> Stripe:
-        """The line across the columns of ``image``, (H, W) grey values in DN.
+        """The line across the columns of a picture.
 
-        Values may be negative where a background picture has been subtracted.
-        clipped: (H, W), the pixels that the laser drove to the end of the camera's range:
-        they may have seen any amount of light from their grey value upwards.
-        ``image.T`` and ``clipped.T`` are contiguous in memory.
+        An extractor gives a column without a line NaN and NO_PEAK (or AT_BORDER), every other one
+        OK or, where it has allowed for clipped pixels in its own sigma_px, SATURATED;
+        ``extract_stripe`` marks the clipped ones that are OK, and enlarges theirs.  It always works
+        along columns; ``extract_stripe`` turns pictures whose line runs down.
 
-        An extractor gives a column without a line NaN and NO_PEAK (or AT_BORDER), every
-        other one OK or, where it has allowed for clipped pixels in its own sigma_px,
-        SATURATED; ``extract_stripe`` marks the clipped ones that are OK, and enlarges theirs.
-        Always works along columns; ``extract_stripe`` turns pictures whose line runs down.
+        Parameters
+        ----------
+        image : (H, W) array, DN, grey values; negative ones where a background has been subtracted.
+            ``image.T`` and ``clipped.T`` are contiguous in memory.
+        settings : StripeSection, of the rig file; an extractor uses what it needs of it
+        clipped : (H, W) mask, the pixels that the laser drove to the end of the camera's range:
+            they may have seen any amount of light from their grey value upwards
+
+        Returns
+        -------
+        Stripe
+            Of W entries, px and DN; its axis is of no account.
         """
         ...
 
 
 def require_stripe(stripe: Any, shape: tuple[int, ...], where: str) -> None:
-    """Refuse what is not a stripe of a picture of ``shape`` (H, W), as Extractor promises it.
+    """Refuse what is not a stripe of a picture, as Extractor promises it.
 
-    Raises InputError that names ``where``, the first column at fault and its value.
+    Parameters
+    ----------
+    stripe : object, what an extractor gave
+    shape : tuple of int, (H, W) of the picture, px
+    where : str, how the message names the extractor
+
+    Raises
+    ------
+    InputError
+        Names ``where``, the first column at fault and its value.
     """
     if not isinstance(stripe, Stripe):
         raise InputError("gave no Stripe", where=where, value=type(stripe).__name__)

@@ -40,10 +40,15 @@ SETTLED_MM = 1e-8
 class StepSamples:
     """K samples of brightness on stretches that end, by P places of ends.
 
-    brightness: (K,) above 0.  level: (K, L) terms of the level.
-    by_place, offset: (J, K, P) and (J, K) mm: depth = by_place @ places - offset, inside each
-        of the at most J ends of a sample's stretch; ``no_end`` is the offset where there is none.
-    group: (K,) which width counts.  walled: (K, W) 1 where a sample is beside that wall.
+    Attributes
+    ----------
+    brightness : (K,) array, DN, above 0
+    level : (K, L) array, terms of the level
+    by_place : (J, K, P) array, depth = by_place @ places - offset, mm, inside each of the at most J
+        ends of a sample's stretch
+    offset : (J, K) array, mm; ``NO_END`` where there is no end
+    group : (K,) array, which width counts
+    walled : (K, W) array, 1 where a sample is beside that wall
     """
 
     brightness: Floats
@@ -62,9 +67,13 @@ NO_END = -1e6
 class StepLimits:
     """What a fit may do and which samples it may use.
 
-    least_t: least depth in widths; most_mm: greatest depth inside the nearest end.
-    widths_mm: least and greatest width.  step_mm: farthest a place may move in one round.
-    unmodelled: uncertainty of brightness, relative to the level, that is no noise.
+    Attributes
+    ----------
+    least_t : float, least depth, in widths
+    most_mm : float, mm, greatest depth inside the nearest end
+    widths_mm : tuple of float, mm, least and greatest width
+    step_mm : float, mm, farthest a place may move in one round
+    unmodelled : float, uncertainty of brightness, relative to the level, that is no noise
     """
 
     least_t: float
@@ -78,8 +87,13 @@ class StepLimits:
 class StepFit:
     """Fitted ends.
 
-    place: (P,) mm.  width: (G,) mm.  wall: (W,) shares.  covariance: (P, P) of the places, mm².
-    kept: (K,) samples used.
+    Attributes
+    ----------
+    place : (P,) array, mm
+    width : (G,) array, mm, of the blur
+    wall : (W,) array, shares
+    covariance : (P, P) array, mm², of the places
+    kept : (K,) mask, of the samples used
     """
 
     place: Floats
@@ -97,16 +111,30 @@ def fit_steps(
     limits: StepLimits,
     kept: Mask | None = None,
 ) -> StepFit:
-    """The most probable ends, searched from ``place`` (P,) and ``width`` (G,), mm.
-
-    place_sigma: (P,) how far the places may lie from where they are looked for, a weak prior as
-        are those of width (as large as it is) and wall: where the brightness does not fall
-        within the samples they keep the search from running away.
-    kept: (K,) the samples to use, where that is decided already.
+    """The most probable ends of lit stretches, from how the brightness falls there.
 
     Gauss-Newton on brightness relative to the model's, for speckle grows with the light.  The
     covariance is that of the samples' scatter.
-    Raises MeasurementError where the samples do not determine the ends.
+
+    Parameters
+    ----------
+    samples : StepSamples, of the brightness
+    place : (P,) array, mm, where the search begins
+    place_sigma : (P,) array, mm, how far the places may lie from there, a weak prior as are those
+        of width (as large as it is) and wall: where the brightness does not fall within the samples
+        they keep the search from running away
+    width : (G,) array, mm, of the blur, where the search begins
+    limits : StepLimits, of the search and of the samples used
+    kept : (K,) mask, optional, the samples to use, where that is decided already
+
+    Raises
+    ------
+    MeasurementError
+        Where the samples do not determine the ends.
+
+    References
+    ----------
+    The model is this module's own; its text derives it.
     """
     wall = np.zeros(samples.walled.shape[1])
     state = _StepState(place, width, wall, FIRST_SCATTER)

@@ -28,12 +28,6 @@ def extract_stripe(
 ) -> Stripe:
     """The laser line in ``image``: one entry per column, or per row with ``axis="rows"``.
 
-    image: (H, W) grey or (H, W, 3) RGB uint8, in DN.
-    settings: channel, axis, extractor, threshold and span; which of several lines is meant
-        (``returns``); the camera's blur to be corrected for and the smoothing along the line,
-        neither of which is done by default.
-    background: the same view with the laser off, same shape; subtracted where given.
-
     The highest value of a column must exceed the column's median by more than
     ``threshold_dn``, after the subtraction; NO_PEAK otherwise.  AT_BORDER: the picture's
     edge cuts the window.  SATURATED: a pixel within ``span_px`` of the centre is clipped in
@@ -41,7 +35,24 @@ def extract_stripe(
     the extractor says SATURATED itself, having allowed for it.  AMBIGUOUS: the column holds
     several lines, and it is not known which is meant.
 
-    Raises InputError for pictures of another shape or type and for an unknown extractor.
+    Parameters
+    ----------
+    image : (H, W) or (H, W, 3) array, uint8, DN, grey or RGB
+    settings : StripeSection, channel, axis, extractor, threshold and span; which of several lines
+        is meant (``returns``); the camera's blur to be corrected for and the smoothing along the
+        line, neither of which is done by default
+    background : array, optional, same shape, the same view with the laser off, to be subtracted
+
+    Returns
+    -------
+    Stripe
+        Of W entries (or H), px and DN.
+
+    Raises
+    ------
+    InputError
+        For pictures of another shape or type, for an unknown extractor, and for one that fails or
+        gives no stripe of the picture.
 
     Examples
     --------
@@ -123,9 +134,16 @@ def _read_only(picture: NDArray[_Value]) -> NDArray[_Value]:
 
 @lru_cache(maxsize=32)
 def find_extractor(name: str) -> Extractor:
-    """The extractor registered under ``name``, or the function ``package.module:function``.
+    """The extractor of a name.
 
-    Raises InputError where there is none.
+    Parameters
+    ----------
+    name : str, as registered under ``lscan.extractors``, or ``package.module:function``
+
+    Raises
+    ------
+    InputError
+        Where there is none.
     """
     where = "stripe.extractor"
     return cast(Extractor, find_plugin_or_function("lscan.extractors", name, where))

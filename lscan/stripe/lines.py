@@ -20,10 +20,12 @@ _PLANE_OF: dict[Channel, int] = {"red": 0, "green": 1, "blue": 2}
 class PictureLines:
     """The pixels along which the line is looked for, entry by entry of the stripe.
 
-    grey: (N, L) uint8, the chosen channel in DN; row i is column i of the picture
-        (``axis="columns"``) or its row i (``axis="rows"``).
-    clipped: (N, L), the pixels at the end of the camera's range, in any colour that is part
-        of the channel.
+    Attributes
+    ----------
+    grey : (N, L) array, uint8, DN, the chosen channel; row i is column i of the picture
+        (``axis="columns"``) or its row i (``axis="rows"``)
+    clipped : (N, L) mask, of the pixels at the end of the camera's range, in any colour that is
+        part of the channel
     """
 
     grey: Bytes
@@ -31,11 +33,24 @@ class PictureLines:
 
 
 def lines_of(picture: Bytes, channel: Channel, axis: Axis, where: str = "picture") -> PictureLines:
-    """The lines of a picture, (H, W) grey or (H, W, 3) RGB uint8.
+    """The lines of a picture.
 
-    ``channel`` is of no account in a picture that is grey already; "grey" weighs the colours
-    0.299 R + 0.587 G + 0.114 B (ITU-R BT.601).
-    Raises InputError, which names the picture by ``where``, for another shape or type.
+    Parameters
+    ----------
+    picture : (H, W) or (H, W, 3) array, uint8, DN, grey or RGB
+    channel : str, "red", "green", "blue", or "grey", which weighs the colours 0.299 R + 0.587 G +
+        0.114 B; of no account in a picture that is grey already
+    axis : str, "columns" or "rows"
+    where : str, how the message names the picture
+
+    Raises
+    ------
+    InputError
+        For another shape or type.
+
+    References
+    ----------
+    The weights are those of ITU-R BT.601.
     """
     check_picture(picture, where)
     if picture.ndim == 2:
@@ -50,7 +65,18 @@ def lines_of(picture: Bytes, channel: Channel, axis: Axis, where: str = "picture
 
 
 def check_picture(picture: Bytes, where: str) -> None:
-    """Return where ``picture`` is (H, W) or (H, W, 3) uint8 and not empty; else InputError."""
+    """Refuse what is no picture of one pixel or more.
+
+    Parameters
+    ----------
+    picture : (H, W) or (H, W, 3) array, uint8, DN
+    where : str, how the message names the picture
+
+    Raises
+    ------
+    InputError
+        For another shape or type, and for an empty picture.
+    """
     shaped = picture.ndim == 2 or (picture.ndim == 3 and picture.shape[2] == 3)
     if picture.dtype != np.uint8 or not shaped or picture.size == 0:
         raise InputError(

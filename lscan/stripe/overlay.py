@@ -22,12 +22,19 @@ _EDGE_PX = 4
 def draw_stripe(image: Bytes, stripe: Stripe) -> Bytes:
     """A copy of ``image`` as (H, W, 3) RGB with the stripe drawn over it.
 
-    image: (H, W) grey or (H, W, 3) RGB uint8, the picture the stripe was found in.
-
     The pixel nearest each centre is green, or amber where the line is clipped.  A band of 4
     pixels along the top (for rows: left) edge shows the status of every entry: grey for
     NO_PEAK, magenta for AT_BORDER, blue for any other.
-    Raises InputError where the picture is none or the stripe is not of its size.
+
+    Parameters
+    ----------
+    image : (H, W) or (H, W, 3) array, uint8, DN, grey or RGB, the picture the stripe was found in
+    stripe : Stripe, px
+
+    Raises
+    ------
+    InputError
+        Where the picture is none or the stripe is not of its size.
     """
     check_picture(image, where="image")
     canvas = _as_rgb(image)

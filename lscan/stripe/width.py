@@ -14,12 +14,14 @@ _NARROWEST_PX = 0.5  # a line that falls into one pixel shows half a pixel's wid
 def line_width(columns: Floats, at: Ints) -> float:
     """Standard deviation in px, along the columns, of a Gaussian as wide as the line.
 
-    columns: (W, H) grey values in DN, one column of the picture a row.  at: the columns that
-    have a line, K of W, of which at least one.
-
     The columns are laid over each other with their brightest pixels together; the width is
     that of their mean profile at half its height above its lowest value, over 2.355.  A
     clipped crest widens it, as a bright line's is to be.  Never below 0.5 px.
+
+    Parameters
+    ----------
+    columns : (W, H) array, DN, one column of the picture a row
+    at : (K,) array, indices of the columns that have a line, at least one
     """
     reach = min(_REACH_PX, columns.shape[1] - 1)
     crest = columns[at].argmax(axis=1)

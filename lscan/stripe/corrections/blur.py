@@ -47,17 +47,28 @@ FLUX_REACH_PX = 8
 def correct_blur(stripe: Stripe, settings: StripeSection, light: Floats) -> Stripe:
     """The stripe as a camera without blur along the line would have shown it.
 
-    stripe: as extracted, before any smoothing along the line.
-    settings: ``blur_px`` is the standard deviation of the lens's point spread; the stripe is
-        returned as it is where that is None.
-    light: (N, L) grey values in DN, row i being the column (or row) of the picture that entry
-        i of the stripe was found in; a picture with the laser off may have been subtracted.
-
     Derivatives are taken from quadratics over REACH_PX columns to either side, never across a
     gap or a jump.  sigma_px grows by the noise of the correction, by the term in s⁴, whose
     v'' is too noisy to correct for, and, where a line is too short for derivatives,
     by ``blur_px``: the shift of a line at 45 degrees that ends there.
-    Raises InputError where light and stripe differ in length.
+
+    Parameters
+    ----------
+    stripe : Stripe, px, as extracted, before any smoothing along the line
+    settings : StripeSection, whose ``blur_px`` is the standard deviation of the lens's point
+        spread; the stripe is returned as it is where that is None
+    light : (N, L) array, DN, row i being the column (or row) of the picture that entry i of the
+        stripe was found in; a picture with the laser off may have been subtracted
+
+    Raises
+    ------
+    InputError
+        Where light and stripe differ in length.
+
+    References
+    ----------
+    H. Robbins, An empirical Bayes approach to statistics (1956), for the origin of the light; the
+    correction is derived in this module's text.
     """
     if settings.blur_px is None:
         return stripe
@@ -82,10 +93,13 @@ def correct_blur(stripe: Stripe, settings: StripeSection, light: Floats) -> Stri
 
 
 def line_flux(stripe: Stripe, light: Floats, reach_px: int = FLUX_REACH_PX) -> Floats:
-    """(N,) light of the line in each column, DN: all within ``reach_px`` of its centre.
+    """(N,) light of the line in each column, DN; NaN where there is no value or no light.
 
-    light: (N, L) as in ``correct_blur``; a column's background is its median.  NaN where
-    the stripe has no value, and where a column holds no light above its background.
+    Parameters
+    ----------
+    stripe : Stripe, px, of N entries
+    light : (N, L) array, DN, as in ``correct_blur``; a column's background is its median
+    reach_px : int, px, light so far from the centre counts as the line's
     """
     valued = np.flatnonzero(has_value(stripe.status))
     above = light[valued] - np.median(light[valued], axis=1)[:, None]

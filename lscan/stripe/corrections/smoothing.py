@@ -20,16 +20,23 @@ _MAD = 1.4826  # of the median absolute deviation, for the standard deviation of
 def smooth(stripe: Stripe, smooth_px: float) -> Stripe:
     """The stripe with each centre replaced by that of a parabola fitted to its neighbours.
 
-    smooth_px: standard deviation of the Gaussian weight along the line; 0 changes nothing.
-
-    Every column has its own local quadratic regression (Cleveland, J. Am. Stat. Assoc. 74,
-    829, 1979), weighted by the distance, the columns' own sigma_px and Tukey's biweight of the
-    residuals.  Neighbours beyond a gap or a jump (pieces.py) have no part in it, and a column
-    with fewer than six stays as it is.
+    Every column has its own local quadratic regression, weighted by the distance, the columns' own
+    sigma_px and Tukey's biweight of the residuals.  Neighbours beyond a gap or a jump (pieces.py)
+    have no part in it, and a column with fewer than six stays as it is.
 
     sigma_px is that of the regression, for columns that err independently: neighbours within
     some smooth_px of each other then share most of their error, so the mean of n of them is
     no better than that of n / (3.5 smooth_px).  It leaves out what a parabola cannot follow.
+
+    Parameters
+    ----------
+    stripe : Stripe, px
+    smooth_px : float, px, standard deviation of the Gaussian weight along the line; 0 changes
+        nothing
+
+    References
+    ----------
+    Cleveland, J. Am. Stat. Assoc. 74, 829 (1979).
     """
     if smooth_px == 0 or not has_value(stripe.status).any():
         return stripe

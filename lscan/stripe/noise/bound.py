@@ -16,15 +16,23 @@ def centre_bound_px(
 ) -> Floats:
     """Least standard deviation (K,) in px of an unbiased estimate of a line's centre.
 
-    width_px, height_dn, phase_px: (K,) or scalars: standard deviation of the Gaussian, its
-    height, and the place of its centre in the middle pixel.  Centre, width, height and an
-    even ground are unknown; the noise is known, independent from pixel to pixel and normal:
-    reading, shot and speckle.  reach_px: pixels seen to either side; 8 widths where None.
+    Centre, width, height and an even ground are unknown; the noise is known, independent from
+    pixel to pixel and normal: reading, shot and speckle.  For additive noise and a line much wider
+    than a pixel the bound is (sigma_n / A) sqrt(2 w / sqrt(pi)).
 
-    The inverse of Fisher's information J^T V^-1 J (Kay, Fundamentals of Statistical Signal
-    Processing I, sec. 3.9, without the little that the variance itself says of the line).
-    For additive noise and a line much wider than a pixel its centre's part is
-    (sigma_n / A) sqrt(2 w / sqrt(pi)).
+    Parameters
+    ----------
+    width_px : (K,) array or float, px, standard deviation of the Gaussian
+    height_dn : (K,) array or float, DN, its height
+    noise : Noise, of the pixels
+    phase_px : (K,) array or float, px, place of the centre in the middle pixel
+    reach_px : int, optional, px, pixels seen to either side; 8 widths by default
+
+    References
+    ----------
+    The inverse of Fisher's information J^T V^-1 J: Kay, Fundamentals of Statistical Signal
+    Processing I, sec. 3.9, without the little that the variance itself says of the line;
+    docs/explanation/physics.md, section 4.
     """
     width, height, phase = np.broadcast_arrays(
         *(np.atleast_1d(np.asarray(value, float)) for value in (width_px, height_dn, phase_px))

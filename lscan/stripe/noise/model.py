@@ -34,9 +34,15 @@ _FEWEST_TRIPLES = 16
 class Noise:
     """Variance of a pixel: ``constant + per_dn · (light + veil) + (speckle · light)²``.
 
-    constant: DN², at least that of rounding.
-    per_dn: DN² of variance for each DN of light above the background.
-    speckle: contrast of the laser's speckle in one pixel.
+    Attributes
+    ----------
+    constant : float, DN², at least that of rounding
+    per_dn : float, DN² of variance for each DN of light above the background
+    speckle : float, contrast of the laser's speckle in one pixel
+
+    References
+    ----------
+    docs/explanation/physics.md, sections 4 (speckle) and 5 (noise, after EMVA 1288).
     """
 
     constant: float
@@ -44,10 +50,13 @@ class Noise:
     speckle: float = 0.0
 
     def variance(self, light: Floats, veil: Floats | float = 0.0) -> Floats:
-        """Variance in DN², same shape as ``light``, the line's grey values above the ground.
+        """Variance in DN², same shape as ``light``.
 
-        veil: by how much the ground under the line is brighter than the picture's; water's
-        scattered light, which has shot noise but no speckle.
+        Parameters
+        ----------
+        light : array, DN, the line's grey values above the ground
+        veil : array or float, DN, by how much the ground under the line is brighter than the
+            picture's: water's scattered light, which has shot noise but no speckle
         """
         shot = self.per_dn * np.maximum(light + veil, 0.0)
         variance: Floats = self.constant + shot + (self.speckle * light) ** 2
@@ -55,15 +64,26 @@ class Noise:
 
 
 def stated_noise(section: NoiseSection, base: float) -> Noise:
-    """The noise that the rig file states, for a picture whose background is ``base`` DN."""
+    """The noise that the rig file states, for a picture of a known background.
+
+    Parameters
+    ----------
+    section : NoiseSection, of the rig file
+    base : float, DN, background of the picture
+    """
     gain = section.dn_per_electron
     return Noise(section.read_dn**2 + gain * max(base, 0.0), gain, section.speckle)
 
 
 def difference_noise(section: NoiseSection, dark_dn: float) -> NoiseSection:
-    """The noise of a picture from which another of mean grey value ``dark_dn`` was taken off.
+    """The noise of a picture from which another was taken off.
 
     Reading noise comes in twice, and so does the shot noise of the light in both.
+
+    Parameters
+    ----------
+    section : NoiseSection, of one picture
+    dark_dn : float, DN, mean grey value of the picture taken off
     """
     variance = 2 * (section.read_dn**2 + section.dn_per_electron * max(dark_dn, 0.0))
     return section.model_copy(update={"read_dn": variance**0.5})
@@ -72,10 +92,13 @@ def difference_noise(section: NoiseSection, dark_dn: float) -> NoiseSection:
 def constant_variance(columns: Floats) -> float:
     """Variance in DN² of the pixels away from the line.
 
-    columns: (W, H) grey values in DN, one column of the picture a row.  Second differences
-    along the columns cancel the background and its slope; the line's own are outliers and
-    are cut off.  Neighbouring pixels must have independent noise: a picture that was
+    Second differences along the columns cancel the background and its slope; the line's own are
+    outliers and are cut off.  Neighbouring pixels must have independent noise: a picture that was
     smoothed or strongly compressed states too little.
+
+    Parameters
+    ----------
+    columns : (W, H) array, DN, one column of the picture a row
     """
     step = max(1, len(columns) // _COLUMNS_SAMPLED)
     differences = np.diff(columns[::step], n=2, axis=1)
@@ -86,10 +109,14 @@ def constant_variance(columns: Floats) -> float:
 def line_variance_per_dn(light: Floats, at: Ints, constant: float) -> float:
     """Variance per DN of light on the line, in DN, from the scatter between columns.
 
-    light: (K, n) grey values above the background in the window of each column that has a
-        line.  at: (K,) the columns' indices, rising.  constant: as in :class:`Noise`.
     0 where fewer than 16 triples of neighbouring columns have a line.  Columns that are
     clipped scatter less than the light does.
+
+    Parameters
+    ----------
+    light : (K, n) array, DN, above the background in the window of each column that has a line
+    at : (K,) array, the columns' indices, rising
+    constant : float, DN², as in :class:`Noise`
     """
     together = (at[2:] - at[:-2]) == 2
     if np.count_nonzero(together) < _FEWEST_TRIPLES:
@@ -103,14 +130,16 @@ def line_variance_per_dn(light: Floats, at: Ints, constant: float) -> float:
 def scatter_noise(square: Floats, light: Floats, constant: float) -> Noise:
     """The noise that makes pixels scatter so about a fitted line.
 
-    square: (N,) in DN², on average the variance of the noise (scatter.py).
-    light: (N,) the line's fitted grey values in DN, 0 or more.
-    constant: as in :class:`Noise`, known from elsewhere.
-
     Least squares of ``square - constant`` on light and light², neither term below 0,
     weighted by the inverse square of the variance: that of a normal residual's square is
     twice the variance squared.  Thrice, as the weights need the result; squares beyond 25
     times their expectation (5 sigma) are left out.
+
+    Parameters
+    ----------
+    square : (N,) array, DN², on average the variance of the noise (scatter.py)
+    light : (N,) array, DN, the line's fitted grey values, 0 or more
+    constant : float, DN², as in :class:`Noise`, known from elsewhere
     """
     noise = Noise(constant, 0.0)
     if len(light) == 0:
@@ -131,7 +160,11 @@ def robust_variance(values: Floats, least: float = 0.0) -> float:
 
     Starts from the median absolute deviation and cuts thrice; a normal distribution cut at
     3 sigma keeps 0.97334 of its variance (1 - 6 phi(3) / (2 Phi(3) - 1)).
-    least: a variance there is in any case, where the search starts if most values agree.
+
+    Parameters
+    ----------
+    values : array, of any shape and unit
+    least : float, a variance there is in any case, where the search starts if most values agree
     """
     if values.size == 0:
         return 0.0
