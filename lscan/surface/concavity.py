@@ -54,18 +54,21 @@ def correct_thickness(surface: Surface, sheet: SheetSection, yaw_rad: float = 0.
 
     Parameters
     ----------
-    surface : Surface
-        In the head frame, as stacked, its heights found from whole-line centroids.
-    sheet : SheetSection
-        Its thickness, twice the standard deviation of the irradiance; from where it is lit and
-        seen.  Behind a flat port the rays in the water come from close to the pinhole too.
-    yaw_rad : float
-        Angle of the sheet against the track, as ``align_sandwave`` finds it.
+    surface : Surface, mm, frame of the head, as stacked, its heights found from whole-line
+        centroids
+    sheet : SheetSection, its thickness, twice the standard deviation of the irradiance; from where
+        it is lit and seen.  Behind a flat port the rays in the water come from close to the pinhole
+        too.
+    yaw_rad : float, rad, angle of the sheet against the track, as ``align_sandwave`` finds it
 
     Raises
     ------
     InputError
         For a surface that is not in the head frame.
+
+    References
+    ----------
+    docs/explanation/concavity.md; derived in this module's text.
     """
     if surface.frame != "head":
         raise InputError(

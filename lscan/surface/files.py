@@ -37,7 +37,16 @@ def save_surface(path: Path | str, surface: Surface) -> None:
     Where the surface has modes, they are there too (compressed), and sigma_calibration is the
     part of the uncertainty of z that they make common to all points.
     The attribute ``corrections`` says what the points have been corrected for.
-    Raises InputError where the file cannot be written.
+
+    Parameters
+    ----------
+    path : Path or str, of the file
+    surface : Surface, in either frame
+
+    Raises
+    ------
+    InputError
+        Where the file cannot be written.
 
     Examples
     --------
@@ -57,7 +66,14 @@ def save_surface(path: Path | str, surface: Surface) -> None:
 def load_surface(path: Path | str) -> Surface:
     """The surface that :func:`save_surface` wrote, to the last bit, but for its brightness: None.
 
-    Raises InputError where the file cannot be read or is not such a file.
+    Parameters
+    ----------
+    path : Path or str, of the file
+
+    Raises
+    ------
+    InputError
+        Where the file cannot be read or is not such a file.
 
     Examples
     --------
@@ -104,7 +120,16 @@ def save_points(path: Path, surface: Surface) -> None:
     """Write the points that have a value to a binary PLY file: x, y, z in mm as float32.
 
     Each vertex carries ``sigma_mm``, the standard uncertainty of its z, and ``status``.
-    Raises InputError where there is no point or the file cannot be written.
+
+    Parameters
+    ----------
+    path : Path, of the file
+    surface : Surface, in either frame
+
+    Raises
+    ------
+    InputError
+        Where there is no point or the file cannot be written.
     """
     keep = has_value(surface.status)
     if not keep.any():

@@ -21,13 +21,18 @@ LARGEST_GRID = 4_000_000
 class HeightGrid:
     """Heights at the centres of square cells, R rows along y by C columns along x.
 
-    x_mm: (C,), y_mm: (R,) centres.  cell_mm: side of a cell.
-    z_mm: (R, C) height at the centre; NaN where status is NO_DATA.
-    sigma_z_mm: (R, C) standard uncertainty of z, all causes together.  status: (R, C) of Status.
-    points: (R, C) number of measurements in the cell.
-    modes_mm: (R, C, M) the part of sigma_z_mm that cells have in common, as in PlanePoints: the
-        covariance of the heights of two cells is the product of their modes; NaN without data.
-        None where the surface has none.
+    Attributes
+    ----------
+    x_mm : (C,) array, mm, of the centres, frame of the surface
+    y_mm : (R,) array, mm, of the centres, frame of the surface
+    cell_mm : float, mm, side of a cell
+    z_mm : (R, C) array, mm, height at the centre; NaN where status is NO_DATA
+    sigma_z_mm : (R, C) array, mm, standard uncertainty of z, all causes together
+    status : (R, C) array, of Status
+    points : (R, C) array, number of measurements in the cell
+    modes_mm : (R, C, M) array or None, mm, the part of sigma_z_mm that cells have in common, as in
+        PlanePoints: the covariance of the heights of two cells is the product of their modes; NaN
+        without data.  None where the surface has none.
     """
 
     x_mm: Floats
@@ -62,10 +67,6 @@ class _CellSamples:
 def grid_cells(surface: Surface, cell_mm: float, bias_mm: Floats | None = None) -> HeightGrid:
     """The heights of ``surface`` on a grid of square cells, from the least x and y upwards.
 
-    cell_mm: side of a cell; cell boundaries lie at whole multiples of it.
-    bias_mm: (F, N) standard deviation of an error of z that neighbouring points share and
-        that is in no mode, such as what a line of finite width does on a curved surface.
-
     In each cell a quadratic in x and y is fitted to z by least squares; its value at the centre
     is the height, a weighted sum of the measured ones.  Own noise goes through the weights'
     squares, that of x through the slope.  A mode displaces the whole surface, so it changes the
@@ -73,8 +74,21 @@ def grid_cells(surface: Surface, cell_mm: float, bias_mm: Floats | None = None) 
     fewer than MIN_POINTS points, or whose points do not enclose the centre, so that its height
     is less certain than a single measurement, has NO_DATA.
 
-    Raises InputError for a cell without size or so small that the grid has more than
-    LARGEST_GRID cells, or biases of another shape; MeasurementError without any point.
+    Parameters
+    ----------
+    surface : Surface, mm, of F by N points, in any frame with z up
+    cell_mm : float, mm, side of a cell; cell boundaries lie at whole multiples of it
+    bias_mm : (F, N) array, optional, mm, standard deviation of an error of z that neighbouring
+        points share and that is in no mode, such as what a line of finite width does on a curved
+        surface
+
+    Raises
+    ------
+    InputError
+        For a cell without size or so small that the grid has more than LARGEST_GRID cells, or
+        biases of another shape.
+    MeasurementError
+        Where there is no point.
     """
     valid = has_value(surface.status) & np.isfinite(surface.xyz_mm).all(axis=-1)
     _check(surface, cell_mm, bias_mm, bool(valid.any()))

@@ -12,9 +12,12 @@ from lscan.records import Floats, Mask
 class NominalTop:
     """The top of the block at N places in plan, workpiece frame.
 
-    height_mm: (N,).  slope: (N, 2) of the height by x and by y.  clear: (N,) whether the place
-    lies on the block and away from every step: from its sides, the border of the waves and the
-    edges of the wedges.
+    Attributes
+    ----------
+    height_mm : (N,) array, mm
+    slope : (N, 2) array, of the height by x and by y
+    clear : (N,) mask, whether the place lies on the block and away from every step: from its sides,
+        the border of the waves and the edges of the wedges
     """
 
     height_mm: Floats
@@ -29,9 +32,13 @@ class NominalTop:
 
 
 def nominal_top(piece: Sandwave, plan_mm: Floats, margin_mm: float) -> NominalTop:
-    """The top at (N, 2) places (x, y), mm: eq. (4) on the waves, flat on rims and wedges.
+    """The top at places in plan: eq. (4) on the waves, flat on rims and wedges.
 
-    margin_mm: a place nearer than this to a step is not clear.
+    Parameters
+    ----------
+    piece : Sandwave, the nominal shape
+    plan_mm : (N, 2) array, mm, (x, y), frame of the workpiece
+    margin_mm : float, mm; a place nearer than this to a step is not clear
     """
     x, y = plan_mm.T
     far = piece.side_mm
@@ -49,10 +56,16 @@ FOOT_ROUNDS = 2
 
 
 def above_top(piece: Sandwave, points_mm: Floats, margin_mm: float) -> tuple[Floats, NominalTop]:
-    """(N,) distance of points (N, 3) above the top along its normal, mm, and the top at its foot.
+    """(N,) distance of points above the top along its normal, mm, and the top at its foot.
 
     The foot and not the place beneath the point: noise along the normal would else decide on
     the slope too, and what goes with the slope would be biased by it.
+
+    Parameters
+    ----------
+    piece : Sandwave, the nominal shape
+    points_mm : (N, 3) array, mm, frame of the workpiece
+    margin_mm : float, mm; a foot nearer than this to a step is not clear
     """
     plan = points_mm[:, :2]
     for _ in range(FOOT_ROUNDS):

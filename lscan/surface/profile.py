@@ -8,14 +8,28 @@ from lscan.records import PlanePoints, Profile, Status, Stripe, has_value
 
 
 def to_profile(stripe: Stripe, plane_map: PlaneMap, position_mm: float) -> Profile:
-    """The scan line in the sheet of the head at track position ``position_mm``.
+    """The scan line in the sheet of the head at a track position.
 
-    One point (x, z) in mm, in the plane frame, for each entry of the stripe and in its order.
     A point without a value in the stripe keeps the stripe's status, and so does a clipped
     one (SATURATED) that the map can place; every other has the map's.  The map combines the
     stripe's sigma_px with its own uncertainty, and its modes are passed on; like the numbers
     they are NaN where there is no value.
-    Raises InputError where ``position_mm`` is not finite.
+
+    Parameters
+    ----------
+    stripe : Stripe, px, of N entries
+    plane_map : PlaneMap, from the pixels of that camera to the laser sheet
+    position_mm : float, mm, of the track
+
+    Returns
+    -------
+    Profile
+        Of N points (x, z), mm, frame of the sheet, in the stripe's order.
+
+    Raises
+    ------
+    InputError
+        Where ``position_mm`` is not finite.
     """
     if not np.isfinite(position_mm):
         raise InputError("track position is not finite", where="to_profile", value=position_mm)

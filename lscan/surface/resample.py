@@ -21,14 +21,18 @@ FEWEST = {6: 9, 3: 4}
 
 @dataclass(frozen=True)
 class Slice:
-    """Heights along a line in plan.
+    """Heights along a line in plan, at M places.
 
-    xy_mm: (M, 2) where; along_mm: (M,) distance from the line's start.
-    z_mm: (M,) height; NaN where the status is NO_DATA.
-    sigma_z_mm: (M,) standard uncertainty of z.  status: (M,) of Status.
-    radius_mm: how far around a point measurements were used; beyond it there is no data.
-    modes_mm: (M, K) what the calibration's K errors displace all heights by in common, as in
-        Surface; part of sigma_z_mm.  None where the surface has none.
+    Attributes
+    ----------
+    xy_mm : (M, 2) array, mm, where, frame of the surface
+    along_mm : (M,) array, mm, distance from the line's start
+    z_mm : (M,) array, mm, height; NaN where the status is NO_DATA
+    sigma_z_mm : (M,) array, mm, standard uncertainty of z
+    status : (M,) array, of Status
+    radius_mm : float, mm, how far around a point measurements were used; beyond it there is no data
+    modes_mm : (M, K) array or None, mm, what the calibration's K errors displace all heights by in
+        common, as in Surface; part of sigma_z_mm.  None where the surface has none.
     """
 
     xy_mm: Floats
@@ -41,7 +45,7 @@ class Slice:
 
 
 def resample(surface: Surface, line: tuple[Floats, Floats], step_mm: float = 0.5) -> Slice:
-    """The height of ``surface`` every ``step_mm`` along ``line``, its two ends (x, y) in mm.
+    """The height of ``surface`` at even steps along a line.
 
     At each point a quadratic is fitted by least squares to the measurements within a radius of
     RADIUS_IN_SAMPLES sample spacings: a plane over a disc of radius r would flatten a crest of
@@ -53,8 +57,18 @@ def resample(surface: Surface, line: tuple[Floats, Floats], step_mm: float = 0.5
     sigma_z_mm: the measurements' own errors average out, those of the calibration that all have
     in common (Surface.modes_mm) do not.  The plane's lack of fit counts as noise.
 
-    Raises InputError for a line without length or a step that is not positive,
-    MeasurementError for a surface without points.
+    Parameters
+    ----------
+    surface : Surface, mm, in any frame with z up
+    line : tuple of array, its two ends (x, y), mm, frame of the surface
+    step_mm : float, mm, from one place to the next
+
+    Raises
+    ------
+    InputError
+        For a line without length or a step that is not positive.
+    MeasurementError
+        For a surface without points.
     """
     start, end = np.asarray(line[0], dtype=float), np.asarray(line[1], dtype=float)
     length = float(np.linalg.norm(end - start))

@@ -28,9 +28,12 @@ PARAMETERS = 5
 class Shaft:
     """A shaft in the frame of the head at position 0, and how well it is known.
 
-    point_mm: (3,) a point of it.  direction: (3,) unit vector, right-hand rule.
-    arc_radius_mm: a position divided by it is the angle in rad.
-    covariance: (5, 5) of two offsets (mm) and two tilts (rad) along ``axes``, and the scale.
+    Attributes
+    ----------
+    point_mm : (3,) array, mm, a point of it
+    direction : (3,) array, unit vector, right-hand rule
+    arc_radius_mm : float, mm; a position divided by it is the angle in rad
+    covariance : (5, 5) array, of two offsets (mm) and two tilts (rad) along ``axes``, and the scale
     """
 
     point_mm: Floats
@@ -46,23 +49,45 @@ class Shaft:
         return np.stack([first, np.cross(self.direction, first)])
 
     def rotation(self, position_mm: Floats) -> Floats:
-        """(..., 3, 3) rotation of the head at positions (...,) mm: Rodrigues' formula."""
+        """(..., 3, 3) rotation of the head at positions: Rodrigues' formula.
+
+        Parameters
+        ----------
+        position_mm : (...,) array, mm, the arc turned by
+        """
         angle = np.asarray(position_mm)[..., None, None] / self.arc_radius_mm
         cross = _cross_matrix(self.direction)
         return np.eye(3) + np.sin(angle) * cross + (1 - np.cos(angle)) * (cross @ cross)
 
     def turn(self, points_mm: Floats, position_mm: Floats) -> Floats:
-        """(..., 3) points of the head at positions (...,) in the frame of position 0, mm."""
+        """(..., 3) points of the head in the frame of position 0, mm.
+
+        Parameters
+        ----------
+        points_mm : (..., 3) array, mm, frame of the head at its position
+        position_mm : (...,) array, mm, the arc turned by
+        """
         offset = points_mm - self.point_mm
         turned = (self.rotation(position_mm) @ offset[..., None])[..., 0]
         return np.asarray(turned + self.point_mm)
 
     def turn_back(self, points_mm: Floats, position_mm: Floats) -> Floats:
-        """(..., 3) points of the frame of position 0 in the head at positions (...,), mm."""
+        """(..., 3) points of the frame of position 0 in that of the head, mm.
+
+        Parameters
+        ----------
+        points_mm : (..., 3) array, mm, frame of position 0
+        position_mm : (...,) array, mm, the arc turned by
+        """
         return self.turn(points_mm, -np.asarray(position_mm))
 
     def moved(self, parameters: Floats) -> "Shaft":
-        """The shaft with its five parameters (mm, rad, 1) changed; the covariance stays."""
+        """The shaft with its five parameters changed; the covariance stays.
+
+        Parameters
+        ----------
+        parameters : (5,) array, two offsets (mm) and two tilts (rad) along ``axes``, and the scale
+        """
         offsets, tilts = parameters[:2] @ self.axes, parameters[2:4] @ self.axes
         direction = self.direction + tilts
         return replace(
@@ -75,11 +100,17 @@ class Shaft:
     def displacement(
         self, points_mm: Floats, position_mm: Floats, axes: Floats | None = None
     ) -> Floats:
-        """(..., 3, 5) what the unit of each parameter displaces turned points (..., 3) by, mm.
+        """(..., 3, 5) what the unit of each parameter displaces turned points by, mm.
 
-        points_mm: in the frame of position 0, as ``turn`` gives them.  axes: (2, 3) along which
-        offsets and tilts are counted, the shaft's own if None.  A tilt by e turns all about the
-        shaft by w = d x e: the points by w x R q, but q itself by -R (w x q), q = X - p.
+        A tilt by e turns all about the shaft by w = d x e: the points by w x R q, but q itself by
+        -R (w x q), q = X - p.
+
+        Parameters
+        ----------
+        points_mm : (..., 3) array, mm, frame of position 0, as ``turn`` gives them
+        position_mm : (...,) array, mm, the arc turned by
+        axes : (2, 3) array, optional, along which offsets and tilts are counted; the shaft's own by
+            default
         """
         turned = points_mm - self.point_mm
         rotation = self.rotation(position_mm)
@@ -95,9 +126,14 @@ class Shaft:
         return np.stack(columns, axis=-1)
 
     def modes(self, points_mm: Floats, position_mm: Floats) -> Floats:
-        """(..., 3, 5) displacements as ``displacement``, by five independent errors of the shaft.
+        """(..., 3, 5) displacements, mm, by five independent errors of the shaft.
 
         Each as it displaces the points when it is one standard deviation large.
+
+        Parameters
+        ----------
+        points_mm : (..., 3) array, mm, frame of position 0
+        position_mm : (...,) array, mm, the arc turned by
         """
         return self.displacement(points_mm, position_mm) @ self.root
 
@@ -111,7 +147,12 @@ class Shaft:
 
 
 def shaft_of(section: ShaftSection) -> Shaft:
-    """The shaft that a rig file's ``[shaft]`` describes."""
+    """The shaft that a rig file's ``[shaft]`` describes.
+
+    Parameters
+    ----------
+    section : ShaftSection, mm and degrees
+    """
     direction = np.array(section.direction)
     sigma = np.array(
         [*section.offset_sigma_mm, *np.radians(section.tilt_sigma_deg), section.scale_sigma]
@@ -125,7 +166,12 @@ def shaft_of(section: ShaftSection) -> Shaft:
 
 
 def section_of(shaft: Shaft) -> ShaftSection:
-    """The ``[shaft]`` of a rig file that describes the shaft."""
+    """The ``[shaft]`` of a rig file that describes the shaft.
+
+    Parameters
+    ----------
+    shaft : Shaft, mm and rad
+    """
     sigma = np.sqrt(np.diag(shaft.covariance))
     scale = np.where(sigma > 0, sigma, 1.0)
     correlation = (shaft.covariance / np.outer(scale, scale))[np.triu_indices(PARAMETERS, 1)]
@@ -148,7 +194,16 @@ def stack_about(profiles: Sequence[Profile], shaft: Shaft) -> Surface:
 
     Uncertainties and modes are turned along; where the profiles have modes, the shaft's five
     independent errors are put behind them, else the shaft's alone are known.
-    Raises InputError as ``stack``.
+
+    Parameters
+    ----------
+    profiles : sequence of Profile, mm, frame of the sheet
+    shaft : Shaft, about which the head turned
+
+    Raises
+    ------
+    InputError
+        As ``stack``.
     """
     raw = stack(profiles)
     position = np.broadcast_to(raw.position_mm[:, None], raw.status.shape)

@@ -13,7 +13,17 @@ from lscan.surface.shaftfit import ShaftFit
 def save_shaft(path: Path, fit: ShaftFit) -> None:
     """Write the shaft found as a TOML file that a rig file can name in its ``include``.
 
-    Numbers are written in full.  Raises InputError where the file cannot be written.
+    Numbers are written in full.
+
+    Parameters
+    ----------
+    path : Path, of the file
+    fit : ShaftFit, mm and rad; the file has degrees
+
+    Raises
+    ------
+    InputError
+        Where the file cannot be written.
     """
     found = (
         f"# Found from {fit.points} points of a scan, {fit.rms_mm:.4f} mm rms off the workpiece."
@@ -24,7 +34,14 @@ def save_shaft(path: Path, fit: ShaftFit) -> None:
 def load_shaft(path: Path) -> ShaftSection:
     """The ``[shaft]`` of a TOML file, whatever else it holds.
 
-    Raises InputError where the file cannot be read, has no such section or a bad one.
+    Parameters
+    ----------
+    path : Path, of the file
+
+    Raises
+    ------
+    InputError
+        Where the file cannot be read, has no such section or a bad one.
     """
     document = read_document(path)
     if not isinstance(document.get("shaft"), dict):

@@ -74,12 +74,17 @@ SETTLED = 1e-4
 class ShaftFit:
     """A shaft found from a scan, its covariance in it.
 
-    prior: what was known before.  moved: (5,) by how much each parameter changed from it, along
-    the prior's axes (mm, rad, 1).
-    rotation, translation_mm: (3, 3), (3,) from the frame of the head at position 0 to the
-    workpiece's.
-    points: number of points used, outliers: left out as too far off, cells: of the block seen.
-    rms_mm: root mean square distance of the points from the nominal top.
+    Attributes
+    ----------
+    shaft : Shaft, found
+    prior : Shaft, what was known before
+    moved : (5,) array, by how much each parameter changed, along the prior's axes (mm, rad, 1)
+    rotation : (3, 3) array, from the frame of the head at position 0 to the workpiece's
+    translation_mm : (3,) array, mm, frame of the workpiece
+    points : int, number of points used
+    outliers : int, number of points left out as too far off
+    cells : int, number of cells of the block seen
+    rms_mm : float, mm, root mean square distance of the points from the nominal top
     """
 
     shaft: Shaft
@@ -106,11 +111,25 @@ class ShaftFit:
 def calibrate_shaft(profiles: Sequence[Profile], piece: Sandwave, prior: Shaft) -> ShaftFit:
     """The shaft that brings a scan of the sandwave block closest to its nominal shape.
 
-    prior: the rig's shaft; parameters of no uncertainty stay as they are.  A parameter that the
-    scan says nothing about keeps its uncertainty.
+    A parameter that the scan says nothing about keeps its uncertainty.
 
-    Raises InputError where all of the prior is known exactly, MeasurementError where the block is
-    not found or too little of it is in the scan.
+    Parameters
+    ----------
+    profiles : sequence of Profile, mm, frame of the sheet
+    piece : Sandwave, the nominal shape
+    prior : Shaft, the rig's; parameters of no uncertainty stay as they are
+
+    Raises
+    ------
+    InputError
+        Where all of the prior is known exactly.
+    MeasurementError
+        Where the block is not found or too little of it is in the scan.
+
+    References
+    ----------
+    Sec. IV.C of the paper, which finds the yaw of its sheet from a known workpiece; the covariance
+    is Huber's (1967), summed over clusters as of Liang and Zeger (1986).
     """
     if not np.any(prior.covariance):
         raise InputError(

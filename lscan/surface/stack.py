@@ -16,11 +16,21 @@ def stack(profiles: Sequence[Profile]) -> Surface:
     the track position of its profile.  This is not yet the true shape where the sheet is
     yawed against the track: see :func:`lscan.surface.align.levelling.shear`.
 
-    modes_mm is the profiles' own, nothing common in y, in single precision; None unless every
-    profile has them.
+    Parameters
+    ----------
+    profiles : sequence of Profile, mm, frame of the sheet
 
-    Raises InputError where there is no profile, where the profiles differ in length or
-    where a track position is not finite.
+    Returns
+    -------
+    Surface
+        Its modes_mm are the profiles' own, nothing common in y, in single precision; None unless
+        every profile has them.
+
+    Raises
+    ------
+    InputError
+        Where there is no profile, where the profiles differ in length or in their number of modes,
+        or where a track position is not finite.
     """
     if not profiles:
         raise InputError("no profiles to stack", where="surface", allowed="one or more")

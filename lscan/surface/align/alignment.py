@@ -15,15 +15,23 @@ from lscan.surface.align.levelling import shear
 class Alignment:
     """How raw points become workpiece points: ``rotation @ shear(yaw) @ raw + translation``.
 
-    yaw_rad, yaw_sigma_rad: angle of the sheet against the track, its standard uncertainty.
-    rotation: (3, 3) of the four-step alignment without the shear.  translation_mm: (3,).
-    normal: (3,) unit normal of the base plane in the head's axes.
-    base_mm: height of the base plane in the workpiece frame.
-    left_corner_mm, right_corner_mm: (2,) W_L and W_R in the workpiece plan.
-    pivot_mm: (3,) the corners' middle, about which the parameters of ``modes`` turn.
-    modes: (7, M + 7) how the alignment errs (datum.py): with each of the surface's M modes, and
-        with seven independent errors of its own.
-    sheared: False where the scan was made about a shaft and so has no yaw.
+    Attributes
+    ----------
+    yaw_rad, yaw_sigma_rad : float, rad, angle of the sheet against the track, its standard
+        uncertainty
+    rotation : (3, 3) array, of the four-step alignment without the shear
+    translation_mm : (3,) array, mm, frame of the workpiece
+    normal : (3,) array, unit normal of the base plane in the head's axes
+    base_mm : float, mm, height of the base plane in the workpiece frame
+    left_corner_mm, right_corner_mm : (2,) array, mm, W_L and W_R in the workpiece plan
+    pivot_mm : (3,) array, mm, the corners' middle, about which the parameters of ``modes`` turn
+    modes : (7, M + 7) array, mm and rad, how the alignment errs (datum.py): with each of the
+        surface's M modes, and with seven independent errors of its own
+    sheared : bool, False where the scan was made about a shaft and so has no yaw
+
+    References
+    ----------
+    Eqs. (5) to (7) of the paper; Sec. IV.C.
     """
 
     yaw_rad: float
@@ -44,11 +52,21 @@ class Alignment:
         return float(np.degrees(self.yaw_rad)) if self.sheared else None
 
     def to_workpiece(self, raw_mm: Floats) -> Floats:
-        """(..., 3) workpiece points, mm, of raw head-frame points (..., 3), mm."""
+        """(..., 3) points in the frame of the workpiece, mm.
+
+        Parameters
+        ----------
+        raw_mm : (..., 3) array, mm, raw points, frame of the head
+        """
         return raw_mm @ (self.rotation @ shear(self.yaw_rad)).T + self.translation_mm
 
     def to_raw(self, workpiece_mm: Floats) -> Floats:
-        """(..., 3) raw head-frame points, mm, of workpiece points (..., 3), mm."""
+        """(..., 3) raw points in the frame of the head, mm.
+
+        Parameters
+        ----------
+        workpiece_mm : (..., 3) array, mm, frame of the workpiece
+        """
         matrix = np.linalg.inv(self.rotation @ shear(self.yaw_rad))
         return (workpiece_mm - self.translation_mm) @ matrix.T
 
@@ -61,7 +79,15 @@ def apply(alignment: Alignment, surface: Surface) -> Surface:
     axes, so what an error of x or y does to a height is the slope's to say; sigma_z_mm is that of
     z alone.  Where the surface has no modes only the alignment's own are known.
 
-    Raises InputError for a surface that is not in the head frame.
+    Parameters
+    ----------
+    alignment : Alignment, found in this surface
+    surface : Surface, frame of the head
+
+    Raises
+    ------
+    InputError
+        For a surface that is not in the head frame.
     """
     if surface.frame != "head":
         raise InputError(
@@ -90,6 +116,10 @@ def own_variances(surface: Surface) -> Floats:
     """(F, N, 3) variances of x, y and z, mm², without what the modes make common to all points.
 
     That of y is 0 where y is the track's.
+
+    Parameters
+    ----------
+    surface : Surface, of F by N points
     """
     y = np.zeros_like(surface.sigma_z_mm) if surface.sigma_y_mm is None else surface.sigma_y_mm
     total = np.stack([surface.sigma_x_mm, y, surface.sigma_z_mm], axis=-1) ** 2
@@ -99,7 +129,14 @@ def own_variances(surface: Surface) -> Floats:
 
 
 def turned_modes(surface: Surface, matrix: Floats, index: Ints) -> NDArray[np.float32]:
-    """(P, 3, M) modes of the surface's points ``index`` along axes turned by ``matrix`` (3, 3)."""
+    """(P, 3, M) modes of some of the surface's points along turned axes, mm.
+
+    Parameters
+    ----------
+    surface : Surface, of F by N points
+    matrix : (3, 3) array, that turns the axes
+    index : (P,) array, of the points, among all F N
+    """
     if surface.modes_mm is None:
         return np.zeros((len(index), 3, 0), dtype=np.float32)
     rows, columns = np.unravel_index(index, surface.status.shape)

@@ -79,11 +79,23 @@ def align_sandwave(surface: Surface, piece: Sandwave, sheared: bool = True) -> A
     right one too.  The wedges' edges have a small say as well, being symmetric about that
     line: a side that runs along the track to within a column or two is only known to that.
 
-    sheared: False for a scan about a shaft: there is no yaw then, and what makes the sides run
-    along y is the rotation about z instead of the line of the corners.
+    Parameters
+    ----------
+    surface : Surface, mm, frame of the head
+    piece : Sandwave, the nominal shape
+    sheared : bool, False for a scan about a shaft: there is no yaw then, and what makes the sides
+        run along y is the rotation about z instead of the line of the corners
 
-    Raises InputError for a surface that is not in the head frame, MeasurementError that names
-    what is missing in the scan.
+    Raises
+    ------
+    InputError
+        For a surface that is not in the head frame.
+    MeasurementError
+        Names what is missing in the scan.
+
+    References
+    ----------
+    Sec. IV.C and eqs. (5) to (7) of the paper.
     """
     if surface.frame != "head":
         raise InputError(
@@ -118,8 +130,17 @@ def align_sandwave(surface: Surface, piece: Sandwave, sheared: bool = True) -> A
 def rough_pose(surface: Surface, piece: Sandwave) -> tuple[Floats, Floats]:
     """(3, 3) rotation and (3,) shift, mm, from the head's frame to the workpiece's, to a few mm.
 
-    From the levels and middles of the wedges' tops alone, so that much may be wrong with
-    the scan.  Raises MeasurementError where a wedge is not in it.
+    From the levels and middles of the wedges' tops alone, so that much may be wrong with the scan.
+
+    Parameters
+    ----------
+    surface : Surface, mm, frame of the head
+    piece : Sandwave, the nominal shape
+
+    Raises
+    ------
+    MeasurementError
+        Where a wedge is not in the scan.
     """
     pose = _rough_pose(find_features(surface, piece), piece)
     return pose.rotation, pose.shift
