@@ -35,14 +35,28 @@ def read_chessboard(
 ) -> Marks:
     """All inner corners of a chessboard, row by row, the board's upper row first.
 
-    image: (H, W) or (H, W, 3) RGB.  columns, rows: inner corners along and down the board.
-    channel: of an RGB image; one that the laser's line does not show in, where it is on.
-    board_mm: (rows * columns, 2) of (x, z), the first corner at the origin, x right, z up,
-    ``square_mm`` apart.  Where columns and rows are both even or both odd the board looks the
-    same turned by half a turn: the row that is upper in the picture is then the first.
+    Where columns and rows are both even or both odd the board looks the same turned by half a turn:
+    the row that is upper in the picture is then the first.
 
-    Raises InputError for what is no picture or no board, BoardNotFound where not all corners
-    are seen.
+    Parameters
+    ----------
+    image : (H, W) or (H, W, 3) array, grey or RGB
+    columns, rows : int, inner corners along and down the board, 3 to 1000
+    square_mm : float, mm, side of a square
+    channel : str, of an RGB image; one that the laser's line does not show in, where it is on
+
+    Returns
+    -------
+    Marks
+        Their board_mm are (rows * columns, 2) of (x, z), mm, the first corner at the origin, x
+        right, z up.
+
+    Raises
+    ------
+    InputError
+        For what is no picture or no board.
+    BoardNotFound
+        Where not all corners are seen.
     """
     _check_board(columns, rows, square_mm)
     grey = bright_marks(image, channel, "bright")
@@ -64,12 +78,25 @@ def read_charuco(
 ) -> Marks:
     """The inner corners of a ChArUco board, row by row; those not seen have the status NOT_FOUND.
 
-    image: (H, W) or (H, W, 3) RGB.  columns, rows: inner corners, one less than the squares.
-    dictionary: of the markers, as OpenCV calls it: "DICT_4X4_50".  channel, board_mm as for
-    :func:`read_chessboard`, the first corner beside the board's upper left square.
+    Parameters
+    ----------
+    image : (H, W) or (H, W, 3) array, grey or RGB
+    columns, rows : int, inner corners, one less than the squares, 3 to 1000
+    square_mm, marker_mm : float, mm, sides of a square and of a marker
+    dictionary : str, of the markers, as OpenCV calls it: "DICT_4X4_50"
+    channel : str, as for :func:`read_chessboard`
 
-    Raises InputError for what is no picture or no board, BoardNotFound where fewer than six
-    corners are seen.
+    Returns
+    -------
+    Marks
+        As of :func:`read_chessboard`, the first corner beside the board's upper left square.
+
+    Raises
+    ------
+    InputError
+        For what is no picture, no board or no dictionary.
+    BoardNotFound
+        Where fewer than six corners are seen.
     """
     _check_board(columns, rows, square_mm)
     if not 0 < marker_mm < square_mm:

@@ -25,7 +25,17 @@ def draw_overlay(image: NDArray[Any], reading: BoardReading) -> Bytes:
 
     Boxes show where each point was searched; those of dots #1, #2 and #3 are numbered.
     Ruler marks are small crosses, named dots circles, ring points small dots.
-    image: the picture that was read, (H, W) or (H, W, 3) RGB; floats are spread to 0 to 255.
+
+    Parameters
+    ----------
+    image : (H, W) or (H, W, 3) array, grey or RGB, the picture that was read; floats are spread to
+        0 to 255
+    reading : BoardReading, px, of that picture
+
+    Raises
+    ------
+    InputError
+        For what is no picture.
     """
     canvas = _canvas(image)
     lattice = reading.grid.image_px.reshape(*reading.shape, 2)

@@ -12,6 +12,10 @@ def board_svg(board: Board) -> str:
     The strip holds a bar of 100 mm (of the plate's width, where that is less) by which a print
     can be checked with a ruler: printers like to scale.  Marks of a bright-dot board are white
     on black.
+
+    Parameters
+    ----------
+    board : Board, mm, its plate and marks
     """
     left, right, bottom, top = board.outline_mm()
     plate, mark = (PAPER, INK) if board.marks == "dark" else (INK, PAPER)

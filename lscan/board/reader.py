@@ -47,20 +47,30 @@ def read_board(
 ) -> BoardReading:
     """All marks of the calibration board found in one picture (Sec. III.1 and III.3).
 
-    image: (H, W), or (H, W, 3) RGB, integer or float grey values.
-    board: which marks there are.  With ``grid.whole`` False the origin is the upper left node
-        of those seen, and the reading has as many rows and columns as are seen.
-    seeds: (3, 2) of (u, v) px of dots #1 (the upper left one), #2 (beneath it) and #3 (to its
-        right), each good to a third of the pitch; found in the picture where None.  Dots
-        above and to the left of #1 are not looked for.
-    channel: of a colour picture.
-
     The board may be turned by any angle: rulers, dots and rings show which way is up.  On a
     board with none, O is the corner that is upper left in the picture.
 
-    Raises InputError for what is no picture, for seeds that are no corner of a grid, and for
-    rulers, dots or rings on a board with ``whole`` False unless seeds say where O is.  Raises
-    BoardNotFound where there is no board, too little of it, or no telling which dot is O.
+    Parameters
+    ----------
+    image : (H, W) or (H, W, 3) array, integer or float grey values, or RGB
+    board : Board, which marks there are.  With ``grid.whole`` False the origin is the upper left
+        node of those seen, and the reading has as many rows and columns as are seen.
+    seeds : (3, 2) array, optional, px, (u, v) of dots #1 (the upper left one), #2 (beneath it) and
+        #3 (to its right), each good to a third of the pitch; found in the picture by default.  Dots
+        above and to the left of #1 are not looked for.
+    channel : str, of a colour picture: "red", "green", "blue" or "grey"
+
+    Raises
+    ------
+    InputError
+        For what is no picture, for seeds that are no corner of a grid, and for rulers, dots or
+        rings on a board with ``whole`` False unless seeds say where O is.
+    BoardNotFound
+        Where there is no board, too little of it, or no telling which dot is O.
+
+    References
+    ----------
+    Secs. III.1 and III.3 and Figs. 8 to 12 of the paper.
 
     Examples
     --------

@@ -34,12 +34,26 @@ class PlaneMap(Protocol):
         ...
 
     def to_plane(self, image_px: Floats, sigma_px: Floats | None = None) -> PlanePoints:
-        """Points in the sheet, (N, 2) mm, of the pixels (N, 2); vectorised over N.
+        """Points in the sheet, (N, 2) mm in the plane frame, of pixels; vectorised over N.
 
-        sigma_px: (N,) standard uncertainty of each pixel coordinate, 0 where None.  The
-        uncertainty returned combines it with that of the map.  A pixel that is NaN has no
-        value and the status NO_DATA (only the caller knows why it is NaN); one outside the
-        covered region (region.py) has the status OUT_OF_BOARD and no number.
+        Parameters
+        ----------
+        image_px : (N, 2) array, px, of (u, v)
+        sigma_px : (N,) array, optional, px, standard uncertainty of each pixel coordinate; 0 by
+            default
+
+        Returns
+        -------
+        PlanePoints
+            Its uncertainty combines that of the pixels with that of the map.  A pixel that is NaN
+            has no value and the status NO_DATA (only the caller knows why it is NaN); one outside
+            the covered region (region.py) has the status OUT_OF_BOARD and no number.
+
+        Raises
+        ------
+        InputError
+            For arrays of wrong shape, and for a sigma_px that is negative or NaN beside a pixel
+            that is neither.
         """
         ...
 
@@ -58,34 +72,101 @@ class PlaneMapSolver(Protocol):
     def solve(self, reading: BoardReading, variant: str, optics: OpticsSection) -> PlaneMap:
         """The map fitted to the marks that were found.
 
-        optics: what is known of the camera beforehand; a solver may do without.
-        Raises InputError for an unknown variant, BoardNotFound for too few marks.
+        Parameters
+        ----------
+        reading : BoardReading, px and mm, the marks of one picture
+        variant : str, second part of the map's name, "" where there is none
+        optics : OpticsSection, what is known of the camera beforehand; a solver may do without
+
+        Raises
+        ------
+        InputError
+            For an unknown variant.
+        BoardNotFound
+            For too few marks.
         """
         ...
 
     def restore(self, variant: str, parameters: dict[str, Any]) -> PlaneMap:
-        """The map that ``parameters`` came from; InputError where they do not fit."""
+        """The map that parameters came from.
+
+        Parameters
+        ----------
+        variant : str, second part of the map's name, "" where there is none
+        parameters : dict, as ``PlaneMap.parameters`` gave them
+
+        Raises
+        ------
+        InputError
+            Where they do not fit.
+        """
         ...
 
 
 @dataclass(frozen=True)
 class NamedSolver:
-    """A solver together with the full name it was asked for."""
+    """A solver together with the full name it was asked for.
+
+    Attributes
+    ----------
+    name : str, full name of the map, family and variant
+    solver : PlaneMapSolver, of the family
+    variant : str, second part of the name, "" where there is none
+    """
 
     name: str
     solver: PlaneMapSolver
     variant: str
 
     def solve(self, reading: BoardReading, optics: OpticsSection | None = None) -> PlaneMap:
-        """The map of this name fitted to ``reading``."""
+        """The map of this name fitted to a reading.
+
+        Parameters
+        ----------
+        reading : BoardReading, px and mm, the marks of one picture
+        optics : OpticsSection, optional, what is known of the camera beforehand; by default what an
+            empty section says
+
+        Raises
+        ------
+        InputError
+            For an unknown variant.
+        BoardNotFound
+            For too few marks.
+        """
         return self.solver.solve(reading, self.variant, optics or NOTHING_KNOWN)
 
     def restore(self, parameters: dict[str, Any]) -> PlaneMap:
-        """The map of this name that ``parameters`` came from."""
+        """The map of this name that parameters came from.
+
+        Parameters
+        ----------
+        parameters : dict, as ``PlaneMap.parameters`` gave them
+
+        Raises
+        ------
+        InputError
+            Where they do not fit.
+        """
         return self.solver.restore(self.variant, parameters)
 
 
 def find_solver(name: str) -> NamedSolver:
-    """The solver for a full map name; InputError lists the families there are."""
+    """The solver for a full map name.
+
+    Parameters
+    ----------
+    name : str, family and, after a hyphen, variant
+
+    Raises
+    ------
+    InputError
+        For an unknown family; it lists those there are.
+
+    Examples
+    --------
+    >>> find_solver("graticule-2-norulers").variant
+    '2-norulers'
+    """
     family, _, variant = name.partition("-")
     return NamedSolver(name, find_plugin("lscan.planemaps", family, where="plane map"), variant)

@@ -29,7 +29,14 @@ WORST = 5  # marks named
 
 @dataclass(frozen=True)
 class CheckedMark:
-    """One mark: its name, how far off its place (x, z) in mm, and that in sigmas."""
+    """One mark of a checked calibration.
+
+    Attributes
+    ----------
+    name : str, of the mark
+    residual_mm : tuple of float, mm, how far off its place, (x, z)
+    ratio : float, the same in sigmas
+    """
 
     name: str
     residual_mm: tuple[float, float]
@@ -40,15 +47,21 @@ class CheckedMark:
 class CalibrationCheck:
     """How an old calibration did on a new board picture.
 
-    marks: how many were compared.  without_value: found, but outside what the map covers.
-    raw_rms_mm, raw_max_mm: distance of the marks from their nominal places as they are.
-    rms_mm, max_mm: the same once the board's shift and turn are taken out.
-    shift_mm, shift_sigma_mm: (x, z) of the middle of the marks.  turn_deg: from x to z.
-    scale_error: mapped lengths over nominal lengths, less 1.
-    chi_square: of the residuals once the scale is taken out too, over degrees_of_freedom.
-    level: chance at which a calibration that still holds is said not to.
-    reasons: which of "scale", "shape", "shift" disagree; none where the calibration holds.
-    worst: the marks that are the most sigmas off their places, the worst first.
+    Attributes
+    ----------
+    marks : int, how many were compared
+    without_value : int, found, but outside what the map covers
+    raw_rms_mm, raw_max_mm : float, mm, distance of the marks from their nominal places as they are
+    rms_mm, max_mm : float, mm, the same once the board's shift and turn are taken out
+    shift_mm, shift_sigma_mm : tuple of float, mm, (x, z) of the middle of the marks
+    turn_deg, turn_sigma_deg : float, degrees, from x to z
+    scale_error, scale_sigma : float, mapped lengths over nominal lengths, less 1
+    chi_square : float, of the residuals once the scale is taken out too
+    degrees_of_freedom : int, of chi_square
+    level : float, chance at which a calibration that still holds is said not to
+    reasons : tuple of str, which of "scale", "shape", "shift" disagree; none where the calibration
+        holds
+    worst : tuple of CheckedMark, those that are the most sigmas off their places, the worst first
     """
 
     marks: int
@@ -83,11 +96,20 @@ def check_calibration(
 ) -> CalibrationCheck:
     """The calibration's score on a new reading of its board.
 
-    level: chance of a false alarm, shared evenly by the questions asked.
-    placed_mm: standard uncertainty, in x and in z, with which the board was put back where
-        the calibration has it; None: not known, and the shift is not judged.
-    Raises InputError for a picture of another size and for a level or placed_mm that makes
-    no sense, MeasurementError where fewer than six marks get a value.
+    Parameters
+    ----------
+    calibration : Calibration, the old one
+    reading : BoardReading, px and mm, of a new picture
+    level : float, chance of a false alarm, shared evenly by the questions asked
+    placed_mm : float, optional, mm, standard uncertainty, in x and in z, with which the board was
+        put back where the calibration has it; by default not known, and the shift is not judged
+
+    Raises
+    ------
+    InputError
+        For a picture of another size and for a level or placed_mm that makes no sense.
+    MeasurementError
+        Where fewer than six marks get a value.
     """
     _require_sense(calibration, reading, level, placed_mm)
     compared = _compare(calibration.plane_map, reading)

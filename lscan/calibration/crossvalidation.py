@@ -31,14 +31,18 @@ SAME = 1e-6  # of the pitch: marks closer on the board are one mark and share a 
 class Score:
     """How a map did on the marks held out of it.
 
-    rms_mm, max_mm: distance from the nominal place, over the marks that got a value.
-    sigma_mm: standard uncertainty that the map states of itself at those places, the marks'
-        own left out: rms of the two coordinates together.
-    tied: whether its mean squared error is no more than one standard error above the least.
-    points: how many did.  without_value: how many did not, because they lie beyond what the
-        other marks cover or where the map has gaps.
-    ms: median time of one solution; None where it was not kept.
-    refused: why the map could not be solved; it then has no figures.
+    Attributes
+    ----------
+    name : str, full name of the map
+    rms_mm, max_mm : float, mm, distance from the nominal place, over the marks that got a value
+    sigma_mm : float, mm, standard uncertainty that the map states of itself at those places, the
+        marks' own left out: rms of the two coordinates together
+    tied : bool, whether its mean squared error is no more than one standard error above the least
+    points : int, how many marks got a value
+    without_value : int, how many did not, because they lie beyond what the other marks cover or
+        where the map has gaps
+    ms : float or None, ms, median time of one solution; None where it was not kept
+    refused : str or None, why the map could not be solved; it then has no figures
     """
 
     __pydantic_config__ = STRICT
@@ -64,8 +68,25 @@ def cross_validated(
     """The score of each map named, all on the same folds, in the order of ``names``.
 
     A map that refuses the reading, or any part of it, is scored as refused with its reason.
-    seed: of the generator that deals the marks.  progress: called with (maps done, maps in all).
-    Raises InputError for fewer than two folds.
+
+    Parameters
+    ----------
+    reading : BoardReading, px and mm, whose marks are dealt to the folds
+    names : sequence of str, full names of maps
+    optics : OpticsSection, optional, what is known of the camera beforehand
+    folds : int, 2 or more
+    seed : int, of the generator that deals the marks
+    progress : callable, optional, called with the number of maps done, and of all
+
+    Raises
+    ------
+    InputError
+        For fewer than two folds.
+
+    References
+    ----------
+    The one-standard-error rule: Breiman, Friedman, Olshen & Stone, Classification and Regression
+    Trees (1984), sec. 3.4.3.
     """
     if folds < 2:
         raise InputError("too few folds", where="folds", value=folds, allowed="2 or more")
@@ -86,6 +107,12 @@ def deal(reading: BoardReading, folds: int, rng: np.random.Generator) -> Ints:
     each goes to another fold.  So no fold takes two neighbours or a whole border away, but
     for chance at the ends of columns.  Marks at one place share a fold: they hold the same
     error, and one would betray the other.
+
+    Parameters
+    ----------
+    reading : BoardReading, of N marks
+    folds : int, 2 or more
+    rng : Generator, of NumPy, which deals
     """
     places = np.vstack([marks.board_mm for marks in all_marks(reading)])
     steps = np.round(places / (SAME * reading.pitch_mm)).astype(np.int64)

@@ -15,9 +15,12 @@ from lscan.records import BoardReading, Floats, Mask, PlanePoints, Status
 class Estimate:
     """The points of N pixels; NaN where there is no value.
 
-    xz_mm: (N, 2).  variance_mm2: (N, 2) all noise, the pixel's and the calibration's.
-    modes_mm: (N, 2, M) a square root of the calibration's part, as in PlanePoints; None
-        where the map keeps no account of what its points have in common.
+    Attributes
+    ----------
+    xz_mm : (N, 2) array, mm, plane frame
+    variance_mm2 : (N, 2) array, mm², all noise, the pixel's and the calibration's
+    modes_mm : (N, 2, M) array or None, mm, a square root of the calibration's part, as in
+        PlanePoints; None where the map keeps no account of what its points have in common
     """
 
     xz_mm: Floats
@@ -28,8 +31,12 @@ class Estimate:
 def propagated(xz_mm: Floats, slope: Floats, modes_mm: Floats, variance_px2: Floats) -> Estimate:
     """The estimate of a map whose parameters give its modes; NaN where the variance is.
 
-    slope: (N, 2, 2) mm per px, the last axis by u and by v.  modes_mm: (N, 2, M).
-    variance_px2: (N,) of the pixels.
+    Parameters
+    ----------
+    xz_mm : (N, 2) array, mm, plane frame
+    slope : (N, 2, 2) array, mm per px, the last axis by u and by v
+    modes_mm : (N, 2, M) array, mm
+    variance_px2 : (N,) array, px², of the pixels
     """
     variance = variance_px2[:, None] * (slope**2).sum(axis=2) + (modes_mm**2).sum(axis=2)
     return Estimate(np.where(np.isfinite(variance), xz_mm, np.nan), variance, modes_mm)
@@ -49,16 +56,30 @@ class Estimator(Protocol):
         ...
 
     def estimate(self, image_px: Floats, variance_px2: Floats) -> Estimate:
-        """The points of pixels that the region covers."""
+        """The points of pixels that the region covers.
+
+        Parameters
+        ----------
+        image_px : (N, 2) array, px, of (u, v)
+        variance_px2 : (N,) array, px², of either pixel coordinate
+        """
         ...
 
 
 def to_points(estimator: Estimator, image_px: Floats, sigma_px: Floats | None) -> PlanePoints:
-    """The points of all pixels (N, 2), as ``PlaneMap.to_plane`` promises them.
+    """The points of all pixels, as ``PlaneMap.to_plane`` promises them.
 
-    A NaN pixel has the status NO_DATA (why it is NaN, only the caller knows).
-    Raises InputError for arrays of wrong shape, and for a sigma_px that is negative or NaN
-    beside a pixel that is neither.
+    Parameters
+    ----------
+    estimator : Estimator, the part of a map that knows its formula
+    image_px : (N, 2) array, px, of (u, v); NaN has the status NO_DATA
+    sigma_px : (N,) array or None, px; 0 where None
+
+    Raises
+    ------
+    InputError
+        For arrays of wrong shape, and for a sigma_px that is negative or NaN beside a pixel that is
+        neither.
     """
     image_px = np.asarray(image_px, dtype=float)
     if image_px.ndim != 2 or image_px.shape[1] != 2:
@@ -90,18 +111,25 @@ def _modes(estimate: Estimate, covered: Mask, valued: Mask) -> Floats | None:
 
 
 def square_root(covariance: Floats) -> Floats:
-    """(K, K) L with L @ L.T the covariance (K, K), which may be singular.
+    """(K, K) L with L @ L.T the covariance, which may be singular.
 
     From the eigenvalues, with those that rounding took below 0 set to 0.
+
+    Parameters
+    ----------
+    covariance : (K, K) array, symmetric
     """
     values, vectors = np.linalg.eigh(covariance)
     return vectors * np.sqrt(np.maximum(values, 0.0))
 
 
 def separate_modes(of_x: Floats, of_z: Floats) -> Floats:
-    """(N, 2, P + Q) modes of maps whose x and z have no parameter in common.
+    """(N, 2, P + Q) modes of maps whose x and z have no parameter in common, mm.
 
-    of_x: (N, P) mm of x alone.  of_z: (N, Q) mm of z alone.
+    Parameters
+    ----------
+    of_x : (N, P) array, mm, of x alone
+    of_z : (N, Q) array, mm, of z alone
     """
     modes = np.zeros((len(of_x), 2, of_x.shape[1] + of_z.shape[1]))
     modes[:, 0, : of_x.shape[1]] = of_x
@@ -138,6 +166,11 @@ def lack_of_fit_mm(estimator: Estimator, reading: BoardReading) -> Floats:
     reads from it: the marks of the vertical rulers, half-way between control points, check
     x.  Without rulers only the fit to the control points themselves can be judged, and what
     happens between them stays unseen.
+
+    Parameters
+    ----------
+    estimator : Estimator, of the map
+    reading : BoardReading, px and mm, the map was solved from
     """
     return np.array([_excess_mm(estimator, reading, 0), _excess_mm(estimator, reading, 1)])
 

@@ -15,14 +15,26 @@ LEAST_SIGMA_MM = 1e-6  # of a point's own, so that exact data of a test do not d
 
 @dataclass(frozen=True)
 class Motion:
-    """A turn about ``centre_mm`` (2,), x towards z by ``turn_rad``, then a shift (2,) mm."""
+    """A turn about a centre, then a shift, in the sheet.
+
+    Attributes
+    ----------
+    centre_mm : (2,) array, mm, (x, z)
+    shift_mm : (2,) array, mm, (x, z)
+    turn_rad : float, rad, x towards z
+    """
 
     centre_mm: Floats
     shift_mm: Floats
     turn_rad: float
 
     def apply(self, points_mm: Floats) -> Floats:
-        """(N, 2) moved."""
+        """(N, 2) points moved, mm.
+
+        Parameters
+        ----------
+        points_mm : (N, 2) array, mm, (x, z)
+        """
         cosine, sine = np.cos(self.turn_rad), np.sin(self.turn_rad)
         turned = (points_mm - self.centre_mm) @ np.array([[cosine, sine], [-sine, cosine]])
         return turned + self.centre_mm + self.shift_mm
@@ -32,9 +44,13 @@ class Motion:
 class Likeness:
     """The best motion and scale that take one set of points to another.
 
-    scale: lengths after over lengths before, less 1.  covariance: (4, 4) of the shift's x
-    and z in mm, of the turn in rad, and of the scale.
-    chi_square: of what motion and scale leave, over degrees_of_freedom.
+    Attributes
+    ----------
+    motion : Motion, mm and rad
+    scale : float, lengths after over lengths before, less 1
+    covariance : (4, 4) array, of the shift's x and z in mm, of the turn in rad, and of the scale
+    chi_square : float, of what motion and scale leave
+    degrees_of_freedom : int, of chi_square
     """
 
     motion: Motion
@@ -45,8 +61,14 @@ class Likeness:
 
 
 def closest_motion(before_mm: Floats, after_mm: Floats) -> Motion:
-    """The motion of least squared distance from before (N, 2) to after (N, 2), unweighted.
+    """The motion of least squared distance from one set of points to another, unweighted.
 
+    Parameters
+    ----------
+    before_mm, after_mm : (N, 2) array, mm, (x, z)
+
+    References
+    ----------
     The turn in closed form: Kanatani, IEEE PAMI 16 (1994) 543, in two dimensions.
     """
     centre, reached = before_mm.mean(axis=0), after_mm.mean(axis=0)
@@ -58,10 +80,15 @@ def closest_motion(before_mm: Floats, after_mm: Floats) -> Motion:
 def likeness(
     before_mm: Floats, after_mm: Floats, sigma_mm: Floats, modes_mm: Floats | None
 ) -> Likeness:
-    """The generalised least-squares motion and scale from before to after, each (N, 2).
+    """The generalised least-squares motion and scale from one set of points to another.
 
-    sigma_mm (N, 2), modes_mm (N, 2, M) or None: the uncertainty of ``after`` as in
-    PlanePoints.  The unweighted motion comes first; what is left is small, and linear.
+    The unweighted motion comes first; what is left is small, and linear.
+
+    Parameters
+    ----------
+    before_mm, after_mm : (N, 2) array, mm, (x, z)
+    sigma_mm : (N, 2) array, mm, standard uncertainty of ``after``
+    modes_mm : (N, 2, M) array or None, mm, the part of it in common, as in PlanePoints
     """
     start = closest_motion(before_mm, after_mm)
     near = start.apply(before_mm)

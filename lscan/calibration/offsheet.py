@@ -31,10 +31,12 @@ CONVERGED = 1e-10  # of the last step, in mm and in radians
 
 @dataclass(frozen=True)
 class LinesOfSight:
-    """From where the marks are seen.
+    """From where N marks are seen.
 
-    slope: (N, 2) s of each mark's line of sight, mm of x and of z for each mm of y.
-    loose: (N, 2, K) by how much one standard deviation of each of K errors changes it.
+    Attributes
+    ----------
+    slope : (N, 2) array, s of each mark's line of sight, mm of x and of z for each mm of y
+    loose : (N, 2, K) array, by how much one standard deviation of each of K errors changes it
     """
 
     slope: Floats
@@ -45,10 +47,14 @@ class LinesOfSight:
 class OffSheet:
     """Where a board stands against the sheet, each number with its standard uncertainty.
 
-    distance_mm: of the board's middle, + behind the sheet.  tilt_x_rad, tilt_z_rad: about x
-    (+: its top leans towards the camera) and about z (+: its right side stands behind).
-    corners_mm: (4,) distances of the corners.  residual_mm: (N, 2) what the pose leaves of
-    each mark's place in the sheet, NaN for marks that were not used.
+    Attributes
+    ----------
+    distance_mm, distance_sigma_mm : float, mm, of the board's middle, + behind the sheet
+    tilt_x_rad, tilt_x_sigma_rad : float, rad, about x (+: its top leans towards the camera)
+    tilt_z_rad, tilt_z_sigma_rad : float, rad, about z (+: its right side stands behind)
+    corners_mm, corners_sigma_mm : (4,) array, mm, distances of the corners
+    residual_mm : (N, 2) array, mm, what the pose leaves of each mark's place in the sheet, NaN for
+        marks that were not used
     """
 
     distance_mm: float
@@ -65,9 +71,13 @@ class OffSheet:
 def seen_from(
     camera_mm: tuple[float, float, float], xz_mm: Floats, sigma_mm: float = CAMERA_SIGMA_MM
 ) -> LinesOfSight:
-    """The lines of sight of a camera at ``camera_mm`` to points (N, 2) of the sheet.
+    """The lines of sight of a camera to points of the sheet.
 
-    camera_mm: (x, y, z) in the map's frame, y below 0; sigma_mm: standard uncertainty of each.
+    Parameters
+    ----------
+    camera_mm : tuple of float, mm, (x, y, z) in the map's frame, y below 0
+    xz_mm : (N, 2) array, mm, plane frame
+    sigma_mm : float, mm, standard uncertainty of each of ``camera_mm``
     """
     x, y, z = camera_mm
     slope = (xz_mm - np.array([x, z])) / -y
@@ -82,13 +92,25 @@ def off_sheet(
 ) -> OffSheet:
     """The board's pose against the sheet, by least squares from its marks.
 
-    board_mm: (N, 2) nominal (x, z) of the marks.  points: where the plane map puts them, with
-    its uncertainty; those without a value are left out.  sight: from where they were seen.
-    corners_mm: (4, 2) of the board, in board coordinates; their mean is its middle.
-
     The uncertainties combine the marks' own, scaled up where the residuals are larger than
     it, the errors that the map gives to all marks in common, and those of the camera's place.
-    Raises MeasurementError for too few marks and for marks that do not tell the pose.
+
+    Parameters
+    ----------
+    board_mm : (N, 2) array, mm, nominal (x, z) of the marks
+    points : PlanePoints, mm, where the plane map puts them, with its uncertainty; those without a
+        value are left out
+    sight : LinesOfSight, from where they were seen
+    corners_mm : (4, 2) array, mm, of the board, in board coordinates; their mean is its middle
+
+    Raises
+    ------
+    MeasurementError
+        For too few marks and for marks that do not tell the pose.
+
+    References
+    ----------
+    Derived in this module's text.
     """
     used = np.asarray(np.isfinite(np.hstack([points.xz_mm, sight.slope])).all(axis=1))
     if used.sum() < FEWEST_MARKS:

@@ -14,7 +14,12 @@ def all_marks(reading: BoardReading) -> list[Marks]:
 
 
 def found_marks(several: Sequence[Marks]) -> tuple[Floats, Floats, Floats]:
-    """board_mm (N, 2), image_px (N, 2) and sigma_px (N,) of all marks found, in order."""
+    """board_mm (N, 2), image_px (N, 2) and sigma_px (N,) of all marks found, in order.
+
+    Parameters
+    ----------
+    several : sequence of Marks, mm and px
+    """
     return (
         np.vstack([marks.board_mm[marks.found] for marks in several]),
         np.vstack([marks.image_px[marks.found] for marks in several]),
@@ -23,7 +28,13 @@ def found_marks(several: Sequence[Marks]) -> tuple[Floats, Floats, Floats]:
 
 
 def without(reading: BoardReading, left_out: Mask) -> BoardReading:
-    """The reading as if some of ``all_marks``, a mask (N,), were not found."""
+    """The reading as if some of its marks were not found.
+
+    Parameters
+    ----------
+    reading : BoardReading, of N marks
+    left_out : (N,) mask, in the order of ``all_marks``
+    """
     counts = np.cumsum([len(marks.status) for marks in all_marks(reading)])[:-1]
     grid, *on_rulers = map(_hidden, all_marks(reading), np.split(left_out, counts))
     rulers = zip(reading.rulers, on_rulers, strict=True)

@@ -23,8 +23,11 @@ MARGIN = 0.05  # of the spacing of neighbouring control points
 class Region:
     """A convex polygon in the picture, grown by a margin.
 
-    outline_px: (K, 2) corners (u, v), each edge's inside on its left in a frame with u to
-        the right and v up.  margin_px: how far outside an edge still counts as inside.
+    Attributes
+    ----------
+    outline_px : (K, 2) array, px, corners (u, v), each edge's inside on its left in a frame with u
+        to the right and v up
+    margin_px : float, px, how far outside an edge still counts as inside
     """
 
     __pydantic_config__ = STRICT
@@ -47,15 +50,28 @@ class Region:
         return normal / np.linalg.norm(normal, axis=1)[:, None]
 
     def covers(self, image_px: Floats) -> Mask:
-        """(N,) mask of the finite pixels (N, 2) that lie in the region."""
+        """(N,) mask of the pixels that lie in the region.
+
+        Parameters
+        ----------
+        image_px : (N, 2) array, px, of (u, v), finite
+        """
         offset = (self._outward * self.outline_px).sum(axis=1)
         return (image_px @ self._outward.T - offset <= self.margin_px).all(axis=1)
 
 
 def covered_region(reading: BoardReading, used: Mask) -> Region:
-    """The region covered by the control points ``used``, a mask over ``reading.grid``.
+    """The region covered by the control points that a map rests on.
 
-    Raises BoardNotFound where they do not span an area or where no two are neighbours.
+    Parameters
+    ----------
+    reading : BoardReading, px, of N control points
+    used : (N,) mask, over ``reading.grid``
+
+    Raises
+    ------
+    BoardNotFound
+        Where they do not span an area or where no two are neighbours.
     """
     points = reading.grid.image_px[used]
     try:
@@ -65,7 +81,18 @@ def covered_region(reading: BoardReading, used: Mask) -> Region:
 
 
 def region_around(image_px: Floats, margin_px: float = 0.0) -> Region:
-    """The convex hull of pixels (N, 2); MeasurementError where they span no area."""
+    """The convex hull of pixels.
+
+    Parameters
+    ----------
+    image_px : (N, 2) array, px, of (u, v)
+    margin_px : float, px, grown by
+
+    Raises
+    ------
+    MeasurementError
+        Where they span no area.
+    """
     try:
         hull = ConvexHull(image_px)
     except (QhullError, ValueError) as error:
@@ -74,7 +101,17 @@ def region_around(image_px: Floats, margin_px: float = 0.0) -> Region:
 
 
 def spacing_px(reading: BoardReading) -> float:
-    """Median distance in px of neighbouring control points that were found."""
+    """Median distance in px of neighbouring control points that were found.
+
+    Parameters
+    ----------
+    reading : BoardReading, px
+
+    Raises
+    ------
+    BoardNotFound
+        Where no two neighbours were found.
+    """
     lattice = reading.grid.image_px.reshape(*reading.shape, 2)
     steps = [np.diff(lattice, axis=axis).reshape(-1, 2) for axis in (0, 1)]
     distances = np.linalg.norm(np.vstack(steps), axis=1)

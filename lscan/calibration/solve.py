@@ -36,11 +36,16 @@ SAME_MM = 1e-6  # residuals that belong to the parameters agree this well on any
 class Calibration:
     """A solved plane map and what it rests on.
 
-    residuals_mm: (N, 2) map of each control point less its nominal place; NaN where the
-        point was not found or the map gives it no value.
-    residuals_px: (N, 2) the same as a shift in the picture.
-    optics: what was known of the camera beforehand.
-    software: name and version of the program that solved it.
+    Attributes
+    ----------
+    name : str, full name of the map, as it was asked for
+    plane_map : PlaneMap, from the pixels of that camera to the laser sheet
+    reading : BoardReading, the marks it was solved from
+    residuals_mm : (N, 2) array, mm, map of each control point less its nominal place; NaN where the
+        point was not found or the map gives it no value
+    residuals_px : (N, 2) array, px, the same as a shift in the picture
+    optics : OpticsSection, what was known of the camera beforehand
+    software : str, name and version of the program that solved it
 
     Examples
     --------
@@ -60,27 +65,38 @@ class Calibration:
 
     @property
     def rms_mm(self) -> float:
-        """Root mean square distance of the control points from their nominal places."""
+        """Root mean square distance of the control points from their nominal places, mm."""
         return _rms(self.residuals_mm)
 
     @property
     def max_mm(self) -> float:
-        """Greatest distance of a control point from its nominal place."""
+        """Greatest distance of a control point from its nominal place, mm."""
         return float(np.nanmax(np.hypot(*self.residuals_mm.T)))
 
     @property
     def rms_px(self) -> float:
-        """Root mean square of the residuals' lengths in the picture."""
+        """Root mean square of the residuals' lengths in the picture, px."""
         return _rms(self.residuals_px)
 
 
 def calibrate(
     reading: BoardReading, map_name: str, optics: OpticsSection | None = None
 ) -> Calibration:
-    """The plane map of that full name solved from ``reading``.
+    """The plane map of a full name solved from a board reading.
 
-    optics: what is known of the camera beforehand; None: what an empty section [optics] says.
-    Raises InputError for an unknown name, BoardNotFound for too few marks.
+    Parameters
+    ----------
+    reading : BoardReading, px and mm, the marks of one picture
+    map_name : str, full name of the map, or "auto"
+    optics : OpticsSection, optional, what is known of the camera beforehand; by default what an
+        empty section [optics] says
+
+    Raises
+    ------
+    InputError
+        For an unknown name.
+    BoardNotFound
+        For too few marks.
 
     Examples
     --------
@@ -96,14 +112,32 @@ def calibrate(
 def calibration_by(
     map_name: str, plane_map: PlaneMap, reading: BoardReading, optics: OpticsSection
 ) -> Calibration:
-    """The calibration by the map of that name, solved from ``reading`` with ``optics`` known."""
+    """The calibration by a map that was solved from a reading.
+
+    Parameters
+    ----------
+    map_name : str, full name of the map, as it was asked for
+    plane_map : PlaneMap, solved from ``reading``
+    reading : BoardReading, px and mm
+    optics : OpticsSection, what was known of the camera
+    """
     mm, px = residuals(plane_map, reading)
     software = f"lscan {__version__}"
     return Calibration(map_name, plane_map, reading, mm, px, optics, software)
 
 
 def resolve(calibration: Calibration) -> Calibration:
-    """The same calibration solved again from the marks and the optics it holds."""
+    """The same calibration solved again from the marks and the optics it holds.
+
+    Parameters
+    ----------
+    calibration : Calibration, its reading, name and optics count
+
+    Raises
+    ------
+    InputError, BoardNotFound
+        As ``calibrate``.
+    """
     return calibrate(calibration.reading, calibration.name, calibration.optics)
 
 
@@ -111,6 +145,11 @@ def residuals(plane_map: PlaneMap, reading: BoardReading) -> tuple[Floats, Float
     """Residuals of the control points, (N, 2) in mm and (N, 2) in px, NaN where there is none.
 
     In px: the shift of the mark that would make up for the residual, by the map's slope.
+
+    Parameters
+    ----------
+    plane_map : PlaneMap, from the pixels of that camera to the laser sheet
+    reading : BoardReading, px and mm, of N control points
     """
     image = reading.grid.image_px
     mm = plane_map.to_plane(image).xz_mm - reading.grid.board_mm
@@ -118,9 +157,15 @@ def residuals(plane_map: PlaneMap, reading: BoardReading) -> tuple[Floats, Float
 
 
 def in_picture(plane_map: PlaneMap, image_px: Floats, shift_mm: Floats) -> Floats:
-    """(N, 2) px: how far pixels (N, 2) must move for the map to move them by (N, 2) mm.
+    """(N, 2) px: how far pixels must move for the map to move them so far, by the map's Jacobian.
 
-    By the map's Jacobian there; NaN where it has none.
+    NaN where the map has none.
+
+    Parameters
+    ----------
+    plane_map : PlaneMap, from pixels to the laser sheet
+    image_px : (N, 2) array, px, of (u, v)
+    shift_mm : (N, 2) array, mm, of (x, z) in the plane frame
     """
     columns = [
         (plane_map.to_plane(image_px + step).xz_mm - plane_map.to_plane(image_px - step).xz_mm)
@@ -137,7 +182,17 @@ def in_picture(plane_map: PlaneMap, image_px: Floats, shift_mm: Floats) -> Float
 
 
 def save_calibration(path: Path | str, calibration: Calibration) -> None:
-    """Write the calibration to ``path``: a whole file or none; InputError where it cannot.
+    """Write the calibration to a file: a whole file or none.
+
+    Parameters
+    ----------
+    path : Path or str, of the file
+    calibration : Calibration, of one picture
+
+    Raises
+    ------
+    InputError
+        Where the file cannot be written.
 
     Examples
     --------
@@ -159,11 +214,18 @@ def save_calibration(path: Path | str, calibration: Calibration) -> None:
 
 
 def load_calibration(path: Path | str) -> Calibration:
-    """The calibration that was saved at ``path``, number for number.
+    """The calibration that was saved in a file, number for number.
 
-    Raises InputError naming the file and the key for anything that is not as it was
-    written: unknown or missing keys, numbers out of range, a map that does not exist, and
-    residuals that do not belong to the parameters.
+    Parameters
+    ----------
+    path : Path or str, of the file
+
+    Raises
+    ------
+    InputError
+        Names the file and the key of anything that is not as it was written: unknown or missing
+        keys, numbers out of range, a map that does not exist, and residuals that do not belong to
+        the parameters.
 
     Examples
     --------
@@ -176,7 +238,18 @@ def load_calibration(path: Path | str) -> Calibration:
 
 
 def calibration_of(document: Any, path: Path) -> Calibration:
-    """The calibration in the JSON document of the file ``path``, as ``load_calibration``."""
+    """The calibration in the JSON document of a file.
+
+    Parameters
+    ----------
+    document : object, as JSON has it
+    path : Path, of the file, for messages
+
+    Raises
+    ------
+    InputError
+        As ``load_calibration``.
+    """
     content = calibration_file(document, path)
     reading, stored = content.reading.reading(), content.residuals
     with np.errstate(all="ignore"):  # numbers that make no map do not give these residuals

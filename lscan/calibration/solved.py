@@ -27,10 +27,20 @@ class SolvedMap(Strict):
         return self._name
 
     def to_plane(self: Estimator, image_px: Floats, sigma_px: Floats | None = None) -> PlanePoints:
-        """Points in the sheet, (N, 2) mm, of the pixels (N, 2), as api.PlaneMap promises.
+        """Points in the sheet, (N, 2) mm in the plane frame, of pixels, as api.PlaneMap promises.
 
         sigma_mm combines the pixel's uncertainty, that of the map's parameters, and the map's
         mean lack of fit.
+
+        Parameters
+        ----------
+        image_px : (N, 2) array, px, of (u, v)
+        sigma_px : (N,) array, optional, px, standard uncertainty of u and of v; 0 by default
+
+        Raises
+        ------
+        InputError
+            For arrays of wrong shape, and for a bad sigma_px.
         """
         return to_points(self, image_px, sigma_px)
 
@@ -46,8 +56,13 @@ Solved = TypeVar("Solved", bound=SolvedMap)
 class MapSolver(ABC, Generic[Solved]):
     """Base of the solvers of one family of maps.
 
-    family: first part of a map's name.  model: the map.  variants: second parts there are.
-    what, allowed: the family and its names in words, for messages.
+    Attributes
+    ----------
+    family : str, first part of a map's name
+    model : type, of the map
+    what : str, the family in words, for messages
+    variants : tuple of str, second parts there are
+    allowed : str, the names there are in words, for messages
     """
 
     family: ClassVar[str]
@@ -74,8 +89,18 @@ class MapSolver(ABC, Generic[Solved]):
     ) -> Solved:
         """The map fitted to the marks that were found.
 
-        Raises InputError for an unknown variant, BoardNotFound where the marks found do not
-        determine the map.
+        Parameters
+        ----------
+        reading : BoardReading, px and mm, the marks of one picture
+        variant : str, second part of the map's name, "" where there is none
+        optics : OpticsSection, what is known of the camera beforehand
+
+        Raises
+        ------
+        InputError
+            For an unknown variant.
+        BoardNotFound
+            Where the marks found do not determine the map.
         """
         self.check_variant(variant)
         return self._named(self.fit(reading, variant, optics), variant)
@@ -85,7 +110,18 @@ class MapSolver(ABC, Generic[Solved]):
         """As ``solve``, of a variant that there is."""
 
     def restore(self, variant: str, parameters: dict[str, Any]) -> Solved:
-        """The map that ``parameters`` came from; InputError where they do not fit."""
+        """The map that parameters came from.
+
+        Parameters
+        ----------
+        variant : str, second part of the map's name, "" where there is none
+        parameters : dict, as ``SolvedMap.parameters`` gave them
+
+        Raises
+        ------
+        InputError
+            Where they do not fit.
+        """
         self._require(variant)
         read = check(self.model, parameters, where=None, prefix="parameters")
         return self._named(read, variant)

@@ -20,6 +20,11 @@ def unexplained_mm(estimator: Estimator, reading: BoardReading) -> Floats:
 
     Neighbours are control points one pitch apart and adjacent marks of a ruler, all of which
     the map was fitted to.  A share that noise alone could well make is 0.
+
+    Parameters
+    ----------
+    estimator : Estimator, of the map
+    reading : BoardReading, px and mm, the map was solved from
     """
     products = np.vstack(list(_products(estimator, reading)))
     products = products[np.isfinite(products).all(axis=1)]

@@ -41,8 +41,11 @@ class AutoParameters(Strict):
 class Auto:
     """The chosen map and why it was chosen.
 
-    chosen: the map, under its own name.  scores: of all candidates, the best first, those
-    that refused last.
+    Attributes
+    ----------
+    chosen : PlaneMap, under its own name
+    scores : tuple of Score, of all candidates, the best first, those that refused last
+    name : str, "auto"
     """
 
     chosen: PlaneMap
@@ -50,7 +53,13 @@ class Auto:
     name: str = "auto"
 
     def to_plane(self, image_px: Floats, sigma_px: Floats | None = None) -> PlanePoints:
-        """Points in the sheet, (N, 2) mm, of the pixels (N, 2), by the chosen map."""
+        """Points in the sheet, (N, 2) mm in the plane frame, of pixels, by the chosen map.
+
+        Parameters
+        ----------
+        image_px : (N, 2) array, px, of (u, v)
+        sigma_px : (N,) array, optional, px, standard uncertainty of u and of v; 0 by default
+        """
         return self.chosen.to_plane(image_px, sigma_px)
 
     def parameters(self) -> dict[str, Any]:
@@ -105,7 +114,19 @@ solver = AutoSolver()
 def calibrate_best(
     reading: BoardReading, optics: OpticsSection | None, progress: Progress | None = None
 ) -> Calibration:
-    """What ``calibrate(reading, "auto", optics)`` gives, with progress."""
+    """What ``calibrate(reading, "auto", optics)`` gives, with progress.
+
+    Parameters
+    ----------
+    reading : BoardReading, px and mm, the marks of one picture
+    optics : OpticsSection or None, what is known of the camera beforehand
+    progress : callable, optional, called with the number of candidates tried, and of all
+
+    Raises
+    ------
+    BoardNotFound
+        Where every candidate refuses.
+    """
     known = optics or NOTHING_KNOWN
     plane_map = cast(PlaneMap, solver.solve(reading, "", known, progress))
     return calibration_by(plane_map.name, plane_map, reading, known)

@@ -15,7 +15,14 @@ Kind = Literal["latitude", "longitude", "vertical ruler", "horizontal ruler"]
 
 @dataclass(frozen=True)
 class DrawnLine:
-    """One fitted line: its kind, its place on the board, and (S, 2) points (u, v) in px."""
+    """One fitted line of a graticule.
+
+    Attributes
+    ----------
+    kind : str, "latitude", "longitude", "vertical ruler" or "horizontal ruler"
+    at_mm : float, mm, its place on the board
+    image_px : (S, 2) array, px, points (u, v)
+    """
 
     kind: Kind
     at_mm: float
@@ -26,7 +33,14 @@ class DrawnLine:
 class DrawnConversion:
     """Fig. 16 for one ruler: px (v of a vertical ruler, u of a horizontal) against mm.
 
-    marks_px, marks_mm: (N,) the marks found.  curve_px, curve_mm: (S,) the conversion curve.
+    Attributes
+    ----------
+    direction : str, "vertical" or "horizontal"
+    at_mm : float, mm, its place on the board
+    marks_px : (N,) array, px, of the marks found
+    marks_mm : (N,) array, mm, of the marks found
+    curve_px : (S,) array, px, of the conversion curve
+    curve_mm : (S,) array, mm, of the conversion curve
     """
 
     direction: Literal["vertical", "horizontal"]
@@ -40,7 +54,14 @@ class DrawnConversion:
 def graticule_lines(graticule: Graticule, samples: int = 200) -> list[DrawnLine]:
     """All lines of the graticule and its rulers, each over the stretch its marks span.
 
-    samples: points per line, S.
+    Parameters
+    ----------
+    graticule : Graticule, solved
+    samples : int, points per line, S
+
+    References
+    ----------
+    Figs. 13, 33 and 34 of the paper.
     """
     across, down = graticule.latitudes, graticule.longitudes
     curves: list[tuple[Kind, GridLine | FittedRuler, Curve]] = [
@@ -63,7 +84,15 @@ def ruler_conversions(
 ) -> list[DrawnConversion]:
     """The conversion curve of each ruler that the graticule uses, with the marks behind it.
 
-    reading: the one the graticule was solved from.  samples: points per curve, S.
+    Parameters
+    ----------
+    graticule : Graticule, solved
+    reading : BoardReading, the one the graticule was solved from
+    samples : int, points per curve, S
+
+    References
+    ----------
+    Fig. 16 of the paper.
     """
     drawn = []
     for ruler in reading.rulers:

@@ -26,13 +26,20 @@ VARIANTS: dict[str, tuple[Fit, bool]] = {
 class Graticule(SolvedMap):
     """A solved graticule.
 
-    latitudes: the lines of the grid rows and the vertical rulers; they give z.
-    longitudes: the lines of the grid columns and the horizontal rulers; they give x.
-    lack_of_fit_mm: (2,) of x and of z (evaluate.py).
-
     Its uncertainty combines, to first order, that of the pixel, the covariances of the two
     lines around the point, of the ruler's line and of its conversion curve; the last two are
     common to neighbouring points, which no modes say.
+
+    Attributes
+    ----------
+    latitudes : LineSet, the lines of the grid rows and the vertical rulers; they give z
+    longitudes : LineSet, the lines of the grid columns and the horizontal rulers; they give x
+    region : Region, px, where the map holds
+    lack_of_fit_mm : (2,) array, mm, of x and of z (evaluate.py)
+
+    References
+    ----------
+    Secs. II and III of the paper.
     """
 
     latitudes: LineSet
@@ -41,7 +48,13 @@ class Graticule(SolvedMap):
     lack_of_fit_mm: Pair
 
     def estimate(self, image_px: Floats, variance_px2: Floats) -> Estimate:
-        """Points of covered pixels; NaN where no two lines of a direction surround one."""
+        """Points of covered pixels; NaN where no two lines of a direction surround one.
+
+        Parameters
+        ----------
+        image_px : (N, 2) array, px, of (u, v)
+        variance_px2 : (N,) array, px², of either pixel coordinate
+        """
         u, v = image_px.T
         x, variance_x = self.longitudes.locate(Targets(v, u, variance_px2))
         z, variance_z = self.latitudes.locate(Targets(u, v, variance_px2))

@@ -30,9 +30,18 @@ TERMS = [(order + 1) * (order + 2) // 2 for order in ORDERS]
 class Polynomial(SolvedMap):
     """A solved polynomial map of order N with K = (N + 1)(N + 2) / 2 terms.
 
-    pixels: scales (u, v) to -1 to 1.  coefficients: (2, K) mm of x and of z, the C_ij and
-    D_ij of eq. (1) for Legendre products, i varying slowest.  covariances: (K, K) mm^2 of
-    either.  lack_of_fit_mm: (2,) of x and of z (evaluate.py).
+    Attributes
+    ----------
+    pixels : Scaling, of (u, v) to -1 to 1
+    coefficients : (2, K) array, mm, of x and of z, the C_ij and D_ij of eq. (1) for Legendre
+        products, i varying slowest
+    covariances : tuple of array, mm², (K, K) of either
+    region : Region, px, where the map holds
+    lack_of_fit_mm : (2,) array, mm, of x and of z (evaluate.py)
+
+    References
+    ----------
+    Sec. I and eqs. (1) and (2) of the paper.
     """
 
     pixels: Scaling
@@ -48,7 +57,13 @@ class Polynomial(SolvedMap):
         return self
 
     def estimate(self, image_px: Floats, variance_px2: Floats) -> Estimate:
-        """Points of covered pixels; those of x and those of z have no mode in common."""
+        """Points of covered pixels; those of x and those of z have no mode in common.
+
+        Parameters
+        ----------
+        image_px : (N, 2) array, px, of (u, v)
+        variance_px2 : (N,) array, px², of either pixel coordinate
+        """
         order = ORDERS[TERMS.index(self.coefficients.shape[1])]
         rows, by_u, by_v = terms(self.pixels.apply(image_px), order)
         slope = _slope(by_u, by_v, self.coefficients, self.pixels)
@@ -115,9 +130,21 @@ def _slope(by_u: Floats, by_v: Floats, coefficients: Floats, pixels: Scaling) ->
 
 
 def terms(scaled: Floats, order: int) -> tuple[Floats, Floats, Floats]:
-    """All terms L_i(a) L_j(b), i + j <= order, of scaled pixels (N, 2), and their derivatives.
+    """All terms L_i(a) L_j(b), i + j <= order, of scaled pixels, and their derivatives.
 
-    Returns (N, K) values, (N, K) derivatives by a, (N, K) derivatives by b; i varies slowest.
+    Parameters
+    ----------
+    scaled : (N, 2) array, (a, b), from -1 to 1
+    order : int, of the polynomial
+
+    Returns
+    -------
+    tuple of array
+        (N, K) values, (N, K) derivatives by a, (N, K) derivatives by b; i varies slowest.
+
+    References
+    ----------
+    Eq. (1) of the paper, its powers replaced by Legendre polynomials.
     """
     i, j = np.indices((order + 1, order + 1)).reshape(2, -1)
     i, j = i[i + j <= order], j[i + j <= order]

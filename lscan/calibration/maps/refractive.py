@@ -33,13 +33,23 @@ COUNT = len(NAMES)
 class Refractive(SolvedMap):
     """A solved refractive map.
 
-    theta: camera, port and pose (NAMES).  modes: (19, M), the covariance of theta is
-        modes @ modes.T, but for what does not move the map.
-    centre_mm: (2,) the middle of the marks.
-    board_offset_mm, board_tilt_deg: standard uncertainties of how the board lay against the
-        laser sheet: its distance at centre_mm, and its tilt about x and about z.
-    outliers_mm: (x, z) of the marks that the map does not rest on.
-    lack_of_fit_mm: (2,) of x and of z (unexplained.py).
+    Attributes
+    ----------
+    port : str, "flat", or "none" for a camera in air
+    theta : dict of float, camera, port and pose, by name (NAMES)
+    centre_mm : (2,) array, mm, the middle of the marks
+    modes : (19, M) array, the covariance of theta is modes @ modes.T, but for what does not move
+        the map
+    board_offset_mm : float, mm, standard uncertainty of the board's distance from the laser sheet
+        at centre_mm
+    board_tilt_deg : float, degrees, standard uncertainty of its tilt about x and about z
+    outliers_mm : tuple of array, mm, (x, z) of the marks that the map does not rest on
+    region : Region, px, where the map holds
+    lack_of_fit_mm : (2,) array, mm, of x and of z (unexplained.py)
+
+    References
+    ----------
+    docs/explanation/physics.md, section 6.
     """
 
     port: PortKind
@@ -72,7 +82,13 @@ class Refractive(SolvedMap):
         return PosedBoards(np.insert(theta, K3, 0.0), self.centre_mm, self.port)
 
     def estimate(self, image_px: Floats, variance_px2: Floats) -> Estimate:
-        """Points of covered pixels."""
+        """Points of covered pixels.
+
+        Parameters
+        ----------
+        image_px : (N, 2) array, px, of (u, v)
+        variance_px2 : (N,) array, px², of either pixel coordinate
+        """
         theta = np.array(list(self.theta.values()))
         modes = displacements(lambda t: self._view_of(t).locate, theta, self.modes, image_px)
         if self.board_offset_mm > 0 or self.board_tilt_deg > 0:
@@ -85,12 +101,18 @@ class Refractive(SolvedMap):
 def coplanarity_modes(
     plane_map: Refractive, image_px: Floats, offset_mm: float, tilt_deg: float
 ) -> Floats:
-    """(N, 2, 3) mm that a board beside the laser sheet moves the points of pixels (N, 2).
+    """(N, 2, 3) mm that a board beside the laser sheet moves the points of pixels.
 
-    The three modes: the sheet off the board by ``offset_mm`` along the board's normal, and
-    tilted against it by ``tilt_deg`` about x and about z, both through the centre of the
-    marks.  Where the sheet lies y behind the board, a ray of direction d reaches it
-    y (d_x, d_z) / d_y further on.
+    The three modes: the sheet off the board along the board's normal, and tilted against it about x
+    and about z, both through the centre of the marks.  Where the sheet lies y behind the board, a
+    ray of direction d reaches it y (d_x, d_z) / d_y further on.
+
+    Parameters
+    ----------
+    plane_map : Refractive, solved from the board
+    image_px : (N, 2) array, px, of (u, v)
+    offset_mm : float, mm, standard uncertainty of the distance
+    tilt_deg : float, degrees, standard uncertainty of either tilt
     """
     view = plane_map.view
     direction = rays(view.camera, image_px).direction @ view.axes[0]

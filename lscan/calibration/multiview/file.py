@@ -119,7 +119,18 @@ class MetricFile(Strict):
 
 
 def save_metric(path: Path, calibration: MetricCalibration) -> None:
-    """Write the calibration to ``path``: a whole file or none; InputError where it cannot."""
+    """Write the calibration to a file: a whole file or none.
+
+    Parameters
+    ----------
+    path : Path, of the file
+    calibration : MetricCalibration, with its views
+
+    Raises
+    ------
+    InputError
+        Where the file cannot be written.
+    """
     content = MetricFile(
         format=FORMAT,
         version=VERSION,
@@ -136,15 +147,33 @@ def save_metric(path: Path, calibration: MetricCalibration) -> None:
 
 
 def load_metric(path: Path) -> MetricCalibration:
-    """The calibration that was saved at ``path``; it can be solved again from what it holds.
+    """The calibration that was saved in a file; it can be solved again from what it holds.
 
-    Raises InputError naming the file and the key for anything that is not as it was written.
+    Parameters
+    ----------
+    path : Path, of the file
+
+    Raises
+    ------
+    InputError
+        Names the file and the key of anything that is not as it was written.
     """
     return metric_of(read_json(path, MOST_BYTES), path)
 
 
 def metric_of(document: Any, path: Path) -> MetricCalibration:
-    """The calibration in the JSON document of the file ``path``, as ``load_metric``."""
+    """The calibration in the JSON document of a file.
+
+    Parameters
+    ----------
+    document : object, as JSON has it
+    path : Path, of the file, for messages
+
+    Raises
+    ------
+    InputError
+        As ``load_metric``.
+    """
     if not isinstance(document, dict) or document.get("format") != FORMAT:
         raise InputError("is no metric calibration", where=path, allowed=f'format "{FORMAT}"')
     content = check(MetricFile, document, where=path)

@@ -35,9 +35,12 @@ from lscan.records import BoardReading, Floats
 class SheetView:
     """A camera and the laser's sheet before it.
 
-    theta: (14,) the camera (parameters.CAMERA).  port: "none" in air.  q_per_mm: (3,), the
-    sheet is the plane q . X = 1 of the camera frame.  origin_px: (2,) the pixel that sees the
-    origin.
+    Attributes
+    ----------
+    theta : (14,) array, the camera (parameters.CAMERA)
+    port : str, "flat", or "none" for a camera in air
+    q_per_mm : (3,) array, 1/mm; the sheet is the plane q . X = 1 of the camera frame
+    origin_px : (2,) array, px, the pixel that sees the origin
     """
 
     theta: Floats
@@ -64,7 +67,12 @@ class SheetView:
         return np.column_stack([x, away, np.cross(x, away)])
 
     def locate(self, image_px: Floats) -> Floats:
-        """(N, 2) of (x, z) mm where the rays of pixels (N, 2) meet the sheet; NaN where not."""
+        """(N, 2) of (x, z) mm where the rays of pixels meet the sheet; NaN where not.
+
+        Parameters
+        ----------
+        image_px : (N, 2) array, px, of (u, v)
+        """
         axes = self.axes
         foot = self.q_per_mm / (self.q_per_mm @ self.q_per_mm)  # a point of the plane
         pixels = np.vstack([self.origin_px, image_px])
@@ -72,7 +80,12 @@ class SheetView:
         return (points[1:] - points[0]) @ axes[:, [0, 2]]
 
     def slopes(self, image_px: Floats) -> Floats:
-        """(N, 2) mm of x and of z that the rays of pixels (N, 2) run for each mm of y."""
+        """(N, 2) mm of x and of z that the rays of pixels run for each mm of y.
+
+        Parameters
+        ----------
+        image_px : (N, 2) array, px, of (u, v)
+        """
         direction = rays(camera_of(self.theta, self.port), image_px).direction @ self.axes
         return direction[:, [0, 2]] / direction[:, 1:2]
 
@@ -80,10 +93,15 @@ class SheetView:
 class Metric(SolvedMap):
     """A solved metric map.
 
-    theta: the camera (parameters.CAMERA).  q_per_mm: (3,), the sheet is the plane q . X = 1 of
-        the camera frame.  origin_px: (2,) the pixel that sees the origin.
-    modes: (17, M), the covariance of camera and sheet (theta, then q) is modes @ modes.T but
-        for what does not move the map.
+    Attributes
+    ----------
+    port : str, "flat", or "none" for a camera in air
+    theta : dict of float, the camera, by name (parameters.CAMERA)
+    q_per_mm : (3,) array, 1/mm; the sheet is the plane q . X = 1 of the camera frame
+    origin_px : (2,) array, px, the pixel that sees the origin
+    modes : (17, M) array, the covariance of camera and sheet (theta, then q) is modes @ modes.T but
+        for what does not move the map
+    region : Region, px, where the map holds
     """
 
     port: PortKind
@@ -116,7 +134,13 @@ class Metric(SolvedMap):
         return np.zeros(2)
 
     def estimate(self, image_px: Floats, variance_px2: Floats) -> Estimate:
-        """Points of covered pixels."""
+        """Points of covered pixels.
+
+        Parameters
+        ----------
+        image_px : (N, 2) array, px, of (u, v)
+        variance_px2 : (N,) array, px², of either pixel coordinate
+        """
         view = self.view
         modes = displacements(view.map_of, view.vector, self.modes, image_px)
         slope = pixel_derivatives(view.locate, image_px)
@@ -126,8 +150,14 @@ class Metric(SolvedMap):
 def metric_map(view: SheetView, root: Floats, region: Region) -> Metric:
     """The map of a camera and a sheet.
 
-    root: (17, P), root @ root.T is the covariance of theta and q.  Those of its directions are
-    kept that move the map on the region's outline or half way to its middle.
+    Those directions of the covariance are kept that move the map on the region's outline or half
+    way to its middle.
+
+    Parameters
+    ----------
+    view : SheetView, camera and sheet
+    root : (17, P) array, root @ root.T is the covariance of theta and q
+    region : Region, px, where the map is to hold
     """
     corners = region.outline_px
     places = np.vstack([corners, (corners + corners.mean(axis=0)) / 2])

@@ -40,11 +40,18 @@ TILTED = "hold it at different tilts, 20 to 45 deg, to different sides"
 
 @dataclass(frozen=True)
 class ViewReport:
-    """What became of one view.
+    """What became of one view; NaN where there is no number.
 
-    marks: how many were used, of how many found.  rms_px: root mean square length of their
-    residuals.  line_points: used, of how many found.  line_rms_mm: of their distances from
-    the sheet.  Each NaN where there is none.  fault: why the view, or its line, was not used.
+    Attributes
+    ----------
+    name : str, of the picture
+    used : bool, whether the solution rests on it
+    marks : tuple of int, how many were used, of how many found
+    rms_px : float, px, root mean square length of their residuals
+    line_used : bool, whether the sheet rests on its line
+    line_points : tuple of int, how many were used, of how many found
+    line_rms_mm : float, mm, root mean square of their distances from the sheet
+    fault : str, why the view, or its line, was not used
     """
 
     name: str
@@ -61,9 +68,17 @@ class ViewReport:
 class MetricCalibration:
     """A metric map and what it rests on.
 
-    views: as read.  optics, k3: what was known of the camera.  image_size: (width, height).
-    reports: one a view.  sigma: (14,) standard uncertainties of the camera (parameters.CAMERA), 0
-    of what was held.
+    Attributes
+    ----------
+    plane_map : Metric, from the pixels of that camera to the laser sheet
+    views : tuple of CalibrationView, as read
+    optics : OpticsSection, what was known of the camera
+    k3 : tuple of float, third radial coefficient and its standard uncertainty beforehand
+    image_size : tuple of int, (width, height) of the pictures, px
+    reports : tuple of ViewReport, one a view
+    sigma : (14,) array, standard uncertainties of the camera (parameters.CAMERA), 0 of what was
+        held
+    software : str, name and version of the program that solved it
     """
 
     plane_map: Metric
@@ -88,7 +103,14 @@ class MetricCalibration:
 
 @dataclass(frozen=True)
 class UsedViews:
-    """The solution from the views ``numbers``, and why others are not among them."""
+    """The solution from those views that are no outliers.
+
+    Attributes
+    ----------
+    fit : CameraFit, camera and poses
+    numbers : tuple of int, of the views used
+    faults : dict of str, by number, why others are not among them
+    """
 
     fit: CameraFit
     numbers: tuple[int, ...]
@@ -103,12 +125,26 @@ def calibrate_metric(
 ) -> MetricCalibration:
     """The camera, the laser's sheet and the map from views of a board in several poses.
 
-    k3: third radial coefficient and its standard uncertainty, held at 0 if left out.
     A view, or its line, that disagrees with the others is left out, and its report says why.
 
-    Raises InputError for what is known of the camera out of its range, MeasurementError where
-    fewer than three views are usable, where their poses do not determine the focal length, or
-    where the lines do not determine the sheet.
+    Parameters
+    ----------
+    views : sequence of CalibrationView, px and mm, three usable ones or more
+    optics : OpticsSection, what is known of the camera beforehand
+    image_size : tuple of int, (width, height) of the pictures, px
+    k3 : tuple of float, third radial coefficient and its standard uncertainty; held at 0 by default
+
+    Raises
+    ------
+    InputError
+        For what is known of the camera out of its range.
+    MeasurementError
+        Where fewer than three views are usable, where their poses do not determine the focal
+        length, or where the lines do not determine the sheet.
+
+    References
+    ----------
+    Z. Zhang, "A flexible new technique for camera calibration", IEEE PAMI 22 (2000).
     """
     # Of focal length and centre nothing is assumed: several poses determine them.
     priors = priors_of(optics, image_size, k3, assume_webcam=False)
@@ -145,6 +181,19 @@ def fit_views(
 
     The worst view is left out, one at a time, while its residuals are WRONG_VIEW times as large
     as the median view's; within views, single marks that are outliers (fit.sound_marks).
+
+    Parameters
+    ----------
+    views : sequence of CalibrationView, px and mm
+    optics : OpticsSection, its port counts
+    priors : CameraPriors, what is known of the camera beforehand
+    image_size : tuple of int, (width, height) of the pictures, px
+
+    Raises
+    ------
+    MeasurementError
+        Where fewer than three views are usable, no camera explains them, or their poses do not
+        determine the focal length.
     """
     faults = {number: reason for number, view in enumerate(views) if (reason := _unusable(view))}
     numbers = [number for number in range(len(views)) if number not in faults]

@@ -11,9 +11,12 @@ from lscan.records import Axis, Floats, Marks, Mask
 class LinePoints:
     """The laser line on a board, where it was found.
 
-    image_px: (K, 2) of (u, v).  sigma_px: (K,) standard uncertainty across the line.
-    axis: "columns": the line was looked for in each column, its v is what is uncertain;
-        "rows": in each row, and its u is.
+    Attributes
+    ----------
+    image_px : (K, 2) array, px, of (u, v)
+    sigma_px : (K,) array, px, standard uncertainty across the line
+    axis : str, "columns": the line was looked for in each column, its v is what is uncertain;
+        "rows": in each row, and its u is
     """
 
     image_px: Floats
@@ -26,7 +29,12 @@ class LinePoints:
         return np.array([0.0, 1.0] if self.axis == "columns" else [1.0, 0.0])
 
     def only(self, wanted: Mask) -> "LinePoints":
-        """Those of a mask (K,)."""
+        """The points of a mask.
+
+        Parameters
+        ----------
+        wanted : (K,) mask, of the points kept
+        """
         return replace(self, image_px=self.image_px[wanted], sigma_px=self.sigma_px[wanted])
 
 
@@ -34,9 +42,12 @@ class LinePoints:
 class CalibrationView:
     """One pose of the board.
 
-    name: the picture's, for messages.  marks: the board's own, None where it was not found.
-    line: the laser line on it, None where there is none.
-    fault: why marks, or the line that was looked for, are missing; "" where nothing is.
+    Attributes
+    ----------
+    name : str, of the picture, for messages
+    marks : Marks or None, px and mm, of the board; None where it was not found
+    line : LinePoints or None, px, the laser line on it, None where there is none
+    fault : str, why marks, or the line that was looked for, are missing; "" where nothing is
     """
 
     name: str

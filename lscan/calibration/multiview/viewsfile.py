@@ -83,18 +83,39 @@ class ViewsDocument(Strict):
 
 @dataclass(frozen=True)
 class ViewsFile:
-    """A views file as read, and the folder its paths are relative to."""
+    """A views file as read.
+
+    Attributes
+    ----------
+    document : ViewsDocument, its content
+    path : Path, of the file; the pictures' paths are relative to its folder
+    """
 
     document: ViewsDocument
     path: Path
 
     def resolve(self, name: str) -> Path:
-        """The path of a picture that the file names."""
+        """The path of a picture that the file names.
+
+        Parameters
+        ----------
+        name : str, as the file has it
+        """
         return self.path.parent / name
 
 
 def load_views(path: Path) -> ViewsFile:
-    """The views file at ``path``; InputError names the key that is wrong."""
+    """The views file at a path.
+
+    Parameters
+    ----------
+    path : Path, of the TOML file
+
+    Raises
+    ------
+    InputError
+        Names the key that is wrong.
+    """
     document = check(ViewsDocument, read_document(path), where=path)
     for number, entry in enumerate(document.view):
         if entry.background is not None and entry.laser in (None, SAME):
@@ -109,11 +130,19 @@ def load_views(path: Path) -> ViewsFile:
 def read_views(
     views: ViewsFile, progress: Progress | None = None
 ) -> tuple[list[CalibrationView], tuple[int, int]]:
-    """All views of the file, read, and the pictures' (width, height).
+    """All views of the file, read, and the pictures' (width, height) in px.
 
     A picture without the board, or a line that is not there, makes a view with a fault.
-    progress: called with (views done, views in all).
-    Raises InputError for a picture that cannot be read or is of another size than the first.
+
+    Parameters
+    ----------
+    views : ViewsFile, as loaded
+    progress : callable, optional, called with the number of views done, and of all
+
+    Raises
+    ------
+    InputError
+        For a picture that cannot be read or is of another size than the first.
     """
     read_marks = _marks_reader(views.document)
     found: list[CalibrationView] = []
@@ -186,6 +215,16 @@ def line_on_board(stripe: Stripe, marks: Marks) -> LinePoints:
 
     Elsewhere the line falls on what stands behind the board.  Saturated points weigh as little
     as their sigma_px says.
+
+    Parameters
+    ----------
+    stripe : Stripe, px, of the picture with the line
+    marks : Marks, px, of the picture of the board, from the same place
+
+    Raises
+    ------
+    MeasurementError
+        Where the marks span no area.
     """
     hull = region_around(marks.image_px[marks.found])
     usable = np.flatnonzero(has_value(stripe.status))
