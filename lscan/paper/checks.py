@@ -13,9 +13,15 @@ from lscan.records import Length
 
 @dataclass(frozen=True)
 class ReportCheck:
-    """One line of the report's head: what, our figure, the bar and whether it was kept.
+    """One line of the report's head: a figure of ours and whether it kept its bar.
 
-    paper: the paper's figure for the same.  passed: None where there is no bar.
+    Attributes
+    ----------
+    what : str, what was measured
+    figure : str, ours
+    paper : str, the paper's for the same
+    bar : str, what is accepted
+    passed : bool or None, None where there is no bar
     """
 
     what: str
@@ -29,6 +35,11 @@ def checks(experiment: Experiment, bars: paper.Bars) -> list[ReportCheck]:
     """What the experiment measured by the paper's chain, and whether it kept its bars.
 
     Distances of which one was not measured do not pass.
+
+    Parameters
+    ----------
+    experiment : Experiment, pieces that were not scanned have no lines
+    bars : Bars, the largest errors accepted
     """
     board = experiment.board.measures[paper.CHOSEN_MAP]
     groove = experiment.groove.dimensions if experiment.groove else {}

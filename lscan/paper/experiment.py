@@ -27,8 +27,12 @@ PICTURES_SHOWN = 3  # of Fig. 35
 class PictureSource:
     """Where a run's pictures come from.
 
-    camera: its driver.  simulated: whether that is known to be the tank's.
-    noise: whether the simulated sensor has any.  noise_seed: None where the run states none.
+    Attributes
+    ----------
+    camera : str, its driver
+    simulated : bool, whether that is known to be the tank's
+    noise : bool, whether the simulated sensor has any
+    noise_seed : int or None, None where the run states none
     """
 
     camera: str
@@ -45,8 +49,12 @@ class PictureSource:
 class Chain:
     """What turned pictures into lengths.
 
-    extractors: how the line was found, in alphabetical order; more than one where the runs
-        differ.  corrected_for: "blur", "sheet thickness", or neither.
+    Attributes
+    ----------
+    plane_map : str, full name of the map
+    extractors : tuple of str, how the line was found, in alphabetical order; more than one where
+        the runs differ
+    corrected_for : tuple of str, "blur", "sheet thickness", or neither
     """
 
     plane_map: str
@@ -56,9 +64,14 @@ class Chain:
 
 @dataclass(frozen=True)
 class BoardResult:
-    """What one board picture gives: calibrations and lengths, by the plane map's full name.
+    """What one board picture gives, by the plane map's full name.
 
-    image: the mean of the run's pictures, (H, W, 3) or (H, W) uint8.
+    Attributes
+    ----------
+    image : (H, W) or (H, W, 3) array, uint8, DN, the mean of the run's pictures
+    reading : BoardReading, px, its marks
+    calibrations : mapping of Calibration, by the map's name
+    measures : mapping of BoardMeasures, mm, by the map's name
     """
 
     image: Bytes
@@ -69,7 +82,13 @@ class BoardResult:
 
 @dataclass(frozen=True)
 class LinePictures:
-    """Consecutive pictures of a scan, each (H, W, 3) or (H, W) uint8, and the line in the first."""
+    """Consecutive pictures of a scan, and the line in the first.
+
+    Attributes
+    ----------
+    images : sequence of array, (H, W) or (H, W, 3) uint8, DN
+    stripe : Stripe, px, of the first
+    """
 
     images: Sequence[Bytes]
     stripe: Stripe
@@ -79,7 +98,11 @@ class LinePictures:
 class ControlPoints:
     """How many control points were found, and of how many.
 
-    rms_px, max_px: their distance from the ground truth; None where that is not known.
+    Attributes
+    ----------
+    expected, found : int, their numbers
+    rms_px, max_px : float or None, px, their distance from the ground truth; None where that is not
+        known
     """
 
     expected: int
@@ -90,10 +113,13 @@ class ControlPoints:
 
 @dataclass(frozen=True)
 class RenderCheck:
-    """Distance of the line in noise-free renders from the ground truth, px.
+    """Distance of the line in noise-free renders from the ground truth.
 
-    stripe_rms_px, stripe_max_px: of light that was scattered once.  all_orders_rms_px,
-    all_orders_max_px: with the light that target and water scatter further.
+    Attributes
+    ----------
+    stripe_rms_px, stripe_max_px : float, px, of light that was scattered once
+    all_orders_rms_px, all_orders_max_px : float, px, with the light that target and water scatter
+        further
     """
 
     stripe_rms_px: float
@@ -104,7 +130,14 @@ class RenderCheck:
 
 @dataclass(frozen=True)
 class GroundTruth:
-    """What only a tank in software can tell of an experiment.  yaw_deg: of the sheet."""
+    """What only a tank in software can tell of an experiment.
+
+    Attributes
+    ----------
+    control_points : ControlPoints, px, those in view
+    render_check : RenderCheck, px
+    yaw_deg : float, degrees, of the sheet against the track
+    """
 
     control_points: ControlPoints
     render_check: RenderCheck
@@ -115,11 +148,20 @@ class GroundTruth:
 class Experiment:
     """What the paper's experiment gave; groove and sandwave are None where not scanned.
 
-    chain: how it was evaluated.  sources: of each run's pictures, by "board" and so on.
-    shown: pictures of the line, by "groove" and "sandwave".
-    best: the same pictures by the best chain, None where that was not possible, and
-    best_refused then says why.  seconds: wall time spent on each part, where known.
-    truth: None for real hardware.  quick: whether a tank's demo took the least effort.
+    Attributes
+    ----------
+    scene : str, name of the scene
+    chain : Chain, how it was evaluated
+    board : BoardResult, calibrations and lengths
+    groove : GrooveMeasures or None, mm
+    sandwave : SandwaveMeasures or None, mm
+    sources : mapping of PictureSource, of each run's pictures, by "board" and so on
+    shown : mapping of LinePictures, pictures of the line, by "groove" and "sandwave"
+    best : Experiment or None, the same pictures by the best chain, None where that was not possible
+    best_refused : str, why there is no ``best``
+    seconds : mapping of float, s, wall time spent on each part, where known
+    truth : GroundTruth or None, None for real hardware
+    quick : bool or None, whether a tank's demo took the least effort
     """
 
     scene: str

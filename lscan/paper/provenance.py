@@ -19,7 +19,12 @@ Sources = Mapping[str, PictureSource]
 
 
 def picture_source(run: Run) -> PictureSource:
-    """Where the run's pictures come from, by the rig document that it keeps."""
+    """Where the run's pictures come from, by the rig document that it keeps.
+
+    Parameters
+    ----------
+    run : Run, of any camera
+    """
     driver = run.rig_file.rig.camera.driver
     if driver != _TANK_DRIVER:
         return PictureSource(driver, simulated=False)
@@ -31,10 +36,15 @@ def picture_source(run: Run) -> PictureSource:
 
 
 def note(sources: Sources, parts: Collection[str] = PARTS) -> str:
-    """What a caption says of pictures of these parts; "" where none is known to be simulated.
+    """What a caption says of pictures of some parts; "" where none is known to be simulated.
 
     Such as "Simulated tank, noise seed 1."; where the others are not: "Groove: simulated tank,
     noise seed 1."
+
+    Parameters
+    ----------
+    sources : mapping of PictureSource, by "board", "groove" and "sandwave"
+    parts : collection of str, of these names
     """
     there = {part: source for part, source in sources.items() if part in parts}
     simulated = _simulated(there)
@@ -47,7 +57,12 @@ def note(sources: Sources, parts: Collection[str] = PARTS) -> str:
 
 
 def title(experiment: Experiment) -> str:
-    """The page's title: the scene's name, and whether the tank was simulated."""
+    """The page's title: the scene's name, and whether the tank was simulated.
+
+    Parameters
+    ----------
+    experiment : Experiment, its scene and sources count
+    """
     simulated = _simulated(experiment.sources)
     if not simulated:
         return experiment.scene
@@ -57,7 +72,12 @@ def title(experiment: Experiment) -> str:
 
 
 def lead(sources: Sources) -> str:
-    """The page's first sentence."""
+    """The page's first sentence.
+
+    Parameters
+    ----------
+    sources : mapping of PictureSource, by "board", "groove" and "sandwave"
+    """
     simulated = _simulated(sources)
     scanner = "Report of an underwater laser line scanner"
     if not simulated:
@@ -71,7 +91,12 @@ def lead(sources: Sources) -> str:
 
 
 def cameras(sources: Sources) -> str:
-    """Which camera driver took which pictures, such as "sim (board, groove)"."""
+    """Which camera driver took which pictures, such as "sim (board, groove)".
+
+    Parameters
+    ----------
+    sources : mapping of PictureSource, by "board", "groove" and "sandwave"
+    """
     by_driver: dict[str, list[str]] = {}
     for part, source in sources.items():
         by_driver.setdefault(source.camera, []).append(part)
@@ -81,15 +106,27 @@ def cameras(sources: Sources) -> str:
 def chain_names(chain: Chain) -> tuple[str, str]:
     """What the columns of our two chains are called.
 
-    chain: the first.  It is the paper's where the line was found by the paper's rules too; else
-    its map alone is.
+    Parameters
+    ----------
+    chain : Chain, the first.  It is the paper's where the line was found by the paper's rules too;
+        else its map alone is.
+
+    Examples
+    --------
+    >>> chain_names(Chain("graticule-2", extractors=("ml",)))
+    ('Ours, paper’s map', 'Ours, best chain')
     """
     papers = set(chain.extractors) <= PAPERS_EXTRACTORS and not chain.corrected_for
     return f"Ours, paper’s {'chain' if papers else 'map'}", "Ours, best chain"
 
 
 def describe_chains(experiment: Experiment) -> str:
-    """What the two chains are, in two sentences, or why there is but one."""
+    """What the two chains are, in two sentences, or why there is but one.
+
+    Parameters
+    ----------
+    experiment : Experiment, its chain and best chain count
+    """
     names = chain_names(experiment.chain)
     first, second = (name.removeprefix("Ours, ") for name in names)
     words = f"The {first}: {_describe(experiment.chain)}."

@@ -45,9 +45,11 @@ class Misprint:
 class Bars:
     """The largest errors a report accepts; the defaults are the bounds the paper claims.
 
-    board_percent: Secs. IV.A and VI, "percentage error less than 1%".
-    groove_mm: Sec. IV.B, "absolute errors ... are all less than 0.6 mm".
-    sandwave_mm: Sec. VI, "error bound less than 1.5 mm".
+    Attributes
+    ----------
+    board_percent : float, percent; Secs. IV.A and VI, "percentage error less than 1%"
+    groove_mm : float, mm; Sec. IV.B, "absolute errors ... are all less than 0.6 mm"
+    sandwave_mm : float, mm; Sec. VI, "error bound less than 1.5 mm"
     """
 
     board_percent: float = 1.0

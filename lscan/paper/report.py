@@ -29,16 +29,31 @@ _SLICE_FIGURES = {"S1": "Fig. 29", "S2": "Fig. 30", "S3": "Fig. 31", "SD": "Fig.
 
 @dataclass(frozen=True)
 class ReportSection:
-    """A part of the page: its heading and its figures."""
+    """A part of the page.
+
+    Attributes
+    ----------
+    title : str, its heading
+    figures : sequence of ReportFigure, in their order
+    """
 
     title: str
     figures: Sequence[ReportFigure]
 
 
 def write_report(path: Path, experiment: Experiment, bars: Bars | None = None) -> None:
-    """Write the page to ``path``; the same experiment gives the same bytes.
+    """Write the page to a file; the same experiment gives the same bytes.
 
-    Raises InputError where the disk refuses or a picture is none; the old file then stays.
+    Parameters
+    ----------
+    path : Path, of the HTML file
+    experiment : Experiment, pieces that were not scanned have no part of the page
+    bars : Bars, optional, the largest errors accepted; those that the paper claims by default
+
+    Raises
+    ------
+    InputError
+        Where the disk refuses or a picture is none; the old file then stays.
     """
     write_atomically(path, render_report(experiment, bars).encode("utf-8"))
 

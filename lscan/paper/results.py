@@ -22,6 +22,10 @@ def results_json(experiment: Experiment) -> dict[str, Any]:
     ``chain``, ``distances``, ``diameters``, ``groove`` and ``sandwave``, or, where it could not
     be followed, the reason as ``refused``.  ``render_check`` and the true yaw: where a tank
     knows the truth.
+
+    Parameters
+    ----------
+    experiment : Experiment, lengths in mm
     """
     best, truth = experiment.best, experiment.truth
     points = asdict(experiment.control_points)
@@ -61,8 +65,8 @@ def write_experiment(folder: Path, experiment: Experiment) -> None:
 
     Parameters
     ----------
-    folder : Path
-        Made where it is missing; files of an earlier report in it are replaced.
+    folder : Path, made where it is missing; files of an earlier report in it are replaced
+    experiment : Experiment, lengths in mm
 
     Raises
     ------

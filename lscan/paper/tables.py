@@ -50,7 +50,13 @@ LABELS = _METHODS | _OTHER_MAPS
 
 @dataclass(frozen=True)
 class TableCell:
-    """A number as text, and whether it marks an error beyond the bar."""
+    """A number of a table.
+
+    Attributes
+    ----------
+    text : str, as it is shown
+    beyond : bool, whether it marks an error beyond the bar
+    """
 
     text: str
     beyond: bool = False
@@ -62,9 +68,15 @@ NO_CELLS: Cells = (TableCell("—"),) * 3
 
 @dataclass(frozen=True)
 class TableRow:
-    """One line of a table: its label, a short name, the paper's cells and ours.
+    """One line of a table.
 
-    ours: by the paper's chain.  best: the same by the best chain, () where there is none.
+    Attributes
+    ----------
+    label : str, what the row is of
+    code : str, a short name
+    paper : tuple of TableCell, the paper's numbers
+    ours : tuple of TableCell, by the paper's chain
+    best : tuple of TableCell, the same by the best chain, () where there is none
     """
 
     label: str
@@ -78,7 +90,12 @@ class TableRow:
 class TableBlock:
     """Rows with one head.
 
-    names: what stands in the first column.  paper_heads, our_heads: of the other columns.
+    Attributes
+    ----------
+    names : str, what stands in the first column
+    rows : tuple of TableRow, in their order
+    paper_heads, our_heads : tuple of str, heads of the other columns
+    caption : str, "" where there is none
     """
 
     names: str
@@ -97,9 +114,15 @@ class TableBlock:
 class ReportTable:
     """One of the paper's tables, or its slices.
 
-    parts: the runs it comes from, "board", "groove" and "sandwave".  chains: the paper's numbers
-    beside those of our chains, None where methods compete and there is no best chain.
-    blocks: one a feature, and a summary, where methods compete.
+    Attributes
+    ----------
+    key : str, short name, unique on the page
+    title, caption : str, in words
+    parts : tuple of str, the runs it comes from, "board", "groove" and "sandwave"
+    chains : TableBlock or None, the paper's numbers beside those of our chains; None where methods
+        compete and there is no best chain
+    blocks : tuple of TableBlock, one a feature, where methods compete
+    summary : TableBlock or None, where methods compete
     """
 
     key: str
@@ -112,7 +135,13 @@ class ReportTable:
 
 
 def paper_tables(experiment: Experiment, bars: Bars) -> list[ReportTable]:
-    """Those of Tables I to III, and the slices, that the experiment has numbers for."""
+    """Those of Tables I to III, and the slices, that the experiment has numbers for.
+
+    Parameters
+    ----------
+    experiment : Experiment, lengths in mm
+    bars : Bars, the largest errors accepted
+    """
     measures, best = experiment.board.measures, experiment.best
     distances = {name: found.distances for name, found in measures.items()}
     diameters = {name: found.diameters for name, found in measures.items()}
@@ -136,7 +165,12 @@ def paper_tables(experiment: Experiment, bars: Bars) -> list[ReportTable]:
 
 
 def worst(lengths: Collection[Length | PrintedLength]) -> tuple[float, float]:
-    """The largest |error| of one length or more in mm, and the largest in percent."""
+    """The largest |error| in mm, and the largest in percent.
+
+    Parameters
+    ----------
+    lengths : collection of Length or PrintedLength, mm, one or more
+    """
     largest_mm = max(abs(length.error_mm) for length in lengths)
     return largest_mm, max(abs(length.percent) for length in lengths)
 
