@@ -39,5 +39,6 @@ autodoc_member_order = "bysource"
 autodoc_typehints_format = "short"
 nitpick_ignore_regex = [  # names of Python and of other packages, whose pages are not at hand
     ("py:.*", r"(numpy|np|pathlib|collections|typing|annotated_types|pydantic)\..*"),
-    ("py:.*", r"(array|callable|float64|int64|optional|uint8|Ge|Gt|Le|Lt|FieldInfo|NoneType)"),
+    ("py:.*", r"(array|callable|mapping|float64|int64|optional|uint8)"),
+    ("py:.*", r"(Ge|Gt|Le|Lt|FieldInfo|NoneType|[\d.]+)"),  # limits in the types of fields
 ]
