@@ -27,7 +27,8 @@ def require_same_rig(begun: RigFile, now: RigFile, where: Path) -> None:
     if key is None:
         return
     raise InputError(
-        f"cannot go on: the run was begun {_told(key, was)}, this rig comes {_told(key, is_now)}; "
+        f"cannot go on: the run was begun {_in_words(key, was)}, this rig comes "
+        f"{_in_words(key, is_now)}; "
         f"restore it in {now.source}, or begin a new scan",
         where=where,
     )
@@ -53,7 +54,7 @@ def _leaves(value: Any, key: str = "") -> Iterator[tuple[str, str]]:
         yield key, repr(value)
 
 
-def _told(key: str, document: Mapping[str, Any]) -> str:
+def _in_words(key: str, document: Mapping[str, Any]) -> str:
     """The key with its value, or that it is not there, or that more than a value is."""
     leaves = dict(_leaves(document))
     if key in leaves:

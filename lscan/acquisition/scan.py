@@ -11,7 +11,7 @@ import numpy as np
 from lscan.acquisition.run import Run, open_run
 from lscan.acquisition.writer import RunWriter, create_run, refuse_existing, resume_run
 from lscan.config.rig import CameraSection, Plan
-from lscan.config.rigfile import RigFile, camera_driver, track_driver
+from lscan.config.rigfile import RigFile, drivers_of
 from lscan.devices.api import Camera, Grab, LaserSwitch, PlaceChecking, Track
 from lscan.errors import DeviceError, InputError
 from lscan.records import Bytes, Frame, Progress
@@ -76,14 +76,16 @@ def open_devices(rig_file: RigFile) -> Iterator[tuple[Camera, Track]]:
 
 def open_track(rig_file: RigFile) -> Track:
     """The rig's track, opened by its driver; errors as open_devices."""
-    track: Track = track_driver(rig_file.rig, rig_file.source).open(rig_file)
+    _, driver = drivers_of(rig_file.rig, rig_file.source)
+    track: Track = driver.open(rig_file)
     return track
 
 
 def open_camera(rig_file: RigFile, track: Track) -> Camera:
     """The rig's camera on an opened track; errors as open_devices, and it is closed then."""
     section = rig_file.rig.camera
-    camera: Camera = camera_driver(rig_file.rig, rig_file.source).open(rig_file, track)
+    driver, _ = drivers_of(rig_file.rig, rig_file.source)
+    camera: Camera = driver.open(rig_file, track)
     if camera.size_px != section.size_px:
         camera.close()
         raise _wrong_size(camera.size_px, section)

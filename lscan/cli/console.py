@@ -4,8 +4,9 @@ import json
 import sys
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from typing import Any
+from typing import Any, NoReturn
 
+import numpy as np
 import typer
 from rich import progress as rich_progress
 from rich.console import Console
@@ -41,12 +42,12 @@ def run_command_line(app: typer.Typer, name: str) -> None:
             code = command.main(prog_name=name, standalone_mode=False)
     except LscanError as error:
         message = "; ".join([str(error), *getattr(error, "__notes__", ())])
-        sys.exit(_complain(name, message, error.exit_code))
+        _leave(name, message, error.exit_code)
     except MemoryError as error:
         said = f": {error}" if str(error) else ""
-        sys.exit(_complain(name, f"there is not enough memory{said}", FAILED))
+        _leave(name, f"there is not enough memory{said}", FAILED)
     except ModuleNotFoundError as error:
-        sys.exit(_complain(name, missing_package(error), BAD_INPUT))
+        _leave(name, missing_package(error), BAD_INPUT)
     except Exception as error:
         if type(error).__name__ == "NoArgsIsHelpError":
             print(error)
@@ -54,9 +55,9 @@ def run_command_line(app: typer.Typer, name: str) -> None:
         usage = _usage_message(error)
         if usage is None:
             raise
-        sys.exit(_complain(name, usage, BAD_INPUT))
+        _leave(name, usage, BAD_INPUT)
     if code == STOPPED:  # what typer makes of Ctrl-C
-        _complain(name, "stopped", STOPPED)
+        _leave(name, "stopped", STOPPED)
     sys.exit(code if isinstance(code, int) else 0)
 
 
@@ -65,7 +66,7 @@ def _interrupt() -> None:
 
 
 @contextmanager
-def tell_notes_when_stopped() -> Iterator[None]:
+def keep_notes_when_stopped() -> Iterator[None]:
     """Turn a Ctrl-C that carries notes into an error with them: typer drops it, notes and all."""
     try:
         yield
@@ -73,10 +74,10 @@ def tell_notes_when_stopped() -> Iterator[None]:
         notes = getattr(stop, "__notes__", ())
         if not notes:
             raise
-        told = Stopped("stopped")
+        stopped = Stopped("stopped")
         for note in notes:
-            told.add_note(note)
-        raise told from stop
+            stopped.add_note(note)
+        raise stopped from stop
 
 
 def _usage_message(error: Exception) -> str | None:
@@ -90,9 +91,9 @@ def _usage_message(error: Exception) -> str | None:
     return " ".join(format_message().split()) if callable(format_message) else None
 
 
-def _complain(name: str, message: str, code: int) -> int:
+def _leave(name: str, message: str, code: int) -> NoReturn:
     print(f"{name}: {message}", file=sys.stderr)
-    return code
+    sys.exit(code)
 
 
 @contextmanager
@@ -115,8 +116,12 @@ def progress_bar(title: str) -> Iterator[Progress]:
 
 
 def print_json(value: Any) -> None:
-    """Print ``value`` as JSON on stdout."""
-    print(json.dumps(value, indent=2, allow_nan=False))
+    """Print ``value`` as JSON on stdout; paths as texts, what NumPy holds as numbers and lists."""
+    print(json.dumps(value, indent=2, allow_nan=False, default=_plain))
+
+
+def _plain(value: Any) -> Any:
+    return value.tolist() if isinstance(value, np.ndarray | np.generic) else str(value)
 
 
 def print_table(title: str, headings: Sequence[str], rows: Sequence[Sequence[object]]) -> None:

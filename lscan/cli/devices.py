@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import asdict
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -45,22 +46,19 @@ def devices(
     from lscan.config.rigfile import load_rig
     from lscan.errors import InputError
 
-    if (test or dark) and rig is None:
-        raise InputError("needs a rig file: lscan devices RIG --test", where="--test")
-    if rig is not None and (test or dark):
-        rig_file = load_rig(rig)
-        camera, track = _try(rig_file, pictures, approaches, dark)
-        if json:
-            print_json(_trial_json(camera, track))
-        else:
-            _print_track(track)
-            _print_camera(camera)
+    rig_file = None if rig is None else load_rig(rig)
+    if not (test or dark):
+        listing = _listing(rig_file)
+        print_json(listing) if json else _print_listing(listing)
         return
-    listing = _listing(None if rig is None else load_rig(rig))
+    if rig_file is None:
+        raise InputError("needs a rig file: lscan devices RIG --test", where="--test")
+    camera, track = _try(rig_file, pictures, approaches, dark)
     if json:
-        print_json(listing)
+        print_json(_trial_json(camera, track))
     else:
-        _print_listing(listing)
+        _print_track(track)
+        _print_camera(camera)
 
 
 def _listing(rig_file: RigFile | None) -> dict[str, Any]:
@@ -114,13 +112,7 @@ def _try(
     from lscan.devices.trials.track import try_track
 
     channel = rig_file.rig.stripe.channel
-    if dark:
-        # On stderr: stdout is for the result, which may be JSON.
-        typer.prompt("put the cap on the lens, then press Enter", "", show_default=False, err=True)
-        dark_pictures = _dark_pictures(rig_file, pictures)
-        typer.prompt("take the cap off, then press Enter", "", show_default=False, err=True)
-    else:
-        dark_pictures = None
+    dark_pictures = _dark_pictures(rig_file, pictures) if dark else None
     with open_devices(rig_file) as (camera, track):
         # The track first: what is wrong with it is known before the many pictures are taken.
         with progress_bar("moves") as report:
@@ -130,29 +122,26 @@ def _try(
 
 
 def _dark_pictures(rig_file: RigFile, pictures: int) -> Bytes:
+    """Pictures taken with the cap on; the prompts are on stderr, since stdout may be for JSON."""
     from lscan.acquisition.scan import open_devices
     from lscan.devices.trials.camera import BlackAccepting, grab_series
 
+    ask = partial(typer.prompt, default="", show_default=False, err=True)
+    ask("put the cap on the lens, then press Enter")
     with open_devices(rig_file) as (camera, _):
         opened: Camera = camera
         if isinstance(opened, BlackAccepting):
             opened.accept_black()
         series, _ = grab_series(camera, pictures, rig_file.rig.stripe.channel)
+    ask("take the cap off, then press Enter")
     return series
 
 
 def _trial_json(camera: CameraTrial, track: TrackTrial) -> dict[str, Any]:
-    transfer = camera.transfer
-    content = asdict(camera)
-    content["settings"] = [
-        {**asdict(setting), "obeyed": setting.obeyed} for setting in camera.settings
-    ]
-    content["rig_section"] = camera.noise_section
-    if transfer is not None:
-        content["transfer"]["read_is_rounding"] = transfer.read_is_rounding
-        content["transfer"]["levels"] = {
-            name: array.tolist() for name, array in content["transfer"]["levels"].items()
-        }
+    content = {**asdict(camera), "rig_section": camera.noise_section}
+    content["settings"] = [{**asdict(each), "obeyed": each.obeyed} for each in camera.settings]
+    if camera.transfer is not None:
+        content["transfer"]["read_is_rounding"] = camera.transfer.read_is_rounding
     return {"camera": content, "track": asdict(track)}
 
 

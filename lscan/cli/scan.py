@@ -7,7 +7,7 @@ from typing import Annotated
 import typer
 
 from lscan.cli.arguments import Json, RigOrScene
-from lscan.cli.console import print_json, progress_bar, tell_notes_when_stopped
+from lscan.cli.console import keep_notes_when_stopped, print_json, progress_bar
 
 
 def scan(
@@ -35,7 +35,7 @@ def scan(
     if resume and holds_no_run(output):
         what = f"there is nothing to resume in {output}; a new run is begun"
         print(f"lscan: note: {what}", file=sys.stderr)
-    with tell_notes_when_stopped(), progress_bar("scan") as progress:
+    with keep_notes_when_stopped(), progress_bar("scan") as progress:
         run = acquire(
             rig_file, output, resume=resume, position_restored=position_restored, progress=progress
         )

@@ -53,7 +53,7 @@ def summary(fit: ShaftFit) -> dict[str, Any]:
     return {
         "shaft": section_of(fit.shaft).model_dump(mode="json"),
         "changes": {
-            name: {"change": float(change), "sigma": float(sigma), "sigma_before": float(before)}
+            name: {"change": change, "sigma": sigma, "sigma_before": before}
             for name, change, sigma, before in rows
         },
         "points": fit.points,

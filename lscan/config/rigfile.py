@@ -55,7 +55,7 @@ def load_rig(path: Path | str) -> RigFile:
     """
     document = inline_board(read_document(path), source=str(path))
     rig_file = parse_rig(document, source=str(path))
-    for driver in _drivers(rig_file.rig, rig_file.source):
+    for driver in drivers_of(rig_file.rig, rig_file.source):
         driver.validate(rig_file)
     _check_names(rig_file)
     _check_laser(rig_file)
@@ -78,7 +78,7 @@ def parse_rig(document: Document, source: str, trusted: bool = False) -> RigFile
     rig = check(Rig, own, where=source)
     strange = set(document) - set(own)
     if strange and not trusted:
-        owned = {section for driver in _drivers(rig, source) for section in driver.sections}
+        owned = {section for driver in drivers_of(rig, source) for section in driver.sections}
         unknown = sorted(strange - owned)
         if unknown:
             allowed = ", ".join(sorted({*Rig.model_fields, *owned}))
@@ -152,7 +152,7 @@ def _check_plane_map(name: str, where: str) -> None:
 def _check_laser(rig_file: RigFile) -> None:
     """Refuse a plan for the laser that the drivers cannot carry out."""
     rig, plan = rig_file.rig, rig_file.rig.plan
-    camera, track = _drivers(rig, rig_file.source)
+    camera, track = drivers_of(rig, rig_file.source)
     where = f"{rig_file.source}: plan.laser"
     if plan.laser != "untouched" and not getattr(track, "switches_laser", False):
         what = f"track driver {rig.track.driver!r} switches no laser"
@@ -162,15 +162,12 @@ def _check_laser(rig_file: RigFile) -> None:
         raise InputError(what, where=where, value=plan.laser, allowed="untouched, on")
 
 
-def camera_driver(rig: Rig, source: str) -> Any:
-    """The rig's camera driver; InputError, which names the file ``source``, for an unknown one."""
-    return find_plugin("lscan.cameras", rig.camera.driver, where=f"{source}: camera.driver")
+def drivers_of(rig: Rig, source: str) -> tuple[Any, Any]:
+    """The rig's camera driver and its track driver.
 
-
-def track_driver(rig: Rig, source: str) -> Any:
-    """The rig's track driver; InputError, which names the file ``source``, for an unknown one."""
-    return find_plugin("lscan.tracks", rig.track.driver, where=f"{source}: track.driver")
-
-
-def _drivers(rig: Rig, source: str) -> list[Any]:
-    return [camera_driver(rig, source), track_driver(rig, source)]
+    Raises InputError, which names the file ``source``, for an unknown one.
+    """
+    return (
+        find_plugin("lscan.cameras", rig.camera.driver, where=f"{source}: camera.driver"),
+        find_plugin("lscan.tracks", rig.track.driver, where=f"{source}: track.driver"),
+    )

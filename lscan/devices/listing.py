@@ -10,7 +10,7 @@ from pathlib import Path
 
 import cv2
 
-from lscan.config.rigfile import RigFile, camera_driver, track_driver
+from lscan.config.rigfile import RigFile, drivers_of
 from lscan.devices.api import CapabilityReporting, Fact
 from lscan.devices.opencv_camera import Capture, OpencvOptions, open_capture
 from lscan.devices.opencv_camera.settings import fourcc_text
@@ -99,7 +99,7 @@ def rig_devices(rig_file: RigFile) -> dict[str, dict[str, Fact]]:
     Raises InputError where a driver is unknown or refuses its options.
     """
     rig = rig_file.rig
-    camera, track = camera_driver(rig, rig_file.source), track_driver(rig, rig_file.source)
+    camera, track = drivers_of(rig, rig_file.source)
     return {
         "camera": {
             **rig.camera.model_dump(exclude={"options"}),

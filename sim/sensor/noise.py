@@ -50,37 +50,29 @@ def fixed_pattern(sensor: Sensor, shape: tuple[int, ...]) -> FixedPattern:
     return FixedPattern(np.maximum(sensitivity, 0).astype(np.float32), hot, offset)
 
 
-def noisy(
-    electrons: Electrons, sensor: Sensor, pattern: FixedPattern, generator: np.random.Generator
+def read_out(
+    expected: Electrons,
+    sensor: Sensor,
+    pattern: FixedPattern,
+    generator: np.random.Generator,
+    *,
+    quickly: bool = False,
 ) -> Electrons:
-    """Electrons read out, in the shape of the expected ``electrons``.
+    """Electrons read out of those expected, as ``gathered`` gives them, same shape.
 
     Shot noise is Poisson, of the dark current of hot pixels too; dark noise is Gaussian and
     may leave a pixel below zero, as reading out does.
+
+    quickly: in a third of the time, both as one Gaussian of their joint variance: mean and
+    variance are exact, the skewness is lost.  Below LEAST_GAUSSIAN_DARK_E it changes nothing.
     """
-    expected = gathered(electrons, sensor, pattern)
-    read = generator.poisson(expected).astype(np.float32)
-    dark = generator.standard_normal(electrons.shape, dtype=np.float32)
-    read += np.float32(sensor.dark_noise_e) * dark
-    if pattern.offset_e is not None:
-        read += pattern.offset_e
-    return read
-
-
-def nearly_noisy(
-    expected: Electrons, sensor: Sensor, pattern: FixedPattern, generator: np.random.Generator
-) -> Electrons:
-    """Electrons read out of those ``gathered``, in a third of the time of ``noisy``.
-
-    Shot and dark noise are one Gaussian of their joint variance: mean and variance are exact,
-    the skewness is lost.  Below LEAST_GAUSSIAN_DARK_E they are drawn apart, as in ``noisy``.
-    """
-    if sensor.dark_noise_e < LEAST_GAUSSIAN_DARK_E:
-        read = generator.poisson(expected).astype(np.float32)
-        spread: Electrons | np.float32 = np.float32(sensor.dark_noise_e)
-    else:
+    spread: Electrons | np.float32
+    if quickly and sensor.dark_noise_e >= LEAST_GAUSSIAN_DARK_E:
         read = expected.copy()
         spread = np.sqrt(expected + np.float32(sensor.dark_noise_e**2))
+    else:
+        read = generator.poisson(expected).astype(np.float32)
+        spread = np.float32(sensor.dark_noise_e)
     noise = generator.standard_normal(expected.shape, dtype=np.float32)
     noise *= spread
     read += noise

@@ -9,7 +9,7 @@ from lscan.records import Bytes
 from sim.scene import Sensor
 from sim.sensor.coding import encode, linear_dn
 from sim.sensor.colour import ColourFilter
-from sim.sensor.noise import FixedPattern, nearly_noisy
+from sim.sensor.noise import FixedPattern, read_out
 from sim.sensor.speckle import speckle_pattern
 
 Electrons = NDArray[np.float32]
@@ -54,9 +54,8 @@ class StillView:
             if self.direct.ndim == 3:
                 speckle = speckle[..., np.newaxis]
             expected[self.first_row : self.first_row + height] += self.direct * speckle
-        linear = linear_dn(
-            nearly_noisy(expected, self.sensor, self.pattern, generator), self.sensor
-        )
+        read = read_out(expected, self.sensor, self.pattern, generator, quickly=True)
+        linear = linear_dn(read, self.sensor)
         if self.filter is not None:
             linear = self.filter.demosaic(linear)
         return encode(linear, self.sensor)

@@ -18,7 +18,7 @@ from sim.scene.instrument import Response
 from sim.sensor.blur import point_spread
 from sim.sensor.coding import electrons_of, encode, linear_dn, through_jpeg
 from sim.sensor.colour import ColourFilter
-from sim.sensor.noise import fixed_pattern, gathered, noisy
+from sim.sensor.noise import fixed_pattern, gathered, read_out
 from sim.sensor.radiometry import AMBIENT_NM, photons_per_radiance, vignetting
 from sim.sensor.speckle import speckle_contrast, speckle_pattern
 from sim.sensor.still import StillView
@@ -69,10 +69,11 @@ class Webcam:
             The layers are no whole multiple of the picture.
         """
         nm = self.wavelength_nm if wavelength_nm is None else wavelength_nm
-        electrons = self._electrons(layers, exposure_ms, nm, self._speckle(nm, generator))
+        electrons = self.mean_electrons(layers, exposure_ms, nm, self._speckle(nm, generator))
         electrons = self._on_pixels(electrons)
         if self._pattern is not None:
-            electrons = noisy(electrons, self.sensor, self._pattern, generator)
+            expected = gathered(electrons, self.sensor, self._pattern)
+            electrons = read_out(expected, self.sensor, self._pattern, generator)
         linear = linear_dn(electrons, self.sensor)
         if self._filter is not None:
             linear = self._filter.demosaic(linear)
@@ -100,7 +101,8 @@ class Webcam:
         nm, sensor, pattern = self.wavelength_nm, self.sensor, self._pattern
         contrast = self._speckle_contrast(nm)
         nothing = np.zeros(self._shape, np.float32)
-        rest = self._electrons(layers, exposure_ms, nm, None if contrast is None else nothing)
+        unspeckled = None if contrast is None else nothing
+        rest = self.mean_electrons(layers, exposure_ms, nm, unspeckled)
         steady = gathered(self._on_pixels(rest), sensor, pattern)
         if contrast is None:
             return StillView(sensor, pattern, self._filter, steady, nothing[:0], 0, 0.0)
@@ -112,18 +114,26 @@ class Webcam:
         return StillView(sensor, pattern, self._filter, steady, direct, first, contrast)
 
     def mean_electrons(
-        self, layers: Layers, exposure_ms: float, wavelength_nm: float | None = None
+        self,
+        layers: Layers,
+        exposure_ms: float,
+        wavelength_nm: float | None = None,
+        speckle: Picture | None = None,
     ) -> Electrons:
         """Expected electrons, (H, W, 3) RGB, before colour filter, noise and full well.
 
-        Parameters
-        ----------
-        layers : Layers, (f H, f W) radiances, for any whole f
-        exposure_ms : float, ms
-        wavelength_nm : float or None, the laser's at this moment, the scene's nominal one if None
+        speckle: (H, W) factors of the laser's light from surfaces; None: 1 everywhere.
         """
         nm = self.wavelength_nm if wavelength_nm is None else wavelength_nm
-        return self._electrons(layers, exposure_ms, nm, speckle=None)
+        if speckle is None:
+            laser = self._photons(layers.laser, exposure_ms, nm)
+        else:
+            laser = self._photons(layers.direct, exposure_ms, nm) * speckle
+            laser = laser + self._photons(layers.scattered, exposure_ms, nm)
+        ambient = self._photons(layers.ambient, exposure_ms, AMBIENT_NM)
+        to_laser = _rgb(self.sensor.laser_response)
+        to_ambient = _rgb(self.sensor.ambient_response)
+        return laser[..., None] * to_laser + ambient[..., None] * to_ambient
 
     def metered_ms(
         self,
@@ -151,27 +161,9 @@ class Webcam:
         per_ms = float(np.percentile(brightest, percentile))
         return electrons_of(target_dn, self.sensor) / per_ms if per_ms > 0 else float("inf")
 
-    def _electrons(
-        self, layers: Layers, exposure_ms: float, laser_nm: float, speckle: Picture | None
-    ) -> Electrons:
-        laser = self._laser_photons(layers, exposure_ms, laser_nm, speckle)
-        ambient = self._photons(layers.ambient, exposure_ms, AMBIENT_NM)
-        to_laser = _rgb(self.sensor.laser_response)
-        to_ambient = _rgb(self.sensor.ambient_response)
-        return laser[..., None] * to_laser + ambient[..., None] * to_ambient
-
     def _on_pixels(self, electrons: Electrons) -> Electrons:
         """What of (H, W, 3) electrons the pixels collect: (H, W) behind a colour filter."""
         return electrons if self._filter is None else self._filter.mosaic(electrons)
-
-    def _laser_photons(
-        self, layers: Layers, exposure_ms: float, laser_nm: float, speckle: Picture | None
-    ) -> Picture:
-        """Photons of the laser a pixel collects, those from surfaces times ``speckle``."""
-        if speckle is None:
-            return self._photons(layers.laser, exposure_ms, laser_nm)
-        direct = self._photons(layers.direct, exposure_ms, laser_nm)
-        return direct * speckle + self._photons(layers.scattered, exposure_ms, laser_nm)
 
     def _photons(self, radiance: Picture, exposure_ms: float, wavelength_nm: float) -> Picture:
         """(H, W) photons a pixel collects from (f H, f W) radiance in W/(m2 sr)."""

@@ -17,7 +17,6 @@ from lscan.devices.grbl.protocol import AXES, Banner, Feedback, GrblSetting, Sta
 from lscan.errors import DeviceError
 
 FEED_HOLD: Final = b"!"
-CYCLE_START: Final = b"~"
 SOFT_RESET: Final = b"\x18"
 JOG_CANCEL: Final = b"\x85"
 
@@ -135,14 +134,6 @@ class GrblMachine:
         """M3 with S, or M5.  G1 goes before it: in laser mode ($32) G0 keeps the beam dark."""
         feed = self._options.feed_mm_min
         self._dialogue.command(f"G1F{feed:.1f}M3S{power:g}" if power > 0 else "M5")
-
-    def hold(self) -> None:
-        """Send the feed hold; a jog ends by it, at rest and without loss of position."""
-        self._link.send_bytes(FEED_HOLD)
-
-    def resume(self) -> None:
-        """Send the cycle start, which ends a feed hold."""
-        self._link.send_bytes(CYCLE_START)
 
     def stop(self) -> None:
         """Cancel a jog and wait until it has come to rest."""

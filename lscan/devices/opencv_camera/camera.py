@@ -69,8 +69,7 @@ class OpencvCamera:
         if not self.can_set_exposure:
             raise DeviceError(f"{self._options.name}: its exposure cannot be set")
         self._section = self._section.model_copy(update={"exposure_ms": exposure_ms})
-        self._renew_reader()
-        self._settings = self._first_settings()
+        self._settings = self._open_anew()
         return self._settings.exposure_ms
 
     def accept_black(self) -> None:
@@ -178,8 +177,7 @@ class OpencvCamera:
             return
         wanted = frame * self._options.average_frames
         if wanted < self._read:
-            self._renew_reader()
-            self._first_settings()
+            self._open_anew()
         while self._read < wanted:
             self._take(-math.inf)
 
@@ -218,8 +216,7 @@ class OpencvCamera:
         return settings
 
     def _reconnect(self) -> None:
-        self._renew_reader()
-        settings = self._first_settings()
+        settings = self._open_anew()
         if settings != self._settings:
             changed = zip(settings.settings, self._settings.settings, strict=True)
             others = "; ".join(f"{now}, before {was.got}" for now, was in changed if now != was)
@@ -229,13 +226,15 @@ class OpencvCamera:
                 "its pictures would not match those before: begin a new scan"
             )
 
-    def _renew_reader(self) -> None:
+    def _open_anew(self) -> Settings:
+        """The settings of the camera, which a new reader opens."""
         self._reader.give_up()
         self._require_open()
         self._read, self._reader = 0, self._new_reader()
         if self._closed.is_set():  # by another thread meanwhile, which knew only the old reader
             self._reader.give_up()
             self._require_open()
+        return self._first_settings()
 
     def _require_open(self) -> None:
         if self._closed.is_set():

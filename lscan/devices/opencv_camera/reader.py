@@ -83,9 +83,9 @@ class Reader:
     def started(self) -> Settings:
         """The settings as read back, once the first picture has come.  Raises DeviceError."""
         deadline_s = time.monotonic() + self._options.timeout_s
+        late = f"gave no first picture within {self._options.timeout_s:g} s"
         with self._changed:
             while self._picture is None or self._settings is None:
-                late = f"gave no first picture within {self._options.timeout_s:g} s"
                 self._wait(deadline_s, late)
             return self._settings
 

@@ -3,6 +3,7 @@
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import cv2
 
@@ -79,17 +80,6 @@ _WINDOWS = _Exposure(
 )
 
 
-@dataclass(frozen=True)
-class _Control:
-    """One property of the camera.  to_user: from OpenCV's number; None where it means nothing."""
-
-    name: str
-    property_id: int
-    asked: Value
-    raw: float
-    to_user: Callable[[float], Value | None]
-
-
 def apply_settings(capture: Capture, section: CameraSection, options: OpencvOptions) -> Settings:
     """What the camera reports once everything the rig file states has been set.
 
@@ -99,53 +89,54 @@ def apply_settings(capture: Capture, section: CameraSection, options: OpencvOpti
     if options.device is None:
         return Settings((), section.exposure_ms)
     exposure = _LINUX if capture.getBackendName() == "V4L2" else _WINDOWS
-    controls = _controls(section, options, exposure)
-    for control in controls:
-        capture.set(control.property_id, control.raw)
+    to_raw: dict[str, Callable[[Any], float]] = {
+        "pixel_format": lambda letters: float(cv2.VideoWriter.fourcc(*letters)),
+        "exposure_ms": exposure.to_raw,
+    }
+    to_user = {"pixel_format": fourcc_text, "exposure_ms": exposure.to_ms}
+    stated = _stated(section, options, exposure)
+    for name, (key, asked) in stated.items():
+        capture.set(key, to_raw.get(name, float)(asked))
     settings = tuple(
-        Setting(control.name, control.asked, control.to_user(capture.get(control.property_id)))
-        for control in controls
+        Setting(name, asked, to_user.get(name, _reported)(capture.get(key)))
+        for name, (key, asked) in stated.items()
     )
     exposure_ms = exposure.to_ms(capture.get(cv2.CAP_PROP_EXPOSURE))
     return Settings(settings, exposure_ms or section.exposure_ms)
 
 
-def _controls(
+def _stated(
     section: CameraSection, options: OpencvOptions, exposure: _Exposure
-) -> list[_Control]:
-    """What is to be set, in this order: the format first, automatics before their values."""
-    controls = []
-    if options.pixel_format is not None:
-        code = float(cv2.VideoWriter.fourcc(*options.pixel_format))
-        fourcc = cv2.CAP_PROP_FOURCC
-        controls.append(_Control("pixel_format", fourcc, options.pixel_format, code, fourcc_text))
+) -> dict[str, tuple[int, Value]]:
+    """OpenCV's property and what it is set to, by name; without what the rig file leaves open.
+
+    In the order in which they are set: the format first, automatics before their values.
+    """
     mode = exposure.automatic if options.auto_exposure else exposure.manual
-    controls += _numbers(
-        ("width_px", cv2.CAP_PROP_FRAME_WIDTH, section.width_px),
-        ("height_px", cv2.CAP_PROP_FRAME_HEIGHT, section.height_px),
-        ("fps", cv2.CAP_PROP_FPS, options.fps),
-        ("auto_exposure", cv2.CAP_PROP_AUTO_EXPOSURE, mode),
-    )
-    if not options.auto_exposure:
-        asked_ms, key = section.exposure_ms, cv2.CAP_PROP_EXPOSURE
-        raw = exposure.to_raw(asked_ms)
-        controls.append(_Control("exposure_ms", key, asked_ms, raw, exposure.to_ms))
-    return controls + _numbers(
-        ("gain", cv2.CAP_PROP_GAIN, options.gain),
-        ("autofocus", cv2.CAP_PROP_AUTOFOCUS, None if options.focus is None else 0),
-        ("focus", cv2.CAP_PROP_FOCUS, options.focus),
-        ("auto_white_balance", cv2.CAP_PROP_AUTO_WB, None if options.white_balance is None else 0),
-        ("white_balance", cv2.CAP_PROP_WB_TEMPERATURE, options.white_balance),
-    )
-
-
-def _numbers(*stated: tuple[str, int, float | None]) -> list[_Control]:
-    """Controls that are set to a number as it is: name, property and number, None to leave it."""
-    return [
-        _Control(name, key, float(asked), float(asked), _reported)
-        for name, key, asked in stated
+    every = {
+        "pixel_format": (cv2.CAP_PROP_FOURCC, options.pixel_format),
+        "width_px": (cv2.CAP_PROP_FRAME_WIDTH, section.width_px),
+        "height_px": (cv2.CAP_PROP_FRAME_HEIGHT, section.height_px),
+        "fps": (cv2.CAP_PROP_FPS, options.fps),
+        "auto_exposure": (cv2.CAP_PROP_AUTO_EXPOSURE, mode),
+        "exposure_ms": (
+            cv2.CAP_PROP_EXPOSURE,
+            None if options.auto_exposure else section.exposure_ms,
+        ),
+        "gain": (cv2.CAP_PROP_GAIN, options.gain),
+        "autofocus": (cv2.CAP_PROP_AUTOFOCUS, None if options.focus is None else 0),
+        "focus": (cv2.CAP_PROP_FOCUS, options.focus),
+        "auto_white_balance": (
+            cv2.CAP_PROP_AUTO_WB,
+            None if options.white_balance is None else 0,
+        ),
+        "white_balance": (cv2.CAP_PROP_WB_TEMPERATURE, options.white_balance),
+    }
+    return {
+        name: (key, asked if isinstance(asked, str) else float(asked))
+        for name, (key, asked) in every.items()
         if asked is not None
-    ]
+    }
 
 
 def _reported(raw: float) -> float | None:

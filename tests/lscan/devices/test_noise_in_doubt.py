@@ -1,6 +1,5 @@
 """Noise that the pictures do not determine is reported as doubtful, without lines for the rig."""
 
-import json
 from typing import Any
 
 import cv2
@@ -64,7 +63,7 @@ def printed(trial: CameraTrial, capsys: pytest.CaptureFixture[str]) -> str:
 
 def as_json(trial: CameraTrial) -> Any:
     track = TrackTrial({}, Repeatability(0.0, 2, 0.0, 0.0, 0.0, 0.0), ())
-    return json.loads(json.dumps(devices_cli._trial_json(trial, track)))["camera"]
+    return devices_cli._trial_json(trial, track)["camera"]
 
 
 def test_a_lit_scene_of_a_linear_camera_leaves_no_doubt(
