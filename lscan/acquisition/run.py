@@ -9,7 +9,7 @@ off, and its checksum in a further column.
 
 A folder stands alone: copied to a machine without the rig file and without the drivers it
 still opens.  No file holds a wall-clock time or a host name, so that the same simulated
-scan gives the same bytes.  This module reads; runwriter.py writes.
+scan gives the same bytes.  This module reads; writer.py writes.
 """
 
 import hashlib
@@ -220,13 +220,23 @@ class Run:
 def open_run(path: Path | str, trusted: bool = False) -> Run:
     """The run in the folder ``path``, complete or not.
 
-    trusted: whether it may name code, as ``stripe.extractor = "package.module:function"`` does,
-        that runs when the line is looked for; only the names of installed extractors otherwise.
     Manifest and table are checked here, and that every picture is there; a picture's bytes
     are checked against the table each time a frame is read (``Run.verify`` reads them all).
-    Raises InputError that names file and line: run.json missing, garbled, edited, of an
-    unknown version or naming code; a row torn, changed, repeated or skipped; a picture missing;
-    more or fewer frames than planned; a link that leads out of the folder.
+
+    Parameters
+    ----------
+    path : Path or str
+        The run folder.
+    trusted : bool
+        Whether it may name code, as ``stripe.extractor = "package.module:function"`` does, that
+        runs when the line is looked for; only the names of installed extractors otherwise.
+
+    Raises
+    ------
+    InputError
+        It names file and line: run.json missing, garbled, edited, of an unknown version or
+        naming code; a row torn, changed, repeated or skipped; a picture missing; more or fewer
+        frames than planned; a link that leads out of the folder.
 
     Examples
     --------

@@ -29,13 +29,28 @@ def scan(
 ) -> Run:
     """The complete run of the rig's plan, written to the folder ``path``.
 
-    resume: go on with the run in ``path``, losing no frame and repeating none; one that is
-        complete is returned as it is, one that does not exist is begun.
-    position_restored: go on although the track may have lost its zero, because the user has put
-        the head back and says that the position it reports is the true one.
-    progress: called with (frames done, frames planned) at the start and after each frame.
-    Raises InputError where the folder cannot be used, DeviceError where a device fails;
-    what was recorded until then can be resumed.  Devices are closed in all cases.
+    Parameters
+    ----------
+    rig_file : RigFile
+        A real rig or a scene of the tank.
+    path : Path or str
+        A new folder, unless the run there is resumed.
+    resume : bool
+        Go on with the run in ``path``, losing no frame and repeating none; one that is complete
+        is returned as it is, one that does not exist is begun.
+    position_restored : bool
+        Go on although the track may have lost its zero, because the user has put the head back
+        and says that the position it reports is the true one.
+    progress : callable, optional
+        Called with (frames done, frames planned) at the start and after each frame.
+
+    Raises
+    ------
+    InputError
+        Where the folder cannot be used.
+    DeviceError
+        Where a device fails; what was recorded until then can be resumed.  Devices are closed
+        in all cases.
 
     Examples
     --------
@@ -103,12 +118,30 @@ def acquire_into(
 ) -> Run:
     """The complete run: the frames still missing from ``writer`` are taken and written.
 
-    go_on: asked before each frame; where it says no, the run is returned as it is then, to be
-        resumed.
     Each frame's pictures and its row are on disk, synced, before the track moves on; a laser
-    that the plan switches is off at the end, whatever happened.  Raises DeviceError where a
-    device fails or delivers what a run cannot hold (nothing of that frame is recorded),
-    InputError where the disk refuses.  The devices stay open.
+    that the plan switches is off at the end, whatever happened.  The devices stay open.
+
+    Parameters
+    ----------
+    writer : RunWriter
+        Of the rig and its plan.
+    camera, track : Camera, Track
+        Opened.
+    progress : callable, optional
+        Called with (frames done, frames planned) at the start and after each frame.
+    go_on : callable, optional
+        Asked before each frame; where it says no, the run is returned as it is then, to be
+        resumed.
+    position_restored : bool
+        As in ``scan``.
+
+    Raises
+    ------
+    DeviceError
+        Where a device fails or delivers what a run cannot hold; nothing of that frame is
+        recorded.
+    InputError
+        Where the disk refuses.
     """
     plan = writer.rig_file.rig.plan
     positions_mm = plan.positions_mm()

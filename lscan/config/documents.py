@@ -72,9 +72,21 @@ class Strict(BaseModel):
 def read_document(path: Path | str) -> Document:
     """The TOML document at ``path``, or of a scene's name, its includes merged and paths resolved.
 
-    Keys named ``file`` or ending in ``_file`` become paths that hold from anywhere.
-    Raises InputError where a file is missing, is not TOML, includes itself, or excludes what it
-    does not include.
+    Parameters
+    ----------
+    path : Path or str
+        A file of that path comes before a scene of that name.
+
+    Returns
+    -------
+    dict
+        Keys named ``file`` or ending in ``_file`` are paths that hold from anywhere.
+
+    Raises
+    ------
+    InputError
+        Where a file is missing, is not TOML, includes itself, or excludes what it does not
+        include.
     """
     return _read(scene_file(path), chain=(), read=[])
 
@@ -223,9 +235,23 @@ def _other_kind(base: Document, over: Document) -> bool:
 
 
 def check(model: type[Model], document: Document, where: object, prefix: str = "") -> Model:
-    """The document as a ``model``; every fault becomes one InputError line.
+    """The document as a model.
 
-    where: the file, for the message.  prefix: the key path the document sits under.
+    Parameters
+    ----------
+    model : type
+        A class of pydantic, such as a ``Strict``.
+    document : dict
+        What it is made from.
+    where : object
+        The file, for the message.
+    prefix : str
+        The key path that leads to the document in the file.
+
+    Raises
+    ------
+    InputError
+        One line that names the key at fault, its value and what is allowed.
     """
     try:
         return model.model_validate(document)

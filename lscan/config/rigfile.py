@@ -43,9 +43,17 @@ class RigFile:
 def load_rig(path: Path | str) -> RigFile:
     """The rig, or scene, described by the TOML file at ``path``, or the scene of that name.
 
-    Raises InputError where the file cannot be read, holds an unknown key, driver, extractor or
-    plane map, where a driver refuses a section of its own, or where the drivers cannot do with
-    the laser what the plan says.
+    Parameters
+    ----------
+    path : Path or str
+        A file of that path comes before a scene of that name.
+
+    Raises
+    ------
+    InputError
+        Where the file cannot be read, holds an unknown key, driver, extractor or plane map,
+        where a driver refuses a section of its own, or where the drivers cannot do with the
+        laser what the plan says.
 
     Examples
     --------
@@ -65,8 +73,20 @@ def load_rig(path: Path | str) -> RigFile:
 def parse_rig(document: Document, source: str, trusted: bool = False) -> RigFile:
     """The rig in an already merged document.
 
-    trusted: its driver sections need no check, as those of a run folder, which were checked when
-    it was written; the drivers then need not be installed.
+    Parameters
+    ----------
+    document : dict
+        Its includes merged, the board's file read in.
+    source : str
+        Where it came from, for messages.
+    trusted : bool
+        Its driver sections need no check, as those of a run folder, which were checked when it
+        was written; the drivers then need not be installed.
+
+    Raises
+    ------
+    InputError
+        Where it is not a rig, or holds an unknown key.
     """
     own = {key: value for key, value in document.items() if key in Rig.model_fields}
     if not {"camera", "track"} & own.keys():

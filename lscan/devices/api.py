@@ -45,9 +45,22 @@ class Track(Protocol):
         """Where the head stands, as the track itself reports it."""
 
     def move_to(self, position_mm: float) -> float:
-        """Move, wait until at rest, and return the reported position in mm.
+        """Move, and wait until at rest.
 
-        Raises DeviceError naming the limit where the position cannot be reached.
+        Parameters
+        ----------
+        position_mm : float
+            On the track's own scale, mm.
+
+        Returns
+        -------
+        float
+            The position that the track then reports, mm.
+
+        Raises
+        ------
+        DeviceError
+            Where the position cannot be reached, naming the limit, or the track fails.
         """
 
     def close(self) -> None:
@@ -98,10 +111,19 @@ class PlaceChecking(Protocol):
         """
 
     def check_place(self, last_mm: float, next_mm: float, zero: str | None) -> None:
-        """Raise DeviceError, saying what to do, unless a scan can go on without a shift.
+        """Check that a scan can go on without a shift of its frames.
 
-        last_mm: where the last frame was recorded.  next_mm: where the next is due.  zero: what
-        ``zero`` was when the last frame was recorded.
+        Parameters
+        ----------
+        last_mm, next_mm : float
+            Where the last frame was recorded, and where the next is due, mm.
+        zero : str or None
+            What ``zero`` was when the last frame was recorded.
+
+        Raises
+        ------
+        DeviceError
+            Where it cannot, saying what to do.
         """
 
 
@@ -123,11 +145,25 @@ class Camera(Protocol):
         """(width, height) of every picture."""
 
     def grab(self, frame: int | None = None, dark: bool = False) -> Grab:
-        """A picture exposed after this call began.  Raises DeviceError where none comes.
+        """A picture exposed after this call began.
 
-        frame: its index in the scan, None outside of one.  A simulated camera draws noise and
-        clock from it, so that a resumed scan gives the same bytes; a real one ignores it.
-        dark: the laser is off, so that a black picture is as it should be.
+        Parameters
+        ----------
+        frame : int, optional
+            Its index in the scan.  A simulated camera draws noise and clock from it, so that a
+            resumed scan gives the same bytes; a real one ignores it.
+        dark : bool
+            Whether the laser is off, so that a black picture is as it should be.
+
+        Returns
+        -------
+        Grab
+            Of ``size_px``; its time is after that of the picture before.
+
+        Raises
+        ------
+        DeviceError
+            Where no picture comes.
         """
 
     def close(self) -> None:
@@ -153,7 +189,23 @@ class CapabilityReporting(Protocol):
     """A driver that knows from a rig file what its device can do, without touching it."""
 
     def capabilities(self, rig_file: RigFile) -> dict[str, Fact]:
-        """Facts by their names.  Raises InputError where an option is wrong."""
+        """What the device can do.
+
+        Parameters
+        ----------
+        rig_file : RigFile
+            The rig, of which the driver reads its own options and sections.
+
+        Returns
+        -------
+        dict of str to Fact
+            By names that carry the unit.
+
+        Raises
+        ------
+        InputError
+            Where an option is wrong.
+        """
 
 
 class TrackDriver(Protocol):
@@ -174,7 +226,18 @@ class TrackDriver(Protocol):
         """Check the driver's options and sections without touching a device: InputError."""
 
     def open(self, rig_file: RigFile) -> Track:
-        """The track, ready to move."""
+        """The track, ready to move.
+
+        Parameters
+        ----------
+        rig_file : RigFile
+            Which ``validate`` has let pass.
+
+        Raises
+        ------
+        DeviceError
+            Where it does not answer.
+        """
 
 
 class CameraDriver(Protocol):
@@ -194,5 +257,17 @@ class CameraDriver(Protocol):
         """Check the driver's options and sections without touching a device: InputError."""
 
     def open(self, rig_file: RigFile, track: Track) -> Camera:
-        """The camera, ready to grab.  A simulated camera sees the tank from where ``track``
-        stands; a real one ignores it."""
+        """The camera, ready to grab.
+
+        Parameters
+        ----------
+        rig_file : RigFile
+            Which ``validate`` has let pass.
+        track : Track
+            From where it stands a simulated camera sees the tank; a real one ignores it.
+
+        Raises
+        ------
+        DeviceError
+            Where it does not open, or not as the rig file sets it.
+        """

@@ -75,7 +75,17 @@ def video_devices(
 ) -> list[VideoDevice]:
     """The cameras of this machine, each opened for a moment and asked what it can do.
 
-    On Linux those are ``folder``/video*; elsewhere the first few numbers that open.
+    Parameters
+    ----------
+    open_device : callable
+        Opens a device as ``open_capture`` does.
+    folder : Path
+        Whose ``video*`` are tried on Linux; elsewhere the first few numbers are.
+
+    Returns
+    -------
+    list of VideoDevice
+        Sizes in px; on Linux also of devices that do not open, with the reason.
     """
     if sys.platform == "linux":
         found = sorted(folder.glob("video*"), key=lambda path: (len(path.name), path.name))
@@ -94,9 +104,17 @@ def drivers() -> list[Driver]:
 
 
 def rig_devices(rig_file: RigFile) -> dict[str, dict[str, Fact]]:
-    """What the rig's "camera" and "track" can do, by name, as known without touching them.
+    """What the rig's devices can do, as known without touching them.
 
-    Raises InputError where a driver is unknown or refuses its options.
+    Returns
+    -------
+    dict
+        "camera" and "track", each facts by names that carry the unit.
+
+    Raises
+    ------
+    InputError
+        Where a driver is unknown or refuses its options.
     """
     rig = rig_file.rig
     camera, track = drivers_of(rig, rig_file.source)

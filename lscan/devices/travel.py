@@ -94,7 +94,24 @@ class TravelDriver(Generic[Options]):
 def require_reachable(
     name: str, position_mm: float, limits_mm: tuple[float, float], slack_mm: float = 0.0
 ) -> None:
-    """Raise DeviceError, naming the track and its limits, for a position beyond them or NaN."""
+    """Refuse a position that is beyond a track's limits, or NaN.
+
+    Parameters
+    ----------
+    name : str
+        Of the track, for the message.
+    position_mm : float
+        Where it is to be sent, mm.
+    limits_mm : tuple of float
+        Lowest and highest position, mm.
+    slack_mm : float
+        How far beyond them it still goes, mm.
+
+    Raises
+    ------
+    DeviceError
+        It names the track and its limits.
+    """
     low_mm, high_mm = limits_mm
     if not low_mm - slack_mm <= position_mm <= high_mm + slack_mm:
         raise DeviceError(

@@ -28,8 +28,24 @@ def open_track(
 ) -> SerialTrack:
     """The track the options describe, awake and homed where they say so.
 
-    transport: instead of the serial port ``options.port``.  clock, sleep: the time it lives in.
-    Raises DeviceError where the port does not open or the controller does not answer.
+    Parameters
+    ----------
+    options : SerialTrackOptions
+        ``[track.options]`` of a rig file.
+    transport : Transport, optional
+        In place of the serial port ``options.port``.
+    clock, sleep : callable
+        The time it lives in, s.
+
+    Returns
+    -------
+    SerialTrack
+        At rest.
+
+    Raises
+    ------
+    DeviceError
+        Where the port does not open or the controller does not answer.
     """
     name = f"{options.dialect} track on {options.port}"
     if transport is None:

@@ -115,10 +115,29 @@ class CameraTrial:
 def grab_series(
     camera: Camera, pictures: int, channel: Channel, progress: Progress | None = None
 ) -> tuple[Bytes, Timing]:
-    """Pictures (N, H, W) of one colour, uint8, taken one after the other, and their timing.
+    """Pictures of one colour, taken one after the other, and their timing.
 
-    channel: as in ``stripe.channel``; grey is the luma of ITU-R BT.601, rounded.
-    Raises InputError for fewer than four pictures, DeviceError where the camera fails.
+    Parameters
+    ----------
+    camera : Camera
+        Ready to grab.
+    pictures : int
+        How many, 4 or more.
+    channel : str
+        As in ``stripe.channel``; grey is the luma of ITU-R BT.601, rounded.
+    progress : callable, optional
+        Called with the number of pictures done, and of all.
+
+    Returns
+    -------
+    (N, H, W) uint8, and Timing
+
+    Raises
+    ------
+    InputError
+        For too few pictures.
+    DeviceError
+        Where the camera fails.
     """
     if pictures < FEWEST_PICTURES:
         what, allowed = "too few pictures to measure noise", f"{FEWEST_PICTURES} or more"
@@ -150,10 +169,36 @@ def try_camera(
 ) -> CameraTrial:
     """Timing, noise and linearity of a camera that looks at a still, evenly lit scene.
 
-    pictures: how many are taken at each exposure time.  dark: pictures (N, H, W) of the same
-    colour taken with the cap on.  The exposure time is varied where the camera allows, and set
-    back at the end.  Raises DeviceError where the camera fails; what the pictures do not allow
-    to be measured stands in the remarks.
+    The exposure time is varied where the camera allows it, and set back at the end.
+
+    Parameters
+    ----------
+    camera : Camera
+        Ready to grab.
+    pictures : int
+        How many are taken at each exposure time, 4 or more.
+    channel : str
+        As in ``stripe.channel``.
+    dark : array, optional
+        (N, H, W) uint8, pictures of the same colour taken with the cap on.
+    progress : callable, optional
+        Called with the number of pictures done, and of all, at the first exposure time.
+
+    Returns
+    -------
+    CameraTrial
+        What the pictures do not allow to be measured is named in its remarks.
+
+    Raises
+    ------
+    InputError
+        For too few pictures.
+    DeviceError
+        Where the camera fails.
+
+    References
+    ----------
+    EMVA Standard 1288, "Linear camera model" and "Linearity".
     """
     remarks: list[str] = []
     settings = camera.settings if isinstance(camera, SettingsReadBack) else ()

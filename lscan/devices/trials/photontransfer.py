@@ -136,9 +136,27 @@ def dark_level(pictures: Bytes) -> Levels:
 def photon_transfer(levels: Levels, dark: Levels | None = None) -> PhotonTransfer:
     """Reading noise and gain: the straight line of variance over mean, by weighted least squares.
 
-    dark: the level of pictures taken in the dark.  Without it, and where the camera clips its
-    noise in the dark, grey value 0 counts as dark and the line is drawn on to it.
-    Raises MeasurementError where there are no two levels of grey at least 1 DN apart.
+    Parameters
+    ----------
+    levels : Levels
+        Of grey, DN and DN², as ``grey_levels`` finds them.
+    dark : Levels, optional
+        The level of pictures taken in the dark.  Without it, and where the camera clips its
+        noise in the dark, grey value 0 counts as dark and the line is drawn on to it.
+
+    Returns
+    -------
+    PhotonTransfer
+        Noise in DN, gain in DN per electron.
+
+    Raises
+    ------
+    MeasurementError
+        Where there are no two levels of grey at least 1 DN apart.
+
+    References
+    ----------
+    EMVA Standard 1288, "Linear camera model".
     """
     dark_is_seen = dark is not None and float(dark.clipped[0]) <= MOST_CLIPPED
     every = dark + levels if dark is not None and dark_is_seen else levels
@@ -181,11 +199,23 @@ def _weighted_line(light: Floats, levels: Levels) -> tuple[Floats, Floats, float
 
 
 def linearity(exposure_ms: Floats, mean_dn: Floats) -> Linearity:
-    """How straight mean grey values go with exposure times (EMVA 1288, "Linearity").
+    """How straight mean grey values go with exposure times.
 
-    exposure_ms, mean_dn: (N,) exposure time in ms and mean grey value in DN of one scene.  The
-    line is the one whose relative distances are least in squares.
-    Raises MeasurementError with fewer than three different exposures in the range judged.
+    The line is the one whose relative distances are least in squares.
+
+    Parameters
+    ----------
+    exposure_ms, mean_dn : array
+        (N,) exposure time in ms and mean grey value in DN of one scene.
+
+    Raises
+    ------
+    MeasurementError
+        With fewer than three different exposures in the range judged.
+
+    References
+    ----------
+    EMVA Standard 1288, "Linearity".
     """
     low, high = (part * BRIGHTEST_DN for part in LINEAR_RANGE)
     inside = (mean_dn >= low) & (mean_dn <= high)

@@ -61,8 +61,29 @@ def try_track(
 
     The place is where the head stands, or so near as to leave ``step_mm`` within the limits on
     either side; on a track shorter than that, its middle.  One that states no limits is tried.
-    approaches: how many from either side.  Raises InputError for fewer than two or a step that
-    is not above 0, DeviceError where the track fails.
+
+    Parameters
+    ----------
+    track : Track
+        Ready to move.
+    approaches : int
+        How many from either side, 2 or more.
+    step_mm : float
+        Length of each approach, mm, above 0.
+    progress : callable, optional
+        Called with the number of moves done, and of all.
+
+    Returns
+    -------
+    TrackTrial
+        Positions in mm as the track reports them, times in s.
+
+    Raises
+    ------
+    InputError
+        For too few approaches, or a step that is not above 0.
+    DeviceError
+        Where the track fails.
     """
     if approaches < FEWEST_APPROACHES:
         raise InputError(
