@@ -1,7 +1,8 @@
 """The head of the report: each part's figure beside the paper's, and whether it kept its bar."""
 
-from collections.abc import Collection, Iterable, Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
+from typing import Literal
 
 from lscan.figures.reportfigure import signed
 from lscan.measure import SliceErrors
@@ -43,60 +44,47 @@ def checks(experiment: Experiment, bars: paper.Bars) -> list[ReportCheck]:
     """
     board = experiment.board.measures[paper.CHOSEN_MAP]
     groove = experiment.groove.dimensions if experiment.groove else {}
+    first, second = (
+        [rows["Second rms"] for rows in table.values()] for table in (paper.TABLE_1, paper.TABLE_2)
+    )
+    percent, missing = bars.board_percent, len(board.unmeasured)
     return [
         *_control_point_checks(experiment),
         *_render_checks(experiment),
-        *_percent_check(
-            "Distances", board.distances, paper.TABLE_1, bars.board_percent, len(board.unmeasured)
-        ),
-        *_percent_check("Diameters", board.diameters, paper.TABLE_2, bars.board_percent),
-        *_groove_check(groove.values(), bars.groove_mm),
+        *_length_check("Distances", board.distances, first, percent, "%", missing),
+        *_length_check("Diameters", board.diameters, second, percent, "%"),
+        *_length_check("Grooved block", groove, paper.TABLE_3.values(), bars.groove_mm, "mm"),
         *_sandwave_checks(experiment, bars.sandwave_mm),
     ]
 
 
-def _percent_check(
+def _length_check(
     what: str,
     lengths: Mapping[str, Length],
-    printed: paper.PrintedTable,
-    bar_percent: float,
+    printed: Collection[paper.PrintedLength],
+    bar: float,
+    unit: Literal["%", "mm"],
     missing: int = 0,
 ) -> list[ReportCheck]:
-    """The largest errors by the second-order fit.  missing: how many more were not measured."""
+    """The largest errors beside those printed.  missing: how many more were not measured."""
     if not lengths:
         return []
-    largest_mm, largest_percent = worst(lengths.values())
-    theirs = [row["Second rms"] for row in printed.values()]
-    paper_percent = max(abs(row.percent) for row in theirs)
-    absent = f", {missing} of {missing + len(lengths)} not measured" if missing else ""
-    return [
-        ReportCheck(
-            f"{what}, largest error",
-            f"{largest_mm:.2f} mm, {largest_percent:.2f} %{absent}",
-            f"{_largest_mm(theirs):.2f} mm, {paper_percent:.2f} %",
-            f"{bar_percent:g} %",
-            largest_percent <= bar_percent and not missing,
-        )
-    ]
+    figure, largest = _largest(lengths.values(), unit)
+    if missing:
+        figure += f", {missing} of {missing + len(lengths)} not measured"
+    kept = largest <= bar and not missing
+    theirs, _ = _largest(printed, unit)
+    return [ReportCheck(f"{what}, largest error", figure, theirs, f"{bar:g} {unit}", kept)]
 
 
-def _groove_check(lengths: Collection[Length], bar_mm: float) -> list[ReportCheck]:
-    if not lengths:
-        return []
-    largest_mm, _ = worst(lengths)
-    return [
-        ReportCheck(
-            "Grooved block, largest error",
-            f"{largest_mm:.2f} mm",
-            f"{_largest_mm(paper.TABLE_3.values()):.2f} mm",
-            f"{bar_mm:g} mm",
-            largest_mm <= bar_mm,
-        )
-    ]
-
-
-def _largest_mm(printed: Iterable[paper.PrintedLength]) -> float:
-    return max(abs(row.error_mm) for row in printed)
+def _largest(
+    lengths: Collection[Length | paper.PrintedLength], unit: Literal["%", "mm"]
+) -> tuple[str, float]:
+    """The largest errors as text, and the one in that unit."""
+    largest_mm, percent = worst(lengths)
+    if unit == "mm":
+        return f"{largest_mm:.2f} mm", largest_mm
+    return f"{largest_mm:.2f} mm, {percent:.2f} %", percent
 
 
 def _control_point_checks(experiment: Experiment) -> list[ReportCheck]:
