@@ -4,41 +4,19 @@ Every figure and table of the paper that there are data for has its counterpart 
 with the paper's number beside ours.  The page loads nothing from anywhere.
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from lscan.acquisition.run import software_versions
 from lscan.figures.reportfigure import ReportFigure
 from lscan.files.disk import write_atomically
 from lscan.paper import provenance
 from lscan.paper.checks import checks
-from lscan.paper.experiment import Experiment, LinePictures
+from lscan.paper.experiment import Experiment
 from lscan.paper.published import MISPRINTS, Bars
-from lscan.paper.tables import ReportTable, paper_tables
-
-if TYPE_CHECKING:
-    from lscan.measurement import SandwaveMeasures
-
-_SLICE_FIGURES = {"S1": "Fig. 29", "S2": "Fig. 30", "S3": "Fig. 31", "SD": "Fig. 32"}
-
-
-@dataclass(frozen=True)
-class ReportSection:
-    """A part of the page.
-
-    Attributes
-    ----------
-    title : str, its heading
-    figures : sequence of ReportFigure, in their order
-    """
-
-    title: str
-    figures: Sequence[ReportFigure]
+from lscan.paper.tables import paper_tables
 
 
 def write_report(path: Path, experiment: Experiment, bars: Bars | None = None) -> None:
@@ -68,12 +46,18 @@ def render_report(experiment: Experiment, bars: Bars | None = None) -> str:
     bars : Bars, optional
         The largest errors accepted; those that the paper claims by default.
     """
+    from plotly.offline import get_plotlyjs
+
     from lscan.figures.template import page_template
 
     bars = bars or Bars()
     sources = experiment.sources
     sections = _sections(experiment, bars)
-    scripts = [figure.script for part in sections for figure in part.figures if figure.script]
+    scripts = [figure.script for part in sections.values() for figure in part if figure.script]
+    tables = [
+        replace(table, caption=_noted(table.caption, sources, table.parts))
+        for table in paper_tables(experiment, bars)
+    ]
     return page_template("lscan.paper", "report.html.j2", unbroken=_unbroken).render(
         title=provenance.title(experiment),
         lead=provenance.lead(sources),
@@ -84,88 +68,34 @@ def render_report(experiment: Experiment, bars: Bars | None = None) -> str:
         seconds=experiment.seconds,
         checks=checks(experiment, bars),
         checks_note=provenance.note(sources),
-        tables=[_noted_table(table, sources) for table in paper_tables(experiment, bars)],
+        tables=tables,
         sections=sections,
         misprints=MISPRINTS,
-        plotly=_plotly() if scripts else "",
+        plotly=get_plotlyjs() if scripts else "",
         scripts=scripts,
     )
 
 
-def _sections(experiment: Experiment, bars: Bars) -> list[ReportSection]:
+def _sections(experiment: Experiment, bars: Bars) -> dict[str, list[ReportFigure]]:
+    """The figures by their heading, each caption saying where the pictures come from."""
     # The drawing modules load matplotlib, which takes a second: only where something is drawn.
-    from lscan.paper.figures import board, stripes
+    from lscan.paper.figures.page import page_figures
 
-    sources, shown, sandwave = experiment.sources, experiment.shown, experiment.sandwave
-    calibration, sensitivity = board.board_figures(experiment.board)
-    lines = []
-    if "groove" in shown:
-        lines += _noted([stripes.groove_snapshot(shown["groove"])], sources, "groove")
-    if "sandwave" in shown:
-        lines += _noted(_sandwave_lines(shown["sandwave"]), sources, "sandwave")
-    surface = [] if sandwave is None else _surface_figures(sandwave)
-    slices = [] if sandwave is None else _slice_figures(sandwave, bars)
-    parts = {
-        "Calibration": _noted(calibration, sources, "board"),
-        "The laser line": lines,
-        "The surface": _noted(surface, sources, "board", "sandwave"),
-        "Slices": _noted(slices, sources, "board", "sandwave"),
-        "Sensitivity of the fits": _noted(sensitivity, sources, "board"),
+    return {
+        heading: [
+            replace(figure, caption=_noted(figure.caption, experiment.sources, parts))
+            for figures, parts in groups
+            for figure in figures
+        ]
+        for heading, groups in page_figures(experiment, bars).items()
     }
-    return [ReportSection(title, figures) for title, figures in parts.items() if figures]
 
 
-def _noted(
-    figures: Sequence[ReportFigure], sources: provenance.Sources, *parts: str
-) -> list[ReportFigure]:
-    """The figures, their captions saying where the pictures of these parts come from."""
-    note = provenance.note(sources, parts)
-    return [replace(figure, caption=f"{figure.caption} {note}".rstrip()) for figure in figures]
-
-
-def _noted_table(table: ReportTable, sources: provenance.Sources) -> ReportTable:
-    note = provenance.note(sources, table.parts)
-    return replace(table, caption=f"{table.caption} {note}".rstrip())
-
-
-def _sandwave_lines(pictures: LinePictures) -> list[ReportFigure]:
-    from lscan.paper.figures import stripes
-
-    column = stripes.lit_column(pictures)
-    return [
-        stripes.sandwave_snapshot(pictures, column),
-        stripes.column_intensities(pictures.images, column),
-    ]
-
-
-def _surface_figures(sandwave: SandwaveMeasures) -> list[ReportFigure]:
-    from lscan.paper.figures import contours, interactive, relief
-
-    waves = contours.on_the_waves(sandwave)
-    return [
-        relief.raw_relief(sandwave.raw.xyz_mm),
-        relief.levelled_relief(sandwave.raw.xyz_mm, sandwave.alignment),
-        contours.contours_before(sandwave, waves),
-        contours.contours_after(sandwave, waves),
-        interactive.surface_to_turn(sandwave.aligned.xyz_mm, waves),
-    ]
-
-
-def _slice_figures(sandwave: SandwaveMeasures, bars: Bars) -> list[ReportFigure]:
-    from lscan.paper.figures.slices import slice_plot
-
-    return [
-        slice_plot(name, cut, sandwave.errors[name], _SLICE_FIGURES.get(name, ""), bars.sandwave_mm)
-        for name, cut in sandwave.slices.items()
-    ]
+def _noted(caption: str, sources: provenance.Sources, parts: Sequence[str]) -> str:
+    """The caption, saying where the pictures of these parts come from."""
+    return f"{caption} {provenance.note(sources, parts)}".rstrip()
 
 
 def _unbroken(text: str) -> str:
     """The text with each number tied to its unit, so that no line breaks between them."""
     return re.sub(r"(?<=\d) (?=(?:mm|px|DN|s|%)(?!\w))", "\u00a0", text)
-
-
-def _plotly() -> str:
-    from plotly.offline import get_plotlyjs
-
-    return str(get_plotlyjs())

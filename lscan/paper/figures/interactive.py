@@ -8,6 +8,7 @@ import numpy as np
 from lscan.figures import style
 from lscan.figures.grid import CELL_MM, NodeHeights, cell_for, grid_heights, height_range
 from lscan.figures.reportfigure import ReportFigure
+from lscan.files.packaged import packaged_table
 from lscan.paper.figures.words import words_of
 from lscan.records import Floats, Mask
 
@@ -55,57 +56,29 @@ def start_eye(sides: Floats) -> Floats:
 
 
 def _plotly_call(grid: NodeHeights, colours_mm: tuple[float, float]) -> str:
-    steps = np.linspace(0, 1, len(style.HEIGHT_COLOURS))
+    """The call that draws: axes true to scale, their ranges those of the surface, and the eye."""
+    figure = packaged_table("lscan.paper.figures", "plotly.toml")
     low, high = colours_mm
-    trace = {
-        "type": "surface",
-        "x": _numbers(grid.x_mm),
-        "y": _numbers(grid.y_mm),
-        "z": [_numbers(row) for row in grid.z_mm],
-        "cmin": low,
-        "cmax": high,
-        "colorscale": [[float(s), c] for s, c in zip(steps, style.HEIGHT_COLOURS, strict=True)],
-        "colorbar": {
-            "title": {"text": "z / mm", "side": "right"},
-            "orientation": "h",  # beside the surface it would take a fifth of a phone's width
-            "thickness": 12,
-            "len": 0.7,
-            "y": 0,
-            "yanchor": "bottom",
-        },
-        "lighting": {"ambient": 0.55, "diffuse": 0.8, "specular": 0.05, "roughness": 0.9},
-        "hovertemplate": "x %{x:.1f}<br>y %{y:.1f}<br>z %{z:.2f} mm<extra></extra>",
-    }
-    parts = (json.dumps(part, allow_nan=False) for part in ([trace], _layout(grid)))
-    config = '{"responsive": true, "displaylogo": false, "displayModeBar": false}'
-    return f'Plotly.newPlot("surface", {", ".join(parts)}, {config});'
-
-
-def _layout(grid: NodeHeights) -> dict[str, object]:
-    """Plotly's layout: axes true to scale, their ranges those of the surface, and the eye."""
-    ends = {
-        axis: [float(np.nanmin(values)), float(np.nanmax(values))]
-        for axis, values in zip("xyz", (grid.x_mm, grid.y_mm, grid.z_mm), strict=True)
-    }
-    sides = np.array([high - low for low, high in ends.values()])
+    steps = np.linspace(0, 1, len(style.HEIGHT_COLOURS)).tolist()
+    heights = [_numbers(row) for row in grid.z_mm]
+    figure["trace"] |= {"x": _numbers(grid.x_mm), "y": _numbers(grid.y_mm), "z": heights}
+    figure["trace"] |= {"cmin": low, "cmax": high}
+    figure["trace"]["colorscale"] = list(zip(steps, style.HEIGHT_COLOURS, strict=True))
+    ends = [
+        [float(np.nanmin(values)), float(np.nanmax(values))]
+        for values in (grid.x_mm, grid.y_mm, grid.z_mm)
+    ]
+    sides = np.diff(ends)[:, 0]
     sides = np.maximum(sides / sides.max(), 1e-3)  # a surface may be flat
-    axes: dict[str, dict[str, object]] = {
-        f"{axis}axis": {"title": {"text": f"{axis} / mm"}, "range": ends[axis]} for axis in "xyz"
-    }
-    axes["zaxis"]["nticks"] = 4  # seen at a low angle, more overprint one another
-    eye = dict(zip("xyz", start_eye(sides).tolist(), strict=True))
-    return {
-        "margin": {"l": 0, "r": 0, "t": 0, "b": 0},
-        "paper_bgcolor": "rgba(0,0,0,0)",
-        "font": {"color": "#7d898f"},  # legible on the light and on the dark page
-        "scene": {
-            **axes,
-            "domain": {"y": [1 - SCENE_SHARE, 1]},
-            "aspectmode": "manual",
-            "aspectratio": dict(zip("xyz", sides.tolist(), strict=True)),
-            "camera": {"eye": eye},
-        },
-    }
+    scene = figure["layout"]["scene"]
+    for axis, values in zip("xyz", ends, strict=True):
+        scene[f"{axis}axis"]["range"] = values
+    scene["domain"] = {"y": [1 - SCENE_SHARE, 1]}
+    scene["aspectratio"] = dict(zip("xyz", sides.tolist(), strict=True))
+    scene["camera"] = {"eye": dict(zip("xyz", start_eye(sides).tolist(), strict=True))}
+    parts = ([figure["trace"]], figure["layout"], figure["config"])
+    written = ", ".join(json.dumps(part, allow_nan=False) for part in parts)
+    return f'Plotly.newPlot("surface", {written});'
 
 
 def _numbers(values: Floats) -> list[float | None]:

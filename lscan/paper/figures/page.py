@@ -1,0 +1,59 @@
+"""The figures of the report's page, section by section."""
+
+from collections.abc import Sequence
+
+from lscan.figures.reportfigure import ReportFigure
+from lscan.measurement import SandwaveMeasures
+from lscan.paper.experiment import Experiment, LinePictures
+from lscan.paper.figures import board, contours, interactive, relief, slices, stripes
+from lscan.paper.published import Bars
+
+_SLICE_FIGURES = {"S1": "Fig. 29", "S2": "Fig. 30", "S3": "Fig. 31", "SD": "Fig. 32"}
+
+Shown = tuple[Sequence[ReportFigure], tuple[str, ...]]
+"""Figures, and the runs their pictures come from: "board", "groove" and "sandwave"."""
+
+
+def page_figures(experiment: Experiment, bars: Bars) -> dict[str, list[Shown]]:
+    """The figures by the heading they stand under; none for pieces that were not scanned."""
+    calibration, sensitivity = board.board_figures(experiment.board)
+    shown, sandwave = experiment.shown, experiment.sandwave
+    sections: dict[str, list[Shown]] = {"Calibration": [(calibration, ("board",))]}
+    if shown:
+        sections["The laser line"] = lines = []
+        if "groove" in shown:
+            lines.append(([stripes.groove_snapshot(shown["groove"])], ("groove",)))
+        if "sandwave" in shown:
+            lines.append((_sandwave_lines(shown["sandwave"]), ("sandwave",)))
+    if sandwave is not None:
+        of_both = ("board", "sandwave")
+        sections["The surface"] = [(_surface(sandwave), of_both)]
+        sections["Slices"] = [(_slices(sandwave, bars.sandwave_mm), of_both)]
+    sections["Sensitivity of the fits"] = [(sensitivity, ("board",))]
+    return sections
+
+
+def _sandwave_lines(pictures: LinePictures) -> list[ReportFigure]:
+    column = stripes.lit_column(pictures)
+    return [
+        stripes.sandwave_snapshot(pictures, column),
+        stripes.column_intensities(pictures.images, column),
+    ]
+
+
+def _surface(sandwave: SandwaveMeasures) -> list[ReportFigure]:
+    waves = contours.on_the_waves(sandwave)
+    return [
+        relief.raw_relief(sandwave.raw.xyz_mm),
+        relief.levelled_relief(sandwave.raw.xyz_mm, sandwave.alignment),
+        contours.contours_before(sandwave, waves),
+        contours.contours_after(sandwave, waves),
+        interactive.surface_to_turn(sandwave.aligned.xyz_mm, waves),
+    ]
+
+
+def _slices(sandwave: SandwaveMeasures, bar_mm: float) -> list[ReportFigure]:
+    return [
+        slices.slice_plot(name, cut, sandwave.errors[name], _SLICE_FIGURES.get(name, ""), bar_mm)
+        for name, cut in sandwave.slices.items()
+    ]
