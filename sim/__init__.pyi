@@ -1,0 +1,23 @@
+# The public names of sim and the modules that define them; __init__.py offers what is named here.
+
+from sim.devices import render_picture as render_picture
+from sim.emulators.hardware import EmulatedHardware as EmulatedHardware
+from sim.emulators.options import ServeOptions as ServeOptions
+from sim.scene import (
+    Scene as Scene,
+)
+from sim.scene import (
+    load_scene as load_scene,
+)
+from sim.truth import (
+    BoardTruth as BoardTruth,
+)
+from sim.truth import (
+    StripeTruth as StripeTruth,
+)
+from sim.truth import (
+    board_truth as board_truth,
+)
+from sim.truth import (
+    stripe_truth as stripe_truth,
+)
