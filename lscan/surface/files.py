@@ -25,6 +25,9 @@ MODES = {
     "long_name": "displacement along x, y and z by each independent error of calibration and "
     "alignment, when it is one standard deviation large"
 }
+_Variable = tuple[tuple[str, ...], NDArray[Any], dict[str, Any]]
+"""Dimensions, values and attributes."""
+
 PACKED = {"zlib": True, "complevel": 1, "shuffle": True}
 
 
@@ -146,39 +149,41 @@ def save_points(path: Path, surface: Surface) -> None:
 def _dataset(surface: Surface) -> xr.Dataset:
     """The surface as variables after the CF conventions."""
     where = "laser sheet and track" if surface.frame == "head" else "workpiece"
-    error = {"standard_name_modifier": "standard_error", **LENGTH}
-    flags = {
-        "flag_values": np.array([int(status) for status in Status], dtype=np.int8),
-        "flag_meanings": " ".join(status.name.lower() for status in Status),
-    }
+
+    def array(values: NDArray[Any], long_name: str, **notes: Any) -> _Variable:
+        return DIMENSIONS, values, {"long_name": long_name, **notes}
+
+    def sigma(values: Floats, long_name: str) -> _Variable:
+        return array(values, long_name, standard_name_modifier="standard_error", **LENGTH)
+
     x, y, z = np.moveaxis(surface.xyz_mm, -1, 0)
-    variables: dict[str, tuple[NDArray[Any], str, dict[str, Any]]] = {
-        "x": (x, f"x in the {where} frame", LENGTH),
-        "y": (y, f"y in the {where} frame", LENGTH),
-        "z": (z, f"height in the {where} frame", LENGTH),
-        "x_sigma": (surface.sigma_x_mm, "standard uncertainty of x", error),
-        "z_sigma": (surface.sigma_z_mm, "standard uncertainty of z", error),
-        "status": (surface.status.astype(np.int8), "why a point has, or has not, a value", flags),
+    arrays: dict[str, _Variable] = {
+        "x": array(x, f"x in the {where} frame", **LENGTH),
+        "y": array(y, f"y in the {where} frame", **LENGTH),
+        "z": array(z, f"height in the {where} frame", **LENGTH),
+        "x_sigma": sigma(surface.sigma_x_mm, "standard uncertainty of x"),
+        "z_sigma": sigma(surface.sigma_z_mm, "standard uncertainty of z"),
+        "status": array(
+            surface.status.astype(np.int8),
+            "why a point has, or has not, a value",
+            flag_values=np.array([int(status) for status in Status], dtype=np.int8),
+            flag_meanings=" ".join(status.name.lower() for status in Status),
+        ),
     }
-    ancillary = {"x": ["x_sigma", "status"], "y": ["status"], "z": ["z_sigma", "status"]}
+    beside = {"x": "x_sigma", "y": "", "z": "z_sigma"}
     if surface.sigma_y_mm is not None:
-        variables["y_sigma"] = (surface.sigma_y_mm, "standard uncertainty of y", error)
-        ancillary["y"].insert(0, "y_sigma")
+        arrays["y_sigma"] = sigma(surface.sigma_y_mm, "standard uncertainty of y")
+        beside["y"] = "y_sigma"
     if surface.modes_mm is not None:
         common = np.sqrt(np.square(surface.modes_mm[..., 2, :], dtype=np.float64).sum(axis=-1))
         name = "part of z_sigma that calibration and alignment give to all points in common"
-        variables["sigma_calibration"] = (common, name, error)
-        ancillary["z"].insert(1, "sigma_calibration")
-    arrays: dict[str, Any] = {
-        name: (DIMENSIONS, values, {"long_name": long_name, **notes})
-        for name, (values, long_name, notes) in variables.items()
-    }
-    for name, beside in ancillary.items():
-        arrays[name][2]["ancillary_variables"] = " ".join(beside)
-    if surface.modes_mm is not None:
+        arrays["sigma_calibration"] = sigma(common, name)
+        beside["z"] += " sigma_calibration"
         arrays["modes"] = ((*DIMENSIONS, "axis", "mode"), surface.modes_mm, {**MODES, **LENGTH})
+    for name, sigmas in beside.items():
+        arrays[name][2]["ancillary_variables"] = f"{sigmas} status".strip()
     track = {"long_name": "track position of the profile", **LENGTH}
-    arrays["position"] = ("frame", surface.position_mm, track)
+    arrays["position"] = (DIMENSIONS[:1], surface.position_mm, track)
     notes = {
         "Conventions": "CF-1.11",
         "title": "Surface measured by a laser line scanner",
