@@ -26,9 +26,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from lscan.config.rig import SheetSection
-from lscan.errors import InputError
 from lscan.records import Floats, Surface, has_value
 from lscan.surface.align.levelling import shear
+from lscan.surface.stack import require_head_frame
 
 REACH_IN_SIGMAS = 4.0
 """Radius in plan over which the target is taken for a quadratic, in sigmas of the sheet; no
@@ -70,10 +70,7 @@ def correct_thickness(surface: Surface, sheet: SheetSection, yaw_rad: float = 0.
     ----------
     docs/explanation/concavity.md; derived in this module's text.
     """
-    if surface.frame != "head":
-        raise InputError(
-            "is aligned already", where="surface", value=surface.frame, allowed="the head frame"
-        )
+    require_head_frame(surface)
     parts = [
         _shift(forms, surface.xyz_mm[f], sheet)
         for f, forms in _quadratics(surface, sheet.thickness_mm / 2, yaw_rad)

@@ -25,6 +25,7 @@ from lscan.config.targets import Sandwave
 from lscan.errors import InputError, MeasurementError
 from lscan.records import Floats, Ints, Mask, Profile, has_value
 from lscan.surface.align.alignment import own_variances
+from lscan.surface.align.features import find_features
 from lscan.surface.align.fit import rough_pose
 from lscan.surface.nominal import above_top
 from lscan.surface.shaft import PARAMETERS, Shaft, stack_about
@@ -137,11 +138,11 @@ def calibrate_shaft(profiles: Sequence[Profile], piece: Sandwave, prior: Shaft) 
             allowed="offset_sigma_mm, tilt_sigma_deg or scale_sigma above 0",
         )
     roughly = stack_about(profiles, prior)
-    rotation, shift = rough_pose(roughly, piece)
-    height = roughly.xyz_mm @ rotation[2] + shift[2]
+    pose = rough_pose(find_features(roughly, piece), piece)
+    height = roughly.xyz_mm @ pose.rotation[2] + pose.shift[2]
     samples = _samples(profiles, height > -piece.body_mm / 2)
     zero = np.zeros(POSE + PARAMETERS + samples.modes.shape[2])
-    start = _State(rotation, shift, zero)
+    start = _State(pose.rotation, pose.shift, zero)
     state, terms, kept = _settled(samples, piece, prior, start)
     covariance, cells = _covariance(terms, kept)
     root = prior.root
@@ -235,9 +236,8 @@ def _settled(
     for iteration in range(MAX_ITERATIONS):
         terms = _terms(samples, piece, prior, state, pivot)
         if kept is None or iteration < UNDECIDED_ITERATIONS:
-            kept, terms = _without_outliers(terms)
-        else:
-            terms = _weighed(terms, kept)
+            kept = _no_outliers(terms)
+        terms = _weighed(terms, kept)
         step, length = _step(terms, kept)
         state = state.stepped(step, pivot)
         if length < SETTLED and iteration >= UNDECIDED_ITERATIONS:
@@ -281,15 +281,14 @@ def _terms(
     )
 
 
-def _without_outliers(terms: _Terms) -> tuple[Mask, _Terms]:
-    """Which clear points are no outliers, and the terms so weighed."""
+def _no_outliers(terms: _Terms) -> Mask:
+    """(N,) which clear points are no outliers."""
     if not terms.clear.any():
         raise MeasurementError("no point of the scan lies on the block's nominal top")
     ratio = np.abs(terms.distance / terms.sigma)
     # Of a normal distribution the median of the absolute value is 0.6745 sigma.
     spread = float(np.median(ratio[terms.clear])) / 0.6745
-    kept = terms.clear & (ratio < OUTLIER * spread)
-    return kept, _weighed(terms, kept)
+    return terms.clear & (ratio < OUTLIER * spread)
 
 
 def _weighed(terms: _Terms, kept: Mask) -> _Terms:

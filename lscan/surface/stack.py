@@ -61,6 +61,14 @@ def stack(profiles: Sequence[Profile]) -> Surface:
     )
 
 
+def require_head_frame(surface: Surface) -> None:
+    """InputError for a surface that is not in the head frame."""
+    if surface.frame != "head":
+        raise InputError(
+            "is aligned already", where="surface", value=surface.frame, allowed="the head frame"
+        )
+
+
 def _modes(profiles: Sequence[Profile]) -> NDArray[np.float32] | None:
     """(F, N, 3, M) modes of x, y and z."""
     modes = [profile.points.modes_mm for profile in profiles]

@@ -5,10 +5,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from lscan.errors import InputError
 from lscan.records import Floats, Ints, Surface
 from lscan.surface.align.datum import displacement
 from lscan.surface.align.levelling import shear
+from lscan.surface.stack import require_head_frame
 
 
 @dataclass(frozen=True)
@@ -89,10 +89,7 @@ def apply(alignment: Alignment, surface: Surface) -> Surface:
     InputError
         For a surface that is not in the head frame.
     """
-    if surface.frame != "head":
-        raise InputError(
-            "is aligned already", where="surface", value=surface.frame, allowed="the head frame"
-        )
+    require_head_frame(surface)
     turn, xyz = alignment.rotation, alignment.to_workpiece(surface.xyz_mm)
     answered = displacement(xyz, alignment.pivot_mm, turn, alignment.yaw_rad) @ alignment.modes
     modes = answered.astype(np.float32)

@@ -17,7 +17,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from lscan.config.targets import Sandwave
-from lscan.errors import InputError, MeasurementError
+from lscan.errors import MeasurementError
 from lscan.records import Floats, Mask, Surface
 from lscan.surface.align.alignment import Alignment, own_variances, turned_modes
 from lscan.surface.align.datum import YAW, Datum, parameter_modes
@@ -26,6 +26,7 @@ from lscan.surface.align.faces import faces_beside
 from lscan.surface.align.fading import fit_fading
 from lscan.surface.align.features import Features, find_features
 from lscan.surface.align.levelling import level, plane_normal, shear
+from lscan.surface.stack import require_head_frame
 
 SETTLED_RAD = 1e-7
 """Change of yaw and of the rotation about z below which the iteration ends."""
@@ -48,8 +49,8 @@ CORNER_MARGIN_MM = 1.5
 
 
 @dataclass(frozen=True)
-class _BlockPose:
-    """The part of an alignment that is iterated."""
+class BlockPose:
+    """The part of an alignment that is iterated: angles in rad, shift (3,) mm, rotation (3, 3)."""
 
     yaw: float
     turn: float
@@ -97,12 +98,9 @@ def align_sandwave(surface: Surface, piece: Sandwave, sheared: bool = True) -> A
     ----------
     Sec. IV.C and eqs. (5) to (7) of the paper.
     """
-    if surface.frame != "head":
-        raise InputError(
-            "is aligned already", where="surface", value=surface.frame, allowed="the head frame"
-        )
+    require_head_frame(surface)
     features = find_features(surface, piece)
-    pose = _rough_pose(features, piece)
+    pose = rough_pose(features, piece)
     for window in WINDOWS_MM:
         selected = _select(features, pose, piece, window)
         pose, edges = _refine(features.tops, _crossed(selected, piece), pose, piece, sheared)
@@ -127,27 +125,16 @@ def align_sandwave(surface: Surface, piece: Sandwave, sheared: bool = True) -> A
     )
 
 
-def rough_pose(surface: Surface, piece: Sandwave) -> tuple[Floats, Floats]:
-    """(3, 3) rotation and (3,) shift, mm, from the head's frame to the workpiece's, to a few mm.
+def rough_pose(features: Features, piece: Sandwave) -> BlockPose:
+    """The pose to a few mm, from the levels and middles of the wedges' tops alone; no yaw yet.
 
-    From the levels and middles of the wedges' tops alone, so that much may be wrong with the scan.
+    So much may be wrong with the scan.
 
     Parameters
     ----------
-    surface : Surface, mm, frame of the head
+    features : Features, of a scan in the frame of the head
     piece : Sandwave, the nominal shape
-
-    Raises
-    ------
-    MeasurementError
-        Where a wedge is not in the scan.
     """
-    pose = _rough_pose(find_features(surface, piece), piece)
-    return pose.rotation, pose.shift
-
-
-def _rough_pose(features: Features, piece: Sandwave) -> _BlockPose:
-    """Level, and turned and placed by the middles of the two wedge tops; no yaw yet."""
     across = features.centre_right - features.centre_left
     turn = float(np.arctan2(across[1], across[0]))
     middle = (features.centre_left + features.centre_right) / 2
@@ -156,13 +143,13 @@ def _rough_pose(features: Features, piece: Sandwave) -> _BlockPose:
 
 def _placed(
     tops: Floats, yaw: float, turn: float, raw_middle: Floats, piece: Sandwave
-) -> _BlockPose:
+) -> BlockPose:
     """The pose that brings the raw point (3,) between the corners to its nominal place."""
     rotation = _about_z(-turn) @ level(tops @ shear(yaw).T)
     matrix = rotation @ shear(yaw)
     height = piece.wedge.height_mm - float((tops @ matrix[2]).mean())
     shift = _nominal_middle(piece) - (matrix @ raw_middle)[:2]
-    return _BlockPose(yaw, turn, np.array([*shift, height]), rotation)
+    return BlockPose(yaw, turn, np.array([*shift, height]), rotation)
 
 
 def _about_z(angle: float) -> Floats:
@@ -176,7 +163,7 @@ def _nominal_middle(piece: Sandwave) -> Floats:
 
 
 def _select(
-    features: Features, pose: _BlockPose, piece: Sandwave, window_mm: float
+    features: Features, pose: BlockPose, piece: Sandwave, window_mm: float
 ) -> dict[str, EdgeCrossings]:
     """The raw crossings that lie on each nominal edge to within ``window_mm``, by edge name."""
     selected = {}
@@ -215,8 +202,8 @@ def _side(piece: Sandwave, x: float) -> tuple[Floats, Floats]:
 
 
 def _refine(
-    tops: Floats, find: "_Finder", pose: _BlockPose, piece: Sandwave, sheared: bool
-) -> tuple[_BlockPose, "_Edges"]:
+    tops: Floats, find: "_Finder", pose: BlockPose, piece: Sandwave, sheared: bool
+) -> tuple[BlockPose, "_Edges"]:
     """The pose at which the base plane, the corners and the yaw agree, and the edges in it."""
     kept = None
     for iteration in range(1, MAX_ITERATIONS + 1):
@@ -229,7 +216,10 @@ def _refine(
         if not sheared:
             yaw_error, turn_error = 0.0, -float(np.arctan(edges.fit.lean))
         middle = edges.middle
-        pose = _moved(tops, pose, yaw_error, turn_error, middle, piece)
+        # About the place the middle of the corners has.
+        inverse = np.linalg.inv(pose.rotation @ shear(pose.yaw))
+        raw_middle = inverse @ (np.array([*middle, piece.wedge.height_mm]) - pose.shift)
+        pose = _placed(tops, pose.yaw - yaw_error, pose.turn + turn_error, raw_middle, piece)
         shift = float(np.abs(middle - _nominal_middle(piece)).max()) / piece.side_mm
         if max(abs(yaw_error), abs(turn_error), shift) < SETTLED_RAD:
             return pose, edges
@@ -237,20 +227,6 @@ def _refine(
         f"the alignment did not settle in {MAX_ITERATIONS} rounds: still "
         f"{np.degrees(max(abs(yaw_error), abs(turn_error))):.2g} degrees off"
     )
-
-
-def _moved(
-    tops: Floats,
-    pose: _BlockPose,
-    yaw_error: float,
-    turn_error: float,
-    middle: Floats,
-    piece: Sandwave,
-) -> _BlockPose:
-    """The pose corrected by what was found, about the place the middle of the corners has."""
-    inverse = np.linalg.inv(pose.rotation @ shear(pose.yaw))
-    raw_middle = inverse @ (np.array([*middle, piece.wedge.height_mm]) - pose.shift)
-    return _placed(tops, pose.yaw - yaw_error, pose.turn + turn_error, raw_middle, piece)
 
 
 @dataclass(frozen=True)
@@ -292,14 +268,14 @@ class _Edges:
         return middle
 
 
-_Finder = Callable[[_BlockPose, Mask | None], _Edges]
+_Finder = Callable[[BlockPose, Mask | None], _Edges]
 """Finds the edges in a pose; the mask says which samples are no outliers, once decided."""
 
 
 def _crossed(selected: Mapping[str, EdgeCrossings], piece: Sandwave) -> _Finder:
     """Finds edges between the last samples on them and the first ones off them."""
 
-    def find(pose: _BlockPose, kept: Mask | None) -> _Edges:
+    def find(pose: BlockPose, kept: Mask | None) -> _Edges:
         in_plan = {name: edge.moved(pose.plan) for name, edge in selected.items()}
         return _Edges(fit_edges(in_plan, piece.side_mm / 2, kept), by_brightness=False)
 
@@ -307,7 +283,7 @@ def _crossed(selected: Mapping[str, EdgeCrossings], piece: Sandwave) -> _Finder:
 
 
 def _fading(
-    surface: Surface, pose: _BlockPose, edges: _Edges, names: Sequence[str], piece: Sandwave
+    surface: Surface, pose: BlockPose, edges: _Edges, names: Sequence[str], piece: Sandwave
 ) -> _Finder | None:
     """Finds edges by the fading of the line; None where too little of it is seen or known."""
     if surface.brightness is None:
@@ -317,7 +293,7 @@ def _fading(
         return None
     raw = [surface.xyz_mm.reshape(-1, 3)[index] for index, _ in beside]
 
-    def find(pose: _BlockPose, kept: Mask | None) -> _Edges:
+    def find(pose: BlockPose, kept: Mask | None) -> _Edges:
         samples = [
             replace(face, plan=pose.plan(points))
             for points, (_, face) in zip(raw, beside, strict=True)
@@ -331,7 +307,7 @@ def _datum(
     surface: Surface,
     features: Features,
     selected: Mapping[str, EdgeCrossings],
-    pose: _BlockPose,
+    pose: BlockPose,
     edges: _Edges,
     sheared: bool,
 ) -> Datum:
