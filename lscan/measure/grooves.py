@@ -19,7 +19,7 @@ from lscan.measure.segments import (
     segments,
     trace,
 )
-from lscan.records import Ints, Length, Profile
+from lscan.records import Length, Profile
 
 
 @dataclass(frozen=True)
@@ -176,24 +176,20 @@ def _width(line: Trace, part: Segment) -> float:
 
 def _heights(line: Trace, parts: Parts) -> dict[str, LengthBudget]:
     """H1, H3, H4 from each groove's bottom to the tops on both its sides; H2 to the floor."""
-    heights = {}
-    for name, groove in (("H3", 0), ("H4", 1), ("H1", 2)):
-        tops = _inner(line, parts.ridges[groove : groove + 2])
-        heights[name] = _height(line, tops, _inner(line, [parts.bottoms[groove]]), name)
-    everywhere = _inner(line, parts.ridges)
-    heights["H2"] = _height(line, everywhere, _inner(line, [parts.floor]), "H2")
+    first, second, third = parts.bottoms
+    ridges, heights = parts.ridges, {}
+    for name, upper, lower in (
+        ("H3", ridges[:2], first),
+        ("H4", ridges[1:3], second),
+        ("H1", ridges[2:4], third),
+        ("H2", ridges, parts.floor),
+    ):
+        tops = np.concatenate([inner_points(line, part) for part in upper])
+        try:
+            heights[name] = height_between(line, tops, inner_points(line, lower))
+        except MeasurementError as error:
+            raise MeasurementError(f"{name}: {error}") from error
     return heights
-
-
-def _height(line: Trace, upper: Ints, lower: Ints, name: str) -> LengthBudget:
-    try:
-        return height_between(line, upper, lower)
-    except MeasurementError as error:
-        raise MeasurementError(f"{name}: {error}") from error
-
-
-def _inner(line: Trace, parts: Sequence[Segment]) -> Ints:
-    return np.concatenate([inner_points(line, part) for part in parts])
 
 
 def _separations(line: Trace, parts: Parts) -> dict[str, LengthBudget]:

@@ -92,20 +92,19 @@ def correct_blur(stripe: Stripe, settings: StripeSection, light: Floats) -> Stri
     return replace(stripe, centre_px=moved, sigma_px=np.hypot(stripe.sigma_px, sigma))
 
 
-def line_flux(stripe: Stripe, light: Floats, reach_px: int = FLUX_REACH_PX) -> Floats:
-    """(N,) light of the line in each column, DN; NaN where there is no value or no light.
+def line_flux(stripe: Stripe, light: Floats) -> Floats:
+    """(N,) light within FLUX_REACH_PX of the line in each column, DN; NaN where there is none.
 
     Parameters
     ----------
     stripe : Stripe, px, of N entries
     light : (N, L) array, DN, as in ``correct_blur``; a column's background is its median
-    reach_px : int, px, light so far from the centre counts as the line's
     """
     valued = np.flatnonzero(has_value(stripe.status))
     above = light[valued] - np.median(light[valued], axis=1)[:, None]
-    padded = np.pad(above, ((0, 0), (reach_px, reach_px)))
-    rows = np.rint(stripe.centre_px[valued]).astype(int) + reach_px
-    total = windows(padded, np.arange(len(valued)), rows, reach_px).sum(axis=1)
+    padded = np.pad(above, ((0, 0), (FLUX_REACH_PX, FLUX_REACH_PX)))
+    rows = np.rint(stripe.centre_px[valued]).astype(int) + FLUX_REACH_PX
+    total = windows(padded, np.arange(len(valued)), rows, FLUX_REACH_PX).sum(axis=1)
     flux = np.full(len(stripe.status), np.nan)
     flux[valued] = np.where(total > 0, total, np.nan)
     return flux

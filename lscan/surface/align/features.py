@@ -245,12 +245,9 @@ def _crossings(
         beside = np.clip(columns + towards, 0, last)
         keep = (beside != columns) & ~open_end[rows, beside]
         rows, columns = rows[keep], columns[keep]
-    gap = direction * np.abs(spacing[_gap_index(columns, towards)])
+    # The gap beyond each column: to the next or from the last.
+    beyond = columns if towards > 0 else np.maximum(columns - 1, 0)
+    gap = direction * np.abs(spacing[beyond])
     inside = xyz[rows, columns]
     outside = inside + np.column_stack([gap, 0 * gap, slope * gap])
     return EdgeCrossings(inside, outside, rows * mask.shape[1] + columns)
-
-
-def _gap_index(columns: Ints, towards: int) -> Ints:
-    """Index into the spacings of the gap beyond each column: to the next or from the last."""
-    return columns if towards > 0 else np.maximum(columns - 1, 0)
