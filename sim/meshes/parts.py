@@ -12,7 +12,14 @@ from sim.scene import Pose
 
 @dataclass(frozen=True)
 class Finish:
-    """How a surface reflects; the fields are those of a scene file's target."""
+    """How a surface reflects; the fields are those of a scene file's target.
+
+    Attributes
+    ----------
+    kind : str, "matt" scatters diffusely, "wet" has a glossy coat over it, "mirror" is metal
+    roughness : float, slope of the facets of coat or metal, 0.02 to 1
+    coat_index : float, refractive index of the coat
+    """
 
     kind: Literal["matt", "wet", "mirror"] = "matt"
     roughness: float = 0.1

@@ -122,7 +122,12 @@ class Webcam:
     ) -> Electrons:
         """Expected electrons, (H, W, 3) RGB, before colour filter, noise and full well.
 
-        speckle: (H, W) factors of the laser's light from surfaces; None: 1 everywhere.
+        Parameters
+        ----------
+        layers : Layers, (f H, f W) radiances, for any whole f
+        exposure_ms : float, ms
+        wavelength_nm : float or None, the laser's at this moment, the scene's nominal one if None
+        speckle : (H, W) array, factors of the laser's light from surfaces; 1 everywhere if None
         """
         nm = self.wavelength_nm if wavelength_nm is None else wavelength_nm
         if speckle is None:
