@@ -16,7 +16,14 @@ class PackageError(LscanError):
 def install_first(packages: Sequence[str]) -> None:
     """Install the first of ``packages`` that apt-get offers; its output goes to stderr.
 
-    Raises PackageError where apt-get, the right to use it, or such a package is missing.
+    Parameters
+    ----------
+    packages : sequence, names of packages, the preferred one first
+
+    Raises
+    ------
+    PackageError
+        apt-get, the right to use it, or such a package is missing.
     """
     admin = _as_root()
     package = _offered(packages)

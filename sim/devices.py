@@ -268,9 +268,18 @@ def render_picture(
 
 
 def load_checked(path: Path | str) -> Scene:
-    """The scene in the file at ``path``, refused by InputError wherever a scan refuses it.
+    """The scene in a file, refused wherever a scan refuses it.
 
     What is odd about its target is logged, as a scan does.
+
+    Parameters
+    ----------
+    path : Path or str, a scene file, or a name that ``lscan scenes`` lists
+
+    Raises
+    ------
+    InputError
+        Names the file, the key, the value and what is allowed.
     """
     scene = scene_of(load_rig(path))
     check_placement(scene)
@@ -278,7 +287,17 @@ def load_checked(path: Path | str) -> Scene:
 
 
 def camera_options(scene: Scene) -> CameraOptions:
-    """The scene's ``[camera.options]``; InputError also where black is above the target."""
+    """The scene's ``[camera.options]``.
+
+    Parameters
+    ----------
+    scene : Scene, its rig's camera and its sensor
+
+    Raises
+    ------
+    InputError
+        An option is wrong, or the sensor's black level is not below ``target_dn``.
+    """
     options = check(
         CameraOptions, scene.rig.camera.options, where=scene.source, prefix="camera.options"
     )

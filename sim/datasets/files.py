@@ -85,7 +85,14 @@ def write_render(
 
 @dataclass(frozen=True)
 class Taken:
-    """When a picture is taken.  frame: its number.  position_mm: of the track."""
+    """When a picture is taken, and where.
+
+    Attributes
+    ----------
+    frame : int, number of the picture, from 0
+    position_mm : float, mm, of the track
+    exposure_ms : float, ms
+    """
 
     frame: int
     position_mm: float
@@ -93,7 +100,18 @@ class Taken:
 
 
 def taken_at(scene: Scene, positions_mm: Sequence[float]) -> list[Taken]:
-    """Pictures of the scene at track positions, the exposure the rig's; InputError beyond reach."""
+    """Pictures of the scene at track positions, each with the rig's exposure.
+
+    Parameters
+    ----------
+    scene : Scene, its rig gives the exposure
+    positions_mm : sequence, mm, along the track
+
+    Raises
+    ------
+    InputError
+        A position lies beyond reach.
+    """
     for position_mm in positions_mm:
         _check_place(position_mm)
     exposure_ms = scene.rig.camera.exposure_ms
@@ -103,10 +121,14 @@ def taken_at(scene: Scene, positions_mm: Sequence[float]) -> list[Taken]:
 def taken_in(run: Run) -> tuple[Scene, list[Taken]]:
     """The scene that a run was made of, from its own rig document, and its recorded pictures.
 
+    Parameters
+    ----------
+    run : Run, made with camera and track of driver "sim"
+
     Raises
     ------
     InputError
-        Where the run was not made in the tank, or holds no picture.
+        The run was not made in the tank, or holds no picture.
     """
     if not set(run.rig_file.document) & SECTIONS:
         raise InputError(

@@ -30,7 +30,17 @@ class TimedFault:
 
 
 def parse_fault(text: str) -> TimedFault:
-    """The fault in ``NAME@SECONDS``, at once without the seconds; InputError for any other."""
+    """The fault that a text names, and when it begins.
+
+    Parameters
+    ----------
+    text : str, ``NAME@SECONDS``; at once without the seconds
+
+    Raises
+    ------
+    InputError
+        The text names no fault, or no time from 0 to 1e6 s.
+    """
     name, at, seconds = text.partition("@")
     try:
         fault = TimedFault(check_name(name), float(seconds) if at else 0.0)

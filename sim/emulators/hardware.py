@@ -54,9 +54,18 @@ class EmulatedHardware:
         options: ServeOptions | None = None,
         progress: Progress | None = None,
     ) -> None:
-        """Switch on; InputError where the scene cannot be served or a port is taken.
+        """Switch on.
 
-        progress: called with (done, all) of the places that ``prepare`` renders.
+        Parameters
+        ----------
+        scene : Scene, its tank is served
+        options : ServeOptions or None, how; the defaults where it is None
+        progress : Progress or None, called with (done, all) of the places that ``prepare`` renders
+
+        Raises
+        ------
+        InputError
+            The scene cannot be served, or a port is taken.
         """
         self.scene, self.options = scene, options or ServeOptions()
         self._timers: list[threading.Timer] = []
@@ -96,12 +105,32 @@ class EmulatedHardware:
         return parse_rig(self.rig_document(), source="emulated hardware")
 
     def write_rig(self, path: Path) -> None:
-        """Write the rig file; InputError where the disk refuses."""
+        """Write the rig file of this hardware.
+
+        Parameters
+        ----------
+        path : Path, the file
+
+        Raises
+        ------
+        InputError
+            The disk refuses.
+        """
         make_folder(path.parent)
         write_toml(path, self.rig_document(), HEADING)
 
     def inject(self, name: str) -> None:
-        """Begin a fault of ``emulators.faults.NAMES``; "none" ends all.  InputError: no such."""
+        """Begin a fault.
+
+        Parameters
+        ----------
+        name : str, one of ``sim.emulators.faults.NAMES``; "none" ends all
+
+        Raises
+        ------
+        InputError
+            There is no such fault.
+        """
         check_name(name)
         if name == HEALED:
             self.heal()
@@ -122,7 +151,12 @@ class EmulatedHardware:
             self._track.inject(Faults())
 
     def schedule(self, fault: TimedFault) -> None:
-        """Let a fault begin in a while."""
+        """Let a fault begin in a while.
+
+        Parameters
+        ----------
+        fault : TimedFault, its name, and after how many seconds it begins
+        """
         timer = threading.Timer(fault.after_s, self.inject, args=(fault.name,))
         timer.daemon = True
         self._timers.append(timer)

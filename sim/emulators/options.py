@@ -12,10 +12,17 @@ from sim.emulators.track import Dialect
 class ServeOptions(Strict):
     """How the tank is served.
 
-    http_port: 0 for any free one.  fps: pictures per second.  quality, subsampling: of the
-    JPEGs and their chroma.  places: how many are kept, 5 MB each at 640 by 480 px.
-    switched_laser: lit only by M3, else always.  prepare: render all of the plan first, and
-    keep it.  dialect: of the controller.  link: a lasting name for its port.
+    Attributes
+    ----------
+    http_port : int, port of the webcam; 0 for any free one
+    fps : float, pictures per second
+    quality : int, of the JPEGs, 1 to 100
+    subsampling : str, of the JPEGs' chroma, "4:4:4", "4:2:2" or "4:2:0"
+    places : int, how many rendered places are kept, 5 MB each at 640 by 480 px
+    switched_laser : bool, the laser is lit only by M3, else always
+    prepare : bool, render all of the plan first, and keep it
+    dialect : Dialect, of the controller, "grbl" or "marlin"
+    link : Path or None, a lasting name for the controller's port
 
     Examples
     --------

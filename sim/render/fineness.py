@@ -19,9 +19,21 @@ Picture = NDArray[np.float32]
 
 
 def fineness_of(shape: tuple[int, ...], picture: tuple[int, int]) -> int:
-    """How many parts a side each pixel of a picture has in an array of ``shape``.
+    """How many parts a side each pixel of a picture has in an array.
 
-    shape: (f H, f W).  picture: (H, W).  Raises InputError where there is no whole f.
+    Parameters
+    ----------
+    shape : (f H, f W) of the array
+    picture : (H, W) of the picture
+
+    Returns
+    -------
+    The whole number f.
+
+    Raises
+    ------
+    InputError
+        There is no whole f.
     """
     fineness = shape[0] // picture[0]
     if fineness < 1 or shape != (fineness * picture[0], fineness * picture[1]):
@@ -35,9 +47,14 @@ def fineness_of(shape: tuple[int, ...], picture: tuple[int, int]) -> int:
 
 
 def finer_lens(lens: Lens, fineness: float) -> Lens:
-    """The lens in units of a part of a pixel instead of a pixel; below 1, of several pixels.
+    """The lens in units of a part of a pixel instead of a pixel.
 
     The middle of pixel c is that of its parts f c to f c + f - 1: f c + (f - 1) / 2.
+
+    Parameters
+    ----------
+    lens : Lens, in units of whole pixels
+    fineness : float, parts a side of each pixel, f; below 1: of several pixels
     """
     u, v = (fineness * c + (fineness - 1) / 2 for c in lens.centre_px)
     return lens.model_copy(
@@ -51,7 +68,13 @@ def finer_lens(lens: Lens, fineness: float) -> Lens:
 
 
 def binned(fine: Picture, fineness: int) -> Picture:
-    """(H, W) means over the parts of each pixel of the (f H, f W) ``fine``, in its unit."""
+    """Means over the parts of each pixel, (H, W) float32, in the unit of ``fine``.
+
+    Parameters
+    ----------
+    fine : (f H, f W) array
+    fineness : int, parts a side of each pixel, f
+    """
     if fineness == 1:
         return fine
     height, width = (side // fineness for side in fine.shape)

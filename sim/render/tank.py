@@ -30,12 +30,17 @@ UM_PER_MM = 1e3
 
 @dataclass(frozen=True)
 class Layers:
-    """What reaches the lens, (H, W) float32 each, W/(m2 sr) in the air behind the port.
+    """What reaches the lens, W/(m2 sr) in the air behind the port.
 
-    (f H, f W) where the scene's render has a fineness f: the lens has yet to blur them.
-    direct: laser light reflected once, by the surface the laser itself lit.  scattered: all
-    other laser light, of the veil, the halo about the line, and reflections of the line.
-    ambient: everything that is not the laser's.
+    They are (H, W) float32 each; (f H, f W) where the scene's render has a fineness f: the lens has
+    yet to blur them.
+
+    Attributes
+    ----------
+    direct : array, laser light reflected once, by the surface the laser itself lit
+    scattered : array, all other laser light: of the veil, the halo about the line, and reflections
+        of the line
+    ambient : array, everything that is not the laser's
     """
 
     direct: Radiance
@@ -48,9 +53,16 @@ class Layers:
         return self.direct + self.scattered
 
     def binned(self, shape: tuple[int, int]) -> "Layers":
-        """The layers of whole pixels, for a picture of ``shape`` (H, W): the means over each.
+        """The layers of whole pixels: the means over the parts of each.
 
-        Raises InputError where the layers are not a whole multiple of it.
+        Parameters
+        ----------
+        shape : (H, W) of the picture
+
+        Raises
+        ------
+        InputError
+            The layers are not a whole multiple of it.
         """
         fineness = fineness_of(self.direct.shape, shape)
         layers = (self.direct, self.scattered, self.ambient)
@@ -85,10 +97,14 @@ class Tank:
         """A camera of the scene, the head at track position 0, for any integrator.
 
         Its film has the scene's fineness of rows and columns to each of the picture's.
-        window: (left, top, width, height) px of the picture to render, all of it if None.
-        medium: a stock medium to stand in, which integrators of Mitsuba's own need.
-        jitter: random samples.  Without it they lie on a regular grid: what is a smooth
-            function of position converges there at once, without noise.
+
+        Parameters
+        ----------
+        window : (left, top, width, height), px, of the picture to render; all of it if None
+        medium : mapping or None, a stock medium to stand in, which integrators of Mitsuba's own
+            need
+        jitter : bool, random samples; without it they lie on a regular grid: what is a smooth
+            function of position converges there at once, without noise
         """
         section, fineness = self.scene.rig.camera, self.scene.tank.render.fineness
         left, top, width, height = window or (0, 0, section.width_px, section.height_px)
@@ -118,10 +134,13 @@ class Tank:
         return camera
 
     def place(self, position_mm: float, exposure_ms: float | None = None) -> None:
-        """Move the head, camera and laser, to a track position in mm.
+        """Move the head, camera and laser, to a track position.
 
-        exposure_ms: how long the shutter is open, which matters where the head does not
-        stand still; the rig's if None.
+        Parameters
+        ----------
+        position_mm : float, mm, along the track
+        exposure_ms : float or None, ms, how long the shutter is open, which matters where the head
+            does not stand still; the rig's if None
         """
         head, sensor = self.scene.tank.head, self.scene.tank.sensor
         pose = head_pose(head, position_mm)
@@ -146,10 +165,20 @@ class Tank:
     ) -> Layers:
         """The layers seen from a track position, (f H, f W) with the scene's fineness f.
 
-        samples, scatter_samples: a pixel, for the first and for all higher orders of light;
-        the scene's if None.  Each of a pixel's f² parts gets its share of them, of the
-        scattered ones rounded up.  time_s: since the laser was switched on.  exposure_ms: as
-        ``place``.  Raises InputError where samples are no square in each part.
+        Each of a pixel's f² parts gets its share of the samples, of the scattered ones rounded up.
+
+        Parameters
+        ----------
+        position_mm : float, mm, along the track
+        samples : int or None, a pixel, for light of the first order; the scene's if None
+        scatter_samples : int or None, a pixel, for all higher orders; the scene's if None
+        time_s : float, s since the laser was switched on
+        exposure_ms : float or None, as of ``place``
+
+        Raises
+        ------
+        InputError
+            The samples are no square number in each part.
         """
         render, laser = self.scene.tank.render, self.scene.tank.laser
         samples = render.samples if samples is None else samples
@@ -231,7 +260,18 @@ class Tank:
 def stock_medium(water: Optics) -> dict[str, Any]:
     """The water as a stock homogeneous medium: nested blends of its lobes and Rayleigh's.
 
-    Raises InputError where its phase function is none of Mitsuba's own.
+    Parameters
+    ----------
+    water : Optics, its particles' phase function is a mixture of Henyey-Greenstein lobes
+
+    Returns
+    -------
+    The dictionary that ``mitsuba.load_dict`` takes; lengths in mm.
+
+    Raises
+    ------
+    InputError
+        The phase function is none of Mitsuba's own.
     """
     if not isinstance(water.particles, HenyeyGreensteinMixture):
         raise InputError(

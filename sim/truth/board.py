@@ -32,12 +32,16 @@ TURNS = 5  # of the rolling shutter's fixed point
 class BoardTruth:
     """The board's marks as they ought to be read; sigma_px is 0.
 
-    centres: the marks' true centres projected: what a map of the plane should be solved from.
-    centroids: the centroids of the dots' pictures, which a perfect extractor would find;
-        the two differ by the perspective's bias.  A ring's points count as dots as wide as its
-    line.
-    A mark is OUT_OF_VIEW where its centre lies outside the picture, OCCLUDED where something
-    occludes it; a ring's points, which have no status, are NaN then.
+    A ring's points count as dots as wide as its line.  A mark is OUT_OF_VIEW where its centre lies
+    outside the picture, OCCLUDED where something occludes it; a ring's points, which have no
+    status, are NaN then.
+
+    Attributes
+    ----------
+    centres : BoardReading, the marks' true centres projected, px: what a map of the plane should be
+        solved from
+    centroids : BoardReading, the centroids of the dots' pictures, px, which a perfect extractor
+        would find; the two differ by the perspective's bias
 
     Examples
     --------

@@ -31,6 +31,10 @@ _log = logging.getLogger(__name__)
 def check_placement(scene: Scene) -> None:
     """Refuse what cannot be scanned, and log what is odd about the target, as warnings.
 
+    Parameters
+    ----------
+    scene : Scene, its target, floor, head and plan
+
     Raises
     ------
     InputError

@@ -42,7 +42,22 @@ class TrueSheet:
 
 
 def sheet_of(scene: Scene, line: int = 0) -> TrueSheet:
-    """The sheet of a line, an index into ``laser.sheets``; InputError where there is none."""
+    """The sheet of one of the laser's lines, head frame.
+
+    Parameters
+    ----------
+    scene : Scene, its laser and its water
+    line : int, index into ``laser.sheets``
+
+    Raises
+    ------
+    InputError
+        There is no such line.
+
+    References
+    ----------
+    docs/explanation/physics.md, section 4.
+    """
     laser = scene.tank.laser
     if not 0 <= line < len(laser.sheets):
         allowed = f"0 to {len(laser.sheets) - 1}"

@@ -23,26 +23,30 @@ MARGIN_PX = 100.0  # more than a coarse piece is long in the picture
 class StripeTruth:
     """The true laser line, one entry per column (or row) of the picture, as records.Stripe.
 
-    position_mm: track position of the head in the middle of the picture's read-out.
-    line: which of ``laser.sheets``.  axis: "columns" or "rows".
-    centre_px: (N,) v (u for rows) of the sheet's mid-plane on the target.
-    xz_mm, y_mm: (N, 2) and (N,) that point in the head frame at the moment the pixel is
-        exposed; y is 0 where the sheet lies as it ought to.
-    lit, seen: (N,) whether the laser reaches it, whether the camera sees it.
-    status: (N,) OK where both; OCCLUDED where the sheet meets something in this column but
-        no point of it is both lit and seen: the entry then describes the lit, else the
-        uppermost of the hidden points; NO_PEAK, and NaN, where the sheet meets nothing.
-    face: (N,) index of the surface in ``surfaces_of(scene)``; -1 where NO_PEAK.
-    edge_px: (N,) distance along the line to the nearer end of the run of neighbouring OK
-        columns that ``continues`` joins, 0 at its ends; NaN where not OK.
-    continues: (N,) whether the line runs on into the next column: on the same face, without a
-        gap, without a jump, and on a mesh without a crease (sim.truth.target.chains).
-    multiple: (N,) whether the column holds more than one lit and seen point; the uppermost
-        (leftmost for rows) is the one given.
-
     Centres are good to 1e-4 px on the sandwave; on plane faces and meshes they are exact, with
     a bowed sheet good to 1e-4 px.  Shadow edges are exact but where the wave itself hides a
     point from the camera by less than 3 um.  With the laser off there is no line.
+
+    Attributes
+    ----------
+    position_mm : float, mm, track position of the head in the middle of the picture's read-out
+    line : int, which of ``laser.sheets``
+    axis : Axis, str, "columns" or "rows"
+    centre_px : (N,) array, px, v (u for rows) of the sheet's mid-plane on the target
+    xz_mm : (N, 2) array, mm, that point in the head frame at the moment the pixel is exposed
+    y_mm : (N,) array, mm, its y in the head frame; 0 where the sheet lies as it ought to
+    lit : (N,) array, whether the laser reaches it
+    seen : (N,) array, whether the camera sees it
+    status : (N,) array, OK where both; OCCLUDED where the sheet meets something in this column but
+        no point of it is both lit and seen: the entry then describes the lit, else the uppermost of
+        the hidden points; NO_PEAK, and NaN, where the sheet meets nothing
+    face : (N,) array, index of the surface in ``surfaces_of(scene)``; -1 where NO_PEAK
+    edge_px : (N,) array, px, distance along the line to the nearer end of the run of neighbouring
+        OK columns that ``continues`` joins, 0 at its ends; NaN where not OK
+    continues : (N,) array, whether the line runs on into the next column: on the same face, without
+        a gap, without a jump, and on a mesh without a crease (sim.truth.target.chains)
+    multiple : (N,) array, whether the column holds more than one lit and seen point; the uppermost
+        (leftmost for rows) is the one given
 
     Examples
     --------

@@ -106,11 +106,19 @@ def in_picture(scene: Scene, pixels: Floats) -> Mask:
 def slice_visibility(scene: Scene, points_mm: Floats, line: int = 0) -> Mask:
     """(N,) whether points of the sandwave are lit and seen when a sheet passes over them.
 
-    points_mm: (N, 2) of (x, y) in the workpiece frame; their height is that of the nominal
-    shape without sand or wedges: eq. (4), on the rims z = 0.  A point that lies outside the
-    picture at that moment is not seen.  line: index into ``laser.sheets``.  Raises InputError
-    where the scene's target is no sandwave, the points are not finite (N, 2), or there is no
-    such line.
+    A point that lies outside the picture at that moment is not seen.
+
+    Parameters
+    ----------
+    scene : Scene, its target is the sandwave, taken without sand and wedges
+    points_mm : (N, 2) array, (x, y), mm, workpiece frame; their height is that of the nominal
+        shape, eq. (4), on the rims z = 0
+    line : int, index into ``laser.sheets``
+
+    Raises
+    ------
+    InputError
+        The target is no sandwave, the points are not finite (N, 2), or there is no such line.
     """
     points = np.asarray(points_mm, dtype=float)
     if points.ndim != 2 or points.shape[1] != 2 or not np.isfinite(points).all():

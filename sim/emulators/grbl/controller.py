@@ -49,7 +49,12 @@ class GrblEmulator(EmulatedController):
         return "Idle"
 
     def inject(self, faults: Faults) -> None:
-        """Let these faults act, instead of those injected before."""
+        """Let these faults act, instead of those injected before.
+
+        Parameters
+        ----------
+        faults : Faults, they act from their ``begin_s`` on
+        """
         self._faults = faults
         self._generator = np.random.default_rng(faults.seed)
 

@@ -20,12 +20,19 @@ POLL_S = 0.002  # between looks at a controller that has not been spoken to
 class Faults:
     """Faults that act from ``begin_s`` on, on the emulator's clock.
 
-    silent: nothing is answered any more.  garble: chance that a byte, in either direction, is
-    replaced by any other; seed: of the generator that draws them.  lose_oks: how many of the
-    next ok never arrive.  alarm: the limit switch closes during the next motion.  stuck: a motion
-    goes no further, though the controller says it does.  slow: how many times longer a motion
-    takes.  restart: the supply dips; the controller starts anew and takes where it stands for
-    zero; quietly: its banner is lost.  unplug: the line breaks.
+    Attributes
+    ----------
+    begin_s : float, s
+    silent : bool, nothing is answered any more
+    garble : float, chance that a byte, in either direction, is replaced by any other
+    seed : int, of the generator that draws those bytes
+    lose_oks : int, how many of the next ok never arrive
+    alarm : bool, the limit switch closes during the next motion
+    stuck : bool, a motion goes no further, though the controller says it does
+    slow : float, how many times longer a motion takes
+    restart : bool, the supply dips; the controller starts anew and takes where it stands for zero
+    quietly : bool, the banner of that restart is lost
+    unplug : bool, the line breaks
     """
 
     begin_s: float = 0.0
@@ -62,7 +69,12 @@ class SimulatedTime:
         return self.now_s
 
     def sleep(self, seconds: float) -> None:
-        """Let ``seconds`` pass at once."""
+        """Let time pass at once.
+
+        Parameters
+        ----------
+        seconds : float, s
+        """
         self.now_s += seconds
 
 
@@ -82,7 +94,12 @@ class DirectLine:
         return len(self._waiting)
 
     def read(self, size: int) -> bytes:
-        """Up to ``size`` bytes; none after a tick of simulated time."""
+        """Up to ``size`` bytes; none after a tick of simulated time.
+
+        Parameters
+        ----------
+        size : int, number of bytes
+        """
         if not self.in_waiting:
             self._time.sleep(TICK_S)
         data = bytes(self._waiting[:size])
@@ -90,7 +107,12 @@ class DirectLine:
         return data
 
     def write(self, data: bytes) -> int:
-        """Send bytes."""
+        """Send bytes.
+
+        Parameters
+        ----------
+        data : bytes, for the controller
+        """
         self._check_open()
         self._controller.receive(data)
         return len(data)

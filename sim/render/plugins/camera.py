@@ -40,9 +40,18 @@ class RefractiveCamera(mi.Sensor):
     ) -> None:
         """Set the optics; every number becomes an opaque value, so no kernel is recompiled.
 
-        glass_index, water_index: relative to air.  aperture_mm: diameter of the entrance
-        pupil of a thin lens in the pinhole's plane; 0 is a pinhole.  Raises InputError where
-        an open aperture lacks the distance it is focused at.
+        Parameters
+        ----------
+        lens : Lens, of the picture, px
+        port : Port, its air gap and its glass
+        glass_index, water_index : float, relative to air
+        aperture_mm : float, mm, diameter of the entrance pupil of a thin lens in the pinhole's
+            plane; 0 is a pinhole
+
+        Raises
+        ------
+        InputError
+            An open aperture lacks the distance it is focused at.
         """
         if aperture_mm > 0 and lens.focus_mm is None:
             raise InputError(
@@ -60,21 +69,37 @@ class RefractiveCamera(mi.Sensor):
         self.port = self.make_port(port, glass_index, water_index)
 
     def make_port(self, port: Port, glass_index: float, water_index: float) -> PortOptics:
-        """The port as this kind of camera sees through it: in closed form."""
+        """The port as this kind of camera sees through it: in closed form.
+
+        Parameters
+        ----------
+        port : Port, its air gap and its glass
+        glass_index, water_index : float, relative to air
+        """
         return closed_form(port, glass_index, water_index)
 
     def place(self, pose: Pose) -> None:
-        """Put the camera at ``pose``, camera frame (x right, y down, z forward) to world."""
+        """Put the camera at a pose.
+
+        Parameters
+        ----------
+        pose : Pose, camera frame (x right, y down, z forward) to world
+        """
         self.axes = [opaque_vector(column) for column in pose.rotation.T]
         self.origin = mi.Point3f(opaque_vector(pose.origin_mm))
 
     def move(self, velocity_mm_s: Floats, exposure_ms: float, readout_ms: float) -> None:
         """Move the camera while the picture is taken, about the pose it is placed at.
 
-        velocity_mm_s: (3,), world frame.  exposure_ms: of each row.  readout_ms: how long a
-        rolling shutter takes over all rows.  Rays have the time, in seconds,
-        (row / height - 1/2) readout + (shutter sample - 1/2) exposure, and start displaced by
-        velocity times it; all times are 0 where neither velocity nor readout is set.
+        Rays have the time, in seconds, (row / height - 1/2) readout + (shutter sample - 1/2)
+        exposure, and start displaced by velocity times it; all times are 0 where neither velocity
+        nor readout is set.
+
+        Parameters
+        ----------
+        velocity_mm_s : (3,) array, mm/s, world frame
+        exposure_ms : float, ms, of each row
+        readout_ms : float, ms, how long a rolling shutter takes over all rows
         """
         self.is_moving = any(velocity_mm_s) or readout_ms != 0
         self.velocity = opaque_vector(velocity_mm_s)
@@ -94,7 +119,13 @@ class RefractiveCamera(mi.Sensor):
     ) -> tuple[mi.Ray3f, mi.Spectrum]:
         """A ray in the water, world frame, and its weight (sim.render.plugins.ports.PortCrossing).
 
-        time: the shutter sample, 0 to 1.
+        Parameters
+        ----------
+        time : Float, the shutter sample, 0 to 1
+        wavelength_sample : Float, not used; there is one wavelength
+        position_sample : Point2f, place in the picture, 0 to 1 along each side
+        aperture_sample : Point2f, place in the entrance pupil, 0 to 1 along each side
+        active : Bool, which of the rays are wanted
         """
         film = self.film()
         # The one place where Mitsuba's film convention meets ours: the sample spans [0, 1]

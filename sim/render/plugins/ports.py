@@ -113,9 +113,16 @@ def cross_face(
 
 
 def fresnel_transmission(cos_in: mi.Float, cos_out: mi.Float, ratio: mi.Float) -> mi.Float:
-    """Power transmitted by an interface for unpolarised light; ratio is n_out / n_in.
+    """Power transmitted by an interface for unpolarised light, 0 to 1.
 
-    Fresnel's equations (Born & Wolf, Principles of Optics, sec. 1.5.2).
+    Parameters
+    ----------
+    cos_in, cos_out : Float, cosines of the angles to the normal before and behind the interface
+    ratio : Float, n_out / n_in
+
+    References
+    ----------
+    Born & Wolf, Principles of Optics, sec. 1.5.2 (Fresnel's equations).
     """
     r_s = (cos_in - ratio * cos_out) / (cos_in + ratio * cos_out)
     r_p = (ratio * cos_in - cos_out) / (ratio * cos_in + cos_out)

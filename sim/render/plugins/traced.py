@@ -62,7 +62,13 @@ class TracedCamera(RefractiveCamera):
     """As ``RefractiveCamera``, its port traced; the port's numbers are compiled in."""
 
     def make_port(self, port: Port, glass_index: float, water_index: float) -> PortOptics:
-        """The port as dielectric geometry."""
+        """The port as dielectric geometry.
+
+        Parameters
+        ----------
+        port : Port, its air gap and its glass
+        glass_index, water_index : float, relative to air
+        """
         return TracedPort(port_shapes(port, glass_index, water_index))
 
 

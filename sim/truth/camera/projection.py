@@ -43,7 +43,17 @@ class RaysToPoints:
 
 
 def camera_of(scene: Scene) -> TrueCamera:
-    """The scene's camera, looking into the scene's water at the laser's wavelength."""
+    """The scene's camera, looking into the scene's water at the laser's wavelength.
+
+    Parameters
+    ----------
+    scene : Scene, its head, lens, port and water
+
+    Raises
+    ------
+    InputError
+        An index is not known at that wavelength.
+    """
     tank, wavelength_nm = scene.tank, scene.tank.laser.wavelength_nm
     index = water_optics(tank.water, wavelength_nm).index
     glass = {"glass_index": glass_index(tank.port.glass_index, wavelength_nm)}

@@ -47,14 +47,16 @@ CHANNELS = {
 class LineBrightness:
     """The true line's brightness, one entry per column (or row); NaN where its status is not OK.
 
-    height_dn: (N,) grey values by which the line's brightest pixel is expected above those beside
-        the line: what ``stripe.threshold_dn`` is held against.
-    noise_dn: (N,) standard deviation of a pixel beside the line: dark and shot noise, the pixels'
-        differences, rounding.
-    height_sigma_dn: (N,) standard deviation of the brightest pixel, speckle and the line's own
-        shot noise included.
-    snr: (N,) height_dn over noise_dn.  The highest of 480 pixels of pure noise stands out of it
-        by 3.0 (the mean of the largest of 480 normal numbers): below, a line is lost in noise.
+    Attributes
+    ----------
+    height_dn : (N,) array, DN, by which the line's brightest pixel is expected above those beside
+        the line: what ``stripe.threshold_dn`` is held against
+    noise_dn : (N,) array, DN, standard deviation of a pixel beside the line: dark and shot noise,
+        the pixels' differences, rounding
+    height_sigma_dn : (N,) array, DN, standard deviation of the brightest pixel, speckle and the
+        line's own shot noise included
+    snr : (N,) array, height_dn over noise_dn; the highest of 480 pixels of pure noise stands out of
+        it by 3.0 (the mean of the largest of 480 normal numbers): below, a line is lost in noise
     """
 
     height_dn: Floats
