@@ -121,10 +121,13 @@ def headless_chromium() -> Iterator[Chromium]:
 
 
 def wait_for(page: Page, condition: str) -> None:
-    """Wait until the JavaScript ``condition`` holds in the page.
+    """Wait until a condition holds in the page.
 
-    It is sent as a function: a bare expression goes through eval(), which the Content Security
-    Policy of the live page forbids.
+    Parameters
+    ----------
+    page : Page, an open page
+    condition : str, JavaScript; it is sent as a function: a bare expression goes through eval(),
+        which the Content Security Policy of the live page forbids
     """
     page.wait_for_function(f"() => ({condition})")
 

@@ -34,8 +34,14 @@ set wrong by less is tolerated, so there it must be long for a picture on a busy
 class FaultBench:
     """The devices of one experiment and its fault.
 
-    reported: frames reported as done so far.  asked_s: frame to when its last grab began, on
-    the monotonic clock.  injected: whether the fault's moment came.
+    Attributes
+    ----------
+    fault : InjectedFault, the fault, its moment and its strength
+    folder : Path, of the run
+    seed : int, of what the devices draw
+    reported : int, frames reported as done so far
+    asked_s : dict, frame to when its last grab began, s, on the monotonic clock
+    injected : bool, whether the fault's moment came
     """
 
     fault: InjectedFault

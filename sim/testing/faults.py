@@ -41,9 +41,15 @@ KINDS: Final[Mapping[str, FaultKind]] = {
 class InjectedFault:
     """One fault.
 
-    frame: in whose turn it occurs.  phase: when within it; part: where within the phase, 0 to
-    1 of the way, or of the system calls that write the frame.  strength: as the device's
-    ``inject`` takes it.  stamped: whether the camera stamps its pictures with their time.
+    Attributes
+    ----------
+    kind : str, a key of KINDS
+    frame : int, in whose turn it occurs
+    phase : Phase, when within that turn
+    part : float, where within the phase, 0 to 1 of the way, or of the system calls that write the
+        frame
+    strength : float, as the device's ``inject`` takes it
+    stamped : bool, whether the camera stamps its pictures with their time
     """
 
     kind: str
@@ -60,7 +66,13 @@ class InjectedFault:
 
 
 def draw_fault(kind: str, generator: np.random.Generator) -> InjectedFault:
-    """A fault of this kind, its moment and its strength drawn."""
+    """A fault of a kind, its moment and its strength drawn.
+
+    Parameters
+    ----------
+    kind : str, a key of KINDS
+    generator : Generator, all is drawn from it
+    """
     device = KINDS[kind].device
     phase: Phase = PHASES[int(generator.integers(len(PHASES)))]
     if kind == "folder vanished" and phase == "opening":  # there is none yet

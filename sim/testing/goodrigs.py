@@ -55,7 +55,14 @@ class RigPart:
 
 @dataclass(frozen=True)
 class GoodRig:
-    """A rig file that is right, and the parts of it that are to be set wrong."""
+    """A rig file that is right, and the parts of it that are to be set wrong.
+
+    Attributes
+    ----------
+    name : str, for messages
+    document : Document, the rig file's tables
+    parts : tuple, each a table of the document, and the model that checks it
+    """
 
     name: str
     document: Document
@@ -134,7 +141,12 @@ def _of_track(driver: str) -> RigPart:
 
 
 def write_beside(folder: Path) -> None:
-    """Make in ``folder`` the files that the good rigs name."""
+    """Make the files that the good rigs name: a video, a mesh, a picture and a run.
+
+    Parameters
+    ----------
+    folder : Path, of the rig file
+    """
     for name in ("video.avi", "mesh.ply", "picture.png"):
         (folder / name).touch()
     width_px, height_px = SIZE_PX

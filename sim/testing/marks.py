@@ -39,7 +39,12 @@ def draw_mark(image: Bytes, mark: ExposureMark) -> None:
 
 
 def read_mark(image: Bytes) -> ExposureMark | None:
-    """The mark of a picture (H, W, 3) uint8; None where it carries none that is whole."""
+    """The mark of a picture; None where it carries none that is whole.
+
+    Parameters
+    ----------
+    image : (H, W, 3) uint8 array
+    """
     if image.ndim != 3 or image.shape[1] < LENGTH:
         return None
     first = image[0, :LENGTH]

@@ -42,8 +42,13 @@ MOST_SHOWN = 30
 class WrongField:
     """A rig file with one thing wrong.
 
-    keys: what the message must name.  change: the value set, None where a key was taken away.
-    words: what else the message must hold, of what is allowed.
+    Attributes
+    ----------
+    what : str, what was done to it
+    document : Document, the rig file's tables
+    keys : Keys, what the message must name
+    change : the value set, None where a key was taken away
+    words : tuple, what else the message must hold, of what is allowed
     """
 
     what: str
@@ -114,7 +119,12 @@ def _is_of(model: Schema, table: Document) -> bool:
 
 
 def wrong_fields(rig: GoodRig) -> Iterator[WrongField]:
-    """The rig with each of its fields wrong in every way, one at a time."""
+    """The rig with each of its fields wrong in every way, one at a time.
+
+    Parameters
+    ----------
+    rig : GoodRig, a rig that is right
+    """
     for place in places(rig):
         yield from _wrong_values(rig, place)
         if place.owner is not None:
@@ -149,7 +159,12 @@ def _changed(rig: GoodRig, keys: Keys, value: Any, words: tuple[str, ...]) -> Wr
 
 
 def crossed_rigs(rigs: list[GoodRig]) -> Iterator[WrongField]:
-    """The rigs that break a rule over several fields."""
+    """The rigs that break a rule over several fields.
+
+    Parameters
+    ----------
+    rigs : list, all that are right; each rule takes the first that it fits
+    """
     for crossing in CROSSINGS:
         rig = next(rig for rig in rigs if crossing.fits(rig.document))
         document = deepcopy(rig.document)
@@ -165,5 +180,15 @@ def _at(document: Any, keys: Keys) -> Any:
 
 
 def dotted(keys: Keys) -> str:
-    """The keys as a message names them: "camera.options.flush_frames"."""
+    """The keys as a message names them: "camera.options.flush_frames".
+
+    Parameters
+    ----------
+    keys : Keys, path through a document: names of keys, indices of entries
+
+    Examples
+    --------
+    >>> dotted(("plan", "frames"))
+    'plan.frames'
+    """
     return ".".join(map(str, keys))

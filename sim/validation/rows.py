@@ -18,13 +18,21 @@ from lscan.files.packaged import packaged_table
 class Row:
     """One figure: how far something is from its reference, and how far it may be.
 
-    what: the quantity.  reference: the closed form, the published value or the renderer it
-    is held against.  figure: as measured, in ``unit``.  bar: the largest figure allowed, in
-    ``unit``; None where the figure is only reported.  at_least: the figure must instead be no
-    smaller than the bar.  tolerance_from: where the bar comes from.  seed: of the random
-    numbers used, None where there are none.  noisy: noise moves the figure, so that the few
-    samples of a quick run may put it beyond its bar.  quick: it was measured in such a run.
-    error: what kept it from being measured, "" where nothing did.
+    Attributes
+    ----------
+    what : str, the quantity
+    reference : str, the closed form, the published value or the renderer it is held against
+    figure : float, as measured, in ``unit``
+    bar : float or None, the largest figure allowed, in ``unit``; None where the figure is only
+        reported
+    unit : str, of figure and bar
+    tolerance_from : str, where the bar comes from
+    seed : int or None, of the random numbers used, None where there are none
+    at_least : bool, the figure must instead be no smaller than the bar
+    noisy : bool, noise moves the figure, so that the few samples of a quick run may put it beyond
+        its bar
+    quick : bool, it was measured in such a run
+    error : str, what kept it from being measured, "" where nothing did
     """
 
     what: str
@@ -161,7 +169,12 @@ def failed_row(what: str, error: Exception) -> Row:
 
 
 def all_passed(rows: Iterable[Row]) -> bool:
-    """Whether no row failed; rows that are not judged do not count."""
+    """Whether no row failed; rows that are not judged do not count.
+
+    Parameters
+    ----------
+    rows : iterable, of any chapters
+    """
     return all(row.passed is not False for row in rows)
 
 
@@ -171,7 +184,18 @@ def rows_of(checks: Iterable[Topic]) -> list[Row]:
 
 
 def write_rows(path: Path, rows: Sequence[Row]) -> None:
-    """Write the rows to ``path`` as a JSON list; InputError where the disk refuses."""
+    """Write the rows as a JSON list.
+
+    Parameters
+    ----------
+    path : Path, the file; its folder is made
+    rows : sequence, of any chapters
+
+    Raises
+    ------
+    InputError
+        The disk refuses.
+    """
     text = json.dumps([row.as_json() for row in rows], indent=2, allow_nan=False)
     make_folder(path.parent)
     write_atomically(path, f"{text}\n".encode())
@@ -182,7 +206,12 @@ VERDICTS = {True: "yes", False: "NO", None: "-"}
 
 
 def table_cells(rows: Iterable[Row]) -> list[list[str]]:
-    """Cells of the printed table beneath HEADINGS; an error follows what it prevented."""
+    """Cells of the printed table beneath HEADINGS; an error follows what it prevented.
+
+    Parameters
+    ----------
+    rows : iterable, of any chapters
+    """
     return [
         [
             f"{row.what}: {row.error}" if row.error else row.what,

@@ -74,10 +74,18 @@ class Gain:
 
 
 def run_bench(scenes: Path, output: Path, quick: bool = False) -> list[Row]:
-    """The rows, also written to ``output`` as they are measured.
+    """The rows, also written as they are measured.
 
-    scenes: folder of board.toml and groove.toml.  quick: every row, with the least effort.
-    Raises InputError where a scene file is wrong or the disk refuses.
+    Parameters
+    ----------
+    scenes : Path, folder of board.toml and groove.toml
+    output : Path, the JSON file
+    quick : bool, every row, with the least effort
+
+    Raises
+    ------
+    InputError
+        A scene file is wrong, or the disk refuses.
     """
     groove, board = load_rig(scenes / "groove.toml"), load_rig(scenes / "board.toml")
     effort = QUICK if quick else FULL

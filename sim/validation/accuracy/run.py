@@ -24,12 +24,23 @@ def run_accuracy(
     quick: bool = False,
     progress: Progress | None = None,
 ) -> list[Row]:
-    """The rows, also written to ``output`` as a JSON list, chapter by chapter.
+    """The rows, also written as a JSON list, chapter by chapter.
 
-    scenes: folder of the scene files.  photographs: folder of the real pictures, whose chapter
-    is skipped where it is None.  quick: every row, with the least effort.  progress: called with
-    (done, all) after each chapter.  A chapter that ends with an error is a failed row.  Raises
-    InputError where a scene file is wrong, ``photographs`` is not there, or the disk refuses.
+    A chapter that ends with an error is a failed row.
+
+    Parameters
+    ----------
+    scenes : Path, folder of the scene files
+    photographs : Path or None, folder of the real pictures, whose chapter is skipped where it is
+        None
+    output : Path, the JSON file
+    quick : bool, every row, with the least effort
+    progress : Progress or None, called with (done, all) after each chapter
+
+    Raises
+    ------
+    InputError
+        A scene file is wrong, ``photographs`` is not there, or the disk refuses.
     """
     if photographs is not None:
         list_names(photographs)  # refuses a folder that is not there

@@ -110,7 +110,12 @@ def fault_rows(each: int, seed: int = SEED) -> tuple[list[Row], list[Outcome]]:
 
 
 def kind_cells(outcomes: Sequence[Outcome]) -> list[list[str]]:
-    """Cells of a table: kind of fault, and how many were injected, tolerated, stopping, unclean."""
+    """Cells of a table: kind of fault, and how many were injected, tolerated, stopping, unclean.
+
+    Parameters
+    ----------
+    outcomes : sequence, of the campaign's experiments
+    """
     counts: dict[str, Counter[str]] = {kind: Counter() for kind in KINDS}
     for outcome in outcomes:
         if outcome.injected:

@@ -22,13 +22,22 @@ NEEDED = ("board", "sandwave")
 def run_hardware(
     scenes: Path, output: Path, quick: bool = False, progress: Progress | None = None
 ) -> tuple[list[Row], list[Outcome]]:
-    """The rows, also written to ``output`` as they are measured, and what became of each fault.
+    """The rows, also written as they are measured, and what became of each fault.
 
-    scenes: folder of the scene files.  quick: every row, with the least effort.  progress: called
-    with (done, all) after each chapter.  The chapters take turns, because one would spoil what
-    another measures of time; one that ends with an error, as the live page's does without
-    Chromium, is a failed row.  Raises InputError where a scene file is wrong or the disk
-    refuses.
+    The chapters take turns, because one would spoil what another measures of time; one that ends
+    with an error, as the live page's does without Chromium, is a failed row.
+
+    Parameters
+    ----------
+    scenes : Path, folder of the scene files
+    output : Path, the JSON file
+    quick : bool, every row, with the least effort
+    progress : Progress or None, called with (done, all) after each chapter
+
+    Raises
+    ------
+    InputError
+        A scene file is wrong, or the disk refuses.
     """
     for name in NEEDED:
         load_rig(scenes / "paper" / f"{name}.toml")  # refuses a bad file before minutes of work
