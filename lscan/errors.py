@@ -73,7 +73,12 @@ class Stopped(LscanError):
 
 
 def missing_package(error: ModuleNotFoundError) -> str:
-    """What to do about a package that an import did not find, in one line."""
+    """What to do about a package that an import did not find, in one line.
+
+    Parameters
+    ----------
+    error : ModuleNotFoundError, of the import
+    """
     return (
         f"needs the package {error.name}, which is not installed; "
         "what the tank needs is installed by pip install 'lscan[tank]'"

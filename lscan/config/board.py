@@ -164,14 +164,29 @@ class Board(Strict):
         return np.vstack([np.column_stack([p, np.full(len(p), d)]) for p, d in sets])
 
     def dot_mm(self, name: str) -> Floats:
-        """(2,) nominal (x, z) of a named dot; KeyError where there is none."""
+        """(2,) nominal (x, z) of a named dot, mm, plane frame.
+
+        Parameters
+        ----------
+        name : str, of the dot, such as "A"
+
+        Raises
+        ------
+        KeyError
+            There is no such dot.
+        """
         for dot in self.dot:
             if dot.name == name:
                 return np.array([dot.x_mm, dot.z_mm])
         raise KeyError(name)
 
     def distance_mm(self, first: str, second: str) -> float:
-        """Nominal distance between two named dots, mm."""
+        """Nominal distance between two named dots, mm.
+
+        Parameters
+        ----------
+        first, second : str, names of the dots
+        """
         return float(np.linalg.norm(self.dot_mm(first) - self.dot_mm(second)))
 
     def outline_mm(self) -> tuple[float, float, float, float]:
@@ -189,5 +204,15 @@ def _near_pairs(discs: Floats) -> list[tuple[Floats, Floats]]:
 
 
 def load_board(path: Path) -> Board:
-    """The board described by a TOML file; InputError names what is wrong with it."""
+    """The board described by a TOML file.
+
+    Parameters
+    ----------
+    path : Path, the file
+
+    Raises
+    ------
+    InputError
+        Names the file, the key, the value and what is allowed.
+    """
     return check(Board, read_document(path), where=path)

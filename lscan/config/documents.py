@@ -155,10 +155,20 @@ def _parse(path: Path) -> Document:
 
 
 def read_json(path: Path, most: int = MOST_TEXT_BYTES, within: Path | None = None) -> Any:
-    """What the JSON file at ``path`` holds.
+    """What a JSON file holds.
 
-    most, within: as ``disk.read_bytes`` has them.  Raises InputError where it cannot be read, is
-    no JSON, or holds what is no finite number, a null character, or tables too deep in one another.
+    Parameters
+    ----------
+    path : Path, the file
+    most : int, its largest size, bytes
+    within : Path or None, a folder whose content is a stranger's, and the file in it: no link out
+        of it is followed
+
+    Raises
+    ------
+    InputError
+        The file cannot be read, is no JSON, or holds what is no finite number, a null character, or
+        tables too deep in one another.
     """
     text = read_text(path, most, within)
     try:
@@ -211,10 +221,20 @@ def _may_be_path(value: Any) -> bool:
 
 
 def merge(base: Document, over: Document) -> Document:
-    """A new document: ``base`` with the keys of ``over`` laid over it, table by table.
+    """A new document: one with the keys of another laid over it, table by table.
 
     A table that is of another ``kind`` than the one beneath it replaces it: what was set for
     a flat port says nothing about a dome.
+
+    Parameters
+    ----------
+    base : Document, the document beneath
+    over : Document, the document whose keys win
+
+    Examples
+    --------
+    >>> merge({"plan": {"frames": 3, "step_mm": 1.0}}, {"plan": {"frames": 9}})
+    {'plan': {'frames': 9, 'step_mm': 1.0}}
     """
     result = dict(base)
     for key, value in over.items():

@@ -17,15 +17,28 @@ _KINDS = {
 
 @cache
 def installed(group: str) -> dict[str, EntryPoint]:
-    """The entry points of a group by name; looked for once, since every package is read for it."""
+    """The entry points of a group by name; looked for once, since every package is read for it.
+
+    Parameters
+    ----------
+    group : str, "lscan.cameras", "lscan.tracks", "lscan.extractors" or "lscan.planemaps"
+    """
     return {entry.name: entry for entry in sorted(entry_points(group=group))}
 
 
 def find_plugin(group: str, name: str, where: object = None) -> Any:
-    """The object registered under ``name`` in an entry-point group of this project.
+    """The object registered under a name in an entry-point group of this project.
 
-    group: "lscan.cameras", "lscan.tracks", "lscan.extractors" or "lscan.planemaps".
-    Raises InputError that lists the names there are, or names the package that it lacks.
+    Parameters
+    ----------
+    group : str, "lscan.cameras", "lscan.tracks", "lscan.extractors" or "lscan.planemaps"
+    name : str, of the entry point
+    where : the file or key, for the error
+
+    Raises
+    ------
+    InputError
+        There is no such name (lists those there are), or a package that it needs is missing.
     """
     found = installed(group)
     if name not in found:
@@ -38,14 +51,33 @@ def find_plugin(group: str, name: str, where: object = None) -> Any:
 
 
 def names_code(name: str) -> bool:
-    """Whether a name is of a function to be imported, not of an installed plug-in."""
+    """Whether a name is of a function to be imported, not of an installed plug-in.
+
+    Parameters
+    ----------
+    name : str, of a plug-in, or ``package.module:function``
+
+    Examples
+    --------
+    >>> names_code("centroid-relative"), names_code("package.module:function")
+    (False, True)
+    """
     return ":" in name
 
 
 def find_plugin_or_function(group: str, name: str, where: object = None) -> Any:
-    """The object registered under ``name``, or the function ``package.module:function``.
+    """The object registered under a name, or the function that the name is of.
 
-    Raises InputError where there is none.
+    Parameters
+    ----------
+    group : str, as of ``find_plugin``
+    name : str, of the entry point, or ``package.module:function``
+    where : the file or key, for the error
+
+    Raises
+    ------
+    InputError
+        There is none, or it cannot be imported.
     """
     if not names_code(name):
         return find_plugin(group, name, where)

@@ -20,8 +20,12 @@ from lscan.errors import InputError
 class RigFile:
     """A rig as read: the model, the whole merged document it came from, and from where.
 
-    document holds all sections, the drivers' included, with the board's file read in, so
-    that it stands alone: it is what a run folder keeps.
+    Attributes
+    ----------
+    rig : Rig, all that does not belong to drivers
+    document : Document, all sections, the drivers' included, with the board's file read in, so that
+        it stands alone: it is what a run folder keeps
+    source : str, the file, for errors
 
     Examples
     --------
@@ -36,7 +40,12 @@ class RigFile:
     source: str
 
     def section(self, name: str) -> Document:
-        """A driver's own section of the document, {} where the file has none."""
+        """A driver's own section of the document, {} where the file has none.
+
+        Parameters
+        ----------
+        name : str, of the section
+        """
         return self.document.get(name, {})
 
 
@@ -134,7 +143,15 @@ def _check_shaft(rig: Rig, source: str) -> None:
 def inline_board(document: Document, source: str) -> Document:
     """The document with ``[board] file = ...`` replaced by what that file holds.
 
-    source: the document's own file, for the InputError raised where the board's cannot be read.
+    Parameters
+    ----------
+    document : Document, as ``read_document`` gives it
+    source : str, the document's own file, for the error
+
+    Raises
+    ------
+    InputError
+        The board's file cannot be read.
     """
     board = document.get("board")
     if not isinstance(board, dict) or "file" not in board:
@@ -185,7 +202,15 @@ def _check_laser(rig_file: RigFile) -> None:
 def drivers_of(rig: Rig, source: str) -> tuple[Any, Any]:
     """The rig's camera driver and its track driver.
 
-    Raises InputError, which names the file ``source``, for an unknown one.
+    Parameters
+    ----------
+    rig : Rig, its ``camera.driver`` and ``track.driver`` name the drivers
+    source : str, the rig's file, for the error
+
+    Raises
+    ------
+    InputError
+        There is no such driver.
     """
     return (
         find_plugin("lscan.cameras", rig.camera.driver, where=f"{source}: camera.driver"),

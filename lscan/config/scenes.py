@@ -76,7 +76,17 @@ def included_file(folder: Path, name: str) -> Path:
 
 
 def copy_scenes(folder: Path) -> None:
-    """Copy all scenes to a new folder; InputError where it is there already, or cannot be made."""
+    """Copy all scenes that come with lscan to a new folder.
+
+    Parameters
+    ----------
+    folder : Path, a folder that is not there yet
+
+    Raises
+    ------
+    InputError
+        The folder is there already, or cannot be made.
+    """
     if os.path.lexists(folder):
         raise InputError("is there already", where=folder, allowed="a new folder")
     with disk_errors(folder):

@@ -109,7 +109,12 @@ class Sandwave(Strict):
     wedge: Wedge = Wedge()
 
     def height_mm(self, x_mm: Floats, y_mm: Floats) -> Floats:
-        """z of eq. (4) in mm at (x, y) in mm, arrays of one shape; not clipped to the region."""
+        """z of eq. (4), mm, workpiece frame; same shape, not clipped to the region.
+
+        Parameters
+        ----------
+        x_mm, y_mm : arrays of one shape, mm, workpiece frame
+        """
         phase = self.c_per_mm * x_mm + self.d_rad * np.sin(self.e_per_mm * y_mm)
         return (self.a_mm + self.b * y_mm) * np.sin(phase)
 

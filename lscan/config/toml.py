@@ -40,10 +40,18 @@ def toml_text(document: Document, heading: str = "") -> str:
 
 
 def write_toml(file: Path, document: Document, heading: str = "") -> None:
-    """Write the document to ``file``, whole or not at all, as ``toml_text`` puts it.
+    """Write a document as TOML, whole or not at all, as ``toml_text`` puts it.
 
-    Raises InputError where the disk refuses, or where a text, such as a folder's name, is not
-    Unicode.
+    Parameters
+    ----------
+    file : Path, replaced where it is there
+    document : Document, tables of what TOML has
+    heading : str, comment lines, each with its ``#``, that stand first
+
+    Raises
+    ------
+    InputError
+        The disk refuses, or a text, such as a folder's name, is not Unicode.
     """
     try:
         data = toml_text(document, heading).encode()

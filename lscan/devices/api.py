@@ -18,7 +18,11 @@ Fact = str | float | bool | None
 class Grab:
     """One picture as the camera delivers it.
 
-    image: (H, W) or (H, W, 3) uint8, colour as RGB.  time_s: the camera's own clock.
+    Attributes
+    ----------
+    image : (H, W) grey or (H, W, 3) RGB uint8 array
+    time_s : float, s, of the camera's own clock
+    exposure_ms : float, ms, as the camera reports it
     """
 
     image: Bytes

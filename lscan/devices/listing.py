@@ -106,6 +106,10 @@ def drivers() -> list[Driver]:
 def rig_devices(rig_file: RigFile) -> dict[str, dict[str, Fact]]:
     """What the rig's devices can do, as known without touching them.
 
+    Parameters
+    ----------
+    rig_file : RigFile, names the drivers and their options
+
     Returns
     -------
     dict
@@ -114,7 +118,7 @@ def rig_devices(rig_file: RigFile) -> dict[str, dict[str, Fact]]:
     Raises
     ------
     InputError
-        Where a driver is unknown or refuses its options.
+        A driver is unknown or refuses its options.
     """
     rig = rig_file.rig
     camera, track = drivers_of(rig, rig_file.source)

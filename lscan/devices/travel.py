@@ -67,11 +67,31 @@ class TravelDriver(Generic[Options]):
     slack_mm = 0.0
 
     def validate(self, rig_file: RigFile) -> None:
-        """Check the options, and that the plan stays within the travel: InputError."""
+        """Check the options, and that the plan stays within the travel.
+
+        Parameters
+        ----------
+        rig_file : RigFile, its track's options and its plan
+
+        Raises
+        ------
+        InputError
+            An option is wrong, or the plan leaves the travel.
+        """
         self.options(rig_file)
 
     def options(self, rig_file: RigFile) -> Options:
-        """The options; InputError where one is wrong or the plan leaves the travel."""
+        """The options of the rig's track.
+
+        Parameters
+        ----------
+        rig_file : RigFile, its track's options and its plan
+
+        Raises
+        ------
+        InputError
+            An option is wrong, or the plan leaves the travel.
+        """
         where, plan = rig_file.source, rig_file.rig.plan
         section = rig_file.rig.track.options
         options = check(self.model, section, where=where, prefix="track.options")

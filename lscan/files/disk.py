@@ -81,7 +81,20 @@ def read_bytes(file: Path, most: int, within: Path | None = None) -> bytes:
 
 
 def read_text(file: Path, most: int = MOST_TEXT_BYTES, within: Path | None = None) -> str:
-    """The text of a regular file in UTF-8; InputError where it is none, or as ``read_bytes``."""
+    """The text of a regular file in UTF-8.
+
+    Parameters
+    ----------
+    file : Path, links are followed
+    most : int, its largest size, bytes
+    within : Path or None, a folder whose content is a stranger's, and the file in it: no link out
+        of it is followed
+
+    Raises
+    ------
+    InputError
+        The file is not UTF-8 text, or as ``read_bytes``.
+    """
     try:
         return read_bytes(file, most, within).decode("utf-8")
     except UnicodeDecodeError as error:
@@ -89,7 +102,18 @@ def read_text(file: Path, most: int = MOST_TEXT_BYTES, within: Path | None = Non
 
 
 def require_within(path: Path, folder: Path) -> None:
-    """Raise InputError where ``path``, followed through links, lies outside ``folder``."""
+    """Refuse a path that leads out of a folder.
+
+    Parameters
+    ----------
+    path : Path, followed through links
+    folder : Path, followed through links
+
+    Raises
+    ------
+    InputError
+        The path lies outside the folder.
+    """
     followed = os.path.realpath(path)
     if not Path(followed).is_relative_to(os.path.realpath(folder)):
         raise InputError(
@@ -101,7 +125,17 @@ def require_within(path: Path, folder: Path) -> None:
 
 
 def list_names(folder: Path) -> set[str]:
-    """Names of all that is in ``folder``; InputError where it cannot be read."""
+    """Names of all that is in a folder.
+
+    Parameters
+    ----------
+    folder : Path, the folder
+
+    Raises
+    ------
+    InputError
+        The folder cannot be read.
+    """
     try:
         return {entry.name for entry in folder.iterdir()}
     except OSError as error:
@@ -109,7 +143,17 @@ def list_names(folder: Path) -> set[str]:
 
 
 def make_folder(folder: Path) -> None:
-    """Make ``folder`` and those above it where they are missing; InputError where it cannot."""
+    """Make a folder and those above it where they are missing.
+
+    Parameters
+    ----------
+    folder : Path, the folder
+
+    Raises
+    ------
+    InputError
+        The folder cannot be made.
+    """
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
@@ -117,15 +161,34 @@ def make_folder(folder: Path) -> None:
 
 
 def temporary_name(name: str) -> str:
-    """What a file called ``name`` is called while it is being written."""
+    """What a file is called while it is being written.
+
+    Parameters
+    ----------
+    name : str, of the file, without its folder
+
+    Examples
+    --------
+    >>> temporary_name("run.json")
+    '.run.json.tmp'
+    """
     return f".{name}.tmp"
 
 
 def write_atomically(file: Path, data: bytes) -> None:
-    """Write ``data`` to ``file``, synced: at any moment the old file or the whole new one is
-    there.
+    """Write a file, synced: at any moment the old file or the whole new one is there.
 
-    Raises InputError where the disk refuses; no temporary file stays.
+    No temporary file stays.
+
+    Parameters
+    ----------
+    file : Path, replaced where it is there
+    data : bytes, all that the file is to hold
+
+    Raises
+    ------
+    InputError
+        The disk refuses; ``DiskError`` where it is full or failed.
     """
     temporary = file.with_name(temporary_name(file.name))
     with disk_errors(file):
@@ -148,9 +211,18 @@ def write_atomically(file: Path, data: bytes) -> None:
 
 
 def append_synced(descriptor: int, data: bytes, file: Path) -> None:
-    """Append ``data`` to the open file, synced; where the disk refuses, take it back.
+    """Append to an open file, synced; where the disk refuses, the file is as long as before.
 
-    file: its name, for the InputError raised where the disk refuses.
+    Parameters
+    ----------
+    descriptor : int, of the file, open for appending
+    data : bytes, what is appended
+    file : Path, its name, for the error
+
+    Raises
+    ------
+    InputError
+        The disk refuses; ``DiskError`` where it is full or failed.
     """
     with disk_errors(file):
         length = os.fstat(descriptor).st_size
@@ -164,15 +236,33 @@ def append_synced(descriptor: int, data: bytes, file: Path) -> None:
 
 
 def open_to_append(file: Path) -> int:
-    """Descriptor of ``file`` itself, opened to be appended to; InputError where it is a link."""
+    """Descriptor of a file that is there, opened to be appended to.
+
+    Parameters
+    ----------
+    file : Path, the file itself, no link
+
+    Raises
+    ------
+    InputError
+        The file is a link, or cannot be opened.
+    """
     with disk_errors(file):
         return os.open(file, os.O_WRONLY | os.O_APPEND | os.O_NOFOLLOW)
 
 
 def cut_torn_line(file: Path, most: int) -> None:
-    """Cut off what stands after the last line end of ``file``, if it has a line end.
+    """Cut off what stands after the last line end of a file, if it has a line end.
 
-    most: its largest size in bytes.  Raises InputError as ``read_bytes``, and where it is a link.
+    Parameters
+    ----------
+    file : Path, the file itself, no link
+    most : int, its largest size, bytes
+
+    Raises
+    ------
+    InputError
+        The file is a link, or as ``read_bytes``.
     """
     data = read_bytes(file, most, within=file.parent)
     whole = data.rfind(b"\n") + 1
@@ -187,7 +277,17 @@ def cut_torn_line(file: Path, most: int) -> None:
 
 
 def sync_folder(folder: Path) -> None:
-    """Make new and renamed entries of ``folder`` safe from a power failure."""
+    """Make new and renamed entries of a folder safe from a power failure.
+
+    Parameters
+    ----------
+    folder : Path, the folder
+
+    Raises
+    ------
+    OSError
+        The disk refuses; ``disk_errors`` translates it.
+    """
     descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
     try:
         os.fsync(descriptor)
@@ -196,9 +296,16 @@ def sync_folder(folder: Path) -> None:
 
 
 def lock_folder(folder: Path) -> int:
-    """Descriptor of ``folder``, locked; closing it, or the process's end, frees the lock.
+    """Descriptor of a folder, locked; closing it, or the process's end, frees the lock.
 
-    Raises InputError where another process holds the lock.
+    Parameters
+    ----------
+    folder : Path, the folder
+
+    Raises
+    ------
+    InputError
+        Another process holds the lock, or the folder cannot be opened.
     """
     with disk_errors(folder):
         descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
@@ -214,7 +321,15 @@ def lock_folder(folder: Path) -> int:
 def disk_errors(where: Path) -> Iterator[None]:
     """Turn an OSError of the block into an InputError: the file, the reason, what to do.
 
-    Where the disk is full or failed it is the DiskError among them, whose exit code differs.
+    Parameters
+    ----------
+    where : Path, the file, for the error
+
+    Raises
+    ------
+    InputError
+        In place of the OSError; ``DiskError``, whose exit code differs, where the disk is full or
+        failed.
     """
     try:
         yield

@@ -6,5 +6,11 @@ from typing import Any
 
 
 def packaged_table(package: str, name: str) -> Any:
-    """The table of the file ``name`` of a package, such as "topics.toml"."""
+    """The table of a TOML file of a package.
+
+    Parameters
+    ----------
+    package : str, dotted name of the package
+    name : str, of the file, such as "topics.toml"
+    """
     return tomllib.loads(files(package).joinpath(name).read_text(encoding="utf-8"))

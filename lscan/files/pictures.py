@@ -25,8 +25,15 @@ MOST_BYTES = 4 * MOST_PX + 2**20
 def read_picture(path: Path) -> Bytes:
     """The picture in a file, (H, W) grey or (H, W, 3) RGB uint8.
 
-    Raises InputError where the file is missing, is no picture, is not of 8 bit, or is larger than
-    ``MOST_PX``, which is known before it is decoded.
+    Parameters
+    ----------
+    path : Path, a PNG, JPEG, BMP or TIFF file
+
+    Raises
+    ------
+    InputError
+        The file is missing, is no picture, is not of 8 bit, or is larger than ``MOST_PX``, which is
+        known before it is decoded.
     """
     data = read_bytes(path, MOST_BYTES)
     header = read_header(data)
@@ -51,7 +58,12 @@ def read_picture(path: Path) -> Bytes:
 
 
 def too_large(header: PictureHeader) -> bool:
-    """Whether a picture has more than ``MOST_PX`` pixels."""
+    """Whether a picture has more than ``MOST_PX`` pixels.
+
+    Parameters
+    ----------
+    header : PictureHeader, its size, px
+    """
     return header.width_px * header.height_px > MOST_PX
 
 
@@ -80,10 +92,19 @@ def decode(data: bytes | Bytes, flags: int = cv2.IMREAD_UNCHANGED) -> Bytes | No
 def encoded(
     image: Bytes, ending: str, parameters: Sequence[int] = (), where: object = None
 ) -> bytes:
-    """The file of (H, W) grey or (H, W, 3) RGB in the format of ``ending``, such as ".png".
+    """The file of a picture in a format.
 
-    parameters: as ``cv2.imencode`` takes them.  where: the file, for the InputError raised where
-    there is no such format.
+    Parameters
+    ----------
+    image : (H, W) grey or (H, W, 3) RGB uint8 array
+    ending : str, of the format, such as ".png"
+    parameters : sequence, as ``cv2.imencode`` takes them
+    where : the file, for the error
+
+    Raises
+    ------
+    InputError
+        There is no such format.
     """
     bgr = image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_RGB2BGR)
     try:
@@ -96,5 +117,16 @@ def encoded(
 
 
 def write_picture(path: Path, image: Bytes) -> None:
-    """Write (H, W) grey or (H, W, 3) RGB to ``path``, in the format its ending names."""
+    """Write a picture in the format that the file's ending names; PNG without one.
+
+    Parameters
+    ----------
+    path : Path, the file; replaced where it is there
+    image : (H, W) grey or (H, W, 3) RGB uint8 array
+
+    Raises
+    ------
+    InputError
+        There is no such format, or the disk refuses.
+    """
     write_atomically(path, encoded(image, path.suffix or ".png", where=path))

@@ -47,10 +47,20 @@ class SerialTrackOptions(TravelOptions):
     laser_power: Annotated[float, Field(ge=0, le=100_000)] = 1000.0
 
     def machine_mm(self, position_mm: float) -> float:
-        """Machine coordinate in mm of a position of the track."""
+        """Machine coordinate, mm.
+
+        Parameters
+        ----------
+        position_mm : float, mm, of the track
+        """
         return self.zero_mm + (-position_mm if self.invert else position_mm)
 
     def position_mm(self, machine_mm: float) -> float:
-        """Position of the track in mm of a machine coordinate."""
+        """Position of the track, mm.
+
+        Parameters
+        ----------
+        machine_mm : float, mm, machine coordinate
+        """
         offset_mm = machine_mm - self.zero_mm
         return -offset_mm if self.invert else offset_mm

@@ -73,9 +73,15 @@ class SerialTrack:
     def move_to(self, position_mm: float) -> float:
         """The position reported after moving there upwards and coming to rest, mm.
 
-        Raises DeviceError naming the limit where the position lies outside the travel (the
-        head stays), and saying what to do where the controller is silent, in alarm,
-        restarted, or stops anywhere else.
+        Parameters
+        ----------
+        position_mm : float, mm, along the track
+
+        Raises
+        ------
+        DeviceError
+            Names the limit where the position lies outside the travel (the head stays), and says
+            what to do where the controller is silent, in alarm, restarted, or stops anywhere else.
         """
         self._ready()
         require_reachable(self._name, position_mm, self.limits_mm, ROUNDING_MM)
@@ -112,13 +118,23 @@ class SerialTrack:
         return None if self._options.homing else self._machine.zero
 
     def check_place(self, last_mm: float, next_mm: float, zero: str | None) -> None:
-        """Raise DeviceError unless a scan can go on without a shift of its frames.
+        """Refuse to go on with a scan whose frames could be shifted.
 
-        last_mm: where its last frame was recorded.  next_mm: where the next is due.  zero: what
-        ``zero`` was then.  Homing finds the same zero each time.  Without it the controller must
-        have counted its steps ever since; and unless the track was moved since it was opened,
-        and so watched, the head must stand where it can have been left: between the two places,
-        or as far below as the approach goes.
+        Homing finds the same zero each time.  Without it the controller must have counted its steps
+        ever since; and unless the track was moved since it was opened, and so watched, the head
+        must stand where it can have been left: between the two places, or as far below as the
+        approach goes.
+
+        Parameters
+        ----------
+        last_mm : float, mm, where the scan's last frame was recorded
+        next_mm : float, mm, where the next is due
+        zero : str or None, what ``zero`` was when the last frame was recorded
+
+        Raises
+        ------
+        DeviceError
+            Says what to do.
         """
         self._ready()
         if self._options.homing:

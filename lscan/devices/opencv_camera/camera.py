@@ -62,9 +62,16 @@ class OpencvCamera:
         return self._options.exposure_settable
 
     def set_exposure(self, exposure_ms: float) -> float:
-        """The exposure time in ms as read back after setting it; the camera is opened anew.
+        """The exposure time as read back after setting it, ms; the camera is opened anew.
 
-        Raises DeviceError where it cannot be set, or where the camera does not come back.
+        Parameters
+        ----------
+        exposure_ms : float, ms
+
+        Raises
+        ------
+        DeviceError
+            The exposure time cannot be set, or the camera does not come back.
         """
         if not self.can_set_exposure:
             raise DeviceError(f"{self._options.name}: its exposure cannot be set")
@@ -77,11 +84,20 @@ class OpencvCamera:
         self._black_is_meant = True
 
     def grab(self, frame: int | None = None, dark: bool = False) -> Grab:
-        """A picture that arrived after this call began, RGB; DeviceError where none can be had.
+        """A picture that arrived after this call began, RGB.
 
-        frame: where the camera is a video file, which of its pictures is wanted; so a resumed
-        scan goes on where it stopped.  dark: the laser is off, and a black picture is meant.
         What was exposed before the call is dropped with the first ``flush_frames`` pictures.
+
+        Parameters
+        ----------
+        frame : int or None, where the camera is a video file, which of its pictures is wanted; so a
+            resumed scan goes on where it stopped
+        dark : bool, the laser is off, and a black picture is meant
+
+        Raises
+        ------
+        DeviceError
+            No picture can be had.
         """
         self._require_open()
         began_s = time.monotonic()

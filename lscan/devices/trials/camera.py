@@ -88,11 +88,17 @@ class Timing:
 class CameraTrial:
     """What a camera turned out to be.
 
-    settings: what was asked of it and what it then reported; () where it has none to set.
-    transfer, linearity: None where they could not be measured; ``remarks`` then say why.
-    doubts: why the noise and gain of ``transfer`` may not be relied on, and what to show instead.
-    dark_dn, dark_noise_dn: mean and temporal standard deviation of a pixel with the cap on;
-    None where that was not tried.
+    Attributes
+    ----------
+    settings : tuple, what was asked of it and what it then reported; () where it has none to set
+    timing : Timing, of its pictures
+    transfer : None where it could not be measured; ``remarks`` then say why
+    linearity : Linearity or None, as ``transfer``
+    dark_dn, dark_noise_dn : float or None, DN, mean and temporal standard deviation of a pixel with
+        the cap on; None where that was not tried
+    remarks : tuple, what could not be measured, and why
+    doubts : tuple, why the noise and gain of ``transfer`` may not be relied on, and what to show
+        instead
     """
 
     settings: tuple[Setting, ...]

@@ -66,13 +66,18 @@ class Levels:
 class PhotonTransfer:
     """Noise and gain of a camera, each with its standard uncertainty.
 
-    dark_dn: grey value without light; 0 where no dark pictures were taken.
-    read_dn: standard deviation of a dark pixel, rounding included, in DN; never below that of
-    rounding, and where it comes out there, ``read_at_most_dn`` is what is known.
-    dn_per_electron: the gain; in doubt it may come out below 0.
-    chi2: the levels' squared distance from the straight line in units of their own
-    uncertainty, per degree of freedom: 1 for a linear camera, far more for one with a gamma
-    curve or with noise reduction.
+    Attributes
+    ----------
+    dark_dn : float, DN, grey value without light; 0 where no dark pictures were taken
+    read_dn : float, DN, standard deviation of a dark pixel, rounding included; never below that of
+        rounding, and where it comes out there, ``read_at_most_dn`` is what is known
+    read_sigma_dn : float, DN, standard uncertainty of read_dn
+    dn_per_electron : float, the gain; in doubt it may come out below 0
+    gain_sigma : float, standard uncertainty of the gain
+    chi2 : float, the levels' squared distance from the straight line in units of their own
+        uncertainty, per degree of freedom: 1 for a linear camera, far more for one with a gamma
+        curve or with noise reduction
+    levels : Levels, the grey levels it was measured from
     """
 
     dark_dn: float

@@ -45,8 +45,12 @@ class Repeatability:
 class TrackTrial:
     """What a track turned out to be.
 
-    facts: what it says of itself after the moves; none, where it is not :class:`Describing`.
-    moves: all of them in their order, the last back to where it stood, or as near as it is sent.
+    Attributes
+    ----------
+    facts : dict, what it says of itself after the moves; none, where it is not :class:`Describing`
+    repeatability : Repeatability, of the approaches, mm
+    moves : tuple, all of them in their order, the last back to where it stood, or as near as it is
+        sent
     """
 
     facts: dict[str, Fact]
