@@ -133,10 +133,14 @@ _ROW = TypeAdapter(FrameRow)
 class Run:
     """A run folder opened for reading.
 
-    rig_file: the rig the scan was made with, as the folder keeps it.
-    software: versions of what wrote the folder; more than one entry where a scan was
-        resumed under other versions.
-    rows: one per frame, in order.
+    Attributes
+    ----------
+    path : Path, of the folder
+    rig_file : RigFile, the rig the scan was made with, as the folder keeps it
+    state : State, "complete", or "scanning" where frames are missing
+    software : tuple, versions of what wrote the folder; more than one entry where a scan was
+        resumed under other versions
+    rows : tuple, one per frame, in order
 
     Examples
     --------
@@ -165,10 +169,17 @@ class Run:
         return np.array([row.position_mm for row in self.rows], dtype=float)
 
     def frame(self, index: int) -> Frame:
-        """Frame ``index``, 0 to len - 1, read from disk.
+        """A frame, read from disk.
 
-        Raises InputError where there is no such frame, or where its picture is missing,
-        is not the one that was recorded, or is not of the rig's size.
+        Parameters
+        ----------
+        index : int, 0 to len - 1
+
+        Raises
+        ------
+        InputError
+            There is no such frame, or its picture is missing, is not the one that was recorded, or
+            is not of the rig's size.
         """
         if not 0 <= index < len(self):
             allowed = f"0 to {len(self) - 1}"
@@ -264,7 +275,14 @@ def open_run(path: Path | str, trusted: bool = False) -> Run:
 
 
 def frame_file(path: Path, index: int, dark: bool = False) -> Path:
-    """Where the run folder ``path`` keeps the picture of frame ``index``, or its background."""
+    """Where a run folder keeps the picture of a frame, or its background.
+
+    Parameters
+    ----------
+    path : Path, of the run folder
+    index : int, of the frame, from 0
+    dark : bool, whether the background is meant
+    """
     return path / FRAMES / f"{index:06d}{'-dark' if dark else ''}.png"
 
 
@@ -274,7 +292,17 @@ def columns(paired: bool) -> str:
 
 
 def read_manifest(path: Path) -> tuple[Manifest, RigFile]:
-    """The manifest of the run folder ``path`` and the rig it keeps; InputError as open_run."""
+    """The manifest of a run folder and the rig it keeps.
+
+    Parameters
+    ----------
+    path : Path, of the run folder
+
+    Raises
+    ------
+    InputError
+        As ``open_run``.
+    """
     file = path / MANIFEST
     if path.is_dir() and not file.exists() and not file.is_symlink():
         raise InputError(f"is not a run folder: it has no {MANIFEST}", where=path)
@@ -309,7 +337,12 @@ def _refuse_code(rig_file: RigFile) -> None:
 
 
 def most_table_bytes(plan: Plan) -> int:
-    """The largest size of a run's table: a header, and a row for each frame of the plan."""
+    """The largest size of a run's table, bytes: a header, and a row for each frame of the plan.
+
+    Parameters
+    ----------
+    plan : Plan, of the run
+    """
     return (plan.frames + 1) * MOST_ROW_BYTES
 
 

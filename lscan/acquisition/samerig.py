@@ -17,10 +17,19 @@ _GROUPS = {"camera": "lscan.cameras", "track": "lscan.tracks"}
 
 
 def require_same_rig(begun: RigFile, now: RigFile, where: Path) -> None:
-    """Raise InputError where a run begun with one rig cannot go on with the other.
+    """Refuse to go on with a run under another rig than it was begun with.
 
-    where: the file that keeps the first.  The error names the key path that differs first, what
-    it was, what it is, and what to do.
+    Parameters
+    ----------
+    begun : RigFile, the rig the run was begun with
+    now : RigFile, the rig it would go on with
+    where : Path, the file that keeps the first
+
+    Raises
+    ------
+    InputError
+        The rigs differ; names the key path that differs first, what it was, what it is, and what to
+        do.
     """
     was, is_now = _without_connection(begun), _without_connection(now)
     key = first_difference(was, is_now)

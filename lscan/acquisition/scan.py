@@ -78,8 +78,16 @@ def scan(
 def open_devices(rig_file: RigFile) -> Iterator[tuple[Camera, Track]]:
     """The rig's camera and track, opened by their drivers and closed at the end of the block.
 
-    Raises InputError where a driver is unknown or refuses its options, DeviceError where a
-    device does not open or the camera's pictures are not of the rig's size.
+    Parameters
+    ----------
+    rig_file : RigFile, names the drivers and their options
+
+    Raises
+    ------
+    InputError
+        A driver is unknown or refuses its options.
+    DeviceError
+        A device does not open, or the camera's pictures are not of the rig's size.
     """
     with ExitStack() as opened:
         track = open_track(rig_file)
@@ -90,14 +98,35 @@ def open_devices(rig_file: RigFile) -> Iterator[tuple[Camera, Track]]:
 
 
 def open_track(rig_file: RigFile) -> Track:
-    """The rig's track, opened by its driver; errors as open_devices."""
+    """The rig's track, opened by its driver.
+
+    Parameters
+    ----------
+    rig_file : RigFile, names the driver and its options
+
+    Raises
+    ------
+    InputError, DeviceError
+        As ``open_devices``.
+    """
     _, driver = drivers_of(rig_file.rig, rig_file.source)
     track: Track = driver.open(rig_file)
     return track
 
 
 def open_camera(rig_file: RigFile, track: Track) -> Camera:
-    """The rig's camera on an opened track; errors as open_devices, and it is closed then."""
+    """The rig's camera, opened by its driver; closed where its pictures are not of the rig's size.
+
+    Parameters
+    ----------
+    rig_file : RigFile, names the driver and its options
+    track : Track, the rig's, opened
+
+    Raises
+    ------
+    InputError, DeviceError
+        As ``open_devices``.
+    """
     section = rig_file.rig.camera
     driver, _ = drivers_of(rig_file.rig, rig_file.source)
     camera: Camera = driver.open(rig_file, track)

@@ -54,8 +54,10 @@ class RunWriter:
 
     Made by ``create_run`` or ``resume_run``; use it in a ``with`` statement.
 
-    written: number of frames recorded so far.  last_mm: the position at which the last of them
-    was taken, None before the first.
+    Attributes
+    ----------
+    written : number of frames recorded so far
+    last_mm : mm, the position at which the last of them was taken, None before the first
     """
 
     def __init__(
@@ -96,15 +98,26 @@ class RunWriter:
         return read_manifest(self.path)[0].track_zero
 
     def keep_zero(self, zero: str | None) -> None:
-        """Write the name of the zero into run.json, where it is another one."""
+        """Write the name of the track's zero into run.json, where it is another one.
+
+        Parameters
+        ----------
+        zero : str or None, name of the zero; None where the track has none
+        """
         _change_manifest(self.path, track_zero=zero)
 
     def append(self, frame: Frame) -> None:
         """Write the next frame; when this returns, pictures and row are on disk, synced.
 
-        frame: image (H, W) grey or (H, W, 3) RGB, uint8; its index must be ``written``; it has
-            a background where, and only where, the plan is of pairs.
-        Raises InputError where the disk refuses; the frames before this one stay whole.
+        Parameters
+        ----------
+        frame : Frame, its index must be ``written``; it has a background where, and only where, the
+            plan is of pairs
+
+        Raises
+        ------
+        InputError
+            The disk refuses; the frames before this one stay whole.
         """
         if not self._held:
             raise InputError("cannot be written: the writer is closed", where=self.path)
@@ -160,10 +173,18 @@ class RunWriter:
 
 
 def create_run(path: Path, rig_file: RigFile) -> RunWriter:
-    """A writer of a new run in the folder ``path``, which must not exist.
+    """A writer of a new run.
 
-    Raises InputError where it exists, cannot be made, or the rig cannot be kept as JSON;
-    no folder is left behind then.
+    Parameters
+    ----------
+    path : Path, of the run folder, which must not exist
+    rig_file : RigFile, the rig the run is made with
+
+    Raises
+    ------
+    InputError
+        The folder exists, cannot be made, or the rig cannot be kept as JSON; no folder is left
+        behind then.
     """
     manifest = _new_manifest(rig_file)
     refuse_existing(path)
@@ -180,13 +201,22 @@ def create_run(path: Path, rig_file: RigFile) -> RunWriter:
 
 
 def resume_run(path: Path, rig_file: RigFile) -> RunWriter:
-    """A writer that goes on where the run in ``path`` stopped.
+    """A writer that goes on where a run stopped.
 
-    A scan killed before its manifest was written has left no folder or an empty one; it is
-    begun.  Raises InputError where the folder is something else than a run, was begun with
-    another rig (the first differing key path is named; how the devices are reached may have
-    changed, and run.json keeps what it was), is being written by another scan, or is damaged
-    in a way that being killed does not explain.
+    A scan killed before its manifest was written has left no folder or an empty one; it is begun.
+
+    Parameters
+    ----------
+    path : Path, of the run folder
+    rig_file : RigFile, the rig the run was begun with; how the devices are reached may have
+        changed, and run.json keeps what it was
+
+    Raises
+    ------
+    InputError
+        The folder is something else than a run, was begun with another rig (the first differing key
+        path is named), is being written by another scan, or is damaged in a way that being killed
+        does not explain.
     """
     if not path.exists():
         return create_run(path, rig_file)
@@ -252,8 +282,17 @@ def _lay_out(path: Path, manifest: Manifest) -> None:
 def holds_no_run(path: Path) -> bool:
     """Whether ``resume_run`` begins a new run there.
 
-    True where nothing is at ``path``, or a folder with no more than a scan killed before its
-    manifest was written has left.  Raises InputError where it cannot be read as a folder.
+    It does where nothing is there, or a folder with no more than a scan killed before its
+    manifest was written has left.
+
+    Parameters
+    ----------
+    path : Path, of the run folder
+
+    Raises
+    ------
+    InputError
+        It cannot be read as a folder.
     """
     if not path.exists():
         return True

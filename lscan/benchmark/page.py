@@ -72,7 +72,13 @@ MAP_COLUMNS: Mapping[str, Callable[[MapRow], str]] = {
 def table_cells(
     rows: Iterable[AnyRow], columns: Mapping[str, Callable[[AnyRow], str]]
 ) -> list[list[str]]:
-    """Cells of the printed table of the rows, a list for each row, under the columns' headings."""
+    """Cells of the printed table of the rows, a list for each row, under the columns' headings.
+
+    Parameters
+    ----------
+    rows : iterable, of the extractors or of the plane maps
+    columns : mapping, the text of a row's cell by the column's heading
+    """
     return [[cell(row) for cell in columns.values()] for row in rows]
 
 

@@ -30,8 +30,12 @@ SLOPE = 0.0471  # px a column: 320 columns see every sub-pixel phase many times 
 class LineCase:
     """One kind of picture.
 
-    water: a key of SKIRTS.  sigma_px: width of the line.  peak_dn: its height, without the
-    skirt, before the range ends at 255 DN.  noise: of the sensor.
+    Attributes
+    ----------
+    water : str, a key of SKIRTS
+    sigma_px : float, px, standard deviation of the line's cross-section
+    peak_dn : float, DN, its height, without the skirt, before the range ends at 255 DN
+    noise : NoiseSection, of the sensor
     """
 
     water: str

@@ -12,6 +12,10 @@ Result = TypeVar("Result")
 def timed(call: Callable[[], Result]) -> tuple[float, Result]:
     """Seconds of a call, and what it returns.
 
+    Parameters
+    ----------
+    call : callable, called once
+
     Examples
     --------
     >>> seconds, total = timed(lambda: sum(range(10)))

@@ -21,7 +21,12 @@ STOPPED = Stopped.exit_code
 
 
 def command_line(about: str) -> typer.Typer:
-    """A command line without commands; about: what its ``--help`` begins with."""
+    """A command line without commands.
+
+    Parameters
+    ----------
+    about : str, what its ``--help`` begins with
+    """
     return typer.Typer(
         help=about,
         no_args_is_help=True,
@@ -35,6 +40,11 @@ def run_command_line(app: typer.Typer, name: str) -> None:
     """Run a command line and leave with its exit code; errors become one line on stderr.
 
     SIGINT and SIGTERM stop every command alike, see ``on_stop_signals``.
+
+    Parameters
+    ----------
+    app : Typer, the command line with its commands
+    name : str, of the program, as errors and ``--help`` say it
     """
     command = typer.main.get_command(app)
     try:
@@ -98,7 +108,12 @@ def _leave(name: str, message: str, code: int) -> NoReturn:
 
 @contextmanager
 def progress_bar(title: str) -> Iterator[Progress]:
-    """A callback (done, total) that draws a progress bar on a terminal, and nothing elsewhere."""
+    """A callback (done, total) that draws a progress bar on a terminal, and nothing elsewhere.
+
+    Parameters
+    ----------
+    title : str, stands before the bar
+    """
     console = Console(stderr=True)
     columns = (
         rich_progress.TextColumn("{task.description}"),
@@ -116,7 +131,12 @@ def progress_bar(title: str) -> Iterator[Progress]:
 
 
 def print_json(value: Any) -> None:
-    """Print ``value`` as JSON on stdout; paths as texts, what NumPy holds as numbers and lists."""
+    """Print ``value`` as JSON on stdout; paths as texts, what NumPy holds as numbers and lists.
+
+    Parameters
+    ----------
+    value : of JSON types, paths and NumPy's numbers and arrays; numbers finite
+    """
     print(json.dumps(value, indent=2, allow_nan=False, default=_plain))
 
 
@@ -125,7 +145,14 @@ def _plain(value: Any) -> Any:
 
 
 def print_table(title: str, headings: Sequence[str], rows: Sequence[Sequence[object]]) -> None:
-    """Print a table on stdout; numbers right-aligned, floats with three decimals."""
+    """Print a table on stdout; numbers right-aligned, floats with three decimals.
+
+    Parameters
+    ----------
+    title : str, stands above the table
+    headings : sequence, one a column; the first column is left-aligned
+    rows : sequence, cells, one a column
+    """
     table = Table(title=title, title_justify="left", header_style="bold")
     for heading in headings:
         table.add_column(heading, justify="left" if heading == headings[0] else "right")

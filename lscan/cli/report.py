@@ -49,7 +49,12 @@ def report(
 
 
 def print_chains(experiment: Experiment) -> None:
-    """Print where a report's pictures come from, and the errors of both chains side by side."""
+    """Print where a report's pictures come from, and the errors of both chains side by side.
+
+    Parameters
+    ----------
+    experiment : Experiment, as the report shows it
+    """
     from lscan.paper.provenance import chain_names, describe_chains, note
     from lscan.paper.published import Bars
     from lscan.paper.tables import paper_tables

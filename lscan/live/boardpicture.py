@@ -22,7 +22,14 @@ from lscan.live.maptable import MapTable, tabulate
 
 @dataclass(frozen=True)
 class LiveCalibration:
-    """The plane map in use, the file it is from, and its table."""
+    """The plane map in use, the file it is from, and its table.
+
+    Attributes
+    ----------
+    path : Path, of the calibration file
+    plane_map : PlaneMap, pixels to the plane of the sheet
+    table : MapTable, the map at a grid of pixels, for the page
+    """
 
     path: Path
     plane_map: PlaneMap

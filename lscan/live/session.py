@@ -110,7 +110,17 @@ class Session:
     # ---- commands -----------------------------------------------------------------------
 
     def set_mode(self, mode: Mode) -> None:
-        """What is looked for in the pictures.  InputError where the rig has no board."""
+        """Choose what is looked for in the pictures.
+
+        Parameters
+        ----------
+        mode : Mode, what is looked for
+
+        Raises
+        ------
+        InputError
+            The rig has no board.
+        """
         if mode == "board":
             board_of(self._rig_file)
         self._mode, self._board_read = mode, None
@@ -129,7 +139,12 @@ class Session:
             self._task_thread.start()
 
     def start_scan(self, name: str | None = None) -> None:
-        """Begin a scan; errors as Scanning.start."""
+        """Begin a scan; errors as Scanning.start.
+
+        Parameters
+        ----------
+        name : str or None, of the run folder; ``scan-NNN`` where it is None
+        """
         with self._exclusive():
             self.scanning.start(name)
 
@@ -139,12 +154,36 @@ class Session:
             self.scanning.resume()
 
     def move_to(self, position_mm: float) -> None:
-        """Move the head; DeviceError, and NotNow while something else moves it."""
+        """Move the head.
+
+        Parameters
+        ----------
+        position_mm : float, mm, along the track
+
+        Raises
+        ------
+        DeviceError
+            The track fails or refuses.
+        NotNow
+            Something else moves it.
+        """
         with self._exclusive():
             self._devices.move_to(position_mm)
 
     def switch_laser(self, on: bool) -> None:
-        """Switch the laser; InputError where the track cannot, NotNow while a scan uses it."""
+        """Switch the laser.
+
+        Parameters
+        ----------
+        on : bool, lit, or dark
+
+        Raises
+        ------
+        InputError
+            The track cannot switch it.
+        NotNow
+            A scan uses it.
+        """
         with self._exclusive():
             self._devices.switch_laser(on)
 
