@@ -72,7 +72,17 @@ class MapSolver(ABC, Generic[Solved]):
     allowed: ClassVar[str]
 
     def check_variant(self, variant: str) -> None:
-        """InputError for a variant that there is not; nothing is solved."""
+        """Refuse a variant that there is not; nothing is solved.
+
+        Parameters
+        ----------
+        variant : str, second part of the map's name, "" where there is none
+
+        Raises
+        ------
+        InputError
+            For a variant that there is not.
+        """
         self._require(variant)
 
     def _require(self, variant: str) -> None:
@@ -107,7 +117,14 @@ class MapSolver(ABC, Generic[Solved]):
 
     @abstractmethod
     def fit(self, reading: BoardReading, variant: str, optics: OpticsSection) -> Solved:
-        """As ``solve``, of a variant that there is."""
+        """As ``solve``, of a variant that there is.
+
+        Parameters
+        ----------
+        reading : BoardReading, px and mm, the marks of one picture
+        variant : str, one of ``variants``
+        optics : OpticsSection, what is known of the camera beforehand
+        """
 
     def restore(self, variant: str, parameters: dict[str, Any]) -> Solved:
         """The map that parameters came from.
@@ -132,11 +149,27 @@ class MapSolver(ABC, Generic[Solved]):
 
 
 def with_lack_of_fit(solved: Solved, reading: BoardReading) -> Solved:
-    """The map with the lack of fit that the marks of ``reading`` show."""
+    """The map with the lack of fit that the marks of a reading show.
+
+    Parameters
+    ----------
+    solved : SolvedMap, with an ``estimate``
+    reading : BoardReading, px and mm, the map was solved from
+    """
     lack_mm = lack_of_fit_mm(cast(Estimator, solved), reading)
     return solved.model_copy(update={"lack_of_fit_mm": lack_mm})
 
 
 def full_name(family: str, variant: str) -> str:
-    """The full name of a map."""
+    """The full name of a map.
+
+    Parameters
+    ----------
+    family, variant : str, its two parts; the second may be ""
+
+    Examples
+    --------
+    >>> full_name("polynomial", "3"), full_name("projective", "")
+    ('polynomial-3', 'projective')
+    """
     return f"{family}-{variant}" if variant else family

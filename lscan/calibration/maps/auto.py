@@ -74,7 +74,17 @@ class AutoSolver:
     """Solves the candidate that cross-validation finds best."""
 
     def check_variant(self, variant: str) -> None:
-        """InputError for a variant that there is not; nothing is solved."""
+        """Refuse a variant that there is not; nothing is solved.
+
+        Parameters
+        ----------
+        variant : str, ""
+
+        Raises
+        ------
+        InputError
+            For any variant.
+        """
         if variant:
             raise InputError(
                 "no such choice of maps", where="plane map", value=f"auto-{variant}", allowed="auto"
@@ -89,8 +99,19 @@ class AutoSolver:
     ) -> Auto:
         """The best candidate solved from the whole reading.
 
-        progress: called with (candidates tried, candidates in all).
-        Raises InputError for any variant, BoardNotFound where every candidate refuses.
+        Parameters
+        ----------
+        reading : BoardReading, px and mm, the marks of one picture
+        variant : str, ""
+        optics : OpticsSection, what is known of the camera beforehand
+        progress : callable, optional, called with the number of candidates tried, and of all
+
+        Raises
+        ------
+        InputError
+            For any variant.
+        BoardNotFound
+            Where every candidate refuses.
         """
         self.check_variant(variant)
         scores = ranked(cross_validated(reading, CANDIDATES, optics, progress=progress))
@@ -99,7 +120,18 @@ class AutoSolver:
         return Auto(find_solver(scores[0].name).solve(reading, optics), scores)
 
     def restore(self, variant: str, parameters: dict[str, Any]) -> Auto:
-        """The map that ``parameters`` came from; InputError where they do not fit."""
+        """The map that parameters came from.
+
+        Parameters
+        ----------
+        variant : str, ""
+        parameters : dict, as ``Auto.parameters`` gave them
+
+        Raises
+        ------
+        InputError
+            Where they do not fit.
+        """
         self.check_variant(variant)
         read = check(AutoParameters, parameters, where=None, prefix="parameters")
         if read.chosen.partition("-")[0] == "auto":
@@ -133,11 +165,15 @@ def calibrate_best(
 
 
 def ranked(scores: tuple[Score, ...]) -> tuple[Score, ...]:
-    """The scores, the best first: those tied with the least error by the uncertainty they state,
-    the others by their rms error, then those that value too few marks, then those refused.
+    """The scores, the best first.
 
-    Too few: under 95 % of what the fullest map values, so that no map wins by leaving out what
-    is hard.
+    Those tied with the least error come by the uncertainty they state, the others by their rms
+    error, then those that value too few marks, then those refused.  Too few: under 95 % of what the
+    fullest map values, so that no map wins by leaving out what is hard.
+
+    Parameters
+    ----------
+    scores : tuple of Score, mm, in any order
     """
     most = max(score.points for score in scores)
 

@@ -72,8 +72,22 @@ class GraticuleSolver(MapSolver[Graticule]):
         """The graticule through the marks that were found.
 
         A line needs one mark more than its order (four for the B-spline) and is left out
-        where it has fewer; its neighbours then span two cells.  Raises BoardNotFound where
-        fewer than two lines of a direction remain.
+        where it has fewer; its neighbours then span two cells.
+
+        Parameters
+        ----------
+        reading : BoardReading, px and mm, the marks of one picture
+        variant : str, one of VARIANTS
+        optics : OpticsSection, of no account
+
+        Raises
+        ------
+        BoardNotFound
+            Where fewer than two lines of a direction remain.
+
+        References
+        ----------
+        Secs. II and III of the paper.
         """
         fit, with_rulers = VARIANTS[variant]
         rows = _fit_lines(reading, 0, fit)

@@ -23,10 +23,16 @@ DEGREE: dict[Fit, int] = {"1": 1, "2": 2, "bspline": 3}
 
 @dataclass(frozen=True)
 class Curve:
-    """A spline y = f(x) with the covariance of its coefficients.
+    """A spline y = f(x) of M coefficients, with their covariance.
 
-    knots: (M + degree + 1,) in the unit of x.  coefficients: (M,) in the unit of y.
-    covariance: (M, M).  Outside the knots the end pieces are continued.
+    Outside the knots the end pieces are continued.
+
+    Attributes
+    ----------
+    degree : int, of the pieces
+    knots : (M + degree + 1,) array, in the unit of x
+    coefficients : (M,) array, in the unit of y
+    covariance : (M, M) array, in the unit of y, squared
     """
 
     __pydantic_config__ = STRICT
@@ -75,21 +81,37 @@ class Curve:
 
 
 def fit_polynomial(x: Floats, y: Floats, sigma_x: Floats, sigma_y: Floats, order: int) -> Curve:
-    """The least-squares polynomial of ``order`` through the points (x, y), each (N,).
+    """The least-squares polynomial through points.
 
-    sigma_x, sigma_y: (N,) standard uncertainties; they give the covariance (an error in x
-    counts as one of slope times that in y) and do not weigh the fit: the paper's is the
-    plain rms fit.  Needs order + 1 different x.
+    Parameters
+    ----------
+    x, y : (N,) array, of order + 1 different x or more
+    sigma_x, sigma_y : (N,) array, standard uncertainties; they give the covariance (an error in x
+        counts as one of slope times that in y) and do not weigh the fit: the paper's is the plain
+        rms fit
+    order : int, of the polynomial
+
+    References
+    ----------
+    Sec. III.2 of the paper.
     """
     ends = np.array([x.min(), x.max()])
     return _fit(x, y, sigma_x, sigma_y, np.repeat(ends, order + 1), order)
 
 
 def fit_spline(x: Floats, y: Floats, sigma_x: Floats, sigma_y: Floats) -> Curve:
-    """The cubic B-spline that passes through all points (x, y), each (N,), N at least 4.
+    """The cubic B-spline that passes through all points.
 
-    The second and the last but one point are no knots ("not a knot").  sigma_x and sigma_y
-    as in :func:`fit_polynomial`.  The x must differ.
+    The second and the last but one point are no knots ("not a knot").
+
+    Parameters
+    ----------
+    x, y : (N,) array, of different x, N at least 4
+    sigma_x, sigma_y : (N,) array, standard uncertainties, as in :func:`fit_polynomial`
+
+    References
+    ----------
+    Sec. III.2 of the paper.
     """
     order = np.argsort(x)
     knots = make_interp_spline(x[order], y[order], k=3).t
@@ -112,9 +134,11 @@ def _fit(
 class GridLine:
     """A longitude or latitude line.
 
-    at_mm: its place on the board: x of a longitude line, z of a latitude line.
-    curve: across px as a function of along px.
-    first_px, last_px: where its outermost marks lie, along px.
+    Attributes
+    ----------
+    at_mm : float, mm, its place on the board: x of a longitude line, z of a latitude line
+    curve : Curve, across px as a function of along px
+    first_px, last_px : float, px, along: where its outermost marks lie
     """
 
     __pydantic_config__ = STRICT
@@ -129,9 +153,13 @@ class GridLine:
 
 
 def fit_line(marks: Marks, along: int, fit: Fit) -> GridLine | None:
-    """The line through the marks that were found, None where they are too few for ``fit``.
+    """The line through the marks that were found, None where they are too few for the fit.
 
-    marks: those of one grid row (along = 0, that is u) or one grid column (along = 1).
+    Parameters
+    ----------
+    marks : Marks, px and mm, of one grid row or one grid column
+    along : int, 0 (u) for a grid row, 1 (v) for a grid column
+    fit : str, "1", "2" or "bspline"
     """
     found = marks.found
     x, y = marks.image_px[found, along], marks.image_px[found, 1 - along]
@@ -144,7 +172,14 @@ def fit_line(marks: Marks, along: int, fit: Fit) -> GridLine | None:
 
 
 def fit_curve(x: Floats, y: Floats, sigma_px: Floats, fit: Fit) -> Curve:
-    """The curve y = f(x) of the kind ``fit``; x, y and their common sigma are (N,) in px."""
+    """The curve y = f(x) of a kind.
+
+    Parameters
+    ----------
+    x, y : (N,) array, px
+    sigma_px : (N,) array, px, standard uncertainty of either
+    fit : str, "1", "2" or "bspline"
+    """
     if fit == "bspline":
         return fit_spline(x, y, sigma_px, sigma_px)
     return fit_polynomial(x, y, sigma_px, sigma_px, DEGREE[fit])

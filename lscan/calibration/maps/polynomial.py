@@ -84,7 +84,23 @@ class PolynomialSolver(MapSolver[Polynomial]):
     allowed = "polynomial-1 to polynomial-9"
 
     def fit(self, reading: BoardReading, variant: str, optics: OpticsSection) -> Polynomial:
-        """The polynomials of eq. (1) that solve eq. (2) for the control points found."""
+        """The polynomials of eq. (1) that solve eq. (2) for the control points found.
+
+        Parameters
+        ----------
+        reading : BoardReading, px and mm, the marks of one picture
+        variant : str, the order, "1" to "9"
+        optics : OpticsSection, of no account
+
+        Raises
+        ------
+        BoardNotFound
+            Where the control points found do not determine the terms.
+
+        References
+        ----------
+        Sec. I and eqs. (1) and (2) of the paper.
+        """
         grid, found = reading.grid, reading.grid.found
         region = covered_region(reading, found)
         pixels = box(grid.image_px[found])
@@ -108,7 +124,18 @@ class PolynomialSolver(MapSolver[Polynomial]):
         return with_lack_of_fit(solved, reading)
 
     def restore(self, variant: str, parameters: dict[str, Any]) -> Polynomial:
-        """The map that ``parameters`` came from; InputError where they do not fit."""
+        """The map that parameters came from.
+
+        Parameters
+        ----------
+        variant : str, the order, "1" to "9"
+        parameters : dict, as ``Polynomial.parameters`` gave them
+
+        Raises
+        ------
+        InputError
+            Where they do not fit.
+        """
         solved = super().restore(variant, parameters)
         shape = (2, TERMS[int(variant) - 1])
         if solved.coefficients.shape != shape:

@@ -63,8 +63,18 @@ class Homography:
 class Projective(SolvedMap):
     """A solved projective map.
 
-    pixels, plane: scalings of the two sides.  h: (8,) of :class:`Homography`, covariance:
-    (8, 8).  lack_of_fit_mm: (2,) of x and of z (evaluate.py).
+    Attributes
+    ----------
+    pixels : Scaling, of (u, v)
+    plane : Scaling, of (x, z) in mm
+    h : (8,) array, of :class:`Homography`
+    covariance : (8, 8) array, of h
+    region : Region, px, where the map holds
+    lack_of_fit_mm : (2,) array, mm, of x and of z (evaluate.py)
+
+    References
+    ----------
+    Chen and Kak (1987), as in Sec. I of the paper; docs/explanation/physics.md, section 9.
     """
 
     pixels: Scaling
@@ -82,17 +92,33 @@ class Projective(SolvedMap):
         return self
 
     def estimate(self, image_px: Floats, variance_px2: Floats) -> Estimate:
-        """Points of covered pixels."""
+        """Points of covered pixels.
+
+        Parameters
+        ----------
+        image_px : (N, 2) array, px, of (u, v)
+        variance_px2 : (N,) array, px², of either pixel coordinate
+        """
         rows = Homography(self.h).by_parameters(self.pixels.apply(image_px))
         modes = rows @ square_root(self.covariance) * self.plane.scale[:, None]
         return propagated(self.places(image_px), self.derivatives(image_px), modes, variance_px2)
 
     def places(self, image_px: Floats) -> Floats:
-        """(N, 2) mm of pixels (N, 2), wherever they lie."""
+        """(N, 2) mm of pixels, wherever they lie.
+
+        Parameters
+        ----------
+        image_px : (N, 2) array, px, of (u, v)
+        """
         return self.plane.undo(Homography(self.h).apply(self.pixels.apply(image_px)))
 
     def derivatives(self, image_px: Floats) -> Floats:
-        """(N, 2, 2) mm per px, derivatives of (x, z) by (u, v)."""
+        """(N, 2, 2) mm per px, derivatives of (x, z) by (u, v).
+
+        Parameters
+        ----------
+        image_px : (N, 2) array, px, of (u, v)
+        """
         scaled = Homography(self.h).by_pixel(self.pixels.apply(image_px))
         return scaled * self.plane.scale[:, None] / self.pixels.scale
 
@@ -105,8 +131,19 @@ class ProjectiveSolver(MapSolver[Projective]):
     def fit(self, reading: BoardReading, variant: str, optics: OpticsSection) -> Projective:
         """The matrix that fits the control points found with the least error in the plane.
 
-        The linear solution in Hartley's scaling is where the refinement starts.  Raises
-        BoardNotFound where four points in general position are missing.
+        The linear solution in Hartley's scaling is where the refinement starts.
+
+        Parameters
+        ----------
+        reading : BoardReading, px and mm, the marks of one picture
+        variant : str, ""
+        optics : OpticsSection, of no account
+
+        Raises
+        ------
+        BoardNotFound
+            Where four points in general position are missing, or the points found are no picture of
+            a plane.
         """
         grid, found = reading.grid, reading.grid.found
         region = covered_region(reading, found)

@@ -128,7 +128,19 @@ class RefractiveSolver(MapSolver[Refractive]):
     family, model, what, allowed = "refractive", Refractive, "refractive map", "refractive"
 
     def fit(self, reading: BoardReading, variant: str, optics: OpticsSection) -> Refractive:
-        """As refractivefit.fit_view says, which also raises its errors."""
+        """Camera, port and pose that fit the marks, and the map they make.
+
+        Parameters
+        ----------
+        reading : BoardReading, px and mm, the marks of one picture
+        variant : str, ""
+        optics : OpticsSection, what is known of camera, port and board beforehand
+
+        Raises
+        ------
+        InputError, BoardNotFound
+            As refractivefit.fit_view.
+        """
         fit = fit_view(reading, optics)
         outliers = np.concatenate([marks.found for marks in all_marks(reading)])
         outliers[outliers] = ~fit.good

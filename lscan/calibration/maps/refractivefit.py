@@ -32,9 +32,19 @@ def fit_view(reading: BoardReading, optics: OpticsSection) -> CameraFit:
     """The camera and the board's pose that explain the marks found, outliers left out.
 
     The marks are the control points and the rulers' marks that were found, in that order.
-    Raises InputError for a prior out of its range, BoardNotFound where fewer than FEWEST
-    control points are found, more than a quarter of the marks fit no view, or none fits as the
-    priors are.
+
+    Parameters
+    ----------
+    reading : BoardReading, px and mm, the marks of one picture
+    optics : OpticsSection, what is known of the camera beforehand
+
+    Raises
+    ------
+    InputError
+        For a prior out of its range.
+    BoardNotFound
+        Where fewer than FEWEST control points are found, more than a quarter of the marks fit no
+        view, or none fits as the priors are.
     """
     found = int(reading.grid.found.sum())
     if found < FEWEST:

@@ -23,12 +23,14 @@ CONVERSION_ORDER = 4
 class FittedRuler:
     """A ruler that crosses the lines it reads: a vertical one crosses the latitude lines.
 
-    at_mm: its fixed coordinate on the board.
-    line: its own fitted line, along px as a function of across px (Line has them the other
-        way round, because a ruler runs across the lines it reads).
-    conversion: mm as a function of across px, Fig. 16.
-    first_px, last_px: the stretch where conversion holds, across px: half a mark beyond the
-        outermost marks.
+    Attributes
+    ----------
+    at_mm : float, mm, its fixed coordinate on the board
+    line : Curve, px, its own fitted line, along px as a function of across px (Line has them the
+        other way round, because a ruler runs across the lines it reads)
+    conversion : Curve, mm as a function of across px, Fig. 16
+    first_px, last_px : float, px, across: the stretch where conversion holds, half a mark beyond
+        the outermost marks
     """
 
     __pydantic_config__ = STRICT
@@ -39,7 +41,12 @@ class FittedRuler:
     last_px: Number
 
     def reaches(self, across_px: Floats) -> Mask:
-        """Mask of the places on the ruler that its marks cover."""
+        """Mask of the places on the ruler that its marks cover.
+
+        Parameters
+        ----------
+        across_px : (N,) array, px
+        """
         return (across_px >= self.first_px) & (across_px <= self.last_px)
 
 
@@ -47,6 +54,15 @@ def fit_ruler(reading: RulerReading, fit: Fit) -> FittedRuler | None:
     """The ruler with a line of the same kind as the map's; None where too few marks are found.
 
     Too few: not enough for the line, or for a conversion curve with a mark to spare.
+
+    Parameters
+    ----------
+    reading : RulerReading, px and mm
+    fit : str, of the line: "1", "2" or "bspline"
+
+    References
+    ----------
+    Sec. III.3 and Figs. 14 to 16 of the paper.
     """
     across = ruler_axis(reading)
     marks, found = reading.marks, reading.marks.found
@@ -67,5 +83,10 @@ def fit_ruler(reading: RulerReading, fit: Fit) -> FittedRuler | None:
 
 
 def ruler_axis(reading: RulerReading) -> int:
-    """The coordinate a ruler reads: 1 (v, z) for a vertical one, 0 (u, x) for a horizontal."""
+    """The coordinate a ruler reads: 1 (v, z) for a vertical one, 0 (u, x) for a horizontal.
+
+    Parameters
+    ----------
+    reading : RulerReading, its direction counts
+    """
     return 1 if reading.direction == "vertical" else 0

@@ -39,10 +39,16 @@ LATTICE = 24  # places a side at which that is judged
 class Spline(SolvedMap):
     """A solved spline map.
 
-    base: the projective map beneath.  pixels: scales (u, v), both alike, for the basis.
-    coefficients: (2, K) mm of x and of z beyond the base.  roots: of x and of z, (K, M) each,
-    mm; root @ root.T stands for the covariance of the coefficients (_strongest).
-    lack_of_fit_mm: (2,) of x and of z (evaluate.py).
+    Attributes
+    ----------
+    base : Projective, the map beneath
+    pixels : Scaling, of (u, v), both alike, for the basis
+    basis : TensorBasis, of K functions
+    coefficients : (2, K) array, mm, of x and of z beyond the base
+    roots : tuple of array, mm, (K, M) of x and of z; root @ root.T stands for the covariance of the
+        coefficients (_strongest)
+    region : Region, px, where the map holds
+    lack_of_fit_mm : (2,) array, mm, of x and of z (evaluate.py)
     """
 
     base: Projective
@@ -62,7 +68,13 @@ class Spline(SolvedMap):
         return self
 
     def estimate(self, image_px: Floats, variance_px2: Floats) -> Estimate:
-        """Points of covered pixels; the scatter and bias of the smoothing give the modes."""
+        """Points of covered pixels; the scatter and bias of the smoothing give the modes.
+
+        Parameters
+        ----------
+        image_px : (N, 2) array, px, of (u, v)
+        variance_px2 : (N,) array, px², of either pixel coordinate
+        """
         slope, scaled = self.base.derivatives(image_px), self.pixels.apply(image_px)
         rows = self.basis.rows(scaled)
         for axis, by in enumerate(((1, 0), (0, 1))):
@@ -81,8 +93,16 @@ class SplineSolver(MapSolver[Spline]):
     def fit(self, reading: BoardReading, variant: str, optics: OpticsSection) -> Spline:
         """The spline through all marks found, control points and rulers.
 
-        Raises BoardNotFound where the marks do not determine a quadratic surface with some to
-        spare.
+        Parameters
+        ----------
+        reading : BoardReading, px and mm, the marks of one picture
+        variant : str, ""
+        optics : OpticsSection, of no account
+
+        Raises
+        ------
+        BoardNotFound
+            Where the marks do not determine a quadratic surface with some to spare.
         """
         base = projective.solve(reading, "")
         known, image, sigma_px = found_marks(all_marks(reading))

@@ -177,7 +177,17 @@ class MetricSolver(MapSolver[Metric]):
     family, model, what, allowed = "metric", Metric, "metric map", "metric"
 
     def check_variant(self, variant: str) -> NoReturn:
-        """InputError, whatever the variant: one picture of the board does not give this map."""
+        """Refuse any variant: one picture of the board does not give this map.
+
+        Parameters
+        ----------
+        variant : str, of no account
+
+        Raises
+        ------
+        InputError
+            Always; it says how a metric map is solved.
+        """
         raise InputError(
             "a metric map is solved from pictures of a board in several poses",
             where="plane map",
@@ -186,7 +196,19 @@ class MetricSolver(MapSolver[Metric]):
         )
 
     def fit(self, reading: BoardReading, variant: str, optics: OpticsSection) -> NoReturn:
-        """InputError: one picture of the board does not hold what a metric map needs."""
+        """Refuse: one picture of the board does not hold what a metric map needs.
+
+        Parameters
+        ----------
+        reading : BoardReading, of no account
+        variant : str, of no account
+        optics : OpticsSection, of no account
+
+        Raises
+        ------
+        InputError
+            Always.
+        """
         self.check_variant(variant)
 
 

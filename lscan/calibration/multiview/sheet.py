@@ -29,10 +29,14 @@ MOST_TILT_DEG = 1.0  # standard uncertainty of the sheet's tilt beyond which it 
 class LaserPlane:
     """The laser's plane q . X = 1 in the camera frame.
 
-    q_per_mm: (3,) its normal over its distance from the pinhole.
-    root: (14 + 3, P), root @ root.T is the covariance of the camera's theta and of q together.
-    good: by board, the mask of the line points it rests on.  faults: by board, why a line was
-        left out.  distances_mm: by board, of its line points from the plane.
+    Attributes
+    ----------
+    q_per_mm : (3,) array, 1/mm, its normal over its distance from the pinhole
+    root : (14 + 3, P) array, root @ root.T is the covariance of the camera's theta and of q
+        together
+    good : dict of mask, by board, of the line points it rests on
+    faults : dict of str, by board, why a line was left out
+    distances_mm : dict of array, mm, by board, of its line points from the plane
     """
 
     q_per_mm: Floats
@@ -45,13 +49,21 @@ class LaserPlane:
 def find_plane(fit: CameraFit, free: Mask, lines: dict[int, LinePoints]) -> LaserPlane:
     """The plane of generalised least squares through the lines of all views but outliers.
 
-    free: (14,) mask of the camera's parameters that were found.  lines: by number of the board.
     A view is an outlier where its two numbers lie more than WRONG standard uncertainties (or of
     their usual size, where all are larger) from the plane of the others.  The covariance is
     scaled up by chi squared per degree of freedom of those two numbers where above 1.
 
-    Raises MeasurementError where fewer than two lines are left or where they do not determine
-    the plane: all in one line, or on boards nearly parallel to the sheet.
+    Parameters
+    ----------
+    fit : CameraFit, camera and poses
+    free : (14,) mask, of the camera's parameters that were found
+    lines : dict of LinePoints, px, by number of the board
+
+    Raises
+    ------
+    MeasurementError
+        Where fewer than two lines are left or where they do not determine the plane: all in one
+        line, or on boards nearly parallel to the sheet.
     """
     boards = fit.boards
     masks = {board: straight(boards, line, board) for board, line in lines.items()}

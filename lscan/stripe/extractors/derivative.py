@@ -10,10 +10,17 @@ from lscan.stripe.extractors.rules import LineLight, extractor
 def blais_rioux(seen: LineLight) -> tuple[Floats, Floats]:
     """The line where the derivative of each column's light crosses zero.
 
-    The derivative is the sum of the m pixels above less that of the m below (Blais & Rioux
-    1986, Signal Processing 11, 145, who use orders 2 m of 2, 4 and 8), with m nearest twice
+    The derivative is the sum of the m pixels above less that of the m below, with m nearest twice
     the line's width; between the two pixels where it changes sign it is taken as straight.
     See rules.py.
+
+    Parameters
+    ----------
+    seen : LineLight, px and DN, of K columns
+
+    References
+    ----------
+    Blais and Rioux, Signal Processing 11, 145 (1986), who use orders 2 m of 2, 4 and 8.
     """
     taps = np.maximum(np.rint(2 * seen.width_px), 1).astype(int)
     filtered = _filtered(seen.light, taps)

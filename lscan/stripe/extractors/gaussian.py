@@ -20,9 +20,17 @@ def gaussian(seen: LineLight) -> tuple[Floats, Floats]:
     Weighted least squares over the pixels within two widths, or as far beyond as there are
     clipped ones, which are left out: the logarithm of light I with the variance V has the
     variance V / I², so each pixel has the weight I² / V.  The weights come from the pixels
-    first, then from the parabola found (Guo 2011, IEEE Signal Processing Magazine 28(5), 134),
-    as noisy weights prefer what noise made bright; the derivative holds them fixed.  Light
-    below its own deviation counts as that: its logarithm says no more.  See rules.py.
+    first, then from the parabola found, as noisy weights prefer what noise made bright; the
+    derivative holds them fixed.  Light below its own deviation counts as that: its logarithm says
+    no more.  See rules.py.
+
+    Parameters
+    ----------
+    seen : LineLight, px and DN, of K columns
+
+    References
+    ----------
+    H. Guo, IEEE Signal Processing Magazine 28(5), 134 (2011).
     """
     reach = np.maximum(1, np.rint(2 * seen.width_px)) + seen.clipped.sum(axis=1) / 2
     near = (np.abs(seen.steps) <= reach[:, None]) & ~seen.clipped

@@ -21,12 +21,12 @@ degrees of freedom, a dozen at least, passes 3 by chance once in a thousand time
 
 
 def maximum_likelihood(image: Floats, settings: StripeSection, clipped: Mask) -> Stripe:
-    """The line by maximum likelihood in each column of ``image``, (H, W) grey values in DN.
+    """The line by maximum likelihood in each column of a picture.
 
-    A Gaussian averaged over each pixel on a sloping ground (model.py) under reading noise,
-    shot noise and speckle; a clipped pixel (``clipped``, (H, W)) says "at least this".  Width
-    and slope are free, but held to the median of the neighbouring columns as far as those
-    agree with one another: where a column alone does not determine them, they do.
+    A Gaussian averaged over each pixel on a sloping ground (crosssection.py) under reading noise,
+    shot noise and speckle; a clipped pixel says "at least this".  Width and slope are free, but
+    held to the median of the neighbouring columns as far as those agree with one another: where a
+    column alone does not determine them, they do.
 
     sigma_px follows from Fisher's information, and from what the line differs from a Gaussian
     alike in neighbouring columns (scatter.py), carried through the fit.  Where the pixels
@@ -35,6 +35,16 @@ def maximum_likelihood(image: Floats, settings: StripeSection, clipped: Mask) ->
     SATURATED columns have been allowed for.  Too few of their pixels are left to estimate the
     noise by: unless that is stated, their sigma_px is at least what their centres scatter
     from one column to the next.  NO_PEAK also where no line can be fitted.
+
+    Parameters
+    ----------
+    image : (H, W) array, DN, grey values
+    settings : StripeSection, threshold, span and noise
+    clipped : (H, W) mask, of the pixels at the end of the camera's range
+
+    References
+    ----------
+    The bound that it approaches: docs/explanation/physics.md, section 4.
     """
     seen = survey(image, settings, clipped)
     if isinstance(seen, Stripe):

@@ -26,17 +26,35 @@ and the derivative (K, n) of that offset by each grey value, in px/DN."""
 
 
 def maximum(image: Floats, settings: StripeSection, clipped: Mask) -> Stripe:
-    """The line at the brightest pixel of each column of ``image``, (H, W) grey values in DN.
+    """The line at the brightest pixel of each column, the first from the top of several equal ones.
 
-    The first such pixel from the top where several are equal.  See :func:`_extract`.
+    Parameters
+    ----------
+    image : (H, W) array, DN, grey values
+    settings : StripeSection, threshold and span; see :func:`_extract`
+    clipped : (H, W) mask, of no account to the rule
+
+    References
+    ----------
+    Sec. V.B of the paper: the nominal peak.
     """
     return _extract(image, settings, _no_offset)
 
 
 def centroid(image: Floats, settings: StripeSection, clipped: Mask) -> Stripe:
-    """The line at the centroid, eq. (8), of the grey values of ``image``, (H, W) in DN.
+    """The line at the centroid of the grey values about each column's nominal peak.
 
-    A background within the window draws it to the nominal peak.  See :func:`_extract`.
+    A background within the window draws it to the nominal peak.
+
+    Parameters
+    ----------
+    image : (H, W) array, DN, grey values
+    settings : StripeSection, threshold and span; see :func:`_extract`
+    clipped : (H, W) mask, of no account to the rule
+
+    References
+    ----------
+    Sec. V.B and eq. (8) of the paper.
     """
     return _extract(image, settings, _centroid_offset)
 
@@ -44,8 +62,15 @@ def centroid(image: Floats, settings: StripeSection, clipped: Mask) -> Stripe:
 def centroid_relative(image: Floats, settings: StripeSection, clipped: Mask) -> Stripe:
     """The line at the centroid of the grey values above the smallest one in the window.
 
-    image: (H, W) grey values in DN.  Eq. (8) with the relative intensities of Sec. V.B.
-    See :func:`_extract`.
+    Parameters
+    ----------
+    image : (H, W) array, DN, grey values
+    settings : StripeSection, threshold and span; see :func:`_extract`
+    clipped : (H, W) mask, of no account to the rule
+
+    References
+    ----------
+    Sec. V.B of the paper: eq. (8) with the relative intensities.
     """
     return _extract(image, settings, _relative_offset, guesses_background=True)
 

@@ -36,9 +36,6 @@ line has no one crossing with it."""
 def steger(image: Floats, settings: StripeSection, clipped: Mask) -> Stripe:
     """The line where the ridge of the smoothed picture crosses each column.
 
-    image: (H, W) grey values in DN.  clipped: (H, W), not looked at: the flat top of a clipped
-    line becomes round by the smoothing.
-
     The ridge is where the derivative across the line vanishes; across is the direction in
     which the picture bends down most, the eigenvector of its Hessian (Steger's eq. 11).
     The Gaussian is as wide as the line (width.py), which is the matched filter for a Gaussian
@@ -55,6 +52,18 @@ def steger(image: Floats, settings: StripeSection, clipped: Mask) -> Stripe:
     noise, photons and speckle of ``settings.noise``, or what noise.py estimates.  Neighbouring
     columns share their noise over about a line's width.  What is smoothed away where the line
     bends within its own width is no part of sigma_px.
+
+    Parameters
+    ----------
+    image : (H, W) array, DN, grey values
+    settings : StripeSection, threshold, span and noise
+    clipped : (H, W) mask, not looked at: the flat top of a clipped line becomes round by the
+        smoothing
+
+    References
+    ----------
+    C. Steger, "An unbiased detector of curvilinear structures", IEEE Trans. Pattern Anal. Mach.
+    Intell. 20, 113 (1998).
     """
     columns = np.ascontiguousarray(image.T, dtype=float)
     # Grey values of cameras are exact in single precision, where the median is faster.

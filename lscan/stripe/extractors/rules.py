@@ -27,9 +27,13 @@ from lscan.stripe.peaks import centred
 class LineLight:
     """The line in K columns, its ground taken off, in windows of n pixels.
 
-    steps: (n,) place in px from the middle pixel.  light: (K, n) in DN.
-    clipped: (K, n) pixels that may have seen more light than they say.
-    width_px: (K,) standard deviation of the line.  noise: of the pixels.
+    Attributes
+    ----------
+    steps : (n,) array, px, place from the middle pixel
+    light : (K, n) array, DN
+    clipped : (K, n) mask, of the pixels that may have seen more light than they say
+    width_px : (K,) array, px, standard deviation of the line
+    noise : Noise, of the pixels
     """
 
     steps: Floats
@@ -50,6 +54,11 @@ def extractor(rule: Rule) -> Extractor:
     The ground under the line is the straight line through the means of the pixels three to
     four widths away.  Statuses as in peaks.py, in windows that suit the line's width;
     NO_PEAK also where the rule finds no centre near the peak, see :meth:`Survey.is_near`.
+
+    Parameters
+    ----------
+    rule : callable, from the LineLight of K lines to the centre's offset (K,), px from the middle
+        pixel, and its derivative (K, n) by the light, px/DN
     """
 
     @wraps(rule)

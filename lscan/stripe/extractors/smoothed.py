@@ -15,6 +15,10 @@ def smoothed_peak(seen: LineLight) -> tuple[Floats, Floats]:
     A Gaussian as wide as the line is its matched filter: of all filters it raises the peak
     most above the noise.  The smoothed column is a function of any place, not of pixels alone,
     so the three values may be closer together than pixels: half a width.  See rules.py.
+
+    Parameters
+    ----------
+    seen : LineLight, px and DN, of K columns
     """
     apart = _APART * seen.width_px
     middle = _highest(seen)

@@ -12,6 +12,10 @@ def centroid_squared(seen: LineLight) -> tuple[Floats, Floats]:
 
     The squares of a Gaussian are a Gaussian, narrower by sqrt(2): the window cuts off what
     lies beyond 3.5 of its widths.  See rules.py.
+
+    Parameters
+    ----------
+    seen : LineLight, px and DN, of K columns
     """
     reach = np.maximum(np.ceil(2.5 * seen.width_px), 2)[:, None]
     light = np.where(np.abs(seen.steps) <= reach, seen.light, 0.0)

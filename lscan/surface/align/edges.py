@@ -33,12 +33,14 @@ MIN_CROSSINGS = 10
 
 @dataclass(frozen=True)
 class EdgeCrossings:
-    """Where K profiles cross one edge: points (K, 2) in plan or (K, 3), mm, in any frame.
+    """Where K profiles cross one edge, in any frame.
 
-    inside: last sample on the edge's upper side.
-    outside: where the next sample would lie if the upper side went on.
-    index: (K,) of the inside sample among all F N of the surface.
-    slope: the edge's nominal dx/dy in the workpiece's plan.
+    Attributes
+    ----------
+    inside : (K, 2) or (K, 3) array, mm, last sample on the edge's upper side
+    outside : (K, 2) or (K, 3) array, mm, where the next sample would lie if the upper side went on
+    index : (K,) array, of the inside sample among all F N of the surface
+    slope : float, the edge's nominal dx/dy in the workpiece's plan
     """
 
     inside: Floats
@@ -61,10 +63,15 @@ class EdgeCrossings:
 class EdgeFit:
     """E straight edges in plan fitted together: x = at_mm + (slope + lean) * (y - pivot_mm).
 
-    at_mm: (E,).  slope: (E,) nominal ones.  lean: dx/dy common to all, over and above those.
-    covariance: (E + 1, E + 1) of the lean and at_mm: that of the likelihood, and that of the
-        crossings' scatter.
-    kept: (K,) mask of the samples of all edges, in their order, that are no outliers.
+    Attributes
+    ----------
+    at_mm : (E,) array, mm
+    slope : (E,) array, nominal ones
+    lean : float, dx/dy common to all, over and above those
+    pivot_mm : float, mm, the y at which the edges are at ``at_mm``
+    covariance : (E + 1, E + 1) array, of the lean and at_mm: that of the likelihood, and that of
+        the crossings' scatter
+    kept : (K,) mask, of the samples of all edges, in their order, that are no outliers
     """
 
     at_mm: Floats
@@ -75,7 +82,12 @@ class EdgeFit:
     kept: Mask
 
     def meet(self, first: int, second: int) -> Floats:
-        """(2,) x and y in mm where two of the edges meet."""
+        """(2,) x and y in mm where two of the edges meet.
+
+        Parameters
+        ----------
+        first, second : int, indices of the edges
+        """
         y = (self.at_mm[second] - self.at_mm[first]) / (self.slope[first] - self.slope[second])
         x = self.at_mm[first] + (self.slope[first] + self.lean) * y
         return np.array([x, y + self.pivot_mm])
@@ -84,10 +96,22 @@ class EdgeFit:
 def fit_edges(
     edges: Mapping[str, EdgeCrossings], pivot_mm: float, kept: Mask | None = None
 ) -> EdgeFit:
-    """The edges, by name, that share one lean, from their crossings in plan.
+    """The edges that share one lean, from their crossings in plan.
 
-    kept: (K,) mask of the samples that are no outliers, where that is decided already.
-    Raises MeasurementError for an edge crossed by fewer than MIN_CROSSINGS profiles.
+    Parameters
+    ----------
+    edges : mapping of EdgeCrossings, mm, by name
+    pivot_mm : float, mm, the y about which the edges lean
+    kept : (K,) mask, optional, of the samples that are no outliers, where that is decided already
+
+    Raises
+    ------
+    MeasurementError
+        For an edge crossed by fewer than MIN_CROSSINGS profiles.
+
+    References
+    ----------
+    Logistic regression: D. R. Cox, J. R. Stat. Soc. B 20, 215 (1958).
     """
     for name, edge in edges.items():
         if len(edge.inside) < MIN_CROSSINGS:

@@ -27,11 +27,16 @@ def faces_beside(
 ) -> list[tuple[Ints, FaceSamples]] | None:
     """For each edge named, the index (K,) of its samples among all, and the samples.
 
-    names: as in Alignment.edges.  points: (..., 3) mm, about in the workpiece frame;
-    brightness: (...) DN.  None where a face has fewer than FEWEST_SAMPLES.
+    None where a face has fewer than FEWEST_SAMPLES.  The wedges' near edges have a lower face, the
+    rim; behind the far ones it is hidden, for the camera looks along y.  Of what is beyond the
+    block's sides nothing is asked.
 
-    The wedges' near edges have a lower face, the rim; behind the far ones it is hidden, for the
-    camera looks along y.  Of what is beyond the block's sides nothing is asked.
+    Parameters
+    ----------
+    names : sequence of str, of the edges, such as "left wedge, near edge"
+    points : (..., 3) array, mm, about in the workpiece frame
+    brightness : (...) array, DN
+    piece : Sandwave, the nominal shape
     """
     flat, light = points.reshape(-1, 3), brightness.ravel()
     valid = np.isfinite(flat).all(axis=1) & (light > 0)

@@ -32,12 +32,16 @@ confuses once in a hundred times."""
 
 @dataclass(frozen=True)
 class FaceSamples:
-    """The samples on the faces beside one edge.
+    """The K samples on the faces beside one edge.
 
-    slope: its nominal dx/dy.  side: +1 where the upper face lies at smaller x, else -1.
-    group: edges of one group fade over the same width; counted from 0.
-    plan: (K, 2) in mm.  brightness: (K,) in DN.
-    lower: (K,) mask of the samples on the lower face; none where it is out of sight.
+    Attributes
+    ----------
+    slope : float, its nominal dx/dy
+    side : int, +1 where the upper face lies at smaller x, else -1
+    group : int, edges of one group fade over the same width; counted from 0
+    plan : (K, 2) array, mm, (x, y)
+    brightness : (K,) array, DN
+    lower : (K,) mask, of the samples on the lower face; none where it is out of sight
     """
 
     slope: float
@@ -51,10 +55,17 @@ class FaceSamples:
 def fit_fading(edges: Sequence[FaceSamples], start: EdgeFit, kept: Mask | None = None) -> EdgeFit:
     """The edges that share one lean, each at x = at + (slope + lean) (y - pivot), mm.
 
-    start: the edges as found before, in the same order, good to about the width.
-    kept: (K,) mask of the samples to use, of all edges in their order, where that is decided.
+    Parameters
+    ----------
+    edges : sequence of FaceSamples, mm and DN
+    start : EdgeFit, the edges as found before, in the same order, good to about the width
+    kept : (K,) mask, optional, the samples to use, of all edges in their order, where that is
+        decided
 
-    Raises MeasurementError where the samples do not determine the edges.
+    Raises
+    ------
+    MeasurementError
+        Where the samples do not determine the edges.
     """
     place = np.array([start.lean, *start.at_mm])
     width = np.full(1 + max(edge.group for edge in edges), FIRST_WIDTH_MM)

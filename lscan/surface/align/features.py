@@ -19,13 +19,16 @@ from lscan.surface.align.edges import EdgeCrossings
 
 @dataclass(frozen=True)
 class Features:
-    """Landmarks in the raw head frame, mm.
+    """Landmarks of the block.
 
-    tops: (K, 3) points on the flat tops of both wedges, their outermost samples left out.
-    top_index: (K,) of them among all F N samples of the surface.
-    centre_left, centre_right: (3,) centroids of the two tops.
-    wedge_left, wedge_right: crossings of the wedges' inner edges, near and far together.
-    side_left, side_right: crossings of the block's left and right side; may be empty.
+    Attributes
+    ----------
+    tops : (K, 3) array, mm, raw head frame, on the flat tops of both wedges, their outermost
+        samples left out
+    top_index : (K,) array, of them among all F N samples of the surface
+    centre_left, centre_right : (3,) array, mm, raw head frame, centroids of the two tops
+    wedge_left, wedge_right : EdgeCrossings, of the wedges' inner edges, near and far together
+    side_left, side_right : EdgeCrossings, of the block's left and right side; may be empty
     """
 
     tops: Floats
@@ -39,12 +42,20 @@ class Features:
 
 
 def find_features(surface: Surface, piece: Sandwave) -> Features:
-    """The landmarks of ``piece`` in a raw scan of it.
+    """The landmarks of the block in a raw scan of it.
 
     The block lies roughly level (within 5°), turned by at most 10° about z, anywhere in the
     scan; the floor around it may be visible or not.
 
-    Raises MeasurementError where the surface is empty or a wedge is not in the scan.
+    Parameters
+    ----------
+    surface : Surface, mm, frame of the head
+    piece : Sandwave, the nominal shape
+
+    Raises
+    ------
+    MeasurementError
+        Where the surface is empty or a wedge is not in the scan.
     """
     valid = has_value(surface.status) & np.isfinite(surface.xyz_mm).all(axis=-1)
     if valid.sum() < 100:
