@@ -58,10 +58,9 @@ def calibrate_run(run: Run, plane_map: str | None = None) -> Calibration:
 
     Parameters
     ----------
-    run : Run
-        Of a rig that names its ``[board]``; its pictures are averaged.
-    plane_map : str, optional
-        Full name of the map, or "auto"; by default what the rig's ``[calibration]`` names.
+    run : Run, of a rig that names its ``[board]``; its pictures are averaged
+    plane_map : str, optional, full name of the map, or "auto"; by default what the rig's
+        ``[calibration]`` names
 
     Raises
     ------
@@ -87,12 +86,9 @@ def reconstruct(run: Run, plane_map: PlaneMap, progress: Progress | None = None)
 
     Parameters
     ----------
-    run : Run
-        The pictures, and the rig they were taken with.
-    plane_map : PlaneMap
-        Of the rig's camera, from its pixels to the laser sheet.
-    progress : callable, optional
-        Called with the number of pictures done, and of all.
+    run : Run, the pictures, and the rig they were taken with
+    plane_map : PlaneMap, of the rig's camera, from its pixels to the laser sheet
+    progress : callable, optional, called with the number of pictures done, and of all
 
     Returns
     -------

@@ -14,8 +14,7 @@ def load_plane_map(path: Path | str) -> tuple[PlaneMap, tuple[int, int]]:
 
     Parameters
     ----------
-    path : Path or str
-        Written by ``save_calibration`` or by ``save_metric``.
+    path : Path or str, written by ``save_calibration`` or by ``save_metric``
 
     Raises
     ------

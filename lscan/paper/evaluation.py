@@ -37,21 +37,23 @@ def evaluate(
 
     Parameters
     ----------
-    board, groove, sandwave : Run
-        Scans of the three pieces; the last two may be missing.
-    progress : callable, optional
-        Called with the number of the sandwave's pictures that are read, and of all, by both chains.
-    best : mapping of str to Rig, optional
-        "board", "groove" and "sandwave" to rigs that say how the best chain reads the pictures:
-        their ``[calibration]``, ``[optics]``, ``[stripe]`` and ``[sheet]`` count.  If None, the
-        runs' own rigs with the map ``refractive`` and the extractor ``ml``; that map wants the
-        section ``[optics]``.
+    board, groove, sandwave : Run, scans of the three pieces; the last two may be missing
+    progress : callable, optional, called with the number of the sandwave's pictures that are read,
+        and of all, by both chains
+    best : mapping of str to Rig, optional, "board", "groove" and "sandwave" to rigs that say how
+        the best chain reads the pictures: their ``[calibration]``, ``[optics]``, ``[stripe]`` and
+        ``[sheet]`` count.  By default the runs' own rigs with the map ``refractive`` and the
+        extractor ``ml``; that map wants the section ``[optics]``.
 
     Raises
     ------
     LscanError
         What the measurements by the paper's chain raise: InputError, BoardNotFound,
         MeasurementError.  An error of the best chain is kept in ``best_refused``.
+
+    References
+    ----------
+    Sec. IV of the paper.
     """
     parts = {"board": board, "groove": groove, "sandwave": sandwave}
     runs = {part: run for part, run in parts.items() if run is not None}

@@ -191,10 +191,8 @@ def measure_board(run: Run, methods: Sequence[str] = METHODS) -> BoardResult:
 
     Parameters
     ----------
-    run : Run
-        Of the board; its pictures are averaged.
-    methods : sequence of str
-        Full names of plane maps.
+    run : Run, of the board; its pictures are averaged
+    methods : sequence of str, full names of plane maps
 
     Raises
     ------
@@ -202,6 +200,12 @@ def measure_board(run: Run, methods: Sequence[str] = METHODS) -> BoardResult:
         Where the rig has no board.
     BoardNotFound
         Where the picture shows none.
+    MeasurementError
+        Where not one distance can be measured, or a ring has fewer than four points in the sheet.
+
+    References
+    ----------
+    Sec. IV.A and Tables I and II of the paper.
     """
     rig = run.rig_file.rig
     board = require_board(run)

@@ -41,10 +41,8 @@ def render_report(experiment: Experiment, bars: Bars | None = None) -> str:
 
     Parameters
     ----------
-    experiment : Experiment
-        Pieces that were not scanned have no part of the page.
-    bars : Bars, optional
-        The largest errors accepted; those that the paper claims by default.
+    experiment : Experiment, pieces that were not scanned have no part of the page
+    bars : Bars, optional, the largest errors accepted; those that the paper claims by default
     """
     from plotly.offline import get_plotlyjs
 

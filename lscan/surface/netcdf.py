@@ -33,17 +33,13 @@ def read_arrays(
 
     Parameters
     ----------
-    path
-        The file.
-    needed, optional
-        Names of arrays of real numbers; the latter may be missing.
+    path : Path, of the file
+    needed, optional : tuple of str, names of arrays of real numbers; the latter may be missing
 
     Returns
     -------
-    arrays : mapping
-        By name, of one, two or, the modes, four dimensions.
-    attributes : mapping
-        Those of ``ATTRIBUTES`` that are there.
+    arrays : mapping, by name, of one, two or, the modes, four dimensions
+    attributes : mapping, those of ``ATTRIBUTES`` that are there
 
     Raises
     ------
