@@ -287,7 +287,7 @@ def test_a_rig_that_json_cannot_hold_is_refused(tmp_path: Path) -> None:
     assert not (tmp_path / "a").exists()
 
 
-def test_no_file_tells_when_or_where(recorded: Run) -> None:
+def test_no_file_states_when_or_where(recorded: Run) -> None:
     manifest = json.loads((recorded.path / "run.json").read_text())
     assert manifest.keys() == {"format", "version", "state", "software", "plan", "rig", "sha256"}
     assert all(str(recorded.path).encode() not in d for d in folder_bytes(recorded.path).values())

@@ -184,7 +184,7 @@ def test_table_and_picture_are_written(tmp_path: Path) -> None:
     assert table_cells([refused], MAP_COLUMNS)[0][3:] == ["refused", "", "", "", "", "", "refused"]
 
 
-def test_the_whole_bench_takes_ones_own_extractor_and_tells_how_far_it_is(tmp_path: Path) -> None:
+def test_the_whole_bench_takes_ones_own_extractor_and_reports_its_progress(tmp_path: Path) -> None:
     steps: list[tuple[int, int]] = []
     done = run_bench(
         tmp_path, [WRONG], ["polynomial-2"], True, 2, lambda at, of: steps.append((at, of))
@@ -323,9 +323,8 @@ def test_a_map_refused_fails_on_the_papers_board_alone() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("seed", [2, 3, 4])
-def test_all_that_is_shipped_keeps_to_the_limits(seed: int, tmp_path: Path) -> None:
-    done = run_bench(tmp_path, registered_extractors(), MAPS, quick=True, seed=seed)
+def test_all_that_is_shipped_keeps_to_the_limits(tmp_path: Path) -> None:
+    done = run_bench(tmp_path, registered_extractors(), MAPS, quick=True, seed=2)
     out = [row for row in done.extractors if failed_of_extractor(row)]
     assert not out
     assert not [row for row in done.maps if failed_of_map(row)]

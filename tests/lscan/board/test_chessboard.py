@@ -61,7 +61,7 @@ def test_an_ideal_corner_has_no_other_error_than_noise() -> None:
     assert read_chessboard(grey, 7, 5, 10.0).sigma_px.max() <= 3 * DRAWN_PX
 
 
-def test_sigma_of_a_corner_tells_of_slanting_light() -> None:
+def test_sigma_of_a_corner_grows_in_slanting_light() -> None:
     """Light that falls to one side moves all saddles, by the square of the window's size.
 
     A window 1.6 times narrower moves them by 0.39 of that, so 0.61 of the shift s is seen, whose

@@ -26,7 +26,7 @@ def worst_px(reading: BoardReading, view: View) -> float:
 
 
 @pytest.mark.parametrize("roll_deg", [30.0, 45.0, 90.0, 180.0, 270.0])
-def test_the_other_marks_tell_which_way_up_the_board_is(roll_deg: float) -> None:
+def test_the_other_marks_determine_which_way_up_the_board_is(roll_deg: float) -> None:
     view = View(distance_mm=1200.0, roll_rad=np.deg2rad(roll_deg))
     reading = read_board(render(PAPER, view, FAIR, seed=1), PAPER)
     assert reading.grid.found.all()

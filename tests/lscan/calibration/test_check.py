@@ -1,4 +1,4 @@
-"""An old calibration against new pictures: silent where it holds, loud where it does not."""
+"""The check of an old calibration against new pictures: agrees where it holds, and only there."""
 
 from dataclasses import dataclass, replace
 from functools import cache
@@ -129,7 +129,7 @@ def test_false_alarms_come_at_the_stated_level(name: str, boards: int) -> None:
 
 
 @pytest.mark.parametrize("name", ["graticule-2", "projective", "polynomial-3"])
-def test_coarse_maps_do_not_cry_wolf(name: str) -> None:
+def test_coarse_maps_raise_no_false_alarm(name: str) -> None:
     """What their form misses is as large in the new picture as it was: no change."""
     assert all(
         check_calibration(_calibration(name), _reading(BARREL, seed)).agrees

@@ -141,8 +141,8 @@ def near_if_left_out(value: Any) -> str:
     return str(value.get("kind", "near"))
 
 
-TOLD_BY_KEY = Annotated[Near | Far, Field(discriminator="kind")]
-TOLD_BY_FUNCTION = Annotated[
+KIND_BY_KEY = Annotated[Near | Far, Field(discriminator="kind")]
+KIND_BY_FUNCTION = Annotated[
     Annotated[Near, Tag("near")] | Annotated[Far, Tag("far")], Discriminator(near_if_left_out)
 ]
 
@@ -150,14 +150,14 @@ TOLD_BY_FUNCTION = Annotated[
 @pytest.mark.parametrize(
     ("annotation", "kind", "required"),
     [
-        (TOLD_BY_KEY | None, "near", True),
-        (TOLD_BY_KEY | None, "far", True),
-        (TOLD_BY_FUNCTION, "near", False),
-        (TOLD_BY_FUNCTION, "far", False),
+        (KIND_BY_KEY | None, "near", True),
+        (KIND_BY_KEY | None, "far", True),
+        (KIND_BY_FUNCTION, "near", False),
+        (KIND_BY_FUNCTION, "far", False),
         (Far, "far", True),
     ],
 )
-def test_a_kind_is_required_where_only_the_key_tells_it(
+def test_a_kind_is_required_where_only_the_key_states_it(
     annotation: Any, kind: str, required: bool
 ) -> None:
     model = create_model("File", __base__=Strict, piece=(annotation, ...))

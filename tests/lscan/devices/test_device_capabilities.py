@@ -120,7 +120,9 @@ def test_of_the_tank() -> None:
     assert (found["track"]["min_mm"], found["track"]["max_mm"]) == (-1000.0, 1000.0)
 
 
-def test_a_driver_of_somebody_else_need_not_tell(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_driver_of_somebody_else_need_not_state_capabilities(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     monkeypatch.setattr("lscan.config.rigfile.find_plugin", lambda *_, **__: object())
     found = rig_devices(parse_rig({"camera": {"driver": "x"}, "track": {"driver": "y"}}, "rig"))
     expected: dict[str, Fact] = {"driver": "y", "switches_laser": False}

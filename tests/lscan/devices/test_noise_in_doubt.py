@@ -96,7 +96,7 @@ def test_noise_that_is_not_the_sensors_is_not_offered(
     assert as_json(trial)["rig_section"] is None
 
 
-def test_a_scene_that_tells_too_little_says_what_to_show(
+def test_a_scene_with_too_little_information_says_what_to_show(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     """Between 80 and 85 DN the line's end at 0 is known to worse than itself."""

@@ -139,7 +139,9 @@ def test_a_file_larger_than_any_picture_is_not_read(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(("ending", "name"), ENDINGS.items())
 @pytest.mark.parametrize("shape", [(18, 23), (18, 23, 3), (1, 1, 3)])
-def test_the_header_tells_the_size_and_kind(ending: str, name: str, shape: tuple[int, ...]) -> None:
+def test_the_header_states_the_size_and_kind(
+    ending: str, name: str, shape: tuple[int, ...]
+) -> None:
     data = encoded(ending, shape)
     assert read_header(data) == PictureHeader(name, shape[1], shape[0])  # type: ignore[arg-type]
 

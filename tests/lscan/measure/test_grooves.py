@@ -112,7 +112,7 @@ def test_heights_are_exact_and_widths_within_sampling(
 
 @given(**poses)
 @settings(max_examples=40)
-def test_brightness_at_the_ends_tells_parts_of_a_column(
+def test_brightness_at_the_ends_determines_parts_of_a_column(
     tilt_deg: float, x_mm: float, z_mm: float
 ) -> None:
     measured = groove_dimensions(profile(tilt_deg, x_mm, z_mm, dimming=True), PIECE)

@@ -104,7 +104,7 @@ def test_errors_in_common_do_not_average_out() -> None:
     np.testing.assert_allclose(cut.sigma_z_mm**2, apart.sigma_z_mm**2 + 0.2**2 + 0.15**2, rtol=1e-4)
 
 
-def test_a_plane_that_serves_tells_its_lack_of_fit() -> None:
+def test_a_plane_that_serves_states_its_lack_of_fit() -> None:
     """Along the surface's border the quadratic is less certain than one measurement."""
     y, _ = np.meshgrid(np.arange(0, 150.1, 0.5), np.arange(0, 150.1, 0.9), indexing="ij")
     bowl = gridded(0.05 * (y - 75) ** 2)

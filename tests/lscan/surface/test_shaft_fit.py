@@ -159,7 +159,7 @@ def test_outliers_do_not_move_the_shaft(sheet: Floats) -> None:
     assert (np.abs(errors(fit.shaft) - errors(clean.shaft)) < 0.5 * clean.sigma).all()
 
 
-def test_a_flat_piece_does_not_tell_height_from_scale() -> None:
+def test_a_flat_piece_does_not_distinguish_height_from_scale() -> None:
     """Closed form of what stays: on a plane d beneath the shaft, an offset h up or down bends the
     scan by h a²/2 at the angle a, a scale k by d k a²; only their sum is seen, so that h = -2 d k
     is left as uncertain as the priors leave it."""

@@ -64,7 +64,7 @@ def test_stack_carries_modes_on_with_nothing_along_the_track() -> None:
         stack([profiles[0], with_modes(profile(1.0), count=3)])
 
 
-def test_netcdf_keeps_the_modes_and_tells_the_common_part_of_sigma(tmp_path: Path) -> None:
+def test_netcdf_keeps_the_modes_and_states_the_common_part_of_sigma(tmp_path: Path) -> None:
     surface = stack([with_modes(profile(s)) for s in (0.0, 1.0)])
     save_surface(tmp_path / "surface.nc", surface)
     with xr.open_dataset(tmp_path / "surface.nc", engine="h5netcdf") as data:

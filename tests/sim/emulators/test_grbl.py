@@ -184,7 +184,7 @@ def test_the_laser_waits_for_the_motion_before_it() -> None:
     assert desk.grbl.laser_power == 0
 
 
-def test_every_report_can_be_read_and_tells_the_offset_first() -> None:
+def test_every_report_can_be_read_and_states_the_offset_first() -> None:
     desk = Desk({**FREE, 10: 3})
     desk.line("G92X5")
     report = desk.say("?")[0]

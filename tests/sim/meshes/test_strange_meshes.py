@@ -53,7 +53,7 @@ MALICIOUS: dict[str, bytes] = {
 
 
 @pytest.mark.parametrize("name", MALICIOUS)
-def test_a_mesh_that_lies_of_itself_is_one_clear_error(tmp_path: Path, name: str) -> None:
+def test_a_mesh_with_a_wrong_header_is_one_clear_error(tmp_path: Path, name: str) -> None:
     (tmp_path / name).write_bytes(MALICIOUS[name])
     with pytest.raises(InputError) as caught:
         load_mesh(tmp_path / name)

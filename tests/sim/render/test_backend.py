@@ -63,7 +63,9 @@ def crowd(tmp_path: Path) -> list[Path]:
         ("libLLVM.so", None),
     ],
 )
-def test_a_name_tells_the_major_version(tmp_path: Path, name: str, major: int | None) -> None:
+def test_the_major_version_is_read_from_the_name(
+    tmp_path: Path, name: str, major: int | None
+) -> None:
     [library] = backend.newest_first(_libraries(tmp_path / "lib", name))
     assert library.major == major
 

@@ -33,7 +33,7 @@ def test_the_sheet_is_specified_as_in_the_scene() -> None:
 
 
 @pytest.mark.slow
-def test_corrections_take_back_most_of_the_error_on_another_target(tmp_path: Path) -> None:
+def test_corrections_remove_most_of_the_error_on_another_target(tmp_path: Path) -> None:
     """On a sphere in a thicker sheet, neither of which the relations were derived on.
 
     A correction has to remove at least half.

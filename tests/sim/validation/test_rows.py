@@ -121,7 +121,7 @@ def invoked(
 
 
 @pytest.mark.parametrize(("figure", "code"), [(0.5, 0), (2.0, 1)])
-def test_the_exit_code_tells_of_a_row_beyond_its_bar(
+def test_the_exit_code_reports_a_row_beyond_its_bar(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, figure: float, code: int
 ) -> None:
     copy, folder = tmp_path / "copy.json", tmp_path / "out"

@@ -196,7 +196,7 @@ def test_of_tied_maps_the_surest_comes_first() -> None:
     assert [score.name for score in ranked(scores)] == ["surest", "least error", "sure but wrong"]
 
 
-def test_ties_are_of_maps_that_the_marks_do_not_tell_apart() -> None:
+def test_ties_are_of_maps_that_the_marks_do_not_distinguish() -> None:
     """Fourth and fifth orders differ on the view by less than the noise; second orders miss a
     hundred times that.  The map of least error is always one of the tied."""
     scores = cross_validated(_reading(), ("polynomial-4", "polynomial-5", "polynomial-2"))

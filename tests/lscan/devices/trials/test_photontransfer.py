@@ -100,7 +100,7 @@ def test_pixels_are_not_sorted_by_their_own_noise() -> None:
     assert abs(np.mean(z)) < 4 / np.sqrt(60)
 
 
-def test_a_flat_scene_does_not_tell_the_gain() -> None:
+def test_a_flat_scene_does_not_determine_the_gain() -> None:
     """Then nothing is found, or with an uncertainty as large as the gain itself."""
     flat = grey_levels(sensor(np.full(SHAPE, 100.0), 16, 0.5, 1.0))
     try:
