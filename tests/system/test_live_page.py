@@ -1,5 +1,6 @@
 """The live page in headless Chromium: real clicks and keys, real pixels, a mock of the server."""
 
+import itertools
 import json
 import re
 import time
@@ -211,14 +212,12 @@ WRITTEN = """(() => {
 })()"""
 
 
-@pytest.mark.parametrize("highest_mm", [-24.0, -4.0, 10.0, 16.0, 996.0])
-def test_nothing_on_the_profile_is_written_over_another(
-    page: Page, instrument: Instrument, highest_mm: float
-) -> None:
+def test_nothing_on_the_profile_is_written_over_another(page: Page, instrument: Instrument) -> None:
     """Also with the highest tick at the upper edge, -20, 0, 20 and 1000 mm there."""
-    z_mm = (Z_MM - Z_MM.max() + highest_mm).tolist()
-    instrument.frame = {"profile": {"x_mm": X_MM.tolist(), "z_mm": z_mm, "sigma_mm": 0.1}}
-    for size in ((1280, 800), (390, 844), (844, 390)):
+    sizes = ((1280, 800), (390, 844), (844, 390))
+    for highest_mm, size in itertools.product((-24.0, -4.0, 10.0, 16.0, 996.0), sizes):
+        z_mm = (Z_MM - Z_MM.max() + highest_mm).tolist()
+        instrument.frame = {"profile": {"x_mm": X_MM.tolist(), "z_mm": z_mm, "sigma_mm": 0.1}}
         resize(page, *size)
         drawn = page.evaluate("window.lscan.framesDrawn")
         wait_for(page, f"window.lscan.framesDrawn > {drawn + 5}")
@@ -274,80 +273,71 @@ def test_without_a_calibration_the_page_says_so(page: Page, instrument: Instrume
     assert page.evaluate("window.lscan.profilesDrawn") == drawn
 
 
-@pytest.mark.parametrize(
-    ("change", "number", "value", "grade", "verdict"),
-    [
-        ({"clipped": 0}, "saturation", "0.0 %", "good", "not clipped"),
-        ({"clipped": 3}, "saturation", "0.5 %", "good", "a few columns clipped"),
-        ({"clipped": 124}, "saturation", "20.0 %", "bad", "too bright: shorten the exposure"),
-        ({"snr": 5.0}, "snr", "5", "bad", "lengthen the exposure"),
-        ({"slope": 0.02}, "slope", "−1.15 °", "", "2.0 px in 100 px"),
-        ({"slope": -0.0014}, "slope", "+0.08 °", "", "0.1 px in 100 px"),
-        ({"slope": None}, "slope", "–", "", ""),
-        ({"width_px": 1.4}, "width", "1.4 px", "fair", "thin for a colour camera"),
-        ({"width_px": 20.0}, "width", "20.0 px", "bad", "blurred"),
-        ({"found": 0, "snr": None, "width_px": None}, "snr", "–", "", ""),
-        ({"found": 200, "status": {"NO_PEAK": 440}}, "found", "200 of 640", "bad", "no peak 440"),
-    ],
-)
-def test_each_number_has_its_verdict(
-    page: Page,
-    instrument: Instrument,
-    change: dict[str, Any],
-    number: str,
-    value: str,
-    grade: str,
-    verdict: str,
-) -> None:
+# A change of the stripe in the answer; the number, its value, grade and verdict.
+NUMBERS: list[tuple[dict[str, Any], str, str, str, str]] = [
+    ({"clipped": 0}, "saturation", "0.0 %", "good", "not clipped"),
+    ({"clipped": 3}, "saturation", "0.5 %", "good", "a few columns clipped"),
+    ({"clipped": 124}, "saturation", "20.0 %", "bad", "too bright: shorten the exposure"),
+    ({"snr": 5.0}, "snr", "5", "bad", "lengthen the exposure"),
+    ({"slope": 0.02}, "slope", "−1.15 °", "", "2.0 px in 100 px"),
+    ({"slope": -0.0014}, "slope", "+0.08 °", "", "0.1 px in 100 px"),
+    ({"slope": None}, "slope", "–", "", ""),
+    ({"width_px": 1.4}, "width", "1.4 px", "fair", "thin for a colour camera"),
+    ({"width_px": 20.0}, "width", "20.0 px", "bad", "blurred"),
+    ({"found": 0, "snr": None, "width_px": None}, "snr", "–", "", ""),
+    ({"found": 200, "status": {"NO_PEAK": 440}}, "found", "200 of 640", "bad", "no peak 440"),
+]
+
+
+def test_each_number_has_its_verdict(page: Page, instrument: Instrument) -> None:
     stripe = {"axis": "columns", "centre_px": [], "found": 620, "of": 640, "clipped": 0}
     figures = {"width_px": 4.0, "snr": 40.0, "status": {}}
-    instrument.frame = {"stripe": {**stripe, **figures, **change}}
-    tile = f"[data-number={number}]"
-    shows(page, f"{tile} .value", value)
-    assert page.evaluate(f"document.querySelector('{tile}').dataset.grade") == grade
-    assert verdict in text(page, f"{tile} .verdict")
+    for change, number, value, grade, verdict in NUMBERS:
+        instrument.frame = {"stripe": {**stripe, **figures, **change}}
+        tile = f"[data-number={number}]"
+        shows(page, f"{tile} .value", value)
+        assert page.evaluate(f"document.querySelector('{tile}').dataset.grade") == grade, change
+        assert verdict in text(page, f"{tile} .verdict"), change
 
 
-@pytest.mark.parametrize(
-    ("name", "frame", "key", "values", "grades"),
-    [
-        ("saturation", {"mode": "board"}, "saturated_percent", (0.5, 5), "good fair bad"),
-        ("saturation", {"stripe": {"found": 1000}}, "clipped", (5, 50), "good fair bad"),
-        ("snr", {"stripe": {}}, "snr", (8, 15), "bad fair good"),
-        ("width", {"stripe": {}}, "width_px", (2.5, 4, 8), "fair good fair bad"),
-        ("found", {"stripe": {"of": 100, "status": {}}}, "found", (50, 95), "bad fair good"),
-        ("residual", {"board": {}}, "residual_rms_px", (0.2, 0.5), "good fair bad"),
-        ("focus", {**ALIGNING, "focus_best": 100}, "focus", (80, 95), "bad fair good"),
-    ],
-)
-def test_the_legend_names_each_limit_at_which_a_verdict_turns(
-    page: Page,
-    name: str,
-    frame: dict[str, Any],
-    key: str,
-    values: tuple[float, ...],
-    grades: str,
-) -> None:
-    """Just below and just above each limit, the grades of a first picture are those there."""
+# A figure, the answer it is judged by, the member that varies, its limits, the grades between.
+LIMITS: list[tuple[str, dict[str, Any], str, tuple[float, ...], str]] = [
+    ("saturation", {"mode": "board"}, "saturated_percent", (0.5, 5), "good fair bad"),
+    ("saturation", {"stripe": {"found": 1000}}, "clipped", (5, 50), "good fair bad"),
+    ("snr", {"stripe": {}}, "snr", (8, 15), "bad fair good"),
+    ("width", {"stripe": {}}, "width_px", (2.5, 4, 8), "fair good fair bad"),
+    ("found", {"stripe": {"of": 100, "status": {}}}, "found", (50, 95), "bad fair good"),
+    ("residual", {"board": {}}, "residual_rms_px", (0.2, 0.5), "good fair bad"),
+    ("focus", {**ALIGNING, "focus_best": 100}, "focus", (80, 95), "bad fair good"),
+]
+
+
+def grade_and_legend(
+    page: Page, name: str, frame: dict[str, Any], key: str, value: float
+) -> tuple[str, str]:
+    """The grade that the page's own figure of this name gives a value, and its legend."""
     inner = next((part for part in ("stripe", "board") if part in frame), None)
+    shown = {**frame, inner: {**frame[inner], key: value}} if inner else {**frame, key: value}
+    script = f"""import("/live/figures.js").then(({{FIGURES}}) => {{
+        const figure = FIGURES.find((one) => one.name === {name!r});
+        return [figure.judge({json.dumps(shown)})[0], figure.legend];
+    }})"""
+    grade, legend = page.evaluate(script)
+    return grade, legend
 
-    def grade_and_legend(value: float) -> tuple[str, str]:
-        shown = {**frame, inner: {**frame[inner], key: value}} if inner else {**frame, key: value}
-        script = f"""import("/live/figures.js").then(({{FIGURES}}) => {{
-            const figure = FIGURES.find((one) => one.name === {name!r});
-            return [figure.judge({json.dumps(shown)})[0], figure.legend];
-        }})"""
-        grade, legend = page.evaluate(script)
-        return grade, legend
 
-    sides = grades.split()
-    for limit, below, above in zip(values, sides[:-1], sides[1:], strict=True):
-        assert grade_and_legend(0.999 * limit)[0] == below
-        assert grade_and_legend(1.001 * limit)[0] == above
-    legend = grade_and_legend(1.0)[1]
-    named = [limit / 10 for limit in values] if key == "clipped" else values  # of 1000, in %
-    assert [limit for limit in named if f" {limit:g} " not in legend.replace(",", " ")] == []
-    assert legend in page.evaluate("document.querySelector('#legend').textContent")
+def test_the_legend_names_each_limit_at_which_a_verdict_turns(page: Page) -> None:
+    """Just below and just above each limit, the grades of a first picture are those there."""
+    whole = page.evaluate("document.querySelector('#legend').textContent")
+    for name, frame, key, values, grades in LIMITS:
+        sides = grades.split()
+        for limit, below, above in zip(values, sides[:-1], sides[1:], strict=True):
+            assert grade_and_legend(page, name, frame, key, 0.999 * limit)[0] == below, key
+            assert grade_and_legend(page, name, frame, key, 1.001 * limit)[0] == above, key
+        legend = grade_and_legend(page, name, frame, key, 1.0)[1]
+        named = [limit / 10 for limit in values] if key == "clipped" else values  # of 1000, in %
+        assert [limit for limit in named if f" {limit:g} " not in legend.replace(",", " ")] == []
+        assert legend in whole
 
 
 def test_the_limits_of_the_board_and_of_the_rate_are_in_the_legend(page: Page) -> None:
@@ -382,28 +372,20 @@ VERDICTS = """import("/live/figures.js").then(({FIGURES}) => {
 })"""
 
 
-@pytest.mark.parametrize(
-    ("phase", "optics", "exposure"),
-    [("alignment", True, True), ("calibrated", False, True), ("scan", False, False)],
-)
-def test_advice_about_optics_holds_in_alignment_alone(
-    page: Page, phase: str, optics: bool, exposure: bool
-) -> None:
+PHASES = [("alignment", True, True), ("calibrated", False, True), ("scan", False, False)]
+OF_OPTICS = ("turn the lens", "focus the lens", "open the lens", "the sheet", "take a board")
+FAULTS = {"wide", "blurred", "thin for a colour camera", "too bright", "weak", "not calibrated"}
+
+
+def test_advice_about_optics_holds_in_alignment_alone(page: Page) -> None:
     """A calibration and a scan are those of the optics and the exposure they began with."""
-    verdicts = set(page.evaluate(VERDICTS % phase))
-    for words in ("turn the lens", "focus the lens", "open the lens", "the sheet", "take a board"):
-        assert any(words in verdict for verdict in verdicts) is optics, words
-    for words in ("shorten", "lengthen"):
-        assert any(words in verdict for verdict in verdicts) is exposure, words
-    faults = {verdict.split(":")[0] for verdict in verdicts}  # are given in any phase
-    assert {
-        "wide",
-        "blurred",
-        "thin for a colour camera",
-        "too bright",
-        "weak",
-        "not calibrated",
-    } <= faults
+    for phase, optics, exposure in PHASES:
+        verdicts = set(page.evaluate(VERDICTS % phase))
+        for words in OF_OPTICS:
+            assert any(words in verdict for verdict in verdicts) is optics, (phase, words)
+        for words in ("shorten", "lengthen"):
+            assert any(words in verdict for verdict in verdicts) is exposure, (phase, words)
+        assert {verdict.split(":")[0] for verdict in verdicts} >= FAULTS, phase
 
 
 def test_a_scan_shows_no_bar_to_be_filled(page: Page, instrument: Instrument) -> None:

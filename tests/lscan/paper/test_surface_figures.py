@@ -1,7 +1,6 @@
 """Figures of the surface: scaled to the waves, every label legible, the whole of it in view."""
 
 import json
-from collections.abc import Callable
 from dataclasses import replace
 from itertools import combinations, product
 from typing import Any
@@ -44,9 +43,9 @@ def _with_floor(xyz_mm: np.ndarray) -> np.ndarray:
     return np.concatenate([left, xyz_mm, right], axis=1)
 
 
-@pytest.fixture
-def drawn(monkeypatch: pytest.MonkeyPatch) -> Callable[[Experiment], dict[str, Figure]]:
-    """What the figures of a report are, by key, laid out as they are saved."""
+@pytest.fixture(scope="module")
+def rendered() -> tuple[dict[str, Figure], str]:
+    """The figures of the report of ``on_a_floor`` by key, laid out as they are saved; its page."""
     figures: dict[str, Figure] = {}
     write = style.svg
 
@@ -54,12 +53,25 @@ def drawn(monkeypatch: pytest.MonkeyPatch) -> Callable[[Experiment], dict[str, F
         figures[key] = figure
         return write(figure, key, alt)
 
-    def draw(experiment: Experiment) -> dict[str, Figure]:
-        monkeypatch.setattr(style, "svg", keep)
-        render_report(experiment)
-        return figures
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(style, "svg", keep)
+        return figures, render_report(on_a_floor())
 
-    return draw
+
+@pytest.fixture
+def drawn(rendered: tuple[dict[str, Figure], str]) -> dict[str, Figure]:
+    return rendered[0]
+
+
+@pytest.fixture
+def turned(rendered: tuple[dict[str, Figure], str]) -> tuple[dict[str, Any], dict[str, Any]]:
+    """Trace and layout that the page hands to Plotly."""
+    page = rendered[1]
+    arguments = page[page.rindex('Plotly.newPlot("surface", ') :].split('"surface", ', 1)[1]
+    decoder = json.JSONDecoder()
+    (trace,), end = decoder.raw_decode(arguments)
+    layout, _ = decoder.raw_decode(arguments[end + 2 :])
+    return trace, layout
 
 
 def _shades(figure: Figure) -> QuadMesh:
@@ -79,18 +91,17 @@ def test_colours_and_contours_are_those_of_the_waves(drawn) -> None:
     piece = Sandwave()
     crest_mm = piece.a_mm + piece.b * piece.side_mm
     noise_mm = 5 * 0.08  # of the example's points
-    figures = drawn(on_a_floor())
     for key in ("contours-before", "contours-after"):
-        low, high = _shades(figures[key]).get_clim()
+        low, high = _shades(drawn[key]).get_clim()
         assert -crest_mm - noise_mm <= low <= -7.0 and 7.0 <= high <= crest_mm + noise_mm, key
-        levels = np.asarray(_contours(figures[key]).levels)
+        levels = np.asarray(_contours(drawn[key]).levels)
         np.testing.assert_array_equal(np.diff(levels), 1.0)
         np.testing.assert_array_equal(levels, np.round(levels))
         assert low <= levels[0] < low + 1 and high - 1 < levels[-1] <= high
 
 
 def test_every_fifth_contour_is_thicker_and_labelled(drawn) -> None:
-    contours = _contours(drawn(on_a_floor())["contours-after"])
+    contours = _contours(drawn["contours-after"])
     widths = dict(zip(np.asarray(contours.levels), contours.get_linewidths(), strict=True))
     index = [level for level, width in widths.items() if width == max(widths.values())]
     assert index == [-5.0, 0.0, 5.0]
@@ -100,7 +111,7 @@ def test_every_fifth_contour_is_thicker_and_labelled(drawn) -> None:
 
 def test_flat_parts_beside_the_waves_have_no_contours(drawn) -> None:
     """The rim lies at 0, a contour's height, where noise would draw speckle."""
-    contours = _contours(drawn(on_a_floor())["contours-after"])
+    contours = _contours(drawn["contours-after"])
     for path in contours.get_paths():
         assert (path.vertices >= -2.0).all() and (path.vertices <= 152.0).all()  # a cell beyond
 
@@ -116,7 +127,7 @@ def test_a_surface_of_another_shape_has_few_enough_contours() -> None:
 
 
 def test_slices_differ_in_their_dashes(drawn) -> None:
-    figure = drawn(on_a_floor())["contours-after"]
+    figure = drawn["contours-after"]
     lines = [line for line in figure.axes[0].lines if len(line.get_xdata()) == 2]
     assert len(lines) == 4
     assert len({str(line._unscaled_dash_pattern) for line in lines}) == 4
@@ -127,7 +138,7 @@ def test_slices_differ_in_their_dashes(drawn) -> None:
 
 @pytest.mark.parametrize("key", ["raw", "levelled", "contours-before", "contours-after"])
 def test_no_label_lies_on_another(drawn, key) -> None:
-    boxes = _labels(drawn(on_a_floor())[key])
+    boxes = _labels(drawn[key])
     assert len(boxes) >= 3
     overlapping = [
         (one, two)
@@ -156,19 +167,9 @@ def _extent(text: Text) -> Bbox:
     return Bbox.frozen((plate or text).get_window_extent())
 
 
-def _turned(experiment: Experiment) -> tuple[dict[str, Any], dict[str, Any]]:
-    """Trace and layout that the page hands to Plotly."""
-    page = render_report(experiment)
-    arguments = page[page.rindex('Plotly.newPlot("surface", ') :].split('"surface", ', 1)[1]
-    decoder = json.JSONDecoder()
-    (trace,), end = decoder.raw_decode(arguments)
-    layout, _ = decoder.raw_decode(arguments[end + 2 :])
-    return trace, layout
-
-
-def test_the_start_view_sees_every_corner_of_the_surface() -> None:
+def test_the_start_view_sees_every_corner_of_the_surface(turned) -> None:
     """By Plotly's camera: 45° from edge to edge, the surface's box about the origin, z up."""
-    trace, layout = _turned(on_a_floor())
+    trace, layout = turned
     heights = [z for row in trace["z"] for z in row if z is not None]
     assert min(heights) < FLOOR_MM + 5
     spans = np.array([np.ptp(trace["x"]), np.ptp(trace["y"]), np.ptp(heights)])
@@ -189,6 +190,6 @@ def test_the_start_view_sees_every_corner_of_the_surface() -> None:
     assert np.abs(corners @ np.cross(right, forward) / ahead).max() < 1
 
 
-def test_the_turned_surface_has_the_colours_of_the_waves() -> None:
-    trace, _ = _turned(on_a_floor())
+def test_the_turned_surface_has_the_colours_of_the_waves(turned) -> None:
+    trace, _ = turned
     assert -8.5 < trace["cmin"] < -7 and 7 < trace["cmax"] < 8.5
