@@ -174,8 +174,8 @@ def test_interreflection_equals_stock_path() -> None:
     ours = parts(render(tank, camera, tank.higher, 256, range(RUNS)), 4)
     everything = {"type": "path", "max_depth": -1, "rr_depth": 50}
     first = {"type": "path", "max_depth": 2}
-    theirs = render(tank, camera, everything, 1024, STOCK_SEEDS)
-    theirs -= render(tank, camera, first, 1024, STOCK_SEEDS)
+    theirs = render(tank, camera, everything, 512, STOCK_SEEDS)
+    theirs -= render(tank, camera, first, 512, STOCK_SEEDS)
     theirs = parts(theirs, 4)
     assert not differ(ours, theirs)
     assert differ(0 * ours, theirs), "that there is any is seen"
@@ -369,7 +369,7 @@ def test_all_orders_in_turbid_water_equal_stock_volpath() -> None:
     def ours(other: Optics) -> Floats:
         return rows(whole_picture(tank, other, range(RUNS)))
 
-    theirs = rows(render(tank, camera, stock, 1024, STOCK_SEEDS))
+    theirs = rows(render(tank, camera, stock, 512, STOCK_SEEDS))
 
     assert not differ(ours(water), theirs)
     assert differ(ours(one_lobe(4e-4, 2.6e-3, 0.1)), theirs), "an asymmetry of 0.1 is seen"
