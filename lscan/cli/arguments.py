@@ -9,7 +9,7 @@ import sys
 from contextlib import nullcontext
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import numpy as np
 import typer
@@ -44,8 +44,6 @@ Trust = Annotated[
     bool, typer.Option("--trust", help="Run the code that a run folder names as its extractor.")
 ]
 Json = Annotated[bool, typer.Option("--json", help="Print the result as JSON.")]
-
-CHANNELS = ("red", "green", "blue", "grey")
 
 
 def require_folders(*outputs: Path | None) -> None:
@@ -92,13 +90,6 @@ def _about(run: Run, shaft: Path) -> Run:
     return replace(run, rig_file=replace(rig_file, rig=rig))
 
 
-def choice(option: str, value: str, allowed: tuple[str, ...]) -> Any:
-    """The value, one of those allowed; InputError names the option and what it takes."""
-    if value not in allowed:
-        raise InputError("unknown value", where=option, value=value, allowed=", ".join(allowed))
-    return value
-
-
 def parse_seeds(text: str | None) -> Floats | None:
     """(3, 2) px of "u1,v1,u2,v2,u3,v3", None for None; InputError where it is neither."""
     if text is None:
@@ -130,13 +121,15 @@ class BoardSource:
     def read(self, seeds: Floats | None, channel: str | None) -> BoardReading:
         """The marks found; seeds: (3, 2) px; channel: in place of what the rig says."""
         from lscan.board import read_board
+        from lscan.config.documents import check
+        from lscan.config.rig import CalibrationSection
         from lscan.pipeline import board_expected
 
-        chosen = self.calibration.channel
+        section = self.calibration
         if channel is not None:
-            chosen = choice("--channel", channel, CHANNELS)
+            section = check(CalibrationSection, {"channel": channel}, where="command line")
         with board_expected(self.run) if self.run else nullcontext():
-            return read_board(self.image, self.board, seeds=seeds, channel=chosen)
+            return read_board(self.image, self.board, seeds=seeds, channel=section.channel)
 
 
 def board_picture(

@@ -39,7 +39,7 @@ def devices(
 ) -> None:
     """List cameras, serial ports and drivers; with --test, try out a rig's camera and track.
 
-    For RIG it also lists what its devices can do, as their drivers tell without opening them.
+    For RIG it also lists what its devices can do, as known to their drivers without opening them.
     For --test show the camera a still, evenly lit scene with bright and dark parts, and keep the
     track's way clear by 2 mm.
     """

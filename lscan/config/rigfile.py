@@ -170,10 +170,7 @@ def _check_names(rig_file: RigFile) -> None:
     """Refuse an unknown extractor or plane map before a scan, not after it."""
     extractor, source = rig_file.rig.stripe.extractor, rig_file.source
     find_plugin_or_function("lscan.extractors", extractor, where=f"{source}: stripe.extractor")
-    _check_plane_map(rig_file.rig.calibration.plane_map, f"{source}: calibration.plane_map")
-
-
-def _check_plane_map(name: str, where: str) -> None:
+    name, where = rig_file.rig.calibration.plane_map, f"{source}: calibration.plane_map"
     family, _, variant = name.partition("-")
     solver = find_plugin("lscan.planemaps", family, where=where)
     # A solver from elsewhere may lack the check; it then refuses when it is called.

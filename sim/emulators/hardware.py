@@ -23,7 +23,7 @@ from sim.emulators.options import ServeOptions
 from sim.emulators.places import Places
 from sim.emulators.rigfile import HEADING, camera_options, rig_document
 from sim.emulators.track import EmulatedTrack
-from sim.emulators.webcam.camera import Coding, EmulatedCamera, HeadState
+from sim.emulators.webcam.camera import EmulatedCamera, HeadState
 from sim.emulators.webcam.mjpeg import SNAPSHOT, STREAM, MjpegServer
 from sim.scene import Scene
 
@@ -74,9 +74,8 @@ class EmulatedHardware:
             stack.callback(self._track.close)
             self.controller = self._track.controller
             self._places = places = self._rendered(progress)
-            coding = Coding(self.options.quality, self.options.subsampling)
             seed = scene.tank.sensor.seed
-            self._camera = EmulatedCamera(places, self._look, self.options.fps, coding, seed)
+            self._camera = EmulatedCamera(places, self._look, self.options, seed)
             stack.callback(self._camera.close)
             self._server = MjpegServer(self._camera, self.options.http_port)
             stack.callback(self._server.close)

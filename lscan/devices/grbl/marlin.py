@@ -20,9 +20,9 @@ STEP_MM: Final = 0.01
 _JAM: Final = "check for a jam, "
 _OTHER_DIALECT: Final = "where the controller runs Grbl, set track.options.dialect = 'grbl'; "
 
-_PLACE = re.compile(r"(?:^|\s)([XYZ]):(-?\d+\.\d+)")
 _FIRMWARE = re.compile(r"FIRMWARE_NAME:(Marlin.*?)(?= [A-Z_]+:|$)")
-_REPORT = re.compile(r"X:-?\d+\.\d+ Y:-?\d+\.\d+ Z:-?\d+\.\d+(?: .*)?")
+_REPORT = re.compile(r"X:(-?\d+\.\d+) Y:(-?\d+\.\d+) Z:(-?\d+\.\d+)(?: .*)?")
+"""The position in mm; "Count" and what follows are motor steps."""
 
 
 class MarlinExchange(Exchange[str]):
@@ -117,11 +117,8 @@ class MarlinMachine:
 
     def _reported_mm(self) -> float:
         for answer in self._command("M114"):
-            if _REPORT.fullmatch(answer):
-                # "Count" and what follows are motor steps, not mm.
-                places = dict(_PLACE.findall(answer.partition(" Count")[0]))
-                if self._options.axis in places:
-                    return float(places[self._options.axis])
+            if report := _REPORT.fullmatch(answer):
+                return float(report["XYZ".index(self._options.axis) + 1])
         raise Unanswered(
             f"{self._link.name}: M114 gave no readable position of axis {self._options.axis}; "
             "check the cable, then open the track again"

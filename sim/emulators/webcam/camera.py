@@ -10,6 +10,7 @@ from typing import Literal
 import numpy as np
 
 from lscan.records import Bytes
+from sim.emulators.options import ServeOptions
 from sim.emulators.places import Places
 from sim.sensor.coding import jpeg_bytes
 
@@ -39,14 +40,6 @@ class Shot:
     sight: HeadState
 
 
-@dataclass(frozen=True)
-class Coding:
-    """How pictures are coded.  quality: of the JPEG, 1 to 100.  subsampling: of its chroma."""
-
-    quality: int
-    subsampling: str
-
-
 class EmulatedCamera:
     """Pictures of the tank at a steady rate while anyone watches, in a thread of its own.
 
@@ -56,10 +49,9 @@ class EmulatedCamera:
     """
 
     def __init__(
-        self, places: Places, look: Callable[[], HeadState], fps: float, coding: Coding, seed: int
+        self, places: Places, look: Callable[[], HeadState], options: ServeOptions, seed: int
     ) -> None:
-        self._places, self._look, self._coding = places, look, coding
-        self._period_s = 1 / fps
+        self._places, self._look, self._options = places, look, options
         self._generator = np.random.Generator(np.random.SFC64([seed, STREAM]))
         self._changed = threading.Condition()
         self._shot: Shot | None = None
@@ -109,7 +101,7 @@ class EmulatedCamera:
     def _run(self) -> None:
         due_s = time.monotonic()
         while self._awaited(due_s):
-            due_s = max(due_s + self._period_s, time.monotonic())
+            due_s = max(due_s + 1 / self._options.fps, time.monotonic())
             shot = self._expose()
             with self._changed:
                 if shot is not None:
@@ -135,7 +127,7 @@ class EmulatedCamera:
         assert sight.position_mm is not None
         view = self._places.view(sight.position_mm, lit=sight.lit)
         image = self._spoilt(view.picture(self._generator))
-        jpeg = jpeg_bytes(image, self._coding.quality, self._coding.subsampling)
+        jpeg = jpeg_bytes(image, self._options.quality, self._options.subsampling)
         return Shot(self.count + 1, jpeg, sight)
 
     def _spoilt(self, image: Bytes) -> Bytes:
