@@ -23,7 +23,7 @@ Show = Callable[[Grab], None]
 class LiveDevices:
     """The devices of a rig.  Opening raises InputError and DeviceError, as open_devices does.
 
-    laser: whether the laser was switched on or off here; None where nobody knows.
+    laser: whether the laser was switched on or off here; None where it is not known.
     """
 
     def __init__(self, rig_file: RigFile, show: Show) -> None:
@@ -100,7 +100,7 @@ class LiveDevices:
             return None, str(error)
 
     def check_track(self) -> None:
-        """Ask a track that nobody uses whether it still answers; if not, track_error says so."""
+        """Ask a track that is not in use whether it still answers; if not, track_error says so."""
         if not self._using.acquire(blocking=False):
             return
         try:
@@ -197,7 +197,7 @@ class LiveDevices:
 
 
 class _ScanCamera:
-    """The camera of a scan, whose pictures are shown where nobody can look at it meanwhile."""
+    """The camera of a scan, whose pictures are shown where it gives no preview meanwhile."""
 
     def __init__(self, camera: Camera, show: Show) -> None:
         self._camera, self._show = camera, show

@@ -44,8 +44,8 @@ class Door:
                 f"{self._access.cookie}={self._access.token}; HttpOnly; SameSite=Strict; Path=/"
             )
         elif refusal and request.url.path == "/" and asked.fetch_site == "cross-site":
-            # Whoever came by a link elsewhere comes without the cookie just set (SameSite);
-            # asked for again by this answer itself, the page comes with it.
+            # A browser that followed a link from elsewhere sends no cookie with its first request
+            # (SameSite); with the one that this answer makes it send, it does.
             headers["Refresh"] = "0"
 
         async def send_safely(message: Message) -> None:

@@ -75,7 +75,7 @@ class Scanning:
     def start(self, name: str | None = None) -> None:
         """Begin a scan into a new folder, ``scan-NNN`` where no name is given.
 
-        The caller sees to it that none goes on.  Raises InputError for a name that is none or a
+        The caller ensures that none goes on.  Raises InputError for a name that is none or a
         folder that cannot be made, DeviceError where the track does not come back.
         """
         folder = self._output / (checked_name(name) if name else next_name(self._output, "scan"))

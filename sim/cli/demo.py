@@ -48,8 +48,8 @@ def _print_experiment(experiment: Experiment) -> None:
     )
     print(
         f"noise-free line: {line.stripe_rms_px:.4f} px rms, "
-        f"{line.stripe_max_px:.3f} px at most; with the light the target and the water "
-        f"throw about, {line.all_orders_rms_px:.4f} px rms"
+        f"{line.stripe_max_px:.3f} px at most; with the light that the target and the water "
+        f"scatter, {line.all_orders_rms_px:.4f} px rms"
     )
     rows = []
     for method, board in experiment.board.measures.items():

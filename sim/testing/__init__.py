@@ -1,1 +1,1 @@
-"""The laboratory of faults: faulty devices and disks, wrong rig files, a browser."""
+"""Faulty devices and disks, wrong rig files and a browser, for the validation and the tests."""

@@ -1,7 +1,7 @@
 // The live page: draws each picture with what was measured in it, and sends the buttons' commands.
 //
 // Two loops talk to the server.  One asks for the next picture when the last is drawn, so that
-// a slow browser holds up itself and nobody else; the other asks for the state of camera, track
+// a slow browser delays itself alone; the other asks for the state of camera, track
 // and scan.  Everything shown comes from these two answers.
 
 import { wireButtons } from "./buttons.js";

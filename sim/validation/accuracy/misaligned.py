@@ -1,4 +1,4 @@
-"""A board that does not lie in the sheet: does anything say so?"""
+"""A board that does not lie in the sheet: whether uncertainty and check show it."""
 
 from typing import Any
 
@@ -30,28 +30,27 @@ def misaligned(scene: Scene) -> Scene:
 
 
 def misaligned_rows(scene: Scene, map_name: str) -> list[Row]:
-    """Whether a careful user notices, in either of the two ways there are.
+    """Whether the uncertainty holds the error, and whether ``lscan check`` notices it.
 
-    The uncertainty: a rig file that states how well the board was laid in has intervals
-    that hold the error.  The check: a picture of the board laid in well disagrees with the
-    calibration of the one laid in badly.
+    The uncertainty: where the rig file states how well the board was aligned, the intervals hold
+    the error.  The check: a picture of the aligned board disagrees with the calibration of the
+    misaligned one, and not with that of another picture of the aligned one.
     """
-    askew = misaligned(scene)
-    badly, well, again = (_read(s, SEED + k) for k, s in enumerate((askew, scene, scene)))
-    stated = scene.rig.optics.model_copy(
-        update={"board_offset_mm": OFFSET_MM, "board_tilt_deg": TILT_DEG}
+    optics = scene.rig.optics
+    wrong, right, again = (
+        _read(one, SEED + k) for k, one in enumerate((misaligned(scene), scene, scene))
     )
-    careful = calibrate(badly, map_name, stated)
-    error, sigma = map_errors_mm(scene, careful)
+    alignment = {"board_offset_mm": OFFSET_MM, "board_tilt_deg": TILT_DEG}
+    stated = calibrate(wrong, map_name, optics.model_copy(update=alignment))
+    error, sigma = map_errors_mm(scene, stated)
     outside = 100 * float(np.mean(np.abs(error) > COVER * sigma))
-    believed = calibrate(badly, map_name, scene.rig.optics)
-    verdict = check_calibration(believed, well)
-    sound = check_calibration(calibrate(well, map_name, scene.rig.optics), again)
-    askew_by: dict[str, Any] = {"seed": SEED, "offset_mm": OFFSET_MM, "tilt_deg": TILT_DEG}
+    missed = check_calibration(calibrate(wrong, map_name, optics), right).agrees
+    alarm = not check_calibration(calibrate(right, map_name, optics), again).agrees
+    words: dict[str, Any] = {"seed": SEED, "offset_mm": OFFSET_MM, "tilt_deg": TILT_DEG}
     return [
-        row("misaligned-intervals", outside, **askew_by),
-        row("misaligned-missed", float(verdict.agrees), **askew_by),
-        row("aligned-alarms", float(not sound.agrees), seed=SEED),
+        row("misaligned-intervals", outside, **words),
+        row("misaligned-missed", float(missed), **words),
+        row("aligned-alarms", float(alarm), seed=SEED),
     ]
 
 

@@ -114,7 +114,7 @@ def _running(module: Sequence[str], ready: str, log: Path) -> Iterator[str]:
     try:
         line = next((line for line in process.stdout if line.startswith(ready)), None)
         if line is None:
-            said = log.read_text(errors="replace").strip().splitlines() or ["no word"]
+            said = log.read_text(errors="replace").strip().splitlines() or ["nothing on stderr"]
             raise MeasurementError(f"{' '.join(module[:2])} does not start: {said[-1]}")
         yield line
     finally:

@@ -82,7 +82,7 @@ class FreeTrack:
 class FreeCamera:
     """A camera whose pictures, all (H, W, 3) RGB, have been taken beforehand.
 
-    aside: called with each picture while nobody's time is taken.
+    aside: called with each picture while the stopwatch rests.
     """
 
     watch: Stopwatch
