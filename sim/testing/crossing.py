@@ -1,6 +1,5 @@
 """Rules of a rig file over several of its fields, and how each is broken: crossings.toml."""
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 
 from lscan.config.documents import Document, merge
@@ -27,10 +26,8 @@ class CrossRule:
         return merge(document, self.rig) == document
 
 
-def _read() -> Iterator[CrossRule]:
-    for rule in packaged_table("sim.testing", "crossings.toml")["crossing"]:
-        for rig in rule["rigs"]:
-            yield CrossRule(rule["rule"], rig, rule["changes"], rule["key"], tuple(rule["words"]))
-
-
-CROSSINGS: tuple[CrossRule, ...] = tuple(_read())
+CROSSINGS = tuple(
+    CrossRule(rule["rule"], rig, rule["changes"], rule["key"], tuple(rule["words"]))
+    for rule in packaged_table("sim.testing", "crossings.toml")["crossing"]
+    for rig in rule["rigs"]
+)

@@ -59,12 +59,11 @@ class FaultyDisk:
     @contextmanager
     def watched(self) -> Iterator[None]:
         """Within the block the system calls on this folder go through this object."""
+        calls = dict.fromkeys(("write", "fsync", "ftruncate", "close"), self._on_descriptor)
+        calls |= dict.fromkeys(("open", "replace", "mkdir", "unlink"), self._on_path)
         with ExitStack() as patches:
-            for name in ("write", "fsync", "ftruncate", "close"):
-                call = self._on_descriptor(name, getattr(os, name))
-                patches.enter_context(mock.patch.object(os, name, call))
-            for name in ("open", "replace", "mkdir", "unlink"):
-                call = self._on_path(name, getattr(os, name))
+            for name, watching in calls.items():
+                call = watching(name, getattr(os, name))
                 patches.enter_context(mock.patch.object(os, name, call))
             yield
 

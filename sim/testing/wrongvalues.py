@@ -5,8 +5,9 @@ which reads the same models in a way of its own (lscan.config.allowed).
 """
 
 import math
+import operator
 import re
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from datetime import date
 from typing import Any
 
@@ -17,7 +18,13 @@ Schema = dict[str, Any]
 A_DAY = date(1979, 5, 27)
 TOO_LARGE = 10**400
 """A whole number beyond what a float holds, 1.8e308."""
-LIMITS = ("minimum", "exclusiveMinimum", "maximum", "exclusiveMaximum")
+LIMITS: dict[str, Callable[[Any, Any], bool]] = {
+    "minimum": operator.ge,
+    "exclusiveMinimum": operator.gt,
+    "maximum": operator.le,
+    "exclusiveMaximum": operator.lt,
+}
+"""Of a number: the keyword of the schema, and what must hold of value and limit."""
 
 
 def schema_of(model: Any) -> Schema:
@@ -114,13 +121,7 @@ def _holds(schema: Schema, value: Any) -> bool:
         return is_text and fits and len(value) >= schema.get("minLength", 0)
     if schema["type"] not in ("integer", "number"):
         return False
-    low, above, high, below = (schema.get(name) for name in LIMITS)
-    return (
-        (low is None or low <= value)
-        and (above is None or above < value)
-        and (high is None or value <= high)
-        and (below is None or value < below)
-    )
+    return all(holds(value, schema[name]) for name, holds in LIMITS.items() if name in schema)
 
 
 def words_wanted(schema: Schema) -> list[str]:
