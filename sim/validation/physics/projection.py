@@ -2,8 +2,6 @@
 
 import numpy as np
 
-from lscan.records import Floats
-from sim.scene import Scene
 from sim.truth import project
 from sim.validation.physics.ports import Rays, closed_form_rays, traced_rays
 from sim.validation.physics.refraction import tangents
@@ -38,19 +36,17 @@ def projection(rigs: int) -> Topic:
 
 
 def _rig_errors(kind: str, rays_of: Rays, rigs: int) -> list[float]:
+    """For each rig the largest distance in px at which the truth finds a point from its pixel.
+
+    Infinite where the truth finds no image of the point.
+    """
     generator = np.random.default_rng(SEED)
-    errors = []
+    largest = []
     for _ in range(rigs):
         scene = random_rig(generator, kind)
         pixels = random_pixels(generator, scene, PIXELS)
         reach = generator.uniform(NEAREST_MM, FARTHEST_MM, (PIXELS, 1))
-        errors.append(_back_error(scene, pixels, rays_of, reach))
-    return errors
-
-
-def _back_error(scene: Scene, pixels: Floats, rays_of: Rays, reach: Floats) -> float:
-    """Largest distance in px from the pixels; infinite where the truth finds no image."""
-    origins, directions, _ = rays_of(scene, pixels)
-    back = project(scene, origins + reach * directions)
-    errors = np.linalg.norm(back - pixels, axis=1)
-    return float(np.where(np.isfinite(errors), errors, np.inf).max())
+        origins, directions, _ = rays_of(scene, pixels)
+        errors = np.linalg.norm(project(scene, origins + reach * directions) - pixels, axis=1)
+        largest.append(float(np.where(np.isfinite(errors), errors, np.inf).max()))
+    return largest
