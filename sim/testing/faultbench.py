@@ -62,7 +62,7 @@ class FaultBench:
         self._clock_offset_s = 0.0
 
     def scan(self) -> Run:
-        """The complete run, begun or resumed by ``lscan.acquisition.scan.scan``; errors as there."""
+        """The complete run, begun or resumed as by ``lscan scan``; errors as there."""
         with ExitStack() as patches:
             patches.enter_context(
                 mock.patch.object(lscan.config.rigfile, "find_plugin", self._driver)
