@@ -46,16 +46,9 @@ class Bow:
         """(...,) y of the sheet at x and z, mm; 0 behind the laser."""
         across, ahead = self._within(x, z)
         b, k = self.leaning_rad, self.index**2 - 1
-        return k * across**2 * np.sin(b) / (ahead * np.cos(b) + self._root(across, ahead))
-
-    def slope(self, x: Floats, z: Floats) -> Floats:
-        """(...,) derivative of ``offset_mm`` by z."""
-        across, ahead = self._within(x, z)
-        b, k = self.leaning_rad, self.index**2 - 1
-        by_across = k * across * np.sin(b)
-        by_ahead = -self.offset_mm(x, z) * np.cos(b)
-        turned = by_across * np.sin(self.aim_rad) - by_ahead * np.cos(self.aim_rad)
-        return turned / self._root(across, ahead)
+        share = across / ahead  # squares of tiny numbers would vanish
+        root = ahead * np.sqrt(np.cos(b) ** 2 - np.cos(2 * b) * k * share**2)
+        return k * across**2 * np.sin(b) / (ahead * np.cos(b) + root)
 
     def clearance_mm(self, points: Floats) -> Floats:
         """(...,) y of (..., 3) points above the sheet, mm."""
@@ -73,11 +66,6 @@ class Bow:
         ahead = np.maximum(right * s - up * c, np.finfo(float).tiny)
         reach = self.widest * ahead
         return np.clip(right * c + up * s, -reach, reach), ahead
-
-    def _root(self, across: Floats, ahead: Floats) -> Floats:
-        b, k = self.leaning_rad, self.index**2 - 1
-        share = across / ahead  # squares of tiny numbers would vanish
-        return ahead * np.sqrt(np.cos(b) ** 2 - np.cos(2 * b) * k * share**2)
 
 
 def bow_of(laser: Laser, water_index: float) -> Bow | None:

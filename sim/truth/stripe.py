@@ -137,8 +137,14 @@ def _in_view(scene: Scene, sheet: TrueSheet, section: TargetSection) -> TargetSe
 
 
 def _project_ends(scene: Scene, sheet: TrueSheet, section: TargetSection) -> Floats:
-    """(M, 2, 2) pixels of the pieces' ends."""
-    return project(scene, sheet.in_head(section.ends_mm.reshape(-1, 2))).reshape(-1, 2, 2)
+    """(M, 2, 2) pixels of the pieces' ends; an end that the next piece starts at, once."""
+    ends = section.ends_mm
+    own = np.append(np.any(ends[:-1, 1] != ends[1:, 0], axis=1), True)[: len(ends)]
+    pixels = project(scene, sheet.in_head(np.concatenate([ends[:, 0], ends[own, 1]])))
+    starts = pixels[: len(ends)]
+    found = np.stack([starts, np.roll(starts, -1, axis=0)], axis=1)
+    found[own, 1] = pixels[len(ends) :]
+    return found
 
 
 @dataclass(frozen=True)

@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 
 import numpy as np
+from scipy.optimize.elementwise import find_root
 
 from lscan.config.targets import Sandwave
 from lscan.errors import InputError
@@ -20,7 +21,6 @@ from sim.scene import (
     target_pose,
 )
 from sim.truth.camera.projection import camera_of, project, rays_to
-from sim.truth.roots import increasing_roots
 from sim.truth.sheet import TrueSheet, sheet_of
 from sim.truth.target.section import TargetSection, surfaces_of
 from sim.truth.target.surfaces import SELF_MM, TankSurface, cross, spread
@@ -166,12 +166,12 @@ def passing_mm(head: Head, points_world: Floats, sheet: TrueSheet = ALIGNED) -> 
     if sheet.bow is None:
         return flat
 
-    def behind(position: Floats) -> tuple[Floats, Floats]:
-        clearance = sheet.clearance_mm(into_head(head, points_world, position))
-        return -clearance / normal[1], np.ones_like(position)
+    def clearance(position: Floats, *points: Floats) -> Floats:
+        return sheet.clearance_mm(into_head(head, np.column_stack(points), position))
 
-    bulge = 2 * np.abs(behind(flat)[0]) + SELF_MM
-    return increasing_roots(behind, flat - bulge, flat + bulge)
+    bulge = 2 * np.abs(clearance(flat, *points_world.T) / normal[1]) + SELF_MM
+    bracket = (flat - bulge, flat + bulge)
+    return np.asarray(find_root(clearance, bracket, args=tuple(points_world.T)).x)
 
 
 def _turning_past_mm(shaft: TrueShaft, points_mm: Floats, sheet: TrueSheet) -> Floats:

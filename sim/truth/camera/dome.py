@@ -10,10 +10,10 @@ centre at ``p`` and goes out from radius a to b advances by arcsin(p/a) - arcsin
 from math import hypot
 
 import numpy as np
+from scipy.optimize.elementwise import find_root
 
 from lscan.records import Floats
 from sim.scene.instrument import DomePort
-from sim.truth.roots import increasing_roots
 
 Shells = tuple[tuple[float, float, Floats | float], ...]  # index, inner and outer radius, mm
 # A dome nearer to the pinhole than this is centred; below, dividing by the distance loses digits.
@@ -42,38 +42,30 @@ def dome_rays(port: DomePort, water_index: float, points_mm: Floats) -> tuple[Fl
     start, entry = np.full((2, len(local)), np.nan)
     out = distance > outer
     glass: Shells = ((float(port.glass_index), port.radius_mm, outer),)
-    water: Shells = ((water_index, outer, distance[out]),)
+
+    def excess(angle: Floats, target: Floats, distance: Floats) -> Floats:
+        water: Shells = ((water_index, outer, distance),)
+        return polar_angle(angle, from_centre, port.radius_mm, glass + water) - target
+
     target = np.arctan2(r[out], height[out])
-
-    def excess(angle: Floats) -> tuple[Floats, Floats]:
-        reached, slope = polar_angle(angle, from_centre, port.radius_mm, glass + water)
-        return reached - target, slope
-
-    start[out] = increasing_roots(excess, np.zeros_like(target), np.full_like(target, np.pi))
-    entry[out] = polar_angle(start[out], from_centre, port.radius_mm, glass)[0]
+    start[out] = find_root(excess, (0.0, np.pi), args=(target, distance[out])).x
+    entry[out] = polar_angle(start[out], from_centre, port.radius_mm, glass)
     return _towards(start, axis, outward), centre + outer * _towards(entry, axis, outward)
 
 
-def polar_angle(
-    start: Floats, from_centre_mm: float, radius_mm: float, shells: Shells
-) -> tuple[Floats, Floats]:
-    """(N,) polar angle about the dome's centre at which rays leave the last shell; its slope.
+def polar_angle(start: Floats, from_centre_mm: float, radius_mm: float, shells: Shells) -> Floats:
+    """(N,) polar angle about the dome's centre at which rays leave the last shell.
 
     start: (N,) angle of the ray at the pinhole.  In the air the ray turns from ``start`` to
     its angle of incidence at ``radius_mm``.  For indices of 1 or more and a pinhole inside
-    the dome the slope is positive: each shell's sum of inverse roots has the sign that
-    works against the air's, and is smaller.
+    the dome the polar angle increases with ``start``: in its derivative each shell's sum of
+    inverse roots has the sign that works against the air's, and is smaller.
     """
     passing = from_centre_mm * np.sin(start)
-    turning = from_centre_mm * np.cos(start)
     angle = start - np.arcsin(passing / radius_mm)
-    slope = 1 - turning / np.sqrt(radius_mm**2 - passing**2)
     for index, inner, outer in shells:
-        for sign, radius in ((1, inner), (-1, outer)):
-            optical = index * radius
-            angle = angle + sign * np.arcsin(passing / optical)
-            slope = slope + sign * turning / np.sqrt(optical**2 - passing**2)
-    return angle, slope
+        angle = angle + np.arcsin(passing / (index * inner)) - np.arcsin(passing / (index * outer))
+    return angle
 
 
 def _towards(angle: Floats, axis: Floats, outward: Floats) -> Floats:

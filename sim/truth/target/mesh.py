@@ -70,91 +70,65 @@ class Mesh:
 
     @cached_property
     def _grid(self) -> "PlanGrid":
-        return plan_grid(self._corners)
+        return PlanGrid(self._corners)
 
 
-@dataclass(frozen=True)
-class Cells:
-    """Square cells of the (x, y) plane.  shape: how many along x and y."""
-
-    low_mm: Floats
-    side_mm: float
-    shape: tuple[int, int]
-
-    @property
-    def count(self) -> int:
-        """Number of cells."""
-        return self.shape[0] * self.shape[1]
-
-    def under(self, low: Floats, high: Floats) -> tuple[Ints, Ints]:
-        """Pairs (box, cell) that touch, for N upright boxes given by two corners, (N, 3)."""
-        last = np.array(self.shape) - 1
-        i, j = self._index(low, last).T
-        wide, deep = (self._index(high, last) - self._index(low, last) + 1).T
-        box, step = spread(wide * deep)
-        column = i[box] + step // deep[box]
-        return box, column * self.shape[1] + j[box] + step % deep[box]
-
-    def _index(self, corner: Floats, last: Ints) -> Ints:
-        place = (corner[:, :2] - self.low_mm[:2]) / self.side_mm
-        return np.clip(np.floor(place).astype(int), 0, last)
-
-
-@dataclass(frozen=True)
 class PlanGrid:
-    """Triangles sorted into cells of the (x, y) plane.
+    """Triangles sorted into square cells of the (x, y) plane.
 
     low_mm, high_mm: (3,) corners of the box that holds all.
-    triangle: those that may touch cell 0, then cell 1 ...: cell k has
-    ``triangle[first[k]:first[k + 1]]``, and their z lie in bottom_mm[k] to top_mm[k].
     """
 
-    low_mm: Floats
-    high_mm: Floats
-    cells: Cells
-    first: Ints
-    triangle: Ints
-    bottom_mm: Floats
-    top_mm: Floats
+    def __init__(self, corners: Floats) -> None:
+        """Sort triangles by their (T, 3, 3) corners, mm."""
+        lowest, highest = corners.min(axis=1), corners.max(axis=1)
+        self.low_mm = lowest.min(axis=0) - ROUNDING_MM
+        self.high_mm = highest.max(axis=0) + ROUNDING_MM
+        size = (self.high_mm - self.low_mm)[:2]
+        side = CELL_TRIANGLES * np.sqrt(size.prod() / len(corners))
+        self._side = max(side, size.max() / MOST_CELLS)
+        self._shape = np.ceil(size / self._side).astype(int)
+        triangle, cell = self._under(lowest, highest)
+        count = int(self._shape.prod())
+        # The z that a cell's triangles lie between.
+        self._bottom, self._top = np.full(count, np.inf), np.full(count, -np.inf)
+        np.minimum.at(self._bottom, cell, lowest[triangle, 2] - ROUNDING_MM)
+        np.maximum.at(self._top, cell, highest[triangle, 2] + ROUNDING_MM)
+        order = np.argsort(cell, kind="stable")
+        # Cell k has the triangles [first[k]:first[k + 1]].
+        self._first = np.searchsorted(cell[order], np.arange(count + 1))
+        self._triangle = triangle[order]
 
     def along(self, here: Floats, there: Floats) -> tuple[Ints, Ints]:
         """Pairs (line, triangle) that may meet, for (N, 3) ends of lines inside the box."""
         length = np.abs(there - here)[:, :2].max(axis=1)
-        count = np.ceil(length / self.cells.side_mm).astype(int) + 1
+        count = np.ceil(length / self._side).astype(int) + 1
         line, step = spread(count)
         piece = (there - here)[line] / count[line, np.newaxis]
         start = here[line] + step[:, np.newaxis] * piece
         low, high = np.minimum(start, start + piece), np.maximum(start, start + piece)
-        box, cell = self.cells.under(low - ROUNDING_MM, high + ROUNDING_MM)
-        level = (low[box, 2] <= self.top_mm[cell]) & (high[box, 2] >= self.bottom_mm[cell])
+        box, cell = self._under(low - ROUNDING_MM, high + ROUNDING_MM)
+        level = (low[box, 2] <= self._top[cell]) & (high[box, 2] >= self._bottom[cell])
         box, triangle = self._in_cells(box[level], cell[level])
         return line[box], triangle
 
     def around(self, places: Floats) -> tuple[Ints, Ints]:
         """Pairs (place, triangle) of (N, 3) places and all triangles of the cells they lie in."""
-        return self._in_cells(*self.cells.under(places - ROUNDING_MM, places + ROUNDING_MM))
+        return self._in_cells(*self._under(places - ROUNDING_MM, places + ROUNDING_MM))
+
+    def _under(self, low: Floats, high: Floats) -> tuple[Ints, Ints]:
+        """Pairs (box, cell) that touch, for N upright boxes given by two corners, (N, 3)."""
+        corners = (np.stack([low, high])[..., :2] - self.low_mm[:2]) / self._side
+        first, last = np.clip(np.floor(corners).astype(int), 0, self._shape - 1)
+        wide, deep = (last - first + 1).T
+        box, step = spread(wide * deep)
+        column = first[box, 0] + step // deep[box]
+        return box, column * self._shape[1] + first[box, 1] + step % deep[box]
 
     def _in_cells(self, owner: Ints, cell: Ints) -> tuple[Ints, Ints]:
         """Pairs (owner, triangle) for pairs (owner, cell)."""
-        pair, entry = spread(self.first[cell + 1] - self.first[cell])
-        return owner[pair], self.triangle[self.first[cell[pair]] + entry]
-
-
-def plan_grid(corners: Floats) -> PlanGrid:
-    """The grid of (T, 3, 3) triangles' corners, mm."""
-    lowest, highest = corners.min(axis=1), corners.max(axis=1)
-    low, high = lowest.min(axis=0) - ROUNDING_MM, highest.max(axis=0) + ROUNDING_MM
-    size = (high - low)[:2]
-    side = max(CELL_TRIANGLES * np.sqrt(size.prod() / len(corners)), size.max() / MOST_CELLS)
-    columns, rows = np.ceil(size / side).astype(int)
-    cells = Cells(low, side, (int(columns), int(rows)))
-    triangle, cell = cells.under(lowest, highest)
-    bottom, top = np.full(cells.count, np.inf), np.full(cells.count, -np.inf)
-    np.minimum.at(bottom, cell, lowest[triangle, 2] - ROUNDING_MM)
-    np.maximum.at(top, cell, highest[triangle, 2] + ROUNDING_MM)
-    order = np.argsort(cell, kind="stable")
-    first = np.searchsorted(cell[order], np.arange(cells.count + 1))
-    return PlanGrid(low, high, cells, first, triangle[order], bottom, top)
+        pair, entry = spread(self._first[cell + 1] - self._first[cell])
+        return owner[pair], self._triangle[self._first[cell[pair]] + entry]
 
 
 def meets(start: Floats, end: Floats, corners: Floats) -> Mask:

@@ -13,7 +13,7 @@ from sim.scene import FLOOR_HALF_SIDE_MM, Pose, Scene, target_pose
 from sim.truth.bow import Bow
 from sim.truth.target.chains import chains
 from sim.truth.target.mesh import Mesh
-from sim.truth.target.surfaces import Polygon, TankSurface, extrusion, spread
+from sim.truth.target.surfaces import Polygon, TankSurface, between, extrusion, spread
 from sim.truth.target.wave import sandwave_surfaces
 
 
@@ -105,5 +105,5 @@ def split(section: TargetSection, longest_mm: float) -> TargetSection:
     count = np.maximum(count, 1)
     owner, step = spread(count)
     parts = np.stack([step, step + 1]) / count[owner]
-    ends = [start[owner] + part[:, np.newaxis] * (end[owner] - start[owner]) for part in parts]
+    ends = [between(start[owner], end[owner], part) for part in parts]
     return TargetSection(np.stack(ends, axis=1), section.face[owner], section.chain[owner])

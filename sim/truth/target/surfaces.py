@@ -7,6 +7,8 @@ from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
+import shapely
+from scipy.linalg import null_space
 
 from lscan.records import Floats, Ints, Mask
 from sim.scene import Pose
@@ -17,7 +19,6 @@ SELF_MM = 1e-3
 # A line of sight that leaves a polygon's plane by less lies in it: it has no place where it
 # meets it.  Rounding of places a metre away is 1e-13 mm.
 LEVEL_MM = 1e-9
-MOST_PAIRS = 1_000_000  # of pieces and edges compared at a time
 
 
 class TankSurface(Protocol):
@@ -79,7 +80,7 @@ class Polygon:
         hit = ~level & (part > 0) & (left > SELF_MM)
         plan = np.delete(np.arange(3), np.argmax(np.abs(normal)))
         places = start[hit] + part[hit, np.newaxis] * ray[hit]
-        hit[hit] = within(self.corners_mm[:, plan], places[:, plan])
+        hit[hit] = shapely.intersects_xy(area(self.corners_mm[:, plan]), *places[:, plan].T)
         return hit
 
     def normals(self, places: Floats) -> Floats:
@@ -92,7 +93,7 @@ def bowed_section(corners: Floats, bow: Bow) -> Floats:
 
     The rectangle around the polygon is cut, then what lies outside the polygon cut off.
     """
-    origin, plane = corners[0], plane_axes(newell_normal(corners))
+    origin, plane = corners[0], null_space([newell_normal(corners)]).T
     outline = (corners - origin) @ plane.T
     (left, bottom), (right, top) = outline.min(axis=0), outline.max(axis=0)
     rectangle = np.array([[left, bottom], [right, bottom], [right, top], [left, top]])
@@ -101,39 +102,16 @@ def bowed_section(corners: Floats, bow: Bow) -> Floats:
     return (origin + clipped(pieces, outline) @ plane)[..., [0, 2]]
 
 
-def plane_axes(normal: Floats) -> Floats:
-    """(2, 3) unit vectors at right angles to each other and to a unit normal."""
-    beside = np.cross(normal, np.eye(3)[np.argmin(np.abs(normal))])
-    beside /= np.linalg.norm(beside)
-    return np.array([beside, np.cross(normal, beside)])
-
-
 def clipped(pieces: Floats, outline: Floats) -> Floats:
     """(L, 2, 2) the parts of straight pieces (M, 2, 2) inside a (K, 2) polygon."""
-    at_once = max(1, MOST_PAIRS // len(outline))
-    parts = [
-        _clipped(pieces[first : first + at_once], outline)
-        for first in range(0, len(pieces), at_once)
-    ]
-    return np.concatenate([np.empty((0, 2, 2)), *parts])
+    parts = shapely.get_parts(shapely.intersection(shapely.linestrings(pieces), area(outline)))
+    lines = parts[shapely.get_type_id(parts) == shapely.GeometryType.LINESTRING]
+    return np.asarray(shapely.get_coordinates(lines)).reshape(-1, 2, 2)
 
 
-def _clipped(pieces: Floats, outline: Floats) -> Floats:
-    start, run = pieces[:, np.newaxis, 0], (pieces[:, 1] - pieces[:, 0])[:, np.newaxis]
-    edge, offset = np.roll(outline, -1, axis=0) - outline, outline - start
-    across = cross(run, edge)
-    safe = np.where(across == 0, 1.0, across)
-    along, aside = cross(offset, edge) / safe, cross(offset, run) / safe
-    meets = (across != 0) & (along > 0) & (along < 1) & (aside >= 0) & (aside <= 1)
-    piece, _ = np.nonzero(meets)
-    every = np.arange(len(pieces))
-    owner = np.concatenate([every, piece, every])
-    part = np.concatenate([np.zeros(len(pieces)), along[meets], np.ones(len(pieces))])
-    order = np.lexsort((part, owner))
-    owner, part = owner[order], part[order, np.newaxis]
-    points = pieces[owner, 0] + part * (pieces[owner, 1] - pieces[owner, 0])
-    ends = np.stack([points[:-1], points[1:]], axis=1)[owner[:-1] == owner[1:]]
-    return ends[within(outline, ends.mean(axis=1))]
+def area(outline: Floats) -> shapely.Geometry:
+    """The inside of a (K, 2) polygon by the even-odd rule."""
+    return shapely.make_valid(shapely.Polygon(outline)).buffer(0.0)  # without lines left over
 
 
 def cross(a: Floats, b: Floats) -> Floats:
@@ -141,19 +119,26 @@ def cross(a: Floats, b: Floats) -> Floats:
     return a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0]
 
 
-def stretch(start: Floats, end: Floats, low: Floats, high: Floats) -> tuple[Floats, Floats]:
-    """Where lines of sight run inside a box: from, to, each (N,), as parts of the line.
+def stretch(
+    start: Floats, end: Floats, low: Floats, high: Floats, short_mm: float = SELF_MM
+) -> tuple[Floats, Floats]:
+    """Where straight lines run inside a box: from, to, each (N,), as parts of the line.
 
-    start, end: (N, 3); low, high: (3,) corners of the box.  The last SELF_MM before the end
-    are left out.  ``to`` is smaller than ``from`` where a line misses the box.
+    start, end: (N, 3); low, high: (3,) corners of the box.  The last ``short_mm`` before the
+    end are left out.  ``to`` is smaller than ``from`` where a line misses the box.
     """
     ray = end - start
     safe = np.where(ray == 0, np.finfo(float).tiny, ray)
     with np.errstate(over="ignore"):
         faces = np.stack([(low - start) / safe, (high - start) / safe])
-    last = 1 - SELF_MM / np.linalg.norm(ray, axis=1)
+    last = 1 - short_mm / np.linalg.norm(ray, axis=1)
     first = np.maximum(faces.min(axis=0).max(axis=1), 0.0)
     return first, np.minimum(faces.max(axis=0).min(axis=1), last)
+
+
+def between(start: Floats, end: Floats, part: Floats) -> Floats:
+    """(N, K) points at parts (N,) of the ways from ``start`` to ``end``; exact at 0 and 1."""
+    return start * (1 - part)[:, np.newaxis] + end * part[:, np.newaxis]
 
 
 def spread(count: Ints) -> tuple[Ints, Ints]:
@@ -166,17 +151,6 @@ def newell_normal(corners: Floats) -> Floats:
     """(3,) unit normal of a (K, 3) plane polygon (Newell's sum; of its net area)."""
     area = np.cross(corners - corners[0], np.roll(corners, -1, axis=0) - corners[0]).sum(axis=0)
     return area / np.linalg.norm(area)
-
-
-def within(corners: Floats, points: Floats) -> Mask:
-    """(N,) whether (N, 2) points lie inside a (K, 2) polygon, by the even-odd rule."""
-    here, there = corners, np.roll(corners, -1, axis=0)
-    x, y = points[:, 0, np.newaxis], points[:, 1, np.newaxis]
-    run, rise = (there - here).T
-    spans = (here[:, 1] <= y) != (there[:, 1] <= y)
-    # Edges to the right of the point; multiplied out, for a rise may be next to nothing.
-    right = ((x - here[:, 0]) * rise < (y - here[:, 1]) * run) == (rise > 0)
-    return np.count_nonzero(spans & right, axis=1) % 2 == 1
 
 
 def extrusion(base: Floats, along: Floats) -> list[Floats]:

@@ -1,23 +1,19 @@
 """The sandwave block: a height field over a square, its rims, wedges and sides."""
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.optimize.elementwise import find_root
 
 from lscan.config.targets import Sandwave
 from lscan.errors import InputError
 from lscan.records import Floats, Mask
 from sim.scene import Pose
 from sim.truth.bow import Bow
-from sim.truth.roots import increasing_roots
-from sim.truth.target.surfaces import SELF_MM, Polygon, TankSurface, extrusion, stretch
+from sim.truth.target.surfaces import SELF_MM, Polygon, TankSurface, between, extrusion, stretch
 
 SAMPLE_MM = 0.05  # of the section: its chords stay within 1e-4 mm of eq. (4)
 MARCH_MM = 0.25  # along lines of sight: a crest they cut by less than 3 um may be missed
-HALVINGS = 30  # of SAMPLE_MM
-
-Upwards = Callable[[Floats], tuple[Floats, Floats]]  # heights to points and tangents
 
 
 @dataclass(frozen=True)
@@ -33,31 +29,31 @@ class Wave:
         Raises InputError where block or sheet are tilted so far that the sheet may cut the
         surface more than once in the same x.
         """
-        turned = self.pose.rotation.T @ sheet.rotation
-        along, normal, up = turned.T
-        origin = self.pose.invert(sheet.origin_mm)
+        inner = Pose(self.pose.rotation.T @ sheet.rotation, self.pose.invert(sheet.origin_mm))
 
-        def solve(x: Floats) -> tuple[Floats, Floats]:
-            foot = origin + x[:, np.newaxis] * along
+        def place(z: Floats, x: Floats) -> Floats:
+            """(N, 3) points of the sheet in the workpiece frame."""
+            y = np.zeros_like(x) if bow is None else bow.offset_mm(x, z)
+            return inner.apply(np.column_stack([x, y, z]))
 
-            def place(z: Floats) -> tuple[Floats, Floats]:
-                straight = foot + z[:, np.newaxis] * up
-                if bow is None:
-                    return straight, np.broadcast_to(up, straight.shape)
-                bulge = bow.offset_mm(x, z)[:, np.newaxis] * normal
-                return straight + bulge, up + bow.slope(x, z)[:, np.newaxis] * normal
-
-            z = self._height_along(place, -foot[:, 2] / up[2])
-            return np.column_stack([x, z]), place(z)[0]
-
-        def inside(x: Floats) -> Mask:
-            return self._over_square(solve(x)[1])
+        def clearance(z: Floats, x: Floats) -> Floats:
+            at = place(z, x)
+            return at[:, 2] - self.shape.height_mm(at[:, 0], at[:, 1])
 
         x = self._reach(sheet)
-        x = np.sort(np.concatenate([x, boundaries(inside, x)]))
-        points = solve(x)[0]
-        kept = inside((x[:-1] + x[1:]) / 2)
-        return np.stack([points[:-1], points[1:]], axis=1)[kept]
+        level = -place(np.zeros_like(x), x)[:, 2] / inner.rotation[2, 2]
+        up = (place(level + 1, x) - place(level - 1, x)) / 2  # tangents of lines of one x
+        self._check_mild(up)
+        # Beyond the square eq. (4) may run higher; twice the amplitude still brackets it
+        # wherever the result is used, which is over the square.
+        span = (2 * self._amplitude() + 2 * np.abs(place(level, x)[:, 2])) / up[:, 2]
+        z = find_root(clearance, (level - span, level + span), args=(x,)).x
+        points, at = np.column_stack([x, z]), place(z, x)
+        low, high = np.array([0, 0, -np.inf]), np.array([self.shape.side_mm] * 2 + [np.inf])
+        parts = stretch(at[:-1], at[1:], low, high, short_mm=0.0)
+        over = parts[0] < parts[1]
+        ends = [between(points[:-1], points[1:], part)[over] for part in parts]
+        return np.stack(ends, axis=1)
 
     def blocks(self, start: Floats, end: Floats) -> Mask:
         """(N,) whether the surface comes between starts and ends.
@@ -96,26 +92,6 @@ class Wave:
         box = np.array([(x, y, z) for x in (0, side) for y in (0, side) for z in (-top, top)])
         x = sheet.invert(self.pose.apply(box))[:, 0]
         return np.linspace(x.min(), x.max(), int(np.ceil(np.ptp(x) / SAMPLE_MM)) + 1)
-
-    def _height_along(self, place: Upwards, level: Floats) -> Floats:
-        """(N,) how far up N lines of the sheet the surface lies, workpiece frame.
-
-        place: points (N, 3) and tangents (N, 3) of the lines at (N,) heights in the sheet.
-        level: (N,) heights at which straight lines would pass z = 0.
-        """
-
-        def clearance(t: Floats) -> tuple[Floats, Floats]:
-            at, up = place(t)
-            slope_x, slope_y = self._slopes(at[:, 0], at[:, 1])
-            height = self.shape.height_mm(at[:, 0], at[:, 1])
-            return at[:, 2] - height, up[:, 2] - slope_x * up[:, 0] - slope_y * up[:, 1]
-
-        start, up = place(level)
-        self._check_mild(up)
-        # Beyond the square eq. (4) may run higher; twice the amplitude still brackets it
-        # wherever the result is used, which is over the square.
-        span = (2 * self._amplitude() + 2 * np.abs(start[:, 2])) / up[:, 2]
-        return increasing_roots(clearance, level - span, level + span)
 
     def _slopes(self, x: Floats, y: Floats) -> tuple[Floats, Floats]:
         """Partial derivatives of eq. (4) by x and y."""
@@ -157,18 +133,6 @@ class Wave:
         slope_x, slope_y = self._slopes(x, y)
         normal = np.column_stack([-slope_x, -slope_y, np.ones_like(x)])
         return on & (np.einsum("ij,ij->i", normal, here - there) <= 0)
-
-
-def boundaries(inside: Callable[[Floats], Mask], x: Floats) -> Floats:
-    """Arguments where ``inside`` changes, found by halving between neighbours of ``x``."""
-    mask = inside(x)
-    k = np.flatnonzero(mask[1:] != mask[:-1])
-    low, high, before = x[k], x[k + 1], mask[k]
-    for _ in range(HALVINGS):
-        middle = (low + high) / 2
-        same = inside(middle) == before
-        low, high = np.where(same, middle, low), np.where(same, high, middle)
-    return high
 
 
 def sandwave_surfaces(shape: Sandwave, pose: Pose) -> list[TankSurface]:

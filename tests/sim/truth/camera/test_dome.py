@@ -89,10 +89,9 @@ def test_the_equation_has_one_root(port, water):
         (water, outer, outer + 0.5),
     )
     away = float(np.linalg.norm(port.centre_mm))
-    angle, slope = polar_angle(start, away, port.radius_mm, shells)
-    assert slope.min() > 0
+    angle = polar_angle(start, away, port.radius_mm, shells)
+    assert np.diff(angle).min() > 0
     assert angle[[0, -1]] == pytest.approx([0, np.pi], abs=1e-12)
-    assert np.gradient(angle, start)[1:-1] == pytest.approx(slope[1:-1], abs=2e-3)
 
 
 @MANY
