@@ -13,7 +13,7 @@ from lscan.errors import InputError
 from lscan.files.disk import make_folder
 from lscan.files.pictures import write_picture
 from lscan.records import Bytes, Floats, Mask
-from sim.scene import Scene, camera_pose, rotation_x, rotation_z, sheet_pose
+from sim.scene import Scene, camera_pose, rotation, sheet_pose
 from sim.truth import project
 from sim.water import water_optics
 
@@ -158,8 +158,7 @@ def _draw(scene: Scene, generator: np.random.Generator) -> Poses:
     normal = sheet.rotation[:, 1]
     distance = (sheet.origin_mm - camera.origin_mm) @ normal + MOST_DISTANCE_MM * drawn[:, 2]
     middle = camera.origin_mm + (distance / (ray @ normal))[:, np.newaxis] * ray
-    rotation = [rotation_z(a) @ rotation_x(b) for a, b in zip(turn, tilt, strict=True)]
-    return Poses(middle, np.array(rotation), turn, tilt, drawn)
+    return Poses(middle, rotation("ZX", np.column_stack([turn, tilt])), turn, tilt, drawn)
 
 
 def _lit_and_seen(scene: Scene, board: Board, poses: Poses) -> Mask:

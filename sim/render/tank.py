@@ -14,13 +14,13 @@ from sim.meshes import scene_parts
 from sim.render.fineness import binned, fineness_of, finer_lens
 from sim.render.materials import mitsuba_shape
 from sim.render.plugins.base import WaterIntegrator
-from sim.render.plugins.finefilm import FineCamera
+from sim.render.plugins.camera import RefractiveCamera
 from sim.render.plugins.integrator import SheetIntegrator
 from sim.render.plugins.multiple import MultipleIntegrator
 from sim.render.plugins.sheet import LaserSheet
 from sim.scene import Scene, camera_pose, head_pose
 from sim.scene.file import check_samples
-from sim.scene.poses import track_direction
+from sim.scene.poses import TRACK
 from sim.water import HenyeyGreensteinMixture, Optics, glass_index, water_optics
 
 Radiance = NDArray[np.float32]
@@ -93,7 +93,7 @@ class Tank:
         window: tuple[int, int, int, int] | None = None,
         medium: Mapping[str, Any] | None = None,
         jitter: bool = False,
-    ) -> FineCamera:
+    ) -> RefractiveCamera:
         """A camera of the scene, the head at track position 0, for any integrator.
 
         Its film has the scene's fineness of rows and columns to each of the picture's.
@@ -127,7 +127,7 @@ class Tank:
         }
         if medium is not None:
             settings["medium"] = medium
-        camera = _plugin("fine_camera", FineCamera, settings)
+        camera = _plugin("refractive_camera", RefractiveCamera, settings)
         self._focus(camera)
         head = self.scene.tank.head
         camera.place(head_pose(head, 0.0) @ camera_pose(head))
@@ -144,7 +144,7 @@ class Tank:
         """
         head, sensor = self.scene.tank.head, self.scene.tank.sensor
         pose = head_pose(head, position_mm)
-        velocity = head.speed_mm_s * track_direction(head)
+        velocity = head.speed_mm_s * TRACK
         if exposure_ms is None:
             exposure_ms = self.scene.rig.camera.exposure_ms
         for camera in (self._camera, self._random_camera):
@@ -202,7 +202,7 @@ class Tank:
         return Layers(**first)
 
     def _layers(
-        self, camera: FineCamera, integrator: WaterIntegrator, samples: int, seed: int
+        self, camera: RefractiveCamera, integrator: WaterIntegrator, samples: int, seed: int
     ) -> dict[str, Radiance]:
         """Each layer's name and picture."""
         try:
@@ -235,7 +235,7 @@ class Tank:
         for integrator in (self.integrator, self.higher):
             integrator.configure(self.water, self.sheets, ambient)
 
-    def _focus(self, camera: FineCamera) -> None:
+    def _focus(self, camera: RefractiveCamera) -> None:
         """Set a camera's optics for the water as it is."""
         lens, sensor = self.scene.tank.lens, self.scene.tank.sensor
         focal_mm = lens.focal_px * sensor.pixel_um / UM_PER_MM

@@ -17,9 +17,7 @@ from sim.scene.poses import (
     head_pose,
     into_head,
     into_world,
-    rotation_x,
-    rotation_y,
-    rotation_z,
+    rotation,
     sheet_pose,
 )
 
@@ -41,9 +39,7 @@ __all__ = [
     "into_head",
     "into_world",
     "load_scene",
-    "rotation_x",
-    "rotation_y",
-    "rotation_z",
+    "rotation",
     "scene_of",
     "sheet_pose",
     "target_pose",

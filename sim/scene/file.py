@@ -16,7 +16,7 @@ from lscan.config.rigfile import RigFile, inline_board, parse_rig
 from lscan.errors import InputError
 from sim.scene.instrument import Head, Laser, Lens, PlanePort, Port, Seed, Sensor, TrueShaft
 from sim.scene.matter import AmbientLight, Floor, Target, Water
-from sim.scene.poses import Pose, head_pose, rotation_x, rotation_y, rotation_z
+from sim.scene.poses import Pose, head_pose, rotation
 
 
 class Render(Strict):
@@ -261,8 +261,6 @@ def target_pose(scene: Scene) -> Pose:
     scene : Scene, its target is placed; a board turns with the head's yaw
     """
     target = scene.tank.target
-    turned = (
-        rotation_z(target.turn_deg) @ rotation_y(target.tilt_y_deg) @ rotation_x(target.tilt_x_deg)
-    )
-    pose = Pose(turned, np.array(target.position_mm))
+    angles = (target.turn_deg, target.tilt_y_deg, target.tilt_x_deg)
+    pose = Pose(rotation("ZYX", angles), np.array(target.position_mm))
     return head_pose(scene.tank.head, 0.0) @ pose if target.shape == "board" else pose

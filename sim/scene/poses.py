@@ -4,45 +4,34 @@ Frames: camera (x right, y down, z along the axis), sheet (x across the fan, y t
 normal, z against the fan's axis), target, head, world (lscan.records).
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from lscan.records import Floats
 from sim.scene.instrument import Head, Laser, LaserLine, TrueShaft
 
 
-def rotation_z(angle_deg: float) -> Floats:
-    """(3, 3) rotation about z, counter-clockwise seen from above.
+TRACK = np.array([0.0, 1.0, 0.0])  # along which a track moves the head, world frame
+
+
+def rotation(axes: str, angles_deg: float | Sequence[float] | Floats) -> Floats:
+    """Rotation matrices about one axis or several, counter-clockwise; (3, 3), or (N, 3, 3).
 
     Parameters
     ----------
-    angle_deg : float, degrees
+    axes : str, in the order in which their matrices are multiplied: "ZX" is Rz @ Rx
+    angles_deg : float for one axis, else (K,) or (N, K) array, degrees
+
+    Examples
+    --------
+    >>> rotation("Z", 90.0).round(12)[:, 0].tolist()
+    [0.0, 1.0, 0.0]
     """
-    c, s = np.cos(np.radians(angle_deg)), np.sin(np.radians(angle_deg))
-    return np.array([[c, -s, 0], [s, c, 0], [0, 0, 1.0]])
-
-
-def rotation_x(angle_deg: float) -> Floats:
-    """(3, 3) rotation about x, y towards z.
-
-    Parameters
-    ----------
-    angle_deg : float, degrees
-    """
-    c, s = np.cos(np.radians(angle_deg)), np.sin(np.radians(angle_deg))
-    return np.array([[1.0, 0, 0], [0, c, -s], [0, s, c]])
-
-
-def rotation_y(angle_deg: float) -> Floats:
-    """(3, 3) rotation about y, z towards x.
-
-    Parameters
-    ----------
-    angle_deg : float, degrees
-    """
-    c, s = np.cos(np.radians(angle_deg)), np.sin(np.radians(angle_deg))
-    return np.array([[c, 0, s], [0, 1.0, 0], [-s, 0, c]])
+    matrix: Floats = Rotation.from_euler(axes, angles_deg, degrees=True).as_matrix()
+    return matrix
 
 
 @dataclass(frozen=True)
@@ -87,14 +76,8 @@ def camera_pose(head: Head) -> Pose:
     ----------
     head : Head, its camera's place and angles
     """
-    level = np.array([[1.0, 0, 0], [0, 0, 1.0], [0, -1.0, 0]])  # looking along the head's y
-    rotation = (
-        rotation_z(head.heading_deg)
-        @ level
-        @ rotation_x(-head.depression_deg)
-        @ rotation_z(head.roll_deg)
-    )
-    return Pose(rotation, np.array(head.camera_mm))
+    angles = (head.heading_deg, -90 - head.depression_deg, head.roll_deg)
+    return Pose(rotation("ZXZ", angles), np.array(head.camera_mm))
 
 
 def head_pose(head: Head, position_mm: float) -> Pose:
@@ -105,11 +88,11 @@ def head_pose(head: Head, position_mm: float) -> Pose:
     head : Head, its yaw, and the shaft it turns about, if any
     position_mm : float, mm along the track, or along the arc about the shaft
     """
-    level = rotation_z(head.yaw_deg)
+    level = rotation("Z", head.yaw_deg)
     if head.shaft is None:
-        return Pose(level, position_mm * track_direction(head))
+        return Pose(level, position_mm * TRACK)
     point = np.array(head.shaft.point_mm)
-    turn = _about(head.shaft, np.array([position_mm]))[0]
+    turn = _about(head.shaft, np.array([position_mm])).as_matrix()[0]
     return Pose(level, np.zeros(3)) @ Pose(turn, point - turn @ point)
 
 
@@ -122,12 +105,11 @@ def into_world(head: Head, points_head: Floats, position_mm: Floats | float) -> 
     points_head : (N, 3) array, mm, head frame
     position_mm : array or float, mm along the track or arc; one for all points, or (N,)
     """
-    position = np.broadcast_to(position_mm, len(points_head))
+    position, level = np.broadcast_to(position_mm, len(points_head)), head_pose(head, 0.0)
     if head.shaft is None:
-        return head_pose(head, 0.0).apply(points_head) + np.outer(position, track_direction(head))
-    offset = points_head - np.array(head.shaft.point_mm)
-    turned = np.einsum("nij,nj->ni", _about(head.shaft, position), offset)
-    return head_pose(head, 0.0).apply(turned + np.array(head.shaft.point_mm))
+        return level.apply(points_head) + np.outer(position, TRACK)
+    point = np.array(head.shaft.point_mm)
+    return level.apply(_about(head.shaft, position).apply(points_head - point) + point)
 
 
 def into_head(head: Head, points_world: Floats, position_mm: Floats | float) -> Floats:
@@ -139,27 +121,18 @@ def into_head(head: Head, points_world: Floats, position_mm: Floats | float) -> 
     points_world : (N, 3) array, mm, world frame
     position_mm : array or float, mm along the track or arc; one for all points, or (N,)
     """
-    position = np.broadcast_to(position_mm, len(points_world))
+    position, level = np.broadcast_to(position_mm, len(points_world)), head_pose(head, 0.0)
     if head.shaft is None:
-        moved = np.outer(position, track_direction(head))
-        return head_pose(head, 0.0).invert(points_world - moved)
-    offset = head_pose(head, 0.0).invert(points_world) - np.array(head.shaft.point_mm)
-    turned = np.einsum("nji,nj->ni", _about(head.shaft, position), offset)
-    return turned + np.array(head.shaft.point_mm)
+        return level.invert(points_world - np.outer(position, TRACK))
+    point, turn = np.array(head.shaft.point_mm), _about(head.shaft, position)
+    return point + turn.apply(level.invert(points_world) - point, inverse=True)
 
 
-def _about(shaft: TrueShaft, position_mm: Floats) -> Floats:
-    """(N, 3, 3) rotations of the head at positions (N,) on its shaft: from quaternions."""
+def _about(shaft: TrueShaft, position_mm: Floats) -> Rotation:
+    """N rotations of the head at positions (N,) on its shaft."""
     assert shaft.arc_radius_mm is not None  # sim.scene.file has set it
-    half = position_mm / shaft.arc_radius_mm / 2
     direction = np.array(shaft.direction) / np.linalg.norm(shaft.direction)
-    w, (x, y, z) = np.cos(half), np.sin(half) * direction[:, np.newaxis]
-    rows = [
-        [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
-        [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
-        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
-    ]
-    return np.moveaxis(np.array(rows), -1, 0)
+    return Rotation.from_rotvec(np.outer(position_mm / shaft.arc_radius_mm, direction))
 
 
 def sheet_pose(laser: Laser, line: LaserLine) -> Pose:
@@ -174,19 +147,5 @@ def sheet_pose(laser: Laser, line: LaserLine) -> Pose:
     ----------
     docs/explanation/physics.md, section 4.
     """
-    turned = (
-        rotation_z(laser.skew_deg)
-        @ rotation_x(laser.tilt_deg + line.tilt_deg)
-        @ rotation_y(-laser.aim_deg)
-    )
-    return Pose(turned, np.array(laser.apex_mm))
-
-
-def track_direction(head: Head) -> Floats:
-    """(3,) unit vector along which a track moves the head, world frame.
-
-    Parameters
-    ----------
-    head : Head, any; the track is the world's y axis
-    """
-    return np.array([0.0, 1.0, 0.0])
+    angles = (laser.skew_deg, laser.tilt_deg + line.tilt_deg, -laser.aim_deg)
+    return Pose(rotation("ZXY", angles), np.array(laser.apex_mm))

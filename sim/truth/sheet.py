@@ -13,7 +13,7 @@ import numpy as np
 
 from lscan.errors import InputError
 from lscan.records import Floats
-from sim.scene import Laser, LaserLine, Pose, Scene, rotation_x, rotation_z
+from sim.scene import Laser, LaserLine, Pose, Scene, rotation
 from sim.truth.bow import Bow, bow_of
 from sim.water import water_optics
 
@@ -68,6 +68,6 @@ def sheet_of(scene: Scene, line: int = 0) -> TrueSheet:
 
 def sheet_plane(laser: Laser, line: LaserLine) -> Pose:
     """Frame of the sheet's plane to head frame."""
-    turned = rotation_z(laser.skew_deg) @ rotation_x(laser.tilt_deg + line.tilt_deg)
+    turned = rotation("ZX", (laser.skew_deg, laser.tilt_deg + line.tilt_deg))
     apex = np.array(laser.apex_mm)
     return Pose(turned, apex - turned @ (apex * [1.0, 0.0, 1.0]))

@@ -17,7 +17,7 @@ from sim.scene import (
     head_pose,
     into_head,
     into_world,
-    rotation_z,
+    rotation,
     target_pose,
 )
 from sim.truth.camera.projection import camera_of, project, rays_to
@@ -160,7 +160,7 @@ def passing_mm(head: Head, points_world: Floats, sheet: TrueSheet = ALIGNED) -> 
     """
     if head.shaft is not None:
         return _turning_past_mm(head.shaft, head_pose(head, 0.0).invert(points_world), sheet)
-    normal = rotation_z(head.yaw_deg) @ sheet.pose.rotation[:, 1]
+    normal = rotation("Z", head.yaw_deg) @ sheet.pose.rotation[:, 1]
     ahead = sheet.pose.origin_mm @ sheet.pose.rotation[:, 1]
     flat = (points_world @ normal - ahead) / normal[1]
     if sheet.bow is None:

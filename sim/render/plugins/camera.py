@@ -22,11 +22,16 @@ MS_PER_S = 1e3
 
 
 class RefractiveCamera(mi.Sensor):
-    """Rays of a webcam behind a port: ``configure``, ``place``, and ``move`` if it does."""
+    """Rays of a webcam behind a port: ``configure``, ``place``, and ``move`` if it does.
+
+    fineness: parts of a pixel's side that the film cuts it into (sim.render.fineness), a property
+    of the plugin, 1 if it is not given; ``configure`` then takes the finer lens.
+    """
 
     def __init__(self, props: mi.Properties) -> None:
         """Stand still until ``move`` says otherwise."""
         super().__init__(props)
+        self.fineness = int(props.get("fineness", 1))
         self.lens_is_open = self.is_moving = False
 
     def configure(
@@ -183,10 +188,15 @@ class RefractiveCamera(mi.Sensor):
         return start, dr.normalize(through_middle * self.focus - mi.Vector3f(start))
 
     def _time(self, place: mi.Point2f, shutter_sample: mi.Float) -> mi.Float:
-        """Seconds from the mid-exposure of the middle row, height / 2; rows are read whole."""
+        """Seconds from the mid-exposure of the middle row, height / 2; rows are read whole.
+
+        All parts of a pixel are read with the first of its rows.
+        """
         rows_read = dr.floor(place.y) / self.film().size().y
+        rows_late = mi.Float(mi.UInt32(place.y) % self.fineness) / self.film().size().y
         shutter = self._shifted(shutter_sample, place, 2)
-        return (rows_read - 0.5) * self.readout + (shutter - 0.5) * self.exposure
+        moment = (rows_read - 0.5) * self.readout + (shutter - 0.5) * self.exposure
+        return moment - rows_late * self.readout
 
     def _shifted(self, sample: mi.Float, place: mi.Point2f, dimension: int) -> mi.Float:
         """The sample in [0, 1) moved round by an amount that each pixel has of its own.

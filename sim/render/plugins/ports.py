@@ -10,11 +10,10 @@ from typing import Protocol
 
 import drjit as dr
 import mitsuba as mi
-import numpy as np
 
 from lscan.records import Floats
 from sim.render.plugins.opaque import opaque, opaque_vector
-from sim.scene import PlanePort, Port, rotation_x, rotation_y
+from sim.scene import PlanePort, Port, rotation
 from sim.scene.instrument import DomePort
 
 
@@ -94,7 +93,7 @@ def closed_form(port: Port, glass_index: float, water_index: float) -> PortOptic
 
 def port_rotation(port: PlanePort) -> Floats:
     """(3, 3) port frame to camera frame; the last column is the normal, towards the water."""
-    return np.asarray(rotation_y(port.tilt_y_deg) @ rotation_x(port.tilt_x_deg))
+    return rotation("YX", (port.tilt_y_deg, port.tilt_x_deg))
 
 
 def cross_face(

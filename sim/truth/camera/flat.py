@@ -15,7 +15,7 @@ import numpy as np
 
 from lscan.errors import MeasurementError
 from lscan.records import Floats
-from sim.scene import PlanePort, rotation_x, rotation_y
+from sim.scene import PlanePort, rotation
 
 # A step this small, relative to 1 + r mm, leaves an error at the rounding of float64.
 SMALL_STEP = 1e-13
@@ -44,8 +44,7 @@ def flat_rays(port: PlanePort, water_index: float, points_mm: Floats) -> tuple[F
 
 def flat_normal(port: PlanePort) -> Floats:
     """(3,) unit normal of a flat port in the camera frame, towards the water."""
-    turned = rotation_y(port.tilt_y_deg) @ rotation_x(port.tilt_x_deg)
-    return turned @ np.array([0.0, 0.0, 1.0])
+    return rotation("YX", (port.tilt_y_deg, port.tilt_x_deg))[:, 2]
 
 
 def crossed_at(port: PlanePort, water_index: float, r_mm: Floats, depth_mm: Floats) -> Floats:

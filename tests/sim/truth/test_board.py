@@ -8,7 +8,7 @@ from truth_scenes import BOARD, tank
 
 from lscan.errors import InputError
 from lscan.records import Status
-from sim.scene import Scene, rotation_x, rotation_z
+from sim.scene import Scene, rotation
 from sim.truth import board_truth, project
 from sim.truth.board import area_centroids
 
@@ -53,7 +53,7 @@ def test_marks_are_the_board_s_places_projected(at, turn, tilt, yaw, position):
 
     def direct(xz: np.ndarray) -> np.ndarray:
         flat = np.column_stack([xz[:, 0], 0 * xz[:, 0], xz[:, 1]])
-        head = flat @ (rotation_z(turn) @ rotation_x(tilt)).T + at
+        head = flat @ rotation("ZX", (turn, tilt)).T + at
         # The head has gone on by ``position`` along the track, which it sees at -yaw.
         angle = np.radians(yaw)
         return project(scene, head - position * np.array([np.sin(angle), np.cos(angle), 0]))

@@ -12,7 +12,7 @@ from lscan.config.documents import merge
 from lscan.config.targets import GroovedBlock
 from lscan.errors import InputError
 from lscan.records import Status
-from sim.scene import Laser, Pose, Scene, head_pose, rotation_y, sheet_pose, target_pose
+from sim.scene import Laser, Pose, Scene, head_pose, rotation, sheet_pose, target_pose
 from sim.truth import StripeTruth, project, sheet_of, slice_visibility, stripe_truth
 from sim.truth.bow import bow_of, quarter
 from sim.truth.sheet import sheet_plane
@@ -97,7 +97,7 @@ def fan_rays(laser: Laser, angle: np.ndarray, line: int = 0) -> np.ndarray:
 def test_the_plane_of_the_sheet_is_the_scene_s(laser):
     laser = tank(laser=laser).tank.laser
     plane, pose = sheet_plane(laser, laser.sheets[0]), sheet_pose(laser, laser.sheets[0])
-    assert np.abs(plane.rotation @ rotation_y(-laser.aim_deg) - pose.rotation).max() < 1e-14
+    assert np.abs(plane.rotation @ rotation("Y", -laser.aim_deg) - pose.rotation).max() < 1e-14
     apex = plane.apply(np.array([laser.apex_mm[0], 0.0, laser.apex_mm[2]]))
     assert apex == pytest.approx(np.array(laser.apex_mm), abs=1e-12)
     ahead = pose.apply(np.array([[0, 0, -100.0], [50.0, 0, -100.0]]))

@@ -15,7 +15,7 @@ from lscan.config.documents import merge
 from lscan.config.targets import GroovedBlock, Sandwave
 from lscan.errors import InputError
 from lscan.records import Status
-from sim.scene import Pose, Scene, head_pose, rotation_y, target_pose
+from sim.scene import Pose, Scene, head_pose, rotation, target_pose
 from sim.truth import StripeTruth, project, slice_visibility, stripe_truth, stripe_truths
 from sim.truth.camera.projection import entry_points
 from sim.truth.stripe import ColumnCrossings, continued, edge_distance
@@ -472,7 +472,7 @@ def test_a_missing_mesh_is_refused(tmp_path):
 
 def test_the_axis_of_the_fan_follows_the_aim():
     laser = tank(laser={"aim_deg": 25.0}).tank.laser
-    down = rotation_y(-25.0) @ np.array([0.0, 0.0, -1.0])
+    down = rotation("Y", -25.0) @ np.array([0.0, 0.0, -1.0])
     assert down[0] > 0  # towards +x
     ahead = np.array([laser.apex_mm[0], laser.apex_mm[2]]) + 100 * down[[0, 2]]
     assert fan_angle(laser, ahead[None])[0] == pytest.approx(0.0, abs=1e-12)

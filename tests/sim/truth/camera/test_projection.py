@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from truth_scenes import tank
 
 from lscan.errors import InputError
-from sim.scene import Lens, PlanePort, Pose, Scene, camera_pose, rotation_x, rotation_y, rotation_z
+from sim.scene import Lens, PlanePort, Pose, Scene, camera_pose, rotation
 from sim.truth import project
 from sim.truth.camera.flat import crossed_at, flat_normal
 from sim.truth.camera.projection import (
@@ -45,7 +45,7 @@ ANGLE = st.floats(-180, 180)
 
 @st.composite
 def poses(draw: st.DrawFn) -> Pose:
-    turned = rotation_z(draw(ANGLE)) @ rotation_x(draw(ANGLE)) @ rotation_y(draw(ANGLE))
+    turned = rotation("ZXY", [draw(ANGLE), draw(ANGLE), draw(ANGLE)])
     return Pose(turned, np.array([draw(st.floats(-500, 500)) for _ in range(3)]))
 
 
@@ -171,7 +171,7 @@ def test_the_pixel_traced_back_meets_the_point(port, lens, seed):
 @given(camera=CAMERAS, seed=st.integers(0, 2**31))
 def test_a_tilted_port_is_a_turned_camera_with_the_port_square(camera, seed):
     points = points_before(camera, seed)
-    tilt = rotation_y(camera.port.tilt_y_deg) @ rotation_x(camera.port.tilt_x_deg)
+    tilt = rotation("YX", (camera.port.tilt_y_deg, camera.port.tilt_x_deg))
     square = camera.port.model_copy(update={"tilt_x_deg": 0.0, "tilt_y_deg": 0.0})
     turned = Pose(camera.pose.rotation @ tilt, camera.pose.origin_mm)
     expected = rays_to(TrueCamera(turned, camera.lens, square, camera.water_index), points)

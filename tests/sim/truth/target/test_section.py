@@ -10,7 +10,7 @@ from truth_scenes import BOARD, block_mesh, tank
 
 from lscan.config.targets import GroovedBlock, Sandwave
 from lscan.errors import InputError
-from sim.scene import Pose, head_pose, rotation_x, rotation_y, rotation_z
+from sim.scene import Pose, head_pose, rotation
 from sim.truth.target.mesh import Mesh
 from sim.truth.target.section import (
     TargetSection,
@@ -25,14 +25,14 @@ from sim.truth.target.wave import Wave, sandwave_surfaces
 MANY = settings(max_examples=30)
 TILT = st.floats(-8, 8)
 POSE = st.builds(
-    lambda x, y, z, at: Pose(rotation_z(z) @ rotation_y(y) @ rotation_x(x), np.array(at)),
+    lambda x, y, z, at: Pose(rotation("ZYX", (z, y, x)), np.array(at)),
     TILT,
     TILT,
     st.floats(-40, 40),
     st.tuples(st.floats(-50, 50), st.floats(-20, 20), st.floats(-400, -100)),
 )
 SHEET = st.builds(
-    lambda yaw, s: Pose(rotation_z(yaw), np.array([0.0, s, 0.0])), TILT, st.floats(-30, 30)
+    lambda yaw, s: Pose(rotation("Z", yaw), np.array([0.0, s, 0.0])), TILT, st.floats(-30, 30)
 )
 
 
@@ -54,7 +54,7 @@ def test_a_hole_and_what_is_wound_twice_are_outside():
 
 def test_the_turned_block_is_wider_by_the_cosine():
     block = GroovedBlock()
-    pose = Pose(rotation_z(10.0), np.array([10.0, 5.0, -300.0]))
+    pose = Pose(rotation("Z", 10.0), np.array([10.0, 5.0, -300.0]))
     section = section_at(grooved_block_surfaces(block, pose), head_pose(tank().tank.head, 0.0))
     wide = 1 / np.cos(np.radians(10.0))
     top = section.ends_mm[np.all(section.ends_mm[..., 1] == -300.0 + block.height_mm, axis=1)]
@@ -110,7 +110,7 @@ def wave_mesh(shape: Sandwave, pose: Pose, step: float) -> trimesh.Trimesh:
 def test_the_wave_is_cut_as_trimesh_cuts_its_mesh(pose, yaw, along):
     shape, step = Sandwave(), 0.5
     middle = pose.apply(np.array([[75.0, along, 0.0]]))[0]
-    sheet = Pose(rotation_z(yaw), middle)
+    sheet = Pose(rotation("Z", yaw), middle)
     ours = Wave(shape, pose).cut(sheet)
     theirs = Mesh(wave_mesh(shape, pose, step)).cut(sheet)
     # A linear triangle of legs h misses by at most h2/8 (|zxx| + 2 |zxy| + |zyy|); the
