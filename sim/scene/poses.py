@@ -13,7 +13,6 @@ from scipy.spatial.transform import Rotation
 from lscan.records import Floats
 from sim.scene.instrument import Head, Laser, LaserLine, TrueShaft
 
-
 TRACK = np.array([0.0, 1.0, 0.0])  # along which a track moves the head, world frame
 
 
