@@ -1,11 +1,13 @@
 """Files of a render and of its truth: pictures, layers and tables."""
 
+import csv
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
-from io import BytesIO
+from io import BytesIO, StringIO
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -13,16 +15,17 @@ from lscan.acquisition.run import Run
 from lscan.errors import InputError
 from lscan.files.disk import make_folder, write_atomically
 from lscan.files.pictures import write_picture
-from lscan.records import Marks, Progress, Status
+from lscan.records import Progress, Status
 from sim.scene import SECTIONS, Scene, scene_of
 from sim.scene.file import check_samples
-from sim.truth import LineBrightness, StripeTruth, board_truth, line_brightness, stripe_truths
+from sim.truth import board_truth, line_brightness, stripe_truths
 
-STRIPE_COLUMNS = (
-    "frame,position_mm,column,centre_px,x_mm,y_mm,z_mm,lit,seen,multiple,edge_px,"
-    "height_dn,height_sigma_dn,noise_dn,snr,status"
-)
-BOARD_COLUMNS = "frame,position_mm,kind,x_mm,z_mm,u_px,v_px,status"
+Row = tuple[Any, ...]  # of a table: numbers and words
+STRIPE_COLUMNS: Row = (
+    "frame", "position_mm", "column", "centre_px", "x_mm", "y_mm", "z_mm", "lit", "seen",
+    "multiple", "edge_px", "height_dn", "height_sigma_dn", "noise_dn", "snr", "status",
+)  # fmt: skip
+BOARD_COLUMNS: Row = ("frame", "position_mm", "kind", "x_mm", "z_mm", "u_px", "v_px", "status")
 AT_ONCE = 20  # pictures between two reports of progress: surfaces are made anew for each lot
 
 FARTHEST_MM = 1e5  # beyond, single precision no longer carries a hundredth of a millimetre
@@ -68,17 +71,18 @@ def write_render(
     generator = np.random.default_rng([scene.tank.sensor.seed, 1])
     image = webcam.expose(layers, exposure_ms, generator)
     make_folder(folder)
-    names = {"picture": "picture.png", "layers": "layers.npz", "labels": "labels.png"}
-    files = {key: folder / name for key, name in names.items()}
-    files["labels in colour"] = folder / "labels-colour.png"
+    files = {
+        "picture": folder / "picture.png",
+        "layers": folder / "layers.npz",
+        "labels": folder / "labels.png",
+        "labels in colour": folder / "labels-colour.png",
+    }
     labels = label_scene(scene, position_mm, layers)
     write_picture(files["picture"], image)
     write_picture(files["labels"], labels)
     write_picture(files["labels in colour"], colour_labels(labels))
-    pixels, stream = layers.binned(image.shape[:2]), BytesIO()
-    np.savez_compressed(
-        stream, direct=pixels.direct, scattered=pixels.scattered, ambient=pixels.ambient
-    )
+    stream = BytesIO()
+    np.savez_compressed(stream, **vars(layers.binned(image.shape[:2])))
     write_atomically(files["layers"], stream.getvalue())
     return files
 
@@ -177,31 +181,32 @@ def write_truth(
         Where there is neither line nor board.
     """
     laser = scene.tank.laser
-    makers: dict[str, Callable[[Sequence[Taken]], Iterator[str]]] = {}
-    texts: dict[str, list[str]] = {}
+    makers: dict[str, Callable[[Sequence[Taken]], Iterator[Row]]] = {}
+    tables: dict[str, list[Row]] = {}
     for line in range(len(laser.sheets) if laser.on else 0):
         name = f"stripe-{line}" if len(laser.sheets) > 1 else "stripe"
-        makers[name], texts[name] = partial(_stripe_rows, scene, line), [STRIPE_COLUMNS]
+        makers[name], tables[name] = partial(_stripe_rows, scene, line), [STRIPE_COLUMNS]
     if scene.tank.target.shape == "board":
-        makers["board"], texts["board"] = partial(_board_rows, scene), [BOARD_COLUMNS]
+        makers["board"], tables["board"] = partial(_board_rows, scene), [BOARD_COLUMNS]
     if not makers:
         raise InputError(
             "no truth to write: the laser is off and the target is no board", where=scene.source
         )
     for first in range(0, len(taken), AT_ONCE):
         for name, rows in makers.items():
-            texts[name] += rows(taken[first : first + AT_ONCE])
+            tables[name] += rows(taken[first : first + AT_ONCE])
         if progress is not None:
             progress(min(first + AT_ONCE, len(taken)), len(taken))
     make_folder(folder)
-    return {name: _written(folder / f"{name}.csv", lines) for name, lines in texts.items()}
+    return {name: _written(folder / f"{name}.csv", rows) for name, rows in tables.items()}
 
 
-def _written(file: Path, lines: Sequence[str]) -> TruthTable:
-    """The table in a file; lines: its head, then its rows, the status last in each."""
-    write_atomically(file, "".join(f"{line}\n" for line in lines).encode())
-    statuses = Counter(line.rpartition(",")[2] for line in lines[1:])
-    return TruthTable(file, dict(statuses.most_common()))
+def _written(file: Path, rows: Sequence[Row]) -> TruthTable:
+    """The table in a file; rows: its head first, the status last in each."""
+    stream = StringIO()
+    csv.writer(stream, lineterminator="\n").writerows(rows)
+    write_atomically(file, stream.getvalue().encode())
+    return TruthTable(file, dict(Counter(row[-1] for row in rows[1:]).most_common()))
 
 
 def _check_place(position_mm: float) -> None:
@@ -211,38 +216,27 @@ def _check_place(position_mm: float) -> None:
         )
 
 
-def _stripe_rows(scene: Scene, line: int, taken: Sequence[Taken]) -> Iterator[str]:
+def _stripe_rows(scene: Scene, line: int, taken: Sequence[Taken]) -> Iterator[Row]:
     truths = stripe_truths(scene, [picture.position_mm for picture in taken], line)
     lights = line_brightness(scene, truths, [picture.exposure_ms for picture in taken])
     for picture, truth, light in zip(taken, truths, lights, strict=True):
-        yield from (f"{_start(picture)},{row}" for row in _columns(truth, light))
+        columns = (
+            np.arange(len(truth.status)), truth.centre_px,
+            truth.xz_mm[:, 0], truth.y_mm, truth.xz_mm[:, 1],
+            truth.lit.astype(int), truth.seen.astype(int), truth.multiple.astype(int),
+            truth.edge_px, light.height_dn, light.height_sigma_dn, light.noise_dn, light.snr,
+        )  # fmt: skip
+        names = [Status(status).name for status in truth.status]
+        for row in zip(*(column.tolist() for column in columns), names, strict=True):
+            yield picture.frame, picture.position_mm, *row
 
 
-def _columns(truth: StripeTruth, light: LineBrightness) -> Iterator[str]:
-    columns = (
-        np.arange(len(truth.status)), truth.centre_px,
-        truth.xz_mm[:, 0], truth.y_mm, truth.xz_mm[:, 1],
-        truth.lit.astype(int), truth.seen.astype(int), truth.multiple.astype(int),
-        truth.edge_px, light.height_dn, light.height_sigma_dn, light.noise_dn, light.snr,
-    )  # fmt: skip
-    rows = zip(*(column.tolist() for column in columns), strict=True)
-    for status, row in zip(truth.status, rows, strict=True):
-        yield ",".join([*map(repr, row), Status(status).name])
-
-
-def _board_rows(scene: Scene, taken: Sequence[Taken]) -> Iterator[str]:
+def _board_rows(scene: Scene, taken: Sequence[Taken]) -> Iterator[Row]:
     for picture in taken:
         reading = board_truth(scene, picture.position_mm).centres
-        yield from _mark_rows(f"{_start(picture)},grid", reading.grid)
-        for number, ruler in enumerate(reading.rulers):
-            yield from _mark_rows(f"{_start(picture)},ruler-{number}", ruler.marks)
-
-
-def _start(picture: Taken) -> str:
-    return f"{picture.frame},{picture.position_mm!r}"
-
-
-def _mark_rows(start: str, marks: Marks) -> Iterator[str]:
-    rows = zip(marks.board_mm.tolist(), marks.image_px.tolist(), marks.status, strict=True)
-    for (x, z), (u, v), status in rows:
-        yield f"{start},{x!r},{z!r},{u!r},{v!r},{Status(status).name}"
+        kinds = {"grid": reading.grid}
+        kinds |= {f"ruler-{k}": ruler.marks for k, ruler in enumerate(reading.rulers)}
+        for kind, marks in kinds.items():
+            places = np.column_stack([marks.board_mm, marks.image_px]).tolist()
+            for place, status in zip(places, marks.status, strict=True):
+                yield picture.frame, picture.position_mm, kind, *place, Status(status).name

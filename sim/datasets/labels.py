@@ -24,20 +24,13 @@ PUSH_MM = 0.2  # by which the sheet is pushed aside to find how wide the line is
 class Label(IntEnum):
     """Class of a pixel, and its value in the label picture."""
 
-    DARK = 0
-    LINE = 1
-    VEIL = 2
-    AMBIENT = 3
-    REFLECTION = 4
+    DARK = 0  # less light than lifts the picture by one digital number
+    LINE = 1  # laser light from the target prevails, within 3 sigma of the line's true centre
+    VEIL = 2  # laser light scattered by the water prevails
+    AMBIENT = 3  # light that is not the laser's prevails
+    REFLECTION = 4  # laser light from the target prevails, but away from the true line
 
 
-LEGEND: Mapping[Label, str] = {
-    Label.DARK: "less light than lifts the picture by one digital number",
-    Label.LINE: "laser light from the target prevails, within 3 sigma of the line's true centre",
-    Label.VEIL: "laser light scattered by the water prevails",
-    Label.AMBIENT: "light that is not the laser's prevails",
-    Label.REFLECTION: "laser light from the target prevails, but away from the true line",
-}
 COLOURS: Mapping[Label, tuple[int, int, int]] = {
     Label.DARK: (0, 0, 0),
     Label.LINE: (230, 40, 40),

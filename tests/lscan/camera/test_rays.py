@@ -3,6 +3,7 @@
 import cv2
 import numpy as np
 import pytest
+from camera_strategies import FLAT_PORT, LENS
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -12,26 +13,8 @@ from lscan.errors import InputError
 from lscan.records import Floats
 
 MANY = settings(max_examples=60)
-PORTS = st.builds(
-    PortModel,
-    gap_mm=st.floats(0.5, 60),
-    thickness_mm=st.floats(0.5, 30),
-    glass_index=st.floats(1.3, 1.9),
-    water_index=st.floats(1.0, 1.345),
-    tilt_x_deg=st.floats(-15, 15),
-    tilt_y_deg=st.floats(-15, 15),
-)
-CAMERAS = st.builds(
-    CameraModel,
-    focal_px=st.floats(300, 1500),
-    centre_px=st.tuples(st.floats(200, 400), st.floats(150, 300)),
-    k1=st.floats(-0.25, 0.25),
-    k2=st.floats(-0.05, 0.1),
-    k3=st.floats(-0.02, 0.02),
-    p1=st.floats(-2e-3, 2e-3),
-    p2=st.floats(-2e-3, 2e-3),
-    port=st.none() | PORTS,
-)
+PORTS = st.builds(PortModel, **FLAT_PORT, water_index=st.floats(1.0, 1.345))
+CAMERAS = st.builds(CameraModel, **LENS, port=st.none() | PORTS)
 
 
 def points_ahead(seed: int, count: int = 60) -> Floats:

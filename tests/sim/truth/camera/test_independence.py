@@ -5,6 +5,7 @@ solves Snell's equation for the tangent in air and takes the roots of a polynomi
 """
 
 import numpy as np
+from camera_strategies import FLAT_PORT, LENS
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
@@ -14,24 +15,7 @@ from sim.scene import Lens, PlanePort, Pose
 from sim.truth.camera.projection import TrueCamera, fold_radius, image, rays_to
 
 MANY = settings(max_examples=60)
-LENS = st.builds(
-    Lens,
-    focal_px=st.floats(500, 1500),
-    centre_px=st.tuples(st.floats(280, 360), st.floats(200, 280)),
-    k1=st.floats(-0.3, 0.2),
-    k2=st.floats(-0.05, 0.1),
-    k3=st.floats(-0.02, 0.02),
-    p1=st.floats(-2e-3, 2e-3),
-    p2=st.floats(-2e-3, 2e-3),
-)
-PORT = st.builds(
-    PlanePort,
-    gap_mm=st.floats(1, 60),
-    thickness_mm=st.floats(0.5, 30),
-    glass_index=st.floats(1.3, 1.9),
-    tilt_x_deg=st.floats(-15, 15),
-    tilt_y_deg=st.floats(-15, 15),
-)
+LENSES, PORTS = st.builds(Lens, **LENS), st.builds(PlanePort, **FLAT_PORT)
 
 
 def instruments(lens: Lens, port: PlanePort, water_index: float) -> instrument.CameraModel:
@@ -49,7 +33,7 @@ def instruments(lens: Lens, port: PlanePort, water_index: float) -> instrument.C
 
 
 @MANY
-@given(lens=LENS, port=PORT, water=st.floats(1.33, 1.345), seed=st.integers(0, 1000))
+@given(lens=LENSES, port=PORTS, water=st.floats(1.33, 1.345), seed=st.integers(0, 1000))
 def test_both_see_a_point_in_the_same_pixel(
     lens: Lens, port: PlanePort, water: float, seed: int
 ) -> None:
@@ -68,7 +52,7 @@ def test_both_see_a_point_in_the_same_pixel(
 
 
 @MANY
-@given(lens=LENS)
+@given(lens=LENSES)
 def test_both_find_the_same_fold_of_the_distortion(lens: Lens) -> None:
     """To 1e-9 of the radius, but next to a double root, which float64 cannot distinguish from none.
 

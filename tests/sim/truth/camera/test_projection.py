@@ -3,6 +3,7 @@
 import cv2
 import numpy as np
 import pytest
+from camera_strategies import FLAT_PORT, LENS
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from truth_scenes import tank
@@ -22,24 +23,7 @@ from sim.truth.camera.projection import (
 from sim.water import refractive_index
 
 MANY = settings(max_examples=60)
-LENS = st.builds(
-    Lens,
-    focal_px=st.floats(300, 1500),
-    centre_px=st.tuples(st.floats(200, 400), st.floats(150, 300)),
-    k1=st.floats(-0.25, 0.25),
-    k2=st.floats(-0.05, 0.1),
-    k3=st.floats(-0.02, 0.02),
-    p1=st.floats(-2e-3, 2e-3),
-    p2=st.floats(-2e-3, 2e-3),
-)
-PORT = st.builds(
-    PlanePort,
-    gap_mm=st.floats(1, 60),
-    thickness_mm=st.floats(0.5, 30),
-    glass_index=st.floats(1.3, 1.9),
-    tilt_x_deg=st.floats(-15, 15),
-    tilt_y_deg=st.floats(-15, 15),
-)
+LENSES, PORTS = st.builds(Lens, **LENS), st.builds(PlanePort, **FLAT_PORT)
 ANGLE = st.floats(-180, 180)
 
 
@@ -50,7 +34,7 @@ def poses(draw: st.DrawFn) -> Pose:
 
 
 CAMERAS = st.builds(
-    TrueCamera, pose=poses(), lens=LENS, port=PORT, water_index=st.floats(1.33, 1.345)
+    TrueCamera, pose=poses(), lens=LENSES, port=PORTS, water_index=st.floats(1.33, 1.345)
 )
 
 
@@ -116,7 +100,7 @@ def test_the_check_values_of_the_port(r_mm, z_mm, tangent):
 
 
 @MANY
-@given(lens=LENS, pose=poses(), seed=st.integers(0, 2**31))
+@given(lens=LENSES, pose=poses(), seed=st.integers(0, 2**31))
 def test_without_refraction_it_is_opencv(lens, pose, seed):
     camera = TrueCamera(pose, lens, PlanePort(glass_index=1.0, tilt_x_deg=5.0), water_index=1.0)
     points = points_before(camera, seed)
@@ -152,7 +136,7 @@ def test_the_ray_found_passes_through_the_point(camera, seed):
 
 
 @settings(max_examples=8)
-@given(port=PORT, lens=LENS, seed=st.integers(0, 2**31))
+@given(port=PORTS, lens=LENSES, seed=st.integers(0, 2**31))
 def test_the_pixel_traced_back_meets_the_point(port, lens, seed):
     camera = TrueCamera(Pose(np.eye(3), np.zeros(3)), lens, port, 1.3313)
     points = points_before(camera, seed, count=10)
@@ -181,7 +165,7 @@ def test_a_tilted_port_is_a_turned_camera_with_the_port_square(camera, seed):
 
 
 @MANY
-@given(port=PORT, index=st.floats(1.33, 1.345), depth=st.floats(1, 3000))
+@given(port=PORTS, index=st.floats(1.33, 1.345), depth=st.floats(1, 3000))
 def test_farther_beside_is_steeper_and_farther_ahead_is_less_so(port, index, depth):
     r = np.linspace(0, 4000, 200)
     steep, _ = crossed_at(port, index, r, np.full(200, depth))
