@@ -12,7 +12,6 @@ package manager for one where none serves.
 import argparse
 import importlib
 import importlib.util
-import json
 import os
 import re
 import shutil
@@ -26,6 +25,8 @@ from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
 from types import ModuleType
+
+from pydantic import TypeAdapter
 
 from lscan.errors import InputError, LscanError
 from lscan.files.disk import write_atomically
@@ -86,6 +87,7 @@ class ProbeResult:
 
 
 Probe = Callable[[Library], ProbeResult]
+ANSWERS = TypeAdapter(dict[str, ProbeResult])
 
 
 def load_mitsuba() -> ModuleType:
@@ -223,7 +225,8 @@ def probe_remembered(library: Library, probe: Probe = probe_library) -> ProbeRes
     verdict = probe(library)
     if verdict.final:
         with suppress(OSError, InputError):
-            _write_answers(cache, {**answers, key: verdict})
+            cache.parent.mkdir(parents=True, exist_ok=True)
+            write_atomically(cache, ANSWERS.dump_json({**answers, key: verdict}, indent=1))
     return verdict
 
 
@@ -234,19 +237,9 @@ def _cache_file() -> Path:
 
 def _read_answers(cache: Path) -> dict[str, ProbeResult]:
     try:
-        stored = json.loads(cache.read_text(encoding="utf-8"))
-        return {
-            str(key): ProbeResult(works=entry["works"] is True, reason=str(entry["reason"]))
-            for key, entry in stored.items()
-        }
-    except (OSError, ValueError, TypeError, KeyError, AttributeError):
+        return ANSWERS.validate_json(cache.read_bytes(), strict=True)
+    except (OSError, ValueError):
         return {}
-
-
-def _write_answers(cache: Path, answers: Mapping[str, ProbeResult]) -> None:
-    stored = {key: {"works": one.works, "reason": one.reason} for key, one in answers.items()}
-    cache.parent.mkdir(parents=True, exist_ok=True)
-    write_atomically(cache, json.dumps(stored, indent=1).encode())
 
 
 def _require_mitsuba() -> None:
