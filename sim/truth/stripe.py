@@ -99,8 +99,7 @@ def standing_truth(
     points = sheet.in_head(found.xz_mm)
     reached = lit(laser, section, found.xz_mm)
     visible = seen(scene, surfaces, points, position_mm)
-    chosen = _choice(found, reached, visible)
-    return _assemble(scene, (position_mm, line), found, points, chosen)
+    return _assemble(scene, (position_mm, line), found, points, reached, visible)
 
 
 def crossings(scene: Scene, sheet: TrueSheet, section: TargetSection) -> ColumnCrossings:
@@ -147,34 +146,28 @@ def _project_ends(scene: Scene, sheet: TrueSheet, section: TargetSection) -> Flo
     return found
 
 
-@dataclass(frozen=True)
-class _Choice:
-    """What is reached, seen, both, (K,) each, and the crossing that each column takes."""
-
-    lit: Mask
-    seen: Mask
-    good: Mask
-    best: Ints
-
-
-def _choice(found: ColumnCrossings, reached: Mask, visible: Mask) -> _Choice:
-    """The uppermost lit and seen point of each column, or a hidden one."""
-    good = reached & visible
-    order = np.lexsort([found.centre_px, ~reached, ~good, found.column])
-    _, chosen = np.unique(found.column[order], return_index=True)
-    return _Choice(reached, visible, good, order[chosen])
-
-
 def _assemble(
-    scene: Scene, taken: tuple[float, int], found: ColumnCrossings, points: Floats, choice: _Choice
+    scene: Scene,
+    taken: tuple[float, int],
+    found: ColumnCrossings,
+    points: Floats,
+    reached: Mask,
+    visible: Mask,
 ) -> StripeTruth:
-    """One entry a column.  taken: position and line; points: (K, 3) in the head frame."""
+    """One entry a column.
+
+    taken: position and line.  points: (K, 3) of the crossings in the head frame; reached,
+    visible: (K,) whether they are lit and seen.
+    """
     camera, axis = scene.rig.camera, scene.rig.stripe.axis
     count = camera.width_px if axis == "columns" else camera.height_px
-    best = choice.best
-    column = found.column[best]
+    good = reached & visible
+    # The uppermost lit and seen point of each column, or a hidden one.
+    order = np.lexsort([found.centre_px, ~reached, ~good, found.column])
+    column, chosen = np.unique(found.column[order], return_index=True)
+    best = order[chosen]
     status = np.full(count, int(Status.NO_PEAK))
-    status[column] = np.where(choice.good[best], Status.OK, Status.OCCLUDED)
+    status[column] = np.where(good[best], Status.OK, Status.OCCLUDED)
     continues = continued(found, best, status)
     x, y, z = (_fill(count, column, coordinate, np.nan) for coordinate in points[best].T)
     return StripeTruth(
@@ -184,13 +177,13 @@ def _assemble(
         centre_px=_fill(count, column, found.centre_px[best], np.nan),
         xz_mm=np.column_stack([x, z]),
         y_mm=y,
-        lit=_fill(count, column, choice.lit[best], False),
-        seen=_fill(count, column, choice.seen[best], False),
+        lit=_fill(count, column, reached[best], False),
+        seen=_fill(count, column, visible[best], False),
         status=status,
         face=_fill(count, column, found.face[best], -1),
         edge_px=edge_distance(status, continues),
         continues=continues,
-        multiple=np.bincount(found.column[choice.good], minlength=count) > 1,
+        multiple=np.bincount(found.column[good], minlength=count) > 1,
     )
 
 

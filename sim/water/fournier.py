@@ -10,10 +10,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from lscan.errors import InputError
 from lscan.records import Floats
 
-INDEX, JUNGE_SLOPE = (1.0, 1.5), (3.0, 5.0)  # the slope's ends and index 1 themselves left out
 SERIES_WITHIN = 0.05  # of delta = 1; the closed form loses its digits there
 SERIES_TERMS = 14  # 0.05 to this power is below double precision
 SMALLEST_RAD = 1e-100  # below, the density is held: it is infinite at 0
@@ -28,12 +26,8 @@ class FournierForand:
     Attributes
     ----------
     index : float, refractive index relative to the water, above 1, to 1.5
-    junge_slope : float, exponent of the sizes' power law, between 3 and 5
-
-    Raises
-    ------
-    InputError
-        A value lies outside its range.
+    junge_slope : float, exponent of the sizes' power law, between 3 and 5; not checked here, a
+        scene's water is (sim.scene.matter.Water)
 
     References
     ----------
@@ -43,26 +37,10 @@ class FournierForand:
     index: float
     junge_slope: float
 
-    def __post_init__(self) -> None:
-        """Refuse what the formula was not made for."""
-        if not INDEX[0] < self.index <= INDEX[1]:
-            raise InputError(
-                "particle_index", where="water", value=self.index, allowed="above 1, to 1.5"
-            )
-        if not JUNGE_SLOPE[0] < self.junge_slope < JUNGE_SLOPE[1]:
-            raise InputError(
-                "junge_slope", where="water", value=self.junge_slope, allowed="between 3 and 5"
-            )
-
     @property
     def nu(self) -> float:
         """The exponent (3 - mu) / 2, between -1 and 0."""
         return (3 - self.junge_slope) / 2
-
-    @property
-    def backscatter_ratio(self) -> float:
-        """Share scattered backwards, by more than a right angle."""
-        return float(1 - self.cumulative(np.array(np.pi / 2)))
 
     def density(self, angle: Floats) -> Floats:
         """Phase function, 1/sr, at angles in rad; same shape."""
@@ -73,16 +51,6 @@ class FournierForand:
         core = np.where(near, self._series(delta, sin2), self._closed(delta, sin2))
         wide = self._backward() * (3 * np.cos(angle) ** 2 - 1) / (16 * np.pi)
         return core / (4 * np.pi * delta**self.nu) + wide
-
-    def cumulative(self, angle: Floats) -> Floats:
-        """Share scattered by no more than angles in rad, 0 to 1; same shape."""
-        angle = np.maximum(np.asarray(angle, dtype=float), SMALLEST_RAD)
-        sin2 = np.sin(angle / 2) ** 2
-        delta = self._delta(sin2)
-        # Both quotients keep their digits at delta = 1.
-        core = _quotient(delta, self.nu + 1) - _quotient(delta, self.nu) * sin2
-        wide = self._backward() * np.cos(angle) * np.sin(angle) ** 2 / 8
-        return core / delta**self.nu + wide
 
     def _delta(self, sin2: Floats) -> Floats:
         """delta at the sine squared of half the angle."""

@@ -161,13 +161,8 @@ def offset_per_px(scene: Scene, line: LineInSpace, sheet: TrueSheet) -> Floats:
         ahead, behind = (line.points + sign * STEP_MM * tangent for sign in (1, -1))
         pixels.append((project(scene, ahead) - project(scene, behind)) / (2 * STEP_MM))
         leaves.append((sheet.clearance_mm(ahead) - sheet.clearance_mm(behind)) / (2 * STEP_MM))
-    (a, b), (c, d) = (pixel.T for pixel in pixels)
-    area = a * d - b * c
-    area = np.where(area == 0, np.finfo(float).tiny, area)  # seen edge on
-    return (
-        np.column_stack([d * leaves[0] - b * leaves[1], a * leaves[1] - c * leaves[0]])
-        / (area[:, np.newaxis])
-    )
+    # Seen edge on there is no inverse.
+    return (np.linalg.pinv(np.stack(pixels, axis=1)) @ np.stack(leaves, axis=1)[..., None])[..., 0]
 
 
 def defocus_variance(scene: Scene, camera: TrueCamera, line: LineInSpace) -> Floats:
