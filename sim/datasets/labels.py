@@ -15,10 +15,12 @@ from sim.scene import Scene
 from sim.sensor import photons_per_radiance
 from sim.sensor.coding import FULL_SCALE_DN, electrons_of
 from sim.truth import StripeTruth, sheet_of, stripe_truth
+from sim.truth.light.brightness import offset_per_px
+from sim.truth.light.radiance import line_in_space
+from sim.truth.target.section import surfaces_of
 from sim.water import water_optics
 
 CORE = 3.0  # standard deviations on either side of the line's centre
-PUSH_MM = 0.2  # by which the sheet is pushed aside to find how wide the line is
 
 
 class Label(IntEnum):
@@ -119,21 +121,17 @@ def colour_labels(labels: Bytes) -> Bytes:
 def line_sigma_px(scene: Scene, truth: StripeTruth) -> Floats:
     """(N,) standard deviation of the line across it in the picture, px; NaN where not OK.
 
-    The sheet's own (half its 1/e2 half width) as the camera sees it on the target, from the
-    truth of the same sheet pushed aside by 0.2 mm, and the lens's blur, added in squares.
-    Next to edges, where the pushed sheets meet another face, the neighbours' is carried on.
+    The sheet's own (half its 1/e2 half width) as the camera sees it on the target, and the
+    lens's blur, added in squares.
     """
-    shift = PUSH_MM * sheet_of(scene, truth.line).pose.rotation[:, 1]
-    aside = [_pushed(scene, truth, sign * shift) for sign in (1.0, -1.0)]
-    same = truth.status == Status.OK
-    for pushed in aside:
-        same &= (pushed.status == Status.OK) & (pushed.face == truth.face)
-    rate = np.abs(aside[0].centre_px - aside[1].centre_px) / (2 * PUSH_MM)
-    index = np.arange(len(rate))
-    if same.any():
-        rate = np.interp(index, index[same], rate[same])
-    sigma = np.hypot(rate * half_width_mm(scene, truth) / 2, scene.tank.lens.blur_px)
-    return np.where(truth.status == Status.OK, sigma, np.nan)
+    shown = truth.status == Status.OK
+    line = line_in_space(scene, surfaces_of(scene), truth)
+    mm_per_px = offset_per_px(scene, line, sheet_of(scene, truth.line))
+    across = np.abs(mm_per_px[:, 1 if truth.axis == "columns" else 0])
+    sheet_px = half_width_mm(scene, truth)[shown] / 2 / np.maximum(across, np.finfo(float).tiny)
+    sigma = np.full(len(shown), np.nan)
+    sigma[shown] = np.hypot(sheet_px, scene.tank.lens.blur_px)
+    return sigma
 
 
 def half_width_mm(scene: Scene, truth: StripeTruth) -> Floats:
@@ -143,9 +141,3 @@ def half_width_mm(scene: Scene, truth: StripeTruth) -> Floats:
     points = np.column_stack([truth.xz_mm[:, 0], truth.y_mm, truth.xz_mm[:, 1]])
     distance = np.linalg.norm(points - np.array(laser.apex_mm), axis=1)
     return laser.half_thickness_mm(distance, index)
-
-
-def _pushed(scene: Scene, truth: StripeTruth, shift_mm: Floats) -> StripeTruth:
-    """The truth with the laser moved by (3,) mm of the head frame."""
-    apex = tuple((np.array(scene.tank.laser.apex_mm) + shift_mm).tolist())
-    return stripe_truth(scene.with_tank(laser={"apex_mm": apex}), truth.position_mm, truth.line)

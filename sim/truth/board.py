@@ -4,6 +4,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+import shapely
 
 from lscan.config.board import Board, Ring
 from lscan.records import (
@@ -172,10 +173,6 @@ def _on_ring(ring: Ring) -> Floats:
 
 
 def area_centroids(outlines: Floats) -> Floats:
-    """(N, 2) centroids of the areas of N polygons of K corners, (N, K, 2)."""
-    middle = outlines.mean(axis=1, keepdims=True)
-    here = outlines - middle
-    there = np.roll(here, -1, axis=1)
-    area = here[..., 0] * there[..., 1] - there[..., 0] * here[..., 1]  # twice, signed
-    moment = np.sum((here + there) * area[..., np.newaxis], axis=1)
-    return middle[:, 0] + moment / (3 * area.sum(axis=1))[:, np.newaxis]
+    """(N, 2) centroids of the areas of N polygons of K corners, (N, K, 2); NaN of those of NaN."""
+    centroids = shapely.centroid(shapely.polygons(outlines))
+    return np.column_stack([shapely.get_x(centroids), shapely.get_y(centroids)])

@@ -28,7 +28,6 @@ from sim.truth.light.radiance import (
 )
 from sim.truth.light.reflection import Reflectance, reflectance_of
 from sim.truth.sheet import TrueSheet, sheet_of
-from sim.truth.shutter import row_positions_mm
 from sim.truth.stripe import StripeTruth
 from sim.truth.target.section import surfaces_of
 from sim.water import water_optics
@@ -105,11 +104,8 @@ def _brightness(
     scene: Scene, reflectance: Reflectance, truth: StripeTruth, exposure_ms: float
 ) -> LineBrightness:
     shown = truth.status == Status.OK
-    index = np.arange(len(shown), dtype=float)[shown]
-    rows = truth.centre_px[shown] if truth.axis == "columns" else index
     sheet = sheet_of(scene, truth.line)
-    positions = row_positions_mm(scene, truth.position_mm, rows)
-    line = line_in_space(scene, reflectance, truth, positions)
+    line = line_in_space(scene, reflectance.surfaces, truth)
     radiance = line_radiance(scene, reflectance, line, sheet, truth.line)
     peak = radiance * brightest_pixel(scene, line, sheet, truth)
     found = _in_grey_values(scene, peak, _ambient(scene, reflectance, line), line, exposure_ms)

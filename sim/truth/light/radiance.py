@@ -1,5 +1,6 @@
 """What reaches the lens from the middle of the line: the laser's power on its way there."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,7 +11,9 @@ from sim.truth.camera.flat import flat_normal
 from sim.truth.camera.projection import RaysToPoints, TrueCamera, camera_of, rays_to
 from sim.truth.light.reflection import Lit, Reflectance, fresnel
 from sim.truth.sheet import TrueSheet
+from sim.truth.shutter import row_positions_mm
 from sim.truth.stripe import StripeTruth
+from sim.truth.target.surfaces import TankSurface
 from sim.truth.visibility import fan_angle
 from sim.water import water_optics
 
@@ -33,11 +36,14 @@ class LineInSpace:
     lit: Lit
 
 
-def line_in_space(
-    scene: Scene, reflectance: Reflectance, truth: StripeTruth, positions_mm: Floats
-) -> LineInSpace:
-    """The line's OK columns, seen from the track positions (N,) of their moments."""
+def line_in_space(scene: Scene, surfaces: Sequence[TankSurface], truth: StripeTruth) -> LineInSpace:
+    """The line's OK columns, the head where it is when they are exposed.
+
+    surfaces: those of ``surfaces_of(scene)``.
+    """
     shown = truth.status == Status.OK
+    rows = truth.centre_px if truth.axis == "columns" else np.arange(len(shown), dtype=float)
+    positions_mm = row_positions_mm(scene, truth.position_mm, rows[shown])
     points = np.column_stack([truth.xz_mm[:, 0], truth.y_mm, truth.xz_mm[:, 1]])[shown]
     camera, face, head = camera_of(scene), truth.face[shown], scene.tank.head
     rays = rays_to(camera, points)
@@ -45,7 +51,7 @@ def line_in_space(
     apex = np.broadcast_to(np.array(scene.tank.laser.apex_mm), points.shape)
     entry = camera.pose.apply(rays.entry_mm)
     normals = np.empty_like(points)
-    for number, surface in enumerate(reflectance.surfaces):
+    for number, surface in enumerate(surfaces):
         normals[face == number] = surface.normals(places[face == number])
     lit = Lit(
         face=face,
