@@ -148,7 +148,7 @@ def _draw(scene: Scene, generator: np.random.Generator) -> Poses:
     drawn = generator.uniform(-1, 1, (TRIED, 5))
     turn, tilt = MOST_TURN_DEG * drawn[:, 0], MOST_TILT_DEG * drawn[:, 1]
     camera, lens = camera_pose(scene.tank.head), scene.tank.lens
-    size = np.array([scene.rig.camera.width_px, scene.rig.camera.height_px])
+    size = np.array(scene.rig.camera.size_px)
     pixel = (drawn[:, 3:] + 1) / 2 * (size - 1)
     apparent = lens.focal_px * water_optics(scene.tank.water, scene.tank.laser.wavelength_nm).index
     ahead = np.column_stack([(pixel - np.array(lens.centre_px)) / apparent, np.ones(TRIED)])
@@ -204,7 +204,7 @@ def _in_picture(scene: Scene, board: Board, poses: Poses) -> Mask:
     local = _outline_mm(board) - _middle_mm(board)
     head = poses.middle_mm[:, np.newaxis] + local @ poses.rotation.transpose(0, 2, 1)
     pixels = project(scene, head.reshape(-1, 3)).reshape(*head.shape[:2], 2)
-    size = np.array([scene.rig.camera.width_px, scene.rig.camera.height_px])
+    size = np.array(scene.rig.camera.size_px)
     inside = (pixels >= MARGIN_PX) & (pixels <= size - 1 - MARGIN_PX)
     return np.asarray(inside.all(axis=(1, 2)))
 

@@ -128,8 +128,7 @@ def crossings(scene: Scene, sheet: TrueSheet, section: TargetSection) -> ColumnC
 
 def _in_view(scene: Scene, sheet: TrueSheet, section: TargetSection) -> TargetSection:
     """The pieces that may show in the picture."""
-    camera = scene.rig.camera
-    size = np.array([camera.width_px, camera.height_px])
+    size = np.array(scene.rig.camera.size_px)
     pixels = _project_ends(scene, sheet, section)
     near = (pixels > -MARGIN_PX) & (pixels < size + MARGIN_PX)
     return section.only(np.any(np.all(near, axis=2), axis=1))

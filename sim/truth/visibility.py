@@ -20,7 +20,7 @@ from sim.scene import (
     rotation,
     target_pose,
 )
-from sim.truth.camera.projection import camera_of, project, rays_to
+from sim.truth.camera.projection import entry_points, project
 from sim.truth.sheet import TrueSheet, sheet_of
 from sim.truth.target.section import TargetSection, surfaces_of
 from sim.truth.target.surfaces import SELF_MM, TankSurface, cross, spread
@@ -87,8 +87,7 @@ def seen(
 
     position_mm: track position of the head, one for all points or (N,).
     """
-    camera = camera_of(scene)
-    entry = camera.pose.apply(rays_to(camera, points_head).entry_mm)
+    entry = entry_points(scene, points_head)
     start = into_world(scene.tank.head, entry, position_mm)
     end = into_world(scene.tank.head, points_head, position_mm)
     free: Mask = np.all(np.isfinite(entry), axis=1)
@@ -98,8 +97,7 @@ def seen(
 
 def in_picture(scene: Scene, pixels: Floats) -> Mask:
     """(N,) whether (N, 2) of (u, v) fall on a pixel of the picture."""
-    camera = scene.rig.camera
-    size = np.array([camera.width_px, camera.height_px])
+    size = np.array(scene.rig.camera.size_px)
     return np.all((pixels >= -0.5) & (pixels <= size - 0.5), axis=1)
 
 
