@@ -12,7 +12,6 @@ where it is within 5 % of the Cramér-Rao bound of a dot blurred by 0.7 px (r = 
 scatter = noise / amplitude * exp(q) / (sqrt(2 pi) 2 q), q = r^2 / (2 sigma^2), least at q = 1.
 """
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -68,28 +67,39 @@ def fit_centres(
     sigma: Floats,
     noise: NDArray[np.floating],
     steps: int = STEPS,
+    saddles: bool = False,
 ) -> Centres:
-    """Maxima near ``start`` of second-order polynomials fitted to the picture.
+    """Maxima near ``start`` of second-order polynomials fitted to the picture, or saddles.
 
     flat: (H, W) grey values, marks bright on a ground of 0; beyond its edge it counts as 0.
     start: (N, 2) of (u, v) px, the brightest pixels.  sigma: (N,) px, from ``window_sigma``.
     noise: (H, W) standard deviation of each grey value, independent from pixel to pixel.
     steps: of Newton's method; the search is content with fewer.
+    saddles: look for the corners of a chessboard instead.  Two dark and two bright squares that
+        meet are the same seen from their corner but for the sign, so it is where the gradient
+        vanishes under a Gaussian of any size and any blur.  ``round`` then says that it is a
+        saddle, no more than five times as steep one way as the other.
     """
-    return _stationary(flat, start, sigma, noise, _inverse_of_peak, steps)
-
-
-def fit_saddles(
-    flat: NDArray[np.floating], start: Floats, sigma: Floats, noise: NDArray[np.floating]
-) -> Centres:
-    """Saddles near ``start`` of the same polynomials: the corners of a chessboard.
-
-    Two dark and two bright squares that meet are the same seen from their corner but for the
-    sign, so it is where the gradient vanishes under a Gaussian of any size and any blur.
-    Arguments and answer are those of :func:`fit_centres`; ``round`` says that it is a saddle,
-    no more than five times as steep one way as the other.
-    """
-    return _stationary(flat, start, sigma, noise, _inverse_of_saddle, STEPS)
+    if len(start) == 0:
+        return Centres(np.empty((0, 2)), np.empty(0), np.empty(0), np.empty(0, bool))
+    base = np.rint(start).astype(np.int64)
+    reach = int(np.ceil(REACH * sigma.max())) + 1
+    values = _windows(flat, base, reach)
+    offset = np.zeros((len(base), 2))
+    for _ in range(steps):
+        gradient, hessian, _ = _polynomial(values, offset, sigma, reach)
+        inverse, _ = _inverse(hessian, saddles)
+        step = -np.einsum("nij,nj->ni", inverse, gradient)
+        length = np.linalg.norm(step, axis=1, keepdims=True)
+        step *= np.minimum(1, sigma[:, None] / np.maximum(length, 1e-12))
+        offset = np.clip(offset + step, -reach, reach)
+    _, hessian, height = _polynomial(values, offset, sigma, reach)
+    inverse, wanted = _inverse(hessian, saddles)
+    variance = _windows(noise, base, reach) ** 2
+    scatter = _scatter(inverse, variance, offset, sigma, reach)
+    near = np.linalg.norm(offset, axis=1) <= np.maximum(1.5, sigma)
+    settled = np.linalg.norm(step, axis=1) < 0.01
+    return Centres(base + offset, height, scatter, wanted & near & settled)
 
 
 def stand_alone(
@@ -104,40 +114,6 @@ def stand_alone(
     moved = np.linalg.norm(wider.points - centres.points, axis=1)
     own = np.hypot(wider.sigma_px, centres.sigma_px)
     return wider.round & (moved <= MOST_MOVED * sigma + MOST_MOVED_SIGMAS * own)
-
-
-Inverse = Callable[[Floats], tuple[Floats, Mask]]
-
-
-def _stationary(
-    flat: NDArray[np.floating],
-    start: Floats,
-    sigma: Floats,
-    noise: NDArray[np.floating],
-    inverse_of: Inverse,
-    steps: int,
-) -> Centres:
-    """Where the polynomials' gradient vanishes, by Newton's steps with ``inverse_of`` Hessians."""
-    if len(start) == 0:
-        return Centres(np.empty((0, 2)), np.empty(0), np.empty(0), np.empty(0, bool))
-    base = np.rint(start).astype(np.int64)
-    reach = int(np.ceil(REACH * sigma.max())) + 1
-    values = _windows(flat, base, reach)
-    offset = np.zeros((len(base), 2))
-    for _ in range(steps):
-        gradient, hessian, _ = _polynomial(values, offset, sigma, reach)
-        inverse, _ = inverse_of(hessian)
-        step = -np.einsum("nij,nj->ni", inverse, gradient)
-        length = np.linalg.norm(step, axis=1, keepdims=True)
-        step *= np.minimum(1, sigma[:, None] / np.maximum(length, 1e-12))
-        offset = np.clip(offset + step, -reach, reach)
-    _, hessian, height = _polynomial(values, offset, sigma, reach)
-    inverse, wanted = inverse_of(hessian)
-    variance = _windows(noise, base, reach) ** 2
-    scatter = _scatter(inverse, variance, offset, sigma, reach)
-    near = np.linalg.norm(offset, axis=1) <= np.maximum(1.5, sigma)
-    settled = np.linalg.norm(step, axis=1) < 0.01
-    return Centres(base + offset, height, scatter, wanted & near & settled)
 
 
 def _windows(flat: NDArray[np.floating], base: Ints, reach: int) -> Floats:
@@ -177,27 +153,21 @@ def _polynomial(
     return gradient, hessian / sigma[:, None, None] ** 2, a
 
 
-def _inverse_of_peak(hessian: Floats) -> tuple[Floats, Mask]:
+def _inverse(hessian: Floats, saddles: bool) -> tuple[Floats, Mask]:
     """Inverse of each Hessian, and which have a maximum no more than five times as long as wide.
 
-    Where there is no maximum the inverse is 0: no step is taken.
+    saddles: or else which have curvatures that differ in sign and at most five times in size.
+    Where a Hessian is not as wanted the inverse is 0: no step is taken.
     """
     trace, determinant = np.trace(hessian, axis1=1, axis2=2), np.linalg.det(hessian)
-    # The ratio r of the curvatures gives trace^2 / determinant = (r + 1)^2 / r.
-    peaked = (trace < 0) & (determinant > trace**2 * RIDGE / (RIDGE + 1) ** 2)
-    return _inverse(hessian, peaked), peaked
-
-
-def _inverse_of_saddle(hessian: Floats) -> tuple[Floats, Mask]:
-    """The same for saddles, whose curvatures differ in sign and at most five times in size."""
-    trace, determinant = np.trace(hessian, axis1=1, axis2=2), np.linalg.det(hessian)
-    saddle = -determinant > trace**2 * RIDGE / (RIDGE - 1) ** 2
-    return _inverse(hessian, saddle), saddle
-
-
-def _inverse(hessian: Floats, usable: Mask) -> Floats:
-    safe = np.where(usable[:, None, None], hessian, np.eye(2))
-    return np.where(usable[:, None, None], np.linalg.inv(safe), 0.0)
+    # The ratio r of the curvatures gives trace^2 / determinant = (r + 1)^2 / r, of a saddle
+    # (r - 1)^2 / -r.
+    if saddles:
+        wanted = -determinant > trace**2 * RIDGE / (RIDGE - 1) ** 2
+    else:
+        wanted = (trace < 0) & (determinant > trace**2 * RIDGE / (RIDGE + 1) ** 2)
+    safe = np.where(wanted[:, None, None], hessian, np.eye(2))
+    return np.where(wanted[:, None, None], np.linalg.inv(safe), 0.0), wanted
 
 
 def _scatter(

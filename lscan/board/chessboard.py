@@ -1,7 +1,7 @@
 """The corners of chessboards and of ChArUco boards, each with its uncertainty.
 
-OpenCV says which corner is which; where it is, is measured here as the saddle of a polynomial
-weighted by a Gaussian (centre.py), which also gives how far noise moves it.
+OpenCV identifies the corners; their places are measured here as saddles of a polynomial
+weighted by a Gaussian (centre.py), which also gives their uncertainty.
 
 An ideal corner lies in the same place under windows of any size.  A real one does not: the
 paper bends, ink spreads, movement and coding smear the squares by unlike amounts.  What two
@@ -14,12 +14,13 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from lscan.board.centre import SMALLEST_SIGMA_PX, fit_saddles
+from lscan.board.centre import SMALLEST_SIGMA_PX, fit_centres
+from lscan.board.lattice import grid_points_mm
 from lscan.board.picture import Image, bright_marks, noise_of
 from lscan.board.search import local_pitch
 from lscan.config.rig import Channel
 from lscan.errors import BoardNotFound, InputError
-from lscan.records import Bytes, Floats, Ints, Marks, Status
+from lscan.records import Bytes, Floats, Marks, Status
 
 WINDOW = 0.15  # Gaussian sigma, of the distance between corners: the next weigh nothing
 LARGEST_SIGMA_PX = 4.0
@@ -61,10 +62,7 @@ def read_chessboard(
     _check_board(columns, rows, square_mm)
     grey = bright_marks(image, channel, "bright")
     seen = _find_corners(_eight_bit(grey), columns, rows)
-    lattice = seen.reshape(rows, columns, 2)
-    row, column = np.divmod(np.arange(rows * columns), columns)
-    board = np.column_stack([column, -row]) * float(square_mm)
-    return _measured(grey, board, seen, local_pitch(lattice).ravel(), WINDOW)
+    return _measured(grey, seen, square_mm, WINDOW)
 
 
 def read_charuco(
@@ -113,15 +111,11 @@ def read_charuco(
             f"only {count} corners of the ChArUco board were found, {FEWEST} are needed: check "
             "the dictionary and that the markers are in view and sharp"
         )
-    seen = np.full((rows * columns, 2), np.nan)
-    index: Ints = np.asarray(numbers, dtype=np.int64).ravel()
-    seen[index] = np.asarray(corners, dtype=float).reshape(-1, 2)
-    row, column = np.divmod(np.arange(rows * columns), columns)
-    places = np.column_stack([column, -row]) * float(square_mm)
-    pitch = local_pitch(seen.reshape(rows, columns, 2)).ravel()
+    seen = np.full((rows, columns, 2), np.nan)
+    seen[np.divmod(np.ravel(numbers), columns)] = np.reshape(corners, (-1, 2))
     # A marker lies in the middle of its square: its corner is nearest, along the diagonal.
     clear = CLEAR * (1 - marker_mm / square_mm) / np.sqrt(2)
-    return _measured(grey, places, seen, pitch, min(WINDOW, clear))
+    return _measured(grey, seen, square_mm, min(WINDOW, clear))
 
 
 def _check_board(columns: int, rows: int, square_mm: float) -> None:
@@ -158,7 +152,7 @@ def _eight_bit(grey: Image) -> Bytes:
 
 
 def _find_corners(picture: Bytes, columns: int, rows: int) -> Floats:
-    """(rows * columns, 2) px of the corners to about a pixel."""
+    """(rows, columns, 2) px of the corners to about a pixel."""
     size = (columns, rows)
     found, corners = cv2.findChessboardCornersSB(picture, size, flags=cv2.CALIB_CB_EXHAUSTIVE)
     if not found:
@@ -173,18 +167,19 @@ def _find_corners(picture: Bytes, columns: int, rows: int) -> Floats:
     # Either end may come first: the upper row is the one higher in the picture.
     if points[0, :, 1].mean() > points[-1, :, 1].mean() and (rows + columns) % 2 == 0:
         points = points[::-1, ::-1]
-    return points.reshape(-1, 2)
+    return points
 
 
-def _measured(grey: Image, board_mm: Floats, seen: Floats, pitch: Floats, window: float) -> Marks:
-    """The corners ``seen`` (N, 2) px, NaN where not, measured anew.
+def _measured(grey: Image, lattice: Floats, square_mm: float, window: float) -> Marks:
+    """The corners ``lattice`` (rows, columns, 2) px, NaN where not seen, measured anew.
 
-    pitch: (N,) px between corners.  window: Gaussian sigma they are seen through, of the pitch.
+    window: Gaussian sigma they are seen through, of the distance between corners.
     """
+    seen, pitch = lattice.reshape(-1, 2), local_pitch(lattice).ravel()
     known = np.isfinite(seen[:, 0]) & np.isfinite(pitch)
     sigma = np.clip(window * pitch[known], SMALLEST_SIGMA_PX, LARGEST_SIGMA_PX)
     noise = np.full_like(grey, noise_of(grey))
-    corners = fit_saddles(grey, seen[known], sigma, noise)
+    corners = fit_centres(grey, seen[known], sigma, noise, saddles=True)
     moved = np.linalg.norm(corners.points - seen[known], axis=1)
     height, width = grey.shape
     inside = ((corners.points >= 0) & (corners.points <= [width - 1, height - 1])).all(axis=1)
@@ -197,7 +192,7 @@ def _measured(grey: Image, board_mm: Floats, seen: Floats, pitch: Floats, window
         sigma_px[found] = np.hypot(corners.sigma_px[good], floor)
     status = np.full(len(seen), int(Status.NOT_FOUND), dtype=np.int64)
     status[found] = int(Status.OK)
-    return Marks(board_mm, image, sigma_px, status)
+    return Marks(grid_points_mm(lattice.shape, square_mm).reshape(-1, 2), image, sigma_px, status)
 
 
 def _disagreement(grey: Image, points: Floats, sigma: Floats, noise: Image) -> float:
@@ -208,7 +203,7 @@ def _disagreement(grey: Image, points: Floats, sigma: Floats, noise: Image) -> f
     The median keeps out the corners at which the narrower window sees something else.
     """
     narrow = np.maximum(NARROWER * sigma, SMALLEST_SIGMA_PX)
-    again = fit_saddles(grey, points, narrow, noise)
+    again = fit_centres(grey, points, narrow, noise, saddles=True)
     if not again.round.any():
         return 0.0
     square = ((again.points - points)[again.round] ** 2).sum(axis=1)

@@ -1,4 +1,4 @@
-"""What speaks against the dots found being those of the board."""
+"""Checks that the dots found are those of the board."""
 
 import numpy as np
 from scipy.ndimage import map_coordinates
@@ -18,7 +18,7 @@ UNEVEN = 0.03  # of the pitch: a board's dots miss a smooth grid by less than 0.
 
 
 def fault_of(picture: BoardPicture, nodes: Nodes, grid: Grid) -> str | None:
-    """The first thing that speaks against the dots being the board's, in words, or None."""
+    """The first check that the dots fail as the board's, in words, or None."""
     count = int(nodes.found.sum())
     if count < 3:
         return "the first three dots are not three round dots alike"

@@ -7,7 +7,7 @@ from scipy.ndimage import binary_dilation, maximum_filter
 from scipy.spatial import cKDTree
 
 from lscan.board.picture import BoardPicture
-from lscan.board.search import NEXT, Nodes, expectation, local_pitch, moved
+from lscan.board.search import Nodes, expected_places, local_pitch, mean_beside
 from lscan.config.board import Grid
 from lscan.errors import BoardNotFound
 from lscan.records import Floats, Mask
@@ -47,7 +47,7 @@ class LocalMap:
     """A smooth map from board to picture, through the control points found.
 
     At each place a second-order polynomial in (x, z) is fitted to the nearest control points:
-    within them the third order of a wide-angle lens is some 0.1 px, enough to say where to
+    within them the third order of a wide-angle lens is some 0.1 px, enough to know where to
     look for a mark.  board_mm, image_px: (N, 2) of the control points.
     """
 
@@ -68,14 +68,14 @@ class LocalMap:
         return self._fit(board_mm, skip=0)
 
     def misfit(self, which: Mask | slice = ALL) -> Floats:
-        """px between each control point, or ``which`` of them, and what those around it say.
+        """px between control points, or ``which`` of them, and where those around each predict it.
 
-        At the rim they say it less surely: a miss is divided by its standard deviation for
+        At the rim the prediction is less certain: a miss is divided by its standard deviation for
         errors of 1 px of each point, the square root of 1 + leverage.
         """
-        said = self._fit(self.board_mm[which], skip=1)
-        miss = np.linalg.norm(said.image_px - self.image_px[which], axis=1)
-        return miss / np.sqrt(1 + said.leverage)
+        predicted = self._fit(self.board_mm[which], skip=1)
+        miss = np.linalg.norm(predicted.image_px - self.image_px[which], axis=1)
+        return miss / np.sqrt(1 + predicted.leverage)
 
     def _fit(self, board_mm: Floats, skip: int) -> Expansion:
         """The polynomials of the nearest control points, but for the ``skip`` nearest."""
@@ -91,9 +91,9 @@ class LocalMap:
         solved, leverage = solved[..., :2], solved[:, 0, 2]
         xx, xz, zz = 2 * solved[:, 3], solved[:, 4], 2 * solved[:, 5]
         bend = np.stack([xx, xz, xz, zz], axis=-1).reshape(-1, 2, 2, 2)
-        slope = solved[:, 1:3].transpose(0, 2, 1)
+        jacobian = solved[:, 1:3].transpose(0, 2, 1)
         bend = bend / self.pitch_mm**2
-        return Expansion(solved[:, 0], slope / self.pitch_mm, bend, leverage)
+        return Expansion(solved[:, 0], jacobian / self.pitch_mm, bend, leverage)
 
 
 def _solved(left: Floats, right: Floats) -> Floats:
@@ -130,26 +130,24 @@ def local_map(points: Floats, pitch_mm: float) -> LocalMap:
 def completed(nodes: Nodes, pitch_mm: float) -> Floats:
     """(R, C, 2) px of all nodes: the dots found, and where the others would be.
 
-    Next to a dot found, the local polynomials say so; further out equal steps are taken,
+    Next to a dot found, the local polynomials give it; further out equal steps are taken,
     which never fold back into the picture as a polynomial far outside does.
     """
     points = nodes.points.copy()
-    seen = nodes.found.astype(float)
-    seen[seen == 0] = np.nan
-    beside = ~nodes.found & np.any([np.isfinite(moved(seen, r, c)) for r, c in NEXT], axis=0)
+    beside = ~nodes.found & np.isfinite(mean_beside(nodes.height))
     board = grid_points_mm(points.shape[:2], pitch_mm)
     points[beside] = local_map(nodes.points, pitch_mm)(board[beside])
     while (empty := np.isnan(points[..., 0])).any():
-        points[empty] = expectation(Nodes(points, nodes.height, nodes.sigma_px))[0][empty]
+        points[empty] = expected_places(points)[empty]
     return points
 
 
 def drop_outliers(nodes: Nodes, pitch_mm: float) -> None:
-    """Take out the dots that do not lie where those around them say.
+    """Take out the dots that do not lie where those around them predict.
 
     An outlier misses by more than eight robust sigmas and a hundredth of the pitch.  It
     spoils what is expected of those around it, so the worst thereabouts goes first and the
-    others are judged again without it.  Fewer than nine dots cannot say.
+    others are judged again without it.  Fewer than nine dots are not judged.
     """
     misfit = np.full(nodes.found.shape, np.nan)
     doubtful = nodes.found
@@ -162,7 +160,7 @@ def drop_outliers(nodes: Nodes, pitch_mm: float) -> None:
             return
         around = maximum_filter(np.where(found, misfit, 0.0), OUTLIER_SPOILS)
         outlier = found & (misfit > limit) & (misfit >= around)
-        nodes.drop(outlier)
+        nodes.values[outlier] = np.nan
         doubtful = nodes.found & binary_dilation(outlier, np.ones((2 * SPREAD + 1,) * 2, bool))
 
 
@@ -173,41 +171,27 @@ def place_on_board(picture: BoardPicture, nodes: Nodes, grid: Grid, radius_px: f
     seen: a rim is where the next row or column would be in view and is not there.  Raises
     BoardNotFound where neither the one rim nor the opposite one is seen.
     """
-    rows, columns = nodes.height.shape
-    for found, most, what in ((rows, grid.rows, "rows"), (columns, grid.columns, "columns")):
+    axes = tuple(
+        zip(nodes.height.shape, (grid.rows, grid.columns), ("rows", "columns"), strict=True)
+    )
+    for found, most, what in axes:
         if found > most:
             raise BoardNotFound(
                 f"the picture shows {found} {what} of dots, more than the {most} of the board file"
             )
     if not grid.whole:
         return nodes
-    beyond = _beyond(nodes)
-    seen = {side: _is_rim(picture, points, radius_px) for side, points in beyond.items()}
-    top = _first(grid.rows - rows, seen["top"], seen["bottom"], "rows", grid.rows, rows)
-    left = _first(
-        grid.columns - columns, seen["left"], seen["right"], "columns", grid.columns, columns
-    )
+    part = []
+    for axis, (found, most, what) in enumerate(axes):
+        p = np.moveaxis(nodes.points, axis, 0)
+        beyond = (2 * p[0] - p[1], 2 * p[-1] - p[-2])  # NaN beside a missing dot
+        seen = (picture.wholly_in_view(points, 2 * radius_px).sum() for points in beyond)
+        first, last = (int(count) >= RIM_EVIDENCE for count in seen)
+        start = _first(most - found, first, last, what, most, found)
+        part.append(slice(start, start + found))
     placed = Nodes.empty(grid.rows, grid.columns)
-    part = np.s_[top : top + rows, left : left + columns]
-    placed.points[part] = nodes.points
-    placed.height[part], placed.sigma_px[part] = nodes.height, nodes.sigma_px
+    placed.values[tuple(part)] = nodes.values
     return placed
-
-
-def _beyond(nodes: Nodes) -> dict[str, Floats]:
-    """Where the dots next beyond each rim would be, (N, 2) px, NaN beside a missing dot."""
-    p = nodes.points
-    return {
-        "top": 2 * p[0] - p[1],
-        "bottom": 2 * p[-1] - p[-2],
-        "left": 2 * p[:, 0] - p[:, 1],
-        "right": 2 * p[:, -1] - p[:, -2],
-    }
-
-
-def _is_rim(picture: BoardPicture, points: Floats, radius_px: float) -> bool:
-    seen: Mask = picture.wholly_in_view(points, 2 * radius_px)  # False where NaN
-    return int(seen.sum()) >= RIM_EVIDENCE
 
 
 def _first(spare: int, first: bool, last: bool, what: str, whole: int, found: int) -> int:

@@ -7,11 +7,12 @@ its odd third differences do not share with those of all other dots, which are a
 
 import cv2
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 from scipy.stats import norm
 
 from lscan.board.picture import Image, rounding_of
 from lscan.board.search import Nodes
-from lscan.records import Floats, Ints, Mask
+from lscan.records import Floats, Mask
 
 CUT = 2.5  # sigmas beyond which a difference is taken for a mark's, not for noise
 KEPT = 1 - 2 * CUT * norm.pdf(CUT) / (2 * norm.cdf(CUT) - 1)  # variance of a normal so cut
@@ -88,7 +89,8 @@ def _in_dots(bright: Image, nodes: Nodes) -> tuple[float, float] | None:
     points, contrast, base = points[inner], contrast[inner], base[inner]
     if len(base) < FEWEST_DOTS:
         return None
-    patches = _patches(bright, base)
+    column, row = (base - 1).T
+    patches = sliding_window_view(bright, (3, 3))[row, column].astype(np.float64)
     even, odd = np.array([1.0, -2.0, 1.0]), np.array([-1.0, 0.0, 1.0])
     offset = points - base
     middle = (points - points.mean(axis=0)) / points.std(axis=0)
@@ -106,13 +108,6 @@ def _in_dots(bright: Image, nodes: Nodes) -> tuple[float, float] | None:
         freedom = len(base) / (len(base) - design.shape[1])
         squares.append(_cut_variance(difference - design @ solved) * freedom / 12)
     return float(np.median(patches)), float(np.mean(squares))
-
-
-def _patches(bright: Image, base: Ints) -> Floats:
-    """(N, 3, 3) pixels about each of ``base`` (N, 2)."""
-    span = np.arange(-1, 2)
-    rows, columns = base[:, 1:] + span, base[:, :1] + span
-    return bright[rows[:, :, None], columns[:, None, :]].astype(np.float64)
 
 
 def _cut_variance(values: Floats) -> float:

@@ -26,10 +26,10 @@ def shift_of_discs(map_there: Expansion, radius_mm: float, sigma_px: Floats) -> 
     """
     jacobian, bend = map_there.jacobian, map_there.bend
     spots, weight = _quadrature(radius_mm)
-    slope = jacobian[:, None] + np.einsum("ncij,qj->nqci", bend, spots)
+    derivative = jacobian[:, None] + np.einsum("ncij,qj->nqci", bend, spots)
     halfway = jacobian[:, None] + np.einsum("ncij,qj->nqci", bend, spots) / 2
     image = np.einsum("nqci,qi->nqc", halfway, spots)
-    mass = weight * np.abs(np.linalg.det(slope))
+    mass = weight * np.abs(np.linalg.det(derivative))
     return _maximum(image, mass, sigma_px**2 + BLUR_PX**2)
 
 

@@ -28,14 +28,12 @@ class BoardPicture:
         to one contrast by the light on the plate about them.
     smooth: (H, W) ``flat`` smoothed to the size of the control dots; its brightest pixel is
         the middle of a dot even where a single pixel of noise is brighter.
-    smooth_sigma_px: Gaussian sigma of that smoothing.
     gain: (H, W) by which that has multiplied the grey values.
     noise: (H, W) standard deviation of each value of ``flat``.
     """
 
     flat: Image
     smooth: Image
-    smooth_sigma_px: float
     gain: Image
     noise: Image
 
@@ -51,17 +49,13 @@ class BoardPicture:
         return self.noise[row, column].astype(float)
 
     def wholly_in_view(self, points: Floats, radius_px: Floats | float) -> Mask:
-        """(...) mask of the discs about ``points`` (..., 2) px that the picture does not cut."""
-        return wholly_in_view(points, radius_px, self.size)
-
-
-def wholly_in_view(points: Floats, radius_px: Floats | float, size: tuple[int, int]) -> Mask:
-    """(...) mask of the blurred discs about ``points`` (..., 2) px inside a picture of a size."""
-    u, v = points[..., 0], points[..., 1]
-    # The outermost pixels reach half a pixel further; so does, and more, the blurred rim.
-    radius = np.asarray(radius_px) - 0.5 + BLUR_PX
-    width, height = size
-    return (u >= radius) & (v >= radius) & (u <= width - 1 - radius) & (v <= height - 1 - radius)
+        """(...) mask of the blurred discs about ``points`` (..., 2) px that lie in the picture."""
+        u, v = points[..., 0], points[..., 1]
+        # The outermost pixels reach half a pixel further; so does, and more, the blurred rim.
+        radius = np.asarray(radius_px) - 0.5 + BLUR_PX
+        width, height = self.size
+        inside_u = (u >= radius) & (u <= width - 1 - radius)
+        return inside_u & (v >= radius) & (v <= height - 1 - radius)
 
 
 def bright_marks(image: NDArray[Any], channel: Channel, marks: str) -> Image:
@@ -129,7 +123,7 @@ def prepare(bright: Image, dot_radius_px: float) -> BoardPicture:
     smooth = np.asarray(
         cv2.GaussianBlur(flat, (0, 0), sigma, borderType=cv2.BORDER_CONSTANT), dtype=np.float32
     )
-    return BoardPicture(flat, smooth, sigma, gain, gain * np.float32(noise_of(bright)))
+    return BoardPicture(flat, smooth, gain, gain * np.float32(noise_of(bright)))
 
 
 def _gain(ground: Image) -> Image:
@@ -137,7 +131,7 @@ def _gain(ground: Image) -> Image:
 
     The contrast of dark marks is that of the light on the plate: where it falls to one side it
     draws the marks' maxima to the other, by a quarter of the radius squared times its relative
-    slope.  A dark plate's grey value says nothing of the light.
+    slope.  A dark plate's grey value does not show the light.
     """
     usual = float(np.median(ground))
     if usual >= 0:

@@ -115,8 +115,9 @@ def _upright(bright: Image, picture: BoardPicture, nodes: Nodes, board: Board) -
     radius_px = _median_radius(nodes, board.grid)
     best, refusal = None, None
     for turns in _quarter_turns(nodes, board):
+        turned = Nodes(np.rot90(nodes.values, turns))
         try:
-            placed = place_on_board(picture, nodes.turned(turns), board.grid, radius_px)
+            placed = place_on_board(picture, turned, board.grid, radius_px)
         except BoardNotFound as error:
             refusal = refusal or error
             continue
@@ -184,14 +185,10 @@ def _check_origin_known(board: Board) -> None:
 def _search_from_anywhere(bright: Image, board: Board) -> tuple[BoardPicture, Nodes]:
     """The dots found from the first automatic seeds that lead to a board."""
     grid = board.grid
+    shape = (2 * grid.rows + 1, 2 * grid.columns + 1)  # the seed may be any dot of the board
     faults = []
     for seeds in propose_seeds(bright, board, noise_of(bright)):
-        radius_px = _dot_radius(seeds, grid)
-        picture = prepare(bright, radius_px)
-        shape = (2 * grid.rows + 1, 2 * grid.columns + 1)  # the seed may be any dot of the board
-        nodes = grow(picture, seeds, shape, (grid.rows, grid.columns), dot_part(grid))
-        drop_outliers(nodes, grid.pitch_mm)
-        fault = fault_of(picture, nodes, grid)
+        picture, nodes, fault = _searched(bright, grid, seeds, shape, (grid.rows, grid.columns))
         if fault is None:
             return picture, nodes.part(nodes.extent())
         faults.append((int(nodes.found.sum()), fault))
@@ -202,10 +199,7 @@ def _search_from_anywhere(bright: Image, board: Board) -> tuple[BoardPicture, No
 def _search_from(bright: Image, board: Board, seeds: Floats) -> tuple[BoardPicture, Nodes]:
     """The dots found from seeds given by hand, the first of which is the origin."""
     grid = board.grid
-    picture = prepare(bright, _dot_radius(seeds, grid))
-    nodes = grow(picture, seeds, (grid.rows, grid.columns), (0, 0), dot_part(grid))
-    drop_outliers(nodes, grid.pitch_mm)
-    fault = fault_of(picture, nodes, grid)
+    picture, nodes, fault = _searched(bright, grid, seeds, (grid.rows, grid.columns), (0, 0))
     if fault is not None:
         given = np.round(seeds, 1).tolist()
         raise BoardNotFound(f"the board was not found from the seeds {given}: {fault}")
@@ -215,10 +209,18 @@ def _search_from(bright: Image, board: Board, seeds: Floats) -> tuple[BoardPictu
     return picture, nodes.part((slice(0, rows.stop), slice(0, columns.stop)))
 
 
-def _dot_radius(seeds: Floats, grid: Grid) -> float:
-    """Radius of a control dot, px, from the distances of the seeds."""
+def _searched(
+    bright: Image, grid: Grid, seeds: Floats, shape: tuple[int, int], corner: tuple[int, int]
+) -> tuple[BoardPicture, Nodes, str | None]:
+    """The picture levelled, the dots found from seeds, and what speaks against them.
+
+    shape: of the nodes to fill.  corner: the node of the first seed.
+    """
     pitch_px = float(np.linalg.norm(seeds[1:] - seeds[0], axis=1).mean())
-    return pitch_px * dot_part(grid) / 2
+    picture = prepare(bright, pitch_px * dot_part(grid) / 2)
+    nodes = grow(picture, seeds, shape, corner, dot_part(grid))
+    drop_outliers(nodes, grid.pitch_mm)
+    return picture, nodes, fault_of(picture, nodes, grid)
 
 
 def _median_radius(nodes: Nodes, grid: Grid) -> float:

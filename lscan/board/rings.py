@@ -80,14 +80,17 @@ def read_ring(
     outward_mm = np.column_stack([np.cos(fine), np.sin(fine)])
     board = middle_mm + outward_mm * ring.diameter_mm / 2
     crossings = _crossings(mapping, board, outward_mm, ring.diameter_mm / 2)
-    offsets = _offsets(radius_px)
+    samples = int(min(REACH_PX, radius_px / 2) / SAMPLE_PX)  # to either side
+    offsets = np.linspace(-samples * SAMPLE_PX, samples * SAMPLE_PX, 2 * samples + 1)
     profile, noise = _profiles(picture, crossings, offsets)
     board, outward_mm = board[1::3], outward_mm[1::3]
     crossings = _crossings(mapping, board, outward_mm, ring.diameter_mm / 2)
     sigma = float(window_sigma(np.array([ring.width_mm * np.median(crossings.scale) / 2]))[0])
     ridges = _ridges(profile, noise, offsets, sigma)
     width_px = ring.width_mm * crossings.scale
-    full = contrast.at(board) * _line_height(width_px, sigma)
+    # A smoothed line of contrast 1 is as high as its width times the top of the blurred Gaussian.
+    top = np.sqrt(2 * np.pi * (sigma**2 + BLUR_PX**2))
+    full = contrast.at(board) * np.minimum(width_px / top, 1.0)
     seen = picture.wholly_in_view(crossings.middle, REACH_PX) & ridges.peaked
     seen &= ridges.height > np.maximum(
         FAINTEST * full, NOISE_LIMIT * noise.mean(axis=1) / np.sqrt(SPACING_PX)
@@ -118,11 +121,6 @@ def _crossings(
     return RingCrossings(
         map_there.image_px, normal * np.sign(across)[:, None], np.abs(across), curvature
     )
-
-
-def _offsets(radius_px: float) -> Floats:
-    count = int(min(REACH_PX, radius_px / 2) / SAMPLE_PX)
-    return np.linspace(-count * SAMPLE_PX, count * SAMPLE_PX, 2 * count + 1)
 
 
 def _profiles(
@@ -186,12 +184,6 @@ def _blur(ridges: Ridges, seen: Mask, sigma: float, width_px: Floats) -> float:
     height = (ridges.height + ridges.bend * sigma**2)[seen].mean()
     total = -height / (2 * ridges.bend[seen].mean()) - sigma**2
     return max(float(total - (width_px[seen] ** 2).mean() / 12), 0.0)
-
-
-def _line_height(width_px: Floats, sigma: float) -> Floats:
-    """(N,) height of a smoothed line of contrast 1: its width times the blurred Gaussian's top."""
-    blurred = np.sqrt(sigma**2 + BLUR_PX**2)
-    return np.minimum(width_px / (np.sqrt(2 * np.pi) * blurred), 1.0)
 
 
 def _alike(centre: Floats, seen: Mask) -> Mask:

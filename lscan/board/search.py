@@ -22,22 +22,35 @@ SEARCH_STEPS = 4  # of Newton's: 1e-6 px from half a pixel away
 NEXT = ((0, 1), (0, -1), (1, 0), (-1, 0))
 
 
-@dataclass
+@dataclass(frozen=True)
 class Nodes:
     """The nodes of a grid of R rows by C columns, filled in as dots are found.
 
-    points: (R, C, 2) px, NaN where no dot.  height: (R, C) grey values.  sigma_px: (R, C).
+    values: (R, C, 4) of u and v in px, height in grey values, and standard uncertainty of u and
+    of v in px; NaN where no dot.
     """
 
-    points: Floats
-    height: Floats
-    sigma_px: Floats
+    values: Floats
 
     @classmethod
     def empty(cls, rows: int, columns: int) -> "Nodes":
         """A grid without dots."""
-        blank = np.full((rows, columns), np.nan)
-        return cls(np.full((rows, columns, 2), np.nan), blank, blank.copy())
+        return cls(np.full((rows, columns, 4), np.nan))
+
+    @property
+    def points(self) -> Floats:
+        """(R, C, 2) px."""
+        return self.values[..., :2]
+
+    @property
+    def height(self) -> Floats:
+        """(R, C) grey values."""
+        return self.values[..., 2]
+
+    @property
+    def sigma_px(self) -> Floats:
+        """(R, C) standard uncertainty of u and of v."""
+        return self.values[..., 3]
 
     @property
     def found(self) -> Mask:
@@ -47,30 +60,17 @@ class Nodes:
     def put(self, where: tuple[Ints, ...], centres: Centres, accepted: Mask) -> None:
         """Enter the accepted dots at the node indices ``where`` (rows, columns)."""
         row, column = (index[accepted] for index in where)
-        self.points[row, column] = centres.points[accepted]
-        self.height[row, column] = centres.height[accepted]
-        self.sigma_px[row, column] = centres.sigma_px[accepted]
+        found = np.column_stack([centres.points, centres.height, centres.sigma_px])
+        self.values[row, column] = found[accepted]
 
     def part(self, window: tuple[slice, slice]) -> "Nodes":
         """The same nodes, seen through a window: what is entered there is entered here."""
-        return Nodes(self.points[window], self.height[window], self.sigma_px[window])
-
-    def turned(self, turns: int) -> "Nodes":
-        """The same dots on the grid turned by quarter turns."""
-        points, height, sigma_px = (
-            np.rot90(array, turns).copy() for array in (self.points, self.height, self.sigma_px)
-        )
-        return Nodes(points, height, sigma_px)
+        return Nodes(self.values[window])
 
     def extent(self) -> tuple[slice, slice]:
         """From the first to the last row and column that hold a dot."""
         row, column = np.nonzero(self.found)
         return slice(row.min(), row.max() + 1), slice(column.min(), column.max() + 1)
-
-    def drop(self, which: Mask) -> None:
-        """Take the dots of a (R, C) mask out again."""
-        for array in (self.points, self.height, self.sigma_px):
-            array[which] = np.nan
 
 
 def grow(
@@ -110,10 +110,11 @@ def _with_rim(extent: tuple[slice, slice]) -> tuple[slice, slice]:
 def _one_round(picture: BoardPicture, nodes: Nodes, vain: Floats, dot: float) -> bool:
     """Search every node beside those found; True where a dot was added.
 
-    vain: (R, C, 2) px, the places searched in vain: a node is searched again only once it is
-    expected elsewhere.  Those of this round are entered.
+    vain: (R, C, 2) px, the places searched without success: a node is searched again only once
+    it is expected elsewhere.  Those of this round are entered.
     """
-    expected, pitch, height = expectation(nodes)
+    expected = expected_places(nodes.points)
+    pitch, height = mean_beside(local_pitch(nodes.points)), mean_beside(nodes.height)
     todo = ~nodes.found & np.isfinite(expected[..., 0]) & np.isfinite(pitch)
     todo &= picture.wholly_in_view(expected, dot * pitch / 2)
     todo &= ~(np.linalg.norm(expected - vain, axis=2) < ELSEWHERE * BOX * pitch)
@@ -163,22 +164,22 @@ def _brightest(picture: BoardPicture, expected: Floats, half_box: Floats) -> Flo
     return np.column_stack([middle[:, 0] + span[column], middle[:, 1] + span[row]]).astype(float)
 
 
-def expectation(nodes: Nodes) -> tuple[Floats, Floats, Floats]:
-    """Where each node should be (R, C, 2), the pitch (R, C) px and the height (R, C) there.
+def expected_places(points: Floats) -> Floats:
+    """(R, C, 2) px where each node should be, from the nodes known (R, C, 2).
 
     The mean of the paper's step (the last displacement again) from each side and of the
     parallelogram that completes each neighbouring cell; NaN where there is neither.
     """
-    p = nodes.points
+    p = points
     guesses = [2 * moved(p, r, c) - moved(p, 2 * r, 2 * c) for r, c in NEXT]
     for r, c in ((1, 1), (1, -1), (-1, 1), (-1, -1)):
         guesses.append(moved(p, r, 0) + moved(p, 0, c) - moved(p, r, c))
-    pitch = local_pitch(p)
-    return (
-        _mean_of_known(guesses),
-        _mean_of_known([moved(pitch, r, c) for r, c in NEXT]),
-        _mean_of_known([moved(nodes.height, r, c) for r, c in NEXT]),
-    )
+    return _mean_of_known(guesses)
+
+
+def mean_beside(values: Floats) -> Floats:
+    """(R, C) mean of what is known at the four nodes beside each of (R, C)."""
+    return _mean_of_known([moved(values, r, c) for r, c in NEXT])
 
 
 def local_pitch(points: Floats) -> Floats:
@@ -192,15 +193,10 @@ def local_pitch(points: Floats) -> Floats:
 def moved(array: Floats, rows: int, columns: int) -> Floats:
     """The array with each node holding what is ``rows``, ``columns`` away; NaN outside."""
     height, width = array.shape[:2]
-    result = np.full_like(array, np.nan)
-    result[_part(-rows, height), _part(-columns, width)] = array[
-        _part(rows, height), _part(columns, width)
-    ]
-    return result
-
-
-def _part(shift: int, length: int) -> slice:
-    return slice(max(shift, 0), max(length + min(shift, 0), 0))
+    rim = max(abs(rows), abs(columns))
+    around = [(rim, rim)] * 2 + [(0, 0)] * (array.ndim - 2)
+    padded = np.pad(array, around, constant_values=np.nan)
+    return padded[rim + rows :, rim + columns :][:height, :width]
 
 
 def _mean_of_known(values: list[Floats]) -> Floats:

@@ -1,6 +1,6 @@
 """The three first dots: a dot, the one beneath and the one to its right (Fig. 12, #1 to #3).
 
-The paper picks them by hand; they may be given so here too.  Otherwise the board file says
+The paper picks them by hand; they may be given so here too.  Otherwise the board file gives
 how large a dot is beside the pitch, so for each size of dot a picture could show, the blobs of
 that size are looked through for dots with a neighbour at about the pitch on all four sides.
 """

@@ -3,7 +3,7 @@
 The marks found are dealt to folds; each fold in turn is taken off the board, the map is
 solved from the others and judged on it.  Control points and ruler marks take part alike.
 What a map errs by on a mark held out is mostly the noise of that mark, the same for all maps:
-so maps are compared mark by mark, and those that chance does not tell apart are called tied.
+so maps are compared mark by mark, and those whose difference is not significant are called tied.
 """
 
 from collections.abc import Sequence

@@ -1,14 +1,14 @@
-"""How far a board stands off the laser sheet, from one picture of it.
+"""The distance and tilt of a board from the laser sheet, from one picture of it.
 
-A plane map says where the line of sight of each mark crosses the sheet: at M = (x, z).  With
-the camera's place known, the mark itself, X, lies on that line, and where it stands y behind
-the sheet
+A plane map gives the point M = (x, z) at which the line of sight of each mark crosses the
+sheet.  With the camera's place known, the mark itself, X, lies on that line, and where it is y
+behind the sheet
 
     M = (X_x, X_z) - s X_y,      s = (d_x, d_z) / d_y,
 
 d being the direction of sight (derived here: the line through X along d at y = 0).  The marks
 of a rigid board have six parameters between them; least squares finds them.  How large the
-board appears tells its distance, how it is distorted its tilts.
+board appears determines its distance, how it is distorted its tilts.
 
 Frame: the plane map's, with y the sheet's normal away from the camera; so a board behind the
 sheet has positive distances.  Tilts are right-handed about x and z.
@@ -45,7 +45,7 @@ class LinesOfSight:
 
 @dataclass(frozen=True)
 class OffSheet:
-    """Where a board stands against the sheet, each number with its standard uncertainty.
+    """The pose of a board against the sheet, each number with its standard uncertainty.
 
     Attributes
     ----------
@@ -137,6 +137,10 @@ class BoardPose:
     turn: Floats
     place_mm: Floats
 
+    def apply(self, board_mm: Floats) -> Floats:
+        """(N, 3) in the map's frame, of points (N, 3) about the board's middle."""
+        return board_mm @ self.turn.T + self.place_mm
+
     def moved(self, step: Floats) -> "BoardPose":
         """After a small rotation (3,) in radians and a shift (3,) in mm."""
         return BoardPose(rotation(step[:3]) @ self.turn, self.place_mm + step[3:])
@@ -152,7 +156,7 @@ class SheetMarks:
 
     def residual(self, pose: BoardPose) -> Floats:
         """(2N,) mm, where the pose puts the marks in the sheet less where they are seen."""
-        x = self.board @ pose.turn.T + pose.place_mm
+        x = pose.apply(self.board)
         return (x[:, [0, 2]] - self.slope * x[:, 1:2] - self.seen).ravel()
 
     def jacobian(self, pose: BoardPose) -> Floats:
@@ -201,14 +205,14 @@ def _solve(marks: SheetMarks, pose: BoardPose, sigma: Floats) -> BoardPose:
         pose = pose.moved(np.asarray(step, dtype=np.float64))
         if np.abs(step).max() < CONVERGED:
             return pose
-    raise MeasurementError("the marks do not tell how far the board is from the sheet")
+    raise MeasurementError("the marks do not determine how far the board is from the sheet")
 
 
 def _common(
     points: PlanePoints, used: Mask, sight: LinesOfSight, marks: SheetMarks, pose: BoardPose
 ) -> Floats:
     """(2N, K) mm by which one standard deviation of each common error moves the residuals."""
-    behind = (marks.board @ pose.turn.T + pose.place_mm)[:, 1]
+    behind = pose.apply(marks.board)[:, 1]
     parts = [-sight.loose[used] * behind[:, None, None]]
     if points.modes_mm is not None:
         parts.append(-points.modes_mm[used])
@@ -239,7 +243,7 @@ def _answer(pose: BoardPose, root: Floats, corners: Floats, residual_mm: Floats)
         tilt_x_sigma_rad=float(spread[0]),
         tilt_z_rad=float(np.arctan2(-normal[0], normal[1])),
         tilt_z_sigma_rad=float(spread[2]),
-        corners_mm=arm[:, 1] + pose.place_mm[1],
+        corners_mm=pose.apply(corners)[:, 1],
         corners_sigma_mm=np.linalg.norm(along @ root, axis=1),
         residual_mm=residual_mm,
     )

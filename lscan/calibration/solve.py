@@ -22,13 +22,13 @@ from lscan.calibration.file import (
     store_reading,
     write_file,
 )
+from lscan.camera.covariance import pixel_derivatives
 from lscan.config.documents import read_json
 from lscan.config.rig import OpticsSection
 from lscan.errors import InputError
 from lscan.records import BoardReading, Floats
 from lscan.version import __version__
 
-STEP_PX = 1e-3  # for differences of a map: far above rounding, far below a cell
 SAME_MM = 1e-6  # residuals that belong to the parameters agree this well on any machine
 
 
@@ -167,12 +167,7 @@ def in_picture(plane_map: PlaneMap, image_px: Floats, shift_mm: Floats) -> Float
     image_px : (N, 2) array, px, of (u, v)
     shift_mm : (N, 2) array, mm, of (x, z) in the plane frame
     """
-    columns = [
-        (plane_map.to_plane(image_px + step).xz_mm - plane_map.to_plane(image_px - step).xz_mm)
-        / (2 * STEP_PX)
-        for step in STEP_PX * np.eye(2)
-    ]
-    jacobian = np.stack(columns, axis=2)
+    jacobian = pixel_derivatives(lambda pixels: plane_map.to_plane(pixels).xz_mm, image_px)
     finite = np.isfinite(jacobian).all(axis=(1, 2)) & np.isfinite(shift_mm).all(axis=1)
     known = np.flatnonzero(finite)
     known = known[np.linalg.det(jacobian[known]) != 0]

@@ -1,24 +1,31 @@
 """What the plane maps of this package share: a record that is its file, and a solver's frame."""
 
 from abc import ABC, abstractmethod
-from typing import Any, ClassVar, Generic, TypeVar, cast
+from typing import Any, ClassVar, Generic, TypeVar
 
+import numpy as np
 from pydantic import PrivateAttr
 
 from lscan.calibration.api import NOTHING_KNOWN
-from lscan.calibration.evaluate import Estimator, lack_of_fit_mm, to_points
+from lscan.calibration.evaluate import Estimate
+from lscan.calibration.readings import found_marks
+from lscan.calibration.region import Region
+from lscan.calibration.stored import Pair
 from lscan.config.documents import Strict, check
 from lscan.config.rig import OpticsSection
 from lscan.errors import InputError
-from lscan.records import BoardReading, Floats, PlanePoints
+from lscan.records import BoardReading, Floats, Mask, PlanePoints, Status
 
 
-class SolvedMap(Strict):
+class SolvedMap(Strict, ABC):
     """Base of the plane maps: the fields are what a calibration file holds of one.
 
-    A subclass gives ``estimate``, ``region`` and ``lack_of_fit_mm`` (evaluate.Estimator).
+    region: where the map holds.  lack_of_fit_mm: (2,) standard uncertainty of x and z that
+    noise does not account for.
     """
 
+    region: Region
+    lack_of_fit_mm: Pair = np.zeros(2)
     _name: str = PrivateAttr("")
 
     @property
@@ -26,11 +33,21 @@ class SolvedMap(Strict):
         """Full name, family and variant."""
         return self._name
 
-    def to_plane(self: Estimator, image_px: Floats, sigma_px: Floats | None = None) -> PlanePoints:
+    @abstractmethod
+    def estimate(self, image_px: Floats, variance_px2: Floats) -> Estimate:
+        """The points of pixels that the region covers.
+
+        Parameters
+        ----------
+        image_px : (N, 2) array, px, of (u, v)
+        variance_px2 : (N,) array, px², of either pixel coordinate
+        """
+
+    def to_plane(self, image_px: Floats, sigma_px: Floats | None = None) -> PlanePoints:
         """Points in the sheet, (N, 2) mm in the plane frame, of pixels, as api.PlaneMap promises.
 
         sigma_mm combines the pixel's uncertainty, that of the map's parameters, and the map's
-        mean lack of fit.
+        mean lack of fit.  A NaN pixel has the status NO_DATA.
 
         Parameters
         ----------
@@ -40,9 +57,26 @@ class SolvedMap(Strict):
         Raises
         ------
         InputError
-            For arrays of wrong shape, and for a bad sigma_px.
+            Where an array has the wrong shape, or sigma_px is negative or NaN beside a pixel that
+            is neither.
         """
-        return to_points(self, image_px, sigma_px)
+        image_px = np.asarray(image_px, dtype=float)
+        if image_px.ndim != 2 or image_px.shape[1] != 2:
+            raise InputError("bad shape", where="image_px", value=image_px.shape, allowed="(N, 2)")
+        sigma = _checked_sigma(image_px, sigma_px)
+        finite = np.isfinite(image_px).all(axis=1)
+        covered = np.zeros(len(image_px), dtype=bool)
+        covered[finite] = self.region.covers(image_px[finite])
+        xz, variance = np.full((2, len(image_px), 2), np.nan)
+        estimate = self.estimate(image_px[covered], sigma[covered] ** 2)
+        xz[covered] = estimate.xz_mm
+        variance[covered] = estimate.variance_mm2 + self.lack_of_fit_mm**2
+        valued = np.isfinite(xz).all(axis=1)
+        missing = np.isnan(image_px).any(axis=1)
+        status = np.where(valued, Status.OK, np.where(missing, Status.NO_DATA, Status.OUT_OF_BOARD))
+        xz[~valued], variance[~valued] = np.nan, np.nan
+        modes = _modes(estimate, covered, valued)
+        return PlanePoints(xz, np.sqrt(variance), status.astype(np.int64), modes)
 
     def parameters(self) -> dict[str, Any]:
         """The fields as JSON types."""
@@ -149,15 +183,65 @@ class MapSolver(ABC, Generic[Solved]):
 
 
 def with_lack_of_fit(solved: Solved, reading: BoardReading) -> Solved:
-    """The map with the lack of fit that the marks of a reading show.
+    """The map with the lack of fit that the marks of ``reading`` show."""
+    return solved.model_copy(update={"lack_of_fit_mm": lack_of_fit_mm(solved, reading)})
 
-    Parameters
-    ----------
-    solved : SolvedMap, with an ``estimate``
-    reading : BoardReading, px and mm, the map was solved from
+
+def _modes(estimate: Estimate, covered: Mask, valued: Mask) -> Floats | None:
+    """(N, 2, M) the modes of the covered pixels among all, NaN where there is no value."""
+    if estimate.modes_mm is None:
+        return None
+    modes = np.full((len(covered), *estimate.modes_mm.shape[1:]), np.nan)
+    modes[covered] = estimate.modes_mm
+    modes[~valued] = np.nan
+    return modes
+
+
+def _checked_sigma(image_px: Floats, sigma_px: Floats | None) -> Floats:
+    if sigma_px is None:
+        return np.zeros(len(image_px))
+    sigma = np.asarray(sigma_px, dtype=float)
+    if sigma.shape != image_px.shape[:1]:
+        raise InputError(
+            "bad shape", where="sigma_px", value=sigma.shape, allowed=f"({len(image_px)},)"
+        )
+    bad = np.isfinite(image_px).all(axis=1) & ~((sigma >= 0) & np.isfinite(sigma))
+    if bad.any():
+        first = int(np.flatnonzero(bad)[0])
+        raise InputError(
+            "bad uncertainty",
+            where=f"sigma_px[{first}]",
+            value=float(sigma[first]),
+            allowed="a finite number not below 0",
+        )
+    return sigma
+
+
+def lack_of_fit_mm(solved: SolvedMap, reading: BoardReading) -> Floats:
+    """(2,) what the map's form, not noise, adds to the uncertainty of x and of z, in mm rms.
+
+    The map is applied to the marks of the board; the mean square of the residuals less the
+    mean square that the marks' and the map's noise explain, never below 0.  The control
+    points check both coordinates.  A ruler checks the one that is fixed on it, which no map
+    reads from it: the marks of the vertical rulers, half-way between control points, check
+    x.  Without rulers only the fit to the control points themselves can be judged, and what
+    happens between them stays unseen.
     """
-    lack_mm = lack_of_fit_mm(cast(Estimator, solved), reading)
-    return solved.model_copy(update={"lack_of_fit_mm": lack_mm})
+    return np.array([_excess_mm(solved, reading, 0), _excess_mm(solved, reading, 1)])
+
+
+def _excess_mm(solved: SolvedMap, reading: BoardReading, coordinate: int) -> float:
+    direction = ("vertical", "horizontal")[coordinate]
+    rulers = [ruler.marks for ruler in reading.rulers if ruler.direction == direction]
+    known, image, sigma = found_marks([reading.grid, *rulers])
+    covered = solved.region.covers(image)
+    estimate = solved.estimate(image[covered], sigma[covered] ** 2)
+    residual = estimate.xz_mm[:, coordinate] - known[covered, coordinate]
+    valued = np.isfinite(residual)
+    if not valued.any():
+        return 0.0
+    explained = estimate.variance_mm2[valued, coordinate]
+    return float(np.sqrt(max(0.0, np.mean(residual[valued] ** 2) - np.mean(explained))))
 
 
 def full_name(family: str, variant: str) -> str:

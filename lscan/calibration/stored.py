@@ -9,7 +9,7 @@ from functools import partial
 from typing import Annotated, Any
 
 import numpy as np
-from pydantic import ConfigDict, Field, PlainSerializer, PlainValidator
+from pydantic import ConfigDict, Field, PlainSerializer, PlainValidator, TypeAdapter
 
 from lscan.camera.parameters import LIMITS
 from lscan.records import Floats
@@ -20,27 +20,30 @@ NotNegative = Annotated[float, Field(strict=True, allow_inf_nan=False, ge=0)]
 Count = Annotated[int, Field(strict=True, ge=0)]
 
 
+_LISTS_OF: dict[int, TypeAdapter[Any]] = {
+    1: TypeAdapter(list[Number]),
+    2: TypeAdapter(list[list[Number]]),
+}
+_LISTS_WITH_GAPS: TypeAdapter[Any] = TypeAdapter(list[Number | None] | list[list[Number | None]])
+
+
+def _read(lists: TypeAdapter[Any], value: Any, allowed: str) -> Floats:
+    """An array of what JSON holds; ValueError where it is not as allowed, or rows differ."""
+    try:
+        return np.array(lists.validate_python(value), dtype=float)
+    except (ValueError, OverflowError) as error:
+        raise ValueError(f"must be {allowed}") from error
+
+
 def _numbers(value: Any, dimensions: int) -> Floats:
-    if isinstance(value, np.ndarray):
-        array = value
-    else:
-        array = np.array(_checked(value, dimensions), dtype=float)
+    allowed = ("a list of finite numbers", "rows of finite numbers, all of one length")[
+        dimensions - 1
+    ]
+    is_array = isinstance(value, np.ndarray)
+    array = value if is_array else _read(_LISTS_OF[dimensions], value, allowed)
     if array.ndim != dimensions or not np.isfinite(array).all():
-        raise ValueError(f"must be a {dimensions}-D array of finite numbers")
+        raise ValueError(f"must be {allowed}")
     return array
-
-
-def _checked(value: Any, dimensions: int) -> list[Any]:
-    if not isinstance(value, list):
-        raise ValueError("must be a list of numbers")
-    if dimensions > 1:
-        rows = [_checked(row, dimensions - 1) for row in value]
-        if len({len(row) for row in rows}) > 1:
-            raise ValueError("must have rows of one length")
-        return rows
-    if any(isinstance(number, bool) or not isinstance(number, int | float) for number in value):
-        raise ValueError("must be a list of numbers")
-    return value
 
 
 def _pair(value: Any) -> Floats:
@@ -54,18 +57,7 @@ def _with_gaps(value: Any) -> Floats:
     """Like the others, but ``null`` stands for NaN."""
     if isinstance(value, np.ndarray):
         return value
-    if not isinstance(value, list):
-        raise ValueError("must be a list of numbers or nulls")
-    rows = value if all(isinstance(row, list) for row in value) else [value]
-    filled = [[np.nan if number is None else number for number in row] for row in rows]
-    array = np.array(_checked(filled, 2), dtype=float)
-    if np.isinf(array).any() or _literal_nan(rows):
-        raise ValueError("must be finite numbers or nulls")
-    return array if rows is value else array[0]
-
-
-def _literal_nan(rows: list[Any]) -> bool:
-    return any(isinstance(number, float) and np.isnan(number) for row in rows for number in row)
+    return _read(_LISTS_WITH_GAPS, value, "finite numbers or nulls, all rows of one length")
 
 
 def _plain_with_gaps(array: Floats) -> list[Any]:

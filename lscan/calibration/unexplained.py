@@ -5,17 +5,15 @@ board, so that neighbouring marks share it.  The mean product of neighbours' res
 therefore the mean square of the lack of fit, whatever the noise.
 """
 
-from collections.abc import Iterator
-
 import numpy as np
 
-from lscan.calibration.evaluate import Estimator
+from lscan.calibration.solved import SolvedMap
 from lscan.records import BoardReading, Floats, Marks
 
 SURE = 2.0  # standard errors by which a mean product must exceed 0: noise does in 1 of 40
 
 
-def unexplained_mm(estimator: Estimator, reading: BoardReading) -> Floats:
+def unexplained_mm(solved: SolvedMap, reading: BoardReading) -> Floats:
     """(2,) rms in mm of what the residuals of x and of z share with their neighbours'.
 
     Neighbours are control points one pitch apart and adjacent marks of a ruler, all of which
@@ -23,10 +21,15 @@ def unexplained_mm(estimator: Estimator, reading: BoardReading) -> Floats:
 
     Parameters
     ----------
-    estimator : Estimator, of the map
+    solved : SolvedMap, the map
     reading : BoardReading, px and mm, the map was solved from
     """
-    products = np.vstack(list(_products(estimator, reading)))
+    grid = _residuals(solved, reading.grid).reshape(*reading.shape, 2)
+    several = [grid[1:] * grid[:-1], grid[:, 1:] * grid[:, :-1]]
+    for ruler in reading.rulers:
+        along = _residuals(solved, ruler.marks)
+        several.append(along[1:] * along[:-1])
+    products = np.vstack([some.reshape(-1, 2) for some in several])
     products = products[np.isfinite(products).all(axis=1)]
     if len(products) < 2:
         return np.zeros(2)
@@ -34,16 +37,6 @@ def unexplained_mm(estimator: Estimator, reading: BoardReading) -> Floats:
     return np.sqrt(np.where(mean > SURE * error, mean, 0.0))
 
 
-def _products(estimator: Estimator, reading: BoardReading) -> Iterator[Floats]:
-    """(K, 2) mm^2 of one set of neighbours after another: residuals' products, of x and of z."""
-    grid = _residuals(estimator, reading.grid).reshape(*reading.shape, 2)
-    yield (grid[1:] * grid[:-1]).reshape(-1, 2)
-    yield (grid[:, 1:] * grid[:, :-1]).reshape(-1, 2)
-    for ruler in reading.rulers:
-        along = _residuals(estimator, ruler.marks)
-        yield along[1:] * along[:-1]
-
-
-def _residuals(estimator: Estimator, marks: Marks) -> Floats:
+def _residuals(solved: SolvedMap, marks: Marks) -> Floats:
     """(N, 2) mm of marks; NaN of those that were not found."""
-    return estimator.estimate(marks.image_px, np.zeros(len(marks.status))).xz_mm - marks.board_mm
+    return solved.estimate(marks.image_px, np.zeros(len(marks.status))).xz_mm - marks.board_mm

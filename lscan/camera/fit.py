@@ -21,7 +21,7 @@ from lscan.records import Floats, Ints, Marks, Mask
 LEAST_SIGMA_PX = 0.002  # a quarter of what is reached in an 8-bit picture; ours
 WRONG = 6.0  # sigmas: one good mark in 6e7 is as far off (Rayleigh)
 MEDIAN = np.sqrt(2 * np.log(2))  # of the length of a residual of unit uncertainty (Rayleigh)
-FAR_PX = 1e4  # stands for the residual of a mark that has no image at all
+FAR_PX = 1e4  # px, the residual of a mark that has no image at all
 MOST_EVALUATIONS = 500  # one view within 2 degrees of square to the board takes 20 to 440
 
 

@@ -68,12 +68,9 @@ def _bent(camera: CameraModel, tangents: Floats) -> Floats:
     x, y = tangents.T
     q = x * x + y * y
     radial = 1 + q * (camera.k1 + q * (camera.k2 + q * camera.k3))
-    return np.column_stack(
-        [
-            x * radial + 2 * camera.p1 * x * y + camera.p2 * (q + 2 * x * x),
-            y * radial + camera.p1 * (q + 2 * y * y) + 2 * camera.p2 * x * y,
-        ]
-    )
+    across = x * radial + 2 * camera.p1 * x * y + camera.p2 * (q + 2 * x * x)
+    down = y * radial + camera.p1 * (q + 2 * y * y) + 2 * camera.p2 * x * y
+    return np.column_stack([across, down])
 
 
 def _newton_step(camera: CameraModel, tangents: Floats, distorted: Floats) -> Floats:
@@ -85,11 +82,7 @@ def _newton_step(camera: CameraModel, tangents: Floats, distorted: Floats) -> Fl
     by_x = radial + slope * x * x + 2 * camera.p1 * y + 6 * camera.p2 * x
     cross = slope * x * y + 2 * camera.p1 * x + 2 * camera.p2 * y
     by_y = radial + slope * y * y + 6 * camera.p1 * y + 2 * camera.p2 * x
-    too_far = _bent(camera, tangents) - distorted
+    across, down = (_bent(camera, tangents) - distorted).T
     determinant = by_x * by_y - cross * cross
-    return np.column_stack(
-        [
-            (by_y * too_far[:, 0] - cross * too_far[:, 1]) / determinant,
-            (by_x * too_far[:, 1] - cross * too_far[:, 0]) / determinant,
-        ]
-    )
+    step = np.column_stack([by_y * across - cross * down, by_x * down - cross * across])
+    return step / determinant[:, None]

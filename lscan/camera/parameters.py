@@ -81,7 +81,7 @@ def priors_of(
     k3: Known = (0.0, 0.0),
     assume_webcam: bool = True,
 ) -> CameraPriors:
-    """What the section [optics] says of the camera, and k3 beside it.
+    """What is known of the camera from the section [optics] and from k3.
 
     Parameters
     ----------

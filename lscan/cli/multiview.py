@@ -48,16 +48,16 @@ def summary(calibration: MetricCalibration) -> dict[str, Any]:
         "camera": {name: {"value": value, "sigma": sigma} for name, value, sigma in known},
         "views": [
             {
-                "view": report.name,
-                "used": report.used,
-                "marks": report.marks[0],
-                "rms_px": _plain(report.rms_px),
-                "line_used": report.line_used,
-                "line_points": report.line_points[0],
-                "line_rms_mm": _plain(report.line_rms_mm),
-                "fault": report.fault,
+                "view": view.name,
+                "used": view.used,
+                "marks": view.marks_used,
+                "rms_px": _plain(view.rms_px),
+                "line_used": view.line_used,
+                "line_points": view.line_points_used,
+                "line_rms_mm": _plain(view.line_rms_mm),
+                "fault": view.reason,
             }
-            for report in calibration.reports
+            for view in calibration.views
         ],
     }
 
@@ -65,18 +65,18 @@ def summary(calibration: MetricCalibration) -> dict[str, Any]:
 def _print(calibration: MetricCalibration, output: Path) -> None:
     rows = [
         [
-            report.name,
-            f"{report.marks[0]} of {report.marks[1]}",
-            report.rms_px,
-            f"{report.line_points[0]} of {report.line_points[1]}",
-            report.line_rms_mm,
-            report.fault or "used",
+            view.name,
+            f"{view.marks_used} of {view.marks_found}",
+            view.rms_px,
+            f"{view.line_points_used} of {view.points_found}",
+            view.line_rms_mm,
+            view.reason or "used",
         ]
-        for report in calibration.reports
+        for view in calibration.views
     ]
     print_table("views", ["", "marks", "rms px", "line points", "rms mm", ""], rows)
-    used = sum(report.used for report in calibration.reports)
-    lines = sum(report.line_used for report in calibration.reports)
+    used = sum(view.used for view in calibration.views)
+    lines = sum(view.line_used for view in calibration.views)
     print(
         f"metric: {used} of {len(rows)} views, {calibration.rms_px:.3f} px rms; {lines} lines, "
         f"{calibration.line_rms_mm:.3f} mm rms off the sheet; {output}"

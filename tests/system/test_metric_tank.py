@@ -103,7 +103,7 @@ def test_steps_in_the_sheet_whatever_the_board_did(medium: str, moved: Moved) ->
     error, sigma = step_errors(load_scene(METRIC / f"{medium}.toml"), calibration)
     assert (np.abs(error) <= 4 * sigma).all()
     assert np.abs(error).max() <= 0.10
-    assert all(report.used and report.line_used for report in calibration.reports)
+    assert all(view.used and view.line_used for view in calibration.views)
 
 
 def test_the_line_lies_as_far_off_the_sheet_as_its_noise_takes_it() -> None:

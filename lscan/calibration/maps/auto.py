@@ -1,7 +1,7 @@
 """The map that predicts best: ``auto``.
 
 Every candidate is cross-validated on the reading.  Of those whose error on marks held out
-chance does not tell from the least, the one that states the least uncertainty of itself is
+does not differ significantly from the least, the one that states the least uncertainty is
 solved from all marks: with as little misfit, it is the one that noise moves least, as it has
 the fewest free numbers.  The map keeps the table of all scores.  No variants.
 """

@@ -10,9 +10,8 @@ from lscan.calibration.evaluate import Estimate
 from lscan.calibration.maps.lines import DEGREE, Fit, GridLine, fit_line
 from lscan.calibration.maps.lineset import LineSet, Targets
 from lscan.calibration.maps.rulers import FittedRuler, fit_ruler
-from lscan.calibration.region import Region, covered_region, spacing_px
+from lscan.calibration.region import covered_region, spacing_px
 from lscan.calibration.solved import MapSolver, SolvedMap, with_lack_of_fit
-from lscan.calibration.stored import Pair
 from lscan.config.rig import OpticsSection
 from lscan.errors import BoardNotFound
 from lscan.records import BoardReading, Floats, Marks, Mask
@@ -44,8 +43,6 @@ class Graticule(SolvedMap):
 
     latitudes: LineSet
     longitudes: LineSet
-    region: Region
-    lack_of_fit_mm: Pair
 
     def estimate(self, image_px: Floats, variance_px2: Floats) -> Estimate:
         """Points of covered pixels; NaN where no two lines of a direction surround one.
@@ -97,7 +94,6 @@ class GraticuleSolver(MapSolver[Graticule]):
             latitudes=LineSet(_present(rows), _rulers(reading, 1, fit, with_rulers), reach),
             longitudes=LineSet(_present(columns), _rulers(reading, 0, fit, with_rulers), reach),
             region=covered_region(reading, _on_lines(reading, rows, columns)),
-            lack_of_fit_mm=np.zeros(2),
         )
         return with_lack_of_fit(solved, reading)
 

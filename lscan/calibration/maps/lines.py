@@ -56,24 +56,18 @@ class Curve:
         return BSpline(self.knots, self.coefficients, self.degree)
 
     @cached_property
-    def _slope(self) -> BSpline:
+    def slope(self) -> BSpline:
+        """df/dx, a function of x."""
         return self._spline.derivative()
 
     @cached_property
-    def _basis(self) -> BSpline:
+    def basis(self) -> BSpline:
+        """Gives (N, M) of x (N,) so that ``basis(x) @ coefficients`` is f."""
         return BSpline(self.knots, np.eye(len(self.coefficients)), self.degree)
 
     def __call__(self, x: Floats) -> Floats:
         """f at x, same shape."""
         return self._spline(x)
-
-    def slope(self, x: Floats) -> Floats:
-        """df/dx at x, same shape."""
-        return self._slope(x)
-
-    def basis(self, x: Floats) -> Floats:
-        """(N, M) so that ``basis(x) @ coefficients`` is f at x (N,)."""
-        return self._basis(x)
 
     def variance(self, rows: Floats) -> Floats:
         """(N,) variance of ``rows @ coefficients`` for rows (N, M)."""
@@ -97,25 +91,6 @@ def fit_polynomial(x: Floats, y: Floats, sigma_x: Floats, sigma_y: Floats, order
     """
     ends = np.array([x.min(), x.max()])
     return _fit(x, y, sigma_x, sigma_y, np.repeat(ends, order + 1), order)
-
-
-def fit_spline(x: Floats, y: Floats, sigma_x: Floats, sigma_y: Floats) -> Curve:
-    """The cubic B-spline that passes through all points.
-
-    The second and the last but one point are no knots ("not a knot").
-
-    Parameters
-    ----------
-    x, y : (N,) array, of different x, N at least 4
-    sigma_x, sigma_y : (N,) array, standard uncertainties, as in :func:`fit_polynomial`
-
-    References
-    ----------
-    Sec. III.2 of the paper.
-    """
-    order = np.argsort(x)
-    knots = make_interp_spline(x[order], y[order], k=3).t
-    return _fit(x, y, sigma_x, sigma_y, knots, degree=3)
 
 
 def _fit(
@@ -174,12 +149,21 @@ def fit_line(marks: Marks, along: int, fit: Fit) -> GridLine | None:
 def fit_curve(x: Floats, y: Floats, sigma_px: Floats, fit: Fit) -> Curve:
     """The curve y = f(x) of a kind.
 
+    The B-spline passes through all points, four or more; the second and the last but one are no
+    knots ("not a knot").
+
     Parameters
     ----------
     x, y : (N,) array, px
     sigma_px : (N,) array, px, standard uncertainty of either
     fit : str, "1", "2" or "bspline"
+
+    References
+    ----------
+    Sec. III.2 of the paper.
     """
-    if fit == "bspline":
-        return fit_spline(x, y, sigma_px, sigma_px)
-    return fit_polynomial(x, y, sigma_px, sigma_px, DEGREE[fit])
+    if fit != "bspline":
+        return fit_polynomial(x, y, sigma_px, sigma_px, DEGREE[fit])
+    order = np.argsort(x)
+    knots = make_interp_spline(x[order], y[order], k=DEGREE[fit]).t
+    return _fit(x, y, sigma_px, sigma_px, knots, DEGREE[fit])

@@ -104,12 +104,11 @@ class LineSet:
         closest = self._closest_ruler(targets)
         for k in np.unique(closest[closest >= 0]):
             here = closest == k
-            ruled, ruled_variance = self._read_ruler(
-                self.rulers[k], targets.at(here), between.at(here)
-            )
-            met = np.isfinite(ruled)
-            value[here] = np.where(met, ruled, value[here])
-            variance[here] = np.where(met, ruled_variance, variance[here])
+            ruler, there, around = self.rulers[k], targets.at(here), between.at(here)
+            place, meets = self._intersect(ruler, there, around)
+            ruled_variance = self._ruler_variance(ruler, there, around, place)
+            value[here] = np.where(meets, ruler.conversion(place), value[here])
+            variance[here] = np.where(meets, ruled_variance, variance[here])
         return value, variance
 
     def surround(self, targets: Targets) -> tuple[Between, Mask]:
@@ -167,21 +166,14 @@ class LineSet:
         closest = np.argmin(np.where(beside, gaps, np.inf), axis=0)
         return np.where(beside.any(axis=0), closest, -1)
 
-    def _read_ruler(
-        self, ruler: FittedRuler, targets: Targets, between: Between
-    ) -> tuple[Floats, Floats]:
-        """Steps 3 and 4: NaN where the interpolated line misses the ruler's marks."""
-        place, meets = self._intersect(ruler, targets, between)
-        value = np.where(meets, ruler.conversion(place), np.nan)
-        return value, self._ruler_variance(ruler, targets, between, place)
-
     def _intersect(
         self, ruler: FittedRuler, targets: Targets, between: Between
     ) -> tuple[Floats, Mask]:
-        """Where the interpolated line H meets the ruler's line R, across px.
+        """Steps 3 and 4: where the interpolated line H meets the ruler's line R, across px.
 
-        Newton on y - H(R(y)) from the target's own height.  H and R run nearly along the
-        two axes, so the slope hardly changes and is taken once.
+        The mask is of the points for which it does within the ruler's marks.  Newton on
+        y - H(R(y)) from the target's own height.  H and R run nearly along the two axes, so the
+        slope hardly changes and is taken once.
         """
         place = targets.across
         lean = self._slope(between, ruler.line(place)) * ruler.line.slope(place)

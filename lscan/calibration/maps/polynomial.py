@@ -16,9 +16,9 @@ from pydantic import Field, model_validator
 
 from lscan.calibration.evaluate import Estimate, propagated, separate_modes, square_root
 from lscan.calibration.maps.scaling import Scaling, box
-from lscan.calibration.region import Region, covered_region
+from lscan.calibration.region import covered_region
 from lscan.calibration.solved import MapSolver, SolvedMap, with_lack_of_fit
-from lscan.calibration.stored import Matrix, Pair, check_covariance
+from lscan.calibration.stored import Matrix, check_covariance
 from lscan.config.rig import OpticsSection
 from lscan.errors import BoardNotFound, InputError
 from lscan.records import BoardReading, Floats
@@ -47,8 +47,6 @@ class Polynomial(SolvedMap):
     pixels: Scaling
     coefficients: Matrix
     covariances: Annotated[tuple[Matrix, ...], Field(min_length=2, max_length=2)]
-    region: Region
-    lack_of_fit_mm: Pair
 
     @model_validator(mode="after")
     def _sizes(self) -> Self:
@@ -66,9 +64,9 @@ class Polynomial(SolvedMap):
         """
         order = ORDERS[TERMS.index(self.coefficients.shape[1])]
         rows, by_u, by_v = terms(self.pixels.apply(image_px), order)
-        slope = _slope(by_u, by_v, self.coefficients, self.pixels)
+        jacobian = _jacobian(by_u, by_v, self.coefficients, self.pixels)
         modes = separate_modes(*(rows @ root for root in self._roots))
-        return propagated(rows @ self.coefficients.T, slope, modes, variance_px2)
+        return propagated(rows @ self.coefficients.T, jacobian, modes, variance_px2)
 
     @cached_property
     def _roots(self) -> tuple[Floats, Floats]:
@@ -112,14 +110,13 @@ class PolynomialSolver(MapSolver[Polynomial]):
             )
         solve = np.linalg.pinv(rows)
         coefficients = (solve @ grid.board_mm[found]).T
-        slope = _slope(by_u, by_v, coefficients, pixels)
-        noise = grid.sigma_px[found, None] ** 2 * (slope**2).sum(axis=2)
+        jacobian = _jacobian(by_u, by_v, coefficients, pixels)
+        noise = grid.sigma_px[found, None] ** 2 * (jacobian**2).sum(axis=2)
         solved = Polynomial(
             pixels=pixels,
             coefficients=coefficients,
             covariances=tuple((solve * noise[:, c]) @ solve.T for c in (0, 1)),
             region=region,
-            lack_of_fit_mm=np.zeros(2),
         )
         return with_lack_of_fit(solved, reading)
 
@@ -151,7 +148,7 @@ class PolynomialSolver(MapSolver[Polynomial]):
 solver = PolynomialSolver()
 
 
-def _slope(by_u: Floats, by_v: Floats, coefficients: Floats, pixels: Scaling) -> Floats:
+def _jacobian(by_u: Floats, by_v: Floats, coefficients: Floats, pixels: Scaling) -> Floats:
     """(N, 2, 2) mm per px of x and of z, by u and by v."""
     return np.stack([by_u @ coefficients.T, by_v @ coefficients.T], axis=2) / pixels.scale
 

@@ -14,14 +14,15 @@ from scipy.optimize import least_squares
 
 from lscan.calibration.evaluate import Estimate, propagated, square_root
 from lscan.calibration.maps.scaling import Scaling, hartley
-from lscan.calibration.region import Region, covered_region
+from lscan.calibration.region import covered_region
 from lscan.calibration.solved import MapSolver, SolvedMap, with_lack_of_fit
-from lscan.calibration.stored import Matrix, Pair, Vector, check_covariance
+from lscan.calibration.stored import Matrix, Vector, check_covariance
 from lscan.config.rig import OpticsSection
 from lscan.errors import BoardNotFound
 from lscan.records import BoardReading, Floats
 
 COUNT = 8
+IDENTITY = np.array([0.0, 1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0])  # plane = pixel, both scaled
 
 
 @dataclass(frozen=True)
@@ -81,8 +82,6 @@ class Projective(SolvedMap):
     plane: Scaling
     h: Vector
     covariance: Matrix
-    region: Region
-    lack_of_fit_mm: Pair
 
     @model_validator(mode="after")
     def _sizes(self) -> Self:
@@ -131,7 +130,7 @@ class ProjectiveSolver(MapSolver[Projective]):
     def fit(self, reading: BoardReading, variant: str, optics: OpticsSection) -> Projective:
         """The matrix that fits the control points found with the least error in the plane.
 
-        The linear solution in Hartley's scaling is where the refinement starts.
+        In Hartley's scaling both sides are alike but for a turn, which the first step finds.
 
         Parameters
         ----------
@@ -149,14 +148,13 @@ class ProjectiveSolver(MapSolver[Projective]):
         region = covered_region(reading, found)
         pixels, plane = hartley(grid.image_px[found]), hartley(grid.board_mm[found])
         scaled, known = pixels.apply(grid.image_px[found]), plane.apply(grid.board_mm[found])
-        h = _refine(_linear(scaled, known), scaled, known)
+        h = _fitted(scaled, known)
         solved = Projective(
             pixels=pixels,
             plane=plane,
             h=h,
             covariance=_covariance(h, scaled, grid.sigma_px[found] / pixels.scale[0]),
             region=region,
-            lack_of_fit_mm=np.zeros(2),
         )
         return with_lack_of_fit(solved, reading)
 
@@ -164,23 +162,13 @@ class ProjectiveSolver(MapSolver[Projective]):
 solver = ProjectiveSolver()
 
 
-def _linear(scaled: Floats, known: Floats) -> Floats:
-    """(8,) the direct linear solution: denominator times plane point equals numerator."""
-    ones = np.column_stack([np.ones(len(scaled)), scaled])
-    zeros = np.zeros_like(ones)
-    first = np.hstack([ones, zeros, -known[:, :1] * scaled])
-    second = np.hstack([zeros, ones, -known[:, 1:] * scaled])
-    h, _, rank, _ = np.linalg.lstsq(np.vstack([first, second]), known.T.ravel(), rcond=None)
-    if rank < COUNT:
+def _fitted(scaled: Floats, known: Floats) -> Floats:
+    """(8,) that minimise the sum of squared distances in the plane."""
+    if np.linalg.matrix_rank(Homography(IDENTITY).by_parameters(scaled).reshape(-1, COUNT)) < COUNT:
         raise BoardNotFound(
             f"a projective map needs four control points in general position, "
             f"found {len(scaled)} control points"
         )
-    return h
-
-
-def _refine(start: Floats, scaled: Floats, known: Floats) -> Floats:
-    """(8,) that minimise the sum of squared distances in the plane."""
 
     def residual(h: Floats) -> Floats:
         return (Homography(h).apply(scaled) - known).ravel()
@@ -189,7 +177,7 @@ def _refine(start: Floats, scaled: Floats, known: Floats) -> Floats:
         return Homography(h).by_parameters(scaled).reshape(-1, COUNT)
 
     answer = least_squares(
-        residual, start, jac=jacobian, method="lm", xtol=1e-15, ftol=1e-15, gtol=1e-15
+        residual, IDENTITY, jac=jacobian, method="lm", xtol=1e-15, ftol=1e-15, gtol=1e-15
     )
     if not (Homography(answer.x).denominator(scaled) > 0).all():
         raise BoardNotFound("the control points found are no picture of a plane")

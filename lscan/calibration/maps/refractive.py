@@ -1,7 +1,7 @@
 """The map by ray tracing: lens, flat port and pose from one board picture, then Snell's law.
 
 A pixel's ray leaves the lens, is bent at the port and meets the plane of the board.  The map
-stands on physics, so it needs few numbers and keeps its accuracy between the marks.  It has
+is a physical model, so it needs few numbers and keeps its accuracy between the marks.  It has
 no variants; what is known of lens and port beforehand comes from the rig's [optics].
 """
 
@@ -14,9 +14,9 @@ from pydantic import Field, model_validator
 from lscan.calibration.evaluate import Estimate, propagated
 from lscan.calibration.maps.refractivefit import fit_view
 from lscan.calibration.readings import all_marks, without
-from lscan.calibration.region import Region, covered_region
+from lscan.calibration.region import covered_region
 from lscan.calibration.solved import MapSolver, SolvedMap
-from lscan.calibration.stored import Matrix, NotNegative, Number, Pair, Vector, check_theta
+from lscan.calibration.stored import Matrix, NotNegative, Number, Vector, check_theta
 from lscan.calibration.unexplained import unexplained_mm
 from lscan.camera import rays
 from lscan.camera.boards import POSE, PosedBoards
@@ -59,8 +59,6 @@ class Refractive(SolvedMap):
     board_offset_mm: NotNegative
     board_tilt_deg: Annotated[float, Field(strict=True, ge=0, le=20)]
     outliers_mm: tuple[Vector, ...]
-    region: Region
-    lack_of_fit_mm: Pair
 
     @model_validator(mode="after")
     def _sizes(self) -> Self:
@@ -94,8 +92,8 @@ class Refractive(SolvedMap):
         if self.board_offset_mm > 0 or self.board_tilt_deg > 0:
             lying = coplanarity_modes(self, image_px, self.board_offset_mm, self.board_tilt_deg)
             modes = np.concatenate([modes, lying], axis=2)
-        slope = pixel_derivatives(self.view.locate, image_px)
-        return propagated(self.view.locate(image_px), slope, modes, variance_px2)
+        jacobian = pixel_derivatives(self.view.locate, image_px)
+        return propagated(self.view.locate(image_px), jacobian, modes, variance_px2)
 
 
 def coplanarity_modes(
@@ -155,7 +153,6 @@ class RefractiveSolver(MapSolver[Refractive]):
             board_tilt_deg=0.0,
             outliers_mm=tuple(fit.marks.board_mm[~fit.good]),
             region=covered_region(sound, sound.grid.found),
-            lack_of_fit_mm=np.zeros(2),
         )
         control_points = solved.view.project(sound.grid.board_mm[sound.grid.found])
         return solved.model_copy(
@@ -166,7 +163,7 @@ class RefractiveSolver(MapSolver[Refractive]):
                     np.delete(fit.root, K3, axis=0),
                     control_points,
                 ),
-                # The board's own marks say nothing of where the sheet is: judged without that.
+                # The board's own marks do not show where the sheet is: judged without that.
                 "lack_of_fit_mm": unexplained_mm(solved, sound),
                 "board_offset_mm": optics.board_offset_mm,
                 "board_tilt_deg": optics.board_tilt_deg,

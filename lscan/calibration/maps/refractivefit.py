@@ -1,7 +1,7 @@
 """Camera, port and pose from the marks of one board picture.
 
 One plane does not determine all parameters; what was known beforehand decides where the marks
-leave a choice, and the covariance says how much choice there was.
+leave a choice, and the covariance shows how much choice there was.
 """
 
 import numpy as np

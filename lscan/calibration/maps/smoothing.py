@@ -7,7 +7,7 @@ Wahba, Numer. Math. 31 (1979) 377), in which each degree of freedom counts 1.4 t
 that chance rarely makes the surface too rough (Kim & Gu, J. R. Statist. Soc. B 66 (2004)
 337).
 
-The penalty says what a Gaussian prior of the surface would say, so the posterior of that
+The penalty is equivalent to a Gaussian prior of the surface, so the posterior of that
 prior is the fit's covariance.  It holds the scatter and the bias of smoothing both: averaged
 over the surface, its intervals contain the truth as often as they state (Nychka, J. Am.
 Statist. Assoc. 83 (1988) 1134).
@@ -43,7 +43,7 @@ def smooth(rows: Floats, y: Floats, sigma: Floats, roughness: Floats, flat: int)
     roughness: (K, K).  flat: how many independent surfaces have none; the values must
     determine those, and be more than 1.4 times as many.
 
-    Where the values scatter more than their sigma says, the covariance grows by as much
+    Where the values scatter more than their sigma, the covariance grows by as much
     (Birge, Phys. Rev. 40 (1932) 207); it never shrinks.
     """
     bending, shapes = np.linalg.eigh(roughness)

@@ -7,7 +7,7 @@ cross-validation chooses (smoothing.py).  The matrix takes the perspective out, 
 penalty on roughness should touch; third derivatives leave every quadratic free, and what
 remains of it is bent so little that the penalty costs next to nothing.
 
-Each mark counts by its own uncertainty, carried to mm by the matrix's slope.  No variants.
+Each mark counts by its own uncertainty, propagated to mm by the map's Jacobian.  No variants.
 """
 
 from typing import Annotated, Self
@@ -25,12 +25,12 @@ from lscan.calibration.maps.tensorspline import FLAT, ORDER, TensorBasis, even_b
 from lscan.calibration.readings import all_marks, found_marks
 from lscan.calibration.region import Region, covered_region
 from lscan.calibration.solved import MapSolver, SolvedMap, with_lack_of_fit
-from lscan.calibration.stored import Matrix, Pair
+from lscan.calibration.stored import Matrix
 from lscan.config.rig import OpticsSection
 from lscan.errors import BoardNotFound
 from lscan.records import BoardReading, Floats
 
-SEGMENTS = 6  # of the longer side; the penalty, not the knots, says how much the rest bends
+SEGMENTS = 6  # of the longer side; the penalty, not the knots, limits how much the rest bends
 LEAST_SIGMA_PX = 1e-3  # no mark is known better, whatever it states
 KEPT = 0.98  # of the variance, on the mean over the region, that the modes must account for
 LATTICE = 24  # places a side at which that is judged
@@ -56,8 +56,6 @@ class Spline(SolvedMap):
     basis: TensorBasis
     coefficients: Matrix
     roots: Annotated[tuple[Matrix, ...], Field(min_length=2, max_length=2)]
-    region: Region
-    lack_of_fit_mm: Pair
 
     @model_validator(mode="after")
     def _sizes(self) -> Self:
@@ -75,14 +73,14 @@ class Spline(SolvedMap):
         image_px : (N, 2) array, px, of (u, v)
         variance_px2 : (N,) array, px², of either pixel coordinate
         """
-        slope, scaled = self.base.derivatives(image_px), self.pixels.apply(image_px)
+        jacobian, scaled = self.base.derivatives(image_px), self.pixels.apply(image_px)
         rows = self.basis.rows(scaled)
         for axis, by in enumerate(((1, 0), (0, 1))):
             bend = self.basis.rows(scaled, *by) @ self.coefficients.T
-            slope[:, :, axis] += bend / self.pixels.scale[axis]
+            jacobian[:, :, axis] += bend / self.pixels.scale[axis]
         modes = separate_modes(*(rows @ root for root in self.roots))
         places = self.base.places(image_px) + rows @ self.coefficients.T
-        return propagated(places, slope, modes, variance_px2)
+        return propagated(places, jacobian, modes, variance_px2)
 
 
 class SplineSolver(MapSolver[Spline]):
@@ -107,13 +105,14 @@ class SplineSolver(MapSolver[Spline]):
         base = projective.solve(reading, "")
         known, image, sigma_px = found_marks(all_marks(reading))
         region = covered_region(reading, reading.grid.found)
-        pixels = _even_scaling(image)
+        tight = box(image)
+        pixels = Scaling(tight.centre, np.full(2, tight.scale.max()))  # both sides alike
         scaled = pixels.apply(image)
         _require_spread(scaled)
         margin = region.margin_px / pixels.scale[0]  # by which a region goes beyond the marks
         basis = even_basis(scaled.min(axis=0) - margin, scaled.max(axis=0) + margin, SEGMENTS)
-        slope = np.sqrt((base.derivatives(image) ** 2).sum(axis=2))
-        sigma = np.maximum(sigma_px, LEAST_SIGMA_PX)[:, None] * slope
+        mm_per_px = np.sqrt((base.derivatives(image) ** 2).sum(axis=2))
+        sigma = np.maximum(sigma_px, LEAST_SIGMA_PX)[:, None] * mm_per_px
         rest, rows, rough = known - base.places(image), basis.rows(scaled), basis.roughness()
         fits = [smooth(rows, rest[:, c], sigma[:, c], rough, FLAT) for c in (0, 1)]
         lattice = basis.rows(pixels.apply(_lattice(region)))
@@ -124,18 +123,11 @@ class SplineSolver(MapSolver[Spline]):
             coefficients=np.array([fit.coefficients for fit in fits]),
             roots=tuple(_strongest(fit, lattice) for fit in fits),
             region=region,
-            lack_of_fit_mm=np.zeros(2),
         )
         return with_lack_of_fit(solved, reading)
 
 
 solver = SplineSolver()
-
-
-def _even_scaling(image_px: Floats) -> Scaling:
-    """The longer side of the points' bounding box from -1 to 1, the other to the same scale."""
-    tight = box(image_px)
-    return Scaling(tight.centre, np.full(2, tight.scale.max()))
 
 
 def _require_spread(scaled: Floats) -> None:

@@ -24,7 +24,10 @@ class PlaneEquations:
 
     def __init__(self, fit: CameraFit, free: Mask, lines: dict[int, LinePoints]) -> None:
         self._root, self._lines = fit.root, lines
-        self._camera = np.flatnonzero(free)
+        # The errors, of those that the root's columns stand for, that move the camera: (P, C).
+        self._of_camera: Floats = np.linalg.qr(self._root[np.flatnonzero(free)].T)[0]
+        # The root of the covariance of camera and poses, less all that moves the camera.
+        self._poses_root = self._root - self._root @ self._of_camera @ self._of_camera.T
         self._points, self._across, self._by_own = {}, {}, {}
         for board, line in lines.items():
             boards = fit.boards
@@ -35,11 +38,18 @@ class PlaneEquations:
             )
 
     def solve(self, q: Floats) -> tuple[Floats, Floats]:
-        """(3,) the plane, and (3, 2 V) that takes the two numbers' errors to those of q."""
+        """(3,) the plane, and (3, 2 V) that takes the two numbers' errors to those of q.
+
+        The numbers count by the covariance of the poses and of the line points' own noise, which
+        is 1.  The camera is held at what was found: boards and sheet are both seen through it, and
+        a sheet that made up for the camera's error would lie beside the very lines it is fitted
+        to.  What the camera's error does to the sheet is in ``joint_root``.
+        """
         takes = np.zeros((3, 2 * len(self._lines)))
         for _ in range(MOST_STEPS):
-            left, by_q, _ = self._system(q)
-            weight = np.linalg.inv(self._covariance(q))
+            left, by_q, by_theta = self._system(q)
+            carried = by_theta @ self._poses_root
+            weight = np.linalg.inv(np.eye(len(left)) + carried @ carried.T)
             normal = by_q.T @ weight @ by_q
             scale = np.sqrt(np.maximum(np.diag(normal), 1e-300))
             scaled = normal / np.outer(scale, scale)
@@ -69,35 +79,14 @@ class PlaneEquations:
 
     def own_root(self, q: Floats, takes: Floats) -> Floats:
         """(3, P) square root of the covariance of q for the camera as it is: poses and line."""
-        return takes @ np.hstack([self._system(q)[2] @ self._poses_root(), np.eye(takes.shape[1])])
+        return takes @ np.hstack([self._system(q)[2] @ self._poses_root, np.eye(takes.shape[1])])
 
     def joint_root(self, q: Floats, takes: Floats, own: Floats) -> Floats:
         """(14 + 3, P) square root of the covariance of theta and q; own: as ``own_root``'s."""
-        directions = self._camera_directions()
-        by_camera = self._root @ directions
+        by_camera = self._root @ self._of_camera
         through = -takes @ (self._system(q)[2] @ by_camera)
         theta = np.hstack([by_camera[:COUNT], np.zeros((COUNT, own.shape[1]))])
         return np.vstack([theta, np.hstack([through, own])])
-
-    def _camera_directions(self) -> Floats:
-        """(P, C) the errors, of those that the root's columns stand for, that move the camera."""
-        directions: Floats = np.linalg.qr(self._root[self._camera].T)[0]
-        return directions
-
-    def _poses_root(self) -> Floats:
-        """The root of the covariance of camera and poses, less all that moves the camera."""
-        camera = self._camera_directions()
-        return self._root - self._root @ camera @ camera.T
-
-    def _covariance(self, q: Floats) -> Floats:
-        """(2 V, 2 V) of the two numbers of all views; 1 for the line points' own noise.
-
-        The camera is held at what was found: boards and sheet are both seen through it, and a
-        sheet that made up for the camera's error would lie beside the very lines it is fitted
-        to.  What the camera's error does to the sheet is in ``joint_root``.
-        """
-        carried = self._system(q)[2] @ self._poses_root()
-        return np.eye(len(carried)) + carried @ carried.T
 
     def _system(self, q: Floats) -> tuple[Floats, Floats, Floats]:
         """The numbers (2 V,), and their derivatives by q (2 V, 3) and by camera and poses."""
@@ -128,7 +117,7 @@ def _chi_square(left: Floats, covariance: Floats, rank: int) -> float:
 
 
 def undetermined() -> MeasurementError:
-    """The error of lines that do not tell the plane."""
+    """The error of lines that do not determine the plane."""
     return MeasurementError(
         "the laser's plane is not determined: its lines lie almost in one line of space; "
         "hold the boards nearer and farther, and at different tilts"

@@ -15,8 +15,8 @@ from lscan.calibration.file import (
     write_file,
 )
 from lscan.calibration.multiview.planemap import solver
-from lscan.calibration.multiview.solve import MetricCalibration, ViewReport
-from lscan.calibration.multiview.views import CalibrationView, LinePoints
+from lscan.calibration.multiview.solve import MetricCalibration
+from lscan.calibration.multiview.views import FittedView, LinePoints
 from lscan.calibration.stored import Count, Matrix, Number, Vector
 from lscan.camera.parameters import COUNT
 from lscan.config.documents import Strict, check, read_json
@@ -46,8 +46,8 @@ class StoredLine(StoredRecord):
         return self
 
 
-class StoredView(Strict):
-    """views.CalibrationView and what became of it; ``null`` for a root mean square of nothing."""
+class StoredView(StoredRecord):
+    """views.FittedView; ``null`` for a root mean square of nothing."""
 
     name: str
     marks: StoredMarks | None
@@ -69,29 +69,21 @@ class StoredView(Strict):
             raise ValueError("line_used must be false without a used view, line and line_rms_mm")
         return self
 
-    def view(self) -> CalibrationView:
-        """As the program holds what was read."""
+    def view(self) -> FittedView:
+        """As the program holds it."""
         line = self.line
-        return CalibrationView(
-            self.name,
-            self.marks.marks() if self.marks else None,
-            LinePoints(line.image_px, line.sigma_px, line.axis) if line else None,
-            self.fault,
-        )
-
-    def report(self) -> ViewReport:
-        """As the program holds what became of it."""
-        found = int(self.marks.marks().found.sum()) if self.marks else 0
-        seen = len(self.line.sigma_px) if self.line else 0
-        return ViewReport(
+        return FittedView(
             name=self.name,
+            marks=self.marks.marks() if self.marks else None,
+            line=LinePoints(line.image_px, line.sigma_px, line.axis) if line else None,
+            fault=self.fault,
             used=self.used,
-            marks=(self.marks_used, found),
-            rms_px=_or_nan(self.rms_px),
+            marks_used=self.marks_used,
+            rms_px=np.nan if self.rms_px is None else self.rms_px,
             line_used=self.line_used,
-            line_points=(self.line_points_used, seen),
-            line_rms_mm=_or_nan(self.line_rms_mm),
-            fault=self.reason,
+            line_points_used=self.line_points_used,
+            line_rms_mm=np.nan if self.line_rms_mm is None else self.line_rms_mm,
+            reason=self.reason,
         )
 
 
@@ -141,7 +133,7 @@ def save_metric(path: Path, calibration: MetricCalibration) -> None:
         k3=calibration.k3,
         parameters=calibration.plane_map.parameters(),
         camera_sigma=calibration.sigma,
-        views=tuple(map(_store, calibration.views, calibration.reports)),
+        views=tuple(map(StoredView.model_validate, calibration.views)),
     )
     write_file(path, content)
 
@@ -188,27 +180,6 @@ def metric_of(document: Any, path: Path) -> MetricCalibration:
         optics=content.optics,
         k3=content.k3,
         image_size=content.image_size,
-        reports=tuple(view.report() for view in content.views),
         sigma=content.camera_sigma,
         software=content.software,
     )
-
-
-def _store(view: CalibrationView, report: ViewReport) -> StoredView:
-    return StoredView(
-        name=view.name,
-        marks=StoredMarks.model_validate(view.marks) if view.marks else None,
-        line=StoredLine.model_validate(view.line) if view.line else None,
-        fault=view.fault,
-        used=report.used,
-        marks_used=report.marks[0],
-        rms_px=report.rms_px,
-        line_used=report.line_used,
-        line_points_used=report.line_points[0],
-        line_rms_mm=report.line_rms_mm,
-        reason=report.fault,
-    )
-
-
-def _or_nan(value: float | None) -> float:
-    return float("nan") if value is None else value

@@ -109,7 +109,6 @@ class Metric(SolvedMap):
     q_per_mm: Vector
     origin_px: Vector
     modes: Matrix
-    region: Region
 
     @model_validator(mode="after")
     def _sizes(self) -> Self:
@@ -128,11 +127,6 @@ class Metric(SolvedMap):
         theta = np.array(list(self.theta.values()))
         return SheetView(theta, self.port, self.q_per_mm, self.origin_px)
 
-    @property
-    def lack_of_fit_mm(self) -> Floats:
-        """(2,) none: the covariance is already scaled up by all that noise does not explain."""
-        return np.zeros(2)
-
     def estimate(self, image_px: Floats, variance_px2: Floats) -> Estimate:
         """Points of covered pixels.
 
@@ -143,8 +137,8 @@ class Metric(SolvedMap):
         """
         view = self.view
         modes = displacements(view.map_of, view.vector, self.modes, image_px)
-        slope = pixel_derivatives(view.locate, image_px)
-        return propagated(view.locate(image_px), slope, modes, variance_px2)
+        jacobian = pixel_derivatives(view.locate, image_px)
+        return propagated(view.locate(image_px), jacobian, modes, variance_px2)
 
 
 def metric_map(view: SheetView, root: Floats, region: Region) -> Metric:

@@ -1,7 +1,7 @@
 """The laser's plane from the line seen on boards whose poses are known.
 
 Each line point is the place where its pixel's ray meets the board.  A plane cuts a board in a
-straight line, so that what a view says of the sheet is two numbers: how far its line lies off
+straight line, so that a view gives two numbers: how far its line lies off
 the sheet, and how it leans against it.  Errors of the board's pose and of the camera, which
 all points of a view share, are counted with those two numbers, not with each point.
 """
@@ -91,7 +91,8 @@ def find_plane(fit: CameraFit, free: Mask, lines: dict[int, LinePoints]) -> Lase
             break
         board = list(usable)[worst]
         off = distance_mm(boards.on_board(usable[board].image_px, board), q)
-        faults[board] = f"its line lies {_rms(off):.3f} mm rms off the sheet of the other views"
+        rms = np.sqrt(np.mean(off**2))
+        faults[board] = f"its line lies {rms:.3f} mm rms off the sheet of the other views"
         del usable[board]
     own = equations.own_root(q, takes) * np.sqrt(max(1.0, whole / (2 * len(usable) - 3)))
     _require_sure(q, own)
@@ -147,7 +148,3 @@ def _require_sure(q: Floats, root: Floats) -> None:
     turning = (np.eye(3) - np.outer(unit, unit)) @ root / length
     if not np.linalg.norm(turning, 2) <= np.radians(MOST_TILT_DEG):
         raise undetermined()
-
-
-def _rms(values: Floats) -> float:
-    return float(np.sqrt(np.mean(values**2)))

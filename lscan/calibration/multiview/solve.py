@@ -7,7 +7,7 @@ import numpy as np
 
 from lscan.calibration.multiview.planemap import Metric, SheetView, metric_map
 from lscan.calibration.multiview.sheet import LaserPlane, find_plane
-from lscan.calibration.multiview.views import CalibrationView
+from lscan.calibration.multiview.views import CalibrationView, FittedView
 from lscan.calibration.region import region_around
 from lscan.camera.boards import PosedBoards
 from lscan.camera.fit import (
@@ -24,7 +24,7 @@ from lscan.camera.parameters import COUNT, CameraPriors, priors_of
 from lscan.camera.start import best_start
 from lscan.config.rig import Known, OpticsSection
 from lscan.errors import InputError, MeasurementError
-from lscan.records import Floats, Marks
+from lscan.records import Floats
 from lscan.version import __version__
 
 FEWEST_VIEWS = 3  # Zhang 2000, Sec. 3.1: two give a camera without skew, a third checks it
@@ -39,66 +39,39 @@ TILTED = "hold it at different tilts, 20 to 45 deg, to different sides"
 
 
 @dataclass(frozen=True)
-class ViewReport:
-    """What became of one view; NaN where there is no number.
-
-    Attributes
-    ----------
-    name : str, of the picture
-    used : bool, whether the solution rests on it
-    marks : tuple of int, how many were used, of how many found
-    rms_px : float, px, root mean square length of their residuals
-    line_used : bool, whether the sheet rests on its line
-    line_points : tuple of int, how many were used, of how many found
-    line_rms_mm : float, mm, root mean square of their distances from the sheet
-    fault : str, why the view, or its line, was not used
-    """
-
-    name: str
-    used: bool
-    marks: tuple[int, int]
-    rms_px: float
-    line_used: bool
-    line_points: tuple[int, int]
-    line_rms_mm: float
-    fault: str
-
-
-@dataclass(frozen=True)
 class MetricCalibration:
     """A metric map and what it rests on.
 
     Attributes
     ----------
     plane_map : Metric, from the pixels of that camera to the laser sheet
-    views : tuple of CalibrationView, as read
+    views : tuple of FittedView, as read, and what became of each
     optics : OpticsSection, what was known of the camera
     k3 : tuple of float, third radial coefficient and its standard uncertainty beforehand
     image_size : tuple of int, (width, height) of the pictures, px
-    reports : tuple of ViewReport, one a view
     sigma : (14,) array, standard uncertainties of the camera (parameters.CAMERA), 0 of what was
         held
     software : str, name and version of the program that solved it
     """
 
     plane_map: Metric
-    views: tuple[CalibrationView, ...]
+    views: tuple[FittedView, ...]
     optics: OpticsSection
     k3: Known
     image_size: tuple[int, int]
-    reports: tuple[ViewReport, ...]
     sigma: Floats
     software: str
 
     @property
     def rms_px(self) -> float:
         """Root mean square length of the used marks' residuals in all used views."""
-        return _pooled([(r.rms_px, r.marks[0]) for r in self.reports if r.used])
+        return _pooled([(view.rms_px, view.marks_used) for view in self.views if view.used])
 
     @property
     def line_rms_mm(self) -> float:
         """Root mean square distance of the used line points from the sheet."""
-        return _pooled([(r.line_rms_mm, r.line_points[0]) for r in self.reports if r.line_used])
+        lines = [view for view in self.views if view.line_used]
+        return _pooled([(view.line_rms_mm, view.line_points_used) for view in lines])
 
 
 @dataclass(frozen=True)
@@ -125,7 +98,7 @@ def calibrate_metric(
 ) -> MetricCalibration:
     """The camera, the laser's sheet and the map from views of a board in several poses.
 
-    A view, or its line, that disagrees with the others is left out, and its report says why.
+    A view, or its line, that disagrees with the others is left out, with the reason.
 
     Parameters
     ----------
@@ -161,11 +134,10 @@ def calibrate_metric(
     view = SheetView(used.fit.boards.theta[:COUNT], optics.port, plane.q_per_mm, middle)
     return MetricCalibration(
         plane_map=metric_map(view, plane.root, region_around(np.vstack([marks, *on_lines]))),
-        views=tuple(views),
+        views=tuple(_judged(number, view, used, plane) for number, view in enumerate(views)),
         optics=optics,
         k3=k3,
         image_size=image_size,
-        reports=tuple(_report(number, view, used, plane) for number, view in enumerate(views)),
         sigma=np.linalg.norm(used.fit.root[:COUNT], axis=1),
         software=f"lscan {__version__}",
     )
@@ -199,7 +171,8 @@ def fit_views(
     numbers = [number for number in range(len(views)) if number not in faults]
     while True:
         _require_views(views, numbers, faults)
-        marks = found_on([_marks(views[number]) for number in numbers], range(len(numbers)))
+        found = [seen for number in numbers if (seen := views[number].marks) is not None]
+        marks = found_on(found, range(len(numbers)))
         start = best_start(marks, priors, optics.port, image_size[0])
         if start is None:
             raise MeasurementError("no camera explains the views of the board")
@@ -241,14 +214,8 @@ def _unusable(view: CalibrationView) -> str:
     """Why a view has no marks to use; "" where it has."""
     if view.marks is None:
         return view.fault or "the board was not found"
-    found = int(view.marks.found.sum())
+    found = view.marks_found
     return "" if found >= FEWEST_MARKS else f"only {found} marks found, {FEWEST_MARKS} are needed"
-
-
-def _marks(view: CalibrationView) -> Marks:
-    """Those of a view that is not unusable."""
-    assert view.marks is not None
-    return view.marks
 
 
 def _worst_view(fit: CameraFit, count: int) -> tuple[int, str] | None:
@@ -287,30 +254,33 @@ def _require_focal(fit: CameraFit, priors: CameraPriors) -> None:
     sigma = float(np.linalg.norm(fit.root[0]))
     if not sigma <= LEAST_FOCAL * focal:
         raise MeasurementError(
-            f"the views do not tell the focal length ({focal:.0f} px, standard uncertainty "
+            f"the views do not determine the focal length ({focal:.0f} px, standard uncertainty "
             f"{sigma:.0f} px): the board faces the camera alike in all of them; {TILTED}"
         )
 
 
-def _report(number: int, view: CalibrationView, used: UsedViews, plane: LaserPlane) -> ViewReport:
-    found = 0 if view.marks is None else int(view.marks.found.sum())
-    seen = 0 if view.line is None else len(view.line.image_px)
+def _judged(number: int, view: CalibrationView, used: UsedViews, plane: LaserPlane) -> FittedView:
+    """The view of that number, and what became of it."""
+    as_read = FittedView(view.name, view.marks, view.line, view.fault)
     if number in used.faults:
-        reason = used.faults[number]
-        return ViewReport(view.name, False, (0, found), np.nan, False, (0, seen), np.nan, reason)
+        return replace(as_read, reason=used.faults[number])
     board, fit = used.numbers.index(number), used.fit
     mine = (fit.marks.board == board) & fit.good
     miss = fit.marks.missed_px(fit.boards)[mine]
     rms_px = float(np.sqrt((miss**2).sum(axis=1).mean()))
-    marks = (int(mine.sum()), found)
+    fitted = replace(as_read, used=True, marks_used=int(mine.sum()), rms_px=rms_px)
     if view.line is None:
-        return ViewReport(view.name, True, marks, rms_px, False, (0, 0), np.nan, view.fault)
+        return replace(fitted, reason=view.fault)
     good, fault = plane.good[board], plane.faults.get(board, "")
     far = plane.distances_mm[board]
     shown = far[good] if good.any() else far[np.isfinite(far)]
-    line_rms = float(np.sqrt(np.mean(shown**2))) if len(shown) else np.nan
-    points = (int(good.sum()), seen)
-    return ViewReport(view.name, True, marks, rms_px, not fault, points, line_rms, fault)
+    return replace(
+        fitted,
+        line_used=not fault,
+        line_points_used=int(good.sum()),
+        line_rms_mm=float(np.sqrt(np.mean(shown**2))) if len(shown) else np.nan,
+        reason=fault,
+    )
 
 
 def _pooled(parts: list[tuple[float, int]]) -> float:

@@ -54,3 +54,32 @@ class CalibrationView:
     marks: Marks | None
     line: LinePoints | None = None
     fault: str = ""
+
+    @property
+    def marks_found(self) -> int:
+        """How many marks were found."""
+        return 0 if self.marks is None else int(self.marks.found.sum())
+
+    @property
+    def points_found(self) -> int:
+        """How many points of the laser line were found."""
+        return 0 if self.line is None else len(self.line.image_px)
+
+
+@dataclass(frozen=True)
+class FittedView(CalibrationView):
+    """A view, and what became of it.
+
+    used: whether camera and sheet rest on its marks.  marks_used: how many of them.  rms_px: root
+    mean square length of their residuals.  line_used, line_points_used: the same of the laser
+    line.  line_rms_mm: of its distances from the sheet.  Each NaN where there is none.
+    reason: why the view, or its line, was not used; "" where it was.
+    """
+
+    used: bool = False
+    marks_used: int = 0
+    rms_px: float = np.nan
+    line_used: bool = False
+    line_points_used: int = 0
+    line_rms_mm: float = np.nan
+    reason: str = ""

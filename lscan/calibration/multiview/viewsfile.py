@@ -3,10 +3,10 @@
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Literal, Self
 
 import numpy as np
-from pydantic import Field, PositiveFloat
+from pydantic import Field, PositiveFloat, model_validator
 
 from lscan.board import read_board
 from lscan.board.chessboard import read_charuco, read_chessboard
@@ -64,12 +64,18 @@ class ViewEntry(Strict):
     laser: str | None = None
     background: str | None = None
 
+    @model_validator(mode="after")
+    def _has_a_laser_picture(self) -> Self:
+        if self.background is not None and self.laser in (None, SAME):
+            raise ValueError("background goes with a laser picture of its own")
+        return self
+
 
 class ViewsDocument(Strict):
     """The whole file.
 
     channel: in which the board is looked for.  k3: third radial coefficient and its standard
-    uncertainty, beside what [optics] says.
+    uncertainty, beside the section [optics].
     """
 
     name: str = "unnamed"
@@ -116,15 +122,7 @@ def load_views(path: Path) -> ViewsFile:
     InputError
         Names the key that is wrong.
     """
-    document = check(ViewsDocument, read_document(path), where=path)
-    for number, entry in enumerate(document.view):
-        if entry.background is not None and entry.laser in (None, SAME):
-            raise InputError(
-                f"view.{number}.background: goes with a laser picture of its own",
-                where=path,
-                value=entry.background,
-            )
-    return ViewsFile(document, path)
+    return ViewsFile(check(ViewsDocument, read_document(path), where=path), path)
 
 
 def read_views(

@@ -98,14 +98,14 @@ def sheet_beside(scene: Scene) -> Scene:
 
 
 def _plane_row(where: str, result: MetricResult) -> Row:
-    reports = result.calibration.reports
+    views = result.calibration.views
     return row(
         "metric-plane",
         result.calibration.line_rms_mm,
         seed=SEED,
         where=where,
-        used=sum(report.line_used for report in reports),
-        views=len(reports),
+        used=sum(view.line_used for view in views),
+        views=len(views),
         angle_mrad=result.angle_mrad,
         distance_mm=result.distance_mm,
     )

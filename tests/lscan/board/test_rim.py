@@ -24,7 +24,7 @@ def lattice(noise_px: float, seed: int) -> Floats:
 
 
 def nodes_at(points: Floats) -> Nodes:
-    return Nodes(points.copy(), np.ones(SHAPE), np.full(SHAPE, 0.01))
+    return Nodes(np.dstack([points, np.ones(SHAPE), np.full(SHAPE, 0.01)]))
 
 
 def test_misfit_is_even_from_the_rim_to_the_middle() -> None:

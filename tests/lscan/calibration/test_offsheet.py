@@ -166,12 +166,12 @@ def test_marks_without_a_value_are_left_out():
 def test_marks_in_one_line_do_not_determine_the_offset():
     line = np.zeros((20, 2))
     line[:, 0] = 20.0 * np.arange(20)
-    with pytest.raises(MeasurementError, match="do not tell"):
+    with pytest.raises(MeasurementError, match="do not determine"):
         off_sheet(line, plane_points(line), seen_from(CAMERA_MM, line), CORNERS_MM)
 
 
 def test_lines_of_sight_without_slope_do_not_determine_the_offset():
     """Seen from infinitely far and squarely, nothing changes with the distance."""
     square = LinesOfSight(np.zeros_like(BOARD_MM), np.zeros((len(BOARD_MM), 2, 0)))
-    with pytest.raises(MeasurementError, match="do not tell"):
+    with pytest.raises(MeasurementError, match="do not determine"):
         off_sheet(BOARD_MM, plane_points(BOARD_MM), square, CORNERS_MM)

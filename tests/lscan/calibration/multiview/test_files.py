@@ -46,7 +46,7 @@ def test_a_file_comes_back_number_for_number(solved: MetricCalibration, tmp_path
     one, two = solved.plane_map.to_plane(pixels), read.plane_map.to_plane(pixels)
     np.testing.assert_array_equal(one.xz_mm, two.xz_mm)
     np.testing.assert_array_equal(one.sigma_mm, two.sigma_mm)
-    assert [report.fault for report in read.reports] == [r.fault for r in solved.reports]
+    assert [view.reason for view in read.views] == [view.reason for view in solved.views]
     assert (read.rms_px, read.line_rms_mm) == (solved.rms_px, solved.line_rms_mm)
     save_metric(tmp_path / "b.json", read)
     assert (tmp_path / "a.json").read_bytes() == (tmp_path / "b.json").read_bytes()

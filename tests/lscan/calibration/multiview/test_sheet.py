@@ -27,9 +27,9 @@ def test_a_line_off_the_sheet_is_named_and_left_out() -> None:
     without = [*views[:2], replace(views[2], line=None), *views[3:]]
     views[2] = replace(views[2], line=shifted(views[2].line, 6.0))
     found = calibrate_metric(views, known(rig), SIZE)
-    report = found.reports[2]
-    assert report.used and not report.line_used
-    assert "mm rms off the sheet of the other views" in report.fault
+    view = found.views[2]
+    assert view.used and not view.line_used
+    assert "mm rms off the sheet of the other views" in view.reason
     left = calibrate_metric(without, known(rig), SIZE)
     np.testing.assert_allclose(
         found.plane_map.view.q_per_mm, left.plane_map.view.q_per_mm, rtol=0, atol=1e-12
@@ -44,8 +44,8 @@ def test_points_off_the_line_are_left_out() -> None:
     outliers[10:30] += [0.0, 9.0] if line.axis == "columns" else [9.0, 0.0]
     views[0] = replace(views[0], line=replace(line, image_px=outliers))
     found = calibrate_metric(views, known(rig), SIZE)
-    assert found.reports[0].line_points == (60, 80)
-    assert found.reports[0].line_used
+    assert (found.views[0].line_points_used, found.views[0].points_found) == (60, 80)
+    assert found.views[0].line_used
 
 
 def test_pixels_outside_what_was_seen_have_no_value() -> None:
@@ -110,5 +110,5 @@ def test_a_board_nearly_in_the_sheet_is_named() -> None:
     lying = Pose(np.column_stack([along, np.cross(away, along), away]), boards[0].place_mm)
     views = [with_noise(view, 0.02, rng) for view in views_of(rig, [*boards, lying])]
     found = calibrate_metric(views, known(rig), SIZE)
-    assert found.reports[8].used and not found.reports[8].line_used
-    assert "deg from the sheet" in found.reports[8].fault
+    assert found.views[8].used and not found.views[8].line_used
+    assert "deg from the sheet" in found.views[8].reason

@@ -126,8 +126,8 @@ def test_a_bad_view_is_named_and_the_others_stand() -> None:
     bent = views[3].marks.image_px + np.column_stack([np.zeros(len(u)), 4 * np.sin(u / 20)])
     views[3] = replace(views[3], marks=replace(views[3].marks, image_px=bent))
     found = calibrate_metric(views, known(rig), SIZE)
-    assert [report.used for report in found.reports] == [number != 3 for number in range(8)]
-    assert "px rms off what the other views say" in found.reports[3].fault
+    assert [view.used for view in found.views] == [number != 3 for number in range(8)]
+    assert "px rms off what the other views say" in found.views[3].reason
     np.testing.assert_allclose(
         found.plane_map.view.theta, without.plane_map.view.theta, rtol=1e-6, atol=1e-8
     )
@@ -141,8 +141,8 @@ def test_wrong_marks_are_set_aside_and_counted() -> None:
     wrong[[5, 20]] += [3.0, -2.0]
     views[1] = replace(views[1], marks=replace(views[1].marks, image_px=wrong))
     found = calibrate_metric(views, known(rig), SIZE)
-    assert found.reports[1].marks == (46, 48)
-    assert found.reports[1].rms_px < 4 * 0.02
+    assert (found.views[1].marks_used, found.views[1].marks_found) == (46, 48)
+    assert found.views[1].rms_px < 4 * 0.02
 
 
 def test_a_view_without_a_board_keeps_its_reason() -> None:
@@ -150,9 +150,9 @@ def test_a_view_without_a_board_keeps_its_reason() -> None:
     views = [with_noise(view, 0.02, rng) for view in views_of(rig, poses(rig, rng))]
     views.insert(2, CalibrationView("dark.png", None, None, "the board was not found: too dark"))
     found = calibrate_metric(views, known(rig), SIZE)
-    assert not found.reports[2].used
-    assert found.reports[2].fault == "the board was not found: too dark"
-    assert sum(report.used for report in found.reports) == 8
+    assert not found.views[2].used
+    assert found.views[2].reason == "the board was not found: too dark"
+    assert sum(view.used for view in found.views) == 8
 
 
 def test_too_few_views_are_refused_with_their_reasons() -> None:
@@ -178,7 +178,7 @@ def test_boards_that_all_face_the_camera_are_refused() -> None:
         )
         for k, pose in enumerate(facing)
     ]
-    with pytest.raises(MeasurementError, match=r"do not tell the focal length.*tilts"):
+    with pytest.raises(MeasurementError, match=r"do not determine the focal length.*tilts"):
         calibrate_metric(views, known(rig), SIZE)
 
 

@@ -159,7 +159,7 @@ def test_board_and_line_are_where_they_are(tmp_path: Path, kind: str, way: str) 
 def test_the_sheet_comes_out_of_each_printed_board(tmp_path: Path, kind: str) -> None:
     views, _ = found(tmp_path, kind, "pair")
     solved = calibrate_metric(views, known(RIG), SIZE)
-    assert all(report.used for report in solved.reports)
+    assert all(view.used for view in solved.views)
     pixels = np.array([[260.0, 180.0], [380.0, 180.0], [320.0, 300.0]])
     truth = RIG.truth.locate(pixels)
     points = solved.plane_map.to_plane(pixels)
