@@ -14,13 +14,17 @@ enough that a wall or a halo is as bright there as beneath the line."""
 def core_flux(stripe: Stripe, light: Floats) -> Floats:
     """(N,) light within CORE_PX of the line's centre above the ground beside it, DN.
 
-    light: (N, L) in DN, one row for each entry of the stripe.  NaN where the stripe has no
-    value, and where no light is left above the ground.
+    NaN where the stripe has no value, and where no light is left above the ground.
 
     The ground is the mean of the pixels at GROUND_PX on both sides.  The halo of light that
     water scatters is as bright there as beneath the line; a lit wall that hangs from the line's
     end fills one half of the core and one of the two sides.  Both would otherwise fill the foot
     of the fall of light at that end, which shows where the line ends, and move it outwards.
+
+    Parameters
+    ----------
+    stripe : Stripe, px, of N entries
+    light : (N, L) array, DN, one row for each entry of the stripe
     """
     flux = np.full(len(stripe.status), np.nan)
     valued = np.flatnonzero(has_value(stripe.status))

@@ -22,8 +22,11 @@ _ROOT_TWO_PI = np.sqrt(2 * np.pi)
 class CrossSections:
     """K lines as n pixels see them, and how that changes with the parameters.
 
-    light: (K, n) the line itself in DN.  ground: (K, n) what lies under it, in DN.
-    jacobian: (K, 5, n) derivative of their sum by each parameter.
+    Attributes
+    ----------
+    light : (K, n) array, DN, the line itself
+    ground : (K, n) array, DN, what lies under it
+    jacobian : (K, 5, n) array, derivative of their sum by each parameter
     """
 
     light: Floats
@@ -32,9 +35,12 @@ class CrossSections:
 
 
 def lines(parameters: Floats, steps: Floats) -> CrossSections:
-    """The lines of ``parameters`` (K, 5) at the pixels ``steps`` (n,), px from the middle one.
+    """The lines of some parameters at pixels.
 
-    The steps must be consecutive pixels.
+    Parameters
+    ----------
+    parameters : (K, 5) array, px and DN, see the module's text
+    steps : (n,) array, px, consecutive pixels, from the middle one
     """
     centre, width, height = _columns(parameters)
     ground = parameters[:, [GROUND]] + parameters[:, [TILT]] * steps
@@ -55,7 +61,14 @@ def lines(parameters: Floats, steps: Floats) -> CrossSections:
 def parameters_of(
     centre: Floats, width: Floats, height: Floats, ground: Floats, tilt: Floats
 ) -> Floats:
-    """The parameters (K, 5) of lines given by five arrays (K,), see the module's text."""
+    """The parameters (K, 5) of lines, see the module's text.
+
+    Parameters
+    ----------
+    centre, width : (K,) array, px
+    height, ground : (K,) array, DN
+    tilt : (K,) array, DN/px
+    """
     return np.column_stack([centre, np.log(width), np.log(height), ground, tilt])
 
 

@@ -36,10 +36,15 @@ _MOST = np.array([np.inf, np.log(40.0), np.log(1e6), np.inf, np.inf])
 class LineWindows:
     """The pixels about the peak of K columns, in windows of n pixels.
 
-    steps: (n,) place in px from the middle pixel.  grey: (K, n) in DN.
-    base: (K,) background of the whole column in DN.
-    used: (K, n) pixels that count: of the line and its near ground, and in the picture.
-    clipped: (K, n) pixels that may have seen any amount of light from ``grey`` upwards.
+    Attributes
+    ----------
+    steps : (n,) array, px, place from the middle pixel
+    grey : (K, n) array, DN
+    base : (K,) array, DN, background of the whole column
+    used : (K, n) mask, of the pixels that count: of the line and its near ground, and in the
+        picture
+    clipped : (K, n) mask, of the pixels that may have seen any amount of light from ``grey``
+        upwards
     """
 
     steps: Floats
@@ -49,7 +54,12 @@ class LineWindows:
     clipped: Mask
 
     def of(self, chosen: Ints) -> "LineWindows":
-        """The columns ``chosen`` alone."""
+        """Some of the columns alone.
+
+        Parameters
+        ----------
+        chosen : (C,) array, indices among the K
+        """
         return LineWindows(
             self.steps,
             self.grey[chosen],
@@ -61,13 +71,24 @@ class LineWindows:
 
 @dataclass(frozen=True)
 class LinePrior:
-    """What is known beforehand: (K, 5) expected parameters and 1/variance, 0 for nothing."""
+    """What is known of K lines beforehand.
+
+    Attributes
+    ----------
+    mean : (K, 5) array, px and DN, expected parameters (crosssection.py)
+    precision : (K, 5) array, 1/variance, 0 for nothing
+    """
 
     mean: Floats
     precision: Floats
 
     def of(self, chosen: Ints) -> "LinePrior":
-        """The columns ``chosen`` alone."""
+        """Some of the columns alone.
+
+        Parameters
+        ----------
+        chosen : (C,) array, indices among the K
+        """
         return LinePrior(self.mean[chosen], self.precision[chosen])
 
 
@@ -75,14 +96,17 @@ class LinePrior:
 class LineFit:
     """K fitted lines.
 
-    parameters: (K, 5) as in model.py.  covariance: (K, 5, 5) of them.
-    gain: (K, n) how far the centre moves with each pixel, px/DN.
-    settled: (K,) whether the search came to rest.
-    light: (K, n) the line at each pixel in DN.
-    residual: (K, n) what the pixel differs from the fit in DN, made larger by as much as the
-        fit, which follows the pixel, makes it smaller on average.
-    seen: (K, n) the pixels whose residual means something: used and not clipped.
-    misfit: (K,) mean of residual² over its variance, 1 where the noise explains all.
+    Attributes
+    ----------
+    parameters : (K, 5) array, px and DN, as in crosssection.py
+    covariance : (K, 5, 5) array, of them
+    gain : (K, n) array, px/DN, how far the centre moves with each pixel
+    settled : (K,) mask, whether the search came to rest
+    light : (K, n) array, DN, the line at each pixel
+    residual : (K, n) array, DN, what the pixel differs from the fit, made larger by as much as the
+        fit, which follows the pixel, makes it smaller on average
+    seen : (K, n) mask, of the pixels whose residual means something: used and not clipped
+    misfit : (K,) array, mean of residual² over its variance, 1 where the noise explains all
     """
 
     parameters: Floats
@@ -96,7 +120,19 @@ class LineFit:
 
 
 def fit_lines(view: LineWindows, start: Floats, noise: Noise, prior: LinePrior) -> LineFit:
-    """The most probable lines in ``view``, searched from the parameters ``start`` (K, 5)."""
+    """The most probable lines in some windows.
+
+    Parameters
+    ----------
+    view : LineWindows, px and DN, of K columns
+    start : (K, 5) array, px and DN, where the search begins (crosssection.py)
+    noise : Noise, of the pixels
+    prior : LinePrior, of K lines
+
+    References
+    ----------
+    Fisher's scoring; a clipped pixel is a censored observation (Tobin 1958).
+    """
     parameters = np.clip(start, _LEAST, _MOST)
     settled = np.zeros(len(start), dtype=bool)
     moving = np.arange(len(start))

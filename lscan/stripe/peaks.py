@@ -16,8 +16,11 @@ _Pixel = TypeVar("_Pixel", bound=np.generic)
 class Peaks:
     """The columns that have a whole line in them: K of W.
 
-    columns: (K,) their indices.  rows: (K,) row of the nominal peak.
-    base: (K,) the column's background in DN, its median.
+    Attributes
+    ----------
+    columns : (K,) array, their indices
+    rows : (K,) array, px, row of the nominal peak
+    base : (K,) array, DN, the column's background, its median
     """
 
     columns: Ints
@@ -25,18 +28,30 @@ class Peaks:
     base: Floats
 
     def of(self, chosen: Ints) -> "Peaks":
-        """Those ``chosen`` alone."""
+        """Those chosen alone.
+
+        Parameters
+        ----------
+        chosen : (C,) array, indices among the K
+        """
         return Peaks(self.columns[chosen], self.rows[chosen], self.base[chosen])
 
 
 def nominal_peaks(columns: Floats, settings: StripeSection) -> tuple[Stripe, Peaks]:
     """A stripe with peaks and statuses but no centres yet, and the columns that have a line.
 
-    columns: (W, H) grey values in DN, one column of the picture a row.
-
     A column has a line where its highest value, the first maximum from the top, exceeds its
     median by more than ``threshold_dn``: NO_PEAK otherwise, AT_BORDER where ``span_px`` to
     either side do not fit the picture.
+
+    Parameters
+    ----------
+    columns : (W, H) array, DN, one column of the picture a row
+    settings : StripeSection, threshold and span
+
+    References
+    ----------
+    Sec. V.B of the paper.
     """
     width, height = columns.shape
     rows = columns.argmax(axis=1)  # the first of several equal ones
@@ -55,9 +70,14 @@ def nominal_peaks(columns: Floats, settings: StripeSection) -> tuple[Stripe, Pea
 
 
 def windows(columns: NDArray[_Pixel], at: Ints, rows: Ints, steps: Ints | int) -> NDArray[_Pixel]:
-    """Pixels (K, n) of the columns ``at`` (K,) of (W, H), at ``steps`` (n,) from ``rows`` (K,).
+    """Pixels (K, n) of some columns about a row of each; beyond an edge its pixel is repeated.
 
-    An integer for steps: up to so many to either side.  Beyond an edge its pixel is repeated.
+    Parameters
+    ----------
+    columns : (W, H) array, one column of the picture a row
+    at : (K,) array, indices of the columns
+    rows : (K,) array, px, the middle row of each
+    steps : (n,) array or int, px, from the middle row; an integer: up to so many to either side
     """
     if isinstance(steps, int):
         steps = np.arange(-steps, steps + 1)
@@ -66,7 +86,16 @@ def windows(columns: NDArray[_Pixel], at: Ints, rows: Ints, steps: Ints | int) -
 
 
 def centred(stripe: Stripe, peaks: Peaks, offset: Floats, sigma_px: Floats, kept: Mask) -> Stripe:
-    """The stripe with centres at ``offset`` (K,) px from the peaks, NO_PEAK where not ``kept``."""
+    """The stripe with centres beside the peaks, NO_PEAK where they are not kept.
+
+    Parameters
+    ----------
+    stripe : Stripe, px, of W entries
+    peaks : Peaks, of K columns
+    offset : (K,) array, px, of the centre from the peak
+    sigma_px : (K,) array, px, standard uncertainty of the centre
+    kept : (K,) mask, of the columns that have a centre
+    """
     centre_px, sigma = stripe.centre_px.copy(), stripe.sigma_px.copy()
     status = stripe.status.copy()
     at = peaks.columns[kept]
@@ -77,9 +106,13 @@ def centred(stripe: Stripe, peaks: Peaks, offset: Floats, sigma_px: Floats, kept
 
 
 def clipped_near(stripe: Stripe, clipped: Mask, span_px: int) -> Ints:
-    """Indices of the stripe's entries that have a clipped pixel within ``span_px`` of the centre.
+    """Indices of the stripe's entries that have a clipped pixel near the centre.
 
-    clipped: (N, L), the pixels along the line's normal of each of the stripe's N entries.
+    Parameters
+    ----------
+    stripe : Stripe, px, of N entries
+    clipped : (N, L) mask, of the pixels along the line's normal of each entry
+    span_px : int, px, to either side of the centre
     """
     valued = np.flatnonzero(has_value(stripe.status))
     middle = np.rint(stripe.centre_px[valued]).astype(int)

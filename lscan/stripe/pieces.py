@@ -13,6 +13,10 @@ def pieces(stripe: Stripe) -> Ints:
     """(N,) number of the piece each column belongs to, from 0; -1 where there is no value.
 
     A piece ends where a column has no value and where the centre moves by more than JUMP_PX.
+
+    Parameters
+    ----------
+    stripe : Stripe, px, of N entries
     """
     valued = has_value(stripe.status)
     step = np.abs(np.diff(np.where(valued, stripe.centre_px, 0.0)))

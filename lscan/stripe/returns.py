@@ -43,8 +43,12 @@ change the light along a line by about as much, so of two nearer to each other c
 class OneReturn:
     """A picture with one line in each column.
 
-    image: (H, W) grey values in DN; clipped: (H, W); both as given but for the other returns.
-    ambiguous: (W,) columns with several lines of which none can be said to be the one meant.
+    Attributes
+    ----------
+    image : (H, W) array, DN, as given but for the other returns
+    clipped : (H, W) mask, as given but for the other returns
+    ambiguous : (W,) mask, of the columns with several lines of which none can be said to be the one
+        meant
     """
 
     image: Floats
@@ -55,7 +59,6 @@ class OneReturn:
 def choose_return(image: Floats, settings: StripeSection, clipped: Mask) -> OneReturn:
     """The picture with only the line meant by ``settings.returns`` left in each column.
 
-    image: (H, W) grey values in DN.  clipped: (H, W), the pixels at the end of the range.
     Columns with one line come back untouched, and so does the whole picture (not copied) where
     there is nothing to choose.
 
@@ -69,6 +72,12 @@ def choose_return(image: Floats, settings: StripeSection, clipped: Mask) -> OneR
     above the ground near it.
 
     Fast where ``image.T`` and ``clipped.T`` are contiguous in memory.
+
+    Parameters
+    ----------
+    image : (H, W) array, DN, grey values
+    settings : StripeSection, threshold and which line is meant
+    clipped : (H, W) mask, of the pixels at the end of the range
     """
     columns = np.ascontiguousarray(image.T)
     smoothed, ground = _flattened(columns)
@@ -88,7 +97,13 @@ def choose_return(image: Floats, settings: StripeSection, clipped: Mask) -> OneR
 
 
 def withhold(stripe: Stripe, ambiguous: Mask) -> Stripe:
-    """The stripe without the values of the (W,) ambiguous columns, which say AMBIGUOUS."""
+    """The stripe without the values of the ambiguous columns, which say AMBIGUOUS.
+
+    Parameters
+    ----------
+    stripe : Stripe, px, of W entries
+    ambiguous : (W,) mask, of the columns
+    """
     taken = ambiguous & has_value(stripe.status)
     return replace(
         stripe,

@@ -19,7 +19,11 @@ SETTLED = 1e-12  # relative change of the plane: float64's rounding
 class PlaneEquations:
     """The two numbers of each of V views, as they depend on the plane, camera and poses.
 
-    free: (14,) mask of the camera's parameters that were found.  lines: by number of the board.
+    Parameters
+    ----------
+    fit : CameraFit, camera and poses
+    free : (14,) mask, of the camera's parameters that were found
+    lines : dict of LinePoints, px, by number of the board
     """
 
     def __init__(self, fit: CameraFit, free: Mask, lines: dict[int, LinePoints]) -> None:
@@ -44,6 +48,15 @@ class PlaneEquations:
         is 1.  The camera is held at what was found: boards and sheet are both seen through it, and
         a sheet that made up for the camera's error would lie beside the very lines it is fitted
         to.  What the camera's error does to the sheet is in ``joint_root``.
+
+        Parameters
+        ----------
+        q : (3,) array, 1/mm, camera frame, where the search begins
+
+        Raises
+        ------
+        MeasurementError
+            Where the lines do not determine the plane.
         """
         takes = np.zeros((3, 2 * len(self._lines)))
         for _ in range(MOST_STEPS):
@@ -66,6 +79,11 @@ class PlaneEquations:
         """Of all numbers together, over 2 V - 3 degrees of freedom, and (V,) of each view's two.
 
         What the fit leaves is counted by its own covariance, camera and poses included.
+
+        Parameters
+        ----------
+        q : (3,) array, 1/mm, the plane
+        takes : (3, 2 V) array, as ``solve`` gave it
         """
         left, by_q, by_theta = self._system(q)
         carried = by_theta @ self._root
@@ -78,11 +96,24 @@ class PlaneEquations:
         return _chi_square(left, covariance, len(left) - 3), np.array(each)
 
     def own_root(self, q: Floats, takes: Floats) -> Floats:
-        """(3, P) square root of the covariance of q for the camera as it is: poses and line."""
+        """(3, P) square root of the covariance of q for the camera as it is: poses and line.
+
+        Parameters
+        ----------
+        q : (3,) array, 1/mm, the plane
+        takes : (3, 2 V) array, as ``solve`` gave it
+        """
         return takes @ np.hstack([self._system(q)[2] @ self._poses_root, np.eye(takes.shape[1])])
 
     def joint_root(self, q: Floats, takes: Floats, own: Floats) -> Floats:
-        """(14 + 3, P) square root of the covariance of theta and q; own: as ``own_root``'s."""
+        """(14 + 3, P) square root of the covariance of theta and q.
+
+        Parameters
+        ----------
+        q : (3,) array, 1/mm, the plane
+        takes : (3, 2 V) array, as ``solve`` gave it
+        own : (3, P) array, as ``own_root`` gave it
+        """
         by_camera = self._root @ self._of_camera
         through = -takes @ (self._system(q)[2] @ by_camera)
         theta = np.hstack([by_camera[:COUNT], np.zeros((COUNT, own.shape[1]))])

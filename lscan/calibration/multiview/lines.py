@@ -14,16 +14,31 @@ MEDIAN = 0.6745  # of the magnitude of a normal variable of unit variance
 
 
 def distance_mm(points_mm: Floats, q_per_mm: Floats) -> Floats:
-    """(K,) signed distances of points (K, 3) from the plane q . X = 1."""
+    """(K,) signed distances of points from the plane q . X = 1.
+
+    Parameters
+    ----------
+    points_mm : (K, 3) array, mm, camera frame
+    q_per_mm : (3,) array, 1/mm, camera frame
+    """
     distances: Floats = (points_mm @ q_per_mm - 1) / np.linalg.norm(q_per_mm)
     return distances
 
 
 def straight(boards: PosedBoards, line: LinePoints, board: int) -> Mask:
-    """(K,) mask of the points that lie in one straight line of the board of that number.
+    """(K,) mask of the points that lie in one straight line of a board.
 
-    Of the lines through pairs of points the one of least median distance (Rousseeuw, "Least
-    median of squares regression", J. Am. Stat. Assoc. 79 (1984) 871) decides.
+    Of the lines through pairs of points the one of least median distance decides.
+
+    Parameters
+    ----------
+    boards : PosedBoards, camera and poses
+    line : LinePoints, px, of K points
+    board : int, number of the board
+
+    References
+    ----------
+    Rousseeuw, "Least median of squares regression", J. Am. Stat. Assoc. 79 (1984) 871.
     """
 
     def locate(image_px: Floats) -> Floats:
@@ -53,14 +68,22 @@ def straight(boards: PosedBoards, line: LinePoints, board: int) -> Mask:
 def across_mm(locate: Locate, line: LinePoints) -> Floats:
     """(K, D) mm that a point moves when its pixel moves by one across the line.
 
-    locate: (K, D) places of pixels (K, 2).
+    Parameters
+    ----------
+    locate : callable, (K, D) places in mm of pixels (K, 2)
+    line : LinePoints, px, of K points
     """
     step = PIXEL_STEP * line.across
     return (locate(line.image_px + step) - locate(line.image_px - step)) / (2 * PIXEL_STEP)
 
 
 def line_ends(points: Floats) -> Floats:
-    """(2, 3) the ends of the straight line of least squares through points (K, 3)."""
+    """(2, 3) mm, the ends of the straight line of least squares through points.
+
+    Parameters
+    ----------
+    points : (K, 3) array, mm, camera frame
+    """
     middle = points.mean(axis=0)
     along = np.linalg.svd(points - middle, full_matrices=False)[2][0]
     reach = (points - middle) @ along

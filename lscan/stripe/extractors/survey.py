@@ -28,7 +28,13 @@ _WIDTH_DOUBT = 0.4  # of the logarithm of the first guess
 
 @dataclass(frozen=True)
 class Guess:
-    """A quantity of K columns and how far a single column may lie from it: (K,), one sigma."""
+    """A quantity of K columns and how far a single column may lie from it.
+
+    Attributes
+    ----------
+    value : (K,) array, of the quantity
+    spread : float, one sigma
+    """
 
     value: Floats
     spread: float
@@ -38,14 +44,19 @@ class Guess:
 class Survey:
     """The columns with a line in them, K, and what is known of that line.
 
-    stripe: statuses and peaks of all columns; no centres yet.
-    peaks: the pixel at which each line, smoothed over its width, is brightest.
-    reach_px: (K,) how far from there the centre may lie: two widths, or the span if that is
-    more, all of them in the picture.
-    view: the pixels about the peaks.  start: (K, 5) a first guess of the line, as in model.py.
-    ln_width: of the width in px.  tilt: of the ground, DN/px.
-    noise: of the pixels.  misfit: share of its light by which the line is no Gaussian; its part
-    that is odd about the centre (scatter.py).
+    Attributes
+    ----------
+    stripe : Stripe, statuses and peaks of all columns; no centres yet
+    peaks : Peaks, the pixel at which each line, smoothed over its width, is brightest
+    reach_px : (K,) array, px, how far from there the centre may lie: two widths, or the span if
+        that is more, all of them in the picture
+    view : LineWindows, px and DN, the pixels about the peaks
+    start : (K, 5) array, px and DN, a first guess of the line, as in crosssection.py
+    ln_width : Guess, of the logarithm of the width in px
+    tilt : Guess, DN/px, of the ground
+    noise : Noise, of the pixels
+    misfit : float, share of its light by which the line is no Gaussian; its part that is odd about
+        the centre (scatter.py)
     """
 
     stripe: Stripe
@@ -64,7 +75,13 @@ class Survey:
         return np.exp(self.ln_width.value)
 
     def is_near(self, offset: Floats, sigma: Floats) -> Mask:
-        """(K,) whether a centre was found: it and its sigma, both in px, within ``reach_px``."""
+        """(K,) whether a centre was found: it and its sigma both within ``reach_px``.
+
+        Parameters
+        ----------
+        offset : (K,) array, px, of the centre from the peak; NaN where there is none
+        sigma : (K,) array, px, its standard uncertainty
+        """
         with np.errstate(invalid="ignore"):
             near: Mask = np.abs(offset) <= self.reach_px
             near &= (sigma > 0) & (sigma <= self.reach_px)
@@ -72,10 +89,15 @@ class Survey:
 
 
 def survey(image: Floats, settings: StripeSection, clipped: Mask) -> Survey | Stripe:
-    """What is known of the line in ``image``, or the stripe itself where there is none.
+    """What is known of the line in a picture, or the stripe itself where there is none.
 
-    image, clipped: (H, W) as extractors get them.
     The noise is the one in ``settings.noise`` or, without, estimated from the picture.
+
+    Parameters
+    ----------
+    image : (H, W) array, DN, as extractors get it
+    settings : StripeSection, threshold, span and noise
+    clipped : (H, W) mask, as extractors get it
     """
     columns, lost = np.ascontiguousarray(image.T), np.ascontiguousarray(clipped.T)
     stripe, peaks = nominal_peaks(columns, settings)
@@ -236,11 +258,15 @@ def _fit_sample(
 
 
 def weak_precision(start: Floats) -> Floats:
-    """1/variance (K, 5) of the little that is known of any line that begins at ``start``.
+    """1/variance (K, 5) of the little that is known of any line.
 
     It decides only what the pixels leave open, as where all are clipped: the centre within
     ten widths, the width and the height within a factor of 20, the ground within the height
     and its slope within a tenth of the height a width.
+
+    Parameters
+    ----------
+    start : (K, 5) array, px and DN, where the line begins (crosssection.py)
     """
     width, height = np.exp(start[:, LN_WIDTH]), np.exp(start[:, LN_HEIGHT])
     factor = np.full(len(start), np.log(20.0))

@@ -25,10 +25,13 @@ _CORE = 5.0  # standard deviations within which pixels are believed
 class Scatter:
     """Pixels of lines, P of each kind.
 
-    light: (P,) DN that the line has there.  different: (P,) DN², on average the variance of the
-    noise.  common: (P,) DN², on average twice the square of the misfit's odd part: of errors
-    independent from pixel to pixel it would take as much to move the centre as far.
-    faint: (P,) mask of the pixels nearly without light.
+    Attributes
+    ----------
+    light : (P,) array, DN, that the line has there
+    different : (P,) array, DN², on average the variance of the noise
+    common : (P,) array, DN², on average twice the square of the misfit's odd part: of errors
+        independent from pixel to pixel it would take as much to move the centre as far
+    faint : (P,) mask, of the pixels nearly without light
     """
 
     light: Floats
@@ -37,10 +40,14 @@ class Scatter:
     faint: Mask
 
     def noise(self, constant: float) -> Noise:
-        """The noise where pixels far from the line have the variance ``constant`` in DN².
+        """The noise, where that of the pixels far from the line is known.
 
         Beside the line it may be more, by more than chance: compressed pictures are noisy only
         where something is.
+
+        Parameters
+        ----------
+        constant : float, DN², variance of the pixels far from the line
         """
         faint = np.sqrt(self.different[self.faint])
         beside = robust_variance(faint)
@@ -52,6 +59,10 @@ class Scatter:
         """Deviation of the lines from Gaussians, as a share of their light.
 
         Least squares of ``common`` on light², weighted by the inverse of its variance.
+
+        Parameters
+        ----------
+        noise : Noise, of the pixels
         """
         variance = noise.variance(self.light)
         core = np.abs(self.common) <= _CORE**2 * variance
@@ -64,8 +75,12 @@ class Scatter:
 def scatter_of(fit: LineFit, columns: Ints, rows: Ints) -> Scatter:
     """The pixels of those fitted lines that have a neighbour, each with its neighbour's.
 
-    columns, rows: (K,) place of the lines' middle pixels in the picture, columns rising.
     With next to no neighbours all scatter counts as noise.
+
+    Parameters
+    ----------
+    fit : LineFit, px and DN, of K columns
+    columns, rows : (K,) array, place of the lines' middle pixels in the picture, columns rising
     """
     first = np.flatnonzero((np.diff(columns) == 1) & (np.abs(np.diff(rows)) <= _SIDEWAYS_PX))
     if len(first) < _FEWEST:

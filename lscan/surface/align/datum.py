@@ -36,13 +36,21 @@ TURN, LEAN = 3, 4
 class Datum:
     """What an alignment is made from, in the workpiece frame.
 
-    tops: (K, 3) points, mm, top_index: (K,) among all points of the surface, top_sigma_mm:
-    (K,) noise of their z, each one's own.  edges: the four of the wedges (left near, left far,
-    right near, right far), then the sides.  edge_covariance: (E + 1, E + 1) of the lean and of
-    each edge's place, mm.  yaw_variance: what is to be added to that of the lean, rad².
-    corners: (2, 2) left and right one.  rotation, yaw_rad: of the alignment.  by_sides: the
-    middle's x is that of the two sides, the last two edges, instead of the corners'.
-    sheared: False for a scan about a shaft.
+    Attributes
+    ----------
+    tops : (K, 3) array, mm, points of the wedges' tops
+    top_index : (K,) array, of them among all points of the surface
+    top_sigma_mm : (K,) array, mm, noise of their z, each one's own
+    edges : sequence of EdgeCrossings, the four of the wedges (left near, left far, right near,
+        right far), then the sides
+    edge_covariance : (E + 1, E + 1) array, of the lean and of each edge's place, mm
+    yaw_variance : float, rad², to be added to that of the lean
+    corners : (2, 2) array, mm, left and right one
+    rotation : (3, 3) array, of the alignment
+    yaw_rad : float, rad, of the alignment
+    by_sides : bool, whether the middle's x is that of the two sides, the last two edges, instead of
+        the corners'
+    sheared : bool, False for a scan about a shaft
     """
 
     tops: Floats
@@ -71,9 +79,14 @@ class Datum:
 def parameter_modes(datum: Datum, modes: NDArray[np.floating]) -> Floats:
     """(7, M + 7) how the alignment's parameters err, in mm and rad.
 
-    modes: (P, 3, M) mm, displacements of the points of ``datum.index``, along the workpiece's axes.
-    The first M columns answer these; the last 7 are the noise of the alignment itself.
+    The first M columns answer the modes; the last 7 are the noise of the alignment itself.
     Without a yaw its row is zero.
+
+    Parameters
+    ----------
+    datum : Datum, mm, frame of the workpiece
+    modes : (P, 3, M) array, mm, displacements of the points of ``datum.index``, along the
+        workpiece's axes
     """
     points = np.concatenate([datum.tops, *(edge.inside for edge in datum.edges)])
     given = displacement(points, datum.pivot, datum.rotation, datum.yaw_rad)
@@ -97,9 +110,14 @@ def _leaning(seven: Floats) -> Floats:
 
 
 def displacement(points: Floats, pivot: Floats, rotation: Floats, yaw_rad: float) -> Floats:
-    """(..., 3, 7) displacement of workpiece points (..., 3), mm, by each parameter's unit.
+    """(..., 3, 7) displacement of workpiece points, mm, by each parameter's unit.
 
-    pivot: (3,) about which is turned, and where the yaw displaces nothing.
+    Parameters
+    ----------
+    points : (..., 3) array, mm, frame of the workpiece
+    pivot : (3,) array, mm, about which is turned, and where the yaw displaces nothing
+    rotation : (3, 3) array, of the alignment
+    yaw_rad : float, rad, of the alignment
     """
     x, y, z = np.moveaxis(points - pivot, -1, 0)
     zero = np.zeros_like(x)
