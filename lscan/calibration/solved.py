@@ -20,8 +20,10 @@ from lscan.records import BoardReading, Floats, Mask, PlanePoints, Status
 class SolvedMap(Strict, ABC):
     """Base of the plane maps: the fields are what a calibration file holds of one.
 
-    region: where the map holds.  lack_of_fit_mm: (2,) standard uncertainty of x and z that
-    noise does not account for.
+    Attributes
+    ----------
+    region : Region, px, where the map holds
+    lack_of_fit_mm : (2,) array, mm, standard uncertainty of x and z that noise does not account for
     """
 
     region: Region
@@ -183,7 +185,13 @@ class MapSolver(ABC, Generic[Solved]):
 
 
 def with_lack_of_fit(solved: Solved, reading: BoardReading) -> Solved:
-    """The map with the lack of fit that the marks of ``reading`` show."""
+    """The map with the lack of fit that the marks of a reading show.
+
+    Parameters
+    ----------
+    solved : SolvedMap, of any family
+    reading : BoardReading, px and mm, the map was solved from
+    """
     return solved.model_copy(update={"lack_of_fit_mm": lack_of_fit_mm(solved, reading)})
 
 
@@ -226,6 +234,11 @@ def lack_of_fit_mm(solved: SolvedMap, reading: BoardReading) -> Floats:
     reads from it: the marks of the vertical rulers, half-way between control points, check
     x.  Without rulers only the fit to the control points themselves can be judged, and what
     happens between them stays unseen.
+
+    Parameters
+    ----------
+    solved : SolvedMap, of any family
+    reading : BoardReading, px and mm, the map was solved from
     """
     return np.array([_excess_mm(solved, reading, 0), _excess_mm(solved, reading, 1)])
 

@@ -34,7 +34,7 @@ class Graticule(SolvedMap):
     latitudes : LineSet, the lines of the grid rows and the vertical rulers; they give z
     longitudes : LineSet, the lines of the grid columns and the horizontal rulers; they give x
     region : Region, px, where the map holds
-    lack_of_fit_mm : (2,) array, mm, of x and of z (evaluate.py)
+    lack_of_fit_mm : (2,) array, mm, of x and of z (solved.py)
 
     References
     ----------

@@ -37,7 +37,7 @@ class Polynomial(SolvedMap):
         products, i varying slowest
     covariances : tuple of array, mm², (K, K) of either
     region : Region, px, where the map holds
-    lack_of_fit_mm : (2,) array, mm, of x and of z (evaluate.py)
+    lack_of_fit_mm : (2,) array, mm, of x and of z (solved.py)
 
     References
     ----------

@@ -71,7 +71,7 @@ class Projective(SolvedMap):
     h : (8,) array, of :class:`Homography`
     covariance : (8, 8) array, of h
     region : Region, px, where the map holds
-    lack_of_fit_mm : (2,) array, mm, of x and of z (evaluate.py)
+    lack_of_fit_mm : (2,) array, mm, of x and of z (solved.py)
 
     References
     ----------

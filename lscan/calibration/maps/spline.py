@@ -48,7 +48,7 @@ class Spline(SolvedMap):
     roots : tuple of array, mm, (K, M) of x and of z; root @ root.T stands for the covariance of the
         coefficients (_strongest)
     region : Region, px, where the map holds
-    lack_of_fit_mm : (2,) array, mm, of x and of z (evaluate.py)
+    lack_of_fit_mm : (2,) array, mm, of x and of z (solved.py)
     """
 
     base: Projective

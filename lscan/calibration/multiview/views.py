@@ -68,12 +68,17 @@ class CalibrationView:
 
 @dataclass(frozen=True)
 class FittedView(CalibrationView):
-    """A view, and what became of it.
+    """A view, and what became of it; NaN where there is no number.
 
-    used: whether camera and sheet rest on its marks.  marks_used: how many of them.  rms_px: root
-    mean square length of their residuals.  line_used, line_points_used: the same of the laser
-    line.  line_rms_mm: of its distances from the sheet.  Each NaN where there is none.
-    reason: why the view, or its line, was not used; "" where it was.
+    Attributes
+    ----------
+    used : bool, whether camera and sheet rest on its marks
+    marks_used : int, how many of them
+    rms_px : float, px, root mean square length of their residuals
+    line_used : bool, whether the sheet rests on its line
+    line_points_used : int, how many of the line's points
+    line_rms_mm : float, mm, root mean square of their distances from the sheet
+    reason : str, why the view, or its line, was not used; "" where it was
     """
 
     used: bool = False
