@@ -5,19 +5,11 @@ from sim.emulators.hardware import EmulatedHardware as EmulatedHardware
 from sim.emulators.options import ServeOptions as ServeOptions
 from sim.scene import (
     Scene as Scene,
-)
-from sim.scene import (
     load_scene as load_scene,
 )
 from sim.truth import (
     BoardTruth as BoardTruth,
-)
-from sim.truth import (
     StripeTruth as StripeTruth,
-)
-from sim.truth import (
     board_truth as board_truth,
-)
-from sim.truth import (
     stripe_truth as stripe_truth,
 )

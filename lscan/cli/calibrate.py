@@ -55,8 +55,7 @@ def calibrate(
     """Find the board's control points in a picture and solve a plane map from them."""
     from lscan.board import draw_overlay
     from lscan.calibration.maps.auto import calibrate_best
-    from lscan.calibration.solve import calibrate as solve
-    from lscan.calibration.solve import save_calibration
+    from lscan.calibration.solve import calibrate as solve, save_calibration
     from lscan.files.pictures import write_picture
 
     require_folders(output, overlay)

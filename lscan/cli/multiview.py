@@ -20,8 +20,12 @@ def calibrate_metric(
     json: Json = False,
 ) -> None:
     """Solve camera, port and laser sheet from pictures of a board in several poses."""
-    from lscan.calibration.multiview import calibrate_metric as solve
-    from lscan.calibration.multiview import load_views, read_views, save_metric
+    from lscan.calibration.multiview import (
+        calibrate_metric as solve,
+        load_views,
+        read_views,
+        save_metric,
+    )
 
     require_folders(output)
     file = load_views(views)

@@ -6,8 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 from places import SCENES
 from scipy.spatial.transform import Rotation
 from truth_scenes import BOARD, in_head, tank

@@ -17,8 +17,7 @@ from pydantic import Field, model_validator
 
 from lscan.calibration.evaluate import Estimate, propagated, separate_modes
 from lscan.calibration.maps.polynomial import terms
-from lscan.calibration.maps.projective import Projective
-from lscan.calibration.maps.projective import solver as projective
+from lscan.calibration.maps.projective import Projective, solver as projective
 from lscan.calibration.maps.scaling import Scaling, box
 from lscan.calibration.maps.smoothing import COST, Smooth, smooth
 from lscan.calibration.maps.tensorspline import FLAT, ORDER, TensorBasis, even_basis

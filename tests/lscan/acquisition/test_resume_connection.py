@@ -11,10 +11,8 @@ from lscan.acquisition.samerig import require_same_rig
 from lscan.acquisition.scan import acquire_into
 from lscan.acquisition.writer import create_run, resume_run
 from lscan.config.rigfile import RigFile, parse_rig
-from lscan.devices.grbl import SerialTrackOptions
-from lscan.devices.grbl import track_driver as grbl
-from lscan.devices.opencv_camera import OpencvOptions
-from lscan.devices.opencv_camera import camera_driver as opencv
+from lscan.devices.grbl import SerialTrackOptions, track_driver as grbl
+from lscan.devices.opencv_camera import OpencvOptions, camera_driver as opencv
 from lscan.errors import DeviceError, InputError
 
 CAMERA = {"url": "http://bench:8080/stream", "flush_frames": 1}

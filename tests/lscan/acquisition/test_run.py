@@ -13,8 +13,7 @@ import cv2
 import numpy as np
 import pytest
 from fake_devices import FakeCamera, FakeTrack, fake_rig, folder_bytes
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 
 from lscan.acquisition.run import FrameRow, Manifest, Run, open_run
 from lscan.acquisition.samerig import first_difference

@@ -5,8 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from boards import Light, View, render
-from hypothesis import Phase, given, settings
-from hypothesis import strategies as st
+from hypothesis import Phase, given, settings, strategies as st
 from places import ROOT, SUPPORT
 
 from lscan.board import draw_overlay, read_board

@@ -9,8 +9,7 @@ from typing import Any
 
 import pytest
 from calibrations import drawn_calibration
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 from metricviews import SIZE, known, paper_rig, poses, views_of, with_noise
 from peak_memory import refused_within
 

@@ -4,8 +4,7 @@ import cv2
 import numpy as np
 import pytest
 from camera_strategies import FLAT_PORT, LENS
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 
 from lscan.camera import CameraModel, PortModel, project, rays
 from lscan.camera.lens import fold_radius

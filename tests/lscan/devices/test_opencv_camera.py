@@ -12,8 +12,7 @@ import numpy as np
 import pytest
 from device_contract import CameraContract
 from fake_capture import HEIGHT_PX, WIDTH_PX, World, scene_of
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 
 from lscan.acquisition.scan import scan
 from lscan.config.rig import CameraSection

@@ -3,8 +3,7 @@
 import socket
 
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 
 from lscan.errors import InputError
 from lscan.live.access import Access, Asked, grant

@@ -9,8 +9,7 @@ import cv2
 import numpy as np
 import pytest
 import report_examples as examples
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 
 from lscan.calibration.maps.drawing import DrawnConversion
 from lscan.config.targets import Sandwave

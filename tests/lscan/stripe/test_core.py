@@ -1,8 +1,7 @@
 """The light of a line's core, whatever lies beside it."""
 
 import numpy as np
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 from lines_drawn import drawn
 
 from lscan.records import Status, Stripe

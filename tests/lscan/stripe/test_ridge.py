@@ -4,8 +4,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 from lines_drawn import drawn, speckled
 
 from lscan.config.rig import NoiseSection, StripeSection

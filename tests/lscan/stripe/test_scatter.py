@@ -2,8 +2,7 @@
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 from stripe_pictures import HEIGHT, centres_of, light_of, noisy, nothing_clipped, settings_for
 
 from lscan.config.rig import StripeSection

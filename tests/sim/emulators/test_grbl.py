@@ -1,8 +1,7 @@
 """The emulated controller against Grbl 1.1's documentation, and its motion in closed form."""
 
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 
 from lscan.devices.grbl.protocol import StatusReport, parse_line
 from sim.emulators.grbl import GrblEmulator, SimulatedTime

@@ -5,8 +5,7 @@ from typing import Any
 import mitsuba as mi
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 
 from lscan.records import Floats
 from sim.render.plugins.sheet import BOW_NODES, LaserSheet, bow

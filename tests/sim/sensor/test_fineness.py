@@ -18,8 +18,7 @@ import mitsuba as mi
 import numpy as np
 import pytest
 import trimesh
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 from scipy.special import ndtr
 from sensor_scenes import EXPOSURE_MS, sensor_scene
 from truth_scenes import tank

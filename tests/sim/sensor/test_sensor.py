@@ -2,8 +2,7 @@
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 from sensor_scenes import EXPOSURE_MS, layers_of, sensor_scene
 
 from sim.scene import Scene, Sensor

@@ -9,8 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 import trimesh
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 from places import SCENES
 from truth_scenes import block_mesh, tank
 from typer.testing import CliRunner

@@ -7,8 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 import trimesh
-from hypothesis import example, given, settings
-from hypothesis import strategies as st
+from hypothesis import example, given, settings, strategies as st
 from truth_scenes import BOARD, block_mesh, in_head, tank
 
 from lscan.config.documents import merge

@@ -5,8 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 from planeviews import BARREL, View, affine, board_points, paper_board, read_board
 
 from lscan.calibration import crossvalidation

@@ -5,8 +5,7 @@ from dataclasses import replace
 import cv2
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 from planeviews import BARREL, View, affine, board_points, paper_board, read_board, views
 
 from lscan.calibration.api import find_solver

@@ -2,8 +2,7 @@
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 
 from lscan.calibration.maps.smoothing import Smooth, smooth
 from lscan.calibration.maps.tensorspline import FLAT, TensorBasis, even_basis

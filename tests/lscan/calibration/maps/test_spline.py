@@ -5,8 +5,7 @@ from time import process_time
 
 import numpy as np
 import pytest
-from dot_photographs import BOARD as PHOTOGRAPHED
-from dot_photographs import photograph
+from dot_photographs import BOARD as PHOTOGRAPHED, photograph
 from hypothesis import given, settings
 from planeviews import BARREL, View, board_points, paper_board, read_board, views
 

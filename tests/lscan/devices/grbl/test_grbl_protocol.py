@@ -1,8 +1,7 @@
 """What Grbl says, read: the documented examples, and noise."""
 
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 
 from lscan.devices.grbl.codes import CODES, in_words
 from lscan.devices.grbl.link import LONGEST_ANSWER, Link

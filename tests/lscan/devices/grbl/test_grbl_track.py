@@ -7,8 +7,7 @@ from typing import Any
 
 import pytest
 from device_contract import TrackContract
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 
 from lscan.config.rigfile import parse_rig
 from lscan.devices.api import Track

@@ -6,8 +6,7 @@ solves Snell's equation for the tangent in air and takes the roots of a polynomi
 
 import numpy as np
 from camera_strategies import FLAT_PORT, LENS
-from hypothesis import assume, given, settings
-from hypothesis import strategies as st
+from hypothesis import assume, given, settings, strategies as st
 
 from lscan import camera as instrument
 from lscan.camera.lens import fold_radius as instruments_fold

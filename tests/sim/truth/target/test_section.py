@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 import shapely
 import trimesh
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 from truth_scenes import BOARD, block_mesh, tank
 
 from lscan.config.targets import GroovedBlock, Sandwave
