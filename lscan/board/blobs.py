@@ -18,19 +18,33 @@ MOST = 30_000  # blobs of one size; more is texture
 
 @dataclass(frozen=True)
 class Blobs:
-    """Round marks: points (N, 2) of (u, v) px to about half a pixel, strength (N,) grey values."""
+    """N round marks.
+
+    Attributes
+    ----------
+    points : (N, 2) array, px, (u, v) to about half a pixel
+    strength : (N,) array, grey values
+    """
 
     points: Floats
     strength: Floats
 
 
 def find_blobs(bright: Image, radius_px: float, noise: float) -> Blobs:
-    """The bright round marks of about ``radius_px``, strongest first.
+    """The bright round marks of about one radius, strongest first.
 
     They are the maxima of the negative Laplacian of Gaussian with sigma = radius / sqrt(2),
-    which answers most strongly to a disc of that radius (Lindeberg, "Feature detection with
-    automatic scale selection", IJCV 30, 1998); slopes of the light do not change it.
-    noise: standard deviation of a grey value.
+    which answers most strongly to a disc of that radius; slopes of the light do not change it.
+
+    Parameters
+    ----------
+    bright : (H, W) array, grey values, marks bright
+    radius_px : float, px, of the marks
+    noise : float, standard deviation of a grey value
+
+    References
+    ----------
+    Lindeberg, "Feature detection with automatic scale selection", IJCV 30 (1998).
     """
     reduction = max(1, int(radius_px / WORKING_RADIUS_PX))
     small = _reduced(bright, reduction)

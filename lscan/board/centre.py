@@ -32,11 +32,14 @@ STEPS_FROM_NEAR = 3  # from a start good to a tenth of a pixel
 
 @dataclass(frozen=True)
 class Centres:
-    """Maxima of the fitted polynomials, N marks.
+    """Maxima of the fitted polynomials, N marks; where not round the numbers mean nothing.
 
-    points: (N, 2) of (u, v) px.  height: (N,) polynomial at its maximum, grey values.
-    sigma_px: (N,) standard uncertainty of u and of v.  round: (N,) mask: the polynomial has a
-    maximum, near the start, and is not a ridge.  Where not round the numbers mean nothing.
+    Attributes
+    ----------
+    points : (N, 2) array, px, of (u, v)
+    height : (N,) array, grey values, polynomial at its maximum
+    sigma_px : (N,) array, px, standard uncertainty of u and of v
+    round : (N,) mask, whether the polynomial has a maximum, near the start, and is not a ridge
     """
 
     points: Floats
@@ -46,7 +49,12 @@ class Centres:
 
 
 def window_sigma(radius_px: Floats) -> Floats:
-    """(N,) Gaussian sigma, px, of the window that fits discs of radius ``radius_px`` (N,)."""
+    """(N,) Gaussian sigma, px, of the window that fits discs.
+
+    Parameters
+    ----------
+    radius_px : (N,) array, px, of the discs
+    """
     return np.maximum(np.asarray(radius_px) / np.sqrt(2), SMALLEST_SIGMA_PX)
 
 
@@ -54,7 +62,17 @@ def disc_height(radius_px: Floats, blur_px: float = 0.0) -> Floats:
     """(N,) height of the smoothed disc at its middle, as a part of the disc's contrast.
 
     The integral of a Gaussian over a disc: 1 - exp(-r^2 / (2 s^2)), where s joins the window's
-    sigma and the picture's blur, both in px.
+    sigma and the picture's blur.
+
+    Parameters
+    ----------
+    radius_px : (N,) array, px, of the discs
+    blur_px : float, px, Gaussian sigma of the picture's blur
+
+    Examples
+    --------
+    >>> disc_height(np.array([4.0])).round(3)
+    array([0.632])
     """
     radius = np.asarray(radius_px)
     variance = window_sigma(radius) ** 2 + blur_px**2
@@ -71,14 +89,21 @@ def fit_centres(
 ) -> Centres:
     """Maxima near ``start`` of second-order polynomials fitted to the picture, or saddles.
 
-    flat: (H, W) grey values, marks bright on a ground of 0; beyond its edge it counts as 0.
-    start: (N, 2) of (u, v) px, the brightest pixels.  sigma: (N,) px, from ``window_sigma``.
-    noise: (H, W) standard deviation of each grey value, independent from pixel to pixel.
-    steps: of Newton's method; the search is content with fewer.
-    saddles: look for the corners of a chessboard instead.  Two dark and two bright squares that
-        meet are the same seen from their corner but for the sign, so it is where the gradient
+    Parameters
+    ----------
+    flat : (H, W) array, grey values, marks bright on a ground of 0; beyond its edge it counts as 0
+    start : (N, 2) array, px, (u, v) of the brightest pixels
+    sigma : (N,) array, px, from ``window_sigma``
+    noise : (H, W) array, standard deviation of each grey value, independent from pixel to pixel
+    steps : int, of Newton's method; the search is content with fewer
+    saddles : bool, look for the corners of a chessboard instead.  Two dark and two bright squares
+        that meet are the same seen from their corner but for the sign, so it is where the gradient
         vanishes under a Gaussian of any size and any blur.  ``round`` then says that it is a
         saddle, no more than five times as steep one way as the other.
+
+    References
+    ----------
+    Sec. III.1 of the paper, with Gaussian weights as the module's text says.
     """
     if len(start) == 0:
         return Centres(np.empty((0, 2)), np.empty(0), np.empty(0), np.empty(0, bool))
@@ -108,7 +133,13 @@ def stand_alone(
     """(N,) mask of the marks whose centre stays where it is in a window 1.6 times as wide.
 
     Dirt beside a mark, or a smear that joins it to another, draws the wider window further.
-    flat, noise: as for fit_centres, which found ``centres`` with the windows ``sigma``.
+
+    Parameters
+    ----------
+    flat : (H, W) array, grey values, as for ``fit_centres``
+    centres : Centres, px, that ``fit_centres`` found
+    sigma : (N,) array, px, of the windows it used
+    noise : (H, W) array, grey values, as for ``fit_centres``
     """
     wider = fit_centres(flat, centres.points, WIDER * sigma, noise, STEPS_FROM_NEAR)
     moved = np.linalg.norm(wider.points - centres.points, axis=1)

@@ -18,7 +18,14 @@ UNEVEN = 0.03  # of the pitch: a board's dots miss a smooth grid by less than 0.
 
 
 def fault_of(picture: BoardPicture, nodes: Nodes, grid: Grid) -> str | None:
-    """The first check that the dots fail as the board's, in words, or None."""
+    """The first check that the dots fail as the board's, in words, or None.
+
+    Parameters
+    ----------
+    picture : BoardPicture, levelled
+    nodes : Nodes, px, the dots found
+    grid : Grid, mm, of the board
+    """
     count = int(nodes.found.sum())
     if count < 3:
         return "the first three dots are not three round dots alike"

@@ -22,7 +22,10 @@ FAINTEST = 0.4  # of the height a mark of this size should have
 class Contrast:
     """How much brighter than the ground the marks are, across the board.
 
-    board_mm: (N, 2) of the control points found.  contrast: (N,) grey values.
+    Attributes
+    ----------
+    board_mm : (N, 2) array, mm, (x, z) of the control points found
+    contrast : (N,) array, grey values
     """
 
     board_mm: Floats
@@ -30,19 +33,37 @@ class Contrast:
 
     @classmethod
     def of(cls, nodes: Nodes, mapping: LocalMap, diameter_mm: float) -> "Contrast":
-        """The contrast of the control dots, of ``diameter_mm``, from their heights."""
+        """The contrast of the control dots, from their heights.
+
+        Parameters
+        ----------
+        nodes : Nodes, px and grey values
+        mapping : LocalMap, through them
+        diameter_mm : float, mm, of a control dot
+        """
         board = grid_points_mm(nodes.height.shape, mapping.pitch_mm)[nodes.found]
         radius = mapping.scale(board) * diameter_mm / 2
         return cls(board, nodes.height[nodes.found] / disc_height(radius, BLUR_PX))
 
     def at(self, board_mm: Floats) -> Floats:
-        """(M,) contrast of the control dot nearest to each place (M, 2) mm."""
+        """(M,) contrast of the control dot nearest to each place.
+
+        Parameters
+        ----------
+        board_mm : (M, 2) array, mm, of (x, z)
+        """
         _, index = cKDTree(self.board_mm).query(board_mm)
         return self.contrast[index]
 
 
 def mark_status(found: Mask, in_view: Mask) -> Ints:
-    """(N,) of Status: OK, or why there is no mark."""
+    """(N,) of Status: OK, or why there is no mark.
+
+    Parameters
+    ----------
+    found : (N,) mask, of the marks found
+    in_view : (N,) mask, of the marks that the picture does not cut
+    """
     missing = np.where(in_view, int(Status.NOT_FOUND), int(Status.OUT_OF_VIEW))
     return np.where(found, int(Status.OK), missing).astype(np.int64)
 
@@ -50,7 +71,15 @@ def mark_status(found: Mask, in_view: Mask) -> Ints:
 def read_ruler(
     picture: BoardPicture, mapping: LocalMap, contrast: Contrast, ruler: Ruler
 ) -> RulerReading:
-    """The marks of one auxiliary ruler (Fig. 14), in the order of the board file."""
+    """The marks of one auxiliary ruler (Fig. 14), in the order of the board file.
+
+    Parameters
+    ----------
+    picture : BoardPicture, levelled
+    mapping : LocalMap, through the control points
+    contrast : Contrast, grey values, of the control points
+    ruler : Ruler, mm
+    """
     marks = _read_marks(
         picture, mapping, contrast, ruler.points_mm(), ruler.mark_diameter_mm, ruler.step_mm
     )
@@ -58,7 +87,15 @@ def read_ruler(
 
 
 def read_dot(picture: BoardPicture, mapping: LocalMap, contrast: Contrast, dot: Dot) -> Mark:
-    """A named dot (Fig. 18)."""
+    """A named dot (Fig. 18).
+
+    Parameters
+    ----------
+    picture : BoardPicture, levelled
+    mapping : LocalMap, through the control points
+    contrast : Contrast, grey values, of the control points
+    dot : Dot, mm
+    """
     place = np.array([[dot.x_mm, dot.z_mm]])
     clear = 3 * dot.diameter_mm  # nothing else should be nearer than that
     marks = _read_marks(picture, mapping, contrast, place, dot.diameter_mm, clear)

@@ -26,9 +26,13 @@ ALL = slice(None)
 class Expansion:
     """The local map about M places of the board.
 
-    image_px: (M, 2) of (u, v).  jacobian: (M, 2, 2) its derivative by (x, z), px per mm.
-    bend: (M, 2, 2, 2) second derivatives of u and v, by (x, z), by (x, z), px per mm².
-    leverage: (M,) variance of image_px where each control point's is 1; large beyond the rim.
+    Attributes
+    ----------
+    image_px : (M, 2) array, px, of (u, v)
+    jacobian : (M, 2, 2) array, px per mm, its derivative by (x, z)
+    bend : (M, 2, 2, 2) array, px per mm², second derivatives of u and v, by (x, z), by (x, z)
+    leverage : (M,) array, variance of image_px where each control point's is 1; large beyond the
+        rim
     """
 
     image_px: Floats
@@ -44,11 +48,17 @@ class Expansion:
 
 @dataclass(frozen=True)
 class LocalMap:
-    """A smooth map from board to picture, through the control points found.
+    """A smooth map from board to picture, through the N control points found.
 
     At each place a second-order polynomial in (x, z) is fitted to the nearest control points:
     within them the third order of a wide-angle lens is some 0.1 px, enough to know where to
-    look for a mark.  board_mm, image_px: (N, 2) of the control points.
+    look for a mark.
+
+    Attributes
+    ----------
+    board_mm : (N, 2) array, mm, (x, z) of the control points
+    image_px : (N, 2) array, px, (u, v) of the control points
+    pitch_mm : float, mm, spacing of the grid
     """
 
     board_mm: Floats
@@ -60,18 +70,32 @@ class LocalMap:
         return self.expanded(board_mm).image_px
 
     def scale(self, board_mm: Floats) -> Floats:
-        """(M,) px per mm, geometric mean over the directions."""
+        """(M,) px per mm, geometric mean over the directions.
+
+        Parameters
+        ----------
+        board_mm : (M, 2) array, mm, of (x, z)
+        """
         return self.expanded(board_mm).scale
 
     def expanded(self, board_mm: Floats) -> Expansion:
-        """The map about the places (M, 2) mm to second order."""
+        """The map about places of the board to second order.
+
+        Parameters
+        ----------
+        board_mm : (M, 2) array, mm, of (x, z)
+        """
         return self._fit(board_mm, skip=0)
 
     def misfit(self, which: Mask | slice = ALL) -> Floats:
-        """px between control points, or ``which`` of them, and where those around each predict it.
+        """Distance in px between control points and where those around each predict it.
 
         At the rim the prediction is less certain: a miss is divided by its standard deviation for
         errors of 1 px of each point, the square root of 1 + leverage.
+
+        Parameters
+        ----------
+        which : array or None, indices of the control points asked for; all where None
         """
         predicted = self._fit(self.board_mm[which], skip=1)
         miss = np.linalg.norm(predicted.image_px - self.image_px[which], axis=1)
@@ -110,18 +134,35 @@ def _solved(left: Floats, right: Floats) -> Floats:
 
 
 def dot_part(grid: Grid) -> float:
-    """A control dot's diameter as a part of the pitch."""
+    """A control dot's diameter as a part of the pitch.
+
+    Parameters
+    ----------
+    grid : Grid, mm
+    """
     return grid.dot_diameter_mm / grid.pitch_mm
 
 
 def grid_points_mm(shape: tuple[int, ...], pitch_mm: float) -> Floats:
-    """(R, C, 2) of (x, z) mm of a grid's nodes, the top left one at the origin."""
+    """(R, C, 2) of (x, z) mm of a grid's nodes, the top left one at the origin.
+
+    Parameters
+    ----------
+    shape : tuple of int, (R, C)
+    pitch_mm : float, mm
+    """
     column, row = np.meshgrid(np.arange(shape[1]), np.arange(shape[0]))
     return np.stack([column, -row], axis=-1).astype(float) * pitch_mm
 
 
 def local_map(points: Floats, pitch_mm: float) -> LocalMap:
-    """The map through all nodes (R, C, 2) px that are not NaN, origin at node (0, 0)."""
+    """The map through all nodes that are known, origin at node (0, 0).
+
+    Parameters
+    ----------
+    points : (R, C, 2) array, px, (u, v) of the nodes; NaN where none
+    pitch_mm : float, mm
+    """
     board = grid_points_mm(points.shape[:2], pitch_mm)
     known = np.isfinite(points[..., 0])
     return LocalMap(board[known], points[known], pitch_mm)
@@ -132,6 +173,11 @@ def completed(nodes: Nodes, pitch_mm: float) -> Floats:
 
     Next to a dot found, the local polynomials give it; further out equal steps are taken,
     which never fold back into the picture as a polynomial far outside does.
+
+    Parameters
+    ----------
+    nodes : Nodes, px
+    pitch_mm : float, mm
     """
     points = nodes.points.copy()
     beside = ~nodes.found & np.isfinite(mean_beside(nodes.height))
@@ -148,6 +194,11 @@ def drop_outliers(nodes: Nodes, pitch_mm: float) -> None:
     An outlier misses by more than eight robust sigmas and a hundredth of the pitch.  It
     spoils what is expected of those around it, so the worst thereabouts goes first and the
     others are judged again without it.  Fewer than nine dots are not judged.
+
+    Parameters
+    ----------
+    nodes : Nodes, px, changed in place
+    pitch_mm : float, mm
     """
     misfit = np.full(nodes.found.shape, np.nan)
     doubtful = nodes.found
@@ -168,8 +219,19 @@ def place_on_board(picture: BoardPicture, nodes: Nodes, grid: Grid, radius_px: f
     """The cropped nodes on the board: (rows, columns) of it, or of what is seen if not whole.
 
     Where a whole board is cut by the picture, the place follows from a rim of the board that is
-    seen: a rim is where the next row or column would be in view and is not there.  Raises
-    BoardNotFound where neither the one rim nor the opposite one is seen.
+    seen: a rim is where the next row or column would be in view and is not there.
+
+    Parameters
+    ----------
+    picture : BoardPicture, levelled
+    nodes : Nodes, px, cropped
+    grid : Grid, mm, of the board
+    radius_px : float, px, of a control dot
+
+    Raises
+    ------
+    BoardNotFound
+        Where neither the one rim nor the opposite one is seen.
     """
     axes = tuple(
         zip(nodes.height.shape, (grid.rows, grid.columns), ("rows", "columns"), strict=True)

@@ -26,9 +26,14 @@ FEWEST_DOTS = 40  # two differences each, 24 coefficients: sigma to 10 %
 def noise_image(bright: Image, nodes: Nodes, radius_px: float) -> Image:
     """(H, W) standard deviation of the noise of each pixel, in grey values.
 
-    bright: the picture with bright marks.  nodes: the dots found, of about ``radius_px``.
     Between the levels at which the variance is seen it is taken as linear in the grey value, as
     shot noise is; it is at least that of rounding.
+
+    Parameters
+    ----------
+    bright : (H, W) array, grey values, marks bright
+    nodes : Nodes, px, the dots found
+    radius_px : float, px, about that of the dots
     """
     smooth = np.asarray(cv2.GaussianBlur(bright, (0, 0), 1.0), dtype=np.float32)
     levels, variances = _on_plate(bright, smooth, nodes, radius_px)

@@ -21,8 +21,12 @@ STEPS = 2  # Newton's; the shift is small beside the window, so the first is goo
 def shift_of_discs(map_there: Expansion, radius_mm: float, sigma_px: Floats) -> Floats:
     """(N, 2) px from the image of each disc's centre to the maximum of its smoothed image.
 
-    map_there: the local map about the N centres.  sigma_px: (N,) of the smoothing (window_sigma);
-    the picture's own blur of 0.7 px adds to it.
+    Parameters
+    ----------
+    map_there : Expansion, px and mm, the local map about the N centres
+    radius_mm : float, mm, of the discs
+    sigma_px : (N,) array, px, of the smoothing (``window_sigma``); the picture's own blur of 0.7 px
+        adds to it
     """
     jacobian, bend = map_there.jacobian, map_there.bend
     spots, weight = _quadrature(radius_mm)

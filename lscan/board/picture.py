@@ -23,13 +23,15 @@ GROUND_WINDOW = 3.0  # of the dot's diameter: wide enough that a dot is the smal
 class BoardPicture:
     """A picture ready for measuring.
 
-    flat: (H, W) grey values, marks bright (for dark marks it is the paper's negative), with
+    Attributes
+    ----------
+    flat : (H, W) array, grey values, marks bright (for dark marks it is the paper's negative), with
         the ground subtracted so that the plate is about 0 everywhere.  Dark marks are brought
         to one contrast by the light on the plate about them.
-    smooth: (H, W) ``flat`` smoothed to the size of the control dots; its brightest pixel is
-        the middle of a dot even where a single pixel of noise is brighter.
-    gain: (H, W) by which that has multiplied the grey values.
-    noise: (H, W) standard deviation of each value of ``flat``.
+    smooth : (H, W) array, ``flat`` smoothed to the size of the control dots; its brightest pixel is
+        the middle of a dot even where a single pixel of noise is brighter
+    gain : (H, W) array, by which that has multiplied the grey values
+    noise : (H, W) array, standard deviation of each value of ``flat``
     """
 
     flat: Image
@@ -43,13 +45,24 @@ class BoardPicture:
         return self.flat.shape[1], self.flat.shape[0]
 
     def noise_at(self, points: Floats) -> Floats:
-        """(N,) noise of the pixels nearest to the places (N, 2) px."""
+        """(N,) noise of the pixels nearest to some places, grey values.
+
+        Parameters
+        ----------
+        points : (N, 2) array, px, of (u, v)
+        """
         last = np.array(self.size) - 1
         column, row = np.clip(np.rint(points), 0, last).astype(np.int64).T
         return self.noise[row, column].astype(float)
 
     def wholly_in_view(self, points: Floats, radius_px: Floats | float) -> Mask:
-        """(...) mask of the blurred discs about ``points`` (..., 2) px that lie in the picture."""
+        """(...) mask of the blurred discs that lie in the picture.
+
+        Parameters
+        ----------
+        points : (..., 2) array, px, (u, v) of their centres
+        radius_px : (...) array or float, px
+        """
         u, v = points[..., 0], points[..., 1]
         # The outermost pixels reach half a pixel further; so does, and more, the blurred rim.
         radius = np.asarray(radius_px) - 0.5 + BLUR_PX
@@ -61,9 +74,17 @@ class BoardPicture:
 def bright_marks(image: NDArray[Any], channel: Channel, marks: str) -> Image:
     """(H, W) grey values with bright marks: the picture, or its negative for dark marks.
 
-    image: (H, W) or (H, W, 3) RGB, integer or float.  channel is ignored for grey pictures;
-    "grey" is the luma of ITU-R BT.601 (0.299, 0.587, 0.114).  Raises InputError for another
-    shape, a picture smaller than 16 px, or values that are not finite numbers.
+    Parameters
+    ----------
+    image : (H, W) or (H, W, 3) array, grey or RGB, integer or float
+    channel : str, ignored for grey pictures; "grey" is the luma of ITU-R BT.601 (0.299, 0.587,
+        0.114)
+    marks : str, "dark" or "bright"
+
+    Raises
+    ------
+    InputError
+        For another shape, a picture smaller than 16 px, or values that are not finite numbers.
     """
     array = np.asarray(image)
     if array.ndim not in (2, 3) or (array.ndim == 3 and array.shape[2] != 3):
@@ -94,9 +115,17 @@ def _one_channel(array: Image, channel: Channel) -> Image:
 def noise_of(bright: Image) -> float:
     """Standard deviation of the noise, in grey values; at least that of 8-bit rounding.
 
-    Immerkær, "Fast noise variance estimation", CVIU 64 (1996): the mask below is blind to
-    edges and slopes and has norm 6; the median of its absolute response, rather than the
-    mean of the article, keeps the marks out.  0.6745 is the median of |N(0, 1)|.
+    The mask below is blind to edges and slopes and has norm 6; the median of its absolute
+    response, rather than the mean of the article, keeps the marks out.  0.6745 is the median of
+    |N(0, 1)|.
+
+    Parameters
+    ----------
+    bright : (H, W) array, grey values
+
+    References
+    ----------
+    Immerkær, "Fast noise variance estimation", CVIU 64 (1996).
     """
     mask = np.array([[1, -2, 1], [-2, 4, -2], [1, -2, 1]], dtype=np.float32)
     response = cv2.filter2D(bright, cv2.CV_32F, mask)[1:-1, 1:-1]
@@ -104,17 +133,27 @@ def noise_of(bright: Image) -> float:
 
 
 def rounding_of(bright: Image) -> float:
-    """Standard deviation that rounding to 1/255 of the picture's range gives a grey value."""
+    """Standard deviation that rounding to 1/255 of the picture's range gives a grey value.
+
+    Parameters
+    ----------
+    bright : (H, W) array, grey values
+    """
     return max(float(np.ptp(bright)), 1e-6) / 255 / float(np.sqrt(12))
 
 
 def prepare(bright: Image, dot_radius_px: float) -> BoardPicture:
-    """The picture levelled and smoothed for dots of about ``dot_radius_px``.
+    """The picture levelled and smoothed for dots of about one radius.
 
     The ground is the median over a window of three dot diameters, then smoothed: a slope of
     the light would shift every maximum by the slope over the curvature (about 0.01 px for 2:1
     across the picture), and with the ground at 0 a dot close to the picture's edge can be
     completed with zeros.
+
+    Parameters
+    ----------
+    bright : (H, W) array, grey values, marks bright
+    dot_radius_px : float, px, of the control dots
     """
     ground = _ground(bright, dot_radius_px)
     gain = _gain(ground)

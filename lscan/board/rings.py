@@ -35,11 +35,14 @@ STEPS = 8
 
 @dataclass(frozen=True)
 class RingCrossings:
-    """Where the line is expected, N places.
+    """Where the line of a ring is expected, N places.
 
-    middle: (N, 2) px.  normal: (N, 2) unit vectors across the line, outwards.  scale: (N,) px
-    per mm across it.  curvature: (N,) of the line in the picture, 1 / px, positive where it
-    bends inwards.
+    Attributes
+    ----------
+    middle : (N, 2) array, px, of (u, v)
+    normal : (N, 2) array, unit vectors across the line, outwards
+    scale : (N,) array, px per mm across it
+    curvature : (N,) array, 1/px, of the line in the picture, positive where it bends inwards
     """
 
     middle: Floats
@@ -52,8 +55,12 @@ class RingCrossings:
 class Ridges:
     """Second-order polynomials h + s d + b d² about the maxima of N profiles.
 
-    centre: (N,) px from the line expected.  height, bend: h and b there.  sigma_px: (N,)
-    standard uncertainty of centre.  peaked: (N,) mask: there is a maximum inside the profile.
+    Attributes
+    ----------
+    centre : (N,) array, px, from the line expected
+    height, bend : (N,) array, h and b there
+    sigma_px : (N,) array, px, standard uncertainty of centre
+    peaked : (N,) mask, whether there is a maximum inside the profile
     """
 
     centre: Floats
@@ -70,6 +77,13 @@ def read_ring(
 
     One for about every third pixel of the line, so that their errors are independent.  Only
     points that are seen: none where the ring is out of view.
+
+    Parameters
+    ----------
+    picture : BoardPicture, levelled
+    mapping : LocalMap, through the control points
+    contrast : Contrast, grey values, of the control points
+    ring : Ring, mm
     """
     middle_mm = np.array([[ring.x_mm, ring.z_mm]])
     radius_px = float(mapping.scale(middle_mm)[0]) * ring.diameter_mm / 2

@@ -26,15 +26,22 @@ NEXT = ((0, 1), (0, -1), (1, 0), (-1, 0))
 class Nodes:
     """The nodes of a grid of R rows by C columns, filled in as dots are found.
 
-    values: (R, C, 4) of u and v in px, height in grey values, and standard uncertainty of u and
-    of v in px; NaN where no dot.
+    Attributes
+    ----------
+    values : (R, C, 4) array, u and v in px, height in grey values, and standard uncertainty of u
+        and of v in px; NaN where no dot
     """
 
     values: Floats
 
     @classmethod
     def empty(cls, rows: int, columns: int) -> "Nodes":
-        """A grid without dots."""
+        """A grid without dots.
+
+        Parameters
+        ----------
+        rows, columns : int, of the grid
+        """
         return cls(np.full((rows, columns, 4), np.nan))
 
     @property
@@ -58,13 +65,25 @@ class Nodes:
         return np.isfinite(self.height)
 
     def put(self, where: tuple[Ints, ...], centres: Centres, accepted: Mask) -> None:
-        """Enter the accepted dots at the node indices ``where`` (rows, columns)."""
+        """Enter the accepted dots.
+
+        Parameters
+        ----------
+        where : tuple of array, (N,) rows and (N,) columns of the nodes
+        centres : Centres, px, of N dots
+        accepted : (N,) mask, of the dots to enter
+        """
         row, column = (index[accepted] for index in where)
         found = np.column_stack([centres.points, centres.height, centres.sigma_px])
         self.values[row, column] = found[accepted]
 
     def part(self, window: tuple[slice, slice]) -> "Nodes":
-        """The same nodes, seen through a window: what is entered there is entered here."""
+        """The same nodes, seen through a window: what is entered there is entered here.
+
+        Parameters
+        ----------
+        window : tuple of slice, of rows and of columns
+        """
         return Nodes(self.values[window])
 
     def extent(self) -> tuple[slice, slice]:
@@ -82,10 +101,20 @@ def grow(
 ) -> Nodes:
     """All dots that can be reached from the seeds.
 
-    seeds: (3, 2) px of dots #1, #2 (beneath) and #3 (to the right), good to a third of the
-    pitch.  shape: (rows, columns) of the grid to fill.  corner: node of dot #1.
-    dot: the dot's diameter as a part of the pitch.  Fewer than three dots where the seeds do
-    not sit on dots.
+    Fewer than three dots where the seeds do not sit on dots.
+
+    Parameters
+    ----------
+    picture : BoardPicture, levelled
+    seeds : (3, 2) array, px, (u, v) of dots #1, #2 (beneath) and #3 (to the right), good to a third
+        of the pitch
+    shape : tuple of int, (rows, columns) of the grid to fill
+    corner : tuple of int, (row, column) of dot #1
+    dot : float, the dot's diameter as a part of the pitch
+
+    References
+    ----------
+    Sec. III.1 and Fig. 12 of the paper.
     """
     nodes = Nodes.empty(*shape)
     row, column = corner
@@ -133,8 +162,14 @@ def _one_round(picture: BoardPicture, nodes: Nodes, vain: Floats, dot: float) ->
 def look(picture: BoardPicture, expected: Floats, half_box: Floats, sigma: Floats) -> Centres:
     """Centres of the marks in boxes about the expected places, N of each.
 
-    expected: (N, 2) px.  half_box: (N,) px.  sigma: (N,) px, the window for the mark's size.
     A mark no higher than the noise is not round.
+
+    Parameters
+    ----------
+    picture : BoardPicture, levelled
+    expected : (N, 2) array, px, of (u, v)
+    half_box : (N,) array, px
+    sigma : (N,) array, px, the window for the mark's size
     """
     start = _brightest(picture, expected, half_box)
     centres = fit_centres(picture.flat, start, sigma, picture.noise, SEARCH_STEPS)
@@ -165,10 +200,14 @@ def _brightest(picture: BoardPicture, expected: Floats, half_box: Floats) -> Flo
 
 
 def expected_places(points: Floats) -> Floats:
-    """(R, C, 2) px where each node should be, from the nodes known (R, C, 2).
+    """(R, C, 2) px where each node should be, from the nodes known; NaN where nothing tells.
 
     The mean of the paper's step (the last displacement again) from each side and of the
-    parallelogram that completes each neighbouring cell; NaN where there is neither.
+    parallelogram that completes each neighbouring cell.
+
+    Parameters
+    ----------
+    points : (R, C, 2) array, px, (u, v) of the nodes known; NaN where none
     """
     p = points
     guesses = [2 * moved(p, r, c) - moved(p, 2 * r, 2 * c) for r, c in NEXT]
@@ -178,12 +217,22 @@ def expected_places(points: Floats) -> Floats:
 
 
 def mean_beside(values: Floats) -> Floats:
-    """(R, C) mean of what is known at the four nodes beside each of (R, C)."""
+    """(R, C) mean of what is known at the four nodes beside each.
+
+    Parameters
+    ----------
+    values : (R, C) array, NaN where nothing is known
+    """
     return _mean_of_known([moved(values, r, c) for r, c in NEXT])
 
 
 def local_pitch(points: Floats) -> Floats:
-    """(R, C) mean distance px from each of the nodes (R, C, 2) to its neighbours; NaN if none."""
+    """(R, C) mean distance px from each of the nodes to its neighbours; NaN if none.
+
+    Parameters
+    ----------
+    points : (R, C, 2) array, px, (u, v) of the nodes
+    """
     steps = [np.linalg.norm(points - moved(points, r, c), axis=-1) for r, c in NEXT]
     across = _mean_of_known(steps[:2])
     along = _mean_of_known(steps[2:])
@@ -191,7 +240,13 @@ def local_pitch(points: Floats) -> Floats:
 
 
 def moved(array: Floats, rows: int, columns: int) -> Floats:
-    """The array with each node holding what is ``rows``, ``columns`` away; NaN outside."""
+    """The array with each node holding what is some rows and columns away; NaN outside.
+
+    Parameters
+    ----------
+    array : (R, C, ...) array, of the nodes
+    rows, columns : int, how far away
+    """
     height, width = array.shape[:2]
     rim = max(abs(rows), abs(columns))
     around = [(rim, rim)] * 2 + [(0, 0)] * (array.ndim - 2)

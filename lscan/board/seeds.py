@@ -27,11 +27,13 @@ PROPOSALS = 3
 
 @dataclass(frozen=True)
 class Crosses:
-    """Blobs with four neighbours like a dot inside a grid.
+    """N blobs with four neighbours like a dot inside a grid.
 
-    seeds: (N, 3, 2) px of the blob, the one beneath, the one to its right.
-    uneven: (N,) by how much opposite neighbours miss being opposite, as a part of the pitch.
-    strength: (N,) of the blob.
+    Attributes
+    ----------
+    seeds : (N, 3, 2) array, px, (u, v) of the blob, the one beneath, the one to its right
+    uneven : (N,) array, by how much opposite neighbours miss being opposite, as a part of the pitch
+    strength : (N,) array, grey values, of the blob
     """
 
     seeds: Floats
@@ -42,8 +44,16 @@ class Crosses:
 def propose_seeds(bright: Image, board: Board, noise: float) -> list[Floats]:
     """Seeds to begin with, each (3, 2) px, regular ones, the one nearest the middle first.
 
-    bright: (H, W) grey values with bright marks.  noise: their standard deviation.
-    Raises BoardNotFound where no nine dots look like a grid.
+    Parameters
+    ----------
+    bright : (H, W) array, grey values, marks bright
+    board : Board, mm
+    noise : float, standard deviation of a grey value
+
+    Raises
+    ------
+    BoardNotFound
+        Where no nine dots look like a grid.
     """
     grid = board.grid
     ratio = grid.pitch_mm / grid.dot_diameter_mm
@@ -118,8 +128,16 @@ def _nearest(away: Floats, wanted: Mask) -> Floats:
 def check_seeds(seeds: Floats, size: tuple[int, int]) -> Floats:
     """The seeds given by hand as (3, 2) floats, px of dots #1, #2 and #3.
 
-    size: (width, height) of the picture.  Raises InputError for another shape, a seed outside
-    the picture, or seeds that do not lie as dot, beneath, right.
+    Parameters
+    ----------
+    seeds : (3, 2) array, px, of (u, v)
+    size : tuple of int, (width, height) of the picture, px
+
+    Raises
+    ------
+    InputError
+        For another shape, a seed outside the picture, or seeds that do not lie as dot, beneath,
+        right.
     """
     points = np.asarray(seeds, dtype=float)
     if points.shape != (3, 2) or not np.isfinite(points).all():
