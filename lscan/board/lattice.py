@@ -95,7 +95,7 @@ class LocalMap:
 
         Parameters
         ----------
-        which : array or None, indices of the control points asked for; all where None
+        which : mask or slice, of the control points asked for; by default all
         """
         predicted = self._fit(self.board_mm[which], skip=1)
         miss = np.linalg.norm(predicted.image_px - self.image_px[which], axis=1)

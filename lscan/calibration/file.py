@@ -159,7 +159,12 @@ class StoredReading(StoredRecord):
 
 
 def store_reading(reading: BoardReading) -> StoredReading:
-    """The reading as the file holds it."""
+    """The reading as the file holds it.
+
+    Parameters
+    ----------
+    reading : BoardReading, px and mm
+    """
     return check(StoredReading, cast(Any, reading), where="board reading")
 
 
@@ -191,7 +196,18 @@ class CalibrationFile(Strict):
 
 
 def calibration_file(document: Any, path: Path) -> CalibrationFile:
-    """The content of a file as JSON has it; InputError names the key at fault."""
+    """The content of a calibration file.
+
+    Parameters
+    ----------
+    document : object, as JSON has it
+    path : Path, of the file, for messages
+
+    Raises
+    ------
+    InputError
+        Names the key at fault.
+    """
     if not isinstance(document, dict) or document.get("format") != FORMAT:
         found = document.get("format") if isinstance(document, dict) else None
         raise InputError(
@@ -209,6 +225,17 @@ def calibration_file(document: Any, path: Path) -> CalibrationFile:
 
 
 def write_file(path: Path, content: Strict) -> None:
-    """Write a calibration whole or not at all; InputError where the disk refuses."""
+    """Write a calibration whole or not at all.
+
+    Parameters
+    ----------
+    path : Path, of the file
+    content : Strict, the model of the file
+
+    Raises
+    ------
+    InputError
+        Where the disk refuses.
+    """
     text = json.dumps(content.model_dump(mode="json"), indent=1, allow_nan=False)
     write_atomically(path, (text + "\n").encode())

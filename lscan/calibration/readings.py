@@ -9,7 +9,12 @@ from lscan.records import BoardReading, Floats, Marks, Mask, Status
 
 
 def all_marks(reading: BoardReading) -> list[Marks]:
-    """The control points, then the marks of each ruler."""
+    """The control points, then the marks of each ruler.
+
+    Parameters
+    ----------
+    reading : BoardReading, px and mm
+    """
     return [reading.grid, *(ruler.marks for ruler in reading.rulers)]
 
 

@@ -74,7 +74,18 @@ Gaps = Annotated[Floats, PlainValidator(_with_gaps), PlainSerializer(_plain_with
 
 
 def check_covariance(covariance: Floats, count: int) -> None:
-    """Raise ValueError unless ``covariance`` is (count, count), symmetric, none negative."""
+    """Refuse what is no covariance.
+
+    Parameters
+    ----------
+    covariance : array, to be symmetric, without a negative variance
+    count : int, number of rows and of columns it must have
+
+    Raises
+    ------
+    ValueError
+        Says what is wrong with it.
+    """
     if covariance.shape != (count, count):
         raise ValueError(f"covariance must be {count} by {count}, got {covariance.shape}")
     scale = np.abs(covariance).max(initial=0.0)
@@ -85,7 +96,18 @@ def check_covariance(covariance: Floats, count: int) -> None:
 
 
 def check_theta(theta: dict[str, float], names: Sequence[str]) -> None:
-    """Raise ValueError unless ``theta`` holds just the names, each within the camera's LIMITS."""
+    """Refuse parameters of a camera that do not have the right names and ranges.
+
+    Parameters
+    ----------
+    theta : dict of float, by name
+    names : sequence of str, those it must have, in order
+
+    Raises
+    ------
+    ValueError
+        Where a name differs, or a value lies outside the camera's LIMITS.
+    """
     if tuple(theta) != tuple(names):
         raise ValueError(f"theta must hold {', '.join(names)}")
     for name, (low, high) in LIMITS.items():

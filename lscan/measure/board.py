@@ -143,7 +143,12 @@ def _modes(points: PlanePoints) -> Floats:
 class DotPlace:
     """Where a dot lies in the sheet, or why it has no place.
 
-    xz: (2,) mm.  own: (2,) mm², variances without the common part.  modes: (2, M) mm.
+    Attributes
+    ----------
+    xz : (2,) array, mm, plane frame
+    own : (2,) array, mm², variances without the common part
+    modes : (2, M) array, mm, the common part
+    status : Status, OK or the reason
     """
 
     xz: Floats

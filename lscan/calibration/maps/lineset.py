@@ -27,7 +27,13 @@ NEWTON_PX = 1e-9
 
 @dataclass(frozen=True)
 class Targets:
-    """N points of the picture: along and across in px, and the variance of either in px^2."""
+    """N points of the picture.
+
+    Attributes
+    ----------
+    along, across : (N,) array, px, along and across the lines
+    variance : (N,) array, px², of either
+    """
 
     along: Floats
     across: Floats
@@ -42,9 +48,11 @@ class Targets:
 class Between:
     """The two lines on either side of each of N points, and where between them it lies.
 
-    lower, upper: (N,) indices of the lines; lower has the smaller across coordinate.
-    fraction: (N,) the weight of the upper line in eq. (3): 0 on the lower, 1 on the upper.
-    span_px: (N,) from line to line, along the across axis.
+    Attributes
+    ----------
+    lower, upper : (N,) array, indices of the lines; lower has the smaller across coordinate
+    fraction : (N,) array, the weight of the upper line in eq. (3): 0 on the lower, 1 on the upper
+    span_px : (N,) array, px, from line to line, along the across axis
     """
 
     lower: Ints
@@ -75,8 +83,12 @@ def on_lines(index: Ints, values_of: Callable[[int, Mask], Floats]) -> Floats:
 class LineSet:
     """All lines of one direction and the rulers that cross them.
 
-    reach_px: how far a line may be continued beyond its outermost marks: the spacing of the
-        control points.  Next to a missing mark, or where the board looks slanted, the lines
+    Attributes
+    ----------
+    lines : tuple of GridLine, px, two or more
+    rulers : tuple of FittedRuler, that cross them
+    reach_px : float, px, how far a line may be continued beyond its outermost marks: the spacing of
+        the control points.  Next to a missing mark, or where the board looks slanted, the lines
         around a point need not both have marks on either side of it.
     """
 
@@ -86,11 +98,19 @@ class LineSet:
     reach_px: NotNegative
 
     def locate(self, targets: Targets) -> tuple[Floats, Floats]:
-        """Board coordinate in mm and its variance in mm^2, (N,) each; NaN where not surrounded.
+        """Board coordinate in mm and its variance in mm², (N,) each; NaN where not surrounded.
 
         With rulers the coordinate is read on the closest one (steps 3 and 4); where the
         point's line meets no stretch of marks on it, or where there is no ruler, it is
         linear in the weight between the two lines, if they are neighbours.
+
+        Parameters
+        ----------
+        targets : Targets, px, N points
+
+        References
+        ----------
+        Sec. III.3 of the paper, steps 1 to 5.
         """
         value, variance = np.full((2, len(targets.along)), np.nan)
         between, inside = self.surround(targets)
@@ -112,12 +132,24 @@ class LineSet:
         return value, variance
 
     def surround(self, targets: Targets) -> tuple[Between, Mask]:
-        """Steps 1 and 2: the two lines around each point, the weight between them, and the
-        mask of the points that have a line on either side.
+        """The two lines around each point, the weight between them, and which points have both.
 
-        The paper iterates the weight (bisection, its footnote 1) until the interpolated
-        curve passes through the target.  At the target's own along coordinate eq. (3) is
-        linear in the weight, so here it is solved directly.
+        Steps 1 and 2.  The paper iterates the weight (bisection, its footnote 1) until the
+        interpolated curve passes through the target.  At the target's own along coordinate eq. (3)
+        is linear in the weight, so here it is solved directly.
+
+        Parameters
+        ----------
+        targets : Targets, px, N points
+
+        Returns
+        -------
+        tuple of Between and array
+            The mask (N,) is of the points that have a line on either side.
+
+        References
+        ----------
+        Sec. III.3 and eq. (3) of the paper.
         """
         points = np.arange(len(targets.along))
         heights = np.stack([line.curve(targets.along) for line in self.lines])

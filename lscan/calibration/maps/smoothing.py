@@ -27,8 +27,11 @@ WEIGHTS = np.logspace(3, -12, 151)  # tried, from smooth to rough, over the grea
 class Smooth:
     """A fitted surface.
 
-    coefficients: (K,).  root: (K, K) with root @ root.T their posterior covariance; its
-    columns are independent.  freedom: degrees of freedom that the fit spends.
+    Attributes
+    ----------
+    coefficients : (K,) array, in the unit of the values
+    root : (K, K) array, root @ root.T is their posterior covariance; its columns are independent
+    freedom : float, degrees of freedom that the fit spends
     """
 
     coefficients: Floats
@@ -39,12 +42,21 @@ class Smooth:
 def smooth(rows: Floats, y: Floats, sigma: Floats, roughness: Floats, flat: int) -> Smooth:
     """The surface of least error and roughness through N values.
 
-    rows: (N, K) the basis functions at the values' places.  y, sigma: (N,), sigma above 0.
-    roughness: (K, K).  flat: how many independent surfaces have none; the values must
-    determine those, and be more than 1.4 times as many.
+    Where the values scatter more than their sigma, the covariance grows by as much; it never
+    shrinks.
 
-    Where the values scatter more than their sigma, the covariance grows by as much
-    (Birge, Phys. Rev. 40 (1932) 207); it never shrinks.
+    Parameters
+    ----------
+    rows : (N, K) array, the basis functions at the values' places
+    y : (N,) array, the values
+    sigma : (N,) array, their standard uncertainties, above 0
+    roughness : (K, K) array, the penalty
+    flat : int, how many independent surfaces have no roughness; the values must determine those,
+        and be more than 1.4 times as many
+
+    References
+    ----------
+    The scale of the covariance: Birge, Phys. Rev. 40 (1932) 207.
     """
     bending, shapes = np.linalg.eigh(roughness)
     even, bent = shapes[:, :flat], shapes[:, flat:] / np.sqrt(bending[flat:])

@@ -19,7 +19,10 @@ GAUSS_POINTS = 4  # exact for degree 7; a product of two cubics has degree 6
 class TensorBasis:
     """All products of a cubic B-spline of u and one of v: K = I · J functions, i slowest.
 
-    knots_u: (I + 4,), knots_v: (J + 4,), in the unit of the points.
+    Attributes
+    ----------
+    knots_u : (I + 4,) array, in the unit of the points
+    knots_v : (J + 4,) array, in the unit of the points
     """
 
     __pydantic_config__ = STRICT
@@ -40,9 +43,12 @@ class TensorBasis:
         return (len(self.knots_u) - DEGREE - 1) * (len(self.knots_v) - DEGREE - 1)
 
     def rows(self, points: Floats, by_u: int = 0, by_v: int = 0) -> Floats:
-        """(N, K) values at points (N, 2) of the functions, or of their derivatives.
+        """(N, K) values of the functions, or of their derivatives.
 
-        by_u, by_v: how often they are derived by u and by v.
+        Parameters
+        ----------
+        points : (N, 2) array, of (u, v)
+        by_u, by_v : int, how often they are derived by u and by v
         """
         of_u = _values(self.knots_u, points[:, 0], by_u)
         of_v = _values(self.knots_v, points[:, 1], by_v)
@@ -63,7 +69,13 @@ class TensorBasis:
 
 
 def even_basis(low: Floats, high: Floats, segments: int) -> TensorBasis:
-    """The basis on the rectangle low (2,) to high (2,) with that many equal segments a side."""
+    """The basis on a rectangle with equal segments.
+
+    Parameters
+    ----------
+    low, high : (2,) array, two opposite corners of the rectangle
+    segments : int, a side
+    """
     knots = [
         np.concatenate([np.full(DEGREE, a), np.linspace(a, b, segments + 1), np.full(DEGREE, b)])
         for a, b in zip(low, high, strict=True)
