@@ -149,6 +149,12 @@ def offset_per_px(scene: Scene, line: LineInSpace, sheet: TrueSheet) -> Floats:
     """(N, 2) mm by which the surface leaves the sheet's middle per px of u and of v.
 
     Along the tangent plane, by differences of the projection and of the sheet's clearance.
+
+    Parameters
+    ----------
+    scene : Scene, its camera sees the line
+    line : LineInSpace, N points, head frame, with the surface's normals there
+    sheet : TrueSheet, the line's, head frame
     """
     first = np.cross(line.normals, np.eye(3)[np.abs(line.normals).argmin(axis=1)])
     first /= np.linalg.norm(first, axis=1, keepdims=True)

@@ -39,7 +39,16 @@ class LineInSpace:
 def line_in_space(scene: Scene, surfaces: Sequence[TankSurface], truth: StripeTruth) -> LineInSpace:
     """The line's OK columns, the head where it is when they are exposed.
 
-    surfaces: those of ``surfaces_of(scene)``.
+    Parameters
+    ----------
+    scene : Scene, its head moves along the track
+    surfaces : sequence, those of ``surfaces_of(scene)``, world frame
+    truth : StripeTruth, the line in the picture
+
+    Returns
+    -------
+    LineInSpace
+        N points, as many as the line has columns that are OK.
     """
     shown = truth.status == Status.OK
     rows = truth.centre_px if truth.axis == "columns" else np.arange(len(shown), dtype=float)

@@ -36,7 +36,17 @@ class TargetSection:
 
 
 def surfaces_of(scene: Scene) -> list[TankSurface]:
-    """All surfaces of the scene in the world frame: the target's, then the floor if any."""
+    """All surfaces of the scene in the world frame: the target's, then the floor if any.
+
+    Parameters
+    ----------
+    scene : Scene, its target and its floor
+
+    Raises
+    ------
+    InputError
+        The target's mesh cannot be made.
+    """
     surfaces = target_surfaces(scene)
     floor = scene.tank.floor
     if floor is not None:
