@@ -10,6 +10,7 @@ import sys
 import tomllib
 from pathlib import Path
 
+import documented
 import house
 import pytest
 from packaging.requirements import Requirement
@@ -153,6 +154,68 @@ def test_other_text_is_left_alone(line: str) -> None:
 @pytest.mark.parametrize("path", MODULES, ids=str)
 def test_every_module_says_what_it_is(path: Path) -> None:
     assert ast.get_docstring(ast.parse((ROOT / path).read_text(encoding="utf-8")))
+
+
+# ---- docstrings -------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("function", documented.Sources().public(), ids=str)
+def test_every_parameter_of_a_public_function_is_documented(
+    function: documented.PublicFunction,
+) -> None:
+    assert function.undocumented() == []
+
+
+LATHE = '''
+def turned(a, b, *c, d=1, **e):
+    """A rod.
+
+    Parameters
+    ----------
+    a, b : float, mm, its ends
+        Of the left: one.
+    **e : keywords
+
+    Raises
+    ------
+    d : no parameter
+    """
+
+
+def bored(f): ...
+
+
+def of_its_own_room(g): ...
+
+
+class Lathe:
+    def turn(self, h): ...
+
+    def _hold(self, i): ...
+
+
+class OfNoDoor:
+    def turn(self, j): ...
+'''
+
+
+def test_an_undocumented_parameter_is_noticed(tmp_path: Path) -> None:
+    for name, text in {
+        "lscan/__init__.pyi": "from lscan.lathe.api import Lathe as Lathe",
+        "lscan/lathe/api.py": LATHE,
+        "lscan/lathe/run.py": "from lscan.lathe.api import of_its_own_room",
+        "lscan/bench/run.py": "from lscan.lathe.api import OfNoDoor, turned",
+        "sim/bench/run.py": "from lscan.lathe import api\n\napi.bored(1)",
+    }.items():
+        path = tmp_path / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(text, encoding="utf-8")
+    found = documented.Sources(tmp_path).public()
+    assert {function.name: function.undocumented() for function in found} == {
+        "turned": ["c", "d"],
+        "bored": ["f"],
+        "Lathe.turn": ["h"],
+    }
 
 
 # ---- sizes and names --------------------------------------------------------------------
