@@ -25,11 +25,12 @@ class InputError(LscanError):
     ) -> None:
         """Build the line ``where: what (got value; allowed: allowed)``.
 
-        Args:
-            what: what is wrong, in a few words.
-            where: the file and key, the command-line option or the array at fault.
-            value: the offending value, shown with ``repr``.
-            allowed: what would have been accepted, in words.
+        Parameters
+        ----------
+        what : str, what is wrong, in a few words
+        where : the file and key, the command-line option or the array at fault
+        value : the value at fault, shown with ``repr``
+        allowed : what would have been accepted, in words
         """
         self.what, self.where, self.value, self.allowed = what, where, value, allowed
         notes = []

@@ -54,10 +54,18 @@ class RunWriter:
 
     Made by ``create_run`` or ``resume_run``; use it in a ``with`` statement.
 
+    Parameters
+    ----------
+    path : Path, of the run folder
+    rig_file : RigFile, the rig the run is made with
+    lock : int, descriptor of the locked folder; closed with the writer
+    rows : sequence, the frames recorded so far
+
     Attributes
     ----------
-    written : number of frames recorded so far
-    last_mm : mm, the position at which the last of them was taken, None before the first
+    written : int, number of frames recorded so far
+    last_mm : float or None, mm, the position at which the last of them was taken, None before the
+        first
     """
 
     def __init__(

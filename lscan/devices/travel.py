@@ -25,8 +25,11 @@ class TravelOptions(Strict):
 class PassiveTrack:
     """The part of a track without a controller: where it stands, how far it goes, being closed.
 
-    position_mm: where the head stands.  limits_mm: lowest and highest position it goes to.
-    tolerance_mm: how far from where it was sent it may report to stand.
+    Parameters
+    ----------
+    position_mm : float, mm, where the head stands
+    limits_mm : (lowest, highest) position, mm, that it goes to
+    tolerance_mm : float, mm, how far from where it was sent it may report to stand
     """
 
     name: str

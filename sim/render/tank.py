@@ -76,7 +76,17 @@ class Tank:
     """
 
     def __init__(self, scene: Scene) -> None:
-        """Load meshes and plugins; InputError where a mesh or a picture cannot be read."""
+        """Load meshes and plugins.
+
+        Parameters
+        ----------
+        scene : Scene, all of it; the head may move later, by ``place``
+
+        Raises
+        ------
+        InputError
+            A mesh or a picture cannot be read.
+        """
         self.scene = scene
         laser = scene.tank.laser
         self._lines = laser.sheets if laser.on else ()

@@ -34,7 +34,12 @@ class Webcam:
     """Lens and sensor of a scene; its fixed patterns stay the same from picture to picture."""
 
     def __init__(self, scene: Scene) -> None:
-        """Draw the fixed patterns from the sensor's seed."""
+        """Draw the fixed patterns from the sensor's seed.
+
+        Parameters
+        ----------
+        scene : Scene, its lens, sensor and laser
+        """
         self.lens, self.sensor = scene.tank.lens, scene.tank.sensor
         self.wavelength_nm = scene.tank.laser.wavelength_nm
         camera = scene.rig.camera

@@ -86,7 +86,13 @@ class FaultBench:
     # ---- moments ------------------------------------------------------------------------
 
     def move_begins(self, target_mm: float, from_mm: float) -> None:
-        """The track is about to be sent to ``target_mm``."""
+        """The track is about to be sent somewhere.
+
+        Parameters
+        ----------
+        target_mm : float, mm, where it is sent
+        from_mm : float, mm, where it stands
+        """
         self._calls = None
         if self._is_turn(self._frame_at(target_mm), "before the move"):
             self._inject()
@@ -95,14 +101,24 @@ class FaultBench:
             self.track.time.at(self.track.time() + self.fault.part * way_s, self._inject)
 
     def grab_begins(self, frame: int) -> None:
-        """A picture is about to be asked for."""
+        """A picture is about to be asked for.
+
+        Parameters
+        ----------
+        frame : int, number of the picture
+        """
         if self._is_turn(frame, "before the grab"):
             self._inject()
         self.asked_s[frame] = time.monotonic()
         self.camera.grab_begins()
 
     def grab_ends(self, frame: int) -> None:
-        """What is written from now on is this frame."""
+        """What is written from now on is this frame.
+
+        Parameters
+        ----------
+        frame : int, number of the picture
+        """
         if self._is_turn(frame, "in the write"):
             self._calls = 0
 

@@ -43,7 +43,12 @@ class FournierForand:
         return (3 - self.junge_slope) / 2
 
     def density(self, angle: Floats) -> Floats:
-        """Phase function, 1/sr, at angles in rad; same shape."""
+        """Phase function, 1/sr; same shape as ``angle``.
+
+        Parameters
+        ----------
+        angle : array, scattering angle in rad; 0 is forward
+        """
         angle = np.maximum(np.asarray(angle, dtype=float), SMALLEST_RAD)
         sin2 = np.sin(angle / 2) ** 2
         delta = self._delta(sin2)

@@ -41,7 +41,12 @@ class PetzoldTable:
     """
 
     def density(self, angle: Floats) -> Floats:
-        """Phase function, 1/sr, at angles in rad; same shape."""
+        """Phase function, 1/sr; same shape as ``angle``.
+
+        Parameters
+        ----------
+        angle : array, scattering angle in rad; 0 is forward
+        """
         return table_density(angle) / table_integral()
 
 

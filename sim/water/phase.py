@@ -50,7 +50,12 @@ class HenyeyGreensteinMixture:
     g: tuple[float, ...] = PARTICLE_G
 
     def density(self, angle: Floats) -> Floats:
-        """Phase function, 1/sr, at angles in rad; same shape."""
+        """Phase function, 1/sr; same shape as ``angle``.
+
+        Parameters
+        ----------
+        angle : array, scattering angle in rad; 0 is forward
+        """
         lobes = henyey_greenstein(np.asarray(angle, dtype=float)[..., np.newaxis], self.g)
         return np.sum(self.weights * lobes, axis=-1)
 

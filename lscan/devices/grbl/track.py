@@ -31,7 +31,19 @@ class SerialTrack:
         options: SerialTrackOptions,
         link: Link,
     ) -> None:
-        """Wake the machine and home it where the options say so; DeviceError if it fails."""
+        """Wake the machine and home it where the options say so.
+
+        Parameters
+        ----------
+        machine : GrblMachine or MarlinMachine, speaks the controller's dialect
+        options : SerialTrackOptions, port, travel and motion
+        link : Link, the line to the controller
+
+        Raises
+        ------
+        DeviceError
+            The controller does not wake or home, or cannot do what the options ask for.
+        """
         self._machine, self._options, self._link, self._name = machine, options, link, link.name
         self._refusal: str | None = None
         self._engaged = self._moved = self._lit = False

@@ -24,8 +24,17 @@ _log = logging.getLogger(__name__)
 class OpencvCamera:
     """A webcam, a stream or a video file as a camera.
 
-    Opening raises DeviceError where the camera does not open, sends pictures that are not of
-    the rig's size or, with strict_settings, does not do as it is set.
+    Parameters
+    ----------
+    section : CameraSection, size and exposure of the rig's camera
+    options : OpencvOptions, which camera, how it is set, and what is done with its pictures
+    open_capture : callable, opens OpenCV's capture by the options
+
+    Raises
+    ------
+    DeviceError
+        The camera does not open, sends pictures that are not of the rig's size or, with
+        strict_settings, does not do as it is set.
     """
 
     def __init__(

@@ -79,7 +79,13 @@ class SimulatedTime:
 
 
 class DirectLine:
-    """A serial port without a wire: reading what has not come lets simulated time pass."""
+    """A serial port without a wire: reading what has not come lets simulated time pass.
+
+    Parameters
+    ----------
+    controller : EmulatedController, at the other end of the line
+    time : SimulatedTime, the controller's clock
+    """
 
     def __init__(self, controller: EmulatedController, time: SimulatedTime) -> None:
         self._controller, self._time = controller, time

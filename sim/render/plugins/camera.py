@@ -29,7 +29,12 @@ class RefractiveCamera(mi.Sensor):
     """
 
     def __init__(self, props: mi.Properties) -> None:
-        """Stand still until ``move`` says otherwise."""
+        """Stand still until ``move`` says otherwise.
+
+        Parameters
+        ----------
+        props : Properties, of the plugin, with film and ``fineness``
+        """
         super().__init__(props)
         self.fineness = int(props.get("fineness", 1))
         self.lens_is_open = self.is_moving = False
@@ -159,7 +164,12 @@ class RefractiveCamera(mi.Sensor):
         aperture_sample: mi.Point2f,
         active: mi.Bool = True,
     ) -> tuple[mi.RayDifferential3f, mi.Spectrum]:
-        """As ``sample_ray``; the differentials are left out, no texture here needs them."""
+        """As ``sample_ray``; the differentials are left out, no texture here needs them.
+
+        Parameters
+        ----------
+        time, wavelength_sample, position_sample, aperture_sample, active : as of ``sample_ray``
+        """
         ray, weight = self.sample_ray(
             time, wavelength_sample, position_sample, aperture_sample, active
         )
