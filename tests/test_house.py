@@ -189,13 +189,18 @@ def of_its_own_room(g): ...
 
 
 class Lathe:
-    def turn(self, h): ...
+    """A lathe.
 
-    def _hold(self, i): ...
+    Parameters
+    ----------
+    h : float, mm
+    """
 
+    def __init__(self, h, i): ...
 
-class OfNoDoor:
     def turn(self, j): ...
+
+    def _hold(self, k): ...
 '''
 
 
@@ -204,7 +209,7 @@ def test_an_undocumented_parameter_is_noticed(tmp_path: Path) -> None:
         "lscan/__init__.pyi": "from lscan.lathe.api import Lathe as Lathe",
         "lscan/lathe/api.py": LATHE,
         "lscan/lathe/run.py": "from lscan.lathe.api import of_its_own_room",
-        "lscan/bench/run.py": "from lscan.lathe.api import OfNoDoor, turned",
+        "lscan/bench/run.py": "from lscan.lathe.api import turned",
         "sim/bench/run.py": "from lscan.lathe import api\n\napi.bored(1)",
     }.items():
         path = tmp_path / name
@@ -214,7 +219,8 @@ def test_an_undocumented_parameter_is_noticed(tmp_path: Path) -> None:
     assert {function.name: function.undocumented() for function in found} == {
         "turned": ["c", "d"],
         "bored": ["f"],
-        "Lathe.turn": ["h"],
+        "Lathe.__init__": ["i"],
+        "Lathe.turn": ["j"],
     }
 
 

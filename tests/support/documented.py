@@ -1,7 +1,7 @@
 """The public functions of lscan and sim, and which of their parameters have no word in a docstring.
 
-Public is what a module outside of its room imports; the doors are such modules, and so are public
-the methods of the classes that stand in them.
+Public is what a module outside of its room imports, and the methods of the classes among it.  The
+stub of a package is such a module: what it names is public.
 """
 
 import ast
@@ -13,7 +13,6 @@ from pathlib import Path
 from places import ROOT
 
 Definition = ast.FunctionDef | ast.ClassDef
-DOORS = tuple(Path(package, "__init__.pyi") for package in ("lscan", "sim"))
 SPECIAL = ("__init__", "__call__")
 
 
@@ -24,20 +23,24 @@ class PublicFunction:
     path: Path
     name: str
     node: ast.FunctionDef
+    owner: ast.ClassDef | None = None
 
     def __str__(self) -> str:
         return f"{self.path}:{self.name}"
 
     def undocumented(self) -> list[str]:
-        """The parameters that the docstring's section of them does not name."""
-        documented = {"self", "cls", *documented_parameters(ast.get_docstring(self.node) or "")}
+        """The parameters that the docstring, or for ``__init__`` the class's, does not name."""
+        documented = {"self", "cls", *documented_parameters(self.node)}
+        if self.owner is not None and self.node.name == "__init__":
+            documented |= documented_parameters(self.owner)
         every = self.node.args
         taken = [*every.posonlyargs, *every.args, every.vararg, *every.kwonlyargs, every.kwarg]
         return [one.arg for one in taken if one is not None and one.arg not in documented]
 
 
-def documented_parameters(docstring: str) -> set[str]:
+def documented_parameters(node: Definition) -> set[str]:
     """The names under numpydoc's heading Parameters; several may share a line."""
+    docstring = ast.get_docstring(node) or ""
     _, _, section = docstring.partition("Parameters\n----------\n")
     section = re.split(r"\n\n\w[\w ]*\n-{3,}\n", section)[0]
     heads = re.findall(r"^([*\w][^:\n]*)", section, flags=re.MULTILINE)
@@ -68,7 +71,7 @@ class Sources:
                 continue
             if isinstance(node, ast.FunctionDef):
                 yield PublicFunction(path, node.name, node)
-            elif isinstance(node, ast.ClassDef) and importer in DOORS:
+            elif isinstance(node, ast.ClassDef):
                 yield from _methods(path, node)
 
     def _imported(self) -> Iterator[tuple[Path, str, str]]:
@@ -101,7 +104,7 @@ class Sources:
 def _methods(path: Path, owner: ast.ClassDef) -> Iterator[PublicFunction]:
     for node in owner.body:
         if isinstance(node, ast.FunctionDef) and (node.name in SPECIAL or node.name[0] != "_"):
-            yield PublicFunction(path, f"{owner.name}.{node.name}", node)
+            yield PublicFunction(path, f"{owner.name}.{node.name}", node, owner)
 
 
 def _dotted(path: Path) -> str:
