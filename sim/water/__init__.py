@@ -1,9 +1,9 @@
 """What the tank's water does to light: refractive index, absorption, scattering, phase function.
 
-Every constant stands beside its source and range; a value outside the range is refused.
-``density`` and ``index``: water under pressure, air.  ``glass``: ports.  ``inherent``:
-absorption and scattering.  ``phase``, ``petzold``, ``fournier``: phase functions.  ``optics``:
-all of it for a scene's water.
+Every constant stands beside its source and range, the tables in ``tables.toml``; a value outside
+the range is refused.  ``density`` and ``index``: water under pressure, air.  ``glass``: ports.
+``inherent``: absorption and scattering.  ``phase``, ``petzold``, ``fournier``: phase functions.
+``optics``: all of it for a scene's water.
 """
 
 from sim.water.fournier import FournierForand

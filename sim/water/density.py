@@ -6,6 +6,7 @@ respect to pressure (IAPWS R7-97, equation 7 and table 2; its terms without pres
 
 import numpy as np
 
+from lscan.files.packaged import packaged_table
 from sim.water.limits import require
 
 ATMOSPHERE_MPA = 0.101325
@@ -16,24 +17,7 @@ ZERO_C_IN_K = 273.15
 GAS_CONSTANT = 461.526  # J/(kg K)
 PRESSURE_SCALE_MPA, TEMPERATURE_SCALE_K = 16.53, 1386.0
 PRESSURE_SHIFT, TEMPERATURE_SHIFT = 7.1, 1.222
-# Powers of (7.1 - p / p*) and of (T* / T - 1.222), and the coefficient.
-TERMS = np.array(
-    [
-        (1, -9, 0.28319080123804e-3), (1, -7, -0.60706301565874e-3),
-        (1, -1, -0.18990068218419e-1), (1, 0, -0.32529748770505e-1),
-        (1, 1, -0.21841717175414e-1), (1, 3, -0.52838357969930e-4),
-        (2, -3, -0.47184321073267e-3), (2, 0, -0.30001780793026e-3),
-        (2, 1, 0.47661393906987e-4), (2, 3, -0.44141845330846e-5),
-        (2, 17, -0.72694996297594e-15), (3, -4, -0.31679644845054e-4),
-        (3, 0, -0.28270797985312e-5), (3, 6, -0.85205128120103e-9),
-        (4, -5, -0.22425281908000e-5), (4, -2, -0.65171222895601e-6),
-        (4, 10, -0.14341729937924e-12), (5, -8, -0.40516996860117e-6),
-        (8, -11, -0.12734301741641e-8), (8, -6, -0.17424871230634e-9),
-        (21, -29, -0.68762131295531e-18), (23, -31, 0.14478307828521e-19),
-        (29, -38, 0.26335781662795e-22), (30, -39, -0.11947622640071e-22),
-        (31, -40, 0.18228094581404e-23), (32, -41, -0.93537087292458e-25),
-    ]
-)  # fmt: skip
+TERMS = np.array(packaged_table("sim.water", "tables.toml")["density_terms"])
 
 
 def fresh_water_density(temperature_c: float, pressure_mpa: float = ATMOSPHERE_MPA) -> float:

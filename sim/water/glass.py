@@ -1,9 +1,11 @@
 """The refractive index of the materials ports are made of, relative to air."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from math import sqrt
 
 from lscan.errors import InputError
+from lscan.files.packaged import packaged_table
 from sim.water.limits import Limits, require
 
 INDEX = (1.0, 2.5)  # what a scene file may name as a number
@@ -11,29 +13,17 @@ INDEX = (1.0, 2.5)  # what a scene file may name as a number
 
 @dataclass(frozen=True)
 class Sellmeier:
-    """n2 = 1 + sum of strength w2 / (w2 - pole_um2), w the wavelength in um, 20 C."""
+    """n2 = 1 + sum of strength w2 / (w2 - pole), w the wavelength in um, pole in um2; at 20 C.
 
-    strength: tuple[float, ...]
-    pole_um2: tuple[float, ...]
+    terms: strength and pole of each.
+    """
+
+    terms: Sequence[tuple[float, float]]
     range_nm: Limits
 
 
-GLASSES = {
-    # Schott's data sheet N-BK7 517642.251.
-    "N-BK7": Sellmeier(
-        (1.03961212, 0.231792344, 1.01046945),
-        (0.00600069867, 0.0200179144, 103.560653),
-        (300.0, 2500.0),
-    ),
-    # Malitson 1965, J. Opt. Soc. Am. 55, 1205.
-    "fused silica": Sellmeier(
-        (0.6961663, 0.4079426, 0.8974794),
-        (0.0684043**2, 0.1162414**2, 9.896161**2),
-        (210.0, 3710.0),
-    ),
-    # Polyanskiy's fit to Sultanova, Kasarova & Nikolov 2009.  Acrylics differ: +-0.002.
-    "PMMA": Sellmeier((1.1819,), (0.011313,), (436.8, 1052.0)),
-}
+_TABLE = packaged_table("sim.water", "tables.toml")["glass"]
+GLASSES = {name: Sellmeier(**formula) for name, formula in _TABLE.items()}
 
 
 def glass_index(glass: float | str, wavelength_nm: float) -> float:
@@ -70,5 +60,4 @@ def glass_index(glass: float | str, wavelength_nm: float) -> float:
     formula = GLASSES[glass]
     require("wavelength_nm", wavelength_nm, formula.range_nm, where=glass)
     w2 = (wavelength_nm / 1000) ** 2
-    terms = zip(formula.strength, formula.pole_um2, strict=True)
-    return sqrt(1 + sum(strength * w2 / (w2 - pole) for strength, pole in terms))
+    return sqrt(1 + sum(strength * w2 / (w2 - pole) for strength, pole in formula.terms))

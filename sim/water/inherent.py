@@ -4,18 +4,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from lscan.files.packaged import packaged_table
 from sim.scene.matter import Water
 from sim.water.index import SALINITY_PSU, TEMPERATURE_C
 from sim.water.limits import require
 
-# Pure water absorption, 1/m, at 22 C: Pope & Fry 1997.
-ABSORPTION_NM, ABSORPTION_PER_M = np.array(
-    [
-        (450, 0.00922), (500, 0.0204), (550, 0.0565), (600, 0.2224), (620, 0.2755),
-        (630, 0.2916), (640, 0.3108), (645, 0.325), (650, 0.340), (655, 0.371),
-        (660, 0.410), (670, 0.439), (680, 0.465), (700, 0.624),
-    ]
-).T  # fmt: skip
+TABLES = packaged_table("sim.water", "tables.toml")
+ABSORPTION_NM, ABSORPTION_PER_M = np.array(TABLES["pure_absorption"]).T
 WATER_NM = (450.0, 700.0)
 ABSORPTION_AT_C = 22.0
 # Its change with temperature and salinity, known here at 650 nm; used within SLOPES_WITHIN_NM.
@@ -47,33 +42,16 @@ class SeaWater:
     ----------
     wavelength_nm : float, nm
     absorption_per_m, scattering_per_m : float, 1/m
+    missing_per_m : float, 1/m, by how much the printed absorption is too low
     """
 
     wavelength_nm: float
     absorption_per_m: float
     scattering_per_m: float
+    missing_per_m: float = 0.0
 
 
-# Petzold's waters: of the two sets in use, that at 532 nm (pure sea .053/.003, clear .069/.080,
-# coastal .088/.216, harbor .295/1.875), which was read in its source.  Petzold's own values at
-# 514 nm (.114/.037, .179/.219, .366/1.824) are recalled only, and not used.
-PETZOLD_WATERS = {
-    "clear": SeaWater(532.0, 0.069, 0.080),
-    "coastal": SeaWater(532.0, 0.088, 0.216),
-    "harbor": SeaWater(532.0, 0.295, 1.875),
-}
-# Jerlov's types near 640 to 650 nm, from one secondary source.  Type I shows that the printed
-# absorption leaves out 0.031 of pure water's at 650 nm.
-JERLOV_NM = 650.0
-JERLOV_MISSING_PER_M = 0.031
-JERLOV_WATERS = {
-    f"jerlov-{name}": SeaWater(JERLOV_NM, absorption + JERLOV_MISSING_PER_M, scattering)
-    for name, absorption, scattering in (
-        ("I", 0.309, 0.001), ("IB", 0.309, 0.045), ("II", 0.310, 0.270), ("III", 0.310, 0.737),
-        ("1C", 0.316, 0.274), ("7C", 0.351, 1.772), ("9C", 0.398, 2.347),
-    )
-}  # fmt: skip
-SEA_WATERS = PETZOLD_WATERS | JERLOV_WATERS
+SEA_WATERS = {name: SeaWater(**printed) for name, printed in TABLES["sea"].items()}
 # Turbid waters, roughly: what an NTU is depends on the instrument.  Only scattering is added;
 # how much the particles of a tank absorb is not to be had from a turbidity.
 SCATTERING_PER_M_NTU = 1.0
@@ -138,7 +116,8 @@ def particles_of(sea: SeaWater) -> tuple[float, float]:
     """
     pure = absorption_per_m(ABSORPTION_AT_C, 0.0, sea.wavelength_nm)
     molecular = molecular_scattering_per_m(SEA_PSU, sea.wavelength_nm)
-    return max(sea.absorption_per_m - pure, 0.0), max(sea.scattering_per_m - molecular, 0.0)
+    absorption = sea.absorption_per_m + sea.missing_per_m
+    return max(absorption - pure, 0.0), max(sea.scattering_per_m - molecular, 0.0)
 
 
 def absorption_per_m(temperature_c: float, salinity_psu: float, wavelength_nm: float) -> float:

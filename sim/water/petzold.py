@@ -5,25 +5,10 @@ from functools import cache
 
 import numpy as np
 
+from lscan.files.packaged import packaged_table
 from lscan.records import Floats
 
-# Degrees and 1/sr (Petzold 1972, averaged as in Mobley 1994).
-TABLE_DEG, TABLE_PER_SR = np.array(
-    [
-        (0.1, 1.7826e3), (0.1259, 1.3074e3), (0.1585, 9.5877e2), (0.1995, 7.0541e2),
-        (0.2512, 5.1833e2), (0.3162, 3.7978e2), (0.3981, 2.7882e2), (0.5012, 2.0302e2),
-        (0.6310, 1.4567e2), (0.7944, 1.0317e2), (1, 7.2256e1), (1.259, 5.0029e1),
-        (1.585, 3.4258e1), (1.995, 2.3019e1), (2.512, 1.5299e1), (3.162, 1.0106e1),
-        (3.981, 6.6391), (5.012, 4.3341), (6.310, 2.8323), (7.943, 1.8357), (10, 1.1630),
-        (15, 4.9377e-1), (20, 2.4663e-1), (25, 1.4848e-1), (30, 8.6863e-2), (35, 5.9844e-2),
-        (40, 4.2479e-2), (45, 3.0950e-2), (50, 2.2959e-2), (55, 1.7144e-2), (60, 1.3244e-2),
-        (65, 1.0557e-2), (70, 8.5650e-3), (75, 7.0391e-3), (80, 5.8952e-3), (85, 4.9979e-3),
-        (90, 4.3311e-3), (95, 3.8158e-3), (100, 3.4348e-3), (105, 3.1441e-3), (110, 2.9386e-3),
-        (115, 2.8223e-3), (120, 2.7100e-3), (125, 2.5947e-3), (130, 2.4984e-3), (135, 2.3982e-3),
-        (140, 2.3500e-3), (145, 2.3340e-3), (150, 2.3861e-3), (155, 2.5285e-3), (160, 2.6859e-3),
-        (165, 2.8604e-3), (170, 3.0579e-3), (175, 3.1200e-3), (180, 3.1822e-3),
-    ]
-).T  # fmt: skip
+TABLE_DEG, TABLE_PER_SR = np.array(packaged_table("sim.water", "tables.toml")["petzold"]).T
 TABLE_RAD = np.radians(TABLE_DEG)
 FORWARD_SLOPE = -1.346  # of log p over log angle below 0.1 degrees
 SMALLEST_RAD = 1e-100  # below, the density is held: its power law is infinite at 0
