@@ -2,11 +2,9 @@
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from sim.scene import Lens
-
-Picture = NDArray[np.float32]
+from sim.sensor.colour import Picture
 
 
 def point_spread(picture: Picture, lens: Lens) -> Picture:

@@ -2,10 +2,10 @@
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from lscan.records import Bytes
 from sim.scene import Sensor
+from sim.sensor.colour import ColourFilter, Picture
 
 FULL_SCALE_DN = 255.0
 SUBSAMPLING = {
@@ -14,23 +14,23 @@ SUBSAMPLING = {
     "4:2:0": cv2.IMWRITE_JPEG_SAMPLING_FACTOR_420,
 }
 
-Picture = NDArray[np.float32]
 
+def digitise(electrons: Picture, sensor: Sensor, colours: ColourFilter | None = None) -> Bytes:
+    """Digital numbers of the electrons: full well, gain, filled in colours, gamma, 8 bit.
 
-def digitise(electrons: Picture, sensor: Sensor) -> Bytes:
-    """Digital numbers of the electrons, same shape: full well, gain, gamma, 8 bit."""
-    return encode(linear_dn(electrons, sensor), sensor)
+    The same shape; (H, W, 3) RGB of the (H, W) electrons behind a colour filter.
 
-
-def linear_dn(electrons: Picture, sensor: Sensor) -> Picture:
-    """What the converter reads, DN from 0 to 255, same shape, not yet rounded."""
+    Parameters
+    ----------
+    electrons : array, electrons read out
+    sensor : Sensor, its gain, gamma, black level and full well
+    colours : ColourFilter or None, the filter before the pixels
+    """
     held = np.minimum(electrons, np.float32(sensor.full_well_e))
     # Dark noise may pull a pixel below zero electrons; only the black level keeps it in range.
-    return np.clip(sensor.black_level_dn + held * np.float32(_gain(sensor)), 0.0, FULL_SCALE_DN)
-
-
-def encode(linear: Picture, sensor: Sensor) -> Bytes:
-    """The linear DN, same shape, behind the camera's gamma and rounded to 8 bit."""
+    linear = np.clip(sensor.black_level_dn + held * np.float32(_gain(sensor)), 0.0, FULL_SCALE_DN)
+    if colours is not None:
+        linear = colours.demosaic(linear)
     if sensor.gamma != 1:
         linear = FULL_SCALE_DN * (linear / FULL_SCALE_DN) ** (1 / sensor.gamma)
     return np.rint(linear).astype(np.uint8)
@@ -54,8 +54,7 @@ def through_jpeg(image: Bytes, sensor: Sensor) -> Bytes:
     """The (H, W, 3) RGB picture coded and decoded as one of MJPEG's; unchanged without one."""
     if sensor.jpeg_quality is None:
         return image
-    coded = jpeg_bytes(image, sensor.jpeg_quality, sensor.jpeg_subsampling)
-    return from_jpeg(coded)
+    return from_jpeg(jpeg_bytes(image, sensor.jpeg_quality, sensor.jpeg_subsampling))
 
 
 def jpeg_bytes(image: Bytes, quality: int, subsampling: str) -> bytes:

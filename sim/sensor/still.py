@@ -3,16 +3,13 @@
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lscan.records import Bytes
 from sim.scene import Sensor
-from sim.sensor.coding import encode, linear_dn
+from sim.sensor.coding import digitise
 from sim.sensor.colour import ColourFilter
-from sim.sensor.noise import FixedPattern, read_out
+from sim.sensor.noise import Electrons, FixedPattern, read_out
 from sim.sensor.speckle import speckle_pattern
-
-Electrons = NDArray[np.float32]
 
 
 @dataclass(frozen=True)
@@ -55,7 +52,4 @@ class StillView:
                 speckle = speckle[..., np.newaxis]
             expected[self.first_row : self.first_row + height] += self.direct * speckle
         read = read_out(expected, self.sensor, self.pattern, generator, quickly=True)
-        linear = linear_dn(read, self.sensor)
-        if self.filter is not None:
-            linear = self.filter.demosaic(linear)
-        return encode(linear, self.sensor)
+        return digitise(read, self.sensor, self.filter)

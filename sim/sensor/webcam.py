@@ -5,10 +5,10 @@ The lens acts on layers as fine as they are; what follows acts on whole pixels.
 
 from __future__ import annotations
 
+from functools import cache
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lscan.errors import InputError
 from lscan.records import Bytes
@@ -16,18 +16,15 @@ from sim.render.fineness import binned, fineness_of, finer_lens
 from sim.scene import Lens, Scene
 from sim.scene.instrument import Response
 from sim.sensor.blur import point_spread
-from sim.sensor.coding import electrons_of, encode, linear_dn, through_jpeg
-from sim.sensor.colour import ColourFilter
-from sim.sensor.noise import fixed_pattern, gathered, read_out
+from sim.sensor.coding import digitise, electrons_of, through_jpeg
+from sim.sensor.colour import ColourFilter, Picture
+from sim.sensor.noise import Electrons, fixed_pattern, gathered, read_out
 from sim.sensor.radiometry import AMBIENT_NM, photons_per_radiance, vignetting
 from sim.sensor.speckle import speckle_contrast, speckle_pattern
 from sim.sensor.still import StillView
 
 if TYPE_CHECKING:
     from sim.render.tank import Layers
-
-Electrons = NDArray[np.float32]
-Picture = NDArray[np.float32]
 
 
 class Webcam:
@@ -44,7 +41,7 @@ class Webcam:
         self.wavelength_nm = scene.tank.laser.wavelength_nm
         camera = scene.rig.camera
         self._shape = (camera.height_px, camera.width_px)
-        self._lenses: dict[int, tuple[Lens, Picture]] = {}
+        self._fine = cache(self._fine_lens)
         bayer = self.sensor.bayer
         self._filter = None if bayer == "none" else ColourFilter(bayer, self._shape)
         pixels = (*self._shape, 3) if self._filter is None else self._shape
@@ -74,15 +71,14 @@ class Webcam:
             The layers are no whole multiple of the picture.
         """
         nm = self.wavelength_nm if wavelength_nm is None else wavelength_nm
-        electrons = self.mean_electrons(layers, exposure_ms, nm, self._speckle(nm, generator))
-        electrons = self._on_pixels(electrons)
+        # A new pattern for each picture: the head moves between them.
+        contrast = self._speckle_contrast(nm)
+        speckle = speckle_pattern(self._shape, contrast, generator) if contrast else None
+        electrons = self._on_pixels(self.mean_electrons(layers, exposure_ms, nm, speckle))
         if self._pattern is not None:
             expected = gathered(electrons, self.sensor, self._pattern)
             electrons = read_out(expected, self.sensor, self._pattern, generator)
-        linear = linear_dn(electrons, self.sensor)
-        if self._filter is not None:
-            linear = self._filter.demosaic(linear)
-        return through_jpeg(encode(linear, self.sensor), self.sensor)
+        return through_jpeg(digitise(electrons, self.sensor, self._filter), self.sensor)
 
     def still(self, layers: Layers, exposure_ms: float) -> StillView:
         """The layers as seen again and again by a camera that stands still.
@@ -105,13 +101,10 @@ class Webcam:
             raise InputError("sensor.noise: without it all pictures are the same", allowed="true")
         nm, sensor, pattern = self.wavelength_nm, self.sensor, self._pattern
         contrast = self._speckle_contrast(nm)
-        nothing = np.zeros(self._shape, np.float32)
-        unspeckled = None if contrast is None else nothing
-        rest = self.mean_electrons(layers, exposure_ms, nm, unspeckled)
+        none = np.zeros(self._shape, np.float32)
+        rest = self.mean_electrons(layers, exposure_ms, nm, none if contrast else None)
         steady = gathered(self._on_pixels(rest), sensor, pattern)
-        if contrast is None:
-            return StillView(sensor, pattern, self._filter, steady, nothing[:0], 0, 0.0)
-        photons = self._photons(layers.direct, exposure_ms, nm)
+        photons = self._photons(layers.direct, exposure_ms, nm) if contrast else none
         lit = np.flatnonzero((photons > 0).any(axis=1))
         first, end = (int(lit[0]), int(lit[-1]) + 1) if lit.size else (0, 0)
         speckled = self._on_pixels(photons[..., None] * _rgb(sensor.laser_response))
@@ -182,26 +175,19 @@ class Webcam:
         lens, falloff = self._fine(fineness)
         return binned(point_spread(radiance * (np.float32(factor) * falloff), lens), fineness)
 
-    def _fine(self, fineness: int) -> tuple[Lens, Picture]:
-        """The lens in parts of a pixel, and its (f H, f W) vignetting; kept for next time."""
-        if fineness not in self._lenses:
-            lens = finer_lens(self.lens, fineness)
-            height, width = self._shape
-            falloff = vignetting(lens, (fineness * width, fineness * height))
-            self._lenses[fineness] = lens, falloff
-        return self._lenses[fineness]
+    def _fine_lens(self, fineness: int) -> tuple[Lens, Picture]:
+        """The lens in parts of a pixel, and its (f H, f W) vignetting."""
+        lens = finer_lens(self.lens, fineness)
+        height, width = self._shape
+        return lens, vignetting(lens, (fineness * width, fineness * height))
 
-    def _speckle(self, laser_nm: float, generator: np.random.Generator) -> Picture | None:
-        """A new pattern for each picture, for the head moves between them; None without one."""
-        contrast = self._speckle_contrast(laser_nm)
-        return None if contrast is None else speckle_pattern(self._shape, contrast, generator)
-
-    def _speckle_contrast(self, laser_nm: float) -> float | None:
+    def _speckle_contrast(self, laser_nm: float) -> float:
+        """That of a pixel; 0 where the sensor shows no speckle."""
         light = self.sensor.speckle
         if light == "none" or not self.sensor.noise:
-            return None
+            return 0.0
         return speckle_contrast(self.sensor.pixel_um, self.lens.f_number, laser_nm, light)
 
 
-def _rgb(response: Response) -> NDArray[np.float32]:
+def _rgb(response: Response) -> Picture:
     return np.array([response.red, response.green, response.blue], dtype=np.float32)
