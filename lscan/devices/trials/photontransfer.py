@@ -15,6 +15,7 @@ level, and so flatten the slope.
 from dataclasses import dataclass
 
 import numpy as np
+from scipy import ndimage
 
 from lscan.errors import InputError, MeasurementError
 from lscan.records import Bytes, Floats, Ints, Mask
@@ -239,33 +240,21 @@ def linearity(exposure_ms: Floats, mean_dn: Floats) -> Linearity:
 def _levels(pictures: Bytes, level: Ints) -> Levels:
     """Mean and variance of the pixels of each level that has any.  level: (H · W,) which one."""
     flat = pictures.reshape(len(pictures), -1)
-    pixels = np.bincount(level).astype(float)
-
-    def sums(values: Floats) -> Floats:
-        return np.bincount(level, weights=values, minlength=len(pixels)).astype(np.float64)
-
-    total, squares, clipped = np.zeros_like(pixels), np.zeros_like(pixels), np.zeros_like(pixels)
-    pairs = len(flat) // 2
-    for first, second in zip(flat[::2].astype(float), flat[1::2].astype(float), strict=True):
-        total += sums(first + second)
-        difference = first - second
-        squares += sums(difference**2) - sums(difference) ** 2 / np.maximum(pixels, 1)
-        clipped += sums(_clipped(first) + _clipped(second))
+    _, level, pixels = np.unique(level, return_inverse=True, return_counts=True)
+    held = np.arange(len(pixels))
     # The drift of the light spends one degree of freedom of each pair.
-    differences = pairs * (pixels - 1)
-    held = differences > 0
-    values = 2 * pairs * pixels[held]
+    differences = (len(flat) // 2 * (pixels - 1)).astype(float)
+    clipped = (flat == 0) | (flat == BRIGHTEST_DN)
+    squares = np.zeros(len(held))
+    for first, second in zip(flat[::2].astype(float), flat[1::2].astype(float), strict=True):
+        squares += pixels * ndimage.variance(first - second, level, held)
     return Levels(
-        mean_dn=total[held] / values,
+        mean_dn=np.asarray(ndimage.mean(flat.mean(axis=0), level, held)),
         # Half the variance of a difference is that of a value.
-        variance=squares[held] / (2 * differences[held]),
-        differences=differences[held],
-        clipped=clipped[held] / values,
+        variance=squares / np.maximum(2 * differences, 1),
+        differences=differences,
+        clipped=np.asarray(ndimage.mean(clipped.mean(axis=0), level, held)),
     )
-
-
-def _clipped(values: Floats) -> Floats:
-    return ((values <= 0) | (values >= BRIGHTEST_DN)).astype(float)
 
 
 def _require(pictures: Bytes, fewest: int) -> None:
