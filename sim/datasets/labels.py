@@ -12,8 +12,9 @@ from lscan.errors import InputError
 from lscan.records import Bytes, Floats, Mask, Status
 from sim.render.tank import Layers
 from sim.scene import Scene
+from sim.scene.instrument import FULL_SCALE_DN
 from sim.sensor import photons_per_radiance
-from sim.sensor.coding import FULL_SCALE_DN, electrons_of
+from sim.sensor.coding import electrons_of
 from sim.truth import StripeTruth, sheet_of, stripe_truth
 from sim.truth.light.brightness import offset_per_px
 from sim.truth.light.radiance import line_in_space

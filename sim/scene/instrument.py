@@ -12,6 +12,9 @@ from pydantic import Discriminator, Field, NonNegativeFloat, PositiveFloat, Tag,
 from lscan.config.documents import Strict
 from lscan.records import Floats
 
+FULL_SCALE_DN = 255.0
+"""The brightest value of a pixel: of 8 bit."""
+
 Vector = tuple[float, float, float]
 Fraction = Annotated[float, Field(ge=0, le=1)]
 Seed = Annotated[int, Field(ge=0, lt=2**31)]

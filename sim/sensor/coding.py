@@ -4,10 +4,9 @@ import cv2
 import numpy as np
 
 from lscan.records import Bytes
-from sim.scene import Sensor
+from sim.scene.instrument import FULL_SCALE_DN, Sensor
 from sim.sensor.colour import ColourFilter, Picture
 
-FULL_SCALE_DN = 255.0
 SUBSAMPLING = {
     "4:4:4": cv2.IMWRITE_JPEG_SAMPLING_FACTOR_444,
     "4:2:2": cv2.IMWRITE_JPEG_SAMPLING_FACTOR_422,

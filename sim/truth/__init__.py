@@ -15,9 +15,9 @@ analytic geometry.  What it shares with them is what defines the tank and cannot
   against published values;
 - the thickness of a Gaussian sheet (sim.scene.Laser), which the renderer computes for itself;
 - the Brown-Conrady polynomials that the lens is specified by, written twice and held to OpenCV's;
-- in sim.truth.light.brightness alone, the sensor's full scale, photons per radiance and contrast of
-  speckle (sim.sensor.coding, radiometry, speckle): that module judges how the instrument reads
-  a line of a given brightness, not the sensor, which closed forms and published values judge.
+- in sim.truth.light.brightness alone, photons per radiance and contrast of speckle
+  (sim.sensor.radiometry, speckle): that module judges how the instrument reads a line of a given
+  brightness, not the sensor, which closed forms and published values judge.
 """
 
 from sim.truth.board import BoardTruth, board_truth

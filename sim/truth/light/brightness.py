@@ -15,7 +15,7 @@ from scipy.special import ndtr
 
 from lscan.records import Floats, Status
 from sim.scene import PlanePort, Scene
-from sim.sensor.coding import FULL_SCALE_DN
+from sim.scene.instrument import FULL_SCALE_DN
 from sim.sensor.radiometry import AMBIENT_NM, photons_per_radiance
 from sim.sensor.speckle import speckle_contrast
 from sim.truth.camera.flat import flat_normal
