@@ -23,6 +23,7 @@ OLDEST_STAMP_S = 60.0
 """A camera's own time stamp is on this machine's clock if it lies this near before arrival."""
 
 LIGHT = "check cable, power and light, or raise camera.options.timeout_s"
+ADDRESS = "check that pictures are sent from that address, or raise camera.options.timeout_s"
 RECONNECT = "check cable and power, then scan with --resume"
 
 
@@ -137,15 +138,19 @@ class Reader:
             self._changed.notify_all()
         self._thread.join(self._options.timeout_s)
 
-    def _wait(self, deadline_s: float, late: str, remedy: str = LIGHT) -> None:
-        """Wait for a change; raises the reader's fault, or DeviceLost past the deadline."""
+    def _wait(self, deadline_s: float, late: str, remedy: str = "") -> None:
+        """Wait for a change; raises the reader's fault, or DeviceLost past the deadline.
+
+        remedy: what to do then; "" where only the silence is known.
+        """
         if self._fault is not None:
             raise self._fault
         if self._given_up:
             raise DeviceError(f"{self._options.name}: is closed, or being opened anew")
         left_s = deadline_s - time.monotonic()
         if left_s <= 0:
-            raise DeviceLost(f"{self._options.name}: {late}; {remedy}")
+            silence = LIGHT if self._options.url is None else ADDRESS
+            raise DeviceLost(f"{self._options.name}: {late}; {remedy or silence}")
         self._changed.wait(left_s)
 
     def _run(self) -> None:
@@ -205,13 +210,13 @@ def _stamped_s(capture: Capture, now_s: float) -> float:
 
 
 def _late(old: TimedPicture | None, after_s: float, timeout_s: float) -> tuple[str, str]:
-    """Why no picture could be taken in time, and what to do.
+    """Why no picture could be taken in time, and what to do, "" where only the silence is known.
 
     old: the last picture refused as too old.  One may be under way when the call comes; only
     a camera that goes on sending such pictures has a wrong clock.
     """
     if old is None or old.arrived_s < time.monotonic() - timeout_s / 2:
-        return f"sent no new picture within {timeout_s:g} s", LIGHT
+        return f"sent no new picture within {timeout_s:g} s", ""
     return (
         f"sends pictures stamped {after_s - old.time_s:.3g} s before they were asked for; its "
         "clock was set back or it holds old pictures",

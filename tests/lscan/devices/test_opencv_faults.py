@@ -76,6 +76,17 @@ def test_a_camera_that_hangs_is_given_up_in_time() -> None:
     camera.close()
 
 
+def test_a_silent_address_is_named_and_no_cable() -> None:
+    world = World()
+    world.faults = dict.fromkeys(range(ALWAYS), "hang")
+    address = "http://127.0.0.1:1/stream"
+    known = rf"^camera opencv \({address}\): gave no first picture within 0.5 s; check that pict"
+    with pytest.raises(DeviceError, match=known) as caught:
+        camera_in(world, device=None, url=address, timeout_s=0.5, reconnects=0)
+    world.free.set()
+    assert "cable" not in str(caught.value)
+
+
 @pytest.mark.parametrize("fault", ["gone", "raise", "empty", "hang"])
 def test_a_camera_that_comes_back_goes_on(fault: str) -> None:
     world = World()
