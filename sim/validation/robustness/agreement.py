@@ -1,7 +1,6 @@
 """The same scan through the drivers of real devices and through the tank's own."""
 
 import shutil
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +11,7 @@ from lscan.acquisition.scan import scan
 from lscan.benchmark.timing import timed
 from lscan.calibration.api import PlaneMap
 from lscan.config.documents import Document, merge
+from lscan.config.rig import Rig
 from lscan.config.rigfile import RigFile, load_rig, parse_rig
 from lscan.config.targets import Sandwave
 from lscan.files.disk import make_folder
@@ -27,13 +27,10 @@ from sim.scene import scene_of
 from sim.sensor.coding import from_jpeg, jpeg_bytes
 from sim.validation.rows import Row, row
 
-OUTPUT = Path("out/hardware/agreement")
 STEP_MM = 2.0
 
-Difference = Callable[[Surface, Surface], float]
 
-
-def agreement_rows(scenes: Path, frames: int, aligned: bool) -> list[Row]:
+def agreement_rows(scenes: Path, folder: Path, frames: int, aligned: bool) -> list[Row]:
     """Rms differences in height between scans of the sandwave, taken through different drivers.
 
     The opencv and grbl drivers on the served tank, the sim drivers' pictures through JPEG alone,
@@ -43,6 +40,8 @@ def agreement_rows(scenes: Path, frames: int, aligned: bool) -> list[Row]:
     ----------
     scenes : Path
         Folder that holds paper/board.toml and paper/sandwave.toml.
+    folder : Path
+        Where the runs go; it is made, and earlier runs in it are replaced.
     frames : int
         Of each scan.
     aligned : bool
@@ -54,19 +53,20 @@ def agreement_rows(scenes: Path, frames: int, aligned: bool) -> list[Row]:
     InputError
         Where a scene is wrong.
     """
-    board = _fresh(load_rig(scenes / "paper" / "board.toml"), "board")
+    make_folder(folder)
+    board = _fresh(load_rig(scenes / "paper" / "board.toml"), folder / "board")
     plane_map = measure_board(board, (CHOSEN_MAP,)).calibrations[CHOSEN_MAP].plane_map
     plan = {"frames": frames, "step_mm": STEP_MM}
     rig_file = _changed(load_rig(scenes / "paper" / "sandwave.toml"), plan=plan)
     scene = scene_of(rig_file)
     seed = scene.tank.sensor.seed
-    simulated = _fresh(rig_file, "simulated")
-    repeated = _fresh(_changed(rig_file, sensor={"seed": seed + 1}), "repeated")
+    simulated = _fresh(rig_file, folder / "simulated")
+    repeated = _fresh(_changed(rig_file, sensor={"seed": seed + 1}), folder / "repeated")
     options = ServeOptions(prepare=True)
     with EmulatedHardware(scene, options) as hardware:
-        seconds, served = timed(lambda: _fresh(hardware.rig_file(), "served"))
+        seconds, served = timed(lambda: _fresh(hardware.rig_file(), folder / "served"))
     built = reconstruct(simulated, plane_map)
-    rms_mm = _on_slices(built.require_alignment(), rig_file) if aligned else _as_measured
+    alignment = built.require_alignment() if aligned else None
     surfaces = {
         "served-scan": reconstruct(served, plane_map).raw,
         "jpeg-alone": _coded(simulated, plane_map, options),
@@ -80,7 +80,12 @@ def agreement_rows(scenes: Path, frames: int, aligned: bool) -> list[Row]:
         "frames": frames,
         "frame_ms": 1000 * seconds / frames,
     }
-    return [row(key, rms_mm(raw, built.raw), **words) for key, raw in surfaces.items()]
+    expected_mm = _heights_mm(built.raw, rig_file.rig, alignment)
+    rows = []
+    for key, raw in surfaces.items():
+        difference_mm = _heights_mm(raw, rig_file.rig, alignment) - expected_mm
+        rows.append(row(key, float(np.sqrt(np.nanmean(difference_mm**2))), **words))
+    return rows
 
 
 def _changed(rig_file: RigFile, **sections: Document) -> RigFile:
@@ -88,29 +93,18 @@ def _changed(rig_file: RigFile, **sections: Document) -> RigFile:
     return parse_rig(merge(rig_file.document, sections), source=rig_file.source)
 
 
-def _on_slices(alignment: Alignment, rig_file: RigFile) -> Difference:
-    """How to compare raw surfaces on the slices, all placed by one alignment."""
-    piece = rig_file.rig.workpiece
-    assert isinstance(piece, Sandwave)
+def _heights_mm(raw: Surface, rig: Rig, alignment: Alignment | None) -> Floats:
+    """Heights on the sandwave's slices, placed by the alignment; without one those of all points.
 
-    def rms_mm(surface: Surface, other: Surface) -> float:
-        heights = [
-            np.concatenate([resample(moved, ends).z_mm for ends in piece.slices_mm().values()])
-            for moved in (place(raw, alignment, rig_file.rig) for raw in (surface, other))
-        ]
-        return _rms(heights[0] - heights[1])
-
-    return rms_mm
-
-
-def _as_measured(surface: Surface, other: Surface) -> float:
-    """Rms difference in height of two raw surfaces, frame by frame and column by column, mm."""
-    return _rms(surface.xyz_mm[..., 2] - other.xyz_mm[..., 2])
-
-
-def _rms(difference: Floats) -> float:
-    """Rms of the differences, where both have a value."""
-    return float(np.sqrt(np.nanmean(difference**2)))
+    NaN where there is no value.
+    """
+    if alignment is None:
+        return raw.xyz_mm[..., 2]
+    assert isinstance(rig.workpiece, Sandwave)
+    placed = place(raw, alignment, rig)
+    return np.concatenate(
+        [resample(placed, ends).z_mm for ends in rig.workpiece.slices_mm().values()]
+    )
 
 
 def _coded(run: Run, plane_map: PlaneMap, options: ServeOptions) -> Surface:
@@ -123,10 +117,8 @@ def _coded(run: Run, plane_map: PlaneMap, options: ServeOptions) -> Surface:
     return build_surface(profiles, run.rig_file.rig)
 
 
-def _fresh(rig_file: RigFile, name: str) -> Run:
-    """A new run in the folder of that name in OUTPUT, in the place of an earlier one."""
-    folder = OUTPUT / name
+def _fresh(rig_file: RigFile, folder: Path) -> Run:
+    """A new run in the folder, in the place of an earlier one."""
     if (folder / MANIFEST).exists():
         shutil.rmtree(folder)
-    make_folder(OUTPUT)
     return scan(rig_file, folder)

@@ -4,7 +4,6 @@ Each scan is the command ``lscan scan`` in a process of its own, on the simulate
 """
 
 import os
-import signal
 import subprocess
 import sys
 import tempfile
@@ -112,22 +111,19 @@ def _goes_on(scene: Path, run: Path, kill_after_s: float | None = None) -> bool:
     """
     home = str(Path(lscan.__file__).parents[1])
     command = [sys.executable, "-m", "lscan.cli.app", "scan", str(scene), "-o", str(run)]
-    with subprocess.Popen(
-        [*command, "--resume"],
-        stdout=subprocess.DEVNULL,
-        stderr=subprocess.PIPE,
-        text=True,
-        env={**os.environ, "PYTHONPATH": home},
-    ) as process:
-        try:
-            _, said = process.communicate(timeout=kill_after_s)
-        except subprocess.TimeoutExpired:
-            process.kill()
-            _, said = process.communicate()
-    killed = kill_after_s is not None and process.returncode == -signal.SIGKILL
-    if process.returncode != 0 and not killed:
-        raise RuntimeError(f"a scan ended with code {process.returncode}: {said.strip()}")
-    return not killed
+    try:
+        ended = subprocess.run(  # past its time-out it kills by SIGKILL
+            [*command, "--resume"],
+            capture_output=True,
+            text=True,
+            env={**os.environ, "PYTHONPATH": home},
+            timeout=kill_after_s,
+        )
+    except subprocess.TimeoutExpired:
+        return False
+    if ended.returncode != 0:
+        raise RuntimeError(f"a scan ended with code {ended.returncode}: {ended.stderr.strip()}")
+    return True
 
 
 def _frames_in(run: Path) -> int:

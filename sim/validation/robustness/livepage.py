@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import shutil
 import subprocess
 import sys
@@ -15,6 +14,7 @@ from typing import TYPE_CHECKING
 from lscan.acquisition.scan import scan
 from lscan.calibration.solve import save_calibration
 from lscan.config.rigfile import load_rig
+from lscan.config.toml import toml_text
 from lscan.errors import MeasurementError
 from lscan.files.disk import make_folder, write_atomically
 from lscan.paper.experiment import measure_board
@@ -26,36 +26,44 @@ from sim.validation.rows import Row, row
 if TYPE_CHECKING:
     from playwright.sync_api import Page
 
-OUTPUT = Path("out/hardware/live")
 STEP_MM = 2.0
 SHORTEST = 5 / 6  # of the time over which pictures are to be counted
 COUNT = "[performance.now() / 1000, window.lscan.profilesDrawn]"
 
 
-def livepage_rows(scenes: Path, frames: int, seconds: float) -> list[Row]:
+def livepage_rows(scenes: Path, folder: Path, frames: int, seconds: float) -> list[Row]:
     """Pictures a second that headless Chromium draws, with stripe and profile, during a scan.
 
     The webcam, the track, the page and the browser are processes of their own, all on this
     machine; the scan is started and stopped by clicks.  scenes: folder that holds
-    paper/board.toml and paper/sandwave.toml.  frames: of the scan.  seconds: over which pictures
-    are counted.  What is written goes to OUTPUT, which is replaced if it is there; a screenshot
-    of the scan, page.png, stays in it.  Raises BrowserMissing where there is no Chromium or no
+    paper/board.toml and paper/sandwave.toml.  folder: for what is written, replaced if it is
+    there; a screenshot of the scan, page.png, stays in it.  frames: of the scan.  seconds: over
+    which pictures are counted.  Raises BrowserMissing where there is no Chromium or no
     Playwright, MeasurementError where a process does not do its part.
     """
     with headless_chromium() as chromium:  # first: it may be missing
-        shutil.rmtree(OUTPUT, ignore_errors=True)
-        make_folder(OUTPUT)
-        calibration, scene = _calibration(scenes), _short_scene(scenes, frames)
-        rig = OUTPUT / "rig.toml"
+        shutil.rmtree(folder, ignore_errors=True)
+        make_folder(folder)
+        board = measure_board(
+            scan(load_rig(scenes / "paper" / "board.toml"), folder / "board"), (CHOSEN_MAP,)
+        )
+        calibration, rig, scene = (
+            folder / name for name in ("board.json", "rig.toml", "scene.toml")
+        )
+        save_calibration(calibration, board.calibrations[CHOSEN_MAP])
+        sandwave = (scenes / "paper" / "sandwave.toml").resolve().as_posix()
+        # Fewer frames than the paper's, so that it is rendered in a minute or two.
+        short = {"include": sandwave, "plan": {"frames": frames, "step_mm": STEP_MM}}
+        write_atomically(scene, toml_text(short).encode())
         serve = ["sim.cli.app", "serve", str(scene), "--prepare", "--write-rig", str(rig)]
         live = ["lscan.cli.app", "live", str(rig), "--calibration", str(calibration)]
-        live += ["--port", "0", "--output", str(OUTPUT / "runs")]
+        live += ["--port", "0", "--output", str(folder / "runs")]
         with (
-            _running(serve, "rig:", OUTPUT / "serve.log"),
-            _running(live, "http", OUTPUT / "live.log") as line,
+            _running(serve, "rig:", folder / "serve.log"),
+            _running(live, "http", folder / "live.log") as line,
         ):
             chromium.page.goto(line.split()[0])
-            rate_hz = _rate_while_scanning(chromium.page, seconds, OUTPUT / "page.png")
+            rate_hz = _rate_while_scanning(chromium.page, seconds, folder / "page.png")
     seed = load_scene(scene).tank.sensor.seed
     return [row("live-page", rate_hz, seed=seed, seconds=SHORTEST * seconds)]
 
@@ -81,23 +89,6 @@ def _rate_while_scanning(page: Page, seconds: float, screenshot: Path) -> float:
         page.click("#stop")
         page.wait_for_selector("#stop:disabled", state="attached")
     return float((drawn - began) / (now_s - began_s))
-
-
-def _calibration(scenes: Path) -> Path:
-    """A calibration from the board picture of the paper's scene, by the sim drivers."""
-    run = scan(load_rig(scenes / "paper" / "board.toml"), OUTPUT / "board")
-    path = OUTPUT / "board.json"
-    save_calibration(path, measure_board(run, (CHOSEN_MAP,)).calibrations[CHOSEN_MAP])
-    return path
-
-
-def _short_scene(scenes: Path, frames: int) -> Path:
-    """The sandwave's scene with fewer frames, so that it is rendered in a minute or two."""
-    path = OUTPUT / "scene.toml"
-    included = os.path.relpath(scenes / "paper" / "sandwave.toml", OUTPUT)
-    plan = f"[plan]\nframes = {frames}\nstep_mm = {STEP_MM}\n"
-    write_atomically(path, f'include = "{Path(included).as_posix()}"\n\n{plan}'.encode())
-    return path
 
 
 @contextmanager

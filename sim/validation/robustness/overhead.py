@@ -12,13 +12,14 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from typing import Any
 
 import cv2
 import numpy as np
 
 from lscan.acquisition.scan import acquire_into
 from lscan.acquisition.writer import create_run
-from lscan.config.rigfile import RigFile, parse_rig
+from lscan.config.rigfile import parse_rig
 from lscan.devices.api import Grab
 from lscan.records import Bytes, Floats
 from sim.render.tank import Tank
@@ -28,66 +29,25 @@ from sim.validation.rows import Row, row
 
 SEED = 51
 PICTURES = 8  # that take turns
-SCENE = Path("paper/sandwave")  # by name, from wherever the command is run
 
 Clock = Callable[[], float]
 
 
 @dataclass
-class Stopwatch:
-    """Runs while neither device is at work.
+class FreeDevices:
+    """A camera and a track that cost nothing, and a stopwatch that rests while they are at work.
 
-    frames_s: for each frame, the time from its move until the next, or until ``stop``, less
-    what the devices took of it.
+    pictures: those of the camera, all (H, W, 3) RGB, taken beforehand.  aside: called with each
+    picture while the stopwatch rests.  frames_s: for each frame, the time from its move until
+    the next, or until ``pause``, less what the devices took of it.
     """
 
-    clock: Clock
-    frames_s: list[float] = field(default_factory=list)
-    _since_s: float = 0.0
-
-    def begin_frame(self) -> None:
-        """The track is commanded to move: what ran until now belongs to the frame before."""
-        if self.frames_s:
-            self.pause()
-        self.frames_s.append(0.0)
-
-    def pause(self) -> None:
-        """A device is called, or the scan has ended."""
-        self.frames_s[-1] += self.clock() - self._since_s
-
-    def go_on(self) -> None:
-        """A device has answered."""
-        self._since_s = self.clock()
-
-
-@dataclass
-class FreeTrack:
-    """A track that is at its target at once."""
-
-    watch: Stopwatch
-    position_mm: float = 0.0
-
-    def move_to(self, position_mm: float) -> float:
-        """The position asked for, mm."""
-        self.watch.begin_frame()
-        self.position_mm = position_mm
-        self.watch.go_on()
-        return position_mm
-
-    def close(self) -> None:
-        """Nothing is held."""
-
-
-@dataclass
-class FreeCamera:
-    """A camera whose pictures, all (H, W, 3) RGB, have been taken beforehand.
-
-    aside: called with each picture while the stopwatch rests.
-    """
-
-    watch: Stopwatch
     pictures: list[Bytes]
     aside: Callable[[Bytes], None]
+    clock: Clock
+    position_mm: float = 0.0
+    frames_s: list[float] = field(default_factory=list)
+    _since_s: float = 0.0
 
     @property
     def size_px(self) -> tuple[int, int]:
@@ -95,14 +55,27 @@ class FreeCamera:
         height, width = self.pictures[0].shape[:2]
         return width, height
 
+    def move_to(self, position_mm: float) -> float:
+        """The position asked for, mm; what ran until now belongs to the frame before."""
+        if self.frames_s:
+            self.pause()
+        self.frames_s.append(0.0)
+        self.position_mm = position_mm
+        self._since_s = self.clock()
+        return position_mm
+
     def grab(self, frame: int | None = None, dark: bool = False) -> Grab:
         """The picture whose turn it is."""
-        self.watch.pause()
+        self.pause()
         number = frame or 0
         picture = self.pictures[number % len(self.pictures)]
         self.aside(picture)
-        self.watch.go_on()
+        self._since_s = self.clock()
         return Grab(picture, float(number), 20.0)
+
+    def pause(self) -> None:
+        """Stop the clock: a device is called, or the scan has ended."""
+        self.frames_s[-1] += self.clock() - self._since_s
 
     def close(self) -> None:
         """Nothing is held."""
@@ -129,7 +102,7 @@ class PlainSaver:
         self.saved_s.append(self.clock() - began_s)
 
 
-def overhead_rows(frames: int, folder: Path = Path(), scene: Path = SCENE) -> list[Row]:
+def overhead_rows(frames: int, folder: Path, scene: Path) -> list[Row]:
     """The overhead of one frame of 640 by 480 px in colour, over saving its picture plainly.
 
     frames: how many are scanned.  folder: on the disk that runs are written to; a memory file
@@ -141,20 +114,15 @@ def overhead_rows(frames: int, folder: Path = Path(), scene: Path = SCENE) -> li
     with TemporaryDirectory(dir=folder, prefix=".overhead-") as scratch:
         saver = PlainSaver(Path(scratch) / "plain.png")
         taken_s = frame_times(Path(scratch) / "run", pictures, frames, aside=saver)
-    taken_ms, saved_ms = (
-        [1000 * float(np.median(times)), 1000 * float(np.mean(times))]
-        for times in (taken_s, saver.saved_s)
-    )
-    return [
-        row(
-            "overhead", taken / saved, seed=SEED, frames=frames, name=name,
-            taken_ms=taken, saved_ms=saved,
-        )
-        for name, taken, saved in zip(("median", "mean"), taken_ms, saved_ms, strict=True)
-    ]  # fmt: skip
+    rows = []
+    for name, average in (("median", np.median), ("mean", np.mean)):
+        taken, saved = (1000 * float(average(times)) for times in (taken_s, saver.saved_s))
+        words: dict[str, Any] = {"seed": SEED, "frames": frames, "name": name}
+        rows.append(row("overhead", taken / saved, taken_ms=taken, saved_ms=saved, **words))
+    return rows
 
 
-def noisy_pictures(scene: Path = SCENE, count: int = PICTURES) -> list[Bytes]:
+def noisy_pictures(scene: Path, count: int = PICTURES) -> list[Bytes]:
     """Pictures (H, W, 3) RGB uint8 of one view of the tank, each with noise of its own."""
     loaded = load_scene(scene)
     layers, webcam = Tank(loaded).render(loaded.rig.plan.start_mm), Webcam(loaded)
@@ -174,18 +142,14 @@ def frame_times(
 
     aside: called with each picture, the time it takes left out.
     """
-    watch = Stopwatch(clock)
-    with create_run(path, _rig(pictures[0], frames)) as writer:
-        acquire_into(writer, FreeCamera(watch, pictures, aside), FreeTrack(watch))
-        watch.pause()
-    return np.array(watch.frames_s)
-
-
-def _rig(picture: Bytes, frames: int) -> RigFile:
-    height, width = picture.shape[:2]
+    devices = FreeDevices(pictures, aside, clock)
+    width, height = devices.size_px
     document = {
         "camera": {"driver": "free", "width_px": width, "height_px": height},
         "track": {"driver": "free"},
         "plan": {"frames": frames},
     }
-    return parse_rig(document, source="overhead", trusted=True)
+    with create_run(path, parse_rig(document, source="overhead", trusted=True)) as writer:
+        acquire_into(writer, devices, devices)
+        devices.pause()
+    return np.array(devices.frames_s)

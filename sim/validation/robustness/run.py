@@ -1,11 +1,11 @@
 """Every figure of the hardware table, measured one after the other on emulated hardware."""
 
 import logging
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Callable, Mapping
 from pathlib import Path
 
 from lscan.config.rigfile import load_rig
+from lscan.files.disk import make_folder
 from lscan.records import Progress
 from sim.validation.robustness.agreement import agreement_rows
 from sim.validation.robustness.campaign import Outcome, fault_rows
@@ -30,7 +30,8 @@ def run_hardware(
     Parameters
     ----------
     scenes : Path, folder of the scene files
-    output : Path, the JSON file
+    output : Path, the JSON file; runs and a screenshot go to a folder beside it, the file's path
+        without its ending
     quick : bool, every row, with the least effort
     progress : Progress or None, called with (done, all) after each chapter
 
@@ -41,22 +42,30 @@ def run_hardware(
     """
     for name in NEEDED:
         load_rig(scenes / "paper" / f"{name}.toml")  # refuses a bad file before minutes of work
+    folder = output.with_suffix("") if output.suffix else output.with_name(f"{output.name}-runs")
+    make_folder(folder)
     file = RowFile(output, quick)
     effort = QUICK if quick else FULL
     outcomes: list[Outcome] = []
 
     def faults() -> list[Row]:
-        with _quiet():
+        before = logging.root.manager.disable
+        logging.disable(logging.WARNING)  # drivers warn of each of hundreds of faults
+        try:
             rows, ended = fault_rows(effort.faults)
+        finally:
+            logging.disable(before)
         outcomes.extend(ended)
         return rows
 
     sandwave = scenes / "paper" / "sandwave.toml"
     chapters: Mapping[str, Callable[[], list[Row]]] = {
-        "live page": lambda: livepage_rows(scenes, effort.live_frames, effort.live_s),
-        "overhead of a frame": lambda: overhead_rows(effort.overhead_frames, scene=sandwave),
+        "live page": lambda: livepage_rows(
+            scenes, folder / "live", effort.live_frames, effort.live_s
+        ),
+        "overhead of a frame": lambda: overhead_rows(effort.overhead_frames, folder, sandwave),
         "scan through opencv and grbl": lambda: agreement_rows(
-            scenes, effort.scan_frames, effort.aligned
+            scenes, folder / "agreement", effort.scan_frames, effort.aligned
         ),
         "kills": lambda: kill_rows(sandwave, effort.kills, effort.kill_frames),
         "rig files with one field wrong": lambda: field_rows(effort.every_field),
@@ -67,14 +76,3 @@ def run_hardware(
         if progress is not None:
             progress(done, len(chapters))
     return file.rows, outcomes
-
-
-@contextmanager
-def _quiet() -> Iterator[None]:
-    """Keep to itself what drivers say of each of hundreds of faults."""
-    before = logging.root.manager.disable
-    logging.disable(logging.WARNING)
-    try:
-        yield
-    finally:
-        logging.disable(before)

@@ -89,7 +89,7 @@ def test_the_rows_are_ratios_to_saving_the_same_pictures(
 
     for slowness in (1.0, 2.0):
         monkeypatch.setattr(overhead, "frame_times", times_on(slowness))
-        rows = overhead_rows(FULL.overhead_frames, tmp_path)
+        rows = overhead_rows(FULL.overhead_frames, tmp_path, SCENE)
         assert [row.figure for row in rows] == pytest.approx([0.4, 0.5])
     assert [row.what.rpartition(": ")[2] for row in rows] == ["median", "mean"]
     assert all(f"{FULL.overhead_frames} frames" in row.what for row in rows)
