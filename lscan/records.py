@@ -69,6 +69,21 @@ def has_value(status: NDArray[np.integer]) -> Mask:
     return (status == Status.OK) | (status == Status.SATURATED)
 
 
+def status_counts(status: NDArray[np.integer]) -> dict[str, int]:
+    """Number of points of each status by its name, those alone that occur.
+
+    Parameters
+    ----------
+    status : integer array, of Status
+
+    Examples
+    --------
+    >>> status_counts(np.array([0, 0, 7]))
+    {'OK': 2, 'OCCLUDED': 1}
+    """
+    return {code.name: int((status == code).sum()) for code in Status if code in status}
+
+
 @dataclass(frozen=True)
 class Frame:
     """One picture and where the head stood when it was taken.

@@ -1,7 +1,6 @@
 """The bench's table and picture, printed and on disk."""
 
 import io
-import json
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, TypeVar
@@ -18,6 +17,7 @@ from lscan.benchmark.maps import MapRow
 from lscan.benchmark.pictures import LineCase
 from lscan.figures import style
 from lscan.files.disk import make_folder, write_atomically
+from lscan.files.jsontext import write_json
 
 AnyRow = TypeVar("AnyRow", ExtractorRow, MapRow)
 
@@ -91,8 +91,7 @@ def write_bench(
         "maps": [_judged(row, failed_of_map(row)) for row in maps],
     }
     make_folder(folder)
-    text = json.dumps(content, indent=2, allow_nan=False)
-    write_atomically(folder / "bench.json", f"{text}\n".encode())
+    write_json(folder / "bench.json", content)
     write_atomically(folder / "bench.png", draw_bench(extractors, maps))
     return content
 

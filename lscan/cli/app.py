@@ -22,20 +22,10 @@ from lscan.cli.stripe import extract
 app = command_line(
     "Laser line scanner: scan, calibrate, reconstruct, measure, report, live, bench."
 )
-app.command()(scan)
-app.command()(calibrate)
-app.command()(check)
-app.command()(extract)
-app.command()(draw_board)
-app.command()(reconstruct)
-app.command()(measure)
-app.command()(report)
-app.command()(calibrate_metric)
-app.command()(calibrate_shaft)
-app.command()(scenes)
-app.command()(devices)
-app.command()(bench)
-app.command()(live)
+usual = (scan, calibrate, check, extract, draw_board, reconstruct, measure, report)
+others = (calibrate_metric, calibrate_shaft, scenes, devices, bench, live)
+for command in (*usual, *others):
+    app.command()(command)
 
 
 def main() -> None:

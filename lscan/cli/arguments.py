@@ -5,7 +5,6 @@ Heavy modules are imported where they are used, so that ``lscan --help`` stays q
 
 from __future__ import annotations
 
-import sys
 from contextlib import nullcontext
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,6 +13,7 @@ from typing import TYPE_CHECKING, Annotated
 import numpy as np
 import typer
 
+from lscan.cli.console import note
 from lscan.errors import InputError
 
 if TYPE_CHECKING:
@@ -71,9 +71,7 @@ def open_calibrated(
     rig = opened.rig_file.rig
     require_size(rig.camera, size, calibration, opened.path)
     if len(opened) < rig.plan.frames:
-        print(
-            f"lscan: note: {run} holds {len(opened)} of {rig.plan.frames} frames", file=sys.stderr
-        )
+        note(f"{run} holds {len(opened)} of {rig.plan.frames} frames")
     return opened, plane_map
 
 
@@ -150,7 +148,7 @@ def board_picture(
     if picture.is_dir():
         run = open_run(picture, trusted)
         rig = run.rig_file.rig
-        nominal = load_board(board) if board else require_board(run)
+        nominal = load_board(board) if board else require_board(run.rig_file)
         known = read_optics(optics) if optics else rig.optics
         return BoardSource(mean_picture(run), nominal, rig.calibration, known, run)
     if not picture.exists():
@@ -186,34 +184,24 @@ def read_optics(path: Path) -> OpticsSection:
     return check(OpticsSection, document["optics"], where=path, prefix="optics")
 
 
-@dataclass(frozen=True)
-class StripePicture:
-    """The picture of a line and how the line is to be found.
+def stripe_picture(
+    picture: Path, frame: int, trusted: bool
+) -> tuple[Bytes, Bytes | None, StripeSection]:
+    """The picture of a line, the same with the laser off, and how the line is to be found.
 
-    image: (H, W, 3) or (H, W) uint8.  background: the same with the laser off, None where the
-    run has none.
-    """
-
-    image: Bytes
-    background: Bytes | None
-    settings: StripeSection
-
-
-def stripe_picture(picture: Path, frame: int, trusted: bool = False) -> StripePicture:
-    """What a picture file or a frame of a run folder gives to find the line in.
-
-    trusted: as ``open_run``.
+    picture: file, or run folder of which ``frame`` is meant.  The first two are (H, W, 3) or
+    (H, W) uint8, the second None where there is none.  trusted: as ``open_run``.
     """
     from lscan.acquisition.run import open_run
     from lscan.config.rig import StripeSection
     from lscan.files.pictures import read_picture
 
     if not picture.is_dir():
-        return StripePicture(read_picture(picture), None, StripeSection())
+        return read_picture(picture), None, StripeSection()
     run = open_run(picture, trusted)
     if not 0 <= frame < len(run):
         raise InputError(
             "no such frame", where="--frame", value=frame, allowed=f"0 to {len(run) - 1}"
         )
     taken = run.frame(frame)
-    return StripePicture(taken.image, taken.background, run.rig_file.rig.stripe)
+    return taken.image, taken.background, run.rig_file.rig.stripe

@@ -23,6 +23,6 @@ def draw_board(
     write_atomically(output, board_svg(drawn).encode())
     left, right, bottom, top = drawn.outline_mm()
     if json:
-        print_json({"drawing": str(output), "width_mm": right - left, "height_mm": top - bottom})
+        print_json({"drawing": output, "width_mm": right - left, "height_mm": top - bottom})
     else:
         print(f"{output}: {right - left:g} by {top - bottom:g} mm; print it at 100 %")

@@ -109,7 +109,7 @@ def _calibration_json(path: Path, calibration: Calibration) -> dict[str, Any]:
 
     grid, plane_map = calibration.reading.grid, calibration.plane_map
     content: dict[str, Any] = {
-        "calibration": str(path),
+        "calibration": path,
         "map": calibration.name,
         "control_points": {"expected": len(grid.found), "found": int(grid.found.sum())},
         "residuals": {
@@ -120,7 +120,7 @@ def _calibration_json(path: Path, calibration: Calibration) -> dict[str, Any]:
     }
     if isinstance(plane_map, Auto):
         content["chosen"] = plane_map.chosen.name
-        content["scores"] = [asdict(score) for score in plane_map.scores]
+        content["scores"] = plane_map.scores
     return content
 
 

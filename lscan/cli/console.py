@@ -1,12 +1,10 @@
 """What the two command lines share: one clear line for an error, progress bars, JSON, tables."""
 
-import json
 import sys
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from typing import Any, NoReturn
+from typing import NoReturn
 
-import numpy as np
 import typer
 from rich import progress as rich_progress
 from rich.console import Console
@@ -14,6 +12,7 @@ from rich.table import Table
 
 from lscan.devices.signals import on_stop_signals
 from lscan.errors import LscanError, Stopped, missing_package
+from lscan.files.jsontext import json_text
 from lscan.records import Progress
 
 FAILED, BAD_INPUT = 1, 2
@@ -58,14 +57,18 @@ def run_command_line(app: typer.Typer, name: str) -> None:
         _leave(name, f"there is not enough memory{said}", FAILED)
     except ModuleNotFoundError as error:
         _leave(name, missing_package(error), BAD_INPUT)
+    except typer.Abort:
+        _leave(name, "aborted", BAD_INPUT)
     except Exception as error:
+        # Typer brings its own copy of click in some versions, so what click raises about a
+        # command line is known by a method that it has.
         if type(error).__name__ == "NoArgsIsHelpError":
             print(error)
             sys.exit(BAD_INPUT)
-        usage = _usage_message(error)
-        if usage is None:
+        format_message = getattr(error, "format_message", None)
+        if format_message is None:
             raise
-        _leave(name, usage, BAD_INPUT)
+        _leave(name, " ".join(format_message().split()), BAD_INPUT)
     if code == STOPPED:  # what typer makes of Ctrl-C
         _leave(name, "stopped", STOPPED)
     sys.exit(code if isinstance(code, int) else 0)
@@ -81,29 +84,22 @@ def keep_notes_when_stopped() -> Iterator[None]:
     try:
         yield
     except KeyboardInterrupt as stop:
-        notes = getattr(stop, "__notes__", ())
-        if not notes:
-            raise
-        stopped = Stopped("stopped")
-        for note in notes:
-            stopped.add_note(note)
-        raise stopped from stop
-
-
-def _usage_message(error: Exception) -> str | None:
-    """The message of a command-line mistake as one line; None for any other exception.
-
-    Typer brings its own copy of click in some versions, so the class is known by its method.
-    """
-    if type(error).__name__ == "Abort":
-        return "aborted"
-    format_message = getattr(error, "format_message", None)
-    return " ".join(format_message().split()) if callable(format_message) else None
+        raise Stopped("; ".join(["stopped", *getattr(stop, "__notes__", ())])) from stop
 
 
 def _leave(name: str, message: str, code: int) -> NoReturn:
     print(f"{name}: {message}", file=sys.stderr)
     sys.exit(code)
+
+
+def note(message: str) -> None:
+    """Print a remark about what a command does on stderr, since stdout may be for JSON.
+
+    Parameters
+    ----------
+    message : str, one line
+    """
+    print(f"lscan: note: {message}", file=sys.stderr)
 
 
 @contextmanager
@@ -130,18 +126,14 @@ def progress_bar(title: str) -> Iterator[Progress]:
         yield report
 
 
-def print_json(value: Any) -> None:
-    """Print ``value`` as JSON on stdout; paths as texts, what NumPy holds as numbers and lists.
+def print_json(value: object) -> None:
+    """Print a value as JSON on stdout.
 
     Parameters
     ----------
-    value : of JSON types, paths and NumPy's numbers and arrays; numbers finite
+    value : as of ``json_text``
     """
-    print(json.dumps(value, indent=2, allow_nan=False, default=_plain))
-
-
-def _plain(value: Any) -> Any:
-    return value.tolist() if isinstance(value, np.ndarray | np.generic) else str(value)
+    print(json_text(value))
 
 
 def print_table(title: str, headings: Sequence[str], rows: Sequence[Sequence[object]]) -> None:

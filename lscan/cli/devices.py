@@ -64,36 +64,31 @@ def devices(
 def _listing(rig_file: RigFile | None) -> dict[str, Any]:
     from lscan.devices.listing import drivers, rig_devices, serial_ports, video_devices
 
-    ports = serial_ports()
-    listing = {
-        "cameras": [asdict(device) for device in video_devices()],
-        "serial_ports": None if ports is None else [asdict(port) for port in ports],
-        "drivers": [asdict(driver) for driver in drivers()],
-    }
+    listing = {"cameras": video_devices(), "serial_ports": serial_ports(), "drivers": drivers()}
     return listing if rig_file is None else {**listing, "rig": rig_devices(rig_file)}
 
 
 def _print_listing(listing: dict[str, Any]) -> None:
-    cameras = [
-        [
-            device["device"],
-            device["state"],
-            _size(device["size_px"]),
-            device["pixel_format"] or "",
-            ", ".join(map(_size, device["sizes_px"])),
+    if listing["cameras"]:
+        rows = [
+            [
+                camera.device,
+                camera.state,
+                _size(camera.size_px),
+                camera.pixel_format or "",
+                ", ".join(map(_size, camera.sizes_px)),
+            ]
+            for camera in listing["cameras"]
         ]
-        for device in listing["cameras"]
-    ]
-    if cameras:
-        print_table("cameras", ["", "", "now", "format", "sizes"], cameras)
+        print_table("cameras", ["", "", "now", "format", "sizes"], rows)
     else:
         print("cameras: none found")
     ports = listing["serial_ports"]
     if ports:
-        print_table("serial ports", ["", ""], [[*port.values()] for port in ports])
+        print_table("serial ports", ["", ""], [[port.device, port.description] for port in ports])
     else:
         print("serial ports: " + ("none found" if ports == [] else "not listed, no pyserial here"))
-    rows = [[driver["name"], driver["kind"], driver["does"]] for driver in listing["drivers"]]
+    rows = [[driver.name, driver.kind, driver.does] for driver in listing["drivers"]]
     print_table("drivers", ["", "of a", ""], rows)
     for kind, facts in listing.get("rig", {}).items():
         _print_facts(f"the rig's {kind}", facts)
@@ -142,7 +137,7 @@ def _trial_json(camera: CameraTrial, track: TrackTrial) -> dict[str, Any]:
     content["settings"] = [{**asdict(each), "obeyed": each.obeyed} for each in camera.settings]
     if camera.transfer is not None:
         content["transfer"]["read_is_rounding"] = camera.transfer.read_is_rounding
-    return {"camera": content, "track": asdict(track)}
+    return {"camera": content, "track": track}
 
 
 def _print_track(trial: TrackTrial) -> None:
@@ -210,14 +205,10 @@ def _print_noise(transfer: PhotonTransfer) -> None:
 
 
 def _print_facts(title: str, facts: dict[str, Fact]) -> None:
-    """Facts one a line, in words."""
-    words = {True: "yes", False: "no", None: "unknown"}
-    rows = [
-        [name, words[fact] if fact is None or isinstance(fact, bool) else _short(fact)]
-        for name, fact in facts.items()
-    ]
-    print_table(title, ["", ""], rows)
+    print_table(title, ["", ""], [[name, _in_words(fact)] for name, fact in facts.items()])
 
 
-def _short(fact: str | float) -> str:
+def _in_words(fact: Fact) -> str:
+    if fact is None or isinstance(fact, bool):
+        return {True: "yes", False: "no", None: "unknown"}[fact]
     return fact if isinstance(fact, str) else f"{fact:.6g}"

@@ -1,17 +1,11 @@
 """The command ``lscan live``: a thin face over lscan.live."""
 
-from __future__ import annotations
-
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
 from lscan.cli.arguments import RigOrScene
-
-if TYPE_CHECKING:
-    from lscan.config.rigfile import RigFile
-    from lscan.live.boardpicture import LiveCalibration
 
 
 def live(
@@ -29,13 +23,19 @@ def live(
     ] = None,
 ) -> None:
     """Serve a page with the picture, the line, the profile and the buttons of a scan."""
+    from lscan.calibration.loading import load_plane_map
     from lscan.config.rigfile import load_rig
     from lscan.live.access import grant
+    from lscan.live.boardpicture import use_map
     from lscan.live.server import listen, make_server
     from lscan.live.session import Session
+    from lscan.pipeline import require_size
 
-    rig_file = load_rig(rig)
-    used = _calibration(calibration, rig, rig_file) if calibration else None
+    rig_file, used = load_rig(rig), None
+    if calibration is not None:
+        plane_map, size_px = load_plane_map(calibration)
+        require_size(rig_file.rig.camera, size_px, calibration, rig)
+        used = use_map(calibration, plane_map, rig_file)
     with listen(host, port) as listening:
         access = grant(host, listening.getsockname()[1], token)
         session = Session(rig_file, output, used)
@@ -49,14 +49,3 @@ def live(
             unfinished = session.close()
     if unfinished is not None:
         print(f"stopped; go on with: lscan scan {rig} -o {unfinished} --resume")
-
-
-def _calibration(path: Path, rig: Path, rig_file: RigFile) -> LiveCalibration:
-    """The calibration of a file; InputError where it is for pictures of another size."""
-    from lscan.calibration.loading import load_plane_map
-    from lscan.live.boardpicture import use_map
-    from lscan.pipeline import require_size
-
-    plane_map, size_px = load_plane_map(path)
-    require_size(rig_file.rig.camera, size_px, path, rig)
-    return use_map(path, plane_map, rig_file)

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import json as json_module
-import sys
 from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -19,7 +17,7 @@ from lscan.cli.arguments import (
     open_calibrated,
     require_folders,
 )
-from lscan.cli.console import print_json, print_table, progress_bar
+from lscan.cli.console import note, print_json, print_table, progress_bar
 
 if TYPE_CHECKING:
     from lscan.config.rig import Rig
@@ -55,33 +53,33 @@ def reconstruct(
         built = build(opened, plane_map, progress)
     surface, alignment = built.surface, built.alignment
     frames, columns = surface.status.shape
+    yaw_deg = alignment.yaw_deg if alignment else None
     found = int(has_value(surface.status).sum())
     if found == 0:
         raise MeasurementError(
             f"{run}: no laser line in any of its {frames} pictures, so {_NO_SURFACE}"
         )
     if found < LEAST_SHARE * surface.status.size:
-        print(
-            f"lscan: note: a line in {found} of {surface.status.size} columns alone; if the "
-            f"pictures show the board, {_NO_SURFACE}",
-            file=sys.stderr,
+        note(
+            f"a line in {found} of {surface.status.size} columns alone; if the pictures show the "
+            f"board, {_NO_SURFACE}"
         )
     _note_doubts(built, opened.rig_file.rig)
-    yaw_deg = alignment.yaw_deg if alignment else None
     save_surface(output, surface)
     if points:
         save_points(points, surface)
     if json:
-        summary = {
-            "surface": str(output),
-            "frame": surface.frame,
-            "profiles": frames,
-            "columns": columns,
-            "points": found,
-            "yaw_deg": yaw_deg,
-            "corrections": list(surface.corrections),
-        }
-        print_json(summary)
+        print_json(
+            {
+                "surface": output,
+                "frame": surface.frame,
+                "profiles": frames,
+                "columns": columns,
+                "points": found,
+                "yaw_deg": yaw_deg,
+                "corrections": surface.corrections,
+            }
+        )
     else:
         aligned = ", aligned" if surface.frame == "workpiece" else ""
         aligned += "" if yaw_deg is None else f", yaw {yaw_deg:.3f} deg"
@@ -100,7 +98,7 @@ def measure(
     json: Json = False,
 ) -> None:
     """Measure the run's board, grooved block or sandwave against its nominal shape."""
-    from lscan.files.disk import write_atomically
+    from lscan.files.jsontext import write_json
     from lscan.measurement import measure_run
 
     require_folders(output)
@@ -108,8 +106,7 @@ def measure(
     with progress_bar("measure") as progress:
         measures = measure_run(opened, plane_map, progress)
     if output:
-        text = json_module.dumps(measures.as_json(), indent=2, allow_nan=False) + "\n"
-        write_atomically(output, text.encode())
+        write_json(output, measures.as_json())
     if json:
         print_json(measures.as_json())
     else:
@@ -118,17 +115,14 @@ def measure(
 
 def _note_doubts(built: Reconstruction, rig: Rig) -> None:
     """Say on stderr that a sandwave was not found, and what was assumed of the sheet."""
-    notes = []
     if built.unaligned:
         # Too few frames show the block's edges, say: the surface itself is none the worse.
-        notes.append(f"not aligned, in the head's frame: {built.unaligned}")
+        note(f"not aligned, in the head's frame: {built.unaligned}")
     if built.alignment is None and rig.sheet is not None:
-        notes.append(
+        note(
             "the sheet's thickness is corrected for as if the sheet stood square to the track: "
             "without an alignment its yaw is not known"
         )
-    for note in notes:
-        print(f"lscan: note: {note}", file=sys.stderr)
 
 
 def _print_measures(measures: Measures) -> None:

@@ -34,39 +34,8 @@ def calibrate_metric(
     calibration = solve(found, file.document.optics, size, file.document.k3)
     save_metric(output, calibration)
     if json:
-        print_json({"calibration": str(output), **summary(calibration)})
-    else:
-        _print(calibration, output)
-
-
-def summary(calibration: MetricCalibration) -> dict[str, Any]:
-    """What a metric calibration found, in plain JSON types; None where there is no value."""
-    from lscan.camera.parameters import CAMERA
-
-    theta = calibration.plane_map.view.theta.tolist()
-    known = zip(CAMERA, theta, calibration.sigma.tolist(), strict=True)
-    return {
-        "map": "metric",
-        "rms_px": calibration.rms_px,
-        "line_rms_mm": calibration.line_rms_mm,
-        "camera": {name: {"value": value, "sigma": sigma} for name, value, sigma in known},
-        "views": [
-            {
-                "view": view.name,
-                "used": view.used,
-                "marks": view.marks_used,
-                "rms_px": _plain(view.rms_px),
-                "line_used": view.line_used,
-                "line_points": view.line_points_used,
-                "line_rms_mm": _plain(view.line_rms_mm),
-                "fault": view.reason,
-            }
-            for view in calibration.views
-        ],
-    }
-
-
-def _print(calibration: MetricCalibration, output: Path) -> None:
+        print_json({"calibration": output, **summary(calibration)})
+        return
     rows = [
         [
             view.name,
@@ -87,5 +56,28 @@ def _print(calibration: MetricCalibration, output: Path) -> None:
     )
 
 
-def _plain(value: float) -> float | None:
-    return None if value != value else value
+def summary(calibration: MetricCalibration) -> dict[str, Any]:
+    """What a metric calibration found, as ``print_json`` takes it."""
+    from lscan.camera.parameters import CAMERA
+
+    theta = calibration.plane_map.view.theta
+    known = zip(CAMERA, theta, calibration.sigma, strict=True)
+    return {
+        "map": "metric",
+        "rms_px": calibration.rms_px,
+        "line_rms_mm": calibration.line_rms_mm,
+        "camera": {name: {"value": value, "sigma": sigma} for name, value, sigma in known},
+        "views": [
+            {
+                "view": view.name,
+                "used": view.used,
+                "marks": view.marks_used,
+                "rms_px": view.rms_px,
+                "line_used": view.line_used,
+                "line_points": view.line_points_used,
+                "line_rms_mm": view.line_rms_mm,
+                "fault": view.reason,
+            }
+            for view in calibration.views
+        ],
+    }

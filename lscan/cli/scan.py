@@ -1,13 +1,12 @@
 """The command ``lscan scan``: a thin face over lscan.acquisition.scan."""
 
-import sys
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
 from lscan.cli.arguments import Json, RigOrScene
-from lscan.cli.console import keep_notes_when_stopped, print_json, progress_bar
+from lscan.cli.console import keep_notes_when_stopped, note, print_json, progress_bar
 
 
 def scan(
@@ -33,13 +32,12 @@ def scan(
         raise InputError("goes with --resume only", where="--position-restored")
     rig_file = load_rig(rig)
     if resume and holds_no_run(output):
-        what = f"there is nothing to resume in {output}; a new run is begun"
-        print(f"lscan: note: {what}", file=sys.stderr)
+        note(f"there is nothing to resume in {output}; a new run is begun")
     with keep_notes_when_stopped(), progress_bar("scan") as progress:
         run = acquire(
             rig_file, output, resume=resume, position_restored=position_restored, progress=progress
         )
     if json:
-        print_json({"run": str(run.path), "frames": len(run), "state": run.state})
+        print_json({"run": run.path, "frames": len(run), "state": run.state})
     else:
         print(f"{len(run)} {'frame' if len(run) == 1 else 'frames'} in {run.path}")

@@ -23,7 +23,7 @@ def scenes(
     if copy is not None:
         copy_scenes(copy)
     if json:
-        print_json({"scenes": names, "copied_to": None if copy is None else str(copy)})
+        print_json({"scenes": names, "copied_to": copy})
     elif copy is not None:
         print(f"{len(names)} scenes, rigs and boards in {copy}")
     else:

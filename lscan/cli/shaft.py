@@ -1,18 +1,13 @@
 """The command ``lscan calibrate-shaft``: a thin face over lscan.surface.shaftfit."""
 
-from __future__ import annotations
-
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated
 
 import numpy as np
 import typer
 
 from lscan.cli.arguments import CalibrationFile, Json, Trust, open_calibrated, require_folders
 from lscan.cli.console import print_json, print_table, progress_bar
-
-if TYPE_CHECKING:
-    from lscan.surface.shaftfit import ShaftFit
 
 IN_FILE = np.array([1.0, 1.0, 180 / np.pi, 180 / np.pi, 1.0])
 """From the fit's parameters to those of a file: radians to degrees."""
@@ -31,6 +26,7 @@ def calibrate_shaft(
 ) -> None:
     """Find a rotary axis from the scan of a workpiece whose shape is known."""
     from lscan.measurement import find_shaft
+    from lscan.surface.shaft import section_of
     from lscan.surface.shaftfile import save_shaft
 
     require_folders(output)
@@ -38,35 +34,25 @@ def calibrate_shaft(
     with progress_bar("profiles") as report:
         fit = find_shaft(opened, plane_map, report)
     save_shaft(output, fit)
-    if json:
-        print_json({"file": str(output), **summary(fit)})
-    else:
-        _print(fit, output)
-
-
-def summary(fit: ShaftFit) -> dict[str, Any]:
-    """What a fit found, in plain JSON types: mm and degrees, as in ``[shaft]``."""
-    from lscan.surface.shaft import section_of
-
-    columns = (part * IN_FILE for part in (fit.moved, fit.sigma, fit.prior_sigma))
-    rows = zip(NAMES, *columns, strict=True)
-    return {
-        "shaft": section_of(fit.shaft).model_dump(mode="json"),
-        "changes": {
-            name: {"change": change, "sigma": sigma, "sigma_before": before}
-            for name, change, sigma, before in rows
-        },
-        "points": fit.points,
-        "outliers": fit.outliers,
-        "cells": fit.cells,
-        "rms_mm": fit.rms_mm,
-    }
-
-
-def _print(fit: ShaftFit, output: Path) -> None:
-    rows = [[name, *entry.values()] for name, entry in summary(fit)["changes"].items()]
-    print_table("shaft", ["", "change", "sigma", "sigma before"], rows)
-    print(
-        f"{fit.points} points, {fit.outliers} left out, {fit.rms_mm:.3f} mm rms off the nominal "
-        f"shape; {output}"
+    columns = np.column_stack([fit.moved, fit.sigma, fit.prior_sigma]) * IN_FILE[:, None]
+    changes = dict(zip(NAMES, columns.tolist(), strict=True))
+    if not json:
+        rows = [[name, *numbers] for name, numbers in changes.items()]
+        print_table("shaft", ["", "change", "sigma", "sigma before"], rows)
+        print(
+            f"{fit.points} points, {fit.outliers} left out, {fit.rms_mm:.3f} mm rms off the "
+            f"nominal shape; {output}"
+        )
+        return
+    keys = ("change", "sigma", "sigma_before")
+    print_json(
+        {
+            "file": output,
+            "shaft": section_of(fit.shaft),
+            "changes": {name: dict(zip(keys, row, strict=True)) for name, row in changes.items()},
+            "points": fit.points,
+            "outliers": fit.outliers,
+            "cells": fit.cells,
+            "rms_mm": fit.rms_mm,
+        }
     )

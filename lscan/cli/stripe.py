@@ -41,11 +41,11 @@ def extract(
     from lscan.config.documents import check
     from lscan.config.rig import StripeSection
     from lscan.files.pictures import read_picture, write_picture
-    from lscan.records import Status, has_value
+    from lscan.records import has_value, status_counts
     from lscan.stripe import draw_stripe, extract_stripe, save_stripe
 
     require_folders(output, overlay)
-    shown = stripe_picture(picture, frame, trust)
+    image, dark, usual = stripe_picture(picture, frame, trust)
     given = {
         "axis": axis,
         "extractor": extractor,
@@ -54,16 +54,13 @@ def extract(
         "span_px": span,
     }
     changes = {key: value for key, value in given.items() if value is not None}
-    document = {**shown.settings.model_dump(), **changes}
-    settings = check(StripeSection, document, where="command line")
-    dark = read_picture(background) if background else shown.background
-    stripe = extract_stripe(shown.image, settings, dark)
+    settings = check(StripeSection, {**usual.model_dump(), **changes}, where="command line")
+    stripe = extract_stripe(image, settings, read_picture(background) if background else dark)
     if overlay:
-        write_picture(overlay, draw_stripe(shown.image, stripe))
+        write_picture(overlay, draw_stripe(image, stripe))
     if output:
         save_stripe(output, stripe)
-    counts = {status.name: int((stripe.status == status).sum()) for status in Status}
-    counts = {name: count for name, count in counts.items() if count}
+    counts = status_counts(stripe.status)
     found = int(has_value(stripe.status).sum())
     if json:
         print_json({settings.axis: len(stripe.status), "found": found, "status": counts})

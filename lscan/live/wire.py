@@ -17,7 +17,7 @@ from lscan.files.pictures import encoded
 from lscan.live.analysis import Figures, StripeFigures
 from lscan.live.boardview import BoardFigures
 from lscan.live.maptable import LiveProfile
-from lscan.records import Bytes, Floats, Status, has_value
+from lscan.records import Bytes, Floats, Status, has_value, status_counts
 
 JPEG_QUALITY = 80
 
@@ -45,18 +45,17 @@ def figures_json(figures: Figures) -> dict[str, Any]:
 
 def _stripe_json(line: StripeFigures) -> dict[str, Any]:
     status = line.stripe.status
-    counts = {code.name: int((status == code).sum()) for code in Status}
     return {
         "axis": line.stripe.axis,
         "centre_px": _rounded(line.stripe.centre_px, 2),
         "found": int(has_value(status).sum()),
         "of": len(status),
-        "clipped": counts["SATURATED"],
+        "clipped": int((status == Status.SATURATED).sum()),
         "clipped_at": np.flatnonzero(status == Status.SATURATED).tolist(),
         "width_px": _rounded(line.width_px, 2),
         "snr": _rounded(line.snr, 1),
         "slope": _rounded(line.slope, 5),
-        "status": {name: count for name, count in counts.items() if count},
+        "status": status_counts(status),
     }
 
 
