@@ -9,7 +9,7 @@ the browser states that it comes from this very page: to SameSite, another port 
 import re
 import secrets
 import socket
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
 from ipaddress import ip_address
@@ -23,23 +23,6 @@ EVERYWHERE = {"0.0.0.0": (socket.AF_INET,), "::": (socket.AF_INET, socket.AF_INE
 """The hosts that mean all addresses of this machine, with the families served then."""
 ELSEWHERE = {socket.AF_INET: "192.0.2.1", socket.AF_INET6: "2001:db8::1"}
 """Addresses of nobody, kept for documentation (RFC 5737, RFC 3849): on no network of ours."""
-
-
-@dataclass(frozen=True)
-class Asked:
-    """What a request says of where it comes from.
-
-    host, origin, cookie, fetch_site: its headers Host, Origin, Cookie and Sec-Fetch-Site, None
-    where there is none.  query_token: from the address of the page itself, None everywhere
-    else.  commands: whether it would change anything.
-    """
-
-    host: str
-    origin: str | None = None
-    cookie: str = ""
-    query_token: str | None = None
-    fetch_site: str | None = None
-    commands: bool = False
 
 
 @dataclass(frozen=True)
@@ -68,21 +51,28 @@ class Access:
         query = f"/?token={self.token}" if self.token else "/"
         return tuple(f"http://{_bracketed(name)}:{self.port}{query}" for name in names)
 
-    def refusal(self, request: Asked) -> str | None:
-        """Why a request is refused, a plain sentence; None where it is not."""
-        host, origin = request.host, request.origin
+    def refusal(
+        self, headers: Mapping[str, str], query_token: str | None = None, commands: bool = False
+    ) -> str | None:
+        """Why a request is refused, a plain sentence; None where it is not.
+
+        headers: of the request, by their names in lower case.  query_token: from the address of
+        the page itself, None everywhere else.  commands: whether it would change anything.
+        """
+        host, origin = headers.get("host", ""), headers.get("origin")
         if not self._serves(host):
             return f"This page is not served under the name {host[:80]!r}."
         if origin is not None and origin != f"http://{host}":
             return "Requests from pages of other sites are refused."
-        if request.commands and origin is None and request.fetch_site != "same-origin":
+        if commands and origin is None and headers.get("sec-fetch-site") != "same-origin":
             return "Commands are taken from this page alone: the request names no Origin."
         if self.token is None:
             return None
-        given = [request.query_token]
-        if request.query_token is None:
-            given = self._from_cookies(request.cookie)
-        if not any(map(self._is_token, given)):
+        cookies = headers.get("cookie", "").split(";")
+        pairs = (cookie.strip().partition("=") for cookie in cookies)
+        # All cookies of our name: other programs of this host set theirs too.
+        named = [value for name, _, value in pairs if name == self.cookie]
+        if not any(map(self._is_token, named if query_token is None else [query_token])):
             return "A token is needed: open the whole address that lscan live printed."
         return None
 
@@ -100,14 +90,8 @@ class Access:
             return _is_address(name) or name in (*LOOPBACK, socket.gethostname().lower())
         return name == self.host.lower()
 
-    def _is_token(self, given: str | None) -> bool:
-        wanted = self.token or ""
-        return given is not None and secrets.compare_digest(given.encode(), wanted.encode())
-
-    def _from_cookies(self, header: str) -> list[str | None]:
-        """The values of all cookies of our name: other programs of this host set theirs too."""
-        pieces = (piece.strip().partition("=") for piece in header.split(";"))
-        return [value for name, _, value in pieces if name == self.cookie]
+    def _is_token(self, given: str) -> bool:
+        return secrets.compare_digest(given.encode(), (self.token or "").encode())
 
 
 def grant(host: str, port: int, token: str | None) -> Access:

@@ -11,13 +11,13 @@ from lscan.acquisition.writer import RunWriter, create_run
 from lscan.board import read_board
 from lscan.calibration.api import PlaneMap
 from lscan.calibration.solve import calibrate, save_calibration
-from lscan.config.board import Board
 from lscan.config.rig import Plan
 from lscan.config.rigfile import RigFile, parse_rig
 from lscan.devices.api import Limited, Track
-from lscan.errors import DeviceError, InputError
+from lscan.errors import DeviceError
 from lscan.live.devices import LiveDevices
 from lscan.live.maptable import MapTable, tabulate
+from lscan.pipeline import require_board
 
 
 @dataclass(frozen=True)
@@ -55,13 +55,6 @@ def use_map(path: Path, plane_map: PlaneMap, rig_file: RigFile) -> LiveCalibrati
     return LiveCalibration(path, plane_map, tabulate(plane_map, rig_file.rig.camera.size_px))
 
 
-def board_of(rig_file: RigFile) -> Board:
-    """The board of a rig; InputError where it has none."""
-    if rig_file.rig.board is None:
-        raise InputError("has no section [board]", where=rig_file.source)
-    return rig_file.rig.board
-
-
 def take_board(
     rig_file: RigFile, devices: LiveDevices, folder: Path
 ) -> tuple[LiveCalibration, str]:
@@ -72,7 +65,7 @@ def take_board(
     the calibration into ``folder.json``; ``lscan calibrate folder`` gives the same.
     Raises DeviceError (no folder is left), BoardNotFound (the picture is kept), InputError.
     """
-    rig, board = rig_file.rig, board_of(rig_file)
+    rig, board = rig_file.rig, require_board(rig_file)
     devices.ready()
     place_mm = _place_mm(devices.track, rig.plan)
     with (

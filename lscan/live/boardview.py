@@ -57,12 +57,21 @@ def read_live_board(
     if not board.grid.whole:
         expected = len(reading.grid.status)
     marks = reading.grid.image_px[reading.grid.found]
+    offset, message = None, UNCALIBRATED
+    mm = px = np.zeros((0, 2))
     if plane_map is None:
-        mm, px, message = _against_own_map(reading, rig)
-        offset = None
+        try:
+            solved = calibrate(reading, rig.calibration.plane_map, rig.optics)
+            mm, px = solved.residuals_mm, solved.residuals_px
+        except LscanError as error:
+            message = str(error)
     else:
         offset, message = _offset(reading, plane_map, rig.sheet)
-        mm, px = _against_map(reading, plane_map, offset)
+        if offset is None:
+            mm, px = residuals(plane_map, reading)
+        else:
+            mm = offset.residual_mm
+            px = in_picture(plane_map, reading.grid.image_px, mm)
     return BoardFigures(
         found=len(marks),
         expected=expected,
@@ -73,24 +82,6 @@ def read_live_board(
         offset=offset,
         offset_message=message,
     )
-
-
-def _against_own_map(reading: BoardReading, rig: Rig) -> tuple[Floats, Floats, str]:
-    nothing = np.zeros((0, 2))
-    try:
-        solved = calibrate(reading, rig.calibration.plane_map, rig.optics)
-    except LscanError as error:
-        return nothing, nothing, f"{error}"
-    return solved.residuals_mm, solved.residuals_px, UNCALIBRATED
-
-
-def _against_map(
-    reading: BoardReading, plane_map: PlaneMap, offset: OffSheet | None
-) -> tuple[Floats, Floats]:
-    if offset is None:
-        return residuals(plane_map, reading)
-    mm = offset.residual_mm
-    return mm, in_picture(plane_map, reading.grid.image_px, mm)
 
 
 def _offset(

@@ -4,7 +4,7 @@ from starlette.requests import Request
 from starlette.responses import PlainTextResponse, RedirectResponse
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-from lscan.live.access import Access, Asked
+from lscan.live.access import Access
 
 HEADERS = {
     "Content-Security-Policy": (
@@ -34,16 +34,17 @@ class Door:
             await self._inner(scope, receive, send)
             return
         request = Request(scope)
-        token = request.query_params.get("token") if request.url.path == "/" else None
-        headers, asked = dict(HEADERS), _asked(request, token)
-        refusal = self._access.refusal(asked)
+        headers, at_page = dict(HEADERS), request.url.path == "/"
+        token = request.query_params.get("token") if at_page else None
+        commands = request.method not in ("GET", "HEAD")
+        refusal = self._access.refusal(request.headers, token, commands)
         inner = self._inner if refusal is None else PlainTextResponse(refusal, 403)
         if refusal is None and self._access.token and token is not None:
             inner = RedirectResponse("/", 303)
             headers["Set-Cookie"] = (
                 f"{self._access.cookie}={self._access.token}; HttpOnly; SameSite=Strict; Path=/"
             )
-        elif refusal and request.url.path == "/" and asked.fetch_site == "cross-site":
+        elif refusal and at_page and request.headers.get("sec-fetch-site") == "cross-site":
             # A browser that followed a link from elsewhere sends no cookie with its first request
             # (SameSite); with the one that this answer makes it send, it does.
             headers["Refresh"] = "0"
@@ -55,14 +56,3 @@ class Door:
             await send(message)
 
         await inner(scope, receive, send_safely)
-
-
-def _asked(request: Request, token: str | None) -> Asked:
-    return Asked(
-        host=request.headers.get("host", ""),
-        origin=request.headers.get("origin"),
-        cookie=request.headers.get("cookie", ""),
-        query_token=token,
-        fetch_site=request.headers.get("sec-fetch-site"),
-        commands=request.method not in ("GET", "HEAD"),
-    )

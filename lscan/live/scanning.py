@@ -131,7 +131,9 @@ class Scanning:
     def _run(self, writer: RunWriter) -> None:
         try:
             with writer, self._devices.for_scan() as (camera, track):
-                run = acquire_into(writer, camera, track, self._count, self._go_on)
+                run = acquire_into(
+                    writer, camera, track, self._count, lambda: self._state == "scanning"
+                )
         except Exception as error:
             kept = f"{writer.written} of {writer.planned} {KEPT}"
             self._by_device = isinstance(error, DeviceError)
@@ -145,9 +147,6 @@ class Scanning:
     def _count(self, done: int, planned: int) -> None:
         with self._lock:
             self._done = done
-
-    def _go_on(self) -> bool:
-        return self._state == "scanning"
 
     def _end(self, state: State, message: str) -> None:
         with self._lock:

@@ -11,7 +11,7 @@ from typing import Any, Literal
 from lscan.config.rigfile import RigFile
 from lscan.devices.api import Grab
 from lscan.live.analysis import Figures, measure_line, measure_picture
-from lscan.live.boardpicture import LiveCalibration, board_of, take_board
+from lscan.live.boardpicture import LiveCalibration, take_board
 from lscan.live.boardview import BoardFigures, read_live_board
 from lscan.live.devices import LiveDevices
 from lscan.live.errors import NotNow, one_line
@@ -19,6 +19,7 @@ from lscan.live.focus import BestFocus
 from lscan.live.newest import Newest
 from lscan.live.scanning import Scanning, next_name
 from lscan.live.wire import board_json, figures_json, jpeg_of, packed
+from lscan.pipeline import require_board
 
 Mode = Literal["stripe", "board"]
 Phase = Literal["alignment", "calibrated", "scan"]
@@ -122,7 +123,7 @@ class Session:
             The rig has no board.
         """
         if mode == "board":
-            board_of(self._rig_file)
+            require_board(self._rig_file)
         self._mode, self._board_read = mode, None
         self._focus.forget()
         if self._task_failed:  # it says nothing of the other mode
@@ -131,7 +132,7 @@ class Session:
     def take_board(self) -> None:
         """Begin the board picture; NotNow while a scan or another command goes on."""
         with self._exclusive():
-            board_of(self._rig_file)
+            require_board(self._rig_file)
             folder = self._output / next_name(self._output, "board")
             self._task, self._task_message = "board picture", f"taking it into {folder}"
             self._task_failed = False
@@ -302,6 +303,7 @@ class Session:
     def state(self) -> dict[str, Any]:
         """The state of all as the page shows it, in JSON types."""
         rig, devices, calibration = self._rig_file.rig, self._devices, self._calibration
+        shown_s = self._shown_s
         return {
             "rig": rig.name,
             "source": self._rig_file.source,
@@ -310,7 +312,7 @@ class Session:
                 "size_px": list(rig.camera.size_px),
                 "error": devices.camera_error or self._fault,
                 "gone": bool(devices.camera_error),
-                "seen_s_ago": self._seen_s_ago(),
+                "seen_s_ago": None if shown_s is None else round(time.monotonic() - shown_s, 1),
             },
             "track": {
                 "driver": rig.track.driver,
@@ -326,7 +328,3 @@ class Session:
             "scan": self.scanning.state(),
             "task": {"name": self._task, "message": self._task_message},
         }
-
-    def _seen_s_ago(self) -> float | None:
-        """Seconds since the camera gave its last picture; None where it gave none yet."""
-        return None if self._shown_s is None else round(time.monotonic() - self._shown_s, 1)
