@@ -13,6 +13,7 @@ from lscan.calibration.api import PlaneMap
 from lscan.calibration.solve import Calibration, calibrate
 from lscan.config.board import Board
 from lscan.config.rig import CameraSection, Rig
+from lscan.config.rigfile import RigFile
 from lscan.config.targets import Sandwave
 from lscan.errors import BoardNotFound, InputError, MeasurementError
 from lscan.records import Bytes, Floats, Profile, Progress, Surface
@@ -77,7 +78,8 @@ def calibrate_run(run: Run, plane_map: str | None = None) -> Calibration:
     """
     rig = run.rig_file.rig
     with board_expected(run):
-        reading = read_board(mean_picture(run), require_board(run), channel=rig.calibration.channel)
+        board = require_board(run.rig_file)
+        reading = read_board(mean_picture(run), board, channel=rig.calibration.channel)
     return calibrate(reading, plane_map or rig.calibration.plane_map, rig.optics)
 
 
@@ -261,22 +263,21 @@ def mean_picture(run: Run) -> Bytes:
     return np.rint(total / len(run)).astype(np.uint8)
 
 
-def require_board(run: Run) -> Board:
-    """The board of the run's rig.
+def require_board(rig_file: RigFile) -> Board:
+    """The board of a rig.
 
     Parameters
     ----------
-    run : Run, of a rig that names its ``[board]``
+    rig_file : RigFile, of a rig that names its ``[board]``
 
     Raises
     ------
     InputError
         Where the rig file has no section ``[board]``.
     """
-    board = run.rig_file.rig.board
-    if board is None:
-        raise InputError("the rig file has no section [board]", where=run.path)
-    return board
+    if rig_file.rig.board is None:
+        raise InputError("has no section [board]", where=rig_file.source)
+    return rig_file.rig.board
 
 
 @contextmanager

@@ -24,7 +24,7 @@ from typing import Literal
 
 import cv2
 import numpy as np
-from pydantic import FiniteFloat, TypeAdapter
+from pydantic import Field, FiniteFloat, TypeAdapter
 
 from lscan.config.documents import Document, Strict, check, read_json
 from lscan.config.plugins import installed, names_code
@@ -59,13 +59,11 @@ class Manifest(Strict):
     software: list[Versions]
     plan: Plan
     rig: Document
-    track_zero: str | None = None
+    track_zero: str | None = Field(default=None, exclude_if=lambda zero: zero is None)
 
     def as_text(self) -> str:
         """The file's text: JSON with, as its last key, the SHA-256 of its meaning."""
         content = self.model_dump(mode="json")
-        if self.track_zero is None:
-            del content["track_zero"]
         content["sha256"] = _digest(content)
         return json.dumps(content, indent=2, ensure_ascii=False, allow_nan=False) + "\n"
 

@@ -33,14 +33,12 @@ def require_same_rig(begun: RigFile, now: RigFile, where: Path) -> None:
     """
     was, is_now = _without_connection(begun), _without_connection(now)
     key = first_difference(was, is_now)
-    if key is None:
-        return
-    raise InputError(
-        f"cannot go on: the run was begun {_in_words(key, was)}, this rig comes "
-        f"{_in_words(key, is_now)}; "
-        f"restore it in {now.source}, or begin a new scan",
-        where=where,
-    )
+    if key is not None:
+        raise InputError(
+            f"cannot go on: the run was begun {_in_words(key, was)}, this rig comes "
+            f"{_in_words(key, is_now)}; restore it in {now.source}, or begin a new scan",
+            where=where,
+        )
 
 
 def first_difference(one: Any, other: Any) -> str | None:
@@ -76,17 +74,12 @@ def _without_connection(rig_file: RigFile) -> Document:
     """The rig's document less what only says how its devices are reached."""
     kept = dict(rig_file.document)
     for name, group in _GROUPS.items():
-        section = {key: value for key, value in kept[name].items() if key != "options"}
-        connection = _connection_options(group, section["driver"])
-        options = kept[name].get("options", {})
+        section = dict(kept[name])
+        options = section.pop("options", {})
+        connection: frozenset[str] = frozenset()
+        if section["driver"] in installed(group):  # and names none where it has none
+            driver = find_plugin(group, section["driver"])
+            connection = getattr(driver, "connection_options", connection)
         lasting = {key: value for key, value in options.items() if key not in connection}
         kept[name] = {**section, "options": lasting} if lasting else section
     return kept
-
-
-def _connection_options(group: str, driver: str) -> frozenset[str]:
-    """Those the driver names; none where it names none or is not installed."""
-    if driver not in installed(group):
-        return frozenset()
-    named: frozenset[str] = getattr(find_plugin(group, driver), "connection_options", frozenset())
-    return named

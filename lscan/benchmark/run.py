@@ -2,7 +2,6 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from importlib.metadata import entry_points
 from pathlib import Path
 from typing import Any
 
@@ -10,6 +9,7 @@ from lscan.benchmark.extractors import ExtractorRow, bench_extractors, cases
 from lscan.benchmark.maps import MapRow, bench_maps, board_cases
 from lscan.benchmark.page import write_bench
 from lscan.calibration.api import find_solver
+from lscan.config.plugins import installed
 from lscan.errors import InputError
 from lscan.files.disk import make_folder
 from lscan.records import Progress
@@ -46,7 +46,7 @@ class Benchmark:
 
 def registered_extractors() -> tuple[str, ...]:
     """The names of all extractors installed, in alphabetical order."""
-    return tuple(sorted(entry.name for entry in entry_points(group="lscan.extractors")))
+    return tuple(installed("lscan.extractors"))
 
 
 def run_bench(

@@ -103,22 +103,23 @@ def _member(annotation: Any, key: str | int) -> Any:
 
 def _tagged(annotation: Any, tag: str | int) -> Any:
     """The model, of several, whose ``kind`` is ``tag``; None where there is none."""
-    for kind in kinds(annotation):
-        if kind.is_table and tag in _tags(kind.type):
-            return kind.type
-    return None
+    return next((model for model in _models(annotation) if tag in _tags(model)), None)
+
+
+def _models(annotation: Any) -> list[Any]:
+    """The models and dataclasses among the kinds of value that an annotation allows."""
+    return [kind.type for kind in kinds(annotation) if kind.is_table]
 
 
 def _tags(model: Any) -> list[Any]:
     """The values of the key ``kind`` by which a model is known."""
-    found = [get_args(kind.type) for kind in kinds(fields(model).get("kind", NoneType))]
-    return [value for values in found for value in values]
+    allowed = kinds(fields(model).get("kind", NoneType))
+    return [value for kind in allowed for value in get_args(kind.type)]
 
 
 def in_words(annotation: Any) -> str:
     """What an annotation allows, such as "a number of 0 to 100", or ""; each kind once."""
-    models = [kind.type for kind in kinds(annotation) if kind.is_table]
-    if len(models) > 1:
+    if len(_models(annotation)) > 1:
         return f"a table with kind = {tags_in_words(annotation)}"
     said = [kind.words or _in_words(kind) for kind in kinds(annotation)]
     return ", or ".join(dict.fromkeys(words for words in said if words))
@@ -126,14 +127,13 @@ def in_words(annotation: Any) -> str:
 
 def names(annotation: Any) -> list[str]:
     """The keys of a table; none of what is no table of one kind."""
-    models = [kind.type for kind in kinds(annotation) if kind.is_table]
+    models = _models(annotation)
     return list(fields(models[0])) if len(models) == 1 else []
 
 
 def tags_in_words(annotation: Any) -> str:
     """The values that the key ``kind`` of a table may have."""
-    models = [kind.type for kind in kinds(annotation) if kind.is_table]
-    return _one_of([tag for model in models for tag in _tags(model)])
+    return _one_of([tag for model in _models(annotation) for tag in _tags(model)])
 
 
 def _in_words(kind: Kind) -> str:

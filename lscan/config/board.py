@@ -15,7 +15,6 @@ from scipy.spatial import cKDTree
 from lscan.config.documents import Strict, check, read_document
 from lscan.records import Floats
 
-Length = Annotated[float, Field(gt=0)]
 MOST_MARKS = 10_000  # on one ruler
 
 
@@ -55,8 +54,8 @@ class Ruler(Strict):
     at_mm: float
     first_mm: float
     last_mm: float
-    step_mm: Length = 10.0
-    mark_diameter_mm: Length = 2.0
+    step_mm: PositiveFloat = 10.0
+    mark_diameter_mm: PositiveFloat = 2.0
 
     @model_validator(mode="after")
     def _marks_apart(self) -> Self:
@@ -84,7 +83,7 @@ class Dot(Strict):
     name: str
     x_mm: float
     z_mm: float
-    diameter_mm: Length = 3.0
+    diameter_mm: PositiveFloat = 3.0
 
 
 class Ring(Strict):
@@ -93,8 +92,8 @@ class Ring(Strict):
     name: str
     x_mm: float
     z_mm: float
-    diameter_mm: Length
-    width_mm: Length = 0.8
+    diameter_mm: PositiveFloat
+    width_mm: PositiveFloat = 0.8
 
     @model_validator(mode="after")
     def _has_a_hole(self) -> Self:
@@ -106,8 +105,8 @@ class Ring(Strict):
 class Plate(Strict):
     """The plate's outline: how far it reaches beyond the grid, and how thick it is."""
 
-    margin_mm: Length = 30.0
-    thickness_mm: Length = 8.0
+    margin_mm: PositiveFloat = 30.0
+    thickness_mm: PositiveFloat = 8.0
 
 
 class Board(Strict):
@@ -143,7 +142,8 @@ class Board(Strict):
     @model_validator(mode="after")
     def _marks_apart(self) -> Self:
         discs = self.discs_mm()
-        for (x, z, d), (other_x, other_z, other_d) in _near_pairs(discs):
+        near = cKDTree(discs[:, :2]).query_pairs(discs[:, 2].max())  # by the largest diameter
+        for (x, z, d), (other_x, other_z, other_d) in (discs[[*pair]] for pair in sorted(near)):
             if np.hypot(x - other_x, z - other_z) < (d + other_d) / 2:
                 raise ValueError(
                     f"marks overlap at ({x:g}, {z:g}) and ({other_x:g}, {other_z:g}) mm"
@@ -175,10 +175,7 @@ class Board(Strict):
         KeyError
             There is no such dot.
         """
-        for dot in self.dot:
-            if dot.name == name:
-                return np.array([dot.x_mm, dot.z_mm])
-        raise KeyError(name)
+        return np.array({dot.name: (dot.x_mm, dot.z_mm) for dot in self.dot}[name])
 
     def distance_mm(self, first: str, second: str) -> float:
         """Nominal distance between two named dots, mm.
@@ -195,12 +192,6 @@ class Board(Strict):
         width = (grid.columns - 1) * grid.pitch_mm
         height = (grid.rows - 1) * grid.pitch_mm
         return -margin, width + margin, -height - margin, margin
-
-
-def _near_pairs(discs: Floats) -> list[tuple[Floats, Floats]]:
-    """Pairs of discs whose centres are nearer than the largest diameter."""
-    pairs = cKDTree(discs[:, :2]).query_pairs(discs[:, 2].max())
-    return [(discs[i], discs[j]) for i, j in sorted(pairs)]
 
 
 def load_board(path: Path) -> Board:

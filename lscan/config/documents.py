@@ -119,7 +119,7 @@ def _texts(document: Document, key: str, source: Path) -> list[str]:
     """What ``include`` or ``exclude`` names, taken out of the document of the file ``source``."""
     value = document.pop(key, [])
     texts = [value] if isinstance(value, str) else value
-    if not isinstance(texts, list) or not all(map(_may_be_path, texts)):
+    if not isinstance(texts, list) or not all(isinstance(text, str) and text for text in texts):
         what = "a path" if key == "include" else "a dotted key"
         raise InputError(f"bad {key}", where=source, value=value, allowed=f"{what} or a list")
     return texts
@@ -210,14 +210,10 @@ def _anchor_paths(table: Document, source: Path, within: str = "") -> None:
         if isinstance(value, dict):
             _anchor_paths(value, source, f"{within}{key}.")
         elif isinstance(value, str) and (key == "file" or key.endswith("_file")):
-            if not _may_be_path(value):
+            if value == "":
                 what = f"{within}{key}: must be a text that is a path"
                 raise InputError(what, where=source, value=value)
             table[key] = os.path.realpath(source.parent / value)
-
-
-def _may_be_path(value: Any) -> bool:
-    return isinstance(value, str) and value != ""
 
 
 def merge(base: Document, over: Document) -> Document:
@@ -242,16 +238,12 @@ def merge(base: Document, over: Document) -> Document:
         if (
             isinstance(value, dict)
             and isinstance(beneath, dict)
-            and not _other_kind(beneath, value)
+            and value.get("kind", beneath.get("kind")) == beneath.get("kind")
         ):
             result[key] = merge(beneath, value)
         else:
             result[key] = value
     return result
-
-
-def _other_kind(base: Document, over: Document) -> bool:
-    return "kind" in over and over["kind"] != base.get("kind")
 
 
 def check(model: type[Model], document: Document, where: object, prefix: str = "") -> Model:

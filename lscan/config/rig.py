@@ -4,10 +4,10 @@ from math import cos, hypot, pi, radians
 from typing import Annotated, Any, Literal, Self
 
 import numpy as np
-from pydantic import Field, SerializerFunctionWrapHandler, model_serializer, model_validator
+from pydantic import Field, model_validator
 
 from lscan.config.board import Board
-from lscan.config.documents import Document, Strict
+from lscan.config.documents import Strict
 from lscan.config.targets import Workpiece
 
 Channel = Literal["red", "green", "blue", "grey"]
@@ -49,7 +49,10 @@ class Plan(Strict):
     start_mm: float = 0.0
     step_mm: float = 0.5
     frames: Annotated[int, Field(ge=1, le=1_000_000)] = 1
-    laser: Literal["untouched", "on", "pairs"] = "untouched"
+    # Run folders are as they were without the key where the laser is left untouched.
+    laser: Literal["untouched", "on", "pairs"] = Field(
+        default="untouched", exclude_if=lambda laser: laser == "untouched"
+    )
 
     @property
     def paired(self) -> bool:
@@ -59,14 +62,6 @@ class Plan(Strict):
     def positions_mm(self) -> list[float]:
         """Commanded track position of each frame, mm."""
         return [self.start_mm + index * self.step_mm for index in range(self.frames)]
-
-    @model_serializer(mode="wrap")
-    def _as_before(self, plain: SerializerFunctionWrapHandler) -> Document:
-        """Without a laser left untouched, so that run folders are as they were without the key."""
-        document: Document = plain(self)
-        if self.laser == "untouched":
-            document.pop("laser", None)
-        return document
 
 
 class NoiseSection(Strict):

@@ -6,20 +6,18 @@ Each piece has its own workpiece frame, in mm, z up; a scene places it in the ta
 from typing import Annotated, Literal
 
 import numpy as np
-from pydantic import Field
+from pydantic import Field, PositiveFloat
 
 from lscan.config.documents import Strict
 from lscan.records import Floats
-
-Length = Annotated[float, Field(gt=0)]
 
 
 class Groove(Strict):
     """A groove along y cut from the top: ``ridge_mm`` of top to its left, then the groove."""
 
-    ridge_mm: Length
-    width_mm: Length
-    depth_mm: Length
+    ridge_mm: PositiveFloat
+    width_mm: PositiveFloat
+    depth_mm: PositiveFloat
 
 
 class GroovedBlock(Strict):
@@ -34,14 +32,14 @@ class GroovedBlock(Strict):
     """
 
     kind: Literal["grooved-block"] = "grooved-block"
-    height_mm: Length = 80.06
-    length_mm: Length = 120.0
+    height_mm: PositiveFloat = 80.06
+    length_mm: PositiveFloat = 120.0
     grooves: tuple[Groove, Groove, Groove] = (
         Groove(ridge_mm=33.92, width_mm=19.96, depth_mm=20.04),
         Groove(ridge_mm=35.56, width_mm=29.96, depth_mm=40.02),
         Groove(ridge_mm=35.56, width_mm=29.96, depth_mm=60.00),
     )
-    last_ridge_mm: Length = 30.0
+    last_ridge_mm: PositiveFloat = 30.0
 
     def edges_mm(self) -> Floats:
         """(8,) x of the top's edges, left to right: block, three grooves' pairs, block."""
@@ -84,9 +82,9 @@ class Wedge(Strict):
     or W_R, points inwards at mid-length.  height_mm is the top's height above z = 0.
     """
 
-    base_mm: Length = 60.0
-    reach_mm: Length = 26.0
-    height_mm: Length = 10.0
+    base_mm: PositiveFloat = 60.0
+    reach_mm: PositiveFloat = 26.0
+    height_mm: PositiveFloat = 10.0
 
 
 class Sandwave(Strict):
@@ -98,14 +96,14 @@ class Sandwave(Strict):
     """
 
     kind: Literal["sandwave"] = "sandwave"
-    a_mm: Length = 1.5
+    a_mm: PositiveFloat = 1.5
     b: Annotated[float, Field(ge=0)] = 0.043
-    c_per_mm: Length = 0.167
+    c_per_mm: PositiveFloat = 0.167
     d_rad: float = 2.0
     e_per_mm: float = 0.042
-    side_mm: Length = 150.0
-    rim_mm: Length = 30.0
-    body_mm: Length = 32.0
+    side_mm: PositiveFloat = 150.0
+    rim_mm: PositiveFloat = 30.0
+    body_mm: PositiveFloat = 32.0
     wedge: Wedge = Wedge()
 
     def height_mm(self, x_mm: Floats, y_mm: Floats) -> Floats:

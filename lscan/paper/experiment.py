@@ -208,7 +208,7 @@ def measure_board(run: Run, methods: Sequence[str] = METHODS) -> BoardResult:
     Sec. IV.A and Tables I and II of the paper.
     """
     rig = run.rig_file.rig
-    board = require_board(run)
+    board = require_board(run.rig_file)
     image = mean_picture(run)
     reading = read_board(image, board, channel=rig.calibration.channel)
     calibrations = {name: calibrate(reading, name, rig.optics) for name in methods}
