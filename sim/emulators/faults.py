@@ -1,5 +1,6 @@
 """Faults of the emulated hardware by name, as a command line gives them."""
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import get_args
@@ -42,21 +43,18 @@ def parse_fault(text: str) -> TimedFault:
         The text names no fault, or no time from 0 to 1e6 s.
     """
     name, at, seconds = text.partition("@")
+    check_name(name)
     try:
-        fault = TimedFault(check_name(name), float(seconds) if at else 0.0)
+        after_s = float(seconds) if at else 0.0
     except ValueError:
-        raise _bad(text) from None
-    if not 0 <= fault.after_s <= 1e6:  # also refuses NaN
-        raise _bad(text)
-    return fault
+        after_s = math.nan
+    if not 0 <= after_s <= 1e6:  # nor NaN
+        allowed = "NAME@SECONDS, 0 to 1e6"
+        raise InputError("bad time", where="--fault", value=text, allowed=allowed)
+    return TimedFault(name, after_s)
 
 
-def check_name(name: str) -> str:
-    """The name; InputError where no fault is called so."""
+def check_name(name: str) -> None:
+    """Raise InputError where no fault is called so."""
     if name not in NAMES:
         raise InputError("no such fault", where="--fault", value=name, allowed=", ".join(NAMES))
-    return name
-
-
-def _bad(text: str) -> InputError:
-    return InputError("bad time", where="--fault", value=text, allowed="NAME@SECONDS, 0 to 1e6")

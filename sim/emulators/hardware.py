@@ -21,7 +21,7 @@ from sim.emulators.faults import (
 from sim.emulators.grbl import Faults, GrblEmulator
 from sim.emulators.options import ServeOptions
 from sim.emulators.places import Places
-from sim.emulators.rigfile import HEADING, camera_options, rig_document
+from sim.emulators.rigfile import HEADING, rig_document
 from sim.emulators.track import EmulatedTrack
 from sim.emulators.webcam.camera import EmulatedCamera, HeadState
 from sim.emulators.webcam.mjpeg import SNAPSHOT, STREAM, MjpegServer
@@ -71,7 +71,7 @@ class EmulatedHardware:
         self._timers: list[threading.Timer] = []
         with ExitStack() as stack:
             self._track = EmulatedTrack(scene.rig.plan, self.options.dialect, self.options.link)
-            stack.callback(self._track.close)
+            stack.callback(self._track.unplug)
             self.controller = self._track.controller
             self._places = places = self._rendered(progress)
             seed = scene.tank.sensor.seed
@@ -95,9 +95,8 @@ class EmulatedHardware:
 
     def rig_document(self) -> Document:
         """The rig file of this hardware, as a document."""
-        camera, track = camera_options(self.url), self._track.rig_options()
-        lit = self.options.switched_laser
-        return rig_document(self.scene, camera, track, switched_laser=lit)
+        track, switched = self._track.rig_options(), self.options.switched_laser
+        return rig_document(self.scene, self.url, track, switched_laser=switched)
 
     def rig_file(self) -> RigFile:
         """The rig of this hardware."""

@@ -16,27 +16,17 @@ TIMEOUT_S = 30.0
 seconds on a busy machine.  Not measured: the same scene gives the same file each time."""
 
 
-def camera_options(url: str) -> dict[str, Any]:
-    """``[camera.options]`` for the stream at ``url``.
-
-    A picture handed out while the head rests is true when it is sent; flush_frames takes care
-    of the one that was on its way when the head came to rest.
-    """
-    return {"url": url, "warm_up_frames": 2, "flush_frames": 1, "timeout_s": TIMEOUT_S}
-
-
 def rig_document(
-    scene: Scene,
-    camera: Mapping[str, Any],
-    track: Mapping[str, Any],
-    *,
-    switched_laser: bool = False,
+    scene: Scene, url: str, track: Mapping[str, Any], *, switched_laser: bool = False
 ) -> Document:
     """The scene's own sections without the tank's, its devices replaced, and ``[sheet]``.
 
-    camera, track: ``[camera.options]`` of the driver "opencv", ``[track.options]`` of "grbl".
+    url: of the camera's stream, for the driver "opencv".  track: ``[track.options]`` of "grbl".
     switched_laser: the track lights the laser, so a plan that says nothing of it gets "on".
     """
+    # A picture handed out while the head rests is true when it is sent; flush_frames takes care
+    # of the one that was on its way when the head came to rest.
+    camera = {"url": url, "warm_up_frames": 2, "flush_frames": 1, "timeout_s": TIMEOUT_S}
     instrument = {key: value for key, value in scene.document.items() if key in Rig.model_fields}
     section = {key: value for key, value in instrument["camera"].items() if key != "options"}
     if switched_laser:
@@ -46,7 +36,7 @@ def rig_document(
         instrument = {"sheet": sheet, **instrument}
     return {
         **instrument,
-        "camera": {**section, "driver": "opencv", "options": dict(camera)},
+        "camera": {**section, "driver": "opencv", "options": camera},
         "track": {"driver": "grbl", "options": dict(track)},
     }
 

@@ -66,7 +66,11 @@ class EmulatedTrack:
             else MarlinEmulator(settings, head_mm)
         )
         self.dialect, self._link = dialect, link
-        self._refuse_taken()
+        if link is not None:
+            if link.is_symlink() and not link.exists():
+                link.unlink()  # left by one that was killed
+            if link.exists():
+                raise InputError("is taken", where="--link", value=str(link), allowed="a new name")
         self._terminal: PseudoTerminal | None = None
         self.plug_in()
 
@@ -95,9 +99,13 @@ class EmulatedTrack:
         self.controller.inject(faults)
 
     def unplug(self) -> None:
-        """Pull the cable; the controller stays under power."""
+        """Pull the cable, and remove its link; the controller stays under power.
+
+        Twice is harmless.
+        """
         if self._terminal is not None:
-            self._remove_link()
+            if self._link is not None:
+                self._link.unlink(missing_ok=True)
             self._terminal.close()
             self._terminal = None
 
@@ -134,18 +142,3 @@ class EmulatedTrack:
             "settle_s": 0.05,
             "boot_s": 0.2,
         }
-
-    def close(self) -> None:
-        """Close the port and remove its link; closing twice is harmless."""
-        self.unplug()
-
-    def _refuse_taken(self) -> None:
-        link = self._link
-        if link is not None and link.is_symlink() and not link.exists():
-            link.unlink()  # left by one that was killed
-        if link is not None and link.exists():
-            raise InputError("is taken", where="--link", value=str(link), allowed="a new name")
-
-    def _remove_link(self) -> None:
-        if self._link is not None:
-            self._link.unlink(missing_ok=True)

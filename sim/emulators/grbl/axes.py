@@ -34,10 +34,6 @@ class Axes:
         steps = zip(target_mm, self._three(100), strict=True)
         return tuple(round(mm * per_mm) / per_mm for mm, per_mm in steps)
 
-    def planned_mm(self, now_s: float) -> Place:
-        """Where the queue ends, from where the next block starts."""
-        return self.planner.last_target_mm if len(self.planner) else self.planner.place_mm(now_s)
-
     def is_beyond(self, target_mm: Place) -> bool:
         """Whether soft limits are on and forbid the target."""
         travels_mm = self._three(130)
@@ -50,7 +46,8 @@ class Axes:
         self, target_mm: Place, feed_mm_min: float, now_s: float, *, jog: bool = False
     ) -> None:
         """Queue a move at its feed, or at what its axes may do along it, $110 and $120 on."""
-        ways_mm = [abs(b - a) for a, b in zip(self.planned_mm(now_s), target_mm, strict=True)]
+        start_mm = self.planner.planned_mm(now_s)
+        ways_mm = [abs(b - a) for a, b in zip(start_mm, target_mm, strict=True)]
         parts = [way_mm / max(math.hypot(*ways_mm), 1e-12) for way_mm in ways_mm]
 
         def least(base: int) -> float:

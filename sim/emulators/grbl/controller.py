@@ -9,11 +9,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from sim.emulators.grbl.gcode import LONGEST, GcodeBlock, GcodeError, clean, parse_block
+from sim.emulators.grbl.gcode import LONGEST, GcodeError, clean, parse_block
 from sim.emulators.grbl.line import Faults, garbled
 from sim.emulators.grbl.machine import EmulatedController
 from sim.emulators.grbl.modes import INCH_MM, Modes
-from sim.emulators.grbl.motion import Place
 from sim.emulators.grbl.settings import change_setting, coordinates, setting_lines
 
 BANNER = "Grbl 1.1h ['$' for help]"
@@ -81,11 +80,11 @@ class GrblEmulator(EmulatedController):
         data = super().transmit()
         return b"" if self._acting.silent else data
 
-    def _say(self, text: str) -> None:
-        if text == "ok" and self._acting.lose_oks > 0:
+    def _say(self, *lines: str) -> None:
+        if lines == ("ok",) and self._acting.lose_oks > 0:
             self._faults = replace(self._faults, lose_oks=self._faults.lose_oks - 1)
         else:
-            super()._say(text)
+            super()._say(*lines)
 
     def _let_faults_act(self, since_s: float) -> None:
         """Faults of the machine, ``since_s`` being when they were looked at last."""
@@ -116,8 +115,7 @@ class GrblEmulator(EmulatedController):
         self._reports = 0
         self._pending.clear()
         self._line.clear()
-        self._say("")
-        self._say(BANNER)
+        self._say("", BANNER)
         if self._alarm:
             self._say("[MSG:'$H'|'$X' to unlock]")
 
@@ -133,8 +131,7 @@ class GrblEmulator(EmulatedController):
         self._planner.halt(self._last_s)
         self._alarm = self._critical = True
         self._held = self._homing = False
-        self._say(f"ALARM:{code}")
-        self._say("[MSG:Reset to continue]")
+        self._say(f"ALARM:{code}", "[MSG:Reset to continue]")
 
     def _update(self) -> None:
         before_s, self._last_s = self._last_s, self._clock()
@@ -221,33 +218,26 @@ class GrblEmulator(EmulatedController):
         elif self._state() not in ("Idle", "Alarm"):
             raise GcodeError(8)
         elif text == "$":
-            for line in setting_lines(self.settings):
-                self._say(line)
+            self._say(*setting_lines(self.settings))
         elif text == "I":
-            self._say("[VER:1.1h.20190830:]")
-            self._say("[OPT:V,15,128]")
+            self._say("[VER:1.1h.20190830:]", "[OPT:V,15,128]")
         elif text == "X":
             if self._alarm:
                 self._alarm = False
                 self._say("[MSG:Caution: Unlocked]")
         elif text == "H":
-            self._home()
+            if not self.settings[22]:
+                raise GcodeError(5)
+            self._alarm = False
+            self._start_homing()
         else:
             change_setting(self.settings, *text.split("=", 1))
 
     def _parameters(self) -> None:
         for name in ("G54", "G55", "G56", "G57", "G58", "G59", "G28", "G30"):
             self._say(f"[{name}:0.000,0.000,0.000]")
-        self._say(f"[G92:{coordinates(self._modes.offset_mm)}]")
-        self._say("[TLO:0.000]")
-        self._say("[PRB:0.000,0.000,0.000:0]")
-
-    def _home(self) -> None:
-        """Begin to search the switches: each at 0, or at the travel's far end by mask $23."""
-        if not self.settings[22]:
-            raise GcodeError(5)
-        self._alarm = False
-        self._start_homing()
+        offset = coordinates(self._modes.offset_mm)
+        self._say(f"[G92:{offset}]", "[TLO:0.000]", "[PRB:0.000,0.000,0.000:0]")
 
     # ---- G-code -------------------------------------------------------------------------
 
@@ -257,9 +247,8 @@ class GrblEmulator(EmulatedController):
         if self._state() not in ("Idle", "Jog"):
             raise GcodeError(8)
         block = parse_block(text[2:])
-        if block.mcodes or {"motion", "plane", "coordinates", "feed mode"} & block.codes.keys():
-            raise GcodeError(16)
-        if block.codes.get("once", 53) != 53 or {"S", "T"} & block.words.keys():
+        allowed = block.codes.keys() <= {"units", "distance", "once"}
+        if not allowed or block.codes.get("once", 53) != 53 or {"S", "T"} & block.words.keys():
             raise GcodeError(16)
         if not block.axes:
             raise GcodeError(26)
@@ -279,7 +268,7 @@ class GrblEmulator(EmulatedController):
         block = parse_block(text)
         self._modes.take(block)
         if block.codes.get("once") == 92:
-            self._modes.shift(block, self._axes.planned_mm(self._last_s))
+            self._modes.shift(block, self._planner.planned_mm(self._last_s))
             self._reports = 0
         elif block.axes:
             target_mm = self._target(block)
@@ -287,8 +276,3 @@ class GrblEmulator(EmulatedController):
                 self._lock(2)
             else:
                 self._axes.push(target_mm, self._modes.rate_mm_min, self._last_s)
-
-    def _target(self, block: GcodeBlock) -> Place:
-        """The block's target in machine coordinates, on whole motor steps."""
-        start_mm = self._axes.planned_mm(self._last_s)
-        return self._axes.on_steps(self._modes.target_mm(block, start_mm))

@@ -9,15 +9,18 @@ _WORD = re.compile(r"([A-Z])([-+]?(?:\d+\.?\d*|\.\d+))")
 _COMMENT = re.compile(r"\([^)]*\)|;.*")
 
 GROUPS = {
-    "motion": (0, 1, 80),
-    "units": (20, 21),
-    "distance": (90, 91),
-    "feed mode": (94,),
-    "plane": (17,),
-    "coordinates": (54,),
-    "once": (4, 53, 92),
+    "G": {
+        "motion": (0, 1, 80),
+        "units": (20, 21),
+        "distance": (90, 91),
+        "feed mode": (94,),
+        "plane": (17,),
+        "coordinates": (54,),
+        "once": (4, 53, 92),
+    },
+    "M": {"spindle": (3, 4, 5), "coolant": (8, 9)},
 }
-"""Modal groups and the G codes of each that are emulated."""
+"""Modal groups of G and of M, and the codes of each that are emulated."""
 
 
 class GcodeError(Exception):
@@ -32,12 +35,11 @@ class GcodeError(Exception):
 class GcodeBlock:
     """A checked block.
 
-    codes: the G codes by group.  mcodes: the M codes.  axes: axis words by letter.
-    words: all other words by letter.
+    codes: the G and M codes by group.  axes: axis words by letter.  words: all other words by
+    letter.
     """
 
     codes: dict[str, int] = field(default_factory=dict)
-    mcodes: list[int] = field(default_factory=list)
     axes: dict[str, float] = field(default_factory=dict)
     words: dict[str, float] = field(default_factory=dict)
 
@@ -62,21 +64,16 @@ def parse_block(text: str) -> GcodeBlock:
 
 
 def _take(block: GcodeBlock, letter: str, value: float) -> None:
-    if letter in "GM" and value != int(value):
+    if letter in GROUPS and value != int(value):
         raise GcodeError(23 if letter == "M" else 20)
-    if letter == "G":
-        group = next((name for name, codes in GROUPS.items() if value in codes), None)
+    if letter in GROUPS:
+        groups = GROUPS[letter].items()
+        group = next((name for name, codes in groups if value in codes), None)
         if group is None:
             raise GcodeError(20)
         if group in block.codes:
             raise GcodeError(21)
         block.codes[group] = int(value)
-    elif letter == "M":
-        if value not in (3, 4, 5, 8, 9):
-            raise GcodeError(20)
-        if block.mcodes:
-            raise GcodeError(21)
-        block.mcodes.append(int(value))
     elif letter in "XYZFSPNT":
         words = block.axes if letter in "XYZ" else block.words
         if letter in words:

@@ -148,17 +148,11 @@ class PseudoTerminal:
         self._thread = threading.Thread(target=self._serve, name=f"serial {self.port}", daemon=True)
         self._thread.start()
 
-    def unplug(self) -> None:
-        """Pull the cable: the port vanishes under whoever has it open."""
-        self._ended.set()
-        if self._thread is not threading.current_thread():
-            self._thread.join()
-        self._close_ends()
-
     def close(self) -> None:
-        """End the thread and close the terminal; closing twice is harmless."""
-        if self._master >= 0:
-            self.unplug()
+        """Pull the cable: the port vanishes under whoever has it open; twice is harmless."""
+        self._ended.set()
+        self._thread.join()
+        self._close_ends()
 
     def __enter__(self) -> Self:
         return self

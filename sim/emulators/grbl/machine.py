@@ -7,6 +7,7 @@ from collections import deque
 from collections.abc import Callable, Mapping
 
 from sim.emulators.grbl.axes import Axes
+from sim.emulators.grbl.gcode import GcodeBlock
 from sim.emulators.grbl.modes import Modes
 from sim.emulators.grbl.motion import Place
 from sim.emulators.grbl.settings import DEFAULTS
@@ -61,7 +62,7 @@ class EmulatedController(ABC):
     @property
     def laser_power(self) -> float:
         """S word of the laser that is on; 0 where it is off."""
-        return self._modes.speed if self._modes.spindle else 0.0
+        return 0.0 if self._modes.spindle == 5 else self._modes.speed
 
     def receive(self, data: bytes) -> None:
         """Take bytes from the line; OSError while it is unplugged."""
@@ -112,5 +113,11 @@ class EmulatedController(ABC):
         self._axes.stand_off()
         self._say("ok")
 
-    def _say(self, text: str) -> None:
-        self._out += text.encode("ascii") + self.line_end
+    def _target(self, block: GcodeBlock) -> Place:
+        """The block's target in machine coordinates, on whole motor steps."""
+        start_mm = self._planner.planned_mm(self._last_s)
+        return self._axes.on_steps(self._modes.target_mm(block, start_mm))
+
+    def _say(self, *lines: str) -> None:
+        for line in lines:
+            self._out += line.encode("ascii") + self.line_end

@@ -16,8 +16,7 @@ class MarlinEmulator(EmulatedController):
 
     def _power_up(self) -> None:
         self._modes = Modes(feed_mm_min=600.0)
-        self._say("start")
-        self._say("echo:Marlin 2.1.2")
+        self._say("start", "echo:Marlin 2.1.2")
 
     def _update(self) -> None:
         self._last_s = self._clock()
@@ -42,9 +41,9 @@ class MarlinEmulator(EmulatedController):
             self._pending.popleft()
             self._execute(text)
 
-    def _say(self, text: str) -> None:
+    def _say(self, *lines: str) -> None:
         self._spoke_s = self._last_s
-        super()._say(text)
+        super()._say(*lines)
 
     def _execute(self, text: str) -> None:
         if text.startswith("G28"):
@@ -68,6 +67,4 @@ class MarlinEmulator(EmulatedController):
         block = parse_block(text)
         self._modes.take(block)
         if block.axes:
-            target_mm = self._modes.target_mm(block, self._axes.planned_mm(self._last_s))
-            feed_mm_min = self._modes.feed_mm_min
-            self._axes.push(self._axes.on_steps(target_mm), feed_mm_min, self._last_s)
+            self._axes.push(self._target(block), self._modes.feed_mm_min, self._last_s)

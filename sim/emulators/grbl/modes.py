@@ -14,30 +14,30 @@ AXES = "XYZ"
 class Modes:
     """Grbl's modal state, as ``$G`` lists it.
 
-    motion: 0 rapid, 1 feed, 80 none.  feed_mm_min: F.  speed: S.  spindle: 3, 4 or 0 for off.
+    distance, units, motion, spindle: the codes of these groups; motion 0 is rapid, 80 none,
+    spindle 5 off.  feed_mm_min: F.  speed: S.
     offset_mm: machine coordinates of the work coordinates' origin (G92).
     """
 
-    absolute: bool = True
-    inches: bool = False
+    distance: int = 90
+    units: int = 21
     motion: int = 0
     feed_mm_min: float = 0.0
     speed: float = 0.0
-    spindle: int = 0
+    spindle: int = 5
     tool: int = 0
     offset_mm: Place = (0.0, 0.0, 0.0)
 
     def words(self) -> str:
         """The state as the answer to ``$G``."""
-        units, distance = 20 if self.inches else 21, 90 if self.absolute else 91
         return (
-            f"[GC:G{self.motion} G54 G17 G{units} G{distance} G94 M{self.spindle or 5} M9 "
-            f"T{self.tool} F{self.feed_mm_min:.0f} S{self.speed:.0f}]"
+            f"[GC:G{self.motion} G54 G17 G{self.units} G{self.distance} G94 "
+            f"M{self.spindle} M9 T{self.tool} F{self.feed_mm_min:.0f} S{self.speed:.0f}]"
         )
 
     def unit_mm(self, block: GcodeBlock) -> float:
         """Millimetres in a unit of the block's numbers."""
-        return INCH_MM if block.codes.get("units", 20 if self.inches else 21) == 20 else 1.0
+        return INCH_MM if block.codes.get("units", self.units) == 20 else 1.0
 
     def feed_of(self, block: GcodeBlock) -> float:
         """The block's feed in mm/min, the modal one where it has none."""
@@ -64,12 +64,11 @@ class Modes:
         if motion == 1 and (moves or "motion" in block.codes) and not feed_mm_min:
             raise GcodeError(22)
         self.motion, self.feed_mm_min = motion, feed_mm_min
-        self.absolute = self._counts_from_zero(block)
-        self.inches = self.unit_mm(block) == INCH_MM
+        self.distance = block.codes.get("distance", self.distance)
+        self.units = block.codes.get("units", self.units)
+        self.spindle = block.codes.get("spindle", self.spindle)
         self.speed = block.words.get("S", self.speed)
         self.tool = int(block.words.get("T", self.tool))
-        for code in block.mcodes:
-            self.spindle = code if code in (3, 4) else 0 if code == 5 else self.spindle
 
     def shift(self, block: GcodeBlock, place_mm: Place) -> None:
         """G92: the present machine place gets the block's numbers as work coordinates."""
@@ -82,13 +81,10 @@ class Modes:
     def target_mm(self, block: GcodeBlock, start_mm: Place) -> Place:
         """The block's target in machine coordinates, for a motion from ``start_mm``."""
         unit_mm, machine = self.unit_mm(block), block.codes.get("once") == 53
-        absolute = machine or self._counts_from_zero(block)
+        absolute = machine or block.codes.get("distance", self.distance) == 90
         target_mm = list(start_mm)
         for letter, value in block.axes.items():
             axis = AXES.index(letter)
             zero_mm = 0.0 if machine else self.offset_mm[axis]
             target_mm[axis] = value * unit_mm + (zero_mm if absolute else target_mm[axis])
         return tuple(target_mm)
-
-    def _counts_from_zero(self, block: GcodeBlock) -> bool:
-        return block.codes.get("distance", 90 if self.absolute else 91) == 90

@@ -69,9 +69,10 @@ class StraightMove:
 class Planner:
     """The queue of blocks and where the axes are in it.  All times on the caller's clock."""
 
-    def __init__(self, place_mm: Place = (0.0, 0.0, 0.0)) -> None:
+    def __init__(self) -> None:
         self._queue: deque[StraightMove] = deque()
-        self._start_mm, self._direction = place_mm, place_mm
+        self._start_mm: Place = (0.0, 0.0, 0.0)
+        self._direction: Place = (0.0, 0.0, 0.0)
         self._ramp: Ramp | None = None
         self._block: StraightMove | None = None
         self._began_s = 0.0
@@ -91,13 +92,6 @@ class Planner:
         """Whether the present block is a jog."""
         return self._block is not None and self._block.jog
 
-    @property
-    def last_target_mm(self) -> Place:
-        """Where the queue ends; valid while it is not empty."""
-        block = self._queue[-1] if self._queue else self._block
-        assert block is not None
-        return block.target_mm
-
     def push(self, block: StraightMove, now_s: float) -> None:
         """Queue a block; at rest it starts at once."""
         self._queue.append(block)
@@ -110,6 +104,11 @@ class Planner:
             return self._start_mm
         way_mm, _ = self._ramp.at(now_s - self._began_s)
         return tuple(a + way_mm * d for a, d in zip(self._start_mm, self._direction, strict=True))
+
+    def planned_mm(self, now_s: float) -> Place:
+        """Where the queue ends, from where the next block starts."""
+        last = self._queue[-1] if self._queue else self._block
+        return self.place_mm(now_s) if last is None else last.target_mm
 
     def speed_mm_s(self, now_s: float) -> float:
         """Speed along the path."""

@@ -9,7 +9,7 @@ import contextlib
 import socket
 import threading
 from http.server import BaseHTTPRequestHandler
-from socketserver import BaseServer, ThreadingTCPServer
+from socketserver import ThreadingTCPServer
 from typing import Any
 
 from lscan.errors import InputError
@@ -91,7 +91,7 @@ class MjpegServer(ThreadingTCPServer):
 class _Client(BaseHTTPRequestHandler):
     """One connection."""
 
-    server: BaseServer
+    server: MjpegServer
 
     def setup(self) -> None:
         self.request.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, SEND_BYTES)
@@ -99,18 +99,14 @@ class _Client(BaseHTTPRequestHandler):
         super().setup()
 
     def do_GET(self) -> None:
-        assert isinstance(self.server, MjpegServer)
         camera = self.server.camera
         if camera.fault == "drop":
             self.send_error(503, "the camera is gone")
-        elif self.path == STREAM:
-            with camera.watched():
-                self._stream(camera)
-        elif self.path == SNAPSHOT:
-            with camera.watched():
-                self._snapshot(camera)
-        else:
+        elif self.path not in (STREAM, SNAPSHOT):
             self.send_error(404, f"there are {STREAM} and {SNAPSHOT}")
+        else:
+            with camera.watched():
+                self._stream(camera) if self.path == STREAM else self._snapshot(camera)
 
     def log_message(self, format: str, *args: Any) -> None:
         """Say nothing: the command's output is for its user."""

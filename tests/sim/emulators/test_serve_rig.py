@@ -39,7 +39,7 @@ def test_the_tank_served_anew_writes_the_same_rig_but_for_its_address(tmp_path: 
 def test_the_plan_lights_a_laser_that_is_switched(
     plan: dict[str, Any], switched: bool, laser: str | None
 ) -> None:
-    document = rig_document(small_scene(plan=plan), {}, {}, switched_laser=switched)
+    document = rig_document(small_scene(plan=plan), "", {}, switched_laser=switched)
     assert document["plan"].get("laser") == laser
     assert document["plan"]["frames"] == 4
 
@@ -53,21 +53,21 @@ def test_the_rig_says_where_the_sheet_is_lit_and_seen_from() -> None:
     tank = small_scene()
     best = load_rig(PAPER.parent / "best" / "sandwave.toml").rig.sheet
     assert best is not None
-    specified = SheetSection(**rig_document(tank, {}, {})["sheet"])
+    specified = SheetSection(**rig_document(tank, "", {})["sheet"])
     for key, value in specified:
         assert value == pytest.approx(getattr(best, key), abs=0.05), key  # mm, as rounded there
     # The camera's axis, 30 degrees down, meets the sheet 500 mm under the camera at 300 mm, which
     # is 450 mm under the apex.
     laser = {"waist_mm": 0.127, "waist_distance_mm": 450.0 - 104.0}
-    thick = rig_document(small_scene(laser=laser), {}, {})["sheet"]["thickness_mm"]
+    thick = rig_document(small_scene(laser=laser), "", {})["sheet"]["thickness_mm"]
     assert thick == pytest.approx(0.127 * np.sqrt(2), abs=0.006)  # rounded to 0.01
 
 
 def test_a_sheet_in_the_scene_is_the_rigs_own() -> None:
     own = {"thickness_mm": 2.0, "camera_mm": [0.0, -1.0, 0.0], "apex_mm": [0.0, 0.0, 1.0]}
-    assert rig_document(small_scene(sheet=own), {}, {})["sheet"] == own
+    assert rig_document(small_scene(sheet=own), "", {})["sheet"] == own
     away = small_scene(head={"heading_deg": 180.0})  # the camera's back to the sheet
-    assert "sheet" not in rig_document(away, {}, {})
+    assert "sheet" not in rig_document(away, "", {})
 
 
 def test_a_scan_with_the_rig_of_a_switched_laser_sees_the_line(tmp_path: Path) -> None:

@@ -175,7 +175,7 @@ def test_a_cable_pulled_from_a_real_port() -> None:
     options = on_terminal(terminal)
     track = open_track(options)
     track.move_to(1.0)
-    terminal.unplug()
+    terminal.close()
     with pytest.raises(DeviceError, match=r"the serial line broke .*check the cable"):
         track.move_to(2.0)
     track.close()
