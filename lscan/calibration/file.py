@@ -1,25 +1,33 @@
 """The calibration file: its JSON layout, strict reading, and writing whole or not at all."""
 
 import json
+from dataclasses import asdict, dataclass
+from functools import partial
 from pathlib import Path
-from typing import Annotated, Any, Final, Literal, Self, cast
+from typing import TYPE_CHECKING, Annotated, Any, Final, Literal, Self
 
 import numpy as np
-from pydantic import BeforeValidator, ConfigDict, Field, PositiveFloat, model_validator
+from pydantic import (
+    AfterValidator,
+    BeforeValidator,
+    Field,
+    PlainSerializer,
+    PositiveFloat,
+    model_validator,
+)
 
-from lscan.calibration.stored import Gaps, Matrix, NotNegative, Number
+from lscan.calibration.stored import STRICT, Gaps, Matrix, NotNegativeOrNaN, Number
 from lscan.config.documents import Strict, check
 from lscan.config.rig import OpticsSection
 from lscan.errors import InputError
 from lscan.files.disk import write_atomically
-from lscan.records import BoardReading, Mark, Marks, RingPoints, RulerReading, Status
+from lscan.records import BoardReading, Floats, Ints, Mark, Marks, RingPoints, RulerReading, Status
 
 FORMAT: Final = "lscan-calibration"
 VERSION: Final = 2  # 2: marks with status and sigma for dots and rings; optics
 MOST_BYTES: Final = 32 * 2**20
 """Of a calibration file of either route; those of the paper's board have half a megabyte."""
 
-StatusName = Literal["OK", "NOT_FOUND", "OUT_OF_VIEW"]
 Side = Annotated[int, Field(strict=True, gt=0)]
 
 
@@ -27,106 +35,108 @@ def _name(status: Any) -> Any:
     return status.name if isinstance(status, Status) else status
 
 
-def _names(status: Any) -> Any:
-    codes = isinstance(status, np.ndarray)
-    return tuple(Status(code).name for code in status) if codes else status
+def _each(status: Any) -> Any:
+    return [Status(code) for code in status] if isinstance(status, np.ndarray) else status
 
 
-def none_for_nan(value: Any) -> Any:
-    """The value, None in place of NaN."""
-    return None if value != value else value
+def _names(status: Ints) -> list[str]:
+    return [Status(code).name for code in status]
 
 
-class StoredRecord(Strict):
-    """Base of what holds a record of the program: it is made from the record itself."""
+if TYPE_CHECKING:
+    Code = Status
+    Codes = Ints
+else:  # names in the file
+    Code = Annotated[
+        Literal["OK", "NOT_FOUND", "OUT_OF_VIEW"],
+        BeforeValidator(_name),
+        AfterValidator(Status.__getitem__),
+        PlainSerializer(_name),
+    ]
+    Codes = Annotated[
+        tuple[Code, ...],
+        BeforeValidator(_each),
+        AfterValidator(partial(np.array, dtype=np.int64)),
+        PlainSerializer(_names),
+    ]
 
-    model_config = ConfigDict(from_attributes=True)
+
+def _pairs(values: Floats) -> Floats:
+    if values.size and values.shape[1:] != (2,):
+        raise ValueError("must be a list of pairs")
+    return values.reshape(-1, 2)
 
 
-class StoredMarks(StoredRecord):
-    """records.Marks; ``null`` where a mark has no place."""
+@dataclass(frozen=True)
+class StoredMarks(Marks):
+    """Marks that are in a file; ``null`` where one has no place."""
 
+    __pydantic_config__ = STRICT
     board_mm: Matrix
     image_px: Gaps
     sigma_px: Gaps
-    status: Annotated[tuple[StatusName, ...], BeforeValidator(_names)]
+    status: Codes
 
-    @model_validator(mode="after")
-    def _consistent(self) -> Self:
+    def __post_init__(self) -> None:
+        """Raise ValueError unless all are as many, with a place just where status is OK."""
         count = len(self.status)
         if self.board_mm.shape != (count, 2) or self.image_px.shape != (count, 2):
             raise ValueError(f"board_mm and image_px must hold {count} pairs, one per status")
         if self.sigma_px.shape != (count,):
             raise ValueError(f"sigma_px must hold {count} numbers, one per status")
-        found = np.array([name == "OK" for name in self.status])
-        for values in (self.image_px[:, 0], self.image_px[:, 1], self.sigma_px):
-            if (np.isfinite(values) != found).any():
+        for values in (*self.image_px.T, self.sigma_px):
+            if (np.isfinite(values) != self.found).any():
                 raise ValueError("image_px and sigma_px must be numbers just where status is OK")
-        if (self.sigma_px[found] < 0).any():
+        if (self.sigma_px[self.found] < 0).any():
             raise ValueError("sigma_px must not be below 0")
-        return self
-
-    def marks(self) -> Marks:
-        """As the program holds them."""
-        status = np.array([Status[name] for name in self.status], dtype=np.int64)
-        return Marks(self.board_mm, self.image_px, self.sigma_px, status)
 
 
-class StoredMark(StoredRecord):
-    """records.Mark; ``null`` where it has no place."""
+@dataclass(frozen=True)
+class StoredMark(Mark):
+    """A mark that is in a file; ``null`` where it has no place."""
 
+    __pydantic_config__ = STRICT
     image_px: Gaps
-    sigma_px: Annotated[NotNegative | None, BeforeValidator(none_for_nan)]
-    status: Annotated[StatusName, BeforeValidator(_name)]
+    sigma_px: NotNegativeOrNaN
+    status: Code
 
-    @model_validator(mode="after")
-    def _consistent(self) -> Self:
+    def __post_init__(self) -> None:
+        """Raise ValueError unless it has a place just where status is OK."""
         if self.image_px.shape != (2,):
             raise ValueError("image_px must be two numbers")
-        found = self.status == "OK"
-        if (np.isfinite(self.image_px) != found).any() or (self.sigma_px is not None) != found:
+        if (np.isfinite([*self.image_px, self.sigma_px]) != (self.status == Status.OK)).any():
             raise ValueError("image_px and sigma_px must be numbers just where status is OK")
-        return self
-
-    def mark(self) -> Mark:
-        """As the program holds it."""
-        sigma_px = float("nan") if self.sigma_px is None else self.sigma_px
-        return Mark(self.image_px, sigma_px, Status[self.status])
 
 
-class StoredRing(StoredRecord):
-    """records.RingPoints."""
+@dataclass(frozen=True)
+class StoredRing(RingPoints):
+    """Points of a ring that are in a file."""
 
-    image_px: Gaps
+    __pydantic_config__ = STRICT
+    image_px: Annotated[Gaps, AfterValidator(_pairs)]
     sigma_px: Gaps
 
-    @model_validator(mode="after")
-    def _consistent(self) -> Self:
-        count = self.sigma_px.size
-        if self.image_px.size and self.image_px.shape[1:] != (2,):
-            raise ValueError("image_px must be a list of pairs")
-        if self.sigma_px.shape != (count,) or self.image_px.size != 2 * count:
+    def __post_init__(self) -> None:
+        """Raise ValueError unless each point is finite and has its uncertainty."""
+        if self.sigma_px.shape != (len(self.image_px),):
             raise ValueError("image_px must hold one pair for each number of sigma_px")
         if not (np.isfinite(self.image_px).all() and np.isfinite(self.sigma_px).all()):
             raise ValueError("image_px and sigma_px must be finite numbers")
         if (self.sigma_px < 0).any():
             raise ValueError("sigma_px must not be below 0")
-        return self
-
-    def points(self) -> RingPoints:
-        """As the program holds them."""
-        return RingPoints(self.image_px.reshape(-1, 2), self.sigma_px)
 
 
-class StoredRuler(StoredRecord):
-    """records.RulerReading."""
+@dataclass(frozen=True)
+class StoredRuler(RulerReading):
+    """A ruler that is in a file."""
 
+    __pydantic_config__ = STRICT
     direction: Literal["vertical", "horizontal"]
     at_mm: Number
     marks: StoredMarks
 
 
-class StoredReading(StoredRecord):
+class StoredReading(Strict):
     """records.BoardReading."""
 
     image_size: tuple[Side, Side]
@@ -146,16 +156,7 @@ class StoredReading(StoredRecord):
 
     def reading(self) -> BoardReading:
         """As the program holds it."""
-        rulers = [RulerReading(r.direction, r.at_mm, r.marks.marks()) for r in self.rulers]
-        return BoardReading(
-            image_size=self.image_size,
-            pitch_mm=self.pitch_mm,
-            shape=self.shape,
-            grid=self.grid.marks(),
-            rulers=tuple(rulers),
-            dots={name: dot.mark() for name, dot in self.dots.items()},
-            rings={name: ring.points() for name, ring in self.rings.items()},
-        )
+        return BoardReading(**dict(self))
 
 
 def store_reading(reading: BoardReading) -> StoredReading:
@@ -165,7 +166,7 @@ def store_reading(reading: BoardReading) -> StoredReading:
     ----------
     reading : BoardReading, px and mm
     """
-    return check(StoredReading, cast(Any, reading), where="board reading")
+    return check(StoredReading, asdict(reading), where="board reading")
 
 
 class StoredResiduals(Strict):

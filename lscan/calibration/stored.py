@@ -4,12 +4,12 @@ The dataclasses that maps are made of use these types for their fields, so that 
 declaration serves the program and the strict reading of its files.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import partial
 from typing import Annotated, Any
 
 import numpy as np
-from pydantic import ConfigDict, Field, PlainSerializer, PlainValidator, TypeAdapter
+from pydantic import ConfigDict, Field, PlainSerializer, PlainValidator, TypeAdapter, WrapValidator
 
 from lscan.camera.parameters import LIMITS
 from lscan.records import Floats
@@ -20,9 +20,9 @@ NotNegative = Annotated[float, Field(strict=True, allow_inf_nan=False, ge=0)]
 Count = Annotated[int, Field(strict=True, ge=0)]
 
 
-_LISTS_OF: dict[int, TypeAdapter[Any]] = {
-    1: TypeAdapter(list[Number]),
-    2: TypeAdapter(list[list[Number]]),
+_LISTS_OF: dict[int, tuple[TypeAdapter[Any], str]] = {
+    1: (TypeAdapter(list[Number]), "a list of finite numbers"),
+    2: (TypeAdapter(list[list[Number]]), "rows of finite numbers, all of one length"),
 }
 _LISTS_WITH_GAPS: TypeAdapter[Any] = TypeAdapter(list[Number | None] | list[list[Number | None]])
 
@@ -36,11 +36,8 @@ def _read(lists: TypeAdapter[Any], value: Any, allowed: str) -> Floats:
 
 
 def _numbers(value: Any, dimensions: int) -> Floats:
-    allowed = ("a list of finite numbers", "rows of finite numbers, all of one length")[
-        dimensions - 1
-    ]
-    is_array = isinstance(value, np.ndarray)
-    array = value if is_array else _read(_LISTS_OF[dimensions], value, allowed)
+    lists, allowed = _LISTS_OF[dimensions]
+    array = value if isinstance(value, np.ndarray) else _read(lists, value, allowed)
     if array.ndim != dimensions or not np.isfinite(array).all():
         raise ValueError(f"must be {allowed}")
     return array
@@ -60,6 +57,14 @@ def _with_gaps(value: Any) -> Floats:
     return _read(_LISTS_WITH_GAPS, value, "finite numbers or nulls, all rows of one length")
 
 
+def _nan_for_none(value: Any, read: Callable[[Any], float]) -> float:
+    return np.nan if value is None or value != value else read(value)
+
+
+def _none_for_nan(value: float) -> float | None:
+    return None if np.isnan(value) else value
+
+
 def _plain_with_gaps(array: Floats) -> list[Any]:
     plain = array.astype(object)
     plain[np.isnan(array)] = None
@@ -70,6 +75,10 @@ _LISTS = PlainSerializer(np.ndarray.tolist)
 Vector = Annotated[Floats, PlainValidator(partial(_numbers, dimensions=1)), _LISTS]
 Matrix = Annotated[Floats, PlainValidator(partial(_numbers, dimensions=2)), _LISTS]
 Pair = Annotated[Floats, PlainValidator(_pair), _LISTS]
+NotNegativeOrNaN = Annotated[
+    NotNegative, WrapValidator(_nan_for_none), PlainSerializer(_none_for_nan)
+]
+"""``null`` in the file for NaN."""
 Gaps = Annotated[Floats, PlainValidator(_with_gaps), PlainSerializer(_plain_with_gaps)]
 
 

@@ -1,90 +1,71 @@
 """The file of a metric calibration: all it was solved from, and the map."""
 
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Annotated, Any, Final, Literal, Self
 
 import numpy as np
-from pydantic import BeforeValidator, Field, model_validator
+from pydantic import Field, model_validator
 
-from lscan.calibration.file import (
-    MOST_BYTES,
-    Side,
-    StoredMarks,
-    StoredRecord,
-    none_for_nan,
-    write_file,
-)
+from lscan.calibration.file import MOST_BYTES, Side, StoredMarks, write_file
 from lscan.calibration.multiview.planemap import solver
 from lscan.calibration.multiview.solve import MetricCalibration
 from lscan.calibration.multiview.views import FittedView, LinePoints
-from lscan.calibration.stored import Count, Matrix, Number, Vector
+from lscan.calibration.stored import STRICT, Count, Matrix, NotNegativeOrNaN, Vector
 from lscan.camera.parameters import COUNT
 from lscan.config.documents import Strict, check, read_json
 from lscan.config.rig import Known, OpticsSection
 from lscan.errors import InputError
+from lscan.records import Axis
 
 FORMAT: Final = "lscan-metric-calibration"
 VERSION = 1
-RootMeanSquare = Annotated[Number | None, BeforeValidator(none_for_nan)]
-Flag = Annotated[bool, Field(strict=True)]
 
 
-class StoredLine(StoredRecord):
-    """views.LinePoints."""
+@dataclass(frozen=True)
+class StoredLine(LinePoints):
+    """The line of a view that is in a file."""
 
+    __pydantic_config__ = STRICT
     image_px: Matrix
     sigma_px: Vector
-    axis: Literal["columns", "rows"]
+    axis: Axis
 
-    @model_validator(mode="after")
-    def _consistent(self) -> Self:
+    def __post_init__(self) -> None:
+        """Raise ValueError unless each point has its uncertainty, above 0."""
         count = len(self.sigma_px)
         if self.image_px.shape != (count, 2):
             raise ValueError(f"image_px must hold {count} pairs, one for each of sigma_px")
         if (self.sigma_px <= 0).any():
             raise ValueError("sigma_px must be above 0")
-        return self
 
 
-class StoredView(StoredRecord):
+class StoredView(Strict):
     """views.FittedView; ``null`` for a root mean square of nothing."""
 
     name: str
     marks: StoredMarks | None
     line: StoredLine | None
     fault: str
-    used: Flag
+    used: bool
     marks_used: Count
-    rms_px: RootMeanSquare
-    line_used: Flag
+    rms_px: NotNegativeOrNaN
+    line_used: bool
     line_points_used: Count
-    line_rms_mm: RootMeanSquare
+    line_rms_mm: NotNegativeOrNaN
     reason: str
 
     @model_validator(mode="after")
     def _used_what_there_is(self) -> Self:
-        if self.used and (self.marks is None or self.rms_px is None or not self.marks_used):
+        if self.used and (self.marks is None or np.isnan(self.rms_px) or not self.marks_used):
             raise ValueError("used must be false without marks, marks_used and rms_px")
-        if self.line_used and (self.line is None or self.line_rms_mm is None or not self.used):
+        if self.line_used and (self.line is None or np.isnan(self.line_rms_mm) or not self.used):
             raise ValueError("line_used must be false without a used view, line and line_rms_mm")
         return self
 
     def view(self) -> FittedView:
         """As the program holds it."""
-        line = self.line
-        return FittedView(
-            name=self.name,
-            marks=self.marks.marks() if self.marks else None,
-            line=LinePoints(line.image_px, line.sigma_px, line.axis) if line else None,
-            fault=self.fault,
-            used=self.used,
-            marks_used=self.marks_used,
-            rms_px=np.nan if self.rms_px is None else self.rms_px,
-            line_used=self.line_used,
-            line_points_used=self.line_points_used,
-            line_rms_mm=np.nan if self.line_rms_mm is None else self.line_rms_mm,
-            reason=self.reason,
-        )
+        return FittedView(**dict(self))
 
 
 class MetricFile(Strict):
@@ -133,7 +114,7 @@ def save_metric(path: Path, calibration: MetricCalibration) -> None:
         k3=calibration.k3,
         parameters=calibration.plane_map.parameters(),
         camera_sigma=calibration.sigma,
-        views=tuple(map(StoredView.model_validate, calibration.views)),
+        views=tuple(StoredView.model_validate(asdict(view)) for view in calibration.views),
     )
     write_file(path, content)
 
