@@ -28,7 +28,6 @@ CLEAR = 1 / 3  # Gaussian sigma, of the way to the next marker: what lies beyond
 NARROWER = 1 / 1.6  # of the second window that a corner is seen through
 MOST_MOVED = 0.2  # of the distance between corners, from where OpenCV saw it
 FEWEST = 6  # corners of a ChArUco board: a pose needs four, its check two more
-SIDES = range(3, 1001)
 
 
 def read_chessboard(
@@ -42,7 +41,7 @@ def read_chessboard(
     Parameters
     ----------
     image : (H, W) or (H, W, 3) array, grey or RGB
-    columns, rows : int, inner corners along and down the board, 3 to 1000
+    columns, rows : int, inner corners along and down the board
     square_mm : float, mm, side of a square
     channel : str, of an RGB image; one that the laser's line does not show in, where it is on
 
@@ -55,11 +54,10 @@ def read_chessboard(
     Raises
     ------
     InputError
-        For what is no picture or no board.
+        For what is no picture.
     BoardNotFound
         Where not all corners are seen.
     """
-    _check_board(columns, rows, square_mm)
     grey = bright_marks(image, channel, "bright")
     seen = _find_corners(_eight_bit(grey), columns, rows)
     return _measured(grey, seen, square_mm, WINDOW)
@@ -79,7 +77,7 @@ def read_charuco(
     Parameters
     ----------
     image : (H, W) or (H, W, 3) array, grey or RGB
-    columns, rows : int, inner corners, one less than the squares, 3 to 1000
+    columns, rows : int, inner corners, one less than the squares
     square_mm, marker_mm : float, mm, sides of a square and of a marker
     dictionary : str, of the markers, as OpenCV calls it: "DICT_4X4_50"
     channel : str, as for :func:`read_chessboard`
@@ -92,11 +90,10 @@ def read_charuco(
     Raises
     ------
     InputError
-        For what is no picture, no board or no dictionary.
+        For what is no picture, markers larger than squares, or no dictionary.
     BoardNotFound
         Where fewer than six corners are seen.
     """
-    _check_board(columns, rows, square_mm)
     if not 0 < marker_mm < square_mm:
         allowed = f"above 0, below square_mm = {square_mm:g}"
         raise InputError("bad size", where="marker_mm", value=marker_mm, allowed=allowed)
@@ -116,15 +113,6 @@ def read_charuco(
     # A marker lies in the middle of its square: its corner is nearest, along the diagonal.
     clear = CLEAR * (1 - marker_mm / square_mm) / np.sqrt(2)
     return _measured(grey, seen, square_mm, min(WINDOW, clear))
-
-
-def _check_board(columns: int, rows: int, square_mm: float) -> None:
-    for where, value in (("columns", columns), ("rows", rows)):
-        if value not in SIDES:
-            allowed = f"{SIDES.start} to {SIDES.stop - 1} inner corners"
-            raise InputError("bad number of corners", where=where, value=value, allowed=allowed)
-    if not (np.isfinite(square_mm) and square_mm > 0):
-        raise InputError("bad size", where="square_mm", value=square_mm, allowed="above 0 mm")
 
 
 def _dictionary(name: str, needed: int) -> cv2.aruco.Dictionary:

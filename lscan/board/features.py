@@ -42,7 +42,7 @@ class Contrast:
         diameter_mm : float, mm, of a control dot
         """
         board = grid_points_mm(nodes.height.shape, mapping.pitch_mm)[nodes.found]
-        radius = mapping.scale(board) * diameter_mm / 2
+        radius = mapping.expanded(board).scale * diameter_mm / 2
         return cls(board, nodes.height[nodes.found] / disc_height(radius, BLUR_PX))
 
     def at(self, board_mm: Floats) -> Floats:

@@ -65,28 +65,6 @@ class LocalMap:
     image_px: Floats
     pitch_mm: float
 
-    def __call__(self, board_mm: Floats) -> Floats:
-        """(M, 2) px of the places (M, 2) mm in the plane frame."""
-        return self.expanded(board_mm).image_px
-
-    def scale(self, board_mm: Floats) -> Floats:
-        """(M,) px per mm, geometric mean over the directions.
-
-        Parameters
-        ----------
-        board_mm : (M, 2) array, mm, of (x, z)
-        """
-        return self.expanded(board_mm).scale
-
-    def expanded(self, board_mm: Floats) -> Expansion:
-        """The map about places of the board to second order.
-
-        Parameters
-        ----------
-        board_mm : (M, 2) array, mm, of (x, z)
-        """
-        return self._fit(board_mm, skip=0)
-
     def misfit(self, which: Mask | slice = ALL) -> Floats:
         """Distance in px between control points and where those around each predict it.
 
@@ -97,12 +75,18 @@ class LocalMap:
         ----------
         which : mask or slice, of the control points asked for; by default all
         """
-        predicted = self._fit(self.board_mm[which], skip=1)
+        predicted = self.expanded(self.board_mm[which], skip=1)
         miss = np.linalg.norm(predicted.image_px - self.image_px[which], axis=1)
         return miss / np.sqrt(1 + predicted.leverage)
 
-    def _fit(self, board_mm: Floats, skip: int) -> Expansion:
-        """The polynomials of the nearest control points, but for the ``skip`` nearest."""
+    def expanded(self, board_mm: Floats, skip: int = 0) -> Expansion:
+        """The map about places of the board to second order.
+
+        Parameters
+        ----------
+        board_mm : (M, 2) array, mm, of (x, z)
+        skip : int, how many of the control points nearest to each place are left out
+        """
         count = min(NEAREST + skip, len(self.board_mm))
         nearest = cKDTree(self.board_mm).query(board_mm, k=count)[1]
         index = np.asarray(nearest)[:, skip:]
@@ -182,7 +166,7 @@ def completed(nodes: Nodes, pitch_mm: float) -> Floats:
     points = nodes.points.copy()
     beside = ~nodes.found & np.isfinite(mean_beside(nodes.height))
     board = grid_points_mm(points.shape[:2], pitch_mm)
-    points[beside] = local_map(nodes.points, pitch_mm)(board[beside])
+    points[beside] = local_map(nodes.points, pitch_mm).expanded(board[beside]).image_px
     while (empty := np.isnan(points[..., 0])).any():
         points[empty] = expected_places(points)[empty]
     return points

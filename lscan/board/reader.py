@@ -6,12 +6,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from lscan.board.centre import (
-    STEPS_FROM_NEAR,
-    fit_centres,
-    stand_alone,
-    window_sigma,
-)
+from lscan.board.centre import STEPS_FROM_NEAR, fit_centres, stand_alone, window_sigma
 from lscan.board.evidence import fault_of
 from lscan.board.features import Contrast, mark_status, read_dot, read_ruler
 from lscan.board.lattice import (
@@ -84,7 +79,12 @@ def read_board(
     if seeds is not None:
         picture, nodes = _search_from(bright, board, check_seeds(seeds, bright.shape[::-1]))
         return _all_marks(bright, picture, nodes, board)
-    _check_origin_known(board)
+    if not board.grid.whole and (board.ruler or board.dot or board.ring):
+        raise InputError(
+            "rulers, dots and rings cannot be placed where the origin is whichever dot is seen",
+            where="board",
+            allowed="grid.whole = true, seeds that say which dot is O, or control points alone",
+        )
     try:
         picture, nodes = _search_from_anywhere(bright, board)
     except BoardNotFound:
@@ -171,15 +171,6 @@ def _all_marks(bright: Image, picture: BoardPicture, nodes: Nodes, board: Board)
         dots={dot.name: read_dot(picture, mapping, contrast, dot) for dot in board.dot},
         rings={ring.name: read_ring(picture, mapping, contrast, ring) for ring in board.ring},
     )
-
-
-def _check_origin_known(board: Board) -> None:
-    if not board.grid.whole and (board.ruler or board.dot or board.ring):
-        raise InputError(
-            "rulers, dots and rings cannot be placed where the origin is whichever dot is seen",
-            where="board",
-            allowed="grid.whole = true, seeds that say which dot is O, or control points alone",
-        )
 
 
 def _search_from_anywhere(bright: Image, board: Board) -> tuple[BoardPicture, Nodes]:

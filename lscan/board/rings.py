@@ -86,7 +86,7 @@ def read_ring(
     ring : Ring, mm
     """
     middle_mm = np.array([[ring.x_mm, ring.z_mm]])
-    radius_px = float(mapping.scale(middle_mm)[0]) * ring.diameter_mm / 2
+    radius_px = float(mapping.expanded(middle_mm).scale[0]) * ring.diameter_mm / 2
     count = max(FEWEST, int(2 * np.pi * radius_px / SPACING_PX))
     angle = 2 * np.pi * np.arange(count) / count
     # Averaged along the arc: along the tangent the line's sagitta would shrink the ring.

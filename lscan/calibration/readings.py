@@ -5,7 +5,10 @@ from dataclasses import replace
 
 import numpy as np
 
+from lscan.camera.fit import BoardMarks
 from lscan.records import BoardReading, Floats, Marks, Mask, Status
+
+LEAST_SIGMA_PX = 0.002  # a quarter of what is reached in an 8-bit picture; ours
 
 
 def all_marks(reading: BoardReading) -> list[Marks]:
@@ -32,6 +35,19 @@ def found_marks(several: Sequence[Marks]) -> tuple[Floats, Floats, Floats]:
     )
 
 
+def found_on(several: Sequence[Marks], board: Sequence[int]) -> BoardMarks:
+    """The marks that were found in several readings, each of the board of that number.
+
+    Parameters
+    ----------
+    several : sequence of Marks, one a reading; sigma_px below LEAST_SIGMA_PX counts as that
+    board : sequence of int, number of each reading's board
+    """
+    board_mm, image_px, sigma_px = found_marks(several)
+    numbers = np.repeat(board, [int(marks.found.sum()) for marks in several])
+    return BoardMarks(board_mm, image_px, np.maximum(sigma_px, LEAST_SIGMA_PX), numbers)
+
+
 def without(reading: BoardReading, left_out: Mask) -> BoardReading:
     """The reading as if some of its marks were not found.
 
@@ -52,8 +68,8 @@ def without(reading: BoardReading, left_out: Mask) -> BoardReading:
 
 def _hidden(marks: Marks, hide: Mask) -> Marks:
     hide = hide & marks.found
-    return Marks(
-        board_mm=marks.board_mm,
+    return replace(
+        marks,
         image_px=np.where(hide[:, None], np.nan, marks.image_px),
         sigma_px=np.where(hide, np.nan, marks.sigma_px),
         status=np.where(hide, int(Status.NOT_FOUND), marks.status),

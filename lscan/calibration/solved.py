@@ -98,14 +98,12 @@ class MapSolver(ABC, Generic[Solved]):
     model : type, of the map
     what : str, the family in words, for messages
     variants : tuple of str, second parts there are
-    allowed : str, the names there are in words, for messages
     """
 
     family: ClassVar[str]
     model: type[Solved]
     what: ClassVar[str]
     variants: ClassVar[tuple[str, ...]] = ("",)
-    allowed: ClassVar[str]
 
     def check_variant(self, variant: str) -> None:
         """Refuse a variant that there is not; nothing is solved.
@@ -119,15 +117,12 @@ class MapSolver(ABC, Generic[Solved]):
         InputError
             For a variant that there is not.
         """
-        self._require(variant)
-
-    def _require(self, variant: str) -> None:
         if variant not in self.variants:
             raise InputError(
                 f"no such {self.what}",
                 where="plane map",
                 value=full_name(self.family, variant),
-                allowed=self.allowed,
+                allowed=", ".join(full_name(self.family, there) for there in self.variants),
             )
 
     def solve(
@@ -175,7 +170,7 @@ class MapSolver(ABC, Generic[Solved]):
         InputError
             Where they do not fit.
         """
-        self._require(variant)
+        MapSolver.check_variant(self, variant)  # a metric map can be restored, though not solved
         read = check(self.model, parameters, where=None, prefix="parameters")
         return self._named(read, variant)
 
@@ -185,14 +180,22 @@ class MapSolver(ABC, Generic[Solved]):
 
 
 def with_lack_of_fit(solved: Solved, reading: BoardReading) -> Solved:
-    """The map with the lack of fit that the marks of a reading show.
+    """The map with what its form, not noise, adds to the uncertainty of x and of z, in mm rms.
+
+    The map is applied to the marks of the board; the mean square of the residuals less the
+    mean square that the marks' and the map's noise explain, never below 0.  The control
+    points check both coordinates.  A ruler checks the one that is fixed on it, which no map
+    reads from it: the marks of the vertical rulers, half-way between control points, check
+    x.  Without rulers only the fit to the control points themselves can be judged, and what
+    happens between them stays unseen.
 
     Parameters
     ----------
     solved : SolvedMap, of any family
     reading : BoardReading, px and mm, the map was solved from
     """
-    return solved.model_copy(update={"lack_of_fit_mm": lack_of_fit_mm(solved, reading)})
+    excess_mm = np.array([_excess_mm(solved, reading, coordinate) for coordinate in (0, 1)])
+    return solved.model_copy(update={"lack_of_fit_mm": excess_mm})
 
 
 def _modes(estimate: Estimate, covered: Mask, valued: Mask) -> Floats | None:
@@ -223,24 +226,6 @@ def _checked_sigma(image_px: Floats, sigma_px: Floats | None) -> Floats:
             allowed="a finite number not below 0",
         )
     return sigma
-
-
-def lack_of_fit_mm(solved: SolvedMap, reading: BoardReading) -> Floats:
-    """(2,) what the map's form, not noise, adds to the uncertainty of x and of z, in mm rms.
-
-    The map is applied to the marks of the board; the mean square of the residuals less the
-    mean square that the marks' and the map's noise explain, never below 0.  The control
-    points check both coordinates.  A ruler checks the one that is fixed on it, which no map
-    reads from it: the marks of the vertical rulers, half-way between control points, check
-    x.  Without rulers only the fit to the control points themselves can be judged, and what
-    happens between them stays unseen.
-
-    Parameters
-    ----------
-    solved : SolvedMap, of any family
-    reading : BoardReading, px and mm, the map was solved from
-    """
-    return np.array([_excess_mm(solved, reading, 0), _excess_mm(solved, reading, 1)])
 
 
 def _excess_mm(solved: SolvedMap, reading: BoardReading, coordinate: int) -> float:

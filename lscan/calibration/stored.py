@@ -9,7 +9,15 @@ from functools import partial
 from typing import Annotated, Any
 
 import numpy as np
-from pydantic import ConfigDict, Field, PlainSerializer, PlainValidator, TypeAdapter, WrapValidator
+from pydantic import (
+    AfterValidator,
+    ConfigDict,
+    Field,
+    PlainSerializer,
+    PlainValidator,
+    TypeAdapter,
+    WrapValidator,
+)
 
 from lscan.camera.parameters import LIMITS
 from lscan.records import Floats
@@ -43,10 +51,25 @@ def _numbers(value: Any, dimensions: int) -> Floats:
     return array
 
 
-def _pair(value: Any) -> Floats:
-    array = _numbers(value, 1)
-    if array.shape != (2,) or array.min() < 0:
-        raise ValueError("must be two numbers not below 0")
+def of_length(count: int) -> AfterValidator:
+    """The rule for a field that its array holds so many numbers, or rows.
+
+    Parameters
+    ----------
+    count : int, how many
+    """
+
+    def check(array: Floats) -> Floats:
+        if len(array) != count:
+            raise ValueError(f"must be of length {count}, not {len(array)}")
+        return array
+
+    return AfterValidator(check)
+
+
+def _none_negative(array: Floats) -> Floats:
+    if (array < 0).any():
+        raise ValueError("must hold no number below 0")
     return array
 
 
@@ -74,7 +97,8 @@ def _plain_with_gaps(array: Floats) -> list[Any]:
 _LISTS = PlainSerializer(np.ndarray.tolist)
 Vector = Annotated[Floats, PlainValidator(partial(_numbers, dimensions=1)), _LISTS]
 Matrix = Annotated[Floats, PlainValidator(partial(_numbers, dimensions=2)), _LISTS]
-Pair = Annotated[Floats, PlainValidator(_pair), _LISTS]
+Place = Annotated[Vector, of_length(2)]
+Pair = Annotated[Place, AfterValidator(_none_negative)]
 NotNegativeOrNaN = Annotated[
     NotNegative, WrapValidator(_nan_for_none), PlainSerializer(_none_for_nan)
 ]
@@ -104,8 +128,8 @@ def check_covariance(covariance: Floats, count: int) -> None:
         raise ValueError("covariance must have no negative variance")
 
 
-def check_theta(theta: dict[str, float], names: Sequence[str]) -> None:
-    """Refuse parameters of a camera that do not have the right names and ranges.
+def check_theta(theta: dict[str, float], names: Sequence[str]) -> dict[str, float]:
+    """The parameters of a camera, which must have the right names and ranges.
 
     Parameters
     ----------
@@ -122,3 +146,4 @@ def check_theta(theta: dict[str, float], names: Sequence[str]) -> None:
     for name, (low, high) in LIMITS.items():
         if not low <= theta[name] <= high:
             raise ValueError(f"theta.{name} must be {low:g} to {high:g}")
+    return theta

@@ -6,7 +6,6 @@ squares is that of the marks' residuals in the picture over their standard uncer
 the camera's departures from its priors over theirs.
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -16,9 +15,8 @@ from scipy.optimize import least_squares
 from lscan.camera.boards import POSE, PosedBoards, parameter_derivatives
 from lscan.camera.covariance import covariance_root
 from lscan.camera.parameters import COUNT, GREATEST, LEAST, CameraPriors
-from lscan.records import Floats, Ints, Marks, Mask
+from lscan.records import Floats, Ints, Mask
 
-LEAST_SIGMA_PX = 0.002  # a quarter of what is reached in an 8-bit picture; ours
 WRONG = 6.0  # sigmas: one good mark in 6e7 is as far off (Rayleigh)
 MEDIAN = np.sqrt(2 * np.log(2))  # of the length of a residual of unit uncertainty (Rayleigh)
 FAR_PX = 1e4  # px, the residual of a mark that has no image at all
@@ -91,24 +89,6 @@ class CameraFit:
     root: Floats
     marks: BoardMarks
     good: Mask
-
-
-def found_on(several: Sequence[Marks], board: Sequence[int]) -> BoardMarks:
-    """The marks that were found in several readings, each of the board of that number.
-
-    Parameters
-    ----------
-    several : sequence of Marks, one a reading; sigma_px below LEAST_SIGMA_PX counts as that
-    board : sequence of int, number of each reading's board
-    """
-    counts = [int(marks.found.sum()) for marks in several]
-    sigma_px = np.concatenate([marks.sigma_px[marks.found] for marks in several])
-    return BoardMarks(
-        np.vstack([marks.board_mm[marks.found] for marks in several]),
-        np.vstack([marks.image_px[marks.found] for marks in several]),
-        np.maximum(sigma_px, LEAST_SIGMA_PX),
-        np.repeat(np.array(board, dtype=np.int64), counts),
-    )
 
 
 def sound_marks(lengths: Floats) -> Mask:

@@ -11,7 +11,7 @@ from lscan.cli.arguments import Json, require_folders
 from lscan.cli.console import print_json, print_table, progress_bar
 
 if TYPE_CHECKING:
-    from lscan.calibration.multiview import MetricCalibration
+    from lscan.calibration.multiview.solve import MetricCalibration
 
 
 def calibrate_metric(
@@ -20,12 +20,9 @@ def calibrate_metric(
     json: Json = False,
 ) -> None:
     """Solve camera, port and laser sheet from pictures of a board in several poses."""
-    from lscan.calibration.multiview import (
-        calibrate_metric as solve,
-        load_views,
-        read_views,
-        save_metric,
-    )
+    from lscan.calibration.multiview.file import save_metric
+    from lscan.calibration.multiview.solve import calibrate_metric as solve
+    from lscan.calibration.multiview.viewsfile import load_views, read_views
 
     require_folders(output)
     file = load_views(views)

@@ -63,7 +63,6 @@ class GraticuleSolver(MapSolver[Graticule]):
 
     family, model, what = "graticule", Graticule, "graticule"
     variants = tuple(VARIANTS)
-    allowed = ", ".join(f"graticule-{name}" for name in VARIANTS)
 
     def fit(self, reading: BoardReading, variant: str, optics: OpticsSection) -> Graticule:
         """The graticule through the marks that were found.

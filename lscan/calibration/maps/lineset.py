@@ -24,6 +24,9 @@ WEIGHT_SLACK = 2 * MARGIN
 NEWTON_STEPS = 12
 NEWTON_PX = 1e-9
 
+ValuesOf = Callable[[int, Mask], Floats]
+"""Gives the values of a line, by its index, at the places under a mask."""
+
 
 @dataclass(frozen=True)
 class Targets:
@@ -64,13 +67,13 @@ class Between:
         """Those under the mask."""
         return Between(self.lower[keep], self.upper[keep], self.fraction[keep], self.span_px[keep])
 
-    def blend(self, values_of: Callable[[int, Mask], Floats], power: int = 1) -> Floats:
+    def blend(self, values_of: ValuesOf, power: int = 1) -> Floats:
         """(N,) weighted sum over the two lines; values_of(line, mask) gives a line's values."""
         below = (1 - self.fraction) ** power * on_lines(self.lower, values_of)
         return below + self.fraction**power * on_lines(self.upper, values_of)
 
 
-def on_lines(index: Ints, values_of: Callable[[int, Mask], Floats]) -> Floats:
+def on_lines(index: Ints, values_of: ValuesOf) -> Floats:
     """(N,) of the line index[n] each; values_of(line, mask) gives a line's values."""
     values = np.empty(len(index))
     for line in np.unique(index):
@@ -168,9 +171,9 @@ class LineSet:
     def _curve(self, line: int) -> Curve:
         return self.lines[line].curve
 
-    def _height(self, between: Between, along: Floats) -> Floats:
-        """Eq. (3): the interpolated line H at ``along``, across px."""
-        return between.blend(lambda line, here: self._curve(line)(along[here]))
+    def _heights(self, along: Floats) -> ValuesOf:
+        """The lines at ``along``, across px; blended by eq. (3) they are the line H."""
+        return lambda line, here: self._curve(line)(along[here])
 
     def _slope(self, between: Between, along: Floats) -> Floats:
         return between.blend(lambda line, here: self._curve(line).slope(along[here]))
@@ -210,7 +213,7 @@ class LineSet:
         place = targets.across
         lean = self._slope(between, ruler.line(place)) * ruler.line.slope(place)
         for _ in range(NEWTON_STEPS):
-            miss = place - self._height(between, ruler.line(place))
+            miss = place - between.blend(self._heights(ruler.line(place)))
             place = place - miss / (1 - lean)
             if np.all(np.abs(miss) < NEWTON_PX):
                 break
@@ -227,11 +230,8 @@ class LineSet:
         """
         crossing = ruler.line(place)
         slope = self._slope(between, crossing)
-
-        def height(line: int, here: Mask) -> Floats:
-            return self._curve(line)(crossing[here])
-
-        far, near = on_lines(between.upper, height), on_lines(between.lower, height)
+        heights = self._heights(crossing)
+        far, near = on_lines(between.upper, heights), on_lines(between.lower, heights)
         ratio = (far - near) / between.span_px
 
         def line_variance(line: int, here: Mask) -> Floats:

@@ -79,7 +79,6 @@ class PolynomialSolver(MapSolver[Polynomial]):
 
     family, model, what = "polynomial", Polynomial, "polynomial map"
     variants = tuple(map(str, ORDERS))
-    allowed = "polynomial-1 to polynomial-9"
 
     def fit(self, reading: BoardReading, variant: str, optics: OpticsSection) -> Polynomial:
         """The polynomials of eq. (1) that solve eq. (2) for the control points found.

@@ -6,7 +6,7 @@ neither lens distortion nor the bending of rays at the port.  It has no variants
 """
 
 from dataclasses import dataclass
-from typing import Self
+from typing import Annotated, Self
 
 import numpy as np
 from pydantic import model_validator
@@ -16,7 +16,7 @@ from lscan.calibration.evaluate import Estimate, propagated, square_root
 from lscan.calibration.maps.scaling import Scaling, hartley
 from lscan.calibration.region import covered_region
 from lscan.calibration.solved import MapSolver, SolvedMap, with_lack_of_fit
-from lscan.calibration.stored import Matrix, Vector, check_covariance
+from lscan.calibration.stored import Matrix, Vector, check_covariance, of_length
 from lscan.config.rig import OpticsSection
 from lscan.errors import BoardNotFound
 from lscan.records import BoardReading, Floats
@@ -80,13 +80,11 @@ class Projective(SolvedMap):
 
     pixels: Scaling
     plane: Scaling
-    h: Vector
+    h: Annotated[Vector, of_length(COUNT)]
     covariance: Matrix
 
     @model_validator(mode="after")
     def _sizes(self) -> Self:
-        if self.h.shape != (COUNT,):
-            raise ValueError(f"h must be {COUNT} numbers")
         check_covariance(self.covariance, COUNT)
         return self
 
@@ -125,7 +123,7 @@ class Projective(SolvedMap):
 class ProjectiveSolver(MapSolver[Projective]):
     """Solves projective maps."""
 
-    family, model, what, allowed = "projective", Projective, "projective map", "projective"
+    family, model, what = "projective", Projective, "projective map"
 
     def fit(self, reading: BoardReading, variant: str, optics: OpticsSection) -> Projective:
         """The matrix that fits the control points found with the least error in the plane.

@@ -5,18 +5,18 @@ is a physical model, so it needs few numbers and keeps its accuracy between the 
 no variants; what is known of lens and port beforehand comes from the rig's [optics].
 """
 
-from functools import cached_property
-from typing import Annotated, Self
+from functools import cached_property, partial
+from typing import Annotated
 
 import numpy as np
-from pydantic import Field, model_validator
+from pydantic import AfterValidator, Field
 
 from lscan.calibration.evaluate import Estimate, propagated
 from lscan.calibration.maps.refractivefit import fit_view
 from lscan.calibration.readings import all_marks, without
 from lscan.calibration.region import covered_region
 from lscan.calibration.solved import MapSolver, SolvedMap
-from lscan.calibration.stored import Matrix, NotNegative, Number, Vector, check_theta
+from lscan.calibration.stored import Matrix, NotNegative, Number, Place, check_theta, of_length
 from lscan.calibration.unexplained import unexplained_mm
 from lscan.camera import rays
 from lscan.camera.boards import POSE, PosedBoards
@@ -53,23 +53,12 @@ class Refractive(SolvedMap):
     """
 
     port: PortKind
-    theta: dict[str, Number]
-    centre_mm: Vector
-    modes: Matrix
+    theta: Annotated[dict[str, Number], AfterValidator(partial(check_theta, names=NAMES))]
+    centre_mm: Place
+    modes: Annotated[Matrix, of_length(COUNT)]
     board_offset_mm: NotNegative
     board_tilt_deg: Annotated[float, Field(strict=True, ge=0, le=20)]
-    outliers_mm: tuple[Vector, ...]
-
-    @model_validator(mode="after")
-    def _sizes(self) -> Self:
-        check_theta(self.theta, NAMES)
-        if self.centre_mm.shape != (2,):
-            raise ValueError("centre_mm must be two numbers")
-        if len(self.modes) != COUNT:
-            raise ValueError(f"modes must hold {COUNT} rows, one for each of theta")
-        if any(place.shape != (2,) for place in self.outliers_mm):
-            raise ValueError("outliers_mm must be pairs")
-        return self
+    outliers_mm: tuple[Place, ...]
 
     @cached_property
     def view(self) -> PosedBoards:
@@ -123,7 +112,7 @@ def coplanarity_modes(
 class RefractiveSolver(MapSolver[Refractive]):
     """Solves refractive maps by the camera, port and pose that fit all marks best."""
 
-    family, model, what, allowed = "refractive", Refractive, "refractive map", "refractive"
+    family, model, what = "refractive", Refractive, "refractive map"
 
     def fit(self, reading: BoardReading, variant: str, optics: OpticsSection) -> Refractive:
         """Camera, port and pose that fit the marks, and the map they make.

@@ -6,16 +6,9 @@ leave a choice, and the covariance shows how much choice there was.
 
 import numpy as np
 
-from lscan.calibration.readings import all_marks
+from lscan.calibration.readings import all_marks, found_on
 from lscan.camera.boards import PosedBoards
-from lscan.camera.fit import (
-    BoardMarks,
-    CameraFit,
-    fit_boards,
-    found_on,
-    sound_marks,
-    with_covariance,
-)
+from lscan.camera.fit import BoardMarks, CameraFit, fit_boards, sound_marks, with_covariance
 from lscan.camera.parameters import priors_of
 from lscan.camera.start import TOLERANCE, best_start
 from lscan.config.rig import OpticsSection

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from lscan.calibration.stored import STRICT, Vector
+from lscan.calibration.stored import STRICT, Place
 from lscan.records import Floats
 
 
@@ -18,13 +18,13 @@ class Scaling:
     """
 
     __pydantic_config__ = STRICT
-    centre: Vector
-    scale: Vector
+    centre: Place
+    scale: Place
 
     def __post_init__(self) -> None:
-        """Raise ValueError unless both are (2,) and no scale is 0 or less."""
-        if self.centre.shape != (2,) or self.scale.shape != (2,) or self.scale.min() <= 0:
-            raise ValueError("a scaling has two centres and two scales above 0")
+        """Raise ValueError where a scale is 0 or less."""
+        if self.scale.min() <= 0:
+            raise ValueError("a scaling has two scales above 0")
 
     def apply(self, points: Floats) -> Floats:
         """(N, 2) scaled.

@@ -85,7 +85,7 @@ class Spline(SolvedMap):
 class SplineSolver(MapSolver[Spline]):
     """Solves spline maps."""
 
-    family, model, what, allowed = "spline", Spline, "spline map", "spline"
+    family, model, what = "spline", Spline, "spline map"
 
     def fit(self, reading: BoardReading, variant: str, optics: OpticsSection) -> Spline:
         """The spline through all marks found, control points and rulers.

@@ -5,23 +5,3 @@ For rigs whose board cannot be made coplanar with the sheet.  ``viewsfile`` read
 are outliers and reports on each, ``lines``, ``equations`` and ``sheet`` find the laser's
 plane from the line seen on the boards, ``planemap`` is the map that comes of it, ``file`` keeps it.
 """
-
-from lscan.calibration.multiview.file import load_metric, save_metric
-from lscan.calibration.multiview.planemap import Metric
-from lscan.calibration.multiview.solve import MetricCalibration, calibrate_metric
-from lscan.calibration.multiview.views import CalibrationView, FittedView, LinePoints
-from lscan.calibration.multiview.viewsfile import ViewsFile, load_views, read_views
-
-__all__ = [
-    "CalibrationView",
-    "FittedView",
-    "LinePoints",
-    "Metric",
-    "MetricCalibration",
-    "ViewsFile",
-    "calibrate_metric",
-    "load_metric",
-    "load_views",
-    "read_views",
-    "save_metric",
-]

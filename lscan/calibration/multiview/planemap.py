@@ -7,23 +7,18 @@ that is not rolled against the horizon, x is horizontal.
 """
 
 from dataclasses import dataclass, replace
-from functools import cached_property
-from typing import NoReturn, Self
+from functools import cached_property, partial
+from typing import Annotated, NoReturn, Self
 
 import numpy as np
-from pydantic import model_validator
+from pydantic import AfterValidator, model_validator
 
 from lscan.calibration.evaluate import Estimate, propagated
 from lscan.calibration.region import Region
 from lscan.calibration.solved import MapSolver, SolvedMap, full_name
-from lscan.calibration.stored import Matrix, Number, Vector, check_theta
+from lscan.calibration.stored import Matrix, Number, Place, Vector, check_theta, of_length
 from lscan.camera import rays
-from lscan.camera.covariance import (
-    Locate,
-    displacements,
-    modes_that_matter,
-    pixel_derivatives,
-)
+from lscan.camera.covariance import Locate, displacements, modes_that_matter, pixel_derivatives
 from lscan.camera.parameters import CAMERA, COUNT, PortKind, camera_of
 from lscan.camera.projection import meet_plane
 from lscan.config.rig import OpticsSection
@@ -105,20 +100,15 @@ class Metric(SolvedMap):
     """
 
     port: PortKind
-    theta: dict[str, Number]
-    q_per_mm: Vector
-    origin_px: Vector
-    modes: Matrix
+    theta: Annotated[dict[str, Number], AfterValidator(partial(check_theta, names=CAMERA))]
+    q_per_mm: Annotated[Vector, of_length(3)]
+    origin_px: Place
+    modes: Annotated[Matrix, of_length(COUNT + 3)]
 
     @model_validator(mode="after")
-    def _sizes(self) -> Self:
-        check_theta(self.theta, CAMERA)
-        if self.q_per_mm.shape != (3,) or not self.q_per_mm.any():
+    def _is_a_plane(self) -> Self:
+        if not self.q_per_mm.any():
             raise ValueError("q_per_mm must be three numbers, not all 0")
-        if self.origin_px.shape != (2,):
-            raise ValueError("origin_px must be two numbers")
-        if len(self.modes) != COUNT + 3:
-            raise ValueError(f"modes must hold {COUNT + 3} rows, one for each of theta and q")
         return self
 
     @cached_property
@@ -168,7 +158,7 @@ def metric_map(view: SheetView, root: Floats, region: Region) -> Metric:
 class MetricSolver(MapSolver[Metric]):
     """Restores metric maps; they are solved from several pictures, not from one."""
 
-    family, model, what, allowed = "metric", Metric, "metric map", "metric"
+    family, model, what = "metric", Metric, "metric map"
 
     def check_variant(self, variant: str) -> NoReturn:
         """Refuse any variant: one picture of the board does not give this map.

@@ -8,6 +8,7 @@ import numpy as np
 from lscan.calibration.multiview.planemap import Metric, SheetView, metric_map
 from lscan.calibration.multiview.sheet import LaserPlane, find_plane
 from lscan.calibration.multiview.views import CalibrationView, FittedView
+from lscan.calibration.readings import found_on
 from lscan.calibration.region import region_around
 from lscan.camera.boards import PosedBoards
 from lscan.camera.fit import (
@@ -16,14 +17,13 @@ from lscan.camera.fit import (
     CameraFit,
     chi_square,
     fit_boards,
-    found_on,
     sound_marks,
     with_covariance,
 )
 from lscan.camera.parameters import COUNT, CameraPriors, priors_of
 from lscan.camera.start import best_start
 from lscan.config.rig import Known, OpticsSection
-from lscan.errors import InputError, MeasurementError
+from lscan.errors import MeasurementError
 from lscan.records import Floats
 from lscan.version import __version__
 
@@ -285,7 +285,5 @@ def _judged(number: int, view: CalibrationView, used: UsedViews, plane: LaserPla
 
 def _pooled(parts: list[tuple[float, int]]) -> float:
     """Root mean square of parts of a root mean square and a count each."""
-    if not parts:
-        raise InputError("nothing was used", where="metric calibration")
     rms, count = np.array(parts).T
     return float(np.sqrt((rms**2 * count).sum() / count.sum()))

@@ -100,15 +100,6 @@ class ViewsFile:
     document: ViewsDocument
     path: Path
 
-    def resolve(self, name: str) -> Path:
-        """The path of a picture that the file names.
-
-        Parameters
-        ----------
-        name : str, as the file has it
-        """
-        return self.path.parent / name
-
 
 def load_views(path: Path) -> ViewsFile:
     """The views file at a path.
@@ -148,13 +139,14 @@ def read_views(
 
     def read(name: str) -> Bytes:
         nonlocal size
-        picture = read_picture(views.resolve(name))
+        path = views.path.parent / name
+        picture = read_picture(path)
         own = (picture.shape[1], picture.shape[0])
         size = size or own
         if own != size:
             raise InputError(
                 "is not of the first picture's size",
-                where=views.resolve(name),
+                where=path,
                 value=own,
                 allowed=f"{size[0]} x {size[1]} px",
             )

@@ -21,10 +21,10 @@ GOOD = (
     *("graticule-1", "graticule-2", "graticule-bspline", "graticule-2-norulers"),
 )
 BAD = {
-    "polynomial-99": "polynomial-1 to polynomial-9",
-    "polynomial-0": "polynomial-1 to polynomial-9",
-    "polynomial-²": "polynomial-1 to polynomial-9",
-    "polynomial": "polynomial-1 to polynomial-9",
+    "polynomial-99": "polynomial-1, polynomial-2",
+    "polynomial-0": "polynomial-1, polynomial-2",
+    "polynomial-²": "polynomial-1, polynomial-2",
+    "polynomial": "polynomial-1, polynomial-2",
     "graticule-3": "graticule-1, graticule-1-norulers, graticule-2",
     "graticule-norulers": "graticule-1",
     "graticule": "graticule-1",

@@ -14,7 +14,8 @@ from metricviews import SIZE, known, paper_rig, poses, views_of, with_noise
 from peak_memory import refused_within
 
 from lscan.calibration.loading import load_plane_map
-from lscan.calibration.multiview import calibrate_metric, save_metric
+from lscan.calibration.multiview.file import save_metric
+from lscan.calibration.multiview.solve import calibrate_metric
 from lscan.calibration.solve import save_calibration
 from lscan.errors import InputError, LscanError
 

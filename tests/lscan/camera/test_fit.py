@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 from metricviews import paper_rig, poses, views_of
 
+from lscan.calibration.readings import found_on
 from lscan.camera.boards import POSE, PosedBoards, parameter_derivatives
-from lscan.camera.fit import BoardMarks, found_on, sound_marks
+from lscan.camera.fit import BoardMarks, sound_marks
 from lscan.camera.parameters import CAMERA
 from lscan.camera.start import posed_boards
 

@@ -13,15 +13,10 @@ from metricviews import SIZE, known, paper_rig, poses, views_of, with_noise
 from typer.testing import CliRunner
 
 from lscan.calibration.api import find_solver
-from lscan.calibration.multiview import (
-    CalibrationView,
-    MetricCalibration,
-    calibrate_metric,
-    load_metric,
-    load_views,
-    read_views,
-    save_metric,
-)
+from lscan.calibration.multiview.file import load_metric, save_metric
+from lscan.calibration.multiview.solve import MetricCalibration, calibrate_metric
+from lscan.calibration.multiview.views import CalibrationView
+from lscan.calibration.multiview.viewsfile import load_views, read_views
 from lscan.camera import CameraModel, project
 from lscan.cli.multiview import calibrate_metric as command
 from lscan.errors import InputError
@@ -147,6 +142,7 @@ def test_what_is_no_json_is_refused(tmp_path: Path, text: str) -> None:
         (CHESSBOARD + '[[view]]\npicture = "a.png"\nbackground = "b.png"\n', "background"),
         ('[board]\nkind = "stripes"\n[[view]]\npicture = "a.png"\n', "no such kind (got 'stripes'"),
         (CHESSBOARD.replace("8", "2") + '[[view]]\npicture = "a.png"\n', "columns"),
+        (CHESSBOARD.replace("25.0", "0.0") + '[[view]]\npicture = "a.png"\n', "square_mm"),
         (CHESSBOARD + '[optics]\nport = "dome"\n[[view]]\npicture = "a.png"\n', "optics.port"),
     ],
 )

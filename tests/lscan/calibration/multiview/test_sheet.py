@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from metricviews import SIZE, Pose, known, line_of, marks_of, paper_rig, poses, views_of, with_noise
 
-from lscan.calibration.multiview import CalibrationView, LinePoints, calibrate_metric
+from lscan.calibration.multiview.solve import calibrate_metric
+from lscan.calibration.multiview.views import CalibrationView, LinePoints
 from lscan.errors import MeasurementError
 from lscan.records import Status
 
