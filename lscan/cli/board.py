@@ -5,7 +5,7 @@ from typing import Annotated
 
 import typer
 
-from lscan.cli.arguments import Json, board_of, require_folders
+from lscan.cli.arguments import Json, require_folders
 from lscan.cli.console import print_json
 
 
@@ -16,10 +16,15 @@ def draw_board(
 ) -> None:
     """Draw a calibration board at its true size, to be printed or milled."""
     from lscan.board.plate import board_svg
+    from lscan.config.board import Board
+    from lscan.config.documents import check, read_document
+    from lscan.config.rigfile import inline_board
     from lscan.files.disk import write_atomically
 
     require_folders(output)
-    drawn = board_of(board)
+    document = inline_board(read_document(board), source=str(board))
+    section = "board" if "board" in document else ""
+    drawn = check(Board, document.get("board", document), where=board, prefix=section)
     write_atomically(output, board_svg(drawn).encode())
     left, right, bottom, top = drawn.outline_mm()
     if json:

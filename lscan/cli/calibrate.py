@@ -8,16 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from lscan.cli.arguments import (
-    ChannelName,
-    Json,
-    Overlay,
-    PictureOrRun,
-    Trust,
-    board_picture,
-    parse_seeds,
-    require_folders,
-)
+from lscan.cli.arguments import ChannelName, Json, Overlay, PictureOrRun, Trust, require_folders
 from lscan.cli.console import print_json, print_table, progress_bar
 
 if TYPE_CHECKING:
@@ -56,6 +47,7 @@ def calibrate(
     from lscan.board import draw_overlay
     from lscan.calibration.maps.auto import calibrate_best
     from lscan.calibration.solve import calibrate as solve, save_calibration
+    from lscan.cli.inputs import board_picture, parse_seeds
     from lscan.files.pictures import write_picture
 
     require_folders(output, overlay)
@@ -92,6 +84,7 @@ def check(
     """Score an old calibration against a new picture of the board; exit code 1 if it is off."""
     from lscan.calibration.check import check_calibration
     from lscan.calibration.solve import load_calibration
+    from lscan.cli.inputs import board_picture, parse_seeds
 
     loaded = load_calibration(calibration)
     given = board_picture(picture, board, trusted=trust)

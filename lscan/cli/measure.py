@@ -8,15 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from lscan.cli.arguments import (
-    CalibrationFile,
-    Json,
-    RunFolder,
-    ShaftFile,
-    Trust,
-    open_calibrated,
-    require_folders,
-)
+from lscan.cli.arguments import CalibrationFile, Json, RunFolder, ShaftFile, Trust, require_folders
 from lscan.cli.console import note, print_json, print_table, progress_bar
 
 if TYPE_CHECKING:
@@ -42,6 +34,7 @@ def reconstruct(
     json: Json = False,
 ) -> None:
     """Turn a run's pictures into the surface that is measured, aligned if it is a sandwave's."""
+    from lscan.cli.inputs import open_calibrated
     from lscan.errors import MeasurementError
     from lscan.pipeline import reconstruct as build
     from lscan.records import has_value
@@ -98,6 +91,7 @@ def measure(
     json: Json = False,
 ) -> None:
     """Measure the run's board, grooved block or sandwave against its nominal shape."""
+    from lscan.cli.inputs import open_calibrated
     from lscan.files.jsontext import write_json
     from lscan.measurement import measure_run
 

@@ -6,7 +6,7 @@ from typing import Annotated
 import numpy as np
 import typer
 
-from lscan.cli.arguments import CalibrationFile, Json, Trust, open_calibrated, require_folders
+from lscan.cli.arguments import CalibrationFile, Json, Trust, require_folders
 from lscan.cli.console import print_json, print_table, progress_bar
 
 IN_FILE = np.array([1.0, 1.0, 180 / np.pi, 180 / np.pi, 1.0])
@@ -25,6 +25,7 @@ def calibrate_shaft(
     json: Json = False,
 ) -> None:
     """Find a rotary axis from the scan of a workpiece whose shape is known."""
+    from lscan.cli.inputs import open_calibrated
     from lscan.measurement import find_shaft
     from lscan.surface.shaft import section_of
     from lscan.surface.shaftfile import save_shaft

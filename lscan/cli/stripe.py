@@ -5,15 +5,7 @@ from typing import Annotated
 
 import typer
 
-from lscan.cli.arguments import (
-    ChannelName,
-    Json,
-    Overlay,
-    PictureOrRun,
-    Trust,
-    require_folders,
-    stripe_picture,
-)
+from lscan.cli.arguments import ChannelName, Json, Overlay, PictureOrRun, Trust, require_folders
 from lscan.cli.console import print_json
 
 
@@ -38,14 +30,26 @@ def extract(
     json: Json = False,
 ) -> None:
     """Find the laser line in one picture."""
+    from lscan.acquisition.run import open_run
     from lscan.config.documents import check
     from lscan.config.rig import StripeSection
+    from lscan.errors import InputError
     from lscan.files.pictures import read_picture, write_picture
     from lscan.records import has_value, status_counts
     from lscan.stripe import draw_stripe, extract_stripe, save_stripe
 
     require_folders(output, overlay)
-    image, dark, usual = stripe_picture(picture, frame, trust)
+    if picture.is_dir():
+        run = open_run(picture, trust)
+        if not 0 <= frame < len(run):
+            allowed = f"0 to {len(run) - 1}"
+            raise InputError("no such frame", where="--frame", value=frame, allowed=allowed)
+        shown, usual = run.frame(frame), run.rig_file.rig.stripe
+        image, dark = shown.image, shown.background
+    else:
+        image, dark, usual = read_picture(picture), None, StripeSection()
+    if background:
+        dark = read_picture(background)
     given = {
         "axis": axis,
         "extractor": extractor,
@@ -55,7 +59,7 @@ def extract(
     }
     changes = {key: value for key, value in given.items() if value is not None}
     settings = check(StripeSection, {**usual.model_dump(), **changes}, where="command line")
-    stripe = extract_stripe(image, settings, read_picture(background) if background else dark)
+    stripe = extract_stripe(image, settings, dark)
     if overlay:
         write_picture(overlay, draw_stripe(image, stripe))
     if output:

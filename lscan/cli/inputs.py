@@ -1,0 +1,121 @@
+"""What the arguments of the command line name, opened: runs, boards, calibrations, seeds.
+
+Commands import it when they run: what it imports is heavy, and ``lscan --help`` stays quick.
+"""
+
+from contextlib import nullcontext
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from lscan.acquisition.run import Run, open_run
+from lscan.board import read_board
+from lscan.calibration.api import PlaneMap
+from lscan.calibration.loading import load_plane_map
+from lscan.cli.console import note
+from lscan.config.board import Board, load_board
+from lscan.config.documents import check, read_document
+from lscan.config.rig import CalibrationSection, OpticsSection
+from lscan.errors import InputError
+from lscan.files.pictures import read_picture
+from lscan.pipeline import board_expected, mean_picture, require_board, require_size
+from lscan.records import BoardReading, Bytes, Floats
+from lscan.surface.shaftfile import load_shaft
+
+
+def open_calibrated(
+    run: Path, calibration: Path, shaft: Path | None = None, trusted: bool = False
+) -> tuple[Run, PlaneMap]:
+    """A run and the plane map for its pictures; a run that is not complete is said to be so.
+
+    shaft: TOML file whose [shaft] takes the place of the run's own.  trusted: as ``open_run``.
+    """
+    opened = open_run(run, trusted)
+    if shaft is not None:
+        opened = _about(opened, shaft)
+    plane_map, size = load_plane_map(calibration)
+    rig = opened.rig_file.rig
+    require_size(rig.camera, size, calibration, opened.path)
+    if len(opened) < rig.plan.frames:
+        note(f"{run} holds {len(opened)} of {rig.plan.frames} frames")
+    return opened, plane_map
+
+
+def _about(run: Run, shaft: Path) -> Run:
+    """The run with the [shaft] of a file; InputError where it was not made about a shaft."""
+    rig_file = run.rig_file
+    if rig_file.rig.shaft is None:
+        raise InputError("was made on a linear track, without [shaft]", where=run.path)
+    rig = rig_file.rig.model_copy(update={"shaft": load_shaft(shaft)})
+    return replace(run, rig_file=replace(rig_file, rig=rig))
+
+
+def parse_seeds(text: str | None) -> Floats | None:
+    """(3, 2) px of "u1,v1,u2,v2,u3,v3", None for None; InputError where it is neither."""
+    if text is None:
+        return None
+    try:
+        numbers = [float(part) for part in text.replace(";", ",").split(",")]
+    except ValueError:
+        numbers = []
+    if len(numbers) != 6 or not np.isfinite(numbers).all():
+        raise InputError(
+            "not three points", where="--seeds", value=text, allowed="u1,v1,u2,v2,u3,v3 in px"
+        )
+    return np.array(numbers).reshape(3, 2)
+
+
+@dataclass(frozen=True)
+class BoardSource:
+    """The picture of a board, the board, how to calibrate with it, and what is known of the lens.
+
+    image: (H, W, 3) or (H, W) uint8.  run: whose mean picture it is, None of a picture file.
+    """
+
+    image: Bytes
+    board: Board
+    calibration: CalibrationSection
+    optics: OpticsSection
+    run: Run | None = None
+
+    def read(self, seeds: Floats | None, channel: str | None) -> BoardReading:
+        """The marks found; seeds: (3, 2) px; channel: in place of what the rig says."""
+        section = self.calibration
+        if channel is not None:
+            section = check(CalibrationSection, {"channel": channel}, where="command line")
+        with board_expected(self.run) if self.run else nullcontext():
+            return read_board(self.image, self.board, seeds=seeds, channel=section.channel)
+
+
+def board_picture(
+    picture: Path, board: Path | None, optics: Path | None = None, trusted: bool = False
+) -> BoardSource:
+    """What a picture file or a run folder gives to calibrate from.
+
+    board, optics: files that stand in for what a run's rig file says; a picture file needs
+    the first.  trusted: as ``open_run``.
+    Raises InputError where one is missing or cannot be used.
+    """
+    if picture.is_dir():
+        run = open_run(picture, trusted)
+        rig = run.rig_file.rig
+        nominal = load_board(board) if board else require_board(run.rig_file)
+        known = read_optics(optics) if optics else rig.optics
+        return BoardSource(mean_picture(run), nominal, rig.calibration, known, run)
+    if not picture.exists():
+        raise InputError(
+            "no such file or folder", where=picture, allowed="a picture file or a run folder"
+        )
+    if board is None:
+        raise InputError("a picture needs a board file", where="--board", allowed="a TOML file")
+    known = read_optics(optics) if optics else OpticsSection()
+    return BoardSource(read_picture(picture), load_board(board), CalibrationSection(), known)
+
+
+def read_optics(path: Path) -> OpticsSection:
+    """The section [optics] of a TOML file, which may be a whole rig file; InputError if none."""
+    document = read_document(path)
+    if "optics" not in document:
+        raise InputError("has no section [optics]", where=path)
+    return check(OpticsSection, document["optics"], where=path, prefix="optics")
