@@ -12,7 +12,6 @@ from lscan.paper.experiment import Chain, Experiment, PictureSource
 PARTS = ("board", "groove", "sandwave")
 PAPERS_EXTRACTORS = {"centroid", "centroid-relative"}
 """Eq. (8) with the intensities as they are, or above the lowest (Sec. V.B)."""
-SIMULATED = "simulated tank"
 _TANK_DRIVER = "sim"
 
 Sources = Mapping[str, PictureSource]
@@ -47,60 +46,13 @@ def note(sources: Sources, parts: Collection[str] = PARTS) -> str:
     parts : collection of str, of these names
     """
     there = {part: source for part, source in sources.items() if part in parts}
-    simulated = _simulated(there)
+    simulated = simulated_parts(there)
     if not simulated:
         return ""
-    words = f"{SIMULATED}, {_noise(simulated.values())}."
+    words = f"simulated tank, {noise_words(simulated.values())}."
     if len(simulated) < len(there):
         words = f"{' and '.join(simulated)}: {words}"
     return words[0].upper() + words[1:]
-
-
-def title(experiment: Experiment) -> str:
-    """The page's title: the scene's name, and whether the tank was simulated.
-
-    Parameters
-    ----------
-    experiment : Experiment, its scene and sources count
-    """
-    simulated = _simulated(experiment.sources)
-    if not simulated:
-        return experiment.scene
-    all_of_them = len(simulated) == len(experiment.sources)
-    which = "" if all_of_them else f": {', '.join(simulated)}"
-    return f"{experiment.scene} ({SIMULATED}{which})"
-
-
-def lead(sources: Sources) -> str:
-    """The page's first sentence.
-
-    Parameters
-    ----------
-    sources : mapping of PictureSource, by "board", "groove" and "sandwave"
-    """
-    simulated = _simulated(sources)
-    scanner = "Report of an underwater laser line scanner"
-    if not simulated:
-        return f"{scanner}: what was found, beside what the paper printed."
-    which = "" if len(simulated) == len(sources) else f" of {' and '.join(simulated)}"
-    return (
-        f"{scanner} in a {SIMULATED}: the pictures{which} were rendered, "
-        f"{_noise(simulated.values())}. What was found in them stands beside what the paper "
-        "printed of a real tank."
-    )
-
-
-def cameras(sources: Sources) -> str:
-    """Which camera driver took which pictures, such as "sim (board, groove)".
-
-    Parameters
-    ----------
-    sources : mapping of PictureSource, by "board", "groove" and "sandwave"
-    """
-    by_driver: dict[str, list[str]] = {}
-    for part, source in sources.items():
-        by_driver.setdefault(source.camera, []).append(part)
-    return ", ".join(f"{driver} ({', '.join(parts)})" for driver, parts in by_driver.items())
 
 
 def chain_names(chain: Chain) -> tuple[str, str]:
@@ -137,11 +89,12 @@ def describe_chains(experiment: Experiment) -> str:
     return f"{words} No {second}: {refused}." if refused else words
 
 
-def _simulated(sources: Sources) -> Sources:
+def simulated_parts(sources: Sources) -> Sources:
+    """Those of the sources that are known to be simulated."""
     return {part: source for part, source in sources.items() if source.simulated}
 
 
-def _noise(sources: Collection[PictureSource]) -> str:
+def noise_words(sources: Collection[PictureSource]) -> str:
     """Such as "noise seed 1"."""
     noisy = [source for source in sources if source.noise]
     if not noisy:

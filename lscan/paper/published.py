@@ -94,11 +94,7 @@ SLICE_ERRORS_MM = (-1.0, 1.5)
 COLUMN = 320
 """Sec. V.B, Fig. 35: the column of the picture whose intensities are shown."""
 
-COLUMN_PIXELS = (
-    ((251, 142), (252, 245), (253, 255), (254, 176), (255, 120)),
-    ((251, 138), (252, 233), (253, 255), (254, 186), (255, 119)),
-    ((250, 126), (251, 157), (252, 255), (253, 255), (254, 168)),
-)
+COLUMN_PIXELS = _PRINTED["column-pixels"]
 """Sec. V.B: (v, intensity) of the brightest pixel and two neighbours each side, per frame."""
 
 CENTRES_RAW_PX = (252.8795, 252.9087, 252.2313)

@@ -50,6 +50,7 @@ def render_report(experiment: Experiment, bars: Bars | None = None) -> str:
 
     bars = bars or Bars()
     sources = experiment.sources
+    simulated = provenance.simulated_parts(sources)
     sections = _sections(experiment, bars)
     scripts = [figure.script for part in sections.values() for figure in part if figure.script]
     tables = [
@@ -57,9 +58,10 @@ def render_report(experiment: Experiment, bars: Bars | None = None) -> str:
         for table in paper_tables(experiment, bars)
     ]
     return page_template("lscan.paper", "report.html.j2", unbroken=_unbroken).render(
-        title=provenance.title(experiment),
-        lead=provenance.lead(sources),
-        cameras=provenance.cameras(sources),
+        scene=experiment.scene,
+        sources=sources,
+        simulated=simulated,
+        noise=provenance.noise_words(simulated.values()),
         chains=provenance.describe_chains(experiment),
         names=provenance.chain_names(experiment.chain),
         versions=software_versions(),

@@ -7,6 +7,7 @@ import numpy as np
 
 from lscan.figures.reportfigure import signed
 from lscan.measure import SliceErrors
+from lscan.measurement import BoardMeasures
 from lscan.paper.experiment import Experiment
 from lscan.paper.published import (
     CHOSEN_MAP,
@@ -104,11 +105,6 @@ class TableBlock:
     our_heads: tuple[str, ...] = ("mm", "σ", "err.", "%")
     caption: str = ""
 
-    @property
-    def has_best(self) -> bool:
-        """Whether any row has numbers of the best chain."""
-        return any(row.best for row in self.rows)
-
 
 @dataclass(frozen=True)
 class ReportTable:
@@ -145,16 +141,11 @@ def paper_tables(experiment: Experiment, bars: Bars) -> list[ReportTable]:
     measures, best = experiment.board.measures, experiment.best
     distances = {name: found.distances for name, found in measures.items()}
     diameters = {name: found.diameters for name, found in measures.items()}
-    better = best.board.measures[best.chain.plane_map] if best else None
-    tables = [
-        _table_by_method("table-1", distances, better.distances if better else {}, TABLE_1, bars)
-    ]
+    nothing = BoardMeasures({}, {}, {})
+    better = best.board.measures[best.chain.plane_map] if best else nothing
+    tables = [_table_by_method("table-1", distances, better.distances, TABLE_1, bars)]
     if diameters[CHOSEN_MAP]:
-        tables.append(
-            _table_by_method(
-                "table-2", diameters, better.diameters if better else {}, TABLE_2, bars
-            )
-        )
+        tables.append(_table_by_method("table-2", diameters, better.diameters, TABLE_2, bars))
     if experiment.groove:
         groove = best.groove.dimensions if best and best.groove else {}
         tables.append(_groove_table(experiment.groove.dimensions, groove, bars))
@@ -199,15 +190,13 @@ def _table_by_method(
 
 
 def _groove_table(ours: Lengths, best: Lengths, bars: Bars) -> ReportTable:
-    def beyond(length: Length | PrintedLength) -> bool:
-        return abs(length.error_mm) > bars.groove_mm
-
+    theirs = _of_same_piece(TABLE_3, ours)
     return ReportTable(
         "table-3",
         _TITLES["table-3"],
         _CAPTION.format(bar=f"{bars.groove_mm:g} mm"),
         ("board", "groove"),
-        _chains(ours, best, _of_same_piece(TABLE_3, ours), beyond),
+        _chains(ours, best, theirs, lambda length: abs(length.error_mm) > bars.groove_mm),
     )
 
 
@@ -275,32 +264,22 @@ def _feature_block(
     beyond: Beyond,
 ) -> TableBlock:
     mine = {name: lengths[feature] for name, lengths in ours.items() if feature in lengths}
-    rows = tuple(
-        TableRow(
-            LABELS.get(name, name),
-            name,
-            _cells(theirs[name].get(feature), beyond),
-            _cells(length, beyond),
-        )
-        for name, length in mine.items()
-    )
-    return TableBlock("Method", rows, caption=_heading(feature, next(iter(mine.values()))))
+    rows = []
+    for name, length in mine.items():
+        cells = (_cells(shown, beyond) for shown in (theirs[name].get(feature), length))
+        rows.append(TableRow(LABELS.get(name, name), name, *cells))
+    return TableBlock("Method", tuple(rows), caption=_heading(feature, length))
 
 
 def _summary(
     ours: Mapping[str, Lengths], theirs: Mapping[str, Mapping[str, PrintedLength]], bars: Bars
 ) -> TableBlock:
-    rows = tuple(
-        TableRow(
-            LABELS.get(name, name),
-            name,
-            _summary_cells(theirs[name].values(), bars),
-            _summary_cells(lengths.values(), bars),
-        )
-        for name, lengths in ours.items()
-    )
+    rows = []
+    for name, lengths in ours.items():
+        cells = (_summary_cells(shown.values(), bars) for shown in (theirs[name], lengths))
+        rows.append(TableRow(LABELS.get(name, name), name, *cells))
     heads = ("rms / mm", "largest / mm", "largest / %")
-    return TableBlock("Method", rows, heads, heads, caption="All features together")
+    return TableBlock("Method", tuple(rows), heads, heads, caption="All features together")
 
 
 def _summary_cells(lengths: Collection[Length | PrintedLength], bars: Bars) -> Cells:
