@@ -105,6 +105,11 @@ class TableBlock:
     our_heads: tuple[str, ...] = ("mm", "σ", "err.", "%")
     caption: str = ""
 
+    @property
+    def has_best(self) -> bool:
+        """Whether any row has numbers of the best chain."""
+        return any(row.best for row in self.rows)
+
 
 @dataclass(frozen=True)
 class ReportTable:

@@ -90,15 +90,11 @@ class StepFit:
     Attributes
     ----------
     place : (P,) array, mm
-    width : (G,) array, mm, of the blur
-    wall : (W,) array, shares
     covariance : (P, P) array, mm², of the places
     kept : (K,) mask, of the samples used
     """
 
     place: Floats
-    width: Floats
-    wall: Floats
     covariance: Floats
     kept: Mask
 
@@ -156,12 +152,15 @@ def fit_steps(
             break
     size = len(place)
     covariance = solution.covariance[:size, :size]
-    return StepFit(state.place, state.width, state.wall, covariance, used)
+    return StepFit(state.place, covariance, used)
 
 
 @dataclass(frozen=True)
 class _StepState:
-    """The unknowns, as in StepFit, and the relative scatter of the samples about them."""
+    """The unknowns, and the relative scatter of the samples about them.
+
+    place: (P,) mm.  width: (G,) of the blur, mm.  wall: (W,) shares.
+    """
 
     place: Floats
     width: Floats
@@ -234,12 +233,10 @@ def _advanced(
     place, width, wall, _ = np.split(solution.step, np.cumsum(sizes))
     largest = float(np.abs(place).max())
     half = state.width / 2
-    return (
-        _StepState(
-            state.place + place * min(1.0, limits.step_mm / max(largest, 1e-300)),
-            np.clip(state.width + np.clip(width, -half, half), *limits.widths_mm),
-            np.clip(state.wall + wall, *WALL),
-            max(state.scatter * solution.scatter, LEAST_SCATTER),
-        ),
-        largest,
+    advanced = _StepState(
+        state.place + place * min(1.0, limits.step_mm / max(largest, 1e-300)),
+        np.clip(state.width + np.clip(width, -half, half), *limits.widths_mm),
+        np.clip(state.wall + wall, *WALL),
+        max(state.scatter * solution.scatter, LEAST_SCATTER),
     )
+    return advanced, largest

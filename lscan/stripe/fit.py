@@ -60,13 +60,8 @@ class LineWindows:
         ----------
         chosen : (C,) array, indices among the K
         """
-        return LineWindows(
-            self.steps,
-            self.grey[chosen],
-            self.base[chosen],
-            self.used[chosen],
-            self.clipped[chosen],
-        )
+        grey, base = self.grey[chosen], self.base[chosen]
+        return LineWindows(self.steps, grey, base, self.used[chosen], self.clipped[chosen])
 
 
 @dataclass(frozen=True)

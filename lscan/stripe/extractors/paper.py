@@ -17,8 +17,8 @@ import numpy as np
 
 from lscan.config.rig import StripeSection
 from lscan.records import Floats, Mask, Stripe
-from lscan.stripe.noise.model import Noise, constant_variance, line_variance_per_dn
-from lscan.stripe.peaks import Peaks, centred, nominal_peaks, windows
+from lscan.stripe.noise.model import line_noise
+from lscan.stripe.peaks import centred, nominal_peaks, windows
 
 Centring = Callable[[Floats], tuple[Floats, Floats]]
 """From windows (K, n) of grey values to the line's offset (K,) from the middle pixel, in px,
@@ -97,7 +97,7 @@ def _extract(
     wide = windows(columns, peaks.columns, peaks.rows, settings.span_px + 1)
     window = wide[:, 1:-1]
     light = window - peaks.base[:, None]
-    variance = _pixel_variance(columns, light, peaks)
+    variance = line_noise(columns, light, peaks.columns).variance(light)
     offset, slope = centring(window)
     variance_px = (slope**2 * variance).sum(axis=1)
     variance_px += _choice_variance(wide, offset, variance, centring)
@@ -107,13 +107,6 @@ def _extract(
     # Only grey values that are negative can throw the centroid out of its window.
     kept = np.abs(offset) <= settings.span_px
     return centred(stripe, peaks, offset, np.sqrt(variance_px), kept)
-
-
-def _pixel_variance(columns: Floats, light: Floats, peaks: Peaks) -> Floats:
-    """Noise variance (K, n) in DN² of the window's pixels, whose light is (K, n) in DN."""
-    constant = constant_variance(columns)
-    noise = Noise(constant, line_variance_per_dn(light, peaks.columns, constant))
-    return noise.variance(light)
 
 
 def _no_offset(window: Floats) -> tuple[Floats, Floats]:

@@ -15,12 +15,7 @@ from scipy.stats import norm
 
 from lscan.config.rig import StripeSection
 from lscan.records import Floats, Ints, Mask, Status, Stripe
-from lscan.stripe.noise.model import (
-    Noise,
-    constant_variance,
-    line_variance_per_dn,
-    stated_noise,
-)
+from lscan.stripe.noise.model import Noise, line_noise, stated_noise
 from lscan.stripe.peaks import windows
 from lscan.stripe.pieces import pieces
 from lscan.stripe.width import line_width
@@ -159,10 +154,8 @@ def _noise(
     """The noise that the settings state, or else that of the picture, (W, H) in DN."""
     if settings.noise is not None:
         return stated_noise(settings.noise, float(np.median(columns)))
-    constant = constant_variance(columns)
     reach = int(np.ceil(2 * width))
-    window = windows(light, lit, light[lit].argmax(axis=1), reach)
-    return Noise(constant, line_variance_per_dn(window, lit, constant))
+    return line_noise(columns, windows(light, lit, light[lit].argmax(axis=1), reach), lit)
 
 
 def _band(light: Floats, lit: Ints, scale: float) -> slice:

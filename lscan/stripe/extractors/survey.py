@@ -114,15 +114,12 @@ def survey(image: Floats, settings: StripeSection, clipped: Mask) -> Survey | St
     view = _view(columns, lost, peaks, rough)
     start = _start(view, rough)
     sample = _pairs(len(rough))
-    fit, noise, misfit = _fit_sample(
-        view.of(sample), peaks.of(sample), start[sample], noise, settings
-    )
-    ln_width = _between(fit, LN_WIDTH, sample, len(rough))
-    tilt = _between(fit, TILT, sample, len(rough))
+    sampled = (view.of(sample), peaks.of(sample), start[sample])
+    fit, noise, misfit = _fit_sample(*sampled, noise, settings)
+    ln_width, tilt = (_between(fit, which, sample, len(rough)) for which in (LN_WIDTH, TILT))
     start[:, LN_WIDTH], start[:, TILT] = ln_width.value, tilt.value
-    return Survey(
-        stripe, peaks, _reach(rough, settings), view, start, ln_width, tilt, noise, misfit
-    )
+    reach = _reach(rough, settings)
+    return Survey(stripe, peaks, reach, view, start, ln_width, tilt, noise, misfit)
 
 
 def _first_noise(columns: Floats, peaks: Peaks, settings: StripeSection) -> Noise:
@@ -221,11 +218,9 @@ def _view(columns: Floats, lost: Mask, peaks: Peaks, width_px: Floats) -> LineWi
     steps = np.arange(-reach.max(), reach.max() + 1)
     rows = peaks.rows[:, None] + steps
     used = (np.abs(steps) <= reach) & (rows >= 0) & (rows < columns.shape[1])
-    most = int(reach.max())
-    grey = windows(columns, peaks.columns, peaks.rows, most)
-    return LineWindows(
-        steps.astype(float), grey, peaks.base, used, windows(lost, peaks.columns, peaks.rows, most)
-    )
+    grey = windows(columns, peaks.columns, peaks.rows, steps)
+    clipped = windows(lost, peaks.columns, peaks.rows, steps)
+    return LineWindows(steps.astype(float), grey, peaks.base, used, clipped)
 
 
 def _start(view: LineWindows, width_px: Floats) -> Floats:

@@ -127,6 +127,18 @@ def line_variance_per_dn(light: Floats, at: Ints, constant: float) -> float:
     return max(scatter - light.shape[1] * constant, 0.0) / float(np.median(sums))
 
 
+def line_noise(columns: Floats, light: Floats, at: Ints) -> Noise:
+    """The noise of a picture in which no line is fitted.
+
+    Parameters
+    ----------
+    columns : (W, H) array, DN, one column of the picture a row
+    light, at : as :func:`line_variance_per_dn` takes them
+    """
+    constant = constant_variance(columns)
+    return Noise(constant, line_variance_per_dn(light, at, constant))
+
+
 def scatter_noise(square: Floats, light: Floats, constant: float) -> Noise:
     """The noise that makes pixels scatter so about a fitted line.
 
