@@ -10,11 +10,10 @@ import numpy as np
 
 from lscan.config.rig import CameraSection
 from lscan.devices.api import Grab
-from lscan.devices.opencv_camera.address import unopened
 from lscan.devices.opencv_camera.opening import open_capture
-from lscan.devices.opencv_camera.options import Capture, OpenCapture, OpencvOptions
+from lscan.devices.opencv_camera.options import OpenCapture, OpencvOptions
 from lscan.devices.opencv_camera.reader import DeviceLost, Reader, TimedPicture
-from lscan.devices.opencv_camera.settings import Setting, Settings, apply_settings
+from lscan.devices.opencv_camera.settings import Setting, Settings
 from lscan.errors import DeviceError
 from lscan.records import Bytes
 
@@ -45,7 +44,6 @@ class OpencvCamera:
     ) -> None:
         self._section, self._options = section, options
         self._open_capture = open_capture
-        self._black_is_meant = options.black == "accept"
         self._closed = threading.Event()
         self._shape: tuple[int, ...] | None = None
         self._last: Bytes | None = None
@@ -90,7 +88,7 @@ class OpencvCamera:
 
     def accept_black(self) -> None:
         """From now on black pictures are meant: the cap is on."""
-        self._black_is_meant = True
+        self._options = self._options.model_copy(update={"black": "accept"})
 
     def grab(self, frame: int | None = None, dark: bool = False) -> Grab:
         """A picture that arrived after this call began, RGB.
@@ -117,7 +115,7 @@ class OpencvCamera:
                 if attempt:
                     self._closed.wait(self._options.reconnect_wait_s)
                     self._reconnect()
-                return self._grab(began_s, frame, dark or self._black_is_meant)
+                return self._grab(began_s, frame, dark or self._options.black == "accept")
             except DeviceLost as error:
                 lost = error
                 if attempt + 1 < attempts:
@@ -149,7 +147,11 @@ class OpencvCamera:
                 self._take(after_s)
         else:
             after_s = -math.inf
-            self._wind_to(frame)
+            wanted = self._read if frame is None else frame * self._options.average_frames
+            if wanted < self._read:
+                self._open_anew()
+            while self._read < wanted:
+                self._take(after_s)
         count = self._options.average_frames
         pictures = [self._sound_picture(after_s, may_be_black) for _ in range(count)]
         images = [_rgb(picture.image) for picture in pictures]
@@ -178,50 +180,20 @@ class OpencvCamera:
 
     def _fault(self, image: Bytes, may_be_black: bool) -> str:
         """What is wrong with a picture of the right size; "" where nothing is."""
-        if self._is_black(image) and not may_be_black:
+        if self._options.is_black(image) and not may_be_black:
             exposure_ms = self._settings.exposure_ms
             said = f"a black picture, brightest pixel {image.max()} DN at {exposure_ms:g} ms"
             if self._options.black == "refuse":
                 return f"{said}; take the cap off, or set camera.options.black = 'accept'"
             _log.warning("%s: %s", self._options.name, said)
-        same = self._last is not None and np.array_equal(image, self._last)
-        if same and not self._may_repeat(image):
+        if self._last is not None and self._options.is_stuck(image, self._last):
             return "sent the picture of the grab before again; plug it in anew"
         return ""
-
-    def _is_black(self, image: Bytes) -> bool:
-        return int(image.max()) <= self._options.black_dn
-
-    def _may_repeat(self, image: Bytes) -> bool:
-        """A file's may.  Black ones may: they hold no noise to compare, and have their own rule."""
-        return not self._options.live or self._is_black(image)
-
-    def _wind_to(self, frame: int | None) -> None:
-        """Bring a video file to the pictures of a frame of the scan."""
-        if frame is None:
-            return
-        wanted = frame * self._options.average_frames
-        if wanted < self._read:
-            self._open_anew()
-        while self._read < wanted:
-            self._take(-math.inf)
 
     # ---- opening ------------------------------------------------------------------------
 
     def _new_reader(self) -> Reader:
-        return Reader(self._options, self._start, self._checked, self._may_repeat)
-
-    def _start(self) -> tuple[Capture, Settings]:
-        """Runs in the reader's thread: opens the capture and sets it."""
-        capture = self._open_capture(self._options)
-        if not capture.isOpened():
-            capture.release()
-            raise DeviceLost(f"{self._options.name}: {unopened(self._options.url)}")
-        try:
-            return capture, apply_settings(capture, self._section, self._options)
-        except BaseException:
-            capture.release()
-            raise
+        return Reader(self._section, self._options, self._open_capture, self._checked)
 
     def _first_settings(self) -> Settings:
         """The settings of a camera just opened; it is released where they are refused."""

@@ -3,9 +3,11 @@
 from collections.abc import Callable
 from typing import Annotated, Any, Literal, Protocol, Self
 
+import numpy as np
 from pydantic import Field, model_validator
 
 from lscan.config.documents import Strict
+from lscan.records import Bytes
 
 _OF_A_DEVICE = ("pixel_format", "fps", "gain", "focus", "white_balance", "auto_exposure")
 
@@ -101,6 +103,17 @@ class OpencvOptions(Strict):
         if self.device is not None:
             return f"camera opencv (device {self.device})"
         return f"camera opencv ({self.url or self.file})"
+
+    def is_black(self, image: Bytes) -> bool:
+        """Whether no pixel is above ``black_dn``."""
+        return int(image.max()) <= self.black_dn
+
+    def is_stuck(self, image: Bytes, last: Bytes) -> bool:
+        """Whether a live camera sent its last picture again.
+
+        Black ones hold no noise to compare, and have a rule of their own.
+        """
+        return self.live and np.array_equal(image, last) and not self.is_black(image)
 
 
 class Capture(Protocol):

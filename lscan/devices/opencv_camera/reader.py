@@ -12,10 +12,11 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import cv2
-import numpy as np
 
-from lscan.devices.opencv_camera.options import Capture, OpencvOptions
-from lscan.devices.opencv_camera.settings import Settings
+from lscan.config.rig import CameraSection
+from lscan.devices.opencv_camera.address import unopened
+from lscan.devices.opencv_camera.options import Capture, OpenCapture, OpencvOptions
+from lscan.devices.opencv_camera.settings import Settings, apply_settings
 from lscan.errors import DeviceError
 from lscan.records import Bytes
 
@@ -52,25 +53,23 @@ class Reader:
 
     Parameters
     ----------
-    options
-        What is read.
-    start
-        Opens the capture and sets it; raises DeviceError.
+    section, options
+        What is read, and how it is set.
+    open_capture
+        Opens the capture.
     check
         Raises DeviceError for a picture of the wrong size or kind.
-    may_repeat
-        Whether a picture may be the one before to the byte.
     """
 
     def __init__(
         self,
+        section: CameraSection,
         options: OpencvOptions,
-        start: Callable[[], tuple[Capture, Settings]],
+        open_capture: OpenCapture,
         check: Callable[[object], Bytes],
-        may_repeat: Callable[[Bytes], bool],
     ) -> None:
-        self._options = options
-        self._start, self._check, self._may_repeat = start, check, may_repeat
+        self._section, self._options = section, options
+        self._open_capture, self._check = open_capture, check
         self._changed = threading.Condition()
         self._settings: Settings | None = None
         self._picture: TimedPicture | None = None
@@ -157,7 +156,10 @@ class Reader:
         capture: Capture | None = None
         fault: DeviceError | None = None
         try:
-            capture, settings = self._start()
+            capture = self._open_capture(self._options)
+            if not capture.isOpened():
+                raise DeviceLost(f"{self._options.name}: {unopened(self._options.url)}")
+            settings = apply_settings(capture, self._section, self._options)
             with self._changed:
                 self._settings = settings
             self._read(capture)
@@ -183,24 +185,22 @@ class Reader:
                 return
             ok, raw = capture.read()
             if not ok or raw is None:
-                raise DeviceLost(f"{options.name}: {_ended(options.live, count)}")
+                ended = f"holds no more pictures than {count}; plan fewer frames"
+                gone = f"is gone after {count} pictures; {RECONNECT}"
+                raise DeviceLost(f"{options.name}: {gone if options.live else ended}")
             now_s = time.monotonic()
             time_s = now_s if options.device is None else _stamped_s(capture, now_s)
             if count < skip:
                 continue
             image = self._check(raw)
-            same = last is not None and np.array_equal(image, last)
-            last = image
-            self._deliver(TimedPicture(image, time_s, now_s), same and not self._may_repeat(image))
-
-    def _deliver(self, picture: TimedPicture, repeated: bool) -> None:
-        with self._changed:
-            while not self._options.live and self._picture is not None and not self._given_up:
-                self._changed.wait()
-            self._repeats = self._repeats + 1 if repeated else 0
-            if not repeated:
-                self._picture = self._newest = picture
-            self._changed.notify_all()
+            stuck, last = last is not None and options.is_stuck(image, last), image
+            with self._changed:
+                while not options.live and self._picture is not None and not self._given_up:
+                    self._changed.wait()
+                self._repeats = self._repeats + 1 if stuck else 0
+                if not stuck:
+                    self._picture = self._newest = TimedPicture(image, time_s, now_s)
+                self._changed.notify_all()
 
 
 def _stamped_s(capture: Capture, now_s: float) -> float:
@@ -222,9 +222,3 @@ def _late(old: TimedPicture | None, after_s: float, timeout_s: float) -> tuple[s
         "clock was set back or it holds old pictures",
         "plug it in anew, then scan with --resume",
     )
-
-
-def _ended(live: bool, count: int) -> str:
-    if live:
-        return f"is gone after {count} pictures; {RECONNECT}"
-    return f"holds no more pictures than {count}; plan fewer frames"

@@ -112,25 +112,20 @@ def _stated(
 
     In the order in which they are set: the format first, automatics before their values.
     """
-    mode = exposure.automatic if options.auto_exposure else exposure.manual
+    automatic, focus, white = options.auto_exposure, options.focus, options.white_balance
+    mode = exposure.automatic if automatic else exposure.manual
     every = {
         "pixel_format": (cv2.CAP_PROP_FOURCC, options.pixel_format),
         "width_px": (cv2.CAP_PROP_FRAME_WIDTH, section.width_px),
         "height_px": (cv2.CAP_PROP_FRAME_HEIGHT, section.height_px),
         "fps": (cv2.CAP_PROP_FPS, options.fps),
         "auto_exposure": (cv2.CAP_PROP_AUTO_EXPOSURE, mode),
-        "exposure_ms": (
-            cv2.CAP_PROP_EXPOSURE,
-            None if options.auto_exposure else section.exposure_ms,
-        ),
+        "exposure_ms": (cv2.CAP_PROP_EXPOSURE, None if automatic else section.exposure_ms),
         "gain": (cv2.CAP_PROP_GAIN, options.gain),
-        "autofocus": (cv2.CAP_PROP_AUTOFOCUS, None if options.focus is None else 0),
-        "focus": (cv2.CAP_PROP_FOCUS, options.focus),
-        "auto_white_balance": (
-            cv2.CAP_PROP_AUTO_WB,
-            None if options.white_balance is None else 0,
-        ),
-        "white_balance": (cv2.CAP_PROP_WB_TEMPERATURE, options.white_balance),
+        "autofocus": (cv2.CAP_PROP_AUTOFOCUS, None if focus is None else 0),
+        "focus": (cv2.CAP_PROP_FOCUS, focus),
+        "auto_white_balance": (cv2.CAP_PROP_AUTO_WB, None if white is None else 0),
+        "white_balance": (cv2.CAP_PROP_WB_TEMPERATURE, white),
     }
     return {
         name: (key, asked if isinstance(asked, str) else float(asked))
