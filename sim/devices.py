@@ -213,19 +213,15 @@ def metered(
     -------
     The layers, and the exposure in ms.
     """
+    options, exposure_ms = camera_options(scene), scene.rig.camera.exposure_ms
     layers = tank.render(position_mm, samples=samples, time_s=time_s)
-    exposure_ms = _exposure_ms(scene, webcam, layers, scene.tank.laser.wavelength_at(time_s))
+    if options.auto_exposure:
+        nm = scene.tank.laser.wavelength_at(time_s)
+        wanted = webcam.metered_ms(layers, options.target_dn, options.percentile, nm)
+        exposure_ms = min(max(wanted, options.min_ms), options.max_ms)
     if exposure_ms != scene.rig.camera.exposure_ms and scene.tank.head.speed_mm_s != 0:
         layers = tank.render(position_mm, samples=samples, time_s=time_s, exposure_ms=exposure_ms)
     return layers, exposure_ms
-
-
-def _exposure_ms(scene: Scene, webcam: Webcam, layers: Layers, wavelength_nm: float) -> float:
-    options = camera_options(scene)
-    if not options.auto_exposure:
-        return scene.rig.camera.exposure_ms
-    wanted = webcam.metered_ms(layers, options.target_dn, options.percentile, wavelength_nm)
-    return min(max(wanted, options.min_ms), options.max_ms)
 
 
 def render_picture(

@@ -72,7 +72,11 @@ class GrblMachine:
     def wake(self) -> AxisTravel:
         """What the settings say of the axis, after the banner; a soft reset asks for one."""
         self._await_banner()
-        status = self._greeted()
+        while self._dialogue.read(self._link.clock() + 0.05) is not None:  # what follows it
+            pass
+        status = self.status()
+        if status.state not in ("Idle", "Alarm"):
+            raise self._not_idle(status)
         settings = self._settings()
         self._dialogue.homes = bool(settings[22])
         if status.state == "Alarm" and not self._options.homing:
@@ -215,16 +219,6 @@ class GrblMachine:
                 raise self._not_idle(status)
             self._link.send_bytes(JOG_CANCEL if status.state == "Jog" else FEED_HOLD)
             self._link.sleep(POLL_S)
-        return status
-
-    def _greeted(self) -> StatusReport:
-        """The report after what follows the banner; DeviceError where it is neither at rest nor
-        in alarm."""
-        while self._dialogue.read(self._link.clock() + 0.05) is not None:
-            pass
-        status = self.status()
-        if status.state not in ("Idle", "Alarm"):
-            raise self._not_idle(status)
         return status
 
     def _settings(self) -> dict[int, float]:

@@ -3,7 +3,6 @@
 from collections.abc import Callable
 from typing import Final
 
-from lscan.devices.grbl.codes import in_words
 from lscan.devices.grbl.machine import Exchange, Unanswered, asked
 from lscan.devices.grbl.protocol import (
     Alarm,
@@ -13,6 +12,7 @@ from lscan.devices.grbl.protocol import (
     Ok,
     Refusal,
     StatusReport,
+    in_words,
     parse_line,
 )
 from lscan.errors import DeviceError

@@ -7,7 +7,9 @@ documented form exactly is taken for noise.
 
 import re
 from dataclasses import dataclass
-from typing import Final
+from typing import Final, Literal
+
+from lscan.files.packaged import packaged_table
 
 STATES: Final = ("Idle", "Run", "Hold", "Jog", "Alarm", "Door", "Check", "Home", "Sleep")
 AXES: Final = "XYZ"
@@ -76,11 +78,19 @@ class StatusReport:
 
 Message = Ok | Refusal | Alarm | Banner | GrblSetting | Feedback | StatusReport
 
+CODES: dict[str, dict[str, str]] = packaged_table("lscan.devices.grbl", "codes.toml")
+"""What numbers mean, in words: by "error" or "ALARM", then by number."""
+
 _NUMBER = r"-?\d+(?:\.\d*)?"
 _CODE = re.compile(r"(error|ALARM):(\d{1,3})")
 _BANNER = re.compile(r"Grbl (\d+\.\d+\w?)(?: \[.*\])?")
 _SETTING = re.compile(rf"\$(\d{{1,3}})=({_NUMBER})")
 _FEEDBACK = re.compile(r"\[(\w+):(.*)\]")
+
+
+def in_words(kind: Literal["error", "ALARM"], code: int) -> str:
+    """``error:N, meaning`` or ``ALARM:N, meaning``; of an unknown code, that it is unknown."""
+    return f"{kind}:{code}, {CODES[kind].get(str(code), 'which Grbl 1.1 does not document')}"
 
 
 def parse_line(text: str) -> Message | None:

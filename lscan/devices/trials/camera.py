@@ -14,8 +14,7 @@ from lscan.config.rig import Channel
 from lscan.devices.api import Camera
 from lscan.devices.opencv_camera.settings import Setting
 from lscan.devices.trials.photontransfer import (
-    BRIGHTEST_DN,
-    LINEAR_RANGE,
+    LINEAR_DN,
     Levels,
     Linearity,
     PhotonTransfer,
@@ -289,8 +288,7 @@ def _exposure_series(
             means.append(series.mean(axis=0))
     finally:
         camera.set_exposure(full_ms)
-    stack = np.array(means)
-    low, high = (part * BRIGHTEST_DN for part in LINEAR_RANGE)
+    stack, (low, high) = np.array(means), LINEAR_DN
     kept = ((stack >= low) & (stack <= high)).all(axis=0)
     used = stack[:, kept] if kept.any() else stack.reshape(len(stack), -1)
     return reduce(add, levels), np.array(exposures_ms), used.mean(axis=1)

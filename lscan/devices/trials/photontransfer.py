@@ -34,8 +34,8 @@ MOST_CLIPPED = 1e-3
 """Share of clipped values above which a level is passed over.  Of Gaussian noise, that is a
 level 3 standard deviations from the limit, and it takes less than 1 % off the variance."""
 
-LINEAR_RANGE = (0.05, 0.95)
-"""Part of the range in which a camera is judged for linearity (EMVA 1288, "Linearity")."""
+LINEAR_DN = (0.05 * BRIGHTEST_DN, 0.95 * BRIGHTEST_DN)
+"""Grey values between which a camera is judged for linearity (EMVA 1288, "Linearity")."""
 
 
 @dataclass(frozen=True)
@@ -223,7 +223,7 @@ def linearity(exposure_ms: Floats, mean_dn: Floats) -> Linearity:
     ----------
     EMVA Standard 1288, "Linearity".
     """
-    low, high = (part * BRIGHTEST_DN for part in LINEAR_RANGE)
+    low, high = LINEAR_DN
     inside = (mean_dn >= low) & (mean_dn <= high)
     if len(np.unique(exposure_ms[inside])) < 3:
         raise MeasurementError(

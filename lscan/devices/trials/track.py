@@ -103,7 +103,9 @@ def try_track(
     way_mm.append(stood_mm)
     moves: list[Move] = []
     for target_mm in way_mm:
-        moves.append(_move(track, _allowed_mm(track, target_mm)))
+        to_mm, began_s = _allowed_mm(track, target_mm), time.monotonic()
+        reported_mm = track.move_to(to_mm)
+        moves.append(Move(to_mm, reported_mm, time.monotonic() - began_s))
         if progress is not None:
             progress(len(moves), len(way_mm))
     return TrackTrial(
@@ -153,9 +155,3 @@ def _allowed_mm(track: Track, position_mm: float, margin_mm: float = 0.0) -> flo
     low_mm, high_mm = track.limits_mm
     margin_mm = min(margin_mm, (high_mm - low_mm) / 2)
     return min(max(position_mm, low_mm + margin_mm), high_mm - margin_mm)
-
-
-def _move(track: Track, to_mm: float) -> Move:
-    began_s = time.monotonic()
-    reported_mm = track.move_to(to_mm)
-    return Move(to_mm, reported_mm, time.monotonic() - began_s)

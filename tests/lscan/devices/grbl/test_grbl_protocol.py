@@ -3,9 +3,9 @@
 import pytest
 from hypothesis import given, settings, strategies as st
 
-from lscan.devices.grbl.codes import CODES, in_words
 from lscan.devices.grbl.link import LONGEST_ANSWER, Link
 from lscan.devices.grbl.protocol import (
+    CODES,
     Alarm,
     Banner,
     Feedback,
@@ -13,6 +13,7 @@ from lscan.devices.grbl.protocol import (
     Ok,
     Refusal,
     StatusReport,
+    in_words,
     parse_line,
     parse_status,
 )
