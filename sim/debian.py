@@ -4,9 +4,12 @@ import os
 import shutil
 import subprocess
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from typing import TypeVar
 
 from lscan.errors import LscanError
+
+Found = TypeVar("Found")
 
 
 class PackageError(LscanError):
@@ -36,6 +39,32 @@ def install_first(packages: Sequence[str]) -> None:
         _apt_get(admin, "update")  # the package list may be older than the archive
         if not _apt_get(admin, "install", "-y", "--no-install-recommends", package):
             raise PackageError(f"apt-get could not install {package}")
+
+
+def found_or_installed(find: Callable[[], Found], packages: Sequence[str], variable: str) -> Found:
+    """What ``find`` finds, the first package on offer installed where it finds nothing.
+
+    Parameters
+    ----------
+    find : function, raises an LscanError where there is nothing
+    packages : sequence, as of ``install_first``
+    variable : str, of the environment; where it names a file, nothing is installed
+
+    Raises
+    ------
+    LscanError
+        That of ``find``; where installing failed too, its line says both.
+    """
+    try:
+        return find()
+    except LscanError as missing:
+        if os.environ.get(variable):
+            raise
+        try:
+            install_first(packages)
+        except PackageError as refused:
+            raise type(missing)(f"{missing}; {refused}") from refused
+    return find()
 
 
 def _as_root() -> list[str]:

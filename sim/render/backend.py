@@ -30,7 +30,7 @@ from pydantic import TypeAdapter
 
 from lscan.errors import InputError, LscanError
 from lscan.files.disk import write_atomically
-from sim.debian import PackageError, install_first
+from sim.debian import found_or_installed
 
 LLVM, CUDA = "llvm_ad_mono", "cuda_ad_mono"
 OLDEST_MAJOR = 15  # Dr.Jit itself refuses whatever lacks opaque pointers
@@ -105,7 +105,12 @@ def load_mitsuba() -> ModuleType:
     if variant == LLVM:
         os.environ["DRJIT_LIBLLVM_PATH"] = str(find_llvm().path)
     elif variant == CUDA:
-        _require_cuda()
+        verdict = _probe(CUDA, {})
+        if not verdict.works:
+            raise BackendError(
+                f"LSCAN_VARIANT: {CUDA} needs an NVIDIA GPU with OptiX ({verdict.reason}); "
+                f"unset it to render with {LLVM}"
+            )
     else:
         raise BackendError(f"LSCAN_VARIANT: got {variant!r} (allowed: {LLVM}, {CUDA})")
     mitsuba = importlib.import_module("mitsuba")
@@ -126,7 +131,10 @@ def find_llvm(candidates: Iterable[Path] | None = None, probe: Probe | None = No
     paths = [Path(named)] if named else _installed() if candidates is None else candidates
     faults = []
     for library in newest_first(paths):
-        verdict = _try(library, probe or probe_remembered)
+        if library.major is not None and library.major < OLDEST_MAJOR:
+            faults.append(f"{library.path.name}: too old, Dr.Jit needs {OLDEST_MAJOR} or newer")
+            continue
+        verdict = (probe or probe_remembered)(library)
         if verdict.works:
             return library
         faults.append(f"{library.path.name}: {verdict.reason}")
@@ -135,7 +143,13 @@ def find_llvm(candidates: Iterable[Path] | None = None, probe: Probe | None = No
             f"DRJIT_LIBLLVM_PATH: cannot render with {named} ({'; '.join(faults)}); "
             "name a libLLVM of version 17 or newer, or unset it"
         )
-    raise BackendError(_advice(faults))
+    tried = f"tried {'; '.join(faults)}" if faults else "found no libLLVM at all"
+    raise BackendError(
+        "no usable LLVM: install the package libllvm19 (Debian 12 and 13, Ubuntu 24.04) or "
+        "llvm-libs (Fedora, Arch); Ubuntu 22.04 has nothing newer than libllvm15: add the LLVM "
+        "project's own apt repository for jammy and install libllvm19 from there, or move to "
+        f"24.04; or name another libLLVM in DRJIT_LIBLLVM_PATH; {tried}"
+    )
 
 
 def newest_first(paths: Iterable[Path]) -> list[Library]:
@@ -151,12 +165,6 @@ def newest_first(paths: Iterable[Path]) -> list[Library]:
             major = match[1] or match[2]
             libraries.add(Library(resolved, int(major) if major else None))
     return sorted(libraries, key=lambda found: (-(found.major or 0), str(found.path)))
-
-
-def _try(library: Library, probe: Probe) -> ProbeResult:
-    if library.major is not None and library.major < OLDEST_MAJOR:
-        return ProbeResult(works=False, reason=f"too old, Dr.Jit needs {OLDEST_MAJOR} or newer")
-    return probe(library)
 
 
 def _installed() -> list[Path]:
@@ -216,8 +224,11 @@ def probe_remembered(library: Library, probe: Probe = probe_library) -> ProbeRes
     Answers are kept in ``lscan/llvm.json`` under XDG_CACHE_HOME; a file that cannot be read
     counts as empty, and one that cannot be written is done without.
     """
-    cache = _cache_file()
-    answers = _read_answers(cache)
+    home = os.environ.get("HOME") or tempfile.gettempdir()
+    cache = Path(os.environ.get("XDG_CACHE_HOME") or f"{home}/.cache") / "lscan" / "llvm.json"
+    answers: dict[str, ProbeResult] = {}
+    with suppress(OSError, ValueError):
+        answers = ANSWERS.validate_json(cache.read_bytes(), strict=True)
     facts = library.path.stat()
     key = f"{library.path} {facts.st_mtime_ns} {facts.st_size} drjit-{version('drjit')}"
     if key in answers:
@@ -230,40 +241,9 @@ def probe_remembered(library: Library, probe: Probe = probe_library) -> ProbeRes
     return verdict
 
 
-def _cache_file() -> Path:
-    home = os.environ.get("HOME") or tempfile.gettempdir()
-    return Path(os.environ.get("XDG_CACHE_HOME") or f"{home}/.cache") / "lscan" / "llvm.json"
-
-
-def _read_answers(cache: Path) -> dict[str, ProbeResult]:
-    try:
-        return ANSWERS.validate_json(cache.read_bytes(), strict=True)
-    except (OSError, ValueError):
-        return {}
-
-
 def _require_mitsuba() -> None:
     if importlib.util.find_spec("mitsuba") is None:
         raise BackendError("mitsuba is not installed: pip install 'lscan[tank]', or run make test")
-
-
-def _require_cuda() -> None:
-    verdict = _probe(CUDA, {})
-    if not verdict.works:
-        raise BackendError(
-            f"LSCAN_VARIANT: {CUDA} needs an NVIDIA GPU with OptiX ({verdict.reason}); "
-            f"unset it to render with {LLVM}"
-        )
-
-
-def _advice(faults: list[str]) -> str:
-    tried = f"tried {'; '.join(faults)}" if faults else "found no libLLVM at all"
-    return (
-        "no usable LLVM: install the package libllvm19 (Debian 12 and 13, Ubuntu 24.04) or "
-        "llvm-libs (Fedora, Arch); Ubuntu 22.04 has nothing newer than libllvm15: add the LLVM "
-        "project's own apt repository for jammy and install libllvm19 from there, or move to "
-        f"24.04; or name another libLLVM in DRJIT_LIBLLVM_PATH; {tried}"
-    )
 
 
 def find_or_install() -> Library:
@@ -271,16 +251,7 @@ def find_or_install() -> Library:
 
     Raises BackendError; where installing failed too, its line says both.
     """
-    try:
-        return find_llvm()
-    except BackendError as missing:
-        if os.environ.get("DRJIT_LIBLLVM_PATH"):
-            raise
-        try:
-            install_first(PACKAGES)
-        except PackageError as refused:
-            raise BackendError(f"{missing}; {refused}") from refused
-    return find_llvm()
+    return found_or_installed(find_llvm, PACKAGES, "DRJIT_LIBLLVM_PATH")
 
 
 def main(arguments: list[str] | None = None) -> int:

@@ -18,7 +18,7 @@ from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
 from lscan.errors import LscanError
-from sim.debian import PackageError, install_first
+from sim.debian import found_or_installed
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser, ConsoleMessage, Page
@@ -165,16 +165,7 @@ def _prints_version(binary: str) -> bool:
 
 def find_or_install() -> str:
     """The browser to drive, installed first where there is none; BrowserMissing says why not."""
-    try:
-        return find_chromium()
-    except BrowserMissing as missing:
-        if os.environ.get("LSCAN_CHROMIUM"):
-            raise
-        try:
-            install_first((PACKAGE,))
-        except PackageError as refused:
-            raise BrowserMissing(f"{missing}; {refused}") from refused
-    return find_chromium()
+    return found_or_installed(find_chromium, (PACKAGE,), "LSCAN_CHROMIUM")
 
 
 def main(arguments: list[str] | None = None) -> int:
