@@ -116,6 +116,28 @@ class Sandwave(Strict):
         phase = self.c_per_mm * x_mm + self.d_rad * np.sin(self.e_per_mm * y_mm)
         return (self.a_mm + self.b * y_mm) * np.sin(phase)
 
+    def slopes(self, x_mm: Floats, y_mm: Floats) -> Floats:
+        """(N, 2) partial derivatives of eq. (4) by x and y.
+
+        Parameters
+        ----------
+        x_mm, y_mm : (N,) arrays, mm, workpiece frame
+        """
+        phase = self.c_per_mm * x_mm + self.d_rad * np.sin(self.e_per_mm * y_mm)
+        swing = (self.a_mm + self.b * y_mm) * np.cos(phase)
+        along_y = swing * self.d_rad * self.e_per_mm * np.cos(self.e_per_mm * y_mm)
+        return np.column_stack([swing * self.c_per_mm, along_y + self.b * np.sin(phase)])
+
+    def normals(self, x_mm: Floats, y_mm: Floats) -> Floats:
+        """(N, 3) unit normals of eq. (4), upwards, workpiece frame.
+
+        Parameters
+        ----------
+        x_mm, y_mm : (N,) arrays, mm, workpiece frame
+        """
+        upwards = np.column_stack([-self.slopes(x_mm, y_mm), np.ones_like(x_mm)])
+        return upwards / np.linalg.norm(upwards, axis=1, keepdims=True)
+
     def wedge_tips_mm(self) -> tuple[Floats, Floats]:
         """W_L and W_R, each (2,) of (x, y)."""
         middle = self.side_mm / 2

@@ -46,7 +46,7 @@ def nominal_top(piece: Sandwave, plan_mm: Floats, margin_mm: float) -> NominalTo
     waves = inset > 0
     wedge = _into_wedge(piece, plan_mm)
     height = np.where(waves, piece.height_mm(x, y), np.where(wedge > 0, piece.wedge.height_mm, 0.0))
-    slope = np.where(waves[:, None], _wave_slope(piece, x, y), 0.0)
+    slope = np.where(waves[:, None], piece.slopes(x, y), 0.0)
     clear = (np.abs(inset) > margin_mm) & (np.abs(wedge) > margin_mm)
     return NominalTop(height, slope, clear & (inset + piece.rim_mm > margin_mm))
 
@@ -90,12 +90,3 @@ def _into_wedge(piece: Sandwave, plan_mm: Floats) -> Floats:
     from_side = np.minimum(x + piece.rim_mm, piece.side_mm + piece.rim_mm - x)
     short = 1 - from_side / reach - np.abs(y - piece.side_mm / 2) / half
     return short / np.hypot(1 / reach, 1 / half)
-
-
-def _wave_slope(piece: Sandwave, x: Floats, y: Floats) -> Floats:
-    """(N, 2) partial derivatives of eq. (4) by x and y."""
-    amplitude = piece.a_mm + piece.b * y
-    phase = piece.c_per_mm * x + piece.d_rad * np.sin(piece.e_per_mm * y)
-    swing = amplitude * np.cos(phase)
-    along_y = swing * piece.d_rad * piece.e_per_mm * np.cos(piece.e_per_mm * y)
-    return np.column_stack([swing * piece.c_per_mm, along_y + piece.b * np.sin(phase)])

@@ -2,13 +2,13 @@
 
 import numpy as np
 import trimesh
-from shapely.geometry import MultiPolygon, Point, Polygon, box
+from shapely.geometry import Point, Polygon, box
 from shapely.ops import unary_union
 
 from lscan.config.board import Board
 from lscan.errors import InputError
 from lscan.records import Floats
-from sim.meshes.parts import MeshPart, facing
+from sim.meshes.parts import MeshPart, plane_mesh
 
 # A polygon of so many corners departs from its circle by 3e-4 of the radius: 1 µm on a dot.
 CIRCLE_CORNERS = 96
@@ -35,8 +35,8 @@ def board_parts(board: Board, plate_albedo: float, mark_albedo: float) -> list[M
         bounds=[[left, 1e-3, bottom], [right, board.plate.thickness_mm, top]]
     )
     return [
-        MeshPart("plate", _face_mesh(plate.difference(marks)), ground),
-        MeshPart("marks", _face_mesh(marks), ink),
+        MeshPart("plate", plane_mesh(plate.difference(marks), (0, 2)), ground),
+        MeshPart("marks", plane_mesh(marks, (0, 2)), ink),
         MeshPart("plate-body", body, ground),
     ]
 
@@ -56,14 +56,3 @@ def _mark_polygons(board: Board) -> list[Polygon]:
 
 def _disc(centre: Floats, diameter_mm: float) -> Polygon:
     return Point(*centre).buffer(diameter_mm / 2 * CORNERS_OUT, quad_segs=CIRCLE_CORNERS // 4)
-
-
-def _face_mesh(shape: Polygon | MultiPolygon) -> trimesh.Trimesh:
-    """Triangles of a plane shape in (x, z), laid in y = 0 and facing -y."""
-    polygons = shape.geoms if isinstance(shape, MultiPolygon) else [shape]
-    meshes = []
-    for polygon in polygons:
-        plan, faces = trimesh.creation.triangulate_polygon(polygon, engine="earcut")
-        vertices = np.column_stack([plan[:, 0], np.zeros(len(plan)), plan[:, 1]])
-        meshes.append(facing(vertices, faces, np.array([0.0, -1.0, 0.0])))
-    return trimesh.util.concatenate(meshes)

@@ -4,7 +4,9 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
+import shapely
 import trimesh
+from shapely.geometry import MultiPolygon, Polygon
 
 from lscan.records import Floats, Ints
 from sim.scene import Pose
@@ -78,12 +80,15 @@ def plain_mesh(vertices: Floats, faces: Ints) -> trimesh.Trimesh:
     return trimesh.Trimesh(vertices, faces, process=False)
 
 
-def facing(vertices: Floats, faces: Ints, towards: Floats) -> trimesh.Trimesh:
-    """The mesh with every triangle wound so that its normal looks ``towards``."""
-    a, b, c = (vertices[faces[:, k]] for k in range(3))
-    away = np.einsum("ij,j->i", np.cross(b - a, c - a), towards) < 0
-    wound = np.where(away[:, None], faces[:, ::-1], faces)
-    return plain_mesh(vertices, wound)
+def plane_mesh(shape: Polygon | MultiPolygon, axes: tuple[int, int]) -> trimesh.Trimesh:
+    """Triangles of a shape in the plane of two axes: (0, 1) faces along z, (0, 2) against y."""
+    meshes = []
+    for polygon in shapely.get_parts(shape):
+        plan, faces = trimesh.creation.triangulate_polygon(polygon, engine="earcut")
+        vertices = np.zeros((len(plan), 3))
+        vertices[:, axes] = plan
+        meshes.append(plain_mesh(vertices, faces))  # earcut's are counter-clockwise
+    return trimesh.util.concatenate(meshes)
 
 
 def grid_faces(rows: int, columns: int) -> Ints:

@@ -17,8 +17,8 @@ from sim.meshes.paint import picture_paint, reflectance_at, vertex_paint
 from sim.meshes.parts import Finish, MeshPart, moved, plain_mesh
 from sim.meshes.sand import sanded_sandwave_mesh
 from sim.meshes.workpieces import grooved_block_mesh, sandwave_parts
-from sim.scene import FLOOR_HALF_SIDE_MM, Scene, target_pose
-from sim.scene.matter import Floor, Texture
+from sim.scene import Scene, target_pose
+from sim.scene.matter import Texture
 
 MOST_BYTES = {"ply": 2**28, "stl": 2**28, "obj": 2**26, "off": 2**26}
 """Of a mesh file, by its ending.  Text takes up to fifty times as much once it is read."""
@@ -42,8 +42,10 @@ def scene_parts(scene: Scene) -> list[MeshPart]:
     """
     pose = target_pose(scene)
     parts = [moved(part, pose) for part in target_parts(scene)]
-    if scene.tank.floor is not None:
-        parts.append(floor_part(scene.tank.floor))
+    floor = scene.tank.floor
+    if floor is not None:
+        square = plain_mesh(floor.corners_mm(), np.array([[0, 1, 2], [0, 2, 3]]))
+        parts.append(MeshPart("floor", square, floor.albedo))
     return parts
 
 
@@ -170,11 +172,3 @@ def load_mesh(path: Path, mm_per_unit: float = 1.0) -> trimesh.Trimesh:
     if mesh.visual.kind != "vertex":
         mesh.merge_vertices(merge_tex=True, merge_norm=True)
     return mesh
-
-
-def floor_part(floor: Floor) -> MeshPart:
-    """The tank's floor, a level matt square in the world frame."""
-    s = FLOOR_HALF_SIDE_MM
-    corners = [[-s, -s], [s, -s], [s, s], [-s, s]]
-    vertices = np.column_stack([corners, np.full(4, floor.z_mm)])
-    return MeshPart("floor", plain_mesh(vertices, np.array([[0, 1, 2], [0, 2, 3]])), floor.albedo)

@@ -6,7 +6,7 @@ from shapely.geometry import Polygon, box
 
 from lscan.config.targets import GroovedBlock, Sandwave
 from lscan.records import Floats
-from sim.meshes.parts import MeshPart, facing, grid_faces, plain_mesh
+from sim.meshes.parts import MeshPart, grid_faces, plain_mesh, plane_mesh
 
 # Chord error of the sandwave's facets: step² · max|z''| / 8 = 0.25 · 0.22 / 8 = 7 µm.
 WAVE_STEP_MM = 0.5
@@ -38,20 +38,9 @@ def _wave_patch(piece: Sandwave) -> tuple[trimesh.Trimesh, Floats]:
     z = piece.height_mm(x, y)
     points = np.stack([x, y, z], axis=-1)
     mesh = plain_mesh(points.reshape(-1, 3), grid_faces(count, count))
-    mesh.vertex_normals = _wave_normals(piece, x.ravel(), y.ravel())
+    mesh.vertex_normals = piece.normals(x.ravel(), y.ravel())
     sides = [points[0], points[:, -1], points[-1, ::-1], points[::-1, 0]]
     return mesh, np.concatenate(sides)
-
-
-def _wave_normals(piece: Sandwave, x: Floats, y: Floats) -> Floats:
-    """(N, 3) unit normals of eq. (4) from its derivatives."""
-    phase = piece.c_per_mm * x + piece.d_rad * np.sin(piece.e_per_mm * y)
-    amplitude = piece.a_mm + piece.b * y
-    z_x = amplitude * piece.c_per_mm * np.cos(phase)
-    phase_y = piece.d_rad * piece.e_per_mm * np.cos(piece.e_per_mm * y)
-    z_y = piece.b * np.sin(phase) + amplitude * phase_y * np.cos(phase)
-    normals = np.column_stack([-z_x, -z_y, np.ones_like(z_x)])
-    return normals / np.linalg.norm(normals, axis=1, keepdims=True)
 
 
 def _curtain(border: Floats) -> trimesh.Trimesh:
@@ -68,8 +57,7 @@ def _curtain(border: Floats) -> trimesh.Trimesh:
 def _rim(piece: Sandwave) -> trimesh.Trimesh:
     low, high = -piece.rim_mm, piece.side_mm + piece.rim_mm
     ring = box(low, low, high, high).difference(box(0, 0, piece.side_mm, piece.side_mm))
-    plan, faces = trimesh.creation.triangulate_polygon(ring, engine="earcut")
-    return facing(np.column_stack([plan, np.zeros(len(plan))]), faces, np.array([0, 0, 1.0]))
+    return plane_mesh(ring, (0, 1))
 
 
 def sandwave_body(piece: Sandwave) -> trimesh.Trimesh:

@@ -10,7 +10,6 @@ of shifting, and positions are arcs (lscan.config.rig.ShaftSection).
 
 from sim.scene.file import SECTIONS, Scene, load_scene, scene_of, target_pose
 from sim.scene.instrument import Head, Laser, LaserLine, Lens, PlanePort, Port, Sensor, TrueShaft
-from sim.scene.matter import FLOOR_HALF_SIDE_MM
 from sim.scene.poses import (
     Pose,
     camera_pose,
@@ -22,7 +21,6 @@ from sim.scene.poses import (
 )
 
 __all__ = [
-    "FLOOR_HALF_SIDE_MM",
     "SECTIONS",
     "Head",
     "Laser",

@@ -10,7 +10,7 @@ flat port by Fermat's principle, through a dome by Bouguer's theorem, sections a
 analytic geometry.  What it shares with them is what defines the tank and cannot differ:
 
 - the scene's models and poses (sim.scene), the shapes of board and targets (lscan.config), among
-  them the paper's Eq. (4), and the triangles of a mesh (sim.meshes);
+  them the paper's Eq. (4) and its derivatives, and the triangles of a mesh (sim.meshes);
 - the indices and coefficients of water and glass (sim.water), which have tests of their own
   against published values;
 - the thickness of a Gaussian sheet (sim.scene.Laser), which the renderer computes for itself;

@@ -44,7 +44,7 @@ def in_fan(laser: Laser, xz_mm: Floats) -> Mask:
 
 def fan_angle(laser: Laser, xz_mm: Floats) -> Floats:
     """(...,) angle, rad, at the apex between the fan's axis and (..., 2) points of a sheet."""
-    right, up = np.moveaxis(xz_mm - _apex(laser), -1, 0)
+    right, up = np.moveaxis(xz_mm - apex_xz(laser), -1, 0)
     aim = np.radians(laser.aim_deg)
     across = right * np.cos(aim) + up * np.sin(aim)
     ahead = right * np.sin(aim) - up * np.cos(aim)
@@ -67,10 +67,10 @@ def lit(laser: Laser, section: TargetSection, xz_mm: Floats) -> Mask:
     owner, step = spread(np.where(high - low < np.pi, last - first, 0))
     point = order[first[owner] + step]
 
-    offset = xz_mm - _apex(laser)
+    offset = xz_mm - apex_xz(laser)
     distance = np.linalg.norm(offset, axis=1)
     towards = offset[point] / distance[point, np.newaxis]
-    start = section.ends_mm[owner, 0] - _apex(laser)
+    start = section.ends_mm[owner, 0] - apex_xz(laser)
     along = section.ends_mm[owner, 1] - section.ends_mm[owner, 0]
     across = cross(towards, along)
     radial = across == 0  # seen edge on: stops nothing
@@ -196,5 +196,6 @@ def _turning_past_mm(shaft: TrueShaft, points_mm: Floats, sheet: TrueSheet) -> F
     return np.asarray(np.where(nearer, angles[0], angles[1]) * shaft.arc_radius_mm)
 
 
-def _apex(laser: Laser) -> Floats:
+def apex_xz(laser: Laser) -> Floats:
+    """(2,) of (x, z): the laser's apex, mm, in the plane of each of its sheets."""
     return np.array([laser.apex_mm[0], laser.apex_mm[2]])

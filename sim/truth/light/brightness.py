@@ -7,7 +7,7 @@ and JPEG do: a line they blur is lower.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -15,21 +15,17 @@ from scipy.special import ndtr
 
 from lscan.records import Floats, Status
 from sim.scene import PlanePort, Scene
-from sim.scene.instrument import FULL_SCALE_DN
+from sim.scene.instrument import FULL_SCALE_DN, Response
 from sim.sensor.radiometry import AMBIENT_NM, photons_per_radiance
 from sim.sensor.speckle import speckle_contrast
 from sim.truth.camera.flat import flat_normal
 from sim.truth.camera.projection import TrueCamera, camera_of, project, rays_to
-from sim.truth.light.radiance import (
-    LineInSpace,
-    line_in_space,
-    line_radiance,
-    port_weight,
-)
-from sim.truth.light.reflection import Reflectance, reflectance_of
+from sim.truth.light.radiance import line_in_space, line_radiance, port_weight
+from sim.truth.light.reflection import LineInSpace, Reflectance, reflectance_of
 from sim.truth.sheet import TrueSheet, sheet_of
 from sim.truth.stripe import StripeTruth
 from sim.truth.target.section import surfaces_of
+from sim.truth.visibility import apex_xz
 from sim.water import water_optics
 
 STEP_MM = 0.01  # of differences: the projection's third derivative costs 1e-9 of a slope
@@ -127,9 +123,7 @@ def brightest_pixel(
     per_px = offset_per_px(scene, line, sheet)
     along, across = (0, 1) if truth.axis == "columns" else (1, 0)
     steep = np.linalg.norm(per_px, axis=1)
-    distance = np.linalg.norm(
-        sheet.flattened(line.points) - np.array(scene.tank.laser.apex_mm)[[0, 2]], axis=1
-    )
+    distance = np.linalg.norm(sheet.flattened(line.points) - apex_xz(scene.tank.laser), axis=1)
     width = scene.tank.laser.half_thickness_mm(distance, camera.water_index) / 2 / steep
     lean2 = (per_px[:, along] / per_px[:, across]) ** 2
     centre = truth.centre_px[truth.status == Status.OK]
@@ -185,8 +179,7 @@ def defocus_variance(scene: Scene, camera: TrueCamera, line: LineInSpace) -> Flo
             nearer = {"gap_mm": camera.port.gap_mm - float(step @ flat_normal(camera.port))}
         else:
             nearer = {"centre_mm": tuple(np.array(camera.port.centre_mm) - step)}
-        port = camera.port.model_copy(update=nearer)
-        moved = TrueCamera(camera.pose, lens, port, camera.water_index)
+        moved = replace(camera, port=camera.port.model_copy(update=nearer))
         shifted = line.points - camera.pose.rotation @ step
         direction = rays_to(moved, shifted).direction
         seen.append(direction[:, 0] / direction[:, 2])
@@ -201,12 +194,12 @@ def _ambient(scene: Scene, reflectance: Reflectance, line: LineInSpace) -> Float
     """
     camera = camera_of(scene)
     water = water_optics(scene.tank.water, scene.tank.laser.wavelength_nm)
-    way = np.linalg.norm(line.points - camera.pose.apply(line.rays.entry_mm), axis=1)
+    way = np.linalg.norm(line.points - line.entry, axis=1)
     left = np.exp(-water.extinction_per_mm * way)
     turned = water.scattering_per_mm / max(water.extinction_per_mm, np.finfo(float).tiny)
-    albedo = reflectance.albedo_at(line.lit.face, line.lit.places)
+    albedo = reflectance.albedo_at(line.face, line.places)
     light = scene.tank.light.ambient_w_m2_sr * (albedo * left + turned * (1 - left))
-    return light * port_weight(camera, line.rays.direction)
+    return light * port_weight(camera, line.direction)
 
 
 def _in_grey_values(
@@ -217,17 +210,14 @@ def _in_grey_values(
     peak, ambient: (N,) radiance in W/(m2 sr) of the line's brightest pixel, and beside it.
     """
     lens, sensor, nm = scene.tank.lens, scene.tank.sensor, scene.tank.laser.wavelength_nm
-    ahead = line.rays.direction
-    falloff = (ahead[:, 2] / np.linalg.norm(ahead, axis=1)) ** lens.vignetting
-    colours = [
-        falloff * light * photons_per_radiance(lens, sensor, exposure_ms, wavelength)
-        for light, wavelength in ((peak, nm), (ambient, AMBIENT_NM))
-    ]
-    to_laser, to_ambient = (
-        np.array([[response.red], [response.green], [response.blue]])
-        for response in (sensor.laser_response, sensor.ambient_response)
-    )
-    beside, laser = colours[1] * to_ambient, colours[0] * to_laser
+    cosine = line.direction[:, 2] / np.linalg.norm(line.direction, axis=1)
+
+    def electrons(light: Floats, wavelength_nm: float, of: Response) -> Floats:
+        photons = photons_per_radiance(lens, sensor, exposure_ms, wavelength_nm)
+        return np.outer([of.red, of.green, of.blue], cosine**lens.vignetting * light * photons)
+
+    beside = electrons(ambient, AMBIENT_NM, sensor.ambient_response)
+    laser = electrons(peak, nm, sensor.laser_response)
     weights = np.array(CHANNELS[scene.rig.stripe.channel])
     height = weights @ (_grey(scene, beside + laser)[0] - _grey(scene, beside)[0])
     contrast = 0.0

@@ -1,39 +1,23 @@
 """What reaches the lens from the middle of the line: the laser's power on its way there."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
 from lscan.records import Floats, Status
 from sim.scene import Laser, LaserLine, PlanePort, Scene, head_pose, into_world
 from sim.truth.camera.flat import flat_normal
-from sim.truth.camera.projection import RaysToPoints, TrueCamera, camera_of, rays_to
-from sim.truth.light.reflection import Lit, Reflectance, fresnel
+from sim.truth.camera.projection import TrueCamera, camera_of, rays_to
+from sim.truth.light.reflection import LineInSpace, Reflectance, fresnel
 from sim.truth.sheet import TrueSheet
 from sim.truth.shutter import row_positions_mm
 from sim.truth.stripe import StripeTruth
 from sim.truth.target.surfaces import TankSurface
-from sim.truth.visibility import fan_angle
+from sim.truth.visibility import apex_xz, fan_angle
 from sim.water import water_optics
 
 FAN_STEPS = 2001  # of the fan's power, whose sum over them is the laser's
 W_PER_M2_IN_MW_PER_MM2 = 1e3
-
-
-@dataclass(frozen=True)
-class LineInSpace:
-    """The OK columns of a true line, in space; N points.
-
-    points: (N, 3) head frame, mm.  normals: (N, 3) unit, of the surface, head frame.
-    rays: of the camera to the points.
-    lit: the same in the world.
-    """
-
-    points: Floats
-    normals: Floats
-    rays: RaysToPoints
-    lit: Lit
 
 
 def line_in_space(scene: Scene, surfaces: Sequence[TankSurface], truth: StripeTruth) -> LineInSpace:
@@ -56,21 +40,23 @@ def line_in_space(scene: Scene, surfaces: Sequence[TankSurface], truth: StripeTr
     points = np.column_stack([truth.xz_mm[:, 0], truth.y_mm, truth.xz_mm[:, 1]])[shown]
     camera, face, head = camera_of(scene), truth.face[shown], scene.tank.head
     rays = rays_to(camera, points)
+    entry = camera.pose.apply(rays.entry_mm)
     places = into_world(head, points, positions_mm)
     apex = np.broadcast_to(np.array(scene.tank.laser.apex_mm), points.shape)
-    entry = camera.pose.apply(rays.entry_mm)
     normals = np.empty_like(points)
     for number, surface in enumerate(surfaces):
         normals[face == number] = surface.normals(places[face == number])
-    lit = Lit(
+    return LineInSpace(
         face=face,
+        points=points,
+        entry=entry,
+        direction=rays.direction,
+        normals=normals @ head_pose(head, truth.position_mm).rotation,
         places=places,
-        normals=normals,
+        world_normals=normals,
         to_laser=_unit(into_world(head, apex, positions_mm) - places),
         to_camera=_unit(into_world(head, entry, positions_mm) - places),
     )
-    turned = normals @ head_pose(head, truth.position_mm).rotation
-    return LineInSpace(points, turned, rays, lit)
 
 
 def line_radiance(
@@ -94,12 +80,11 @@ def line_radiance(
     """
     laser, camera = scene.tank.laser, camera_of(scene)
     extinction = water_optics(scene.tank.water, laser.wavelength_nm).extinction_per_mm
-    entry = camera.pose.apply(line.rays.entry_mm)
     way = np.linalg.norm(line.points - np.array(laser.apex_mm), axis=1)
-    way = way + np.linalg.norm(line.points - entry, axis=1)
+    way = way + np.linalg.norm(line.points - line.entry, axis=1)
     light = irradiance(laser, laser.sheets[number], sheet, line.points, camera.water_index)
     light = light * W_PER_M2_IN_MW_PER_MM2 * np.exp(-extinction * way)
-    return light * reflectance.towards_camera(line.lit) * port_weight(camera, line.rays.direction)
+    return light * reflectance.towards_camera(line) * port_weight(camera, line.direction)
 
 
 def irradiance(
@@ -127,10 +112,9 @@ def irradiance(
     angle = np.linspace(-half, half, FAN_STEPS)
     power = laser.power_mw * line.share / np.trapezoid(_fan(laser, angle), angle)
     density = power * _fan(laser, fan_angle(laser, xz))
-    distance = np.linalg.norm(xz - np.array(laser.apex_mm)[[0, 2]], axis=1)
-    return (
-        density / distance / (np.sqrt(np.pi / 2) * laser.half_thickness_mm(distance, water_index))
-    )
+    distance = np.linalg.norm(xz - apex_xz(laser), axis=1)
+    thickness = np.sqrt(np.pi / 2) * laser.half_thickness_mm(distance, water_index)
+    return density / distance / thickness
 
 
 def port_weight(camera: TrueCamera, direction: Floats) -> Floats:

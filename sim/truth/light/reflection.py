@@ -22,16 +22,23 @@ FRESNEL_NODES = 64  # of the mean over a hemisphere: good to 1e-4
 
 
 @dataclass(frozen=True)
-class Lit:
-    """N points of the scene's surfaces under the laser, seen by the camera; world frame.
+class LineInSpace:
+    """N points of the scene's surfaces under the laser, seen by the camera.
 
-    face: (N,) index into ``surfaces_of(scene)``.  places: (N, 3) mm.  normals, to_laser,
-    to_camera: (N, 3) unit vectors; which side a normal points to is of no account.
+    face: (N,) index into ``surfaces_of(scene)``.  points, entry: (N, 3) head frame, mm, the points
+    and where the camera's rays to them enter the water.  direction: (N, 3) of these rays in the
+    air, camera frame, of any length.  normals: (N, 3) unit, head frame, to either side.
+    places: (N, 3) the points in the world frame, mm.  world_normals, to_laser, to_camera: (N, 3)
+    unit vectors there.
     """
 
     face: Ints
-    places: Floats
+    points: Floats
+    entry: Floats
+    direction: Floats
     normals: Floats
+    places: Floats
+    world_normals: Floats
     to_laser: Floats
     to_camera: Floats
 
@@ -58,15 +65,15 @@ class Reflectance:
             albedo[floor] = self.scene.tank.floor.albedo
         return albedo
 
-    def towards_camera(self, lit: Lit) -> Floats:
+    def towards_camera(self, line: LineInSpace) -> Floats:
         """(N,) radiance towards the camera per irradiance across the light's way, 1/sr."""
-        albedo = self.albedo_at(lit.face, lit.places)
-        to_laser = np.einsum("ij,ij->i", lit.normals, lit.to_laser)
-        to_camera = np.einsum("ij,ij->i", lit.normals, lit.to_camera)
+        albedo = self.albedo_at(line.face, line.places)
+        to_laser = np.einsum("ij,ij->i", line.world_normals, line.to_laser)
+        to_camera = np.einsum("ij,ij->i", line.world_normals, line.to_camera)
         cosines = np.abs(to_laser), np.abs(to_camera)
-        half = lit.to_laser + lit.to_camera
+        half = line.to_laser + line.to_camera
         half /= np.linalg.norm(half, axis=1, keepdims=True)
-        tilt = np.abs(np.einsum("ij,ij->i", lit.normals, half))
+        tilt = np.abs(np.einsum("ij,ij->i", line.world_normals, half))
         light = albedo / np.pi * cosines[0]
         target = self.scene.tank.target
         if target.finish != "matt":
@@ -75,10 +82,10 @@ class Reflectance:
             if target.finish == "mirror":
                 finished = albedo * glint
             else:
-                between = np.einsum("ij,ij->i", half, lit.to_laser)
+                between = np.einsum("ij,ij->i", half, line.to_laser)
                 ratio = target.coat_index / index
                 finished = fresnel(between, ratio) * glint + coated(albedo, *cosines, ratio)
-            light = np.where(self._on_floor(lit.face), light, finished)
+            light = np.where(self._on_floor(line.face), light, finished)
         return np.where(to_laser * to_camera > 0, light, 0.0)
 
     def _on_floor(self, face: Ints) -> Mask:

@@ -9,7 +9,7 @@ from lscan.config.board import Board
 from lscan.config.targets import GroovedBlock, Sandwave
 from lscan.records import Floats, Ints, Mask
 from sim.meshes import target_mesh
-from sim.scene import FLOOR_HALF_SIDE_MM, Pose, Scene, target_pose
+from sim.scene import Pose, Scene, target_pose
 from sim.truth.bow import Bow
 from sim.truth.target.chains import chains
 from sim.truth.target.mesh import Mesh
@@ -49,11 +49,7 @@ def surfaces_of(scene: Scene) -> list[TankSurface]:
     """
     surfaces = target_surfaces(scene)
     floor = scene.tank.floor
-    if floor is not None:
-        s = FLOOR_HALF_SIDE_MM
-        plan = [[-s, -s], [s, -s], [s, s], [-s, s]]
-        surfaces.append(Polygon(np.column_stack([plan, np.full(4, floor.z_mm)])))
-    return surfaces
+    return surfaces if floor is None else [*surfaces, Polygon(floor.corners_mm())]
 
 
 def target_surfaces(scene: Scene) -> list[TankSurface]:

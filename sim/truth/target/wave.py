@@ -82,9 +82,7 @@ class Wave:
     def normals(self, places: Floats) -> Floats:
         """(N, 3) unit normals of eq. (4) at places of the world, upwards."""
         x, y, _ = self.pose.invert(places).T
-        slope_x, slope_y = self._slopes(x, y)
-        upwards = np.column_stack([-slope_x, -slope_y, np.ones_like(x)])
-        return upwards / np.linalg.norm(upwards, axis=1, keepdims=True) @ self.pose.rotation.T
+        return self.shape.normals(x, y) @ self.pose.rotation.T
 
     def _reach(self, sheet: Pose) -> Floats:
         """Samples of the sheet's x that hold the whole square."""
@@ -92,15 +90,6 @@ class Wave:
         box = np.array([(x, y, z) for x in (0, side) for y in (0, side) for z in (-top, top)])
         x = sheet.invert(self.pose.apply(box))[:, 0]
         return np.linspace(x.min(), x.max(), int(np.ceil(np.ptp(x) / SAMPLE_MM)) + 1)
-
-    def _slopes(self, x: Floats, y: Floats) -> tuple[Floats, Floats]:
-        """Partial derivatives of eq. (4) by x and y."""
-        s = self.shape
-        amplitude = s.a_mm + s.b * y
-        phase = s.c_per_mm * x + s.d_rad * np.sin(s.e_per_mm * y)
-        swing = amplitude * np.cos(phase)
-        by_y = s.b * np.sin(phase) + swing * s.d_rad * s.e_per_mm * np.cos(s.e_per_mm * y)
-        return swing * s.c_per_mm, by_y
 
     def _amplitude(self) -> float:
         return self.shape.a_mm + self.shape.b * self.shape.side_mm
@@ -121,18 +110,12 @@ class Wave:
                 allowed="tilt times slope below one half",
             )
 
-    def _over_square(self, place: Floats) -> Mask:
-        """(N,) whether (N, 3) points of the workpiece frame lie over the wave's square."""
-        plan = place[:, :2]
-        return np.all((plan >= 0) & (plan <= self.shape.side_mm), axis=1)
-
     def _faces_away(self, here: Floats, there: Floats) -> Mask:
         """(N,) whether ``there`` is a point of the surface seen from its underside."""
         x, y, z = there.T
-        on = self._over_square(there) & (np.abs(z - self.shape.height_mm(x, y)) < SELF_MM)
-        slope_x, slope_y = self._slopes(x, y)
-        normal = np.column_stack([-slope_x, -slope_y, np.ones_like(x)])
-        return on & (np.einsum("ij,ij->i", normal, here - there) <= 0)
+        over = np.all((there[:, :2] >= 0) & (there[:, :2] <= self.shape.side_mm), axis=1)
+        on = over & (np.abs(z - self.shape.height_mm(x, y)) < SELF_MM)
+        return on & (np.einsum("ij,ij->i", self.shape.normals(x, y), here - there) <= 0)
 
 
 def sandwave_surfaces(shape: Sandwave, pose: Pose) -> list[TankSurface]:
