@@ -97,15 +97,40 @@ def standing_truth(
     section = section_at(surfaces if laser.on else [], plane, sheet.bow)
     found = crossings(scene, sheet, section)
     points = sheet.in_head(found.xz_mm)
-    reached = lit(laser, section, found.xz_mm)
-    visible = seen(scene, surfaces, points, position_mm)
-    return _assemble(scene, (position_mm, line), found, points, reached, visible)
+    reached, visible = lit(laser, section, found.xz_mm), seen(scene, surfaces, points, position_mm)
+    good = reached & visible
+    # The uppermost lit and seen point of each column, or a hidden one.
+    order = np.lexsort([found.centre_px, ~reached, ~good, found.column])
+    column, chosen = np.unique(found.column[order], return_index=True)
+    best, (axis, count) = order[chosen], _columns(scene)
+
+    def entries(values: np.ndarray, missing: float) -> np.ndarray:
+        return _fill(count, column, values[best], missing)
+
+    status = entries(np.where(good, Status.OK, Status.OCCLUDED), Status.NO_PEAK)
+    continues = continued(found, best, status)
+    x, y, z = (entries(coordinate, np.nan) for coordinate in points.T)
+    return StripeTruth(
+        position_mm=position_mm,
+        line=line,
+        axis=axis,
+        centre_px=entries(found.centre_px, np.nan),
+        xz_mm=np.column_stack([x, z]),
+        y_mm=y,
+        lit=entries(reached, False),
+        seen=entries(visible, False),
+        status=status,
+        face=entries(found.face, -1),
+        edge_px=edge_distance(status, continues),
+        continues=continues,
+        multiple=np.bincount(found.column[good], minlength=count) > 1,
+    )
 
 
 def crossings(scene: Scene, sheet: TrueSheet, section: TargetSection) -> ColumnCrossings:
     """Where the section, projected, crosses the middles of the picture's columns (or rows)."""
-    camera, axis = scene.rig.camera, scene.rig.stripe.axis
-    a, b, count = (0, 1, camera.width_px) if axis == "columns" else (1, 0, camera.height_px)
+    axis, count = _columns(scene)
+    a, b = (0, 1) if axis == "columns" else (1, 0)
     fine = split(_in_view(scene, sheet, split(section, COARSE_MM)), FINE_MM)
     pixels = _project_ends(scene, sheet, fine)
     whole = np.all(np.isfinite(pixels), axis=(1, 2))
@@ -126,6 +151,12 @@ def crossings(scene: Scene, sheet: TrueSheet, section: TargetSection) -> ColumnC
     return ColumnCrossings(column, place, slope, xz, fine.face[owner], fine.chain[owner])
 
 
+def _columns(scene: Scene) -> tuple[Axis, int]:
+    """Whether the line has a place in each of the picture's columns or rows, and how many."""
+    camera, axis = scene.rig.camera, scene.rig.stripe.axis
+    return axis, camera.width_px if axis == "columns" else camera.height_px
+
+
 def _in_view(scene: Scene, sheet: TrueSheet, section: TargetSection) -> TargetSection:
     """The pieces that may show in the picture."""
     size = np.array(scene.rig.camera.size_px)
@@ -143,47 +174,6 @@ def _project_ends(scene: Scene, sheet: TrueSheet, section: TargetSection) -> Flo
     found = np.stack([starts, np.roll(starts, -1, axis=0)], axis=1)
     found[own, 1] = pixels[len(ends) :]
     return found
-
-
-def _assemble(
-    scene: Scene,
-    taken: tuple[float, int],
-    found: ColumnCrossings,
-    points: Floats,
-    reached: Mask,
-    visible: Mask,
-) -> StripeTruth:
-    """One entry a column.
-
-    taken: position and line.  points: (K, 3) of the crossings in the head frame; reached,
-    visible: (K,) whether they are lit and seen.
-    """
-    camera, axis = scene.rig.camera, scene.rig.stripe.axis
-    count = camera.width_px if axis == "columns" else camera.height_px
-    good = reached & visible
-    # The uppermost lit and seen point of each column, or a hidden one.
-    order = np.lexsort([found.centre_px, ~reached, ~good, found.column])
-    column, chosen = np.unique(found.column[order], return_index=True)
-    best = order[chosen]
-    status = np.full(count, int(Status.NO_PEAK))
-    status[column] = np.where(good[best], Status.OK, Status.OCCLUDED)
-    continues = continued(found, best, status)
-    x, y, z = (_fill(count, column, coordinate, np.nan) for coordinate in points[best].T)
-    return StripeTruth(
-        position_mm=taken[0],
-        line=taken[1],
-        axis=axis,
-        centre_px=_fill(count, column, found.centre_px[best], np.nan),
-        xz_mm=np.column_stack([x, z]),
-        y_mm=y,
-        lit=_fill(count, column, reached[best], False),
-        seen=_fill(count, column, visible[best], False),
-        status=status,
-        face=_fill(count, column, found.face[best], -1),
-        edge_px=edge_distance(status, continues),
-        continues=continues,
-        multiple=np.bincount(found.column[good], minlength=count) > 1,
-    )
 
 
 def continued(found: ColumnCrossings, best: Ints, status: Ints) -> Mask:
