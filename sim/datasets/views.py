@@ -1,6 +1,6 @@
 """Pictures of a board held into the laser sheet in many poses: what the metric route is fed."""
 
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +17,7 @@ from sim.scene import Scene, camera_pose, rotation, sheet_pose
 from sim.truth import project
 from sim.water import water_optics
 
-MOST_TURN_DEG, MOST_TILT_DEG = 35.0, 25.0  # about the head's z and about the board's x
+MOST_DEG = 35.0, 25.0  # turned about the head's z and about the board's x
 MOST_DISTANCE_MM = 60.0  # of the board's middle from the sheet
 TRIED = 6000  # poses drawn, of which those that serve are kept; some 2 % do
 LEAST_CROSSING_DEG = 15.0  # between board and sheet; the line is four times as wide as the sheet
@@ -35,18 +35,16 @@ class Poses:
 
     middle_mm: (K, 3) of the middle of its dots.  rotation: (K, 3, 3), board to head frame.
     features: (K, 5) turn, tilt, distance from the sheet and place in the picture, each
-        counted in its own range.
+        counted in its own range, from -1 to 1.
     """
 
     middle_mm: Floats
     rotation: Floats
-    turn_deg: Floats
-    tilt_deg: Floats
     features: Floats
 
     def only(self, wanted: Any) -> "Poses":
         """Those of a mask or of indices."""
-        return Poses(*(getattr(self, field.name)[wanted] for field in fields(self)))
+        return Poses(self.middle_mm[wanted], self.rotation[wanted], self.features[wanted])
 
 
 def write_views(scene: Scene, folder: Path, count: int = 10, seed: int = 1) -> dict[str, Path]:
@@ -81,7 +79,8 @@ def write_views(scene: Scene, folder: Path, count: int = 10, seed: int = 1) -> d
         for name, image in ((f"pose-{number}", dark), (f"pose-{number}-laser", lit)):
             files[name] = folder / f"{name}.png"
             write_picture(files[name], image)
-    for name, document in (("board", _board_document(scene)), ("views", _views(scene, count))):
+    board = scene.board().model_dump(mode="json", exclude_none=True)
+    for name, document in (("board", board), ("views", _views(scene, count))):
         files[name] = folder / f"{name}.toml"
         write_toml(files[name], document)
     return files
@@ -117,7 +116,11 @@ def held_scenes(scene: Scene, count: int = 10, seed: int = 1) -> list[Scene]:
 
     Raises InputError where the scene lacks board, lamps or laser, or where too few poses serve.
     """
-    board = _require(scene)
+    tank, board = scene.tank, scene.board()
+    if tank.light.ambient_w_m2_sr == 0:
+        raise InputError("light: there is none to see the board by", where=scene.source)
+    if not tank.laser.on:
+        raise InputError("laser.on: is false, no line to see", where=scene.source)
     drawn = _draw(scene, np.random.default_rng([seed, TRIED]))
     drawn = drawn.only(_lit_and_seen(scene, board, drawn))
     drawn = drawn.only(_across_axis(scene, drawn))
@@ -129,16 +132,6 @@ def held_scenes(scene: Scene, count: int = 10, seed: int = 1) -> list[Scene]:
     return [_held(scene, board, chosen, number) for number in range(count)]
 
 
-def _require(scene: Scene) -> Board:
-    """The scene's board; InputError where there is none, no lamp or no laser."""
-    tank, board = scene.tank, scene.board()
-    if tank.light.ambient_w_m2_sr == 0:
-        raise InputError("light: there is none to see the board by", where=scene.source)
-    if not tank.laser.on:
-        raise InputError("laser.on: is false, no line to see", where=scene.source)
-    return board
-
-
 def _draw(scene: Scene, generator: np.random.Generator) -> Poses:
     """Poses at random, their middles seen all over the picture.
 
@@ -146,7 +139,6 @@ def _draw(scene: Scene, generator: np.random.Generator) -> Poses:
     near enough for a place to try.
     """
     drawn = generator.uniform(-1, 1, (TRIED, 5))
-    turn, tilt = MOST_TURN_DEG * drawn[:, 0], MOST_TILT_DEG * drawn[:, 1]
     camera, lens = camera_pose(scene.tank.head), scene.tank.lens
     size = np.array(scene.rig.camera.size_px)
     pixel = (drawn[:, 3:] + 1) / 2 * (size - 1)
@@ -158,7 +150,7 @@ def _draw(scene: Scene, generator: np.random.Generator) -> Poses:
     normal = sheet.rotation[:, 1]
     distance = (sheet.origin_mm - camera.origin_mm) @ normal + MOST_DISTANCE_MM * drawn[:, 2]
     middle = camera.origin_mm + (distance / (ray @ normal))[:, np.newaxis] * ray
-    return Poses(middle, rotation("ZX", np.column_stack([turn, tilt])), turn, tilt, drawn)
+    return Poses(middle, rotation("ZX", drawn[:, :2] * MOST_DEG), drawn)
 
 
 def _lit_and_seen(scene: Scene, board: Board, poses: Poses) -> Mask:
@@ -243,18 +235,9 @@ def _most_different(features: Floats, count: int) -> list[int]:
 def _held(scene: Scene, board: Board, poses: Poses, number: int) -> Scene:
     """The scene with its board in one of the poses."""
     corner = poses.middle_mm[number] - poses.rotation[number] @ _middle_mm(board)
-    update = {
-        "position_mm": tuple(corner.tolist()),
-        "turn_deg": float(poses.turn_deg[number]),
-        "tilt_x_deg": float(poses.tilt_deg[number]),
-        "tilt_y_deg": 0.0,
-    }
-    return scene.with_tank(target=update)
-
-
-def _board_document(scene: Scene) -> Document:
-    assert scene.rig.board is not None
-    return scene.rig.board.model_dump(mode="json", exclude_none=True)
+    turn, tilt = (poses.features[number, :2] * MOST_DEG).tolist()
+    update = {"turn_deg": turn, "tilt_x_deg": tilt, "tilt_y_deg": 0.0}
+    return scene.with_tank(target={"position_mm": tuple(corner.tolist()), **update})
 
 
 def _views(scene: Scene, count: int) -> Document:

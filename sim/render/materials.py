@@ -11,7 +11,7 @@ import numpy as np
 
 from lscan.errors import InputError
 from lscan.records import Floats, Ints
-from sim.meshes import Finish, MeshPart
+from sim.meshes import MeshPart
 from sim.render.backend import load_mitsuba
 
 load_mitsuba()  # the variant: Mitsuba's classes depend on it
@@ -58,7 +58,13 @@ def surface(part: MeshPart, water_index: float) -> dict[str, Any]:
     if finish.kind == "matt":
         bsdf = {"type": "diffuse", "reflectance": reflectance}
     elif finish.kind == "wet":
-        _check_coat(finish, water_index)
+        if finish.coat_index <= water_index:
+            raise InputError(
+                "a coat must be denser than the water",
+                where="target.coat_index",
+                value=finish.coat_index,
+                allowed=f"above {water_index:.4f}",
+            )
         bsdf = {
             "type": "roughplastic",
             "int_ior": finish.coat_index,
@@ -91,16 +97,6 @@ def _reflectance(part: MeshPart) -> dict[str, Any]:
         "wrap_mode": "repeat",
         "accel": False,  # a GPU's own filter has 8 bit between two texels
     }
-
-
-def _check_coat(finish: Finish, water_index: float) -> None:
-    if finish.coat_index <= water_index:
-        raise InputError(
-            "a coat must be denser than the water",
-            where="target.coat_index",
-            value=finish.coat_index,
-            allowed=f"above {water_index:.4f}",
-        )
 
 
 def _flat(vectors: Floats | Ints) -> mi.Float:

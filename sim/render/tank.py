@@ -90,7 +90,7 @@ class Tank:
         self.scene = scene
         laser = scene.tank.laser
         self._lines = laser.sheets if laser.on else ()
-        self.sheets = [_plugin("laser_sheet", LaserSheet) for _ in self._lines]
+        self.sheets = [LaserSheet(mi.Properties()) for _ in self._lines]
         self.integrator = SheetIntegrator(mi.Properties())
         self.higher = MultipleIntegrator(mi.Properties())
         self._tune(laser.wavelength_nm)
@@ -120,6 +120,7 @@ class Tank:
         left, top, width, height = window or (0, 0, section.width_px, section.height_px)
         sampler = {"type": "independent"} if jitter else {"type": "stratified", "jitter": False}
         settings: dict[str, Any] = {
+            "type": "refractive_camera",
             "film": {
                 "type": "hdrfilm",
                 "width": fineness * section.width_px,
@@ -137,7 +138,8 @@ class Tank:
         }
         if medium is not None:
             settings["medium"] = medium
-        camera = _plugin("refractive_camera", RefractiveCamera, settings)
+        camera = mi.load_dict(settings)
+        assert isinstance(camera, RefractiveCamera)
         self._focus(camera)
         head = self.scene.tank.head
         camera.place(head_pose(head, 0.0) @ camera_pose(head))
@@ -237,9 +239,7 @@ class Tank:
         tank = self.scene.tank
         self.water = water_optics(tank.water, wavelength_nm)
         self.glass_index = glass_index(tank.port.glass_index, wavelength_nm)
-        for sheet, line in zip(
-            self.sheets, tank.laser.sheets if tank.laser.on else (), strict=True
-        ):
+        for sheet, line in zip(self.sheets, self._lines, strict=True):
             sheet.configure(tank.laser, line, self.water.index, wavelength_nm)
         ambient = tank.light.ambient_w_m2_sr / W_PER_M2_IN_MW_PER_MM2
         for integrator in (self.integrator, self.higher):
@@ -314,10 +314,3 @@ def _interrupted(error: BaseException | None) -> bool:
             return True
         error = error.__cause__ or error.__context__
     return False
-
-
-def _plugin(name: str, kind: type[Any], settings: Mapping[str, Any] | None = None) -> Any:
-    """A plugin of this project's, made by Mitsuba."""
-    plugin = mi.load_dict({"type": name, **(settings or {})})
-    assert isinstance(plugin, kind)
-    return plugin

@@ -61,10 +61,13 @@ class FournierForand:
         """delta at the sine squared of half the angle."""
         return 4 * sin2 / (3 * (self.index - 1) ** 2)
 
-    def _backward(self) -> float:
-        """(1 - d^nu) / ((d - 1) d^nu) with delta at 180 degrees: the size of the second part."""
+    def _backward(self) -> Floats:
+        """(1 - d^nu) / ((d - 1) d^nu) with delta at 180 degrees: the size of the second part.
+
+        delta is 5 there at least, for indices up to 1.5.
+        """
         delta = self._delta(np.array(1.0))
-        return float(-_quotient(delta, self.nu) / delta**self.nu)
+        return -np.expm1(self.nu * np.log(delta)) / (delta - 1) / delta**self.nu
 
     def _closed(self, delta: Floats, sin2: Floats) -> Floats:
         """The first part of p times 4 pi delta^nu, away from delta = 1."""
@@ -87,11 +90,3 @@ def _binomials(exponent: float) -> Floats:
     """(SERIES_TERMS + 2,) coefficients of (1 + x)^exponent, rising powers."""
     k = np.arange(1, SERIES_TERMS + 2)
     return np.concatenate([[1.0], np.cumprod((exponent - k + 1) / k)])
-
-
-def _quotient(delta: Floats, exponent: float) -> Floats:
-    """(1 - delta^exponent) / (1 - delta), the exponent itself at delta = 1."""
-    less = delta - 1
-    rise = np.expm1(exponent * np.log(delta))
-    limit = np.full_like(delta, exponent)
-    return np.divide(rise, less, out=limit, where=less != 0)

@@ -64,35 +64,19 @@ def water_optics(water: Water, wavelength_nm: float) -> Optics:
     ----------
     docs/explanation/physics.md, sections 1 to 3.
     """
-    found = coefficients(water, wavelength_nm)
+    found, index = coefficients(water, wavelength_nm), 1.0
+    if water.kind != "air":
+        index = refractive_index(
+            water.temperature_c, water.salinity_psu, wavelength_nm, water.pressure_mpa
+        )
     scattering = found.scattering_per_m
     return Optics(
-        index=index_of(water, wavelength_nm),
+        index=index,
         absorption_per_mm=found.absorption_per_m / MM_PER_M,
         scattering_per_mm=scattering / MM_PER_M,
         particles=particle_phase(water),
         # Where nothing scatters, the molecules' share is as good as any.
         molecular_weight=found.molecular_per_m / scattering if scattering > 0 else 1.0,
-    )
-
-
-def index_of(water: Water, wavelength_nm: float) -> float:
-    """Refractive index of a scene's water relative to air; 1 where it is air.
-
-    Parameters
-    ----------
-    water : Water, the scene's
-    wavelength_nm : float, nm, 400 to 700
-
-    Raises
-    ------
-    InputError
-        The wavelength lies outside the range.
-    """
-    if water.kind == "air":
-        return 1.0
-    return refractive_index(
-        water.temperature_c, water.salinity_psu, wavelength_nm, water.pressure_mpa
     )
 
 

@@ -229,7 +229,7 @@ class PairIntegrator(WaterIntegrator):
         distance = dr.norm(offset)
         outgoing = offset / distance
         lit &= light > 0
-        lit &= ~leg.scene.ray_test(_segment(source, outgoing, distance, ray.time), lit)
+        lit &= ~leg.scene.ray_test(mi.Ray3f(source, outgoing, distance, ray.time, []), lit)
         phase = self.phase.value(angle_between(outgoing, -ray.d))
 
         from_ray = approach(self.phase, origin, direction, self.far, point)
@@ -282,7 +282,7 @@ class PairIntegrator(WaterIntegrator):
         distance = dr.norm(offset)
         phase = self.phase.value(angle_between(incoming, offset / distance))
         lit = active & (distance > 0) & (depth > 0)
-        lit &= ~leg.scene.ray_test(_segment(apex, incoming, depth, time), lit)
+        lit &= ~leg.scene.ray_test(mi.Ray3f(apex, incoming, depth, time, []), lit)
         loss = dr.exp(-self.extinction * (depth + distance + beyond))
         light = beam.power * self.scattering * phase * loss / dr.square(distance)
         return dr.select(lit, light, 0.0), point
@@ -304,7 +304,3 @@ def _closest(
     t, u = (b * across - along) / squared, (across - b * along) / squared
     gap = dr.norm(w + d * t - e * u)
     return t, u, gap * dr.rsqrt(squared)
-
-
-def _segment(start: mi.Point3f, towards: mi.Vector3f, length: mi.Float, time: mi.Float) -> mi.Ray3f:
-    return mi.Ray3f(start, towards, length, time, [])

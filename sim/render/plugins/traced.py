@@ -78,19 +78,17 @@ def port_shapes(port: Port, glass_index: float, water_index: float) -> dict[str,
     Rectangles for a flat port, analytic spheres for a dome: Mitsuba solves its spheres in
     double precision and puts the hit back on the sphere.
     """
-    inner = dielectric(1.0, glass_index)
-    outer = dielectric(glass_index, water_index)
     if isinstance(port, PlanePort):
         near, far = port.gap_mm, port.gap_mm + port.thickness_mm
-        rotation, side = port_rotation(port), FLAT_REACH * far
-        return {
-            "inner": {**rectangle(rotation, near, side), "bsdf": inner},
-            "outer": {**rectangle(rotation, far, side), "bsdf": outer},
-        }
-    sphere = {"type": "sphere", "center": list(port.centre_mm)}
+        rotation = port_rotation(port)
+        inner, outer = (rectangle(rotation, at, FLAT_REACH * far) for at in (near, far))
+    else:
+        sphere = {"type": "sphere", "center": list(port.centre_mm)}
+        near, far = port.radius_mm, port.radius_mm + port.thickness_mm
+        inner, outer = ({**sphere, "radius": radius} for radius in (near, far))
     return {
-        "inner": {**sphere, "radius": port.radius_mm, "bsdf": inner},
-        "outer": {**sphere, "radius": port.radius_mm + port.thickness_mm, "bsdf": outer},
+        "inner": {**inner, "bsdf": dielectric(1.0, glass_index)},
+        "outer": {**outer, "bsdf": dielectric(glass_index, water_index)},
     }
 
 

@@ -14,9 +14,8 @@ from lscan.errors import InputError
 from lscan.files.pictures import read_picture
 from lscan.records import Status
 from sim.datasets.views import (
+    MOST_DEG,
     MOST_DISTANCE_MM,
-    MOST_TILT_DEG,
-    MOST_TURN_DEG,
     held_scenes,
     write_views,
 )
@@ -68,8 +67,8 @@ def test_poses_keep_to_their_ranges_and_differ(seed: int) -> None:
     middle = np.array([[90.0, 0.0, -60.0]])  # of the dots of metric/dots.toml
     targets = [held.tank.target for held in held_scenes(WATER, 10, seed)]
     turn, tilt = np.array([[t.turn_deg, t.tilt_x_deg] for t in targets]).T
-    assert np.abs(turn).max() <= MOST_TURN_DEG and np.abs(tilt).max() <= MOST_TILT_DEG
-    assert np.ptp(turn) > MOST_TURN_DEG  # half of the range at least
+    assert np.abs(turn).max() <= MOST_DEG[0] and np.abs(tilt).max() <= MOST_DEG[1]
+    assert np.ptp(turn) > MOST_DEG[0]  # half of the range at least
     poses = [target_pose(held).apply(middle) @ _yaw(held) for held in held_scenes(WATER, 10, seed)]
     off = sheet_of(WATER).clearance_mm(np.vstack(poses))
     assert np.abs(off).max() <= MOST_DISTANCE_MM

@@ -14,7 +14,6 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import mitsuba as mi
 import numpy as np
 import pytest
 import trimesh
@@ -29,7 +28,6 @@ from sim.datasets.labels import label_scene, line_sigma_px
 from sim.render.fineness import binned, fineness_of, finer_lens
 from sim.render.tank import Layers, Tank
 from sim.scene import Scene
-from sim.scene.poses import camera_pose, head_pose
 from sim.sensor import Webcam
 from sim.sensor.blur import point_spread
 from sim.sensor.radiometry import photons_per_radiance, vignetting
@@ -207,32 +205,6 @@ def test_parts_of_a_pixel_see_what_the_pixel_sees(fineness: int) -> None:
     points = np.array([[0.0, 0.0, -100.0], [120.0, 5.0, -130.0], [-90.0, -3.0, -60.0]])
     expected = fineness * project(scene, points) + (fineness - 1) / 2
     np.testing.assert_allclose(project(fine, points), expected, rtol=0, atol=1e-9)
-
-
-def test_the_film_of_one_part_is_the_plain_camera_s() -> None:
-    """To the bit, moving and not: the light of the camera plugin without parts."""
-    head = {"speed_mm_s": 100.0}
-    scene = small(1, head=head, sensor={"readout_ms": 50.0})
-    here = Tank(scene)
-    film = {
-        "type": "hdrfilm", "width": 64, "height": 48, "pixel_format": "luminance",
-        "component_format": "float32", "rfilter": {"type": "box"},
-    }  # fmt: skip
-    sampler = {"type": "stratified", "jitter": False}
-    plain = mi.load_dict({"type": "refractive_camera", "film": film, "sampler": sampler})
-    lens, port = scene.tank.lens, scene.tank.port
-    plain.configure(lens, port, here.glass_index, here.water.index)
-    fine = here.make_camera()
-    plain.place(head_pose(scene.tank.head, 0.0) @ camera_pose(scene.tank.head))
-    for _ in range(2):
-        pictures = [
-            np.array(mi.render(here.mitsuba_scene, sensor=s, integrator=here.integrator, spp=4))
-            for s in (plain, fine)
-        ]
-        assert pictures[0].max() > 0
-        np.testing.assert_array_equal(*pictures)
-        for camera in (plain, fine):
-            camera.move(np.array([0.0, 100.0, 0.0]), 20.0, 50.0)
 
 
 @pytest.mark.parametrize("fineness", [2, 3])
