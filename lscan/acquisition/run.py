@@ -13,7 +13,6 @@ scan gives the same bytes.  This module reads; writer.py writes.
 """
 
 import hashlib
-import io
 import json
 import platform
 import zlib
@@ -346,20 +345,18 @@ def most_table_bytes(plan: Plan) -> int:
 
 def _read_rows(file: Path, plan: Plan) -> list[FrameRow]:
     data = read_bytes(file, most_table_bytes(plan), within=file.parent)
-    lines = io.BytesIO(data)
     # Latin-1 takes any byte for a character, so a damaged one fails its row's checksum.
-    header = lines.readline().decode("latin-1").removesuffix("\n")
+    header, *lines = data.decode("latin-1").split("\n")
     if header != columns(plan.paired):
         where, allowed = f"{file} line 1", columns(plan.paired)
         raise InputError("wrong header", where=where, value=header, allowed=allowed)
     if not data.endswith(b"\n"):
-        last = data.count(b"\n") + 1
-        where = f"{file} line {last}"
+        where = f"{file} line {len(lines) + 1}"
         raise InputError("the last row is torn; lscan scan --resume cuts it off", where=where)
     rows: list[FrameRow] = []
-    for index, line in enumerate(lines):
+    for index, line in enumerate(lines[:-1]):
         where = f"{file} line {index + 2}"
-        row = FrameRow.from_text(line.decode("latin-1").removesuffix("\n"), where, plan.paired)
+        row = FrameRow.from_text(line, where, plan.paired)
         if row.index != index:
             what = "a frame is listed twice" if row.index < index else "a frame is skipped"
             raise InputError(what, where=where, value=row.index, allowed=index)

@@ -270,11 +270,7 @@ def _change_manifest(path: Path, **values: Any) -> None:
     before, _ = read_manifest(path)
     manifest = before.model_copy(update=values)
     if manifest != before:
-        _write_manifest(path, manifest)
-
-
-def _write_manifest(path: Path, manifest: Manifest) -> None:
-    write_atomically(path / MANIFEST, manifest.as_text().encode())
+        write_atomically(path / MANIFEST, manifest.as_text().encode())
 
 
 def _lay_out(path: Path, manifest: Manifest) -> None:
@@ -282,7 +278,7 @@ def _lay_out(path: Path, manifest: Manifest) -> None:
     with disk_errors(path):
         (path / FRAMES).mkdir(exist_ok=True)
     write_atomically(path / TABLE, f"{columns(manifest.plan.paired)}\n".encode())
-    _write_manifest(path, manifest)
+    write_atomically(path / MANIFEST, manifest.as_text().encode())
     with disk_errors(path):
         sync_folder(path.parent)
 

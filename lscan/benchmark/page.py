@@ -7,8 +7,6 @@ from typing import Any, TypeVar
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.figure import Figure
 from pydantic_core import to_jsonable_python
 
 from lscan.benchmark.extractors import ExtractorRow
@@ -116,14 +114,13 @@ def draw_bench(extractors: Sequence[ExtractorRow], maps: Sequence[MapRow]) -> by
     )
     counts = [len({name for name, _ in errors}) for _, errors, _ in parts]
     size = (19.0, 2.6 + 0.24 * sum(counts))
-    figure = Figure(figsize=size, layout="constrained", facecolor=style.PAPER)
-    heights = {"height_ratios": [max(count, 1) for count in counts]}
-    panels = figure.subplots(2, 1, gridspec_kw=heights)
+    heights = tuple(float(max(count, 1)) for count in counts)
+    figure, panels = style.panels(2, size, heights, share_x=False)
+    figure.set_facecolor(style.PAPER)
     for axes, (title, errors, limits) in zip(panels, parts, strict=True):
         _heat(axes, errors, limits)
         axes.set_title(title)
     buffer = io.BytesIO()
-    FigureCanvasAgg(figure)
     figure.savefig(buffer, format="png", dpi=DPI, metadata={"Software": None})
     return buffer.getvalue()
 

@@ -134,9 +134,7 @@ def _print_scores(scores: tuple[Score, ...]) -> None:
     rows = [
         [
             score.name,
-            f"{score.rms_mm:.4f}",
-            f"{score.max_mm:.4f}",
-            f"{score.sigma_mm:.4f}",
+            *(f"{mm:.4f}" for mm in (score.rms_mm, score.max_mm, score.sigma_mm)),
             "yes" if score.tied else "",
             score.points,
             score.without_value,

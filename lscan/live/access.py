@@ -72,7 +72,9 @@ class Access:
         pairs = (cookie.strip().partition("=") for cookie in cookies)
         # All cookies of our name: other programs of this host set theirs too.
         named = [value for name, _, value in pairs if name == self.cookie]
-        if not any(map(self._is_token, named if query_token is None else [query_token])):
+        given = named if query_token is None else [query_token]
+        wanted = self.token.encode()
+        if not any(secrets.compare_digest(token.encode(), wanted) for token in given):
             return "A token is needed: open the whole address that lscan live printed."
         return None
 
@@ -89,9 +91,6 @@ class Access:
         if self.host in EVERYWHERE:  # by number no site can be meant but this machine
             return _is_address(name) or name in (*LOOPBACK, socket.gethostname().lower())
         return name == self.host.lower()
-
-    def _is_token(self, given: str) -> bool:
-        return secrets.compare_digest(given.encode(), (self.token or "").encode())
 
 
 def grant(host: str, port: int, token: str | None) -> Access:
@@ -133,9 +132,7 @@ def grant(host: str, port: int, token: str | None) -> Access:
     return Access(host, port, token)
 
 
-def machine_numbers(
-    families: Iterable[socket.AddressFamily] = (socket.AF_INET,),
-) -> tuple[str, ...]:
+def machine_numbers(families: Iterable[socket.AddressFamily]) -> tuple[str, ...]:
     """The IP addresses of this machine that others may reach it by, each once.
 
     First those it goes out by, then those its own name has; no loopback and no link-local
@@ -143,26 +140,18 @@ def machine_numbers(
     """
     found: dict[str, None] = {}
     for family in families:
-        for number in (*_going_out(family), *_of_own_name(family)):
+        numbers: list[str] = []
+        with suppress(OSError), socket.socket(family, socket.SOCK_DGRAM) as probe:
+            probe.connect((ELSEWHERE[family], 9))  # sends nothing
+            numbers.append(probe.getsockname()[0])
+        with suppress(OSError):
+            known = socket.getaddrinfo(socket.gethostname(), None, family, socket.SOCK_STREAM)
+            numbers += [str(place[0]).partition("%")[0] for *_, place in known]
+        for number in numbers:
             address = ip_address(number)
             if not (address.is_loopback or address.is_link_local or address.is_unspecified):
                 found[number] = None
     return tuple(found)
-
-
-def _going_out(family: socket.AddressFamily) -> list[str]:
-    """The address that packets to elsewhere would bear; a UDP socket sends none to connect."""
-    with suppress(OSError), socket.socket(family, socket.SOCK_DGRAM) as probe:
-        probe.connect((ELSEWHERE[family], 9))
-        return [probe.getsockname()[0]]
-    return []
-
-
-def _of_own_name(family: socket.AddressFamily) -> list[str]:
-    with suppress(OSError):
-        known = socket.getaddrinfo(socket.gethostname(), None, family, socket.SOCK_STREAM)
-        return [str(address[0]).partition("%")[0] for *_, address in known]
-    return []
 
 
 def _bracketed(name: str) -> str:

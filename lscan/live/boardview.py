@@ -97,16 +97,12 @@ def _offset(
         sight = seen_from(sheet.camera_mm, points.xz_mm)
     else:
         return None, NO_PLACE
+    lattice = grid.board_mm.reshape(*reading.shape, 2)
+    corners_mm = lattice[[0, 0, -1, -1], [0, -1, -1, 0]]  # clockwise from the upper left
     try:
-        return off_sheet(grid.board_mm, points, sight, _corners_mm(reading)), ""
+        return off_sheet(grid.board_mm, points, sight, corners_mm), ""
     except MeasurementError as error:
         return None, str(error)
-
-
-def _corners_mm(reading: BoardReading) -> Floats:
-    """(4, 2) the grid's corners: upper left, upper right, lower right, lower left."""
-    lattice = reading.grid.board_mm.reshape(*reading.shape, 2)
-    return np.array([lattice[0, 0], lattice[0, -1], lattice[-1, -1], lattice[-1, 0]])
 
 
 def _rms_and_max(pairs: Floats) -> tuple[float, float] | None:

@@ -78,7 +78,6 @@ class Session:
         self._mode: Mode = "stripe"
         self._focus = BestFocus()
         self._board_read: tuple[BoardFigures, float] | None = None  # and when its picture came
-        self._shown_s: float | None = None  # monotonic, when the newest picture came
         self._fault = ""
         self._task, self._task_message, self._task_failed = "", "", False
         self._commands = threading.Lock()
@@ -212,8 +211,7 @@ class Session:
     # ---- the threads --------------------------------------------------------------------
 
     def _show(self, grab: Grab) -> None:
-        self._shown_s = time.monotonic()
-        self._pictures.put(LivePicture(grab, self._devices.position_mm, self._shown_s))
+        self._pictures.put(LivePicture(grab, self._devices.position_mm, time.monotonic()))
 
     def _look(self) -> None:
         while not self._closing.is_set():
@@ -303,7 +301,8 @@ class Session:
     def state(self) -> dict[str, Any]:
         """The state of all as the page shows it, in JSON types."""
         rig, devices, calibration = self._rig_file.rig, self._devices, self._calibration
-        shown_s = self._shown_s
+        newest = self._pictures.after(0)
+        seen_s_ago = None if newest is None else round(time.monotonic() - newest[1].taken_s, 1)
         return {
             "rig": rig.name,
             "source": self._rig_file.source,
@@ -312,7 +311,7 @@ class Session:
                 "size_px": list(rig.camera.size_px),
                 "error": devices.camera_error or self._fault,
                 "gone": bool(devices.camera_error),
-                "seen_s_ago": None if shown_s is None else round(time.monotonic() - shown_s, 1),
+                "seen_s_ago": seen_s_ago,
             },
             "track": {
                 "driver": rig.track.driver,

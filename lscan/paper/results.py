@@ -1,13 +1,13 @@
 """What an experiment leaves on disk: results.json, the report, the calibrations, the surface."""
 
-import json
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
 from lscan.acquisition.run import software_versions
 from lscan.calibration.solve import save_calibration
-from lscan.files.disk import make_folder, write_atomically
+from lscan.files.disk import make_folder
+from lscan.files.jsontext import write_json
 from lscan.measurement import lengths_json
 from lscan.paper.experiment import Experiment
 from lscan.paper.report import write_report
@@ -80,6 +80,5 @@ def write_experiment(folder: Path, experiment: Experiment) -> None:
     if experiment.sandwave:
         save_surface(folder / "sandwave.nc", experiment.sandwave.aligned)
         save_points(folder / "sandwave.ply", experiment.sandwave.aligned)
-    text = json.dumps(results_json(experiment), indent=2, allow_nan=False) + "\n"
-    write_atomically(folder / "results.json", text.encode())
+    write_json(folder / "results.json", results_json(experiment))
     write_report(folder / "report.html", experiment)

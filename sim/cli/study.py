@@ -1,6 +1,5 @@
 """``lscan-sim study``: where an error comes from."""
 
-from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated
 
@@ -34,7 +33,7 @@ def concavity(
     with progress_bar("concavity") as progress:
         errors = run_concavity(scenes or scenes_folder(), output, only, progress)
     if json:
-        print_json([asdict(one) for one in errors])
+        print_json(errors)
         return
     headings = ["target", "points", "rms um", "less blur", "and thickness", "99 % um", "", ""]
     cells = [

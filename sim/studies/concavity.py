@@ -7,9 +7,8 @@ no part in it, so what is left are the blur along the line (lscan.stripe.correct
 sheet's thickness (lscan.surface.concavity) and what neither describes.
 """
 
-import json
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +20,7 @@ from lscan.config.rig import SheetSection, StripeSection
 from lscan.config.rigfile import load_rig, parse_rig
 from lscan.errors import InputError
 from lscan.files.disk import make_folder, write_atomically
+from lscan.files.jsontext import write_json
 from lscan.records import Floats, Mask, Progress, Status, Stripe, Surface
 from lscan.stripe.corrections.blur import correct_blur
 from lscan.surface.concavity import correct_thickness
@@ -258,6 +258,5 @@ def run_concavity(
         if progress is not None:
             progress(done, len(chosen))
         errors.append(concavity_errors(case))
-    text = json.dumps([asdict(one) for one in errors], indent=2)
-    write_atomically(output / "concavity.json", f"{text}\n".encode())
+    write_json(output / "concavity.json", errors)
     return errors

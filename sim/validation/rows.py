@@ -1,6 +1,5 @@
 """The rows of every figures file: a figure beside its bar, and what it was held against."""
 
-import json
 import traceback
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
@@ -10,7 +9,8 @@ from typing import Any
 
 from lscan.errors import LscanError
 from lscan.figures.reportfigure import ReportFigure
-from lscan.files.disk import make_folder, write_atomically
+from lscan.files.disk import make_folder
+from lscan.files.jsontext import write_json
 from lscan.files.packaged import packaged_table
 
 
@@ -196,9 +196,8 @@ def write_rows(path: Path, rows: Sequence[Row]) -> None:
     InputError
         The disk refuses.
     """
-    text = json.dumps([row.as_json() for row in rows], indent=2, allow_nan=False)
     make_folder(path.parent)
-    write_atomically(path, f"{text}\n".encode())
+    write_json(path, [row.as_json() for row in rows])
 
 
 HEADINGS = ("what", "figure", "bar", "unit", "within")
