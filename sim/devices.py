@@ -133,18 +133,16 @@ class SimCamera:
         if dark or not getattr(self._track, "laser_is_on", True):
             none = np.zeros_like(layers.ambient)
             layers = replace(layers, direct=none, scattered=none)
-        generator = self._generator(position_mm, index, _DARK if dark else _LIT)
+        nanometres, stream = round(position_mm * 1e6), _DARK if dark else _LIT
+        place = abs(nanometres), int(nanometres < 0)
+        seed = [self._scene.tank.sensor.seed, stream, *place, index]
+        generator = np.random.default_rng(seed)
         image = self._webcam.expose(layers, exposure_ms, generator, wavelength_nm)
         return Grab(image=image, time_s=time_s, exposure_ms=exposure_ms)
 
     def close(self) -> None:
         """Release the tank."""
         self._tank = None
-
-    def _generator(self, position_mm: float, index: int, stream: int) -> np.random.Generator:
-        nanometres = round(position_mm * 1e6)
-        place = (abs(nanometres), int(nanometres < 0))
-        return np.random.default_rng([self._scene.tank.sensor.seed, stream, *place, index])
 
 
 class SimTrackDriver(TravelDriver[TrackOptions]):

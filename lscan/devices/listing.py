@@ -26,7 +26,7 @@ NUMBERS_TRIED = 4
 """Where the system does not name its cameras, these many numbers are tried."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, order=True)
 class SerialPort:
     """A serial port: what ``track.options.port`` may name."""
 
@@ -65,8 +65,7 @@ def serial_ports() -> list[SerialPort] | None:
         list_ports = importlib.import_module("serial.tools.list_ports")
     except ImportError:
         return None
-    ports = [SerialPort(port.device, port.description) for port in list_ports.comports()]
-    return sorted(ports, key=lambda port: port.device)
+    return sorted(SerialPort(port.device, port.description) for port in list_ports.comports())
 
 
 def video_devices(

@@ -173,7 +173,7 @@ class EmulatedHardware:
         self.close()
 
     def _look(self) -> HeadState:
-        lit = self._track.lit if self.options.switched_laser else True
+        lit = not self.options.switched_laser or self._track.lit
         return HeadState(self._track.position_mm, lit)
 
     def _rendered(self, progress: Progress | None) -> Places:
@@ -182,10 +182,9 @@ class EmulatedHardware:
         wanted = plan.positions_mm() if options.prepare else plan.positions_mm()[:1]
         most = max(options.places, len(wanted) + PLACES_BESIDE_THE_PLAN * options.prepare)
         places = Places(self.scene, most, switched_laser=options.switched_laser)
-        for done, position_mm in enumerate(wanted):
-            if progress is not None:
-                progress(done, len(wanted))
+        report = progress or (lambda done, of: None)
+        report(0, len(wanted))
+        for done, position_mm in enumerate(wanted, start=1):
             places.view(self._track.travel.standing_mm(position_mm))
-        if progress is not None:
-            progress(len(wanted), len(wanted))
+            report(done, len(wanted))
         return places

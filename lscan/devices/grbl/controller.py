@@ -33,6 +33,10 @@ any restart and any reset, so also the way out of an alarm, sets it back to T0 (
 A restart whose banner was lost, which would take where the head stands for zero, is so noticed,
 and also one between two sessions of a scan."""
 
+MOVING: Final = {("Jog", None), ("Run", None), ("Hold", 1), ("Door", 2), ("Door", 3)}
+"""States, with their numbers, in which a reset would lose steps: a hold still slowing down, a door
+that is doing so, retracting or resuming (Grbl 1.1, "Real-time Status Reports")."""
+
 LOST: Final = "lost"
 
 _REMEDIES = {
@@ -214,7 +218,7 @@ class GrblMachine:
         report: asks for a report; where it gives None, so does this.
         """
         deadline_s = self._link.clock() + self._braking_s
-        while (status := report()) is not None and _is_moving(status):
+        while (status := report()) is not None and (status.state, status.substate) in MOVING:
             if self._link.clock() > deadline_s:
                 raise self._not_idle(status)
             self._link.send_bytes(JOG_CANCEL if status.state == "Jog" else FEED_HOLD)
@@ -251,15 +255,6 @@ class GrblMachine:
             self._dialogue.lost = True
             remedy = self._dialogue.alarm_remedy()
         return DeviceError(f"{self._link.name}: is in state {status.state}; {remedy}")
-
-
-def _is_moving(status: StatusReport) -> bool:
-    """Whether a reset now would lose steps (Grbl 1.1, "Real-time StatusReport Reports")."""
-    return status.state in ("Jog", "Run") or (status.state, status.substate) in (
-        ("Hold", 1),  # still slowing down
-        ("Door", 2),  # the same, or retracting
-        ("Door", 3),  # resuming
-    )
 
 
 def _is_mark(word: str) -> bool:

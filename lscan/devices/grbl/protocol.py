@@ -6,6 +6,7 @@ documented form exactly is taken for noise.
 """
 
 import re
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Final, Literal
 
@@ -82,10 +83,16 @@ CODES: dict[str, dict[str, str]] = packaged_table("lscan.devices.grbl", "codes.t
 """What numbers mean, in words: by "error" or "ALARM", then by number."""
 
 _NUMBER = r"-?\d+(?:\.\d*)?"
-_CODE = re.compile(r"(error|ALARM):(\d{1,3})")
-_BANNER = re.compile(r"Grbl (\d+\.\d+\w?)(?: \[.*\])?")
-_SETTING = re.compile(rf"\$(\d{{1,3}})=({_NUMBER})")
-_FEEDBACK = re.compile(r"\[(\w+):(.*)\]")
+_FORMS: dict[str, Callable[..., Message]] = {
+    r"ok": Ok,
+    r"error:(\d{1,3})": lambda code: Refusal(int(code)),
+    r"ALARM:(\d{1,3})": lambda code: Alarm(int(code)),
+    r"Grbl (\d+\.\d+\w?)(?: \[.*\])?": Banner,
+    rf"\$(\d{{1,3}})=({_NUMBER})": lambda number, value: GrblSetting(int(number), float(value)),
+    r"\[(\w+):(.*)\]": Feedback,
+    r"(>)(.*:ok)": Feedback,
+}
+"""What a line looks like, but a report, and the message that is made of its parts."""
 
 
 def in_words(kind: Literal["error", "ALARM"], code: int) -> str:
@@ -95,18 +102,9 @@ def in_words(kind: Literal["error", "ALARM"], code: int) -> str:
 
 def parse_line(text: str) -> Message | None:
     """The message in one line without its line end; None where it is none, that is, noise."""
-    if text == "ok":
-        return Ok()
-    if code := _CODE.fullmatch(text):
-        return (Refusal if code[1] == "error" else Alarm)(int(code[2]))
-    if banner := _BANNER.fullmatch(text):
-        return Banner(banner[1])
-    if setting := _SETTING.fullmatch(text):
-        return GrblSetting(int(setting[1]), float(setting[2]))
-    if feedback := _FEEDBACK.fullmatch(text):
-        return Feedback(feedback[1], feedback[2])
-    if text.startswith(">") and text.endswith(":ok"):
-        return Feedback(">", text[1:])
+    for form, message in _FORMS.items():
+        if said := re.fullmatch(form, text):
+            return message(*said.groups())
     return parse_status(text)
 
 

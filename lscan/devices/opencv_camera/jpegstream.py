@@ -64,7 +64,9 @@ class JpegStream:
             packet = self._awaited()
             if packet is None:
                 if self._count <= 1 or not self._handed_out:
-                    raise DeviceLost(f"{self._name}: {ended_early(self._pictures())}")
+                    # Where the first packet is no picture, none of the others is likely one.
+                    whole = self._first is not None and decoded(self._first, self._name) is not None
+                    raise DeviceLost(f"{self._name}: {ended_early(self._count if whole else 0)}")
                 return False, None
             image = decoded(packet, self._name)
             if image is not None:
@@ -93,11 +95,6 @@ class JpegStream:
             f"{self._name}: sends more than {1 / LEAST_WAIT_S:g} pictures a second, which no "
             "camera does; a video goes into camera.options.file"
         )
-
-    def _pictures(self) -> int:
-        """How many packets came; 0 where the first is no picture, since then none is likely."""
-        whole = self._first is not None and decoded(self._first, self._name) is not None
-        return self._count if whole else 0
 
 
 def decoded(packet: Bytes, name: str = "the stream") -> Bytes | None:

@@ -112,7 +112,7 @@ class _Client(BaseHTTPRequestHandler):
         """Say nothing: the command's output is for its user."""
 
     def _stream(self, camera: EmulatedCamera) -> None:
-        self._begin(f"multipart/x-mixed-replace; boundary={BOUNDARY}")
+        self._begin({"Content-Type": f"multipart/x-mixed-replace; boundary={BOUNDARY}"})
         sent = camera.count
         while camera.fault != "drop" and not self._hung_up():
             shot = camera.newest(sent, LOOK_UP_S)
@@ -125,16 +125,13 @@ class _Client(BaseHTTPRequestHandler):
         if shot is None:
             self.send_error(503, "the camera sends nothing")
             return
-        self._begin("image/jpeg", len(shot.jpeg))
+        self._begin({"Content-Type": "image/jpeg", "Content-Length": str(len(shot.jpeg))})
         self.wfile.write(shot.jpeg)
 
-    def _begin(self, kind: str, length: int | None = None) -> None:
+    def _begin(self, headers: dict[str, str]) -> None:
         self.send_response(200)
-        self.send_header("Content-Type", kind)
-        self.send_header("Cache-Control", "no-store")
-        if length is not None:
-            self.send_header("Content-Length", str(length))
-        self.send_header("Connection", "close")
+        for name, value in {**headers, "Cache-Control": "no-store", "Connection": "close"}.items():
+            self.send_header(name, value)
         self.end_headers()
 
     def _hung_up(self) -> bool:
