@@ -4,15 +4,17 @@ They name files beside them, which :func:`write_beside` makes: a recorded run, a
 and a picture.
 """
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import reduce
+from itertools import product
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from lscan.acquisition.replay import ReplayOptions
 from lscan.acquisition.writer import create_run
-from lscan.config.documents import Document, Strict
+from lscan.config.documents import Document, Strict, merge
 from lscan.config.rig import Rig
 from lscan.config.rigfile import parse_rig
 from lscan.devices.grbl import SerialTrackOptions
@@ -35,9 +37,7 @@ TRACKS: dict[str, type[Strict]] = {
     "replay": ReplayOptions,
     "sim": TrackOptions,
 }
-_SECTIONS: Document = packaged_table("sim.testing", "goodrigs.toml")
-_TANK, _SHAFT = _SECTIONS["tank"], _SECTIONS["shaft"]
-_BLOCK: Document = {"kind": "grooved-block"}
+_TABLE: Document = packaged_table("sim.testing", "goodrigs.toml")
 
 
 @dataclass(frozen=True)
@@ -80,64 +80,12 @@ def good_rigs() -> list[GoodRig]:
     Each field is to be set wrong in one of them only, and each rig holds little besides: some
     thousands of files are read.
     """
-    rigs = [*_instruments(), *_tanks(), *_sources()]
+    rigs = [_rig(**rig) for rig in _TABLE["rig"]]
     pairs = {rig.drivers for rig in rigs}
-    for camera in CAMERAS:
-        beside = _TANK if camera == "sim" else {}
-        rigs += [_rig(camera, track, **beside) for track in TRACKS if (camera, track) not in pairs]
+    for camera, track in product(CAMERAS, TRACKS):
+        if (camera, track) not in pairs:
+            rigs.append(_rig(camera, track, ["tank"] if camera == "sim" else []))
     return rigs
-
-
-def _instruments() -> list[GoodRig]:
-    """Rigs that hold every section of the instrument itself."""
-    whole, board = _SECTIONS["instrument"], _SECTIONS["board"]
-    turned: Document = {"workpiece": {"kind": "sandwave"}, "shaft": _SHAFT}
-    return [
-        _rig("opencv", "manual", _of(Rig, "name", *whole), **whole),
-        _rig("replay", "manual", _of(Rig, *turned), **turned),
-        _rig("opencv", "grbl", _of(Rig, "board", "workpiece"), board=board, workpiece=_BLOCK),
-    ]
-
-
-def _tanks() -> list[GoodRig]:
-    """Rigs that hold every section of the tank, each kind of port and shape of target."""
-    rest = [name for name in TankSections.model_fields if name not in ("head", "target")]
-    head = {**_TANK["head"], "shaft": _SHAFT}
-    turned = _TANK | {"head": head, "port": {"kind": "dome"}, "target": _SECTIONS["mesh"]}
-    board = _TANK | {"board": _SECTIONS["board"], "target": {"shape": "board", "sand": {}}}
-    piece = _TANK | {"workpiece": _BLOCK, "target": _SECTIONS["textured"]}
-    return [
-        _rig("sim", "sim", _of(TankSections, *rest), switched="pairs", **_TANK),
-        _rig("sim", "manual", _of(TankSections, "head", "port"), shaft=_SHAFT, **turned),
-        _rig("sim", "grbl", switched="pairs", **board),
-        _rig("sim", "sim", _of(TankSections, "target"), **piece),
-    ]
-
-
-def _sources() -> list[GoodRig]:
-    """Rigs that hold every option of every driver, and each source of an opencv camera's."""
-    plan = _of(Rig, "camera", "track", "plan")
-    return [
-        _rig("opencv", "grbl", plan, _of_camera("opencv"), _of_track("grbl"), switched="pairs"),
-        _rig("opencv", "manual", _of_track("manual")),
-        _rig("replay", "replay", _of_camera("replay"), _of_track("replay"), switched="on"),
-        _rig("opencv", "sim", _of_track("sim"), switched="on"),
-        _rig("sim", "manual", _of_camera("sim"), **_TANK),
-        _rig("opencv", "manual", source={"url": "http://127.0.0.1/x"}),
-        _rig("opencv", "grbl", source={"file": "video.avi"}, switched="on"),
-    ]
-
-
-def _of(model: type[Strict], *sections: str) -> RigPart:
-    return RigPart(model, (), sections)
-
-
-def _of_camera(driver: str) -> RigPart:
-    return RigPart(CAMERAS[driver], ("camera", "options"))
-
-
-def _of_track(driver: str) -> RigPart:
-    return RigPart(TRACKS[driver], ("track", "options"))
 
 
 def write_beside(folder: Path) -> None:
@@ -151,7 +99,7 @@ def write_beside(folder: Path) -> None:
         (folder / name).touch()
     width_px, height_px = SIZE_PX
     camera = {"driver": "gone", "width_px": width_px, "height_px": height_px}
-    document = {"camera": camera, "track": {"driver": "gone"}, "plan": _SECTIONS["plan"]}
+    document = {"camera": camera, "track": {"driver": "gone"}, "plan": _TABLE["plan"]}
     rig_file = parse_rig(document, source="rig.toml", trusted=True)
     with create_run(folder / "run", rig_file) as writer:
         for index, position_mm in enumerate(rig_file.rig.plan.positions_mm()):
@@ -162,32 +110,38 @@ def write_beside(folder: Path) -> None:
 def _rig(
     camera: str,
     track: str,
-    *parts: RigPart,
+    sections: Sequence[str] = (),
     source: Document | None = None,
-    switched: str = "untouched",
-    **sections: Any,
+    laser: str = "untouched",
+    wrong: Mapping[str, Sequence[str]] | None = None,
 ) -> GoodRig:
-    """The rig of two drivers with its defaults written out.
-
-    source: of an opencv camera.  switched: the plan for the laser.
-    """
-    camera_options = _SECTIONS["sources"][camera] if source is None else source
-    if source is None:  # of a stream or a file, what only a device has may not even be stated
-        camera_options = _written_out(CAMERAS[camera], camera_options)
-    track_options = _written_out(TRACKS[track], _SECTIONS["track_options"][track])
+    """The rig of two drivers with its defaults written out, as goodrigs.toml describes it."""
+    laid = reduce(merge, (_TABLE["sections"][name] for name in sections), Document())
+    options = source  # of a stream or a file, what only a device has may not even be stated
+    if options is None:
+        options = _written_out(CAMERAS[camera], _TABLE["camera_options"][camera])
     width_px, height_px = SIZE_PX
     size = {"width_px": width_px, "height_px": height_px}
+    track_options = _written_out(TRACKS[track], _TABLE["track_options"][track])
     rig = {
-        "camera": {"driver": camera, **size, "options": camera_options},
+        "camera": {"driver": camera, **size, "options": options},
         "track": {"driver": track, "options": track_options},
-        "plan": {**_SECTIONS["plan"], "laser": switched},
-        **{key: value for key, value in sections.items() if key in Rig.model_fields},
+        "plan": {**_TABLE["plan"], "laser": laser},
+        **{key: value for key, value in laid.items() if key in Rig.model_fields},
     }
-    tank = {key: value for key, value in sections.items() if key in TankSections.model_fields}
+    tank = {key: value for key, value in laid.items() if key in TankSections.model_fields}
     written = _written_out(Rig, rig)
-    stated = {name: written[name] for name in ("name", *rig)}
-    document = stated | (_written_out(TankSections, tank) if tank else {})
-    return GoodRig(f"{camera} and {track}", document, parts)
+    document = {name: written[name] for name in ("name", *rig)}
+    if tank:
+        document |= _written_out(TankSections, tank)
+    places: dict[str, tuple[type[Strict], tuple[str, ...]]] = {
+        "file": (Rig, ()),
+        "tank": (TankSections, ()),
+        "camera": (CAMERAS[camera], ("camera", "options")),
+        "track": (TRACKS[track], ("track", "options")),
+    }
+    parts = (RigPart(*places[name], tuple(fields)) for name, fields in (wrong or {}).items())
+    return GoodRig(f"{camera} and {track}", document, tuple(parts))
 
 
 def _written_out(model: type[Strict], document: Document) -> Document:
