@@ -2,7 +2,6 @@
 
 import time
 from collections.abc import Callable
-from contextlib import ExitStack
 from dataclasses import dataclass, field
 from pathlib import Path
 from types import SimpleNamespace
@@ -14,7 +13,7 @@ import lscan.config.rigfile
 from lscan.acquisition.run import Run
 from lscan.config.rigfile import RigFile, parse_rig
 from lscan.devices.api import Camera, Grab, Track
-from lscan.devices.grbl import track_driver as serial_driver
+from lscan.devices.grbl import SerialTrack, track_driver as serial_driver
 from lscan.devices.opencv_camera import OpencvCamera, OpencvOptions
 from lscan.files.packaged import packaged_table
 from sim.testing.faults import KINDS, InjectedFault
@@ -63,12 +62,13 @@ class FaultBench:
 
     def scan(self) -> Run:
         """The complete run, begun or resumed as by ``lscan scan``; errors as there."""
-        with ExitStack() as patches:
-            patches.enter_context(
-                mock.patch.object(lscan.config.rigfile, "find_plugin", self._driver)
-            )
-            patches.enter_context(mock.patch.object(time, "time", self._wall_clock(time.time)))
-            patches.enter_context(self.disk.watched())
+        with (
+            mock.patch.object(lscan.config.rigfile, "find_plugin", self._driver),
+            mock.patch.object(time, "time", self._wall_clock(time.time)),
+            mock.patch.object(SerialTrack, "move_to", self._watched_move(SerialTrack.move_to)),
+            mock.patch.object(OpencvCamera, "grab", self._watched_grab(OpencvCamera.grab)),
+            self.disk.watched(),
+        ):
             if self.fault.phase == "opening":
                 self._inject()
             return lscan.acquisition.scan.scan(
@@ -85,14 +85,8 @@ class FaultBench:
 
     # ---- moments ------------------------------------------------------------------------
 
-    def move_begins(self, target_mm: float, from_mm: float) -> None:
-        """The track is about to be sent somewhere.
-
-        Parameters
-        ----------
-        target_mm : float, mm, where it is sent
-        from_mm : float, mm, where it stands
-        """
+    def _move_begins(self, target_mm: float, from_mm: float) -> None:
+        """The track is about to be sent to ``target_mm``, mm, from where it stands."""
         self._calls = None
         if self._is_turn(self._frame_at(target_mm), "before the move"):
             self._inject()
@@ -100,27 +94,25 @@ class FaultBench:
             way_s = abs(target_mm - from_mm) / SPEED_MM_S
             self.track.time.at(self.track.time() + self.fault.part * way_s, self._inject)
 
-    def grab_begins(self, frame: int) -> None:
-        """A picture is about to be asked for.
+    def _watched_move(self, real: Callable[[SerialTrack, float], float]) -> Callable[..., float]:
+        def move_to(track: SerialTrack, position_mm: float) -> float:
+            self._move_begins(position_mm, track.position_mm)
+            return real(track, position_mm)
 
-        Parameters
-        ----------
-        frame : int, number of the picture
-        """
-        if self._is_turn(frame, "before the grab"):
-            self._inject()
-        self.asked_s[frame] = time.monotonic()
-        self.camera.grab_begins()
+        return move_to
 
-    def grab_ends(self, frame: int) -> None:
-        """What is written from now on is this frame.
+    def _watched_grab(self, real: Callable[..., Grab]) -> Callable[..., Grab]:
+        def grab(camera: OpencvCamera, frame: int, dark: bool = False) -> Grab:
+            if self._is_turn(frame, "before the grab"):
+                self._inject()
+            self.asked_s[frame] = time.monotonic()
+            self.camera.grab_begins()
+            taken = real(camera, frame, dark)
+            if self._is_turn(frame, "in the write"):  # what is written from now on is this frame
+                self._calls = 0
+            return taken
 
-        Parameters
-        ----------
-        frame : int, number of the picture
-        """
-        if self._is_turn(frame, "in the write"):
-            self._calls = 0
+        return grab
 
     def _disk_called(self) -> None:
         if self._calls is not None:
@@ -161,12 +153,10 @@ class FaultBench:
         return SimpleNamespace(open=opening)
 
     def _open_track(self, rig_file: RigFile) -> Track:
-        return WatchedTrack(self, self.track.open(serial_driver.options(rig_file)))
+        return self.track.open(serial_driver.options(rig_file))
 
     def _open_camera(self, rig_file: RigFile, track: Track) -> Camera:
-        section = rig_file.rig.camera
-        real = OpencvCamera(section, self._camera_options(), self.camera.open)
-        return WatchedCamera(self, real)
+        return OpencvCamera(rig_file.rig.camera, self._camera_options(), self.camera.open)
 
     def _camera_options(self) -> OpencvOptions:
         """The rig's, with less patience for faults that would only be waited for."""
@@ -177,50 +167,3 @@ class FaultBench:
 
     def _wall_clock(self, real: Callable[[], float]) -> Callable[[], float]:
         return lambda: real() + self._clock_offset_s
-
-
-@dataclass(frozen=True)
-class WatchedTrack:
-    """A track that reports its moves to the bench."""
-
-    bench: FaultBench
-    real: Track
-
-    @property
-    def position_mm(self) -> float:
-        """The real track's."""
-        return self.real.position_mm
-
-    def move_to(self, position_mm: float) -> float:
-        """The real track's."""
-        self.bench.move_begins(position_mm, self.real.position_mm)
-        return self.real.move_to(position_mm)
-
-    def close(self) -> None:
-        """The real track's."""
-        self.real.close()
-
-
-@dataclass(frozen=True)
-class WatchedCamera:
-    """A camera that reports its grabs to the bench."""
-
-    bench: FaultBench
-    real: Camera
-
-    @property
-    def size_px(self) -> tuple[int, int]:
-        """The real camera's."""
-        return self.real.size_px
-
-    def grab(self, frame: int | None = None, dark: bool = False) -> Grab:
-        """The real camera's."""
-        assert frame is not None
-        self.bench.grab_begins(frame)
-        grab = self.real.grab(frame, dark)
-        self.bench.grab_ends(frame)
-        return grab
-
-    def close(self) -> None:
-        """The real camera's."""
-        self.real.close()
