@@ -117,8 +117,10 @@ def test_rendered_views(medium: str) -> None:
     """The bars of make accuracy: laser-plane rms <= 0.2 mm; steps of 60 mm within 0.10 mm."""
     scene = load_scene(METRIC / f"{medium}.toml")
     render = scene.tank.render.model_copy(update={"samples": 4})
-    found = calibrated(replace(scene, tank=scene.tank.model_copy(update={"render": render})), 8, 4)
-    assert found.calibration.line_rms_mm <= 0.2
-    error, sigma = step_errors(scene, found.calibration)
+    calibration = calibrated(
+        replace(scene, tank=scene.tank.model_copy(update={"render": render})), 8, 4
+    )
+    assert calibration.line_rms_mm <= 0.2
+    error, sigma = step_errors(scene, calibration)
     assert np.abs(error).max() <= 0.10
     assert (np.abs(error) <= 4 * sigma).all()

@@ -17,20 +17,18 @@ from sim.validation.accuracy.exposures import pictures
 STEP_MM = 10.0  # of the grid of places at which the map is judged
 
 
-def photograph(
-    scene: Scene, seeds: Sequence[int], map_name: str
-) -> list[tuple[BoardReading, Calibration]]:
-    """The board of ``scene`` read from one picture for each seed, and the calibrations.
-
-    map_name: of the plane map that is solved from each picture.
-    """
-    rig = scene.rig
-    layers = Tank(scene).render(rig.plan.start_mm)
-    readings = [
-        read_board(image, scene.board(), channel=rig.calibration.channel)
+def readings(scene: Scene, seeds: Sequence[int]) -> list[BoardReading]:
+    """The board of ``scene`` read from one picture for each seed."""
+    layers = Tank(scene).render(scene.rig.plan.start_mm)
+    return [
+        read_board(image, scene.board(), channel=scene.rig.calibration.channel)
         for image in pictures(scene, layers, seeds)
     ]
-    return [(reading, calibrate(reading, map_name, rig.optics)) for reading in readings]
+
+
+def calibrations(scene: Scene, seeds: Sequence[int], map_name: str) -> list[Calibration]:
+    """The calibrations of the board's readings; map_name: of the plane map that is solved."""
+    return [calibrate(reading, map_name, scene.rig.optics) for reading in readings(scene, seeds)]
 
 
 def map_errors_mm(scene: Scene, calibration: Calibration) -> tuple[Floats, Floats]:
@@ -53,7 +51,7 @@ def _places(scene: Scene) -> Floats:
     return np.column_stack([x.ravel(), z.ravel()])
 
 
-def lengths(board: Board, reading: BoardReading, calibration: Calibration) -> dict[str, Length]:
-    """Tables I and II together, of one picture."""
-    given = (reading, board, calibration.plane_map)
+def lengths(board: Board, calibration: Calibration) -> dict[str, Length]:
+    """Tables I and II together, of the picture that the calibration was solved from."""
+    given = (calibration.reading, board, calibration.plane_map)
     return {**distances(*given), **diameters(*given)}

@@ -1,8 +1,9 @@
 """How much of the accuracy table's work is done: all of it, or a quick look at every row."""
 
 from dataclasses import dataclass
+from pathlib import Path
 
-from sim.scene import Scene
+from sim.scene import Scene, load_scene
 
 
 @dataclass(frozen=True)
@@ -38,6 +39,14 @@ class AccuracyEffort:
         if not self.plain:
             return scene
         return scene.with_tank(render={"fineness": 1, "samples": samples, "scatter_samples": 0})
+
+    def best(self, scenes: Path, name: str) -> Scene:
+        """The scene of that name with the project's best methods, as this effort renders it."""
+        return self.scene(load_scene(scenes / "best" / f"{name}.toml"))
+
+    def map_name(self, board: Scene) -> str:
+        """The plane map through which workpieces are measured, solved from that board."""
+        return self.plane_map or board.rig.calibration.plane_map
 
 
 FULL = AccuracyEffort()

@@ -1,6 +1,5 @@
 """The metric route: one grooved block measured in air and in water through a leaning sheet."""
 
-from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -23,59 +22,47 @@ BESIDE_MM = 2.0
 PLAIN_SAMPLES = 4  # with fewer, a groove of the block is missed
 
 
-@dataclass(frozen=True)
-class MetricResult:
-    """The metric calibration of one scene's views, and the error of its sheet.
-
-    angle_mrad, distance_mm: of the sheet that was found from the true one, the distance
-    where the camera's axis meets it.
-    """
-
-    calibration: MetricCalibration
-    angle_mrad: float
-    distance_mm: float
-
-
-def metric_rows(folder: Path, effort: AccuracyEffort) -> list[Row]:
+def metric_rows(scenes: Path, effort: AccuracyEffort) -> list[Row]:
     """The laser plane's fit and the block's steps, in air and in water.
 
-    folder: of ``air``, ``water``, ``block-air`` and ``block-water.toml``.
+    scenes: holds metric/``air``, ``water``, ``block-air`` and ``block-water.toml``.
     """
 
     def scene(name: str) -> Scene:
-        return effort.scene(load_scene(folder / f"{name}.toml"), PLAIN_SAMPLES)
+        return effort.scene(load_scene(scenes / "metric" / f"{name}.toml"), PLAIN_SAMPLES)
 
-    found = {medium: calibrated(scene(medium), effort.poses) for medium in MEDIA}
+    views = {medium: scene(medium) for medium in MEDIA}
+    found = {medium: calibrated(views[medium], effort.poses) for medium in MEDIA}
     errors = {medium: step_errors(scene(f"block-{medium}"), found[medium]) for medium in MEDIA}
     apart = errors["air"] - errors["water"]
     each = ", ".join(f"{name} {mm:+.3f}" for name, mm in zip(HEIGHTS, apart, strict=True))
-    beside = calibrated(sheet_beside(scene("water")), effort.poses)
+    beside = sheet_beside(views["water"])
     return [
-        *(_plane_row(f"in {medium}", found[medium]) for medium in MEDIA),
+        *(_plane_row(f"in {medium}", views[medium], found[medium]) for medium in MEDIA),
         row("metric-media", float(np.abs(apart).max()), seed=SCAN_SEED, each=each),
         *(
             row("metric-steps", float(np.abs(errors[m]).max()), seed=SCAN_SEED, medium=m)
             for m in MEDIA
         ),
-        _plane_row(f"beside a board {BESIDE_MM:g} mm off", beside),
+        _plane_row(
+            f"beside a board {BESIDE_MM:g} mm off", beside, calibrated(beside, effort.poses)
+        ),
     ]
 
 
-def step_errors(block: Scene, result: MetricResult) -> Floats:
+def step_errors(block: Scene, calibration: MetricCalibration) -> Floats:
     """(4,) mm: errors of the block's HEIGHTS, measured through a calibration's map."""
-    lengths = dimensions(block, [SCAN_SEED], [result.calibration.plane_map])[0]
+    lengths = dimensions(block, [SCAN_SEED], [calibration.plane_map])[0]
     return np.array([lengths[name].error_mm for name in HEIGHTS])
 
 
-def calibrated(scene: Scene, poses: int, seed: int = SEED) -> MetricResult:
+def calibrated(scene: Scene, poses: int, seed: int = SEED) -> MetricCalibration:
     """The metric calibration of rendered views, written and read as a user's would be."""
     with TemporaryDirectory() as folder:
         files = write_views(scene, Path(folder), poses, seed)
         document = load_views(files["views"])
         views, size = read_views(document)
-    solved = calibrate_metric(views, document.document.optics, size, document.document.k3)
-    angle, distance = sheet_error(scene, solved.plane_map.view.q_per_mm)
-    return MetricResult(solved, angle, distance)
+    return calibrate_metric(views, document.document.optics, size, document.document.k3)
 
 
 def sheet_error(scene: Scene, q_per_mm: Floats) -> tuple[float, float]:
@@ -98,15 +85,16 @@ def sheet_beside(scene: Scene) -> Scene:
     return scene.with_tank(laser={"apex_mm": (x, y + BESIDE_MM, z)})
 
 
-def _plane_row(where: str, result: MetricResult) -> Row:
-    views = result.calibration.views
+def _plane_row(where: str, scene: Scene, calibration: MetricCalibration) -> Row:
+    views = calibration.views
+    angle_mrad, distance_mm = sheet_error(scene, calibration.plane_map.view.q_per_mm)
     return row(
         "metric-plane",
-        result.calibration.line_rms_mm,
+        calibration.line_rms_mm,
         seed=SEED,
         where=where,
         used=sum(view.line_used for view in views),
         views=len(views),
-        angle_mrad=result.angle_mrad,
-        distance_mm=result.distance_mm,
+        angle_mrad=angle_mrad,
+        distance_mm=distance_mm,
     )

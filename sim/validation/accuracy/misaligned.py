@@ -1,17 +1,15 @@
 """A board that does not lie in the sheet: whether uncertainty and check show it."""
 
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from lscan.board import read_board
 from lscan.calibration.check import check_calibration
 from lscan.calibration.solve import calibrate
-from lscan.records import BoardReading
-from sim.render.tank import Tank
 from sim.scene import Scene
-from sim.validation.accuracy.board import map_errors_mm
-from sim.validation.accuracy.exposures import pictures
+from sim.validation.accuracy.board import map_errors_mm, readings
+from sim.validation.accuracy.effort import AccuracyEffort
 from sim.validation.accuracy.intervals import COVER
 from sim.validation.rows import Row, row
 
@@ -29,16 +27,18 @@ def misaligned(scene: Scene) -> Scene:
     return scene.with_tank(target=update)
 
 
-def misaligned_rows(scene: Scene, map_name: str) -> list[Row]:
+def misaligned_rows(scenes: Path, effort: AccuracyEffort) -> list[Row]:
     """Whether the uncertainty holds the error, and whether ``lscan check`` notices it.
 
     The uncertainty: where the rig file states how well the board was aligned, the intervals hold
     the error.  The check: a picture of the aligned board disagrees with the calibration of the
     misaligned one, and not with that of another picture of the aligned one.
     """
-    optics = scene.rig.optics
-    wrong, right, again = (
-        _read(one, SEED + k) for k, one in enumerate((misaligned(scene), scene, scene))
+    scene = effort.best(scenes, "board")
+    map_name, optics = effort.map_name(scene), scene.rig.optics
+    (wrong,), (right, again) = (
+        readings(misaligned(scene), [SEED]),
+        readings(scene, [SEED + 1, SEED + 2]),
     )
     alignment = {"board_offset_mm": OFFSET_MM, "board_tilt_deg": TILT_DEG}
     stated = calibrate(wrong, map_name, optics.model_copy(update=alignment))
@@ -52,8 +52,3 @@ def misaligned_rows(scene: Scene, map_name: str) -> list[Row]:
         row("misaligned-missed", float(missed), **words),
         row("aligned-alarms", float(alarm), seed=SEED),
     ]
-
-
-def _read(scene: Scene, seed: int) -> BoardReading:
-    image = pictures(scene, Tank(scene).render(0.0), [seed])[0]
-    return read_board(image, scene.board(), channel=scene.rig.calibration.channel)

@@ -21,6 +21,7 @@ from lscan.files.packaged import packaged_table
 from lscan.files.pictures import read_picture
 from lscan.records import BoardReading, Bytes, Floats, Mask, has_value
 from lscan.stripe import extract_stripe
+from sim.validation.accuracy.effort import AccuracyEffort
 from sim.validation.rows import Row, measured, row
 
 DOTS = 4380  # to be found, of those that lie wholly in view
@@ -33,15 +34,13 @@ BY_EYE_PX = 15  # reading error, half the line's width, and steps between corner
 END_PX = 5  # rows that near to an end of a piece may go either way
 
 
-def photograph_rows(folder: Path, extractor: str, repeats: int) -> list[Row]:
-    """Rows of the real photographs in ``folder``.
-
-    extractor: the one that reads the laser line.  repeats: of the reading that is timed.
-    """
+def photograph_rows(folder: Path, scenes: Path, effort: AccuracyEffort) -> list[Row]:
+    """Rows of the real photographs in ``folder``; the best groove's extractor reads the line."""
+    extractor = effort.best(scenes, "groove").rig.stripe.extractor
     return [
         *measured(
             "dot photograph",
-            lambda: dot_rows(folder / "dots" / "dot_pattern_05.jpg", repeats),
+            lambda: dot_rows(folder / "dots" / "dot_pattern_05.jpg", effort.repeats),
         ),
         *measured("chessboard photographs", lambda: chessboard_rows(folder / "webcam")),
         *measured("laser photograph", lambda: line_rows(folder / "webcam", extractor)),

@@ -10,8 +10,9 @@ from pathlib import Path
 from lscan.config.rigfile import load_rig
 from lscan.files.disk import list_names
 from lscan.records import Progress
-from sim.validation.accuracy.chapters import CHAPTERS, Chapter, photograph_chapter
+from sim.validation.accuracy.chapters import CHAPTERS, Chapter
 from sim.validation.accuracy.effort import FULL, QUICK, AccuracyEffort
+from sim.validation.accuracy.photographs import photograph_rows
 from sim.validation.rows import Row, RowFile, measured
 
 BEST = ("board", "groove", "sandwave")
@@ -50,7 +51,7 @@ def run_accuracy(
     effort = QUICK if quick else FULL
     chapters: dict[str, Chapter] = dict(CHAPTERS)
     if photographs is not None:
-        chapters["photographs"] = partial(photograph_chapter, photographs)
+        chapters["photographs"] = partial(photograph_rows, photographs)
     places = list(chapters)
     for done, (name, rows) in enumerate(measure(chapters, scenes, effort), start=1):
         file.add(rows, places.index(name))

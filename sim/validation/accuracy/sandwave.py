@@ -1,13 +1,12 @@
 """The sandwave: slices against eq. (4), and how often the intervals of its grid are right."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
 from lscan.calibration.api import PlaneMap
 from lscan.config.targets import Sandwave
-from lscan.measure import compare_slice
+from lscan.measure import SliceErrors, compare_slice
 from lscan.pipeline import build_surface, finish
 from lscan.records import Floats, Status, Surface
 from lscan.surface import grid_cells, resample
@@ -18,15 +17,6 @@ from sim.validation.accuracy.exposures import ScanReading
 BORDER_MM = 3.0  # cells this near to the border of the waves hold its step
 
 
-@dataclass(frozen=True)
-class SliceFigures:
-    """One slice against eq. (4): points compared, rms error, the error that 99 % keep to, mm."""
-
-    points: int
-    rmse_mm: float
-    within_99_mm: float
-
-
 def aligned_surface(scene: Scene, reading: ScanReading, plane_map: PlaneMap) -> Surface:
     """The surface of a scan's stripes in the workpiece frame."""
     built = finish(build_surface(reading.profiles(plane_map), scene.rig), scene.rig)
@@ -34,17 +24,14 @@ def aligned_surface(scene: Scene, reading: ScanReading, plane_map: PlaneMap) -> 
     return built.surface
 
 
-def slice_figures(scene: Scene, surface: Surface) -> dict[str, SliceFigures]:
-    """The slices of Fig. 28, on the points that are lit and seen."""
+def slice_errors(scene: Scene, surface: Surface) -> dict[str, SliceErrors]:
+    """The slices of Fig. 28 against eq. (4), on the points that are lit and seen."""
     piece = _piece(scene)
-    figures = {}
-    for name, ends in piece.slices_mm().items():
-        cut = resample(surface, ends)
-        compared = compare_slice(cut, piece, visible=slice_visibility(scene, cut.xy_mm))
-        error = np.abs(compared.error_mm[np.isfinite(compared.error_mm)])
-        quantile = float(np.quantile(error, 0.99, method="higher"))
-        figures[name] = SliceFigures(compared.points, compared.rmse_mm, quantile)
-    return figures
+    cuts = {name: resample(surface, ends) for name, ends in piece.slices_mm().items()}
+    return {
+        name: compare_slice(cut, piece, visible=slice_visibility(scene, cut.xy_mm))
+        for name, cut in cuts.items()
+    }
 
 
 def grid_errors(scene: Scene, surface: Surface, cell_mm: float) -> tuple[Floats, Floats]:

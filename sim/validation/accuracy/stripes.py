@@ -3,6 +3,7 @@
 from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import product
+from pathlib import Path
 
 import numpy as np
 
@@ -32,11 +33,12 @@ class ExtractorFigures:
     bias_px: float
 
 
-def bound_rows(extractor: str, effort: AccuracyEffort) -> list[Row]:
-    """The extractor's worst scatter against the bound, and its worst bias at any phase.
+def bound_rows(scenes: Path, effort: AccuracyEffort) -> list[Row]:
+    """Worst scatter of the best groove's extractor against the bound, worst bias at any phase.
 
     A hundred drawings of each line give the bias of a phase to 0.003 px.
     """
+    extractor = effort.best(scenes, "groove").rig.stripe.extractor
     cells = [cell(extractor, case, name, effort.drawings) for name, case in cases()]
     far, off = max(cells, key=lambda c: c.ratio), max(cells, key=lambda c: c.bias_px)
     return [
