@@ -1,9 +1,7 @@
 """``lscan-sim render``, ``truth`` and ``views``: pictures, and the truth of them."""
 
-from __future__ import annotations
-
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
@@ -11,10 +9,6 @@ from lscan.cli.arguments import Json
 from lscan.cli.console import progress_bar
 from lscan.errors import InputError
 from sim.cli.arguments import OutputFolder, SceneFile, print_places
-
-if TYPE_CHECKING:
-    from sim.datasets.files import Taken
-    from sim.scene import Scene
 
 
 def render(
@@ -50,11 +44,19 @@ def truth(
     json: Json = False,
 ) -> None:
     """Where everything in the picture really is: the line's centre, the board's marks."""
-    from sim.datasets.files import taken_at, write_truth
+    from lscan.acquisition.run import open_run
+    from sim.datasets.files import taken_at, taken_in, write_truth
     from sim.devices import load_checked
+    from sim.truth.placement import check_placement
 
     if scene.is_dir():
-        loaded, taken = _recorded(scene, position)
+        if position:
+            raise InputError(
+                "a run folder has its own positions", where="--position", value=position[0],
+                allowed="none with a run folder",
+            )  # fmt: skip
+        loaded, taken = taken_in(open_run(scene))
+        check_placement(loaded)
     else:
         loaded = load_checked(scene)
         taken = taken_at(loaded, position or [loaded.rig.plan.start_mm])
@@ -65,22 +67,6 @@ def truth(
         for name, table in tables.items():
             found = ", ".join(f"{count} {status}" for status, count in table.statuses.items())
             print(f"{name}: {len(taken)} pictures, {sum(table.statuses.values())} entries: {found}")
-
-
-def _recorded(folder: Path, position: list[float] | None) -> tuple[Scene, list[Taken]]:
-    """The scene and the pictures of a run folder, which has its own positions."""
-    from lscan.acquisition.run import open_run
-    from sim.datasets.files import taken_in
-    from sim.truth.placement import check_placement
-
-    if position:
-        raise InputError(
-            "a run folder has its own positions", where="--position", value=position[0],
-            allowed="none with a run folder",
-        )  # fmt: skip
-    loaded, taken = taken_in(open_run(folder))
-    check_placement(loaded)
-    return loaded, taken
 
 
 def views(

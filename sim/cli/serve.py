@@ -1,12 +1,9 @@
 """``lscan-sim serve``: the hardware switched on, said where, and left running until stopped."""
 
-from __future__ import annotations
-
 import signal
 import sys
-from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
@@ -14,10 +11,6 @@ from lscan.cli.arguments import Json
 from lscan.cli.console import progress_bar
 from lscan.devices.signals import on_stop_signals
 from sim.cli.arguments import SceneFile, print_places
-
-if TYPE_CHECKING:
-    from sim.emulators.options import ServeOptions
-    from sim.scene import Scene
 
 
 def serve(
@@ -51,6 +44,8 @@ def serve(
     """The tank as a webcam (MJPEG, loopback) and a Grbl track; runs until Ctrl-C."""
     from lscan.config.documents import check
     from sim.devices import load_checked
+    from sim.emulators.faults import parse_fault
+    from sim.emulators.hardware import EmulatedHardware
     from sim.emulators.options import ServeOptions
 
     given = {
@@ -65,33 +60,18 @@ def serve(
         "link": link,
     }
     options = check(ServeOptions, given, where="command line")
-    serve_until_stopped(load_checked(scene), options, write_rig, fault or [], json)
-
-
-def serve_until_stopped(
-    scene: Scene, options: ServeOptions, rig: Path | None, faults: Sequence[str], json: bool
-) -> None:
-    """Serve until SIGINT or SIGTERM, which leave with exit code 0 and nothing behind.
-
-    rig: file to write the rig of the hardware to.  faults: as ``NAME@SECONDS``.  json: say
-    where things are in one JSON object, else in lines.  Raises InputError where an option,
-    the scene, a fault or a file is wrong, before anything is said.
-    """
-    from sim.emulators.faults import parse_fault
-    from sim.emulators.hardware import EmulatedHardware
-
-    timed = [parse_fault(text) for text in faults]
+    loaded, timed = load_checked(scene), [parse_fault(text) for text in fault or []]
     with (
         on_stop_signals(_leave),
         progress_bar("render") as progress,
-        EmulatedHardware(scene, options, progress) as hardware,
+        EmulatedHardware(loaded, options, progress) as hardware,
     ):
-        if rig is not None:
-            hardware.write_rig(rig)
-        for fault in timed:
-            hardware.schedule(fault)
-        places = {"url": hardware.url, "snapshot": hardware.snapshot_url, "port": hardware.port}
-        print_places(places if rig is None else {**places, "rig": rig}, json)
+        if write_rig is not None:
+            hardware.write_rig(write_rig)
+        for one in timed:
+            hardware.schedule(one)
+        found = {"url": hardware.url, "snapshot": hardware.snapshot_url, "port": hardware.port}
+        print_places(found if write_rig is None else {**found, "rig": write_rig}, json)
         sys.stdout.flush()
         while True:
             # Not a lock: Mitsuba puts its SIGINT handler back in such a way (SA_RESTART) that

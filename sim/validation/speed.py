@@ -18,7 +18,6 @@ import numpy as np
 
 from lscan.acquisition.scan import scan
 from lscan.benchmark.timing import median_seconds, timed
-from lscan.calibration.solve import Calibration
 from lscan.config.rig import StripeSection
 from lscan.config.rigfile import RigFile, load_rig
 from lscan.paper.experiment import METHODS, measure_board
@@ -109,8 +108,8 @@ def line_efficiency(rig_file: RigFile, effort: SpeedEffort) -> list[Row]:
     """
     found = _all_orders(Tank(scene_of(rig_file)), LINE_WINDOW, effort)
     return [
-        _gain_row("line core, all orders", found["line core"], effort, BARS["line core"]),
-        _gain_row("halo, all orders", found["halo"], effort, BARS["halo"]),
+        _gain_row(f"{part}, all orders", found[part], effort, BARS[part])
+        for part in ("line core", "halo")
     ]
 
 
@@ -242,16 +241,12 @@ def frame_times(rig_file: RigFile, effort: SpeedEffort) -> list[Row]:
 def map_times(board: RigFile, effort: SpeedEffort) -> list[Row]:
     """Milliseconds each plane map takes for the 640 points of a profile."""
     points = np.column_stack([np.arange(640.0), np.full(640, 300.0)])
+    with TemporaryDirectory() as folder:
+        solved = measure_board(scan(board, Path(folder) / "board"), METHODS).calibrations
     return [
         _time_row(f"map, {name}", partial(calibration.plane_map.to_plane, points), "", effort)
-        for name, calibration in _calibrations(board).items()
+        for name, calibration in solved.items()
     ]
-
-
-def _calibrations(board: RigFile) -> Mapping[str, Calibration]:
-    """Every plane map, solved from a board picture taken for the purpose."""
-    with TemporaryDirectory() as folder:
-        return measure_board(scan(board, Path(folder) / "board"), METHODS).calibrations
 
 
 def _square(pictures: Floats, truth: Floats, part: Mask) -> float:

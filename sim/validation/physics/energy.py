@@ -28,13 +28,9 @@ RADIUS_MM = 600.0
 
 def energy() -> Topic:
     """The laser's power on a cylinder, on a plane, and at the glass; a white furnace."""
+    shares = {name: power_through_cylinder(fan) / POWER_MW for name, fan in FANS.items()}
     rows = [
-        *(
-            row(
-                "power-through-cylinder", abs(power_through_cylinder(fan) / POWER_MW - 1), name=name
-            )
-            for name, fan in FANS.items()
-        ),
+        *(row("power-through-cylinder", abs(s - 1), name=name) for name, s in shares.items()),
         row("power-reflected", reflected_deviation()),
         row("white-furnace", furnace_deviation()),
         row("fresnel", fresnel_deviation()),

@@ -20,15 +20,8 @@ PUBLISHED = reference("phases")
 
 def phases() -> Topic:
     """Values, mean cosines and backscattered shares of every phase function there is."""
-    fournier, mixture, petzold = particles()
-    return topic(
-        "phases",
-        rows=(
-            *_value_rows(fournier, mixture, petzold),
-            *_integral_rows(fournier, mixture, petzold),
-        ),
-        figures=(_figure(fournier, mixture, petzold),),
-    )
+    found = particles()
+    return topic("phases", [*_value_rows(*found), *_integral_rows(*found)], (_figure(*found),))
 
 
 def particles() -> tuple[Density, Density, Density]:

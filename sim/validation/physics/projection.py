@@ -1,5 +1,7 @@
 """The truth's projection against published values, the camera plugin and traced glass."""
 
+from typing import Any
+
 import numpy as np
 
 from sim.truth import project
@@ -17,16 +19,9 @@ SEED = 31
 def projection(rigs: int) -> Topic:
     """The truth's pixels of points on the rays of both cameras, over so many random rigs."""
     ways = {"the camera plugin": closed_form_rays, "traced glass": traced_rays}
+    words: dict[str, Any] = {"seed": SEED, "rigs": rigs, "pixels": PIXELS}
     rows = [
-        row(
-            "projection",
-            max(_rig_errors(kind, rays, rigs)),
-            seed=SEED,
-            name=name,
-            kind=kind,
-            rigs=rigs,
-            pixels=PIXELS,
-        )
+        row("projection", max(_rig_errors(kind, rays, rigs)), name=name, kind=kind, **words)
         for kind in ("flat", "dome")
         for name, rays in ways.items()
     ]

@@ -2,21 +2,12 @@
 
 from collections.abc import Sequence
 from importlib.metadata import version
-from pathlib import Path
 
 from lscan.figures.template import page_template
-from lscan.files.disk import write_atomically
 from sim.validation.physics.gallery import ScenePicture
 from sim.validation.rows import Topic, number, rows_of
 
 SOFTWARE = ("lscan", "mitsuba", "drjit", "numpy", "scipy")
-
-
-def write_page(
-    path: Path, checks: Sequence[Topic], plates: Sequence[ScenePicture] = (), seconds: float = 0.0
-) -> None:
-    """Write the page to ``path``; InputError where the disk refuses."""
-    write_atomically(path, render_page(checks, plates, seconds).encode("utf-8"))
 
 
 def render_page(

@@ -4,11 +4,11 @@ import time
 from dataclasses import replace
 from pathlib import Path
 
-from lscan.files.disk import make_folder
+from lscan.files.disk import make_folder, write_atomically
 from lscan.records import Progress
 from sim.validation.physics.chapters import FULL, QUICK, Measure, chapters
 from sim.validation.physics.gallery import gallery, scene_files
-from sim.validation.physics.report import write_page
+from sim.validation.physics.report import render_page
 from sim.validation.physics.topics import topic
 from sim.validation.rows import Row, RowFile, Topic, failed_row
 
@@ -51,7 +51,8 @@ def run_verify(
             progress(done, len(measures) + 1)
     plates, rows = gallery(scenes, quick)
     checks.append(topic("gallery", file.add(rows)))
-    write_page(folder / "report.html", checks, plates, time.perf_counter() - started)
+    page = render_page(checks, plates, time.perf_counter() - started)
+    write_atomically(folder / "report.html", page.encode("utf-8"))
     return file.rows
 
 

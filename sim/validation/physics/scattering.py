@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 import mitsuba as mi
@@ -93,7 +94,7 @@ def multiple_scattering(waters: tuple[str, ...], runs: int, samples: int) -> Top
         for name in waters
         for row in measured(
             f"all orders of scattering, {name}",
-            lambda name=name: water_rows(name, runs, samples, tests),  # type: ignore[misc]
+            partial(water_rows, name, runs, samples, tests),
         )
     ]
     return topic("multiple-scattering", rows=rows)
