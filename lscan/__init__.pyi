@@ -7,13 +7,12 @@ from lscan.acquisition.run import (
 from lscan.acquisition.scan import scan as scan
 from lscan.board import read_board as read_board
 from lscan.calibration.api import PlaneMap as PlaneMap
-from lscan.calibration.loading import load_plane_map as load_plane_map
-from lscan.calibration.solve import (
-    Calibration as Calibration,
-    calibrate as calibrate,
+from lscan.calibration.file import (
     load_calibration as load_calibration,
     save_calibration as save_calibration,
 )
+from lscan.calibration.loading import load_plane_map as load_plane_map
+from lscan.calibration.solve import Calibration as Calibration, calibrate as calibrate
 from lscan.config.rig import StripeSection as StripeSection
 from lscan.config.rigfile import (
     RigFile as RigFile,

@@ -22,7 +22,7 @@ Every measured coordinate has a standard uncertainty (one sigma) beside it.
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from enum import IntEnum
-from typing import Literal
+from typing import Literal, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,6 +31,7 @@ Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 Bytes = NDArray[np.uint8]
 Mask = NDArray[np.bool_]
+Record = TypeVar("Record")
 Axis = Literal["columns", "rows"]
 
 Progress = Callable[[int, int], None]
@@ -82,6 +83,18 @@ def status_counts(status: NDArray[np.integer]) -> dict[str, int]:
     {'OK': 2, 'OCCLUDED': 1}
     """
     return {code.name: int((status == code).sum()) for code in Status if code in status}
+
+
+def select(record: Record, wanted: Mask | Ints) -> Record:
+    """The record with a part of each of its arrays.
+
+    Parameters
+    ----------
+    record : dataclass, whose arrays all have N entries
+    wanted : (N,) mask or array of indices, of the entries kept
+    """
+    parts = vars(record).items()
+    return type(record)(**{k: v[wanted] if isinstance(v, np.ndarray) else v for k, v in parts})
 
 
 @dataclass(frozen=True)

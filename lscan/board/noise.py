@@ -10,7 +10,7 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from scipy.stats import norm
 
-from lscan.board.picture import Image, rounding_of
+from lscan.board.picture import IMMERKAER, Image, rounding_of
 from lscan.board.search import Nodes
 from lscan.records import Floats, Mask
 
@@ -50,10 +50,9 @@ def _on_plate(
 ) -> tuple[Floats, Floats]:
     """Levels and variances of up to eight parts of the plate, from the darkest to the brightest.
 
-    The mask is Immerkær's (picture.noise_of), whose norm is 6.
+    The norm of Immerkær's mask (picture.noise_of) is 6.
     """
-    mask = np.array([[1, -2, 1], [-2, 4, -2], [1, -2, 1]], dtype=np.float32)
-    response = cv2.filter2D(bright, cv2.CV_32F, mask)
+    response = cv2.filter2D(bright, cv2.CV_32F, IMMERKAER)
     plate = _clear_of(nodes, radius_px, bright.shape)
     thinning = max(1, int(plate.sum()) // MOST_PIXELS)
     values = response[plate][::thinning].astype(float)

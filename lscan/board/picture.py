@@ -16,6 +16,8 @@ Image = NDArray[np.float32]
 
 BLUR_PX = 0.7  # typical of a sharp picture: lens and pixel
 SMALLEST_PX = 16  # as for cameras in rig.py
+CHANNELS = {"red": (1, 0, 0), "green": (0, 1, 0), "blue": (0, 0, 1), "grey": (0.299, 0.587, 0.114)}
+IMMERKAER = np.array([[1, -2, 1], [-2, 4, -2], [1, -2, 1]], dtype=np.float32)
 GROUND_WINDOW = 3.0  # of the dot's diameter: wide enough that a dot is the smaller part
 
 
@@ -103,13 +105,10 @@ def bright_marks(image: NDArray[Any], channel: Channel, marks: str) -> Image:
 def _one_channel(array: Image, channel: Channel) -> Image:
     if array.ndim == 2:
         return array
-    planes = {"red": 0, "green": 1, "blue": 2}
-    if channel in planes:
-        return array[..., planes[channel]]
-    if channel != "grey":
-        allowed = "red, green, blue, grey"
+    if channel not in CHANNELS:
+        allowed = ", ".join(CHANNELS)
         raise InputError("no such channel", where="channel", value=channel, allowed=allowed)
-    return array @ np.array([0.299, 0.587, 0.114], dtype=np.float32)
+    return array @ np.array(CHANNELS[channel], dtype=np.float32)
 
 
 def noise_of(bright: Image) -> float:
@@ -127,8 +126,7 @@ def noise_of(bright: Image) -> float:
     ----------
     Immerkær, "Fast noise variance estimation", CVIU 64 (1996).
     """
-    mask = np.array([[1, -2, 1], [-2, 4, -2], [1, -2, 1]], dtype=np.float32)
-    response = cv2.filter2D(bright, cv2.CV_32F, mask)[1:-1, 1:-1]
+    response = cv2.filter2D(bright, cv2.CV_32F, IMMERKAER)[1:-1, 1:-1]
     return max(float(np.median(np.abs(response))) / 0.6745 / 6, rounding_of(bright))
 
 

@@ -158,8 +158,7 @@ def _profiles(
 def _averaged(profiles: Floats) -> Floats:
     """Each profile with its neighbours along the line: (3 N, M) to (N, M)."""
     triples = profiles.reshape(-1, len(BREADTH_PX), profiles.shape[1])
-    mean: Floats = triples.mean(axis=1)
-    return mean
+    return np.asarray(triples.mean(axis=1))
 
 
 def _ridges(profile: Floats, noise: Floats, offsets: Floats, sigma: float) -> Ridges:

@@ -140,23 +140,21 @@ def check_seeds(seeds: Floats, size: tuple[int, int]) -> Floats:
         right.
     """
     points = np.asarray(seeds, dtype=float)
+
+    def refusal(what: str, allowed: str) -> InputError:
+        return InputError(what, where="seeds", value=points.tolist(), allowed=allowed)
+
     if points.shape != (3, 2) or not np.isfinite(points).all():
-        allowed = "three points (u, v)"
-        raise InputError("not three seeds", where="seeds", value=points.tolist(), allowed=allowed)
+        raise refusal("not three seeds", "three points (u, v)")
     width, height = size
     if (points < 0).any() or (points > np.array([width - 1, height - 1])).any():
-        allowed = f"u 0 to {width - 1}, v 0 to {height - 1}"
-        raise InputError(
-            "seed outside the picture", where="seeds", value=points.tolist(), allowed=allowed
-        )
+        raise refusal("seed outside the picture", f"u 0 to {width - 1}, v 0 to {height - 1}")
     beneath, right = points[1:] - points[0]
     lengths = np.linalg.norm([beneath, right], axis=1)
     turn = beneath[1] * right[0] - beneath[0] * right[1]  # positive: right-handed in the picture
     if turn < 0.3 * lengths.prod() or lengths.max() > 3 * lengths.min() or lengths.min() < 3:
-        raise InputError(
+        raise refusal(
             "seeds do not lie as a grid's corner",
-            where="seeds",
-            value=points.tolist(),
-            allowed="#1 the upper-left dot, #2 the dot beneath it, #3 the dot to its right",
+            "#1 the upper-left dot, #2 the dot beneath it, #3 the dot to its right",
         )
     return points

@@ -1,4 +1,9 @@
-"""The calibration file: its JSON layout, strict reading, and writing whole or not at all."""
+"""The calibration file: its JSON layout, strict reading, and writing whole or not at all.
+
+It holds format and version, model name, parameters with their covariances, what was known of
+the optics, the marks with their residuals, image size, software: data only, and all that is
+needed to solve the map again.
+"""
 
 import json
 from dataclasses import asdict, dataclass
@@ -16,8 +21,10 @@ from pydantic import (
     model_validator,
 )
 
+from lscan.calibration.api import find_solver
+from lscan.calibration.solve import Calibration, residuals
 from lscan.calibration.stored import STRICT, Gaps, Matrix, NotNegativeOrNaN, Number
-from lscan.config.documents import Strict, check
+from lscan.config.documents import Strict, check, read_json
 from lscan.config.rig import OpticsSection
 from lscan.errors import InputError
 from lscan.files.disk import write_atomically
@@ -27,6 +34,7 @@ FORMAT: Final = "lscan-calibration"
 VERSION: Final = 2  # 2: marks with status and sigma for dots and rings; optics
 MOST_BYTES: Final = 32 * 2**20
 """Of a calibration file of either route; those of the paper's board have half a megabyte."""
+SAME_MM = 1e-6  # residuals that belong to the parameters agree this well on any machine
 
 Side = Annotated[int, Field(strict=True, gt=0)]
 
@@ -37,10 +45,6 @@ def _name(status: Any) -> Any:
 
 def _each(status: Any) -> Any:
     return [Status(code) for code in status] if isinstance(status, np.ndarray) else status
-
-
-def _names(status: Ints) -> list[str]:
-    return [Status(code).name for code in status]
 
 
 if TYPE_CHECKING:
@@ -57,7 +61,7 @@ else:  # names in the file
         tuple[Code, ...],
         BeforeValidator(_each),
         AfterValidator(partial(np.array, dtype=np.int64)),
-        PlainSerializer(_names),
+        PlainSerializer(lambda status: [Status(code).name for code in status]),
     ]
 
 
@@ -159,16 +163,6 @@ class StoredReading(Strict):
         return BoardReading(**dict(self))
 
 
-def store_reading(reading: BoardReading) -> StoredReading:
-    """The reading as the file holds it.
-
-    Parameters
-    ----------
-    reading : BoardReading, px and mm
-    """
-    return check(StoredReading, asdict(reading), where="board reading")
-
-
 class StoredResiduals(Strict):
     """Map of each control point less its nominal place, N pairs; ``null`` where there is none."""
 
@@ -179,8 +173,8 @@ class StoredResiduals(Strict):
 class CalibrationFile(Strict):
     """The whole file."""
 
-    format: Literal["lscan-calibration"]
-    version: Literal[2]
+    format: Literal["lscan-calibration"] = FORMAT
+    version: Literal[2] = VERSION
     software: str
     plane_map: str
     optics: OpticsSection
@@ -194,35 +188,6 @@ class CalibrationFile(Strict):
         if self.residuals.mm.shape != shape or self.residuals.px.shape != shape:
             raise ValueError(f"residuals must hold {shape[0]} pairs, one per control point")
         return self
-
-
-def calibration_file(document: Any, path: Path) -> CalibrationFile:
-    """The content of a calibration file.
-
-    Parameters
-    ----------
-    document : object, as JSON has it
-    path : Path, of the file, for messages
-
-    Raises
-    ------
-    InputError
-        Names the key at fault.
-    """
-    if not isinstance(document, dict) or document.get("format") != FORMAT:
-        found = document.get("format") if isinstance(document, dict) else None
-        raise InputError(
-            "is no calibration file", where=path, value=found, allowed=f'format "{FORMAT}"'
-        )
-    version = document.get("version")
-    if type(version) is not int or version != VERSION:
-        raise InputError(
-            "version: is not the one this program writes; calibrate again from the picture",
-            where=path,
-            value=version,
-            allowed=VERSION,
-        )
-    return check(CalibrationFile, document, where=path)
 
 
 def write_file(path: Path, content: Strict) -> None:
@@ -240,3 +205,104 @@ def write_file(path: Path, content: Strict) -> None:
     """
     text = json.dumps(content.model_dump(mode="json"), indent=1, allow_nan=False)
     write_atomically(path, (text + "\n").encode())
+
+
+def save_calibration(path: Path | str, calibration: Calibration) -> None:
+    """Write the calibration to a file: a whole file or none.
+
+    Parameters
+    ----------
+    path : Path or str, of the file
+    calibration : Calibration, of one picture
+
+    Raises
+    ------
+    InputError
+        Where the file cannot be written.
+
+    Examples
+    --------
+    >>> import lscan
+    >>> calibration = lscan.calibrate_run(lscan.open_run("runs/board"), "projective")
+    >>> lscan.save_calibration("projective.json", calibration)
+    """
+    content = CalibrationFile(
+        software=calibration.software,
+        plane_map=calibration.name,
+        optics=calibration.optics,
+        parameters=calibration.plane_map.parameters(),
+        reading=check(StoredReading, asdict(calibration.reading), where="board reading"),
+        residuals=StoredResiduals(mm=calibration.residuals_mm, px=calibration.residuals_px),
+    )
+    write_file(Path(path), content)
+
+
+def load_calibration(path: Path | str) -> Calibration:
+    """The calibration that was saved in a file, number for number.
+
+    Parameters
+    ----------
+    path : Path or str, of the file
+
+    Raises
+    ------
+    InputError
+        Names the file and the key of anything that is not as it was written: unknown or missing
+        keys, numbers out of range, a map that does not exist, and residuals that do not belong to
+        the parameters.
+
+    Examples
+    --------
+    >>> import lscan
+    >>> calibration = lscan.load_calibration("calibration.json")
+    >>> calibration.plane_map.name
+    'graticule-2'
+    """
+    return calibration_of(read_json(Path(path), MOST_BYTES), Path(path))
+
+
+def calibration_of(document: Any, path: Path) -> Calibration:
+    """The calibration in the JSON document of a file.
+
+    Parameters
+    ----------
+    document : object, as JSON has it
+    path : Path, of the file, for messages
+
+    Raises
+    ------
+    InputError
+        As ``load_calibration``.
+    """
+    if not isinstance(document, dict) or document.get("format") != FORMAT:
+        found = document.get("format") if isinstance(document, dict) else None
+        raise InputError(
+            "is no calibration file", where=path, value=found, allowed=f'format "{FORMAT}"'
+        )
+    version = document.get("version")
+    if type(version) is not int or version != VERSION:
+        raise InputError(
+            "version: is not the one this program writes; calibrate again from the picture",
+            where=path,
+            value=version,
+            allowed=VERSION,
+        )
+    content = check(CalibrationFile, document, where=path)
+    reading, stored = content.reading.reading(), content.residuals
+    with np.errstate(all="ignore"):  # numbers that make no map do not give these residuals
+        try:
+            plane_map = find_solver(content.plane_map).restore(content.parameters)
+        except InputError as error:
+            raise InputError(f"plane_map: {error}", where=path) from error
+        computed, _ = residuals(plane_map, reading)
+    if not np.allclose(computed, stored.mm, rtol=0, atol=SAME_MM, equal_nan=True):
+        raise InputError("residuals.mm: do not belong to the parameters", where=path)
+    return Calibration(
+        name=content.plane_map,
+        plane_map=plane_map,
+        reading=reading,
+        residuals_mm=stored.mm,
+        residuals_px=stored.px,
+        optics=content.optics,
+        software=content.software,
+    )

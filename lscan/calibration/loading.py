@@ -3,9 +3,8 @@
 from pathlib import Path
 
 from lscan.calibration.api import PlaneMap
-from lscan.calibration.file import MOST_BYTES
+from lscan.calibration.file import MOST_BYTES, calibration_of
 from lscan.calibration.multiview.file import FORMAT, metric_of
-from lscan.calibration.solve import calibration_of
 from lscan.config.documents import read_json
 
 

@@ -21,7 +21,7 @@ import numpy as np
 from lscan.calibration.motion import closest_motion
 from lscan.camera.boards import rotation
 from lscan.errors import MeasurementError
-from lscan.records import Floats, Mask, PlanePoints
+from lscan.records import Floats, PlanePoints, select
 
 CAMERA_SIGMA_MM = 10.0  # of camera_mm, each coordinate: [sheet] is measured by ruler, to a cm
 FEWEST_MARKS = 6
@@ -119,12 +119,18 @@ def off_sheet(
             f"{FEWEST_MARKS} needed to tell how far the board is from the sheet"
         )
     middle = corners_mm.mean(axis=0)
-    sought = SheetMarks(_in_space(board_mm[used] - middle), points.xz_mm[used], sight.slope[used])
-    sigma = _own_sigma(points, used)
+    points, sight = select(points, used), select(sight, used)
+    sought = SheetMarks(_in_space(board_mm[used] - middle), points.xz_mm, sight.slope)
+    sigma = _own_sigma(points)
     pose = _solve(sought, _start(sought), sigma)
     jacobian = sought.jacobian(pose) / sigma[:, None]
     residual = sought.residual(pose)
-    root = _root(jacobian, residual / sigma, _common(points, used, sight, sought, pose), sigma)
+    weighted = residual / sigma
+    scale = np.sqrt(max(1.0, float(weighted @ weighted) / (len(weighted) - 6)))
+    inverse = np.linalg.pinv(jacobian)
+    own = scale * np.linalg.qr(inverse.T)[1].T
+    common = inverse @ (_common(points, sight, sought, pose) / sigma[:, None])
+    root = np.hstack([own, common])  # root @ root.T is the covariance of the six parameters
     whole = np.full_like(board_mm, np.nan)
     whole[used] = residual.reshape(-1, 2)
     return _answer(pose, root, _in_space(corners_mm - middle), whole)
@@ -176,11 +182,11 @@ def _in_space(xz_mm: Floats) -> Floats:
     return np.column_stack([xz_mm[:, 0], np.zeros(len(xz_mm)), xz_mm[:, 1]])
 
 
-def _own_sigma(points: PlanePoints, used: Mask) -> Floats:
+def _own_sigma(points: PlanePoints) -> Floats:
     """(2N,) mm standard uncertainty of each coordinate, less what all have in common."""
-    variance = points.sigma_mm[used] ** 2
+    variance = points.sigma_mm**2
     if points.modes_mm is not None:
-        own = variance - (points.modes_mm[used] ** 2).sum(axis=2)
+        own = variance - (points.modes_mm**2).sum(axis=2)
         variance = np.maximum(own, 1e-6 * variance)
     # A map may state none at all: then all marks count alike.
     return np.sqrt(np.where(variance > 0, variance, 1.0)).ravel()
@@ -208,25 +214,14 @@ def _solve(marks: SheetMarks, pose: BoardPose, sigma: Floats) -> BoardPose:
     raise MeasurementError("the marks do not determine how far the board is from the sheet")
 
 
-def _common(
-    points: PlanePoints, used: Mask, sight: LinesOfSight, marks: SheetMarks, pose: BoardPose
-) -> Floats:
+def _common(points: PlanePoints, sight: LinesOfSight, marks: SheetMarks, pose: BoardPose) -> Floats:
     """(2N, K) mm by which one standard deviation of each common error moves the residuals."""
     behind = pose.apply(marks.board)[:, 1]
-    parts = [-sight.loose[used] * behind[:, None, None]]
+    parts = [-sight.loose * behind[:, None, None]]
     if points.modes_mm is not None:
-        parts.append(-points.modes_mm[used])
+        parts.append(-points.modes_mm)
     together = np.concatenate(parts, axis=2)
     return together.reshape(-1, together.shape[2])
-
-
-def _root(jacobian: Floats, residual: Floats, common: Floats, sigma: Floats) -> Floats:
-    """(6, 6 + K) root, whose root @ root.T is the covariance of the pose's six parameters."""
-    free = len(residual) - 6
-    scale = np.sqrt(max(1.0, float(residual @ residual) / free))
-    inverse = np.linalg.pinv(jacobian)
-    _, own = np.linalg.qr(inverse.T)
-    return np.hstack([scale * own.T, inverse @ (common / sigma[:, None])])
 
 
 def _answer(pose: BoardPose, root: Floats, corners: Floats, residual_mm: Floats) -> OffSheet:

@@ -1,35 +1,14 @@
-"""A calibration: a plane map together with the board reading it was solved from.
-
-Its file is JSON: format and version, model name, parameters with their covariances, what was
-known of the optics, the marks with their residuals, image size, software.  It holds data
-only, and all that is needed to solve the map again.
-"""
+"""A calibration: a plane map together with the board reading it was solved from."""
 
 from dataclasses import dataclass
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from lscan.calibration.api import NOTHING_KNOWN, PlaneMap, find_solver
-from lscan.calibration.file import (
-    FORMAT,
-    MOST_BYTES,
-    VERSION,
-    CalibrationFile,
-    StoredResiduals,
-    calibration_file,
-    store_reading,
-    write_file,
-)
 from lscan.camera.covariance import pixel_derivatives
-from lscan.config.documents import read_json
 from lscan.config.rig import OpticsSection
-from lscan.errors import InputError
 from lscan.records import BoardReading, Floats
 from lscan.version import __version__
-
-SAME_MM = 1e-6  # residuals that belong to the parameters agree this well on any machine
 
 
 @dataclass(frozen=True)
@@ -174,96 +153,6 @@ def in_picture(plane_map: PlaneMap, image_px: Floats, shift_mm: Floats) -> Float
     px = np.full_like(shift_mm, np.nan)
     px[known] = np.linalg.solve(jacobian[known], shift_mm[known, :, None])[:, :, 0]
     return px
-
-
-def save_calibration(path: Path | str, calibration: Calibration) -> None:
-    """Write the calibration to a file: a whole file or none.
-
-    Parameters
-    ----------
-    path : Path or str, of the file
-    calibration : Calibration, of one picture
-
-    Raises
-    ------
-    InputError
-        Where the file cannot be written.
-
-    Examples
-    --------
-    >>> import lscan
-    >>> calibration = lscan.calibrate_run(lscan.open_run("runs/board"), "projective")
-    >>> lscan.save_calibration("projective.json", calibration)
-    """
-    content = CalibrationFile(
-        format=FORMAT,
-        version=VERSION,
-        software=calibration.software,
-        plane_map=calibration.name,
-        optics=calibration.optics,
-        parameters=calibration.plane_map.parameters(),
-        reading=store_reading(calibration.reading),
-        residuals=StoredResiduals(mm=calibration.residuals_mm, px=calibration.residuals_px),
-    )
-    write_file(Path(path), content)
-
-
-def load_calibration(path: Path | str) -> Calibration:
-    """The calibration that was saved in a file, number for number.
-
-    Parameters
-    ----------
-    path : Path or str, of the file
-
-    Raises
-    ------
-    InputError
-        Names the file and the key of anything that is not as it was written: unknown or missing
-        keys, numbers out of range, a map that does not exist, and residuals that do not belong to
-        the parameters.
-
-    Examples
-    --------
-    >>> import lscan
-    >>> calibration = lscan.load_calibration("calibration.json")
-    >>> calibration.plane_map.name
-    'graticule-2'
-    """
-    return calibration_of(read_json(Path(path), MOST_BYTES), Path(path))
-
-
-def calibration_of(document: Any, path: Path) -> Calibration:
-    """The calibration in the JSON document of a file.
-
-    Parameters
-    ----------
-    document : object, as JSON has it
-    path : Path, of the file, for messages
-
-    Raises
-    ------
-    InputError
-        As ``load_calibration``.
-    """
-    content = calibration_file(document, path)
-    reading, stored = content.reading.reading(), content.residuals
-    with np.errstate(all="ignore"):  # numbers that make no map do not give these residuals
-        try:
-            plane_map = find_solver(content.plane_map).restore(content.parameters)
-        except InputError as error:
-            raise InputError(f"plane_map: {error}", where=path) from error
-        computed, _ = residuals(plane_map, reading)
-    if not np.allclose(computed, stored.mm, rtol=0, atol=SAME_MM, equal_nan=True):
-        raise InputError("residuals.mm: do not belong to the parameters", where=path)
-    return Calibration(
-        name=content.plane_map,
-        plane_map=plane_map,
-        reading=reading,
-        residuals_mm=stored.mm,
-        residuals_px=stored.px,
-        optics=content.optics,
-        software=content.software,
-    )
 
 
 def _rms(pairs: Floats) -> float:

@@ -11,6 +11,7 @@ from lscan.calibration.evaluate import Estimate
 from lscan.calibration.readings import found_marks
 from lscan.calibration.region import Region
 from lscan.calibration.stored import Pair
+from lscan.camera.projection import require_columns
 from lscan.config.documents import Strict, check
 from lscan.config.rig import OpticsSection
 from lscan.errors import InputError
@@ -62,9 +63,7 @@ class SolvedMap(Strict, ABC):
             Where an array has the wrong shape, or sigma_px is negative or NaN beside a pixel that
             is neither.
         """
-        image_px = np.asarray(image_px, dtype=float)
-        if image_px.ndim != 2 or image_px.shape[1] != 2:
-            raise InputError("bad shape", where="image_px", value=image_px.shape, allowed="(N, 2)")
+        image_px = require_columns(image_px, "image_px", 2)
         sigma = _checked_sigma(image_px, sigma_px)
         finite = np.isfinite(image_px).all(axis=1)
         covered = np.zeros(len(image_px), dtype=bool)

@@ -15,7 +15,7 @@ from scipy.optimize import least_squares
 from lscan.camera.boards import POSE, PosedBoards, parameter_derivatives
 from lscan.camera.covariance import covariance_root
 from lscan.camera.parameters import COUNT, GREATEST, LEAST, CameraPriors
-from lscan.records import Floats, Ints, Mask
+from lscan.records import Floats, Ints, Mask, select
 
 WRONG = 6.0  # sigmas: one good mark in 6e7 is as far off (Rayleigh)
 MEDIAN = np.sqrt(2 * np.log(2))  # of the length of a residual of unit uncertainty (Rayleigh)
@@ -39,17 +39,6 @@ class BoardMarks:
     image_px: Floats
     sigma_px: Floats
     board: Ints
-
-    def only(self, wanted: Mask) -> "BoardMarks":
-        """The marks of a mask.
-
-        Parameters
-        ----------
-        wanted : (N,) mask, of the marks kept
-        """
-        return BoardMarks(
-            self.board_mm[wanted], self.image_px[wanted], self.sigma_px[wanted], self.board[wanted]
-        )
 
     def missed_px(self, boards: PosedBoards) -> Floats:
         """(N, 2) px from each mark's place in the picture to where ``boards`` has it.
@@ -253,7 +242,7 @@ def with_covariance(
     priors : CameraPriors, what is known of the camera beforehand
     good : (N,) mask, of the marks that the solution rests on
     """
-    used = marks.only(good)
+    used = select(marks, good)
     problem = _Problem(boards, used, priors)
     design = problem.jacobian(boards.theta[problem.free])
     root = np.zeros((len(boards.theta), design.shape[1]))

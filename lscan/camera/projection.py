@@ -56,7 +56,7 @@ def rays(camera: CameraModel, image_px: Floats) -> Rays:
     >>> rays(CameraModel(800.0, (319.5, 239.5)), np.array([[319.5, 239.5]])).direction
     array([[0., 0., 1.]])
     """
-    pixels = _checked(image_px, "image_px", 2)
+    pixels = require_columns(image_px, "image_px", 2)
     tangents = undistort(camera, (pixels - np.array(camera.centre_px)) / camera.focal_px)
     ahead = np.column_stack([tangents, np.ones(len(tangents))])
     air = ahead / np.linalg.norm(ahead, axis=1)[:, None]
@@ -96,7 +96,7 @@ def project(camera: CameraModel, points_mm: Floats) -> Floats:
     >>> project(CameraModel(800.0, (319.5, 239.5)), np.array([[50.0, 0.0, 1000.0]]))
     array([[359.5, 239.5]])
     """
-    points = _checked(points_mm, "points_mm", 3)
+    points = require_columns(points_mm, "points_mm", 3)
     direction = points if camera.port is None else aim_through_port(camera.port, points)
     ahead = np.where(direction[:, 2] > 0, direction[:, 2], np.nan)
     tangents = direction[:, :2] / ahead[:, None]
@@ -118,7 +118,20 @@ def meet_plane(seen: Rays, normal: Floats, place_mm: Floats) -> Floats:
     return seen.origin_mm + ahead[:, None] * seen.direction
 
 
-def _checked(array: Floats, name: str, columns: int) -> Floats:
+def require_columns(array: Floats, name: str, columns: int) -> Floats:
+    """(N, columns) floats, the array itself.
+
+    Parameters
+    ----------
+    array : (N, columns) array
+    name : str, of the argument, for the message
+    columns : int, how many it must have
+
+    Raises
+    ------
+    InputError
+        Where it has another shape.
+    """
     values = np.asarray(array, dtype=float)
     if values.ndim != 2 or values.shape[1] != columns:
         raise InputError("bad shape", where=name, value=values.shape, allowed=f"(N, {columns})")

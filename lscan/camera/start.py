@@ -11,7 +11,7 @@ from lscan.camera.boards import FACING, PosedBoards, towards
 from lscan.camera.fit import WRONG, BoardMarks, fit_within_limits
 from lscan.camera.parameters import COUNT, CameraPriors, PortKind
 from lscan.camera.projection import rays
-from lscan.records import Floats
+from lscan.records import Floats, select
 
 START_WIDTHS = (1.2, 0.7, 2.0)  # focal lengths over the width to start from where none is known
 START_PX = 10.0  # residuals above this count linearly while the start is sought
@@ -68,7 +68,7 @@ def posed_boards(theta: Floats, port: PortKind, marks: BoardMarks) -> PosedBoard
     alone = PosedBoards(theta[:COUNT], marks.board_mm.mean(axis=0), port)
     poses = []
     for number in range(int(marks.board.max()) + 1):
-        pose = _pose(alone, marks.only(marks.board == number))
+        pose = _pose(alone, select(marks, marks.board == number))
         if pose is None:
             return None
         poses.append(pose)

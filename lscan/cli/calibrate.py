@@ -45,8 +45,9 @@ def calibrate(
 ) -> None:
     """Find the board's control points in a picture and solve a plane map from them."""
     from lscan.board import draw_overlay
+    from lscan.calibration.file import save_calibration
     from lscan.calibration.maps.auto import calibrate_best
-    from lscan.calibration.solve import calibrate as solve, save_calibration
+    from lscan.calibration.solve import calibrate as solve
     from lscan.cli.inputs import board_picture, parse_seeds
     from lscan.files.pictures import write_picture
 
@@ -83,7 +84,7 @@ def check(
 ) -> None:
     """Score an old calibration against a new picture of the board; exit code 1 if it is off."""
     from lscan.calibration.check import check_calibration
-    from lscan.calibration.solve import load_calibration
+    from lscan.calibration.file import load_calibration
     from lscan.cli.inputs import board_picture, parse_seeds
 
     loaded = load_calibration(calibration)

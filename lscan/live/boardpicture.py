@@ -10,7 +10,8 @@ from lscan.acquisition.scan import acquire_into
 from lscan.acquisition.writer import RunWriter, create_run
 from lscan.board import read_board
 from lscan.calibration.api import PlaneMap
-from lscan.calibration.solve import calibrate, save_calibration
+from lscan.calibration.file import save_calibration
+from lscan.calibration.solve import calibrate
 from lscan.config.rig import Plan
 from lscan.config.rigfile import RigFile, parse_rig
 from lscan.devices.api import Limited, Track

@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Any
 
 from lscan.acquisition.run import software_versions
-from lscan.calibration.solve import save_calibration
+from lscan.calibration.file import save_calibration
 from lscan.files.disk import make_folder
 from lscan.files.jsontext import write_json
 from lscan.measurement import lengths_json

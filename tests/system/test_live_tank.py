@@ -9,7 +9,8 @@ from places import SCENES
 
 from lscan.acquisition.run import open_run
 from lscan.board import read_board
-from lscan.calibration.solve import calibrate, load_calibration
+from lscan.calibration.file import load_calibration
+from lscan.calibration.solve import calibrate
 from lscan.config.rig import SheetSection
 from lscan.config.rigfile import load_rig
 from lscan.live.boardview import read_live_board

@@ -14,7 +14,7 @@ from lscan.calibration.region import covered_region, spacing_px
 from lscan.calibration.solved import MapSolver, SolvedMap, with_lack_of_fit
 from lscan.config.rig import OpticsSection
 from lscan.errors import BoardNotFound
-from lscan.records import BoardReading, Floats, Marks, Mask
+from lscan.records import BoardReading, Floats, Mask, select
 
 NO_RULERS = "-norulers"
 VARIANTS: dict[str, tuple[Fit, bool]] = {
@@ -104,7 +104,7 @@ def _fit_lines(reading: BoardReading, along: int, fit: Fit) -> list[GridLine | N
     """One line per grid row (along = 0) or per grid column (along = 1)."""
     count = reading.shape[along]
     index = np.indices(reading.shape)[along].ravel()
-    lines = [fit_line(_select(reading.grid, index == k), along, fit) for k in range(count)]
+    lines = [fit_line(select(reading.grid, index == k), along, fit) for k in range(count)]
     if len(_present(lines)) < 2:
         kind = ("latitude", "longitude")[along]
         raise BoardNotFound(
@@ -112,12 +112,6 @@ def _fit_lines(reading: BoardReading, along: int, fit: Fit) -> list[GridLine | N
             f"found {len(_present(lines))} among {int(reading.grid.found.sum())} control points"
         )
     return lines
-
-
-def _select(marks: Marks, which: Mask) -> Marks:
-    return Marks(
-        marks.board_mm[which], marks.image_px[which], marks.sigma_px[which], marks.status[which]
-    )
 
 
 def _present(lines: list[GridLine | None]) -> tuple[GridLine, ...]:

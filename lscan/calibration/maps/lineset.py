@@ -16,7 +16,7 @@ from lscan.calibration.maps.lines import Curve, GridLine
 from lscan.calibration.maps.rulers import FittedRuler
 from lscan.calibration.region import MARGIN
 from lscan.calibration.stored import STRICT, NotNegative
-from lscan.records import Floats, Ints, Mask
+from lscan.records import Floats, Ints, Mask, select
 
 # The region's margin, and as much again for what the outermost line misses its own marks by.
 WEIGHT_SLACK = 2 * MARGIN
@@ -42,10 +42,6 @@ class Targets:
     across: Floats
     variance: Floats
 
-    def at(self, keep: Mask) -> "Targets":
-        """Those under the mask."""
-        return Targets(self.along[keep], self.across[keep], self.variance[keep])
-
 
 @dataclass(frozen=True)
 class Between:
@@ -62,10 +58,6 @@ class Between:
     upper: Ints
     fraction: Floats
     span_px: Floats
-
-    def at(self, keep: Mask) -> "Between":
-        """Those under the mask."""
-        return Between(self.lower[keep], self.upper[keep], self.fraction[keep], self.span_px[keep])
 
     def blend(self, values_of: ValuesOf, power: int = 1) -> Floats:
         """(N,) weighted sum over the two lines; values_of(line, mask) gives a line's values."""
@@ -117,7 +109,8 @@ class LineSet:
         """
         value, variance = np.full((2, len(targets.along)), np.nan)
         between, inside = self.surround(targets)
-        value[inside], variance[inside] = self._read(targets.at(inside), between.at(inside))
+        known = select(targets, inside), select(between, inside)
+        value[inside], variance[inside] = self._read(*known)
         return value, variance
 
     def _read(self, targets: Targets, between: Between) -> tuple[Floats, Floats]:
@@ -127,7 +120,7 @@ class LineSet:
         closest = self._closest_ruler(targets)
         for k in np.unique(closest[closest >= 0]):
             here = closest == k
-            ruler, there, around = self.rulers[k], targets.at(here), between.at(here)
+            ruler, there, around = self.rulers[k], select(targets, here), select(between, here)
             place, meets = self._intersect(ruler, there, around)
             ruled_variance = self._ruler_variance(ruler, there, around, place)
             value[here] = np.where(meets, ruler.conversion(place), value[here])

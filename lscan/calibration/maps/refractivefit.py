@@ -13,7 +13,7 @@ from lscan.camera.parameters import priors_of
 from lscan.camera.start import TOLERANCE, best_start
 from lscan.config.rig import OpticsSection
 from lscan.errors import BoardNotFound
-from lscan.records import BoardReading
+from lscan.records import BoardReading, select
 
 FEWEST = 10  # control points: 20 equations for the 13 unknowns of lens and pose
 MOST_MISSED = 0.1  # of the pitch: how far off the median mark may lie in a view that explains; ours
@@ -50,7 +50,7 @@ def fit_view(reading: BoardReading, optics: OpticsSection) -> CameraFit:
         raise BoardNotFound("the marks found are no picture of the board's front")
     good = np.ones(len(marks.sigma_px), dtype=bool)
     for _ in range(ROUNDS):
-        view = fit_boards(view, marks.only(good), priors, TOLERANCE)
+        view = fit_boards(view, select(marks, good), priors, TOLERANCE)
         before, good = good, sound_marks(marks.lengths(view))
         if (good == before).all():
             break

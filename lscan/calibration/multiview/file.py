@@ -71,7 +71,7 @@ class StoredView(Strict):
 class MetricFile(Strict):
     """The whole file."""
 
-    format: Literal["lscan-metric-calibration"]
+    format: Literal["lscan-metric-calibration"] = FORMAT
     version: Annotated[int, Field(strict=True, ge=1, le=VERSION)]
     software: str
     plane_map: Literal["metric"]
@@ -105,7 +105,6 @@ def save_metric(path: Path, calibration: MetricCalibration) -> None:
         Where the file cannot be written.
     """
     content = MetricFile(
-        format=FORMAT,
         version=VERSION,
         software=calibration.software,
         plane_map="metric",

@@ -1,11 +1,13 @@
 """The laser line on a board: the points that lie in one straight line."""
 
+from functools import partial
+
 import numpy as np
 
 from lscan.calibration.multiview.views import LinePoints
 from lscan.camera.boards import PosedBoards
 from lscan.camera.covariance import PIXEL_STEP, Locate
-from lscan.records import Floats, Mask
+from lscan.records import Floats, Mask, select
 
 FEWEST_POINTS = 10  # of a line; a straight line has two unknowns
 TRIED = 40  # points of a line that are joined in pairs to find it among outliers
@@ -40,10 +42,7 @@ def straight(boards: PosedBoards, line: LinePoints, board: int) -> Mask:
     ----------
     Rousseeuw, "Least median of squares regression", J. Am. Stat. Assoc. 79 (1984) 871.
     """
-
-    def locate(image_px: Floats) -> Floats:
-        return boards.locate(image_px, board)
-
+    locate = partial(boards.locate, board=board)
     plane = locate(line.image_px)
     seen: Mask = np.asarray(np.isfinite(plane).all(axis=1))
     mask = np.zeros(len(plane), dtype=bool)
@@ -58,7 +57,7 @@ def straight(boards: PosedBoards, line: LinePoints, board: int) -> Mask:
     offset = (normal * some[first][length > 0]).sum(axis=1)
     away = np.abs(places @ normal.T - offset)
     best = np.median(away, axis=0).argmin()
-    across = across_mm(locate, line.only(seen))
+    across = across_mm(locate, select(line, seen))
     sigma = np.abs(across @ normal[best]) * line.sigma_px[seen]
     usual = max(1.0, float(np.median(away[:, best] / sigma)) / MEDIAN)
     mask[seen] = away[:, best] <= WRONG * usual * sigma

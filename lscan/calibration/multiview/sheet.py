@@ -17,7 +17,7 @@ from lscan.calibration.multiview.views import LinePoints
 from lscan.camera.boards import PosedBoards
 from lscan.camera.fit import CameraFit
 from lscan.errors import MeasurementError
-from lscan.records import Floats, Mask
+from lscan.records import Floats, Mask, select
 
 WRONG = 6.0  # sigmas: beyond them a view's line is an outlier
 MEDIAN_CHI_SQUARE = 2 * np.log(2)  # of two degrees of freedom
@@ -72,11 +72,12 @@ def find_plane(fit: CameraFit, free: Mask, lines: dict[int, LinePoints]) -> Lase
         for board, mask in masks.items()
         if mask.sum() < FEWEST_POINTS
     }
-    usable = {board: lines[board].only(masks[board]) for board in lines if board not in faults}
+    usable = {board: select(lines[board], masks[board]) for board in lines if board not in faults}
     _require_two(usable, faults)
     q = _agreed_plane(boards, usable)
     for board in list(usable):
-        angle = _angle_deg(boards, board, q)
+        cosine = abs(boards.axes[board][:, 1] @ q) / np.linalg.norm(q)
+        angle = np.degrees(np.arccos(min(cosine, 1.0)))
         if angle < LEAST_ANGLE_DEG:
             faults[board] = f"the board lies {angle:.1f} deg from the sheet: too near it"
             del usable[board]
@@ -125,11 +126,6 @@ def _agreed_plane(boards: PosedBoards, lines: dict[int, LinePoints]) -> Floats:
     if best is None:
         raise MeasurementError("the laser lines lie in no plane before the camera")
     return best
-
-
-def _angle_deg(boards: PosedBoards, board: int, q: Floats) -> float:
-    cosine = abs(boards.axes[board][:, 1] @ q) / np.linalg.norm(q)
-    return float(np.degrees(np.arccos(min(cosine, 1.0))))
 
 
 def _require_two(usable: dict[int, LinePoints], faults: dict[int, str]) -> None:

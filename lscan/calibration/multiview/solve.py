@@ -24,7 +24,7 @@ from lscan.camera.parameters import COUNT, CameraPriors, priors_of
 from lscan.camera.start import best_start
 from lscan.config.rig import Known, OpticsSection
 from lscan.errors import MeasurementError
-from lscan.records import Floats
+from lscan.records import Floats, select
 from lscan.version import __version__
 
 FEWEST_VIEWS = 3  # Zhang 2000, Sec. 3.1: two give a camera without skew, a third checks it
@@ -203,8 +203,8 @@ def _fit(start: PosedBoards, marks: BoardMarks, priors: CameraPriors) -> CameraF
         excess = (miss**2).sum() / max(miss.size - free, 1) - np.mean(own[good] ** 2)
         marks = replace(marks, sigma_px=np.hypot(own, np.sqrt(max(0.0, excess))))
         before, good = good, sound_marks(marks.lengths(boards))
-        boards = fit_boards(boards, marks.only(good), priors, TOLERANCE)
-        chi_before, chi = chi, chi_square(boards, marks.only(good), priors)
+        boards = fit_boards(boards, select(marks, good), priors, TOLERANCE)
+        chi_before, chi = chi, chi_square(boards, select(marks, good), priors)
         if np.isclose(chi, chi_before, rtol=SETTLED) and (good == before).all():
             break
     return with_covariance(boards, marks, priors, good)

@@ -1,10 +1,10 @@
 """What one picture of the board gives to the multi-view calibration."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
-from lscan.records import Axis, Floats, Marks, Mask
+from lscan.records import Axis, Floats, Marks
 
 
 @dataclass(frozen=True)
@@ -27,15 +27,6 @@ class LinePoints:
     def across(self) -> Floats:
         """(2,) unit vector in the picture along which the points are uncertain."""
         return np.array([0.0, 1.0] if self.axis == "columns" else [1.0, 0.0])
-
-    def only(self, wanted: Mask) -> "LinePoints":
-        """The points of a mask.
-
-        Parameters
-        ----------
-        wanted : (K,) mask, of the points kept
-        """
-        return replace(self, image_px=self.image_px[wanted], sigma_px=self.sigma_px[wanted])
 
 
 @dataclass(frozen=True)

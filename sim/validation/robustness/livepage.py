@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from lscan.acquisition.scan import scan
-from lscan.calibration.solve import save_calibration
+from lscan.calibration.file import save_calibration
 from lscan.config.rigfile import load_rig
 from lscan.config.toml import toml_text
 from lscan.errors import MeasurementError

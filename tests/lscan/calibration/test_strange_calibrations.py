@@ -13,10 +13,10 @@ from hypothesis import given, settings, strategies as st
 from metricviews import SIZE, known, paper_rig, poses, views_of, with_noise
 from peak_memory import refused_within
 
+from lscan.calibration.file import save_calibration
 from lscan.calibration.loading import load_plane_map
 from lscan.calibration.multiview.file import save_metric
 from lscan.calibration.multiview.solve import calibrate_metric
-from lscan.calibration.solve import save_calibration
 from lscan.errors import InputError, LscanError
 
 MAPS = ("graticule-2", "graticule-bspline", "projective", "polynomial-4", "spline", "auto")

@@ -9,8 +9,8 @@ import pytest
 from command_line import call, refused
 from planeviews import PAPER_BOARD, paper_board
 
+from lscan.calibration.file import load_calibration
 from lscan.calibration.maps import auto
-from lscan.calibration.solve import load_calibration
 from lscan.files.pictures import write_picture
 
 pytestmark = pytest.mark.xdist_group("cli_check")  # one worker: they share a fixture

@@ -11,10 +11,11 @@ from planeviews import BARREL, View, affine, board_points, paper_board, read_boa
 from lscan.calibration import crossvalidation
 from lscan.calibration.api import find_solver
 from lscan.calibration.crossvalidation import Score, cross_validated, deal
+from lscan.calibration.file import load_calibration, save_calibration
 from lscan.calibration.maps import auto
 from lscan.calibration.maps.auto import Auto, calibrate_best, ranked
 from lscan.calibration.readings import without
-from lscan.calibration.solve import calibrate, load_calibration, resolve, save_calibration
+from lscan.calibration.solve import calibrate, resolve
 from lscan.errors import BoardNotFound, InputError
 from lscan.records import BoardReading, Floats, Marks, RulerReading
 

@@ -12,8 +12,9 @@ from planeviews import View, affine, board_points, paper_board, read_board, with
 
 from lscan import camera as optics
 from lscan.calibration.api import find_solver
+from lscan.calibration.file import load_calibration, save_calibration
 from lscan.calibration.maps.refractive import NAMES, Refractive, coplanarity_modes, solver
-from lscan.calibration.solve import calibrate, load_calibration, save_calibration
+from lscan.calibration.solve import calibrate
 from lscan.camera.parameters import CENTRE_WIDTHS, FOCAL_WIDTHS
 from lscan.config.rig import OpticsSection
 from lscan.errors import BoardNotFound, InputError
