@@ -196,7 +196,7 @@ def measure_groove(run: Run, plane_map: PlaneMap) -> GrooveMeasures:
     piece = _require_piece(run, GroovedBlock)
     if run.rig_file.rig.shaft is not None:
         raise InputError(
-            "the grooves are measured in profiles square to them, which a shaft turns askew",
+            "the grooves are measured in profiles normal to them, and those of a shaft are oblique",
             where=run.path,
             allowed="a scan on a linear track, without [shaft]",
         )

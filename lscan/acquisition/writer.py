@@ -235,7 +235,7 @@ def resume_run(path: Path, rig_file: RigFile) -> RunWriter:
             _remove_temporaries(path)
             _lay_out(path, _new_manifest(rig_file))
             return RunWriter(path, rig_file, lock)
-        return RunWriter(path, rig_file, lock, _take_up(path, rig_file))
+        return RunWriter(path, rig_file, lock, _recover(path, rig_file))
     except BaseException:
         os.close(lock)
         raise
@@ -306,7 +306,7 @@ def holds_no_run(path: Path) -> bool:
     return names <= early and not frames
 
 
-def _take_up(path: Path, rig_file: RigFile) -> tuple[FrameRow, ...]:
+def _recover(path: Path, rig_file: RigFile) -> tuple[FrameRow, ...]:
     """Clear away what a killed scan left, check the rest, return the rows of the frames."""
     manifest, kept = read_manifest(path)
     require_same_rig(kept, rig_file, where=path / MANIFEST)

@@ -131,9 +131,9 @@ class Board(Strict):
         if twice:
             raise ValueError(f"names used twice: {sorted(twice)}")
         dots = {dot.name for dot in self.dot}
-        strange = {name for pair in self.distances for name in pair} - dots
-        if strange:
-            raise ValueError(f"distances name unknown dots: {sorted(strange)}")
+        unknown = {name for pair in self.distances for name in pair} - dots
+        if unknown:
+            raise ValueError(f"distances name unknown dots: {sorted(unknown)}")
         to_itself = [first for first, second in self.distances if first == second]
         if to_itself:
             raise ValueError(f"distances from a dot to itself: {to_itself}")

@@ -111,7 +111,7 @@ def _read(path: Path, chain: tuple[Path, ...], read: list[Path]) -> Document:
     for file in files:
         merged = merge(merged, _read(included_file(path.parent, file), (*chain, path), read))
     for name in excluded:
-        _take_out(merged, name, path)
+        _exclude(merged, name, path)
     return merge(merged, document)
 
 
@@ -125,7 +125,7 @@ def _texts(document: Document, key: str, source: Path) -> list[str]:
     return texts
 
 
-def _take_out(included: Document, name: str, source: Path) -> None:
+def _exclude(included: Document, name: str, source: Path) -> None:
     """Remove the table or key ``name``, dotted, from what the file ``source`` includes."""
     *tables, key = name.split(".")
     table = _value_at(included, tuple(tables))
@@ -293,17 +293,12 @@ def _explain(
     first = max(same, key=lambda fault: len(fault.keys))
     above = [prefix] if prefix else []
     key = _dotted((*above, *first.keys)) or "document"
-    others = dict.fromkeys(_dotted((*above, *fault.keys)) for fault in faults if fault not in same)
-    what = f"{key}: {first.what}{_also(list(others))}"
+    others = [_dotted((*above, *fault.keys)) for fault in faults if fault not in same]
+    others = list(dict.fromkeys(others))
+    also = f"; see also {', '.join(others[:MOST_NAMED])}" if others else ""
+    more = f" and {len(others) - MOST_NAMED} more" if len(others) > MOST_NAMED else ""
+    what = f"{key}: {first.what}{also}{more}"
     return InputError(what, where=where, value=first.value, allowed=first.allowed)
-
-
-def _also(keys: list[str]) -> str:
-    """Where else something is wrong, by the first few keys."""
-    if not keys:
-        return ""
-    rest = f" and {len(keys) - MOST_NAMED} more" if len(keys) > MOST_NAMED else ""
-    return f"; see also {', '.join(keys[:MOST_NAMED])}{rest}"
 
 
 def _fault(raw: ErrorDetails, model: type[BaseModel], document: Document) -> _ModelFault:
@@ -332,7 +327,7 @@ def _fault(raw: ErrorDetails, model: type[BaseModel], document: Document) -> _Mo
 
 
 def _value_at(document: Any, keys: Keys) -> Any:
-    """What stands at the end of the keys; None where they lead nowhere."""
+    """The value that the keys lead to; None where they lead nowhere."""
     try:
         return reduce(getitem, keys, document)
     except (KeyError, IndexError, TypeError):

@@ -175,7 +175,7 @@ class ShaftSection(Strict):
     point_mm, direction: a point of the shaft and its direction, in the frame of the head at
     position 0; the direction may have any length and is kept as a unit vector.
 
-    How well the shaft is known: two axes stand square to it, the first the sheet's normal y less
+    How well the shaft is known: two axes are normal to it, the first the sheet's normal y less
     its part along the shaft, the second direction x first.  offset_sigma_mm: standard
     uncertainties of the point along them; tilt_sigma_deg: of the direction's lean towards them.
     scale_sigma: relative, of the angle.  correlation: of these five, the upper triangle row by
@@ -199,8 +199,8 @@ class ShaftSection(Strict):
             raise ValueError("direction must not be zero")
         if abs(self.direction[1]) > length * cos(radians(LEAST_ANGLE_DEG)):
             raise ValueError(
-                "direction lies along y, square to the sheet, which it would turn within its own "
-                f"plane and scan nothing; it must stand {LEAST_ANGLE_DEG:g} degree or more off y"
+                "direction is normal to the sheet, which it would turn within its own plane and "
+                f"scan nothing; it must be at least {LEAST_ANGLE_DEG:g} degree from y"
             )
         if np.linalg.eigvalsh(self.correlation_matrix()).min() < -1e-6:
             raise ValueError("correlation must be that of five quantities: none is below nought")

@@ -105,16 +105,12 @@ def parse_rig(document: Document, source: str, trusted: bool = False) -> RigFile
             allowed="a rig file, or a scene; `lscan scenes` lists those that come with lscan",
         )
     rig = check(Rig, own, where=source)
-    strange = set(document) - set(own)
-    if strange and not trusted:
-        owned = {section for driver in drivers_of(rig, source) for section in driver.sections}
-        unknown = sorted(strange - owned)
+    if not trusted and len(own) < len(document):
+        known = set(Rig.model_fields).union(*(one.sections for one in drivers_of(rig, source)))
+        unknown = sorted(set(document) - known)
         if unknown:
-            allowed = ", ".join(sorted({*Rig.model_fields, *owned}))
-            value = document[unknown[0]]
-            raise InputError(
-                f"{unknown[0]}: unknown section", where=source, value=value, allowed=allowed
-            )
+            what, value = f"{unknown[0]}: unknown section", document[unknown[0]]
+            raise InputError(what, where=source, value=value, allowed=", ".join(sorted(known)))
     _check_shaft(rig, source)
     return RigFile(rig=rig, document=document, source=source)
 

@@ -78,7 +78,14 @@ class Scanning:
         The caller ensures that none goes on.  Raises InputError for a name that is none or a
         folder that cannot be made, DeviceError where the track does not come back.
         """
-        folder = self._output / (checked_name(name) if name else next_name(self._output, "scan"))
+        if name and not NAME.fullmatch(name):
+            raise InputError(
+                "not a folder name",
+                where="name",
+                value=name,
+                allowed="letters, digits, '.', '_' and '-', the first a letter or a digit",
+            )
+        folder = self._output / (name or next_name(self._output, "scan"))
         self._devices.ready()
         self._earlier_s = 0.0
         self._begin(create_run(folder, self._rig_file))
@@ -152,18 +159,6 @@ class Scanning:
         with self._lock:
             self._earlier_s += time.monotonic() - self._began_s
             self._state, self._message = state, message
-
-
-def checked_name(name: str) -> str:
-    """A name that is one plain folder; InputError for any other."""
-    if not NAME.fullmatch(name):
-        raise InputError(
-            "not a folder name",
-            where="name",
-            value=name,
-            allowed="letters, digits, '.', '_' and '-', the first a letter or a digit",
-        )
-    return name
 
 
 def next_name(output: Path, stem: str) -> str:

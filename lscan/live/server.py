@@ -24,7 +24,7 @@ from lscan.config.documents import Strict, check
 from lscan.devices.signals import on_stop_signals
 from lscan.errors import DeviceError, InputError, LscanError
 from lscan.live.access import Access
-from lscan.live.door import Door
+from lscan.live.admission import AccessMiddleware
 from lscan.live.files import page_files
 from lscan.live.session import Session
 
@@ -75,8 +75,7 @@ class LivePage:
 
     def application(self) -> ASGIApp:
         """The ASGI application, which lets in whom ``access`` does."""
-        command = self._command
-        session = self._session
+        command, session = self._command, self._session
         scanning = session.scanning
         routes = [
             *(Route(path, self._file) for path in self._files),
@@ -91,7 +90,8 @@ class LivePage:
             command("/api/move", MoveBody, lambda body: session.move_to(body.position_mm)),
             command("/api/laser", LaserBody, lambda body: session.switch_laser(body.on)),
         ]
-        return Door(Starlette(routes=routes, lifespan=self._lifespan), self._access)
+        inner = Starlette(routes=routes, lifespan=self._lifespan)
+        return AccessMiddleware(inner, self._access)
 
     def close(self) -> None:
         """Let those who wait for a picture go; from any thread or signal handler."""

@@ -1,4 +1,4 @@
-"""The door of the live page: whom it lets in, and the safety headers of all answers."""
+"""Admission to the live page: the check of every request, and the safety headers of answers."""
 
 from starlette.requests import Request
 from starlette.responses import PlainTextResponse, RedirectResponse
@@ -18,7 +18,7 @@ HEADERS = {
 }
 
 
-class Door:
+class AccessMiddleware:
     """Lets requests in as ``access`` says, and puts the safety headers on all answers.
 
     The token of the printed address is exchanged for a cookie, and the browser sent on to the
