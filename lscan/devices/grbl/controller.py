@@ -37,8 +37,6 @@ MOVING: Final = {("Jog", None), ("Run", None), ("Hold", 1), ("Door", 2), ("Door"
 """States, with their numbers, in which a reset would lose steps: a hold still slowing down, a door
 that is doing so, retracting or resuming (Grbl 1.1, "Real-time Status Reports")."""
 
-LOST: Final = "lost"
-
 _REMEDIES = {
     "Door": "close the safety door and open the track again",
     "Hold": "the feed hold was pressed: release it and open the track again",
@@ -67,7 +65,7 @@ class GrblMachine:
 
         "lost" after an alarm or a restart.
         """
-        return LOST if self._dialogue.lost else self._zero
+        return "lost" if self._dialogue.lost else self._zero
 
     def has_kept(self, zero: str) -> bool:
         """Whether it is the same zero still: that of this opening, or the mark found at it."""

@@ -83,7 +83,7 @@ class Link:
         try:
             self._transport.write(data)
         except OSError as error:
-            raise (self._stuck() if _timed_out(error) else self._unplugged(error)) from error
+            raise self._broken(error) from error
 
     def line(self, deadline_s: float) -> str | None:
         """The next readable line without its end; None where none is whole by the deadline.
@@ -104,7 +104,7 @@ class Link:
             try:
                 self._received += self._transport.read(max(1, self._transport.in_waiting))
             except OSError as error:
-                raise self._unplugged(error) from error
+                raise self._broken(error) from error
 
     def skip(self, text: str) -> None:
         """Count a line that says nothing known as noise."""
@@ -126,21 +126,16 @@ class Link:
         self.noise_bytes += len(raw) + 1
         return None
 
-    def _stuck(self) -> DeviceError:
-        return DeviceError(
-            f"{self.name}: the port accepted nothing for {self._write_s:g} s; the adapter or the "
-            "controller hangs, or the computer was held up: switch the controller off and on, or "
-            "raise track.options.write_s, then open the track again"
-        )
+    def _broken(self, error: OSError) -> DeviceError:
+        import serial  # here, as in open_serial: only a real port needs the package
 
-    def _unplugged(self, error: OSError) -> DeviceError:
+        if isinstance(error, serial.SerialTimeoutException):
+            return DeviceError(
+                f"{self.name}: the port accepted nothing for {self._write_s:g} s; the adapter or "
+                "the controller hangs, or the computer was held up: switch the controller off and "
+                "on, or raise track.options.write_s, then open the track again"
+            )
         return DeviceError(
             f"{self.name}: the serial line broke ({error}); check the cable and the controller's "
             "power, then open the track again"
         )
-
-
-def _timed_out(error: OSError) -> bool:
-    import serial  # here, as in open_serial: only a real port needs the package
-
-    return isinstance(error, serial.SerialTimeoutException)

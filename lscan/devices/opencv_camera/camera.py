@@ -199,7 +199,7 @@ class OpencvCamera:
         """The settings of a camera just opened; it is released where they are refused."""
         try:
             settings = self._reader.started()
-            ignored = "; ".join(map(str, settings.ignored))
+            ignored = "; ".join(str(each) for each in settings.settings if not each.obeyed)
             if ignored and self._options.strict_settings:
                 raise DeviceError(
                     f"{self._options.name}: does not do as it is set: {ignored}; "

@@ -46,11 +46,6 @@ class Settings:
     settings: tuple[Setting, ...]
     exposure_ms: float
 
-    @property
-    def ignored(self) -> tuple[Setting, ...]:
-        """Those the camera did not obey."""
-        return tuple(setting for setting in self.settings if not setting.obeyed)
-
 
 @dataclass(frozen=True)
 class _Exposure:

@@ -58,13 +58,10 @@ class MarlinEmulator(EmulatedController):
             self._planner.halt(self._last_s)
         elif text != "M400":
             try:
-                self._block(text)
+                block = parse_block(text)
+                self._modes.take(block)
+                if block.axes:
+                    self._axes.push(self._target(block), self._modes.feed_mm_min, self._last_s)
             except GcodeError:
                 self._say(f'echo:Unknown command: "{text}"')
         self._say("ok")
-
-    def _block(self, text: str) -> None:
-        block = parse_block(text)
-        self._modes.take(block)
-        if block.axes:
-            self._axes.push(self._target(block), self._modes.feed_mm_min, self._last_s)

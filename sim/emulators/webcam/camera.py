@@ -9,7 +9,6 @@ from typing import Literal
 
 import numpy as np
 
-from lscan.records import Bytes
 from sim.emulators.options import ServeOptions
 from sim.emulators.places import Places
 from sim.sensor.coding import jpeg_bytes
@@ -126,11 +125,10 @@ class EmulatedCamera:
             return Shot(self.count + 1, last.jpeg, sight)
         assert sight.position_mm is not None
         view = self._places.view(sight.position_mm, lit=sight.lit)
-        image = self._spoilt(view.picture(self._generator))
+        image = view.picture(self._generator)
+        if self.fault == "black":
+            image = np.zeros_like(image)
+        elif self.fault == "wrong-size":
+            image = image[::2, ::2]
         jpeg = jpeg_bytes(image, self._options.quality, self._options.subsampling)
         return Shot(self.count + 1, jpeg, sight)
-
-    def _spoilt(self, image: Bytes) -> Bytes:
-        if self.fault == "black":
-            return np.zeros_like(image)
-        return image[::2, ::2] if self.fault == "wrong-size" else image
