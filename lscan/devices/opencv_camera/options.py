@@ -105,13 +105,22 @@ class OpencvOptions(Strict):
         return f"camera opencv ({self.url or self.file})"
 
     def is_black(self, image: Bytes) -> bool:
-        """Whether no pixel is above ``black_dn``."""
+        """Whether no pixel is above ``black_dn``.
+
+        Parameters
+        ----------
+        image : (H, W) or (H, W, 3) uint8 array
+        """
         return int(image.max()) <= self.black_dn
 
     def is_stuck(self, image: Bytes, last: Bytes) -> bool:
         """Whether a live camera sent its last picture again.
 
         Black ones hold no noise to compare, and have a rule of their own.
+
+        Parameters
+        ----------
+        image, last : (H, W) or (H, W, 3) uint8 array, the picture and the one before
         """
         return self.live and np.array_equal(image, last) and not self.is_black(image)
 
