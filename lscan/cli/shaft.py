@@ -35,7 +35,7 @@ def calibrate_shaft(
     with progress_bar("profiles") as report:
         fit = find_shaft(opened, plane_map, report)
     save_shaft(output, fit)
-    columns = np.column_stack([fit.moved, fit.sigma, fit.prior_sigma]) * IN_FILE[:, None]
+    columns = np.column_stack([fit.moved, fit.shaft.sigma, fit.prior.sigma]) * IN_FILE[:, None]
     changes = dict(zip(NAMES, columns.tolist(), strict=True))
     if not json:
         rows = [[name, *numbers] for name, numbers in changes.items()]

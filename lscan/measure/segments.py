@@ -56,7 +56,6 @@ class Trace:
     ----------
     x, z : (P,) array, mm, frame of the sheet
     sigma_x, sigma_z : (P,) array, mm, standard uncertainties of x and of z
-    column : (P,) array, index in the profile
     brightness : (P,) array, DN, of the line
     spacing_mm : float, mm, median distance in x from one column to the next
     tilt : float, common dz/dx of its level segments
@@ -67,7 +66,6 @@ class Trace:
     z: Floats
     sigma_x: Floats
     sigma_z: Floats
-    column: Ints
     brightness: Floats
     spacing_mm: float
     tilt: float
@@ -101,7 +99,7 @@ def trace(profile: Profile) -> Trace:
         raise MeasurementError("no two neighbouring columns have a point: no segments")
     tilt = _common_tilt(x, z)
     modes = None if profile.points.modes_mm is None else profile.points.modes_mm[column]
-    return Trace(x, z, sigma_x, sigma_z, column, profile.brightness[column], spacing, tilt, modes)
+    return Trace(x, z, sigma_x, sigma_z, profile.brightness[column], spacing, tilt, modes)
 
 
 def segments(line: Trace) -> list[Segment]:
@@ -112,7 +110,8 @@ def segments(line: Trace) -> list[Segment]:
     line : Trace, mm
     """
     flat = line.z - line.tilt * line.x
-    runs = np.split(np.arange(len(flat)), _breaks(line.x, flat))
+    breaks = (np.abs(np.diff(flat)) > JUMP_MM) | (np.abs(np.diff(line.x)) > GAP_MM)
+    runs = np.split(np.arange(len(flat)), np.flatnonzero(breaks) + 1)
     level = [_without_walls(run, flat) for run in runs if len(run) >= MIN_POINTS]
     return [Segment(run, float(np.median(flat[run]))) for run in level if len(run) >= MIN_POINTS]
 
@@ -219,11 +218,6 @@ def _without_walls(run: Ints, flat: Floats) -> Ints:
     """The run without points at its ends that lie off its level: lit spots of a wall."""
     on_level = np.flatnonzero(np.abs(flat[run] - np.median(flat[run])) < LEVEL_MM)
     return run[on_level[0] : on_level[-1] + 1] if len(on_level) else run[:0]
-
-
-def _breaks(x: Floats, flat: Floats) -> Ints:
-    """Indices at which a new run begins: after a jump in height or a gap in x."""
-    return np.flatnonzero((np.abs(np.diff(flat)) > JUMP_MM) | (np.abs(np.diff(x)) > GAP_MM)) + 1
 
 
 def _common_tilt(x: Floats, z: Floats) -> float:

@@ -1,11 +1,13 @@
 """The paper's Tables I to III and its slices, with our numbers beside the printed ones."""
 
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 from lscan.figures.reportfigure import signed
+from lscan.files.packaged import packaged_table
 from lscan.measure import SliceErrors
 from lscan.measurement import BoardMeasures
 from lscan.paper.experiment import Experiment
@@ -27,16 +29,7 @@ Lengths = Mapping[str, Length]
 Beyond = Callable[[Length | PrintedLength], bool]
 """Whether an error is larger than what is accepted."""
 
-_TITLES = {
-    "table-1": "Table I. Distances between known points",
-    "table-2": "Table II. Diameters of circles",
-    "table-3": "Table III. The grooved block",
-    "slices": "Errors of the slices",
-}
-_CAPTION = (
-    "Measured lengths and errors in mm, the nominal length in parentheses; σ is one standard "
-    "uncertainty. Marked (▲): errors beyond {bar}, the paper's claim."
-)
+_WORDS = packaged_table("lscan.paper", "tables.toml")
 _SAME_MM = 0.05  # a nominal this close to the paper's is the same piece, read by a caliper
 _METHODS = {ours: theirs for theirs, ours in OUR_MAPS.items()}
 _OTHER_MAPS = {
@@ -119,7 +112,7 @@ class ReportTable:
     ----------
     key : str, short name, unique on the page
     title, caption : str, in words
-    parts : tuple of str, the runs it comes from, "board", "groove" and "sandwave"
+    parts : sequence of str, the runs it comes from, "board", "groove" and "sandwave"
     chains : TableBlock or None, the paper's numbers beside those of our chains; None where methods
         compete and there is no best chain
     blocks : tuple of TableBlock, one a feature, where methods compete
@@ -129,7 +122,7 @@ class ReportTable:
     key: str
     title: str
     caption: str
-    parts: tuple[str, ...]
+    parts: Sequence[str]
     chains: TableBlock | None
     blocks: tuple[TableBlock, ...] = ()
     summary: TableBlock | None = None
@@ -184,10 +177,7 @@ def _table_by_method(
     theirs = {name: _printed_by(name, printed, ours[name]) for name in order}
     features = dict.fromkeys(feature for lengths in ours.values() for feature in lengths)
     return ReportTable(
-        key,
-        _TITLES[key],
-        _CAPTION.format(bar=f"{bars.board_percent:g} % of the length"),
-        ("board",),
+        **_words(key, bars),
         chains=_chains(ours[CHOSEN_MAP], best, theirs[CHOSEN_MAP], beyond) if best else None,
         blocks=tuple(_feature_block(feature, ours, theirs, beyond) for feature in features),
         summary=_summary(ours, theirs, bars),
@@ -196,13 +186,8 @@ def _table_by_method(
 
 def _groove_table(ours: Lengths, best: Lengths, bars: Bars) -> ReportTable:
     theirs = _of_same_piece(TABLE_3, ours)
-    return ReportTable(
-        "table-3",
-        _TITLES["table-3"],
-        _CAPTION.format(bar=f"{bars.groove_mm:g} mm"),
-        ("board", "groove"),
-        _chains(ours, best, theirs, lambda length: abs(length.error_mm) > bars.groove_mm),
-    )
+    chains = _chains(ours, best, theirs, lambda length: abs(length.error_mm) > bars.groove_mm)
+    return ReportTable(**_words("table-3", bars), chains=chains)
 
 
 def _slice_table(
@@ -218,15 +203,14 @@ def _slice_table(
         TableRow(name, name, theirs, cells(errors), cells(best[name]) if name in best else ())
         for name, errors in ours.items()
     )
-    return ReportTable(
-        "slices",
-        _TITLES["slices"],
-        "Measured minus designed height in mm: rms, lowest and highest. The paper says of all "
-        f"slices that most errors lie between its two numbers. Marked (▲): errors beyond "
-        f"{bars.sandwave_mm:g} mm, the paper's claim.",
-        ("board", "sandwave"),
-        TableBlock("Slice", rows, ("from", "to"), ("rms", "from", "to")),
-    )
+    block = TableBlock("Slice", rows, ("from", "to"), ("rms", "from", "to"))
+    return ReportTable(**_words("slices", bars), chains=block)
+
+
+def _words(key: str, bars: Bars) -> dict[str, Any]:
+    """Key, title, caption and parts, as ReportTable takes them."""
+    words = _WORDS[key]
+    return {**words, "key": key, "caption": words["caption"].format(bars=bars)}
 
 
 def _printed_by(name: str, printed: PrintedTable, ours: Lengths) -> Mapping[str, PrintedLength]:

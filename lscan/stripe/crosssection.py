@@ -42,7 +42,8 @@ def lines(parameters: Floats, steps: Floats) -> CrossSections:
     parameters : (K, 5) array, px and DN, see the module's text
     steps : (n,) array, px, consecutive pixels, from the middle one
     """
-    centre, width, height = _columns(parameters)
+    centre = parameters[:, [CENTRE]]
+    width, height = np.exp(parameters[:, [LN_WIDTH]]), np.exp(parameters[:, [LN_HEIGHT]])
     ground = parameters[:, [GROUND]] + parameters[:, [TILT]] * steps
     edges = np.append(steps - 0.5, steps[-1] + 0.5)
     distance = (edges - centre) / width
@@ -70,9 +71,3 @@ def parameters_of(
     tilt : (K,) array, DN/px
     """
     return np.column_stack([centre, np.log(width), np.log(height), ground, tilt])
-
-
-def _columns(parameters: Floats) -> tuple[Floats, Floats, Floats]:
-    """Centre, width and height as columns (K, 1)."""
-    centre = parameters[:, [CENTRE]]
-    return centre, np.exp(parameters[:, [LN_WIDTH]]), np.exp(parameters[:, [LN_HEIGHT]])

@@ -1,12 +1,9 @@
 """Pictures of what an extractor found."""
 
-from typing import cast
-
-import cv2
 import numpy as np
 
 from lscan.errors import InputError
-from lscan.records import Bytes, Ints, Status, Stripe, has_value
+from lscan.records import Bytes, Status, Stripe, has_value
 from lscan.stripe.lines import check_picture
 
 _COLOUR = {
@@ -16,6 +13,7 @@ _COLOUR = {
     Status.NO_PEAK: (90, 90, 90),
 }
 _OTHER_COLOUR = (0, 160, 255)
+_COLOURS = np.array([_COLOUR.get(code, _OTHER_COLOUR) for code in Status], dtype=np.uint8)
 _EDGE_PX = 4
 
 
@@ -37,7 +35,7 @@ def draw_stripe(image: Bytes, stripe: Stripe) -> Bytes:
         Where the picture is none or the stripe is not of its size.
     """
     check_picture(image, where="image")
-    canvas = _as_rgb(image)
+    canvas = np.dstack([image] * 3) if image.ndim == 2 else image.copy()
     # A view with one row per entry of the stripe: what is painted there is in the picture.
     lines = canvas.transpose(1, 0, 2) if stripe.axis == "columns" else canvas
     if len(stripe.status) != len(lines):
@@ -47,20 +45,9 @@ def draw_stripe(image: Bytes, stripe: Stripe) -> Bytes:
             value=len(stripe.status),
             allowed=f"{len(lines)} {stripe.axis}",
         )
-    colours = _colours(stripe.status)
+    colours = _COLOURS[stripe.status]
     lines[:, :_EDGE_PX] = colours[:, None]
     valued = np.flatnonzero(has_value(stripe.status))
     nearest = np.rint(stripe.centre_px[valued]).astype(int)
     lines[valued, np.clip(nearest, 0, lines.shape[1] - 1)] = colours[valued]
     return canvas
-
-
-def _as_rgb(image: Bytes) -> Bytes:
-    if image.ndim == 2:
-        return cast(Bytes, cv2.cvtColor(image, cv2.COLOR_GRAY2RGB))
-    return image.copy()
-
-
-def _colours(status: Ints) -> Bytes:
-    table = np.array([_COLOUR.get(code, _OTHER_COLOUR) for code in Status], dtype=np.uint8)
-    return table[status]

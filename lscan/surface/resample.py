@@ -145,28 +145,20 @@ def _neighbours(surface: Surface, valid: Mask, xy: Floats, radius: float) -> _Ne
 def _slice(xy: Floats, along: Floats, near: _Near, radius: float) -> Slice:
     """The slice: quadratics where the points allow them, planes elsewhere."""
     curved, flat = _fit(near, radius, 6), _fit(near, radius, 3)
-    chosen = np.isfinite(curved.z_mm)
-    z, variance = (
-        np.where(chosen, getattr(curved, name), getattr(flat, name)) for name in ("z_mm", "own_mm2")
-    )
-    modes = np.where(chosen[:, None], curved.modes_mm, flat.modes_mm)
+    fitted = np.where(np.isfinite(curved[:, :1]), curved, flat)
+    z, variance, modes = fitted[:, 0], fitted[:, 1], fitted[:, 2:]
     sigma = np.sqrt(variance + np.square(modes).sum(axis=1))
     status = np.where(np.isfinite(z), Status.OK, Status.NO_DATA).astype(np.int64)
     known = modes if modes.shape[1] else None
     return Slice(xy, along, z, sigma, status, radius, known)
 
 
-@dataclass(frozen=True)
-class _Heights:
-    """(M,) heights, their own variances, and their modes (M, K); NaN where there is no fit."""
+def _fit(near: _Near, radius: float, size: int) -> Floats:
+    """(M, 2 + K) heights of the local least-squares polynomials of ``size`` coefficients, 3 or 6.
 
-    z_mm: Floats
-    own_mm2: Floats
-    modes_mm: Floats
-
-
-def _fit(near: _Near, radius: float, size: int) -> _Heights:
-    """Heights of the local least-squares polynomials of ``size`` coefficients, 3 or 6."""
+    In columns: the height, mm, its own variance, mm², and its K modes, mm; NaN where there is no
+    fit.
+    """
     dx, dy = near.offset[..., 0], near.offset[..., 1]
     terms = [np.ones_like(dx), dx, dy, dx**2, dx * dy, dy**2][:size]
     design = np.stack(terms, axis=-1) * near.used[..., None]
@@ -186,11 +178,7 @@ def _fit(near: _Near, radius: float, size: int) -> _Heights:
     turn = np.column_stack([-slope, np.ones(len(slope))])
     modes = np.einsum("mk,mkcq,mc->mq", weight[:, 0], near.modes_mm, turn)
     own = np.einsum("mk,mk->m", weight[:, 0] ** 2, variance)
-    return _Heights(
-        np.where(good, fitted[:, 0], np.nan),
-        np.where(good, own, np.nan),
-        np.where(good[:, None], modes, np.nan),
-    )
+    return np.where(good[:, None], np.column_stack([fitted[:, 0], own, modes]), np.nan)
 
 
 def _lack_of_fit(near: _Near, fitted: Floats, variance: Floats) -> Floats:

@@ -56,7 +56,7 @@ class Shaft:
         position_mm : (...,) array, mm, the arc turned by
         """
         angle = np.asarray(position_mm)[..., None, None] / self.arc_radius_mm
-        cross = _cross_matrix(self.direction)
+        cross = np.cross(np.eye(3), self.direction)  # by which a vector is multiplied, d x v
         return np.eye(3) + np.sin(angle) * cross + (1 - np.cos(angle)) * (cross @ cross)
 
     def turn(self, points_mm: Floats, position_mm: Floats) -> Floats:
@@ -70,16 +70,6 @@ class Shaft:
         offset = points_mm - self.point_mm
         turned = (self.rotation(position_mm) @ offset[..., None])[..., 0]
         return np.asarray(turned + self.point_mm)
-
-    def turn_back(self, points_mm: Floats, position_mm: Floats) -> Floats:
-        """(..., 3) points of the frame of position 0 in that of the head, mm.
-
-        Parameters
-        ----------
-        points_mm : (..., 3) array, mm, frame of position 0
-        position_mm : (...,) array, mm, the arc turned by
-        """
-        return self.turn(points_mm, -np.asarray(position_mm))
 
     def moved(self, parameters: Floats) -> "Shaft":
         """The shaft with its five parameters changed; the covariance stays.
@@ -125,23 +115,18 @@ class Shaft:
         columns.append(angle * np.cross(self.direction, turned))
         return np.stack(columns, axis=-1)
 
-    def modes(self, points_mm: Floats, position_mm: Floats) -> Floats:
-        """(..., 3, 5) displacements, mm, by five independent errors of the shaft.
-
-        Each as it displaces the points when it is one standard deviation large.
-
-        Parameters
-        ----------
-        points_mm : (..., 3) array, mm, frame of position 0
-        position_mm : (...,) array, mm, the arc turned by
-        """
-        return self.displacement(points_mm, position_mm) @ self.root
+    @property
+    def sigma(self) -> Floats:
+        """(5,) standard uncertainties of the parameters: mm, mm, rad, rad, 1."""
+        return np.sqrt(np.diag(self.covariance))
 
     @property
     def root(self) -> Floats:
-        """(5, 5) matrix whose product with its transpose is the covariance; it may be singular."""
-        sigma = np.sqrt(np.diag(self.covariance))
-        scale = np.where(sigma > 0, sigma, 1.0)
+        """(5, 5) matrix whose product with its transpose is the covariance; it may be singular.
+
+        Its columns are five independent errors, each one standard deviation large.
+        """
+        scale = np.where(self.sigma > 0, self.sigma, 1.0)
         values, vectors = np.linalg.eigh(self.covariance / np.outer(scale, scale))
         return np.asarray(scale[:, None] * vectors * np.sqrt(np.maximum(values, 0.0)))
 
@@ -172,10 +157,9 @@ def section_of(shaft: Shaft) -> ShaftSection:
     ----------
     shaft : Shaft, mm and rad
     """
-    sigma = np.sqrt(np.diag(shaft.covariance))
-    scale = np.where(sigma > 0, sigma, 1.0)
+    scale = np.where(shaft.sigma > 0, shaft.sigma, 1.0)
     correlation = (shaft.covariance / np.outer(scale, scale))[np.triu_indices(PARAMETERS, 1)]
-    first, second, *tilts, of_scale = sigma.tolist()
+    first, second, *tilts, of_scale = shaft.sigma.tolist()
     return ShaftSection.model_validate(
         {
             "arc_radius_mm": shaft.arc_radius_mm,
@@ -210,7 +194,7 @@ def stack_about(profiles: Sequence[Profile], shaft: Shaft) -> Surface:
     in_sheet = raw.xyz_mm * [1.0, 0.0, 1.0]
     xyz = shaft.turn(in_sheet, position)
     rotation = shaft.rotation(raw.position_mm)[:, None]
-    modes = shaft.modes(xyz, position).astype(np.float32)
+    modes = (shaft.displacement(xyz, position) @ shaft.root).astype(np.float32)
     if raw.modes_mm is not None:
         modes = np.concatenate([rotation.astype(np.float32) @ raw.modes_mm, modes], axis=-1)
     own = own_variances(raw) @ np.swapaxes(rotation[:, 0] ** 2, 1, 2)
@@ -224,9 +208,3 @@ def stack_about(profiles: Sequence[Profile], shaft: Shaft) -> Surface:
         sigma_z_mm=sigma[..., 2],
         modes_mm=modes,
     )
-
-
-def _cross_matrix(vector: Floats) -> Floats:
-    """(3, 3) matrix that multiplies by ``vector`` (3,) from the left, as a cross product."""
-    x, y, z = vector
-    return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])

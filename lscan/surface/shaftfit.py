@@ -24,7 +24,7 @@ from scipy.spatial.transform import Rotation
 from lscan.config.targets import Sandwave
 from lscan.errors import InputError, MeasurementError
 from lscan.records import Floats, Ints, Mask, Profile, has_value
-from lscan.surface.align.alignment import own_variances
+from lscan.surface.align.alignment import own_variances, turned_modes
 from lscan.surface.align.features import find_features
 from lscan.surface.align.fit import rough_pose
 from lscan.surface.nominal import above_top
@@ -97,16 +97,6 @@ class ShaftFit:
     outliers: int
     cells: int
     rms_mm: float
-
-    @property
-    def sigma(self) -> Floats:
-        """(5,) standard uncertainties of the shaft's parameters: mm, mm, rad, rad, 1."""
-        return np.sqrt(np.diag(self.shaft.covariance))
-
-    @property
-    def prior_sigma(self) -> Floats:
-        """(5,) the same before the scan."""
-        return np.sqrt(np.diag(self.prior.covariance))
 
 
 def calibrate_shaft(profiles: Sequence[Profile], piece: Sandwave, prior: Shaft) -> ShaftFit:
@@ -183,13 +173,11 @@ def _samples(profiles: Sequence[Profile], on_block: Mask) -> _SheetSamples:
     valid = has_value(raw.status) & np.isfinite(raw.xyz_mm).all(axis=-1)
     there = np.flatnonzero(valid & on_block)
     there = there[:: int(np.ceil(len(there) / MOST_POINTS))]
-    rows, columns = np.unravel_index(there, raw.status.shape)
-    modes = np.zeros((len(there), 3, 0))
-    if raw.modes_mm is not None:
-        modes = raw.modes_mm[rows, columns].astype(float)
-    variance = own_variances(raw)[rows, columns][:, [0, 2]]
-    points = raw.xyz_mm[rows, columns] * [1.0, 0.0, 1.0]
-    return _SheetSamples(points, raw.position_mm[rows], variance, modes)
+    points = raw.xyz_mm.reshape(-1, 3)[there] * [1.0, 0.0, 1.0]
+    position = np.repeat(raw.position_mm, raw.status.shape[1])[there]
+    variance = own_variances(raw).reshape(-1, 3)[there][:, [0, 2]]
+    modes = turned_modes(raw, np.eye(3), there).astype(float)
+    return _SheetSamples(points, position, variance, modes)
 
 
 @dataclass(frozen=True)

@@ -34,14 +34,7 @@ def stack(profiles: Sequence[Profile]) -> Surface:
     """
     if not profiles:
         raise InputError("no profiles to stack", where="surface", allowed="one or more")
-    lengths = {len(profile.points.status) for profile in profiles}
-    if len(lengths) > 1:
-        raise InputError(
-            "profiles differ in length",
-            where="surface",
-            value=sorted(lengths),
-            allowed="one length",
-        )
+    _require_one("length", {len(profile.points.status) for profile in profiles}, "one length")
     position = np.array([profile.position_mm for profile in profiles], dtype=float)
     if not np.isfinite(position).all():
         where = f"profile {int(np.argmin(np.isfinite(position)))}"
@@ -69,6 +62,13 @@ def require_head_frame(surface: Surface) -> None:
         )
 
 
+def _require_one(what: str, found: set[int], allowed: str) -> None:
+    """InputError where the profiles differ in ``what``."""
+    if len(found) > 1:
+        message = f"profiles differ in {what}"
+        raise InputError(message, where="surface", value=sorted(found), allowed=allowed)
+
+
 def _modes(profiles: Sequence[Profile]) -> NDArray[np.float32] | None:
     """(F, N, 3, M) modes of x, y and z."""
     modes = [profile.points.modes_mm for profile in profiles]
@@ -76,13 +76,7 @@ def _modes(profiles: Sequence[Profile]) -> NDArray[np.float32] | None:
     if len(known) < len(modes):
         return None
     counts = {mode.shape[2] for mode in known}
-    if len(counts) > 1:
-        raise InputError(
-            "profiles differ in their number of modes",
-            where="surface",
-            value=sorted(counts),
-            allowed="one calibration",
-        )
+    _require_one("their number of modes", counts, "one calibration")
     stacked = np.zeros((len(known), len(known[0]), 3, *counts), dtype=np.float32)
     for row, mode in zip(stacked, known, strict=True):
         row[:, [0, 2]] = mode

@@ -75,7 +75,9 @@ def _draw_relief(xyz_mm: Floats) -> tuple[Figure, Axes, float]:
     floor = float(np.nanmin(v)) - 2.0
     across = max(1, xyz_mm.shape[1] // _COLUMNS)
     rows = np.arange(0, len(xyz_mm), _profile_step(len(xyz_mm)))
-    for row in rows[np.argsort(-_mean_rows(xyz_mm[rows, :, 1]))]:
+    # Rows without a point count as nearest.
+    place = np.ma.masked_invalid(xyz_mm[rows, :, 1]).mean(axis=1).filled(-np.inf)
+    for row in rows[np.argsort(-place)]:
         along, up = u[row, ::across], v[row, ::across]
         # What stands behind a profile is hidden by it.
         axes.fill_between(along, up, floor, color=style.PAPER, linewidth=0)
@@ -84,14 +86,6 @@ def _draw_relief(xyz_mm: Floats) -> tuple[Figure, Axes, float]:
     axes.set_axis_off()
     _draw_scale(axes, float(np.nanmin(u)), floor, gain)
     return figure, axes, gain
-
-
-def _mean_rows(values: Floats) -> Floats:
-    """Mean of the finite values of each row; rows without any count as nearest."""
-    finite = np.isfinite(values)
-    count = finite.sum(axis=1)
-    total = np.where(finite, values, 0.0).sum(axis=1)
-    return np.where(count > 0, total / np.maximum(count, 1), -np.inf)
 
 
 def _project(xyz_mm: Floats, gain: float) -> tuple[Floats, Floats]:

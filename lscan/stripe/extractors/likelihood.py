@@ -49,7 +49,10 @@ def maximum_likelihood(image: Floats, settings: StripeSection, clipped: Mask) ->
     seen = survey(image, settings, clipped)
     if isinstance(seen, Stripe):
         return seen
-    fit = fit_lines(seen.view, seen.start, seen.noise, _prior(seen))
+    precision = weak_precision(seen.start)
+    precision[:, LN_WIDTH] = 1 / seen.ln_width.spread**2
+    precision[:, TILT] = 1 / seen.tilt.spread**2
+    fit = fit_lines(seen.view, seen.start, seen.noise, LinePrior(seen.start, precision))
     stripe = _stripe(seen, fit)
     saturated = clipped_near(stripe, clipped.T, settings.span_px)
     status, sigma_px = stripe.status.copy(), stripe.sigma_px.copy()
@@ -71,13 +74,6 @@ def _scatter(stripe: Stripe, at: Ints) -> float:
     triples = first[:, None] + np.arange(3)
     stated = np.sqrt((stripe.sigma_px[triples] ** 2) @ weights**2)
     return max(float(np.sqrt(robust_variance(stripe.centre_px[triples] @ weights / stated))), 1.0)
-
-
-def _prior(seen: Survey) -> LinePrior:
-    precision = weak_precision(seen.start)
-    precision[:, LN_WIDTH] = 1 / seen.ln_width.spread**2
-    precision[:, TILT] = 1 / seen.tilt.spread**2
-    return LinePrior(seen.start, precision)
 
 
 def _stripe(seen: Survey, fit: LineFit) -> Stripe:

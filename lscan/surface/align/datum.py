@@ -96,17 +96,12 @@ def parameter_modes(datum: Datum, modes: NDArray[np.floating]) -> Floats:
     if datum.sheared:
         return np.asarray(-np.linalg.solve(matrix, left))
     free = np.delete(np.arange(PARAMETERS), YAW)
-    left, matrix = (np.delete(_leaning(rows), TURN, axis=0) for rows in (left, matrix))
+    for seven in (left, matrix):  # the edges' lean by itself, not against the corners
+        seven[LEAN] -= seven[TURN]
+    left, matrix = (np.delete(seven, TURN, axis=0) for seven in (left, matrix))
     errors = np.zeros((PARAMETERS, left.shape[1]))
     errors[free] = -np.linalg.solve(matrix[:, free], left)
     return errors
-
-
-def _leaning(seven: Floats) -> Floats:
-    """(7, C) the seven quantities with the edges' lean by itself, not against the corners."""
-    by_itself = seven.copy()
-    by_itself[LEAN] -= seven[TURN]
-    return by_itself
 
 
 def displacement(points: Floats, pivot: Floats, rotation: Floats, yaw_rad: float) -> Floats:

@@ -44,35 +44,20 @@ def faces_beside(
     rim = valid & near_level(flat[:, 2], 0.0, piece)
     found = []
     for name in names:
-        left = name.startswith("left")
+        left, wedge, near = name.startswith("left"), "wedge" in name, "near" in name
         # Mirrored, so that each edge is one of the left half: x from the side inwards.
         inwards = flat[:, 0] + piece.rim_mm if left else piece.side_mm + piece.rim_mm - flat[:, 0]
         plan = np.column_stack([inwards, flat[:, 1] - piece.side_mm / 2])
-        if "wedge" in name:
-            near = "near" in name
+        if wedge:
             upper, lower, slope = _beside_wedge(plan, top, rim, near, piece)
         else:
             upper, lower, slope = _beside_side(plan, top | rim, piece), np.zeros_like(top), 0.0
-        expected = upper.sum() >= FEWEST_SAMPLES
-        if "near" in name:
-            expected &= lower.sum() >= FEWEST_SAMPLES
-        if not expected:
+        if upper.sum() < FEWEST_SAMPLES or (near and lower.sum() < FEWEST_SAMPLES):
             return None
         index = np.asarray(np.flatnonzero(upper | lower), dtype=np.int64)
-        side = 1 if ("wedge" in name) == left else -1
-        found.append(
-            (
-                index,
-                FaceSamples(
-                    slope if left else -slope,
-                    side,
-                    0 if "wedge" in name else 1,
-                    flat[index, :2],
-                    light[index],
-                    lower[index],
-                ),
-            )
-        )
+        slope, side = slope if left else -slope, 1 if wedge == left else -1
+        samples = (flat[index, :2], light[index], lower[index])
+        found.append((index, FaceSamples(slope, side, 0 if wedge else 1, *samples)))
     return found
 
 

@@ -117,8 +117,8 @@ def align_sandwave(surface: Surface, piece: Sandwave, sheared: bool = True) -> A
         translation_mm=pose.shift,
         normal=plane_normal(features.tops @ shear(pose.yaw).T),
         base_mm=piece.wedge.height_mm,
-        left_corner_mm=edges.left_corner,
-        right_corner_mm=edges.right_corner,
+        left_corner_mm=edges.corners[0],
+        right_corner_mm=edges.corners[1],
         pivot_mm=datum.pivot,
         modes=errors,
         sheared=sheared,
@@ -209,7 +209,7 @@ def _refine(
     for iteration in range(1, MAX_ITERATIONS + 1):
         edges = find(pose, kept)
         kept = edges.fit.kept if iteration >= UNDECIDED_ITERATIONS else None
-        across = edges.right_corner - edges.left_corner
+        across = edges.corners[1] - edges.corners[0]
         turn_error = float(np.arctan2(across[1], across[0]))
         # A lean towards +x with growing y says that the profiles were shifted too far.
         yaw_error = float(np.arctan(edges.fit.lean)) + turn_error
@@ -249,19 +249,14 @@ class _Edges:
         return self.by_brightness and len(self.fit.at_mm) == 6
 
     @property
-    def left_corner(self) -> Floats:
-        """(2,) where the left wedge's edges meet."""
-        return self.fit.meet(0, 1)
-
-    @property
-    def right_corner(self) -> Floats:
-        """(2,) where the right wedge's edges meet."""
-        return self.fit.meet(2, 3)
+    def corners(self) -> Floats:
+        """(2, 2) where the left wedge's edges meet, and where the right one's do."""
+        return np.stack([self.fit.meet(0, 1), self.fit.meet(2, 3)])
 
     @property
     def middle(self) -> Floats:
         """(2,) of the corners; its x that of the sides where they place it better."""
-        middle = (self.left_corner + self.right_corner) / 2
+        middle: Floats = self.corners.mean(axis=0)
         if self.by_sides:
             tilt = self.fit.lean * (middle[1] - self.fit.pivot_mm)
             middle[0] = self.fit.at_mm[4:].mean() + tilt
@@ -327,7 +322,7 @@ def _datum(
         edges=[edge.moved(pose.place) for edge in selected.values()],
         edge_covariance=edges.fit.covariance + blind * np.diag([0.0, *np.ones(len(selected))]),
         yaw_variance=yaw_variance,
-        corners=np.stack([edges.left_corner, edges.right_corner]),
+        corners=edges.corners,
         rotation=pose.rotation,
         yaw_rad=pose.yaw,
         by_sides=edges.by_sides,

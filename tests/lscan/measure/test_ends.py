@@ -29,7 +29,7 @@ def top(left: float, right: float, blur: float, speckle: float, seed: int) -> Tr
     seen = np.flatnonzero(lit > DARKEST)
     x, peak = x[seen], peak[seen]
     nought = np.zeros_like(x)
-    return Trace(x, nought, nought, nought + 0.01, seen, peak, PITCH_MM, 0.0)
+    return Trace(x, nought, nought, nought + 0.01, peak, PITCH_MM, 0.0)
 
 
 def ends(line: Trace) -> tuple[Floats, Floats]:

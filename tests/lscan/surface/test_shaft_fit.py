@@ -117,7 +117,7 @@ def test_errors_of_the_shaft_are_as_large_as_is_said(sheet: Floats) -> None:
     """100 scans: pulls have mean 0 and variance 1; together they are chi-squared."""
     fits = [fitted(sheet, seed) for seed in range(100)]
     found = np.stack([errors(fit.shaft) for fit in fits])
-    pulls = found / np.stack([fit.sigma for fit in fits])
+    pulls = found / np.stack([fit.shaft.sigma for fit in fits])
     # Five sigma: of a mean 1/sqrt(100); of a variance sqrt(2/100), and 10 % for the 196 cells
     # that the covariance itself is judged from.
     assert np.abs(pulls.mean(axis=0)).max() < 0.5
@@ -136,8 +136,8 @@ def test_a_misstated_shaft_is_found_and_the_surface_is_right_again(sheet: Floats
     prior = prior.moved(np.array([2.1, -2.1, 0.0122, -0.0122, 0.0]))
     scan = profiles_of(sheet, NODDING.positions_mm, NOISE_MM, generator, plane_map_modes(sheet))
     fit = calibrate_shaft(scan, PIECE, prior)
-    assert (np.abs(errors(fit.shaft)[:4]) < 4 * fit.sigma[:4]).all()
-    assert fit.sigma[4] == 0
+    assert (np.abs(errors(fit.shaft)[:4]) < 4 * fit.shaft.sigma[:4]).all()
+    assert fit.shaft.sigma[4] == 0
     spread = []
     for shaft in (prior, fit.shaft):
         place = stack_about(scan, shaft).xyz_mm @ fit.rotation.T + fit.translation_mm
@@ -156,7 +156,7 @@ def test_outliers_do_not_move_the_shaft(sheet: Floats) -> None:
     fit = fitted(with_outliers, 3, modes=False)
     assert fit.outliers > 0.015 * fit.points
     # Two points in a hundred fewer, of which some hundred lie near enough to stay.
-    assert (np.abs(errors(fit.shaft) - errors(clean.shaft)) < 0.5 * clean.sigma).all()
+    assert (np.abs(errors(fit.shaft) - errors(clean.shaft)) < 0.5 * clean.shaft.sigma).all()
 
 
 def test_a_flat_piece_does_not_distinguish_height_from_scale() -> None:
@@ -168,7 +168,7 @@ def test_a_flat_piece_does_not_distinguish_height_from_scale() -> None:
     for piece in (flat, PIECE):
         points = sheet_points(piece, NODDING, TRUE)
         scan = profiles_of(points, NODDING.positions_mm, NOISE_MM, np.random.default_rng(5))
-        ratios.append(calibrate_shaft(scan, piece, TRUE).sigma / SIGMA)
+        ratios.append(calibrate_shaft(scan, piece, TRUE).shaft.sigma / SIGMA)
     by_offset, by_scale = SIGMA[1], 2 * -NODDING.place_mm[2] * SIGMA[4]
     left = by_offset * by_scale / np.hypot(by_offset, by_scale)
     # The wedges, 10 mm nearer, and terms of a^4 inform a little more than the plane: 10 / 580 and
