@@ -217,9 +217,7 @@ def place_on_board(picture: BoardPicture, nodes: Nodes, grid: Grid, radius_px: f
     BoardNotFound
         Where neither the one rim nor the opposite one is seen.
     """
-    axes = tuple(
-        zip(nodes.height.shape, (grid.rows, grid.columns), ("rows", "columns"), strict=True)
-    )
+    axes = [*zip(nodes.height.shape, (grid.rows, grid.columns), ("rows", "columns"), strict=True)]
     for found, most, what in axes:
         if found > most:
             raise BoardNotFound(

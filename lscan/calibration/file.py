@@ -23,7 +23,7 @@ from pydantic import (
 
 from lscan.calibration.api import find_solver
 from lscan.calibration.solve import Calibration, residuals
-from lscan.calibration.stored import STRICT, Gaps, Matrix, NotNegativeOrNaN, Number
+from lscan.calibration.stored import STRICT, Gaps, Matrix, NotNegativeOrNaN, Number, Sigmas
 from lscan.config.documents import Strict, check, read_json
 from lscan.config.rig import OpticsSection
 from lscan.errors import InputError
@@ -78,7 +78,7 @@ class StoredMarks(Marks):
     __pydantic_config__ = STRICT
     board_mm: Matrix
     image_px: Gaps
-    sigma_px: Gaps
+    sigma_px: Sigmas
     status: Codes
 
     def __post_init__(self) -> None:
@@ -91,8 +91,6 @@ class StoredMarks(Marks):
         for values in (*self.image_px.T, self.sigma_px):
             if (np.isfinite(values) != self.found).any():
                 raise ValueError("image_px and sigma_px must be numbers just where status is OK")
-        if (self.sigma_px[self.found] < 0).any():
-            raise ValueError("sigma_px must not be below 0")
 
 
 @dataclass(frozen=True)
@@ -118,7 +116,7 @@ class StoredRing(RingPoints):
 
     __pydantic_config__ = STRICT
     image_px: Annotated[Gaps, AfterValidator(_pairs)]
-    sigma_px: Gaps
+    sigma_px: Sigmas
 
     def __post_init__(self) -> None:
         """Raise ValueError unless each point is finite and has its uncertainty."""
@@ -126,8 +124,6 @@ class StoredRing(RingPoints):
             raise ValueError("image_px must hold one pair for each number of sigma_px")
         if not (np.isfinite(self.image_px).all() and np.isfinite(self.sigma_px).all()):
             raise ValueError("image_px and sigma_px must be finite numbers")
-        if (self.sigma_px < 0).any():
-            raise ValueError("sigma_px must not be below 0")
 
 
 @dataclass(frozen=True)

@@ -67,7 +67,18 @@ def of_length(count: int) -> AfterValidator:
     return AfterValidator(check)
 
 
-def _none_negative(array: Floats) -> Floats:
+def none_negative(array: Floats) -> Floats:
+    """The array, which must hold no number below 0.
+
+    Parameters
+    ----------
+    array : (...) array, NaN for a gap
+
+    Raises
+    ------
+    ValueError
+        Where it does.
+    """
     if (array < 0).any():
         raise ValueError("must hold no number below 0")
     return array
@@ -98,12 +109,13 @@ _LISTS = PlainSerializer(np.ndarray.tolist)
 Vector = Annotated[Floats, PlainValidator(partial(_numbers, dimensions=1)), _LISTS]
 Matrix = Annotated[Floats, PlainValidator(partial(_numbers, dimensions=2)), _LISTS]
 Place = Annotated[Vector, of_length(2)]
-Pair = Annotated[Place, AfterValidator(_none_negative)]
+Pair = Annotated[Place, AfterValidator(none_negative)]
 NotNegativeOrNaN = Annotated[
     NotNegative, WrapValidator(_nan_for_none), PlainSerializer(_none_for_nan)
 ]
 """``null`` in the file for NaN."""
 Gaps = Annotated[Floats, PlainValidator(_with_gaps), PlainSerializer(_plain_with_gaps)]
+Sigmas = Annotated[Gaps, AfterValidator(none_negative)]
 
 
 def check_covariance(covariance: Floats, count: int) -> None:
