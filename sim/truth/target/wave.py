@@ -52,7 +52,7 @@ class Wave:
         low, high = np.array([0, 0, -np.inf]), np.array([self.shape.side_mm] * 2 + [np.inf])
         parts = stretch(at[:-1], at[1:], low, high, short_mm=0.0)
         over = parts[0] < parts[1]
-        ends = [between(points[:-1], points[1:], part)[over] for part in parts]
+        ends = [between(points[:-1][over], points[1:][over], part[over]) for part in parts]
         return np.stack(ends, axis=1)
 
     def blocks(self, start: Floats, end: Floats) -> Mask:
