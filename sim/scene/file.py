@@ -177,15 +177,18 @@ def scene_of(rig_file: RigFile) -> Scene:
         Names the file, the key, the value and what is allowed.
     """
     own = {key: value for key, value in rig_file.document.items() if key in SECTIONS}
-    required = {name for name, field in TankSections.model_fields.items() if field.is_required()}
-    if required - own.keys() == {"target"}:
+    try:
+        tank = check(TankSections, own, where=rig_file.source)
+    except InputError as error:
+        required = {key for key, field in TankSections.model_fields.items() if field.is_required()}
+        if required - own.keys() != {"target"}:
+            raise
         raise InputError(
-            "is a rig in the tank with nothing to scan: it has no section [target]",
-            where=rig_file.source,
-            allowed="a scene, such as paper/board, or a file that includes this one and adds "
-            "[target]; `lscan scenes` lists all",
-        )
-    tank = check(TankSections, own, where=rig_file.source)
+            f"{error.what}: this is a rig in the tank with nothing to scan",
+            where=error.where,
+            allowed=f"a scene, such as paper/board (`lscan scenes` lists all), or a file that "
+            f"includes this one and adds [target] with {error.allowed}",
+        ) from None
     head = _on_its_shaft(tank.head, rig_file)
     scene = Scene(
         rig=rig_file.rig,

@@ -68,7 +68,7 @@ def test_a_name_with_a_typing_error_brings_the_nearest(path: str) -> None:
 @pytest.mark.parametrize(
     ("name", "words"),
     [
-        ("paper/rig", "a rig in the tank with nothing to scan: it has no section [target]"),
+        ("paper/rig", "target: field required: this is a rig in the tank with nothing to scan"),
         ("paper/calibration-board", "is no rig: it has neither [camera] nor [track]"),
     ],
 )
