@@ -59,7 +59,7 @@ class BoardTruth:
 
     @cached_property
     def centres(self) -> BoardReading:
-        """The marks' true centres projected, px: what a map of the plane should be solved from."""
+        """The marks' true centres projected, in px, from which a plane map should be solved."""
         return self._reading(lambda places, _: self._imaged(places))
 
     @cached_property
