@@ -118,7 +118,8 @@ class Instrument:
 
     frame: changes to the JSON of every picture.  posts: (path, body) of every command.
     refusal: the line with which the next commands are refused, by_device: for a device's sake.
-    stuck: no new pictures.
+    stuck: no new pictures.  states_asked: how often the state was asked for.  state_answers: how many of
+    those answers may leave, each with the state as it was when it was asked for; None for all.
     """
 
     def __init__(self, rate_hz: float = 20.0) -> None:
@@ -127,6 +128,8 @@ class Instrument:
         self.posts: list[tuple[str, Any]] = []
         self.refusal, self.by_device = "", False
         self.stuck = False
+        self.states_asked = 0
+        self.state_answers: threading.Semaphore | None = None
         self.token = ""
         self._began = time.monotonic()
         self.state: dict[str, Any] = {
@@ -240,7 +243,11 @@ def _handler(instrument: Instrument) -> type[BaseHTTPRequestHandler]:
             if self._refused(given):
                 return
             if url.path == "/api/state":
-                self._json(200, instrument.state)
+                answer = copy.deepcopy(instrument.state)
+                instrument.states_asked += 1
+                if instrument.state_answers:
+                    instrument.state_answers.acquire(timeout=4.0)  # less than the page waits
+                self._json(200, answer)
             elif url.path == "/api/frame":
                 self._frame(int(parse_qs(url.query)["after"][0]))
             elif url.path in FILES:

@@ -3,6 +3,7 @@
 import itertools
 import json
 import re
+import threading
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -109,6 +110,14 @@ def enabled(page: Page, selector: str = "button") -> set[str]:
         .filter((one) => !one.disabled && !one.hidden)
         .map((one) => one.id || one.dataset.by)"""
     return set(page.evaluate(script))
+
+
+def wait_for_state_asked(instrument: Instrument) -> None:
+    """Return when the page has asked for the state once more, having shown the last answer."""
+    asked, deadline = instrument.states_asked, time.monotonic() + 120.0
+    while instrument.states_asked == asked:
+        assert time.monotonic() < deadline, asked
+        time.sleep(0.02)
 
 
 def wait_for_post(instrument: Instrument, count: int) -> tuple[str, Any]:
@@ -550,6 +559,20 @@ def test_quick_jogs_add_up(page: Page, instrument: Instrument) -> None:
         page.click(".jog[data-by='1']")
     wait_for_post(instrument, 3)
     assert [body["position_mm"] for _, body in instrument.posts] == [13.0, 14.0, 15.0]
+
+
+def test_an_overtaken_state_does_not_move_the_track_back(
+    page: Page, instrument: Instrument
+) -> None:
+    instrument.state_answers = threading.Semaphore(0)
+    wait_for_state_asked(instrument)  # at 12 mm; its answer arrives after those of two moves
+    for _ in range(2):
+        page.click(".jog[data-by='1']")
+    wait_for_post(instrument, 2)
+    instrument.state_answers.release()
+    wait_for_state_asked(instrument)
+    page.click(".jog[data-by='1']")
+    assert wait_for_post(instrument, 3) == ("/api/move", {"position_mm": 15.0})
 
 
 def test_a_disabled_button_does_not_answer(page: Page, instrument: Instrument) -> None:

@@ -12,6 +12,7 @@ const REOPENS = " – Go, Start and Resume open it again by themselves.";
 let state = null;
 let seenAt = null; // Date when the camera gave its last picture
 let queue = Promise.resolve(); // commands one after the other, each from the state the last left
+let obeyed = 0; // commands answered so far
 
 /** What the server last said; null before its first answer. */
 export const known = () => state;
@@ -64,6 +65,7 @@ export function command(path, body = () => ({})) {
       const answer = await ask(path, { method: "POST", headers, body: JSON.stringify(body()) });
       complain("command", "");
       showState(await answer.json());
+      obeyed += 1;
     } catch (error) {
       if (error instanceof Refused) complain("command", error.message, error.byDevice);
       else lost(error);
@@ -74,9 +76,11 @@ export function command(path, body = () => ({})) {
 /** Ask for the state again and again, whether or not there is a server. */
 export async function watchState() {
   for (;;) {
+    const before = obeyed;
     try {
       const signal = AbortSignal.timeout(ANSWER_MS);
-      showState(await (await ask("/api/state", { signal })).json());
+      const answer = await (await ask("/api/state", { signal })).json();
+      if (obeyed === before) showState(answer); // else it may be from before the command
     } catch (error) {
       lost(error);
     }
