@@ -1,7 +1,6 @@
 """A camera and the boards in front of it, as one vector of parameters."""
 
-from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
@@ -10,24 +9,12 @@ from scipy.spatial.transform import Rotation
 from lscan.camera.model import CameraModel
 from lscan.camera.parameters import COUNT, PortKind, camera_of
 from lscan.camera.projection import Rays, meet_plane, project, rays
-from lscan.records import Floats, Ints, Mask
+from lscan.records import Floats, Ints
 
 POSE = ("turn_x", "turn_y", "turn_z", "seen_u_px", "seen_v_px", "mm_per_px")
 
 # Board axes (x right, y away, z up) of a board that squarely faces the camera, in its frame.
 FACING = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
-
-# For central differences by the parameters of camera and pose: each step moves the picture by
-# 1e-3 to 0.1 px, far above rounding and far below any curvature.
-STEPS = np.array(
-    [
-        *(0.05, 0.05, 0.05),  # focal length and centre, px
-        *(1e-4, 1e-4, 1e-5, 1e-5, 1e-4),  # distortion
-        *(0.01, 0.01, 1e-4, 1e-4, 1e-3, 1e-3),  # port: lengths, mm; indices; tilts, degrees
-        *(1e-5, 1e-5, 1e-5),  # turn, rad
-        *(0.01, 0.01, 1e-5),  # place seen, px; mm per px
-    ]
-)
 
 
 @dataclass(frozen=True)
@@ -128,35 +115,6 @@ class PosedBoards:
         """
         beside = self.on_board(image_px, board) - self.places_mm[board]
         return beside @ self.axes[board][:, [0, 2]] + self.centre_mm
-
-
-def parameter_derivatives(
-    quantity: Callable[[PosedBoards], Floats], boards: PosedBoards, free: Mask
-) -> Floats:
-    """Derivatives of a quantity by the camera and by the pose of the board it belongs to.
-
-    Parameters
-    ----------
-    quantity : callable, gives (N, D), each row of which depends on the camera and on one board
-        alone
-    boards : PosedBoards, at which the derivatives are taken, by central differences
-    free : (14,) mask, of the camera's parameters that count
-
-    Returns
-    -------
-    array
-        (N, D, 20), by the parameters of the camera, 0 where not free, and by the pose of each row's
-        own board.
-    """
-    columns: list[Floats | None] = [None] * len(STEPS)
-    for index in (*np.flatnonzero(free), *range(COUNT, len(STEPS))):
-        step = np.zeros_like(boards.theta)
-        at = index if index < COUNT else slice(index, None, len(POSE))  # of all boards at once
-        step[at] = STEPS[index]
-        after, before = (quantity(replace(boards, theta=boards.theta + s)) for s in (step, -step))
-        columns[index] = (after - before) / (2 * STEPS[index])
-    nothing = np.zeros_like(columns[-1])
-    return np.stack([nothing if column is None else column for column in columns], axis=2)
 
 
 def towards(direction: Floats) -> Floats:

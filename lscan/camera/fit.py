@@ -12,8 +12,9 @@ from functools import cached_property
 import numpy as np
 from scipy.optimize import least_squares
 
-from lscan.camera.boards import POSE, PosedBoards, parameter_derivatives
+from lscan.camera.boards import POSE, PosedBoards
 from lscan.camera.covariance import covariance_root
+from lscan.camera.derivatives import image_derivatives
 from lscan.camera.parameters import COUNT, GREATEST, LEAST, CameraPriors
 from lscan.records import Floats, Ints, Mask, select
 
@@ -124,11 +125,7 @@ class _Problem:
     def jacobian(self, some: Floats) -> Floats:
         """(2 N + priors, free) derivatives of the residuals."""
         boards, marks, known = self.at(some), self.marks, self.priors.informed
-        by_own = np.nan_to_num(
-            parameter_derivatives(
-                lambda b: b.project(marks.board_mm, marks.board), boards, self.priors.free
-            )
-        )
+        by_own = np.nan_to_num(image_derivatives(boards, marks.board_mm, marks.board))
         design = np.zeros((len(marks.board), 2, len(boards.theta)))
         design[:, :, :COUNT] = by_own[:, :, :COUNT]
         pose = COUNT + len(POSE) * marks.board[:, None] + np.arange(len(POSE))

@@ -73,8 +73,39 @@ def _bent(camera: CameraModel, tangents: Floats) -> Floats:
     return np.column_stack([across, down])
 
 
+def undistort_derivatives(camera: CameraModel, tangents: Floats) -> tuple[Floats, Floats]:
+    """Derivatives of ``undistort`` by the distorted tangents and by the coefficients.
+
+    Parameters
+    ----------
+    camera : CameraModel, whose k1, k2, k3, p1 and p2 count
+    tangents : (N, 2) array, that ``undistort`` found
+
+    Returns
+    -------
+    tuple of array
+        (N, 2, 2), and (N, 2, 5) by k1, k2, p1, p2 and k3.
+    """
+    x, y = tangents.T
+    q, cross = x * x + y * y, 2 * x * y
+    by_coefficients = np.array(
+        [
+            [x * q, x * q**2, cross, q + 2 * x * x, x * q**3],
+            [y * q, y * q**2, q + 2 * y * y, cross, y * q**3],
+        ]
+    )
+    inverse = _inverse_jacobian(camera, tangents)
+    return inverse, -inverse @ np.moveaxis(by_coefficients, 2, 0)
+
+
 def _newton_step(camera: CameraModel, tangents: Floats, distorted: Floats) -> Floats:
     """(N, 2) by which ``tangents`` are too large, to first order."""
+    off = _bent(camera, tangents) - distorted
+    return (_inverse_jacobian(camera, tangents) @ off[:, :, None])[:, :, 0]
+
+
+def _inverse_jacobian(camera: CameraModel, tangents: Floats) -> Floats:
+    """(N, 2, 2) derivatives of tangents by the distorted ones."""
     x, y = tangents.T
     q = x * x + y * y
     radial = 1 + q * (camera.k1 + q * (camera.k2 + q * camera.k3))
@@ -82,7 +113,5 @@ def _newton_step(camera: CameraModel, tangents: Floats, distorted: Floats) -> Fl
     by_x = radial + slope * x * x + 2 * camera.p1 * y + 6 * camera.p2 * x
     cross = slope * x * y + 2 * camera.p1 * x + 2 * camera.p2 * y
     by_y = radial + slope * y * y + 6 * camera.p1 * y + 2 * camera.p2 * x
-    across, down = (_bent(camera, tangents) - distorted).T
-    determinant = by_x * by_y - cross * cross
-    step = np.column_stack([by_y * across - cross * down, by_x * down - cross * across])
-    return step / determinant[:, None]
+    inverse = np.array([[by_y, -cross], [-cross, by_x]]) / (by_x * by_y - cross * cross)
+    return np.moveaxis(inverse, 2, 0)

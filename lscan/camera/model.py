@@ -37,6 +37,14 @@ class PortModel:
         a, b = np.radians([self.tilt_x_deg, self.tilt_y_deg])
         return np.array([np.cos(a) * np.sin(b), -np.sin(a), np.cos(a) * np.cos(b)])
 
+    @property
+    def normal_derivatives(self) -> Floats:
+        """(3, 2) of ``normal`` by the two tilts, per degree."""
+        a, b = np.radians([self.tilt_x_deg, self.tilt_y_deg])
+        by_a = [-np.sin(a) * np.sin(b), -np.cos(a), -np.sin(a) * np.cos(b)]
+        by_b = [np.cos(a) * np.cos(b), 0.0, -np.cos(a) * np.sin(b)]
+        return np.radians(np.column_stack([by_a, by_b]))
+
 
 @dataclass(frozen=True)
 class CameraModel:

@@ -46,6 +46,56 @@ def leave_port(port: PortModel, air: Floats) -> tuple[Floats, Floats]:
     return entry, water
 
 
+def leave_port_derivatives(
+    port: PortModel, air: Floats, by_tangents: Floats
+) -> tuple[Floats, Floats]:
+    """Derivatives of ``leave_port`` by the rays' tangents and by the port.
+
+    With s the part of a ray along the glass, the same in each medium times its index m, and
+    p = sqrt(m^2 - s^2), a layer of width w carries the ray on by w (normal + s / p), and its
+    direction there is (s + p normal) / m.
+
+    Parameters
+    ----------
+    port : PortModel, flat
+    air : (N, 3) array, unit directions before the glass, camera frame
+    by_tangents : (N, 3, 2) array, their derivatives by two tangents
+
+    Returns
+    -------
+    tuple of array
+        (N, 3, 8) of the entry into the water and of the direction there, by the two tangents and
+        then by the port's gap, thickness, indices of glass and of water, and tilts.
+    """
+    turning, gap, thickness, glass, water = [0, 1, 6, 7], 2, 3, 4, 5
+    normal = port.normal
+    by_normal = np.hstack([np.zeros((3, 2)), port.normal_derivatives])
+    by_air = np.concatenate([by_tangents, np.zeros_like(by_tangents)], axis=2)
+    cosine = (air @ normal)[:, None]
+    along = air - cosine * normal
+    by_cosine = normal @ by_air + air @ by_normal
+    by_along = by_air - normal[:, None] * by_cosine[:, None] - cosine[:, :, None] * by_normal
+    by_half_square = (along[:, None] @ by_along)[:, 0]
+
+    entry, direction = np.zeros((2, len(air), 3, 8))
+    air_layer = (port.gap_mm, gap, 1.0, None)
+    glass_layer = (port.thickness_mm, thickness, port.glass_index, glass)
+    for width, by_width, index, by_index in (air_layer, glass_layer):
+        p = np.sqrt(index**2 - (along**2).sum(axis=1))[:, None]
+        by_ratio = (by_along + (along / p**2)[:, :, None] * by_half_square[:, None]) / p[:, None]
+        entry[:, :, turning] += width * (by_normal + by_ratio)
+        entry[:, :, by_width] = normal + along / p
+        if by_index is not None:
+            entry[:, :, by_index] = -width * index * along / p**3
+    index = port.water_index
+    p = np.sqrt(index**2 - (along**2).sum(axis=1))[:, None]
+    by_p = -by_half_square / p
+    turned = by_along + p[:, :, None] * by_normal + normal[:, None] * by_p[:, None]
+    direction[:, :, turning] = turned / index
+    direction[:, :, water] = normal / p - (along + p * normal) / index**2
+    return entry, direction
+
+
 def _refracted(along: Floats, normal: Floats, index: float) -> Floats:
     """(N, 3) unit rays in a medium: Snell's law for the part ``along`` the face of a ray in air.
 

@@ -118,8 +118,9 @@ class Instrument:
 
     frame: changes to the JSON of every picture.  posts: (path, body) of every command.
     refusal: the line with which the next commands are refused, by_device: for a device's sake.
-    stuck: no new pictures.  states_asked: how often the state was asked for.  state_answers: how many of
-    those answers may leave, each with the state as it was when it was asked for; None for all.
+    stuck: no new pictures.  states_asked: how often the state was asked for.
+    state_answers: how many of those answers may leave, each with the state as it was when it was
+    asked for; None for all.
     """
 
     def __init__(self, rate_hz: float = 20.0) -> None:

@@ -6,7 +6,8 @@ import numpy as np
 
 from lscan.calibration.multiview.lines import across_mm, distance_mm
 from lscan.calibration.multiview.views import LinePoints
-from lscan.camera.boards import POSE, PosedBoards, parameter_derivatives
+from lscan.camera.boards import POSE
+from lscan.camera.derivatives import on_board_derivatives
 from lscan.camera.fit import CameraFit
 from lscan.camera.parameters import COUNT
 from lscan.errors import MeasurementError
@@ -37,9 +38,7 @@ class PlaneEquations:
             boards = fit.boards
             self._points[board] = boards.on_board(line.image_px, board)
             self._across[board] = across_mm(partial(boards.on_board, board=board), line)
-            self._by_own[board] = parameter_derivatives(
-                partial(PosedBoards.on_board, image_px=line.image_px, board=board), boards, free
-            )
+            self._by_own[board] = on_board_derivatives(boards, line.image_px, board)
 
     def solve(self, q: Floats) -> tuple[Floats, Floats]:
         """(3,) the plane, and (3, 2 V) that takes the two numbers' errors to those of q.
