@@ -41,8 +41,8 @@ def read_chessboard(
     Parameters
     ----------
     image : (H, W) or (H, W, 3) array, grey or RGB
-    columns, rows : int, inner corners along and down the board
-    square_mm : float, mm, side of a square
+    columns, rows : int, inner corners along and down the board, 3 or more; not checked here
+    square_mm : float, mm, side of a square, above 0; not checked here
     channel : str, of an RGB image; one that the laser's line does not show in, where it is on
 
     Returns
@@ -77,7 +77,7 @@ def read_charuco(
     Parameters
     ----------
     image : (H, W) or (H, W, 3) array, grey or RGB
-    columns, rows : int, inner corners, one less than the squares
+    columns, rows : int, inner corners, one less than the squares, 2 or more; not checked here
     square_mm, marker_mm : float, mm, sides of a square and of a marker
     dictionary : str, of the markers, as OpenCV calls it: "DICT_4X4_50"
     channel : str, as for :func:`read_chessboard`

@@ -200,7 +200,7 @@ def _brightest(picture: BoardPicture, expected: Floats, half_box: Floats) -> Flo
 
 
 def expected_places(points: Floats) -> Floats:
-    """(R, C, 2) px where each node should be, from the nodes known; NaN where nothing tells.
+    """(R, C, 2) px where each node should be, from those known; NaN where no neighbour is known.
 
     The mean of the paper's step (the last displacement again) from each side and of the
     parallelogram that completes each neighbouring cell.

@@ -16,7 +16,7 @@ import numpy as np
 from scipy import stats
 
 from lscan.calibration.api import PlaneMap
-from lscan.calibration.motion import Likeness, likeness
+from lscan.calibration.motion import Similarity, fit_similarity
 from lscan.calibration.readings import all_marks, found_marks
 from lscan.calibration.solve import Calibration
 from lscan.errors import InputError, MeasurementError
@@ -182,7 +182,7 @@ class _Compared:
     nominal_mm: Floats
     points: PlanePoints
     without_value: int
-    fit: Likeness
+    fit: Similarity
     scale_sigma: float
 
 
@@ -196,7 +196,7 @@ def _compare(plane_map: PlaneMap, reading: BoardReading) -> _Compared:
         )
     nominal, image = nominal[valued], image[valued]
     points = plane_map.to_plane(image, sigma_px[valued])
-    fit = likeness(nominal, points.xz_mm, points.sigma_mm, points.modes_mm)
+    fit = fit_similarity(nominal, points.xz_mm, points.sigma_mm, points.modes_mm)
     allowance = _unaveraged_scale(plane_map.to_plane(image), nominal)
     return _Compared(
         names=names[valued],

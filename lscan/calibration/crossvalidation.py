@@ -9,8 +9,10 @@ so maps are compared mark by mark, and those whose difference is not significant
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from time import perf_counter
+from typing import Annotated
 
 import numpy as np
+from pydantic import Field
 
 from lscan.calibration.api import find_solver
 from lscan.calibration.readings import all_marks, without
@@ -50,10 +52,10 @@ class Score:
     rms_mm: NotNegative | None = None
     max_mm: NotNegative | None = None
     sigma_mm: NotNegative | None = None
-    tied: bool = False
+    tied: Annotated[bool, Field(strict=True)] = False
     points: Count = 0
     without_value: Count = 0
-    ms: float | None = None
+    ms: NotNegative | None = None
     refused: str | None = None
 
 

@@ -41,7 +41,7 @@ class Motion:
 
 
 @dataclass(frozen=True)
-class Likeness:
+class Similarity:
     """The best motion and scale that take one set of points to another.
 
     Attributes
@@ -77,9 +77,9 @@ def closest_motion(before_mm: Floats, after_mm: Floats) -> Motion:
     return Motion(centre, reached - centre, float(turn))
 
 
-def likeness(
+def fit_similarity(
     before_mm: Floats, after_mm: Floats, sigma_mm: Floats, modes_mm: Floats | None
-) -> Likeness:
+) -> Similarity:
     """The generalised least-squares motion and scale from one set of points to another.
 
     The unweighted motion comes first; what is left is small, and linear.
@@ -109,7 +109,7 @@ def likeness(
     rest = left - square @ explained
     inverse = np.linalg.inv(triangle)
     found = inverse[:4] @ explained
-    return Likeness(
+    return Similarity(
         motion=Motion(start.centre_mm, start.shift_mm + found[:2], start.turn_rad + found[2]),
         scale=float(found[3]),
         covariance=inverse[:4] @ inverse[:4].T,

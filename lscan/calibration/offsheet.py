@@ -36,11 +36,11 @@ class LinesOfSight:
     Attributes
     ----------
     slope : (N, 2) array, s of each mark's line of sight, mm of x and of z for each mm of y
-    loose : (N, 2, K) array, by how much one standard deviation of each of K errors changes it
+    modes : (N, 2, K) array, by how much one standard deviation of each of K errors changes it
     """
 
     slope: Floats
-    loose: Floats
+    modes: Floats
 
 
 @dataclass(frozen=True)
@@ -81,10 +81,10 @@ def seen_from(
     """
     x, y, z = camera_mm
     slope = (xz_mm - np.array([x, z])) / -y
-    loose = np.zeros((len(xz_mm), 2, 3))
-    loose[:, 0, 0] = loose[:, 1, 2] = 1 / y
-    loose[:, :, 1] = -slope / y
-    return LinesOfSight(slope, sigma_mm * loose)
+    modes = np.zeros((len(xz_mm), 2, 3))
+    modes[:, 0, 0] = modes[:, 1, 2] = 1 / y
+    modes[:, :, 1] = -slope / y
+    return LinesOfSight(slope, sigma_mm * modes)
 
 
 def off_sheet(
@@ -106,7 +106,7 @@ def off_sheet(
     Raises
     ------
     MeasurementError
-        For too few marks and for marks that do not tell the pose.
+        For too few marks and for marks that do not determine the pose.
 
     References
     ----------
@@ -116,7 +116,7 @@ def off_sheet(
     if used.sum() < FEWEST_MARKS:
         raise MeasurementError(
             f"{int(used.sum())} marks in the calibrated part of the picture, "
-            f"{FEWEST_MARKS} needed to tell how far the board is from the sheet"
+            f"{FEWEST_MARKS} needed to determine the board's distance from the sheet"
         )
     middle = corners_mm.mean(axis=0)
     points, sight = select(points, used), select(sight, used)
@@ -217,7 +217,7 @@ def _solve(marks: SheetMarks, pose: BoardPose, sigma: Floats) -> BoardPose:
 def _common(points: PlanePoints, sight: LinesOfSight, marks: SheetMarks, pose: BoardPose) -> Floats:
     """(2N, K) mm by which one standard deviation of each common error moves the residuals."""
     behind = pose.apply(marks.board)[:, 1]
-    parts = [-sight.loose * behind[:, None, None]]
+    parts = [-sight.modes * behind[:, None, None]]
     if points.modes_mm is not None:
         parts.append(-points.modes_mm)
     together = np.concatenate(parts, axis=2)

@@ -123,7 +123,7 @@ def resolve(calibration: Calibration) -> Calibration:
 def residuals(plane_map: PlaneMap, reading: BoardReading) -> tuple[Floats, Floats]:
     """Residuals of the control points, (N, 2) in mm and (N, 2) in px, NaN where there is none.
 
-    In px: the shift of the mark that would make up for the residual, by the map's slope.
+    In px: the shift of the mark that would make up for the residual, by the map's Jacobian.
 
     Parameters
     ----------

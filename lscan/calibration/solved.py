@@ -28,7 +28,7 @@ class SolvedMap(Strict, ABC):
     """
 
     region: Region
-    lack_of_fit_mm: Pair = np.zeros(2)
+    lack_of_fit_mm: Pair
     _name: str = PrivateAttr("")
 
     @property

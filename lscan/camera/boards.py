@@ -12,6 +12,7 @@ from lscan.camera.projection import Rays, meet_plane, project, rays
 from lscan.records import Floats, Ints
 
 POSE = ("turn_x", "turn_y", "turn_z", "seen_u_px", "seen_v_px", "mm_per_px")
+TURN, SEEN, MM_PER_PX = slice(0, 3), slice(3, 5), 5  # in the order of POSE
 
 # Board axes (x right, y away, z up) of a board that squarely faces the camera, in its frame.
 FACING = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
@@ -57,18 +58,21 @@ class PosedBoards:
     @cached_property
     def lines_of_sight(self) -> Rays:
         """The V rays on which ``centre_mm`` is seen, camera frame."""
-        return rays(self.camera, self.poses[:, 3:5])
+        return rays(self.camera, self.poses[:, SEEN])
 
     @cached_property
     def axes(self) -> Floats:
         """(V, 3, 3) the boards' axes x, y, z as columns, camera frame."""
-        turned: Floats = towards(self.lines_of_sight.direction) @ rotation(self.poses[:, :3])
+        turned: Floats = towards(self.lines_of_sight.direction) @ rotation(self.poses[:, TURN])
         return turned @ FACING
 
     @cached_property
     def places_mm(self) -> Floats:
         """(V, 3) where ``centre_mm`` of each board is, camera frame."""
-        sight, distance = self.lines_of_sight, self.poses[:, 5:] * self.apparent_focal_px
+        sight, distance = (
+            self.lines_of_sight,
+            self.poses[:, MM_PER_PX, None] * self.apparent_focal_px,
+        )
         return sight.origin_mm + distance * sight.direction
 
     def in_camera(self, board_mm: Floats, board: Ints | int = 0) -> Floats:
@@ -142,4 +146,5 @@ def rotation(vector: Floats) -> Floats:
     >>> rotation(np.array([0.0, 0.0, np.pi / 2])).round(6) @ np.array([1.0, 0.0, 0.0])
     array([0., 1., 0.])
     """
-    return np.asarray(Rotation.from_rotvec(vector).as_matrix(), dtype=np.float64)
+    turns = Rotation.from_rotvec(np.reshape(vector, (-1, 3))).as_matrix()
+    return np.asarray(turns, dtype=np.float64).reshape(*np.shape(vector), 3)

@@ -11,7 +11,7 @@ MODE_STEP = 0.01  # sigmas, for differences along a mode: rounding is 1e-9, curv
 PIXEL_STEP = 0.01  # px, for differences of a map by the pixel
 
 Locate = Callable[[Floats], Floats]
-"""A map: (N, 2) mm of (x, z) in the sheet of pixels (N, 2)."""
+"""A map: (N, 2) mm of (x, z) in the sheet of pixels (N, 2); (N, 3) in space where said."""
 
 
 def covariance_root(design: Floats, chi_square: float) -> Floats:

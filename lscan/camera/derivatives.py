@@ -6,14 +6,15 @@ differential,
 
     dX = (o_p + s d_p) dp + d ds + (o_c + s d_c) dc,
 
-gives dp where the point is given, by its own change dX and that of the camera, dc.
+gives dp where the point is given, by its own change dX and that of the camera, dc.  The boards'
+rotations alone are derived by central differences.
 """
 
 from dataclasses import dataclass
 
 import numpy as np
 
-from lscan.camera.boards import FACING, POSE, PosedBoards, rotation, towards
+from lscan.camera.boards import FACING, MM_PER_PX, POSE, SEEN, TURN, PosedBoards, rotation, towards
 from lscan.camera.lens import undistort, undistort_derivatives
 from lscan.camera.model import CameraModel
 from lscan.camera.parameters import COUNT, LENS, WATER
@@ -23,9 +24,6 @@ from lscan.records import Floats, Ints
 
 PIXEL = [COUNT, COUNT + 1]  # columns of a ray's derivatives by its own pixel
 OWN = COUNT + len(POSE)  # parameters that a mark depends on: the camera's, its own board's
-TURN = slice(COUNT, COUNT + 3)
-SEEN = [COUNT + 3, COUNT + 4]
-MM_PER_PX = COUNT + 5
 
 TURN_STEP = 1e-5  # rad, of central differences: far above rounding, far below any curvature
 
@@ -54,7 +52,7 @@ class RayDerivatives:
 
 
 def ray_derivatives(camera: CameraModel, image_px: Floats) -> RayDerivatives:
-    """Derivatives of the rays in the water on which a camera sees pixels.
+    """Derivatives of the rays in the water on which a camera sees pixels; NaN where it has none.
 
     Parameters
     ----------
@@ -95,19 +93,20 @@ def frame_derivatives(boards: PosedBoards) -> tuple[Floats, Floats]:
     tuple of array
         (V, 3, 3, 20) of PosedBoards.axes, (V, 3, 20) of places_mm.
     """
-    seen, sight = boards.poses[:, 3:5], boards.lines_of_sight
+    seen, sight = boards.poses[:, SEEN], boards.lines_of_sight
     by_ray = ray_derivatives(boards.camera, seen)
-    columns = [*range(COUNT), *SEEN]
-    distance = boards.poses[:, MM_PER_PX - COUNT] * boards.apparent_focal_px
+    of_pose = np.arange(COUNT, OWN)
+    columns = [*range(COUNT), *of_pose[SEEN]]
+    distance = boards.poses[:, MM_PER_PX] * boards.apparent_focal_px
     places = np.zeros((len(seen), 3, OWN))
     places[:, :, columns] = by_ray.after(distance)
     apart = sight.direction * distance[:, None]
     places[:, :, 0] += apart / boards.camera.focal_px
     if boards.camera.port is not None:
         places[:, :, WATER] += apart / boards.camera.port.water_index
-    places[:, :, MM_PER_PX] = sight.direction * boards.apparent_focal_px
+    places[:, :, of_pose[MM_PER_PX]] = sight.direction * boards.apparent_focal_px
 
-    turn, direction = boards.poses[:, None, :3], sight.direction[:, None, :]
+    turn, direction = boards.poses[:, None, TURN], sight.direction[:, None, :]
     steps = TURN_STEP * np.array([np.eye(3), -np.eye(3)])[:, None]  # (2, 1, 3, 3)
     turned, faced = rotation(turn), towards(sight.direction)[:, None]
     by_direction, by_turn = (
@@ -119,7 +118,7 @@ def frame_derivatives(boards: PosedBoards) -> tuple[Floats, Floats]:
     )
     axes = np.zeros((len(seen), 3, 3, OWN))
     axes[..., columns] = np.einsum("vkij,vkc->vijc", by_direction, by_ray.direction)
-    axes[..., TURN] = np.moveaxis(by_turn, 1, 3)
+    axes[..., of_pose[TURN]] = np.moveaxis(by_turn, 1, 3)
     return axes, places
 
 

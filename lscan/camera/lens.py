@@ -109,9 +109,9 @@ def _inverse_jacobian(camera: CameraModel, tangents: Floats) -> Floats:
     x, y = tangents.T
     q = x * x + y * y
     radial = 1 + q * (camera.k1 + q * (camera.k2 + q * camera.k3))
-    slope = 2 * (camera.k1 + q * (2 * camera.k2 + q * 3 * camera.k3))  # of radial, over x or y
-    by_x = radial + slope * x * x + 2 * camera.p1 * y + 6 * camera.p2 * x
-    cross = slope * x * y + 2 * camera.p1 * x + 2 * camera.p2 * y
-    by_y = radial + slope * y * y + 6 * camera.p1 * y + 2 * camera.p2 * x
+    by_q = 2 * (camera.k1 + q * (2 * camera.k2 + q * 3 * camera.k3))  # of radial, twice
+    by_x = radial + by_q * x * x + 2 * camera.p1 * y + 6 * camera.p2 * x
+    cross = by_q * x * y + 2 * camera.p1 * x + 2 * camera.p2 * y
+    by_y = radial + by_q * y * y + 6 * camera.p1 * y + 2 * camera.p2 * x
     inverse = np.array([[by_y, -cross], [-cross, by_x]]) / (by_x * by_y - cross * cross)
     return np.moveaxis(inverse, 2, 0)

@@ -72,7 +72,9 @@ def leave_port_derivatives(
     by_normal = np.hstack([np.zeros((3, 2)), port.normal_derivatives])
     by_air = np.concatenate([by_tangents, np.zeros_like(by_tangents)], axis=2)
     cosine = (air @ normal)[:, None]
+    cosine = np.where(cosine > 0, cosine, np.nan)
     along = air - cosine * normal
+    square = (along**2).sum(axis=1)
     by_cosine = normal @ by_air + air @ by_normal
     by_along = by_air - normal[:, None] * by_cosine[:, None] - cosine[:, :, None] * by_normal
     by_half_square = (along[:, None] @ by_along)[:, 0]
@@ -81,14 +83,14 @@ def leave_port_derivatives(
     air_layer = (port.gap_mm, gap, 1.0, None)
     glass_layer = (port.thickness_mm, thickness, port.glass_index, glass)
     for width, by_width, index, by_index in (air_layer, glass_layer):
-        p = np.sqrt(index**2 - (along**2).sum(axis=1))[:, None]
+        p = _root(index**2 - square)[:, None]
         by_ratio = (by_along + (along / p**2)[:, :, None] * by_half_square[:, None]) / p[:, None]
         entry[:, :, turning] += width * (by_normal + by_ratio)
         entry[:, :, by_width] = normal + along / p
         if by_index is not None:
             entry[:, :, by_index] = -width * index * along / p**3
     index = port.water_index
-    p = np.sqrt(index**2 - (along**2).sum(axis=1))[:, None]
+    p = _root(index**2 - square)[:, None]
     by_p = -by_half_square / p
     turned = by_along + p[:, :, None] * by_normal + normal[:, None] * by_p[:, None]
     direction[:, :, turning] = turned / index
@@ -102,8 +104,13 @@ def _refracted(along: Floats, normal: Floats, index: float) -> Floats:
     NaN where an index below 1, which a search for it may try, reflects all of the ray.
     """
     inside = along / index
-    square = 1 - (inside**2).sum(axis=1)
-    return inside + np.sqrt(np.where(square >= 0, square, np.nan))[:, None] * normal
+    return inside + _root(1 - (inside**2).sum(axis=1))[:, None] * normal
+
+
+def _root(square: Floats) -> Floats:
+    """(N,) square roots; NaN of what is below 0: an index below 1 may reflect all of a ray."""
+    root: Floats = np.sqrt(np.where(square >= 0, square, np.nan))
+    return root
 
 
 def aim_through_port(port: PortModel, points_mm: Floats) -> Floats:
@@ -137,12 +144,12 @@ def _air_tangent(port: PortModel, r: Floats, depth: Floats) -> Floats:
     step = np.zeros_like(tangent)
     with np.errstate(over="ignore", invalid="ignore"):
         for _ in range(MOST_STEPS):
-            reach, slope = port.gap_mm * tangent, np.full_like(tangent, port.gap_mm)
+            reach, derivative = port.gap_mm * tangent, np.full_like(tangent, port.gap_mm)
             for thickness, index in layers:
                 root = np.sqrt(index**2 + (index**2 - 1) * tangent**2)
                 reach = reach + thickness * tangent / root
-                slope = slope + thickness * index**2 / root**3
-            step = (r - reach) / slope
+                derivative = derivative + thickness * index**2 / root**3
+            step = (r - reach) / derivative
             tangent = tangent + step
             if not (np.abs(step) > SMALL_STEP * (1 + np.abs(tangent))).any():
                 break

@@ -7,7 +7,9 @@ the fewest free numbers.  The map keeps the table of all scores.  No variants.
 """
 
 from dataclasses import dataclass
-from typing import Any, cast
+from typing import Any, Self, cast
+
+from pydantic import model_validator
 
 from lscan.calibration.api import NOTHING_KNOWN, PlaneMap, find_solver
 from lscan.calibration.crossvalidation import COMPLETE, Score, cross_validated
@@ -35,6 +37,14 @@ class AutoParameters(Strict):
     chosen: str
     parameters: dict[str, Any]
     scores: tuple[Score, ...]
+
+    @model_validator(mode="after")
+    def _figures_or_a_reason(self) -> Self:
+        for score in self.scores:
+            figures = (score.rms_mm, score.max_mm)
+            if any((one is None) == (score.refused is None) for one in figures):
+                raise ValueError("each of scores must hold either rms_mm and max_mm, or refused")
+        return self
 
 
 @dataclass(frozen=True)

@@ -93,6 +93,7 @@ class GraticuleSolver(MapSolver[Graticule]):
             latitudes=LineSet(_present(rows), _rulers(reading, 1, fit, with_rulers), reach),
             longitudes=LineSet(_present(columns), _rulers(reading, 0, fit, with_rulers), reach),
             region=covered_region(reading, _on_lines(reading, rows, columns)),
+            lack_of_fit_mm=np.zeros(2),
         )
         return with_lack_of_fit(solved, reading)
 

@@ -116,6 +116,7 @@ class PolynomialSolver(MapSolver[Polynomial]):
             coefficients=coefficients,
             covariances=tuple((solve * noise[:, c]) @ solve.T for c in (0, 1)),
             region=region,
+            lack_of_fit_mm=np.zeros(2),
         )
         return with_lack_of_fit(solved, reading)
 

@@ -153,6 +153,7 @@ class ProjectiveSolver(MapSolver[Projective]):
             h=h,
             covariance=_covariance(h, scaled, grid.sigma_px[found] / pixels.scale[0]),
             region=region,
+            lack_of_fit_mm=np.zeros(2),
         )
         return with_lack_of_fit(solved, reading)
 

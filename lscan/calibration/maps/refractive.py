@@ -142,6 +142,7 @@ class RefractiveSolver(MapSolver[Refractive]):
             board_tilt_deg=0.0,
             outliers_mm=tuple(fit.marks.board_mm[~fit.good]),
             region=covered_region(sound, sound.grid.found),
+            lack_of_fit_mm=np.zeros(2),
         )
         control_points = solved.view.project(sound.grid.board_mm[sound.grid.found])
         return solved.model_copy(

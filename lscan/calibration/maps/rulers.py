@@ -26,8 +26,8 @@ class FittedRuler:
     Attributes
     ----------
     at_mm : float, mm, its fixed coordinate on the board
-    line : Curve, px, its own fitted line, along px as a function of across px (Line has them the
-        other way round, because a ruler runs across the lines it reads)
+    line : Curve, px, its own fitted line, along px as a function of across px (GridLine has them
+        the other way round, because a ruler runs across the lines it reads)
     conversion : Curve, mm as a function of across px, Fig. 16
     first_px, last_px : float, px, across: the stretch where conversion holds, half a mark beyond
         the outermost marks

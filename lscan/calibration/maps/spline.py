@@ -122,6 +122,7 @@ class SplineSolver(MapSolver[Spline]):
             coefficients=np.array([fit.coefficients for fit in fits]),
             roots=tuple(_strongest(fit, lattice) for fit in fits),
             region=region,
+            lack_of_fit_mm=np.zeros(2),
         )
         return with_lack_of_fit(solved, reading)
 

@@ -16,7 +16,7 @@ from pydantic import AfterValidator, model_validator
 from lscan.calibration.evaluate import Estimate, propagated
 from lscan.calibration.region import Region
 from lscan.calibration.solved import MapSolver, SolvedMap, full_name
-from lscan.calibration.stored import Matrix, Number, Place, Vector, check_theta, of_length
+from lscan.calibration.stored import Matrix, Number, Pair, Place, Vector, check_theta, of_length
 from lscan.camera import rays
 from lscan.camera.covariance import Locate, displacements, modes_that_matter, pixel_derivatives
 from lscan.camera.parameters import CAMERA, COUNT, PortKind, camera_of
@@ -104,6 +104,7 @@ class Metric(SolvedMap):
     q_per_mm: Annotated[Vector, of_length(3)]
     origin_px: Place
     modes: Annotated[Matrix, of_length(COUNT + 3)]
+    lack_of_fit_mm: Pair = np.zeros(2)  # not in the files: the modes account for all
 
     @model_validator(mode="after")
     def _is_a_plane(self) -> Self:

@@ -29,7 +29,7 @@ from lscan.version import __version__
 
 FEWEST_VIEWS = 3  # Zhang 2000, Sec. 3.1: two give a camera without skew, a third checks it
 FEWEST_MARKS = 6  # of a view; its pose needs four
-WRONG_VIEW = 4.0  # times the median of the views' rms residuals
+WRONG_VIEW = 4.0  # times the median over the views of each one's median residual
 MOST_WRONG = 0.25  # of a view's marks; beyond it the view is an outlier
 LEAST_FOCAL = 0.05  # relative uncertainty of the focal length beyond which it is not known
 ROUNDS = 10

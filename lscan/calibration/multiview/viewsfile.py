@@ -3,10 +3,10 @@
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Literal, Self
+from typing import Annotated, Literal
 
 import numpy as np
-from pydantic import Field, PositiveFloat, model_validator
+from pydantic import Field, PositiveFloat, ValidationInfo, field_validator
 
 from lscan.board import read_board
 from lscan.board.chessboard import read_charuco, read_chessboard
@@ -64,11 +64,12 @@ class ViewEntry(Strict):
     laser: str | None = None
     background: str | None = None
 
-    @model_validator(mode="after")
-    def _has_a_laser_picture(self) -> Self:
-        if self.background is not None and self.laser in (None, SAME):
-            raise ValueError("background goes with a laser picture of its own")
-        return self
+    @field_validator("background")
+    @classmethod
+    def _has_a_laser_picture(cls, background: str | None, info: ValidationInfo) -> str | None:
+        if background is not None and info.data.get("laser") in (None, SAME):
+            raise ValueError("goes with a laser picture of its own")
+        return background
 
 
 class ViewsDocument(Strict):

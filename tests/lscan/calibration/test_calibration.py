@@ -141,6 +141,7 @@ def _set(path: str, value: Any) -> Callable[[dict[str, Any]], None]:
         (_set("reading.rings.E.sigma_px.3", -0.1), "reading.rings.E"),
         (_set("reading.image_size", [640, 0]), "reading.image_size"),
         (_set("residuals.px", [[0.0, 0.0]]), "residuals"),
+        (lambda d: d["parameters"].pop("lack_of_fit_mm"), "lack_of_fit_mm"),
     ],
 )
 def test_refuses_what_it_did_not_write(

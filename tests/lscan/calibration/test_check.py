@@ -10,7 +10,7 @@ from planeviews import BARREL, View, paper_board, read_board, with_noise
 from scipy import stats
 
 from lscan.calibration.check import CalibrationCheck, check_calibration
-from lscan.calibration.motion import Motion, closest_motion, likeness
+from lscan.calibration.motion import Motion, closest_motion, fit_similarity
 from lscan.calibration.solve import Calibration, calibrate
 from lscan.errors import InputError, MeasurementError
 from lscan.records import BoardReading, Floats
@@ -73,14 +73,14 @@ def test_a_motion_and_a_scale_come_back(
     after = motion.apply(centre + (1 + scale) * (before - centre))
     np.testing.assert_allclose(closest_motion(before, after).turn_rad, turn, atol=1e-12)
     sigma, modes = rng.uniform(0.1, 0.3, (30, 2)), rng.normal(0.0, 0.02, (30, 2, 4))
-    found = likeness(before, after, sigma, modes)
+    found = fit_similarity(before, after, sigma, modes)
     assert found.scale == pytest.approx(scale, abs=1e-10)
     assert found.motion.turn_rad == pytest.approx(turn, abs=1e-10)
     np.testing.assert_allclose(found.motion.shift_mm, shift, atol=1e-9)
     assert found.chi_square == pytest.approx(0.0, abs=1e-9)
 
 
-def test_likeness_is_generalised_least_squares() -> None:
+def test_similarity_is_generalised_least_squares() -> None:
     """Against the textbook formula with the whole covariance matrix written out."""
     rng = np.random.default_rng(4)
     before = rng.uniform(-200, 200, (25, 2))
@@ -88,7 +88,7 @@ def test_likeness_is_generalised_least_squares() -> None:
     own = rng.uniform(0.05, 0.2, (25, 2))
     after = before + rng.normal(0.0, 0.1, (25, 2))
     sigma = np.sqrt(own**2 + (modes**2).sum(axis=2))
-    found = likeness(before, after, sigma, modes)
+    found = fit_similarity(before, after, sigma, modes)
     start = closest_motion(before, after)
     near = start.apply(before)
     x, z = (near - near.mean(axis=0)).T

@@ -8,8 +8,14 @@ import pytest
 from camera_strategies import FLAT_PORT, LENS
 from hypothesis import given, settings, strategies as st
 
+from lscan.camera import CameraModel, PortModel, rays
 from lscan.camera.boards import POSE, PosedBoards
-from lscan.camera.derivatives import OWN, image_derivatives, on_board_derivatives
+from lscan.camera.derivatives import (
+    OWN,
+    image_derivatives,
+    on_board_derivatives,
+    ray_derivatives,
+)
 from lscan.camera.parameters import CAMERA, COUNT, LENS as OF_LENS, PortKind
 from lscan.records import Floats
 
@@ -100,3 +106,21 @@ def test_where_there_is_no_image_there_is_no_derivative() -> None:
     theta = np.array([800.0, 320, 240, -0.1, 0, 0, 0, 0, 10, 6, 1.49, 1.33, 1, 1, *pose])
     boards = PosedBoards(theta, np.zeros(2))
     assert np.isnan(image_derivatives(boards, np.array([[10.0, 20.0]]), np.array([0]))).all()
+
+
+@pytest.mark.parametrize(
+    ("values", "pixel"),
+    [({"water_index": 0.4}, (900.0, 240.0)), ({"tilt_y_deg": 45.0}, (-600.0, 240.0))],
+)
+def test_a_ray_that_there_is_not_has_no_derivative(
+    values: dict[str, float], pixel: tuple[float, float]
+) -> None:
+    """An index below 1 reflects it all, which a search may try; or it misses the glass."""
+    port = replace(PortModel(10.0, 6.0, 1.49, 1.33), **values)
+    camera = CameraModel(800.0, (320.0, 240.0), port=port)
+    image = np.array([pixel, (330.0, 250.0)])
+    found = ray_derivatives(camera, image)
+    assert np.isnan(rays(camera, image).direction).all(axis=1).tolist() == [True, False]
+    assert np.isnan(found.direction[0]).any()
+    assert np.isfinite(found.direction[1]).all()
+    assert np.isfinite(found.origin_mm[1]).all()

@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -302,3 +303,20 @@ def test_auto_refusals() -> None:
     parameters = auto.solver.solve(_reading(), "").parameters()
     with pytest.raises(InputError, match="chosen"):
         auto.solver.restore("", {**parameters, "chosen": "auto"})
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        ({"tied": "yes"}, "tied"),
+        ({"ms": -5.0}, "ms"),
+        ({"rms_mm": None}, "either rms_mm and max_mm, or refused"),
+        ({"refused": "too few"}, "either rms_mm and max_mm, or refused"),
+    ],
+)
+@pytest.mark.usefixtures("quick")
+def test_scores_that_nobody_wrote_are_refused(change: dict[str, Any], said: str) -> None:
+    parameters = auto.solver.solve(_reading(), "").parameters()
+    parameters["scores"][0] |= change
+    with pytest.raises(InputError, match=said):
+        auto.solver.restore("", parameters)

@@ -192,7 +192,7 @@ def test_equivariant_in_origin_and_size(scale: float, shift: tuple[float, float]
 # A map of the known lens errs in 6 independent ways all over the board, one of a lens of which
 # little is known in 11 (the square of the covariance's trace over the sum of its squares), and
 # takes seven times as long to solve.  So many draws make it 300 and 132 independent errors.
-TRIALS, TRIALS_LITTLE_KNOWN = 50, 12
+TRIALS, TRIALS_LITTLE_KNOWN = 50, 30
 
 
 @cache

@@ -41,7 +41,8 @@ def test_within_the_bar_on_any_view(view: View) -> None:
     """The bar of the map on the sheet at the tank's noise: 0.03 mm rms and 0.10 mm at most.
 
     In a corner of the region where marks are missing the map may be worse, but says so: there the
-    bar is 5 of its standard uncertainties, which one of a million normal errors exceeds.
+    bar is 5 of its standard uncertainties, which four of a million normal errors in two
+    coordinates exceed.
     """
     reading = read_board(BOARD, view.project, TANK_NOISE_PX, np.random.default_rng(2))
     points = board_points(1000, seed=1)

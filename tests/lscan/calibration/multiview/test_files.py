@@ -139,7 +139,7 @@ def test_what_is_no_json_is_refused(tmp_path: Path, text: str) -> None:
         (CHESSBOARD, "view"),
         (CHESSBOARD + "[[view]]\n", "view.0.picture"),
         (CHESSBOARD + '[[view]]\npicture = "a.png"\nlamp = 1\n', "lamp: unknown key"),
-        (CHESSBOARD + '[[view]]\npicture = "a.png"\nbackground = "b.png"\n', "background"),
+        (CHESSBOARD + '[[view]]\npicture = "a.png"\nbackground = "b.png"\n', "view.0.background: "),
         ('[board]\nkind = "stripes"\n[[view]]\npicture = "a.png"\n', "no such kind (got 'stripes'"),
         (CHESSBOARD.replace("8", "2") + '[[view]]\npicture = "a.png"\n', "columns"),
         (CHESSBOARD.replace("25.0", "0.0") + '[[view]]\npicture = "a.png"\n', "square_mm"),
