@@ -173,5 +173,7 @@ def _circle(count: int, diameter_mm: float) -> Floats:
 
 def area_centroids(outlines: Floats) -> Floats:
     """(N, 2) centroids of the areas of N polygons of K corners, (N, K, 2); NaN of those of NaN."""
-    centroids = shapely.centroid(shapely.polygons(outlines))
-    return np.column_stack([shapely.get_x(centroids), shapely.get_y(centroids)])
+    found = np.full(outlines[:, 0].shape, np.nan)
+    whole = np.isfinite(outlines).all(axis=(1, 2))
+    found[whole] = shapely.get_coordinates(shapely.centroid(shapely.polygons(outlines[whole])))
+    return found

@@ -86,6 +86,15 @@ def test_the_centroid_of_known_areas():
     assert found == pytest.approx(np.array([[1, 1], [1, 1], [4 / 3, 0.5 / 3]]), abs=1e-12)
 
 
+def test_an_outline_with_a_corner_that_has_no_picture_has_no_centroid():
+    square = np.array([[0.0, 0], [2, 0], [2, 2], [0, 2]])
+    broken = square.copy()
+    broken[2] = np.nan
+    found = area_centroids(np.array([square, broken, square + 1]))
+    assert np.array_equal(found, [[1, 1], [np.nan, np.nan], [2, 2]], equal_nan=True)
+    assert np.isnan(area_centroids(np.array([broken]))).all()
+
+
 def test_marks_outside_the_picture_say_so():
     truth = board_truth(board(position_mm=[150.0, 0.0, 0.0])).centres
     status = truth.grid.status.reshape(3, 4)
