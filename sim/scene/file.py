@@ -183,6 +183,8 @@ def scene_of(rig_file: RigFile) -> Scene:
         required = {key for key, field in TankSections.model_fields.items() if field.is_required()}
         if required - own.keys() != {"target"}:
             raise
+        # What else is wrong comes first: with a target there is nothing but that to find.
+        check(TankSections, {**own, "target": {"shape": "none"}}, where=rig_file.source)
         raise InputError(
             f"{error.what}: this is a rig in the tank with nothing to scan",
             where=error.where,

@@ -102,6 +102,24 @@ def test_a_missing_section_is_named(tmp_path: Path) -> None:
         load_scene(path)
 
 
+@pytest.mark.parametrize(
+    ("added", "message"),
+    [
+        ("", r"target: field required: this is a rig in the tank with nothing to scan"),
+        ("[water]\ntemperature_c = -500", r"water\.temperature_c: must be .*-500"),
+        ("[sensor]\nprnu = -0.1\n[target]\nalbedo = 0.5", r"target\.shape: field required"),
+    ],
+)
+def test_nothing_to_scan_is_said_where_the_target_alone_is_missing(
+    tmp_path: Path, added: str, message: str
+) -> None:
+    path = tmp_path / "scene.toml"
+    path.write_text(f'include = "{PAPER / "rig.toml"}"\n{added}\n')
+    with pytest.raises(InputError, match=message) as caught:
+        load_scene(path)
+    assert ("nothing to scan" in str(caught.value)) == (added == "")
+
+
 def test_a_scene_that_includes_itself(tmp_path: Path) -> None:
     path = tmp_path / "scene.toml"
     path.write_text('include = "scene.toml"\n')
