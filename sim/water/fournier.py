@@ -10,7 +10,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from lscan.config.documents import check
 from lscan.records import Floats
+from sim.scene.matter import Water
 
 SERIES_WITHIN = 0.05  # of delta = 1; the closed form loses its digits there
 SERIES_TERMS = 14  # 0.05 to this power is below double precision
@@ -26,8 +28,12 @@ class FournierForand:
     Attributes
     ----------
     index : float, refractive index relative to the water, above 1, to 1.5
-    junge_slope : float, exponent of the sizes' power law, between 3 and 5; not checked here, a
-        scene's water is (sim.scene.matter.Water)
+    junge_slope : float, exponent of the sizes' power law, between 3 and 5
+
+    Raises
+    ------
+    InputError
+        A value lies outside its range.
 
     References
     ----------
@@ -36,6 +42,11 @@ class FournierForand:
 
     index: float
     junge_slope: float
+
+    def __post_init__(self) -> None:
+        """Refuse what a scene's water refuses: the formula was not made for it."""
+        values = {"particle_index": self.index, "junge_slope": self.junge_slope}
+        check(Water, values, where="water")
 
     @property
     def nu(self) -> float:

@@ -9,6 +9,7 @@ from typing import Protocol
 
 import numpy as np
 
+from lscan.errors import InputError
 from lscan.records import Floats
 
 DEPOLARISATION = 0.039  # of water's molecules: Zhang, Hu & He 2009
@@ -19,6 +20,7 @@ DEPOLARISATION = 0.039  # of water's molecules: Zhang, Hu & He 2009
 # where many rigs look.
 PARTICLE_WEIGHTS = (0.11984, 0.37028, 0.50780, 0.00208)
 PARTICLE_G = (0.99723, 0.98081, 0.87094, -0.59262)
+WEIGHTS_ADD_UP_WITHIN = 1e-9
 
 
 class PhaseFunction(Protocol):
@@ -41,6 +43,11 @@ class HenyeyGreensteinMixture:
     weights : (K,) share of each lobe, none negative, together 1
     g : (K,) mean cosines of the lobes, between -1 and 1
 
+    Raises
+    ------
+    InputError
+        The lobes are no density.
+
     References
     ----------
     Henyey & Greenstein 1941; docs/explanation/physics.md, section 3.
@@ -48,6 +55,16 @@ class HenyeyGreensteinMixture:
 
     weights: tuple[float, ...] = PARTICLE_WEIGHTS
     g: tuple[float, ...] = PARTICLE_G
+
+    def __post_init__(self) -> None:
+        """Refuse lobes that are no density."""
+        if not 0 < len(self.g) == len(self.weights):
+            raise InputError("one weight and one g a lobe", where="lobes", value=len(self.g))
+        if not (min(self.weights) >= 0 and abs(sum(self.weights) - 1) <= WEIGHTS_ADD_UP_WITHIN):
+            allowed = "none negative, together 1"
+            raise InputError("weights", where="lobes", value=self.weights, allowed=allowed)
+        if not np.all(np.abs(self.g) < 1):
+            raise InputError("g", where="lobes", value=self.g, allowed="between -1 and 1")
 
     def density(self, angle: Floats) -> Floats:
         """Phase function, 1/sr; same shape as ``angle``.

@@ -5,10 +5,9 @@ from decimal import Decimal, localcontext
 import numpy as np
 import pytest
 from hypothesis import given, settings, strategies as st
-from pydantic import ValidationError
 from water_sphere import integral
 
-from sim.scene.matter import Water
+from lscan.errors import InputError
 from sim.water import FournierForand, HenyeyGreensteinMixture, PetzoldTable
 from sim.water.petzold import TABLE_PER_SR, TABLE_RAD, table_density, table_integral
 from sim.water.phase import henyey_greenstein, molecular_phase
@@ -111,6 +110,23 @@ def test_a_mixture_keeps_the_shape_of_its_argument():
     lobes = 0.25 * henyey_greenstein(angle, 0.9) + 0.75 * henyey_greenstein(angle, -0.3)
     assert mixture.density(angle) == pytest.approx(lobes, rel=1e-14)
     assert mixture.density(np.array(0.3)).shape == ()
+
+
+@pytest.mark.parametrize(
+    ("weights", "g", "says"),
+    [
+        ((0.5, 0.4), (0.9, 0.1), "lobes: weights.*together 1"),
+        ((1.5, -0.5), (0.9, 0.1), "lobes: weights"),
+        ((float("nan"),), (0.9,), "lobes: weights"),
+        ((1.0,), (1.0,), "lobes: g.*between -1 and 1"),
+        ((1.0,), (float("nan"),), "lobes: g"),
+        ((1.0,), (0.9, 0.1), "one weight and one g"),
+        ((), (), "one weight and one g"),
+    ],
+)
+def test_lobes_that_are_no_density_are_refused(weights, g, says):
+    with pytest.raises(InputError, match=says):
+        HenyeyGreensteinMixture(weights, g)
 
 
 # ---- Petzold's table ---------------------------------------------------------------------
@@ -218,8 +234,8 @@ def test_spheres_scatter_all_and_nowhere_less_than_nothing(spheres):
     ],
 )
 def test_spheres_out_of_range_are_refused(index, slope, named):
-    with pytest.raises(ValidationError, match=named):
-        Water(phase="fournier-forand", particle_index=index, junge_slope=slope)
+    with pytest.raises(InputError, match=f"water: {named}: must be a number"):
+        FournierForand(index, slope)
 
 
 # ---- all of them -------------------------------------------------------------------------
