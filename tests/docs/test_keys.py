@@ -2,6 +2,7 @@
 
 import re
 import sys
+from importlib.metadata import entry_points
 from pathlib import Path
 
 import pytest
@@ -63,6 +64,12 @@ def test_every_status_and_method_is_described() -> None:
     assert set(modelkeys.DESCRIPTIONS["status"]) == {status.name for status in Status}
     for table in lists.TABLES.values():
         assert table().count("\n") >= 2
+    for group in lists.GROUPS:
+        names = {entry.name for entry in entry_points(group=group) if lists._ours(entry.value)}
+        for text in modelkeys.DESCRIPTIONS[group]:
+            # Of plane maps a name goes on after its method's: "graticule-1".
+            method = text.split("-")[0] if group == "lscan.planemaps" else text
+            assert method in names, f"[{group}] {text}"
 
 
 @pytest.mark.parametrize("program", commandline.APPS)
