@@ -4,6 +4,7 @@ Each scan is the command ``lscan scan`` in a process of its own, on the simulate
 """
 
 import os
+import signal
 import subprocess
 import sys
 import tempfile
@@ -111,18 +112,22 @@ def _goes_on(scene: Path, run: Path, kill_after_s: float | None = None) -> bool:
     """
     home = str(Path(lscan.__file__).parents[1])
     command = [sys.executable, "-m", "lscan.cli.app", "scan", str(scene), "-o", str(run)]
-    try:
-        ended = subprocess.run(  # past its time-out it kills by SIGKILL
-            [*command, "--resume"],
-            capture_output=True,
-            text=True,
-            env={**os.environ, "PYTHONPATH": home},
-            timeout=kill_after_s,
-        )
-    except subprocess.TimeoutExpired:
+    with subprocess.Popen(
+        [*command, "--resume"],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        env={**os.environ, "PYTHONPATH": home},
+    ) as scan:
+        try:
+            _, said = scan.communicate(timeout=kill_after_s)
+        except subprocess.TimeoutExpired:
+            scan.kill()  # which may come after its end: only its code tells
+            _, said = scan.communicate()
+    if kill_after_s is not None and scan.returncode == -signal.SIGKILL:
         return False
-    if ended.returncode != 0:
-        raise RuntimeError(f"a scan ended with code {ended.returncode}: {ended.stderr.strip()}")
+    if scan.returncode != 0:
+        raise RuntimeError(f"a scan ended with code {scan.returncode}: {said.strip()}")
     return True
 
 

@@ -1,6 +1,8 @@
 """Scans killed and resumed: how the figure is made, and that it can fail."""
 
+import subprocess
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -23,6 +25,35 @@ def test_killed_scans_are_finished_to_the_same_bytes() -> None:
 def test_a_scan_that_fails_by_itself_is_no_kill() -> None:
     with pytest.raises(RuntimeError, match=r"ended with code 2: .*gone\.toml.*cannot be read"):
         kill_runs(SCENE.with_name("gone.toml"), count=1, frames=20)
+
+
+class EndedMeanwhile(subprocess.Popen[str]):
+    """A process that comes to its own end between the time-out and the signal."""
+
+    def communicate(self, input: str | None = None, timeout: float | None = None) -> Any:
+        if timeout is not None:
+            self.wait()
+            raise subprocess.TimeoutExpired(self.args, timeout)
+        return super().communicate(input, timeout)
+
+
+def goes_on_as(script: str, folder: Path, monkeypatch: pytest.MonkeyPatch) -> bool:
+    """What becomes of a scan, to be killed at once, whose place the script takes."""
+    program = folder / "program"
+    program.write_text(f"#!/bin/sh\n{script}\n")
+    program.chmod(0o755)
+    monkeypatch.setattr(kills.sys, "executable", str(program))
+    return kills._goes_on(SCENE, folder / "run", kill_after_s=0.01)
+
+
+def test_a_scan_that_ends_before_the_signal_was_not_killed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assert not goes_on_as("exec sleep 60", tmp_path, monkeypatch)
+    monkeypatch.setattr(subprocess, "Popen", EndedMeanwhile)
+    assert goes_on_as("exit 0", tmp_path, monkeypatch)
+    with pytest.raises(RuntimeError, match="ended with code 3: no disk"):
+        goes_on_as("echo no disk >&2; exit 3", tmp_path, monkeypatch)
 
 
 def test_the_rows_count_kills_and_differing_runs(monkeypatch: pytest.MonkeyPatch) -> None:
