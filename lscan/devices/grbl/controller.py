@@ -28,14 +28,15 @@ BRAKING_S: Final = 30.0
 Grbl's default of $120."""
 
 MARKS: Final = range(100, 256)
-"""Tool numbers nobody uses, up to Grbl's highest.  One of them, set by ``T``, marks a controller:
+"""Tool numbers not used otherwise, up to Grbl's highest.  One of them, set by ``T``, marks a controller:
 any restart and any reset, so also the way out of an alarm, sets it back to T0 (Grbl 1.1, ``$G``).
 A restart whose banner was lost, which would take where the head stands for zero, is so noticed,
 and also one between two sessions of a scan."""
 
-MOVING: Final = {("Jog", None), ("Run", None), ("Hold", 1), ("Door", 2), ("Door", 3)}
+MOVING: Final = {("Hold", 1), ("Door", 2), ("Door", 3)}
 """States, with their numbers, in which a reset would lose steps: a hold still slowing down, a door
-that is doing so, retracting or resuming (Grbl 1.1, "Real-time Status Reports")."""
+that is doing so, retracting or resuming (Grbl 1.1, "Real-time Status Reports"); beside Jog and Run,
+which other firmware numbers too."""
 
 _REMEDIES = {
     "Door": "close the safety door and open the track again",
@@ -216,7 +217,7 @@ class GrblMachine:
         report: asks for a report; where it gives None, so does this.
         """
         deadline_s = self._link.clock() + self._braking_s
-        while (status := report()) is not None and (status.state, status.substate) in MOVING:
+        while (status := report()) is not None and _is_moving(status):
             if self._link.clock() > deadline_s:
                 raise self._not_idle(status)
             self._link.send_bytes(JOG_CANCEL if status.state == "Jog" else FEED_HOLD)
@@ -253,6 +254,10 @@ class GrblMachine:
             self._dialogue.lost = True
             remedy = self._dialogue.alarm_remedy()
         return DeviceError(f"{self._link.name}: is in state {status.state}; {remedy}")
+
+
+def _is_moving(status: StatusReport) -> bool:
+    return status.state in ("Jog", "Run") or (status.state, status.substate) in MOVING
 
 
 def _is_mark(word: str) -> bool:

@@ -64,7 +64,7 @@ class Feedback:
 class StatusReport:
     """A real-time report.  Lengths are in the controller's report unit ($13), mm or inches.
 
-    substate: the number after Hold or Door.  machine, work: position in machine or in work
+    substate: the number after the state.  machine, work: position in machine or in work
     coordinates, of which a report has one.  offset: work coordinates' origin (WCO).  pins: letters
     of the inputs that are active (Pn).  What else it holds must be as documented, and is not kept.
     """

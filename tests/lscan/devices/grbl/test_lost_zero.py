@@ -55,6 +55,18 @@ def test_what_another_program_left_running_is_held_before_the_reset() -> None:
     assert abs(track.position_mm - (plant.emulator.head_mm[0] - START_MM)) <= STEPPER_MM
 
 
+def test_a_run_with_a_number_is_motion_too(monkeypatch: pytest.MonkeyPatch) -> None:
+    """grblHAL reports Run:1 while a hold is pending; a reset in it would be ALARM:3."""
+    plant = Plant(boot_s=0.1)
+    state = plant.emulator._state
+    monkeypatch.setattr(plant.emulator, "_state", lambda: state().replace("Hold:1", "Run:1"))
+    plant.emulator.transmit()
+    plant.emulator.receive(b"G1X30F600\n")
+    track = plant.open()
+    assert plant.emulator.state == "Idle"
+    assert abs(track.position_mm - (plant.emulator.head_mm[0] - START_MM)) <= STEPPER_MM
+
+
 def test_braking_may_take_longer_than_an_answer() -> None:
     """1800 mm/min at Grbl's default of 10 mm/s² ($120) end in 3 s; answer_s is 2."""
     plant = Plant(boot_s=0.1)
