@@ -12,6 +12,6 @@ a scan of the calibration board and one of an object to a surface:
     lscan.save_surface("surface.nc", surface)
 """
 
-from lscan.files.door import public_names
+from lscan.files.publicnames import public_names
 
 __getattr__, __dir__, __all__ = public_names(__name__, __file__, checked=True)

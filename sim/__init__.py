@@ -11,6 +11,6 @@ What is named here is the public interface; each name is loaded when it is first
         print(hardware.url, hardware.port)
 """
 
-from lscan.files.door import public_names
+from lscan.files.publicnames import public_names
 
 __getattr__, __dir__, __all__ = public_names(__name__, __file__)

@@ -31,9 +31,14 @@ def test_the_examples_run(
 
 
 @pytest.mark.parametrize(
-    ("door", "name"),
-    [(door, name) for door in (lscan, sim) for name in door.__all__ if name != "__version__"],
+    ("package", "name"),
+    [
+        (package, name)
+        for package in (lscan, sim)
+        for name in package.__all__
+        if name != "__version__"
+    ],
 )
-def test_every_public_name_has_an_example(door: ModuleType, name: str) -> None:
-    _, _, examples = getattr(door, name).__doc__.partition("\n    Examples\n    --------\n")
+def test_every_public_name_has_an_example(package: ModuleType, name: str) -> None:
+    _, _, examples = getattr(package, name).__doc__.partition("\n    Examples\n    --------\n")
     assert ">>> " in examples

@@ -1,4 +1,4 @@
-"""Mitsuba with an LLVM that can render: the one door through which ``sim`` reaches Mitsuba.
+"""Mitsuba with an LLVM that can render: the one module through which ``sim`` reaches Mitsuba.
 
 Dr.Jit compiles its kernels with whatever libLLVM it finds first.  Version 14 and older are
 refused; 15 and 16 load and then abort the whole process at the first render ("Cannot select

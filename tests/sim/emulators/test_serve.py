@@ -1,4 +1,4 @@
-"""The tank as hardware: pictures true to the head, clients apart, doors closed behind it."""
+"""The tank as hardware: pictures true to the head, clients apart, everything closed at the end."""
 
 import os
 import time
@@ -114,7 +114,7 @@ def test_after_a_move_the_driver_gives_the_new_place(
 
 
 def test_every_picture_sent_while_the_head_rests_shows_where_it_rests(scene: Scene) -> None:
-    """At the server's door, without any flushing: also of places that must be rendered first."""
+    """At the server itself, without any flushing: also of places that must be rendered first."""
     places = [20.0, 95.0, 45.0, 95.0, 20.0]
     seen = references(scene, sorted(set(places)))
     with EmulatedHardware(scene) as hardware:

@@ -15,14 +15,14 @@ import lscan
 import sim
 from lscan.records import Floats, PlanePoints
 
-DOORS = pytest.mark.parametrize("door", [lscan, sim], ids=lambda door: door.__name__)
+PACKAGES = pytest.mark.parametrize("package", [lscan, sim], ids=lambda package: package.__name__)
 
 
-@DOORS
-def test_the_names_are_those_that_type_checkers_see(door: ModuleType) -> None:
+@PACKAGES
+def test_the_names_are_those_that_type_checkers_see(package: ModuleType) -> None:
     """Of a stub, checkers re-export what is imported under its own name alone (PEP 484)."""
-    assert door.__file__ is not None
-    stub = Path(door.__file__).with_suffix(".pyi").read_text(encoding="utf-8")
+    assert package.__file__ is not None
+    stub = Path(package.__file__).with_suffix(".pyi").read_text(encoding="utf-8")
     aliases = [
         alias
         for node in ast.parse(stub).body
@@ -31,29 +31,29 @@ def test_the_names_are_those_that_type_checkers_see(door: ModuleType) -> None:
     ]
     assert all(alias.asname == alias.name for alias in aliases)
     assert [alias.name for alias in aliases] != []
-    assert sorted(alias.name for alias in aliases) == door.__all__ == dir(door)
+    assert sorted(alias.name for alias in aliases) == package.__all__ == dir(package)
 
 
-@DOORS
-def test_every_name_is_there(door: ModuleType) -> None:
-    for name in door.__all__:
-        assert getattr(door, name).__doc__ or name == "__version__", name
+@PACKAGES
+def test_every_name_is_there(package: ModuleType) -> None:
+    for name in package.__all__:
+        assert getattr(package, name).__doc__ or name == "__version__", name
 
 
-@DOORS
-def test_no_name_is_a_room(door: ModuleType) -> None:
+@PACKAGES
+def test_no_name_is_a_room(package: ModuleType) -> None:
     """A room of the same name would hide it as soon as a module of the room is imported."""
-    assert door.__file__ is not None
-    rooms = {path.stem for path in Path(door.__file__).parent.iterdir()}
-    assert not rooms & set(door.__all__)
+    assert package.__file__ is not None
+    rooms = {path.stem for path in Path(package.__file__).parent.iterdir()}
+    assert not rooms & set(package.__all__)
 
 
-@DOORS
-def test_another_name_is_refused(door: ModuleType) -> None:
+@PACKAGES
+def test_another_name_is_refused(package: ModuleType) -> None:
     with pytest.raises(AttributeError, match="no attribute 'attic'"):
-        _ = door.attic
+        _ = package.attic
     with pytest.raises(ImportError):
-        importlib.import_module(f"{door.__name__}.attic")
+        importlib.import_module(f"{package.__name__}.attic")
 
 
 def test_an_argument_of_another_kind_is_refused_by_name() -> None:
@@ -85,10 +85,10 @@ class AnyMap:
         return {}
 
 
-@DOORS
-def test_types_are_published(door: ModuleType) -> None:
-    assert door.__file__ is not None
-    assert Path(door.__file__).with_name("py.typed").is_file()
+@PACKAGES
+def test_types_are_published(package: ModuleType) -> None:
+    assert package.__file__ is not None
+    assert Path(package.__file__).with_name("py.typed").is_file()
 
 
 @pytest.mark.parametrize(

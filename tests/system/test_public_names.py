@@ -9,13 +9,13 @@ from places import SCENES
 import lscan
 import sim
 
-pytestmark = [pytest.mark.slow, pytest.mark.xdist_group("door")]
+pytestmark = [pytest.mark.slow, pytest.mark.xdist_group("public names")]
 
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Rig files of the paper's board and grooved block, rendered with little effort."""
-    folder = tmp_path_factory.mktemp("door")
+    folder = tmp_path_factory.mktemp("names")
     for name, section in {"board": "", "groove": "[plan]\nframes = 3\nstep_mm = 1.0\n"}.items():
         text = f'include = "{SCENES / "paper" / name}.toml"\n{section}[render]\nsamples = 1\n'
         (folder / f"{name}.toml").write_text(text + "scatter_samples = 0\n", encoding="utf-8")
