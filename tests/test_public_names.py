@@ -2,8 +2,10 @@
 
 import ast
 import importlib
+import pickle
 import subprocess
 import sys
+from inspect import isfunction
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -69,8 +71,17 @@ def test_an_argument_of_another_kind_is_refused_by_name() -> None:
     )
     with pytest.raises(TypeError, match=r"run: must be a Run, not a str$"):
         called("runs/groove", AnyMap())
-    with pytest.raises(TypeError, match="missing a required argument"):
+    with pytest.raises(TypeError, match=r"measure_groove\(\) missing 1 required"):
         called(run)
+
+
+@PACKAGES
+def test_its_functions_can_be_pickled(package: ModuleType) -> None:
+    """As multiprocessing does with what it is to call."""
+    functions = [found for name in package.__all__ if isfunction(found := getattr(package, name))]
+    assert functions != []
+    for function in functions:
+        assert pickle.loads(pickle.dumps(function)) is function
 
 
 class AnyMap:

@@ -30,13 +30,13 @@ def public_names(
         if name not in homes:
             raise AttributeError(f"module {package!r} has no attribute {name!r}")
         found = getattr(import_module(homes[name]), name)
-        return _checked(found) if checked and inspect.isfunction(found) else found
+        return _checked(found, package) if checked and inspect.isfunction(found) else found
 
     return load, lambda: sorted(homes), sorted(homes)
 
 
 @cache
-def _checked(function: Callable[..., Any]) -> Callable[..., Any]:
+def _checked(function: Callable[..., Any], package: str) -> Callable[..., Any]:
     """The function, which raises TypeError for an argument that is not of its class of lscan.
 
     Arguments of other types, such as paths and arrays, are left to the function.
@@ -47,7 +47,11 @@ def _checked(function: Callable[..., Any]) -> Callable[..., Any]:
 
     @wraps(function)
     def checked(*arguments: Any, **named: Any) -> Any:
-        for name, value in signature.bind(*arguments, **named).arguments.items():
+        try:
+            bound = signature.bind(*arguments, **named).arguments
+        except TypeError:
+            bound = {}  # the function's own error names it
+        for name, value in bound.items():
             kind = kinds.get(name, object)
             if not isinstance(value, kind):
                 given = type(value).__name__
@@ -58,6 +62,7 @@ def _checked(function: Callable[..., Any]) -> Callable[..., Any]:
                 raise TypeError(what + hint)
         return function(*arguments, **named)
 
+    checked.__module__ = package  # where pickle finds it again
     return checked
 
 
