@@ -130,6 +130,7 @@ def test_measure_says_the_same_where_the_scene_is_not(
 def test_table_3_is_within_its_bar(
     runs: Path, calibration: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
+    """The scattered light is left out here; tests/system/test_demo.py holds Table III with it."""
     path = tmp_path / "m.json"
     code, out, err = call(capsys, "measure", runs / "groove", "-c", calibration, "-o", path)
     assert code == 0, err
