@@ -28,10 +28,10 @@ BRAKING_S: Final = 30.0
 Grbl's default of $120."""
 
 MARKS: Final = range(100, 256)
-"""Tool numbers not used otherwise, up to Grbl's highest.  One of them, set by ``T``, marks a controller:
-any restart and any reset, so also the way out of an alarm, sets it back to T0 (Grbl 1.1, ``$G``).
-A restart whose banner was lost, which would take where the head stands for zero, is so noticed,
-and also one between two sessions of a scan."""
+"""Tool numbers not used otherwise, up to Grbl's highest.  One of them, set by ``T``, marks a
+controller: any restart and any reset, so also the way out of an alarm, sets it back to T0 (Grbl
+1.1, ``$G``).  A restart whose banner was lost, which would take where the head stands for zero, is
+so noticed, and also one between two sessions of a scan."""
 
 MOVING: Final = {("Hold", 1), ("Door", 2), ("Door", 3)}
 """States, with their numbers, in which a reset would lose steps: a hold still slowing down, a door
