@@ -306,7 +306,7 @@ def board_expected(run: Run) -> Iterator[None]:
             raise
         raise BoardNotFound(
             f"{run.path}: shows no board: by its rig file it is {shown}; calibrate from a run or "
-            "a picture of the board, such as a scan of paper/board"
+            f"a picture of the board, such as a scan of paper/board ({error})"
         ) from error
 
 

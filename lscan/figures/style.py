@@ -34,7 +34,10 @@ PALETTE: Mapping[str, str] = MappingProxyType(
         "accent": "#c2185b",
     }
 )
-INK, MUTED, RULE, PAPER, FIRST, SECOND, THIRD, ACCENT = PALETTE.values()
+INK, MUTED, RULE, PAPER, FIRST, SECOND, THIRD, ACCENT = (
+    PALETTE[name]
+    for name in ("ink", "muted", "rule", "paper", "first", "second", "third", "accent")
+)
 
 HEIGHT_COLOURS = ("#0c3547", "#1f6274", "#5d8f80", "#b5b07c", "#f1e3b3")
 """Deep water to sand; lightness rises throughout, so it reads in grey too."""

@@ -31,7 +31,7 @@ pixel an extractor's centre may hang on where within the pixel a narrow line lie
 along the pixels' rows lies alike in all its columns, and in all pictures of one place."""
 
 MAX_TILT = np.tan(np.radians(10.0))
-"""Steepest slope of a profile's segments that is believed when its tilt is looked for."""
+"""Steepest slope of a profile's segments that is accepted when its tilt is looked for."""
 
 
 @dataclass(frozen=True)
@@ -180,7 +180,7 @@ def height_between(line: Trace, upper: Ints, lower: Ints) -> LengthBudget:
     share = np.linalg.pinv(design[keep])
     weight = (share[1] - share[2]) * cosine
     freedom = max(len(used) - 3, 1)
-    scatter = float(np.sum(residual[keep] ** 2)) / freedom * _kinship(residual[keep])
+    scatter = float(np.sum(residual[keep] ** 2)) / freedom * _correlation_factor(residual[keep])
     modes, common = None, 2 * (PHASE * line.spacing_mm) ** 2
     if line.modes is None:
         common += sum(float(np.mean(line.sigma_z[used[side == k]] ** 2)) for k in (0, 1))
@@ -200,7 +200,7 @@ def _two_lines(x: Floats, which: Ints) -> Floats:
     return np.column_stack([x - middle, which == 0, which == 1]).astype(float)
 
 
-def _kinship(residual: Floats) -> float:
+def _correlation_factor(residual: Floats) -> float:
     """Factor by which the variance of a mean grows because neighbours err alike: 1 at least.
 
     The camera's blur makes the speckle of columns next to each other one error.  The factor is

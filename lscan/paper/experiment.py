@@ -8,7 +8,7 @@ from lscan.acquisition.run import Run
 from lscan.board import read_board
 from lscan.calibration.solve import Calibration, calibrate
 from lscan.measurement import BoardMeasures, GrooveMeasures, SandwaveMeasures, measure_reading
-from lscan.pipeline import mean_picture, require_board
+from lscan.pipeline import board_expected, mean_picture, require_board
 from lscan.records import BoardReading, Bytes, Stripe
 
 METHODS = (
@@ -210,7 +210,8 @@ def measure_board(run: Run, methods: Sequence[str] = METHODS) -> BoardResult:
     rig = run.rig_file.rig
     board = require_board(run.rig_file)
     image = mean_picture(run)
-    reading = read_board(image, board, channel=rig.calibration.channel)
+    with board_expected(run):
+        reading = read_board(image, board, channel=rig.calibration.channel)
     calibrations = {name: calibrate(reading, name, rig.optics) for name in methods}
     measures = {
         name: measure_reading(reading, board, calibration.plane_map)

@@ -46,7 +46,7 @@ class Extractor(Protocol):
         Returns
         -------
         Stripe
-            Of W entries, px and DN; its axis is of no account.
+            Of W entries, px and DN; its axis is not used.
         """
         ...
 

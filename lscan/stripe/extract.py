@@ -109,8 +109,8 @@ def _light(image: Bytes, settings: StripeSection, background: Bytes | None) -> _
 def _called(extractor: Extractor, settings: StripeSection, image: Floats, clipped: Mask) -> Stripe:
     """What the extractor says, with the axis set; InputError where it is no extractor.
 
-    An extractor may be a stranger's: it cannot write into the picture, and what it gives is
-    believed only once it has been looked at.
+    An extractor may come from another package: it cannot write into the picture, and its result
+    is validated.
     """
     where = f"extractor {settings.extractor}"
     try:

@@ -1,6 +1,6 @@
 """Maximum likelihood of Gaussian lines under the sensor's noise, many columns at once.
 
-The noise of a pixel depends on its light (noise.py), so each step of Fisher's scoring weighs
+The noise of a pixel depends on its light (noise/model.py), so each step of Fisher's scoring weighs
 the pixels by the variance that the line fitted so far gives them.  A clipped pixel enters
 with the probability of what it says: the light was at least this (a censored observation,
 Tobin 1958).
@@ -17,7 +17,7 @@ from lscan.stripe.crosssection import CENTRE, CrossSections, lines
 from lscan.stripe.noise.model import Noise
 
 _MOST_STEPS = 30
-_BOLD_STEPS = 10
+_FULL_STEPS = 10
 """Steps taken in full.  The weights follow the line, and now and then the line the weights, to
 and fro: half steps end that."""
 
@@ -136,7 +136,7 @@ def fit_lines(view: LineWindows, start: Floats, noise: Noise, prior: LinePrior) 
         information, score, _ = _normal_equations(part, parameters[moving], noise, known)
         step = np.linalg.solve(information, score[..., None])[..., 0]
         done = (step * score).sum(axis=1) < _SETTLED
-        step = np.clip(step, -_LONGEST_STEP, _LONGEST_STEP) * (1.0 if turn < _BOLD_STEPS else 0.5)
+        step = np.clip(step, -_LONGEST_STEP, _LONGEST_STEP) * (1.0 if turn < _FULL_STEPS else 0.5)
         parameters[moving] = np.clip(parameters[moving] + step, _LEAST, _MOST)
         settled[moving[done]] = True
         if done.any():

@@ -39,7 +39,7 @@ def lines_of(picture: Bytes, channel: Channel, axis: Axis, where: str = "picture
     ----------
     picture : (H, W) or (H, W, 3) array, uint8, DN, grey or RGB
     channel : str, "red", "green", "blue", or "grey", which weighs the colours 0.299 R + 0.587 G +
-        0.114 B; of no account in a picture that is grey already
+        0.114 B; not used in a picture that is grey already
     axis : str, "columns" or "rows"
     where : str, how the message names the picture
 

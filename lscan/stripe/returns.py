@@ -83,15 +83,15 @@ def choose_return(image: Floats, settings: StripeSection, clipped: Mask) -> OneR
     smoothed, ground = _flattened(columns)
     spots = _spots(columns, smoothed, ground, settings.threshold_dn)
     run = _runs(spots)
-    beaten = _isolated(spots, run)
+    rejected = _isolated(spots, run)
     first, second = _pairs(spots.column, 0)
-    if len(first) == 0 and not beaten.any():
+    if len(first) == 0 and not rejected.any():
         return OneReturn(image, clipped, np.zeros(len(columns), dtype=bool))
-    there = ~beaten[first] & ~beaten[second]
-    beaten |= _beaten(spots, run, first[there], second[there], settings)
-    left = np.bincount(spots.column[~beaten], minlength=len(columns))
+    there = ~rejected[first] & ~rejected[second]
+    rejected |= _rejected(spots, run, first[there], second[there], settings)
+    left = np.bincount(spots.column[~rejected], minlength=len(columns))
     ambiguous = left > 1
-    over = _footprint(spots, beaten, columns.shape)
+    over = _footprint(spots, rejected, columns.shape)
     painted = np.where(over, np.minimum(columns, ground), columns)
     return OneReturn(painted.T, (np.ascontiguousarray(clipped.T) & ~over).T, ambiguous)
 
@@ -247,8 +247,8 @@ def _is_least(group: Ints, value: Floats, count: int) -> Mask:
     return least
 
 
-def _beaten(spots: _Spots, run: Ints, first: Ints, second: Ints, settings: StripeSection) -> Mask:
-    """(K,) mask of the spots that yield to another one in their column.
+def _rejected(spots: _Spots, run: Ints, first: Ints, second: Ints, settings: StripeSection) -> Mask:
+    """(K,) mask of the spots to which another one in their column is preferred.
 
     first, second: (P,) pairs of spots in the same column, the first above the second.
     """
@@ -266,14 +266,14 @@ def _beaten(spots: _Spots, run: Ints, first: Ints, second: Ints, settings: Strip
     speck = ~succeed & (length[a] <= _SPECK * height[a]) & (length[b] > _LONGER * length[a])
     by_light = ~succeed | (settings.returns == "brightest")
     weaker = ~np.roll(speck, len(first)) & by_light & (own < _WEAKER * other)
-    beaten = np.zeros(len(run), dtype=bool)
-    beaten[spot[speck | weaker]] = True
+    rejected = np.zeros(len(run), dtype=bool)
+    rejected[spot[speck | weaker]] = True
     if settings.returns == "brightest":
         yields = other >= _CLEARLY * own
     else:
         yields = np.repeat([settings.returns == "last", settings.returns == "first"], len(first))
-    beaten[spot[yields & ~beaten[spot] & ~beaten[rival]]] = True
-    return beaten
+    rejected[spot[yields & ~rejected[spot] & ~rejected[rival]]] = True
+    return rejected
 
 
 def _footprint(spots: _Spots, over: Mask, shape: tuple[int, int]) -> Mask:

@@ -74,7 +74,7 @@ class GraticuleSolver(MapSolver[Graticule]):
         ----------
         reading : BoardReading, px and mm, the marks of one picture
         variant : str, one of VARIANTS
-        optics : OpticsSection, of no account
+        optics : OpticsSection, not used
 
         Raises
         ------

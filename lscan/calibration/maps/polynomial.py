@@ -87,7 +87,7 @@ class PolynomialSolver(MapSolver[Polynomial]):
         ----------
         reading : BoardReading, px and mm, the marks of one picture
         variant : str, the order, "1" to "9"
-        optics : OpticsSection, of no account
+        optics : OpticsSection, not used
 
         Raises
         ------

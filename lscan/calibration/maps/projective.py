@@ -134,7 +134,7 @@ class ProjectiveSolver(MapSolver[Projective]):
         ----------
         reading : BoardReading, px and mm, the marks of one picture
         variant : str, ""
-        optics : OpticsSection, of no account
+        optics : OpticsSection, not used
 
         Raises
         ------

@@ -94,7 +94,7 @@ class SplineSolver(MapSolver[Spline]):
         ----------
         reading : BoardReading, px and mm, the marks of one picture
         variant : str, ""
-        optics : OpticsSection, of no account
+        optics : OpticsSection, not used
 
         Raises
         ------

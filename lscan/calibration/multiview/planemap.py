@@ -166,7 +166,7 @@ class MetricSolver(MapSolver[Metric]):
 
         Parameters
         ----------
-        variant : str, of no account
+        variant : str, not used
 
         Raises
         ------
@@ -185,9 +185,9 @@ class MetricSolver(MapSolver[Metric]):
 
         Parameters
         ----------
-        reading : BoardReading, of no account
-        variant : str, of no account
-        optics : OpticsSection, of no account
+        reading : BoardReading, not used
+        variant : str, not used
+        optics : OpticsSection, not used
 
         Raises
         ------

@@ -16,7 +16,9 @@ def blais_rioux(seen: LineLight) -> tuple[Floats, Floats]:
 
     Parameters
     ----------
-    seen : LineLight, px and DN, of K columns
+    image : (H, W) array, DN, grey values
+    settings : StripeSection, threshold and span
+    clipped : (H, W) mask, of the pixels that may have seen more light than they say
 
     References
     ----------

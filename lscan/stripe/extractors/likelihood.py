@@ -29,7 +29,7 @@ def maximum_likelihood(image: Floats, settings: StripeSection, clipped: Mask) ->
     column alone does not determine them, they do.
 
     sigma_px follows from Fisher's information, and from what the line differs from a Gaussian
-    alike in neighbouring columns (scatter.py), carried through the fit.  Where the pixels
+    alike in neighbouring columns (noise/scatter.py), carried through the fit.  Where the pixels
     scatter about the line more than the noise explains it grows by the root of that ratio
     (Birge 1932): the neighbours' median of it, and the column's own where beyond chance.
     SATURATED columns have been allowed for.  Too few of their pixels are left to estimate the

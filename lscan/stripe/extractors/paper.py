@@ -32,7 +32,7 @@ def maximum(image: Floats, settings: StripeSection, clipped: Mask) -> Stripe:
     ----------
     image : (H, W) array, DN, grey values
     settings : StripeSection, threshold and span; see :func:`_extract`
-    clipped : (H, W) mask, of no account to the rule
+    clipped : (H, W) mask, not used by the rule
 
     References
     ----------
@@ -50,7 +50,7 @@ def centroid(image: Floats, settings: StripeSection, clipped: Mask) -> Stripe:
     ----------
     image : (H, W) array, DN, grey values
     settings : StripeSection, threshold and span; see :func:`_extract`
-    clipped : (H, W) mask, of no account to the rule
+    clipped : (H, W) mask, not used by the rule
 
     References
     ----------
@@ -66,7 +66,7 @@ def centroid_relative(image: Floats, settings: StripeSection, clipped: Mask) -> 
     ----------
     image : (H, W) array, DN, grey values
     settings : StripeSection, threshold and span; see :func:`_extract`
-    clipped : (H, W) mask, of no account to the rule
+    clipped : (H, W) mask, not used by the rule
 
     References
     ----------
@@ -83,7 +83,7 @@ def _extract(
     A column has a line where its highest value exceeds its median by more than
     ``threshold_dn``: NO_PEAK otherwise, AT_BORDER where the window does not fit the picture.
 
-    sigma_px combines the noise of the pixels (noise.py), carried through the derivative of
+    sigma_px combines the noise of the pixels (noise/model.py), carried through the derivative of
     the centre; the choice of the nominal peak; and, where the rule ``guesses_background``
     from the window, that guess.  For a Gaussian line the last two are the size of what the
     window cuts off; a line wider than the span, whose crest is flat, has sigma_px too large.

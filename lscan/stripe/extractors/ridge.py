@@ -44,9 +44,9 @@ def steger(image: Floats, settings: StripeSection, clipped: Mask) -> Stripe:
     widths of the edge; NO_PEAK too where the line runs along the column.
 
     sigma_px is the pixels' noise carried through the derivative of the crossing: reading
-    noise, photons and speckle of ``settings.noise``, or what noise.py estimates.  Neighbouring
-    columns share their noise over about a line's width.  What is smoothed away where the line
-    bends within its own width is no part of sigma_px.
+    noise, photons and speckle of ``settings.noise``, or what noise/model.py estimates.
+    Neighbouring columns share their noise over about a line's width.  What is smoothed away where
+    the line bends within its own width is no part of sigma_px.
 
     Parameters
     ----------

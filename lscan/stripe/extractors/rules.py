@@ -4,7 +4,7 @@ A rule is judged by what it would do to the line that was there: a Gaussian of t
 neighbours' width at the place found, averaged over each pixel.  On that line it errs by a
 little even without noise (interpolation, pixels cut off), and has a derivative by each
 pixel, through which the pixels' noise reaches the centre, and so does what the real line
-differs by (scatter.py).  sigma_px holds all three.
+differs by (noise/scatter.py).  sigma_px holds all three.
 """
 
 from collections.abc import Callable
@@ -61,7 +61,7 @@ def extractor(rule: Rule) -> Extractor:
         pixel, and its derivative (K, n) by the light, px/DN
     """
 
-    @wraps(rule)
+    @wraps(rule, assigned=("__module__", "__name__", "__qualname__", "__doc__"))
     def extract(image: Floats, settings: StripeSection, clipped: Mask) -> Stripe:
         seen = survey(image, settings, clipped)
         if isinstance(seen, Stripe):
@@ -73,6 +73,7 @@ def extractor(rule: Rule) -> Extractor:
         kept = seen.is_near(offset, sigma)
         return centred(seen.stripe, seen.peaks, offset, sigma, kept)
 
+    del extract.__wrapped__  # its signature is an extractor's, not the rule's
     return extract
 
 

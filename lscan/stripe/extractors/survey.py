@@ -56,7 +56,7 @@ class Survey:
     tilt : Guess, DN/px, of the ground
     noise : Noise, of the pixels
     misfit : float, share of its light by which the line is no Gaussian; its part that is odd about
-        the centre (scatter.py)
+        the centre (noise/scatter.py)
     """
 
     stripe: Stripe

@@ -15,7 +15,9 @@ def centroid_squared(seen: LineLight) -> tuple[Floats, Floats]:
 
     Parameters
     ----------
-    seen : LineLight, px and DN, of K columns
+    image : (H, W) array, DN, grey values
+    settings : StripeSection, threshold and span
+    clipped : (H, W) mask, of the pixels that may have seen more light than they say
     """
     reach = np.maximum(np.ceil(2.5 * seen.width_px), 2)[:, None]
     light = np.where(np.abs(seen.steps) <= reach, seen.light, 0.0)

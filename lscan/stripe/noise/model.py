@@ -149,7 +149,7 @@ def scatter_noise(square: Floats, light: Floats, constant: float) -> Noise:
 
     Parameters
     ----------
-    square : (N,) array, DN², on average the variance of the noise (scatter.py)
+    square : (N,) array, DN², on average the variance of the noise (noise/scatter.py)
     light : (N,) array, DN, the line's fitted grey values, 0 or more
     constant : float, DN², as in :class:`Noise`, known from elsewhere
     """

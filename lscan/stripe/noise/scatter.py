@@ -18,7 +18,7 @@ _FEWEST = 8  # pairs of columns, some hundred pixels
 _SIDEWAYS_PX = 3  # farther apart along the column, two peaks are of two lines
 _FAINT = 0.005  # of the line's height: what Gaussians have beyond 3.3 standard deviations
 _BEYOND_CHANCE = 4.0  # standard deviations of a variance
-_CORE = 5.0  # standard deviations within which pixels are believed
+_CORE = 5.0  # standard deviations within which pixels are used
 
 
 @dataclass(frozen=True)

@@ -91,14 +91,14 @@ def parameter_modes(datum: Datum, modes: NDArray[np.floating]) -> Floats:
     points = np.concatenate([datum.tops, *(edge.inside for edge in datum.edges)])
     given = displacement(points, datum.pivot, datum.rotation, datum.yaw_rad)
     noise, vectors = np.linalg.eigh(_noise(datum))
-    left = np.column_stack([_seven(datum, modes), vectors * np.sqrt(np.maximum(noise, 0.0))])
-    matrix = _seven(datum, given)
+    left = np.column_stack([_conditions(datum, modes), vectors * np.sqrt(np.maximum(noise, 0.0))])
+    matrix = _conditions(datum, given)
     if datum.sheared:
         return np.asarray(-np.linalg.solve(matrix, left))
     free = np.delete(np.arange(PARAMETERS), YAW)
-    for seven in (left, matrix):  # the edges' lean by itself, not against the corners
-        seven[LEAN] -= seven[TURN]
-    left, matrix = (np.delete(seven, TURN, axis=0) for seven in (left, matrix))
+    for rows in (left, matrix):  # the edges' lean by itself, not against the corners
+        rows[LEAN] -= rows[TURN]
+    left, matrix = (np.delete(rows, TURN, axis=0) for rows in (left, matrix))
     errors = np.zeros((PARAMETERS, left.shape[1]))
     errors[free] = -np.linalg.solve(matrix[:, free], left)
     return errors
@@ -129,7 +129,7 @@ def displacement(points: Floats, pivot: Floats, rotation: Floats, yaw_rad: float
     return np.concatenate([np.stack(about, axis=-1), shifts], axis=-1)
 
 
-def _seven(datum: Datum, field: NDArray[np.floating]) -> Floats:
+def _conditions(datum: Datum, field: NDArray[np.floating]) -> Floats:
     """(7, C) the seven quantities of C displacements (P, 3, C) of the tops, then the edges."""
     count = len(datum.tops)
     plane = np.linalg.lstsq(_plane_design(datum), field[:count, 2], rcond=None)[0]

@@ -4,6 +4,7 @@ import base64
 import dataclasses
 import re
 import xml.etree.ElementTree as ElementTree
+from importlib.resources import files
 
 import cv2
 import numpy as np
@@ -82,6 +83,14 @@ def test_svg_is_stable_follows_the_theme_and_keeps_its_ids_apart():
     bare = re.sub(r"var\(--\w+, #\w+\)", "", first.body)
     assert not [colour for colour in style.PALETTE.values() if colour in bare]
     assert ElementTree.fromstring(first.body).get("role") == "img"
+
+
+def test_the_style_sheet_has_the_palettes_colours():
+    """svg() makes variables of the page's theme of those colours alone."""
+    text = files("lscan.figures").joinpath("report.mplstyle").read_text()
+    used = set(re.findall(r": ([0-9a-f]{6})\b", text))
+    assert used
+    assert used <= {colour.removeprefix("#") for colour in style.PALETTE.values()}
 
 
 def test_photograph_shows_the_picture_in_pixel_coordinates():

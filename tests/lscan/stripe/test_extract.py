@@ -1,5 +1,7 @@
 """From picture to stripe: channel, axis, background, clipping, plug-ins, overlay, bad input."""
 
+from inspect import signature
+
 import numpy as np
 import pytest
 from hypothesis import given, settings, strategies as st
@@ -152,6 +154,14 @@ def test_the_papers_extractors_are_registered():
         "centroid",
         "centroid_relative",
     }
+
+
+@pytest.mark.parametrize(
+    "name",
+    [*NAMES, "gaussian", "ml", "blais-rioux", "centroid-squared", "smoothed-peak", "steger"],
+)
+def test_every_extractor_has_an_extractors_signature(name):
+    assert list(signature(find_extractor(name)).parameters) == ["image", "settings", "clipped"]
 
 
 @pytest.mark.parametrize(
