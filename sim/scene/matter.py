@@ -9,7 +9,7 @@ from lscan.config.documents import Strict
 from lscan.records import Floats
 from sim.scene.instrument import Fraction, Seed, Vector
 
-FLOOR_HALF_SIDE_MM = 3000.0  # beyond, a metre of turbid water has swallowed the light
+FLOOR_HALF_SIDE_MM = 3000.0  # beyond, a metre of turbid water has absorbed the light
 WaterKind = Literal[
     "given", "pure", "clear", "coastal", "harbor", "tank", "air",
     "jerlov-I", "jerlov-IB", "jerlov-II", "jerlov-III", "jerlov-1C", "jerlov-7C", "jerlov-9C",
@@ -105,7 +105,7 @@ class Target(Strict):
     multiply it.
     finish: "matt" scatters diffusely; "wet": a glossy coat over it, whose facets have the
     slope ``roughness`` and the index ``coat_index``; "mirror": metal of that roughness, which
-    throws the line elsewhere.
+    reflects the line elsewhere.
     """
 
     shape: Literal["board", "workpiece", "mesh", "none"]

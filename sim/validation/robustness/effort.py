@@ -11,7 +11,7 @@ class HardwareEffort:
     overhead_frames: of the scan without devices.  scan_frames: of the scan on the served tank.
     aligned: whether that scan is compared on the workpiece's slices, which takes a hundred
     frames, or column by column.  kills: of a scan, in runs of so many kill_frames.
-    every_field: how many of the wrong rig files are passed over for one that is tried.
+    every_field: one in so many of the wrong rig files is tried.
     faults: of each kind.
     """
 
