@@ -1,4 +1,4 @@
-"""Phase functions against published check values, with integrals done here by quadrature."""
+"""Phase functions against check values, with integrals done here by quadrature."""
 
 from collections.abc import Callable
 
@@ -15,7 +15,7 @@ from sim.water import FournierForand, HenyeyGreensteinMixture, PetzoldTable
 Density = Callable[[Floats], Floats]
 
 NARROWEST = 1e-9  # rad: where the integrals start; a peak of psi^-1.42 leaves 1e-5 within
-PUBLISHED = reference("phases")
+REFERENCE = reference("phases")
 
 
 def phases() -> Topic:
@@ -34,12 +34,12 @@ def particles() -> tuple[Density, Density, Density]:
 
 
 def _value_rows(fournier: Density, mixture: Density, petzold: Density) -> list[Row]:
-    angles, table = np.array(PUBLISHED["petzold"]).T
-    at, published = np.array(PUBLISHED["fournier"]).T
+    angles, table = np.array(REFERENCE["petzold"]).T
+    at, values = np.array(REFERENCE["fournier"]).T
     ratio = mixture(np.radians(angles)) / table
     beyond = float(max(ratio.max() - 1.13, 0.91 - ratio.min(), 0.0))
     return [
-        row("fournier-values", _relative(fournier(np.radians(at)), published)),
+        row("fournier-values", _relative(fournier(np.radians(at)), values)),
         row("fournier-smooth", _roughness(fournier)),
         row("petzold-values", _relative(petzold(np.radians(angles)), table)),
         row("lobes-over-petzold", beyond),
@@ -49,10 +49,10 @@ def _value_rows(fournier: Density, mixture: Density, petzold: Density) -> list[R
 def _integral_rows(fournier: Density, mixture: Density, petzold: Density) -> list[Row]:
     backs = [
         abs(backscattered(FournierForand(n, slope).density) / share - 1)
-        for n, slope, share in PUBLISHED["backscatter"]
+        for n, slope, share in REFERENCE["backscatter"]
     ]
     rows = [row("fournier-backscatter", max(backs))]
-    for case, density in zip(PUBLISHED["moments"], (petzold, fournier, mixture), strict=True):
+    for case, density in zip(REFERENCE["moments"], (petzold, fournier, mixture), strict=True):
         total, mean = moments(density)
         off_g, off_back = mean / total - case["g"], backscattered(density) - case["back"]
         rows += [
@@ -77,8 +77,8 @@ def backscattered(density: Density) -> float:
     return float(simpson(2 * np.pi * density(angle) * np.sin(angle), x=angle))
 
 
-def _relative(found: Floats, published: Floats) -> float:
-    return float(np.abs(found / published - 1).max())
+def _relative(found: Floats, values: Floats) -> float:
+    return float(np.abs(found / values - 1).max())
 
 
 def _roughness(density: Density) -> float:
@@ -98,7 +98,7 @@ def _roughness(density: Density) -> float:
 @style.styled
 def _figure(fournier: Density, mixture: Density, petzold: Density) -> ReportFigure:
     figure, (upper, lower) = style.panels(2, (style.WIDTH_IN, 4.2), heights=(3.0, 1.4))
-    angles, table = np.array(PUBLISHED["petzold"]).T
+    angles, table = np.array(REFERENCE["petzold"]).T
     fine = np.geomspace(0.1, 180, 600)
     curves = {"four lobes": (mixture, style.FIRST), "Fournier–Forand": (fournier, style.SECOND)}
     for name, (density, colour) in curves.items():

@@ -1,4 +1,4 @@
-"""The truth's projection against published values, the camera plugin and traced glass."""
+"""The truth's projection against check values, the camera plugin and traced glass."""
 
 from typing import Any
 
@@ -26,8 +26,8 @@ def projection(rigs: int) -> Topic:
         for name, rays in ways.items()
     ]
     r, z, tangent = np.array(reference("projection")["tangents"]).T
-    published = row("projection-published", float(np.abs(tangents(r, z) - tangent).max()))
-    return topic("projection", rows=(published, *rows))
+    checked = row("projection-published", float(np.abs(tangents(r, z) - tangent).max()))
+    return topic("projection", rows=(checked, *rows))
 
 
 def _rig_errors(kind: str, rays_of: Rays, rigs: int) -> list[float]:

@@ -16,12 +16,13 @@ from sim.validation.physics.topics import page_figure, topic
 from sim.validation.rows import Row, Topic, row
 from sim.water import refractive_index
 
-WATER_INDEX, GLASS_INDEX = 1.3313, 1.49  # of the published values
+WATER_INDEX, GLASS_INDEX = 1.3313, 1.49  # of the check values
 FOCAL_PX = 600.0
 FIT_AT_MM, WIDEST_DEG = 1000.0, 25.0
-# Distance in mm: largest error in px of the camera fitted at 1 m.
-PUBLISHED_ERROR_PX = {500.0: 0.98, 700.0: 0.42, 1500.0: 0.33, 2000.0: 0.49}
-PUBLISHED_FOCAL = 1.3278
+# docs/explanation/physics.md, section 6.  Distance in mm: largest error in px of the camera
+# fitted at 1 m.
+CHECK_ERROR_PX = {500.0: 0.98, 700.0: 0.42, 1500.0: 0.33, 2000.0: 0.49}
+CHECK_FOCAL = 1.3278
 MEDIA = {"air": None, "fresh water": 0.0, "sea water": 35.0}  # salinity in psu
 AT_C, AT_NM = 20.0, 650.0
 
@@ -29,14 +30,14 @@ AT_C, AT_NM = 20.0, 650.0
 def refraction() -> Topic:
     """Sines against the index in three media, and the single-viewpoint fit's own failure."""
     fitted = fit_single_viewpoint()
-    errors = {at: residuals(fitted, at) for at in PUBLISHED_ERROR_PX}
+    errors = {at: residuals(fitted, at) for at in CHECK_ERROR_PX}
     worst = max(
-        abs(np.abs(errors[at][1]).max() - published) for at, published in PUBLISHED_ERROR_PX.items()
+        abs(np.abs(errors[at][1]).max() - expected) for at, expected in CHECK_ERROR_PX.items()
     )
     rows = [
         *(_sine_row(name, salinity) for name, salinity in MEDIA.items()),
         row("angle-in-water", abs(angle_in_water_deg() - 22.06)),
-        row("single-viewpoint-focal", abs(float(fitted[0]) / FOCAL_PX - PUBLISHED_FOCAL)),
+        row("single-viewpoint-focal", abs(float(fitted[0]) / FOCAL_PX - CHECK_FOCAL)),
         row("single-viewpoint-error", float(worst)),
     ]
     return topic("refraction", rows=rows, figures=(_figure(errors),))

@@ -17,8 +17,9 @@ from sim.water import Optics, water_optics
 
 SEED = 71
 SAMPLES = 200_000
-# x of the direction (x, .05, 1), and the radiance for 1 W in 1/m2: the published quadrature.
-PUBLISHED = ((0.0, 5.942212822e-4), (0.1, 9.540600974e-4), (0.2, 1.300616580e-3))
+# x of the direction (x, .05, 1), and the radiance for 1 W in 1/m2: the quadrature of
+# docs/explanation/physics.md, section 7.
+CHECK_VALUES = ((0.0, 5.942212822e-4), (0.1, 9.540600974e-4), (0.2, 1.300616580e-3))
 PER_MM2_IN_PER_M2 = 1e6
 REACH_SIGMAS = 10.0  # of the Gaussian along the ray: what lies beyond is below 1e-22
 
@@ -36,22 +37,22 @@ class LineOfSight:
 
 
 def single_scattering(sights: int) -> Topic:
-    """The veil's radiance on the published and on so many random lines of sight."""
+    """The veil's radiance on the lines of the check values and on so many random lines of sight."""
     generator = np.random.default_rng(SEED)
-    lines = [published_sight(x) for x, _ in PUBLISHED]
+    lines = [check_sight(x) for x, _ in CHECK_VALUES]
     lines += [random_sight(generator) for _ in range(sights)]
-    published = max(abs(published_by_quadrature(x) / value - 1) for x, value in PUBLISHED)
+    checked = max(abs(check_by_quadrature(x) / value - 1) for x, value in CHECK_VALUES)
     veil = max(abs(rendered(line) / quadrature(line) - 1) for line in lines)
     rows = (
-        row("veil-quadrature", published),
+        row("veil-quadrature", checked),
         row("veil", veil, seed=SEED, sights=sights, samples=SAMPLES),
     )
     return topic("single-scattering", rows)
 
 
-def published_by_quadrature(x: float) -> float:
-    """Radiance for 1 W in 1/m2 on a published line of sight: particles only, no molecules."""
-    sight = published_sight(x)
+def check_by_quadrature(x: float) -> float:
+    """Radiance for 1 W in 1/m2 on a check value's line of sight: particles only, no molecules."""
+    sight = check_sight(x)
     optics = replace(optics_of(sight.scene), molecular_weight=0.0)
     return quadrature(sight, optics) * PER_MM2_IN_PER_M2
 
@@ -61,8 +62,8 @@ def optics_of(scene: Scene) -> Optics:
     return water_optics(scene.tank.water, scene.tank.laser.wavelength_nm)
 
 
-def published_sight(x: float) -> LineOfSight:
-    """The published geometry, turned so that its fan points down.
+def check_sight(x: float) -> LineOfSight:
+    """The geometry of the check values, turned so that its fan points down.
 
     There the apex is (.3, 0, 0) m, the fan's axis leans by 17 degrees from z and the sheet
     contains y; b = .5, a = .4 per m, Henyey-Greenstein .9, half angle 30 degrees, w = 2 mm.
@@ -71,7 +72,7 @@ def published_sight(x: float) -> LineOfSight:
     down = np.array([-np.sin(lean), 0.0, np.cos(lean)])
     across = np.array([0.0, 1.0, 0.0])
     turn = np.array([across, np.cross(across, down), -down])  # rows: x, y, z of our world
-    scene = scene_with("published-sheet")
+    scene = scene_with("check-sheet")
     direction = turn @ np.array([x, 0.05, 1.0])
     return LineOfSight(
         scene, turn @ np.array([-300.0, 0.0, 0.0]), direction / np.linalg.norm(direction)

@@ -29,5 +29,5 @@ def _words(key: str) -> Any:
 
 
 def reference(key: str) -> Any:
-    """The published values that the topic of that key is held against."""
+    """The values that the topic of that key is held against."""
     return packaged_table("sim.validation.physics", "references.toml")[key]

@@ -40,13 +40,12 @@ def veil(sheet: LaserSheet, water: Optics, start: Floats, along: Floats, count: 
     return np.array(layers[1], dtype=float)
 
 
-# Published check values, docs/explanation/physics.md, section 7: metres and watts there, mm and mW
-# here.
+# Check values of docs/explanation/physics.md, section 7: metres and watts there, mm and mW here.
 CHECK = [(0.0, 5.942212822e-4), (0.1, 9.540600974e-4), (0.2, 1.300616580e-3)]
 
 
 @pytest.mark.parametrize(("x", "quadrature"), CHECK)
-def test_single_scattering_against_published_quadrature(x: float, quadrature: float) -> None:
+def test_single_scattering_against_the_check_values(x: float, quadrature: float) -> None:
     """The sampled estimator reproduces the quadrature for a 2 mm sheet to 1e-4."""
     tilt = np.radians(17.0)
     axis = np.array([-np.sin(tilt), 0.0, np.cos(tilt)])
