@@ -91,6 +91,18 @@ def test_the_drawing_shows_every_room(package: str) -> None:
     assert all(f">{room}</text>" in picture for room in rooms)
 
 
+@pytest.mark.parametrize("package", ["lscan", "sim"])
+def test_the_tables_of_the_architecture_name_every_room(package: str) -> None:
+    page = (ROOT / "docs" / "explanation" / "architecture.md").read_text(encoding="utf-8")
+    table = page.split(f"\n## {package}\n")[1].split("\n## ")[0]
+    named = set(
+        re.findall("`([a-z]+)`", " ".join(re.findall(r"^\| (.+?) \|", table, re.MULTILINE)))
+    )
+    modules = {path.stem for path in (ROOT / package).glob("*.py")} - {"__init__"}
+    rooms = {path.parent.name for path in (ROOT / package).glob("*/__init__.py")}
+    assert rooms | modules == named
+
+
 def test_implied_arrows_are_left_out() -> None:
     pairs = {("a", "b"), ("b", "c"), ("a", "c"), ("a", "d")}
     assert drawing.reduced(pairs) == {("a", "b"), ("b", "c"), ("a", "d")}
