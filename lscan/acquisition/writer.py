@@ -125,7 +125,9 @@ class RunWriter:
         Raises
         ------
         InputError
-            The disk refuses; the frames before this one stay whole.
+            The frame is out of order, its picture is unlike the first one's, it has a background
+            where the plan is not of pairs or none where it is, the writer is closed, or the disk
+            refuses; the frames before this one stay whole.
         """
         if not self._held:
             raise InputError("cannot be written: the writer is closed", where=self.path)
@@ -226,7 +228,7 @@ def resume_run(path: Path, rig_file: RigFile) -> RunWriter:
         path is named), is being written by another scan, or is damaged in a way that being killed
         does not explain.
     """
-    if not path.exists():
+    if not os.path.exists(path):  # noqa: PTH110 - takes any text
         return create_run(path, rig_file)
     lock = lock_folder(path)
     try:
@@ -243,7 +245,7 @@ def resume_run(path: Path, rig_file: RigFile) -> RunWriter:
 
 def refuse_existing(path: Path) -> None:
     """Raise InputError where there is something at ``path`` already."""
-    if path.exists() or path.is_symlink():
+    if os.path.lexists(path):
         raise InputError(
             "exists already",
             where=path,
@@ -298,7 +300,7 @@ def holds_no_run(path: Path) -> bool:
     InputError
         It cannot be read as a folder.
     """
-    if not path.exists():
+    if not os.path.exists(path):  # noqa: PTH110 - takes any text
         return True
     names = list_names(path)
     frames = list_names(path / FRAMES) if FRAMES in names else set()

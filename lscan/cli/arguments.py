@@ -1,5 +1,6 @@
 """The arguments that several commands take, and what is checked of them before any work."""
 
+import os
 from pathlib import Path
 from typing import Annotated
 
@@ -33,5 +34,5 @@ Json = Annotated[bool, typer.Option("--json", help="Print the result as JSON.")]
 def require_folders(*outputs: Path | None) -> None:
     """Refuse, before any work is done, an output whose folder does not exist."""
     for output in outputs:
-        if output is not None and not output.parent.is_dir():
+        if output is not None and not os.path.isdir(output.parent):  # noqa: PTH112 - takes any
             raise InputError("the folder to write to does not exist", where=output)

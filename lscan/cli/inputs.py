@@ -3,6 +3,7 @@
 Commands import it when they run: what it imports is heavy, and ``lscan --help`` stays quick.
 """
 
+import os
 from contextlib import nullcontext
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -84,7 +85,7 @@ class BoardSource:
         section = self.calibration
         if channel is not None:
             section = check(CalibrationSection, {"channel": channel}, where="command line")
-        with board_expected(self.run) if self.run else nullcontext():
+        with board_expected(self.run) if self.run is not None else nullcontext():
             return read_board(self.image, self.board, seeds=seeds, channel=section.channel)
 
 
@@ -97,13 +98,13 @@ def board_picture(
     the first.  trusted: as ``open_run``.
     Raises InputError where one is missing or cannot be used.
     """
-    if picture.is_dir():
+    if os.path.isdir(picture):  # noqa: PTH112 - takes any text
         run = open_run(picture, trusted)
         rig = run.rig_file.rig
         nominal = load_board(board) if board else require_board(run.rig_file)
         known = read_optics(optics) if optics else rig.optics
         return BoardSource(mean_picture(run), nominal, rig.calibration, known, run)
-    if not picture.exists():
+    if not os.path.exists(picture):  # noqa: PTH110 - takes any text
         raise InputError(
             "no such file or folder", where=picture, allowed="a picture file or a run folder"
         )

@@ -362,7 +362,7 @@ def _too_large(file: Path, size: int, most: int) -> InputError:
 
 
 def _unreadable(path: Path, error: OSError) -> InputError:
-    gone = error.errno in (errno.ENOENT, errno.ENOTDIR)
+    gone = error.errno in (errno.ENOENT, errno.ENOTDIR, errno.ENAMETOOLONG)
     remedy = "check its name, and that its disk is there" if gone else "check its permissions"
     if error.errno in (errno.EIO, errno.ENODEV, errno.ESTALE):
         remedy = _CHECK_DISK

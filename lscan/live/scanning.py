@@ -1,5 +1,6 @@
 """Start, pause, resume and stop of a scan, which runs in a thread of its own."""
 
+import os
 import re
 import threading
 import time
@@ -91,7 +92,10 @@ class Scanning:
         self._begin(create_run(folder, self._rig_file))
 
     def resume(self) -> None:
-        """Go on with the scan that was paused, stopped or failed; errors as start."""
+        """Go on with the scan that was paused, stopped or failed.
+
+        Errors as start, and NotNow where there is none.
+        """
         if self._folder is None or self._state == "done":
             raise NotNow("there is no scan to go on with")
         self._devices.ready()
@@ -164,7 +168,7 @@ class Scanning:
 def next_name(output: Path, stem: str) -> str:
     """``stem-NNN``, the number above the greatest there is in the folder ``output``."""
     taken = [0]
-    for path in output.glob(f"{stem}-*") if output.is_dir() else ():
+    for path in _matching(output, f"{stem}-*"):
         with suppress(ValueError):
             taken.append(int(path.name.partition(".")[0][len(stem) + 1 :]))
     return f"{stem}-{max(taken) + 1:03d}"
@@ -176,7 +180,8 @@ def find_unfinished(output: Path, rig_file: RigFile) -> tuple[Path, int] | None:
     None where that one is complete or there is none: an older one is left to ``lscan scan
     --resume``.  Reads only; what a kill left of a frame is cleared away once it is resumed.
     """
-    tables = [table for table in output.glob(f"*/{TABLE}") if table.is_file()]
+    found = _matching(output, f"*/{TABLE}")
+    tables = [table for table in found if os.path.isfile(table)]  # noqa: PTH113 - takes any text
     for table in sorted(tables, key=_written_s, reverse=True):
         with suppress(LscanError, OSError):
             manifest, begun = read_manifest(table.parent)
@@ -187,6 +192,11 @@ def find_unfinished(output: Path, rig_file: RigFile) -> tuple[Path, int] | None:
             rows = held.count(b"\n") - 1  # under the header, a torn one left out
             return table.parent, max(rows, 0)
     return None
+
+
+def _matching(folder: Path, pattern: str) -> list[Path]:
+    """What is there of that pattern; nothing where there is no such folder."""
+    return list(folder.glob(pattern)) if os.path.isdir(folder) else []  # noqa: PTH112 - takes any
 
 
 def _written_s(file: Path) -> float:

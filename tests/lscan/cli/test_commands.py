@@ -278,6 +278,37 @@ def test_bad_input_that_needs_nothing(tmp_path: Path, capsys: pytest.CaptureFixt
     assert sorted(path.name for path in tmp_path.iterdir()) == ["deep.png", "flat.png", "text.png"]
 
 
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ("extract", "LONG"),
+        ("extract", "flat.png", "-o", "LONG/s.csv"),
+        ("calibrate", "LONG", "-o", "c.json"),
+        ("scan", SCENES / "board.toml", "-o", "LONG"),
+        ("scan", SCENES / "board.toml", "-o", "LONG", "--resume"),
+        ("measure", "LONG", "-c", "c.json"),
+        ("reconstruct", "LONG", "-c", "c.json", "-o", "s.nc"),
+        ("report", "-o", "report", "--board", "LONG"),
+    ],
+    ids=lambda arguments: f"{arguments[0]} {len(arguments)}",
+)
+def test_a_name_longer_than_any_file_may_have_is_one_line(
+    arguments: tuple[object, ...],
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Linux takes 255 bytes; pathlib raises for more where it is asked what there is."""
+    monkeypatch.chdir(tmp_path)
+    cv2.imwrite("flat.png", np.full((40, 60), 90, np.uint8))
+    long = "a" * 300
+    given = [str(argument).replace("LONG", long) for argument in arguments]
+    code, out, err = call(capsys, *given)
+    assert (code, out) == (2, "")
+    assert long in err.splitlines()[-1]
+    assert [path.name for path in tmp_path.iterdir()] == ["flat.png"]
+
+
 def test_a_flat_picture_holds_no_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     cv2.imwrite(str(tmp_path / "flat.png"), np.full((40, 60), 90, np.uint8))
     code, out, _ = call(capsys, "extract", tmp_path / "flat.png", "--json")
