@@ -216,8 +216,9 @@ def listen(host: str, port: int) -> socket.socket:
     try:
         family, *_ = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0]
         return socket.create_server((host, port), family=family)
-    except OSError as error:
-        reason = (error.strerror or "").partition(" (while attempting")[0]  # where is said already
+    except (OSError, UnicodeError) as error:  # such as of a name with an empty part
+        said = getattr(error, "strerror", None) or "no such name"
+        reason = said.partition(" (while attempting")[0]  # where is said already
         where = f"--host {host} --port {port}"
         raise InputError(f"cannot listen there: {reason}", where=where) from error
 

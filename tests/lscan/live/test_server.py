@@ -402,6 +402,8 @@ def test_a_port_in_use_is_refused_before_a_device_is_opened() -> None:
             listen("127.0.0.1", port)
     with pytest.raises(InputError, match="cannot listen there"):
         listen("no-such-host.invalid", 0)
+    with pytest.raises(InputError, match=r"--host a\.\.b --port 0: .*no such name"):
+        listen("a..b", 0)
 
 
 # ---- the command ------------------------------------------------------------------------
