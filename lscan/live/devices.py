@@ -7,6 +7,7 @@ answers, and opened again by the next command that needs it.
 """
 
 import contextlib
+import math
 import threading
 from collections.abc import Callable, Iterator
 
@@ -65,11 +66,17 @@ class LiveDevices:
         return True
 
     def _require_sound(self, grab: Grab) -> None:
-        """Raise InputError or DeviceError for what is no picture or not of the rig's size."""
+        """Raise InputError or DeviceError for what is no picture or not of the rig's size.
+
+        DeviceError also for a number that is not finite: no browser could read it.
+        """
         check_picture(grab.image, "the camera's picture")
         height, width = grab.image.shape[:2]
         if (width, height) != self._camera.size_px:
             raise DeviceError(f"the camera's picture is {width} by {height} px")
+        for name in ("time_s", "exposure_ms"):
+            if not math.isfinite(getattr(grab, name)):
+                raise DeviceError(f"the camera reported {name} that is not finite")
 
     def _show_sound(self, grab: Grab) -> None:
         """Show a scan's picture; one that is not sound the acquisition itself refuses."""
@@ -95,9 +102,12 @@ class LiveDevices:
 
     def _track_says(self) -> tuple[float | None, str]:
         try:
-            return self.track.position_mm, ""
+            position_mm = self.track.position_mm
         except DeviceError as error:
             return None, str(error)
+        if not math.isfinite(position_mm):
+            return None, "the track reports a position that is not finite"
+        return position_mm, ""
 
     def check_track(self) -> None:
         """Ask a track that is not in use whether it still answers; if not, track_error says so."""

@@ -4,6 +4,7 @@ import json
 import os
 import struct
 import threading
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -22,7 +23,7 @@ from lscan.live.errors import NotNow
 from lscan.live.focus import MOVED_MM, BestFocus
 from lscan.live.maptable import MapTable
 from lscan.live.newest import Newest
-from lscan.live.scanning import next_name
+from lscan.live.scanning import find_unfinished, next_name
 from lscan.live.session import Session
 
 
@@ -252,6 +253,13 @@ def test_the_next_name_is_above_all_there_are(tmp_path: Path) -> None:
     assert next_name(tmp_path, "scan") == "scan-010"
 
 
+def test_a_name_longer_than_any_file_may_have_holds_no_run(tmp_path: Path) -> None:
+    """Linux takes 255 bytes; pathlib raises for more where it is asked what there is."""
+    output = tmp_path / ("a" * 300)
+    assert next_name(output, "scan") == "scan-001"
+    assert find_unfinished(output, fake_rig(5)) is None
+
+
 def test_frames_are_numbered_one_by_one_where_pictures_were_passed_over(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -326,6 +334,41 @@ def test_a_picture_that_cannot_be_measured_is_reported(
         wait_for(lambda: session.state()["camera"]["error"])
         camera.fail_at = None
         wait_for(lambda: session.state()["camera"]["error"] == "")
+
+
+@pytest.mark.parametrize("name", ["time_s", "exposure_ms"])
+def test_a_camera_that_reports_no_finite_number_is_reported(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str
+) -> None:
+    """JSON has none; the thread that measures goes on, so pictures come again after it."""
+    with live_bench(monkeypatch, tmp_path) as bench:
+        session, camera = bench.open(), bench.drivers.camera
+        sound = camera.grab
+        frame_of(session)
+        camera.grab = lambda *given, **named: replace(sound(*given, **named), **{name: np.inf})
+        what = f"the camera reported {name} that is not finite"
+        wait_for(lambda: session.state()["camera"]["error"] == what)
+        camera.grab = sound
+        wait_for(lambda: session.state()["camera"]["error"] == "")
+        frame_of(session, after=frame_of(session)["number"])
+
+
+def test_a_track_that_reports_no_finite_position_is_reported(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with live_bench(monkeypatch, tmp_path) as bench:
+        session, track = bench.open(), bench.drivers.track
+        frame_of(session)
+        bench.drivers.camera.track = FakeTrack()  # its pictures are made of the position
+        track.position_mm = np.nan
+        said = session.state()["track"]
+        assert (said["position_mm"], said["error"]) == (
+            None,
+            "the track reports a position that is not finite",
+        )
+        json.dumps(session.state(), allow_nan=False)
+        last = frame_of(session)["number"]
+        assert frame_of(session, after=last + 1)["position_mm"] is None
 
 
 def test_the_time_of_the_last_picture_of_a_camera_that_is_gone_is_shown(
