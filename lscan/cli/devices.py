@@ -1,4 +1,4 @@
-"""The command ``lscan devices``: a thin face over lscan.devices.listing, .trial, .tracktrial."""
+"""The command ``lscan devices``: a thin face over lscan.devices.listing and .trials."""
 
 from __future__ import annotations
 

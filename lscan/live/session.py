@@ -139,7 +139,7 @@ class Session:
             self._task_thread.start()
 
     def start_scan(self, name: str | None = None) -> None:
-        """Begin a scan; errors as Scanning.start.
+        """Begin a scan; errors as Scanning.start, and NotNow beside another command or a scan.
 
         Parameters
         ----------
@@ -149,7 +149,10 @@ class Session:
             self.scanning.start(name)
 
     def resume_scan(self) -> None:
-        """Go on with a scan; errors as Scanning.resume."""
+        """Go on with a scan.
+
+        Errors as Scanning.resume, and NotNow beside another command or a scan.
+        """
         with self._exclusive():
             self.scanning.resume()
 
