@@ -1,5 +1,6 @@
 """Grbl's ``$`` settings, and numbers as it writes them."""
 
+import re
 from collections.abc import Iterable, Mapping
 
 from sim.emulators.grbl.gcode import GcodeError
@@ -25,10 +26,9 @@ def change_setting(settings: dict[int, float], name: str, text: str) -> None:
     """Carry out ``$name=text``; GcodeError where Grbl would refuse it."""
     if not name.isdecimal() or int(name) not in settings:
         raise GcodeError(3)
-    try:
-        value = float(text)
-    except ValueError:
-        raise GcodeError(2) from None
+    if not re.fullmatch(r"[-+]?(?:\d+\.?\d*|\.\d+)", text):
+        raise GcodeError(2)
+    value = float(text)
     if value < 0:
         raise GcodeError(4)
     if int(name) == 20 and value and not settings[22]:
