@@ -75,7 +75,7 @@ class EmulatedHardware:
             self.controller = self._track.controller
             self._places = places = self._rendered(progress)
             seed = scene.tank.sensor.seed
-            self._camera = EmulatedCamera(places, self._look, self.options, seed)
+            self._camera = EmulatedCamera(places, self._head_state, self.options, seed)
             stack.callback(self._camera.close)
             self._server = MjpegServer(self._camera, self.options.http_port)
             stack.callback(self._server.close)
@@ -127,7 +127,7 @@ class EmulatedHardware:
         Raises
         ------
         InputError
-            There is no such fault.
+            There is no such fault, or the controller's dialect has none such.
         """
         check_name(name)
         if name == HEALED:
@@ -154,7 +154,15 @@ class EmulatedHardware:
         Parameters
         ----------
         fault : TimedFault, its name, and after how many seconds it begins
+
+        Raises
+        ------
+        InputError
+            There is no such fault, or the controller's dialect has none such.
         """
+        check_name(fault.name)
+        if fault.name in TRACK_FAULTS:
+            self._track.require_faults()
         timer = threading.Timer(fault.after_s, self.inject, args=(fault.name,))
         timer.daemon = True
         self._timers.append(timer)
@@ -172,7 +180,7 @@ class EmulatedHardware:
     def __exit__(self, *_: object) -> None:
         self.close()
 
-    def _look(self) -> HeadState:
+    def _head_state(self) -> HeadState:
         lit = not self.options.switched_laser or self._track.lit
         return HeadState(self._track.position_mm, lit)
 

@@ -94,9 +94,14 @@ class EmulatedTrack:
 
     def inject(self, faults: Faults) -> None:
         """Let faults act on the line and the machine; InputError where the dialect has none."""
+        self.require_faults().inject(faults)
+
+    def require_faults(self) -> GrblEmulator:
+        """The controller, to be given faults; InputError where the dialect has none."""
         if not isinstance(self.controller, GrblEmulator):
-            raise InputError("has no such faults", where="--fault", value="marlin", allowed="grbl")
-        self.controller.inject(faults)
+            value = self.dialect
+            raise InputError("has no such faults", where="--fault", value=value, allowed="grbl")
+        return self.controller
 
     def unplug(self) -> None:
         """Pull the cable, and remove its link; the controller stays under power.

@@ -32,11 +32,11 @@ class HeadState:
 
 @dataclass(frozen=True)
 class Shot:
-    """A picture as a JPEG file.  number: from 1 on.  sight: what it shows, never moving."""
+    """A picture as a JPEG file.  number: from 1 on.  head: what it shows, never moving."""
 
     number: int
     jpeg: bytes
-    sight: HeadState
+    head: HeadState
 
 
 class EmulatedCamera:
@@ -48,9 +48,9 @@ class EmulatedCamera:
     """
 
     def __init__(
-        self, places: Places, look: Callable[[], HeadState], options: ServeOptions, seed: int
+        self, places: Places, head_state: Callable[[], HeadState], options: ServeOptions, seed: int
     ) -> None:
-        self._places, self._look, self._options = places, look, options
+        self._places, self._head_state, self._options = places, head_state, options
         self._generator = np.random.Generator(np.random.SFC64([seed, STREAM]))
         self._changed = threading.Condition()
         self._shot: Shot | None = None
@@ -94,7 +94,7 @@ class EmulatedCamera:
         """Whether the last shot may still be handed out: the head may have left since."""
         if self._shot is None or self._shot.number <= after or self.fault == "hang":
             return False
-        now, then = self._look(), self._shot.sight
+        now, then = self._head_state(), self._shot.head
         return now.lit == then.lit and now.position_mm in (None, then.position_mm)
 
     def _run(self) -> None:
@@ -116,19 +116,19 @@ class EmulatedCamera:
 
     def _expose(self) -> Shot | None:
         """The next picture; None where the head moves and no place has been seen yet."""
-        sight, last = self._look(), self._shot
-        if sight.position_mm is None:
+        head, last = self._head_state(), self._shot
+        if head.position_mm is None:
             if last is None:
                 return None
-            sight = HeadState(last.sight.position_mm, sight.lit)
+            head = HeadState(last.head.position_mm, head.lit)
         if self.fault == "frozen" and last is not None:
-            return Shot(self.count + 1, last.jpeg, sight)
-        assert sight.position_mm is not None
-        view = self._places.view(sight.position_mm, lit=sight.lit)
+            return Shot(self.count + 1, last.jpeg, head)
+        assert head.position_mm is not None
+        view = self._places.view(head.position_mm, lit=head.lit)
         image = view.picture(self._generator)
         if self.fault == "black":
             image = np.zeros_like(image)
         elif self.fault == "wrong-size":
             image = image[::2, ::2]
         jpeg = jpeg_bytes(image, self._options.quality, self._options.subsampling)
-        return Shot(self.count + 1, jpeg, sight)
+        return Shot(self.count + 1, jpeg, head)
