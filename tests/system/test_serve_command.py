@@ -80,9 +80,18 @@ def test_it_says_in_lines_where_everything_is_and_stops_at_ctrl_c(scene_file: Pa
     assert (process.returncode, said, errors) == (0, "", "")
 
 
-def test_a_bad_option_is_one_clear_line(scene_file: Path) -> None:
-    process = start(scene_file, "--quality", "101")
+@pytest.mark.parametrize(
+    ("option", "value", "what"),
+    [
+        ("--quality", "101", "must be a whole number of 1 to 100 (got 101)"),
+        ("--http-port", "-1", "must be a whole number of 0 to 65535 (got -1)"),
+        ("--dialect", "fanuc", "must be 'grbl' or 'marlin' (got 'fanuc')"),
+    ],
+)
+def test_a_bad_option_is_one_clear_line(
+    scene_file: Path, option: str, value: str, what: str
+) -> None:
+    process = start(scene_file, option, value)
     said, errors = process.communicate(timeout=PATIENCE_S)
     assert (process.returncode, said) == (2, "")
-    allowed = "must be a whole number of 1 to 100"
-    assert errors == f"lscan-sim: command line: quality: {allowed} (got 101)\n"
+    assert errors == f"lscan-sim: {option}: {what}\n"
