@@ -27,7 +27,7 @@ def read_picture(path: Path) -> Bytes:
 
     Parameters
     ----------
-    path : Path, a PNG, JPEG, BMP or TIFF file
+    path : Path, a file of FORMATS
 
     Raises
     ------
@@ -104,15 +104,19 @@ def encoded(
     Raises
     ------
     InputError
-        There is no such format.
+        There is no such format, or it cannot hold a picture of that shape.
     """
     bgr = image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_RGB2BGR)
     try:
         done, data = cv2.imencode(ending, bgr, parameters)
     except cv2.error:
         done = False
+    if not done and not cv2.haveImageWriter(f"x{ending}"):
+        allowed = ".png, .jpg, .bmp, .tif, .webp"
+        raise InputError("unknown picture format", where=where, allowed=allowed)
     if not done:
-        raise InputError("unknown picture format", where=where, allowed=".png, .jpg, .bmp, .tif")
+        what = f"the picture cannot be written as {ending}"
+        raise InputError(what, where=where, value=image.shape)
     return data.tobytes()
 
 
@@ -127,6 +131,6 @@ def write_picture(path: Path, image: Bytes) -> None:
     Raises
     ------
     InputError
-        There is no such format, or the disk refuses.
+        There is no such format, it cannot hold a picture of that shape, or the disk refuses.
     """
     write_atomically(path, encoded(image, path.suffix or ".png", where=path))

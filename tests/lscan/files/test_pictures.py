@@ -16,7 +16,7 @@ from lscan.devices.opencv_camera.jpegstream import decoded
 from lscan.errors import DeviceError, InputError
 from lscan.files import pictures
 from lscan.files.headers import PictureHeader, read_header
-from lscan.files.pictures import MOST_PX, read_picture
+from lscan.files.pictures import MOST_PX, read_picture, write_picture
 
 ENDINGS = {".png": "PNG", ".jpg": "JPEG", ".bmp": "BMP", ".tif": "TIFF", ".webp": "WebP"}
 
@@ -70,6 +70,27 @@ BOMBS: dict[str, tuple[bytes, int, int]] = {
     "tiff of two widths": (tiff_of((256, 9), (256, HUGE), (257, HUGE)), HUGE, HUGE),
     "webp": (webp_of(16_383, 16_383), 16_383, 16_383),
 }
+
+
+@pytest.mark.parametrize(
+    ("name", "width", "message"),
+    [
+        ("x.jpg", 70_000, r"x\.jpg: .* cannot be written as \.jpg \(got \(1, 70000\)\)$"),
+        (
+            "x.webp",
+            20_000,
+            r"x\.webp: .* cannot be written as \.webp \(got \(1, 20000\)\)$",
+        ),
+        ("x.jqg", 9, r"x\.jqg: unknown picture format \(allowed: \.png, \.jpg, .*, \.webp\)$"),
+    ],
+)
+def test_a_picture_that_cannot_be_written_says_why(
+    tmp_path: Path, name: str, width: int, message: str
+) -> None:
+    """JPEG takes 65,500 px in OpenCV, WebP 16,383."""
+    with pytest.raises(InputError, match=message):
+        write_picture(tmp_path / name, np.zeros((1, width), np.uint8))
+    assert list(tmp_path.iterdir()) == []
 
 
 @pytest.mark.parametrize("kind", BOMBS)
