@@ -115,8 +115,7 @@ def encoded(
         allowed = ".png, .jpg, .bmp, .tif, .webp"
         raise InputError("unknown picture format", where=where, allowed=allowed)
     if not done:
-        what = f"the picture cannot be written as {ending}"
-        raise InputError(what, where=where, value=image.shape)
+        raise InputError(f"a picture cannot be written as {ending}", where=where, value=image.shape)
     return data.tobytes()
 
 

@@ -102,12 +102,11 @@ class LiveDevices:
 
     def _track_says(self) -> tuple[float | None, str]:
         try:
-            position_mm = self.track.position_mm
+            if math.isfinite(position_mm := self.track.position_mm):
+                return position_mm, ""
+            return None, "the track reports a position that is not finite"
         except DeviceError as error:
             return None, str(error)
-        if not math.isfinite(position_mm):
-            return None, "the track reports a position that is not finite"
-        return position_mm, ""
 
     def check_track(self) -> None:
         """Ask a track that is not in use whether it still answers; if not, track_error says so."""

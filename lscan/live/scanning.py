@@ -1,10 +1,10 @@
 """Start, pause, resume and stop of a scan, which runs in a thread of its own."""
 
-import os
 import re
 import threading
 import time
 from contextlib import suppress
+from glob import glob
 from pathlib import Path
 from typing import Any, Literal
 
@@ -168,9 +168,9 @@ class Scanning:
 def next_name(output: Path, stem: str) -> str:
     """``stem-NNN``, the number above the greatest there is in the folder ``output``."""
     taken = [0]
-    for path in _matching(output, f"{stem}-*"):
+    for name in glob(f"{stem}-*", root_dir=output):  # noqa: PTH207 - takes any text
         with suppress(ValueError):
-            taken.append(int(path.name.partition(".")[0][len(stem) + 1 :]))
+            taken.append(int(name.partition(".")[0][len(stem) + 1 :]))
     return f"{stem}-{max(taken) + 1:03d}"
 
 
@@ -180,8 +180,7 @@ def find_unfinished(output: Path, rig_file: RigFile) -> tuple[Path, int] | None:
     None where that one is complete or there is none: an older one is left to ``lscan scan
     --resume``.  Reads only; what a kill left of a frame is cleared away once it is resumed.
     """
-    found = _matching(output, f"*/{TABLE}")
-    tables = [table for table in found if os.path.isfile(table)]  # noqa: PTH113 - takes any text
+    tables = [output / name for name in glob(f"*/{TABLE}", root_dir=output)]  # noqa: PTH207
     for table in sorted(tables, key=_written_s, reverse=True):
         with suppress(LscanError, OSError):
             manifest, begun = read_manifest(table.parent)
@@ -192,11 +191,6 @@ def find_unfinished(output: Path, rig_file: RigFile) -> tuple[Path, int] | None:
             rows = held.count(b"\n") - 1  # under the header, a torn one left out
             return table.parent, max(rows, 0)
     return None
-
-
-def _matching(folder: Path, pattern: str) -> list[Path]:
-    """What is there of that pattern; nothing where there is no such folder."""
-    return list(folder.glob(pattern)) if os.path.isdir(folder) else []  # noqa: PTH112 - takes any
 
 
 def _written_s(file: Path) -> float:

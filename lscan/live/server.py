@@ -217,8 +217,8 @@ def listen(host: str, port: int) -> socket.socket:
         family, *_ = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0]
         return socket.create_server((host, port), family=family)
     except (OSError, UnicodeError) as error:  # such as of a name with an empty part
-        said = getattr(error, "strerror", None) or "no such name"
-        reason = said.partition(" (while attempting")[0]  # where is said already
+        # What follows in " (while attempting to bind ..." is where, said already.
+        reason = (getattr(error, "strerror", "") or "no such name").partition(" (while")[0]
         where = f"--host {host} --port {port}"
         raise InputError(f"cannot listen there: {reason}", where=where) from error
 

@@ -30,8 +30,7 @@ def packed(document: dict[str, Any], jpeg: bytes) -> bytes:
 
 def jpeg_of(image: Bytes) -> bytes:
     """The picture, (H, W) grey or (H, W, 3) RGB, as JPEG."""
-    quality = [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY]
-    return encoded(image, ".jpg", quality, where="the live page's picture")
+    return encoded(image, ".jpg", [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY], where="the live page")
 
 
 def figures_json(figures: Figures) -> dict[str, Any]:

@@ -99,8 +99,7 @@ class EmulatedTrack:
     def require_faults(self) -> GrblEmulator:
         """The controller, to be given faults; InputError where the dialect has none."""
         if not isinstance(self.controller, GrblEmulator):
-            value = self.dialect
-            raise InputError("has no such faults", where="--fault", value=value, allowed="grbl")
+            raise InputError(f"{self.dialect} has no such faults", where="--fault", allowed="grbl")
         return self.controller
 
     def unplug(self) -> None:

@@ -92,7 +92,7 @@ def test_bad_faults_are_refused(text: str, message: str) -> None:
 
 def test_marlin_has_no_faults_on_its_line() -> None:
     """Also of a fault that begins later: the timer's thread could only print a traceback."""
-    refused = r"^--fault: has no such faults \(got 'marlin'; allowed: grbl\)$"
+    refused = r"^--fault: marlin has no such faults \(allowed: grbl\)$"
     with EmulatedHardware(small_scene(), ServeOptions(dialect="marlin")) as hardware:
         with pytest.raises(InputError, match=refused):
             hardware.inject("track-silent")
