@@ -2,16 +2,11 @@
 
 import os
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, TypeVar
+from typing import Annotated
 
 import typer
 
 from lscan.errors import InputError
-
-if TYPE_CHECKING:
-    from pydantic import BaseModel
-
-Options = TypeVar("Options", bound="BaseModel")
 
 RigOrScene = Annotated[
     Path, typer.Argument(help="Rig file or scene file (TOML), or a scene's name.")
@@ -41,30 +36,3 @@ def require_folders(*outputs: Path | None) -> None:
     for output in outputs:
         if output is not None and not os.path.isdir(output.parent):  # noqa: PTH112 - takes any
             raise InputError("the folder to write to does not exist", where=output)
-
-
-def check_options(model: type[Options], given: dict[str, Any]) -> Options:
-    """The options of a command as a model.
-
-    Parameters
-    ----------
-    model : type
-        A class of pydantic, whose keys are called as the options are.
-    given : dict
-        The options' values.
-
-    Raises
-    ------
-    InputError
-        One line that names the option as it is typed, its value and what is allowed.
-    """
-    from lscan.config.documents import check
-
-    for key, value in given.items():
-        try:
-            check(model, {key: value}, where=None)
-        except InputError as error:
-            what, option = error.what.removeprefix(f"{key}: "), f"--{key.replace('_', '-')}"
-            allowed = error.allowed
-            raise InputError(what, where=option, value=error.value, allowed=allowed) from error
-    return model.model_validate(given)

@@ -14,7 +14,6 @@ from lscan.acquisition.run import Run, open_run
 from lscan.board import read_board
 from lscan.calibration.api import PlaneMap
 from lscan.calibration.loading import load_plane_map
-from lscan.cli.arguments import check_options
 from lscan.cli.console import note
 from lscan.config.board import Board, load_board
 from lscan.config.documents import check, read_document
@@ -85,7 +84,7 @@ class BoardSource:
         """The marks found; seeds: (3, 2) px; channel: in place of what the rig says."""
         section = self.calibration
         if channel is not None:
-            section = check_options(CalibrationSection, {"channel": channel})
+            section = check(CalibrationSection, {"channel": channel}, where=None, prefix="--")
         with board_expected(self.run) if self.run is not None else nullcontext():
             return read_board(self.image, self.board, seeds=seeds, channel=section.channel)
 

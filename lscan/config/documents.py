@@ -258,7 +258,8 @@ def check(model: type[Model], document: Document, where: object, prefix: str = "
     where : object
         The file, for the message.
     prefix : str
-        The key path that leads to the document in the file.
+        The key path that leads to the document in the file; "--" of options of a command line,
+        which are then named as they are typed.
 
     Raises
     ------
@@ -291,14 +292,19 @@ def _explain(
     place = faults[0].keys
     same = [fault for fault in faults if fault.keys[: len(place)] == place]
     first = max(same, key=lambda fault: len(fault.keys))
-    above = [prefix] if prefix else []
-    key = _dotted((*above, *first.keys)) or "document"
-    others = [_dotted((*above, *fault.keys)) for fault in faults if fault not in same]
+    key = _named(prefix, first.keys) or "document"
+    others = [_named(prefix, fault.keys) for fault in faults if fault not in same]
     others = list(dict.fromkeys(others))
     also = f"; see also {', '.join(others[:MOST_NAMED])}" if others else ""
     more = f" and {len(others) - MOST_NAMED} more" if len(others) > MOST_NAMED else ""
     what = f"{key}: {first.what}{also}{more}"
     return InputError(what, where=where, value=first.value, allowed=first.allowed)
+
+
+def _named(prefix: str, keys: Keys) -> str:
+    if prefix == "--":
+        return f"--{_dotted(keys).replace('_', '-')}"
+    return _dotted((prefix, *keys) if prefix else keys)
 
 
 def _fault(raw: ErrorDetails, model: type[BaseModel], document: Document) -> _ModelFault:

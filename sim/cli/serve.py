@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from lscan.cli.arguments import Json, check_options
+from lscan.cli.arguments import Json
 from lscan.cli.console import progress_bar
 from lscan.devices.signals import on_stop_signals
 from sim.cli.arguments import SceneFile, print_places
@@ -42,6 +42,7 @@ def serve(
     json: Json = False,
 ) -> None:
     """The tank as a webcam (MJPEG, loopback) and a Grbl track; runs until Ctrl-C."""
+    from lscan.config.documents import check
     from sim.devices import load_checked
     from sim.emulators.faults import parse_fault
     from sim.emulators.hardware import EmulatedHardware
@@ -58,7 +59,7 @@ def serve(
         "dialect": dialect,
         "link": link,
     }
-    options = check_options(ServeOptions, given)
+    options = check(ServeOptions, given, where=None, prefix="--")
     loaded, timed = load_checked(scene), [parse_fault(text) for text in fault or []]
     with (
         on_stop_signals(_leave),
