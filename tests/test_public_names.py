@@ -71,6 +71,8 @@ def test_an_argument_of_another_kind_is_refused_by_name() -> None:
     )
     with pytest.raises(TypeError, match=r"run: must be a Run, not a str$"):
         called("runs/groove", AnyMap())
+    with pytest.raises(TypeError, match=r"run: must be a Run, not a type$"):
+        called(lscan.Run, AnyMap())  # the class: of its fields there is no value
     with pytest.raises(TypeError, match=r"measure_groove\(\) missing 1 required"):
         called(run)
 

@@ -56,7 +56,7 @@ def _checked(function: Callable[..., Any], package: str) -> Callable[..., Any]:
             if not isinstance(value, kind):
                 given = type(value).__name__
                 fields = getattr(value, "__dataclass_fields__", ())
-                fitting = [part for part in fields if isinstance(getattr(value, part), kind)]
+                fitting = [part for part in fields if isinstance(getattr(value, part, None), kind)]
                 hint = f"; its .{fitting[0]} is one" if fitting else ""
                 what = f"{function.__name__}: {name}: must be a {kind.__name__}, not a {given}"
                 raise TypeError(what + hint)

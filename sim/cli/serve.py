@@ -37,7 +37,7 @@ def serve(
     ] = None,
     fault: Annotated[
         list[str] | None,
-        typer.Option("--fault", help="NAME@SECONDS after the start; none@SECONDS heals."),
+        typer.Option("--fault", help="NAME@SECONDS after the start; none@SECONDS ends it."),
     ] = None,
     json: Json = False,
 ) -> None:
