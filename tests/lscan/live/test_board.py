@@ -116,4 +116,4 @@ def test_too_few_marks_in_the_calibrated_part_are_reported(seen):
     seen(read_board(BOARD, moved(Rotation.identity(), [600.0, 0.0, 0.0])))
     board = read_live_board(IMAGE, BOARD, rig(sheet=sheet()), solved_map())
     assert board.offset is None
-    assert "needed to tell" in board.offset_message
+    assert "needed to determine the board's distance" in board.offset_message
