@@ -6,8 +6,6 @@ PHOTOGRAPHS ?=
 BIN := .venv/bin
 ROOT := $(shell [ "$$(id -u)" = 0 ] || echo sudo -n)
 MINUTES ?= 10
-# One more than there are cores: many tests wait for a browser, a device or a process.
-WORKERS ?= $(shell expr $$(getconf _NPROCESSORS_ONLN) + 1)
 APT := $(ROOT) env DEBIAN_FRONTEND=noninteractive apt-get -qq
 
 .PHONY: help setup demo test smoke soak lint house bench verify accuracy hardware docs clean
@@ -34,7 +32,7 @@ demo: .venv/llvm.stamp
 	$(BIN)/lscan-sim demo -o out/demo
 
 test: lint .venv/llvm.stamp .venv/chromium.stamp
-	$(BIN)/python -m pytest -n $(WORKERS) --maxprocesses 8 --dist loadgroup
+	$(BIN)/python -m pytest -n auto --maxprocesses 8 --dist loadgroup
 
 lint: .venv/packages.stamp
 	$(BIN)/ruff check .

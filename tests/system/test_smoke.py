@@ -34,10 +34,7 @@ def test_smoke_runs_the_command_quickly(command: str) -> None:
     assert "--quick" in CliRunner().invoke(app, [command, "--help"]).output
 
 
-def test_continuous_integration_runs_the_tests_smoke_and_the_documentation() -> None:
+def test_continuous_integration_runs_the_tests_and_smoke() -> None:
     commands = (ROOT / ".ci" / "run").read_text()
-    assert re.search(r"^if make test\b", commands, re.M)
-    looped = re.search(
-        r'^for target in ([a-z ]+); do\n    if ! make "\$target"; then', commands, re.M
-    )
-    assert looped is not None and looped[1].split() == ["smoke", "docs"]
+    for target in ("test", "smoke"):
+        assert re.search(rf"^if (! )?make {target}\b", commands, re.M)
