@@ -215,12 +215,15 @@ def listen(host: str, port: int) -> socket.socket:
     """
     try:
         family, *_ = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0]
-        return socket.create_server((host, port), family=family)
+        listening = socket.create_server((host, port), family=family)
     except (OSError, UnicodeError) as error:  # such as of a name with an empty part
         # What follows in " (while attempting to bind ..." is where, said already.
         reason = (getattr(error, "strerror", "") or "no such name").partition(" (while")[0]
         where = f"--host {host} --port {port}"
         raise InputError(f"cannot listen there: {reason}", where=where) from error
+    # Connections inherit it; without it TCP holds answers back for up to 40 ms (Nagle, RFC 896).
+    listening.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+    return listening
 
 
 def make_server(session: Session, access: Access) -> LiveServer:

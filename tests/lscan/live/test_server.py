@@ -395,6 +395,15 @@ def test_the_server_ends_while_browsers_wait(
         waiting.close()
 
 
+def test_answers_are_sent_at_once() -> None:
+    """Nagle's algorithm would hold each picture back until the browser has confirmed the last."""
+    with listen("127.0.0.1", 0) as listening:
+        with socket.create_connection(listening.getsockname()):
+            accepted, _ = listening.accept()
+        with accepted:
+            assert accepted.getsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY)
+
+
 def test_a_port_in_use_is_refused_before_a_device_is_opened() -> None:
     with listen("127.0.0.1", 0) as listening:
         port = listening.getsockname()[1]
