@@ -247,11 +247,16 @@ def moved(array: Floats, rows: int, columns: int) -> Floats:
     array : (R, C, ...) array, of the nodes
     rows, columns : int, how far away
     """
+    found = np.full_like(array, np.nan)  # some thousand calls a board: np.pad takes 8 times as long
     height, width = array.shape[:2]
-    rim = max(abs(rows), abs(columns))
-    around = [(rim, rim)] * 2 + [(0, 0)] * (array.ndim - 2)
-    padded = np.pad(array, around, constant_values=np.nan)
-    return padded[rim + rows :, rim + columns :][:height, :width]
+    there = _overlap(rows, height), _overlap(columns, width)
+    found[_overlap(-rows, height), _overlap(-columns, width)] = array[there]
+    return found
+
+
+def _overlap(shift: int, length: int) -> slice:
+    """What is left of an axis once it has been shifted against itself."""
+    return slice(max(shift, 0), max(length + min(shift, 0), 0))
 
 
 def _mean_of_known(values: list[Floats]) -> Floats:
