@@ -8,7 +8,7 @@ ROOT := $(shell [ "$$(id -u)" = 0 ] || echo sudo -n)
 MINUTES ?= 10
 APT := $(ROOT) env DEBIAN_FRONTEND=noninteractive apt-get -qq
 
-.PHONY: help setup demo test smoke soak lint house bench verify accuracy hardware docs clean
+.PHONY: help setup demo test smoke soak lint house bench verify accuracy field hardware docs clean
 .DELETE_ON_ERROR:
 
 help:
@@ -22,6 +22,7 @@ help:
 	@echo "make bench   measure speed and write out/bench.json"
 	@echo "make verify  hold the tank against references; out/verify.json, out/verify/report.html"
 	@echo "make accuracy  hold the instrument against the truth; out/accuracy.json"
+	@echo "make field   hold the instrument to pictures, water and surfaces unlike the paper's"
 	@echo "make hardware  hold drivers, runs and the live page to their bars; out/hardware.json"
 	@echo "make docs    build the documentation, its pages' code included; out/docs/index.html"
 	@echo "make clean   remove all that was set up or made, save runs/"
@@ -52,6 +53,7 @@ smoke: .venv/llvm.stamp .venv/chromium.stamp
 	$(BIN)/lscan-sim demo --quick -o out/quick/demo
 	$(BIN)/lscan-sim verify --quick -o out/quick/verify
 	$(BIN)/lscan-sim accuracy --quick -o out/quick/accuracy.json
+	$(BIN)/lscan-sim field --quick -o out/quick/field.json
 	$(BIN)/lscan-sim bench --quick -o out/quick/bench.json
 	$(BIN)/lscan-sim hardware --quick -o out/quick/hardware.json
 
@@ -64,6 +66,9 @@ verify: .venv/llvm.stamp
 # The rows of real photographs need a folder of them: make accuracy PHOTOGRAPHS=FOLDER.
 accuracy: .venv/llvm.stamp
 	$(BIN)/lscan-sim accuracy $(if $(PHOTOGRAPHS),--photographs "$(PHOTOGRAPHS)") -o out/accuracy.json
+
+field: .venv/llvm.stamp
+	$(BIN)/lscan-sim field $(if $(PHOTOGRAPHS),--photographs "$(PHOTOGRAPHS)") -o out/field.json
 
 hardware: .venv/llvm.stamp .venv/chromium.stamp
 	$(BIN)/lscan-sim hardware -o out/hardware.json

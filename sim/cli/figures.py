@@ -1,4 +1,4 @@
-"""``lscan-sim bench``, ``verify``, ``accuracy`` and ``hardware``: figures, each with its bar."""
+"""``lscan-sim bench``, ``verify``, ``accuracy``, ``field``, ``hardware``: figures and bars."""
 
 from __future__ import annotations
 
@@ -15,6 +15,15 @@ from sim.cli.arguments import OutputFile, OutputFolder, PaperFolder, Quick, Scen
 
 if TYPE_CHECKING:
     from sim.validation.rows import Row
+
+PhotographsFolder = Annotated[
+    Path | None,
+    typer.Option(
+        "--photographs",
+        envvar="LSCAN_PHOTOGRAPHS",
+        help="Folder of real pictures, whose rows are skipped without it.",
+    ),
+]
 
 
 def bench(
@@ -57,14 +66,7 @@ def verify(
 def accuracy(
     output: OutputFile = Path("out/accuracy.json"),
     scenes: ScenesFolder = None,
-    photographs: Annotated[
-        Path | None,
-        typer.Option(
-            "--photographs",
-            envvar="LSCAN_PHOTOGRAPHS",
-            help="Folder of real pictures, whose rows are skipped without it.",
-        ),
-    ] = None,
+    photographs: PhotographsFolder = None,
     quick: Quick = False,
     json: Json = False,
 ) -> None:
@@ -73,9 +75,22 @@ def accuracy(
 
     with progress_bar("accuracy") as progress:
         rows = run_accuracy(scenes or scenes_folder(), photographs, output, quick, progress)
-    if photographs is None and not json:
-        print("skipped: the rows of real photographs, which need --photographs FOLDER")
-    _end_with_rows("accuracy", rows, [output], json)
+    _end_with_rows("accuracy", rows, [output], json, skipped=photographs is None)
+
+
+def field(
+    output: OutputFile = Path("out/field.json"),
+    scenes: ScenesFolder = None,
+    photographs: PhotographsFolder = None,
+    quick: Quick = False,
+    json: Json = False,
+) -> None:
+    """Pictures as they are in the field, other water, other surfaces: figures with their bars."""
+    from sim.validation.field.run import run_field
+
+    with progress_bar("field") as progress:
+        rows = run_field(scenes or scenes_folder(), photographs, output, quick, progress)
+    _end_with_rows("field", rows, [output], json, skipped=photographs is None)
 
 
 def hardware(
@@ -96,14 +111,21 @@ def hardware(
     _end_with_rows("hardware", rows, [output], json)
 
 
-def _end_with_rows(title: str, rows: Sequence[Row], files: Sequence[Path], json: bool) -> None:
-    """Print the rows and where they are; exit code 1 where one is beyond its bar."""
+def _end_with_rows(
+    title: str, rows: Sequence[Row], files: Sequence[Path], json: bool, skipped: bool = False
+) -> None:
+    """Print the rows and where they are; exit code 1 where one is beyond its bar.
+
+    skipped: rows of real photographs were left out.
+    """
     from sim.validation.rows import HEADINGS, all_passed, table_cells
 
     if json:
         print_json([row.as_json() for row in rows])
     else:
         print_table(title, HEADINGS, table_cells(rows))
+        if skipped:
+            print("skipped: the rows of real photographs, which need --photographs FOLDER")
         if any(row.quick for row in rows):
             print("a quick run: figures marked - were measured with too little effort to be judged")
         print(*files, sep="\n")

@@ -1,0 +1,50 @@
+"""The chapters of a figures table, measured side by side and written as they end."""
+
+import os
+from collections.abc import Callable, Mapping
+from concurrent.futures import Future, ProcessPoolExecutor, as_completed
+from multiprocessing import get_context
+from pathlib import Path
+
+from lscan.records import Progress
+from sim.validation.rows import Row, RowFile, measured
+
+
+def run_chapters(
+    chapters: Mapping[str, Callable[[], list[Row]]],
+    output: Path,
+    quick: bool = False,
+    progress: Progress | None = None,
+) -> list[Row]:
+    """The rows of all chapters, in their order; the file always holds all measured so far.
+
+    As many chapters run side by side as there are processors, in processes of their own.  A
+    chapter that ends with an error is a failed row.
+
+    Parameters
+    ----------
+    chapters : mapping of str to callable, which can be pickled; the longest first, so that no
+        processor waits at the end
+    output : Path, the JSON file
+    quick : bool, whether the rows are marked as those of a quick run
+    progress : Progress or None, called with (done, all) after each chapter
+
+    Raises
+    ------
+    InputError
+        The disk refuses.
+    """
+    file = RowFile(output, quick)
+    places = list(chapters)
+    workers = max(1, min(len(chapters), len(os.sched_getaffinity(0))))
+    # Spawned, not forked: Dr.Jit's threads do not survive a fork.
+    with ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as pool:
+        futures: dict[Future[list[Row]], str] = {
+            pool.submit(chapter): name for name, chapter in chapters.items()
+        }
+        for done, future in enumerate(as_completed(futures), start=1):
+            name = futures[future]
+            file.add(measured(name, future.result), places.index(name))
+            if progress is not None:
+                progress(done, len(chapters))
+    return file.rows

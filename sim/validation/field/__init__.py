@@ -1,0 +1,1 @@
+"""The instrument in the field: real pictures, other water, any surface."""
