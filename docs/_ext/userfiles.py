@@ -6,6 +6,7 @@ from lscan.acquisition.replay import ReplayOptions
 from lscan.calibration.multiview.viewsfile import ViewsDocument
 from lscan.config.board import Board
 from lscan.config.rig import Rig
+from lscan.config.shapes import ShapesDocument
 from lscan.devices.grbl import SerialTrackOptions
 from lscan.devices.manual import ManualOptions
 from lscan.devices.opencv_camera.options import OpencvOptions
@@ -34,6 +35,7 @@ FILES: dict[str, list[Section]] = {
     ],
     "scene": list(sections(TankSections)),
     "board": list(sections(Board)),
+    "shapes": list(sections(ShapesDocument)),
     "views": _without(list(sections(ViewsDocument)), ("optics",)),
 }
 """The sections of each kind of file, in the order of the models."""

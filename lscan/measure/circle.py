@@ -95,8 +95,26 @@ def _algebraic(points: Floats) -> Floats:
     spread = np.linalg.eigvalsh(centred.T @ centred)
     if spread[0] < 1e-9 * spread[1] or spread[1] == 0:
         raise MeasurementError("circle: its points lie on a straight line")
-    design = np.column_stack([centred, np.ones(len(points))])
+    return algebraic_ball(points)
+
+
+def algebraic_ball(points_mm: Floats) -> Floats:
+    """(D + 1,) centre and radius, mm, of the algebraic circle, or sphere, of points.
+
+    They minimise the squared |p|² + a . p + b.
+
+    Parameters
+    ----------
+    points_mm : (K, D) array, mm, D of 2 or 3
+
+    References
+    ----------
+    I. Kasa, IEEE Trans. Instrum. Meas. 25, 8 (1976).
+    """
+    middle = points_mm.mean(axis=0)
+    centred = points_mm - middle
+    design = np.column_stack([centred, np.ones(len(points_mm))])
     solution = np.linalg.lstsq(design, -(centred**2).sum(axis=1), rcond=None)[0]
-    centre = -solution[:2] / 2
-    radius = np.sqrt(max(float(centre @ centre - solution[2]), 0.0))
+    centre = -solution[:-1] / 2
+    radius = np.sqrt(max(float(centre @ centre - solution[-1]), 0.0))
     return np.array([*(centre + middle), radius])

@@ -77,7 +77,29 @@ def resample(surface: Surface, line: tuple[Floats, Floats], step_mm: float = 0.5
     if not step_mm > 0:
         raise InputError("step is not positive", where="slice", value=step_mm, allowed="> 0 mm")
     along = np.linspace(0.0, length, max(round(length / step_mm), 1) + 1)
-    xy = start + along[:, None] * (end - start) / length
+    return _sampled(surface, start + along[:, None] * (end - start) / length, along)
+
+
+def sample(surface: Surface, xy_mm: Floats) -> Slice:
+    """The height of ``surface`` at places in plan, as ``resample`` finds it.
+
+    Parameters
+    ----------
+    surface : Surface, mm, in any frame with z up
+    xy_mm : (M, 2) array, mm, the places, frame of the surface; ``along_mm`` is counted from one to
+        the next
+
+    Raises
+    ------
+    MeasurementError
+        For a surface without points.
+    """
+    steps = np.linalg.norm(np.diff(xy_mm, axis=0, prepend=xy_mm[:1]), axis=1)
+    return _sampled(surface, xy_mm, np.cumsum(steps))
+
+
+def _sampled(surface: Surface, xy: Floats, along: Floats) -> Slice:
+    """The heights at places (M, 2), mm, that lie at ``along`` (M,)."""
     valid = has_value(surface.status) & np.isfinite(surface.xyz_mm).all(axis=-1)
     if not valid.any():
         raise MeasurementError("the surface holds no measured point to slice")
