@@ -12,11 +12,11 @@ from places import SCENES
 from lscan.config.board import Board, Grid
 from lscan.config.targets import GroovedBlock, Sandwave
 from lscan.errors import InputError
+from lscan.files.meshes import load_mesh
 from sim.meshes import Finish, reflectance_at, scene_parts, target_mesh, target_parts
 from sim.meshes.board import CIRCLE_CORNERS, board_parts
 from sim.meshes.paint import luminance
 from sim.meshes.sand import sanded_sandwave_mesh
-from sim.meshes.target import load_mesh
 from sim.meshes.workpieces import WAVE_STEP_MM, grooved_block_mesh, sandwave_parts
 from sim.scene import Scene, load_scene
 from sim.scene.matter import Sand, Texture

@@ -10,7 +10,7 @@ import trimesh
 from hypothesis import given, settings, strategies as st
 
 from lscan.errors import InputError
-from sim.meshes.target import load_mesh
+from lscan.files.meshes import load_mesh
 
 MANY = 1_000_000_000
 CORNERS = np.float32([[0, 0, 0], [1, 0, 0], [0, 1, 0]]).tobytes()

@@ -10,10 +10,10 @@ import trimesh
 from hypothesis import given, settings, strategies as st
 
 from lscan.errors import InputError
+from lscan.files.meshes import load_mesh
 from lscan.records import Floats
 from sim.meshes import Finish, MeshPart, Paint
 from sim.meshes.paint import vertex_paint
-from sim.meshes.target import load_mesh
 from sim.render.materials import mi, mitsuba_shape, surface
 
 WATER = 1.3313  # fresh water, 20 C, 650 nm
