@@ -19,8 +19,10 @@ from lscan.errors import BoardNotFound, InputError, MeasurementError
 from lscan.records import Bytes, Floats, Profile, Progress, Surface
 from lscan.stripe import extract_stripe
 from lscan.surface import Alignment, align_sandwave, apply, stack
+from lscan.surface.align.keptalignment import KeptAlignment
 from lscan.surface.concavity import correct_thickness
 from lscan.surface.profile import to_profile
+from lscan.surface.provenance import provenance_of
 from lscan.surface.shaft import shaft_of, stack_about
 
 
@@ -32,7 +34,8 @@ class Reconstruction:
     ----------
     raw : Surface, frame of the head, as the profiles give it
     surface : Surface, corrected; frame of the workpiece where it is aligned, else the head's
-    alignment : Alignment or None, of the sandwave; None where none is named or it was not found
+    alignment : Alignment or None, of the sandwave, or the one that was kept; None where no
+        sandwave is named or it was not found
     unaligned : MeasurementError or None, why a sandwave that the rig names was not found
     """
 
@@ -83,7 +86,12 @@ def calibrate_run(run: Run, plane_map: str | None = None) -> Calibration:
     return calibrate(reading, plane_map or rig.calibration.plane_map, rig.optics)
 
 
-def reconstruct(run: Run, plane_map: PlaneMap, progress: Progress | None = None) -> Reconstruction:
+def reconstruct(
+    run: Run,
+    plane_map: PlaneMap,
+    progress: Progress | None = None,
+    kept: KeptAlignment | None = None,
+) -> Reconstruction:
     """The surface of all the run's pictures, aligned where the rig names a sandwave.
 
     Parameters
@@ -91,6 +99,7 @@ def reconstruct(run: Run, plane_map: PlaneMap, progress: Progress | None = None)
     run : Run, the pictures, and the rig they were taken with
     plane_map : PlaneMap, of the rig's camera, from its pixels to the laser sheet
     progress : callable, optional, called with the number of pictures done, and of all
+    kept : KeptAlignment, optional, of another scan, used in place of one found in this
 
     Returns
     -------
@@ -101,7 +110,8 @@ def reconstruct(run: Run, plane_map: PlaneMap, progress: Progress | None = None)
     Raises
     ------
     InputError
-        Where the run holds no picture, or one that cannot be read.
+        Where the run holds no picture, or one that cannot be read; where ``kept`` is given for a
+        scan about a shaft.
 
     Examples
     --------
@@ -113,24 +123,43 @@ def reconstruct(run: Run, plane_map: PlaneMap, progress: Progress | None = None)
     """
     rig = run.rig_file.rig
     raw = build_surface(list(read_profiles(run, plane_map, progress)), rig)
+    raw = replace(raw, provenance=provenance_of(rig, len(run), plane_map))
     if rig.stripe.blur_px is not None:
         raw = replace(raw, corrections=(f"blur of {rig.stripe.blur_px:g} px",))
-    return finish(raw, rig)
+    return finish(raw, rig, kept)
 
 
-def finish(raw: Surface, rig: Rig) -> Reconstruction:
+def finish(raw: Surface, rig: Rig, kept: KeptAlignment | None = None) -> Reconstruction:
     """The raw surface of a run of the rig, aligned and corrected as ``reconstruct`` does.
 
     Parameters
     ----------
     raw : Surface, frame of the head
     rig : Rig, of the run: its ``[workpiece]``, ``[sheet]`` and ``[shaft]`` count
+    kept : KeptAlignment, optional, of another scan, used in place of one found in this
 
     Returns
     -------
     Reconstruction
         A sandwave that is not found leaves its MeasurementError in ``unaligned``; none is raised.
+
+    Raises
+    ------
+    InputError
+        Where ``kept`` is given for a scan about a shaft.
     """
+    if kept is not None:
+        if rig.shaft is not None:
+            raise InputError(
+                "a kept alignment is that of a linear track",
+                where=kept.source,
+                allowed="a scan without [shaft]",
+            )
+        alignment = kept.of(raw)
+        done = f"yaw and level by {kept.source}"
+        surface = place(raw, alignment, rig)
+        surface = replace(surface, corrections=(*surface.corrections, done))
+        return Reconstruction(raw, surface, alignment)
     if not isinstance(rig.workpiece, Sandwave):
         return Reconstruction(raw, correct(raw, rig))
     try:
@@ -148,7 +177,7 @@ def place(raw: Surface, alignment: Alignment, rig: Rig) -> Surface:
     Parameters
     ----------
     raw : Surface, frame of the head
-    alignment : Alignment, found in ``raw``
+    alignment : Alignment, found in ``raw`` or kept
     rig : Rig, whose ``[sheet]`` says what is corrected for
 
     Raises

@@ -317,6 +317,26 @@ class Profile:
 
 
 @dataclass(frozen=True)
+class Provenance:
+    """What a surface was made from.
+
+    Attributes
+    ----------
+    rig : str, name of the rig
+    pictures : int, number of pictures
+    extractor : str, by which the line was found
+    plane_map : str, name of the plane map
+    calibration_sha256 : str, SHA-256 of the map's parameters, in hexadecimal
+    """
+
+    rig: str
+    pictures: int
+    extractor: str
+    plane_map: str
+    calibration_sha256: str
+
+
+@dataclass(frozen=True)
 class Surface:
     """All profiles of a run, stacked: F frames of N columns.
 
@@ -335,6 +355,9 @@ class Surface:
     sigma_y_mm : (F, N) array or None, mm, standard uncertainty of y; None: it is the track's, taken
         for exact
     corrections : tuple of str, what its points have been corrected for, in words
+    yaw_rad, yaw_sigma_rad : float or None, rad, angle of the sheet against the track that it was
+        aligned with, and its standard uncertainty; None where none is known
+    provenance : Provenance or None, what it was made from; None where that is not known
 
     Examples
     --------
@@ -354,6 +377,9 @@ class Surface:
     brightness: Floats | None = None
     sigma_y_mm: Floats | None = None
     corrections: tuple[str, ...] = ()
+    yaw_rad: float | None = None
+    yaw_sigma_rad: float | None = None
+    provenance: Provenance | None = None
 
 
 @dataclass(frozen=True)

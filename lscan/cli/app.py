@@ -8,6 +8,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 from lscan.cli.benchmark import bench
 from lscan.cli.board import draw_board
 from lscan.cli.calibrate import calibrate, check
+from lscan.cli.compare import compare
 from lscan.cli.console import command_line, run_command_line
 from lscan.cli.devices import devices
 from lscan.cli.live import live
@@ -22,7 +23,7 @@ from lscan.cli.stripe import extract
 app = command_line(
     "Laser line scanner: scan, calibrate, reconstruct, measure, report, live, bench."
 )
-usual = (scan, calibrate, check, extract, draw_board, reconstruct, measure, report)
+usual = (scan, calibrate, check, extract, draw_board, reconstruct, measure, compare, report)
 others = (calibrate_metric, calibrate_shaft, scenes, devices, bench, live)
 for command in (*usual, *others):
     app.command()(command)

@@ -25,6 +25,10 @@ ShaftFile = Annotated[
     Path | None,
     typer.Option("--shaft", help="TOML file with the [shaft] found; a run folder has its own."),
 ]
+AlignmentFile = Annotated[
+    Path | None,
+    typer.Option("--alignment", help="Alignment kept from a scan of the block (JSON)."),
+]
 Trust = Annotated[
     bool, typer.Option("--trust", help="Run the code that a run folder names as its extractor.")
 ]

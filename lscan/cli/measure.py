@@ -2,20 +2,31 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import os
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from lscan.cli.arguments import CalibrationFile, Json, RunFolder, ShaftFile, Trust, require_folders
+from lscan.cli.arguments import (
+    AlignmentFile,
+    CalibrationFile,
+    Json,
+    RunFolder,
+    ShaftFile,
+    Trust,
+    require_folders,
+)
 from lscan.cli.console import note, print_json, print_table, progress_bar
+from lscan.errors import InputError
 
 if TYPE_CHECKING:
     from lscan.config.rig import Rig
+    from lscan.measure.shapemeasures import ShapeMeasure
     from lscan.measurement import Measures, SandwaveMeasures
     from lscan.pipeline import Reconstruction
-    from lscan.records import Length
+    from lscan.records import Length, Surface
 
 LEAST_SHARE = 0.02
 """Of the columns: a line that spans less of its pictures may be no laser line at all."""
@@ -29,6 +40,10 @@ def reconstruct(
     calibration: CalibrationFile,
     output: Annotated[Path, typer.Option("--output", "-o", help="Surface to write (.nc).")],
     points: Annotated[Path | None, typer.Option(help="Point cloud to write (.ply).")] = None,
+    alignment: AlignmentFile = None,
+    save_alignment: Annotated[
+        Path | None, typer.Option(help="Keep the alignment found, for other scans (.json).")
+    ] = None,
     shaft: ShaftFile = None,
     trust: Trust = False,
     json: Json = False,
@@ -39,14 +54,18 @@ def reconstruct(
     from lscan.pipeline import reconstruct as build
     from lscan.records import has_value
     from lscan.surface import save_points, save_surface
+    from lscan.surface.align.keptalignment import load_alignment
 
-    require_folders(output, points)
+    require_folders(output, points, save_alignment)
+    if alignment and save_alignment:
+        raise InputError("goes without --alignment", where="--save-alignment")
+    kept = load_alignment(alignment) if alignment else None
     opened, plane_map = open_calibrated(run, calibration, shaft, trust)
     with progress_bar("reconstruct") as progress:
-        built = build(opened, plane_map, progress)
-    surface, alignment = built.surface, built.alignment
+        built = build(opened, plane_map, progress, kept)
+    surface = built.surface
     frames, columns = surface.status.shape
-    yaw_deg = alignment.yaw_deg if alignment else None
+    yaw_deg = built.alignment.yaw_deg if built.alignment else None
     found = int(has_value(surface.status).sum())
     if found == 0:
         raise MeasurementError(
@@ -58,6 +77,8 @@ def reconstruct(
             f"board, {_NO_SURFACE}"
         )
     _note_doubts(built, opened.rig_file.rig)
+    if save_alignment:
+        _save_alignment(save_alignment, built, opened.rig_file.rig)
     save_surface(output, surface)
     if points:
         save_points(points, surface)
@@ -81,30 +102,110 @@ def reconstruct(
 
 
 def measure(
-    run: RunFolder,
-    calibration: CalibrationFile,
+    run: Annotated[Path, typer.Argument(help="Run folder; with --shapes also a surface (.nc).")],
+    calibration: Annotated[
+        Path | None,
+        typer.Option("--calibration", "-c", help="Calibration file (JSON), which a run needs."),
+    ] = None,
     output: Annotated[
         Path | None, typer.Option("--output", "-o", help="JSON file to write.")
     ] = None,
+    shapes: Annotated[
+        Path | None,
+        typer.Option(help="TOML file: planes, steps, spheres, cylinders, heights to measure."),
+    ] = None,
+    alignment: AlignmentFile = None,
     shaft: ShaftFile = None,
     trust: Trust = False,
     json: Json = False,
 ) -> None:
-    """Measure the run's board, grooved block or sandwave against its nominal shape."""
-    from lscan.cli.inputs import open_calibrated
+    """Measure a run's board or workpiece against its nominal shape, or shapes on any surface."""
     from lscan.files.jsontext import write_json
-    from lscan.measurement import measure_run
 
     require_folders(output)
-    opened, plane_map = open_calibrated(run, calibration, shaft, trust)
-    with progress_bar("measure") as progress:
-        measures = measure_run(opened, plane_map, progress)
-    if output:
-        write_json(output, measures.as_json())
-    if json:
-        print_json(measures.as_json())
+    if shapes is None:
+        if alignment is not None:
+            raise InputError("goes with --shapes", where="--alignment", value=str(alignment))
+        measures = _measured(run, calibration, shaft, trust)
+        content = measures.as_json()
     else:
+        surface, found = _measured_shapes(run, calibration, shapes, alignment, shaft, trust)
+        every = {one.name: one.as_json() for one in found}
+        content = {"frame": surface.frame, "shapes": every}
+    if output:
+        write_json(output, content)
+    if json:
+        print_json(content)
+    elif shapes is None:
         _print_measures(measures)
+    else:
+        _print_shapes(found)
+
+
+def _measured(run: Path, calibration: Path | None, shaft: Path | None, trust: bool) -> Measures:
+    """What the run shows of the piece that its rig names."""
+    from lscan.cli.inputs import open_calibrated
+    from lscan.measurement import measure_run
+
+    opened, plane_map = open_calibrated(run, _required(calibration), shaft, trust)
+    with progress_bar("measure") as progress:
+        return measure_run(opened, plane_map, progress)
+
+
+def _measured_shapes(
+    source: Path,
+    calibration: Path | None,
+    shapes: Path,
+    alignment: Path | None,
+    shaft: Path | None,
+    trust: bool,
+) -> tuple[Surface, list[ShapeMeasure]]:
+    """The surface of a file or of a run, and what the shapes file asks for of it."""
+    from lscan.config.shapes import load_shapes
+    from lscan.measure.shapemeasures import measure_shapes
+    from lscan.surface import load_surface
+
+    wanted = load_shapes(shapes)
+    if os.path.isfile(source):  # noqa: PTH113 - takes any text
+        of_runs = {"--calibration": calibration, "--alignment": alignment, "--shaft": shaft}
+        for option, given in of_runs.items():
+            if given is not None:
+                raise InputError("goes with a run folder", where=option, value=str(given))
+        surface = load_surface(source)
+    else:
+        surface = _reconstructed(source, _required(calibration), alignment, shaft, trust)
+    return surface, measure_shapes(surface, wanted)
+
+
+def _reconstructed(
+    run: Path, calibration: Path, alignment: Path | None, shaft: Path | None, trust: bool
+) -> Surface:
+    from lscan.cli.inputs import open_calibrated
+    from lscan.pipeline import reconstruct as build
+    from lscan.surface.align.keptalignment import load_alignment
+
+    kept = load_alignment(alignment) if alignment else None
+    opened, plane_map = open_calibrated(run, calibration, shaft, trust)
+    with progress_bar("reconstruct") as progress:
+        built = build(opened, plane_map, progress, kept)
+    _note_doubts(built, opened.rig_file.rig)
+    return built.surface
+
+
+def _required(calibration: Path | None) -> Path:
+    if calibration is None:
+        raise InputError("is missing", where="--calibration", allowed="a file, with a run folder")
+    return calibration
+
+
+def _save_alignment(path: Path, built: Reconstruction, rig: Rig) -> None:
+    """Keep the alignment that was found in the run's own surface."""
+    from lscan.config.targets import Sandwave
+    from lscan.surface.align.keptalignment import save_alignment
+
+    found, made_from = built.require_alignment(), built.raw.provenance
+    assert isinstance(rig.workpiece, Sandwave) and made_from is not None  # it was aligned with it
+    save_alignment(path, found, made_from, rig.workpiece)
 
 
 def _note_doubts(built: Reconstruction, rig: Rig) -> None:
@@ -131,6 +232,21 @@ def _print_measures(measures: Measures) -> None:
             print(f"{name}: not measured, {status.name}")
     else:
         _print_slices(measures)
+
+
+def _print_shapes(found: Sequence[ShapeMeasure]) -> None:
+    rows = [
+        [f"{one.kind} {one.name}", quantity, known.value, known.sigma]
+        for one in found
+        for quantity, known in one.values.items()
+    ]
+    print_table("shapes", ["", "", "value", "sigma"], rows)
+    for one in found:
+        if one.rms_mm is not None:
+            print(
+                f"{one.name}: {one.points} points, {one.outliers} left out, "
+                f"{one.rms_mm:.3f} mm rms off the {one.kind}"
+            )
 
 
 def _print_lengths(title: str, lengths: Mapping[str, Length]) -> None:

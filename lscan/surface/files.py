@@ -5,6 +5,7 @@ The same surface gives the same bytes.
 
 import tempfile
 from collections.abc import Mapping
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any, Literal, cast
 
@@ -13,10 +14,13 @@ import trimesh
 import xarray as xr
 from numpy.typing import NDArray
 
+from lscan.config.documents import check
 from lscan.errors import InputError
 from lscan.files.disk import write_atomically
-from lscan.records import Floats, Status, Surface, has_value
-from lscan.surface.netcdf import read_arrays
+from lscan.records import Floats, Provenance, Status, Surface, has_value
+from lscan.surface.netcdf import PROVENANCE, read_arrays
+from lscan.surface.provenance import StoredProvenance
+from lscan.version import __version__
 
 DIMENSIONS = ("frame", "column")
 SEPARATOR = "; "  # of the corrections
@@ -39,7 +43,8 @@ def save_surface(path: Path | str, surface: Surface) -> None:
     Where y is not the track's own, its uncertainty is there too.
     Where the surface has modes, they are there too (compressed), and sigma_calibration is the
     part of the uncertainty of z that they make common to all points.
-    The attribute ``corrections`` says what the points have been corrected for.
+    x, y and position are the coordinates of the others.  The attributes say what the points have
+    been corrected for, the yaw they were aligned with and what they were made from.
 
     Parameters
     ----------
@@ -68,6 +73,8 @@ def save_surface(path: Path | str, surface: Surface) -> None:
 
 def load_surface(path: Path | str) -> Surface:
     """The surface that :func:`save_surface` wrote, to the last bit, but for its brightness: None.
+
+    The yaw, which the file has in degrees, is the same to rounding.
 
     Parameters
     ----------
@@ -106,7 +113,31 @@ def load_surface(path: Path | str) -> Surface:
         modes_mm=cast(NDArray[np.float32] | None, arrays.get("modes")),
         sigma_y_mm=arrays.get("y_sigma"),
         corrections=tuple(filter(None, corrections.split(SEPARATOR))),
+        yaw_rad=_angle(path, attributes, "yaw_deg"),
+        yaw_sigma_rad=_angle(path, attributes, "yaw_sigma_deg"),
+        provenance=_provenance(path, attributes),
     )
+
+
+def _angle(path: Path, attributes: Mapping[str, Any], name: str) -> float | None:
+    """An attribute in degrees as rad, None where it is not there."""
+    if name not in attributes:
+        return None
+    value = np.asarray(attributes[name])  # h5netcdf writes numbers as arrays of one
+    if value.dtype.kind != "f" or value.size != 1 or not np.isfinite(value).all():
+        raise InputError(f"{name}: is no angle", where=path, value=attributes[name])
+    return float(np.radians(value.item()))
+
+
+def _provenance(path: Path, attributes: Mapping[str, Any]) -> Provenance | None:
+    """What the file says the surface was made from, None of an older one, which says nothing."""
+    known = {name: attributes[name] for name in PROVENANCE if name in attributes}
+    if not known:
+        return None
+    pictures = np.asarray(known.get("pictures", ""))
+    if pictures.dtype.kind in "iu" and pictures.size == 1:
+        known["pictures"] = pictures.item()
+    return check(StoredProvenance, known, where=path).provenance()
 
 
 def _check_shapes(path: Path, arrays: Mapping[str, Floats]) -> None:
@@ -184,10 +215,16 @@ def _dataset(surface: Surface) -> xr.Dataset:
         arrays[name][2]["ancillary_variables"] = f"{sigmas} status".strip()
     track = {"long_name": "track position of the profile", **LENGTH}
     arrays["position"] = (DIMENSIONS[:1], surface.position_mm, track)
-    notes = {
+    notes: dict[str, Any] = {
         "Conventions": "CF-1.11",
         "title": "Surface measured by a laser line scanner",
+        "source": f"laser line scanner, lscan {__version__}",
         "frame": surface.frame,
         "corrections": SEPARATOR.join(surface.corrections),
     }
-    return xr.Dataset(arrays, attrs=notes)
+    if surface.yaw_rad is not None and surface.yaw_sigma_rad is not None:
+        notes["yaw_deg"] = float(np.degrees(surface.yaw_rad))
+        notes["yaw_sigma_deg"] = float(np.degrees(surface.yaw_sigma_rad))
+    if surface.provenance is not None:
+        notes |= asdict(surface.provenance)
+    return xr.Dataset(arrays, attrs=notes).set_coords(["x", "y", "position"])

@@ -23,7 +23,9 @@ MOST_BYTES = 64 * MOST_POINTS
 """Of a surface's file: up to eight numbers a point, not compressed."""
 MOST_MODE_NUMBERS = 8 * MOST_POINTS
 """Of the displacements by the modes, three numbers a point and mode in single precision."""
-ATTRIBUTES = ("frame", "corrections")
+PROVENANCE = ("rig", "pictures", "extractor", "plane_map", "calibration_sha256")
+"""Attributes that are the fields of records.Provenance."""
+ATTRIBUTES = ("frame", "corrections", "yaw_deg", "yaw_sigma_deg", *PROVENANCE)
 
 
 def read_arrays(

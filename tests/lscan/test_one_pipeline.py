@@ -54,7 +54,7 @@ def measured(folder: Path) -> SandwaveMeasures:
 def saved(folder: Path) -> Path:
     called(
         "reconstruct", folder / "sandwave", "-c", folder / "c.json", "-o", folder / "s.nc",
-        "--points", folder / "s.ply",
+        "--points", folder / "s.ply", "--save-alignment", folder / "a.json",
     )  # fmt: skip
     return folder / "s.nc"
 
@@ -96,6 +96,63 @@ def test_the_file_says_what_was_corrected_for(measured: SandwaveMeasures, saved:
         assert data.attrs["corrections"].startswith("sheet thickness of 1.5 mm at a yaw of 2.")
     assert load_surface(saved).corrections == measured.aligned.corrections
     assert measured.raw.corrections == ()
+
+
+def test_the_file_says_where_its_points_are_and_what_they_are_made_from(
+    measured: SandwaveMeasures, saved: Path
+) -> None:
+    with xr.open_dataset(saved, engine="h5netcdf") as data:
+        assert set(data.coords) == {"x", "y", "position"}
+        assert set(data["z"].encoding["coordinates"].split()) == {"x", "y", "position"}
+        known = {name: data.attrs[name] for name in ("rig", "pictures", "extractor", "plane_map")}
+        assert known == {
+            "rig": "drawn", "pictures": 100, "extractor": "centroid-relative",
+            "plane_map": "polynomial-5",
+        }  # fmt: skip
+        assert len(data.attrs["calibration_sha256"]) == 64
+        yaw = np.radians([data.attrs["yaw_deg"], data.attrs["yaw_sigma_deg"]])
+    alignment = measured.alignment
+    np.testing.assert_allclose(yaw, [alignment.yaw_rad, alignment.yaw_sigma_rad], rtol=1e-12)
+    surface = load_surface(saved)
+    assert surface.provenance == measured.aligned.provenance
+    np.testing.assert_allclose(yaw, [surface.yaw_rad, surface.yaw_sigma_rad], rtol=1e-15)
+
+
+def test_an_alignment_that_is_kept_aligns_as_the_one_that_was_found(
+    folder: Path, saved: Path, tmp_path: Path
+) -> None:
+    kept, run = folder / "a.json", (folder / "sandwave", "-c", folder / "c.json")
+    called("reconstruct", *run, "-o", tmp_path / "again.nc", "--alignment", kept)
+    one, other = load_surface(saved), load_surface(tmp_path / "again.nc")
+    np.testing.assert_allclose(one.xyz_mm, other.xyz_mm, atol=1e-9)
+    np.testing.assert_allclose(one.sigma_z_mm, other.sigma_z_mm, rtol=1e-5)
+    assert other.corrections == (
+        *one.corrections,
+        "yaw and level by the block scanned with 'drawn'",
+    )
+
+
+def test_a_target_without_a_workpiece_is_corrected_with_the_yaw_that_was_kept(
+    folder: Path, saved: Path, tmp_path: Path
+) -> None:
+    kept = folder / "a.json"
+    flat_run(tmp_path / "flat", 5, sheet=SHEET)
+    flat = (tmp_path / "flat", "-c", folder / "c.json", "--alignment", kept)
+    done = called("reconstruct", *flat, "-o", tmp_path / "f.nc", "--json")
+    assert done.stderr == ""
+    surface = load_surface(tmp_path / "f.nc")
+    assert surface.frame == "workpiece"
+    assert surface.yaw_rad == pytest.approx(np.radians(json.loads(done.stdout)["yaw_deg"]))
+    assert np.degrees(surface.yaw_rad) == pytest.approx(2.2, abs=0.1)
+    thickness, level = surface.corrections
+    assert thickness.startswith("sheet thickness of 1.5 mm at a yaw of 2.")
+    assert level.startswith("yaw and level by the block")
+    everything = "x_mm = [-900.0, 900.0]\ny_mm = [-900.0, 900.0]"
+    (tmp_path / "shapes.toml").write_text(f'[[plane]]\nname = "all"\n{everything}\n')
+    done = called("measure", *flat, "--shapes", tmp_path / "shapes.toml", "--json")
+    plane = json.loads(done.stdout)["shapes"]["all"]
+    assert plane["points"] + plane["outliers"] == has_value(surface.status).sum()
+    assert plane["values"]["height_mm"]["sigma"] > 0
 
 
 def test_report_saves_the_surface_that_reconstruct_does(folder: Path) -> None:

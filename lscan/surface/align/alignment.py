@@ -81,7 +81,7 @@ def apply(alignment: Alignment, surface: Surface) -> Surface:
 
     Parameters
     ----------
-    alignment : Alignment, found in this surface
+    alignment : Alignment, found in this surface, or in another (keptalignment.py)
     surface : Surface, frame of the head
 
     Raises
@@ -106,6 +106,8 @@ def apply(alignment: Alignment, surface: Surface) -> Surface:
         sigma_z_mm=sigma[..., 2],
         frame="workpiece",
         modes_mm=modes,
+        yaw_rad=alignment.yaw_rad if alignment.sheared else None,
+        yaw_sigma_rad=alignment.yaw_sigma_rad if alignment.sheared else None,
     )
 
 

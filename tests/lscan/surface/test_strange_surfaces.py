@@ -3,6 +3,7 @@
 import os
 import shutil
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +14,7 @@ from hypothesis import given, settings, strategies as st
 from peak_memory import refused_within
 
 from lscan.errors import InputError
-from lscan.records import Status, Surface
+from lscan.records import Provenance, Status, Surface
 from lscan.surface import load_surface, save_surface
 from lscan.surface.netcdf import MOST_POINTS
 
@@ -24,6 +25,7 @@ SHAPE = (3, 6)
 def saved(tmp_path_factory: pytest.TempPathFactory) -> Path:
     ones = np.ones(SHAPE)
     surface = Surface(np.ones((*SHAPE, 3)), ones, ones, np.zeros(SHAPE, int), np.arange(3.0))
+    surface = replace(surface, provenance=Provenance("rig", 3, "ml", "refractive", "ab" * 32))
     path = tmp_path_factory.mktemp("surface") / "surface.nc"
     save_surface(path, surface)
     return path
@@ -132,6 +134,29 @@ def test_an_attribute_that_is_no_frame_is_refused(saved: Path, tmp_path: Path, f
         file.attrs["frame"] = np.bytes_(frame) if isinstance(frame, bytes) else frame
     with pytest.raises(InputError, match="frame: is none of a surface"):
         load_surface(path)
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        ("yaw_deg", "east"),
+        ("yaw_deg", 2),
+        ("yaw_sigma_deg", np.inf),
+        ("pictures", "many"),
+        ("rig", 1),
+    ],
+)
+def test_an_attribute_of_another_kind_is_refused(
+    saved: Path, tmp_path: Path, name: str, value: Any
+) -> None:
+    path = Path(shutil.copy(saved, tmp_path))
+    with h5py.File(path, "r+") as file:
+        file.attrs[name] = value
+    with pytest.raises(InputError) as caught:
+        load_surface(path)
+    assert str(caught.value).startswith(f"{path}: ")
+    words = "is no angle" if name.startswith("yaw") else "must be"
+    assert f"{name}: {words}" in str(caught.value)
 
 
 def test_a_status_that_is_none_is_refused(saved: Path, tmp_path: Path) -> None:
