@@ -16,6 +16,7 @@ from lscan.stripe.core import core_flux
 from lscan.stripe.corrections.blur import correct_blur
 from lscan.stripe.corrections.smoothing import smooth
 from lscan.stripe.lines import lines_of
+from lscan.stripe.noise.along import at_least_seen
 from lscan.stripe.noise.model import difference_noise
 from lscan.stripe.peaks import clipped_near
 from lscan.stripe.returns import choose_return, withhold
@@ -34,6 +35,9 @@ def extract_stripe(
     ``image`` itself (but not in ``background``); sigma_px grows with the clipped width, unless
     the extractor says SATURATED itself, having allowed for it.  AMBIGUOUS: the column holds
     several lines, and it is not known which is meant.
+
+    Where the settings do not state the noise, sigma_px is at least what the centres are seen to
+    scatter about their neighbours along the line (noise/along.py).
 
     Parameters
     ----------
@@ -68,6 +72,8 @@ def extract_stripe(
     stripe = _called(extractor, light.settings, chosen.image, chosen.clipped)
     stripe = _mark_saturated(stripe, chosen.clipped.T, settings.span_px)
     stripe = withhold(stripe, chosen.ambiguous)
+    if settings.noise is None:
+        stripe = at_least_seen(stripe, chosen.image.T)
     stripe = correct_blur(stripe, settings, chosen.image.T)
     stripe = smooth(stripe, settings.smooth_px)
     return replace(stripe, flux=core_flux(stripe, chosen.image.T))

@@ -50,7 +50,13 @@ def electrons_of(dn: float, sensor: Sensor) -> float:
 
 
 def through_jpeg(image: Bytes, sensor: Sensor) -> Bytes:
-    """The (H, W, 3) RGB picture coded and decoded as one of MJPEG's; unchanged without one."""
+    """The picture coded and decoded as one of MJPEG's; unchanged without one.
+
+    Parameters
+    ----------
+    image : (H, W, 3) uint8 array, RGB
+    sensor : Sensor, its quality and subsampling
+    """
     if sensor.jpeg_quality is None:
         return image
     return from_jpeg(jpeg_bytes(image, sensor.jpeg_quality, sensor.jpeg_subsampling))

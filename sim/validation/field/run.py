@@ -9,12 +9,15 @@ from lscan.files.disk import list_names
 from lscan.records import Progress
 from sim.validation.chapters import run_chapters
 from sim.validation.field.effort import FULL, QUICK, FieldEffort
+from sim.validation.field.sigma import sigma_rows
 from sim.validation.rows import Row
 
 FieldChapter = Callable[[Path, FieldEffort], list[Row]]
 
 # The longest first: chapters run side by side, and no processor shall wait at the end.
-CHAPTERS: Mapping[str, FieldChapter] = {}
+CHAPTERS: Mapping[str, FieldChapter] = {
+    "sigma": sigma_rows,
+}
 
 
 def run_field(
