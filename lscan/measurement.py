@@ -10,6 +10,7 @@ from typing import Any, TypeVar
 from lscan.acquisition.run import Run
 from lscan.board import read_board
 from lscan.calibration.api import PlaneMap
+from lscan.calibration.carry import carried
 from lscan.config.board import Board
 from lscan.config.targets import GroovedBlock, Sandwave
 from lscan.errors import BoardNotFound, InputError, MeasurementError
@@ -136,7 +137,7 @@ def measure_run(run: Run, plane_map: PlaneMap, progress: Progress | None = None)
     piece = run.rig_file.rig.workpiece
     if piece is None:
         board, reading = read_shown_board(run)
-        return measure_reading(reading, board, plane_map)
+        return measure_reading(reading, board, carried(plane_map, run.rig_file.rig))
     try:
         if isinstance(piece, GroovedBlock):
             return measure_groove(run, plane_map)

@@ -10,6 +10,7 @@ import numpy as np
 from lscan.acquisition.run import Run
 from lscan.board import read_board
 from lscan.calibration.api import PlaneMap
+from lscan.calibration.carry import carried
 from lscan.calibration.solve import Calibration, calibrate
 from lscan.config.board import Board
 from lscan.config.rig import CameraSection, Rig
@@ -254,6 +255,7 @@ def read_profiles(
     InputError
         Where a picture cannot be read, or there is no extractor of that name.
     """
+    plane_map = carried(plane_map, run.rig_file.rig)
     for done, frame in enumerate(run.frames(), start=1):
         found = extract_stripe(frame.image, run.rig_file.rig.stripe, frame.background)
         yield to_profile(found, plane_map, frame.position_mm)

@@ -38,6 +38,8 @@ UNITS = {  # the end of a key's name, the longest first
     "_s": "s",
     "_e": "electrons",
     "_c": "°C",
+    "_m": "m",
+    "_percent": "%",
 }
 
 

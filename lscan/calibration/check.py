@@ -1,9 +1,10 @@
-"""An old calibration against a new picture of the board: does it still hold?
+"""An old calibration against a new picture of the board: does it still hold, and what corrects it?
 
 The marks of the new picture are taken to the sheet by the old map and compared with their
 nominal places.  Nobody puts a board back just where it was, so a shift and a turn in the
 sheet are fitted and reported but do not speak against the calibration; a change of scale or
-of shape does.  A shift does only where it is said how well the board was put back.
+of shape does.  A shift does only where it is said how well the board was put back, in the frame
+that the calibration took from the board; that of a metric calibration is another.
 
 Residuals count by their covariance: each mark's own uncertainty, and the errors that the old
 calibration gives to all marks in common.
@@ -16,9 +17,15 @@ import numpy as np
 from scipy import stats
 
 from lscan.calibration.api import PlaneMap
+from lscan.calibration.carry import in_water_of
+from lscan.calibration.loading import AnyCalibration
+from lscan.calibration.maps.auto import Auto
 from lscan.calibration.motion import Similarity, fit_similarity
+from lscan.calibration.physical import PhysicalMap
 from lscan.calibration.readings import all_marks, found_marks
 from lscan.calibration.solve import Calibration
+from lscan.calibration.waterfit import FoundIndex, find_index
+from lscan.config.rig import OpticsSection
 from lscan.errors import InputError, MeasurementError
 from lscan.records import BoardReading, Floats, PlanePoints, Status
 
@@ -62,6 +69,8 @@ class CalibrationCheck:
     reasons : tuple of str, which of "scale", "shape", "shift" disagree; none where the calibration
         holds
     worst : tuple of CheckedMark, those that are the most sigmas off their places, the worst first
+    index : FoundIndex or None, the index of the water that fits the picture best; None for a map
+        that knows of no water
     """
 
     marks: int
@@ -81,6 +90,7 @@ class CalibrationCheck:
     level: float
     reasons: tuple[str, ...]
     worst: tuple[CheckedMark, ...]
+    index: FoundIndex | None
 
     @property
     def agrees(self) -> bool:
@@ -89,32 +99,38 @@ class CalibrationCheck:
 
 
 def check_calibration(
-    calibration: Calibration,
+    calibration: AnyCalibration,
     reading: BoardReading,
     level: float = LEVEL,
     placed_mm: float | None = None,
+    optics: OpticsSection | None = None,
 ) -> CalibrationCheck:
     """The calibration's score on a new reading of its board.
 
     Parameters
     ----------
-    calibration : Calibration, the old one
+    calibration : Calibration or MetricCalibration, the old one
     reading : BoardReading, px and mm, of a new picture
     level : float, chance of a false alarm, shared evenly by the questions asked
     placed_mm : float, optional, mm, standard uncertainty, in x and in z, with which the board was
         put back where the calibration has it; by default not known, and the shift is not judged
+    optics : OpticsSection, optional, of the rig that took the picture: the water that it states; by
+        default the calibration's
 
     Raises
     ------
     InputError
-        For a picture of another size and for a level or placed_mm that makes no sense.
+        For a picture of another size, for a level or placed_mm that makes no sense, and for a map
+        that cannot be carried to the water that ``optics`` states.
     MeasurementError
         Where fewer than six marks get a value.
     """
     _require_sense(calibration, reading, level, placed_mm)
-    compared = _compare(calibration.plane_map, reading)
+    plane_map = (
+        calibration.plane_map if optics is None else in_water_of(calibration.plane_map, optics)
+    )
+    compared = compare(plane_map, reading)
     names, nominal, points, fit = compared.names, compared.nominal_mm, compared.points, compared.fit
-    own = _compare(calibration.plane_map, calibration.reading)
     residual = points.xz_mm - fit.motion.apply(nominal)
     sigma = np.sqrt(np.diag(fit.covariance))
     return CalibrationCheck(
@@ -131,15 +147,16 @@ def check_calibration(
         chi_square=fit.chi_square,
         degrees_of_freedom=fit.degrees_of_freedom,
         level=level,
-        reasons=_reasons(compared, own, level, placed_mm),
+        reasons=_reasons(compared, _usual(calibration), level, placed_mm),
         worst=_worst(names, residual, points.sigma_mm),
+        index=_index(plane_map, compared),
     )
 
 
 def _require_sense(
-    calibration: Calibration, reading: BoardReading, level: float, placed_mm: float | None
+    calibration: AnyCalibration, reading: BoardReading, level: float, placed_mm: float | None
 ) -> None:
-    size = calibration.reading.image_size
+    size = calibration.image_size
     if tuple(reading.image_size) != tuple(size):
         raise InputError(
             "the picture is not of the size of the calibration's",
@@ -152,6 +169,13 @@ def _require_sense(
     if placed_mm is not None and not 0 <= placed_mm < np.inf:
         raise InputError(
             "bad uncertainty", where="placed_mm", value=placed_mm, allowed="0 mm or more"
+        )
+    if placed_mm is not None and not isinstance(calibration, Calibration):
+        raise InputError(
+            "the frame of a metric calibration is not the board's: its shift cannot be judged",
+            where="placed_mm",
+            value=placed_mm,
+            allowed="a calibration from one picture of the board",
         )
 
 
@@ -172,21 +196,43 @@ def _found(reading: BoardReading) -> tuple[np.ndarray, Floats, Floats, Floats]:
 
 
 @dataclass(frozen=True)
-class _Compared:
+class ComparedMarks:
     """The N marks that got a value, and the motion and scale from nominal to mapped.
 
-    scale_sigma: of the scale, with what the map does not explain.
+    Attributes
+    ----------
+    names : (N,) array of str
+    nominal_mm : (N, 2) array, mm, on the board
+    image_px, sigma_px : (N, 2) and (N,) arrays, px, in the picture
+    points : PlanePoints, mm, mapped
+    without_value : int, marks found that got none
+    fit : Similarity, from nominal to mapped
+    scale_sigma : float, of the scale, with what the map does not explain
     """
 
     names: np.ndarray
     nominal_mm: Floats
+    image_px: Floats
+    sigma_px: Floats
     points: PlanePoints
     without_value: int
     fit: Similarity
     scale_sigma: float
 
 
-def _compare(plane_map: PlaneMap, reading: BoardReading) -> _Compared:
+def compare(plane_map: PlaneMap, reading: BoardReading) -> ComparedMarks:
+    """The marks of a reading, mapped, beside their nominal places.
+
+    Parameters
+    ----------
+    plane_map : PlaneMap, of the camera that took the picture
+    reading : BoardReading, px and mm
+
+    Raises
+    ------
+    MeasurementError
+        Where fewer than six marks get a value.
+    """
     names, nominal, image, sigma_px = _found(reading)
     valued = plane_map.to_plane(image, sigma_px).status == Status.OK
     if valued.sum() < LEAST_MARKS:
@@ -194,13 +240,15 @@ def _compare(plane_map: PlaneMap, reading: BoardReading) -> _Compared:
             f"of {len(valued)} marks found the calibration covers {int(valued.sum())}; "
             f"a check needs {LEAST_MARKS}"
         )
-    nominal, image = nominal[valued], image[valued]
-    points = plane_map.to_plane(image, sigma_px[valued])
+    nominal, image, sigma_px = nominal[valued], image[valued], sigma_px[valued]
+    points = plane_map.to_plane(image, sigma_px)
     fit = fit_similarity(nominal, points.xz_mm, points.sigma_mm, points.modes_mm)
     allowance = _unaveraged_scale(plane_map.to_plane(image), nominal)
-    return _Compared(
+    return ComparedMarks(
         names=names[valued],
         nominal_mm=nominal,
+        image_px=image,
+        sigma_px=sigma_px,
         points=points,
         without_value=int((~valued).sum()),
         fit=fit,
@@ -231,16 +279,33 @@ def _pair(values: Floats) -> tuple[float, float]:
     return float(values[0]), float(values[1])
 
 
+def _usual(calibration: AnyCalibration) -> float:
+    """How many times the map misses by the variances it states where it was solved; 1 at least.
+
+    What it misses there is a fault of its form and no change, so new marks may be missed as much.
+    A metric calibration has added what it missed to the variances already.
+    """
+    if not isinstance(calibration, Calibration):
+        return 1.0
+    own = compare(calibration.plane_map, calibration.reading).fit
+    return max(1.0, own.chi_square / own.degrees_of_freedom)
+
+
+def _index(plane_map: PlaneMap, compared: ComparedMarks) -> FoundIndex | None:
+    solved = plane_map.chosen if isinstance(plane_map, Auto) else plane_map
+    if not isinstance(solved, PhysicalMap) or solved.geometry.port == "none":
+        return None
+    return find_index(solved, compared.nominal_mm, compared.image_px, compared.sigma_px)
+
+
 def _reasons(
-    new: _Compared, own: _Compared, level: float, placed_mm: float | None
+    new: ComparedMarks, usual: float, level: float, placed_mm: float | None
 ) -> tuple[str, ...]:
     """The questions that a calibration which holds would fail with a chance of ``level`` in all.
 
-    own: how the map fits the marks it was solved from.  What it misses there by more than
-    its sigmas is a fault of its form and no change, so the new marks may be missed as much.
+    usual: as ``_usual``.
     """
     fit = new.fit
-    usual = max(1.0, own.fit.chi_square / own.fit.degrees_of_freedom)
     chances: dict[str, Any] = {
         "scale": 2 * stats.norm.sf(abs(fit.scale) / new.scale_sigma),
         "shape": stats.chi2.sf(fit.chi_square / usual, fit.degrees_of_freedom),

@@ -1,11 +1,53 @@
-"""The plane map of a calibration file, whichever route made it."""
+"""The calibration of a file, whichever route made it."""
 
 from pathlib import Path
 
 from lscan.calibration.api import PlaneMap
-from lscan.calibration.file import MOST_BYTES, calibration_of
-from lscan.calibration.multiview.file import FORMAT, metric_of
+from lscan.calibration.file import MOST_BYTES, calibration_of, save_calibration
+from lscan.calibration.multiview.file import FORMAT, metric_of, save_metric
+from lscan.calibration.multiview.solve import MetricCalibration
+from lscan.calibration.solve import Calibration
 from lscan.config.documents import read_json
+
+AnyCalibration = Calibration | MetricCalibration
+
+
+def load_any(path: Path | str) -> AnyCalibration:
+    """The calibration of a file.
+
+    Parameters
+    ----------
+    path : Path or str, written by ``save_calibration`` or by ``save_metric``
+
+    Raises
+    ------
+    InputError
+        Where the file is no calibration, or is not as it was written.
+    """
+    path = Path(path)
+    document = read_json(path, MOST_BYTES)
+    if isinstance(document, dict) and document.get("format") == FORMAT:
+        return metric_of(document, path)
+    return calibration_of(document, path)
+
+
+def save_any(path: Path, calibration: AnyCalibration) -> None:
+    """Write a calibration to a file: a whole file or none.
+
+    Parameters
+    ----------
+    path : Path, of the file
+    calibration : Calibration or MetricCalibration
+
+    Raises
+    ------
+    InputError
+        Where the file cannot be written.
+    """
+    if isinstance(calibration, MetricCalibration):
+        save_metric(path, calibration)
+    else:
+        save_calibration(path, calibration)
 
 
 def load_plane_map(path: Path | str) -> tuple[PlaneMap, tuple[int, int]]:
@@ -27,10 +69,5 @@ def load_plane_map(path: Path | str) -> tuple[PlaneMap, tuple[int, int]]:
     >>> plane_map.name, size_px
     ('graticule-2', (640, 480))
     """
-    path = Path(path)
-    document = read_json(path, MOST_BYTES)
-    if isinstance(document, dict) and document.get("format") == FORMAT:
-        metric = metric_of(document, path)
-        return metric.plane_map, metric.image_size
-    calibration = calibration_of(document, path)
-    return calibration.plane_map, calibration.reading.image_size
+    calibration = load_any(path)
+    return calibration.plane_map, calibration.image_size

@@ -78,7 +78,11 @@ def closest_motion(before_mm: Floats, after_mm: Floats) -> Motion:
 
 
 def fit_similarity(
-    before_mm: Floats, after_mm: Floats, sigma_mm: Floats, modes_mm: Floats | None
+    before_mm: Floats,
+    after_mm: Floats,
+    sigma_mm: Floats,
+    modes_mm: Floats | None,
+    also_mm: Floats | None = None,
 ) -> Similarity:
     """The generalised least-squares motion and scale from one set of points to another.
 
@@ -89,6 +93,8 @@ def fit_similarity(
     before_mm, after_mm : (N, 2) array, mm, (x, z)
     sigma_mm : (N, 2) array, mm, standard uncertainty of ``after``
     modes_mm : (N, 2, M) array or None, mm, the part of it in common, as in PlanePoints
+    also_mm : (N, 2) array, optional, mm, how ``after`` moves with one unit of what is found in the
+        scale's place
     """
     start = closest_motion(before_mm, after_mm)
     near = start.apply(before_mm)
@@ -98,7 +104,7 @@ def fit_similarity(
     unknowns = np.zeros((len(near), 2, 4))
     unknowns[:, 0, 0] = unknowns[:, 1, 1] = 1.0
     unknowns[:, 0, 2], unknowns[:, 1, 2] = -lever[:, 1], lever[:, 0]
-    unknowns[:, :, 3] = lever
+    unknowns[:, :, 3] = lever if also_mm is None else also_mm
     # The modes' strengths are unknown too, but known to be 0 with a sigma of 1.
     count = modes.shape[2]
     rows = np.concatenate([unknowns, modes], axis=2).reshape(-1, 4 + count) / own[:, None]

@@ -43,6 +43,11 @@ class Calibration:
     software: str
 
     @property
+    def image_size(self) -> tuple[int, int]:
+        """(width, height) of the picture, px."""
+        return self.reading.image_size
+
+    @property
     def rms_mm(self) -> float:
         """Root mean square distance of the control points from their nominal places, mm."""
         return _rms(self.residuals_mm)

@@ -10,8 +10,10 @@ from lscan.calibration.api import NOTHING_KNOWN
 from lscan.calibration.evaluate import Estimate
 from lscan.calibration.readings import found_marks
 from lscan.calibration.region import Region
-from lscan.calibration.stored import Pair
+from lscan.calibration.sheetcorrection import SheetCorrection
+from lscan.calibration.stored import NotNegative, Number, Pair
 from lscan.camera.projection import require_columns
+from lscan.camera.water import stated_water
 from lscan.config.documents import Strict, check
 from lscan.config.rig import OpticsSection
 from lscan.errors import InputError
@@ -25,10 +27,15 @@ class SolvedMap(Strict, ABC):
     ----------
     region : Region, px, where the map holds
     lack_of_fit_mm : (2,) array, mm, standard uncertainty of x and z that noise does not account for
+    stated_water : tuple of float or None, the water's index and its standard uncertainty as they
+        were stated when the map was solved; None where they were not
+    corrections : tuple of SheetCorrection, made to the points one after the other
     """
 
     region: Region
     lack_of_fit_mm: Pair
+    stated_water: tuple[Number, NotNegative] | None = None
+    corrections: tuple[SheetCorrection, ...] = ()
     _name: str = PrivateAttr("")
 
     @property
@@ -70,6 +77,8 @@ class SolvedMap(Strict, ABC):
         covered[finite] = self.region.covers(image_px[finite])
         xz, variance = np.full((2, len(image_px), 2), np.nan)
         estimate = self.estimate(image_px[covered], sigma[covered] ** 2)
+        for correction in self.corrections:
+            estimate = correction.apply(estimate)
         xz[covered] = estimate.xz_mm
         variance[covered] = estimate.variance_mm2 + self.lack_of_fit_mm**2
         valued = np.isfinite(xz).all(axis=1)
@@ -143,7 +152,9 @@ class MapSolver(ABC, Generic[Solved]):
             Where the marks found do not determine the map.
         """
         self.check_variant(variant)
-        return self._named(self.fit(reading, variant, optics), variant)
+        solved = self.fit(reading, variant, optics)
+        water = stated_water(optics)
+        return self._named(solved.model_copy(update={"stated_water": water}), variant)
 
     @abstractmethod
     def fit(self, reading: BoardReading, variant: str, optics: OpticsSection) -> Solved:

@@ -1,13 +1,13 @@
 """A camera and the boards in front of it, as one vector of parameters."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from lscan.camera.model import CameraModel
-from lscan.camera.parameters import COUNT, PortKind, camera_of
+from lscan.camera.parameters import COUNT, WATER, PortKind, camera_of
 from lscan.camera.projection import Rays, meet_plane, project, rays
 from lscan.records import Floats, Ints
 
@@ -74,6 +74,25 @@ class PosedBoards:
             self.poses[:, MM_PER_PX, None] * self.apparent_focal_px,
         )
         return sight.origin_mm + distance * sight.direction
+
+    def in_water(self, index: float) -> "PosedBoards":
+        """The same camera and boards, where they are in space, in water of another index.
+
+        Parameters
+        ----------
+        index : float, of the water, relative to air
+        """
+        theta = self.theta.copy()
+        theta[WATER] = index
+        other = replace(self, theta=theta)
+        seen = project(other.camera, self.places_mm)
+        sight = rays(other.camera, seen)
+        distance = np.linalg.norm(self.places_mm - sight.origin_mm, axis=1)
+        turned = np.swapaxes(towards(sight.direction), 1, 2) @ self.axes @ FACING.T
+        turn = Rotation.from_matrix(turned).as_rotvec()
+        poses = np.column_stack([turn, seen, distance / other.apparent_focal_px])
+        theta[COUNT:] = poses.ravel()
+        return replace(self, theta=theta)
 
     def in_camera(self, board_mm: Floats, board: Ints | int = 0) -> Floats:
         """(N, 3) mm, points of the boards in the camera frame.

@@ -6,6 +6,7 @@ from typing import Literal
 import numpy as np
 
 from lscan.camera.model import CameraModel, PortModel
+from lscan.camera.water import UNKNOWN_WATER, stated_water
 from lscan.config.rig import Known, OpticsSection
 from lscan.errors import InputError
 from lscan.records import Floats, Mask
@@ -102,9 +103,10 @@ def priors_of(
         "centre_u_px": ((width - 1) / 2, CENTRE_WIDTHS * width),
         "centre_v_px": ((height - 1) / 2, CENTRE_WIDTHS * width),
     }
+    known = {"k3": k3, "water_index": stated_water(optics) or UNKNOWN_WATER}
     mean, sigma = np.zeros(COUNT), np.zeros(COUNT)
     for index, name in enumerate(CAMERA):
-        given = k3 if name == "k3" else getattr(optics, name)
+        given = known.get(name) or getattr(optics, name)
         mean[index], sigma[index] = given or webcam[name]
         if given is None and not assume_webcam:
             sigma[index] = np.inf

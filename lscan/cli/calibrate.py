@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -15,6 +16,7 @@ if TYPE_CHECKING:
     from lscan.calibration.check import CalibrationCheck
     from lscan.calibration.crossvalidation import Score
     from lscan.calibration.solve import Calibration
+    from lscan.calibration.update import CorrectionKind
 
 BoardFile = Annotated[
     Path | None, typer.Option("--board", help="Board file; a run folder has its own.")
@@ -77,6 +79,14 @@ def check(
         float | None, typer.Option(help="How well the board was put back, mm; else not judged.")
     ] = None,
     level: Annotated[float, typer.Option(help="Chance of a false alarm.")] = 0.01,
+    update: Annotated[
+        Path | None,
+        typer.Option("--update", help="Calibration file to write, with what is off corrected."),
+    ] = None,
+    correct: Annotated[
+        list[str] | None,
+        typer.Option("--correct", help="What --update corrects: scale, index, shift."),
+    ] = None,
     seeds: Seeds = None,
     channel: ChannelName = None,
     trust: Trust = False,
@@ -84,17 +94,26 @@ def check(
 ) -> None:
     """Score an old calibration against a new picture of the board; exit code 1 if it is off."""
     from lscan.calibration.check import check_calibration
-    from lscan.calibration.file import load_calibration
-    from lscan.cli.inputs import board_picture, parse_seeds
+    from lscan.calibration.loading import load_any, save_any
+    from lscan.calibration.update import corrected, proposed
+    from lscan.cli.inputs import board_picture, parse_corrections, parse_seeds
 
-    loaded = load_calibration(calibration)
+    require_folders(update)
+    asked = parse_corrections(correct)
+    if asked and update is None:
+        raise typer.BadParameter("--correct needs --update FILE")
+    loaded = load_any(calibration)
     given = board_picture(picture, board, trusted=trust)
-    found = check_calibration(loaded, given.read(parse_seeds(seeds), channel), level, placed)
+    reading, optics = given.read(parse_seeds(seeds), channel), given.optics
+    found = check_calibration(loaded, reading, level, placed, optics)
+    kinds = asked or proposed(found)
+    if update is not None and kinds:
+        save_any(update, corrected(loaded, reading, kinds, placed or 0.0, optics))
     if json:
-        print_json({"agrees": found.agrees, **asdict(found)})
+        print_json({"agrees": found.agrees, "correct": kinds, **asdict(found)})
     else:
-        _print_check(found)
-    if not found.agrees:
+        _print_check(found, kinds, update)
+    if not found.agrees and (update is None or not kinds):
         raise typer.Exit(1)
 
 
@@ -151,7 +170,9 @@ def _print_scores(scores: tuple[Score, ...]) -> None:
             print(f"{score.name}: refused, {score.refused}")
 
 
-def _print_check(check: CalibrationCheck) -> None:
+def _print_check(
+    check: CalibrationCheck, kinds: Sequence[CorrectionKind], update: Path | None
+) -> None:
     (x, z), (x_sigma, z_sigma) = check.shift_mm, check.shift_sigma_mm
     print(f"{check.marks} marks compared, {check.without_value} outside the calibration")
     print(f"as they are: {check.raw_rms_mm:.3f} mm rms, {check.raw_max_mm:.3f} mm at most")
@@ -166,3 +187,18 @@ def _print_check(check: CalibrationCheck) -> None:
     print_table("farthest off", ["mark", "x mm", "z mm", "sigmas"], rows)
     verdict = "agrees" if check.agrees else f"disagrees: {', '.join(check.reasons)}"
     print(f"the calibration {verdict} (chance of a false alarm {100 * check.level:g} %)")
+    if check.index is not None:
+        index = check.index
+        print(
+            f"index of the water that fits best: {index.index:.5f} ± {index.sigma:.5f}, "
+            f"chi-square {index.chi_square:.0f}"
+        )
+    if kinds and update is not None:
+        print(f"corrected ({', '.join(kinds)}): {update}")
+    elif kinds:
+        options = " ".join(f"--correct {kind}" for kind in kinds)
+        print(f"to correct it: lscan check ... --update FILE {options}")
+    elif not check.agrees:
+        print("no change of scale, index or shift explains it: calibrate again")
+    elif update is not None:
+        print("nothing to correct")

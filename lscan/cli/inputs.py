@@ -4,9 +4,11 @@ Commands import it when they run: what it imports is heavy, and ``lscan --help``
 """
 
 import os
+from collections.abc import Sequence
 from contextlib import nullcontext
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import get_args
 
 import numpy as np
 
@@ -14,6 +16,7 @@ from lscan.acquisition.run import Run, open_run
 from lscan.board import read_board
 from lscan.calibration.api import PlaneMap
 from lscan.calibration.loading import load_plane_map
+from lscan.calibration.update import CorrectionKind
 from lscan.cli.console import note
 from lscan.config.board import Board, load_board
 from lscan.config.documents import check, read_document
@@ -65,6 +68,17 @@ def parse_seeds(text: str | None) -> Floats | None:
             "not three points", where="--seeds", value=text, allowed="u1,v1,u2,v2,u3,v3 in px"
         )
     return np.array(numbers).reshape(3, 2)
+
+
+def parse_corrections(words: Sequence[str] | None) -> tuple[CorrectionKind, ...]:
+    """The kinds of correction, in the order in which they are made; InputError for another."""
+    allowed = get_args(CorrectionKind)
+    for word in words or ():
+        if word not in allowed:
+            raise InputError(
+                "no such correction", where="--correct", value=word, allowed=", ".join(allowed)
+            )
+    return tuple(kind for kind in allowed if kind in (words or ()))
 
 
 @dataclass(frozen=True)

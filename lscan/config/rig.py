@@ -111,6 +111,9 @@ KnownCentre = tuple[Annotated[float, Field(ge=-100_000, le=100_000)], Uncertaint
 KnownLength = tuple[Annotated[float, Field(ge=0, le=10_000)], Uncertainty]
 KnownIndex = tuple[Annotated[float, Field(ge=1, le=4)], Uncertainty]
 KnownTilt = tuple[Annotated[float, Field(ge=-45, le=45)], Uncertainty]
+KnownTemperature = tuple[Annotated[float, Field(ge=0, le=30)], Uncertainty]
+KnownSalinity = tuple[Annotated[float, Field(ge=0, le=35)], Uncertainty]
+KnownDepth = tuple[Annotated[float, Field(ge=0, le=9900)], Uncertainty]
 
 
 class OpticsSection(Strict):
@@ -119,8 +122,10 @@ class OpticsSection(Strict):
     focal_px, centre_u_px, centre_v_px, k1, k2, p1, p2: pinhole and distortion in air, as
     OpenCV writes them; None: next to nothing is known.
     gap_mm: air between pinhole and glass; thickness_mm, glass_index: the flat glass;
-    water_index: what lies behind it, all indices relative to air.  tilt_x_deg, tilt_y_deg:
-    the glass against the camera's axis.  port = "none": a camera in air without a window.
+    water_index: what lies behind it, all indices relative to air; or, in its place, temperature_c
+    and, where they are not 0, salinity_psu and depth_m, which give it at wavelength_nm.
+    tilt_x_deg, tilt_y_deg: the glass against the camera's axis.  port = "none": a camera in air
+    without a window.
     board_offset_mm, board_tilt_deg: standard uncertainties of how far the board lay off the
     laser sheet, and of its tilt against it about either axis: what alignment by eye leaves.
     """
@@ -136,11 +141,40 @@ class OpticsSection(Strict):
     gap_mm: KnownLength = (10.0, 5.0)
     thickness_mm: KnownLength = (5.0, 3.0)
     glass_index: KnownIndex = (1.49, 0.02)
-    water_index: KnownIndex = (1.333, 0.003)
+    water_index: KnownIndex | None = None
+    temperature_c: KnownTemperature | None = None
+    salinity_psu: KnownSalinity | None = None
+    depth_m: KnownDepth | None = None
+    wavelength_nm: Annotated[float, Field(ge=400, le=700)] = 650.0
     tilt_x_deg: KnownTilt = (0.0, 0.0)
     tilt_y_deg: KnownTilt = (0.0, 0.0)
     board_offset_mm: Annotated[float, Field(ge=0, le=100)] = 0.0
     board_tilt_deg: Annotated[float, Field(ge=0, le=20)] = 0.0
+
+    @model_validator(mode="after")
+    def _one_statement_of_the_water(self) -> Self:
+        if self.water_index is not None and self.temperature_c is not None:
+            raise ValueError("water_index and temperature_c: give one of them")
+        if self.temperature_c is None and (self.salinity_psu or self.depth_m):
+            raise ValueError("salinity_psu and depth_m need temperature_c beside them")
+        return self
+
+
+class SinceSection(Strict):
+    """What may have changed between calibration and scan: standard uncertainties, 0: nothing.
+
+    sheet_shift_mm: of the laser sheet along its normal.  sheet_tilt_deg: about x and about z, both
+    through the middle of what was calibrated.  camera_tilt_deg: of the camera against the sheet,
+    about each of its axes.  focal_percent: of the focal length.  port_tilt_deg: of the glass, about
+    x and about y.  water_index: of the water's index, beyond what [optics] says of it.
+    """
+
+    sheet_shift_mm: Annotated[float, Field(ge=0, le=100)] = 0.0
+    sheet_tilt_deg: Annotated[float, Field(ge=0, le=20)] = 0.0
+    camera_tilt_deg: Annotated[float, Field(ge=0, le=20)] = 0.0
+    focal_percent: Annotated[float, Field(ge=0, le=50)] = 0.0
+    port_tilt_deg: Annotated[float, Field(ge=0, le=20)] = 0.0
+    water_index: Annotated[float, Field(ge=0, le=1)] = 0.0
 
 
 class SheetSection(Strict):
@@ -230,6 +264,7 @@ class Rig(Strict):
     stripe: StripeSection = StripeSection()
     calibration: CalibrationSection = CalibrationSection()
     optics: OpticsSection = OpticsSection()
+    since_calibration: SinceSection | None = None
     sheet: SheetSection | None = None
     shaft: ShaftSection | None = None
     board: Board | None = None

@@ -10,6 +10,7 @@ from lscan.acquisition.scan import acquire_into
 from lscan.acquisition.writer import RunWriter, create_run
 from lscan.board import read_board
 from lscan.calibration.api import PlaneMap
+from lscan.calibration.carry import carried
 from lscan.calibration.file import save_calibration
 from lscan.calibration.solve import calibrate
 from lscan.config.rig import Plan
@@ -38,7 +39,7 @@ class LiveCalibration:
 
 
 def use_map(path: Path, plane_map: PlaneMap, rig_file: RigFile) -> LiveCalibration:
-    """A plane map as the live page uses it: tabulated for the rig's pictures.
+    """A plane map as the live page uses it: carried to the rig's water, tabulated for its pictures.
 
     Parameters
     ----------
@@ -52,7 +53,13 @@ def use_map(path: Path, plane_map: PlaneMap, rig_file: RigFile) -> LiveCalibrati
     Returns
     -------
     LiveCalibration
+
+    Raises
+    ------
+    InputError
+        The map cannot be carried to the water, or the changes, that the rig states.
     """
+    plane_map = carried(plane_map, rig_file.rig)
     return LiveCalibration(path, plane_map, tabulate(plane_map, rig_file.rig.camera.size_px))
 
 

@@ -114,7 +114,16 @@ def held_scenes(scene: Scene, count: int = 10, seed: int = 1) -> list[Scene]:
     it near its middle, lights it and is not nearly parallel to it.  Of poses drawn at random
     those are taken one by one that differ most from all taken before.
 
-    Raises InputError where the scene lacks board, lamps or laser, or where too few poses serve.
+    Parameters
+    ----------
+    scene : Scene, with board, lamps and laser; the board's own pose is not used
+    count : int, of the poses
+    seed : int, of the draws
+
+    Raises
+    ------
+    InputError
+        The scene lacks board, lamps or laser, or too few poses serve.
     """
     tank, board = scene.tank, scene.board()
     if tank.light.ambient_w_m2_sr == 0:

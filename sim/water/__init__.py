@@ -1,14 +1,15 @@
 """What the tank's water does to light: refractive index, absorption, scattering, phase function.
 
 Every constant stands beside its source and range, the tables in ``tables.toml``; a value outside
-the range is refused.  ``density`` and ``index``: water under pressure, air.  ``glass``: ports.
+the range is refused.  The index of water itself is the instrument's too: ``lscan.water``.
+``glass``: ports.
 ``inherent``: absorption and scattering.  ``phase``, ``petzold``, ``fournier``: phase functions.
 ``optics``: all of it for a scene's water.
 """
 
+from lscan.water.index import refractive_index
 from sim.water.fournier import FournierForand
 from sim.water.glass import glass_index
-from sim.water.index import refractive_index
 from sim.water.optics import Optics, water_optics
 from sim.water.petzold import PetzoldTable
 from sim.water.phase import HenyeyGreensteinMixture

@@ -5,9 +5,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from lscan.files.packaged import packaged_table
+from lscan.water.index import SALINITY_PSU, TEMPERATURE_C
+from lscan.water.limits import require
 from sim.scene.matter import Water
-from sim.water.index import SALINITY_PSU, TEMPERATURE_C
-from sim.water.limits import require
 
 TABLES = packaged_table("sim.water", "tables.toml")
 ABSORPTION_NM, ABSORPTION_PER_M = np.array(TABLES["pure_absorption"]).T

@@ -3,9 +3,9 @@
 from dataclasses import dataclass
 
 from lscan.records import Floats
+from lscan.water.index import refractive_index
 from sim.scene.matter import Water
 from sim.water.fournier import FournierForand
-from sim.water.index import refractive_index
 from sim.water.inherent import coefficients
 from sim.water.petzold import PetzoldTable
 from sim.water.phase import HenyeyGreensteinMixture, PhaseFunction, molecular_phase

@@ -37,6 +37,7 @@ ELSEWHERE = {
     "lscan-sim serve": "tests/system/test_serve_command.py",
     "lscan-sim verify": "tests/system/test_smoke.py",
     "lscan-sim accuracy": "tests/system/test_smoke.py",
+    "lscan-sim field": "tests/system/test_smoke.py",
     "lscan-sim study": "tests/sim/cli/test_study.py",
     "lscan-sim hardware": "tests/system/test_smoke.py",
     "make ": "Makefile",

@@ -25,7 +25,7 @@ def figures_commands() -> set[str]:
 
 
 def test_the_figures_commands_are_those_known() -> None:
-    assert figures_commands() >= {"demo", "verify", "accuracy", "bench", "hardware"}
+    assert figures_commands() >= {"demo", "verify", "accuracy", "field", "bench", "hardware"}
 
 
 @pytest.mark.parametrize("command", sorted(figures_commands()))

@@ -6,31 +6,32 @@ no variants; what is known of lens and port beforehand comes from the rig's [opt
 """
 
 from functools import cached_property, partial
-from typing import Annotated
+from typing import Annotated, Self
 
 import numpy as np
 from pydantic import AfterValidator, Field
 
-from lscan.calibration.evaluate import Estimate, propagated
 from lscan.calibration.maps.refractivefit import fit_view
+from lscan.calibration.physical import PhysicalMap, SheetGeometry
 from lscan.calibration.readings import all_marks, without
 from lscan.calibration.region import covered_region
-from lscan.calibration.solved import MapSolver, SolvedMap
+from lscan.calibration.solved import MapSolver
 from lscan.calibration.stored import Matrix, NotNegative, Number, Place, check_theta, of_length
 from lscan.calibration.unexplained import unexplained_mm
 from lscan.camera import rays
 from lscan.camera.boards import POSE, PosedBoards
-from lscan.camera.covariance import displacements, modes_that_matter, pixel_derivatives
+from lscan.camera.covariance import MODE_STEP, displacements, modes_that_matter
 from lscan.camera.parameters import CAMERA, PortKind
-from lscan.config.rig import OpticsSection
+from lscan.config.rig import Known, OpticsSection
 from lscan.records import BoardReading, Floats
 
+INDEX_STEP = 1e-5  # for differences by the water's index: 0.01 px, of rounding of 1e-9
 K3 = CAMERA.index("k3")  # one picture does not determine it: 0, and not in the file
 NAMES = (*CAMERA[:K3], *CAMERA[K3 + 1 :], *POSE)
 COUNT = len(NAMES)
 
 
-class Refractive(SolvedMap):
+class Refractive(PhysicalMap):
     """A solved refractive map.
 
     Attributes
@@ -68,21 +69,56 @@ class Refractive(SolvedMap):
     def _view_of(self, theta: Floats) -> PosedBoards:
         return PosedBoards(np.insert(theta, K3, 0.0), self.centre_mm, self.port)
 
-    def estimate(self, image_px: Floats, variance_px2: Floats) -> Estimate:
-        """Points of covered pixels.
+    @cached_property
+    def geometry(self) -> SheetGeometry:
+        """Camera and board, in whose plane the sheet lies."""
+        view = self.view
+        return SheetGeometry(
+            view.theta[: len(CAMERA)],
+            self.port,
+            view.axes[0],
+            view.places_mm[0],
+            self.centre_mm,
+        )
+
+    def in_water(self, known: Known) -> Self:
+        """The map of the same rig in water of another index.
+
+        Parameters
+        ----------
+        known : tuple of float, index of the water relative to air, and its standard uncertainty
+        """
+        index, sigma = known
+        theta = np.array(list(self.theta.values()))
+
+        def moved(theta: Floats, index: float) -> Floats:
+            return np.delete(self._view_of(theta).in_water(index).theta, K3)
+
+        ways = [
+            (moved(theta + mode, index) - moved(theta - mode, index)) / (2 * MODE_STEP)
+            for mode in MODE_STEP * self.modes.T
+        ]
+        step = INDEX_STEP
+        by_index = (moved(theta, index + step) - moved(theta, index - step)) / (2 * step)
+        return self._replaced(
+            theta=dict(zip(NAMES, moved(theta, index).tolist(), strict=True)),
+            modes=np.column_stack([*ways, sigma * by_index]),
+            stated_water=known,
+        )
+
+    def error_modes(self, image_px: Floats) -> Floats:
+        """(N, 2, M) mm, by which one standard deviation of each error moves the points of pixels.
 
         Parameters
         ----------
         image_px : (N, 2) array, px, of (u, v)
-        variance_px2 : (N,) array, px², of either pixel coordinate
         """
         theta = np.array(list(self.theta.values()))
         modes = displacements(lambda t: self._view_of(t).locate, theta, self.modes, image_px)
         if self.board_offset_mm > 0 or self.board_tilt_deg > 0:
             lying = coplanarity_modes(self, image_px, self.board_offset_mm, self.board_tilt_deg)
             modes = np.concatenate([modes, lying], axis=2)
-        jacobian = pixel_derivatives(self.view.locate, image_px)
-        return propagated(self.view.locate(image_px), jacobian, modes, variance_px2)
+        return modes
 
 
 def coplanarity_modes(

@@ -13,15 +13,15 @@ from typing import Annotated, NoReturn, Self
 import numpy as np
 from pydantic import AfterValidator, model_validator
 
-from lscan.calibration.evaluate import Estimate, propagated
+from lscan.calibration.physical import PhysicalMap, SheetGeometry
 from lscan.calibration.region import Region
-from lscan.calibration.solved import MapSolver, SolvedMap, full_name
+from lscan.calibration.solved import MapSolver, full_name
 from lscan.calibration.stored import Matrix, Number, Pair, Place, Vector, check_theta, of_length
-from lscan.camera import rays
-from lscan.camera.covariance import Locate, displacements, modes_that_matter, pixel_derivatives
-from lscan.camera.parameters import CAMERA, COUNT, PortKind, camera_of
+from lscan.camera import project, rays
+from lscan.camera.covariance import Locate, displacements, modes_that_matter
+from lscan.camera.parameters import CAMERA, COUNT, WATER, PortKind, camera_of
 from lscan.camera.projection import meet_plane
-from lscan.config.rig import OpticsSection
+from lscan.config.rig import Known, OpticsSection
 from lscan.errors import InputError
 from lscan.records import BoardReading, Floats
 
@@ -68,11 +68,19 @@ class SheetView:
         ----------
         image_px : (N, 2) array, px, of (u, v)
         """
-        axes = self.axes
+        points = self.meet(np.vstack([self.origin_px, image_px]))
+        return (points[1:] - points[0]) @ self.axes[:, [0, 2]]
+
+    def meet(self, image_px: Floats) -> Floats:
+        """(N, 3) mm, camera frame, where the rays of pixels meet the sheet; NaN where not.
+
+        Parameters
+        ----------
+        image_px : (N, 2) array, px, of (u, v)
+        """
         foot = self.q_per_mm / (self.q_per_mm @ self.q_per_mm)  # a point of the plane
-        pixels = np.vstack([self.origin_px, image_px])
-        points = meet_plane(rays(camera_of(self.theta, self.port), pixels), axes[:, 1], foot)
-        return (points[1:] - points[0]) @ axes[:, [0, 2]]
+        seen = rays(camera_of(self.theta, self.port), image_px)
+        return meet_plane(seen, self.axes[:, 1], foot)
 
     def slopes(self, image_px: Floats) -> Floats:
         """(N, 2) mm of x and of z that the rays of pixels run for each mm of y.
@@ -85,7 +93,7 @@ class SheetView:
         return direction[:, [0, 2]] / direction[:, 1:2]
 
 
-class Metric(SolvedMap):
+class Metric(PhysicalMap):
     """A solved metric map.
 
     Attributes
@@ -118,18 +126,42 @@ class Metric(SolvedMap):
         theta = np.array(list(self.theta.values()))
         return SheetView(theta, self.port, self.q_per_mm, self.origin_px)
 
-    def estimate(self, image_px: Floats, variance_px2: Floats) -> Estimate:
-        """Points of covered pixels.
+    @cached_property
+    def geometry(self) -> SheetGeometry:
+        """Camera and sheet."""
+        view = self.view
+        place = view.meet(view.origin_px[None])[0]
+        return SheetGeometry(view.theta, self.port, view.axes, place, np.zeros(2))
+
+    def in_water(self, known: Known) -> Self:
+        """The map of the same rig in water of another index; its origin is the same point.
+
+        Parameters
+        ----------
+        known : tuple of float, index of the water relative to air, and its standard uncertainty
+        """
+        index, sigma = known
+        theta = {**self.theta, "water_index": index}
+        camera = camera_of(np.array(list(theta.values())), self.port)
+        modes = np.column_stack([self.modes, np.zeros(len(self.modes))])
+        modes[WATER] = 0.0
+        modes[WATER, -1] = sigma
+        return self._replaced(
+            theta=theta,
+            origin_px=project(camera, self.geometry.place_mm[None])[0],
+            modes=modes,
+            stated_water=known,
+        )
+
+    def error_modes(self, image_px: Floats) -> Floats:
+        """(N, 2, M) mm, by which one standard deviation of each error moves the points of pixels.
 
         Parameters
         ----------
         image_px : (N, 2) array, px, of (u, v)
-        variance_px2 : (N,) array, px², of either pixel coordinate
         """
         view = self.view
-        modes = displacements(view.map_of, view.vector, self.modes, image_px)
-        jacobian = pixel_derivatives(view.locate, image_px)
-        return propagated(view.locate(image_px), jacobian, modes, variance_px2)
+        return displacements(view.map_of, view.vector, self.modes, image_px)
 
 
 def metric_map(view: SheetView, root: Floats, region: Region) -> Metric:

@@ -22,6 +22,7 @@ from lscan.camera.fit import (
 )
 from lscan.camera.parameters import COUNT, CameraPriors, priors_of
 from lscan.camera.start import best_start
+from lscan.camera.water import stated_water
 from lscan.config.rig import Known, OpticsSection
 from lscan.errors import MeasurementError
 from lscan.records import Floats, select
@@ -132,8 +133,9 @@ def calibrate_metric(
     on_lines = [line.image_px[plane.good[board]] for board, line in lines.items()]
     middle = (np.array(image_size, dtype=float) - 1) / 2
     view = SheetView(used.fit.boards.theta[:COUNT], optics.port, plane.q_per_mm, middle)
+    solved = metric_map(view, plane.root, region_around(np.vstack([marks, *on_lines])))
     return MetricCalibration(
-        plane_map=metric_map(view, plane.root, region_around(np.vstack([marks, *on_lines]))),
+        plane_map=solved.model_copy(update={"stated_water": stated_water(optics)}),
         views=tuple(_judged(number, view, used, plane) for number, view in enumerate(views)),
         optics=optics,
         k3=k3,

@@ -10,6 +10,7 @@ from lscan.records import Progress
 from sim.validation.chapters import run_chapters
 from sim.validation.field.effort import FULL, QUICK, FieldEffort
 from sim.validation.field.sigma import sigma_rows
+from sim.validation.field.water import water_rows
 from sim.validation.rows import Row
 
 FieldChapter = Callable[[Path, FieldEffort], list[Row]]
@@ -17,6 +18,8 @@ FieldChapter = Callable[[Path, FieldEffort], list[Row]]
 # The longest first: chapters run side by side, and no processor shall wait at the end.
 CHAPTERS: Mapping[str, FieldChapter] = {
     "sigma": sigma_rows,
+    "refractive map in other water": partial(water_rows, name="refractive"),
+    "metric map in other water": partial(water_rows, name="metric"),
 }
 
 

@@ -10,10 +10,10 @@ from importlib.util import find_spec
 import numpy as np
 
 from lscan.records import Floats
+from lscan.water.index import absolute_index, air_index, iapws_index
 from sim.validation.physics.topics import reference, topic
 from sim.validation.rows import Row, Topic, row
 from sim.water import glass_index, refractive_index
-from sim.water.index import absolute_index, air_index, iapws_index
 from sim.water.inherent import absorption_per_m, molecular_scattering_per_m
 
 NM = 650.0

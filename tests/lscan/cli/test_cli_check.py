@@ -114,3 +114,43 @@ def test_bad_input(
              "-o", tmp_path / "c.json"), "empty.toml", "optics.gap_mm",
     )  # fmt: skip
     assert not (tmp_path / "c.json").exists()
+
+
+def test_check_says_how_to_correct_and_does(
+    pictures: Path, calibration: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    common = ("check", calibration, pictures / "refocused.png", "--board", PAPER_BOARD)
+    code, out, _ = call(capsys, *common)
+    assert code == 1
+    assert "--update FILE --correct scale" in out
+    better = tmp_path / "better.json"
+    code, out, err = call(capsys, *common, "--update", better)
+    assert code == 0, err
+    assert "corrected (scale)" in out
+    # What a change of focus leaves of the shape is in the lack of fit, so that it agrees.
+    code, out, err = call(capsys, "check", better, *common[2:])
+    assert code == 0, err
+    code, out, _ = call(capsys, "check", better, *common[2:], "--update", tmp_path / "none.json")
+    assert code == 0 and "nothing to correct" in out
+    assert not (tmp_path / "none.json").exists()
+
+
+@pytest.mark.parametrize(
+    ("options", "says"),
+    [
+        (
+            ("--correct", "focus", "--update", "x.json"),
+            ("--correct", "focus", "scale, index, shift"),
+        ),
+        (("--correct", "index", "--update", "x.json"), ("no index of the water",)),
+    ],
+)
+def test_corrections_that_there_are_not_are_refused(
+    pictures: Path,
+    calibration: Path,
+    options: tuple[str, ...],
+    says: tuple[str, ...],
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    common = ("check", calibration, pictures / "refocused.png", "--board", PAPER_BOARD)
+    refused(call(capsys, *common, *options), *says)

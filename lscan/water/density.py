@@ -7,7 +7,7 @@ respect to pressure (IAPWS R7-97, equation 7 and table 2; its terms without pres
 import numpy as np
 
 from lscan.files.packaged import packaged_table
-from sim.water.limits import require
+from lscan.water.limits import require
 
 ATMOSPHERE_MPA = 0.101325
 TEMPERATURE_C = (0.0, 90.0)  # liquid at every pressure allowed; the release goes to 350 C
@@ -17,7 +17,7 @@ ZERO_C_IN_K = 273.15
 GAS_CONSTANT = 461.526  # J/(kg K)
 PRESSURE_SCALE_MPA, TEMPERATURE_SCALE_K = 16.53, 1386.0
 PRESSURE_SHIFT, TEMPERATURE_SHIFT = 7.1, 1.222
-TERMS = np.array(packaged_table("sim.water", "tables.toml")["density_terms"])
+TERMS = np.array(packaged_table("lscan.water", "tables.toml")["density_terms"])
 
 
 def fresh_water_density(temperature_c: float, pressure_mpa: float = ATMOSPHERE_MPA) -> float:

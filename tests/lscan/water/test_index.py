@@ -5,10 +5,9 @@ import pytest
 from hypothesis import given, settings, strategies as st
 
 from lscan.errors import InputError
-from sim.water import glass_index, refractive_index
-from sim.water.density import fresh_water_density
-from sim.water.index import absolute_index, air_index, iapws_index
-from sim.water.inherent import absorption_per_m
+from lscan.water import refractive_index
+from lscan.water.density import fresh_water_density
+from lscan.water.index import absolute_index, air_index, iapws_index
 
 # docs/explanation/physics.md, section 1, 650 nm: T, Quan & Fry at S 0, the same times air, and both
 # at S 35.
@@ -106,28 +105,6 @@ def test_index_rises_with_pressure_whatever_the_water(t, psu, nm, mpa, more):
     assert 1.1e-4 < rise / more < 1.9e-4
 
 
-# ---- glass -------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize(
-    ("glass", "indices"),
-    [
-        ("N-BK7", (1.514846, 1.514520, 1.514207)),
-        ("fused silica", (1.456812, 1.456535, 1.456268)),
-        ("PMMA", (1.488446, 1.488092, 1.487755)),
-    ],
-)
-def test_glass_has_its_catalogue_index(glass, indices):
-    found = [glass_index(glass, nm) for nm in (640, 650, 660)]
-    assert found == pytest.approx(indices, abs=LAST_DIGIT)
-
-
-@pytest.mark.parametrize("index", [1.0, 1.49, 2.5])
-def test_a_number_is_an_index(index):
-    assert glass_index(index, 650) == index
-    assert glass_index(index, 5000) == index
-
-
 # ---- refusals ----------------------------------------------------------------------------
 
 
@@ -146,8 +123,6 @@ def test_a_number_is_an_index(index):
 def test_out_of_range_is_refused(t, psu, nm, named):
     with pytest.raises(InputError, match=f"water: {named}.*allowed"):
         refractive_index(t, psu, nm)
-    with pytest.raises(InputError, match=f"water: {named}.*allowed"):
-        absorption_per_m(t, psu, nm)
 
 
 @pytest.mark.parametrize("mpa", [0.0, 0.099, 100.1, np.nan])
@@ -171,19 +146,3 @@ def test_pressure_out_of_range_is_refused(mpa):
 def test_iapws_out_of_range_is_refused(density, t, nm, named):
     with pytest.raises(InputError, match=f"{named}.*allowed"):
         iapws_index(density, t, nm)
-
-
-@pytest.mark.parametrize(
-    ("glass", "nm", "says"),
-    [
-        ("bk7", 650, r"port: glass_index.*'bk7'.*N-BK7, fused silica, PMMA"),
-        (0.9, 650, r"port: glass_index.*0\.9.*1 to 2\.5"),
-        (float("nan"), 650, "glass_index"),
-        ("PMMA", 430, r"PMMA: wavelength_nm.*436\.8 to 1052"),
-        ("N-BK7", 290, "N-BK7: wavelength_nm"),
-        ("fused silica", 4000, "fused silica: wavelength_nm"),
-    ],
-)
-def test_glass_out_of_range_is_refused(glass, nm, says):
-    with pytest.raises(InputError, match=says):
-        glass_index(glass, nm)

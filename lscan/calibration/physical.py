@@ -1,0 +1,189 @@
+"""What the plane maps share that are a camera, its port and a plane: they know the physics.
+
+Such a map can be carried to other water, and can say what a change of the rig since the
+calibration does to its points.
+"""
+
+from abc import abstractmethod
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from typing import Any, Self
+
+import numpy as np
+from pydantic import PrivateAttr
+
+from lscan.calibration.evaluate import Estimate, propagated
+from lscan.calibration.solved import SolvedMap
+from lscan.camera import rays
+from lscan.camera.boards import rotation
+from lscan.camera.covariance import MODE_STEP, pixel_derivatives
+from lscan.camera.parameters import CAMERA, PortKind, camera_of
+from lscan.camera.projection import meet_plane
+from lscan.config.rig import Known, SinceSection
+from lscan.records import Floats
+
+
+@dataclass(frozen=True)
+class SheetGeometry:
+    """A camera, a plane before it, and the frame in which the plane's points are read.
+
+    The frame stays where the calibration had it, and y is not read: where the plane has moved out
+    of y = 0 of the frame, a point is read where it is seen, at its own x and z.
+
+    Attributes
+    ----------
+    theta : (14,) array, the camera (parameters.CAMERA)
+    port : str, "flat", or "none" for a camera in air
+    axes : (3, 3) array, the frame's axes x, y, z as columns, camera frame
+    place_mm : (3,) array, mm, camera frame, a point of the frame's plane y = 0
+    at_mm : (2,) array, mm, (x, z) of that point
+    shift_mm : float, mm, of the plane along y from y = 0
+    turn_rad : (2,) array, rad, by which the plane is turned about x and about z through that point
+    """
+
+    theta: Floats
+    port: PortKind
+    axes: Floats
+    place_mm: Floats
+    at_mm: Floats
+    shift_mm: float = 0.0
+    turn_rad: tuple[float, float] = (0.0, 0.0)
+
+    def locate(self, image_px: Floats) -> Floats:
+        """(N, 2) of (x, z) mm where the rays of pixels meet the plane; NaN where not.
+
+        Parameters
+        ----------
+        image_px : (N, 2) array, px, of (u, v)
+        """
+        about_x, about_z = self.turn_rad
+        normal = self.axes @ rotation(np.array([about_x, 0.0, about_z]))[:, 1]
+        place = self.place_mm + self.shift_mm * self.axes[:, 1]
+        points = meet_plane(rays(camera_of(self.theta, self.port), image_px), normal, place)
+        return (points - self.place_mm) @ self.axes[:, [0, 2]] + self.at_mm
+
+    def turned(self, turn_rad: Floats) -> "SheetGeometry":
+        """The same with the camera turned about its pinhole.
+
+        Parameters
+        ----------
+        turn_rad : (3,) array, rad, rotation vector, camera frame
+        """
+        back = rotation(-turn_rad)
+        return replace(self, axes=back @ self.axes, place_mm=back @ self.place_mm)
+
+    def with_camera(self, **changes: float) -> "SheetGeometry":
+        """The same with parameters of the camera changed by so much.
+
+        Parameters
+        ----------
+        **changes : float, by the names of parameters.CAMERA
+        """
+        theta = self.theta.copy()
+        for name, change in changes.items():
+            theta[CAMERA.index(name)] += change
+        return replace(self, theta=theta)
+
+
+class PhysicalMap(SolvedMap):
+    """Base of the maps that are a camera behind a port, or in air, and the sheet before it."""
+
+    _since: SinceSection | None = PrivateAttr(None)
+
+    @property
+    @abstractmethod
+    def geometry(self) -> SheetGeometry:
+        """Camera and sheet."""
+
+    @abstractmethod
+    def in_water(self, known: Known) -> Self:
+        """The map of the same rig in water of another index.
+
+        Camera, port and sheet stay where they are in space: a sheet is not displaced by the water
+        where it leaves its own window squarely.
+
+        Parameters
+        ----------
+        known : tuple of float, index of the water relative to air, and its standard uncertainty
+        """
+
+    @abstractmethod
+    def error_modes(self, image_px: Floats) -> Floats:
+        """(N, 2, M) mm, by which one standard deviation of each error moves the points of pixels.
+
+        Parameters
+        ----------
+        image_px : (N, 2) array, px, of (u, v)
+        """
+
+    def estimate(self, image_px: Floats, variance_px2: Floats) -> Estimate:
+        """Points of covered pixels.
+
+        Parameters
+        ----------
+        image_px : (N, 2) array, px, of (u, v)
+        variance_px2 : (N,) array, px², of either pixel coordinate
+        """
+        locate = self.geometry.locate
+        modes = self.error_modes(image_px)
+        if self._since is not None:
+            changed = change_modes(self.geometry, self._since, image_px)
+            modes = np.concatenate([modes, changed], axis=2)
+        jacobian = pixel_derivatives(locate, image_px)
+        return propagated(locate(image_px), jacobian, modes, variance_px2)
+
+    def changed_since(self, since: SinceSection) -> Self:
+        """The map with what may have changed in its uncertainty.
+
+        Parameters
+        ----------
+        since : SinceSection, standard uncertainties
+        """
+        changed: Self = self.model_copy()
+        changed._since = since
+        return changed
+
+    def _replaced(self, **fields: Any) -> Self:
+        """A map with other fields, and nothing computed from the old ones (model_copy keeps it)."""
+        own = {name: getattr(self, name) for name in type(self).model_fields}
+        other = type(self)(**{**own, **fields})
+        other._name, other._since = self._name, self._since
+        return other
+
+
+def change_modes(geometry: SheetGeometry, since: SinceSection, image_px: Floats) -> Floats:
+    """(N, 2, K) mm by which one standard deviation of each change moves the points of pixels.
+
+    Parameters
+    ----------
+    geometry : SheetGeometry, at the calibration
+    since : SinceSection, standard uncertainties of what may have changed
+    image_px : (N, 2) array, px, of (u, v)
+    """
+    modes = [
+        (after.locate(image_px) - before.locate(image_px)) / (2 * MODE_STEP)
+        for after, before in zip(
+            _changed(geometry, since, MODE_STEP), _changed(geometry, since, -MODE_STEP), strict=True
+        )
+    ]
+    return np.stack(modes, axis=2) if modes else np.zeros((len(image_px), 2, 0))
+
+
+def _changed(geometry: SheetGeometry, since: SinceSection, share: float) -> Iterator[SheetGeometry]:
+    """The geometry after each change that may be, by a share of its standard uncertainty."""
+    if since.sheet_shift_mm:
+        yield replace(geometry, shift_mm=share * since.sheet_shift_mm)
+    if since.sheet_tilt_deg:
+        turn = share * np.radians(since.sheet_tilt_deg)
+        yield replace(geometry, turn_rad=(turn, 0.0))
+        yield replace(geometry, turn_rad=(0.0, turn))
+    if since.camera_tilt_deg:
+        for axis in np.eye(3):
+            yield geometry.turned(share * np.radians(since.camera_tilt_deg) * axis)
+    changes: dict[str, Any] = {"focal_px": since.focal_percent / 100 * geometry.theta[0]}
+    if geometry.port == "flat":
+        changes |= dict.fromkeys(("tilt_x_deg", "tilt_y_deg"), since.port_tilt_deg)
+        changes["water_index"] = since.water_index
+    for name, sigma in changes.items():
+        if sigma:
+            yield geometry.with_camera(**{name: share * sigma})

@@ -1,0 +1,142 @@
+"""A calibration corrected by what a new picture of the board shows: scale, shift, or index."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Literal
+
+import numpy as np
+
+from lscan.calibration.api import PlaneMap
+from lscan.calibration.carry import in_water_of, with_chosen
+from lscan.calibration.check import CalibrationCheck, ComparedMarks, compare
+from lscan.calibration.loading import AnyCalibration
+from lscan.calibration.multiview.planemap import Metric
+from lscan.calibration.physical import PhysicalMap
+from lscan.calibration.sheetcorrection import SheetCorrection
+from lscan.calibration.solve import Calibration, calibration_by
+from lscan.calibration.solved import SolvedMap
+from lscan.calibration.waterfit import find_index
+from lscan.config.rig import OpticsSection
+from lscan.errors import InputError
+from lscan.records import BoardReading, Floats
+
+CorrectionKind = Literal["scale", "index", "shift"]
+
+
+def proposed(found: CalibrationCheck) -> tuple[CorrectionKind, ...]:
+    """What corrects what a check found; nothing where the calibration holds.
+
+    A wrong scale is put down to the index of the water where that leaves less of the residuals than
+    a change of scale.  Nothing here corrects a wrong shape.
+
+    Parameters
+    ----------
+    found : CalibrationCheck, of the picture that is to correct
+    """
+    kinds: list[CorrectionKind] = []
+    if "scale" in found.reasons:
+        better = found.index is not None and found.index.chi_square < found.chi_square
+        kinds.append("index" if better else "scale")
+    if "shift" in found.reasons:
+        kinds.append("shift")
+    return tuple(kinds)
+
+
+def corrected(
+    calibration: AnyCalibration,
+    reading: BoardReading,
+    kinds: Sequence[CorrectionKind],
+    placed_mm: float = 0.0,
+    optics: OpticsSection | None = None,
+) -> AnyCalibration:
+    """The calibration with its map corrected, and the uncertainty of that in the map's.
+
+    What the corrections leave of the new marks' residuals, beyond what the map states, is added to
+    its lack of fit.  It keeps the pictures it was solved from: solving it again gives the old map.
+
+    Parameters
+    ----------
+    calibration : Calibration or MetricCalibration, the old one
+    reading : BoardReading, px and mm, of the new picture
+    kinds : sequence of str, what to correct, one after the other
+    placed_mm : float, mm, standard uncertainty, in x and in z, with which the board was put back
+    optics : OpticsSection, optional, of the rig that took the picture, as of ``check_calibration``
+
+    Raises
+    ------
+    InputError
+        For an index where the map knows of no water, or a map of another package.
+    MeasurementError
+        Where fewer than six marks get a value.
+    """
+    plane_map = calibration.plane_map
+    if optics is not None:
+        plane_map = in_water_of(plane_map, optics)
+    for kind in kinds:
+        plane_map = _with(plane_map, kind, compare(plane_map, reading), placed_mm)
+    left_mm = _left_mm(compare(plane_map, reading))
+    plane_map = with_chosen(
+        plane_map,
+        lambda solved: solved.model_copy(
+            update={"lack_of_fit_mm": np.hypot(solved.lack_of_fit_mm, left_mm)}
+        ),
+    )
+    if isinstance(calibration, Calibration):
+        return calibration_by(calibration.name, plane_map, calibration.reading, calibration.optics)
+    assert isinstance(plane_map, Metric)  # corrections keep the family
+    return replace(calibration, plane_map=plane_map)
+
+
+def _with(
+    plane_map: PlaneMap, kind: CorrectionKind, marks: ComparedMarks, placed_mm: float
+) -> PlaneMap:
+    """The map with one correction."""
+    middle, fit = marks.points.xz_mm.mean(axis=0), marks.fit
+
+    def correct(solved: SolvedMap) -> SolvedMap:
+        if kind == "index":
+            return _with_index(solved, marks)
+        if kind == "scale":
+            correction = SheetCorrection(
+                middle_mm=middle, scale=fit.scale, scale_sigma=marks.scale_sigma
+            )
+        else:
+            sigma = np.hypot(np.sqrt(np.diag(fit.covariance)[:2]), placed_mm)
+            correction = SheetCorrection(
+                middle_mm=middle, shift_mm=fit.motion.shift_mm, shift_sigma_mm=sigma
+            )
+        return solved.model_copy(update={"corrections": (*solved.corrections, correction)})
+
+    changed = with_chosen(plane_map, correct)
+    if changed is plane_map:
+        raise InputError(
+            "plane map of another package: it cannot be corrected here",
+            where="plane map",
+            value=plane_map.name,
+        )
+    return changed
+
+
+def _left_mm(marks: ComparedMarks) -> Floats:
+    """(2,) rms in x and z of what the map misses of the marks, less what it states."""
+    missed = marks.points.xz_mm - marks.fit.motion.apply(marks.nominal_mm)
+    excess = np.mean(missed**2, axis=0) - np.mean(marks.points.sigma_mm**2, axis=0)
+    return np.sqrt(np.maximum(excess, 0.0))
+
+
+def _with_index(solved: SolvedMap, marks: ComparedMarks) -> SolvedMap:
+    """The map with the index that fits.
+
+    The water it states stays that of the calibration, so that a scan whose rig states the same is
+    not carried back.
+    """
+    if not isinstance(solved, PhysicalMap) or solved.geometry.port == "none":
+        raise InputError(
+            "this plane map has no index of the water to correct",
+            where="plane map",
+            value=solved.name,
+            allowed='"scale" or "shift", or a refractive or metric map behind a port',
+        )
+    found = find_index(solved, marks.nominal_mm, marks.image_px, marks.sigma_px)
+    moved = solved.in_water((found.index, found.sigma))
+    return moved.model_copy(update={"stated_water": solved.stated_water})

@@ -1,0 +1,79 @@
+"""The field table: its command, and that its rows fail where the instrument is wrong."""
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from places import ROOT
+from typer.testing import CliRunner
+
+import sim.validation.field.run
+from lscan.calibration.physical import PhysicalMap
+from lscan.errors import InputError
+from sim.cli.app import app
+from sim.scene import load_scene
+from sim.truth import project, sheet_of
+from sim.validation.field import water
+from sim.validation.field.drawnrigs import drawn_rig, metric_frame
+from sim.validation.field.effort import FULL, QUICK, FieldEffort
+from sim.validation.rows import Row
+
+SCENES = ROOT / "scenes"
+
+
+def _good(scenes: Path, effort: FieldEffort) -> list[Row]:
+    return [Row("good", "itself", 1.0, 2.0, "mm", "made up", len(effort.seeds))]
+
+
+def _bad(scenes: Path, effort: FieldEffort) -> list[Row]:
+    return [Row("bad", str(effort.photographs), 3.0, 2.0, "mm", "made up")]
+
+
+def test_the_command_judges_the_rows(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(sim.validation.field.run, "CHAPTERS", {"good": _good, "bad": _bad})
+    output = tmp_path / "deep" / "field.json"
+    options = ["field", "--photographs", str(tmp_path), "-o", str(output), "--quick"]
+    assert CliRunner().invoke(app, options).exit_code == 1
+    good, bad = json.loads(output.read_text())
+    assert (good["passed"], bad["passed"]) == (True, False)
+    assert good["quick"] and good["seed"] == len(QUICK.seeds)
+    assert bad["reference"] == str(tmp_path)
+
+
+def test_a_folder_that_is_not_there_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="none"):
+        sim.validation.field.run.run_field(SCENES, tmp_path / "none", tmp_path / "field.json")
+    assert not (tmp_path / "field.json").exists()
+
+
+def test_rigs_are_drawn_from_what_is_known() -> None:
+    """Of 400 draws mean and scatter lie within 4 standard errors of what [optics] says."""
+    scene = load_scene(SCENES / "paper" / "board.toml")
+    generator = np.random.default_rng(1)
+    rigs = [drawn_rig(scene, generator).tank for _ in range(400)]
+    mean, sigma = scene.rig.optics.focal_px or (0.0, 0.0)
+    focal = np.array([rig.lens.focal_px for rig in rigs])
+    assert abs(focal.mean() - mean) < 4 * sigma / 20
+    assert abs(focal.std() / sigma - 1) < 4 / np.sqrt(800)
+
+
+def test_the_frame_of_the_metric_map_is_seen_in_the_middle() -> None:
+    scene = load_scene(SCENES / "metric" / "water.toml")
+    frame = metric_frame(scene)
+    np.testing.assert_allclose(project(scene, frame.origin_mm[None])[0], [319.5, 239.5], atol=1e-6)
+    on_sheet = frame.apply(np.array([[50.0, 0.0, -80.0], [-100.0, 0.0, 60.0]]))
+    np.testing.assert_allclose(sheet_of(scene).clearance_mm(on_sheet), 0.0, atol=1e-9)
+    np.testing.assert_allclose(frame.rotation @ frame.rotation.T, np.eye(3), atol=1e-12)
+
+
+def test_a_map_that_is_not_carried_fails_its_rows(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The same rigs with the map left as it is: beyond both bars by far."""
+    effort = replace(FULL, seeds=(1, 2), plain=True)
+    rigs = list(water.refractive_rigs(SCENES, effort))
+    assert all(isinstance(rig.plane_map, PhysicalMap) for rig in rigs)
+    monkeypatch.setattr(water, "carried", lambda plane_map, rig: plane_map)
+    bias, intervals = water._in_other_water("refractive", rigs, effort)
+    assert bias.passed is False and bias.figure > 10 * (bias.bar or 0.0)
+    assert intervals.passed is False
