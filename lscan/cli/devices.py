@@ -106,7 +106,7 @@ def _try(
     from lscan.devices.trials.camera import try_camera
     from lscan.devices.trials.track import try_track
 
-    channel = rig_file.rig.stripe.channel
+    channel = rig_file.rig.stripe.colour
     dark_pictures = _dark_pictures(rig_file, pictures) if dark else None
     with open_devices(rig_file) as (camera, track):
         # The track first: what is wrong with it is known before the many pictures are taken.
@@ -127,7 +127,7 @@ def _dark_pictures(rig_file: RigFile, pictures: int) -> Bytes:
         opened: Camera = camera
         if isinstance(opened, BlackAccepting):
             opened.accept_black()
-        series, _ = grab_series(camera, pictures, rig_file.rig.stripe.channel)
+        series, _ = grab_series(camera, pictures, rig_file.rig.stripe.colour)
     ask("take the cap off, then press Enter")
     return series
 

@@ -1,7 +1,7 @@
 """The sections of a rig file: camera, track, scan plan, board, how the pictures are read."""
 
 from math import cos, hypot, pi, radians
-from typing import Annotated, Any, Literal, Self
+from typing import Annotated, Any, Literal, Self, cast
 
 import numpy as np
 from pydantic import Field, model_validator
@@ -11,6 +11,9 @@ from lscan.config.documents import Strict
 from lscan.config.targets import Workpiece
 
 Channel = Literal["red", "green", "blue", "grey"]
+LineChannel = Literal[
+    "red", "green", "blue", "grey", "red-excess", "green-excess", "blue-excess", "auto"
+]
 MOST_SIDE_PX = 8192
 Pixels = Annotated[int, Field(ge=16, le=MOST_SIDE_PX)]
 
@@ -80,10 +83,14 @@ class NoiseSection(Strict):
 class StripeSection(Strict):
     """How the laser line is found: the paper's rule is span 2 about the first maximum.
 
-    returns: which line is meant where a column holds several.  smooth_px: standard deviation,
-    along the line, of a robust smoothing; 0 leaves every column to itself.  blur_px: standard
-    deviation of the camera's point spread, with which the shift that blur gives to a curved
-    line of uneven brightness is corrected for; None: not corrected.
+    channel: the grey values that are read.  "red-excess": red less the brighter of the two other
+    colours, in which white and grey surfaces are dark and a red laser's line is bright; "auto":
+    the excess of the colour whose line stands out most from the picture.  returns: which line is
+    meant where a column holds several.  line_width_px: full width of the line at half its
+    height, by which it is told from texture; None: found from each picture.  smooth_px: standard
+    deviation, along the line, of a robust smoothing; 0 leaves every column to itself.  blur_px:
+    standard deviation of the camera's point spread, with which the shift that blur gives to a
+    curved line of uneven brightness is corrected for; None: not corrected.
 
     Examples
     --------
@@ -93,14 +100,21 @@ class StripeSection(Strict):
     """
 
     extractor: str = "centroid-relative"
-    channel: Channel = "red"
+    channel: LineChannel = "red"
     axis: Literal["columns", "rows"] = "columns"
     threshold_dn: Annotated[float, Field(ge=0, le=255)] = 40.0
     span_px: Annotated[int, Field(ge=1, le=100)] = 2
     returns: Literal["brightest", "first", "last"] = "brightest"
+    line_width_px: Annotated[float, Field(gt=0, le=60)] | None = None
     smooth_px: Annotated[float, Field(ge=0, le=100)] = 0.0
     blur_px: Annotated[float, Field(gt=0, le=20)] | None = None
     noise: NoiseSection | None = None
+
+    @property
+    def colour(self) -> Channel:
+        """The channel of the sensor whose grey values the line has; grey for "auto"."""
+        own = "grey" if self.channel == "auto" else self.channel.removesuffix("-excess")
+        return cast(Channel, own)
 
 
 Uncertainty = Annotated[float, Field(ge=0, le=1e9)]

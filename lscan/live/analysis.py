@@ -8,7 +8,7 @@ from lscan.config.rig import StripeSection
 from lscan.live.maptable import LiveProfile, MapTable
 from lscan.records import Bytes, Floats, Ints, Stripe, has_value
 from lscan.stripe import extract_stripe
-from lscan.stripe.lines import PictureLines, lines_of
+from lscan.stripe.lines import GreyValues, PictureLines, lines_of
 from lscan.stripe.noise.model import constant_variance
 from lscan.stripe.width import line_width
 
@@ -79,7 +79,7 @@ def measure_line(image: Bytes, settings: StripeSection, table: MapTable | None) 
     return Figures(_saturated_percent(whole), focus, line, profile)
 
 
-def band_of_line(grey: Bytes, threshold_dn: float) -> slice:
+def band_of_line(grey: GreyValues, threshold_dn: float) -> slice:
     """The part of the lines (N, L) within BAND_PX of any pixel above the threshold.
 
     As an extractor does, the median of each line is taken for its background, here that of
@@ -139,7 +139,7 @@ def _saturated_percent(lines: PictureLines) -> float:
     return 100 * float(lines.clipped.mean())
 
 
-def _light_about(grey: Bytes, centre_px: Floats, at: Ints) -> Floats:
+def _light_about(grey: GreyValues, centre_px: Floats, at: Ints) -> Floats:
     """(K, L) DN above the column's median, about the line's centres (K,) in the columns ``at``."""
     middle = np.rint(centre_px).astype(np.int64)[:, None]
     rows = middle + np.arange(-FOCUS_REACH_PX, FOCUS_REACH_PX + 1)

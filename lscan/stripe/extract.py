@@ -8,18 +8,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lscan.config.plugins import find_plugin_or_function
-from lscan.config.rig import StripeSection
+from lscan.config.rig import NoiseSection, StripeSection
 from lscan.errors import InputError, LscanError
 from lscan.records import Bytes, Floats, Mask, Status, Stripe
 from lscan.stripe.api import Extractor, require_stripe
 from lscan.stripe.core import core_flux
 from lscan.stripe.corrections.blur import correct_blur
 from lscan.stripe.corrections.smoothing import smooth
-from lscan.stripe.lines import lines_of
+from lscan.stripe.edges import doubted
+from lscan.stripe.lines import GreyValues, lines_of
 from lscan.stripe.noise.along import at_least_seen
 from lscan.stripe.noise.model import difference_noise
 from lscan.stripe.peaks import clipped_near
-from lscan.stripe.returns import choose_return, withhold
+from lscan.stripe.returns import OneReturn, choose_return, withhold
 
 _Value = TypeVar("_Value", bound=np.generic)
 
@@ -34,7 +35,8 @@ def extract_stripe(
     edge cuts the window.  SATURATED: a pixel within ``span_px`` of the centre is clipped in
     ``image`` itself (but not in ``background``); sigma_px grows with the clipped width, unless
     the extractor says SATURATED itself, having allowed for it.  AMBIGUOUS: the column holds
-    several lines, and it is not known which is meant.
+    several lines, and it is not known which is meant.  On a lit target sigma_px grows with the
+    contrast of the texture beside the line (edges.py).
 
     Where the settings do not state the noise, sigma_px is at least what the centres are seen to
     scatter about their neighbours along the line (noise/along.py).
@@ -72,6 +74,8 @@ def extract_stripe(
     stripe = _called(extractor, light.settings, chosen.image, chosen.clipped)
     stripe = _mark_saturated(stripe, chosen.clipped.T, settings.span_px)
     stripe = withhold(stripe, chosen.ambiguous)
+    for ground in light.grounds(chosen):
+        stripe = doubted(stripe, chosen.image.T, ground, settings.threshold_dn)
     if settings.noise is None:
         stripe = at_least_seen(stripe, chosen.image.T)
     stripe = correct_blur(stripe, settings, chosen.image.T)
@@ -84,20 +88,29 @@ class _LaserLight:
     """What the laser adds to the picture, one row for each entry of the stripe.
 
     grey: (N, L) in DN.  clipped: (N, L) pixels at the end of the range by the laser's doing.
-    settings: with the noise, where stated, that ``grey`` has.
+    settings: with the noise, where stated, that ``grey`` has.  others: (N, L) in DN, the other
+    colours, where ``grey`` is a colour less them.
     """
 
     grey: Floats
     clipped: Mask
     settings: StripeSection
+    others: Bytes | None
+
+    def grounds(self, chosen: OneReturn) -> list[Floats]:
+        """What there is to see of the target beside the line, (N, L) in DN."""
+        seen = [] if chosen.ground is None else [chosen.ground.T]
+        return seen if self.others is None else [*seen, self.others.astype(np.float64)]
 
 
 def _light(image: Bytes, settings: StripeSection, background: Bytes | None) -> _LaserLight:
     """The picture's lines less those of the background, if there is one."""
     lit = lines_of(image, settings.channel, settings.axis, where="image")
     grey: Floats = lit.grey.astype(np.float64)
+    if settings.noise is not None and lit.others is not None:
+        settings = _less(settings, settings.noise, lit.others)
     if background is None:
-        return _LaserLight(grey, lit.clipped, settings)
+        return _LaserLight(grey, lit.clipped, settings, lit.others)
     if background.shape != image.shape:
         raise InputError(
             "is not of the picture's shape",
@@ -105,11 +118,16 @@ def _light(image: Bytes, settings: StripeSection, background: Bytes | None) -> _
             value=background.shape,
             allowed=str(image.shape),
         )
-    dark = lines_of(background, settings.channel, settings.axis, where="background")
+    dark = lines_of(background, lit.channel, settings.axis, "background", lit.clipping_dn)
     if settings.noise is not None:
-        both = difference_noise(settings.noise, float(dark.grey.mean()))
-        settings = settings.model_copy(update={"noise": both})
-    return _LaserLight(grey - dark.grey, lit.clipped & ~dark.clipped, settings)
+        settings = _less(settings, settings.noise, dark.grey)
+    return _LaserLight(grey - dark.grey, lit.clipped & ~dark.clipped, settings, lit.others)
+
+
+def _less(settings: StripeSection, noise: NoiseSection, taken_off: GreyValues) -> StripeSection:
+    """The settings with the noise of a picture from which another was taken off."""
+    both = difference_noise(noise, float(taken_off.mean()))
+    return settings.model_copy(update={"noise": both})
 
 
 def _called(extractor: Extractor, settings: StripeSection, image: Floats, clipped: Mask) -> Stripe:

@@ -1,19 +1,25 @@
 """A picture laid out for stripe extraction: one row in memory for each entry of the stripe."""
 
 from dataclasses import dataclass
-from typing import cast
+from typing import Any, cast
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
-from lscan.config.rig import Channel
+from lscan.config.rig import LineChannel
 from lscan.errors import InputError
 from lscan.records import Axis, Bytes, Mask
+from lscan.stripe.clipping import clipping_level
+from lscan.stripe.frame import frame_px, without_frame
 
-CLIPPED_DN = 255
-"""Highest value an 8-bit camera can give: such a pixel may have seen any amount of light."""
+GreyValues = NDArray[np.integer[Any]]
 
-_PLANE_OF: dict[Channel, int] = {"red": 0, "green": 1, "blue": 2}
+_COLOURS: tuple[LineChannel, ...] = ("red", "green", "blue")
+_EXCESSES: tuple[LineChannel, ...] = ("red-excess", "green-excess", "blue-excess")
+_CREST_PX = 31  # of a clipped crest, white in the middle: twice that of a line of 15 px
+_WHITE = 0.9  # of the range
+_BROAD_PX = 61  # what is wider is no line (spots.py)
 
 
 @dataclass(frozen=True)
@@ -22,46 +28,94 @@ class PictureLines:
 
     Attributes
     ----------
-    grey : (N, L) array, uint8, DN, the chosen channel; row i is column i of the picture
-        (``axis="columns"``) or its row i (``axis="rows"``)
+    channel : str, which was read, never "auto"
+    grey : (N, L) array, DN, the chosen channel: uint8, or int16 for the excess of a colour; row i
+        is column i of the picture (``axis="columns"``) or its row i (``axis="rows"``)
     clipped : (N, L) mask, of the pixels at the end of the camera's range, in any colour that is
         part of the channel
+    clipping_dn : int, DN, grey value at which the range ends
+    others : (N, L) array or None, uint8, DN, what was taken off for the excess of a colour: the
+        brighter of the other two
     """
 
-    grey: Bytes
+    channel: LineChannel
+    grey: GreyValues
     clipped: Mask
+    clipping_dn: int
+    others: Bytes | None = None
 
 
-def lines_of(picture: Bytes, channel: Channel, axis: Axis, where: str = "picture") -> PictureLines:
-    """The lines of a picture.
+def lines_of(
+    picture: Bytes,
+    channel: LineChannel,
+    axis: Axis,
+    where: str = "picture",
+    clipping_dn: int | None = None,
+) -> PictureLines:
+    """The lines of a picture, without the frame that may be drawn around it.
 
     Parameters
     ----------
     picture : (H, W) or (H, W, 3) array, uint8, DN, grey or RGB
     channel : str, "red", "green", "blue", or "grey", which weighs the colours 0.299 R + 0.587 G +
-        0.114 B; not used in a picture that is grey already
+        0.114 B; "red-excess" and its like, the colour less the brighter of the two others;
+        "auto", as :func:`strongest_excess`; not used in a picture that is grey already
     axis : str, "columns" or "rows"
     where : str, how the message names the picture
+    clipping_dn : int, optional, DN, grey value at which the camera's range ends; found from the
+        picture (clipping.py) if left out
 
     Raises
     ------
     InputError
         For another shape or type.
 
+    Notes
+    -----
+    A line that is clipped in all colours is white in the middle, where no colour exceeds the
+    others.  There the excess is at least what it is beside the white: pixels clipped in the
+    line's own colour are raised to that, and marked as clipped.
+
     References
     ----------
     The weights are those of ITU-R BT.601.
     """
     check_picture(picture, where)
-    if picture.ndim == 2:
-        grey = brightest = _across(picture, axis)
-    elif channel == "grey":
-        grey = _across(cv2.cvtColor(picture, cv2.COLOR_RGB2GRAY), axis)
-        red, green, blue = cv2.split(picture)
-        brightest = _across(cv2.max(cv2.max(red, green), blue), axis)
-    else:
-        grey = brightest = _across(cv2.extractChannel(picture, _PLANE_OF[channel]), axis)
-    return PictureLines(grey, brightest >= CLIPPED_DN)
+    if channel == "auto":
+        channel = strongest_excess(picture, axis)
+    excess = picture.ndim == 3 and channel in _EXCESSES
+    grey, brightest = _read(picture, channel, axis)
+    frame = frame_px(brightest)
+    grey, brightest = without_frame(grey, frame), without_frame(brightest, frame)
+    level = clipping_level(brightest) if clipping_dn is None else clipping_dn
+    clipped = brightest >= level
+    if not excess:
+        return PictureLines(channel, grey, clipped, level)
+    others = without_frame(_others(picture, channel, axis), frame)
+    return PictureLines(channel, _excess(grey, others, level), clipped, level, others)
+
+
+def strongest_excess(picture: Bytes, axis: Axis) -> LineChannel:
+    """The excess of the colour whose narrow peaks are the highest; grey where there is no colour.
+
+    The highest narrow peak of each line of pixels is taken, what is wider than 61 px cut off,
+    and the mean over the lines.
+
+    Parameters
+    ----------
+    picture : (H, W) or (H, W, 3) array, uint8, DN, grey or RGB
+    axis : str, "columns" or "rows"
+    """
+    if picture.ndim == 2 or bool((picture == picture[..., :1]).all()):
+        return "grey"
+    heights = []
+    for channel in _EXCESSES:
+        own, _ = _read(picture, channel, axis)
+        excess = _excess(own, _others(picture, channel, axis), clipping_level(own))
+        excess = np.maximum(excess, 0)  # dark squares have less of another colour
+        narrow = cv2.morphologyEx(excess, cv2.MORPH_TOPHAT, np.ones((1, _BROAD_PX), np.uint8))
+        heights.append(narrow.max(axis=1).mean())
+    return _EXCESSES[int(np.argmax(heights))]
 
 
 def check_picture(picture: Bytes, where: str) -> None:
@@ -85,6 +139,41 @@ def check_picture(picture: Bytes, where: str) -> None:
             value=f"{picture.dtype} {picture.shape}",
             allowed="uint8 of shape (H, W) or (H, W, 3)",
         )
+
+
+def _read(picture: Bytes, channel: LineChannel, axis: Axis) -> tuple[Bytes, Bytes]:
+    """(N, L) grey values of a sensor's channel, and of the brightest colour that is part of it."""
+    if picture.ndim == 2:
+        grey = brightest = _across(picture, axis)
+    elif channel == "grey":
+        grey = _across(cv2.cvtColor(picture, cv2.COLOR_RGB2GRAY), axis)
+        red, green, blue = cv2.split(picture)
+        brightest = _across(cv2.max(cv2.max(red, green), blue), axis)
+    else:
+        grey = brightest = _across(cv2.extractChannel(picture, _plane(channel)), axis)
+    return grey, brightest
+
+
+def _others(picture: Bytes, channel: LineChannel, axis: Axis) -> Bytes:
+    """(N, L) grey values of the brighter of the two colours that are not the channel's."""
+    first, second = (cv2.extractChannel(picture, (_plane(channel) + k) % 3) for k in (1, 2))
+    return _across(cv2.max(first, second), axis)
+
+
+def _plane(channel: LineChannel) -> int:
+    return (*_COLOURS, *_EXCESSES).index(channel) % 3
+
+
+def _excess(own: Bytes, others: Bytes, clipping_dn: int) -> GreyValues:
+    """(N, L) colour less the others, raised where it is clipped to what is beside the crest."""
+    excess = own.astype(np.int16) - others
+    # Pixels beside clipped ones are white as well: coding and blur take them below the end.
+    white = own >= _WHITE * clipping_dn
+    if not white.any():
+        return excess
+    crest = cv2.dilate(white.astype(np.uint8), np.ones((1, 3), np.uint8)) > 0
+    closed = cv2.morphologyEx(excess, cv2.MORPH_CLOSE, np.ones((1, _CREST_PX), np.uint8))
+    return np.where(crest, closed, excess)
 
 
 def _across(plane: object, axis: Axis) -> Bytes:

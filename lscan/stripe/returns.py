@@ -1,33 +1,42 @@
 """Which line is meant where a column of the picture holds several.
 
 A second laser, a mirror that shows the line again, a bright speck: each draws a line or a blob
-of its own.  Every column is cut into the spots that stand out of it, spots of neighbouring
-columns are linked into runs, and runs, not pixels, are chosen between.  The spots of the runs
-not chosen are then painted over, so that an extractor that looks at one column at a time sees
-one line in each.
+of its own.  Every column is cut into the spots that stand out of it (spots.py), spots of
+neighbouring columns are linked into runs, and runs, not pixels, are chosen between.  The spots of
+the runs not chosen are then painted over, so that an extractor that looks at one column at a time
+sees one line in each.  On a lit target, whose texture stands out as well, texture.py finds the
+lines that are chosen between.
 """
 
 from dataclasses import dataclass, replace
 
-import cv2
 import numpy as np
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 
 from lscan.config.rig import StripeSection
-from lscan.records import Floats, Ints, Mask, Status, Stripe, has_value
+from lscan.records import Floats, Ints, Mask, Status, Stripe, has_value, select
+from lscan.stripe.spots import (
+    GAP,
+    REACH_PX,
+    Relief,
+    Spots,
+    footprint,
+    pairs,
+    relief_of,
+    runs_of,
+    spots_of,
+)
+from lscan.stripe.texture import (
+    flattened,
+    ground_px,
+    is_textured,
+    line_width_px,
+    paths_of,
+)
 
-_SMOOTHING_PX = 1.0  # as wide as a narrow line: speckle must not split a spot in two
-_REACH_PX = 8  # a spot is where the picture exceeds half of its highest value so near by
-_GROUND_PX = 61  # what is wider than this, along the column, is ground: four FWHM of 6 px lines
-_GAP = 4  # columns that speckle or a dark grain may take out of a run
 _WEAKER = 0.35
 """Share of another line's light below which one is taken for a reflection of it.  Where two pieces
 of one line succeed each other neither reflects the other, and a piece's last column, which blur
 dims, shows where it ends: "first" and "last" then go by place alone."""
-_MOST_SPOTS = 32
-"""Of a column: those of the most light.  In a picture of noise each of thousands of rows may hold
-one, and spots are compared in pairs."""
 _SPECK = 2.0  # a blob no longer than so many times its height is no line
 _LONGER = 3.0  # unless the other is no longer than so many times the blob
 _MUCH_LONGER = 10.0  # a picture with a line has one so many times as long as an isolated blob
@@ -37,6 +46,11 @@ as blur and an overhang reach.  There the brighter is taken column by column."""
 _CLEARLY = 1.25
 """Ratio of light from which one run is the brighter.  The target's own shades and the fan's
 change the light along a line by about as much, so of two nearer to each other chance decides."""
+_SECOND_LINE = 0.25
+"""Share of the columns with a line that must hold two for the picture to have two lines: fewer do
+where one line overhangs itself."""
+_MOSTLY = 0.8  # of its columns, in which a run is the line meant, or is not
+_NEARER = 2.0  # times that a lone run is nearer to the one line than to the other
 
 
 @dataclass(frozen=True)
@@ -49,11 +63,13 @@ class OneReturn:
     clipped : (H, W) mask, as given but for the other returns
     ambiguous : (W,) mask, of the columns with several lines of which none can be said to be the one
         meant
+    ground : (H, W) array or None, DN, the lit target beneath the line; None without texture
     """
 
     image: Floats
     clipped: Mask
     ambiguous: Mask
+    ground: Floats | None = None
 
 
 def choose_return(image: Floats, settings: StripeSection, clipped: Mask) -> OneReturn:
@@ -71,6 +87,13 @@ def choose_return(image: Floats, settings: StripeSection, clipped: Mask) -> OneR
     other, if the picture has a line ten times as long.  A line counts from ``threshold_dn``
     above the ground near it.
 
+    With "first" and "last" in a picture of two lines, a column that shows one of them alone is
+    given to the line that the run belongs to where both are seen, or that it lies nearer to;
+    it is ambiguous where that is not clear.
+
+    On a lit target (texture.py) the runs are the narrow lines that go on from column to column, and
+    each column is laid on an even ground.
+
     Fast where ``image.T`` and ``clipped.T`` are contiguous in memory.
 
     Parameters
@@ -80,20 +103,49 @@ def choose_return(image: Floats, settings: StripeSection, clipped: Mask) -> OneR
     clipped : (H, W) mask, of the pixels at the end of the range
     """
     columns = np.ascontiguousarray(image.T)
-    smoothed, ground = _flattened(columns)
-    spots = _spots(columns, smoothed, ground, settings.threshold_dn)
-    run = _runs(spots)
-    rejected = _isolated(spots, run)
-    first, second = _pairs(spots.column, 0)
-    if len(first) == 0 and not rejected.any():
-        return OneReturn(image, clipped, np.zeros(len(columns), dtype=bool))
-    there = ~rejected[first] & ~rejected[second]
-    rejected |= _rejected(spots, run, first[there], second[there], settings)
-    left = np.bincount(spots.column[~rejected], minlength=len(columns))
-    ambiguous = left > 1
-    over = _footprint(spots, rejected, columns.shape)
-    painted = np.where(over, np.minimum(columns, ground), columns)
-    return OneReturn(painted.T, (np.ascontiguousarray(clipped.T) & ~over).T, ambiguous)
+    relief = relief_of(columns)
+    spots = spots_of(relief, settings.threshold_dn)
+    run = runs_of(spots)
+    width_px = settings.line_width_px or line_width_px(spots)
+    if is_textured(relief, spots, run, width_px, settings.threshold_dn):
+        return _in_texture(relief, spots, width_px, settings, clipped)
+    choice = _choose(spots, run, _isolated(spots, run), settings)
+    if not choice.rejected.any():
+        return OneReturn(image, clipped, choice.ambiguous(len(columns)))
+    over = footprint(spots, choice.rejected, columns.shape)
+    painted = np.where(over, np.minimum(columns, relief.ground), columns)
+    lost = (np.ascontiguousarray(clipped.T) & ~over).T
+    return OneReturn(painted.T, lost, choice.ambiguous(len(columns)))
+
+
+def _in_texture(
+    dark: Relief, seen: Spots, width_px: float, settings: StripeSection, clipped: Mask
+) -> OneReturn:
+    """The same on a lit target: the line meant on an even ground in each column.
+
+    dark, seen: the relief and its spots on the usual ground.  Columns whose ground is even and
+    hold that line alone stay as they are.
+    """
+    columns, count, threshold_dn = dark.columns, len(dark.columns), settings.threshold_dn
+    relief = relief_of(columns, ground_px(width_px), sharp=True)
+    spots = spots_of(relief, threshold_dn)
+    path = paths_of(spots, columns.shape, width_px)
+    kept = path >= 0
+    lines = select(spots, kept)
+    run = np.unique(path[kept], return_inverse=True)[1]
+    choice = _choose(lines, run, np.zeros(len(run), dtype=bool), settings)
+    kept[kept] = ~choice.rejected
+    even = np.ptp(dark.ground, axis=1) <= threshold_dn / 2
+    left = np.bincount(spots.column[kept], minlength=count)
+    even &= (np.bincount(seen.column, minlength=count) == left) & (left <= 1)
+    flat, near = flattened(relief, spots, kept, threshold_dn)
+    near |= even[:, None]
+    return OneReturn(
+        image=np.where(even[:, None], columns, flat).T,
+        clipped=(np.ascontiguousarray(clipped.T) & near).T,
+        ambiguous=choice.ambiguous(count),
+        ground=relief.ground.T,
+    )
 
 
 def withhold(stripe: Stripe, ambiguous: Mask) -> Stripe:
@@ -113,110 +165,7 @@ def withhold(stripe: Stripe, ambiguous: Mask) -> Stripe:
     )
 
 
-@dataclass(frozen=True)
-class _Spots:
-    """Where the columns cross lines: K spots, column by column, each from the top.
-
-    column: (K,).  top, bottom: (K,) first row and last, where it has half its light.
-    light: (K,) sum of the grey values above the ground between them, in DN.
-    """
-
-    column: Ints
-    top: Ints
-    bottom: Ints
-    light: Floats
-
-    @property
-    def height(self) -> Ints:
-        """(K,) in px."""
-        return self.bottom - self.top + 1
-
-    @property
-    def middle(self) -> Floats:
-        """(K,) row."""
-        return (self.top + self.bottom) / 2
-
-
-def _flattened(columns: Floats) -> tuple[Floats, Floats]:
-    """The columns (W, H) smoothed along themselves, and the ground beneath their lines, in DN.
-
-    The ground is the smoothed column after a grey-scale opening: its narrow peaks cut off.
-    """
-    smoothed = cv2.GaussianBlur(
-        columns.astype(np.float32), (0, 1), sigmaX=_SMOOTHING_PX, sigmaY=_SMOOTHING_PX
-    )
-    ground = cv2.morphologyEx(smoothed, cv2.MORPH_OPEN, np.ones((1, _GROUND_PX), np.uint8))
-    return smoothed.astype(float), ground.astype(float)
-
-
-def _spots(columns: Floats, smoothed: Floats, ground: Floats, threshold_dn: float) -> _Spots:
-    """The spots of all columns (W, H) whose highest value exceeds the ground by the threshold."""
-    light = smoothed - ground
-    around = cv2.dilate(light.astype(np.float32), np.ones((1, 2 * _REACH_PX + 1), np.uint8))
-    inside = ((light > around / 2) & (light > threshold_dn / 4)).astype(np.uint8)
-    # Speckle breaks the flanks of wide lines: gaps of two rows are closed.
-    closed = cv2.morphologyEx(inside, cv2.MORPH_CLOSE, np.ones((1, 3), np.uint8))
-    edge = np.diff(np.pad(closed, ((0, 0), (1, 1))).astype(np.int8), axis=1)
-    column, top = np.nonzero(edge == 1)
-    bottom = np.nonzero(edge == -1)[1]  # one row further; both are in the same order
-    height = columns.shape[1]
-    bounds = np.column_stack([column * height + top, column * height + bottom]).ravel()
-    above = np.append((columns - ground).ravel(), 0.0)  # so that the last bound is within it
-    total = np.add.reduceat(above, bounds)[::2] if len(bounds) else np.zeros(0)
-    peak = np.maximum.reduceat(above, bounds)[::2] if len(bounds) else np.zeros(0)
-    high = np.flatnonzero(peak > threshold_dn)
-    kept = high[_brightest(column[high], total[high])]
-    return _Spots(column[kept], top[kept], bottom[kept] - 1, total[kept])
-
-
-def _brightest(column: Ints, light: Floats) -> Mask:
-    """(K,) mask of the spots among the _MOST_SPOTS of the most light of their column."""
-    order = np.lexsort((-light, column))
-    begin = np.searchsorted(column, column[order])  # of each spot's column, for they rise
-    mask = np.zeros(len(column), dtype=bool)
-    mask[order[np.arange(len(column)) - begin < _MOST_SPOTS]] = True
-    return mask
-
-
-def _pairs(column: Ints, apart: int) -> tuple[Ints, Ints]:
-    """All pairs of spots, the second ``apart`` columns to the right of the first.
-
-    column: (K,) of the spots, rising.  With ``apart`` 0 the first is above the second.
-    """
-    begin = np.searchsorted(column, column + apart, side="left")
-    begin = np.maximum(begin, np.arange(len(column)) + 1)
-    end = np.searchsorted(column, column + apart, side="right")
-    count = np.maximum(end - begin, 0)
-    first = np.repeat(np.arange(len(column)), count)
-    within = np.arange(len(first)) - np.repeat(np.cumsum(count) - count, count)
-    return first, begin[first] + within
-
-
-def _runs(spots: _Spots) -> Ints:
-    """(K,) number of the run each spot belongs to.
-
-    Two spots are linked where each is the other's nearest and their rows overlap, or would
-    with one more row on either side for each column between them.
-    """
-    count = len(spots.column)
-    open_right, open_left = np.ones(count, dtype=bool), np.ones(count, dtype=bool)
-    links: list[tuple[Ints, Ints]] = []
-    for apart in range(1, _GAP + 1):
-        first, second = _pairs(spots.column, apart)
-        distance = np.abs(spots.middle[first] - spots.middle[second])
-        near = distance <= (spots.height[first] + spots.height[second]) / 2 + apart
-        near &= open_right[first] & open_left[second]
-        first, second, distance = first[near], second[near], distance[near]
-        mutual = _is_least(first, distance, count) & _is_least(second, distance, count)
-        first, second = first[mutual], second[mutual]
-        open_right[first], open_left[second] = False, False
-        links.append((first, second))
-    left, right = (np.concatenate(ends) for ends in zip(*links, strict=True))
-    graph = coo_array((np.ones(len(left)), (left, right)), shape=(count, count))
-    return np.asarray(connected_components(graph, directed=False)[1], dtype=np.int64)
-
-
-def _isolated(spots: _Spots, run: Ints) -> Mask:
+def _isolated(spots: Spots, run: Ints) -> Mask:
     """(K,) mask of the spots that are blobs by themselves: hot pixels, drifting particles.
 
     A run no longer than it is high in a picture with one that is ten times as long, unless it
@@ -228,27 +177,90 @@ def _isolated(spots: _Spots, run: Ints) -> Mask:
     height = np.bincount(run, spots.height) / length
     blob = (length <= height) & (_MUCH_LONGER * length <= length.max())
     beside = np.zeros(len(length), dtype=bool)
-    for apart in range(1, _GAP + 1):
-        first, second = _pairs(spots.column, apart)
+    for apart in range(1, GAP + 1):
+        first, second = pairs(spots.column, apart)
         between = np.abs(spots.middle[first] - spots.middle[second])
-        near = between <= (spots.height[first] + spots.height[second]) / 2 + _REACH_PX
+        near = between <= (spots.height[first] + spots.height[second]) / 2 + REACH_PX
         a, b = run[first[near]], run[second[near]]
         beside[a] |= ~blob[b]
         beside[b] |= ~blob[a]
     return (blob & ~beside)[run]
 
 
-def _is_least(group: Ints, value: Floats, count: int) -> Mask:
-    """Mask, same shape, of the first entry with the least value of its group of ``count``."""
-    order = np.lexsort((value, group))
-    _, first = np.unique(group[order], return_index=True)
-    least = np.zeros(len(group), dtype=bool)
-    least[order[first]] = True
-    return least
+@dataclass(frozen=True)
+class _Choice:
+    """Which of K spots are not the line meant, and of which of the others that is not known."""
+
+    spots: Spots
+    rejected: Mask
+    unsure: Mask
+
+    def ambiguous(self, count: int) -> Mask:
+        """(W,) columns in which several spots are left, or one of which it is not known."""
+        kept = ~self.rejected
+        mask = np.bincount(self.spots.column[kept], minlength=count) > 1
+        mask[self.spots.column[kept & self.unsure]] = True
+        return mask
 
 
-def _rejected(spots: _Spots, run: Ints, first: Ints, second: Ints, settings: StripeSection) -> Mask:
-    """(K,) mask of the spots to which another one in their column is preferred.
+def _choose(spots: Spots, run: Ints, rejected: Mask, settings: StripeSection) -> _Choice:
+    """The choice between the spots (K,) of some runs; rejected: (K,) those out of question."""
+    first, second = pairs(spots.column, 0)
+    there = ~rejected[first] & ~rejected[second]
+    first, second = first[there], second[there]
+    faint, yielding = _rejected(spots, run, first, second, settings)
+    rejected = rejected | faint | yielding
+    unsure = np.zeros(len(run), dtype=bool)
+    if settings.returns != "brightest":
+        other, unsure = _told_apart(spots, run, rejected, yielding, settings.returns == "first")
+        rejected |= other
+    return _Choice(spots, rejected, unsure)
+
+
+def _told_apart(
+    spots: Spots, run: Ints, rejected: Mask, yielding: Mask, first: bool
+) -> tuple[Mask, Mask]:
+    """(K,) spots alone in their column that are of the other line, and those that may be.
+
+    yielding: (K,) spots that yielded to the line meant, which is the first or the last.
+    """
+    none = np.zeros(len(run), dtype=bool)
+    both = np.isin(spots.column, spots.column[yielding])
+    if len(np.unique(spots.column[both])) <= _SECOND_LINE * len(np.unique(spots.column)):
+        return none, none
+    meant = both & ~rejected
+    won, lost = np.bincount(run, meant), np.bincount(run, yielding)
+    known = won + lost > 0
+    share = np.divide(won, won + lost, out=np.full(len(won), 0.5), where=known)
+    nearer = _nearness(spots, run, meant, yielding, first)
+    other = np.where(known, share < 1 - _MOSTLY, nearer > _NEARER)
+    sure = np.where(known, share > _MOSTLY, nearer < 1 / _NEARER)
+    alone = ~both & ~rejected
+    return alone & other[run], alone & ~(other | sure)[run]
+
+
+def _nearness(spots: Spots, run: Ints, meant: Mask, other: Mask, first: bool) -> Floats:
+    """(R,) how much farther each run is from the line meant than from the other, on the median.
+
+    Both lines are interpolated linearly between the columns in which they are known.
+    """
+    lines = []
+    for line in (meant, other):
+        at = np.flatnonzero(line)
+        at = at if first else at[::-1]  # of several others the one next to the line meant
+        column, place = np.unique(spots.column[at], return_index=True)
+        lines.append(np.interp(spots.column, column, spots.middle[at[place]]))
+    near, far = (np.abs(spots.middle - line) for line in lines)
+    ratio = near / np.maximum(far, 0.5)
+    order = np.lexsort((ratio, run))
+    begin = np.searchsorted(run[order], np.arange(run.max() + 1))
+    return ratio[order][begin + np.bincount(run) // 2]
+
+
+def _rejected(
+    spots: Spots, run: Ints, first: Ints, second: Ints, settings: StripeSection
+) -> tuple[Mask, Mask]:
+    """(K,) spots that are faint or specks beside another, and those that yield to the one meant.
 
     first, second: (P,) pairs of spots in the same column, the first above the second.
     """
@@ -266,30 +278,11 @@ def _rejected(spots: _Spots, run: Ints, first: Ints, second: Ints, settings: Str
     speck = ~succeed & (length[a] <= _SPECK * height[a]) & (length[b] > _LONGER * length[a])
     by_light = ~succeed | (settings.returns == "brightest")
     weaker = ~np.roll(speck, len(first)) & by_light & (own < _WEAKER * other)
-    rejected = np.zeros(len(run), dtype=bool)
-    rejected[spot[speck | weaker]] = True
+    faint, yielding = np.zeros(len(run), dtype=bool), np.zeros(len(run), dtype=bool)
+    faint[spot[speck | weaker]] = True
     if settings.returns == "brightest":
         yields = other >= _CLEARLY * own
     else:
         yields = np.repeat([settings.returns == "last", settings.returns == "first"], len(first))
-    rejected[spot[yields & ~rejected[spot] & ~rejected[rival]]] = True
-    return rejected
-
-
-def _footprint(spots: _Spots, over: Mask, shape: tuple[int, int]) -> Mask:
-    """Mask (W, H) of the spots marked in ``over`` (K,), and of their feet.
-
-    At half its height a line is as high as its spot; one and a half times that to either side
-    (3.5 standard deviations of a Gaussian) it is gone.  Between two spots of a column each has
-    the half that is nearer to it.
-    """
-    foot = np.ceil(1.5 * spots.height).astype(np.int64)
-    low, high = np.maximum(spots.top - foot, 0), np.minimum(spots.bottom + foot + 1, shape[1])
-    above = np.flatnonzero(np.diff(spots.column) == 0)  # the next spot is in the same column
-    middle = (spots.bottom[above] + spots.top[above + 1] + 1) // 2
-    high[above] = np.minimum(high[above], middle)
-    low[above + 1] = np.maximum(low[above + 1], middle)
-    edge = np.zeros((shape[0], shape[1] + 1), dtype=np.int8)
-    np.add.at(edge, (spots.column[over], low[over]), 1)
-    np.add.at(edge, (spots.column[over], high[over]), -1)
-    return np.cumsum(edge[:, :-1], axis=1, dtype=np.int8) > 0
+    yielding[spot[yields & ~faint[spot] & ~faint[rival]]] = True
+    return faint, yielding

@@ -218,7 +218,7 @@ def _in_grey_values(
 
     beside = electrons(ambient, AMBIENT_NM, sensor.ambient_response)
     laser = electrons(peak, nm, sensor.laser_response)
-    weights = np.array(CHANNELS[scene.rig.stripe.channel])
+    weights = np.array(CHANNELS[scene.rig.stripe.colour])
     height = weights @ (_grey(scene, beside + laser)[0] - _grey(scene, beside)[0])
     contrast = 0.0
     if sensor.speckle != "none" and sensor.noise:

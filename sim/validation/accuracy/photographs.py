@@ -16,7 +16,7 @@ from lscan.board.chessboard import read_chessboard
 from lscan.calibration.maps.polynomial import terms
 from lscan.calibration.maps.scaling import box
 from lscan.config.board import Board, Grid
-from lscan.config.rig import StripeSection
+from lscan.config.rig import LineChannel, StripeSection
 from lscan.files.packaged import packaged_table
 from lscan.files.pictures import read_picture
 from lscan.records import BoardReading, Bytes, Floats, Mask, has_value
@@ -105,9 +105,20 @@ def line_rows(folder: Path, extractor: str) -> list[Row]:
     return [row("laser-missed", 100 * missed), row("laser-false", float(false))]
 
 
-def line_faults(lit: Bytes, dark: Bytes, extractor: str) -> tuple[float, int]:
-    """Share of the rows that carry the line without it, and the count of wrong ones."""
-    stripe = extract_stripe(lit, StripeSection(axis="rows", extractor=extractor), background=dark)
+def line_faults(
+    lit: Bytes, dark: Bytes | None, extractor: str, channel: LineChannel = "red"
+) -> tuple[float, int]:
+    """Share of the rows that carry the line without it, and the count of wrong ones.
+
+    Parameters
+    ----------
+    lit : (H, W, 3) array, uint8, DN, the photograph with the laser on
+    dark : array or None, of the same shape, with the laser off
+    extractor : str, a stripe extractor
+    channel : str, as in ``stripe.channel``
+    """
+    chosen = StripeSection(axis="rows", extractor=extractor, channel=channel)
+    stripe = extract_stripe(lit, chosen, background=dark)
     found = has_value(stripe.status)
     carries, near_end, expected = _by_eye(len(found))
     right = found & (np.abs(stripe.centre_px - expected) <= BY_EYE_PX)

@@ -9,6 +9,7 @@ from lscan.files.disk import list_names
 from lscan.records import Progress
 from sim.validation.chapters import run_chapters
 from sim.validation.field.effort import FULL, QUICK, FieldEffort
+from sim.validation.field.line import line_rows
 from sim.validation.field.sigma import sigma_rows
 from sim.validation.field.water import water_rows
 from sim.validation.rows import Row
@@ -17,6 +18,7 @@ FieldChapter = Callable[[Path, FieldEffort], list[Row]]
 
 # The longest first: chapters run side by side, and no processor shall wait at the end.
 CHAPTERS: Mapping[str, FieldChapter] = {
+    "line": line_rows,
     "sigma": sigma_rows,
     "refractive map in other water": partial(water_rows, name="refractive"),
     "metric map in other water": partial(water_rows, name="metric"),

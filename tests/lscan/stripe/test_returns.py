@@ -7,9 +7,9 @@ from lines_drawn import drawn, lit_share, speckled
 
 from lscan.config.rig import StripeSection
 from lscan.records import Status, Stripe
-from lscan.stripe import returns
 from lscan.stripe.extractors.paper import centroid_relative
 from lscan.stripe.returns import choose_return, withhold
+from lscan.stripe.spots import brightest, relief_of, spots_of
 
 HEIGHT, WIDTH = 120, 200
 COLUMN = np.arange(WIDTH)
@@ -200,7 +200,7 @@ def test_a_picture_of_noise_is_not_compared_spot_by_spot() -> None:
     """Of the spots of a column those of the most light are kept, 32 at most."""
     image = np.random.default_rng(8).integers(0, 256, (1024, 64)).astype(float)
     columns = np.ascontiguousarray(image.T)
-    spots = returns._spots(columns, *returns._flattened(columns), 20.0)
+    spots = spots_of(relief_of(columns), 20.0)
     count = np.bincount(spots.column, minlength=64)
     assert (count == 32).all()
     assert (np.diff(spots.column * 1024 + spots.top) > 0).all()  # still from the top
@@ -210,7 +210,7 @@ def test_the_brightest_spots_of_each_column_are_kept() -> None:
     generator = np.random.default_rng(9)
     column = np.sort(generator.integers(0, 5, 400))
     light = generator.permutation(400).astype(float)
-    kept = returns._brightest(column, light)
+    kept = brightest(column, light, 32)
     for number in range(5):
         here = column == number
         assert kept[here].sum() == 32

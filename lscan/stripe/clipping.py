@@ -1,0 +1,60 @@
+"""Where a camera's range ends: at 255 DN, or at the plateau that a picture shows below it."""
+
+import cv2
+import numpy as np
+
+from lscan.records import Bytes, Ints
+
+CLIPPED_DN = 255
+"""Highest value an 8-bit picture can hold: such a pixel may have seen any amount of light."""
+
+_NEAR_END_DN = 250  # pictures that reach so far are clipped at 255 or not at all
+_LEAST_DN = 32  # below it a plateau is darkness
+_STRAY = 1e-4  # share of the pixels that lossy coding or a hot pixel may put above the plateau
+_SPREAD_DN = 6  # by which lossy coding spreads a plateau
+_PILED = 3.0
+"""Times that a plateau's three values hold more pixels than four values farther down.  At the
+smooth crest of a line that is not clipped they hold 1.3 times as many: the width of a parabola
+at the depth d below its top goes with the root of d."""
+
+_FLAT_PX, _WIDEST_PX = 3, 41  # pixels across a clipped crest: fewer may be chance, more no line
+_FEWEST = 8  # crests
+
+
+def clipping_level(lines: Bytes) -> int:
+    """The grey value from which pixels are clipped: CLIPPED_DN unless the picture shows another.
+
+    A camera whose range ends below 255 DN, as gain and coding can make it, shows a plateau: many
+    pixels have nearly the same highest value, few have values a little less, and the crest of
+    a line is flat over several pixels.
+
+    Parameters
+    ----------
+    lines : (N, L) array, uint8, DN, the pixels across the line, one row for each entry of the
+        stripe
+    """
+    count = np.bincount(lines.ravel(), minlength=CLIPPED_DN + 1).astype(np.int64)
+    above = np.cumsum(count[::-1])[::-1]  # pixels of each value or more
+    top = int(np.flatnonzero(above > _STRAY * lines.size)[-1])
+    if top >= _NEAR_END_DN or top < _LEAST_DN:
+        return CLIPPED_DN
+    mode = top - _SPREAD_DN + int(count[top - _SPREAD_DN : top + 1].argmax())
+    piled = count[mode - 1 : mode + 2].sum() > _PILED * count[mode - 6 : mode - 2].sum()
+    return _foot(count, mode) if piled and _has_flat_crests(lines, mode) else CLIPPED_DN
+
+
+def _foot(count: Ints, mode: int) -> int:
+    """The lowest value of the plateau: down to where a tenth of its pixels are left."""
+    level = mode
+    while level > mode - _SPREAD_DN // 2 and 10 * count[level - 1] >= count[mode]:
+        level -= 1
+    return level
+
+
+def _has_flat_crests(lines: Bytes, level: int) -> bool:
+    """Whether most crests that reach the level stay there for some pixels, but not for many."""
+    high = (lines >= level - 2).astype(np.uint8)
+    wide = cv2.morphologyEx(high, cv2.MORPH_OPEN, np.ones((1, _WIDEST_PX), np.uint8))
+    crest = np.asarray(cv2.subtract(high, wide), np.uint8)
+    flat = cv2.erode(crest, np.ones((1, _FLAT_PX), np.uint8)).any(axis=1).sum()
+    return bool(flat >= _FEWEST and 2 * flat >= crest.any(axis=1).sum())

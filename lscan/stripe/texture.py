@@ -1,0 +1,233 @@
+"""The laser's line among the texture of a lit target: chessboards, print, glare.
+
+In the dark, what stands out of a column is the line or a reflection of it, and returns.py
+chooses by light.  On a lit target white squares have more light than the line.  There a line is
+told by what texture lacks: it is as narrow everywhere as the sharpest peaks of the picture are,
+and goes on from column to column.
+"""
+
+import numpy as np
+
+from lscan.records import Floats, Ints, Mask
+from lscan.stripe.pieces import JUMP_PX
+from lscan.stripe.spots import GAP, GROUND_PX, Relief, Spots, brightest, footprint
+
+_WIDE = 3.0
+"""Times the line's width from which a spot is none of it.  A line as steep as JUMP_PX, beyond which
+it is rather one of the rows, crosses its columns 3.2 times as wide."""
+
+_SHARP = 1 / 3  # of the weight of each column's sharpest spots lies below the line's width
+_GROUND_WIDTHS = 4  # the ground of spots.py, told from lines of the width that this picture has
+_LEAST_GROUND_PX = 13
+_SHARE = 0.02  # of the columns: more with texture are no accident
+_CROWD = 3.0  # spots a column: more than a line, its reflection, and a speck
+_LONG = 1 / 8  # of the picture: texture is in shorter runs
+
+_MOST_RIVALS = 8  # spots a column that a path may go through
+_ENOUGH = 0.35  # share of a line's light below which a spot is no rival of it, as in returns.py
+_MISSED = 0.1  # what a column without a spot costs a path: less than any spot of the line gains
+_SHORTEST = 8  # columns of a piece of a path: as far as a corner of a square reaches
+_BEGIN = 12.0
+"""What it costs to begin a path, or to jump: the gain of a dozen columns of line.  A piece of
+texture as bright as the line would have to be as straight and as long to be taken for it."""
+
+_SECOND = 0.5  # a second line is at least so many times as long as the first
+_MOST_PATHS = 8
+
+
+def line_width_px(spots: Spots) -> float:
+    """Full width of the line at half its height, px, from the sharpest spot of each column.
+
+    Sharpness is height in DN over width in px.  Of the widths of those spots, weighed by it, the
+    lower third: where the line crosses a bright patch both are one, wider spot.
+
+    Parameters
+    ----------
+    spots : Spots, px and DN; 60 if there are none
+    """
+    if len(spots.column) == 0:
+        return float(GROUND_PX)
+    sharpness = spots.peak / spots.height
+    best = np.flatnonzero(brightest(spots.column, sharpness, 1))
+    order = best[np.argsort(spots.height[best], kind="stable")]
+    weight = sharpness[order].cumsum()
+    return float(spots.height[order[np.searchsorted(weight, _SHARP * weight[-1])]])
+
+
+def is_textured(
+    relief: Relief, spots: Spots, run: Ints, width_px: float, threshold_dn: float
+) -> bool:
+    """Whether the picture shows more than lines on a dark ground.
+
+    It does where the ground itself would be taken for a line in some columns, where wide spots
+    beside the line have more light, and where there is a crowd of spots, about as bright, in short
+    runs.
+
+    Parameters
+    ----------
+    relief : Relief, DN, on the usual ground
+    spots : Spots, px and DN, K of them
+    run : (K,) array, numbers of the runs they belong to
+    width_px : float, px, full width of the line
+    threshold_dn : float, DN
+    """
+    width = len(relief.columns)
+    least = max(_SHARE * width, 2)
+    if np.count_nonzero(outshone(relief, spots, threshold_dn)) >= least:
+        return True
+    if len(run) == 0:
+        return False
+    count = np.bincount(spots.column, minlength=width)
+    wide = brightest(spots.column, spots.light, 1) & (spots.height > _WIDE * width_px + 1)
+    wide &= spots.light > threshold_dn * spots.height  # a spot of noise has less
+    if np.count_nonzero(wide & (count[spots.column] > 1)) >= least:
+        return True
+    most = np.zeros(width)
+    np.maximum.at(most, spots.column, spots.light)
+    strong = spots.light >= _ENOUGH * most[spots.column]
+    crowd = strong.sum() >= _CROWD * np.count_nonzero(count)
+    long = np.bincount(run)[run] >= _LONG * width
+    return bool(crowd and 2 * (strong & long).sum() < strong.sum())
+
+
+def outshone(relief: Relief, spots: Spots, threshold_dn: float) -> Mask:
+    """(W,) columns whose brightest pixel lies on bright ground, in no spot.
+
+    Parameters
+    ----------
+    relief : Relief, DN
+    spots : Spots, px
+    threshold_dn : float, DN, by which the ground exceeds the column's median
+    """
+    columns, ground = relief.columns, relief.ground
+    each = np.arange(len(columns))
+    row = columns.argmax(axis=1)
+    within = np.abs(spots.middle - row[spots.column]) <= spots.height / 2 + 1
+    bright = ground[each, row] - ground.min(axis=1) > threshold_dn
+    bright[spots.column[within]] = False
+    at = np.flatnonzero(bright)
+    bright[at] = ground[at, row[at]] - np.median(columns[at], axis=1) > threshold_dn
+    return bright
+
+
+def ground_px(width_px: float) -> int:
+    """Odd number of pixels from which on, along a column, light is ground to a line.
+
+    Parameters
+    ----------
+    width_px : float, px, full width of the line
+    """
+    fitting = 2 * int(_GROUND_WIDTHS * width_px / 2) + 1
+    return min(max(fitting, _LEAST_GROUND_PX), GROUND_PX)
+
+
+def paths_of(spots: Spots, shape: tuple[int, ...], width_px: float) -> Ints:
+    """(K,) number of the line that a spot belongs to, from 0 the best; -1: to none.
+
+    A path goes through one spot of a column.  It gains by the spots' light, in units of the
+    line's, and loses by what it moves from one column to the next; of all paths the one of the
+    highest sum is found by dynamic programming.  Then the next through the spots left, as long as
+    it is half as long as the first.
+
+    Parameters
+    ----------
+    spots : Spots, px and DN, K of them
+    shape : tuple of int, (W, H) of the columns; a spot at their ends is not whole
+    width_px : float, px, full width of the line
+    """
+    count, height = shape
+    path = np.full(len(spots.column), -1)
+    whole = (spots.top > 0) & (spots.bottom < height - 1)
+    free = np.flatnonzero(whole & (spots.height <= _WIDE * width_px + 1))
+    if len(free) == 0:
+        return path
+    first = brightest(spots.column[free], spots.peak[free], 1)
+    unit = float(np.percentile(spots.peak[free[first]], 75))
+    length = count_of_pieces = 0
+    for _ in range(_MOST_PATHS):
+        best, piece = _pieces(spots, _best_path(spots, free, unit, count))
+        if len(best) == 0 or len(best) < _SECOND * length:
+            break
+        path[best] = count_of_pieces + piece
+        length = max(length, len(best))
+        count_of_pieces += int(piece.max()) + 1
+        free = free[path[free] < 0]
+    return path
+
+
+def _best_path(spots: Spots, free: Ints, unit: float, count: int) -> Ints:
+    """Indices of the spots on the best path through those that are free.
+
+    unit: light of a spot of the line, DN.  count: columns of the picture.
+    """
+    free = free[brightest(spots.column[free], spots.peak[free], _MOST_RIVALS)]
+    gain = np.sqrt(np.minimum(spots.peak[free] / unit, 1.0)) - _ENOUGH
+    table = _by_column(spots.column[free], count)
+    rows = spots.middle[free][table]
+    gains = np.where(table >= 0, gain[table], -np.inf)
+    score, back = np.full(table.shape, -np.inf), np.full(table.shape, -1)
+    rivals = table.shape[1]
+    apart = np.arange(GAP, 0, -1)[:, None, None]
+    top_score, top = 0.0, -1
+    for i in np.flatnonzero((table >= 0).any(axis=1)):
+        step = (rows[i] - rows[i - GAP : i, :, None]) / (JUMP_PX * apart)
+        reached = (
+            score[i - GAP : i, :, None] - np.minimum(np.abs(step), _BEGIN) - _MISSED * (apart - 1)
+        )
+        reached = reached.reshape(-1, rivals)
+        before = reached.argmax(axis=0)
+        value = reached[before, np.arange(rivals)]
+        goes_on = value > top_score - _BEGIN
+        score[i] = gains[i] + np.where(goes_on, value, top_score - _BEGIN)
+        back[i] = np.where(goes_on, (i - GAP) * rivals + before, top)
+        here = int(score[i].argmax())
+        if score[i, here] > top_score:
+            top_score, top = float(score[i, here]), int(i) * rivals + here
+    followed: list[int] = []
+    while top >= 0:
+        followed.append(int(table.flat[top]))
+        top = int(back.flat[top])
+    return free[np.array(followed[::-1], dtype=np.int64)]
+
+
+def _pieces(spots: Spots, path: Ints) -> tuple[Ints, Ints]:
+    """The spots of a path and the number of the piece, between two jumps, that each belongs to.
+
+    Those of pieces too short to be known from texture are left out.
+    """
+    column, row = spots.column[path], spots.middle[path]
+    apart = np.diff(column)
+    jumps = (np.abs(np.diff(row)) > JUMP_PX * apart) | (apart > GAP)
+    piece = np.append(0, np.cumsum(jumps))[: len(path)]
+    whole = np.bincount(piece)[piece] >= _SHORTEST
+    return path[whole], piece[whole]
+
+
+def _by_column(column: Ints, count: int) -> Ints:
+    """(GAP + W, M) indices of the spots of each column, -1 where there are fewer than M."""
+    rank = np.arange(len(column)) - np.searchsorted(column, column)
+    table = np.full((count + GAP, int(rank.max()) + 1), -1)
+    table[column + GAP, rank] = np.arange(len(column))
+    return table
+
+
+def flattened(relief: Relief, spots: Spots, kept: Mask, threshold_dn: float) -> tuple[Floats, Mask]:
+    """(W, H) columns with their kept spots on an even ground, DN, and the spots' footprints.
+
+    Within the footprint of a kept spot the ground is taken off, elsewhere all but the pixels'
+    noise, by which extractors judge; the level is the ground's beneath the spot.
+
+    Parameters
+    ----------
+    relief : Relief, DN
+    spots : Spots, px, K of them
+    kept : (K,) mask
+    threshold_dn : float, DN; noise remains up to a quarter of it
+    """
+    columns, ground = relief.columns, relief.ground
+    level = np.median(ground, axis=1)
+    middle = spots.middle.astype(np.int64)
+    level[spots.column[kept]] = ground[spots.column[kept], middle[kept]]
+    near = footprint(spots, kept, columns.shape)
+    noise = np.clip(columns - relief.smoothed, -threshold_dn / 4, threshold_dn / 4)
+    return level[:, None] + np.where(near, columns - ground, noise), near
