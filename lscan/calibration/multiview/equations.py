@@ -40,8 +40,8 @@ class PlaneEquations:
             self._across[board] = across_mm(partial(boards.on_board, board=board), line)
             self._by_own[board] = on_board_derivatives(boards, line.image_px, board)
 
-    def solve(self, q: Floats) -> tuple[Floats, Floats]:
-        """(3,) the plane, and (3, 2 V) that takes the two numbers' errors to those of q.
+    def solve(self, q: Floats, used: Mask) -> tuple[Floats, Floats]:
+        """(3,) the plane of some views, and (3, 2 V) that takes the numbers' errors to those of q.
 
         The numbers count by the covariance of the poses and of the line points' own noise, which
         is 1.  The camera is held at what was found: boards and sheet are both seen through it, and
@@ -51,15 +51,16 @@ class PlaneEquations:
         Parameters
         ----------
         q : (3,) array, 1/mm, camera frame, where the search begins
+        used : (V,) mask, of the views that the plane is to rest on
 
         Raises
         ------
         MeasurementError
             Where the lines do not determine the plane.
         """
-        takes = np.zeros((3, 2 * len(self._lines)))
+        takes, of_used = np.zeros((3, 2 * len(self._lines))), np.repeat(used, 2)
         for _ in range(MOST_STEPS):
-            left, by_q, by_theta = self._system(q)
+            left, by_q, by_theta = (part[of_used] for part in self._system(q))
             carried = by_theta @ self._poses_root
             weight = np.linalg.inv(np.eye(len(left)) + carried @ carried.T)
             normal = by_q.T @ weight @ by_q
@@ -67,32 +68,38 @@ class PlaneEquations:
             scaled = normal / np.outer(scale, scale)
             if np.linalg.cond(scaled) > 1e15:
                 raise undetermined()
-            takes = np.linalg.solve(scaled, (by_q.T @ weight) / scale[:, None]) / scale[:, None]
-            step = takes @ left
+            own = np.linalg.solve(scaled, (by_q.T @ weight) / scale[:, None]) / scale[:, None]
+            takes[:, of_used], step = own, own @ left
             q = q - step
             if np.linalg.norm(step) <= SETTLED * np.linalg.norm(q):
                 break
         return q, takes
 
-    def chi_squares(self, q: Floats, takes: Floats) -> tuple[float, Floats]:
-        """Of all numbers together, over 2 V - 3 degrees of freedom, and (V,) of each view's two.
+    def chi_squares(self, q: Floats, takes: Floats, used: Mask) -> tuple[float, Floats]:
+        """Of the used views' numbers together, over their degrees of freedom, and (V,) of each's.
 
-        What the fit leaves is counted by its own covariance, camera and poses included.
+        What the fit leaves is counted by its own covariance, camera and poses included; for a view
+        that the plane does not rest on, that is the covariance of its distance from the plane.
 
         Parameters
         ----------
         q : (3,) array, 1/mm, the plane
         takes : (3, 2 V) array, as ``solve`` gave it
+        used : (V,) mask, as ``solve`` took it
         """
         left, by_q, by_theta = self._system(q)
         carried = by_theta @ self._root
         leaves = np.eye(len(left)) - by_q @ takes
         covariance = leaves @ (np.eye(len(left)) + carried @ carried.T) @ leaves.T
+        of_used = np.repeat(used, 2)
+        freedom = int(of_used.sum()) - 3
+        places = [slice(2 * k, 2 * k + 2) for k in range(len(used))]
         each = [
-            _chi_square(left[at], covariance[at, at], min(2, len(left) - 3))
-            for at in (slice(2 * k, 2 * k + 2) for k in range(len(self._lines)))
+            _chi_square(left[at], covariance[at, at], min(2, freedom) if inside else 2)
+            for at, inside in zip(places, used, strict=True)
         ]
-        return _chi_square(left, covariance, len(left) - 3), np.array(each)
+        whole = _chi_square(left[of_used], covariance[np.ix_(of_used, of_used)], freedom)
+        return whole / freedom, np.array(each)
 
     def own_root(self, q: Floats, takes: Floats) -> Floats:
         """(3, P) square root of the covariance of q for the camera as it is: poses and line.

@@ -4,13 +4,17 @@ Each line point is the place where its pixel's ray meets the board.  A plane cut
 straight line, so that a view gives two numbers: how far its line lies off
 the sheet, and how it leans against it.  Errors of the board's pose and of the camera, which
 all points of a view share, are counted with those two numbers, not with each point.
+
+The plane that the most lines agree on (consensus.py) is the start.  From it on, lines are
+judged by their own uncertainties, and by how well those hold among the lines that agree.
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass
-from itertools import combinations
 
 import numpy as np
 
+from lscan.calibration.multiview.consensus import FEWEST_AGREEING, Agreement, agreed_plane
 from lscan.calibration.multiview.equations import PlaneEquations, undetermined
 from lscan.calibration.multiview.lines import FEWEST_POINTS, distance_mm, line_ends, straight
 from lscan.calibration.multiview.views import LinePoints
@@ -21,8 +25,33 @@ from lscan.records import Floats, Mask, select
 
 WRONG = 6.0  # sigmas: beyond them a view's line is an outlier
 MEDIAN_CHI_SQUARE = 2 * np.log(2)  # of two degrees of freedom
+MOST_USUAL = 10.0  # sigmas, the usual size beyond which lines do not lie in one plane at all
+BY_CHANCE = 1e-3  # agreements as good among lines at random, above which lines do not agree
+ROUNDS = 20  # of deciding which lines agree; two or three suffice
 LEAST_ANGLE_DEG = 10.0  # between board and sheet; the line's place on the board is unsure below
 MOST_TILT_DEG = 1.0  # standard uncertainty of the sheet's tilt beyond which it is not known
+TOO_FEW_LINES = "the laser's plane needs its line on two boards, usable {}"
+TOO_FEW_AGREE = "too few of the {} laser lines agree on one plane"
+
+
+class NoLaserPlane(MeasurementError):
+    """Lines that give no plane.
+
+    Attributes
+    ----------
+    faults : dict of str, by board, what is wrong with a line, as far as that is known
+    """
+
+    def __init__(self, message: str, faults: Mapping[int, str]) -> None:
+        """Take the message without the faults, which name boards by number.
+
+        Parameters
+        ----------
+        message : str, why there is no plane
+        faults : mapping of int to str, by board
+        """
+        super().__init__(message)
+        self.faults = dict(faults)
 
 
 @dataclass(frozen=True)
@@ -49,9 +78,10 @@ class LaserPlane:
 def find_plane(fit: CameraFit, free: Mask, lines: dict[int, LinePoints]) -> LaserPlane:
     """The plane of generalised least squares through the lines of all views but outliers.
 
-    A view is an outlier where its two numbers lie more than WRONG standard uncertainties (or of
-    their usual size, where all are larger) from the plane of the others.  The covariance is
-    scaled up by chi squared per degree of freedom of those two numbers where above 1.
+    Half of the lines and more may be wrong: at least three, or both of two, must agree.  A view is
+    an outlier where its two numbers lie more than WRONG standard uncertainties (or of
+    their usual size, where all that agree are larger) from the plane of those that agree.  The
+    covariance is scaled up by chi squared per degree of freedom of those two numbers where above 1.
 
     Parameters
     ----------
@@ -61,9 +91,9 @@ def find_plane(fit: CameraFit, free: Mask, lines: dict[int, LinePoints]) -> Lase
 
     Raises
     ------
-    MeasurementError
-        Where fewer than two lines are left or where they do not determine the plane: all in one
-        line, or on boards nearly parallel to the sheet.
+    NoLaserPlane
+        Where fewer than two lines are left, where too few of them agree on a plane, or where they
+        do not determine it: all in one line, or on boards nearly parallel to the sheet.
     """
     boards = fit.boards
     masks = {board: straight(boards, line, board) for board, line in lines.items()}
@@ -73,68 +103,101 @@ def find_plane(fit: CameraFit, free: Mask, lines: dict[int, LinePoints]) -> Lase
         if mask.sum() < FEWEST_POINTS
     }
     usable = {board: select(lines[board], masks[board]) for board in lines if board not in faults}
-    _require_two(usable, faults)
-    q = _agreed_plane(boards, usable)
-    for board in list(usable):
+    start = _start(boards, usable, faults)
+    agree = dict(zip(usable, start.agree, strict=True))
+    faults |= _near_the_sheet(boards, usable, start.q_per_mm)
+    usable = {board: line for board, line in usable.items() if board not in faults}
+    _require_agreement(np.array([agree[board] for board in usable]), faults)
+    equations = PlaneEquations(fit, free, usable)
+    found = _gated(equations, start.q_per_mm, np.array([agree[board] for board in usable]))
+    q = found.q_per_mm
+    distances = {
+        board: distance_mm(boards.on_board(line.image_px, board), q)
+        for board, line in lines.items()
+    }
+    apart = found.usual > MOST_USUAL**2
+    for board, agrees in zip(usable, found.agree, strict=True):
+        if apart or not agrees:
+            rms = np.sqrt(np.mean(distances[board][masks[board]] ** 2))
+            faults[board] = f"its line lies {rms:.3f} mm rms off the sheet of the other views"
+    _require_agreement(found.agree & (not apart), faults)
+    own = equations.own_root(q, found.takes) * np.sqrt(max(1.0, found.chi_per_freedom))
+    _require_sure(q, own)
+    return LaserPlane(
+        q_per_mm=q,
+        root=equations.joint_root(q, found.takes, own),
+        good={board: mask & (board not in faults) for board, mask in masks.items()},
+        faults=faults,
+        distances_mm=distances,
+    )
+
+
+def _start(boards: PosedBoards, lines: dict[int, LinePoints], faults: dict[int, str]) -> Agreement:
+    """The plane that the most lines agree on; NoLaserPlane where they might by chance."""
+    if len(lines) < 2:
+        raise NoLaserPlane(TOO_FEW_LINES.format(len(lines)), faults)
+    ends = np.stack(
+        [line_ends(boards.on_board(line.image_px, board)) for board, line in lines.items()]
+    )
+    start = agreed_plane(ends)
+    if len(lines) >= FEWEST_AGREEING and start.by_chance > BY_CHANCE:
+        off = {
+            board: f"its line lies {mm:.1f} mm off the plane that the most lie near to"
+            for board, mm in zip(lines, start.off_mm, strict=True)
+        }
+        raise NoLaserPlane(TOO_FEW_AGREE.format(len(lines)), faults | off)
+    return start
+
+
+def _near_the_sheet(boards: PosedBoards, lines: dict[int, LinePoints], q: Floats) -> dict[int, str]:
+    """The faults of the boards that lie nearly in the plane q . X = 1."""
+    faults = {}
+    for board in lines:
         cosine = abs(boards.axes[board][:, 1] @ q) / np.linalg.norm(q)
         angle = np.degrees(np.arccos(min(cosine, 1.0)))
         if angle < LEAST_ANGLE_DEG:
             faults[board] = f"the board lies {angle:.1f} deg from the sheet: too near it"
-            del usable[board]
-    while True:
-        _require_two(usable, faults)
-        equations = PlaneEquations(fit, free, usable)
-        q, takes = equations.solve(q)
-        whole, chi = equations.chi_squares(q, takes)
-        usual = max(1.0, float(np.median(chi)) / MEDIAN_CHI_SQUARE)
-        worst = int(chi.argmax())
-        if len(usable) < 3 or chi[worst] <= WRONG**2 * usual:
+    return faults
+
+
+@dataclass(frozen=True)
+class _GatedPlane:
+    """A plane of least squares and the lines that it rests on.
+
+    takes: (3, 2 V) as PlaneEquations.solve gives it.  agree: (V,) mask, of the lines.
+    chi_per_freedom: of all their numbers.  usual: median of their chi squared over that of
+    two numbers of unit variance, at least 1.
+    """
+
+    q_per_mm: Floats
+    takes: Floats
+    agree: Mask
+    chi_per_freedom: float
+    usual: float
+
+
+def _gated(equations: PlaneEquations, q: Floats, agree: Mask) -> _GatedPlane:
+    """The plane of the lines that agree with it, until they are the lines that it was solved from.
+
+    q: (3,) 1/mm, the start.  agree: (V,) mask, of the lines that agree on it.
+    """
+    for _ in range(ROUNDS):
+        q, takes = equations.solve(q, agree)
+        per_freedom, chi = equations.chi_squares(q, takes, agree)
+        usual = max(1.0, float(np.median(chi[agree])) / MEDIAN_CHI_SQUARE)
+        found = _GatedPlane(q, takes, agree, per_freedom, usual)
+        agree = chi <= WRONG**2 * usual
+        if (agree == found.agree).all():
             break
-        board = list(usable)[worst]
-        off = distance_mm(boards.on_board(usable[board].image_px, board), q)
-        rms = np.sqrt(np.mean(off**2))
-        faults[board] = f"its line lies {rms:.3f} mm rms off the sheet of the other views"
-        del usable[board]
-    own = equations.own_root(q, takes) * np.sqrt(max(1.0, whole / (2 * len(usable) - 3)))
-    _require_sure(q, own)
-    return LaserPlane(
-        q_per_mm=q,
-        root=equations.joint_root(q, takes, own),
-        good={board: mask & (board not in faults) for board, mask in masks.items()},
-        faults=faults,
-        distances_mm={
-            board: distance_mm(boards.on_board(line.image_px, board), q)
-            for board, line in lines.items()
-        },
-    )
+    return found
 
 
-def _agreed_plane(boards: PosedBoards, lines: dict[int, LinePoints]) -> Floats:
-    """(3,) q of the plane through two views' lines that the median view lies nearest to."""
-    ends = np.stack(
-        [line_ends(boards.on_board(line.image_px, board)) for board, line in lines.items()]
-    )  # (V, 2, 3)
-    best, least = None, np.inf
-    for i, j in combinations(range(len(ends)), 2):
-        four = ends[[i, j]].reshape(4, 3)
-        normal = np.linalg.svd(four - four.mean(axis=0))[2][2]
-        height = float(four.mean(axis=0) @ normal)
-        off = np.sqrt((((ends @ normal) - height) ** 2).mean(axis=1))
-        score = float(np.median(off))
-        if score < least and abs(height) > 1e-6:
-            best, least = normal / height, score
-    if best is None:
-        raise MeasurementError("the laser lines lie in no plane before the camera")
-    return best
-
-
-def _require_two(usable: dict[int, LinePoints], faults: dict[int, str]) -> None:
-    if len(usable) < 2:
-        reasons = "; ".join(sorted(set(faults.values())))
-        raise MeasurementError(
-            f"the laser's plane needs its line on two boards, usable {len(usable)}"
-            + (f" ({reasons})" if reasons else "")
-        )
+def _require_agreement(agree: Mask, faults: dict[int, str]) -> None:
+    """Refuse fewer than three of the lines, or than both of two."""
+    if len(agree) < 2:
+        raise NoLaserPlane(TOO_FEW_LINES.format(len(agree)), faults)
+    if agree.sum() < min(FEWEST_AGREEING, len(agree)):
+        raise NoLaserPlane(TOO_FEW_AGREE.format(len(agree)), faults)
 
 
 def _require_sure(q: Floats, root: Floats) -> None:

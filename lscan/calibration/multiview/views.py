@@ -69,7 +69,8 @@ class FittedView(CalibrationView):
     line_used : bool, whether the sheet rests on its line
     line_points_used : int, how many of the line's points
     line_rms_mm : float, mm, root mean square of their distances from the sheet
-    reason : str, why the view, or its line, was not used; "" where it was
+    reason : str, why the view, or its line, was not used, or what is doubtful about it; "" where
+        nothing is
     """
 
     used: bool = False
@@ -79,3 +80,9 @@ class FittedView(CalibrationView):
     line_points_used: int = 0
     line_rms_mm: float = np.nan
     reason: str = ""
+
+    @property
+    def outcome(self) -> str:
+        """Whether it was used, and the reason if there is one, in words."""
+        whole = self.used and (self.line is None or self.line_used)
+        return "; ".join(filter(None, ("used" if whole else "", self.reason))) or "not used"

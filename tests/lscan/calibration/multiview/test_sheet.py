@@ -7,6 +7,7 @@ import pytest
 from metricviews import SIZE, Pose, known, line_of, marks_of, paper_rig, poses, views_of, with_noise
 
 from lscan.calibration.multiview.solve import calibrate_metric
+from lscan.calibration.multiview.usedviews import UnsolvedViews
 from lscan.calibration.multiview.views import CalibrationView, LinePoints
 from lscan.errors import MeasurementError
 from lscan.records import Status
@@ -113,3 +114,81 @@ def test_a_board_nearly_in_the_sheet_is_named() -> None:
     found = calibrate_metric(views, known(rig), SIZE)
     assert found.views[8].used and not found.views[8].line_used
     assert "deg from the sheet" in found.views[8].reason
+
+
+def glared(view: CalibrationView, rng: np.random.Generator) -> CalibrationView:
+    """The view with a straight streak of glare in its line's place: displaced, and slanted."""
+    assert view.line is not None
+    along = np.linspace(-1, 1, len(view.line.image_px))
+    away = rng.choice([-1, 1]) * rng.uniform(8, 40) + rng.uniform(-10, 10) * along
+    across = 1 if view.line.axis == "columns" else 0
+    places = view.line.image_px.copy()
+    places[:, across] += away
+    return replace(view, line=replace(view.line, image_px=places))
+
+
+@pytest.mark.parametrize("seed", [11, 12, 13])
+def test_half_of_the_lines_wrong_by_glare_are_named_and_left_out(seed: int) -> None:
+    """The plane is that of the right lines alone, to rounding, whatever the wrong ones show."""
+    rig, rng = paper_rig(), np.random.default_rng(seed)
+    views = [with_noise(view, 0.05, rng) for view in views_of(rig, poses(rig, rng, 10))]
+    wrong = set(rng.permutation(10)[:5].tolist())
+    mixed = [glared(view, rng) if k in wrong else view for k, view in enumerate(views)]
+    found = calibrate_metric(mixed, known(rig), SIZE)
+    assert {k for k, view in enumerate(found.views) if not view.line_used} == wrong
+    assert all(found.views[k].reason for k in wrong)
+    alone = [replace(view, line=None) if k in wrong else view for k, view in enumerate(views)]
+    right = calibrate_metric(alone, known(rig), SIZE)
+    np.testing.assert_allclose(
+        found.plane_map.view.q_per_mm, right.plane_map.view.q_per_mm, rtol=0, atol=1e-12
+    )
+
+
+def test_the_plane_does_not_depend_on_the_order_of_the_views() -> None:
+    rig, rng = paper_rig(), np.random.default_rng(14)
+    views = [with_noise(view, 0.05, rng) for view in views_of(rig, poses(rig, rng))]
+    views = [glared(view, rng) if k % 2 else view for k, view in enumerate(views)]
+    order = rng.permutation(len(views)).tolist()
+    one = calibrate_metric(views, known(rig), SIZE)
+    two = calibrate_metric([views[k] for k in order], known(rig), SIZE)
+    assert [one.views[k].line_used for k in order] == [view.line_used for view in two.views]
+    # Sums in another order; the fit stops where chi squared changes by 1e-12 of itself.
+    np.testing.assert_allclose(one.plane_map.view.q_per_mm, two.plane_map.view.q_per_mm, rtol=1e-6)
+
+
+def test_one_line_of_five_six_millimetres_off_does_not_move_the_plane() -> None:
+    """A pixel is 1.2 mm of board: 12 px across a line lie some 6 mm off the sheet."""
+    rig, rng = paper_rig(), np.random.default_rng(15)
+    views = [with_noise(view, 0.1, rng) for view in views_of(rig, poses(rig, rng, 5))]
+    assert views[0].line is not None
+    without = [replace(views[0], line=None), *views[1:]]
+    views[0] = replace(views[0], line=shifted(views[0].line, 12.0))
+    found = calibrate_metric(views, known(rig), SIZE)
+    assert [view.line_used for view in found.views] == [False, True, True, True, True]
+    right = calibrate_metric(without, known(rig), SIZE)
+    np.testing.assert_allclose(
+        found.plane_map.view.q_per_mm, right.plane_map.view.q_per_mm, rtol=0, atol=1e-12
+    )
+
+
+def test_lines_that_agree_on_no_plane_are_refused_by_name() -> None:
+    rig, rng = paper_rig(), np.random.default_rng(16)
+    views = [with_noise(view, 0.05, rng) for view in views_of(rig, poses(rig, rng))]
+    views = [glared(view, rng) if k > 1 else view for k, view in enumerate(views)]
+    with pytest.raises(
+        UnsolvedViews, match=r"too few of the 8 laser lines agree.*pose-5"
+    ) as caught:
+        calibrate_metric(views, known(rig), SIZE)
+    assert [view.used for view in caught.value.views] == [True] * 8
+    assert str(caught.value).count("\n") == 0
+
+
+def test_three_lines_of_which_one_is_wrong_are_refused() -> None:
+    """Two of three prove nothing: either may be the wrong one."""
+    rig, rng = paper_rig(), np.random.default_rng(17)
+    views = [with_noise(view, 0.02, rng) for view in views_of(rig, poses(rig, rng))]
+    assert views[1].line is not None
+    views[1] = replace(views[1], line=shifted(views[1].line, 12.0))
+    views = [view if k < 3 else replace(view, line=None) for k, view in enumerate(views)]
+    with pytest.raises(MeasurementError, match="too few of the 3 laser lines agree"):
+        calibrate_metric(views, known(rig), SIZE)

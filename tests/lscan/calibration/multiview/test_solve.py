@@ -21,7 +21,8 @@ from metricviews import (
 from places import PHOTOGRAPHS
 
 from lscan.board.chessboard import read_chessboard
-from lscan.calibration.multiview.solve import calibrate_metric, fit_views
+from lscan.calibration.multiview.solve import calibrate_camera, calibrate_metric
+from lscan.calibration.multiview.usedviews import fit_views
 from lscan.calibration.multiview.views import CalibrationView
 from lscan.camera.parameters import CAMERA, priors_of
 from lscan.config.rig import OpticsSection
@@ -130,6 +131,49 @@ def test_a_bad_view_is_named_and_the_others_stand() -> None:
     np.testing.assert_allclose(
         found.plane_map.view.theta, without.plane_map.view.theta, rtol=1e-6, atol=1e-8
     )
+
+
+def test_a_view_that_fits_worse_than_the_others_is_named() -> None:
+    """Marks 2.8 times as far off as usual: the view counts, but not in silence."""
+    rig, rng = paper_rig(), np.random.default_rng(21)
+    exact = views_of(rig, poses(rig, rng))
+    views = [with_noise(view, 0.84 if k == 4 else 0.3, rng) for k, view in enumerate(exact)]
+    # Each states what the others have: nothing in the picture says that it is worse.
+    views = [
+        replace(view, marks=replace(view.marks, sigma_px=np.full(48, 0.3)))
+        for view in views
+        if view.marks is not None
+    ]
+    found = calibrate_metric(views, known(rig), SIZE)
+    assert [bool(view.reason) for view in found.views] == [number == 4 for number in range(8)]
+    assert found.views[4].used and "times the usual" in found.views[4].reason
+
+
+def test_views_that_are_far_off_do_not_hide_one_another() -> None:
+    """Two of eight, 100 times as far off as the others: what they show does not set the scale."""
+    rig, rng = paper_rig(), np.random.default_rng(22)
+    exact = views_of(rig, poses(rig, rng))
+    views = [with_noise(view, 0.02, rng) for view in exact]
+    for number in (2, 5):
+        marks = views[number].marks
+        assert marks is not None
+        bent = marks.image_px + rng.normal(0, 2.0, marks.image_px.shape)
+        views[number] = replace(views[number], marks=replace(marks, image_px=bent))
+    found = calibrate_metric(views, known(rig), SIZE)
+    assert [view.used for view in found.views] == [k not in (2, 5) for k in range(8)]
+
+
+def test_a_camera_alone_is_that_of_the_whole_calibration() -> None:
+    rig, rng = paper_rig(), np.random.default_rng(23)
+    views = [with_noise(view, 0.02, rng) for view in views_of(rig, poses(rig, rng))]
+    alone = calibrate_camera([replace(v, line=None) for v in views], known(rig), SIZE)
+    whole = calibrate_metric(views, known(rig), SIZE)
+    np.testing.assert_array_equal(alone.theta, whole.plane_map.view.theta)
+    np.testing.assert_array_equal(alone.sigma, whole.sigma)
+    # Its boards stand in for those of a later calibration, whose own are too few for a camera.
+    later = calibrate_metric([*alone.boards[2:], *views[:2]], known(rig), SIZE)
+    assert sum(view.line_used for view in later.views) == 2
+    np.testing.assert_allclose(later.plane_map.view.theta, alone.theta, rtol=1e-6, atol=1e-8)
 
 
 def test_wrong_marks_are_set_aside_and_counted() -> None:
