@@ -27,7 +27,8 @@ class Region:
     ----------
     outline_px : (K, 2) array, px, corners (u, v), each edge's inside on its left in a frame with u
         to the right and v up
-    margin_px : float, px, how far outside an edge still counts as inside
+    margin_px : float, px, how far outside an edge still counts as inside; below 0, how far within
+        it a pixel must lie
     """
 
     __pydantic_config__ = STRICT
@@ -86,7 +87,7 @@ def region_around(image_px: Floats, margin_px: float = 0.0) -> Region:
     Parameters
     ----------
     image_px : (N, 2) array, px, of (u, v)
-    margin_px : float, px, grown by
+    margin_px : float, px, grown by; below 0: made smaller by
 
     Raises
     ------

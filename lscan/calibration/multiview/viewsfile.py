@@ -5,19 +5,18 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Literal
 
-import numpy as np
 from pydantic import Field, PositiveFloat, ValidationInfo, field_validator
 
 from lscan.board import read_board
 from lscan.board.chessboard import read_charuco, read_chessboard
-from lscan.calibration.multiview.views import CalibrationView, LinePoints
-from lscan.calibration.region import region_around
+from lscan.calibration.multiview.boardline import Outline, line_on_board
+from lscan.calibration.multiview.views import CalibrationView
 from lscan.config.board import load_board
 from lscan.config.documents import Strict, check, read_document
 from lscan.config.rig import Channel, Known, OpticsSection, StripeSection
 from lscan.errors import BoardNotFound, InputError
 from lscan.files.pictures import read_picture
-from lscan.records import Bytes, Marks, Progress, Stripe, has_value
+from lscan.records import Bytes, Marks, Progress
 from lscan.stripe import extract_stripe
 
 Side = Annotated[int, Field(ge=3, le=1000)]
@@ -26,23 +25,25 @@ NONE = "none"  # nothing is subtracted
 
 
 class Dots(Strict):
-    """A dot board, described by a board file."""
+    """A dot board, described by a board file.  margin_mm: of the board beyond its dots."""
 
     kind: Literal["dots"]
     file: str
+    margin_mm: PositiveFloat | None = None
 
 
 class Chessboard(Strict):
-    """columns, rows: inner corners."""
+    """columns, rows: inner corners.  margin_mm: of the board beyond them; None: a square."""
 
     kind: Literal["chessboard"]
     columns: Side
     rows: Side
     square_mm: PositiveFloat
+    margin_mm: PositiveFloat | None = None
 
 
 class Charuco(Strict):
-    """columns, rows: inner corners.  dictionary: as OpenCV calls it."""
+    """columns, rows, margin_mm: as of a chessboard.  dictionary: as OpenCV calls it."""
 
     kind: Literal["charuco"]
     columns: Side
@@ -50,6 +51,7 @@ class Charuco(Strict):
     square_mm: PositiveFloat
     marker_mm: PositiveFloat
     dictionary: str = "DICT_4X4_50"
+    margin_mm: PositiveFloat | None = None
 
 
 class ViewEntry(Strict):
@@ -135,6 +137,7 @@ def read_views(
         For a picture that cannot be read or is of another size than the first.
     """
     read_marks = _marks_reader(views.document)
+    outline_mm = _outline_mm(views.document)
     found: list[CalibrationView] = []
     size: tuple[int, int] | None = None
 
@@ -154,7 +157,7 @@ def read_views(
         return picture
 
     for entry in views.document.view:
-        found.append(_read(entry, views.document.stripe, read, read_marks))
+        found.append(_read(entry, views.document.stripe, read, read_marks, outline_mm))
         if progress is not None:
             progress(len(found), len(views.document.view))
     assert size is not None  # the file holds a view
@@ -176,11 +179,26 @@ def _marks_reader(document: ViewsDocument) -> Callable[[Bytes], Marks]:
             return lambda picture: read_charuco(picture, *whole, section.dictionary, channel)
 
 
+def _outline_mm(document: ViewsDocument) -> Outline | None:
+    """How far the file's board reaches, in the frame of its marks; None where it is not known."""
+    section = document.board
+    if isinstance(section, Dots):
+        grid = load_board(Path(section.file)).grid
+        columns, rows, pitch, margin = grid.columns, grid.rows, grid.pitch_mm, section.margin_mm
+        if margin is None or not grid.whole:
+            return None
+    else:
+        columns, rows, pitch = section.columns, section.rows, section.square_mm
+        margin = pitch if section.margin_mm is None else section.margin_mm
+    return -margin, (columns - 1) * pitch + margin, -(rows - 1) * pitch - margin, margin
+
+
 def _read(
     entry: ViewEntry,
     stripe: StripeSection,
     read: Callable[[str], Bytes],
     read_marks: Callable[[Bytes], Marks],
+    outline_mm: Outline | None,
 ) -> CalibrationView:
     picture = read(entry.picture)
     try:
@@ -195,30 +213,7 @@ def _read(
         dark = picture if entry.background is None else None
         if entry.background is not None and entry.background != NONE:
             dark = read(entry.background)
-    line = line_on_board(extract_stripe(lit, stripe, dark), marks)
+    line = line_on_board(extract_stripe(lit, stripe, dark), marks, outline_mm)
     if len(line.image_px) == 0:
         return CalibrationView(entry.picture, marks, None, "no laser line was found on the board")
     return CalibrationView(entry.picture, marks, line)
-
-
-def line_on_board(stripe: Stripe, marks: Marks) -> LinePoints:
-    """The points of a stripe that lie within the hull of the board's marks in the picture.
-
-    Elsewhere the line falls on what stands behind the board.  Saturated points weigh as little
-    as their sigma_px says.
-
-    Parameters
-    ----------
-    stripe : Stripe, px, of the picture with the line
-    marks : Marks, px, of the picture of the board, from the same place
-
-    Raises
-    ------
-    MeasurementError
-        Where the marks span no area.
-    """
-    hull = region_around(marks.image_px[marks.found])
-    usable = np.flatnonzero(has_value(stripe.status))
-    places = stripe.image_px[usable]
-    kept = usable[hull.covers(places)]
-    return LinePoints(stripe.image_px[kept], stripe.sigma_px[kept], stripe.axis)
