@@ -13,14 +13,17 @@ from metricviews import SIZE, known, paper_rig, poses, views_of, with_noise
 from typer.testing import CliRunner
 
 from lscan.calibration.api import find_solver
+from lscan.calibration.loading import load_plane_map
+from lscan.calibration.multiview.camerafile import load_camera, save_camera
 from lscan.calibration.multiview.file import load_metric, save_metric
 from lscan.calibration.multiview.solve import MetricCalibration, calibrate_metric
+from lscan.calibration.multiview.usedviews import UnsolvedViews
 from lscan.calibration.multiview.views import CalibrationView
 from lscan.calibration.multiview.viewsfile import load_views, read_views
 from lscan.camera import CameraModel, project
 from lscan.cli.multiview import calibrate_metric as command
 from lscan.errors import InputError
-from lscan.files.pictures import write_picture
+from lscan.files.pictures import read_picture, write_picture
 from lscan.records import BoardReading, Bytes, Floats
 
 CHESSBOARD = '[board]\nkind = "chessboard"\ncolumns = 8\nrows = 6\nsquare_mm = 25.0\n'
@@ -228,3 +231,84 @@ def test_pictures_of_another_size_are_refused(tmp_path: Path) -> None:
     (tmp_path / "p1.png").unlink()
     with pytest.raises(InputError, match=r"p1\.png"):
         read_views(load_views(path))
+
+
+def called(*arguments: object) -> Any:
+    app = typer.Typer()
+    app.command()(command)
+    return CliRunner().invoke(app, [str(argument) for argument in arguments])
+
+
+def test_a_failure_shows_the_views_and_what_was_seen(tmp_path: Path) -> None:
+    """Laser pictures without a laser: the boards are found, no line is."""
+    path = write_pictures(tmp_path)
+    for number in range(6):
+        (tmp_path / f"l{number}.png").write_bytes((tmp_path / f"p{number}.png").read_bytes())
+    result = called(path, "-o", tmp_path / "metric.json")
+    assert isinstance(result.exception, UnsolvedViews)
+    assert "p3.png" in str(result.exception) and "no laser line" in str(result.exception)
+    assert "p0.png" in result.output and "48 of 48" in result.output
+    assert not (tmp_path / "metric.json").exists()
+    pictures = sorted((tmp_path / "metric-views").iterdir())
+    assert [picture.name for picture in pictures] == [f"{k}-p{k}.png" for k in range(6)]
+    drawn_over = read_picture(pictures[2]).astype(int) - read_picture(tmp_path / "p2.png")
+    assert (drawn_over[20:, :, 1] > 100).sum() >= 48  # a green cross on each dark corner
+    as_json = called(path, "-o", tmp_path / "metric.json", "--json")
+    printed = json.loads(as_json.output[: as_json.output.rindex("}") + 1])
+    assert printed["calibration"] is None and len(printed["views"]) == 6
+
+
+def test_pictures_of_the_views_are_written_where_asked(tmp_path: Path) -> None:
+    path = write_pictures(tmp_path)
+    result = called(path, "-o", tmp_path / "metric.json", "--overlays", tmp_path / "seen")
+    assert result.exit_code == 0, result.output
+    amber = read_picture(tmp_path / "seen" / "1-p1.png")
+    on_line = (amber == np.array([255, 200, 0])).all(axis=2).sum()
+    used = load_metric(tmp_path / "metric.json").views[1]
+    assert used.line_used and on_line == used.points_found
+
+
+def test_a_camera_is_kept_and_used_for_a_later_sheet(tmp_path: Path) -> None:
+    """The boards without lines give the camera; two poses with lines then give the sheet."""
+    path = write_pictures(tmp_path)
+    whole = path.read_text()
+    head, *entries = whole.split("[[view]]\n")
+    boards = ["[[view]]\n" + entry.split("laser")[0] for entry in entries]
+    path.write_text(head + "".join(boards))
+    camera, output = tmp_path / "camera.json", tmp_path / "metric.json"
+    result = called(path, "-o", camera, "--camera-only", "--json")
+    assert result.exit_code == 0, result.output
+    focal = json.loads(result.output)["camera"]["focal_px"]
+    assert abs(focal["value"] - 850.0) < 5 * focal["sigma"]
+    read = load_camera(camera)
+    save_camera(tmp_path / "again.json", read)
+    assert (tmp_path / "again.json").read_bytes() == camera.read_bytes()
+    with pytest.raises(InputError, match=r"camera alone.*--camera"):
+        load_plane_map(camera)
+    level = [k for k in range(6) if load_views_line(tmp_path, head, entries[k])][:2]
+    few = head + "".join("[[view]]\n" + entries[k] for k in level)
+    path.write_text(few)
+    refused = called(path, "-o", output)
+    assert "needs 3 views" in str(refused.exception)
+    assert called(path, "-o", output, "--camera", camera).exit_code == 0
+    found = load_metric(output)
+    assert sum(view.line_used for view in found.views) == 2 and len(found.views) == 8
+    path.write_text(few.replace('port = "none"', 'port = "none"\nk1 = [0.1, 0.1]'))
+    other = called(path, "-o", output, "--camera", camera)
+    assert isinstance(other.exception, InputError) and "optics" in str(other.exception)
+
+
+def load_views_line(folder: Path, head: str, entry: str) -> bool:
+    """Whether the line of one view is found: only those that run across the columns are drawn."""
+    (folder / "one.toml").write_text(head + "[[view]]\n" + entry)
+    views, _ = read_views(load_views(folder / "one.toml"))
+    return views[0].line is not None
+
+
+def test_a_spoilt_camera_file_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "a.json").write_text('{"format": "lscan-metric-calibration"}')
+    with pytest.raises(InputError, match=r"a\.json: is no camera calibration"):
+        load_camera(tmp_path / "a.json")
+    (tmp_path / "a.json").write_text('{"format": "lscan-camera-calibration", "version": 1}')
+    with pytest.raises(InputError, match=r"a\.json: .*software"):
+        load_camera(tmp_path / "a.json")
