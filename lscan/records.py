@@ -56,7 +56,7 @@ class Status(IntEnum):
     NOT_FOUND = 5  # a mark of the board that was looked for and is not there
     OUT_OF_VIEW = 6  # a mark of the board that lies outside the picture
     OCCLUDED = 7  # hidden from the camera or from the laser
-    NO_DATA = 8  # a grid cell or slice point without measurements near it
+    NO_DATA = 8  # no measurement near a grid cell or slice point; a column not looked at
     AMBIGUOUS = 9  # several lines in this column, and it is not known which is meant
 
 

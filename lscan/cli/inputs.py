@@ -24,7 +24,7 @@ from lscan.config.rig import CalibrationSection, OpticsSection
 from lscan.errors import InputError
 from lscan.files.pictures import read_picture
 from lscan.pipeline import board_expected, mean_picture, require_board, require_size
-from lscan.records import BoardReading, Bytes, Floats
+from lscan.records import BoardReading, Bytes, Floats, Mask
 from lscan.surface.shaftfile import load_shaft
 
 
@@ -134,3 +134,59 @@ def read_optics(path: Path) -> OpticsSection:
     if "optics" not in document:
         raise InputError("has no section [optics]", where=path)
     return check(OpticsSection, document["optics"], where=path, prefix="optics")
+
+
+def plane_maps(files: list[Path], most: int, image: Bytes, where: Path) -> list[PlaneMap]:
+    """The plane maps of no calibration file, or of as many as there are lines.
+
+    most: how many lines are looked for.  image: (H, W, ...), whose size the maps must be for.
+    where: the picture or run, for messages.  Raises InputError where one does not fit.
+    """
+    if len(files) not in (0, most):
+        allowed = "none or one" if most == 1 else "none or two: of the upper line, of the lower"
+        raise InputError("calibrations", where="-c", value=len(files), allowed=allowed)
+    maps = []
+    for file in files:
+        plane_map, size = load_plane_map(file)
+        if size != (image.shape[1], image.shape[0]):
+            raise InputError(
+                "is of another size than the calibration's pictures",
+                where=where,
+                value=(image.shape[1], image.shape[0]),
+                allowed=f"{size[0]} x {size[1]} px, as in {file}",
+            )
+        maps.append(plane_map)
+    return maps
+
+
+def picture_part(roi: str | None, mask: Path | None, image: Bytes) -> Mask | None:
+    """(H, W) mask of the part of a picture that the options name; None of the whole.
+
+    roi: "u0,v0,u1,v1", two opposite corners in px, both of them in the part.  mask: a picture of
+    the same size, of which pixels of half the range or more are in the part.
+    Raises InputError where either is none, or no pixel is left.
+    """
+    if roi is None and mask is None:
+        return None
+    height, width = image.shape[:2]
+    keep = np.ones((height, width), dtype=bool)
+    if roi is not None:
+        try:
+            u0, v0, u1, v1 = (int(part) for part in roi.split(","))
+        except ValueError:
+            u0 = v0 = u1 = v1 = -1
+        if not (0 <= u0 < u1 < width and 0 <= v0 < v1 < height):
+            allowed = f"u0,v0,u1,v1 in px, u0 < u1 < {width} and v0 < v1 < {height}"
+            raise InputError("no part of the picture", where="--roi", value=roi, allowed=allowed)
+        keep[:] = False
+        keep[v0 : v1 + 1, u0 : u1 + 1] = True
+    if mask is not None:
+        picture = read_picture(mask)
+        if picture.shape[:2] != (height, width):
+            size = (picture.shape[1], picture.shape[0])
+            allowed = f"{width} x {height} px, as the picture"
+            raise InputError("is of another size", where=mask, value=size, allowed=allowed)
+        keep &= (picture if picture.ndim == 2 else picture.max(axis=2)) > 127
+    if not keep.any():
+        raise InputError("leaves nothing of the picture", where="--mask", value=str(mask))
+    return keep

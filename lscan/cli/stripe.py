@@ -1,19 +1,32 @@
 """The command ``lscan extract``: a thin face over lscan.stripe."""
 
+from __future__ import annotations
+
 import os
+from functools import partial
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from lscan.cli.arguments import ChannelName, Json, Overlay, PictureOrRun, Trust, require_folders
 from lscan.cli.console import print_json
 
+if TYPE_CHECKING:
+    from lscan.config.rig import StripeSection
+    from lscan.records import Bytes, Mask, PlanePoints, Stripe
+
+BOTH = "both"
+
 
 def extract(
     picture: PictureOrRun,
     output: Annotated[
         Path | None, typer.Option("--output", "-o", help="CSV table to write.")
+    ] = None,
+    calibration: Annotated[
+        list[Path] | None,
+        typer.Option("--calibration", "-c", help="Calibration file (JSON): points in mm as well."),
     ] = None,
     background: Annotated[
         Path | None, typer.Option(help="The same view with the laser off.")
@@ -24,51 +37,129 @@ def extract(
         str | None, typer.Option(help="max, centroid, centroid-relative ...")
     ] = None,
     channel: ChannelName = None,
-    threshold: Annotated[float | None, typer.Option(help="Least height of the line, DN.")] = None,
-    span: Annotated[int | None, typer.Option(help="Pixels either side of the peak.")] = None,
+    threshold: Annotated[
+        float | None,
+        typer.Option("--threshold-dn", "--threshold", help="Least height of the line, DN."),
+    ] = None,
+    span: Annotated[
+        int | None, typer.Option("--span-px", "--span", help="Pixels either side of the peak.")
+    ] = None,
+    returns: Annotated[
+        str | None,
+        typer.Option(help="Of several lines: brightest, first, last; both, of two lasers."),
+    ] = None,
+    roi: Annotated[
+        str | None, typer.Option(help="u0,v0,u1,v1: corners of the part to look in, px.")
+    ] = None,
+    mask: Annotated[
+        Path | None, typer.Option(help="Picture, white where the line may lie, black elsewhere.")
+    ] = None,
     overlay: Overlay = None,
     trust: Trust = False,
     json: Json = False,
 ) -> None:
     """Find the laser line in one picture."""
-    from lscan.acquisition.run import open_run
+    from lscan.cli.inputs import picture_part, plane_maps
     from lscan.config.documents import check
     from lscan.config.rig import StripeSection
-    from lscan.errors import InputError
-    from lscan.files.pictures import read_picture, write_picture
-    from lscan.records import has_value, status_counts
-    from lscan.stripe import draw_stripe, extract_stripe, save_stripe
+    from lscan.files.pictures import write_picture
+    from lscan.stripe import draw_stripe, save_stripe
+    from lscan.surface.profile import to_profile
 
     require_folders(output, overlay)
-    if os.path.isdir(picture):  # noqa: PTH112 - takes any text
-        run = open_run(picture, trust)
-        if not 0 <= frame < len(run):
-            allowed = f"0 to {len(run) - 1}"
-            raise InputError("no such frame", where="--frame", value=frame, allowed=allowed)
-        shown, usual = run.frame(frame), run.rig_file.rig.stripe
-        image, dark = shown.image, shown.background
-    else:
-        image, dark, usual = read_picture(picture), None, StripeSection()
-    if background:
-        dark = read_picture(background)
+    image, dark, usual = _pictures(picture, frame, background, trust)
     given = {
         "axis": axis,
         "extractor": extractor,
         "channel": channel,
         "threshold_dn": threshold,
         "span_px": span,
+        "returns": None if returns == BOTH else returns,
     }
     changes = {key: value for key, value in given.items() if value is not None}
     settings = check(StripeSection, {**usual.model_dump(), **changes}, where="command line")
-    stripe = extract_stripe(image, settings, dark)
+    maps = plane_maps(calibration or [], 2 if returns == BOTH else 1, image, picture)
+    stripes = _stripes(image, settings, picture_part(roi, mask, image), dark, returns == BOTH)
+    points = [to_profile(s, m, 0.0).points for s, m in zip(stripes, maps, strict=False)]
     if overlay:
-        write_picture(overlay, draw_stripe(image, stripe))
+        drawn = image
+        for stripe in stripes:
+            drawn = draw_stripe(drawn, stripe)
+        write_picture(overlay, drawn)
     if output:
-        save_stripe(output, stripe)
-    counts = status_counts(stripe.status)
-    found = int(has_value(stripe.status).sum())
+        for path, number in zip(_names(output, len(stripes)), range(len(stripes)), strict=True):
+            save_stripe(path, stripes[number], points[number] if points else None)
+    lines = [_counted(s, points[k] if points else None) for k, s in enumerate(stripes)]
     if json:
-        print_json({settings.axis: len(stripe.status), "found": found, "status": counts})
+        print_json(lines[0] if len(lines) == 1 else {"lines": lines})
     else:
-        listed = ", ".join(f"{name} {count}" for name, count in counts.items())
-        print(f"line found in {found} of {len(stripe.status)} {settings.axis} ({listed})")
+        for number, line in enumerate(lines):
+            _print_line(line, settings.axis, f"{number}: " if len(lines) > 1 else "")
+
+
+def _pictures(
+    picture: Path, frame: int, background: Path | None, trust: bool
+) -> tuple[Bytes, Bytes | None, StripeSection]:
+    """The picture, its background if there is one, and how its line is usually found."""
+    from lscan.acquisition.run import open_run
+    from lscan.config.rig import StripeSection
+    from lscan.errors import InputError
+    from lscan.files.pictures import read_picture
+
+    dark = read_picture(background) if background else None
+    if not os.path.isdir(picture):  # noqa: PTH112 - takes any text
+        return read_picture(picture), dark, StripeSection()
+    run = open_run(picture, trust)
+    if not 0 <= frame < len(run):
+        allowed = f"0 to {len(run) - 1}"
+        raise InputError("no such frame", where="--frame", value=frame, allowed=allowed)
+    shown = run.frame(frame)
+    return shown.image, shown.background if dark is None else dark, run.rig_file.rig.stripe
+
+
+def _stripes(
+    image: Bytes, settings: StripeSection, keep: Mask | None, dark: Bytes | None, both: bool
+) -> tuple[Stripe, ...]:
+    """The line in the part of the picture, or the two lines of a scanner with two lasers."""
+    from lscan.stripe import extract_stripe
+    from lscan.stripe.parts import extract_within, told_apart
+
+    find = extract_stripe if keep is None else partial(extract_within, keep=keep)
+    if not both:
+        return (find(image, settings, background=dark),)
+    first, last = (settings.model_copy(update={"returns": which}) for which in ("first", "last"))
+    return told_apart(find(image, first, background=dark), find(image, last, background=dark))
+
+
+def _names(output: Path, count: int) -> list[Path]:
+    """A file for each line: ``NAME-0.csv`` and ``NAME-1.csv`` of two."""
+    if count == 1:
+        return [output]
+    return [output.with_name(f"{output.stem}-{number}{output.suffix}") for number in range(count)]
+
+
+def _counted(stripe: Stripe, points: PlanePoints | None) -> dict[str, Any]:
+    """How many entries of a line there are, by status, as ``print_json`` takes it."""
+    from lscan.records import has_value, status_counts
+
+    found = {
+        stripe.axis: len(stripe.status),
+        "found": int(has_value(stripe.status).sum()),
+        "status": status_counts(stripe.status),
+    }
+    if points is None:
+        return found
+    in_mm = {
+        "found": int(has_value(points.status).sum()),
+        "status": status_counts(points.status),
+    }
+    return found | {"points_mm": in_mm}
+
+
+def _print_line(line: dict[str, Any], axis: str, which: str) -> None:
+    def listed(counts: dict[str, int]) -> str:
+        return ", ".join(f"{name} {count}" for name, count in counts.items())
+
+    print(f"{which}line found in {line['found']} of {line[axis]} {axis} ({listed(line['status'])})")
+    if in_mm := line.get("points_mm"):
+        print(f"{which}points in mm: {in_mm['found']} ({listed(in_mm['status'])})")

@@ -1,0 +1,148 @@
+"""The line in a part of the picture, and the two lines of a scanner with two lasers."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from lscan.config.rig import StripeSection
+from lscan.errors import InputError
+from lscan.records import Axis, Bytes, Floats, Ints, Mask, Status, Stripe, has_value
+from lscan.stripe.extract import extract_stripe
+
+SAME_PX = 1.0  # two lines nearer to each other are one, found twice
+
+
+def extract_within(
+    image: Bytes, settings: StripeSection, keep: Mask, background: Bytes | None = None
+) -> Stripe:
+    """The laser line in a part of the picture; elsewhere the entries say NO_DATA.
+
+    The picture is cropped to the part.  Within the crop, what does not belong to the part is cut
+    off at the median of its column (or row) in the part, so that nothing stands out there.
+
+    Parameters
+    ----------
+    image : (H, W) or (H, W, 3) array, uint8, DN, grey or RGB
+    settings : StripeSection, as for ``extract_stripe``
+    keep : (H, W) mask, of the pixels in which the line may lie
+    background : array, optional, same shape as the image, the same view with the laser off
+
+    Returns
+    -------
+    Stripe
+        Of the whole picture's W entries (or H), px and DN.
+
+    Raises
+    ------
+    InputError
+        Where no pixel is kept, or as ``extract_stripe``.
+
+    Examples
+    --------
+    >>> import lscan, numpy as np
+    >>> image = np.zeros((20, 4), dtype=np.uint8)
+    >>> image[3:6], image[12:15] = 250, 90
+    >>> keep = np.zeros((20, 4), dtype=bool)
+    >>> keep[8:, 1:] = True
+    >>> extract_within(image, lscan.StripeSection(), keep).centre_px
+    array([nan, 13., 13., 13.])
+    """
+    if not keep.any():
+        raise InputError("leaves no pixel of the picture", where="part of the picture")
+    rows, columns = (np.flatnonzero(keep.any(axis=axis)) for axis in (1, 0))
+    box = np.s_[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1]
+    inside, axis = keep[box], settings.axis
+    dark = None if background is None else _cut_off(background[box], inside, axis)
+    found = extract_stripe(_cut_off(image[box], inside, axis), settings, dark)
+    across, along = (rows[0], columns[0]) if axis == "columns" else (columns[0], rows[0])
+    whole = image.shape[1] if axis == "columns" else image.shape[0]
+    return _placed(_only(found, inside), int(along), float(across), whole)
+
+
+def told_apart(first: Stripe, last: Stripe) -> tuple[Stripe, Stripe]:
+    """The two lines of a scanner with two lasers, from the first and the last line of each column.
+
+    A column in which they are one holds one line only: that of the two that is nearer to it where
+    both are seen, and the other has NO_PEAK there.
+
+    Parameters
+    ----------
+    first, last : Stripe, px, of one picture, with ``returns`` "first" and "last"
+
+    Returns
+    -------
+    tuple of Stripe
+        The upper line and the lower (for rows: the left and the right).
+    """
+    valued = has_value(first.status) & has_value(last.status)
+    both = valued & (last.centre_px - first.centre_px > SAME_PX)
+    alone = np.flatnonzero(valued & ~both)
+    if not both.any():
+        return first, _withdrawn(last, alone)
+    at, seen = np.flatnonzero(both), first.centre_px[alone]
+    upper, lower = (np.interp(alone, at, line.centre_px[both]) for line in (first, last))
+    is_lower = np.abs(seen - lower) < np.abs(seen - upper)
+    return _withdrawn(first, alone[is_lower]), _withdrawn(last, alone[~is_lower])
+
+
+def _cut_off(image: Bytes, keep: Mask, axis: Axis) -> Bytes:
+    """The picture, at most as bright beyond the part as each column's median within it."""
+    if keep.all():
+        return image
+    across = 0 if axis == "columns" else 1
+    inside = keep if image.ndim == 2 else np.repeat(keep[:, :, None], 3, axis=2)
+    # Of a masked array: a column of which nothing is kept has the median 0.
+    level = np.ma.median(np.ma.array(image, mask=~inside), axis=across, keepdims=True).filled(0)
+    cut = np.minimum(image, level.astype(np.uint8))
+    return np.where(inside, image, cut)
+
+
+def _only(stripe: Stripe, keep: Mask) -> Stripe:
+    """The stripe without the entries whose centre lies beyond the part."""
+    at = np.flatnonzero(has_value(stripe.status))
+    u, v = np.rint(stripe.image_px[at]).astype(int).T
+    height, width = keep.shape
+    outside = ~keep[np.clip(v, 0, height - 1), np.clip(u, 0, width - 1)]
+    return _withdrawn(stripe, at[outside])
+
+
+def _withdrawn(stripe: Stripe, at: Ints) -> Stripe:
+    """The stripe with NO_PEAK in some entries."""
+
+    def without(values: Floats) -> Floats:
+        values = values.copy()
+        values[at] = np.nan
+        return values
+
+    status = stripe.status.copy()
+    status[at] = Status.NO_PEAK
+    return replace(
+        stripe,
+        centre_px=without(stripe.centre_px),
+        sigma_px=without(stripe.sigma_px),
+        flux=None if stripe.flux is None else without(stripe.flux),
+        status=status,
+    )
+
+
+def _placed(stripe: Stripe, along: int, across: float, whole: int) -> Stripe:
+    """The stripe of a crop as one of the whole picture.
+
+    along, across: px, where the crop begins.  whole: entries of the whole picture.
+    """
+
+    def spread(values: Floats) -> Floats:
+        wide = np.full(whole, np.nan)
+        wide[along : along + len(values)] = values
+        return wide
+
+    status = np.full(whole, int(Status.NO_DATA), dtype=np.int64)
+    status[along : along + len(stripe.status)] = stripe.status
+    return replace(
+        stripe,
+        centre_px=spread(stripe.centre_px + across),
+        sigma_px=spread(stripe.sigma_px),
+        peak=spread(stripe.peak),
+        flux=None if stripe.flux is None else spread(stripe.flux),
+        status=status,
+    )

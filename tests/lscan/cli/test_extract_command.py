@@ -1,0 +1,116 @@
+"""``lscan extract``: points in mm, a part of the picture, two lasers."""
+
+import csv
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from command_line import call, refused
+from metricviews import SIZE, known, paper_rig, poses, views_of, with_noise
+
+from lscan.calibration.multiview.file import save_metric
+from lscan.calibration.multiview.solve import MetricCalibration, calibrate_metric
+from lscan.files.pictures import read_picture, write_picture
+
+UPPER, LOWER = 200.0, 260.0
+
+
+@pytest.fixture(scope="module")
+def solved() -> MetricCalibration:
+    rig, rng = paper_rig(), np.random.default_rng(1)
+    views = [with_noise(view, 0.02, rng) for view in views_of(rig, poses(rig, rng))]
+    return calibrate_metric(views, known(rig), SIZE)
+
+
+@pytest.fixture
+def picture(tmp_path: Path) -> Path:
+    """Two level lines, one pixel and a half wide."""
+    v = np.arange(SIZE[1], dtype=float)[:, None]
+    lines = sum(150 * np.exp(-((v - centre) ** 2) / 4.5) for centre in (UPPER, LOWER))
+    noise = np.random.default_rng(2).normal(20, 1, (SIZE[1], SIZE[0]))
+    path = tmp_path / "lines.png"
+    write_picture(path, np.clip(np.rint(lines + noise), 0, 255).astype(np.uint8))
+    return path
+
+
+def rows_of(path: Path) -> list[dict[str, str]]:
+    with path.open() as file:
+        return list(csv.DictReader(file))
+
+
+def test_a_calibration_gives_points_in_mm(
+    solved: MetricCalibration, picture: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    calibration, table = tmp_path / "c.json", tmp_path / "line.csv"
+    save_metric(calibration, solved)
+    code, out, err = call(
+        capsys, "extract", picture, "-c", calibration, "-o", table, "--returns", "first", "--json"
+    )
+    assert code == 0, err
+    row = rows_of(table)[320]
+    pixel = np.array([[320.0, float(row["centre_px"])]])
+    points = solved.plane_map.to_plane(pixel, np.array([float(row["sigma_px"])]))
+    given = [float(row[key]) for key in ("x_mm", "z_mm", "sigma_x_mm", "sigma_z_mm")]
+    # One pixel and 640 are summed up in another order.
+    np.testing.assert_allclose(given, [*points.xz_mm[0], *points.sigma_mm[0]], rtol=1e-12)
+    assert abs(pixel[0, 1] - UPPER) < 0.1
+    assert rows_of(table)[0]["status_mm"] == "OUT_OF_BOARD" and rows_of(table)[0]["x_mm"] == ""
+    counts = json.loads(out)
+    in_mm = sum(row["x_mm"] != "" for row in rows_of(table))
+    assert counts["points_mm"]["found"] == in_mm > 100
+    assert sum(counts["points_mm"]["status"].values()) == counts["columns"] == 640
+
+
+def test_both_lines_of_two_lasers_are_read(
+    solved: MetricCalibration, picture: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    calibration = tmp_path / "c.json"
+    save_metric(calibration, solved)
+    overlay = tmp_path / "seen.png"
+    code, out, err = call(
+        capsys, "extract", picture, "--returns", "both", "-c", calibration, "-c", calibration,
+        "-o", tmp_path / "line.csv", "--overlay", overlay,
+    )  # fmt: skip
+    assert code == 0, err
+    assert "0: line found in 640 of 640" in out and "1: line found in 640 of 640" in out
+    for number, v in enumerate((UPPER, LOWER)):
+        rows = rows_of(tmp_path / f"line-{number}.csv")
+        centres = np.array([float(row["centre_px"]) for row in rows])
+        assert np.abs(centres - v).max() < 0.2
+        assert (read_picture(overlay)[int(v)] == [0, 255, 0]).all()
+    refused(call(capsys, "extract", picture, "--returns", "both", "-c", calibration), "-c", "two")
+
+
+def test_a_part_of_the_picture_and_a_mask(
+    picture: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    code, out, err = call(capsys, "extract", picture, "--roi", "100,230,299,300", "--json",
+                          "-o", tmp_path / "line.csv")  # fmt: skip
+    assert code == 0, err
+    assert json.loads(out)["status"] == {"OK": 200, "NO_DATA": 440}
+    assert abs(float(rows_of(tmp_path / "line.csv")[150]["centre_px"]) - LOWER) < 0.2
+    white = np.zeros((SIZE[1], SIZE[0]), dtype=np.uint8)
+    white[180:220, :320] = 255
+    write_picture(tmp_path / "mask.png", white)
+    code, out, err = call(capsys, "extract", picture, "--mask", tmp_path / "mask.png", "--json")
+    assert code == 0, err
+    assert json.loads(out)["status"] == {"OK": 320, "NO_DATA": 320}
+
+
+def test_bad_parts_and_calibrations_are_refused(
+    solved: MetricCalibration, picture: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for roi in ("1,2,3", "a,b,c,d", "10,10,5,20", "0,0,640,10"):
+        refused(call(capsys, "extract", picture, "--roi", roi), "--roi", roi, "640")
+    small = tmp_path / "small.png"
+    write_picture(small, np.full((24, 32), 255, dtype=np.uint8))
+    refused(call(capsys, "extract", picture, "--mask", small), "small.png", "640 x 480")
+    write_picture(tmp_path / "black.png", np.zeros((SIZE[1], SIZE[0]), dtype=np.uint8))
+    refused(call(capsys, "extract", picture, "--mask", tmp_path / "black.png"), "--mask")
+    calibration = tmp_path / "c.json"
+    save_metric(calibration, solved)
+    refused(call(capsys, "extract", small, "-c", calibration), "small.png", "640 x 480")
+    refused(call(capsys, "extract", picture, "--returns", "third"), "returns", "third")
+    for option in ("--span", "--span-px"):
+        refused(call(capsys, "extract", picture, option, 0), "span_px")
