@@ -10,6 +10,7 @@ from lscan.records import Progress
 from sim.validation.chapters import run_chapters
 from sim.validation.field.effort import FULL, QUICK, FieldEffort
 from sim.validation.field.line import line_rows
+from sim.validation.field.sheet import sheet_rows
 from sim.validation.field.sigma import sigma_rows
 from sim.validation.field.water import water_rows
 from sim.validation.rows import Row
@@ -22,6 +23,7 @@ CHAPTERS: Mapping[str, FieldChapter] = {
     "sigma": sigma_rows,
     "refractive map in other water": partial(water_rows, name="refractive"),
     "metric map in other water": partial(water_rows, name="metric"),
+    "metric route with glare": sheet_rows,
 }
 
 
