@@ -5,10 +5,9 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from lscan.board.picture import Image
+from lscan.board.picture import WORKING_RADIUS_PX, Image, reduced
 from lscan.records import Floats, Ints
 
-WORKING_RADIUS_PX = 3.0  # larger blobs are looked for in a picture reduced to about this radius
 NOISE_LIMIT = 6.0  # sigmas: one peak in 1e9 pixels of pure noise
 LONGEST = 4.0  # ratio of the curvatures along and across a blob
 FEWEST = 9  # a board shows at least three by three dots
@@ -47,7 +46,7 @@ def find_blobs(bright: Image, radius_px: float, noise: float) -> Blobs:
     Lindeberg, "Feature detection with automatic scale selection", IJCV 30 (1998).
     """
     reduction = max(1, int(radius_px / WORKING_RADIUS_PX))
-    small = _reduced(bright, reduction)
+    small = reduced(bright, reduction)
     sigma = radius_px / reduction / np.sqrt(2)
     smooth = np.asarray(cv2.GaussianBlur(small, (0, 0), sigma), dtype=np.float32)
     response = -(sigma**2) * cv2.Laplacian(smooth, cv2.CV_32F, ksize=1)
@@ -64,14 +63,6 @@ def find_blobs(bright: Image, radius_px: float, noise: float) -> Blobs:
     pixels = np.column_stack([column, row])[order].astype(float)
     points = (pixels + 0.5) * reduction - 0.5
     return Blobs(points, strength[order])
-
-
-def _reduced(bright: Image, reduction: int) -> Image:
-    if reduction == 1:
-        return bright
-    height, width = (length // reduction for length in bright.shape)
-    whole = bright[: height * reduction, : width * reduction]
-    return whole.reshape(height, reduction, width, reduction).mean(axis=(1, 3), dtype=np.float32)
 
 
 def _round_ones(smooth: Image, row: Ints, column: Ints) -> tuple[Ints, Ints]:

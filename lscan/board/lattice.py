@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.ndimage import binary_dilation, maximum_filter
+from scipy.ndimage import binary_dilation, label, maximum_filter
 from scipy.spatial import cKDTree
 
 from lscan.board.picture import BoardPicture
@@ -197,6 +197,22 @@ def drop_outliers(nodes: Nodes, pitch_mm: float) -> None:
         outlier = found & (misfit > limit) & (misfit >= around)
         nodes.values[outlier] = np.nan
         doubtful = nodes.found & binary_dilation(outlier, np.ones((2 * SPREAD + 1,) * 2, bool))
+
+
+def drop_islands(nodes: Nodes) -> None:
+    """Take out all dots but the largest set in which each is beside another.
+
+    The search goes from a dot to the one beside it, so whatever else is left was reached through
+    dots that have proved to be none, and only its own dots speak for it.
+
+    Parameters
+    ----------
+    nodes : Nodes, px, changed in place
+    """
+    island, count = label(nodes.found)
+    if count > 1:
+        dots = np.bincount(island[nodes.found])
+        nodes.values[island != dots.argmax()] = np.nan
 
 
 def place_on_board(picture: BoardPicture, nodes: Nodes, grid: Grid, radius_px: float) -> Nodes:

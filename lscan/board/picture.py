@@ -18,7 +18,9 @@ BLUR_PX = 0.7  # typical of a sharp picture: lens and pixel
 SMALLEST_PX = 16  # as for cameras in rig.py
 CHANNELS = {"red": (1, 0, 0), "green": (0, 1, 0), "blue": (0, 0, 1), "grey": (0.299, 0.587, 0.114)}
 IMMERKAER = np.array([[1, -2, 1], [-2, 4, -2], [1, -2, 1]], dtype=np.float32)
+LARGE_PX = 1_500_000  # pixels: of a larger picture a smaller copy shows where things are; ours
 GROUND_WINDOW = 3.0  # of the dot's diameter: wide enough that a dot is the smaller part
+WORKING_RADIUS_PX = 3.0  # dots of this radius in a smaller copy still show what large ones do
 
 
 @dataclass(frozen=True)
@@ -111,6 +113,31 @@ def _one_channel(array: Image, channel: Channel) -> Image:
     return array @ np.array(CHANNELS[channel], dtype=np.float32)
 
 
+def reduction_of(bright: Image) -> int:
+    """By how much a large picture may be reduced to see where things are; 1 for any other.
+
+    Parameters
+    ----------
+    bright : (H, W) array, grey values
+    """
+    return int(np.ceil(np.sqrt(bright.size / LARGE_PX)))
+
+
+def reduced(bright: Image, reduction: int) -> Image:
+    """The picture with squares of pixels averaged; what is left over at its far edges is cut off.
+
+    Parameters
+    ----------
+    bright : (H, W) array, grey values
+    reduction : int, pixels a side of a square
+    """
+    if reduction == 1:
+        return bright
+    height, width = (length // reduction for length in bright.shape)
+    whole = bright[: height * reduction, : width * reduction]
+    return whole.reshape(height, reduction, width, reduction).mean(axis=(1, 3), dtype=np.float32)
+
+
 def noise_of(bright: Image) -> float:
     """Standard deviation of the noise, in grey values; at least that of 8-bit rounding.
 
@@ -127,7 +154,8 @@ def noise_of(bright: Image) -> float:
     Immerkær, "Fast noise variance estimation", CVIU 64 (1996).
     """
     response = cv2.filter2D(bright, cv2.CV_32F, IMMERKAER)[1:-1, 1:-1]
-    return max(float(np.median(np.abs(response))) / 0.6745 / 6, rounding_of(bright))
+    some = response[:: reduction_of(bright)]  # of a large picture
+    return max(float(np.median(np.abs(some))) / 0.6745 / 6, rounding_of(bright))
 
 
 def rounding_of(bright: Image) -> float:
@@ -177,9 +205,16 @@ def _gain(ground: Image) -> Image:
 
 
 def _ground(bright: Image, dot_radius_px: float) -> Image:
-    window = 2 * int(np.ceil(GROUND_WINDOW * dot_radius_px)) + 1
-    low, high = float(bright.min()), float(bright.max())
+    """(H, W) the ground; of a large picture with large dots, from a smaller copy: it is smooth."""
+    reduction = max(1, min(reduction_of(bright), int(dot_radius_px / WORKING_RADIUS_PX)))
+    small = reduced(bright, reduction)
+    window = 2 * int(np.ceil(GROUND_WINDOW * dot_radius_px / reduction)) + 1
+    low, high = float(small.min()), float(small.max())
     step = max(high - low, 1e-6) / 255
-    median = cv2.medianBlur(np.round((bright - low) / step).astype(np.uint8), window)
+    median = cv2.medianBlur(np.round((small - low) / step).astype(np.uint8), window)
     smoothed = cv2.GaussianBlur(median.astype(np.float32), (0, 0), window / 4)
-    return smoothed * np.float32(step) + np.float32(low)
+    ground = smoothed * np.float32(step) + np.float32(low)
+    if reduction == 1:
+        return ground
+    full = cv2.resize(ground, bright.shape[::-1], interpolation=cv2.INTER_LINEAR)
+    return np.asarray(full, dtype=np.float32)

@@ -1,5 +1,7 @@
 """Reading the whole calibration board from one picture, stage by stage."""
 
+from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import replace
 from typing import Any, Literal
 
@@ -13,6 +15,7 @@ from lscan.board.lattice import (
     LocalMap,
     completed,
     dot_part,
+    drop_islands,
     drop_outliers,
     grid_points_mm,
     local_map,
@@ -20,7 +23,15 @@ from lscan.board.lattice import (
 )
 from lscan.board.noise import noise_image
 from lscan.board.perspective import shift_of_discs
-from lscan.board.picture import BoardPicture, Image, bright_marks, noise_of, prepare
+from lscan.board.picture import (
+    BoardPicture,
+    Image,
+    bright_marks,
+    noise_of,
+    prepare,
+    reduced,
+    reduction_of,
+)
 from lscan.board.rings import read_ring
 from lscan.board.search import Nodes, grow, local_pitch
 from lscan.board.seeds import check_seeds, propose_seeds
@@ -178,13 +189,24 @@ def _search_from_anywhere(bright: Image, board: Board) -> tuple[BoardPicture, No
     grid = board.grid
     shape = (2 * grid.rows + 1, 2 * grid.columns + 1)  # the seed may be any dot of the board
     faults = []
-    for seeds in propose_seeds(bright, board, noise_of(bright)):
+    for seeds in _proposals(bright, board):
         picture, nodes, fault = _searched(bright, grid, seeds, shape, (grid.rows, grid.columns))
         if fault is None:
             return picture, nodes.part(nodes.extent())
         faults.append((int(nodes.found.sum()), fault))
     most = max(faults, key=lambda found: found[0])
     raise BoardNotFound(f"the board was not found: {most[1]}")
+
+
+def _proposals(bright: Image, board: Board) -> Iterator[Floats]:
+    """Seeds to begin with; of a large picture, those that a smaller copy shows come first."""
+    reduction = reduction_of(bright)
+    if reduction > 1:
+        small = reduced(bright, reduction)
+        with suppress(BoardNotFound):  # dots may be too small in it
+            for seeds in propose_seeds(small, board, noise_of(small)):
+                yield (seeds + 0.5) * reduction - 0.5
+    yield from propose_seeds(bright, board, noise_of(bright))
 
 
 def _search_from(bright: Image, board: Board, seeds: Floats) -> tuple[BoardPicture, Nodes]:
@@ -211,6 +233,7 @@ def _searched(
     picture = prepare(bright, pitch_px * dot_part(grid) / 2)
     nodes = grow(picture, seeds, shape, corner, dot_part(grid))
     drop_outliers(nodes, grid.pitch_mm)
+    drop_islands(nodes)
     return picture, nodes, fault_of(picture, nodes, grid)
 
 

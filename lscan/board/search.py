@@ -126,12 +126,18 @@ def grow(
     if nodes.found.sum() < 3:
         return nodes
     vain = np.full_like(nodes.points, np.nan)
-    while _one_round(picture, nodes.part(part := _with_rim(nodes.extent())), vain[part], dot):
+    while _one_round(picture, nodes.part(part := with_rim(nodes.extent())), vain[part], dot):
         pass
     return nodes
 
 
-def _with_rim(extent: tuple[slice, slice]) -> tuple[slice, slice]:
+def with_rim(extent: tuple[slice, slice]) -> tuple[slice, slice]:
+    """The same rows and columns, and those beside them.
+
+    Parameters
+    ----------
+    extent : tuple of slice, of rows and of columns
+    """
     rows, columns = (slice(max(part.start - 1, 0), part.stop + 1) for part in extent)
     return rows, columns
 

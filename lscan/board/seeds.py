@@ -62,7 +62,7 @@ def propose_seeds(bright: Image, board: Board, noise: float) -> list[Floats]:
     best, best_weight = None, 0.0
     for radius in SMALLEST_RADIUS_PX * SIZE_STEP ** np.arange(count):
         blobs = find_blobs(bright, float(radius), noise)
-        crosses = _crosses(blobs.points, blobs.strength, float(2 * radius * ratio))
+        crosses = find_crosses(blobs.points, blobs.strength, float(2 * radius * ratio))
         weight = float(crosses.strength.sum())
         if weight > best_weight:
             best, best_weight = crosses, weight
@@ -79,8 +79,15 @@ def propose_seeds(bright: Image, board: Board, noise: float) -> list[Floats]:
     return list(regular[order[:PROPOSALS]])
 
 
-def _crosses(points: Floats, strength: Floats, pitch: float) -> Crosses:
-    """The points that have neighbours at about ``pitch`` px right, left, beneath and above."""
+def find_crosses(points: Floats, strength: Floats, pitch: float) -> Crosses:
+    """The points that have neighbours at about ``pitch`` px right, left, beneath and above.
+
+    Parameters
+    ----------
+    points : (N, 2) array, px, of (u, v)
+    strength : (N,) array, grey values
+    pitch : float, px
+    """
     if len(points) < 5:
         return Crosses(np.empty((0, 3, 2)), np.empty(0), np.empty(0))
     low, high = PITCH_RANGE[0] * pitch, PITCH_RANGE[1] * pitch

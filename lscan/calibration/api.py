@@ -5,7 +5,7 @@ the solver's name and, after a hyphen, its variant: ``graticule-2-norulers`` is 
 ``graticule`` with the variant ``2-norulers``, ``projective`` by ``projective`` with "".
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Protocol, runtime_checkable
 
 from lscan.config.plugins import find_plugin
@@ -67,6 +67,9 @@ class PlaneMapSolver(Protocol):
 
     One with a method ``check_variant(variant)``, which raises the InputError of ``solve`` for an
     unknown variant without data, has a rig file that asks for it refused before the scan.
+
+    One whose search is long may have a method ``near(solved)``: the solver that begins it at a map
+    of almost the same marks.  Cross-validation then begins each solution at that from all marks.
     """
 
     def solve(self, reading: BoardReading, variant: str, optics: OpticsSection) -> PlaneMap:
@@ -117,6 +120,25 @@ class NamedSolver:
     name: str
     solver: PlaneMapSolver
     variant: str
+
+    @property
+    def searches(self) -> bool:
+        """Whether the solver can begin its search at another map."""
+        return hasattr(self.solver, "near")
+
+    def near(self, solved: PlaneMap) -> "NamedSolver":
+        """The solver of this name that begins its search at a map of almost the same marks.
+
+        Parameters
+        ----------
+        solved : PlaneMap, of this name
+
+        Raises
+        ------
+        AttributeError
+            Where it cannot (``searches``).
+        """
+        return replace(self, solver=self.solver.near(solved))  # type: ignore[attr-defined]
 
     def solve(self, reading: BoardReading, optics: OpticsSection | None = None) -> PlaneMap:
         """The map of this name fitted to a reading.

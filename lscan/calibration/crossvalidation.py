@@ -14,7 +14,7 @@ from typing import Annotated
 import numpy as np
 from pydantic import Field
 
-from lscan.calibration.api import find_solver
+from lscan.calibration.api import NamedSolver, PlaneMap, find_solver
 from lscan.calibration.readings import all_marks, without
 from lscan.calibration.stored import STRICT, Count, NotNegative
 from lscan.config.rig import OpticsSection
@@ -59,6 +59,22 @@ class Score:
     refused: str | None = None
 
 
+@dataclass(frozen=True)
+class Trial:
+    """How a map did, mark by mark.
+
+    Attributes
+    ----------
+    score : Score, mm
+    square : (N,) array, mm², squared error on each mark; NaN where it has none
+    solved : PlaneMap or None, the map from all marks, where the folds' solutions began at it
+    """
+
+    score: Score
+    square: Floats
+    solved: PlaneMap | None = None
+
+
 def cross_validated(
     reading: BoardReading,
     names: Sequence[str],
@@ -89,6 +105,34 @@ def cross_validated(
     ----------
     The one-standard-error rule: Breiman, Friedman, Olshen & Stone, Classification and Regression
     Trees (1984), sec. 3.4.3.
+    """
+    trials = try_maps(reading, names, optics, folds, seed, progress)
+    return tuple(trial.score for trial in trials)
+
+
+def try_maps(
+    reading: BoardReading,
+    names: Sequence[str],
+    optics: OpticsSection | None = None,
+    folds: int = FOLDS,
+    seed: int = 0,
+    progress: Progress | None = None,
+) -> tuple[Trial, ...]:
+    """The trial of each map named, as :func:`cross_validated` scores them.
+
+    Parameters
+    ----------
+    reading : BoardReading, px and mm, whose marks are dealt to the folds
+    names : sequence of str, full names of maps
+    optics : OpticsSection, optional, what is known of the camera beforehand
+    folds : int, 2 or more
+    seed : int, of the generator that deals the marks
+    progress : callable, optional, called with the number of maps done, and of all
+
+    Raises
+    ------
+    InputError
+        For fewer than two folds.
     """
     if folds < 2:
         raise InputError("too few folds", where="folds", value=folds, allowed="2 or more")
@@ -124,32 +168,43 @@ def deal(reading: BoardReading, folds: int, rng: np.random.Generator) -> Ints:
     return dealt[: len(different)][place.ravel()]
 
 
-@dataclass(frozen=True)
-class _Trial:
-    """A map's score, and its squared error (N,) in mm² on each mark, NaN where it has none."""
+def _tried(reading: BoardReading, name: str, optics: OpticsSection | None, fold: Ints) -> Trial:
+    try:
+        return _judged(reading, find_solver(name), optics, fold)
+    except (InputError, BoardNotFound) as refusal:
+        return Trial(Score(name, refused=str(refusal)), np.full(len(fold), np.nan))
 
-    score: Score
-    square: Floats
 
-
-def _tried(reading: BoardReading, name: str, optics: OpticsSection | None, fold: Ints) -> _Trial:
+def _judged(
+    reading: BoardReading, solver: NamedSolver, optics: OpticsSection | None, fold: Ints
+) -> Trial:
     several = all_marks(reading)
     found = np.concatenate([marks.found for marks in several])
     image = np.vstack([marks.image_px for marks in several])
     known = np.vstack([marks.board_mm for marks in several])
-    times, error, sigma = [], np.full((len(fold), 2), np.nan), np.full((len(fold), 2), np.nan)
+    error, sigma = np.full((2, len(fold), 2), np.nan)
+    whole, ms = None, []
+    if solver.searches:
+        whole, whole_ms = _timed(solver, reading, optics)
+        solver = solver.near(whole)
     for number in np.unique(fold[found]):
         held_out = found & (fold == number)
-        start = perf_counter()
-        try:
-            plane_map = find_solver(name).solve(without(reading, held_out), optics)
-        except (InputError, BoardNotFound) as refusal:
-            return _Trial(Score(name, refused=str(refusal)), np.full(len(fold), np.nan))
-        times.append(1e3 * (perf_counter() - start))
+        plane_map, fold_ms = _timed(solver, without(reading, held_out), optics)
+        ms.append(fold_ms if whole is None else whole_ms)
         points = plane_map.to_plane(image[held_out])
         error[held_out], sigma[held_out] = points.xz_mm - known[held_out], points.sigma_mm
     square, stated = (error**2).sum(axis=1), (sigma**2).sum(axis=1)
-    return _Trial(_summary(name, square[found], stated[found], float(np.median(times))), square)
+    score = _summary(solver.name, square[found], stated[found], float(np.median(ms)))
+    return Trial(score, square, whole)
+
+
+def _timed(
+    solver: NamedSolver, reading: BoardReading, optics: OpticsSection | None
+) -> tuple[PlaneMap, float]:
+    """The map solved from a reading, and the milliseconds it took."""
+    start = perf_counter()
+    solved = solver.solve(reading, optics)
+    return solved, 1e3 * (perf_counter() - start)
 
 
 def _summary(name: str, square: Floats, stated: Floats, ms: float) -> Score:
@@ -167,20 +222,21 @@ def _summary(name: str, square: Floats, stated: Floats, ms: float) -> Score:
     )
 
 
-def _with_ties(trials: Sequence[_Trial]) -> tuple[Score, ...]:
-    """The scores, those tied with the least error among the complete marked.
+def _with_ties(trials: Sequence[Trial]) -> tuple[Trial, ...]:
+    """The trials, those tied with the least error among the complete marked.
 
     The one-standard-error rule (Breiman, Friedman, Olshen & Stone, Classification and
     Regression Trees (1984), sec. 3.4.3), here with the standard error of the mean difference
     of the squared errors, mark by mark: the marks' own noise is in both and drops out.
     """
-    scores = [trial.score for trial in trials]
-    most = max((score.points for score in scores), default=0)
+    most = max((trial.score.points for trial in trials), default=0)
     complete = [t for t in trials if t.score.points > 0 and t.score.points >= COMPLETE * most]
     if not complete:
-        return tuple(scores)
+        return tuple(trials)
     best = min(complete, key=lambda trial: trial.score.rms_mm or 0.0)
-    return tuple(replace(t.score, tied=_is_tied(t.square - best.square)) for t in trials)
+    return tuple(
+        replace(t, score=replace(t.score, tied=_is_tied(t.square - best.square))) for t in trials
+    )
 
 
 def _is_tied(more: Floats) -> bool:

@@ -137,7 +137,11 @@ class _Problem:
 
 
 def fit_boards(
-    start: PosedBoards, marks: BoardMarks, priors: CameraPriors, tolerance: float
+    start: PosedBoards,
+    marks: BoardMarks,
+    priors: CameraPriors,
+    tolerance: float,
+    most: int = MOST_EVALUATIONS,
 ) -> PosedBoards:
     """Camera and poses of least squares, within the camera's LIMITS.
 
@@ -151,6 +155,7 @@ def fit_boards(
     marks : BoardMarks, mm on the boards, px in the pictures
     priors : CameraPriors, what is known of the camera beforehand
     tolerance : float, relative change of the sum of squares at which it is done
+    most : int, evaluations allowed
 
     References
     ----------
@@ -165,7 +170,7 @@ def fit_boards(
         jac=problem.jacobian,
         method="lm",
         x_scale="jac",
-        max_nfev=MOST_EVALUATIONS,
+        max_nfev=most,
         ftol=tolerance,
     )
     found = problem.at(answer.x)

@@ -12,7 +12,8 @@ from typing import Any, Self, cast
 from pydantic import model_validator
 
 from lscan.calibration.api import NOTHING_KNOWN, PlaneMap, find_solver
-from lscan.calibration.crossvalidation import COMPLETE, Score, cross_validated
+from lscan.calibration.crossvalidation import COMPLETE, Score, try_maps
+from lscan.calibration.outliers import screened
 from lscan.calibration.solve import Calibration, calibration_by
 from lscan.config.documents import Strict, check
 from lscan.config.rig import OpticsSection
@@ -124,10 +125,13 @@ class AutoSolver:
             Where every candidate refuses.
         """
         self.check_variant(variant)
-        scores = ranked(cross_validated(reading, CANDIDATES, optics, progress=progress))
+        trials = try_maps(reading, CANDIDATES, optics, progress=progress)
+        scores = ranked(tuple(trial.score for trial in trials))
         if scores[0].refused is not None:
             raise BoardNotFound(f"no plane map could be solved: {scores[0].refused}")
-        return Auto(find_solver(scores[0].name).solve(reading, optics), scores)
+        best = scores[0].name
+        solved = {trial.score.name: trial.solved for trial in trials}[best]
+        return Auto(solved or find_solver(best).solve(reading, optics), scores)
 
     def restore(self, variant: str, parameters: dict[str, Any]) -> Auto:
         """The map that parameters came from.
@@ -169,9 +173,9 @@ def calibrate_best(
     BoardNotFound
         Where every candidate refuses.
     """
-    known = optics or NOTHING_KNOWN
-    plane_map = cast(PlaneMap, solver.solve(reading, "", known, progress))
-    return calibration_by(plane_map.name, plane_map, reading, known)
+    known, sound = optics or NOTHING_KNOWN, screened(reading)
+    plane_map = cast(PlaneMap, solver.solve(sound.reading, "", known, progress))
+    return calibration_by(plane_map.name, plane_map, sound, known)
 
 
 def ranked(scores: tuple[Score, ...]) -> tuple[Score, ...]:

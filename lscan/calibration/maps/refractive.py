@@ -146,9 +146,26 @@ def coplanarity_modes(
 
 
 class RefractiveSolver(MapSolver[Refractive]):
-    """Solves refractive maps by the camera, port and pose that fit all marks best."""
+    """Solves refractive maps by the camera, port and pose that fit all marks best.
+
+    Parameters
+    ----------
+    start : PosedBoards, optional, camera and pose where the search begins; sought by default
+    """
 
     family, model, what = "refractive", Refractive, "refractive map"
+
+    def __init__(self, start: PosedBoards | None = None) -> None:
+        self._start = start
+
+    def near(self, solved: Refractive) -> "RefractiveSolver":
+        """The solver whose search begins at a map of almost the same marks.
+
+        Parameters
+        ----------
+        solved : Refractive, that map
+        """
+        return RefractiveSolver(solved.view)
 
     def fit(self, reading: BoardReading, variant: str, optics: OpticsSection) -> Refractive:
         """Camera, port and pose that fit the marks, and the map they make.
@@ -164,7 +181,7 @@ class RefractiveSolver(MapSolver[Refractive]):
         InputError, BoardNotFound
             As refractivefit.fit_view.
         """
-        fit = fit_view(reading, optics)
+        fit = fit_view(reading, optics, self._start)
         outliers = np.concatenate([marks.found for marks in all_marks(reading)])
         outliers[outliers] = ~fit.good
         sound = without(reading, outliers)

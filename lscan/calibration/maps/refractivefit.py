@@ -8,20 +8,31 @@ import numpy as np
 
 from lscan.calibration.readings import all_marks, found_on
 from lscan.camera.boards import PosedBoards
-from lscan.camera.fit import BoardMarks, CameraFit, fit_boards, sound_marks, with_covariance
-from lscan.camera.parameters import priors_of
+from lscan.camera.fit import (
+    MOST_EVALUATIONS,
+    BoardMarks,
+    CameraFit,
+    fit_boards,
+    sound_marks,
+    with_covariance,
+)
+from lscan.camera.parameters import CameraPriors, priors_of
 from lscan.camera.start import TOLERANCE, best_start
 from lscan.config.rig import OpticsSection
 from lscan.errors import BoardNotFound
-from lscan.records import BoardReading, select
+from lscan.records import BoardReading, Mask, select
 
 FEWEST = 10  # control points: 20 equations for the 13 unknowns of lens and pose
 MOST_MISSED = 0.1  # of the pitch: how far off the median mark may lie in a view that explains; ours
 MOST_WRONG = 0.25  # of all marks; beyond it the fit explains nothing
 ROUNDS = 8
+MANY, ENOUGH = 1000, 250  # marks: of more than many, enough of them are fitted before all are
+POLISH = 40  # evaluations with all of many: what they determine is found in ten; ours
 
 
-def fit_view(reading: BoardReading, optics: OpticsSection) -> CameraFit:
+def fit_view(
+    reading: BoardReading, optics: OpticsSection, start: PosedBoards | None = None
+) -> CameraFit:
     """The camera and the board's pose that explain the marks found, outliers left out.
 
     The marks are the control points and the rulers' marks that were found, in that order.
@@ -30,6 +41,7 @@ def fit_view(reading: BoardReading, optics: OpticsSection) -> CameraFit:
     ----------
     reading : BoardReading, px and mm, the marks of one picture
     optics : OpticsSection, what is known of the camera beforehand
+    start : PosedBoards, optional, camera and pose near the solution; sought by default
 
     Raises
     ------
@@ -45,12 +57,36 @@ def fit_view(reading: BoardReading, optics: OpticsSection) -> CameraFit:
     priors = priors_of(optics, reading.image_size)
     several = all_marks(reading)
     marks = found_on(several, [0] * len(several))
-    view = best_start(marks, priors, optics.port, reading.image_size[0])
-    if view is None or not view.axes[0, :, 1] @ view.places_mm[0] > 0:
-        raise BoardNotFound("the marks found are no picture of the board's front")
+    view = start
+    if view is None:
+        few = _some(marks)
+        view = best_start(few, priors, optics.port, reading.image_size[0])
+        if view is None or not view.axes[0, :, 1] @ view.places_mm[0] > 0:
+            raise BoardNotFound("the marks found are no picture of the board's front")
+        if few is not marks:
+            view, _ = _settled(view, few, priors)
+    view, good = _settled(view, marks, priors)
+    _require_explained(view, marks, reading.pitch_mm)
+    return with_covariance(view, marks, priors, good)
+
+
+def _some(marks: BoardMarks) -> BoardMarks:
+    """Marks all over the board, enough to find the solution by; all of them where few are."""
+    count = len(marks.sigma_px)
+    if count <= MANY:
+        return marks
+    chosen = np.random.default_rng(count).permutation(count)[:ENOUGH]
+    return select(marks, np.sort(chosen))
+
+
+def _settled(
+    view: PosedBoards, marks: BoardMarks, priors: CameraPriors
+) -> tuple[PosedBoards, Mask]:
+    """The view of least squares and the mask of the marks it rests on, all but outliers."""
     good = np.ones(len(marks.sigma_px), dtype=bool)
+    most = MOST_EVALUATIONS if len(good) <= MANY else POLISH
     for _ in range(ROUNDS):
-        view = fit_boards(view, select(marks, good), priors, TOLERANCE)
+        view = fit_boards(view, select(marks, good), priors, TOLERANCE, most)
         before, good = good, sound_marks(marks.lengths(view))
         if (good == before).all():
             break
@@ -58,8 +94,7 @@ def fit_view(reading: BoardReading, optics: OpticsSection) -> CameraFit:
             raise BoardNotFound(
                 f"{int((~good).sum())} of the {len(good)} marks found fit no view of the board"
             )
-    _require_explained(view, marks, reading.pitch_mm)
-    return with_covariance(view, marks, priors, good)
+    return view, good
 
 
 def _require_explained(view: PosedBoards, marks: BoardMarks, pitch_mm: float) -> None:

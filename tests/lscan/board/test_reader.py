@@ -347,3 +347,20 @@ def test_the_overlay_marks_the_dots(paper: tuple[View, Bytes, BoardReading]) -> 
     np.testing.assert_array_equal(far, np.stack([picture[-5:, -5:]] * 3, axis=-1))
     empty = replace(reading.grid, image_px=np.full_like(reading.grid.image_px, np.nan))
     assert draw_overlay(picture / 255.0, replace(reading, grid=empty)).shape == drawn.shape
+
+
+@pytest.mark.parametrize("large_px", [640 * 480 - 1, 640 * 480 // 8])
+def test_a_large_picture_is_searched_in_a_smaller_copy(
+    paper: tuple[View, Bytes, BoardReading], monkeypatch: pytest.MonkeyPatch, large_px: int
+) -> None:
+    """Reduced by two the dots are still seen; by three they are too small, and it is the whole.
+
+    Every mark is measured in the picture itself: its place differs by what the ground of the
+    smaller copy, rounded to 1/255 of the range, shifts it.
+    """
+    _, picture, reading = paper
+    monkeypatch.setattr("lscan.board.picture.LARGE_PX", large_px)
+    again = read_board(picture, PAPER)
+    np.testing.assert_array_equal(again.grid.status, reading.grid.status)
+    shift = again.grid.image_px - reading.grid.image_px
+    assert np.nanmax(np.abs(shift)) <= GROUND_PX

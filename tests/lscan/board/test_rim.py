@@ -7,7 +7,7 @@ from places import PAPER_BOARD
 
 from lscan.board import read_board
 from lscan.board.centre import fit_centres
-from lscan.board.lattice import drop_outliers, grid_points_mm, local_map
+from lscan.board.lattice import drop_islands, drop_outliers, grid_points_mm, local_map
 from lscan.board.search import Nodes
 from lscan.config.board import load_board
 from lscan.records import Floats
@@ -88,3 +88,16 @@ def test_no_dot_is_read_that_the_edge_cuts() -> None:
     # Six sigmas of noise, and the drawn edges good to 1/8 px in 16 pixels of the rim and more.
     limit = 6 * reading.grid.sigma_px[found, None] + 0.125 / np.sqrt(12 * 16)
     assert (np.abs(miss) <= limit).all()
+
+
+def test_what_no_dot_connects_is_dropped() -> None:
+    """A row that was reached through dots since dropped fits itself, and is none of the board."""
+    points = lattice(0.005, 3)
+    points[9:11] = np.nan
+    points[10, 4] = lattice(0.005, 3)[10, 4]  # a bridge that is gone on one side
+    nodes = nodes_at(points)
+    nodes.values[9:11][np.isnan(points[9:11, :, 0])] = np.nan
+    drop_islands(nodes)
+    expected = np.zeros(SHAPE, bool)
+    expected[:9] = True
+    np.testing.assert_array_equal(nodes.found, expected)
