@@ -23,7 +23,15 @@ from pydantic import (
 
 from lscan.calibration.api import find_solver
 from lscan.calibration.solve import Calibration, residuals
-from lscan.calibration.stored import STRICT, Gaps, Matrix, NotNegativeOrNaN, Number, Sigmas
+from lscan.calibration.stored import (
+    STRICT,
+    Gaps,
+    Matrix,
+    NotNegativeOrNaN,
+    Number,
+    Place,
+    Sigmas,
+)
 from lscan.config.documents import Strict, check, read_json
 from lscan.config.rig import OpticsSection
 from lscan.errors import InputError
@@ -177,6 +185,7 @@ class CalibrationFile(Strict):
     parameters: dict[str, Any]
     reading: StoredReading
     residuals: StoredResiduals
+    outliers_mm: tuple[Place, ...] = ()  # not in older files
 
     @model_validator(mode="after")
     def _one_residual_each(self) -> Self:
@@ -229,6 +238,7 @@ def save_calibration(path: Path | str, calibration: Calibration) -> None:
         parameters=calibration.plane_map.parameters(),
         reading=check(StoredReading, asdict(calibration.reading), where="board reading"),
         residuals=StoredResiduals(mm=calibration.residuals_mm, px=calibration.residuals_px),
+        outliers_mm=tuple(calibration.outliers_mm),
     )
     write_file(Path(path), content)
 
@@ -301,4 +311,5 @@ def calibration_of(document: Any, path: Path) -> Calibration:
         residuals_px=stored.px,
         optics=content.optics,
         software=content.software,
+        outliers_mm=np.array(content.outliers_mm, dtype=float).reshape(-1, 2),
     )

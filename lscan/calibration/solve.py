@@ -1,14 +1,19 @@
 """A calibration: a plane map together with the board reading it was solved from."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from lscan.calibration.api import NOTHING_KNOWN, PlaneMap, find_solver
+from lscan.calibration.outliers import ScreenedReading, screened
+from lscan.calibration.region import spacing_px
 from lscan.camera.covariance import pixel_derivatives
 from lscan.config.rig import OpticsSection
 from lscan.records import BoardReading, Floats
 from lscan.version import __version__
+
+MANY_SIGMAS = 10.0  # of real pictures, whose noise is stated too small by up to that; ours
+GROSS = 0.01  # of the spacing of the marks: a printed board is off by less (board.evidence)
 
 
 @dataclass(frozen=True)
@@ -19,12 +24,14 @@ class Calibration:
     ----------
     name : str, full name of the map, as it was asked for
     plane_map : PlaneMap, from the pixels of that camera to the laser sheet
-    reading : BoardReading, the marks it was solved from
+    reading : BoardReading, the marks it was solved from, without the outliers
     residuals_mm : (N, 2) array, mm, map of each control point less its nominal place; NaN where the
         point was not found or the map gives it no value
     residuals_px : (N, 2) array, px, the same as a shift in the picture
     optics : OpticsSection, what was known of the camera beforehand
     software : str, name and version of the program that solved it
+    outliers_mm : (K, 2) array, mm, (x, z) of marks that were found and left out, as they do not lie
+        where all others predict them (outliers.py)
 
     Examples
     --------
@@ -41,6 +48,7 @@ class Calibration:
     residuals_px: Floats
     optics: OpticsSection
     software: str
+    outliers_mm: Floats = field(default_factory=lambda: np.empty((0, 2)))
 
     @property
     def image_size(self) -> tuple[int, int]:
@@ -62,11 +70,26 @@ class Calibration:
         """Root mean square of the residuals' lengths in the picture, px."""
         return _rms(self.residuals_px)
 
+    @property
+    def misfit(self) -> str:
+        """What a user should know of residuals that noise does not explain; "" where it does."""
+        sigma_px = np.sqrt(2 * np.nanmean(self.reading.grid.sigma_px**2))
+        ratio = self.rms_px / max(float(sigma_px), 1e-9)
+        if ratio < MANY_SIGMAS or self.rms_px < GROSS * spacing_px(self.reading):
+            return ""
+        return (
+            f"residuals of {self.rms_px:.2f} px rms are {ratio:.0f} times the uncertainty of the "
+            "marks: the map is too stiff for this lens, or the board file, [optics], the board's "
+            "flatness or the pixels' squareness is not as stated"
+        )
+
 
 def calibrate(
     reading: BoardReading, map_name: str, optics: OpticsSection | None = None
 ) -> Calibration:
     """The plane map of a full name solved from a board reading.
+
+    Marks that do not lie where all others predict them are left out (outliers.py).
 
     Parameters
     ----------
@@ -89,25 +112,28 @@ def calibrate(
     >>> lscan.calibrate(reading, "polynomial-5").plane_map.name
     'polynomial-5'
     """
-    known = optics or NOTHING_KNOWN
-    return calibration_by(map_name, find_solver(map_name).solve(reading, known), reading, known)
+    known, sound = optics or NOTHING_KNOWN, screened(reading)
+    solved = find_solver(map_name).solve(sound.reading, known)
+    return calibration_by(map_name, solved, sound, known)
 
 
 def calibration_by(
-    map_name: str, plane_map: PlaneMap, reading: BoardReading, optics: OpticsSection
+    map_name: str, plane_map: PlaneMap, sound: ScreenedReading, optics: OpticsSection
 ) -> Calibration:
     """The calibration by a map that was solved from a reading.
 
     Parameters
     ----------
     map_name : str, full name of the map, as it was asked for
-    plane_map : PlaneMap, solved from ``reading``
-    reading : BoardReading, px and mm
+    plane_map : PlaneMap, solved from the reading of ``sound``
+    sound : ScreenedReading, px and mm
     optics : OpticsSection, what was known of the camera
     """
-    mm, px = residuals(plane_map, reading)
+    mm, px = residuals(plane_map, sound.reading)
     software = f"lscan {__version__}"
-    return Calibration(map_name, plane_map, reading, mm, px, optics, software)
+    return Calibration(
+        map_name, plane_map, sound.reading, mm, px, optics, software, sound.outliers_mm
+    )
 
 
 def resolve(calibration: Calibration) -> Calibration:
@@ -122,7 +148,8 @@ def resolve(calibration: Calibration) -> Calibration:
     InputError, BoardNotFound
         As ``calibrate``.
     """
-    return calibrate(calibration.reading, calibration.name, calibration.optics)
+    again = calibrate(calibration.reading, calibration.name, calibration.optics)
+    return replace(again, outliers_mm=np.vstack([calibration.outliers_mm, again.outliers_mm]))
 
 
 def residuals(plane_map: PlaneMap, reading: BoardReading) -> tuple[Floats, Floats]:

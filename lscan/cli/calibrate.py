@@ -130,6 +130,8 @@ def _calibration_json(path: Path, calibration: Calibration) -> dict[str, Any]:
             "max_mm": calibration.max_mm,
             "rms_px": calibration.rms_px,
         },
+        "outliers_mm": calibration.outliers_mm,
+        "misfit": calibration.misfit,
     }
     if isinstance(plane_map, Auto):
         content["chosen"] = plane_map.chosen.name
@@ -148,6 +150,10 @@ def _print_calibration(path: Path, calibration: Calibration) -> None:
         f"{calibration.name}{chosen}: {found.sum()} of {len(found)} control points, "
         f"residuals {calibration.rms_mm:.3f} mm rms, {calibration.max_mm:.3f} mm at most; {path}"
     )
+    for x, z in calibration.outliers_mm:
+        print(f"left out: the mark at ({x:g}, {z:g}) mm does not lie where the others predict it")
+    if calibration.misfit:
+        print(f"warning: {calibration.misfit}")
 
 
 def _print_scores(scores: tuple[Score, ...]) -> None:

@@ -1,0 +1,119 @@
+"""Wrong marks of a reading: found, named, left out; sound ones untouched; gross misfits told."""
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings, strategies as st
+from planeviews import BARREL, View, board_points, paper_board, read_board, views
+
+from lscan.calibration.file import load_calibration, save_calibration
+from lscan.calibration.outliers import outliers, screened
+from lscan.calibration.readings import all_marks, without
+from lscan.calibration.solve import calibrate, resolve
+from lscan.records import BoardReading, Floats, Ints, RulerReading, Status
+
+BOARD = paper_board()
+NOISE_PX = 0.02
+GROUP = np.array([44, 45, 46, 54, 55, 56])  # of two rows and three columns, in the middle
+
+
+def noisy(view: View = BARREL, seed: int = 1) -> BoardReading:
+    return read_board(BOARD, view.project, NOISE_PX, np.random.default_rng(seed))
+
+
+def displaced(reading: BoardReading, which: Ints, by_px: Floats) -> BoardReading:
+    image = reading.grid.image_px.copy()
+    image[which] += by_px
+    return replace(reading, grid=replace(reading.grid, image_px=image))
+
+
+def count_of(reading: BoardReading) -> int:
+    return sum(len(marks.status) for marks in all_marks(reading))
+
+
+@settings(max_examples=25)
+@given(view=views(), seed=st.integers(0, 99))
+def test_sound_readings_are_untouched(view: View, seed: int) -> None:
+    """Whatever lens, port and pose: what such a board shows is never taken for wrong."""
+    reading = noisy(view, seed)
+    assert screened(reading).reading is reading
+
+
+@settings(max_examples=25)
+@given(seed=st.integers(0, 999), data=st.data())
+def test_wrong_marks_are_named_and_no_others(seed: int, data: st.DataObject) -> None:
+    """Marks 0.6 px and more off: 30 sigmas, and above a hundredth of the spacing of 50 px."""
+    rng = np.random.default_rng(seed)
+    reading = noisy(BARREL, seed)
+    which = rng.permutation(100)[: data.draw(st.integers(1, 5))]
+    angle, far = rng.uniform(0, 2 * np.pi, len(which)), rng.uniform(0.6, 8.0, len(which))
+    shift = far[:, None] * np.column_stack([np.cos(angle), np.sin(angle)])
+    wrong = outliers(displaced(reading, which, shift))
+    assert np.flatnonzero(wrong).tolist() == sorted(which)
+
+
+@pytest.mark.parametrize("name", ["polynomial-4", "spline", "projective", "graticule-2"])
+def test_a_map_is_as_without_the_wrong_marks(name: str) -> None:
+    reading, shift = noisy(), np.array([[2.0, -1.0], [0.0, 40.0]])
+    which = np.array([0, 37])
+    left_out = without(reading, np.isin(np.arange(count_of(reading)), which))
+    solved = calibrate(displaced(reading, which, shift), name)
+    places = BARREL.project(board_points(100, seed=3))
+    one, other = (c.plane_map.to_plane(places) for c in (solved, calibrate(left_out, name)))
+    np.testing.assert_array_equal(one.xz_mm, other.xz_mm)
+    np.testing.assert_array_equal(solved.outliers_mm, reading.grid.board_mm[which])
+    assert not solved.reading.grid.found[which].any()
+
+
+def test_a_group_of_wrong_marks_does_not_speak_for_itself() -> None:
+    """Six neighbours displaced alike fit one another, as their neighbours judge them."""
+    wrong = outliers(displaced(noisy(), GROUP, np.array([3.0, 2.0])))
+    assert np.flatnonzero(wrong).tolist() == GROUP.tolist()
+
+
+def test_a_wrong_mark_of_a_ruler_is_named() -> None:
+    reading = noisy()
+    ruler = reading.rulers[0]
+    image = ruler.marks.image_px.copy()
+    seen = np.flatnonzero(ruler.marks.found)[4]
+    image[seen] += [0.0, 3.0]
+    spoilt = RulerReading(ruler.direction, ruler.at_mm, replace(ruler.marks, image_px=image))
+    found = screened(replace(reading, rulers=(spoilt, *reading.rulers[1:])))
+    np.testing.assert_array_equal(found.outliers_mm, ruler.marks.board_mm[[seen]])
+
+
+def test_where_many_marks_are_wrong_none_is_blamed() -> None:
+    """A third of the board off by two pitches is no matter of a few marks; the misfit is told."""
+    reading = displaced(noisy(), np.arange(34), np.array([0.0, 100.0]))
+    assert not outliers(reading).any()
+    assert "times the uncertainty of the marks" in calibrate(reading, "polynomial-4").misfit
+
+
+def test_a_map_too_stiff_for_the_lens_is_told() -> None:
+    """A polynomial of second order misses by a pixel where the marks are good to 0.02 px."""
+    reading = noisy()
+    assert "the map is too stiff" in calibrate(reading, "polynomial-2").misfit
+    assert calibrate(reading, "spline").misfit == ""
+
+
+def test_few_marks_are_not_judged() -> None:
+    status = noisy().grid.status.copy()
+    status[30:] = Status.NOT_FOUND
+    reading = replace(noisy(), rulers=(), grid=replace(noisy().grid, status=status))
+    assert not outliers(displaced(reading, np.array([5]), np.array([9.0, 9.0]))).any()
+
+
+def test_the_file_names_them_and_older_files_name_none(tmp_path: Path) -> None:
+    saved = calibrate(displaced(noisy(), np.array([37]), np.array([3.0, 0.0])), "polynomial-4")
+    path = tmp_path / "c.json"
+    save_calibration(path, saved)
+    loaded = load_calibration(path)
+    np.testing.assert_array_equal(loaded.outliers_mm, noisy().grid.board_mm[[37]])
+    np.testing.assert_array_equal(resolve(loaded).outliers_mm, loaded.outliers_mm)
+    older = json.loads(path.read_text())
+    del older["outliers_mm"]
+    path.write_text(json.dumps(older))
+    assert load_calibration(path).outliers_mm.shape == (0, 2)
