@@ -1,7 +1,8 @@
 """The corners of chessboards and of ChArUco boards, each with its uncertainty.
 
-OpenCV identifies the corners; their places are measured here as saddles of a polynomial
-weighted by a Gaussian (centre.py), which also gives their uncertainty.
+OpenCV finds the corners, and the picture decides which they are (chesslattice.py); their places
+are measured here as saddles of a polynomial weighted by a Gaussian (centre.py), which also gives
+their uncertainty.
 
 An ideal corner lies in the same place under windows of any size.  A real one does not: the
 paper bends, ink spreads, movement and coding smear the squares by unlike amounts.  What two
@@ -15,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lscan.board.centre import SMALLEST_SIGMA_PX, fit_centres
+from lscan.board.chesslattice import find_lattice
 from lscan.board.lattice import grid_points_mm
 from lscan.board.picture import Image, bright_marks, noise_of
 from lscan.board.search import local_pitch
@@ -56,7 +58,7 @@ def read_chessboard(
     InputError
         For what is no picture.
     BoardNotFound
-        Where not all corners are seen.
+        Where not all corners are seen, or a row may have been skipped.
     """
     grey = bright_marks(image, channel, "bright")
     seen = _find_corners(_eight_bit(grey), columns, rows)
@@ -141,17 +143,7 @@ def _eight_bit(grey: Image) -> Bytes:
 
 def _find_corners(picture: Bytes, columns: int, rows: int) -> Floats:
     """(rows, columns, 2) px of the corners to about a pixel."""
-    size = (columns, rows)
-    found, corners = cv2.findChessboardCornersSB(picture, size, flags=cv2.CALIB_CB_EXHAUSTIVE)
-    if not found:
-        flags = cv2.CALIB_CB_ADAPTIVE_THRESH | cv2.CALIB_CB_NORMALIZE_IMAGE
-        found, corners = cv2.findChessboardCorners(picture, size, flags=flags)
-    if not found:
-        raise BoardNotFound(
-            f"no chessboard of {columns} by {rows} inner corners in the picture: all of them "
-            "must be in view, with a bright rim about the board"
-        )
-    points = np.asarray(corners, dtype=float).reshape(rows, columns, 2)
+    points = find_lattice(picture, columns, rows)
     # Either end may come first: the upper row is the one higher in the picture.
     if points[0, :, 1].mean() > points[-1, :, 1].mean() and (rows + columns) % 2 == 0:
         points = points[::-1, ::-1]
