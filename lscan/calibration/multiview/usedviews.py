@@ -5,6 +5,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from lscan.calibration.multiview.squareness import oblong_pixels
 from lscan.calibration.multiview.views import CalibrationView, FittedView
 from lscan.calibration.readings import found_on
 from lscan.camera.boards import PosedBoards
@@ -96,8 +97,8 @@ def fit_views(
     Raises
     ------
     UnsolvedViews
-        Where fewer than three views are usable, no camera explains them, or their poses do not
-        determine the focal length.
+        Where fewer than three views are usable, no camera explains them, their poses do not
+        determine the focal length, or the pixels are not square.
 
     References
     ----------
@@ -116,12 +117,14 @@ def fit_views(
             message = "no camera explains the views of the board"
             raise UnsolvedViews(message, _unfitted(views, faults))
         fit = _fit(start, marks, priors)
+        used = UsedViews(fit, tuple(numbers), dict(faults))
+        if message := oblong_pixels(fit, image_size, marks.sigma_px):
+            raise UnsolvedViews(message, fitted_views(views, used))
         wrong = _worst_view(fit, marks)
         if wrong is None:
             break
         index, faults[numbers[index]] = wrong
         del numbers[index]
-    used = UsedViews(fit, tuple(numbers), faults)
     if message := _open_focal(fit, priors):
         raise UnsolvedViews(message, fitted_views(views, used))
     return used
