@@ -8,6 +8,7 @@ from pathlib import Path
 from lscan.files.disk import list_names
 from lscan.records import Progress
 from sim.validation.chapters import run_chapters
+from sim.validation.field.boards import board_rows
 from sim.validation.field.effort import FULL, QUICK, FieldEffort
 from sim.validation.field.line import line_rows
 from sim.validation.field.sheet import sheet_rows
@@ -20,6 +21,7 @@ FieldChapter = Callable[[Path, FieldEffort], list[Row]]
 # The longest first: chapters run side by side, and no processor shall wait at the end.
 CHAPTERS: Mapping[str, FieldChapter] = {
     "line": line_rows,
+    "boards": board_rows,
     "sigma": sigma_rows,
     "refractive map in other water": partial(water_rows, name="refractive"),
     "metric map in other water": partial(water_rows, name="metric"),
