@@ -18,7 +18,7 @@ BLUR_PX = 0.7  # typical of a sharp picture: lens and pixel
 SMALLEST_PX = 16  # as for cameras in rig.py
 CHANNELS = {"red": (1, 0, 0), "green": (0, 1, 0), "blue": (0, 0, 1), "grey": (0.299, 0.587, 0.114)}
 IMMERKAER = np.array([[1, -2, 1], [-2, 4, -2], [1, -2, 1]], dtype=np.float32)
-LARGE_PX = 1_500_000  # pixels: of a larger picture a smaller copy shows where things are; ours
+LARGE_PX = 3_000_000  # pixels: of a larger picture a smaller copy shows where things are; ours
 GROUND_WINDOW = 3.0  # of the dot's diameter: wide enough that a dot is the smaller part
 WORKING_RADIUS_PX = 3.0  # dots of this radius in a smaller copy still show what large ones do
 
