@@ -11,6 +11,7 @@ from lscan.calibration.carry import in_water_of, with_chosen
 from lscan.calibration.check import CalibrationCheck, ComparedMarks, compare
 from lscan.calibration.loading import AnyCalibration
 from lscan.calibration.multiview.planemap import Metric
+from lscan.calibration.outliers import ScreenedReading
 from lscan.calibration.physical import PhysicalMap
 from lscan.calibration.sheetcorrection import SheetCorrection
 from lscan.calibration.solve import Calibration, calibration_by
@@ -82,7 +83,8 @@ def corrected(
         ),
     )
     if isinstance(calibration, Calibration):
-        return calibration_by(calibration.name, plane_map, calibration.reading, calibration.optics)
+        sound = ScreenedReading(calibration.reading, calibration.outliers_mm)
+        return calibration_by(calibration.name, plane_map, sound, calibration.optics)
     assert isinstance(plane_map, Metric)  # corrections keep the family
     return replace(calibration, plane_map=plane_map)
 
