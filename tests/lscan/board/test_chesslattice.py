@@ -6,13 +6,13 @@ import cv2
 import numpy as np
 import pytest
 from hypothesis import given, settings, strategies as st
-from sim.validation.field.drawn import DrawnView, chessboard_grey, photographed
 
 from lscan.board import chesslattice
 from lscan.board.chessboard import read_chessboard
 from lscan.board.chesslattice import find_lattice
 from lscan.errors import BoardNotFound
 from lscan.records import Bytes, Floats
+from sim.validation.field.drawn import DrawnView, chessboard_grey, photographed
 
 ROWS, COLUMNS, SQUARE_MM = 6, 9, 20.0
 NO_SLIVERS = (0.0, 0.0, 0.0, 0.0)
