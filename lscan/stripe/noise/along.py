@@ -34,6 +34,7 @@ _LAGS = (1, 2, 4, 8, 16)  # columns; a block of JPEG has 8, of its subsampled co
 _SETTLED = 1.25  # ratio of the variances at a lag and the one before that is no growth
 _BEYOND_CHANCE = 4.0  # standard deviations
 _FEWEST = 32  # third differences
+_WIDTHS = 3.0  # of the line: extractors that smooth along it do so over its width
 _SPANS = 8  # stretches as long as the lag, of columns that share errors: sigma to a third
 _FINEST_PX = 1.5  # a narrower window lets the raster of the pixels through
 _STEPS = 4  # from a pixel beside the line, to a hundredth of a pixel
@@ -62,26 +63,25 @@ def at_least_seen(stripe: Stripe, light: Floats) -> Stripe:
 def excess(stripe: Stripe, run: Ints, lag: int) -> float:
     """Scatter of the centres over the one that sigma_px states, at least 1.
 
-    With a lag of 1 the noise may be as stated: an excess within chance, four standard deviations
-    of it, counts as none.
+    The largest that is seen at the lag or a shorter one: of errors that columns share, short
+    lags see less.  At a lag of 1 the noise may be as stated, and an excess within chance, four
+    standard deviations of it, counts as none.
 
     Parameters
     ----------
     stripe : Stripe, px, of N entries
     run : (N,) array, number of the piece each entry belongs to (pieces.py), -1 for none
-    lag : int, columns, from which on the centres' errors are independent; a shorter one is taken
-        where the pieces hold less than eight stretches of it, and 1 is returned where they hold
-        fewer than 32 third differences
+    lag : int, columns, from which on the centres' errors are independent; lags are left out at
+        which the pieces hold fewer than 32 third differences, or less than eight stretches
     """
-    certain, at = lag > 1, _quadruples(run, lag)
-    while lag > 1 and len(at) < max(_FEWEST, _SPANS * lag):
-        lag = 3 * lag // 4
+    chance, ratio = _BEYOND_CHANCE if lag == 1 else 0.0, 0.0
+    while lag >= 1:
         at = _quadruples(run, lag)
-    if len(at) < _FEWEST:
-        return 1.0
-    stated = stripe.sigma_px[at] ** 2 @ _THIRD**2
-    ratio = robust_variance(stripe.centre_px[at] @ _THIRD / np.sqrt(stated))
-    chance = 0.0 if certain else _BEYOND_CHANCE * np.sqrt(2 * _REPEATED / len(at))
+        if len(at) >= max(_FEWEST, _SPANS * lag):
+            stated = np.sqrt(stripe.sigma_px[at] ** 2 @ _THIRD**2)
+            ratio = max(ratio, robust_variance(stripe.centre_px[at] @ _THIRD / stated))
+            chance *= np.sqrt(2 * _REPEATED / len(at))
+        lag = 3 * lag // 4
     return float(np.sqrt(ratio)) if ratio > 1 + chance else 1.0
 
 
@@ -89,14 +89,18 @@ def shared_columns(stripe: Stripe, light: Floats) -> int:
     """Columns along which the pixels share their errors, 1 where each column has its own.
 
     The lag, of 1, 2, 4, 8 and 16, beyond which the third differences of the line's width grow
-    no more; 1 where none of them grows by more than chance, four standard deviations.
+    no more.  Where that is beyond 1 it is at least three widths of the line, over which some
+    extractors smooth along it; it is 1 too where none grows by more than chance, four standard
+    deviations of it.
 
     Parameters
     ----------
     stripe : Stripe, px, of N entries, some of which have a value
     light : (N, L) array, DN, as :func:`at_least_seen` takes it
     """
-    width = _widths(stripe, light)
+    valued = np.flatnonzero(has_value(stripe.status))
+    scale = line_width(light, valued)
+    width = _variances(stripe, light, max(scale, _FINEST_PX))
     run = np.where(np.isfinite(width), pieces(stripe), -1)
     differences = [width[_quadruples(run, lag)] @ _THIRD for lag in _LAGS]
     differences = [values for values in differences if len(values) >= _FEWEST]
@@ -105,20 +109,21 @@ def shared_columns(stripe: Stripe, light: Floats) -> int:
     # Two variances are compared, each of as many values as the second has, or more.
     count = np.array([len(values) for values in differences[1:]])
     chance = _BEYOND_CHANCE * np.sqrt(2 * 2 * _REPEATED / count)
-    if (growth <= 1 + chance).all():
+    settled = int(np.append(growth <= _SETTLED, True).argmax())
+    if settled == 0 or (growth <= 1 + chance).all():
         return 1
-    return _LAGS[int(np.append(growth <= _SETTLED, True).argmax())]
+    return max(_LAGS[settled], int(np.ceil(_WIDTHS * scale)))
 
 
-def _widths(stripe: Stripe, light: Floats) -> Floats:
-    """(N,) the light's variance across the line, NaN where there is no line.
+def _variances(stripe: Stripe, light: Floats, scale: float) -> Floats:
+    """(N,) the light's variance across the line over scale², NaN where there is no line.
 
-    Weighted by a Gaussian as wide as the line, in units of its variance, about the middle that
-    the first moments so weighted have: through such a window half of a Gaussian's displacement
-    is seen, so each step towards it goes twice as far.
+    By moments weighted with a Gaussian of the width ``scale``, in px, about as wide as the line.
+    Through it half of a line's displacement is seen, so each step to the line's middle goes twice
+    as far as the first moment says; and of the variance w² only s² w² / (s² + w²), which is
+    turned back.  Along a column a line of slope t is wider than across itself by (1 + t²)^(1/2).
     """
     valued = np.flatnonzero(has_value(stripe.status))
-    scale = max(line_width(light, valued), _FINEST_PX)
     reach = int(np.ceil(3 * scale)) + 2
     steps = np.arange(-reach, reach + 1, dtype=float)
     row = np.rint(stripe.centre_px[valued]).astype(int)
@@ -132,9 +137,11 @@ def _widths(stripe: Stripe, light: Floats) -> Floats:
         total = np.where(total > 0, total, np.nan)
         moved = (weighted * distance).sum(axis=1, keepdims=True) / total
         middle = middle + scale * np.clip(2 * moved, -1.0, 1.0)
-    variance = np.full(len(stripe.status), np.nan)
-    variance[valued] = (weighted * distance**2).sum(axis=1) / total[:, 0]
-    return variance
+    seen = (weighted * distance**2).sum(axis=1) / total[:, 0]
+    across, centre = np.full((2, len(stripe.status)), np.nan)
+    across[valued] = seen / np.where(seen < 1, 1 - seen, np.nan)
+    centre[valued] = row + middle[:, 0]
+    return across / (1 + np.gradient(centre) ** 2)
 
 
 def _quadruples(run: Ints, lag: int) -> Ints:
