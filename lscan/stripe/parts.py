@@ -6,8 +6,9 @@ import numpy as np
 
 from lscan.config.rig import StripeSection
 from lscan.errors import InputError
-from lscan.records import Axis, Bytes, Floats, Ints, Mask, Status, Stripe, has_value
+from lscan.records import Axis, Bytes, Floats, Mask, Status, Stripe, has_value
 from lscan.stripe.extract import extract_stripe
+from lscan.stripe.returns import withhold
 
 SAME_PX = 1.0  # two lines nearer to each other are one, found twice
 
@@ -62,8 +63,7 @@ def extract_within(
 def told_apart(first: Stripe, last: Stripe) -> tuple[Stripe, Stripe]:
     """The two lines of a scanner with two lasers, from the first and the last line of each column.
 
-    A column in which they are one holds one line only: that of the two that is nearer to it where
-    both are seen, and the other has NO_PEAK there.
+    Where they are the same line, nothing tells which of the two it is: AMBIGUOUS.
 
     Parameters
     ----------
@@ -74,15 +74,8 @@ def told_apart(first: Stripe, last: Stripe) -> tuple[Stripe, Stripe]:
     tuple of Stripe
         The upper line and the lower (for rows: the left and the right).
     """
-    valued = has_value(first.status) & has_value(last.status)
-    both = valued & (last.centre_px - first.centre_px > SAME_PX)
-    alone = np.flatnonzero(valued & ~both)
-    if not both.any():
-        return first, _withdrawn(last, alone)
-    at, seen = np.flatnonzero(both), first.centre_px[alone]
-    upper, lower = (np.interp(alone, at, line.centre_px[both]) for line in (first, last))
-    is_lower = np.abs(seen - lower) < np.abs(seen - upper)
-    return _withdrawn(first, alone[is_lower]), _withdrawn(last, alone[~is_lower])
+    same = np.abs(first.centre_px - last.centre_px) <= SAME_PX  # False where either is NaN
+    return withhold(first, same), withhold(last, same)
 
 
 def _cut_off(image: Bytes, keep: Mask, axis: Axis) -> Bytes:
@@ -98,30 +91,18 @@ def _cut_off(image: Bytes, keep: Mask, axis: Axis) -> Bytes:
 
 
 def _only(stripe: Stripe, keep: Mask) -> Stripe:
-    """The stripe without the entries whose centre lies beyond the part."""
+    """The stripe with NO_PEAK where its centre lies beyond the part."""
     at = np.flatnonzero(has_value(stripe.status))
     u, v = np.rint(stripe.image_px[at]).astype(int).T
     height, width = keep.shape
-    outside = ~keep[np.clip(v, 0, height - 1), np.clip(u, 0, width - 1)]
-    return _withdrawn(stripe, at[outside])
-
-
-def _withdrawn(stripe: Stripe, at: Ints) -> Stripe:
-    """The stripe with NO_PEAK in some entries."""
-
-    def without(values: Floats) -> Floats:
-        values = values.copy()
-        values[at] = np.nan
-        return values
-
-    status = stripe.status.copy()
-    status[at] = Status.NO_PEAK
+    outside = np.zeros(len(stripe.status), dtype=bool)
+    outside[at] = ~keep[np.clip(v, 0, height - 1), np.clip(u, 0, width - 1)]
     return replace(
         stripe,
-        centre_px=without(stripe.centre_px),
-        sigma_px=without(stripe.sigma_px),
-        flux=None if stripe.flux is None else without(stripe.flux),
-        status=status,
+        centre_px=np.where(outside, np.nan, stripe.centre_px),
+        sigma_px=np.where(outside, np.nan, stripe.sigma_px),
+        flux=None if stripe.flux is None else np.where(outside, np.nan, stripe.flux),
+        status=np.where(outside, int(Status.NO_PEAK), stripe.status),
     )
 
 

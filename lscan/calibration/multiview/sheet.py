@@ -32,6 +32,7 @@ LEAST_ANGLE_DEG = 10.0  # between board and sheet; the line's place on the board
 MOST_TILT_DEG = 1.0  # standard uncertainty of the sheet's tilt beyond which it is not known
 TOO_FEW_LINES = "the laser's plane needs its line on two boards, usable {}"
 TOO_FEW_AGREE = "too few of the {} laser lines agree on one plane"
+TOO_FAR = "the laser lines lie {:.0f} times as far off one plane as their uncertainties allow"
 
 
 class NoLaserPlane(MeasurementError):
@@ -120,7 +121,9 @@ def find_plane(fit: CameraFit, free: Mask, lines: dict[int, LinePoints]) -> Lase
         if apart or not agrees:
             rms = np.sqrt(np.mean(distances[board][masks[board]] ** 2))
             faults[board] = f"its line lies {rms:.3f} mm rms off the sheet of the other views"
-    _require_agreement(found.agree & (not apart), faults)
+    if apart:
+        raise NoLaserPlane(TOO_FAR.format(np.sqrt(found.usual)), faults)
+    _require_agreement(found.agree, faults)
     own = equations.own_root(q, found.takes) * np.sqrt(max(1.0, found.chi_per_freedom))
     _require_sure(q, own)
     return LaserPlane(

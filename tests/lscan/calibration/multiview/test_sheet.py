@@ -175,9 +175,7 @@ def test_lines_that_agree_on_no_plane_are_refused_by_name() -> None:
     rig, rng = paper_rig(), np.random.default_rng(16)
     views = [with_noise(view, 0.05, rng) for view in views_of(rig, poses(rig, rng))]
     views = [glared(view, rng) if k > 1 else view for k, view in enumerate(views)]
-    with pytest.raises(
-        UnsolvedViews, match=r"too few of the 8 laser lines agree.*pose-5"
-    ) as caught:
+    with pytest.raises(UnsolvedViews, match=r"laser lines .*pose-5") as caught:
         calibrate_metric(views, known(rig), SIZE)
     assert [view.used for view in caught.value.views] == [True] * 8
     assert str(caught.value).count("\n") == 0
@@ -190,5 +188,5 @@ def test_three_lines_of_which_one_is_wrong_are_refused() -> None:
     assert views[1].line is not None
     views[1] = replace(views[1], line=shifted(views[1].line, 12.0))
     views = [view if k < 3 else replace(view, line=None) for k, view in enumerate(views)]
-    with pytest.raises(MeasurementError, match="too few of the 3 laser lines agree"):
+    with pytest.raises(MeasurementError, match=r"laser lines .* one plane"):
         calibrate_metric(views, known(rig), SIZE)
