@@ -39,6 +39,7 @@ of one line succeed each other neither reflects the other, and a piece's last co
 dims, shows where it ends: "first" and "last" then go by place alone."""
 _SPECK = 2.0  # a blob no longer than so many times its height is no line
 _LONGER = 3.0  # unless the other is no longer than so many times the blob
+_SPECKED = 0.25  # of the columns: where fewer hold specks, the run that is long goes on beside them
 _MUCH_LONGER = 10.0  # a picture with a line has one so many times as long as an isolated blob
 _TURNOVER = 8
 """Columns that two pieces of one line may share where one succeeds the other at a step: as far
@@ -91,8 +92,8 @@ def choose_return(image: Floats, settings: StripeSection, clipped: Mask) -> OneR
     given to the line that the run belongs to where both are seen, or that it lies nearer to;
     it is ambiguous where that is not clear.
 
-    On a lit target (texture.py) the runs are the narrow lines that go on from column to column, and
-    each column is laid on an even ground.
+    On a lit target (texture.py), and where "first" or "last" would often be a speck, the runs are
+    the narrow lines that go on from column to column, and each column is laid on an even ground.
 
     Fast where ``image.T`` and ``clipped.T`` are contiguous in memory.
 
@@ -107,7 +108,8 @@ def choose_return(image: Floats, settings: StripeSection, clipped: Mask) -> OneR
     spots = spots_of(relief, settings.threshold_dn)
     run = runs_of(spots)
     width_px = settings.line_width_px or line_width_px(spots)
-    if is_textured(relief, spots, run, width_px, settings.threshold_dn):
+    specked = settings.returns != "brightest" and _is_specked(spots, run)
+    if specked or is_textured(relief, spots, run, width_px, settings.threshold_dn):
         return _in_texture(relief, spots, width_px, settings, clipped)
     choice = _choose(spots, run, _isolated(spots, run), settings)
     if not choice.rejected.any():
@@ -163,6 +165,18 @@ def withhold(stripe: Stripe, ambiguous: Mask) -> Stripe:
         sigma_px=np.where(taken, np.nan, stripe.sigma_px),
         status=np.where(taken, int(Status.AMBIGUOUS), stripe.status),
     )
+
+
+def _is_specked(spots: Spots, run: Ints) -> bool:
+    """Whether many columns hold specks as bright as the line: first or last would often be one."""
+    if len(run) == 0:
+        return False
+    length = np.bincount(run)
+    speck = (length <= _SPECK * np.bincount(run, spots.height) / length)[run]
+    most = np.zeros(spots.column.max() + 1)
+    np.maximum.at(most, spots.column[~speck], spots.light[~speck])
+    rival = speck & (most > 0)[spots.column] & (spots.light >= _WEAKER * most[spots.column])
+    return len(np.unique(spots.column[rival])) > _SPECKED * len(np.unique(spots.column))
 
 
 def _isolated(spots: Spots, run: Ints) -> Mask:

@@ -142,7 +142,7 @@ def paths_of(spots: Spots, shape: tuple[int, ...], width_px: float) -> Ints:
     if len(free) == 0:
         return path
     first = brightest(spots.column[free], spots.peak[free], 1)
-    unit = float(np.percentile(spots.peak[free[first]], 75))
+    unit = float(np.median(spots.peak[free[first]]))
     length = count_of_pieces = 0
     for _ in range(_MOST_PATHS):
         best, piece = _pieces(spots, _best_path(spots, free, unit, count))
@@ -197,7 +197,7 @@ def _pieces(spots: Spots, path: Ints) -> tuple[Ints, Ints]:
     """
     column, row = spots.column[path], spots.middle[path]
     apart = np.diff(column)
-    jumps = (np.abs(np.diff(row)) > JUMP_PX * apart) | (apart > GAP)
+    jumps = np.abs(np.diff(row)) > JUMP_PX * np.minimum(apart, GAP)
     piece = np.append(0, np.cumsum(jumps))[: len(path)]
     whole = np.bincount(piece)[piece] >= _SHORTEST
     return path[whole], piece[whole]

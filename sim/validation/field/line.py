@@ -28,6 +28,8 @@ EXTRACTORS = ("centroid-relative", "steger", "ml")
 HEIGHT, WIDTH = 320, 480
 CENTRE = 150 + 40 * np.sin(np.arange(WIDTH) / 80)
 APART_PX = 60.0  # of two lines
+# The weaker of 70 and 30 % is twice the threshold on black squares.
+TWO_LIT = LitTarget(laser_dn=(600.0, 50.0, 30.0))
 THRESHOLD_DN = 20.0
 CLIPS_DN = 180  # where the range of a camera ends that clips early
 FRAME_DN = 129  # of a frame one pixel wide, as a capture program drew it
@@ -127,8 +129,8 @@ def laser_rows(scenes: Path, effort: FieldEffort) -> list[Row]:
         shown = pictures(shared, Tank(shared).render(0.0), effort.seeds)
         both = np.array([_truth(shared, line) for line in range(2)])
         rows += _told_apart(f"{split}, groove", shown, shared.rig.stripe, both, effort)
-        lit = _drawn(lit_mean(LitTarget(), drawn, np.array(shares), HEIGHT), effort)
-        chosen = StripeSection(channel="auto", threshold_dn=THRESHOLD_DN / 2)
+        lit = _drawn(lit_mean(TWO_LIT, drawn, np.array(shares), HEIGHT), effort)
+        chosen = StripeSection(channel="auto", threshold_dn=THRESHOLD_DN)
         rows += _told_apart(f"{split}, lit chessboard", lit, chosen, drawn, effort)
     return rows
 
