@@ -15,13 +15,16 @@ QUINCUNX = np.array([[0, 1, 0], [1, 4, 1], [0, 1, 0]], np.float32) / 4
 
 
 class ColourFilter:
-    """A Bayer filter over a sensor.
-
-    pattern: the colours of the 2 by 2 pixels at the top left, row by row, such as "RGGB".
-    """
+    """A Bayer filter over a sensor."""
 
     def __init__(self, pattern: str, shape: tuple[int, int]) -> None:
-        """Lay ``pattern`` over a sensor of ``shape`` (H, W)."""
+        """Lay a pattern over a sensor.
+
+        Parameters
+        ----------
+        pattern : str, colours of the 2 by 2 pixels at the top left, row by row, such as "RGGB"
+        shape : tuple of int, (H, W) of the sensor, px
+        """
         height, width = shape
         cell = np.array([CHANNELS.index(colour) for colour in pattern]).reshape(2, 2)
         repeats = ((height + 1) // 2, (width + 1) // 2)
@@ -32,13 +35,22 @@ class ColourFilter:
         ]
 
     def mosaic(self, picture: Picture) -> Picture:
-        """(H, W): of the (H, W, 3) RGB picture what each pixel sees through its colour."""
+        """(H, W): what each pixel sees through its colour.
+
+        Parameters
+        ----------
+        picture : (H, W, 3) array, RGB, of any unit
+        """
         return np.take_along_axis(picture, self._channel[..., None], axis=-1)[..., 0]
 
     def demosaic(self, mosaic: Picture) -> Picture:
-        """(H, W, 3) RGB, bilinear between the pixels of each colour of the (H, W) mosaic.
+        """(H, W, 3) RGB, bilinear between the pixels of each colour.
 
         At the border the neighbours there are share the weight of those that are not.
+
+        Parameters
+        ----------
+        mosaic : (H, W) array, of any unit, as :meth:`mosaic` gives it
         """
         planes = [
             _gather(mosaic * mask, colour) / weight
