@@ -3,7 +3,8 @@
 Frame: the sheet's own.  x is the camera's u axis laid into the sheet, y the sheet's normal
 away from the camera, z = x cross y, up; the origin is the point of the sheet seen in the middle
 of the picture, a pixel, so that no uncertainty of the lens's centre displaces it.  With a camera
-that is not rolled against the horizon, x is horizontal.
+that is not rolled against the horizon, x is horizontal.  Of a sheet that runs down the picture,
+seen almost edge on, z is the camera's upward direction laid into the sheet.
 """
 
 from dataclasses import dataclass, replace
@@ -24,6 +25,10 @@ from lscan.camera.projection import meet_plane
 from lscan.config.rig import Known, OpticsSection
 from lscan.errors import InputError
 from lscan.records import BoardReading, Floats
+
+EDGE_ON = np.cos(np.radians(10.0))
+"""Of the angle between the sheet's normal and the camera's u axis: nearer to it, the direction of
+that axis laid into the sheet is six times as uncertain as the normal and more; ours."""
 
 
 @dataclass(frozen=True)
@@ -56,6 +61,10 @@ class SheetView:
     def axes(self) -> Floats:
         """(3, 3) the sheet's axes x, y, z as columns, camera frame."""
         away = self.q_per_mm / np.linalg.norm(self.q_per_mm)
+        if abs(away[0]) > EDGE_ON:
+            z = np.array([0.0, -1.0, 0.0]) + away[1] * away
+            z /= np.linalg.norm(z)
+            return np.column_stack([np.cross(away, z), away, z])
         away = away * (1.0 if away[2] >= 0 else -1.0)
         x = np.array([1.0, 0.0, 0.0]) - away[0] * away
         x /= np.linalg.norm(x)

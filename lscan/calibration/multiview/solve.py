@@ -22,6 +22,8 @@ from lscan.errors import MeasurementError
 from lscan.records import Floats
 from lscan.version import __version__
 
+FARTHER = 2.0  # times than the lines: the origin's uncertainty goes with the square of its distance
+
 
 @dataclass(frozen=True)
 class CameraCalibration:
@@ -201,8 +203,22 @@ def _map_of(
     on_lines = [line.image_px[plane.good[board]] for board, line in lines.items()]
     middle = (np.array(image_size, dtype=float) - 1) / 2
     view = SheetView(used.fit.boards.theta[:COUNT], optics.port, plane.q_per_mm, middle)
+    view = replace(view, origin_px=_origin_px(view, np.vstack(on_lines)))
     solved = metric_map(view, plane.root, region_around(np.vstack([marks, *on_lines])))
     return solved.model_copy(update={"stated_water": stated_water(optics)})
+
+
+def _origin_px(view: SheetView, lines_px: Floats) -> Floats:
+    """(2,) px that sees the origin: the picture's middle, or where that is no use, of the lines.
+
+    Where the sheet is seen almost edge on, the ray of the picture's middle meets it far behind all
+    boards, or nowhere, and the whole frame would be as uncertain as that place.
+    """
+    depth = view.meet(lines_px)[:, 2]
+    middle = view.meet(view.origin_px[None])[0, 2]
+    if depth.min() / FARTHER <= middle <= depth.max() * FARTHER:
+        return view.origin_px
+    return np.asarray(lines_px.mean(axis=0))
 
 
 def _with_line(view: FittedView, board: int, plane: LaserPlane) -> FittedView:

@@ -190,3 +190,21 @@ def test_three_lines_of_which_one_is_wrong_are_refused() -> None:
     views = [view if k < 3 else replace(view, line=None) for k, view in enumerate(views)]
     with pytest.raises(MeasurementError, match=r"laser lines .* one plane"):
         calibrate_metric(views, known(rig), SIZE)
+
+
+def test_a_sheet_seen_almost_edge_on_keeps_a_frame_of_use() -> None:
+    """The sheet 40 mm beside the pinhole: the picture's middle sees it metres behind the boards."""
+    rig, rng = paper_rig(water=False), np.random.default_rng(18)
+    rig = replace(rig, q_per_mm=np.array([-1 / 40, 0.0, 2e-6]))
+    boards = []
+    for pose in poses(paper_rig(water=False), rng):
+        y, z = rng.uniform(-60, 60), rng.uniform(550, 800)
+        x = (1 - rig.q_per_mm[2] * z) / rig.q_per_mm[0]
+        boards.append(Pose(pose.rotation, np.array([x, y, z])))
+    views = [with_noise(view, 0.02, rng) for view in views_of(rig, boards)]
+    found = calibrate_metric(views, known(rig), SIZE)
+    seen = np.vstack([view.line.image_px[[20, 60]] for view in views if view.line is not None])
+    points = found.plane_map.to_plane(seen)
+    truth = replace(rig.truth, origin_px=found.plane_map.view.origin_px).locate(seen)
+    assert (points.sigma_mm < 10.0).all()  # of 800 mm; the middle's own place is off by metres
+    assert (np.abs(points.xz_mm - truth) < 5 * points.sigma_mm + 1e-9).all()
