@@ -32,7 +32,12 @@ OPTICS = OpticsSection(
 
 
 def image_px(xz_mm: Floats) -> Floats:
-    """(N, 2) px where the camera at ``CAMERA_MM`` sees places (N, 2) of the sheet y = 0, mm."""
+    """(N, 2) px where the camera at ``CAMERA_MM`` sees places of the sheet.
+
+    Parameters
+    ----------
+    xz_mm : (N, 2) array, mm, (x, z) in the sheet y = 0
+    """
     head = np.column_stack([xz_mm[:, 0], np.zeros(len(xz_mm)), xz_mm[:, 1]]) - CAMERA_MM
     cosine, sine = np.cos(DEPRESSION), np.sin(DEPRESSION)
     right = np.array([1.0, 0.0, 0.0])
@@ -63,7 +68,13 @@ BOARDS: Mapping[str, Board] = {
 def reading_of(board: Board, noise_px: float, generator: np.random.Generator) -> BoardReading:
     """The board's marks as the camera shows them, each shifted by normal noise in u and in v.
 
-    sigma_px: the noise, or 1e-4 px where there is none.
+    Their sigma_px is the noise, or 1e-4 px where there is none.
+
+    Parameters
+    ----------
+    board : Board, mm
+    noise_px : float, px, standard deviation
+    generator : Generator, of NumPy
     """
 
     def marks(places: Floats) -> Marks:

@@ -10,8 +10,9 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from scipy.stats import norm
 
-from lscan.board.picture import IMMERKAER, Image, rounding_of
-from lscan.board.search import Nodes
+from lscan.board.centre import window_sigma
+from lscan.board.picture import IMMERKAER, BoardPicture, Image, rounding_of
+from lscan.board.search import Nodes, moved
 from lscan.records import Floats, Mask
 
 CUT = 2.5  # sigmas beyond which a difference is taken for a mark's, not for noise
@@ -21,6 +22,9 @@ LEVELS = 8  # of the plate's brightness
 FEWEST_PIXELS = 400  # per level: they give sigma to 4 %
 MOST_PIXELS = 100_000  # they give the sigma of each level to 1 %
 FEWEST_DOTS = 40  # two differences each, 24 coefficients: sigma to 10 %
+GRAINY = 2.0  # times white noise; chance makes 1.5 of some twenty differences
+GRAIN_REACH = 3  # nodes to either side
+GRAIN_FEWEST = 6  # differences about a node; with fewer it is as elsewhere
 
 
 def noise_image(bright: Image, nodes: Nodes, radius_px: float) -> Image:
@@ -123,3 +127,48 @@ def _cut_variance(values: Floats) -> float:
             break
         variance = float(np.mean(kept**2)) / KEPT
     return variance
+
+
+def grain(picture: BoardPicture, points: Floats, radius_px: float) -> Floats:
+    """(R, C) by how much noise under the marks' windows exceeds white noise of pixels; 1 or more.
+
+    Denoising and coding leave noise that neighbouring pixels share, which smoothing hardly takes
+    away.  It is seen in the middle between four dots, in the picture smoothed as for them, by
+    second differences from cell to cell: slopes of the ground cancel, and the marks of a ruler
+    disturb one direction only.  Below twice that of white noise it is taken for chance.
+
+    Parameters
+    ----------
+    picture : BoardPicture, levelled, with the noise of its pixels
+    points : (R, C, 2) array, px, (u, v) of all nodes of the grid, seen or not
+    radius_px : float, px, of the control dots
+    """
+    middle = (points[1:, 1:] + points[1:, :-1] + points[:-1, 1:] + points[:-1, :-1]) / 4
+    inside = picture.wholly_in_view(middle, radius_px)
+    middle = np.where(inside[..., None], middle, 0.0)
+    column, row = np.moveaxis(np.rint(middle).astype(np.int64), -1, 0)
+    sigma = float(window_sigma(np.array([radius_px]))[0])
+    white = picture.noise_at(middle.reshape(-1, 2)).reshape(inside.shape) / (2 * np.sqrt(np.pi))
+    scaled = np.where(inside, picture.smooth[row, column] * sigma / white, np.nan)
+    scaled = np.pad(scaled, ((0, 1), (0, 1)), constant_values=np.nan)  # cell beneath, right of node
+    spread = [_usual(_second_difference(scaled, *way)) for way in ((1, 0), (0, 1))]
+    ratio = np.fmin(*spread)
+    if np.isfinite(ratio).any():
+        ratio = np.where(np.isfinite(ratio), ratio, np.nanmedian(ratio))
+    return np.where(ratio > GRAINY, ratio, 1.0)
+
+
+def _second_difference(values: Floats, rows: int, columns: int) -> Floats:
+    """(R, C) of values and those beside, over what independent ones of unit size make of it."""
+    beside = moved(values, rows, columns) + moved(values, -rows, -columns)
+    return (beside - 2 * values) / np.sqrt(6)
+
+
+def _usual(differences: Floats) -> Floats:
+    """(R, C) robust standard deviation of those within GRAIN_REACH of each; NaN where too few."""
+    span = range(-GRAIN_REACH, GRAIN_REACH + 1)
+    near = np.abs(np.stack([moved(differences, row, column) for row in span for column in span]))
+    enough = np.isfinite(near).sum(axis=0) >= GRAIN_FEWEST
+    usual = np.full(differences.shape, np.nan)
+    usual[enough] = np.nanmedian(near[:, enough], axis=0) / 0.6745
+    return usual

@@ -21,7 +21,7 @@ from lscan.board.lattice import (
     local_map,
     place_on_board,
 )
-from lscan.board.noise import noise_image
+from lscan.board.noise import grain, noise_image
 from lscan.board.perspective import shift_of_discs
 from lscan.board.picture import (
     BoardPicture,
@@ -41,6 +41,7 @@ from lscan.errors import BoardNotFound, InputError
 from lscan.records import BoardReading, Floats, Marks, Status
 
 LEAST = 0.5  # of the other marks in view, for a turn that the first does not allow
+UNSURE = 0.01  # of the pitch: a dot of so large an uncertainty is none that counts
 ENOUGH = 0.9  # of the other marks in view: the board is not looked at any other way up
 
 
@@ -170,7 +171,7 @@ def _all_marks(bright: Image, picture: BoardPicture, nodes: Nodes, board: Board)
     mapping = local_map(completed(nodes, board.grid.pitch_mm), board.grid.pitch_mm)
     noise = noise_image(bright, nodes, _median_radius(nodes, board.grid))
     picture = replace(picture, noise=picture.gain * noise)
-    nodes = _measured_again(picture, nodes, mapping, board.grid)
+    nodes = _measured_again(picture, nodes, mapping, board)
     mapping = local_map(completed(nodes, board.grid.pitch_mm), board.grid.pitch_mm)
     contrast = Contrast.of(nodes, mapping, board.grid.dot_diameter_mm)
     return BoardReading(
@@ -241,18 +242,23 @@ def _median_radius(nodes: Nodes, grid: Grid) -> float:
     return float(np.nanmedian(local_pitch(nodes.points))) * dot_part(grid) / 2
 
 
-def _measured_again(picture: BoardPicture, nodes: Nodes, mapping: LocalMap, grid: Grid) -> Nodes:
+def _measured_again(picture: BoardPicture, nodes: Nodes, mapping: LocalMap, board: Board) -> Nodes:
     """The same dots: windows by the local map, corrected for its bias, the noise as it is there."""
-    board = grid_points_mm(nodes.height.shape, grid.pitch_mm)[nodes.found]
-    map_there = mapping.expanded(board)
+    grid = board.grid
+    map_there = mapping.expanded(grid_points_mm(nodes.height.shape, grid.pitch_mm)[nodes.found])
     sigma = window_sigma(map_there.scale * grid.dot_diameter_mm / 2)
     start = nodes.points[nodes.found]
     centres = fit_centres(picture.flat, start, sigma, picture.noise, STEPS_FROM_NEAR)
     shift = shift_of_discs(map_there, grid.dot_diameter_mm / 2, sigma)
     again = Nodes.empty(*nodes.height.shape)
-    measured = replace(centres, points=centres.points - shift)
+    sigma_px = centres.sigma_px
+    if not (board.ruler or board.dot or board.ring):  # nothing else is between the dots
+        every = completed(nodes, grid.pitch_mm)
+        sigma_px = sigma_px * grain(picture, every, _median_radius(nodes, grid))[nodes.found]
+    measured = replace(centres, points=centres.points - shift, sigma_px=sigma_px)
+    sure = sigma_px <= UNSURE * map_there.scale * grid.pitch_mm
     alone = stand_alone(picture.flat, centres, sigma, picture.noise)
-    again.put(np.nonzero(nodes.found), measured, centres.round & alone)
+    again.put(np.nonzero(nodes.found), measured, centres.round & alone & sure)
     return again
 
 

@@ -28,7 +28,7 @@ LARGE_S = {"polynomial-5": 3.0, "spline": 3.0, "auto": 20.0}
 
 SHADED = Board(grid=Grid(columns=40, rows=30, pitch_mm=10.0, dot_diameter_mm=5.0, whole=False))
 SHADED_VIEW = DrawnView((800, 600), 900.0, 500.0, (195.0, -145.0), (10.0, 5.0, 2.0), 0.05)
-RIGHT_PX = 0.3  # off its place; dots of such a picture are found to some hundredths of a pixel
+RIGHT_PX, RIGHT_SIGMAS = 0.1, 4.0  # off its place: what the steep light may do, and noise
 
 WRONG_PART, WRONG_PX = 0.03, (1.0, 5.0)  # of the marks, and how far off
 PLACES = 1000
@@ -92,7 +92,8 @@ def _near_its_dot(reading: BoardReading, view: DrawnView) -> Mask:
     seen = np.rint(view.board_mm(reading.grid.image_px[found]) / reading.pitch_mm)
     shift = np.median(seen - index, axis=0)
     true_px = view.image_px((index + shift) * reading.pitch_mm)
-    near: Mask = np.hypot(*(reading.grid.image_px[found] - true_px).T) <= RIGHT_PX
+    miss = np.hypot(*(reading.grid.image_px[found] - true_px).T)
+    near: Mask = miss <= RIGHT_PX + RIGHT_SIGMAS * reading.grid.sigma_px[found]
     return near
 
 

@@ -5,9 +5,10 @@ import numpy as np
 import pytest
 from boards import Light, View, expected_dn, expose
 from places import PAPER_BOARD
+from scipy.ndimage import gaussian_filter
 
 from lscan.board import read_board
-from lscan.config.board import load_board
+from lscan.config.board import Board, Grid, load_board
 from lscan.records import BoardReading, Floats
 
 PAPER = load_board(PAPER_BOARD)
@@ -110,3 +111,24 @@ def test_more_noise_is_more_sigma() -> None:
     ]
     # In proportion, but for rounding's 0.29 DN (4 % at 1 DN) and an estimate good to 10 %.
     np.testing.assert_allclose(np.divide(sigma[1:], sigma[:-1]), 2.0, rtol=0.15)
+
+
+def test_noise_that_neighbouring_pixels_share_counts_as_large_as_it_is() -> None:
+    """Noise smoothed by 1.5 px, as denoising leaves it: sigma is its scatter, not white noise's.
+
+    White noise of what the pixels differ by would be 30 times less in variance.  The grain about a
+    dot is known from some twenty differences, to a sixth; together with the window's share of the
+    noise, which is taken for that of the ground, half as much again is left open.
+    """
+    grid = Grid(columns=19, rows=19, pitch_mm=20.0, dot_diameter_mm=8.0)
+    board = Board(grid=grid)
+    view = View(distance_mm=750.0, target_mm=(180.0, -180.0))
+    expected = boards.expected_dn(board, view)
+    squares = []
+    for seed in range(6):
+        noise = gaussian_filter(np.random.default_rng(seed).standard_normal(expected.shape), 1.5)
+        picture = np.clip(np.rint(expected + 2.0 * noise / noise.std()), 0, 255).astype(np.uint8)
+        grid_marks = read_board(picture, board).grid
+        miss = grid_marks.image_px - view.image_px(grid_marks.board_mm)
+        squares.append((miss / grid_marks.sigma_px[:, None]) ** 2)
+    assert 0.5 <= np.nanmean(squares) <= 1.5
