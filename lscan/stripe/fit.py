@@ -27,6 +27,10 @@ _SETTLED = 1e-4
 _LONGEST_STEP = np.array([1.0, 0.35, 0.7, np.inf, np.inf])
 """Farthest a parameter may go in one step: beyond, the model is nothing like its tangent."""
 
+_FAR = -1e3
+"""Below, in standard deviations, the terms of a clipped pixel are their limits, -z and 1, to a
+millionth: computed, they are differences of numbers that agree in all their digits."""
+
 _LEAST = np.array([-np.inf, np.log(0.25), np.log(1e-3), -np.inf, -np.inf])
 _MOST = np.array([np.inf, np.log(40.0), np.log(1e6), np.inf, np.inf])
 """Widths in px and heights in DN that a line can have; no picture distinguishes beyond."""
@@ -187,8 +191,10 @@ def _censored(
     at = np.nonzero(view.clipped & view.used)
     sigma = np.sqrt(variance[at])
     z = (0.5 - residual[at]) / sigma
-    rate = np.exp(-0.5 * z**2 - 0.5 * np.log(2 * np.pi) - log_ndtr(z))
-    weight[at] = np.maximum(rate * (rate + z), 0.0) / sigma**2
+    near = np.maximum(z, _FAR)
+    rate = np.exp(-0.5 * near**2 - 0.5 * np.log(2 * np.pi) - log_ndtr(near))
+    weight[at] = np.where(z < _FAR, 1.0, np.maximum(rate * (rate + near), 0.0)) / sigma**2
+    rate = np.where(z < _FAR, -z, rate)
     pull[at] = rate / sigma
     return weight, pull
 

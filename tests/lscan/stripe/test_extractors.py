@@ -8,6 +8,8 @@ from stripe_pictures import HEIGHT, centres_of, light_of, noisy, nothing_clipped
 from lscan.config.rig import NoiseSection, StripeSection
 from lscan.records import Status, has_value
 from lscan.stripe import extract_stripe, find_extractor
+from lscan.stripe.crosssection import lines, parameters_of
+from lscan.stripe.fit import LinePrior, LineWindows, fit_lines
 from lscan.stripe.noise.bound import centre_bound_px
 from lscan.stripe.noise.model import Noise
 
@@ -210,6 +212,21 @@ def test_ml_sees_past_a_clipped_crest_and_knows_how_well(width, height, stated):
     assert abs(error.mean()) <= 0.01
     assert error.std() < 0.5 * np.nanstd(paper.centre_px - centre)
     assert 0.75 <= ((error / stripe.sigma_px) ** 2).mean() <= 1.25
+
+
+@pytest.mark.parametrize("far_dn", [1e2, 1e5, 1e9])
+def test_a_search_that_begins_far_below_a_clipped_crest_comes_back(far_dn):
+    steps = np.arange(-15.0, 16.0)
+    true = parameters_of(*np.array([[0.3], [2.5], [400.0], [20.0], [0.0]]))
+    seen = lines(true, steps)
+    grey = np.minimum(np.rint(seen.light + seen.ground), 255.0)
+    view = LineWindows(steps, grey, np.array([20.0]), grey >= 0, grey >= 255)
+    start = true - [[0.0, 0.0, 0.0, far_dn, 0.0]]
+    prior = LinePrior(true, np.full((1, 5), 1e-6))
+    fit = fit_lines(view, start, Noise(1 / 12, 0.0), prior)
+    assert fit.settled.all()
+    # Rounding is all the noise there is: three of its standard uncertainties.
+    assert abs(fit.parameters[0, 0] - 0.3) <= 3 * np.sqrt(fit.covariance[0, 0, 0])
 
 
 # -- columns without a line, lines at the border ------------------------------------------
