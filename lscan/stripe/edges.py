@@ -8,6 +8,10 @@ from lscan.records import Floats, Stripe, has_value
 from lscan.stripe.peaks import windows
 from lscan.stripe.width import line_width
 
+_BESIDE = ((1.5, 2.5), (2.5, 4.5))
+"""Where the ground beside the line is seen, in standard deviations of the line from its centre: in
+the flanks, which are symmetric where no edge crosses them, and beyond."""
+
 
 def doubted(stripe: Stripe, light: Floats, ground: Floats, threshold_dn: float) -> Stripe:
     """The stripe with sigma_px enlarged where the target is brighter on one side of the line.
@@ -21,7 +25,7 @@ def doubted(stripe: Stripe, light: Floats, ground: Floats, threshold_dn: float) 
     ----------
     stripe : Stripe, px, of N entries
     light : (N, L) array, DN, the line, one row for each entry of the stripe
-    ground : (N, L) array, DN, the target without the line's light
+    ground : (N, L) array, DN, the target; light of the line's own is symmetric
     threshold_dn : float, DN, what a darker ground says nothing against
 
     References
@@ -34,12 +38,14 @@ def doubted(stripe: Stripe, light: Floats, ground: Floats, threshold_dn: float) 
         return stripe
     width_px = line_width(light, at)
     row = np.rint(stripe.centre_px[at]).astype(np.int64)
-    beside = np.arange(int(np.ceil(2 * width_px)), int(np.ceil(4 * width_px)) + 1)
-    above, below = (windows(ground, at, row, side).mean(axis=1) for side in (-beside, beside))
-    # Colours less each other may leave a negative ground.
-    one, other = np.abs(above) + threshold_dn / 4, np.abs(below) + threshold_dn / 4
-    contrast, ratio = np.abs(one - other) / (one + other), np.abs(np.log(one / other))
-    reach_px = contrast * np.sqrt(2 * ratio) * width_px
+    reach_px = np.zeros(len(at))
+    for first, last in _BESIDE:
+        beside = np.arange(int(np.ceil(first * width_px)), int(np.ceil(last * width_px)) + 1)
+        above, below = (windows(ground, at, row, side).mean(axis=1) for side in (-beside, beside))
+        # Colours less each other may leave a negative ground.
+        one, other = np.abs(above) + threshold_dn / 4, np.abs(below) + threshold_dn / 4
+        contrast, ratio = np.abs(one - other) / (one + other), np.abs(np.log(one / other))
+        reach_px = np.maximum(reach_px, contrast * np.sqrt(2 * ratio) * width_px)
     sigma_px = stripe.sigma_px.copy()
     sigma_px[at] = np.hypot(sigma_px[at], reach_px / np.sqrt(3))
     return replace(stripe, sigma_px=sigma_px)

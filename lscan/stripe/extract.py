@@ -98,8 +98,8 @@ class _LaserLight:
     others: Bytes | None
 
     def grounds(self, chosen: OneReturn) -> list[Floats]:
-        """What there is to see of the target beside the line, (N, L) in DN."""
-        seen = [] if chosen.ground is None else [chosen.ground.T]
+        """Pictures of the target beside the line, (N, L) in DN, where there are any."""
+        seen = [self.grey] if chosen.textured else []
         return seen if self.others is None else [*seen, self.others.astype(np.float64)]
 
 

@@ -64,13 +64,13 @@ class OneReturn:
     clipped : (H, W) mask, as given but for the other returns
     ambiguous : (W,) mask, of the columns with several lines of which none can be said to be the one
         meant
-    ground : (H, W) array or None, DN, the lit target beneath the line; None without texture
+    textured : bool, whether the picture shows a lit target, on which ``image`` is made even
     """
 
     image: Floats
     clipped: Mask
     ambiguous: Mask
-    ground: Floats | None = None
+    textured: bool = False
 
 
 def choose_return(image: Floats, settings: StripeSection, clipped: Mask) -> OneReturn:
@@ -146,7 +146,7 @@ def _in_texture(
         image=np.where(even[:, None], columns, flat).T,
         clipped=(np.ascontiguousarray(clipped.T) & near).T,
         ambiguous=choice.ambiguous(count),
-        ground=relief.ground.T,
+        textured=True,
     )
 
 

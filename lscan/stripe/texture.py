@@ -7,6 +7,7 @@ and goes on from column to column.
 """
 
 import numpy as np
+from scipy.ndimage import median_filter
 
 from lscan.records import Floats, Ints, Mask
 from lscan.stripe.pieces import JUMP_PX
@@ -26,6 +27,7 @@ _LONG = 1 / 8  # of the picture: texture is in shorter runs
 _MOST_RIVALS = 8  # spots a column that a path may go through
 _ENOUGH = 0.35  # share of a line's light below which a spot is no rival of it, as in returns.py
 _MISSED = 0.1  # what a column without a spot costs a path: less than any spot of the line gains
+_NEIGHBOURS = 5
 _SHORTEST = 8  # columns of a piece of a path: as far as a corner of a square reaches
 _BEGIN = 12.0
 """What it costs to begin a path, or to jump: the gain of a dozen columns of line.  A piece of
@@ -145,7 +147,7 @@ def paths_of(spots: Spots, shape: tuple[int, ...], width_px: float) -> Ints:
     unit = float(np.median(spots.peak[free[first]]))
     length = count_of_pieces = 0
     for _ in range(_MOST_PATHS):
-        best, piece = _pieces(spots, _best_path(spots, free, unit, count))
+        best, piece = _pieces(spots, _best_path(spots, free, unit, count), width_px)
         if len(best) == 0 or len(best) < _SECOND * length:
             break
         path[best] = count_of_pieces + piece
@@ -190,11 +192,16 @@ def _best_path(spots: Spots, free: Ints, unit: float, count: int) -> Ints:
     return free[np.array(followed[::-1], dtype=np.int64)]
 
 
-def _pieces(spots: Spots, path: Ints) -> tuple[Ints, Ints]:
+def _pieces(spots: Spots, path: Ints, width_px: float) -> tuple[Ints, Ints]:
     """The spots of a path and the number of the piece, between two jumps, that each belongs to.
 
-    Those of pieces too short to be known from texture are left out.
+    Those of pieces too short to be known from texture are left out, and those that lie off their
+    neighbours on the path by more than the line's width: there it steps aside onto texture.
     """
+    if len(path) == 0:
+        return path, path
+    row = spots.middle[path]
+    path = path[np.abs(row - median_filter(row, _NEIGHBOURS, mode="nearest")) <= width_px]
     column, row = spots.column[path], spots.middle[path]
     apart = np.diff(column)
     jumps = np.abs(np.diff(row)) > JUMP_PX * np.minimum(apart, GAP)

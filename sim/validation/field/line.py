@@ -31,6 +31,7 @@ APART_PX = 60.0  # of two lines
 # The weaker of 70 and 30 % is twice the threshold on black squares.
 TWO_LIT = LitTarget(laser_dn=(600.0, 50.0, 30.0))
 THRESHOLD_DN = 20.0
+COARSE_PX = 30.0  # squares that a line 4 px wide is told from in one colour
 CLIPS_DN = 180  # where the range of a camera ends that clips early
 FRAME_DN = 129  # of a frame one pixel wide, as a capture program drew it
 EDGE_COLUMNS = 3  # beside an end of the line, where blur carries it on
@@ -75,6 +76,11 @@ def lit_rows(effort: FieldEffort) -> list[Row]:
             count = _worse(count, _count(shown, chosen, CENTRE))
         what = f"lit chessboard of {square_px:g} px"
         rows += _rows(what, ", ".join(EXTRACTORS), count, effort)
+        if square_px >= COARSE_PX:
+            count = _count(shown, StripeSection(threshold_dn=THRESHOLD_DN), CENTRE)
+            rows += _rows(
+                f"{what}, red alone", "centroid-relative", count, effort, "line-found-red"
+            )
     return rows
 
 
@@ -155,17 +161,15 @@ def _told_apart(
     for returns, line in (("first", upper), ("last", 1 - upper)):
         settings = chosen.model_copy(update={"returns": returns})
         count = _worse(count, _count(shown, settings, truths[line]))
-    key = "line-lasers-found"
-    return [
-        row(key, count.found, what=what, extractor=chosen.extractor, seeds=effort.seeded),
-        row("line-wrong", count.wrong, what=what, extractor=chosen.extractor, seeds=effort.seeded),
-    ]
+    return _rows(what, chosen.extractor, count, effort, "line-lasers-found")
 
 
-def _rows(what: str, extractor: str, count: Count, effort: FieldEffort) -> list[Row]:
+def _rows(
+    what: str, extractor: str, count: Count, effort: FieldEffort, key: str = "line-found"
+) -> list[Row]:
     return [
-        row(key, figure, what=what, extractor=extractor, seeds=effort.seeded)
-        for key, figure in (("line-found", count.found), ("line-wrong", count.wrong))
+        row(name, figure, what=what, extractor=extractor, seeds=effort.seeded)
+        for name, figure in ((key, count.found), ("line-wrong", count.wrong))
     ]
 
 

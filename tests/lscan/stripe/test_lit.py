@@ -7,9 +7,10 @@ from lines_drawn import drawn, speckled
 
 from lscan.benchmark.litpictures import LitTarget, lit_mean, lit_picture
 from lscan.config.rig import NoiseSection, StripeSection
-from lscan.records import Status, has_value
+from lscan.records import Status, Stripe, has_value
 from lscan.stripe import extract_stripe
 from lscan.stripe.clipping import clipping_level
+from lscan.stripe.edges import doubted
 from lscan.stripe.lines import lines_of, strongest_excess
 
 HEIGHT, WIDTH = 200, 300
@@ -96,6 +97,23 @@ def test_a_background_picture_goes_with_a_lit_target():
         found, wrong = shares_of(extract_stripe(lit, chosen, background=dark), CENTRE)
         assert found >= 0.98
         assert wrong <= 0.005
+
+
+def test_an_edge_along_the_line_is_in_its_sigma():
+    """White above and black below: the line seems displaced, by less than sigma says."""
+    rows = np.arange(HEIGHT, dtype=float)[:, None]
+    light = drawn(np.full(WIDTH, 100.0), 1.5, HEIGHT, 150.0)
+    albedo = np.where(rows < 100, 1.0, 0.2)
+    sigma = np.full(WIDTH, 0.05)
+    ok = np.zeros(WIDTH, dtype=np.int64)
+    seen = Stripe("columns", np.full(WIDTH, 100.0), sigma, np.full(WIDTH, 150.0), ok)
+    even = doubted(seen, light.T, np.full_like(light.T, 90.0), 20.0)
+    edged = doubted(seen, light.T, (100 * np.broadcast_to(albedo, light.shape)).T, 20.0)
+    np.testing.assert_array_equal(even.sigma_px, sigma)
+    # The mean of the light on white and black, from its own rows.
+    mean = (rows * light * albedo).sum(axis=0) / (light * albedo).sum(axis=0)
+    assert (np.abs(mean - 100.0) > 10 * sigma).all()
+    assert (np.abs(mean - 100.0) < 4 * edged.sigma_px).all()
 
 
 # -- colours ----------------------------------------------------------------------------
