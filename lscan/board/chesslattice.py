@@ -66,15 +66,16 @@ def find_lattice(picture: Bytes, columns: int, rows: int) -> Floats:
     """
     best, doubted = None, False
     for detect in (_by_sections, _by_squares, _by_saddles):
-        with _repeatable():
-            found = list(detect(picture, columns, rows))
-        judged = [_judged(picture, corners) for corners in found]
-        doubted |= None in judged
-        for seen in judged:
-            if seen is not None and (best is None or seen.right > best.right):
-                best = seen
-        if best is not None and (best.whole or detect is _by_squares):
+        if best is not None and detect is _by_saddles:
             break
+        with _repeatable():
+            for corners in detect(picture, columns, rows):
+                seen = _judged(picture, corners)
+                doubted |= seen is None
+                if seen is not None and (best is None or seen.right > best.right):
+                    best = seen
+                if best is not None and best.whole:
+                    return best.corners
     if best is not None:
         return best.corners
     if doubted:

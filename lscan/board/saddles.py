@@ -25,7 +25,7 @@ from lscan.board.seeds import find_crosses
 from lscan.records import Floats
 
 SCALES_PX = (1.5, 3.0, 6.0)  # of the smoothing: squares of 8 to 200 px show in one of them
-WEAKEST = 0.05  # of the ninth strongest saddle's curvature
+WEAKEST = 0.25  # of the ninth sharpest saddle: slanting light and noise, but not what an edge makes
 FEWEST, MOST = 9, 4000  # saddles: three by three corners; more is texture
 SQUARES = 5.0 * 1.26 ** np.arange(11)  # widths tried, of the smoothing: a third of an octave apart
 SEEDS = 3  # tried at each scale

@@ -120,3 +120,17 @@ def test_opencv_keeps_its_threads() -> None:
     threads = cv2.getNumThreads()
     find_lattice(drawn(), COLUMNS, ROWS)
     assert cv2.getNumThreads() == threads
+
+
+@pytest.mark.parametrize("slivers", [(0.3, 0.3, 0.3, 0.3), (0.0, 0.5, 0.1, 0.0)])
+def test_a_board_with_slivers_is_found(slivers: tuple[float, ...]) -> None:
+    """Both of OpenCV's detectors may give up on it; from corner to corner it is found."""
+    found = find_lattice(drawn(slivers=slivers), COLUMNS, ROWS).reshape(-1, 2)
+    truth = VIEW.image_px(CORNERS_MM)
+    assert min(np.abs(found - t).max() for t in (truth, truth[::-1])) < 1.0
+
+
+def test_fewer_corners_than_the_board_has_are_refused() -> None:
+    """Which of its corners are meant nobody could say."""
+    with pytest.raises(BoardNotFound, match="count the inner corners again"):
+        find_lattice(drawn(), COLUMNS - 2, ROWS - 1)
