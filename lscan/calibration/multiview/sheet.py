@@ -105,33 +105,27 @@ def find_plane(fit: CameraFit, free: Mask, lines: dict[int, LinePoints]) -> Lase
     }
     usable = {board: select(lines[board], masks[board]) for board in lines if board not in faults}
     start = _start(boards, usable, faults)
-    agree = dict(zip(usable, start.agree, strict=True))
+    agreeing = dict(zip(usable, start.agree, strict=True))
     faults |= _near_the_sheet(boards, usable, start.q_per_mm)
     usable = {board: line for board, line in usable.items() if board not in faults}
-    _require_agreement(np.array([agree[board] for board in usable]), faults)
+    agree = np.array([agreeing[board] for board in usable])
+    _require_agreement(agree, faults)
     equations = PlaneEquations(fit, free, usable)
-    found = _gated(equations, start.q_per_mm, np.array([agree[board] for board in usable]))
-    q = found.q_per_mm
-    distances = {
-        board: distance_mm(boards.on_board(line.image_px, board), q)
-        for board, line in lines.items()
-    }
-    apart = found.usual > MOST_USUAL**2
-    for board, agrees in zip(usable, found.agree, strict=True):
-        if apart or not agrees:
-            rms = np.sqrt(np.mean(distances[board][masks[board]] ** 2))
-            faults[board] = f"its line lies {rms:.3f} mm rms off the sheet of the other views"
-    if apart:
-        raise NoLaserPlane(TOO_FAR.format(np.sqrt(found.usual)), faults)
-    _require_agreement(found.agree, faults)
-    own = equations.own_root(q, found.takes) * np.sqrt(max(1.0, found.chi_per_freedom))
-    _require_sure(q, own)
+    found = _gated(equations, start.q_per_mm, agree)
+    faults |= _off_the_sheet(boards, usable, found)
+    _require_agreement(found.agree, faults, found.usual)
+    own = equations.own_root(found.q_per_mm, found.takes)
+    own = own * np.sqrt(max(1.0, found.chi_per_freedom))
+    _require_sure(found.q_per_mm, own)
     return LaserPlane(
-        q_per_mm=q,
-        root=equations.joint_root(q, found.takes, own),
+        q_per_mm=found.q_per_mm,
+        root=equations.joint_root(found.q_per_mm, found.takes, own),
         good={board: mask & (board not in faults) for board, mask in masks.items()},
         faults=faults,
-        distances_mm=distances,
+        distances_mm={
+            board: distance_mm(boards.on_board(line.image_px, board), found.q_per_mm)
+            for board, line in lines.items()
+        },
     )
 
 
@@ -195,12 +189,30 @@ def _gated(equations: PlaneEquations, q: Floats, agree: Mask) -> _GatedPlane:
     return found
 
 
-def _require_agreement(agree: Mask, faults: dict[int, str]) -> None:
-    """Refuse fewer than three of the lines, or than both of two."""
+def _off_the_sheet(
+    boards: PosedBoards, lines: dict[int, LinePoints], found: _GatedPlane
+) -> dict[int, str]:
+    """The faults of the lines that do not agree with the plane; of all where none truly do."""
+    faults = {}
+    for (board, line), agrees in zip(lines.items(), found.agree, strict=True):
+        if not agrees or found.usual > MOST_USUAL**2:
+            off = distance_mm(boards.on_board(line.image_px, board), found.q_per_mm)
+            rms = np.sqrt(np.mean(off**2))
+            faults[board] = f"its line lies {rms:.3f} mm rms off the sheet of the other views"
+    return faults
+
+
+def _require_agreement(agree: Mask, faults: dict[int, str], usual: float = 1.0) -> None:
+    """Refuse fewer than three lines, or than both of two, and lines that lie too far off.
+
+    agree: (V,) mask, of the lines.  usual: as of _GatedPlane.
+    """
     if len(agree) < 2:
         raise NoLaserPlane(TOO_FEW_LINES.format(len(agree)), faults)
     if agree.sum() < min(FEWEST_AGREEING, len(agree)):
         raise NoLaserPlane(TOO_FEW_AGREE.format(len(agree)), faults)
+    if usual > MOST_USUAL**2:
+        raise NoLaserPlane(TOO_FAR.format(np.sqrt(usual)), faults)
 
 
 def _require_sure(q: Floats, root: Floats) -> None:
