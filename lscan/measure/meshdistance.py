@@ -1,7 +1,7 @@
 """Signed distances of points from a triangle mesh.
 
-The nearest place on the mesh is found exactly: every triangle is cut into like pieces of about
-one size, whose centroids are kept in a tree.  A point's nearest pieces name the triangles to
+The nearest place on the mesh is found exactly: its triangles are cut into pieces of about one
+size, whose centroids are kept in a tree.  A point's nearest pieces name the triangles to
 look at, and so many pieces are asked for that the next one is farther away than the nearest
 place, by more than a piece reaches beyond its centroid.
 
@@ -165,41 +165,28 @@ def _border_edges(mesh: trimesh.Trimesh) -> Mask:
 
 
 def _pieces(corners: Floats) -> tuple[Floats, Ints, float]:
-    """Centroids (Q, 3) of like pieces of (T, 3, 3) triangles, the triangle of each, their reach.
+    """Centroids (Q, 3) of pieces of (T, 3, 3) triangles, the triangle of each, their reach.
 
-    A side cut into n parts gives n² pieces.  reach: farthest of a piece's corners from its
-    centroid.
+    The largest are halved across their longest side, again and again, until there are enough.
+    reach: farthest of a piece's corners from its centroid.
     """
-    longest = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=-1).max(axis=1)
-    middle = corners.mean(axis=1, keepdims=True)
-    reach = np.linalg.norm(corners - middle, axis=-1).max(axis=1)
+    owner: Ints = np.arange(len(corners))
     most = max(MOST_PIECES, 2 * len(corners))
-    length = float(np.sqrt((longest**2).sum() / most))
-    parts = np.ones(len(corners), dtype=np.int64)
-    while length < longest.max():
-        parts = np.ceil(longest / length).astype(np.int64)
-        if (parts**2).sum() <= most:
+    while True:
+        length = np.linalg.norm(np.roll(corners, -1, axis=1) - corners, axis=-1)
+        cut = length.max(axis=1) > length.max() / 2
+        if len(corners) + int(cut.sum()) > most:
             break
-        length *= 1.2
-    centroids, owner = [], []
-    for count in np.unique(parts):
-        weights = _lattice(int(count))
-        which = np.flatnonzero(parts == count)
-        centroids.append(np.einsum("qc,tci->tqi", weights, corners[which]).reshape(-1, 3))
-        owner.append(np.repeat(which, len(weights)))
-    return np.concatenate(centroids), np.concatenate(owner), float((reach / parts).max())
-
-
-def _lattice(count: int) -> Floats:
-    """(count², 3) barycentric coordinates of the centroids of like pieces of a triangle."""
-    first, second = np.divmod(np.arange(count * count), count)
-    upright, turned = first + second < count, first + second < count - 1
-    both = [
-        (np.column_stack([first, second])[chosen] + shift) / count
-        for chosen, shift in ((upright, 1 / 3), (turned, 2 / 3))
-    ]
-    plan = np.concatenate(both)
-    return np.column_stack([1 - plan.sum(axis=1), plan])
+        # Corners a and b at the ends of the longest side, c opposite.
+        turned = (length[cut].argmax(axis=1)[:, None] + np.arange(3)) % 3
+        a, b, c = np.moveaxis(np.take_along_axis(corners[cut], turned[..., None], axis=1), 1, 0)
+        middle = (a + b) / 2
+        halves = [np.stack([a, middle, c], axis=1), np.stack([middle, b, c], axis=1)]
+        corners = np.concatenate([corners[~cut], *halves])
+        owner = np.concatenate([owner[~cut], owner[cut], owner[cut]])
+    centroids = corners.mean(axis=1)
+    reach = np.linalg.norm(corners - centroids[:, None], axis=-1).max()
+    return centroids, owner, float(reach)
 
 
 @dataclass(frozen=True)

@@ -14,6 +14,7 @@ from sim.validation.field.line import line_rows
 from sim.validation.field.sheet import sheet_rows
 from sim.validation.field.sigma import sigma_rows
 from sim.validation.field.water import water_rows
+from sim.validation.field.surface import surface_chapter
 from sim.validation.rows import Row
 
 FieldChapter = Callable[[Path, FieldEffort], list[Row]]
@@ -26,6 +27,7 @@ CHAPTERS: Mapping[str, FieldChapter] = {
     "refractive map in other water": partial(water_rows, name="refractive"),
     "metric map in other water": partial(water_rows, name="metric"),
     "metric route with glare": sheet_rows,
+    "any surface": surface_chapter,
 }
 
 

@@ -1,0 +1,278 @@
+"""Any surface: a target that no rig file names, brought into the block's frame by a kept alignment.
+
+The block is scanned and its alignment kept in a file; on the same rig a target of a dome, a step, a
+half cylinder and an egg is scanned, and what is measured of it is held against what it was made as.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+import numpy as np
+import trimesh
+
+from lscan.calibration.api import PlaneMap
+from lscan.config.rigfile import parse_rig
+from lscan.config.shapes import ShapesDocument
+from lscan.config.targets import Sandwave
+from lscan.files.disk import write_atomically
+from lscan.measure.meshcompare import MeshPose, compare_mesh
+from lscan.measure.shapemeasures import Quantity, measure_shapes
+from lscan.pipeline import build_surface, finish
+from lscan.records import Floats, Surface
+from lscan.surface import align_sandwave
+from lscan.surface.align.keptalignment import KeptAlignment, load_alignment, save_alignment
+from lscan.surface.provenance import provenance_of
+from sim.scene import Pose, Scene, load_scene, scene_of, target_pose
+from sim.validation.accuracy.board import calibrations
+from sim.validation.accuracy.exposures import ScanReading, read_scan
+from sim.validation.accuracy.intervals import band_miss_percent, share_inside
+from sim.validation.field.effort import FieldEffort
+from sim.validation.rows import Row, row
+
+STEP_MM = 2.0
+"""Of the track: the longest with which the alignment has ten profiles across a wedge."""
+
+DOME_MM, ROD_MM, STEP_HEIGHT_MM = 30.0, 25.0, 15.0
+"""Radii of the dome and of the half cylinder, height of the step."""
+
+DOME, STEP, ROD, EGG = -105.0, -30.0, 35.0, 110.0
+"""Where they stand along x of the target, whose slab's top is z = 0."""
+
+EGG_MM = (35.0, 28.0, 18.0)
+"""Half axes of the egg, which no shape but its mesh describes."""
+
+PLACE: Mapping[str, Any] = {"position_mm": [225.0, 60.0, -345.0], "turn_deg": -2.0}
+"""Of the target in the tank, level: the block lay tilted, and elsewhere."""
+
+HALF_MM = 30.0
+"""Half the slab along the track."""
+
+BLOCK_MM = (50.0, 162.0)
+"""Track positions over the block's wedges and enough of its sides."""
+
+BLOCK_SEEDS = 5
+"""Exposures of the block; the calibrations, one for each seed, take them in turn: rendering and
+exposing its many frames is most of the work, and the calibration most of what errs."""
+
+
+def surface_chapter(scenes: Path, effort: FieldEffort) -> list[Row]:
+    """Shapes, and distances from the target's own mesh: how often their intervals hold the truth.
+
+    Parameters
+    ----------
+    scenes : Path, folder of the scene files
+    effort : FieldEffort, its seeds are those of sensor noise
+    """
+    block, board = (_rendered(scenes, name, effort) for name in ("sandwave", "board"))
+    plane_map = "polynomial-5" if effort.plain else board.rig.calibration.plane_map
+    maps = [one.plane_map for one in calibrations(board, effort.seeds, plane_map)]
+    with TemporaryDirectory() as folder:
+        mesh = target_mesh()
+        file = Path(folder) / "target.ply"
+        write_atomically(file, mesh.export(file_type="ply"))
+        target = _target_scene(block, file)
+        stripe = block.rig.stripe
+        blocks = read_scan(block, _every_step(*BLOCK_MM), effort.seeds[:BLOCK_SEEDS], stripe)
+        scans = read_scan(target, _every_step(*_over_target()), effort.seeds, stripe)
+        aligned = [
+            _kept(block, _raw(block, blocks[number % len(blocks)], plane_map), Path(folder))
+            for number, plane_map in enumerate(maps)
+        ]
+    surfaces = [
+        finish(_raw(target, reading, plane_map), target.rig, kept).surface
+        for reading, plane_map, kept in zip(scans, maps, aligned, strict=True)
+    ]
+    truth = _Truth(target_pose(target), target_pose(block))
+    return [
+        *_shape_rows(surfaces, truth, effort),
+        _mesh_row(surfaces, mesh, truth, effort),
+        _yaw_row(aligned, target, effort),
+    ]
+
+
+def target_mesh() -> trimesh.Trimesh:
+    """The target in its own frame, mm: the tops of dome, step, half cylinder and egg on a slab."""
+    dome = trimesh.creation.icosphere(subdivisions=5, radius=DOME_MM)
+    dome.apply_translation([DOME, 0.0, 0.0])
+    egg = trimesh.creation.icosphere(subdivisions=5)
+    egg.apply_scale(EGG_MM)
+    egg.apply_translation([EGG, 0.0, 0.0])
+    rod = trimesh.creation.cylinder(radius=ROD_MM, height=2 * HALF_MM, sections=180)
+    rod.apply_transform(trimesh.transformations.rotation_matrix(np.pi / 2, [1, 0, 0]))
+    rod.apply_translation([ROD, 0.0, 0.0])
+    low = [STEP - 25.0, -HALF_MM, -5.0]
+    step = trimesh.creation.box(bounds=[low, [STEP + 25.0, HALF_MM, STEP_HEIGHT_MM]])
+    slab = trimesh.creation.box(bounds=[[-150.0, -HALF_MM, -20.0], [150.0, HALF_MM, 0.0]])
+    return trimesh.util.concatenate([dome, egg, rod, step, slab])
+
+
+@dataclass(frozen=True)
+class _Truth:
+    """What is to be measured of the target, in the frame of the block.
+
+    target, block: their frames to the world's.
+    """
+
+    target: Pose
+    block: Pose
+
+    def place(self, x: float, y: float, z: float) -> Floats:
+        """(3,) mm, a place of the target."""
+        return self.block.invert(self.target.apply(np.array([x, y, z])))
+
+    @property
+    def up(self) -> Floats:
+        """(3,) the target's z axis."""
+        return self.block.rotation.T @ self.target.rotation[:, 2]
+
+    def height(self, plan: Floats, level_mm: float) -> float:
+        """The height, mm, at a place in plan (2,) of the target's level ``level_mm``."""
+        on = self.place(0.0, 0.0, level_mm)
+        return float(on[2] - self.up[:2] @ (plan - on[:2]) / self.up[2])
+
+    def box(self, x: float, half_x: float, half_y: float, y: float = 0.0) -> dict[str, Any]:
+        """An upright box about a place of the target."""
+        middle = self.place(x, y, 0.0)
+        sides = {"x_mm": (middle[0], half_x), "y_mm": (middle[1], half_y)}
+        return {key: [float(at - half), float(at + half)] for key, (at, half) in sides.items()}
+
+    def wanted(self) -> ShapesDocument:
+        """What is measured, clear of edges and of flanks steeper than 53 degrees."""
+        upper = self.box(STEP, 18.0, 20.0)
+        lower = self.box(-67.0, 4.0, 20.0)
+        here, there = (self.place(x, -10.0, 0.0)[:2].tolist() for x in (-67.0, STEP))
+        return ShapesDocument.model_validate(
+            {
+                "sphere": [{"name": "dome", **self.box(DOME, 17.0, 17.0)}],
+                "cylinder": [{"name": "rod", **self.box(ROD, 17.0, 25.0)}],
+                "step": [{"name": "step", "upper": upper, "lower": lower}],
+                "height": [{"name": "up", "from_mm": here, "to_mm": there}],
+            }
+        )
+
+    def values(self) -> dict[str, dict[str, float]]:
+        """The true values by entry and quantity, of those that do not depend on the points."""
+        x, y, z = self.place(DOME, 0.0, 0.0).tolist()
+        slope_x, slope_y = np.degrees(np.arctan(-self.up[:2] / self.up[2])).tolist()
+        along = self.block.rotation.T @ self.target.rotation[:, 1]
+        turn, rise = np.degrees([np.arctan2(along[1], along[0]), np.arcsin(along[2])]).tolist()
+        here, there = (self.place(x, -10.0, 0.0)[:2] for x in (-67.0, STEP))
+        rise_mm = self.height(there, STEP_HEIGHT_MM) - self.height(here, 0.0)
+        return {
+            "dome": {"radius_mm": DOME_MM, "x_mm": x, "y_mm": y, "z_mm": z},
+            "rod": {"radius_mm": ROD_MM, "turn_deg": turn, "rise_deg": rise},
+            "step": {"height_mm": STEP_HEIGHT_MM, "slope_x_deg": slope_x, "slope_y_deg": slope_y},
+            "up": {"height_mm": rise_mm},
+        }
+
+
+def _rendered(scenes: Path, name: str, effort: FieldEffort) -> Scene:
+    """The best chain's scene; its laser in plain renders."""
+    scene = load_scene(scenes / "best" / f"{name}.toml")
+    if name == "board" and not effort.plain:
+        return scene
+    samples = 1 if effort.plain else 4
+    return scene.with_tank(render={"fineness": 1, "samples": samples, "scatter_samples": 0})
+
+
+def _target_scene(block: Scene, file: Path) -> Scene:
+    """The block's scene with the mesh in its place, and no workpiece."""
+    document = {key: value for key, value in block.document.items() if key != "workpiece"}
+    target = {"shape": "mesh", "file": str(file), "albedo": 0.5, **PLACE}
+    scene = scene_of(parse_rig({**document, "target": target}, source="field", trusted=True))
+    return replace(scene, tank=scene.tank.model_copy(update={"render": block.tank.render}))
+
+
+def _over_target() -> tuple[float, float]:
+    """Track positions, mm, over the slab."""
+    middle = float(PLACE["position_mm"][1])
+    return middle - HALF_MM - STEP_MM, middle + HALF_MM + STEP_MM
+
+
+def _every_step(first: float, last: float) -> list[float]:
+    """Track positions, mm, from one to another."""
+    return np.arange(first, last + STEP_MM / 2, STEP_MM).tolist()
+
+
+def _raw(scene: Scene, reading: ScanReading, plane_map: PlaneMap) -> Surface:
+    raw = build_surface(reading.profiles(plane_map), scene.rig)
+    made_from = provenance_of(scene.rig, len(reading.stripes), plane_map)
+    return replace(raw, provenance=made_from)
+
+
+def _kept(block: Scene, raw: Surface, folder: Path) -> KeptAlignment:
+    """The block's alignment, by way of its file."""
+    piece = block.rig.workpiece
+    assert isinstance(piece, Sandwave) and raw.provenance is not None
+    file = folder / "alignment.json"
+    save_alignment(file, align_sandwave(raw, piece), raw.provenance, piece)
+    return load_alignment(file)
+
+
+def _errors(surface: Surface, truth: _Truth) -> dict[tuple[str, str], tuple[float, float]]:
+    """Error and sigma of each quantity that is known, by entry and quantity."""
+    found = {one.name: one.values for one in measure_shapes(surface, truth.wanted())}
+
+    def error(known: Quantity, true: float) -> tuple[float, float]:
+        return known.value - true, known.sigma
+
+    return {
+        (name, key): error(found[name][key], true)
+        for name, values in truth.values().items()
+        for key, true in values.items()
+    }
+
+
+def _shape_rows(surfaces: Sequence[Surface], truth: _Truth, effort: FieldEffort) -> list[Row]:
+    """Intervals of all quantities together, and the largest errors of the lengths."""
+    each = [_errors(surface, truth) for surface in surfaces]
+    error, sigma = np.array([list(one.values()) for one in each]).T
+    share = share_inside(error, sigma)
+    words: dict[str, Any] = {"seeded": effort.seeded, "seed": effort.seeds[0]}
+    lengths = {"dome": "radius_mm", "rod": "radius_mm", "step": "height_mm"}
+    worst = {name: max(abs(one[name, key][0]) for one in each) for name, key in lengths.items()}
+    return [
+        row(
+            "surface-intervals", band_miss_percent(share), percent=100 * share, count=error.size,
+            **words,
+        ),
+        *(row("surface-length", figure, name=name, **words) for name, figure in worst.items()),
+    ]  # fmt: skip
+
+
+def _mesh_row(
+    surfaces: Sequence[Surface], mesh: trimesh.Trimesh, truth: _Truth, effort: FieldEffort
+) -> Row:
+    """Intervals of the distances from the egg of the target's own mesh, placed as it stands."""
+    error, sigma = [], []
+    rotation = truth.block.rotation.T @ truth.target.rotation
+    pose = MeshPose(rotation, truth.place(0.0, 0.0, 0.0))
+    box = truth.box(EGG, 26.0, 20.0)
+    for surface in surfaces:
+        found = compare_mesh(surface, mesh, pose, within_mm=3.0)
+        x, y = found.xyz_mm[:, :2].T
+        inside = (x > box["x_mm"][0]) & (x < box["x_mm"][1])
+        inside &= (y > box["y_mm"][0]) & (y < box["y_mm"][1])
+        error.append(found.distance_mm[inside])
+        sigma.append(found.sigma_mm[inside])
+    errors, sigmas = np.concatenate(error), np.concatenate(sigma)
+    share = share_inside(errors, sigmas)
+    return row(
+        "surface-mesh", band_miss_percent(share), percent=100 * share, count=len(errors),
+        rms=float(np.sqrt(np.mean(errors**2))), seeded=effort.seeded, seed=effort.seeds[0],
+    )  # fmt: skip
+
+
+def _yaw_row(kept: Sequence[KeptAlignment], target: Scene, effort: FieldEffort) -> Row:
+    """The yaw that was kept against the tank's, in its own standard uncertainties."""
+    true = np.radians(target.tank.head.yaw_deg)
+    yaw = np.array([one.alignment.yaw_rad for one in kept])
+    sigma = np.array([one.alignment.yaw_sigma_rad for one in kept])
+    off = np.abs(yaw - true)
+    return row(
+        "surface-yaw", float((off / sigma).max()), count=len(yaw),
+        worst_deg=float(np.degrees(off.max())), seeded=effort.seeded, seed=effort.seeds[0],
+    )  # fmt: skip
