@@ -47,7 +47,7 @@ went would keep the fit from settling."""
 SETTLED = 1e-4
 """Length of a step, in standard deviations, at which the iteration ends."""
 
-SLOW_ITERATIONS = 40
+SLOW_ITERATIONS = 25
 """Rounds after which it also ends once a step no longer lessens the squares: over the facets of a
 mesh steps stay longer."""
 
