@@ -13,21 +13,21 @@ from sim.validation.field.effort import FULL, QUICK, FieldEffort
 from sim.validation.field.line import line_rows
 from sim.validation.field.sheet import sheet_rows
 from sim.validation.field.sigma import sigma_rows
+from sim.validation.field.surface import surface_rows
 from sim.validation.field.water import water_rows
-from sim.validation.field.surface import surface_chapter
 from sim.validation.rows import Row
 
 FieldChapter = Callable[[Path, FieldEffort], list[Row]]
 
 # The longest first: chapters run side by side, and no processor shall wait at the end.
 CHAPTERS: Mapping[str, FieldChapter] = {
+    "any surface": surface_rows,
     "line": line_rows,
     "boards": board_rows,
     "sigma": sigma_rows,
     "refractive map in other water": partial(water_rows, name="refractive"),
     "metric map in other water": partial(water_rows, name="metric"),
     "metric route with glare": sheet_rows,
-    "any surface": surface_chapter,
 }
 
 

@@ -69,7 +69,7 @@ GRAZING_DEG = 15.0
 """The egg is compared where the camera sees it at more than this."""
 
 
-def surface_chapter(scenes: Path, effort: FieldEffort) -> list[Row]:
+def surface_rows(scenes: Path, effort: FieldEffort) -> list[Row]:
     """Shapes, and distances from the target's own mesh: how often their intervals hold the truth.
 
     Parameters
