@@ -15,12 +15,13 @@ import numpy as np
 from lscan.acquisition.run import Run, open_run
 from lscan.board import read_board
 from lscan.calibration.api import PlaneMap
+from lscan.calibration.carry import carried
 from lscan.calibration.loading import load_plane_map
 from lscan.calibration.update import CorrectionKind
 from lscan.cli.console import note
 from lscan.config.board import Board, load_board
 from lscan.config.documents import check, read_document
-from lscan.config.rig import CalibrationSection, OpticsSection
+from lscan.config.rig import CalibrationSection, OpticsSection, Rig
 from lscan.errors import InputError
 from lscan.files.pictures import read_picture
 from lscan.pipeline import board_expected, mean_picture, require_board, require_size
@@ -136,11 +137,14 @@ def read_optics(path: Path) -> OpticsSection:
     return check(OpticsSection, document["optics"], where=path, prefix="optics")
 
 
-def plane_maps(files: list[Path], most: int, image: Bytes, where: Path) -> list[PlaneMap]:
+def plane_maps(
+    files: list[Path], most: int, image: Bytes, where: Path, rig: Rig | None = None
+) -> list[PlaneMap]:
     """The plane maps of no calibration file, or of as many as there are lines.
 
     most: how many lines are looked for.  image: (H, W, ...), whose size the maps must be for.
-    where: the picture or run, for messages.  Raises InputError where one does not fit.
+    where: the picture or run, for messages.  rig: of a run, to whose water the maps are carried.
+    Raises InputError where one does not fit.
     """
     if len(files) not in (0, most):
         allowed = "none or one" if most == 1 else "none or two: of the upper line, of the lower"
@@ -155,7 +159,7 @@ def plane_maps(files: list[Path], most: int, image: Bytes, where: Path) -> list[
                 value=(image.shape[1], image.shape[0]),
                 allowed=f"{size[0]} x {size[1]} px, as in {file}",
             )
-        maps.append(plane_map)
+        maps.append(plane_map if rig is None else carried(plane_map, rig))
     return maps
 
 

@@ -13,7 +13,7 @@ from lscan.cli.arguments import ChannelName, Json, Overlay, PictureOrRun, Trust,
 from lscan.cli.console import print_json
 
 if TYPE_CHECKING:
-    from lscan.config.rig import StripeSection
+    from lscan.config.rig import Rig, StripeSection
     from lscan.records import Bytes, Mask, PlanePoints, Stripe
 
 BOTH = "both"
@@ -67,7 +67,8 @@ def extract(
     from lscan.surface.profile import to_profile
 
     require_folders(output, overlay)
-    image, dark, usual = _pictures(picture, frame, background, trust)
+    image, dark, rig = _pictures(picture, frame, background, trust)
+    usual = StripeSection() if rig is None else rig.stripe
     given = {
         "axis": axis,
         "extractor": extractor,
@@ -78,7 +79,7 @@ def extract(
     }
     changes = {key: value for key, value in given.items() if value is not None}
     settings = check(StripeSection, {**usual.model_dump(), **changes}, where="command line")
-    maps = plane_maps(calibration or [], 2 if returns == BOTH else 1, image, picture)
+    maps = plane_maps(calibration or [], 2 if returns == BOTH else 1, image, picture, rig)
     stripes = _stripes(image, settings, picture_part(roi, mask, image), dark, returns == BOTH)
     points = [to_profile(s, m, 0.0).points for s, m in zip(stripes, maps, strict=False)]
     if overlay:
@@ -99,22 +100,21 @@ def extract(
 
 def _pictures(
     picture: Path, frame: int, background: Path | None, trust: bool
-) -> tuple[Bytes, Bytes | None, StripeSection]:
-    """The picture, its background if there is one, and how its line is usually found."""
+) -> tuple[Bytes, Bytes | None, Rig | None]:
+    """The picture, its background if there is one, and the rig of a run folder."""
     from lscan.acquisition.run import open_run
-    from lscan.config.rig import StripeSection
     from lscan.errors import InputError
     from lscan.files.pictures import read_picture
 
     dark = read_picture(background) if background else None
     if not os.path.isdir(picture):  # noqa: PTH112 - takes any text
-        return read_picture(picture), dark, StripeSection()
+        return read_picture(picture), dark, None
     run = open_run(picture, trust)
     if not 0 <= frame < len(run):
         allowed = f"0 to {len(run) - 1}"
         raise InputError("no such frame", where="--frame", value=frame, allowed=allowed)
     shown = run.frame(frame)
-    return shown.image, shown.background if dark is None else dark, run.rig_file.rig.stripe
+    return shown.image, shown.background if dark is None else dark, run.rig_file.rig
 
 
 def _stripes(

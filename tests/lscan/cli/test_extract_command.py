@@ -7,8 +7,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 from command_line import call, refused
+from drawn_runs import sandwave_run
 from metricviews import SIZE, known, paper_rig, poses, views_of, with_noise
 
+from lscan.calibration.carry import carried
 from lscan.calibration.multiview.file import save_metric
 from lscan.calibration.multiview.solve import MetricCalibration, calibrate_metric
 from lscan.files.pictures import read_picture, write_picture
@@ -60,6 +62,22 @@ def test_a_calibration_gives_points_in_mm(
     in_mm = sum(row["x_mm"] != "" for row in rows_of(table))
     assert counts["points_mm"]["found"] == in_mm > 100
     assert sum(counts["points_mm"]["status"].values()) == counts["columns"] == 640
+
+
+def test_the_map_is_carried_to_the_water_of_a_run(
+    solved: MetricCalibration, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    calibration, table = tmp_path / "c.json", tmp_path / "line.csv"
+    save_metric(calibration, solved)
+    run = sandwave_run(tmp_path / "run", 1, optics={"water_index": [1.4, 0.001]})
+    code, _, err = call(capsys, "extract", run.path, "-c", calibration, "-o", table)
+    assert code == 0, err
+    row = next(row for row in rows_of(table) if row["x_mm"])
+    pixel = np.array([[float(row["column"]), float(row["centre_px"])]])
+    there = carried(solved.plane_map, run.rig_file.rig).to_plane(pixel).xz_mm[0]
+    here = solved.plane_map.to_plane(pixel).xz_mm[0]
+    np.testing.assert_allclose([float(row["x_mm"]), float(row["z_mm"])], there, rtol=1e-9)
+    assert np.abs(there - here).max() > 0.1  # else the water would not be seen to count
 
 
 def test_both_lines_of_two_lasers_are_read(
