@@ -19,6 +19,8 @@ _COLOURS: tuple[LineChannel, ...] = ("red", "green", "blue")
 _EXCESSES: tuple[LineChannel, ...] = ("red-excess", "green-excess", "blue-excess")
 _CREST_PX = 31  # of a clipped crest, white in the middle: twice that of a line of 15 px
 _WHITE = 0.9  # of the range
+_DIPPED = 0.75  # of the excess on either side: where less is left in the middle, that is white
+_RIM_PX = 3
 _BROAD_PX = 61  # what is wider is no line (spots.py)
 
 
@@ -83,16 +85,16 @@ def lines_of(
     check_picture(picture, where)
     if channel == "auto":
         channel = strongest_excess(picture, axis)
-    excess = picture.ndim == 3 and channel in _EXCESSES
     grey, brightest = _read(picture, channel, axis)
     frame = frame_px(brightest)
     grey, brightest = without_frame(grey, frame), without_frame(brightest, frame)
     level = clipping_level(brightest) if clipping_dn is None else clipping_dn
     clipped = brightest >= level
-    if not excess:
+    if picture.ndim == 2 or channel not in _EXCESSES:
         return PictureLines(channel, grey, clipped, level)
     others = without_frame(_others(picture, channel, axis), frame)
-    return PictureLines(channel, _excess(grey, others, level), clipped, level, others)
+    excess, white = _excess(grey, others, level)
+    return PictureLines(channel, excess, clipped | white, level, others)
 
 
 def strongest_excess(picture: Bytes, axis: Axis) -> LineChannel:
@@ -111,7 +113,7 @@ def strongest_excess(picture: Bytes, axis: Axis) -> LineChannel:
     heights = []
     for channel in _EXCESSES:
         own, _ = _read(picture, channel, axis)
-        excess = _excess(own, _others(picture, channel, axis), clipping_level(own))
+        excess, _ = _excess(own, _others(picture, channel, axis), clipping_level(own))
         excess = np.maximum(excess, 0)  # dark squares have less of another colour
         narrow = cv2.morphologyEx(excess, cv2.MORPH_TOPHAT, np.ones((1, _BROAD_PX), np.uint8))
         heights.append(narrow.max(axis=1).mean())
@@ -164,16 +166,22 @@ def _plane(channel: LineChannel) -> int:
     return (*_COLOURS, *_EXCESSES).index(channel) % 3
 
 
-def _excess(own: Bytes, others: Bytes, clipping_dn: int) -> GreyValues:
-    """(N, L) colour less the others, raised where it is clipped to what is beside the crest."""
+def _excess(own: Bytes, others: Bytes, clipping_dn: int) -> tuple[GreyValues, Mask]:
+    """(N, L) colour less the others, raised where the crest is white, and mask of those crests.
+
+    The rim of a white crest, up to _RIM_PX wide, is part of it: its colour is no more that of the
+    line than the middle's.
+    """
     excess = own.astype(np.int16) - others
     # Pixels beside clipped ones are white as well: coding and blur take them below the end.
-    white = own >= _WHITE * clipping_dn
-    if not white.any():
-        return excess
-    crest = cv2.dilate(white.astype(np.uint8), np.ones((1, 3), np.uint8)) > 0
+    bright = own >= _WHITE * clipping_dn
+    if not bright.any():
+        return excess, bright
+    near = cv2.dilate(bright.astype(np.uint8), np.ones((1, 3), np.uint8)) > 0
     closed = cv2.morphologyEx(excess, cv2.MORPH_CLOSE, np.ones((1, _CREST_PX), np.uint8))
-    return np.where(crest, closed, excess)
+    white = (near & (_DIPPED * closed > excess)).astype(np.uint8)
+    crest = cv2.dilate(white, np.ones((1, 2 * _RIM_PX + 1), np.uint8)) > 0
+    return np.where(near, closed, excess), crest & (closed > 0)
 
 
 def _across(plane: object, axis: Axis) -> Bytes:

@@ -51,6 +51,19 @@ def test_the_line_is_found_on_a_lit_chessboard(extractor, channel, square_px):
 
 
 @pytest.mark.parametrize("extractor", ["centroid-relative", "steger", "ml"])
+def test_a_line_with_a_broad_white_crest_is_not_found_at_its_rim(extractor):
+    """A camera that nears the end of its range slowly: the rim has colour and is not clipped."""
+    target = LitTarget(laser_dn=(9_000.0, 900.0, 900.0), line_px=3.0, dark=1.0)
+    mean = lit_mean(target, CENTRE[None], ONE, HEIGHT)
+    image = lit_picture(255 * (1 - np.exp(-mean / 250)), np.random.default_rng(1))
+    chosen = StripeSection(extractor=extractor, channel="red-excess", threshold_dn=20.0)
+    stripe = extract_stripe(image, chosen)
+    _, wrong = shares_of(stripe, CENTRE)
+    assert wrong <= 0.005
+    assert not (stripe.status == Status.OK).any()
+
+
+@pytest.mark.parametrize("extractor", ["centroid-relative", "steger", "ml"])
 @pytest.mark.parametrize("square_px", [70.0, 36.0])
 def test_one_channel_gives_the_line_on_a_lit_chessboard_or_nothing(extractor, square_px):
     """White squares of 130 DN, the line 75 DN high on black ones."""
