@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from lscan.cli.arguments import ChannelName, Json, Overlay, PictureOrRun, Trust, require_folders
+from lscan.cli.arguments import Json, Overlay, PictureOrRun, Trust, require_folders
 from lscan.cli.console import print_json
 
 if TYPE_CHECKING:
@@ -36,7 +36,9 @@ def extract(
     extractor: Annotated[
         str | None, typer.Option(help="max, centroid, centroid-relative ...")
     ] = None,
-    channel: ChannelName = None,
+    channel: Annotated[
+        str | None, typer.Option(help="red, green, blue, grey; red-excess ...; auto.")
+    ] = None,
     threshold: Annotated[
         float | None,
         typer.Option("--threshold-dn", "--threshold", help="Least height of the line, DN."),
