@@ -326,7 +326,8 @@ class Provenance:
     pictures : int, number of pictures
     extractor : str, by which the line was found
     plane_map : str, name of the plane map
-    calibration_sha256 : str, SHA-256 of the map's parameters, in hexadecimal
+    calibration_sha256 : str, in hexadecimal, SHA-256 of the map's parameters and of what it was
+        carried to: the water, and what may have changed since
     """
 
     rig: str

@@ -7,6 +7,7 @@ from typing import Annotated
 from pydantic import Field
 
 from lscan.calibration.api import PlaneMap
+from lscan.camera.water import stated_water
 from lscan.config.documents import Strict
 from lscan.config.rig import Rig
 from lscan.records import Provenance
@@ -33,9 +34,11 @@ def provenance_of(rig: Rig, pictures: int, plane_map: PlaneMap) -> Provenance:
     ----------
     rig : Rig, the pictures were taken with
     pictures : int, their number
-    plane_map : PlaneMap, of the rig's camera
+    plane_map : PlaneMap, of the rig's camera, as calibrated
     """
-    content = json.dumps([plane_map.name, plane_map.parameters()], sort_keys=True)
+    since = rig.since_calibration
+    carried_by = [stated_water(rig.optics), since and since.model_dump(mode="json")]
+    content = json.dumps([plane_map.name, plane_map.parameters(), carried_by], sort_keys=True)
     return Provenance(
         rig=rig.name,
         pictures=pictures,

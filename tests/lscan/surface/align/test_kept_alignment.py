@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from calibrations import drawn_calibration
 from covariance_example import surface_modes
 from drawn_runs import rig_file
 from synthetic_scans import Placing, scan
@@ -18,6 +19,7 @@ from lscan.pipeline import finish
 from lscan.records import Floats, Provenance, Surface
 from lscan.surface import Alignment, align_sandwave, apply
 from lscan.surface.align.keptalignment import KeptAlignment, load_alignment, save_alignment
+from lscan.surface.provenance import provenance_of
 
 PIECE = Sandwave()
 PLACING = Placing(
@@ -130,6 +132,21 @@ def test_with_another_calibration_the_errors_are_independent(target: Surface, sa
     assert kept.of(replace(target, modes_mm=None)).modes.shape == (7, 11)
     aligned = apply(apart, other)
     assert aligned.modes_mm is not None and aligned.modes_mm.shape[-1] == 15
+
+
+@pytest.mark.parametrize(
+    "sections",
+    [{"optics": {"water_index": [1.342, 0.001]}}, {"since_calibration": {"focal_percent": 0.1}}],
+)
+def test_another_water_or_a_changed_rig_counts_as_another_calibration(
+    sections: dict[str, Any],
+) -> None:
+    plane_map = drawn_calibration("polynomial-3").plane_map
+    one, same, other = (
+        provenance_of(rig_file(**more).rig, 9, plane_map) for more in ({}, {}, sections)
+    )
+    assert one == same
+    assert one.calibration_sha256 != other.calibration_sha256
 
 
 def test_yaw_and_level_of_another_target_are_right_to_their_sigmas(
