@@ -21,10 +21,10 @@ from lscan.records import Bytes, Floats, Profile, Progress, Surface
 from lscan.stripe import extract_stripe
 from lscan.surface import Alignment, align_sandwave, apply, stack
 from lscan.surface.align.keptalignment import KeptAlignment
-from lscan.surface.concavity import correct_thickness
 from lscan.surface.profile import to_profile
 from lscan.surface.provenance import provenance_of
 from lscan.surface.shaft import shaft_of, stack_about
+from lscan.surface.thickness import correct_thickness
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,4 @@
-"""Correcting for what the sheet's thickness does to a line on a sloping or curved target.
+"""What the sheet's thickness does to a line on a smoothly curved target: a series.
 
 Light that falls a little before or behind the sheet's middle plane meets the target at
 another height, and the camera, which looks at the sheet askew, sees it displaced even where
@@ -17,18 +17,18 @@ sigma, by
 
 (derived here: half of zeta'' is the mean of the parabola, one zeta'' the stretching).  The
 first term follows the concavity across the sheet, the second slope times concavity.
-Profiles of neighbouring track positions give both, for the target stands still.
+Profiles of neighbouring track positions give both, for the target stands still.  Relief as fine
+as the sheet is thick has higher terms: relief.py.
 """
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
 from lscan.config.rig import SheetSection
 from lscan.records import Floats, Surface, has_value
 from lscan.surface.align.levelling import shear
-from lscan.surface.stack import require_head_frame
 
 REACH_IN_SIGMAS = 4.0
 """Radius in plan over which the target is taken for a quadratic, in sigmas of the sheet; no
@@ -43,48 +43,27 @@ NO_BETTER_MM = 1e-6
 """Heights are weighed as if known to no better than this: exact ones have weights too."""
 
 
-def correct_thickness(surface: Surface, sheet: SheetSection, yaw_rad: float = 0.0) -> Surface:
-    """The surface with its heights moved to those of the sheet's middle plane.
+def series_shifts(surface: Surface, sheet: SheetSection, yaw_rad: float) -> tuple[Floats, Floats]:
+    """(F, N) displacement of the heights in mm, and its standard uncertainty; NaN where unknown.
 
-    The target is taken for matt, of one reflectance within the sheet's thickness.  Points without
-    enough neighbours for their concavity keep their height, and get the root mean square of all
-    corrections as a further uncertainty.  sigma_z_mm grows by the noise of the correction, and
-    by all of it where within two sigmas of the sheet the target folds out of the camera's
-    sight, which the series does not describe.
+    The uncertainty is the noise of the displacement, and all of it where within two sigmas of the
+    sheet the target folds out of the camera's sight, which the series does not describe.  Points
+    need enough neighbours for their concavity.
 
     Parameters
     ----------
     surface : Surface, mm, frame of the head, as stacked, its heights found from whole-line
         centroids
     sheet : SheetSection, its thickness, twice the standard deviation of the irradiance; from where
-        it is lit and seen.  Behind a flat port the rays in the water come from close to the pinhole
-        too.
-    yaw_rad : float, rad, angle of the sheet against the track, as ``align_sandwave`` finds it
-
-    Raises
-    ------
-    InputError
-        For a surface that is not in the head frame.
-
-    References
-    ----------
-    docs/explanation/concavity.md; derived in this module's text.
+        it is lit and seen
+    yaw_rad : float, rad, angle of the sheet against the track
     """
-    require_head_frame(surface)
     parts = [
         _shift(forms, surface.xyz_mm[f], sheet)
         for f, forms in _quadratics(surface, sheet.thickness_mm / 2, yaw_rad)
     ]
     shift, sigma = (np.stack(column) for column in zip(*parts, strict=True))
-    known = np.isfinite(shift)
-    typical = float(np.sqrt(np.mean(shift[known] ** 2))) if known.any() else 0.0
-    xyz = surface.xyz_mm.copy()
-    xyz[..., 2] -= np.where(known, shift, 0.0)
-    total = np.hypot(surface.sigma_z_mm, np.where(known, sigma, typical))
-    yaw_deg = float(np.degrees(yaw_rad))
-    done = f"sheet thickness of {sheet.thickness_mm:g} mm at a yaw of {yaw_deg:.3f} deg"
-    corrections = (*surface.corrections, done)
-    return replace(surface, xyz_mm=xyz, sigma_z_mm=total, corrections=corrections)
+    return shift, sigma
 
 
 @dataclass(frozen=True)

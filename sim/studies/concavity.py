@@ -23,7 +23,7 @@ from lscan.files.disk import make_folder, write_atomically
 from lscan.files.jsontext import write_json
 from lscan.records import Floats, Mask, Progress, Status, Stripe, Surface
 from lscan.stripe.corrections.blur import correct_blur
-from lscan.surface.concavity import correct_thickness
+from lscan.surface.thickness import correct_thickness
 from sim.render.tank import Tank
 from sim.scene import Scene, scene_of
 from sim.sensor import Webcam

@@ -10,7 +10,7 @@ from hypothesis import given, settings, strategies as st
 from lscan.config.rig import SheetSection
 from lscan.errors import InputError
 from lscan.records import Floats, Status, Surface
-from lscan.surface.concavity import correct_thickness
+from lscan.surface.thickness import correct_thickness
 
 SHEET = SheetSection(thickness_mm=1.5, camera_mm=(0.0, -870.0, 300.0), apex_mm=(0.0, 0.0, 250.0))
 LEVEL_MM = -330.0
