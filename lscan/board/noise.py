@@ -11,7 +11,15 @@ from numpy.lib.stride_tricks import sliding_window_view
 from scipy.stats import norm
 
 from lscan.board.centre import window_sigma
-from lscan.board.picture import IMMERKAER, BoardPicture, Image, rounding_of
+from lscan.board.picture import (
+    IMMERKAER,
+    BoardPicture,
+    Image,
+    enlarged,
+    reduced,
+    rounding_of,
+    working_reduction,
+)
 from lscan.board.search import Nodes, moved
 from lscan.records import Floats, Mask
 
@@ -45,8 +53,10 @@ def noise_image(bright: Image, nodes: Nodes, radius_px: float) -> Image:
     if dot is not None:
         levels, variances = np.append(levels, dot[0]), np.append(variances, dot[1])
     order = np.argsort(levels)
-    variance = np.interp(smooth, levels[order], variances[order])
-    return np.sqrt(np.maximum(variance, rounding_of(bright) ** 2)).astype(np.float32)
+    some = reduced(smooth, working_reduction(bright, radius_px))
+    variance = np.interp(some, levels[order], variances[order])
+    noise = np.sqrt(np.maximum(variance, rounding_of(bright) ** 2)).astype(np.float32)
+    return enlarged(noise, bright.shape)
 
 
 def _on_plate(

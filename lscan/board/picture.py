@@ -98,7 +98,7 @@ def bright_marks(image: NDArray[Any], channel: Channel, marks: str) -> Image:
         raise InputError("picture too small", where="image", value=array.shape, allowed=allowed)
     if not (np.issubdtype(array.dtype, np.integer) or np.issubdtype(array.dtype, np.floating)):
         raise InputError("not a picture", where="image", value=str(array.dtype), allowed="numbers")
-    if not np.isfinite(array).all():
+    if np.issubdtype(array.dtype, np.floating) and not np.isfinite(array).all():
         raise InputError("holds values that are not finite", where="image")
     grey = np.ascontiguousarray(_one_channel(array.astype(np.float32), channel))
     return grey if marks == "bright" else -grey
@@ -136,6 +136,31 @@ def reduced(bright: Image, reduction: int) -> Image:
     height, width = (length // reduction for length in bright.shape)
     whole = bright[: height * reduction, : width * reduction]
     return whole.reshape(height, reduction, width, reduction).mean(axis=(1, 3), dtype=np.float32)
+
+
+def working_reduction(bright: Image, dot_radius_px: float) -> int:
+    """By how much a large picture may be reduced without losing what its dots show.
+
+    Parameters
+    ----------
+    bright : (H, W) array, grey values
+    dot_radius_px : float, px, of the control dots
+    """
+    return max(1, min(reduction_of(bright), int(dot_radius_px / WORKING_RADIUS_PX)))
+
+
+def enlarged(small: Image, shape: tuple[int, ...]) -> Image:
+    """A reduced picture at full size again, interpolated; itself where it has that size.
+
+    Parameters
+    ----------
+    small : (h, w) array
+    shape : tuple of int, (H, W)
+    """
+    if small.shape == shape:
+        return small
+    full = cv2.resize(small, shape[::-1], interpolation=cv2.INTER_LINEAR)
+    return np.asarray(full, dtype=np.float32)
 
 
 def noise_of(bright: Image) -> float:
@@ -206,15 +231,11 @@ def _gain(ground: Image) -> Image:
 
 def _ground(bright: Image, dot_radius_px: float) -> Image:
     """(H, W) the ground; of a large picture with large dots, from a smaller copy: it is smooth."""
-    reduction = max(1, min(reduction_of(bright), int(dot_radius_px / WORKING_RADIUS_PX)))
+    reduction = working_reduction(bright, dot_radius_px)
     small = reduced(bright, reduction)
     window = 2 * int(np.ceil(GROUND_WINDOW * dot_radius_px / reduction)) + 1
     low, high = float(small.min()), float(small.max())
     step = max(high - low, 1e-6) / 255
     median = cv2.medianBlur(np.round((small - low) / step).astype(np.uint8), window)
     smoothed = cv2.GaussianBlur(median.astype(np.float32), (0, 0), window / 4)
-    ground = smoothed * np.float32(step) + np.float32(low)
-    if reduction == 1:
-        return ground
-    full = cv2.resize(ground, bright.shape[::-1], interpolation=cv2.INTER_LINEAR)
-    return np.asarray(full, dtype=np.float32)
+    return enlarged(smoothed * np.float32(step) + np.float32(low), bright.shape)
