@@ -13,6 +13,7 @@ import numpy as np
 from lscan.benchmark.boards import BOARDS, OPTICS, image_px, reading_of
 from lscan.board import read_board
 from lscan.calibration.file import save_calibration
+from lscan.calibration.readings import without
 from lscan.calibration.solve import Calibration, calibrate
 from lscan.config.board import Board, Grid
 from lscan.config.rig import OpticsSection
@@ -123,12 +124,14 @@ def wrong_mark_rows(effort: FieldEffort) -> list[Row]:
             rng = np.random.default_rng([seed, len(label)])
             sound = reading_of(BOARDS[label], 0.02, rng)
             wrong, faulty = _spoilt(sound, rng)
+            on_rulers = sum(len(ruler.marks.status) for ruler in sound.rulers)
+            left_out = without(sound, np.concatenate([wrong, np.zeros(on_rulers, dtype=bool)]))
             places = sound.grid.board_mm.min(axis=0) + rng.random((PLACES, 2)) * np.ptp(
                 sound.grid.board_mm, axis=0
             )
             for plane_map, pairs in errors.items():
                 solved = calibrate(faulty, plane_map, OPTICS)
-                clean = calibrate(sound, plane_map, OPTICS)
+                clean = calibrate(left_out, plane_map, OPTICS)
                 pairs.append((_rms_mm(solved, places), _rms_mm(clean, places)))
             told = {tuple(place) for place in solved.outliers_mm.tolist()}
             truly = {tuple(place) for place in sound.grid.board_mm[wrong].tolist()}
