@@ -27,7 +27,7 @@ MOST_MISSED = 0.1  # of the pitch: how far off the median mark may lie in a view
 MOST_WRONG = 0.25  # of all marks; beyond it the fit explains nothing
 ROUNDS = 8
 MANY, ENOUGH = 1000, 250  # marks: of more than many, enough of them are fitted before all are
-POLISH = 40  # evaluations with all of many: what they determine is found in ten; ours
+POLISH = 25  # evaluations with all of many: what they determine is found in ten; ours
 
 
 def fit_view(
