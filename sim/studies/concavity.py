@@ -72,14 +72,55 @@ class ConcavityErrors:
     q99_mm: tuple[float, ...]
 
 
+@dataclass(frozen=True)
+class ShortScan:
+    """A scan without noise, each line the centroid of all its light, F frames of N columns.
+
+    Attributes
+    ----------
+    found : (F, N) array, mm, heights as found
+    surface : Surface, mm, head frame, with heights corrected for the camera's blur
+    true_z_mm : (F, N) array, mm, true heights
+    clear : (F, N) mask, of points with one line that is lit and seen, away from its ends
+    """
+
+    found: Floats
+    surface: Surface
+    true_z_mm: Floats
+    clear: Mask
+
+
 def concavity_errors(case: ConcavityCase) -> ConcavityErrors:
     """The errors over a short scan of the case's scene, before and after the corrections."""
-    scene, scatter_samples = case.scene, case.scatter_samples
+    scan = short_scan(case.scene, case.positions_mm, case.scatter_samples)
+    thin = correct_thickness(scan.surface, *sheet_of(case.scene))
+    errors = [scan.found, scan.surface.xyz_mm[..., 2], thin.xyz_mm[..., 2]]
+    compared = scan.clear & np.isfinite(scan.found)
+    compared[:BEYOND] = compared[len(compared) - BEYOND :] = False
+    off = [np.abs((z - scan.true_z_mm)[compared]) for z in errors]
+    return ConcavityErrors(
+        name=case.name,
+        derived=case.derived,
+        points=int(compared.sum()),
+        rms_mm=tuple(float(np.sqrt(np.mean(e**2))) for e in off),
+        q99_mm=tuple(float(np.quantile(e, 0.99)) for e in off),
+    )
+
+
+def short_scan(scene: Scene, positions_mm: Sequence[float], scatter_samples: int = 0) -> ShortScan:
+    """A scan of a scene without noise, and its truth.
+
+    Parameters
+    ----------
+    scene : Scene
+    positions_mm : sequence of float, mm, of the track
+    scatter_samples : int, a pixel, of the light of all higher orders; 0 leaves them out
+    """
     scene = scene.with_tank(render={"samples": SAMPLES, "fineness": FINENESS})
     tank, webcam = Tank(scene), Webcam(scene)
     blur_px = scene.tank.lens.blur_px or None
     settings = StripeSection(blur_px=blur_px)
-    truths = [stripe_truth(scene, position) for position in case.positions_mm]
+    truths = [stripe_truth(scene, position) for position in positions_mm]
     found, sharp = [], []
     for truth in truths:
         layers = tank.render(truth.position_mm, scatter_samples=scatter_samples)
@@ -90,19 +131,11 @@ def concavity_errors(case: ConcavityCase) -> ConcavityErrors:
         stripe = whole_line(light * (PEAK_DN / light.max()))
         found.append(_heights(scene, truth, stripe))
         sharp.append(_heights(scene, truth, correct_blur(stripe, settings, light)))
-    thin = correct_thickness(_surface(truths, sharp), *sheet_of(scene))
-    true = np.stack([truth.xz_mm[:, 1] for truth in truths])
-    errors = [np.stack([z for z, _ in found]), np.stack([z for z, _ in sharp]), thin.xyz_mm[..., 2]]
-    compared = np.stack([_clear(truth) for truth in truths])
-    compared[:BEYOND] = compared[len(truths) - BEYOND :] = False
-    compared &= np.isfinite(errors[0])
-    off = [np.abs((z - true)[compared]) for z in errors]
-    return ConcavityErrors(
-        name=case.name,
-        derived=case.derived,
-        points=int(compared.sum()),
-        rms_mm=tuple(float(np.sqrt(np.mean(e**2))) for e in off),
-        q99_mm=tuple(float(np.quantile(e, 0.99)) for e in off),
+    return ShortScan(
+        found=np.stack([z for z, _ in found]),
+        surface=_surface(truths, sharp),
+        true_z_mm=np.stack([truth.xz_mm[:, 1] for truth in truths]),
+        clear=np.stack([_clear(truth) for truth in truths]),
     )
 
 

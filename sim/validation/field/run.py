@@ -11,6 +11,7 @@ from sim.validation.chapters import run_chapters
 from sim.validation.field.boards import board_rows
 from sim.validation.field.effort import FULL, QUICK, FieldEffort
 from sim.validation.field.line import line_rows
+from sim.validation.field.relief import relief_rows
 from sim.validation.field.sheet import sheet_rows
 from sim.validation.field.sigma import sigma_rows
 from sim.validation.field.surface import surface_rows
@@ -21,6 +22,7 @@ FieldChapter = Callable[[Path, FieldEffort], list[Row]]
 
 # The longest first: chapters run side by side, and no processor shall wait at the end.
 CHAPTERS: Mapping[str, FieldChapter] = {
+    "relief": relief_rows,
     "any surface": surface_rows,
     "line": line_rows,
     "boards": board_rows,
