@@ -196,8 +196,11 @@ def _laid(lattice: _Lattice, rows: slice, columns: slice) -> _Laid:
 
 def _spectrum(lattice: _Lattice, laid: _Laid) -> ReliefSpectrum | None:
     """The spectra of a laid part; None where it holds too few whole segments."""
-    noise = np.nanmedian(lattice.own[:, laid.columns]) if np.isfinite(lattice.own).any() else 0.0
-    noise_mm = float(np.sqrt(max(noise * laid.noise_share, NO_BETTER_MM**2)))
+    own = lattice.own[:, laid.columns]
+    own = own[np.isfinite(own)]
+    if len(own) == 0:
+        return None
+    noise_mm = float(np.sqrt(max(np.median(own) * laid.noise_share, NO_BETTER_MM**2)))
     wall = _walls(laid.height, lattice.row_mm, noise_mm)
     parts = []
     for start in range(0, len(laid.height) - SEGMENT + 1, HOP):
