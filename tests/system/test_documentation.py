@@ -13,6 +13,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 import cv2
+import numpy as np
 import pytest
 import typer
 from places import PAPER_BOARD, ROOT, SCENES
@@ -186,6 +187,10 @@ def _provide(line: str, tank: Workspace) -> None:
     needs: dict[str, Callable[[], None]] = {
         "photograph.jpg": lambda: _picture(tank, "board", "photograph.jpg"),
         "laser-on.png": lambda: _laser_pictures(tank),
+        "mask.png": _mask,
+        "two-lines.png": lambda: _picture(tank, "groove", "two-lines.png"),
+        "upper.json": lambda: _calibration(tank, "upper.json"),
+        "lower.json": lambda: _calibration(tank, "lower.json"),
         "runs/first": lambda: _scan(tank, "groove", "first"),
     }
     for file, make in needs.items():
@@ -207,6 +212,16 @@ def _picture(tank: Workspace, scene: str, file: str) -> None:
     _scan(tank, scene, scene)
     picture = cv2.imread(f"runs/{scene}/frames/000000.png")
     cv2.imwrite(file, picture)
+
+
+def _calibration(tank: Workspace, file: str) -> None:
+    _scan(tank, "board", "board")
+    tank.run(f"lscan calibrate runs/board -o {file}")
+
+
+def _mask() -> None:
+    """A mask that hides nothing of the picture whose line runs down."""
+    cv2.imwrite("mask.png", np.full(cv2.imread("laser-on.png").shape[:2], 255, np.uint8))
 
 
 def _laser_pictures(tank: Workspace) -> None:
