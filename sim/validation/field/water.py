@@ -51,7 +51,7 @@ SHIFT, TILT, CAMERA, FOCAL, PORT, INDEX = (
     {"camera_tilt_deg": 0.05},
     {"focal_percent": 0.1},
     {"port_tilt_deg": 0.5},
-    {"water_index": 0.0003},
+    {"water_index": 0.0002},  # 2 degrees, or 1 psu
 )
 SINCE = (
     SHIFT, TILT, CAMERA, FOCAL, PORT, INDEX,
@@ -93,10 +93,17 @@ class PlaceErrors:
 
     @property
     def bias_mm(self) -> float:
-        """Rms over places of the mean error of all rigs; scatter adds sigma² / R to its square."""
-        seen = np.isfinite(self.error_mm[..., 0]).any(axis=0)
-        mean = np.nanmean(self.error_mm[:, np.flatnonzero(seen)], axis=0)
-        return float(np.sqrt(np.mean(mean**2)))
+        """Rms over places of the mean error of all rigs, less what their scatter adds to it.
+
+        The square of a mean of R values exceeds that of the expectation by their variance over R;
+        of one rig alone the scatter is not known.
+        """
+        seen = np.isfinite(self.error_mm[..., 0]).sum(axis=0)
+        places = np.flatnonzero(seen > (1 if seen.max() > 1 else 0))
+        errors, count = self.error_mm[:, places], seen[places, None]
+        mean = np.nanmean(errors, axis=0)
+        scatter = np.nanmean((errors - mean) ** 2, axis=0) / np.maximum(count - 1, 1)
+        return float(np.sqrt(max(np.mean(mean**2 - scatter), 0.0)))
 
 
 def water_rows(scenes: Path, effort: FieldEffort, name: str) -> list[Row]:
