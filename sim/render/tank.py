@@ -243,7 +243,7 @@ class Tank:
             sheet.configure(tank.laser, line, self.water.index, wavelength_nm)
         ambient = tank.light.ambient_w_m2_sr / W_PER_M2_IN_MW_PER_MM2
         for integrator in (self.integrator, self.higher):
-            integrator.configure(self.water, self.sheets, ambient)
+            integrator.configure(self.water, self.sheets, ambient, tank.light.penumbra)
 
     def _focus(self, camera: RefractiveCamera) -> None:
         """Set a camera's optics for the water as it is."""

@@ -251,6 +251,8 @@ class Sensor(Strict):
     matt ones do.  bayer: pattern of the colour filter, from the top-left pixel; "none": every
     pixel sees all three colours.  jpeg_quality: the picture has been through MJPEG.
     readout_ms: a rolling shutter's time from the first row's to the last row's.
+    clips_dn: grey value at which the camera's range ends; some end early.  frame_dn: grey value of
+    a frame, one pixel wide, that a capture program draws around the picture; None: no frame.
     """
 
     pixel_um: PositiveFloat = 6.0
@@ -268,7 +270,16 @@ class Sensor(Strict):
     jpeg_quality: Annotated[int, Field(ge=1, le=100)] | None = None
     jpeg_subsampling: Literal["4:4:4", "4:2:2", "4:2:0"] = "4:2:0"
     readout_ms: Annotated[float, Field(ge=0, le=1000)] = 0.0
+    clips_dn: Annotated[int, Field(ge=1, le=255)] = 255
+    frame_dn: Annotated[int, Field(ge=0, le=255)] | None = None
     laser_response: Response = Response(red=0.40, green=0.03, blue=0.01)
     ambient_response: Response = Response(red=0.30, green=0.33, blue=0.28)
     noise: bool = True
     seed: Seed = 1
+
+    @model_validator(mode="after")
+    def _has_range(self) -> Self:
+        black_dn = FULL_SCALE_DN * (self.black_level_dn / FULL_SCALE_DN) ** (1 / self.gamma)
+        if self.clips_dn <= black_dn:
+            raise ValueError(f"clips_dn = {self.clips_dn} is not above black, {black_dn:g} DN")
+        return self

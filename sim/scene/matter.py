@@ -65,10 +65,28 @@ class Water(Strict):
         return self
 
 
+class Penumbra(Strict):
+    """A shadow's soft edge on all surfaces, along y of the world frame.
+
+    Ambient light falls off towards +x (side "right") or -x ("left") as a Gaussian's integral does,
+    to the share ``left`` of itself; half way at ``x_mm``, with the standard deviation ``width_mm``.
+    """
+
+    x_mm: float
+    width_mm: PositiveFloat
+    left: Fraction = 0.02
+    side: Literal["left", "right"] = "right"
+
+
 class AmbientLight(Strict):
-    """Ambient light: radiance in W/(m2 sr) that reaches every point from all directions."""
+    """Ambient light: radiance in W/(m2 sr) that reaches every point from all directions.
+
+    penumbra: less of it reaches the surfaces on one side; the light that the water scatters, and
+    that which met more than one surface, stay as without.
+    """
 
     ambient_w_m2_sr: Annotated[float, Field(ge=0, le=1e6)] = 0.0
+    penumbra: Penumbra | None = None
 
 
 class Sand(Strict):

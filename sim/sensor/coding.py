@@ -15,14 +15,14 @@ SUBSAMPLING = {
 
 
 def digitise(electrons: Picture, sensor: Sensor, colours: ColourFilter | None = None) -> Bytes:
-    """Digital numbers of the electrons: full well, gain, filled in colours, gamma, 8 bit.
+    """Digital numbers of the electrons: full well, gain, filled in colours, gamma, 8 bit, frame.
 
     The same shape; (H, W, 3) RGB of the (H, W) electrons behind a colour filter.
 
     Parameters
     ----------
     electrons : array, electrons read out
-    sensor : Sensor, its gain, gamma, black level and full well
+    sensor : Sensor, its gain, gamma, black level, full well, range and frame
     colours : ColourFilter or None, the filter before the pixels
     """
     held = np.minimum(electrons, np.float32(sensor.full_well_e))
@@ -32,11 +32,14 @@ def digitise(electrons: Picture, sensor: Sensor, colours: ColourFilter | None = 
         linear = colours.demosaic(linear)
     if sensor.gamma != 1:
         linear = FULL_SCALE_DN * (linear / FULL_SCALE_DN) ** (1 / sensor.gamma)
-    return np.rint(linear).astype(np.uint8)
+    image = np.minimum(np.rint(linear), sensor.clips_dn).astype(np.uint8)
+    if sensor.frame_dn is not None:
+        image[[0, -1]] = image[:, [0, -1]] = sensor.frame_dn
+    return image
 
 
 def electrons_of(dn: float, sensor: Sensor) -> float:
-    """Electrons that ``digitise`` makes ``dn`` of, as far as the full well goes.
+    """Electrons that ``digitise`` makes ``dn`` of, as far as full well and range go.
 
     Zero or less where ``dn`` is not above the black level.
 
@@ -45,7 +48,7 @@ def electrons_of(dn: float, sensor: Sensor) -> float:
     dn : float, grey value, DN, 0 to 255
     sensor : Sensor, its gain, gamma, black level and full well
     """
-    linear = FULL_SCALE_DN * (dn / FULL_SCALE_DN) ** sensor.gamma
+    linear = FULL_SCALE_DN * (min(dn, sensor.clips_dn) / FULL_SCALE_DN) ** sensor.gamma
     return min((linear - sensor.black_level_dn) / _gain(sensor), sensor.full_well_e)
 
 

@@ -159,7 +159,12 @@ def whole_line(light: Floats) -> Stripe:
 
 
 def sheet_of(scene: Scene) -> tuple[SheetSection, float]:
-    """What the correction for thickness has to know, from the scene: the sheet, its yaw in rad."""
+    """What the correction for thickness has to know: the sheet, and its yaw in rad.
+
+    Parameters
+    ----------
+    scene : Scene, its head moves on a linear track
+    """
     laser, head = scene.tank.laser, scene.tank.head
     if head.shaft is not None:
         raise InputError("thickness: is corrected for on a linear track only", where=scene.source)

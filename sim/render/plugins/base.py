@@ -11,6 +11,7 @@ from sim.render.plugins.beams import FARTHEST_MM
 from sim.render.plugins.opaque import opaque
 from sim.render.plugins.phase import PhaseTable
 from sim.render.plugins.sheet import LaserSheet
+from sim.scene.matter import Penumbra
 from sim.water import Optics
 
 FAR_OPTICAL_DEPTH = 25.0  # what lies deeper is dimmer by 1e-11
@@ -43,9 +44,13 @@ class WaterIntegrator(mi.SamplingIntegrator):
         self.sheets: Sequence[LaserSheet] = ()
 
     def configure(
-        self, water: Optics, sheets: Sequence[LaserSheet], ambient_mw_mm2_sr: float
+        self,
+        water: Optics,
+        sheets: Sequence[LaserSheet],
+        ambient_mw_mm2_sr: float,
+        penumbra: Penumbra | None = None,
     ) -> None:
-        """Set the water, the laser's sheets (none: off) and the ambient radiance."""
+        """Set the water, the laser's sheets (none: off), the ambient radiance and its shadow."""
         self.sheets = tuple(sheets)
         self.extinction = opaque(water.extinction_per_mm)
         self.scattering = opaque(water.scattering_per_mm)
@@ -55,6 +60,7 @@ class WaterIntegrator(mi.SamplingIntegrator):
         self.phase = PhaseTable(water.phase)
         self.has_ambient = ambient_mw_mm2_sr > 0
         self.ambient_radiance = opaque(ambient_mw_mm2_sr)
+        self.penumbra = penumbra
 
     def aov_names(self) -> list[str]:
         """One channel a layer, after the sum's own."""

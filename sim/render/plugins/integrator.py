@@ -88,10 +88,18 @@ class SheetIntegrator(WaterIntegrator):
         lit &= ~leg.scene.ray_test(si.spawn_ray(si.to_world(bs.wo)), lit)
         t = dr.select(si.is_valid(), si.t, dr.largest(mi.Float))
         transmittance = dr.exp(-self.extinction * t)
-        surface = dr.select(lit, weight.x * transmittance, 0.0)
+        surface = dr.select(lit, weight.x * transmittance, 0.0) * self._unshaded(si.p)
         albedo = dr.select(self.extinction > 0, self.scattering / self.extinction, 0.0)
         light = self.ambient_radiance * (surface + albedo * (1 - transmittance))
         return dr.select(leg.active, light, 0.0)
+
+    def _unshaded(self, point: mi.Point3f) -> mi.Float:
+        """Share of the ambient light that reaches a point of a surface."""
+        shade = self.penumbra
+        if shade is None:
+            return mi.Float(1)
+        into = (point.x - shade.x_mm) * (1 if shade.side == "right" else -1) / shade.width_mm
+        return shade.left + (1 - shade.left) * 0.5 * (1 - dr.erf(into / sqrt(2)))
 
 
 def crossing_of(sheet: LaserSheet, ray: mi.Ray3f) -> tuple[mi.Float, mi.Float]:

@@ -16,6 +16,7 @@ from scipy.special import ndtr
 from lscan.records import Floats, Status
 from sim.scene import PlanePort, Scene
 from sim.scene.instrument import FULL_SCALE_DN, Response
+from sim.scene.matter import Penumbra
 from sim.sensor.radiometry import AMBIENT_NM, photons_per_radiance
 from sim.sensor.speckle import speckle_contrast
 from sim.truth.camera.flat import flat_normal
@@ -198,8 +199,19 @@ def _ambient(scene: Scene, reflectance: Reflectance, line: LineInSpace) -> Float
     left = np.exp(-water.extinction_per_mm * way)
     turned = water.scattering_per_mm / max(water.extinction_per_mm, np.finfo(float).tiny)
     albedo = reflectance.albedo_at(line.face, line.places)
+    albedo = albedo * _unshaded(scene.tank.light.penumbra, line.places[:, 0])
     light = scene.tank.light.ambient_w_m2_sr * (albedo * left + turned * (1 - left))
     return light * port_weight(camera, line.direction)
+
+
+def _unshaded(penumbra: Penumbra | None, x_mm: Floats) -> Floats:
+    """(N,) share of the ambient light that reaches places of the world frame."""
+    if penumbra is None:
+        return np.ones_like(x_mm)
+    outward = -1 if penumbra.side == "right" else 1
+    lit = ndtr(outward * (x_mm - penumbra.x_mm) / penumbra.width_mm)
+    share: Floats = penumbra.left + (1 - penumbra.left) * lit
+    return share
 
 
 def _in_grey_values(
@@ -248,6 +260,7 @@ def _grey(scene: Scene, electrons: Floats) -> tuple[Floats, Floats]:
     sensor = scene.tank.sensor
     gain = np.where(electrons > sensor.full_well_e, 0.0, sensor.gain / sensor.full_well_e)
     held = np.minimum(electrons, sensor.full_well_e) * sensor.gain / sensor.full_well_e
-    linear = np.minimum(sensor.black_level_dn / FULL_SCALE_DN + held, 1.0)
+    most = (sensor.clips_dn / FULL_SCALE_DN) ** sensor.gamma
+    linear = np.minimum(sensor.black_level_dn / FULL_SCALE_DN + held, most)
     slope = gain * np.maximum(linear, 1 / FULL_SCALE_DN) ** (1 / sensor.gamma - 1) / sensor.gamma
     return FULL_SCALE_DN * linear ** (1 / sensor.gamma), FULL_SCALE_DN * slope

@@ -89,8 +89,8 @@ def chessboard_rows(folder: Path) -> list[Row]:
     height, width = pictures[0].shape[:2]
     flat = [np.column_stack([m.board_mm, np.zeros(len(m.board_mm))]) for m in marks]
     rms, *_ = cv2.calibrateCamera(
-        [points.astype(np.float32) for points in flat],
-        [m.image_px.astype(np.float32) for m in marks],
+        [points[m.found].astype(np.float32) for points, m in zip(flat, marks, strict=True)],
+        [m.image_px[m.found].astype(np.float32) for m in marks],
         (width, height),
         np.eye(3),
         np.zeros(5),

@@ -19,7 +19,11 @@ from lscan.config.board import Board, Grid
 from lscan.config.rig import OpticsSection
 from lscan.files.pictures import read_picture, write_picture
 from lscan.records import BoardReading, Floats, Mask, Status
-from sim.validation.field.chessboards import sliver_rows, squeezed_row
+from sim.render.tank import Tank
+from sim.scene import load_scene
+from sim.truth import board_truth
+from sim.validation.accuracy.exposures import pictures
+from sim.validation.field.chessboards import sliver_rows, squeezed_row, tank_chessboard_row
 from sim.validation.field.drawn import DrawnView, dots_cover, photographed
 from sim.validation.field.effort import FieldEffort
 from sim.validation.rows import Row, measured, row
@@ -38,13 +42,14 @@ PLACES = 1000
 
 
 def board_rows(scenes: Path, effort: FieldEffort) -> list[Row]:
-    """The rows of boards as photographs show them; scenes: not used, all is drawn."""
-    del scenes
+    """The rows of boards as photographs show them, drawn or in the tank of the scene files."""
     return [
         *measured("large dot board", lambda: large_rows(effort)),
         *measured("dot board in a penumbra", lambda: [penumbra_row(effort)]),
+        *measured("penumbra in the tank", lambda: [tank_penumbra_row(scenes, effort)]),
         *measured("wrong marks", lambda: wrong_mark_rows(effort)),
         *measured("chessboards with slivers", lambda: sliver_rows(effort)),
+        *measured("chessboard in the tank", lambda: [tank_chessboard_row(scenes, effort)]),
         *measured("pixels that are not square", lambda: [squeezed_row(effort)]),
     ]
 
@@ -97,7 +102,23 @@ def penumbra_row(effort: FieldEffort) -> Row:
         reading = read_board(picture, SHADED)
         near = _near_its_dot(reading, SHADED_VIEW)
         right, read = right + int(near.sum()), read + len(near)
-    return row("board-penumbra", 100 * right / read, dots=read, seeds=effort.seeded)
+    share = 100 * right / read
+    return row("board-penumbra", share, boards="drawn boards", dots=read, seeds=effort.seeded)
+
+
+def tank_penumbra_row(scenes: Path, effort: FieldEffort) -> Row:
+    """The same of the paper's board in the tank, one side in the shadow."""
+    scene = load_scene(scenes / "field" / "penumbra.toml").with_tank(render={"samples": 16})
+    assert scene.rig.board is not None
+    truth = board_truth(scene, 0.0).centres.grid
+    right, read = 0, 0
+    for picture in pictures(scene, Tank(scene).render(0.0), effort.seeds):
+        grid = read_board(picture, scene.rig.board).grid
+        miss = np.hypot(*(grid.image_px - truth.image_px)[grid.found].T)
+        right += int((miss <= RIGHT_PX + RIGHT_SIGMAS * grid.sigma_px[grid.found]).sum())
+        read += int(grid.found.sum())
+    what, share = "a board of the tank", 100 * right / read
+    return row("board-penumbra", share, boards=what, dots=read, seeds=effort.seeded)
 
 
 def _near_its_dot(reading: BoardReading, view: DrawnView) -> Mask:

@@ -1,5 +1,7 @@
 """Chessboards with slivers of further squares at the rim, and cameras with oblong pixels."""
 
+from pathlib import Path
+
 import numpy as np
 
 from lscan.board.chessboard import read_chessboard
@@ -8,6 +10,10 @@ from lscan.calibration.multiview.views import CalibrationView, LinePoints
 from lscan.config.rig import OpticsSection
 from lscan.errors import BoardNotFound, MeasurementError
 from lscan.records import Floats, Marks, Status
+from sim.render.tank import Tank
+from sim.scene import into_head, load_scene, target_pose
+from sim.truth import project
+from sim.validation.accuracy.exposures import pictures
 from sim.validation.field.drawn import DrawnView, chessboard_grey, photographed
 from sim.validation.field.effort import FieldEffort
 from sim.validation.rows import Row, row
@@ -16,6 +22,7 @@ INNER = (6, 9)  # rows, columns
 SQUARE_MM = 20.0
 CORNER_PX = 0.5  # a corner farther off is another one
 MIDDLE_MM = (80.0, -50.0)
+TANK_CORNER_MM = (26.0, 130.0)  # the first inner corner on the plate of field/chessboard.toml
 
 SIZE = (640, 480)
 VIEWS, LINE_POINTS = 9, 60
@@ -43,15 +50,37 @@ def sliver_rows(effort: FieldEffort) -> list[Row]:
         except BoardNotFound:
             continue
         found += 1
-        truth = view.image_px(marks.board_mm)
-        turned = truth[::-1] if _far(marks, truth[::-1]).mean() < 0.5 else truth
-        right += int((_far(marks, turned) == 0).sum())
+        right += _right(marks, view.image_px(marks.board_mm))
         read += int(marks.found.sum())
     share = 100 * right / read if read else 100.0
     return [
-        row("chess-slivers", share, corners=read, seeds=effort.seeded),
+        row("chess-slivers", share, boards="drawn boards", corners=read, seeds=effort.seeded),
         row("chess-found", 100 * found / len(effort.seeds), seeds=effort.seeded),
     ]
+
+
+def tank_chessboard_row(scenes: Path, effort: FieldEffort) -> Row:
+    """Share of the corners read that are the right ones, of the chessboard in the tank.
+
+    The laser's line runs across a row of its corners.
+    """
+    scene = load_scene(scenes / "field" / "chessboard.toml")
+    right, read = 0, 0
+    for picture in pictures(scene, Tank(scene).render(0.0), effort.seeds):
+        marks = read_chessboard(picture, INNER[1], INNER[0], SQUARE_MM)
+        on_plate = np.pad(TANK_CORNER_MM + marks.board_mm, ((0, 0), (0, 1)))
+        places = into_head(scene.tank.head, target_pose(scene).apply(on_plate), 0.0)
+        right += _right(marks, project(scene, places))
+        read += int(marks.found.sum())
+    share = 100 * right / read
+    what = "a board of the tank"
+    return row("chess-slivers", share, boards=what, corners=read, seeds=effort.seeded)
+
+
+def _right(marks: Marks, truth_px: Floats) -> int:
+    """How many corners lie where the truth has them, counted from either end of the board."""
+    turned = truth_px[::-1] if _far(marks, truth_px[::-1]).mean() < 0.5 else truth_px
+    return int((_far(marks, turned) == 0).sum())
 
 
 def _far(marks: Marks, truth_px: Floats) -> Floats:

@@ -33,7 +33,11 @@ TWO_LIT = LitTarget(laser_dn=(600.0, 50.0, 30.0))
 THRESHOLD_DN = 20.0
 COARSE_PX = 30.0  # squares that a line 4 px wide is told from in one colour
 CLIPS_DN = 180  # where the range of a camera ends that clips early
-FRAME_DN = 129  # of a frame one pixel wide, as a capture program drew it
+SCENES = {
+    "lit block of the tank": "targets/lit.toml",
+    "lit chessboard of the tank": "field/chessboard.toml",
+    "groove by a camera that clips early": "field/clipping.toml",
+}
 EDGE_COLUMNS = 3  # beside an end of the line, where blur carries it on
 
 
@@ -56,7 +60,7 @@ def line_rows(scenes: Path, effort: FieldEffort) -> list[Row]:
     photographs = effort.photographs
     return [
         *measured("lit chessboards", lambda: lit_rows(effort)),
-        *measured("lit block", lambda: block_rows(scenes, effort)),
+        *measured("tank", lambda: tank_rows(scenes, effort)),
         *measured("frame", lambda: frame_rows(scenes, effort)),
         *measured("early clipping", lambda: clipping_rows(effort)),
         *measured("two lasers", lambda: laser_rows(scenes, effort)),
@@ -84,20 +88,21 @@ def lit_rows(effort: FieldEffort) -> list[Row]:
     return rows
 
 
-def block_rows(scenes: Path, effort: FieldEffort) -> list[Row]:
-    """The checked block of the tank with the lamps on."""
-    scene = _plain(load_scene(scenes / "targets" / "lit.toml"), effort)
-    shown = pictures(scene, Tank(scene).render(0.0), effort.seeds)
-    count = _count(shown, scene.rig.stripe, _truth(scene))
-    return _rows("lit block of the tank", scene.rig.stripe.extractor, count, effort)
+def tank_rows(scenes: Path, effort: FieldEffort) -> list[Row]:
+    """Lit texture and a range that ends early, in the tank."""
+    rows = []
+    for what, name in SCENES.items():
+        scene = _plain(load_scene(scenes / name), effort)
+        shown = pictures(scene, Tank(scene).render(0.0), effort.seeds)
+        count = _count(shown, scene.rig.stripe, _truth(scene))
+        rows += _rows(what, scene.rig.stripe.extractor, count, effort)
+    return rows
 
 
 def frame_rows(scenes: Path, effort: FieldEffort) -> list[Row]:
     """The groove's pictures with a grey frame one pixel wide around them."""
-    scene = _plain(load_scene(scenes / "paper" / "groove.toml"), effort)
+    scene = _plain(load_scene(scenes / "field" / "frame.toml"), effort)
     shown = pictures(scene, Tank(scene).render(0.0), effort.seeds)
-    for picture in shown:
-        picture[[0, -1]] = picture[:, [0, -1]] = FRAME_DN
     stripes = [extract_stripe(picture, scene.rig.stripe) for picture in shown]
     border = np.mean([(stripe.status == Status.AT_BORDER).mean() for stripe in stripes])
     count = _counted(stripes, _truth(scene))

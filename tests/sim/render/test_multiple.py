@@ -1,7 +1,7 @@
 """Light of the second and all higher orders: densities, stock Mitsuba, and conserved power."""
 
 from dataclasses import replace
-from typing import Any
+from typing import Any, Literal
 
 import drjit as dr
 import mitsuba as mi
@@ -19,6 +19,7 @@ from integrator_cases import (
     parts,
     render,
 )
+from scipy.special import ndtr
 
 from lscan.records import Floats
 from sim.render.plugins.beams import BeamDensity, beam_density, falloff, line_density
@@ -26,6 +27,7 @@ from sim.render.plugins.integrator import SheetIntegrator
 from sim.render.plugins.multiple import MultipleIntegrator
 from sim.render.tank import Tank, stock_medium
 from sim.scene import Laser, Pose
+from sim.scene.matter import Penumbra
 from sim.water import Optics
 
 FEW = settings(max_examples=15)
@@ -221,6 +223,23 @@ def test_ambient_light_in_a_groove_equals_stock_path() -> None:
     assert not differ(ours, theirs)
     assert differ(first.reshape(runs).mean(axis=2), theirs), "the first order alone is not enough"
     assert differ(1.02 * ours, theirs), "2 % more light is seen"
+
+
+@pytest.mark.parametrize("side", ["left", "right"])
+def test_a_penumbra_dims_a_surface_as_a_gaussians_integral(side: Literal["left", "right"]) -> None:
+    """A white floor under a uniform sky of radiance L shows L, times the share that is left."""
+    shade = Penumbra(x_mm=20.0, width_mm=30.0, left=0.1, side=side)
+    size = mi.ScalarTransform4f().scale([1000, 1000, 1])
+    floor = {"type": "rectangle", "to_world": size, "bsdf": matt(1.0)}
+    x_mm = np.linspace(-100.0, 140.0, 49)
+    starts = np.column_stack([x_mm, 0 * x_mm, 0 * x_mm + 300])
+    first = SheetIntegrator(mi.Properties())
+    first.configure(DRY, [], 2.0, shade)
+    scene = mi.load_dict({"type": "scene", "floor": floor})
+    seen = radiance(scene, first, starts, np.tile([0.0, 0.0, -1.0], (len(x_mm), 1)))
+    lit = ndtr((x_mm - 20) / 30 * (1 if side == "left" else -1))
+    # Single precision, and the error function's approximation in it.
+    np.testing.assert_allclose(seen, 2.0 * (0.1 + 0.9 * lit), rtol=1e-5)
 
 
 def both(

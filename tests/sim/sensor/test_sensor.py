@@ -146,3 +146,30 @@ def test_same_seed_same_bytes() -> None:
     first, second = (picture(scene, seed=3, direct=0.1, ambient=0.02) for _ in range(2))
     assert np.array_equal(first, second)
     assert not np.array_equal(first, picture(scene, seed=4, direct=0.1, ambient=0.02))
+
+
+@pytest.mark.parametrize(("gamma", "end"), [(1.0, 180), (2.2, 216)])
+def test_a_range_that_ends_early_cuts_off_what_is_brighter(gamma: float, end: int) -> None:
+    whole, cut = (
+        picture(sensor_scene(gamma=gamma, clips_dn=clips), ambient=0.2) for clips in (255, end)
+    )
+    assert whole.max() > end > whole.min()
+    np.testing.assert_array_equal(cut, np.minimum(whole, end))
+
+
+def test_a_frame_lies_around_the_picture_and_nowhere_else() -> None:
+    bare, framed = (picture(sensor_scene(frame_dn=dn), ambient=0.2) for dn in (None, 129))
+    np.testing.assert_array_equal(framed[1:-1, 1:-1], bare[1:-1, 1:-1])
+    rim = np.ones(framed.shape, dtype=bool)
+    rim[1:-1, 1:-1] = False
+    assert (framed[rim] == 129).all()
+
+
+def test_electrons_of_a_grey_value_beyond_the_range_are_those_of_its_end() -> None:
+    sensor = sensor_scene(clips_dn=180).tank.sensor
+    assert electrons_of(240.0, sensor) == electrons_of(180.0, sensor)
+
+
+def test_a_range_that_ends_at_black_is_refused() -> None:
+    with pytest.raises(ValueError, match="clips_dn = 5 is not above black"):
+        Sensor(clips_dn=5, black_level_dn=5.0)

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 import trimesh
+from scipy.special import ndtr
 from truth_scenes import tank
 
 from lscan.config.documents import merge
@@ -16,6 +17,7 @@ from lscan.files.pictures import write_picture
 from lscan.records import Status
 from sim.render.tank import Layers, Tank
 from sim.scene import Scene
+from sim.scene.matter import Penumbra
 from sim.sensor import Webcam
 from sim.truth import StripeTruth, line_brightness, stripe_truth
 
@@ -252,3 +254,21 @@ def test_the_truth_needs_no_renderer() -> None:
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
     assert done.stdout.strip() == "[]", done.stderr
+
+
+def test_a_penumbra_takes_its_share_of_the_noise_beside_the_line() -> None:
+    """Where all light beside the line is the lamps', its shot noise goes with the light's root."""
+    shade = Penumbra(x_mm=40.0, width_mm=30.0, left=0.2)
+    light = {"ambient_w_m2_sr": 0.2}
+    quiet = {"prnu": 0.0, "dark_noise_e": 0.0, "gain": 1.0}
+    dry = {"kind": "given", "absorption_per_m": 0.0, "scattering_per_m": 0.0}
+    whole, shaded = (
+        small(sensor=quiet, light={**light, "penumbra": some}, water=dry)
+        for some in (None, shade.model_dump())
+    )
+    truth, columns, _ = true_line(whole)
+    (bright,), (dim,) = (line_brightness(scene, [truth]) for scene in (whole, shaded))
+    share = 0.2 + 0.8 * ndtr(-(truth.xz_mm[columns, 0] - 40.0) / 30.0)
+    rounding = 1 / 12
+    variance = (b.noise_dn[columns] ** 2 - rounding for b in (bright, dim))
+    np.testing.assert_allclose(next(variance) * share, next(variance), rtol=0.01)
