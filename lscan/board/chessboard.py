@@ -13,6 +13,7 @@ from typing import Any
 
 import cv2
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
 from lscan.board.centre import SMALLEST_SIGMA_PX, fit_centres
@@ -22,13 +23,15 @@ from lscan.board.picture import Image, bright_marks, noise_of
 from lscan.board.search import local_pitch
 from lscan.config.rig import Channel
 from lscan.errors import BoardNotFound, InputError
-from lscan.records import Bytes, Floats, Marks, Status
+from lscan.records import Bytes, Floats, Marks, Mask, Status
 
 WINDOW = 0.15  # Gaussian sigma, of the distance between corners: the next weigh nothing
 LARGEST_SIGMA_PX = 4.0
 CLEAR = 1 / 3  # Gaussian sigma, of the way to the next marker: what lies beyond weighs 1 % at most
 NARROWER = 1 / 1.6  # of the second window that a corner is seen through
 MOST_MOVED = 0.2  # of the distance between corners, from where OpenCV saw it
+MOST_CHANGED = 6.0  # standard deviations, from window to window and from the lattice
+FOURTH = np.array([1.0, -4.0, 6.0, -4.0, 1.0])  # difference of five in line
 FEWEST = 6  # corners of a ChArUco board: a pose needs four, its check two more
 
 
@@ -164,19 +167,48 @@ def _measured(grey: Image, lattice: Floats, square_mm: float, window: float) -> 
     height, width = grey.shape
     inside = ((corners.points >= 0) & (corners.points <= [width - 1, height - 1])).all(axis=1)
     good = corners.round & inside & (moved <= MOST_MOVED * pitch[known])
+    floor, alone = _disagreement(grey, corners.points[good], sigma[good], noise)
+    good[good] = alone
     image, sigma_px = np.full_like(seen, np.nan), np.full(len(seen), np.nan)
     found = np.flatnonzero(known)[good]
     image[found] = corners.points[good]
-    if len(found):
-        floor = _disagreement(grey, corners.points[good], sigma[good], noise)
-        sigma_px[found] = np.hypot(corners.sigma_px[good], floor)
+    sigma_px[found] = np.hypot(corners.sigma_px[good], floor)
+    out = _off_the_lattice(image.reshape(lattice.shape), sigma_px.reshape(lattice.shape[:2]))
+    image[out.ravel()] = sigma_px[out.ravel()] = np.nan
+    found = np.flatnonzero(np.isfinite(sigma_px))
     status = np.full(len(seen), int(Status.NOT_FOUND), dtype=np.int64)
     status[found] = int(Status.OK)
     return Marks(grid_points_mm(lattice.shape, square_mm).reshape(-1, 2), image, sigma_px, status)
 
 
-def _disagreement(grey: Image, points: Floats, sigma: Floats, noise: Image) -> float:
+def _off_the_lattice(image: Floats, sigma_px: Floats) -> Mask:
+    """(rows, columns) mask of corners that lie off their row and off their column.
+
+    image: (rows, columns, 2) px, NaN where not found; sigma_px: (rows, columns).  Along a row or a
+    column of a flat board the corners' pixels are smooth: of five in line the fourth difference is
+    noise, sqrt(70) times that of one.  A wrong corner stands out in both, its neighbours in one.
+    """
+    change = np.full((2, *sigma_px.shape), np.nan)
+    for axis in (0, 1):
+        lines = np.moveaxis(image, axis, 0)
+        if len(lines) >= len(FOURTH):
+            fives = sliding_window_view(lines, len(FOURTH), axis=0)
+            length = np.linalg.norm(fives @ FOURTH, axis=-1) / np.linalg.norm(FOURTH)
+            nearest = np.clip(np.arange(len(lines)) - len(FOURTH) // 2, 0, len(fives) - 1)
+            np.moveaxis(change[axis], axis, 0)[:] = length[nearest]
+    # The line that spoils one corner of each column spoils one row: the other way tells the noise.
+    usual = min(
+        (np.median(some[np.isfinite(some)]) for some in change if np.isfinite(some).any()),
+        default=0.0,
+    )
+    return np.fmin(*change) > MOST_CHANGED * np.fmax(sigma_px, usual / np.sqrt(2 * np.log(2)))
+
+
+def _disagreement(grey: Image, points: Floats, sigma: Floats, noise: Image) -> tuple[float, Mask]:
     """Root mean square of a coordinate's change, px, when corners are seen through less.
+
+    And (N,) which corners change no more than the others do: a laser's line, a reflection or dirt
+    beside a corner draws the wider window farther.
 
     points: (N, 2) px found with windows of ``sigma`` (N,) px.  What noise makes of it is taken
     off: the errors in the narrower window are the larger and nearly hold those in the wider.
@@ -185,8 +217,10 @@ def _disagreement(grey: Image, points: Floats, sigma: Floats, noise: Image) -> f
     narrow = np.maximum(NARROWER * sigma, SMALLEST_SIGMA_PX)
     again = fit_centres(grey, points, narrow, noise, saddles=True)
     if not again.round.any():
-        return 0.0
-    square = ((again.points - points)[again.round] ** 2).sum(axis=1)
+        return 0.0, np.ones(len(points), dtype=bool)
+    square = ((again.points - points) ** 2).sum(axis=1)
     # Of a normal error in u and in v the squared length has the median 2 ln 2 variances.
-    variance = float(np.median(square)) / (2 * np.log(2))
-    return float(np.sqrt(max(variance - float(np.median(again.sigma_px[again.round])) ** 2, 0.0)))
+    variance = float(np.median(square[again.round])) / (2 * np.log(2))
+    own = float(np.median(again.sigma_px[again.round])) ** 2
+    alike = square <= MOST_CHANGED**2 * np.maximum(variance, again.sigma_px**2)
+    return float(np.sqrt(max(variance - own, 0.0))), ~again.round | alike

@@ -18,6 +18,7 @@ smooth crest of a line that is not clipped they hold 1.3 times as many: the widt
 at the depth d below its top goes with the root of d."""
 
 _FLAT_PX, _WIDEST_PX = 3, 41  # pixels across a clipped crest: fewer may be chance, more no line
+_OVERSHOOT = 1.1  # of the plateau: where the flanks of a crest clipped on fewer pixels meet
 _FEWEST = 8  # crests
 
 
@@ -26,7 +27,7 @@ def clipping_level(lines: Bytes) -> int:
 
     A camera whose range ends below 255 DN, as gain and coding can make it, shows a plateau: many
     pixels have nearly the same highest value, few have values a little less, and the crest of
-    a line is flat over several pixels.
+    a line is flat over several pixels, or its flanks rise as if to a higher crest.
 
     Parameters
     ----------
@@ -40,7 +41,9 @@ def clipping_level(lines: Bytes) -> int:
         return CLIPPED_DN
     mode = top - _SPREAD_DN + int(count[top - _SPREAD_DN : top + 1].argmax())
     piled = count[mode - 1 : mode + 2].sum() > _PILED * count[mode - 6 : mode - 2].sum()
-    return _foot(count, mode) if piled and _has_flat_crests(lines, mode) else CLIPPED_DN
+    if piled and (_has_flat_crests(lines, mode) or _has_cut_crests(lines, mode)):
+        return _foot(count, mode)
+    return CLIPPED_DN
 
 
 def _foot(count: Ints, mode: int) -> int:
@@ -58,3 +61,27 @@ def _has_flat_crests(lines: Bytes, level: int) -> bool:
     crest = np.asarray(cv2.subtract(high, wide), np.uint8)
     flat = cv2.erode(crest, np.ones((1, _FLAT_PX), np.uint8)).any(axis=1).sum()
     return bool(flat >= _FEWEST and 2 * flat >= crest.any(axis=1).sum())
+
+
+def _has_cut_crests(lines: Bytes, level: int) -> bool:
+    """Whether the flanks of most crests that reach the level rise as if to a far higher crest.
+
+    A line narrower than _FLAT_PX is clipped on one or two pixels.  The two pixels on either side
+    of them are taken to lie on a Gaussian, whose logarithm is a parabola.
+    """
+    high = lines >= level - 2
+    reach = np.flatnonzero(high.any(axis=1))
+    first = high[reach].argmax(axis=1)
+    last = high.shape[1] - 1 - high[reach, ::-1].argmax(axis=1)
+    narrow = (last - first < _FLAT_PX) & (first >= 2) & (last < high.shape[1] - 2)
+    reach, first, last = reach[narrow], first[narrow], last[narrow]
+    if len(reach) < _FEWEST:
+        return False
+    places = np.stack([first - 2, first - 1, last + 1, last + 2], axis=1)
+    flanks = np.log(np.maximum(lines[reach[:, None], places], 1.0))
+    inner = (last - first) / 2 + 1  # from the crest's middle; the outer pixels are one farther
+    outside, inside = flanks[:, [0, 3]].mean(axis=1), flanks[:, [1, 2]].mean(axis=1)
+    bend = (inside - outside) / (2 * inner + 1)
+    tilt = (flanks[:, 2] - flanks[:, 1]) / (2 * inner)
+    crest = inside + bend * inner**2 + tilt**2 / (4 * np.maximum(bend, 1e-6))
+    return bool(np.median(crest) > np.log(_OVERSHOOT * level))

@@ -129,3 +129,23 @@ def test_no_board_and_bad_boards() -> None:
         read_charuco(blank, 6, 4, 20.0, 24.0, "DICT_4X4_50")
     with pytest.raises(InputError, match="dictionary"):
         read_charuco(blank, 6, 4, 20.0, 14.0, "DICT_NONE")
+
+
+@pytest.mark.parametrize("along", ["row", "column"])
+@pytest.mark.parametrize("off_px", [-2.0, 0.0, 1.5])
+def test_corners_beside_a_lasers_line_are_right_or_left_out(along: str, off_px: float) -> None:
+    grey, truth = chessboard(1.0)
+    corners = truth.reshape(5, 7, 2)
+    ends = corners[2, [0, -1]] if along == "row" else corners[[0, -1], 3]
+    direction = (ends[1] - ends[0]) / np.linalg.norm(ends[1] - ends[0])
+    v, u = np.mgrid[:480, :640]
+    across = (u - ends[0, 0]) * direction[1] - (v - ends[0, 1]) * direction[0] - off_px
+    lit = np.clip(grey + 150.0 * np.exp(-(across**2) / (2 * 1.3**2)), 0, 255)
+    marks = read_chessboard(lit, 7, 5, 10.0)
+    # The line's own row or column may go, the rest stays.
+    others = np.ones((5, 7), dtype=bool)
+    others[(2, slice(None)) if along == "row" else (slice(None), 3)] = False
+    assert marks.found[others.ravel()].all()
+    # Two tests of six standard deviations let no corner pass that is farther off than this.
+    miss = np.abs(marks.image_px - truth)[marks.found].max(axis=1)
+    assert (miss < 6 * np.sqrt(70) / 6 * marks.sigma_px[marks.found] + 3 * DRAWN_PX).all()
