@@ -23,7 +23,7 @@ from lscan.board.picture import Image, bright_marks, noise_of
 from lscan.board.search import local_pitch
 from lscan.config.rig import Channel
 from lscan.errors import BoardNotFound, InputError
-from lscan.records import Bytes, Floats, Marks, Mask, Status
+from lscan.records import Bytes, Floats, Ints, Marks, Mask, Status
 
 WINDOW = 0.15  # Gaussian sigma, of the distance between corners: the next weigh nothing
 LARGEST_SIGMA_PX = 4.0
@@ -106,18 +106,32 @@ def read_charuco(
     size = (columns + 1, rows + 1)
     markers = _dictionary(dictionary, size[0] * size[1] // 2)
     board = cv2.aruco.CharucoBoard(size, square_mm, marker_mm, markers)
-    corners, numbers, _, _ = cv2.aruco.CharucoDetector(board).detectBoard(_eight_bit(grey))
-    count = 0 if numbers is None else len(numbers)
-    if count < FEWEST:
+    corners, numbers = _charuco_corners(_eight_bit(grey), board)
+    if len(numbers) < FEWEST:
         raise BoardNotFound(
-            f"only {count} corners of the ChArUco board were found, {FEWEST} are needed: check "
-            "the dictionary and that the markers are in view and sharp"
+            f"only {len(numbers)} corners of the ChArUco board were found, {FEWEST} are needed: "
+            "check the dictionary and that the markers are in view and sharp"
         )
     seen = np.full((rows, columns, 2), np.nan)
-    seen[np.divmod(np.ravel(numbers), columns)] = np.reshape(corners, (-1, 2))
+    seen[np.divmod(numbers, columns)] = corners
     # A marker lies in the middle of its square: its corner is nearest, along the diagonal.
     clear = CLEAR * (1 - marker_mm / square_mm) / np.sqrt(2)
     return _measured(grey, seen, square_mm, min(WINDOW, clear))
+
+
+def _charuco_corners(picture: Bytes, board: cv2.aruco.CharucoBoard) -> tuple[Floats, Ints]:
+    """(K, 2) px of a ChArUco board's corners, to about a pixel, and their numbers (K,).
+
+    Before version 4.6 OpenCV began boards of an even number of rows with a white square, as other
+    makers still do: of the two layouts the one that more corners bear out.
+    """
+    best: tuple[Floats, Ints] = np.empty((0, 2)), np.empty(0, dtype=np.int64)
+    for legacy in (False, True):
+        board.setLegacyPattern(legacy)
+        corners, numbers, _, _ = cv2.aruco.CharucoDetector(board).detectBoard(picture)
+        if numbers is not None and len(numbers) > len(best[1]):
+            best = np.reshape(corners, (-1, 2)).astype(float), np.ravel(numbers)
+    return best
 
 
 def _dictionary(name: str, needed: int) -> cv2.aruco.Dictionary:

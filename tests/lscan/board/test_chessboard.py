@@ -96,16 +96,18 @@ def test_sixteen_photographs_calibrate_a_webcam() -> None:
     assert rms <= 0.225  # OpenCV's plain route on the same pictures
 
 
-def charuco() -> tuple[Bytes, cv2.aruco.CharucoBoard]:
+def charuco(squares_down: int = 5, legacy: bool = False) -> Bytes:
     dictionary = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_4X4_50)
-    board = cv2.aruco.CharucoBoard((7, 5), 20.0, 14.0, dictionary)
-    picture = np.full((480, 640), 255, np.uint8)
-    picture[40:440, 40:600] = board.generateImage((560, 400))
-    return picture, board
+    board = cv2.aruco.CharucoBoard((7, squares_down), 20.0, 14.0, dictionary)
+    board.setLegacyPattern(legacy)
+    height = 80 * squares_down
+    picture = np.full((height + 80, 640), 255, np.uint8)
+    picture[40:-40, 40:600] = board.generateImage((560, height))
+    return picture
 
 
 def test_charuco_corners_and_those_that_are_hidden() -> None:
-    picture, _ = charuco()
+    picture = charuco()
     marks = read_charuco(picture, 6, 4, 20.0, 14.0, "DICT_4X4_50")
     assert marks.found.all()
     row, column = np.divmod(np.arange(24), 6)
@@ -117,6 +119,14 @@ def test_charuco_corners_and_those_that_are_hidden() -> None:
     assert 6 <= hidden.found.sum() < 24
     seen = hidden.found
     np.testing.assert_allclose(hidden.image_px[seen], marks.image_px[seen], atol=MARKER_PX)
+
+
+@pytest.mark.parametrize("legacy", [False, True])
+def test_charuco_boards_of_an_even_number_of_rows_have_two_layouts(legacy: bool) -> None:
+    marks = read_charuco(charuco(6, legacy), 6, 5, 20.0, 14.0, "DICT_4X4_50")
+    row, column = np.divmod(np.arange(30), 6)
+    truth = np.column_stack([119.5 + 80 * column, 119.5 + 80 * row])
+    np.testing.assert_allclose(marks.image_px, truth, atol=MARKER_PX)
 
 
 def test_no_board_and_bad_boards() -> None:
