@@ -72,7 +72,7 @@ def extract_stripe(
     light = _light(image, settings, background)
     chosen = choose_return(light.grey.T, light.settings, light.clipped.T)
     stripe = _called(extractor, light.settings, chosen.image, chosen.clipped)
-    stripe = _mark_saturated(stripe, chosen.clipped.T, settings.span_px)
+    stripe = _mark_saturated(stripe, chosen.clipped.T, light.white, settings.span_px)
     stripe = withhold(stripe, chosen.ambiguous)
     for ground in light.grounds(chosen):
         stripe = doubted(stripe, chosen.image.T, ground, settings.threshold_dn)
@@ -88,13 +88,13 @@ class _LaserLight:
     """What the laser adds to the picture, one row for each entry of the stripe.
 
     grey: (N, L) in DN.  clipped: (N, L) pixels at the end of the range by the laser's doing.
-    settings: with the noise, where stated, that ``grey`` has.  others: (N, L) in DN, the other
-    colours, where ``grey`` is a colour less them.
+    settings: with the noise, where stated, that ``grey`` has.  white, others: as of PictureLines.
     """
 
     grey: Floats
     clipped: Mask
     settings: StripeSection
+    white: Mask | None
     others: Bytes | None
 
     def grounds(self, chosen: OneReturn) -> list[Floats]:
@@ -110,7 +110,7 @@ def _light(image: Bytes, settings: StripeSection, background: Bytes | None) -> _
     if settings.noise is not None and lit.others is not None:
         settings = _less(settings, settings.noise, lit.others)
     if background is None:
-        return _LaserLight(grey, lit.clipped, settings, lit.others)
+        return _LaserLight(grey, lit.clipped, settings, lit.white, lit.others)
     if background.shape != image.shape:
         raise InputError(
             "is not of the picture's shape",
@@ -121,7 +121,8 @@ def _light(image: Bytes, settings: StripeSection, background: Bytes | None) -> _
     dark = lines_of(background, lit.channel, settings.axis, "background", lit.clipping_dn)
     if settings.noise is not None:
         settings = _less(settings, settings.noise, dark.grey)
-    return _LaserLight(grey - dark.grey, lit.clipped & ~dark.clipped, settings, lit.others)
+    clipped = lit.clipped & ~dark.clipped
+    return _LaserLight(grey - dark.grey, clipped, settings, lit.white, lit.others)
 
 
 def _less(settings: StripeSection, noise: NoiseSection, taken_off: GreyValues) -> StripeSection:
@@ -173,16 +174,18 @@ def find_extractor(name: str) -> Extractor:
     return cast(Extractor, find_plugin_or_function("lscan.extractors", name, where))
 
 
-def _mark_saturated(stripe: Stripe, clipped: Mask, span_px: int) -> Stripe:
+def _mark_saturated(stripe: Stripe, clipped: Mask, white: Mask | None, span_px: int) -> Stripe:
     """The stripe with its clipped entries SATURATED and their sigma_px enlarged.
 
     clipped: (N, L) pixels that the laser drove to the end of the camera's range.  Where
     several are, the crest lies somewhere between the first and the last: a uniform
     distribution as wide as they are apart, the whole column considered.  An extractor that
-    gave an entry as SATURATED has allowed for that itself.
+    gave an entry as SATURATED has allowed for that itself, but not for white crests (N, L), whose
+    light is made up.
     """
     at = clipped_near(stripe, clipped, span_px)
-    at = at[stripe.status[at] == Status.OK]
+    made_up = at[:0] if white is None else clipped_near(stripe, white, span_px)
+    at = at[(stripe.status[at] == Status.OK) | np.isin(at, made_up)]
     status, sigma_px = stripe.status.copy(), stripe.sigma_px.copy()
     status[at] = Status.SATURATED
     sigma_px[at] = np.hypot(sigma_px[at], _extent(clipped[at]) / np.sqrt(12))

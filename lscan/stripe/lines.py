@@ -20,6 +20,7 @@ _EXCESSES: tuple[LineChannel, ...] = ("red-excess", "green-excess", "blue-excess
 _CREST_PX = 31  # of a clipped crest, white in the middle: twice that of a line of 15 px
 _WHITE = 0.9  # of the range
 _DIPPED = 0.75  # of the excess on either side: where less is left in the middle, that is white
+_COLOURED_DN = 16  # excess beside a crest: less is what lossy coding makes of white
 _RIM_PX = 3
 _BROAD_PX = 61  # what is wider is no line (spots.py)
 
@@ -36,6 +37,7 @@ class PictureLines:
     clipped : (N, L) mask, of the pixels at the end of the camera's range, in any colour that is
         part of the channel
     clipping_dn : int, DN, grey value at which the range ends
+    white : (N, L) mask or None, of the crests in which the excess is made up from the other colours
     others : (N, L) array or None, uint8, DN, what was taken off for the excess of a colour: the
         brighter of the other two
     """
@@ -44,6 +46,7 @@ class PictureLines:
     grey: GreyValues
     clipped: Mask
     clipping_dn: int
+    white: Mask | None = None
     others: Bytes | None = None
 
 
@@ -94,7 +97,7 @@ def lines_of(
         return PictureLines(channel, grey, clipped, level)
     others = without_frame(_others(picture, channel, axis), frame)
     excess, white = _excess(grey, others, level)
-    return PictureLines(channel, excess, clipped | white, level, others)
+    return PictureLines(channel, excess, clipped | white, level, white, others)
 
 
 def strongest_excess(picture: Bytes, axis: Axis) -> LineChannel:
@@ -169,8 +172,10 @@ def _plane(channel: LineChannel) -> int:
 def _excess(own: Bytes, others: Bytes, clipping_dn: int) -> tuple[GreyValues, Mask]:
     """(N, L) colour less the others, raised where the crest is white, and mask of those crests.
 
-    The rim of a white crest, up to _RIM_PX wide, is part of it: its colour is no more that of the
-    line than the middle's.
+    A white crest with the line's colour on both sides is raised to what the colour is there, and
+    by what it exceeds its surroundings in the other colours: those are clipped last, and show where
+    the middle is.  The rim of a white crest, up to _RIM_PX wide, is part of it: its colour is no
+    more that of the line than the middle's.
     """
     excess = own.astype(np.int16) - others
     # Pixels beside clipped ones are white as well: coding and blur take them below the end.
@@ -178,10 +183,12 @@ def _excess(own: Bytes, others: Bytes, clipping_dn: int) -> tuple[GreyValues, Ma
     if not bright.any():
         return excess, bright
     near = cv2.dilate(bright.astype(np.uint8), np.ones((1, 3), np.uint8)) > 0
-    closed = cv2.morphologyEx(excess, cv2.MORPH_CLOSE, np.ones((1, _CREST_PX), np.uint8))
-    white = (near & (_DIPPED * closed > excess)).astype(np.uint8)
-    crest = cv2.dilate(white, np.ones((1, 2 * _RIM_PX + 1), np.uint8)) > 0
-    return np.where(near, closed, excess), crest & (closed > 0)
+    across = np.ones((1, _CREST_PX), np.uint8)
+    closed = cv2.morphologyEx(excess, cv2.MORPH_CLOSE, across)
+    white = near & (_DIPPED * closed > excess) & (closed > _COLOURED_DN)
+    raised = closed + np.where(white, cv2.morphologyEx(others, cv2.MORPH_TOPHAT, across), 0)
+    crest = cv2.dilate(white.astype(np.uint8), np.ones((1, 2 * _RIM_PX + 1), np.uint8)) > 0
+    return np.where(near, raised, excess), crest
 
 
 def _across(plane: object, axis: Axis) -> Bytes:

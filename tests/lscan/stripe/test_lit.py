@@ -179,6 +179,22 @@ def test_a_crest_that_is_white_in_the_middle_has_the_excess_of_its_rim():
     assert (stripe.status[white.any(axis=1)] == Status.SATURATED).all()
 
 
+@pytest.mark.parametrize("extractor", ["centroid-relative", "steger", "ml"])
+def test_a_white_crest_in_a_coloured_halo_is_the_line(extractor):
+    """The halo, 8 px wide, has more of the line's colour than what is left of it in the crest."""
+    halo = LitTarget(laser_dn=(400.0, 60.0, 60.0), line_px=8.0)
+    crest = LitTarget(lamp_dn=(0.0, 0.0, 0.0), laser_dn=(2000.0, 1500.0, 1500.0), line_px=2.0)
+    mean = sum(lit_mean(target, CENTRE[None], ONE, HEIGHT) for target in (halo, crest))
+    chosen = StripeSection(extractor=extractor, channel="red-excess", threshold_dn=20.0)
+    stripe = extract_stripe(lit_picture(mean, np.random.default_rng(1)), chosen)
+    found, wrong = shares_of(stripe, CENTRE)
+    assert found >= 0.98
+    assert wrong <= 0.005
+    # Half the width at which the crest, blurred to 2.1 px, ends the range of the other colours:
+    # 2.1 sqrt(2 ln(1500 / (255 - 125 - 20))); the halo's would be 7 px.
+    assert np.nanquantile(np.abs(stripe.centre_px - CENTRE), 0.98) <= 4.8
+
+
 def test_a_stated_noise_is_that_of_both_colours():
     """sigma of the excess is stated from twice the reading noise and both shot noises."""
     target = LitTarget(dark=1.0, laser_dn=(120.0, 0.0, 0.0))
