@@ -84,13 +84,14 @@ class StripeSection(Strict):
     """How the laser line is found: the paper's rule is span 2 about the first maximum.
 
     channel: the grey values that are read.  "red-excess": red less the brighter of the two other
-    colours, in which white and grey surfaces are dark and a red laser's line is bright; "auto":
-    the excess of the colour whose line stands out most from the picture.  returns: which line is
-    meant where a column holds several.  line_width_px: full width of the line at half its
-    height, by which it is told from texture; None: found from each picture.  smooth_px: standard
-    deviation, along the line, of a robust smoothing; 0 leaves every column to itself.  blur_px:
-    standard deviation of the camera's point spread, with which the shift that blur gives to a
-    curved line of uneven brightness is corrected for; None: not corrected.
+    colours, in which white and grey surfaces are dark and a red laser's line is bright; "auto": the
+    excess of the colour whose line stands out most from the picture, and a lower threshold_dn where
+    that line is faint.  returns: which line is meant where a column holds several.  line_width_px:
+    full width of the line at half its height, by which it is told from texture; None: found from
+    each picture.  smooth_px: standard deviation, along the line, of a robust smoothing; 0 leaves
+    every column to itself.  blur_px: standard deviation of the camera's point spread, with which
+    the shift that blur gives to a curved line of uneven brightness is corrected for; None: not
+    corrected.
 
     Examples
     --------

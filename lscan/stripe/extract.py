@@ -16,7 +16,7 @@ from lscan.stripe.core import core_flux
 from lscan.stripe.corrections.blur import correct_blur
 from lscan.stripe.corrections.smoothing import smooth
 from lscan.stripe.edges import doubted
-from lscan.stripe.lines import GreyValues, lines_of
+from lscan.stripe.lines import GreyValues, faint_threshold, lines_of
 from lscan.stripe.noise.along import at_least_seen
 from lscan.stripe.noise.model import difference_noise
 from lscan.stripe.peaks import clipped_near
@@ -107,6 +107,9 @@ def _light(image: Bytes, settings: StripeSection, background: Bytes | None) -> _
     """The picture's lines less those of the background, if there is one."""
     lit = lines_of(image, settings.channel, settings.axis, where="image")
     grey: Floats = lit.grey.astype(np.float64)
+    if settings.channel == "auto" and lit.others is not None:
+        threshold_dn = min(settings.threshold_dn, faint_threshold(lit.grey))
+        settings = settings.model_copy(update={"threshold_dn": threshold_dn})
     if settings.noise is not None and lit.others is not None:
         settings = _less(settings, settings.noise, lit.others)
     if background is None:

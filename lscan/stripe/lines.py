@@ -9,9 +9,10 @@ from numpy.typing import NDArray
 
 from lscan.config.rig import LineChannel
 from lscan.errors import InputError
-from lscan.records import Axis, Bytes, Mask
+from lscan.records import Axis, Bytes, Floats, Mask
 from lscan.stripe.clipping import clipping_level
 from lscan.stripe.frame import frame_px, without_frame
+from lscan.stripe.noise.model import constant_variance
 
 GreyValues = NDArray[np.integer[Any]]
 
@@ -23,6 +24,8 @@ _DIPPED = 0.75  # of the excess on either side: where less is left in the middle
 _COLOURED_DN = 16  # excess beside a crest: less is what lossy coding makes of white
 _RIM_PX = 3
 _BROAD_PX = 61  # what is wider is no line (spots.py)
+
+_UPPER, _LEAST_DN, _SIGMAS = 0.75, 12.0, 6.0  # of faint_threshold
 
 
 @dataclass(frozen=True)
@@ -117,10 +120,30 @@ def strongest_excess(picture: Bytes, axis: Axis) -> LineChannel:
     for channel in _EXCESSES:
         own, _ = _read(picture, channel, axis)
         excess, _ = _excess(own, _others(picture, channel, axis), clipping_level(own))
-        excess = np.maximum(excess, 0)  # dark squares have less of another colour
-        narrow = cv2.morphologyEx(excess, cv2.MORPH_TOPHAT, np.ones((1, _BROAD_PX), np.uint8))
-        heights.append(narrow.max(axis=1).mean())
+        heights.append(_heights(excess).mean())
     return _EXCESSES[int(np.argmax(heights))]
+
+
+def faint_threshold(excess: GreyValues) -> float:
+    """Half the line's height in DN, its height being that of the upper quarter of narrow peaks.
+
+    At least 12 DN, and six standard deviations of the noise: what a colour's excess holds beside a
+    line.
+
+    Parameters
+    ----------
+    excess : (N, L) array, DN, the excess of the line's colour
+    """
+    noise_dn = np.sqrt(constant_variance(excess.astype(np.float64)))
+    half = np.quantile(_heights(excess), _UPPER) / 2
+    return float(max(half, _LEAST_DN, _SIGMAS * noise_dn))
+
+
+def _heights(excess: GreyValues) -> Floats:
+    """(N,) DN, the highest narrow peak of each line of pixels."""
+    positive = np.maximum(excess, 0)  # dark squares have less of another colour
+    narrow = cv2.morphologyEx(positive, cv2.MORPH_TOPHAT, np.ones((1, _BROAD_PX), np.uint8))
+    return np.asarray(narrow.max(axis=1), dtype=float)
 
 
 def check_picture(picture: Bytes, where: str) -> None:

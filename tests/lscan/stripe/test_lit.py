@@ -132,6 +132,18 @@ def test_an_edge_along_the_line_is_in_its_sigma():
 # -- colours ----------------------------------------------------------------------------
 
 
+@pytest.mark.parametrize("extractor", ["centroid-relative", "steger", "ml"])
+def test_auto_lowers_the_threshold_to_a_faint_line(extractor):
+    """An excess of 33 DN on white and 25 DN on grey, below the usual threshold of 40 DN."""
+    image = picture(LitTarget(laser_dn=(42.0, 5.0, 4.0), dark=0.75))
+    stripe = extract_stripe(image, StripeSection(channel="auto", extractor=extractor))
+    found, wrong = shares_of(stripe, CENTRE)
+    assert found >= 0.98
+    assert wrong <= 0.005
+    named = StripeSection(channel="red-excess", extractor=extractor)
+    assert has_value(extract_stripe(image, named).status).mean() < 0.1
+
+
 @pytest.mark.parametrize("colour", [0, 1, 2])
 def test_auto_reads_the_excess_of_the_lasers_colour(colour):
     laser = np.full(3, 15.0)
