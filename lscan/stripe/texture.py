@@ -7,7 +7,7 @@ and goes on from column to column.
 """
 
 import numpy as np
-from scipy.ndimage import median_filter
+from scipy.ndimage import convolve1d, median_filter, uniform_filter1d
 
 from lscan.records import Floats, Ints, Mask
 from lscan.stripe.pieces import JUMP_PX
@@ -32,6 +32,12 @@ _SHORTEST = 8  # columns of a piece of a path: as far as a corner of a square re
 _BEGIN = 12.0
 """What it costs to begin a path, or to jump: the gain of a dozen columns of line.  A piece of
 texture as bright as the line would have to be as straight and as long to be taken for it."""
+
+_BEND = np.array([1.0, -2.0, 1.0])
+_BENDS = 9  # spots over which bends are averaged
+_EVEN_PX, _EVEN = 1.3, 1 / 3
+"""Mean bend of a path along a line, at most, in px and of its width.  Spots that scatter by half a
+pixel bend by 1 px on the mean; those of noise, which JUMP_PX alone holds together, by 1.5 to 2."""
 
 _SECOND = 0.5  # a second line is at least so many times as long as the first
 _MOST_PATHS = 8
@@ -196,12 +202,15 @@ def _pieces(spots: Spots, path: Ints, width_px: float) -> tuple[Ints, Ints]:
     """The spots of a path and the number of the piece, between two jumps, that each belongs to.
 
     Those of pieces too short to be known from texture are left out, and those that lie off their
-    neighbours on the path by more than the line's width: there it steps aside onto texture.
+    neighbours on the path by more than the line's width: there it steps aside onto texture.  So are
+    stretches that bend to and fro from spot to spot, as paths through noise do.
     """
     if len(path) == 0:
         return path, path
     row = spots.middle[path]
     path = path[np.abs(row - median_filter(row, _NEIGHBOURS, mode="nearest")) <= width_px]
+    bend = np.minimum(np.abs(convolve1d(spots.middle[path], _BEND)), JUMP_PX)  # a jump is no noise
+    path = path[uniform_filter1d(bend, _BENDS) <= max(_EVEN_PX, _EVEN * width_px)]
     column, row = spots.column[path], spots.middle[path]
     apart = np.diff(column)
     jumps = np.abs(np.diff(row)) > JUMP_PX * np.minimum(apart, GAP)

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings, strategies as st
 from lines_drawn import drawn, speckled
+from scipy.ndimage import gaussian_filter
 
 from lscan.benchmark.litpictures import LitTarget, lit_mean, lit_picture
 from lscan.config.rig import NoiseSection, StripeSection
@@ -89,6 +90,22 @@ def test_texture_in_a_gap_of_the_line_is_no_line():
     stripe = extract_stripe(image, StripeSection(threshold_dn=20.0))
     inside = np.abs(COLUMN - 150) < 38  # two columns of blur at either end
     assert not has_value(stripe.status[inside]).any()
+
+
+def test_noise_in_a_gap_of_the_line_is_no_line():
+    """Specks of smoothed noise in their crowd reach the threshold, three standard deviations."""
+    gap = np.where(np.abs(COLUMN - 150) < 40, -1000.0, CENTRE)
+    mean = lit_mean(LitTarget(laser_dn=(200.0, 20.0, 15.0)), gap[None], ONE, HEIGHT)
+    inside, held = np.abs(COLUMN - 150) < 38, []
+    for seed in range(3):
+        noise = gaussian_filter(
+            np.random.default_rng(seed).standard_normal(mean.shape), (0.8, 0.8, 0)
+        )
+        image = np.clip(np.rint(mean + 12.0 * noise / noise.std()), 0, 255).astype(np.uint8)
+        stripe = extract_stripe(image, StripeSection(channel="auto"))
+        held.append(has_value(stripe.status[inside]).mean())
+        assert has_value(stripe.status[~inside]).mean() >= 0.5
+    assert np.mean(held) <= 0.05  # a third of the gap if paths may bend at will
 
 
 def test_a_line_width_that_is_stated_is_used():
