@@ -24,12 +24,14 @@ from lscan.surface.sheetresponse import Sight, responses
 BLOCK = SEGMENT  # rows and columns
 HOP = BLOCK // 2
 KERNEL_SIGMAS = 14.0  # half length of the filter, which falls off with the distance
+FINE = 16  # times a segment, over which the filter is spread
 ROUNDS = 3  # of what is not linear in the relief, each of which leaves some tenths of it
 STEEPEST = 2.0  # rise of a target over y between rows: what is steeper is a wall
 NOISY = 6.0  # standard deviations of the noise beside that
-NEAR_SIGMAS = (
-    3.25  # 99.9 % of the light; of a wall or a gap: light beyond it is missing, or another's
+UNEVEN = (
+    0.5  # of a step between rows, by which one may differ from the others: else a row is missing
 )
+NEAR_SIGMAS = 3.25  # 99.9 % of the light: nearer to a wall or a gap, light is missing or another's
 SHORTEST = 9  # rows of a piece that an estimate is made of
 MISFIT = 1.5  # times the variance expected of what the estimate leaves: more is no chance
 AROUND = 5  # rows and columns over which that is judged
@@ -42,12 +44,14 @@ class _Lattice:
     """A surface's heights by row (frame) and column, and how they are lit and seen.
 
     height: (R, C) mm, NaN where there is no point.  own: (R, C) mm², variance of each one's own
-    noise.  x_mm: (C,) of the columns.  row_mm, column_mm: between neighbours.  step: (C,) columns
-    from row to row along d.
+    noise.  missing: (R - 1,) whether rows are missing between two.  x_mm: (C,) of the columns.
+    row_mm, column_mm: from one to the next, negative where y or x falls.  step: (C,) columns from
+    row to row along d.
     """
 
     height: Floats
     own: Floats
+    missing: Mask
     x_mm: Floats
     row_mm: float
     column_mm: float
@@ -58,6 +62,18 @@ class _Lattice:
     def sigma_mm(self) -> float:
         """Standard deviation of the sheet's irradiance."""
         return self.sheet.thickness_mm / 2
+
+    @property
+    def pitch_mm(self) -> float:
+        """Distance between rows."""
+        return abs(self.row_mm)
+
+    @property
+    def reach(self) -> int:
+        """Half length of the filter in rows, no more than its spectrum is known for."""
+        return min(
+            int(np.ceil(KERNEL_SIGMAS * self.sigma_mm / self.pitch_mm)), FINE * BLOCK // 2 - 1
+        )
 
     def sight(self, height: Floats, columns: Ints) -> Sight:
         """How points at these heights (R, C) in mm, in these columns (C,), are lit and seen."""
@@ -73,11 +89,14 @@ def _lattice(surface: Surface, sheet: SheetSection, yaw_rad: float) -> _Lattice:
     raw = np.where(valid[..., None], surface.xyz_mm, np.nan)
     true = raw @ shear(yaw_rad).T
     row_mm, drift_mm = (_spacing(true[..., axis], 0) for axis in (1, 0))
+    steps = np.diff(surface.position_mm)
+    usual_mm = float(np.median(steps)) if len(steps) else 0.0
     column_mm, x = _spacing(true[..., 0], 1), _columns_mm(raw[..., 0])
     kappa = (x - sheet.camera_mm[0]) / -sheet.camera_mm[1]
     return _Lattice(
         height=raw[..., 2],
         own=own_variances(surface)[..., 2],
+        missing=np.abs(steps - usual_mm) > UNEVEN * abs(usual_mm),
         x_mm=x,
         row_mm=row_mm,
         column_mm=column_mm,
@@ -135,7 +154,7 @@ def relief_blocks(surface: Surface, sheet: SheetSection, yaw_rad: float) -> Iter
     """
     lattice = _lattice(surface, sheet, yaw_rad)
     shape = lattice.height.shape
-    if min(shape) < 2 or not lattice.row_mm > 0 or not lattice.column_mm > 0:
+    if min(shape) < 2 or lattice.row_mm == 0 or lattice.column_mm == 0:
         return
     every = np.arange(shape[1])
     whole = _Laid(lattice.height, every, np.broadcast_to(every, shape), 0, 1.0)
@@ -179,11 +198,10 @@ class _Laid:
 def _laid(lattice: _Lattice, rows: slice, columns: slice) -> _Laid:
     """The block and what the filter reaches around it, laid along d."""
     count, width = lattice.height.shape
-    margin = int(np.ceil(KERNEL_SIGMAS * lattice.sigma_mm / lattice.row_mm))
     middle = (rows.start + rows.stop - 1) / 2
     aside = int(np.ceil(np.abs(lattice.step[columns]).max() * (rows.stop - rows.start) / 2)) + 1
     chosen = np.arange(max(columns.start - aside, 0), min(columns.stop + aside, width))
-    every = np.arange(max(rows.start - margin, 0), min(rows.stop + margin, count))
+    every = np.arange(max(rows.start - lattice.reach, 0), min(rows.stop + lattice.reach, count))
     place = chosen + lattice.step[chosen] * (every - middle)[:, None]
     low = np.clip(np.floor(place), 0, width - 2).astype(int)
     part = place - low
@@ -201,7 +219,7 @@ def _spectrum(lattice: _Lattice, laid: _Laid) -> ReliefSpectrum | None:
     if len(own) == 0:
         return None
     noise_mm = float(np.sqrt(max(np.median(own) * laid.noise_share, NO_BETTER_MM**2)))
-    wall = _walls(laid.height, lattice.row_mm, noise_mm)
+    wall = _walls(lattice, laid, noise_mm)
     parts = []
     for start in range(0, len(laid.height) - SEGMENT + 1, HOP):
         piece = laid.height[start : start + SEGMENT]
@@ -210,20 +228,21 @@ def _spectrum(lattice: _Lattice, laid: _Laid) -> ReliefSpectrum | None:
     segments = np.concatenate(parts, axis=1) if parts else np.zeros((SEGMENT, 0))
     if segments.shape[1] < FEWEST:
         return None
-    return spectrum_of(segments, lattice.row_mm, lattice.sigma_mm, noise_mm)
+    return spectrum_of(segments, lattice.pitch_mm, lattice.sigma_mm, noise_mm)
 
 
-def _walls(height: Floats, row_mm: float, noise_mm: float) -> Mask:
-    """(R - 1, C) between which rows the target is steeper than a slope."""
-    most = STEEPEST * row_mm + NOISY * np.sqrt(2) * noise_mm
-    return np.asarray(np.abs(np.diff(height, axis=0)) > most)
+def _walls(lattice: _Lattice, laid: _Laid, noise_mm: float) -> Mask:
+    """(R - 1, C) between which rows the target is steeper than a slope, or rows are missing."""
+    most = STEEPEST * lattice.pitch_mm + NOISY * np.sqrt(2) * noise_mm
+    steep = np.abs(np.diff(laid.height, axis=0)) > most
+    return np.asarray(steep | lattice.missing[laid.first_row :][: len(steep), None])
 
 
 def _laid_shift(lattice: _Lattice, laid: _Laid, spectrum: ReliefSpectrum) -> tuple[Floats, Floats]:
     """(R, C) displacement of a laid part's heights in mm and its variance; NaN where unknown."""
-    noise_mm = float(np.sqrt(spectrum.noise / lattice.row_mm))
+    noise_mm = float(np.sqrt(spectrum.noise / lattice.pitch_mm))
     kernel = _kernel(spectrum, lattice)
-    ends = _pieces(laid.height, _walls(laid.height, lattice.row_mm, noise_mm))
+    ends = _pieces(laid.height, _walls(lattice, laid, noise_mm))
     smooth = np.full(laid.height.shape, np.nan)
     curved = np.zeros(laid.height.shape)
     for _ in range(ROUNDS):
@@ -239,7 +258,7 @@ def _laid_shift(lattice: _Lattice, laid: _Laid, spectrum: ReliefSpectrum) -> tup
             lattice.sight(filled, laid.columns),
         )
         curved = shown - linear
-    near = int(np.ceil(NEAR_SIGMAS * lattice.sigma_mm / lattice.row_mm))
+    near = int(np.ceil(NEAR_SIGMAS * lattice.sigma_mm / lattice.pitch_mm))
     clear = np.zeros(laid.height.shape, dtype=bool)
     for column, start, stop in ends:
         clear[start + near : stop - near, column] = True
@@ -250,8 +269,8 @@ def _laid_shift(lattice: _Lattice, laid: _Laid, spectrum: ReliefSpectrum) -> tup
 
 def _kernel(spectrum: ReliefSpectrum, lattice: _Lattice) -> Floats:
     """(2 J + 1,) the filter by rows, tapered towards its ends, of the sum 1."""
-    reach = int(np.ceil(KERNEL_SIGMAS * lattice.sigma_mm / lattice.row_mm))
-    fine = np.fft.rfftfreq(16 * BLOCK, lattice.row_mm)
+    reach = lattice.reach
+    fine = np.fft.rfftfreq(FINE * BLOCK, lattice.pitch_mm)
     whole = np.fft.irfft(np.interp(fine, spectrum.wavenumber_per_mm, spectrum.filter))
     rows = np.arange(-reach, reach + 1)
     kernel = whole[rows] * np.cos(np.pi * rows / (2 * reach + 2)) ** 2

@@ -14,7 +14,7 @@ standard uncertainty of H, from that of the sheet's thickness.
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.special import spherical_jn
+from scipy.special import jv
 
 from lscan.records import Floats
 from lscan.surface.concavity import REACH_IN_SIGMAS
@@ -79,13 +79,14 @@ class ReliefSpectrum:
     def series_variance(self) -> float:
         """Variance in mm² of what the series' first term (concavity.py) leaves of the relief.
 
-        The second derivative of the quadratic that fits best within the radius r shows a wave of
-        x = 2 pi k r with the gain 15 j2(x) / x², j2 being a spherical Bessel function.
+        The second derivative of the quadratic that fits best within a circle of radius r shows a
+        wave of x = 2 pi k r with the gain 48 J3(x) / x³, J3 being a Bessel function (derived here,
+        from the Zernike polynomials of second order).
         """
         wavenumber, gain = self.wavenumber_per_mm[1:], self.gain[1:]
         q = (2 * np.pi * wavenumber * self.sigma_mm) ** 2
         x = 2 * np.pi * wavenumber * REACH_IN_SIGMAS * self.sigma_mm
-        seen = gain * 15 * spherical_jn(2, x) / x**2
+        seen = gain * 48 * jv(3, x) / x**3
         left = (1 - gain - 1.5 * q * seen) ** 2 + self.doubt[1:] ** 2
         return float(2 * self.wavenumber_per_mm[1] * (self.relief[1:] * left).sum())
 

@@ -8,9 +8,9 @@ import pytest
 from hypothesis import given, settings, strategies as st
 
 from lscan.config.rig import SheetSection
-from lscan.records import Floats, Surface
+from lscan.records import Floats, Ints, Surface
 from lscan.surface.concavity import series_shifts
-from lscan.surface.reliefspectrum import SEGMENT, spectrum_of
+from lscan.surface.reliefspectrum import SEGMENT, ReliefSpectrum, spectrum_of
 from lscan.surface.sheetresponse import Sight, responses, transfer
 from lscan.surface.thickness import correct_thickness
 
@@ -107,6 +107,25 @@ def test_the_response_is_that_of_the_integral() -> None:
 # --- the spectrum -------------------------------------------------------------------------
 
 
+@pytest.mark.parametrize("wave_mm", [4.0, 6.0, 10.0])
+def test_what_the_series_leaves_of_a_wave_is_stated(wave_mm: float) -> None:
+    """Of small waves at one wavenumber; where they are long the scan's few of them blur it."""
+    x, y = np.meshgrid(np.arange(-5.0, 5.0, 0.25), np.arange(0.0, 60.0, 0.25))
+    k, amplitude = 2 * np.pi / wave_mm, 1e-5
+    gain = float(transfer(np.array([1 / wave_mm]), SIGMA_MM)[0])
+    sigma, ok = np.full(x.shape, 1e-6), np.zeros(x.shape, dtype=np.int64)
+    z = LEVEL_MM + amplitude * gain * np.cos(k * y)
+    surface = Surface(np.stack([x, y, z], axis=-1), 0 * sigma, sigma, ok, y[:, 0])
+    shift, _ = series_shifts(surface, SHEET, 0.0)
+    inner, wave = np.s_[32:-32, 20], np.cos(k * y[32:-32, 20])
+    made = float(shift[inner] @ wave / (wave @ wave)) / amplitude
+    numbers = np.array([0.0, 1 / wave_mm])
+    relief = np.array([np.inf, amplitude**2 * wave_mm / 4])
+    found = ReliefSpectrum(numbers, relief, 0.0, np.array([1.0, gain]), np.zeros(2), SIGMA_MM)
+    left = np.sqrt(2 * found.series_variance) / amplitude
+    assert left == pytest.approx(abs(1 - gain + made), abs=0.006)
+
+
 def test_the_relief_s_spectrum_comes_back() -> None:
     """White relief shown with H, and noise: 400 segments give S to 4 standard errors, 20 %."""
     generator = np.random.default_rng(2)
@@ -193,3 +212,52 @@ def test_walls_and_gaps_keep_the_relief_apart(bed: tuple[Floats, Surface]) -> No
     far = np.s_[:30, :, 2]
     change = np.abs(moved.xyz_mm[far] - whole.xyz_mm[far])
     assert np.sqrt(np.mean(change**2)) < np.sqrt(np.mean(whole.sigma_z_mm[:30] ** 2)) / 4
+
+
+def test_neither_the_way_of_the_track_nor_a_mirrored_camera_matters(
+    bed: tuple[Floats, Surface],
+) -> None:
+    """The same points, last profile and last column first.
+
+    Spectra are then taken of other segments: the heights differ by a tenth of their uncertainty.
+    """
+    _, surface = bed
+    one = correct_thickness(surface, SHEET)
+    other = correct_thickness(_picked(surface, np.s_[::-1], np.s_[::-1]), SHEET)
+    assert "relief down to waves of" in other.corrections[-1]
+    change = other.xyz_mm[::-1, ::-1, 2] - one.xyz_mm[..., 2]
+    assert np.sqrt(np.mean(change**2)) < 0.1 * np.sqrt(np.mean(one.sigma_z_mm**2))
+
+
+def test_profiles_beside_missing_ones_are_no_neighbours(bed: tuple[Floats, Surface]) -> None:
+    """Twenty are missing: the others are corrected as at the end of a scan, half blind."""
+    true, surface = bed
+    kept = np.r_[:80, 100:160]
+    errors = _errors(correct_thickness(_picked(surface, kept), SHEET), true[kept])
+    beside, far = (np.sqrt(np.nanmean(errors[rows] ** 2)) for rows in (np.s_[74:86], np.s_[30:60]))
+    assert beside < 1.5 * far
+
+
+def _picked(surface: Surface, rows: slice | Ints, columns: slice = np.s_[:]) -> Surface:
+    """Some of a scan's profiles and columns."""
+    return replace(
+        surface,
+        xyz_mm=surface.xyz_mm[rows][:, columns],
+        sigma_x_mm=surface.sigma_x_mm[rows][:, columns],
+        sigma_z_mm=surface.sigma_z_mm[rows][:, columns],
+        status=surface.status[rows][:, columns],
+        position_mm=surface.position_mm[rows],
+    )
+
+
+@pytest.mark.parametrize("row_mm", [0.5, 2.0])
+def test_a_sheet_far_thicker_than_a_profile_s_step(row_mm: float) -> None:
+    """What a filter of 28 sigmas would need is not there: the heights stay finite."""
+    generator = np.random.default_rng(9)
+    rows = row_mm * np.arange(80)[:, None]
+    x, y = np.broadcast_arrays(COLUMN_MM * np.arange(16.0), rows)
+    z = LEVEL_MM + 0.3 * np.sin(y) + generator.normal(0.0, 0.03, y.shape)
+    sigma, ok = np.full(y.shape, 0.03), np.zeros(y.shape, dtype=np.int64)
+    surface = Surface(np.stack([x, y, z], axis=-1), 0 * sigma, sigma, ok, rows[:, 0])
+    moved = correct_thickness(surface, SHEET.model_copy(update={"thickness_mm": 100.0}))
+    assert np.isfinite(moved.xyz_mm).all() and np.isfinite(moved.sigma_z_mm).all()
