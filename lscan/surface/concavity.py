@@ -27,7 +27,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from lscan.config.rig import SheetSection
-from lscan.records import Floats, Surface, has_value
+from lscan.records import Floats, Ints, Surface, has_value
 from lscan.surface.align.levelling import shear
 
 REACH_IN_SIGMAS = 4.0
@@ -38,6 +38,10 @@ REACH_IN_SAMPLES = 2.0
 
 FEWEST_POINTS = 9
 """Fewest points for the quadratic's six coefficients."""
+
+MOST_BESIDE = 24
+"""Rows, and columns, on either side of a point that the quadratic is fitted to: of closer ones some
+are left out, evenly.  Of a sheet of 100 mm sampled every 0.1 mm all would be four million."""
 
 NO_BETTER_MM = 1e-6
 """Heights are weighed as if known to no better than this: exact ones have weights too."""
@@ -89,15 +93,22 @@ def _quadratics(
     radius = max(REACH_IN_SIGMAS * sigma_mm, REACH_IN_SAMPLES * max(along, across))
     frames, columns = (int(np.ceil(radius / step)) for step in (along, across))
     count = true.shape[1]
-    beside = np.arange(count)[:, None] + np.arange(-columns, columns + 1)
+    beside = np.arange(count)[:, None] + _around(columns)
     outside = (beside < 0) | (beside >= count)
     beside = np.clip(beside, 0, count - 1)
     for f in range(len(true)):
-        first, last = max(f - frames, 0), min(f + frames + 1, len(true))
-        offset = true[first:last, beside] - true[f][:, None]
+        near = f + _around(frames)
+        near = near[(near >= 0) & (near < len(true))][:, None, None]
+        offset = true[near, beside] - true[f][:, None]
         offset[:, outside] = np.nan
-        noise = surface.sigma_z_mm[first:last, beside]
+        noise = surface.sigma_z_mm[near, beside]
         yield f, _fit(_flat(offset, count), _flat(noise, count), radius)
+
+
+def _around(reach: int) -> Ints:
+    """Offsets from -reach to reach, evenly picked, 0 among them."""
+    step = -(-reach // MOST_BESIDE)
+    return np.arange(-(reach // step) * step, reach + 1, step)
 
 
 def _spacing(coordinate: Floats, axis: int) -> float:
