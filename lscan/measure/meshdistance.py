@@ -93,12 +93,8 @@ class MeshSearch:
             self._nearest(points_mm[first : first + AT_ONCE], within_mm)
             for first in range(0, max(len(points_mm), 1), AT_ONCE)
         ]
-        return NearestPlaces(
-            distance_mm=np.concatenate([part.distance_mm for part in parts]),
-            place_mm=np.concatenate([part.place_mm for part in parts]),
-            normal=np.concatenate([part.normal for part in parts]),
-            border=np.concatenate([part.border for part in parts]),
-        )
+        columns = zip(*(vars(part).values() for part in parts), strict=True)
+        return NearestPlaces(*map(np.concatenate, columns))
 
     def _nearest(self, points: Floats, within_mm: float) -> NearestPlaces:
         triangle = np.zeros(len(points), dtype=np.int64)
@@ -107,9 +103,11 @@ class MeshSearch:
         left, asked = np.arange(len(points)), FIRST_ASKED
         while len(left):
             asked = min(asked, self._tree.n)
-            found = self._among(points[left], asked, within_mm)
-            triangle[left], place[left], side[left], sure = found
-            left, asked = left[~sure], 4 * asked
+            sure = np.zeros(len(points), dtype=bool)
+            for some in np.array_split(left, -(-len(left) * asked // (AT_ONCE * FIRST_ASKED))):
+                found = self._among(points[some], asked, within_mm)
+                triangle[some], place[some], side[some], sure[some] = found
+            left, asked = left[~sure[left]], 4 * asked
         away = points - place
         distance = np.linalg.norm(away, axis=1)
         sign = np.where(side < 0, -1.0, 1.0)

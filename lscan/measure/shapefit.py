@@ -55,6 +55,10 @@ SINGULAR = 1e-12
 """Least eigenvalue of the normal matrix, each parameter in its own scale, that determines all of
 them: rounding of a double is 2e-16 for each of some thousand points."""
 
+FELT = 1e-9
+"""A parameter that changes the distances by less than this, against what another one of them does,
+is not determined: a plane's normal has components of 1e-16 within it by rounding alone."""
+
 
 @dataclass(frozen=True)
 class MeasuredPoints:
@@ -245,7 +249,8 @@ def _step(terms: ShapeTerms, sigma: Floats, kept: Mask) -> tuple[Floats, float]:
 
 def _inverse(matrix: Floats) -> tuple[Floats, bool]:
     """The inverse of a normal matrix, of what it determines, and whether that is all."""
-    scale = np.sqrt(np.maximum(np.diag(matrix), np.finfo(float).tiny))
+    squares = np.diag(matrix)
+    scale = np.sqrt(np.where(squares > FELT**2 * squares.max(), squares, np.inf))
     values, vectors = np.linalg.eigh(matrix / np.outer(scale, scale))
     known = values > SINGULAR
     inverse = (vectors[:, known] / values[known]) @ vectors[:, known].T

@@ -12,6 +12,7 @@ from scipy.spatial.transform import Rotation
 from shape_surfaces import dome, plan, surface_of
 
 from lscan.errors import InputError, MeasurementError
+from lscan.measure import meshdistance
 from lscan.measure.meshcompare import (
     MeshPose,
     compare_mesh,
@@ -127,6 +128,21 @@ def test_a_pose_is_found_to_its_uncertainty() -> None:
     assert abs(found.distance_mm.mean()) < 4 * found.mean_sigma_mm + 1e-9
 
 
+@pytest.mark.parametrize("turn_deg", [0.0, 10.0])
+def test_of_a_plane_the_pose_is_found_that_it_determines(turn_deg: float) -> None:
+    """A level slab beneath a plane that leans: neither its turn nor its place in plan shows."""
+    x, y = plan(41)
+    slab = trimesh.creation.box(bounds=[[-50, -50, -5], [50, 50, 0]])
+    start = MeshPose.at((0.0, 0.0, 0.0), turn_deg)
+    found = compare_mesh(surface_of(x, y, 0.4 + 0.01 * x), slab, start, fit=True)
+    assert len(found.distance_mm) == 41 * 41
+    np.testing.assert_allclose(found.distance_mm, 0.0, atol=1e-9)
+    lean = found.pose.rotation[:, 2]
+    np.testing.assert_allclose(lean[:2] / lean[2], [-0.01, 0.0], atol=1e-9)
+    # Of 2000 points evenly spread, each known to 0.05 mm.
+    assert found.mean_sigma_mm < 2 * 0.05 / np.sqrt(41 * 41)
+
+
 def test_a_fitted_pose_takes_out_what_all_points_share() -> None:
     """A shift of all points is an error of theirs, and none of their distances from the mesh."""
     x, y = plan(41)
@@ -160,6 +176,27 @@ def test_points_are_written_with_their_distances(tmp_path: Path) -> None:
     first = (tmp_path / "h.png").read_bytes()
     save_histogram(tmp_path / "h.png", found)
     assert (tmp_path / "h.png").read_bytes() == first
+
+
+def test_points_as_near_to_all_of_a_mesh_are_looked_up_a_few_at_a_time(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """The middle of a ball, 60 times: each asks for all its pieces, and memory has a bound."""
+    asked: list[int] = []
+
+    def counted(triangles: Floats, points: Floats) -> Floats:
+        asked.append(len(points))
+        return np.asarray(closest_point(triangles, points))
+
+    closest_point = trimesh.triangles.closest_point
+    monkeypatch.setattr(meshdistance, "AT_ONCE", 100)
+    monkeypatch.setattr(meshdistance, "MOST_PIECES", 2000)
+    monkeypatch.setattr(trimesh.triangles, "closest_point", counted)
+    ball = trimesh.creation.icosphere(subdivisions=3)
+    found = MeshSearch(ball).nearest(np.zeros((60, 3)))
+    plane = np.einsum("ti,ti->t", ball.triangles_center, ball.face_normals)
+    np.testing.assert_allclose(found.distance_mm, -plane.min(), atol=1e-9)
+    assert max(asked) <= 100 * meshdistance.FIRST_ASKED + 2000
 
 
 def test_a_mesh_without_area_is_refused() -> None:
