@@ -103,6 +103,10 @@ def load_surface(path: Path | str) -> Surface:
     _check_shapes(path, arrays)
     if not np.isin(arrays["status"], list(Status)).all():
         raise InputError("status: holds what is no status", where=path)
+    there = has_value(arrays["status"]) & np.isfinite(arrays["z"])
+    for name in ("x_sigma", "y_sigma", "z_sigma"):
+        if name in arrays and not (arrays[name][there] >= 0).all():
+            raise InputError(f"{name}: is no uncertainty at a point that has a value", where=path)
     return Surface(
         xyz_mm=np.stack([arrays["x"], arrays["y"], arrays["z"]], axis=-1),
         sigma_x_mm=arrays["x_sigma"],

@@ -167,6 +167,25 @@ def test_a_status_that_is_none_is_refused(saved: Path, tmp_path: Path) -> None:
         load_surface(path)
 
 
+@pytest.mark.parametrize("name", ["x_sigma", "y_sigma", "z_sigma"])
+@pytest.mark.parametrize("value", [-1.0, np.nan])
+def test_a_point_without_an_uncertainty_is_refused(
+    saved: Path, tmp_path: Path, name: str, value: float
+) -> None:
+    """One without a value has none."""
+    path = tmp_path / "surface.nc"
+    surface = load_surface(saved)
+    save_surface(path, replace(surface, sigma_y_mm=np.ones(SHAPE)))
+    with h5py.File(path, "r+") as file:
+        file["status"][0, 0] = Status.NO_PEAK
+        file[name][0, 0] = value
+    assert load_surface(path).status[0, 0] == Status.NO_PEAK
+    with h5py.File(path, "r+") as file:
+        file[name][1, 2] = value
+    with pytest.raises(InputError, match=f"surface.nc: {name}: is no uncertainty at a point"):
+        load_surface(path)
+
+
 def test_a_fifo_is_not_waited_for(tmp_path: Path) -> None:
     os.mkfifo(tmp_path / "surface.nc")
     with pytest.raises(InputError, match=r"surface\.nc: cannot be read: it is a FIFO"):
