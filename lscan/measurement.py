@@ -194,7 +194,7 @@ def measure_groove(run: Run, plane_map: PlaneMap) -> GrooveMeasures:
     >>> abs(result.dimensions["W1"].error_mm) < 0.7
     True
     """
-    piece = _require_piece(run, GroovedBlock)
+    piece = require_piece(run, GroovedBlock)
     if run.rig_file.rig.shaft is not None:
         raise InputError(
             "the grooves are measured in profiles normal to them, and those of a shaft are oblique",
@@ -231,7 +231,7 @@ def measure_sandwave(
     >>> run = lscan.open_run("runs/sandwave")  # doctest: +SKIP
     >>> lscan.measure_sandwave(run, calibration.plane_map).errors["S1"]  # doctest: +SKIP
     """
-    piece = _require_piece(run, Sandwave)
+    piece = require_piece(run, Sandwave)
     built = reconstruct(run, plane_map, progress)
     alignment = built.require_alignment()
     slices = {name: resample(built.surface, ends) for name, ends in piece.slices_mm().items()}
@@ -264,7 +264,7 @@ def find_shaft(run: Run, plane_map: PlaneMap, progress: Progress | None = None) 
     shaft = run.rig_file.rig.shaft
     if shaft is None:
         raise InputError("the rig file has no section [shaft]", where=run.path)
-    piece = _require_piece(run, Sandwave)
+    piece = require_piece(run, Sandwave)
     profiles = list(read_profiles(run, plane_map, progress))
     return calibrate_shaft(profiles, piece, shaft_of(shaft))
 
@@ -323,8 +323,19 @@ def _nothing_to_measure(run: Run, missing: str) -> InputError:
     )
 
 
-def _require_piece(run: Run, wanted: type[Piece]) -> Piece:
-    """The rig's workpiece; InputError where it is not of the class wanted."""
+def require_piece(run: Run, wanted: type[Piece]) -> Piece:
+    """The workpiece that the run's rig names.
+
+    Parameters
+    ----------
+    run : Run, of any piece
+    wanted : type, of the piece: GroovedBlock or Sandwave
+
+    Raises
+    ------
+    InputError
+        Where the rig names none, or one of another kind.
+    """
     piece = run.rig_file.rig.workpiece
     if isinstance(piece, wanted):
         return piece

@@ -22,6 +22,8 @@ from lscan.cli.console import note, print_json, print_table, progress_bar
 from lscan.errors import InputError
 
 if TYPE_CHECKING:
+    from lscan.acquisition.run import Run
+    from lscan.calibration.api import PlaneMap
     from lscan.config.rig import Rig
     from lscan.measure.shapemeasures import ShapeMeasure
     from lscan.measurement import Measures, SandwaveMeasures
@@ -50,19 +52,19 @@ def reconstruct(
 ) -> None:
     """Turn a run's pictures into the surface that is measured, aligned if it is a sandwave's."""
     from lscan.cli.inputs import open_calibrated
+    from lscan.config.targets import Sandwave
     from lscan.errors import MeasurementError
-    from lscan.pipeline import reconstruct as build
+    from lscan.measurement import require_piece
     from lscan.records import has_value
     from lscan.surface import save_points, save_surface
-    from lscan.surface.align.keptalignment import load_alignment
+    from lscan.surface.align.keptalignment import save_alignment as keep_alignment
 
     require_folders(output, points, save_alignment)
     if alignment and save_alignment:
         raise InputError("goes without --alignment", where="--save-alignment")
-    kept = load_alignment(alignment) if alignment else None
     opened, plane_map = open_calibrated(run, calibration, shaft, trust)
-    with progress_bar("reconstruct") as progress:
-        built = build(opened, plane_map, progress, kept)
+    piece = require_piece(opened, Sandwave) if save_alignment else None
+    built = _reconstructed(opened, plane_map, alignment)
     surface = built.surface
     frames, columns = surface.status.shape
     yaw_deg = built.alignment.yaw_deg if built.alignment else None
@@ -77,11 +79,12 @@ def reconstruct(
             f"board, {_NO_SURFACE}"
         )
     _note_doubts(built, opened.rig_file.rig)
-    if save_alignment:
-        _save_alignment(save_alignment, built, opened.rig_file.rig)
     save_surface(output, surface)
     if points:
         save_points(points, surface)
+    if save_alignment and piece:
+        assert built.raw.provenance is not None
+        keep_alignment(save_alignment, built.require_alignment(), built.raw.provenance, piece)
     if json:
         print_json(
             {
@@ -147,7 +150,7 @@ def _measured(run: Path, calibration: Path | None, shaft: Path | None, trust: bo
     from lscan.cli.inputs import open_calibrated
     from lscan.measurement import measure_run
 
-    opened, plane_map = open_calibrated(run, _required(calibration), shaft, trust)
+    opened, plane_map = open_calibrated(run, _required(calibration, run), shaft, trust)
     with progress_bar("measure") as progress:
         return measure_run(opened, plane_map, progress)
 
@@ -161,6 +164,7 @@ def _measured_shapes(
     trust: bool,
 ) -> tuple[Surface, list[ShapeMeasure]]:
     """The surface of a file or of a run, and what the shapes file asks for of it."""
+    from lscan.cli.inputs import open_calibrated
     from lscan.config.shapes import load_shapes
     from lscan.measure.shapemeasures import measure_shapes
     from lscan.surface import load_surface
@@ -173,39 +177,30 @@ def _measured_shapes(
                 raise InputError("goes with a run folder", where=option, value=str(given))
         surface = load_surface(source)
     else:
-        surface = _reconstructed(source, _required(calibration), alignment, shaft, trust)
+        opened, plane_map = open_calibrated(source, _required(calibration, source), shaft, trust)
+        built = _reconstructed(opened, plane_map, alignment)
+        _note_doubts(built, opened.rig_file.rig)
+        surface = built.surface
     return surface, measure_shapes(surface, wanted)
 
 
-def _reconstructed(
-    run: Path, calibration: Path, alignment: Path | None, shaft: Path | None, trust: bool
-) -> Surface:
-    from lscan.cli.inputs import open_calibrated
+def _reconstructed(run: Run, plane_map: PlaneMap, alignment: Path | None) -> Reconstruction:
+    """The run's surface, aligned by the alignment that a file keeps where one is named."""
     from lscan.pipeline import reconstruct as build
     from lscan.surface.align.keptalignment import load_alignment
 
     kept = load_alignment(alignment) if alignment else None
-    opened, plane_map = open_calibrated(run, calibration, shaft, trust)
     with progress_bar("reconstruct") as progress:
-        built = build(opened, plane_map, progress, kept)
-    _note_doubts(built, opened.rig_file.rig)
-    return built.surface
+        return build(run, plane_map, progress, kept)
 
 
-def _required(calibration: Path | None) -> Path:
+def _required(calibration: Path | None, run: Path) -> Path:
     if calibration is None:
-        raise InputError("is missing", where="--calibration", allowed="a file, with a run folder")
+        gone = "" if os.path.exists(run) else f", and {run} does not exist"  # noqa: PTH110 - any text
+        raise InputError(
+            f"is missing{gone}", where="--calibration", allowed="a file, with a run folder"
+        )
     return calibration
-
-
-def _save_alignment(path: Path, built: Reconstruction, rig: Rig) -> None:
-    """Keep the alignment that was found in the run's own surface."""
-    from lscan.config.targets import Sandwave
-    from lscan.surface.align.keptalignment import save_alignment
-
-    found, made_from = built.require_alignment(), built.raw.provenance
-    assert isinstance(rig.workpiece, Sandwave) and made_from is not None  # it was aligned with it
-    save_alignment(path, found, made_from, rig.workpiece)
 
 
 def _note_doubts(built: Reconstruction, rig: Rig) -> None:
