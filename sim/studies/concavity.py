@@ -9,13 +9,13 @@ sheet's thickness (lscan.surface.concavity) and what neither describes.
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import trimesh
 
-from lscan.config.documents import merge
+from lscan.config.documents import Document, merge
 from lscan.config.rig import SheetSection, StripeSection
 from lscan.config.rigfile import load_rig, parse_rig
 from lscan.errors import InputError
@@ -217,22 +217,15 @@ def cases(scenes: Path, folder: Path) -> list[ConcavityCase]:
     are written.  The meshes' chords stay within 0.005 mm of the shapes.
     """
     paper = load_rig(scenes / "paper" / "sandwave.toml").document
-    mesh_base = load_rig(scenes / "paper" / "groove.toml").document
     wave, short = tuple(np.arange(150.0, 160.0, 0.5)), tuple(np.arange(-5.0, 5.0, 0.5))
     sphere, along, across = _meshes(folder)
 
-    def scene(document: dict[str, Any], **sections: Any) -> Scene:
-        return scene_of(parse_rig(merge(document, sections), source="concavity", trusted=True))
-
-    def on_mesh(path: Path, z_mm: float, **sections: Any) -> Scene:
-        target = {"shape": "mesh", "file": str(path), "position_mm": [225.0, 0.0, z_mm]}
-        return scene(mesh_base, target={**target, "albedo": 0.5, "turn_deg": 0.0}, **sections)
-
+    on_mesh = partial(mesh_scene, scenes)
     wide, green = {"blur_px": 1.2}, {"wavelength_nm": 532.0}
     thick, sea = {"waist_mm": 2.5}, {"particle_scattering_per_m": 0.4}
     return [
-        ConcavityCase("sandwave, its steep end", scene(paper), wave, derived=True),
-        ConcavityCase("sandwave, blur 1.2 px", scene(paper, lens=wide), wave),
+        ConcavityCase("sandwave, its steep end", _scene(paper), wave, derived=True),
+        ConcavityCase("sandwave, blur 1.2 px", _scene(paper, lens=wide), wave),
         ConcavityCase("sphere of 60 mm", on_mesh(sphere, -380.0), short),
         ConcavityCase("sphere, sheet of 2.5 mm", on_mesh(sphere, -380.0, laser=thick), short),
         ConcavityCase("sphere, 532 nm", on_mesh(sphere, -380.0, laser=green), short),
@@ -243,6 +236,27 @@ def cases(scenes: Path, folder: Path) -> list[ConcavityCase]:
             "mound of flat facets", on_mesh(scenes / "targets" / "mound.ply", -372.0), short
         ),
     ]
+
+
+def mesh_scene(scenes: Path, file: Path, z_mm: float, **sections: Document) -> Scene:
+    """The scene of the grooved block with a mesh in its place.
+
+    Parameters
+    ----------
+    scenes : Path, folder of the scenes
+    file : Path, of the mesh, mm
+    z_mm : float, mm, height of its origin in the tank
+    sections : Document, sections laid over those of the scene
+    """
+    target = {"shape": "mesh", "file": str(file), "position_mm": [225.0, 0.0, z_mm]}
+    target |= {"albedo": 0.5, "turn_deg": 0.0}
+    base = load_rig(scenes / "paper" / "groove.toml").document
+    return _scene(base, target=target, **sections)
+
+
+def _scene(document: Document, **sections: Document) -> Scene:
+    whole = merge(document, sections)
+    return scene_of(parse_rig(whole, source="concavity", trusted=True))
 
 
 def _meshes(folder: Path) -> tuple[Path, Path, Path]:

@@ -13,14 +13,12 @@ from typing import Any
 import numpy as np
 import trimesh
 
-from lscan.config.documents import merge
 from lscan.config.rig import SheetSection
-from lscan.config.rigfile import load_rig, parse_rig
 from lscan.files.disk import write_atomically
 from lscan.records import Floats, Mask, Surface
 from lscan.surface.thickness import correct_thickness
-from sim.scene import Scene, scene_of
-from sim.studies.concavity import ShortScan, sheet_of, short_scan
+from sim.meshes.parts import grid_faces, plain_mesh
+from sim.studies.concavity import ShortScan, mesh_scene, sheet_of, short_scan
 from sim.validation.accuracy.intervals import share_inside
 from sim.validation.field.effort import FieldEffort
 from sim.validation.rows import Row, row
@@ -96,33 +94,18 @@ def _scanned(scenes: Path, shape: Shape, frames: int) -> ReliefScan:
     with TemporaryDirectory() as folder:
         path = Path(folder) / "patch.ply"
         write_atomically(path, _patch(shape).export(file_type="ply"))
-        scene = _scene(scenes, path)
+        scene = mesh_scene(scenes, path, -330.0)
         positions = np.arange(frames) - (frames - 1) / 2
         scan = short_scan(scene, tuple(positions.tolist()))
     return ReliefScan(scan, *sheet_of(scene))
 
 
-def _scene(scenes: Path, mesh: Path) -> Scene:
-    base = load_rig(scenes / "paper" / "groove.toml").document
-    target: dict[str, Any] = {
-        "shape": "mesh",
-        "file": str(mesh),
-        "position_mm": [225.0, 0.0, -330.0],
-    }
-    target |= {"albedo": 0.5, "turn_deg": 0.0}
-    return scene_of(parse_rig(merge(base, {"target": target}), source="relief", trusted=True))
-
-
 def _patch(shape: Shape) -> trimesh.Trimesh:
     """The triangles of a height field."""
     side = np.arange(-HALF_MM, HALF_MM + GRID_MM / 2, GRID_MM)
-    x, y = np.meshgrid(side, side, indexing="ij")
-    number = np.arange(x.size).reshape(x.shape)
-    a, b = number[:-1, :-1].ravel(), number[1:, :-1].ravel()
-    c, d = number[1:, 1:].ravel(), number[:-1, 1:].ravel()
-    faces = np.concatenate([np.column_stack([a, b, c]), np.column_stack([a, c, d])])
+    x, y = np.meshgrid(side, side)
     vertices = np.column_stack([x.ravel(), y.ravel(), shape(x, y).ravel()])
-    return trimesh.Trimesh(vertices, faces, process=False)
+    return plain_mesh(vertices, grid_faces(*x.shape))
 
 
 def _judged(name: str, found: ReliefScan, effort: FieldEffort) -> list[Row]:
