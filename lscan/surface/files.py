@@ -103,7 +103,7 @@ def load_surface(path: Path | str) -> Surface:
     _check_shapes(path, arrays)
     if not np.isin(arrays["status"], list(Status)).all():
         raise InputError("status: holds what is no status", where=path)
-    there = has_value(arrays["status"]) & np.isfinite(arrays["z"])
+    there = has_value(arrays["status"].astype(np.int64)) & np.isfinite(arrays["z"])
     for name in ("x_sigma", "y_sigma", "z_sigma"):
         if name in arrays and not (arrays[name][there] >= 0).all():
             raise InputError(f"{name}: is no uncertainty at a point that has a value", where=path)

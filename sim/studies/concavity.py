@@ -248,8 +248,8 @@ def mesh_scene(scenes: Path, file: Path, z_mm: float, **sections: Document) -> S
     z_mm : float, mm, height of its origin in the tank
     sections : Document, sections laid over those of the scene
     """
-    target = {"shape": "mesh", "file": str(file), "position_mm": [225.0, 0.0, z_mm]}
-    target |= {"albedo": 0.5, "turn_deg": 0.0}
+    place = {"position_mm": [225.0, 0.0, z_mm], "turn_deg": 0.0}
+    target = {"shape": "mesh", "file": str(file), "albedo": 0.5, **place}
     base = load_rig(scenes / "paper" / "groove.toml").document
     return _scene(base, target=target, **sections)
 
