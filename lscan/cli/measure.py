@@ -191,7 +191,14 @@ def _reconstructed(run: Run, plane_map: PlaneMap, alignment: Path | None) -> Rec
 
     kept = load_alignment(alignment) if alignment else None
     with progress_bar("reconstruct") as progress:
-        return build(run, plane_map, progress, kept)
+        built = build(run, plane_map, progress, kept)
+    made_from = built.raw.provenance
+    if kept and made_from and made_from.calibration_sha256 != kept.provenance.calibration_sha256:
+        note(
+            f"yaw and level are those of {kept.source}, with another calibration: the errors of "
+            "both count, as if independent"
+        )
+    return built
 
 
 def _required(calibration: Path | None, run: Path) -> Path:

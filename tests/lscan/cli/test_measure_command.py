@@ -7,14 +7,20 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
+from command_line import call, refused
 from drawn_runs import board_run, flat_run
 from typer.testing import CliRunner
 
 import lscan
 from lscan.cli.app import app
 from lscan.cli.console import run_command_line
+from lscan.config.targets import Sandwave
 from lscan.errors import BoardNotFound
+from lscan.records import Provenance
+from lscan.surface import Alignment
+from lscan.surface.align.keptalignment import save_alignment
 
 pytestmark = pytest.mark.xdist_group("measure")  # one worker: they share a fixture
 
@@ -149,3 +155,34 @@ def test_reconstruct_of_dark_pictures_writes_no_file(
     assert (left.value.code, output.out, output.err.count("\n")) == (1, "", 1)
     assert "no laser line in any of its 1 pictures, so there is no surface to build" in output.err
     assert not (tmp_path / "s.nc").exists()
+
+
+def test_a_rig_without_the_block_has_no_alignment_to_keep(
+    calibrated: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """It is said before a picture is read: there is none that could be."""
+    flat_run(tmp_path / "flat", 2)
+    for picture in (tmp_path / "flat" / "frames").iterdir():
+        picture.write_bytes(b"")
+    out = ("-o", tmp_path / "s.nc", "--save-alignment", tmp_path / "a.json")
+    arguments = ("reconstruct", tmp_path / "flat", "-c", calibrated / "c.json", *out)
+    refused(call(capsys, *arguments), "another workpiece", "sandwave")
+
+
+def test_an_alignment_found_with_another_calibration_is_remarked_on(
+    calibrated: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    level = Alignment(
+        yaw_rad=0.03, yaw_sigma_rad=0.001, rotation=np.eye(3), translation_mm=np.zeros(3),
+        normal=np.array([0.0, 0.0, 1.0]), base_mm=20.0, left_corner_mm=np.zeros(2),
+        right_corner_mm=np.array([200.0, 0.0]), pivot_mm=np.zeros(3), modes=np.zeros((7, 7)),
+    )  # fmt: skip
+    made_from = Provenance("tank", 100, "ml", "refractive", "ab" * 32)
+    save_alignment(tmp_path / "a.json", level, made_from, Sandwave())
+    flat_run(tmp_path / "flat", 2)
+    out = ("-o", tmp_path / "s.nc", "--alignment", tmp_path / "a.json")
+    code, said, err = call(
+        capsys, "reconstruct", tmp_path / "flat", "-c", calibrated / "c.json", *out
+    )
+    assert code == 0 and "yaw 1.719 deg" in said
+    assert "those of the block scanned with 'tank', with another calibration" in err
