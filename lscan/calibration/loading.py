@@ -4,8 +4,7 @@ from pathlib import Path
 
 from lscan.calibration.api import PlaneMap
 from lscan.calibration.file import MOST_BYTES, calibration_of, save_calibration
-from lscan.calibration.multiview import camerafile
-from lscan.calibration.multiview.file import FORMAT, metric_of, save_metric
+from lscan.calibration.multiview.file import CAMERA_FORMAT, FORMAT, metric_of, save_metric
 from lscan.calibration.multiview.solve import MetricCalibration
 from lscan.calibration.solve import Calibration
 from lscan.config.documents import read_json
@@ -29,7 +28,7 @@ def load_any(path: Path | str) -> AnyCalibration:
     path = Path(path)
     document = read_json(path, MOST_BYTES)
     kind = document.get("format") if isinstance(document, dict) else None
-    if kind == camerafile.FORMAT:
+    if kind == CAMERA_FORMAT:
         allowed = f"lscan calibrate-metric VIEWS.toml --camera {path.name} -o FILE"
         raise InputError("holds a camera alone, no laser sheet", where=path, allowed=allowed)
     if kind == FORMAT:

@@ -36,8 +36,12 @@ def calibrate_metric(
     Where they give no calibration, the table of the views is printed all the same, and the
     pictures are written beside the output.
     """
-    from lscan.calibration.multiview.camerafile import load_camera, require_same_camera, save_camera
-    from lscan.calibration.multiview.file import save_metric
+    from lscan.calibration.multiview.file import (
+        load_camera,
+        require_same_camera,
+        save_camera,
+        save_metric,
+    )
     from lscan.calibration.multiview.overlays import write_overlays
     from lscan.calibration.multiview.solve import (
         CameraCalibration,
@@ -111,19 +115,15 @@ def _in_words(calibration: MetricCalibration | CameraCalibration) -> str:
 
 def summary(calibration: MetricCalibration | CameraCalibration) -> dict[str, Any]:
     """What a metric calibration, or a camera's, found, as ``print_json`` takes it."""
-    from lscan.calibration.multiview.solve import CameraCalibration
+    from lscan.calibration.multiview.solve import MetricCalibration
     from lscan.camera.parameters import CAMERA
 
-    if isinstance(calibration, CameraCalibration):
-        name, theta, line_rms_mm = None, calibration.theta, None
-    else:
-        name, theta = "metric", calibration.plane_map.view.theta
-        line_rms_mm = calibration.line_rms_mm
-    known = zip(CAMERA, theta, calibration.sigma, strict=True)
+    metric = calibration if isinstance(calibration, MetricCalibration) else None
+    known = zip(CAMERA, calibration.theta, calibration.sigma, strict=True)
     return {
-        "map": name,
+        "map": metric and metric.plane_map.name,
         "rms_px": calibration.rms_px,
-        "line_rms_mm": line_rms_mm,
+        "line_rms_mm": metric and metric.line_rms_mm,
         "camera": {name: {"value": value, "sigma": sigma} for name, value, sigma in known},
         "views": _listed(calibration.views),
     }

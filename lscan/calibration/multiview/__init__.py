@@ -4,5 +4,5 @@ For rigs whose board cannot be made coplanar with the sheet.  ``viewsfile`` read
 ``usedviews`` finds the camera and the boards' poses (lscan.camera.fit) and leaves out the views
 that are outliers, ``lines``, ``consensus``, ``equations`` and ``sheet`` find the laser's plane from
 the line seen on the boards, ``solve`` goes all the way, ``planemap`` is the map that comes of it,
-``file`` keeps it, ``camerafile`` a camera alone, and ``overlays`` shows what was seen of each view.
+``file`` keeps it, or a camera alone, and ``overlays`` shows what was seen of each view.
 """

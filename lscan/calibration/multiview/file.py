@@ -1,24 +1,35 @@
-"""The file of a metric calibration: all it was solved from, and the map."""
+"""The files of the metric route: a metric calibration, or a camera alone, and all it rests on."""
 
 from dataclasses import asdict, dataclass
+from functools import partial
 from pathlib import Path
-from typing import Annotated, Any, Final, Literal, Self
+from typing import Annotated, Any, Final, Literal, Self, TypeVar
 
 import numpy as np
-from pydantic import Field, model_validator
+from pydantic import AfterValidator, Field, model_validator
 
 from lscan.calibration.file import MOST_BYTES, Side, StoredMarks, write_file
 from lscan.calibration.multiview.planemap import solver
-from lscan.calibration.multiview.solve import MetricCalibration
+from lscan.calibration.multiview.solve import CameraCalibration, MetricCalibration, SolvedViews
 from lscan.calibration.multiview.views import FittedView, LinePoints
-from lscan.calibration.stored import STRICT, Count, Matrix, NotNegativeOrNaN, Vector
-from lscan.camera.parameters import COUNT
+from lscan.calibration.multiview.viewsfile import ViewsFile
+from lscan.calibration.stored import (
+    STRICT,
+    Count,
+    Matrix,
+    NotNegativeOrNaN,
+    Number,
+    Vector,
+    check_theta,
+)
+from lscan.camera.parameters import CAMERA, COUNT
 from lscan.config.documents import Strict, check, read_json
 from lscan.config.rig import Known, OpticsSection
 from lscan.errors import InputError
 from lscan.records import Axis
 
 FORMAT: Final = "lscan-metric-calibration"
+CAMERA_FORMAT: Final = "lscan-camera-calibration"
 VERSION = 1
 
 
@@ -68,17 +79,15 @@ class StoredView(Strict):
         return FittedView(**dict(self))
 
 
-class MetricFile(Strict):
-    """The whole file."""
+class StoredViews(Strict):
+    """What both files hold: solve.SolvedViews, its sigma as camera_sigma."""
 
-    format: Literal["lscan-metric-calibration"] = FORMAT
+    format: str
     version: Annotated[int, Field(strict=True, ge=1, le=VERSION)]
     software: str
-    plane_map: Literal["metric"]
     image_size: tuple[Side, Side]
     optics: OpticsSection
     k3: Known
-    parameters: dict[str, Any]
     camera_sigma: Vector
     views: tuple[StoredView, ...]
 
@@ -86,9 +95,69 @@ class MetricFile(Strict):
     def _whole(self) -> Self:
         if self.camera_sigma.shape != (COUNT,) or (self.camera_sigma < 0).any():
             raise ValueError(f"camera_sigma must be {COUNT} numbers not below 0")
+        return self
+
+    def solved(self) -> dict[str, Any]:
+        """The fields of a SolvedViews."""
+        return {
+            "views": tuple(view.view() for view in self.views),
+            "optics": self.optics,
+            "k3": self.k3,
+            "image_size": self.image_size,
+            "sigma": self.camera_sigma,
+            "software": self.software,
+        }
+
+
+class MetricFile(StoredViews):
+    """The file of a metric calibration."""
+
+    format: Literal["lscan-metric-calibration"] = FORMAT
+    plane_map: Literal["metric"]
+    parameters: dict[str, Any]
+
+    @model_validator(mode="after")
+    def _has_a_line(self) -> Self:
         if not any(view.line_used for view in self.views):
             raise ValueError("views must hold a line that was used")
         return self
+
+
+class CameraFile(StoredViews):
+    """The file of a camera alone.  camera: the parameters of camera and port, by name."""
+
+    format: Literal["lscan-camera-calibration"] = CAMERA_FORMAT
+    camera: Annotated[dict[str, Number], AfterValidator(partial(check_theta, names=CAMERA))]
+
+    @model_validator(mode="after")
+    def _has_a_view(self) -> Self:
+        if not any(view.used for view in self.views):
+            raise ValueError("views must hold one that was used")
+        return self
+
+
+Content = TypeVar("Content", bound=StoredViews)
+
+
+def _stored(calibration: SolvedViews) -> dict[str, Any]:
+    """The fields of a StoredViews, but for its format."""
+    return {
+        "version": VERSION,
+        "software": calibration.software,
+        "image_size": calibration.image_size,
+        "optics": calibration.optics,
+        "k3": calibration.k3,
+        "camera_sigma": calibration.sigma,
+        "views": tuple(StoredView.model_validate(asdict(view)) for view in calibration.views),
+    }
+
+
+def _content(document: Any, model: type[Content], what: str, path: Path) -> Content:
+    """The document as a model; InputError where it is of another format, or not as written."""
+    wanted = model.model_fields["format"].default
+    if not isinstance(document, dict) or document.get("format") != wanted:
+        raise InputError(f"is no {what} calibration", where=path, allowed=f'format "{wanted}"')
+    return check(model, document, where=path)
 
 
 def save_metric(path: Path, calibration: MetricCalibration) -> None:
@@ -104,18 +173,8 @@ def save_metric(path: Path, calibration: MetricCalibration) -> None:
     InputError
         Where the file cannot be written.
     """
-    content = MetricFile(
-        version=VERSION,
-        software=calibration.software,
-        plane_map="metric",
-        image_size=calibration.image_size,
-        optics=calibration.optics,
-        k3=calibration.k3,
-        parameters=calibration.plane_map.parameters(),
-        camera_sigma=calibration.sigma,
-        views=tuple(StoredView.model_validate(asdict(view)) for view in calibration.views),
-    )
-    write_file(path, content)
+    parameters = calibration.plane_map.parameters()
+    write_file(path, MetricFile(plane_map="metric", parameters=parameters, **_stored(calibration)))
 
 
 def load_metric(path: Path) -> MetricCalibration:
@@ -146,20 +205,73 @@ def metric_of(document: Any, path: Path) -> MetricCalibration:
     InputError
         As ``load_metric``.
     """
-    if not isinstance(document, dict) or document.get("format") != FORMAT:
-        raise InputError("is no metric calibration", where=path, allowed=f'format "{FORMAT}"')
-    content = check(MetricFile, document, where=path)
+    content = _content(document, MetricFile, "metric", path)
     try:
         with np.errstate(all="ignore"):  # of numbers that make no map
             plane_map = solver.restore("", content.parameters)
     except InputError as error:
         raise InputError(str(error), where=path) from error
-    return MetricCalibration(
-        plane_map=plane_map,
-        views=tuple(view.view() for view in content.views),
-        optics=content.optics,
-        k3=content.k3,
-        image_size=content.image_size,
-        sigma=content.camera_sigma,
-        software=content.software,
-    )
+    return MetricCalibration(plane_map=plane_map, **content.solved())
+
+
+def save_camera(path: Path, calibration: CameraCalibration) -> None:
+    """Write a camera alone to a file: a whole file or none.
+
+    Parameters
+    ----------
+    path : Path, of the file
+    calibration : CameraCalibration, with its views
+
+    Raises
+    ------
+    InputError
+        Where the file cannot be written.
+    """
+    camera = dict(zip(CAMERA, calibration.theta.tolist(), strict=True))
+    write_file(path, CameraFile(camera=camera, **_stored(calibration)))
+
+
+def load_camera(path: Path) -> CameraCalibration:
+    """The camera alone that was saved in a file.
+
+    Parameters
+    ----------
+    path : Path, of the file
+
+    Raises
+    ------
+    InputError
+        Names the file and the key of anything that is not as it was written.
+    """
+    content = _content(read_json(path, MOST_BYTES), CameraFile, "camera", path)
+    return CameraCalibration(theta=np.array(list(content.camera.values())), **content.solved())
+
+
+def require_same_camera(
+    camera: CameraCalibration, views: ViewsFile, size: tuple[int, int], where: Path
+) -> None:
+    """Refuse a camera that cannot have taken the pictures of a views file.
+
+    Parameters
+    ----------
+    camera : CameraCalibration, as loaded
+    views : ViewsFile, whose [optics] and k3, where it has them, must be those of the camera
+    size : tuple of int, (width, height) of its pictures, px
+    where : Path, of the camera's file, for messages
+
+    Raises
+    ------
+    InputError
+        Where the pictures' size or what was known of the optics differs.
+    """
+    if camera.image_size != size:
+        allowed = f"{camera.image_size[0]} x {camera.image_size[1]} px, as the camera's"
+        raise InputError("pictures of another size", where=views.path, value=size, allowed=allowed)
+    document = views.document
+    for key, known in (("optics", camera.optics), ("k3", camera.k3)):
+        if key in document.model_fields_set and getattr(document, key) != known:
+            raise InputError(
+                "differs from what the camera was calibrated with",
+                where=f"{views.path}: {key}",
+                allowed=f"leave it out, or as in {where}",
+            )

@@ -12,7 +12,7 @@ from functools import cached_property, partial
 from typing import Annotated, NoReturn, Self
 
 import numpy as np
-from pydantic import AfterValidator, model_validator
+from pydantic import AfterValidator, PrivateAttr, model_validator
 
 from lscan.calibration.physical import PhysicalMap, SheetGeometry
 from lscan.calibration.region import Region
@@ -121,7 +121,8 @@ class Metric(PhysicalMap):
     q_per_mm: Annotated[Vector, of_length(3)]
     origin_px: Place
     modes: Annotated[Matrix, of_length(COUNT + 3)]
-    lack_of_fit_mm: Pair = np.zeros(2)  # not in the files: the modes account for all
+    lack_of_fit_mm: Pair = np.zeros(2)  # not in older files: the modes account for all
+    _name: str = PrivateAttr("metric")
 
     @model_validator(mode="after")
     def _is_a_plane(self) -> Self:

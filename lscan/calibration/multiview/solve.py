@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -26,46 +27,11 @@ FARTHER = 2.0  # times than the lines: the origin's uncertainty goes with the sq
 
 
 @dataclass(frozen=True)
-class CameraCalibration:
-    """A camera alone, and what it rests on.
+class SolvedViews:
+    """The views of a board that something was solved from, and what is known of the camera.
 
     Attributes
     ----------
-    theta : (14,) array, the camera (parameters.CAMERA)
-    views : tuple of FittedView, as read, and what became of each
-    optics : OpticsSection, what was known of the camera
-    k3 : tuple of float, third radial coefficient and its standard uncertainty beforehand
-    image_size : tuple of int, (width, height) of the pictures, px
-    sigma : (14,) array, standard uncertainties of theta, 0 of what was held
-    software : str, name and version of the program that solved it
-    """
-
-    theta: Floats
-    views: tuple[FittedView, ...]
-    optics: OpticsSection
-    k3: Known
-    image_size: tuple[int, int]
-    sigma: Floats
-    software: str
-
-    @property
-    def rms_px(self) -> float:
-        """Root mean square length of the used marks' residuals in all used views."""
-        return _rms_px(self.views)
-
-    @property
-    def boards(self) -> list[CalibrationView]:
-        """The used views without their lines, for another calibration to rest on as well."""
-        return [CalibrationView(view.name, view.marks) for view in self.views if view.used]
-
-
-@dataclass(frozen=True)
-class MetricCalibration:
-    """A metric map and what it rests on.
-
-    Attributes
-    ----------
-    plane_map : Metric, from the pixels of that camera to the laser sheet
     views : tuple of FittedView, as read, and what became of each
     optics : OpticsSection, what was known of the camera
     k3 : tuple of float, third radial coefficient and its standard uncertainty beforehand
@@ -75,7 +41,6 @@ class MetricCalibration:
     software : str, name and version of the program that solved it
     """
 
-    plane_map: Metric
     views: tuple[FittedView, ...]
     optics: OpticsSection
     k3: Known
@@ -86,7 +51,41 @@ class MetricCalibration:
     @property
     def rms_px(self) -> float:
         """Root mean square length of the used marks' residuals in all used views."""
-        return _rms_px(self.views)
+        return _pooled([(view.rms_px, view.marks_used) for view in self.views if view.used])
+
+
+@dataclass(frozen=True)
+class CameraCalibration(SolvedViews):
+    """A camera alone, and what it rests on.
+
+    Attributes
+    ----------
+    theta : (14,) array, the camera (parameters.CAMERA)
+    """
+
+    theta: Floats
+
+    @property
+    def boards(self) -> list[CalibrationView]:
+        """The used views without their lines, for another calibration to rest on as well."""
+        return [CalibrationView(view.name, view.marks) for view in self.views if view.used]
+
+
+@dataclass(frozen=True)
+class MetricCalibration(SolvedViews):
+    """A metric map and what it rests on.
+
+    Attributes
+    ----------
+    plane_map : Metric, from the pixels of that camera to the laser sheet
+    """
+
+    plane_map: Metric
+
+    @property
+    def theta(self) -> Floats:
+        """(14,) the camera (parameters.CAMERA)."""
+        return self.plane_map.view.theta
 
     @property
     def line_rms_mm(self) -> float:
@@ -120,15 +119,8 @@ def calibrate_camera(
     """
     priors = priors_of(optics, image_size, k3, assume_webcam=False)
     used = fit_views(views, optics, priors, image_size)
-    return CameraCalibration(
-        theta=used.fit.boards.theta[:COUNT],
-        views=tuple(fitted_views(views, used)),
-        optics=optics,
-        k3=k3,
-        image_size=image_size,
-        sigma=np.linalg.norm(used.fit.root[:COUNT], axis=1),
-        software=f"lscan {__version__}",
-    )
+    solved = _solved(used, fitted_views(views, used), optics, image_size, k3)
+    return CameraCalibration(theta=used.fit.boards.theta[:COUNT], **solved)
 
 
 def calibrate_metric(
@@ -180,15 +172,27 @@ def calibrate_metric(
     for board in lines:
         number = used.numbers[board]
         fitted[number] = _with_line(fitted[number], board, plane)
-    return MetricCalibration(
-        plane_map=_map_of(used, lines, plane, optics, image_size),
-        views=tuple(fitted),
-        optics=optics,
-        k3=k3,
-        image_size=image_size,
-        sigma=np.linalg.norm(used.fit.root[:COUNT], axis=1),
-        software=f"lscan {__version__}",
-    )
+    plane_map = _map_of(used, lines, plane, optics, image_size)
+    solved = _solved(used, fitted, optics, image_size, k3)
+    return MetricCalibration(plane_map=plane_map, **solved)
+
+
+def _solved(
+    used: UsedViews,
+    views: Sequence[FittedView],
+    optics: OpticsSection,
+    image_size: tuple[int, int],
+    k3: Known,
+) -> dict[str, Any]:
+    """The fields of a SolvedViews."""
+    return {
+        "views": tuple(views),
+        "optics": optics,
+        "k3": k3,
+        "image_size": image_size,
+        "sigma": np.linalg.norm(used.fit.root[:COUNT], axis=1),
+        "software": f"lscan {__version__}",
+    }
 
 
 def _map_of(
@@ -238,10 +242,6 @@ def _with_line(view: FittedView, board: int, plane: LaserPlane) -> FittedView:
 def _with_reason(view: FittedView, fault: str) -> FittedView:
     """The view with another fault beside those it has."""
     return replace(view, reason="; ".join(filter(None, (view.reason, fault))))
-
-
-def _rms_px(views: Sequence[FittedView]) -> float:
-    return _pooled([(view.rms_px, view.marks_used) for view in views if view.used])
 
 
 def _pooled(parts: list[tuple[float, int]]) -> float:

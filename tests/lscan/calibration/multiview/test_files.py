@@ -14,8 +14,7 @@ from typer.testing import CliRunner
 
 from lscan.calibration.api import find_solver
 from lscan.calibration.loading import load_plane_map
-from lscan.calibration.multiview.camerafile import load_camera, save_camera
-from lscan.calibration.multiview.file import load_metric, save_metric
+from lscan.calibration.multiview.file import load_camera, load_metric, save_camera, save_metric
 from lscan.calibration.multiview.solve import MetricCalibration, calibrate_metric
 from lscan.calibration.multiview.usedviews import UnsolvedViews
 from lscan.calibration.multiview.views import CalibrationView
