@@ -47,7 +47,7 @@ def _board_region(marks: Marks, outline_mm: Outline) -> Region | None:
     distortion, it may miss of the edge as well.
     """
     board_mm, seen = marks.board_mm[marks.found], marks.image_px[marks.found]
-    found = cv2.findHomography(board_mm, seen)[0]
+    found = cv2.findHomography(board_mm, seen)[0] if len(seen) >= 4 else None
     if found is None:
         return None
     homography = np.asarray(found, dtype=np.float64)

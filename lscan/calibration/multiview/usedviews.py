@@ -117,15 +117,14 @@ def fit_views(
             message = "no camera explains the views of the board"
             raise UnsolvedViews(message, _unfitted(views, faults))
         fit = _fit(start, marks, priors)
-        used = UsedViews(fit, tuple(numbers), dict(faults))
-        if message := oblong_pixels(fit, image_size, marks.sigma_px):
-            raise UnsolvedViews(message, fitted_views(views, used))
         wrong = _worst_view(fit, marks)
         if wrong is None:
             break
         index, faults[numbers[index]] = wrong
         del numbers[index]
-    if message := _open_focal(fit, priors):
+    used = UsedViews(fit, tuple(numbers), faults)
+    message = oblong_pixels(fit, image_size, marks.sigma_px) or _open_focal(fit, priors)
+    if message:
         raise UnsolvedViews(message, fitted_views(views, used))
     return used
 
@@ -201,8 +200,12 @@ def _unusable(view: CalibrationView) -> str:
     """Why a view has no marks to use; "" where it has."""
     if view.marks is None:
         return view.fault or "the board was not found"
-    found = view.marks_found
-    return "" if found >= FEWEST_MARKS else f"only {found} marks found, {FEWEST_MARKS} are needed"
+    if view.marks_found < FEWEST_MARKS:
+        return f"only {view.marks_found} marks found, {FEWEST_MARKS} are needed"
+    places = view.marks.board_mm[view.marks.found]
+    if np.linalg.matrix_rank(places - places.mean(axis=0)) < 2:
+        return f"the {view.marks_found} marks found lie in one line of the board"
+    return ""
 
 
 def _worst_view(fit: CameraFit, marks: BoardMarks) -> tuple[int, str] | None:

@@ -14,7 +14,7 @@ from lscan.calibration.multiview.views import CalibrationView
 from lscan.config.board import load_board
 from lscan.config.documents import Strict, check, read_document
 from lscan.config.rig import Channel, Known, OpticsSection, StripeSection
-from lscan.errors import BoardNotFound, InputError
+from lscan.errors import BoardNotFound, InputError, MeasurementError
 from lscan.files.pictures import read_picture
 from lscan.records import Bytes, Marks, Progress
 from lscan.stripe import extract_stripe
@@ -124,7 +124,8 @@ def read_views(
 ) -> tuple[list[CalibrationView], tuple[int, int]]:
     """All views of the file, read, and the pictures' (width, height) in px.
 
-    A picture without the board, or a line that is not there, makes a view with a fault.
+    A picture without the board, or with too little of it, or a line that is not there, makes a view
+    with a fault.
 
     Parameters
     ----------
@@ -213,7 +214,10 @@ def _read(
         dark = picture if entry.background is None else None
         if entry.background is not None and entry.background != NONE:
             dark = read(entry.background)
-    line = line_on_board(extract_stripe(lit, stripe, dark), marks, outline_mm)
+    try:
+        line = line_on_board(extract_stripe(lit, stripe, dark), marks, outline_mm)
+    except MeasurementError as error:
+        return CalibrationView(entry.picture, marks, None, str(error))
     if len(line.image_px) == 0:
         return CalibrationView(entry.picture, marks, None, "no laser line was found on the board")
     return CalibrationView(entry.picture, marks, line)

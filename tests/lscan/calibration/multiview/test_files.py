@@ -14,16 +14,23 @@ from typer.testing import CliRunner
 
 from lscan.calibration.api import find_solver
 from lscan.calibration.loading import load_plane_map
+from lscan.calibration.multiview import viewsfile
 from lscan.calibration.multiview.file import load_camera, load_metric, save_camera, save_metric
-from lscan.calibration.multiview.solve import MetricCalibration, calibrate_metric
+from lscan.calibration.multiview.solve import (
+    MetricCalibration,
+    calibrate_camera,
+    calibrate_metric,
+)
 from lscan.calibration.multiview.usedviews import UnsolvedViews
 from lscan.calibration.multiview.views import CalibrationView
 from lscan.calibration.multiview.viewsfile import load_views, read_views
+from lscan.calibration.readings import without
 from lscan.camera import CameraModel, project
 from lscan.cli.multiview import calibrate_metric as command
+from lscan.config.rig import OpticsSection
 from lscan.errors import InputError
 from lscan.files.pictures import read_picture, write_picture
-from lscan.records import BoardReading, Bytes, Floats
+from lscan.records import BoardReading, Bytes, Floats, Marks
 
 CHESSBOARD = '[board]\nkind = "chessboard"\ncolumns = 8\nrows = 6\nsquare_mm = 25.0\n'
 
@@ -311,3 +318,29 @@ def test_a_spoilt_camera_file_is_refused(tmp_path: Path) -> None:
     (tmp_path / "a.json").write_text('{"format": "lscan-camera-calibration", "version": 1}')
     with pytest.raises(InputError, match=r"a\.json: .*software"):
         load_camera(tmp_path / "a.json")
+
+
+@pytest.mark.parametrize("kept", [3, 8])
+def test_a_board_of_which_little_is_left_is_a_fault_of_its_view(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, kept: int
+) -> None:
+    """Corners that a blurred picture leaves: three, or one row."""
+    read = viewsfile.read_chessboard
+    calls = []
+
+    def few(*arguments: Any) -> Marks:
+        marks = read(*arguments)
+        calls.append(marks)
+        left = marks.found & (np.arange(len(marks.status)) < kept)
+        if kept == 3:
+            left[[1, 8]] = [False, True]
+        reading = BoardReading(SIZE, 25.0, (6, 8), marks)
+        return without(reading, ~left).grid if len(calls) == 3 else marks
+
+    monkeypatch.setattr(viewsfile, "read_chessboard", few)
+    views, _ = read_views(load_views(write_pictures(tmp_path)))
+    assert [view.marks_found for view in views] == [48, 48, kept, 48, 48, 48]
+    optics = OpticsSection(port="none")
+    fitted = calibrate_camera(views, optics, SIZE).views
+    assert [view.used for view in fitted] == [True, True, False, True, True, True]
+    assert "needed" in fitted[2].reason or "in one line" in fitted[2].reason
