@@ -15,6 +15,7 @@ from lscan.config.rig import OpticsSection, Rig, SinceSection
 from lscan.errors import InputError
 
 ALLOWED = "a refractive or metric map, or a calibration of the same water and rig"
+SAME_INDEX = 1e-4  # a difference of a degree; it changes 300 mm by 0.02 mm
 
 
 def carried(plane_map: PlaneMap, rig: Rig) -> PlaneMap:
@@ -31,7 +32,7 @@ def carried(plane_map: PlaneMap, rig: Rig) -> PlaneMap:
         For a map that does not know the physics.
     """
     plane_map, since = in_water_of(plane_map, rig.optics), rig.since_calibration
-    if since is None:
+    if since is None or not any(dict(since).values()):
         return plane_map
     return with_chosen(plane_map, lambda solved: _changed(solved, since))
 
@@ -39,7 +40,8 @@ def carried(plane_map: PlaneMap, rig: Rig) -> PlaneMap:
 def in_water_of(plane_map: PlaneMap, optics: OpticsSection) -> PlaneMap:
     """The map for pictures taken in the water that an [optics] states, and its uncertainty.
 
-    The same map where the calibration's own rig stated that water, and where none is stated.
+    The same map where the calibration's own rig stated that water, and where none is stated.  A map
+    that does not know the physics also stays where the two indices agree within SAME_INDEX.
 
     Parameters
     ----------
@@ -75,7 +77,8 @@ def _moved(solved: SolvedMap, optics: OpticsSection) -> SolvedMap:
         return solved
     if isinstance(solved, PhysicalMap):
         return solved if solved.geometry.port == "none" else solved.in_water(water)
-    if own is None:  # nobody knows whether it is another water
+    # Where the calibration stated none, nobody knows whether it is another water.
+    if own is None or abs(water[0] - own[0]) <= SAME_INDEX:
         return solved
     raise InputError(
         f"plane map {solved.name!r} cannot be carried to other water",

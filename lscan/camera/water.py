@@ -8,7 +8,7 @@ from lscan.water.density import ATMOSPHERE_MPA
 from lscan.water.index import SALINITY_PSU, TEMPERATURE_C
 
 UNKNOWN_WATER: Known = (1.333, 0.003)
-"""Fresh or sea water of 0 to 30 C at 650 nm lies within two of these standard uncertainties."""
+"""Fresh or sea water of 0 to 30 C at 650 nm lies within 2.1 of these standard uncertainties."""
 
 FORMULA_SIGMA = 1.5e-5  # Quan & Fry 1995, what their formula leaves of the data
 MPA_PER_M = 0.0101  # of sea water; fresh water's 3 % less changes the index by 4e-6 in 100 m

@@ -173,6 +173,8 @@ def test_maps_without_physics_are_refused(name: str) -> None:
     optics = in_water(20.0, 0.0).optics
     flat = find_solver(name).solve(read_board(BOARD, VIEW.project), optics)
     assert carried(flat, in_water(20.0, 0.0)) is flat
+    # Half a degree off, and stated less surely: 4e-5 of the index, which nobody sees.
+    assert carried(flat, rig_of({"temperature_c": (20.5, 0.5)})) is flat
     with pytest.raises(InputError, match=r"cannot be carried.*1\.338.*1\.331.*refractive"):
         carried(flat, in_water(10.0, 35.0))
     changed = in_water(20.0, 0.0).model_copy(
@@ -180,3 +182,5 @@ def test_maps_without_physics_are_refused(name: str) -> None:
     )
     with pytest.raises(InputError, match="since_calibration"):
         carried(flat, changed)
+    nothing = changed.model_copy(update={"since_calibration": SinceSection()})
+    assert carried(flat, nothing) is flat
