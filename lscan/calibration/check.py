@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from scipy import stats
 
-from lscan.calibration.api import PlaneMap
+from lscan.calibration.api import NOTHING_KNOWN, PlaneMap
 from lscan.calibration.carry import in_water_of
 from lscan.calibration.loading import AnyCalibration
 from lscan.calibration.maps.auto import Auto
@@ -125,10 +125,10 @@ def check_calibration(
     MeasurementError
         Where fewer than six marks get a value.
     """
-    _require_sense(calibration, reading, level, placed_mm)
-    plane_map = (
-        calibration.plane_map if optics is None else in_water_of(calibration.plane_map, optics)
-    )
+    require_comparable(calibration, reading, placed_mm)
+    if not 0 < level < 1:
+        raise InputError("bad chance", where="level", value=level, allowed="between 0 and 1")
+    plane_map = in_water_of(calibration.plane_map, optics or NOTHING_KNOWN)
     compared = compare(plane_map, reading)
     names, nominal, points, fit = compared.names, compared.nominal_mm, compared.points, compared.fit
     residual = points.xz_mm - fit.motion.apply(nominal)
@@ -153,9 +153,22 @@ def check_calibration(
     )
 
 
-def _require_sense(
-    calibration: AnyCalibration, reading: BoardReading, level: float, placed_mm: float | None
+def require_comparable(
+    calibration: AnyCalibration, reading: BoardReading, placed_mm: float | None
 ) -> None:
+    """Refuse a picture that cannot be compared with a calibration, and a placing without sense.
+
+    Parameters
+    ----------
+    calibration : Calibration or MetricCalibration, the old one
+    reading : BoardReading, px and mm, of a new picture
+    placed_mm : float or None, mm, standard uncertainty with which the board was put back
+
+    Raises
+    ------
+    InputError
+        Says which, and what is allowed.
+    """
     size = calibration.image_size
     if tuple(reading.image_size) != tuple(size):
         raise InputError(
@@ -164,8 +177,6 @@ def _require_sense(
             value=tuple(reading.image_size),
             allowed=f"{size[0]} x {size[1]} px",
         )
-    if not 0 < level < 1:
-        raise InputError("bad chance", where="level", value=level, allowed="between 0 and 1")
     if placed_mm is not None and not 0 <= placed_mm < np.inf:
         raise InputError(
             "bad uncertainty", where="placed_mm", value=placed_mm, allowed="0 mm or more"
@@ -283,12 +294,15 @@ def _usual(calibration: AnyCalibration) -> float:
     """How many times the map misses by the variances it states where it was solved; 1 at least.
 
     What it misses there is a fault of its form and no change, so new marks may be missed as much.
-    A metric calibration has added what it missed to the variances already.
+    A metric calibration has added what it missed to the variances already.  Where the index was
+    corrected since, the marks it was solved from were seen through another water.
     """
     if not isinstance(calibration, Calibration):
         return 1.0
-    own = compare(calibration.plane_map, calibration.reading).fit
-    return max(1.0, own.chi_square / own.degrees_of_freedom)
+    own = compare(calibration.plane_map, calibration.reading)
+    index = _index(calibration.plane_map, own)
+    least = min(own.fit.chi_square, np.inf if index is None else index.chi_square)
+    return max(1.0, least / own.fit.degrees_of_freedom)
 
 
 def _index(plane_map: PlaneMap, compared: ComparedMarks) -> FoundIndex | None:

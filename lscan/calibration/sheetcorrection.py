@@ -1,10 +1,15 @@
 """A change of scale and of origin made to the points that a plane map gives."""
 
+from typing import Annotated
+
 import numpy as np
+from pydantic import Field
 
 from lscan.calibration.evaluate import Estimate
-from lscan.calibration.stored import NotNegative, Number, Pair, Place
+from lscan.calibration.stored import NotNegative, Pair, Place
 from lscan.config.documents import Strict
+
+MOST_SCALE = 0.5  # more is a picture of another board, not a rig that has changed
 
 
 class SheetCorrection(Strict):
@@ -13,12 +18,13 @@ class SheetCorrection(Strict):
     Attributes
     ----------
     middle_mm : (2,) array, mm, (x, z), about which lengths are scaled
-    scale, scale_sigma : float, lengths as they were mapped over true lengths, less 1
+    scale, scale_sigma : float, lengths as they were mapped over true lengths, less 1; at most
+        MOST_SCALE either way
     shift_mm, shift_sigma_mm : (2,) array, mm, of the middle as it was mapped from where it is
     """
 
     middle_mm: Place
-    scale: Number = 0.0
+    scale: Annotated[float, Field(ge=-MOST_SCALE, le=MOST_SCALE)] = 0.0
     scale_sigma: NotNegative = 0.0
     shift_mm: Place = np.zeros(2)
     shift_sigma_mm: Pair = np.zeros(2)

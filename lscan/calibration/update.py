@@ -6,19 +6,24 @@ from typing import Literal
 
 import numpy as np
 
-from lscan.calibration.api import PlaneMap
+from lscan.calibration.api import NOTHING_KNOWN, PlaneMap
 from lscan.calibration.carry import in_water_of, with_chosen
-from lscan.calibration.check import CalibrationCheck, ComparedMarks, compare
+from lscan.calibration.check import (
+    CalibrationCheck,
+    ComparedMarks,
+    compare,
+    require_comparable,
+)
 from lscan.calibration.loading import AnyCalibration
 from lscan.calibration.multiview.planemap import Metric
 from lscan.calibration.outliers import ScreenedReading
 from lscan.calibration.physical import PhysicalMap
-from lscan.calibration.sheetcorrection import SheetCorrection
+from lscan.calibration.sheetcorrection import MOST_SCALE, SheetCorrection
 from lscan.calibration.solve import Calibration, calibration_by
 from lscan.calibration.solved import SolvedMap
 from lscan.calibration.waterfit import find_index
 from lscan.config.rig import OpticsSection
-from lscan.errors import InputError
+from lscan.errors import InputError, MeasurementError
 from lscan.records import BoardReading, Floats
 
 CorrectionKind = Literal["scale", "index", "shift"]
@@ -47,7 +52,7 @@ def corrected(
     calibration: AnyCalibration,
     reading: BoardReading,
     kinds: Sequence[CorrectionKind],
-    placed_mm: float = 0.0,
+    placed_mm: float | None = None,
     optics: OpticsSection | None = None,
 ) -> AnyCalibration:
     """The calibration with its map corrected, and the uncertainty of that in the map's.
@@ -60,21 +65,28 @@ def corrected(
     calibration : Calibration or MetricCalibration, the old one
     reading : BoardReading, px and mm, of the new picture
     kinds : sequence of str, what to correct, one after the other
-    placed_mm : float, mm, standard uncertainty, in x and in z, with which the board was put back
+    placed_mm : float, optional, mm, standard uncertainty, in x and in z, with which the board was
+        put back; a shift needs it
     optics : OpticsSection, optional, of the rig that took the picture, as of ``check_calibration``
 
     Raises
     ------
     InputError
-        For an index where the map knows of no water, or a map of another package.
+        For a picture of another size, an index where the map knows of no water, a shift without
+        placed_mm or of a metric calibration, or a map of another package.
     MeasurementError
-        Where fewer than six marks get a value.
+        Where fewer than six marks get a value, or lengths are off by more than MOST_SCALE.
     """
-    plane_map = calibration.plane_map
-    if optics is not None:
-        plane_map = in_water_of(plane_map, optics)
+    require_comparable(calibration, reading, placed_mm)
+    if "shift" in kinds and placed_mm is None:
+        raise InputError(
+            "a shift cannot be told from how the board was put back",
+            where="placed_mm",
+            allowed="its standard uncertainty, of a calibration from one picture of the board",
+        )
+    plane_map = in_water_of(calibration.plane_map, optics or NOTHING_KNOWN)
     for kind in kinds:
-        plane_map = _with(plane_map, kind, compare(plane_map, reading), placed_mm)
+        plane_map = _with(plane_map, kind, compare(plane_map, reading), placed_mm or 0.0)
     left_mm = _left_mm(compare(plane_map, reading))
     plane_map = with_chosen(
         plane_map,
@@ -99,6 +111,10 @@ def _with(
         if kind == "index":
             return _with_index(solved, marks)
         if kind == "scale":
+            if abs(fit.scale) > MOST_SCALE:
+                raise MeasurementError(
+                    f"lengths are off by {100 * fit.scale:+.0f} %: it is another board, or file"
+                )
             correction = SheetCorrection(
                 middle_mm=middle, scale=fit.scale, scale_sigma=marks.scale_sigma
             )

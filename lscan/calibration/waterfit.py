@@ -6,7 +6,7 @@ import numpy as np
 
 from lscan.calibration.motion import fit_similarity
 from lscan.calibration.physical import PhysicalMap
-from lscan.camera.parameters import WATER
+from lscan.camera.parameters import LIMITS, WATER
 from lscan.records import Floats
 
 INDEX_STEP = 1e-4  # for differences by the index: 0.1 px, of which the second order is 1e-5 px
@@ -33,6 +33,8 @@ def find_index(
 ) -> FoundIndex:
     """The index by generalised least squares, with a shift and a turn of the board beside it.
 
+    It is sought within the camera's LIMITS.
+
     Parameters
     ----------
     plane_map : PhysicalMap, behind a flat port
@@ -41,7 +43,9 @@ def find_index(
     sigma_px : (N,) array, px, standard uncertainties of those
     """
     index, sigma, chi_square = float(plane_map.geometry.theta[WATER]), np.inf, np.inf
+    least, most = LIMITS["water_index"]
     for _ in range(ROUNDS):
+        index = float(np.clip(index, least + INDEX_STEP, most - INDEX_STEP))
         points = plane_map.in_water((index, 0.0)).to_plane(image_px, sigma_px)
         above, below = (
             plane_map.in_water((index + step, 0.0)).to_plane(image_px).xz_mm
@@ -51,4 +55,4 @@ def find_index(
         fit = fit_similarity(nominal_mm, points.xz_mm, points.sigma_mm, points.modes_mm, missed)
         index, sigma = index + fit.scale, float(np.sqrt(fit.covariance[3, 3]))
         chi_square = fit.chi_square
-    return FoundIndex(index, sigma, chi_square)
+    return FoundIndex(float(np.clip(index, least, most)), sigma, chi_square)

@@ -21,6 +21,10 @@ if TYPE_CHECKING:
 BoardFile = Annotated[
     Path | None, typer.Option("--board", help="Board file; a run folder has its own.")
 ]
+OpticsFile = Annotated[
+    Path | None,
+    typer.Option("--optics", help="TOML file with [optics]; a run folder has its own."),
+]
 Seeds = Annotated[
     str | None,
     typer.Option(
@@ -33,9 +37,7 @@ def calibrate(
     picture: PictureOrRun,
     output: Annotated[Path, typer.Option("--output", "-o", help="Calibration file to write.")],
     board: BoardFile = None,
-    optics: Annotated[
-        Path | None, typer.Option(help="TOML file with [optics]; a run folder has its own.")
-    ] = None,
+    optics: OpticsFile = None,
     plane_map: Annotated[
         str | None, typer.Option("--map", help="Plane map, such as graticule-2; auto: the best.")
     ] = None,
@@ -75,6 +77,7 @@ def check(
     calibration: Annotated[Path, typer.Argument(help="Calibration file (JSON).")],
     picture: PictureOrRun,
     board: BoardFile = None,
+    optics: OpticsFile = None,
     placed: Annotated[
         float | None, typer.Option(help="How well the board was put back, mm; else not judged.")
     ] = None,
@@ -103,12 +106,12 @@ def check(
     if asked and update is None:
         raise typer.BadParameter("--correct needs --update FILE")
     loaded = load_any(calibration)
-    given = board_picture(picture, board, trusted=trust)
-    reading, optics = given.read(parse_seeds(seeds), channel), given.optics
-    found = check_calibration(loaded, reading, level, placed, optics)
+    given = board_picture(picture, board, optics, trust)
+    reading, water = given.read(parse_seeds(seeds), channel), given.optics
+    found = check_calibration(loaded, reading, level, placed, water)
     kinds = asked or proposed(found)
     if update is not None and kinds:
-        save_any(update, corrected(loaded, reading, kinds, placed or 0.0, optics))
+        save_any(update, corrected(loaded, reading, kinds, placed, water))
     if json:
         print_json({"agrees": found.agrees, "correct": kinds, **asdict(found)})
     else:

@@ -150,3 +150,12 @@ def test_a_calibration_names_installed_maps_only(
         with pytest.raises(InputError, match=r"c\.json: plane_map: .*no such family of plane maps"):
             load_plane_map(tmp_path / "c.json")
     assert "of_a_stranger" not in sys.modules
+
+
+def test_a_correction_of_all_of_a_length_is_refused(saved: dict[str, str], tmp_path: Path) -> None:
+    document = json.loads(saved["projective"])
+    middle = {"middle_mm": [0.0, 0.0], "scale": -1.0}
+    document["parameters"]["corrections"] = [middle]
+    (tmp_path / "c.json").write_text(json.dumps(document))
+    with pytest.raises(InputError, match=r"c\.json: .*corrections\.0\.scale: must be .*-0\.5 to"):
+        load_plane_map(tmp_path / "c.json")

@@ -1,6 +1,7 @@
 """Calibrations corrected by a new picture of the board: scale, shift, index of the water."""
 
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -18,7 +19,7 @@ from lscan.calibration.solve import Calibration, calibrate
 from lscan.calibration.update import corrected, proposed
 from lscan.camera import project
 from lscan.config.rig import OpticsSection
-from lscan.errors import InputError
+from lscan.errors import InputError, MeasurementError
 from lscan.records import BoardReading, Floats, Marks, Status
 
 BOARD = paper_board()
@@ -114,6 +115,7 @@ def test_a_shift_is_corrected_where_the_placing_is_known() -> None:
     assert (points.sigma_mm[known_] >= 0.05).all()
 
 
+@cache
 def _in_sea() -> tuple[Calibration, View, BoardReading]:
     """A refractive calibration in tap water, and the same rig and board in sea water."""
     tap = View(n_water=1.331)
@@ -191,3 +193,43 @@ def test_a_metric_calibration_is_checked_and_corrected(tmp_path: Path) -> None:
     assert check_calibration(load_any(tmp_path / "better.json"), sea).agrees
     with pytest.raises(InputError, match=r"placed_mm.*one picture"):
         check_calibration(calibration, sea, placed_mm=0.1)
+    with pytest.raises(InputError, match=r"placed_mm.*one picture"):
+        corrected(calibration, sea, ("shift",))
+    assert calibration.plane_map.name == "metric"
+
+
+def test_an_index_is_sought_where_indices_are() -> None:
+    """A window in air is a port with an index of 1, below which there is none."""
+    dry = replace(BARREL, n_water=1.0)
+    in_air = KNOWN.model_copy(update={"water_index": (1.0, 0.0)})
+    found = check_calibration(calibrate(_reading(dry, 1), "refractive", in_air), _reading(dry, 2))
+    assert found.agrees and found.index is not None
+    assert 1.0 <= found.index.index < 1.0 + 4 * found.index.sigma
+
+
+def test_a_correction_of_the_index_does_not_blind_the_next_check() -> None:
+    """What the marks seen through fresh water miss by in the sea is no fault of the map's form.
+
+    So a lens refocused by 0.5 % on the corrected rig shows in the scale and in the shape.
+    """
+    calibration, sea, reading = _in_sea()
+    better = corrected(calibration, reading, ("index",))
+    refocused = _reading(replace(sea, focal_px=1.005 * sea.focal_px), 4)
+    assert check_calibration(better, refocused).reasons == ("scale", "shape")
+
+
+def test_what_no_correction_can_be_made_of_is_refused() -> None:
+    calibration = calibrate(_reading(BARREL, 1), "polynomial-5")
+    reading = _reading(BARREL, 2)
+    with pytest.raises(InputError, match=r"placed_mm: a shift"):
+        corrected(calibration, reading, ("shift",))
+    with pytest.raises(InputError, match="image size"):
+        corrected(calibration, replace(reading, image_size=(320, 240)), ("scale",))
+
+    def half(marks: Marks) -> Marks:
+        return replace(marks, board_mm=marks.board_mm / 2)
+
+    rulers = tuple(replace(ruler, marks=half(ruler.marks)) for ruler in reading.rulers)
+    other = replace(reading, grid=half(reading.grid), rulers=rulers)
+    with pytest.raises(MeasurementError, match=r"off by \+100 %"):
+        corrected(calibration, other, ("scale",))
