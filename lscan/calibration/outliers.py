@@ -86,8 +86,9 @@ def _polynomial_terms(board_mm: Floats) -> Floats | None:
     scaled = box(board_mm).apply(board_mm)
     for order in ORDERS:
         rows = terms(scaled, order)[0]
-        if len(rows) >= MARKS_PER_TERM * rows.shape[1]:
-            return rows if np.linalg.matrix_rank(rows) == rows.shape[1] else None
+        enough = len(rows) >= MARKS_PER_TERM * rows.shape[1]
+        if enough and np.linalg.matrix_rank(rows) == rows.shape[1]:
+            return rows
     return None
 
 

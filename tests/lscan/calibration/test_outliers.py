@@ -13,6 +13,7 @@ from lscan.calibration.file import load_calibration, save_calibration
 from lscan.calibration.outliers import outliers, screened
 from lscan.calibration.readings import all_marks, without
 from lscan.calibration.solve import calibrate, resolve
+from lscan.config.board import Grid
 from lscan.records import BoardReading, Floats, Ints, RulerReading, Status
 
 BOARD = paper_board()
@@ -117,3 +118,14 @@ def test_the_file_names_them_and_older_files_name_none(tmp_path: Path) -> None:
     del older["outliers_mm"]
     path.write_text(json.dumps(older))
     assert load_calibration(path).outliers_mm.shape == (0, 2)
+
+
+def test_a_wrong_mark_of_a_narrow_board_is_named() -> None:
+    """Five rows are too few for the polynomial of seventh order, though their marks are not."""
+    board = paper_board().model_copy(
+        update={"grid": Grid(columns=40, rows=5, pitch_mm=10.0, dot_diameter_mm=5.0), "ruler": ()}
+    )
+    reading = read_board(board, BARREL.project, NOISE_PX, np.random.default_rng(1))
+    assert not outliers(reading).any()
+    wrong = outliers(displaced(reading, np.array([83]), np.array([1.0, -2.0])))
+    assert np.flatnonzero(wrong).tolist() == [83]
