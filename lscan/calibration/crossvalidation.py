@@ -75,15 +75,15 @@ class Trial:
     solved: PlaneMap | None = None
 
 
-def cross_validated(
+def try_maps(
     reading: BoardReading,
     names: Sequence[str],
     optics: OpticsSection | None = None,
     folds: int = FOLDS,
     seed: int = 0,
     progress: Progress | None = None,
-) -> tuple[Score, ...]:
-    """The score of each map named, all on the same folds, in the order of ``names``.
+) -> tuple[Trial, ...]:
+    """The trial of each map named, all on the same folds, in the order of ``names``.
 
     A map that refuses the reading, or any part of it, is scored as refused with its reason.
 
@@ -105,34 +105,6 @@ def cross_validated(
     ----------
     The one-standard-error rule: Breiman, Friedman, Olshen & Stone, Classification and Regression
     Trees (1984), sec. 3.4.3.
-    """
-    trials = try_maps(reading, names, optics, folds, seed, progress)
-    return tuple(trial.score for trial in trials)
-
-
-def try_maps(
-    reading: BoardReading,
-    names: Sequence[str],
-    optics: OpticsSection | None = None,
-    folds: int = FOLDS,
-    seed: int = 0,
-    progress: Progress | None = None,
-) -> tuple[Trial, ...]:
-    """The trial of each map named, as :func:`cross_validated` scores them.
-
-    Parameters
-    ----------
-    reading : BoardReading, px and mm, whose marks are dealt to the folds
-    names : sequence of str, full names of maps
-    optics : OpticsSection, optional, what is known of the camera beforehand
-    folds : int, 2 or more
-    seed : int, of the generator that deals the marks
-    progress : callable, optional, called with the number of maps done, and of all
-
-    Raises
-    ------
-    InputError
-        For fewer than two folds.
     """
     if folds < 2:
         raise InputError("too few folds", where="folds", value=folds, allowed="2 or more")

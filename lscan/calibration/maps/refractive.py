@@ -12,17 +12,16 @@ import numpy as np
 from pydantic import AfterValidator, Field
 
 from lscan.calibration.maps.refractivefit import fit_view
-from lscan.calibration.physical import PhysicalMap, SheetGeometry
+from lscan.calibration.physical import PhysicalMap, SheetGeometry, change_modes
 from lscan.calibration.readings import all_marks, without
 from lscan.calibration.region import covered_region
 from lscan.calibration.solved import MapSolver
-from lscan.calibration.stored import Matrix, NotNegative, Number, Place, check_theta, of_length
+from lscan.calibration.stored import Matrix, Number, Place, check_theta, of_length
 from lscan.calibration.unexplained import unexplained_mm
-from lscan.camera import rays
 from lscan.camera.boards import POSE, PosedBoards
 from lscan.camera.covariance import MODE_STEP, displacements, modes_that_matter
 from lscan.camera.parameters import CAMERA, PortKind
-from lscan.config.rig import Known, OpticsSection
+from lscan.config.rig import Known, OpticsSection, SinceSection
 from lscan.records import BoardReading, Floats
 
 INDEX_STEP = 1e-5  # for differences by the water's index: 0.01 px, of rounding of 1e-9
@@ -57,8 +56,8 @@ class Refractive(PhysicalMap):
     theta: Annotated[dict[str, Number], AfterValidator(partial(check_theta, names=NAMES))]
     centre_mm: Place
     modes: Annotated[Matrix, of_length(COUNT)]
-    board_offset_mm: NotNegative
-    board_tilt_deg: Annotated[float, Field(strict=True, ge=0, le=20)]
+    board_offset_mm: Annotated[float, Field(ge=0, le=100)]
+    board_tilt_deg: Annotated[float, Field(ge=0, le=20)]
     outliers_mm: tuple[Place, ...]
 
     @cached_property
@@ -115,34 +114,11 @@ class Refractive(PhysicalMap):
         """
         theta = np.array(list(self.theta.values()))
         modes = displacements(lambda t: self._view_of(t).locate, theta, self.modes, image_px)
-        if self.board_offset_mm > 0 or self.board_tilt_deg > 0:
-            lying = coplanarity_modes(self, image_px, self.board_offset_mm, self.board_tilt_deg)
-            modes = np.concatenate([modes, lying], axis=2)
-        return modes
-
-
-def coplanarity_modes(
-    plane_map: Refractive, image_px: Floats, offset_mm: float, tilt_deg: float
-) -> Floats:
-    """(N, 2, 3) mm that a board beside the laser sheet moves the points of pixels.
-
-    The three modes: the sheet off the board along the board's normal, and tilted against it about x
-    and about z, both through the centre of the marks.  Where the sheet lies y behind the board, a
-    ray of direction d reaches it y (d_x, d_z) / d_y further on.
-
-    Parameters
-    ----------
-    plane_map : Refractive, solved from the board
-    image_px : (N, 2) array, px, of (u, v)
-    offset_mm : float, mm, standard uncertainty of the distance
-    tilt_deg : float, degrees, standard uncertainty of either tilt
-    """
-    view = plane_map.view
-    direction = rays(view.camera, image_px).direction @ view.axes[0]
-    arm = view.locate(image_px) - view.centre_mm
-    behind = np.column_stack([np.full(len(arm), offset_mm), np.radians(tilt_deg) * arm])
-    across = direction[:, [0, 2]] / direction[:, 1:2]
-    return across[:, :, None] * behind[:, None, :]
+        beside = SinceSection(
+            sheet_shift_mm=self.board_offset_mm, sheet_tilt_deg=self.board_tilt_deg
+        )
+        lying = change_modes(self.geometry, beside, image_px)
+        return np.concatenate([modes, lying], axis=2)
 
 
 class RefractiveSolver(MapSolver[Refractive]):

@@ -11,7 +11,7 @@ from planeviews import BARREL, View, affine, board_points, paper_board, read_boa
 
 from lscan.calibration import crossvalidation
 from lscan.calibration.api import NamedSolver, find_solver
-from lscan.calibration.crossvalidation import Score, cross_validated, deal
+from lscan.calibration.crossvalidation import Score, deal, try_maps
 from lscan.calibration.file import load_calibration, save_calibration
 from lscan.calibration.maps import auto
 from lscan.calibration.maps.auto import Auto, calibrate_best, ranked
@@ -33,6 +33,10 @@ def quick(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def _reading(seed: int = 1, noise_px: float = NOISE_PX) -> BoardReading:
     return read_board(BOARD, BARREL.project, noise_px, np.random.default_rng(seed))
+
+
+def _scores(*arguments: Any, **options: Any) -> list[Score]:
+    return [trial.score for trial in try_maps(*arguments, **options)]
 
 
 def _marks(reading: BoardReading) -> list[Marks]:
@@ -109,7 +113,7 @@ def test_finds_the_true_order_of_a_polynomial_board(order: int) -> None:
     """
     reading = _polynomial_board(order)
     names = [f"polynomial-{k}" for k in range(2, 8)]
-    rms = [score.rms_mm or np.nan for score in cross_validated(reading, names)]
+    rms = [score.rms_mm or np.nan for score in _scores(reading, names)]
     true = rms[order - 2]
     assert true < 1.02 * min(rms)
     assert all(value > 2 * true for value in rms[: order - 2])
@@ -142,7 +146,7 @@ def test_scores_count_every_mark_and_are_fair_to_the_truth() -> None:
     about 1 mm in u and in v are 0.07 mm, and the map's own share is below half of that."""
     reading = _reading()
     found = sum(int(marks.found.sum()) for marks in _marks(reading))
-    spline, projective = cross_validated(reading, ("spline", "projective"))
+    spline, projective = _scores(reading, ("spline", "projective"))
     assert spline.points + spline.without_value == found
     assert 0 < spline.without_value <= 16  # some of the marks on the border
     jacobian = 450.0 / np.linalg.norm(np.diff(BARREL.project(np.array([[0.0, 0.0], [450.0, 0.0]])),
@@ -160,7 +164,7 @@ def test_a_map_that_refuses_is_listed_with_its_reason() -> None:
     missing = np.ones((10, 10), dtype=bool)
     missing[:4, :5] = False
     reading = replace(read_board(BOARD, View().project, missing=missing.ravel()), rulers=())
-    good, short, unknown = cross_validated(reading, ("projective", "polynomial-7", "nothing"))
+    good, short, unknown = _scores(reading, ("projective", "polynomial-7", "nothing"))
     assert good.refused is None
     assert short.refused is not None
     assert "36 terms" in short.refused
@@ -171,7 +175,7 @@ def test_a_map_that_refuses_is_listed_with_its_reason() -> None:
 
 def test_too_few_folds() -> None:
     with pytest.raises(InputError, match="folds"):
-        cross_validated(_reading(), QUICK, folds=1)
+        _scores(_reading(), QUICK, folds=1)
 
 
 # --- auto ---------------------------------------------------------------------------------
@@ -200,7 +204,7 @@ def test_of_tied_maps_the_surest_comes_first() -> None:
 def test_ties_are_of_maps_that_the_marks_do_not_distinguish() -> None:
     """Fourth and fifth orders differ on the view by less than the noise; second orders miss a
     hundred times that.  The map of least error is always one of the tied."""
-    scores = cross_validated(_reading(), ("polynomial-4", "polynomial-5", "polynomial-2"))
+    scores = _scores(_reading(), ("polynomial-4", "polynomial-5", "polynomial-2"))
     assert not scores[2].tied
     least = min(scores, key=lambda score: score.rms_mm or np.inf)
     assert least.tied
@@ -210,7 +214,7 @@ def test_ties_are_of_maps_that_the_marks_do_not_distinguish() -> None:
 
 
 def test_the_same_map_twice_is_a_tie() -> None:
-    both = cross_validated(_reading(), ("projective", "projective"))
+    both = _scores(_reading(), ("projective", "projective"))
     assert both[0].tied
     assert both[1].tied
 
@@ -220,7 +224,7 @@ def test_slow_maps_are_solved_fewer_times_and_judged_on_all_marks(
 ) -> None:
     monkeypatch.setitem(crossvalidation.FEWER_FOLDS, "projective", 4)
     reading, reported = _reading(), []
-    slow, quick = cross_validated(
+    slow, quick = _scores(
         reading,
         ("projective", "spline"),
         progress=lambda done, total: reported.append((done, total)),
@@ -331,9 +335,9 @@ def test_a_search_begun_at_the_whole_board_ends_where_others_end(
     within 1e-3 of its sigma, which is less than the error on a mark held out.
     """
     reading = _reading()
-    near = cross_validated(reading, ("refractive",))[0]
+    near = _scores(reading, ("refractive",))[0]
     monkeypatch.setattr(NamedSolver, "searches", property(lambda self: False))
-    afresh = cross_validated(reading, ("refractive",))[0]
+    afresh = _scores(reading, ("refractive",))[0]
     assert near.rms_mm == pytest.approx(afresh.rms_mm, rel=1e-3)
     assert near.sigma_mm == pytest.approx(afresh.sigma_mm, rel=1e-3)
 

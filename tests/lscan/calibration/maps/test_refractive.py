@@ -14,15 +14,17 @@ from lscan import camera as optics
 from lscan.calibration.api import find_solver
 from lscan.calibration.file import load_calibration, save_calibration
 from lscan.calibration.maps import refractivefit
-from lscan.calibration.maps.refractive import NAMES, Refractive, coplanarity_modes, solver
+from lscan.calibration.maps.refractive import NAMES, Refractive, solver
+from lscan.calibration.physical import change_modes
 from lscan.calibration.solve import calibrate
 from lscan.camera.parameters import CENTRE_WIDTHS, FOCAL_WIDTHS
-from lscan.config.rig import OpticsSection
+from lscan.config.rig import OpticsSection, SinceSection
 from lscan.errors import BoardNotFound, InputError
 from lscan.records import BoardReading, Floats, Marks, RulerReading, Status
 
 BOARD = paper_board()
 NOISE_PX = 0.02
+BESIDE = SinceSection(sheet_shift_mm=2.0, sheet_tilt_deg=0.5)
 PAPER_LENS = OpticsSection(  # the whole of View(), known exactly: only the pose is left
     focal_px=(850.0, 0.0),
     centre_u_px=(319.5, 0.0),
@@ -332,7 +334,9 @@ def test_modes_of_a_board_beside_the_sheet(fault: int) -> None:
     image = optics.project(camera, (in_sheet - view.eye_mm()) @ view.axes())
     answer = solved.to_plane(image)
     valued = answer.status == Status.OK
-    modes = coplanarity_modes(solved, image, 2.0, 0.5)[valued, :, fault]
+    # A turn about z slopes the sheet along x, one about x against z.
+    number, sign = ((0, 1), (2, 1), (1, -1))[fault]
+    modes = sign * change_modes(solved.geometry, BESIDE, image)[valued, :, number]
     assert np.abs(modes).max() > 0.3
     missed = (points - answer.xz_mm)[valued] - modes
     assert np.abs(missed).max() < 2e-3 + np.linalg.norm(slope) * 2 * np.abs(modes).max()
@@ -347,7 +351,7 @@ def test_a_board_beside_the_sheet_shows_in_sigma() -> None:
     coplanar, off = solver.solve(reading, "", PAPER_LENS), solver.solve(reading, "", beside)
     np.testing.assert_array_equal(coplanar.lack_of_fit_mm, off.lack_of_fit_mm)
     before, after = coplanar.to_plane(image), off.to_plane(image)
-    added = (coplanarity_modes(off, image, 2.0, 0.5) ** 2).sum(axis=2)
+    added = (change_modes(off.geometry, BESIDE, image) ** 2).sum(axis=2)
     valued = after.status == Status.OK
     np.testing.assert_allclose(
         after.sigma_mm[valued] ** 2, before.sigma_mm[valued] ** 2 + added[valued], rtol=1e-9
