@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from lscan.errors import MeasurementError
 from lscan.records import Floats
 
 LEAST_SIGMA_MM = 1e-6  # of a point's own, so that exact data of a test do not divide by 0
@@ -95,6 +96,11 @@ def fit_similarity(
     modes_mm : (N, 2, M) array or None, mm, the part of it in common, as in PlanePoints
     also_mm : (N, 2) array, optional, mm, how ``after`` moves with one unit of what is found in the
         scale's place
+
+    Raises
+    ------
+    MeasurementError
+        Where the points lie so that these four are not determined, as all in one place.
     """
     start = closest_motion(before_mm, after_mm)
     near = start.apply(before_mm)
@@ -113,7 +119,10 @@ def fit_similarity(
     left = np.concatenate([(after_mm - near).ravel() / own, np.zeros(count)])
     explained = square.T @ left
     rest = left - square @ explained
-    inverse = np.linalg.inv(triangle)
+    try:
+        inverse = np.linalg.inv(triangle)
+    except np.linalg.LinAlgError as error:
+        raise MeasurementError("the map takes the marks to places that show no scale") from error
     found = inverse[:4] @ explained
     return Similarity(
         motion=Motion(start.centre_mm, start.shift_mm + found[:2], start.turn_rad + found[2]),

@@ -19,6 +19,7 @@ from lscan.camera.boards import rotation
 from lscan.camera.covariance import MODE_STEP, pixel_derivatives
 from lscan.camera.parameters import CAMERA, PortKind, camera_of
 from lscan.camera.projection import meet_plane
+from lscan.config.documents import check
 from lscan.config.rig import Known, SinceSection
 from lscan.records import Floats
 
@@ -144,9 +145,12 @@ class PhysicalMap(SolvedMap):
         return changed
 
     def _replaced(self, **fields: Any) -> Self:
-        """A map with other fields, and nothing computed from the old ones (model_copy keeps it)."""
+        """A map with other fields, and nothing computed from the old ones (model_copy keeps it).
+
+        InputError where the fields make no map, as where nothing is seen through the other water.
+        """
         own = {name: getattr(self, name) for name in type(self).model_fields}
-        other = type(self)(**{**own, **fields})
+        other = check(type(self), own | fields, where=f"plane map {self.name!r} in other water")
         other._name, other._since = self._name, self._since
         return other
 

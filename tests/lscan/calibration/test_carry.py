@@ -184,3 +184,10 @@ def test_maps_without_physics_are_refused(name: str) -> None:
         carried(flat, changed)
     nothing = changed.model_copy(update={"since_calibration": SinceSection()})
     assert carried(flat, nothing) is flat
+
+
+def test_a_map_whose_origin_sees_no_sheet_is_refused(metric: Metric) -> None:
+    """As a file may hold it: the sheet's plane goes through the pinhole's own axis."""
+    level = metric.model_copy(update={"q_per_mm": np.array([0.0, 1e-3, 0.0])})
+    with pytest.raises(InputError, match=r"in other water: origin_px"):
+        Metric.model_validate(dict(level)).in_water((1.339, 0.0))

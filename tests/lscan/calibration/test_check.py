@@ -80,6 +80,13 @@ def test_a_motion_and_a_scale_come_back(
     assert found.chi_square == pytest.approx(0.0, abs=1e-9)
 
 
+def test_marks_that_show_no_scale_are_refused() -> None:
+    """All of them in one place, as a map of a stranger's file may take them."""
+    same = np.full((8, 2), 3.0)
+    with pytest.raises(MeasurementError, match="no scale"):
+        fit_similarity(same, same, np.full((8, 2), 0.1), None)
+
+
 def test_similarity_is_generalised_least_squares() -> None:
     """Against the textbook formula with the whole covariance matrix written out."""
     rng = np.random.default_rng(4)
