@@ -53,6 +53,8 @@ def straight(boards: PosedBoards, line: LinePoints, board: int) -> Mask:
     first, second = np.triu_indices(len(some), 1)
     along = some[second] - some[first]
     length = np.linalg.norm(along, axis=1)
+    if not length.any():
+        return mask
     normal = np.column_stack([-along[:, 1], along[:, 0]])[length > 0] / length[length > 0, None]
     offset = (normal * some[first][length > 0]).sum(axis=1)
     away = np.abs(places @ normal.T - offset)
