@@ -79,10 +79,10 @@ def lit_rows(effort: FieldEffort) -> list[Row]:
             chosen = StripeSection(extractor=extractor, channel="auto", threshold_dn=THRESHOLD_DN)
             count = _worse(count, _count(shown, chosen, CENTRE))
         what = f"lit chessboard of {square_px:g} px"
-        rows += _rows(what, ", ".join(EXTRACTORS), count, effort)
+        rows += count_rows(what, ", ".join(EXTRACTORS), count, effort)
         if square_px >= COARSE_PX:
             count = _count(shown, StripeSection(threshold_dn=THRESHOLD_DN), CENTRE)
-            rows += _rows(
+            rows += count_rows(
                 f"{what}, red alone", "centroid-relative", count, effort, "line-found-red"
             )
     return rows
@@ -94,8 +94,8 @@ def tank_rows(scenes: Path, effort: FieldEffort) -> list[Row]:
     for what, name in SCENES.items():
         scene = _plain(load_scene(scenes / name), effort)
         shown = pictures(scene, Tank(scene).render(0.0), effort.seeds)
-        count = _count(shown, scene.rig.stripe, _truth(scene))
-        rows += _rows(what, scene.rig.stripe.extractor, count, effort)
+        count = _count(shown, scene.rig.stripe, true_line(scene))
+        rows += count_rows(what, scene.rig.stripe.extractor, count, effort)
     return rows
 
 
@@ -105,10 +105,10 @@ def frame_rows(scenes: Path, effort: FieldEffort) -> list[Row]:
     shown = pictures(scene, Tank(scene).render(0.0), effort.seeds)
     stripes = [extract_stripe(picture, scene.rig.stripe) for picture in shown]
     border = np.mean([(stripe.status == Status.AT_BORDER).mean() for stripe in stripes])
-    count = _counted(stripes, _truth(scene))
+    count = counted(stripes, true_line(scene))
     return [
         row("line-at-border", 100 * float(border), seeds=effort.seeded),
-        *_rows("groove in a frame", scene.rig.stripe.extractor, count, effort),
+        *count_rows("groove in a frame", scene.rig.stripe.extractor, count, effort),
     ]
 
 
@@ -121,7 +121,7 @@ def clipping_rows(effort: FieldEffort) -> list[Row]:
     told = np.mean([(stripe.status == Status.SATURATED).mean() for stripe in stripes])
     return [
         row("line-clipped-told", 100 * float(told), clips=CLIPS_DN, seeds=effort.seeded),
-        *_rows("line clipped early", chosen.extractor, _counted(stripes, CENTRE), effort),
+        *count_rows("line clipped early", chosen.extractor, counted(stripes, CENTRE), effort),
     ]
 
 
@@ -138,11 +138,11 @@ def laser_rows(scenes: Path, effort: FieldEffort) -> list[Row]:
         ]
         shared = scene.with_tank(laser={"lines": tuple(lines)})
         shown = pictures(shared, Tank(shared).render(0.0), effort.seeds)
-        both = np.array([_truth(shared, line) for line in range(2)])
-        rows += _told_apart(f"{split}, groove", shown, shared.rig.stripe, both, effort)
+        both = np.array([true_line(shared, line) for line in range(2)])
+        rows += told_apart_rows(f"{split}, groove", shown, shared.rig.stripe, both, effort)
         lit = _drawn(lit_mean(TWO_LIT, drawn, np.array(shares), HEIGHT), effort)
         chosen = StripeSection(channel="auto", threshold_dn=THRESHOLD_DN)
-        rows += _told_apart(f"{split}, lit chessboard", lit, chosen, drawn, effort)
+        rows += told_apart_rows(f"{split}, lit chessboard", lit, chosen, drawn, effort)
     return rows
 
 
@@ -156,22 +156,41 @@ def bust_rows(folder: Path) -> list[Row]:
     ]
 
 
-def _told_apart(
+def told_apart_rows(
     what: str, shown: Sequence[Bytes], chosen: StripeSection, truths: Floats, effort: FieldEffort
 ) -> list[Row]:
-    """The worse of the two lines, each asked for by its place."""
+    """Rows of the worse of two lines, each asked for by its place.
+
+    Parameters
+    ----------
+    what : str, whose lines
+    shown : sequence of (H, W, 3) arrays, the pictures
+    chosen : StripeSection, how they are read, but for which of the lines
+    truths : (2, W) array, px, their true rows, NaN where hidden
+    effort : FieldEffort
+    """
     with np.errstate(all="ignore"):
         upper = int(np.nanmean(truths[1] - truths[0]) < 0)
     count = Count(100.0, 0.0)
     for returns, line in (("first", upper), ("last", 1 - upper)):
         settings = chosen.model_copy(update={"returns": returns})
         count = _worse(count, _count(shown, settings, truths[line]))
-    return _rows(what, chosen.extractor, count, effort, "line-lasers-found")
+    return count_rows(what, chosen.extractor, count, effort, "line-lasers-found")
 
 
-def _rows(
+def count_rows(
     what: str, extractor: str, count: Count, effort: FieldEffort, key: str = "line-found"
 ) -> list[Row]:
+    """Rows of what was found and of what was wrong.
+
+    Parameters
+    ----------
+    what : str, whose line
+    extractor : str, which read it
+    count : Count, percent
+    effort : FieldEffort
+    key : str, of rows.toml, for what was found
+    """
     return [
         row(name, figure, what=what, extractor=extractor, seeds=effort.seeded)
         for name, figure in ((key, count.found), ("line-wrong", count.wrong))
@@ -190,21 +209,32 @@ def _plain(scene: Scene, effort: FieldEffort) -> Scene:
     return scene.with_tank(render={"fineness": 1, "samples": 4, "scatter_samples": 0})
 
 
-def _truth(scene: Scene, line: int = 0) -> Floats:
-    """(W,) row of the true line in each column, px; NaN where it is hidden."""
+def true_line(scene: Scene, line: int = 0) -> Floats:
+    """(W,) row of the true line in each column, px; NaN where it is hidden.
+
+    Parameters
+    ----------
+    scene : Scene, the head at track position 0
+    line : int, which of the laser's sheets
+    """
     truth = stripe_truth(scene, 0.0, line)
     return np.where(truth.status == Status.OK, truth.centre_px, np.nan)
 
 
 def _count(shown: Iterable[Bytes], chosen: StripeSection, truth: Floats) -> Count:
-    return _counted([extract_stripe(picture, chosen) for picture in shown], truth)
+    return counted([extract_stripe(picture, chosen) for picture in shown], truth)
 
 
-def _counted(stripes: Sequence[Stripe], truth: Floats) -> Count:
-    """The line found and the wrong values, over all the stripes; truth: (W,) row, NaN where none.
+def counted(stripes: Sequence[Stripe], truth: Floats) -> Count:
+    """The line found and the wrong values, over all the stripes.
 
     Beside a place where the line ends or jumps, blur carries it on: there the true line is what
     it is within EDGE_COLUMNS, and a column without a value is not missed.
+
+    Parameters
+    ----------
+    stripes : sequence of Stripe, px
+    truth : (W,) array, px, row of the true line, NaN where there is none
     """
     near = np.array([_shifted(truth, by) for by in range(-EDGE_COLUMNS, EDGE_COLUMNS + 1)])
     with np.errstate(invalid="ignore"):

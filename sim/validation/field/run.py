@@ -10,6 +10,7 @@ from lscan.records import Progress
 from sim.validation.chapters import run_chapters
 from sim.validation.field.boards import board_rows
 from sim.validation.field.effort import FULL, QUICK, FieldEffort
+from sim.validation.field.harbor import harbor_rows
 from sim.validation.field.line import line_rows
 from sim.validation.field.relief import relief_rows
 from sim.validation.field.sheet import sheet_rows
@@ -25,6 +26,7 @@ CHAPTERS: Mapping[str, FieldChapter] = {
     "relief": relief_rows,
     "any surface": surface_rows,
     "line": line_rows,
+    "harbor": harbor_rows,
     "boards": board_rows,
     "sigma": sigma_rows,
     "refractive map in other water": partial(water_rows, name="refractive"),
