@@ -37,7 +37,8 @@ def extract(
         str | None, typer.Option(help="max, centroid, centroid-relative ...")
     ] = None,
     channel: Annotated[
-        str | None, typer.Option(help="red, green, blue, grey; red-excess ...; auto.")
+        str | None,
+        typer.Option(help="red, green, blue, grey; red-excess ...; auto, as of a single picture."),
     ] = None,
     threshold: Annotated[
         float | None,
@@ -70,7 +71,7 @@ def extract(
 
     require_folders(output, overlay)
     image, dark, rig = _pictures(picture, frame, background, trust)
-    usual = StripeSection() if rig is None else rig.stripe
+    usual = StripeSection(channel="auto") if rig is None else rig.stripe
     given = {
         "axis": axis,
         "extractor": extractor,

@@ -41,6 +41,22 @@ def rows_of(path: Path) -> list[dict[str, str]]:
         return list(csv.DictReader(file))
 
 
+def test_a_single_picture_is_read_in_the_colour_of_its_line(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A green line in a lit room, which red shows as little as the wall."""
+    v = np.arange(120, dtype=float)[:, None, None]
+    line = 120 * np.exp(-((v - 60) ** 2) / 4.5) * np.array([0.1, 1.0, 0.1])
+    noise = np.random.default_rng(3).normal(90, 1, (120, 80, 3))
+    write_picture(tmp_path / "green.png", np.clip(np.rint(line + noise), 0, 255).astype(np.uint8))
+    found = {}
+    for channel in ([], ["--channel", "red"]):
+        code, out, err = call(capsys, "extract", tmp_path / "green.png", *channel, "--json")
+        assert code == 0, err
+        found[len(channel)] = json.loads(out)["found"]
+    assert found == {0: 80, 2: 0}
+
+
 def test_a_calibration_gives_points_in_mm(
     solved: MetricCalibration, picture: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
