@@ -59,7 +59,7 @@ def calibrate_metric(
     boards, optics, k3 = [], file.document.optics, file.document.k3
     if known is not None and camera is not None:
         require_same_camera(known, file, size, camera)
-        boards, optics, k3 = known.boards, known.optics, known.k3
+        boards, optics, k3 = known.boards_beside(found), known.optics, known.k3
     try:
         method = calibrate_camera if camera_only else solve
         calibration = method([*boards, *found], optics, size, k3)
@@ -91,8 +91,8 @@ def _print_views(views: Sequence[FittedView]) -> None:
             view.name,
             f"{view.marks_used} of {view.marks_found}",
             view.rms_px,
-            f"{view.line_points_used} of {view.points_found}",
-            view.line_rms_mm,
+            f"{view.line_points_used} of {view.points_found}" if view.points_found else "",
+            view.line_rms_mm if view.line_points_used else "",
             view.outcome,
         ]
         for view in views

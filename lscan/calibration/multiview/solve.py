@@ -65,10 +65,18 @@ class CameraCalibration(SolvedViews):
 
     theta: Floats
 
-    @property
-    def boards(self) -> list[CalibrationView]:
-        """The used views without their lines, for another calibration to rest on as well."""
-        return [CalibrationView(view.name, view.marks) for view in self.views if view.used]
+    def boards_beside(self, views: Sequence[CalibrationView]) -> list[CalibrationView]:
+        """The used boards, for another calibration to rest on as well, but those it has itself.
+
+        The same picture counts once: twice, it would halve its variance.
+
+        Parameters
+        ----------
+        views : sequence of CalibrationView, of the other calibration
+        """
+        seen = {_place(view) for view in views}
+        used = [CalibrationView(view.name, view.marks) for view in self.views if view.used]
+        return [board for board in used if _place(board) not in seen]
 
 
 @dataclass(frozen=True)
@@ -94,6 +102,11 @@ class MetricCalibration(SolvedViews):
         return _pooled([(view.line_rms_mm, view.line_points_used) for view in lines])
 
 
+def _place(view: CalibrationView) -> bytes:
+    """Where the marks are, to the last bit: no two pictures show them alike."""
+    return b"" if view.marks is None else view.marks.image_px[view.marks.found].tobytes()
+
+
 def calibrate_camera(
     views: Sequence[CalibrationView],
     optics: OpticsSection,
@@ -117,6 +130,9 @@ def calibrate_camera(
         Where fewer than three views are usable, or where their poses do not determine the focal
         length.
     """
+    views = [
+        view if view.marks is None else CalibrationView(view.name, view.marks) for view in views
+    ]
     priors = priors_of(optics, image_size, k3, assume_webcam=False)
     used = fit_views(views, optics, priors, image_size)
     solved = _solved(used, fitted_views(views, used), optics, image_size, k3)
