@@ -28,12 +28,16 @@ from lscan.records import BoardReading, Floats
 
 CorrectionKind = Literal["scale", "index", "shift"]
 
+WATER_INDEX = (1.32, 1.36)
+"""Water's index is from 1.3296 (30 C, fresh, 700 nm) to 1.3505 (0 C, 35 psu, 400 nm) by Quan & Fry
+1995, and 0.0015 more 100 m down; the rest is for what a calibration's port may be off."""
+
 
 def proposed(found: CalibrationCheck) -> tuple[CorrectionKind, ...]:
     """What corrects what a check found; nothing where the calibration holds.
 
     A wrong scale is put down to the index of the water where that leaves less of the residuals than
-    a change of scale.  Nothing here corrects a wrong shape.
+    a change of scale, and is one of water.  Nothing here corrects a wrong shape.
 
     Parameters
     ----------
@@ -41,11 +45,18 @@ def proposed(found: CalibrationCheck) -> tuple[CorrectionKind, ...]:
     """
     kinds: list[CorrectionKind] = []
     if "scale" in found.reasons:
-        better = found.index is not None and found.index.chi_square < found.chi_square
-        kinds.append("index" if better else "scale")
+        kinds.append("index" if _by_water(found) else "scale")
     if "shift" in found.reasons:
         kinds.append("shift")
     return tuple(kinds)
+
+
+def _by_water(found: CalibrationCheck) -> bool:
+    """Whether another index of the water explains the scale, and better than a scale does."""
+    index = found.index
+    if index is None or not WATER_INDEX[0] <= index.index <= WATER_INDEX[1]:
+        return False
+    return index.chi_square < found.chi_square
 
 
 def corrected(

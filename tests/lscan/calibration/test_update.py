@@ -115,6 +115,15 @@ def test_a_shift_is_corrected_where_the_placing_is_known() -> None:
     assert (points.sigma_mm[known_] >= 0.05).all()
 
 
+def test_an_index_that_no_water_has_is_not_proposed() -> None:
+    """The board of another rig say: it fits best with an index of 1.39, and a scale is off."""
+    calibration, _, reading = _in_sea()
+    found = check_calibration(calibration, reading)
+    assert found.index is not None and proposed(found) == ("index",)
+    glass = replace(found, index=replace(found.index, index=1.392))
+    assert proposed(glass) == ("scale",)
+
+
 @cache
 def _in_sea() -> tuple[Calibration, View, BoardReading]:
     """A refractive calibration in tap water, and the same rig and board in sea water."""

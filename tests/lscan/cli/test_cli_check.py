@@ -135,6 +135,20 @@ def test_check_says_how_to_correct_and_does(
     assert not (tmp_path / "none.json").exists()
 
 
+def test_check_takes_a_picture_to_the_water_that_a_file_states(
+    pictures: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A map that knows of no water is refused in another one, so the file was read."""
+    for name, celsius in (("bucket", 20.0), ("sea", 5.0)):
+        (tmp_path / f"{name}.toml").write_text(f"[optics]\ntemperature_c = [{celsius}, 0.5]\n")
+    of_picture = (pictures / "again.png", "--board", PAPER_BOARD)
+    bucket, sea = (("--optics", tmp_path / f"{name}.toml") for name in ("bucket", "sea"))
+    saved = tmp_path / "c.json"
+    call(capsys, "calibrate", *of_picture, *bucket, "--map", "polynomial-4", "-o", saved)
+    assert call(capsys, "check", saved, *of_picture, *bucket)[0] == 0
+    refused(call(capsys, "check", saved, *of_picture, *sea), "cannot be carried to other water")
+
+
 @pytest.mark.parametrize(
     ("options", "says"),
     [
