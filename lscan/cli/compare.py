@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import numpy as np
 import typer
@@ -11,6 +11,9 @@ import typer
 from lscan.cli.arguments import Json, require_folders
 from lscan.cli.console import print_json, print_table
 from lscan.errors import InputError
+
+if TYPE_CHECKING:
+    from lscan.measure.meshcompare import MeshPose
 
 
 def compare(
@@ -81,7 +84,20 @@ def compare(
         ["95 % between mm", f"{low:.3f} and {high:.3f}"],
         ["within 2 sigma", summary["within_2_sigma"]],
     ]
+    if fit:
+        rows += _pose_rows(found.pose)
     print_table("distances from the mesh", ["", ""], rows)
+
+
+def _pose_rows(pose: MeshPose) -> list[list[str]]:
+    """Where a mesh lies, as a scene file states it."""
+    from scipy.spatial.transform import Rotation
+
+    turns = Rotation.from_matrix(pose.rotation).as_euler("xyz", degrees=True)
+    return [
+        ["mesh at x, y, z mm", ", ".join(f"{mm:.3f}" for mm in pose.translation_mm)],
+        ["turned about x, y, z deg", ", ".join(f"{turn:.3f}" for turn in turns)],
+    ]
 
 
 def _place(text: str) -> tuple[float, float, float]:

@@ -148,7 +148,7 @@ def plane_maps(
     """
     if len(files) not in (0, most):
         allowed = "none or one" if most == 1 else "none or two: of the upper line, of the lower"
-        raise InputError("calibrations", where="-c", value=len(files), allowed=allowed)
+        raise InputError("too many or too few files", where="-c", value=len(files), allowed=allowed)
     maps = []
     for file in files:
         plane_map, size = load_plane_map(file)

@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from lscan.records import Bytes, Mask, PlanePoints, Stripe
 
 BOTH = "both"
+RETURNS = ("brightest", "first", "last", BOTH)
 
 
 def extract(
@@ -65,6 +66,7 @@ def extract(
     from lscan.cli.inputs import picture_part, plane_maps
     from lscan.config.documents import check
     from lscan.config.rig import StripeSection
+    from lscan.errors import InputError
     from lscan.files.pictures import write_picture
     from lscan.stripe import draw_stripe, save_stripe
     from lscan.surface.profile import to_profile
@@ -80,6 +82,9 @@ def extract(
         "span_px": span,
         "returns": None if returns == BOTH else returns,
     }
+    if returns not in (None, *RETURNS):
+        allowed = ", ".join(RETURNS)
+        raise InputError("names no line", where="--returns", value=returns, allowed=allowed)
     changes = {key: value for key, value in given.items() if value is not None}
     settings = check(StripeSection, {**usual.model_dump(), **changes}, where="command line")
     maps = plane_maps(calibration or [], 2 if returns == BOTH else 1, image, picture, rig)

@@ -10,7 +10,7 @@ from lscan.config.shapes import HeightShape, ShapesDocument, SurfaceBox
 from lscan.errors import MeasurementError
 from lscan.measure.shapefit import MeasuredPoints, ShapeFit, fit_shape, measured_points
 from lscan.measure.shapes import CylinderShape, MeasuredShape, ParallelPlanes, SphereShape
-from lscan.records import Floats, Ints, Mask, Status, Surface
+from lscan.records import Floats, Ints, Mask, Status, Surface, has_value
 from lscan.surface.resample import sample
 
 MOST_POINTS = 50_000
@@ -117,8 +117,19 @@ def _in_box(surface: Surface, box: SurfaceBox, name: str) -> MeasuredPoints:
             inside &= (values >= limits[0]) & (values <= limits[1])
     points = measured_points(surface, inside)
     if len(points.xyz_mm) == 0:
-        raise MeasurementError(f"{name!r}: the surface has no point in its box")
+        raise MeasurementError(
+            f"{name!r}: the surface has no point in its box; it has points in {_reach(surface)}"
+        )
     return points.only(np.arange(0, len(points.xyz_mm), -(-len(points.xyz_mm) // MOST_POINTS)))
+
+
+def _reach(surface: Surface) -> str:
+    """From where to where there are points, in words."""
+    points = surface.xyz_mm[has_value(surface.status)]
+    sides = zip(
+        "xyz", points.min(axis=0, initial=np.inf), points.max(axis=0, initial=-np.inf), strict=True
+    )
+    return ", ".join(f"{axis} from {low:.1f} to {high:.1f} mm" for axis, low, high in sides)
 
 
 def _measure(kind: str, name: str, fit: ShapeFit) -> ShapeMeasure:

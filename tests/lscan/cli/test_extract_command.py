@@ -145,6 +145,6 @@ def test_bad_parts_and_calibrations_are_refused(
     calibration = tmp_path / "c.json"
     save_metric(calibration, solved)
     refused(call(capsys, "extract", small, "-c", calibration), "small.png", "640 x 480")
-    refused(call(capsys, "extract", picture, "--returns", "third"), "returns", "third")
+    refused(call(capsys, "extract", picture, "--returns", "third"), "--returns", "third", "both")
     for option in ("--span", "--span-px"):
         refused(call(capsys, "extract", picture, option, 0), "span_px")

@@ -1,6 +1,7 @@
 """``lscan measure --shapes`` and ``lscan compare`` on a surface file, and their refusals."""
 
 import json
+import re
 from pathlib import Path
 from typing import Any
 
@@ -72,6 +73,11 @@ def test_a_surface_is_compared_with_a_mesh(
     shifted = ("compare", folder / "dome.nc", folder / "ball.stl", "--unit", "cm", "--at", "1,1,1")
     code, out, _ = call(capsys, *shifted, "--fit")
     assert code == 0 and "within 2 sigma" in out
+    # The ball's own place, by the points of a mesh whose chords lie up to 0.006 mm beneath it.
+    where = next(line for line in out.splitlines() if "mesh at x, y, z mm" in line)
+    assert [float(mm) for mm in re.findall(r"-?\d+\.\d+", where)] == pytest.approx(
+        [0, 0, 0], abs=0.01
+    )
 
 
 @pytest.mark.parametrize(

@@ -69,7 +69,10 @@ def test_points_without_a_value_have_no_part() -> None:
 @pytest.mark.parametrize(
     ("tables", "words"),
     [
-        ({"plane": [{"name": "p", "x_mm": [90.0, 91.0], "y_mm": [0.0, 1.0]}]}, "no point in its"),
+        (
+            {"plane": [{"name": "p", "x_mm": [90.0, 91.0], "y_mm": [0.0, 1.0]}]},
+            "no point in its box; it has points in x from -20.0 to",
+        ),
         ({"sphere": [{"name": "p", "x_mm": [0.0, 4.0], "y_mm": [0.0, 2.0]}]}, "are needed"),
         ({"height": [{"name": "p", "from_mm": [0, 0], "to_mm": [90, 0]}]}, "too few points lie"),
     ],
