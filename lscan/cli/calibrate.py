@@ -207,7 +207,7 @@ def _print_check(
     elif kinds:
         options = " ".join(f"--correct {kind}" for kind in kinds)
         print(f"to correct it: lscan check ... --update FILE {options}")
-    if kinds and "shape" in check.reasons:
+    if kinds and "shape" in check.reasons and "index" not in kinds:
         print("what that leaves of the shape enters the uncertainty; a new calibration is better")
     elif not kinds and not check.agrees:
         print("no change of scale, index or shift explains it: calibrate again")

@@ -123,6 +123,7 @@ def test_check_says_how_to_correct_and_does(
     code, out, _ = call(capsys, *common)
     assert code == 1
     assert "--update FILE --correct scale" in out
+    assert ("a new calibration is better" in out) == ("scale, shape" in out)
     better = tmp_path / "better.json"
     code, out, err = call(capsys, *common, "--update", better)
     assert code == 0, err
