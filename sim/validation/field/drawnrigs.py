@@ -53,7 +53,7 @@ def metric_map(
 ) -> PhysicalMap:
     """The metric map solved from the scene's board, held as in ``held``."""
     size = scene.rig.camera.size_px
-    views = [_view(number, scene, _board_pose(pose), generator) for number, pose in enumerate(held)]
+    views = [_view(number, scene, board_pose(pose), generator) for number, pose in enumerate(held)]
     return calibrate_metric(views, optics, size).plane_map
 
 
@@ -78,7 +78,7 @@ def metric_frame(scene: Scene) -> Pose:
 
 def drawn_reading(scene: Scene, generator: np.random.Generator) -> BoardReading:
     """The marks of the scene's board as a picture of it would be read, with NOISE_PX."""
-    board, pose = scene.board(), _board_pose(scene)
+    board, pose = scene.board(), board_pose(scene)
     grid = board.grid
     return BoardReading(
         image_size=scene.rig.camera.size_px,
@@ -96,7 +96,7 @@ def drawn_reading(scene: Scene, generator: np.random.Generator) -> BoardReading:
 
 def _marks(scene: Scene, pose: Pose, board_mm: Floats, generator: np.random.Generator) -> Marks:
     """Marks at (N, 2) mm of a board in that pose."""
-    exact = project(scene, pose.apply(_in_space(board_mm)))
+    exact = project(scene, pose.apply(in_space(board_mm)))
     image: Floats = exact + generator.normal(0.0, NOISE_PX, exact.shape)
     size = np.array(scene.rig.camera.size_px)
     seen = np.all((image >= 0) & (image <= size - 1), axis=1)
@@ -112,7 +112,7 @@ def _view(number: int, scene: Scene, pose: Pose, generator: np.random.Generator)
     """The board in that pose, and the laser's line on it."""
     board, sheet = scene.board(), sheet_of(scene).pose
     marks = _marks(scene, pose, board.grid.points_mm(), generator)
-    middle = pose.apply(_in_space(_middle_mm(board)[None]))[0]
+    middle = pose.apply(in_space(_middle_mm(board)[None]))[0]
     face, normal = pose.rotation[:, 1], sheet.rotation[:, 1]
     along = np.cross(face, normal)
     along /= np.linalg.norm(along)
@@ -126,8 +126,13 @@ def _view(number: int, scene: Scene, pose: Pose, generator: np.random.Generator)
     return CalibrationView(f"pose-{number}", marks, line)
 
 
-def _board_pose(scene: Scene) -> Pose:
-    """Board frame to head frame, the head at track position 0."""
+def board_pose(scene: Scene) -> Pose:
+    """Board frame to head frame, the head at track position 0.
+
+    Parameters
+    ----------
+    scene : Scene, with a board
+    """
     head, board = head_pose(scene.tank.head, 0.0), target_pose(scene)
     return Pose(head.rotation.T @ board.rotation, head.invert(board.origin_mm))
 
@@ -136,5 +141,11 @@ def _middle_mm(board: Board) -> Floats:
     return board.grid.points_mm().mean(axis=0)
 
 
-def _in_space(xz_mm: Floats) -> Floats:
+def in_space(xz_mm: Floats) -> Floats:
+    """(N, 3) mm, board frame, of places (x, z) on a board.
+
+    Parameters
+    ----------
+    xz_mm : (N, 2) array, mm
+    """
     return np.column_stack([xz_mm[:, 0], np.zeros(len(xz_mm)), xz_mm[:, 1]])

@@ -20,9 +20,10 @@ from lscan.stripe import extract_stripe
 from sim.datasets.views import held_scenes
 from sim.devices import metered
 from sim.render.tank import Layers, Tank
-from sim.scene import Scene, camera_pose, head_pose, load_scene, target_pose
+from sim.scene import Scene, camera_pose, load_scene
 from sim.sensor import Webcam
 from sim.truth import board_truth, stripe_truth
+from sim.validation.field.drawnrigs import board_pose, in_space
 from sim.validation.field.effort import FieldEffort
 from sim.validation.rows import Row, row
 
@@ -100,7 +101,7 @@ def sheet_rows(scenes: Path, effort: FieldEffort) -> list[Row]:
 
 
 def _held(scene: Scene) -> HeldBoard:
-    webcam = Webcam(scene)
+    webcam, camera = Webcam(scene), camera_pose(scene.tank.head)
     lit, exposure_ms = metered(scene, Tank(scene), webcam, 0.0)
     nothing = np.zeros_like(lit.direct)
     lamps = replace(lit, direct=nothing, scattered=nothing)
@@ -116,20 +117,12 @@ def _held(scene: Scene) -> HeldBoard:
         lit=lit,
         exposure_ms=exposure_ms,
         marks=marks,
-        marks_mm=_on_board_mm(scene, marks.board_mm[marks.found]),
+        marks_mm=camera.invert(board_pose(scene).apply(in_space(marks.board_mm[marks.found]))),
         centre_px=truth.centre_px,
-        line_mm=camera_pose(scene.tank.head).invert(points),
+        line_mm=camera.invert(points),
         middle_px=seen.image_px.mean(axis=0),
         width_px=float(np.ptp(seen.image_px[:, 0])),
     )
-
-
-def _on_board_mm(scene: Scene, board_mm: Floats) -> Floats:
-    """(N, 3) mm, camera frame, of points (x, z) of the board (N, 2)."""
-    x, z = board_mm.T
-    world = target_pose(scene).apply(np.column_stack([x, np.zeros_like(x), z]))
-    head = scene.tank.head
-    return camera_pose(head).invert(head_pose(head, 0.0).invert(world))
 
 
 def _lines_as_seen(boards: Sequence[HeldBoard]) -> Floats:
@@ -180,8 +173,8 @@ def _is_wrong(held: HeldBoard, view: CalibrationView) -> bool:
     """Whether most of the points read as the line lie off the laser's true line."""
     assert view.line is not None  # the board shows the laser, or glare
     column, v = view.line.image_px.T
-    off = np.abs(v - held.centre_px[column.astype(int)]) > NEAR_PX
-    return bool(off.mean() >= MOSTLY)
+    of_line = np.abs(v - held.centre_px[column.astype(int)]) <= NEAR_PX  # of no line where NaN
+    return bool(np.mean(~of_line) >= MOSTLY)
 
 
 def _view(

@@ -3,6 +3,8 @@
 import json
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -10,12 +12,13 @@ from places import ROOT
 from typer.testing import CliRunner
 
 import sim.validation.field.run
+from lscan.calibration.multiview.views import CalibrationView, LinePoints
 from lscan.calibration.physical import PhysicalMap
 from lscan.errors import InputError
 from sim.cli.app import app
 from sim.scene import load_scene
 from sim.truth import project, sheet_of
-from sim.validation.field import water
+from sim.validation.field import sheet, water
 from sim.validation.field.drawnrigs import drawn_rig, metric_frame
 from sim.validation.field.effort import FULL, QUICK, FieldEffort
 from sim.validation.rows import Row
@@ -77,3 +80,13 @@ def test_a_map_that_is_not_carried_fails_its_rows(monkeypatch: pytest.MonkeyPatc
     bias, intervals = water._in_other_water("refractive", rigs, effort)
     assert bias.passed is False and bias.figure > 10 * (bias.bar or 0.0)
     assert intervals.passed is False
+
+
+def test_points_where_no_line_is_are_wrong() -> None:
+    """Three tenths of the columns show the line; what is found in the others is glare."""
+    centre = np.where(np.arange(100) < 30, 50.0, np.nan)
+    held: Any = SimpleNamespace(centre_px=centre)
+    places = np.column_stack([np.arange(100.0), np.full(100, 50.2)])
+    for count, wrong in ((100, True), (60, False)):
+        line = LinePoints(places[:count], np.full(count, 0.1), "columns")
+        assert sheet._is_wrong(held, CalibrationView("view", None, line)) == wrong
