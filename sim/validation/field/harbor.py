@@ -17,7 +17,7 @@ from scipy.optimize import nnls
 
 from lscan.config.documents import merge
 from lscan.config.rigfile import parse_rig
-from lscan.records import Bytes, Floats
+from lscan.records import Floats
 from lscan.stripe import extract_stripe
 from sim.render.tank import Layers, Tank
 from sim.scene import Scene, load_scene, scene_of
@@ -59,7 +59,7 @@ def harbor_rows(scenes: Path, effort: FieldEffort) -> list[Row]:
     first, second = (_drawn_twice(scene, line) for line in scene.tank.laser.sheets)
     sheets = [added(halves, (0.5, 0.5)) for halves in (first, second)]
     lines = np.array([true_line(scene, line) for line in range(len(sheets))])
-    rows = _interval_rows(scene, sheets[0], _bare(scene, first), effort)
+    rows = _interval_rows(scene, first, effort)
     for shares in SHARES:
         what = f"two lasers, {100 * shares[0]:g}/{100 * shares[1]:g}, harbor"
         shown = pictures(scene, added(sheets, shares), effort.seeds)
@@ -116,18 +116,12 @@ def _drawn_twice(scene: Scene, line: LaserLine) -> list[Layers]:
     return [steady(tank.render(0.0)) for tank in tanks]
 
 
-def _bare(scene: Scene, lights: Sequence[Layers]) -> list[Bytes]:
-    """Pictures of a sensor without noise."""
-    silent = scene.with_tank(sensor={"noise": False})
-    return [pictures(silent, layers, [1])[0] for layers in lights]
-
-
-def _interval_rows(
-    scene: Scene, layers: Layers, bare: Sequence[Bytes], effort: FieldEffort
-) -> list[Row]:
+def _interval_rows(scene: Scene, halves: Sequence[Layers], effort: FieldEffort) -> list[Row]:
     """The first line alone: found, and how often the intervals of its centres hold."""
     truth = true_line(scene)
-    shown = pictures(scene, layers, effort.seeds)
+    shown = pictures(scene, added(halves, (0.5, 0.5)), effort.seeds)
+    silent = scene.with_tank(sensor={"noise": False})
+    bare = [pictures(silent, half, effort.seeds[:1])[0] for half in halves]
     rows = []
     for extractor in EXTRACTORS:
         chosen = scene.rig.stripe.model_copy(update={"extractor": extractor})
