@@ -30,6 +30,7 @@ SHEET = {
     "camera_mm": [225.0, -779.4, 225.0],
     "apex_mm": [225.0, 0.0, 250.0],
 }
+EVERY = slice(None)  # columns of a picture
 FEWEST_FRAMES = 100
 """2 mm apart: ten profiles across each wedge, as few as the alignment takes."""
 
@@ -63,10 +64,11 @@ def sandwave_run(folder: Path, frames: int = FEWEST_FRAMES, **sections: Any) -> 
     return _written(folder, rig_file(frames, **sections), pictures)
 
 
-def flat_run(folder: Path, frames: int, **sections: Any) -> Run:
-    """A scan of something level that no rig file names."""
+def flat_run(folder: Path, frames: int, lit: slice = EVERY, **sections: Any) -> Run:
+    """A scan of something level that no rig file names; lit: the columns that show the line."""
     rng = np.random.default_rng(12)
-    centre = np.full(VIEW.size[0], 300.0)
+    centre = np.full(VIEW.size[0], np.nan)
+    centre[lit] = 300.0
     return _written(
         folder, rig_file(frames, **sections), [_exposed(centre, rng) for _ in range(frames)]
     )

@@ -24,7 +24,7 @@ from lscan.surface.align.keptalignment import save_alignment
 
 pytestmark = pytest.mark.xdist_group("measure")  # one worker: they share a fixture
 
-Measure = Callable[[Path], tuple[int, str, str]]
+Command = Callable[..., tuple[int, str, str]]
 
 
 @pytest.fixture(scope="module")
@@ -41,15 +41,15 @@ def calibrated(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture
-def measure(
+def command(
     calibrated: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> Measure:
-    """Exit code, stdout and stderr of ``lscan measure RUN --json``."""
+) -> Command:
+    """Exit code, stdout and stderr of ``lscan NAME RUN -c CALIBRATION`` with further words."""
 
-    def call(run: Path) -> tuple[int, str, str]:
+    def call(name: str, run: Path, *more: str) -> tuple[int, str, str]:
         capsys.readouterr()
-        more = ["-c", str(calibrated / "c.json"), "--json"]
-        monkeypatch.setattr(sys, "argv", ["lscan", "measure", str(run), *more])
+        words = ["lscan", name, str(run), "-c", str(calibrated / "c.json"), *more]
+        monkeypatch.setattr(sys, "argv", words)
         with pytest.raises(SystemExit) as left:
             run_command_line(app, "lscan")
         output = capsys.readouterr()
@@ -69,11 +69,11 @@ def measure(
     ],
 )
 def test_of_a_scan_of_something_else_it_says_what_can_be_measured(
-    sections: dict[str, Any], words: str, measure: Measure, tmp_path: Path
+    sections: dict[str, Any], words: str, command: Command, tmp_path: Path
 ) -> None:
     frames = sections.get("plan", {"frames": 5})["frames"]
     flat_run(tmp_path / "mesh", frames, **sections)
-    code, out, err = measure(tmp_path / "mesh")
+    code, out, err = command("measure", tmp_path / "mesh", "--json")
     assert (code, out, err.count("\n")) == (2, "", 1)
     assert words in err
     assert "`lscan reconstruct` gives the surface" in err
@@ -84,40 +84,44 @@ def test_of_a_scan_of_something_else_it_says_what_can_be_measured(
     "plan", [{}, {"frames": 3}, {"frames": 3, "step_mm": 0.0}, {"laser": "on"}]
 )
 def test_a_board_is_measured_however_its_run_was_planned(
-    plan: dict[str, Any], measure: Measure, tmp_path: Path
+    plan: dict[str, Any], command: Command, tmp_path: Path
 ) -> None:
     """A rig of real hardware may share one plan among its board and its scans."""
     board_run(tmp_path / "board", frames=plan.get("frames", 1), plan={"frames": 1, **plan})
-    code, out, err = measure(tmp_path / "board")
+    code, out, err = command("measure", tmp_path / "board", "--json")
     assert (code, err) == (0, "")
     assert len(json.loads(out)["distances"]) > 0
 
 
 @pytest.mark.parametrize("kind", ["grooved-block", "sandwave"])
 def test_a_workpiece_that_is_not_there_is_named(
-    kind: str, measure: Measure, tmp_path: Path
+    kind: str, command: Command, tmp_path: Path
 ) -> None:
     flat_run(tmp_path / "mesh", 5, workpiece={"kind": kind})
-    code, out, err = measure(tmp_path / "mesh")
+    code, out, err = command("measure", tmp_path / "mesh", "--json")
     assert (code, out, err.count("\n")) == (1, "", 1)
     assert f"is a {kind}; where something else was scanned, `lscan reconstruct`" in err
 
 
 def test_reconstruct_says_of_a_run_of_the_board_that_there_is_no_surface(
-    calibrated: Path,
-    tmp_path: Path,
-    capsys: pytest.CaptureFixture[str],
-    monkeypatch: pytest.MonkeyPatch,
+    calibrated: Path, command: Command, tmp_path: Path
 ) -> None:
-    call = ["lscan", "reconstruct", str(calibrated / "board"), "-c", str(calibrated / "c.json")]
-    monkeypatch.setattr(sys, "argv", [*call, "-o", str(tmp_path / "s.nc")])
-    with pytest.raises(SystemExit) as left:
-        run_command_line(app, "lscan")
-    output = capsys.readouterr()
-    assert (left.value.code, output.err.count("\n")) == (1, 1)
-    assert "no laser line in any of its 1 pictures" in output.err
-    assert "there is no surface to build; a run of the board is for `lscan calibrate`" in output.err
+    code, _, err = command("reconstruct", calibrated / "board", "-o", str(tmp_path / "s.nc"))
+    assert (code, err.count("\n")) == (1, 1)
+    assert "no laser line in any of its 1 pictures" in err
+    assert "there is no surface to build; a run of the board is for `lscan calibrate`" in err
     assert not (tmp_path / "s.nc").exists()
+
+
+def test_reconstruct_notes_that_few_columns_hold_a_line(command: Command, tmp_path: Path) -> None:
+    flat_run(tmp_path / "few", 1, lit=slice(300, 308))
+    code, _, err = command("reconstruct", tmp_path / "few", "-o", str(tmp_path / "s.nc"))
+    assert (code, err.count("\n")) == (0, 1)
+    says = r"lscan: note: a line in (\d+) of 640 columns alone; if the pictures show the board, "
+    noted = re.match(says + "there is no surface to build", err)
+    assert noted is not None
+    surface = lscan.load_surface(tmp_path / "s.nc")
+    assert int(noted[1]) == np.isfinite(surface.xyz_mm[..., 2]).sum()
 
 
 @pytest.mark.parametrize(
@@ -140,20 +144,11 @@ def test_calibrate_says_of_a_run_of_something_else_what_it_shows(
         lscan.calibrate_run(lscan.open_run(tmp_path / "mesh"))
 
 
-def test_reconstruct_of_dark_pictures_writes_no_file(
-    calibrated: Path,
-    tmp_path: Path,
-    capsys: pytest.CaptureFixture[str],
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_reconstruct_of_dark_pictures_writes_no_file(command: Command, tmp_path: Path) -> None:
     flat_run(tmp_path / "dark", 1, stripe={"threshold_dn": 255.0})
-    call = ["lscan", "reconstruct", str(tmp_path / "dark"), "-c", str(calibrated / "c.json")]
-    monkeypatch.setattr(sys, "argv", [*call, "-o", str(tmp_path / "s.nc")])
-    with pytest.raises(SystemExit) as left:
-        run_command_line(app, "lscan")
-    output = capsys.readouterr()
-    assert (left.value.code, output.out, output.err.count("\n")) == (1, "", 1)
-    assert "no laser line in any of its 1 pictures, so there is no surface to build" in output.err
+    code, out, err = command("reconstruct", tmp_path / "dark", "-o", str(tmp_path / "s.nc"))
+    assert (code, out, err.count("\n")) == (1, "", 1)
+    assert "no laser line in any of its 1 pictures, so there is no surface to build" in err
     assert not (tmp_path / "s.nc").exists()
 
 

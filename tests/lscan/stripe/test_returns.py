@@ -172,7 +172,10 @@ def test_the_picture_upside_down_exchanges_first_and_last(seed):
     turned = choose_return(image[::-1], last, (image >= 255)[::-1])
     up, _ = error_of(first, section, UPPER)
     down, _ = error_of(turned, last, HEIGHT - 1 - UPPER)
-    np.testing.assert_allclose(down, -up, atol=0.5)  # the paper's first maximum is the upper one
+    # Of equal greatest values the paper's rule takes the first, which upside down is another one.
+    only = (first.image == first.image.max(axis=0)).sum(axis=0) == 1
+    assert only.mean() > 0.5
+    np.testing.assert_allclose(down[only], -up[only], atol=1e-9)  # sums of five in another order
 
 
 @FEW
