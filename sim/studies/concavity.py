@@ -27,7 +27,7 @@ from lscan.surface.thickness import correct_thickness
 from sim.render.tank import Tank
 from sim.scene import Scene, scene_of
 from sim.sensor import Webcam
-from sim.truth import StripeTruth, project, stripe_truth
+from sim.truth import StripeTruth, project, stripe_truths
 
 FINENESS = 2  # or the line's own width on level ground, 0.3 px, would follow the pixels
 SAMPLES = 16  # a pixel
@@ -36,6 +36,7 @@ DIMMEST = 0.05  # of the picture's brightest column: a camera of 8 bits sees no 
 EDGE_PX = 6.0  # columns this near to an end of the line are left out
 PEAK_DN = 200.0
 SIGMA_PX = 0.01  # stated of centroids that have no noise: what a good extractor reaches
+SPHERE_PX = (210, 290, 230, 190)  # the part of the picture that shows the sphere
 BEYOND = 6  # profiles at either end of the short scan that only serve as neighbours
 
 
@@ -120,7 +121,7 @@ def short_scan(scene: Scene, positions_mm: Sequence[float], scatter_samples: int
     tank, webcam = Tank(scene), Webcam(scene)
     blur_px = scene.tank.lens.blur_px or None
     settings = StripeSection(blur_px=blur_px)
-    truths = [stripe_truth(scene, position) for position in positions_mm]
+    truths = stripe_truths(scene, positions_mm)
     found, sharp = [], []
     for truth in truths:
         layers = tank.render(truth.position_mm, scatter_samples=scatter_samples)
@@ -221,15 +222,16 @@ def cases(scenes: Path, folder: Path) -> list[ConcavityCase]:
     sphere, along, across = _meshes(folder)
 
     on_mesh = partial(mesh_scene, scenes)
+    on_sphere = partial(mesh_scene, scenes, sphere, -380.0, SPHERE_PX)
     wide, green = {"blur_px": 1.2}, {"wavelength_nm": 532.0}
     thick, sea = {"waist_mm": 2.5}, {"particle_scattering_per_m": 0.4}
     return [
         ConcavityCase("sandwave, its steep end", _scene(paper), wave, derived=True),
         ConcavityCase("sandwave, blur 1.2 px", _scene(paper, lens=wide), wave),
-        ConcavityCase("sphere of 60 mm", on_mesh(sphere, -380.0), short),
-        ConcavityCase("sphere, sheet of 2.5 mm", on_mesh(sphere, -380.0, laser=thick), short),
-        ConcavityCase("sphere, 532 nm", on_mesh(sphere, -380.0, laser=green), short),
-        ConcavityCase("sphere, all orders, turbid", on_mesh(sphere, -380.0, water=sea), short, 16),
+        ConcavityCase("sphere of 60 mm", on_sphere(), short),
+        ConcavityCase("sphere, sheet of 2.5 mm", on_sphere(laser=thick), short),
+        ConcavityCase("sphere, 532 nm", on_sphere(laser=green), short),
+        ConcavityCase("sphere, all orders, turbid", on_sphere(water=sea), short, 16),
         ConcavityCase("cylinders of 8 mm along the track", on_mesh(along, -330.0), short),
         ConcavityCase("cylinders of 8 mm across the track", on_mesh(across, -330.0), short),
         ConcavityCase(
@@ -238,7 +240,13 @@ def cases(scenes: Path, folder: Path) -> list[ConcavityCase]:
     ]
 
 
-def mesh_scene(scenes: Path, file: Path, z_mm: float, **sections: Document) -> Scene:
+def mesh_scene(
+    scenes: Path,
+    file: Path,
+    z_mm: float,
+    window_px: tuple[int, int, int, int] = (0, 0, 640, 480),
+    **sections: Document,
+) -> Scene:
     """The scene of the grooved block with a mesh in its place.
 
     Parameters
@@ -246,12 +254,18 @@ def mesh_scene(scenes: Path, file: Path, z_mm: float, **sections: Document) -> S
     scenes : Path, folder of the scenes
     file : Path, of the mesh, mm
     z_mm : float, mm, height of its origin in the tank
+    window_px : tuple of int, left, top, width and height of the part of the picture that is kept
     sections : Document, sections laid over those of the scene
     """
     place = {"position_mm": [225.0, 0.0, z_mm], "turn_deg": 0.0}
     target = {"shape": "mesh", "file": str(file), "albedo": 0.5, **place}
     base = load_rig(scenes / "paper" / "groove.toml").document
-    return _scene(base, target=target, **sections)
+    (left, top, width, height), (u, v) = window_px, base["lens"]["centre_px"]
+    part = {
+        "camera": {"width_px": width, "height_px": height},
+        "lens": {"centre_px": [u - left, v - top]},
+    }
+    return _scene(merge(base, part), target=target, **sections)
 
 
 def _scene(document: Document, **sections: Document) -> Scene:

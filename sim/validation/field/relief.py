@@ -31,7 +31,12 @@ CREST_MM, RIPPLE_MM = 4.0, 20.0  # height and length of the ripples
 ROUGH_MM, FINEST_PER_MM, COARSEST_PER_MM, STEEPNESS = 0.8, 0.3, 0.008, 3.5
 WAVES = 250
 FRAMES = 100  # 1 mm apart
-FEWER = 66  # of a quick run: a spectrum takes 64
+WINDOW_PX = (220, 290, 200, 130)
+"""Left, top, width and height of the part of the picture that is rendered: it shows the patch."""
+
+FEWER, COARSE_MM, NARROW_PX = 66, 0.5, (290, 290, 60, 130)
+"""The same three of a quick run: a spectrum takes 64 frames."""
+
 ENDS = 8  # frames at either end that only serve as neighbours
 SEED = 3
 BANDS: Mapping[str, tuple[float, float]] = {"60 to 120": (0.06, 0.12), "120 to 250": (0.12, 0.25)}
@@ -67,7 +72,7 @@ def relief_rows(scenes: Path, effort: FieldEffort) -> list[Row]:
     """
     rows = []
     for name, shape in ((RIPPLES, ripples), ("rough bed", rough_bed)):
-        found = _scanned(scenes, shape, FEWER if effort.plain else FRAMES)
+        found = _scanned(scenes, shape, effort)
         rows += _judged(name, found, effort)
     return rows
 
@@ -89,20 +94,23 @@ def rough_bed(x_mm: Floats, y_mm: Floats) -> Floats:
     return ROUGH_MM * height / height.std()
 
 
-def _scanned(scenes: Path, shape: Shape, frames: int) -> ReliefScan:
+def _scanned(scenes: Path, shape: Shape, effort: FieldEffort) -> ReliefScan:
     """The patch of that shape, rendered and read without noise."""
+    frames, grid_mm, window_px = FRAMES, GRID_MM, WINDOW_PX
+    if effort.plain:
+        frames, grid_mm, window_px = FEWER, COARSE_MM, NARROW_PX
     with TemporaryDirectory() as folder:
         path = Path(folder) / "patch.ply"
-        write_atomically(path, _patch(shape).export(file_type="ply"))
-        scene = mesh_scene(scenes, path, -330.0)
+        write_atomically(path, _patch(shape, grid_mm).export(file_type="ply"))
+        scene = mesh_scene(scenes, path, -330.0, window_px)
         positions = np.arange(frames) - (frames - 1) / 2
         scan = short_scan(scene, tuple(positions.tolist()))
     return ReliefScan(scan, *sheet_of(scene))
 
 
-def _patch(shape: Shape) -> trimesh.Trimesh:
+def _patch(shape: Shape, grid_mm: float) -> trimesh.Trimesh:
     """The triangles of a height field."""
-    side = np.arange(-HALF_MM, HALF_MM + GRID_MM / 2, GRID_MM)
+    side = np.arange(-HALF_MM, HALF_MM + grid_mm / 2, grid_mm)
     x, y = np.meshgrid(side, side)
     vertices = np.column_stack([x.ravel(), y.ravel(), shape(x, y).ravel()])
     return plain_mesh(vertices, grid_faces(*x.shape))

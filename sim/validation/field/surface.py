@@ -55,6 +55,9 @@ BLOCK_MM = (50.0, 163.0)
 """Track positions over the block's wedges and enough of its sides, 1 mm apart: 2 mm apart its yaw
 comes out up to 0.2 degrees off, with 0.06 stated."""
 
+COARSE = 2.0
+"""Times these distances are those of a quick run, whose yaw and intervals nobody judges."""
+
 SETUPS = 4
 """Calibrations, each with a block scanned and aligned; the target's exposures take them in turn.
 To render and expose the block's many frames is most of the work."""
@@ -80,14 +83,15 @@ def surface_rows(scenes: Path, effort: FieldEffort) -> list[Row]:
     block, board = (_rendered(scenes, name, effort) for name in ("sandwave", "board"))
     plane_map = "polynomial-5" if effort.plain else board.rig.calibration.plane_map
     maps = [one.plane_map for one in calibrations(board, effort.seeds[:SETUPS], plane_map)]
-    stripe, over_block = block.rig.stripe, np.arange(*BLOCK_MM).tolist()
+    apart = COARSE if effort.plain else 1.0
+    stripe, over_block = block.rig.stripe, np.arange(*BLOCK_MM, apart).tolist()
     with TemporaryDirectory() as folder:
         mesh = target_mesh()
         file = Path(folder) / "target.ply"
         write_atomically(file, mesh.export(file_type="ply"))
         target = _target_scene(block, file)
         blocks = read_scan(block, over_block, effort.seeds[: len(maps)], stripe)
-        scans = read_scan(target, _over_target(), effort.seeds, stripe)
+        scans = read_scan(target, _over_target(apart * STEP_MM), effort.seeds, stripe)
         kept = [
             _kept(block, _raw(block, reading, one), Path(folder))
             for reading, one in zip(blocks, maps, strict=True)
@@ -199,10 +203,10 @@ def _target_scene(block: Scene, file: Path) -> Scene:
     return replace(scene, tank=scene.tank.model_copy(update={"render": block.tank.render}))
 
 
-def _over_target() -> list[float]:
+def _over_target(step_mm: float) -> list[float]:
     """Track positions, mm, over the slab."""
     middle, reach = float(PLACE["position_mm"][1]), HALF_MM + STEP_MM
-    return np.arange(middle - reach, middle + reach + STEP_MM / 2, STEP_MM).tolist()
+    return np.arange(middle - reach, middle + reach + step_mm / 2, step_mm).tolist()
 
 
 def _raw(scene: Scene, reading: ScanReading, plane_map: PlaneMap) -> Surface:

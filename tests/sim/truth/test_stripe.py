@@ -390,7 +390,12 @@ def test_a_crease_is_an_edge_and_a_facet_is_none(tmp_path):
 
 
 def test_grains_of_sand_are_no_edges():
-    bare, sanded = sandwave(), sandwave({"sand": {"grain_mm": 0.4}})
+    # A block of 100 mm: the whole one has five million facets.
+    small = {"kind": "sandwave", "side_mm": 90.0, "rim_mm": 5.0, "wedge": {"reach_mm": 4.0}}
+    bare, sanded = (
+        sandwave({"position_mm": [30.0, 0.0, 0.0], **coat}, workpiece=small)
+        for coat in ({}, {"sand": {"grain_mm": 0.4}})
+    )
     for scene in (bare, sanded):
         truth = stripe_truth(scene, 20.0)
         assert np.nanmax(truth.edge_px) > 30
