@@ -55,6 +55,6 @@ def test_the_egg_is_compared_where_the_camera_sees_it() -> None:
 
 def test_the_target_stands_in_the_blocks_scene() -> None:
     scene = chapter._rendered(SCENES, "sandwave", chapter.FieldEffort(plain=True))
-    positions = chapter._over_target()
+    positions = chapter._over_target(chapter.STEP_MM)
     assert scene.tank.render.samples == 1
     assert positions[0] < 60 - chapter.HALF_MM and positions[-1] > 60 + chapter.HALF_MM
