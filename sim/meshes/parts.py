@@ -76,7 +76,13 @@ def moved(part: MeshPart, pose: Pose) -> MeshPart:
 
 
 def plain_mesh(vertices: Floats, faces: Ints) -> trimesh.Trimesh:
-    """The mesh of (N, 3) vertices in mm and (M, 3) faces, just as they are."""
+    """The mesh of vertices and faces, just as they are.
+
+    Parameters
+    ----------
+    vertices : (N, 3) array, mm
+    faces : (M, 3) array, indices of their vertices, counter-clockwise seen from outside
+    """
     return trimesh.Trimesh(vertices, faces, process=False)
 
 
@@ -92,7 +98,12 @@ def plane_mesh(shape: Polygon | MultiPolygon, axes: tuple[int, int]) -> trimesh.
 
 
 def grid_faces(rows: int, columns: int) -> Ints:
-    """Two triangles a cell of a grid of vertices laid row by row, facing up."""
+    """Two triangles a cell of a grid of vertices laid row by row, facing up.
+
+    Parameters
+    ----------
+    rows, columns : int, of vertices: x rises along a row, y from row to row
+    """
     index = np.arange(rows * columns).reshape(rows, columns)
     a, b = index[:-1, :-1].ravel(), index[:-1, 1:].ravel()
     c, d = index[1:, 1:].ravel(), index[1:, :-1].ravel()
