@@ -78,15 +78,7 @@ def reading_of(board: Board, noise_px: float, generator: np.random.Generator) ->
     """
 
     def marks(places: Floats) -> Marks:
-        image = image_px(places)
-        image = image + noise_px * generator.standard_normal(image.shape)
-        seen = np.all((image >= 0) & (image <= np.array(IMAGE_SIZE) - 1), axis=1)
-        return Marks(
-            board_mm=places,
-            image_px=np.where(seen[:, None], image, np.nan),
-            sigma_px=np.where(seen, max(noise_px, 1e-4), np.nan),
-            status=np.where(seen, Status.OK, Status.OUT_OF_VIEW).astype(np.int64),
-        )
+        return seen_marks(places, image_px(places), IMAGE_SIZE, noise_px, generator)
 
     rulers = [RulerReading(r.direction, r.at_mm, marks(r.points_mm())) for r in board.ruler]
     return BoardReading(
@@ -95,4 +87,33 @@ def reading_of(board: Board, noise_px: float, generator: np.random.Generator) ->
         shape=(board.grid.rows, board.grid.columns),
         grid=marks(board.grid.points_mm()),
         rulers=tuple(rulers),
+    )
+
+
+def seen_marks(
+    board_mm: Floats,
+    exact_px: Floats,
+    image_size: tuple[int, int],
+    noise_px: float,
+    generator: np.random.Generator,
+) -> Marks:
+    """Marks with normal noise in u and in v; OUT_OF_VIEW where that takes them off the picture.
+
+    Their sigma_px is the noise, or 1e-4 px where there is none.
+
+    Parameters
+    ----------
+    board_mm : (N, 2) array, mm, on the board
+    exact_px : (N, 2) array, px, where the camera sees them
+    image_size : tuple of int, (width, height) of the picture, px
+    noise_px : float, px, standard deviation
+    generator : Generator, of NumPy
+    """
+    image = exact_px + noise_px * generator.standard_normal(exact_px.shape)
+    seen = np.all((image >= 0) & (image <= np.array(image_size) - 1), axis=1)
+    return Marks(
+        board_mm=board_mm,
+        image_px=np.where(seen[:, None], image, np.nan),
+        sigma_px=np.where(seen, max(noise_px, 1e-4), np.nan),
+        status=np.where(seen, Status.OK, Status.OUT_OF_VIEW).astype(np.int64),
     )

@@ -31,6 +31,7 @@ from lscan.records import Axis
 FORMAT: Final = "lscan-metric-calibration"
 CAMERA_FORMAT: Final = "lscan-camera-calibration"
 VERSION = 1
+ALIKE = ("software", "image_size", "optics", "k3")  # what a file and solve.SolvedViews name alike
 
 
 @dataclass(frozen=True)
@@ -99,14 +100,9 @@ class StoredViews(Strict):
 
     def solved(self) -> dict[str, Any]:
         """The fields of a SolvedViews."""
-        return {
-            "views": tuple(view.view() for view in self.views),
-            "optics": self.optics,
-            "k3": self.k3,
-            "image_size": self.image_size,
-            "sigma": self.camera_sigma,
-            "software": self.software,
-        }
+        views = tuple(view.view() for view in self.views)
+        alike = {name: getattr(self, name) for name in ALIKE}
+        return alike | {"sigma": self.camera_sigma, "views": views}
 
 
 class MetricFile(StoredViews):
@@ -141,15 +137,9 @@ Content = TypeVar("Content", bound=StoredViews)
 
 def _stored(calibration: SolvedViews) -> dict[str, Any]:
     """The fields of a StoredViews, but for its format."""
-    return {
-        "version": VERSION,
-        "software": calibration.software,
-        "image_size": calibration.image_size,
-        "optics": calibration.optics,
-        "k3": calibration.k3,
-        "camera_sigma": calibration.sigma,
-        "views": tuple(StoredView.model_validate(asdict(view)) for view in calibration.views),
-    }
+    views = tuple(StoredView.model_validate(asdict(view)) for view in calibration.views)
+    alike = {name: getattr(calibration, name) for name in ALIKE}
+    return alike | {"version": VERSION, "camera_sigma": calibration.sigma, "views": views}
 
 
 def _content(document: Any, model: type[Content], what: str, path: Path) -> Content:

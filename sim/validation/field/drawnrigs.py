@@ -9,13 +9,14 @@ from collections.abc import Sequence
 import numpy as np
 from scipy.optimize import fsolve
 
+from lscan.benchmark.boards import seen_marks
 from lscan.calibration.multiview.solve import calibrate_metric
 from lscan.calibration.multiview.views import CalibrationView, LinePoints
 from lscan.calibration.physical import PhysicalMap
 from lscan.calibration.solve import calibrate
 from lscan.config.board import Board
 from lscan.config.rig import OpticsSection
-from lscan.records import BoardReading, Floats, Marks, RulerReading, Status
+from lscan.records import BoardReading, Floats, Marks, RulerReading
 from sim.scene import Pose, Scene, camera_pose, head_pose, target_pose
 from sim.truth import project, sheet_of
 
@@ -97,15 +98,7 @@ def drawn_reading(scene: Scene, generator: np.random.Generator) -> BoardReading:
 def _marks(scene: Scene, pose: Pose, board_mm: Floats, generator: np.random.Generator) -> Marks:
     """Marks at (N, 2) mm of a board in that pose."""
     exact = project(scene, pose.apply(in_space(board_mm)))
-    image: Floats = exact + generator.normal(0.0, NOISE_PX, exact.shape)
-    size = np.array(scene.rig.camera.size_px)
-    seen = np.all((image >= 0) & (image <= size - 1), axis=1)
-    return Marks(
-        board_mm=board_mm,
-        image_px=np.where(seen[:, None], image, np.nan),
-        sigma_px=np.where(seen, NOISE_PX, np.nan),
-        status=np.where(seen, Status.OK, Status.OUT_OF_VIEW).astype(np.int64),
-    )
+    return seen_marks(board_mm, exact, scene.rig.camera.size_px, NOISE_PX, generator)
 
 
 def _view(number: int, scene: Scene, pose: Pose, generator: np.random.Generator) -> CalibrationView:

@@ -158,6 +158,8 @@ def test_check_takes_a_picture_to_the_water_that_a_file_states(
             ("--correct", "focus", "scale, index, shift"),
         ),
         (("--correct", "index", "--update", "x.json"), ("no index of the water",)),
+        (("--correct", "shift", "--update", "x.json"), ("placed_mm", "a shift cannot be told")),
+        (("--optics", "no.toml"), ("no.toml",)),
     ],
 )
 def test_corrections_that_there_are_not_are_refused(
