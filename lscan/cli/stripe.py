@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from lscan.cli.arguments import Json, Overlay, PictureOrRun, Trust, require_folders
-from lscan.cli.console import print_json
+from lscan.cli.console import note, print_json
 
 if TYPE_CHECKING:
     from lscan.config.rig import Rig, StripeSection
@@ -68,6 +68,7 @@ def extract(
     from lscan.config.rig import StripeSection
     from lscan.errors import InputError
     from lscan.files.pictures import write_picture
+    from lscan.records import Status
     from lscan.stripe import draw_stripe, save_stripe
     from lscan.surface.profile import to_profile
 
@@ -98,6 +99,10 @@ def extract(
     if output:
         for path, number in zip(_names(output, len(stripes)), range(len(stripes)), strict=True):
             save_stripe(path, stripes[number], points[number] if points else None)
+    if any((s.status == Status.AMBIGUOUS).mean() > 0.25 for s in stripes):
+        note(
+            "many columns hold several lines as bright: try --returns first, last or both, or --roi"
+        )
     lines = [_counted(s, points[k] if points else None) for k, s in enumerate(stripes)]
     if json:
         print_json(lines[0] if len(lines) == 1 else {"lines": lines})

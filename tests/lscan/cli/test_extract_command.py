@@ -114,6 +114,7 @@ def test_both_lines_of_two_lasers_are_read(
         assert np.abs(centres - v).max() < 0.2
         assert (read_picture(overlay)[int(v)] == [0, 255, 0]).all()
     refused(call(capsys, "extract", picture, "--returns", "both", "-c", calibration), "-c", "two")
+    assert "several lines" in call(capsys, "extract", picture)[2] and "several lines" not in err
 
 
 def test_a_part_of_the_picture_and_a_mask(
