@@ -338,11 +338,6 @@ _PNG = (cv2.IMWRITE_PNG_STRATEGY, cv2.IMWRITE_PNG_STRATEGY_HUFFMAN_ONLY)
 
 def _write_picture(image: Bytes, file: Path) -> str:
     """Write a picture, synced; the SHA-256 of its file."""
-    png = _encode(image, file)
+    png = encoded(image, ".png", _PNG, where=file)
     write_atomically(file, png)
     return hashlib.sha256(png).hexdigest()
-
-
-def _encode(image: Bytes, file: Path) -> bytes:
-    """The picture as PNG, encoded in the way that is fastest for noisy ones."""
-    return encoded(image, ".png", _PNG, where=file)

@@ -9,7 +9,6 @@ corners and about them are dark and bright in turn.
 """
 
 from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass
 
 import cv2
@@ -21,6 +20,10 @@ from lscan.board.search import NEXT, moved
 from lscan.errors import BoardNotFound
 from lscan.records import Bytes, Floats, Mask
 
+DETECTORS = (  # the newer, then the older
+    (cv2.findChessboardCornersSB, cv2.CALIB_CB_EXHAUSTIVE),
+    (cv2.findChessboardCorners, cv2.CALIB_CB_ADAPTIVE_THRESH | cv2.CALIB_CB_NORMALIZE_IMAGE),
+)
 SEED = 1
 UNEVEN = 0.3  # of a step, its change to the next: perspective makes 0.1, a skipped row 1
 PATCH = 0.12  # Gaussian sigma, of a step, under which a square's grey value is taken
@@ -65,19 +68,16 @@ def find_lattice(picture: Bytes, columns: int, rows: int) -> Floats:
         Where no detector finds the corners, or the picture does not bear out what they find.
     """
     best, doubted = None, False
-    for detect in (_by_sections, _by_squares, _by_saddles):
-        if best is not None and detect is _by_saddles:
-            break
-        with _repeatable():
-            for corners in detect(picture, columns, rows):
-                seen = _judged(picture, corners)
-                doubted |= seen is None
-                if seen is not None and (best is None or seen.right > best.right):
-                    best = seen
-                if best is not None and best.whole:
-                    return best.corners
-    if best is not None:
-        return best.corners
+    for detect in (_by_opencv, _by_saddles):
+        for corners in detect(picture, columns, rows):
+            seen = _judged(picture, corners)
+            doubted |= seen is None
+            if seen is not None and (best is None or seen.right > best.right):
+                best = seen
+            if best is not None and best.whole:
+                return best.corners
+        if best is not None:
+            return best.corners
     if doubted:
         raise BoardNotFound(
             f"corners were found, but they are no even lattice of {columns} by {rows} between "
@@ -90,30 +90,18 @@ def find_lattice(picture: Bytes, columns: int, rows: int) -> Floats:
     )
 
 
-@contextmanager
-def _repeatable() -> Iterator[None]:
-    """OpenCV's random numbers from one seed, and drawn by one thread."""
+def _by_opencv(picture: Bytes, columns: int, rows: int) -> Iterator[Floats]:
+    """What OpenCV's detectors find, with random numbers from one seed, drawn by one thread."""
     threads = cv2.getNumThreads()
-    cv2.setNumThreads(1)
-    cv2.setRNGSeed(SEED)
-    try:
-        yield
-    finally:
-        cv2.setNumThreads(threads)
-
-
-def _by_sections(picture: Bytes, columns: int, rows: int) -> Iterator[Floats]:
-    flags = cv2.CALIB_CB_EXHAUSTIVE
-    found, corners = cv2.findChessboardCornersSB(picture, (columns, rows), flags=flags)
-    if found:
-        yield np.asarray(corners, dtype=float).reshape(rows, columns, 2)
-
-
-def _by_squares(picture: Bytes, columns: int, rows: int) -> Iterator[Floats]:
-    flags = cv2.CALIB_CB_ADAPTIVE_THRESH | cv2.CALIB_CB_NORMALIZE_IMAGE
-    found, corners = cv2.findChessboardCorners(picture, (columns, rows), flags=flags)
-    if found:
-        yield np.asarray(corners, dtype=float).reshape(rows, columns, 2)
+    for detect, flags in DETECTORS:
+        cv2.setNumThreads(1)
+        cv2.setRNGSeed(SEED)
+        try:
+            found, corners = detect(picture, (columns, rows), flags=flags)
+        finally:
+            cv2.setNumThreads(threads)
+        if found:
+            yield np.asarray(corners, dtype=float).reshape(rows, columns, 2)
 
 
 def _by_saddles(picture: Bytes, columns: int, rows: int) -> Iterator[Floats]:

@@ -42,19 +42,13 @@ def draw_overlay(image: NDArray[Any], reading: BoardReading) -> Bytes:
     pitch = local_pitch(lattice)
     _draw_boxes(canvas, lattice, pitch)
     arm = float(np.clip(np.nanmedian(pitch) / 10, 2, 8)) if np.isfinite(pitch).any() else 4.0
-    for point in _known(reading.grid.image_px):
-        _stroke(canvas, point, (arm, arm), CONTROL_POINT)
-        _stroke(canvas, point, (arm, -arm), CONTROL_POINT)
+    _crosses(canvas, reading.grid.image_px, np.array([[arm, arm], [arm, -arm]]), CONTROL_POINT)
     for ruler in reading.rulers:
-        for point in _known(ruler.marks.image_px):
-            _stroke(canvas, point, (2.0, 0.0), RULER)
-            _stroke(canvas, point, (0.0, 2.0), RULER)
+        _crosses(canvas, ruler.marks.image_px, 2 * np.eye(2), RULER)
     for dot in reading.dots.values():
-        for point in _known(dot.image_px[None]):
-            _circle(canvas, point, 4.0, DOT)
+        _circles(canvas, dot.image_px[None], 4.0, DOT)
     for ring in reading.rings.values():
-        for point in _known(ring.image_px):
-            _circle(canvas, point, 0.7, RING)
+        _circles(canvas, ring.image_px, 0.7, RING)
     return canvas
 
 
@@ -90,9 +84,11 @@ def _fixed(point: Floats) -> tuple[int, int]:
     return int(u), int(v)
 
 
-def _stroke(canvas: Bytes, middle: Floats, half: tuple[float, float], colour: Colour) -> None:
-    first, last = _fixed(middle - np.array(half)), _fixed(middle + np.array(half))
-    cv2.line(canvas, first, last, colour, 1, cv2.LINE_AA, SUBPIXEL_BITS)
+def _crosses(canvas: Bytes, points: Floats, halves: Floats, colour: Colour) -> None:
+    for point in _known(points):
+        for half in halves:
+            ends = _fixed(point - half), _fixed(point + half)
+            cv2.line(canvas, *ends, colour, 1, cv2.LINE_AA, SUBPIXEL_BITS)
 
 
 def _box(canvas: Bytes, middle: Floats, half: float, colour: Colour) -> None:
@@ -100,6 +96,7 @@ def _box(canvas: Bytes, middle: Floats, half: float, colour: Colour) -> None:
     cv2.rectangle(canvas, first, last, colour, 1, cv2.LINE_AA, SUBPIXEL_BITS)
 
 
-def _circle(canvas: Bytes, middle: Floats, radius: float, colour: Colour) -> None:
+def _circles(canvas: Bytes, points: Floats, radius: float, colour: Colour) -> None:
     size = round(radius * 2**SUBPIXEL_BITS)
-    cv2.circle(canvas, _fixed(middle), size, colour, 1, cv2.LINE_AA, SUBPIXEL_BITS)
+    for point in _known(points):
+        cv2.circle(canvas, _fixed(point), size, colour, 1, cv2.LINE_AA, SUBPIXEL_BITS)

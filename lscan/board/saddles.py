@@ -11,18 +11,11 @@ from collections.abc import Iterator
 import cv2
 import numpy as np
 
-from lscan.board.centre import SMALLEST_SIGMA_PX, fit_centres
+from lscan.board.centre import SMALLEST_SIGMA_PX, Centres, fit_centres
 from lscan.board.picture import Image, noise_of
-from lscan.board.search import (
-    ELSEWHERE,
-    Nodes,
-    expected_places,
-    local_pitch,
-    mean_beside,
-    with_rim,
-)
+from lscan.board.search import Nodes, seeded, spread
 from lscan.board.seeds import find_crosses
-from lscan.records import Floats
+from lscan.records import Floats, Mask
 
 SCALES_PX = (1.5, 3.0, 6.0)  # of the smoothing: squares of 8 to 200 px show in one of them
 WEAKEST = 0.25  # of the ninth sharpest saddle: slanting light and noise, but not what an edge makes
@@ -77,46 +70,18 @@ def _saddles(grey: Image, scale_px: float) -> tuple[Floats, Floats]:
 
 def _grown(grey: Image, noise: Image, seeds: Floats, most: int) -> Nodes:
     """All corners that can be reached from the seeds."""
+    last = np.array(grey.shape[::-1]) - 1
+
+    def seek(expected: Floats, square: Floats, beside: Floats) -> tuple[Centres, Mask]:
+        sigma = np.clip(WINDOW * square, SMALLEST_SIGMA_PX, LARGEST_SIGMA_PX)
+        corners = fit_centres(grey, expected, sigma, noise, saddles=True)
+        near = np.linalg.norm(corners.points - expected, axis=1) <= BOX * square + 1
+        inside = ((corners.points >= 0) & (corners.points <= last)).all(axis=1)
+        sharp = corners.sigma_px <= FAINTEST * beside[:, 1]
+        return corners, corners.round & near & inside & sharp
+
     nodes = Nodes.empty(2 * most + 1, 2 * most + 1)
-    where = (np.array([most, most + 1, most]), np.array([most, most, most + 1]))
-    square = np.full(3, np.linalg.norm(seeds[1:] - seeds[0], axis=1).mean())
-    if not _entered(nodes, where, seeds, square, np.full(3, np.inf), grey, noise):
-        return nodes
-    vain = np.full_like(nodes.points, np.nan)
-    while nodes.found.sum() >= 3:
-        window = with_rim(nodes.extent())
-        part, tried = nodes.part(window), vain[window]
-        expected, square = expected_places(part.points), mean_beside(local_pitch(part.points))
-        usual = mean_beside(part.sigma_px)
-        todo = ~part.found & np.isfinite(expected[..., 0]) & np.isfinite(square + usual)
-        todo &= ~(np.linalg.norm(expected - tried, axis=2) < ELSEWHERE * BOX * square)
-        tried[todo] = expected[todo]
-        at = np.nonzero(todo)
-        if not _entered(part, at, expected[todo], square[todo], usual[todo], grey, noise):
-            break
+    where, square = seeded((most, most), seeds)
+    nodes.put(where, *seek(seeds, square, np.full((3, 2), np.inf)))
+    spread(nodes, seek, BOX)
     return nodes
-
-
-def _entered(
-    nodes: Nodes,
-    where: tuple[np.ndarray, ...],
-    expected: Floats,
-    square: Floats,
-    usual_px: Floats,
-    grey: Image,
-    noise: Image,
-) -> bool:
-    """Enter the corners near the places expected (N, 2) px; True where there was one.
-
-    square: (N,) px, of a side.  usual_px: (N,) uncertainty of the corners beside.
-    """
-    if len(expected) == 0:
-        return False
-    sigma = np.clip(WINDOW * square, SMALLEST_SIGMA_PX, LARGEST_SIGMA_PX)
-    corners = fit_centres(grey, expected, sigma, noise, saddles=True)
-    near = np.linalg.norm(corners.points - expected, axis=1) <= BOX * square + 1
-    height, width = grey.shape
-    inside = ((corners.points >= 0) & (corners.points <= [width - 1, height - 1])).all(axis=1)
-    accepted = corners.round & near & inside & (corners.sigma_px <= FAINTEST * usual_px)
-    nodes.put(where, corners, accepted)
-    return bool(accepted.any())

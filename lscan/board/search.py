@@ -5,6 +5,7 @@ place is searched, and so on until no dot is left.  All dots at the rim of what 
 are searched at once, so a board of thousands of dots takes some tens of rounds.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -20,6 +21,11 @@ NOISE_LIMIT = 6.0  # sigmas above the ground
 ELSEWHERE = 0.1  # of the box: a mark expected less far away would have been seen before
 SEARCH_STEPS = 4  # of Newton's: 1e-6 px from half a pixel away
 NEXT = ((0, 1), (0, -1), (1, 0), (-1, 0))
+
+
+Seek = Callable[[Floats, Floats, Floats], tuple[Centres, Mask]]
+"""From where N marks are expected (N, 2), px, the pitch there (N,), px, and the mean height and
+uncertainty (N, 2) of the marks beside, to what is seen there and the mask of what is a mark."""
 
 
 @dataclass(frozen=True)
@@ -116,53 +122,68 @@ def grow(
     ----------
     Sec. III.1 and Fig. 12 of the paper.
     """
+
+    def in_view(points: Floats, pitch: Floats) -> Mask:
+        return picture.wholly_in_view(points, dot * pitch / 2)
+
+    def seek(expected: Floats, pitch: Floats, beside: Floats) -> tuple[Centres, Mask]:
+        box = BOX * pitch
+        centres = look(picture, expected, box, window_sigma(dot * pitch / 2))
+        near = np.abs(centres.points - expected).max(axis=1) <= box + 1
+        alike = centres.height >= FAINTEST * beside[:, 0]
+        return centres, centres.round & in_view(centres.points, pitch) & near & alike
+
     nodes = Nodes.empty(*shape)
-    row, column = corner
-    where = (np.array([row, row + 1, row]), np.array([column, column, column + 1]))
-    pitch = np.full(3, np.linalg.norm(seeds[1:] - seeds[0], axis=1).mean())
+    where, pitch = seeded(corner, seeds)
     centres = look(picture, seeds, SEED_BOX * pitch, window_sigma(dot * pitch / 2))
     alike = centres.height > FAINTEST * np.median(centres.height)
     nodes.put(where, centres, centres.round & alike)
-    if nodes.found.sum() < 3:
-        return nodes
-    vain = np.full_like(nodes.points, np.nan)
-    while _one_round(picture, nodes.part(part := with_rim(nodes.extent())), vain[part], dot):
-        pass
+    spread(nodes, seek, BOX, in_view)
     return nodes
 
 
-def with_rim(extent: tuple[slice, slice]) -> tuple[slice, slice]:
-    """The same rows and columns, and those beside them.
+def seeded(corner: tuple[int, int], seeds: Floats) -> tuple[tuple[Ints, Ints], Floats]:
+    """Rows and columns (3,) of the three seeds, and the pitch there (3,), px.
 
     Parameters
     ----------
-    extent : tuple of slice, of rows and of columns
+    corner : tuple of int, (row, column) of the first
+    seeds : (3, 2) array, px, (u, v) of it, of the one beneath and of the one to its right
     """
-    rows, columns = (slice(max(part.start - 1, 0), part.stop + 1) for part in extent)
-    return rows, columns
+    row, column = corner
+    pitch = np.full(3, np.linalg.norm(seeds[1:] - seeds[0], axis=1).mean())
+    return (np.array([row, row + 1, row]), np.array([column, column, column + 1])), pitch
 
 
-def _one_round(picture: BoardPicture, nodes: Nodes, vain: Floats, dot: float) -> bool:
-    """Search every node beside those found; True where a dot was added.
+def spread(
+    nodes: Nodes, seek: Seek, box: float, in_view: Callable[[Floats, Floats], Mask] | None = None
+) -> None:
+    """Fill in all marks that can be reached from those found, if these are three or more.
 
-    vain: (R, C, 2) px, the places searched without success: a node is searched again only once
-    it is expected elsewhere.  Those of this round are entered.
+    Parameters
+    ----------
+    nodes : Nodes, px, changed in place
+    seek : callable, which looks for marks at places
+    box : float, half side of the box in which it does, of the pitch
+    in_view : callable, optional, which of the places (R, C, 2) with their pitch (R, C) can be
+        looked at; all by default
     """
-    expected = expected_places(nodes.points)
-    pitch, height = mean_beside(local_pitch(nodes.points)), mean_beside(nodes.height)
-    todo = ~nodes.found & np.isfinite(expected[..., 0]) & np.isfinite(pitch)
-    todo &= picture.wholly_in_view(expected, dot * pitch / 2)
-    todo &= ~(np.linalg.norm(expected - vain, axis=2) < ELSEWHERE * BOX * pitch)
-    where = np.nonzero(todo)
-    box = BOX * pitch[todo]
-    centres = look(picture, expected[todo], box, window_sigma(dot * pitch[todo] / 2))
-    miss = np.abs(centres.points - expected[todo]).max(axis=1)
-    inside = picture.wholly_in_view(centres.points, dot * pitch[todo] / 2)
-    accepted = centres.round & inside & (miss <= box + 1)
-    accepted &= centres.height >= FAINTEST * height[todo]
-    nodes.put(where, centres, accepted)
-    vain[where] = expected[todo]
-    return bool(accepted.any())
+    vain = np.full_like(nodes.points, np.nan)
+    more = nodes.found.sum() >= 3
+    while more:
+        rows, columns = (slice(max(s.start - 1, 0), s.stop + 1) for s in nodes.extent())
+        part, tried = nodes.part((rows, columns)), vain[rows, columns]
+        expected, pitch = expected_places(part.points), mean_beside(local_pitch(part.points))
+        todo = ~part.found & np.isfinite(expected[..., 0]) & np.isfinite(pitch)
+        if in_view is not None:
+            todo &= in_view(expected, pitch)
+        # A node is searched again only once it is expected elsewhere.
+        todo &= ~(np.linalg.norm(expected - tried, axis=2) < ELSEWHERE * box * pitch)
+        tried[todo] = expected[todo]
+        beside = mean_beside(part.values[..., 2:])[todo]
+        seen, accepted = seek(expected[todo], pitch[todo], beside)
+        part.put(np.nonzero(todo), seen, accepted)
+        more = accepted.any()
 
 
 def look(picture: BoardPicture, expected: Floats, half_box: Floats, sigma: Floats) -> Centres:

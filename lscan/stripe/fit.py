@@ -12,7 +12,7 @@ from typing import cast
 import numpy as np
 from scipy.special import log_ndtr
 
-from lscan.records import Floats, Ints, Mask
+from lscan.records import Floats, Ints, Mask, select
 from lscan.stripe.crosssection import CENTRE, CrossSections, lines
 from lscan.stripe.noise.model import Noise
 
@@ -81,15 +81,6 @@ class LinePrior:
     mean: Floats
     precision: Floats
 
-    def of(self, chosen: Ints) -> "LinePrior":
-        """Some of the columns alone.
-
-        Parameters
-        ----------
-        chosen : (C,) array, indices among the K
-        """
-        return LinePrior(self.mean[chosen], self.precision[chosen])
-
 
 @dataclass(frozen=True)
 class LineFit:
@@ -145,7 +136,7 @@ def fit_lines(view: LineWindows, start: Floats, noise: Noise, prior: LinePrior) 
         settled[moving[done]] = True
         if done.any():
             moving = moving[~done]
-            part, known = view.of(moving), prior.of(moving)
+            part, known = view.of(moving), select(prior, moving)
         if len(moving) == 0:
             break
     return _judged(view, parameters, settled, noise, prior)

@@ -27,15 +27,6 @@ class Peaks:
     rows: Ints
     base: Floats
 
-    def of(self, chosen: Ints) -> "Peaks":
-        """Those chosen alone.
-
-        Parameters
-        ----------
-        chosen : (C,) array, indices among the K
-        """
-        return Peaks(self.columns[chosen], self.rows[chosen], self.base[chosen])
-
 
 def nominal_peaks(columns: Floats, settings: StripeSection) -> tuple[Stripe, Peaks]:
     """A stripe with peaks and statuses but no centres yet, and the columns that have a line.

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from lscan.records import Ints, Stripe, has_value
+from lscan.records import Ints, Mask, Stripe, has_value
 
 JUMP_PX = 3.0
 """A line that moves further than this from one column to the next has jumped: another surface
@@ -24,3 +24,18 @@ def pieces(stripe: Stripe) -> Ints:
     begins = valued.copy()
     begins[1:] &= ~goes_on
     return np.where(valued, np.cumsum(begins) - 1, -1)
+
+
+def neighbours(piece: Ints, steps: Ints) -> tuple[Ints, Mask]:
+    """(N, n) entries some steps from each, and the mask of those of the same piece.
+
+    Beyond the ends it is the entry at the end, which is not in the mask.
+
+    Parameters
+    ----------
+    piece : (N,) array, as :func:`pieces` numbers them
+    steps : (n,) array, entries
+    """
+    at = np.arange(len(piece))[:, None] + steps
+    inside = np.clip(at, 0, len(piece) - 1)
+    return inside, (at == inside) & (piece[inside] == piece[:, None]) & (piece[:, None] >= 0)

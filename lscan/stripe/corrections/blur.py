@@ -25,9 +25,9 @@ import numpy as np
 
 from lscan.config.rig import StripeSection
 from lscan.errors import InputError
-from lscan.records import Floats, Ints, Mask, Stripe, has_value
+from lscan.records import Floats, Ints, Stripe, has_value
 from lscan.stripe.peaks import windows
-from lscan.stripe.pieces import pieces
+from lscan.stripe.pieces import neighbours, pieces
 
 PIXEL_VARIANCE = 1 / 12
 """Variance in px² of the pixel's own width, which spreads light as the lens does."""
@@ -127,9 +127,7 @@ def _derivatives(values: Floats, sigma: Floats, run: Ints) -> _Derivatives:
     The values are taken to scatter by no less than they do about the quadratic.
     """
     steps = np.arange(-REACH_PX, REACH_PX + 1)
-    index = np.arange(len(values))[:, None] + steps
-    inside = np.clip(index, 0, len(values) - 1)
-    used: Mask = (index == inside) & (run[inside] == run[:, None]) & (run[:, None] >= 0)
+    inside, used = neighbours(run, steps)
     used &= np.isfinite(values)[inside]
     design = np.stack([steps**power for power in range(3)], axis=-1) * used[..., None]
     count = used.sum(axis=1)

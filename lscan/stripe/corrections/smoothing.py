@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 
 from lscan.records import Floats, Mask, Stripe, has_value
-from lscan.stripe.pieces import pieces
+from lscan.stripe.pieces import neighbours, pieces
 
 _REACH = 3  # standard deviations of the weight at which neighbours are left out
 _TUKEY = 4.685
@@ -40,13 +40,9 @@ def smooth(stripe: Stripe, smooth_px: float) -> Stripe:
     """
     if smooth_px == 0 or not has_value(stripe.status).any():
         return stripe
-    width = len(stripe.centre_px)
-    reach = min(int(np.ceil(_REACH * smooth_px)), width - 1)
+    reach = min(int(np.ceil(_REACH * smooth_px)), len(stripe.centre_px) - 1)
     step = np.arange(-reach, reach + 1)
-    at = np.arange(width)[:, None] + step
-    label = pieces(stripe)
-    inside = np.clip(at, 0, width - 1)
-    near = (at == inside) & (label[inside] == label[:, None]) & (label[:, None] >= 0)
+    inside, near = neighbours(pieces(stripe), step)
     fitted = np.flatnonzero(near.sum(axis=1) >= _FEWEST)
     near, inside = near[fitted], inside[fitted]
     centre = np.where(near, stripe.centre_px[inside], 0.0)

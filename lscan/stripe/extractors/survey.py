@@ -11,7 +11,7 @@ import numpy as np
 from scipy.ndimage import median_filter
 
 from lscan.config.rig import StripeSection
-from lscan.records import Floats, Ints, Mask, Status, Stripe
+from lscan.records import Floats, Ints, Mask, Status, Stripe, select
 from lscan.stripe.crosssection import LN_HEIGHT, LN_WIDTH, TILT, parameters_of
 from lscan.stripe.fit import LineFit, LinePrior, LineWindows, fit_lines
 from lscan.stripe.noise.model import Noise, constant_variance, stated_noise
@@ -114,7 +114,7 @@ def survey(image: Floats, settings: StripeSection, clipped: Mask) -> Survey | St
     view = _view(columns, lost, peaks, rough)
     start = _start(view, rough)
     sample = _pairs(len(rough))
-    sampled = (view.of(sample), peaks.of(sample), start[sample])
+    sampled = (view.of(sample), select(peaks, sample), start[sample])
     fit, noise, misfit = _fit_sample(*sampled, noise, settings)
     ln_width, tilt = (_between(fit, which, sample, len(rough)) for which in (LN_WIDTH, TILT))
     start[:, LN_WIDTH], start[:, TILT] = ln_width.value, tilt.value
@@ -159,7 +159,7 @@ def _rough_width(columns: Floats, peaks: Peaks, constant: float) -> Floats:
     in windows no wider than the line needs.
     """
     sample = _sample(len(peaks.rows))
-    chosen = peaks.of(sample)
+    chosen = select(peaks, sample)
     reach = _FIRST_REACH_PX
     for _ in range(2):
         light = _above_ground(windows(columns, chosen.columns, chosen.rows, reach))
@@ -208,7 +208,7 @@ def _within(
     inside = (peaks.rows >= reach) & (peaks.rows < height - reach)
     status = stripe.status.copy()
     status[peaks.columns[~inside]] = Status.AT_BORDER
-    kept = peaks.of(np.flatnonzero(inside))
+    kept = select(peaks, inside)
     return replace(stripe, status=status), kept, width_px[inside]
 
 

@@ -16,7 +16,7 @@ from lscan.files.pictures import read_picture
 from lscan.records import Bytes, Floats, Status, Stripe, has_value
 from lscan.stripe import extract_stripe
 from lscan.stripe.crosssection import lines, parameters_of
-from lscan.stripe.pieces import pieces
+from lscan.stripe.pieces import neighbours, pieces
 from sim.scene.instrument import Sensor
 from sim.sensor.coding import digitise, through_jpeg
 from sim.sensor.colour import ColourFilter
@@ -145,22 +145,19 @@ def neighbour_pulls(stripe: Stripe) -> Floats:
     ----------
     stripe : Stripe, px
     """
-    run = pieces(stripe)
     apart = np.arange(NEAR, FAR + 1)
     apart = apart[apart % 2 == 1]
     steps = np.concatenate([-apart[::-1], apart])
-    middle = np.arange(FAR + FAR % 2, len(run) - FAR, 2)
-    used = (run[middle + steps[:, None]] == run[middle]).T & (run[middle] >= 0)[:, None]
-    sides = np.split(used, 2, axis=1)
-    kept = np.all([side.sum(axis=1) >= FEWEST for side in sides], axis=0)
-    kept &= stripe.status[middle] == Status.OK
-    middle, used = middle[kept], used[kept]
-    at = middle[:, None] + steps
+    at, used = neighbours(pieces(stripe), steps)
+    kept = np.all([side.sum(axis=1) >= FEWEST for side in np.split(used, 2, axis=1)], axis=0)
+    kept &= stripe.status == Status.OK
+    kept[:FAR] = kept[-FAR:] = kept[1::2] = False
+    at, used = at[kept], used[kept]
     powers = (steps / FAR)[:, None] ** np.arange(3)
     normal = np.einsum("ks,si,sj->kij", used.astype(float), powers, powers)
     # How each neighbour moves the value in the middle, which is the first coefficient.
     influence = np.linalg.inv(normal)[:, 0] @ powers.T * used
     expected = (influence * np.nan_to_num(stripe.centre_px[at])).sum(axis=1)
     variance = (influence**2 * np.nan_to_num(stripe.sigma_px[at]) ** 2).sum(axis=1)
-    sigma = np.sqrt(stripe.sigma_px[middle] ** 2 + variance)
-    return np.asarray((stripe.centre_px[middle] - expected) / sigma)
+    sigma = np.sqrt(stripe.sigma_px[kept] ** 2 + variance)
+    return np.asarray((stripe.centre_px[kept] - expected) / sigma)

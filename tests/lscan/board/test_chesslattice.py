@@ -1,7 +1,5 @@
 """Which corners are the board's: slivers at the rim, rows skipped, chance, order of pictures."""
 
-import itertools
-
 import cv2
 import numpy as np
 import pytest
@@ -31,11 +29,10 @@ def drawn(view: DrawnView = VIEW, slivers: tuple[float, ...] = NO_SLIVERS, seed:
 
 
 def answering(monkeypatch: pytest.MonkeyPatch, *answers: Floats) -> None:
-    """The detectors give these answers, one each; those left none."""
-    detectors = ("_by_sections", "_by_squares", "_by_saddles")
-    for name, corners in itertools.zip_longest(detectors, answers):
-        found = [] if corners is None else [corners.reshape(ROWS, COLUMNS, 2)]
-        monkeypatch.setattr(chesslattice, name, lambda *_, found=found: found)
+    """The detectors give these answers, one each, OpenCV's two first; those left none."""
+    found = [corners.reshape(ROWS, COLUMNS, 2) for corners in answers]
+    monkeypatch.setattr(chesslattice, "_by_opencv", lambda *_: found[:2])
+    monkeypatch.setattr(chesslattice, "_by_saddles", lambda *_: found[2:])
 
 
 def lattice(rows: Floats, columns: Floats) -> Floats:

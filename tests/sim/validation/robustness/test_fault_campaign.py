@@ -199,7 +199,7 @@ def test_a_row_written_before_its_picture_is_seen(
     """(b)"""
 
     def row_first(self: RunWriter, frame: Frame) -> None:
-        png = lscan.acquisition.writer._encode(frame.image, self.path)
+        png = lscan.acquisition.writer.encoded(frame.image, ".png")
         numbers = (frame.commanded_mm, frame.position_mm, frame.time_s, frame.exposure_ms)
         digest = lscan.acquisition.writer.hashlib.sha256(png).hexdigest()
         row = FrameRow(frame.index, *numbers, digest).as_text()
