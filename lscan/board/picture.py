@@ -98,9 +98,11 @@ def bright_marks(image: NDArray[Any], channel: Channel, marks: str) -> Image:
         raise InputError("picture too small", where="image", value=array.shape, allowed=allowed)
     if not (np.issubdtype(array.dtype, np.integer) or np.issubdtype(array.dtype, np.floating)):
         raise InputError("not a picture", where="image", value=str(array.dtype), allowed="numbers")
-    if np.issubdtype(array.dtype, np.floating) and not np.isfinite(array).all():
+    with np.errstate(over="ignore"):  # beyond single precision is infinite
+        single = array.astype(np.float32)
+    if not np.isfinite(single).all():
         raise InputError("holds values that are not finite", where="image")
-    grey = np.ascontiguousarray(_one_channel(array.astype(np.float32), channel))
+    grey = np.ascontiguousarray(_one_channel(single, channel))
     return grey if marks == "bright" else -grey
 
 

@@ -14,7 +14,7 @@ from lscan.cli.console import note, print_json
 
 if TYPE_CHECKING:
     from lscan.config.rig import Rig, StripeSection
-    from lscan.records import Bytes, Mask, PlanePoints, Stripe
+    from lscan.records import Bytes, Ints, Mask, PlanePoints, Stripe
 
 BOTH = "both"
 RETURNS = ("brightest", "first", "last", BOTH)
@@ -148,25 +148,18 @@ def _names(output: Path, count: int) -> list[Path]:
     """A file for each line: ``NAME-0.csv`` and ``NAME-1.csv`` of two."""
     if count == 1:
         return [output]
-    return [output.with_name(f"{output.stem}-{number}{output.suffix}") for number in range(count)]
+    return [output.parent / f"{output.stem}-{number}{output.suffix}" for number in range(count)]
 
 
 def _counted(stripe: Stripe, points: PlanePoints | None) -> dict[str, Any]:
     """How many entries of a line there are, by status, as ``print_json`` takes it."""
     from lscan.records import has_value, status_counts
 
-    found = {
-        stripe.axis: len(stripe.status),
-        "found": int(has_value(stripe.status).sum()),
-        "status": status_counts(stripe.status),
-    }
-    if points is None:
-        return found
-    in_mm = {
-        "found": int(has_value(points.status).sum()),
-        "status": status_counts(points.status),
-    }
-    return found | {"points_mm": in_mm}
+    def counts(status: Ints) -> dict[str, Any]:
+        return {"found": int(has_value(status).sum()), "status": status_counts(status)}
+
+    found = {stripe.axis: len(stripe.status), **counts(stripe.status)}
+    return found if points is None else found | {"points_mm": counts(points.status)}
 
 
 def _print_line(line: dict[str, Any], axis: str, which: str) -> None:

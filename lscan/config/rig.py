@@ -106,7 +106,7 @@ class StripeSection(Strict):
     threshold_dn: Annotated[float, Field(ge=0, le=255)] = 40.0
     span_px: Annotated[int, Field(ge=1, le=100)] = 2
     returns: Literal["brightest", "first", "last"] = "brightest"
-    line_width_px: Annotated[float, Field(gt=0, le=60)] | None = None
+    line_width_px: Annotated[float, Field(ge=1, le=60)] | None = None
     smooth_px: Annotated[float, Field(ge=0, le=100)] = 0.0
     blur_px: Annotated[float, Field(gt=0, le=20)] | None = None
     noise: NoiseSection | None = None

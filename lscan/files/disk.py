@@ -190,7 +190,7 @@ def write_atomically(file: Path, data: bytes) -> None:
     InputError
         The disk refuses; ``DiskError`` where it is full or failed.
     """
-    temporary = file.with_name(temporary_name(file.name))
+    temporary = file.parent / temporary_name(file.name)
     with disk_errors(file):
         try:
             # What a killed writer left there, or a link that a stranger laid there.

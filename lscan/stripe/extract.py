@@ -1,6 +1,6 @@
 """From a picture to the stripe in it: the one function that everybody calls."""
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import lru_cache
 from typing import TypeVar, cast
 
@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lscan.config.plugins import find_plugin_or_function
-from lscan.config.rig import NoiseSection, StripeSection
+from lscan.config.rig import StripeSection
 from lscan.errors import InputError, LscanError
 from lscan.records import Bytes, Floats, Mask, Status, Stripe
 from lscan.stripe.api import Extractor, require_stripe
@@ -16,11 +16,11 @@ from lscan.stripe.core import core_flux
 from lscan.stripe.corrections.blur import correct_blur
 from lscan.stripe.corrections.smoothing import smooth
 from lscan.stripe.edges import doubted
-from lscan.stripe.lines import GreyValues, faint_threshold, lines_of
+from lscan.stripe.lines import GreyValues, PictureLines, check_pair, faint_threshold, lines_of
 from lscan.stripe.noise.along import at_least_seen
 from lscan.stripe.noise.model import difference_noise
 from lscan.stripe.peaks import clipped_near
-from lscan.stripe.returns import OneReturn, choose_return, withhold
+from lscan.stripe.returns import choose_return, withhold
 
 _Value = TypeVar("_Value", bound=np.generic)
 
@@ -69,13 +69,17 @@ def extract_stripe(
     array([4., 4., 4.])
     """
     extractor = find_extractor(settings.extractor)
-    light = _light(image, settings, background)
-    chosen = choose_return(light.grey.T, light.settings, light.clipped.T)
-    stripe = _called(extractor, light.settings, chosen.image, chosen.clipped)
+    light, known = _light(image, settings, background)
+    grey: Floats = light.grey.astype(np.float64)
+    chosen = choose_return(grey.T, known, light.clipped.T)
+    stripe = _called(extractor, known, chosen.image, chosen.clipped)
     stripe = _mark_saturated(stripe, chosen.clipped.T, light.white, settings.span_px)
     stripe = withhold(stripe, chosen.ambiguous)
-    for ground in light.grounds(chosen):
-        stripe = doubted(stripe, chosen.image.T, ground, settings.threshold_dn)
+    if chosen.textured:
+        stripe = doubted(stripe, chosen.image.T, grey, settings.threshold_dn)
+    if light.others is not None:
+        others = light.others.astype(np.float64)
+        stripe = doubted(stripe, chosen.image.T, others, settings.threshold_dn)
     if settings.noise is None:
         stripe = at_least_seen(stripe, chosen.image.T)
     stripe = correct_blur(stripe, settings, chosen.image.T)
@@ -83,55 +87,29 @@ def extract_stripe(
     return replace(stripe, flux=core_flux(stripe, chosen.image.T))
 
 
-@dataclass(frozen=True)
-class _LaserLight:
-    """What the laser adds to the picture, one row for each entry of the stripe.
+def _light(
+    image: Bytes, settings: StripeSection, background: Bytes | None
+) -> tuple[PictureLines, StripeSection]:
+    """The picture's lines less those of the background, and the settings with noise and threshold.
 
-    grey: (N, L) in DN.  clipped: (N, L) pixels at the end of the range by the laser's doing.
-    settings: with the noise, where stated, that ``grey`` has.  white, others: as of PictureLines.
+    Clipped are the pixels at the end of the range by the laser's doing.
     """
-
-    grey: Floats
-    clipped: Mask
-    settings: StripeSection
-    white: Mask | None
-    others: Bytes | None
-
-    def grounds(self, chosen: OneReturn) -> list[Floats]:
-        """Pictures of the target beside the line, (N, L) in DN, where there are any."""
-        seen = [self.grey] if chosen.textured else []
-        return seen if self.others is None else [*seen, self.others.astype(np.float64)]
-
-
-def _light(image: Bytes, settings: StripeSection, background: Bytes | None) -> _LaserLight:
-    """The picture's lines less those of the background, if there is one."""
+    check_pair(image, background)
     lit = lines_of(image, settings.channel, settings.axis, where="image")
-    grey: Floats = lit.grey.astype(np.float64)
     if settings.channel == "auto" and lit.others is not None:
         threshold_dn = min(settings.threshold_dn, faint_threshold(lit.grey))
         settings = settings.model_copy(update={"threshold_dn": threshold_dn})
-    if settings.noise is not None and lit.others is not None:
-        settings = _less(settings, settings.noise, lit.others)
-    if background is None:
-        return _LaserLight(grey, lit.clipped, settings, lit.white, lit.others)
-    if background.shape != image.shape:
-        raise InputError(
-            "is not of the picture's shape",
-            where="background",
-            value=background.shape,
-            allowed=str(image.shape),
-        )
-    dark = lines_of(background, lit.channel, settings.axis, "background", lit.clipping_dn)
-    if settings.noise is not None:
-        settings = _less(settings, settings.noise, dark.grey)
-    clipped = lit.clipped & ~dark.clipped
-    return _LaserLight(grey - dark.grey, clipped, settings, lit.white, lit.others)
-
-
-def _less(settings: StripeSection, noise: NoiseSection, taken_off: GreyValues) -> StripeSection:
-    """The settings with the noise of a picture from which another was taken off."""
-    both = difference_noise(noise, float(taken_off.mean()))
-    return settings.model_copy(update={"noise": both})
+    taken_off: list[GreyValues] = [] if lit.others is None else [lit.others]
+    if background is not None:
+        dark = lines_of(background, lit.channel, settings.axis, "background", lit.clipping_dn)
+        taken_off.append(dark.grey)
+        grey, clipped = lit.grey.astype(np.float64) - dark.grey, lit.clipped & ~dark.clipped
+        lit = replace(lit, grey=grey, clipped=clipped)
+    for other in taken_off:
+        if settings.noise is not None:
+            both = difference_noise(settings.noise, float(other.mean()))
+            settings = settings.model_copy(update={"noise": both})
+    return lit, settings
 
 
 def _called(extractor: Extractor, settings: StripeSection, image: Floats, clipped: Mask) -> Stripe:

@@ -14,7 +14,7 @@ from lscan.stripe.clipping import clipping_level
 from lscan.stripe.frame import frame_px, without_frame
 from lscan.stripe.noise.model import constant_variance
 
-GreyValues = NDArray[np.integer[Any]]
+GreyValues = NDArray[np.integer[Any] | np.floating[Any]]
 
 _COLOURS: tuple[LineChannel, ...] = ("red", "green", "blue")
 _EXCESSES: tuple[LineChannel, ...] = ("red-excess", "green-excess", "blue-excess")
@@ -35,8 +35,9 @@ class PictureLines:
     Attributes
     ----------
     channel : str, which was read, never "auto"
-    grey : (N, L) array, DN, the chosen channel: uint8, or int16 for the excess of a colour; row i
-        is column i of the picture (``axis="columns"``) or its row i (``axis="rows"``)
+    grey : (N, L) array, DN, the chosen channel: uint8, int16 for the excess of a colour, float
+        where a background was subtracted; row i is column i of the picture (``axis="columns"``)
+        or its row i (``axis="rows"``)
     clipped : (N, L) mask, of the pixels at the end of the camera's range, in any colour that is
         part of the channel
     clipping_dn : int, DN, grey value at which the range ends
@@ -151,7 +152,7 @@ def check_picture(picture: Bytes, where: str) -> None:
 
     Parameters
     ----------
-    picture : (H, W) or (H, W, 3) array, uint8, DN
+    picture : (H, W) or (H, W, 3) array, uint8, DN; anything else is refused
     where : str, how the message names the picture
 
     Raises
@@ -159,14 +160,34 @@ def check_picture(picture: Bytes, where: str) -> None:
     InputError
         For another shape or type, and for an empty picture.
     """
-    shaped = picture.ndim == 2 or (picture.ndim == 3 and picture.shape[2] == 3)
-    if picture.dtype != np.uint8 or not shaped or picture.size == 0:
-        raise InputError(
-            "is not a picture",
-            where=where,
-            value=f"{picture.dtype} {picture.shape}",
-            allowed="uint8 of shape (H, W) or (H, W, 3)",
-        )
+    pixels = np.asarray(picture)
+    shaped = pixels.ndim == 2 or (pixels.ndim == 3 and pixels.shape[2] == 3)
+    if pixels is not picture or pixels.dtype != np.uint8 or not shaped or pixels.size == 0:
+        found = f"{pixels.dtype} {pixels.shape}" if pixels is picture else type(picture).__name__
+        allowed = "uint8 array of shape (H, W) or (H, W, 3)"
+        raise InputError("is not a picture", where=where, value=found, allowed=allowed)
+
+
+def check_pair(image: Bytes, background: Bytes | None) -> None:
+    """Refuse a picture that is none, and a background that is not one of the same shape.
+
+    Parameters
+    ----------
+    image : (H, W) or (H, W, 3) array, uint8, DN
+    background : array, optional, same shape, the same view with the laser off
+
+    Raises
+    ------
+    InputError
+        For another shape or type of either.
+    """
+    check_picture(image, "image")
+    if background is None:
+        return
+    check_picture(background, "background")
+    if background.shape != image.shape:
+        what, allowed = "is not of the picture's shape", str(image.shape)
+        raise InputError(what, where="background", value=background.shape, allowed=allowed)
 
 
 def _read(picture: Bytes, channel: LineChannel, axis: Axis) -> tuple[Bytes, Bytes]:

@@ -1,13 +1,15 @@
 """The line in a part of the picture, and the two lines of a scanner with two lasers."""
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
 from lscan.config.rig import StripeSection
 from lscan.errors import InputError
-from lscan.records import Axis, Bytes, Floats, Mask, Status, Stripe, has_value
+from lscan.records import Axis, Bytes, Mask, Status, Stripe, has_value
 from lscan.stripe.extract import extract_stripe
+from lscan.stripe.lines import check_pair
 from lscan.stripe.returns import withhold
 
 SAME_PX = 1.0  # two lines nearer to each other are one, found twice
@@ -36,7 +38,7 @@ def extract_within(
     Raises
     ------
     InputError
-        Where no pixel is kept, or as ``extract_stripe``.
+        Where no pixel is kept, for a mask of another shape or type, or as ``extract_stripe``.
 
     Examples
     --------
@@ -48,8 +50,13 @@ def extract_within(
     >>> extract_within(image, lscan.StripeSection(), keep).centre_px
     array([nan, 13., 13., 13.])
     """
+    check_pair(image, background)
+    where = "part of the picture"
+    if keep.dtype != np.bool_ or keep.shape != image.shape[:2]:
+        mask, allowed = f"{keep.dtype} {keep.shape}", f"bool {image.shape[:2]}"
+        raise InputError("is no mask of the picture", where=where, value=mask, allowed=allowed)
     if not keep.any():
-        raise InputError("leaves no pixel of the picture", where="part of the picture")
+        raise InputError("leaves no pixel of the picture", where=where)
     rows, columns = (np.flatnonzero(keep.any(axis=axis)) for axis in (1, 0))
     box = np.s_[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1]
     inside, axis = keep[box], settings.axis
@@ -97,13 +104,7 @@ def _only(stripe: Stripe, keep: Mask) -> Stripe:
     height, width = keep.shape
     outside = np.zeros(len(stripe.status), dtype=bool)
     outside[at] = ~keep[np.clip(v, 0, height - 1), np.clip(u, 0, width - 1)]
-    return replace(
-        stripe,
-        centre_px=np.where(outside, np.nan, stripe.centre_px),
-        sigma_px=np.where(outside, np.nan, stripe.sigma_px),
-        flux=None if stripe.flux is None else np.where(outside, np.nan, stripe.flux),
-        status=np.where(outside, int(Status.NO_PEAK), stripe.status),
-    )
+    return withhold(stripe, outside, Status.NO_PEAK)
 
 
 def _placed(stripe: Stripe, along: int, across: float, whole: int) -> Stripe:
@@ -112,18 +113,10 @@ def _placed(stripe: Stripe, along: int, across: float, whole: int) -> Stripe:
     along, across: px, where the crop begins.  whole: entries of the whole picture.
     """
 
-    def spread(values: Floats) -> Floats:
-        wide = np.full(whole, np.nan)
-        wide[along : along + len(values)] = values
-        return wide
-
-    status = np.full(whole, int(Status.NO_DATA), dtype=np.int64)
-    status[along : along + len(stripe.status)] = stripe.status
-    return replace(
-        stripe,
-        centre_px=spread(stripe.centre_px + across),
-        sigma_px=spread(stripe.sigma_px),
-        peak=spread(stripe.peak),
-        flux=None if stripe.flux is None else spread(stripe.flux),
-        status=status,
-    )
+    placed: dict[str, Any] = {}
+    for name, values in vars(replace(stripe, centre_px=stripe.centre_px + across)).items():
+        if isinstance(values, np.ndarray):
+            nothing = int(Status.NO_DATA) if name == "status" else np.nan
+            placed[name] = np.full(whole, nothing)
+            placed[name][along : along + len(values)] = values
+    return replace(stripe, **placed)

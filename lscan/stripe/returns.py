@@ -150,20 +150,22 @@ def _in_texture(
     )
 
 
-def withhold(stripe: Stripe, ambiguous: Mask) -> Stripe:
-    """The stripe without the values of the ambiguous columns, which say AMBIGUOUS.
+def withhold(stripe: Stripe, columns: Mask, status: Status = Status.AMBIGUOUS) -> Stripe:
+    """The stripe without the values of some columns, which say why.
 
     Parameters
     ----------
     stripe : Stripe, px, of W entries
-    ambiguous : (W,) mask, of the columns
+    columns : (W,) mask, of the columns
+    status : Status, what those of them say that have a value
     """
-    taken = ambiguous & has_value(stripe.status)
+    taken = columns & has_value(stripe.status)
     return replace(
         stripe,
         centre_px=np.where(taken, np.nan, stripe.centre_px),
         sigma_px=np.where(taken, np.nan, stripe.sigma_px),
-        status=np.where(taken, int(Status.AMBIGUOUS), stripe.status),
+        status=np.where(taken, int(status), stripe.status),
+        flux=None if stripe.flux is None else np.where(taken, np.nan, stripe.flux),
     )
 
 

@@ -160,6 +160,8 @@ def paths_of(spots: Spots, shape: tuple[int, ...], width_px: float) -> Ints:
         length = max(length, len(best))
         count_of_pieces += int(piece.max()) + 1
         free = free[path[free] < 0]
+        if len(free) == 0:
+            break
     return path
 
 

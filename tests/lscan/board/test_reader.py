@@ -311,6 +311,7 @@ def test_seeds_that_cannot_be(seeds: list[list[float]]) -> None:
         np.zeros((40, 40, 4)),
         np.zeros((8, 40)),
         np.full((40, 40), np.nan),
+        np.full((40, 40), 1e300),
         np.zeros((40, 40), complex),
         np.full((40, 40), "x"),
     ],

@@ -138,6 +138,7 @@ def test_bad_parts_and_calibrations_are_refused(
 ) -> None:
     for roi in ("1,2,3", "a,b,c,d", "10,10,5,20", "0,0,640,10"):
         refused(call(capsys, "extract", picture, "--roi", roi), "--roi", roi, "640")
+    refused(call(capsys, "extract", picture, "-o", "."), ".: cannot be written")
     small = tmp_path / "small.png"
     write_picture(small, np.full((24, 32), 255, dtype=np.uint8))
     refused(call(capsys, "extract", picture, "--mask", small), "small.png", "640 x 480")

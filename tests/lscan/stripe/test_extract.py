@@ -240,10 +240,11 @@ def test_an_extractor_that_breaks_its_word_is_named(function, message):
         np.zeros((9, 9, 4), np.uint8),
         np.zeros((0, 9), np.uint8),
         np.zeros(9, np.uint8),
+        None,  # as OpenCV gives it for a file that is not there
     ],
 )
 def test_what_is_no_picture_is_refused(image):
-    with pytest.raises(InputError, match=r"image: is not a picture \(got 'u?\w+ \("):
+    with pytest.raises(InputError, match=r"image: is not a picture \(got '(u?\w+ \(|NoneType)"):
         extract_stripe(image, StripeSection())
 
 

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings, strategies as st
 from lines_drawn import drawn, speckled
+from pydantic import ValidationError
 from scipy.ndimage import gaussian_filter
 
 from lscan.benchmark.litpictures import LitTarget, lit_mean, lit_picture
@@ -13,6 +14,8 @@ from lscan.stripe import extract_stripe
 from lscan.stripe.clipping import clipping_level
 from lscan.stripe.edges import doubted
 from lscan.stripe.lines import lines_of, strongest_excess
+from lscan.stripe.spots import Spots
+from lscan.stripe.texture import paths_of
 
 HEIGHT, WIDTH = 200, 300
 COLUMN = np.arange(WIDTH)
@@ -29,7 +32,7 @@ def picture(target, seed=1, centres=CENTRE[None], shares=ONE, clips_dn=255):
 def shares_of(stripe, truth, sigmas=4.0, slack_px=0.5):
     """Shares of the columns that are found, and that are found elsewhere than at the truth.
 
-    Elsewhere is farther off than four stated sigmas and half a pixel, the issue's rule.
+    Elsewhere is farther off than four stated sigmas and half a pixel.
     """
     found = has_value(stripe.status)
     wrong = np.abs(stripe.centre_px - truth) > sigmas * stripe.sigma_px + slack_px
@@ -117,6 +120,8 @@ def test_a_line_width_that_is_stated_is_used():
         chosen = StripeSection(threshold_dn=20.0, line_width_px=width_px)
         found.append(shares_of(extract_stripe(image, chosen), CENTRE)[0])
     assert found[1] > found[0]
+    with pytest.raises(ValidationError, match="line_width_px"):
+        StripeSection(line_width_px=0.9)  # no camera shows a line narrower than a pixel
 
 
 def test_a_background_picture_goes_with_a_lit_target():
@@ -127,6 +132,23 @@ def test_a_background_picture_goes_with_a_lit_target():
         found, wrong = shares_of(extract_stripe(lit, chosen, background=dark), CENTRE)
         assert found >= 0.98
         assert wrong <= 0.005
+
+
+def test_every_spot_may_be_of_the_line():
+    column = np.arange(40)
+    light = np.full(40, 100.0)
+    spots = Spots(column, np.full(40, 9), np.full(40, 11), light, light)
+    np.testing.assert_array_equal(paths_of(spots, (40, 20), 3.0), 0)
+
+
+def test_without_a_threshold_sigma_stays_finite():
+    """A ground of 0 DN beside the line is no edge of infinite contrast."""
+    line = drawn(np.full(WIDTH, 100.0), 1.5, HEIGHT, 150.0).T
+    ok = np.zeros(WIDTH, dtype=np.int64)
+    seen = Stripe("columns", np.full(WIDTH, 100.0), np.full(WIDTH, 0.05), np.full(WIDTH, 150.0), ok)
+    for above, below in ((0.0, 0.0), (0.0, 3.0)):
+        ground = np.where(np.arange(HEIGHT) < 100, above, below) * np.ones_like(line)
+        assert np.isfinite(doubted(seen, line, ground, 0.0).sigma_px).all()
 
 
 def test_an_edge_along_the_line_is_in_its_sigma():

@@ -81,6 +81,20 @@ def test_a_background_is_subtracted_in_the_part_too() -> None:
     assert np.abs(stripe.centre_px - 25.5).max() < 0.5
 
 
+def test_a_background_or_a_mask_of_another_size_is_refused() -> None:
+    """Cropped to the part they would have had the same size as the picture."""
+    image = drawn((level(30.3), 120.0))
+    keep = np.zeros((HEIGHT, WIDTH), dtype=bool)
+    keep[10:60, 40:100] = True
+    larger = np.zeros((HEIGHT + 1, WIDTH, 3), dtype=np.uint8)
+    with pytest.raises(InputError, match=r"background: .*121, 160, 3.*120, 160, 3"):
+        extract_within(image, StripeSection(), keep, larger)
+    with pytest.raises(InputError, match=r"part of the picture: .*bool \(119, 160\)"):
+        extract_within(image, StripeSection(), keep[1:])
+    with pytest.raises(InputError, match=r"part of the picture: .*float64"):
+        extract_within(image, StripeSection(), np.where(keep, 1.0, np.nan))  # type: ignore[arg-type]
+
+
 def test_no_part_is_refused() -> None:
     with pytest.raises(InputError, match="no pixel"):
         extract_within(drawn(), StripeSection(), np.zeros((HEIGHT, WIDTH), dtype=bool))
