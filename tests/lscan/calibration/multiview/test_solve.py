@@ -208,17 +208,11 @@ def test_too_few_views_are_refused_with_their_reasons() -> None:
 
 def test_boards_that_all_face_the_camera_are_refused() -> None:
     rig, rng = paper_rig(water=False), np.random.default_rng(10)
-    facing = [
-        Pose(np.eye(3), pose.place_mm * np.array([1.0, 1.0, 1.0])) for pose in poses(rig, rng)
-    ]
+    tilted = poses(rig, rng, 4)
     # All at one distance: size and distance cannot be distinguished.
-    facing = [Pose(pose.rotation, np.array([*pose.place_mm[:2], 1000.0])) for pose in facing]
+    facing = [Pose(np.eye(3), np.array([*pose.place_mm[:2], 1000.0])) for pose in tilted]
     views = [
-        with_noise(
-            CalibrationView(f"{k}", marks_of(rig, pose), line_of(rig, poses(rig, rng)[k])),
-            0.03,
-            rng,
-        )
+        with_noise(CalibrationView(f"{k}", marks_of(rig, pose), line_of(rig, tilted[k])), 0.03, rng)
         for k, pose in enumerate(facing)
     ]
     with pytest.raises(MeasurementError, match=r"do not determine the focal length.*tilts"):
