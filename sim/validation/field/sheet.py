@@ -176,7 +176,7 @@ def _is_wrong(held: HeldBoard, view: CalibrationView) -> bool:
     assert view.line is not None  # the board shows the laser, or glare
     column, v = view.line.image_px.T
     of_line = np.abs(v - held.centre_px[column.astype(int)]) <= NEAR_PX  # of no line where NaN
-    return bool(np.mean(~of_line) >= MOSTLY)
+    return len(v) > 0 and bool(np.mean(~of_line) >= MOSTLY)
 
 
 def _view(
