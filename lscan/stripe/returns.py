@@ -40,6 +40,7 @@ dims, shows where it ends: "first" and "last" then go by place alone."""
 _SPECK = 2.0  # a blob no longer than so many times its height is no line
 _LONGER = 3.0  # unless the other is no longer than so many times the blob
 _SPECKED = 0.25  # of the columns: where fewer hold specks, the run that is long goes on beside them
+_RIVALS = 0.02  # spots beside others, of the columns: more are no accident
 _MUCH_LONGER = 10.0  # a picture with a line has one so many times as long as an isolated blob
 _TURNOVER = 8
 """Columns that two pieces of one line may share where one succeeds the other at a step: as far
@@ -73,7 +74,9 @@ class OneReturn:
     textured: bool = False
 
 
-def choose_return(image: Floats, settings: StripeSection, clipped: Mask) -> OneReturn:
+def choose_return(
+    image: Floats, settings: StripeSection, clipped: Mask, white: bool = False
+) -> OneReturn:
     """The picture with only the line meant by ``settings.returns`` left in each column.
 
     Columns with one line come back untouched, and so does the whole picture (not copied) where
@@ -102,6 +105,8 @@ def choose_return(image: Floats, settings: StripeSection, clipped: Mask) -> OneR
     image : (H, W) array, DN, grey values
     settings : StripeSection, threshold and which line is meant
     clipped : (H, W) mask, of the pixels at the end of the range
+    white : bool, whether the picture shows white crests: between coloured things the lamps' own
+        light looks like one, and light does not tell the line
     """
     columns = np.ascontiguousarray(image.T)
     relief = relief_of(columns)
@@ -109,7 +114,9 @@ def choose_return(image: Floats, settings: StripeSection, clipped: Mask) -> OneR
     run = runs_of(spots)
     width_px = settings.line_width_px or line_width_px(spots)
     specked = settings.returns != "brightest" and _is_specked(spots, run)
-    if specked or is_textured(relief, spots, run, width_px, settings.threshold_dn):
+    rivals = len(spots.column) - len(np.unique(spots.column))
+    doubtful = white and rivals >= _RIVALS * len(columns)
+    if doubtful or specked or is_textured(relief, spots, run, width_px, settings.threshold_dn):
         return _in_texture(relief, spots, width_px, settings, clipped)
     choice = _choose(spots, run, _isolated(spots, run), settings)
     if not choice.rejected.any():

@@ -14,6 +14,7 @@ from lscan.stripe import extract_stripe
 from lscan.stripe.clipping import clipping_level
 from lscan.stripe.edges import doubted
 from lscan.stripe.lines import lines_of, strongest_excess
+from lscan.stripe.returns import choose_return
 from lscan.stripe.spots import Spots
 from lscan.stripe.texture import paths_of
 
@@ -109,6 +110,17 @@ def test_noise_in_a_gap_of_the_line_is_no_line():
         held.append(has_value(stripe.status[inside]).mean())
         assert has_value(stripe.status[~inside]).mean() >= 0.5
     assert np.mean(held) <= 0.05  # a third of the gap if paths may bend at will
+
+
+def test_beside_white_crests_the_long_line_counts_and_not_the_brighter_spot():
+    """A white gap between coloured bars, twice as high and bright as the line, for 60 columns."""
+    image = drawn(CENTRE, 3.4, HEIGHT, 100.0)
+    image[160:176, 180:240] = 200.0
+    clear = np.zeros(image.shape, dtype=bool)
+    for white, line_left in ((False, False), (True, True)):
+        chosen = choose_return(image, StripeSection(threshold_dn=20.0), clear, white)
+        crest = chosen.image.argmax(axis=0)[185:235]
+        assert (np.abs(crest - CENTRE[185:235]) <= 2).all() == line_left
 
 
 def test_a_line_width_that_is_stated_is_used():
