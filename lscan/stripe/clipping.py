@@ -19,6 +19,7 @@ at the depth d below its top goes with the root of d."""
 
 _FLAT_PX, _WIDEST_PX = 3, 41  # pixels across a clipped crest: fewer may be chance, more no line
 _OVERSHOOT = 1.1  # of the plateau: where the flanks of a crest clipped on fewer pixels meet
+_FAINT_DN = 4.0  # reading noise and rounding: a fainter flank says no more than that it is dark
 _FEWEST = 8  # crests
 
 
@@ -78,7 +79,7 @@ def _has_cut_crests(lines: Bytes, level: int) -> bool:
     if len(reach) < _FEWEST:
         return False
     places = np.stack([first - 2, first - 1, last + 1, last + 2], axis=1)
-    flanks = np.log(np.maximum(lines[reach[:, None], places], 1.0))
+    flanks = np.log(np.maximum(lines[reach[:, None], places], _FAINT_DN))
     inner = (last - first) / 2 + 1  # from the crest's middle; the outer pixels are one farther
     outside, inside = flanks[:, [0, 3]].mean(axis=1), flanks[:, [1, 2]].mean(axis=1)
     bend = (inside - outside) / (2 * inner + 1)
