@@ -52,10 +52,12 @@ house: .venv/packages.stamp
 smoke: .venv/llvm.stamp .venv/chromium.stamp
 	$(BIN)/lscan-sim demo --quick -o out/quick/demo
 	$(BIN)/lscan-sim verify --quick -o out/quick/verify
-	$(BIN)/lscan-sim accuracy --quick -o out/quick/accuracy.json
 	$(BIN)/lscan-sim field --quick -o out/quick/field.json
 	$(BIN)/lscan-sim bench --quick -o out/quick/bench.json
-	$(BIN)/lscan-sim hardware --quick -o out/quick/hardware.json
+	@# Side by side: the first waits for devices most of its time.
+	$(BIN)/lscan-sim hardware --quick -o out/quick/hardware.json & hardware=$$!; \
+	$(BIN)/lscan-sim accuracy --quick -o out/quick/accuracy.json; accuracy=$$?; \
+	wait $$hardware && exit $$accuracy
 
 bench: .venv/llvm.stamp
 	$(BIN)/lscan-sim bench -o out/bench.json

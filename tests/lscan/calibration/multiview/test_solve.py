@@ -171,7 +171,7 @@ def test_a_camera_alone_is_that_of_the_whole_calibration() -> None:
     np.testing.assert_array_equal(alone.theta, whole.plane_map.view.theta)
     np.testing.assert_array_equal(alone.sigma, whole.sigma)
     # Its boards stand in for those of a later calibration, whose own are too few for a camera.
-    later = calibrate_metric([*alone.boards[2:], *views[:2]], known(rig), SIZE)
+    later = calibrate_metric([*alone.boards_beside(views[:2]), *views[:2]], known(rig), SIZE)
     assert sum(view.line_used for view in later.views) == 2
     np.testing.assert_allclose(later.plane_map.view.theta, alone.theta, rtol=1e-6, atol=1e-8)
 
