@@ -224,9 +224,14 @@ def table_cells(rows: Iterable[Row]) -> list[list[str]]:
 
 
 def number(value: float) -> str:
-    """The number with two significant digits, or whole; powers of ten for very small and large."""
+    """The number with two significant digits, or whole; powers of ten for very small and large.
+
+    A figure just below a hundred percent keeps a decimal.
+    """
     if value == 0 or not isfinite(value):
         return f"{value:g}"
     if abs(value) >= 100:
         return f"{value:.0f}" if abs(value) < 1e6 else f"{value:.1e}"
+    if abs(value) >= 99:
+        return f"{value:.1f}"
     return f"{value:.2g}" if abs(value) >= 1e-3 else f"{value:.1e}"

@@ -78,7 +78,8 @@ def test_a_disk_that_refuses_is_named(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("value", "text"), [(0.0, "0"), (0.005, "0.005"), (1e-10, "1.0e-10"), (22.06, "22")]
+    ("value", "text"),
+    [(0.0, "0"), (0.005, "0.005"), (1e-10, "1.0e-10"), (22.06, "22"), (99.5, "99.5"), (100, "100")],
 )
 def test_numbers_are_short(value: float, text: str) -> None:
     assert number(value) == text
