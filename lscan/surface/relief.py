@@ -129,6 +129,7 @@ class ReliefBlock:
     rows, columns : slice, of the surface
     weight : (R, C) array, with which it is blended into its neighbours
     spectrum : ReliefSpectrum, of the relief
+    own : bool, whether it is the block's own, not the whole surface's
     shift_mm : (R, C) array, mm, displacement of the heights; NaN where unknown
     variance_mm2 : (R, C) array, mm², of a height that is corrected by it, less its own noise
     """
@@ -137,6 +138,7 @@ class ReliefBlock:
     columns: slice
     weight: Floats
     spectrum: ReliefSpectrum
+    own: bool
     shift_mm: Floats
     variance_mm2: Floats
 
@@ -163,9 +165,10 @@ def relief_blocks(surface: Surface, sheet: SheetSection, yaw_rad: float) -> Iter
         return
     for rows, columns, weight in _blocks(shape):
         laid = _laid(lattice, rows, columns)
-        spectrum = _spectrum(lattice, laid) or usual
+        own = _spectrum(lattice, laid)
+        spectrum = own or usual
         shift, variance = _unlaid(laid, _laid_shift(lattice, laid, spectrum), rows, columns)
-        yield ReliefBlock(rows, columns, weight, spectrum, shift, variance)
+        yield ReliefBlock(rows, columns, weight, spectrum, own is not None, shift, variance)
 
 
 def _blocks(shape: tuple[int, ...]) -> Iterator[tuple[slice, slice, Floats]]:

@@ -3,7 +3,8 @@
 On smooth targets the first terms of a series say it exactly (concavity.py); on relief as fine as
 the sheet is thick they do not, and the relief's spectrum does better (relief.py).  In each part of
 a surface the correction with the smaller expected error is made, and what it cannot recover
-enters the uncertainty.
+enters the uncertainty.  A wall has a wide spectrum too: where most of a surface is smooth, what the
+spectra of its other parts say is taken for walls, and the series is used.
 """
 
 from dataclasses import replace
@@ -13,7 +14,7 @@ import numpy as np
 from lscan.config.rig import SheetSection
 from lscan.records import Floats, Surface
 from lscan.surface.concavity import series_shifts
-from lscan.surface.relief import relief_blocks
+from lscan.surface.relief import ReliefBlock, relief_blocks
 from lscan.surface.stack import require_head_frame
 
 
@@ -67,10 +68,15 @@ def _shifts(
     series, sigma = series_shifts(surface, sheet, yaw_rad)
     total, shift, variance = (np.zeros(series.shape) for _ in range(3))
     recovered = []
-    for block in relief_blocks(surface, sheet, yaw_rad):
+    blocks = list(relief_blocks(surface, sheet, yaw_rad))
+    usual = float(np.median([b.spectrum.series_variance for b in blocks])) if blocks else 0.0
+    votes = [_is_fine(block) for block in blocks if block.own]
+    fine = 2 * sum(votes) > len(votes)
+    for block in blocks:
         at = block.rows, block.columns
-        found, doubt = series[at], sigma[at] ** 2 + block.spectrum.series_variance
-        if block.spectrum.correction_variance < block.spectrum.series_variance:
+        left = block.spectrum.series_variance
+        found, doubt = series[at], sigma[at] ** 2 + (left if fine else min(left, usual))
+        if fine and _is_fine(block):
             recovered.append(block.spectrum.resolved_mm)
             better = np.isfinite(block.shift_mm)
             found = np.where(better, block.shift_mm, found)
@@ -86,3 +92,8 @@ def _shifts(
         np.where(blended, variance / total, sigma**2),
         float(np.median(recovered)) if recovered else None,
     )
+
+
+def _is_fine(block: ReliefBlock) -> bool:
+    """Whether the spectrum corrects a block better than the series does."""
+    return block.spectrum.correction_variance < block.spectrum.series_variance

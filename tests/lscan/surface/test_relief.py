@@ -261,3 +261,15 @@ def test_a_sheet_far_thicker_than_a_profile_s_step(row_mm: float) -> None:
     surface = Surface(np.stack([x, y, z], axis=-1), 0 * sigma, sigma, ok, rows[:, 0])
     moved = correct_thickness(surface, SHEET.model_copy(update={"thickness_mm": 100.0}))
     assert np.isfinite(moved.xyz_mm).all() and np.isfinite(moved.sigma_z_mm).all()
+
+
+def test_kinks_of_a_smooth_target_are_left_to_the_series() -> None:
+    """A ridge no steeper than a slope may be has a wide spectrum, and no fine relief around it."""
+    generator = np.random.default_rng(7)
+    y = ROW_MM * np.arange(240)[:, None] * np.ones(80)
+    ridge = 1.5 * np.maximum(10 - np.abs(y - y[30]), 0)
+    surface = scan(8 * np.cos(2 * np.pi * y / 150) + ridge, 0.01, generator)
+    moved = correct_thickness(surface, SHEET)
+    shift, _ = series_shifts(surface, SHEET, 0.0)
+    np.testing.assert_allclose(moved.xyz_mm[..., 2], surface.xyz_mm[..., 2] - shift, atol=1e-9)
+    assert "relief" not in moved.corrections[-1]
