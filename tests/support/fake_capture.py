@@ -99,7 +99,8 @@ class FakeCapture:
         return True, world.last
 
     def _picture(self) -> Bytes:
-        self._under_way.append((self._world.scene, time.monotonic()))
+        now_s = time.monotonic()  # before the scene is looked at: a stamp is never too late
+        self._under_way.append((self._world.scene, now_s))
         scene, exposed_s = self._under_way.popleft()
         self._stamp_s = exposed_s if self._world.stamps else 0.0
         shape = (HEIGHT_PX, WIDTH_PX) if self._world.grey else (HEIGHT_PX, WIDTH_PX, 3)

@@ -105,7 +105,7 @@ def test_no_background_was_exposed_with_the_laser_on(
 
 
 def test_with_nothing_dropped_the_test_above_would_fail(tmp_path: Path) -> None:
-    world = World(scene=DARK, delay=5)
+    world = World(scene=DARK, delay=5, period_s=0.02)
     camera = camera_of(world, flush_frames=0)
     with create_run(tmp_path / "a", rig_of(1)) as writer:
         frame = acquire_into(writer, camera, WorldSwitch(world)).frame(0)

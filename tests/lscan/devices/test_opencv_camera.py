@@ -140,7 +140,7 @@ def test_a_picture_shows_the_scene_after_the_call(delay: int) -> None:
 
 def test_without_flushing_an_old_picture_would_pass() -> None:
     """The test above can fail: a delay of 5 pictures and none dropped shows the old scene."""
-    world = World(delay=5)
+    world = World(delay=5, period_s=0.02)
     camera = fake_camera(world, flush_frames=0)
     world.scene = 2
     assert scene_of(camera.grab().image) == 1
@@ -404,7 +404,7 @@ def test_a_stopped_scan_of_a_file_resumes_with_the_same_pictures(
 
 
 def test_a_preview_is_the_newest_picture_and_waits_for_no_flush():
-    world = World(delay=0)
+    world = World(delay=0, period_s=0.02)
     camera = fake_camera(world, flush_frames=100)
     assert isinstance(camera, Previewing)
     world.scene = 2
@@ -418,9 +418,10 @@ def test_a_preview_is_the_newest_picture_and_waits_for_no_flush():
 
 
 def test_previews_between_grabs_leave_the_grabs_fresh():
-    """Two pictures are under way in the camera: without the flush a grab would see the old."""
+    """Two pictures are under way in the camera, and one may just be handed over at the call:
+    without the flush a grab would see the old."""
     world = World(delay=2)
-    camera = fake_camera(world, flush_frames=2)
+    camera = fake_camera(world, flush_frames=3)
     times = []
     for scene in range(1, 21):
         camera.preview()
@@ -436,7 +437,7 @@ def test_previews_between_grabs_leave_the_grabs_fresh():
 def test_previews_from_another_thread_take_no_picture_away() -> None:
     """Every picture of the grabs is fresh, whatever the other thread looks at meanwhile."""
     world, stop = World(delay=2), threading.Event()
-    camera = fake_camera(world, flush_frames=2)
+    camera = fake_camera(world, flush_frames=3)
     shown: list[float] = []
 
     def look() -> None:
