@@ -71,7 +71,7 @@ def same(a: StripeTruth, b: StripeTruth, within: float) -> None:
     tilt_y=st.floats(-10, 10),
     turn=st.floats(-20, 20),
     yaw=st.floats(-5, 5),
-    s=st.floats(-20, 20),
+    s=st.floats(-20, 5),  # at a tilt of 20 degrees the board's lower edge lies at 10.3
 )
 def test_a_plane_is_a_straight_line_in_the_sheet(tilt_x, tilt_y, turn, yaw, s):
     scene = tank(
