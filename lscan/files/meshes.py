@@ -48,6 +48,8 @@ def load_mesh(path: Path, mm_per_unit: float = 1.0) -> trimesh.Trimesh:
         raise InputError(message, where=path) from error
     if not isinstance(mesh, trimesh.Trimesh) or len(mesh.faces) == 0:
         raise InputError("holds no triangles", where=path)
+    if mesh.vertices.shape[1:] != (3,):
+        raise InputError("has vertices without three coordinates", where=path)
     if not np.isfinite(mesh.vertices).all():
         raise InputError("has vertices that are not finite", where=path)
     mesh.apply_scale(mm_per_unit)

@@ -42,6 +42,7 @@ MALICIOUS: dict[str, bytes] = {
     "index.obj": OBJ + b"f 1 2 1000000000000\n",
     "below.obj": OBJ + b"f 1 2 -1000000000\n",
     "nan.obj": b"v nan 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n",
+    "line.obj": b"v 0\nv 1\nv 2\nf 1 2 3\n",
     "far.obj": b"v 1e30 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n",
     "vertices.off": b"OFF\n1000000000 1 0\n" + TEXT,
     "archive.zip": b"PK\x03\x04" + bytes(100),

@@ -20,6 +20,7 @@ from sim.truth.camera.projection import entry_points
 from sim.truth.stripe import ColumnCrossings, continued, edge_distance
 from sim.truth.target.mesh import Mesh
 from sim.truth.target.section import grooved_block_surfaces, surfaces_of, target_surfaces
+from sim.truth.target.surfaces import SELF_MM
 from sim.truth.visibility import blocked, fan_angle, passing_mm
 
 FEW = settings(max_examples=10)
@@ -320,8 +321,8 @@ def test_a_rough_mesh_hides_what_trimesh_says(seed):
     end = rng.uniform([-5, -5, -1], [25, 25, 5], (200, 3))
     ray = end - start
     places, line, _ = mesh.ray.intersects_location(start, ray)
-    reach = np.linalg.norm(places - start[line], axis=1) / np.linalg.norm(ray[line], axis=1)
-    expected = np.bincount(line[reach < 1 - 1e-4], minlength=200) > 0
+    left = np.linalg.norm(ray[line], axis=1) - np.linalg.norm(places - start[line], axis=1)
+    expected = np.bincount(line[left > SELF_MM], minlength=200) > 0
     assert np.array_equal(Mesh(mesh).blocks(start, end), expected)
     assert 20 < expected.sum() < 180
 
