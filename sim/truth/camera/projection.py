@@ -143,5 +143,5 @@ def fold_radius(lens: Lens) -> float:
     for high, low in pairwise([beyond, *turns, 0.0]):
         if growth(low) < 0:
             found = brentq(growth, low, high, xtol=np.finfo(float).tiny, maxiter=MOST_HALVINGS)
-            return float(1 / np.sqrt(found))
+            return float(1 / np.sqrt(found)) if found > 0 else np.inf
     return float("inf")

@@ -226,6 +226,11 @@ def test_no_pixel_beyond_the_fold_of_the_distortion():
     assert np.isfinite(pixels[:, 0]).tolist() == [True, False]
 
 
+def test_a_lens_that_folds_beyond_all_numbers_does_not_fold() -> None:
+    lens = Lens(focal_px=300.0, centre_px=(200.0, 150.0), k2=0.06, k3=-2e-313)
+    assert fold_radius(lens) == np.inf
+
+
 @pytest.mark.parametrize(
     "points", [np.zeros((3, 2)), np.zeros(3), np.array([[0, np.nan, 0.0]]), np.full((1, 3), np.inf)]
 )
