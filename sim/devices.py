@@ -136,7 +136,7 @@ class SimCamera:
         nanometres, stream = round(position_mm * 1e6), _DARK if dark else _LIT
         place = abs(nanometres), int(nanometres < 0)
         seed = [self._scene.tank.sensor.seed, stream, *place, index]
-        generator = np.random.default_rng(seed)
+        generator = np.random.Generator(np.random.SFC64(seed))
         image = self._webcam.expose(layers, exposure_ms, generator, wavelength_nm)
         return Grab(image=image, time_s=time_s, exposure_ms=exposure_ms)
 

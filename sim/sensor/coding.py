@@ -25,14 +25,16 @@ def digitise(electrons: Picture, sensor: Sensor, colours: ColourFilter | None = 
     sensor : Sensor, its gain, gamma, black level, full well, range and frame
     colours : ColourFilter or None, the filter before the pixels
     """
-    held = np.minimum(electrons, np.float32(sensor.full_well_e))
+    linear = np.minimum(electrons, np.float32(sensor.full_well_e))
+    linear *= np.float32(_gain(sensor))
+    linear += np.float32(sensor.black_level_dn)
     # Dark noise may pull a pixel below zero electrons; only the black level keeps it in range.
-    linear = np.clip(sensor.black_level_dn + held * np.float32(_gain(sensor)), 0.0, FULL_SCALE_DN)
+    np.clip(linear, 0.0, FULL_SCALE_DN, out=linear)
     if colours is not None:
         linear = colours.demosaic(linear)
     if sensor.gamma != 1:
         linear = FULL_SCALE_DN * (linear / FULL_SCALE_DN) ** (1 / sensor.gamma)
-    image = np.minimum(np.rint(linear), sensor.clips_dn).astype(np.uint8)
+    image = np.minimum(np.rint(linear, out=linear).astype(np.uint8), np.uint8(sensor.clips_dn))
     if sensor.frame_dn is not None:
         image[[0, -1]] = image[:, [0, -1]] = sensor.frame_dn
     return image

@@ -62,10 +62,20 @@ def speckle_contrast(
     return sqrt(mean / 2 if light == "depolarised" else mean)
 
 
-def speckle_pattern(
-    shape: tuple[int, int], contrast: float, generator: np.random.Generator
+def speckled(
+    light: NDArray[np.float32], contrast: float, generator: np.random.Generator
 ) -> NDArray[np.float32]:
-    """(H, W) factors of unit mean, each pixel's on its own, gamma distributed.
+    """The light of surfaces as the pixels see it, one pattern over it; the same shape and unit."""
+    seen = light.copy()
+    lit = np.flatnonzero(light > 0)
+    seen.reshape(-1)[lit] *= speckle_pattern(lit.shape, contrast, generator)
+    return seen
+
+
+def speckle_pattern(
+    shape: tuple[int, ...], contrast: float, generator: np.random.Generator
+) -> NDArray[np.float32]:
+    """Factors of unit mean, each pixel's on its own, gamma distributed; of the given shape.
 
     The gamma law of M = 1/contrast^2 degrees is Goodman's approximation for integrated
     speckle (sec. 4.6), exact where M equal grains are summed.

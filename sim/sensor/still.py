@@ -51,5 +51,5 @@ class StillView:
             if self.direct.ndim == 3:
                 speckle = speckle[..., np.newaxis]
             expected[self.first_row : self.first_row + height] += self.direct * speckle
-        read = read_out(expected, self.sensor, self.pattern, generator, quickly=True)
+        read = read_out(expected, self.sensor, self.pattern, generator)
         return digitise(read, self.sensor, self.filter)

@@ -8,6 +8,7 @@ from __future__ import annotations
 from functools import cache
 from typing import TYPE_CHECKING
 
+import cv2
 import numpy as np
 
 from lscan.errors import InputError
@@ -20,7 +21,7 @@ from sim.sensor.coding import digitise, electrons_of, through_jpeg
 from sim.sensor.colour import ColourFilter, Picture
 from sim.sensor.noise import Electrons, fixed_pattern, gathered, read_out
 from sim.sensor.radiometry import AMBIENT_NM, photons_per_radiance, vignetting
-from sim.sensor.speckle import speckle_contrast, speckle_pattern
+from sim.sensor.speckle import speckle_contrast, speckled
 from sim.sensor.still import StillView
 
 if TYPE_CHECKING:
@@ -71,12 +72,16 @@ class Webcam:
             The layers are no whole multiple of the picture.
         """
         nm = self.wavelength_nm if wavelength_nm is None else wavelength_nm
-        # A new pattern for each picture: the head moves between them.
         contrast = self._speckle_contrast(nm)
-        speckle = speckle_pattern(self._shape, contrast, generator) if contrast else None
-        electrons = self._on_pixels(self.mean_electrons(layers, exposure_ms, nm, speckle))
+        if contrast:
+            # A new pattern for each picture: the head moves between them.
+            laser = speckled(self._photons(layers.direct, exposure_ms, nm), contrast, generator)
+            laser += self._photons(layers.scattered, exposure_ms, nm)
+        else:
+            laser = self._photons(layers.laser, exposure_ms, nm)
+        electrons = self._on_pixels(self._electrons(laser, layers, exposure_ms))
         if self._pattern is not None:
-            expected = gathered(electrons, self.sensor, self._pattern)
+            expected = gathered(electrons, self._pattern)
             electrons = read_out(expected, self.sensor, self._pattern, generator)
         return through_jpeg(digitise(electrons, self.sensor, self._filter), self.sensor)
 
@@ -101,14 +106,14 @@ class Webcam:
             raise InputError("sensor.noise: without it all pictures are the same", allowed="true")
         nm, sensor, pattern = self.wavelength_nm, self.sensor, self._pattern
         contrast = self._speckle_contrast(nm)
-        none = np.zeros(self._shape, np.float32)
-        rest = self.mean_electrons(layers, exposure_ms, nm, none if contrast else None)
-        steady = gathered(self._on_pixels(rest), sensor, pattern)
-        photons = self._photons(layers.direct, exposure_ms, nm) if contrast else none
+        other = self._photons(layers.scattered if contrast else layers.laser, exposure_ms, nm)
+        rest = self._electrons(other, layers, exposure_ms)
+        steady = gathered(self._on_pixels(rest), pattern)
+        photons = self._photons(layers.direct, exposure_ms, nm) if contrast else 0 * other
         lit = np.flatnonzero((photons > 0).any(axis=1))
         first, end = (int(lit[0]), int(lit[-1]) + 1) if lit.size else (0, 0)
-        speckled = self._on_pixels(photons[..., None] * _rgb(sensor.laser_response))
-        direct = np.ascontiguousarray((speckled * pattern.sensitivity)[first:end])
+        seen = self._on_pixels(_coloured(photons, sensor.laser_response))
+        direct = np.ascontiguousarray((seen * pattern.sensitivity)[first:end])
         return StillView(sensor, pattern, self._filter, steady, direct, first, contrast)
 
     def mean_electrons(
@@ -116,7 +121,6 @@ class Webcam:
         layers: Layers,
         exposure_ms: float,
         wavelength_nm: float | None = None,
-        speckle: Picture | None = None,
     ) -> Electrons:
         """Expected electrons, (H, W, 3) RGB, before colour filter, noise and full well.
 
@@ -125,18 +129,9 @@ class Webcam:
         layers : Layers, (f H, f W) radiances, for any whole f
         exposure_ms : float, ms
         wavelength_nm : float or None, the laser's at this moment, the scene's nominal one if None
-        speckle : (H, W) array, factors of the laser's light from surfaces; 1 everywhere if None
         """
         nm = self.wavelength_nm if wavelength_nm is None else wavelength_nm
-        if speckle is None:
-            laser = self._photons(layers.laser, exposure_ms, nm)
-        else:
-            laser = self._photons(layers.direct, exposure_ms, nm) * speckle
-            laser = laser + self._photons(layers.scattered, exposure_ms, nm)
-        ambient = self._photons(layers.ambient, exposure_ms, AMBIENT_NM)
-        to_laser = _rgb(self.sensor.laser_response)
-        to_ambient = _rgb(self.sensor.ambient_response)
-        return laser[..., None] * to_laser + ambient[..., None] * to_ambient
+        return self._electrons(self._photons(layers.laser, exposure_ms, nm), layers, exposure_ms)
 
     def metered_ms(
         self,
@@ -164,6 +159,14 @@ class Webcam:
         per_ms = float(np.percentile(brightest, percentile))
         return electrons_of(target_dn, self.sensor) / per_ms if per_ms > 0 else float("inf")
 
+    def _electrons(self, laser: Picture, layers: Layers, exposure_ms: float) -> Electrons:
+        """(H, W, 3) electrons of the laser's photons and of the ambient light."""
+        electrons = _coloured(laser, self.sensor.laser_response)
+        if layers.ambient.any():
+            ambient = self._photons(layers.ambient, exposure_ms, AMBIENT_NM)
+            electrons += _coloured(ambient, self.sensor.ambient_response)
+        return electrons
+
     def _on_pixels(self, electrons: Electrons) -> Electrons:
         """What of (H, W, 3) electrons the pixels collect: (H, W) behind a colour filter."""
         return electrons if self._filter is None else self._filter.mosaic(electrons)
@@ -189,5 +192,8 @@ class Webcam:
         return speckle_contrast(self.sensor.pixel_um, self.lens.f_number, laser_nm, light)
 
 
-def _rgb(response: Response) -> Picture:
-    return np.array([response.red, response.green, response.blue], dtype=np.float32)
+def _coloured(photons: Picture, response: Response) -> Electrons:
+    """(H, W, 3) electrons, RGB, of (H, W) photons."""
+    shares = response.red, response.green, response.blue
+    planes = cv2.merge([photons * np.float32(share) for share in shares])
+    return np.asarray(planes, dtype=np.float32)

@@ -8,7 +8,7 @@ from sensor_scenes import EXPOSURE_MS, layers_of, sensor_scene
 from sim.scene import Scene, Sensor
 from sim.sensor import Webcam, digitise
 from sim.sensor.coding import electrons_of
-from sim.sensor.noise import fixed_pattern
+from sim.sensor.noise import fixed_pattern, read_out
 
 
 def picture(scene: Scene, seed: int = 1, **radiance: float) -> np.ndarray:
@@ -37,6 +37,24 @@ def test_mean_and_variance_are_the_declared_ones(radiance: float) -> None:
     n = image.size
     assert abs(image.mean() - mean) < 3 * np.sqrt(variance / n)
     assert abs(image.var() - variance) < 3 * variance * np.sqrt(2 / n)
+
+
+@pytest.mark.parametrize(("dark_noise_e", "mean_e"), [(0.0, 3.0), (2.0, 20.0), (5.0, 50.0)])
+def test_few_electrons_are_as_skewed_as_when_counted(dark_noise_e: float, mean_e: float) -> None:
+    """m/(m + d^2)^1.5, what Poisson's and Gauss's numbers add up to; 4 standard errors.
+
+    Those of the skewness g of N numbers: about sqrt((6 + 9 g^2 + 6 k)/N),
+    k the excess kurtosis, at most 1/m.
+    """
+    sensor = Sensor(dark_noise_e=dark_noise_e, prnu=0.0)
+    expected = np.full((480, 640), mean_e, np.float32)
+    pattern = fixed_pattern(sensor, expected.shape)
+    read = read_out(expected, sensor, pattern, np.random.default_rng(3)).astype(float)
+    skewness = mean_e / (mean_e + dark_noise_e**2) ** 1.5
+    found = np.mean((read - read.mean()) ** 3) / read.std() ** 3
+    error = np.sqrt((6 + 9 * skewness**2 + 6 / mean_e) / read.size)
+    assert skewness > 8 * error, "a Gaussian is told from it"
+    assert abs(found - skewness) < 4 * error
 
 
 def test_prnu_is_a_fixed_pattern() -> None:
