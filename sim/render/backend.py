@@ -29,7 +29,7 @@ from types import ModuleType
 from pydantic import TypeAdapter
 
 from lscan.errors import InputError, LscanError
-from lscan.files.disk import write_atomically
+from lscan.files.disk import cache_folder, write_atomically
 from sim.debian import found_or_installed
 
 LLVM, CUDA = "llvm_ad_mono", "cuda_ad_mono"
@@ -224,8 +224,7 @@ def probe_remembered(library: Library, probe: Probe = probe_library) -> ProbeRes
     Answers are kept in ``lscan/llvm.json`` under XDG_CACHE_HOME; a file that cannot be read
     counts as empty, and one that cannot be written is done without.
     """
-    home = os.environ.get("HOME") or tempfile.gettempdir()
-    cache = Path(os.environ.get("XDG_CACHE_HOME") or f"{home}/.cache") / "lscan" / "llvm.json"
+    cache = cache_folder() / "llvm.json"
     answers: dict[str, ProbeResult] = {}
     with suppress(OSError, ValueError):
         answers = ANSWERS.validate_json(cache.read_bytes(), strict=True)

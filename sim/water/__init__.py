@@ -5,6 +5,8 @@ the range is refused.  The index of water itself is the instrument's too: ``lsca
 ``glass``: ports.
 ``inherent``: absorption and scattering.  ``phase``, ``petzold``, ``fournier``: phase functions.
 ``optics``: all of it for a scene's water.
+``spread``: tables of the light that a beam scatters, of ``single`` scattering by quadrature and
+of more by photons counted in ``rings``.  ``tablecache`` keeps them.
 """
 
 from lscan.water.index import refractive_index

@@ -1,0 +1,120 @@
+"""How a pencil beam spreads in endless water: the vector irradiance of its scattered light.
+
+A beam of unit power leaves the origin along +z.  At the distance r, theta off the axis, its
+scattered light has the vector irradiance (F_r, F_t), radial and tangential (away from the axis).
+What was scattered once comes from quadrature, the rest from photons at their first crossings of
+spheres about the origin.  Lengths are optical depths, r times the attenuation c, irradiances are
+in units of c2: then only the albedo b / c and the phase function matter
+(docs/explanation/physics.md, section 8).
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.interpolate import CubicSpline
+
+from lscan.records import Floats
+from sim.water.axes import ANGLE_AXIS, NEAREST_RAD, LogAxis, bilinear
+from sim.water.rings import Crossings, fit_rings
+from sim.water.single import OnceScattered, once_scattered
+
+DEPTHS = 128
+
+
+@dataclass(frozen=True)
+class Spread:
+    """Tables of a beam's scattered light in one water.
+
+    Attributes
+    ----------
+    once : OnceScattered, of light scattered once
+    nearest, farthest : float, optical depths between which photons were counted
+    multiple : (DEPTHS, A, 2), of light scattered more often, at the angles of ``ANGLE_AXIS``:
+        the logarithm of F_r exp((1 - albedo / 2) depth), and F_t / F_r
+    error : (DEPTHS, A) standard error of F_r, over F_r of all scattered light
+    """
+
+    once: OnceScattered
+    nearest: float
+    farthest: float
+    multiple: Floats
+    error: Floats
+
+    @property
+    def depth_axis(self) -> LogAxis:
+        """The rows of ``multiple`` and ``error``."""
+        return _depth_axis(self.nearest, self.farthest)
+
+    @property
+    def loss(self) -> float:
+        """What ``multiple`` is relieved of, per optical depth: absorption and half the scattering.
+
+        Scattered light is dimmed by less than all of it and by more than absorption alone.
+        """
+        return _loss(self.once.albedo)
+
+    def vector_irradiance(
+        self, theta: Floats, depth: Floats, end: Floats | None = None
+    ) -> tuple[Floats, Floats]:
+        """Radial and tangential part, in units of c2 times the beam's power; shapes broadcast.
+
+        Parameters
+        ----------
+        theta : array, rad off the axis
+        depth : array, optical distance from the origin, c r
+        end : array, optional
+            Where on the axis the beam ends for light scattered once, c t; left out, at ``depth``.
+        """
+        theta, depth, end = np.broadcast_arrays(
+            np.asarray(theta, dtype=float), depth, depth if end is None else end
+        )
+        place = self.depth_axis.place(depth), ANGLE_AXIS.place(np.maximum(theta, NEAREST_RAD))
+        log_value, ratio = (bilinear(self.multiple[..., part], *place) for part in (0, 1))
+        more = np.exp(log_value - self.loss * depth) * (1 + 1j * ratio)
+        light = self.once.vector_irradiance(theta, depth, end) + more
+        return light.real, light.imag
+
+    def relative_error(self, theta: Floats, depth: Floats) -> Floats:
+        """Standard error of the radial part over itself, from the number of photons.
+
+        Parameters
+        ----------
+        theta, depth : arrays of one shape, as of ``vector_irradiance``
+        """
+        column = ANGLE_AXIS.place(np.maximum(theta, NEAREST_RAD))
+        return bilinear(self.error, self.depth_axis.place(depth), column)
+
+
+def tabulate(phase: Callable[[Floats], Floats], albedo: float, crossings: Crossings) -> Spread:
+    """The tables of a water.
+
+    Parameters
+    ----------
+    phase : function of the scattering angle in rad, 1/sr
+    albedo : float, b / c
+    crossings : Crossings, of photons in this water
+    """
+    spheres = np.log(crossings.depths)
+    nearest, farthest = (float(depth) for depth in crossings.depths[[0, -1]])
+    rows = _depth_axis(nearest, farthest).nodes()
+    once = once_scattered(phase, albedo, farthest)
+    fit = fit_rings(crossings, ANGLE_AXIS.nodes())
+    gain = _loss(albedo) * crossings.depths - 2 * spheres
+    log_value, ratio, log_error = (
+        CubicSpline(spheres, curves)(np.log(rows))
+        for curves in (fit.log_value + gain[:, np.newaxis], fit.ratio, np.log(fit.log_error))
+    )
+    theta, depth = np.meshgrid(ANGLE_AXIS.nodes(), rows)
+    more = np.exp(log_value - _loss(albedo) * depth)
+    share = more / (more + once.vector_irradiance(theta, depth, depth).real)
+    multiple = np.stack([log_value, ratio], axis=-1)
+    return Spread(once, nearest, farthest, multiple, share * np.exp(log_error))
+
+
+def _depth_axis(nearest: float, farthest: float) -> LogAxis:
+    return LogAxis(nearest, farthest, DEPTHS)
+
+
+def _loss(albedo: float) -> float:
+    return 1 - albedo / 2

@@ -1,0 +1,80 @@
+"""Tables that take long to make, kept in the user's cache: made once, by one process at a time."""
+
+import fcntl
+import hashlib
+import io
+import logging
+import os
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+
+import numpy as np
+
+from lscan.errors import InputError
+from lscan.files.disk import cache_folder, read_bytes, write_atomically
+from lscan.records import Floats
+
+LARGEST_BYTES = 2**26  # of a kept file; the largest now has 3e6
+DIGEST_BYTES = 32
+
+_log = logging.getLogger(__name__)
+
+
+def kept_arrays(name: str, make: Callable[[], dict[str, Floats]]) -> dict[str, Floats]:
+    """The arrays that ``make`` returns, or returned before under the same name.
+
+    Processes that ask for the same name at once wait for the first of them.  A file that is
+    broken is replaced.  Where the cache cannot be written, the log says so and the arrays are
+    returned all the same.
+
+    Parameters
+    ----------
+    name : str, a file's name that says all that the arrays depend on, by a hash
+    make : function without arguments that makes the arrays
+    """
+    file = cache_folder() / name
+    arrays = _read(file)
+    if arrays is None:
+        with _alone(file):
+            arrays = _read(file) or _make_and_keep(file, make)
+    return arrays
+
+
+def _make_and_keep(file: Path, make: Callable[[], dict[str, Floats]]) -> dict[str, Floats]:
+    """Make the arrays and write them, with a digest before them."""
+    arrays = make()
+    packed = io.BytesIO()
+    np.savez(packed, allow_pickle=False, **arrays)
+    data = packed.getvalue()
+    try:
+        write_atomically(file, hashlib.sha256(data).digest() + data)
+    except InputError as error:
+        _log.warning("a table will have to be made again: %s", error)
+    return arrays
+
+
+def _read(file: Path) -> dict[str, Floats] | None:
+    """The arrays of a kept file; None where there is none or it is broken."""
+    with suppress(InputError):
+        data = read_bytes(file, LARGEST_BYTES)
+        digest, packed = data[:DIGEST_BYTES], data[DIGEST_BYTES:]
+        if hashlib.sha256(packed).digest() == digest:
+            with np.load(io.BytesIO(packed), allow_pickle=False) as arrays:
+                return dict(arrays)
+    return None
+
+
+@contextmanager
+def _alone(file: Path) -> Iterator[None]:
+    """Hold a lock beside the file, which ends with the process; none where it cannot be made."""
+    descriptor = None
+    with suppress(OSError):
+        file.parent.mkdir(parents=True, exist_ok=True)
+        descriptor = os.open(file.with_suffix(".lock"), os.O_RDWR | os.O_CREAT | os.O_CLOEXEC)
+        fcntl.flock(descriptor, fcntl.LOCK_EX)
+    try:
+        yield
+    finally:
+        if descriptor is not None:
+            os.close(descriptor)

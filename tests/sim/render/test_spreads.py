@@ -1,0 +1,122 @@
+"""Tables of a scene's water: kept by all that they depend on, and the same in kernels."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import mitsuba as mi
+import numpy as np
+import pytest
+
+from lscan.errors import InputError
+from lscan.records import Floats
+from sim.render import spreads
+from sim.render.spreads import SpreadLookup, spread_of
+from sim.scene.matter import Water
+from sim.water import Optics, water_optics
+from sim.water.axes import ANGLE_AXIS
+from sim.water.spread import Spread
+
+PHOTONS = 2**14
+WATER = water_optics(Water(kind="harbor"), 650.0)
+
+
+@pytest.fixture(autouse=True)
+def cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    return tmp_path / "lscan"
+
+
+def made(water: Optics = WATER, seed: int = 1) -> Spread:
+    return spread_of(water, PHOTONS, seed)
+
+
+def floats(values: Floats) -> mi.Float:
+    return mi.Float(np.asarray(values, dtype=np.float32).ravel())
+
+
+def test_a_kernel_reads_the_tables_as_numpy_does() -> None:
+    """To 2e-5: single precision of exponents up to 30, and of a place among 512 nodes, 5e-5 of a
+    cell, between whose ends values differ by a tenth.  Where the beam ends far in front of the
+    point, what is left is the difference of two large numbers: of those."""
+    spread, c = made(), WATER.extinction_per_mm
+    random = np.random.default_rng(3)
+    theta = np.append(np.exp(random.uniform(np.log(1e-6), np.log(3.1), 4000)), [0.0, 3.1])
+    distance = random.uniform(80.0, 3500.0, theta.size)
+    lookup, large = SpreadLookup(spread, c), np.zeros(theta.size)
+    for end in (distance, distance * random.uniform(0.6, 1.5, theta.size)):
+        found = np.array(lookup(floats(theta), floats(distance), floats(end)))
+        expected = c**2 * np.array(spread.vector_irradiance(theta, c * distance, c * end))
+        large = np.maximum(large, np.hypot(*expected))
+        assert np.all(np.abs(found - expected) < 2e-5 * large)
+    whole = np.array(lookup(floats(theta), floats(distance)))
+    assert np.array_equal(
+        whole, np.array(lookup(floats(theta), floats(distance), floats(distance)))
+    )
+
+
+def test_twice_the_attenuation_over_half_the_length_gives_four_times_the_light() -> None:
+    spread, theta = made(), np.geomspace(1e-4, 3.0, 50)
+    one, twice = (
+        np.array(SpreadLookup(spread, c)(floats(theta), mi.Float(length)))
+        for c, length in ((1e-3, 1000.0), (2e-3, 500.0))
+    )
+    assert twice == pytest.approx(4 * one, rel=1e-4)
+
+
+def test_a_water_is_made_once(cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    first = made()
+    monkeypatch.setattr(spreads, "first_crossings", None)  # would raise if called
+    again = made()
+    assert np.array_equal(first.multiple, again.multiple)
+    assert np.array_equal(first.once.table, again.once.table)
+    assert (again.nearest, again.farthest) == (first.nearest, first.farthest)
+
+
+def test_what_a_table_depends_on_names_its_file(cache: Path) -> None:
+    waters = [
+        WATER,
+        replace(WATER, absorption_per_mm=1.01 * WATER.absorption_per_mm),
+        replace(WATER, molecular_weight=WATER.molecular_weight + 0.01),
+        water_optics(Water(kind="harbor", phase="henyey-greenstein", asymmetry=0.92), 650.0),
+        water_optics(Water(kind="harbor", phase="henyey-greenstein", asymmetry=0.90), 650.0),
+    ]
+    for water in waters:
+        spread_of(water, 256)
+    spread_of(WATER, 256, seed=2)
+    spread_of(WATER, 512)
+    assert len(list(cache.glob("spread-*[0-9a-f]"))) == len(waters) + 2
+
+
+def test_the_table_of_another_water_is_noticed() -> None:
+    """Harbor water of half the particles has other light everywhere, not a scaled one."""
+    thin = replace(WATER, scattering_per_mm=0.5 * WATER.scattering_per_mm)
+    theta, c = np.geomspace(1e-3, 1.0, 20), WATER.extinction_per_mm
+    depth = np.full_like(theta, 1000 * c)
+    ratio = (
+        made(thin).vector_irradiance(theta, depth)[0] / made().vector_irradiance(theta, depth)[0]
+    )
+    assert ratio.max() / ratio.min() > 1.1
+
+
+def test_errors_fall_with_the_number_of_photons() -> None:
+    """As its square root; within 20 %, for the weights of the curves vary with the counts."""
+    theta, depth = np.array([0.1, 0.4]), np.full(2, 1000 * WATER.extinction_per_mm)
+    few, many = (spread_of(WATER, n).relative_error(theta, depth) for n in (2**15, 2**19))
+    assert few / many == pytest.approx([4, 4], rel=0.2)
+
+
+def test_between_nodes_the_tables_are_linear() -> None:
+    """An eighth of the second difference is what linear interpolation misses: 1e-3 at most, at
+    12 scatterings on 3 m too.  Nearer to the axis few photons fall, and most light is that of
+    the quadrature; beyond 2 rad light is behind the source."""
+    thick = replace(WATER, scattering_per_mm=12 / 3000)
+    for water in (WATER, thick):
+        table = spread_of(water, 2**19).multiple
+        first, last = np.searchsorted(ANGLE_AXIS.nodes(), [0.02, 2.0])
+        for axis in (0, 1):
+            assert np.abs(np.diff(table[:, first:last], 2, axis=axis)).max() / 8 < 1e-3
+
+
+def test_clear_air_has_no_table() -> None:
+    with pytest.raises(InputError, match="scatters no light"):
+        spread_of(replace(WATER, scattering_per_mm=0.0))

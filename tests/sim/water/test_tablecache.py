@@ -1,0 +1,132 @@
+"""Kept tables: made once, by one at a time, and never believed where they are broken."""
+
+import logging
+import subprocess
+import sys
+import threading
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from lscan.errors import DiskError
+from lscan.records import Floats
+from sim.water import tablecache
+from sim.water.tablecache import kept_arrays
+
+HOLD = """
+import fcntl, sys, time
+file = open(sys.argv[1], "a")
+fcntl.flock(file, fcntl.LOCK_EX)
+print("held", flush=True)
+time.sleep(600)
+"""
+
+
+class Maker:
+    """Counts how often it was asked."""
+
+    def __init__(self) -> None:
+        self.calls = 0
+
+    def __call__(self) -> dict[str, Floats]:
+        self.calls += 1
+        return {"a": np.arange(6.0).reshape(2, 3), "b": np.array(self.calls, dtype=float)}
+
+
+@pytest.fixture
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    return tmp_path / "lscan"
+
+
+def test_a_table_is_made_once(folder: Path) -> None:
+    make = Maker()
+    made, kept = kept_arrays("one", make), kept_arrays("one", make)
+    assert make.calls == 1
+    assert made.keys() == kept.keys()
+    assert all(np.array_equal(made[name], kept[name]) for name in made)
+    kept_arrays("another", make)
+    assert make.calls == 2
+
+
+@pytest.mark.parametrize("cut", [0, 10, 200, -1])
+def test_a_broken_file_is_made_anew(folder: Path, cut: int) -> None:
+    make = Maker()
+    kept_arrays("one", make)
+    data = (folder / "one").read_bytes()
+    (folder / "one").write_bytes(data[:cut])
+    assert kept_arrays("one", make)["b"] == 2.0
+    (folder / "one").write_bytes(data[:40] + bytes([data[40] ^ 1]) + data[41:])
+    assert kept_arrays("one", make)["b"] == 3.0
+    assert kept_arrays("one", make)["b"] == 3.0
+
+
+def test_who_comes_second_waits_for_the_first(folder: Path) -> None:
+    begun, go_on = threading.Event(), threading.Event()
+
+    def slowly() -> dict[str, Floats]:
+        begun.set()
+        assert go_on.wait(60)
+        return {"a": np.ones(2)}
+
+    second, found = Maker(), []
+    first = threading.Thread(target=kept_arrays, args=("one", slowly))
+    first.start()
+    assert begun.wait(60)
+    other = threading.Thread(target=lambda: found.append(kept_arrays("one", second)))
+    other.start()
+    go_on.set()
+    for thread in (first, other):
+        thread.join(60)
+    assert second.calls == 0
+    assert np.array_equal(found[0]["a"], np.ones(2))
+
+
+def test_the_lock_of_a_killed_process_does_not_hold(folder: Path) -> None:
+    folder.mkdir()
+    command = [sys.executable, "-S", "-c", HOLD, str(folder / "one.lock")]
+    with subprocess.Popen(command, stdout=subprocess.PIPE) as holder:
+        assert holder.stdout is not None
+        assert holder.stdout.readline() == b"held\n"
+        make = Maker()
+        waiting = threading.Thread(target=kept_arrays, args=("one", make))
+        waiting.start()
+        waiting.join(0.2)
+        assert waiting.is_alive()
+        assert make.calls == 0
+        holder.kill()
+        waiting.join(60)
+    assert make.calls == 1
+
+
+def test_a_cache_that_cannot_be_written_gives_a_table_and_a_warning(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    (tmp_path / "file").touch()
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "file"))  # no folder can be made in it
+    with caplog.at_level(logging.WARNING):
+        assert kept_arrays("one", Maker())["b"] == 1.0
+    assert "made again" in caplog.text
+
+
+def test_a_full_disk_gives_a_table_and_a_warning(
+    folder: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    def full(file: Path, data: bytes) -> None:
+        raise DiskError("cannot be written: no space left", where=file)
+
+    monkeypatch.setattr(tablecache, "write_atomically", full)
+    with caplog.at_level(logging.WARNING):
+        assert kept_arrays("one", Maker())["b"] == 1.0
+    assert "no space left" in caplog.text
+    assert not (folder / "one").exists()
+
+
+def test_a_maker_that_fails_leaves_nothing_and_no_lock(folder: Path) -> None:
+    def failing() -> dict[str, Floats]:
+        raise MemoryError
+
+    with pytest.raises(MemoryError):
+        kept_arrays("one", failing)
+    assert kept_arrays("one", Maker())["b"] == 1.0
