@@ -104,6 +104,52 @@ class Beam:
     power: mi.Float
 
 
+@dataclass(frozen=True)
+class StraightRays:
+    """Rays of one angle in the fan as straight lines that start beside the apex.
+
+    middle: the sheet's direction at that angle.  first: a standard deviation of the sheet at the
+    apex, mm.  slope: by how much it grows per rho.
+    """
+
+    apex: mi.Point3f
+    middle: mi.Vector3f
+    normal: mi.Vector3f
+    first: mi.Float
+    slope: mi.Float
+
+    def line(self, lateral: mi.Float) -> tuple[mi.Point3f, mi.Vector3f]:
+        """Start and direction, per rho, of the ray so many standard deviations off the middle."""
+        origin = self.apex + self.normal * (self.first * lateral)
+        return origin, self.middle + self.normal * (self.slope * lateral)
+
+    def unit(self, rho: mi.Float) -> mi.Float:
+        """A standard deviation, mm."""
+        return self.first + self.slope * rho
+
+    def area(self, rho: mi.Float, along: mi.Vector3f, normal: mi.Vector3f) -> mi.Float:
+        """Of a surface, mm2, that the rays meet per radian and standard deviation.
+
+        Across the fan's plane, in which ``along`` has the length 1, it is rho times ``unit``.
+        """
+        return rho * self.unit(rho) / dr.abs(dr.dot(normal, along))
+
+
+def straight_rays(
+    scene: mi.Scene, sheet: LaserSheet, phi: mi.Float, time: mi.Float, active: mi.Bool
+) -> StraightRays:
+    """Rays as far apart as the sheet is wide at the apex and where its middle meets a surface."""
+    apex, middle = sheet.apex(time), sheet.direction(phi)
+    length = dr.norm(middle)
+    ray = mi.Ray3f(apex, middle / length, time, [])
+    hit = scene.ray_intersect_preliminary(ray, coherent=False, active=active)
+    waist = dr.maximum(dr.abs(sheet.waist_distance), 100.0)
+    rho = dr.select(hit.is_valid(), hit.t / length, waist)
+    first = 0.5 * sheet.half_width(mi.Float(0))
+    slope = (0.5 * sheet.half_width(rho) - first) / rho
+    return StraightRays(apex, middle, sheet.normal, first, slope)
+
+
 def beam_density(sheet: LaserSheet, about: mi.Point3f, time: mi.Float) -> BeamDensity:
     """How a ray of the sheet is drawn for light that goes to ``about``."""
     phi, rho, s = sheet.coordinates(about, time)
@@ -145,15 +191,6 @@ def falloff(centre: mi.Float, scale: mi.Float, first: mi.Float, last: mi.Float) 
 def line_density(centre: mi.Float, scale: mi.Float, end: mi.Float) -> Falloff:
     """The density of a place between 0 and ``end`` on a line."""
     return falloff(dr.clip(centre, 0, end), dr.clip(scale, 1e-2, FARTHEST_MM), mi.Float(0), end)
-
-
-def ray_density(slope_density: mi.Float, normal: mi.Vector3f, towards: mi.Vector3f) -> mi.Float:
-    """Probability per steradian of a ray of the laser, from that per radian and slope.
-
-    Rays of slope tau against the fan's plane cover dphi dtau / (1 + tau2)^1.5.
-    """
-    flat2 = 1 - dr.square(dr.dot(towards, normal))  # 1 / (1 + tau2)
-    return slope_density / (flat2 * dr.sqrt(flat2))
 
 
 def gaussian(x: mi.Float) -> mi.Float:

@@ -34,13 +34,15 @@ class SheetIntegrator(WaterIntegrator):
         for sheet in self.sheets:
             direct += self.direct(leg, sheet)
             if self.has_water:
-                scattered += self._scattered(leg, sheet)
+                scattered += self.scattered(leg, sheet)
         if self.has_ambient:
             ambient = self._ambient(leg)
         return [direct, scattered, ambient]
 
-    def _scattered(self, leg: Leg, sheet: LaserSheet) -> mi.Float:
+    def scattered(self, leg: Leg, sheet: LaserSheet, least: mi.Float | float = 0.0) -> mi.Float:
         """Laser to water to camera: the in-scattering point is drawn about the crossing.
+
+        least: rad; light that is turned by no more is left out.
 
         Along the ray the sheet is very nearly a Gaussian about the crossing t0 of its middle
         plane, with sigma = w / (2 |d.n|) (docs/explanation/physics.md, section 7).  Drawing t
@@ -61,18 +63,18 @@ class SheetIntegrator(WaterIntegrator):
         valid = leg.active & (share > 1e-6) & (t > 0) & (t < end) & dr.isfinite(t)
 
         point = ray(t)
-        to_apex = sheet.apex(ray.time) - point
-        distance = dr.norm(to_apex)
-        to_apex /= distance
-        shadow = mi.Ray3f(point, to_apex, distance, ray.time, ray.wavelengths)
+        along, source = sheet.arrival(point, ray.time)
+        to_source = source - point
+        distance = dr.norm(to_source)
+        shadow = mi.Ray3f(point, to_source / distance, distance, ray.time, ray.wavelengths)
         valid &= ~leg.scene.ray_test(shadow, valid)
 
         density = dr.exp(-0.5 * z * z) / (sqrt(2 * pi) * sigma) / share
-        # Light travels along -to_apex and leaves along -ray.d.
-        phase = self.phase.value(angle_between(to_apex, ray.d))
-        source = self.scattering * phase * sheet.irradiance(point, ray.time)
+        angle = angle_between(along, -ray.d)
+        valid &= angle > least
+        light = self.scattering * self.phase.value(angle) * sheet.irradiance(point, ray.time)
         loss = dr.exp(-self.extinction * (distance + t))
-        return dr.select(valid, source * loss / density, 0.0)
+        return dr.select(valid, light * loss / density, 0.0)
 
     def _ambient(self, leg: Leg) -> mi.Float:
         """Uniform ambient light: reflected where the sky is open, and scattered on the way.

@@ -21,7 +21,13 @@ import drjit as dr
 import mitsuba as mi
 
 from sim.render.plugins.base import Leg, WaterIntegrator
-from sim.render.plugins.beams import Beam, beam_density, drawn_beam, line_density, ray_density
+from sim.render.plugins.beams import (
+    Beam,
+    beam_density,
+    drawn_beam,
+    line_density,
+    straight_rays,
+)
 from sim.render.plugins.phase import angle_between, approach
 from sim.render.plugins.sheet import LaserSheet
 
@@ -35,12 +41,13 @@ REFLECTIONS = 4  # rays of the laser that look for interreflection at each step 
 class Spot:
     """Where a ray of the laser meets a surface.
 
-    flux: mW that arrive there per unit of the ray's density, after the water's loss, over
-    the cosine.  density: probability per mm2 of drawing the point.
+    to_laser: where its light comes from.  flux: mW that arrive there per unit of the ray's
+    density, after the water's loss, over the cosine.  density: probability per mm2 of drawing
+    the point.
     """
 
     si: mi.SurfaceInteraction3f
-    to_apex: mi.Vector3f
+    to_laser: mi.Vector3f
     flux: mi.Float
     density: mi.Float
     valid: mi.Bool
@@ -53,7 +60,7 @@ class Spot:
         """
         si = mi.SurfaceInteraction3f(self.si)
         si.wi = si.to_local(outgoing)
-        value = si.bsdf().eval(mi.BSDFContext(), si, si.to_local(self.to_apex), active)
+        value = si.bsdf().eval(mi.BSDFContext(), si, si.to_local(self.to_laser), active)
         return value.x * dr.abs(dr.dot(si.n, outgoing)) * self.flux
 
 
@@ -67,43 +74,31 @@ class PairIntegrator(WaterIntegrator):
         beam = drawn_beam(sheet, leg.sampler, ray(end), ray.time, leg.active)
         spot = self.spot(leg, sheet, beam, leg.active)
         light = (
-            self._surface_water(leg, sheet, beam)
+            self.surface_water(leg, sheet, beam)
             + self._water_surface(leg, end, spot)
             + self._water_water(leg, sheet, end, beam)
         )
         return light, spot
 
     def spot(self, leg: Leg, sheet: LaserSheet, beam: Beam, active: mi.Bool) -> Spot:
-        """Where the beam, as wide as where the sheet's middle meets a surface, meets one."""
+        """Where the beam, straight to where the sheet's middle meets a surface, meets one."""
         time = leg.ray.time
-        apex = sheet.apex(time)
-        middle = sheet.direction(beam.phi)
-        unit = self._unit_slope(leg, sheet, middle, active)
-        towards = dr.normalize(middle + sheet.normal * (unit * beam.lateral))
-        si = leg.scene.ray_intersect(mi.Ray3f(apex, towards, time, []), active)
-        density = ray_density(beam.density / unit, sheet.normal, towards)
-        facing = dr.abs(dr.dot(si.n, towards))
+        straight = straight_rays(leg.scene, sheet, beam.phi, time, active)
+        origin, along = straight.line(beam.lateral)
+        stretch = dr.rcp(dr.norm(along))
+        si = leg.scene.ray_intersect(mi.Ray3f(origin, along * stretch, time, []), active)
+        density = beam.density / straight.area(si.t * stretch, along, si.n)
         loss = dr.exp(-self.extinction * si.t)
-        flux = sheet.irradiance(si.p, time) * dr.square(si.t) / density * loss
-        valid = active & si.is_valid() & (facing > 1e-6) & (density > 0) & (flux > 0)
+        flux = sheet.irradiance(si.p, time) / density * loss
+        valid = active & si.is_valid() & (density > 0) & dr.isfinite(density) & (flux > 0)
+        to_source, _ = sheet.arrival(si.p, time)
         return Spot(
             si=si,
-            to_apex=-towards,
-            flux=dr.select(valid, flux / facing, 0.0),
-            density=dr.select(valid, density * facing / dr.square(si.t), 0.0),
+            to_laser=-to_source,
+            flux=dr.select(valid, flux, 0.0),
+            density=dr.select(valid, density, 0.0),
             valid=valid,
         )
-
-    def _unit_slope(
-        self, leg: Leg, sheet: LaserSheet, middle: mi.Vector3f, active: mi.Bool
-    ) -> mi.Float:
-        """The sheet's standard deviation where its middle meets a surface, over rho there."""
-        length, time = dr.norm(middle), leg.ray.time
-        ray = mi.Ray3f(sheet.apex(time), middle / length, time, [])
-        hit = leg.scene.ray_intersect_preliminary(ray, coherent=False, active=active)
-        waist = dr.maximum(dr.abs(sheet.waist_distance), 100.0)
-        rho = dr.select(hit.is_valid(), hit.t / length, waist)
-        return 0.5 * sheet.half_width(rho) / rho
 
     def found(self, leg: Leg, sheet: LaserSheet, turned: mi.Float) -> mi.Float:
         """Interreflection, found by a ray that left a surface and meets the line by chance.
@@ -118,13 +113,12 @@ class PairIntegrator(WaterIntegrator):
         chance = turned * dr.abs(dr.dot(si.n, ray.d)) / dr.square(si.t)
 
         phi, rho, s = sheet.coordinates(si.p, ray.time)
-        unit = self._unit_slope(leg, sheet, sheet.direction(phi), possible)
-        towards = si.p - sheet.apex(ray.time)
-        distance = dr.norm(towards)
-        towards /= distance
-        beam = beam_density(sheet, ray.o, ray.time).density(phi, s / (rho * unit))
-        density = ray_density(beam / unit, sheet.normal, towards)
-        drawn = density * dr.abs(dr.dot(si.n, towards)) / dr.square(distance)
+        straight = straight_rays(leg.scene, sheet, phi, ray.time, possible)
+        lateral = s / straight.unit(rho)
+        _, along = straight.line(lateral)
+        beam = beam_density(sheet, ray.o, ray.time).density(phi, lateral)
+        drawn = beam / straight.area(rho, along, si.n)
+        drawn = dr.select(dr.isfinite(drawn), drawn, 0.0)
         return dr.select(possible, light * _power_heuristic(chance, REFLECTIONS * drawn), 0.0)
 
     def surface_surface(self, leg: Leg, spot: Spot, aimed: mi.Float) -> mi.Float:
@@ -163,7 +157,7 @@ class PairIntegrator(WaterIntegrator):
         lobe = self.phase.direction_density(angle_between(to_apex, onward))
         return (1 - aimed * (TO_APEX + TO_LINE)) * scattering + aimed * TO_APEX * lobe
 
-    def _surface_water(self, leg: Leg, sheet: LaserSheet, beam: Beam) -> mi.Float:
+    def surface_water(self, leg: Leg, sheet: LaserSheet, beam: Beam) -> mi.Float:
         """Light scattered onto the target: laser - water - surface - ray."""
         si, time = leg.si, leg.ray.time
         lit = leg.active & si.is_valid() & (beam.power > 0)
@@ -244,17 +238,17 @@ class PairIntegrator(WaterIntegrator):
     def _laser_line(
         self, sheet: LaserSheet, beam: Beam, about: mi.Point3f, time: mi.Float
     ) -> tuple[mi.Point3f, mi.Vector3f, mi.Float]:
-        """The beam as a straight line, displaced as it is nearest to ``about``.
+        """The beam as a straight line, its tangent where it is nearest to ``about``.
 
-        Its origin, its unit direction, and rho per mm along it.
+        Its origin, where rho is 0, its unit direction, and rho per mm along it.
         """
-        middle = sheet.direction(beam.phi)
-        stretch = dr.rcp(dr.norm(middle))
-        direction = middle * stretch
-        apex = sheet.apex(time)
-        rho = dr.maximum(dr.dot(about - apex, direction) * stretch, 0)
-        aside = sheet.normal * (beam.lateral * 0.5 * sheet.half_width(rho))
-        return apex + aside, direction, stretch
+        middle, apex = sheet.direction(beam.phi), sheet.apex(time)
+        rho = dr.maximum(dr.dot(about - apex, middle) / dr.squared_norm(middle), 0)
+        aside = beam.lateral * 0.5 * sheet.half_width(rho)
+        slope = aside * sheet.curvature(rho)
+        along = middle + sheet.normal * slope
+        stretch = dr.rcp(dr.norm(along))
+        return apex + sheet.normal * (aside - slope * rho), along * stretch, stretch
 
     def _source(
         self,
@@ -268,21 +262,20 @@ class PairIntegrator(WaterIntegrator):
     ) -> tuple[mi.Float, mi.Point3f]:
         """Light the beam scatters at ``rho`` towards ``target``, and the point of the water.
 
-        Per mm of rho, over the squared distance, with the loss from the apex to ``target``
-        and ``beyond`` mm more.
+        Per mm of rho, over the squared distance, with the loss from the laser to ``target`` and
+        ``beyond`` mm more.
         """
         time = leg.ray.time
         aside = beam.lateral * 0.5 * sheet.half_width(rho)
-        apex = sheet.apex(time)
-        point = apex + sheet.direction(beam.phi) * rho + sheet.normal * aside
-        incoming = point - apex
-        depth = dr.norm(incoming)
-        incoming /= depth
+        point = sheet.apex(time) + sheet.direction(beam.phi) * rho + sheet.normal * aside
+        incoming, source = sheet.ray_through(beam.phi, rho, aside, time)
+        way = point - source
+        depth = dr.norm(way)
         offset = target - point
         distance = dr.norm(offset)
         phase = self.phase.value(angle_between(incoming, offset / distance))
         lit = active & (distance > 0) & (depth > 0)
-        lit &= ~leg.scene.ray_test(mi.Ray3f(apex, incoming, depth, time, []), lit)
+        lit &= ~leg.scene.ray_test(mi.Ray3f(source, way / depth, depth, time, []), lit)
         loss = dr.exp(-self.extinction * (depth + distance + beyond))
         light = beam.power * self.scattering * phase * loss / dr.square(distance)
         return dr.select(lit, light, 0.0), point

@@ -1,13 +1,19 @@
-"""The emitter plugin: a Gaussian laser sheet that opens from an apex inside the water.
+"""The emitter plugin: a Gaussian laser sheet whose fan opens from an apex inside the water.
 
 The laser sits behind a port of its own, but light that reaches a point through two specular
 interfaces cannot be found by a path tracer, so the emitter stands on the water side: a delta
-position at the apex whose strength at a point is the sheet's irradiance there.  Stock
-integrators can connect to it.
+light whose strength at a point is the sheet's irradiance there.  Stock integrators can connect
+to it.
 
 Coordinates of the sheet: phi, the angle in the fan; rho, the distance from the apex along the
 fan's plane; s, the offset from the sheet's middle along its normal.  A sheet that left the
 laser through a tilted window is bowed: its middle rises by q(phi) rho above the plane.
+
+In the fan's plane light comes from the apex.  Across it light runs along a Gaussian beam's
+hyperbolas, on each of which s is a constant share of the half width w(rho).  So one direction
+belongs to each point, its hyperbola's there, and one source on the line through the apex along
+the sheet's normal, where the hyperbola begins: whatever stands on the straight way to the source
+shades the point (docs/explanation/physics.md, section 4).
 """
 
 from math import erf, pi, radians, sqrt
@@ -80,8 +86,20 @@ class LaserSheet(mi.Emitter):
         flat = self.across * sine + self.axis * cosine
         return flat + self.normal * self.slope(phi) if self.is_bowed else flat
 
+    def ray_through(
+        self, phi: mi.Float, rho: mi.Float, s: mi.Float, time: mi.Float
+    ) -> tuple[mi.Vector3f, mi.Point3f]:
+        """Which way light travels at a place of the sheet, a unit vector, and its source."""
+        along = self.direction(phi) + self.normal * (s * self.curvature(rho))
+        at_apex = s * (self.half_width(mi.Float(0)) / self.half_width(rho))
+        return dr.normalize(along), self.apex(time) + self.normal * at_apex
+
+    def arrival(self, point: mi.Point3f, time: mi.Float) -> tuple[mi.Vector3f, mi.Point3f]:
+        """``ray_through`` a point of the world."""
+        return self.ray_through(*self.coordinates(point, time), time)
+
     def irradiance(self, point: mi.Point3f, time: mi.Float) -> mi.Float:
-        """mW/mm2 on a surface that faces the apex at ``point``, without the water's loss.
+        """mW/mm2 on a surface that faces the light at ``point``, without the water's loss.
 
         E = P f(phi) / rho * sqrt(2/pi) / w * exp(-2 s2 / w2), the fan's
         power per arc of radius rho, spread over the Gaussian of 1/e2 half width w
@@ -95,6 +113,15 @@ class LaserSheet(mi.Emitter):
     def half_width(self, rho: mi.Float) -> mi.Float:
         """1/e2 half width of the sheet in mm at a distance in mm from the apex."""
         return self.waist * dr.sqrt(1 + dr.square((rho - self.waist_distance) / self.rayleigh))
+
+    def curvature(self, rho: mi.Float) -> mi.Float:
+        """Of the wavefront across the sheet, 1/mm: positive where light spreads.
+
+        1 / R = z / (z2 + z_R2), z from the waist; it is also the slope of a hyperbola over its s
+        (docs/explanation/physics.md, section 4).
+        """
+        z = rho - self.waist_distance
+        return z / (dr.square(z) + dr.square(self.rayleigh))
 
     def power_density(self, phi: mi.Float) -> mi.Float:
         """mW per radian of the fan."""
@@ -113,17 +140,21 @@ class LaserSheet(mi.Emitter):
     def sample_direction(
         self, it: mi.Interaction3f, sample: mi.Point2f, active: mi.Bool = True
     ) -> tuple[mi.DirectionSample3f, mi.Spectrum]:
-        """The direction to the apex and the sheet's irradiance, a delta position's weight."""
+        """Where light comes from at ``it`` and the sheet's irradiance, a delta light's weight.
+
+        ``d`` is the local direction, by which light is scattered and reflected; ``p`` and ``dist``
+        are the source's, towards which integrators ask what stands in the way.
+        """
+        along, source = self.arrival(it.p, it.time)
         ds = dr.zeros(mi.DirectionSample3f)
-        ds.p = self.apex(it.time)
+        ds.p = source
         ds.n = mi.Normal3f(self.axis)
         ds.time = it.time
         ds.pdf = 1.0
         ds.delta = True
         ds.emitter = mi.EmitterPtr(self)
-        ds.d = ds.p - it.p
-        ds.dist = dr.norm(ds.d)
-        ds.d /= ds.dist
+        ds.d = -along
+        ds.dist = dr.norm(source - it.p)
         return ds, mi.Spectrum(dr.select(active, self.irradiance(it.p, it.time), 0.0))
 
     def pdf_direction(

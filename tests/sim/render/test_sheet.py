@@ -231,16 +231,64 @@ def test_a_moving_head_takes_the_sheet_along() -> None:
         assert np.all(np.abs(lit - reference) < bound)
 
 
-def test_the_emitter_is_a_delta_position() -> None:
-    """Integrators connect to the apex, and no ray meets it by chance."""
-    laser = Laser(power_mw=1, apex_mm=(0, 0, 100), waist_mm=5)
+def rays_of(sheet: LaserSheet, points: Floats) -> tuple[Floats, Floats]:
+    """(N, 3) unit directions of light at (N, 3) points of the world, and its sources."""
+    place = mi.Point3f(*(mi.Float(column.astype(np.float32)) for column in points.T))
+    along, source = sheet.arrival(place, mi.Float(0.0))
+    return np.array(along, dtype=float).T, np.array(source, dtype=float).T
+
+
+@FEW
+@given(laser=ASKEW, waist=st.floats(0.1, 4), seed=st.integers(0, 2**31))
+def test_light_runs_along_the_hyperbolas_of_a_gaussian_beam(
+    laser: Laser, waist: float, seed: int
+) -> None:
+    """At a constant share of the half width beside the truth's sheet, light follows the curve
+    and began on it beside the apex."""
+    laser = laser.model_copy(update={"waist_mm": waist})
+    generator = np.random.default_rng(seed)
+    head = head_pose(Head(camera_mm=(0, 0, 0), yaw_deg=3.0), 20.0)
+    (sheet,) = sheets_of(laser, head)
+    truth = TrueSheet(sheet_plane(laser, laser.sheets[0]), bow_of(laser, INDEX))
+    half = np.radians(laser.fan_half_angle_deg)
+    angle = generator.uniform(-0.99 * half, 0.99 * half, 50) + np.radians(laser.aim_deg)
+    rho, share = generator.uniform(100, 700, 50), generator.uniform(-1.5, 1.5, 50)
+
+    def curve(rho: Floats) -> Floats:
+        way = np.column_stack([np.sin(angle), -np.cos(angle)])
+        xz = np.array(laser.apex_mm)[[0, 2]] + rho[:, np.newaxis] * way
+        aside = share * laser.half_thickness_mm(rho, INDEX)
+        normal = truth.pose.rotation[:, 1]
+        return head.apply(truth.in_head(xz) + aside[:, np.newaxis] * normal)
+
+    along, source = rays_of(sheet, curve(rho))
+    tangent = curve(rho + 0.1) - curve(rho - 0.1)
+    tangent /= np.linalg.norm(tangent, axis=1, keepdims=True)
+    # A place's error over its distance turns phi, times the wavefront's curvature it turns the
+    # slope; the bow in kernels is good to 5e-7.  Differences over 0.1 mm err by 0.1^2 / z_R^2.
+    rayleigh = np.pi * waist**2 * INDEX / (NM * 1e-6)
+    placed = POSITION_MM + 5e-7 * rho
+    error = 2e-6 + placed / rho + placed / (2 * rayleigh) + 1e-2 / rayleigh**2
+    assert np.all(np.linalg.norm(along - tangent, axis=1) < 3 * error)
+    narrower = laser.half_thickness_mm(np.array(0.0), INDEX) / laser.half_thickness_mm(rho, INDEX)
+    began = curve(np.full(50, 1e-9))
+    assert np.all(np.linalg.norm(source - began, axis=1) < 2 * POSITION_MM + 3 * narrower * placed)
+
+
+def test_the_emitter_is_a_delta_light() -> None:
+    """Integrators scatter its light from the local direction, look for what stands before its
+    source, which lies beside the apex, and never meet it by chance."""
+    laser = Laser(power_mw=1, apex_mm=(0, 0, 100), waist_mm=0.2, waist_distance_mm=250)
     (sheet,) = sheets_of(laser)
     si = mi.SurfaceInteraction3f()
-    si.p = mi.Point3f(20, 1, -300)
+    si.p = mi.Point3f(20, 0.4, -300)
     ds, weight = sheet.sample_direction(si, mi.Point2f(0.5))
-    there = np.array(si.p + ds.d * ds.dist, dtype=float).ravel()
-    np.testing.assert_allclose(there, [0, 0, 100], atol=POSITION_MM)
-    value = irradiance(sheet, np.array([[20.0, 1.0, -300.0]]))[0]
+    (along,), (source,) = rays_of(sheet, np.array([[20.0, 0.4, -300.0]]))
+    np.testing.assert_allclose(np.array(ds.d, dtype=float).ravel(), -along, atol=1e-6)
+    np.testing.assert_allclose(np.array(ds.p, dtype=float).ravel(), source, atol=1e-6)
+    assert abs(source[1]) > 0.3 and np.all(source[[0, 2]] == [0, 100])
+    assert float(ds.dist[0]) == pytest.approx(np.linalg.norm(source - [20, 0.4, -300]), rel=1e-6)
+    value = irradiance(sheet, np.array([[20.0, 0.4, -300.0]]))[0]
     assert float(weight[0][0]) == pytest.approx(value, rel=1e-6)
     assert float(sheet.eval_direction(si, ds)[0][0]) == pytest.approx(value, rel=1e-6)
     assert float(sheet.pdf_direction(si, ds)[0]) == 0
