@@ -5,6 +5,7 @@ from dataclasses import dataclass
 
 from sim.validation.physics.box import closed_box
 from sim.validation.physics.energy import energy
+from sim.validation.physics.laserleg import laser_leg
 from sim.validation.physics.matter import matter
 from sim.validation.physics.phases import phases
 from sim.validation.physics.ports import ports
@@ -22,13 +23,14 @@ Measure = Callable[[], Topic]
 class VerifyEffort:
     """How much is measured; by default all of it.
 
-    rigs: random ones for the ports.  sights: random lines of sight for the veil.  box_rays,
-    box_batches: of the closed box.  runs, samples: independent pictures a side against
-    volpath, and its samples a pixel.
+    rigs: random ones for the ports.  sights: random lines of sight for the veil.  leg_samples: a
+    place of the floor under a sheet.  box_rays, box_batches: of the closed box.  runs, samples:
+    independent pictures a side against volpath, and its samples a pixel.
     """
 
     rigs: int = 60
     sights: int = 60
+    leg_samples: int = 1 << 22
     box_rays: int = 1 << 19
     box_batches: int = 16
     runs: int = 16
@@ -36,7 +38,9 @@ class VerifyEffort:
 
 
 FULL = VerifyEffort()
-QUICK = VerifyEffort(rigs=2, sights=2, box_rays=1 << 14, box_batches=4, runs=3, samples=16)
+QUICK = VerifyEffort(
+    rigs=2, sights=2, leg_samples=1 << 14, box_rays=1 << 14, box_batches=4, runs=3, samples=16
+)
 WATERS = ("clear", "coastal", "harbor")
 
 
@@ -49,6 +53,7 @@ def chapters(effort: VerifyEffort) -> dict[str, Measure]:
         "matter": matter,
         "phases": phases,
         "single scattering": lambda: single_scattering(effort.sights),
+        "laser leg": lambda: laser_leg(effort.leg_samples),
         "energy": energy,
         "sensor": sensor,
         "closed box": lambda: closed_box(effort.box_rays, effort.box_batches),
