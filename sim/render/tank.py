@@ -1,5 +1,6 @@
 """The tank: from a scene to radiance, in layers, wherever the head stands."""
 
+import logging
 from collections.abc import Mapping
 from dataclasses import dataclass
 from math import ceil
@@ -18,10 +19,13 @@ from sim.render.plugins.camera import RefractiveCamera
 from sim.render.plugins.integrator import SheetIntegrator
 from sim.render.plugins.multiple import MultipleIntegrator
 from sim.render.plugins.sheet import LaserSheet
+from sim.render.sparse.picture import SparseLaserLight, reason_for_samples
 from sim.scene import Scene, camera_pose, head_pose
 from sim.scene.file import check_samples
 from sim.scene.poses import TRACK
 from sim.water import HenyeyGreensteinMixture, Optics, glass_index, water_optics
+
+_log = logging.getLogger(__name__)
 
 Radiance = NDArray[np.float32]
 W_PER_M2_IN_MW_PER_MM2 = 1e3  # 1 mW/mm2 is 1000 W/m2; scenes are in mW and mm
@@ -75,12 +79,14 @@ class Tank:
     integrator: light of the first order.  higher: light of all higher orders.
     """
 
-    def __init__(self, scene: Scene) -> None:
+    def __init__(self, scene: Scene, *, sampled: bool = False) -> None:
         """Load meshes and plugins.
 
         Parameters
         ----------
         scene : Scene, all of it; the head may move later, by ``place``
+        sampled : bool, the laser's light of the first order gets its samples in every pixel, not
+            only where it is uneven
 
         Raises
         ------
@@ -93,9 +99,12 @@ class Tank:
         self.sheets = [LaserSheet(mi.Properties()) for _ in self._lines]
         self.integrator = SheetIntegrator(mi.Properties())
         self.higher = MultipleIntegrator(mi.Properties())
+        is_lit = scene.tank.light.ambient_w_m2_sr > 0
+        self._daylight = SheetIntegrator(mi.Properties()) if is_lit else None
         self._tune(laser.wavelength_nm)
         self._camera, self._random_camera = self.make_camera(), self.make_camera(jitter=True)
         self.mitsuba_scene = mi.load_dict(self._scene_dict())
+        self._sparse = None if sampled else self._few_rays()
         self.place(scene.rig.plan.start_mm)
 
     def make_camera(
@@ -200,11 +209,13 @@ class Tank:
             self._tune(laser.wavelength_at(time_s))
             self._focus(self._camera)
             self._focus(self._random_camera)
+        if self._sparse is not None:
+            self._sparse.look(anew=laser.drift is not None)
         self.place(position_mm, exposure_ms)
         # The noise of one picture of a scan says nothing about that of the next.
         place = np.array([position_mm]).view(np.uint64)
         seed = int(np.random.SeedSequence([render.seed, int(place[0])]).generate_state(1)[0])
-        first = self._layers(self._camera, self.integrator, samples // parts, seed)
+        first = self._first_order(position_mm, samples, seed)
         more = render.scatter_samples if scatter_samples is None else scatter_samples
         if more > 0:
             share = ceil(more / parts)
@@ -212,6 +223,28 @@ class Tank:
             for name, layer in higher.items():
                 first[name] = first[name] + layer
         return Layers(**first)
+
+    def _first_order(self, position_mm: float, samples: int, seed: int) -> dict[str, Radiance]:
+        """All layers, of light of the first order; head and cameras are in place."""
+        share = samples // self.scene.tank.render.fineness**2
+        if self._sparse is None:
+            return self._layers(self._camera, self.integrator, share, seed)
+        head = head_pose(self.scene.tank.head, position_mm)
+        laser = self._sparse.layers(head, samples)
+        direct, scattered = (layer * np.float32(W_PER_M2_IN_MW_PER_MM2) for layer in laser)
+        if self._daylight is None:
+            ambient = np.zeros_like(direct)
+        else:
+            ambient = self._layers(self._camera, self._daylight, share, seed)["ambient"]
+        return {"direct": direct, "scattered": scattered, "ambient": ambient}
+
+    def _few_rays(self) -> SparseLaserLight | None:
+        """What renders the laser's light of the first order from few rays, where that can be."""
+        reason = reason_for_samples(self.scene)
+        if reason:
+            _log.warning("note: %s: every pixel is sampled (%s)", self.scene.source, reason)
+            return None
+        return SparseLaserLight(self.scene, self.mitsuba_scene, self._camera, self.integrator)
 
     def _layers(
         self, camera: RefractiveCamera, integrator: WaterIntegrator, samples: int, seed: int
@@ -244,6 +277,8 @@ class Tank:
         ambient = tank.light.ambient_w_m2_sr / W_PER_M2_IN_MW_PER_MM2
         for integrator in (self.integrator, self.higher):
             integrator.configure(self.water, self.sheets, ambient, tank.light.penumbra)
+        if self._daylight is not None:
+            self._daylight.configure(self.water, (), ambient, tank.light.penumbra)
 
     def _focus(self, camera: RefractiveCamera) -> None:
         """Set a camera's optics for the water as it is."""

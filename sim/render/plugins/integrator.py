@@ -39,10 +39,17 @@ class SheetIntegrator(WaterIntegrator):
             ambient = self._ambient(leg)
         return [direct, scattered, ambient]
 
-    def scattered(self, leg: Leg, sheet: LaserSheet, least: mi.Float | float = 0.0) -> mi.Float:
+    def scattered(
+        self,
+        leg: Leg,
+        sheet: LaserSheet,
+        least: mi.Float | float = 0.0,
+        sample: mi.Float | None = None,
+    ) -> mi.Float:
         """Laser to water to camera: the in-scattering point is drawn about the crossing.
 
-        least: rad; light that is turned by no more is left out.
+        least: rad; light that is turned by no more is left out.  sample: 0 to 1, of the light
+        along the ray; random if None.
 
         Along the ray the sheet is very nearly a Gaussian about the crossing t0 of its middle
         plane, with sigma = w / (2 |d.n|) (docs/explanation/physics.md, section 7).  Drawing t
@@ -56,7 +63,7 @@ class SheetIntegrator(WaterIntegrator):
 
         low = _normal_cdf(-crossing / sigma)
         share = _normal_cdf((end - crossing) / sigma) - low
-        quantile = low + leg.sampler.next_1d(leg.active) * share
+        quantile = low + (leg.sampler.next_1d(leg.active) if sample is None else sample) * share
         z = sqrt(2) * dr.erfinv(dr.clip(2 * quantile - 1, -0.9999999, 0.9999999))
         t = crossing + sigma * z
         # The cut tails, below 1e-6 of the sheet's power, are left out.

@@ -1,0 +1,108 @@
+"""Laser light of the first order: even pixels from one ray each, only the others sampled."""
+
+from math import gcd, isqrt, sqrt
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+from numpy.typing import NDArray
+
+from lscan.records import Ints
+from sim.render.plugins.base import Leg
+from sim.render.plugins.camera import RefractiveCamera
+from sim.render.plugins.integrator import SheetIntegrator
+from sim.render.sparse.rays import HeadRays, film_rays, head_rays
+from sim.render.sparse.reach import sheet_reach
+from sim.render.sparse.survey import MOST_SHEETS, survey
+from sim.scene import Pose, Scene
+
+Picture = NDArray[np.float32]
+GOLDEN = (sqrt(5) - 1) / 2
+
+
+def reason_for_samples(scene: Scene) -> str:
+    """Why every pixel of the scene needs samples; "" where they do not."""
+    if scene.tank.head.speed_mm_s != 0:
+        return "head.speed_mm_s: the head moves while a picture is taken"
+    if scene.tank.lens.focus_mm is not None:
+        return "lens.focus_mm: what is out of focus is blurred"
+    if len(scene.tank.laser.sheets) > MOST_SHEETS:
+        return f"laser.lines: more than {MOST_SHEETS}"
+    return ""
+
+
+class SparseLaserLight:
+    """The laser's direct and scattered light in a tank, wherever its head stands."""
+
+    def __init__(
+        self,
+        scene: Scene,
+        mitsuba_scene: mi.Scene,
+        camera: RefractiveCamera,
+        integrator: SheetIntegrator,
+    ) -> None:
+        """Take the tank's parts, to be configured and placed by the tank."""
+        self._head, self._size_px = scene.tank.head, scene.rig.camera.size_px
+        self._fineness = scene.tank.render.fineness
+        self._scene, self._camera, self._integrator = mitsuba_scene, camera, integrator
+        self._rays: HeadRays | None = None
+
+    def look(self, anew: bool = False) -> None:
+        """Compute what is the same in all pictures of a wavelength, unless that is done already.
+
+        Camera and sheets are configured, and have to be placed afterwards.  anew: even if done.
+        """
+        if self._rays is None or anew:
+            self._rays = head_rays(self._camera, self._integrator, self._head, self._size_px)
+
+    def layers(self, head: Pose, samples: int) -> tuple[Picture, Picture]:
+        """Direct and scattered light, (f H, f W) in mW/(mm2 sr), of the scene's fineness f.
+
+        head: where camera and sheets are placed.  samples: a pixel, where it needs them.
+        """
+        assert self._rays is not None, "look() comes first"
+        (width, height), fineness = self._size_px, self._fineness
+        direct = np.zeros((fineness * height, fineness * width), np.float32)
+        if not self._integrator.sheets:
+            return direct, np.zeros_like(direct)
+        reaches = tuple(sheet_reach(self._scene, sheet) for sheet in self._integrator.sheets)
+        seen = survey(self._scene, self._rays, head, reaches, self._size_px)
+        scattered = seen.veil.repeat(fineness, axis=0).repeat(fineness, axis=1)
+        if seen.uneven.size:
+            row, column = np.divmod(seen.uneven, width)
+            means = self._sampled(seen.uneven, isqrt(samples))
+            for layer, mean in zip((direct, scattered), means, strict=True):
+                layer.reshape(height, fineness, width, fineness)[row, :, column, :] = mean
+        return direct, scattered
+
+    def _sampled(self, pixels: Ints, side: int) -> list[Picture]:
+        """Both layers in the parts of the pixels, (N, f, f), of side x side samples a pixel.
+
+        The samples lie on a regular grid.  For what the water scatters, each has a quantile of
+        its own of the light along the ray, far from those of the samples beside it.
+        """
+        (width, height), count, fineness = self._size_px, side**2, self._fineness
+        lane = dr.arange(mi.UInt32, count * len(pixels))
+        pixel = dr.gather(mi.UInt32, mi.UInt32(pixels.astype(np.uint32)), lane // count)
+        sample = lane % count
+        u = mi.Float(pixel % width) + (mi.Float(sample % side) + 0.5) / side
+        v = mi.Float(pixel // width) + (mi.Float(sample // side) + 0.5) / side
+        ray, weight = film_rays(self._camera, mi.Point2f(u / width, v / height))
+        leg = Leg(self._scene, None, ray, self._scene.ray_intersect(ray), mi.Bool(True))
+        quantile = (mi.Float((sample * _stride(count)) % count) + 0.5) / count
+        direct, scattered = mi.Float(0), mi.Float(0)
+        for sheet in self._integrator.sheets:
+            direct += self._integrator.direct(leg, sheet)
+            if self._integrator.has_water:
+                scattered += self._integrator.scattered(leg, sheet, sample=quantile)
+        layers = [direct * weight, scattered * weight]
+        dr.eval(layers)
+        share = side // fineness
+        shape = (len(pixels), fineness, share, fineness, share)
+        return [np.array(layer).reshape(shape).mean(axis=(2, 4)) for layer in layers]
+
+
+def _stride(count: int) -> int:
+    """A step that visits all of ``count`` places, each far from the one before."""
+    steps = range(max(1, round(GOLDEN * count)), 2 * count + 1)
+    return next(step for step in steps if gcd(step, count) == 1)

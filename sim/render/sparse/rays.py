@@ -1,0 +1,104 @@
+"""The camera's rays, one a pixel, and the open water's veil along each, in the head's frame.
+
+Camera and laser stand still against each other, so all this is the same in every picture of a
+scan; only a laser whose wavelength drifts changes it.
+"""
+
+from dataclasses import dataclass
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from sim.render.plugins.base import Leg
+from sim.render.plugins.camera import RefractiveCamera
+from sim.render.plugins.integrator import SheetIntegrator, crossing_of
+from sim.render.plugins.opaque import opaque_vector
+from sim.render.plugins.sheet import LaserSheet
+from sim.scene import Head, Pose, camera_pose
+
+HEAD = Pose(np.eye(3), np.zeros(3))  # the head's frame itself
+# Places at which the light scattered into a ray is summed, at equal shares of the Gaussian that
+# it nearly is along the ray: what makes it differ from one changes by 1e-3 over its width.
+QUANTILES = 4
+
+
+@dataclass(frozen=True)
+class OpenVeil:
+    """One sheet's light scattered into rays with nothing in the way of either.
+
+    crossing, sigma: where along the rays it comes from, mean and standard deviation, mm.
+    phi, rho: the mean's angle in the fan, and its distance from the apex, mm.
+    radiance: mW/(mm2 sr), the camera's weight included.
+    """
+
+    crossing: mi.Float
+    sigma: mi.Float
+    phi: mi.Float
+    rho: mi.Float
+    radiance: mi.Float
+
+
+@dataclass(frozen=True)
+class HeadRays:
+    """A ray in the water for each pixel's centre, row by row.
+
+    origin: mm.  direction: unit.  weight: the camera's.  veils: one for each sheet.
+    """
+
+    origin: mi.Point3f
+    direction: mi.Vector3f
+    weight: mi.Float
+    veils: tuple[OpenVeil, ...]
+
+    def seen_from(self, head: Pose) -> mi.Ray3f:
+        """The rays in the world."""
+        x, y, z = (opaque_vector(column) for column in head.rotation.T)
+        place, way = self.origin, self.direction
+        origin = opaque_vector(head.origin_mm) + x * place.x + y * place.y + z * place.z
+        return mi.Ray3f(mi.Point3f(origin), x * way.x + y * way.y + z * way.z)
+
+
+def head_rays(
+    camera: RefractiveCamera, integrator: SheetIntegrator, head: Head, size_px: tuple[int, int]
+) -> HeadRays:
+    """The rays of all pixels; camera and sheets are left in the head's frame.
+
+    size_px: (width, height) of the picture.
+    """
+    camera.place(camera_pose(head))
+    for sheet in integrator.sheets:
+        sheet.place(HEAD)
+    width, height = size_px
+    index = dr.arange(mi.UInt32, width * height)
+    ray, weight = film_rays(
+        camera, mi.Point2f((index % width + 0.5) / width, (index // width + 0.5) / height)
+    )
+    veils = tuple(_open_veil(integrator, sheet, ray, weight) for sheet in integrator.sheets)
+    rays = HeadRays(ray.o, ray.d, weight, veils)
+    dr.eval(rays)
+    return rays
+
+
+def film_rays(camera: RefractiveCamera, place: mi.Point2f) -> tuple[mi.Ray3f, mi.Float]:
+    """The camera's rays through places of its film, 0 to 1 along each side, and their weights."""
+    ray, weight = camera.sample_ray(mi.Float(0.5), mi.Float(0), place, mi.Point2f(0.5))
+    return ray, weight.x
+
+
+def _open_veil(
+    integrator: SheetIntegrator, sheet: LaserSheet, ray: mi.Ray3f, weight: mi.Float
+) -> OpenVeil:
+    crossing, slope = crossing_of(sheet, ray)
+    phi, rho, _ = sheet.coordinates(ray(crossing), ray.time)
+    sigma = sheet.half_width(rho) / (2 * dr.abs(slope))
+    radiance = mi.Float(0)
+    if integrator.has_water:
+        nothing = dr.zeros(mi.SurfaceInteraction3f)
+        nothing.t = dr.inf
+        leg = Leg(mi.load_dict({"type": "scene"}), None, ray, nothing, mi.Bool(True))
+        for k in range(QUANTILES):
+            radiance += integrator.scattered(leg, sheet, sample=mi.Float((k + 0.5) / QUANTILES))
+    inside = dr.abs(phi) <= sheet.half_angle
+    light = dr.select(inside, radiance * weight / QUANTILES, 0.0)
+    return OpenVeil(crossing, sigma, phi, rho, light)

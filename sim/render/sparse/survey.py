@@ -1,0 +1,76 @@
+"""What each pixel's central ray meets, and in which pixels the laser's light is not even.
+
+A ray that meets a surface far behind a sheet sees all of its veil, one that ends far before it
+none; only where it ends within the sheet is there direct light.  A pixel whose neighbours all
+see alike needs no more than its central ray.
+"""
+
+from dataclasses import dataclass
+
+import cv2
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+from numpy.typing import NDArray
+
+from lscan.records import Ints
+from sim.render.sparse.rays import HeadRays
+from sim.render.sparse.reach import SheetReach
+from sim.scene import Pose
+
+# Standard deviations of the sheet: farther from its middle there is 4e-6 of the light there.
+END = 5.0
+MIXED = 255  # of a pixel's state: any sheet's light is there in part
+MOST_SHEETS = 7  # of which a state has room for a bit each, and is not MIXED
+NEIGHBOURS = np.ones((3, 3), np.uint8)
+
+
+@dataclass(frozen=True)
+class PixelSurvey:
+    """One picture's central rays.
+
+    veil: (H, W) radiance that the water scatters, where it is even, mW/(mm2 sr), the camera's
+    weight included.  uneven: indices of the other pixels, row by row.  distance: of the surface
+    along each ray, mm, infinite where there is none.
+    """
+
+    veil: NDArray[np.float32]
+    uneven: Ints
+    distance: mi.Float
+
+
+def survey(
+    scene: mi.Scene,
+    rays: HeadRays,
+    head: Pose,
+    reaches: tuple[SheetReach, ...],
+    size_px: tuple[int, int],
+) -> PixelSurvey:
+    """What is seen with the head at a pose.
+
+    reaches: of the sheets there.  size_px: (width, height) of the picture.
+    """
+    distance = scene.ray_intersect_preliminary(rays.seen_from(head), coherent=True).t
+    veil, state, mixed = mi.Float(0), mi.UInt32(0), mi.Bool(False)
+    for number, (open_veil, reach) in enumerate(zip(rays.veils, reaches, strict=True)):
+        behind = (distance - open_veil.crossing) / open_veil.sigma
+        lit, dark = reach.shows(open_veil.phi, open_veil.rho)
+        lit &= dr.abs(open_veil.phi) <= reach.half_angle
+        dark |= dr.abs(open_veil.phi) > reach.half_angle
+        whole = (behind > END) & lit
+        none = (behind < -END) | ((behind > END) & dark)
+        veil += dr.select(whole, open_veil.radiance, 0.0)
+        state += dr.select(whole, mi.UInt32(1 << number), 0)
+        mixed |= ~(whole | none)
+    state = dr.select(mixed, MIXED, state)
+    dr.eval(veil, state, distance)
+    width, height = size_px
+    states = np.array(state).astype(np.uint8).reshape(height, width)
+    # A copy: what Dr.Jit owns may not be written into.
+    return PixelSurvey(np.array(veil).reshape(height, width), _uneven(states), distance)
+
+
+def _uneven(states: NDArray[np.uint8]) -> Ints:
+    """Indices of the pixels that are mixed or unlike any of their neighbours."""
+    most, least = cv2.dilate(states, NEIGHBOURS), cv2.erode(states, NEIGHBOURS)
+    return np.flatnonzero((most == MIXED) | (most != least))
