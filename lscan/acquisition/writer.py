@@ -333,11 +333,12 @@ def _remove_temporaries(path: Path) -> None:
 # the time and saves nothing.  Other levels and filters are slower or, on some pictures, larger by
 # a third.  What JPEG has smoothed gets larger by this, all but black pictures several times, but
 # no picture takes longer than a noisy one.
-_PNG = (cv2.IMWRITE_PNG_STRATEGY, cv2.IMWRITE_PNG_STRATEGY_HUFFMAN_ONLY)
+PNG = (cv2.IMWRITE_PNG_STRATEGY, cv2.IMWRITE_PNG_STRATEGY_HUFFMAN_ONLY)
+"""How the pictures of a run are coded, as ``cv2.imencode`` takes it."""
 
 
 def _write_picture(image: Bytes, file: Path) -> str:
     """Write a picture, synced; the SHA-256 of its file."""
-    png = encoded(image, ".png", _PNG, where=file)
+    png = encoded(image, ".png", PNG, where=file)
     write_atomically(file, png)
     return hashlib.sha256(png).hexdigest()

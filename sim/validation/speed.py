@@ -17,9 +17,11 @@ import mitsuba as mi
 import numpy as np
 
 from lscan.acquisition.scan import scan
+from lscan.acquisition.writer import PNG
 from lscan.benchmark.timing import median_seconds, timed
 from lscan.config.rig import StripeSection
 from lscan.config.rigfile import RigFile, load_rig
+from lscan.files.pictures import encoded
 from lscan.paper.experiment import METHODS, measure_board
 from lscan.records import Floats, Mask
 from lscan.stripe import extract_stripe
@@ -38,6 +40,7 @@ OURS_A_RUN = 4  # pictures of ours for one of the reference, which takes some 20
 ALL_ORDERS, FIRST_ORDER = -1, 2  # volpath's max_depth
 BARS = {"line core": 150.0, "halo": 20.0, "veil": 1000.0}
 SEED, RESAMPLES = 0, 2000
+SAMPLED, FEW_RAYS = "every pixel sampled", "few rays"
 CONFIDENCE = 0.95
 
 Window = tuple[int, int, int, int]
@@ -77,7 +80,7 @@ def run_bench(scenes: Path, output: Path, quick: bool = False) -> list[Row]:
 
     Parameters
     ----------
-    scenes : Path, folder of board.toml and groove.toml
+    scenes : Path, folder of board.toml, groove.toml and sandwave.toml
     output : Path, the JSON file
     quick : bool, every row, with the least effort
 
@@ -86,7 +89,9 @@ def run_bench(scenes: Path, output: Path, quick: bool = False) -> list[Row]:
     InputError
         A scene file is wrong, or the disk refuses.
     """
-    groove, board = load_rig(scenes / "groove.toml"), load_rig(scenes / "board.toml")
+    groove, board, sandwave = (
+        load_rig(scenes / f"{name}.toml") for name in ("groove", "board", "sandwave")
+    )
     effort = QUICK if quick else FULL
     file = RowFile(output, quick)
     for what, measure in {
@@ -94,6 +99,7 @@ def run_bench(scenes: Path, output: Path, quick: bool = False) -> list[Row]:
         "efficiency on the veil": partial(veil_efficiency, groove, effort),
         "efficiency above the line": partial(water_efficiency, groove, effort),
         "time of a frame": partial(frame_times, groove, effort),
+        "time of a picture of the first order": partial(picture_times, sandwave, effort),
         "time of a plane map": partial(map_times, board, effort),
     }.items():
         file.add(measured(what, measure))
@@ -238,6 +244,35 @@ def frame_times(rig_file: RigFile, effort: SpeedEffort) -> list[Row]:
     return [_time_row(what, call, " a frame", effort) for what, call in calls.items()]
 
 
+def picture_times(rig_file: RigFile, effort: SpeedEffort) -> list[Row]:
+    """Milliseconds of each stage from the scene to the PNG file, light of the first order alone.
+
+    With every pixel sampled and with few rays, in turn and at one place after the other.
+    """
+    scene = scene_of(rig_file)
+    tanks = {way: Tank(scene, sampled=way == SAMPLED) for way in (SAMPLED, FEW_RAYS)}
+    webcam, generator = Webcam(scene), np.random.default_rng(SEED)
+    seconds: dict[str, list[list[float]]] = {way: [] for way in tanks}
+    for run in range(effort.repeats + 1):  # the first compiles what is rendered
+        for way, tank in tanks.items():
+            place_mm = run * scene.rig.plan.step_mm
+            render_s, layers = timed(partial(tank.render, place_mm, scatter_samples=0))
+            exposure_ms = scene.rig.camera.exposure_ms
+            sensor_s, image = timed(partial(webcam.expose, layers, exposure_ms, generator))
+            png_s, _ = timed(partial(encoded, image, ".png", PNG))
+            seconds[way].append([render_s, sensor_s, png_s])
+    rows, whole_s = [], {}
+    for way, taken in seconds.items():
+        stages = np.median(taken[1:], axis=0)
+        for stage, median_s in zip(("render", "sensor", "PNG"), stages, strict=True):
+            what = f"picture of the first order, {way}: {stage}"
+            rows.append(_milliseconds(what, median_s, " a frame", effort))
+        whole_s[way] = float(np.median(np.sum(taken[1:], axis=1)))
+    gain = whole_s[SAMPLED] / whole_s[FEW_RAYS]
+    per_s = 1 / whole_s[FEW_RAYS]
+    return [*rows, row("picture-gain", gain, repeats=effort.repeats, per_s=per_s)]
+
+
 def map_times(board: RigFile, effort: SpeedEffort) -> list[Row]:
     """Milliseconds each plane map takes for the 640 points of a profile."""
     points = np.column_stack([np.arange(640.0), np.full(640, 300.0)])
@@ -256,5 +291,8 @@ def _square(pictures: Floats, truth: Floats, part: Mask) -> float:
 
 def _time_row(what: str, call: Callable[[], object], per: str, effort: SpeedEffort) -> Row:
     """Median milliseconds of a call, the first one left out."""
-    median_ms = 1e3 * median_seconds(call, effort.repeats)
-    return row("time", median_ms, what=what, repeats=effort.repeats, per=per)
+    return _milliseconds(what, median_seconds(call, effort.repeats), per, effort)
+
+
+def _milliseconds(what: str, seconds: float, per: str, effort: SpeedEffort) -> Row:
+    return row("time", 1e3 * seconds, what=what, repeats=effort.repeats, per=per)

@@ -59,9 +59,15 @@ def test_an_error_in_one_measurement_is_a_failed_row(
     def works(*_: object) -> list[Row]:
         return [Row("a time", "a clock", 1.0, None, "ms", "reported without a bar")]
 
-    for name in ("line_efficiency", "veil_efficiency", "water_efficiency", "map_times"):
+    for name in (
+        "line_efficiency",
+        "veil_efficiency",
+        "water_efficiency",
+        "picture_times",
+        "map_times",
+    ):
         monkeypatch.setattr(bench, name, works)
     monkeypatch.setattr(bench, "frame_times", fails)
     rows = run_bench(PAPER, tmp_path / "bench.json")
-    assert [row.passed for row in rows] == [None, None, None, False, None]
+    assert [row.passed for row in rows] == [None, None, None, False, None, None]
     assert rows[3].what == "time of a frame" and "no kernel" in rows[3].error
