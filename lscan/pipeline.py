@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
+from lscan.acquisition.inorder import in_order
 from lscan.acquisition.run import Run
 from lscan.board import read_board
 from lscan.calibration.api import PlaneMap
@@ -17,7 +18,7 @@ from lscan.config.rig import CameraSection, Rig
 from lscan.config.rigfile import RigFile
 from lscan.config.targets import Sandwave
 from lscan.errors import BoardNotFound, InputError, MeasurementError
-from lscan.records import Bytes, Floats, Profile, Progress, Surface
+from lscan.records import Bytes, Floats, Profile, Progress, Stripe, Surface
 from lscan.stripe import extract_stripe
 from lscan.surface import Alignment, align_sandwave, apply, stack
 from lscan.surface.align.keptalignment import KeptAlignment
@@ -237,7 +238,7 @@ def build_surface(profiles: Sequence[Profile], rig: Rig) -> Surface:
 def read_profiles(
     run: Run, plane_map: PlaneMap, progress: Progress | None = None
 ) -> Iterator[Profile]:
-    """One profile a picture, in the run's order.
+    """One profile a picture, in the run's order; several pictures are worked on at once.
 
     Parameters
     ----------
@@ -255,10 +256,16 @@ def read_profiles(
     InputError
         Where a picture cannot be read, or there is no extractor of that name.
     """
-    plane_map = carried(plane_map, run.rig_file.rig)
-    for done, frame in enumerate(run.frames(), start=1):
-        found = extract_stripe(frame.image, run.rig_file.rig.stripe, frame.background)
-        yield to_profile(found, plane_map, frame.position_mm)
+    rig = run.rig_file.rig
+    plane_map = carried(plane_map, rig)
+
+    def stripe_of(index: int) -> tuple[Stripe, float]:
+        frame = run.frame(index)
+        return extract_stripe(frame.image, rig.stripe, frame.background), frame.position_mm
+
+    found = in_order(stripe_of, range(len(run)))
+    for done, (stripe, position_mm) in enumerate(found, start=1):
+        yield to_profile(stripe, plane_map, position_mm)
         if progress:
             progress(done, len(run))
 
@@ -289,7 +296,7 @@ def mean_picture(run: Run) -> Bytes:
     if len(run) == 0:
         raise InputError("holds no picture yet", where=run.path)
     total: Floats | float = 0.0
-    for frame in run.frames():
+    for frame in in_order(run.frame, range(len(run))):
         total = total + frame.image.astype(float)
     return np.rint(total / len(run)).astype(np.uint8)
 

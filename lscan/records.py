@@ -22,7 +22,7 @@ Every measured coordinate has a standard uncertainty (one sigma) beside it.
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from enum import IntEnum
-from typing import Literal, TypeVar
+from typing import Any, Literal, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,6 +31,7 @@ Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 Bytes = NDArray[np.uint8]
 Mask = NDArray[np.bool_]
+GreyValues = NDArray[np.integer[Any] | np.floating[Any]]
 Record = TypeVar("Record")
 Axis = Literal["columns", "rows"]
 

@@ -6,9 +6,9 @@ import numpy as np
 
 from lscan.config.rig import StripeSection
 from lscan.live.maptable import LiveProfile, MapTable
-from lscan.records import Bytes, Floats, Ints, Stripe, has_value
+from lscan.records import Bytes, Floats, GreyValues, Ints, Stripe, has_value
 from lscan.stripe import extract_stripe
-from lscan.stripe.lines import GreyValues, PictureLines, lines_of
+from lscan.stripe.lines import PictureLines, lines_of
 from lscan.stripe.noise.model import constant_variance
 from lscan.stripe.width import line_width
 
@@ -67,11 +67,11 @@ def measure_line(image: Bytes, settings: StripeSection, table: MapTable | None) 
     part = image[band] if settings.axis == "columns" else image[:, band]
     stripe = extract_stripe(part, settings)
     grey, at = whole.grey[:, band], np.flatnonzero(has_value(stripe.status))
-    variance = constant_variance(whole.grey.astype(np.float64))
+    variance = constant_variance(whole.grey)
     focus = sharpness(_light_about(grey, stripe.centre_px[at], at), variance)
     line = StripeFigures(
         stripe=replace(stripe, centre_px=stripe.centre_px + band.start),
-        width_px=FULL_WIDTH * line_width(grey.astype(np.float64), at) if len(at) else None,
+        width_px=FULL_WIDTH * line_width(grey, at) if len(at) else None,
         snr=float(np.median(stripe.peak[at]) / np.sqrt(variance)) if len(at) else None,
         slope=slope_of(stripe.centre_px),
     )

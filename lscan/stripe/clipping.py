@@ -35,7 +35,8 @@ def clipping_level(lines: Bytes) -> int:
     lines : (N, L) array, uint8, DN, the pixels across the line, one row for each entry of the
         stripe
     """
-    count = np.bincount(lines.ravel(), minlength=CLIPPED_DN + 1).astype(np.int64)
+    counted = cv2.calcHist([lines], [0], None, [CLIPPED_DN + 1], [0, CLIPPED_DN + 1])
+    count = np.asarray(counted).ravel().astype(np.int64)
     above = np.cumsum(count[::-1])[::-1]  # pixels of each value or more
     top = int(np.flatnonzero(above > _STRAY * lines.size)[-1])
     if top >= _NEAR_END_DN or top < _LEAST_DN:

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from lscan.records import Floats, Stripe, has_value
+from lscan.records import Floats, GreyValues, Stripe, has_value
 from lscan.stripe.peaks import windows
 
 CORE_PX = 2  # on either side of the centre: more would take in what walls beside a line throw back
@@ -11,7 +11,7 @@ GROUND_PX = (4, 6)
 enough that a wall or a halo is as bright there as beneath the line."""
 
 
-def core_flux(stripe: Stripe, light: Floats) -> Floats:
+def core_flux(stripe: Stripe, light: GreyValues) -> Floats:
     """(N,) light within CORE_PX of the line's centre above the ground beside it, DN.
 
     NaN where the stripe has no value, and where no light is left above the ground.
@@ -29,9 +29,9 @@ def core_flux(stripe: Stripe, light: Floats) -> Floats:
     flux = np.full(len(stripe.status), np.nan)
     valued = np.flatnonzero(has_value(stripe.status))
     row = np.rint(stripe.centre_px[valued]).astype(int)
-    core = np.arange(-CORE_PX, CORE_PX + 1)
-    beside = np.arange(GROUND_PX[0], GROUND_PX[1] + 1)
-    ground = windows(light, valued, row, np.append(-beside, beside)).mean(axis=1)
-    total = (windows(light, valued, row, core) - ground[:, None]).sum(axis=1)
+    steps = np.abs(np.arange(-GROUND_PX[1], GROUND_PX[1] + 1))
+    beside, core = steps >= GROUND_PX[0], steps <= CORE_PX
+    near = windows(light, valued, row, GROUND_PX[1])
+    total = (near[:, core] - near[:, beside].mean(axis=1)[:, None]).sum(axis=1)
     flux[valued] = np.where(total > 0, total, np.nan)
     return flux

@@ -22,6 +22,8 @@ _ROOT_TWO_PI = np.sqrt(2 * np.pi)
 class CrossSections:
     """K lines as n pixels see them, and how that changes with the parameters.
 
+    In memory the K values of a pixel lie together: K is long, n is short.
+
     Attributes
     ----------
     light : (K, n) array, DN, the line itself
@@ -42,21 +44,19 @@ def lines(parameters: Floats, steps: Floats) -> CrossSections:
     parameters : (K, 5) array, px and DN, see the module's text
     steps : (n,) array, px, consecutive pixels, from the middle one
     """
-    centre = parameters[:, [CENTRE]]
-    width, height = np.exp(parameters[:, [LN_WIDTH]]), np.exp(parameters[:, [LN_HEIGHT]])
-    ground = parameters[:, [GROUND]] + parameters[:, [TILT]] * steps
-    edges = np.append(steps - 0.5, steps[-1] + 0.5)
+    centre, ln_width, ln_height, ground, tilt = np.ascontiguousarray(parameters.T)
+    width, height = np.exp(ln_width), np.exp(ln_height)
+    edges = np.append(steps - 0.5, steps[-1] + 0.5)[:, None]
     distance = (edges - centre) / width
     density = np.exp(-0.5 * distance**2)
-    unit = width * _ROOT_TWO_PI * np.diff(ndtr(distance), axis=1)
-    light = height * unit
-    jacobian = np.empty((len(parameters), 5, len(steps)))
-    jacobian[:, CENTRE] = -height * np.diff(density, axis=1)
-    jacobian[:, LN_WIDTH] = light - height * width * np.diff(distance * density, axis=1)
-    jacobian[:, LN_HEIGHT] = light
-    jacobian[:, GROUND] = 1.0
-    jacobian[:, TILT] = steps
-    return CrossSections(light, ground, jacobian)
+    light = height * width * _ROOT_TWO_PI * np.diff(ndtr(distance), axis=0)
+    by = np.empty((5, len(steps), len(parameters)))
+    by[CENTRE] = -height * np.diff(density, axis=0)
+    by[LN_WIDTH] = light - height * width * np.diff(distance * density, axis=0)
+    by[LN_HEIGHT] = light
+    by[GROUND] = 1.0
+    by[TILT] = steps[:, None]
+    return CrossSections(light.T, (ground + tilt * steps[:, None]).T, by.transpose(2, 0, 1))
 
 
 def parameters_of(

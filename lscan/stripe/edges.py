@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from lscan.records import Floats, Stripe, has_value
+from lscan.records import GreyValues, Stripe, has_value
 from lscan.stripe.peaks import windows
 from lscan.stripe.width import line_width
 
@@ -15,7 +15,7 @@ the flanks, which are symmetric where no edge crosses them, and beyond."""
 _ROUNDING_DN = 0.5  # a ground of 0 DN has been anything up to that: no edge is sharper
 
 
-def doubted(stripe: Stripe, light: Floats, ground: Floats, threshold_dn: float) -> Stripe:
+def doubted(stripe: Stripe, light: GreyValues, ground: GreyValues, threshold_dn: float) -> Stripe:
     """The stripe with sigma_px enlarged where the target is brighter on one side of the line.
 
     A line half on white and half on black is seen displaced towards the white.  Where the white,

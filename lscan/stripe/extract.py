@@ -10,13 +10,13 @@ from numpy.typing import NDArray
 from lscan.config.plugins import find_plugin_or_function
 from lscan.config.rig import StripeSection
 from lscan.errors import InputError, LscanError
-from lscan.records import Bytes, Floats, Mask, Status, Stripe
-from lscan.stripe.api import Extractor, require_stripe
+from lscan.records import Bytes, Floats, GreyValues, Mask, Status, Stripe
+from lscan.stripe.api import Extractor, require_stripe, takes_integers
 from lscan.stripe.core import core_flux
 from lscan.stripe.corrections.blur import correct_blur
 from lscan.stripe.corrections.smoothing import smooth
 from lscan.stripe.edges import doubted
-from lscan.stripe.lines import GreyValues, PictureLines, check_pair, faint_threshold, lines_of
+from lscan.stripe.lines import PictureLines, check_pair, faint_threshold, lines_of
 from lscan.stripe.noise.along import at_least_seen
 from lscan.stripe.noise.model import difference_noise
 from lscan.stripe.peaks import clipped_near
@@ -70,17 +70,15 @@ def extract_stripe(
     """
     extractor = find_extractor(settings.extractor)
     light, known = _light(image, settings, background)
-    grey: Floats = light.grey.astype(np.float64)
     white = light.white is not None and bool(light.white.any())
-    chosen = choose_return(grey.T, known, light.clipped.T, white)
+    chosen = choose_return(light.grey.T, known, light.clipped.T, white)
     stripe = _called(extractor, known, chosen.image, chosen.clipped)
     stripe = _mark_saturated(stripe, chosen.clipped.T, light.white, settings.span_px)
     stripe = withhold(stripe, chosen.ambiguous)
     if chosen.textured:
-        stripe = doubted(stripe, chosen.image.T, grey, settings.threshold_dn)
+        stripe = doubted(stripe, chosen.image.T, light.grey, settings.threshold_dn)
     if light.others is not None:
-        others = light.others.astype(np.float64)
-        stripe = doubted(stripe, chosen.image.T, others, settings.threshold_dn)
+        stripe = doubted(stripe, chosen.image.T, light.others, settings.threshold_dn)
     if settings.noise is None:
         stripe = at_least_seen(stripe, chosen.image.T)
     stripe = correct_blur(stripe, settings, chosen.image.T)
@@ -104,7 +102,7 @@ def _light(
     if background is not None:
         dark = lines_of(background, lit.channel, settings.axis, "background", lit.clipping_dn)
         taken_off.append(dark.grey)
-        grey, clipped = lit.grey.astype(np.float64) - dark.grey, lit.clipped & ~dark.clipped
+        grey, clipped = lit.grey.astype(np.int16) - dark.grey, lit.clipped & ~dark.clipped
         lit = replace(lit, grey=grey, clipped=clipped)
     for other in taken_off:
         if settings.noise is not None:
@@ -113,15 +111,18 @@ def _light(
     return lit, settings
 
 
-def _called(extractor: Extractor, settings: StripeSection, image: Floats, clipped: Mask) -> Stripe:
+def _called(
+    extractor: Extractor, settings: StripeSection, image: GreyValues, clipped: Mask
+) -> Stripe:
     """What the extractor says, with the axis set; InputError where it is no extractor.
 
     An extractor may come from another package: it cannot write into the picture, and its result
     is validated.
     """
     where = f"extractor {settings.extractor}"
+    given = cast(Floats, image if takes_integers(extractor) else image.astype(np.float64))
     try:
-        stripe = extractor(_read_only(image), settings, _read_only(clipped))
+        stripe = extractor(_read_only(given), settings, _read_only(clipped))
     except LscanError:
         raise
     except TypeError as error:

@@ -7,14 +7,18 @@ Tobin 1958).
 """
 
 from dataclasses import dataclass
-from typing import cast
+from itertools import combinations_with_replacement
+from typing import TypeVar, cast
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.special import log_ndtr
 
 from lscan.records import Floats, Ints, Mask, select
 from lscan.stripe.crosssection import CENTRE, CrossSections, lines
 from lscan.stripe.noise.model import Noise
+
+_Value = TypeVar("_Value", bound=np.generic)
 
 _MOST_STEPS = 30
 _FULL_STEPS = 10
@@ -64,8 +68,14 @@ class LineWindows:
         ----------
         chosen : (C,) array, indices among the K
         """
-        grey, base = self.grey[chosen], self.base[chosen]
-        return LineWindows(self.steps, grey, base, self.used[chosen], self.clipped[chosen])
+        grey, base = _of_lines(self.grey, chosen), self.base[chosen]
+        used, clipped = _of_lines(self.used, chosen), _of_lines(self.clipped, chosen)
+        return LineWindows(self.steps, grey, base, used, clipped)
+
+
+def _of_lines(values: NDArray[_Value], chosen: Ints) -> NDArray[_Value]:
+    """Some rows of an array in which, as in crosssection.py, columns lie together in memory."""
+    return values.T.take(chosen, axis=1).T
 
 
 @dataclass(frozen=True)
@@ -162,10 +172,14 @@ def _normal_equations(
     pull = weight * residual
     if view.clipped.any():
         weight, pull = _censored(view, residual, variance, weight, pull)
-    information = (model.jacobian * weight[:, None]) @ model.jacobian.transpose(0, 2, 1)
-    diagonal = np.arange(parameters.shape[1])
+    by = model.jacobian.transpose(1, 2, 0)
+    information, weighted = np.empty((len(parameters), 5, 5)), by * weight.T
+    for one, other in combinations_with_replacement(range(5), 2):
+        of_both = np.einsum("nk,nk->k", weighted[one], by[other])
+        information[:, one, other] = information[:, other, one] = of_both
+    diagonal = np.arange(5)
     information[:, diagonal, diagonal] += prior.precision
-    score = (model.jacobian @ pull[..., None])[..., 0]
+    score = np.stack([np.einsum("nk,nk->k", each, pull.T) for each in by], axis=1)
     score += prior.precision * (prior.mean - parameters)
     return information, score, _Weighted(model, variance, weight)
 

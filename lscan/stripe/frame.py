@@ -42,6 +42,8 @@ def without_frame(lines: Bytes, frame: tuple[int, int]) -> Bytes:
 
 def _depth(edge: Bytes) -> int:
     """Pixels of the frame in (N, n) pixels from the edge inwards."""
+    if int(edge.max()) <= _STEP_DN:  # darker than any frame
+        return 0
     level = np.median(edge, axis=0)
     even = (np.abs(edge - level) <= _EVEN_DN).mean(axis=0) >= _EVEN_SHARE
     ends = even[:-1].cumprod().astype(bool) & (level[:-1] - level[1:] > _STEP_DN)

@@ -1,20 +1,17 @@
 """A picture laid out for stripe extraction: one row in memory for each entry of the stripe."""
 
 from dataclasses import dataclass
-from typing import Any, cast
+from typing import cast
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from lscan.config.rig import LineChannel
 from lscan.errors import InputError
-from lscan.records import Axis, Bytes, Floats, Mask
+from lscan.records import Axis, Bytes, Floats, GreyValues, Mask
 from lscan.stripe.clipping import clipping_level
 from lscan.stripe.frame import frame_px, without_frame
 from lscan.stripe.noise.model import constant_variance
-
-GreyValues = NDArray[np.integer[Any] | np.floating[Any]]
 
 _COLOURS: tuple[LineChannel, ...] = ("red", "green", "blue")
 _EXCESSES: tuple[LineChannel, ...] = ("red-excess", "green-excess", "blue-excess")
@@ -135,7 +132,7 @@ def faint_threshold(excess: GreyValues) -> float:
     ----------
     excess : (N, L) array, DN, the excess of the line's colour
     """
-    noise_dn = np.sqrt(constant_variance(excess.astype(np.float64)))
+    noise_dn = np.sqrt(constant_variance(excess))
     half = np.quantile(_heights(excess), _UPPER) / 2
     return float(max(half, _LEAST_DN, _SIGMAS * noise_dn))
 

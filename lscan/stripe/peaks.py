@@ -1,15 +1,15 @@
 """Which columns of a picture have a line in them, and at which pixel it peaks."""
 
 from dataclasses import dataclass, replace
-from typing import TypeVar
+from typing import Any
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
 from lscan.config.rig import StripeSection
-from lscan.records import Floats, Ints, Mask, Status, Stripe, has_value
-
-_Pixel = TypeVar("_Pixel", bound=np.generic)
+from lscan.records import Floats, GreyValues, Ints, Mask, Status, Stripe, has_value
+from lscan.stripe.ranks import crests, ranked
 
 
 @dataclass(frozen=True)
@@ -28,7 +28,7 @@ class Peaks:
     base: Floats
 
 
-def nominal_peaks(columns: Floats, settings: StripeSection) -> tuple[Stripe, Peaks]:
+def nominal_peaks(columns: GreyValues, settings: StripeSection) -> tuple[Stripe, Peaks]:
     """A stripe with peaks and statuses but no centres yet, and the columns that have a line.
 
     A column has a line where its highest value, the first maximum from the top, exceeds its
@@ -45,11 +45,9 @@ def nominal_peaks(columns: Floats, settings: StripeSection) -> tuple[Stripe, Pea
     Sec. V.B of the paper.
     """
     width, height = columns.shape
-    rows = columns.argmax(axis=1)  # the first of several equal ones
-    # Grey values of cameras are exact in single precision, where the median is faster.
-    middle = height // 2
-    base = np.partition(columns.astype(np.float32), middle, axis=1)[:, middle].astype(float)
-    peak = np.take_along_axis(columns, rows[:, None], axis=1)[:, 0] - base
+    rows = crests(columns)
+    base = ranked(columns, height // 2)
+    peak = columns[np.arange(width), rows] - base
     border = (rows < settings.span_px) | (rows >= height - settings.span_px)
     status = np.full(width, int(Status.OK), dtype=np.int64)
     status[border] = Status.AT_BORDER
@@ -60,20 +58,26 @@ def nominal_peaks(columns: Floats, settings: StripeSection) -> tuple[Stripe, Pea
     return stripe, Peaks(found, rows[found], base[found])
 
 
-def windows(columns: NDArray[_Pixel], at: Ints, rows: Ints, steps: Ints | int) -> NDArray[_Pixel]:
+def windows(columns: NDArray[Any], at: Ints, rows: Ints, steps: Ints | int) -> Floats:
     """Pixels (K, n) of some columns about a row of each; beyond an edge its pixel is repeated.
 
     Parameters
     ----------
-    columns : (W, H) array, one column of the picture a row
+    columns : (W, H) array, one column of the picture a row, of any type; of a mask 0 and 1 come
     at : (K,) array, indices of the columns
     rows : (K,) array, px, the middle row of each
     steps : (n,) array or int, px, from the middle row; an integer: up to so many to either side
     """
+    height = columns.shape[1]
     if isinstance(steps, int):
+        begin, end = rows - steps, rows + steps
+        if len(rows) and begin.min() >= 0 and end.max() < height:
+            cut = sliding_window_view(columns, 2 * steps + 1, axis=1)[at, begin]
+            return cut.astype(np.float64, copy=False)
         steps = np.arange(-steps, steps + 1)
-    inside = np.clip(rows[:, None] + steps, 0, columns.shape[1] - 1)
-    return columns[at[:, None], inside]
+    inside = np.minimum(np.maximum(rows[:, None] + steps, 0), height - 1)
+    inside += height * at[:, None]
+    return columns.reshape(-1).take(inside).astype(np.float64, copy=False)
 
 
 def centred(stripe: Stripe, peaks: Peaks, offset: Floats, sigma_px: Floats, kept: Mask) -> Stripe:

@@ -13,16 +13,16 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from lscan.config.rig import StripeSection
-from lscan.records import Floats, Ints, Mask, Status, Stripe, has_value, select
+from lscan.records import Floats, GreyValues, Ints, Mask, Status, Stripe, has_value, select
 from lscan.stripe.spots import (
     GAP,
     REACH_PX,
-    Relief,
     Spots,
     footprint,
     pairs,
     relief_of,
     runs_of,
+    spots_near,
     spots_of,
 )
 from lscan.stripe.texture import (
@@ -61,21 +61,22 @@ class OneReturn:
 
     Attributes
     ----------
-    image : (H, W) array, DN, as given but for the other returns
+    image : (H, W) array, DN, as given but for the other returns; floats where those are painted
+        over, as a rule of single precision, in which a camera's grey values are exact
     clipped : (H, W) mask, as given but for the other returns
     ambiguous : (W,) mask, of the columns with several lines of which none can be said to be the one
         meant
     textured : bool, whether the picture shows a lit target, on which ``image`` is made even
     """
 
-    image: Floats
+    image: GreyValues
     clipped: Mask
     ambiguous: Mask
     textured: bool = False
 
 
 def choose_return(
-    image: Floats, settings: StripeSection, clipped: Mask, white: bool = False
+    image: GreyValues, settings: StripeSection, clipped: Mask, white: bool = False
 ) -> OneReturn:
     """The picture with only the line meant by ``settings.returns`` left in each column.
 
@@ -109,33 +110,41 @@ def choose_return(
         light looks like one, and light does not tell the line
     """
     columns = np.ascontiguousarray(image.T)
-    relief = relief_of(columns)
-    spots = spots_of(relief, settings.threshold_dn)
+    threshold_dn, width_px = settings.threshold_dn, settings.line_width_px
+    spots = spots_near(columns, threshold_dn)
+    if spots is None:
+        spots = spots_of(relief_of(columns), threshold_dn)
     run = runs_of(spots)
-    width_px = settings.line_width_px or line_width_px(spots)
     specked = settings.returns != "brightest" and _is_specked(spots, run)
-    rivals = len(spots.column) - len(np.unique(spots.column))
+    rivals = np.count_nonzero(np.diff(spots.column) == 0)
     doubtful = white and rivals >= _RIVALS * len(columns)
-    if doubtful or specked or is_textured(relief, spots, run, width_px, settings.threshold_dn):
-        return _in_texture(relief, spots, width_px, settings, clipped)
+    if doubtful or specked or is_textured(columns, spots, run, width_px, threshold_dn):
+        return _in_texture(columns, spots, settings, clipped)
     choice = _choose(spots, run, _isolated(spots, run), settings)
     if not choice.rejected.any():
         return OneReturn(image, clipped, choice.ambiguous(len(columns)))
-    over = footprint(spots, choice.rejected, columns.shape)
-    painted = np.where(over, np.minimum(columns, relief.ground), columns)
-    lost = (np.ascontiguousarray(clipped.T) & ~over).T
-    return OneReturn(painted.T, lost, choice.ambiguous(len(columns)))
+    at, lost = np.unique(spots.column[choice.rejected]), clipped.T.copy()
+    painted = columns.astype(np.result_type(columns, np.float32))
+    here = np.flatnonzero(np.isin(spots.column, at))
+    there = replace(select(spots, here), column=np.searchsorted(at, spots.column[here]))
+    over = footprint(there, choice.rejected[here], (len(at), columns.shape[1]))
+    painted[at] = np.where(
+        over, np.minimum(columns[at], relief_of(columns[at]).ground), columns[at]
+    )
+    lost[at] &= ~over
+    return OneReturn(painted.T, lost.T, choice.ambiguous(len(columns)))
 
 
 def _in_texture(
-    dark: Relief, seen: Spots, width_px: float, settings: StripeSection, clipped: Mask
+    columns: GreyValues, seen: Spots, settings: StripeSection, clipped: Mask
 ) -> OneReturn:
     """The same on a lit target: the line meant on an even ground in each column.
 
-    dark, seen: the relief and its spots on the usual ground.  Columns whose ground is even and
-    hold that line alone stay as they are.
+    seen: the spots on the usual ground.  Columns whose ground is even and hold that line alone
+    stay as they are.
     """
-    columns, count, threshold_dn = dark.columns, len(dark.columns), settings.threshold_dn
+    count, threshold_dn = len(columns), settings.threshold_dn
+    width_px = settings.line_width_px or line_width_px(seen)
     relief = relief_of(columns, ground_px(width_px), sharp=True)
     spots = spots_of(relief, threshold_dn)
     path = paths_of(spots, columns.shape, width_px)
@@ -144,7 +153,7 @@ def _in_texture(
     run = np.unique(path[kept], return_inverse=True)[1]
     choice = _choose(lines, run, np.zeros(len(run), dtype=bool), settings)
     kept[kept] = ~choice.rejected
-    even = np.ptp(dark.ground, axis=1) <= threshold_dn / 2
+    even = np.ptp(relief_of(columns).ground, axis=1) <= threshold_dn / 2
     left = np.bincount(spots.column[kept], minlength=count)
     even &= (np.bincount(seen.column, minlength=count) == left) & (left <= 1)
     flat, near = flattened(relief, spots, kept, threshold_dn)
@@ -199,6 +208,8 @@ def _isolated(spots: Spots, run: Ints) -> Mask:
     length = np.bincount(run)
     height = np.bincount(run, spots.height) / length
     blob = (length <= height) & (_MUCH_LONGER * length <= length.max())
+    if not blob.any():
+        return np.zeros(len(run), dtype=bool)
     beside = np.zeros(len(length), dtype=bool)
     for apart in range(1, GAP + 1):
         first, second = pairs(spots.column, apart)
@@ -287,6 +298,9 @@ def _rejected(
 
     first, second: (P,) pairs of spots in the same column, the first above the second.
     """
+    faint, yielding = np.zeros(len(run), dtype=bool), np.zeros(len(run), dtype=bool)
+    if len(first) == 0:
+        return faint, yielding
     length = np.bincount(run)
     height = np.bincount(run, spots.height) / length
     # Each pair both ways round: a spot of run ``a`` and its rival of run ``b``.
@@ -301,7 +315,6 @@ def _rejected(
     speck = ~succeed & (length[a] <= _SPECK * height[a]) & (length[b] > _LONGER * length[a])
     by_light = ~succeed | (settings.returns == "brightest")
     weaker = ~np.roll(speck, len(first)) & by_light & (own < _WEAKER * other)
-    faint, yielding = np.zeros(len(run), dtype=bool), np.zeros(len(run), dtype=bool)
     faint[spot[speck | weaker]] = True
     if settings.returns == "brightest":
         yields = other >= _CLEARLY * own

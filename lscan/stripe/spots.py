@@ -4,10 +4,12 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
+from numpy.lib.stride_tricks import sliding_window_view
+from numpy.typing import NDArray
 
-from lscan.records import Floats, Ints, Mask
+from lscan.records import Floats, GreyValues, Ints, Mask, select
+
+Singles = NDArray[np.float32]
 
 GROUND_PX = 61
 """What is wider than this, along the column, is ground: four FWHM of 6 px lines."""
@@ -19,6 +21,11 @@ GAP = 4
 """Columns that speckle or a dark grain may take out of a run."""
 
 _SMOOTHING_PX = 1.0  # as wide as a narrow line: speckle must not split a spot in two
+_SEEN_PX = GROUND_PX - 1 + 4  # to either side of a pixel: what its ground depends on, smoothed
+_ROOM_PX = 16
+"""To either side of a stretch of bright pixels, where the feet of its spots are looked for.  A line
+of half the threshold's light is no spot, so that few feet lie far from bright pixels."""
+_SURE_PX = _ROOM_PX - REACH_PX - 3  # a foot so far out is found as in the whole column
 MOST_SPOTS = 32
 """Of a column: those of the most light.  In a picture of noise each of thousands of rows may hold
 one, and spots are compared in pairs."""
@@ -36,25 +43,47 @@ class Relief:
         opening, its narrow peaks cut off
     """
 
-    columns: Floats
-    smoothed: Floats
-    ground: Floats
+    columns: GreyValues
+    smoothed: Singles
+    ground: Singles
 
 
-def relief_of(columns: Floats, ground_px: int = GROUND_PX, sharp: bool = False) -> Relief:
+def relief_of(
+    columns: GreyValues,
+    ground_px: int = GROUND_PX,
+    sharp: bool = False,
+    rows: slice = slice(None),
+) -> Relief:
     """The columns with the ground beneath their lines.
 
     Parameters
     ----------
     columns : (W, H) array, DN, one column of the picture a row
     ground_px : int, odd, px, what is wider along the column is ground
+    sharp : bool, whether the ground is that of the columns as they are, not smoothed
+    rows : slice, of the columns, which are wanted
     """
-    smoothed = cv2.GaussianBlur(
-        columns.astype(np.float32), (0, 1), sigmaX=_SMOOTHING_PX, sigmaY=_SMOOTHING_PX
-    )
-    shown = columns.astype(np.float32) if sharp else smoothed
-    ground = cv2.morphologyEx(shown, cv2.MORPH_OPEN, np.ones((1, ground_px), np.uint8))
-    return Relief(columns, smoothed.astype(float), ground.astype(float))
+    single = columns.astype(np.float32)
+    blurred = cv2.GaussianBlur(single, (0, 1), sigmaX=_SMOOTHING_PX, sigmaY=_SMOOTHING_PX)
+    smoothed = np.asarray(blurred, np.float32)
+    ground = _opened((single if sharp else smoothed).T.copy(), ground_px)
+    return Relief(columns[:, rows], smoothed[:, rows], ground[rows].T.copy())
+
+
+def _opened(values: Singles, size: int) -> Singles:
+    """(H, W) after a grey-scale opening over ``size`` rows, an odd number; edges cut it short.
+
+    The extreme of so many rows is that of two that overlap, each found from half as many.
+    """
+    for extreme, nothing in ((np.minimum, np.inf), (np.maximum, -np.inf)):
+        half = size // 2
+        values = np.pad(values, ((half, half), (0, 0)), constant_values=nothing)
+        done = 1
+        while done < size:
+            step = min(done, size - done)
+            values = extreme(values[:-step], values[step:])
+            done += step
+    return values
 
 
 @dataclass(frozen=True)
@@ -96,14 +125,16 @@ def spots_of(relief: Relief, threshold_dn: float) -> Spots:
     """
     columns, ground = relief.columns, relief.ground
     light = relief.smoothed - ground
-    around = cv2.dilate(light.astype(np.float32), np.ones((1, 2 * REACH_PX + 1), np.uint8))
+    around = cv2.dilate(light, np.ones((1, 2 * REACH_PX + 1), np.uint8))
     inside = ((light > around / 2) & (light > threshold_dn / 4)).astype(np.uint8)
     # Speckle breaks the flanks of wide lines: gaps of two rows are closed.
     closed = cv2.morphologyEx(inside, cv2.MORPH_CLOSE, np.ones((1, 3), np.uint8))
-    edge = np.diff(np.pad(closed, ((0, 0), (1, 1))).astype(np.int8), axis=1)
-    column, top = np.nonzero(edge == 1)
-    bottom = np.nonzero(edge == -1)[1]  # one row further; both are in the same order
-    height = columns.shape[1]
+    count, height = columns.shape
+    apart = np.zeros(count * (height + 1) + 1, dtype=np.int8)  # nothing between two columns
+    apart[1:].reshape(count, height + 1)[:, :-1] = closed
+    edge = np.diff(apart)
+    column, top = np.divmod(np.flatnonzero(edge > 0), height + 1)
+    bottom = np.flatnonzero(edge < 0) % (height + 1)  # one row further; both in the same order
     bounds = np.column_stack([column * height + top, column * height + bottom]).ravel()
     above = np.append((columns - ground).ravel(), 0.0)  # so that the last bound is within it
     total = np.add.reduceat(above, bounds)[::2] if len(bounds) else np.zeros(0)
@@ -111,6 +142,56 @@ def spots_of(relief: Relief, threshold_dn: float) -> Spots:
     high = np.flatnonzero(peak > threshold_dn)
     kept = high[brightest(column[high], total[high], MOST_SPOTS)]
     return Spots(column[kept], top[kept], bottom[kept] - 1, total[kept], peak[kept])
+
+
+def spots_near(columns: GreyValues, threshold_dn: float) -> Spots | None:
+    """The spots that :func:`spots_of` finds in the columns, looked for about bright pixels alone.
+
+    No ground lies below the least pixel of its column, so that every spot holds a pixel that
+    exceeds that by the threshold.  Such pixels are brought together in stretches, and each stretch
+    is looked at in a window that holds all that its spots depend on.
+
+    None where that is no less than the picture, and where spots reach beyond their windows.
+
+    Parameters
+    ----------
+    columns : (W, H) array, DN, one column of the picture a row
+    threshold_dn : float, DN
+    """
+    height = columns.shape[1]
+    column, top, bottom = _bright_stretches(columns, threshold_dn)
+    if len(column) == 0:
+        none = np.zeros(0, dtype=np.int64)
+        return Spots(none, none, none, np.zeros(0), np.zeros(0))
+    length = int((bottom - top).max()) + 1 + 2 * (_ROOM_PX + _SEEN_PX)
+    if length > height or 2 * length * len(column) > columns.size:
+        return None
+    start = np.clip(top - _ROOM_PX - _SEEN_PX, 0, height - length)
+    first = max(int((top - start).min()) - _ROOM_PX, 0)
+    seen = sliding_window_view(columns, length, axis=1)[column, start]
+    last = int((bottom - start).max()) + _ROOM_PX
+    spots = spots_of(relief_of(seen, rows=slice(first, last + 1)), threshold_dn)
+    where, moved = spots.column, (start + first)[spots.column]
+    found = Spots(column[where], spots.top + moved, spots.bottom + moved, spots.light, spots.peak)
+    own = (found.top <= bottom[where]) & (found.bottom >= top[where])
+    over = (found.top < top[where] - _SURE_PX) & (found.top > 0)
+    over |= (found.bottom > bottom[where] + _SURE_PX) & (found.bottom < height - 1)
+    crowded = len(where) > 0 and np.bincount(found.column).max() >= MOST_SPOTS
+    return None if crowded or (over & own).any() else select(found, own)
+
+
+def _bright_stretches(columns: GreyValues, threshold_dn: float) -> tuple[Ints, Ints, Ints]:
+    """Column, first and last row, (K,) each, of stretches of pixels that a spot may hold.
+
+    Two that are nearer to each other than twice _ROOM_PX are one.
+    """
+    # A grey value less than the threshold: the ground is of single precision.
+    least = columns.min(axis=1) + max(threshold_dn - 1, 0.0)
+    limit = np.minimum(least, columns.max()).astype(columns.dtype)
+    column, row = np.divmod(np.flatnonzero(columns > limit[:, None]), columns.shape[1])
+    last = np.flatnonzero((np.diff(column) > 0) | (np.diff(row) > 2 * _ROOM_PX))
+    begin, end = np.append(0, last + 1)[: len(row)], np.append(last, len(row) - 1)[: len(row)]
+    return column[begin], row[begin], row[end]
 
 
 def brightest(column: Ints, light: Floats, most: int) -> Mask:
@@ -122,6 +203,8 @@ def brightest(column: Ints, light: Floats, most: int) -> Mask:
     light : (K,) array, what they are compared by
     most : int, of a column
     """
+    if len(column) == 0 or np.bincount(column).max() <= most:
+        return np.ones(len(column), dtype=bool)
     order = np.lexsort((-light, column))
     begin = np.searchsorted(column, column[order])  # of each spot's column, for they rise
     mask = np.zeros(len(column), dtype=bool)
@@ -137,11 +220,18 @@ def pairs(column: Ints, apart: int) -> tuple[Ints, Ints]:
     column : (K,) array, of the spots, rising
     apart : int, columns; with 0 the first of a pair is above the second
     """
-    begin = np.searchsorted(column, column + apart, side="left")
-    begin = np.maximum(begin, np.arange(len(column)) + 1)
-    end = np.searchsorted(column, column + apart, side="right")
-    count = np.maximum(end - begin, 0)
-    first = np.repeat(np.arange(len(column)), count)
+    first, second = _equals(column + apart, column)
+    if apart:
+        return first, second
+    below = second > first
+    return first[below], second[below]
+
+
+def _equals(wanted: Ints, column: Ints) -> tuple[Ints, Ints]:
+    """Indices of all pairs of equal entries, one of each of two rising arrays."""
+    begin, end = (np.searchsorted(column, wanted, side=side) for side in ("left", "right"))
+    count = end - begin
+    first = np.repeat(np.arange(len(wanted)), count)
     within = np.arange(len(first)) - np.repeat(np.cumsum(count) - count, count)
     return first, begin[first] + within
 
@@ -157,25 +247,29 @@ def runs_of(spots: Spots) -> Ints:
     spots : Spots, px, K of them
     """
     count = len(spots.column)
+    column, middle, height = spots.column, spots.middle, spots.height
     open_right, open_left = np.ones(count, dtype=bool), np.ones(count, dtype=bool)
-    links: list[tuple[Ints, Ints]] = []
+    before = np.arange(count)  # the spot to the left that each is linked to; itself without one
     for apart in range(1, GAP + 1):
-        first, second = pairs(spots.column, apart)
-        distance = np.abs(spots.middle[first] - spots.middle[second])
-        near = distance <= (spots.height[first] + spots.height[second]) / 2 + apart
-        near &= open_right[first] & open_left[second]
+        left, right = np.flatnonzero(open_right), np.flatnonzero(open_left)
+        first, second = _equals(column[left] + apart, column[right])
+        first, second = left[first], right[second]
+        distance = np.abs(middle[first] - middle[second])
+        near = distance <= (height[first] + height[second]) / 2 + apart
         first, second, distance = first[near], second[near], distance[near]
-        mutual = _is_least(first, distance, count) & _is_least(second, distance, count)
+        mutual = _is_least(first, distance) & _is_least(second, distance)
         first, second = first[mutual], second[mutual]
         open_right[first], open_left[second] = False, False
-        links.append((first, second))
-    left, right = (np.concatenate(ends) for ends in zip(*links, strict=True))
-    graph = coo_array((np.ones(len(left)), (left, right)), shape=(count, count))
-    return np.asarray(connected_components(graph, directed=False)[1], dtype=np.int64)
+        before[second] = first
+    while (before[before] != before).any():  # on to the first of each run, in doubling steps
+        before = before[before]
+    return np.unique(before, return_inverse=True)[1]
 
 
-def _is_least(group: Ints, value: Floats, count: int) -> Mask:
-    """Mask, same shape, of the first entry with the least value of its group of ``count``."""
+def _is_least(group: Ints, value: Floats) -> Mask:
+    """Mask, same shape, of the first entry with the least value of its group."""
+    if (np.diff(group) > 0).all():  # one in each
+        return np.ones(len(group), dtype=bool)
     order = np.lexsort((value, group))
     _, first = np.unique(group[order], return_index=True)
     least = np.zeros(len(group), dtype=bool)

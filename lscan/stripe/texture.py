@@ -9,9 +9,10 @@ and goes on from column to column.
 import numpy as np
 from scipy.ndimage import convolve1d, median_filter, uniform_filter1d
 
-from lscan.records import Floats, Ints, Mask
+from lscan.records import Floats, GreyValues, Ints, Mask
 from lscan.stripe.pieces import JUMP_PX
-from lscan.stripe.spots import GAP, GROUND_PX, Relief, Spots, brightest, footprint
+from lscan.stripe.ranks import crests
+from lscan.stripe.spots import GAP, GROUND_PX, Relief, Spots, brightest, footprint, relief_of
 
 _WIDE = 3.0
 """Times the line's width from which a spot is none of it.  A line as steep as JUMP_PX, beyond which
@@ -63,7 +64,7 @@ def line_width_px(spots: Spots) -> float:
 
 
 def is_textured(
-    relief: Relief, spots: Spots, run: Ints, width_px: float, threshold_dn: float
+    columns: GreyValues, spots: Spots, run: Ints, width_px: float | None, threshold_dn: float
 ) -> bool:
     """Whether the picture shows more than lines on a dark ground.
 
@@ -73,18 +74,19 @@ def is_textured(
 
     Parameters
     ----------
-    relief : Relief, DN, on the usual ground
-    spots : Spots, px and DN, K of them
+    columns : (W, H) array, DN, one column of the picture a row
+    spots : Spots, px and DN, K of them, on the usual ground
     run : (K,) array, numbers of the runs they belong to
-    width_px : float, px, full width of the line
+    width_px : float or None, px, full width of the line; None: that of the sharpest spots
     threshold_dn : float, DN
     """
-    width = len(relief.columns)
+    width = len(columns)
     least = max(_SHARE * width, 2)
-    if np.count_nonzero(outshone(relief, spots, threshold_dn)) >= least:
+    if np.count_nonzero(outshone(columns, spots, threshold_dn)) >= least:
         return True
-    if len(run) == 0:
+    if (np.diff(spots.column) > 0).all():  # texture has several spots to a column
         return False
+    width_px = width_px or line_width_px(spots)
     count = np.bincount(spots.column, minlength=width)
     wide = brightest(spots.column, spots.light, 1) & (spots.height > _WIDE * width_px + 1)
     wide &= spots.light > threshold_dn * spots.height  # a spot of noise has less
@@ -98,23 +100,26 @@ def is_textured(
     return bool(crowd and 2 * (strong & long).sum() < strong.sum())
 
 
-def outshone(relief: Relief, spots: Spots, threshold_dn: float) -> Mask:
+def outshone(columns: GreyValues, spots: Spots, threshold_dn: float) -> Mask:
     """(W,) columns whose brightest pixel lies on bright ground, in no spot.
 
     Parameters
     ----------
-    relief : Relief, DN
-    spots : Spots, px
+    columns : (W, H) array, DN, one column of the picture a row
+    spots : Spots, px, on the usual ground
     threshold_dn : float, DN, by which the ground exceeds the column's median
     """
-    columns, ground = relief.columns, relief.ground
-    each = np.arange(len(columns))
-    row = columns.argmax(axis=1)
+    row = crests(columns)
     within = np.abs(spots.middle - row[spots.column]) <= spots.height / 2 + 1
-    bright = ground[each, row] - ground.min(axis=1) > threshold_dn
+    # The ground lies between the least and the highest pixel.
+    bright = columns.max(axis=1) - columns.min(axis=1) >= threshold_dn
     bright[spots.column[within]] = False
     at = np.flatnonzero(bright)
-    bright[at] = ground[at, row[at]] - np.median(columns[at], axis=1) > threshold_dn
+    if len(at):
+        ground = relief_of(columns[at]).ground
+        here = ground[np.arange(len(at)), row[at]]
+        beneath = np.maximum(ground.min(axis=1), np.median(columns[at], axis=1))
+        bright[at] = here - beneath > threshold_dn
     return bright
 
 
@@ -242,10 +247,12 @@ def flattened(relief: Relief, spots: Spots, kept: Mask, threshold_dn: float) -> 
     kept : (K,) mask
     threshold_dn : float, DN; noise remains up to a quarter of it
     """
-    columns, ground = relief.columns, relief.ground
+    columns, ground = relief.columns, relief.ground.astype(np.float64)
     level = np.median(ground, axis=1)
     middle = spots.middle.astype(np.int64)
     level[spots.column[kept]] = ground[spots.column[kept], middle[kept]]
     near = footprint(spots, kept, columns.shape)
-    noise = np.clip(columns - relief.smoothed, -threshold_dn / 4, threshold_dn / 4)
+    noise = np.clip(
+        columns - relief.smoothed.astype(np.float64), -threshold_dn / 4, threshold_dn / 4
+    )
     return level[:, None] + np.where(near, columns - ground, noise), near

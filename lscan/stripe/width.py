@@ -3,15 +3,16 @@
 import numpy as np
 from scipy.signal import peak_widths
 
-from lscan.records import Floats, Ints
+from lscan.records import GreyValues, Ints
 from lscan.stripe.peaks import windows
+from lscan.stripe.ranks import crests
 
 _REACH_PX = 30
 _FWHM = 2 * np.sqrt(2 * np.log(2))
 _NARROWEST_PX = 0.5  # a line that falls into one pixel shows half a pixel's width
 
 
-def line_width(columns: Floats, at: Ints) -> float:
+def line_width(columns: GreyValues, at: Ints) -> float:
     """Standard deviation in px, along the columns, of a Gaussian as wide as the line.
 
     The columns are laid over each other with their brightest pixels together; the width is
@@ -24,7 +25,7 @@ def line_width(columns: Floats, at: Ints) -> float:
     at : (K,) array, indices of the columns that have a line, at least one
     """
     reach = min(_REACH_PX, columns.shape[1] - 1)
-    crest = columns[at].argmax(axis=1)
+    crest = crests(columns if len(at) == len(columns) else columns[at])
     profile = windows(columns, at, crest, reach).mean(axis=0)
     profile = profile - profile.min()
     height, ends = profile[[reach]], np.array([[0], [2 * reach]])  # its lowest value is 0

@@ -5,14 +5,15 @@ are the vertical ones.  To find x the same code runs with the roles swapped: lon
 across u, along v, horizontal rulers.
 """
 
-from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Annotated
 
 import numpy as np
 from pydantic import Field
 
-from lscan.calibration.maps.lines import Curve, GridLine
+from lscan.calibration.maps.curvetable import CurveTable
+from lscan.calibration.maps.lines import GridLine
 from lscan.calibration.maps.rulers import FittedRuler
 from lscan.calibration.region import MARGIN
 from lscan.calibration.stored import STRICT, NotNegative
@@ -23,9 +24,6 @@ WEIGHT_SLACK = 2 * MARGIN
 
 NEWTON_STEPS = 12
 NEWTON_PX = 1e-9
-
-ValuesOf = Callable[[int, Mask], Floats]
-"""Gives the values of a line, by its index, at the places under a mask."""
 
 
 @dataclass(frozen=True)
@@ -59,19 +57,15 @@ class Between:
     fraction: Floats
     span_px: Floats
 
-    def blend(self, values_of: ValuesOf, power: int = 1) -> Floats:
-        """(N,) weighted sum over the two lines; values_of(line, mask) gives a line's values."""
-        below = (1 - self.fraction) ** power * on_lines(self.lower, values_of)
-        return below + self.fraction**power * on_lines(self.upper, values_of)
+    @property
+    def both(self) -> Ints:
+        """(2, N) indices of the lines."""
+        return np.stack([self.lower, self.upper])
 
-
-def on_lines(index: Ints, values_of: ValuesOf) -> Floats:
-    """(N,) of the line index[n] each; values_of(line, mask) gives a line's values."""
-    values = np.empty(len(index))
-    for line in np.unique(index):
-        here = index == line
-        values[here] = values_of(int(line), here)
-    return values
+    @property
+    def weights(self) -> Floats:
+        """(2, N) weights of the lines in eq. (3)."""
+        return np.stack([1 - self.fraction, self.fraction])
 
 
 @dataclass(frozen=True)
@@ -91,6 +85,18 @@ class LineSet:
     lines: Annotated[tuple[GridLine, ...], Field(min_length=2)]
     rulers: tuple[FittedRuler, ...]
     reach_px: NotNegative
+
+    @cached_property
+    def _curves(self) -> CurveTable:
+        return CurveTable.of([line.curve for line in self.lines])
+
+    @cached_property
+    def _ruler_lines(self) -> CurveTable:
+        return CurveTable.of([ruler.line for ruler in self.rulers])
+
+    @cached_property
+    def _conversions(self) -> CurveTable:
+        return CurveTable.of([ruler.conversion for ruler in self.rulers])
 
     def locate(self, targets: Targets) -> tuple[Floats, Floats]:
         """Board coordinate in mm and its variance in mm², (N,) each; NaN where not surrounded.
@@ -118,13 +124,11 @@ class LineSet:
         if not self.rulers:
             return value, variance
         closest = self._closest_ruler(targets)
-        for k in np.unique(closest[closest >= 0]):
-            here = closest == k
-            ruler, there, around = self.rulers[k], select(targets, here), select(between, here)
-            place, meets = self._intersect(ruler, there, around)
-            ruled_variance = self._ruler_variance(ruler, there, around, place)
-            value[here] = np.where(meets, ruler.conversion(place), value[here])
-            variance[here] = np.where(meets, ruled_variance, variance[here])
+        here = np.flatnonzero(closest >= 0)
+        ruler, there, around = closest[here], select(targets, here), select(between, here)
+        place, meets = self._intersect(ruler, there, around)
+        met = ruler[meets], select(there, meets), select(around, meets), place[meets]
+        value[here[meets]], variance[here[meets]] = self._read_ruler(*met)
         return value, variance
 
     def surround(self, targets: Targets) -> tuple[Between, Mask]:
@@ -147,8 +151,8 @@ class LineSet:
         ----------
         Sec. III.3 and eq. (3) of the paper.
         """
-        points = np.arange(len(targets.along))
-        heights = np.stack([line.curve(targets.along) for line in self.lines])
+        points, each = np.arange(len(targets.along)), np.arange(len(self.lines))
+        heights, _ = self._curves.look_up(*np.broadcast_arrays(each[:, None], targets.along))
         reached = np.stack([line.reaches(targets.along, self.reach_px) for line in self.lines])
         order = np.argsort(np.where(reached, heights, np.inf), axis=0)
         below = (reached & (heights <= targets.across)).sum(axis=0)
@@ -161,15 +165,10 @@ class LineSet:
         inside = known & (fraction >= -WEIGHT_SLACK) & (fraction <= 1 + WEIGHT_SLACK)
         return Between(lower, upper, fraction, span), inside
 
-    def _curve(self, line: int) -> Curve:
-        return self.lines[line].curve
-
-    def _heights(self, along: Floats) -> ValuesOf:
-        """The lines at ``along``, across px; blended by eq. (3) they are the line H."""
-        return lambda line, here: self._curve(line)(along[here])
-
-    def _slope(self, between: Between, along: Floats) -> Floats:
-        return between.blend(lambda line, here: self._curve(line).slope(along[here]))
+    def _interpolated(self, between: Between, along: Floats) -> tuple[Floats, Floats]:
+        """The lines that eq. (3) interpolates, H, at ``along``: across px, and their slopes."""
+        values, slopes = self._curves.look_up(between.both, along)
+        return (between.weights * values).sum(axis=0), (between.weights * slopes).sum(axis=0)
 
     def _read_lines(self, targets: Targets, between: Between) -> tuple[Floats, Floats]:
         """Without a ruler: linear in the weight (Sec. II)."""
@@ -180,63 +179,61 @@ class LineSet:
         # the weight's linearity four times as wrong: only a ruler may be read there.
         neighbours = np.abs(between.upper - between.lower) == 1
         pitch = np.where(neighbours, pitch, np.nan)
-        along = targets.along
-        noise = targets.variance * (1 + self._slope(between, along) ** 2) + between.blend(
-            lambda line, here: self._curve(line).variance(self._curve(line).basis(along[here])),
-            power=2,
-        )
+        both, along = between.both, targets.along
+        of_lines = self._curves.variance(both, self._curves.basis(both, along))
+        _, slope = self._interpolated(between, along)
+        noise = targets.variance * (1 + slope**2) + (between.weights**2 * of_lines).sum(axis=0)
         return start + between.fraction * pitch, noise * (pitch / between.span_px) ** 2
 
     def _closest_ruler(self, targets: Targets) -> Ints:
         """(N,) index of the ruler nearest to each point of those with marks beside it, or -1."""
-        gaps = np.stack([np.abs(r.line(targets.across) - targets.along) for r in self.rulers])
+        each = np.arange(len(self.rulers))[:, None]
+        places, _ = self._ruler_lines.look_up(*np.broadcast_arrays(each, targets.across))
+        gaps = np.abs(places - targets.along)
         beside = np.stack([r.reaches(targets.across) for r in self.rulers])
         closest = np.argmin(np.where(beside, gaps, np.inf), axis=0)
         return np.where(beside.any(axis=0), closest, -1)
 
-    def _intersect(
-        self, ruler: FittedRuler, targets: Targets, between: Between
-    ) -> tuple[Floats, Mask]:
+    def _intersect(self, ruler: Ints, targets: Targets, between: Between) -> tuple[Floats, Mask]:
         """Steps 3 and 4: where the interpolated line H meets the ruler's line R, across px.
 
         The mask is of the points for which it does within the ruler's marks.  Newton on
         y - H(R(y)) from the target's own height.  H and R run nearly along the two axes, so the
         slope hardly changes and is taken once.
         """
-        place = targets.across
-        lean = self._slope(between, ruler.line(place)) * ruler.line.slope(place)
+        place, lean = targets.across, None
         for _ in range(NEWTON_STEPS):
-            miss = place - between.blend(self._heights(ruler.line(place)))
+            along, ruler_slope = self._ruler_lines.look_up(ruler, place)
+            height, slope = self._interpolated(between, along)
+            lean = slope * ruler_slope if lean is None else lean
+            miss = place - height
             place = place - miss / (1 - lean)
             if np.all(np.abs(miss) < NEWTON_PX):
                 break
-        return place, (np.abs(miss) < NEWTON_PX) & ruler.reaches(place)
+        low, high = np.array([(r.first_px, r.last_px) for r in self.rulers]).T
+        return place, (np.abs(miss) < NEWTON_PX) & (place >= low[ruler]) & (place <= high[ruler])
 
-    def _ruler_variance(
-        self, ruler: FittedRuler, targets: Targets, between: Between, place: Floats
-    ) -> Floats:
-        """Variance of the value read, mm^2, to first order.
+    def _read_ruler(
+        self, ruler: Ints, targets: Targets, between: Between, place: Floats
+    ) -> tuple[Floats, Floats]:
+        """The values read on rulers, mm, and their variances, mm^2, to first order.
 
         A change of the target, of the two lines and of the ruler's line moves the
         intersection; the same two lines also set the weight, so their errors at the target
         count against those at the intersection.
         """
-        crossing = ruler.line(place)
-        slope = self._slope(between, crossing)
-        heights = self._heights(crossing)
-        far, near = on_lines(between.upper, heights), on_lines(between.lower, heights)
+        curves, rulers, both = self._curves, self._ruler_lines, between.both
+        crossing, ruler_slope = rulers.look_up(ruler, place)
+        (near, far), slopes = curves.look_up(both, crossing)
+        slope = (between.weights * slopes).sum(axis=0)
         ratio = (far - near) / between.span_px
-
-        def line_variance(line: int, here: Mask) -> Floats:
-            curve = self._curve(line)
-            rows = curve.basis(crossing[here])
-            rows = rows - ratio[here, None] * curve.basis(targets.along[here])
-            return curve.variance(rows)
-
-        tilt = self._slope(between, targets.along)
+        rows = curves.basis(both, crossing)
+        rows = rows - ratio[:, None] * curves.basis(both, targets.along)
+        _, tilt = self._interpolated(between, targets.along)
         across = ratio**2 * targets.variance * (1 + tilt**2)
-        across += between.blend(line_variance, power=2)
-        across += slope**2 * ruler.line.variance(ruler.line.basis(place))
-        lean = slope * ruler.line.slope(place)
-        scale = ruler.conversion.slope(place) / (1 - lean)
-        return scale**2 * across + ruler.conversion.variance(ruler.conversion.basis(place))
+        across += (between.weights**2 * curves.variance(both, rows)).sum(axis=0)
+        across += slope**2 * rulers.variance(ruler, rulers.basis(ruler, place))
+        value, conversion_slope = self._conversions.look_up(ruler, place)
+        scale = conversion_slope / (1 - slope * ruler_slope)
+        converted = self._conversions.variance(ruler, self._conversions.basis(ruler, place))
+        return value, scale**2 * across + converted

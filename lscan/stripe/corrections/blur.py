@@ -25,9 +25,10 @@ import numpy as np
 
 from lscan.config.rig import StripeSection
 from lscan.errors import InputError
-from lscan.records import Floats, Ints, Stripe, has_value
+from lscan.records import Floats, GreyValues, Ints, Stripe, has_value
 from lscan.stripe.peaks import windows
 from lscan.stripe.pieces import neighbours, pieces
+from lscan.stripe.ranks import medians
 
 PIXEL_VARIANCE = 1 / 12
 """Variance in px² of the pixel's own width, which spreads light as the lens does."""
@@ -44,7 +45,7 @@ FLUX_REACH_PX = 8
 """Light this far from the centre counts as the line's."""
 
 
-def correct_blur(stripe: Stripe, settings: StripeSection, light: Floats) -> Stripe:
+def correct_blur(stripe: Stripe, settings: StripeSection, light: GreyValues) -> Stripe:
     """The stripe as a camera without blur along the line would have shown it.
 
     Derivatives are taken from quadratics over REACH_PX columns to either side, never across a
@@ -92,7 +93,7 @@ def correct_blur(stripe: Stripe, settings: StripeSection, light: Floats) -> Stri
     return replace(stripe, centre_px=moved, sigma_px=np.hypot(stripe.sigma_px, sigma))
 
 
-def line_flux(stripe: Stripe, light: Floats) -> Floats:
+def line_flux(stripe: Stripe, light: GreyValues) -> Floats:
     """(N,) light within FLUX_REACH_PX of the line in each column, DN; NaN where there is none.
 
     Parameters
@@ -101,10 +102,12 @@ def line_flux(stripe: Stripe, light: Floats) -> Floats:
     light : (N, L) array, DN, as in ``correct_blur``; a column's background is its median
     """
     valued = np.flatnonzero(has_value(stripe.status))
-    above = light[valued] - np.median(light[valued], axis=1)[:, None]
-    padded = np.pad(above, ((0, 0), (FLUX_REACH_PX, FLUX_REACH_PX)))
-    rows = np.rint(stripe.centre_px[valued]).astype(int) + FLUX_REACH_PX
-    total = windows(padded, np.arange(len(valued)), rows, FLUX_REACH_PX).sum(axis=1)
+    steps = np.arange(-FLUX_REACH_PX, FLUX_REACH_PX + 1)
+    rows = np.rint(stripe.centre_px[valued]).astype(int)
+    place = rows[:, None] + steps
+    inside = (place >= 0) & (place < light.shape[1])  # beyond the picture there is no light
+    above = windows(light, valued, rows, steps) - medians(light[valued])[:, None]
+    total = (above * inside).sum(axis=1)
     flux = np.full(len(stripe.status), np.nan)
     flux[valued] = np.where(total > 0, total, np.nan)
     return flux

@@ -6,7 +6,8 @@ import numpy as np
 from scipy.ndimage import median_filter
 
 from lscan.config.rig import StripeSection
-from lscan.records import Floats, Ints, Mask, Status, Stripe
+from lscan.records import GreyValues, Ints, Mask, Status, Stripe
+from lscan.stripe.api import on_integers
 from lscan.stripe.crosssection import CENTRE, LN_WIDTH, TILT
 from lscan.stripe.extractors.survey import Survey, survey, weak_precision
 from lscan.stripe.fit import LineFit, LinePrior, fit_lines
@@ -20,7 +21,8 @@ _FOREIGN = 3.0
 degrees of freedom, a dozen at least, passes 3 by chance once in a thousand times."""
 
 
-def maximum_likelihood(image: Floats, settings: StripeSection, clipped: Mask) -> Stripe:
+@on_integers
+def maximum_likelihood(image: GreyValues, settings: StripeSection, clipped: Mask) -> Stripe:
     """The line by maximum likelihood in each column of a picture.
 
     A Gaussian averaged over each pixel on a sloping ground (crosssection.py) under reading noise,

@@ -16,7 +16,8 @@ from collections.abc import Callable
 import numpy as np
 
 from lscan.config.rig import StripeSection
-from lscan.records import Floats, Mask, Stripe
+from lscan.records import Floats, GreyValues, Mask, Stripe
+from lscan.stripe.api import on_integers
 from lscan.stripe.noise.model import line_noise
 from lscan.stripe.peaks import centred, nominal_peaks, windows
 
@@ -25,7 +26,8 @@ Centring = Callable[[Floats], tuple[Floats, Floats]]
 and the derivative (K, n) of that offset by each grey value, in px/DN."""
 
 
-def maximum(image: Floats, settings: StripeSection, clipped: Mask) -> Stripe:
+@on_integers
+def maximum(image: GreyValues, settings: StripeSection, clipped: Mask) -> Stripe:
     """The line at the brightest pixel of each column, the first from the top of several equal ones.
 
     Parameters
@@ -41,7 +43,8 @@ def maximum(image: Floats, settings: StripeSection, clipped: Mask) -> Stripe:
     return _extract(image, settings, _no_offset)
 
 
-def centroid(image: Floats, settings: StripeSection, clipped: Mask) -> Stripe:
+@on_integers
+def centroid(image: GreyValues, settings: StripeSection, clipped: Mask) -> Stripe:
     """The line at the centroid of the grey values about each column's nominal peak.
 
     A background within the window draws it to the nominal peak.
@@ -59,7 +62,8 @@ def centroid(image: Floats, settings: StripeSection, clipped: Mask) -> Stripe:
     return _extract(image, settings, _centroid_offset)
 
 
-def centroid_relative(image: Floats, settings: StripeSection, clipped: Mask) -> Stripe:
+@on_integers
+def centroid_relative(image: GreyValues, settings: StripeSection, clipped: Mask) -> Stripe:
     """The line at the centroid of the grey values above the smallest one in the window.
 
     Parameters
@@ -76,7 +80,7 @@ def centroid_relative(image: Floats, settings: StripeSection, clipped: Mask) -> 
 
 
 def _extract(
-    image: Floats, settings: StripeSection, centring: Centring, guesses_background: bool = False
+    image: GreyValues, settings: StripeSection, centring: Centring, guesses_background: bool = False
 ) -> Stripe:
     """The stripe of ``image``, one entry a column.
 

@@ -14,10 +14,12 @@ from scipy.ndimage import maximum_filter1d, minimum_filter1d
 from scipy.stats import norm
 
 from lscan.config.rig import StripeSection
-from lscan.records import Floats, Ints, Mask, Status, Stripe
+from lscan.records import Floats, GreyValues, Ints, Mask, Status, Stripe
+from lscan.stripe.api import on_integers
 from lscan.stripe.noise.model import Noise, line_noise, stated_noise
 from lscan.stripe.peaks import windows
 from lscan.stripe.pieces import pieces
+from lscan.stripe.ranks import crests, medians
 from lscan.stripe.width import line_width
 
 _REACH = 4  # standard deviations at which the Gaussian kernels end
@@ -28,7 +30,8 @@ _STEEPEST = 0.1
 line has no one crossing with it."""
 
 
-def steger(image: Floats, settings: StripeSection, clipped: Mask) -> Stripe:
+@on_integers
+def steger(image: GreyValues, settings: StripeSection, clipped: Mask) -> Stripe:
     """The line where the ridge of the smoothed picture crosses each column.
 
     The ridge is where the derivative across the line vanishes; across is the direction in
@@ -60,11 +63,9 @@ def steger(image: Floats, settings: StripeSection, clipped: Mask) -> Stripe:
     C. Steger, "An unbiased detector of curvilinear structures", IEEE Trans. Pattern Anal. Mach.
     Intell. 20, 113 (1998).
     """
-    columns = np.ascontiguousarray(image.T, dtype=float)
-    # Grey values of cameras are exact in single precision, where the median is faster.
-    base = np.median(columns.astype(np.float32), axis=1, keepdims=True).astype(float)
-    light = columns - base
-    peak = light.max(axis=1)
+    columns = np.ascontiguousarray(image.T)
+    base = medians(columns)
+    peak = columns.max(axis=1) - base
     status = np.where(peak > settings.threshold_dn, int(Status.OK), int(Status.NO_PEAK))
     empty = np.full(len(columns), np.nan)
     stripe = Stripe("columns", empty, empty.copy(), peak, status)
@@ -73,9 +74,12 @@ def steger(image: Floats, settings: StripeSection, clipped: Mask) -> Stripe:
         return stripe
     width = line_width(columns, lit)
     scale = max(width, _FINEST_PX)
-    rows = _band(light, lit, scale)
-    variance = _noise(columns, light, lit, width, settings).variance(light[:, rows])
-    light = light[:, rows]
+    crest = crests(columns[lit])
+    rows = _band(crest, scale)
+    reach = int(np.ceil(2 * width))
+    at_crest = windows(columns, lit, crest, reach) - base[lit, None]
+    light = columns[:, rows] - base[:, None]
+    variance = _noise(columns, at_crest, lit, settings).variance(light)
     smoothed = _both_ways(light, variance, scale)
     _place(stripe, smoothed, _crest(smoothed, light, lit, settings.threshold_dn), lit)
     ends = _near_ends(stripe, lit, scale)
@@ -148,19 +152,21 @@ def _filtered(picture: Floats, along: Floats, across: Floats) -> Floats:
     return np.asarray(cv2.sepFilter2D(picture, cv2.CV_64F, across, along, borderType=border), float)
 
 
-def _noise(
-    columns: Floats, light: Floats, lit: Ints, width: float, settings: StripeSection
-) -> Noise:
-    """The noise that the settings state, or else that of the picture, (W, H) in DN."""
+def _noise(columns: GreyValues, light: Floats, lit: Ints, settings: StripeSection) -> Noise:
+    """The noise that the settings state, or else that of the picture, (W, H) in DN.
+
+    light: (K, n) DN above the background about the crest of each lit column.
+    """
     if settings.noise is not None:
-        return stated_noise(settings.noise, float(np.median(columns)))
-    reach = int(np.ceil(2 * width))
-    return line_noise(columns, windows(light, lit, light[lit].argmax(axis=1), reach), lit)
+        return stated_noise(settings.noise, float(medians(columns.reshape(1, -1))[0]))
+    return line_noise(columns, light, lit)
 
 
-def _band(light: Floats, lit: Ints, scale: float) -> slice:
-    """The rows that hold the line, with room for the kernels beyond it."""
-    crest = light[lit].argmax(axis=1)
+def _band(crest: Ints, scale: float) -> slice:
+    """The rows that hold the line, with room for the kernels beyond it.
+
+    crest: (K,) row of the brightest pixel of each lit column.
+    """
     room = 2 * int(np.ceil(_REACH * scale)) + 4
     return slice(max(int(crest.min()) - room, 0), int(crest.max()) + room + 1)
 

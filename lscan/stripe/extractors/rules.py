@@ -14,8 +14,8 @@ from functools import wraps
 import numpy as np
 
 from lscan.config.rig import StripeSection
-from lscan.records import Floats, Mask, Stripe
-from lscan.stripe.api import Extractor
+from lscan.records import Floats, GreyValues, Mask, Stripe
+from lscan.stripe.api import Extractor, on_integers
 from lscan.stripe.crosssection import lines, parameters_of
 from lscan.stripe.extractors.survey import Survey, survey
 from lscan.stripe.fit import LineWindows
@@ -62,7 +62,7 @@ def extractor(rule: Rule) -> Extractor:
     """
 
     @wraps(rule, assigned=("__module__", "__name__", "__qualname__", "__doc__"))
-    def extract(image: Floats, settings: StripeSection, clipped: Mask) -> Stripe:
+    def extract(image: GreyValues, settings: StripeSection, clipped: Mask) -> Stripe:
         seen = survey(image, settings, clipped)
         if isinstance(seen, Stripe):
             return seen
@@ -74,7 +74,7 @@ def extractor(rule: Rule) -> Extractor:
         return centred(seen.stripe, seen.peaks, offset, sigma, kept)
 
     del extract.__wrapped__  # its signature is an extractor's, not the rule's
-    return extract
+    return on_integers(extract)
 
 
 @dataclass(frozen=True)

@@ -11,10 +11,10 @@ import numpy as np
 from scipy.ndimage import median_filter
 
 from lscan.config.rig import StripeSection
-from lscan.records import Floats, Ints, Mask, Status, Stripe, select
+from lscan.records import Floats, GreyValues, Ints, Mask, Status, Stripe, select
 from lscan.stripe.crosssection import LN_HEIGHT, LN_WIDTH, TILT, parameters_of
 from lscan.stripe.fit import LineFit, LinePrior, LineWindows, fit_lines
-from lscan.stripe.noise.model import Noise, constant_variance, stated_noise
+from lscan.stripe.noise.model import Noise, constant_variance, sampled, stated_noise
 from lscan.stripe.noise.scatter import scatter_of
 from lscan.stripe.peaks import Peaks, nominal_peaks, windows
 
@@ -88,7 +88,7 @@ class Survey:
         return near
 
 
-def survey(image: Floats, settings: StripeSection, clipped: Mask) -> Survey | Stripe:
+def survey(image: GreyValues, settings: StripeSection, clipped: Mask) -> Survey | Stripe:
     """What is known of the line in a picture, or the stripe itself where there is none.
 
     The noise is the one in ``settings.noise`` or, without, estimated from the picture.
@@ -122,18 +122,19 @@ def survey(image: Floats, settings: StripeSection, clipped: Mask) -> Survey | St
     return Survey(stripe, peaks, reach, view, start, ln_width, tilt, noise, misfit)
 
 
-def _first_noise(columns: Floats, peaks: Peaks, settings: StripeSection) -> Noise:
+def _first_noise(columns: GreyValues, peaks: Peaks, settings: StripeSection) -> Noise:
     if settings.noise is not None:
         return stated_noise(settings.noise, float(np.median(peaks.base)))
     return Noise(constant_variance(columns), 0.0)
 
 
-def _constant_aside(columns: Floats, peaks: Peaks, width_px: Floats) -> float:
+def _constant_aside(columns: GreyValues, peaks: Peaks, width_px: Floats) -> float:
     """Variance in DN² of the pixels more than six widths away from the line.
 
     Those below it first, then, one odd pair in hundreds, those from the top on.
     """
     sample = _sample(len(peaks.rows))
+    sample = sample[sampled(len(sample))]
     height = columns.shape[1]
     reach = int(np.ceil(6 * np.median(width_px))) + 2
     rows = (peaks.rows[sample, None] + np.arange(reach, height - reach)) % height
@@ -152,7 +153,7 @@ def _pairs(count: int) -> Ints:
     return np.unique(np.minimum(np.concatenate([first, first + 1]), count - 1))
 
 
-def _rough_width(columns: Floats, peaks: Peaks, constant: float) -> Floats:
+def _rough_width(columns: GreyValues, peaks: Peaks, constant: float) -> Floats:
     """Width (K,) in px of each line, from the sums of its light and of its light squared.
 
     A Gaussian of flux F has the sum of squares F² / (2 sqrt(pi) s).  Twice, the second time
@@ -181,7 +182,7 @@ def _above_ground(windows: Floats) -> Floats:
     return windows - left[:, None] - (right - left)[:, None] * rise
 
 
-def _recentred(columns: Floats, peaks: Peaks, width_px: float) -> Peaks:
+def _recentred(columns: GreyValues, peaks: Peaks, width_px: float) -> Peaks:
     """The peaks moved to the brightest pixel of the line smoothed with its own width.
 
     Noise and clipping move the brightest pixel about; this one stays near the centre.
@@ -212,14 +213,16 @@ def _within(
     return replace(stripe, status=status), kept, width_px[inside]
 
 
-def _view(columns: Floats, lost: Mask, peaks: Peaks, width_px: Floats) -> LineWindows:
+def _view(columns: GreyValues, lost: Mask, peaks: Peaks, width_px: Floats) -> LineWindows:
     """The windows, four widths and two pixels to either side."""
     reach = np.ceil(4 * width_px).astype(int)[:, None] + 2
     steps = np.arange(-reach.max(), reach.max() + 1)
     rows = peaks.rows[:, None] + steps
     used = (np.abs(steps) <= reach) & (rows >= 0) & (rows < columns.shape[1])
     grey = windows(columns, peaks.columns, peaks.rows, steps)
-    clipped = windows(lost, peaks.columns, peaks.rows, steps)
+    clipped = windows(lost, peaks.columns, peaks.rows, steps) > 0
+    each = (np.asfortranarray(values) for values in (grey, used, clipped))  # as in of()
+    grey, used, clipped = each
     return LineWindows(steps.astype(float), grey, peaks.base, used, clipped)
 
 

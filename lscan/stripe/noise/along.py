@@ -16,16 +16,19 @@ and of relief nothing is left but what is rough from one column to the next.
 """
 
 from dataclasses import replace
+from typing import TypeVar
 
 import numpy as np
+from numpy.typing import NDArray
 
-from lscan.records import Floats, Ints, Status, Stripe, has_value
+from lscan.records import Floats, GreyValues, Ints, Mask, Status, Stripe, has_value
 from lscan.stripe.noise.model import robust_variance
 from lscan.stripe.peaks import windows
 from lscan.stripe.pieces import pieces
 from lscan.stripe.width import line_width
 
-_THIRD = np.array([1.0, -3.0, 3.0, -1.0])
+_Number = TypeVar("_Number", bound=np.number)
+
 _REPEATED = 1 + 2 * (15**2 + 6**2 + 1**2) / 20**2
 """By how much the variance of a mean square of third differences exceeds that of as many
 independent values: the sum of their squared autocorrelations, 1, -15/20, 6/20 and -1/20."""
@@ -40,7 +43,7 @@ _FINEST_PX = 1.5  # a narrower window lets the raster of the pixels through
 _STEPS = 4  # from a pixel beside the line, to a hundredth of a pixel
 
 
-def at_least_seen(stripe: Stripe, light: Floats) -> Stripe:
+def at_least_seen(stripe: Stripe, light: GreyValues) -> Stripe:
     """The stripe with sigma_px enlarged to what its centres scatter about their neighbours.
 
     One factor for the columns that are OK and one for those SATURATED, never below 1.
@@ -56,7 +59,8 @@ def at_least_seen(stripe: Stripe, light: Floats) -> Stripe:
     lag, run, sigma_px = shared_columns(stripe, light), pieces(stripe), stripe.sigma_px.copy()
     for status in (Status.OK, Status.SATURATED):
         kept = stripe.status == status
-        sigma_px[kept] *= excess(stripe, np.where(kept, run, -1), lag)
+        if kept.any():
+            sigma_px[kept] *= excess(stripe, np.where(kept, run, -1), lag)
     return replace(stripe, sigma_px=sigma_px)
 
 
@@ -76,16 +80,19 @@ def excess(stripe: Stripe, run: Ints, lag: int) -> float:
     """
     chance, ratio = _BEYOND_CHANCE if lag == 1 else 0.0, 0.0
     while lag >= 1:
-        at = _quadruples(run, lag)
-        if len(at) >= max(_FEWEST, _SPANS * lag):
-            stated = np.sqrt(stripe.sigma_px[at] ** 2 @ _THIRD**2)
-            ratio = max(ratio, robust_variance(stripe.centre_px[at] @ _THIRD / stated))
-            chance *= np.sqrt(2 * _REPEATED / len(at))
+        at = _in_one_piece(run, lag)
+        count = np.count_nonzero(at)
+        if count >= max(_FEWEST, _SPANS * lag):
+            first, second, third, last = _apart(stripe.sigma_px**2, lag)
+            stated = np.sqrt(first + last + 9 * (second + third))[at]
+            seen = _third_differences(stripe.centre_px, lag)[at]
+            ratio = max(ratio, robust_variance(seen / stated))
+            chance *= np.sqrt(2 * _REPEATED / count)
         lag = 3 * lag // 4
     return float(np.sqrt(ratio)) if ratio > 1 + chance else 1.0
 
 
-def shared_columns(stripe: Stripe, light: Floats) -> int:
+def shared_columns(stripe: Stripe, light: GreyValues) -> int:
     """Columns along which the pixels share their errors, 1 where each column has its own.
 
     The lag, of 1, 2, 4, 8 and 16, beyond which the third differences of the line's width grow
@@ -102,7 +109,7 @@ def shared_columns(stripe: Stripe, light: Floats) -> int:
     scale = line_width(light, valued)
     width = _variances(stripe, light, max(scale, _FINEST_PX))
     run = np.where(np.isfinite(width), pieces(stripe), -1)
-    differences = [width[_quadruples(run, lag)] @ _THIRD for lag in _LAGS]
+    differences = [_third_differences(width, lag)[_in_one_piece(run, lag)] for lag in _LAGS]
     differences = [values for values in differences if len(values) >= _FEWEST]
     scatter = np.array([robust_variance(values) for values in differences])
     growth = scatter[1:] / np.maximum(scatter[:-1], np.finfo(float).tiny)
@@ -115,7 +122,7 @@ def shared_columns(stripe: Stripe, light: Floats) -> int:
     return max(_LAGS[settled], int(np.ceil(_WIDTHS * scale)))
 
 
-def _variances(stripe: Stripe, light: Floats, scale: float) -> Floats:
+def _variances(stripe: Stripe, light: GreyValues, scale: float) -> Floats:
     """(N,) the light's variance across the line over scale², NaN where there is no line.
 
     By moments weighted with a Gaussian of the width ``scale``, in px, about as wide as the line.
@@ -129,24 +136,35 @@ def _variances(stripe: Stripe, light: Floats, scale: float) -> Floats:
     row = np.rint(stripe.centre_px[valued]).astype(int)
     grey = windows(light, valued, row, reach)
     grey = grey - grey[:, [0, 1, -2, -1]].mean(axis=1, keepdims=True)
-    middle = (stripe.centre_px[valued] - row)[:, None]
+    middle = stripe.centre_px[valued] - row
     for _ in range(_STEPS):
-        distance = (steps - middle) / scale
-        weighted = np.exp(-0.5 * distance**2) * grey
-        total = weighted.sum(axis=1, keepdims=True)
+        distance = (steps - middle[:, None]) / scale
+        square = distance**2
+        weighted = np.exp(-0.5 * square) * grey
+        total = weighted.sum(axis=1)
         total = np.where(total > 0, total, np.nan)
-        moved = (weighted * distance).sum(axis=1, keepdims=True) / total
+        moved = np.einsum("kn,kn->k", weighted, distance) / total
         middle = middle + scale * np.clip(2 * moved, -1.0, 1.0)
-    seen = (weighted * distance**2).sum(axis=1) / total[:, 0]
+    seen = np.einsum("kn,kn->k", weighted, square) / total
     across, centre = np.full((2, len(stripe.status)), np.nan)
     across[valued] = seen / np.where(seen < 1, 1 - seen, np.nan)
-    centre[valued] = row + middle[:, 0]
+    centre[valued] = row + middle
     return across / (1 + np.gradient(centre) ** 2)
 
 
-def _quadruples(run: Ints, lag: int) -> Ints:
-    """(Q, 4) entries ``lag`` apart, all of the same piece; -1 is none."""
-    first = np.arange(max(len(run) - 3 * lag, 0))
-    at = first[:, None] + lag * np.arange(4)
-    piece = run[at]
-    return at[(piece[:, 0] >= 0) & (piece == piece[:, :1]).all(axis=1)]
+def _apart(values: NDArray[_Number], lag: int) -> list[NDArray[_Number]]:
+    """Four times (Q,) values of (N,), each ``lag`` entries after the one before."""
+    count = max(len(values) - 3 * lag, 0)
+    return [values[k * lag : k * lag + count] for k in range(4)]
+
+
+def _in_one_piece(run: Ints, lag: int) -> Mask:
+    """(Q,) whether four entries ``lag`` apart are all of the same piece; -1 is none."""
+    first, *others = _apart(run, lag)
+    return np.logical_and.reduce([first >= 0, *(first == other for other in others)])
+
+
+def _third_differences(values: Floats, lag: int) -> Floats:
+    """(Q,) of values (N,), ``lag`` entries apart."""
+    first, second, third, last = _apart(values, lag)
+    return first - last + 3 * (third - second)

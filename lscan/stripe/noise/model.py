@@ -18,7 +18,7 @@ import numpy as np
 from scipy.optimize import nnls
 
 from lscan.config.rig import NoiseSection
-from lscan.records import Floats, Ints
+from lscan.records import Floats, GreyValues, Ints
 
 ROUNDING_VARIANCE = 1 / 12
 """Variance of rounding to whole digital numbers, DN²: a uniform distribution one DN wide."""
@@ -28,6 +28,7 @@ _SECOND_DIFFERENCE_GAIN = 6.0
 
 _COLUMNS_SAMPLED = 64
 _FEWEST_TRIPLES = 16
+_CUTS, _KEPT = 3, 0.97334  # of robust_variance, which says where they come from
 
 
 @dataclass(frozen=True)
@@ -89,7 +90,7 @@ def difference_noise(section: NoiseSection, dark_dn: float) -> NoiseSection:
     return section.model_copy(update={"read_dn": variance**0.5})
 
 
-def constant_variance(columns: Floats) -> float:
+def constant_variance(columns: GreyValues) -> float:
     """Variance in DN² of the pixels away from the line.
 
     Second differences along the columns cancel the background and its slope; the line's own are
@@ -100,10 +101,22 @@ def constant_variance(columns: Floats) -> float:
     ----------
     columns : (W, H) array, DN, one column of the picture a row
     """
-    step = max(1, len(columns) // _COLUMNS_SAMPLED)
-    differences = np.diff(columns[::step], n=2, axis=1)
+    sample = columns[sampled(len(columns))]
+    whole = np.issubdtype(sample.dtype, np.integer)
+    # Differences of bytes would overflow, those of single precision are rounded.
+    differences = np.diff(sample.astype(np.int16 if whole else np.float64), n=2, axis=1)
     least = _SECOND_DIFFERENCE_GAIN * ROUNDING_VARIANCE
     return max(robust_variance(differences, least) / _SECOND_DIFFERENCE_GAIN, ROUNDING_VARIANCE)
+
+
+def sampled(count: int) -> slice:
+    """The columns that the noise is estimated from: 64 to 127 of them, evenly; all of fewer.
+
+    Parameters
+    ----------
+    count : int, columns there are
+    """
+    return slice(None, None, max(1, count // _COLUMNS_SAMPLED))
 
 
 def line_variance_per_dn(light: Floats, at: Ints, constant: float) -> float:
@@ -127,7 +140,7 @@ def line_variance_per_dn(light: Floats, at: Ints, constant: float) -> float:
     return max(scatter - light.shape[1] * constant, 0.0) / float(np.median(sums))
 
 
-def line_noise(columns: Floats, light: Floats, at: Ints) -> Noise:
+def line_noise(columns: GreyValues, light: Floats, at: Ints) -> Noise:
     """The noise of a picture in which no line is fitted.
 
     Parameters
@@ -167,7 +180,7 @@ def scatter_noise(square: Floats, light: Floats, constant: float) -> Noise:
     return noise
 
 
-def robust_variance(values: Floats, least: float = 0.0) -> float:
+def robust_variance(values: GreyValues, least: float = 0.0) -> float:
     """Variance about zero of the normal core of ``values``, what lies outside 3 sigma cut off.
 
     Starts from the median absolute deviation and cuts thrice; a normal distribution cut at
@@ -175,17 +188,32 @@ def robust_variance(values: Floats, least: float = 0.0) -> float:
 
     Parameters
     ----------
-    values : array, of any shape and unit
+    values : array, of any shape and unit; integers are counted, not sorted
     least : float, a variance there is in any case, where the search starts if most values agree
     """
     if values.size == 0:
         return 0.0
     sizes = np.abs(values).ravel()
-    start = 1.4826 * float(np.median(sizes))
-    variance = max(start**2, least)
-    for _ in range(3):
+    if np.issubdtype(values.dtype, np.integer):
+        return _counted_variance(np.bincount(sizes), least)
+    variance = max((1.4826 * float(np.median(sizes))) ** 2, least)
+    for _ in range(_CUTS):
         core = sizes[sizes <= 3 * np.sqrt(variance)]
         if core.size == 0:
             break
-        variance = float(np.square(core).mean()) / 0.97334
+        variance = float(np.square(core).mean()) / _KEPT
+    return variance
+
+
+def _counted_variance(count: Ints, least: float) -> float:
+    """The same of integers, ``count`` (M,) of which have each size from 0."""
+    sizes = np.arange(len(count))
+    up_to, squares = count.cumsum(), (count * sizes**2).cumsum()
+    middle = np.searchsorted(up_to, [(up_to[-1] - 1) // 2, up_to[-1] // 2], side="right")
+    variance = max((1.4826 * float(middle.mean())) ** 2, least)
+    for _ in range(_CUTS):
+        last = min(int(3 * np.sqrt(variance)), len(count) - 1)
+        if up_to[last] == 0:
+            break
+        variance = float(squares[last] / up_to[last]) / _KEPT
     return variance

@@ -1,0 +1,101 @@
+"""Several curves as one table, in which each of many places is looked up on a curve of its own."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from math import factorial
+
+import numpy as np
+
+from lscan.calibration.maps.lines import Curve
+from lscan.records import Floats, Ints
+
+
+@dataclass(frozen=True)
+class CurveTable:
+    """C curves of P pieces at most, each piece a polynomial of x less the place where it begins.
+
+    Attributes
+    ----------
+    begin : (C, P) array, in the unit of x, where the pieces begin; inf for those there are not
+    powers : (D, C P) array, coefficients of the powers 0 to D - 1 in each piece
+    basis_powers : (D, C P, M) array, the same of the M functions that a curve is a sum of
+    covariance : (C, M, M) array, of their coefficients, in the unit of y, squared
+    """
+
+    begin: Floats
+    powers: Floats
+    basis_powers: Floats
+    covariance: Floats
+
+    @staticmethod
+    def of(curves: Sequence[Curve]) -> "CurveTable":
+        """The table of some curves.
+
+        Parameters
+        ----------
+        curves : sequence of Curve, one or more
+        """
+        begins = [np.unique(c.knots[c.degree : -c.degree or None])[:-1] for c in curves]
+        most = max(len(curve.coefficients) for curve in curves)
+        shape = len(curves), max(map(len, begins))
+        begin = np.full(shape, np.inf)
+        powers = np.zeros((max(curve.degree for curve in curves) + 1, *shape, most))
+        values, covariance = np.zeros(powers.shape[:-1]), np.zeros((len(curves), most, most))
+        for k, (curve, places) in enumerate(zip(curves, begins, strict=True)):
+            pieces, count = slice(len(places)), len(curve.coefficients)
+            begin[k, pieces] = places
+            covariance[k, :count, :count] = curve.covariance
+            for power in range(curve.degree + 1):
+                rows = curve.basis.derivative(power)(places) / factorial(power)
+                powers[power, k, pieces, :count] = rows
+                values[power, k, pieces] = rows @ curve.coefficients
+        size = shape[0] * shape[1]
+        flat = values.reshape(-1, size), powers.reshape(-1, size, most)
+        return CurveTable(begin, *flat, covariance)
+
+    def look_up(self, curve: Ints, x: Floats) -> tuple[Floats, Floats]:
+        """The values of the curves and their slopes, shaped as the arguments together.
+
+        Parameters
+        ----------
+        curve : array of int, which curve each place is looked up on
+        x : array, the places; beyond a curve's ends its end pieces are continued
+        """
+        piece, step = self._piece(curve, x)
+        value, slope = self.powers[-1].take(piece), np.zeros(step.shape)
+        for coefficients in self.powers[-2::-1]:
+            slope = slope * step + value
+            value = value * step + coefficients.take(piece)
+        return value, slope
+
+    def basis(self, curve: Ints, x: Floats) -> Floats:
+        """(..., M) values of the functions that the curves are sums of.
+
+        Parameters
+        ----------
+        curve, x : array, as :meth:`look_up` takes them
+        """
+        piece, step = self._piece(curve, x)
+        value: Floats = self.basis_powers[-1].take(piece, axis=0)
+        for coefficients in self.basis_powers[-2::-1]:
+            value = value * step[..., None] + coefficients.take(piece, axis=0)
+        return value
+
+    def variance(self, curve: Ints, rows: Floats) -> Floats:
+        """Variances, shaped as ``curve``, of sums of a curve's coefficients.
+
+        Parameters
+        ----------
+        curve : array of int, whose coefficients are added
+        rows : (..., M) array, the factor of each
+        """
+        moved = (rows[..., None, :] @ self.covariance[curve])[..., 0, :]
+        return np.einsum("...m,...m->...", moved, rows)
+
+    def _piece(self, curve: Ints, x: Floats) -> tuple[Ints, Floats]:
+        """Number of each place's piece among all C P, and the place from where that begins."""
+        count = self.begin.shape[1]
+        piece = curve * count
+        if count > 1:
+            piece = piece + (x[..., None] >= self.begin[curve, 1:]).sum(axis=-1)
+        return piece, x - self.begin.reshape(-1).take(piece)

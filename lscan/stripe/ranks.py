@@ -1,0 +1,58 @@
+"""Values of a rank in the columns of a picture: the highest, and the median."""
+
+import numpy as np
+
+from lscan.records import Floats, GreyValues, Ints
+
+
+def crests(columns: GreyValues) -> Ints:
+    """(W,) row of the highest value of each column, the first of several equal ones.
+
+    Parameters
+    ----------
+    columns : (W, H) array, DN, one column of the picture a row
+
+    Examples
+    --------
+    >>> crests(np.array([[7, 3, 200, 200]], dtype=np.uint8))
+    array([2])
+    """
+    # NumPy finds the place of the highest float sooner than that of the highest integer.
+    floats = columns if columns.dtype == np.float64 else columns.astype(np.float32)
+    return floats.argmax(axis=1)
+
+
+def ranked(columns: GreyValues, rank: int) -> Floats:
+    """(W,) DN, of each column the value that ``rank`` of its pixels come before in rising order.
+
+    Parameters
+    ----------
+    columns : (W, H) array, DN, one column of the picture a row; floats are rounded to single
+        precision, in which a camera's grey values are exact
+    rank : int, 0 for the lowest, below H
+
+    Examples
+    --------
+    >>> ranked(np.array([[7, 3, 200, 3]], dtype=np.uint8), 2)
+    array([7.])
+    """
+    # The types that NumPy sorts fastest.
+    kind = np.int16 if np.issubdtype(columns.dtype, np.integer) else np.float32
+    return np.partition(columns.astype(kind), rank, axis=1)[:, rank].astype(np.float64)
+
+
+def medians(columns: GreyValues) -> Floats:
+    """(W,) DN, the median of each column, of two in the middle their mean.
+
+    Parameters
+    ----------
+    columns : (W, H) array, DN, as :func:`ranked` takes them
+
+    Examples
+    --------
+    >>> medians(np.array([[7, 3, 200, 3]], dtype=np.uint8))
+    array([5.])
+    """
+    height = columns.shape[1]
+    upper = ranked(columns, height // 2)
+    return upper if height % 2 else (ranked(columns, height // 2 - 1) + upper) / 2
