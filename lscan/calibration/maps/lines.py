@@ -15,7 +15,7 @@ import numpy as np
 from scipy.interpolate import BSpline, make_interp_spline
 
 from lscan.calibration.stored import STRICT, Count, Matrix, Number, Vector, check_covariance
-from lscan.records import Floats, Marks, Mask
+from lscan.records import Floats, Marks
 
 Fit = Literal["1", "2", "bspline"]
 DEGREE: dict[Fit, int] = {"1": 1, "2": 2, "bspline": 3}
@@ -69,10 +69,6 @@ class Curve:
         """f at x, same shape."""
         return self._spline(x)
 
-    def variance(self, rows: Floats) -> Floats:
-        """(N,) variance of ``rows @ coefficients`` for rows (N, M)."""
-        return ((rows @ self.covariance) * rows).sum(axis=1)
-
 
 def fit_polynomial(x: Floats, y: Floats, sigma_x: Floats, sigma_y: Floats, order: int) -> Curve:
     """The least-squares polynomial through points.
@@ -121,10 +117,6 @@ class GridLine:
     curve: Curve
     first_px: Number
     last_px: Number
-
-    def reaches(self, along_px: Floats, beyond_px: float) -> Mask:
-        """Mask of the places that its marks span, or that lie at most ``beyond_px`` outside."""
-        return (along_px >= self.first_px - beyond_px) & (along_px <= self.last_px + beyond_px)
 
 
 def fit_line(marks: Marks, along: int, fit: Fit) -> GridLine | None:

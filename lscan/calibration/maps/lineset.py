@@ -47,25 +47,19 @@ class Between:
 
     Attributes
     ----------
-    lower, upper : (N,) array, indices of the lines; lower has the smaller across coordinate
-    fraction : (N,) array, the weight of the upper line in eq. (3): 0 on the lower, 1 on the upper
+    lines : (N, 2) array, their indices; the first has the smaller across coordinate
+    weights : (N, 2) array, of the two lines in eq. (3): 0 and 1 on the second
     span_px : (N,) array, px, from line to line, along the across axis
     """
 
-    lower: Ints
-    upper: Ints
-    fraction: Floats
+    lines: Ints
+    weights: Floats
     span_px: Floats
 
-    @property
-    def both(self) -> Ints:
-        """(2, N) indices of the lines."""
-        return np.stack([self.lower, self.upper])
-
-    @property
-    def weights(self) -> Floats:
-        """(2, N) weights of the lines in eq. (3)."""
-        return np.stack([1 - self.fraction, self.fraction])
+    def blend(self, values: Floats, power: int = 1) -> Floats:
+        """(N,) weighted sums of values (N, 2) over the two lines."""
+        both = self.weights**power * values
+        return both[:, 0] + both[:, 1]
 
 
 @dataclass(frozen=True)
@@ -120,15 +114,19 @@ class LineSet:
         return value, variance
 
     def _read(self, targets: Targets, between: Between) -> tuple[Floats, Floats]:
-        value, variance = self._read_lines(targets, between)
         if not self.rulers:
-            return value, variance
+            return self._read_lines(targets, between)
+        value, variance = np.full((2, len(targets.along)), np.nan)
         closest = self._closest_ruler(targets)
         here = np.flatnonzero(closest >= 0)
         ruler, there, around = closest[here], select(targets, here), select(between, here)
         place, meets = self._intersect(ruler, there, around)
+        ruled = here[meets]
         met = ruler[meets], select(there, meets), select(around, meets), place[meets]
-        value[here[meets]], variance[here[meets]] = self._read_ruler(*met)
+        value[ruled], variance[ruled] = self._read_ruler(*met)
+        others = np.setdiff1d(np.arange(len(value)), ruled, assume_unique=True)
+        known = select(targets, others), select(between, others)
+        value[others], variance[others] = self._read_lines(*known)
         return value, variance
 
     def surround(self, targets: Targets) -> tuple[Between, Mask]:
@@ -151,9 +149,9 @@ class LineSet:
         ----------
         Sec. III.3 and eq. (3) of the paper.
         """
-        points, each = np.arange(len(targets.along)), np.arange(len(self.lines))
-        heights, _ = self._curves.look_up(*np.broadcast_arrays(each[:, None], targets.along))
-        reached = np.stack([line.reaches(targets.along, self.reach_px) for line in self.lines])
+        points, each = np.arange(len(targets.along)), np.arange(len(self.lines))[:, None]
+        heights, _ = self._curves.look_up(each, targets.along)
+        reached = self._reached(targets.along)
         order = np.argsort(np.where(reached, heights, np.inf), axis=0)
         below = (reached & (heights <= targets.across)).sum(axis=0)
         rank = np.clip(below - 1, 0, np.maximum(reached.sum(axis=0) - 2, 0))
@@ -163,32 +161,37 @@ class LineSet:
         known = (reached.sum(axis=0) >= 2) & (span > 0)
         fraction = (targets.across - start) / np.where(known, span, 1.0)
         inside = known & (fraction >= -WEIGHT_SLACK) & (fraction <= 1 + WEIGHT_SLACK)
-        return Between(lower, upper, fraction, span), inside
+        lines, weights = np.column_stack([lower, upper]), np.column_stack([1 - fraction, fraction])
+        return Between(lines, weights, span), inside
+
+    def _reached(self, along: Floats) -> Mask:
+        """(lines, N) whether a line's marks span the place, or it lies so little beyond them."""
+        low, high = np.array([(line.first_px, line.last_px) for line in self.lines]).T[..., None]
+        return (along >= low - self.reach_px) & (along <= high + self.reach_px)
 
     def _interpolated(self, between: Between, along: Floats) -> tuple[Floats, Floats]:
         """The lines that eq. (3) interpolates, H, at ``along``: across px, and their slopes."""
-        values, slopes = self._curves.look_up(between.both, along)
-        return (between.weights * values).sum(axis=0), (between.weights * slopes).sum(axis=0)
+        values, slopes = self._curves.look_up(between.lines, along[:, None])
+        return between.blend(values), between.blend(slopes)
 
     def _read_lines(self, targets: Targets, between: Between) -> tuple[Floats, Floats]:
         """Without a ruler: linear in the weight (Sec. II)."""
         places = np.array([line.at_mm for line in self.lines])
-        start = places[between.lower]
-        pitch = places[between.upper] - start
+        start = places[between.lines[:, 0]]
+        pitch = places[between.lines[:, 1]] - start
         # Where a line between the two ends short of the target, the cell is twice as wide and
         # the weight's linearity four times as wrong: only a ruler may be read there.
-        neighbours = np.abs(between.upper - between.lower) == 1
+        neighbours = np.abs(between.lines[:, 1] - between.lines[:, 0]) == 1
         pitch = np.where(neighbours, pitch, np.nan)
-        both, along = between.both, targets.along
-        of_lines = self._curves.variance(both, self._curves.basis(both, along))
-        _, slope = self._interpolated(between, along)
-        noise = targets.variance * (1 + slope**2) + (between.weights**2 * of_lines).sum(axis=0)
-        return start + between.fraction * pitch, noise * (pitch / between.span_px) ** 2
+        rows = self._curves.basis(between.lines, targets.along[:, None])
+        of_lines = self._curves.variance(between.lines, rows)
+        _, slope = self._interpolated(between, targets.along)
+        noise = targets.variance * (1 + slope**2) + between.blend(of_lines, power=2)
+        return start + between.weights[:, 1] * pitch, noise * (pitch / between.span_px) ** 2
 
     def _closest_ruler(self, targets: Targets) -> Ints:
         """(N,) index of the ruler nearest to each point of those with marks beside it, or -1."""
-        each = np.arange(len(self.rulers))[:, None]
-        places, _ = self._ruler_lines.look_up(*np.broadcast_arrays(each, targets.across))
+        places, _ = self._ruler_lines.look_up(np.arange(len(self.rulers))[:, None], targets.across)
         gaps = np.abs(places - targets.along)
         beside = np.stack([r.reaches(targets.across) for r in self.rulers])
         closest = np.argmin(np.where(beside, gaps, np.inf), axis=0)
@@ -222,16 +225,16 @@ class LineSet:
         intersection; the same two lines also set the weight, so their errors at the target
         count against those at the intersection.
         """
-        curves, rulers, both = self._curves, self._ruler_lines, between.both
+        curves, rulers, lines = self._curves, self._ruler_lines, between.lines
         crossing, ruler_slope = rulers.look_up(ruler, place)
-        (near, far), slopes = curves.look_up(both, crossing)
-        slope = (between.weights * slopes).sum(axis=0)
-        ratio = (far - near) / between.span_px
-        rows = curves.basis(both, crossing)
-        rows = rows - ratio[:, None] * curves.basis(both, targets.along)
+        heights, slopes = curves.look_up(lines, crossing[:, None])
+        slope = between.blend(slopes)
+        ratio = (heights[:, 1] - heights[:, 0]) / between.span_px
+        there, here = (curves.basis(lines, along[:, None]) for along in (crossing, targets.along))
+        rows = there - ratio[:, None, None] * here
         _, tilt = self._interpolated(between, targets.along)
         across = ratio**2 * targets.variance * (1 + tilt**2)
-        across += (between.weights**2 * curves.variance(both, rows)).sum(axis=0)
+        across += between.blend(curves.variance(lines, rows), power=2)
         across += slope**2 * rulers.variance(ruler, rulers.basis(ruler, place))
         value, conversion_slope = self._conversions.look_up(ruler, place)
         scale = conversion_slope / (1 - slope * ruler_slope)
