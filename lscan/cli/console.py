@@ -10,6 +10,7 @@ from rich import progress as rich_progress
 from rich.console import Console
 from rich.table import Table
 
+from lscan.cli.memory import keep_freed_memory
 from lscan.devices.signals import on_stop_signals
 from lscan.errors import LscanError, Stopped, missing_package
 from lscan.files.jsontext import json_text
@@ -46,6 +47,7 @@ def run_command_line(app: typer.Typer, name: str) -> None:
     name : str, of the program, as errors and ``--help`` say it
     """
     command = typer.main.get_command(app)
+    keep_freed_memory()
     try:
         with on_stop_signals(_interrupt):
             code = command.main(prog_name=name, standalone_mode=False)
