@@ -167,6 +167,8 @@ def _mark_saturated(stripe: Stripe, clipped: Mask, white: Mask | None, span_px: 
     light is made up.
     """
     at = clipped_near(stripe, clipped, span_px)
+    if len(at) == 0:
+        return stripe
     made_up = at[:0] if white is None else clipped_near(stripe, white, span_px)
     at = at[(stripe.status[at] == Status.OK) | np.isin(at, made_up)]
     status, sigma_px = stripe.status.copy(), stripe.sigma_px.copy()

@@ -7,7 +7,6 @@ Tobin 1958).
 """
 
 from dataclasses import dataclass
-from itertools import combinations_with_replacement
 from typing import TypeVar, cast
 
 import numpy as np
@@ -133,7 +132,7 @@ def fit_lines(view: LineWindows, start: Floats, noise: Noise, prior: LinePrior) 
     ----------
     Fisher's scoring; a clipped pixel is a censored observation (Tobin 1958).
     """
-    parameters = np.clip(start, _LEAST, _MOST)
+    parameters = _bounded(start)
     settled = np.zeros(len(start), dtype=bool)
     moving = np.arange(len(start))
     part, known = view, prior
@@ -141,8 +140,9 @@ def fit_lines(view: LineWindows, start: Floats, noise: Noise, prior: LinePrior) 
         information, score, _ = _normal_equations(part, parameters[moving], noise, known)
         step = np.linalg.solve(information, score[..., None])[..., 0]
         done = (step * score).sum(axis=1) < _SETTLED
-        step = np.clip(step, -_LONGEST_STEP, _LONGEST_STEP) * (1.0 if turn < _FULL_STEPS else 0.5)
-        parameters[moving] = np.clip(parameters[moving] + step, _LEAST, _MOST)
+        step = np.minimum(np.maximum(step, -_LONGEST_STEP), _LONGEST_STEP)
+        step *= 1.0 if turn < _FULL_STEPS else 0.5
+        parameters[moving] = _bounded(parameters[moving] + step)
         settled[moving[done]] = True
         if done.any():
             moving = moving[~done]
@@ -150,6 +150,10 @@ def fit_lines(view: LineWindows, start: Floats, noise: Noise, prior: LinePrior) 
         if len(moving) == 0:
             break
     return _judged(view, parameters, settled, noise, prior)
+
+
+def _bounded(parameters: Floats) -> Floats:
+    return np.minimum(np.maximum(parameters, _LEAST), _MOST)
 
 
 @dataclass(frozen=True)
@@ -173,13 +177,10 @@ def _normal_equations(
     if view.clipped.any():
         weight, pull = _censored(view, residual, variance, weight, pull)
     by = model.jacobian.transpose(1, 2, 0)
-    information, weighted = np.empty((len(parameters), 5, 5)), by * weight.T
-    for one, other in combinations_with_replacement(range(5), 2):
-        of_both = np.einsum("nk,nk->k", weighted[one], by[other])
-        information[:, one, other] = information[:, other, one] = of_both
+    information = np.einsum("ink,jnk->kij", by * weight.T, by)
     diagonal = np.arange(5)
     information[:, diagonal, diagonal] += prior.precision
-    score = np.stack([np.einsum("nk,nk->k", each, pull.T) for each in by], axis=1)
+    score = np.einsum("ink,nk->ki", by, pull.T)
     score += prior.precision * (prior.mean - parameters)
     return information, score, _Weighted(model, variance, weight)
 

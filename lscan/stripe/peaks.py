@@ -109,6 +109,8 @@ def clipped_near(stripe: Stripe, clipped: Mask, span_px: int) -> Ints:
     clipped : (N, L) mask, of the pixels along the line's normal of each entry
     span_px : int, px, to either side of the centre
     """
+    if not clipped.any():
+        return np.zeros(0, dtype=np.int64)
     valued = np.flatnonzero(has_value(stripe.status))
     middle = np.rint(stripe.centre_px[valued]).astype(int)
     return valued[windows(clipped, valued, middle, span_px).any(axis=1)]

@@ -109,16 +109,22 @@ def shared_columns(stripe: Stripe, light: GreyValues) -> int:
     scale = line_width(light, valued)
     width = _variances(stripe, light, max(scale, _FINEST_PX))
     run = np.where(np.isfinite(width), pieces(stripe), -1)
-    differences = [_third_differences(width, lag)[_in_one_piece(run, lag)] for lag in _LAGS]
-    differences = [values for values in differences if len(values) >= _FEWEST]
-    scatter = np.array([robust_variance(values) for values in differences])
-    growth = scatter[1:] / np.maximum(scatter[:-1], np.finfo(float).tiny)
-    # Two variances are compared, each of as many values as the second has, or more.
-    count = np.array([len(values) for values in differences[1:]])
-    chance = _BEYOND_CHANCE * np.sqrt(2 * 2 * _REPEATED / count)
-    settled = int(np.append(growth <= _SETTLED, True).argmax())
-    if settled == 0 or (growth <= 1 + chance).all():
+    growths: list[float] = []
+    by_chance, last = True, np.inf
+    for lag in _LAGS:
+        values = _third_differences(width, lag)[_in_one_piece(run, lag)]
+        if len(values) < _FEWEST:
+            continue
+        scatter = robust_variance(values)
+        growths.append(scatter / max(last, np.finfo(float).tiny))
+        if len(growths) == 2 and growths[1] <= _SETTLED:
+            return 1
+        # Two variances are compared, each of as many values as the second has, or more.
+        by_chance &= growths[-1] <= 1 + _BEYOND_CHANCE * np.sqrt(4 * _REPEATED / len(values))
+        last = scatter
+    if by_chance:
         return 1
+    settled = int(np.append(np.array(growths[1:]) <= _SETTLED, True).argmax())
     return max(_LAGS[settled], int(np.ceil(_WIDTHS * scale)))
 
 
@@ -134,18 +140,18 @@ def _variances(stripe: Stripe, light: GreyValues, scale: float) -> Floats:
     reach = int(np.ceil(3 * scale)) + 2
     steps = np.arange(-reach, reach + 1, dtype=float)
     row = np.rint(stripe.centre_px[valued]).astype(int)
-    grey = windows(light, valued, row, reach)
-    grey = grey - grey[:, [0, 1, -2, -1]].mean(axis=1, keepdims=True)
+    grey = windows(light, valued, row, reach).T.copy()  # (n, K): n is short
+    grey -= grey[[0, 1, -2, -1]].mean(axis=0)
     middle = stripe.centre_px[valued] - row
     for _ in range(_STEPS):
-        distance = (steps - middle[:, None]) / scale
+        distance = (steps[:, None] - middle) / scale
         square = distance**2
         weighted = np.exp(-0.5 * square) * grey
-        total = weighted.sum(axis=1)
+        total = weighted.sum(axis=0)
         total = np.where(total > 0, total, np.nan)
-        moved = np.einsum("kn,kn->k", weighted, distance) / total
+        moved = np.einsum("nk,nk->k", weighted, distance) / total
         middle = middle + scale * np.clip(2 * moved, -1.0, 1.0)
-    seen = np.einsum("kn,kn->k", weighted, square) / total
+    seen = np.einsum("nk,nk->k", weighted, square) / total
     across, centre = np.full((2, len(stripe.status)), np.nan)
     across[valued] = seen / np.where(seen < 1, 1 - seen, np.nan)
     centre[valued] = row + middle

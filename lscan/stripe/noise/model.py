@@ -196,7 +196,8 @@ def robust_variance(values: GreyValues, least: float = 0.0) -> float:
     sizes = np.abs(values).ravel()
     if np.issubdtype(values.dtype, np.integer):
         return _counted_variance(np.bincount(sizes), least)
-    variance = max((1.4826 * float(np.median(sizes))) ** 2, least)
+    middle = [(sizes.size - 1) // 2, sizes.size // 2]
+    variance = max((1.4826 * float(np.partition(sizes, middle)[middle].mean())) ** 2, least)
     for _ in range(_CUTS):
         core = sizes[sizes <= 3 * np.sqrt(variance)]
         if core.size == 0:
