@@ -189,7 +189,8 @@ def _miss_px(view: View, line: GridLine, axis: int) -> float:
     along = np.linspace(0.0, 450.0, 200) * (1 if axis == 1 else -1)
     fixed = np.full(200, line.at_mm)
     image = view.project(np.column_stack((along, fixed) if axis == 1 else (fixed, along)))
-    reached = line.reaches(image[:, 1 - axis], 60.0)
+    along_px = image[:, 1 - axis]
+    reached = (along_px >= line.first_px - 60.0) & (along_px <= line.last_px + 60.0)
     return float(np.abs(line.curve(image[reached, 1 - axis]) - image[reached, axis]).max())
 
 
