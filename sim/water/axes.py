@@ -52,13 +52,13 @@ NEAREST_RAD = 1e-6  # below, light scattered once falls as 1 / angle, and little
 ANGLE_AXIS = LogAxis(NEAREST_RAD, np.pi, 512)
 
 
-def bilinear(table: Values, row: Floats, column: Floats) -> Values:
-    """Values of a (R, C) table between its nodes, held at its edges; shape of the places.
+def between_nodes(table: Values, *places: Floats) -> Values:
+    """Values of a table, linear between its nodes and held at its edges; shape of the places.
 
     Parameters
     ----------
-    table : (R, C) values, real or complex
-    row, column : arrays of one shape, places in nodes from the first
+    table : array of as many dimensions as there are places, real or complex
+    *places : arrays of one shape, each in nodes of its dimension from the first
     """
-    place = [np.ravel(row), np.ravel(column)]
-    return np.reshape(map_coordinates(table, place, order=1, mode="nearest"), np.shape(row))
+    flat = [np.ravel(place) for place in places]
+    return np.reshape(map_coordinates(table, flat, order=1, mode="nearest"), np.shape(places[0]))

@@ -20,7 +20,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from lscan.records import Floats
-from sim.water.axes import ANGLE_AXIS, NEAREST_RAD, Complex, LogAxis, bilinear
+from sim.water.axes import ANGLE_AXIS, NEAREST_RAD, Complex, LogAxis, between_nodes
 
 NODES_A_CELL = 4  # of Gauss and Legendre
 FARTHEST_RAD = np.pi - 1e-3  # where the formula becomes 0 / 0
@@ -70,7 +70,7 @@ class OnceScattered:
         """J, 1/sr."""
         angle = np.maximum(angle, NEAREST_RAD)
         row, column = self.across_axis.place(across), ANGLE_AXIS.place(angle)
-        return bilinear(self.table, row, column) / angle
+        return between_nodes(self.table, row, column) / angle
 
 
 def once_scattered(

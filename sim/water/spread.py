@@ -9,13 +9,22 @@ in units of c2: then only the albedo b / c and the phase function matter
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.interpolate import CubicSpline
 
 from lscan.records import Floats
-from sim.water.axes import ANGLE_AXIS, NEAREST_RAD, LogAxis, bilinear
+from sim.water.axes import ANGLE_AXIS, NEAREST_RAD, Complex, LogAxis, between_nodes
+from sim.water.planes import (
+    COSINE_AXIS,
+    HORIZON_ANGLES,
+    SHAPE,
+    PlaneCounts,
+    fit_planes,
+    harmonics,
+    horizon_depths,
+)
 from sim.water.rings import Crossings, fit_rings
 from sim.water.single import OnceScattered, once_scattered
 
@@ -33,6 +42,7 @@ class Spread:
     multiple : (DEPTHS, A, 2), of light scattered more often, at the angles of ``ANGLE_AXIS``:
         the logarithm of F_r exp((1 - albedo / 2) depth), and F_t / F_r
     error : (DEPTHS, A) standard error of F_r, over F_r of all scattered light
+    horizon : (COSINES, DEPTHS, ANGLES, HARMONICS) of ``sim.water.planes``
     """
 
     once: OnceScattered
@@ -40,6 +50,7 @@ class Spread:
     farthest: float
     multiple: Floats
     error: Floats
+    horizon: Floats
 
     @property
     def depth_axis(self) -> LogAxis:
@@ -54,26 +65,55 @@ class Spread:
         """
         return _loss(self.once.albedo)
 
-    def vector_irradiance(
-        self, theta: Floats, depth: Floats, end: Floats | None = None
-    ) -> tuple[Floats, Floats]:
+    def vector_irradiance(self, theta: Floats, depth: Floats, end: Floats) -> tuple[Floats, Floats]:
         """Radial and tangential part, in units of c2 times the beam's power; shapes broadcast.
 
         Parameters
         ----------
         theta : array, rad off the axis
         depth : array, optical distance from the origin, c r
-        end : array, optional
-            Where on the axis the beam ends for light scattered once, c t; left out, at ``depth``.
+        end : array, where on the axis the beam ends for light scattered once, c t
         """
-        theta, depth, end = np.broadcast_arrays(
-            np.asarray(theta, dtype=float), depth, depth if end is None else end
-        )
-        place = self.depth_axis.place(depth), ANGLE_AXIS.place(np.maximum(theta, NEAREST_RAD))
-        log_value, ratio = (bilinear(self.multiple[..., part], *place) for part in (0, 1))
-        more = np.exp(log_value - self.loss * depth) * (1 + 1j * ratio)
-        light = self.once.vector_irradiance(theta, depth, end) + more
+        theta, depth, end = np.broadcast_arrays(theta, depth, end)
+        light = self.once.vector_irradiance(theta, depth, end) + self.more(theta, depth)
         return light.real, light.imag
+
+    def irradiance(
+        self, theta: Floats, depth: Floats, cosine: Floats, aside: Floats, end: Floats
+    ) -> Floats:
+        """What a plane surface receives, in units of c2 times the beam's power; shapes broadcast.
+
+        Parameters
+        ----------
+        theta, depth, end : arrays, as of ``vector_irradiance``
+        cosine : array, 0 to 1, of the angle between the surface's normal and the way back to
+            the origin: the normal's radial part is its negative
+        aside : array, the normal's tangential part
+        """
+        theta, depth, cosine, aside, end = np.broadcast_arrays(theta, depth, cosine, aside, end)
+        once, more = self.once.vector_irradiance(theta, depth, end), self.more(theta, depth)
+        place = (
+            COSINE_AXIS.place(cosine),
+            horizon_depths(self.nearest, self.farthest).place(depth),
+            HORIZON_ANGLES.place(np.maximum(theta, NEAREST_RAD)),
+        )
+        missed = sum(
+            factor * between_nodes(self.horizon[..., harmonic], *place)
+            for harmonic, factor in enumerate(harmonics(cosine, aside))
+        )
+        light = once + more
+        return np.maximum(light.real * cosine - light.imag * aside + more.real * missed, 0)
+
+    def more(self, theta: Floats, depth: Floats) -> Complex:
+        """Radial (real) and tangential part of light scattered more than once.
+
+        Parameters
+        ----------
+        theta, depth : arrays of one shape, as of ``vector_irradiance``
+        """
+        place = self.depth_axis.place(depth), ANGLE_AXIS.place(np.maximum(theta, NEAREST_RAD))
+        log_value, ratio = (between_nodes(self.multiple[..., part], *place) for part in (0, 1))
+        return np.asarray(np.exp(log_value - self.loss * depth) * (1 + 1j * ratio))
 
     def relative_error(self, theta: Floats, depth: Floats) -> Floats:
         """Standard error of the radial part over itself, from the number of photons.
@@ -83,17 +123,20 @@ class Spread:
         theta, depth : arrays of one shape, as of ``vector_irradiance``
         """
         column = ANGLE_AXIS.place(np.maximum(theta, NEAREST_RAD))
-        return bilinear(self.error, self.depth_axis.place(depth), column)
+        return between_nodes(self.error, self.depth_axis.place(depth), column)
 
 
-def tabulate(phase: Callable[[Floats], Floats], albedo: float, crossings: Crossings) -> Spread:
+def tabulate(
+    phase: Callable[[Floats], Floats], albedo: float, crossings: Crossings, counts: PlaneCounts
+) -> Spread:
     """The tables of a water.
 
     Parameters
     ----------
     phase : function of the scattering angle in rad, 1/sr
     albedo : float, b / c
-    crossings : Crossings, of photons in this water
+    crossings : Crossings, of spheres by photons in this water
+    counts : PlaneCounts, of planes
     """
     spheres = np.log(crossings.depths)
     nearest, farthest = (float(depth) for depth in crossings.depths[[0, -1]])
@@ -109,7 +152,9 @@ def tabulate(phase: Callable[[Floats], Floats], albedo: float, crossings: Crossi
     more = np.exp(log_value - _loss(albedo) * depth)
     share = more / (more + once.vector_irradiance(theta, depth, depth).real)
     multiple = np.stack([log_value, ratio], axis=-1)
-    return Spread(once, nearest, farthest, multiple, share * np.exp(log_error))
+    error = share * np.exp(log_error)
+    spread = Spread(once, nearest, farthest, multiple, error, np.zeros(SHAPE))
+    return replace(spread, horizon=fit_planes(counts, spread.more))
 
 
 def _depth_axis(nearest: float, farthest: float) -> LogAxis:

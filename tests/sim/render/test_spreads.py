@@ -10,7 +10,8 @@ import pytest
 from lscan.errors import InputError
 from lscan.records import Floats
 from sim.render import spreads
-from sim.render.spreads import SpreadLookup, spread_of
+from sim.render.plugins.spread import SpreadLookup
+from sim.render.spreads import spread_of
 from sim.scene.matter import Water
 from sim.water import Optics, water_optics
 from sim.water.axes import ANGLE_AXIS
@@ -35,30 +36,58 @@ def floats(values: Floats) -> mi.Float:
 
 
 def test_a_kernel_reads_the_tables_as_numpy_does() -> None:
-    """To 2e-5: single precision of exponents up to 30, and of a place among 512 nodes, 5e-5 of a
+    """To 3e-5: single precision of exponents up to 30, and of a place among 512 nodes, 5e-5 of a
     cell, between whose ends values differ by a tenth.  Where the beam ends far in front of the
     point, what is left is the difference of two large numbers: of those."""
     spread, c = made(), WATER.extinction_per_mm
     random = np.random.default_rng(3)
-    theta = np.append(np.exp(random.uniform(np.log(1e-6), np.log(3.1), 4000)), [0.0, 3.1])
+    theta = np.append(np.exp(random.uniform(np.log(1e-5), np.log(3.1), 4000)), [0.0, 3.1])
     distance = random.uniform(80.0, 3500.0, theta.size)
+    cosine, chi = random.uniform(0, 1, theta.size), random.uniform(0, np.pi, theta.size)
+    aside = np.sqrt(1 - cosine**2) * np.cos(chi)
     lookup, large = SpreadLookup(spread, c), np.zeros(theta.size)
     for end in (distance, distance * random.uniform(0.6, 1.5, theta.size)):
-        found = np.array(lookup(floats(theta), floats(distance), floats(end)))
+        kernel = [floats(values) for values in (theta, distance, end, cosine, aside)]
+        found = np.array(lookup.vector_irradiance(*kernel[:3]))
         expected = c**2 * np.array(spread.vector_irradiance(theta, c * distance, c * end))
         large = np.maximum(large, np.hypot(*expected))
-        assert np.all(np.abs(found - expected) < 2e-5 * large)
-    whole = np.array(lookup(floats(theta), floats(distance)))
-    assert np.array_equal(
-        whole, np.array(lookup(floats(theta), floats(distance), floats(distance)))
+        assert np.all(np.abs(found - expected) < 3e-5 * large)
+        received = np.array(lookup.irradiance(*kernel[:2], *kernel[3:], kernel[2]))
+        on_plane = c**2 * spread.irradiance(theta, c * distance, cosine, aside, c * end)
+        assert np.all(np.abs(received - on_plane) < 3e-5 * large)
+
+
+def test_a_surface_in_space_receives_what_its_angles_say() -> None:
+    """A beam along an oblique direction, points beside it and surfaces that face its origin."""
+    spread, c = made(), WATER.extinction_per_mm
+    random = np.random.default_rng(4)
+    beam, across, third = np.linalg.qr(random.normal(size=(3, 3)))[0]
+    theta = np.exp(random.uniform(np.log(1e-4), np.log(2.0), 500))
+    up = np.outer(np.cos(theta), beam) + np.outer(np.sin(theta), across)
+    away = np.outer(np.cos(theta), across) - np.outer(np.sin(theta), beam)
+    cosine, chi = random.uniform(0.05, 1, 500), random.uniform(0, np.pi, 500)
+    aside, beside = (np.sqrt(1 - cosine**2) * part for part in (np.cos(chi), np.sin(chi)))
+    normal = -cosine[:, None] * up + aside[:, None] * away + np.outer(beside, third)
+    distance, origin = random.uniform(200, 2000, 500), np.array([30.0, -20.0, 10.0])
+    point = (origin + distance[:, None] * up).T
+    found = SpreadLookup(spread, c).received(
+        mi.Point3f(*map(float, origin)),
+        mi.Vector3f(*map(float, beam)),
+        mi.Point3f(*map(floats, point)),
+        mi.Vector3f(*map(floats, normal.T)),
+        floats(1.1 * distance),
     )
+    expected = c**2 * spread.irradiance(theta, c * distance, cosine, aside, 1.1 * c * distance)
+    # Single precision of places, 1e-4 mm of 2000, is 6e-8 rad: of 1e-4 rad, 6e-4.
+    unhidden = c**2 * np.hypot(*spread.vector_irradiance(theta, c * distance, c * distance))
+    assert np.all(np.abs(np.array(found) - expected) < (1e-7 / theta * 4 + 5e-5) * unhidden)
 
 
 def test_twice_the_attenuation_over_half_the_length_gives_four_times_the_light() -> None:
-    spread, theta = made(), np.geomspace(1e-4, 3.0, 50)
+    spread, theta = made(), floats(np.geomspace(1e-4, 3.0, 50))
     one, twice = (
-        np.array(SpreadLookup(spread, c)(floats(theta), mi.Float(length)))
-        for c, length in ((1e-3, 1000.0), (2e-3, 500.0))
+        np.array(SpreadLookup(spread, c).irradiance(theta, length, 0.8, 0.1, length))
+        for c, length in ((1e-3, mi.Float(1000.0)), (2e-3, mi.Float(500.0)))
     )
     assert twice == pytest.approx(4 * one, rel=1e-4)
 
@@ -69,6 +98,7 @@ def test_a_water_is_made_once(cache: Path, monkeypatch: pytest.MonkeyPatch) -> N
     again = made()
     assert np.array_equal(first.multiple, again.multiple)
     assert np.array_equal(first.once.table, again.once.table)
+    assert np.array_equal(first.horizon, again.horizon)
     assert (again.nearest, again.farthest) == (first.nearest, first.farthest)
 
 
@@ -93,7 +123,8 @@ def test_the_table_of_another_water_is_noticed() -> None:
     theta, c = np.geomspace(1e-3, 1.0, 20), WATER.extinction_per_mm
     depth = np.full_like(theta, 1000 * c)
     ratio = (
-        made(thin).vector_irradiance(theta, depth)[0] / made().vector_irradiance(theta, depth)[0]
+        made(thin).vector_irradiance(theta, depth, depth)[0]
+        / made().vector_irradiance(theta, depth, depth)[0]
     )
     assert ratio.max() / ratio.min() > 1.1
 

@@ -10,7 +10,7 @@ from scipy.integrate import quad_vec
 from lscan.records import Floats
 from sim.scene.matter import Water
 from sim.water import water_optics
-from sim.water.axes import ANGLE_AXIS, LogAxis, bilinear
+from sim.water.axes import ANGLE_AXIS, LogAxis, between_nodes
 from sim.water.single import OnceScattered, once_scattered
 
 PHASES = {
@@ -95,5 +95,5 @@ def test_an_axis_finds_its_own_nodes(x: float, offset: float) -> None:
 def test_between_nodes_values_are_linear_and_beyond_them_held() -> None:
     table: Floats = np.arange(12.0).reshape(3, 4)
     rows, columns = np.array([0.5, 2.0, -1.0, 9.0]), np.array([1.25, 3.0, 0.0, 9.0])
-    assert bilinear(table, rows, columns) == pytest.approx([3.25, 11.0, 0.0, 11.0])
+    assert between_nodes(table, rows, columns) == pytest.approx([3.25, 11.0, 0.0, 11.0])
     assert ANGLE_AXIS.nodes()[-1] == np.pi
