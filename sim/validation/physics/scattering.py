@@ -14,6 +14,7 @@ from lscan.records import Floats, Mask, Status
 from sim.render.tank import W_PER_M2_IN_MW_PER_MM2, Tank, stock_medium
 from sim.scene import Scene
 from sim.truth import StripeTruth, stripe_truth
+from sim.validation.judge.judged import JudgeEffort, judge
 from sim.validation.physics.rigs import scene_with
 from sim.validation.physics.topics import topic
 from sim.validation.rows import Row, Topic, measured, row
@@ -29,6 +30,7 @@ MASKS = ("core", "halo", "veil", "shadow")
 CENTROID_PX = 0.01
 OUR_SAMPLES, OUR_GRID = 64, 256  # of higher orders, and of the first
 STOCK = {"type": "volpath", "max_depth": -1, "rr_depth": 8}
+JUDGE = JudgeEffort(photons=1 << 18, walks=64, cell_mm=0.5, voxel_mm=4.0)
 # A narrow window for the centre: farther out the halo, noisy in the reference, has a long lever.
 NEAR_PX, CENTRE_PX = 3, 1.5
 FAR_PX = 8
@@ -38,12 +40,14 @@ FAR_PX = 8
 class Pictures:
     """Independent pictures of one scene, (runs, H, W) each, radiance times camera weight.
 
-    ours: this project's; theirs: volpath's; other: ours in water of another asymmetry.
+    ours: this project's; theirs: volpath's; judged: of the judge, whose first order is ours;
+    other: ours in water of another asymmetry.
     direct: (H, W) light the laser's line sends straight to the camera, of ours.
     """
 
     ours: Floats
     theirs: Floats
+    judged: Floats
     other: Floats
     direct: Floats
     truth: StripeTruth
@@ -66,12 +70,15 @@ class ZTest:
 class Comparison:
     """Ours against theirs in one water, each test by the name of its mask.
 
-    without_line, other_g: of our picture without the line, and of water whose asymmetry is 0.02
-    less.  centroid_px: difference of the line's centre, averaged over its columns, and its
-    standard error.
+    judge, judged: of the judge against theirs, and of ours against the judge.  without_line,
+    other_g: of our picture without the line, and of water whose asymmetry is 0.02 less.
+    centroid_px: difference of the line's centre, averaged over its columns, and its standard
+    error.
     """
 
     tests: dict[str, ZTest]
+    judge: dict[str, ZTest]
+    judged: dict[str, ZTest]
     without_line: dict[str, ZTest]
     other_g: dict[str, ZTest]
     centroid_px: float
@@ -79,8 +86,9 @@ class Comparison:
 
     @property
     def degrees(self) -> float:
-        """Of freedom, the fewest of the tests of ours against theirs."""
-        return min(test.degrees for test in self.tests.values())
+        """Of freedom, the fewest of the tests that have to pass."""
+        passing = (self.tests, self.judge, self.judged)
+        return min(test.degrees for tests in passing for test in tests.values())
 
 
 def multiple_scattering(waters: tuple[str, ...], runs: int, samples: int) -> Topic:
@@ -117,6 +125,8 @@ def water_rows(name: str, runs: int, samples: int, tests: int) -> list[Row]:
     core = abs(result.without_line["core"].z)
     return [
         row("scattering", largest_z(result.tests), bar=bound, **words),
+        row("scattering-judge", largest_z(result.judge), bar=bound, **words),
+        row("scattering-judged", largest_z(result.judged), bar=bound, **words),
         row("scattering-centre", result.centroid_px, bar=CENTROID_PX, **words),
         row("scattering-no-line", bound / core, **words),
         row("scattering-other-g", bound / largest_z(result.other_g), **words),
@@ -138,14 +148,16 @@ def pictures(water: str, runs: int, samples: int) -> Pictures:
     tank = Tank(scene)
     right, wrong = (_one_lobe(scene, g) for g in (ASYMMETRY, OTHER_ASYMMETRY))
     # The reference first: our integrators hold the water they are given until the next.
-    camera = tank.make_camera(medium=stock_medium(right), jitter=True)
-    stock = mi.load_dict(STOCK)
-    theirs = [render_with(tank, camera, stock, samples, SEED + run) for run in range(runs)]
+    stock, seeds = mi.load_dict(STOCK), range(SEED, SEED + runs)
+    theirs = _several(tank, stock, samples, seeds, medium=stock_medium(right))
     other = _ours(tank, wrong, runs, SEED + 2 * runs)
     ours = _ours(tank, right, runs, SEED + runs)
+    higher = judge(tank, 0.0, effort=replace(JUDGE, batches=runs), seed=SEED).total
+    judged = _several(tank, tank.integrator, OUR_GRID, range(SEED + 3 * runs, SEED + 4 * runs))
+    judged += higher / W_PER_M2_IN_MW_PER_MM2
     direct = tank.render(0.0, scatter_samples=0).direct.astype(float) / W_PER_M2_IN_MW_PER_MM2
     truth = stripe_truth(scene, 0.0)
-    return Pictures(ours, np.array(theirs), other, direct, truth)
+    return Pictures(ours, theirs, judged, other, direct, truth)
 
 
 def _one_lobe(scene: Scene, asymmetry: float) -> Optics:
@@ -159,14 +171,21 @@ def _ours(tank: Tank, water: Optics, runs: int, seed: int) -> Floats:
     """(runs, H, W) pictures of this project's two integrators, added up."""
     for integrator in (tank.integrator, tank.higher):
         integrator.configure(water, tank.sheets, 0.0)
-    camera = tank.make_camera(jitter=True)
-    return np.array(
-        [
-            render_with(tank, camera, tank.integrator, OUR_GRID, seed + run)
-            + render_with(tank, camera, tank.higher, OUR_SAMPLES, seed + run)
-            for run in range(runs)
-        ]
-    )
+    seeds = range(seed, seed + runs)
+    first = _several(tank, tank.integrator, OUR_GRID, seeds)
+    return first + _several(tank, tank.higher, OUR_SAMPLES, seeds)
+
+
+def _several(
+    tank: Tank,
+    integrator: mi.Integrator,
+    samples: int,
+    seeds: range,
+    medium: Mapping[str, Any] | None = None,
+) -> Floats:
+    """(runs, H, W) pictures, one a seed."""
+    camera = tank.make_camera(medium=medium, jitter=True)
+    return np.array([render_with(tank, camera, integrator, samples, seed) for seed in seeds])
 
 
 def render_with(
@@ -180,14 +199,20 @@ def render_with(
 
 
 def compare(found: Pictures) -> Comparison:
-    """Ours against theirs on the masks, and the line's centre."""
+    """Ours, the judge's and theirs on the masks, and the line's centre."""
     masks = parts_of_picture(found)
 
-    def tests(ours: Floats) -> dict[str, ZTest]:
-        return {name: _difference(ours, found.theirs, mask) for name, mask in masks.items()}
+    def tests(one: Floats, other: Floats) -> dict[str, ZTest]:
+        return {name: _difference(one, other, mask) for name, mask in masks.items()}
 
-    right, without_line = tests(found.ours), tests(found.ours - found.direct)
-    return Comparison(right, without_line, tests(found.other), *centroid_difference(found))
+    return Comparison(
+        tests(found.ours, found.theirs),
+        tests(found.judged, found.theirs),
+        tests(found.ours, found.judged),
+        tests(found.ours - found.direct, found.theirs),
+        tests(found.other, found.theirs),
+        *centroid_difference(found),
+    )
 
 
 def parts_of_picture(found: Pictures) -> dict[str, Mask]:

@@ -142,7 +142,7 @@ def test_a_quick_chapter_has_every_row(monkeypatch: pytest.MonkeyPatch) -> None:
     """
     monkeypatch.setattr("sim.validation.physics.chapters.WATERS", ("coastal",))
     box, orders = (chapters(QUICK)[name]() for name in ("closed box", "all orders of scattering"))
-    assert len(box.rows) == 1 and len(orders.rows) == 4
+    assert len(box.rows) == 1 and len(orders.rows) == 6
     assert all(np.isfinite(row.figure) and row.noisy for row in (*box.rows, *orders.rows))
 
 

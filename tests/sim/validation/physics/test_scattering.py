@@ -51,14 +51,15 @@ def test_the_masks_hold_what_their_names_say(coastal: Pictures) -> None:
 
 @pytest.mark.slow
 def test_all_orders_equal_volpaths(coastal: Pictures) -> None:
-    """Line core, halo, veil and shadow within Sidak's bound, the centre within its bar.
+    """Line core, halo, veil and shadow within Sidak's bound, the judge's too, and the centre
+    within its bar.
 
     The pictures are so many that the centre's standard error is a fifth of its bar at most.
     """
     found = compare(coastal)
     bound = sidak_bound(BOUND_TESTS, found.degrees)
-    assert set(found.tests) == set(MASKS)
-    assert largest_z(found.tests) < bound
+    for tests in (found.tests, found.judge, found.judged):
+        assert set(tests) == set(MASKS) and largest_z(tests) < bound
     assert found.centroid_error_px < CENTROID_PX / 5
     assert found.centroid_px < CENTROID_PX
 

@@ -1,0 +1,196 @@
+"""Where photons land: cells on the triangles of a scene and in the water, and what fell in each."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from lscan.records import Floats
+from sim.render.plugins.sheet import LaserSheet
+
+JOINED = (4, 16, 64)  # cells a side, that may be one
+NEARNESS = 12.0  # light that goes as the distance to -1.35 is then off by 0.2 %
+# Of a whole cell's area, the least that a triangle's third side leaves of one: what single
+# precision puts beside its edge would weigh beyond bounds.
+SLIVER = 1e-3
+EMPTY = 2**64 - 1  # the key of a record that was never written: behind all others
+VOXEL_BITS = 20  # a coordinate's, of a key
+
+
+class SurfaceCells:
+    """The triangles of a scene's meshes, cut into parallelograms along two of their sides.
+
+    Light that was scattered or reflected varies on the scale of the distance from the sheets, so
+    cells may grow with it: fours by four are joined where they still are NEARNESS times smaller
+    than that.
+    """
+
+    def __init__(self, scene: mi.Scene, sheets: Sequence[LaserSheet], cell_mm: float) -> None:
+        """Cut all shapes, which have to be meshes, into cells of ``cell_mm`` and more a side."""
+        self._sheets, self._shapes, self._cell_mm = sheets, scene.shapes(), cell_mm
+        meshes = [_triangles(shape) for shape in self._shapes]
+        self._first = np.cumsum([0, *(len(mesh) for mesh in meshes)])
+        corners = np.concatenate(meshes)
+        start, sides = corners[:, 0], corners[:, 1:] - corners[:, :1]
+        counts = np.maximum(np.ceil(np.linalg.norm(sides, axis=2) / cell_mm), 1)
+        normal = np.cross(sides[:, 0], sides[:, 1])
+        whole = np.linalg.norm(normal, axis=1)
+        unit = normal / np.maximum(whole, 1e-30)[:, None] ** 2
+        begins = np.cumsum([0, *counts.prod(axis=1)])[:-1]
+        self._start, self._sides = _floats(start), [_floats(sides[:, k]) for k in (0, 1)]
+        duals = np.cross(sides[:, 1], unit), np.cross(unit, sides[:, 0])
+        self._duals = [_floats(dual) for dual in duals]
+        self._counts = [_floats(counts[:, k]) for k in (0, 1)]
+        self._begins, self._whole = mi.UInt64(begins.astype(np.uint64)), _floats(whole)
+
+    def find(
+        self, si: mi.SurfaceInteraction3f, towards: mi.Vector3f, active: mi.Bool
+    ) -> tuple[mi.UInt64, mi.Float]:
+        """Key of the cell at ``si``, on the side that ``towards`` points to, and its area, mm2."""
+        triangle = self._triangle(si)
+
+        def of(kind: Any, values: mi.Float) -> Any:
+            return dr.gather(kind, values, triangle, active)
+
+        start, sides = of(mi.Point3f, self._start), [of(mi.Vector3f, v) for v in self._sides]
+        offset, counts = si.p - start, [of(mi.Float, count) for count in self._counts]
+        duals = [of(mi.Vector3f, dual) for dual in self._duals]
+        place = [dr.clip(dr.dot(offset, dual), 0, 1) for dual in duals]
+        joined, level = mi.Float(1), mi.UInt64(0)
+        for number, many in enumerate(JOINED, start=1):
+            blocks = [_block(p, n, many) for p, n in zip(place, counts, strict=True)]
+            middle = [0.5 * (begin + dr.minimum(end, 1)) for begin, end in blocks]
+            within = dr.maximum(middle[0] + middle[1], 1)
+            centre = start + (sides[0] * middle[0] + sides[1] * middle[1]) / within
+            far = self._distance(centre) > many * NEARNESS * self._cell_mm
+            joined, level = dr.select(far, many, joined), dr.select(far, number, level)
+        (u, u_end), (v, v_end) = (_block(p, n, joined) for p, n in zip(place, counts, strict=True))
+        n, m = counts
+        index = mi.UInt64(dr.round(u * n)) * mi.UInt64(m) + mi.UInt64(dr.round(v * m))
+        key = of(mi.UInt64, self._begins) + index
+        side = dr.select(dr.dot(si.n, towards) > 0, mi.UInt64(1), mi.UInt64(0))
+        share = dr.maximum(_cut_off(u, u_end, v, v_end), SLIVER * dr.square(joined) / (n * m))
+        return 8 * key + 2 * level + side, of(mi.Float, self._whole) * share
+
+    def _triangle(self, si: mi.SurfaceInteraction3f) -> mi.UInt32:
+        """The number of the triangle among all shapes'."""
+        triangle = mi.UInt32(si.prim_index)
+        for shape, first in zip(self._shapes, self._first[:-1].tolist(), strict=True):
+            triangle += dr.select(si.shape == mi.ShapePtr(shape), mi.UInt32(first), 0)
+        return triangle
+
+    def _distance(self, point: mi.Point3f) -> mi.Float:
+        """From the nearest of the sheets, mm."""
+        distance = mi.Float(dr.inf)
+        for sheet in self._sheets:
+            distance = dr.minimum(distance, dr.abs(sheet.coordinates(point, mi.Float(0))[2]))
+        return distance
+
+
+def _block(place: mi.Float, count: mi.Float, joined: mi.Float | int) -> tuple[mi.Float, mi.Float]:
+    """Where the joined cells about a place begin and end, 0 to 1 along a side."""
+    number = dr.minimum(dr.floor(place * count / joined), dr.ceil(count / joined) - 1)
+    return number * joined / count, (number + 1) * joined / count
+
+
+def _cut_off(u: mi.Float, u_end: mi.Float, v: mi.Float, v_end: mi.Float) -> mi.Float:
+    """Area of a rectangle within the triangle u + v < 1."""
+    inside = (u_end - u) * (v_end - v)
+
+    def beyond(a: mi.Float, b: mi.Float) -> mi.Float:
+        return 0.5 * dr.square(dr.maximum(1 - a - b, 0))
+
+    cut = beyond(u, v) - beyond(u_end, v) - beyond(u, v_end) + beyond(u_end, v_end)
+    return dr.select(u_end + v_end <= 1, inside, cut)
+
+
+def voxel_key(point: mi.Point3f, voxel_mm: float) -> mi.UInt64:
+    """The key of the cube of the water that holds a point, to half a million cubes each way."""
+    half = 1 << (VOXEL_BITS - 1)
+    key = mi.UInt64(0)
+    for coordinate in (point.x, point.y, point.z):
+        place = dr.floor(dr.clip(coordinate / voxel_mm, -half, half - 1))
+        key = (key << VOXEL_BITS) + mi.UInt64(mi.Int32(place) + half)
+    return key
+
+
+@dataclass(frozen=True)
+class DrawnRecord:
+    """One record of a cell, each as likely; count: how many there are.
+
+    towards: where its light came from, a unit vector.  power: mW.  mark: as it was written.
+    """
+
+    count: mi.UInt32
+    towards: mi.Vector3f
+    power: mi.Float
+    mark: mi.Float
+
+
+class CellRecords:
+    """Photons, written as they fall, then sorted by their cell and drawn from it."""
+
+    def __init__(self, capacity: int) -> None:
+        """Make room for so many."""
+        self.capacity = capacity
+        self._used = dr.zeros(mi.UInt32, 1)
+        self._keys = dr.full(mi.UInt64, EMPTY, capacity)
+        self._values = dr.zeros(mi.Float, 5 * capacity)
+        dr.make_opaque(self._used, self._keys, self._values)
+
+    def write(
+        self,
+        key: mi.UInt64,
+        towards: mi.Vector3f,
+        power: mi.Float,
+        mark: mi.Float,
+        active: mi.Bool,
+    ) -> None:
+        """In a loop, add a record for each active lane, as long as there is room."""
+        slot = dr.scatter_inc(self._used, mi.UInt32(0), active)
+        held = active & (slot < self.capacity)
+        dr.scatter(self._keys, key, slot, held)
+        for k, value in enumerate((*towards, power, mark)):
+            dr.scatter(self._values, value, 5 * slot + k, held)
+
+    def sort(self) -> bool:
+        """Put the records in the order of their keys; whether all have found room."""
+        order = np.argsort(np.array(self._keys), kind="stable")
+        self._keys = mi.UInt64(np.array(self._keys)[order])
+        self._values = _floats(np.array(self._values).reshape(-1, 5)[order])
+        return int(self._used[0]) <= self.capacity
+
+    def powers(self) -> Floats:
+        """(capacity,) mW of each record, 0 of those not written."""
+        return np.array(self._values, dtype=float)[3::5]
+
+    def draw(self, key: mi.UInt64, sample: mi.Float, active: mi.Bool) -> DrawnRecord:
+        """A record of the cell of that key."""
+        first, behind = self._before(key), self._before(key + 1)
+        count = dr.select(active, behind - first, 0)
+        index = first + dr.minimum(mi.UInt32(sample * mi.Float(count)), dr.maximum(count, 1) - 1)
+        found = active & (count > 0)
+        x, y, z, power, mark = (
+            dr.gather(mi.Float, self._values, 5 * index + k, found) for k in range(5)
+        )
+        return DrawnRecord(count, mi.Vector3f(x, y, z), power, mark)
+
+    def _before(self, key: mi.UInt64) -> mi.UInt32:
+        """How many records have smaller keys."""
+        return dr.binary_search(
+            0, self.capacity, lambda index: dr.gather(mi.UInt64, self._keys, index) < key
+        )
+
+
+def _triangles(shape: mi.Shape) -> Floats:
+    """(T, 3, 3) corners of a mesh."""
+    parts = mi.traverse(shape)
+    vertices = np.array(parts["vertex_positions"], dtype=float).reshape(-1, 3)
+    return np.asarray(vertices[np.array(parts["faces"]).reshape(-1, 3)])
+
+
+def _floats(values: Floats) -> mi.Float:
+    return mi.Float(np.asarray(values, dtype=np.float32).ravel())

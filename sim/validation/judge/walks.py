@@ -1,0 +1,129 @@
+"""Walks from the camera that meet photons where they end, or where their light turns most.
+
+Light of two and more orders is partitioned so that each path is counted once:
+
+    no surface        joined where the water turns it most: walk, water, photon or sheet
+    one surface       joined there: a walk through water that ends on the surface, and photons
+    two and more      joined at the last one, on which photons land that were reflected before
+
+What the joint weighs is the phase function at the largest angle of the path, or what a surface
+reflects, so nothing weighs much.
+"""
+
+import drjit as dr
+import mitsuba as mi
+
+from sim.render.plugins.base import Leg
+from sim.render.plugins.beams import Falloff, line_density
+from sim.render.plugins.integrator import SheetIntegrator, crossing_of
+from sim.render.plugins.phase import angle_between
+from sim.render.plugins.sheet import LaserSheet
+from sim.validation.judge.cells import voxel_key
+from sim.validation.judge.photons import LONGEST_PATH, PhotonRecords, Waters, spared
+
+FAMILIES = ("laser", "camera", "both", "interreflection", "veil")
+HALO_MM = 10.0  # on either side of the sheet, where most of the water's photons are looked for
+
+
+class CameraWalks:
+    """Estimates of each family's radiance along rays of the camera."""
+
+    def __init__(self, waters: Waters, single: SheetIntegrator, records: PhotonRecords) -> None:
+        """Walk among these records; ``single`` finds single scattering in the same water."""
+        self.waters, self.single, self.records = waters, single, records
+        self.sheets = single.sheets
+
+    @dr.syntax
+    def light(self, ray: mi.Ray3f, sampler: mi.Sampler) -> list[mi.Float]:
+        """Radiance of FAMILIES along the rays, in mW/(mm2 sr), one walk each.
+
+        On the camera's own leg scattered and unscattered light are both followed: what arrives
+        unscattered is certain, and the walk always scatters.
+        """
+        waters, water = self.waters, self.waters.water
+        laser, camera, both, between, veil = (mi.Float(0) for _ in FAMILIES)
+        weight, turned = mi.Float(1), mi.Float(0)
+        ray, step, active = mi.Ray3f(ray), mi.UInt32(0), mi.Bool(True)
+        while active:
+            si = waters.scene.ray_intersect(ray, active)
+            own = step == 0
+            leg = Leg(waters.scene, sampler, ray, si, mi.Bool(active))
+            veil += weight * self._met(leg, turned)
+            beyond = Leg(waters.scene, sampler, ray, si, active & ~own)
+            for sheet in self.sheets:
+                veil += weight * self.single.scattered(beyond, sheet, turned)
+
+            chance = dr.select(own, waters.chance_within(si.t), 1.0)
+            free = waters.free_path(chance * sampler.next_1d(active))
+            in_water = active & (chance > 0) & (own | (free < si.t))
+            arrives = active & si.is_valid() & (own | ~in_water)
+            left = waters.kept(si.t) * dr.select(own, 1 - chance, 1.0) * weight
+            light, reflected = self._landed(leg, arrives)
+            light *= left
+            between += dr.select(reflected, light, 0.0)
+            laser += dr.select(own & ~reflected, light, 0.0)
+            both += dr.select(~own & ~reflected, light, 0.0)
+            ends = Leg(waters.scene, sampler, ray, _at_once(si), arrives & ~own)
+            for sheet in self.sheets:
+                camera += left * water.direct(ends, sheet)
+
+            weight *= dr.select(in_water, chance * waters.kept(free), 0.0)
+            onward = water.phase.sample_direction(ray.d, sampler.next_2d(active))
+            turned = dr.maximum(turned, angle_between(ray.d, onward))
+            ray.o = dr.select(in_water, ray(free), ray.o)
+            ray.d = dr.select(in_water, onward, ray.d)
+            weight = spared(weight, sampler.next_1d(active))
+            active = in_water & (weight > 0) & (step < LONGEST_PATH)
+            step += 1
+        return [laser, camera, both, between, veil]
+
+    def _landed(self, leg: Leg, active: mi.Bool) -> tuple[mi.Float, mi.Bool]:
+        """Radiance that photons' light has where it leaves a surface along the ray.
+
+        Of one photon of the cell, times their number; and whether it had been reflected before.
+        """
+        si = leg.si
+        key, area = self.waters.surfaces.find(si, -leg.ray.d, active)
+        photon = self.records.landed.draw(key, leg.sampler.next_1d(active), active)
+        found = active & (photon.count > 0)
+        outgoing = si.to_local(photon.towards)
+        value = si.bsdf().eval(mi.BSDFContext(), si, outgoing, found)
+        facing = dr.abs(dr.dot(si.n, photon.towards))
+        light = value.x / facing * photon.power * photon.count / area
+        return dr.select(found & (facing > 0), light, 0.0), photon.mark < 0
+
+    def _met(self, leg: Leg, turned: mi.Float) -> mi.Float:
+        """Light that photons in the water send along the ray where the path turns most."""
+        waters, ray = self.waters, leg.ray
+        if not waters.water.has_water:
+            return mi.Float(0)
+        end = dr.select(leg.si.is_valid(), dr.minimum(leg.si.t, waters.water.far), waters.water.far)
+        densities = [self._about(sheet, ray, end) for sheet in self.sheets]
+        sample, choice = leg.sampler.next_1d(leg.active), leg.sampler.next_1d(leg.active)
+        t = densities[0].sample(sample)
+        for number, density in enumerate(densities[1:], start=1):
+            t = dr.select(choice * len(densities) >= number, density.sample(sample), t)
+        density = sum((one.density(t) for one in densities), mi.Float(0)) / len(densities)
+
+        active = leg.active & (t > 0) & (t < end)
+        key = voxel_key(ray(t), waters.voxel_mm)
+        photon = self.records.met.draw(key, leg.sampler.next_1d(leg.active), active)
+        angle = angle_between(photon.towards, ray.d)
+        active &= (photon.count > 0) & (angle > photon.mark) & (angle > turned)
+        light = photon.power * photon.count / waters.voxel_mm**3 * waters.water.phase.value(angle)
+        return dr.select(active, light * dr.exp(-waters.water.extinction * t) / density, 0.0)
+
+    def _about(self, sheet: LaserSheet, ray: mi.Ray3f, end: mi.Float) -> Falloff:
+        """Where along a ray to look for photons: about its crossing of the sheet."""
+        crossing, slope = crossing_of(sheet, ray)
+        _, rho, _ = sheet.coordinates(ray(crossing), ray.time)
+        crossing = dr.select(dr.isfinite(crossing), crossing, 0.0)
+        width = dr.select(dr.isfinite(rho), sheet.half_width(rho), 0.0) + HALO_MM
+        return line_density(crossing, width / dr.maximum(dr.abs(slope), 1e-3), end)
+
+
+def _at_once(si: mi.SurfaceInteraction3f) -> mi.SurfaceInteraction3f:
+    """The surface with no water before it: the walk's own weight counts that."""
+    near = mi.SurfaceInteraction3f(si)
+    near.t = dr.select(si.is_valid(), 0.0, si.t)
+    return near
