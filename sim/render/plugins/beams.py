@@ -138,7 +138,16 @@ class StraightRays:
 def straight_rays(
     scene: mi.Scene, sheet: LaserSheet, phi: mi.Float, time: mi.Float, active: mi.Bool
 ) -> StraightRays:
-    """Rays as far apart as the sheet is wide at the apex and where its middle meets a surface."""
+    """Rays as far apart as the sheet is wide at the apex and where its middle meets a surface.
+
+    Parameters
+    ----------
+    scene : Scene, its surfaces
+    sheet : LaserSheet, where it is placed
+    phi : Float, rad, the rays' angle in the fan
+    time : Float, s
+    active : Bool, which of the lanes are wanted
+    """
     apex, middle = sheet.apex(time), sheet.direction(phi)
     length = dr.norm(middle)
     ray = mi.Ray3f(apex, middle / length, time, [])
@@ -173,7 +182,16 @@ def beam_density(sheet: LaserSheet, about: mi.Point3f, time: mi.Float) -> BeamDe
 def drawn_beam(
     sheet: LaserSheet, sampler: mi.Sampler, about: mi.Point3f, time: mi.Float, active: mi.Bool
 ) -> Beam:
-    """A ray of the sheet, drawn for light that goes to ``about``."""
+    """A ray of the sheet, drawn for light that goes to ``about``.
+
+    Parameters
+    ----------
+    sheet : LaserSheet, where it is placed
+    sampler : Sampler, of four numbers a lane
+    about : Point3f, mm, world frame
+    time : Float, s
+    active : Bool, which of the lanes are wanted
+    """
     drawn = beam_density(sheet, about, time)
     choice, second = sampler.next_1d(active), sampler.next_1d(active)
     phi, lateral = drawn.sample(choice, sampler.next_2d(active), second)
@@ -189,7 +207,13 @@ def falloff(centre: mi.Float, scale: mi.Float, first: mi.Float, last: mi.Float) 
 
 
 def line_density(centre: mi.Float, scale: mi.Float, end: mi.Float) -> Falloff:
-    """The density of a place between 0 and ``end`` on a line."""
+    """The density of a place between 0 and ``end`` on a line.
+
+    Parameters
+    ----------
+    centre, scale : Float, mm, where the density is highest, and how far it reaches from there
+    end : Float, mm, of the line
+    """
     return falloff(dr.clip(centre, 0, end), dr.clip(scale, 1e-2, FARTHEST_MM), mi.Float(0), end)
 
 

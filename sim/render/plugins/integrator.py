@@ -112,7 +112,13 @@ class SheetIntegrator(WaterIntegrator):
 
 
 def crossing_of(sheet: LaserSheet, ray: mi.Ray3f) -> tuple[mi.Float, mi.Float]:
-    """Where a ray crosses the sheet's middle, mm along it, and its slope against it there."""
+    """Where a ray crosses the sheet's middle, mm along it, and its slope against it there.
+
+    Parameters
+    ----------
+    sheet : LaserSheet, where it is placed
+    ray : Ray3f, world frame, mm
+    """
     slope = dr.dot(ray.d, sheet.normal)
     crossing = dr.dot(sheet.apex(ray.time) - ray.o, sheet.normal) / slope
     if not sheet.is_bowed:

@@ -152,7 +152,12 @@ def approach(
 
 
 def angle_between(a: mi.Vector3f, b: mi.Vector3f) -> mi.Float:
-    """The angle between two unit vectors, exact for small ones."""
+    """The angle between two unit vectors, rad, exact for small ones.
+
+    Parameters
+    ----------
+    a, b : Vector3f, of length 1
+    """
     return 2 * dr.safe_asin(0.5 * dr.norm(a - b))
 
 
