@@ -66,7 +66,7 @@ class SparseLaserLight:
         if not self._integrator.sheets:
             return direct, np.zeros_like(direct)
         reaches = tuple(sheet_reach(self._scene, sheet) for sheet in self._integrator.sheets)
-        seen = survey(self._scene, self._rays, head, reaches, self._size_px)
+        seen = survey(self._scene, self._rays, head, reaches)
         scattered = seen.veil.repeat(fineness, axis=0).repeat(fineness, axis=1)
         if seen.uneven.size:
             row, column = np.divmod(seen.uneven, width)

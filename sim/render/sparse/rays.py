@@ -1,11 +1,13 @@
 """The camera's rays, one a pixel, and the open water's veil along each, in the head's frame.
 
 Camera and laser stand still against each other, so all this is the same in every picture of a
-scan; only a laser whose wavelength drifts changes it.
+scan; only a laser whose wavelength drifts changes it.  There is a margin of one pixel, so that
+every pixel of the picture has neighbours.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
+import cv2
 import drjit as dr
 import mitsuba as mi
 import numpy as np
@@ -21,13 +23,18 @@ HEAD = Pose(np.eye(3), np.zeros(3))  # the head's frame itself
 # Places at which the light scattered into a ray is summed, at equal shares of the Gaussian that
 # it nearly is along the ray: what makes it differ from one changes by 1e-3 over its width.
 QUANTILES = 4
+# By how much of itself the veil of a pixel's centre may differ from the pixel's mean, which is
+# the Laplacian over 24 away to fourth order: beside the apex, in view, it does by more.  What is
+# fainter than DIMMEST of the brightest may differ by ROUGHEST of that.
+ROUGHEST, DIMMEST = 1e-3, 1e-3
 
 
 @dataclass(frozen=True)
 class OpenVeil:
     """One sheet's light scattered into rays with nothing in the way of either.
 
-    crossing, sigma: where along the rays it comes from, mean and standard deviation, mm.
+    crossing, sigma: where along the rays it comes from, mean and standard deviation, mm; infinite
+    where the ray of a pixel's centre does not stand for the pixel.
     phi, rho: the mean's angle in the fan, and its distance from the apex, mm.
     radiance: mW/(mm2 sr), the camera's weight included.
     """
@@ -41,11 +48,13 @@ class OpenVeil:
 
 @dataclass(frozen=True)
 class HeadRays:
-    """A ray in the water for each pixel's centre, row by row.
+    """A ray in the water for each pixel's centre, row by row, and for those around the picture.
 
-    origin: mm.  direction: unit.  weight: the camera's.  veils: one for each sheet.
+    size_px: (width, height) with that margin.  origin: mm.  direction: unit.  weight: the
+    camera's.  veils: one for each sheet.
     """
 
+    size_px: tuple[int, int]
     origin: mi.Point3f
     direction: mi.Vector3f
     weight: mi.Float
@@ -69,13 +78,14 @@ def head_rays(
     camera.place(camera_pose(head))
     for sheet in integrator.sheets:
         sheet.place(HEAD)
-    width, height = size_px
-    index = dr.arange(mi.UInt32, width * height)
-    ray, weight = film_rays(
-        camera, mi.Point2f((index % width + 0.5) / width, (index // width + 0.5) / height)
+    (width, height), wider = size_px, (size_px[0] + 2, size_px[1] + 2)
+    index = dr.arange(mi.UInt32, wider[0] * wider[1])
+    u, v = mi.Float(index % wider[0]) - 0.5, mi.Float(index // wider[0]) - 0.5
+    ray, weight = film_rays(camera, mi.Point2f(u / width, v / height))
+    veils = tuple(
+        _smooth(_open_veil(integrator, sheet, ray, weight), wider) for sheet in integrator.sheets
     )
-    veils = tuple(_open_veil(integrator, sheet, ray, weight) for sheet in integrator.sheets)
-    rays = HeadRays(ray.o, ray.d, weight, veils)
+    rays = HeadRays(wider, ray.o, ray.d, weight, veils)
     dr.eval(rays)
     return rays
 
@@ -102,3 +112,14 @@ def _open_veil(
     inside = dr.abs(phi) <= sheet.half_angle
     light = dr.select(inside, radiance * weight / QUANTILES, 0.0)
     return OpenVeil(crossing, sigma, phi, rho, light)
+
+
+def _smooth(veil: OpenVeil, size_px: tuple[int, int]) -> OpenVeil:
+    """The veil, of infinite sigma where it is not smooth enough for one ray a pixel."""
+    light = np.array(veil.radiance)
+    if light.size == 1:  # there is no water
+        return veil
+    curved = cv2.Laplacian(light.reshape(size_px[::-1]), cv2.CV_32F) / 24
+    allowed = ROUGHEST * np.maximum(light, DIMMEST * light.max())
+    rough = mi.Float(np.float32(np.abs(curved.ravel()) > allowed))
+    return replace(veil, sigma=dr.select(rough > 0, dr.inf, veil.sigma))

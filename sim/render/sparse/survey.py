@@ -13,7 +13,7 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
-from lscan.records import Ints
+from lscan.records import Ints, Mask
 from sim.render.sparse.rays import HeadRays
 from sim.render.sparse.reach import SheetReach
 from sim.scene import Pose
@@ -31,7 +31,7 @@ class PixelSurvey:
 
     veil: (H, W) radiance that the water scatters, where it is even, mW/(mm2 sr), the camera's
     weight included.  uneven: indices of the other pixels, row by row.  distance: of the surface
-    along each ray, mm, infinite where there is none.
+    along each of the rays, mm, infinite where there is none.
     """
 
     veil: NDArray[np.float32]
@@ -40,16 +40,9 @@ class PixelSurvey:
 
 
 def survey(
-    scene: mi.Scene,
-    rays: HeadRays,
-    head: Pose,
-    reaches: tuple[SheetReach, ...],
-    size_px: tuple[int, int],
+    scene: mi.Scene, rays: HeadRays, head: Pose, reaches: tuple[SheetReach, ...]
 ) -> PixelSurvey:
-    """What is seen with the head at a pose.
-
-    reaches: of the sheets there.  size_px: (width, height) of the picture.
-    """
+    """What is seen with the head at a pose; reaches: of the sheets there."""
     distance = scene.ray_intersect_preliminary(rays.seen_from(head), coherent=True).t
     veil, state, mixed = mi.Float(0), mi.UInt32(0), mi.Bool(False)
     for number, (open_veil, reach) in enumerate(zip(rays.veils, reaches, strict=True)):
@@ -64,13 +57,14 @@ def survey(
         mixed |= ~(whole | none)
     state = dr.select(mixed, MIXED, state)
     dr.eval(veil, state, distance)
-    width, height = size_px
-    states = np.array(state).astype(np.uint8).reshape(height, width)
-    # A copy: what Dr.Jit owns may not be written into.
-    return PixelSurvey(np.array(veil).reshape(height, width), _uneven(states), distance)
+    shape = rays.size_px[::-1]
+    states = np.array(state).astype(np.uint8).reshape(shape)
+    inner = np.s_[1:-1, 1:-1]
+    light = np.ascontiguousarray(np.array(veil).reshape(shape)[inner])
+    return PixelSurvey(light, np.flatnonzero(_uneven(states)[inner]), distance)
 
 
-def _uneven(states: NDArray[np.uint8]) -> Ints:
-    """Indices of the pixels that are mixed or unlike any of their neighbours."""
+def _uneven(states: NDArray[np.uint8]) -> Mask:
+    """(H, W) the pixels that are mixed or unlike any of their neighbours."""
     most, least = cv2.dilate(states, NEIGHBOURS), cv2.erode(states, NEIGHBOURS)
-    return np.flatnonzero((most == MIXED) | (most != least))
+    return np.asarray((most == MIXED) | (most != least))

@@ -8,11 +8,14 @@ from typing import Any
 import numpy as np
 import pytest
 import trimesh
+from places import SCENES
 from truth_scenes import tank
 
+from lscan.config.documents import merge
 from lscan.records import Floats
 from sim.render.plugins.opaque import opaque
 from sim.render.sparse import picture
+from sim.render.sparse.rays import ROUGHEST
 from sim.render.sparse.survey import _uneven
 from sim.render.tank import Tank
 from sim.scene import LaserLine, Scene, load_scene
@@ -23,10 +26,7 @@ TIMES = 4  # pictures of 160 by 120 px
 SAMPLES, MANY = 16, 256
 FIRST = {"scatter_samples": 0}
 TURBID = {"particle_scattering_per_m": 3.0}
-CASES = [
-    "paper/sandwave", "lasers/bowed", "lasers/two-lines", "lasers/misaligned", "ports/dome",
-    "targets/coloured-mesh", "targets/wet", "targets/sand", "best/sandwave",
-]  # fmt: skip
+CASES = ["paper/sandwave", "targets/coloured-mesh", "targets/wet", "best/sandwave"]
 
 
 def small(name: str, **sections: Any) -> Scene:
@@ -52,33 +52,75 @@ def uneven(monkeypatch: pytest.MonkeyPatch) -> list[Floats]:
     return masks
 
 
-@pytest.mark.parametrize("name", CASES)
-def test_line_and_veil_are_those_of_samples_everywhere(name: str, uneven: list[Floats]) -> None:
+def random_rig(seed: int) -> Scene:
+    """A sheet of any width and lean before a camera that looks anywhere near it."""
+    between = np.random.default_rng(seed).uniform
+    kinds: list[dict[str, Any]] = [
+        {"target": {"shape": "none"}},
+        {"workpiece": {"kind": "grooved-block"}, "target": {"shape": "workpiece"}},
+        {"workpiece": {"kind": "sandwave"}, "target": {"shape": "workpiece"}},
+        {"target": {"shape": "mesh", "file": str(SCENES / "targets" / "mound.ply")}},
+    ]
+    piece = merge(kinds[seed % 4], {
+        "target": {
+            "position_mm": [between(-120, 0), between(-50, 50), between(-300, -200)],
+            "tilt_x_deg": between(-20, 20), "tilt_y_deg": between(-20, 20),
+        }
+    })  # fmt: skip
+    lean = between(-4, 4)
+    return tank(
+        **piece,
+        camera={"width_px": 100, "height_px": 80},
+        lens={"focal_px": between(90, 160), "centre_px": [49.5, 39.5], "k1": between(-0.2, 0.1)},
+        head={
+            "camera_mm": [between(-100, 100), between(-900, -250), between(100, 450)],
+            "depression_deg": between(15, 60), "roll_deg": between(-10, 10),
+            "yaw_deg": between(-5, 5),
+        },
+        laser={
+            "apex_mm": [between(-80, 80), between(-30, 30), between(150, 600)],
+            "fan_half_angle_deg": between(15, 50), "waist_mm": between(0.3, 4.0),
+            "waist_distance_mm": between(200, 900), "skew_deg": between(-8, 8),
+            "port_tilt_deg": between(-20, 20) * (seed % 2),
+            "lines": [{"tilt_deg": lean, "share": 0.4}, {"tilt_deg": lean / 2, "share": 0.6}],
+        },
+        port={"kind": "dome" if seed % 3 == 0 else "flat"},
+        floor={"z_mm": between(-450, -300)},
+        water={"particle_scattering_per_m": between(0.1, 5.0)},
+        render=FIRST,
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize("scene", [*CASES, *range(4)])
+def test_line_and_veil_are_those_of_samples_everywhere(
+    scene: str | int, uneven: list[Floats]
+) -> None:
     """The line by the same samples, the veil by many.
 
     Line: single precision, 1e-5 of the peak, but for one sample of SAMPLES in a pixel in a
     thousand, whose ray passes a silhouette by its last bit; beyond five standard deviations of
-    the sheet there is 4e-6 of its light.  Veil in even pixels: what the sampled integrand varies
-    by, 2e-3 (its own test's bar) over the root of 256 samples in each of 18,000 pixels, where 5
-    standard errors are to be expected.  In uneven pixels a shadow's edge is seen at 16 places:
-    one of 4 rows of them, at most.
+    the sheet there is 4e-6 of its light.  Veil in even pixels: ROUGHEST, and what the sampled
+    integrand varies by, 2e-3 (its own test's bar) over the root of MANY samples in each of
+    18,000 pixels, where 5 standard errors are to be expected.  In uneven pixels edges are seen
+    by 4 rows of samples, each of which sees all or nothing of a quarter: 1 / sqrt(12) of it off,
+    were each pixel an edge's.
     """
-    scene = small(name)
-    camera = scene.rig.camera
+    seen = small(scene) if isinstance(scene, str) else random_rig(scene)
+    camera, places = seen.rig.camera, ((False, SAMPLES), (True, SAMPLES), (True, MANY))
+    shape = camera.height_px, camera.width_px
+    tanks = [Tank(seen, sampled=sampled) for sampled, _ in places]
     few, same, many = (
-        Tank(scene, sampled=sampled)
-        .render(100.0, samples)
-        .binned((camera.height_px, camera.width_px))
-        for sampled, samples in ((False, SAMPLES), (True, SAMPLES), (True, MANY))
+        here.render(100.0, samples).binned(shape)
+        for here, (_, samples) in zip(tanks, places, strict=True)
     )
     peak, veil = same.direct.max(), many.scattered.max()
-    assert peak > 0 and veil > 0
-    off = np.abs(few.direct - same.direct) / peak
-    assert (off > 1e-5).mean() < 1e-3 and off.max() <= 1 / SAMPLES
+    assert veil > 0 and (peak > 0 or not isinstance(scene, str))
+    off = np.abs(few.direct - same.direct)
+    assert (off > 1e-5 * peak).mean() < 1e-3 and off.max() <= peak / SAMPLES
     off = np.abs(few.scattered - many.scattered).ravel() / veil
-    assert uneven[0].mean() < 0.1, "few pixels are sampled"
-    assert off[~uneven[0]].max() < 5 * 2e-3 / np.sqrt(MANY)
-    assert off.max() < 1 / 4
+    assert uneven[0].mean() < 0.2, "few pixels are sampled"
+    assert off[~uneven[0]].max() < ROUGHEST + 5 * 2e-3 / np.sqrt(MANY)
+    assert np.sqrt(np.mean(off[uneven[0]] ** 2)) < 1 / 4 / np.sqrt(12)
 
 
 def shadow_scene(folder: Path) -> Scene:
@@ -121,11 +163,12 @@ class Everywhere:
 def test_a_pixel_is_even_where_its_neighbours_are_like_it() -> None:
     states = np.zeros((5, 8), np.uint8)
     states[:, 4:] = 1
-    assert set(_uneven(states) % 8) == {3, 4}
+    assert set(np.nonzero(_uneven(states))[1]) == {3, 4}
     states[:] = 1
-    assert _uneven(states).size == 0
+    assert not _uneven(states).any()
     states[2, 1] = 255
-    assert sorted(_uneven(states)) == [8, 9, 10, 16, 17, 18, 24, 25, 26]
+    mixed = _uneven(states)
+    assert mixed[1:4, :3].all() and mixed.sum() == 9
 
 
 def test_another_place_and_another_wavelength_are_seen_anew() -> None:
