@@ -11,7 +11,7 @@ from lscan.records import Ints
 from sim.render.plugins.base import Leg
 from sim.render.plugins.camera import RefractiveCamera
 from sim.render.plugins.integrator import SheetIntegrator
-from sim.render.sparse.rays import HeadRays, film_rays, head_rays
+from sim.render.sparse.rays import HeadRays, film_rays, head_rays, sample_places
 from sim.render.sparse.reach import sheet_reach
 from sim.render.sparse.survey import MOST_SHEETS, survey
 from sim.scene import Pose, Scene
@@ -81,13 +81,9 @@ class SparseLaserLight:
         The samples lie on a regular grid.  For what the water scatters, each has a quantile of
         its own of the light along the ray, far from those of the samples beside it.
         """
-        (width, height), count, fineness = self._size_px, side**2, self._fineness
-        lane = dr.arange(mi.UInt32, count * len(pixels))
-        pixel = dr.gather(mi.UInt32, mi.UInt32(pixels.astype(np.uint32)), lane // count)
-        sample = lane % count
-        u = mi.Float(pixel % width) + (mi.Float(sample % side) + 0.5) / side
-        v = mi.Float(pixel // width) + (mi.Float(sample // side) + 0.5) / side
-        ray, weight = film_rays(self._camera, mi.Point2f(u / width, v / height))
+        count, fineness = side**2, self._fineness
+        place, sample = sample_places(pixels, self._size_px, side)
+        ray, weight = film_rays(self._camera, place)
         leg = Leg(self._scene, None, ray, self._scene.ray_intersect(ray), mi.Bool(True))
         quantile = (mi.Float((sample * _stride(count)) % count) + 0.5) / count
         direct, scattered = mi.Float(0), mi.Float(0)

@@ -12,6 +12,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
+from lscan.records import Ints
 from sim.render.plugins.base import Leg
 from sim.render.plugins.camera import RefractiveCamera
 from sim.render.plugins.integrator import SheetIntegrator, crossing_of
@@ -94,6 +95,22 @@ def film_rays(camera: RefractiveCamera, place: mi.Point2f) -> tuple[mi.Ray3f, mi
     """The camera's rays through places of its film, 0 to 1 along each side, and their weights."""
     ray, weight = camera.sample_ray(mi.Float(0.5), mi.Float(0), place, mi.Point2f(0.5))
     return ray, weight.x
+
+
+def sample_places(
+    pixels: Ints, size_px: tuple[int, int], side: int
+) -> tuple[mi.Point2f, mi.UInt32]:
+    """Places on the film of side x side samples in each of the pixels, and each sample's number.
+
+    They lie on a regular grid in the pixel, row by row; one pixel's follow each other.
+    """
+    (width, height), count = size_px, side**2
+    lane = dr.arange(mi.UInt32, count * len(pixels))
+    pixel = dr.gather(mi.UInt32, mi.UInt32(pixels.astype(np.uint32)), lane // count)
+    sample = lane % count
+    u = mi.Float(pixel % width) + (mi.Float(sample % side) + 0.5) / side
+    v = mi.Float(pixel // width) + (mi.Float(sample // side) + 0.5) / side
+    return mi.Point2f(u / width, v / height), sample
 
 
 def _open_veil(
