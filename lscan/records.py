@@ -86,13 +86,13 @@ def status_counts(status: NDArray[np.integer]) -> dict[str, int]:
     return {code.name: int((status == code).sum()) for code in Status if code in status}
 
 
-def select(record: Record, wanted: Mask | Ints) -> Record:
+def select(record: Record, wanted: Mask | Ints | slice) -> Record:
     """The record with a part of each of its arrays.
 
     Parameters
     ----------
     record : dataclass, whose arrays all have N entries
-    wanted : (N,) mask or array of indices, of the entries kept
+    wanted : (N,) mask, array of indices or slice, of the entries kept
     """
     parts = vars(record).items()
     return type(record)(**{k: v[wanted] if isinstance(v, np.ndarray) else v for k, v in parts})

@@ -10,6 +10,7 @@ from lscan.records import Floats, Mask, Status, Stripe, has_value
 
 _MARK = "takes_integers"
 _GIVEN = (Status.OK, Status.SATURATED, Status.NO_PEAK, Status.AT_BORDER, Status.AMBIGUOUS)
+_CODES = np.array([[code] for code in _GIVEN])
 
 
 class Extractor(Protocol):
@@ -110,7 +111,7 @@ def require_stripe(stripe: Any, shape: tuple[int, ...], where: str) -> None:
                 value=len(values) if values.ndim == 1 else values.shape,
                 allowed=str(width),
             )
-    unknown = ~np.isin(stripe.status, _GIVEN)
+    unknown = ~(stripe.status == _CODES).any(axis=0)
     names = ", ".join(f"{status:d} {status.name}" for status in _GIVEN)
     _refuse(where, "status", stripe.status, unknown, names)
     valued = has_value(stripe.status)

@@ -199,7 +199,9 @@ def _solve(
     share = ndtr(t) + wall * density
     total = share.prod(axis=0)
     levels, brightness = samples.level[used], samples.brightness[used]
-    level = levels @ np.linalg.lstsq(levels * total[:, None], brightness, rcond=None)[0]
+    terms = levels * total[:, None]
+    # Of a face without samples the terms are 0: the inverse gives it no level.
+    level = levels @ (np.linalg.pinv(terms.T @ terms, hermitian=True) @ (terms.T @ brightness))
     by_t = density * (1 - wall * t) / share / width
     design = np.column_stack(
         [

@@ -35,8 +35,12 @@ def clipping_level(lines: Bytes) -> int:
     lines : (N, L) array, uint8, DN, the pixels across the line, one row for each entry of the
         stripe
     """
-    counted = cv2.calcHist([lines], [0], None, [CLIPPED_DN + 1], [0, CLIPPED_DN + 1])
-    count = np.asarray(counted).ravel().astype(np.int64)
+    least = _within_highest(lines)
+    if least >= _NEAR_END_DN:
+        return CLIPPED_DN
+    # Values farther down than the plateau and its surroundings do not count.
+    high = lines[lines >= max(least - 2 * _SPREAD_DN, 0)]
+    count = np.bincount(high, minlength=CLIPPED_DN + 1)
     above = np.cumsum(count[::-1])[::-1]  # pixels of each value or more
     top = int(np.flatnonzero(above > _STRAY * lines.size)[-1])
     if top >= _NEAR_END_DN or top < _LEAST_DN:
@@ -46,6 +50,12 @@ def clipping_level(lines: Bytes) -> int:
     if piled and (_has_flat_crests(lines, mode) or _has_cut_crests(lines, mode)):
         return _foot(count, mode)
     return CLIPPED_DN
+
+
+def _within_highest(lines: Bytes) -> int:
+    """A grey value that more than _STRAY of the pixels reach, by the highest of each line."""
+    highest, stray = lines.max(axis=1), int(_STRAY * lines.size)
+    return 0 if stray >= len(highest) else int(np.partition(highest, -stray - 1)[-stray - 1])
 
 
 def _foot(count: Ints, mode: int) -> int:

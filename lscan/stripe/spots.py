@@ -66,24 +66,29 @@ def relief_of(
     single = columns.astype(np.float32)
     blurred = cv2.GaussianBlur(single, (0, 1), sigmaX=_SMOOTHING_PX, sigmaY=_SMOOTHING_PX)
     smoothed = np.asarray(blurred, np.float32)
-    ground = _opened((single if sharp else smoothed).T.copy(), ground_px)
-    return Relief(columns[:, rows], smoothed[:, rows], ground[rows].T.copy())
+    ground = _opened((single if sharp else smoothed).T.copy(), ground_px, rows)
+    return Relief(columns[:, rows], smoothed[:, rows], ground.T.copy())
 
 
-def _opened(values: Singles, size: int) -> Singles:
-    """(H, W) after a grey-scale opening over ``size`` rows, an odd number; edges cut it short.
+def _opened(values: Singles, size: int, rows: slice) -> Singles:
+    """Some of (H, W) rows after a grey-scale opening over ``size`` of them, an odd number.
 
-    The extreme of so many rows is that of two that overlap, each found from half as many.
+    Edges cut it short.  The extreme of so many rows is that of two parts that overlap, each found
+    from half as many.
     """
+    first, last, _ = rows.indices(len(values))
+    reach, half = size - 1, size // 2
+    whole = first < reach or last + reach > len(values)
+    values = values if whole else values[first - reach : last + reach]
     for extreme, nothing in ((np.minimum, np.inf), (np.maximum, -np.inf)):
-        half = size // 2
-        values = np.pad(values, ((half, half), (0, 0)), constant_values=nothing)
+        if whole:
+            values = np.pad(values, ((half, half), (0, 0)), constant_values=nothing)
         done = 1
         while done < size:
             step = min(done, size - done)
             values = extreme(values[:-step], values[step:])
             done += step
-    return values
+    return values[rows] if whole else values
 
 
 @dataclass(frozen=True)

@@ -25,7 +25,7 @@ def line_width(columns: GreyValues, at: Ints) -> float:
     at : (K,) array, indices of the columns that have a line, at least one
     """
     reach = min(_REACH_PX, columns.shape[1] - 1)
-    crest = crests(columns if len(at) == len(columns) else columns[at])
+    crest = crests(columns)[at]
     profile = windows(columns, at, crest, reach).mean(axis=0)
     profile = profile - profile.min()
     height, ends = profile[[reach]], np.array([[0], [2 * reach]])  # its lowest value is 0

@@ -1,10 +1,12 @@
 """From the stripe in a picture to the profile in the laser sheet."""
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from lscan.calibration.api import PlaneMap
 from lscan.errors import InputError
-from lscan.records import PlanePoints, Profile, Status, Stripe, has_value
+from lscan.records import PlanePoints, Profile, Status, Stripe, has_value, select
 
 
 def to_profile(stripe: Stripe, plane_map: PlaneMap, position_mm: float) -> Profile:
@@ -31,9 +33,39 @@ def to_profile(stripe: Stripe, plane_map: PlaneMap, position_mm: float) -> Profi
     InputError
         Where ``position_mm`` is not finite.
     """
-    if not np.isfinite(position_mm):
-        raise InputError("track position is not finite", where="to_profile", value=position_mm)
-    mapped = plane_map.to_plane(stripe.image_px, stripe.sigma_px)
+    return to_profiles([stripe], plane_map, [position_mm])[0]
+
+
+def to_profiles(
+    stripes: Sequence[Stripe], plane_map: PlaneMap, positions_mm: Sequence[float]
+) -> list[Profile]:
+    """The scan lines of several pictures, as :func:`to_profile` gives each, all mapped at once.
+
+    Parameters
+    ----------
+    stripes : sequence of Stripe, px, one or more
+    plane_map : PlaneMap, from the pixels of that camera to the laser sheet
+    positions_mm : sequence of float, mm, of the track, one for each
+
+    Raises
+    ------
+    InputError
+        Where a position is not finite.
+    """
+    for position_mm in positions_mm:
+        if not np.isfinite(position_mm):
+            raise InputError("track position is not finite", where="to_profile", value=position_mm)
+    pixels, sigma_px = ([stripe.image_px for stripe in stripes], [s.sigma_px for s in stripes])
+    mapped = plane_map.to_plane(np.concatenate(pixels), np.concatenate(sigma_px))
+    end = np.cumsum([len(stripe.status) for stripe in stripes])
+    return [
+        _profile(stripe, select(mapped, slice(last - len(stripe.status), last)), float(position_mm))
+        for stripe, last, position_mm in zip(stripes, end, positions_mm, strict=True)
+    ]
+
+
+def _profile(stripe: Stripe, mapped: PlanePoints, position_mm: float) -> Profile:
+    """The scan line of a stripe whose points the map has placed."""
     from_stripe = ~has_value(stripe.status) | (mapped.status == Status.OK)
     status = np.where(from_stripe, stripe.status, mapped.status)
     valued = has_value(status)[:, None]
@@ -48,4 +80,4 @@ def to_profile(stripe: Stripe, plane_map: PlaneMap, position_mm: float) -> Profi
         ),
     )
     brightness = stripe.peak if stripe.flux is None else stripe.flux
-    return Profile(position_mm=float(position_mm), points=points, brightness=brightness)
+    return Profile(position_mm, points, brightness)

@@ -28,6 +28,7 @@ from lscan.stripe import extract_stripe
 from sim.render.tank import Tank, stock_medium
 from sim.scene import scene_of
 from sim.sensor import Webcam
+from sim.validation.instrumentspeed import instrument_times
 from sim.validation.physics.scattering import render_with
 from sim.validation.rows import Row, RowFile, measured, row
 
@@ -53,17 +54,18 @@ class SpeedEffort:
 
     runs: pairs of pictures.  stock_samples: volpath's, a pixel.  converged: samples of the
     first and of the higher orders in the pictures that all are held against.  repeats: of a
-    call that is timed.
+    call that is timed.  frames: of the sandwave, from which the instrument's surface is made.
     """
 
     runs: int = 64
     stock_samples: int = 1024
     converged: tuple[int, int] = (4096, 2048)
     repeats: int = 15
+    frames: int = 400
 
 
 FULL = SpeedEffort()
-QUICK = SpeedEffort(runs=3, stock_samples=16, converged=(64, 32), repeats=1)
+QUICK = SpeedEffort(runs=3, stock_samples=16, converged=(64, 32), repeats=1, frames=4)
 
 
 @dataclass(frozen=True)
@@ -101,6 +103,9 @@ def run_bench(scenes: Path, output: Path, quick: bool = False) -> list[Row]:
         "time of a frame": partial(frame_times, groove, effort),
         "time of a picture of the first order": partial(picture_times, sandwave, effort),
         "time of a plane map": partial(map_times, board, effort),
+        "time of the instrument": partial(
+            instrument_times, board, sandwave, effort.frames, effort.repeats
+        ),
     }.items():
         file.add(measured(what, measure))
     return file.rows

@@ -74,7 +74,7 @@ def steger(image: GreyValues, settings: StripeSection, clipped: Mask) -> Stripe:
         return stripe
     width = line_width(columns, lit)
     scale = max(width, _FINEST_PX)
-    crest = crests(columns[lit])
+    crest = crests(columns)[lit]
     rows = _band(crest, scale)
     reach = int(np.ceil(2 * width))
     at_crest = windows(columns, lit, crest, reach) - base[lit, None]

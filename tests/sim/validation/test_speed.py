@@ -65,9 +65,10 @@ def test_an_error_in_one_measurement_is_a_failed_row(
         "water_efficiency",
         "picture_times",
         "map_times",
+        "instrument_times",
     ):
         monkeypatch.setattr(bench, name, works)
     monkeypatch.setattr(bench, "frame_times", fails)
     rows = run_bench(PAPER, tmp_path / "bench.json")
-    assert [row.passed for row in rows] == [None, None, None, False, None, None]
+    assert [row.passed for row in rows] == [None, None, None, False, None, None, None]
     assert rows[3].what == "time of a frame" and "no kernel" in rows[3].error
