@@ -128,7 +128,13 @@ def _rendered(rig_file: RigFile, effort: DemoEffort) -> RigFile:
 
 
 def thin_out(rig_file: RigFile, frames: int) -> RigFile:
-    """The same scan with another number of pictures over the same length of track."""
+    """The same scan with another number of pictures over the same length of track.
+
+    Parameters
+    ----------
+    rig_file : RigFile, of the scan
+    frames : int, pictures
+    """
     plan = rig_file.rig.plan
     step_mm = plan.step_mm * plan.frames / frames
     document = merge(rig_file.document, {"plan": {"frames": frames, "step_mm": step_mm}})

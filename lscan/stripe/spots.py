@@ -169,7 +169,7 @@ def spots_near(columns: GreyValues, threshold_dn: float) -> Spots | None:
         none = np.zeros(0, dtype=np.int64)
         return Spots(none, none, none, np.zeros(0), np.zeros(0))
     length = int((bottom - top).max()) + 1 + 2 * (_ROOM_PX + _SEEN_PX)
-    if length > height or 2 * length * len(column) > columns.size:
+    if length > height or length * len(column) > columns.size:
         return None
     start = np.clip(top - _ROOM_PX - _SEEN_PX, 0, height - length)
     first = max(int((top - start).min()) - _ROOM_PX, 0)

@@ -1,6 +1,6 @@
 """From stripe to profile with a plane map that is known in closed form."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -9,7 +9,7 @@ from hypothesis import given, settings, strategies as st
 
 from lscan.errors import InputError
 from lscan.records import PlanePoints, Status, Stripe, has_value
-from lscan.surface.profile import to_profile
+from lscan.surface.profile import to_profile, to_profiles
 
 
 @dataclass(frozen=True)
@@ -109,3 +109,17 @@ def test_modes_are_passed_on_where_there_is_a_value():
 def test_a_position_that_is_not_finite_is_refused(position):
     with pytest.raises(InputError, match="track position"):
         to_profile(stripe_of(np.ones(3), [Status.OK] * 3), HALF_MM, position)
+
+
+@pytest.mark.parametrize("modes", [None, np.array([[0.1, 0.2], [0.3, 0.0]])])
+def test_several_stripes_are_mapped_as_each_is_by_itself(modes: np.ndarray | None) -> None:
+    generator, status = np.random.default_rng(6), [Status.OK, Status.NO_PEAK, Status.SATURATED] * 9
+    stripes = [stripe_of(centre, status) for centre in generator.uniform(10, 400, (3, 27))]
+    plane_map = replace(HALF_MM, modes_mm=modes, limit_mm=9.0)
+    places_mm = [0.0, 0.5, 1.0]
+    together = to_profiles(stripes, plane_map, places_mm)
+    for one, stripe, place_mm in zip(together, stripes, places_mm, strict=True):
+        alone = to_profile(stripe, plane_map, place_mm)
+        assert one.position_mm == place_mm
+        for name, values in vars(alone.points).items():
+            np.testing.assert_array_equal(getattr(one.points, name), values)

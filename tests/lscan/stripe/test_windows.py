@@ -1,0 +1,131 @@
+"""What is found in windows, on integers or by counting is what the whole picture gives."""
+
+import cv2
+import numpy as np
+import pytest
+from hypothesis import given, settings, strategies as st
+from lines_drawn import drawn, speckled
+
+from lscan.config.plugins import installed
+from lscan.config.rig import StripeSection
+from lscan.records import Bytes, Floats, Mask, Stripe
+from lscan.stripe import extract_stripe, find_extractor
+from lscan.stripe.api import takes_integers
+from lscan.stripe.noise.model import constant_variance, robust_variance
+from lscan.stripe.peaks import windows
+from lscan.stripe.ranks import crests, medians, ranked
+from lscan.stripe.spots import _opened, relief_of, spots_near, spots_of
+
+HEIGHT, WIDTH = 260, 60
+COLUMN = np.arange(WIDTH)
+FEW = settings(max_examples=25, deadline=None)
+
+
+def picture(seed: int, middle: float, width_px: float, peak: float, others: int) -> Bytes:
+    """A line, up to two more, specks and noise; the line may lie at the picture's edge."""
+    generator = np.random.default_rng(seed)
+    centre = middle + 6 * np.sin(COLUMN / generator.uniform(4, 30))
+    light = drawn(centre, width_px, HEIGHT, peak)
+    for _ in range(others):
+        light = light + drawn(centre + generator.uniform(-90, 90), width_px, HEIGHT, peak / 2)
+    for _ in range(8):
+        light[generator.integers(HEIGHT), generator.integers(WIDTH)] += 120
+    shown = speckled(light, 0.2, generator) + generator.normal(4, 1.5, light.shape)
+    return np.clip(np.rint(shown), 0, 255).astype(np.uint8)
+
+
+pictures = st.builds(
+    picture,
+    seed=st.integers(0, 2**31),
+    middle=st.floats(-5, HEIGHT + 5),
+    width_px=st.floats(0.7, 8.0),
+    peak=st.floats(20, 400),
+    others=st.integers(0, 2),
+)
+
+
+@FEW
+@given(image=pictures, threshold_dn=st.floats(3.0, 60.0))
+def test_windows_hold_the_spots_of_the_whole_picture(image: Bytes, threshold_dn: float) -> None:
+    columns = np.ascontiguousarray(image.T)
+    found, whole = spots_near(columns, threshold_dn), spots_of(relief_of(columns), threshold_dn)
+    if found is not None:
+        for name, values in vars(whole).items():
+            np.testing.assert_allclose(vars(found)[name], values, rtol=1e-6, err_msg=name)
+
+
+def test_one_line_needs_no_more_than_its_windows() -> None:
+    image = picture(1, 130.0, 2.0, 200.0, 0)
+    assert spots_near(np.ascontiguousarray(image.T), 30.0) is not None
+
+
+def test_without_a_bright_pixel_there_is_no_spot() -> None:
+    found = spots_near(np.full((WIDTH, HEIGHT), 7, np.uint8), 15.0)
+    assert found is not None and len(found.column) == 0
+
+
+@FEW
+@given(image=pictures, size=st.sampled_from([13, 21, 61]), first=st.integers(0, 200))
+def test_an_opening_by_halves_is_opencv_s(image: Bytes, size: int, first: int) -> None:
+    values = image.astype(np.float32)
+    expected = cv2.morphologyEx(values, cv2.MORPH_OPEN, np.ones((size, 1), np.uint8))
+    rows = slice(first, first + 20)
+    np.testing.assert_array_equal(_opened(values, size, rows), expected[rows])
+
+
+@FEW
+@given(image=pictures, rank=st.integers(0, HEIGHT - 1))
+def test_ranks_are_those_of_sorted_columns(image: Bytes, rank: int) -> None:
+    for kind in (np.uint8, np.int16, np.float64):
+        columns = np.ascontiguousarray(image.T).astype(kind)
+        assert (ranked(columns, rank) == np.sort(columns, axis=1)[:, rank]).all()
+        assert (medians(columns) == np.median(columns, axis=1)).all()
+        assert (crests(columns) == columns.argmax(axis=1)).all()
+
+
+@FEW
+@given(image=pictures)
+def test_integers_are_counted_as_floats_are_measured(image: Bytes) -> None:
+    columns = np.ascontiguousarray(image.T)
+    whole = np.diff(columns.astype(np.int16), axis=1)
+    assert robust_variance(whole, 0.5) == pytest.approx(robust_variance(whole * 1.0, 0.5), 1e-12)
+    assert constant_variance(columns) == pytest.approx(constant_variance(columns * 1.0), 1e-12)
+
+
+@FEW
+@given(image=pictures, reach=st.integers(0, 40), seed=st.integers(0, 99))
+def test_windows_repeat_the_pixels_at_the_edge(image: Bytes, reach: int, seed: int) -> None:
+    columns, generator = np.ascontiguousarray(image.T), np.random.default_rng(seed)
+    at, rows = generator.integers(0, WIDTH, 9), generator.integers(-9, HEIGHT + 9, 9)
+    padded = np.pad(columns, ((0, 0), (99, 99)), mode="edge")
+    expected = [
+        padded[k, 99 + row - reach : 100 + row + reach] for k, row in zip(at, rows, strict=True)
+    ]
+    found = windows(columns, at, rows, reach)
+    assert found.dtype == np.float64 and (found == expected).all()
+
+
+@pytest.mark.parametrize("name", installed("lscan.extractors"))
+def test_an_extractor_that_takes_integers_finds_the_same(name: str) -> None:
+    extractor, section = find_extractor(name), StripeSection(threshold_dn=15.0)
+    assert takes_integers(extractor)
+    image = picture(3, 120.0, 1.8, 180.0, 0)
+    columns, clipped = np.ascontiguousarray(image.T), np.zeros((WIDTH, HEIGHT), dtype=bool)
+    whole, floats = (
+        extractor(lines.T, section, clipped.T) for lines in (columns, columns.astype(float))
+    )
+    np.testing.assert_array_equal(whole.status, floats.status)
+    np.testing.assert_allclose(whole.centre_px, floats.centre_px, rtol=0, atol=1e-9)
+    np.testing.assert_allclose(whole.sigma_px, floats.sigma_px, rtol=1e-9)
+
+
+def mean_row(image: Floats, settings: StripeSection, clipped: Mask) -> Stripe:
+    """Another package's extractor: integers would overflow in its sum."""
+    assert image.dtype == np.float64
+    return find_extractor("centroid")(image, settings, clipped)
+
+
+def test_other_extractors_are_given_floats() -> None:
+    image = picture(4, 120.0, 1.8, 180.0, 0)
+    stripe = extract_stripe(image, StripeSection(extractor=f"{__name__}:mean_row"))
+    assert (stripe.status == 0).any()
