@@ -5,6 +5,7 @@ weight.  Lengths are optical depths.
 """
 
 from collections.abc import Callable
+from dataclasses import dataclass
 from math import log
 
 import drjit as dr
@@ -83,6 +84,19 @@ def batches(photons: int) -> int:
     return -(-photons // BATCH)
 
 
+@dataclass(frozen=True)
+class _Crossing:
+    """Photons where they cross the surface of a number; ``active``: those that do."""
+
+    place: mi.Point3f
+    towards: mi.Vector3f
+    weight: mi.Float
+    surface: mi.UInt32
+    order: mi.UInt32
+    lane: mi.UInt32
+    active: mi.Bool
+
+
 class _Walk:
     """The water, surfaces in the order in which photons can cross them, and what they count."""
 
@@ -124,8 +138,8 @@ class _Walk:
                 path = self.path(place, towards, depth, lane)
                 crossing &= path <= free
                 reached = weight * dr.exp(-self.absorption * path)
-                there = place + towards * path
-                self.count(there, towards, reached, surface, order, lane, crossing)
+                there = mi.Point3f(place + towards * path)
+                self.count(_Crossing(there, towards, reached, surface, order, lane, crossing))
                 surface = dr.select(crossing, surface + 1, surface)
                 crossing &= surface < self.surfaces
             place = mi.Point3f(place + towards * free)
@@ -144,16 +158,7 @@ class _Walk:
         """How far it is to the next surface, infinity where it is not ahead."""
         raise NotImplementedError
 
-    def count(
-        self,
-        place: mi.Point3f,
-        towards: mi.Vector3f,
-        weight: mi.Float,
-        surface: mi.UInt32,
-        order: mi.UInt32,
-        lane: mi.UInt32,
-        active: mi.Bool,
-    ) -> None:
+    def count(self, at: _Crossing) -> None:
         """Add photons that cross a surface to its sums."""
         raise NotImplementedError
 
@@ -168,28 +173,19 @@ class _ToSpheres(_Walk):
         beside2 = dr.maximum(dr.squared_norm(place) - dr.square(ahead), 0)
         return dr.safe_sqrt(dr.square(depth) - beside2) - ahead
 
-    def count(
-        self,
-        place: mi.Point3f,
-        towards: mi.Vector3f,
-        weight: mi.Float,
-        surface: mi.UInt32,
-        order: mi.UInt32,
-        lane: mi.UInt32,
-        active: mi.Bool,
-    ) -> None:
-        up = dr.normalize(mi.Vector3f(place))
+    def count(self, at: _Crossing) -> None:
+        up = dr.normalize(mi.Vector3f(at.place))
         sine = dr.hypot(up.x, up.y)
         inner = rings.EDGES_FROM
         angle = dr.log(dr.maximum(dr.atan2(sine, up.z), inner / 2)) - log(inner)
         ring = 1 + angle * ((rings.RINGS - 1) / log(np.pi / inner))
         ring = mi.UInt32(dr.clip(ring, 0, rings.RINGS - 1))
         away = mi.Vector3f(up.x * up.z, up.y * up.z, -dr.square(sine)) / dr.maximum(sine, 1e-20)
-        slope = dr.dot(towards, away) / dr.maximum(dr.dot(towards, up), GRAZING)
-        often = dr.select(order > 1, mi.UInt32(self.surfaces), 0)
-        cell = (often + surface) * rings.RINGS + ring
-        scored = active & (order > 0)
-        for kind, value in enumerate((weight, dr.square(weight), weight * slope)):
+        slope = dr.dot(at.towards, away) / dr.maximum(dr.dot(at.towards, up), GRAZING)
+        often = dr.select(at.order > 1, mi.UInt32(self.surfaces), 0)
+        cell = (often + at.surface) * rings.RINGS + ring
+        scored = at.active & (at.order > 0)
+        for kind, value in enumerate((at.weight, dr.square(at.weight), at.weight * slope)):
             start = kind * 2 * self.surfaces * rings.RINGS
             dr.scatter_reduce(dr.ReduceOp.Add, self.sums, mi.Float64(value), start + cell, scored)
 
@@ -208,25 +204,16 @@ class _ToPlanes(_Walk):
         path = (depth * down.z - dr.dot(mi.Vector3f(place), down)) / towards_plane
         return dr.select(towards_plane > 0, path, dr.inf)
 
-    def count(
-        self,
-        place: mi.Point3f,
-        towards: mi.Vector3f,
-        weight: mi.Float,
-        surface: mi.UInt32,
-        order: mi.UInt32,
-        lane: mi.UInt32,
-        active: mi.Bool,
-    ) -> None:
-        angle = dr.atan2(dr.hypot(place.x, place.y), place.z)
+    def count(self, at: _Crossing) -> None:
+        angle = dr.atan2(dr.hypot(at.place.x, at.place.y), at.place.z)
         inner, outer = planes.RINGS_FROM, planes.RINGS_TO
         ring = (dr.log(dr.maximum(angle, 1e-9)) - log(inner)) * (planes.RINGS / log(outer / inner))
-        scored = active & (order > 1) & (ring >= 0) & (ring < planes.RINGS)
-        sector = dr.abs(dr.atan2(place.y, place.x)) * (planes.SECTORS / np.pi)
+        scored = at.active & (at.order > 1) & (ring >= 0) & (ring < planes.RINGS)
+        sector = dr.abs(dr.atan2(at.place.y, at.place.x)) * (planes.SECTORS / np.pi)
         sector = mi.UInt32(dr.minimum(sector, planes.SECTORS - 1))
-        cell = (lane % self.kinds * self.surfaces + surface) * planes.RINGS + mi.UInt32(ring)
+        cell = (at.lane % self.kinds * self.surfaces + at.surface) * planes.RINGS + mi.UInt32(ring)
         cell = cell * planes.SECTORS + sector
-        dr.scatter_reduce(dr.ReduceOp.Add, self.sums, mi.Float64(weight), cell, scored)
+        dr.scatter_reduce(dr.ReduceOp.Add, self.sums, mi.Float64(at.weight), cell, scored)
 
     def _down(self, lane: mi.UInt32) -> mi.Vector3f:
         """The planes' normal, away from the beam's origin; they are farther away at x > 0."""

@@ -14,14 +14,15 @@ from sim.water.spread import Spread, tabulate
 from sim.water.tablecache import kept_arrays
 
 FORMAT = 3  # of the kept files: raised where other numbers would be written
-# 60 s on two cores in water of 10 NTU, 15 s of 1 NTU; the error is then 0.3 % and less where the
-# light of a ring is 1 % of the brightest ring's, up to 2.5 rad off the beam.
+# 80 s of one core in water of 10 NTU, 50 s in 5, 20 s in 1.  The standard error is then 0.3 % or
+# less within 2.5 rad of the beam, wherever the light of a ring is 1 % of the brightest ring's.
 PHOTONS, SEED = 20 * 2**20, 1
 # Distances of a scanner's parts, mm.  Beyond so many scatterings hardly any light arrives.
 NEAREST_MM, FARTHEST_MM = 100.0, 3000.0
 MOST_SCATTERINGS = 25.0
 SPHERES = 16
 TO_PLANES = 4  # so many photons go to spheres for each one that goes to planes
+KEPT = ("multiple", "error", "horizon")
 TILTS = np.radians([0.0, 15.0, 30.0, 42.0, 52.0, 61.0, 69.0, 76.0])
 
 
@@ -42,32 +43,47 @@ def spread_of(
     InputError
         The water scatters nothing.
     """
-    if water.scattering_per_mm <= 0:
-        raise InputError("scatters no light", where="water", value=0.0, allowed="above 0")
-    albedo = water.scattering_per_mm / water.extinction_per_mm
-    farthest = min(water.extinction_per_mm * FARTHEST_MM, MOST_SCATTERINGS / albedo)
-    nearest = min(water.extinction_per_mm * NEAREST_MM, farthest / 2)
-    depths = np.geomspace(nearest, farthest, SPHERES)
-
-    more = photons // TO_PLANES
+    depths = _depths(water)
 
     def made() -> dict[str, Floats]:
-        first, every = batches(photons), batches(photons) + batches(more)
-        shown = progress or (lambda done, every: None)
-        crossings = first_crossings(
-            water.phase, albedo, depths, photons, seed, lambda done, _: shown(done, every)
-        )
-        counts = plane_crossings(
-            water.phase, albedo, depths, TILTS, more, seed, lambda d, _: shown(first + d, every)
-        )
-        spread = tabulate(water.phase, albedo, crossings, counts)
+        spread = make_spread(water, photons, seed, progress)
         once = spread.once.table.view(float)
-        kept = ("multiple", "error", "horizon")
-        return {"once": once, **{name: getattr(spread, name) for name in kept}}
+        return {"once": once, **{name: getattr(spread, name) for name in KEPT}}
 
-    numbers = [FORMAT, albedo, photons, seed, *depths, *water.phase(ANGLE_AXIS.nodes())]
-    key = hashlib.sha256(np.array(numbers, dtype=float).tobytes()).hexdigest()
-    kept = kept_arrays(f"spread-{key[:32]}", made)
-    once = OnceScattered(albedo, farthest, kept["once"].view(complex))
-    tables = (kept[name] for name in ("multiple", "error", "horizon"))
-    return Spread(once, nearest, farthest, *tables)
+    phase = water.phase(ANGLE_AXIS.nodes())
+    numbers = np.array([FORMAT, _albedo(water), photons, seed, *depths, *phase], dtype=float)
+    kept = kept_arrays(f"spread-{hashlib.sha256(numbers.tobytes()).hexdigest()[:32]}", made)
+    nearest, farthest = (float(depth) for depth in depths[[0, -1]])
+    once = OnceScattered(_albedo(water), farthest, kept["once"].view(complex))
+    return Spread(once, nearest, farthest, *(kept[name] for name in KEPT))
+
+
+def make_spread(water: Optics, photons: int, seed: int, progress: Progress | None = None) -> Spread:
+    """How a beam spreads in a water, made anew.
+
+    Parameters
+    ----------
+    water, photons, seed, progress : as of ``spread_of``
+    """
+    albedo, depths, flat = _albedo(water), _depths(water), photons // TO_PLANES
+    first, every = batches(photons), batches(photons) + batches(flat)
+    shown = progress or (lambda done, every: None)
+    crossings = first_crossings(
+        water.phase, albedo, depths, photons, seed, lambda done, _: shown(done, every)
+    )
+    counts = plane_crossings(
+        water.phase, albedo, depths, TILTS, flat, seed, lambda done, _: shown(first + done, every)
+    )
+    return tabulate(water.phase, albedo, crossings, counts)
+
+
+def _albedo(water: Optics) -> float:
+    return water.scattering_per_mm / water.extinction_per_mm
+
+
+def _depths(water: Optics) -> Floats:
+    """(SPHERES,) optical depths at which photons are counted."""
+    if water.scattering_per_mm <= 0:
+        raise InputError("scatters no light", where="water", value=0.0, allowed="above 0")
+    farthest = min(water.extinction_per_mm * FARTHEST_MM, MOST_SCATTERINGS / _albedo(water))
+    return np.geomspace(min(water.extinction_per_mm * NEAREST_MM, farthest / 2), farthest, SPHERES)

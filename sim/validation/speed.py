@@ -25,12 +25,15 @@ from lscan.files.pictures import encoded
 from lscan.paper.experiment import METHODS, measure_board
 from lscan.records import Floats, Mask
 from lscan.stripe import extract_stripe
+from sim.render.spreads import PHOTONS, make_spread
 from sim.render.tank import Tank, stock_medium
 from sim.scene import scene_of
+from sim.scene.matter import Water
 from sim.sensor import Webcam
 from sim.validation.instrumentspeed import instrument_times
 from sim.validation.physics.scattering import render_with
 from sim.validation.rows import Row, RowFile, measured, row
+from sim.water import water_optics
 
 # (left, top, width, height) in px: the line on a ridge of the grooved block with the halo
 # about it, and water that the sheet crosses far above it.
@@ -41,6 +44,7 @@ OURS_A_RUN = 4  # pictures of ours for one of the reference, which takes some 20
 ALL_ORDERS, FIRST_ORDER = -1, 2  # volpath's max_depth
 BARS = {"line core": 150.0, "halo": 20.0, "veil": 1000.0}
 SEED, RESAMPLES = 0, 2000
+WAVELENGTH_NM = 650.0
 SAMPLED, FEW_RAYS = "every pixel sampled", "few rays"
 CONFIDENCE = 0.95
 
@@ -55,6 +59,7 @@ class SpeedEffort:
     runs: pairs of pictures.  stock_samples: volpath's, a pixel.  converged: samples of the
     first and of the higher orders in the pictures that all are held against.  repeats: of a
     call that is timed.  frames: of the sandwave, from which the instrument's surface is made.
+    photons: of the tables of how a beam spreads.
     """
 
     runs: int = 64
@@ -62,10 +67,13 @@ class SpeedEffort:
     converged: tuple[int, int] = (4096, 2048)
     repeats: int = 15
     frames: int = 400
+    photons: int = PHOTONS
 
 
 FULL = SpeedEffort()
-QUICK = SpeedEffort(runs=3, stock_samples=16, converged=(64, 32), repeats=1, frames=4)
+QUICK = SpeedEffort(
+    runs=3, stock_samples=16, converged=(64, 32), repeats=1, frames=4, photons=1 << 16
+)
 
 
 @dataclass(frozen=True)
@@ -106,6 +114,7 @@ def run_bench(scenes: Path, output: Path, quick: bool = False) -> list[Row]:
         "time of the instrument": partial(
             instrument_times, board, sandwave, effort.frames, effort.repeats
         ),
+        "time of a water's tables": partial(table_time, effort),
     }.items():
         file.add(measured(what, measure))
     return file.rows
@@ -287,6 +296,13 @@ def map_times(board: RigFile, effort: SpeedEffort) -> list[Row]:
         _time_row(f"map, {name}", partial(calibration.plane_map.to_plane, points), "", effort)
         for name, calibration in solved.items()
     ]
+
+
+def table_time(effort: SpeedEffort) -> list[Row]:
+    """Seconds that the tables of how a beam spreads take in a water of 5 NTU."""
+    water = water_optics(Water(kind="tank", turbidity_ntu=5), WAVELENGTH_NM)
+    seconds, _ = timed(partial(make_spread, water, effort.photons, SEED))
+    return [row("table", seconds, photons=effort.photons, seed=SEED)]
 
 
 def _square(pictures: Floats, truth: Floats, part: Mask) -> float:

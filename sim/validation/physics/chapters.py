@@ -14,6 +14,7 @@ from sim.validation.physics.refraction import refraction
 from sim.validation.physics.scattering import multiple_scattering
 from sim.validation.physics.sensor import sensor
 from sim.validation.physics.single import single_scattering
+from sim.validation.physics.spreading import beam_spread
 from sim.validation.rows import Topic
 
 Measure = Callable[[], Topic]
@@ -24,13 +25,15 @@ class VerifyEffort:
     """How much is measured; by default all of it.
 
     rigs: random ones for the ports.  sights: random lines of sight for the veil.  leg_samples: a
-    place of the floor under a sheet.  box_rays, box_batches: of the closed box.  runs, samples:
-    independent pictures a side against volpath, and its samples a pixel.
+    place of the floor under a sheet.  photons: for tables of how a beam spreads.  box_rays,
+    box_batches: of the closed box.  runs, samples: independent pictures a side against volpath,
+    and its samples a pixel.
     """
 
     rigs: int = 60
     sights: int = 60
     leg_samples: int = 1 << 22
+    photons: int = 1 << 22
     box_rays: int = 1 << 19
     box_batches: int = 16
     runs: int = 16
@@ -39,7 +42,14 @@ class VerifyEffort:
 
 FULL = VerifyEffort()
 QUICK = VerifyEffort(
-    rigs=2, sights=2, leg_samples=1 << 14, box_rays=1 << 14, box_batches=4, runs=3, samples=16
+    rigs=2,
+    sights=2,
+    leg_samples=1 << 14,
+    photons=1 << 16,
+    box_rays=1 << 14,
+    box_batches=4,
+    runs=3,
+    samples=16,
 )
 WATERS = ("clear", "coastal", "harbor")
 
@@ -54,6 +64,7 @@ def chapters(effort: VerifyEffort) -> dict[str, Measure]:
         "phases": phases,
         "single scattering": lambda: single_scattering(effort.sights),
         "laser leg": lambda: laser_leg(effort.leg_samples),
+        "spread of a beam": lambda: beam_spread(effort.photons),
         "energy": energy,
         "sensor": sensor,
         "closed box": lambda: closed_box(effort.box_rays, effort.box_batches),

@@ -11,7 +11,8 @@ from lscan.records import Floats
 from sim.render.photons import first_crossings, plane_crossings
 from sim.render.spreads import TILTS
 from sim.scene.matter import Water
-from sim.water import planes, water_optics
+from sim.validation.physics.spreading import on_planes
+from sim.water import water_optics
 from sim.water.rings import RINGS, Crossings, ring_edges, solid_angles
 from sim.water.single import once_scattered
 from sim.water.spread import Spread, tabulate
@@ -21,7 +22,6 @@ PHOTONS = 2**18
 EDGES = ring_edges()
 MIDDLES = np.sqrt((EDGES[1:] ** 2 + EDGES[:-1] ** 2) / 2)
 GROUP = 8  # rings of one count
-PARTS = 4  # places in a plane's cell, each way
 
 
 @cache
@@ -131,25 +131,6 @@ def test_a_table_without_absorption_holds_all_scattered_power(depth: float) -> N
     power = np.sum(radial * depth**2 * solid_angles())
     scattered = 1 - np.exp(-depth)
     assert power == pytest.approx(scattered, abs=4e-3 * scattered + 1e-3)
-
-
-def on_planes(spread: Spread, tilt: float, distances: Floats) -> Floats:
-    """(K, RINGS, SECTORS) power in cells of planes, as photons count it: of more than one turn."""
-    spread = replace(spread, once=replace(spread.once, table=0 * spread.once.table))
-    rings, sectors = PARTS * planes.RINGS, PARTS * planes.SECTORS
-    edges = np.geomspace(planes.RINGS_FROM, planes.RINGS_TO, rings + 1)
-    theta = np.sqrt(edges[:-1] * edges[1:]).reshape(-1, 1)
-    solid = 2 * np.pi / sectors * np.diff(-np.cos(edges)).reshape(-1, 1)
-    azimuth = (np.arange(sectors) + 0.5) * np.pi / sectors
-    towards = np.sin(theta) * np.cos(azimuth)
-    cosine = np.cos(theta) * np.cos(tilt) - towards * np.sin(tilt)
-    aside = np.cos(theta) * np.cos(azimuth) * np.sin(tilt) + np.sin(theta) * np.cos(tilt)
-    depth = distances.reshape(-1, 1, 1) * np.cos(tilt) / np.maximum(cosine, 1e-3)
-    seen = (cosine > 0.2) & (depth < 0.7 * spread.farthest)
-    received = spread.irradiance(theta, depth, np.maximum(cosine, 0), aside, depth)
-    power = np.where(seen, received * depth**2 / np.maximum(cosine, 1e-3) * solid, np.nan)
-    parts = power.reshape(len(distances), planes.RINGS, PARTS, planes.SECTORS, PARTS)
-    return np.sum(parts, axis=(2, 4))
 
 
 @pytest.mark.parametrize("tilt_deg", [0.0, 25.0, 48.0])
