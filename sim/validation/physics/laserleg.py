@@ -1,7 +1,7 @@
 """Light scattered once on its way from the laser to the target, against quadrature."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from types import MappingProxyType
 from typing import Any
 
@@ -14,6 +14,8 @@ from sim.render.plugins.base import Leg
 from sim.render.plugins.beams import drawn_beam
 from sim.render.tank import Tank
 from sim.scene import Laser, Scene
+from sim.validation.judge.judged import EFFORT, photons_landed
+from sim.validation.judge.photons import Waters
 from sim.validation.physics.rigs import scene_with
 from sim.validation.physics.single import widening
 from sim.validation.physics.topics import topic
@@ -31,6 +33,9 @@ SHEETS: Mapping[str, Mapping[str, float]] = MappingProxyType(
 # Places on the floor: mm along the line, and half widths of the sheet beside it.
 PLACES = ((0.0, 0.0), (0.0, 1.0), (0.0, 4.0), (150.0, -12.0))
 ABOVE_MM = 10.0  # of the floor, where the rays to it start
+# A strip of the floor about the line, mm along it and half widths across, that is judged in water
+# so clear that light scattered twice is 6e-4 of it.
+STRIP_MM, STRIP_WIDTHS, CLEAR_PER_MM, BATCHES = 300.0, 0.5, 1e-6, 8
 TINY_MM = 1e-6  # of a range that is empty
 REACH_WIDTHS = 3.0  # from the sheet's middle: 2e-8 of its light lies beyond
 NODE, WEIGHT = (part / 2 for part in np.polynomial.legendre.leggauss(32))  # of a sum from 0 to 1
@@ -60,6 +65,9 @@ def laser_leg(samples: int) -> Topic:
         figure, error = deviation(name, samples)
         words: dict[str, Any] = {"name": name, "samples": samples, "error": error}
         rows.append(row("laser-leg", figure, seed=SEED, **words))
+    figure, error = judged_deviation(samples // 2)
+    words = {"error": error, "photons": BATCHES * (samples // 2)}
+    rows.append(row("laser-leg-judge", figure, seed=SEED, **words))
     return topic("laser-leg", rows)
 
 
@@ -78,6 +86,45 @@ def deviation(name: str, samples: int) -> tuple[float, float]:
         figures.append(abs(mean / expected - 1))
         errors.append(error / expected)
     return max(figures), max(errors)
+
+
+def judged_deviation(photons: int) -> tuple[float, float]:
+    """Relative deviation of the judge's light on a strip about the line, and its standard error.
+
+    photons: in each of BATCHES.
+    """
+    tank = Tank(scene_with("laser-leg", laser=dict(SHEETS["parallel"])))
+    clear = replace(tank.water, scattering_per_mm=CLEAR_PER_MM)
+    tank.higher.configure(clear, tank.sheets, 0.0)
+    floor = replace(lit_floor(tank.scene), water=clear)
+    widest = STRIP_WIDTHS * float(floor.half_width(np.array(floor.height_mm)))
+    nodes, weights = np.polynomial.legendre.leggauss(8)
+    half, weight = nodes[nodes > 0], weights[nodes > 0]
+    expected: float = sum(
+        a * b * quadrature(floor, x, s)
+        for x, a in zip(STRIP_MM * half, weight, strict=True)
+        for s, b in zip(widest * half, weight, strict=True)
+    )
+    waters = Waters(tank.mitsuba_scene, tank.higher, EFFORT.cell_mm, EFFORT.voxel_mm)
+    found = [_on_strip(tank, waters, photons, widest, SEED + 2 * k) for k in range(BATCHES)]
+    error = float(np.std(found, ddof=1) / np.sqrt(BATCHES)) / expected
+    return abs(float(np.mean(found)) / expected - 1), error
+
+
+def _on_strip(tank: Tank, waters: Waters, photons: int, widest: float, seed: int) -> float:
+    """Mean of what so many photons bring to the cells at random places of the strip, mW/mm2."""
+    floor = tank.scene.tank.floor
+    assert floor is not None
+    landed = photons_landed(tank, waters, photons, seed, photons).landed
+    sampler = mi.load_dict({"type": "independent"})
+    sampler.seed(seed + 1, photons)
+    x, s = ((2 * sampler.next_1d() - 1) * end for end in (STRIP_MM, widest))
+    up = mi.Vector3f(0, 0, 1)
+    ray = mi.Ray3f(mi.Point3f(x, s, floor.z_mm + ABOVE_MM), -up)
+    key, area = waters.surfaces.find(tank.mitsuba_scene.ray_intersect(ray), up, mi.Bool(True))
+    photon = landed.draw(key, sampler.next_1d(), mi.Bool(True))
+    light = dr.select(photon.count > 0, photon.power * photon.count / area, 0.0)
+    return float(np.array(light, dtype=float).mean())
 
 
 def lit_floor(scene: Scene) -> LitFloor:
