@@ -10,12 +10,11 @@ import mitsuba as mi
 import numpy as np
 
 from lscan.records import Floats
+from sim.render.judge.judged import JudgeEffort, landed_irradiance
 from sim.render.plugins.base import Leg
 from sim.render.plugins.beams import drawn_beam
 from sim.render.tank import Tank
 from sim.scene import Laser, Scene
-from sim.validation.judge.judged import EFFORT, photons_landed
-from sim.validation.judge.photons import Waters
 from sim.validation.physics.rigs import scene_with
 from sim.validation.physics.single import widening
 from sim.validation.physics.topics import topic
@@ -105,26 +104,19 @@ def judged_deviation(photons: int) -> tuple[float, float]:
         for x, a in zip(STRIP_MM * half, weight, strict=True)
         for s, b in zip(widest * half, weight, strict=True)
     )
-    waters = Waters(tank.mitsuba_scene, tank.higher, EFFORT.cell_mm, EFFORT.voxel_mm)
-    found = [_on_strip(tank, waters, photons, widest, SEED + 2 * k) for k in range(BATCHES)]
+    found = [_on_strip(tank, photons, widest, SEED + k) for k in range(BATCHES)]
     error = float(np.std(found, ddof=1) / np.sqrt(BATCHES)) / expected
     return abs(float(np.mean(found)) / expected - 1), error
 
 
-def _on_strip(tank: Tank, waters: Waters, photons: int, widest: float, seed: int) -> float:
-    """Mean of what so many photons bring to the cells at random places of the strip, mW/mm2."""
-    floor = tank.scene.tank.floor
+def _on_strip(tank: Tank, photons: int, widest: float, seed: int) -> float:
+    """Mean of what so many photons bring to as many random places of the strip, mW/mm2."""
+    floor, generator = tank.scene.tank.floor, np.random.default_rng(seed)
     assert floor is not None
-    landed = photons_landed(tank, waters, photons, seed, photons).landed
-    sampler = mi.load_dict({"type": "independent"})
-    sampler.seed(seed + 1, photons)
-    x, s = ((2 * sampler.next_1d() - 1) * end for end in (STRIP_MM, widest))
-    up = mi.Vector3f(0, 0, 1)
-    ray = mi.Ray3f(mi.Point3f(x, s, floor.z_mm + ABOVE_MM), -up)
-    key, area = waters.surfaces.find(tank.mitsuba_scene.ray_intersect(ray), up, mi.Bool(True))
-    photon = landed.draw(key, sampler.next_1d(), mi.Bool(True))
-    light = dr.select(photon.count > 0, photon.power * photon.count / area, 0.0)
-    return float(np.array(light, dtype=float).mean())
+    x, s = (generator.uniform(-end, end, photons).astype(np.float32) for end in (STRIP_MM, widest))
+    start = mi.Point3f(mi.Float(x), mi.Float(s), floor.z_mm + ABOVE_MM)
+    rays = mi.Ray3f(start, mi.Vector3f(0, 0, -1))
+    return float(landed_irradiance(tank, rays, JudgeEffort(photons=photons), seed).mean())
 
 
 def lit_floor(scene: Scene) -> LitFloor:

@@ -11,10 +11,10 @@ from scipy.ndimage import binary_dilation
 from scipy.stats import t as student
 
 from lscan.records import Floats, Mask, Status
+from sim.render.judge.judged import JudgeEffort, judge
 from sim.render.tank import W_PER_M2_IN_MW_PER_MM2, Tank, stock_medium
 from sim.scene import Scene
 from sim.truth import StripeTruth, stripe_truth
-from sim.validation.judge.judged import JudgeEffort, judge
 from sim.validation.physics.rigs import scene_with
 from sim.validation.physics.topics import topic
 from sim.validation.rows import Row, Topic, measured, row

@@ -13,13 +13,13 @@ reflects, so nothing weighs much.
 import drjit as dr
 import mitsuba as mi
 
+from sim.render.judge.cells import voxel_key
+from sim.render.judge.photons import LONGEST_PATH, PhotonRecords, Waters, spared
 from sim.render.plugins.base import Leg
 from sim.render.plugins.beams import Falloff, line_density
 from sim.render.plugins.integrator import SheetIntegrator, crossing_of
 from sim.render.plugins.phase import angle_between
 from sim.render.plugins.sheet import LaserSheet
-from sim.validation.judge.cells import voxel_key
-from sim.validation.judge.photons import LONGEST_PATH, PhotonRecords, Waters, spared
 
 FAMILIES = ("laser", "camera", "both", "interreflection", "veil")
 HALO_MM = 10.0  # on either side of the sheet, where most of the water's photons are looked for

@@ -16,12 +16,12 @@ from integrator_cases import (
 )
 
 from lscan.records import Floats
+from sim.render.judge.cells import CellRecords, SurfaceCells
+from sim.render.judge.judged import JudgeEffort, judge
+from sim.render.judge.photons import PhotonRecords, Waters, shoot
 from sim.render.plugins.multiple import MultipleIntegrator
 from sim.render.tank import W_PER_M2_IN_MW_PER_MM2, Tank
 from sim.scene import Laser
-from sim.validation.judge.cells import CellRecords, SurfaceCells
-from sim.validation.judge.judged import JudgeEffort, judge
-from sim.validation.judge.photons import PhotonRecords, Waters, shoot
 from sim.water import Optics
 
 COUNT = 1 << 20
@@ -149,9 +149,9 @@ def test_the_judge_and_the_renderer_agree() -> None:
     """All families together are what ``multiple`` finds in water where it converges; without
     any one of them they are not."""
     tank = configured(Tank(floor_scene()), one_lobe(4e-4, 1e-3, 0.7))
-    effort = JudgeEffort(photons=1 << 17, walks=128, batches=12, cell_mm=5.0, voxel_mm=10.0)
+    effort = JudgeEffort(photons=1 << 16, walks=64, batches=12, cell_mm=5.0, voxel_mm=10.0)
     found = judge(tank, 0.0, effort=effort)
-    pictures = render(tank, tank.make_camera(jitter=True), tank.higher, 256, range(12))
+    pictures = render(tank, tank.make_camera(jitter=True), tank.higher, 128, range(12))
     pictures *= W_PER_M2_IN_MW_PER_MM2
     assert not differ(in_parts(found.total), in_parts(pictures))
     for name in ("laser", "camera", "both", "veil"):
@@ -163,7 +163,7 @@ def test_the_judge_and_the_renderer_agree() -> None:
 def test_interreflection_agrees_too() -> None:
     """In clear water it is all there is of higher orders."""
     tank = configured(Tank(groove_scene()), DRY)
-    effort = JudgeEffort(photons=1 << 17, walks=64, batches=12, cell_mm=0.5)
+    effort = JudgeEffort(photons=1 << 16, walks=64, batches=12, cell_mm=0.5)
     found = judge(tank, 0.0, effort=effort)
     pictures = render(tank, tank.make_camera(jitter=True), tank.higher, 128, range(12))
     pictures *= W_PER_M2_IN_MW_PER_MM2

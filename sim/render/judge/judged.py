@@ -8,11 +8,11 @@ import mitsuba as mi
 import numpy as np
 
 from lscan.records import Floats
+from sim.render.judge.photons import PhotonRecords, Waters, shoot
+from sim.render.judge.walks import FAMILIES, CameraWalks
 from sim.render.plugins.camera import RefractiveCamera
 from sim.render.tank import W_PER_M2_IN_MW_PER_MM2, Tank
 from sim.scene import camera_pose, head_pose
-from sim.validation.judge.photons import PhotonRecords, Waters, shoot
-from sim.validation.judge.walks import FAMILIES, CameraWalks
 
 Window = tuple[int, int, int, int]
 RECORDS_A_PHOTON = 1  # at first; more where there is no room for all
@@ -110,12 +110,12 @@ def judge(
     camera = tank.make_camera(window=window, jitter=True)
     head = tank.scene.tank.head
     camera.place(head_pose(head, position_mm) @ camera_pose(head))
-    waters = Waters(tank.mitsuba_scene, tank.higher, effort.cell_mm, effort.voxel_mm)
+    waters = _waters(tank, effort)
     seeds = np.random.SeedSequence(seed).generate_state(effort.batches)
     batches = []
     capacity = RECORDS_A_PHOTON * effort.photons * len(tank.sheets)
     for one in (int(word) >> 1 for word in seeds):
-        records = photons_landed(tank, waters, effort.photons, one, capacity)
+        records = _photons_landed(tank, waters, effort.photons, one, capacity)
         capacity = records.landed.capacity
         walks = CameraWalks(waters, tank.integrator, records)
         batches.append(_pictures(walks, camera, effort.walks, one + len(tank.sheets)))
@@ -123,7 +123,40 @@ def judge(
     return Judged(dict(zip(FAMILIES, pictures, strict=True)))
 
 
-def photons_landed(
+def landed_irradiance(
+    tank: Tank, rays: mi.Ray3f, effort: JudgeEffort = EFFORT, seed: int = 0
+) -> Floats:
+    """What one batch of photons brings to the places where rays meet a surface, mW/mm2.
+
+    Light that was scattered on its way, but not reflected, of a photon each.
+
+    Parameters
+    ----------
+    tank : Tank, its water, sheets and surfaces, as they are
+    rays : Ray3f, each has to meet a surface
+    effort : JudgeEffort, its photons and cells
+    seed : int, of all random numbers
+
+    Returns
+    -------
+    (N,) one estimate a ray.
+    """
+    waters, capacity = _waters(tank, effort), RECORDS_A_PHOTON * effort.photons * len(tank.sheets)
+    landed = _photons_landed(tank, waters, effort.photons, seed, capacity).landed
+    sampler = mi.load_dict({"type": "independent"})
+    sampler.seed(seed + len(tank.sheets), dr.width(rays))
+    key, area = waters.surfaces.find(waters.scene.ray_intersect(rays), -rays.d, mi.Bool(True))
+    photon = landed.draw(key, sampler.next_1d(), mi.Bool(True))
+    found = (photon.count > 0) & (photon.mark >= 0)
+    light = dr.select(found, photon.power * photon.count / area, 0.0)
+    return np.array(light, dtype=float)
+
+
+def _waters(tank: Tank, effort: JudgeEffort) -> Waters:
+    return Waters(tank.mitsuba_scene, tank.higher, effort.cell_mm, effort.voxel_mm)
+
+
+def _photons_landed(
     tank: Tank, waters: Waters, photons: int, seed: int, capacity: int
 ) -> PhotonRecords:
     """The records of so many photons of each sheet, sorted; with more room where that is short."""
@@ -132,7 +165,7 @@ def photons_landed(
         shoot(waters, sheet, photons, seed + number, records)
     if records.sort():
         return records
-    return photons_landed(tank, waters, photons, seed, 2 * capacity)
+    return _photons_landed(tank, waters, photons, seed, 2 * capacity)
 
 
 def _pictures(walks: CameraWalks, camera: RefractiveCamera, count: int, seed: int) -> list[Floats]:
