@@ -5,7 +5,7 @@ The lens acts on layers as fine as they are; what follows acts on whole pixels.
 
 from __future__ import annotations
 
-from functools import cache
+from functools import cache, lru_cache
 from typing import TYPE_CHECKING
 
 import cv2
@@ -43,6 +43,7 @@ class Webcam:
         camera = scene.rig.camera
         self._shape = (camera.height_px, camera.width_px)
         self._fine = cache(self._fine_lens)
+        self._contrast = lru_cache(1)(self._speckle_contrast)
         bayer = self.sensor.bayer
         self._filter = None if bayer == "none" else ColourFilter(bayer, self._shape)
         pixels = (*self._shape, 3) if self._filter is None else self._shape
@@ -72,7 +73,7 @@ class Webcam:
             The layers are no whole multiple of the picture.
         """
         nm = self.wavelength_nm if wavelength_nm is None else wavelength_nm
-        contrast = self._speckle_contrast(nm)
+        contrast = self._contrast(nm)
         if contrast:
             # A new pattern for each picture: the head moves between them.
             laser = speckled(self._photons(layers.direct, exposure_ms, nm), contrast, generator)
@@ -105,7 +106,7 @@ class Webcam:
         if self._pattern is None:
             raise InputError("sensor.noise: without it all pictures are the same", allowed="true")
         nm, sensor, pattern = self.wavelength_nm, self.sensor, self._pattern
-        contrast = self._speckle_contrast(nm)
+        contrast = self._contrast(nm)
         other = self._photons(layers.scattered if contrast else layers.laser, exposure_ms, nm)
         rest = self._electrons(other, layers, exposure_ms)
         steady = gathered(self._on_pixels(rest), pattern)
