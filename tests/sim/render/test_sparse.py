@@ -5,6 +5,7 @@ import re
 from pathlib import Path
 from typing import Any
 
+import drjit as dr
 import numpy as np
 import pytest
 import trimesh
@@ -183,6 +184,16 @@ def test_another_place_and_another_wavelength_are_seen_anew() -> None:
             np.testing.assert_array_equal(found, expected)
     early, late = pair(moved, 0.0, 0.0), pair(moved, 0.0, 900.0)
     assert late[1].max() < 0.99 * early[1].max(), "water absorbs more at longer wavelengths"
+
+
+def test_no_kernel_is_compiled_anew_from_picture_to_picture() -> None:
+    here = Tank(small("paper/sandwave", laser={"drift": Drift()}))
+    pair(here, 0.0, 0.0)
+    with dr.scoped_set_flag(dr.JitFlag.KernelHistory, True):
+        dr.kernel_history_clear()
+        pair(here, 77.0, 300.0)
+        kernels = [k for k in dr.kernel_history() if k["type"] == dr.KernelType.JIT]
+    assert len(kernels) > 3 and all(kernel["cache_hit"] for kernel in kernels)
 
 
 def pair(here: Tank, position_mm: float, time_s: float) -> tuple[Floats, Floats]:
