@@ -56,7 +56,8 @@ class RingFit:
     log_value : (K, A) logarithm of F_r r2, the power per solid angle seen from the origin, 1/sr
     log_error : (K, A) its standard error
     ratio : (K, A) F_t / F_r
-    ratio_error : (K, A) its standard error
+    ratio_error : (K, A) its standard error, as if it scattered alike at all angles: too large by
+        three near the beam, too small by two behind its origin
     """
 
     log_value: Floats

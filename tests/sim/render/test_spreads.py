@@ -148,6 +148,29 @@ def test_between_nodes_the_tables_are_linear() -> None:
             assert np.abs(np.diff(table[:, first:last], 2, axis=axis)).max() / 8 < 1e-3
 
 
+@pytest.mark.parametrize(
+    "water",
+    [
+        Water(kind="pure"),
+        Water(absorption_per_m=0.0, scattering_per_m=2.0),
+        Water(kind="tank", turbidity_ntu=100),
+        Water(particle_scattering_per_m=1.0, phase="henyey-greenstein", asymmetry=-0.9),
+    ],
+    ids=["pure", "no absorption", "thick", "backwards"],
+)
+def test_every_water_has_tables(water: Water) -> None:
+    """Finite everywhere, within the tables and beyond them, and light in every direction."""
+    optics = water_optics(water, 650.0)
+    spread = spread_of(optics, 2**12)
+    theta, cosine = np.geomspace(1e-7, np.pi, 100), np.linspace(0, 1, 5).reshape(-1, 1)
+    for distance in (50.0, 500.0, 4000.0):
+        depth = distance * optics.extinction_per_mm
+        assert np.all(spread.vector_irradiance(theta, depth, depth)[0] > 0)
+        aside = 0.5 * np.sqrt(1 - cosine**2)
+        received = spread.irradiance(theta, depth, cosine, aside, 0.9 * depth)
+        assert np.all(np.isfinite(received))
+
+
 def test_clear_air_has_no_table() -> None:
     with pytest.raises(InputError, match="scatters no light"):
         spread_of(replace(WATER, scattering_per_mm=0.0))
