@@ -102,7 +102,11 @@ def test_a_water_is_made_once(cache: Path, monkeypatch: pytest.MonkeyPatch) -> N
     assert (again.nearest, again.farthest) == (first.nearest, first.farthest)
 
 
-def test_what_a_table_depends_on_names_its_file(cache: Path) -> None:
+def test_what_a_table_depends_on_names_its_file(
+    cache: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    spread = made()
+    monkeypatch.setattr(spreads, "make_spread", lambda *_: spread)
     waters = [
         WATER,
         replace(WATER, absorption_per_mm=1.01 * WATER.absorption_per_mm),
@@ -111,9 +115,9 @@ def test_what_a_table_depends_on_names_its_file(cache: Path) -> None:
         water_optics(Water(kind="harbor", phase="henyey-greenstein", asymmetry=0.90), 650.0),
     ]
     for water in waters:
-        spread_of(water, 256)
-    spread_of(WATER, 256, seed=2)
-    spread_of(WATER, 512)
+        made(water)
+    made(seed=2)
+    spread_of(WATER, 2 * PHOTONS)
     assert len(list(cache.glob("spread-*[0-9a-f]"))) == len(waters) + 2
 
 
