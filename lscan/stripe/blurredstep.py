@@ -137,7 +137,8 @@ def fit_steps(
     expected = np.concatenate([place, width, wall, np.zeros(samples.level.shape[1])])
     known = np.concatenate([place_sigma, width, np.full(len(wall), WALL_SIGMA)]) ** -2.0
     prior = np.concatenate([known, np.zeros(samples.level.shape[1])])
-    for _ in range(ROUNDS):
+    places: list[Floats] = [place]
+    for left in reversed(range(ROUNDS)):
         depth = samples.by_place @ state.place - samples.offset
         t = depth / state.width[samples.group]
         if kept is None:
@@ -147,9 +148,10 @@ def fit_steps(
         else:
             used = kept & (t > FAINTEST).all(axis=0)
         solution = _solve(samples, state, used, t, limits.unmodelled, (expected, prior))
-        state, moved = _advanced(state, solution, limits)
-        if moved < SETTLED_MM:
+        state = _advanced(state, solution, limits)
+        if _repeats([*places, state.place], left):
             break
+        places.append(state.place)
     size = len(place)
     covariance = solution.covariance[:size, :size]
     return StepFit(state.place, covariance, used)
@@ -227,18 +229,27 @@ def _solve(
     return _StepSolution(step, inverse * chi2, residual, spread)
 
 
-def _advanced(
-    state: _StepState, solution: _StepSolution, limits: StepLimits
-) -> tuple[_StepState, float]:
-    """The state after a bounded step, and how far an end moved, mm."""
+def _repeats(places: list[Floats], left: int) -> bool:
+    """Whether the last of some places is where the search would be after ``left`` more rounds.
+
+    It is at rest, or a doubtful sample that comes and goes leads it round in a circle.
+    """
+    *before, last = places
+    for period, place in enumerate(reversed(before), start=1):
+        if left % period == 0 and np.abs(last - place).max() < SETTLED_MM:
+            return True
+    return False
+
+
+def _advanced(state: _StepState, solution: _StepSolution, limits: StepLimits) -> _StepState:
+    """The state after a bounded step."""
     sizes = [len(state.place), len(state.width), len(state.wall)]
     place, width, wall, _ = np.split(solution.step, np.cumsum(sizes))
     largest = float(np.abs(place).max())
     half = state.width / 2
-    advanced = _StepState(
+    return _StepState(
         state.place + place * min(1.0, limits.step_mm / max(largest, 1e-300)),
         np.clip(state.width + np.clip(width, -half, half), *limits.widths_mm),
         np.clip(state.wall + wall, *WALL),
         max(state.scatter * solution.scatter, LEAST_SCATTER),
     )
-    return advanced, largest

@@ -9,6 +9,7 @@ from scipy.special import ndtr
 
 from lscan.errors import MeasurementError
 from lscan.records import Floats
+from lscan.stripe.blurredstep import _repeats
 from lscan.surface.align.edges import EdgeFit
 from lscan.surface.align.fading import PLACE_SIGMA_MM, FaceSamples, fit_fading
 
@@ -108,3 +109,11 @@ def test_a_line_that_ends_without_fading_leaves_its_edge_to_the_prior() -> None:
     with np.errstate(all="raise", under="ignore"):
         fit = fit_fading([even], start(even))
     assert np.sqrt(fit.covariance[1, 1]) > PLACE_SIGMA_MM / 2
+
+
+def test_a_search_that_goes_round_ends_where_its_last_round_would() -> None:
+    circle = [np.array([float(turn % 3), 1.0]) for turn in range(10)]
+    assert [left for left in range(12) if _repeats(circle, left)] == [0, 3, 6, 9]
+    at_rest = [np.zeros(2), np.ones(2), np.ones(2) + 1e-9]
+    assert all(_repeats(at_rest, left) for left in range(5))
+    assert not _repeats([np.zeros(2), np.ones(2)], 1)
