@@ -13,9 +13,9 @@ from sim.render.plugins.sheet import LaserSheet
 
 JOINED = (4, 16, 64)  # cells a side, that may be one
 NEARNESS = 12.0  # light that goes as the distance to -1.35 is then off by 0.2 %
-# Of a whole cell's area, the least that a triangle's third side leaves of one: what single
-# precision puts beside its edge would weigh beyond bounds.
-SLIVER = 1e-3
+# Of a whole cell's area, the least that a cell counts with which a triangle's third side cuts off:
+# one photon in next to nothing would be a speck.  Of the area along such a side 5e-4 is affected.
+SLIVER = 0.03
 EMPTY = 2**64 - 1  # the key of a record that was never written: behind all others
 VOXEL_BITS = 20  # a coordinate's, of a key
 

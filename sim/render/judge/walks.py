@@ -33,64 +33,77 @@ class CameraWalks:
         self.waters, self.single, self.records = waters, single, records
         self.sheets = single.sheets
 
-    @dr.syntax
     def light(self, ray: mi.Ray3f, sampler: mi.Sampler) -> list[mi.Float]:
         """Radiance of FAMILIES along the rays, in mW/(mm2 sr), one walk each.
 
         On the camera's own leg scattered and unscattered light are both followed: what arrives
         unscattered is certain, and the walk always scatters.
         """
-        waters, water = self.waters, self.waters.water
-        laser, camera, both, between, veil = (mi.Float(0) for _ in FAMILIES)
-        weight, turned = mi.Float(1), mi.Float(0)
-        ray, step, active = mi.Ray3f(ray), mi.UInt32(0), mi.Bool(True)
+        waters, scene = self.waters, self.waters.scene
+        own = Leg(scene, sampler, ray, scene.ray_intersect(ray), mi.Bool(True))
+        chance = waters.chance_within(own.si.t)
+        laser, between = self._landed(own, waters.kept(own.si.t) * (1 - chance))
+        veil = self._met(own, mi.Float(0))
+        free = waters.free_path(chance * sampler.next_1d())
+        start = mi.Ray3f(ray(free), waters.water.phase.sample_direction(ray.d, sampler.next_2d()))
+        weight = dr.select(chance > 0, chance * waters.kept(free), 0.0)
+        met, last, weight = self._walk(start, angle_between(ray.d, start.d), weight, sampler)
+        end = Leg(scene, sampler, last, scene.ray_intersect(last, weight > 0), weight > 0)
+        both, reflected = self._landed(end, weight)
+        end.si.t = dr.select(end.si.is_valid(), 0.0, end.si.t)  # the weight counts the way
+        camera = mi.Float(0)
+        for sheet in self.sheets:
+            camera += weight * waters.water.direct(end, sheet)
+        return [laser, camera, both, between + reflected, veil + met]
+
+    @dr.syntax
+    def _walk(
+        self, start: mi.Ray3f, angle: mi.Float, first: mi.Float, sampler: mi.Sampler
+    ) -> tuple[mi.Float, mi.Ray3f, mi.Float]:
+        """Light met in the water by walks that were turned by ``angle`` and weigh ``first``.
+
+        Also the rays on which they end, and their weights on the surface there, 0 where there is
+        none.
+        """
+        waters, veil, arrived = self.waters, mi.Float(0), mi.Float(0)
+        ray, weight, turned = mi.Ray3f(start), mi.Float(first), mi.Float(angle)
+        step, active = mi.UInt32(0), weight > 0
         while active:
             si = waters.scene.ray_intersect(ray, active)
-            own = step == 0
             leg = Leg(waters.scene, sampler, ray, si, mi.Bool(active))
             veil += weight * self._met(leg, turned)
-            beyond = Leg(waters.scene, sampler, ray, si, active & ~own)
             for sheet in self.sheets:
-                veil += weight * self.single.scattered(beyond, sheet, turned)
-
-            chance = dr.select(own, waters.chance_within(si.t), 1.0)
-            free = waters.free_path(chance * sampler.next_1d(active))
-            in_water = active & (chance > 0) & (own | (free < si.t))
-            arrives = active & si.is_valid() & (own | ~in_water)
-            left = waters.kept(si.t) * dr.select(own, 1 - chance, 1.0) * weight
-            light, reflected = self._landed(leg, arrives)
-            light *= left
-            between += dr.select(reflected, light, 0.0)
-            laser += dr.select(own & ~reflected, light, 0.0)
-            both += dr.select(~own & ~reflected, light, 0.0)
-            ends = Leg(waters.scene, sampler, ray, _at_once(si), arrives & ~own)
-            for sheet in self.sheets:
-                camera += left * water.direct(ends, sheet)
-
-            weight *= dr.select(in_water, chance * waters.kept(free), 0.0)
-            onward = water.phase.sample_direction(ray.d, sampler.next_2d(active))
+                veil += weight * self.single.scattered(leg, sheet, turned)
+            free = waters.free_path(sampler.next_1d(active))
+            in_water = active & (free < si.t)
+            ends = active & ~in_water & si.is_valid()
+            arrived = dr.select(ends, weight * waters.kept(si.t), arrived)
+            onward = waters.water.phase.sample_direction(ray.d, sampler.next_2d(active))
             turned = dr.maximum(turned, angle_between(ray.d, onward))
+            weight *= dr.select(in_water, waters.kept(free), 0.0)
+            weight = spared(weight, sampler.next_1d(active))
             ray.o = dr.select(in_water, ray(free), ray.o)
             ray.d = dr.select(in_water, onward, ray.d)
-            weight = spared(weight, sampler.next_1d(active))
             active = in_water & (weight > 0) & (step < LONGEST_PATH)
             step += 1
-        return [laser, camera, both, between, veil]
+        return veil, ray, arrived
 
-    def _landed(self, leg: Leg, active: mi.Bool) -> tuple[mi.Float, mi.Bool]:
-        """Radiance that photons' light has where it leaves a surface along the ray.
+    def _landed(self, leg: Leg, weight: mi.Float) -> tuple[mi.Float, mi.Float]:
+        """Light that photons brought to the surface on the ray, by scattering and by reflection.
 
-        Of one photon of the cell, times their number; and whether it had been reflected before.
+        Of one photon of the cell, times their number; each of the two times ``weight``.
         """
-        si = leg.si
+        si, active = leg.si, leg.active & leg.si.is_valid() & (weight > 0)
         key, area = self.waters.surfaces.find(si, -leg.ray.d, active)
         photon = self.records.landed.draw(key, leg.sampler.next_1d(active), active)
-        found = active & (photon.count > 0)
+        active &= photon.count > 0
         outgoing = si.to_local(photon.towards)
-        value = si.bsdf().eval(mi.BSDFContext(), si, outgoing, found)
+        value = si.bsdf().eval(mi.BSDFContext(), si, outgoing, active)
         facing = dr.abs(dr.dot(si.n, photon.towards))
-        light = value.x / facing * photon.power * photon.count / area
-        return dr.select(found & (facing > 0), light, 0.0), photon.mark < 0
+        light = weight * value.x / facing * photon.power * photon.count / area
+        light = dr.select(active & (facing > 0), light, 0.0)
+        reflected = photon.mark < 0
+        return dr.select(reflected, 0.0, light), dr.select(reflected, light, 0.0)
 
     def _met(self, leg: Leg, turned: mi.Float) -> mi.Float:
         """Light that photons in the water send along the ray where the path turns most."""
@@ -120,10 +133,3 @@ class CameraWalks:
         crossing = dr.select(dr.isfinite(crossing), crossing, 0.0)
         width = dr.select(dr.isfinite(rho), sheet.half_width(rho), 0.0) + HALO_MM
         return line_density(crossing, width / dr.maximum(dr.abs(slope), 1e-3), end)
-
-
-def _at_once(si: mi.SurfaceInteraction3f) -> mi.SurfaceInteraction3f:
-    """The surface with no water before it: the walk's own weight counts that."""
-    near = mi.SurfaceInteraction3f(si)
-    near.t = dr.select(si.is_valid(), 0.0, si.t)
-    return near
