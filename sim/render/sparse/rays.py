@@ -52,7 +52,8 @@ class HeadRays:
     """A ray in the water for each pixel's centre, row by row, and for those around the picture.
 
     size_px: (width, height) with that margin.  origin: mm.  direction: unit.  weight: the
-    camera's.  veils: one for each sheet.
+    camera's.  veils: one for each sheet.  pixel_rad: the angle between two neighbours in the
+    middle of the picture.
     """
 
     size_px: tuple[int, int]
@@ -60,6 +61,7 @@ class HeadRays:
     direction: mi.Vector3f
     weight: mi.Float
     veils: tuple[OpenVeil, ...]
+    pixel_rad: float
 
     def seen_from(self, head: Pose) -> mi.Ray3f:
         """The rays in the world."""
@@ -86,9 +88,12 @@ def head_rays(
     veils = tuple(
         _smooth(_open_veil(integrator, sheet, ray, weight), wider) for sheet in integrator.sheets
     )
-    rays = HeadRays(wider, ray.o, ray.d, weight, veils)
-    dr.eval(rays)
-    return rays
+    dr.eval(ray, weight, veils)
+    middle = (wider[1] // 2) * wider[0] + wider[0] // 2
+    pair = dr.gather(mi.Vector3f, ray.d, mi.UInt32(middle, middle + 1))
+    first, second = np.array(pair).T
+    pixel_rad = float(np.linalg.norm(first - second))
+    return HeadRays(wider, ray.o, ray.d, weight, veils, pixel_rad)
 
 
 def film_rays(camera: RefractiveCamera, place: mi.Point2f) -> tuple[mi.Ray3f, mi.Float]:

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lscan.records import Ints, Mask
+from sim.render.plugins.beams import FARTHEST_MM
 from sim.render.sparse.rays import HeadRays
 from sim.render.sparse.reach import SheetReach
 from sim.scene import Pose
@@ -23,6 +24,9 @@ END = 5.0
 MIXED = 255  # of a pixel's state: any sheet's light is there in part
 MOST_SHEETS = 7  # of which a state has room for a bit each, and is not MIXED
 NEIGHBOURS = np.ones((3, 3), np.uint8)
+# A surface is bent where its distance's second differences add up to more than this share of a
+# pixel's width on it: a crease of 17 degrees seen from straight ahead.
+BENT = 0.3
 
 
 @dataclass(frozen=True)
@@ -30,12 +34,14 @@ class PixelSurvey:
     """One picture's central rays.
 
     veil: (H, W) radiance that the water scatters, where it is even, mW/(mm2 sr), the camera's
-    weight included.  uneven: indices of the other pixels, row by row.  distance: of the surface
-    along each of the rays, mm, infinite where there is none.
+    weight included.  uneven: indices of the other pixels, row by row.  bent: (H, W) the pixels at
+    which a surface ends, begins or is bent.  distance: of the surface along each of the rays, mm,
+    infinite where there is none.
     """
 
     veil: NDArray[np.float32]
     uneven: Ints
+    bent: Mask
     distance: mi.Float
 
 
@@ -61,7 +67,15 @@ def survey(
     states = np.array(state).astype(np.uint8).reshape(shape)
     inner = np.s_[1:-1, 1:-1]
     light = np.ascontiguousarray(np.array(veil).reshape(shape)[inner])
-    return PixelSurvey(light, np.flatnonzero(_uneven(states)[inner]), distance)
+    bent = _bent(np.array(distance).reshape(shape), rays.pixel_rad)[inner]
+    return PixelSurvey(light, np.flatnonzero(_uneven(states)[inner]), bent, distance)
+
+
+def _bent(distance: NDArray[np.float32], pixel_rad: float) -> Mask:
+    """(H, W) the pixels that are no part of a plane with the four beside them."""
+    distance = np.minimum(distance, np.float32(FARTHEST_MM))
+    curved = cv2.Laplacian(distance, cv2.CV_32F, borderType=cv2.BORDER_REFLECT)
+    return np.asarray(np.abs(curved) > BENT * pixel_rad * distance)
 
 
 def _uneven(states: NDArray[np.uint8]) -> Mask:

@@ -97,15 +97,14 @@ def random_rig(seed: int) -> Scene:
 def test_line_and_veil_are_those_of_samples_everywhere(
     scene: str | int, uneven: list[Floats]
 ) -> None:
-    """The line by the same samples, the veil by many.
+    """The line by the same samples or more, the veil by many.
 
-    Line: single precision, 1e-5 of the peak, but for one sample of SAMPLES in a pixel in a
-    thousand, whose ray passes a silhouette by its last bit; beyond five standard deviations of
-    the sheet there is 4e-6 of its light.  Veil in even pixels: ROUGHEST, and what the sampled
-    integrand varies by, 2e-3 (its own test's bar) over the root of MANY samples in each of
-    18,000 pixels, where 5 standard errors are to be expected.  In uneven pixels edges are seen
-    by 4 rows of samples, each of which sees all or nothing of a quarter: 1 / sqrt(12) of it off,
-    were each pixel an edge's.
+    Line: single precision, 1e-5 of the peak, but at edges, which are sampled more finely;
+    beyond five standard deviations of the sheet there is 4e-6 of its light.  Veil in even
+    pixels: ROUGHEST, and what the sampled integrand varies by, 2e-3 (its own test's bar) over the
+    root of MANY samples in each of 18,000 pixels, where 5 standard errors are to be expected.  In
+    uneven pixels edges are seen by 4 rows of samples, each of which sees all or nothing of a
+    quarter: 1 / sqrt(12) of it off, were each pixel an edge's.
     """
     seen = small(scene) if isinstance(scene, str) else random_rig(scene)
     camera, places = seen.rig.camera, ((False, SAMPLES), (True, SAMPLES), (True, MANY))
@@ -117,8 +116,10 @@ def test_line_and_veil_are_those_of_samples_everywhere(
     )
     peak, veil = same.direct.max(), many.scattered.max()
     assert veil > 0 and (peak > 0 or not isinstance(scene, str))
-    off = np.abs(few.direct - same.direct)
-    assert (off > 1e-5 * peak).mean() < 1e-3 and off.max() <= peak / SAMPLES
+    finer = np.abs(few.direct - same.direct) > 1e-5 * peak
+    if finer.any():
+        error, before = (np.std((layers.direct - many.direct)[finer]) for layers in (few, same))
+        assert error < before
     off = np.abs(few.scattered - many.scattered).ravel() / veil
     assert uneven[0].mean() < 0.2, "few pixels are sampled"
     assert off[~uneven[0]].max() < ROUGHEST + 5 * 2e-3 / np.sqrt(MANY)
