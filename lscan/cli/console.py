@@ -2,7 +2,7 @@
 
 import sys
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from typing import NoReturn
 
 import typer
@@ -14,10 +14,13 @@ from lscan.cli.memory import keep_freed_memory
 from lscan.devices.signals import on_stop_signals
 from lscan.errors import LscanError, Stopped, missing_package
 from lscan.files.jsontext import json_text
+from lscan.files.longwork import long_work_shown
 from lscan.records import Progress
 
 FAILED, BAD_INPUT = 1, 2
 STOPPED = Stopped.exit_code
+
+_bars: list[rich_progress.Progress] = []  # what draws all bars that there are: one or none
 
 
 def command_line(about: str) -> typer.Typer:
@@ -49,7 +52,7 @@ def run_command_line(app: typer.Typer, name: str) -> None:
     command = typer.main.get_command(app)
     keep_freed_memory()
     try:
-        with on_stop_signals(_interrupt):
+        with on_stop_signals(_interrupt), long_work_shown(progress_bar):
             code = command.main(prog_name=name, standalone_mode=False)
     except LscanError as error:
         message = "; ".join([str(error), *getattr(error, "__notes__", ())])
@@ -108,10 +111,23 @@ def note(message: str) -> None:
 def progress_bar(title: str) -> Iterator[Progress]:
     """A callback (done, total) that draws a progress bar on a terminal, and nothing elsewhere.
 
+    A bar within another's block is drawn beneath that one, and goes when its own block ends.
+
     Parameters
     ----------
     title : str, stands before the bar
     """
+    with nullcontext(_bars[0]) if _bars else _opened_bars() as bars:
+        task = bars.add_task(title, total=None)
+        try:
+            yield lambda done, total: bars.update(task, completed=done, total=total)
+        finally:
+            if len(bars.task_ids) > 1:
+                bars.remove_task(task)
+
+
+@contextmanager
+def _opened_bars() -> Iterator[rich_progress.Progress]:
     console = Console(stderr=True)
     columns = (
         rich_progress.TextColumn("{task.description}"),
@@ -119,13 +135,12 @@ def progress_bar(title: str) -> Iterator[Progress]:
         rich_progress.MofNCompleteColumn(),
         rich_progress.TimeRemainingColumn(),
     )
-    with rich_progress.Progress(*columns, console=console, disable=not console.is_terminal) as bar:
-        task = bar.add_task(title, total=None)
-
-        def report(done: int, total: int) -> None:
-            bar.update(task, completed=done, total=total)
-
-        yield report
+    with rich_progress.Progress(*columns, console=console, disable=not console.is_terminal) as bars:
+        _bars.append(bars)
+        try:
+            yield bars
+        finally:
+            _bars.remove(bars)
 
 
 def print_json(value: object) -> None:

@@ -8,15 +8,18 @@ import os
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
+from time import sleep
 
 import numpy as np
 
 from lscan.errors import InputError
 from lscan.files.disk import cache_folder, read_bytes, write_atomically
+from lscan.files.longwork import long_work
 from lscan.records import Floats
 
 LARGEST_BYTES = 2**26  # of a kept file; the largest now has 3e6
 DIGEST_BYTES = 32
+ASKED_S = 0.1  # between questions for a lock
 
 _log = logging.getLogger(__name__)
 
@@ -71,10 +74,32 @@ def _alone(file: Path) -> Iterator[None]:
     descriptor = None
     with suppress(OSError):
         file.parent.mkdir(parents=True, exist_ok=True)
-        descriptor = os.open(file.with_suffix(".lock"), os.O_RDWR | os.O_CREAT | os.O_CLOEXEC)
-        fcntl.flock(descriptor, fcntl.LOCK_EX)
+        descriptor = os.open(
+            file.with_suffix(".lock"), os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600
+        )
+        _lock(descriptor)
     try:
         yield
     finally:
         if descriptor is not None:
             os.close(descriptor)
+
+
+def _lock(descriptor: int) -> None:
+    """Lock a file; where another process holds the lock, wait and say so."""
+    if _is_locked(descriptor):
+        return
+    with long_work("wait for a table that another process makes"):
+        # Asked for again and again: waiting within flock is deaf to Ctrl-C once Mitsuba has
+        # rendered, which sets its handler so that system calls go on (SA_RESTART).
+        while not _is_locked(descriptor):
+            sleep(ASKED_S)
+
+
+def _is_locked(descriptor: int) -> bool:
+    """Try to lock a file."""
+    try:
+        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return False
+    return True

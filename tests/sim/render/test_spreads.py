@@ -6,10 +6,12 @@ from pathlib import Path
 import mitsuba as mi
 import numpy as np
 import pytest
+from shown_work import ShownWork
 
 from lscan.errors import InputError
+from lscan.files.longwork import long_work_shown
 from lscan.records import Floats
-from sim.render import spreads
+from sim.render import photons, spreads
 from sim.render.plugins.spread import SpreadLookup
 from sim.render.spreads import spread_of
 from sim.scene.matter import Water
@@ -100,6 +102,17 @@ def test_a_water_is_made_once(cache: Path, monkeypatch: pytest.MonkeyPatch) -> N
     assert np.array_equal(first.once.table, again.once.table)
     assert np.array_equal(first.horizon, again.horizon)
     assert (again.nearest, again.farthest) == (first.nearest, first.farthest)
+
+
+def test_while_a_table_is_made_it_is_shown_how_far(monkeypatch: pytest.MonkeyPatch) -> None:
+    """And nothing is shown where it is there already."""
+    monkeypatch.setattr(photons, "BATCH", PHOTONS // 2)  # to spheres, and one to planes
+    shown = ShownWork()
+    with long_work_shown(shown):
+        made()
+        made()
+    assert shown.titles == ["tables of this water's scattered light"]
+    assert shown.steps == [(1, 3), (2, 3), (3, 3)]
 
 
 def test_what_a_table_depends_on_names_its_file(

@@ -8,8 +8,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from shown_work import ShownWork
 
 from lscan.errors import DiskError
+from lscan.files.longwork import long_work_shown
 from lscan.records import Floats
 from sim.water import tablecache
 from sim.water.tablecache import kept_arrays
@@ -90,14 +92,17 @@ def test_the_lock_of_a_killed_process_does_not_hold(folder: Path) -> None:
         assert holder.stdout is not None
         assert holder.stdout.readline() == b"held\n"
         make = Maker()
-        waiting = threading.Thread(target=kept_arrays, args=("one", make))
-        waiting.start()
-        waiting.join(0.2)
-        assert waiting.is_alive()
-        assert make.calls == 0
-        holder.kill()
-        waiting.join(60)
+        shown = ShownWork()
+        with long_work_shown(shown):
+            waiting = threading.Thread(target=kept_arrays, args=("one", make))
+            waiting.start()
+            waiting.join(0.2)
+            assert waiting.is_alive()
+            assert make.calls == 0
+            holder.kill()
+            waiting.join(60)
     assert make.calls == 1
+    assert shown.titles == ["wait for a table that another process makes"]
 
 
 def test_a_cache_that_cannot_be_written_gives_a_table_and_a_warning(
