@@ -98,17 +98,18 @@ def _samples(line: Trace, segments: Sequence[Segment], falls: Mask) -> StepSampl
     points, which = points[known], which[known]
     x = line.x[points]
     outwards = np.array([[-1.0], [1.0]])
-    by_place = np.zeros((*falls.shape, int(falls.sum())))
-    by_place[falls] = np.diag((outwards * falls)[falls])
-    levels = np.eye(len(segments))[which]
     along = np.concatenate([_along(line, part) for part in segments])[known]
+    places = np.where(falls, np.cumsum(falls).reshape(falls.shape) - 1, -1)
+    by_place = (outwards * falls)[:, None] * np.eye(2)[:, :, None]
     return StepSamples(
+        stretch=which,
         brightness=line.brightness[points],
-        level=np.column_stack([levels, levels * along[:, None]]),
-        by_place=by_place[:, which],
+        level=np.stack([np.ones_like(along), along]),
+        by_place=by_place[..., which],
         offset=np.where(falls[:, which], outwards * x, NO_END),
-        group=np.zeros(len(x), dtype=np.int64),
-        walled=np.zeros((len(x), 0)),
+        places=places.T,
+        group=np.zeros(len(segments), dtype=np.int64),
+        wall=np.full(len(segments), -1),
     )
 
 

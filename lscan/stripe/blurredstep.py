@@ -11,6 +11,7 @@ a level that is linear in coefficients of its own.  (Model and derivation are ou
 """
 
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from scipy.special import ndtr
@@ -38,25 +39,29 @@ SETTLED_MM = 1e-8
 
 @dataclass(frozen=True)
 class StepSamples:
-    """K samples of brightness on stretches that end, by P places of ends.
+    """K samples of brightness on S stretches that end, by P places of ends.
 
     Attributes
     ----------
+    stretch : (K,) array, on which stretch each sample lies
     brightness : (K,) array, DN, above 0
-    level : (K, L) array, terms of the level
-    by_place : (J, K, P) array, depth = by_place @ places - offset, mm, inside each of the at most J
-        ends of a sample's stretch
+    level : (L, K) array, terms of the stretch's level
+    by_place : (J, A, K) array, depth = by_place @ places - offset, mm, inside each of the at most J
+        ends of the stretch, the places being the A that count there
     offset : (J, K) array, mm; ``NO_END`` where there is no end
-    group : (K,) array, which width counts
-    walled : (K, W) array, 1 where a sample is beside that wall
+    places : (S, A) array, which places count on each stretch, -1 for none
+    group : (S,) array, which width does
+    wall : (S,) array, which wall is beside it, -1 for none
     """
 
+    stretch: Ints
     brightness: Floats
     level: Floats
     by_place: Floats
     offset: Floats
+    places: Ints
     group: Ints
-    walled: Floats
+    wall: Ints
 
 
 NO_END = -1e6
@@ -132,22 +137,25 @@ def fit_steps(
     ----------
     The model is this module's own; its text derives it.
     """
-    wall = np.zeros(samples.walled.shape[1])
+    wall, levels = np.zeros(samples.wall.max() + 1), len(samples.group) * len(samples.level)
     state = _StepState(place, width, wall, FIRST_SCATTER)
-    expected = np.concatenate([place, width, wall, np.zeros(samples.level.shape[1])])
+    expected = np.concatenate([place, width, wall, np.zeros(levels)])
     known = np.concatenate([place_sigma, width, np.full(len(wall), WALL_SIGMA)]) ** -2.0
-    prior = np.concatenate([known, np.zeros(samples.level.shape[1])])
+    prior = expected, np.concatenate([known, np.zeros(levels)])
+    order = np.argsort(samples.stretch, kind="stable")
     places: list[Floats] = [place]
     for left in reversed(range(ROUNDS)):
-        depth = samples.by_place @ state.place - samples.offset
-        t = depth / state.width[samples.group]
+        depth = np.append(state.place, 0.0)[samples.places[samples.stretch]].T
+        depth = (samples.by_place * depth).sum(axis=1) - samples.offset
+        t = depth / state.width[samples.group[samples.stretch]]
         if kept is None:
             used = (t > limits.least_t).all(axis=0) & (depth.min(axis=0) < limits.most_mm)
-            first = _solve(samples, state, used, t, limits.unmodelled, (expected, prior))
-            used[used] = np.abs(first.residual) < OUTLIER * max(first.scatter, 1.0)
+            at = order[used[order]]
+            first = _solve(samples, state, at, t, limits.unmodelled, prior)
+            used[at] = np.abs(first.residual) < OUTLIER * max(first.scatter, 1.0)
         else:
             used = kept & (t > FAINTEST).all(axis=0)
-        solution = _solve(samples, state, used, t, limits.unmodelled, (expected, prior))
+        solution = _solve(samples, state, order[used[order]], t, limits.unmodelled, prior)
         state = _advanced(state, solution, limits)
         if _repeats([*places, state.place], left):
             break
@@ -186,47 +194,76 @@ class _StepSolution:
 def _solve(
     samples: StepSamples,
     state: _StepState,
-    used: Mask,
+    used: Ints,
     t: Floats,
     unmodelled: float,
     prior: tuple[Floats, Floats],
 ) -> _StepSolution:
     """One Gauss-Newton step.  The levels enter linearly: they are solved anew each time.
 
-    prior: expected value and 1/variance of all unknowns, 0 for nothing.
+    used: (n,) the samples that count, stretch by stretch.  prior: expected value and 1/variance of
+    all unknowns, 0 for nothing.
     """
-    t, group, walled = t[:, used], samples.group[used], samples.walled[used]
-    width, wall = state.width[group], walled @ state.wall
+    t, stretch, terms = t[:, used], samples.stretch[used], samples.level[:, used]
+    begin = np.searchsorted(stretch, np.arange(len(samples.group) + 1))
+    width = state.width[samples.group[stretch]]
+    wall = np.append(state.wall, 0.0)[samples.wall[stretch]]
     density = np.exp(-(t**2) / 2) / np.sqrt(2 * np.pi)
     share = ndtr(t) + wall * density
-    total = share.prod(axis=0)
-    levels, brightness = samples.level[used], samples.brightness[used]
-    terms = levels * total[:, None]
-    # Of a face without samples the terms are 0: the inverse gives it no level.
-    level = levels @ (np.linalg.pinv(terms.T @ terms, hermitian=True) @ (terms.T @ brightness))
+    total, brightness = share.prod(axis=0), samples.brightness[used]
+    sums = _sums(np.vstack([terms * total, brightness]), begin)
+    # Of a stretch without samples the terms are 0: the inverse gives it no level.
+    levels = np.linalg.pinv(sums[:, :-1, :-1], hermitian=True) @ sums[:, :-1, -1:]
+    level = np.einsum("lk,lk->k", terms, levels[..., 0].T[:, stretch])
     by_t = density * (1 - wall * t) / share / width
-    design = np.column_stack(
-        [
-            np.einsum("jk,jkp->kp", by_t, samples.by_place[:, used]),
-            -(by_t * t).sum(axis=0)[:, None] * np.eye(len(state.width))[group],
-            (density / share).sum(axis=0)[:, None] * walled,
-            levels / level[:, None],
-        ]
-    )
+    by_place = (by_t[:, None] * samples.by_place[:, :, used]).sum(axis=0)
+    by_width, by_wall = -(by_t * t).sum(axis=0), (density / share).sum(axis=0)
     relative = brightness / (level * total) - 1
-    weight = 1 / np.hypot(state.scatter, unmodelled / total)
-    design, weighted = design * weight[:, None], relative * weight
-    freedom = len(brightness) - design.shape[1]
-    if freedom <= 0 or not (level > 0).all():
-        raise MeasurementError(f"edges: {len(brightness)} samples beside them do not fix them")
+    design = np.vstack([by_place, by_width, by_wall, terms / level, relative])
+    design /= np.hypot(state.scatter, unmodelled / total)
     expected, precision = prior
-    present = np.concatenate([state.place, state.width, state.wall, np.zeros(levels.shape[1])])
-    inverse = np.linalg.pinv(design.T @ design + np.diag(precision), hermitian=True)
-    step = inverse @ (design.T @ weighted + precision * (expected - present))
-    residual = weighted - design @ step
+    freedom = len(used) - len(expected)
+    if freedom <= 0 or not (level > 0).all():
+        raise MeasurementError(f"edges: {len(used)} samples beside them do not fix them")
+    unknowns = _unknowns(samples, state)
+    normal = np.zeros((len(expected) + 2, len(expected) + 2))
+    np.add.at(normal, (unknowns[:, :, None], unknowns[:, None, :]), _sums(design, begin))
+    present = np.concatenate([state.place, state.width, state.wall, np.zeros(levels.size)])
+    inverse: Floats = np.linalg.pinv(normal[:-2, :-2] + np.diag(precision), hermitian=True)
+    step = inverse @ (normal[:-2, -2] + precision * (expected - present))
+    steps = np.append(step, [0.0, 0.0])[unknowns].T[:, stretch]
+    residual = design[-1] - np.einsum("mk,mk->k", design, steps)
     chi2 = max(float(residual @ residual) / freedom, 1.0)
     spread = 1.4826 * float(np.median(np.abs(residual)))
     return _StepSolution(step, inverse * chi2, residual, spread)
+
+
+def _sums(rows: Floats, begin: Ints) -> Floats:
+    """(S, M, M) sums over each stretch of the products of the rows (M, n), two by two.
+
+    begin: (S + 1,) where the stretches begin, and where the last ends.
+    """
+    parts = (rows[:, first:last] for first, last in pairwise(begin))
+    return np.array([part @ part.T for part in parts])
+
+
+def _unknowns(samples: StepSamples, state: _StepState) -> Ints:
+    """(S, M) which unknown each row of a stretch's design belongs to, -1: to none.
+
+    The unknowns: places, widths, walls, and the coefficients of the levels, stretch by stretch.
+    The last row, the brightness itself, is numbered after them.
+    """
+    sizes = np.cumsum([len(state.place), len(state.width), len(state.wall)])
+    level = sizes[2] + np.arange(len(samples.group) * len(samples.level))
+    return np.column_stack(
+        [
+            samples.places,
+            sizes[0] + samples.group,
+            np.where(samples.wall < 0, -1, sizes[1] + samples.wall),
+            level.reshape(len(samples.group), -1),
+            np.full(len(samples.group), sizes[2] + len(level)),
+        ]
+    )
 
 
 def _repeats(places: list[Floats], left: int) -> bool:

@@ -90,15 +90,16 @@ def _samples(edges: Sequence[FaceSamples], pivot_mm: float) -> StepSamples:
     y = plan[:, 1] - pivot_mm
     x = plan[:, 0] - np.repeat([edge.slope for edge in edges], count) * y
     towards = np.repeat([float(edge.side) for edge in edges], count) * np.where(lower, -1, 1)
-    face = np.unique(2 * which + lower, return_inverse=True)[1]
-    beside = np.eye(len(edges))[which]
-    terms = np.column_stack([np.ones_like(y), (x - x.mean()) / REACH_MM, y / REACH_MM])
-    levels = np.eye(int(face.max()) + 1)[face]
+    faces, face = np.unique(2 * which + lower, return_inverse=True)
+    edge = faces // 2
+    walled = np.array([edge.lower.any() for edge in edges])
     return StepSamples(
+        stretch=face,
         brightness=np.concatenate([edge.brightness for edge in edges]),
-        level=(levels[:, :, None] * terms[:, None, :]).reshape(len(y), -1),
-        by_place=(towards[:, None] * np.column_stack([y, beside]))[None],
+        level=np.stack([np.ones_like(y), (x - x.mean()) / REACH_MM, y / REACH_MM]),
+        by_place=towards * np.stack([y, np.ones_like(y)])[None],
         offset=(towards * x)[None],
-        group=np.repeat([edge.group for edge in edges], count),
-        walled=beside[:, [edge.lower.any() for edge in edges]],
+        places=np.column_stack([np.zeros_like(edge), 1 + edge]),
+        group=np.array([edge.group for edge in edges])[edge],
+        wall=np.where(walled, np.cumsum(walled) - 1, -1)[edge],
     )
