@@ -19,8 +19,8 @@ from lscan.config.rig import CameraSection, Rig
 from lscan.config.rigfile import RigFile
 from lscan.config.targets import Sandwave
 from lscan.errors import BoardNotFound, InputError, MeasurementError
-from lscan.records import Bytes, Floats, Profile, Progress, Stripe, Surface
-from lscan.stripe import extract_stripe
+from lscan.records import Bytes, Floats, Profile, Progress, Surface
+from lscan.stripe.extract import extract_stripes
 from lscan.surface import Alignment, align_sandwave, apply, stack
 from lscan.surface.align.keptalignment import KeptAlignment
 from lscan.surface.profile import to_profiles
@@ -28,9 +28,10 @@ from lscan.surface.provenance import provenance_of
 from lscan.surface.shaft import shaft_of, stack_about
 from lscan.surface.thickness import correct_thickness
 
-MAPPED_AT_ONCE = 8
-"""Pictures whose points one call maps.  A call for one takes twice to three times as long for each
-point, most of it to begin NumPy's steps; more than 8 at once gain little."""
+READ_AT_ONCE = 16
+"""Pictures whose lines are fitted, and whose points are mapped, in one call.  A call for one takes
+twice to three times as long for each, most of it to begin NumPy's steps; more at once gain little.
+"""
 
 
 @dataclass(frozen=True)
@@ -264,15 +265,13 @@ def read_profiles(
     rig = run.rig_file.rig
     plane_map = carried(plane_map, rig)
 
-    def stripe_of(index: int) -> Stripe:
-        frame = run.frame(index)
-        return extract_stripe(frame.image, rig.stripe, frame.background)
-
     def profiles_of(part: range) -> list[Profile]:
-        places_mm = [run.rows[index].position_mm for index in part]
-        return to_profiles([stripe_of(index) for index in part], plane_map, places_mm)
+        frames = [run.frame(index) for index in part]
+        images, dark = [frame.image for frame in frames], [frame.background for frame in frames]
+        stripes = extract_stripes(images, rig.stripe, dark)
+        return to_profiles(stripes, plane_map, [run.rows[index].position_mm for index in part])
 
-    size = min(MAPPED_AT_ONCE, -(-len(run) // cores()) or 1)
+    size = min(READ_AT_ONCE, -(-len(run) // cores()) or 1)
     parts = [range(len(run))[first : first + size] for first in range(0, len(run), size)]
     profiles = chain.from_iterable(in_order(profiles_of, parts))
     for done, profile in enumerate(profiles, start=1):

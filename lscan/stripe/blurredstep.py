@@ -12,6 +12,7 @@ a level that is linear in coefficients of its own.  (Model and derivation are ou
 
 from dataclasses import dataclass
 from itertools import pairwise
+from typing import cast
 
 import numpy as np
 from scipy.special import ndtr
@@ -229,7 +230,8 @@ def _solve(
     normal = np.zeros((len(expected) + 2, len(expected) + 2))
     np.add.at(normal, (unknowns[:, :, None], unknowns[:, None, :]), _sums(design, begin))
     present = np.concatenate([state.place, state.width, state.wall, np.zeros(levels.size)])
-    inverse: Floats = np.linalg.pinv(normal[:-2, :-2] + np.diag(precision), hermitian=True)
+    known = normal[:-2, :-2] + np.diag(precision)
+    inverse = cast(Floats, np.linalg.pinv(known, hermitian=True))
     step = inverse @ (normal[:-2, -2] + precision * (expected - present))
     steps = np.append(step, [0.0, 0.0])[unknowns].T[:, stretch]
     residual = design[-1] - np.einsum("mk,mk->k", design, steps)

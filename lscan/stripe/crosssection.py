@@ -17,6 +17,11 @@ from lscan.records import Floats
 CENTRE, LN_WIDTH, LN_HEIGHT, GROUND, TILT = range(5)
 _ROOT_TWO_PI = np.sqrt(2 * np.pi)
 
+_FINE, _FARTHEST = 256, 9
+_NDTR = ndtr(np.arange(-_FARTHEST * _FINE, _FARTHEST * _FINE + 1) / _FINE)
+"""Phi at steps of 1 / 256.  Half a step aside the first three terms of its Taylor series leave
+(1 / 512)^4 / 24 of its fourth derivative, which is below 0.6: 4e-13."""
+
 
 @dataclass(frozen=True)
 class CrossSections:
@@ -47,17 +52,35 @@ def lines(parameters: Floats, steps: Floats) -> CrossSections:
     centre, ln_width, ln_height, ground, tilt = np.ascontiguousarray(parameters.T)
     width, height = np.exp(ln_width), np.exp(ln_height)
     edges = np.append(steps - 0.5, steps[-1] + 0.5)[:, None]
-    distance = (edges - centre) / width
-    density = np.exp(-0.5 * distance**2)
-    below, moment = ndtr(distance), distance * density
-    light = height * width * _ROOT_TWO_PI * (below[1:] - below[:-1])
+    distance = edges - centre
+    distance /= width
+    density = np.exp(-0.5 * np.square(distance))
+    below, moment = _ndtr(distance, density), distance * density
     by = np.empty((5, len(steps), len(parameters)))
-    by[CENTRE] = height * (density[:-1] - density[1:])
-    by[LN_WIDTH] = light - height * width * (moment[1:] - moment[:-1])
-    by[LN_HEIGHT] = light
+    light = np.subtract(below[1:], below[:-1], out=by[LN_HEIGHT])
+    light *= height * width * _ROOT_TWO_PI
+    np.subtract(density[:-1], density[1:], out=by[CENTRE])
+    by[CENTRE] *= height
+    np.subtract(moment[:-1], moment[1:], out=by[LN_WIDTH])
+    by[LN_WIDTH] *= height * width
+    by[LN_WIDTH] += light
     by[GROUND] = 1.0
     by[TILT] = steps[:, None]
-    return CrossSections(light.T, (ground + tilt * steps[:, None]).T, by.transpose(2, 0, 1))
+    under = tilt * steps[:, None]
+    under += ground
+    return CrossSections(light.T, under.T, by.transpose(2, 0, 1))
+
+
+def _ndtr(x: Floats, bell: Floats) -> Floats:
+    """Phi(x), from ``bell`` = exp(-x² / 2): a quarter of the time that SciPy's ndtr takes."""
+    place = np.rint(x * _FINE)
+    aside = x - place / _FINE
+    series = (np.square(x) - 1) * (aside / 3) + x
+    series = series * (aside / 2) + 1
+    series *= aside / _ROOT_TWO_PI
+    series *= bell
+    place += _FARTHEST * _FINE
+    return series + _NDTR.take(place.astype(np.int64), mode="clip")
 
 
 def parameters_of(

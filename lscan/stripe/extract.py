@@ -1,5 +1,6 @@
 """From a picture to the stripe in it: the one function that everybody calls."""
 
+from collections.abc import Sequence
 from dataclasses import replace
 from functools import lru_cache
 from typing import TypeVar, cast
@@ -11,7 +12,7 @@ from lscan.config.plugins import find_plugin_or_function
 from lscan.config.rig import StripeSection
 from lscan.errors import InputError, LscanError
 from lscan.records import Bytes, Floats, GreyValues, Mask, Status, Stripe
-from lscan.stripe.api import Extractor, require_stripe, takes_integers
+from lscan.stripe.api import Extractor, Picture, require_stripe, stripes_by, takes_integers
 from lscan.stripe.core import core_flux
 from lscan.stripe.corrections.blur import correct_blur
 from lscan.stripe.corrections.smoothing import smooth
@@ -20,7 +21,7 @@ from lscan.stripe.lines import PictureLines, check_pair, faint_threshold, lines_
 from lscan.stripe.noise.along import at_least_seen
 from lscan.stripe.noise.model import difference_noise
 from lscan.stripe.peaks import clipped_near
-from lscan.stripe.returns import choose_return, withhold
+from lscan.stripe.returns import OneReturn, choose_return, withhold
 
 _Value = TypeVar("_Value", bound=np.generic)
 
@@ -68,11 +69,47 @@ def extract_stripe(
     >>> lscan.extract_stripe(image, lscan.StripeSection()).centre_px
     array([4., 4., 4.])
     """
+    return extract_stripes([image], settings, [background])[0]
+
+
+def extract_stripes(
+    images: Sequence[Bytes], settings: StripeSection, backgrounds: Sequence[Bytes | None]
+) -> list[Stripe]:
+    """The laser lines in several pictures, as :func:`extract_stripe` finds that in each.
+
+    Parameters
+    ----------
+    images : sequence of array, uint8, DN, grey or RGB
+    settings : StripeSection, as for ``extract_stripe``
+    backgrounds : sequence of array or None, for each picture the same view with the laser off
+
+    Raises
+    ------
+    InputError
+        As ``extract_stripe``.
+    """
     extractor = find_extractor(settings.extractor)
-    light, known = _light(image, settings, background)
+    lights = [
+        _light(image, settings, background)
+        for image, background in zip(images, backgrounds, strict=True)
+    ]
+    chosen = [_chosen(light, known) for light, known in lights]
+    pictures = [
+        (one.image, known, one.clipped) for one, (_, known) in zip(chosen, lights, strict=True)
+    ]
+    found = zip(_called(extractor, pictures), chosen, lights, strict=True)
+    return [_finished(stripe, one, *light) for stripe, one, light in found]
+
+
+def _chosen(light: PictureLines, settings: StripeSection) -> OneReturn:
     white = light.white is not None and bool(light.white.any())
-    chosen = choose_return(light.grey.T, known, light.clipped.T, white)
-    stripe = _called(extractor, known, chosen.image, chosen.clipped)
+    return choose_return(light.grey.T, settings, light.clipped.T, white)
+
+
+def _finished(
+    stripe: Stripe, chosen: OneReturn, light: PictureLines, settings: StripeSection
+) -> Stripe:
+    """The stripe that an extractor found, with all that it does not know of the picture."""
     stripe = _mark_saturated(stripe, chosen.clipped.T, light.white, settings.span_px)
     stripe = withhold(stripe, chosen.ambiguous)
     if chosen.textured:
@@ -111,18 +148,20 @@ def _light(
     return lit, settings
 
 
-def _called(
-    extractor: Extractor, settings: StripeSection, image: GreyValues, clipped: Mask
-) -> Stripe:
+def _called(extractor: Extractor, pictures: Sequence[Picture]) -> list[Stripe]:
     """What the extractor says, with the axis set; InputError where it is no extractor.
 
     An extractor may come from another package: it cannot write into the picture, and its result
     is validated.
     """
-    where = f"extractor {settings.extractor}"
-    given = cast(Floats, image if takes_integers(extractor) else image.astype(np.float64))
+    settings = pictures[0][1]
+    where, whole = f"extractor {settings.extractor}", takes_integers(extractor)
+    given = [
+        (_read_only(image if whole else image.astype(np.float64)), known, _read_only(clipped))
+        for image, known, clipped in pictures
+    ]
     try:
-        stripe = extractor(_read_only(given), settings, _read_only(clipped))
+        stripes = stripes_by(extractor, given)
     except LscanError:
         raise
     except TypeError as error:
@@ -130,8 +169,9 @@ def _called(
     except Exception as error:
         cause = " ".join(f"{type(error).__name__}: {error}".split())
         raise InputError(f"failed: {cause}", where=where) from error
-    require_stripe(stripe, image.shape, where)
-    return replace(stripe, axis=settings.axis)
+    for stripe, (image, *_) in zip(stripes, pictures, strict=True):
+        require_stripe(stripe, image.shape, where)
+    return [replace(stripe, axis=settings.axis) for stripe in stripes]
 
 
 def _read_only(picture: NDArray[_Value]) -> NDArray[_Value]:

@@ -6,15 +6,16 @@ with the probability of what it says: the light was at least this (a censored ob
 Tobin 1958).
 """
 
-from dataclasses import dataclass
-from typing import TypeVar, cast
+from collections.abc import Sequence
+from dataclasses import astuple, dataclass, replace
+from typing import Any, TypeVar, cast
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.special import log_ndtr
 
 from lscan.records import Floats, Ints, Mask, select
-from lscan.stripe.crosssection import CENTRE, CrossSections, lines
+from lscan.stripe.crosssection import CENTRE, GROUND, lines
 from lscan.stripe.noise.model import Noise
 
 _Value = TypeVar("_Value", bound=np.generic)
@@ -27,15 +28,15 @@ and fro: half steps end that."""
 _SETTLED = 1e-4
 """A line is at rest where the step, squared, in units of the uncertainty is below this."""
 
-_LONGEST_STEP = np.array([1.0, 0.35, 0.7, np.inf, np.inf])
+_LONGEST_STEP = np.array([[1.0], [0.35], [0.7], [np.inf], [np.inf]])
 """Farthest a parameter may go in one step: beyond, the model is nothing like its tangent."""
 
 _FAR = -1e3
 """Below, in standard deviations, the terms of a clipped pixel are their limits, -z and 1, to a
 millionth: computed, they are differences of numbers that agree in all their digits."""
 
-_LEAST = np.array([-np.inf, np.log(0.25), np.log(1e-3), -np.inf, -np.inf])
-_MOST = np.array([np.inf, np.log(40.0), np.log(1e6), np.inf, np.inf])
+_LEAST = np.array([[-np.inf], [np.log(0.25)], [np.log(1e-3)], [-np.inf], [-np.inf]])
+_MOST = np.array([[np.inf], [np.log(40.0)], [np.log(1e6)], [np.inf], [np.inf]])
 """Widths in px and heights in DN that a line can have; no picture distinguishes beyond."""
 
 
@@ -59,22 +60,6 @@ class LineWindows:
     base: Floats
     used: Mask
     clipped: Mask
-
-    def of(self, chosen: Ints) -> "LineWindows":
-        """Some of the columns alone.
-
-        Parameters
-        ----------
-        chosen : (C,) array, indices among the K
-        """
-        grey, base = _of_lines(self.grey, chosen), self.base[chosen]
-        used, clipped = _of_lines(self.used, chosen), _of_lines(self.clipped, chosen)
-        return LineWindows(self.steps, grey, base, used, clipped)
-
-
-def _of_lines(values: NDArray[_Value], chosen: Ints) -> NDArray[_Value]:
-    """Some rows of an array in which, as in crosssection.py, columns lie together in memory."""
-    return values.T.take(chosen, axis=1).T
 
 
 @dataclass(frozen=True)
@@ -118,38 +103,67 @@ class LineFit:
     misfit: Floats
 
 
-def fit_lines(view: LineWindows, start: Floats, noise: Noise, prior: LinePrior) -> LineFit:
-    """The most probable lines in some windows.
+@dataclass(frozen=True)
+class LineSearch:
+    """What the K lines of one picture are fitted to.
 
-    Parameters
+    Attributes
     ----------
-    view : LineWindows, px and DN, of K columns
+    view : LineWindows, px and DN, of K columns; ``steps`` lie even about 0
     start : (K, 5) array, px and DN, where the search begins (crosssection.py)
     noise : Noise, of the pixels
     prior : LinePrior, of K lines
+    """
+
+    view: LineWindows
+    start: Floats
+    noise: Noise
+    prior: LinePrior
+
+    def of(self, chosen: Ints) -> "LineSearch":
+        """That of some of the columns alone.
+
+        Parameters
+        ----------
+        chosen : (C,) array, indices among the K
+        """
+        view, prior = self.view, select(self.prior, chosen)
+        grey, base, used = view.grey[chosen], view.base[chosen], view.used[chosen]
+        part = LineWindows(view.steps, grey, base, used, view.clipped[chosen])
+        return LineSearch(part, self.start[chosen], self.noise, prior)
+
+
+def fit_lines(searches: Sequence[LineSearch]) -> list[LineFit]:
+    """The most probable lines of each of several pictures.
+
+    Each line is fitted by itself; together they take fewer and larger steps of NumPy.
+
+    Parameters
+    ----------
+    searches : sequence of LineSearch, one or more
 
     References
     ----------
     Fisher's scoring; a clipped pixel is a censored observation (Tobin 1958).
     """
-    parameters = _bounded(start)
-    settled = np.zeros(len(start), dtype=bool)
-    moving = np.arange(len(start))
-    part, known = view, prior
+    every = _Pixels.of(searches)
+    parameters = _bounded(np.concatenate([search.start for search in searches]).T)
+    settled = np.zeros(parameters.shape[1], dtype=bool)
+    moving, part = np.arange(len(settled)), every
     for turn in range(_MOST_STEPS):
-        information, score, _ = _normal_equations(part, parameters[moving], noise, known)
-        step = np.linalg.solve(information, score[..., None])[..., 0]
-        done = (step * score).sum(axis=1) < _SETTLED
+        information, score, _ = _normal_equations(part, parameters[:, moving])
+        step = _solved(information, score[:, None])[:, 0]
+        done = (step * score).sum(axis=0) < _SETTLED
         step = np.minimum(np.maximum(step, -_LONGEST_STEP), _LONGEST_STEP)
         step *= 1.0 if turn < _FULL_STEPS else 0.5
-        parameters[moving] = _bounded(parameters[moving] + step)
+        parameters[:, moving] = _bounded(parameters[:, moving] + step)
         settled[moving[done]] = True
         if done.any():
             moving = moving[~done]
-            part, known = view.of(moving), select(prior, moving)
+            part = every.of_lines(moving)
         if len(moving) == 0:
             break
-    return _judged(view, parameters, settled, noise, prior)
+    return _judged(searches, every, parameters, settled)
 
 
 def _bounded(parameters: Floats) -> Floats:
@@ -157,67 +171,173 @@ def _bounded(parameters: Floats) -> Floats:
 
 
 @dataclass(frozen=True)
-class _Weighted:
-    """Lines, the variance (K, n) of their pixels and the weight (K, n) that each has."""
+class _Pixels:
+    """The windows of all lines, the K of a pixel together in memory: K is long, n is short.
 
-    model: CrossSections
+    steps: (n,) px.  base: (K,) DN.  above: (n, K) DN, grey values above it.  used: (n, K) 1 or 0.
+    clipped: (n, K) mask, of used ones.  noise: (3, K) its terms.  mean, precision: (5, K) of what
+    is known beforehand.
+    """
+
+    steps: Floats
+    base: Floats
+    above: Floats
+    used: Floats
+    clipped: Mask
+    noise: Floats
+    mean: Floats
+    precision: Floats
+
+    @staticmethod
+    def of(searches: Sequence[LineSearch]) -> "_Pixels":
+        views, count = [search.view for search in searches], [len(s.start) for s in searches]
+        steps = max((view.steps for view in views), key=len)
+
+        def together(values: Sequence[NDArray[_Value]]) -> NDArray[_Value]:
+            whole = np.zeros((len(steps), sum(count)), dtype=values[0].dtype)
+            for value, last in zip(values, np.cumsum(count), strict=True):
+                beside = (len(steps) - value.shape[1]) // 2
+                whole[beside : len(steps) - beside, last - len(value) : last] = value.T
+            return whole
+
+        noise = np.array([astuple(search.noise) for search in searches])
+        return _Pixels(
+            steps=steps,
+            base=np.concatenate([view.base for view in views]),
+            above=together([view.grey - view.base[:, None] for view in views]),
+            used=together([view.used.astype(float) for view in views]),
+            clipped=together([view.clipped & view.used for view in views]),
+            noise=np.repeat(noise, count, axis=0).T,
+            mean=np.concatenate([search.prior.mean for search in searches]).T,
+            precision=np.concatenate([search.prior.precision for search in searches]).T,
+        )
+
+    def of_lines(self, chosen: Ints) -> "_Pixels":
+        """Those of some of the lines alone."""
+        parts = {k: v.take(chosen, axis=-1) for k, v in vars(self).items() if k != "steps"}
+        return replace(self, **parts)
+
+
+@dataclass(frozen=True)
+class _Weighted:
+    """What (n, K) pixels show: the lines' derivatives (5, n, K), and the pixels' own.
+
+    light: DN, of the lines.  variance: DN².  weight: its inverse, where the pixel counts.
+    residual: DN.
+    """
+
+    jacobian: Floats
+    light: Floats
     variance: Floats
     weight: Floats
+    residual: Floats
 
 
-def _normal_equations(
-    view: LineWindows, parameters: Floats, noise: Noise, prior: LinePrior
-) -> tuple[Floats, Floats, _Weighted]:
-    """Fisher's information (K, 5, 5), the score (K, 5), and what they were made of."""
-    model = lines(parameters, view.steps)
-    variance = noise.variance(model.light, model.ground - view.base[:, None])
-    residual = view.grey - model.light - model.ground
-    weight = view.used / variance
+def _normal_equations(pixels: _Pixels, parameters: Floats) -> tuple[Floats, Floats, _Weighted]:
+    """Fisher's information (5, 5, K), the score (5, K), and what they were made of.
+
+    Of the information, which is symmetric, the lower half is left out.
+    """
+    model = lines(parameters.T, pixels.steps)
+    light, jacobian = model.light.T, model.jacobian.transpose(1, 2, 0)
+    by = jacobian[:GROUND]
+    veil = model.ground.T - pixels.base
+    variance = Noise(*cast(Any, pixels.noise)).variance(light, veil)
+    residual = pixels.above - light
+    residual -= veil
+    weight = pixels.used / variance
     pull = weight * residual
-    if view.clipped.any():
-        weight, pull = _censored(view, residual, variance, weight, pull)
-    by = model.jacobian.transpose(1, 2, 0)
-    information = np.einsum("ink,jnk->kij", by * weight.T, by)
+    if pixels.clipped.any():
+        weight, pull = _censored(pixels, residual, variance, weight, pull)
+    weighted = np.empty((4, *weight.shape))
+    np.multiply(by, weight, out=weighted[:-1])
+    weighted[-1] = weight
+    # The derivatives by ground and tilt are the same for all lines: their sums are moments.
+    powers = pixels.steps ** np.arange(3)[:, None]
+    moments = powers @ weighted
+    information = np.empty((5, 5, len(pixels.base)))
+    for i in range(GROUND):
+        information[i, i:GROUND] = np.einsum("nk,jnk->jk", weighted[i], by[i:])
+        information[i, GROUND:] = moments[i, :2]
+    information[GROUND:, GROUND:] = moments[-1, [[0, 1], [1, 2]]]
     diagonal = np.arange(5)
-    information[:, diagonal, diagonal] += prior.precision
-    score = np.einsum("ink,nk->ki", by, pull.T)
-    score += prior.precision * (prior.mean - parameters)
-    return information, score, _Weighted(model, variance, weight)
+    information[diagonal, diagonal] += pixels.precision
+    score = pixels.precision * (pixels.mean - parameters)
+    score[:GROUND] += np.einsum("ink,nk->ik", by, pull)
+    score[GROUND:] += powers[:2] @ pull
+    return information, score, _Weighted(jacobian, light, variance, weight, residual)
 
 
 def _censored(
-    view: LineWindows, residual: Floats, variance: Floats, weight: Floats, pull: Floats
+    pixels: _Pixels, residual: Floats, variance: Floats, weight: Floats, pull: Floats
 ) -> tuple[Floats, Floats]:
-    """Weight and pull (K, n) with those of the clipped pixels put in.
+    """Weight and pull (n, K) with those of the clipped pixels put in.
 
     Of ln Phi(z), z = (mu - limit) / sigma, the derivative by mu is lambda / sigma with
     lambda = phi(z) / Phi(z), and minus the second is lambda (lambda + z) / sigma².  The limit
     is half a grey value below the clipped one: what was rounded to it.
     """
-    at = np.nonzero(view.clipped & view.used)
-    sigma = np.sqrt(variance[at])
-    z = (0.5 - residual[at]) / sigma
+    at = np.flatnonzero(pixels.clipped)
+    sigma = np.sqrt(variance.take(at))
+    z = (0.5 - residual.take(at)) / sigma
     near = np.maximum(z, _FAR)
     rate = np.exp(-0.5 * near**2 - 0.5 * np.log(2 * np.pi) - log_ndtr(near))
-    weight[at] = np.where(z < _FAR, 1.0, np.maximum(rate * (rate + near), 0.0)) / sigma**2
+    weight.flat[at] = np.where(z < _FAR, 1.0, np.maximum(rate * (rate + near), 0.0)) / sigma**2
     rate = np.where(z < _FAR, -z, rate)
-    pull[at] = rate / sigma
+    pull.flat[at] = rate / sigma
     return weight, pull
 
 
+def _solved(matrix: Floats, right: Floats) -> Floats:
+    """(m, r, K) solutions of K systems, (m, m, K) and (m, r, K), all of them in each step.
+
+    Elimination: symmetric matrices that are positive definite need no exchange of rows, and of
+    them the upper half alone is read.
+    """
+    size = len(matrix)
+    rows = np.concatenate([matrix, right], axis=1)
+    for i in range(size):
+        factor = rows[i, i + 1 : size] / rows[i, i]
+        for j in range(i + 1, size):
+            rows[j, j:] -= factor[j - i - 1] * rows[i, j:]
+    solution = rows[:, size:]
+    for i in reversed(range(size)):
+        solution[i] /= rows[i, i]
+        solution[:i] -= rows[:i, i, None] * solution[i]
+    return solution
+
+
 def _judged(
-    view: LineWindows, parameters: Floats, settled: Mask, noise: Noise, prior: LinePrior
-) -> LineFit:
-    """The fit at ``parameters`` with its covariance and how well it explains the pixels."""
-    information, _, end = _normal_equations(view, parameters, noise, prior)
-    covariance = cast(Floats, np.linalg.inv(information))
-    along = covariance @ end.model.jacobian
-    leverage = end.weight * (end.model.jacobian * along).sum(axis=1)
+    searches: Sequence[LineSearch], pixels: _Pixels, parameters: Floats, settled: Mask
+) -> list[LineFit]:
+    """The fits at ``parameters`` (5, K) with their covariance and how they explain the pixels."""
+    information, _, end = _normal_equations(pixels, parameters)
+    one = np.repeat(np.eye(5)[..., None], len(settled), axis=2)
+    covariance = _solved(information, one)
+    along = np.einsum("ijk,jnk->ink", covariance, end.jacobian)
+    leverage = end.weight * np.einsum("ink,ink->nk", end.jacobian, along)
     # A pixel that the fit follows nearly everywhere says little of the noise.
-    seen = view.used & ~view.clipped & (leverage < 0.9)
-    residual = view.grey - end.model.light - end.model.ground
-    residual /= np.sqrt(np.where(seen, 1 - leverage, 1.0))
+    seen = (pixels.used > 0) & ~pixels.clipped & (leverage < 0.9)
+    residual = end.residual / np.sqrt(np.where(seen, 1 - leverage, 1.0))
     ratio = np.where(seen, residual**2 / end.variance, 0.0)
-    misfit = ratio.sum(axis=1) / np.maximum(seen.sum(axis=1), 1)
-    gain = along[:, CENTRE] * end.weight
-    return LineFit(parameters, covariance, gain, settled, end.model.light, residual, seen, misfit)
+    misfit = ratio.sum(axis=0) / np.maximum(seen.sum(axis=0), 1)
+    gain = along[CENTRE] * end.weight
+    fits, first = [], 0
+    for search in searches:
+        count, width = search.view.grey.shape
+        beside, part = (len(pixels.steps) - width) // 2, slice(first, first + count)
+        near = np.s_[beside : beside + width, part]
+        first += count
+        fits.append(
+            LineFit(
+                parameters[:, part].T,
+                covariance[..., part].transpose(2, 0, 1),
+                gain[near].T,
+                settled[part],
+                end.light[near].T,
+                residual[near].T,
+                seen[near].T,
+                misfit[part],
+            )
+        )
+    return fits

@@ -15,9 +15,9 @@ from lscan.acquisition.scan import scan
 from lscan.benchmark.timing import timed
 from lscan.calibration.api import PlaneMap
 from lscan.config.rigfile import RigFile
-from lscan.pipeline import MAPPED_AT_ONCE, calibrate_run, reconstruct
+from lscan.pipeline import READ_AT_ONCE, calibrate_run, reconstruct
 from lscan.records import Profile
-from lscan.stripe import extract_stripe
+from lscan.stripe.extract import extract_stripes
 from lscan.surface.profile import to_profiles
 from sim.demo import thin_out
 from sim.validation.rows import Row, row
@@ -64,14 +64,15 @@ def extractor_time(run: Run, plane_map: PlaneMap, extractor: str, bar: float, re
     repeats : int, groups that are timed, after a first one that is not
     """
     settings = run.rig_file.rig.stripe.model_copy(update={"extractor": extractor})
-    size = min(MAPPED_AT_ONCE, len(run))
+    size = min(READ_AT_ONCE, len(run))
 
     def measured(group: int) -> tuple[float, float]:
         chosen = [(group * size + k) % len(run) for k in range(size)]
         decoding, frames = timed(lambda: [run.frame(index) for index in chosen])
 
         def profiles() -> list[Profile]:
-            stripes = [extract_stripe(frame.image, settings) for frame in frames]
+            images = [frame.image for frame in frames]
+            stripes = extract_stripes(images, settings, [None] * len(frames))
             return to_profiles(stripes, plane_map, [frame.position_mm for frame in frames])
 
         return decoding / size, timed(profiles)[0] / size

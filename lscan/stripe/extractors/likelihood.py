@@ -1,5 +1,6 @@
 """The extractor that makes the most of the pixels: maximum likelihood of a Gaussian line."""
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -7,10 +8,10 @@ from scipy.ndimage import median_filter
 
 from lscan.config.rig import StripeSection
 from lscan.records import GreyValues, Ints, Mask, Status, Stripe
-from lscan.stripe.api import on_integers
+from lscan.stripe.api import Picture, on_integers, together
 from lscan.stripe.crosssection import CENTRE, LN_WIDTH, TILT
-from lscan.stripe.extractors.survey import Survey, survey, weak_precision
-from lscan.stripe.fit import LineFit, LinePrior, fit_lines
+from lscan.stripe.extractors.survey import Survey, surveys, weak_precision
+from lscan.stripe.fit import LineFit, LinePrior, LineSearch, fit_lines
 from lscan.stripe.noise.model import robust_variance
 from lscan.stripe.peaks import centred, clipped_near
 
@@ -21,7 +22,26 @@ _FOREIGN = 3.0
 degrees of freedom, a dozen at least, passes 3 by chance once in a thousand times."""
 
 
+def _several(pictures: Sequence[Picture]) -> list[Stripe]:
+    """:func:`maximum_likelihood` of several pictures, whose lines are fitted together."""
+    seen = surveys(pictures)
+    searches = []
+    for one in seen:
+        if isinstance(one, Survey):
+            precision = weak_precision(one.start)
+            precision[:, LN_WIDTH] = 1 / one.ln_width.spread**2
+            precision[:, TILT] = 1 / one.tilt.spread**2
+            prior = LinePrior(one.start, precision)
+            searches.append(LineSearch(one.view, one.start, one.noise, prior))
+    fits = iter(fit_lines(searches) if searches else [])
+    return [
+        _marked(_stripe(one, next(fits)), *picture) if isinstance(one, Survey) else one
+        for one, picture in zip(seen, pictures, strict=True)
+    ]
+
+
 @on_integers
+@together(_several)
 def maximum_likelihood(image: GreyValues, settings: StripeSection, clipped: Mask) -> Stripe:
     """The line by maximum likelihood in each column of a picture.
 
@@ -48,14 +68,11 @@ def maximum_likelihood(image: GreyValues, settings: StripeSection, clipped: Mask
     ----------
     The bound that it approaches: docs/explanation/physics.md, section 4.
     """
-    seen = survey(image, settings, clipped)
-    if isinstance(seen, Stripe):
-        return seen
-    precision = weak_precision(seen.start)
-    precision[:, LN_WIDTH] = 1 / seen.ln_width.spread**2
-    precision[:, TILT] = 1 / seen.tilt.spread**2
-    fit = fit_lines(seen.view, seen.start, seen.noise, LinePrior(seen.start, precision))
-    stripe = _stripe(seen, fit)
+    return _several([(image, settings, clipped)])[0]
+
+
+def _marked(stripe: Stripe, image: GreyValues, settings: StripeSection, clipped: Mask) -> Stripe:
+    """The stripe with its clipped columns SATURATED."""
     saturated = clipped_near(stripe, clipped.T, settings.span_px)
     status, sigma_px = stripe.status.copy(), stripe.sigma_px.copy()
     status[saturated] = Status.SATURATED

@@ -5,6 +5,7 @@ slope of the ground under it vary little from one column to the next, so a runni
 over the sample holds for the columns between, and the residuals give the noise.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -12,10 +13,11 @@ from scipy.ndimage import median_filter
 
 from lscan.config.rig import StripeSection
 from lscan.records import Floats, GreyValues, Ints, Mask, Status, Stripe, select
+from lscan.stripe.api import Picture
 from lscan.stripe.crosssection import LN_HEIGHT, LN_WIDTH, TILT, parameters_of
-from lscan.stripe.fit import LineFit, LinePrior, LineWindows, fit_lines
+from lscan.stripe.fit import LineFit, LinePrior, LineSearch, LineWindows, fit_lines
 from lscan.stripe.noise.model import Noise, constant_variance, sampled, stated_noise
-from lscan.stripe.noise.scatter import scatter_of
+from lscan.stripe.noise.scatter import Scatter, scatter_of
 from lscan.stripe.peaks import Peaks, nominal_peaks, windows
 
 _SAMPLE = 256
@@ -99,6 +101,42 @@ def survey(image: GreyValues, settings: StripeSection, clipped: Mask) -> Survey 
     settings : StripeSection, threshold, span and noise
     clipped : (H, W) mask, as extractors get it
     """
+    return surveys([(image, settings, clipped)])[0]
+
+
+def surveys(pictures: Sequence[Picture]) -> list[Survey | Stripe]:
+    """The same of several pictures, whose lines are fitted together.
+
+    Parameters
+    ----------
+    pictures : sequence of tuple, the arguments of :func:`survey` for each
+    """
+    found = [_found(*picture) for picture in pictures]
+    noted = [one for one in found if isinstance(one, _Found)]
+    known = iter(_surveyed(noted))
+    return [next(known) if isinstance(one, _Found) else one for one in found]
+
+
+@dataclass(frozen=True)
+class _Found:
+    """What is known of the K columns with a line before any line is fitted.
+
+    As in :class:`Survey`; width_px: (K,) the rough width.  sample: indices of the columns that are
+    fitted.
+    """
+
+    settings: StripeSection
+    stripe: Stripe
+    peaks: Peaks
+    width_px: Floats
+    noise: Noise
+    view: LineWindows
+    start: Floats
+    sample: Ints
+
+
+def _found(image: GreyValues, settings: StripeSection, clipped: Mask) -> _Found | Stripe:
+    """The columns with a line, or the stripe itself where there are none."""
     columns, lost = np.ascontiguousarray(image.T), np.ascontiguousarray(clipped.T)
     stripe, peaks = nominal_peaks(columns, settings)
     if len(peaks.columns) == 0:
@@ -112,14 +150,52 @@ def survey(image: GreyValues, settings: StripeSection, clipped: Mask) -> Survey 
     if settings.noise is None:
         noise = Noise(_constant_aside(columns, peaks, rough), 0.0)
     view = _view(columns, lost, peaks, rough)
-    start = _start(view, rough)
-    sample = _pairs(len(rough))
-    sampled = (view.of(sample), select(peaks, sample), start[sample])
-    fit, noise, misfit = _fit_sample(*sampled, noise, settings)
-    ln_width, tilt = (_between(fit, which, sample, len(rough)) for which in (LN_WIDTH, TILT))
+    start, sample = _start(view, rough), _pairs(len(rough))
+    return _Found(settings, stripe, peaks, rough, noise, view, start, sample)
+
+
+def _surveyed(found: Sequence[_Found]) -> list[Survey]:
+    """The surveys of pictures with a line, from the fits to a sample of it in each.
+
+    The noise is that found before where the settings state it, else as the lines' residuals have
+    it.
+    """
+    searches = []
+    for one in found:
+        precision = weak_precision(one.start)
+        precision[:, LN_WIDTH] = 1 / _WIDTH_DOUBT**2
+        search = LineSearch(one.view, one.start, one.noise, LinePrior(one.start, precision))
+        searches.append(search.of(one.sample))
+    places = [select(one.peaks, one.sample) for one in found]
+    fits, scatters = _fitted(searches, places)
+    for _ in range(_NOISE_TURNS if found and found[0].settings.noise is None else 0):
+        searches = [
+            replace(search, start=fit.parameters, noise=scatter.noise(one.noise.constant))
+            for one, search, fit, scatter in zip(found, searches, fits, scatters, strict=True)
+        ]
+        fits, scatters = _fitted(searches, places)
+    return [
+        _survey(one, fit, search.noise, scatter.misfit(search.noise))
+        for one, fit, search, scatter in zip(found, fits, searches, scatters, strict=True)
+    ]
+
+
+def _fitted(
+    searches: Sequence[LineSearch], places: Sequence[Peaks]
+) -> tuple[list[LineFit], list[Scatter]]:
+    fits = fit_lines(searches) if searches else []
+    each = zip(fits, places, strict=True)
+    return fits, [scatter_of(fit, peaks.columns, peaks.rows) for fit, peaks in each]
+
+
+def _survey(found: _Found, fit: LineFit, noise: Noise, misfit: float) -> Survey:
+    """The survey, with what the ``fit`` of the sample says of all columns."""
+    count, start = len(found.width_px), found.start.copy()
+    ln_width, tilt = (_between(fit, which, found.sample, count) for which in (LN_WIDTH, TILT))
     start[:, LN_WIDTH], start[:, TILT] = ln_width.value, tilt.value
-    reach = _reach(rough, settings)
-    return Survey(stripe, peaks, reach, view, start, ln_width, tilt, noise, misfit)
+    reach = _reach(found.width_px, found.settings)
+    known = (found.stripe, found.peaks, reach, found.view, start)
+    return Survey(*known, ln_width, tilt, noise, misfit)
 
 
 def _first_noise(columns: GreyValues, peaks: Peaks, settings: StripeSection) -> Noise:
@@ -233,26 +309,6 @@ def _start(view: LineWindows, width_px: Floats) -> Floats:
     height = np.maximum(view.grey[:, middle - 1 : middle + 2].max(axis=1) - ground, 1e-3)
     level = np.zeros(len(ground))
     return parameters_of(level, width_px, height, ground, level)
-
-
-def _fit_sample(
-    view: LineWindows, peaks: Peaks, start: Floats, noise: Noise, settings: StripeSection
-) -> tuple[LineFit, Noise, float]:
-    """The lines of the sample, at its ``peaks``, the noise, and the lines' misfit.
-
-    The noise is that given where the settings state it, else as the lines' residuals have it.
-    """
-    precision = weak_precision(start)
-    precision[:, LN_WIDTH] = 1 / _WIDTH_DOUBT**2
-    prior = LinePrior(start, precision)
-    fit, constant = fit_lines(view, start, noise, prior), noise.constant
-    scatter = scatter_of(fit, peaks.columns, peaks.rows)
-    if settings.noise is None:
-        for _ in range(_NOISE_TURNS):
-            noise = scatter.noise(constant)
-            fit = fit_lines(view, fit.parameters, noise, prior)
-            scatter = scatter_of(fit, peaks.columns, peaks.rows)
-    return fit, noise, scatter.misfit(noise)
 
 
 def weak_precision(start: Floats) -> Floats:

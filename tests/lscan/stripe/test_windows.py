@@ -5,12 +5,15 @@ import numpy as np
 import pytest
 from hypothesis import given, settings, strategies as st
 from lines_drawn import drawn, speckled
+from scipy.special import ndtr
 
 from lscan.config.plugins import installed
 from lscan.config.rig import StripeSection
 from lscan.records import Bytes, Floats, Mask, Stripe
 from lscan.stripe import extract_stripe, find_extractor
 from lscan.stripe.api import takes_integers
+from lscan.stripe.crosssection import _ndtr
+from lscan.stripe.extract import extract_stripes
 from lscan.stripe.noise.model import constant_variance, robust_variance
 from lscan.stripe.peaks import windows
 from lscan.stripe.ranks import crests, medians, ranked
@@ -52,6 +55,26 @@ def test_windows_hold_the_spots_of_the_whole_picture(image: Bytes, threshold_dn:
     if found is not None:
         for name, values in vars(whole).items():
             np.testing.assert_allclose(vars(found)[name], values, rtol=1e-6, err_msg=name)
+
+
+@settings(max_examples=8, deadline=None)
+@given(images=st.lists(pictures, min_size=2, max_size=4))
+def test_lines_fitted_together_are_those_of_each_picture(images: list[Bytes]) -> None:
+    images.append(np.zeros_like(images[0]))
+    chosen = StripeSection(extractor="ml")
+    together = extract_stripes(images, chosen, [None] * len(images))
+    for image, stripe in zip(images, together, strict=True):
+        alone = extract_stripe(image, chosen)
+        np.testing.assert_array_equal(stripe.status, alone.status)
+        # Sums over more pixels, of weight 0, are rounded otherwise: far less than a millionth.
+        np.testing.assert_allclose(stripe.centre_px, alone.centre_px, rtol=0, atol=1e-6)
+        np.testing.assert_allclose(stripe.sigma_px, alone.sigma_px, rtol=1e-6)
+
+
+def test_the_tabulated_integral_of_a_gaussian_is_that() -> None:
+    x = np.random.default_rng(1).uniform(-12, 12, 10_000)
+    x = np.concatenate([x, [-1e3, -40.0, 0.0, 40.0, 1e3]])
+    np.testing.assert_allclose(_ndtr(x, np.exp(-(x**2) / 2)), ndtr(x), rtol=0, atol=5e-13)
 
 
 def test_one_line_needs_no_more_than_its_windows() -> None:
