@@ -14,6 +14,7 @@ from lscan.config.documents import Document, Strict, check, read_document
 from lscan.config.rig import Rig
 from lscan.config.rigfile import RigFile, inline_board, parse_rig
 from lscan.errors import InputError
+from sim.scene.distortion import is_folded
 from sim.scene.instrument import Head, Laser, Lens, PlanePort, Port, Seed, Sensor, TrueShaft
 from sim.scene.matter import AmbientLight, Floor, Target, Water
 from sim.scene.poses import Pose, head_pose, rotation
@@ -240,21 +241,14 @@ def _check_target(scene: Scene) -> None:
 
 
 def check_lens(scene: Scene) -> None:
-    """Refuse a distortion that folds the picture: the radius must grow all over the frame."""
+    """Refuse a distortion that folds within the picture: what is there would be seen twice."""
     lens, camera = scene.tank.lens, scene.rig.camera
-    corners = [(u, v) for u in (0, camera.width_px - 1) for v in (0, camera.height_px - 1)]
-    offsets = np.array(corners) - np.array(lens.centre_px)
-    reach = float(np.hypot(*(offsets / lens.focal_px).T).max())
-    r = np.linspace(0, 2 * reach, 400)
-    slope = 1 + 3 * lens.k1 * r**2 + 5 * lens.k2 * r**4 + 7 * lens.k3 * r**6
-    distorted = r * (1 + lens.k1 * r**2 + lens.k2 * r**4 + lens.k3 * r**6)
-    monotone = np.minimum.accumulate(slope) > 0
-    if not np.any(monotone & (distorted >= reach)):
+    if is_folded(lens, camera.width_px, camera.height_px):
         raise InputError(
             "lens: the distortion folds the picture before its corners",
             where=scene.source,
-            value=(lens.k1, lens.k2, lens.k3),
-            allowed="coefficients for which the radius grows monotonically over the frame",
+            value={name: getattr(lens, name) for name in ("k1", "k2", "k3", "p1", "p2")},
+            allowed="coefficients whose distortion has an inverse all over the picture",
         )
 
 
