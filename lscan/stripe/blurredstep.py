@@ -138,11 +138,10 @@ def fit_steps(
     ----------
     The model is this module's own; its text derives it.
     """
-    wall, levels = np.zeros(samples.wall.max() + 1), len(samples.group) * len(samples.level)
+    wall = np.zeros(samples.wall.max() + 1)
     state = _StepState(place, width, wall, FIRST_SCATTER)
-    expected = np.concatenate([place, width, wall, np.zeros(levels)])
-    known = np.concatenate([place_sigma, width, np.full(len(wall), WALL_SIGMA)]) ** -2.0
-    prior = expected, np.concatenate([known, np.zeros(levels)])
+    sigma = np.concatenate([place_sigma, width, np.full(len(wall), WALL_SIGMA)])
+    prior = np.concatenate([place, width, wall]), sigma**-2.0
     order = np.argsort(samples.stretch, kind="stable")
     places: list[Floats] = [place]
     for left in reversed(range(ROUNDS)):
@@ -203,7 +202,7 @@ def _solve(
     """One Gauss-Newton step.  The levels enter linearly: they are solved anew each time.
 
     used: (n,) the samples that count, stretch by stretch.  prior: expected value and 1/variance of
-    all unknowns, 0 for nothing.
+    the unknowns.
     """
     t, stretch, terms = t[:, used], samples.stretch[used], samples.level[:, used]
     begin = np.searchsorted(stretch, np.arange(len(samples.group) + 1))
@@ -220,21 +219,27 @@ def _solve(
     by_place = (by_t[:, None] * samples.by_place[:, :, used]).sum(axis=0)
     by_width, by_wall = -(by_t * t).sum(axis=0), (density / share).sum(axis=0)
     relative = brightness / (level * total) - 1
-    design = np.vstack([by_place, by_width, by_wall, terms / level, relative])
+    design = np.vstack([terms / level, by_place, by_width, by_wall, relative])
     design /= np.hypot(state.scatter, unmodelled / total)
     expected, precision = prior
-    freedom = len(used) - len(expected)
+    freedom = len(used) - len(expected) - levels.size
     if freedom <= 0 or not (level > 0).all():
         raise MeasurementError(f"edges: {len(used)} samples beside them do not fix them")
+    # Each stretch's levels are eliminated by themselves: what is left of it is the unknowns'.
+    own = len(terms)
+    sums = _sums(design, begin)
+    follow = np.linalg.pinv(sums[:, :own, :own], hermitian=True) @ sums[:, :own, own:]
     unknowns = _unknowns(samples, state)
     normal = np.zeros((len(expected) + 2, len(expected) + 2))
-    np.add.at(normal, (unknowns[:, :, None], unknowns[:, None, :]), _sums(design, begin))
-    present = np.concatenate([state.place, state.width, state.wall, np.zeros(levels.size)])
+    left = sums[:, own:, own:] - sums[:, own:, :own] @ follow
+    np.add.at(normal, (unknowns[:, :, None], unknowns[:, None, :]), left)
+    present = np.concatenate([state.place, state.width, state.wall])
     known = normal[:-2, :-2] + np.diag(precision)
     inverse = cast(Floats, np.linalg.pinv(known, hermitian=True))
     step = inverse @ (normal[:-2, -2] + precision * (expected - present))
-    steps = np.append(step, [0.0, 0.0])[unknowns].T[:, stretch]
-    residual = design[-1] - np.einsum("mk,mk->k", design, steps)
+    shares = np.append(-step, [1.0, 0.0])[unknowns]
+    shares = np.column_stack([-(follow @ shares[..., None])[..., 0], shares])
+    residual = np.einsum("mk,mk->k", design, shares.T[:, stretch])
     chi2 = max(float(residual @ residual) / freedom, 1.0)
     spread = 1.4826 * float(np.median(np.abs(residual)))
     return _StepSolution(step, inverse * chi2, residual, spread)
@@ -250,22 +255,14 @@ def _sums(rows: Floats, begin: Ints) -> Floats:
 
 
 def _unknowns(samples: StepSamples, state: _StepState) -> Ints:
-    """(S, M) which unknown each row of a stretch's design belongs to, -1: to none.
+    """(S, A + 3) numbers of a stretch's places, width and wall among all unknowns, -1 for none.
 
-    The unknowns: places, widths, walls, and the coefficients of the levels, stretch by stretch.
-    The last row, the brightness itself, is numbered after them.
+    The last is that of the brightness itself, which is numbered after them.
     """
     sizes = np.cumsum([len(state.place), len(state.width), len(state.wall)])
-    level = sizes[2] + np.arange(len(samples.group) * len(samples.level))
-    return np.column_stack(
-        [
-            samples.places,
-            sizes[0] + samples.group,
-            np.where(samples.wall < 0, -1, sizes[1] + samples.wall),
-            level.reshape(len(samples.group), -1),
-            np.full(len(samples.group), sizes[2] + len(level)),
-        ]
-    )
+    wall = np.where(samples.wall < 0, -1, sizes[1] + samples.wall)
+    last = np.full(len(wall), sizes[2])
+    return np.column_stack([samples.places, sizes[0] + samples.group, wall, last])
 
 
 def _repeats(places: list[Floats], left: int) -> bool:
