@@ -266,9 +266,9 @@ def read_profiles(
     plane_map = carried(plane_map, rig)
 
     def profiles_of(part: range) -> list[Profile]:
-        frames = [run.frame(index) for index in part]
-        images, dark = [frame.image for frame in frames], [frame.background for frame in frames]
-        stripes = extract_stripes(images, rig.stripe, dark)
+        frames = (run.frame(index) for index in part)
+        shown = ((frame.image, frame.background) for frame in frames)
+        stripes = extract_stripes(shown, rig.stripe)
         return to_profiles(stripes, plane_map, [run.rows[index].position_mm for index in part])
 
     size = min(READ_AT_ONCE, -(-len(run) // cores()) or 1)

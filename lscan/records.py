@@ -61,6 +61,9 @@ class Status(IntEnum):
     AMBIGUOUS = 9  # several lines in this column, and it is not known which is meant
 
 
+_OK, _SATURATED = int(Status.OK), int(Status.SATURATED)
+
+
 def has_value(status: NDArray[np.integer]) -> Mask:
     """Mask, same shape, of the points that hold a number: OK or SATURATED.
 
@@ -68,7 +71,7 @@ def has_value(status: NDArray[np.integer]) -> Mask:
     ----------
     status : integer array, of Status
     """
-    return (status == Status.OK) | (status == Status.SATURATED)
+    return (status == _OK) | (status == _SATURATED)
 
 
 def status_counts(status: NDArray[np.integer]) -> dict[str, int]:

@@ -1,6 +1,6 @@
 """From a picture to the stripe in it: the one function that everybody calls."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from functools import lru_cache
 from typing import TypeVar, cast
@@ -69,19 +69,19 @@ def extract_stripe(
     >>> lscan.extract_stripe(image, lscan.StripeSection()).centre_px
     array([4., 4., 4.])
     """
-    return extract_stripes([image], settings, [background])[0]
+    return extract_stripes([(image, background)], settings)[0]
 
 
 def extract_stripes(
-    images: Sequence[Bytes], settings: StripeSection, backgrounds: Sequence[Bytes | None]
+    shown: Iterable[tuple[Bytes, Bytes | None]], settings: StripeSection
 ) -> list[Stripe]:
     """The laser lines in several pictures, as :func:`extract_stripe` finds that in each.
 
     Parameters
     ----------
-    images : sequence of array, uint8, DN, grey or RGB
+    shown : iterable of tuple, each picture (array, uint8, DN, grey or RGB), and the same view with
+        the laser off or None; one is taken after the other
     settings : StripeSection, as for ``extract_stripe``
-    backgrounds : sequence of array or None, for each picture the same view with the laser off
 
     Raises
     ------
@@ -89,21 +89,18 @@ def extract_stripes(
         As ``extract_stripe``.
     """
     extractor = find_extractor(settings.extractor)
-    lights = [
-        _light(image, settings, background)
-        for image, background in zip(images, backgrounds, strict=True)
-    ]
-    chosen = [_chosen(light, known) for light, known in lights]
-    pictures = [
-        (one.image, known, one.clipped) for one, (_, known) in zip(chosen, lights, strict=True)
-    ]
-    found = zip(_called(extractor, pictures), chosen, lights, strict=True)
-    return [_finished(stripe, one, *light) for stripe, one, light in found]
+    seen = [_seen(image, settings, background) for image, background in shown]
+    stripes = _called(extractor, [(one.image, known, one.clipped) for one, _, known in seen])
+    return [_finished(stripe, *one) for stripe, one in zip(stripes, seen, strict=True)]
 
 
-def _chosen(light: PictureLines, settings: StripeSection) -> OneReturn:
+def _seen(
+    image: Bytes, settings: StripeSection, background: Bytes | None
+) -> tuple[OneReturn, PictureLines, StripeSection]:
+    """The picture with one line in each column, that with all, and the settings for both."""
+    light, known = _light(image, settings, background)
     white = light.white is not None and bool(light.white.any())
-    return choose_return(light.grey.T, settings, light.clipped.T, white)
+    return choose_return(light.grey.T, known, light.clipped.T, white), light, known
 
 
 def _finished(

@@ -4,10 +4,10 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
 from lscan.records import Floats, GreyValues, Ints, Mask, select
+from lscan.stripe.peaks import all_windows
 
 Singles = NDArray[np.float32]
 
@@ -173,7 +173,7 @@ def spots_near(columns: GreyValues, threshold_dn: float) -> Spots | None:
         return None
     start = np.clip(top - _ROOM_PX - _SEEN_PX, 0, height - length)
     first = max(int((top - start).min()) - _ROOM_PX, 0)
-    seen = sliding_window_view(columns, length, axis=1)[column, start]
+    seen = all_windows(columns, length)[column, start]
     last = int((bottom - start).max()) + _ROOM_PX
     spots = spots_of(relief_of(seen, rows=slice(first, last + 1)), threshold_dn)
     where, moved = spots.column, (start + first)[spots.column]
@@ -258,6 +258,8 @@ def runs_of(spots: Spots) -> Ints:
     for apart in range(1, GAP + 1):
         left, right = np.flatnonzero(open_right), np.flatnonzero(open_left)
         first, second = _equals(column[left] + apart, column[right])
+        if len(first) == 0:
+            continue
         first, second = left[first], right[second]
         distance = np.abs(middle[first] - middle[second])
         near = distance <= (height[first] + height[second]) / 2 + apart
@@ -268,7 +270,7 @@ def runs_of(spots: Spots) -> Ints:
         before[second] = first
     while (before[before] != before).any():  # on to the first of each run, in doubling steps
         before = before[before]
-    return np.unique(before, return_inverse=True)[1]
+    return (np.cumsum(before == np.arange(count)) - 1)[before]
 
 
 def _is_least(group: Ints, value: Floats) -> Mask:

@@ -1,9 +1,8 @@
 """How wide the laser line is in a picture."""
 
 import numpy as np
-from scipy.signal import peak_widths
 
-from lscan.records import GreyValues, Ints
+from lscan.records import Floats, GreyValues, Ints
 from lscan.stripe.peaks import windows
 from lscan.stripe.ranks import crests
 
@@ -27,7 +26,15 @@ def line_width(columns: GreyValues, at: Ints) -> float:
     reach = min(_REACH_PX, columns.shape[1] - 1)
     crest = crests(columns)[at]
     profile = windows(columns, at, crest, reach).mean(axis=0)
-    profile = profile - profile.min()
-    height, ends = profile[[reach]], np.array([[0], [2 * reach]])  # its lowest value is 0
-    (fwhm,), *_ = peak_widths(profile, [reach], rel_height=0.5, prominence_data=(height, *ends))
-    return max(float(fwhm) / _FWHM, _NARROWEST_PX)
+    half = (profile[reach] + profile.min()) / 2
+    fwhm = _reach(profile[reach:], half) + _reach(profile[reach::-1], half)
+    return max(fwhm / _FWHM, _NARROWEST_PX)
+
+
+def _reach(flank: Floats, level: float) -> float:
+    """Pixels from the first of a flank to where it first falls to a level, or to its end."""
+    low = flank <= level
+    at = int(low.argmax())
+    if not low[at]:
+        return float(len(flank) - 1)
+    return at - float((level - flank[at]) / (flank[at - 1] - flank[at])) if at else 0.0

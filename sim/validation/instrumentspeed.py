@@ -71,8 +71,7 @@ def extractor_time(run: Run, plane_map: PlaneMap, extractor: str, bar: float, re
         decoding, frames = timed(lambda: [run.frame(index) for index in chosen])
 
         def profiles() -> list[Profile]:
-            images = [frame.image for frame in frames]
-            stripes = extract_stripes(images, settings, [None] * len(frames))
+            stripes = extract_stripes(((frame.image, None) for frame in frames), settings)
             return to_profiles(stripes, plane_map, [frame.position_mm for frame in frames])
 
         return decoding / size, timed(profiles)[0] / size

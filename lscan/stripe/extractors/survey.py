@@ -18,7 +18,7 @@ from lscan.stripe.crosssection import LN_HEIGHT, LN_WIDTH, TILT, parameters_of
 from lscan.stripe.fit import LineFit, LinePrior, LineSearch, LineWindows, fit_lines
 from lscan.stripe.noise.model import Noise, constant_variance, sampled, stated_noise
 from lscan.stripe.noise.scatter import Scatter, scatter_of
-from lscan.stripe.peaks import Peaks, nominal_peaks, windows
+from lscan.stripe.peaks import Peaks, all_windows, nominal_peaks, windows
 
 _SAMPLE = 256
 _NEIGHBOURS = 9  # of the sample, whose median holds for the columns between them
@@ -213,10 +213,11 @@ def _constant_aside(columns: GreyValues, peaks: Peaks, width_px: Floats) -> floa
     sample = sample[sampled(len(sample))]
     height = columns.shape[1]
     reach = int(np.ceil(6 * np.median(width_px))) + 2
-    rows = (peaks.rows[sample, None] + np.arange(reach, height - reach)) % height
-    if rows.shape[1] < 3:
+    if height - 2 * reach < 3:
         return constant_variance(columns)
-    return constant_variance(columns[peaks.columns[sample, None], rows])
+    seen = columns[peaks.columns[sample]]
+    around = all_windows(np.concatenate([seen, seen], axis=1), height - 2 * reach)
+    return constant_variance(around[np.arange(len(sample)), (peaks.rows[sample] + reach) % height])
 
 
 def _sample(count: int) -> Ints:

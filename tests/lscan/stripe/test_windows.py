@@ -62,7 +62,7 @@ def test_windows_hold_the_spots_of_the_whole_picture(image: Bytes, threshold_dn:
 def test_lines_fitted_together_are_those_of_each_picture(images: list[Bytes]) -> None:
     images.append(np.zeros_like(images[0]))
     chosen = StripeSection(extractor="ml")
-    together = extract_stripes(images, chosen, [None] * len(images))
+    together = extract_stripes([(image, None) for image in images], chosen)
     for image, stripe in zip(images, together, strict=True):
         alone = extract_stripe(image, chosen)
         np.testing.assert_array_equal(stripe.status, alone.status)
