@@ -221,8 +221,21 @@ def _excess(own: Bytes, others: Bytes, clipping_dn: int) -> tuple[GreyValues, Ma
     excess = own.astype(np.int16) - others
     # Pixels beside clipped ones are white as well: coding and blur take them below the end.
     bright = own >= _WHITE * clipping_dn
-    if not bright.any():
+    lines = np.flatnonzero(bright.any(axis=1))
+    if len(lines) == 0:
         return excess, bright
+    pixels = np.flatnonzero(bright.any(axis=0))
+    # Twice as far as a crest reaches nothing beyond counts, and nothing beyond is changed.
+    part = slice(max(pixels[0] - 2 * _CREST_PX, 0), pixels[-1] + 2 * _CREST_PX + 1)
+    crest = np.zeros_like(bright)
+    excess[lines, part], crest[lines, part] = _raised(
+        excess[lines, part], others[lines, part], bright[lines, part]
+    )
+    return excess, crest
+
+
+def _raised(excess: GreyValues, others: Bytes, bright: Mask) -> tuple[GreyValues, Mask]:
+    """The same of a part of the lines, ``bright`` where a colour nears the end of its range."""
     near = cv2.dilate(bright.astype(np.uint8), np.ones((1, 3), np.uint8)) > 0
     across = np.ones((1, _CREST_PX), np.uint8)
     closed = cv2.morphologyEx(excess, cv2.MORPH_CLOSE, across)
