@@ -31,7 +31,7 @@ def core_flux(stripe: Stripe, light: GreyValues) -> Floats:
     row = np.rint(stripe.centre_px[valued]).astype(int)
     steps = np.abs(np.arange(-GROUND_PX[1], GROUND_PX[1] + 1))
     beside, core = steps >= GROUND_PX[0], steps <= CORE_PX
-    near = windows(light, valued, row, GROUND_PX[1])
-    total = (near[:, core] - near[:, beside].mean(axis=1)[:, None]).sum(axis=1)
+    weights = core * beside.sum() - beside * core.sum()  # whole: of even light nothing is left
+    total = windows(light, valued, row, GROUND_PX[1]) @ weights / beside.sum()
     flux[valued] = np.where(total > 0, total, np.nan)
     return flux

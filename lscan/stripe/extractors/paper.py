@@ -128,11 +128,10 @@ def _centroid_offset(window: Floats) -> tuple[Floats, Floats]:
 
 
 def _relative_offset(window: Floats) -> tuple[Floats, Floats]:
-    lowest = window.argmin(axis=1)[:, None]
-    offset, slope = _centroid_offset(window - np.take_along_axis(window, lowest, axis=1))
+    each, lowest = np.arange(len(window)), window.argmin(axis=1)
+    offset, slope = _centroid_offset(window - window[each, lowest][:, None])
     # The lowest pixel is taken off all weights, so it moves the centroid through all of them.
-    of_lowest = np.take_along_axis(slope, lowest, axis=1) - slope.sum(axis=1, keepdims=True)
-    np.put_along_axis(slope, lowest, of_lowest, axis=1)
+    slope[each, lowest] -= slope.sum(axis=1)
     return offset, slope
 
 
