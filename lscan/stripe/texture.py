@@ -112,7 +112,7 @@ def outshone(columns: GreyValues, spots: Spots, threshold_dn: float) -> Mask:
     row = crests(columns)
     within = np.abs(spots.middle - row[spots.column]) <= spots.height / 2 + 1
     # The ground lies between the least and the highest pixel.
-    bright = columns.max(axis=1) - columns.min(axis=1) >= threshold_dn
+    bright = columns[np.arange(len(columns)), row] - columns.min(axis=1) >= threshold_dn
     bright[spots.column[within]] = False
     at = np.flatnonzero(bright)
     if len(at):
