@@ -11,9 +11,10 @@ from lscan.records import GreyValues, Ints, Mask, Status, Stripe
 from lscan.stripe.api import Picture, on_integers, together
 from lscan.stripe.crosssection import CENTRE, LN_WIDTH, TILT
 from lscan.stripe.extractors.survey import Survey, surveys, weak_precision
-from lscan.stripe.fit import LineFit, LinePrior, LineSearch, fit_lines
+from lscan.stripe.fit import LineFit, fit_lines
 from lscan.stripe.noise.model import robust_variance
 from lscan.stripe.peaks import centred, clipped_near
+from lscan.stripe.scoring import LinePrior, LineSearch
 
 _NEIGHBOURS = 31
 _FEWEST_TRIPLES = 16

@@ -18,9 +18,9 @@ from lscan.records import Floats, GreyValues, Mask, Stripe
 from lscan.stripe.api import Extractor, on_integers
 from lscan.stripe.crosssection import lines, parameters_of
 from lscan.stripe.extractors.survey import Survey, survey
-from lscan.stripe.fit import LineWindows
 from lscan.stripe.noise.model import Noise
 from lscan.stripe.peaks import centred
+from lscan.stripe.scoring import LineWindows
 
 
 @dataclass(frozen=True)
