@@ -1,7 +1,7 @@
 """The tank: from a scene to radiance, in layers, wherever the head stands."""
 
 import logging
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from math import ceil
 from typing import Any
@@ -11,7 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lscan.errors import InputError
-from sim.meshes import scene_parts
+from sim.meshes import MeshPart, scene_parts
+from sim.render.ambient.field import AmbientField, OpenSky, sky_of
+from sim.render.ambient.picture import ambient_picture
 from sim.render.fineness import binned, fineness_of, finer_lens
 from sim.render.materials import mitsuba_shape
 from sim.render.plugins.base import WaterIntegrator
@@ -101,10 +103,13 @@ class Tank:
         self.higher = MultipleIntegrator(mi.Properties())
         is_lit = scene.tank.light.ambient_w_m2_sr > 0
         self._daylight = SheetIntegrator(mi.Properties()) if is_lit else None
+        self._sky: AmbientField | OpenSky | None = None
         self._tune(laser.wavelength_nm)
         self._camera, self._random_camera = self.make_camera(), self.make_camera(jitter=True)
-        self.mitsuba_scene = mi.load_dict(self._scene_dict())
+        parts = scene_parts(scene)
+        self.mitsuba_scene = mi.load_dict(self._scene_dict(parts))
         self._sparse = None if sampled else self._few_rays()
+        self._sky = self._known_sky(parts)
         self.place(scene.rig.plan.start_mm)
 
     def make_camera(
@@ -215,9 +220,11 @@ class Tank:
         # The noise of one picture of a scan says nothing about that of the next.
         place = np.array([position_mm]).view(np.uint64)
         seed = int(np.random.SeedSequence([render.seed, int(place[0])]).generate_state(1)[0])
-        first = self._first_order(position_mm, samples, seed)
         more = render.scatter_samples if scatter_samples is None else scatter_samples
-        if more > 0:
+        if self._daylight is not None and self._sky is not None:
+            self._daylight.light_by(self._sky, higher=more > 0)
+        first = self._first_order(position_mm, samples, seed)
+        if more > 0 and (self.sheets or self.higher.has_ambient):
             share = ceil(more / parts)
             higher = self._layers(self._random_camera, self.higher, share, seed)
             for name, layer in higher.items():
@@ -234,6 +241,10 @@ class Tank:
         direct, scattered = (layer * np.float32(W_PER_M2_IN_MW_PER_MM2) for layer in laser)
         if self._daylight is None:
             ambient = np.zeros_like(direct)
+        elif self._sky is not None:
+            ambient = ambient_picture(
+                self.mitsuba_scene, self._camera, self._daylight, self._sparse.rays, head, samples
+            ) * np.float32(W_PER_M2_IN_MW_PER_MM2)
         else:
             ambient = self._layers(self._camera, self._daylight, share, seed)["ambient"]
         return {"direct": direct, "scattered": scattered, "ambient": ambient}
@@ -275,8 +286,9 @@ class Tank:
         for sheet, line in zip(self.sheets, self._lines, strict=True):
             sheet.configure(tank.laser, line, self.water.index, wavelength_nm)
         ambient = tank.light.ambient_w_m2_sr / W_PER_M2_IN_MW_PER_MM2
-        for integrator in (self.integrator, self.higher):
-            integrator.configure(self.water, self.sheets, ambient, tank.light.penumbra)
+        self.integrator.configure(self.water, self.sheets, ambient, tank.light.penumbra)
+        drawn = ambient if self._sky is None else 0.0
+        self.higher.configure(self.water, self.sheets, drawn, tank.light.penumbra)
         if self._daylight is not None:
             self._daylight.configure(self.water, (), ambient, tank.light.penumbra)
 
@@ -293,13 +305,24 @@ class Tank:
             aperture_mm=aperture_mm,
         )
 
-    def _scene_dict(self) -> dict[str, object]:
-        parts = {
-            f"part-{k}": mitsuba_shape(part, self.water.index)
-            for k, part in enumerate(scene_parts(self.scene))
+    def _known_sky(self, parts: Sequence[MeshPart]) -> AmbientField | OpenSky | None:
+        """How ambient light falls on surfaces; None where it is drawn at random.
+
+        That is on glossy surfaces, and on sand, whose grains are finer than a lattice of nodes.
+        """
+        if self._daylight is None or self._sparse is None:
+            return None
+        if self.scene.tank.target.sand is not None or any(p.finish.kind != "matt" for p in parts):
+            return None
+        self.higher.has_ambient = False
+        return sky_of(self.mitsuba_scene, parts, self.water)
+
+    def _scene_dict(self, parts: Sequence[MeshPart]) -> dict[str, object]:
+        shapes = {
+            f"part-{k}": mitsuba_shape(part, self.water.index) for k, part in enumerate(parts)
         }
         lights = {f"sheet-{k}": sheet for k, sheet in enumerate(self.sheets)}
-        return {"type": "scene", **parts, **lights}
+        return {"type": "scene", **shapes, **lights}
 
 
 def stock_medium(water: Optics) -> dict[str, Any]:

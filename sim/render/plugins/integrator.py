@@ -12,7 +12,9 @@ from math import pi, sqrt
 import drjit as dr
 import mitsuba as mi
 
+from sim.render.ambient.field import AmbientField, OpenSky, reflectance
 from sim.render.plugins.base import Leg, WaterIntegrator
+from sim.render.plugins.opaque import opaque
 from sim.render.plugins.phase import angle_between
 from sim.render.plugins.sheet import LaserSheet
 
@@ -25,6 +27,26 @@ class SheetIntegrator(WaterIntegrator):
 
     layers = ("direct", "scattered", "ambient")
 
+    def __init__(self, props: mi.Properties) -> None:
+        """Draw directions of the sky at random, until ``light_by`` says otherwise.
+
+        Parameters
+        ----------
+        props : Properties, of the plugin
+        """
+        super().__init__(props)
+        self.sky: AmbientField | OpenSky | None = None
+
+    def light_by(self, sky: AmbientField | OpenSky, higher: bool) -> None:
+        """Take ambient light on surfaces from what is known of it.
+
+        Parameters
+        ----------
+        sky : AmbientField or OpenSky, of the scene that is rendered, whose surfaces are matt
+        higher : bool, whether light by way of other surfaces is counted
+        """
+        self.sky, self.has_higher = sky, opaque(float(higher))
+
     def light(
         self, scene: mi.Scene, sampler: mi.Sampler, ray: mi.Ray3f, active: mi.Bool
     ) -> list[mi.Float]:
@@ -36,7 +58,7 @@ class SheetIntegrator(WaterIntegrator):
             if self.has_water:
                 scattered += self.scattered(leg, sheet)
         if self.has_ambient:
-            ambient = self._ambient(leg)
+            ambient = self.ambient(leg)
         return [direct, scattered, ambient]
 
     def scattered(
@@ -83,24 +105,38 @@ class SheetIntegrator(WaterIntegrator):
         loss = dr.exp(-self.extinction * (distance + t))
         return dr.select(valid, light * loss / density, 0.0)
 
-    def _ambient(self, leg: Leg) -> mi.Float:
+    def ambient(self, leg: Leg) -> mi.Float:
         """Uniform ambient light: reflected where the sky is open, and scattered on the way.
 
         In a field of the same radiance L from every side the water adds
         b/c L (1 - exp(-c t)) along a path of length t.
         """
-        si, sampler = leg.si, leg.sampler
+        si = leg.si
         lit = leg.active & si.is_valid()
-        bs, weight = si.bsdf().sample(
-            mi.BSDFContext(), si, sampler.next_1d(lit), sampler.next_2d(lit), lit
-        )
-        lit &= ~leg.scene.ray_test(si.spawn_ray(si.to_world(bs.wo)), lit)
+        straight, indirect = self._sky_light(leg, lit)
         t = dr.select(si.is_valid(), si.t, dr.largest(mi.Float))
         transmittance = dr.exp(-self.extinction * t)
-        surface = dr.select(lit, weight.x * transmittance, 0.0) * self._unshaded(si.p)
+        arrived = straight * self._unshaded(si.p) + indirect
+        surface = dr.select(lit, arrived * transmittance, 0.0)
         albedo = dr.select(self.extinction > 0, self.scattering / self.extinction, 0.0)
         light = self.ambient_radiance * (surface + albedo * (1 - transmittance))
         return dr.select(leg.active, light, 0.0)
+
+    def _sky_light(self, leg: Leg, lit: mi.Bool) -> tuple[mi.Float, mi.Float]:
+        """What surfaces send on of the sky's light: that which comes straight, and the rest.
+
+        From ``sky`` where it is known, else of one random direction, and no rest.
+        """
+        si, sampler = leg.si, leg.sampler
+        if self.sky is not None:
+            straight, indirect = self.sky.received(si, lit)
+            sent = reflectance(si)
+            return sent * straight, sent * indirect * self.has_higher
+        bs, weight = si.bsdf().sample(
+            mi.BSDFContext(), si, sampler.next_1d(lit), sampler.next_2d(lit), lit
+        )
+        blocked = leg.scene.ray_test(si.spawn_ray(si.to_world(bs.wo)), lit)
+        return dr.select(blocked, 0.0, weight.x), mi.Float(0)
 
     def _unshaded(self, point: mi.Point3f) -> mi.Float:
         """Share of the ambient light that reaches a point of a surface."""

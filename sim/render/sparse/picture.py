@@ -61,18 +61,23 @@ class SparseLaserLight:
         if self._rays is None or anew:
             self._rays = head_rays(self._camera, self._integrator, self._head, self._size_px)
 
+    @property
+    def rays(self) -> HeadRays:
+        """The camera's, of the wavelength that ``look`` was called for."""
+        assert self._rays is not None, "look() comes first"
+        return self._rays
+
     def layers(self, head: Pose, samples: int) -> tuple[Picture, Picture]:
         """Direct and scattered light, (f H, f W) in mW/(mm2 sr), of the scene's fineness f.
 
         head: where camera and sheets are placed.  samples: a pixel, where it needs them.
         """
-        assert self._rays is not None, "look() comes first"
         (width, height), fineness = self._size_px, self._fineness
         direct = np.zeros((fineness * height, fineness * width), np.float32)
         if not self._integrator.sheets:
             return direct, np.zeros_like(direct)
         reaches = tuple(sheet_reach(self._scene, sheet) for sheet in self._integrator.sheets)
-        seen = survey(self._scene, self._rays, head, reaches)
+        seen = survey(self._scene, self.rays, head, reaches)
         layers = direct, seen.veil.repeat(fineness, axis=0).repeat(fineness, axis=1)
         if seen.uneven.size:
             side = isqrt(samples)

@@ -1,0 +1,243 @@
+"""Nodes on the triangles of a tank, and between which of them a place lies.
+
+A triangle that is larger than the nodes' spacing holds a lattice along two of its sides, in which
+what nodes know is bilinear; a smaller one holds one node.  Triangles that reach far beyond what
+else stands in the tank, as a floor's, have nodes in a box about that alone.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from math import sqrt
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from lscan.records import Floats, Ints, Mask
+from sim.meshes import MeshPart
+
+ASIDE_MM, ABOVE_MM = 0.05, 0.01  # of nodes: from their triangle's sides, of rays from nodes
+LOOKS, GOLDEN = 8, (sqrt(5) - 1) / 2  # directions that say which side of a triangle is outside
+
+
+@dataclass(frozen=True)
+class SurfaceNodes:
+    """Places on surfaces, N of them.
+
+    Attributes
+    ----------
+    point_mm : (N, 3) array, mm, world frame; not quite on a triangle's sides, along which another
+        surface may stand
+    start_mm : (N, 3) array, mm, just above them
+    normal : (N, 3) array, as the surface is shaded, on the side where more of the sky is open
+    part : (N,) array, number of the part that they lie on
+    inside : (N,) array, whether the node lies within its triangle: some of a lattice's do not
+    """
+
+    point_mm: Floats
+    start_mm: Floats
+    normal: Floats
+    part: Ints
+    inside: Mask
+
+
+@dataclass(frozen=True)
+class Neighbours:
+    """The nodes about places, and their weights, which sum to 1."""
+
+    index: tuple[mi.UInt32, ...]
+    weight: tuple[mi.Float, ...]
+
+    def mean(self, values: mi.Float, active: mi.Bool) -> mi.Float:
+        """Of values at the nodes.
+
+        Parameters
+        ----------
+        values : Float, of all nodes
+        active : Bool, for which places it is wanted
+        """
+        return sum(
+            (
+                weight * dr.gather(mi.Float, values, index, active)
+                for index, weight in zip(self.index, self.weight, strict=True)
+            ),
+            mi.Float(0),
+        )
+
+    def nearest(self) -> mi.UInt32:
+        """The node that weighs most."""
+        node, most = self.index[0], self.weight[0]
+        for index, weight in zip(self.index[1:], self.weight[1:], strict=True):
+            node, most = dr.select(weight > most, index, node), dr.maximum(most, weight)
+        return node
+
+
+class NodeLattice:
+    """The nodes of a tank's parts, ``nodes``, laid ``spacing_mm`` apart."""
+
+    def __init__(
+        self, scene: mi.Scene, parts: Sequence[MeshPart], box_mm: Floats, spacing_mm: float
+    ) -> None:
+        """Lay nodes.
+
+        Parameters
+        ----------
+        scene : mi.Scene, whose shapes are the parts, in their order
+        parts : sequence of MeshPart
+        box_mm : (2, 3) array, mm, least and largest coordinates of where they are laid
+        spacing_mm : float, mm, between nodes
+        """
+        self.spacing_mm = spacing_mm
+        self._shapes = scene.shapes()
+        self._first = np.cumsum([0, *(len(part.mesh.faces) for part in parts)])
+        corners = np.concatenate([_of_faces(part, part.mesh.vertices) for part in parts])
+        normals = np.concatenate([_normals(part) for part in parts])
+        normals[_faces_inwards(scene, corners, normals)] *= -1
+        start, sides = corners[:, 0], corners[:, 1:] - corners[:, :1]
+        duals = _duals(sides)
+        low, span, steps = _laid(start, sides, duals, box_mm, spacing_mm)
+        part = np.repeat(np.arange(len(parts)), np.diff(self._first))
+        self.nodes = _nodes(start, sides, normals, part, low, span, steps)
+        begins = np.cumsum([0, *np.prod(steps + 1, axis=1)])[:-1]
+        self._start, self._begins = _floats(start), mi.UInt32(begins.astype(np.uint32))
+        scale = steps / np.maximum(span, 1e-12)
+        self._axes = [
+            _LatticeAxis(
+                _floats(duals[:, k]),
+                _floats(low[:, k]),
+                _floats(scale[:, k]),
+                mi.UInt32(steps[:, k].astype(np.uint32)),
+            )
+            for k in (0, 1)
+        ]
+
+    def find(self, si: mi.SurfaceInteraction3f, active: mi.Bool) -> Neighbours:
+        """The nodes about places of surfaces.
+
+        Parameters
+        ----------
+        si : SurfaceInteraction3f, the places
+        active : Bool, for which places they are wanted
+        """
+        triangle = mi.UInt32(si.prim_index)
+        for shape, first in zip(self._shapes, self._first[:-1].tolist(), strict=True):
+            triangle += dr.select(si.shape == mi.ShapePtr(shape), mi.UInt32(first), 0)
+        offset = si.p - dr.gather(mi.Point3f, self._start, triangle, active)
+        (u, right, _), (v, up, along) = (
+            axis.place(offset, triangle, active) for axis in self._axes
+        )
+        corner = dr.gather(mi.UInt32, self._begins, triangle, active) + u[0] * (along + 1) + v[0]
+        step = (u[1] - u[0]) * (along + 1), v[1] - v[0]
+        return Neighbours(
+            tuple(corner + a * step[0] + b * step[1] for a in (0, 1) for b in (0, 1)),
+            tuple(a * b for a in (1 - right, right) for b in (1 - up, up)),
+        )
+
+
+@dataclass(frozen=True)
+class _LatticeAxis:
+    """One of two sides of all triangles: the lattice's beginning and scale along it, its steps."""
+
+    dual: mi.Float
+    low: mi.Float
+    scale: mi.Float
+    steps: mi.UInt32
+
+    def place(
+        self, offset: mi.Vector3f, triangle: mi.UInt32, active: mi.Bool
+    ) -> tuple[tuple[mi.UInt32, mi.UInt32], mi.Float, mi.UInt32]:
+        """The nodes before and behind a place, how far between them it is, and all steps."""
+        low, scale = (dr.gather(mi.Float, v, triangle, active) for v in (self.low, self.scale))
+        steps = dr.gather(mi.UInt32, self.steps, triangle, active)
+        along = dr.dot(offset, dr.gather(mi.Vector3f, self.dual, triangle, active))
+        along = dr.clip((along - low) * scale, 0, mi.Float(steps))
+        before = dr.minimum(mi.UInt32(along), dr.maximum(steps, 1) - 1)
+        return (before, dr.minimum(before + 1, steps)), along - mi.Float(before), steps
+
+
+def _of_faces(part: MeshPart, values: Floats) -> Floats:
+    """(T, 3, 3) what vertices have, of the corners of each face."""
+    return np.asarray(np.asarray(values)[part.mesh.faces], dtype=float)
+
+
+def _normals(part: MeshPart) -> Floats:
+    """(T, 3, 3) of the corners of each face, as it is shaded."""
+    if part.smooth:
+        return _of_faces(part, part.mesh.vertex_normals)
+    corners = _of_faces(part, part.mesh.vertices)
+    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    return np.repeat(normal[:, np.newaxis], 3, axis=1)
+
+
+def _faces_inwards(scene: mi.Scene, corners: Floats, normals: Floats) -> Mask:
+    """(T,) triangles whose other side sees more of the sky: of some parts they face inwards."""
+    middle, normal = corners.mean(axis=1), normals.mean(axis=1)
+    normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-30)
+    seen = []
+    for outwards in (normal, -normal):
+        ahead = mi.Vector3f(_columns(outwards))
+        start = mi.Point3f(_columns(middle + ABOVE_MM * outwards))
+        count = mi.Float(0)
+        for k in range(LOOKS):
+            sample = mi.Point2f((k + 0.5) / LOOKS, (k * GOLDEN) % 1)
+            way = mi.warp.square_to_cosine_hemisphere(sample)
+            ray = mi.Ray3f(start, mi.Frame3f(ahead).to_world(way))
+            count += dr.select(scene.ray_test(ray), 0.0, 1.0)
+        seen.append(np.array(count))
+    return np.asarray(seen[1] > seen[0])
+
+
+def _columns(vectors: Floats) -> Floats:
+    return np.ascontiguousarray(vectors.T, dtype=np.float32)
+
+
+def _duals(sides: Floats) -> Floats:
+    """(T, 2, 3) whose products with an offset in the plane are its parts along the two sides."""
+    across = np.cross(sides[:, 0], sides[:, 1])
+    across /= np.maximum(np.sum(across**2, axis=1, keepdims=True), 1e-30)
+    return np.stack([np.cross(sides[:, 1], across), np.cross(across, sides[:, 0])], axis=1)
+
+
+def _laid(
+    start: Floats, sides: Floats, duals: Floats, box_mm: Floats, spacing_mm: float
+) -> tuple[Floats, Floats, Ints]:
+    """(T, 2) where lattices begin along both sides, how far they go, in how many steps."""
+    corners = np.stack(np.meshgrid(*box_mm.T), axis=-1).reshape(-1, 3)
+    place = np.einsum("tsk,tck->tsc", duals, corners - start[:, np.newaxis])
+    low, high = np.clip(place.min(axis=2), 0, 1), np.clip(place.max(axis=2), 0, 1)
+    span = np.maximum(high - low, 0)
+    steps = np.ceil(span * np.linalg.norm(sides, axis=2) / spacing_mm).astype(int)
+    small = np.all(steps <= 1, axis=1)
+    low[small], span[small], steps[small] = 1 / 3, 0, 0
+    return low, span, steps
+
+
+def _nodes(
+    start: Floats,
+    sides: Floats,
+    normals: Floats,
+    part: Ints,
+    low: Floats,
+    span: Floats,
+    steps: Ints,
+) -> SurfaceNodes:
+    """The nodes of all triangles, those of each together."""
+    counts = np.prod(steps + 1, axis=1)
+    triangle = np.repeat(np.arange(len(start)), counts)
+    rank = np.arange(len(triangle)) - np.repeat(np.cumsum(counts) - counts, counts)
+    of = np.column_stack(np.divmod(rank, steps[triangle, 1] + 1))
+    place = low[triangle] + span[triangle] * of / np.maximum(steps[triangle], 1)
+    point = start[triangle] + np.einsum("ns,nsk->nk", place, sides[triangle])
+    shares = np.column_stack([1 - place.sum(axis=1), place])
+    normal = np.einsum("ns,nsk->nk", shares, normals[triangle])
+    normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-30)
+    inside = place.sum(axis=1) < 1 + 1e-6
+    inwards = start[triangle] + sides[triangle].sum(axis=1) / 3 - point
+    inwards /= np.maximum(np.linalg.norm(inwards, axis=1, keepdims=True), ASIDE_MM)
+    point = point + ASIDE_MM * inwards
+    part = part[triangle]
+    return SurfaceNodes(point, point + ABOVE_MM * normal, normal, part, inside)
+
+
+def _floats(values: Floats) -> mi.Float:
+    return mi.Float(np.asarray(values, dtype=np.float32).ravel())
