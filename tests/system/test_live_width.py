@@ -59,7 +59,7 @@ def test_a_line_of_good_width_is_found_best(limits: dict[str, float]) -> None:
     Thinner, the mosaic, which leaves red on every other row, makes it at least three times as
     much; beyond the limit called bad, the noise of the many pixels makes it at least twice.
     """
-    lines = [width_and_error(w) for w in (0.8, 1.2, 1.6, 2.0, 2.6, 3.0, 3.5, 3.8, 5.0, 8.5, 10.0)]
+    lines = [width_and_error(w) for w in (1.0, 1.2, 1.6, 2.0, 2.6, 3.0, 3.5, 3.8, 5.0, 8.5, 10.0)]
     least = min(error for _, error in lines)
     good = [error for width, error in lines if limits["thin"] <= width <= limits["good"]]
     assert len(good) == 3
