@@ -4,6 +4,7 @@ The walks are analog: free paths and turns are drawn as the water scatters, abso
 weight.  Lengths are optical depths.
 """
 
+from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass
 from math import log
@@ -97,7 +98,7 @@ class _Crossing:
     active: mi.Bool
 
 
-class _Walk:
+class _Walk(ABC):
     """The water, surfaces in the order in which photons can cross them, and what they count."""
 
     def __init__(
@@ -152,15 +153,15 @@ class _Walk:
             active &= random.next_float32() < survival
             weight /= survival
 
+    @abstractmethod
     def path(
         self, place: mi.Point3f, towards: mi.Vector3f, depth: mi.Float, lane: mi.UInt32
     ) -> mi.Float:
         """How far it is to the next surface, infinity where it is not ahead."""
-        raise NotImplementedError
 
+    @abstractmethod
     def count(self, at: _Crossing) -> None:
         """Add photons that cross a surface to its sums."""
-        raise NotImplementedError
 
 
 class _ToSpheres(_Walk):

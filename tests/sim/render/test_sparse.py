@@ -16,7 +16,6 @@ from lscan.config.documents import merge
 from lscan.records import Floats
 from sim.render.plugins.opaque import opaque
 from sim.render.sparse import picture
-from sim.render.sparse.cells import lit_cells
 from sim.render.sparse.rays import ROUGHEST
 from sim.render.sparse.survey import _uneven
 from sim.render.tank import Tank
@@ -201,33 +200,6 @@ def pair(here: Tank, position_mm: float, time_s: float) -> tuple[Floats, Floats]
     """Direct and scattered light."""
     layers = here.render(position_mm, SAMPLES, time_s=time_s)
     return layers.direct, layers.scattered
-
-
-@pytest.mark.parametrize("port", ["flat", "dome"])
-def test_without_water_all_power_arrives_in_the_lit_cells(port: str) -> None:
-    """A matt floor of albedo 0.5 shines with 0.5 / pi of what it receives: 10 mW.
-
-    Each edge of the fan, 64 px apart, is seen at 8 places a pixel: 2 / (2 8 64) at most.
-    """
-    scene = tank(
-        camera={"width_px": 160, "height_px": 120},
-        lens={"focal_px": 200.0, "centre_px": [79.5, 59.5], "k1": -0.1},
-        laser={"fan_half_angle_deg": 15.0, "tilt_deg": 4.0, "waist_mm": 12.0},
-        port={"kind": port},
-        floor={"z_mm": -100.0, "albedo": 0.5},
-        water={"kind": "air"},
-        render=FIRST,
-    )
-    here = Tank(scene)
-    layers = here.render(20.0, SAMPLES)
-    assert layers.direct.max() > 0 and not layers.scattered.any()
-    lit = np.flatnonzero(layers.direct)
-    parts = here.mitsuba_scene, here._camera, here.integrator
-    cells = lit_cells(*parts, lit, scene.rig.camera.size_px, 8)
-    assert cells.flux.sum() * np.pi / 0.5 == pytest.approx(10.0, rel=2e-3)
-    np.testing.assert_allclose(cells.normal, [[0, 0, 1]] * len(cells.pixel), atol=1e-6)
-    np.testing.assert_allclose(cells.point_mm[:, 2], -100.0, atol=1e-3)
-    assert np.isin(cells.pixel, lit).all()
 
 
 def test_a_laser_that_is_off_gives_no_light_and_ambient_light_stays() -> None:
