@@ -88,9 +88,9 @@ def sky_of(scene: mi.Scene, parts: Sequence[MeshPart], water: Optics) -> Ambient
     parts : sequence of MeshPart, matt
     water : Optics, between them
     """
-    if _is_convex(parts):
+    if is_convex(parts):
         return OpenSky()
-    box_mm, spacing_mm = _box(parts)
+    box_mm, spacing_mm = box_about(parts)
     lattice = NodeLattice(scene, parts, box_mm, spacing_mm)
     samples = _samples(scene, lattice, water)
     nodes = lattice.nodes
@@ -137,31 +137,52 @@ class AmbientSamples:
 
 def _samples(scene: mi.Scene, lattice: NodeLattice, water: Optics) -> AmbientSamples:
     """Samples of the field, denser and denser where the open sky is not linear between them."""
-    nodes, batch = lattice.nodes, BATCH // DIRECTIONS
+    nodes = lattice.nodes
     cells_mm = np.array(CELLS) * lattice.spacing_mm
-    wanted = candidates = _one_a_cell(nodes, np.flatnonzero(nodes.inside), cells_mm[-1])
+    wanted = candidates = one_a_cell(nodes, np.flatnonzero(nodes.inside), cells_mm[-1])
     found: list[AmbientSamples] = []
     for cell_mm in cells_mm:
-        chosen = _one_a_cell(nodes, wanted, cell_mm)
-        for part in np.array_split(chosen, -(-len(chosen) // batch)):
-            samples = _traced(scene, lattice, water, part)
-            found.append(select(samples, samples.open > 0))  # others are within bodies
+        chosen = one_a_cell(nodes, wanted, cell_mm)
+        found.append(traced_all(scene, lattice, water, chosen))
         candidates = np.setdiff1d(candidates, chosen)
         index, sky = (np.concatenate([getattr(s, k) for s in found]) for k in ("index", "open"))
         wanted = candidates[Interpolation(nodes, index, candidates).residual(sky) > UNEVEN]
         if not wanted.size:
             break
-    fields = zip(*(vars(samples).values() for samples in found), strict=True)
+    return joined(found)
+
+
+def joined(some: Sequence[AmbientSamples]) -> AmbientSamples:
+    """All samples together.
+
+    Parameters
+    ----------
+    some : sequence of AmbientSamples, one at least
+    """
+    fields = zip(*(vars(samples).values() for samples in some), strict=True)
     return AmbientSamples(*(np.concatenate(field) for field in fields))
 
 
-def _one_a_cell(nodes: SurfaceNodes, index: Ints, cell_mm: float) -> Ints:
+def one_a_cell(nodes: SurfaceNodes, index: Ints, cell_mm: float) -> Ints:
     """Of some nodes, one in each cube of space and of directions."""
     place = np.column_stack([nodes.point_mm[index] / cell_mm, 2 * nodes.normal[index]])
     cells = np.round(place).astype(np.int64)
     cells -= cells.min(axis=0)
     _, first = np.unique(np.ravel_multi_index(cells.T, cells.max(axis=0) + 1), return_index=True)
     return index[first]
+
+
+def traced_all(scene: mi.Scene, lattice: NodeLattice, water: Optics, index: Ints) -> AmbientSamples:
+    """What directions from nodes meet, of those nodes that are not within bodies.
+
+    Parameters
+    ----------
+    scene, lattice, water : as the samples are of
+    index : array, of the nodes, one at least
+    """
+    batches = np.array_split(index, -(-len(index) * DIRECTIONS // BATCH))
+    samples = joined([_traced(scene, lattice, water, part) for part in batches])
+    return select(samples, samples.open > 0)
 
 
 def _traced(scene: mi.Scene, lattice: NodeLattice, water: Optics, index: Ints) -> AmbientSamples:
@@ -187,7 +208,7 @@ def _traced(scene: mi.Scene, lattice: NodeLattice, water: Optics, index: Ints) -
     return AmbientSamples(index, 1 - hit.mean(axis=1), veil.mean(axis=1, dtype=float), share, node)
 
 
-def _box(parts: Sequence[MeshPart]) -> tuple[Floats, float]:
+def box_about(parts: Sequence[MeshPart]) -> tuple[Floats, float]:
     """(2, 3) corners of a box about all that stands in the tank, and the spacing of nodes in it."""
     bounds = np.array([part.mesh.bounds for part in parts if part.name != "floor"])
     low, high = bounds[:, 0].min(axis=0), bounds[:, 1].max(axis=0)
@@ -195,13 +216,27 @@ def _box(parts: Sequence[MeshPart]) -> tuple[Floats, float]:
     return np.array([low - BEYOND * side, high + BEYOND * side]), SPACING * side
 
 
-def _is_convex(parts: Sequence[MeshPart]) -> bool:
-    """Whether all surfaces lie on one convex body, or nearly: nothing stands before any."""
+def is_convex(parts: Sequence[MeshPart]) -> bool:
+    """Whether all surfaces lie on one convex body, or nearly: nothing stands before any.
+
+    An open surface that is not flat, as of a bowl, is seen from within too.
+    """
     if not parts:
         return True
     points = np.concatenate([part.mesh.vertices for part in parts])
+    closed = [part.mesh.is_watertight for part in parts]
+    flat = all(_is_flat(p.mesh.vertices) for p, c in zip(parts, closed, strict=True) if not c)
+    if not _is_flat(points) and not (flat and any(closed)):
+        return False
     hull = -np.unique(ConvexHull(points, qhull_options="QJ").equations.round(6), axis=0)
     corners = np.concatenate([part.mesh.vertices[part.mesh.faces] for part in parts])
     some = np.array_split(corners, -(-len(corners) * len(hull) // BATCH))
     depths = ((part @ hull[:, :3].T + hull[:, 3]).max(axis=1).min(axis=1) for part in some)
     return all(np.all(depth < FLAT_MM) for depth in depths)
+
+
+def _is_flat(points: Floats) -> bool:
+    """Whether points lie in one plane, or nearly."""
+    centred = points - points.mean(axis=0)
+    across = np.linalg.svd(centred, full_matrices=False)[2][-1]
+    return bool(np.ptp(centred @ across) < FLAT_MM)

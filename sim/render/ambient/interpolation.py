@@ -1,6 +1,7 @@
 """From samples on surfaces to other nodes of them."""
 
 import numpy as np
+from scipy import sparse
 from scipy.spatial import cKDTree
 
 from lscan.records import Floats, Ints
@@ -19,6 +20,11 @@ class Interpolation:
     """Planes fitted to the nearest samples, of which nearer ones weigh more.
 
     Near is what is close in space, on the same part, and has a like normal.
+
+    Attributes
+    ----------
+    near : (N, K) array, the samples about each wanted node, counted among the samples
+    shares : (N, K) array, of their values in the node's
     """
 
     def __init__(self, nodes: SurfaceNodes, samples: Ints, wanted: Ints) -> None:
@@ -32,8 +38,8 @@ class Interpolation:
         place = np.column_stack([nodes.point_mm, NORMAL_MM * nodes.normal, APART_MM * nodes.part])
         count = min(NEAREST, len(samples))
         found = cKDTree(place[samples]).query(place[wanted], np.arange(1, count + 1))
-        distance, self._near = np.asarray(found[0]), np.asarray(found[1])
-        offset = nodes.point_mm[samples][self._near] - nodes.point_mm[wanted, np.newaxis]
+        distance, self.near = np.asarray(found[0]), np.asarray(found[1])
+        offset = nodes.point_mm[samples][self.near] - nodes.point_mm[wanted, np.newaxis]
         above = np.abs(np.einsum("nki,ni->nk", offset, nodes.normal[wanted]))
         weight = 1 / (distance + ABOVE * above + NEAR_MM) ** 2
         offset *= np.sqrt(weight.mean(axis=1))[:, np.newaxis, np.newaxis]
@@ -42,7 +48,7 @@ class Interpolation:
         self._weighted = (self._terms * weight[..., np.newaxis]).transpose(0, 2, 1)
         ridge = RIDGE * np.diag([0.0, 1.0, 1.0, 1.0])
         self._inverse = np.linalg.inv(self._weighted @ self._terms + ridge)
-        self._shares = (self._inverse[:, :1] @ self._weighted)[:, 0]
+        self.shares = (self._inverse[:, :1] @ self._weighted)[:, 0]
 
     def of(self, values: Floats) -> Floats:
         """Values at the wanted nodes, none beyond those of the samples about it.
@@ -51,9 +57,22 @@ class Interpolation:
         ----------
         values : array, at the samples
         """
-        near = values[self._near]
-        fitted = np.einsum("nk,nk->n", self._shares, near)
+        near = values[self.near]
+        fitted = np.einsum("nk,nk->n", self.shares, near)
         return np.asarray(np.clip(fitted, near.min(axis=1), near.max(axis=1)))
+
+    def matrix(self, samples: int) -> sparse.csr_array:
+        """What turns values at so many samples into those at the wanted nodes, unbounded.
+
+        Parameters
+        ----------
+        samples : int, number of all of them
+        """
+        rows, count = self.near.shape
+        start = np.arange(0, rows * count + 1, count)
+        return sparse.csr_array(
+            (self.shares.ravel(), self.near.ravel(), start), shape=(rows, samples)
+        )
 
     def residual(self, values: Floats) -> Floats:
         """By how much the samples about each wanted node differ from their plane, at most.
@@ -62,6 +81,6 @@ class Interpolation:
         ----------
         values : array, at the samples
         """
-        near = values[self._near][..., np.newaxis]
+        near = values[self.near][..., np.newaxis]
         plane = self._inverse @ (self._weighted @ near)
         return np.asarray(np.abs(self._terms @ plane - near).max(axis=(1, 2)))
