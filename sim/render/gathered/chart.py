@@ -1,0 +1,168 @@
+"""A map of the camera's view in the water and around it: a stereographic chart of directions.
+
+The chart is conformal: the angle q between two directions, at z1 and z2 on the chart, is
+2 sin(q / 2) = |z1 - z2| c1 c2, with c the cosine of half their angle from the middle.  All its
+rays start at one place, the point that the camera's rays pass nearest to; behind a flat port they
+miss it by less than a millimetre.  Around the picture, from where only light that spreads widely
+gets into it, the chart's cells are COARSER.
+"""
+
+from dataclasses import dataclass
+from math import ceil, tan
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lscan.records import Floats
+from sim.render.sparse.rays import HeadRays
+from sim.scene import Head, camera_pose
+
+Picture = NDArray[np.float32]
+# Of the picture's size on either side: of the fine cells, and of the coarse ones, for in turbid
+# water light comes from there too (at 5 NTU, with half of it, 5 to 15 % are missing in corners).
+BESIDE, BEYOND = 0.06, 1.0
+WIDEST_RAD = 1.3  # off the middle
+CELLS = 144  # fine ones, along the wider side
+COARSER = 4
+
+
+@dataclass(frozen=True)
+class ChartGrid:
+    """Square cells on the chart, row by row; vectors in the head's frame.
+
+    Attributes
+    ----------
+    shape : (rows, columns)
+    cell : float, a cell's side on the chart, which is rad in its middle
+    corner : (2,) x and y on the chart of the first cell's middle
+    pivot : (3,) mm, where the rays start
+    directions, right, down : (3, N) unit vectors: of the rays, and across them along the chart
+    half_cosine : (rows, columns) c
+    """
+
+    shape: tuple[int, int]
+    cell: float
+    corner: Floats
+    pivot: Floats
+    directions: Floats
+    right: Floats
+    down: Floats
+    half_cosine: Picture
+
+    @property
+    def solid_angle(self) -> Picture:
+        """(rows, columns) of the cells, sr."""
+        return np.float32(self.cell**2) * self.half_cosine**4
+
+
+@dataclass(frozen=True)
+class Chart:
+    """The view in fine cells, and all around it in coarse ones.
+
+    Attributes
+    ----------
+    inner, outer : ChartGrid
+    block : slices of the rows and of the columns of ``outer`` that ``inner`` takes the place of
+    axes : (3, 3) the camera's in the head's frame, as columns
+    pixels : (2, H, W) columns and rows of ``inner``, in cells, at which the pixels' rays lie
+    near_mm : float, from the pivot to where the rays start, on average
+    pixel_rad : (H, W) the square root of a pixel's solid angle
+    """
+
+    inner: ChartGrid
+    outer: ChartGrid
+    block: tuple[slice, slice]
+    axes: Floats
+    pixels: Picture
+    near_mm: float
+    pixel_rad: Picture
+
+    def place(self, grid: ChartGrid, point: Floats) -> Floats:
+        """(2, N) columns and rows of a grid, in cells, of (3, N) points in the head's frame."""
+        offset = point - grid.pivot[:, np.newaxis]
+        way = offset / np.linalg.norm(offset, axis=0)
+        return (_on_chart(way, self.axes) - grid.corner[:, np.newaxis]) / grid.cell
+
+    def between(self, grid: ChartGrid, place: Floats) -> Floats:
+        """(3, N) directions at (2, N) columns and rows of a grid, in cells, head frame."""
+        x, y = grid.corner[:, np.newaxis] + grid.cell * place
+        return np.asarray(self.axes @ _directions(x, y)[0])
+
+
+def make_chart(rays: HeadRays, head: Head) -> Chart:
+    """The chart of a camera's view.
+
+    Parameters
+    ----------
+    rays : HeadRays, of its pixels and of those around the picture
+    head : Head, on which the camera is
+    """
+    axes, shape = camera_pose(head).rotation, rays.size_px[::-1]
+    origin, way = np.array(rays.origin, dtype=float), np.array(rays.direction, dtype=float)
+    pivot = _nearest_point(origin, way)
+    places = _on_chart(way, axes)
+    low, size = places.min(axis=1), np.ptp(places, axis=1)
+    cell = float(size.max() * (1 + 2 * BESIDE) / CELLS)
+    counts = [8 * ceil(side * (1 + 2 * BESIDE) / cell / 8) for side in size]
+    corner = low + size / 2 - cell * (np.array(counts) - 1) / 2
+    reach = 2 * tan(WIDEST_RAD / 2)
+    more = [ceil(min(BEYOND * side, max(reach - side / 2, 0)) / (COARSER * cell)) for side in size]
+    inside = [count // COARSER for count in counts]
+    # An even number of all: the grid is halved once and again.
+    more = [
+        count + (-(middle + 2 * count) % 8) // 2 for count, middle in zip(more, inside, strict=True)
+    ]
+    wide = [middle + 2 * count for middle, count in zip(inside, more, strict=True)]
+    outer_corner = corner + cell * (COARSER - 1) / 2 - COARSER * cell * np.array(more)
+    places = places.reshape(2, *shape)
+    (ux, vx), (uy, vy) = ((z[1:-1, 2:] - z[1:-1, :-2], z[2:, 1:-1] - z[:-2, 1:-1]) for z in places)
+    area = np.abs(ux * vy - vx * uy) / 4
+    seen = places[:, 1:-1, 1:-1]
+    return Chart(
+        inner=_grid(axes, pivot, corner, cell, counts),
+        outer=_grid(axes, pivot, outer_corner, COARSER * cell, wide),
+        block=(slice(more[1], more[1] + inside[1]), slice(more[0], more[0] + inside[0])),
+        axes=axes,
+        pixels=((seen - corner[:, np.newaxis, np.newaxis]) / cell).astype(np.float32),
+        near_mm=float(((origin - pivot[:, np.newaxis]) * way).sum(axis=0).mean()),
+        pixel_rad=(np.sqrt(area) / (1 + (seen**2).sum(axis=0) / 4)).astype(np.float32),
+    )
+
+
+def _grid(axes: Floats, pivot: Floats, corner: Floats, cell: float, counts: list[int]) -> ChartGrid:
+    columns, rows = counts
+    x, y = np.meshgrid(corner[0] + cell * np.arange(columns), corner[1] + cell * np.arange(rows))
+    directions, right, down, scale = _directions(x.ravel(), y.ravel())
+    return ChartGrid(
+        shape=(rows, columns),
+        cell=cell,
+        corner=corner,
+        pivot=pivot,
+        directions=axes @ directions,
+        right=axes @ right,
+        down=axes @ down,
+        half_cosine=np.sqrt(scale).reshape(rows, columns).astype(np.float32),
+    )
+
+
+def _nearest_point(origin: Floats, way: Floats) -> Floats:
+    """(3,) the point whose squared distances from lines add up to the least."""
+    across = np.eye(3) * way.shape[1] - way @ way.T
+    along = (origin * way).sum(axis=0)
+    return np.linalg.solve(across, (origin - along * way).sum(axis=1))
+
+
+def _on_chart(way: Floats, axes: Floats) -> Floats:
+    """(2, N) places of (3, N) unit vectors of the head's frame."""
+    seen = axes.T @ way
+    return np.asarray(2 * seen[:2] / (1 + seen[2]))
+
+
+def _directions(x: Floats, y: Floats) -> tuple[Floats, Floats, Floats, Floats]:
+    """(3, N) directions at places of the chart, camera frame, the axes there, and (N,) c2."""
+    scale = 1 / (1 + (x**2 + y**2) / 4)
+    half, cross = scale / 2, -x * y * scale / 2
+    direction = np.stack([x * scale, y * scale, 2 * scale - 1])
+    right = np.stack([1 - x**2 * half, cross, -x * scale])
+    down = np.stack([cross, 1 - y**2 * half, -y * scale])
+    return direction, right, down, scale
