@@ -1,0 +1,62 @@
+"""How much of the light that a sheet's rays scatter onto a surface other surfaces let through."""
+
+from math import pi
+
+import drjit as dr
+import mitsuba as mi
+
+from sim.render.plugins.phase import PhaseTable
+from sim.render.plugins.sheet import LaserSheet
+
+# Rays of the sheet that stand for all, and places on each: of equal shares of the light that is
+# scattered once where it falls off as the square of the distance from the ray.
+RAYS, PLACES = 6, 4
+START_MM = 0.01  # off the surface
+
+
+def visible_share(
+    scene: mi.Scene,
+    sheet: LaserSheet,
+    phase: PhaseTable,
+    point: mi.Point3f,
+    normal: mi.Vector3f,
+) -> mi.Float:
+    """Share of the sheet's light, scattered once, that gets to places of surfaces, 0 to 1.
+
+    Parameters
+    ----------
+    scene : mi.Scene
+    sheet : LaserSheet, where it is placed
+    phase : PhaseTable, of the water
+    point : Point3f, mm, world frame
+    normal : Vector3f, of the surface, on the side that is lit
+    """
+    count = RAYS * PLACES
+    lane = dr.arange(mi.UInt32, dr.width(point) * count)
+    index, number = lane // count, lane % count
+    point, normal = dr.gather(mi.Point3f, point, index), dr.gather(mi.Vector3f, normal, index)
+    phi, rho, s = sheet.coordinates(point, mi.Float(0))
+    aside = dr.maximum(dr.abs(s), 0.5 * sheet.half_width(rho))
+    ray, place = mi.Float(number // PLACES), mi.Float(number % PLACES)
+    along = aside * dr.tan(pi * ((ray + 0.5) / RAYS - 0.5))
+    angle = phi + along / rho
+    inside = dr.abs(angle) <= sheet.half_angle
+    way = dr.normalize(sheet.direction(angle))
+    apex = sheet.apex(mi.Float(0))
+    offset = point - apex
+    foot = dr.dot(offset, way)
+    beside = dr.norm(offset - way * foot)
+    below = phase.line_integral(dr.atan2(beside, foot))
+    above = phase.line_integral(mi.Float(pi / 2))
+    turned = phase.sample_line(below, above, (place + 0.5) / PLACES)
+    source = apex + way * dr.maximum(foot - beside / dr.tan(turned), 0)
+    towards = source - point
+    distance = dr.norm(towards)
+    towards /= distance
+    weight = dr.select(inside, dr.maximum(dr.dot(towards, normal), 0), 0.0)
+    start = point + normal * START_MM
+    shadow = mi.Ray3f(start, towards)
+    shadow.maxt = distance
+    seen = dr.select(scene.ray_test(shadow, weight > 0), 0.0, weight)
+    total, open_share = dr.block_sum(weight, count), dr.block_sum(seen, count)
+    return dr.select(total > 0, open_share / total, 1.0)
