@@ -1,0 +1,183 @@
+"""Light that surfaces send to and fro: what a tank's patches make of the light that they receive.
+
+The surfaces stand still, so what patches receive of the light they all send, over every number of
+reflections, is one matrix.
+"""
+
+import hashlib
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from math import ceil, pi
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+from scipy import sparse
+
+from lscan.records import Floats
+from sim.meshes import MeshPart
+from sim.render.ambient.field import (
+    DIRECTIONS,
+    AmbientSamples,
+    box_about,
+    joined,
+    one_a_cell,
+    traced_all,
+)
+from sim.render.ambient.interpolation import Interpolation
+from sim.render.ambient.lattice import NodeLattice
+from sim.render.plugins.opaque import aligned
+from sim.water import Optics
+from sim.water.tablecache import kept_arrays
+
+# Sides of the cells that hold a patch each, in the lattice's spacings: about surfaces of whose
+# sky more than SHADED is hidden they are the least of FINE that gives no more patches.
+MOST_PATCHES = 1200
+COARSE, FINE, SHADED = 8.0, (1.0, 1.4, 2.0, 2.8, 4.0), 0.1
+FORMAT = 1  # of the kept files: raised where other numbers would be written
+ANGLES = 4096  # at which the phase function is summed
+
+
+def lasting(water: Optics) -> Optics:
+    """The water as light among surfaces meets it: with scattering less what goes on forwards.
+
+    Light that turns by little on a way which is short against the attenuation length lands beside
+    where it would have: it is not lost.  By the similarity relation b becomes b (1 - g), with g the
+    mean cosine of a turn.  What of the rest reaches surfaces all the same is neglected.
+
+    Parameters
+    ----------
+    water : Optics
+
+    References
+    ----------
+    van de Hulst, H. C. (1980). Multiple Light Scattering. Academic Press, chapter 14.
+    """
+    angle = np.geomspace(1e-7, pi, ANGLES)
+    middle = np.sqrt(angle[1:] * angle[:-1])
+    lost = 2 * pi * water.phase(middle) * np.sin(middle) * (1 - np.cos(middle)) * np.diff(angle)
+    return replace(water, scattering_per_mm=water.scattering_per_mm * float(lost.sum()))
+
+
+class Bounces:
+    """Patches of a tank's surfaces, and what they make of the light that they receive."""
+
+    def __init__(self, scene: mi.Scene, parts: Sequence[MeshPart], water: Optics) -> None:
+        """Trace directions from the patches, once a tank.
+
+        Parameters
+        ----------
+        scene : mi.Scene, its shapes are the parts
+        parts : sequence of MeshPart, matt
+        water : Optics, as ``lasting``
+        """
+        box_mm, spacing_mm = box_about(parts)
+        self._lattice = NodeLattice(scene, parts, box_mm, spacing_mm)
+        kept = kept_arrays(_name(parts, water), lambda: _tables(scene, self._lattice, water))
+        index, self._more = kept["index"].astype(np.intp), kept["more"]
+        self._near = mi.UInt32(kept["near"].astype(np.uint32).ravel())
+        self._shares = mi.Float(kept["shares"].ravel())
+        self._nodes, self._each = kept["near"].shape
+        nodes = self._lattice.nodes
+        point, normal = (
+            np.ascontiguousarray(values[index].T, dtype=np.float32)
+            for values in (nodes.point_mm, nodes.normal)
+        )
+        self.point, self.normal = mi.Point3f(point), mi.Vector3f(normal)
+
+    def of(self, irradiance: Floats) -> Floats:
+        """What patches receive of the light that patches reflect, any number of times, (N,).
+
+        Parameters
+        ----------
+        irradiance : (N,) mW/mm2, what the patches receive without that
+        """
+        return np.einsum("mn,n->m", self._more, irradiance)
+
+    def field(self, values: Sequence[Floats]) -> "PatchField":
+        """Values of patches, to be known at all places of surfaces.
+
+        Parameters
+        ----------
+        values : sequence of (N,) arrays, which are read in groups of four
+        """
+        groups = ceil(len(values) / 4)
+        columns = np.zeros((len(self._more), 4 * groups), np.float32)
+        columns[:, : len(values)] = np.stack(values, axis=-1)
+        patches = aligned(columns)
+        lane = dr.arange(mi.UInt32, self._nodes * groups)
+        node, group, total = lane // groups, lane % groups, mi.Vector4f(0)
+        for k in range(self._each):
+            place = self._each * node + k
+            near = dr.gather(mi.UInt32, self._near, place)
+            value = dr.gather(mi.Vector4f, patches, groups * near + group)
+            total += dr.gather(mi.Float, self._shares, place) * value
+        return PatchField(self._lattice, dr.ravel(total), len(values))
+
+
+@dataclass(frozen=True)
+class PatchField:
+    """Numbers known at the lattice's nodes, in groups of four for each."""
+
+    lattice: NodeLattice
+    values: mi.Float
+    count: int
+
+    def at(self, si: mi.SurfaceInteraction3f) -> list[mi.Float]:
+        """The numbers at places of surfaces.
+
+        Parameters
+        ----------
+        si : SurfaceInteraction3f, the places
+        """
+        active, groups = si.is_valid(), ceil(self.count / 4)
+        about = self.lattice.find(si, active)
+        totals = [mi.Vector4f(0) for _ in range(groups)]
+        for node, weight in zip(about.index, about.weight, strict=True):
+            for group in range(groups):
+                place = groups * node + group
+                totals[group] += weight * dr.gather(mi.Vector4f, self.values, place, active)
+        numbers = [number for total in totals for number in total]
+        return [dr.maximum(number, 0) for number in numbers[: self.count]]
+
+
+def _name(parts: Sequence[MeshPart], water: Optics) -> str:
+    """Of the kept file, by all that the tables depend on."""
+    told = hashlib.sha256(repr((FORMAT, water.extinction_per_mm)).encode())
+    for part in parts:
+        told.update(repr((part.albedo, part.smooth)).encode())
+        arrays = [part.mesh.vertices, part.mesh.faces]
+        arrays += [part.paint.levels, part.paint.uv] if part.paint is not None else []
+        for array in arrays:
+            told.update(np.ascontiguousarray(array).tobytes())
+    return f"patches-{told.hexdigest()[:32]}"
+
+
+def _tables(scene: mi.Scene, lattice: NodeLattice, water: Optics) -> dict[str, Floats]:
+    """Which nodes are patches, what comes of light on them, and which ones each node is near."""
+    nodes = lattice.nodes
+    samples = _patches(scene, lattice, water)
+    index = samples.index
+    about = Interpolation(nodes, index, np.arange(len(nodes.inside)))
+    patch = np.repeat(np.arange(len(index)), DIRECTIONS)
+    share, node = samples.share.ravel() / DIRECTIONS, samples.node.ravel()
+    met = sparse.csr_array((share, (patch, node)), shape=(len(index), len(nodes.inside)))
+    once = np.asarray((met @ about.matrix(len(index))).todense())
+    more = np.linalg.solve(np.eye(len(index)) - once, once)
+    tables = {"index": index, "more": more, "near": about.near, "shares": about.shares}
+    return {name: np.asarray(table, dtype=np.float32) for name, table in tables.items()}
+
+
+def _patches(scene: mi.Scene, lattice: NodeLattice, water: Optics) -> AmbientSamples:
+    """Patches of all surfaces, and more of them on those that see others."""
+    nodes, spacing_mm = lattice.nodes, lattice.spacing_mm
+    inside = np.flatnonzero(nodes.inside)
+    coarse = one_a_cell(nodes, inside, COARSE * spacing_mm)
+    first = traced_all(scene, lattice, water, coarse)
+    sky = Interpolation(nodes, first.index, inside).of(first.open)
+    shaded = np.setdiff1d(inside[sky < 1 - SHADED], coarse)
+    for cell in FINE:
+        more = one_a_cell(nodes, shaded, cell * spacing_mm)
+        if len(more) + len(coarse) <= MOST_PATCHES:
+            break
+    return joined([first, traced_all(scene, lattice, water, more)]) if more.size else first

@@ -1,0 +1,107 @@
+"""Laser light that surfaces reflect onto each other, without random noise.
+
+The line of each sheet lights other surfaces as short straight segments of a matt surface do, in
+closed form, less what is hidden.  What those surfaces reflect in their turn comes from patches
+(``bounces``), as does how much of the lines is hidden.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from sim.meshes import MeshPart
+from sim.render.ambient.field import is_convex
+from sim.render.gathered.bounces import Bounces, PatchField, lasting
+from sim.render.gathered.lines import LitLine, facing, lit_line
+from sim.render.gathered.received import received, visible_part
+from sim.render.gathered.shade import visible_share
+from sim.render.plugins.integrator import SheetIntegrator
+from sim.render.plugins.opaque import opaque
+from sim.water import Optics
+
+
+@dataclass(frozen=True)
+class LitSurfaces:
+    """What sheets light where they are placed.
+
+    Attributes
+    ----------
+    lines : tuple of LitLine, one for each sheet
+    field : PatchField, irradiance in mW/mm2 by light that was reflected once, and more often; of
+        each sheet, the share of its line afar that is seen; of each, the share of its light that
+        the water scatters.  None where no surface sees another
+    """
+
+    lines: tuple[LitLine, ...]
+    field: PatchField | None
+
+
+class Reflections:
+    """Irradiance of surfaces by light that other surfaces reflect, of a tank."""
+
+    def __init__(
+        self,
+        scene: mi.Scene,
+        parts: Sequence[MeshPart],
+        integrator: SheetIntegrator,
+        water: Optics,
+    ) -> None:
+        """Work out what stands still.
+
+        Parameters
+        ----------
+        scene : mi.Scene, its shapes are the parts
+        parts : sequence of MeshPart, matt
+        integrator : SheetIntegrator, its sheets
+        water : Optics
+        """
+        self._scene, self._integrator = scene, integrator
+        between = lasting(water)
+        self._extinction = opaque(between.extinction_per_mm)
+        # On convex bodies no surface sees another.
+        self._bounces = None if is_convex(parts) else Bounces(scene, parts, between)
+
+    def lit(self) -> LitSurfaces:
+        """What the sheets light where they are placed now."""
+        bounces, sheets = self._bounces, self._integrator.sheets
+        if bounces is None:
+            return LitSurfaces((), None)
+        lines, seen, shares = [], [], []
+        received_once = mi.Float(0)
+        for sheet in sheets:
+            line = lit_line(self._scene, sheet, lambda far: dr.exp(-self._extinction * far))
+            part = visible_part(self._scene, line, bounces.point, bounces.normal)
+            close, far = received(
+                line, bounces.point, bounces.normal, self._extinction, mi.Bool(True)
+            )
+            received_once += close + far * part
+            lines.append(line)
+            seen.append(part)
+            phase = self._integrator.phase
+            shares.append(visible_share(self._scene, sheet, phase, bounces.point, bounces.normal))
+        dr.eval(received_once, seen, shares)
+        once = np.array(received_once)
+        values = [once, bounces.of(once), *map(np.array, (*seen, *shares))]
+        return LitSurfaces(tuple(lines), bounces.field(values))
+
+    def irradiance(
+        self, lit: LitSurfaces, si: mi.SurfaceInteraction3f
+    ) -> tuple[mi.Float, list[mi.Float]]:
+        """Irradiance in mW/mm2 of places of surfaces, and the share of each sheet's glow there.
+
+        Parameters
+        ----------
+        lit : LitSurfaces
+        si : SurfaceInteraction3f, the places, on the side that is seen
+        """
+        count = len(self._integrator.sheets)
+        if lit.field is None:
+            return mi.Float(0), [mi.Float(1)] * count
+        once, light, *rest = lit.field.at(si)
+        for line, seen in zip(lit.lines, rest[:count], strict=True):
+            close, far = received(line, si.p, facing(si), self._extinction, once > 0)
+            light += close + seen * far
+        return dr.select(si.is_valid(), light, 0.0), rest[count:]
