@@ -1,6 +1,7 @@
 """Tables of scattered light of a scene's water: made once and kept in the user's cache."""
 
 import hashlib
+import os
 
 import numpy as np
 
@@ -18,7 +19,7 @@ FORMAT = 3  # of the kept files: raised where other numbers would be written
 # 81 s of one core in water of 10 NTU, 50 s in 5, 19 s in 1, shared by all cores: a third each for
 # counting, for drawing angles and for the rest of the walks.  The standard error is then 0.3 % or
 # less within 2.5 rad of the beam, wherever the light of a ring is 1 % of the brightest ring's.
-PHOTONS, SEED = 20 * 2**20, 1
+PHOTONS, SEED = int(os.environ.get("LSCAN_PHOTONS", 20 * 2**20)), 1
 # Distances of a scanner's parts, mm.  Beyond so many scatterings hardly any light arrives.
 NEAREST_MM, FARTHEST_MM = 100.0, 3000.0
 MOST_SCATTERINGS = 25.0

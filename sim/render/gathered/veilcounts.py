@@ -1,0 +1,247 @@
+"""Photons of a sheet in endless water, counted where the camera sees them.
+
+At every place that scatters a photon, light goes on to the camera on a walk of its own.  Each path
+counts where it turns most, as in ``sim.render.judge``: the photon's turns before and the walk's
+turns after are smaller than that of the place, whose phase function is then never at its peak.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from math import pi
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from lscan.records import Floats
+from sim.render.gathered.aimed import aimed_walk
+from sim.render.plugins.integrator import crossing_of
+from sim.render.plugins.opaque import opaque, opaque_vector
+from sim.render.plugins.phase import PhaseTable, angle_between
+from sim.render.plugins.sheet import LaserSheet
+from sim.water import Optics
+
+COLUMNS, ROWS = 32, 24  # cells of the camera's field of view
+# Edges between a ray's cells, mm of depth behind its crossing of the sheet.  Light of the second
+# order falls off steeply beside the sheet.
+BESIDE = np.geomspace(0.75, 800.0, 11)
+DEPTHS = np.concatenate([-BESIDE[::-1], BESIDE])
+# Few photons add much where their paths turn several times, by no more than this of the whole
+# angle from the laser to the camera at a time: they are counted by themselves.
+MUCH = 0.5
+BATCH = 2**18
+FARTHEST_MM = 3000.0
+# Light scattered within so many mm of the port counts as much as that in the next ones, for
+# 1 / distance2 would make single photons weigh much.
+NEAR_MM = 40.0
+# Walks start at one of so many scatterings that there is one about every so many mm.
+WALKS_APART_MM = 1000.0
+TURNED = 4  # azimuths by which each walk is turned
+TOGETHER = 8  # photons beside each other, whose walks start at the same scattering
+# A photon whose weight times what is kept from there to the camera is below FAINT goes on with
+# the odds of their ratio, or the least odds.
+FAINT, LEAST_ODDS = 1.0, 0.1
+
+
+@dataclass(frozen=True)
+class FieldOfView:
+    """What the camera sees, as a pinhole in the water; the head's frame.
+
+    Attributes
+    ----------
+    pinhole_mm : (3,) array, where its rays meet
+    axes : (3, 3) array, rows: unit vectors to the right, down and ahead
+    low, high : (2,) arrays, tangents to the right and down at the edges of the cells
+    start_mm : float, mm from the pinhole at which the water begins
+    """
+
+    pinhole_mm: Floats
+    axes: Floats
+    low: Floats
+    high: Floats
+    start_mm: float
+
+    def tangents(self, offset_mm: Floats) -> tuple[Floats, Floats]:
+        """Tangents to the right and down of places; shapes (N,).
+
+        Parameters
+        ----------
+        offset_mm : (N, 3) array, mm, from the pinhole
+        """
+        right, down, ahead = self.axes @ offset_mm.T
+        return right / ahead, down / ahead
+
+
+@dataclass(frozen=True)
+class VeilCounts:
+    """Light of order two and more, of a sheet of 1 mW.
+
+    Attributes
+    ----------
+    light, squared : (2, len(DEPTHS) + 1, ROWS, COLUMNS) arrays, mean radiance in each cell, in
+        mW/(mm2 sr) in the water, and the sum of squares of what the photons added to it: of
+        paths that turn by less than MUCH of the whole angle at any place, then of the others
+    """
+
+    light: Floats
+    squared: Floats
+
+
+def veil_counts(
+    sheet: LaserSheet,
+    water: Optics,
+    view: FieldOfView,
+    level: Floats,
+    photons: int,
+    seed: int,
+    progress: Callable[[int, int], None],
+) -> VeilCounts:
+    """Photons of a sheet that stands in the head's frame, counted.
+
+    Parameters
+    ----------
+    sheet : LaserSheet
+    water : Optics
+    view : FieldOfView
+    level : (3,) array, the unit vector along which depth is measured
+    photons : int, how many at least; they are sent in whole batches
+    seed : int, of the random numbers
+    progress : function of (done, all)
+    """
+    batches = -(-photons // BATCH)
+    tracer = _Tracer(sheet, water, view, level)
+    for number in range(batches):
+        tracer.send(number, dr.opaque(mi.UInt64, seed * batches + number))
+        dr.eval(tracer.sums)
+        dr.sync_thread()
+        progress(number + 1, batches)
+    light, squared = np.array(tracer.sums).reshape(2, 2, len(DEPTHS) + 1, ROWS, COLUMNS)
+    return VeilCounts(light / batches, squared / batches**2)
+
+
+class _Tracer:
+    """The sheet, the water and the cells, and what is counted."""
+
+    def __init__(self, sheet: LaserSheet, water: Optics, view: FieldOfView, level: Floats) -> None:
+        self.sheet, self.phase = sheet, PhaseTable(water.phase)
+        self.scattering = opaque(water.scattering_per_mm)
+        self.absorption = opaque(water.absorption_per_mm)
+        self.pinhole, self.level = mi.Point3f(opaque_vector(view.pinhole_mm)), opaque_vector(level)
+        self.right, self.down, self.ahead = (opaque_vector(axis) for axis in view.axes)
+        self.low = [opaque(tangent) for tangent in view.low]
+        self.scale = [
+            opaque(count / span)
+            for count, span in zip((COLUMNS, ROWS), view.high - view.low, strict=True)
+        ]
+        self.start = opaque(view.start_mm)
+        self.depths = mi.Float(DEPTHS.astype(np.float32))
+        self.every = dr.opaque(mi.UInt32, max(1, round(WALKS_APART_MM * water.scattering_per_mm)))
+        whole = angle_between(sheet.axis, -self.ahead)
+        self.much = MUCH * whole
+        self.cells = (len(DEPTHS) + 1) * ROWS * COLUMNS
+        self.sums = dr.zeros(mi.Float64, 4 * self.cells)
+
+    @dr.syntax
+    def send(self, batch: int, seed: mi.UInt64) -> None:
+        """Send one batch of photons."""
+        random = mi.PCG32(size=BATCH, initstate=seed)
+        sheet, time = self.sheet, mi.Float(0)
+        phi = (2 * random.next_float32() - 1) * sheet.half_angle
+        sample = mi.Point2f(random.next_float32(), random.next_float32())
+        chance = 1 - dr.exp(-self.scattering * FARTHEST_MM)
+        rho = -dr.log(1 - chance * random.next_float32()) / self.scattering
+        aside = mi.warp.square_to_std_normal(sample).x * 0.5 * sheet.half_width(rho)
+        place = mi.Point3f(sheet.apex(time) + sheet.direction(phi) * rho + sheet.normal * aside)
+        towards = mi.Vector3f(sheet.ray_through(phi, rho, aside, time)[0])
+        weight = sheet.power_density(phi) / sheet.power * 2 * sheet.half_angle * chance
+        weight = mi.Float(weight * dr.exp(-self.absorption * rho))
+        deepest = dr.dot(place - self.pinhole, self.level)
+        turned, order = mi.Float(0), mi.UInt32(0)
+        packet = dr.arange(mi.UInt32, BATCH) // TOGETHER
+        first = (packet + dr.opaque(mi.UInt32, batch)) % self.every
+        active = dr.full(mi.Bool, True, BATCH)
+        while active:
+            walks = active & (order % self.every == first)
+            random = self._count(random, place, towards, weight, deepest, turned, order == 0, walks)
+            sample = mi.Point2f(random.next_float32(), random.next_float32())
+            onward = self.phase.sample_direction(towards, sample)
+            turned, towards = dr.maximum(turned, angle_between(towards, onward)), onward
+            # In thin water, too, all photons are scattered twice.
+            forced = dr.select(order == 0, chance, 1.0)
+            free = -dr.log(1 - forced * random.next_float32()) / self.scattering
+            place = mi.Point3f(place + towards * free)
+            deepest = dr.maximum(deepest, dr.dot(place - self.pinhole, self.level))
+            weight *= forced * dr.exp(-self.absorption * free)
+            back = dr.norm(place - self.pinhole)
+            worth = weight * dr.exp(-self.absorption * back)
+            odds = dr.select(order == 0, 1.0, dr.clip(worth / FAINT, LEAST_ODDS, 1))
+            active &= (back < FARTHEST_MM) & (random.next_float32() < odds)
+            weight /= odds
+            order += 1
+
+    def _count(
+        self,
+        random: mi.PCG32,
+        place: mi.Point3f,
+        towards: mi.Vector3f,
+        weight: mi.Float,
+        deepest: mi.Float,
+        turned: mi.Float,
+        first: mi.Bool,
+        active: mi.Bool,
+    ) -> mi.PCG32:
+        """Count light that is scattered at a place and goes on to the camera.
+
+        first: not scattered before, so that it has to be scattered on its way to the camera.
+        """
+        offset = place - self.pinhole
+        distance = dr.norm(offset)
+        active &= distance > self.start + NEAR_MM
+        coefficients = self.absorption, self.scattering
+        walk, random = aimed_walk(
+            random, self.phase, coefficients, self.start, offset, first, active
+        )
+        weight = weight * walk.worth * mi.Float(self.every) / (BATCH * TURNED)
+        weight *= dr.select(distance < self.start + 2 * NEAR_MM, mi.Float(2), 1)
+        active &= walk.worth > 0
+        for number in range(TURNED):
+            seen, arriving = walk.turned(2 * pi * number / TURNED)
+            angle = angle_between(towards, -arriving)
+            counts = active & (angle > turned) & (angle > walk.most)
+            depth = dr.maximum(deepest, walk.first * dr.dot(seen, self.level))
+            self._add(seen, angle, weight * self.phase.value(angle), depth, counts)
+        return random
+
+    def _add(
+        self,
+        seen: mi.Vector3f,
+        angle: mi.Float,
+        light: mi.Float,
+        depth: mi.Float,
+        active: mi.Bool,
+    ) -> None:
+        """Add light to the cell in which it is seen."""
+        ahead = dr.dot(seen, self.ahead)
+        sides = dr.dot(seen, self.right), dr.dot(seen, self.down)
+        column, row = (
+            dr.floor((side / ahead - low) * scale)
+            for side, low, scale in zip(sides, self.low, self.scale, strict=True)
+        )
+        active &= (column >= 0) & (column < COLUMNS) & (row >= 0) & (row < ROWS) & (ahead > 0)
+        crossing = crossing_within(self.sheet, mi.Ray3f(self.pinhole, seen))
+        behind = depth - crossing * dr.dot(seen, self.level)
+        layer = dr.binary_search(
+            0, len(DEPTHS), lambda index: dr.gather(mi.Float, self.depths, index) <= behind
+        )
+        much = dr.select(angle > self.much, mi.UInt32(1), 0)
+        cell = (layer * ROWS + mi.UInt32(row)) * COLUMNS + mi.UInt32(column)
+        light = light * self.scale[0] * self.scale[1] / (ahead * dr.square(ahead))
+        for kind, value in enumerate((light, dr.square(light))):
+            index = (2 * kind + much) * self.cells + cell
+            dr.scatter_reduce(dr.ReduceOp.Add, self.sums, mi.Float64(value), index, active)
+
+
+def crossing_within(sheet: LaserSheet, ray: mi.Ray3f) -> mi.Float:
+    """Where rays cross the sheet, mm along them; FARTHEST_MM where they do not, or farther."""
+    crossing, _ = crossing_of(sheet, ray)
+    return dr.select((crossing > 0) & (crossing < FARTHEST_MM), crossing, FARTHEST_MM)
