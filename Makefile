@@ -49,6 +49,7 @@ house: .venv/packages.stamp
 	$(BIN)/python tests/support/house.py
 
 # Every figures command, each with the least effort: what a later change broke shows here.
+smoke: export LSCAN_PHOTONS ?= 131072
 smoke: .venv/llvm.stamp .venv/chromium.stamp
 	$(BIN)/lscan-sim demo --quick -o out/quick/demo
 	$(BIN)/lscan-sim verify --quick -o out/quick/verify

@@ -15,6 +15,7 @@ from sim.meshes import MeshPart, scene_parts
 from sim.render.ambient.field import AmbientField, OpenSky, sky_of
 from sim.render.ambient.picture import ambient_picture
 from sim.render.fineness import binned, fineness_of, finer_lens
+from sim.render.gathered.picture import GatheredLight, reason_for_random
 from sim.render.materials import mitsuba_shape
 from sim.render.plugins.base import WaterIntegrator
 from sim.render.plugins.camera import RefractiveCamera
@@ -78,7 +79,8 @@ class Layers:
 class Tank:
     """A scene loaded into Mitsuba; only the head moves, so geometry is built once.
 
-    integrator: light of the first order.  higher: light of all higher orders.
+    integrator: light of the first order.  higher: light of all higher orders, at random.
+    gathers: whether the laser's light of higher orders is gathered instead.
     """
 
     def __init__(self, scene: Scene, *, sampled: bool = False) -> None:
@@ -106,10 +108,12 @@ class Tank:
         self._sky: AmbientField | OpenSky | None = None
         self._tune(laser.wavelength_nm)
         self._camera, self._random_camera = self.make_camera(), self.make_camera(jitter=True)
-        parts = scene_parts(scene)
+        self._parts = parts = scene_parts(scene)
         self.mitsuba_scene = mi.load_dict(self._scene_dict(parts))
         self._sparse = None if sampled else self._few_rays()
         self._sky = self._known_sky(parts)
+        self.gathers = bool(self.sheets) and not self._draws_higher_orders(parts)
+        self._gathered: GatheredLight | None = None
         self.place(scene.rig.plan.start_mm)
 
     def make_camera(
@@ -214,40 +218,107 @@ class Tank:
             self._tune(laser.wavelength_at(time_s))
             self._focus(self._camera)
             self._focus(self._random_camera)
-        if self._sparse is not None:
-            self._sparse.look(anew=laser.drift is not None)
+        more = render.scatter_samples if scatter_samples is None else scatter_samples
+        self._look(anew=laser.drift is not None, gathered=more > 0)
         self.place(position_mm, exposure_ms)
         # The noise of one picture of a scan says nothing about that of the next.
         place = np.array([position_mm]).view(np.uint64)
         seed = int(np.random.SeedSequence([render.seed, int(place[0])]).generate_state(1)[0])
-        more = render.scatter_samples if scatter_samples is None else scatter_samples
         if self._daylight is not None and self._sky is not None:
             self._daylight.light_by(self._sky, higher=more > 0)
-        first = self._first_order(position_mm, samples, seed)
-        if more > 0 and (self.sheets or self.higher.has_ambient):
+        first = self._first_order(position_mm, samples, seed, gathered=more > 0)
+        if more > 0 and ((self.sheets and not self.gathers) or self.higher.has_ambient):
             share = ceil(more / parts)
             higher = self._layers(self._random_camera, self.higher, share, seed)
             for name, layer in higher.items():
                 first[name] = first[name] + layer
         return Layers(**first)
 
-    def _first_order(self, position_mm: float, samples: int, seed: int) -> dict[str, Radiance]:
-        """All layers, of light of the first order; head and cameras are in place."""
-        share = samples // self.scene.tank.render.fineness**2
+    def higher_orders(self, position_mm: float, samples: int | None = None) -> dict[str, Radiance]:
+        """The laser's light of higher orders, (H, W) in W/(m2 sr), gathered, by families.
+
+        Parameters
+        ----------
+        position_mm : float, mm, along the track
+        samples : int or None, as of ``render``
+
+        Returns
+        -------
+        mapping
+            "surfaces", straight from surfaces that scattered or reflected light lights; "camera",
+            scattered on its way from surfaces; "veil", never reflected.
+
+        Raises
+        ------
+        InputError
+            The scene's light is not gathered.
+        """
+        self._look(anew=False, gathered=True)
+        if self._gathered is None or self._sparse is None:
+            raise InputError(
+                "its light of higher orders is not gathered",
+                where=self.scene.source,
+                value=self.scene.tank.render.light,
+                allowed='render.light = "gathered" and what that can do',
+            )
+        samples = self.scene.tank.render.samples if samples is None else samples
+        self.place(position_mm)
+        head = head_pose(self.scene.tank.head, position_mm)
+        first = self._sparse.picture(head, samples)
+        families = self._gathered.families(head, first.direct, first.seen)
+        return {name: light * W_PER_M2_IN_MW_PER_MM2 for name, light in families.items()}
+
+    def _first_order(
+        self, position_mm: float, samples: int, seed: int, gathered: bool
+    ) -> dict[str, Radiance]:
+        """All layers, of light of the first order; head and cameras are in place.
+
+        gathered: with the laser's light of higher orders, where that is gathered.
+        """
+        fineness = self.scene.tank.render.fineness
+        share = samples // fineness**2
         if self._sparse is None:
             return self._layers(self._camera, self.integrator, share, seed)
         head = head_pose(self.scene.tank.head, position_mm)
-        laser = self._sparse.layers(head, samples)
-        direct, scattered = (layer * np.float32(W_PER_M2_IN_MW_PER_MM2) for layer in laser)
+        if self.sheets:
+            laser = self._sparse.picture(head, samples)
+            direct, scattered = laser.direct, laser.scattered
+            if gathered and self._gathered is not None:
+                families = self._gathered.families(head, direct, laser.seen)
+                more = sum(families.values(), np.zeros((), np.float32))
+                scattered = scattered + more.repeat(fineness, axis=0).repeat(fineness, axis=1)
+        else:
+            width, height = self.scene.rig.camera.size_px
+            direct = scattered = np.zeros((fineness * height, fineness * width), np.float32)
+        unit = np.float32(W_PER_M2_IN_MW_PER_MM2)
+        direct, scattered = direct * unit, scattered * unit
         if self._daylight is None:
             ambient = np.zeros_like(direct)
         elif self._sky is not None:
-            ambient = ambient_picture(
+            ambient = unit * ambient_picture(
                 self.mitsuba_scene, self._camera, self._daylight, self._sparse.rays, head, samples
-            ) * np.float32(W_PER_M2_IN_MW_PER_MM2)
+            )
         else:
             ambient = self._layers(self._camera, self._daylight, share, seed)["ambient"]
         return {"direct": direct, "scattered": scattered, "ambient": ambient}
+
+    def _look(self, *, anew: bool, gathered: bool) -> None:
+        """Compute what is the same in all pictures of a wavelength; all is placed after that.
+
+        gathered: the light of higher orders, too, where it is gathered.
+        """
+        if self._sparse is None:
+            return
+        self._sparse.look(anew)
+        if gathered and self.gathers and self._gathered is None:
+            self._gathered = GatheredLight(
+                self.mitsuba_scene,
+                self._parts,
+                self.integrator,
+                self._sparse.rays,
+                self.scene.tank.head,
+                self.water,
+            )
 
     def _few_rays(self) -> SparseLaserLight | None:
         """What renders the laser's light of the first order from few rays, where that can be."""
@@ -256,6 +327,15 @@ class Tank:
             _log.warning("note: %s: every pixel is sampled (%s)", self.scene.source, reason)
             return None
         return SparseLaserLight(self.scene, self.mitsuba_scene, self._camera, self.integrator)
+
+    def _draws_higher_orders(self, parts: Sequence[MeshPart]) -> bool:
+        """Whether the laser's light of higher orders is drawn at random."""
+        if self.scene.tank.render.light == "sampled" or self._sparse is None:
+            return True
+        reason = reason_for_random(self.scene, parts, self.water)
+        if reason and self.scene.tank.render.scatter_samples > 0:
+            _log.warning("note: %s: higher orders are random (%s)", self.scene.source, reason)
+        return bool(reason)
 
     def _layers(
         self, camera: RefractiveCamera, integrator: WaterIntegrator, samples: int, seed: int

@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from math import isqrt
 from pathlib import Path
-from typing import Annotated, Any, Self
+from typing import Annotated, Any, Literal, Self
 
 import numpy as np
 from pydantic import Field, model_validator
@@ -24,12 +24,15 @@ class Render(Strict):
     """How many samples a pixel, and in how many parts.
 
     samples: for light that meets one surface or one place of the water, a square number:
-    they lie on a regular grid inside the pixel.  scatter_samples: for light of all higher
-    orders, drawn at random; 0 leaves those orders out.  fineness: parts of a pixel's side
+    they lie on a regular grid inside the pixel.  light: how the laser's light of all higher
+    orders is found: "gathered", summed up without noise (sim.render.gathered), or "sampled",
+    drawn at random.  scatter_samples: for what is drawn at random; 0 leaves the higher orders
+    out, gathered or sampled.  fineness: parts of a pixel's side
     in which the lens spreads the light before the pixel gathers it (sim.render.fineness).
     """
 
     samples: Annotated[int, Field(ge=1, le=65536)] = 9
+    light: Literal["gathered", "sampled"] = "gathered"
     scatter_samples: Annotated[int, Field(ge=0, le=65536)] = 1
     fineness: Annotated[int, Field(ge=1, le=3)] = 1
     seed: Seed = 1

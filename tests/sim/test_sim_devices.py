@@ -28,7 +28,7 @@ def small(rig_file: RigFile, **sections: dict) -> RigFile:
 
 @pytest.fixture(scope="module")
 def rig_file() -> RigFile:
-    return small(load_rig(PAPER / "sandwave.toml"))
+    return small(load_rig(PAPER / "sandwave.toml"), render={"scatter_samples": 0})
 
 
 @pytest.fixture
@@ -101,7 +101,8 @@ def test_ctrl_c_in_a_render_is_not_taken_for_a_fault(
         except behind as error:
             raise RuntimeError("while rendering") from error
 
-    tank = Tank(scene_of(load_rig(PAPER / "groove.toml")))
+    scene = scene_of(load_rig(PAPER / "groove.toml"))
+    tank = Tank(scene.with_tank(render={"light": "sampled"}))
     monkeypatch.setattr("mitsuba.render", broken)
     expected = KeyboardInterrupt if behind is KeyboardInterrupt else RuntimeError
     with pytest.raises(expected):

@@ -19,13 +19,13 @@ QUICK = {25: 60_000, 110: 60_000, 120: 20_000}  # mm/min, mm/s2: a move takes mi
 
 
 def small_scene(**sections: Any) -> Scene:
-    """The sandwave at 160 by 120 px and one sample a pixel, with sections laid over it."""
+    """The sandwave at 160 by 120 px in light of the first order, with sections laid over it."""
     rig_file = load_rig(PAPER / "sandwave.toml")
     small = {
         "camera": {"width_px": 160, "height_px": 120},
         "lens": {"focal_px": 212.5, "centre_px": [79.5, 59.5]},
         "plan": {"start_mm": 20.0, "step_mm": 25.0, "frames": 4},
-        "render": {"samples": 1},
+        "render": {"samples": 1, "scatter_samples": 0},
     }
     return scene_of(parse_rig(merge(merge(rig_file.document, small), sections), source="small"))
 

@@ -199,7 +199,7 @@ def small_scan(folder: Path, frames: int) -> Floats:
     plan = document["plan"]
     step = plan["step_mm"] * plan["frames"] / frames
     document["plan"] = {**plan, "frames": frames, "step_mm": step}
-    document["render"] = {**document["render"], "samples": 4}
+    document["render"] = {**document.get("render", {}), "samples": 4, "scatter_samples": 0}
     scan(parse_rig(document, source="small"), folder / "run")
     board = load_rig(SCENES / "paper" / "board.toml").document
     board = {**board, "render": {"samples": 16, "scatter_samples": 0}}

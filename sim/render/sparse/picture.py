@@ -1,5 +1,6 @@
 """Laser light of the first order: even pixels from one ray each, only the others sampled."""
 
+from dataclasses import dataclass
 from math import gcd, isqrt, sqrt
 
 import cv2
@@ -24,6 +25,18 @@ GOLDEN = (sqrt(5) - 1) / 2
 # it has more than FAINT of the brightest one's light.  With 9 samples everywhere the paper's groove
 # and sandwave are up to 6 and 8 grey values off behind the lens, so 3 and 2, for a third more time.
 FINER, FAINT = 2, 1e-2
+
+
+@dataclass(frozen=True)
+class FirstOrder:
+    """Laser light of the first order in a picture, mW/(mm2 sr), and what is seen there.
+
+    direct, scattered: (f H, f W).  seen: of the picture's (H, W) pixels.
+    """
+
+    direct: Picture
+    scattered: Picture
+    seen: PixelSurvey
 
 
 def reason_for_samples(scene: Scene) -> str:
@@ -67,15 +80,13 @@ class SparseLaserLight:
         assert self._rays is not None, "look() comes first"
         return self._rays
 
-    def layers(self, head: Pose, samples: int) -> tuple[Picture, Picture]:
-        """Direct and scattered light, (f H, f W) in mW/(mm2 sr), of the scene's fineness f.
+    def picture(self, head: Pose, samples: int) -> FirstOrder:
+        """The light of a picture, (f H, f W) of the scene's fineness f.
 
         head: where camera and sheets are placed.  samples: a pixel, where it needs them.
         """
         (width, height), fineness = self._size_px, self._fineness
         direct = np.zeros((fineness * height, fineness * width), np.float32)
-        if not self._integrator.sheets:
-            return direct, np.zeros_like(direct)
         reaches = tuple(sheet_reach(self._scene, sheet) for sheet in self._integrator.sheets)
         seen = survey(self._scene, self.rays, head, reaches)
         layers = direct, seen.veil.repeat(fineness, axis=0).repeat(fineness, axis=1)
@@ -85,7 +96,7 @@ class SparseLaserLight:
             edges = self._edges(seen, direct, dark)
             if edges.size:
                 self._put(layers, edges, FINER * side)
-        return layers
+        return FirstOrder(*layers, seen)
 
     def _put(self, layers: tuple[Picture, Picture], pixels: Ints, side: int) -> Picture:
         """Sample pixels, put their light into the layers; (N,) share of each without any."""

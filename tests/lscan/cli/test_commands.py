@@ -61,7 +61,7 @@ def test_a_scan_too_short_to_be_aligned_is_written_as_scanned(
 ) -> None:
     """Three frames of the sandwave show none of its edges; what they show is not withheld."""
     scene, run, surface = tmp_path / "scene.toml", tmp_path / "run", tmp_path / "surface.nc"
-    plan = "[plan]\nstart_mm = 60.0\nframes = 3\n[render]\nsamples = 4\n"
+    plan = f"[plan]\nstart_mm = 60.0\nframes = 3\n{QUICKLY}"
     scene.write_text(f'include = "{SCENES / "sandwave.toml"}"\n{plan}')
     assert call(capsys, "scan", scene, "-o", run)[0] == 0
     code, out, err = call(capsys, "reconstruct", run, "-c", calibration, "-o", surface)

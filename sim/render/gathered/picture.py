@@ -1,0 +1,283 @@
+"""The laser's light of all higher orders in one picture of a tank, without random noise."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import cv2
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from lscan.records import Floats, Ints, Mask
+from sim.meshes import MeshPart
+from sim.render.ambient.field import reflectance
+from sim.render.fineness import binned
+from sim.render.gathered.camera import CameraLeg, Shining
+from sim.render.gathered.chart import Chart, ChartGrid, Picture, make_chart
+from sim.render.gathered.glow import Glow
+from sim.render.gathered.lines import facing
+from sim.render.gathered.points import lit_points
+from sim.render.gathered.reflections import LitSurfaces, Reflections
+from sim.render.gathered.veil import HigherVeil
+from sim.render.plugins.integrator import SheetIntegrator
+from sim.render.plugins.opaque import aligned, opaque_vector
+from sim.render.plugins.spread import SpreadLookup
+from sim.render.sparse.rays import HEAD, HeadRays
+from sim.render.sparse.survey import NEIGHBOURS, PixelSurvey
+from sim.render.spreads import spread_of
+from sim.scene import Head, Pose, Scene
+from sim.water import Optics
+
+STEP = 4  # pixels between the places at which smooth light is worked out
+ABOUT_LINE = 8  # pixels on either side of the line, worked out one by one
+FINER_ROWS = 4  # samples down a fine cell of the chart that the line crosses
+FAINTEST = 1e-12  # transmittance of the water, below which nothing is seen through it
+FARTHEST_MM = 1e4  # where a ray ends that meets nothing
+
+
+@dataclass(frozen=True)
+class Seen:
+    """What N rays meet.
+
+    Attributes
+    ----------
+    distance : (N,) mm along the ray, FARTHEST_MM where there is nothing
+    normal : (N, 3) of the surface, towards the camera, head frame; 0 where there is nothing
+    radiance : (N,) that the surface sends on of the light that the water scattered onto it,
+        mW/(mm2 sr)
+    """
+
+    distance: Picture
+    normal: Picture
+    radiance: Picture
+
+    def split(self, *counts: int) -> "list[Seen]":
+        """The first so many rays, the next, and so on."""
+        ends = np.cumsum(counts)
+        columns = (np.split(v, ends[:-1]) for v in (self.distance, self.normal, self.radiance))
+        return [Seen(*values) for values in zip(*columns, strict=True)]
+
+
+def reason_for_random(scene: Scene, parts: Sequence[MeshPart], water: Optics) -> str:
+    """Why a scene's light of higher orders cannot be gathered; "" where it can.
+
+    Parameters
+    ----------
+    scene : Scene
+    parts : sequence of MeshPart, its surfaces
+    water : Optics
+    """
+    if water.scattering_per_mm <= 0:
+        return "water: it scatters nothing, so there are no tables of it"
+    if scene.tank.laser.drift is not None:
+        return "laser.drift: tables are made for one wavelength"
+    if any(part.finish.kind != "matt" for part in parts):
+        return f"target.finish: {scene.tank.target.finish} surfaces do not reflect evenly"
+    if scene.tank.target.sand is not None:
+        return "target.sand: the grains are finer than the lattice"
+    return ""
+
+
+class GatheredLight:
+    """The laser's light of second and higher orders, wherever the head stands."""
+
+    def __init__(
+        self,
+        scene: mi.Scene,
+        parts: Sequence[MeshPart],
+        integrator: SheetIntegrator,
+        rays: HeadRays,
+        head: Head,
+        water: Optics,
+    ) -> None:
+        """Sum up what does not change while the head moves; the sheets are left in its frame."""
+        self._scene, self._integrator, self._rays = scene, integrator, rays
+        self._reflections = Reflections(scene, parts, integrator, water)
+        for sheet in integrator.sheets:
+            sheet.place(HEAD)
+        self._veil = HigherVeil(water, integrator.sheets, rays)
+        self._chart = make_chart(rays, head)
+        self._grids = self._chart.inner, self._chart.outer
+        spread = spread_of(water)
+        lookup = SpreadLookup(spread, water.extinction_per_mm)
+        self._glows = [Glow(sheet, lookup) for sheet in integrator.sheets]
+        self._camera = CameraLeg(self._chart, spread, water.extinction_per_mm)
+        self._pixel_rays = np.array(rays.origin), np.array(rays.direction)
+        width, height = rays.size_px
+        self._inner = np.arange(height * width).reshape(height, width)[1:-1, 1:-1]
+        inner = mi.UInt32(self._inner.ravel().astype(np.uint32))
+        self._weight = dr.gather(mi.Float, rays.weight, inner)
+        rows, columns = self._chart.inner.shape
+        x, y = (mi.Float(places.ravel()) for places in self._chart.pixels)
+        self._places = mi.Point2f((x + 0.5) / columns, (y + 0.5) / rows)
+        self._index = inner
+        dr.eval(self._weight, self._places, self._index)
+        self._camera_weight = np.array(self._weight).reshape(self._inner.shape)
+
+    def families(self, head: Pose, direct: Picture, seen: PixelSurvey) -> Mapping[str, Picture]:
+        """(H, W) light of each family, mW/(mm2 sr), the camera's weight included.
+
+        "surfaces", that comes straight from them, lit by scattered or reflected light; "camera",
+        that the water scatters on its way from them; "veil", that met none.
+
+        Parameters
+        ----------
+        head : Pose, where the sheets are placed
+        direct : (f H, f W) the line as the camera sees it, of any fineness f
+        seen : PixelSurvey, of the picture
+        """
+        direct = binned(direct, direct.shape[0] // self._inner.shape[0])
+        line = self._line_in_view(head)
+        lines = [_splatted(grid, self._chart, *line) for grid in self._grids]
+        glow, cells = self._surfaces(head, direct, seen, lines)
+        return self._in_picture(direct, glow, cells, seen)
+
+    def _in_picture(
+        self, direct: Picture, glow: Picture, cells: list[Shining], seen: PixelSurvey
+    ) -> Mapping[str, Picture]:
+        """The light of the pixels, of the surfaces' and of what the water scatters of it."""
+        distance = dr.minimum(dr.gather(mi.Float, seen.distance, self._index), FARTHEST_MM)
+        passed = dr.exp(-self._integrator.extinction * distance) * self._weight
+        radiance = dr.select(passed > FAINTEST, aligned(direct) / passed, 0.0)
+        sent = aligned(glow)
+        radiance += sent
+        halo = self._camera.halo(*cells)[..., np.newaxis]
+        (wide,) = mi.Texture2f(mi.TensorXf(halo), use_accel=False).eval_cubic(self._places)
+        camera = (wide + radiance * self._camera.near_gain(distance)) * self._weight
+        columns = distance, radiance, camera, sent * passed
+        dr.eval(columns)
+        far, bright, camera, surfaces = (
+            np.array(values).reshape(self._inner.shape) for values in columns
+        )
+        camera += self._camera.near_peaked(bright, far) * self._camera_weight
+        return {"surfaces": surfaces, "camera": camera, "veil": self._veil.picture(far)}
+
+    def _surfaces(
+        self, head: Pose, direct: Picture, seen: PixelSurvey, lines: list[Picture]
+    ) -> tuple[Picture, list[Shining]]:
+        """What surfaces send on of the glow, in the picture, and of all light, in the grids."""
+        coarse, exact = self._inner[::STEP, ::STEP], self._uneven(direct, seen)
+        index = np.concatenate([coarse.ravel(), self._inner.ravel()[exact]])
+        cells = [_on_line(line) for line in lines]
+        ways = [grid.directions for grid in self._grids]
+        ways += [
+            self._chart.between(grid, _inside(chosen, grid.shape[1], self._finer(grid)))
+            for grid, chosen in zip(self._grids, cells, strict=True)
+        ]
+        counts = [coarse.size, exact.size, *(way.shape[1] for way in ways)]
+        directions = np.hstack(ways)
+        lit = self._reflections.lit()
+        found = self._sent(self._all_rays(head, index, directions), head, lit).split(*counts)
+        picture = _stretched(found[0].radiance.reshape(coarse.shape), *self._inner.shape)
+        picture.ravel()[exact] = found[1].radiance
+        shining = []
+        for grid, line, chosen, even, fine in zip(
+            self._grids, lines, cells, found[2:4], found[4:], strict=True
+        ):
+            power = even.radiance * even.distance**2
+            within = (fine.radiance * fine.distance**2).reshape(-1, self._finer(grid))
+            power[chosen] = within.mean(axis=1)
+            power = line + power.reshape(grid.shape) * grid.solid_angle
+            distance = even.distance.reshape(grid.shape) - np.float32(self._chart.near_mm)
+            shining.append(Shining(power, distance, even.normal.reshape(*grid.shape, 3)))
+        return picture, shining
+
+    def _finer(self, grid: ChartGrid) -> int:
+        """Samples down a cell of a grid that the line crosses."""
+        return round(FINER_ROWS * grid.cell / self._chart.inner.cell)
+
+    def _uneven(self, direct: Picture, seen: PixelSurvey) -> Ints:
+        """The pixels near the line, and those where surfaces end or are bent."""
+        near = _widened(direct > 0, ABOUT_LINE) | _widened(seen.bent, STEP)
+        return np.flatnonzero(near)
+
+    def _all_rays(self, head: Pose, index: Ints, directions: Floats) -> mi.Ray3f:
+        """Rays of pixels, and rays from the chart's middle, in the world."""
+        origins, ways = self._pixel_rays
+        start = np.empty((3, len(index) + directions.shape[1]), np.float32)
+        start[:, : len(index)] = origins[:, index]
+        start[:, len(index) :] = self._chart.inner.pivot[:, np.newaxis]
+        way = np.hstack([ways[:, index], directions.astype(np.float32)])
+        x, y, z = (opaque_vector(column) for column in head.rotation.T)
+        place, towards = (mi.Vector3f(*map(aligned, rows)) for rows in (start, way))
+        origin = opaque_vector(head.origin_mm) + x * place.x + y * place.y + z * place.z
+        return mi.Ray3f(mi.Point3f(origin), x * towards.x + y * towards.y + z * towards.z)
+
+    def _sent(self, ray: mi.Ray3f, head: Pose, lit: LitSurfaces) -> Seen:
+        si = self._scene.ray_intersect(ray, mi.RayFlags.All, coherent=True)
+        met = si.is_valid()
+        normal = facing(si)
+        light, shares = self._reflections.irradiance(lit, si)
+        for glow, share in zip(self._glows, shares, strict=True):
+            light += share * glow.irradiance(si.p, mi.Normal3f(normal))
+        radiance = dr.select(met, light * reflectance(si) / dr.pi, 0.0)
+        distance = dr.select(met, si.t, FARTHEST_MM)
+        normal = dr.select(met, mi.Vector3f(normal), 0.0)
+        dr.eval(radiance, distance, normal)
+        return Seen(
+            np.array(distance),
+            np.array(normal).T @ head.rotation.astype(np.float32),
+            np.array(radiance),
+        )
+
+    def _line_in_view(self, head: Pose) -> tuple[Floats, Floats]:
+        """Points of the line, (3, N) mm in the head's frame, and what they show the camera.
+
+        That is radiance times area as the camera sees it, (N,) mW/sr.
+        """
+        line = lit_points(self._scene, self._integrator.sheets, self._integrator.extinction)
+        pivot = self._chart.inner.pivot
+        start = mi.Point3f(opaque_vector(head.rotation @ pivot + head.origin_mm))
+        way = line.point - start
+        far = dr.norm(way)
+        ray = mi.Ray3f(start, way / far)
+        ray.maxt = far * (1 - 1e-4)
+        facing = dr.maximum(-dr.dot(line.normal, way) / far, 0)
+        power = dr.select(self._scene.ray_test(ray), 0.0, line.power * facing)
+        dr.eval(power, line.point)
+        point = np.array(line.point, dtype=float) - head.origin_mm[:, np.newaxis]
+        return head.rotation.T @ point, np.array(power, dtype=float)
+
+
+def _splatted(grid: ChartGrid, chart: Chart, point: Floats, power: Floats) -> Picture:
+    """Powers of points shared out among four cells each, such that their centre stays."""
+    rows, columns = grid.shape
+    column, row = chart.place(grid, point)
+    inside = (column >= 0) & (column < columns - 1) & (row >= 0) & (row < rows - 1)
+    column, row, power = column[inside], row[inside], power[inside]
+    left, top = column.astype(int), row.astype(int)
+    right, down = column - left, row - top
+    first = top * columns + left
+    cells = np.concatenate([first, first + 1, first + columns, first + columns + 1])
+    shares = [(1 - right) * (1 - down), right * (1 - down), (1 - right) * down, right * down]
+    picture = np.bincount(cells, np.concatenate(shares) * np.tile(power, 4), rows * columns)
+    return picture.reshape(rows, columns).astype(np.float32)
+
+
+def _on_line(line: Picture) -> Ints:
+    """Numbers of a grid's cells on the line and beside it, where the glow peaks."""
+    return np.flatnonzero(cv2.dilate((line > 0).astype(np.uint8), NEIGHBOURS))
+
+
+def _inside(cells: Ints, columns: int, count: int) -> Floats:
+    """(2, N count) columns and rows, in cells, of so many places down each of N cells."""
+    row, column = np.divmod(cells, columns)
+    below = (np.arange(count) + 0.5) / count - 0.5
+    return np.stack([column.repeat(count), (row[:, np.newaxis] + below).ravel()])
+
+
+def _widened(mask: Mask, pixels: int) -> Mask:
+    """A mask grown by so many pixels each way."""
+    size = 2 * pixels + 1
+    return np.asarray(cv2.dilate(mask.astype(np.uint8), np.ones((size, size), np.uint8)) > 0)
+
+
+def _stretched(coarse: Picture, height: int, width: int) -> Picture:
+    """A picture known at every STEP-th pixel from the first on, by cubics between them.
+
+    Where these swing below zero, at an edge, there is no light.
+    """
+    matrix = np.array([[STEP, 0, 0], [0, STEP, 0]], dtype=np.float32)
+    size, border = (width, height), cv2.BORDER_REPLICATE
+    picture = cv2.warpAffine(coarse, matrix, size, flags=cv2.INTER_CUBIC, borderMode=border)
+    return np.maximum(picture, np.float32(0))

@@ -1,0 +1,121 @@
+"""Gathered light in whole pictures: what it does as settings say, and never otherwise."""
+
+import logging
+from typing import Any
+
+import drjit as dr
+import numpy as np
+import pytest
+
+from sim.render.tank import Layers, Tank
+from sim.scene import LaserLine, Scene, load_scene
+from sim.scene.instrument import Drift
+from sim.scene.matter import Sand
+from sim.validation.physics.gallery import shrunk
+
+TIMES = 8  # pictures of 80 by 60 px
+SAMPLES = 16
+POSITION_MM = 1.0
+
+
+def small(name: str = "paper/groove", **sections: Any) -> Scene:
+    """The named scene in a small picture, in full physics."""
+    scene = shrunk(load_scene(name), TIMES)
+    return scene.with_tank(**({"render": {"scatter_samples": 1}} | sections))
+
+
+@pytest.fixture(scope="module")
+def groove() -> Tank:
+    return Tank(small())
+
+
+@pytest.fixture(scope="module")
+def picture(groove: Tank) -> Layers:
+    return groove.render(POSITION_MM, SAMPLES)
+
+
+def test_pictures_hold_all_families_and_first_order_none(groove: Tank, picture: Layers) -> None:
+    """Without samples of scattered light there is none of higher orders; the line stays."""
+    first = groove.render(POSITION_MM, SAMPLES, scatter_samples=0)
+    families = groove.higher_orders(POSITION_MM, SAMPLES)
+    assert set(families) == {"surfaces", "camera", "veil"}
+    assert all(light.max() > 0 and light.min() >= 0 for light in families.values())
+    more = picture.scattered - first.scattered
+    np.testing.assert_allclose(more, sum(families.values()), rtol=1e-3, atol=1e-5 * more.max())
+    np.testing.assert_array_equal(picture.direct, first.direct)
+    assert Tank(small(render={"scatter_samples": 0}))._gathered is None
+
+
+def test_pictures_are_repeated_bit_for_bit(groove: Tank, picture: Layers) -> None:
+    """After another place, and by another tank with other random numbers."""
+    groove.render(POSITION_MM + 5, SAMPLES)
+    other = Tank(small(render={"scatter_samples": 1, "seed": 5}))
+    for tank in (groove, other):
+        again = tank.render(POSITION_MM, SAMPLES)
+        np.testing.assert_array_equal(again.scattered, picture.scattered)
+        np.testing.assert_array_equal(again.direct, picture.direct)
+
+
+def test_no_kernel_is_compiled_anew_from_picture_to_picture(groove: Tank, picture: Layers) -> None:
+    with dr.scoped_set_flag(dr.JitFlag.KernelHistory, True):
+        dr.kernel_history_clear()
+        groove.render(POSITION_MM + 7, SAMPLES)
+        kernels = [k for k in dr.kernel_history() if k["type"] == dr.KernelType.JIT]
+    assert len(kernels) > 3 and all(kernel["cache_hit"] for kernel in kernels)
+
+
+def test_sheets_add_up(picture: Layers) -> None:
+    """Two sheets of half the power in one place are one."""
+    half = LaserLine(tilt_deg=0.0, share=0.5)
+    two = Tank(small(laser={"lines": (half, half)})).render(POSITION_MM, SAMPLES)
+    peak = picture.scattered.max()
+    np.testing.assert_allclose(two.scattered, picture.scattered, rtol=1e-3, atol=1e-4 * peak)
+
+
+def test_finer_pictures_hold_the_same_light(groove: Tank, picture: Layers) -> None:
+    """Their samples lie in the same places, of which each part of a pixel has a quarter."""
+    tank = Tank(small(render={"scatter_samples": 1, "fineness": 2}))
+    fine = tank.render(POSITION_MM, SAMPLES)
+    assert fine.scattered.shape == tuple(2 * side for side in picture.scattered.shape)
+    found = fine.binned(picture.scattered.shape).scattered
+    peak = picture.scattered.max()
+    np.testing.assert_allclose(found, picture.scattered, rtol=1e-3, atol=1e-4 * peak)
+
+
+def test_sampled_light_is_random(picture: Layers) -> None:
+    """Where it is asked for, other seeds are other pictures, and nothing is noted."""
+    settings = {"scatter_samples": 1, "light": "sampled"}
+    tanks = [Tank(small(render=settings | {"seed": seed})) for seed in (1, 2)]
+    assert not any(tank.gathers for tank in tanks)
+    one, two = (tank.render(POSITION_MM, 1).scattered for tank in tanks)
+    assert np.mean(one != two) > 0.5
+
+
+@pytest.mark.parametrize(
+    ("sections", "reason"),
+    [
+        ({"target": {"finish": "wet"}}, "target.finish"),
+        ({"target": {"finish": "mirror"}}, "target.finish"),
+        ({"target": {"sand": Sand()}}, "target.sand"),
+        ({"water": {"kind": "air"}}, "water"),
+        ({"laser": {"drift": Drift()}}, "laser.drift"),
+    ],
+)
+def test_what_cannot_be_gathered_is_drawn_and_said(
+    sections: dict[str, Any], reason: str, caplog: pytest.LogCaptureFixture
+) -> None:
+    """In one line, and none where no light of higher orders is wanted."""
+    with caplog.at_level(logging.WARNING):
+        Tank(small("paper/sandwave", **sections, render={"scatter_samples": 0}))
+        assert not caplog.records
+        tank = Tank(small("paper/sandwave", **sections))
+    assert not tank.gathers
+    assert len(caplog.records) == 1
+    assert caplog.records[0].getMessage().startswith("note: ")
+    assert f"higher orders are random ({reason}" in caplog.text
+    assert tank.render(POSITION_MM, 1).scattered.any()
+
+
+def test_a_laser_that_is_off_gives_no_light() -> None:
+    layers = Tank(small(laser={"on": False})).render(POSITION_MM, 1)
+    assert not layers.scattered.any()
