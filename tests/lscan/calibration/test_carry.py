@@ -187,8 +187,8 @@ def test_maps_without_physics_are_refused(name: str) -> None:
 
 
 def test_a_map_whose_origin_sees_no_sheet_is_refused(metric: Metric) -> None:
-    """As a file may hold it: the sheet's plane goes through the pinhole's own axis."""
+    """As a file may hold it: the sheet's plane lies behind the camera."""
     fields = {name: getattr(metric, name) for name in Metric.model_fields}
-    fields["q_per_mm"] = np.array([0.0, 1e-3, 0.0])
+    fields["q_per_mm"] = np.array([0.0, 0.0, -1e-3])
     with pytest.raises(InputError, match=r"in other water: origin_px"):
         Metric.model_validate(fields).in_water((1.339, 0.0))
