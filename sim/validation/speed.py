@@ -17,35 +17,32 @@ import mitsuba as mi
 import numpy as np
 
 from lscan.acquisition.scan import scan
-from lscan.acquisition.writer import PNG
 from lscan.benchmark.timing import median_seconds, timed
 from lscan.config.rig import StripeSection
 from lscan.config.rigfile import RigFile, load_rig
-from lscan.files.pictures import encoded
 from lscan.paper.experiment import METHODS, measure_board
 from lscan.records import Floats, Mask
 from lscan.stripe import extract_stripe
 from sim.render.spreads import PHOTONS, make_spread
-from sim.render.tank import Tank, stock_medium
+from sim.render.tank import W_PER_M2_IN_MW_PER_MM2, Tank, stock_medium
 from sim.scene import scene_of
 from sim.scene.matter import Water
 from sim.sensor import Webcam
 from sim.validation.instrumentspeed import instrument_times
 from sim.validation.physics.scattering import render_with
+from sim.validation.picturespeed import picture_times, turbid_time
 from sim.validation.rows import Row, RowFile, measured, row
 from sim.water import water_optics
 
 # (left, top, width, height) in px: the line on a ridge of the grooved block with the halo
 # about it, and water that the sheet crosses far above it.
 LINE_WINDOW, VEIL_WINDOW = (190, 346, 64, 32), (240, 120, 64, 32)
-GRID_SAMPLES, SCATTER_SAMPLES = 16, 4  # ours, of the first and of all higher orders
 VEIL_SAMPLES = 4  # ours, of the first order alone
 OURS_A_RUN = 4  # pictures of ours for one of the reference, which takes some 20 times longer
 ALL_ORDERS, FIRST_ORDER = -1, 2  # volpath's max_depth
 BARS = {"line core": 150.0, "halo": 20.0, "veil": 1000.0}
 SEED, RESAMPLES = 0, 2000
 WAVELENGTH_NM = 650.0
-SAMPLED, FEW_RAYS = "every pixel sampled", "few rays"
 CONFIDENCE = 0.95
 
 Window = tuple[int, int, int, int]
@@ -62,8 +59,8 @@ class SpeedEffort:
     photons: of the tables of how a beam spreads.
     """
 
-    runs: int = 64
-    stock_samples: int = 1024
+    runs: int = 10
+    stock_samples: int = 8192
     converged: tuple[int, int] = (4096, 2048)
     repeats: int = 15
     frames: int = 400
@@ -109,7 +106,8 @@ def run_bench(scenes: Path, output: Path, quick: bool = False) -> list[Row]:
         "efficiency on the veil": partial(veil_efficiency, groove, effort),
         "efficiency above the line": partial(water_efficiency, groove, effort),
         "time of a frame": partial(frame_times, groove, effort),
-        "time of a picture of the first order": partial(picture_times, sandwave, effort),
+        "time of a picture": partial(picture_times, sandwave, effort.repeats),
+        "time in turbid water": partial(turbid_time, sandwave, effort.frames),
         "time of a plane map": partial(map_times, board, effort),
         "time of the instrument": partial(
             instrument_times, board, sandwave, effort.frames, effort.repeats
@@ -166,17 +164,28 @@ def _gain_row(what: str, gain: Gain, effort: SpeedEffort, bar: float | None) -> 
 
 
 def _all_orders(tank: Tank, window: Window, effort: SpeedEffort) -> dict[str, Gain]:
-    """The gain on each part of a window, all orders of scattering in both renders."""
+    """The gain on each part of a window, all orders of scattering in both renders.
+
+    Ours is the tank's whole picture, whose error is no noise: its time counts as the share that
+    the window has of the pixels.
+    """
+    left, top, width, height = window
     grid, random = tank.make_camera(window), tank.make_camera(window, jitter=True)
 
-    def ours(samples: tuple[int, int], seed: int) -> Floats:
+    def converged(samples: tuple[int, int], seed: int) -> Floats:
         first = render_with(tank, grid, tank.integrator, samples[0], seed)
         return first + render_with(tank, random, tank.higher, samples[1], seed)
 
-    truth = _mean(partial(ours, effort.converged))
+    truth = _mean(partial(converged, effort.converged))
     parts = {name: part for name, part in _parts(tank, window).items() if part.any()}
-    taken = partial(ours, (GRID_SAMPLES, SCATTER_SAMPLES))
-    return _gains(taken, _theirs(tank, window, ALL_ORDERS, effort), truth, parts, effort)
+
+    def ours(_: int) -> Floats:
+        whole = tank.render(0.0).laser.astype(float) / W_PER_M2_IN_MW_PER_MM2
+        return whole[top : top + height, left : left + width]
+
+    camera = tank.scene.rig.camera
+    share = width * height / (camera.width_px * camera.height_px)
+    return _gains(ours, _theirs(tank, window, ALL_ORDERS, effort), truth, parts, effort, share)
 
 
 def _theirs(tank: Tank, window: Window, depth: int, effort: SpeedEffort) -> Picture:
@@ -192,9 +201,17 @@ def _mean(picture: Picture) -> Floats:
 
 
 def _gains(
-    ours: Picture, theirs: Picture, truth: Floats, parts: Mapping[str, Mask], effort: SpeedEffort
+    ours: Picture,
+    theirs: Picture,
+    truth: Floats,
+    parts: Mapping[str, Mask],
+    effort: SpeedEffort,
+    share: float = 1.0,
 ) -> dict[str, Gain]:
-    """The gain on each part, from pairs of pictures rendered in turn."""
+    """The gain on each part, from pairs of pictures rendered in turn.
+
+    share: of ours's time that counts.
+    """
     ours(0), theirs(0)  # compiles what is rendered
     costs: dict[str, list[list[float]]] = {name: [] for name in parts}
     for run in range(effort.runs):
@@ -204,7 +221,7 @@ def _gains(
             costs[name].append(
                 [_square(taken, truth, part) * seconds / len(taken) for seconds, taken in pair]
             )
-    return {name: gain_of(np.array(pairs)) for name, pairs in costs.items()}
+    return {name: gain_of(np.array(pairs) * [share, 1.0]) for name, pairs in costs.items()}
 
 
 def _stack(picture: Picture, seeds: Iterable[int]) -> Floats:
@@ -256,35 +273,6 @@ def frame_times(rig_file: RigFile, effort: SpeedEffort) -> list[Row]:
         settings = StripeSection(extractor=name)
         calls[f"extract, {name}"] = partial(extract_stripe, image, settings)
     return [_time_row(what, call, " a frame", effort) for what, call in calls.items()]
-
-
-def picture_times(rig_file: RigFile, effort: SpeedEffort) -> list[Row]:
-    """Milliseconds of each stage from the scene to the PNG file, light of the first order alone.
-
-    With every pixel sampled and with few rays, in turn and at one place after the other.
-    """
-    scene = scene_of(rig_file)
-    tanks = {way: Tank(scene, sampled=way == SAMPLED) for way in (SAMPLED, FEW_RAYS)}
-    webcam, generator = Webcam(scene), np.random.default_rng(SEED)
-    seconds: dict[str, list[list[float]]] = {way: [] for way in tanks}
-    for run in range(effort.repeats + 1):  # the first compiles what is rendered
-        for way, tank in tanks.items():
-            place_mm = run * scene.rig.plan.step_mm
-            render_s, layers = timed(partial(tank.render, place_mm, scatter_samples=0))
-            exposure_ms = scene.rig.camera.exposure_ms
-            sensor_s, image = timed(partial(webcam.expose, layers, exposure_ms, generator))
-            png_s, _ = timed(partial(encoded, image, ".png", PNG))
-            seconds[way].append([render_s, sensor_s, png_s])
-    rows, whole_s = [], {}
-    for way, taken in seconds.items():
-        stages = np.median(taken[1:], axis=0)
-        for stage, median_s in zip(("render", "sensor", "PNG"), stages, strict=True):
-            what = f"picture of the first order, {way}: {stage}"
-            rows.append(_milliseconds(what, median_s, " a frame", effort))
-        whole_s[way] = float(np.median(np.sum(taken[1:], axis=1)))
-    gain = whole_s[SAMPLED] / whole_s[FEW_RAYS]
-    per_s = 1 / whole_s[FEW_RAYS]
-    return [*rows, row("picture-gain", gain, repeats=effort.repeats, per_s=per_s)]
 
 
 def map_times(board: RigFile, effort: SpeedEffort) -> list[Row]:

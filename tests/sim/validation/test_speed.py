@@ -6,8 +6,10 @@ import numpy as np
 import pytest
 from places import SCENES
 
+from lscan.config.rigfile import load_rig
 from lscan.records import Floats
-from sim.validation import speed as bench
+from sim.scene import Scene
+from sim.validation import picturespeed, speed as bench
 from sim.validation.rows import Row
 from sim.validation.speed import FULL, gain_of, run_bench
 
@@ -64,6 +66,7 @@ def test_an_error_in_one_measurement_is_a_failed_row(
         "veil_efficiency",
         "water_efficiency",
         "picture_times",
+        "turbid_time",
         "table_time",
         "map_times",
         "instrument_times",
@@ -71,5 +74,28 @@ def test_an_error_in_one_measurement_is_a_failed_row(
         monkeypatch.setattr(bench, name, works)
     monkeypatch.setattr(bench, "frame_times", fails)
     rows = run_bench(PAPER, tmp_path / "bench.json")
-    assert [row.passed for row in rows] == [None] * 3 + [False] + [None] * 4
+    assert [row.passed for row in rows] == [None] * 3 + [False] + [None] * 5
     assert rows[3].what == "time of a frame" and "no kernel" in rows[3].error
+
+
+@pytest.mark.parametrize("times, passed", [(2.0, False), (4.0, True)])
+def test_pictures_are_judged_by_their_whole_times(
+    times: float, passed: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """All stages of a picture count: medians of pictures of one way, sums of a scan's."""
+
+    def seconds(tanks: list[tuple[tuple[float, bool], int]], pictures: int) -> Floats:
+        (_, sampled), orders = tanks[0]
+        assert sampled == (orders == 0) and tanks[1][1] == 1
+        return np.array([[[0.2, 0.1, 0.1]] * pictures, [[0.2 / times] * 2 + [0.0]] * pictures])
+
+    def tank(scene: Scene, *, sampled: bool = False) -> tuple[float | None, bool]:
+        return scene.tank.water.turbidity_ntu, sampled
+
+    monkeypatch.setattr(picturespeed, "Tank", tank)
+    monkeypatch.setattr(picturespeed, "stage_seconds", seconds)
+    rig_file = load_rig(PAPER / "sandwave.toml")
+    *stages, gain = picturespeed.picture_times(rig_file, 3)
+    assert len(stages) == 6 and gain.passed is passed and gain.figure == pytest.approx(times)
+    (turbid,) = picturespeed.turbid_time(rig_file, 2)
+    assert turbid.figure == pytest.approx(times) and turbid.passed is False

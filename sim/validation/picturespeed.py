@@ -1,0 +1,84 @@
+"""Speed of the tank's pictures: all orders over the first alone, turbid over tap water."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from functools import partial
+
+import numpy as np
+
+from lscan.acquisition.writer import PNG
+from lscan.benchmark.timing import timed
+from lscan.config.rigfile import RigFile
+from lscan.files.pictures import encoded
+from lscan.records import Floats
+from sim.render.tank import Tank
+from sim.scene import scene_of
+from sim.scene.matter import Water
+from sim.sensor import Webcam
+from sim.validation.rows import Row, row
+
+STAGES = ("render", "sensor", "PNG")
+WAYS = ("first order, every pixel sampled", "all orders")
+TURBID_NTU = 5.0
+SEED = 0
+
+
+def picture_times(rig_file: RigFile, repeats: int) -> list[Row]:
+    """Milliseconds of each stage from the scene to the PNG file, and the ratio of two ways.
+
+    The first order alone with every pixel sampled, and all orders as the tank renders them.
+
+    Parameters
+    ----------
+    rig_file : RigFile, of the scene
+    repeats : int, pictures each
+    """
+    scene = scene_of(rig_file)
+    taken = stage_seconds([(Tank(scene, sampled=True), 0), (Tank(scene), 1)], repeats)
+    rows = [
+        row("time", 1e3 * second, what=f"picture, {way}: {stage}", repeats=repeats, per=" a frame")
+        for way, stages in zip(WAYS, np.median(taken, axis=1), strict=True)
+        for stage, second in zip(STAGES, stages, strict=True)
+    ]
+    first_s, all_s = np.median(taken.sum(axis=2), axis=1).tolist()
+    return [*rows, row("picture-gain", first_s / all_s, repeats=repeats, per_s=1 / all_s)]
+
+
+def turbid_time(rig_file: RigFile, frames: int) -> list[Row]:
+    """Time of a scan's pictures, all orders, in turbid water over that in the scene's own.
+
+    Parameters
+    ----------
+    rig_file : RigFile, of the scene
+    frames : int, pictures each
+    """
+    scene, water = scene_of(rig_file), Water(kind="tank", turbidity_ntu=TURBID_NTU)
+    turbid = replace(scene, tank=scene.tank.model_copy(update={"water": water}))
+    tanks = [(Tank(turbid), 1), (Tank(scene), 1)]
+    turbid_s, own_s = stage_seconds(tanks, frames).sum(axis=(1, 2)).tolist()
+    words = {"frames": frames, "turbid_s": turbid_s, "own_s": own_s}
+    return [row("turbid-time", turbid_s / own_s, **words)]
+
+
+def stage_seconds(tanks: Sequence[tuple[Tank, int]], pictures: int) -> Floats:
+    """(tanks, pictures, STAGES) seconds, the tanks in turn at one place after the other.
+
+    A first picture of each, which compiles and makes tables, is left out.
+
+    Parameters
+    ----------
+    tanks : sequence of tuple, each with its samples of higher orders, 0 for none
+    pictures : int, of each
+    """
+    generator = np.random.default_rng(SEED)
+    webcams = [Webcam(tank.scene) for tank, _ in tanks]
+    seconds = np.zeros((len(tanks), pictures + 1, len(STAGES)))
+    for picture in range(pictures + 1):
+        for k, ((tank, orders), webcam) in enumerate(zip(tanks, webcams, strict=True)):
+            rig = tank.scene.rig
+            place_mm, exposure_ms = picture * rig.plan.step_mm, rig.camera.exposure_ms
+            render_s, layers = timed(partial(tank.render, place_mm, scatter_samples=orders))
+            sensor_s, image = timed(partial(webcam.expose, layers, exposure_ms, generator))
+            png_s, _ = timed(partial(encoded, image, ".png", PNG))
+            seconds[k, picture] = render_s, sensor_s, png_s
+    return seconds[:, 1:]
