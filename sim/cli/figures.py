@@ -46,7 +46,9 @@ def verify(
     json_file: Annotated[
         Path | None, typer.Option("--json-file", help="Write the rows to this file as well.")
     ] = None,
-    full: Annotated[bool, typer.Option("--full", hidden=True)] = False,
+    full: Annotated[
+        bool, typer.Option("--full", help="More random rigs and less noise, in hours.")
+    ] = False,
     quick: Quick = False,
     json: Json = False,
 ) -> None:
@@ -57,7 +59,7 @@ def verify(
     if full and quick:
         raise typer.BadParameter("--full and --quick exclude each other")
     with progress_bar("verify") as progress:
-        rows = run_verify(output, scenes or scenes_folder(), quick, progress)
+        rows = run_verify(output, scenes or scenes_folder(), quick, progress, full)
     if json_file is not None:
         write_rows(json_file, rows)
     _end_with_rows("verify", rows, [output / "report.html", output / "verify.json"], json)

@@ -1,10 +1,12 @@
 """The chapters of the evidence, in the order of the page, and how much each measures."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
+from sim.render.judge.judged import JudgeEffort
 from sim.validation.physics.box import closed_box
 from sim.validation.physics.energy import energy
+from sim.validation.physics.higherorders import LightEffort, higher_orders
 from sim.validation.physics.laserleg import laser_leg
 from sim.validation.physics.matter import matter
 from sim.validation.physics.phases import phases
@@ -18,6 +20,7 @@ from sim.validation.physics.spreading import beam_spread
 from sim.validation.rows import Topic
 
 Measure = Callable[[], Topic]
+LIGHT = LightEffort()
 
 
 @dataclass(frozen=True)
@@ -27,7 +30,7 @@ class VerifyEffort:
     rigs: random ones for the ports.  sights: random lines of sight for the veil.  leg_samples: a
     place of the floor under a sheet.  photons: for tables of how a beam spreads.  box_rays,
     box_batches: of the closed box.  runs, samples: independent pictures a side against volpath,
-    and its samples a pixel.
+    and its samples a pixel.  light: of higher orders against the judge.
     """
 
     rigs: int = 60
@@ -38,9 +41,12 @@ class VerifyEffort:
     box_batches: int = 16
     runs: int = 16
     samples: int = 2048
+    light: LightEffort = LIGHT
 
 
-FULL = VerifyEffort()
+NORMAL = VerifyEffort()
+# Twelve random rigs, and so many walks that the judge's standard error is about 0.5 %: hours.
+FULL = replace(NORMAL, light=LightEffort(rigs=3, judge=JudgeEffort(batches=32)))
 QUICK = VerifyEffort(
     rigs=2,
     sights=2,
@@ -50,6 +56,9 @@ QUICK = VerifyEffort(
     box_batches=4,
     runs=3,
     samples=16,
+    light=LightEffort(
+        targets=1, depths=1, columns=16, judge=JudgeEffort(photons=1 << 16, walks=4, batches=2)
+    ),
 )
 WATERS = ("clear", "coastal", "harbor")
 
@@ -71,4 +80,5 @@ def chapters(effort: VerifyEffort) -> dict[str, Measure]:
         "all orders of scattering": lambda: multiple_scattering(
             WATERS, effort.runs, effort.samples
         ),
+        "light of higher orders": lambda: higher_orders(effort.light),
     }

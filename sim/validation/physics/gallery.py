@@ -20,6 +20,8 @@ from sim.sensor import Webcam
 from sim.validation.rows import Row, failed_row, row
 
 SAMPLES, QUICK_SAMPLES = 4, 1  # at least, a pixel
+# Shown side by side, with light of higher orders gathered and sampled.
+BOTH_WAYS = ("harbor", "tank-1ntu", "tank-5ntu", "tank-10ntu")
 QUICK_SHRINKING = 8  # of a quick run's pictures, in width and height
 WIDTH_PX = 480
 SEED = 97
@@ -27,11 +29,15 @@ SEED = 97
 
 @dataclass(frozen=True)
 class ScenePicture:
-    """A picture for the page: its scene's name and file, and the JPEG as a data URI."""
+    """A picture for the page: its scene's name and file, and the JPEG as a data URI.
+
+    compared: it shows the way its light of higher orders was rendered, beside the other way.
+    """
 
     name: str
     file: str
     uri: str
+    compared: bool = False
 
 
 def gallery(scenes: Path, quick: bool = False) -> tuple[list[ScenePicture], list[Row]]:
@@ -53,7 +59,13 @@ def gallery(scenes: Path, quick: bool = False) -> tuple[list[ScenePicture], list
     files = scene_files(scenes)
     for path in files:
         try:
-            plates.append(plate(load_scene(path), path.relative_to(scenes), quick))
+            scene, file = load_scene(path), path.relative_to(scenes)
+            plates.append(plate(scene, file, quick))
+            if path.stem in BOTH_WAYS:
+                for light in ("gathered", "sampled"):
+                    shown = plate(scene.with_tank(render={"light": light}), file, quick)
+                    name = f"{shown.name}, {light}"
+                    plates.append(replace(shown, name=name, compared=True))
         except Exception as error:  # one scene's fault is a row; the others are still shown
             failed.append(failed_row(f"picture of the scene {path.relative_to(scenes)}", error))
     whole = row("scenes-without-picture", len(failed), count=len(files), folder=scenes.name)

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from lscan.files.disk import make_folder, write_atomically
 from lscan.records import Progress
-from sim.validation.physics.chapters import FULL, QUICK, Measure, chapters
+from sim.validation.physics.chapters import FULL, NORMAL, QUICK, Measure, chapters
 from sim.validation.physics.gallery import gallery, scene_files
 from sim.validation.physics.report import render_page
 from sim.validation.physics.topics import topic
@@ -14,7 +14,11 @@ from sim.validation.rows import Row, RowFile, Topic, failed_row
 
 
 def run_verify(
-    folder: Path, scenes: Path, quick: bool = False, progress: Progress | None = None
+    folder: Path,
+    scenes: Path,
+    quick: bool = False,
+    progress: Progress | None = None,
+    full: bool = False,
 ) -> list[Row]:
     """All rows of the evidence, also written to ``folder`` as verify.json and report.html.
 
@@ -32,6 +36,8 @@ def run_verify(
         then not judged.
     progress : callable, optional
         Called with (done, all) after each chapter.
+    full : bool
+        With all the effort there is, which takes hours.
 
     Raises
     ------
@@ -43,7 +49,7 @@ def run_verify(
     file = RowFile(folder / "verify.json", quick)
     started = time.perf_counter()
     checks = []
-    measures = chapters(QUICK if quick else FULL)
+    measures = chapters(QUICK if quick else FULL if full else NORMAL)
     for done, (name, measure) in enumerate(measures.items(), start=1):
         check = _measured(name, measure)
         checks.append(replace(check, rows=tuple(file.add(check.rows))))
