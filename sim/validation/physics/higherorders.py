@@ -31,7 +31,7 @@ BARS = {  # %, at those depths
 JUDGE = JudgeEffort(batches=4)
 CENTRE_BARS_PX, PIXEL_BAR_DN = (0.01, 0.01, 0.02), 1.0
 RINGS_PX = (-1.0, 1.0, 4.0, 16.0, 64.0)  # from the line: the core, and the halo in three
-CONFIDENCE = 0.95
+CONFIDENCE, STANDARD_ERRORS = 0.95, 1.96
 RIDGE_MM = 1.0  # below the highest of the groove's line by more, it is not on a ridge
 BRIGHTEST_DN = 200.0
 BORDER_PX, ENDS_PX = 3, 4.0  # left out: what the lens blurs into the window; the line's ends
@@ -72,7 +72,7 @@ class LightFound:
     """What was found in a window.
 
     ratios: of the parts of BARS.  centre_px, pixel_dn: deviation of the line's centre, rms, and of
-    the pixels, the largest; with what the judge's noise leaves of each.
+    the pixels, the largest; with what the judge's noise explains of each.
     """
 
     ratios: Mapping[str, Sequence[LightRatio]]
@@ -117,10 +117,12 @@ def target_rows(target: str, level: int, effort: LightEffort) -> list[Row]:
             bar, off = bars[level] + 100 * worst.half, 100 * abs(worst.value - 1)
             words |= {"part": part, "ratio": worst, "required": bars[level]}
             rows.append(row("light-part", off, bar=bar, **words))
-    centre, noise = max(one.centre_px for one in found)
-    rows.append(row("light-centre", centre, bar=CENTRE_BARS_PX[level], **words, noise=noise))
-    pixel, noise = max(one.pixel_dn for one in found)
-    return [*rows, row("light-pixel", pixel, bar=PIXEL_BAR_DN, **words, noise=noise)]
+    centre, noise = max((one.centre_px for one in found), key=lambda pair: pair[0] - pair[1])
+    words |= {"required": CENTRE_BARS_PX[level], "noise": noise}
+    rows.append(row("light-centre", centre, bar=np.hypot(words["required"], noise), **words))
+    pixel, noise = max((one.pixel_dn for one in found), key=lambda pair: pair[0] - pair[1])
+    words |= {"required": PIXEL_BAR_DN, "noise": noise}
+    return [*rows, row("light-pixel", pixel, bar=PIXEL_BAR_DN + noise, **words)]
 
 
 def compare(case: LightCase, effort: JudgeEffort, grooved: bool) -> LightFound:
@@ -193,10 +195,10 @@ def _grey_values(case: LightCase, tank: Tank, ours: Floats, judged: Judged) -> F
 
 
 def _centre_deviation(case: LightCase, grey: Floats) -> tuple[float, float]:
-    """Rms deviation of the line's centre by "ml", px, and the judge's noise.
+    """Rms deviation of the line's centre by "ml", px, and what noise explains.
 
     Each half of the judge's batches errs by itself: the mean product of the deviations from either
-    is free of their noise.
+    is free of their noise but for its standard error, the square of what is told.
     """
     left, _, width, _ = case.window
     settings, ml = StripeSection(extractor="ml"), find_extractor("ml")
@@ -205,18 +207,18 @@ def _centre_deviation(case: LightCase, grey: Floats) -> tuple[float, float]:
     ours, one, other = np.array(centres)[:, BORDER_PX:-BORDER_PX]
     edge_px = case.truth.edge_px[left : left + width][BORDER_PX:-BORDER_PX]
     used = (edge_px > ENDS_PX) & np.isfinite(ours + one + other)
-    square = np.mean(((ours - one) * (ours - other))[used])
-    noise = np.sqrt(np.mean((one - other)[used] ** 2)) / 2
-    return float(np.sqrt(max(square, 0.0))), float(noise)
+    squares = ((ours - one) * (ours - other))[used]
+    noise = np.sqrt(STANDARD_ERRORS * squares.std(ddof=1) / np.sqrt(len(squares)))
+    return float(np.sqrt(max(squares.mean(), 0.0))), float(noise)
 
 
 def _pixel_deviation(offset: Floats, grey: Floats) -> tuple[float, float]:
-    """Largest deviation of BLOCK_PX neighbours along the line, DN, and the judge's rms noise."""
+    """Largest deviation of neighbours along the line, DN, and the largest of noise alone."""
     ours, one, other = grey
     blocks = np.array(
         [list(_blocks(offset, light)) for light in (ours - (one + other) / 2, one - other)]
     )
-    return float(np.abs(blocks[0]).max()), float(np.sqrt(np.mean(blocks[1] ** 2)) / 2)
+    return float(np.abs(blocks[0]).max()), float(np.abs(blocks[1]).max() / 2)
 
 
 def _blocks(offset: Floats, light: Floats) -> Iterator[float]:
