@@ -99,7 +99,7 @@ def make_chart(rays: HeadRays, head: Head) -> Chart:
     """
     axes, shape = camera_pose(head).rotation, rays.size_px[::-1]
     origin, way = np.array(rays.origin, dtype=float), np.array(rays.direction, dtype=float)
-    pivot = _nearest_point(origin, way)
+    pivot = nearest_point(origin, way)
     places = _on_chart(way, axes)
     low, size = places.min(axis=1), np.ptp(places, axis=1)
     cell = float(size.max() * (1 + 2 * BESIDE) / CELLS)
@@ -145,8 +145,13 @@ def _grid(axes: Floats, pivot: Floats, corner: Floats, cell: float, counts: list
     )
 
 
-def _nearest_point(origin: Floats, way: Floats) -> Floats:
-    """(3,) the point whose squared distances from lines add up to the least."""
+def nearest_point(origin: Floats, way: Floats) -> Floats:
+    """(3,) the point whose squared distances from lines add up to the least.
+
+    Parameters
+    ----------
+    origin, way : (3, N) arrays, places on the lines and unit vectors along them
+    """
     across = np.eye(3) * way.shape[1] - way @ way.T
     along = (origin * way).sum(axis=0)
     return np.linalg.solve(across, (origin - along * way).sum(axis=1))

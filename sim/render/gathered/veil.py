@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from lscan.files.longwork import long_work
 from lscan.records import Floats, Ints, Mask
+from sim.render.gathered.chart import nearest_point
 from sim.render.gathered.smooth import smoothed
 from sim.render.gathered.veilcounts import (
     COLUMNS,
@@ -174,8 +175,7 @@ def field_of_view(rays: HeadRays) -> FieldOfView:
     rays : HeadRays
     """
     origin, direction = (np.array(v, dtype=float).T for v in (rays.origin, rays.direction))
-    across = np.eye(3) - direction[:, :, np.newaxis] * direction[:, np.newaxis]
-    pinhole = np.linalg.solve(across.sum(axis=0), np.einsum("nij,nj->i", across, origin))
+    pinhole = nearest_point(origin.T, direction.T)
     ahead = direction.mean(axis=0)
     ahead /= np.linalg.norm(ahead)
     right = direction[rays.size_px[0] - 1] - direction[0]
