@@ -19,7 +19,7 @@ FORMAT = 3  # of the kept files: raised where other numbers would be written
 # 81 s of one core in water of 10 NTU, 50 s in 5, 19 s in 1, shared by all cores: a third each for
 # counting, for drawing angles and for the rest of the walks.  The standard error is then 0.3 % or
 # less within 2.5 rad of the beam, wherever the light of a ring is 1 % of the brightest ring's.
-PHOTONS, SEED = int(os.environ.get("LSCAN_PHOTONS", 20 * 2**20)), 1
+MOST_PHOTONS, FEWEST_PHOTONS, SEED = 20 * 2**20, 2**14, 1
 # Distances of a scanner's parts, mm.  Beyond so many scatterings hardly any light arrives.
 NEAREST_MM, FARTHEST_MM = 100.0, 3000.0
 MOST_SCATTERINGS = 25.0
@@ -27,6 +27,24 @@ SPHERES = 16
 TO_PLANES = 4  # so many photons go to spheres for each one that goes to planes
 KEPT = ("multiple", "error", "horizon")
 TILTS = np.radians([0.0, 15.0, 30.0, 42.0, 52.0, 61.0, 69.0, 76.0])
+
+
+def photons_asked_for() -> int:
+    """As LSCAN_PHOTONS says, for who needs tables soon rather than smooth.
+
+    Raises
+    ------
+    InputError
+        It says no number, or too small a one.
+    """
+    said = os.environ.get("LSCAN_PHOTONS", str(MOST_PHOTONS))
+    if not said.isdecimal() or int(said) < FEWEST_PHOTONS:
+        allowed = f"a whole number from {FEWEST_PHOTONS} on"
+        raise InputError("no number of photons", where="LSCAN_PHOTONS", value=said, allowed=allowed)
+    return int(said)
+
+
+PHOTONS = photons_asked_for()
 
 
 def spread_of(water: Optics, photons: int = PHOTONS, seed: int = SEED) -> Spread:

@@ -13,7 +13,7 @@ from lscan.files.longwork import long_work_shown
 from lscan.records import Floats
 from sim.render import photons, spreads
 from sim.render.plugins.spread import SpreadLookup
-from sim.render.spreads import spread_of
+from sim.render.spreads import photons_asked_for, spread_of
 from sim.scene.matter import Water
 from sim.water import Optics, water_optics
 from sim.water.axes import ANGLE_AXIS
@@ -191,3 +191,10 @@ def test_every_water_has_tables(water: Water) -> None:
 def test_clear_air_has_no_table() -> None:
     with pytest.raises(InputError, match="scatters no light"):
         spread_of(replace(WATER, scattering_per_mm=0.0))
+
+
+@pytest.mark.parametrize("said", ["lots", "-1", "16383", "1e6", ""])
+def test_no_number_of_photons_is_refused(monkeypatch: pytest.MonkeyPatch, said: str) -> None:
+    monkeypatch.setenv("LSCAN_PHOTONS", said)
+    with pytest.raises(InputError, match=rf"LSCAN_PHOTONS.*{said}.*16384"):
+        photons_asked_for()
