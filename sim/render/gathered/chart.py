@@ -10,10 +10,12 @@ gets into it, the chart's cells are COARSER.
 from dataclasses import dataclass
 from math import ceil, tan
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
+from scipy.interpolate import CloughTocher2DInterpolator
 
-from lscan.records import Floats
+from lscan.records import Floats, Mask
 from sim.render.sparse.rays import HeadRays
 from sim.scene import Head, camera_pose
 
@@ -24,6 +26,7 @@ BESIDE, BEYOND = 0.06, 1.0
 WIDEST_RAD = 1.3  # off the middle
 CELLS = 144  # fine ones, along the wider side
 COARSER = 4
+SPARSE = 8  # pixels between those whose places on the chart are inverted
 
 
 @dataclass(frozen=True)
@@ -87,6 +90,49 @@ class Chart:
         """(3, N) directions at (2, N) columns and rows of a grid, in cells, head frame."""
         x, y = grid.corner[:, np.newaxis] + grid.cell * place
         return np.asarray(self.axes @ _directions(x, y)[0])
+
+
+@dataclass(frozen=True)
+class CellsInPicture:
+    """Where cells of the view lie in the picture.
+
+    Attributes
+    ----------
+    inside : (rows, columns) the cells whose middles the picture shows
+    column, row : (rows, columns) of the picture at those middles, px
+    box_px : a cell's sides, px, odd
+    """
+
+    inside: Mask
+    column: Picture
+    row: Picture
+    box_px: tuple[int, int]
+
+    def read(
+        self, picture: Picture, step: int = 1, interpolation: int = cv2.INTER_LINEAR
+    ) -> Picture:
+        """(N, ...) a picture, or every so many pixels of it, at the middles of cells inside."""
+        places, border = (self.column / step, self.row / step), cv2.BORDER_REPLICATE
+        there = cv2.remap(picture, *places, interpolation, borderMode=border)
+        return np.asarray(there, dtype=np.float32)[self.inside]
+
+
+def cells_in_picture(chart: Chart) -> CellsInPicture:
+    """Where the fine cells of a chart lie in the picture."""
+    x, y = chart.pixels
+    height, width = x.shape
+    row, column = (
+        np.unique(np.append(np.arange(0, side, SPARSE), side - 1)) for side in (height, width)
+    )
+    rows, columns = np.meshgrid(row, column, indexing="ij")
+    known = np.stack([x[rows, columns], y[rows, columns]], axis=-1).reshape(-1, 2)
+    place = CloughTocher2DInterpolator(known, np.stack([columns, rows], axis=-1).reshape(-1, 2))
+    rows, columns = np.indices(chart.inner.shape, dtype=float)
+    column, row = np.moveaxis(place(columns, rows), -1, 0).astype(np.float32)
+    side = np.sqrt((width - 1) * (height - 1) / (np.ptp(x) * np.ptp(y)))
+    box = 2 * round((side - 1) / 2) + 1
+    inside = ~np.isnan(column)
+    return CellsInPicture(inside, np.nan_to_num(column), np.nan_to_num(row), (box, box))
 
 
 def make_chart(rays: HeadRays, head: Head) -> Chart:

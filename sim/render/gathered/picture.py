@@ -13,7 +13,7 @@ from sim.meshes import MeshPart
 from sim.render.ambient.field import reflectance
 from sim.render.fineness import binned
 from sim.render.gathered.camera import CameraLeg, Shining
-from sim.render.gathered.chart import Chart, ChartGrid, Picture, make_chart
+from sim.render.gathered.chart import Chart, ChartGrid, Picture, cells_in_picture, make_chart
 from sim.render.gathered.glow import Glow
 from sim.render.gathered.lines import facing
 from sim.render.gathered.points import lit_points
@@ -78,6 +78,23 @@ def reason_for_random(scene: Scene, parts: Sequence[MeshPart], water: Optics) ->
     return ""
 
 
+@dataclass(frozen=True)
+class CellRays:
+    """Rays from a chart's middle: one in each of some cells, and more down those on the line.
+
+    Attributes
+    ----------
+    grid : ChartGrid
+    cells, on_line : numbers of the cells
+    directions : (3, N) unit vectors, head frame
+    """
+
+    grid: ChartGrid
+    cells: Ints
+    on_line: Ints
+    directions: Floats
+
+
 class GatheredLight:
     """The laser's light of second and higher orders, wherever the head stands."""
 
@@ -98,6 +115,11 @@ class GatheredLight:
         self._veil = HigherVeil(water, integrator.sheets, rays)
         self._chart = make_chart(rays, head)
         self._grids = self._chart.inner, self._chart.outer
+        self._in_view = cells_in_picture(self._chart)
+        outer = np.ones(self._chart.outer.shape, bool)
+        outer[self._chart.block] = False
+        # Cells of each grid that the picture does not show, and no other grid holds.
+        self._outside = np.flatnonzero(~self._in_view.inside), np.flatnonzero(outer)
         spread = spread_of(water)
         lookup = SpreadLookup(spread, water.extinction_per_mm)
         self._glows = [Glow(sheet, lookup) for sheet in integrator.sheets]
@@ -158,29 +180,55 @@ class GatheredLight:
         """What surfaces send on of the glow, in the picture, and of all light, in the grids."""
         coarse, exact = self._inner[::STEP, ::STEP], self._uneven(direct, seen)
         index = np.concatenate([coarse.ravel(), self._inner.ravel()[exact]])
-        cells = [_on_line(line) for line in lines]
-        ways = [grid.directions for grid in self._grids]
-        ways += [
-            self._chart.between(grid, _inside(chosen, grid.shape[1], self._finer(grid)))
-            for grid, chosen in zip(self._grids, cells, strict=True)
+        cells = [
+            self._cell_rays(grid, outside, line)
+            for grid, outside, line in zip(self._grids, self._outside, lines, strict=True)
         ]
-        counts = [coarse.size, exact.size, *(way.shape[1] for way in ways)]
-        directions = np.hstack(ways)
+        directions = [each.directions for each in cells]
+        counts = [coarse.size, exact.size, *(way.shape[1] for way in directions)]
         lit = self._reflections.lit()
-        found = self._sent(self._all_rays(head, index, directions), head, lit).split(*counts)
-        picture = _stretched(found[0].radiance.reshape(coarse.shape), *self._inner.shape)
-        picture.ravel()[exact] = found[1].radiance
-        shining = []
-        for grid, line, chosen, even, fine in zip(
-            self._grids, lines, cells, found[2:4], found[4:], strict=True
-        ):
-            power = even.radiance * even.distance**2
-            within = (fine.radiance * fine.distance**2).reshape(-1, self._finer(grid))
-            power[chosen] = within.mean(axis=1)
-            power = line + power.reshape(grid.shape) * grid.solid_angle
-            distance = even.distance.reshape(grid.shape) - np.float32(self._chart.near_mm)
-            shining.append(Shining(power, distance, even.normal.reshape(*grid.shape, 3)))
+        rays = self._all_rays(head, index, np.hstack(directions))
+        even, fine, *traced = self._sent(rays, head, lit).split(*counts)
+        picture = _stretched(even.radiance.reshape(coarse.shape), *self._inner.shape)
+        picture.ravel()[exact] = fine.radiance
+        shining = [self._traced(*each) for each in zip(cells, traced, strict=True)]
+        self._put_view(shining[0], picture, even.normal.reshape(*coarse.shape, 3), seen)
+        for grid, line, each in zip(self._grids, lines, shining, strict=True):
+            each.power[:] = each.power * grid.solid_angle + line
         return picture, shining
+
+    def _cell_rays(self, grid: ChartGrid, cells: Ints, line: Picture) -> CellRays:
+        """Rays of cells of a grid, given the line's light in all of them."""
+        on_line = np.intersect1d(_on_line(line), cells, assume_unique=True)
+        finer = self._chart.between(grid, _inside(on_line, grid.shape[1], self._finer(grid)))
+        directions = np.hstack([grid.directions[:, cells], finer])
+        return CellRays(grid, cells, on_line, directions)
+
+    def _traced(self, rays: CellRays, seen: Seen) -> Shining:
+        """What a grid's cells send on in each steradian; none where there were no rays."""
+        grid, cells = rays.grid, rays.cells
+        even, fine = seen.split(cells.size, seen.distance.size - cells.size)
+        count = grid.directions.shape[1]
+        power, normal = np.zeros(count, np.float32), np.zeros((count, 3), np.float32)
+        distance = np.full(count, FARTHEST_MM, np.float32)
+        power[cells], normal[cells] = even.radiance * even.distance**2, even.normal
+        within = (fine.radiance * fine.distance**2).reshape(-1, self._finer(grid))
+        power[rays.on_line] = within.mean(axis=1)
+        distance[cells] = even.distance - np.float32(self._chart.near_mm)
+        columns = power, distance, normal
+        return Shining(*(column.reshape(*grid.shape, *column.shape[1:]) for column in columns))
+
+    def _put_view(
+        self, cells: Shining, picture: Picture, normal: Picture, seen: PixelSurvey
+    ) -> None:
+        """Put what the picture shows into the cells that lie in it."""
+        view, shape = self._in_view, self._rays.size_px[::-1]
+        distance = np.minimum(np.array(seen.distance).reshape(shape)[1:-1, 1:-1], FARTHEST_MM)
+        power = picture * (distance + np.float32(self._chart.near_mm)) ** 2
+        power = np.asarray(cv2.blur(power, view.box_px), np.float32)
+        cells.power[view.inside] = view.read(power)
+        cells.distance[view.inside] = view.read(distance, interpolation=cv2.INTER_NEAREST)
+        cells.normal[view.inside] = view.read(normal, STEP)
 
     def _finer(self, grid: ChartGrid) -> int:
         """Samples down a cell of a grid that the line crosses."""
@@ -206,19 +254,19 @@ class GatheredLight:
     def _sent(self, ray: mi.Ray3f, head: Pose, lit: LitSurfaces) -> Seen:
         si = self._scene.ray_intersect(ray, mi.RayFlags.All, coherent=True)
         met = si.is_valid()
-        normal = facing(si)
         light, shares = self._reflections.irradiance(lit, si)
-        for glow, share in zip(self._glows, shares, strict=True):
-            light += share * glow.irradiance(si.p, mi.Normal3f(normal))
-        radiance = dr.select(met, light * reflectance(si) / dr.pi, 0.0)
+        normal, point, sends = mi.Normal3f(facing(si)), si.p, reflectance(si) / dr.pi
         distance = dr.select(met, si.t, FARTHEST_MM)
-        normal = dr.select(met, mi.Vector3f(normal), 0.0)
-        dr.eval(radiance, distance, normal)
-        return Seen(
-            np.array(distance),
-            np.array(normal).T @ head.rotation.astype(np.float32),
-            np.array(radiance),
-        )
+        sends = dr.select(met, sends, 0.0)
+        axes = [opaque_vector(column) for column in head.rotation.T]
+        seen = mi.Vector3f(*(dr.select(met, dr.dot(axis, normal), 0.0) for axis in axes))
+        # A kernel of its own for the glow: one of both takes half as long again.
+        dr.eval(light, shares, normal, point, sends, distance, seen)
+        for glow, share in zip(self._glows, shares, strict=True):
+            light += share * glow.irradiance(point, normal)
+        radiance = light * sends
+        dr.eval(radiance)
+        return Seen(np.array(distance), np.array(seen).T, np.array(radiance))
 
     def _line_in_view(self, head: Pose) -> tuple[Floats, Floats]:
         """Points of the line, (3, N) mm in the head's frame, and what they show the camera.

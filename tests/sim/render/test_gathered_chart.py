@@ -5,7 +5,7 @@ import pytest
 from gathered_cases import small_view
 
 from lscan.records import Floats
-from sim.render.gathered.chart import COARSER, Chart, ChartGrid
+from sim.render.gathered.chart import COARSER, Chart, ChartGrid, cells_in_picture
 
 
 @pytest.fixture(scope="module")
@@ -107,3 +107,20 @@ def test_pixels_lie_where_their_rays_point() -> None:
     square = way.reshape(3, *rays.size_px[::-1])[:, height // 2 + 1, width // 2 + 1 :][:, :2]
     angle = np.linalg.norm(square[:, 1] - square[:, 0])
     assert chart.pixel_rad[height // 2, width // 2] == pytest.approx(angle, rel=0.01)
+
+
+def test_cells_lie_where_the_picture_shows_them(chart: Chart) -> None:
+    """A picture of the pixels' own places on the chart, read at a cell, gives the cell's number:
+    to a 32nd of a pixel, to which places are rounded.  Cells outside lie beyond the picture's
+    outline, or within a pixel of it, for the outline is taken as straight between every eighth."""
+    cells = cells_in_picture(chart)
+    x, y = chart.pixels
+    row, column = np.nonzero(cells.inside)
+    side = float(np.ptp(x)) / (x.shape[1] - 1)
+    for picture, number in ((x, column), (y, row)):
+        np.testing.assert_allclose(cells.read(picture), number, atol=side / 32)
+    row, column = np.nonzero(~cells.inside)
+    within = (column > x.min(axis=1).max() + side) & (column < x.max(axis=1).min() - side)
+    within &= (row > y.min(axis=0).max() + side) & (row < y.max(axis=0).min() - side)
+    assert not within.any()
+    assert all(box % 2 == 1 for box in cells.box_px)
