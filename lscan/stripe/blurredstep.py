@@ -35,6 +35,7 @@ OUTLIER = 4.0
 FIRST_SCATTER = 0.1  # of brightness from sample to sample, relative, where the fit starts
 LEAST_SCATTER = 1e-9  # exact samples have weights too
 ROUNDS = 30
+GROWS = 1.25  # of a step's share, while it does not turn back
 SETTLED_MM = 1e-8
 
 
@@ -144,6 +145,7 @@ def fit_steps(
     prior = np.concatenate([place, width, wall]), sigma**-2.0
     order = np.argsort(samples.stretch, kind="stable")
     places: list[Floats] = [place]
+    share, before = 1.0, np.zeros(len(sigma))
     for left in reversed(range(ROUNDS)):
         depth = np.append(state.place, 0.0)[samples.places[samples.stretch]].T
         depth = (samples.by_place * depth).sum(axis=1) - samples.offset
@@ -156,7 +158,10 @@ def fit_steps(
         else:
             used = kept & (t > FAINTEST).all(axis=0)
         solution = _solve(samples, state, order[used[order]], t, limits.unmodelled, prior)
-        state = _advanced(state, solution, limits)
+        # Steps that turn back overshoot: without shorter ones they go to and fro for ever.
+        share = share / 2 if solution.step @ before < 0 else min(1.0, GROWS * share)
+        before = solution.step
+        state = _advanced(state, share * solution.step, solution.scatter, limits)
         if _repeats([*places, state.place], left):
             break
         places.append(state.place)
@@ -277,15 +282,15 @@ def _repeats(places: list[Floats], left: int) -> bool:
     return False
 
 
-def _advanced(state: _StepState, solution: _StepSolution, limits: StepLimits) -> _StepState:
-    """The state after a bounded step."""
+def _advanced(state: _StepState, step: Floats, scatter: float, limits: StepLimits) -> _StepState:
+    """The state after a bounded step; scatter: of the residuals before it."""
     sizes = [len(state.place), len(state.width), len(state.wall)]
-    place, width, wall, _ = np.split(solution.step, np.cumsum(sizes))
+    place, width, wall, _ = np.split(step, np.cumsum(sizes))
     largest = float(np.abs(place).max())
     half = state.width / 2
     return _StepState(
         state.place + place * min(1.0, limits.step_mm / max(largest, 1e-300)),
         np.clip(state.width + np.clip(width, -half, half), *limits.widths_mm),
         np.clip(state.wall + wall, *WALL),
-        max(state.scatter * solution.scatter, LEAST_SCATTER),
+        max(state.scatter * scatter, LEAST_SCATTER),
     )

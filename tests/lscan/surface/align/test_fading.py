@@ -91,6 +91,24 @@ def test_covariance_is_the_scatter_of_repeats() -> None:
     assert (np.abs(np.mean(found, axis=0)) < 4 * stated / np.sqrt(40)).all()
 
 
+def test_noise_keeps_no_search_going_to_and_fro(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The end does not hang on how many rounds there are: to a hundredth of what noise of 15 %
+    makes of edges that short, 0.1 mm.  With whole steps a fifth of these searches went in a circle,
+    places half a millimetre apart, for wall and place then nearly stand for each other."""
+    for seed in range(20):
+        edge = faces(0.0, 0.0, 0.867, 0.4, 0.15, seed)
+        y = edge.plan[:, 1]
+        kept = (np.abs(y) < 6) & (~edge.lower | (edge.plan[:, 0] - 0.867 * y > 1.5))
+        edge = replace(
+            edge, plan=edge.plan[kept], brightness=edge.brightness[kept], lower=edge.lower[kept]
+        )
+        used, found = fit_fading([edge], start(edge)).kept, []
+        for rounds in (30, 31, 32):
+            monkeypatch.setattr("lscan.stripe.blurredstep.ROUNDS", rounds)
+            found.append(fit_fading([edge], start(edge), used).at_mm[0])
+        assert np.ptp(found) < 1e-3
+
+
 def test_too_few_samples_are_refused() -> None:
     edge = faces(0.0, 0.0, 0.5, 0.0)
     few = replace(edge, plan=edge.plan[:5], brightness=edge.brightness[:5], lower=edge.lower[:5])
