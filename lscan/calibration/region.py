@@ -57,8 +57,11 @@ class Region:
         ----------
         image_px : (N, 2) array, px, of (u, v), finite
         """
-        offset = (self._outward * self.outline_px).sum(axis=1)
-        return (image_px @ self._outward.T - offset <= self.margin_px).all(axis=1)
+        outwards = np.full(len(image_px), -np.inf)
+        u, v = image_px.T
+        for (by_u, by_v), (at_u, at_v) in zip(self._outward, self.outline_px, strict=True):
+            np.maximum(outwards, by_u * (u - at_u) + by_v * (v - at_v), out=outwards)
+        return outwards <= self.margin_px
 
 
 def covered_region(reading: BoardReading, used: Mask) -> Region:

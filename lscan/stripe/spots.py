@@ -225,6 +225,8 @@ def pairs(column: Ints, apart: int) -> tuple[Ints, Ints]:
     column : (K,) array, of the spots, rising
     apart : int, columns; with 0 the first of a pair is above the second
     """
+    if not apart and (np.diff(column) > 0).all():  # one in each column
+        return column[:0], column[:0]
     first, second = _equals(column + apart, column)
     if apart:
         return first, second

@@ -11,7 +11,7 @@ from scipy.ndimage import convolve1d, median_filter, uniform_filter1d
 
 from lscan.records import Floats, GreyValues, Ints, Mask
 from lscan.stripe.pieces import JUMP_PX
-from lscan.stripe.ranks import crests
+from lscan.stripe.ranks import crests, medians
 from lscan.stripe.spots import GAP, GROUND_PX, Relief, Spots, brightest, footprint, relief_of
 
 _WIDE = 3.0
@@ -118,7 +118,7 @@ def outshone(columns: GreyValues, spots: Spots, threshold_dn: float) -> Mask:
     if len(at):
         ground = relief_of(columns[at]).ground
         here = ground[np.arange(len(at)), row[at]]
-        beneath = np.maximum(ground.min(axis=1), np.median(columns[at], axis=1))
+        beneath = np.maximum(ground.min(axis=1), medians(columns[at]))
         bright[at] = here - beneath > threshold_dn
     return bright
 

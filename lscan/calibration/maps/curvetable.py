@@ -18,8 +18,8 @@ class CurveTable:
     ----------
     begin : (C, P) array, in the unit of x, where the pieces begin; inf for those there are not
     powers : (D, C P) array, coefficients of the powers 0 to D - 1 in each piece
-    basis_powers : (D, C P, M) array, the same of the M functions that a curve is a sum of
-    covariance : (C, M, M) array, of their coefficients, in the unit of y, squared
+    basis_powers : (D, M, C P) array, the same of the M functions that a curve is a sum of
+    covariance : (M, M, C) array, of their coefficients, in the unit of y, squared
     """
 
     begin: Floats
@@ -50,8 +50,8 @@ class CurveTable:
                 powers[power, k, pieces, :count] = rows
                 values[power, k, pieces] = rows @ curve.coefficients
         size = shape[0] * shape[1]
-        flat = values.reshape(-1, size), powers.reshape(-1, size, most)
-        return CurveTable(begin, *flat, covariance)
+        basis = powers.reshape(-1, size, most).transpose(0, 2, 1).copy()
+        return CurveTable(begin, values.reshape(-1, size), basis, covariance.T.copy())
 
     def look_up(self, curve: Ints, x: Floats) -> tuple[Floats, Floats]:
         """The values of the curves and their slopes, shaped as the arguments together.
@@ -76,10 +76,11 @@ class CurveTable:
         curve, x : array, as :meth:`look_up` takes them
         """
         piece, step = self._piece(curve, x)
-        value: Floats = self.basis_powers[-1].take(piece, axis=0)
+        value = self.basis_powers[-1].take(piece, axis=1)
         for coefficients in self.basis_powers[-2::-1]:
-            value = value * step[..., None] + coefficients.take(piece, axis=0)
-        return value
+            value *= step
+            value += coefficients.take(piece, axis=1)
+        return np.moveaxis(value, 0, -1)
 
     def variance(self, curve: Ints, rows: Floats) -> Floats:
         """Variances, shaped as ``curve``, of sums of a curve's coefficients.
@@ -89,8 +90,13 @@ class CurveTable:
         curve : array of int, whose coefficients are added
         rows : (..., M) array, the factor of each
         """
-        moved = (rows[..., None, :] @ self.covariance[curve])[..., 0, :]
-        return np.einsum("...m,...m->...", moved, rows)
+        factors, total = np.ascontiguousarray(np.moveaxis(rows, -1, 0)), np.zeros(rows.shape[:-1])
+        for i, factor in enumerate(factors):
+            moved = factor * self.covariance[i, i].take(curve)
+            for j in range(i):
+                moved += factors[j] * (2 * self.covariance[i, j]).take(curve)
+            total += factor * moved
+        return total
 
     def _piece(self, curve: Ints, x: Floats) -> tuple[Ints, Floats]:
         """Number of each place's piece among all C P, and the place from where that begins."""

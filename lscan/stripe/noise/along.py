@@ -22,6 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lscan.records import Floats, GreyValues, Ints, Mask, Status, Stripe, has_value
+from lscan.stripe.crosssection import exp
 from lscan.stripe.noise.model import robust_variance
 from lscan.stripe.peaks import windows
 from lscan.stripe.pieces import pieces
@@ -59,7 +60,7 @@ def at_least_seen(stripe: Stripe, light: GreyValues) -> Stripe:
     lag, run, sigma_px = shared_columns(stripe, light), pieces(stripe), stripe.sigma_px.copy()
     for status in (Status.OK, Status.SATURATED):
         kept = stripe.status == status
-        if kept.any():
+        if np.count_nonzero(kept) > _FEWEST:
             sigma_px[kept] *= excess(stripe, np.where(kept, run, -1), lag)
     return replace(stripe, sigma_px=sigma_px)
 
@@ -146,7 +147,8 @@ def _variances(stripe: Stripe, light: GreyValues, scale: float) -> Floats:
     for _ in range(_STEPS):
         distance = (steps[:, None] - middle) / scale
         square = distance**2
-        weighted = np.exp(-0.5 * square) * grey
+        weighted = exp(-0.5 * square)
+        weighted *= grey
         total = weighted.sum(axis=0)
         total = np.where(total > 0, total, np.nan)
         moved = np.einsum("nk,nk->k", weighted, distance) / total

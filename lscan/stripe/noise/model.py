@@ -59,8 +59,10 @@ class Noise:
         veil : array or float, DN, by how much the ground under the line is brighter than the
             picture's: water's scattered light, which has shot noise but no speckle
         """
-        shot = self.per_dn * np.maximum(light + veil, 0.0)
-        variance: Floats = self.constant + shot + (self.speckle * light) ** 2
+        variance: Floats = np.maximum(light + veil, 0.0)
+        variance *= self.per_dn
+        variance += self.constant
+        variance += np.square(self.speckle * light)
         return variance
 
 
@@ -195,26 +197,17 @@ def robust_variance(values: GreyValues, least: float = 0.0) -> float:
         return 0.0
     sizes = np.abs(values).ravel()
     if np.issubdtype(values.dtype, np.integer):
-        return _counted_variance(np.bincount(sizes), least)
-    middle = [(sizes.size - 1) // 2, sizes.size // 2]
-    variance = max((1.4826 * float(np.partition(sizes, middle)[middle].mean())) ** 2, least)
+        count = np.bincount(sizes)
+        sizes = np.arange(len(count))
+        up_to, squares = count.cumsum(), (count * sizes**2).cumsum()
+    else:
+        sizes = np.sort(sizes)
+        up_to, squares = np.arange(1, sizes.size + 1), np.square(sizes).cumsum()
+    middle = up_to.searchsorted([(up_to[-1] - 1) // 2, up_to[-1] // 2], side="right")
+    variance = max((1.4826 * float(sizes[middle].mean())) ** 2, least)
     for _ in range(_CUTS):
-        core = sizes[sizes <= 3 * np.sqrt(variance)]
-        if core.size == 0:
-            break
-        variance = float(np.square(core).mean()) / _KEPT
-    return variance
-
-
-def _counted_variance(count: Ints, least: float) -> float:
-    """The same of integers, ``count`` (M,) of which have each size from 0."""
-    sizes = np.arange(len(count))
-    up_to, squares = count.cumsum(), (count * sizes**2).cumsum()
-    middle = np.searchsorted(up_to, [(up_to[-1] - 1) // 2, up_to[-1] // 2], side="right")
-    variance = max((1.4826 * float(middle.mean())) ** 2, least)
-    for _ in range(_CUTS):
-        last = min(int(3 * np.sqrt(variance)), len(count) - 1)
-        if up_to[last] == 0:
+        last = int(sizes.searchsorted(3 * np.sqrt(variance), side="right")) - 1
+        if last < 0 or up_to[last] == 0:
             break
         variance = float(squares[last] / up_to[last]) / _KEPT
     return variance
