@@ -5,14 +5,13 @@ from math import exp, pi, radians, sin, sqrt
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 from places import SCENES
 
 from lscan.config.rigfile import load_rig, parse_rig
 from lscan.errors import InputError
 from sim.devices import SimCamera, SimTrack, TrackOptions
-from sim.scene import Scene, at_moment, head_pose, load_scene, scene_of
+from sim.scene import Scene, at_moment, head_pose, load_scene, scene_of, track_pose
 from sim.scene.change import Change
 from sim.scene.trackerrors import TrackErrors
 from sim.truth import sheet_of, stripe_truth
@@ -147,8 +146,10 @@ def test_the_truth_of_a_flat_floor_moves_as_geometry_says() -> None:
     assert sheet_of(at.scene).pose.rotation[:, 1] == pytest.approx([0, 1, 0])
     angle, height = radians(0.5), 30.0
     assert points[:, 2] == pytest.approx(-height / np.cos(angle), abs=1e-9)
-    world = head_pose(at.scene.tank.head, at.position_mm).apply(points)
-    assert world[:, 1] == pytest.approx(100.1 + height * np.tan(angle), abs=1e-9)
+    head = at.scene.tank.head
+    assert at.position_mm == pytest.approx(100.1)
+    held = track_pose(head, 100.1).invert(head_pose(head, 100.1).apply(points))
+    assert held[:, 1] == pytest.approx(height * np.tan(angle), abs=1e-9)
 
 
 def test_zero_changes_are_the_same_bytes() -> None:
