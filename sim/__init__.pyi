@@ -4,7 +4,9 @@ from sim.devices import render_picture as render_picture
 from sim.emulators.hardware import EmulatedHardware as EmulatedHardware
 from sim.emulators.options import ServeOptions as ServeOptions
 from sim.scene import (
+    Moment as Moment,
     Scene as Scene,
+    at_moment as at_moment,
     load_scene as load_scene,
 )
 from sim.truth import (

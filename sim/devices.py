@@ -20,7 +20,7 @@ from lscan.devices.api import Fact, Grab, Track
 from lscan.devices.travel import PassiveTrack, TravelDriver, TravelOptions
 from lscan.errors import DeviceError, InputError
 from lscan.records import Bytes
-from sim.scene import SECTIONS, Scene, scene_of
+from sim.scene import SECTIONS, Scene, at_moment, scene_of
 from sim.truth.placement import check_placement
 
 if TYPE_CHECKING:
@@ -117,9 +117,10 @@ class SimCamera:
     def grab(self, frame: int | None = None, dark: bool = False) -> Grab:
         """A picture, (H, W, 3) RGB, seen from the track's position.
 
-        frame: the index that fixes its noise and its time; the next one if None.
+        frame: the index that fixes its noise, its time and what changes from picture to picture;
+        the next one if None.
         dark: it shows the ambient light alone, with noise of its own, half a period after the
-        frame's other picture and with that one's exposure.
+        frame's other picture and with that one's exposure and its other numbers.
         """
         tank = self._tank  # another thread may close the camera meanwhile
         if tank is None:
@@ -128,8 +129,11 @@ class SimCamera:
         self._next = index + 1
         time_s = (index + (0.5 if dark else 0.0)) * FRAME_PERIOD_S
         position_mm = self._track.position_mm
-        wavelength_nm = self._scene.tank.laser.wavelength_at(time_s)
-        layers, exposure_ms = metered(self._scene, tank, self._webcam, position_mm, time_s=time_s)
+        at = at_moment(self._scene, index, position_mm)
+        wavelength_nm, webcam = at.scene.tank.laser.wavelength_at(time_s), self._webcam
+        if at.scene is not self._scene:
+            webcam = webcam.taking(at.scene)
+        layers, exposure_ms = metered(at.scene, tank, webcam, at.position_mm, time_s=time_s)
         if dark or not getattr(self._track, "laser_is_on", True):
             none = np.zeros_like(layers.ambient)
             layers = replace(layers, direct=none, scattered=none)
@@ -137,7 +141,7 @@ class SimCamera:
         place = abs(nanometres), int(nanometres < 0)
         seed = [self._scene.tank.sensor.seed, stream, *place, index]
         generator = np.random.Generator(np.random.SFC64(seed))
-        image = self._webcam.expose(layers, exposure_ms, generator, wavelength_nm)
+        image = webcam.expose(layers, exposure_ms, generator, wavelength_nm)
         return Grab(image=image, time_s=time_s, exposure_ms=exposure_ms)
 
     def close(self) -> None:
@@ -201,9 +205,9 @@ def metered(
     Parameters
     ----------
     scene, tank, webcam
-        The scene, and its tank and webcam.
+        The scene as it is in the picture (``sim.scene.at_moment``), its tank and its webcam.
     position_mm
-        Of the track.
+        Of the head along the track, where it truly is.
     samples, time_s
         As ``Tank.render``.
 
@@ -212,6 +216,7 @@ def metered(
     The layers, and the exposure in ms.
     """
     options, exposure_ms = camera_options(scene), scene.rig.camera.exposure_ms
+    tank.take(scene)
     layers = tank.render(position_mm, samples=samples, time_s=time_s)
     if options.auto_exposure:
         nm = scene.tank.laser.wavelength_at(time_s)
@@ -226,6 +231,8 @@ def render_picture(
     scene: Scene, position_mm: float | None = None, samples: int | None = None
 ) -> Bytes:
     """The picture that the scene's webcam takes, as ``lscan-sim render`` writes it.
+
+    What changes from picture to picture is as in the first one of a scan.
 
     Parameters
     ----------
@@ -256,8 +263,9 @@ def render_picture(
     from sim.sensor import Webcam
 
     place = scene.rig.plan.start_mm if position_mm is None else position_mm
-    webcam = Webcam(scene)
-    layers, exposure_ms = metered(scene, Tank(scene), webcam, place, samples)
+    at = at_moment(scene, 0, place)
+    webcam = Webcam(at.scene)
+    layers, exposure_ms = metered(at.scene, Tank(scene), webcam, at.position_mm, samples)
     return webcam.expose(layers, exposure_ms, np.random.default_rng([scene.tank.sensor.seed, 1]))
 
 
@@ -296,6 +304,12 @@ def camera_options(scene: Scene) -> CameraOptions:
         CameraOptions, scene.rig.camera.options, where=scene.source, prefix="camera.options"
     )
     sensor = scene.tank.sensor
+    if options.auto_exposure and any(c.key == "camera.exposure_ms" for c in scene.tank.change):
+        raise InputError(
+            "change: camera.exposure_ms is found anew for each picture by auto exposure",
+            where=scene.source,
+            allowed="camera.options.auto_exposure = false",
+        )
     black_dn = 255 * (sensor.black_level_dn / 255) ** (1 / sensor.gamma)
     if options.auto_exposure and options.target_dn <= black_dn:
         raise InputError(

@@ -19,11 +19,13 @@ DESCRIPTIONS = tomllib.loads((Path(__file__).parent / "keys.toml").read_text(enc
 UNITS = {  # the end of a key's name, the longest first
     "_w_m2_sr": "W/(m² sr)",
     "_mm_min": "mm/min",
+    "_deg_per_m": "°/m",
     "_per_mm": "1/mm",
     "_per_m": "1/m",
     "_per_c": "nm/°C",
     "_mm_s": "mm/s",
     "_ntu": "NTU",
+    "_ppm": "ppm",
     "_psu": "psu",
     "_mpa": "MPa",
     "_deg": "°",

@@ -16,8 +16,9 @@ from lscan.errors import InputError
 from lscan.files.disk import make_folder, write_atomically
 from lscan.files.pictures import write_picture
 from lscan.records import Progress, Status
-from sim.scene import SECTIONS, Scene, scene_of
+from sim.scene import SECTIONS, Scene, at_moment, scene_of
 from sim.scene.file import check_samples
+from sim.scene.moment import is_changing
 from sim.truth import board_truth, line_brightness, stripe_truths
 
 Row = tuple[Any, ...]  # of a table: numbers and words
@@ -66,8 +67,9 @@ def write_render(
     _check_place(position_mm)
     if samples is not None:
         check_samples(samples, scene.tank.render.fineness, where="--samples")
-    webcam = Webcam(scene)
-    layers, exposure_ms = metered(scene, Tank(scene), webcam, position_mm, samples)
+    at = at_moment(scene, 0, position_mm)
+    webcam = Webcam(at.scene)
+    layers, exposure_ms = metered(at.scene, Tank(scene), webcam, at.position_mm, samples)
     generator = np.random.default_rng([scene.tank.sensor.seed, 1])
     image = webcam.expose(layers, exposure_ms, generator)
     make_folder(folder)
@@ -77,7 +79,7 @@ def write_render(
         "labels": folder / "labels.png",
         "labels in colour": folder / "labels-colour.png",
     }
-    labels = label_scene(scene, position_mm, layers)
+    labels = label_scene(at.scene, at.position_mm, layers)
     write_picture(files["picture"], image)
     write_picture(files["labels"], labels)
     write_picture(files["labels in colour"], colour_labels(labels))
@@ -118,8 +120,9 @@ def taken_at(scene: Scene, positions_mm: Sequence[float]) -> list[Taken]:
     """
     for position_mm in positions_mm:
         _check_place(position_mm)
-    exposure_ms = scene.rig.camera.exposure_ms
-    return [Taken(frame, position, exposure_ms) for frame, position in enumerate(positions_mm)]
+    moments = [at_moment(scene, frame, place) for frame, place in enumerate(positions_mm)]
+    exposures = [moment.scene.rig.camera.exposure_ms for moment in moments]
+    return [Taken(k, *pair) for k, pair in enumerate(zip(positions_mm, exposures, strict=True))]
 
 
 def taken_in(run: Run) -> tuple[Scene, list[Taken]]:
@@ -217,8 +220,14 @@ def _check_place(position_mm: float) -> None:
 
 
 def _stripe_rows(scene: Scene, line: int, taken: Sequence[Taken]) -> Iterator[Row]:
-    truths = stripe_truths(scene, [picture.position_mm for picture in taken], line)
-    lights = line_brightness(scene, truths, [picture.exposure_ms for picture in taken])
+    moments = [at_moment(scene, picture.frame, picture.position_mm) for picture in taken]
+    if is_changing(scene) and len(taken) > 1:
+        for picture in taken:
+            yield from _stripe_rows(scene, line, [picture])
+        return
+    here = moments[0].scene
+    truths = stripe_truths(here, [moment.position_mm for moment in moments], line)
+    lights = line_brightness(here, truths, [picture.exposure_ms for picture in taken])
     for picture, truth, light in zip(taken, truths, lights, strict=True):
         columns = (
             np.arange(len(truth.status)), truth.centre_px,
@@ -233,7 +242,8 @@ def _stripe_rows(scene: Scene, line: int, taken: Sequence[Taken]) -> Iterator[Ro
 
 def _board_rows(scene: Scene, taken: Sequence[Taken]) -> Iterator[Row]:
     for picture in taken:
-        reading = board_truth(scene, picture.position_mm).centres
+        at = at_moment(scene, picture.frame, picture.position_mm)
+        reading = board_truth(at.scene, at.position_mm).centres
         kinds = {"grid": reading.grid}
         kinds |= {f"ruler-{k}": ruler.marks for k, ruler in enumerate(reading.rulers)}
         for kind, marks in kinds.items():

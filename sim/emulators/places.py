@@ -9,6 +9,7 @@ from lscan.errors import InputError
 from sim.devices import camera_options
 from sim.render.tank import Tank
 from sim.scene import Scene
+from sim.scene.moment import is_changing
 from sim.sensor import Webcam
 from sim.sensor.still import StillView
 
@@ -49,6 +50,7 @@ def _refuse_change(scene: Scene) -> None:
     """Refuse what makes two pictures of one place differ by more than noise, or not at all."""
     refused = {
         "laser.drift": (scene.tank.laser.drift is not None, "no such table"),
+        "track_errors and change": (is_changing(scene), "neither"),
         "head.speed_mm_s": (scene.tank.head.speed_mm_s != 0, "0"),
         "camera.options.auto_exposure": (camera_options(scene).auto_exposure, "false"),
         "sensor.noise": (not scene.tank.sensor.noise, "true: a camera without noise looks stuck"),

@@ -10,6 +10,7 @@ of shifting, and positions are arcs (lscan.config.rig.ShaftSection).
 
 from sim.scene.file import SECTIONS, Scene, load_scene, scene_of, target_pose
 from sim.scene.instrument import Head, Laser, LaserLine, Lens, PlanePort, Port, Sensor, TrueShaft
+from sim.scene.moment import Moment, at_moment
 from sim.scene.poses import (
     Pose,
     camera_pose,
@@ -17,7 +18,9 @@ from sim.scene.poses import (
     into_head,
     into_world,
     rotation,
+    seat_pose,
     sheet_pose,
+    track_pose,
 )
 
 __all__ = [
@@ -26,12 +29,14 @@ __all__ = [
     "Laser",
     "LaserLine",
     "Lens",
+    "Moment",
     "PlanePort",
     "Port",
     "Pose",
     "Scene",
     "Sensor",
     "TrueShaft",
+    "at_moment",
     "camera_pose",
     "head_pose",
     "into_head",
@@ -39,6 +44,8 @@ __all__ = [
     "load_scene",
     "rotation",
     "scene_of",
+    "seat_pose",
     "sheet_pose",
     "target_pose",
+    "track_pose",
 ]

@@ -14,10 +14,12 @@ from lscan.config.documents import Document, Strict, check, read_document
 from lscan.config.rig import Rig
 from lscan.config.rigfile import RigFile, inline_board, parse_rig
 from lscan.errors import InputError
+from sim.scene.change import Change, check_changes
 from sim.scene.distortion import is_folded
 from sim.scene.instrument import Head, Laser, Lens, PlanePort, Port, Seed, Sensor, TrueShaft
 from sim.scene.matter import AmbientLight, Floor, Target, Water
-from sim.scene.poses import Pose, head_pose, rotation
+from sim.scene.poses import Pose, rotation, track_pose
+from sim.scene.trackerrors import TrackErrors
 
 
 class Render(Strict):
@@ -87,6 +89,8 @@ class TankSections(Strict):
     floor: Floor | None = None
     sensor: Sensor = Sensor()
     render: Render = Render()
+    track_errors: TrackErrors = TrackErrors()
+    change: tuple[Change, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -204,6 +208,7 @@ def scene_of(rig_file: RigFile) -> Scene:
     )
     _check_target(scene)
     check_lens(scene)
+    check_changes(scene)
     return scene
 
 
@@ -265,4 +270,4 @@ def target_pose(scene: Scene) -> Pose:
     target = scene.tank.target
     angles = (target.turn_deg, target.tilt_y_deg, target.tilt_x_deg)
     pose = Pose(rotation("ZYX", angles), np.array(target.position_mm))
-    return head_pose(scene.tank.head, 0.0) @ pose if target.shape == "board" else pose
+    return track_pose(scene.tank.head, 0.0) @ pose if target.shape == "board" else pose

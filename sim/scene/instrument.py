@@ -117,6 +117,9 @@ class Head(Strict):
     ``heading_deg`` about z (positive to the left), the camera rolled by ``roll_deg`` about it.
     yaw_deg: the head's plane y = 0 against the track, which runs along
     (sin yaw, cos yaw, 0) of the head.
+    turn_deg, shift_mm: how the head is turned about its own x, y and z (first about x, then y,
+    then z), about ``pivot_mm`` of it, and shifted in the world, against where the track ought to
+    hold it; a board stays where it is.
     speed_mm_s: how fast the head moves along the track while a picture is taken; 0: it stands.
     shaft: what the head truly turns about, where the rig has a ``[shaft]``; the rig's if left
     out.
@@ -127,6 +130,9 @@ class Head(Strict):
     heading_deg: float = 0.0
     roll_deg: float = 0.0
     yaw_deg: SmallAngle = 0.0
+    turn_deg: tuple[SmallAngle, SmallAngle, SmallAngle] = (0.0, 0.0, 0.0)
+    shift_mm: Vector = (0.0, 0.0, 0.0)
+    pivot_mm: Vector = (0.0, 0.0, 0.0)
     speed_mm_s: Annotated[float, Field(ge=-1e4, le=1e4)] = 0.0
     shaft: TrueShaft | None = None
 

@@ -84,6 +84,29 @@ def head_pose(head: Head, position_mm: float) -> Pose:
 
     Parameters
     ----------
+    head : Head, its yaw, how it is turned and shifted, and the shaft it turns about, if any
+    position_mm : float, mm along the track, or along the arc about the shaft
+    """
+    pose = track_pose(head, position_mm) @ seat_pose(head)
+    return Pose(pose.rotation, pose.origin_mm + head.shift_mm)
+
+
+def seat_pose(head: Head) -> Pose:
+    """How the head is turned in its place: head frame to that of a head that is not turned.
+
+    Parameters
+    ----------
+    head : Head, its turn and the point it is turned about
+    """
+    turn, pivot = rotation("ZYX", head.turn_deg[::-1]), np.array(head.pivot_mm)
+    return Pose(turn, pivot - turn @ pivot)
+
+
+def track_pose(head: Head, position_mm: float) -> Pose:
+    """Where the track ought to hold the head: its frame, neither turned nor shifted, to world.
+
+    Parameters
+    ----------
     head : Head, its yaw, and the shaft it turns about, if any
     position_mm : float, mm along the track, or along the arc about the shaft
     """
@@ -100,15 +123,16 @@ def into_world(head: Head, points_head: Floats, position_mm: Floats | float) -> 
 
     Parameters
     ----------
-    head : Head, its yaw, and the shaft it turns about, if any
+    head : Head, its yaw, how it is turned and shifted, and the shaft it turns about, if any
     points_head : (N, 3) array, mm, head frame
     position_mm : array or float, mm along the track or arc; one for all points, or (N,)
     """
-    position, level = np.broadcast_to(position_mm, len(points_head)), head_pose(head, 0.0)
+    position, level = np.broadcast_to(position_mm, len(points_head)), track_pose(head, 0.0)
+    points, shift = seat_pose(head).apply(points_head), np.array(head.shift_mm)
     if head.shaft is None:
-        return level.apply(points_head) + np.outer(position, TRACK)
+        return level.apply(points) + np.outer(position, TRACK) + shift
     point = np.array(head.shaft.point_mm)
-    return level.apply(_about(head.shaft, position).apply(points_head - point) + point)
+    return level.apply(_about(head.shaft, position).apply(points - point) + point) + shift
 
 
 def into_head(head: Head, points_world: Floats, position_mm: Floats | float) -> Floats:
@@ -116,15 +140,16 @@ def into_head(head: Head, points_world: Floats, position_mm: Floats | float) -> 
 
     Parameters
     ----------
-    head : Head, its yaw, and the shaft it turns about, if any
+    head : Head, its yaw, how it is turned and shifted, and the shaft it turns about, if any
     points_world : (N, 3) array, mm, world frame
     position_mm : array or float, mm along the track or arc; one for all points, or (N,)
     """
-    position, level = np.broadcast_to(position_mm, len(points_world)), head_pose(head, 0.0)
+    position, level = np.broadcast_to(position_mm, len(points_world)), track_pose(head, 0.0)
+    points, seat = points_world - head.shift_mm, seat_pose(head)
     if head.shaft is None:
-        return level.invert(points_world - np.outer(position, TRACK))
+        return seat.invert(level.invert(points - np.outer(position, TRACK)))
     point, turn = np.array(head.shaft.point_mm), _about(head.shaft, position)
-    return point + turn.apply(level.invert(points_world) - point, inverse=True)
+    return seat.invert(point + turn.apply(level.invert(points) - point, inverse=True))
 
 
 def _about(shaft: TrueShaft, position_mm: Floats) -> Rotation:

@@ -5,6 +5,7 @@ The lens acts on layers as fine as they are; what follows acts on whole pixels.
 
 from __future__ import annotations
 
+from copy import copy
 from functools import cache, lru_cache
 from typing import TYPE_CHECKING
 
@@ -85,6 +86,17 @@ class Webcam:
             expected = gathered(electrons, self._pattern)
             electrons = read_out(expected, self.sensor, self._pattern, generator)
         return through_jpeg(digitise(electrons, self.sensor, self._filter), self.sensor)
+
+    def taking(self, scene: Scene) -> Webcam:
+        """The same webcam with the gain of one picture.
+
+        Parameters
+        ----------
+        scene : Scene, the webcam's own as ``sim.scene.at_moment`` makes it
+        """
+        same = copy(self)
+        same.sensor = self.sensor.model_copy(update={"gain": scene.tank.sensor.gain})
+        return same
 
     def still(self, layers: Layers, exposure_ms: float) -> StillView:
         """The layers as seen again and again by a camera that stands still.

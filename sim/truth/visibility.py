@@ -1,6 +1,7 @@
 """What is lit by the laser and seen by the camera.  Both travel straight in the water."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 from scipy.optimize.elementwise import find_root
@@ -17,8 +18,9 @@ from sim.scene import (
     head_pose,
     into_head,
     into_world,
-    rotation,
+    seat_pose,
     target_pose,
+    track_pose,
 )
 from sim.truth.camera.projection import entry_points, project
 from sim.truth.sheet import TrueSheet, sheet_of
@@ -157,10 +159,12 @@ def passing_mm(head: Head, points_world: Floats, sheet: TrueSheet = ALIGNED) -> 
     for a bowed sheet about a shaft.
     """
     if head.shaft is not None:
-        return _turning_past_mm(head.shaft, head_pose(head, 0.0).invert(points_world), sheet)
-    normal = rotation("Z", head.yaw_deg) @ sheet.pose.rotation[:, 1]
-    ahead = sheet.pose.origin_mm @ sheet.pose.rotation[:, 1]
-    flat = (points_world @ normal - ahead) / normal[1]
+        turned = replace(sheet, pose=seat_pose(head) @ sheet.pose)
+        points_track = track_pose(head, 0.0).invert(points_world - head.shift_mm)
+        return _turning_past_mm(head.shaft, points_track, turned)
+    plane = head_pose(head, 0.0) @ sheet.pose
+    normal = plane.rotation[:, 1]
+    flat = (points_world @ normal - plane.origin_mm @ normal) / normal[1]
     if sheet.bow is None:
         return flat
 

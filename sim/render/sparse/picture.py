@@ -17,7 +17,7 @@ from sim.render.plugins.integrator import SheetIntegrator
 from sim.render.sparse.rays import HeadRays, film_rays, head_rays, sample_places
 from sim.render.sparse.reach import sheet_reach
 from sim.render.sparse.survey import MOST_SHEETS, NEIGHBOURS, PixelSurvey, survey
-from sim.scene import Pose, Scene
+from sim.scene import Head, Pose, Scene
 
 Picture = NDArray[np.float32]
 GOLDEN = (sqrt(5) - 1) / 2
@@ -61,18 +61,19 @@ class SparseLaserLight:
         integrator: SheetIntegrator,
     ) -> None:
         """Take the tank's parts, to be configured and placed by the tank."""
-        self._head, self._size_px = scene.tank.head, scene.rig.camera.size_px
+        self._size_px = scene.rig.camera.size_px
         self._fineness = scene.tank.render.fineness
         self._scene, self._camera, self._integrator = mitsuba_scene, camera, integrator
         self._rays: HeadRays | None = None
 
-    def look(self, anew: bool = False) -> None:
+    def look(self, head: Head, anew: bool = False) -> None:
         """Compute what is the same in all pictures of a wavelength, unless that is done already.
 
-        Camera and sheets are configured, and have to be placed afterwards.  anew: even if done.
+        Camera and sheets are configured, and have to be placed afterwards.  head: where the camera
+        is in it.  anew: even if done.
         """
         if self._rays is None or anew:
-            self._rays = head_rays(self._camera, self._integrator, self._head, self._size_px)
+            self._rays = head_rays(self._camera, self._integrator, head, self._size_px)
 
     @property
     def rays(self) -> HeadRays:

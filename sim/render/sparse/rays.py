@@ -1,8 +1,8 @@
 """The camera's rays, one a pixel, and the open water's veil along each, in the head's frame.
 
 Camera and laser stand still against each other, so all this is the same in every picture of a
-scan; only a laser whose wavelength drifts changes it.  There is a margin of one pixel, so that
-every pixel of the picture has neighbours.
+scan; only a wavelength that drifts, or a camera or a laser that moves in the head, changes it.
+There is a margin of one pixel, so that every pixel of the picture has neighbours.
 """
 
 from dataclasses import dataclass, replace

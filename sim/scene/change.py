@@ -1,0 +1,172 @@
+"""``[[change]]``: a number of the scene that is new in every picture."""
+
+from collections import defaultdict
+from collections.abc import Iterable
+from dataclasses import replace
+from math import pi, radians, sin
+from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
+
+import numpy as np
+from pydantic import Field, NonNegativeFloat, PositiveFloat, model_validator
+from scipy.special import ndtr
+
+from lscan.config.documents import Strict, check
+from lscan.errors import InputError
+from sim.scene.instrument import Seed
+from sim.scene.randomness import unit_normal
+
+if TYPE_CHECKING:
+    from sim.scene.file import Scene
+
+ChangingKey = Literal[
+    "head.turn_deg.0", "head.turn_deg.1", "head.turn_deg.2",
+    "head.shift_mm.0", "head.shift_mm.1", "head.shift_mm.2",
+    "head.camera_mm.0", "head.camera_mm.1", "head.camera_mm.2",
+    "head.depression_deg", "head.heading_deg", "head.roll_deg",
+    "laser.apex_mm.0", "laser.apex_mm.1", "laser.apex_mm.2",
+    "laser.aim_deg", "laser.tilt_deg", "laser.skew_deg",
+    "laser.power_mw", "laser.wavelength_nm",
+    "camera.exposure_ms", "sensor.gain", "light.ambient_w_m2_sr",
+]  # fmt: skip
+KINDS = ("normal", "uniform", "sine", "values")
+FARTHEST_SD = 6.0  # one draw in 5e8 of a normal distribution lies beyond
+
+
+class Change(Strict):
+    """How far a number is off its value in the scene, picture by picture.
+
+    Exactly one of ``normal`` (standard deviation), ``uniform`` (half the range), ``sine``
+    (amplitude; of ``period`` pictures or ``period_mm`` of commanded travel, ``phase_deg`` at 0)
+    and ``values`` (one of several, of odds ``weights``) says how.  relative: it is a share of the
+    number instead of an amount in its unit.  correlation: pictures after which the correlation of
+    what is drawn has fallen to 1/e; it is that of the normal distribution that each of the others
+    is made from, by its quantiles.
+    """
+
+    key: ChangingKey
+    normal: NonNegativeFloat | None = None
+    uniform: NonNegativeFloat | None = None
+    sine: float | None = None
+    period: PositiveFloat | None = None
+    period_mm: PositiveFloat | None = None
+    phase_deg: float = 0.0
+    values: Annotated[tuple[float, ...], Field(min_length=1)] | None = None
+    weights: tuple[PositiveFloat, ...] | None = None
+    relative: bool = False
+    correlation: Annotated[float, Field(ge=0, le=1000)] = 0.0
+    seed: Seed = 1
+
+    @model_validator(mode="after")
+    def _one_way(self) -> Self:
+        if sum(getattr(self, kind) is not None for kind in KINDS) != 1:
+            raise ValueError(f"{self.key}: exactly one of {', '.join(KINDS)} says how it changes")
+        periods = (self.period is not None) + (self.period_mm is not None)
+        if periods != (self.sine is not None):
+            raise ValueError("sine goes with one of period and period_mm, which go with it only")
+        if self.sine is not None and self.correlation > 0:
+            raise ValueError("correlation goes with what is drawn at random, not with sine")
+        if self.weights is not None and len(self.weights) != len(self.values or ()):
+            raise ValueError("weights goes with values, one for each of them")
+        return self
+
+    @property
+    def reach(self) -> tuple[float, float]:
+        """The lowest and the highest offset that can be expected."""
+        if self.values is not None:
+            return min(self.values), max(self.values)
+        most = FARTHEST_SD * (self.normal or 0.0) + (self.uniform or 0.0) + abs(self.sine or 0.0)
+        return -most, most
+
+    def offset(self, frame: int, position_mm: float) -> float:
+        """The number's offset in a picture: in the number's unit, or a share of it.
+
+        Parameters
+        ----------
+        frame : int, number of the picture
+        position_mm : float, mm, commanded position of the track
+        """
+        if self.sine is not None:
+            turns = frame / self.period if self.period else position_mm / (self.period_mm or 1.0)
+            return self.sine * sin(2 * pi * turns + radians(self.phase_deg))
+        drawn = unit_normal(self.seed, self.key, frame, self.correlation)
+        if self.normal is not None:
+            return self.normal * drawn
+        share = float(ndtr(drawn))
+        if self.uniform is not None:
+            return self.uniform * (2 * share - 1)
+        values = self.values or ()
+        odds = np.cumsum(self.weights or np.ones(len(values)))
+        return values[int(np.searchsorted(odds[:-1] / odds[-1], share, side="right"))]
+
+    def changed(self, number: float, offset: float) -> float:
+        """The scene's number with an offset added, or where relative, in proportion."""
+        return number * (1 + offset) if self.relative else number + offset
+
+
+def check_changes(scene: "Scene") -> None:
+    """Refuse a change that puts its number out of range, or that has nothing to change.
+
+    Parameters
+    ----------
+    scene : Scene, each change of which is tried alone, at the ends of its reach
+
+    Raises
+    ------
+    InputError
+        Names the change, and what is allowed.
+    """
+    streams = [(change.key, change.seed) for change in scene.tank.change if change.sine is None]
+    twice = [key for k, (key, seed) in enumerate(streams) if (key, seed) in streams[:k]]
+    if twice:
+        raise InputError(
+            f"change: {twice[0]} is drawn twice from one seed",
+            where=scene.source,
+            allowed="another seed for each",
+        )
+    for change in scene.tank.change:
+        for offset in change.reach:
+            with_offsets(scene, [(change, offset)], f"{scene.source}, [[change]] of {change.key}")
+        if change.key == "light.ambient_w_m2_sr" and scene.tank.light.ambient_w_m2_sr == 0:
+            raise InputError(
+                f"change: {change.key} is 0, no light is there to change",
+                where=scene.source,
+                allowed="above 0",
+            )
+
+
+def with_offsets(scene: "Scene", offsets: Iterable[tuple[Change, float]], where: str) -> "Scene":
+    """The scene with its numbers changed, the sections they are in checked anew.
+
+    Parameters
+    ----------
+    scene : Scene
+    offsets : iterable of changes, each with the offset of its number
+    where : str, what the error names as the place of a number out of range
+
+    Raises
+    ------
+    InputError
+        A number is out of its range.
+    """
+    fields: dict[str, dict[str, Any]] = defaultdict(dict)
+    for change, offset in offsets:
+        section, field, *component = change.key.split(".")
+        now = fields[section].get(field, getattr(_section(scene, section), field))
+        if component:
+            index = int(component[0])
+            now = (*now[:index], change.changed(now[index], offset), *now[index + 1 :])
+        else:
+            now = change.changed(now, offset)
+        fields[section][field] = now
+    checked = {}
+    for section, update in fields.items():
+        model = _section(scene, section)
+        checked[section] = check(type(model), {**dict(model), **update}, where, section)
+    rig = scene.rig.model_copy(update={k: v for k, v in checked.items() if k == "camera"})
+    tank = scene.tank.model_copy(update={k: v for k, v in checked.items() if k != "camera"})
+    return replace(scene, rig=rig, tank=tank)
+
+
+def _section(scene: "Scene", name: str) -> Strict:
+    section: Strict = scene.rig.camera if name == "camera" else getattr(scene.tank, name)
+    return section
