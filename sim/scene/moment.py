@@ -23,6 +23,13 @@ class Moment:
         have it, which are no longer in it themselves
     position_mm : float, mm, true position along the track: ``head_pose`` of both is the head's
         true pose
+
+    Examples
+    --------
+    >>> import sim
+    >>> moment = sim.at_moment(sim.load_scene("paper/groove"), 0, 2.5)
+    >>> moment.scene.rig.name, moment.position_mm
+    ('paper: grooved block', 2.5)
     """
 
     scene: Scene

@@ -30,7 +30,7 @@ def small_view() -> tuple[HeadRays, Chart]:
     """The rays and the chart of the paper's camera, in a small picture."""
     tank = Tank(shrunk(load_scene("paper/sandwave"), TIMES))
     assert tank._sparse is not None
-    tank._sparse.look()
+    tank._sparse.look(tank.scene.tank.head)
     rays = tank._sparse.rays
     return rays, make_chart(rays, tank.scene.tank.head)
 

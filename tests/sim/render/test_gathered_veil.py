@@ -191,7 +191,7 @@ def test_veil_is_the_judges() -> None:
     effort = JudgeEffort(photons=1 << 19, walks=64, batches=6)
     judged = judge(tank, 40.0, window, effort, seed=8).families["veil"]
     assert tank._sparse is not None
-    tank._sparse.look()
+    tank._sparse.look(tank.scene.tank.head)
     rays = tank._sparse.rays
     veil = HigherVeil(tank.water, tank.sheets, rays)
     seen = rays.seen_from(head_pose(tank.scene.tank.head, 40.0))

@@ -226,7 +226,7 @@ def test_convex_bodies_are_dark() -> None:
 def straight_light(tank: Tank, position_mm: float) -> Floats:
     """(H, W) radiance of reflected light that comes straight from surfaces, W/(m2 sr)."""
     assert tank._sparse is not None
-    tank._sparse.look()
+    tank._sparse.look(tank.scene.tank.head)
     tank.place(position_mm)
     rays, head = tank._sparse.rays, head_pose(tank.scene.tank.head, position_mm)
     reflections = Reflections(
