@@ -158,6 +158,23 @@ class NamedSolver:
         """
         return self.solver.solve(reading, self.variant, optics or NOTHING_KNOWN)
 
+    def bare(self, reading: BoardReading, optics: OpticsSection | None = None) -> PlaneMap:
+        """The map of this name, its uncertainty left out where that saves time.
+
+        Parameters
+        ----------
+        reading : BoardReading, px and mm, the marks of one picture
+        optics : OpticsSection, optional, as ``solve``
+
+        Raises
+        ------
+        InputError, BoardNotFound
+            As ``solve``.
+        """
+        quick = getattr(self.solver, "bare", self.solver.solve)
+        solved: PlaneMap = quick(reading, self.variant, optics or NOTHING_KNOWN)
+        return solved
+
     def restore(self, parameters: dict[str, Any]) -> PlaneMap:
         """The map of this name that parameters came from.
 

@@ -133,6 +133,9 @@ class PhysicalMap(SolvedMap):
         jacobian = pixel_derivatives(locate, image_px)
         return propagated(locate(image_px), jacobian, modes, variance_px2)
 
+    def _points(self, image_px: Floats) -> Floats:
+        return self.geometry.locate(image_px)
+
     def changed_since(self, since: SinceSection) -> Self:
         """The map with what may have changed in its uncertainty.
 

@@ -88,6 +88,27 @@ class SolvedMap(Strict, ABC):
         modes = _modes(estimate, covered, valued)
         return PlanePoints(xz, np.sqrt(variance), status.astype(np.int64), modes)
 
+    def locate(self, image_px: Floats) -> Floats:
+        """(N, 2) mm, the points of ``to_plane`` without their uncertainties, in less time.
+
+        NaN where the region does not cover a pixel, and where it is NaN.
+
+        Parameters
+        ----------
+        image_px : (N, 2) array, px, of (u, v)
+        """
+        if self.corrections:
+            return self.to_plane(image_px).xz_mm
+        covered = np.isfinite(image_px).all(axis=1)
+        covered[covered] = self.region.covers(image_px[covered])
+        xz = np.full((len(image_px), 2), np.nan)
+        xz[covered] = self._points(image_px[covered])
+        return xz
+
+    def _points(self, image_px: Floats) -> Floats:
+        """(N, 2) mm of pixels that the region covers."""
+        return self.estimate(image_px, np.zeros(len(image_px))).xz_mm
+
     def parameters(self) -> dict[str, Any]:
         """The fields as JSON types."""
         dumped: dict[str, Any] = self.model_dump(mode="json")
@@ -152,9 +173,39 @@ class MapSolver(ABC, Generic[Solved]):
             Where the marks found do not determine the map.
         """
         self.check_variant(variant)
-        solved = self.fit(reading, variant, optics)
-        water = stated_water(optics)
-        return self._named(solved.model_copy(update={"stated_water": water}), variant)
+        return self._finished(self.fit(reading, variant, optics), variant, optics)
+
+    def bare(
+        self, reading: BoardReading, variant: str, optics: OpticsSection = NOTHING_KNOWN
+    ) -> Solved:
+        """As ``solve``, but for the map's uncertainty, which may be missing: in less time.
+
+        For those who solve thousands of maps and look at the points alone (``locate``).
+
+        Parameters
+        ----------
+        reading : BoardReading, px and mm, the marks of one picture
+        variant : str, second part of the map's name, "" where there is none
+        optics : OpticsSection, what is known of the camera beforehand
+
+        Raises
+        ------
+        InputError, BoardNotFound
+            As ``solve``.
+        """
+        self.check_variant(variant)
+        return self._finished(self.fit_points(reading, variant, optics), variant, optics)
+
+    def fit_points(self, reading: BoardReading, variant: str, optics: OpticsSection) -> Solved:
+        """As ``fit``; a family whose uncertainty takes time of its own leaves it out.
+
+        Parameters
+        ----------
+        reading : BoardReading, px and mm, the marks of one picture
+        variant : str, one of ``variants``
+        optics : OpticsSection, what is known of the camera beforehand
+        """
+        return self.fit(reading, variant, optics)
 
     @abstractmethod
     def fit(self, reading: BoardReading, variant: str, optics: OpticsSection) -> Solved:
@@ -183,6 +234,10 @@ class MapSolver(ABC, Generic[Solved]):
         MapSolver.check_variant(self, variant)  # a metric map can be restored, though not solved
         read = check(self.model, parameters, where=None, prefix="parameters")
         return self._named(read, variant)
+
+    def _finished(self, solved: Solved, variant: str, optics: OpticsSection) -> Solved:
+        water = stated_water(optics)
+        return self._named(solved.model_copy(update={"stated_water": water}), variant)
 
     def _named(self, solved: Solved, variant: str) -> Solved:
         solved._name = full_name(self.family, variant)

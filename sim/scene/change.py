@@ -1,18 +1,17 @@
 """``[[change]]``: a number of the scene that is new in every picture."""
 
-from collections import defaultdict
 from collections.abc import Iterable
-from dataclasses import replace
 from math import pi, radians, sin
-from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
+from typing import TYPE_CHECKING, Annotated, Literal, Self
 
 import numpy as np
 from pydantic import Field, NonNegativeFloat, PositiveFloat, model_validator
 from scipy.special import ndtr
 
-from lscan.config.documents import Strict, check
+from lscan.config.documents import Strict
 from lscan.errors import InputError
 from sim.scene.instrument import Seed
+from sim.scene.numbers import number_at, with_numbers
 from sim.scene.randomness import unit_normal
 
 if TYPE_CHECKING:
@@ -148,25 +147,8 @@ def with_offsets(scene: "Scene", offsets: Iterable[tuple[Change, float]], where:
     InputError
         A number is out of its range.
     """
-    fields: dict[str, dict[str, Any]] = defaultdict(dict)
+    numbers: dict[str, float] = {}
     for change, offset in offsets:
-        section, field, *component = change.key.split(".")
-        now = fields[section].get(field, getattr(_section(scene, section), field))
-        if component:
-            index = int(component[0])
-            now = (*now[:index], change.changed(now[index], offset), *now[index + 1 :])
-        else:
-            now = change.changed(now, offset)
-        fields[section][field] = now
-    checked = {}
-    for section, update in fields.items():
-        model = _section(scene, section)
-        checked[section] = check(type(model), {**dict(model), **update}, where, section)
-    rig = scene.rig.model_copy(update={k: v for k, v in checked.items() if k == "camera"})
-    tank = scene.tank.model_copy(update={k: v for k, v in checked.items() if k != "camera"})
-    return replace(scene, rig=rig, tank=tank)
-
-
-def _section(scene: "Scene", name: str) -> Strict:
-    section: Strict = scene.rig.camera if name == "camera" else getattr(scene.tank, name)
-    return section
+        now = numbers.get(change.key, number_at(scene, change.key))
+        numbers[change.key] = change.changed(now, offset)
+    return with_numbers(scene, numbers, where)

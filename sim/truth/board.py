@@ -60,7 +60,7 @@ class BoardTruth:
     @cached_property
     def centres(self) -> BoardReading:
         """The marks' true centres projected, in px, from which a plane map should be solved."""
-        return self._reading(lambda places, _: self._imaged(places))
+        return self._reading(lambda places, _: self.imaged(places))
 
     @cached_property
     def centroids(self) -> BoardReading:
@@ -103,14 +103,19 @@ class BoardTruth:
         free = seen(self.scene, surfaces_of(self.scene), head, position)
         return np.select([~shown, ~free], [Status.OUT_OF_VIEW, Status.OCCLUDED], Status.OK)
 
-    def _imaged(self, places: Floats) -> Floats:
-        """(N, 2) px of (N, 2) places on the board."""
+    def imaged(self, places: Floats) -> Floats:
+        """(N, 2) px of places on the board, whether anything hides them or not.
+
+        Parameters
+        ----------
+        places : (N, 2) array, mm, (x, z) of the board
+        """
         return project(self.scene, self._in_head(places)[0])
 
     def _centroids(self, places: Floats, diameter_mm: float) -> Floats:
         """(N, 2) px of the centroids of the pictures of discs at (N, 2) places on the board."""
         outline = places[:, np.newaxis] + _circle(RIM_POINTS, diameter_mm)
-        return area_centroids(self._imaged(outline.reshape(-1, 2)).reshape(-1, RIM_POINTS, 2))
+        return area_centroids(self.imaged(outline.reshape(-1, 2)).reshape(-1, RIM_POINTS, 2))
 
     def _in_head(self, places: Floats) -> tuple[Floats, Floats]:
         """(N, 3) places in the head frame, mm, and (N,) the track positions then, mm.

@@ -85,17 +85,32 @@ class GraticuleSolver(MapSolver[Graticule]):
         ----------
         Secs. II and III of the paper.
         """
+        return with_lack_of_fit(self.fit_points(reading, variant, optics), reading)
+
+    def fit_points(self, reading: BoardReading, variant: str, optics: OpticsSection) -> Graticule:
+        """The graticule without its lack of fit.
+
+        Parameters
+        ----------
+        reading : BoardReading, px and mm, the marks of one picture
+        variant : str, one of VARIANTS
+        optics : OpticsSection, not used
+
+        Raises
+        ------
+        BoardNotFound
+            As ``fit``.
+        """
         fit, with_rulers = VARIANTS[variant]
         rows = _fit_lines(reading, 0, fit)
         columns = _fit_lines(reading, 1, fit)
         reach = spacing_px(reading)
-        solved = Graticule(
+        return Graticule(
             latitudes=LineSet(_present(rows), _rulers(reading, 1, fit, with_rulers), reach),
             longitudes=LineSet(_present(columns), _rulers(reading, 0, fit, with_rulers), reach),
             region=covered_region(reading, _on_lines(reading, rows, columns)),
             lack_of_fit_mm=np.zeros(2),
         )
-        return with_lack_of_fit(solved, reading)
 
 
 solver = GraticuleSolver()

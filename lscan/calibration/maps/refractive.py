@@ -20,6 +20,7 @@ from lscan.calibration.stored import Matrix, Number, Place, check_theta, of_leng
 from lscan.calibration.unexplained import unexplained_mm
 from lscan.camera.boards import POSE, PosedBoards
 from lscan.camera.covariance import MODE_STEP, displacements, modes_that_matter
+from lscan.camera.fit import CameraFit
 from lscan.camera.parameters import CAMERA, PortKind
 from lscan.config.rig import Known, OpticsSection, SinceSection
 from lscan.records import BoardReading, Floats
@@ -158,27 +159,13 @@ class RefractiveSolver(MapSolver[Refractive]):
             As refractivefit.fit_view.
         """
         fit = fit_view(reading, optics, self._start)
-        outliers = np.concatenate([marks.found for marks in all_marks(reading)])
-        outliers[outliers] = ~fit.good
-        sound = without(reading, outliers)
-        theta = np.delete(fit.boards.theta, K3)
-        solved = Refractive(
-            port=optics.port,
-            theta=dict(zip(NAMES, theta.tolist(), strict=True)),
-            centre_mm=fit.boards.centre_mm,
-            modes=np.zeros((COUNT, 0)),
-            board_offset_mm=0.0,
-            board_tilt_deg=0.0,
-            outliers_mm=tuple(fit.marks.board_mm[~fit.good]),
-            region=covered_region(sound, sound.grid.found),
-            lack_of_fit_mm=np.zeros(2),
-        )
+        solved, sound = _points_of(fit, reading, optics)
         control_points = solved.view.project(sound.grid.board_mm[sound.grid.found])
         return solved.model_copy(
             update={
                 "modes": modes_that_matter(
                     lambda t: solved._view_of(t).locate,
-                    theta,
+                    np.delete(fit.boards.theta, K3),
                     np.delete(fit.root, K3, axis=0),
                     control_points,
                 ),
@@ -189,5 +176,43 @@ class RefractiveSolver(MapSolver[Refractive]):
             }
         )
 
+    def fit_points(self, reading: BoardReading, variant: str, optics: OpticsSection) -> Refractive:
+        """Camera, port and pose that fit the marks, taken for exact.
+
+        Parameters
+        ----------
+        reading : BoardReading, px and mm, the marks of one picture
+        variant : str, ""
+        optics : OpticsSection, what is known of camera, port and board beforehand
+
+        Raises
+        ------
+        InputError, BoardNotFound
+            As refractivefit.fit_view.
+        """
+        return _points_of(fit_view(reading, optics, self._start), reading, optics)[0]
+
 
 solver = RefractiveSolver()
+
+
+def _points_of(
+    fit: CameraFit, reading: BoardReading, optics: OpticsSection
+) -> tuple[Refractive, BoardReading]:
+    """The map of a fit without its uncertainty, and the reading without the outliers."""
+    outliers = np.concatenate([marks.found for marks in all_marks(reading)])
+    outliers[outliers] = ~fit.good
+    sound = without(reading, outliers)
+    theta = np.delete(fit.boards.theta, K3)
+    solved = Refractive(
+        port=optics.port,
+        theta=dict(zip(NAMES, theta.tolist(), strict=True)),
+        centre_mm=fit.boards.centre_mm,
+        modes=np.zeros((COUNT, 0)),
+        board_offset_mm=0.0,
+        board_tilt_deg=0.0,
+        outliers_mm=tuple(fit.marks.board_mm[~fit.good]),
+        region=covered_region(sound, sound.grid.found),
+        lack_of_fit_mm=np.zeros(2),
+    )
+    return solved, sound

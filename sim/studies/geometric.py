@@ -1,0 +1,192 @@
+"""The geometric tier: a rig's errors without a picture.
+
+Where the board's marks and the laser's line truly fall is computed in float64 by sim.truth; what
+the instrument finds there is that, off by the scatter and the bias of its own algorithms, which
+were found once on pictures of the rig as it ought to be (prepared.py).  From there on the
+instrument's own code runs: the solver of the plane map, the map, the place of the profile on the
+track.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from itertools import pairwise
+
+import numpy as np
+
+from lscan.calibration.api import NamedSolver, find_solver
+from lscan.calibration.carry import carried
+from lscan.calibration.outliers import screened
+from lscan.records import BoardReading, Floats, Marks, select
+from sim.scene import Pose, Scene, at_moment, into_world
+from sim.scene.moment import is_changing
+from sim.studies.errors import ErrorFrame
+from sim.studies.places import height_above, lit_points
+from sim.studies.prepared import Prepared, located
+from sim.studies.problem import AFTER, Output
+from sim.studies.states import RigStates, states_of
+from sim.studies.studyfile import Study
+from sim.truth import board_truth
+from sim.truth.camera.projection import TrueCamera, camera_of, image, rays_to
+
+STILL = Pose(np.eye(3), np.zeros(3))
+STREAMS = {"line": 1, "board": 2, "board anew": 3}
+"""Of the numbers drawn for one rig."""
+
+
+@dataclass(frozen=True)
+class LitPart:
+    """Points that the laser lights while the rig is in one state.
+
+    moment: the scene then.  head_mm, world_mm: (N, 3), in either frame.
+    """
+
+    moment: Scene
+    head_mm: Floats
+    world_mm: Floats
+
+
+class GeometricRig:
+    """The problem of a study in the geometric tier.
+
+    Parameters
+    ----------
+    study : Study
+    prepared : Prepared, what was found on pictures of the rig as it ought to be
+    """
+
+    def __init__(self, study: Study, prepared: Prepared) -> None:
+        self.study, self.prepared = study, prepared
+        self._frame = ErrorFrame(prepared.places.world_mm)
+        correlations = study.correlations()
+        is_correlated = bool(study.file.correlation)
+        self._root = np.linalg.cholesky(correlations) if is_correlated else None
+
+    @property
+    def causes(self) -> tuple[str, ...]:
+        """The names of the study's causes."""
+        return self.study.causes
+
+    @cached_property
+    def outputs(self) -> tuple[Output, ...]:
+        """Those of ``ErrorFrame``, and the same after recalibration where anything drifts."""
+        before = self._frame.outputs
+        if not any(cause.when == "drift" for cause in self.study.file.cause.values()):
+            return before
+        return (*before, *(replace(one, name=one.name + AFTER) for one in before))
+
+    def evaluate(self, row: Floats) -> Floats:
+        """(K,) errors of the rig that a row stands for; see ``Problem``.
+
+        Parameters
+        ----------
+        row : (D,) array
+        """
+        states = states_of(self.study, row, self._root)
+        pixels, true_mm = self._line(states)
+        reading = self._reading(states.calibrate, states.seeds, "board")
+        errors = self._errors(reading, pixels, true_mm)
+        if len(self.outputs) == len(self._frame.outputs):
+            return errors
+        if states.recalibrate is None:
+            return np.concatenate([errors, errors])
+        anew = self._reading(states.recalibrate, states.seeds, "board anew")
+        return np.concatenate([errors, self._errors(anew, pixels, true_mm)])
+
+    def _line(self, states: RigStates) -> tuple[Floats, Floats]:
+        """(P, 2) px where the line is found, and (P, 3) mm where it is, world frame."""
+        places, scan = self.prepared.places, states.scan
+        parts = [self._lit(scan, here) for here in self._alike(scan)]
+        true_mm = np.concatenate([part.world_mm for part in parts])
+        pixels = seen_together([part.moment for part in parts], [part.head_mm for part in parts])
+        across = 1 if scan.rig.stripe.axis == "columns" else 0
+        pixels[:, across] += self.prepared.line_off_px(states.seeds)
+        assert len(pixels) == len(places.frame)
+        return pixels, true_mm
+
+    def _lit(self, scan: Scene, here: slice) -> LitPart:
+        """The points that the laser lights at some of the places."""
+        part = select(self.prepared.places, here)
+        moment = at_moment(scan, int(part.frame[0]), float(part.position_mm[0]))
+        is_one = is_changing(scan)
+        true_at = np.full(len(part.frame), moment.position_mm) if is_one else part.position_mm
+        points = lit_points(moment.scene, part, true_at)
+        world = into_world(moment.scene.tank.head, points, true_at)
+        return LitPart(moment.scene, points, world)
+
+    def _alike(self, scan: Scene) -> list[slice]:
+        """Which places can be looked at in one go: all, or where pictures differ those of each."""
+        frame = self.prepared.places.frame
+        if not is_changing(scan):
+            return [slice(None)]
+        ends = np.flatnonzero(np.diff(frame, append=-1)) + 1
+        return [slice(first, end) for first, end in pairwise([0, *ends.tolist()])]
+
+    def _reading(self, board: Scene, seeds: Mapping[str, int], stream: str) -> BoardReading:
+        """What the instrument reads of the board in a state of the rig."""
+        nominal = self.prepared.reading
+        several = (nominal.grid, *(ruler.marks for ruler in nominal.rulers))
+        places = np.concatenate([marks.board_mm for marks in several])
+        image = board_truth(board).imaged(places)
+        image += self.prepared.marks_off_px(seeds, STREAMS[stream])
+        ends = np.cumsum([len(marks.status) for marks in several])[:-1]
+        moved = [_moved(*pair) for pair in zip(several, np.split(image, ends), strict=True)]
+        rulers = zip(nominal.rulers, moved[1:], strict=True)
+        return replace(
+            nominal,
+            grid=moved[0],
+            rulers=tuple(replace(ruler, marks=marks) for ruler, marks in rulers),
+            dots={},
+            rings={},
+        )
+
+    @cached_property
+    def _solver(self) -> NamedSolver:
+        """The solver, beginning at the map of the rig as it ought to be where it searches."""
+        solver = find_solver(self.study.calibrate.rig.calibration.plane_map)
+        if not solver.searches:
+            return solver
+        nominal = solver.solve(self.prepared.reading, self.study.calibrate.rig.optics)
+        return solver.near(nominal)
+
+    def _errors(self, reading: BoardReading, pixels: Floats, true_mm: Floats) -> Floats:
+        """(K,) errors of the line's points by the map that is solved from a reading."""
+        sound = screened(reading).reading
+        plane_map = self._solver.bare(sound, self.study.calibrate.rig.optics)
+        scan, places = self.study.scan, self.prepared.places
+        xz = located(carried(plane_map, scan.rig), pixels)
+        head = np.column_stack([xz[:, 0], np.zeros(len(xz)), xz[:, 1]])
+        found = np.isfinite(xz).all(axis=1)
+        measured = np.full(head.shape, np.nan)
+        measured[found] = into_world(scan.tank.head, head[found], places.position_mm[found])
+        height = np.full(len(head), np.nan)
+        height[found] = height_above(scan, select(places, found), measured[found])
+        return self._frame.errors_of(measured, true_mm, height)
+
+
+def seen_together(moments: Sequence[Scene], points_head: Sequence[Floats]) -> Floats:
+    """(N, 2) px of points seen at several moments: all at once but where the optics differ.
+
+    Parameters
+    ----------
+    moments : sequence of Scene
+    points_head : sequence of (N_i, 3) array, mm, head frame, as many
+    """
+    cameras = [camera_of(moment) for moment in moments]
+    local = [
+        camera.pose.invert(points) for camera, points in zip(cameras, points_head, strict=True)
+    ]
+    still = [replace(camera, pose=STILL) for camera in cameras]
+    if all(_same(camera, still[0]) for camera in still):
+        return image(still[0], rays_to(still[0], np.concatenate(local)).direction)
+    pairs = zip(still, local, strict=True)
+    return np.concatenate([image(one, rays_to(one, points).direction) for one, points in pairs])
+
+
+def _same(one: TrueCamera, other: TrueCamera) -> bool:
+    optics = [(camera.lens, camera.port, camera.water_index) for camera in (one, other)]
+    return optics[0] == optics[1]
+
+
+def _moved(marks: Marks, image: Floats) -> Marks:
+    return replace(marks, image_px=np.where(marks.found[:, np.newaxis], image, np.nan))

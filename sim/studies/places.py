@@ -1,0 +1,225 @@
+"""The places of a scan at which its errors are found, and the surface about each of them."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from lscan.config.targets import Sandwave
+from lscan.errors import InputError, MeasurementError
+from lscan.records import Floats, Ints, Status, select
+from sim.scene import Scene, head_pose, into_world, target_pose
+from sim.truth import StripeTruth, stripe_truths
+from sim.truth.sheet import sheet_of
+from sim.truth.target.section import surfaces_of, target_surfaces
+from sim.truth.target.wave import Wave
+from sim.truth.visibility import apex_xz, fan_angle
+
+EDGE_PX = 12.0  # from the ends of the line: a rig that is somewhat off does not lose the place
+LEVEL = 0.3  # cosine of the steepest face whose height is looked at
+STEP_MM = 1e-3  # of the derivative along a ray
+CLOSE_MM = 1e-7  # a place is found to that
+TURNS = 30
+FEWEST = 10
+WAVE, PLANE, FLOOR = 0, 1, 2
+
+
+@dataclass(frozen=True)
+class Places:
+    """P places on the surface, and the rays of the laser's fan that reach them.
+
+    Attributes
+    ----------
+    frame : (P,) array, number of the picture
+    position_mm : (P,) array, mm, commanded then
+    entry : (P,) array, the column (or row) of the picture that the place shows in
+    angle : (P,) array, rad, of the ray in the fan, from its axis
+    distance_mm : (P,) array, mm, from the apex
+    kind : (P,) array, WAVE: of the sandwave; PLANE: of a face of the target, or of a mesh, taken
+        for the plane of its triangle; FLOOR
+    normal, point_mm : (P, 3) array, of the face of a PLANE, target frame
+    world_mm : (P, 3) array, mm, the place, world frame
+    """
+
+    frame: Ints
+    position_mm: Floats
+    entry: Ints
+    angle: Floats
+    distance_mm: Floats
+    kind: Ints
+    normal: Floats
+    point_mm: Floats
+    world_mm: Floats
+
+
+def places_of(scene: Scene, pictures: int, columns: int) -> Places:
+    """Places spread over the scan of a scene as it ought to be.
+
+    Parameters
+    ----------
+    scene : Scene, without changes and errors of its track
+    pictures : int, of the plan that are looked at, at most
+    columns : int, of each picture, at most
+
+    Raises
+    ------
+    MeasurementError
+        Fewer than ten places are lit and seen.
+    """
+    frames = spread_over(scene.rig.plan.frames, pictures)
+    positions = scene.rig.plan.positions_mm()
+    truths = stripe_truths(scene, [positions[frame] for frame in frames])
+    found = [
+        _of_picture(scene, truth, frame, columns)
+        for truth, frame in zip(truths, frames, strict=True)
+    ]
+    joined = Places(*(np.concatenate(parts) for parts in zip(*map(_fields, found), strict=True)))
+    if len(joined.frame) < FEWEST:
+        raise MeasurementError(
+            f"{scene.source}: the line is lit and seen in {len(joined.frame)} of the places looked "
+            f"at; a study needs {FEWEST}"
+        )
+    return joined
+
+
+def spread_over(count: int, most: int) -> list[int]:
+    """Up to ``most`` numbers of ``count``, from 0, evenly spread, none at an end.
+
+    Examples
+    --------
+    >>> spread_over(10, 2), spread_over(2, 5)
+    ([2, 7], [0, 1])
+    """
+    parts = min(count, most)
+    return [int((2 * k + 1) * count / (2 * parts)) for k in range(parts)]
+
+
+def lit_points(scene: Scene, places: Places, position_mm: Floats) -> Floats:
+    """(P, 3) mm, head frame: where the rays of the fan meet the surface.
+
+    Parameters
+    ----------
+    scene : Scene, as it is in the pictures of the places
+    places : Places
+    position_mm : (P,) array, mm, of the head along the track, where it truly is
+
+    Raises
+    ------
+    MeasurementError
+        A ray no longer meets its face.
+    """
+    sheet, head = sheet_of(scene), scene.tank.head
+    apex = apex_xz(scene.tank.laser)
+    angle = places.angle + np.radians(scene.tank.laser.aim_deg)
+    away = np.column_stack([np.sin(angle), -np.cos(angle)])
+
+    def points(distance: Floats) -> Floats:
+        return sheet.in_head(apex + distance[:, np.newaxis] * away)
+
+    def world(distance: Floats) -> Floats:
+        return into_world(head, points(distance), position_mm)
+
+    distance = places.distance_mm
+    here, further = world(distance), world(distance + STEP_MM)
+    way = (further - here) / STEP_MM
+    is_straight = sheet.bow is None
+    for _ in range(TURNS):
+        height = height_above(scene, places, here)
+        slope = (height_above(scene, places, here + STEP_MM * way) - height) / STEP_MM
+        step = height / np.where(slope == 0, np.nan, slope)
+        distance = distance - step
+        if not np.isfinite(distance).all():
+            break
+        if np.abs(step).max() < CLOSE_MM:
+            return points(distance)
+        here = here - step[:, np.newaxis] * way if is_straight else world(distance)
+    raise MeasurementError("a ray of the laser no longer meets the surface where it ought to")
+
+
+def height_above(scene: Scene, places: Places, points_world: Floats) -> Floats:
+    """(P,) mm, how high (P, 3) points lie above the surface beneath them, target frame's z.
+
+    On a mesh: above the plane of the triangle that the place lies on.
+
+    Parameters
+    ----------
+    scene : Scene, its target and its floor
+    places : Places, one for each point
+    points_world : (P, 3) array, mm, world frame
+    """
+    local = target_pose(scene).invert(points_world)
+    height = np.empty(len(local))
+    wave, plane, floor = (places.kind == kind for kind in (WAVE, PLANE, FLOOR))
+    if wave.any():
+        shape = scene.rig.workpiece
+        assert isinstance(shape, Sandwave)
+        x, y, z = local[wave].T
+        height[wave] = z - shape.height_mm(x, y)
+    off = np.einsum("ij,ij->i", local[plane] - places.point_mm[plane], places.normal[plane])
+    height[plane] = off / places.normal[plane, 2]
+    if scene.tank.floor is not None:
+        height[floor] = points_world[floor, 2] - scene.tank.floor.z_mm
+    return height
+
+
+def _of_picture(scene: Scene, truth: StripeTruth, frame: int, columns: int) -> Places:
+    chosen = np.array(spread_over(len(truth.status), columns))
+    good = (truth.status == Status.OK) & ~truth.multiple & (truth.edge_px > EDGE_PX)
+    chosen = chosen[good[chosen]]
+    sheet = sheet_of(scene)
+    head = np.column_stack([truth.xz_mm[chosen, 0], truth.y_mm[chosen], truth.xz_mm[chosen, 1]])
+    world = head_pose(scene.tank.head, truth.position_mm).apply(head)
+    flat = sheet.flattened(head)
+    kind, normal = _faces(scene, truth.face[chosen], world)
+    places = Places(
+        frame=np.full(len(chosen), frame),
+        position_mm=np.full(len(chosen), truth.position_mm),
+        entry=chosen,
+        angle=fan_angle(scene.tank.laser, flat),
+        distance_mm=np.linalg.norm(flat - apex_xz(scene.tank.laser), axis=1),
+        kind=kind,
+        normal=normal,
+        point_mm=target_pose(scene).invert(world),
+        world_mm=world,
+    )
+    return select(places, normal[:, 2] > LEVEL)
+
+
+def _faces(scene: Scene, face: Ints, world: Floats) -> tuple[Ints, Floats]:
+    """(P,) kinds and (P, 3) unit normals, upwards, target frame, of places on faces."""
+    surfaces, targets = surfaces_of(scene), len(target_surfaces(scene))
+    kind, normal = np.full(len(face), PLANE), np.zeros((len(face), 3))
+    rotation = target_pose(scene).rotation
+    for number in np.unique(face):
+        here, surface = face == number, surfaces[number]
+        kind[here] = FLOOR if number >= targets else WAVE if isinstance(surface, Wave) else PLANE
+        normal[here] = surface.normals(world[here]) @ rotation
+    return kind, normal * np.where(normal[:, 2:] < 0, -1.0, 1.0)
+
+
+def _fields(places: Places) -> Sequence[np.ndarray]:
+    return tuple(vars(places).values())
+
+
+def require_one_line(scene: Scene) -> None:
+    """Refuse what the geometric tier does not know.
+
+    Parameters
+    ----------
+    scene : Scene, of the scan
+
+    Raises
+    ------
+    InputError
+        The laser has several lines, or the head moves while a picture is taken.
+    """
+    if len(scene.tank.laser.sheets) > 1:
+        value, allowed = len(scene.tank.laser.sheets), "one line; the rendered tier takes several"
+        raise InputError("laser.lines", where=scene.source, value=value, allowed=allowed)
+    if scene.tank.head.speed_mm_s != 0:
+        raise InputError(
+            "head.speed_mm_s: the head moves while a picture is taken",
+            where=scene.source,
+            value=scene.tank.head.speed_mm_s,
+            allowed='0, or tier = "rendered"',
+        )

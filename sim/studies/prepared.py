@@ -1,0 +1,294 @@
+"""What the geometric tier knows of pictures: how far off the instrument finds marks and line.
+
+Found once, on pictures of the rig as it ought to be: rendered, exposed again and again, and read
+by the instrument's own algorithms.  Kept beside the study, so that every worker and a study that
+goes on later has the same numbers.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, fields, replace
+from io import BytesIO
+from pathlib import Path
+
+import numpy as np
+
+from lscan.board import read_board
+from lscan.calibration.api import PlaneMap, find_solver
+from lscan.calibration.solved import SolvedMap
+from lscan.errors import MeasurementError
+from lscan.files.disk import write_atomically
+from lscan.records import (
+    BoardReading,
+    Bytes,
+    Floats,
+    Marks,
+    Mask,
+    Progress,
+    Status,
+    has_value,
+    select,
+)
+from lscan.stripe.extract import extract_stripes
+from sim.render.tank import Layers, Tank
+from sim.scene import Scene, into_head
+from sim.sensor import Webcam
+from sim.studies.places import Places, places_of, require_one_line
+from sim.studies.studyfile import NOISES, Study
+from sim.truth import board_truth, project, stripe_truths
+
+EXPOSURES = 4  # of each picture: with 15 columns about a place its scatter is known to 15 %
+BESIDE = 7  # columns to either side whose scatter counts with a place's own
+REACH_PX = 10.0  # how far rigs are taken to be off: places within it are looked at on the board
+CORNERS = ((-1, -1), (-1, 1), (1, -1), (1, 1))
+USUAL = 1.4826  # of a median absolute deviation, to a normal distribution's standard deviation
+SENSOR, SPECKLE = NOISES
+
+
+@dataclass(frozen=True)
+class Prepared:
+    """How far off marks and line are found on the rig as it ought to be.
+
+    Attributes
+    ----------
+    places : Places, P of the scan
+    reading : BoardReading, M control points and marks of rulers, where they truly are, with the
+        uncertainty that the instrument states
+    marks_bias_px : (M, 2) array, px, found without noise less true; 0 where not found
+    marks_sigma_px : (M,) array, px, of u and of v
+    line_bias_px : (P,) array, px, found without noise less true; 0 where the rig corrects for the
+        sheet's thickness, which makes most of it
+    sensor_px, speckle_px : (P,) array, px, scatter of the line's centre by either
+    """
+
+    places: Places
+    reading: BoardReading
+    marks_bias_px: Floats
+    marks_sigma_px: Floats
+    line_bias_px: Floats
+    sensor_px: Floats
+    speckle_px: Floats
+
+    def line_off_px(self, seeds: Mapping[str, int]) -> Floats:
+        """(P,) px: how far off the line is found on one rig.
+
+        Parameters
+        ----------
+        seeds : mapping, of each noise that is at work
+        """
+        off = self.line_bias_px.copy()
+        for name, sigma in ((SENSOR, self.sensor_px), (SPECKLE, self.speckle_px)):
+            if name in seeds:
+                off += sigma * np.random.default_rng([seeds[name], 1]).standard_normal(len(sigma))
+        return off
+
+    def marks_off_px(self, seeds: Mapping[str, int], stream: int) -> Floats:
+        """(M, 2) px: how far off the marks are found on one rig.
+
+        Parameters
+        ----------
+        seeds : mapping, of each noise that is at work; the sensor's counts
+        stream : int, another for each picture of the board
+        """
+        off = self.marks_bias_px.copy()
+        if SENSOR in seeds:
+            drawn = np.random.default_rng([seeds[SENSOR], stream]).standard_normal(off.shape)
+            off += self.marks_sigma_px[:, np.newaxis] * drawn
+        return off
+
+    def save(self, path: Path) -> None:
+        """Write it to a file, which holds arrays alone.
+
+        Parameters
+        ----------
+        path : Path, of an .npz file
+
+        Raises
+        ------
+        DiskError
+            The disk refuses.
+        """
+        arrays = {f"places.{key}": value for key, value in vars(self.places).items()}
+        arrays |= {key: vars(self)[key] for key in _NUMBERS}
+        arrays["sigma_px"] = np.concatenate([marks.sigma_px for marks in _marks(self.reading)])
+        arrays["status"] = np.concatenate([marks.status for marks in _marks(self.reading)])
+        packed = BytesIO()
+        np.savez(packed, **arrays)
+        write_atomically(path, packed.getvalue())
+
+    @classmethod
+    def load(cls, path: Path, study: Study) -> "Prepared":
+        """What ``save`` wrote for a study.
+
+        Parameters
+        ----------
+        path : Path
+        study : Study, the same
+        """
+        with np.load(path, allow_pickle=False) as kept:
+            places = Places(**{f.name: kept[f"places.{f.name}"] for f in fields(Places)})
+            numbers = {name: kept[name] for name in _NUMBERS}
+            reading = _reading(study.calibrate, kept["sigma_px"], kept["status"])
+        return cls(places=places, reading=reading, **numbers)
+
+
+_NUMBERS = ("marks_bias_px", "marks_sigma_px", "line_bias_px", "sensor_px", "speckle_px")
+
+
+def prepare(study: Study, progress: Progress | None = None) -> Prepared:
+    """Render the rig as it ought to be, and see how far off its instrument finds marks and line.
+
+    Parameters
+    ----------
+    study : Study
+    progress : callable, optional, called with the number of pictures done, and of all
+
+    Raises
+    ------
+    InputError
+        The scan has several lines or a head that moves.
+    MeasurementError, BoardNotFound
+        The instrument does not find the line or the board.
+    """
+    require_one_line(study.scan)
+    looked = study.file.places
+    places = places_of(study.scan, looked.pictures, looked.columns)
+    frames = np.unique(places.frame)
+    steps = len(frames) + 1
+    reading, bias, sigma = _board(study.calibrate)
+    if progress:
+        progress(1, steps)
+    found = []
+    tank = Tank(study.scan)
+    for done, frame in enumerate(frames, start=2):
+        found.append(_line(study.scan, tank, select(places, places.frame == frame)))
+        if progress:
+            progress(done, steps)
+    line, sensor, speckle = (np.concatenate(parts) for parts in zip(*found, strict=True))
+    known = np.isfinite(line) & np.isfinite(sensor) & np.isfinite(speckle)
+    known &= _on_board(study, reading, places)
+    if known.sum() < np.count_nonzero(~known):
+        raise MeasurementError(
+            f"{study.scan.source}: the line is found at {known.sum()} of {len(known)} places"
+        )
+    if study.scan.rig.sheet is not None:
+        line = np.zeros_like(line)
+    return Prepared(
+        places=select(places, known),
+        reading=reading,
+        marks_bias_px=bias,
+        marks_sigma_px=sigma,
+        line_bias_px=line[known],
+        sensor_px=sensor[known],
+        speckle_px=speckle[known],
+    )
+
+
+def _on_board(study: Study, reading: BoardReading, places: Places) -> Mask:
+    """(P,) whether the plane map has a value about each place as far as rigs may be off."""
+    calibration = study.calibrate.rig.calibration
+    plane_map = find_solver(calibration.plane_map).solve(reading, study.calibrate.rig.optics)
+    head = into_head(study.scan.tank.head, places.world_mm, places.position_mm)
+    pixels = project(study.scan, head)
+    about = [located(plane_map, pixels + REACH_PX * np.array(way)) for way in CORNERS]
+    return np.isfinite(np.stack(about)).all(axis=(0, 2))
+
+
+def _line(scene: Scene, tank: Tank, places: Places) -> tuple[Floats, Floats, Floats]:
+    """(P,) px each: bias, and scatter by the sensor's noise and by speckle; NaN where not found."""
+    position_mm = float(places.position_mm[0])
+    layers = tank.render(position_mm)
+    truth = stripe_truths(scene, [position_mm])[0].centre_px
+    quiet = _centres(scene, [_exposed(scene, layers, False, False, 0)])[0] - truth
+    seeds = range(1, EXPOSURES + 1)
+    plain = _centres(scene, [_exposed(scene, layers, True, False, seed) for seed in seeds])
+    whole = _centres(scene, [_exposed(scene, layers, True, True, seed) for seed in seeds])
+    sensor, both = (_scatter(centres, places) for centres in (plain, whole))
+    return quiet[places.entry], sensor, np.sqrt(np.maximum(both**2 - sensor**2, 0.0))
+
+
+def _exposed(scene: Scene, layers: Layers, noise: bool, speckle: bool, seed: int) -> Bytes:
+    sensor = scene.tank.sensor
+    other = {"noise": noise, "speckle": sensor.speckle if speckle else "none"}
+    webcam = Webcam(scene.with_tank(sensor=other))
+    return webcam.expose(layers, scene.rig.camera.exposure_ms, np.random.default_rng(seed))
+
+
+def _centres(scene: Scene, pictures: list[Bytes]) -> Floats:
+    """(K, N) px of K pictures; NaN where there is no line."""
+    stripes = extract_stripes(((picture, None) for picture in pictures), scene.rig.stripe)
+    return np.stack([np.where(has_value(s.status), s.centre_px, np.nan) for s in stripes])
+
+
+def _scatter(centres: Floats, places: Places) -> Floats:
+    """(P,) px, of the centres about a place from picture to picture, outliers left aside."""
+    known = np.isfinite(centres).all(axis=0)
+    off = np.where(known, centres - np.median(centres, axis=0), np.nan)
+    found = np.full(len(places.entry), np.nan)
+    for k, entry in enumerate(places.entry):
+        near = np.abs(off[:, max(entry - BESIDE, 0) : entry + BESIDE + 1])
+        near = near[np.isfinite(near)]
+        if len(near) >= EXPOSURES:
+            # The median is one of the pictures' own numbers: one degree of freedom is lost.
+            found[k] = USUAL * np.median(near) * np.sqrt(EXPOSURES / (EXPOSURES - 1))
+    return found
+
+
+def _board(scene: Scene) -> tuple[BoardReading, Floats, Floats]:
+    """The reading, and bias and scatter of its marks, px."""
+    tank = Tank(scene)
+    layers = tank.render(scene.rig.plan.positions_mm()[0])
+    board, channel = scene.board(), scene.rig.calibration.channel
+    pictures = [_exposed(scene, layers, noise, noise, 1) for noise in (False, True)]
+    quiet, usual = (read_board(picture, board, channel=channel) for picture in pictures)
+    status = np.concatenate([marks.status for marks in _marks(usual)])
+    sigma = np.concatenate([marks.sigma_px for marks in _marks(usual)])
+    reading = _reading(scene, sigma, status)
+    true, found = (
+        np.concatenate([marks.image_px for marks in _marks(one)]) for one in (reading, quiet)
+    )
+    off = found - true
+    return reading, np.where(np.isfinite(off), off, 0.0), np.where(np.isfinite(sigma), sigma, 0.0)
+
+
+def _reading(scene: Scene, sigma: Floats, status: Floats) -> BoardReading:
+    """The marks where they truly are, with the statuses and uncertainties of a reading."""
+    truth = board_truth(scene, scene.rig.plan.positions_mm()[0]).centres
+    several = _marks(truth)
+    ends = np.cumsum([len(marks.status) for marks in several])[:-1]
+    stated = zip(several, np.split(sigma, ends), np.split(status, ends), strict=True)
+    read = [_stated(marks, *one) for marks, *one in stated]
+    rulers = zip(truth.rulers, read[1:], strict=True)
+    return replace(
+        truth,
+        grid=read[0],
+        rulers=tuple(replace(ruler, marks=marks) for ruler, marks in rulers),
+        dots={},
+        rings={},
+    )
+
+
+def _stated(marks: Marks, sigma: Floats, status: Floats) -> Marks:
+    found = (status == Status.OK) & marks.found
+    return replace(
+        marks,
+        image_px=np.where(found[:, np.newaxis], marks.image_px, np.nan),
+        sigma_px=np.where(found, sigma, np.nan),
+        status=np.where(found, Status.OK, np.where(marks.found, status, marks.status)),
+    )
+
+
+def _marks(reading: BoardReading) -> list[Marks]:
+    return [reading.grid, *(ruler.marks for ruler in reading.rulers)]
+
+
+def located(plane_map: PlaneMap, pixels: Floats) -> Floats:
+    """(N, 2) mm of pixels, without their uncertainties where the map can do without.
+
+    Parameters
+    ----------
+    plane_map : PlaneMap
+    pixels : (N, 2) array, px
+    """
+    if isinstance(plane_map, SolvedMap):
+        return plane_map.locate(pixels)
+    return plane_map.to_plane(pixels).xz_mm

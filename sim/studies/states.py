@@ -1,0 +1,167 @@
+"""The two states of a rig that a row stands for: as it was calibrated, and as it scans."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.special import ndtr, ndtri
+
+from lscan.config.documents import check
+from lscan.errors import InputError
+from lscan.records import Floats
+from sim.scene import Scene
+from sim.scene.change import Change
+from sim.scene.numbers import number_at, with_numbers
+from sim.studies.studyfile import Cause, Study
+
+SEEDS = 2**31
+CALIBRATE, SCAN = "calibrate.", "scan."
+SEEDED = {
+    "track_errors.noise_mm": "track_errors.seed",
+    "board_errors.dot_noise_mm": "board_errors.seed",
+}  # what is drawn at random within one rig is drawn anew in the next
+
+
+@dataclass(frozen=True)
+class RigStates:
+    """A rig in its states.
+
+    Attributes
+    ----------
+    calibrate : Scene, of the board, as the instrument was calibrated
+    recalibrate : Scene, of the board, in the state of the scan; None where nothing has drifted
+    scan : Scene, of what is measured
+    seeds : dict, of each noise that is at work, by its key
+    """
+
+    calibrate: Scene
+    recalibrate: Scene | None
+    scan: Scene
+    seeds: dict[str, int]
+
+
+def states_of(study: Study, row: Floats, root: Floats | None = None) -> RigStates:
+    """The states of the rig that a row of numbers stands for.
+
+    Parameters
+    ----------
+    study : Study
+    row : (D,) array, of numbers in (0, 1) or NOMINAL, one for each cause
+    root : (D, D) array, optional, lower root of the causes' correlations, where there are any
+
+    Raises
+    ------
+    InputError
+        A number is out of the range of its key, or no number has that key.
+    """
+    shares = _correlated(row, root)
+    before: dict[str, float] = {}
+    since: dict[str, float] = {}
+    changes: list[Change] = []
+    seeds: dict[str, int] = {}
+    where = study.source
+    for cause, share in zip(study.file.cause.values(), shares.tolist(), strict=True):
+        if np.isnan(share):
+            continue
+        if cause.when == "noise":
+            seeds[cause.key] = _seed(share)
+            continue
+        if cause.when == "each-frame":
+            changes.append(_change(cause, share, where))
+            continue
+        numbers = cause.together | {cause.key: share_of(study, cause, share)}
+        if cause.key in SEEDED:
+            numbers[SEEDED[cause.key]] = _seed(share)
+        since |= numbers
+        if cause.when == "as-built":
+            before |= numbers
+    board = study.calibrate
+    scan = _applied(study.scan, since, SCAN, where)
+    return RigStates(
+        calibrate=_applied(board, before, CALIBRATE, where),
+        recalibrate=_applied(board, since, CALIBRATE, where) if since != before else None,
+        scan=_with_changes(scan, changes),
+        seeds=seeds,
+    )
+
+
+def share_of(study: Study, cause: Cause, share: float) -> float:
+    """The number of a cause at a quantile of its distribution."""
+    scene = study.calibrate if cause.key.startswith(CALIBRATE) else study.scan
+    own = 0.0
+    if cause.off or cause.relative:
+        own = number_at(scene, cause.key.removeprefix(CALIBRATE).removeprefix(SCAN))
+    return cause.number(share, own)
+
+
+def check_keys(study: Study) -> None:
+    """Refuse causes whose keys name no number, or whose usual numbers are out of range.
+
+    Parameters
+    ----------
+    study : Study
+
+    Raises
+    ------
+    InputError
+        Names the cause, the key and what is allowed.
+    """
+    for column in range(len(study.causes)):
+        for share in (0.05, 0.95):
+            row = np.full(len(study.causes), np.nan)
+            row[column] = share
+            try:
+                states_of(study, row)
+            except InputError as error:
+                where = f"{study.source}, [cause.{study.causes[column]}]"
+                raise replace_where(error, where) from error
+
+
+def replace_where(error: InputError, where: str) -> InputError:
+    """The same error, of another place."""
+    return InputError(error.what, where=where, value=error.value, allowed=error.allowed)
+
+
+def _applied(scene: Scene, numbers: dict[str, float], own: str, where: str) -> Scene:
+    """The scene with the numbers that are meant for it."""
+    mine = {
+        key.removeprefix(own): number
+        for key, number in numbers.items()
+        if key.startswith(own) or not key.startswith((CALIBRATE, SCAN))
+    }
+    return with_numbers(scene, mine, where) if mine else scene
+
+
+def _change(cause: Cause, share: float, where: str) -> Change:
+    """What is new in each picture, its draws told apart by the row's number."""
+    spread: dict[str, object] = {"values": cause.values, "weights": cause.weights}
+    if cause.normal is not None:
+        spread["normal"] = cause.normal[1]
+    if cause.uniform is not None:
+        spread["uniform"] = cause.uniform[1]
+    stated = {
+        "key": cause.key.removeprefix(SCAN),
+        "relative": cause.relative,
+        "correlation": cause.correlation,
+        "seed": _seed(share),
+    }
+    return check(Change, stated | spread, where)
+
+
+def _with_changes(scene: Scene, changes: list[Change]) -> Scene:
+    if not changes:
+        return scene
+    own = scene.tank.change
+    return replace(scene, tank=scene.tank.model_copy(update={"change": (*own, *changes)}))
+
+
+def _correlated(row: Floats, root: Floats | None) -> Floats:
+    """The row's numbers with the causes' correlations; of independent ones where root is None."""
+    if root is None:
+        return row
+    active = ~np.isnan(row)
+    normal = ndtri(np.where(active, row, 0.5))
+    return np.where(active, ndtr(root @ normal), np.nan)
+
+
+def _seed(share: float) -> int:
+    return int(share * SEEDS) % SEEDS

@@ -1,0 +1,252 @@
+"""A study file: which rig, what varies, and when."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Literal, Self
+
+import numpy as np
+from pydantic import Field, PositiveFloat, model_validator
+
+from lscan.config.documents import Document, Strict, check, read_document
+from lscan.config.scenes import included_file
+from lscan.errors import InputError
+from lscan.records import Floats
+from sim.scene import Scene, load_scene
+from sim.scene.instrument import Seed
+from sim.studies.distribution import KINDS, Distribution
+
+When = Literal["as-built", "drift", "each-frame", "noise"]
+Tier = Literal["geometric", "rendered"]
+NOISES = ("sensor.noise", "sensor.speckle")
+
+
+class Cause(Strict):
+    """One number of the rig that is not what the instrument takes it for.
+
+    key: dotted, of the scene's section and field, such as ``water.salinity_psu`` or
+    ``head.camera_mm.1``; with ``calibrate.`` or ``scan.`` before it in that scene only, else in
+    both.  when: "as-built", the same in calibration and scan; "drift", in the scan only, and in
+    the calibration that is made anew before it; "each-frame", new in every picture of the scan;
+    "noise", of the pictures: the sensor's (``sensor.noise``) or the speckle (``sensor.speckle``),
+    which take no distribution.
+    The distribution (fixed, normal, uniform, triangular, lognormal, values) is that of the number;
+    ``off = true``: of what is added to the scene's own; ``relative = true``: of the share of it
+    that is added.  Each frame's is always added.  correlation: pictures, of what is new in each.
+    with: other keys and their values, wherever this cause is at work.  group: causes of one group
+    have one index; causes that are correlated must be in one.
+    """
+
+    key: str
+    when: When
+    fixed: float | None = None
+    normal: tuple[float, float] | None = None
+    uniform: tuple[float, float] | None = None
+    triangular: tuple[float, float, float] | None = None
+    lognormal: tuple[PositiveFloat, float] | None = None
+    values: Annotated[tuple[float, ...], Field(min_length=1)] | None = None
+    weights: tuple[PositiveFloat, ...] | None = None
+    off: bool = False
+    relative: bool = False
+    correlation: Annotated[float, Field(ge=0, le=1000)] = 0.0
+    together: Annotated[dict[str, float], Field(alias="with", default_factory=dict)]
+    group: str | None = None
+    cost: PositiveFloat = 1.0
+
+    @model_validator(mode="after")
+    def _consistent(self) -> Self:
+        if self.when == "noise":
+            if self.key not in NOISES:
+                raise ValueError(f"noise is one of {', '.join(NOISES)}")
+            if self._stated:
+                raise ValueError(
+                    f"noise takes no distribution, the scene says how much ({self.key})"
+                )
+            return self
+        kind = self.distribution.kind  # refuses more or less than one
+        if self.when == "each-frame" and kind not in ("normal", "uniform", "values"):
+            raise ValueError("each-frame is one of normal, uniform, values")
+        if self.when == "each-frame" and self.distribution.mean != 0 and self.values is None:
+            raise ValueError("each-frame: what is new in every picture is about 0")
+        if self.off and self.relative:
+            raise ValueError("off and relative exclude each other")
+        if self.correlation > 0 and self.when != "each-frame":
+            raise ValueError('correlation goes with when = "each-frame" only')
+        return self
+
+    @property
+    def _stated(self) -> dict[str, object]:
+        names = (*KINDS, "weights")
+        return {name: getattr(self, name) for name in names if getattr(self, name) is not None}
+
+    @property
+    def distribution(self) -> Distribution:
+        """How the number is distributed; of noise, nothing is."""
+        return Distribution.model_validate(self._stated or {"fixed": 0.0})
+
+    def number(self, share: float, own: float) -> float:
+        """The number at a quantile.
+
+        Parameters
+        ----------
+        share : float, in (0, 1)
+        own : float, the scene's own number
+        """
+        drawn = self.distribution.quantile(share)
+        return own + drawn if self.off else own * (1 + drawn) if self.relative else drawn
+
+
+class Correlation(Strict):
+    """Two causes of one group whose numbers go together.
+
+    by: the correlation of the two normal numbers that they are made from, by their quantiles.
+    """
+
+    between: tuple[str, str]
+    by: Annotated[float, Field(gt=-1, lt=1)]
+
+
+class Precision(Strict):
+    """When a study has enough runs.
+
+    base: samples to begin with; each takes as many runs as there are causes, and two.  most: of
+    these; half_width: of the intervals of the three largest indices.  alone: runs of each cause
+    by itself.
+    """
+
+    base: Annotated[int, Field(ge=8, le=1 << 20)] = 256
+    most: Annotated[int, Field(ge=8, le=1 << 20)] = 1024
+    half_width: PositiveFloat = 0.05
+    alone: Annotated[int, Field(ge=2, le=1 << 16)] = 64
+
+
+class Looked(Strict):
+    """At how many of the scan's places the errors are found: pictures, and columns in each."""
+
+    pictures: Annotated[int, Field(ge=1, le=4000)] = 16
+    columns: Annotated[int, Field(ge=1, le=4000)] = 40
+
+
+class Bound(Strict):
+    """What the tolerances are to keep: ``output`` within ``most_mm`` in a share of all rigs."""
+
+    output: str = "height"
+    most_mm: PositiveFloat = 0.1
+    in_share: Annotated[float, Field(gt=0.5, lt=1, alias="yield")] = 0.95
+
+
+class StudyFile(Strict):
+    """A study as its file says it."""
+
+    name: str = "unnamed"
+    calibrate: str
+    scan: str
+    tier: Tier = "geometric"
+    seed: Seed = 1
+    cause: Annotated[dict[str, Cause], Field(min_length=1)]
+    correlation: tuple[Correlation, ...] = ()
+    precision: Precision = Precision()
+    places: Looked = Looked()
+    tolerances: Bound | None = None
+
+    @model_validator(mode="after")
+    def _known_causes(self) -> Self:
+        for one in self.correlation:
+            groups = []
+            for name in one.between:
+                if name not in self.cause:
+                    raise ValueError(f"correlation: no such cause {name!r}")
+                groups.append(self.cause[name].group)
+            if groups[0] is None or groups[0] != groups[1]:
+                pair = " and ".join(one.between)
+                raise ValueError(f"correlation: {pair} must be in one group, their indices are one")
+        streams = [cause.key for cause in self.cause.values() if cause.when == "noise"]
+        if len(set(streams)) < len(streams):
+            raise ValueError("a noise is a cause once")
+        return self
+
+
+@dataclass(frozen=True)
+class Study:
+    """A study and its two scenes.
+
+    Attributes
+    ----------
+    file : StudyFile, what varies
+    calibrate : Scene, of the board
+    scan : Scene, of what is measured
+    document : Document, the file as it was read
+    source : str, path of the file, for errors
+    """
+
+    file: StudyFile
+    calibrate: Scene
+    scan: Scene
+    document: Document
+    source: str
+
+    @property
+    def causes(self) -> tuple[str, ...]:
+        """The names of the D causes, in the file's order."""
+        return tuple(self.file.cause)
+
+    @property
+    def groups(self) -> Mapping[str, tuple[int, ...]]:
+        """The causes' columns by name of their group; a cause without one is its own."""
+        found: dict[str, tuple[int, ...]] = {}
+        for column, (name, cause) in enumerate(self.file.cause.items()):
+            group = cause.group or name
+            found[group] = (*found.get(group, ()), column)
+        return found
+
+    def correlations(self) -> Floats:
+        """(D, D) correlations of the normal numbers that the causes' quantiles are made from."""
+        index = {name: k for k, name in enumerate(self.causes)}
+        found = np.eye(len(index))
+        for one in self.file.correlation:
+            i, j = (index[name] for name in one.between)
+            found[i, j] = found[j, i] = one.by
+        if np.linalg.eigvalsh(found)[0] <= 0:
+            raise InputError(
+                "correlation: no such numbers exist",
+                where=self.source,
+                allowed="correlations that do not contradict each other",
+            )
+        return found
+
+
+def load_study(path: Path | str) -> Study:
+    """The study that a TOML file describes.
+
+    Parameters
+    ----------
+    path : Path or str
+
+    Raises
+    ------
+    InputError
+        Names the file, the key, the value and what is allowed.
+    """
+    return study_of(read_document(path), str(path))
+
+
+def study_of(document: Document, source: str) -> Study:
+    """The study that a document describes.
+
+    Parameters
+    ----------
+    document : dict, as read from TOML
+    source : str, where it came from, for errors
+
+    Raises
+    ------
+    InputError
+        As ``load_study``.
+    """
+    file = check(StudyFile, document, where=source)
+    folder = Path(source).parent
+    scenes = [load_scene(included_file(folder, name)) for name in (file.calibrate, file.scan)]
+    study = Study(file, *scenes, document, source)
+    study.calibrate.board()
+    study.correlations()
+    return study
