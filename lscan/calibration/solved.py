@@ -99,8 +99,8 @@ class SolvedMap(Strict, ABC):
         """
         if self.corrections:
             return self.to_plane(image_px).xz_mm
-        covered = np.isfinite(image_px).all(axis=1)
-        covered[covered] = self.region.covers(image_px[covered])
+        covered = np.flatnonzero(np.isfinite(image_px).all(axis=1))
+        covered = covered[self.region.covers(image_px[covered])]
         xz = np.full((len(image_px), 2), np.nan)
         xz[covered] = self._points(image_px[covered])
         return xz

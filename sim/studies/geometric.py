@@ -21,7 +21,7 @@ from lscan.records import BoardReading, Floats, Marks, select
 from sim.scene import Pose, Scene, at_moment, into_world
 from sim.scene.moment import is_changing
 from sim.studies.errors import ErrorFrame
-from sim.studies.places import height_above, lit_points
+from sim.studies.places import Places, height_above, lit_points
 from sim.studies.prepared import Prepared, located
 from sim.studies.problem import AFTER, Output
 from sim.studies.states import RigStates, states_of
@@ -30,8 +30,7 @@ from sim.truth import board_truth
 from sim.truth.camera.projection import TrueCamera, camera_of, image, rays_to
 
 STILL = Pose(np.eye(3), np.zeros(3))
-STREAMS = {"line": 1, "board": 2, "board anew": 3}
-"""Of the numbers drawn for one rig."""
+BOARD, BOARD_ANEW = 2, 3  # streams of the numbers drawn for one rig; the line's is 1
 
 
 @dataclass(frozen=True)
@@ -60,7 +59,8 @@ class GeometricRig:
         self._frame = ErrorFrame(prepared.places.world_mm)
         correlations = study.correlations()
         is_correlated = bool(study.file.correlation)
-        self._root = np.linalg.cholesky(correlations) if is_correlated else None
+        root = np.asarray(np.linalg.cholesky(correlations), dtype=float)
+        self._root = root if is_correlated else None
 
     @property
     def causes(self) -> tuple[str, ...]:
@@ -84,51 +84,40 @@ class GeometricRig:
         """
         states = states_of(self.study, row, self._root)
         pixels, true_mm = self._line(states)
-        reading = self._reading(states.calibrate, states.seeds, "board")
+        reading = self._reading(states.calibrate, states.seeds, BOARD)
         errors = self._errors(reading, pixels, true_mm)
         if len(self.outputs) == len(self._frame.outputs):
             return errors
         if states.recalibrate is None:
             return np.concatenate([errors, errors])
-        anew = self._reading(states.recalibrate, states.seeds, "board anew")
+        anew = self._reading(states.recalibrate, states.seeds, BOARD_ANEW)
         return np.concatenate([errors, self._errors(anew, pixels, true_mm)])
 
     def _line(self, states: RigStates) -> tuple[Floats, Floats]:
         """(P, 2) px where the line is found, and (P, 3) mm where it is, world frame."""
-        places, scan = self.prepared.places, states.scan
-        parts = [self._lit(scan, here) for here in self._alike(scan)]
-        true_mm = np.concatenate([part.world_mm for part in parts])
-        pixels = seen_together([part.moment for part in parts], [part.head_mm for part in parts])
-        across = 1 if scan.rig.stripe.axis == "columns" else 0
-        pixels[:, across] += self.prepared.line_off_px(states.seeds)
-        assert len(pixels) == len(places.frame)
+        pixels, true_mm = self._true_line(states.scan, self.prepared.places)
+        pixels[:, self._across] += self.prepared.line_off_px(states.seeds)
         return pixels, true_mm
 
-    def _lit(self, scan: Scene, here: slice) -> LitPart:
-        """The points that the laser lights at some of the places."""
-        part = select(self.prepared.places, here)
-        moment = at_moment(scan, int(part.frame[0]), float(part.position_mm[0]))
-        is_one = is_changing(scan)
-        true_at = np.full(len(part.frame), moment.position_mm) if is_one else part.position_mm
-        points = lit_points(moment.scene, part, true_at)
-        world = into_world(moment.scene.tank.head, points, true_at)
-        return LitPart(moment.scene, points, world)
+    @property
+    def _across(self) -> int:
+        """The coordinate of a pixel that runs across the line."""
+        return 1 if self.study.scan.rig.stripe.axis == "columns" else 0
 
-    def _alike(self, scan: Scene) -> list[slice]:
-        """Which places can be looked at in one go: all, or where pictures differ those of each."""
-        frame = self.prepared.places.frame
-        if not is_changing(scan):
-            return [slice(None)]
-        ends = np.flatnonzero(np.diff(frame, append=-1)) + 1
-        return [slice(first, end) for first, end in pairwise([0, *ends.tolist()])]
+    def _true_line(self, scan: Scene, places: Places) -> tuple[Floats, Floats]:
+        """(P, 2) px where the line truly is, and (P, 3) mm, world frame."""
+        parts = [_lit(scan, select(places, here)) for here in alike(scan, places)]
+        true_mm = np.concatenate([part.world_mm for part in parts])
+        pixels = seen_together([part.moment for part in parts], [part.head_mm for part in parts])
+        return pixels, true_mm
 
-    def _reading(self, board: Scene, seeds: Mapping[str, int], stream: str) -> BoardReading:
+    def _reading(self, board: Scene, seeds: Mapping[str, int], stream: int) -> BoardReading:
         """What the instrument reads of the board in a state of the rig."""
         nominal = self.prepared.reading
         several = (nominal.grid, *(ruler.marks for ruler in nominal.rulers))
         places = np.concatenate([marks.board_mm for marks in several])
         image = board_truth(board).imaged(places)
-        image += self.prepared.marks_off_px(seeds, STREAMS[stream])
+        image += self.prepared.marks_off_px(seeds, stream)
         ends = np.cumsum([len(marks.status) for marks in several])[:-1]
         moved = [_moved(*pair) for pair in zip(several, np.split(image, ends), strict=True)]
         rulers = zip(nominal.rulers, moved[1:], strict=True)
@@ -156,12 +145,36 @@ class GeometricRig:
         scan, places = self.study.scan, self.prepared.places
         xz = located(carried(plane_map, scan.rig), pixels)
         head = np.column_stack([xz[:, 0], np.zeros(len(xz)), xz[:, 1]])
-        found = np.isfinite(xz).all(axis=1)
+        found = np.flatnonzero(np.isfinite(xz).all(axis=1))
         measured = np.full(head.shape, np.nan)
         measured[found] = into_world(scan.tank.head, head[found], places.position_mm[found])
         height = np.full(len(head), np.nan)
         height[found] = height_above(scan, select(places, found), measured[found])
         return self._frame.errors_of(measured, true_mm, height)
+
+
+def alike(scan: Scene, places: Places) -> list[slice]:
+    """Which places can be looked at in one go: all, or where pictures differ those of each.
+
+    Parameters
+    ----------
+    scan : Scene
+    places : Places, picture by picture
+    """
+    if not is_changing(scan):
+        return [slice(None)]
+    ends = np.flatnonzero(np.diff(places.frame, append=-1)) + 1
+    return [slice(first, end) for first, end in pairwise([0, *ends.tolist()])]
+
+
+def _lit(scan: Scene, places: Places) -> LitPart:
+    """The points that the laser lights at places of one moment."""
+    moment = at_moment(scan, int(places.frame[0]), float(places.position_mm[0]))
+    true_at = places.position_mm
+    if is_changing(scan):
+        true_at = np.full(len(places.frame), moment.position_mm)
+    points = lit_points(moment.scene, places, true_at)
+    return LitPart(moment.scene, points, into_world(moment.scene.tank.head, points, true_at))
 
 
 def seen_together(moments: Sequence[Scene], points_head: Sequence[Floats]) -> Floats:

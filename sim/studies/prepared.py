@@ -55,8 +55,9 @@ class Prepared:
         uncertainty that the instrument states
     marks_bias_px : (M, 2) array, px, found without noise less true; 0 where not found
     marks_sigma_px : (M,) array, px, of u and of v
-    line_bias_px : (P,) array, px, found without noise less true; 0 where the rig corrects for the
-        sheet's thickness, which makes most of it
+    line_bias_px : (P,) array, px, found without noise less true, that stays in the surface
+    corrected_px : (P,) array, px, the same that does not: all of it where the rig corrects for the
+        sheet's thickness, which makes most of it; else none
     sensor_px, speckle_px : (P,) array, px, scatter of the line's centre by either
     """
 
@@ -65,6 +66,7 @@ class Prepared:
     marks_bias_px: Floats
     marks_sigma_px: Floats
     line_bias_px: Floats
+    corrected_px: Floats
     sensor_px: Floats
     speckle_px: Floats
 
@@ -131,7 +133,14 @@ class Prepared:
         return cls(places=places, reading=reading, **numbers)
 
 
-_NUMBERS = ("marks_bias_px", "marks_sigma_px", "line_bias_px", "sensor_px", "speckle_px")
+_NUMBERS = (
+    "marks_bias_px",
+    "marks_sigma_px",
+    "line_bias_px",
+    "corrected_px",
+    "sensor_px",
+    "speckle_px",
+)
 
 
 def prepare(study: Study, progress: Progress | None = None) -> Prepared:
@@ -170,14 +179,14 @@ def prepare(study: Study, progress: Progress | None = None) -> Prepared:
         raise MeasurementError(
             f"{study.scan.source}: the line is found at {known.sum()} of {len(known)} places"
         )
-    if study.scan.rig.sheet is not None:
-        line = np.zeros_like(line)
+    is_corrected = study.scan.rig.sheet is not None
     return Prepared(
         places=select(places, known),
         reading=reading,
         marks_bias_px=bias,
         marks_sigma_px=sigma,
-        line_bias_px=line[known],
+        line_bias_px=np.zeros(known.sum()) if is_corrected else line[known],
+        corrected_px=line[known] if is_corrected else np.zeros(known.sum()),
         sensor_px=sensor[known],
         speckle_px=speckle[known],
     )
@@ -190,7 +199,7 @@ def _on_board(study: Study, reading: BoardReading, places: Places) -> Mask:
     head = into_head(study.scan.tank.head, places.world_mm, places.position_mm)
     pixels = project(study.scan, head)
     about = [located(plane_map, pixels + REACH_PX * np.array(way)) for way in CORNERS]
-    return np.isfinite(np.stack(about)).all(axis=(0, 2))
+    return np.asarray(np.isfinite(np.stack(about)).all(axis=(0, 2)))
 
 
 def _line(scene: Scene, tank: Tank, places: Places) -> tuple[Floats, Floats, Floats]:
@@ -198,23 +207,38 @@ def _line(scene: Scene, tank: Tank, places: Places) -> tuple[Floats, Floats, Flo
     position_mm = float(places.position_mm[0])
     layers = tank.render(position_mm)
     truth = stripe_truths(scene, [position_mm])[0].centre_px
-    quiet = _centres(scene, [_exposed(scene, layers, False, False, 0)])[0] - truth
+    quiet = centres_in(scene, [exposed(scene, layers, False, False, 0)])[0] - truth
     seeds = range(1, EXPOSURES + 1)
-    plain = _centres(scene, [_exposed(scene, layers, True, False, seed) for seed in seeds])
-    whole = _centres(scene, [_exposed(scene, layers, True, True, seed) for seed in seeds])
+    plain = centres_in(scene, [exposed(scene, layers, True, False, seed) for seed in seeds])
+    whole = centres_in(scene, [exposed(scene, layers, True, True, seed) for seed in seeds])
     sensor, both = (_scatter(centres, places) for centres in (plain, whole))
     return quiet[places.entry], sensor, np.sqrt(np.maximum(both**2 - sensor**2, 0.0))
 
 
-def _exposed(scene: Scene, layers: Layers, noise: bool, speckle: bool, seed: int) -> Bytes:
+def exposed(scene: Scene, layers: Layers, noise: bool, speckle: bool, seed: int) -> Bytes:
+    """The picture of layers, with and without noise and speckle.
+
+    Parameters
+    ----------
+    scene : Scene, its sensor and exposure
+    layers : Layers
+    noise, speckle : bool
+    seed : int, of either
+    """
     sensor = scene.tank.sensor
     other = {"noise": noise, "speckle": sensor.speckle if speckle else "none"}
     webcam = Webcam(scene.with_tank(sensor=other))
     return webcam.expose(layers, scene.rig.camera.exposure_ms, np.random.default_rng(seed))
 
 
-def _centres(scene: Scene, pictures: list[Bytes]) -> Floats:
-    """(K, N) px of K pictures; NaN where there is no line."""
+def centres_in(scene: Scene, pictures: list[Bytes]) -> Floats:
+    """(K, N) px of the line in K pictures, by the rig's extractor; NaN where there is none.
+
+    Parameters
+    ----------
+    scene : Scene, its rig's ``[stripe]``
+    pictures : list of (H, W, 3) array, uint8, DN
+    """
     stripes = extract_stripes(((picture, None) for picture in pictures), scene.rig.stripe)
     return np.stack([np.where(has_value(s.status), s.centre_px, np.nan) for s in stripes])
 
@@ -238,7 +262,7 @@ def _board(scene: Scene) -> tuple[BoardReading, Floats, Floats]:
     tank = Tank(scene)
     layers = tank.render(scene.rig.plan.positions_mm()[0])
     board, channel = scene.board(), scene.rig.calibration.channel
-    pictures = [_exposed(scene, layers, noise, noise, 1) for noise in (False, True)]
+    pictures = [exposed(scene, layers, noise, noise, 1) for noise in (False, True)]
     quiet, usual = (read_board(picture, board, channel=channel) for picture in pictures)
     status = np.concatenate([marks.status for marks in _marks(usual)])
     sigma = np.concatenate([marks.sigma_px for marks in _marks(usual)])

@@ -245,8 +245,8 @@ def study_of(document: Document, source: str) -> Study:
     """
     file = check(StudyFile, document, where=source)
     folder = Path(source).parent
-    scenes = [load_scene(included_file(folder, name)) for name in (file.calibrate, file.scan)]
-    study = Study(file, *scenes, document, source)
+    board, scan = (load_scene(included_file(folder, name)) for name in (file.calibrate, file.scan))
+    study = Study(file, board, scan, document, source)
     study.calibrate.board()
     study.correlations()
     return study
