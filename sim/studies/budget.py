@@ -1,0 +1,257 @@
+"""The budget of a study's runs: rms, mean and scatter of each output, and each cause's part in it.
+
+A field is taken as Lamboni, Monod & Makowski (2011, Reliab. Eng. Syst. Saf. 96, 450) take many
+outputs: squares are summed over its places before any root or ratio.  Intervals are the bootstrap's
+over runs (Efron & Tibshirani 1993, An Introduction to the Bootstrap): percentiles (ch. 13) of
+means, the bootstrap-t (sec. 12.5) of squares.
+"""
+
+from collections.abc import Mapping
+from functools import lru_cache
+
+import numpy as np
+
+from lscan.records import Floats, Mask
+from sim.studies.problem import AFTER, columns
+from sim.studies.records import (
+    ALL,
+    BASE,
+    Bounded,
+    CauseBudget,
+    CauseScatter,
+    ErrorMap,
+    IndexConvergence,
+    OutputBudget,
+    StudyRuns,
+    alone,
+)
+
+Indices = Mapping[str, tuple[float, float, float, float, float, float]]
+"""Cause or group to first index, its interval's ends, total index, its interval's ends."""
+
+RESAMPLES = 400  # of the bootstrap: the ends of an interval lie 10 replicates inside
+PERCENT = (2.5, 97.5)
+MOST_SCATTERED = 600  # dots of a scatter
+
+
+def budgets_of(
+    runs: StudyRuns,
+    indices: Mapping[str, Indices],
+    *,
+    seed: int,
+    stated: Mapping[str, float] | None = None,
+    convergence: Mapping[str, tuple[IndexConvergence, ...]] | None = None,
+) -> tuple[OutputBudget, ...]:
+    """The budget of each output; that after recalibration lies in that before it.
+
+    Parameters
+    ----------
+    runs : StudyRuns, those that failed are left out
+    indices : mapping, of an output's name, those of its causes; some may be missing
+    seed : int, of the bootstrap
+    stated : mapping, of an output's name, the rms of what the instrument states, in its unit
+    convergence : mapping, of an output's name, its largest indices against the number of runs
+    """
+    stated, convergence = stated or {}, convergence or {}
+    found = {
+        output.name: _budget(
+            runs,
+            output.name,
+            indices.get(output.name, {}),
+            seed=seed,
+            stated=stated.get(output.name),
+            convergence=convergence.get(output.name, ()),
+        )
+        for output in reversed(runs.outputs)
+    }
+    whole = []
+    for output in runs.outputs:
+        before = found[output.name].__dict__
+        if not output.name.endswith(AFTER) or output.name.removesuffix(AFTER) not in found:
+            whole.append(OutputBudget(**before | {"after": found.get(output.name + AFTER)}))
+    return tuple(whole)
+
+
+def _budget(
+    runs: StudyRuns,
+    name: str,
+    indices: Indices,
+    *,
+    seed: int,
+    stated: float | None,
+    convergence: tuple[IndexConvergence, ...],
+) -> OutputBudget:
+    output = next(output for output in runs.outputs if output.name == name)
+    base, mixed = errors_in(runs, name, BASE), errors_in(runs, name, ALL)
+    enough = len(mixed) > 1
+    mean, deviation = _mean_and_deviation(mixed, seed) if enough else (None, None)
+    low, high = np.percentile(mixed, PERCENT) if enough else (0.0, 0.0)
+    groups = dict.fromkeys(cause.counted_as for cause in runs.causes)
+    return OutputBudget(
+        name=name,
+        unit=output.unit,
+        places=output.size,
+        causes=tuple(_cause(runs, name, group, indices, seed) for group in groups),
+        base_rms=float(np.sqrt(np.mean(base**2))) if len(base) else None,
+        mean=mean,
+        standard_uncertainty=deviation,
+        range_95=(float(low), float(high)) if enough else None,
+        rms=_rms(mixed, seed),
+        stated_rms=stated,
+        rest=_rest([indices[group][:3] for group in groups if group in indices], len(groups)),
+        convergence=convergence,
+    )
+
+
+def _cause(runs: StudyRuns, name: str, group: str, indices: Indices, seed: int) -> CauseBudget:
+    row = indices.get(group, (np.nan,) * 6)
+    return CauseBudget(
+        cause=group,
+        alone_rms=_rms(errors_in(runs, name, alone(group)), seed),
+        first=_bounded(*row[:3]),
+        total=_bounded(*row[3:]),
+        sensitivity=_sensitivity(runs, name, group),
+    )
+
+
+def errors_in(runs: StudyRuns, name: str, block: str) -> Floats:
+    """(n, P) errors of an output in the runs of a block that did not fail.
+
+    Parameters
+    ----------
+    runs : StudyRuns
+    name : str, of the output
+    block : str
+    """
+    errors: Floats = runs.values[_chosen(runs, block), columns(runs.outputs)[name]]
+    return errors
+
+
+def _chosen(runs: StudyRuns, block: str) -> Mask:
+    """Mask of the runs of a block that did not fail."""
+    wanted = np.array(runs.blocks, dtype=object) == block
+    return wanted & (np.array(runs.statuses, dtype=object) == "ok")
+
+
+@lru_cache(maxsize=2)  # all outputs, and causes that failed as often, share them
+def _weights(runs: int, seed: int) -> Floats:
+    """(RESAMPLES, runs) how much of each replicate is each run."""
+    rng = np.random.default_rng(seed)
+    return rng.multinomial(runs, np.full(runs, 1 / runs), size=RESAMPLES) / runs
+
+
+def _bounded(value: float, low: float, high: float) -> Bounded | None:
+    ends = (float(value), float(low), float(high))
+    return Bounded(*ends) if np.isfinite(ends).all() else None
+
+
+def _rms(errors: Floats, seed: int) -> Bounded | None:
+    """Root of the mean over runs and places of the squared error."""
+    return _root((errors**2).mean(axis=1), seed) if len(errors) else None
+
+
+def _root(squares: Floats, seed: int) -> Bounded | None:
+    """Root of the mean of (n,) squares; its interval is the bootstrap-t's, of the logarithm.
+
+    Squares are skewed: of 200 Gaussian errors a percentile interval holds the truth 93 times in a
+    hundred, this one 94 to 95 times.
+    """
+    mean, variance = squares.mean(), squares.var()
+    if variance == 0:
+        return _bounded(*[np.sqrt(mean)] * 3)
+    weights = _weights(len(squares), seed)
+    means = weights @ squares
+    variances = weights @ (squares - mean) ** 2 - (means - mean) ** 2
+    told = variances > 1e-12 * variance  # else all of its runs are one
+    off = np.log(means[told] / mean) * means[told] / np.sqrt(variances[told])
+    low, high = np.percentile(off, PERCENT) if told.any() else (0.0, 0.0)
+    step = np.sqrt(variance) / mean
+    return _bounded(*np.sqrt(mean * np.exp(-step * np.array([0.0, high, low]))))
+
+
+def _mean_and_deviation(errors: Floats, seed: int) -> tuple[Bounded | None, Bounded | None]:
+    """Mean and standard deviation over (n, P) errors; of a field, rms over its places."""
+    n, places = errors.shape
+    weights = _weights(n, seed)
+    means, more_means = errors.mean(axis=0), weights @ errors
+    squares = ((errors - means) ** 2).mean(axis=1) * n / (n - 1)
+    if places == 1:
+        mean, more = means[0], more_means[:, 0]
+    else:
+        # The square of a mean of n runs is too large by variance / n; that of a replicate, which
+        # is drawn from such runs, by twice as much.
+        mean = np.sqrt(max((means**2).mean() - squares.mean() / n, 0.0))
+        bias = 2 * (weights @ squares) / n
+        more = np.sqrt(np.maximum((more_means**2).mean(axis=1) - bias, 0.0))
+    return _bounded(mean, *np.percentile(more, PERCENT)), _root(squares, seed)
+
+
+def _rest(first: list[tuple[float, ...]], causes: int) -> Bounded | None:
+    """1 less the sum of all first indices, their errors taken for independent."""
+    if not causes or len(first) < causes:
+        return None
+    value, low, high = np.array(first).T
+    rest = 1 - value.sum()
+    return _bounded(rest, rest - np.linalg.norm(high - value), rest + np.linalg.norm(value - low))
+
+
+def _sensitivity(runs: StudyRuns, name: str, group: str) -> float | None:
+    """Slope of the error against the value of a cause that is alone at work."""
+    members = [k for k, cause in enumerate(runs.causes) if cause.counted_as == group]
+    if len(members) != 1 or runs.causes[members[0]].unit is None:
+        return None
+    errors = errors_in(runs, name, alone(group))
+    value = runs.physical[_chosen(runs, alone(group)), members[0]]
+    if len(value) < 2 or not np.isfinite(value).all() or np.ptp(value) == 0:
+        return None
+    off = value - value.mean()
+    slopes = off @ errors / (off @ off)
+    return float(slopes[0] if slopes.size == 1 else np.sqrt(np.mean(slopes**2)))
+
+
+def error_maps(runs: StudyRuns, xy_mm: Mapping[str, Floats]) -> tuple[ErrorMap, ...]:
+    """Of each field, the errors over the surface: each cause alone.
+
+    Parameters
+    ----------
+    runs : StudyRuns
+    xy_mm : mapping, of a field's name, (P, 2) array, mm, its places on the workpiece
+    """
+    units = {output.name: output.unit for output in runs.outputs}
+    found = []
+    for name, places in xy_mm.items():
+        for group in dict.fromkeys(cause.counted_as for cause in runs.causes):
+            errors = errors_in(runs, name, alone(group))
+            if len(errors):
+                rms = np.sqrt((errors**2).mean(axis=0)).tolist()
+                mean = errors.mean(axis=0).tolist()
+                xy = tuple((float(x), float(y)) for x, y in places)
+                found.append(ErrorMap(name, units[name], group, xy, tuple(rms), tuple(mean)))
+    return tuple(found)
+
+
+def scatters_of(runs: StudyRuns, budgets: tuple[OutputBudget, ...]) -> tuple[CauseScatter, ...]:
+    """Of each output, its error against the largest cause that has a value, all being at work.
+
+    Parameters
+    ----------
+    runs : StudyRuns
+    budgets : tuple of OutputBudget, of the same runs
+    """
+    found = []
+    numbered = {c.name: (k, c.unit) for k, c in enumerate(runs.causes) if c.unit and not c.group}
+    for budget in budgets:
+        ranked = sorted(
+            (c for c in budget.causes if c.total and c.cause in numbered),
+            key=lambda c: -c.total.value if c.total else 0.0,
+        )
+        errors = errors_in(runs, budget.name, ALL)[:MOST_SCATTERED]
+        shown = errors[:, 0] if budget.places == 1 else np.sqrt((errors**2).mean(axis=1))
+        for cause in ranked:
+            column, unit = numbered[cause.cause]
+            value = runs.physical[_chosen(runs, ALL), column][:MOST_SCATTERED]
+            if len(value) and unit and np.isfinite(value).all():
+                dots = tuple(value.tolist()), tuple(shown.tolist())
+                found.append(CauseScatter(budget.name, cause.cause, unit, *dots))
+                break
+    return tuple(found)

@@ -1,0 +1,146 @@
+"""The files of a study: results.json, runs.nc with every run, and the page report.html."""
+
+import json
+import tempfile
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import xarray as xr
+from pydantic import TypeAdapter, ValidationError
+
+from lscan.errors import InputError
+from lscan.files.disk import make_folder, read_text, write_atomically
+from lscan.files.jsontext import write_json
+from lscan.version import __version__
+from sim.studies.page import render_page
+from sim.studies.problem import columns
+from sim.studies.records import StudyResults, StudyRuns
+
+RESULTS, RUNS, PAGE = "results.json", "runs.nc", "report.html"
+MOST_BYTES = 2**28
+"""Of results.json: a hundred fields of a thousand places with fifty causes are half of it."""
+_IN_UNIT = ("base_rms", "mean", "standard_uncertainty", "range_95", "rms", "stated_rms")
+"""Of a budget and of a map, what is in the output's unit; in the file the name ends in it."""
+_RESULTS = TypeAdapter(StudyResults)
+
+
+def write_results(folder: Path, results: StudyResults, runs: StudyRuns) -> None:
+    """Write the three files into a folder, each whole or not at all; same results, same bytes.
+
+    Parameters
+    ----------
+    folder : Path, made where it is missing
+    results : StudyResults
+    runs : StudyRuns
+
+    Raises
+    ------
+    InputError
+        The disk refuses.
+    """
+    make_folder(folder)
+    write_atomically(folder / RUNS, runs_netcdf(runs, results.name))
+    write_json(folder / RESULTS, _with_units(asdict(results)))
+    write_atomically(folder / PAGE, render_page(results).encode())
+
+
+def load_results(folder: Path) -> StudyResults:
+    """What ``write_results`` wrote to results.json.
+
+    Parameters
+    ----------
+    folder : Path
+
+    Raises
+    ------
+    InputError
+        The file cannot be read or is not such a file.
+    """
+    file = folder / RESULTS
+    try:
+        document = json.loads(read_text(file, MOST_BYTES))
+        return _RESULTS.validate_python(_without_units(document))
+    except ValidationError as error:
+        first = error.errors()[0]
+        where = f"{file}: {'.'.join(map(str, first['loc']))}"
+        raise InputError(first["msg"], where=where) from error
+    except (ValueError, LookupError, TypeError, AttributeError, RecursionError) as error:
+        raise InputError("holds no results of a study", where=file) from error
+
+
+def runs_netcdf(runs: StudyRuns, title: str) -> bytes:
+    """Every run as NetCDF-4 after the CF conventions 1.11.
+
+    ``number`` is (run, cause); each cause that has a unit has a variable ``value: NAME`` (run,),
+    each output one ``error: NAME``, (run,) or of a field (run, place).  Names keep the study's
+    words, but for "/", which NetCDF forbids.
+
+    Parameters
+    ----------
+    runs : StudyRuns
+    title : str, of the study
+    """
+    number = {"long_name": "number that the distribution's quantile is taken at", "units": "1"}
+    data: dict[str, Any] = {
+        "block": ("run", np.array(runs.blocks, dtype=object), {"long_name": "what the run is for"}),
+        "status": ("run", np.array(runs.statuses, dtype=object), {"long_name": "ok, or the error"}),
+        "number": (("run", "cause"), runs.rows, number),
+    }
+    for k, cause in enumerate(runs.causes):
+        if cause.unit is not None:
+            words = f"{', '.join(cause.keys)}: {cause.distribution}, {cause.when}"
+            attributes = {"units": cause.unit or "1", "long_name": words}
+            data[_variable("value", cause.name)] = ("run", runs.physical[:, k], attributes)
+    for output in runs.outputs:
+        values = runs.values[:, columns(runs.outputs)[output.name]]
+        attributes = {"units": output.unit, "long_name": f"{output.name}, measured less true"}
+        name = _variable("error", output.name)
+        shape = ("run", _variable("place", output.name)) if output.size > 1 else ("run",)
+        data[name] = (shape, values if output.size > 1 else values[:, 0], attributes)
+    names = ("cause", np.array([cause.name for cause in runs.causes], dtype=object))
+    attributes = {"Conventions": "CF-1.11", "title": title, "source": f"lscan {__version__}"}
+    with tempfile.TemporaryDirectory() as folder:
+        file = Path(folder) / RUNS
+        dataset = xr.Dataset(data, coords={"cause": names}, attrs=attributes)
+        dataset.to_netcdf(file, engine="h5netcdf")
+        return file.read_bytes()
+
+
+def _variable(kind: str, name: str) -> str:
+    return f"{kind}: {name}".replace("/", "_")
+
+
+def _suffix(unit: str) -> str:
+    """Such as ``_mm`` or ``_deg_per_m``."""
+    return "_" + unit.replace("/", "_per_").replace("%", "percent").replace(" ", "_")
+
+
+def _with_units(document: dict[str, Any]) -> dict[str, Any]:
+    return _renamed(document, lambda name, unit: (name, name + _suffix(unit)))
+
+
+def _without_units(document: dict[str, Any]) -> dict[str, Any]:
+    return _renamed(document, lambda name, unit: (name + _suffix(unit), name))
+
+
+def _renamed(document: dict[str, Any], names: Any) -> dict[str, Any]:
+    """The document with the numbers in an output's unit renamed by ``names`` of name and unit."""
+    causes = {cause["name"]: cause["unit"] for cause in document["causes"]}
+
+    def changed(record: dict[str, Any], fields: tuple[str, ...], unit: str) -> dict[str, Any]:
+        renamed = dict(names(field, unit) for field in fields)
+        return {renamed.get(name, name): value for name, value in record.items()}
+
+    def cause(record: dict[str, Any], unit: str) -> dict[str, Any]:
+        record = changed(record, ("alone_rms",), unit)
+        return changed(record, ("sensitivity",), f"{unit}/{causes.get(record['cause']) or 1}")
+
+    def budget(record: dict[str, Any]) -> dict[str, Any]:
+        unit, after = record["unit"], record["after"]
+        record = record | {"causes": [cause(one, unit) for one in record["causes"]]}
+        return changed(record | {"after": after and budget(after)}, _IN_UNIT, unit)
+
+    maps = [changed(one, _IN_UNIT, one["unit"]) for one in document["maps"]]
+    return document | {"outputs": [budget(one) for one in document["outputs"]], "maps": maps}
