@@ -13,17 +13,9 @@ import numpy as np
 
 from lscan.records import Floats, Mask
 from sim.studies.problem import AFTER, columns
-from sim.studies.records import (
-    ALL,
-    BASE,
-    Bounded,
-    CauseBudget,
-    CauseScatter,
-    ErrorMap,
-    IndexConvergence,
-    OutputBudget,
-    StudyRuns,
-    alone,
+from sim.studies.intervals import Bounded
+from sim.studies.records import CauseBudget, CauseScatter, ErrorMap, IndexConvergence, OutputBudget, StudyRuns
+from sim.studies.sampling import ALL, BASE, alone
 )
 
 Indices = Mapping[str, tuple[float, float, float, float, float, float]]

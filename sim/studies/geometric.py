@@ -76,7 +76,7 @@ class GeometricRig:
         return (*before, *(replace(one, name=one.name + AFTER) for one in before))
 
     def evaluate(self, row: Floats) -> Floats:
-        """(K,) errors of the rig that a row stands for; see ``Problem``.
+        """(K,) errors of the rig that a row stands for; see ``StudyProblem``.
 
         Parameters
         ----------

@@ -33,7 +33,7 @@ AFTER = ".after"
 """Ends the name of an output as it is once the instrument was calibrated anew before the scan."""
 
 
-class Problem(Protocol):
+class StudyProblem(Protocol):
     """Errors as a function of their causes.
 
     Attributes
@@ -98,11 +98,11 @@ def width(outputs: Sequence[Output]) -> int:
     return sum(output.size for output in outputs)
 
 
-def base_row(problem: Problem) -> Floats:
+def base_row(problem: StudyProblem) -> Floats:
     """(D,) the row in which no cause is at work.
 
     Parameters
     ----------
-    problem : Problem
+    problem : StudyProblem
     """
     return np.full(len(problem.causes), NOMINAL)

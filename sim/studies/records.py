@@ -8,38 +8,11 @@ from dataclasses import dataclass, field
 from typing import Any, Literal
 
 from lscan.records import Floats
+from sim.studies.intervals import Bounded
 from sim.studies.problem import Output
 
 When = Literal["as-built", "drift", "each-frame", "noise", "mixed"]
 """When a cause is at work; a group of causes of several kinds is mixed."""
-
-BASE, ALL = "base", "all"
-"""Blocks of runs: no cause at work, and all of them, each run drawn independently."""
-
-
-def alone(cause: str) -> str:
-    """The block of runs in which one cause, or group of them, is at work and no other.
-
-    Parameters
-    ----------
-    cause : str, its name
-
-    Examples
-    --------
-    >>> alone("salinity")
-    'alone: salinity'
-    """
-    return f"alone: {cause}"
-
-
-@dataclass(frozen=True)
-class Bounded:
-    """A figure with its 95 % confidence interval."""
-
-    value: float
-    low: float
-    high: float
-
 
 @dataclass(frozen=True)
 class CauseFacts:
@@ -78,7 +51,8 @@ class StudyRuns:
     outputs : tuple of Output
     rows : (N, D) array, numbers in [0, 1), NaN where the cause is not at work
     physical : (N, D) array, in the causes' units, NaN where there is none
-    blocks : tuple of str, what each run is for: BASE, ALL, ``alone`` of a cause, or any other word
+    blocks : tuple of str, what each run is for, as sim.studies.sampling names its blocks: BASE,
+        ALL, ``alone`` of a cause, or any other word
     values : (N, K) array, errors in the outputs' units, NaN where the run failed
     statuses : tuple of str, "ok" or why the run failed
     """

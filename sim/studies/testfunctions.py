@@ -11,7 +11,7 @@ from sim.studies.problem import Output
 
 @dataclass(frozen=True)
 class ClosedForm:
-    """A problem of one output with its true indices; it follows ``Problem``.
+    """A problem of one output with its true indices; it follows ``StudyProblem``.
 
     Attributes
     ----------

@@ -12,18 +12,9 @@ from scipy.stats import norm
 from lscan.records import Floats
 from sim.studies.budget import Indices, budgets_of, error_maps, scatters_of
 from sim.studies.problem import Output, columns, width
-from sim.studies.records import (
-    ALL,
-    BASE,
-    Bounded,
-    CauseFacts,
-    DesignTrial,
-    IndexConvergence,
-    StudyResults,
-    StudyRuns,
-    TierRow,
-    When,
-    alone,
+from sim.studies.intervals import Bounded
+from sim.studies.records import CauseFacts, DesignTrial, IndexConvergence, StudyResults, StudyRuns, TierRow, When
+from sim.studies.sampling import ALL, BASE, alone
 )
 
 OUTPUTS = (Output("height", "mm", 80), Output("height.after", "mm", 80), Output("yaw", "deg"))

@@ -12,7 +12,8 @@ from study_examples import GROUPS, REASONS, strange_results, study_results
 
 from sim.studies.page import figure, headline, render_page, share, write_page
 from sim.studies.plots import front_plot, label
-from sim.studies.records import Bounded, CauseBudget, OutputBudget, StudyResults
+from sim.studies.intervals import Bounded
+from sim.studies.records import CauseBudget, OutputBudget, StudyResults
 from sim.testing.browser import Chromium, wait_for
 
 WITHOUT_END = {"meta", "link", "br", "img", "input"}
