@@ -2,13 +2,14 @@
 
 import logging
 import multiprocessing
+import signal
 from collections.abc import Iterable, Iterator
 from concurrent.futures import CancelledError
 from contextlib import contextmanager, suppress
 
 import dask
 import numpy as np
-from distributed import Client, Future, KilledWorker, LocalCluster, as_completed
+from distributed import Client, Future, KilledWorker, LocalCluster, WorkerPlugin, as_completed
 from distributed.comm import CommClosedError
 
 from lscan.errors import InputError, LscanError
@@ -33,6 +34,14 @@ _LOCAL = {
 }
 
 _log = logging.getLogger(__name__)
+
+
+class DeafToCtrlC(WorkerPlugin):
+    """Leaves Ctrl-C, which a terminal sends to all processes, to the one that ends the others."""
+
+    def setup(self, worker: object) -> None:
+        """Called in the main thread of each worker, also of one that is started again."""
+        signal.signal(signal.SIGINT, signal.SIG_IGN)
 
 
 @contextmanager
@@ -88,6 +97,7 @@ def _local_client(workers: int) -> Iterator[Client]:
             )
             client = Client(cluster, set_as_default=False)
             try:
+                client.register_plugin(DeafToCtrlC())
                 yield client
             finally:
                 for closed in (client, cluster):

@@ -118,17 +118,19 @@ def cost_estimate(
     workers : int, how many will work at once
     """
     missing, sha256 = store.missing(rows), store.identity.sha256
+    if len(missing) == 0:
+        return CostEstimate(0, np.nan, 0.0)
     began_s = time.perf_counter()
     problem_of(source, sha256)
     make_s = time.perf_counter() - began_s
     # Spread over the design, whose first row may be the one without any cause; and one more
     # beforehand, which may compile.
     places = np.unique(np.linspace(0, len(missing) - 1, TRIED + 1).astype(int))
-    tried = [evaluate_rows(source, sha256, missing[[n]]) for n in places if n >= 0]
+    tried = [evaluate_rows(source, sha256, missing[[n]]) for n in places]
     store.append(tried)
-    row_s = float(np.median([batch.seconds for batch in tried[1:] or tried] or [np.nan]))
+    row_s = float(np.median([batch.seconds for batch in tried[1:] or tried]))
     left = len(missing) - len(tried)
-    return CostEstimate(left, row_s, make_s + left * row_s / workers if left else 0.0)
+    return CostEstimate(left, row_s, make_s + left * row_s / workers)
 
 
 def _evaluated(

@@ -173,7 +173,7 @@ def killed_study(
         missing = {one.tobytes() for one in store.missing(rows)}
         kept = len(store)
     before = len(evaluated(source))
-    results = stub_study(source, folder / "store", ROWS, "2")
+    results = stub_study(source, folder / "store", ROWS, "none")
     repeated = [one for one in evaluated(source)[before:] if one not in missing]
     return KilledStudy(what, killed, kept, len(repeated), result_bytes(results) == expected)
 

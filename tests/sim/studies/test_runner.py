@@ -126,15 +126,14 @@ def test_values_of_another_number_than_the_outputs_are_a_status(tmp_path: Path) 
 @pytest.mark.slow
 def test_a_row_that_kills_its_worker_costs_no_other(tmp_path: Path, two_workers: Client) -> None:
     source = StubSource(killing=0.98)
-    rows = stub_rows(60)
+    rows = np.column_stack([np.linspace(0.0, 0.9, 8), np.full((8, 2), 0.5)])
+    rows[5, 0] = 0.99
     with opened(source, tmp_path) as store:
         found = run_rows(source, rows, store, two_workers)
-    killers = rows[:, 0] >= 0.98
-    assert 1 <= killers.sum() <= 3  # or the test would take long
-    assert [status == KILLED for status in found.status] == list(killers)
-    expected = in_one_process(StubSource(), rows, tmp_path)
-    assert found.values[~killers].tobytes() == expected.values[~killers].tobytes()
-    assert np.isnan(found.values[killers]).all()
+    assert found.status == (OK,) * 5 + (KILLED,) + (OK,) * 2
+    alone = in_one_process(StubSource(), np.delete(rows, 5, axis=0), tmp_path)
+    assert np.delete(found.values, 5, axis=0).tobytes() == alone.values.tobytes()
+    assert np.isnan(found.values[5]).all()
 
 
 def test_a_design_that_is_larger_than_agreed_is_refused(source: StubSource, tmp_path: Path) -> None:
@@ -175,7 +174,7 @@ def test_batches_take_as_long_as_they_should() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("what", "part"), [("worker", 0.5), ("study", 0.4), ("scheduler", 0.5)])
+@pytest.mark.parametrize(("what", "part"), [("worker", 0.5), ("study", 0.4)])
 def test_what_is_killed_is_gone_on_with(tmp_path: Path, what: str, part: float) -> None:
     source = StubSource(row_s=0.02, failing=FAILING)
     expected = result_bytes(in_one_process(source, stub_rows(ROWS), tmp_path))
