@@ -3,6 +3,7 @@
 import logging
 import multiprocessing
 import signal
+import time
 from collections.abc import Iterable, Iterator
 from concurrent.futures import CancelledError
 from contextlib import contextmanager, suppress
@@ -23,6 +24,7 @@ ATTEMPTS = 3  # that a worker's death ends, before a batch or a row is given up
 AHEAD = 2  # batches a worker: the one it works on, and the next
 CONNECT_S = 20.0
 CLOSE_S = 10.0
+RECOUNT_S = 2.0  # between counts of a cluster's workers, each of which costs a few ms
 
 _ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"), "1")
 _LOCAL = {
@@ -31,6 +33,7 @@ _LOCAL = {
     "distributed.scheduler.worker-ttl": None,
     # One that is dead so long after another death is started again all the same, not given up.
     "distributed.deploy.lost-worker-timeout": "1000 days",
+    "distributed.worker.profile.enabled": False,
 }
 
 _log = logging.getLogger(__name__)
@@ -158,8 +161,12 @@ def _in_flight(
     under_way: dict[Future, Floats] = {}
     done = as_completed([], loop=client.loop)
 
+    most, asked_s = 0, -np.inf
+
     def submit() -> None:
-        most = AHEAD * max(len(client.nthreads()), 1)
+        nonlocal most, asked_s
+        if time.monotonic() - asked_s > RECOUNT_S:
+            most, asked_s = AHEAD * max(len(client.nthreads()), 1), time.monotonic()
         while len(under_way) < most and (rows := next(waiting, None)) is not None:
             future = client.submit(evaluate_rows, source, sha256, rows, pure=False)
             under_way[future] = rows
@@ -176,6 +183,7 @@ def _in_flight(
                     finished.append(future.result())
                 except KilledWorker:
                     killers.append(rows)
+                future.release()  # left to its end, it could swallow a Ctrl-C
             submit()
         if finished:
             yield finished

@@ -10,6 +10,7 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
+from math import ceil
 from pathlib import Path
 from typing import Any, Final
 
@@ -109,7 +110,7 @@ def overhead(workers: int, tasks: int, task_s: float = TASK_S) -> Overhead:
             run_rows(source, rows[:tasks], store, client)
             cpu_s = time.process_time() - began_cpu_s
             wall_s = time.perf_counter() - began_s
-    beyond_s = wall_s - task_s * np.ceil(tasks / workers)
+    beyond_s = wall_s - task_s * ceil(tasks / workers)
     largest = sorted(memory)[-workers:]  # the others are helpers of multiprocessing
     return Overhead(1000 * beyond_s / tasks, 1000 * cpu_s / tasks, start_s, float(np.mean(largest)))
 
