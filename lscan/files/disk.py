@@ -302,12 +302,13 @@ def sync_folder(folder: Path) -> None:
         os.close(descriptor)
 
 
-def lock_folder(folder: Path) -> int:
+def lock_folder(folder: Path, writer: str = "scan") -> int:
     """Descriptor of a folder, locked; closing it, or the process's end, frees the lock.
 
     Parameters
     ----------
     folder : Path, the folder
+    writer : str, what writes it, for the error
 
     Raises
     ------
@@ -320,7 +321,7 @@ def lock_folder(folder: Path) -> int:
         fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except OSError as error:
         os.close(descriptor)
-        raise InputError("is being written by another scan", where=folder) from error
+        raise InputError(f"is being written by another {writer}", where=folder) from error
     return descriptor
 
 

@@ -8,9 +8,11 @@ from pathlib import Path
 from lscan.figures.template import page_template
 from lscan.files.disk import write_atomically
 from lscan.version import __version__
-from sim.studies.plots import StudyPlot, by_total, front_plot, largest, plots_of
 from sim.studies.intervals import Bounded
+from sim.studies.plots import StudyPlot, by_total, front_plot, largest, plots_of
 from sim.studies.records import CauseBudget, CauseFacts, OutputBudget, StudyResults
+
+
 def write_page(path: Path, results: StudyResults) -> None:
     """Write the page to a file; the same results give the same bytes.
 

@@ -14,6 +14,7 @@ from sim.studies.problem import Output
 When = Literal["as-built", "drift", "each-frame", "noise", "mixed"]
 """When a cause is at work; a group of causes of several kinds is mixed."""
 
+
 @dataclass(frozen=True)
 class CauseFacts:
     """What varies in a study.

@@ -17,6 +17,7 @@ from lscan.version import __version__
 from sim.studies.page import render_page
 from sim.studies.problem import columns
 from sim.studies.records import StudyResults, StudyRuns
+
 RESULTS, RUNS, PAGE = "results.json", "runs.nc", "report.html"
 MOST_BYTES = 2**28
 """Of results.json: a hundred fields of a thousand places with fifty causes are half of it."""

@@ -1,1 +1,1 @@
-"""Figures of the error budgets."""
+"""Figures of the studies."""

@@ -10,9 +10,9 @@ import pytest
 from playwright.sync_api import Page
 from study_examples import GROUPS, REASONS, strange_results, study_results
 
+from sim.studies.intervals import Bounded
 from sim.studies.page import figure, headline, render_page, share, write_page
 from sim.studies.plots import front_plot, label
-from sim.studies.intervals import Bounded
 from sim.studies.records import CauseBudget, OutputBudget, StudyResults
 from sim.testing.browser import Chromium, wait_for
 

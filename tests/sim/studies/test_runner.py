@@ -1,0 +1,242 @@
+"""Rows evaluated anywhere: the same bytes, nothing twice, failures told, whatever is killed."""
+
+import logging
+import os
+import signal
+import time
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from types import MappingProxyType
+
+import numpy as np
+import psutil
+import pytest
+from distributed import Client
+
+from lscan.errors import InputError, LscanError
+from lscan.records import Floats
+from sim.studies.batches import TARGET_S, Batches
+from sim.studies.cluster import KILLED, open_client
+from sim.studies.runner import cost_estimate, run_rows
+from sim.studies.store import OK, Results, ResultStore, distinct, open_store
+from sim.studies.worker import identity_of
+from sim.validation.study.running import (
+    ROWS,
+    evaluated,
+    killed_study,
+    overhead,
+    result_bytes,
+    served_scheduler,
+)
+from sim.validation.study.stubs import StubSource, started_study, stub_rows, stub_study
+
+FAILING = 0.05
+
+
+@pytest.fixture(scope="module")
+def two_workers() -> Iterator[Client]:
+    with open_client(2) as client:
+        yield client
+
+
+@pytest.fixture
+def source(tmp_path: Path) -> StubSource:
+    """A stub that keeps a log, and fails in 5 % of the rows."""
+    return StubSource(failing=FAILING, log=str(tmp_path / "log"))
+
+
+def opened(source: StubSource, folder: Path) -> ResultStore:
+    return open_store(folder / "store", identity_of(source))
+
+
+def in_one_process(source: StubSource, rows: Floats, folder: Path) -> Results:
+    quiet = StubSource(failing=source.failing)
+    with open_store(folder / "alone", identity_of(quiet)) as store:
+        return run_rows(quiet, rows, store, "none")
+
+
+def test_results_do_not_depend_on_the_workers(
+    source: StubSource, tmp_path: Path, two_workers: Client
+) -> None:
+    rows = stub_rows(300)
+    steps: list[tuple[int, int]] = []
+    with opened(source, tmp_path) as store:
+        found = run_rows(
+            source, rows, store, two_workers, progress=lambda *step: steps.append(step)
+        )
+    assert result_bytes(found) == result_bytes(in_one_process(source, rows, tmp_path))
+    assert sorted(evaluated(source)) == sorted(row.tobytes() for row in distinct(rows))
+    assert steps[-1] == (299, 299)
+    assert [done for done, _ in steps] == sorted({done for done, _ in steps})
+
+
+@pytest.mark.slow
+def test_one_worker_of_its_own_gives_the_same_bytes(source: StubSource, tmp_path: Path) -> None:
+    found = stub_study(source, tmp_path / "one", 50, "1")
+    assert result_bytes(found) == result_bytes(in_one_process(source, stub_rows(50), tmp_path))
+    assert not psutil.Process().children(recursive=True) or all(
+        child.status() != psutil.STATUS_ZOMBIE for child in psutil.Process().children()
+    )
+
+
+def test_a_design_that_grows_evaluates_what_is_new_alone(
+    source: StubSource, tmp_path: Path
+) -> None:
+    rows = stub_rows(40)
+    with opened(source, tmp_path) as store:
+        run_rows(source, rows[:25], store, "none")
+        found = run_rows(source, rows[::-1], store, "none")
+    assert result_bytes(found) == result_bytes(in_one_process(source, rows[::-1], tmp_path))
+    assert len(evaluated(source)) == len(distinct(rows))
+
+
+def test_a_row_that_fails_has_a_status_and_a_fault_is_logged_once(
+    source: StubSource, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    rows = np.column_stack([np.linspace(0.0, 0.1, 41), np.full((41, 2), 0.5)])
+    with opened(source, tmp_path) as store, caplog.at_level(logging.ERROR):
+        found = run_rows(source, rows, store, "none")
+    assert found.status[0] == "no line at 0.000000"
+    assert found.status[12] == "error: ZeroDivisionError: at 0.030000"
+    assert found.status[20:] == (OK,) * 21
+    assert np.isnan(found.values[:20]).all()
+    assert np.isfinite(found.values[20:]).all()
+    assert caplog.text.count("Traceback") == 1
+
+
+def test_values_of_another_number_than_the_outputs_are_a_status(tmp_path: Path) -> None:
+    class Short:
+        causes, outputs = ("a",), StubSource().make().outputs
+
+        def evaluate(self, row: Floats) -> Floats:
+            return np.zeros(1)
+
+    class ShortSource:
+        document: Mapping[str, str] = MappingProxyType({})
+
+        def make(self) -> Short:
+            return Short()
+
+    source = ShortSource()
+    with open_store(tmp_path, identity_of(source)) as store:
+        found = run_rows(source, np.zeros((1, 1)), store, "none")
+    assert found.status == ("error: ValueError: errors of shape (1,) instead of (5,)",)
+
+
+@pytest.mark.slow
+def test_a_row_that_kills_its_worker_costs_no_other(tmp_path: Path, two_workers: Client) -> None:
+    source = StubSource(killing=0.98)
+    rows = np.column_stack([np.linspace(0.0, 0.9, 8), np.full((8, 2), 0.5)])
+    rows[5, 0] = 0.99
+    with opened(source, tmp_path) as store:
+        found = run_rows(source, rows, store, two_workers)
+    assert found.status == (OK,) * 5 + (KILLED,) + (OK,) * 2
+    alone = in_one_process(StubSource(), np.delete(rows, 5, axis=0), tmp_path)
+    assert np.delete(found.values, 5, axis=0).tobytes() == alone.values.tobytes()
+    assert np.isnan(found.values[5]).all()
+
+
+def test_a_design_that_is_larger_than_agreed_is_refused(source: StubSource, tmp_path: Path) -> None:
+    rows = stub_rows(20)
+    with opened(source, tmp_path) as store:
+        with pytest.raises(InputError, match=r"--at-most: too many runs \(got 19; allowed: 18\)"):
+            run_rows(source, rows, store, "none", at_most=18)
+        assert not evaluated(source)
+        run_rows(source, rows, store, "none", at_most=19)
+
+
+def test_a_cost_estimate_is_that_of_what_is_left(tmp_path: Path) -> None:
+    """A sleep is never shorter than asked for; how much longer depends on the machine."""
+    source = StubSource(row_s=0.02, log=str(tmp_path / "log"))
+    rows = stub_rows(30)
+    with opened(source, tmp_path) as store:
+        cost = cost_estimate(source, rows, store, workers=2)
+        assert cost.rows == 29 - len(store) == 29 - len(evaluated(source))
+        assert cost.row_s >= 0.02
+        assert cost.seconds >= cost.rows * cost.row_s / 2
+        run_rows(source, rows, store, "none")
+        assert cost_estimate(source, rows, store).seconds == 0
+    assert len(evaluated(source)) == 29
+
+
+def test_batches_take_as_long_as_they_should() -> None:
+    rows = np.arange(5000.0)[:, None]
+    batches = Batches(rows)
+    sizes = []
+    seen = []
+    for batch in batches:
+        seen.append(batch)
+        sizes.append(len(batch))
+        batches.learn(len(batch), 0.003 * len(batch))
+    np.testing.assert_array_equal(np.concatenate(seen), rows)
+    assert sizes[:4] == [1, 4, 16, 64]
+    assert sizes[4:-1] == [int(TARGET_S / 0.003)] * (len(sizes) - 5)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("what", "part"), [("worker", 0.5), ("study", 0.4)])
+def test_what_is_killed_is_gone_on_with(tmp_path: Path, what: str, part: float) -> None:
+    source = StubSource(row_s=0.02, failing=FAILING)
+    expected = result_bytes(in_one_process(source, stub_rows(ROWS), tmp_path))
+    after_s = part * ROWS * source.row_s
+    found = killed_study(source, tmp_path / "run", what, after_s, expected)
+    assert found.killed
+    assert found.same
+    assert found.repeated == 0
+
+
+@pytest.mark.slow
+def test_ctrl_c_leaves_the_store_sound_and_no_process(tmp_path: Path) -> None:
+    source = StubSource(row_s=0.02, log=str(tmp_path / "log"))
+    study = started_study(source, tmp_path / "store", 1000, "2")
+    deadline_s = time.monotonic() + 60
+    while len(evaluated(source)) < 50 and time.monotonic() < deadline_s:
+        time.sleep(0.05)
+    children = psutil.Process(study.pid).children(recursive=True)
+    os.killpg(study.pid, signal.SIGINT)  # as a terminal does: to the workers, too
+    said, wrong = study.communicate(timeout=60)
+    assert study.returncode == 3, wrong
+    assert said.strip().endswith("go on with --resume")
+    assert not wrong
+    assert psutil.wait_procs(children, timeout=10)[1] == []
+    with opened(source, tmp_path) as store:
+        assert 0 < len(store) <= len(evaluated(source))
+
+
+@pytest.mark.slow
+def test_another_scheduler_works_and_its_end_is_told(tmp_path: Path) -> None:
+    source = StubSource(failing=FAILING)
+    with served_scheduler() as (address, scheduler):
+
+        def end_at_20(done: int, every: int) -> None:
+            if done > 20:
+                scheduler.kill()
+
+        found = stub_study(source, tmp_path / "store", 40, address)
+        expected = in_one_process(source, stub_rows(40), tmp_path)
+        assert result_bytes(found) == result_bytes(expected)
+        with open_client(scheduler=address) as client:
+            slow = StubSource(row_s=0.05)
+            with (
+                pytest.raises(LscanError, match=r"the scheduler at .* is gone") as caught,
+                opened(slow, tmp_path / "slow") as store,
+            ):
+                run_rows(slow, stub_rows(500), store, client, progress=end_at_20)
+    assert "go on with --resume" in caught.value.__notes__[0]
+
+
+def test_no_scheduler_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("sim.studies.cluster.CONNECT_S", 0.5)
+    with (
+        pytest.raises(InputError, match="--scheduler: no scheduler answers"),
+        open_client(scheduler="tcp://127.0.0.1:1"),
+    ):
+        pass
+
+
+@pytest.mark.slow
+def test_the_overhead_is_measured() -> None:
+    """How large it is, the figures tell; it is no less than nothing, and no task is left out."""
+    found = overhead(workers=2, tasks=8, task_s=0.4)
+    assert 0 < found.task_ms < 1000
+    assert found.worker_mib > 1
