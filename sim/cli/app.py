@@ -5,15 +5,16 @@ from sim.cli.demo import demo
 from sim.cli.figures import accuracy, bench, field, hardware, verify
 from sim.cli.pictures import render, truth, views
 from sim.cli.serve import serve
-from sim.cli.study import study
+from sim.cli.study import concavity, study
 
 app = command_line(
     "The tank in software: demo, render, truth, views, serve, verify, accuracy, field,"
-    " hardware, bench, study."
+    " hardware, bench, study, concavity."
 )
 for command in (demo, render, truth, views, bench, verify, accuracy, field, serve, hardware):
     app.command()(command)
-app.add_typer(study, name="study")
+for command in (study, concavity):
+    app.command()(command)
 
 
 def main() -> None:

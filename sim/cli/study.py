@@ -1,24 +1,82 @@
-"""``lscan-sim study``: where an error comes from."""
+"""``lscan-sim study``: where an error comes from, cause by cause; ``concavity``: of the line."""
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import typer
 
 from lscan.cli.arguments import Json
-from lscan.cli.console import print_json, print_table, progress_bar
+from lscan.cli.console import note, print_json, print_table, progress_bar
 from lscan.config.scenes import scenes_folder
+from lscan.errors import InputError
 from sim.cli.arguments import OutputFolder, ScenesFolder
 
-study = typer.Typer(help="Where an error comes from.", no_args_is_help=True)
+MOST_WORKERS = 1024
 
 
-@study.callback()
-def _study() -> None:
-    """Where an error comes from."""
+def study(
+    file: Annotated[Path, typer.Argument(help="Study file (TOML); see docs/howto/error-budget.")],
+    output: OutputFolder = Path("out/study"),
+    workers: Annotated[
+        int, typer.Option("--workers", help="Processes of this machine, one thread each.")
+    ] = 2,
+    scheduler: Annotated[
+        str | None,
+        typer.Option("--scheduler", help="Another Dask cluster, such as tcp://cluster:8786."),
+    ] = None,
+    processes: Annotated[
+        str | None, typer.Option("--processes", help='"none": all in this process, to debug.')
+    ] = None,
+    tier: Annotated[
+        str | None, typer.Option("--tier", help="geometric or rendered, in place of the file's.")
+    ] = None,
+    at_most: Annotated[
+        int, typer.Option("--at-most", help="Runs that are agreed to.", min=1)
+    ] = 20_000,
+    resume: Annotated[
+        bool, typer.Option("--resume", help="Go on with the runs that the folder holds.")
+    ] = False,
+    json: Json = False,
+) -> None:
+    """Where the error of a rig comes from: a budget, cause by cause, with intervals."""
+    from sim.studies.results import as_document
+    from sim.studies.study import StudyOptions, run_study
+
+    if processes not in (None, "none"):
+        raise InputError("not known", where="--processes", value=processes, allowed="none")
+    if tier not in (None, "geometric", "rendered"):
+        allowed = "geometric, rendered"
+        raise InputError("not known", where="--tier", value=tier, allowed=allowed)
+    if not 1 <= workers <= MOST_WORKERS:
+        allowed = f"1 to {MOST_WORKERS}"
+        raise InputError("out of range", where="--workers", value=workers, allowed=allowed)
+    how: int | Literal["none"] = "none" if processes == "none" else workers
+    options = StudyOptions(how, scheduler, at_most, tier, resume)
+    with progress_bar("runs") as progress:
+        found = run_study(file, output, options, progress=progress, say=note)
+    if json:
+        print_json(as_document(found))
+        return
+    for budget in found.outputs:
+        headings = ["cause", f"alone, {budget.unit}", "first index", "total index", "after"]
+        after = {cause.cause: cause for cause in budget.after.causes} if budget.after else {}
+        cells = [
+            [
+                cause.cause,
+                _shown(cause.alone_rms),
+                _shown(cause.first),
+                _shown(cause.total),
+                _shown(after[cause.cause].alone_rms) if cause.cause in after else "",
+            ]
+            for cause in budget.causes
+        ]
+        rms = _shown(budget.rms)
+        print_table(f"{budget.name}: rms {rms} {budget.unit}", headings, cells)
+    for line in found.notes:
+        print(line)
+    print(output / "report.html")
 
 
-@study.command()
 def concavity(
     output: OutputFolder = Path("out/concavity"),
     scenes: ScenesFolder = None,
@@ -42,3 +100,12 @@ def concavity(
     ]
     print_table("error of the height", headings, cells)
     print(output / "concavity.json")
+
+
+def _shown(bounded: object) -> str:
+    """A figure with its interval, "" where there is none."""
+    from sim.studies.intervals import Bounded
+
+    if not isinstance(bounded, Bounded):
+        return ""
+    return f"{bounded.value:.3g} ± {bounded.half_width:.1g}"

@@ -12,11 +12,17 @@ from functools import lru_cache
 import numpy as np
 
 from lscan.records import Floats, Mask
-from sim.studies.problem import AFTER, columns
 from sim.studies.intervals import Bounded
-from sim.studies.records import CauseBudget, CauseScatter, ErrorMap, IndexConvergence, OutputBudget, StudyRuns
-from sim.studies.sampling import ALL, BASE, alone
+from sim.studies.problem import AFTER, columns
+from sim.studies.records import (
+    CauseBudget,
+    CauseScatter,
+    ErrorMap,
+    IndexConvergence,
+    OutputBudget,
+    StudyRuns,
 )
+from sim.studies.sampling import ALL, BASE, alone
 
 Indices = Mapping[str, tuple[float, float, float, float, float, float]]
 """Cause or group to first index, its interval's ends, total index, its interval's ends."""

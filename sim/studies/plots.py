@@ -10,9 +10,15 @@ from dataclasses import dataclass, field
 from html import escape
 from typing import Any
 
-from sim.studies.problem import AFTER
 from sim.studies.intervals import Bounded
-from sim.studies.records import CauseBudget, CauseScatter, DesignTrial, ErrorMap, IndexConvergence, OutputBudget
+from sim.studies.problem import AFTER
+from sim.studies.records import (
+    CauseBudget,
+    CauseScatter,
+    DesignTrial,
+    ErrorMap,
+    IndexConvergence,
+    OutputBudget,
 )
 
 MOST_LETTERS = 34  # of a name beside a plot; the tables have it whole

@@ -8,7 +8,6 @@ goes on later has the same numbers.
 from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
 from io import BytesIO
-from pathlib import Path
 
 import numpy as np
 
@@ -16,7 +15,6 @@ from lscan.board import read_board
 from lscan.calibration.api import PlaneMap, find_solver
 from lscan.calibration.solved import SolvedMap
 from lscan.errors import MeasurementError
-from lscan.files.disk import write_atomically
 from lscan.records import (
     BoardReading,
     Bytes,
@@ -97,36 +95,26 @@ class Prepared:
             off += self.marks_sigma_px[:, np.newaxis] * drawn
         return off
 
-    def save(self, path: Path) -> None:
-        """Write it to a file, which holds arrays alone.
-
-        Parameters
-        ----------
-        path : Path, of an .npz file
-
-        Raises
-        ------
-        DiskError
-            The disk refuses.
-        """
+    def packed(self) -> bytes:
+        """It as the bytes of an .npz file, which holds arrays alone."""
         arrays = {f"places.{key}": value for key, value in vars(self.places).items()}
         arrays |= {key: vars(self)[key] for key in _NUMBERS}
         arrays["sigma_px"] = np.concatenate([marks.sigma_px for marks in _marks(self.reading)])
         arrays["status"] = np.concatenate([marks.status for marks in _marks(self.reading)])
-        packed = BytesIO()
-        np.savez(packed, **arrays)
-        write_atomically(path, packed.getvalue())
+        file = BytesIO()
+        np.savez(file, **arrays)
+        return file.getvalue()
 
     @classmethod
-    def load(cls, path: Path, study: Study) -> "Prepared":
-        """What ``save`` wrote for a study.
+    def unpacked(cls, packed: bytes, study: Study) -> "Prepared":
+        """What ``packed`` gave for a study.
 
         Parameters
         ----------
-        path : Path
+        packed : bytes
         study : Study, the same
         """
-        with np.load(path, allow_pickle=False) as kept:
+        with np.load(BytesIO(packed), allow_pickle=False) as kept:
             places = Places(**{f.name: kept[f"places.{f.name}"] for f in fields(Places)})
             numbers = {name: kept[name] for name in _NUMBERS}
             reading = _reading(study.calibrate, kept["sigma_px"], kept["status"])

@@ -42,8 +42,18 @@ def write_results(folder: Path, results: StudyResults, runs: StudyRuns) -> None:
     """
     make_folder(folder)
     write_atomically(folder / RUNS, runs_netcdf(runs, results.name))
-    write_json(folder / RESULTS, _with_units(asdict(results)))
+    write_json(folder / RESULTS, as_document(results))
     write_atomically(folder / PAGE, render_page(results).encode())
+
+
+def as_document(results: StudyResults) -> dict[str, Any]:
+    """What results.json holds: units in the names.
+
+    Parameters
+    ----------
+    results : StudyResults
+    """
+    return _with_units(asdict(results))
 
 
 def load_results(folder: Path) -> StudyResults:

@@ -53,7 +53,7 @@ def states_of(study: Study, row: Floats, root: Floats | None = None) -> RigState
     InputError
         A number is out of the range of its key, or no number has that key.
     """
-    shares = _correlated(row, root)
+    shares = correlated(row, root)
     before: dict[str, float] = {}
     since: dict[str, float] = {}
     changes: list[Change] = []
@@ -154,8 +154,14 @@ def _with_changes(scene: Scene, changes: list[Change]) -> Scene:
     return replace(scene, tank=scene.tank.model_copy(update={"change": (*own, *changes)}))
 
 
-def _correlated(row: Floats, root: Floats | None) -> Floats:
-    """The row's numbers with the causes' correlations; of independent ones where root is None."""
+def correlated(row: Floats, root: Floats | None) -> Floats:
+    """The row's numbers with the causes' correlations; the same where these are independent.
+
+    Parameters
+    ----------
+    row : (D,) array, of numbers in (0, 1) or NOMINAL
+    root : (D, D) array or None, lower root of the correlations of the normal numbers behind them
+    """
     if root is None:
         return row
     active = ~np.isnan(row)

@@ -1,6 +1,5 @@
 """A study file: which rig, what varies, and when."""
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Literal, Self
@@ -191,12 +190,12 @@ class Study:
         return tuple(self.file.cause)
 
     @property
-    def groups(self) -> Mapping[str, tuple[int, ...]]:
-        """The causes' columns by name of their group; a cause without one is its own."""
-        found: dict[str, tuple[int, ...]] = {}
-        for column, (name, cause) in enumerate(self.file.cause.items()):
+    def groups(self) -> dict[str, tuple[str, ...]]:
+        """The causes by name of their group; a cause without one is its own."""
+        found: dict[str, tuple[str, ...]] = {}
+        for name, cause in self.file.cause.items():
             group = cause.group or name
-            found[group] = (*found.get(group, ()), column)
+            found[group] = (*found.get(group, ()), name)
         return found
 
     def correlations(self) -> Floats:
@@ -230,13 +229,17 @@ def load_study(path: Path | str) -> Study:
     return study_of(read_document(path), str(path))
 
 
-def study_of(document: Document, source: str) -> Study:
+def study_of(
+    document: Document, source: str, scenes: tuple[Scene, Scene] | None = None
+) -> Study:
     """The study that a document describes.
 
     Parameters
     ----------
     document : dict, as read from TOML
     source : str, where it came from, for errors
+    scenes : tuple of Scene, optional, of the calibration and of the scan; by default those that
+        the document names
 
     Raises
     ------
@@ -244,9 +247,11 @@ def study_of(document: Document, source: str) -> Study:
         As ``load_study``.
     """
     file = check(StudyFile, document, where=source)
-    folder = Path(source).parent
-    board, scan = (load_scene(included_file(folder, name)) for name in (file.calibrate, file.scan))
-    study = Study(file, board, scan, document, source)
+    if scenes is None:
+        folder = Path(source).parent
+        board, scan = (included_file(folder, name) for name in (file.calibrate, file.scan))
+        scenes = load_scene(board), load_scene(scan)
+    study = Study(file, *scenes, document, source)
     study.calibrate.board()
     study.correlations()
     return study

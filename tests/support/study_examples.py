@@ -11,11 +11,18 @@ from scipy.stats import norm
 
 from lscan.records import Floats
 from sim.studies.budget import Indices, budgets_of, error_maps, scatters_of
-from sim.studies.problem import Output, columns, width
 from sim.studies.intervals import Bounded
-from sim.studies.records import CauseFacts, DesignTrial, IndexConvergence, StudyResults, StudyRuns, TierRow, When
-from sim.studies.sampling import ALL, BASE, alone
+from sim.studies.problem import Output, columns, width
+from sim.studies.records import (
+    CauseFacts,
+    DesignTrial,
+    IndexConvergence,
+    StudyResults,
+    StudyRuns,
+    TierRow,
+    When,
 )
+from sim.studies.sampling import ALL, BASE, alone
 
 OUTPUTS = (Output("height", "mm", 80), Output("height.after", "mm", 80), Output("yaw", "deg"))
 XY_MM = np.stack(np.meshgrid(np.linspace(0, 150, 10), np.linspace(0, 110, 8)), axis=-1)
