@@ -1,0 +1,330 @@
+"""A rig of chosen parts in chosen places, as the document of a scene."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from math import cos, hypot, pi, radians, sqrt, tan
+from typing import Any
+
+import numpy as np
+
+from lscan.config.documents import Document, check, merge
+from lscan.config.rigfile import parse_rig
+from lscan.errors import InputError
+from sim.scene import SECTIONS, camera_pose, scene_of
+from sim.scene.file import TankSections
+from sim.scene.instrument import FULL_SCALE_DN, PlanePort, Response
+from sim.sensor.speckle import speckle_contrast
+from sim.studies.catalogue import (
+    CameraPart,
+    LaserPart,
+    LensPart,
+    Objective,
+    TrackPart,
+    WindowPart,
+)
+from sim.studies.fieldofview import aim_mm
+from sim.truth import line_brightness, stripe_truths
+from sim.water import glass_index, water_optics
+
+STAND_OFF, BASELINE, HEIGHT = "stand_off_mm", "baseline_mm", "laser_height_mm"
+AIM = "aim_z_mm"
+DEPRESSION = "head.depression_deg"
+FULL_WELL_PER_UM2 = 900.0
+"""Electrons, where a camera states no full well: 950 of Sony's IMX249, 880 of its IMX273."""
+NOISE_SHARE = 1 / 282
+"""Of the full well, where a camera states no dark noise: the webcam's of scenes/paper."""
+EFFICIENCY = ((450.0, 0.55), (525.0, 0.65), (650.0, 0.40), (700.0, 0.30))
+"""Where a camera states none: estimated; 0.40 at 650 nm is that of scenes/paper."""
+BLUR_PX = 0.7  # where a lens states no blur: that of scenes/paper
+GREEN_FROM_NM, RED_FROM_NM = 495.0, 580.0
+LEAKS = {"red": (1.0, 0.08, 0.03), "green": (0.13, 1.0, 0.16), "blue": (0.03, 0.16, 1.0)}
+"""Of a laser's efficiency, by its colour, that of red, green and blue pixels: as in scenes/paper
+and in scenes/targets/red-under-green; blue is estimated."""
+FOCAL_KNOWN, THICKNESS_KNOWN_MM = 0.05, 0.3
+"""Standard uncertainties that [optics] states of a focal length, relative, and of a window."""
+PEAK_DN, LONGEST_MS, TRIAL_MS = 200.0, 500.0, 1e-4
+BRIGHT_SHARE = 0.95
+"""Of a line's columns, that are to stay below the peak's grey value."""
+
+
+@dataclass(frozen=True)
+class RigDesign:
+    """Parts, and numbers that say where they stand.
+
+    Attributes
+    ----------
+    camera, lens, laser, window, track : parts; lens is None where the camera has its own
+    numbers : mapping, of free numbers: stand_off_mm, along the camera's axis from the pinhole to
+        the sheet; baseline_mm, from the pinhole to the plane y = 0; laser_height_mm, of the
+        laser's apex above the place aimed at; aim_z_mm, the height of that place, where the axis
+        meets y = 0, the base's if left out; and dotted keys of the scene
+    """
+
+    camera: CameraPart
+    lens: LensPart | None
+    laser: LaserPart
+    window: WindowPart
+    track: TrackPart
+    numbers: Mapping[str, float] = field(default_factory=dict)
+
+    @property
+    def cost_eur(self) -> float:
+        """What the parts cost together."""
+        parts = (self.camera, self.lens, self.laser, self.window, self.track)
+        return sum(part.price.eur for part in parts if part is not None)
+
+
+def document_of(design: RigDesign, base: Document) -> Document:
+    """The base's document with the design's parts and numbers in it.
+
+    Parameters
+    ----------
+    design : RigDesign
+    base : Document, of a scene, its board read in; what it says of targets, water, plan stays
+
+    Raises
+    ------
+    InputError
+        The numbers contradict each other, or a key is none of the scene's.
+    """
+    tank = _tank(base, "the base of the design")
+    document = merge(base, _geometry(design, tank))
+    document = merge(document, _sight(design, document))
+    document = merge(document, _light(design, tank))
+    document = merge(document, {"track_errors": design.track.errors.model_dump()})
+    for key, value in design.numbers.items():
+        if "." in key:
+            document = merge(document, _at(key, value, document))
+    return merge(document, _known(document))
+
+
+def exposed(document: Document, source: str) -> Document:
+    """The document with an exposure that puts the line's brightest parts at PEAK_DN.
+
+    Parameters
+    ----------
+    document : Document, of a scene with a target that the laser lights
+    source : str, what an error names
+
+    Raises
+    ------
+    InputError
+        It is no scene, or no line is lit and seen half-way through the scan.
+    """
+    scene = scene_of(parse_rig(document, source=source, trusted=True))
+    linear = scene.with_tank(sensor={"gamma": 1.0})
+    positions = scene.rig.plan.positions_mm()
+    truths = stripe_truths(scene, [positions[len(positions) // 2]])
+    height = line_brightness(linear, truths, [TRIAL_MS])[0].height_dn
+    height = height[np.isfinite(height)]
+    if len(height) == 0 or height.max() <= 0:
+        raise InputError("no line is lit and seen", where=source)
+    wanted_ms = TRIAL_MS * PEAK_DN / float(np.quantile(height, BRIGHT_SHARE))
+    return merge(document, {"camera": {"exposure_ms": min(wanted_ms, LONGEST_MS)}})
+
+
+def _tank(document: Document, source: str) -> TankSections:
+    """The tank's sections alone; the whole scene is checked by whoever makes one of it."""
+    own = {key: value for key, value in document.items() if key in SECTIONS}
+    return check(TankSections, own, where=source)
+
+
+def _geometry(design: RigDesign, tank: TankSections) -> Document:
+    """Where camera and laser stand; the camera turns and moves about the place it aims at."""
+    head, numbers, aim = tank.head, design.numbers, aim_mm(tank.head)
+    if {STAND_OFF, BASELINE, DEPRESSION} <= numbers.keys():
+        raise InputError(
+            f"{STAND_OFF}, {BASELINE} and {DEPRESSION}: two of them give the third",
+            allowed="two of them",
+        )
+    old = camera_pose(head)
+    level = old.rotation[1, 2] / cos(radians(head.depression_deg))  # of the axis, towards y
+    depression = numbers.get(DEPRESSION, head.depression_deg)
+    stand_off = numbers.get(STAND_OFF, float(np.linalg.norm(aim - old.origin_mm)))
+    if BASELINE in numbers and STAND_OFF in numbers:
+        part = numbers[BASELINE] / (stand_off * level)
+        if not 0 < part <= 1:
+            raise InputError(
+                f"{BASELINE}: is no leg of {STAND_OFF}", value=numbers[BASELINE],
+                allowed=f"up to {stand_off * level:g}",
+            )  # fmt: skip
+        depression = float(np.degrees(np.arccos(part)))
+    elif BASELINE in numbers:
+        stand_off = numbers[BASELINE] / (level * cos(radians(depression)))
+    aim = np.array([aim[0], aim[1], numbers.get(AIM, aim[2])])
+    turned = head.model_copy(update={"depression_deg": depression})
+    camera = aim - stand_off * camera_pose(turned).rotation[:, 2]
+    height = float(numbers.get(HEIGHT, tank.laser.apex_mm[2] - aim[2]))
+    apex = [*tank.laser.apex_mm[:2], float(aim[2] + height)]
+    return {
+        "head": {"camera_mm": camera.tolist(), "depression_deg": depression},
+        # Focused on the place aimed at, as whoever mounts it does.
+        "laser": {"apex_mm": apex, "waist_distance_mm": height},
+    }
+
+
+def _sight(design: RigDesign, document: Document) -> Document:
+    """Camera, lens and window."""
+    camera, nm = design.camera, design.laser.wavelength_nm
+    objective: Objective | None = design.lens or camera.built_in
+    if objective is None or (design.lens is not None and not design.lens.fits(camera)):
+        raise InputError(f"{camera.name}: needs a lens that fits it")
+    width, height = camera.width_px, camera.height_px
+    if objective.focal_mm is not None:
+        focal_px = objective.focal_mm * 1e3 / camera.pixel_um
+    else:
+        focal_px = hypot(width, height) / 2 / tan(radians(objective.diagonal_deg or 0.0) / 2)
+    f_number = design.numbers.get("lens.f_number", objective.f_number)
+    diffraction_px = diffraction_um(f_number, nm) / camera.pixel_um
+    own_px = BLUR_PX if objective.blur_um is None else objective.blur_um / camera.pixel_um
+    full_well = camera.full_well_e or FULL_WELL_PER_UM2 * camera.pixel_um**2
+    colour, response = response_to(camera, nm)
+    window = {"thickness_mm": design.window.thickness_mm, "glass_index": design.window.glass_index}
+    dome = document.get("port", {}).get("kind") == "dome"
+    return {
+        "camera": {"width_px": width, "height_px": height},
+        "lens": {
+            "focal_px": focal_px,
+            "centre_px": [(width - 1) / 2, (height - 1) / 2],
+            **dict.fromkeys(("k3", "p1", "p2"), 0.0),
+            "k1": objective.k1,
+            "k2": objective.k2,
+            "f_number": f_number,
+            "blur_px": hypot(diffraction_px, own_px),
+        },
+        "port": {"kind": "flat", **window} if dome else window,
+        "sensor": {
+            "pixel_um": camera.pixel_um,
+            "full_well_e": full_well,
+            "dark_noise_e": camera.dark_noise_e or NOISE_SHARE * full_well,
+            "bayer": "RGGB" if camera.colour else "none",
+            "readout_ms": camera.readout_ms,
+            "laser_response": response.model_dump(),
+        },
+        # Also of a camera without colours: the grey of three equal channels, whose noise is
+        # each its own, would be less noisy than its pixels are.
+        "stripe": {"channel": colour},
+    }
+
+
+def diffraction_um(f_number: float, wavelength_nm: float) -> float:
+    """Standard deviation of the Gaussian that is nearest to Airy's pattern, um.
+
+    Parameters
+    ----------
+    f_number : float
+    wavelength_nm : float
+
+    References
+    ----------
+    Zhang, Zerubia & Olivo-Marin, Applied Optics 46, 1819 (2007): sqrt(2) / (k NA), the numerical
+    aperture NA = 1 / (2 f_number).
+    """
+    return sqrt(2) * 2 * f_number * wavelength_nm * 1e-3 / (2 * pi)
+
+
+def response_to(camera: CameraPart, wavelength_nm: float) -> tuple[str, Response]:
+    """The channel that sees a laser's light best, and all channels' quantum efficiency.
+
+    Parameters
+    ----------
+    camera : CameraPart
+    wavelength_nm : float
+    """
+    if wavelength_nm >= RED_FROM_NM:
+        colour = "red"
+    else:
+        colour = "green" if wavelength_nm >= GREEN_FROM_NM else "blue"
+    nm, share = np.transpose(camera.efficiency or EFFICIENCY)
+    efficiency = float(np.interp(wavelength_nm, nm, share))
+    leaks = LEAKS[colour] if camera.colour else (1.0, 1.0, 1.0)
+    red, green, blue = (efficiency * leak for leak in leaks)
+    return colour, Response(red=red, green=green, blue=blue)
+
+
+def _light(design: RigDesign, tank: TankSections) -> Document:
+    part = design.laser
+    if tank.laser.lines:
+        raise InputError("laser.lines: the laser of a design has one sheet")
+    return {
+        "laser": {
+            "power_mw": part.power_mw,
+            "wavelength_nm": part.wavelength_nm,
+            "fan_half_angle_deg": part.fan_deg / 2,
+            "fan": part.fan,
+            "fan_rise": 0.0,
+            "waist_mm": part.waist_mm,
+        }
+    }
+
+
+def _at(key: str, value: float, document: Document) -> Document:
+    """A document with one number at a dotted key, whose section is there already."""
+    section, _, name = key.partition(".")
+    if not isinstance(document.get(section), dict) or not name or "." in name:
+        raise InputError(f"{key}: cannot be a free number", allowed="section.key of the scene")
+    return {section: {name: value}}
+
+
+def _known(document: Document) -> Document:
+    """What the rig's owner states of it, where the base states it: it is made to agree."""
+    tank = _tank(document, "the design")
+    lens, laser, sensor = tank.lens, tank.laser, tank.sensor
+    told: dict[str, Any] = {"lens": {"focus_mm": apparent_mm(tank)}}
+    if "optics" in document:
+        told["optics"] = _optics(tank, document["optics"])
+    stripe = document.get("stripe", {})
+    if "blur_px" in stripe:
+        told["stripe"] = {"blur_px": lens.blur_px}
+    if "noise" in stripe:
+        gain = FULL_SCALE_DN * sensor.gain / sensor.full_well_e
+        speckle = 0.0
+        if sensor.speckle != "none":
+            speckle = speckle_contrast(
+                sensor.pixel_um, lens.f_number, laser.wavelength_nm, sensor.speckle
+            )
+        read_dn = hypot(gain * hypot(sensor.dark_noise_e, sensor.dsnu_e), 1 / sqrt(12))
+        noise = {"read_dn": read_dn, "dn_per_electron": gain, "speckle": speckle}
+        told.setdefault("stripe", {})["noise"] = noise
+    if "sheet" in document:
+        told["sheet"] = {
+            "thickness_mm": laser.waist_mm,
+            "camera_mm": list(tank.head.camera_mm),
+            "apex_mm": list(laser.apex_mm),
+        }
+    return told
+
+
+def apparent_mm(tank: TankSections) -> float:
+    """How far off the place aimed at appears, mm of air: where whoever mounts a lens focuses it.
+
+    Parameters
+    ----------
+    tank : TankSections, its port flat
+    """
+    nm, port = tank.laser.wavelength_nm, tank.port
+    if not isinstance(port, PlanePort):
+        raise InputError("port: the window of a design is flat")
+    far = float(np.linalg.norm(aim_mm(tank.head) - np.array(tank.head.camera_mm)))
+    water = far - port.gap_mm - port.thickness_mm
+    if water <= 0:
+        raise InputError(f"{STAND_OFF}: the place aimed at is not in the water", value=far)
+    glass = port.thickness_mm / glass_index(port.glass_index, nm)
+    return port.gap_mm + glass + water / water_optics(tank.water, nm).index
+
+
+def _optics(tank: TankSections, stated: Document) -> Document:
+    """[optics] of the same keys, its numbers those of the tank."""
+    nm, focal, port = tank.laser.wavelength_nm, tank.lens.focal_px, tank.port
+    true = {
+        "focal_px": (focal, FOCAL_KNOWN * focal),
+        "thickness_mm": (port.thickness_mm, THICKNESS_KNOWN_MM),
+        "glass_index": (glass_index(port.glass_index, nm), None),
+        "water_index": (water_optics(tank.water, nm).index, None),
+    }
+    told: Document = {
+        key: [value, stated[key][1] if sigma is None else sigma]
+        for key, (value, sigma) in true.items()
+        if key in stated
+    }
+    return told | ({"wavelength_nm": nm} if "wavelength_nm" in stated else {})
