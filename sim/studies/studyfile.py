@@ -229,9 +229,7 @@ def load_study(path: Path | str) -> Study:
     return study_of(read_document(path), str(path))
 
 
-def study_of(
-    document: Document, source: str, scenes: tuple[Scene, Scene] | None = None
-) -> Study:
+def study_of(document: Document, source: str, scenes: tuple[Scene, Scene] | None = None) -> Study:
     """The study that a document describes.
 
     Parameters
