@@ -13,8 +13,8 @@ app = command_line(
 )
 for command in (demo, render, truth, views, bench, verify, accuracy, field, serve, hardware):
     app.command()(command)
-for command in (study, concavity):
-    app.command()(command)
+app.command()(study)
+app.command()(concavity)
 
 
 def main() -> None:

@@ -28,8 +28,8 @@ def study(
         str | None, typer.Option("--processes", help='"none": all in this process, to debug.')
     ] = None,
     tier: Annotated[
-        str | None, typer.Option("--tier", help="geometric or rendered, in place of the file's.")
-    ] = None,
+        str, typer.Option("--tier", help="geometric or rendered, in place of the file's.")
+    ] = "",
     at_most: Annotated[
         int, typer.Option("--at-most", help="Runs that are agreed to.", min=1)
     ] = 20_000,
@@ -41,17 +41,19 @@ def study(
     """Where the error of a rig comes from: a budget, cause by cause, with intervals."""
     from sim.studies.results import as_document
     from sim.studies.study import StudyOptions, run_study
+    from sim.studies.studyfile import Tier
 
     if processes not in (None, "none"):
         raise InputError("not known", where="--processes", value=processes, allowed="none")
-    if tier not in (None, "geometric", "rendered"):
+    tiers: dict[str, Tier | None] = {"": None, "geometric": "geometric", "rendered": "rendered"}
+    if tier not in tiers:
         allowed = "geometric, rendered"
         raise InputError("not known", where="--tier", value=tier, allowed=allowed)
     if not 1 <= workers <= MOST_WORKERS:
         allowed = f"1 to {MOST_WORKERS}"
         raise InputError("out of range", where="--workers", value=workers, allowed=allowed)
     how: int | Literal["none"] = "none" if processes == "none" else workers
-    options = StudyOptions(how, scheduler, at_most, tier, resume)
+    options = StudyOptions(how, scheduler, at_most, tiers[tier], resume)
     with progress_bar("runs") as progress:
         found = run_study(file, output, options, progress=progress, say=note)
     if json:

@@ -162,7 +162,7 @@ def prepare(study: Study, progress: Progress | None = None) -> Prepared:
             progress(done, steps)
     line, sensor, speckle = (np.concatenate(parts) for parts in zip(*found, strict=True))
     known = np.isfinite(line) & np.isfinite(sensor) & np.isfinite(speckle)
-    known &= _on_board(study, reading, places)
+    known &= on_board(study, reading, places)
     if known.sum() < np.count_nonzero(~known):
         raise MeasurementError(
             f"{study.scan.source}: the line is found at {known.sum()} of {len(known)} places"
@@ -180,8 +180,15 @@ def prepare(study: Study, progress: Progress | None = None) -> Prepared:
     )
 
 
-def _on_board(study: Study, reading: BoardReading, places: Places) -> Mask:
-    """(P,) whether the plane map has a value about each place as far as rigs may be off."""
+def on_board(study: Study, reading: BoardReading, places: Places) -> Mask:
+    """(P,) whether the plane map has a value about each place as far as rigs may be off.
+
+    Parameters
+    ----------
+    study : Study
+    reading : BoardReading, of the rig as it ought to be
+    places : Places
+    """
     calibration = study.calibrate.rig.calibration
     plane_map = find_solver(calibration.plane_map).solve(reading, study.calibrate.rig.optics)
     head = into_head(study.scan.tank.head, places.world_mm, places.position_mm)

@@ -4,9 +4,10 @@ import hashlib
 import time
 from collections import Counter
 from collections.abc import Callable, Mapping
+from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
@@ -34,6 +35,9 @@ from sim.studies.states import check_keys, correlated, share_of
 from sim.studies.store import Results, ResultStore, open_store
 from sim.studies.studyfile import Cause, Study, Tier, load_study, study_of
 from sim.studies.worker import identity_of
+
+if TYPE_CHECKING:
+    from distributed import Client
 
 PREPARED, RUNS = "prepared.npz", "runs"
 AT_MOST = 20_000
@@ -160,9 +164,15 @@ def run_study(
         _prepared(study, output / PREPARED, say),
         str(path),
     )
-    with open_store(output / RUNS, identity_of(source)) as store:
-        workers = 1 if options.workers == "none" else options.workers
-        cost = cost_estimate(source, smallest.rows, store, workers)
+    from sim.studies.cluster import open_client  # takes a second to import
+
+    with ExitStack() as stack:
+        store = stack.enter_context(open_store(output / RUNS, identity_of(source)))
+        workers: int | Literal["none"] | Client = options.workers
+        at_once = 1 if options.workers == "none" else options.workers
+        cost = cost_estimate(source, smallest.rows, store, at_once)
+        if options.workers != "none":
+            workers = stack.enter_context(open_client(options.workers, options.scheduler))
         if cost.rows:
             say(f"{cost.rows} runs to go, {cost.row_s:.2g} s each: about {cost.seconds:.0f} s")
         base, convergence = precision.base, []
@@ -172,10 +182,9 @@ def run_study(
                 source,
                 design.rows,
                 store,
-                options.workers,
-                options.scheduler,
-                progress,
-                options.at_most,
+                workers,
+                progress=progress,
+                at_most=options.at_most,
             )
             indices = sobol_indices(design, results.values, source.make().outputs)
             convergence.append((len(design.rows), indices))

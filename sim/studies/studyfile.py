@@ -81,7 +81,8 @@ class Cause(Strict):
     @property
     def distribution(self) -> Distribution:
         """How the number is distributed; of noise, nothing is."""
-        return Distribution.model_validate(self._stated or {"fixed": 0.0})
+        stated = {"fixed": 0.0} if self.when == "noise" else self._stated
+        return Distribution.model_validate(stated)
 
     def number(self, share: float, own: float) -> float:
         """The number at a quantile.

@@ -1,13 +1,14 @@
 """Studies for tests: of the paper's rig, what is known of its pictures made up, not rendered."""
 
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
 
 from lscan.config.documents import Document
-from lscan.records import BoardReading
+from lscan.records import BoardReading, Marks, select
 from sim.studies.places import places_of
-from sim.studies.prepared import Prepared
+from sim.studies.prepared import Prepared, on_board
 from sim.studies.studyfile import Study, study_of
 from sim.truth import board_truth
 
@@ -31,8 +32,10 @@ def known_of(calibrate: str = "best/board", scan: str = "best/sandwave") -> Prep
         calibrate=calibrate,
         scan=scan,
     )
+    reading = _stated(board_truth(study.calibrate).centres)
     places = places_of(study.scan, 4, 20)
-    count, reading = len(places.frame), _stated(board_truth(study.calibrate).centres)
+    places = select(places, on_board(study, reading, places))
+    count = len(places.frame)
     marks = len(reading.grid.status) + sum(len(ruler.marks.status) for ruler in reading.rulers)
     return Prepared(
         places=places,
@@ -48,9 +51,8 @@ def known_of(calibrate: str = "best/board", scan: str = "best/sandwave") -> Prep
 
 def _stated(reading: BoardReading) -> BoardReading:
     """The reading with the uncertainty of its marks stated."""
-    from dataclasses import replace
 
-    def stated(marks):  # type: ignore[no-untyped-def]
+    def stated(marks: Marks) -> Marks:
         return replace(marks, sigma_px=np.where(marks.found, MARK_PX, np.nan))
 
     rulers = tuple(replace(ruler, marks=stated(ruler.marks)) for ruler in reading.rulers)

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from study_cases import MARK_PX, SENSOR_PX, SPECKLE_PX, known_of, study_with
+from study_cases import SENSOR_PX, SPECKLE_PX, known_of, study_with
 
 from lscan.calibration.api import find_solver
 from lscan.config.documents import Document
@@ -13,6 +13,7 @@ from lscan.records import Floats
 from sim.scene import into_head
 from sim.studies.errors import ErrorFrame
 from sim.studies.geometric import GeometricRig
+from sim.studies.places import WAVE
 from sim.studies.problem import base_row, columns
 from sim.studies.states import check_keys, states_of
 from sim.truth import project
@@ -45,8 +46,9 @@ def test_a_board_behind_the_sheet_lifts_the_line_by_its_depression() -> None:
     """What the map takes for a point of the board's plane is where its ray meets the sheet.
 
     A ray that falls by t for each mm towards +y meets a plane shifted by d lower by t d: the
-    height found is the true one less that.  The rays' slopes in the water are those from the true
-    pinhole's entry into the water to the place, good to the port's size over the distance, 1 %.
+    height found is the true one less that.  On level places only; the rays' slopes in the water
+    are taken as those from the pinhole itself, which lies within 16 mm, the port's depth, of where
+    they enter the water, of a way of 1 m: good to some 16/1000.
     """
     shift_mm = 1.0
     found = errors({"key": "calibrate.target.position_mm.1", "when": "as-built", "fixed": shift_mm})
@@ -57,7 +59,9 @@ def test_a_board_behind_the_sheet_lifts_the_line_by_its_depression() -> None:
     head = into_head(study.scan.tank.head, places.world_mm, places.position_mm)
     from_camera = head - np.array(study.scan.tank.head.camera_mm)
     expected = shift_mm * from_camera[:, 2] / from_camera[:, 1]
-    np.testing.assert_allclose(found["height"], expected, rtol=0.06)
+    level = places.kind != WAVE
+    assert level.sum() > 5
+    np.testing.assert_allclose(found["height"][level], expected[level], rtol=0.016)
 
 
 @pytest.mark.parametrize(
@@ -121,8 +125,9 @@ def test_noise_scatters_as_it_was_found() -> None:
     expected = np.hypot(SENSOR_PX, SPECKLE_PX) * rms(step[:, 1])
     # 40 rigs of 60 places scatter by 1/sqrt(2 * 2400) = 1.5 %; slopes of the wave by a few more.
     assert rms(found) == pytest.approx(expected, rel=0.06)
-    assert rms(np.stack([rig.evaluate(row)[height] for row in rows[:5]])) > rms(found[:5])
-    assert MARK_PX > 0
+    # The marks' scatter moves the map, all points of one rig together.
+    moved = np.stack([rig.evaluate(row)[height] for row in rows[:5]]) - found[:5]
+    assert 0 < rms(moved) < 0.2 * expected
 
 
 def test_the_same_row_gives_the_same_bytes() -> None:
@@ -190,7 +195,7 @@ def test_a_key_that_cannot_vary_is_refused_by_name(cause: Document, words: str) 
     [
         ({"key": "sensor.noise", "when": "noise", "fixed": 1.0}, "takes no distribution"),
         ({"key": "lens.k1", "when": "noise"}, "noise is one of"),
-        ({"key": "lens.k1", "when": "drift"}, "exactly one of"),
+        ({"key": "lens.k1", "when": "drift"}, "exactly one of fixed"),
         ({"key": "lens.k1", "when": "each-frame", "fixed": 1.0}, "each-frame is one of"),
         ({"key": "lens.k1", "when": "each-frame", "normal": (1.0, 1.0)}, "is about 0"),
         ({"key": "lens.k1", "when": "drift", "fixed": 1.0, "correlation": 2.0}, "correlation goes"),
