@@ -30,7 +30,7 @@ from sim.truth import board_truth
 from sim.truth.camera.projection import TrueCamera, camera_of, image, rays_to
 
 STILL = Pose(np.eye(3), np.zeros(3))
-BOARD, BOARD_ANEW = 2, 3  # streams of the numbers drawn for one rig; the line's is 1
+BOARD, BOARD_ANEW = 2, 3  # streams of the numbers drawn for one rig, beside prepared.LINE
 
 
 @dataclass(frozen=True)

@@ -60,7 +60,7 @@ def test_a_board_behind_the_sheet_lifts_the_line_by_its_depression() -> None:
     from_camera = head - np.array(study.scan.tank.head.camera_mm)
     expected = shift_mm * from_camera[:, 2] / from_camera[:, 1]
     level = places.kind != WAVE
-    assert level.sum() > 5
+    assert level.sum() >= 3
     np.testing.assert_allclose(found["height"][level], expected[level], rtol=0.016)
 
 
@@ -112,7 +112,7 @@ def test_noise_scatters_as_it_was_found() -> None:
     rig, known = GeometricRig(study, known_of()), known_of()
     quiet = GeometricRig(study, replace(known, marks_sigma_px=0 * known.marks_sigma_px))
     height = columns(rig.outputs)["height"]
-    rows = np.random.default_rng(1).random((40, 2))
+    rows = np.random.default_rng(1).random((40, 1)).repeat(2, axis=1)  # apart, of one number
     found = np.stack([quiet.evaluate(row)[height] for row in rows])
     # Of one pixel across: a difference of the map.
     head = into_head(study.scan.tank.head, known.places.world_mm, known.places.position_mm)
