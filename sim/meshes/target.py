@@ -100,7 +100,7 @@ def _bare_parts(scene: Scene, albedo: float) -> list[MeshPart]:
         return [MeshPart("mesh", mesh, albedo, paint=vertex_paint(mesh))]
     if target.shape == "board":
         assert rig.board is not None  # sim.scene has checked it
-        return board_parts(rig.board, albedo, target.mark_albedo)
+        return board_parts(rig.board, albedo, target.mark_albedo, scene.tank.board_errors)
     if isinstance(rig.workpiece, GroovedBlock):
         return [MeshPart("grooved-block", grooved_block_mesh(rig.workpiece), albedo)]
     assert isinstance(rig.workpiece, Sandwave)

@@ -414,11 +414,11 @@ class Tank:
         for sheet, line in zip(self.sheets, self._lines, strict=True):
             sheet.configure(tank.laser, line, self.water.index, wavelength_nm)
         ambient = tank.light.ambient_w_m2_sr / W_PER_M2_IN_MW_PER_MM2
-        self.integrator.configure(self.water, self.sheets, ambient, tank.light.penumbra)
+        self.integrator.configure(self.water, self.sheets, ambient, tank.light)
         drawn = ambient if self._sky is None else 0.0
-        self.higher.configure(self.water, self.sheets, drawn, tank.light.penumbra)
+        self.higher.configure(self.water, self.sheets, drawn, tank.light)
         if self._daylight is not None:
-            self._daylight.configure(self.water, (), ambient, tank.light.penumbra)
+            self._daylight.configure(self.water, (), ambient, tank.light)
 
     def _focus(self, camera: RefractiveCamera) -> None:
         """Set a camera's optics for the water as it is."""

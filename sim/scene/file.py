@@ -14,6 +14,7 @@ from lscan.config.documents import Document, Strict, check, read_document
 from lscan.config.rig import Rig
 from lscan.config.rigfile import RigFile, inline_board, parse_rig
 from lscan.errors import InputError
+from sim.scene.boarderrors import STEEPEST, BoardErrors, TrueBoard
 from sim.scene.change import Change, check_changes
 from sim.scene.distortion import is_folded
 from sim.scene.instrument import Head, Laser, Lens, PlanePort, Port, Seed, Sensor, TrueShaft
@@ -89,6 +90,7 @@ class TankSections(Strict):
     floor: Floor | None = None
     sensor: Sensor = Sensor()
     render: Render = Render()
+    board_errors: BoardErrors = BoardErrors()
     track_errors: TrackErrors = TrackErrors()
     change: tuple[Change, ...] = ()
 
@@ -127,6 +129,10 @@ class Scene:
                 allowed='shape = "board"',
             )
         return self.rig.board
+
+    def true_board(self) -> TrueBoard:
+        """The board as it truly is; InputError where the target is another."""
+        return TrueBoard(self.board(), self.tank.board_errors)
 
     def with_tank(self, **sections: Mapping[str, Any]) -> "Scene":
         """The scene with fields of its tank's sections replaced, which are not checked anew.
@@ -246,6 +252,17 @@ def _check_target(scene: Scene) -> None:
             value=shape,
             allowed=f"the section [{shape}] beside it, or another shape",
         )
+    if rig.board is not None:
+        left, right, bottom, top = rig.board.outline_mm()
+        for axis, side_mm in (("x", right - left), ("z", top - bottom)):
+            bend_mm = getattr(scene.tank.board_errors, f"bend_{axis}_mm")
+            if STEEPEST * abs(bend_mm) > side_mm:
+                raise InputError(
+                    f"board_errors.bend_{axis}_mm: too much for this board",
+                    where=scene.source,
+                    value=bend_mm,
+                    allowed=f"at most {side_mm / STEEPEST:g} either way",
+                )
 
 
 def check_lens(scene: Scene) -> None:

@@ -81,11 +81,16 @@ class Penumbra(Strict):
 class AmbientLight(Strict):
     """Ambient light: radiance in W/(m2 sr) that reaches every point from all directions.
 
-    penumbra: less of it reaches the surfaces on one side; the light that the water scatters, and
-    that which met more than one surface, stay as without.
+    gradient_per_m: along x, y and z of the world frame, which share of it more reaches a point a
+    metre on, of that at ``centre_mm``; never less than nothing.  What meets one surface or one
+    place of the water goes with it.
+    penumbra: less of it reaches the surfaces on one side; the light that the water scatters stays
+    as without.  The light that met more than one surface stays as without either.
     """
 
     ambient_w_m2_sr: Annotated[float, Field(ge=0, le=1e6)] = 0.0
+    gradient_per_m: Vector = (0.0, 0.0, 0.0)
+    centre_mm: Vector = (0.0, 0.0, 0.0)
     penumbra: Penumbra | None = None
 
 

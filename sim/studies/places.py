@@ -7,7 +7,7 @@ import numpy as np
 
 from lscan.config.targets import Sandwave
 from lscan.errors import InputError, MeasurementError
-from lscan.records import Floats, Ints, Status, select
+from lscan.records import Floats, Ints, Mask, Status, select
 from sim.scene import Scene, head_pose, into_world, target_pose
 from sim.truth import StripeTruth, stripe_truths
 from sim.truth.sheet import sheet_of
@@ -16,6 +16,7 @@ from sim.truth.target.wave import Wave
 from sim.truth.visibility import apex_xz, fan_angle
 
 EDGE_PX = 12.0  # from the ends of the line: a rig that is somewhat off does not lose the place
+MARGIN_MM = 3.0  # along the track, to where a face ends, likewise
 LEVEL = 0.3  # cosine of the steepest face whose height is looked at
 STEP_MM = 1e-3  # of the derivative along a ray
 CLOSE_MM = 1e-7  # a place is found to that
@@ -68,11 +69,13 @@ def places_of(scene: Scene, pictures: int, columns: int) -> Places:
     """
     frames = spread_over(scene.rig.plan.frames, pictures)
     positions = scene.rig.plan.positions_mm()
-    truths = stripe_truths(scene, [positions[frame] for frame in frames])
-    found = [
-        _of_picture(scene, truth, frame, columns)
-        for truth, frame in zip(truths, frames, strict=True)
-    ]
+    found = []
+    for frame in frames:
+        before, truth, behind = stripe_truths(
+            scene, [positions[frame] + way for way in (-MARGIN_MM, 0.0, MARGIN_MM)]
+        )
+        inside = (before.face == truth.face) & (behind.face == truth.face)
+        found.append(_of_picture(scene, truth, inside, frame, columns))
     joined = Places(*(np.concatenate(parts) for parts in zip(*map(_fields, found), strict=True)))
     if len(joined.frame) < FEWEST:
         raise MeasurementError(
@@ -162,9 +165,10 @@ def height_above(scene: Scene, places: Places, points_world: Floats) -> Floats:
     return height
 
 
-def _of_picture(scene: Scene, truth: StripeTruth, frame: int, columns: int) -> Places:
+def _of_picture(scene: Scene, truth: StripeTruth, inside: Mask, frame: int, columns: int) -> Places:
+    """The places of one picture; inside: (N,) whether the same face shows nearby, too."""
     chosen = np.array(spread_over(len(truth.status), columns))
-    good = (truth.status == Status.OK) & ~truth.multiple & (truth.edge_px > EDGE_PX)
+    good = inside & (truth.status == Status.OK) & ~truth.multiple & (truth.edge_px > EDGE_PX)
     chosen = chosen[good[chosen]]
     sheet = sheet_of(scene)
     head = np.column_stack([truth.xz_mm[chosen, 0], truth.y_mm[chosen], truth.xz_mm[chosen, 1]])

@@ -29,13 +29,15 @@ RING_POINTS = 72  # on a ring's centre line
 TURNS = 5  # of the rolling shutter's fixed point
 
 
-Imager = Callable[[Floats, float], Floats]  # pixels of places on the board, and their diameter
+# Pixels of marks: their nominal places on the board, their diameter and by what they are misplaced.
+Imager = Callable[[Floats, float, Floats], Floats]
 
 
 @dataclass(frozen=True)
 class BoardTruth:
     """The board's marks as they ought to be read; sigma_px is 0.
 
+    ``board_mm`` are the nominal places; the true ones, which are seen, have the board's errors.
     A ring's points count as dots as wide as its line.  A mark is OUT_OF_VIEW where its centre lies
     outside the picture, OCCLUDED where something occludes it; a ring's points, which have no
     status, are NaN then.
@@ -60,7 +62,11 @@ class BoardTruth:
     @cached_property
     def centres(self) -> BoardReading:
         """The marks' true centres projected, in px, from which a plane map should be solved."""
+<<<<<<< HEAD
         return self._reading(lambda places, _: self.imaged(places))
+=======
+        return self._reading(lambda places, _, shift: self._imaged(places, shift))
+>>>>>>> board
 
     @cached_property
     def centroids(self) -> BoardReading:
@@ -73,36 +79,44 @@ class BoardTruth:
     def _reading(self, image: Imager) -> BoardReading:
         board, camera = self.scene.board(), self.scene.rig.camera
 
-        def marks(places: Floats, diameter_mm: float) -> Marks:
-            status = self._status(places)
+        def marks(places: Floats, diameter_mm: float, shift: Floats) -> Marks:
+            status = self._status(places, shift)
             shown = status == Status.OK
-            pixels = np.where(shown[:, np.newaxis], image(places, diameter_mm), np.nan)
+            pixels = np.where(shown[:, np.newaxis], image(places, diameter_mm, shift), np.nan)
             sigma = np.where(shown, 0.0, np.nan)
             return Marks(board_mm=places, image_px=pixels, sigma_px=sigma, status=status)
 
+        grid, *by_ruler, by_dot, by_ring = self.scene.true_board().shifts_mm()
         rulers = [
-            RulerReading(r.direction, r.at_mm, marks(r.points_mm(), r.mark_diameter_mm))
-            for r in board.ruler
+            RulerReading(r.direction, r.at_mm, marks(r.points_mm(), r.mark_diameter_mm, shift))
+            for r, shift in zip(board.ruler, by_ruler, strict=True)
         ]
-        dots = {d.name: marks(np.array([[d.x_mm, d.z_mm]]), d.diameter_mm) for d in board.dot}
-        rings = {r.name: marks(_on_ring(r), r.width_mm) for r in board.ring}
+        dots = {
+            d.name: marks(np.array([[d.x_mm, d.z_mm]]), d.diameter_mm, shift)
+            for d, shift in zip(board.dot, by_dot, strict=True)
+        }
+        rings = {
+            r.name: marks(_on_ring(r), r.width_mm, shift)
+            for r, shift in zip(board.ring, by_ring, strict=True)
+        }
         return BoardReading(
             image_size=(camera.width_px, camera.height_px),
             pitch_mm=board.grid.pitch_mm,
             shape=(board.grid.rows, board.grid.columns),
-            grid=marks(board.grid.points_mm(), board.grid.dot_diameter_mm),
+            grid=marks(board.grid.points_mm(), board.grid.dot_diameter_mm, grid),
             rulers=tuple(rulers),
             dots={name: _single(mark) for name, mark in dots.items()},
             rings={name: RingPoints(mark.image_px, mark.sigma_px) for name, mark in rings.items()},
         )
 
-    def _status(self, places: Floats) -> Ints:
+    def _status(self, places: Floats, shift: Floats) -> Ints:
         """(N,) of Status, of (N, 2) places on the board: OK, OUT_OF_VIEW or OCCLUDED."""
-        head, position = self._in_head(places)
+        head, position = self._in_head(places, shift)
         shown = in_picture(self.scene, project(self.scene, head))
         free = seen(self.scene, surfaces_of(self.scene), head, position)
         return np.select([~shown, ~free], [Status.OUT_OF_VIEW, Status.OCCLUDED], Status.OK)
 
+<<<<<<< HEAD
     def imaged(self, places: Floats) -> Floats:
         """(N, 2) px of places on the board, whether anything hides them or not.
 
@@ -111,22 +125,35 @@ class BoardTruth:
         places : (N, 2) array, mm, (x, z) of the board
         """
         return project(self.scene, self._in_head(places)[0])
+=======
+    def _imaged(self, places: Floats, shift: Floats) -> Floats:
+        """(N, 2) px of (N, 2) places on the board."""
+        return project(self.scene, self._in_head(places, shift)[0])
+>>>>>>> board
 
-    def _centroids(self, places: Floats, diameter_mm: float) -> Floats:
+    def _centroids(self, places: Floats, diameter_mm: float, shift: Floats) -> Floats:
         """(N, 2) px of the centroids of the pictures of discs at (N, 2) places on the board."""
+<<<<<<< HEAD
         outline = places[:, np.newaxis] + _circle(RIM_POINTS, diameter_mm)
         return area_centroids(self.imaged(outline.reshape(-1, 2)).reshape(-1, RIM_POINTS, 2))
+=======
+        outline = (places[:, np.newaxis] + _circle(RIM_POINTS, diameter_mm)).reshape(-1, 2)
+        shifts = np.repeat(np.broadcast_to(shift, places.shape), RIM_POINTS, axis=0)
+        return area_centroids(self._imaged(outline, shifts).reshape(-1, RIM_POINTS, 2))
+>>>>>>> board
 
-    def _in_head(self, places: Floats) -> tuple[Floats, Floats]:
+    def _in_head(self, places: Floats, shift: Floats) -> tuple[Floats, Floats]:
         """(N, 3) places in the head frame, mm, and (N,) the track positions then, mm.
 
-        places: (N, 2) of (x, z) on the board, mm.  The position is that of the mid-exposure of
-        the row that a place shows in.  Under a rolling shutter the row depends on the head's
-        place and that on the row; each turn brings the answer closer by travel times
-        magnification over the picture's height, a hundredth or less.
+        places: (N, 2) of nominal (x, z) on the board, mm; shift: (2,) or (N, 2) by which their
+        marks are misplaced.  The position is that of the mid-exposure of the row that a place
+        shows in.  Under a rolling shutter the row depends on the head's place and that on the row;
+        each turn brings the answer closer by travel times magnification over the picture's height,
+        a hundredth or less.
         """
-        scene, (x, z) = self.scene, places.T
-        world = target_pose(scene).apply(np.column_stack([x, np.zeros_like(x), z]))
+        scene, true = self.scene, self.scene.true_board()
+        x, z = true.printed(places, shift).T
+        world = target_pose(scene).apply(true.bent(np.column_stack([x, np.zeros_like(x), z])))
         position: Floats = np.full(len(world), self.position_mm)
         for _ in range(0 if travel_mm(scene) == 0 else TURNS):
             rows = project(scene, into_head(scene.tank.head, world, position))[:, 1]

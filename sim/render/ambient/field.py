@@ -20,6 +20,7 @@ from scipy.spatial import ConvexHull
 
 from lscan.records import Floats, Ints, select
 from sim.meshes import MeshPart
+from sim.meshes.board import BOARD_PARTS
 from sim.render.ambient.interpolation import Interpolation
 from sim.render.ambient.lattice import NodeLattice, SurfaceNodes
 from sim.water import Optics
@@ -219,9 +220,10 @@ def box_about(parts: Sequence[MeshPart]) -> tuple[Floats, float]:
 def is_convex(parts: Sequence[MeshPart]) -> bool:
     """Whether all surfaces lie on one convex body, or nearly: nothing stands before any.
 
-    An open surface that is not flat, as of a bowl, is seen from within too.
+    An open surface that is not flat, as of a bowl, is seen from within too.  A board is open
+    where it is bent, too: what it hides of itself is negligible (sim.scene.boarderrors).
     """
-    if not parts:
+    if not parts or {part.name for part in parts} == set(BOARD_PARTS):
         return True
     points = np.concatenate([part.mesh.vertices for part in parts])
     closed = [part.mesh.is_watertight for part in parts]

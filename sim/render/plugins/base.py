@@ -8,12 +8,13 @@ import drjit as dr
 import mitsuba as mi
 
 from sim.render.plugins.beams import FARTHEST_MM
-from sim.render.plugins.opaque import opaque
+from sim.render.plugins.opaque import opaque, opaque_vector
 from sim.render.plugins.phase import PhaseTable
 from sim.render.plugins.sheet import LaserSheet
-from sim.scene.matter import Penumbra
+from sim.scene.matter import AmbientLight
 from sim.water import Optics
 
+MM_PER_M = 1000.0
 FAR_OPTICAL_DEPTH = 25.0  # what lies deeper is dimmer by 1e-11
 
 
@@ -48,9 +49,12 @@ class WaterIntegrator(mi.SamplingIntegrator):
         water: Optics,
         sheets: Sequence[LaserSheet],
         ambient_mw_mm2_sr: float,
-        penumbra: Penumbra | None = None,
+        light: AmbientLight | None = None,
     ) -> None:
-        """Set the water, the laser's sheets (none: off), the ambient radiance and its shadow."""
+        """Set the water, the laser's sheets (none: off), the ambient radiance, and how even it is.
+
+        light: its gradient and shadow; even if None.
+        """
         self.sheets = tuple(sheets)
         self.extinction = opaque(water.extinction_per_mm)
         self.scattering = opaque(water.scattering_per_mm)
@@ -60,7 +64,11 @@ class WaterIntegrator(mi.SamplingIntegrator):
         self.phase = PhaseTable(water.phase)
         self.has_ambient = ambient_mw_mm2_sr > 0
         self.ambient_radiance = opaque(ambient_mw_mm2_sr)
-        self.penumbra = penumbra
+        self.penumbra = light.penumbra if light else None
+        self.is_even = light is None or not any(light.gradient_per_m)
+        if light is not None and not self.is_even:
+            self.gradient = opaque_vector(g / MM_PER_M for g in light.gradient_per_m)
+            self.middle = opaque_vector(light.centre_mm)
 
     def aov_names(self) -> list[str]:
         """One channel a layer, after the sum's own."""

@@ -109,18 +109,31 @@ class SheetIntegrator(WaterIntegrator):
         """Uniform ambient light: reflected where the sky is open, and scattered on the way.
 
         In a field of the same radiance L from every side the water adds
-        b/c L (1 - exp(-c t)) along a path of length t.
+        b/c L (1 - exp(-c t)) along a path of length t.  Where L varies linearly from place to
+        place it is that of the place at the light's mean distance, 1/c - t / (exp(c t) - 1).
         """
         si = leg.si
         lit = leg.active & si.is_valid()
         straight, indirect = self._sky_light(leg, lit)
         t = dr.select(si.is_valid(), si.t, dr.largest(mi.Float))
         transmittance = dr.exp(-self.extinction * t)
-        arrived = straight * self._unshaded(si.p) + indirect
+        arrived = straight * self._unshaded(si.p) * self._level(si.p) + indirect
         surface = dr.select(lit, arrived * transmittance, 0.0)
         albedo = dr.select(self.extinction > 0, self.scattering / self.extinction, 0.0)
-        light = self.ambient_radiance * (surface + albedo * (1 - transmittance))
+        veil = albedo * (1 - transmittance)
+        if not self.is_even:
+            mean = 1 / dr.maximum(self.extinction, 1e-20) - t * transmittance / (1 - transmittance)
+            # Where the water takes next to nothing, rounding takes the mean out of its bounds.
+            mean = dr.select(mean >= 0, dr.minimum(mean, t / 2), t / 2)
+            veil *= self._level(leg.ray(mean))
+        light = self.ambient_radiance * (surface + veil)
         return dr.select(leg.active, light, 0.0)
+
+    def _level(self, point: mi.Point3f) -> mi.Float:
+        """Ambient light at a point over that in the middle of its gradient."""
+        if self.is_even:
+            return mi.Float(1)
+        return dr.maximum(1 + dr.dot(point - self.middle, self.gradient), 0)
 
     def _sky_light(self, leg: Leg, lit: mi.Bool) -> tuple[mi.Float, mi.Float]:
         """What surfaces send on of the sky's light: that which comes straight, and the rest.

@@ -16,7 +16,7 @@ from scipy.special import ndtr
 from lscan.records import Floats, Status
 from sim.scene import PlanePort, Scene
 from sim.scene.instrument import FULL_SCALE_DN, Response
-from sim.scene.matter import Penumbra
+from sim.scene.matter import AmbientLight, Penumbra
 from sim.sensor.radiometry import AMBIENT_NM, photons_per_radiance
 from sim.sensor.speckle import speckle_contrast
 from sim.truth.camera.flat import flat_normal
@@ -30,6 +30,8 @@ from sim.truth.visibility import apex_xz
 from sim.water import water_optics
 
 STEP_MM = 0.01  # of differences: the projection's third derivative costs 1e-9 of a slope
+MM_PER_M = 1000.0
+TRANSPARENT_PER_MM = 1e-12  # water that takes less stands for none
 PIXEL_VARIANCE = 1 / 12  # px2, of the place within a pixel
 CHANNELS = {
     "red": (1.0, 0.0, 0.0),
@@ -191,17 +193,27 @@ def defocus_variance(scene: Scene, camera: TrueCamera, line: LineInSpace) -> Flo
 def _ambient(scene: Scene, reflectance: Reflectance, line: LineInSpace) -> Floats:
     """(N,) radiance beside the line in the air behind the port, W/(m2 sr), of ambient light.
 
-    As if nothing stood between the sky and the surface; the water adds its own.
+    As if nothing stood between the sky and the surface; the water adds its own, as much as at the
+    mean distance of what it sends along the way.
     """
-    camera = camera_of(scene)
+    camera, sky = camera_of(scene), scene.tank.light
     water = water_optics(scene.tank.water, scene.tank.laser.wavelength_nm)
     way = np.linalg.norm(line.points - line.entry, axis=1)
+    extinction = max(water.extinction_per_mm, TRANSPARENT_PER_MM)
     left = np.exp(-water.extinction_per_mm * way)
-    turned = water.scattering_per_mm / max(water.extinction_per_mm, np.finfo(float).tiny)
+    turned = water.scattering_per_mm / extinction
     albedo = reflectance.albedo_at(line.face, line.places)
-    albedo = albedo * _unshaded(scene.tank.light.penumbra, line.places[:, 0])
-    light = scene.tank.light.ambient_w_m2_sr * (albedo * left + turned * (1 - left))
+    albedo = albedo * _unshaded(sky.penumbra, line.places[:, 0]) * _level(sky, line.places)
+    mean = 1 / extinction - way / np.expm1(extinction * way)
+    veil = _level(sky, line.places + (way - mean)[:, np.newaxis] * line.to_camera)
+    light = sky.ambient_w_m2_sr * (albedo * left + turned * (1 - left) * veil)
     return light * port_weight(camera, line.direction)
+
+
+def _level(light: AmbientLight, places: Floats) -> Floats:
+    """(N,) ambient light at (N, 3) places of the world over that in its gradient's middle."""
+    off_m = (places - np.array(light.centre_mm)) / MM_PER_M
+    return np.maximum(1 + off_m @ np.array(light.gradient_per_m), 0.0)
 
 
 def _unshaded(penumbra: Penumbra | None, x_mm: Floats) -> Floats:

@@ -5,11 +5,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from lscan.config.board import Board
 from lscan.config.targets import GroovedBlock, Sandwave
 from lscan.records import Floats, Ints, Mask
 from sim.meshes import target_mesh
+from sim.meshes.board import plate_mesh
+from sim.meshes.parts import plain_mesh
 from sim.scene import Pose, Scene, target_pose
+from sim.scene.boarderrors import TrueBoard
 from sim.truth.bow import Bow
 from sim.truth.target.chains import chains
 from sim.truth.target.mesh import Mesh
@@ -60,19 +62,24 @@ def target_surfaces(scene: Scene) -> list[TankSurface]:
     if target.shape == "mesh" or target.sand is not None:
         return [Mesh(target_mesh(scene), creased=target.sand is None)]
     if target.shape == "board":
-        assert rig.board is not None  # sim.scene has checked it
-        return board_surfaces(rig.board, pose)
+        return board_surfaces(scene.true_board(), pose)
     if isinstance(rig.workpiece, GroovedBlock):
         return grooved_block_surfaces(rig.workpiece, pose)
     assert isinstance(rig.workpiece, Sandwave)
     return sandwave_surfaces(rig.workpiece, pose)
 
 
-def board_surfaces(board: Board, pose: Pose) -> list[TankSurface]:
-    """The plate: its face, with the marks, in y = 0 of its frame, its body behind."""
-    left, right, bottom, top = board.outline_mm()
+def board_surfaces(true: TrueBoard, pose: Pose) -> list[TankSurface]:
+    """The plate: its face, with the marks, in y = 0 of its frame, its body behind.
+
+    A bent one is a mesh of its facets, those that are rendered.
+    """
+    if true.is_bent:
+        plate = plate_mesh(true)
+        return [Mesh(plain_mesh(pose.apply(np.asarray(plate.vertices)), plate.faces))]
+    left, right, bottom, top = true.board.outline_mm()
     outline = np.array([[left, bottom], [right, bottom], [right, top], [left, top]])
-    return prism(outline, 0.0, board.plate.thickness_mm, pose)
+    return prism(outline, 0.0, true.board.plate.thickness_mm, pose)
 
 
 def grooved_block_surfaces(block: GroovedBlock, pose: Pose) -> list[TankSurface]:

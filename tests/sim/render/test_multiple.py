@@ -27,7 +27,7 @@ from sim.render.plugins.integrator import SheetIntegrator
 from sim.render.plugins.multiple import MultipleIntegrator
 from sim.render.tank import Tank, stock_medium
 from sim.scene import Laser, Pose
-from sim.scene.matter import Penumbra
+from sim.scene.matter import AmbientLight, Penumbra
 from sim.water import Optics
 
 FEW = settings(max_examples=15)
@@ -234,7 +234,7 @@ def test_a_penumbra_dims_a_surface_as_a_gaussians_integral(side: Literal["left",
     x_mm = np.linspace(-100.0, 140.0, 49)
     starts = np.column_stack([x_mm, 0 * x_mm, 0 * x_mm + 300])
     first = SheetIntegrator(mi.Properties())
-    first.configure(DRY, [], 2.0, shade)
+    first.configure(DRY, [], 2.0, AmbientLight(penumbra=shade))
     scene = mi.load_dict({"type": "scene", "floor": floor})
     seen = radiance(scene, first, starts, np.tile([0.0, 0.0, -1.0], (len(x_mm), 1)))
     lit = ndtr((x_mm - 20) / 30 * (1 if side == "left" else -1))
