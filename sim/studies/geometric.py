@@ -116,8 +116,7 @@ class GeometricRig:
         """What the instrument reads of the board in a state of the rig."""
         nominal = self.prepared.reading
         several = (nominal.grid, *(ruler.marks for ruler in nominal.rulers))
-        places = np.concatenate([marks.board_mm for marks in several])
-        image = board_truth(board).imaged(places)
+        image = board_truth(board).marks_px()
         image += self.prepared.marks_off_px(seeds, stream)
         ends = np.cumsum([len(marks.status) for marks in several])[:-1]
         moved = [_moved(*pair) for pair in zip(several, np.split(image, ends), strict=True)]

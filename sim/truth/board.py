@@ -62,11 +62,7 @@ class BoardTruth:
     @cached_property
     def centres(self) -> BoardReading:
         """The marks' true centres projected, in px, from which a plane map should be solved."""
-<<<<<<< HEAD
-        return self._reading(lambda places, _: self.imaged(places))
-=======
         return self._reading(lambda places, _, shift: self._imaged(places, shift))
->>>>>>> board
 
     @cached_property
     def centroids(self) -> BoardReading:
@@ -116,31 +112,23 @@ class BoardTruth:
         free = seen(self.scene, surfaces_of(self.scene), head, position)
         return np.select([~shown, ~free], [Status.OUT_OF_VIEW, Status.OCCLUDED], Status.OK)
 
-<<<<<<< HEAD
-    def imaged(self, places: Floats) -> Floats:
-        """(N, 2) px of places on the board, whether anything hides them or not.
+    def marks_px(self) -> Floats:
+        """(M, 2) px of control points and rulers' marks, in that order, hidden or not."""
+        board = self.scene.board()
+        places = [board.grid.points_mm(), *(ruler.points_mm() for ruler in board.ruler)]
+        shifts = self.scene.true_board().shifts_mm()[: len(places)]
+        shifts = [np.broadcast_to(shift, p.shape) for shift, p in zip(shifts, places, strict=True)]
+        return self._imaged(np.concatenate(places), np.concatenate(shifts))
 
-        Parameters
-        ----------
-        places : (N, 2) array, mm, (x, z) of the board
-        """
-        return project(self.scene, self._in_head(places)[0])
-=======
     def _imaged(self, places: Floats, shift: Floats) -> Floats:
         """(N, 2) px of (N, 2) places on the board."""
         return project(self.scene, self._in_head(places, shift)[0])
->>>>>>> board
 
     def _centroids(self, places: Floats, diameter_mm: float, shift: Floats) -> Floats:
         """(N, 2) px of the centroids of the pictures of discs at (N, 2) places on the board."""
-<<<<<<< HEAD
-        outline = places[:, np.newaxis] + _circle(RIM_POINTS, diameter_mm)
-        return area_centroids(self.imaged(outline.reshape(-1, 2)).reshape(-1, RIM_POINTS, 2))
-=======
         outline = (places[:, np.newaxis] + _circle(RIM_POINTS, diameter_mm)).reshape(-1, 2)
         shifts = np.repeat(np.broadcast_to(shift, places.shape), RIM_POINTS, axis=0)
         return area_centroids(self._imaged(outline, shifts).reshape(-1, RIM_POINTS, 2))
->>>>>>> board
 
     def _in_head(self, places: Floats, shift: Floats) -> tuple[Floats, Floats]:
         """(N, 3) places in the head frame, mm, and (N,) the track positions then, mm.
