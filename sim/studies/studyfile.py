@@ -8,11 +8,12 @@ import numpy as np
 from pydantic import Field, PositiveFloat, model_validator
 
 from lscan.config.documents import Document, Strict, check, read_document
-from lscan.config.scenes import included_file
+from lscan.config.scenes import included_file, study_file
 from lscan.errors import InputError
 from lscan.records import Floats
 from sim.scene import Scene, load_scene
 from sim.scene.instrument import Seed
+from sim.studies.designsection import DesignSection
 from sim.studies.distribution import KINDS, Distribution
 
 When = Literal["as-built", "drift", "each-frame", "noise"]
@@ -148,6 +149,7 @@ class StudyFile(Strict):
     precision: Precision = Precision()
     places: Looked = Looked()
     tolerances: Bound | None = None
+    design: DesignSection | None = None
 
     @model_validator(mode="after")
     def _known_causes(self) -> Self:
@@ -220,14 +222,15 @@ def load_study(path: Path | str) -> Study:
 
     Parameters
     ----------
-    path : Path or str
+    path : Path or str, of the file, or the name of a study that comes with lscan
 
     Raises
     ------
     InputError
         Names the file, the key, the value and what is allowed.
     """
-    return study_of(read_document(path), str(path))
+    file = study_file(path)
+    return study_of(read_document(file), str(file))
 
 
 def study_of(document: Document, source: str, scenes: tuple[Scene, Scene] | None = None) -> Study:
