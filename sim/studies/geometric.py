@@ -30,7 +30,7 @@ from sim.truth import board_truth
 from sim.truth.camera.projection import TrueCamera, camera_of, image, rays_to
 
 STILL = Pose(np.eye(3), np.zeros(3))
-BOARD, BOARD_ANEW = 2, 3  # streams of the numbers drawn for one rig; the line's is 1
+BOARD, BOARD_ANEW = 2, 3  # streams of the numbers drawn for one rig, beside prepared.LINE
 
 
 @dataclass(frozen=True)
@@ -85,13 +85,14 @@ class GeometricRig:
         states = states_of(self.study, row, self._root)
         pixels, true_mm = self._line(states)
         reading = self._reading(states.calibrate, states.seeds, BOARD)
-        errors = self._errors(reading, pixels, true_mm)
+        errors = self._errors(reading, states.frame, pixels, true_mm)
         if len(self.outputs) == len(self._frame.outputs):
             return errors
         if states.recalibrate is None:
             return np.concatenate([errors, errors])
         anew = self._reading(states.recalibrate, states.seeds, BOARD_ANEW)
-        return np.concatenate([errors, self._errors(anew, pixels, true_mm)])
+        after = self._errors(anew, states.frame_anew, pixels, true_mm)
+        return np.concatenate([errors, after])
 
     def _line(self, states: RigStates) -> tuple[Floats, Floats]:
         """(P, 2) px where the line is found, and (P, 3) mm where it is, world frame."""
@@ -138,13 +139,18 @@ class GeometricRig:
         nominal = solver.solve(self.prepared.reading, self.study.calibrate.rig.optics)
         return solver.near(nominal)
 
-    def _errors(self, reading: BoardReading, pixels: Floats, true_mm: Floats) -> Floats:
-        """(K,) errors of the line's points by the map that is solved from a reading."""
+    def _errors(
+        self, reading: BoardReading, frame: Pose, pixels: Floats, true_mm: Floats
+    ) -> Floats:
+        """(K,) errors of the line's points by the map that is solved from a reading.
+
+        frame: of that calibration, to the head's.
+        """
         sound = screened(reading).reading
         plane_map = self._solver.bare(sound, self.study.calibrate.rig.optics)
         scan, places = self.study.scan, self.prepared.places
         xz = located(carried(plane_map, scan.rig), pixels)
-        head = np.column_stack([xz[:, 0], np.zeros(len(xz)), xz[:, 1]])
+        head = frame.apply(np.column_stack([xz[:, 0], np.zeros(len(xz)), xz[:, 1]]))
         found = np.flatnonzero(np.isfinite(xz).all(axis=1))
         measured = np.full(head.shape, np.nan)
         measured[found] = into_world(scan.tank.head, head[found], places.position_mm[found])

@@ -182,7 +182,10 @@ def _of_picture(scene: Scene, truth: StripeTruth, frame: int, columns: int) -> P
         point_mm=target_pose(scene).invert(world),
         world_mm=world,
     )
-    return select(places, normal[:, 2] > LEVEL)
+    wanted = normal[:, 2] > LEVEL
+    if scene.tank.target.shape != "none":
+        wanted &= kind != FLOOR  # the tank's floor is not what is measured
+    return select(places, wanted)
 
 
 def _faces(scene: Scene, face: Ints, world: Floats) -> tuple[Ints, Floats]:

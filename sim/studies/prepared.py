@@ -34,11 +34,11 @@ from sim.studies.places import Places, places_of, require_one_line
 from sim.studies.studyfile import NOISES, Study
 from sim.truth import board_truth, project, stripe_truths
 
-EXPOSURES = 4  # of each picture: with 15 columns about a place its scatter is known to 15 %
+LINE = 1  # of the streams of numbers drawn for one rig
+EXPOSURES = 4  # of each picture: with 15 columns about a place its scatter is known to 11 %
 BESIDE = 7  # columns to either side whose scatter counts with a place's own
 REACH_PX = 10.0  # how far rigs are taken to be off: places within it are looked at on the board
 CORNERS = ((-1, -1), (-1, 1), (1, -1), (1, 1))
-USUAL = 1.4826  # of a median absolute deviation, to a normal distribution's standard deviation
 SENSOR, SPECKLE = NOISES
 
 
@@ -76,9 +76,12 @@ class Prepared:
         seeds : mapping, of each noise that is at work
         """
         off = self.line_bias_px.copy()
-        for name, sigma in ((SENSOR, self.sensor_px), (SPECKLE, self.speckle_px)):
+        for stream, (name, sigma) in enumerate(
+            ((SENSOR, self.sensor_px), (SPECKLE, self.speckle_px))
+        ):
             if name in seeds:
-                off += sigma * np.random.default_rng([seeds[name], 1]).standard_normal(len(sigma))
+                rng = np.random.default_rng([seeds[name], LINE, stream])
+                off += sigma * rng.standard_normal(len(sigma))
         return off
 
     def marks_off_px(self, seeds: Mapping[str, int], stream: int) -> Floats:
@@ -239,16 +242,18 @@ def centres_in(scene: Scene, pictures: list[Bytes]) -> Floats:
 
 
 def _scatter(centres: Floats, places: Places) -> Floats:
-    """(P,) px, of the centres about a place from picture to picture, outliers left aside."""
+    """(P,) px, standard deviation of the centres about a place from picture to picture.
+
+    NaN where fewer than half of the columns about it have a line in all pictures.
+    """
     known = np.isfinite(centres).all(axis=0)
-    off = np.where(known, centres - np.median(centres, axis=0), np.nan)
+    variance = np.where(known, np.where(known, centres, 0.0).var(axis=0, ddof=1), np.nan)
     found = np.full(len(places.entry), np.nan)
     for k, entry in enumerate(places.entry):
-        near = np.abs(off[:, max(entry - BESIDE, 0) : entry + BESIDE + 1])
+        near = variance[max(entry - BESIDE, 0) : entry + BESIDE + 1]
         near = near[np.isfinite(near)]
-        if len(near) >= EXPOSURES:
-            # The median is one of the pictures' own numbers: one degree of freedom is lost.
-            found[k] = USUAL * np.median(near) * np.sqrt(EXPOSURES / (EXPOSURES - 1))
+        if len(near) > BESIDE:
+            found[k] = np.sqrt(near.mean())
     return found
 
 

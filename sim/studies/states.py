@@ -3,15 +3,17 @@
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 from scipy.special import ndtr, ndtri
 
 from lscan.config.documents import check
 from lscan.errors import InputError
 from lscan.records import Floats
-from sim.scene import Scene
+from sim.scene import Pose, Scene, rotation
 from sim.scene.change import Change
 from sim.scene.numbers import number_at, with_numbers
 from sim.studies.studyfile import Cause, Study
+from sim.truth.sheet import sheet_plane
 
 SEEDS = 2**31
 CALIBRATE, SCAN = "calibrate.", "scan."
@@ -29,6 +31,8 @@ class RigStates:
     ----------
     calibrate : Scene, of the board, as the instrument was calibrated
     recalibrate : Scene, of the board, in the state of the scan; None where nothing has drifted
+    frame, frame_anew : Pose, from the frame that either calibration defines to that of the head: a
+        board is put into the sheet, so that where the sheet lies decides what is measured from
     scan : Scene, of what is measured
     seeds : dict, of each noise that is at work, by its key
     """
@@ -36,6 +40,8 @@ class RigStates:
     calibrate: Scene
     recalibrate: Scene | None
     scan: Scene
+    frame: Pose
+    frame_anew: Pose
     seeds: dict[str, int]
 
 
@@ -74,14 +80,47 @@ def states_of(study: Study, row: Floats, root: Floats | None = None) -> RigState
         since |= numbers
         if cause.when == "as-built":
             before |= numbers
-    board = study.calibrate
+    board, anew = (_applied(study.calibrate, state, CALIBRATE, where) for state in (before, since))
     scan = _applied(study.scan, since, SCAN, where)
+    frame, frame_anew = (sheet_motion(study.calibrate, one) for one in (board, anew))
     return RigStates(
-        calibrate=_applied(board, before, CALIBRATE, where),
-        recalibrate=_applied(board, since, CALIBRATE, where) if since != before else None,
+        calibrate=_into_sheet(board, frame),
+        recalibrate=_into_sheet(anew, frame_anew) if since != before else None,
         scan=_with_changes(scan, changes),
+        frame=frame,
+        frame_anew=frame_anew,
         seeds=seeds,
     )
+
+
+def sheet_motion(nominal: Scene, scene: Scene) -> Pose:
+    """How the first of a laser's sheets lies against where it ought to, head frame.
+
+    Parameters
+    ----------
+    nominal, scene : Scene, of the rig as it ought to be and as it is
+    """
+    there, ought = (
+        sheet_plane(one.tank.laser, one.tank.laser.sheets[0]) for one in (scene, nominal)
+    )
+    turned = there.rotation @ ought.rotation.T
+    return Pose(turned, there.origin_mm - turned @ ought.origin_mm)
+
+
+def _into_sheet(board: Scene, motion: Pose) -> Scene:
+    """The board moved as the sheet is: whoever calibrates puts it there."""
+    if np.array_equal(motion.rotation, np.eye(3)) and not motion.origin_mm.any():
+        return board
+    target = board.tank.target
+    angles = (target.turn_deg, target.tilt_y_deg, target.tilt_x_deg)
+    turned = motion.rotation @ rotation("ZYX", angles)
+    turn, tilt_y, tilt_x = Rotation.from_matrix(turned).as_euler("ZYX", degrees=True).tolist()
+    place = motion.apply(np.array(target.position_mm))
+    moved = {
+        "position_mm": tuple(place.tolist()),
+        "turn_deg": turn, "tilt_y_deg": tilt_y, "tilt_x_deg": tilt_x,
+    }  # fmt: skip
+    return board.with_tank(target=moved)
 
 
 def share_of(study: Study, cause: Cause, share: float) -> float:

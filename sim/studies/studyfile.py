@@ -125,7 +125,7 @@ class Looked(Strict):
     """At how many of the scan's places the errors are found: pictures, and columns in each."""
 
     pictures: Annotated[int, Field(ge=1, le=4000)] = 16
-    columns: Annotated[int, Field(ge=1, le=4000)] = 40
+    columns: Annotated[int, Field(ge=1, le=4000)] = 80
 
 
 class Bound(Strict):

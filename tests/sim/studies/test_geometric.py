@@ -60,33 +60,44 @@ def test_a_board_behind_the_sheet_lifts_the_line_by_its_depression() -> None:
     from_camera = head - np.array(study.scan.tank.head.camera_mm)
     expected = shift_mm * from_camera[:, 2] / from_camera[:, 1]
     level = places.kind != WAVE
-    assert level.sum() > 5
+    assert level.sum() >= 3
     np.testing.assert_allclose(found["height"][level], expected[level], rtol=0.016)
 
 
 @pytest.mark.parametrize(
-    ("cause", "drifts"),
+    "cause",
     [
-        ({"key": "port.tilt_x_deg", "fixed": 1.0}, True),
-        ({"key": "water.salinity_psu", "fixed": 35.0}, True),
-        ({"key": "lens.focal_px", "fixed": 1e-3, "relative": True}, True),
-        ({"key": "head.depression_deg", "fixed": 0.05, "off": True}, True),
-        ({"key": "laser.tilt_deg", "fixed": 0.1}, False),
+        {"key": "port.tilt_x_deg", "fixed": 1.0},
+        {"key": "water.salinity_psu", "fixed": 35.0},
+        {"key": "lens.focal_px", "fixed": 1e-3, "relative": True},
+        {"key": "head.depression_deg", "fixed": 0.05, "off": True},
+        {"key": "laser.tilt_deg", "fixed": 0.1},
+        {"key": "laser.skew_deg", "fixed": 1.0},
+        {"key": "laser.apex_mm.1", "fixed": 1.0},
     ],
-    ids=lambda value: value["key"] if isinstance(value, dict) else "",
+    ids=lambda cause: cause["key"],
 )
-def test_calibrating_anew_takes_away_what_the_board_shows(cause: Document, drifts: bool) -> None:
-    """All that drifts but the sheet, which the board knows nothing of.
+def test_calibrating_anew_takes_away_what_the_board_shows(cause: Document) -> None:
+    """The board stands in the sheet as it lies then, and what is measured is measured from there.
 
-    What is left of the others is what the map's form cannot follow: a micrometre or two for a
-    port tilted by a degree, which has no parameter of its own in the map.
+    What is left is what the map's form cannot follow: a micrometre or two for a port tilted by a
+    degree, which has no parameter of its own in the map.
     """
     found = errors({**cause, "when": "drift"})
     assert rms(found["height"]) > 0.1
-    if drifts:
-        assert rms(found["height.after"]) < 2 * BASE_MM
-    else:
-        np.testing.assert_allclose(found["height.after"], found["height"], atol=2 * BASE_MM)
+    assert rms(found["height.after"]) < 2 * BASE_MM
+
+
+def test_what_recalibrating_does_not_see_stays() -> None:
+    """A board that leans against the sheet leans again."""
+    lean = {"key": "calibrate.target.tilt_x_deg", "when": "as-built", "fixed": 0.5}
+    port = {"key": "port.tilt_x_deg", "when": "drift", "fixed": 0.5}
+    rig = GeometricRig(study_with({"lean": lean, "port": port}), known_of())
+    parts = columns(rig.outputs)
+    both, leaning = (rig.evaluate(np.array([0.5, other])) for other in (0.5, np.nan))
+    assert rms(both[parts["height"]]) > 1.2 * rms(leaning[parts["height"]])
+    after = both[parts["height.after"]]
+    np.testing.assert_allclose(after, leaning[parts["height"]], atol=0.02)
 
 
 def test_what_is_built_in_is_calibrated_away() -> None:
@@ -112,7 +123,7 @@ def test_noise_scatters_as_it_was_found() -> None:
     rig, known = GeometricRig(study, known_of()), known_of()
     quiet = GeometricRig(study, replace(known, marks_sigma_px=0 * known.marks_sigma_px))
     height = columns(rig.outputs)["height"]
-    rows = np.random.default_rng(1).random((40, 2))
+    rows = np.random.default_rng(1).random((40, 1)).repeat(2, axis=1)  # apart, of one number
     found = np.stack([quiet.evaluate(row)[height] for row in rows])
     # Of one pixel across: a difference of the map.
     head = into_head(study.scan.tank.head, known.places.world_mm, known.places.position_mm)
