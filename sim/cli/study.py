@@ -6,7 +6,13 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import typer
 
 from lscan.cli.arguments import Json
-from lscan.cli.console import note, print_json, print_table, progress_bar
+from lscan.cli.console import (
+    keep_notes_when_stopped,
+    note,
+    print_json,
+    print_table,
+    progress_bar,
+)
 from lscan.config.scenes import scenes_folder
 from lscan.errors import InputError
 from sim.cli.arguments import OutputFolder, ScenesFolder
@@ -58,7 +64,7 @@ def study(
         raise InputError("out of range", where="--workers", value=workers, allowed=allowed)
     how: int | Literal["none"] = "none" if processes == "none" else workers
     options = StudyOptions(how, scheduler, at_most, tiers[tier], resume)
-    with progress_bar("runs") as progress:
+    with keep_notes_when_stopped(), progress_bar("runs") as progress:
         found = run_study(file, output, options, progress=progress, say=note)
     if json:
         print_json(as_document(found))

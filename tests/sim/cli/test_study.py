@@ -11,13 +11,15 @@ from study_cases import known_of
 from typer.testing import CliRunner
 
 import sim.studies.study
-from lscan.cli.console import BAD_INPUT, run_command_line
+from lscan.cli.console import BAD_INPUT, STOPPED, run_command_line
 from lscan.config.scenes import study_names
 from lscan.errors import InputError
+from lscan.records import Floats
 from sim.cli.app import app
 from sim.studies import concavity
 from sim.studies.catalogue import load_catalogue
 from sim.studies.concavity import ConcavityCase, ConcavityErrors
+from sim.studies.geometric import GeometricRig
 from sim.studies.results import load_results
 from sim.studies.states import check_keys
 from sim.studies.studyfile import Study, load_study
@@ -77,6 +79,30 @@ def refused(
     line = capsys.readouterr().err.strip()
     assert line.startswith("lscan-sim: ") and "\n" not in line
     return line
+
+
+def test_stopped_it_says_how_to_go_on(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Ctrl-C comes while the fourth rig is evaluated."""
+    whole, seen = GeometricRig.evaluate, []
+
+    def evaluate(rig: GeometricRig, row: Floats) -> Floats:
+        seen.append(row)
+        if len(seen) == 4:
+            raise KeyboardInterrupt
+        return whole(rig, row)
+
+    monkeypatch.setattr(GeometricRig, "evaluate", evaluate)
+    (tmp_path / "small.toml").write_text(STUDY, encoding="utf-8")
+    arguments = ["small.toml", "--processes", "none"]
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("sys.argv", ["lscan-sim", "study", *arguments])
+    with pytest.raises(SystemExit) as left:
+        run_command_line(app, "lscan-sim")
+    assert left.value.code == STOPPED
+    last = capsys.readouterr().err.strip().splitlines()[-1]
+    assert last.startswith("lscan-sim: stopped; ") and last.endswith("go on with --resume")
 
 
 @pytest.mark.parametrize("name", study_names())
