@@ -98,7 +98,13 @@ def _file(path: Path, kind: str, names: list[str], folder: Path, allowed: str) -
 
 
 def included_file(folder: Path, name: str) -> Path:
-    """What a file in ``folder`` includes: the file beside it, else the scene of that name."""
+    """What a file in ``folder`` includes: the file beside it, else the scene of that name.
+
+    Parameters
+    ----------
+    folder : Path
+    name : str, as the file states it
+    """
     beside = folder / name
     if not os.path.isfile(beside) and name in scene_names():  # noqa: PTH113 - takes any text
         return scenes_folder() / f"{name}.toml"

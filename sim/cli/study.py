@@ -113,7 +113,7 @@ def _print_budgets(outputs: "tuple[OutputBudget, ...]") -> None:
             for cause in sorted(budget.causes, key=_alone, reverse=True)
         ]
         headings += ["alone, recalibrated"] * bool(again)
-        print_table(f"{budget.name}: {_rms(budget)}", headings, cells)
+        print_table(f"{budget.name}: rms {_rms(budget)}", headings, cells)
     headings = ["quantity", "rms error", "most of its variance", "total index"]
     cells = []
     for budget in (output for output in outputs if output.places == 1):
