@@ -120,8 +120,9 @@ def rows(section: Section) -> Iterator[tuple[str, str, str, str, str, str]]:
     for key, info in section.model.model_fields.items():
         if described_elsewhere(section, key):
             continue
-        kind, bounds = in_words(schema["properties"][key], schema.get("$defs", {}))
-        yield key, kind, bounds, unit(key), default(info), description(section, key)
+        name = info.alias or key
+        kind, bounds = in_words(schema["properties"][name], schema.get("$defs", {}))
+        yield name, kind, bounds, unit(key), default(info), description(section, key)
 
 
 def default(info: FieldInfo) -> str:

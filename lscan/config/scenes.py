@@ -13,6 +13,8 @@ from lscan.errors import InputError
 from lscan.files.disk import disk_errors
 
 _PACKAGE = Path(__file__).resolve().parents[1]
+STUDIES, CATALOGUE = "studies", "catalogue.toml"
+"""Beneath the scenes: the folder of what is no scene, and the file in it that is no study."""
 
 
 @cache
@@ -34,8 +36,14 @@ def scenes_folder() -> Path:
 def scene_names() -> list[str]:
     """Names of all files of scenes, rigs and boards that come with lscan, such as paper/board."""
     folder = scenes_folder()
-    files = sorted(folder.rglob("*.toml"))
-    return [file.relative_to(folder).with_suffix("").as_posix() for file in files]
+    files = [file.relative_to(folder) for file in sorted(folder.rglob("*.toml"))]
+    return [file.with_suffix("").as_posix() for file in files if file.parts[0] != STUDIES]
+
+
+def study_names() -> list[str]:
+    """Names of the studies that come with lscan, such as paper-budget."""
+    files = sorted((scenes_folder() / STUDIES).glob("*.toml"))
+    return [file.stem for file in files if file.name != CATALOGUE]
 
 
 def scene_file(path: Path | str) -> Path:
@@ -51,24 +59,52 @@ def scene_file(path: Path | str) -> Path:
     InputError
         Where there is neither.
     """
-    path = Path(path)
+    listed = "a name that `lscan scenes` lists"
+    return _file(Path(path), "scene", scene_names(), scenes_folder(), listed)
+
+
+def study_file(path: Path | str) -> Path:
+    """The file at ``path``, or the study of that name that comes with lscan.
+
+    Parameters
+    ----------
+    path : Path or str
+        A file of that path comes before a study of that name.
+
+    Raises
+    ------
+    InputError
+        Where there is neither.
+    """
+    names = study_names()
+    return _file(Path(path), "study", names, scenes_folder() / STUDIES, ", ".join(names))
+
+
+def _file(path: Path, kind: str, names: list[str], folder: Path, allowed: str) -> Path:
+    """The file at a path, or that of one of the names in a folder."""
     if path.is_absolute() or os.path.isfile(path):  # noqa: PTH113 - takes any text
         return path
-    if path.as_posix() in scene_names():
-        return scenes_folder() / f"{path}.toml"
+    if path.as_posix() in names:
+        return folder / f"{path}.toml"
     if os.path.lexists(path):  # a folder, a link to nowhere: whoever reads it says what is wrong
         return path
-    near = get_close_matches(path.as_posix().removesuffix(".toml"), scene_names(), n=1)
+    near = get_close_matches(path.as_posix().removesuffix(".toml"), names, n=1)
     suggested = f"; did you mean {near[0]}?" if near else ""
     raise InputError(
-        f"cannot be read: there is no such file, and no scene of that name{suggested}",
+        f"cannot be read: there is no such file, and no {kind} of that name{suggested}",
         where=path,
-        allowed="a TOML file, or a name that `lscan scenes` lists",
+        allowed=f"a TOML file, or {allowed}",
     )
 
 
 def included_file(folder: Path, name: str) -> Path:
-    """What a file in ``folder`` includes: the file beside it, else the scene of that name."""
+    """What a file in ``folder`` includes: the file beside it, else the scene of that name.
+
+    Parameters
+    ----------
+    folder : Path
+    name : str, as the file states it
+    """
     beside = folder / name
     if not os.path.isfile(beside) and name in scene_names():  # noqa: PTH113 - takes any text
         return scenes_folder() / f"{name}.toml"

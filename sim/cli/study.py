@@ -1,21 +1,31 @@
 """``lscan-sim study``: where an error comes from, cause by cause; ``concavity``: of the line."""
 
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
 from lscan.cli.arguments import Json
-from lscan.cli.console import note, print_json, print_table, progress_bar
+from lscan.cli.console import (
+    keep_notes_when_stopped,
+    note,
+    print_json,
+    print_table,
+    progress_bar,
+)
 from lscan.config.scenes import scenes_folder
 from lscan.errors import InputError
 from sim.cli.arguments import OutputFolder, ScenesFolder
+
+if TYPE_CHECKING:
+    from sim.studies.intervals import Bounded
+    from sim.studies.records import CauseBudget, OutputBudget
 
 MOST_WORKERS = 1024
 
 
 def study(
-    file: Annotated[Path, typer.Argument(help="Study file (TOML); see docs/howto/error-budget.")],
+    file: Annotated[Path, typer.Argument(help="Study file (TOML), or the name of one of lscan's.")],
     output: OutputFolder = Path("out/study"),
     workers: Annotated[
         int, typer.Option("--workers", help="Processes of this machine, one thread each.")
@@ -54,26 +64,12 @@ def study(
         raise InputError("out of range", where="--workers", value=workers, allowed=allowed)
     how: int | Literal["none"] = "none" if processes == "none" else workers
     options = StudyOptions(how, scheduler, at_most, tiers[tier], resume)
-    with progress_bar("runs") as progress:
+    with keep_notes_when_stopped(), progress_bar("runs") as progress:
         found = run_study(file, output, options, progress=progress, say=note)
     if json:
         print_json(as_document(found))
         return
-    for budget in found.outputs:
-        headings = ["cause", f"alone, {budget.unit}", "first index", "total index", "after"]
-        after = {cause.cause: cause for cause in budget.after.causes} if budget.after else {}
-        cells = [
-            [
-                cause.cause,
-                _shown(cause.alone_rms),
-                _shown(cause.first),
-                _shown(cause.total),
-                _shown(after[cause.cause].alone_rms) if cause.cause in after else "",
-            ]
-            for cause in budget.causes
-        ]
-        rms = _shown(budget.rms)
-        print_table(f"{budget.name}: rms {rms} {budget.unit}", headings, cells)
+    _print_budgets(found.outputs)
     for line in found.notes:
         print(line)
     print(output / "report.html")
@@ -104,10 +100,48 @@ def concavity(
     print(output / "concavity.json")
 
 
-def _shown(bounded: object) -> str:
-    """A figure with its interval, "" where there is none."""
-    from sim.studies.intervals import Bounded
+def _print_budgets(outputs: "tuple[OutputBudget, ...]") -> None:
+    """The table of each field, cause by cause, and one of all other quantities."""
+    from sim.studies.plots import largest
 
-    if not isinstance(bounded, Bounded):
+    for budget in (output for output in outputs if output.places > 1):
+        again = {cause.cause: cause for cause in budget.after.causes} if budget.after else {}
+        headings = ["cause", f"alone, {budget.unit}", "first index", "total index"]
+        cells = [
+            [cause.cause, _shown(cause.alone_rms), _percent(cause.first), _percent(cause.total)]
+            + [_shown(again[cause.cause].alone_rms)] * bool(again)
+            for cause in sorted(budget.causes, key=_alone, reverse=True)
+        ]
+        headings += ["alone, recalibrated"] * bool(again)
+        print_table(f"{budget.name}: rms {_rms(budget)}", headings, cells)
+    headings = ["quantity", "rms error", "most of its variance", "total index"]
+    cells = []
+    for budget in (output for output in outputs if output.places == 1):
+        most = largest(budget)
+        share = _percent(most.total) if most else ""
+        cells.append([budget.name, _rms(budget), most.cause if most else "", share])
+    print_table("other quantities, cause by cause on the page", headings, cells)
+
+
+def _alone(cause: "CauseBudget") -> float:
+    return cause.alone_rms.value if cause.alone_rms else 0.0
+
+
+def _rms(budget: "OutputBudget") -> str:
+    """What the error is in all, recalibrated, and with no cause at work."""
+    words = f"{_shown(budget.rms)} {budget.unit}"
+    if budget.after:
+        words += f"; recalibrated {_shown(budget.after.rms)}"
+    return words if budget.base_rms is None else f"{words}; without causes {budget.base_rms:.2g}"
+
+
+def _shown(bounded: "Bounded | None") -> str:
+    """A figure with its interval, "" where there is none."""
+    return "" if bounded is None else f"{bounded.value:.3g} ± {bounded.half_width:.1g}"
+
+
+def _percent(bounded: "Bounded | None") -> str:
+    """A share with its interval, "" where there is none."""
+    if bounded is None:
         return ""
-    return f"{bounded.value:.3g} ± {bounded.half_width:.1g}"
+    return f"{100 * bounded.value:z.1f} ± {100 * bounded.half_width:.1f} %"

@@ -8,7 +8,7 @@ from pydantic import Field, NonNegativeFloat, PositiveFloat, model_validator
 
 from lscan.config.documents import Strict, check, read_document
 from lscan.config.rig import Pixels
-from lscan.config.scenes import scenes_folder
+from lscan.config.scenes import CATALOGUE, STUDIES, scenes_folder
 from sim.scene.instrument import Fraction, Glass
 from sim.scene.trackerrors import TrackErrors
 
@@ -195,13 +195,12 @@ def load_catalogue(file: Path | str | None = None) -> Catalogue:
 
     Parameters
     ----------
-    file : Path, str or None, a file or a name that ``lscan scenes`` lists; None: the one that
-        comes with lscan
+    file : Path, str or None; None: the one that comes with lscan
 
     Raises
     ------
     InputError
         Names the file, the key at fault, its value and what is allowed.
     """
-    file = scenes_folder() / "studies" / "catalogue.toml" if file is None else file
+    file = scenes_folder() / STUDIES / CATALOGUE if file is None else file
     return check(Catalogue, read_document(file), where=file)

@@ -12,6 +12,9 @@ from sim.studies.intervals import Bounded
 from sim.studies.plots import StudyPlot, by_total, front_plot, largest, plots_of
 from sim.studies.records import CauseBudget, CauseFacts, OutputBudget, StudyResults
 
+TOLD_SHARE = 0.1
+"""Systematic share of a mean square error that the headline tells."""
+
 
 def write_page(path: Path, results: StudyResults) -> None:
     """Write the page to a file; the same results give the same bytes.
@@ -71,6 +74,11 @@ def headline(budget: OutputBudget) -> str:
     budget : OutputBudget
     """
     words = []
+    if budget.range_95:
+        low, high = map(figure, budget.range_95)
+        words.append(f"95\u00a0% of the errors lie between {low} and {high}\u00a0{budget.unit}.")
+    if (same := systematic_share(budget)) > TOLD_SHARE:
+        words.append(f"{share(same)} of the mean square error is the same on all rigs.")
     cause = largest(budget)
     if cause and cause.total:
         part = "Most" if cause.total.value > 0.5 else "The largest part"
@@ -83,6 +91,18 @@ def headline(budget: OutputBudget) -> str:
     if budget.after:
         words.append(_recalibrated(budget, budget.after, cause.cause if cause else ""))
     return " ".join(filter(None, words))
+
+
+def systematic_share(budget: OutputBudget) -> float:
+    """Which share of the mean square error is that of the mean error: in no cause's index.
+
+    Parameters
+    ----------
+    budget : OutputBudget
+    """
+    if budget.mean is None or budget.rms is None or budget.rms.value == 0:
+        return 0.0
+    return min((budget.mean.value / budget.rms.value) ** 2, 1.0)
 
 
 def ranked(budget: OutputBudget) -> list[tuple[CauseBudget, CauseBudget | None]]:

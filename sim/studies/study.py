@@ -30,9 +30,9 @@ from sim.studies.records import (
 from sim.studies.rendered import RenderedRig
 from sim.studies.results import write_results
 from sim.studies.runner import cost_estimate, require_at_most, run_rows
-from sim.studies.sampling import AGAIN, ALL, Design, make_design
+from sim.studies.sampling import AGAIN, ALL, BASE, Design, alone, make_design
 from sim.studies.states import check_keys, correlated, share_of
-from sim.studies.store import Results, ResultStore, open_store
+from sim.studies.store import Results, ResultStore, distinct, open_store
 from sim.studies.studyfile import Cause, Study, Tier, load_study, study_of
 from sim.studies.worker import identity_of
 
@@ -192,6 +192,9 @@ def run_study(
             grown = next_base(wanted, precision.half_width, base)
             if grown is None or grown > precision.most:
                 break
+            if len(distinct(_design(study, grown).rows)) > options.at_most:
+                say(f"{grown} samples would be more than the {options.at_most} runs agreed to")
+                break
             say(f"the indices are not yet known to {precision.half_width:g}: on to {grown} samples")
             base = grown
         found = _results(study, tier, design, results, convergence, time.monotonic() - began, store)
@@ -240,6 +243,18 @@ def _results(
     fields = {output.name: xy for output in runs.outputs if output.size > 1}
     failures = Counter(status for status in results.status if status != "ok")
     notes = [f"{name}: {found.note}" for name, found in indices.items() if found.note]
+    if still := without_effect(runs):
+        words = f"{', '.join(still)}: without any effect in the {tier} tier"
+        if tier == "geometric":
+            words += "; what changes the pictures alone has one in the rendered tier"
+        notes.append(words)
+    counted, wanted = [indices[name] for name in COUNTED], study.file.precision.half_width
+    if next_base(counted, wanted, counted[0].base):
+        names = ", ".join(COUNTED)
+        notes.append(
+            f"The indices of {names} are not known to ± {wanted:g}, as the study asks: it ended at"
+            " the most runs that it or --at-most allows"
+        )
     return (
         StudyResults(
             name=study.file.name,
@@ -285,6 +300,20 @@ def runs_of(study: Study, design: Design, results: Results, outputs: tuple[Any, 
     return StudyRuns(
         facts, outputs, rows, physical, tuple(names), results.values, tuple(results.status)
     )
+
+
+def without_effect(runs: StudyRuns) -> list[str]:
+    """The causes, or groups, that change no value of any output where they are alone at work.
+
+    Parameters
+    ----------
+    runs : StudyRuns
+    """
+    blocks = np.array(runs.blocks, dtype=object)
+    base = runs.values[blocks == BASE]
+    groups = dict.fromkeys(cause.counted_as for cause in runs.causes)
+    apart = {group: runs.values[blocks == alone(group)] for group in groups}
+    return [group for group, values in apart.items() if len(values) and (values == base).all()]
 
 
 def _facts(name: str, cause: Cause) -> CauseFacts:

@@ -1,5 +1,6 @@
 """A study file: which rig, what varies, and when."""
 
+import os
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Literal, Self
@@ -8,12 +9,14 @@ import numpy as np
 from pydantic import Field, PositiveFloat, model_validator
 
 from lscan.config.documents import Document, Strict, check, read_document
-from lscan.config.scenes import included_file
+from lscan.config.scenes import included_file, scene_file, study_file
 from lscan.errors import InputError
 from lscan.records import Floats
 from sim.scene import Scene, load_scene
 from sim.scene.instrument import Seed
+from sim.studies.designsection import DesignSection
 from sim.studies.distribution import KINDS, Distribution
+from sim.studies.sampling import SETS
 
 When = Literal["as-built", "drift", "each-frame", "noise"]
 Tier = Literal["geometric", "rendered"]
@@ -114,10 +117,17 @@ class Precision(Strict):
     by itself.
     """
 
-    base: Annotated[int, Field(ge=8, le=1 << 20)] = 256
-    most: Annotated[int, Field(ge=8, le=1 << 20)] = 1024
+    base: Annotated[int, Field(ge=SETS, le=1 << 20)] = 256
+    most: Annotated[int, Field(ge=SETS, le=1 << 20)] = 1024
     half_width: PositiveFloat = 0.05
-    alone: Annotated[int, Field(ge=2, le=1 << 16)] = 64
+    alone: Annotated[int, Field(ge=SETS, le=1 << 16)] = 64
+
+    @model_validator(mode="after")
+    def _whole_sets(self) -> Self:
+        for name in ("base", "alone"):
+            if getattr(self, name) % SETS:
+                raise ValueError(f"{name} must be a multiple of {SETS}")
+        return self
 
 
 class Looked(Strict):
@@ -148,6 +158,7 @@ class StudyFile(Strict):
     precision: Precision = Precision()
     places: Looked = Looked()
     tolerances: Bound | None = None
+    design: DesignSection | None = None
 
     @model_validator(mode="after")
     def _known_causes(self) -> Self:
@@ -220,14 +231,15 @@ def load_study(path: Path | str) -> Study:
 
     Parameters
     ----------
-    path : Path or str
+    path : Path or str, of the file, or the name of a study that comes with lscan
 
     Raises
     ------
     InputError
         Names the file, the key, the value and what is allowed.
     """
-    return study_of(read_document(path), str(path))
+    file = study_file(path)
+    return study_of(read_document(file), str(file))
 
 
 def study_of(document: Document, source: str, scenes: tuple[Scene, Scene] | None = None) -> Study:
@@ -247,10 +259,16 @@ def study_of(document: Document, source: str, scenes: tuple[Scene, Scene] | None
     """
     file = check(StudyFile, document, where=source)
     if scenes is None:
-        folder = Path(source).parent
-        board, scan = (included_file(folder, name) for name in (file.calibrate, file.scan))
-        scenes = load_scene(board), load_scene(scan)
+        scenes = _scene(file.calibrate, source), _scene(file.scan, source)
     study = Study(file, *scenes, document, source)
-    study.calibrate.board()
+    if study.calibrate.tank.target.shape != "board":
+        allowed = 'a scene with [target] shape = "board"'
+        raise InputError("calibrate", where=source, value=file.calibrate, allowed=allowed)
     study.correlations()
     return study
+
+
+def _scene(name: str, source: str) -> Scene:
+    """The scene in a file beside the study, or of a name; see ``scene_file`` for its error."""
+    beside = included_file(Path(source).parent, name)
+    return load_scene(beside if os.path.lexists(beside) else scene_file(name))

@@ -40,6 +40,7 @@ ELSEWHERE = {
     "lscan-sim accuracy": "tests/system/test_smoke.py",
     "lscan-sim field": "tests/system/test_smoke.py",
     "lscan-sim study": "tests/sim/cli/test_study.py",
+    "lscan-sim concavity": "tests/sim/cli/test_study.py",
     "lscan-sim hardware": "tests/system/test_smoke.py",
     "make ": "Makefile",
     "pytest ": "conftest.py",

@@ -11,15 +11,39 @@ from lscan.cli.app import app
 from lscan.config.board import load_board
 from lscan.config.documents import read_document
 from lscan.config.rigfile import load_rig
-from lscan.config.scenes import copy_scenes, scene_file, scene_names, scenes_folder
+from lscan.config.scenes import (
+    copy_scenes,
+    scene_file,
+    scene_names,
+    scenes_folder,
+    study_file,
+    study_names,
+)
 from lscan.errors import InputError
 
 
 def test_every_file_has_its_name() -> None:
+    """Those of scenes, and those of studies but their catalogue of parts, each in its own list."""
     assert scenes_folder() == SCENES
-    names = scene_names()
-    assert len(names) == len(list(SCENES.rglob("*.toml")))
+    names, studies = scene_names(), study_names()
+    assert len(names) + len(studies) + 1 == len(list(SCENES.rglob("*.toml")))
     assert all(scene_file(name) == SCENES / f"{name}.toml" for name in names)
+    assert all(study_file(name) == SCENES / "studies" / f"{name}.toml" for name in studies)
+    assert {"paper-budget", "seasons", "first-rig"} <= set(studies)
+
+
+@pytest.mark.parametrize("path", ["paper-budgt", "studies/paper-budget", "mine.toml"])
+def test_neither_file_nor_name_of_a_study_is_refused(path: str) -> None:
+    with pytest.raises(InputError, match="no such file, and no study of that name") as refused:
+        study_file(path)
+    assert "first-rig, paper-budget, " in str(refused.value.allowed)
+    assert ("did you mean paper-budget?" in str(refused.value)) == ("budg" in path)
+
+
+def test_a_study_of_that_path_comes_first(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "seasons").write_text("own = 1", encoding="utf-8")
+    assert study_file("seasons") == Path("seasons")
 
 
 @pytest.mark.parametrize("name", ["paper/sandwave", Path("paper/sandwave")])
