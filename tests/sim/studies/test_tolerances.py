@@ -88,7 +88,8 @@ def test_a_normal_error_keeps_its_bound_with_the_yield_asked_for(most_mm: float)
     assert found.allowed_mm is not None
     assert CLOSE * most_mm <= found.allowed_mm <= most_mm
     one, two, noise = found.causes
-    assert one.factor == two.factor is not None
+    assert one.factor is not None
+    assert one.factor == two.factor
     assert (noise.stated, noise.allowed, noise.factor) == ("the scene's own", None, None)
     assert one.allowed == f"normal 0 ± {0.03 * one.factor:g}"
 
