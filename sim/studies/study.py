@@ -205,7 +205,7 @@ def run_study(
                 break
             say(f"the indices are not yet known to {precision.half_width:g}: on to {grown} samples")
             base = grown
-        tolerances = _tolerances(study, source, store, indices, workers, say)
+        tolerances = _tolerances(study, source, store, indices, workers, progress, say)
         found = _results(study, tier, design, results, convergence, time.monotonic() - began, store)
     whole = replace(found[0], tolerances=tolerances)
     write_results(output, whole, found[1])
@@ -223,6 +223,7 @@ def _tolerances(
     store: ResultStore,
     indices: Mapping[str, Indices],
     workers: "int | Literal['none'] | Client",
+    progress: Progress | None,
     say: Callable[[str], None],
 ) -> Tolerances | None:
     """Those that the study's file asks for, of geometric runs; each spread has its own folder."""
@@ -236,13 +237,15 @@ def _tolerances(
         words = ", ".join(f"{factor:g}" for factor in sorted(set(factors.values())))
         say(f"tolerances: {len(rows)} rigs with {words} of the stated spreads")
         if source.tier == "geometric" and set(factors.values()) == {1.0}:
-            return sizes_of(run_rows(source, rows, store, workers), outputs, bound.output)
+            results = run_rows(source, rows, store, workers, progress=progress)
+            return sizes_of(results, outputs, bound.output)
         drawn = with_spreads(study.file, source.study, factors)
         tighter = replace(source, tier="geometric", study=drawn)
         identity = identity_of(tighter)
         folder = store.folder.parent / TIGHTER / identity.sha256[:16]
         with open_store(folder, identity) as own:
-            return sizes_of(run_rows(tighter, rows, own, workers), outputs, bound.output)
+            results = run_rows(tighter, rows, own, workers, progress=progress)
+        return sizes_of(results, outputs, bound.output)
 
     shares = {name: group.total.value for name, group in groups.items()}
     return find_tolerances(study.file, bound, shares, sizes)

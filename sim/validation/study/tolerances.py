@@ -1,7 +1,6 @@
 """Whether rigs within the tolerances that a study finds keep their bound."""
 
 from pathlib import Path
-from typing import Final
 
 from lscan.errors import MeasurementError
 from sim.studies.study import StudyOptions, run_study
@@ -9,14 +8,13 @@ from sim.studies.tolerances import RIGS
 from sim.validation.accuracy.intervals import band_miss_percent
 from sim.validation.rows import Row, row
 
-STUDY: Final = Path(__file__).with_suffix(".toml")
 
-
-def tolerance_rows(folder: Path, options: StudyOptions | None = None) -> list[Row]:
+def tolerance_rows(scenes: Path, folder: Path, options: StudyOptions | None = None) -> list[Row]:
     """How far the share of fresh rigs within 0.1 mm is off the yield asked for, 95 %.
 
     Parameters
     ----------
+    scenes : Path, folder of the scenes that come with lscan; ``studies/tolerances.toml``
     folder : Path, of the study's runs
     options : StudyOptions, optional
 
@@ -25,7 +23,7 @@ def tolerance_rows(folder: Path, options: StudyOptions | None = None) -> list[Ro
     MeasurementError
         The study found no tolerances.
     """
-    results = run_study(STUDY, folder, options)
+    results = run_study(scenes / "studies" / "tolerances.toml", folder, options)
     found = results.tolerances
     if found is None or found.found is None:
         raise MeasurementError(found.note if found else "no tolerances were asked for")

@@ -277,6 +277,8 @@ def test_a_study_finds_its_tolerances_and_goes_on_with_them(
         most_mm = 0.1
         """
     )
+    with pytest.raises(InputError, match="too many runs"):  # theirs are counted in
+        run_study(file, tmp_path / "out", StudyOptions("none", at_most=module.MOST_RUNS))
     found = run_study(file, tmp_path / "out", StudyOptions("none"))
     assert found.tolerances is not None
     (board,) = found.tolerances.causes

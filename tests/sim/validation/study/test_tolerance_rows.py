@@ -4,6 +4,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
+from places import SCENES
 from study_examples import study_results
 
 from lscan.errors import MeasurementError
@@ -15,17 +16,17 @@ from sim.validation.study import tolerances
 def test_the_row_says_how_far_the_yield_is_off(monkeypatch: pytest.MonkeyPatch) -> None:
     results, _ = study_results()
     monkeypatch.setattr(tolerances, "run_study", lambda *_: results)
-    (row,) = tolerances.tolerance_rows(Path())
+    (row,) = tolerances.tolerance_rows(Path(), Path())
     assert row.figure == pytest.approx(0.4)
     assert row.bar == 3
     assert "500 fresh rigs of the geometric tier: 95.4 % (93.2 to 96.9 %)" in row.reference
     monkeypatch.setattr(tolerances, "run_study", lambda *_: replace(results, tolerances=None))
     with pytest.raises(MeasurementError):
-        tolerances.tolerance_rows(Path())
+        tolerances.tolerance_rows(Path(), Path())
 
 
 def test_the_study_has_six_causes_and_the_bound_that_is_asked_for() -> None:
-    study = load_study(tolerances.STUDY)
+    study = load_study(SCENES / "studies" / "tolerances.toml")
     check_keys(study)
     bound = study.file.tolerances
     assert bound is not None
