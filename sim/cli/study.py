@@ -49,6 +49,7 @@ def study(
     json: Json = False,
 ) -> None:
     """Where the error of a rig comes from: a budget, cause by cause, with intervals."""
+    from sim.studies.page import kept
     from sim.studies.results import as_document
     from sim.studies.study import StudyOptions, run_study
     from sim.studies.studyfile import Tier
@@ -72,6 +73,12 @@ def study(
     _print_budgets(found.outputs)
     for line in found.notes:
         print(line)
+    if tolerances := found.tolerances:
+        headings = ["cause", "stated", "allowed", "factor"]
+        rows = [[c.cause, c.stated, c.allowed or "as it is", c.factor or ""]
+                for c in tolerances.causes]  # fmt: skip
+        print_table("tolerances", headings, rows)
+        print(kept(tolerances))
     print(output / "report.html")
 
 

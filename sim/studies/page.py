@@ -10,7 +10,7 @@ from lscan.files.disk import write_atomically
 from lscan.version import __version__
 from sim.studies.intervals import Bounded
 from sim.studies.plots import StudyPlot, by_total, front_plot, largest, plots_of
-from sim.studies.records import CauseBudget, CauseFacts, OutputBudget, StudyResults
+from sim.studies.records import CauseBudget, CauseFacts, OutputBudget, StudyResults, Tolerances
 
 TOLD_SHARE = 0.1
 """Systematic share of a mean square error that the headline tells."""
@@ -50,6 +50,7 @@ def render_page(results: StudyResults) -> str:
         figure=figure,
         share=share,
         headline=headline,
+        kept=kept,
         ranked=ranked,
     )
     return template.render(
@@ -114,6 +115,33 @@ def ranked(budget: OutputBudget) -> list[tuple[CauseBudget, CauseBudget | None]]
     """
     after = {cause.cause: cause for cause in budget.after.causes} if budget.after else {}
     return [(cause, after.get(cause.cause)) for cause in by_total(budget.causes)]
+
+
+def kept(tolerances: Tolerances) -> str:
+    """The finding on the tolerances in a sentence or two.
+
+    Parameters
+    ----------
+    tolerances : Tolerances
+    """
+    of_rigs = f"of {share(tolerances.in_share)} of all rigs"
+    words = [
+        f"The bound is {figure(tolerances.most_mm)}\u00a0mm for the {tolerances.output} {of_rigs}, "
+        f"which is {_mm(tolerances.stated_mm)} with the stated spreads, and "
+        f"{_mm(tolerances.floor_mm)} with none but of what cannot be made tighter."
+    ]
+    if tolerances.found:
+        rule = "weighted by cost" if tolerances.by_cost else "all equally stringent"
+        words.append(
+            f"With those allowed, {rule}, it is {_mm(tolerances.allowed_mm)}: of "
+            f"{tolerances.fresh} rigs drawn anew {share(tolerances.found.value)} keep the bound "
+            f"({_range(tolerances.found)})."
+        )
+    return " ".join([*words, tolerances.note]).strip()
+
+
+def _mm(size: float | None) -> str:
+    return "not to be had" if size is None else f"{figure(size)}\u00a0mm"
 
 
 def _counted(causes: Sequence[CauseFacts]) -> dict[str, CauseFacts]:

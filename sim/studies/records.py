@@ -204,6 +204,54 @@ class DesignTrial:
 
 
 @dataclass(frozen=True)
+class Tolerance:
+    """A cause's spread as the study's file states it, and that with which the bound is kept.
+
+    Attributes
+    ----------
+    cause : str
+    stated, allowed : str, distributions in words; allowed is None where there is none to find
+    factor : float, allowed spread over stated
+    """
+
+    cause: str
+    stated: str
+    allowed: str | None
+    factor: float | None
+
+
+@dataclass(frozen=True)
+class Tolerances:
+    """How tight each cause must be for an output to keep a bound.
+
+    Attributes
+    ----------
+    output : str
+    most_mm : float, mm, the bound: of a field's rms over its places, of a scalar's absolute value
+    in_share : float, of all rigs, that are to keep it
+    by_cost : bool, the causes' costs were counted; else all are equally stringent
+    causes : tuple of Tolerance
+    floor_mm, stated_mm, allowed_mm : float, mm, what that share of all rigs keeps: with no spread
+        but of what cannot be made tighter; with the stated spreads; with those allowed
+    fresh : int, rigs drawn anew, with the allowed spreads
+    found : Bounded, the share of them that kept the bound
+    note : str, what a reader has to know, "" for nothing
+    """
+
+    output: str
+    most_mm: float
+    in_share: float
+    by_cost: bool
+    causes: tuple[Tolerance, ...]
+    floor_mm: float | None
+    stated_mm: float | None
+    allowed_mm: float | None = None
+    fresh: int = 0
+    found: Bounded | None = None
+    note: str = ""
+
+
+@dataclass(frozen=True)
 class StudyResults:
     """All that a study found.
 
@@ -222,6 +270,7 @@ class StudyResults:
     notes : tuple of str, what a reader has to know
     tiers : tuple of TierRow, where both tiers were run
     trials : tuple of DesignTrial, where designs were searched
+    tolerances : Tolerances, where the study's file asks for them
     """
 
     name: str
@@ -238,3 +287,4 @@ class StudyResults:
     notes: tuple[str, ...] = ()
     tiers: tuple[TierRow, ...] = ()
     trials: tuple[DesignTrial, ...] = ()
+    tolerances: Tolerances | None = None

@@ -87,20 +87,21 @@ def run_rows(
     return store.results(rows)
 
 
-def require_at_most(rows: Floats, at_most: int | None) -> None:
+def require_at_most(rows: Floats, at_most: int | None, more: int = 0) -> None:
     """Refuse a design that is larger than was agreed to.
 
     Parameters
     ----------
     rows : (N, D) array
     at_most : int or None, distinct rows
+    more : int, rows that others will be, at most
 
     Raises
     ------
     InputError
         It has more.
     """
-    count = len(distinct(rows))
+    count = len(distinct(rows)) + more
     if at_most is not None and count > at_most:
         raise InputError("too many runs", where="--at-most", value=count, allowed=f"{at_most}")
 

@@ -26,6 +26,7 @@ from sim.studies.records import (
     OutputBudget,
     StudyResults,
     StudyRuns,
+    Tolerances,
 )
 from sim.studies.rendered import RenderedRig
 from sim.studies.results import write_results
@@ -34,12 +35,19 @@ from sim.studies.sampling import AGAIN, ALL, BASE, Design, alone, make_design
 from sim.studies.states import check_keys, correlated, share_of
 from sim.studies.store import Results, ResultStore, distinct, open_store
 from sim.studies.studyfile import Cause, Study, Tier, load_study, study_of
+from sim.studies.tolerances import (
+    MOST_RUNS,
+    bounded_output,
+    find_tolerances,
+    sizes_of,
+    with_spreads,
+)
 from sim.studies.worker import identity_of
 
 if TYPE_CHECKING:
     from distributed import Client
 
-PREPARED, RUNS = "prepared.npz", "runs"
+PREPARED, RUNS, TIGHTER = "prepared.npz", "runs", "tolerances"
 AT_MOST = 20_000
 """Runs of a study that nobody has to agree to: ten minutes of the geometric tier."""
 COUNTED = ("height",)
@@ -150,7 +158,8 @@ def run_study(
     tier = options.tier or study.file.tier
     precision = study.file.precision
     smallest = _design(study, precision.base)
-    require_at_most(smallest.rows, options.at_most)
+    bound = study.file.tolerances
+    require_at_most(smallest.rows, options.at_most, more=MOST_RUNS if bound else 0)
     if (output / RUNS).exists() and not options.resume:
         raise InputError(
             "holds runs of a study", where=output / RUNS, allowed="--resume, or another folder"
@@ -168,6 +177,8 @@ def run_study(
 
     with ExitStack() as stack:
         store = stack.enter_context(open_store(output / RUNS, identity_of(source)))
+        if bound:
+            bounded_output(bound, store.identity.outputs, str(path))
         workers: int | Literal["none"] | Client = options.workers
         at_once = 1 if options.workers == "none" else options.workers
         cost = cost_estimate(source, smallest.rows, store, at_once)
@@ -197,14 +208,50 @@ def run_study(
                 break
             say(f"the indices are not yet known to {precision.half_width:g}: on to {grown} samples")
             base = grown
+        tolerances = _tolerances(study, source, store, indices, workers, progress, say)
         found = _results(study, tier, design, results, convergence, time.monotonic() - began, store)
-    write_results(output, *found)
-    return found[0]
+    whole = replace(found[0], tolerances=tolerances)
+    write_results(output, whole, found[1])
+    return whole
 
 
 def _design(study: Study, base: int) -> Design:
     file = study.file
     return make_design(study.causes, base, file.precision.alone, file.seed, study.groups)
+
+
+def _tolerances(
+    study: Study,
+    source: RigSource,
+    store: ResultStore,
+    indices: Mapping[str, Indices],
+    workers: "int | Literal['none'] | Client",
+    progress: Progress | None,
+    say: Callable[[str], None],
+) -> Tolerances | None:
+    """Those that the study's file asks for, of geometric runs; each spread has its own folder."""
+    bound = study.file.tolerances
+    if bound is None:
+        return None
+    outputs = store.identity.outputs
+    groups = indices[bound.output].groups
+
+    def sizes(factors: Mapping[str, float], rows: Floats) -> Floats:
+        words = ", ".join(f"{factor:g}" for factor in sorted(set(factors.values())))
+        say(f"tolerances: {len(rows)} rigs with {words} of the stated spreads")
+        if source.tier == "geometric" and set(factors.values()) == {1.0}:
+            results = run_rows(source, rows, store, workers, progress=progress)
+            return sizes_of(results, outputs, bound.output)
+        drawn = with_spreads(study.file, source.study, factors)
+        tighter = replace(source, tier="geometric", study=drawn)
+        identity = identity_of(tighter)
+        folder = store.folder.parent / TIGHTER / identity.sha256[:16]
+        with open_store(folder, identity) as own:
+            results = run_rows(tighter, rows, own, workers, progress=progress)
+        return sizes_of(results, outputs, bound.output)
+
+    shares = {name: group.total.value for name, group in groups.items()}
+    return find_tolerances(study.file, bound, shares, sizes)
 
 
 def _prepared(study: Study, file: Path, say: Callable[[str], None]) -> bytes:
@@ -318,16 +365,13 @@ def without_effect(runs: StudyRuns) -> list[str]:
 
 def _facts(name: str, cause: Cause) -> CauseFacts:
     has_number = cause.when in ("as-built", "drift")
-    words = "the scene's own" if cause.when == "noise" else cause.distribution.in_words
-    if cause.off or cause.relative or cause.when == "each-frame":
-        words += " of it, relative" if cause.relative else ", added"
     field = next((part for part in reversed(cause.key.split(".")) if not part.isdigit()), "")
     unit = next((unit for end, unit in UNITS.items() if field.endswith(end)), "1")
     return CauseFacts(
         name=name,
         when=cause.when,
         keys=(cause.key, *cause.together),
-        distribution=words,
+        distribution=cause.in_words,
         unit=unit if has_number else None,
         group=cause.group or "",
     )

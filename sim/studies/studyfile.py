@@ -36,7 +36,8 @@ class Cause(Strict):
     ``off = true``: of what is added to the scene's own; ``relative = true``: of the share of it
     that is added.  Each frame's is always added.  correlation: pictures, of what is new in each.
     with: other keys and their values, wherever this cause is at work.  group: causes of one group
-    have one index; causes that are correlated must be in one.
+    have one index; causes that are correlated must be in one.  cost: of holding the stated spread,
+    in any currency; where one cause states it, tolerances are weighted by it.
     """
 
     key: str
@@ -86,6 +87,16 @@ class Cause(Strict):
         """How the number is distributed; of noise, nothing is."""
         stated = {"fixed": 0.0} if self.when == "noise" else self._stated
         return Distribution.model_validate(stated)
+
+    @property
+    def in_words(self) -> str:
+        """The distribution as a page shows it, such as ``normal 0 ± 0.01, added``."""
+        if self.when == "noise":
+            return "the scene's own"
+        words = self.distribution.in_words
+        if self.off or self.relative or self.when == "each-frame":
+            words += " of it, relative" if self.relative else ", added"
+        return words
 
     def number(self, share: float, own: float) -> float:
         """The number at a quantile.

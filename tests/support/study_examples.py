@@ -20,6 +20,8 @@ from sim.studies.records import (
     StudyResults,
     StudyRuns,
     TierRow,
+    Tolerance,
+    Tolerances,
     When,
 )
 from sim.studies.sampling import ALL, BASE, alone
@@ -176,6 +178,21 @@ def study_results(seed: int = 1) -> tuple[StudyResults, StudyRuns]:
             ),
         ),
         trials=tuple(_trial(*rng.random(3), on_front=k % 5 == 0) for k in range(60)),
+        tolerances=Tolerances(
+            "height",
+            0.1,
+            0.95,
+            True,
+            (
+                Tolerance("tilt", "normal 0 ± 0.2", "normal 0 ± 0.012", 0.06),
+                Tolerance("speckle", "the scene's own", None, None),
+            ),
+            0.07,
+            2.1,
+            0.099,
+            500,
+            Bounded(0.954, 0.932, 0.969),
+        ),
     ), runs
 
 

@@ -11,7 +11,7 @@ from playwright.sync_api import Page
 from study_examples import GROUPS, REASONS, strange_results, study_results
 
 from sim.studies.intervals import Bounded
-from sim.studies.page import figure, headline, render_page, share, write_page
+from sim.studies.page import figure, headline, kept, render_page, share, write_page
 from sim.studies.plots import front_plot, label
 from sim.studies.records import CauseBudget, OutputBudget, StudyResults
 from sim.testing.browser import Chromium, wait_for
@@ -59,6 +59,12 @@ def test_the_page_holds_every_cause_and_figure() -> None:
         assert page.text.count(group) >= 2
     for reason in REASONS:
         assert reason in page.cells
+    assert results.tolerances
+    assert "weighted by cost, it is 0.099\u00a0mm: of 500 rigs" in kept(results.tolerances)
+    assert kept(results.tolerances) in page.text
+    for tolerance in results.tolerances.causes:
+        for cell in (tolerance.allowed or "as it is", figure(tolerance.factor)):
+            assert cell in page.cells
     for budget in results.outputs:
         assert headline(budget) in page.text
         for state in filter(None, (budget, budget.after)):
