@@ -5,7 +5,7 @@ by the instrument's own algorithms.  Kept beside the study, so that every worker
 goes on later has the same numbers.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from io import BytesIO
 
@@ -19,6 +19,7 @@ from lscan.records import (
     BoardReading,
     Bytes,
     Floats,
+    Ints,
     Marks,
     Mask,
     Progress,
@@ -99,8 +100,8 @@ class Prepared:
         """It as the bytes of an .npz file, which holds arrays alone."""
         arrays = {f"places.{key}": value for key, value in vars(self.places).items()}
         arrays |= {key: vars(self)[key] for key in _NUMBERS}
-        arrays["sigma_px"] = np.concatenate([marks.sigma_px for marks in _marks(self.reading)])
-        arrays["status"] = np.concatenate([marks.status for marks in _marks(self.reading)])
+        arrays["sigma_px"] = np.concatenate([marks.sigma_px for marks in marks_of(self.reading)])
+        arrays["status"] = np.concatenate([marks.status for marks in marks_of(self.reading)])
         file = BytesIO()
         np.savez(file, **arrays)
         return file.getvalue()
@@ -259,34 +260,45 @@ def _board(scene: Scene) -> tuple[BoardReading, Floats, Floats]:
     board, channel = scene.board(), scene.rig.calibration.channel
     pictures = [exposed(scene, layers, noise, noise, 1) for noise in (False, True)]
     quiet, usual = (read_board(picture, board, channel=channel) for picture in pictures)
-    status = np.concatenate([marks.status for marks in _marks(usual)])
-    sigma = np.concatenate([marks.sigma_px for marks in _marks(usual)])
+    status = np.concatenate([marks.status for marks in marks_of(usual)])
+    sigma = np.concatenate([marks.sigma_px for marks in marks_of(usual)])
     reading = _reading(scene, sigma, status)
     true, found = (
-        np.concatenate([marks.image_px for marks in _marks(one)]) for one in (reading, quiet)
+        np.concatenate([marks.image_px for marks in marks_of(one)]) for one in (reading, quiet)
     )
     off = found - true
     return reading, np.where(np.isfinite(off), off, 0.0), np.where(np.isfinite(sigma), sigma, 0.0)
 
 
-def _reading(scene: Scene, sigma: Floats, status: Floats) -> BoardReading:
+def _reading(scene: Scene, sigma: Floats, status: Ints) -> BoardReading:
     """The marks where they truly are, with the statuses and uncertainties of a reading."""
     truth = board_truth(scene, scene.rig.plan.positions_mm()[0]).centres
-    several = _marks(truth)
+    several = marks_of(truth)
     ends = np.cumsum([len(marks.status) for marks in several])[:-1]
-    stated = zip(several, np.split(sigma, ends), np.split(status, ends), strict=True)
-    read = [_stated(marks, *one) for marks, *one in stated]
-    rulers = zip(truth.rulers, read[1:], strict=True)
+    return stated(truth, np.split(sigma, ends), np.split(status, ends))
+
+
+def stated(reading: BoardReading, sigma: Sequence[Floats], status: Sequence[Ints]) -> BoardReading:
+    """A reading of points and rulers alone, with other uncertainties of its marks.
+
+    Parameters
+    ----------
+    reading : BoardReading
+    sigma, status : sequence of (N_i,) array, of the control points and of each ruler's marks: px,
+        and one that is not OK takes a mark away
+    """
+    grid, *others = (_stated(*one) for one in zip(marks_of(reading), sigma, status, strict=True))
+    rulers = zip(reading.rulers, others, strict=True)
     return replace(
-        truth,
-        grid=read[0],
+        reading,
+        grid=grid,
         rulers=tuple(replace(ruler, marks=marks) for ruler, marks in rulers),
         dots={},
         rings={},
     )
 
 
-def _stated(marks: Marks, sigma: Floats, status: Floats) -> Marks:
+def _stated(marks: Marks, sigma: Floats, status: Ints) -> Marks:
     found = (status == Status.OK) & marks.found
     return replace(
         marks,
@@ -296,7 +308,13 @@ def _stated(marks: Marks, sigma: Floats, status: Floats) -> Marks:
     )
 
 
-def _marks(reading: BoardReading) -> list[Marks]:
+def marks_of(reading: BoardReading) -> list[Marks]:
+    """The control points, and the marks of each ruler.
+
+    Parameters
+    ----------
+    reading : BoardReading
+    """
     return [reading.grid, *(ruler.marks for ruler in reading.rulers)]
 
 
