@@ -222,8 +222,9 @@ def exposed(scene: Scene, layers: Layers, noise: bool, speckle: bool, seed: int)
     seed : int, of either
     """
     sensor = scene.tank.sensor
-    other = {"noise": noise, "speckle": sensor.speckle if speckle else "none"}
+    other = {"noise": noise or speckle, "speckle": sensor.speckle if speckle else "none"}
     webcam = Webcam(scene.with_tank(sensor=other))
+    webcam = webcam if noise else webcam.without_noise()
     return webcam.expose(layers, scene.rig.camera.exposure_ms, np.random.default_rng(seed))
 
 
