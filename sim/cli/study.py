@@ -1,7 +1,7 @@
 """``lscan-sim study``: where an error comes from, cause by cause; ``concavity``: of the line."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal, get_args
 
 import typer
 
@@ -38,7 +38,7 @@ def study(
         str | None, typer.Option("--processes", help='"none": all in this process, to debug.')
     ] = None,
     tier: Annotated[
-        str, typer.Option("--tier", help="geometric or rendered, in place of the file's.")
+        str, typer.Option("--tier", help="geometric, rendered or both, in place of the file's.")
     ] = "",
     at_most: Annotated[
         int, typer.Option("--at-most", help="Runs that are agreed to.", min=1)
@@ -56,9 +56,9 @@ def study(
 
     if processes not in (None, "none"):
         raise InputError("not known", where="--processes", value=processes, allowed="none")
-    tiers: dict[str, Tier | None] = {"": None, "geometric": "geometric", "rendered": "rendered"}
+    tiers: dict[str, Tier | None] = {"": None} | {known: known for known in get_args(Tier)}
     if tier not in tiers:
-        allowed = "geometric, rendered"
+        allowed = ", ".join(get_args(Tier))
         raise InputError("not known", where="--tier", value=tier, allowed=allowed)
     if not 1 <= workers <= MOST_WORKERS:
         allowed = f"1 to {MOST_WORKERS}"

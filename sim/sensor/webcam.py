@@ -87,6 +87,12 @@ class Webcam:
             electrons = read_out(expected, self.sensor, self._pattern, generator)
         return through_jpeg(digitise(electrons, self.sensor, self._filter), self.sensor)
 
+    def without_noise(self) -> Webcam:
+        """The same webcam with the speckle that it has, but no noise of its own."""
+        same = copy(self)
+        same._pattern = None
+        return same
+
     def taking(self, scene: Scene) -> Webcam:
         """The same webcam with the gain of one picture.
 

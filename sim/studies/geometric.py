@@ -21,7 +21,7 @@ from lscan.records import BoardReading, Floats, Marks, select
 from sim.scene import Pose, Scene, at_moment, into_world
 from sim.scene.moment import is_changing
 from sim.studies.errors import ErrorFrame
-from sim.studies.places import Places, height_above, lit_points
+from sim.studies.places import ScanPlaces, height_above, lit_points
 from sim.studies.prepared import Prepared, located
 from sim.studies.problem import AFTER, Output
 from sim.studies.states import RigStates, states_of
@@ -105,7 +105,7 @@ class GeometricRig:
         """The coordinate of a pixel that runs across the line."""
         return 1 if self.study.scan.rig.stripe.axis == "columns" else 0
 
-    def _true_line(self, scan: Scene, places: Places) -> tuple[Floats, Floats]:
+    def _true_line(self, scan: Scene, places: ScanPlaces) -> tuple[Floats, Floats]:
         """(P, 2) px where the line truly is, and (P, 3) mm, world frame."""
         parts = [_lit(scan, select(places, here)) for here in alike(scan, places)]
         true_mm = np.concatenate([part.world_mm for part in parts])
@@ -158,13 +158,13 @@ class GeometricRig:
         return self._frame.errors_of(measured, true_mm, height)
 
 
-def alike(scan: Scene, places: Places) -> list[slice]:
+def alike(scan: Scene, places: ScanPlaces) -> list[slice]:
     """Which places can be looked at in one go: all, or where pictures differ those of each.
 
     Parameters
     ----------
     scan : Scene
-    places : Places, picture by picture
+    places : ScanPlaces, picture by picture
     """
     if not is_changing(scan):
         return [slice(None)]
@@ -172,7 +172,7 @@ def alike(scan: Scene, places: Places) -> list[slice]:
     return [slice(first, end) for first, end in pairwise([0, *ends.tolist()])]
 
 
-def _lit(scan: Scene, places: Places) -> LitPart:
+def _lit(scan: Scene, places: ScanPlaces) -> LitPart:
     """The points that the laser lights at places of one moment."""
     moment = at_moment(scan, int(places.frame[0]), float(places.position_mm[0]))
     true_at = places.position_mm

@@ -10,6 +10,9 @@ what is left is Saltelli's E[b(c - a)] (2010) with the small scatter that it has
 Of a field, products are summed over the places before the ratio is taken (Lamboni et al. 2011,
 Gamboa et al. 2014).
 
+Where a second tier was run for some of the rows, each mean of products is that of the first tier,
+corrected by what the second says (multifidelity.py): the indices are then those of the second.
+
 A base sample counts for a group where its three runs have not failed.  To leave it out of all
 groups where any of its runs failed would, of 12 causes and 5 % of runs, leave out half.
 
@@ -28,13 +31,16 @@ from dataclasses import dataclass
 import numpy as np
 
 from lscan.records import Floats, Mask
-from sim.studies.intervals import Bounded, interval, pseudo_values, set_sums
+from sim.studies.intervals import Bounded, interval
+from sim.studies.multifidelity import Figure, term_means
 from sim.studies.problem import Output, columns
 from sim.studies.sampling import AGAIN, ALL, SETS, Design, alone, mixed
 
 MOST_FAILED = 0.05
 """Share of failed runs beyond which a note says so: the 5 % of errors that a 95 % range leaves out
 could then all be those of rigs that nobody could measure."""
+
+POSITIVE = ("variance", "mean_square", "rms")  # that are not near zero where anything varies
 
 ROUNDS = 2
 """Of finding a weight and the ratio from one another: each takes 1 / sqrt(N) of what is left."""
@@ -91,7 +97,9 @@ class Indices:
     note: str = ""
 
 
-def sobol_indices(design: Design, values: Floats, outputs: Sequence[Output]) -> dict[str, Indices]:
+def sobol_indices(
+    design: Design, values: Floats, outputs: Sequence[Output], rendered: Floats | None = None
+) -> dict[str, Indices]:
     """The indices of each output, by its name.
 
     Parameters
@@ -99,11 +107,13 @@ def sobol_indices(design: Design, values: Floats, outputs: Sequence[Output]) -> 
     design : Design
     values : (R, K) array, results of its rows, NaN where a run failed
     outputs : sequence of Output, whose sizes sum up to K
+    rendered : (R, K) array, optional, results in the tier that counts, NaN where there are none
     """
-    return {
-        name: _output_indices(design, design.split(values[:, where]))
-        for name, where in columns(outputs).items()
-    }
+    found = {}
+    for name, where in columns(outputs).items():
+        tiers = [values] if rendered is None else [values, rendered]
+        found[name] = _output_indices(design, [design.split(tier[:, where]) for tier in tiers])
+    return found
 
 
 def alone_moments(
@@ -124,31 +134,48 @@ def alone_moments(
     return found
 
 
-def moments(errors: Floats) -> Moments:
+def moments(errors: Floats, rendered: Floats | None = None) -> Moments:
     """Moments of errors with their intervals.
 
     Parameters
     ----------
     errors : (N, P) array, of rigs in the order of a design's blocks, at P places; NaN where failed
+    rendered : (N, P) array, optional, the same in the tier that counts, NaN where there are none
     """
-    kept, places = _intact(errors), errors.shape[1]
-    errors = np.where(kept[:, None], errors, 0.0)
-    sums = set_sums(np.column_stack([kept, (errors**2).sum(axis=1), errors]))
+    pseudo = moment_pseudo_values(errors, rendered)
+    bounded = {name: interval(pseudo[name], name in POSITIVE) for name in pseudo}
+    return Moments(**{name: bounded[name] for name in Moments.__dataclass_fields__})
+
+
+def moment_pseudo_values(errors: Floats, rendered: Floats | None = None) -> dict[str, Floats]:
+    """(SETS,) pseudo-values of each of ``Moments``, and of the rms, by name.
+
+    Squares are taken about each tier's own mean: a shift between the tiers would else be a part of
+    them that the first does not explain.
+
+    Parameters
+    ----------
+    errors, rendered : (N, P) arrays, as in ``moments``
+    """
+    tiers = [errors] if rendered is None else [errors, rendered]
+    centres = [_centre(*tiers[: k + 1]) for k in range(len(tiers))]
+    off = [tier - centre for tier, centre in zip(tiers, centres, strict=True)]
+    means = term_means(*(np.column_stack([(one**2).mean(axis=1), one]) for one in off))
 
     def systematic(of: Floats) -> Floats:
-        return np.mean((of[..., 2:] / of[..., :1]) ** 2, axis=-1)
+        return np.mean((centres[-1][0] + of[..., 1:]) ** 2, axis=-1)
 
-    def mean_square(of: Floats) -> Floats:
-        return of[..., 1] / of[..., 0] / places
+    def variance(of: Floats) -> Floats:
+        return of[..., 0] - np.mean(of[..., 1:] ** 2, axis=-1)
 
-    return Moments(
-        mean=interval(pseudo_values(sums, lambda of: of[..., 2:].mean(axis=-1) / of[..., 0])),
-        systematic=interval(pseudo_values(sums, systematic)),
-        variance=interval(
-            pseudo_values(sums, lambda of: mean_square(of) - systematic(of)), positive=True
-        ),
-        mean_square=interval(pseudo_values(sums, mean_square), positive=True),
-    )
+    figures: dict[str, Figure] = {
+        "mean": lambda of: np.mean(centres[-1][0] + of[..., 1:], axis=-1),
+        "systematic": systematic,
+        "variance": variance,
+        "mean_square": lambda of: systematic(of) + variance(of),
+        "rms": lambda of: np.sqrt(np.maximum(systematic(of) + variance(of), 0.0)),
+    }
+    return {name: means.pseudo_values(figure) for name, figure in figures.items()}
 
 
 def next_base(indices: Iterable[Indices], wanted_half_width: float, base: int) -> int | None:
@@ -177,57 +204,75 @@ def next_base(indices: Iterable[Indices], wanted_half_width: float, base: int) -
     return grown
 
 
-def _output_indices(design: Design, blocks: Mapping[str, Floats]) -> Indices:
-    first, again = blocks[ALL], blocks[AGAIN]
-    sobol = [first, again, *(blocks[mixed(group)] for group in design.groups)]
-    failed = sum(int(np.sum(~_intact(block))) for block in sobol)
-    both = np.concatenate([first, again])
-    either = both[_intact(both)]
-    # Less one of them first: what does not vary is then exactly zero.
-    centre = either[:1] + (either - either[:1]).mean(axis=0) if len(either) else np.nan
-    a, b = first - centre, again - centre
+def _output_indices(design: Design, tiers: Sequence[Mapping[str, Floats]]) -> Indices:
+    names = (ALL, AGAIN, *map(mixed, design.groups))
+    both = [np.concatenate([blocks[ALL], blocks[AGAIN]]) for blocks in tiers]
+    centres = [_centre(*both[: k + 1]) for k in range(len(both))]
     groups, firsts = {}, []
     for group in design.groups:
-        c = blocks[mixed(group)] - centre
-        kept = _intact(np.hstack([a, b, c]))
-        free = _dot(a, b)
-        pseudo = _ratio(kept, _dot(b, c), (_dot(b, b) + _dot(c, c)) / 2, free, 1.0)
-        firsts.append(pseudo)
-        total = _ratio(kept, _dot(a - c, a - c) / 2, (_dot(a, a) + _dot(c, c)) / 2, free, 0.0)
-        groups[group] = GroupIndices(interval(pseudo), interval(total, True), int(kept.sum()))
-    runs = sum(map(len, sobol))
+        samples = []
+        for blocks, centre in zip(tiers, centres, strict=True):
+            samples.append([blocks[name] - centre for name in (ALL, AGAIN, mixed(group))])
+        first, total = (
+            term_means(*(_terms(*terms(a, b, c), _dot(a, b)) for a, b, c in samples))
+            for terms in (_of_first, _of_total)
+        )
+        firsts.append(first.pseudo_values(lambda of: _ratio(of, 1.0)))
+        pseudo = total.pseudo_values(lambda of: _ratio(of, 0.0))
+        groups[group] = GroupIndices(interval(firsts[-1]), interval(pseudo, True), first.used)
+    known = both[-1][_intact(both[-1])]
+    constant = len(known) > 0 and bool((known == known[:1]).all())
+    failed = sum(int(np.sum(~_intact(tiers[0][name]))) for name in names)
     return Indices(
         groups=groups,
         rest=interval(1 - np.sum(firsts, axis=0)),
-        moments=moments(both),
-        base=len(first),
+        moments=moments(*both),
+        base=len(tiers[0][ALL]),
         failed=failed,
-        note=_note(failed, runs, len(either) > 0 and bool((either == either[:1]).all())),
+        note=_note(failed, sum(len(tiers[0][name]) for name in names), constant),
     )
 
 
-def _ratio(kept: Mask, above: Floats, beneath: Floats, free: Floats, start: float) -> Floats:
-    """(SETS,) pseudo-values of the ratio of two means, ``free`` being known to have the mean 0.
+def _centre(low: Floats, high: Floats | None = None) -> Floats:
+    """(1, P) mean error of the last of the tiers given; NaN where every run failed."""
+    either = low[_intact(low)]
+    if not len(either):
+        return np.full((1, low.shape[1]), np.nan)
+    # Less one of them first: what does not vary is then exactly zero.
+    centre: Floats = either[:1] + (either - either[:1]).mean(axis=0)
+    if high is None:
+        return centre
+    off = (high - low)[_intact(high) & _intact(low)]
+    return centre + (off.mean(axis=0) if len(off) else np.nan)
 
-    All of (N,) samples.  The best weight of ``free`` is the slope of the ratio's residual on it
-    (Glasserman 2003, Monte Carlo Methods in Financial Engineering, 4.1), found from ``start``.
+
+def _of_first(a: Floats, b: Floats, c: Floats) -> tuple[Floats, Floats]:
+    return _dot(b, c), (_dot(b, b) + _dot(c, c)) / 2
+
+
+def _of_total(a: Floats, b: Floats, c: Floats) -> tuple[Floats, Floats]:
+    return _dot(a - c, a - c) / 2, (_dot(a, a) + _dot(c, c)) / 2
+
+
+def _terms(above: Floats, beneath: Floats, free: Floats) -> Floats:
+    """(N, 6) what the ratio of the means of ``above`` and ``beneath`` needs, each of (N,)."""
+    return np.column_stack([above, beneath, free, above * free, beneath * free, free**2])
+
+
+def _ratio(means: Floats, start: float) -> Floats:
+    """(...) ratio of two means, ``free`` being known to have the mean 0, of (..., 6) terms.
+
+    The best weight of ``free`` is the slope of the ratio's residual on it (Glasserman 2003, Monte
+    Carlo Methods in Financial Engineering, 4.1), found from ``start``.
     """
-    above, beneath, free = (np.where(kept, x, 0.0) for x in (above, beneath, free))
-    samples = [kept, above, beneath, free, above * free, beneath * free, free**2]
-
-    def figure(sums: Floats) -> Floats:
-        top, low, zero, top_zero, low_zero, square = np.moveaxis(
-            sums[..., 1:] / sums[..., :1], -1, 0
-        )
-        spread = square - zero**2
-        weight: Floats = np.asarray(start)
-        for _ in range(ROUNDS):
-            ratio = (top - weight * zero) / low
-            slope = top_zero - ratio * low_zero - (top - ratio * low) * zero
-            weight = np.where(spread > 0, slope / np.where(spread > 0, spread, 1.0), 0.0)
-        return (top - weight * zero) / low
-
-    return pseudo_values(set_sums(np.column_stack(samples)), figure)
+    top, low, zero, top_zero, low_zero, square = np.moveaxis(means, -1, 0)
+    spread = square - zero**2
+    weight: Floats = np.asarray(start)
+    for _ in range(ROUNDS):
+        ratio = (top - weight * zero) / low
+        slope = top_zero - ratio * low_zero - (top - ratio * low) * zero
+        weight = np.where(spread > 0, slope / np.where(spread > 0, spread, 1.0), 0.0)
+    return (top - weight * zero) / low
 
 
 def _dot(x: Floats, y: Floats) -> Floats:

@@ -26,7 +26,7 @@ WAVE, PLANE, FLOOR = 0, 1, 2
 
 
 @dataclass(frozen=True)
-class Places:
+class ScanPlaces:
     """P places on the surface, and the rays of the laser's fan that reach them.
 
     Attributes
@@ -53,8 +53,8 @@ class Places:
     world_mm: Floats
 
 
-def places_of(scene: Scene, pictures: int, columns: int) -> Places:
-    """Places spread over the scan of a scene as it ought to be.
+def places_of(scene: Scene, pictures: int, columns: int) -> ScanPlaces:
+    """ScanPlaces spread over the scan of a scene as it ought to be.
 
     Parameters
     ----------
@@ -76,7 +76,9 @@ def places_of(scene: Scene, pictures: int, columns: int) -> Places:
         )
         inside = (before.face == truth.face) & (behind.face == truth.face)
         found.append(_of_picture(scene, truth, inside, frame, columns))
-    joined = Places(*(np.concatenate(parts) for parts in zip(*map(_fields, found), strict=True)))
+    joined = ScanPlaces(
+        *(np.concatenate(parts) for parts in zip(*map(_fields, found), strict=True))
+    )
     if len(joined.frame) < FEWEST:
         raise MeasurementError(
             f"{scene.source}: the line is lit and seen in {len(joined.frame)} of the places looked "
@@ -97,13 +99,13 @@ def spread_over(count: int, most: int) -> list[int]:
     return [int((2 * k + 1) * count / (2 * parts)) for k in range(parts)]
 
 
-def lit_points(scene: Scene, places: Places, position_mm: Floats) -> Floats:
+def lit_points(scene: Scene, places: ScanPlaces, position_mm: Floats) -> Floats:
     """(P, 3) mm, head frame: where the rays of the fan meet the surface.
 
     Parameters
     ----------
     scene : Scene, as it is in the pictures of the places
-    places : Places
+    places : ScanPlaces
     position_mm : (P,) array, mm, of the head along the track, where it truly is
 
     Raises
@@ -139,7 +141,7 @@ def lit_points(scene: Scene, places: Places, position_mm: Floats) -> Floats:
     raise MeasurementError("a ray of the laser no longer meets the surface where it ought to")
 
 
-def height_above(scene: Scene, places: Places, points_world: Floats) -> Floats:
+def height_above(scene: Scene, places: ScanPlaces, points_world: Floats) -> Floats:
     """(P,) mm, how high (P, 3) points lie above the surface beneath them, target frame's z.
 
     On a mesh: above the plane of the triangle that the place lies on.
@@ -147,7 +149,7 @@ def height_above(scene: Scene, places: Places, points_world: Floats) -> Floats:
     Parameters
     ----------
     scene : Scene, its target and its floor
-    places : Places, one for each point
+    places : ScanPlaces, one for each point
     points_world : (P, 3) array, mm, world frame
     """
     local = target_pose(scene).invert(points_world)
@@ -165,7 +167,9 @@ def height_above(scene: Scene, places: Places, points_world: Floats) -> Floats:
     return height
 
 
-def _of_picture(scene: Scene, truth: StripeTruth, inside: Mask, frame: int, columns: int) -> Places:
+def _of_picture(
+    scene: Scene, truth: StripeTruth, inside: Mask, frame: int, columns: int
+) -> ScanPlaces:
     """The places of one picture; inside: (N,) whether the same face shows nearby, too."""
     chosen = np.array(spread_over(len(truth.status), columns))
     good = inside & (truth.status == Status.OK) & ~truth.multiple & (truth.edge_px > EDGE_PX)
@@ -175,7 +179,7 @@ def _of_picture(scene: Scene, truth: StripeTruth, inside: Mask, frame: int, colu
     world = head_pose(scene.tank.head, truth.position_mm).apply(head)
     flat = sheet.flattened(head)
     kind, normal = _faces(scene, truth.face[chosen], world)
-    places = Places(
+    places = ScanPlaces(
         frame=np.full(len(chosen), frame),
         position_mm=np.full(len(chosen), truth.position_mm),
         entry=chosen,
@@ -204,7 +208,7 @@ def _faces(scene: Scene, face: Ints, world: Floats) -> tuple[Ints, Floats]:
     return kind, normal * np.where(normal[:, 2:] < 0, -1.0, 1.0)
 
 
-def _fields(places: Places) -> Sequence[np.ndarray]:
+def _fields(places: ScanPlaces) -> Sequence[np.ndarray]:
     return tuple(vars(places).values())
 
 

@@ -5,7 +5,7 @@ by the instrument's own algorithms.  Kept beside the study, so that every worker
 goes on later has the same numbers.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from io import BytesIO
 
@@ -19,6 +19,7 @@ from lscan.records import (
     BoardReading,
     Bytes,
     Floats,
+    Ints,
     Marks,
     Mask,
     Progress,
@@ -30,7 +31,7 @@ from lscan.stripe.extract import extract_stripes
 from sim.render.tank import Layers, Tank
 from sim.scene import Scene, into_head
 from sim.sensor import Webcam
-from sim.studies.places import Places, places_of, require_one_line
+from sim.studies.places import ScanPlaces, places_of, require_one_line
 from sim.studies.studyfile import NOISES, Study
 from sim.truth import board_truth, project, stripe_truths
 
@@ -48,7 +49,7 @@ class Prepared:
 
     Attributes
     ----------
-    places : Places, P of the scan
+    places : ScanPlaces, P of the scan
     reading : BoardReading, M control points and marks of rulers, where they truly are, with the
         uncertainty that the instrument states
     marks_bias_px : (M, 2) array, px, found without noise less true; 0 where not found
@@ -59,7 +60,7 @@ class Prepared:
     sensor_px, speckle_px : (P,) array, px, scatter of the line's centre by either
     """
 
-    places: Places
+    places: ScanPlaces
     reading: BoardReading
     marks_bias_px: Floats
     marks_sigma_px: Floats
@@ -102,8 +103,8 @@ class Prepared:
         """It as the bytes of an .npz file, which holds arrays alone."""
         arrays = {f"places.{key}": value for key, value in vars(self.places).items()}
         arrays |= {key: vars(self)[key] for key in _NUMBERS}
-        arrays["sigma_px"] = np.concatenate([marks.sigma_px for marks in _marks(self.reading)])
-        arrays["status"] = np.concatenate([marks.status for marks in _marks(self.reading)])
+        arrays["sigma_px"] = np.concatenate([marks.sigma_px for marks in marks_of(self.reading)])
+        arrays["status"] = np.concatenate([marks.status for marks in marks_of(self.reading)])
         file = BytesIO()
         np.savez(file, **arrays)
         return file.getvalue()
@@ -118,7 +119,7 @@ class Prepared:
         study : Study, the same
         """
         with np.load(BytesIO(packed), allow_pickle=False) as kept:
-            places = Places(**{f.name: kept[f"places.{f.name}"] for f in fields(Places)})
+            places = ScanPlaces(**{f.name: kept[f"places.{f.name}"] for f in fields(ScanPlaces)})
             numbers = {name: kept[name] for name in _NUMBERS}
             reading = _reading(study.calibrate, kept["sigma_px"], kept["status"])
         return cls(places=places, reading=reading, **numbers)
@@ -183,14 +184,14 @@ def prepare(study: Study, progress: Progress | None = None) -> Prepared:
     )
 
 
-def on_board(study: Study, reading: BoardReading, places: Places) -> Mask:
+def on_board(study: Study, reading: BoardReading, places: ScanPlaces) -> Mask:
     """(P,) whether the plane map has a value about each place as far as rigs may be off.
 
     Parameters
     ----------
     study : Study
     reading : BoardReading, of the rig as it ought to be
-    places : Places
+    places : ScanPlaces
     """
     calibration = study.calibrate.rig.calibration
     plane_map = find_solver(calibration.plane_map).solve(reading, study.calibrate.rig.optics)
@@ -200,7 +201,7 @@ def on_board(study: Study, reading: BoardReading, places: Places) -> Mask:
     return np.asarray(np.isfinite(np.stack(about)).all(axis=(0, 2)))
 
 
-def _line(scene: Scene, tank: Tank, places: Places) -> tuple[Floats, Floats, Floats]:
+def _line(scene: Scene, tank: Tank, places: ScanPlaces) -> tuple[Floats, Floats, Floats]:
     """(P,) px each: bias, and scatter by the sensor's noise and by speckle; NaN where not found."""
     position_mm = float(places.position_mm[0])
     layers = tank.render(position_mm)
@@ -224,8 +225,9 @@ def exposed(scene: Scene, layers: Layers, noise: bool, speckle: bool, seed: int)
     seed : int, of either
     """
     sensor = scene.tank.sensor
-    other = {"noise": noise, "speckle": sensor.speckle if speckle else "none"}
+    other = {"noise": noise or speckle, "speckle": sensor.speckle if speckle else "none"}
     webcam = Webcam(scene.with_tank(sensor=other))
+    webcam = webcam if noise else webcam.without_noise()
     return webcam.expose(layers, scene.rig.camera.exposure_ms, np.random.default_rng(seed))
 
 
@@ -241,7 +243,7 @@ def centres_in(scene: Scene, pictures: list[Bytes]) -> Floats:
     return np.stack([np.where(has_value(s.status), s.centre_px, np.nan) for s in stripes])
 
 
-def _scatter(centres: Floats, places: Places) -> Floats:
+def _scatter(centres: Floats, places: ScanPlaces) -> Floats:
     """(P,) px, standard deviation of the centres about a place from picture to picture.
 
     NaN where fewer than half of the columns about it have a line in all pictures.
@@ -264,34 +266,45 @@ def _board(scene: Scene) -> tuple[BoardReading, Floats, Floats]:
     board, channel = scene.board(), scene.rig.calibration.channel
     pictures = [exposed(scene, layers, noise, noise, 1) for noise in (False, True)]
     quiet, usual = (read_board(picture, board, channel=channel) for picture in pictures)
-    status = np.concatenate([marks.status for marks in _marks(usual)])
-    sigma = np.concatenate([marks.sigma_px for marks in _marks(usual)])
+    status = np.concatenate([marks.status for marks in marks_of(usual)])
+    sigma = np.concatenate([marks.sigma_px for marks in marks_of(usual)])
     reading = _reading(scene, sigma, status)
     true, found = (
-        np.concatenate([marks.image_px for marks in _marks(one)]) for one in (reading, quiet)
+        np.concatenate([marks.image_px for marks in marks_of(one)]) for one in (reading, quiet)
     )
     off = found - true
     return reading, np.where(np.isfinite(off), off, 0.0), np.where(np.isfinite(sigma), sigma, 0.0)
 
 
-def _reading(scene: Scene, sigma: Floats, status: Floats) -> BoardReading:
+def _reading(scene: Scene, sigma: Floats, status: Ints) -> BoardReading:
     """The marks where they truly are, with the statuses and uncertainties of a reading."""
     truth = board_truth(scene, scene.rig.plan.positions_mm()[0]).centres
-    several = _marks(truth)
+    several = marks_of(truth)
     ends = np.cumsum([len(marks.status) for marks in several])[:-1]
-    stated = zip(several, np.split(sigma, ends), np.split(status, ends), strict=True)
-    read = [_stated(marks, *one) for marks, *one in stated]
-    rulers = zip(truth.rulers, read[1:], strict=True)
+    return stated(truth, np.split(sigma, ends), np.split(status, ends))
+
+
+def stated(reading: BoardReading, sigma: Sequence[Floats], status: Sequence[Ints]) -> BoardReading:
+    """A reading of points and rulers alone, with other uncertainties of its marks.
+
+    Parameters
+    ----------
+    reading : BoardReading
+    sigma, status : sequence of (N_i,) array, of the control points and of each ruler's marks: px,
+        and one that is not OK takes a mark away
+    """
+    grid, *others = (_stated(*one) for one in zip(marks_of(reading), sigma, status, strict=True))
+    rulers = zip(reading.rulers, others, strict=True)
     return replace(
-        truth,
-        grid=read[0],
+        reading,
+        grid=grid,
         rulers=tuple(replace(ruler, marks=marks) for ruler, marks in rulers),
         dots={},
         rings={},
     )
 
 
-def _stated(marks: Marks, sigma: Floats, status: Floats) -> Marks:
+def _stated(marks: Marks, sigma: Floats, status: Ints) -> Marks:
     found = (status == Status.OK) & marks.found
     return replace(
         marks,
@@ -301,7 +314,13 @@ def _stated(marks: Marks, sigma: Floats, status: Floats) -> Marks:
     )
 
 
-def _marks(reading: BoardReading) -> list[Marks]:
+def marks_of(reading: BoardReading) -> list[Marks]:
+    """The control points, and the marks of each ruler.
+
+    Parameters
+    ----------
+    reading : BoardReading
+    """
     return [reading.grid, *(ruler.marks for ruler in reading.rulers)]
 
 

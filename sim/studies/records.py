@@ -259,7 +259,7 @@ class StudyResults:
     ----------
     name : str
     source : mapping, the study's document
-    tier : str
+    tier : str; of "both", the budgets are in rendered physics
     seed, runs : int
     seconds : float, that it took
     causes : tuple of CauseFacts
@@ -275,7 +275,7 @@ class StudyResults:
 
     name: str
     source: Mapping[str, Any]
-    tier: Literal["geometric", "rendered"]
+    tier: Literal["geometric", "rendered", "both"]
     seed: int
     runs: int
     seconds: float

@@ -15,8 +15,8 @@ from lscan.records import BoardReading, Floats, select
 from sim.render.tank import Tank
 from sim.scene import Scene, at_moment
 from sim.studies.geometric import GeometricRig
-from sim.studies.places import Places
-from sim.studies.prepared import SENSOR, SPECKLE, centres_in, exposed
+from sim.studies.places import ScanPlaces
+from sim.studies.prepared import SENSOR, SPECKLE, centres_in, exposed, marks_of, stated
 from sim.studies.states import RigStates
 
 STEP_RAD = 1e-4  # of a ray in the fan: a tenth of a pixel; the line is straight over that
@@ -43,7 +43,7 @@ class RenderedRig(GeometricRig):
         pixels[:, self._across] = centre - self.prepared.corrected_px
         return pixels, true_mm
 
-    def _in_columns(self, scan: Scene) -> Places:
+    def _in_columns(self, scan: Scene) -> ScanPlaces:
         """The places, each moved along the line into the middle of the column it shows in."""
         places, along = self.prepared.places, 1 - self._across
         here = self._true_line(scan, places)[0][:, along]
@@ -72,7 +72,12 @@ class RenderedRig(GeometricRig):
         picture = exposed(board, layers, *noises, _mixed(seeds, -stream))
         channel = board.rig.calibration.channel
         reading = read_board(picture, board.board(), channel=channel)
-        return replace(reading, dots={}, rings={})
+        if SENSOR in seeds:
+            return replace(reading, dots={}, rings={})
+        # Of a picture without noise a ruler's marks state a tenth of their uncertainty, the points
+        # hardly less: a map that weighs them so is no map of this instrument.
+        usual = marks_of(self.prepared.reading)
+        return stated(reading, [m.sigma_px for m in usual], [m.status for m in usual])
 
 
 def _mixed(seeds: Mapping[str, int], picture: int) -> int:

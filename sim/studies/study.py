@@ -20,21 +20,30 @@ from sim.studies.budget import budgets_of, error_maps, scatters_of
 from sim.studies.geometric import GeometricRig
 from sim.studies.indices import Indices, next_base, sobol_indices
 from sim.studies.prepared import Prepared, prepare
+from sim.studies.problem import Output, columns
 from sim.studies.records import (
-    CauseFacts,
     IndexConvergence,
     OutputBudget,
     StudyResults,
     StudyRuns,
+    TierRow,
     Tolerances,
 )
 from sim.studies.rendered import RenderedRig
 from sim.studies.results import write_results
 from sim.studies.runner import cost_estimate, require_at_most, run_rows
-from sim.studies.sampling import AGAIN, ALL, BASE, Design, alone, make_design
-from sim.studies.states import check_keys, correlated, share_of
+from sim.studies.sampling import BASE, Design, alone, make_design
+from sim.studies.states import check_keys
 from sim.studies.store import Results, ResultStore, distinct, open_store
-from sim.studies.studyfile import Cause, Study, Tier, load_study, study_of
+from sim.studies.studyfile import Study, Tier, load_study, study_of
+from sim.studies.studyruns import joined, runs_of
+from sim.studies.tiers import (
+    alone_squares,
+    in_rendered_physics,
+    padded,
+    rendered_design,
+    tier_rows,
+)
 from sim.studies.tolerances import (
     MOST_RUNS,
     bounded_output,
@@ -47,15 +56,15 @@ from sim.studies.worker import identity_of
 if TYPE_CHECKING:
     from distributed import Client
 
-PREPARED, RUNS, TIGHTER = "prepared.npz", "runs", "tolerances"
+PREPARED, RUNS, RENDERED_RUNS, TIGHTER = "prepared.npz", "runs", "runs-rendered", "tolerances"
 AT_MOST = 20_000
 """Runs of a study that nobody has to agree to: ten minutes of the geometric tier."""
 COUNTED = ("height",)
 """The outputs whose indices are to be known as well as the study's file asks."""
-UNITS = {
-    "_mm": "mm", "_deg": "deg", "_px": "px", "_nm": "nm", "_mw": "mW", "_ms": "ms", "_c": "°C",
-    "_psu": "psu", "_ppm": "ppm", "_per_m": "1/m", "_ntu": "NTU", "_mpa": "MPa", "_e": "e-",
-}  # fmt: skip
+BOTH = (
+    "both tiers: moments, indices and what is compared are those of rendered rigs; 95 % ranges,"
+    " convergence, sensitivities and maps those of geometric ones"
+)
 
 
 @dataclass(frozen=True)
@@ -64,7 +73,7 @@ class RigSource:
 
     Attributes
     ----------
-    tier : str
+    tier : str, "geometric" or "rendered"
     study, calibrate, scan : dict, documents: the study's own, and those of its two scenes
     prepared : bytes, as ``Prepared.packed`` gives them
     name : str, of the study's file, for errors
@@ -156,63 +165,132 @@ def run_study(
     study = load_study(path)
     check_keys(study)
     tier = options.tier or study.file.tier
-    precision = study.file.precision
-    smallest = _design(study, precision.base)
+    smallest = _design(study, study.file.precision.base)
     bound = study.file.tolerances
     require_at_most(smallest.rows, options.at_most, more=MOST_RUNS if bound else 0)
+    if tier == "both":  # refused before anything is run, not after hours
+        rendered_design(smallest, {}, study.file.precision.rendered)
     if (output / RUNS).exists() and not options.resume:
         raise InputError(
             "holds runs of a study", where=output / RUNS, allowed="--resume, or another folder"
         )
     make_folder(output)
-    source = RigSource(
-        tier,
-        study.document,
-        study.calibrate.document,
-        study.scan.document,
-        _prepared(study, output / PREPARED, say),
-        str(path),
-    )
-    from sim.studies.cluster import open_client  # takes a second to import
-
+    packed = _prepared(study, output / PREPARED, say)
     with ExitStack() as stack:
-        store = stack.enter_context(open_store(output / RUNS, identity_of(source)))
-        if bound:
-            bounded_output(bound, store.identity.outputs, str(path))
-        workers: int | Literal["none"] | Client = options.workers
-        at_once = 1 if options.workers == "none" else options.workers
-        cost = cost_estimate(source, smallest.rows, store, at_once)
-        if options.workers != "none":
-            workers = stack.enter_context(open_client(options.workers, options.scheduler))
+        running = _Running(study, output, options, packed, stack, progress, say)
+        found = _until_known(running, "rendered" if tier == "rendered" else "geometric")
+        rendered = _some_rendered(running, found) if tier == "both" else None
+        tolerances = _tolerances(running, found)
+    results, runs = _results(study, tier, packed, found, rendered, began)
+    results = replace(results, tolerances=tolerances)
+    write_results(output, results, runs)
+    return results
+
+
+@dataclass
+class _Running:
+    """How and where the rows of a study are run."""
+
+    study: Study
+    output: Path
+    options: StudyOptions
+    packed: bytes
+    stack: ExitStack
+    progress: Progress | None
+    say: Callable[[str], None]
+    client: "Client | None" = None
+
+    def source(self, tier: Tier) -> RigSource:
+        """What a worker makes the problem of a tier from."""
+        return RigSource(
+            tier,
+            self.study.document,
+            self.study.calibrate.document,
+            self.study.scan.document,
+            self.packed,
+            self.study.source,
+        )
+
+    def begin(self, tier: Tier, folder: str, rows: Floats) -> tuple[RigSource, ResultStore]:
+        """The source and the store of a tier's runs; says how long these rows will take."""
+        source = self.source(tier)
+        store = self.stack.enter_context(open_store(self.output / folder, identity_of(source)))
+        at_once = 1 if self.options.workers == "none" else self.options.workers
+        cost = cost_estimate(source, rows, store, at_once)
         if cost.rows:
-            say(f"{cost.rows} runs to go, {cost.row_s:.2g} s each: about {cost.seconds:.0f} s")
-        base, convergence = precision.base, []
-        while True:
-            design = _design(study, base)
-            results = run_rows(
-                source,
-                design.rows,
-                store,
-                workers,
-                progress=progress,
-                at_most=options.at_most,
-            )
-            indices = sobol_indices(design, results.values, source.make().outputs)
-            convergence.append((len(design.rows), indices))
-            wanted = [indices[name] for name in COUNTED]
-            grown = next_base(wanted, precision.half_width, base)
-            if grown is None or grown > precision.most:
-                break
-            if len(distinct(_design(study, grown).rows)) > options.at_most:
-                say(f"{grown} samples would be more than the {options.at_most} runs agreed to")
-                break
-            say(f"the indices are not yet known to {precision.half_width:g}: on to {grown} samples")
-            base = grown
-        tolerances = _tolerances(study, source, store, indices, workers, progress, say)
-        found = _results(study, tier, design, results, convergence, time.monotonic() - began, store)
-    whole = replace(found[0], tolerances=tolerances)
-    write_results(output, whole, found[1])
-    return whole
+            left = f"{cost.rows} {tier} runs to go, {cost.row_s:.2g} s each"
+            self.say(f"{left}: about {cost.seconds:.0f} s")
+        return source, store
+
+    def run(
+        self, source: RigSource, store: ResultStore, rows: Floats, *, agreed: bool = False
+    ) -> Results:
+        """The results of rows; the cluster is started once a study.  agreed: counted before."""
+        from sim.studies.cluster import open_client  # takes a second to import
+
+        workers = self.options.workers
+        if workers != "none" and self.client is None:
+            self.client = self.stack.enter_context(open_client(workers, self.options.scheduler))
+        return run_rows(
+            source,
+            rows,
+            store,
+            self.client or workers,
+            progress=self.progress,
+            at_most=None if agreed else self.options.at_most,
+        )
+
+
+@dataclass(frozen=True)
+class _TierRuns:
+    """A design with its results, and the indices of each smaller design and of it."""
+
+    tier: Tier
+    design: Design
+    results: Results
+    store: ResultStore
+    convergence: list[tuple[int, dict[str, Indices]]]
+
+    @property
+    def outputs(self) -> tuple[Output, ...]:
+        """The outputs of the rows."""
+        return self.store.identity.outputs
+
+
+def _until_known(running: _Running, tier: Tier) -> _TierRuns:
+    """The runs of a tier, more and more of them until the indices are known."""
+    study, precision = running.study, running.study.file.precision
+    base, convergence = precision.base, []
+    source, store = running.begin(tier, RUNS, _design(study, base).rows)
+    if study.file.tolerances:
+        bounded_output(study.file.tolerances, store.identity.outputs, study.source)
+    while True:
+        design = _design(study, base)
+        results = running.run(source, store, design.rows)
+        indices = sobol_indices(design, results.values, store.identity.outputs)
+        convergence.append((len(design.rows), indices))
+        wanted = [indices[name] for name in COUNTED]
+        grown = next_base(wanted, precision.half_width, base)
+        if grown is None or grown > precision.most:
+            break
+        if len(distinct(_design(study, grown).rows)) > running.options.at_most:
+            most = running.options.at_most
+            running.say(f"{grown} samples would be more than the {most} runs agreed to")
+            break
+        running.say(
+            f"the indices are not yet known to {precision.half_width:g}: on to {grown} samples"
+        )
+        base = grown
+    return _TierRuns(tier, design, results, store, convergence)
+
+
+def _some_rendered(running: _Running, found: _TierRuns) -> tuple[Design, Results]:
+    """The part of a geometric study's rows that is rendered, with its results."""
+    where = columns(found.outputs)[COUNTED[0]]
+    squares = alone_squares(found.design, found.results.values[:, where])
+    part = rendered_design(found.design, squares, running.study.file.precision.rendered)
+    source, store = running.begin("rendered", RENDERED_RUNS, part.rows)
+    return part, running.run(source, store, part.rows)
 
 
 def _design(study: Study, base: int) -> Design:
@@ -220,38 +298,30 @@ def _design(study: Study, base: int) -> Design:
     return make_design(study.causes, base, file.precision.alone, file.seed, study.groups)
 
 
-def _tolerances(
-    study: Study,
-    source: RigSource,
-    store: ResultStore,
-    indices: Mapping[str, Indices],
-    workers: "int | Literal['none'] | Client",
-    progress: Progress | None,
-    say: Callable[[str], None],
-) -> Tolerances | None:
+def _tolerances(running: _Running, found: _TierRuns) -> Tolerances | None:
     """Those that the study's file asks for, of geometric runs; each spread has its own folder."""
-    bound = study.file.tolerances
+    file = running.study.file
+    bound = file.tolerances
     if bound is None:
         return None
-    outputs = store.identity.outputs
-    groups = indices[bound.output].groups
+    groups = found.convergence[-1][1][bound.output].groups
+    source = running.source("geometric")
 
     def sizes(factors: Mapping[str, float], rows: Floats) -> Floats:
         words = ", ".join(f"{factor:g}" for factor in sorted(set(factors.values())))
-        say(f"tolerances: {len(rows)} rigs with {words} of the stated spreads")
-        if source.tier == "geometric" and set(factors.values()) == {1.0}:
-            results = run_rows(source, rows, store, workers, progress=progress)
-            return sizes_of(results, outputs, bound.output)
-        drawn = with_spreads(study.file, source.study, factors)
-        tighter = replace(source, tier="geometric", study=drawn)
+        running.say(f"tolerances: {len(rows)} rigs with {words} of the stated spreads")
+        if found.tier == "geometric" and set(factors.values()) == {1.0}:
+            results = running.run(source, found.store, rows, agreed=True)
+            return sizes_of(results, found.outputs, bound.output)
+        tighter = replace(source, study=with_spreads(file, source.study, factors))
         identity = identity_of(tighter)
-        folder = store.folder.parent / TIGHTER / identity.sha256[:16]
+        folder = running.output / TIGHTER / identity.sha256[:16]
         with open_store(folder, identity) as own:
-            results = run_rows(tighter, rows, own, workers, progress=progress)
-        return sizes_of(results, outputs, bound.output)
+            results = running.run(tighter, own, rows, agreed=True)
+        return sizes_of(results, found.outputs, bound.output)
 
     shares = {name: group.total.value for name, group in groups.items()}
-    return find_tolerances(study.file, bound, shares, sizes)
+    return find_tolerances(file, bound, shares, sizes)
 
 
 def _prepared(study: Study, file: Path, say: Callable[[str], None]) -> bytes:
@@ -269,83 +339,52 @@ def _prepared(study: Study, file: Path, say: Callable[[str], None]) -> bytes:
 def _results(
     study: Study,
     tier: Tier,
-    design: Design,
-    results: Results,
-    convergence: list[tuple[int, dict[str, Indices]]],
-    seconds: float,
-    store: ResultStore,
+    packed: bytes,
+    found: _TierRuns,
+    rendered: tuple[Design, Results] | None,
+    began: float,
 ) -> tuple[StudyResults, StudyRuns]:
-    runs = runs_of(study, design, results, store.identity.outputs)
-    indices = convergence[-1][1]
+    runs = runs_of(study, found.design, found.results, found.outputs)
+    indices, every = found.convergence[-1][1], runs
+    tiers: tuple[TierRow, ...] = ()
+    if rendered is not None:
+        values = padded(found.design, rendered[0], rendered[1].values)
+        both = found.design, found.results.values
+        indices = sobol_indices(*both, found.outputs, values)
+        tiers = tier_rows(*both, values, found.outputs)
+        every = joined(runs, runs_of(study, *rendered, found.outputs))
     budgets = budgets_of(
         runs,
-        {name: _as_tuples(found) for name, found in indices.items()},
+        {name: _as_tuples(one) for name, one in indices.items()},
         seed=study.file.seed,
-        convergence={name: _convergence(convergence, name) for name in indices},
+        convergence={name: _convergence(found.convergence, name) for name in indices},
     )
     budgets = tuple(_with_rest(budget, indices) for budget in budgets)
+    if rendered is not None:
+        budgets = tuple(in_rendered_physics(budget, indices, tiers) for budget in budgets)
     # The files, and the places, of an error map are those of the rig as it ought to be.
-    places = Prepared.unpacked((store.folder.parent / PREPARED).read_bytes()[32:], study).places
+    places = Prepared.unpacked(packed, study).places
     xy = target_pose(study.scan).invert(places.world_mm)[:, :2]
     fields = {output.name: xy for output in runs.outputs if output.size > 1}
-    failures = Counter(status for status in results.status if status != "ok")
-    notes = [f"{name}: {found.note}" for name, found in indices.items() if found.note]
-    if still := without_effect(runs):
-        words = f"{', '.join(still)}: without any effect in the {tier} tier"
-        if tier == "geometric":
-            words += "; what changes the pictures alone has one in the rendered tier"
-        notes.append(words)
-    counted, wanted = [indices[name] for name in COUNTED], study.file.precision.half_width
-    if next_base(counted, wanted, counted[0].base):
-        names = ", ".join(COUNTED)
-        notes.append(
-            f"The indices of {names} are not known to ± {wanted:g}, as the study asks: it ended at"
-            " the most runs that it or --at-most allows"
-        )
+    notes = [f"{name}: {one.note}" for name, one in indices.items() if one.note]
+    notes += _remarks(study, tier, runs, indices)
     return (
         StudyResults(
             name=study.file.name,
             source=study.document,
             tier=tier,
             seed=study.file.seed,
-            runs=len(results.status),
-            seconds=seconds,
+            runs=len(every.statuses),
+            seconds=time.monotonic() - began,
             causes=runs.causes,
             outputs=budgets,
-            failures=dict(failures),
+            failures=dict(Counter(status for status in every.statuses if status != "ok")),
             maps=error_maps(runs, fields),
             scatters=scatters_of(runs, budgets),
-            notes=tuple(notes),
+            notes=(*notes, *([BOTH] if rendered else [])),
+            tiers=tiers,
         ),
-        runs,
-    )
-
-
-def runs_of(study: Study, design: Design, results: Results, outputs: tuple[Any, ...]) -> StudyRuns:
-    """The runs of a design with their causes' numbers, as files and budgets have them.
-
-    Parameters
-    ----------
-    study : Study
-    design : Design
-    results : Results, of its rows
-    outputs : tuple of Output
-    """
-    rows, facts = design.rows, tuple(map(_facts, *zip(*study.file.cause.items(), strict=True)))
-    correlations = study.correlations()
-    root: Floats | None = None
-    if study.file.correlation:
-        root = np.asarray(np.linalg.cholesky(correlations), dtype=float)
-    shares = np.stack([correlated(row, root) for row in rows])
-    physical = np.full(rows.shape, np.nan)
-    for column, cause in enumerate(study.file.cause.values()):
-        if cause.when in ("noise", "each-frame"):
-            continue
-        for n in np.flatnonzero(np.isfinite(shares[:, column])):
-            physical[n, column] = share_of(study, cause, float(shares[n, column]))
-    names = [ALL if block == AGAIN else block for block, _ in design.labels]
-    return StudyRuns(
-        facts, outputs, rows, physical, tuple(names), results.values, tuple(results.status)
+        every,
     )
 
 
@@ -363,18 +402,24 @@ def without_effect(runs: StudyRuns) -> list[str]:
     return [group for group, values in apart.items() if len(values) and (values == base).all()]
 
 
-def _facts(name: str, cause: Cause) -> CauseFacts:
-    has_number = cause.when in ("as-built", "drift")
-    field = next((part for part in reversed(cause.key.split(".")) if not part.isdigit()), "")
-    unit = next((unit for end, unit in UNITS.items() if field.endswith(end)), "1")
-    return CauseFacts(
-        name=name,
-        when=cause.when,
-        keys=(cause.key, *cause.together),
-        distribution=cause.in_words,
-        unit=unit if has_number else None,
-        group=cause.group or "",
-    )
+def _remarks(
+    study: Study, tier: Tier, runs: StudyRuns, indices: Mapping[str, Indices]
+) -> list[str]:
+    """What a reader has to know of causes that do nothing, and of indices not known well enough."""
+    notes = []
+    if still := without_effect(runs):
+        words = f"{', '.join(still)}: without any effect in the {tier} tier"
+        if tier == "geometric":
+            words += "; what changes the pictures alone has one in the rendered tier"
+        notes.append(words)
+    counted, wanted = [indices[name] for name in COUNTED], study.file.precision.half_width
+    if next_base(counted, wanted, counted[0].base):
+        names = ", ".join(COUNTED)
+        notes.append(
+            f"The indices of {names} are not known to ± {wanted:g}, as the study asks: it ended at"
+            " the most runs that it or --at-most allows"
+        )
+    return notes
 
 
 def _as_tuples(found: Indices) -> dict[str, tuple[float, float, float, float, float, float]]:

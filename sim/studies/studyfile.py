@@ -19,7 +19,7 @@ from sim.studies.distribution import KINDS, Distribution
 from sim.studies.sampling import SETS
 
 When = Literal["as-built", "drift", "each-frame", "noise"]
-Tier = Literal["geometric", "rendered"]
+Tier = Literal["geometric", "rendered", "both"]
 NOISES = ("sensor.noise", "sensor.speckle")
 
 
@@ -125,13 +125,14 @@ class Precision(Strict):
 
     base: samples to begin with; each takes as many runs as there are causes, and two.  most: of
     these; half_width: of the intervals of the three largest indices.  alone: runs of each cause
-    by itself.
+    by itself.  rendered: runs that are rendered where the tier is both.
     """
 
     base: Annotated[int, Field(ge=SETS, le=1 << 20)] = 256
     most: Annotated[int, Field(ge=SETS, le=1 << 20)] = 1024
     half_width: PositiveFloat = 0.05
     alone: Annotated[int, Field(ge=SETS, le=1 << 16)] = 64
+    rendered: Annotated[int, Field(ge=1, le=1 << 20)] = 256
 
     @model_validator(mode="after")
     def _whole_sets(self) -> Self:

@@ -4,6 +4,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.special import ndtri
 
 from lscan.records import Floats
 from sim.studies.problem import Output
@@ -108,3 +109,23 @@ def sobol_g(a: tuple[float, ...] = (0.0, 0.5, 3.0, 9.0, 99.0, 99.0)) -> ClosedFo
             f"x{k + 1}": float(v / (1 + v) * (1 + variance) / variance) for k, v in enumerate(own)
         },
     )
+
+
+def nearly_linear(slopes: tuple[float, ...], curvature: float = 0.0, at: float = 0.0) -> ClosedForm:
+    """at + the sum of slope times z + curvature (z1² - 1), z normal: a rig of small causes.
+
+    Parameters
+    ----------
+    slopes : tuple of float, one for each cause
+    curvature, at : float
+    """
+    weights = np.array(slopes)
+    own = weights**2
+    own[0] += 2 * curvature**2
+
+    def function(u: Floats) -> Floats:
+        z = ndtri(u)
+        return np.asarray(at + z @ weights + curvature * (z[..., 0] ** 2 - 1))
+
+    shares = {f"x{k + 1}": float(share) for k, share in enumerate(own / own.sum())}
+    return ClosedForm("nearly linear", function, at, float(own.sum()), shares, shares)

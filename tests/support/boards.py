@@ -148,7 +148,7 @@ def _shade(size: tuple[int, int], light: Light) -> Floats:
 
 
 def _pixels(middle: Floats, reach: int, parts: int) -> tuple[Floats, tuple[Floats, Floats]]:
-    """Places in the pixels about each ``middle`` (N, 2), and those pixels' (rows, columns)."""
+    """ScanPlaces in the pixels about each ``middle`` (N, 2), and those pixels' (rows, columns)."""
     base = np.rint(middle).astype(int)
     span = np.arange(-reach, reach + 1)
     inner = (np.arange(parts) + 0.5) / parts - 0.5

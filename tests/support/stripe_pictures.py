@@ -27,7 +27,7 @@ def noisy(rng, light, ground=20.0, read=0.0, gain=0.0, speckle=0.0):
 
 
 def centres_of(rng, columns=WIDTH):
-    """Places of a sloping line that passes every phase of the pixel."""
+    """ScanPlaces of a sloping line that passes every phase of the pixel."""
     return HEIGHT / 2 + rng.uniform(-3, 3) + np.linspace(0, 9, columns)
 
 

@@ -7,12 +7,15 @@ import numpy as np
 from lscan.records import Mask
 from sim.studies.indices import sobol_indices
 from sim.studies.intervals import Bounded
-from sim.studies.sampling import make_design
-from sim.studies.testfunctions import ClosedForm, ishigami, sobol_g
+from sim.studies.sampling import AGAIN, ALL, SETS, make_design, mixed
+from sim.studies.testfunctions import ClosedForm, ishigami, nearly_linear, sobol_g
+from sim.studies.tiers import beginnings, padded
 from sim.validation.accuracy.intervals import band_miss_percent
 from sim.validation.rows import Row, row
 
 BASE, REPEATS = 1024, 200
+SLOPES = (3.0, 2.0, 1.5, 1.0, 0.8, 0.6, 0.5, 0.4, 0.3, 0.2, 0.1, 0.05)  # of twelve causes
+OFF = tuple(np.linspace(0.9, 1.1, len(SLOPES)))  # the rendered tier's over the geometric one's
 
 
 @dataclass(frozen=True)
@@ -40,18 +43,31 @@ def coverage_rows(seed: int = 0, base: int = BASE, repeats: int = REPEATS) -> li
     repeats : int, studies
     """
     rows = []
-    for problem in (ishigami(), sobol_g()):
-        held = coverage(problem, base, range(seed, seed + repeats))
+    seeds = range(seed, seed + repeats)
+    for key, problem, cheap in (
+        *(("index-coverage", problem, None) for problem in (ishigami(), sobol_g())),
+        *(("two-tier-coverage", dear, cheap) for cheap, dear in two_tier_pairs()),
+    ):
+        held = coverage(problem, base, seeds, cheap)
         for kind, inside in (("first-order", held.first), ("total", held.total)):
             figure = band_miss_percent(float(inside.mean()))
             words = {"function": problem.name, "kind": kind, "percent": 100 * inside.mean()}
-            rows.append(
-                row("index-coverage", figure, seed=seed, repeats=repeats, base=base, **words)
-            )
+            rows.append(row(key, figure, seed=seed, repeats=repeats, base=base, **words))
     return rows
 
 
-def coverage(problem: ClosedForm, base: int, seeds: range) -> Coverage:
+def two_tier_pairs() -> list[tuple[ClosedForm, ClosedForm]]:
+    """A cheap problem and a dear one that is like it: other slopes, curved, and off."""
+    slopes = tuple(slope * off for slope, off in zip(SLOPES, OFF, strict=True))
+    return [
+        (ishigami(), ishigami(7.5, 0.11)),
+        (nearly_linear(SLOPES), nearly_linear(slopes, 0.15, 0.3)),
+    ]
+
+
+def coverage(
+    problem: ClosedForm, base: int, seeds: range, cheap: ClosedForm | None = None
+) -> Coverage:
     """Which intervals hold, study by study.
 
     Parameters
@@ -59,12 +75,17 @@ def coverage(problem: ClosedForm, base: int, seeds: range) -> Coverage:
     problem : ClosedForm
     base : int, base samples of a study
     seeds : range, one for each study
+    cheap : ClosedForm, optional, that is evaluated in its place but for SETS base samples
     """
     first, total, moments = [], [], []
     for seed in seeds:
         design = make_design(problem.causes, base, 0, seed)
-        values = problem.evaluate(design.rows)
-        (found,) = sobol_indices(design, values, problem.outputs).values()
+        values, dear = (cheap or problem).evaluate(design.rows), None
+        if cheap is not None:
+            blocks = (ALL, AGAIN, *map(mixed, design.groups))
+            part = beginnings(design, dict.fromkeys(blocks, SETS))
+            dear = padded(design, part, problem.evaluate(part.rows))
+        (found,) = sobol_indices(design, values, problem.outputs, dear).values()
         first.append([_holds(found.groups[c].first, problem.first[c]) for c in problem.causes])
         total.append([_holds(found.groups[c].total, problem.total[c]) for c in problem.causes])
         of = found.moments

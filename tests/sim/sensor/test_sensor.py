@@ -122,6 +122,17 @@ def test_without_noise_nothing_is_random() -> None:
     assert np.array_equal(image, picture(scene, seed=2, direct=0.1))
 
 
+def test_speckle_is_seen_without_noise() -> None:
+    """Only light of the laser that comes straight from the surface has any."""
+    scene = sensor_scene((64, 48), prnu=0.2, speckle="polarised")
+    generator = np.random.default_rng(1)
+    lit, day = (
+        Webcam(scene).without_noise().expose(layers, EXPOSURE_MS, generator)
+        for layers in (layers_of(scene, direct=0.1), layers_of(scene, ambient=0.1))
+    )
+    assert np.ptp(lit[..., 0]) > 0 and (day == day[0, 0]).all()
+
+
 def test_full_well_clips_and_black_stays_in_range() -> None:
     scene = sensor_scene()
     assert (picture(scene, ambient=50.0) == 255).all()
