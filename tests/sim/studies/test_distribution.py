@@ -39,7 +39,7 @@ def test_mean_and_deviation_are_those_of_the_quantiles(stated: Document) -> None
         ({"triangular": (0.0, 1.0, 4.0)}, stats.triang(0.25, 0.0, 4.0)),
         ({"lognormal": (5.0, 0.2)}, stats.lognorm(0.2, scale=5.0)),
     ],
-    ids=str,
+    ids=["normal", "uniform", "triangular", "lognormal"],
 )
 def test_quantiles_are_scipys(stated: Document, reference: stats.rv_continuous) -> None:
     one = Distribution.model_validate(stated)
