@@ -98,7 +98,13 @@ class Change(Strict):
         return values[int(np.searchsorted(odds[:-1] / odds[-1], share, side="right"))]
 
     def changed(self, number: float, offset: float) -> float:
-        """The scene's number with an offset added, or where relative, in proportion."""
+        """The scene's number with an offset added, or where relative, in proportion.
+
+        Parameters
+        ----------
+        number : float, the scene's
+        offset : float, as ``offset`` gives it
+        """
         return number * (1 + offset) if self.relative else number + offset
 
 

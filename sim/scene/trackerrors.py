@@ -68,11 +68,21 @@ class TrackErrors(Strict):
         return s + error
 
     def turn_deg(self, position_mm: float) -> Floats:
-        """(3,) angles about x, y and z of the head at a commanded position."""
+        """(3,) angles about x, y and z of the head at a commanded position.
+
+        Parameters
+        ----------
+        position_mm : float, mm, as commanded
+        """
         rates = (self.pitch_deg_per_m, self.roll_deg_per_m, self.yaw_deg_per_m)
         return np.array(rates) * position_mm / MM_PER_M
 
     def shift_mm(self, position_mm: float) -> Floats:
-        """(3,) mm off the straight way, world frame, at a commanded position."""
+        """(3,) mm off the straight way, world frame, at a commanded position.
+
+        Parameters
+        ----------
+        position_mm : float, mm, as commanded
+        """
         part = (2 * position_mm / self.bow_length_mm) ** 2
         return part * np.array([self.bow_x_mm, 0.0, self.bow_z_mm])

@@ -67,7 +67,13 @@ def sheet_of(scene: Scene, line: int = 0) -> TrueSheet:
 
 
 def sheet_plane(laser: Laser, line: LaserLine) -> Pose:
-    """Frame of the sheet's plane to head frame."""
+    """Frame of the sheet's plane to head frame.
+
+    Parameters
+    ----------
+    laser : Laser, its apex and angles
+    line : LaserLine, one of ``laser.sheets``
+    """
     turned = rotation("ZX", (laser.skew_deg, laser.tilt_deg + line.tilt_deg))
     apex = np.array(laser.apex_mm)
     return Pose(turned, apex - turned @ (apex * [1.0, 0.0, 1.0]))

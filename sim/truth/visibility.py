@@ -45,7 +45,13 @@ def in_fan(laser: Laser, xz_mm: Floats) -> Mask:
 
 
 def fan_angle(laser: Laser, xz_mm: Floats) -> Floats:
-    """(...,) angle, rad, at the apex between the fan's axis and (..., 2) points of a sheet."""
+    """(...,) angle, rad, at the apex between the fan's axis and points of a sheet.
+
+    Parameters
+    ----------
+    laser : Laser, its apex and aim
+    xz_mm : (..., 2) array, mm, in the sheet's plane
+    """
     right, up = np.moveaxis(xz_mm - apex_xz(laser), -1, 0)
     aim = np.radians(laser.aim_deg)
     across = right * np.cos(aim) + up * np.sin(aim)
@@ -201,5 +207,10 @@ def _turning_past_mm(shaft: TrueShaft, points_mm: Floats, sheet: TrueSheet) -> F
 
 
 def apex_xz(laser: Laser) -> Floats:
-    """(2,) of (x, z): the laser's apex, mm, in the plane of each of its sheets."""
+    """(2,) of (x, z): the laser's apex, mm, in the plane of each of its sheets.
+
+    Parameters
+    ----------
+    laser : Laser
+    """
     return np.array([laser.apex_mm[0], laser.apex_mm[2]])

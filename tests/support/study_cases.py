@@ -17,7 +17,7 @@ MARK_PX, SENSOR_PX, SPECKLE_PX = 0.01, 0.02, 0.04
 
 def study_with(causes: Document, **sections: object) -> Study:
     """A study of the paper's rig with a ray-traced map, of few places."""
-    places = {"pictures": 4, "columns": 20}
+    places = {"pictures": 4, "columns": 80}
     document = {
         "calibrate": "best/board", "scan": "best/sandwave", "places": places, "cause": causes,
     }  # fmt: skip
@@ -33,7 +33,7 @@ def known_of(calibrate: str = "best/board", scan: str = "best/sandwave") -> Prep
         scan=scan,
     )
     reading = _stated(board_truth(study.calibrate).centres)
-    places = places_of(study.scan, 4, 20)
+    places = places_of(study.scan, 4, 80)
     places = select(places, on_board(study, reading, places))
     count = len(places.frame)
     marks = len(reading.grid.status) + sum(len(ruler.marks.status) for ruler in reading.rulers)

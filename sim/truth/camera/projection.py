@@ -95,7 +95,13 @@ def entry_points(scene: Scene, points_head_mm: Floats) -> Floats:
 
 
 def rays_to(camera: TrueCamera, points_head_mm: Floats) -> RaysToPoints:
-    """The rays from the pinhole to (N, 3) points of the water, head frame, mm."""
+    """The rays from the pinhole to points of the water.
+
+    Parameters
+    ----------
+    camera : TrueCamera
+    points_head_mm : (N, 3) array, mm, head frame
+    """
     points = np.asarray(points_head_mm, dtype=float)
     if points.ndim != 2 or points.shape[1] != 3 or not np.isfinite(points).all():
         raise InputError("points to project", value=points.shape, allowed="finite, (N, 3)")
@@ -109,6 +115,11 @@ def image(camera: TrueCamera, direction: Floats) -> Floats:
     """(N, 2) pixels of (N, 3) directions in air, camera frame; NaN where there is no image.
 
     Distortion as OpenCV's documentation writes it (Brown 1971, Conrady 1919).
+
+    Parameters
+    ----------
+    camera : TrueCamera, its lens
+    direction : (N, 3) array, of any length
     """
     lens = camera.lens
     ahead = np.where(direction[:, 2] > 0, direction[:, 2], np.nan)

@@ -55,7 +55,12 @@ def surfaces_of(scene: Scene) -> list[TankSurface]:
 
 
 def target_surfaces(scene: Scene) -> list[TankSurface]:
-    """The target's surfaces: analytic where its shape is, else its mesh."""
+    """The target's surfaces: analytic where its shape is, else its mesh.
+
+    Parameters
+    ----------
+    scene : Scene, its target
+    """
     target, rig, pose = scene.tank.target, scene.rig, target_pose(scene)
     if target.shape == "none":
         return []

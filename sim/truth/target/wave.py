@@ -28,6 +28,11 @@ class Wave:
 
         Raises InputError where block or sheet are tilted so far that the sheet may cut the
         surface more than once in the same x.
+
+        Parameters
+        ----------
+        sheet : Pose, frame of the sheet's plane to world frame
+        bow : Bow or None, how far the sheet lies off the plane
         """
         inner = Pose(self.pose.rotation.T @ sheet.rotation, self.pose.invert(sheet.origin_mm))
 
@@ -60,6 +65,10 @@ class Wave:
 
         A point of the surface that faces away is blocked exactly; a cast shadow is found by
         marching.  Lines that would pass through the square's vertical walls count as well.
+
+        Parameters
+        ----------
+        start, end : (N, 3) array, mm, world frame
         """
         here, there = self.pose.invert(start), self.pose.invert(end)
         blocked = self._faces_away(here, there)
@@ -80,7 +89,12 @@ class Wave:
         return blocked
 
     def normals(self, places: Floats) -> Floats:
-        """(N, 3) unit normals of eq. (4) at places of the world, upwards."""
+        """(N, 3) unit normals of eq. (4), upwards, world frame.
+
+        Parameters
+        ----------
+        places : (N, 3) array, mm, of the surface, world frame
+        """
         x, y, _ = self.pose.invert(places).T
         return self.shape.normals(x, y) @ self.pose.rotation.T
 

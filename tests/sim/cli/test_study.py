@@ -205,7 +205,10 @@ def test_a_study_that_is_none_is_refused(
     [
         (["nothing.toml"], "nothing.toml: cannot be read: there is no such file, and no study"),
         (["paper-budgt"], "did you mean paper-budget?"),
-        (["paper-budget", "--tier", "both"], "--tier: not known (got 'both'; allowed: geometric, "),
+        (
+            ["paper-budget", "--tier", "drawn"],
+            "--tier: not known (got 'drawn'; allowed: geometric, ",
+        ),
         (["paper-budget", "--at-most", "10"], "--at-most: too many runs ("),
         (["paper-budget", "--workers", "0"], "--workers: out of range (got 0; "),
         (["paper-budget", "--processes", "3"], "--processes: not known (got '3'; allowed: none)"),

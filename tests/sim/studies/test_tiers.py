@@ -198,7 +198,7 @@ STUDY = """
 calibrate = "best/board"
 scan = "best/sandwave"
 tier = "both"
-places = { pictures = 4, columns = 20 }
+places = { pictures = 4, columns = 80 }
 precision = { base = 64, most = 64, alone = 16, rendered = 80 }
 [cause.board]
 key = "calibrate.target.position_mm.1"

@@ -272,7 +272,7 @@ def test_a_study_finds_its_tolerances_and_goes_on_with_them(
         alone = 16
         [places]
         pictures = 4
-        columns = 20
+        columns = 80
         [tolerances]
         most_mm = 0.1
         """
