@@ -266,7 +266,7 @@ def test_both_tiers_of_a_small_picture_without_noise_agree() -> None:
     """
     document = {
         "calibrate": "best/board", "scan": "best/sandwave",
-        "places": {"pictures": 2, "columns": 12},
+        "places": {"pictures": 2, "columns": 64},
         "cause": {"sheet": {"key": "laser.tilt_deg", "when": "drift", "fixed": 0.1}},
     }  # fmt: skip
     scenes = (shrunk(load_scene(name), 2) for name in ("best/board", "best/sandwave"))
