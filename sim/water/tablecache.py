@@ -17,7 +17,8 @@ from lscan.files.disk import cache_folder, read_bytes, write_atomically
 from lscan.files.longwork import long_work
 from lscan.records import Floats
 
-LARGEST_BYTES = 2**26  # of a kept file; the largest now has 2e7
+# Of a kept file: 64 for each triangle of a mesh in the tank, whose files hold up to 1.4e7 of them.
+LARGEST_BYTES = 2**30
 DIGEST_BYTES = 32
 ASKED_S = 0.1  # between questions for a lock
 

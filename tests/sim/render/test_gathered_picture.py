@@ -96,7 +96,7 @@ def test_sampled_light_is_random(picture: Layers) -> None:
     [
         ({"target": {"finish": "wet"}}, "target.finish"),
         ({"target": {"finish": "mirror"}}, "target.finish"),
-        ({"target": {"sand": Sand()}}, "target.sand"),
+        ({"target": {"sand": Sand(grain_mm=4.0)}}, "target.sand"),
         ({"water": {"kind": "air"}}, "water"),
         ({"laser": {"drift": Drift()}}, "laser.drift"),
     ],

@@ -22,6 +22,9 @@ class StillTank:
     def __init__(self, scene: Scene) -> None:
         self._scene = scene
 
+    def take(self, scene: Scene) -> None:
+        """Nothing of this tank changes from picture to picture."""
+
     def render(self, position_mm: float, **_: float) -> Layers:
         width = self._scene.rig.camera.width_px
         peak = 0.5 if position_mm > 5 else 0.05

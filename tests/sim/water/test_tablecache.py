@@ -52,6 +52,15 @@ def test_a_table_is_made_once(folder: Path) -> None:
     assert make.calls == 2
 
 
+def test_tables_of_a_mesh_of_a_million_triangles_are_kept(folder: Path) -> None:
+    """Each triangle holds a node at least, with eight neighbours and their shares as float32."""
+    make = Maker()
+    node = np.ones((1_100_000, 8), np.float32)
+    for _ in range(2):
+        kept_arrays("mesh", lambda: make() | {"near": node, "shares": node})
+    assert make.calls == 1
+
+
 @pytest.mark.parametrize("cut", [0, 10, 200, -1])
 def test_a_broken_file_is_made_anew(folder: Path, cut: int) -> None:
     make = Maker()
