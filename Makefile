@@ -56,12 +56,18 @@ smoke: export LSCAN_PHOTONS ?= 131072
 smoke: .venv/llvm.stamp .venv/chromium.stamp
 	$(MAKE) --jobs=2 --keep-going --output-sync=target $(addprefix quick-,$(QUICK))
 
+quick-accuracy:
+	$(BIN)/lscan-sim accuracy --quick -o out/quick/accuracy.json
+quick-bench:
+	$(BIN)/lscan-sim bench --quick -o out/quick/bench.json
 quick-demo:
 	$(BIN)/lscan-sim demo --quick -o out/quick/demo
+quick-field:
+	$(BIN)/lscan-sim field --quick -o out/quick/field.json
+quick-hardware:
+	$(BIN)/lscan-sim hardware --quick -o out/quick/hardware.json
 quick-verify:
 	$(BIN)/lscan-sim verify --quick -o out/quick/verify
-quick-accuracy quick-bench quick-field quick-hardware: quick-%:
-	$(BIN)/lscan-sim $* --quick -o out/quick/$*.json
 
 bench: .venv/llvm.stamp
 	$(BIN)/lscan-sim bench -o out/bench.json

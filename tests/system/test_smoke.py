@@ -30,7 +30,10 @@ def test_the_figures_commands_are_those_known() -> None:
 
 @pytest.mark.parametrize("command", sorted(figures_commands()))
 def test_smoke_runs_the_command_quickly(command: str) -> None:
-    assert f"lscan-sim {command} --quick -o out/quick/{command}" in recipe("smoke")
+    listed = re.search(r"^QUICK := (.*)$", MAKEFILE, re.MULTILINE)
+    assert listed and command in listed[1].split()
+    assert "$(addprefix quick-,$(QUICK))" in recipe("smoke")
+    assert f"lscan-sim {command} --quick -o out/quick/{command}" in recipe(f"quick-{command}")
     assert "--quick" in CliRunner().invoke(app, [command, "--help"]).output
 
 
