@@ -8,7 +8,7 @@ ROOT := $(shell [ "$$(id -u)" = 0 ] || echo sudo -n)
 MINUTES ?= 10
 APT := $(ROOT) env DEBIAN_FRONTEND=noninteractive apt-get -qq
 
-QUICK := accuracy verify hardware field demo bench
+QUICK := accuracy hardware verify field demo bench
 .PHONY: help setup demo test smoke soak lint house bench verify accuracy field hardware docs clean
 .PHONY: $(addprefix quick-,$(QUICK))
 .DELETE_ON_ERROR:
@@ -51,7 +51,7 @@ house: .venv/packages.stamp
 	$(BIN)/python tests/support/house.py
 
 # Every figures command, each with the least effort: what a later change broke shows here.  Two
-# at a time: most use one core, and one waits for devices most of its time.
+# at a time: most use one core, and the second waits for devices most of its time.
 smoke: export LSCAN_PHOTONS ?= 131072
 smoke: .venv/llvm.stamp .venv/chromium.stamp
 	$(MAKE) --jobs=2 --keep-going --output-sync=target $(addprefix quick-,$(QUICK))
