@@ -165,5 +165,12 @@ def rotation(vector: Floats) -> Floats:
     >>> rotation(np.array([0.0, 0.0, np.pi / 2])).round(6) @ np.array([1.0, 0.0, 0.0])
     array([0., 1., 0.])
     """
-    turns = Rotation.from_rotvec(np.reshape(vector, (-1, 3))).as_matrix()
-    return np.asarray(turns, dtype=np.float64).reshape(*np.shape(vector), 3)
+    x, y, z = np.moveaxis(vector, -1, 0)
+    zero = np.zeros_like(x)
+    cross = np.array([[zero, -z, y], [z, zero, -x], [-y, x, zero]])
+    cross = np.moveaxis(cross, (0, 1), (-2, -1))
+    half = np.sqrt(x * x + y * y + z * z)[..., None, None] / 2
+    # sin(a) / a and (1 - cos(a)) / a^2, which are 1 and 1/2 at 0
+    straight, square = np.sinc(2 * half / np.pi), np.sinc(half / np.pi) ** 2 / 2
+    turns: Floats = np.eye(3) + straight * cross + square * (cross @ cross)
+    return turns

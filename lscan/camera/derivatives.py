@@ -19,7 +19,7 @@ from lscan.camera.lens import undistort, undistort_derivatives
 from lscan.camera.model import CameraModel
 from lscan.camera.parameters import COUNT, LENS, WATER
 from lscan.camera.port import leave_port_derivatives
-from lscan.camera.projection import rays
+from lscan.camera.projection import project, rays, rays_of
 from lscan.records import Floats, Ints
 
 PIXEL = [COUNT, COUNT + 1]  # columns of a ray's derivatives by its own pixel
@@ -60,7 +60,11 @@ def ray_derivatives(camera: CameraModel, image_px: Floats) -> RayDerivatives:
     image_px : (N, 2) array, px, of (u, v)
     """
     distorted = (image_px - np.array(camera.centre_px)) / camera.focal_px
-    tangents = undistort(camera, distorted)
+    return _derived(camera, distorted, undistort(camera, distorted))
+
+
+def _derived(camera: CameraModel, distorted: Floats, tangents: Floats) -> RayDerivatives:
+    """``ray_derivatives`` of pixels whose tangents, distorted and not, are known."""
     by_distorted, by_coefficients = undistort_derivatives(camera, tangents)
     by_lens = np.zeros((len(tangents), 2, COUNT + 2))
     by_lens[:, :, 0] = (by_distorted @ -distorted[:, :, None])[:, :, 0] / camera.focal_px
@@ -136,12 +140,14 @@ def image_derivatives(boards: PosedBoards, board_mm: Floats, board: Ints) -> Flo
     axes, places = frame_derivatives(boards)
     x, z = (board_mm - boards.centre_mm).T[:, :, None, None]
     moved = (x * axes[:, :, 0][board] + z * axes[:, :, 2][board]) + places[board]
-    image = boards.project(board_mm, board)
-    seen = rays(boards.camera, image)
-    distance = np.linalg.norm(boards.in_camera(board_mm, board) - seen.origin_mm, axis=1)
-    by_ray = ray_derivatives(boards.camera, image).after(distance)
+    camera, points = boards.camera, boards.in_camera(board_mm, board)
+    distorted = (project(camera, points) - np.array(camera.centre_px)) / camera.focal_px
+    tangents = undistort(camera, distorted)
+    seen = rays_of(camera, tangents)
+    distance = np.linalg.norm(points - seen.origin_mm, axis=1)
+    by_ray = _derived(camera, distorted, tangents).after(distance)
     moved[:, :, :COUNT] -= by_ray[:, :, :COUNT]
-    found = np.full((len(image), 2, OWN), np.nan)
+    found = np.full((len(points), 2, OWN), np.nan)
     good = np.isfinite(by_ray).all(axis=(1, 2))
     spanned = np.concatenate([by_ray[:, :, PIXEL], seen.direction[:, :, None]], axis=2)
     found[good] = np.linalg.solve(spanned[good], moved[good])[:, :2]

@@ -100,12 +100,21 @@ def undistort_derivatives(camera: CameraModel, tangents: Floats) -> tuple[Floats
 
 def _newton_step(camera: CameraModel, tangents: Floats, distorted: Floats) -> Floats:
     """(N, 2) by which ``tangents`` are too large, to first order."""
-    off = _bent(camera, tangents) - distorted
-    return (_inverse_jacobian(camera, tangents) @ off[:, :, None])[:, :, 0]
+    across, down = (_bent(camera, tangents) - distorted).T
+    by_x, cross, by_y = _jacobian(camera, tangents)
+    steps = [by_y * across - cross * down, by_x * down - cross * across]
+    return np.column_stack(steps) / (by_x * by_y - cross * cross)[:, None]
 
 
 def _inverse_jacobian(camera: CameraModel, tangents: Floats) -> Floats:
     """(N, 2, 2) derivatives of tangents by the distorted ones."""
+    by_x, cross, by_y = _jacobian(camera, tangents)
+    inverse = np.array([[by_y, -cross], [-cross, by_x]]) / (by_x * by_y - cross * cross)
+    return np.moveaxis(inverse, 2, 0)
+
+
+def _jacobian(camera: CameraModel, tangents: Floats) -> tuple[Floats, Floats, Floats]:
+    """(N,) derivatives: of x distorted by x, of either by the other, of y distorted by y."""
     x, y = tangents.T
     q = x * x + y * y
     radial = 1 + q * (camera.k1 + q * (camera.k2 + q * camera.k3))
@@ -113,5 +122,4 @@ def _inverse_jacobian(camera: CameraModel, tangents: Floats) -> Floats:
     by_x = radial + by_q * x * x + 2 * camera.p1 * y + 6 * camera.p2 * x
     cross = by_q * x * y + 2 * camera.p1 * x + 2 * camera.p2 * y
     by_y = radial + by_q * y * y + 6 * camera.p1 * y + 2 * camera.p2 * x
-    inverse = np.array([[by_y, -cross], [-cross, by_x]]) / (by_x * by_y - cross * cross)
-    return np.moveaxis(inverse, 2, 0)
+    return by_x, cross, by_y

@@ -57,7 +57,18 @@ def rays(camera: CameraModel, image_px: Floats) -> Rays:
     array([[0., 0., 1.]])
     """
     pixels = require_columns(image_px, "image_px", 2)
-    tangents = undistort(camera, (pixels - np.array(camera.centre_px)) / camera.focal_px)
+    distorted = (pixels - np.array(camera.centre_px)) / camera.focal_px
+    return rays_of(camera, undistort(camera, distorted))
+
+
+def rays_of(camera: CameraModel, tangents: Floats) -> Rays:
+    """The rays in the water that leave the lens in given directions.
+
+    Parameters
+    ----------
+    camera : CameraModel, its port
+    tangents : (N, 2) array, x/z and y/z of directions in air, camera frame; as ``undistort`` gives
+    """
     ahead = np.column_stack([tangents, np.ones(len(tangents))])
     air = ahead / np.linalg.norm(ahead, axis=1)[:, None]
     if camera.port is None:

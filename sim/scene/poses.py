@@ -6,6 +6,7 @@ normal, z against the fan's axis), target, head, world (lscan.records).
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from math import cos, radians, sin
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -29,8 +30,25 @@ def rotation(axes: str, angles_deg: float | Sequence[float] | Floats) -> Floats:
     >>> rotation("Z", 90.0).round(12)[:, 0].tolist()
     [0.0, 1.0, 0.0]
     """
-    matrix: Floats = Rotation.from_euler(axes, angles_deg, degrees=True).as_matrix()
+    matrix: Floats
+    if np.ndim(angles_deg) == 2:
+        matrix = Rotation.from_euler(axes, angles_deg, degrees=True).as_matrix()
+        return matrix
+    matrix = np.eye(3)
+    for axis, angle in zip(axes, np.atleast_1d(angles_deg).tolist(), strict=True):
+        matrix = matrix @ _turn(axis, angle)
     return matrix
+
+
+def _turn(axis: str, angle_deg: float) -> Floats:
+    """(3, 3) rotation matrix about one axis: a scene is posed thousands of times in a study."""
+    c, s = cos(radians(angle_deg)), sin(radians(angle_deg))
+    match axis:
+        case "X":
+            return np.array([[1.0, 0.0, 0.0], [0.0, c, -s], [0.0, s, c]])
+        case "Y":
+            return np.array([[c, 0.0, s], [0.0, 1.0, 0.0], [-s, 0.0, c]])
+    return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
 
 
 @dataclass(frozen=True)

@@ -15,7 +15,7 @@ from lscan.errors import InputError
 from lscan.records import Floats
 from sim.scene import Laser, LaserLine, Pose, Scene, rotation
 from sim.truth.bow import Bow, bow_of
-from sim.water import water_optics
+from sim.water import water_index
 
 
 @dataclass(frozen=True)
@@ -62,7 +62,7 @@ def sheet_of(scene: Scene, line: int = 0) -> TrueSheet:
     if not 0 <= line < len(laser.sheets):
         allowed = f"0 to {len(laser.sheets) - 1}"
         raise InputError("line of the laser", where=scene.source, value=line, allowed=allowed)
-    index = water_optics(scene.tank.water, laser.wavelength_nm).index
+    index = water_index(scene.tank.water, laser.wavelength_nm)
     return TrueSheet(sheet_plane(laser, laser.sheets[line]), bow_of(laser, index))
 
 

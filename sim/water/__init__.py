@@ -12,7 +12,7 @@ of more by photons counted in ``rings``.  ``tablecache`` keeps them.
 from lscan.water.index import refractive_index
 from sim.water.fournier import FournierForand
 from sim.water.glass import glass_index
-from sim.water.optics import Optics, water_optics
+from sim.water.optics import Optics, water_index, water_optics
 from sim.water.petzold import PetzoldTable
 from sim.water.phase import HenyeyGreensteinMixture
 
@@ -23,5 +23,6 @@ __all__ = [
     "PetzoldTable",
     "glass_index",
     "refractive_index",
+    "water_index",
     "water_optics",
 ]

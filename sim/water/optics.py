@@ -4,9 +4,10 @@ from dataclasses import dataclass
 
 from lscan.records import Floats
 from lscan.water.index import refractive_index
+from lscan.water.limits import require
 from sim.scene.matter import Water
 from sim.water.fournier import FournierForand
-from sim.water.inherent import coefficients
+from sim.water.inherent import WATER_NM, coefficients
 from sim.water.petzold import PetzoldTable
 from sim.water.phase import HenyeyGreensteinMixture, PhaseFunction, molecular_phase
 
@@ -64,19 +65,36 @@ def water_optics(water: Water, wavelength_nm: float) -> Optics:
     ----------
     docs/explanation/physics.md, sections 1 to 3.
     """
-    found, index = coefficients(water, wavelength_nm), 1.0
-    if water.kind != "air":
-        index = refractive_index(
-            water.temperature_c, water.salinity_psu, wavelength_nm, water.pressure_mpa
-        )
+    found = coefficients(water, wavelength_nm)
     scattering = found.scattering_per_m
     return Optics(
-        index=index,
+        index=water_index(water, wavelength_nm),
         absorption_per_mm=found.absorption_per_m / MM_PER_M,
         scattering_per_mm=scattering / MM_PER_M,
         particles=particle_phase(water),
         # Where nothing scatters, the molecules' share is as good as any.
         molecular_weight=found.molecular_per_m / scattering if scattering > 0 else 1.0,
+    )
+
+
+def water_index(water: Water, wavelength_nm: float) -> float:
+    """The index of a scene's water, relative to air: that of ``water_optics`` in less time.
+
+    Parameters
+    ----------
+    water : Water, the scene's
+    wavelength_nm : float, nm, 450 to 700
+
+    Raises
+    ------
+    InputError
+        The wavelength lies outside the range.
+    """
+    require("wavelength_nm", wavelength_nm, WATER_NM)
+    if water.kind == "air":
+        return 1.0
+    return refractive_index(
+        water.temperature_c, water.salinity_psu, wavelength_nm, water.pressure_mpa
     )
 
 

@@ -2,7 +2,8 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from math import factorial
+from functools import lru_cache
+from math import comb, factorial
 
 import numpy as np
 
@@ -35,7 +36,7 @@ class CurveTable:
         ----------
         curves : sequence of Curve, one or more
         """
-        begins = [np.unique(c.knots[c.degree : -c.degree or None])[:-1] for c in curves]
+        begins = [_begins(curve) for curve in curves]
         most = max(len(curve.coefficients) for curve in curves)
         shape = len(curves), max(map(len, begins))
         begin = np.full(shape, np.inf)
@@ -45,10 +46,9 @@ class CurveTable:
             pieces, count = slice(len(places)), len(curve.coefficients)
             begin[k, pieces] = places
             covariance[k, :count, :count] = curve.covariance
-            for power in range(curve.degree + 1):
-                rows = curve.basis.derivative(power)(places) / factorial(power)
-                powers[power, k, pieces, :count] = rows
-                values[power, k, pieces] = rows @ curve.coefficients
+            rows = _powers_of(curve, places)
+            powers[: curve.degree + 1, k, pieces, :count] = rows
+            values[: curve.degree + 1, k, pieces] = rows @ curve.coefficients
         size = shape[0] * shape[1]
         basis = powers.reshape(-1, size, most).transpose(0, 2, 1).copy()
         return CurveTable(begin, values.reshape(-1, size), basis, covariance.T.copy())
@@ -105,3 +105,38 @@ class CurveTable:
         if count > 1:
             piece = piece + (x[..., None] >= self.begin[curve, 1:]).sum(axis=-1)
         return piece, x - self.begin.reshape(-1).take(piece)
+
+
+def _begins(curve: Curve) -> Floats:
+    """Where the pieces of a curve begin."""
+    if _is_whole(curve):
+        return curve.knots[:1]
+    return np.unique(curve.knots[curve.degree : -curve.degree or None])[:-1]
+
+
+def _powers_of(curve: Curve, places: Floats) -> Floats:
+    """(degree + 1, P, M) coefficients of powers of the M functions in the pieces from P places."""
+    if _is_whole(curve):
+        step = 1 / (curve.knots[-1] - curve.knots[0])
+        scale = step ** np.arange(curve.degree + 1)
+        return (_bernstein_powers(curve.degree) * scale[:, None])[:, None]
+    each = range(curve.degree + 1)
+    return np.stack([curve.basis.derivative(k)(places) / factorial(k) for k in each])
+
+
+def _is_whole(curve: Curve) -> bool:
+    """Whether a curve is one polynomial."""
+    knots, last = curve.knots, curve.degree
+    is_single = len(curve.coefficients) == last + 1
+    return is_single and bool(knots[0] == knots[last] and knots[-1] == knots[-1 - last])
+
+
+@lru_cache(maxsize=16)
+def _bernstein_powers(degree: int) -> Floats:
+    """(degree + 1, degree + 1) coefficients of t^p, one row each, in Bernstein's polynomials."""
+    powers = np.zeros((degree + 1, degree + 1))
+    for k in range(degree + 1):
+        for p in range(k, degree + 1):
+            powers[p, k] = (-1) ** (p - k) * comb(degree, k) * comb(degree - k, p - k)
+    powers.flags.writeable = False
+    return powers

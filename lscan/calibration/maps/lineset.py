@@ -33,12 +33,12 @@ class Targets:
     Attributes
     ----------
     along, across : (N,) array, px, along and across the lines
-    variance : (N,) array, px², of either
+    variance : (N,) array, px², of either; None where no variance is asked for
     """
 
     along: Floats
     across: Floats
-    variance: Floats
+    variance: Floats | None
 
 
 @dataclass(frozen=True)
@@ -94,6 +94,8 @@ class LineSet:
 
     def locate(self, targets: Targets) -> tuple[Floats, Floats]:
         """Board coordinate in mm and its variance in mm², (N,) each; NaN where not surrounded.
+
+        The variance is NaN everywhere where that of the targets is None.
 
         With rulers the coordinate is read on the closest one (steps 3 and 4); where the
         point's line meets no stretch of marks on it, or where there is no ruler, it is
@@ -183,11 +185,14 @@ class LineSet:
         # the weight's linearity four times as wrong: only a ruler may be read there.
         neighbours = np.abs(between.lines[:, 1] - between.lines[:, 0]) == 1
         pitch = np.where(neighbours, pitch, np.nan)
+        value = start + between.weights[:, 1] * pitch
+        if targets.variance is None:
+            return value, np.full_like(value, np.nan)
         rows = self._curves.basis(between.lines, targets.along[:, None])
         of_lines = self._curves.variance(between.lines, rows)
         _, slope = self._interpolated(between, targets.along)
         noise = targets.variance * (1 + slope**2) + between.blend(of_lines, power=2)
-        return start + between.weights[:, 1] * pitch, noise * (pitch / between.span_px) ** 2
+        return value, noise * (pitch / between.span_px) ** 2
 
     def _closest_ruler(self, targets: Targets) -> Ints:
         """(N,) index of the ruler nearest to each point of those with marks beside it, or -1."""
@@ -225,6 +230,9 @@ class LineSet:
         intersection; the same two lines also set the weight, so their errors at the target
         count against those at the intersection.
         """
+        value, conversion_slope = self._conversions.look_up(ruler, place)
+        if targets.variance is None:
+            return value, np.full_like(value, np.nan)
         curves, rulers, lines = self._curves, self._ruler_lines, between.lines
         crossing, ruler_slope = rulers.look_up(ruler, place)
         heights, slopes = curves.look_up(lines, crossing[:, None])
@@ -236,7 +244,6 @@ class LineSet:
         across = ratio**2 * targets.variance * (1 + tilt**2)
         across += between.blend(curves.variance(lines, rows), power=2)
         across += slope**2 * rulers.variance(ruler, rulers.basis(ruler, place))
-        value, conversion_slope = self._conversions.look_up(ruler, place)
         scale = conversion_slope / (1 - slope * ruler_slope)
         converted = self._conversions.variance(ruler, self._conversions.basis(ruler, place))
         return value, scale**2 * across + converted

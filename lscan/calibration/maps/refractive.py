@@ -190,7 +190,7 @@ class RefractiveSolver(MapSolver[Refractive]):
         InputError, BoardNotFound
             As refractivefit.fit_view.
         """
-        return _points_of(fit_view(reading, optics, self._start), reading, optics)[0]
+        return _points_of(fit_view(reading, optics, self._start, bare=True), reading, optics)[0]
 
 
 solver = RefractiveSolver()

@@ -31,7 +31,10 @@ POLISH = 25  # evaluations with all of many: what they determine is found in ten
 
 
 def fit_view(
-    reading: BoardReading, optics: OpticsSection, start: PosedBoards | None = None
+    reading: BoardReading,
+    optics: OpticsSection,
+    start: PosedBoards | None = None,
+    bare: bool = False,
 ) -> CameraFit:
     """The camera and the board's pose that explain the marks found, outliers left out.
 
@@ -42,6 +45,7 @@ def fit_view(
     reading : BoardReading, px and mm, the marks of one picture
     optics : OpticsSection, what is known of the camera beforehand
     start : PosedBoards, optional, camera and pose near the solution; sought by default
+    bare : bool, whether the covariance is left out: its root has no columns then
 
     Raises
     ------
@@ -67,6 +71,8 @@ def fit_view(
             view, _ = _settled(view, few, priors)
     view, good = _settled(view, marks, priors)
     _require_explained(view, marks, reading.pitch_mm)
+    if bare:
+        return CameraFit(view, np.zeros((len(view.theta), 0)), marks, good)
     return with_covariance(view, marks, priors, good)
 
 

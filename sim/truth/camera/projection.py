@@ -11,7 +11,7 @@ from lscan.records import Floats
 from sim.scene import Lens, PlanePort, Port, Pose, Scene, camera_pose
 from sim.truth.camera.dome import dome_rays
 from sim.truth.camera.flat import flat_rays
-from sim.water import glass_index, water_optics
+from sim.water import glass_index, water_index
 
 MOST_HALVINGS = 2000  # more than float64 has numbers between 0 and 1, halved
 
@@ -55,7 +55,7 @@ def camera_of(scene: Scene) -> TrueCamera:
         An index is not known at that wavelength.
     """
     tank, wavelength_nm = scene.tank, scene.tank.laser.wavelength_nm
-    index = water_optics(tank.water, wavelength_nm).index
+    index = water_index(tank.water, wavelength_nm)
     glass = {"glass_index": glass_index(tank.port.glass_index, wavelength_nm)}
     return TrueCamera(camera_pose(tank.head), tank.lens, tank.port.model_copy(update=glass), index)
 
