@@ -8,7 +8,7 @@ ROOT := $(shell [ "$$(id -u)" = 0 ] || echo sudo -n)
 MINUTES ?= 10
 APT := $(ROOT) env DEBIAN_FRONTEND=noninteractive apt-get -qq
 
-QUICK := accuracy hardware verify field demo bench
+QUICK := accuracy hardware verify field demo bench budgets
 .PHONY: help setup demo test smoke soak lint house bench verify accuracy field hardware docs clean
 .PHONY: $(addprefix quick-,$(QUICK))
 .DELETE_ON_ERROR:
@@ -26,6 +26,7 @@ help:
 	@echo "make accuracy  hold the instrument against the truth; out/accuracy.json"
 	@echo "make field   hold the instrument to pictures, water and surfaces unlike the paper's"
 	@echo "make hardware  hold drivers, runs and the live page to their bars; out/hardware.json"
+	@echo "make study   hold studies to closed forms, renders and the clock; out/study.json"
 	@echo "make docs    build the documentation, its pages' code included; out/docs/index.html"
 	@echo "make clean   remove all that was set up or made, save runs/"
 
@@ -60,6 +61,8 @@ quick-accuracy:
 	$(BIN)/lscan-sim accuracy --quick -o out/quick/accuracy.json
 quick-bench:
 	$(BIN)/lscan-sim bench --quick -o out/quick/bench.json
+quick-budgets:
+	$(BIN)/lscan-sim budgets --quick -o out/quick/budgets.json
 quick-demo:
 	$(BIN)/lscan-sim demo --quick -o out/quick/demo
 quick-field:
@@ -84,6 +87,9 @@ field: .venv/llvm.stamp
 
 hardware: .venv/llvm.stamp .venv/chromium.stamp
 	$(BIN)/lscan-sim hardware -o out/hardware.json
+
+study: .venv/llvm.stamp
+	$(BIN)/lscan-sim budgets -o out/study.json
 
 docs: .venv/llvm.stamp
 	$(BIN)/python -m sphinx -W --keep-going -n -q docs out/docs

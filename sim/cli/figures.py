@@ -1,4 +1,4 @@
-"""``lscan-sim bench``, ``verify``, ``accuracy``, ``field``, ``hardware``: figures and bars."""
+"""``lscan-sim bench``, ``verify``, ``accuracy``, ``budgets`` and others: figures and bars."""
 
 from __future__ import annotations
 
@@ -111,6 +111,20 @@ def hardware(
         headings = ["", "injected", "tolerated", "stopped the scan", "not clean"]
         print_table("faults", headings, kind_cells(outcomes))
     _end_with_rows("hardware", rows, [output], json)
+
+
+def budgets(
+    output: OutputFile = Path("out/study.json"),
+    scenes: ScenesFolder = None,
+    quick: Quick = False,
+    json: Json = False,
+) -> None:
+    """Studies against closed forms, rendered scans and the clock: figures with their bars."""
+    from sim.validation.study.run import run_budgets
+
+    with progress_bar("budgets") as progress:
+        rows = run_budgets(scenes or scenes_folder(), output, quick, progress)
+    _end_with_rows("budgets", rows, [output], json)
 
 
 def _end_with_rows(

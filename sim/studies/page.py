@@ -204,7 +204,7 @@ def share(value: float | None) -> str:
     Examples
     --------
     >>> share(0.6231), share(0.0213)
-    ('62 %', '2.1 %')
+    ('62\xa0%', '2.1\xa0%')
     """
     if value is None:
         return "—"

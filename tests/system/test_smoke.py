@@ -19,13 +19,20 @@ def recipe(target: str) -> str:
 
 
 def figures_commands() -> set[str]:
-    """The commands of ``lscan-sim`` that a target of their own name runs."""
-    named = re.findall(r"^([a-z]+):.*\n\t\$\(BIN\)/lscan-sim ([a-z]+) ", MAKEFILE, re.MULTILINE)
-    return {command for target, command in named if target == command}
+    """The commands of ``lscan-sim`` that a target runs, those of ``make smoke`` aside."""
+    return set(re.findall(r"^[a-z]+:.*\n\t\$\(BIN\)/lscan-sim ([a-z]+) ", MAKEFILE, re.MULTILINE))
 
 
 def test_the_figures_commands_are_those_known() -> None:
-    assert figures_commands() >= {"demo", "verify", "accuracy", "field", "bench", "hardware"}
+    assert figures_commands() >= {
+        "demo",
+        "verify",
+        "accuracy",
+        "field",
+        "bench",
+        "hardware",
+        "budgets",
+    }
 
 
 @pytest.mark.parametrize("command", sorted(figures_commands()))

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from study_cases import SENSOR_PX, SPECKLE_PX, known_of, study_with
+from study_cases import known_of, study_with
 
 from lscan.calibration.api import find_solver
 from lscan.config.documents import Document
@@ -17,6 +17,7 @@ from sim.studies.places import WAVE
 from sim.studies.problem import base_row, columns
 from sim.studies.states import check_keys, states_of
 from sim.truth import project
+from sim.validation.study.twelve import SENSOR_PX, SPECKLE_PX
 
 BASE_MM = 1e-3
 """What is left with nothing at work: the screen of outliers and the search of the map stop at

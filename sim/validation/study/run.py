@@ -1,0 +1,77 @@
+"""Every figure of the studies' table, measured chapter by chapter."""
+
+from collections.abc import Callable, Mapping
+from pathlib import Path
+
+from lscan.config.rigfile import load_rig
+from lscan.files.disk import make_folder
+from lscan.records import Progress
+from sim.studies.studyfile import Looked
+from sim.validation.rows import Row, RowFile, measured
+from sim.validation.study import coverage, crosscheck, running
+from sim.validation.study.propagation import propagation_rows
+from sim.validation.study.speed import speed_rows
+from sim.validation.study.tiers import tier_rows
+from sim.validation.study.tolerances import tolerance_rows
+
+NEEDED = ("board", "sandwave")
+
+
+def run_budgets(
+    scenes: Path, output: Path, quick: bool = False, progress: Progress | None = None
+) -> list[Row]:
+    """The rows, also written as they are measured.
+
+    The chapters take turns, because one would spoil what another measures of time; one that ends
+    with an error is a failed row.
+
+    Parameters
+    ----------
+    scenes : Path, folder of the scene files
+    output : Path, the JSON file; runs go to a folder beside it, the file's path without its ending
+    quick : bool, the rows that need no rendering, with the least effort
+    progress : Progress or None, called with (done, all) after each chapter
+
+    Raises
+    ------
+    InputError
+        A scene file is wrong, or the disk refuses.
+    """
+    for name in NEEDED:
+        load_rig(scenes / "best" / f"{name}.toml")  # refuses a bad file before minutes of work
+    folder = output.with_suffix("") if output.suffix else output.with_name(f"{output.name}-runs")
+    make_folder(folder)
+    chapters = _quick() if quick else _full(scenes, folder)
+    file = RowFile(output, quick)
+    for done, (name, chapter) in enumerate(chapters.items(), start=1):
+        file.add(measured(name, chapter))
+        if progress is not None:
+            progress(done, len(chapters))
+    return file.rows
+
+
+def _full(scenes: Path, folder: Path) -> Mapping[str, Callable[[], list[Row]]]:
+    """The chapters in full."""
+    paper = scenes / "studies" / "paper-budget.toml"
+    return {
+        "speed of a budget": lambda: speed_rows(400),
+        "running studies": lambda: running.running_rows(kills=20, tasks=320),
+        "coverage of intervals": coverage.coverage_rows,
+        "law of propagation": propagation_rows,
+        "cross-check": lambda: crosscheck.cross_check_rows(scenes, Looked()),
+        "recalibration": lambda: crosscheck.recalibration_rows(scenes, Looked()),
+        "tiers": lambda: tier_rows(paper),
+        "tolerances": lambda: tolerance_rows(scenes, folder / "tolerances"),
+    }
+
+
+def _quick() -> Mapping[str, Callable[[], list[Row]]]:
+    """Those that need no rendering, with the least effort; the others take minutes each."""
+    return {
+        "speed of a budget": lambda: speed_rows(5, workers=1),
+        "running studies": lambda: [
+            *running.overhead_rows(tasks=4, workers=1), *running.kill_rows(1),
+        ],
+        "coverage of intervals": lambda: coverage.coverage_rows(base=32, repeats=2),
+        "law of propagation": lambda: propagation_rows(16, "graticule-2"),
+    }  # fmt: skip
