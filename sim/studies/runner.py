@@ -6,9 +6,11 @@ the batches that were under way.
 """
 
 import logging
+import signal
+import threading
 import time
-from collections.abc import Generator
-from contextlib import closing
+from collections.abc import Callable, Generator, Iterator
+from contextlib import closing, contextmanager
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal
 
@@ -77,14 +79,44 @@ def run_rows(
     missing, every = store.missing(rows), len(distinct(rows))
     done = every - len(missing)
     logged: set[str] = set()
-    with closing(_evaluated(source, missing, store, workers, scheduler)) as stream:
+    stream = _evaluated(source, missing, store, workers, scheduler)
+    with closing(stream), _interrupts_heeded() as heed:
         for batches in stream:
             _log_faults(batches, logged)
             store.append(batches)
             done += sum(len(batch.rows) for batch in batches)
             if progress is not None:
                 progress(done, every)
+            heed()
     return store.results(rows)
+
+
+@contextmanager
+def _interrupts_heeded() -> Iterator[Callable[[], None]]:
+    """A function that raises the KeyboardInterrupt of a Ctrl-C that other code has swallowed.
+
+    Python raises it wherever the main thread is, and where that is a destructor, or a callback of
+    another library's loop, nobody is told.  With a handler of the caller's own nothing is changed.
+    """
+    pressed: list[int] = []
+
+    def keep(number: int, frame: object) -> None:
+        pressed.append(number)
+        raise KeyboardInterrupt
+
+    def heed() -> None:
+        if pressed:
+            raise KeyboardInterrupt
+
+    is_main = threading.current_thread() is threading.main_thread()
+    if not is_main or signal.getsignal(signal.SIGINT) is not signal.default_int_handler:
+        yield heed
+        return
+    signal.signal(signal.SIGINT, keep)
+    try:
+        yield heed
+    finally:
+        signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
 def require_at_most(rows: Floats, at_most: int | None, more: int = 0) -> None:

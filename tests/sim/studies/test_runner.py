@@ -3,6 +3,7 @@
 import logging
 import os
 import signal
+import sys
 import time
 from collections.abc import Iterator, Mapping
 from pathlib import Path
@@ -188,7 +189,7 @@ def test_what_is_killed_is_gone_on_with(tmp_path: Path, what: str, part: float) 
 @pytest.mark.slow
 def test_ctrl_c_leaves_the_store_sound_and_no_process(tmp_path: Path) -> None:
     source = StubSource(row_s=0.02, log=str(tmp_path / "log"))
-    study = started_study(source, tmp_path / "store", 1000, "2")
+    study = started_study(source, tmp_path / "store", 5000, "2")
     deadline_s = time.monotonic() + 60
     while len(evaluated(source)) < 50 and time.monotonic() < deadline_s:
         time.sleep(0.05)
@@ -201,6 +202,31 @@ def test_ctrl_c_leaves_the_store_sound_and_no_process(tmp_path: Path) -> None:
     assert psutil.wait_procs(children, timeout=10)[1] == []
     with opened(source, tmp_path) as store:
         assert 0 < len(store) <= len(evaluated(source))
+
+
+def test_a_ctrl_c_that_a_destructor_swallows_ends_the_study(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Python tells nobody of what is raised in one."""
+
+    class Swallowing:
+        def __del__(self) -> None:
+            signal.raise_signal(signal.SIGINT)
+
+    told: list[object] = []
+    monkeypatch.setattr(sys, "unraisablehook", told.append)
+    done: list[int] = []
+
+    def swallowed(count: int, every: int) -> None:
+        done.append(count)
+        if len(done) == 2:
+            Swallowing()
+
+    source = StubSource()
+    with opened(source, tmp_path) as store, pytest.raises(KeyboardInterrupt):
+        run_rows(source, stub_rows(200), store, "none", progress=swallowed)
+    assert len(told) == 1 and len(done) == 2
+    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
 
 
 @pytest.mark.slow
