@@ -6,16 +6,15 @@ the batches that were under way.
 """
 
 import logging
-import signal
-import threading
 import time
-from collections.abc import Callable, Generator, Iterator
-from contextlib import closing, contextmanager
+from collections.abc import Generator
+from contextlib import closing
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
+from lscan.devices.signals import on_stop_signals
 from lscan.errors import InputError
 from lscan.records import Floats, Progress
 from sim.studies.batches import Batches
@@ -80,43 +79,22 @@ def run_rows(
     done = every - len(missing)
     logged: set[str] = set()
     stream = _evaluated(source, missing, store, workers, scheduler)
-    with closing(stream), _interrupts_heeded() as heed:
+    stops: list[bool] = []
+
+    def stop() -> None:
+        stops.append(True)
+        raise KeyboardInterrupt
+
+    with closing(stream), on_stop_signals(stop):
         for batches in stream:
             _log_faults(batches, logged)
             store.append(batches)
             done += sum(len(batch.rows) for batch in batches)
             if progress is not None:
                 progress(done, every)
-            heed()
+            if stops:  # raised in a destructor, of which Python tells nobody
+                raise KeyboardInterrupt
     return store.results(rows)
-
-
-@contextmanager
-def _interrupts_heeded() -> Iterator[Callable[[], None]]:
-    """A function that raises the KeyboardInterrupt of a Ctrl-C that other code has swallowed.
-
-    Python raises it wherever the main thread is, and where that is a destructor, or a callback of
-    another library's loop, nobody is told.  With a handler of the caller's own nothing is changed.
-    """
-    pressed: list[int] = []
-
-    def keep(number: int, frame: object) -> None:
-        pressed.append(number)
-        raise KeyboardInterrupt
-
-    def heed() -> None:
-        if pressed:
-            raise KeyboardInterrupt
-
-    is_main = threading.current_thread() is threading.main_thread()
-    if not is_main or signal.getsignal(signal.SIGINT) is not signal.default_int_handler:
-        yield heed
-        return
-    signal.signal(signal.SIGINT, keep)
-    try:
-        yield heed
-    finally:
-        signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
 def require_at_most(rows: Floats, at_most: int | None, more: int = 0) -> None:
