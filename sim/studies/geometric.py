@@ -24,9 +24,10 @@ from sim.studies.errors import ErrorFrame
 from sim.studies.places import ScanPlaces, height_above, lit_points
 from sim.studies.prepared import Prepared, located
 from sim.studies.problem import AFTER, Output
+from sim.studies.scatter import depends_on_light, line_bounds_px, lines_at
 from sim.studies.states import RigStates, states_of
 from sim.studies.studyfile import Study
-from sim.truth import board_truth
+from sim.truth import StripeTruth, board_truth
 from sim.truth.camera.projection import TrueCamera, camera_of, image, rays_to
 
 STILL = Pose(np.eye(3), np.zeros(3))
@@ -97,8 +98,33 @@ class GeometricRig:
     def _line(self, states: RigStates) -> tuple[Floats, Floats]:
         """(P, 2) px where the line is found, and (P, 3) mm where it is, world frame."""
         pixels, true_mm = self._true_line(states.scan, self.prepared.places)
-        pixels[:, self._across] += self.prepared.line_off_px(states.seeds)
+        scatter_px = None
+        if states.seeds and self._follows_light:
+            scatter_px = self._scatter_px(states.scan)
+        pixels[:, self._across] += self.prepared.line_off_px(states.seeds, scatter_px)
         return pixels, true_mm
+
+    @cached_property
+    def _follows_light(self) -> bool:
+        return depends_on_light(self.study)
+
+    @cached_property
+    def _lines(self) -> list[StripeTruth]:
+        return lines_at(self.study.scan, self.prepared.places)
+
+    @cached_property
+    def _nominal_bounds(self) -> Floats:
+        """(2, P) px of the rig as it ought to be."""
+        return line_bounds_px(self.study.scan, self.prepared.places, self._lines)
+
+    def _scatter_px(self, scan: Scene) -> Floats:
+        """(2, P) px by which sensor and speckle scatter the line in a rig's light."""
+        times = line_bounds_px(scan, self.prepared.places, self._lines) / self._nominal_bounds
+        # Where a column holds the end of a face in one of the two, its light is not compared.
+        sensor, both = np.where(np.isfinite(times), times, 1.0)
+        sensor_px = sensor * self.prepared.sensor_px
+        both_px = both * np.hypot(self.prepared.sensor_px, self.prepared.speckle_px)
+        return np.stack([sensor_px, np.sqrt(np.maximum(both_px**2 - sensor_px**2, 0.0))])
 
     @property
     def _across(self) -> int:

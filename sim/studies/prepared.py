@@ -69,20 +69,21 @@ class Prepared:
     sensor_px: Floats
     speckle_px: Floats
 
-    def line_off_px(self, seeds: Mapping[str, int]) -> Floats:
+    def line_off_px(self, seeds: Mapping[str, int], scatter_px: Floats | None = None) -> Floats:
         """(P,) px: how far off the line is found on one rig.
 
         Parameters
         ----------
         seeds : mapping, of each noise that is at work
+        scatter_px : (2, P) array, optional, px, by sensor and speckle in the light of that rig
         """
         off = self.line_bias_px.copy()
-        for stream, (name, sigma) in enumerate(
-            ((SENSOR, self.sensor_px), (SPECKLE, self.speckle_px))
-        ):
+        if scatter_px is None:
+            scatter_px = np.stack([self.sensor_px, self.speckle_px])
+        for stream, name in enumerate((SENSOR, SPECKLE)):
             if name in seeds:
                 rng = np.random.default_rng([seeds[name], LINE, stream])
-                off += sigma * rng.standard_normal(len(sigma))
+                off += scatter_px[stream] * rng.standard_normal(len(off))
         return off
 
     def marks_off_px(self, seeds: Mapping[str, int], stream: int) -> Floats:

@@ -408,9 +408,9 @@ def _remarks(
     """What a reader has to know of causes that do nothing, and of indices not known well enough."""
     notes = []
     if still := without_effect(runs):
-        words = f"{', '.join(still)}: without any effect in the {tier} tier"
+        words = f"{', '.join(still)}: without any effect alone in the {tier} tier"
         if tier == "geometric":
-            words += "; what changes the pictures alone has one in the rendered tier"
+            words += "; what changes the light acts there on the scatter by noise"
         notes.append(words)
     counted, wanted = [indices[name] for name in COUNTED], study.file.precision.half_width
     if next_base(counted, wanted, counted[0].base):

@@ -53,6 +53,7 @@ class LineBrightness:
         the pixels' differences, rounding
     height_sigma_dn : (N,) array, DN, standard deviation of the brightest pixel, speckle and the
         line's own shot noise included
+    width_px : (N,) array, px, standard deviation of the line across, without the lens's glare
     snr : (N,) array, height_dn over noise_dn; the highest of 480 pixels of pure noise stands out of
         it by 3.0 (the mean of the largest of 480 normal numbers): below, a line is lost in noise
     """
@@ -60,6 +61,7 @@ class LineBrightness:
     height_dn: Floats
     noise_dn: Floats
     height_sigma_dn: Floats
+    width_px: Floats
 
     @property
     def snr(self) -> Floats:
@@ -106,17 +108,19 @@ def _brightness(
     sheet = sheet_of(scene, truth.line)
     line = line_in_space(scene, reflectance.surfaces, truth)
     radiance = line_radiance(scene, reflectance, line, sheet, truth.line)
-    peak = radiance * brightest_pixel(scene, line, sheet, truth)
-    found = _in_grey_values(scene, peak, _ambient(scene, reflectance, line), line, exposure_ms)
-    entries = np.full((3, len(shown)), np.nan)
-    entries[:, shown] = found
+    light, width_px = brightest_pixel(scene, line, sheet, truth)
+    ambient = _ambient(scene, reflectance, line)
+    entries = np.full((4, len(shown)), np.nan)
+    entries[:3, shown] = _in_grey_values(scene, radiance * light, ambient, line, exposure_ms)
+    entries[3, shown] = width_px
     return LineBrightness(*entries)
 
 
 def brightest_pixel(
     scene: Scene, line: LineInSpace, sheet: TrueSheet, truth: StripeTruth
-) -> Floats:
-    """(N,) light of the brightest pixel across the line, over that of its unblurred middle.
+) -> tuple[Floats, Floats]:
+    """(N,) light of the brightest pixel across the line, over that of its unblurred middle; and
+    (N,) px, standard deviation of what the core of the point spread makes of the line.
 
     A straight line, Gaussian across: its variance grows by the point spread's (core and glare
     each with their share), and by that of the pixel along the line; across it the Gaussian is
@@ -132,14 +136,15 @@ def brightest_pixel(
     centre = truth.centre_px[truth.status == Status.OK]
     aside = centre - np.rint(centre)
     defocus = defocus_variance(scene, camera, line)
-    light = np.zeros(len(centre))
+    light, sigmas = np.zeros(len(centre)), []
     for share, blur in ((1 - lens.glare, lens.blur_px), (lens.glare, lens.glare_px)):
         blurred2 = (width**2 + blur**2 + defocus) * (1 + lean2)
         sigma = np.sqrt(blurred2 + PIXEL_VARIANCE * lean2)
+        sigmas.append(sigma)
         inside = ndtr((aside + 0.5) / sigma) - ndtr((aside - 0.5) / sigma)
         # sqrt(2 pi) times the standard deviation across, unblurred: the light of a column.
         light += share * np.sqrt(2 * np.pi * (1 + lean2)) * width * inside
-    return light
+    return light, sigmas[0]
 
 
 def offset_per_px(scene: Scene, line: LineInSpace, sheet: TrueSheet) -> Floats:

@@ -127,7 +127,7 @@ def test_a_study_gives_its_three_files(finished: Path) -> None:
     assert focal.alone_rms.value > 2 * height.base_rms
     assert height.after.rms.value == pytest.approx(height.base_rms, rel=0.01)
     assert power.alone_rms.value == pytest.approx(height.base_rms, rel=1e-12)
-    note = "power: without any effect in the geometric tier"
+    note = "power: without any effect alone in the geometric tier"
     printed = (finished / "printed").read_text(encoding="utf-8")
     assert any(line.startswith(note) for line in found.notes) and note in printed
     assert all((finished / "out" / file).stat().st_size > 0 for file in WRITTEN)
