@@ -5,7 +5,7 @@ calibration does to its points.
 """
 
 from abc import abstractmethod
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from typing import Any, Self
 
@@ -13,6 +13,7 @@ import numpy as np
 from pydantic import PrivateAttr
 
 from lscan.calibration.evaluate import Estimate, propagated
+from lscan.calibration.pixeltable import PixelTable, tabulated
 from lscan.calibration.solved import SolvedMap
 from lscan.camera import rays
 from lscan.camera.boards import rotation
@@ -90,6 +91,8 @@ class PhysicalMap(SolvedMap):
     """Base of the maps that are a camera behind a port, or in air, and the sheet before it."""
 
     _since: SinceSection | None = PrivateAttr(None)
+    _tables: tuple[PixelTable | None, PixelTable | None] | None = PrivateAttr(None)
+    """Of the pixel's and of the errors' displacements, which all pictures of a scan ask for."""
 
     @property
     @abstractmethod
@@ -125,15 +128,35 @@ class PhysicalMap(SolvedMap):
         image_px : (N, 2) array, px, of (u, v)
         variance_px2 : (N,) array, px², of either pixel coordinate
         """
-        locate = self.geometry.locate
+        if self._tables is None:
+            self._tables = (
+                tabulated(self._jacobian, self.region),
+                tabulated(self._all_modes, self.region),
+            )
+        by_pixel, by_error = self._tables
+        jacobian = by_pixel.look_up(image_px) if by_pixel else self._jacobian(image_px)
+        modes = by_error.look_up(image_px) if by_error else self._all_modes(image_px)
+        xz_mm, shape = self.geometry.locate(image_px), (len(image_px), 2)
+        return propagated(
+            xz_mm,
+            jacobian.reshape(*shape, 2),
+            modes.reshape(*shape, modes.shape[1] // 2),
+            variance_px2,
+        )
+
+    def _jacobian(self, image_px: Floats) -> Floats:
+        """(N, 2 * 2) mm per px, of x and of z, by u and by v."""
+        return pixel_derivatives(self.geometry.locate, image_px).reshape(-1, 4)
+
+    def _all_modes(self, image_px: Floats) -> Floats:
+        """(N, 2 * M) mm, of x and of z, by each error of the map and each change since."""
         modes = self.error_modes(image_px)
         if self._since is not None:
             changed = change_modes(self.geometry, self._since, image_px)
             modes = np.concatenate([modes, changed], axis=2)
-        jacobian = pixel_derivatives(locate, image_px)
-        return propagated(locate(image_px), jacobian, modes, variance_px2)
+        return modes.reshape(len(image_px), -1)
 
-    def _points(self, image_px: Floats) -> Floats:
+    def points(self, image_px: Floats) -> Floats:
         return self.geometry.locate(image_px)
 
     def changed_since(self, since: SinceSection) -> Self:
@@ -146,6 +169,18 @@ class PhysicalMap(SolvedMap):
         changed: Self = self.model_copy()
         changed._since = since
         return changed
+
+    def model_copy(self, *, update: Mapping[str, Any] | None = None, deep: bool = False) -> Self:
+        """A copy, as pydantic makes it, without the tables of the old fields.
+
+        Parameters
+        ----------
+        update : mapping, optional, fields that are to differ
+        deep : bool, whether the fields are copied too
+        """
+        other = super().model_copy(update=update, deep=deep)
+        other._tables = None
+        return other
 
     def _replaced(self, **fields: Any) -> Self:
         """A map with other fields, and nothing computed from the old ones (model_copy keeps it).

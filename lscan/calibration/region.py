@@ -50,6 +50,14 @@ class Region:
         normal = np.column_stack([edge[:, 1], -edge[:, 0]])
         return normal / np.linalg.norm(normal, axis=1)[:, None]
 
+    @property
+    def bounds_px(self) -> tuple[Floats, Floats]:
+        """(2,) px, the least and the greatest (u, v) in the region."""
+        return (
+            self.outline_px.min(axis=0) - self.margin_px,
+            self.outline_px.max(axis=0) + self.margin_px,
+        )
+
     def covers(self, image_px: Floats) -> Mask:
         """(N,) mask of the pixels that lie in the region.
 

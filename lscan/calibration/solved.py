@@ -102,10 +102,10 @@ class SolvedMap(Strict, ABC):
         covered = np.flatnonzero(np.isfinite(image_px).all(axis=1))
         covered = covered[self.region.covers(image_px[covered])]
         xz = np.full((len(image_px), 2), np.nan)
-        xz[covered] = self._points(image_px[covered])
+        xz[covered] = self.points(image_px[covered])
         return xz
 
-    def _points(self, image_px: Floats) -> Floats:
+    def points(self, image_px: Floats) -> Floats:
         """(N, 2) mm of pixels that the region covers."""
         return self.estimate(image_px, np.zeros(len(image_px))).xz_mm
 

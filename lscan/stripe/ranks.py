@@ -71,6 +71,14 @@ def medians(columns: GreyValues) -> Floats:
     >>> medians(np.array([[7, 3, 200, 3]], dtype=np.uint8))
     array([5.])
     """
+    if not np.issubdtype(columns.dtype, np.integer):
+        columns = columns.astype(np.float32)
     half = columns.shape[1] // 2
     upper = ranked(columns, half)
-    return upper if columns.shape[1] % 2 else (ranked(columns, half - 1) + upper) / 2
+    if columns.shape[1] % 2:
+        return upper
+    below = columns < upper.astype(columns.dtype)[:, None]
+    apart = np.flatnonzero(np.count_nonzero(below, axis=1) == half)  # the lower one is less
+    lower = upper.copy()
+    lower[apart] = np.where(below[apart], columns[apart], columns.min()).max(axis=1)
+    return (lower + upper) / 2

@@ -57,7 +57,7 @@ class Graticule(SolvedMap):
         z, variance_z = self.latitudes.locate(Targets(u, v, variance_px2))
         return Estimate(np.column_stack([x, z]), np.column_stack([variance_x, variance_z]))
 
-    def _points(self, image_px: Floats) -> Floats:
+    def points(self, image_px: Floats) -> Floats:
         u, v = image_px.T
         x, _ = self.longitudes.locate(Targets(v, u, None))
         z, _ = self.latitudes.locate(Targets(u, v, None))

@@ -20,6 +20,7 @@ across it has no part in them: a centroid is linear in the light.
 """
 
 from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import numpy as np
 
@@ -130,20 +131,33 @@ def _derivatives(values: Floats, sigma: Floats, run: Ints) -> _Derivatives:
     The values are taken to scatter by no less than they do about the quadratic.
     """
     steps = np.arange(-REACH_PX, REACH_PX + 1)
+    powers, inverses = _quadratics()
     inside, used = neighbours(run, steps)
     used &= np.isfinite(values)[inside]
-    design = np.stack([steps**power for power in range(3)], axis=-1) * used[..., None]
     count = used.sum(axis=1)
-    good = count >= FEWEST_COLUMNS
-    normal = np.einsum("nki,nkj->nij", design, design)
-    inverse = np.linalg.inv(np.where(good[:, None, None], normal, np.eye(3)))
+    inverse = inverses[used @ (1 << np.arange(len(steps)))]
     window = np.where(used, values[inside], 0.0)
-    fitted = np.einsum("nij,nkj,nk->ni", inverse, design, window)
-    residual = np.where(used, window - np.einsum("nki,ni->nk", design, fitted), 0.0)
+    fitted = np.einsum("nij,nj->ni", inverse, window @ powers)
+    residual = np.where(used, window - fitted @ powers.T, 0.0)
     scatter = (residual**2).sum(axis=1) / np.maximum(count - 3, 1)
     stated = np.where(used, sigma[inside] ** 2, 0.0).sum(axis=1) / np.maximum(count, 1)
     covariance = inverse * np.maximum(scatter, stated)[:, None, None]
-    return _Derivatives(np.where(good[:, None], fitted, np.nan), covariance)
+    return _Derivatives(fitted, covariance)
+
+
+@lru_cache(maxsize=1)
+def _quadratics() -> tuple[Floats, Floats]:
+    """(n, 3) powers of the steps, and (2^n, 3, 3) inverse normal matrices of their subsets.
+
+    Bit k of a subset's number says whether step k is used.  NaN: fewer than FEWEST_COLUMNS are.
+    """
+    steps = np.arange(-REACH_PX, REACH_PX + 1)
+    powers = np.stack([steps**power for power in range(3)], axis=-1).astype(float)
+    used = np.arange(1 << len(steps))[:, None] >> np.arange(len(steps)) & 1
+    good = used.sum(axis=1) >= FEWEST_COLUMNS
+    inverses = np.full((len(used), 3, 3), np.nan)
+    inverses[good] = np.linalg.inv(np.einsum("sk,ki,kj->sij", used[good], powers, powers))
+    return powers, inverses
 
 
 def _shift(centre: _Derivatives, flux: _Derivatives, spread: float) -> tuple[Floats, Floats]:

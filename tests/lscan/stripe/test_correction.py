@@ -10,7 +10,14 @@ from scipy.ndimage import gaussian_filter
 from lscan.config.rig import StripeSection
 from lscan.errors import InputError
 from lscan.records import Floats, Status, Stripe, has_value
-from lscan.stripe.corrections.blur import PIXEL_VARIANCE, REACH_PX, correct_blur, line_flux
+from lscan.stripe.corrections.blur import (
+    FEWEST_COLUMNS,
+    PIXEL_VARIANCE,
+    REACH_PX,
+    _derivatives,
+    correct_blur,
+    line_flux,
+)
 
 COLUMNS, ROWS, FINE = 120, 96, 8
 U = np.arange(COLUMNS, dtype=float)
@@ -41,6 +48,29 @@ def errors(centre: Curve, flux: Curve, blur_px: float) -> tuple[Floats, Floats, 
     inner = slice(8, -8)
     truth = centre(U)
     return (found.centre_px - truth)[inner], (sharp.centre_px - truth)[inner], sharp
+
+
+@settings(max_examples=30, deadline=None)
+@given(st.integers(0, 10_000))
+def test_derivatives_are_those_of_least_squares(seed: int) -> None:
+    """Column by column, by NumPy's own solver, with gaps and unknown values anywhere."""
+    rng = np.random.default_rng(seed)
+    values, sigma = rng.normal(100.0, 5.0, 40), rng.uniform(0.1, 8.0, 40)
+    run = np.repeat(np.arange(4) - 1, 10)
+    values[rng.random(40) < 0.2] = np.nan
+    found = _derivatives(values, sigma, run)
+    for column in range(40):
+        near = np.arange(max(column - REACH_PX, 0), min(column + REACH_PX + 1, 40))
+        near = near[(run[near] == run[column]) & (run[column] >= 0) & np.isfinite(values[near])]
+        if len(near) < FEWEST_COLUMNS:
+            assert np.isnan(found.of[column]).all()
+            continue
+        design = np.vander((near - column).astype(float), 3, increasing=True)
+        fitted, squares, *_ = np.linalg.lstsq(design, values[near], rcond=None)
+        variance = max(float(squares[0]) / max(len(near) - 3, 1), (sigma[near] ** 2).mean())
+        inverse = np.linalg.inv(design.T @ design)
+        np.testing.assert_allclose(found.of[column], fitted, rtol=1e-9, atol=1e-9)
+        np.testing.assert_allclose(found.covariance[column], inverse * variance, rtol=1e-8)
 
 
 def test_a_parabola_is_displaced_by_half_the_variance_times_its_curvature() -> None:

@@ -102,7 +102,8 @@ def test_ranks_are_those_of_sorted_columns(image: Bytes, rank: int) -> None:
     for kind in (np.uint8, np.int16, np.float64):
         columns = np.ascontiguousarray(image.T).astype(kind)
         assert (ranked(columns, rank) == np.sort(columns, axis=1)[:, rank]).all()
-        assert (medians(columns) == np.median(columns, axis=1)).all()
+        for part in (columns, columns[:, 1:]):  # of an even number of pixels, and of an odd one
+            assert (medians(part) == np.median(part, axis=1)).all()
         assert (crests(columns) == columns.argmax(axis=1)).all()
 
 

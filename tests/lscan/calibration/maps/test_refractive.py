@@ -16,6 +16,7 @@ from lscan.calibration.file import load_calibration, save_calibration
 from lscan.calibration.maps import refractivefit
 from lscan.calibration.maps.refractive import NAMES, Refractive, solver
 from lscan.calibration.physical import change_modes
+from lscan.calibration.pixeltable import SHARE
 from lscan.calibration.solve import calibrate
 from lscan.camera.parameters import CENTRE_WIDTHS, FOCAL_WIDTHS
 from lscan.config.rig import OpticsSection, SinceSection
@@ -344,7 +345,8 @@ def test_modes_of_a_board_beside_the_sheet(fault: int) -> None:
 
 def test_a_board_beside_the_sheet_shows_in_sigma() -> None:
     """[optics] board_offset_mm and board_tilt_deg reach the map, its sigma and its modes, but
-    not its lack of fit."""
+    not its lack of fit.  To what tables leave (pixeltable.py): 2 SHARE of the largest of a mode,
+    twice that of its square, in either map."""
     reading = read_board(BOARD, View().project, sigma_px=NOISE_PX)
     image = View().project(board_points(50, seed=13))
     beside = PAPER_LENS.model_copy(update={"board_offset_mm": 2.0, "board_tilt_deg": 0.5})
@@ -353,10 +355,12 @@ def test_a_board_beside_the_sheet_shows_in_sigma() -> None:
     before, after = coplanar.to_plane(image), off.to_plane(image)
     added = (change_modes(off.geometry, BESIDE, image) ** 2).sum(axis=2)
     valued = after.status == Status.OK
-    np.testing.assert_allclose(
-        after.sigma_mm[valued] ** 2, before.sigma_mm[valued] ** 2 + added[valued], rtol=1e-9
-    )
     assert after.modes_mm is not None
+    variance = after.sigma_mm[valued] ** 2
+    bound = 8 * SHARE * after.modes_mm.shape[2] * variance.max()
+    np.testing.assert_allclose(
+        variance, before.sigma_mm[valued] ** 2 + added[valued], rtol=0, atol=bound
+    )
     assert after.modes_mm.shape[2] == coplanar.modes.shape[1] + 3
 
 
