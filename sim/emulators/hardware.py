@@ -182,7 +182,7 @@ class EmulatedHardware:
 
     def _head_state(self) -> HeadState:
         lit = not self.options.switched_laser or self._track.lit
-        return HeadState(self._track.position_mm, lit)
+        return HeadState(self._track.position_mm, lit, self._track.now_mm)
 
     def _rendered(self, progress: Progress | None) -> Places:
         """The places, with the plan's first or, to prepare, all of them rendered."""

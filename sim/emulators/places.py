@@ -35,6 +35,11 @@ class Places:
         with_laser, without = self._kept(round(position_mm, NANOMETRE))
         return with_laser if lit else without
 
+    def passed(self, position_mm: float, *, lit: bool = True) -> StillView:
+        """The view from a position in mm that the head passes: nothing is kept of it."""
+        with_laser, without = self._render(position_mm)
+        return with_laser if lit else without
+
     def _render(self, position_mm: float) -> tuple[StillView, StillView]:
         """The views with the laser on and off; both are lit where it is never switched."""
         layers = self._tank.render(position_mm)

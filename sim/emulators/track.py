@@ -88,6 +88,11 @@ class EmulatedTrack:
         return None if head_mm is None else head_mm[0] - self.travel.zero_mm
 
     @property
+    def now_mm(self) -> float:
+        """Track position where the head truly is at this moment."""
+        return self.controller.head_mm[0] - self.travel.zero_mm
+
+    @property
     def lit(self) -> bool:
         """Whether the controller has switched the laser on: M3 and S above 0."""
         return self.controller.laser_power > 0

@@ -16,6 +16,7 @@ from sim.sensor.coding import jpeg_bytes
 CameraFault = Literal["hang", "drop", "black", "wrong-size", "frozen"]
 """hang: connected, and sends no more pictures.  drop: breaks the connection and refuses new ones.
 wrong-size: from now on half as wide and high.  frozen: the same picture, byte for byte."""
+LONG_MOVE_S = 0.25  # longer than a step of a scan takes, and not much longer than a picture
 STREAM = 4  # of the sensor's seed; 0 to 3 are taken (sim.sensor.noise)
 
 
@@ -23,16 +24,17 @@ STREAM = 4  # of the sensor's seed; 0 to 3 are taken (sim.sensor.noise)
 class HeadState:
     """What there is to be seen.  position_mm: where the head rests, None while it moves.
 
-    lit: whether the laser is on.
+    lit: whether the laser is on.  now_mm: where the head is at this moment.
     """
 
     position_mm: float | None
     lit: bool
+    now_mm: float
 
 
 @dataclass(frozen=True)
 class Shot:
-    """A picture as a JPEG file.  number: from 1 on.  head: what it shows, never moving."""
+    """A picture as a JPEG file.  number: from 1 on.  head: what it shows."""
 
     number: int
     jpeg: bytes
@@ -42,9 +44,10 @@ class Shot:
 class EmulatedCamera:
     """Pictures of the tank at a steady rate while anyone watches, in a thread of its own.
 
-    A picture handed out while the head rests shows where it rests.  While it moves, the last
-    place rendered is shown; once it rests where nothing has been rendered yet, nothing is
-    handed out until that is done.
+    A picture handed out while the head rests shows where it rests.  Once it rests where nothing
+    has been rendered yet, nothing is handed out until that is done.  While it moves, the place
+    where it rested is shown for LONG_MOVE_S, so that the short steps of a scan wait for no
+    picture; from then on each picture is rendered from where the head is when it is taken.
     """
 
     def __init__(
@@ -54,6 +57,7 @@ class EmulatedCamera:
         self._generator = np.random.Generator(np.random.SFC64([seed, STREAM]))
         self._changed = threading.Condition()
         self._shot: Shot | None = None
+        self._rested_mm, self._rested_s = head_state().now_mm, time.monotonic()
         self._watchers, self._ended = 0, False
         self.fault: CameraFault | None = None
         self._thread = threading.Thread(target=self._run, name="emulated camera", daemon=True)
@@ -103,8 +107,7 @@ class EmulatedCamera:
             due_s = max(due_s + 1 / self._options.fps, time.monotonic())
             shot = self._expose()
             with self._changed:
-                if shot is not None:
-                    self._shot = shot
+                self._shot = shot
                 self._changed.notify_all()
 
     def _awaited(self, due_s: float) -> bool:
@@ -114,17 +117,18 @@ class EmulatedCamera:
             self._changed.wait_for(lambda: self._ended or self._watchers > 0)
             return not self._ended
 
-    def _expose(self) -> Shot | None:
-        """The next picture; None where the head moves and no place has been seen yet."""
+    def _expose(self) -> Shot:
+        """The next picture."""
         head, last = self._head_state(), self._shot
-        if head.position_mm is None:
-            if last is None:
-                return None
-            head = HeadState(last.head.position_mm, head.lit)
         if self.fault == "frozen" and last is not None:
             return Shot(self.count + 1, last.jpeg, head)
-        assert head.position_mm is not None
-        view = self._places.view(head.position_mm, lit=head.lit)
+        if head.position_mm is None and time.monotonic() - self._rested_s > LONG_MOVE_S:
+            view = self._places.passed(head.now_mm, lit=head.lit)
+        elif head.position_mm is None:
+            view = self._places.view(self._rested_mm, lit=head.lit)
+        else:
+            view = self._places.view(head.position_mm, lit=head.lit)
+            self._rested_mm, self._rested_s = head.position_mm, time.monotonic()
         image = view.picture(self._generator)
         if self.fault == "black":
             image = np.zeros_like(image)

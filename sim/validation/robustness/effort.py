@@ -8,6 +8,7 @@ class HardwareEffort:
     """What a run of the table does; by default all of it.
 
     live_frames: of the scan beside the live page.  live_s: over which pictures are counted.
+    moving_s: that a head moves whose pictures are counted.
     overhead_frames: of the scan without devices.  scan_frames: of the scan on the served tank.
     aligned: whether that scan is compared on the workpiece's slices, which takes a hundred
     frames, or column by column.  kills: of a scan, in runs of so many kill_frames.
@@ -17,6 +18,7 @@ class HardwareEffort:
 
     live_frames: int = 100
     live_s: float = 12.0
+    moving_s: float = 12.0
     overhead_frames: int = 240
     scan_frames: int = 100  # as few as the alignment takes: ten profiles across each wedge
     aligned: bool = True
@@ -30,6 +32,7 @@ FULL = HardwareEffort()
 QUICK = HardwareEffort(
     live_frames=20,
     live_s=2.0,
+    moving_s=2.0,
     overhead_frames=24,
     scan_frames=6,
     aligned=False,

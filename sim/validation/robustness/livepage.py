@@ -3,11 +3,7 @@
 from __future__ import annotations
 
 import shutil
-import subprocess
-import sys
 import time
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -21,6 +17,7 @@ from lscan.paper.experiment import measure_board
 from lscan.paper.published import CHOSEN_MAP
 from sim.scene import load_scene
 from sim.testing.browser import headless_chromium, wait_for
+from sim.validation.robustness.commands import command_running
 from sim.validation.rows import Row, row
 
 if TYPE_CHECKING:
@@ -59,8 +56,8 @@ def livepage_rows(scenes: Path, folder: Path, frames: int, seconds: float) -> li
         live = ["lscan.cli.app", "live", str(rig), "--calibration", str(calibration)]
         live += ["--port", "0", "--output", str(folder / "runs")]
         with (
-            _running(serve, "rig:", folder / "serve.log"),
-            _running(live, "http", folder / "live.log") as line,
+            command_running(serve, "rig:", folder / "serve.log"),
+            command_running(live, "http", folder / "live.log") as (line, _),
         ):
             chromium.page.goto(line.split()[0])
             rate_hz = _rate_while_scanning(chromium.page, seconds, folder / "page.png")
@@ -89,30 +86,3 @@ def _rate_while_scanning(page: Page, seconds: float, screenshot: Path) -> float:
         page.click("#stop")
         page.wait_for_selector("#stop:disabled", state="attached")
     return float((drawn - began) / (now_s - began_s))
-
-
-@contextmanager
-def _running(module: Sequence[str], ready: str, log: Path) -> Iterator[str]:
-    """A command of this project while it runs; the line, begun with ``ready``, it got ready by.
-
-    log: where its stderr goes.  MeasurementError where it ends before it is ready.
-    """
-    with log.open("wb") as stderr:
-        process = subprocess.Popen(
-            [sys.executable, "-m", *module], stdout=subprocess.PIPE, stderr=stderr, text=True
-        )
-    assert process.stdout is not None
-    try:
-        line = next((line for line in process.stdout if line.startswith(ready)), None)
-        if line is None:
-            said = log.read_text(errors="replace").strip().splitlines() or ["nothing on stderr"]
-            raise MeasurementError(f"{' '.join(module[:2])} does not start: {said[-1]}")
-        yield line
-    finally:
-        process.terminate()
-        try:
-            process.wait(timeout=60.0)
-        except subprocess.TimeoutExpired:
-            process.kill()
-            process.wait()
-        process.stdout.close()

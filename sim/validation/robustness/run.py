@@ -13,6 +13,7 @@ from sim.validation.robustness.effort import FULL, QUICK
 from sim.validation.robustness.fields import field_rows
 from sim.validation.robustness.kills import kill_rows
 from sim.validation.robustness.livepage import livepage_rows
+from sim.validation.robustness.moving import moving_rows
 from sim.validation.robustness.overhead import overhead_rows
 from sim.validation.rows import Row, RowFile, measured
 
@@ -63,6 +64,7 @@ def run_hardware(
         "live page": lambda: livepage_rows(
             scenes, folder / "live", effort.live_frames, effort.live_s
         ),
+        "head that moves": lambda: moving_rows(sandwave, folder / "moving", effort.moving_s),
         "overhead of a frame": lambda: overhead_rows(effort.overhead_frames, folder, sandwave),
         "scan through opencv and grbl": lambda: agreement_rows(
             scenes, folder / "agreement", effort.scan_frames, effort.aligned

@@ -1,6 +1,7 @@
 """The tank as hardware: pictures true to the head, clients apart, everything closed at the end."""
 
 import os
+import threading
 import time
 import urllib.error
 import urllib.request
@@ -27,6 +28,7 @@ from lscan.errors import InputError
 from lscan.records import Bytes, Floats
 from sim.devices import SimCamera, SimTrack, TrackOptions
 from sim.emulators import EmulatedHardware, ServeOptions
+from sim.emulators.webcam.camera import Shot
 from sim.scene import Scene
 from sim.sensor.coding import from_jpeg, jpeg_bytes
 
@@ -126,6 +128,34 @@ def test_every_picture_sent_while_the_head_rests_shows_where_it_rests(scene: Sce
                 shot = hardware._camera.newest(0, PATIENCE_S)
                 assert shot is not None
                 assert nearest(from_jpeg(shot.jpeg), seen) == place
+
+
+def test_a_long_move_is_seen_as_it_goes_on(scene: Scene) -> None:
+    """Pictures of the second half of a way of two seconds are those of the place that the head was
+    passing, within coding and noise, as in the first test; no other place is handed out."""
+    with EmulatedHardware(scene) as hardware:
+        hurry(hardware)
+        rig_file = quick_rig(hardware, feed_mm_min=2250.0, settle_s=0.0, approach_mm=0.0)
+        with open_devices(rig_file) as (_, track), hardware._camera.watched():
+            track.move_to(20.0)
+            before = hardware._camera.count + 1  # one may be on its way
+            mover = threading.Thread(target=track.move_to, args=(95.0,))
+            mover.start()
+            shots: list[Shot] = []
+            while mover.is_alive():
+                shot = hardware._camera.newest(shots[-1].number if shots else before, 0.1)
+                if shot is not None and shot.head.position_mm is None:
+                    shots.append(shot)
+            mover.join()
+    taken = [shot.head.now_mm for shot in shots]
+    assert taken == sorted(taken)
+    late = [shot for shot in shots if shot.head.now_mm > 60.0]
+    assert len(late) >= 2
+    for shot in late[::5]:
+        [(one, other, third)] = references(scene, [shot.head.now_mm], pictures=3).values()
+        coded = from_jpeg(jpeg_bytes(third.astype(np.uint8), 95, "4:4:4"))
+        allowed = rms(coded - third) + rms(other - one)
+        assert rms(from_jpeg(shot.jpeg) - one) <= 1.018 * allowed
 
 
 def test_no_two_pictures_of_a_resting_head_are_alike(hardware: EmulatedHardware) -> None:

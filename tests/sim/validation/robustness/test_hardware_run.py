@@ -23,7 +23,7 @@ def test_runs_and_screenshot_lie_beside_the_output(
         )
         return []
 
-    for name in ("livepage_rows", "overhead_rows", "agreement_rows"):
+    for name in ("livepage_rows", "moving_rows", "overhead_rows", "agreement_rows"):
         monkeypatch.setattr(run, name, chapter)
     for name in ("kill_rows", "field_rows"):
         monkeypatch.setattr(run, name, lambda *_: [])
@@ -31,4 +31,4 @@ def test_runs_and_screenshot_lie_beside_the_output(
     run.run_hardware(SCENES, tmp_path / output, quick=True)
     beside = tmp_path / folder
     assert beside.is_dir() and (tmp_path / output).is_file()
-    assert written == [beside / "live", beside, beside / "agreement"]
+    assert written == [beside / "live", beside / "moving", beside, beside / "agreement"]
