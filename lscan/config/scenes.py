@@ -5,6 +5,7 @@ In a checkout they lie beside the packages, in an installed lscan within it.
 
 import os
 import shutil
+from collections.abc import Callable
 from difflib import get_close_matches
 from functools import cache
 from pathlib import Path
@@ -60,7 +61,7 @@ def scene_file(path: Path | str) -> Path:
         Where there is neither.
     """
     listed = "a name that `lscan scenes` lists"
-    return _file(Path(path), "scene", scene_names(), scenes_folder(), listed)
+    return _file(Path(path), "scene", scene_names, listed)
 
 
 def study_file(path: Path | str) -> Path:
@@ -76,16 +77,16 @@ def study_file(path: Path | str) -> Path:
     InputError
         Where there is neither.
     """
-    names = study_names()
-    return _file(Path(path), "study", names, scenes_folder() / STUDIES, ", ".join(names))
+    return _file(Path(path), "study", study_names)
 
 
-def _file(path: Path, kind: str, names: list[str], folder: Path, allowed: str) -> Path:
-    """The file at a path, or that of one of the names in a folder."""
+def _file(path: Path, kind: str, listed: Callable[[], list[str]], allowed: str = "") -> Path:
+    """The file at a path, or that of one of the names listed, which are looked up where needed."""
     if path.is_absolute() or os.path.isfile(path):  # noqa: PTH113 - takes any text
         return path
+    names = listed()
     if path.as_posix() in names:
-        return folder / f"{path}.toml"
+        return scenes_folder() / (STUDIES if kind == "study" else "") / f"{path}.toml"
     if os.path.lexists(path):  # a folder, a link to nowhere: whoever reads it says what is wrong
         return path
     near = get_close_matches(path.as_posix().removesuffix(".toml"), names, n=1)
@@ -93,7 +94,7 @@ def _file(path: Path, kind: str, names: list[str], folder: Path, allowed: str) -
     raise InputError(
         f"cannot be read: there is no such file, and no {kind} of that name{suggested}",
         where=path,
-        allowed=f"a TOML file, or {allowed}",
+        allowed=f"a TOML file, or {allowed or ', '.join(names)}",
     )
 
 

@@ -78,7 +78,8 @@ class MeshSearch:
         self._corners: Floats = np.asarray(whole.triangles, dtype=float)
         self._normals: Floats = np.asarray(whole.face_normals, dtype=float)
         self._border = _border_edges(whole)
-        centroids, self._owner, self._reach = _pieces(self._corners)
+        centroids, self._owner, self._reaches = _pieces(self._corners)
+        self._reach = float(self._reaches.max())
         self._tree = cKDTree(centroids)
 
     def nearest(self, points_mm: Floats, within_mm: float = np.inf) -> NearestPlaces:
@@ -127,19 +128,22 @@ class MeshSearch:
         """
         found = self._tree.query(points, k=np.arange(1, asked + 1))
         reached, piece = np.asarray(found[0]), np.asarray(found[1])
-        candidates = self._owner[piece]
-        repeated = np.repeat(points, asked, axis=0)
-        places = trimesh.triangles.closest_point(self._corners[candidates.ravel()], repeated)
-        away = (repeated - places).reshape(len(points), asked, 3)
-        gap = np.linalg.norm(away, axis=-1)
+        # A centroid lies on its triangle: what cannot be nearer than the first is left out.
+        near = reached - self._reaches[piece] <= reached[:, :1] + TIE_MM
+        candidates, row = self._owner[piece], np.nonzero(near)[0]
+        shape = (len(points), asked)
+        places, gap, height = np.zeros((*shape, 3)), np.full(shape, np.inf), np.zeros(shape)
+        triangle = candidates[near]
+        places[near] = trimesh.triangles.closest_point(self._corners[triangle], points[row])
+        away = points[row] - places[near]
+        gap[near] = np.linalg.norm(away, axis=-1)
+        height[near] = np.einsum("ia,ia->i", away, self._normals[triangle])
         nearest = gap.min(axis=1)
-        height = np.einsum("kai,kai->ka", away, self._normals[candidates])
         decisive = np.where(gap <= nearest[:, None] + TIE_MM, np.abs(height), -1.0).argmax(axis=1)
         rows = np.arange(len(points))
         sure = (nearest + self._reach < reached[:, -1]) | (asked == self._tree.n)
         sure |= reached[:, 0] - self._reach > within_mm
-        chosen = places.reshape(len(points), asked, 3)[rows, decisive]
-        return candidates[rows, decisive], chosen, height[rows, decisive], sure
+        return candidates[rows, decisive], places[rows, decisive], height[rows, decisive], sure
 
     def _on_border(self, triangle: Ints, place: Floats) -> Mask:
         """(K,) whether places of triangles lie on an edge that is no other triangle's."""
@@ -162,11 +166,11 @@ def _border_edges(mesh: trimesh.Trimesh) -> Mask:
     return border.reshape(-1, 3)
 
 
-def _pieces(corners: Floats) -> tuple[Floats, Ints, float]:
-    """Centroids (Q, 3) of pieces of (T, 3, 3) triangles, the triangle of each, their reach.
+def _pieces(corners: Floats) -> tuple[Floats, Ints, Floats]:
+    """Centroids (Q, 3) of pieces of (T, 3, 3) triangles, the triangle of each, the reach of each.
 
     The largest are halved across their longest side, again and again, until there are enough.
-    reach: farthest of a piece's corners from its centroid.
+    reach: of the farthest of a piece's corners from its centroid.
     """
     owner: Ints = np.arange(len(corners))
     most = max(MOST_PIECES, 2 * len(corners))
@@ -183,8 +187,7 @@ def _pieces(corners: Floats) -> tuple[Floats, Ints, float]:
         corners = np.concatenate([corners[~cut], *halves])
         owner = np.concatenate([owner[~cut], owner[cut], owner[cut]])
     centroids = corners.mean(axis=1)
-    reach = np.linalg.norm(corners - centroids[:, None], axis=-1).max()
-    return centroids, owner, float(reach)
+    return centroids, owner, np.linalg.norm(corners - centroids[:, None], axis=-1).max(axis=1)
 
 
 @dataclass(frozen=True)

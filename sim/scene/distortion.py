@@ -11,6 +11,8 @@ by conj(z) are a = R + q R' + 4 Re(conj(P) z), which is real, and b = z2 R' + 2 
 determinant is a2 - |b|2.
 """
 
+from functools import lru_cache
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -26,6 +28,7 @@ BETWEEN = np.arange(1, 5).reshape(-1, 1) / 4  # where the way is looked at withi
 FOUND_PX = 1e-3
 
 
+@lru_cache(maxsize=256)  # a scene is read many times
 def is_folded(lens: Lens, width_px: int, height_px: int) -> bool:
     """Whether the distortion folds somewhere in the picture, its outermost edge included.
 

@@ -5,7 +5,7 @@ follow from those (sim.testing.wrongvalues).
 """
 
 from collections.abc import Iterator, Sequence
-from copy import deepcopy
+from copy import copy, deepcopy
 from dataclasses import dataclass
 from functools import reduce
 from operator import getitem
@@ -145,17 +145,25 @@ def _wrong_keys(rig: GoodRig, place: FieldPlace) -> Iterator[WrongField]:
     *table, name = place.keys
     yield _changed(rig, (*table, f"{name}_"), 1, (str(name),))
     if place.required:
-        document = deepcopy(rig.document)
+        document = _copied(rig.document, tuple(table))
         del _at(document, tuple(table))[name]
         words = ("field required", *words_wanted(place.schema))
         yield WrongField(f"{rig.name}: no {dotted(place.keys)}", document, place.keys, None, words)
 
 
 def _changed(rig: GoodRig, keys: Keys, value: Any, words: tuple[str, ...]) -> WrongField:
-    document = deepcopy(rig.document)
+    document = _copied(rig.document, keys[:-1])
     _at(document, keys[:-1])[keys[-1]] = value
     what = f"{rig.name}: {dotted(keys)} = {str(value)[:MOST_SHOWN]}"
     return WrongField(what, document, keys, value, words)
+
+
+def _copied(document: Any, keys: Keys) -> Any:
+    """The document with copies of the table that the keys lead to and of those around it."""
+    result = copy(document)
+    if keys:
+        result[keys[0]] = _copied(document[keys[0]], keys[1:])
+    return result
 
 
 def crossed_rigs(rigs: list[GoodRig]) -> Iterator[WrongField]:

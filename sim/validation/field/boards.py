@@ -31,8 +31,8 @@ from sim.validation.rows import Row, measured, row
 IN_AIR = OpticsSection(port="none")
 LARGE = Board(grid=Grid(columns=60, rows=50, pitch_mm=10.0, dot_diameter_mm=5.0))
 LARGE_VIEW = DrawnView((2560, 2160), 3000.0, 790.0, (295.0, -245.0), (8.0, -6.0, 2.0), 0.08)
-QUARTER = Board(grid=Grid(columns=30, rows=25, pitch_mm=10.0, dot_diameter_mm=5.0))
-QUARTER_VIEW = DrawnView((1280, 1080), 3000.0, 790.0, (145.0, -120.0), (8.0, -6.0, 2.0), 0.08)
+SMALL = Board(grid=Grid(columns=15, rows=12, pitch_mm=10.0, dot_diameter_mm=5.0))
+SMALL_VIEW = DrawnView((640, 540), 3000.0, 790.0, (70.0, -55.0), (8.0, -6.0, 2.0), 0.08)
 LARGE_S = {"polynomial-5": 3.0, "spline": 3.0, "auto": 20.0}
 
 SHADED = Board(grid=Grid(columns=40, rows=30, pitch_mm=10.0, dot_diameter_mm=5.0, whole=False))
@@ -62,7 +62,7 @@ def large_rows(effort: FieldEffort) -> list[Row]:
     Of processor time, with one thread for linear algebra, in a process of its own: other chapters
     run beside this one, and the clock would count their work.
     """
-    board, view = (QUARTER, QUARTER_VIEW) if effort.plain else (LARGE, LARGE_VIEW)
+    board, view = (SMALL, SMALL_VIEW) if effort.plain else (LARGE, LARGE_VIEW)
     grid = board.grid
     cover = dots_cover(view, (grid.rows, grid.columns), 10.0, 5.0, 0.8)
     picture = photographed(0.9 - 0.8 * cover, 2.0, np.random.default_rng(1))
@@ -88,10 +88,10 @@ def large_rows(effort: FieldEffort) -> list[Row]:
 def calibrate_large(file: str, plane_map: str, plain: bool) -> None:
     """Calibrate from a picture of LARGE, and print how many seconds of processor time it took.
 
-    plain: the picture is of QUARTER, as a quick run has it.
+    plain: the picture is of SMALL, as a quick run has it.
     """
     start = process_time()
-    board = QUARTER if plain else LARGE
+    board = SMALL if plain else LARGE
     saved = calibrate(read_board(read_picture(Path(file)), board), plane_map, IN_AIR)
     save_calibration(Path(file).with_suffix(".json"), saved)
     print(process_time() - start)

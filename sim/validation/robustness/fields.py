@@ -27,6 +27,7 @@ def shortcoming(wrong: WrongField, file: Path, read: Callable[[Path], object] = 
 
     read: what reads a rig file.
     """
+    file.unlink(missing_ok=True)  # to write over a file waits for the disk
     file.write_text(toml_text(wrong.document), encoding="utf-8")
     try:
         read(file)

@@ -25,6 +25,7 @@ from lscan.records import Floats
 from sim.render.plugins.beams import BeamDensity, beam_density, falloff, line_density
 from sim.render.plugins.integrator import SheetIntegrator
 from sim.render.plugins.multiple import MultipleIntegrator
+from sim.render.plugins.opaque import opaque, opaque_vector
 from sim.render.tank import Tank, stock_medium
 from sim.scene import Laser, Pose
 from sim.scene.matter import AmbientLight, Penumbra
@@ -41,7 +42,7 @@ POINTS = st.tuples(st.floats(-400, 400), st.floats(-0.5, 2.0), st.floats(60, 700
     lambda p: (p[0], (-1) ** int(p[2]) * 10 ** p[1], -p[2])
 )
 AT_REST = Pose(np.eye(3), np.zeros(3))
-SHARES = (0.1, 0.2, 0.4, 0.2, 0.1)
+SHARES = (0.2, 0.5, 0.3)
 STOCK_SEEDS = range(100, 100 + RUNS)
 
 
@@ -54,8 +55,13 @@ def doubles(values: mi.Float) -> Floats:
 
 
 def beam_about(point: tuple[float, float, float]) -> BeamDensity:
-    """How rays of the sheet are drawn for light that goes to a point."""
-    return beam_density(make_sheet(LASER), mi.Point3f(*point), mi.Float(0.0))
+    """How rays of the sheet are drawn for light that goes to a point.
+
+    Its numbers are opaque: the kernels of the first point serve all others.
+    """
+    beam = beam_density(make_sheet(LASER), mi.Point3f(opaque_vector(np.array(point))), opaque(0.0))
+    dr.eval(beam)
+    return beam
 
 
 def drawn(beam: BeamDensity, count: int, seed: int) -> tuple[Floats, Floats, Floats]:
@@ -86,8 +92,8 @@ def test_falloffs_are_densities_of_their_samples(centre: float, scale: float, en
     """Even numbers give even shares of the density's integral, which is 1."""
     numbers = (np.arange(1000) + 0.5) / 1000
     for low, high, density in (
-        (-0.6, 0.6, falloff(*(mi.Float(v) for v in (centre, scale, -0.6, 0.6)))),
-        (0.0, end, line_density(*(mi.Float(v) for v in (centre * end, 100 * scale, end)))),
+        (-0.6, 0.6, falloff(*(opaque(v) for v in (centre, scale, -0.6, 0.6)))),
+        (0.0, end, line_density(*(opaque(v) for v in (centre * end, 100 * scale, end)))),
     ):
         middle, spread = float(density.centre[0]), float(density.scale[0])
         place = sinh_spaced(low, high, middle, spread, 20001)
@@ -106,7 +112,7 @@ def test_falloffs_are_densities_of_their_samples(centre: float, scale: float, en
 def test_the_beams_density_integrates_to_1(point: tuple[float, float, float]) -> None:
     """Its two parts each: over the fan and across it, and over the disc about the point."""
     beam = beam_about(point)
-    wide, near = (replace(beam, about=mi.Float(v)) for v in (0.0, 1.0))
+    wide, near = (replace(beam, about=opaque(v)) for v in (0.0, 1.0))
     centre, scale = float(beam.fan.centre[0]), float(beam.fan.scale[0])
     edges = sinh_spaced(-HALF_FAN, HALF_FAN, centre, scale, 402)
     phi = 0.5 * (edges[1:] + edges[:-1])  # single precision may put the edges outside
@@ -151,7 +157,7 @@ def test_beams_are_drawn_with_their_density(point: tuple[float, float, float], s
     assert np.all(density > 0)
     assert_mean(power / density, LASER.power_mw)
 
-    near = replace(beam, about=mi.Float(1.0))
+    near = replace(beam, about=opaque(1.0))
     phi, lateral, density = drawn(near, 100_000, seed)
     rho, unit, reach = (float(v[0]) for v in (beam.rho, beam.unit, beam.reach))
     along = rho * (phi - float(beam.phi[0]))
@@ -397,8 +403,8 @@ def test_all_orders_in_turbid_water_equal_stock_volpath() -> None:
 
 @pytest.mark.slow
 def test_several_lines_add_up() -> None:
-    """The picture of five lines is the sum of five pictures, each of one of them."""
-    lines = [{"tilt_deg": t, "share": s} for t, s in zip((-16, -8, 0, 8, 16), SHARES, strict=True)]
+    """The picture of three lines is the sum of three pictures, each of one of them."""
+    lines = [{"tilt_deg": t, "share": s} for t, s in zip((-16, 0, 8), SHARES, strict=True)]
     tank = Tank(floor_scene(laser={"lines": lines, "waist_mm": 3.0}))
     water = one_lobe(4e-4, 1e-3, 0.7)
     camera = tank.make_camera(jitter=True)
