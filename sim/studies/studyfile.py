@@ -189,6 +189,10 @@ class StudyFile(Strict):
         return self
 
 
+ONE_RIG = "lens", "port", "head"
+"""Sections of a scene that calibration and scan have in common."""
+
+
 @dataclass(frozen=True)
 class Study:
     """A study and its two scenes.
@@ -276,8 +280,24 @@ def study_of(document: Document, source: str, scenes: tuple[Scene, Scene] | None
     if study.calibrate.tank.target.shape != "board":
         allowed = 'a scene with [target] shape = "board"'
         raise InputError("calibrate", where=source, value=file.calibrate, allowed=allowed)
+    _require_one_rig(study)
     study.correlations()
     return study
+
+
+def _require_one_rig(study: Study) -> None:
+    """InputError where the two scenes state different rigs; what drifts is a cause."""
+    board, scan = study.calibrate, study.scan
+    apart = [name for name in ONE_RIG if getattr(board.tank, name) != getattr(scan.tank, name)]
+    if board.rig.camera.size_px != scan.rig.camera.size_px:
+        apart.append("camera.width_px or height_px")
+    if apart:
+        raise InputError(
+            f"calibrate and scan are not of one rig: {', '.join(apart)} differ",
+            where=study.source,
+            value=f"{study.file.calibrate} and {study.file.scan}",
+            allowed="the same in both scenes; what changes between them is a cause",
+        )
 
 
 def _scene(name: str, source: str) -> Scene:

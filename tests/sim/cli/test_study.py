@@ -184,6 +184,7 @@ def test_growing_ends_where_more_runs_were_not_agreed_to(finished: Path, tmp_pat
             "small.toml: calibrate (got 'paper/groove'; allowed: a scene",
         ),
         (("paper/board", "paper/bord"), "did you mean paper/board?"),
+        (("paper/board", "metric/water"), "calibrate and scan are not of one rig: "),
     ],
 )
 def test_a_study_that_is_none_is_refused(
