@@ -19,7 +19,7 @@ from sim.cli.arguments import OutputFolder, ScenesFolder
 
 if TYPE_CHECKING:
     from sim.studies.intervals import Bounded
-    from sim.studies.records import CauseBudget, OutputBudget
+    from sim.studies.records import CauseBudget, DesignTrial, OutputBudget
 
 MOST_WORKERS = 1024
 
@@ -51,7 +51,8 @@ def study(
     """Where the error of a rig comes from: a budget, cause by cause, with intervals."""
     from sim.studies.page import kept
     from sim.studies.results import as_document
-    from sim.studies.study import StudyOptions, run_study
+    from sim.studies.running import StudyOptions
+    from sim.studies.study import run_study
     from sim.studies.studyfile import Tier
 
     if processes not in (None, "none"):
@@ -79,6 +80,7 @@ def study(
                 for c in tolerances.causes]  # fmt: skip
         print_table("tolerances", headings, rows)
         print(kept(tolerances))
+    _print_front(found.trials)
     print(output / "report.html")
 
 
@@ -128,6 +130,25 @@ def _print_budgets(outputs: "tuple[OutputBudget, ...]") -> None:
         share = _percent(most.total) if most else ""
         cells.append([budget.name, _rms(budget), most.cause if most else "", share])
     print_table("other quantities, cause by cause on the page", headings, cells)
+
+
+def _print_front(trials: "tuple[DesignTrial, ...]") -> None:
+    """The designs on the front, one a line, the least error first."""
+    best = [(number, trial) for number, trial in enumerate(trials, start=1) if trial.on_front]
+    if not best:
+        if trials:
+            print("no design keeps all limits")
+        return
+    best.sort(key=lambda one: next(iter(one[1].objectives.values())) or 0.0)
+    headings = ["design", *best[0][1].objectives, "same rigs", "rendered", "parts", "status"]
+    cells = [
+        [number]
+        + ["" if value is None else f"{value:.3g}" for value in trial.objectives.values()]
+        + ["" if trial.predicted_mm is None else f"{trial.predicted_mm:.3g}"]
+        + [_shown(trial.rendered_mm), ", ".join(map(str, trial.parts.values())), trial.status]
+        for number, trial in best
+    ]
+    print_table(f"front of {len(trials)} designs", headings, cells)
 
 
 def _alone(cause: "CauseBudget") -> float:

@@ -4,9 +4,10 @@ import logging
 import multiprocessing
 import signal
 import time
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import CancelledError
 from contextlib import contextmanager, suppress
+from typing import TypeVar
 
 import dask
 import numpy as np
@@ -37,6 +38,9 @@ _LOCAL = {
 }
 
 _log = logging.getLogger(__name__)
+
+Item = TypeVar("Item")
+Found = TypeVar("Found")
 
 
 class DeafToCtrlC(WorkerPlugin):
@@ -187,6 +191,32 @@ def _in_flight(
             submit()
         if finished:
             yield finished
+
+
+def in_order(
+    client: Client,
+    function: Callable[[Item], Found],
+    of: Sequence[Item],
+    killed: Callable[[str], Found],
+) -> Iterator[Found]:
+    """What a function gives for each of a few things, in their order, as far as they are done.
+
+    Parameters
+    ----------
+    client : Client
+    function : callable, pure
+    of : sequence
+    killed : callable, what to give, by the reason, for one that killed its workers time and again
+    """
+    with _errors_told(client):
+        futures = [client.submit(function, one, pure=False) for one in of]
+        for future in futures:
+            try:
+                found = future.result()
+            except KilledWorker:
+                found = killed(KILLED)
+            future.release()
+            yield found
 
 
 @contextmanager

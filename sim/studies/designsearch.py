@@ -8,7 +8,7 @@ and its constrained domination; here as Optuna's sampler.
 
 import hashlib
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, is_dataclass
 from math import isfinite
 from pathlib import Path
 from typing import Any, Protocol
@@ -142,6 +142,8 @@ class DesignProblem:
                 figures = DesignFigures(error_mm, width_mm, depth_mm, design.cost_eur, safety)
         except LscanError as error:
             return None, str(error)
+        except Exception as error:  # whatever it is, the other designs are still wanted
+            return None, " ".join(f"error: {type(error).__name__}: {error}".split())
         return figures, "; ".join(f"breaks the limit of {name}" for name in self.broken(figures))
 
     def excesses(self, figures: DesignFigures) -> dict[Figure, float]:
@@ -167,7 +169,8 @@ class DesignProblem:
         return found
 
 
-Run = Callable[[Callable[[Parameters], Judged], Sequence[Parameters]], Iterable[Judged]]
+Judge = Callable[[Parameters], Judged]
+Run = Callable[[Judge, Sequence[Parameters]], Iterable[Judged]]
 """Calls a function with each of the parameters, anywhere; gives results in their order."""
 
 
@@ -230,7 +233,9 @@ class _Kept:
     def __init__(self, problem: DesignProblem, file: Path | None) -> None:
         self.judged: dict[str, Judged] = {}
         self.file, self.rows = file, dict[int, RigTrial]()
-        stated = (problem.section, problem.catalogue, problem.base)
+        # Of a function its name says nothing of what it does.
+        error_of = problem.error_of if is_dataclass(problem.error_of) else None
+        stated = (problem.section, problem.catalogue, problem.base, error_of)
         self.of = hashlib.sha256(json_text(stated).encode()).hexdigest()
         if file is not None and file.exists():
             self._read(file)

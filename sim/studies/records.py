@@ -193,14 +193,20 @@ class DesignTrial:
 
     Attributes
     ----------
-    objectives : mapping, name with unit to figure
+    objectives : mapping, name with unit to figure, None where it was not looked at
     parts : mapping, what it is built of, and its free numbers
-    on_front : bool, no other is better in every objective
+    on_front : bool, it keeps all limits, and no other is better in every objective
+    status : str, "ok", or why it failed, which limits it breaks, or why it was not rendered
+    predicted_mm : float, mm, predicted error of the rigs that were rendered, where some were
+    rendered_mm : Bounded, mm, rendered error of the same rigs
     """
 
-    objectives: Mapping[str, float]
+    objectives: Mapping[str, float | None]
     parts: Mapping[str, str | float]
     on_front: bool = True
+    status: str = "ok"
+    predicted_mm: float | None = None
+    rendered_mm: Bounded | None = None
 
 
 @dataclass(frozen=True)

@@ -1,25 +1,23 @@
 """A study from its file to its results: prepared, run until its indices are known, evaluated."""
 
-import hashlib
 import time
 from collections import Counter
 from collections.abc import Callable, Mapping
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from lscan.config.rigfile import parse_rig
 from lscan.errors import InputError
-from lscan.files.disk import make_folder, write_atomically
+from lscan.files.disk import make_folder
 from lscan.records import Floats, Progress
-from sim.scene import Scene, scene_of, target_pose
+from sim.scene import target_pose
 from sim.studies.budget import budgets_of, error_maps, scatters_of
-from sim.studies.geometric import GeometricRig
+from sim.studies.designrun import design_problem, design_runs, search_designs
 from sim.studies.indices import Indices, next_base, sobol_indices
-from sim.studies.prepared import Prepared, prepare
+from sim.studies.prepared import Prepared
 from sim.studies.problem import Output, columns
 from sim.studies.records import (
     IndexConvergence,
@@ -29,13 +27,13 @@ from sim.studies.records import (
     TierRow,
     Tolerances,
 )
-from sim.studies.rendered import RenderedRig
 from sim.studies.results import write_results
-from sim.studies.runner import cost_estimate, require_at_most, run_rows
+from sim.studies.runner import require_at_most
+from sim.studies.running import StudyOptions, StudyRunning, prepared_of
 from sim.studies.sampling import BASE, Design, alone, make_design
 from sim.studies.states import check_keys
 from sim.studies.store import Results, ResultStore, distinct, open_store
-from sim.studies.studyfile import Study, Tier, load_study, study_of
+from sim.studies.studyfile import Study, Tier, load_study
 from sim.studies.studyruns import joined, runs_of
 from sim.studies.tiers import (
     alone_squares,
@@ -54,79 +52,15 @@ from sim.studies.tolerances import (
 from sim.studies.worker import identity_of
 
 if TYPE_CHECKING:
-    from distributed import Client
+    pass
 
 PREPARED, RUNS, RENDERED_RUNS, TIGHTER = "prepared.npz", "runs", "runs-rendered", "tolerances"
-AT_MOST = 20_000
-"""Runs of a study that nobody has to agree to: ten minutes of the geometric tier."""
 COUNTED = ("height",)
 """The outputs whose indices are to be known as well as the study's file asks."""
 BOTH = (
     "both tiers: moments, indices and what is compared are those of rendered rigs; 95 % ranges,"
     " convergence, sensitivities and maps those of geometric ones"
 )
-
-
-@dataclass(frozen=True)
-class RigSource:
-    """What a worker makes a study's problem from.
-
-    Attributes
-    ----------
-    tier : str, "geometric" or "rendered"
-    study, calibrate, scan : dict, documents: the study's own, and those of its two scenes
-    prepared : bytes, as ``Prepared.packed`` gives them
-    name : str, of the study's file, for errors
-    """
-
-    tier: Tier
-    study: dict[str, Any]
-    calibrate: dict[str, Any]
-    scan: dict[str, Any]
-    prepared: bytes
-    name: str
-
-    @property
-    def document(self) -> Mapping[str, Any]:
-        """All that the results of a row depend on."""
-        counts = ("cause", "correlation", "places")
-        return {
-            "tier": self.tier,
-            "study": {key: self.study[key] for key in counts if key in self.study},
-            "calibrate": self.calibrate,
-            "scan": self.scan,
-            "prepared": hashlib.sha256(self.prepared).hexdigest(),
-        }
-
-    def make(self) -> GeometricRig:
-        """The problem."""
-        scenes = self._scene(self.calibrate), self._scene(self.scan)
-        study = study_of(self.study, self.name, scenes)
-        rig = RenderedRig if self.tier == "rendered" else GeometricRig
-        return rig(study, Prepared.unpacked(self.prepared, study))
-
-    def _scene(self, document: dict[str, Any]) -> Scene:
-        return scene_of(parse_rig(document, source=self.name, trusted=True))
-
-
-@dataclass(frozen=True)
-class StudyOptions:
-    """How a study is run.
-
-    Attributes
-    ----------
-    workers : int, processes of this machine; "none": everything in this one
-    scheduler : str or None, address of the scheduler of another cluster
-    at_most : int, runs that are agreed to
-    tier : str or None, in place of the file's
-    resume : bool, whether a folder that holds runs of this study is gone on with
-    """
-
-    workers: int | Literal["none"] = 2
-    scheduler: str | None = None
-    at_most: int = AT_MOST
-    tier: Tier | None = None
-    resume: bool = False
 
 
 def run_study(
@@ -167,7 +101,10 @@ def run_study(
     tier = options.tier or study.file.tier
     smallest = _design(study, study.file.precision.base)
     bound = study.file.tolerances
-    require_at_most(smallest.rows, options.at_most, more=MOST_RUNS if bound else 0)
+    section = study.file.design
+    problem = None if section is None else design_problem(study, section)
+    more = (MOST_RUNS if bound else 0) + (0 if section is None else design_runs(section))
+    require_at_most(smallest.rows, options.at_most, more)
     if tier == "both":  # refused before anything is run, not after hours
         rendered_design(smallest, {}, study.file.precision.rendered)
     if (output / RUNS).exists() and not options.resume:
@@ -175,70 +112,18 @@ def run_study(
             "holds runs of a study", where=output / RUNS, allowed="--resume, or another folder"
         )
     make_folder(output)
-    packed = _prepared(study, output / PREPARED, say)
+    packed = prepared_of(study, output / PREPARED, say)
     with ExitStack() as stack:
-        running = _Running(study, output, options, packed, stack, progress, say)
+        running = StudyRunning(study, output, options, packed, stack, progress, say)
         found = _until_known(running, "rendered" if tier == "rendered" else "geometric")
         rendered = _some_rendered(running, found) if tier == "both" else None
         tolerances = _tolerances(running, found)
+        trials = () if problem is None else search_designs(running, problem)
     results, runs = _results(study, tier, packed, found, rendered, began)
-    results = replace(results, tolerances=tolerances)
+    results = replace(results, tolerances=tolerances, trials=trials)
+    results = replace(results, seconds=time.monotonic() - began)
     write_results(output, results, runs)
     return results
-
-
-@dataclass
-class _Running:
-    """How and where the rows of a study are run."""
-
-    study: Study
-    output: Path
-    options: StudyOptions
-    packed: bytes
-    stack: ExitStack
-    progress: Progress | None
-    say: Callable[[str], None]
-    client: "Client | None" = None
-
-    def source(self, tier: Tier) -> RigSource:
-        """What a worker makes the problem of a tier from."""
-        return RigSource(
-            tier,
-            self.study.document,
-            self.study.calibrate.document,
-            self.study.scan.document,
-            self.packed,
-            self.study.source,
-        )
-
-    def begin(self, tier: Tier, folder: str, rows: Floats) -> tuple[RigSource, ResultStore]:
-        """The source and the store of a tier's runs; says how long these rows will take."""
-        source = self.source(tier)
-        store = self.stack.enter_context(open_store(self.output / folder, identity_of(source)))
-        at_once = 1 if self.options.workers == "none" else self.options.workers
-        cost = cost_estimate(source, rows, store, at_once)
-        if cost.rows:
-            left = f"{cost.rows} {tier} runs to go, {cost.row_s:.2g} s each"
-            self.say(f"{left}: about {cost.seconds:.0f} s")
-        return source, store
-
-    def run(
-        self, source: RigSource, store: ResultStore, rows: Floats, *, agreed: bool = False
-    ) -> Results:
-        """The results of rows; the cluster is started once a study.  agreed: counted before."""
-        from sim.studies.cluster import open_client  # takes a second to import
-
-        workers = self.options.workers
-        if workers != "none" and self.client is None:
-            self.client = self.stack.enter_context(open_client(workers, self.options.scheduler))
-        return run_rows(
-            source,
-            rows,
-            store,
-            self.client or workers,
-            progress=self.progress,
-            at_most=None if agreed else self.options.at_most,
-        )
 
 
 @dataclass(frozen=True)
@@ -257,7 +142,7 @@ class _TierRuns:
         return self.store.identity.outputs
 
 
-def _until_known(running: _Running, tier: Tier) -> _TierRuns:
+def _until_known(running: StudyRunning, tier: Tier) -> _TierRuns:
     """The runs of a tier, more and more of them until the indices are known."""
     study, precision = running.study, running.study.file.precision
     base, convergence = precision.base, []
@@ -284,7 +169,7 @@ def _until_known(running: _Running, tier: Tier) -> _TierRuns:
     return _TierRuns(tier, design, results, store, convergence)
 
 
-def _some_rendered(running: _Running, found: _TierRuns) -> tuple[Design, Results]:
+def _some_rendered(running: StudyRunning, found: _TierRuns) -> tuple[Design, Results]:
     """The part of a geometric study's rows that is rendered, with its results."""
     where = columns(found.outputs)[COUNTED[0]]
     squares = alone_squares(found.design, found.results.values[:, where])
@@ -298,7 +183,7 @@ def _design(study: Study, base: int) -> Design:
     return make_design(study.causes, base, file.precision.alone, file.seed, study.groups)
 
 
-def _tolerances(running: _Running, found: _TierRuns) -> Tolerances | None:
+def _tolerances(running: StudyRunning, found: _TierRuns) -> Tolerances | None:
     """Those that the study's file asks for, of geometric runs; each spread has its own folder."""
     file = running.study.file
     bound = file.tolerances
@@ -322,18 +207,6 @@ def _tolerances(running: _Running, found: _TierRuns) -> Tolerances | None:
 
     shares = {name: group.total.value for name, group in groups.items()}
     return find_tolerances(file, bound, shares, sizes)
-
-
-def _prepared(study: Study, file: Path, say: Callable[[str], None]) -> bytes:
-    """What pictures show of the rig as it ought to be, kept in the study's folder."""
-    key = hashlib.sha256(repr((study.calibrate.document, study.scan.document, study.file.places))
-                         .encode()).digest()  # fmt: skip
-    if file.exists() and (kept := file.read_bytes())[: len(key)] == key:
-        return kept[len(key) :]
-    say("looks at pictures of the rig as it ought to be: a minute or two, once")
-    packed = prepare(study).packed()
-    write_atomically(file, key + packed)
-    return packed
 
 
 def _results(

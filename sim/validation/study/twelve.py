@@ -10,7 +10,7 @@ from lscan.records import select
 from sim.scene import Scene, load_scene, scene_of
 from sim.studies.places import places_of
 from sim.studies.prepared import Prepared, marks_of, on_board, stated
-from sim.studies.study import RigSource
+from sim.studies.running import RigSource
 from sim.studies.studyfile import Study, study_of
 from sim.truth import board_truth
 

@@ -10,7 +10,7 @@ import xarray as xr
 from study_cases import known_of
 from typer.testing import CliRunner
 
-import sim.studies.study
+import sim.studies.running
 from lscan.cli.console import BAD_INPUT, STOPPED, run_command_line
 from lscan.config.scenes import study_names
 from lscan.errors import InputError
@@ -52,7 +52,7 @@ def not_rendered() -> Iterator[None]:
         return known_of(study.file.calibrate, study.file.scan)
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(sim.studies.study, "prepare", known)
+        patch.setattr(sim.studies.running, "prepare", known)
         yield
 
 

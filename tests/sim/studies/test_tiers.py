@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from study_cases import known_of
 
-import sim.studies.study as study_module
+import sim.studies.running as running_module
 from lscan.errors import InputError, MeasurementError
 from lscan.records import Floats
 from sim.scene import load_scene
@@ -20,8 +20,9 @@ from sim.studies.prepared import Prepared, prepare
 from sim.studies.problem import Output, base_row, columns
 from sim.studies.rendered import RenderedRig
 from sim.studies.results import load_results
+from sim.studies.running import StudyOptions
 from sim.studies.sampling import AGAIN, ALL, BASE, SETS, Design, alone, make_design, mixed
-from sim.studies.study import RENDERED_RUNS, StudyOptions, run_study
+from sim.studies.study import RENDERED_RUNS, run_study
 from sim.studies.studyfile import Study, study_of
 from sim.studies.testfunctions import ClosedForm, ishigami, nearly_linear
 from sim.studies.tiers import large_causes, padded, paired, rendered_design, tier_rows
@@ -214,9 +215,9 @@ normal = [0, 0.01]
 def test_a_study_in_both_tiers(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The height is 1.2 z + z' x in the dear tier, z and z' uniform and x evenly spread in (-1, 1):
     z makes 1.44 / (1.44 + m) of the variance, with m the mean of x²."""
-    monkeypatch.setattr(study_module, "GeometricRig", CheapRig)
-    monkeypatch.setattr(study_module, "RenderedRig", DearRig)
-    monkeypatch.setattr(study_module, "prepare", lambda _: known_of())
+    monkeypatch.setattr(running_module, "GeometricRig", CheapRig)
+    monkeypatch.setattr(running_module, "RenderedRig", DearRig)
+    monkeypatch.setattr(running_module, "prepare", lambda _: known_of())
     file, out = tmp_path / "study.toml", tmp_path / "out"
     file.write_text(STUDY)
     found = run_study(file, out, StudyOptions(workers="none"))
@@ -244,8 +245,8 @@ def test_rows_tell_how_far_each_contribution_is_off(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The first cause does 1.2 times as much in the rendered tier, the second as much."""
-    monkeypatch.setattr(study_module, "GeometricRig", CheapRig)
-    monkeypatch.setattr(study_module, "RenderedRig", DearRig)
+    monkeypatch.setattr(running_module, "GeometricRig", CheapRig)
+    monkeypatch.setattr(running_module, "RenderedRig", DearRig)
     file = tmp_path / "study.toml"
     file.write_text(STUDY)
     rows = {row.what: row for row in contribution_rows(file, prepared=known_of())}

@@ -18,8 +18,9 @@ from sim.studies.page import kept
 from sim.studies.problem import Output
 from sim.studies.records import Tolerances
 from sim.studies.results import load_results
+from sim.studies.running import StudyOptions
 from sim.studies.store import Results
-from sim.studies.study import StudyOptions, run_study
+from sim.studies.study import run_study
 from sim.studies.studyfile import Bound, StudyFile
 from sim.studies.tolerances import (
     CLOSE,

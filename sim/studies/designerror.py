@@ -1,0 +1,222 @@
+"""The error that a design is predicted to have: no picture of it is rendered.
+
+The same rigs stand for every design: its causes are drawn at the same quantiles, so that designs
+differ by what they are made of, and hardly by chance.  How far line and marks scatter is taken
+from bounds of Cramér and Rao, in that design's light; neither has a bias.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from math import pi, sqrt
+from typing import Any
+
+import numpy as np
+
+from lscan.config.documents import Document, merge
+from lscan.config.rigfile import parse_rig
+from lscan.errors import MeasurementError
+from lscan.records import Floats, Marks, has_value, select
+from sim.scene import Scene, scene_of
+from sim.scene.instrument import FULL_SCALE_DN
+from sim.sensor.radiometry import AMBIENT_NM, photons_per_radiance
+from sim.studies.design import LONGEST_MS
+from sim.studies.geometric import GeometricRig
+from sim.studies.places import places_of, require_one_line
+from sim.studies.prepared import Prepared, marks_of, on_board, stated
+from sim.studies.problem import columns
+from sim.studies.sampling import ALL, SETS, make_design
+from sim.studies.scatter import line_bounds_px, lines_at
+from sim.studies.studyfile import Looked, Study, study_of
+from sim.truth import board_truth
+
+MOST_PLACES = Looked(pictures=8, columns=80)
+"""Of a design, where the study's file asks for more; each picture of a winner is rendered."""
+OF_THE_SCAN = ("name", "plan", "render", "sheet", "stripe", "target")
+"""Sections that a design's scan does not share with its calibration."""
+WHITE_DN = 200.0  # of a board that is well exposed, as the study's own is taken to be
+BOX_PX2 = 1 / 12  # variance of a pixel's own width
+
+
+@dataclass(frozen=True)
+class PredictedError:
+    """Rms of the height over rigs that differ as a study's causes say; see ``ErrorOf``.
+
+    Attributes
+    ----------
+    study, calibrate, scan : Document, of a study and of its two scenes
+    source : str, of the study's file, for errors
+    """
+
+    study: Document
+    calibrate: Document
+    scan: Document
+    source: str
+
+    def __call__(self, document: Document) -> float:
+        """Predicted error of a scene, mm.
+
+        Parameters
+        ----------
+        document : Document, of the scan with the design's parts
+        """
+        study = self.of_design(document)
+        return float(np.sqrt(self.squares(study, design_rows(study)).mean()))
+
+    def of_design(self, document: Document) -> Study:
+        """The study of a design's rig.
+
+        Parameters
+        ----------
+        document : Document, of the scan with the design's parts
+        """
+        parts = _changed(document, self.scan)
+        parts = {key: value for key, value in parts.items() if key not in OF_THE_SCAN}
+        parts.get("camera", {}).pop("exposure_ms", None)
+        base = self._scene(self.calibrate)
+        board = self._scene(merge(self.calibrate, parts))
+        exposure_ms = min(base.rig.camera.exposure_ms * _light(base) / _light(board), LONGEST_MS)
+        board = self._scene(merge(board.document, {"camera": {"exposure_ms": exposure_ms}}))
+        stated_places = self.study.get("places", {})
+        own = Looked.model_validate(stated_places)
+        places = {key: min(getattr(own, key), most) for key, most in MOST_PLACES}
+        of_rig = {key: value for key, value in self.study.items() if key != "design"}
+        return study_of({**of_rig, "places": places}, self.source, (board, self._scene(document)))
+
+    def squares(self, study: Study, rows: Floats) -> Floats:
+        """(N,) mm², mean square of the height's error over the places of each rig.
+
+        Parameters
+        ----------
+        study : Study, of a design
+        rows : (N, D) array
+        """
+        rig = GeometricRig(study, predicted(study))
+        return height_squares(rig, np.stack([rig.evaluate(row) for row in rows]))
+
+    def _scene(self, document: Document) -> Scene:
+        return scene_of(parse_rig(document, source="the design", trusted=True))
+
+
+def height_squares(rig: GeometricRig, values: Floats) -> Floats:
+    """(N,) mm², mean square of the height's error over the places of each rig.
+
+    Parameters
+    ----------
+    rig : GeometricRig
+    values : (N, K) array, of its outputs
+    """
+    return np.asarray((values[:, columns(rig.outputs)["height"]] ** 2).mean(axis=1))
+
+
+def design_rows(study: Study) -> Floats:
+    """(SETS, D) rows of the rigs that stand for a design, the same for all designs of a study.
+
+    Parameters
+    ----------
+    study : Study
+    """
+    design = make_design(study.causes, SETS, SETS, study.file.seed, study.groups)
+    return design.blocks[ALL]
+
+
+def predicted(study: Study) -> Prepared:
+    """What pictures of a rig would show: marks and line without bias, their scatter a bound.
+
+    Parameters
+    ----------
+    study : Study
+
+    Raises
+    ------
+    MeasurementError
+        The line is seen on the board at less than half of the places.
+    """
+    require_one_line(study.scan)
+    truth = board_truth(study.calibrate).centres
+    sigma = marks_sigma_px(study.calibrate)
+    several = marks_of(truth)
+    ends = np.cumsum([len(marks.status) for marks in several])[:-1]
+    reading = stated(truth, np.split(sigma, ends), [marks.status for marks in several])
+    places = places_of(study.scan, study.file.places.pictures, study.file.places.columns)
+    bounds = line_bounds_px(study.scan, places, lines_at(study.scan, places))
+    known = np.isfinite(bounds).all(axis=0) & on_board(study, reading, places)
+    if known.sum() < np.count_nonzero(~known):
+        raise MeasurementError(
+            f"the line is seen on the board at {known.sum()} of {len(known)} places"
+        )
+    sensor, both = bounds[:, known]
+    none = np.zeros(len(sensor))
+    return Prepared(
+        places=select(places, known),
+        reading=reading,
+        marks_bias_px=np.zeros((len(sigma), 2)),
+        marks_sigma_px=sigma,
+        line_bias_px=none,
+        corrected_px=none,
+        sensor_px=sensor,
+        speckle_px=np.sqrt(np.maximum(both**2 - sensor**2, 0.0)),
+    )
+
+
+def marks_sigma_px(scene: Scene) -> Floats:
+    """(M,) px, least scatter of the board's marks, of u and of v.
+
+    Of a disc of radius R and contrast C whose edge a Gaussian b blurs, in noise s of each pixel,
+    it is s sqrt(2 b / (sqrt(pi) R)) / C: Fisher's information on its centre is the sum of the
+    squares of the picture's slope over s², and the slope is C / b times the Gaussian.
+
+    Parameters
+    ----------
+    scene : Scene, of a board that is well exposed
+
+    References
+    ----------
+    Kay, Fundamentals of Statistical Signal Processing I, sec. 3.5: a signal in white noise.
+    """
+    tank, board = scene.tank, scene.board()
+    truth = board_truth(scene).centres
+    px_per_mm = _scale(truth.grid, board.grid.columns, board.grid.pitch_mm)
+    sizes = [board.grid.dot_diameter_mm, *(ruler.mark_diameter_mm for ruler in board.ruler)]
+    sensor = tank.sensor
+    gain = FULL_SCALE_DN * sensor.gain / sensor.full_well_e
+    middle = WHITE_DN / 2  # of the edges, where the information is
+    noise = sqrt(
+        gain**2 * (sensor.dark_noise_e**2 + sensor.dsnu_e**2)
+        + gain * middle + (sensor.prnu * middle) ** 2 + BOX_PX2
+    )  # fmt: skip
+    contrast = WHITE_DN * (1 - tank.target.mark_albedo / tank.target.albedo)
+    blur = sqrt(tank.lens.blur_px**2 + BOX_PX2)
+    bound = [
+        noise / contrast * sqrt(2 * blur / (sqrt(pi) * px_per_mm * size / 2)) for size in sizes
+    ]
+    return np.repeat(bound, [len(marks.status) for marks in marks_of(truth)])
+
+
+def _scale(grid: Marks, wide: int, pitch_mm: float) -> float:
+    """Pixels of a millimetre of the board, the median of its grid's steps."""
+    image = np.where(has_value(grid.status)[:, None], grid.image_px, np.nan)
+    rows = image.reshape(-1, wide, 2)
+    steps = np.linalg.norm(np.diff(rows, axis=1), axis=2)
+    if not np.isfinite(steps).any():
+        raise MeasurementError("the board is not in the picture")
+    return float(np.nanmedian(steps)) / pitch_mm
+
+
+def _light(scene: Scene) -> float:
+    """DN of a board in a millisecond, up to what the design leaves as it is."""
+    lens, sensor = scene.tank.lens, scene.tank.sensor
+    photons = photons_per_radiance(lens, sensor, 1.0, AMBIENT_NM)
+    return photons * sensor.gain / sensor.full_well_e
+
+
+def _changed(document: Mapping[str, Any], base: Mapping[str, Any]) -> Document:
+    """The keys of a document that are not as in the base, table by table."""
+    found: Document = {}
+    for key, value in document.items():
+        own = base.get(key)
+        if isinstance(value, Mapping) and isinstance(own, Mapping):
+            if inner := _changed(value, own):
+                found[key] = inner
+        elif value != own:
+            found[key] = value
+    return found

@@ -1,0 +1,171 @@
+"""The design search of a study: trials, their front, and some of its rigs rendered."""
+
+import hashlib
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+
+import numpy as np
+
+from lscan.config.scenes import included_file
+from lscan.errors import LscanError
+from lscan.files.disk import make_folder
+from lscan.files.jsontext import json_text
+from sim.studies.catalogue import load_catalogue
+from sim.studies.designerror import PredictedError, design_rows, height_squares
+from sim.studies.designsearch import (
+    DesignProblem,
+    Judge,
+    Judged,
+    Parameters,
+    RigTrial,
+    Run,
+    front_of,
+    search,
+)
+from sim.studies.designsection import DesignSection, ordinal
+from sim.studies.intervals import Bounded
+from sim.studies.records import DesignTrial
+from sim.studies.running import RigSource, StudyRunning, prepared_of
+from sim.studies.sampling import SETS
+from sim.studies.store import OK, open_store
+from sim.studies.studyfile import Study
+from sim.studies.tiers import paired
+from sim.studies.worker import identity_of
+
+DESIGNS, WINNERS = "designs.json", "winners"
+RENDERED, RIGS = 5, 8
+"""How many of the front are rendered, and how many rigs of each."""
+
+
+def design_runs(section: DesignSection) -> int:
+    """Runs that a design search has, at most: those that predict, and those that are rendered.
+
+    Parameters
+    ----------
+    section : DesignSection
+    """
+    return section.trials * SETS + RENDERED * RIGS
+
+
+def design_problem(study: Study, section: DesignSection) -> DesignProblem:
+    """What decides what a design of a study is worth.
+
+    Parameters
+    ----------
+    study : Study
+    section : DesignSection, its own
+
+    Raises
+    ------
+    InputError
+        The catalogue is wrong, or has no such parts.
+    """
+    own = section.catalogue_file
+    catalogue = (
+        load_catalogue(included_file(Path(study.source).parent, own)) if own else load_catalogue()
+    )
+    section.space(catalogue)  # refuses patterns of no part before anything is run
+    # The search's own keys are told apart by it; a rig's error does not depend on them.
+    causes = {key: value for key, value in study.document.items() if key != "design"}
+    error_of = PredictedError(causes, study.calibrate.document, study.scan.document, study.source)
+    return DesignProblem(section, catalogue, study.scan.document, error_of)
+
+
+def search_designs(running: StudyRunning, problem: DesignProblem) -> tuple[DesignTrial, ...]:
+    """All trials, those on the front marked, some of these rendered too.
+
+    Parameters
+    ----------
+    running : StudyRunning, where the trials run and are kept
+    problem : DesignProblem, of the same study
+    """
+    section = problem.section
+    running.say(f"designs: {section.trials}, each of {SETS} rigs, without pictures")
+    trials = search(problem, running.output / DESIGNS, _run(running), running.progress)
+    best = front_of(problem, trials)
+    spread = np.unique(np.linspace(0, len(best) - 1, min(RENDERED, len(best))).round())
+    chosen = [best[int(place)] for place in spread]
+    found: dict[int, tuple[float | None, Bounded | None, str]] = {}
+    for done, trial in enumerate(chosen, start=1):
+        running.say(f"renders design {trial.number + 1}, {done} of {len(chosen)}: {RIGS} rigs")
+        found[trial.number] = _rendered(running, problem, trial)
+    on_front = {trial.number for trial in best}
+    return tuple(
+        told(problem, trial, trial.number in on_front, *found.get(trial.number, (None, None, "")))
+        for trial in trials
+    )
+
+
+def told(
+    problem: DesignProblem,
+    trial: RigTrial,
+    on_front: bool,
+    predicted_mm: float | None = None,
+    rendered_mm: Bounded | None = None,
+    reason: str = "",
+) -> DesignTrial:
+    """A trial as the results have it.
+
+    Parameters
+    ----------
+    problem : DesignProblem
+    trial : RigTrial
+    on_front : bool
+    predicted_mm, rendered_mm : float and Bounded, mm, of the rigs that were rendered
+    reason : str, why it could not be rendered
+    """
+    figures, design = trial.figures, problem.design(trial.parameters)
+    objectives = {
+        "predicted error / mm": figures and figures.error_mm,
+        "measured width / mm": figures and figures.width_mm,
+        "depth range / mm": figures and figures.depth_mm,
+        "cost / €": design.cost_eur,
+        "laser class": figures and ordinal(figures.laser_class),
+    }
+    parts = {**trial.parameters, **({"class": figures.laser_class} if figures else {})}
+    status = trial.reason or reason or OK
+    return DesignTrial(objectives, parts, on_front, status, predicted_mm, rendered_mm)
+
+
+def _rendered(
+    running: StudyRunning, problem: DesignProblem, trial: RigTrial
+) -> tuple[float | None, Bounded | None, str]:
+    """Predicted and rendered error of the same rigs, mm, and why there is none."""
+    predict = problem.error_of
+    assert isinstance(predict, PredictedError)
+    try:
+        study = predict.of_design(problem.document(trial.parameters))
+        rows = design_rows(study)[:RIGS]
+        predicted = predict.squares(study, rows)
+        documents = study.document, study.calibrate.document, study.scan.document
+        folder = running.output / WINNERS / _name(documents)
+        make_folder(folder)
+        packed = prepared_of(study, folder / "prepared.npz", running.say)
+        source = RigSource("rendered", *documents, packed, study.source)
+        with open_store(folder / "runs", identity_of(source)) as store:
+            results = running.run(source, store, rows, agreed=True)
+        good = np.array([status == OK for status in results.status])
+        if good.sum() < 2:
+            return None, None, next(status for status in results.status if status != OK)
+        rendered = height_squares(source.make(), results.values)
+    except LscanError as error:
+        return None, None, str(error)
+    both = paired(np.sqrt(predicted[good, None]), np.sqrt(rendered[good, None]))
+    own = "" if good.all() else f"{np.count_nonzero(~good)} of {len(good)} rendered rigs failed"
+    return both[0].value, both[1], own
+
+
+def _run(running: StudyRunning) -> Run:
+    client = running.workers()
+    if client is None:
+        return map
+    from sim.studies.cluster import in_order
+
+    def run(judge: Judge, of: Sequence[Parameters]) -> Iterable[Judged]:
+        return in_order(client, judge, of, lambda status: (None, status))
+
+    return run
+
+
+def _name(documents: object) -> str:
+    return hashlib.sha256(json_text(documents).encode()).hexdigest()[:16]
