@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 import xarray as xr
+from places import SCENES
 from study_cases import known_of
 from typer.testing import CliRunner
 
@@ -184,7 +185,6 @@ def test_growing_ends_where_more_runs_were_not_agreed_to(finished: Path, tmp_pat
             "small.toml: calibrate (got 'paper/groove'; allowed: a scene",
         ),
         (("paper/board", "paper/bord"), "did you mean paper/board?"),
-        (("paper/board", "metric/water"), "calibrate and scan are not of one rig: "),
     ],
 )
 def test_a_study_that_is_none_is_refused(
@@ -199,6 +199,24 @@ def test_a_study_that_is_none_is_refused(
     line = refused([str(study), "-o", str(tmp_path / "out")], monkeypatch, capsys)
     assert words in line
     assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize(
+    ("section", "words"),
+    [
+        ("[lens]\nfocal_px = 900.0", "lens differ"),
+        ("[port]\ntilt_x_deg = 1.0", "port differ"),
+        ("[camera]\nwidth_px = 600", "camera.width_px or height_px differ"),
+    ],
+)
+def test_two_scenes_of_two_rigs_are_refused(tmp_path: Path, section: str, words: str) -> None:
+    board = SCENES / "paper" / "board.toml"
+    scene = f'include = "{board.as_posix()}"\n{section}\n'
+    (tmp_path / "board.toml").write_text(scene, encoding="utf-8")
+    study = tmp_path / "small.toml"
+    study.write_text(STUDY.replace("paper/board", "board.toml"), encoding="utf-8")
+    with pytest.raises(InputError, match=f"calibrate and scan are not of one rig: {words}"):
+        load_study(study)
 
 
 @pytest.mark.parametrize(
