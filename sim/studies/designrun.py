@@ -115,12 +115,12 @@ def told(
     reason : str, why it could not be rendered
     """
     figures, design = trial.figures, problem.design(trial.parameters)
-    objectives = {
-        "predicted error / mm": figures and figures.error_mm,
-        "measured width / mm": figures and figures.width_mm,
-        "depth range / mm": figures and figures.depth_mm,
+    objectives: dict[str, float | None] = {
+        "predicted error / mm": figures.error_mm if figures else None,
+        "measured width / mm": figures.width_mm if figures else None,
+        "depth range / mm": figures.depth_mm if figures else None,
         "cost / €": design.cost_eur,
-        "laser class": figures and ordinal(figures.laser_class),
+        "laser class": ordinal(figures.laser_class) if figures else None,
     }
     parts = {**trial.parameters, **({"class": figures.laser_class} if figures else {})}
     status = trial.reason or reason or OK
