@@ -16,6 +16,7 @@ from lscan.config.documents import Document, merge
 from lscan.config.rigfile import parse_rig
 from lscan.errors import MeasurementError
 from lscan.records import Floats, Marks, has_value, select
+from sim.meshes.paint import reflectance_at
 from sim.scene import Scene, scene_of
 from sim.scene.instrument import FULL_SCALE_DN
 from sim.sensor.radiometry import AMBIENT_NM, photons_per_radiance
@@ -184,7 +185,8 @@ def marks_sigma_px(scene: Scene) -> Floats:
         gain**2 * (sensor.dark_noise_e**2 + sensor.dsnu_e**2)
         + gain * middle + (sensor.prnu * middle) ** 2 + BOX_PX2
     )  # fmt: skip
-    contrast = WHITE_DN * (1 - tank.target.mark_albedo / tank.target.albedo)
+    plate = reflectance_at(tank.target.albedo, AMBIENT_NM)
+    contrast = WHITE_DN * (1 - tank.target.mark_albedo / plate)
     blur = sqrt(tank.lens.blur_px**2 + BOX_PX2)
     bound = [
         noise / contrast * sqrt(2 * blur / (sqrt(pi) * px_per_mm * size / 2)) for size in sizes

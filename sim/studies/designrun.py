@@ -23,13 +23,12 @@ from sim.studies.designsearch import (
     search,
 )
 from sim.studies.designsection import DesignSection, ordinal
-from sim.studies.intervals import Bounded
+from sim.studies.intervals import Bounded, interval, pseudo_values
 from sim.studies.records import DesignTrial
 from sim.studies.running import RigSource, StudyRunning, prepared_of
 from sim.studies.sampling import SETS
 from sim.studies.store import OK, open_store
 from sim.studies.studyfile import Study
-from sim.studies.tiers import paired
 from sim.studies.worker import identity_of
 
 DESIGNS, WINNERS = "designs.json", "winners"
@@ -115,12 +114,12 @@ def told(
     reason : str, why it could not be rendered
     """
     figures, design = trial.figures, problem.design(trial.parameters)
-    objectives = {
-        "predicted error / mm": figures and figures.error_mm,
-        "measured width / mm": figures and figures.width_mm,
-        "depth range / mm": figures and figures.depth_mm,
+    objectives: dict[str, float | None] = {
+        "predicted error / mm": figures.error_mm if figures else None,
+        "measured width / mm": figures.width_mm if figures else None,
+        "depth range / mm": figures.depth_mm if figures else None,
         "cost / €": design.cost_eur,
-        "laser class": figures and ordinal(figures.laser_class),
+        "laser class": ordinal(figures.laser_class) if figures else None,
     }
     parts = {**trial.parameters, **({"class": figures.laser_class} if figures else {})}
     status = trial.reason or reason or OK
@@ -150,9 +149,13 @@ def _rendered(
         rendered = height_squares(source.make(), results.values)
     except LscanError as error:
         return None, None, str(error)
-    both = paired(np.sqrt(predicted[good, None]), np.sqrt(rendered[good, None]))
+    told_mm = float(np.sqrt(predicted[good].mean()))
+    # Of the same rigs in both, each a set of its own: their ratio is known better than either.
+    sums = np.column_stack([np.ones(good.sum()), predicted[good], rendered[good]])
+    ratio = interval(pseudo_values(sums, lambda of: np.sqrt(of[..., 2] / of[..., 1])), True)
+    rendered_mm = Bounded(*(told_mm * x for x in (ratio.value, ratio.low, ratio.high)))
     own = "" if good.all() else f"{np.count_nonzero(~good)} of {len(good)} rendered rigs failed"
-    return both[0].value, both[1], own
+    return told_mm, rendered_mm, own
 
 
 def _run(running: StudyRunning) -> Run:

@@ -282,7 +282,8 @@ def front_plot(trials: Sequence[DesignTrial]) -> StudyPlot | None:
 def _design_words(trial: DesignTrial) -> str:
     """A design's objectives and parts, one line each."""
     every: dict[str, str | float | None] = {**trial.objectives, **trial.parts}
-    every["rendered error / mm"] = trial.rendered_mm and trial.rendered_mm.value
+    if trial.rendered_mm:
+        every["rendered error / mm"] = trial.rendered_mm.value
     told = {name: v for name, v in every.items() if v is not None}
     words = [f"{name}: {v if isinstance(v, str) else f'{v:.4g}'}" for name, v in told.items()]
     return "<br>".join(map(label, words))

@@ -9,6 +9,7 @@ from lscan.records import Progress
 from sim.studies.studyfile import Looked
 from sim.validation.rows import Row, RowFile, measured
 from sim.validation.study import coverage, crosscheck, running
+from sim.validation.study.designs import design_rows
 from sim.validation.study.propagation import propagation_rows
 from sim.validation.study.speed import speed_rows
 from sim.validation.study.tiers import tier_rows
@@ -61,6 +62,7 @@ def _full(scenes: Path, folder: Path) -> Mapping[str, Callable[[], list[Row]]]:
         "cross-check": lambda: crosscheck.cross_check_rows(scenes, Looked()),
         "recalibration": lambda: crosscheck.recalibration_rows(scenes, Looked()),
         "tiers": lambda: tier_rows(paper),
+        "designs": lambda: design_rows(scenes, folder / "designs"),
         "tolerances": lambda: tolerance_rows(scenes, folder / "tolerances"),
     }
 

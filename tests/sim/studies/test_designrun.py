@@ -1,0 +1,140 @@
+"""The design search of a study from end to end, its rendered tier the geometric one."""
+
+import json
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import sim.studies.running as running_module
+from lscan.errors import InputError
+from sim.studies.cluster import in_order, open_client
+from sim.studies.designerror import PredictedError, marks_sigma_px, predicted
+from sim.studies.designrun import DESIGNS, design_problem
+from sim.studies.geometric import GeometricRig
+from sim.studies.records import StudyResults
+from sim.studies.results import load_results
+from sim.studies.running import StudyOptions
+from sim.studies.study import run_study
+from sim.studies.studyfile import load_study
+
+STUDY = """
+name = "two webcams"
+calibrate = "best/board"
+scan = "best/sandwave"
+places = { pictures = 2, columns = 40 }
+precision = { base = 16, most = 16, alone = 16 }
+
+[design]
+sights = ["logitech-*"]
+lasers = ["bq-*"]
+windows = ["pmma-3mm"]
+tracks = ["v-slot-tr8"]
+trials = 2
+population = 2
+numbers = { stand_off_mm = [700, 950], "head.depression_deg" = [30] }
+
+[cause.noise]
+key = "sensor.noise"
+when = "noise"
+"""
+
+
+@pytest.fixture(scope="module")
+def file(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    file = tmp_path_factory.mktemp("designs") / "study.toml"
+    file.write_text(STUDY, encoding="utf-8")
+    return file
+
+
+@pytest.fixture(scope="module")
+def problem_error(file: Path) -> PredictedError:
+    study = load_study(file)
+    return PredictedError(
+        study.document, study.calibrate.document, study.scan.document, study.source
+    )
+
+
+@pytest.fixture(scope="module")
+def found(file: Path) -> Iterator[tuple[Path, StudyResults]]:
+    """What a study found whose pictures show what is predicted of them."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(running_module, "prepare", predicted)
+        patch.setattr(running_module, "RenderedRig", GeometricRig)
+        folder = file.parent / "out"
+        yield folder, run_study(file, folder, StudyOptions("none"))
+
+
+@pytest.mark.slow
+def test_a_winner_rendered_as_predicted_has_the_predicted_error(
+    found: tuple[Path, StudyResults],
+) -> None:
+    folder, results = found
+    assert len(results.trials) == 2
+    rendered = [trial for trial in results.trials if trial.rendered_mm]
+    assert rendered and all(trial.on_front and trial.status == "ok" for trial in rendered)
+    for trial in rendered:
+        assert trial.rendered_mm and trial.predicted_mm
+        assert trial.rendered_mm.value == pytest.approx(trial.predicted_mm, rel=1e-12)
+    assert load_results(folder) == results
+    assert "two webcams" in (folder / "report.html").read_text(encoding="utf-8")
+
+
+@pytest.mark.slow
+def test_a_search_goes_on_from_half_of_its_trials_to_the_same_bytes(
+    file: Path, found: tuple[Path, StudyResults]
+) -> None:
+    folder, results = found
+    whole = (folder / DESIGNS).read_bytes()
+    content = json.loads(whole)
+    content["trials"] = content["trials"][:1]
+    (folder / DESIGNS).write_text(json.dumps(content), encoding="utf-8")
+    again = run_study(file, folder, StudyOptions("none", resume=True))
+    assert again.trials == results.trials
+    assert (folder / DESIGNS).read_bytes() == whole
+
+
+def test_more_runs_than_agreed_to_are_refused_before_any(file: Path, tmp_path: Path) -> None:
+    """32 of two designs and 40 rendered, and those of the budget."""
+    with pytest.raises(InputError, match="too many runs"):
+        run_study(file, tmp_path / "out", StudyOptions("none", at_most=72))
+    assert not (tmp_path / "out").exists()
+
+
+def test_parts_of_no_catalogue_are_refused_by_name(file: Path) -> None:
+    study = load_study(file)
+    assert study.file.design is not None
+    section = study.file.design.model_copy(update={"tracks": ("rail-*",)})
+    with pytest.raises(InputError, match=r"design\.tracks: is no part's name"):
+        design_problem(study, section)
+
+
+def test_the_board_is_exposed_as_well_as_the_study_s(problem_error: PredictedError) -> None:
+    """Half the f-number gathers four times the light; a pixel of twice the side as well."""
+    scan, own = problem_error.scan, 20.0
+    cases: tuple[tuple[str, Mapping[str, float]], ...] = (
+        ("lens", {"f_number": 1.4}),
+        ("sensor", {"pixel_um": 12.0}),
+    )
+    for section, keys in cases:
+        study = problem_error.of_design({**scan, section: {**scan[section], **keys}})
+        assert study.calibrate.rig.camera.exposure_ms == pytest.approx(own / 4)
+        assert study.scan.rig.camera.exposure_ms == own
+
+
+def test_the_marks_scatter_as_a_disc_s_centre_in_white_noise(
+    problem_error: PredictedError,
+) -> None:
+    """Its bound falls as the root of the radius: dots of 5 mm beside marks of 2 mm."""
+    study = problem_error.of_design(problem_error.scan)
+    bound = marks_sigma_px(study.calibrate)
+    assert bound.shape == (len(bound),) and (bound > 0).all()
+    assert bound[-1] / bound[0] == pytest.approx(np.sqrt(2.5))
+
+
+@pytest.mark.slow
+def test_workers_give_things_in_their_order() -> None:
+    with open_client(2) as client:
+        found = list(in_order(client, abs, [-3, 2, -1], lambda status: len(status)))
+    assert found == [3, 2, 1]
