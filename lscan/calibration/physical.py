@@ -157,6 +157,12 @@ class PhysicalMap(SolvedMap):
         return modes.reshape(len(image_px), -1)
 
     def points(self, image_px: Floats) -> Floats:
+        """World points (N, 2) mm, x and z, by the ray of each and the sheet.
+
+        Parameters
+        ----------
+        image_px : (N, 2) array, u and v in px
+        """
         return self.geometry.locate(image_px)
 
     def changed_since(self, since: SinceSection) -> Self:

@@ -106,7 +106,12 @@ class SolvedMap(Strict, ABC):
         return xz
 
     def points(self, image_px: Floats) -> Floats:
-        """(N, 2) mm of pixels that the region covers."""
+        """World points (N, 2) mm, x and z, of pixels that the region covers, without their sigma.
+
+        Parameters
+        ----------
+        image_px : (N, 2) array, u and v in px
+        """
         return self.estimate(image_px, np.zeros(len(image_px))).xz_mm
 
     def parameters(self) -> dict[str, Any]:

@@ -58,6 +58,12 @@ class Graticule(SolvedMap):
         return Estimate(np.column_stack([x, z]), np.column_stack([variance_x, variance_z]))
 
     def points(self, image_px: Floats) -> Floats:
+        """World points (N, 2) mm, x and z, by the graticule alone.
+
+        Parameters
+        ----------
+        image_px : (N, 2) array, u and v in px
+        """
         u, v = image_px.T
         x, _ = self.longitudes.locate(Targets(v, u, None))
         z, _ = self.latitudes.locate(Targets(u, v, None))

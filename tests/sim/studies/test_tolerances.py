@@ -13,7 +13,7 @@ from study_cases import known_of, study_with
 from lscan.config.documents import Document, check
 from lscan.errors import InputError
 from lscan.records import Floats
-from sim.studies import runner, study as studies, tolerances as module
+from sim.studies import runner, running, tolerances as module
 from sim.studies.page import kept
 from sim.studies.problem import Output
 from sim.studies.records import Tolerances
@@ -256,7 +256,7 @@ def test_a_study_finds_its_tolerances_and_goes_on_with_them(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Few rigs of the geometric tier; the second time none is run again, with the same result."""
-    monkeypatch.setattr(studies, "prepare", lambda _: known_of())
+    monkeypatch.setattr(running, "prepare", lambda _: known_of())
     monkeypatch.setattr(module, "RIGS", 16)
     monkeypatch.setattr(module, "FRESH", 4)
     file = tmp_path / "study.toml"
