@@ -2,7 +2,8 @@
 
 The same rigs stand for every design: its causes are drawn at the same quantiles, so that designs
 differ by what they are made of, and hardly by chance.  How far line and marks scatter is taken
-from bounds of Cramér and Rao, in that design's light; neither has a bias.
+from bounds of Cramér and Rao, in that design's light, times what the instrument is above them on
+pictures of the study's own rig; neither has a bias.
 """
 
 from collections.abc import Mapping
@@ -39,6 +40,41 @@ BOX_PX2 = 1 / 12  # variance of a pixel's own width
 
 
 @dataclass(frozen=True)
+class AboveBounds:
+    """How many times the bounds of Cramér and Rao an instrument's scatter is.
+
+    Attributes
+    ----------
+    sensor, both : float, of the line's centre, by the sensor's noise, and by speckle with it
+    marks : float, of the board's marks
+    """
+
+    sensor: float = 1.0
+    both: float = 1.0
+    marks: float = 1.0
+
+
+AT_BOUNDS = AboveBounds()
+
+
+def above_bounds(study: Study, prepared: Prepared) -> AboveBounds:
+    """What pictures of a study's own rig show of its instrument: medians over places and marks.
+
+    Parameters
+    ----------
+    study : Study
+    prepared : Prepared, of its rig
+    """
+    places = prepared.places
+    bounds = line_bounds_px(study.scan, places, lines_at(study.scan, places))
+    found = np.stack([prepared.sensor_px, np.hypot(prepared.sensor_px, prepared.speckle_px)])
+    sensor, both = np.nanmedian(found / bounds, axis=1)
+    sigma, least = prepared.marks_sigma_px, marks_sigma_px(study.calibrate)
+    marks = np.median((sigma / least)[sigma > 0])
+    return AboveBounds(float(sensor), float(both), float(marks))
+
+
+@dataclass(frozen=True)
 class PredictedError:
     """Rms of the height over rigs that differ as a study's causes say; see ``ErrorOf``.
 
@@ -46,12 +82,14 @@ class PredictedError:
     ----------
     study, calibrate, scan : Document, of a study and of its two scenes
     source : str, of the study's file, for errors
+    above : AboveBounds, of the study's own rig
     """
 
     study: Document
     calibrate: Document
     scan: Document
     source: str
+    above: AboveBounds = AT_BOUNDS
 
     def __call__(self, document: Document) -> float:
         """Predicted error of a scene, mm.
@@ -91,7 +129,7 @@ class PredictedError:
         study : Study, of a design
         rows : (N, D) array
         """
-        rig = GeometricRig(study, predicted(study))
+        rig = GeometricRig(study, predicted(study, self.above))
         return height_squares(rig, np.stack([rig.evaluate(row) for row in rows]))
 
     def _scene(self, document: Document) -> Scene:
@@ -120,12 +158,13 @@ def design_rows(study: Study) -> Floats:
     return design.blocks[ALL]
 
 
-def predicted(study: Study) -> Prepared:
-    """What pictures of a rig would show: marks and line without bias, their scatter a bound.
+def predicted(study: Study, above: AboveBounds = AT_BOUNDS) -> Prepared:
+    """What pictures of a rig would show: marks and line without bias, scattered above bounds.
 
     Parameters
     ----------
     study : Study
+    above : AboveBounds, of its instrument
 
     Raises
     ------
@@ -134,7 +173,7 @@ def predicted(study: Study) -> Prepared:
     """
     require_one_line(study.scan)
     truth = board_truth(study.calibrate).centres
-    sigma = marks_sigma_px(study.calibrate)
+    sigma = above.marks * marks_sigma_px(study.calibrate)
     several = marks_of(truth)
     ends = np.cumsum([len(marks.status) for marks in several])[:-1]
     reading = stated(truth, np.split(sigma, ends), [marks.status for marks in several])
@@ -145,7 +184,7 @@ def predicted(study: Study) -> Prepared:
         raise MeasurementError(
             f"the line is seen on the board at {known.sum()} of {len(known)} places"
         )
-    sensor, both = bounds[:, known]
+    sensor, both = bounds[:, known] * [[above.sensor], [above.both]]
     none = np.zeros(len(sensor))
     return Prepared(
         places=select(places, known),

@@ -2,6 +2,7 @@
 
 import hashlib
 from collections.abc import Iterable, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +12,7 @@ from lscan.errors import LscanError
 from lscan.files.disk import make_folder
 from lscan.files.jsontext import json_text
 from sim.studies.catalogue import load_catalogue
-from sim.studies.designerror import PredictedError, design_rows, height_squares
+from sim.studies.designerror import PredictedError, above_bounds, design_rows, height_squares
 from sim.studies.designsearch import (
     DesignProblem,
     Judge,
@@ -24,6 +25,7 @@ from sim.studies.designsearch import (
 )
 from sim.studies.designsection import DesignSection, ordinal
 from sim.studies.intervals import Bounded, interval, pseudo_values
+from sim.studies.prepared import Prepared
 from sim.studies.records import DesignTrial
 from sim.studies.running import RigSource, StudyRunning, prepared_of
 from sim.studies.sampling import SETS
@@ -78,7 +80,10 @@ def search_designs(running: StudyRunning, problem: DesignProblem) -> tuple[Desig
     running : StudyRunning, where the trials run and are kept
     problem : DesignProblem, of the same study
     """
-    section = problem.section
+    study, predict, section = running.study, problem.error_of, problem.section
+    assert isinstance(predict, PredictedError)
+    above = above_bounds(study, Prepared.unpacked(running.packed, study))
+    problem = replace(problem, error_of=replace(predict, above=above))
     running.say(f"designs: {section.trials}, each of {SETS} rigs, without pictures")
     trials = search(problem, running.output / DESIGNS, _run(running), running.progress)
     best = front_of(problem, trials)

@@ -10,7 +10,13 @@ import pytest
 import sim.studies.running as running_module
 from lscan.errors import InputError
 from sim.studies.cluster import in_order, open_client
-from sim.studies.designerror import PredictedError, marks_sigma_px, predicted
+from sim.studies.designerror import (
+    AboveBounds,
+    PredictedError,
+    above_bounds,
+    marks_sigma_px,
+    predicted,
+)
 from sim.studies.designrun import DESIGNS, design_problem
 from sim.studies.geometric import GeometricRig
 from sim.studies.records import StudyResults
@@ -131,6 +137,15 @@ def test_the_marks_scatter_as_a_disc_s_centre_in_white_noise(
     bound = marks_sigma_px(study.calibrate)
     assert bound.shape == (len(bound),) and (bound > 0).all()
     assert bound[-1] / bound[0] == pytest.approx(np.sqrt(2.5))
+
+
+def test_what_is_predicted_above_bounds_is_found_so(problem_error: PredictedError) -> None:
+    """The two are each other's inverse: no scatter is drawn, so to rounding."""
+    study = problem_error.of_design(problem_error.scan)
+    stated = AboveBounds(sensor=2.5, both=1.25, marks=1.5)
+    found = above_bounds(study, predicted(study, stated))
+    for name, value in vars(stated).items():
+        assert getattr(found, name) == pytest.approx(value, rel=1e-9), name
 
 
 @pytest.mark.slow
