@@ -136,7 +136,7 @@ def check_covariance(covariance: Floats, count: int) -> None:
     scale = np.abs(covariance).max(initial=0.0)
     if np.abs(covariance - covariance.T).max(initial=0.0) > 1e-9 * scale:
         raise ValueError("covariance must be symmetric")
-    if np.diag(covariance).min(initial=0.0) < 0:
+    if covariance.diagonal().min(initial=0.0) < 0:
         raise ValueError("covariance must have no negative variance")
 
 

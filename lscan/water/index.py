@@ -5,6 +5,7 @@ glass, also relative to air, and air = 1 it makes one consistent set; an absolut
 (IAPWS) mixed in would be wrong by 3.7e-4.
 """
 
+from functools import lru_cache
 from math import sqrt
 
 from lscan.water.density import (
@@ -74,6 +75,7 @@ def refractive_index(
     return at_atmosphere + _pressure_rise(t, nm, pressure_mpa)
 
 
+@lru_cache(maxsize=256)  # a study asks for one water's index thousands of times
 def _pressure_rise(temperature_c: float, wavelength_nm: float, pressure_mpa: float) -> float:
     """What the index, relative to air, gains from atmospheric pressure to ``pressure_mpa``."""
     pressed, at_atmosphere = (

@@ -6,6 +6,7 @@ normal, z against the fan's axis), target, head, world (lscan.records).
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import reduce
 from math import cos, radians, sin
 
 import numpy as np
@@ -30,14 +31,12 @@ def rotation(axes: str, angles_deg: float | Sequence[float] | Floats) -> Floats:
     >>> rotation("Z", 90.0).round(12)[:, 0].tolist()
     [0.0, 1.0, 0.0]
     """
-    matrix: Floats
-    if np.ndim(angles_deg) == 2:
-        matrix = Rotation.from_euler(axes, angles_deg, degrees=True).as_matrix()
-        return matrix
-    matrix = np.eye(3)
-    for axis, angle in zip(axes, np.atleast_1d(angles_deg).tolist(), strict=True):
-        matrix = matrix @ _turn(axis, angle)
-    return matrix
+    if isinstance(angles_deg, np.ndarray) and angles_deg.ndim == 2:
+        matrices: Floats = Rotation.from_euler(axes, angles_deg, degrees=True).as_matrix()
+        return matrices
+    angles = (angles_deg,) if isinstance(angles_deg, float | int) else angles_deg
+    turns = [_turn(axis, float(angle)) for axis, angle in zip(axes, angles, strict=True)]
+    return reduce(np.matmul, turns)
 
 
 def _turn(axis: str, angle_deg: float) -> Floats:

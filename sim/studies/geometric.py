@@ -8,7 +8,7 @@ track.
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import cached_property
 from itertools import pairwise
 
@@ -21,7 +21,7 @@ from lscan.records import BoardReading, Floats, Marks, select
 from sim.scene import Pose, Scene, at_moment, into_world
 from sim.scene.moment import is_changing
 from sim.studies.errors import ErrorFrame
-from sim.studies.places import ScanPlaces, height_above, lit_points
+from sim.studies.places import PlacesInState, ScanPlaces, height_above, lit_points
 from sim.studies.prepared import Prepared, located
 from sim.studies.problem import AFTER, Output
 from sim.studies.scatter import depends_on_light, line_bounds_px, lines_at
@@ -32,18 +32,6 @@ from sim.truth.camera.projection import TrueCamera, camera_of, image, rays_to
 
 STILL = Pose(np.eye(3), np.zeros(3))
 BOARD, BOARD_ANEW = 2, 3  # streams of the numbers drawn for one rig, beside prepared.LINE
-
-
-@dataclass(frozen=True)
-class LitPart:
-    """Points that the laser lights while the rig is in one state.
-
-    moment: the scene then.  head_mm, world_mm: (N, 3), in either frame.
-    """
-
-    moment: Scene
-    head_mm: Floats
-    world_mm: Floats
 
 
 class GeometricRig:
@@ -133,10 +121,9 @@ class GeometricRig:
 
     def _true_line(self, scan: Scene, places: ScanPlaces) -> tuple[Floats, Floats]:
         """(P, 2) px where the line truly is, and (P, 3) mm, world frame."""
-        parts = [_lit(scan, select(places, here)) for here in alike(scan, places)]
-        true_mm = np.concatenate([part.world_mm for part in parts])
-        pixels = seen_together([part.moment for part in parts], [part.head_mm for part in parts])
-        return pixels, true_mm
+        parts = [_in_state(scan, select(places, here)) for here in alike(scan, places)]
+        points_head, true_mm = lit_points(parts)
+        return seen_together([part.scene for part in parts], points_head), true_mm
 
     def _reading(self, board: Scene, seeds: Mapping[str, int], stream: int) -> BoardReading:
         """What the instrument reads of the board in a state of the rig."""
@@ -198,14 +185,13 @@ def alike(scan: Scene, places: ScanPlaces) -> list[slice]:
     return [slice(first, end) for first, end in pairwise([0, *ends.tolist()])]
 
 
-def _lit(scan: Scene, places: ScanPlaces) -> LitPart:
-    """The points that the laser lights at places of one moment."""
+def _in_state(scan: Scene, places: ScanPlaces) -> PlacesInState:
+    """Places of one moment, with the rig as it is then."""
     moment = at_moment(scan, int(places.frame[0]), float(places.position_mm[0]))
     true_at = places.position_mm
     if is_changing(scan):
         true_at = np.full(len(places.frame), moment.position_mm)
-    points = lit_points(moment.scene, places, true_at)
-    return LitPart(moment.scene, points, into_world(moment.scene.tank.head, points, true_at))
+    return PlacesInState(moment.scene, places, true_at)
 
 
 def seen_together(moments: Sequence[Scene], points_head: Sequence[Floats]) -> Floats:

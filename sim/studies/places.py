@@ -1,7 +1,8 @@
 """The places of a scan at which its errors are found, and the surface about each of them."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -10,7 +11,7 @@ from lscan.errors import InputError, MeasurementError
 from lscan.records import Floats, Ints, Mask, Status, select
 from sim.scene import Scene, head_pose, into_world, target_pose
 from sim.truth import StripeTruth, stripe_truths
-from sim.truth.sheet import sheet_of
+from sim.truth.sheet import TrueSheet, sheet_of
 from sim.truth.target.section import surfaces_of, target_surfaces
 from sim.truth.target.wave import Wave
 from sim.truth.visibility import apex_xz, fan_angle
@@ -76,15 +77,13 @@ def places_of(scene: Scene, pictures: int, columns: int) -> ScanPlaces:
         )
         inside = (before.face == truth.face) & (behind.face == truth.face)
         found.append(_of_picture(scene, truth, inside, frame, columns))
-    joined = ScanPlaces(
-        *(np.concatenate(parts) for parts in zip(*map(_fields, found), strict=True))
-    )
-    if len(joined.frame) < FEWEST:
+    places = joined(found)
+    if len(places.frame) < FEWEST:
         raise MeasurementError(
-            f"{scene.source}: the line is lit and seen in {len(joined.frame)} of the places looked "
+            f"{scene.source}: the line is lit and seen in {len(places.frame)} of the places looked "
             f"at; a study needs {FEWEST}"
         )
-    return joined
+    return places
 
 
 def spread_over(count: int, most: int) -> list[int]:
@@ -99,46 +98,122 @@ def spread_over(count: int, most: int) -> list[int]:
     return [int((2 * k + 1) * count / (2 * parts)) for k in range(parts)]
 
 
-def lit_points(scene: Scene, places: ScanPlaces, position_mm: Floats) -> Floats:
-    """(P, 3) mm, head frame: where the rays of the fan meet the surface.
+@dataclass(frozen=True)
+class PlacesInState:
+    """P places of pictures that show the rig in one state.
+
+    Attributes
+    ----------
+    scene : Scene, as it is then
+    places : ScanPlaces
+    position_mm : (P,) array, mm, of the head along the track, where it truly is
+    """
+
+    scene: Scene
+    places: ScanPlaces
+    position_mm: Floats
+
+    @cached_property
+    def sheet(self) -> TrueSheet:
+        """The laser's sheet."""
+        return sheet_of(self.scene)
+
+    @cached_property
+    def _away(self) -> Floats:
+        angle = self.places.angle + np.radians(self.scene.tank.laser.aim_deg)
+        return np.column_stack([np.sin(angle), -np.cos(angle)])
+
+    def on_rays(self, distance_mm: Floats) -> Floats:
+        """(P, 3) mm, head frame: points of the fan's rays.
+
+        Parameters
+        ----------
+        distance_mm : (P,) array, mm, from the apex
+        """
+        return self.sheet.in_head(
+            apex_xz(self.scene.tank.laser) + distance_mm[:, None] * self._away
+        )
+
+    def in_world(self, points_head: Floats) -> Floats:
+        """(P, 3) mm, world frame, of one point for each place.
+
+        Parameters
+        ----------
+        points_head : (P, 3) array, mm, head frame
+        """
+        return into_world(self.scene.tank.head, points_head, self.position_mm)
+
+
+def lit_points(parts: Sequence[PlacesInState]) -> tuple[list[Floats], Floats]:
+    """Where the rays of the fan meet the surface: (P_i, 3) mm, head frame; (P, 3) mm, world frame.
 
     Parameters
     ----------
-    scene : Scene, as it is in the pictures of the places
-    places : ScanPlaces
-    position_mm : (P,) array, mm, of the head along the track, where it truly is
+    parts : sequence of PlacesInState, of P places in all
 
     Raises
     ------
     MeasurementError
         A ray no longer meets its face.
     """
-    sheet, head = sheet_of(scene), scene.tank.head
-    apex = apex_xz(scene.tank.laser)
-    angle = places.angle + np.radians(scene.tank.laser.aim_deg)
-    away = np.column_stack([np.sin(angle), -np.cos(angle)])
+    ends = np.cumsum([len(part.position_mm) for part in parts])[:-1]
 
-    def points(distance: Floats) -> Floats:
-        return sheet.in_head(apex + distance[:, np.newaxis] * away)
+    def points(distance: Floats) -> list[Floats]:
+        pairs = zip(parts, np.split(distance, ends), strict=True)
+        return [part.on_rays(own) for part, own in pairs]
 
     def world(distance: Floats) -> Floats:
-        return into_world(head, points(distance), position_mm)
+        pairs = zip(parts, points(distance), strict=True)
+        return np.concatenate([part.in_world(own) for part, own in pairs])
 
-    distance = places.distance_mm
+    above = _heights_above(parts)
+    distance = np.concatenate([part.places.distance_mm for part in parts])
     here, further = world(distance), world(distance + STEP_MM)
     way = (further - here) / STEP_MM
-    is_straight = sheet.bow is None
+    is_straight = all(part.sheet.bow is None for part in parts)
     for _ in range(TURNS):
-        height = height_above(scene, places, here)
-        slope = (height_above(scene, places, here + STEP_MM * way) - height) / STEP_MM
+        height = above(here)
+        slope = (above(here + STEP_MM * way) - height) / STEP_MM
         step = height / np.where(slope == 0, np.nan, slope)
         distance = distance - step
         if not np.isfinite(distance).all():
             break
-        if np.abs(step).max() < CLOSE_MM:
-            return points(distance)
         here = here - step[:, np.newaxis] * way if is_straight else world(distance)
+        if np.abs(step).max() < CLOSE_MM:
+            return points(distance), here
     raise MeasurementError("a ray of the laser no longer meets the surface where it ought to")
+
+
+def _heights_above(parts: Sequence[PlacesInState]) -> Callable[[Floats], Floats]:
+    """``height_above`` of the places of all parts: in one go where they scan the same thing."""
+    first = parts[0].scene
+    if all(_same_target(part.scene, first) for part in parts[1:]):
+        together = joined([part.places for part in parts])
+        return lambda points: height_above(first, together, points)
+    ends = np.cumsum([len(part.position_mm) for part in parts])[:-1]
+    return lambda points: np.concatenate(
+        [
+            height_above(part.scene, part.places, own)
+            for part, own in zip(parts, np.split(points, ends), strict=True)
+        ]
+    )
+
+
+def _same_target(one: Scene, other: Scene) -> bool:
+    scanned = [(scene.tank.target, scene.tank.floor, scene.rig.workpiece) for scene in (one, other)]
+    return scanned[0] == scanned[1]
+
+
+def joined(several: Sequence[ScanPlaces]) -> ScanPlaces:
+    """Several places as one.
+
+    Parameters
+    ----------
+    several : sequence of ScanPlaces
+    """
+    return ScanPlaces(
+        *(np.concatenate(parts) for parts in zip(*map(_fields, several), strict=True))
+    )
 
 
 def height_above(scene: Scene, places: ScanPlaces, points_world: Floats) -> Floats:

@@ -7,9 +7,9 @@ cubic B-spline), each also with "-norulers".
 import numpy as np
 
 from lscan.calibration.evaluate import Estimate
-from lscan.calibration.maps.lines import DEGREE, Fit, GridLine, fit_line
+from lscan.calibration.maps.lines import DEGREE, Fit, GridLine, fit_lines
 from lscan.calibration.maps.lineset import LineSet, Targets
-from lscan.calibration.maps.rulers import FittedRuler, fit_ruler
+from lscan.calibration.maps.rulers import FittedRuler, fit_rulers
 from lscan.calibration.region import covered_region, spacing_px
 from lscan.calibration.solved import MapSolver, SolvedMap, with_lack_of_fit
 from lscan.config.rig import OpticsSection
@@ -132,7 +132,7 @@ def _fit_lines(reading: BoardReading, along: int, fit: Fit) -> list[GridLine | N
     """One line per grid row (along = 0) or per grid column (along = 1)."""
     count = reading.shape[along]
     index = np.indices(reading.shape)[along].ravel()
-    lines = [fit_line(select(reading.grid, index == k), along, fit) for k in range(count)]
+    lines = fit_lines([select(reading.grid, index == k) for k in range(count)], along, fit)
     if len(_present(lines)) < 2:
         kind = ("latitude", "longitude")[along]
         raise BoardNotFound(
@@ -158,5 +158,5 @@ def _on_lines(
 def _rulers(reading: BoardReading, reads: int, fit: Fit, wanted: bool) -> tuple[FittedRuler, ...]:
     """The rulers that read coordinate ``reads``: 0, the horizontal ones; 1, the vertical."""
     direction = ("horizontal", "vertical")[reads]
-    fitted = [fit_ruler(r, fit) for r in reading.rulers if wanted and r.direction == direction]
-    return tuple(ruler for ruler in fitted if ruler is not None)
+    read = [r for r in reading.rulers if wanted and r.direction == direction]
+    return fit_rulers(read, fit)

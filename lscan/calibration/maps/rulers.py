@@ -8,11 +8,19 @@ lines from mark to mark (0.009 mm), and it averages the noise of the marks: at 0
 standard error is about 0.015 mm, where two marks alone would leave 0.04 mm.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from lscan.calibration.maps.lines import DEGREE, Curve, Fit, fit_curve, fit_polynomial
+from lscan.calibration.maps.lines import (
+    DEGREE,
+    Curve,
+    CurvePoints,
+    Fit,
+    fit_curves,
+    fit_polynomials,
+)
 from lscan.calibration.stored import STRICT, Number
 from lscan.records import Floats, Mask, RulerReading
 
@@ -50,36 +58,43 @@ class FittedRuler:
         return (across_px >= self.first_px) & (across_px <= self.last_px)
 
 
-def fit_ruler(reading: RulerReading, fit: Fit) -> FittedRuler | None:
-    """The ruler with a line of the same kind as the map's; None where too few marks are found.
+def fit_rulers(readings: Sequence[RulerReading], fit: Fit) -> tuple[FittedRuler, ...]:
+    """The rulers with lines of the same kind as the map's, without those of too few marks.
 
     Too few: not enough for the line, or for a conversion curve with a mark to spare.
 
     Parameters
     ----------
-    reading : RulerReading, px and mm
+    readings : sequence of RulerReading, px and mm
     fit : str, of the line: "1", "2" or "bspline"
 
     References
     ----------
     Sec. III.3 and Figs. 14 to 16 of the paper.
     """
-    across = ruler_axis(reading)
-    marks, found = reading.marks, reading.marks.found
-    place, along = marks.image_px[found, across], marks.image_px[found, 1 - across]
-    sigma, mm = marks.sigma_px[found], marks.board_mm[found, across]
-    different = len(np.unique(place))
-    if different <= max(DEGREE[fit], 3):
-        return None
-    order = min(CONVERSION_ORDER, different - 2)
-    half = float(np.median(np.abs(np.diff(np.sort(place))))) / 2
-    return FittedRuler(
-        at_mm=reading.at_mm,
-        line=fit_curve(place, along, sigma, fit),
-        conversion=fit_polynomial(place, mm, sigma, np.zeros_like(sigma), order),
-        first_px=float(place.min()) - half,
-        last_px=float(place.max()) + half,
+    usable, lines, conversions, orders = [], [], [], []
+    for reading in readings:
+        across, marks, found = ruler_axis(reading), reading.marks, reading.marks.found
+        place, along = marks.image_px[found, across], marks.image_px[found, 1 - across]
+        sigma, mm = marks.sigma_px[found], marks.board_mm[found, across]
+        different = len(set(place.tolist()))
+        if different > max(DEGREE[fit], 3):
+            usable.append(reading)
+            lines.append(CurvePoints(place, along, sigma, sigma))
+            conversions.append(CurvePoints(place, mm, sigma, np.zeros_like(sigma)))
+            orders.append(min(CONVERSION_ORDER, different - 2))
+    curves = zip(fit_curves(lines, fit), fit_polynomials(conversions, orders), strict=True)
+    found_at = [points.x for points in lines]
+    return tuple(
+        _fitted(reading, place, *pair)
+        for reading, place, pair in zip(usable, found_at, curves, strict=True)
     )
+
+
+def _fitted(reading: RulerReading, place: Floats, line: Curve, conversion: Curve) -> FittedRuler:
+    half = float(np.median(np.diff(np.sort(place)))) / 2
+    first, last = float(place.min()) - half, float(place.max()) + half
+    return FittedRuler(reading.at_mm, line, conversion, first, last)
 
 
 def ruler_axis(reading: RulerReading) -> int:

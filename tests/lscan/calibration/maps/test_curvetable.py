@@ -4,17 +4,38 @@ import numpy as np
 from hypothesis import given, settings, strategies as st
 
 from lscan.calibration.maps.curvetable import CurveTable
-from lscan.calibration.maps.lines import Curve, Fit, fit_curve, fit_polynomial
+from lscan.calibration.maps.lines import Curve, CurvePoints, Fit, fit_curves, fit_polynomials
 
 FITS: tuple[Fit, ...] = ("1", "2", "bspline")
 
 
 def curve(generator: np.random.Generator, fit: Fit | None) -> Curve:
     """Through marks like a board's; of order 4, as a ruler's conversion is, for None."""
+    points = marks(generator)
+    return (fit_polynomials([points], [4]) if fit is None else fit_curves([points], fit))[0]
+
+
+def marks(generator: np.random.Generator) -> CurvePoints:
+    """Along a line of a board."""
     x = np.sort(generator.uniform(20, 600, generator.integers(6, 12)))
     y = 200 + 0.1 * x + 3e-4 * x**2 + generator.normal(0, 0.5, len(x))
     sigma = np.full(len(x), 0.05)
-    return fit_polynomial(x, y, sigma, sigma, 4) if fit is None else fit_curve(x, y, sigma, fit)
+    return CurvePoints(x, y, sigma, sigma)
+
+
+@settings(max_examples=30, deadline=None)
+@given(seed=st.integers(0, 2**31), orders=st.lists(st.integers(1, 4), min_size=1, max_size=12))
+def test_polynomials_fitted_together_are_those_of_least_squares(
+    seed: int, orders: list[int]
+) -> None:
+    """As numpy.polyfit has them, which solves in powers of x over its length, to rounding."""
+    generator = np.random.default_rng(seed)
+    several = [marks(generator) for _ in orders]
+    for found, points, order in zip(fit_polynomials(several, orders), several, orders, strict=True):
+        x = np.linspace(points.x[0], points.x[-1], 20)
+        expected = np.polynomial.Polynomial.fit(points.x, points.y, order)
+        np.testing.assert_allclose(found(x), expected(x), rtol=0, atol=1e-9)
+        np.testing.assert_allclose(found.slope(x), expected.deriv()(x), rtol=0, atol=1e-10)
 
 
 @settings(max_examples=30, deadline=None)

@@ -10,7 +10,7 @@ from planeviews import BARREL, View, affine, board_points, paper_board, read_boa
 from lscan.calibration.api import find_solver
 from lscan.calibration.maps.drawing import graticule_lines, ruler_conversions
 from lscan.calibration.maps.graticule import VARIANTS, Graticule, solver
-from lscan.calibration.maps.lines import GridLine, fit_line
+from lscan.calibration.maps.lines import GridLine, fit_lines
 from lscan.calibration.maps.lineset import LineSet
 from lscan.config.board import Board
 from lscan.errors import BoardNotFound, InputError
@@ -153,8 +153,8 @@ def test_spline_changes_curvature_where_second_order_hardly_does() -> None:
     """Figs. 33 and 34.  Shifting P2 of ten by a pixel changes y'' of the rms parabola by
     2 p(2)/sum p^2 / h^2 = 8/528/h^2, p the discrete Legendre polynomial of order 2."""
     u = np.linspace(5.0, 445.0, 300)
-    before = {fit: _curvature(fit_line(_arc(0.0)[1], 0, fit), u) for fit in ("2", "bspline")}
-    after = {fit: _curvature(fit_line(_arc(1.0)[1], 0, fit), u) for fit in ("2", "bspline")}
+    before = {fit: _curvature(fit_lines([_arc(0.0)[1]], 0, fit)[0], u) for fit in ("2", "bspline")}
+    after = {fit: _curvature(fit_lines([_arc(1.0)[1]], 0, fit)[0], u) for fit in ("2", "bspline")}
     np.testing.assert_allclose(after["2"] - before["2"], -8 / 528 / 50**2, rtol=1e-4)
     assert (before["bspline"] > 0).all()
     assert (after["bspline"] < 0).any()
