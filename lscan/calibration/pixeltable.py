@@ -12,7 +12,7 @@ from lscan.records import Floats
 SHARE = 1e-7
 """Of the function's largest value: farthest that a table may be from it, well below what the
 finite differences leave that it is made from."""
-ORDERS = 4, 6, 8, 10, 12, 14, 17, 20, 24
+ORDERS = 4, 8, 10, 12, 14, 17, 20, 24
 """Coefficients along u and along v that are tried, each judged at the nodes of the next."""
 BLOCK = 512  # pixels: their products of polynomials stay in the processor's cache
 

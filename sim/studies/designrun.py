@@ -1,6 +1,7 @@
 """The design search of a study: trials, their front, and some of its rigs rendered."""
 
 import hashlib
+import time
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -80,12 +81,14 @@ def search_designs(running: StudyRunning, problem: DesignProblem) -> tuple[Desig
     running : StudyRunning, where the trials run and are kept
     problem : DesignProblem, of the same study
     """
-    study, predict, section = running.study, problem.error_of, problem.section
+    study, predict = running.study, problem.error_of
     assert isinstance(predict, PredictedError)
     above = above_bounds(study, Prepared.unpacked(running.packed, study))
     problem = replace(problem, error_of=replace(predict, above=above))
-    running.say(f"designs: {section.trials}, each of {SETS} rigs, without pictures")
-    trials = search(problem, running.output / DESIGNS, _run(running), running.progress)
+    file = running.output / DESIGNS
+    if not file.exists():
+        running.say(_estimate(running, problem))
+    trials = search(problem, file, _run(running), running.progress)
     best = front_of(problem, trials)
     spread = np.unique(np.linspace(0, len(best) - 1, min(RENDERED, len(best))).round())
     chosen = [best[int(place)] for place in spread]
@@ -97,6 +100,19 @@ def search_designs(running: StudyRunning, problem: DesignProblem) -> tuple[Desig
     return tuple(
         told(problem, trial, trial.number in on_front, *found.get(trial.number, (None, None, "")))
         for trial in trials
+    )
+
+
+def _estimate(running: StudyRunning, problem: DesignProblem) -> str:
+    """How long the search will take, by the study's own rig, and how much that rig is off."""
+    began_s = time.process_time()
+    own_mm = problem.error_of(running.study.scan.document)
+    workers = running.options.workers
+    trials, at_once = problem.section.trials, 1 if workers == "none" else workers
+    minutes = (time.process_time() - began_s) * trials / at_once / 60
+    return (
+        f"designs: {trials}, each of {SETS} rigs, without pictures: about {minutes:.2g} min; "
+        f"the study's own rig is predicted to be off by {own_mm:.2g} mm"
     )
 
 

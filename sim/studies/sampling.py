@@ -137,6 +137,8 @@ def _points(dimensions: int, count: int, seed: tuple[int, int]) -> Floats:
     Sobol' numbers are multiples of 2^-30, zero among them, where the quantile of a normal
     distribution is infinite: half a step is added, which is exact and keeps them below one.
     """
+    if not count:  # a sequence takes a millisecond to make
+        return np.empty((0, dimensions))
     each = count // SETS
     whole = max(each - 1, 0).bit_length()  # a sequence is drawn by powers of two
     sets = [

@@ -63,20 +63,23 @@ def problem_error(file: Path) -> PredictedError:
 
 
 @pytest.fixture(scope="module")
-def found(file: Path) -> Iterator[tuple[Path, StudyResults]]:
-    """What a study found whose pictures show what is predicted of them."""
+def found(file: Path) -> Iterator[tuple[Path, StudyResults, list[str]]]:
+    """What a study found, and said, whose pictures show what is predicted of them."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(running_module, "prepare", predicted)
         patch.setattr(running_module, "RenderedRig", GeometricRig)
         folder = file.parent / "out"
-        yield folder, run_study(file, folder, StudyOptions("none"))
+        said: list[str] = []
+        yield folder, run_study(file, folder, StudyOptions("none"), say=said.append), said
 
 
 @pytest.mark.slow
 def test_a_winner_rendered_as_predicted_has_the_predicted_error(
-    found: tuple[Path, StudyResults],
+    found: tuple[Path, StudyResults, list[str]],
 ) -> None:
-    folder, results = found
+    folder, results, said = found
+    (estimate,) = (line for line in said if line.startswith("designs: 2, each of 16 rigs"))
+    assert "min" in estimate and "own rig is predicted" in estimate
     assert len(results.trials) == 2
     rendered = [trial for trial in results.trials if trial.rendered_mm]
     assert rendered and all(trial.on_front and trial.status == "ok" for trial in rendered)
@@ -89,9 +92,9 @@ def test_a_winner_rendered_as_predicted_has_the_predicted_error(
 
 @pytest.mark.slow
 def test_a_search_goes_on_from_half_of_its_trials_to_the_same_bytes(
-    file: Path, found: tuple[Path, StudyResults]
+    file: Path, found: tuple[Path, StudyResults, list[str]]
 ) -> None:
-    folder, results = found
+    folder, results, _ = found
     whole = (folder / DESIGNS).read_bytes()
     content = json.loads(whole)
     content["trials"] = content["trials"][:1]
