@@ -31,7 +31,7 @@ from sim.studies.scatter import line_bounds_px, lines_at
 from sim.studies.studyfile import Looked, Study, study_of
 from sim.truth import board_truth
 
-MOST_PLACES = Looked(pictures=8, columns=80)
+MOST_PLACES = Looked(pictures=4, columns=80)
 """Of a design, where the study's file asks for more; each picture of a winner is rendered."""
 OF_THE_SCAN = ("name", "plan", "render", "sheet", "stripe", "target")
 """Sections that a design's scan does not share with its calibration."""

@@ -35,8 +35,7 @@ from sim.studies.studyfile import Study
 from sim.studies.worker import identity_of
 
 DESIGNS, WINNERS = "designs.json", "winners"
-RENDERED, RIGS = 5, 8
-"""How many of the front are rendered, and how many rigs of each."""
+RIGS = 4  # of a design of the front, rendered and predicted alike: what is compared is their ratio
 
 
 def design_runs(section: DesignSection) -> int:
@@ -46,7 +45,7 @@ def design_runs(section: DesignSection) -> int:
     ----------
     section : DesignSection
     """
-    return section.trials * SETS + RENDERED * RIGS
+    return section.trials * SETS + section.rendered * RIGS
 
 
 def design_problem(study: Study, section: DesignSection) -> DesignProblem:
@@ -85,12 +84,12 @@ def search_designs(running: StudyRunning, problem: DesignProblem) -> tuple[Desig
     assert isinstance(predict, PredictedError)
     above = above_bounds(study, Prepared.unpacked(running.packed, study))
     problem = replace(problem, error_of=replace(predict, above=above))
-    file = running.output / DESIGNS
+    section, file = problem.section, running.output / DESIGNS
     if not file.exists():
         running.say(_estimate(running, problem))
     trials = search(problem, file, _run(running), running.progress)
     best = front_of(problem, trials)
-    spread = np.unique(np.linspace(0, len(best) - 1, min(RENDERED, len(best))).round())
+    spread = np.unique(np.linspace(0, len(best) - 1, min(section.rendered, len(best))).round())
     chosen = [best[int(place)] for place in spread]
     found: dict[int, tuple[float | None, Bounded | None, str]] = {}
     for done, trial in enumerate(chosen, start=1):

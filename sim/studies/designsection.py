@@ -72,7 +72,8 @@ class DesignSection(Strict):
     from, or a range.
     minimise, maximise: the objectives.  limits: what a design has to keep to be on the front.
     trials: designs looked at, in generations of ``population``.  expose: the exposure follows the
-    line's brightness; false keeps the scene's.
+    line's brightness; false keeps the scene's.  rendered: designs of the front that pictures are
+    rendered of, to hold the prediction against, spread over the front's errors.
     """
 
     catalogue_file: str | None = None
@@ -87,6 +88,7 @@ class DesignSection(Strict):
     trials: Annotated[int, Field(ge=2, le=100_000)] = 200
     population: Annotated[int, Field(ge=2, le=1000)] = 20
     expose: bool = True
+    rendered: Annotated[int, Field(ge=0, le=100)] = 3
     seed: Seed = 1
 
     @model_validator(mode="after")

@@ -105,9 +105,9 @@ def test_a_search_goes_on_from_half_of_its_trials_to_the_same_bytes(
 
 
 def test_more_runs_than_agreed_to_are_refused_before_any(file: Path, tmp_path: Path) -> None:
-    """32 of two designs and 40 rendered, and those of the budget."""
+    """32 of two designs and 12 rendered, and those of the budget."""
     with pytest.raises(InputError, match="too many runs"):
-        run_study(file, tmp_path / "out", StudyOptions("none", at_most=72))
+        run_study(file, tmp_path / "out", StudyOptions("none", at_most=44))
     assert not (tmp_path / "out").exists()
 
 
