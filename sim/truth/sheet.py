@@ -26,17 +26,32 @@ class TrueSheet:
     bow: Bow | None
 
     def in_head(self, xz_mm: Floats) -> Floats:
-        """(N, 3) points of the head frame from (N, 2) of the sheet."""
+        """(N, 3) points of the sheet, mm, head frame.
+
+        Parameters
+        ----------
+        xz_mm : (N, 2) array, mm, frame of the sheet's plane
+        """
         x, z = xz_mm.T
         y = np.zeros(len(xz_mm)) if self.bow is None else self.bow.offset_mm(x, z)
         return self.pose.apply(np.column_stack([x, y, z]))
 
     def flattened(self, points_head: Floats) -> Floats:
-        """(N, 2) of the sheet beneath or above (N, 3) points of the head frame."""
+        """(N, 2) points of the sheet beneath or above points, mm, frame of its plane.
+
+        Parameters
+        ----------
+        points_head : (N, 3) array, mm, head frame
+        """
         return self.pose.invert(points_head)[:, [0, 2]]
 
     def clearance_mm(self, points_head: Floats) -> Floats:
-        """(N,) how far in y of the sheet's plane (N, 3) points of the head frame lie off it."""
+        """(N,) mm, how far points lie off the sheet, in y of its plane.
+
+        Parameters
+        ----------
+        points_head : (N, 3) array, mm, head frame
+        """
         local = self.pose.invert(points_head)
         return local[:, 1] if self.bow is None else self.bow.clearance_mm(local)
 
