@@ -21,6 +21,7 @@ from sim.meshes.paint import reflectance_at
 from sim.scene import Scene, scene_of
 from sim.scene.instrument import FULL_SCALE_DN
 from sim.sensor.radiometry import AMBIENT_NM, photons_per_radiance
+from sim.studies.boardinview import require_rim
 from sim.studies.design import LONGEST_MS
 from sim.studies.geometric import GeometricRig
 from sim.studies.places import places_of, require_one_line
@@ -169,9 +170,10 @@ def predicted(study: Study, above: AboveBounds = AT_BOUNDS) -> Prepared:
     Raises
     ------
     MeasurementError
-        The line is seen on the board at less than half of the places.
+        The line is seen on the board at less than half of the places, or no rim of the board is.
     """
     require_one_line(study.scan)
+    require_rim(study.calibrate)
     truth = board_truth(study.calibrate).centres
     sigma = above.marks * marks_sigma_px(study.calibrate)
     several = marks_of(truth)
