@@ -15,6 +15,7 @@ from lscan.cli.live import live
 from lscan.cli.measure import measure, reconstruct
 from lscan.cli.multiview import calibrate_metric
 from lscan.cli.report import report
+from lscan.cli.roughness import roughness
 from lscan.cli.scan import scan
 from lscan.cli.scenes import scenes
 from lscan.cli.shaft import calibrate_shaft
@@ -24,7 +25,7 @@ app = command_line(
     "Laser line scanner: scan, calibrate, reconstruct, measure, report, live, bench."
 )
 usual = (scan, calibrate, check, extract, draw_board, reconstruct, measure, compare, report)
-others = (calibrate_metric, calibrate_shaft, scenes, devices, bench, live)
+others = (roughness, calibrate_metric, calibrate_shaft, scenes, devices, bench, live)
 for command in (*usual, *others):
     app.command()(command)
 

@@ -1,0 +1,140 @@
+"""The command ``lscan roughness``: a thin face over lscan.roughness."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import numpy as np
+import typer
+
+from lscan.cli.arguments import Json, require_folders
+from lscan.cli.console import print_json, print_table
+from lscan.errors import InputError
+
+if TYPE_CHECKING:
+    from lscan.roughness import Roughness, Sediment
+
+FREQUENCIES_KHZ = (15.0, 50.0, 100.0, 300.0)
+GRAZING_DEG = (10.0, 20.0, 45.0, 70.0)
+
+
+def roughness(
+    surface: Annotated[Path, typer.Argument(help="Surface (.nc).")],
+    output: Annotated[
+        Path | None, typer.Option("--output", "-o", help="Spectra to write (.nc).")
+    ] = None,
+    cell: Annotated[float, typer.Option(help="mm, side of a cell of the grid.")] = 1.0,
+    sheet: Annotated[
+        float, typer.Option(help="mm, standard deviation of the light across the sheet.")
+    ] = 0.0,
+    pixel: Annotated[float, typer.Option(help="mm, width of a pixel on the seabed.")] = 0.0,
+    stretched: Annotated[
+        bool, typer.Option("--stretched", help="The power law may differ between directions.")
+    ] = False,
+    figures: Annotated[
+        Path | None, typer.Option(help="Folder for the figures: spectrum, plane, rose (.png).")
+    ] = None,
+    bottom: Annotated[
+        str | None,
+        typer.Option("--sediment", help="Sediment whose backscatter is asked, by name."),
+    ] = None,
+    frequency: Annotated[
+        list[float] | None, typer.Option(help="kHz, of the sound; may be given again.")
+    ] = None,
+    grazing: Annotated[
+        list[float] | None, typer.Option(help="Degrees, grazing angle; may be given again.")
+    ] = None,
+    json: Json = False,
+) -> None:
+    """Roughness of a surface: spectrum, power law with intervals, ripples, cutoff, backscatter."""
+    from lscan.roughness import ScannerResponse, patch_of, roughness_of, sediment
+    from lscan.roughness.files import save_roughness
+    from lscan.surface import grid_cells, load_surface
+
+    require_folders(output)
+    for name, length, least in (("cell", cell, "above 0"), ("sheet", sheet, "0 or more"),
+                                ("pixel", pixel, "0 or more")):  # fmt: skip
+        if not (length > 0 or (length == 0 and least == "0 or more")):
+            raise InputError("is no length", where=f"--{name}", value=length, allowed=f"{least} mm")
+    if bottom is None and (frequency or grazing):
+        raise InputError("is needed with --frequency or --grazing", where="--sediment")
+    ground = None if bottom is None else sediment(bottom)
+    patch = patch_of(grid_cells(load_surface(surface), cell))
+    response = ScannerResponse(sheet / 10, pixel / 10, patch.cell_cm)
+    found = roughness_of(patch, response, stretched=stretched)
+    if output:
+        save_roughness(output, patch, found)
+    if figures:
+        from lscan.roughness.plots import save_figures  # loads matplotlib
+
+        save_figures(figures, patch, found, response)
+    sound = [] if ground is None else _backscatter(found, ground, frequency, grazing)
+    if json:
+        told = found.figures()
+        print_json({**told, "backscatter": sound} if sound else told)
+        return
+    print_table("roughness", ["what", "value", "95 %"], _rows(found))
+    if sound:
+        print_table(
+            f"backscatter of {bottom}",
+            ["kHz", "grazing, deg", "Bragg, rad/cm", "strength, dB", "95 %", "measured"],
+            [[f"{row['frequency_khz']:g}", f"{row['grazing_deg']:g}", f"{row['bragg_per_cm']:.3g}",
+              f"{row['strength_db']:.1f}", f"± {1.96 * row['sigma_db']:.1f}", _where(row, found)]
+             for row in sound],
+        )  # fmt: skip
+
+
+def _backscatter(
+    found: Roughness, ground: Sediment, frequencies: list[float] | None, angles: list[float] | None
+) -> list[dict[str, float]]:
+    """One row for each frequency and angle."""
+    from lscan.roughness import bragg_per_cm, predicted_backscatter
+
+    rows = []
+    for frequency in frequencies or FREQUENCIES_KHZ:
+        told = predicted_backscatter(found.fit, ground, frequency, np.array(angles or GRAZING_DEG))
+        bragg = bragg_per_cm(frequency, told.grazing_deg)
+        for values in zip(told.grazing_deg, bragg, told.strength_db, told.sigma_db, strict=True):
+            names = ("grazing_deg", "bragg_per_cm", "strength_db", "sigma_db")
+            rows.append(
+                {"frequency_khz": frequency, **dict(zip(names, map(float, values), strict=True))}
+            )
+    return rows
+
+
+def _where(row: dict[str, float], found: Roughness) -> str:
+    """Whether the wavenumber that the sound meets was measured, or the law is extended to it."""
+    band = found.fit.band
+    if row["bragg_per_cm"] < band.low_per_cm:
+        return "no: longer than the band"
+    return "yes" if row["bragg_per_cm"] <= band.high_per_cm else "no: beyond the band"
+
+
+def _rows(found: Roughness) -> list[list[str]]:
+    of, fit = found.figures(), found.fit
+    rows = [
+        ["spectral exponent", f"{of['gamma2']:.3f}",
+         f"{of['gamma2_low']:.3f} to {of['gamma2_high']:.3f}"],
+        ["spectral strength, cm^4", f"{of['w2_cm4']:.4g}",
+         f"{of['w2_low_cm4']:.4g} to {of['w2_high_cm4']:.4g}"],
+        ["between, rad/cm", f"{fit.band.low_per_cm:.3g} to {fit.band.high_per_cm:.3g}", ""],
+        ["the instrument's cutoff, rad/cm", f"{found.cutoff_per_cm:.3g}", ""],
+        ["rms height, cm", f"{of['rms_height_cm']:.4g}", ""],
+        ["rms slope along x, along y", f"{of['rms_slope_x']:.3g}, {of['rms_slope_y']:.3g}", ""],
+        ["correlation length, cm", f"{of['correlation_length_cm']:.3g}", ""],
+        ["skewness", f"{of['skewness']:.2f}", ""],
+    ]  # fmt: skip
+    if "stretch_ratio" in of:
+        words = f"{of['stretch_ratio']:.2f}, {of['stretch_heading_deg']:.0f} deg"
+        rows.append(["roughest along, by", words, ""])
+    if ripples := found.ripples:
+        for name, value, sigma in (
+            ("ripples: wavelength, cm", ripples.wavelength_cm, ripples.sigma_wavelength_cm),
+            ("ripples: heading, deg", ripples.heading_deg, ripples.sigma_heading_deg),
+            ("ripples: height, cm", ripples.height_cm, ripples.sigma_height_cm),
+        ):
+            rows.append([name, f"{value:.4g}", f"± {1.96 * sigma:.2g}"])
+    else:
+        rows.append(["ripples", "none stand out", ""])
+    return rows

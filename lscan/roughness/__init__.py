@@ -1,0 +1,73 @@
+"""Roughness of the seabed: spectrum, power law, ripples, moments, and where the instrument ends."""
+
+from lscan.roughness.analysis import Roughness, roughness_of
+from lscan.roughness.instrument import ScannerResponse, cutoff_per_cm, noise_density
+from lscan.roughness.model import PowerLaw, from_profiles
+from lscan.roughness.moments import (
+    RoughnessMoments,
+    StructureFunction,
+    moments,
+    structure_function,
+)
+from lscan.roughness.patch import Patch, patch_of
+from lscan.roughness.ripples import RippleTrain, find_ripples, fit_waves, without_ripples
+from lscan.roughness.scattering import (
+    Backscatter,
+    backscattering_strength,
+    bragg_per_cm,
+    predicted_backscatter,
+    reflection,
+    structure_constant,
+)
+from lscan.roughness.sediments import SEDIMENTS, Sediment, of_grain_size, sediment
+from lscan.roughness.spectra import (
+    PatchSpectrum,
+    ProfileSpectrum,
+    RingSpectrum,
+    by_rings,
+    capon_spectrum,
+    patch_spectrum,
+    profile_spectrum,
+)
+from lscan.roughness.whittle import Band, PowerLawFit, fit_power_law, usable_band
+
+__all__ = [
+    "SEDIMENTS",
+    "Backscatter",
+    "Band",
+    "Patch",
+    "PatchSpectrum",
+    "PowerLaw",
+    "PowerLawFit",
+    "ProfileSpectrum",
+    "RingSpectrum",
+    "RippleTrain",
+    "Roughness",
+    "RoughnessMoments",
+    "ScannerResponse",
+    "Sediment",
+    "StructureFunction",
+    "backscattering_strength",
+    "bragg_per_cm",
+    "by_rings",
+    "capon_spectrum",
+    "cutoff_per_cm",
+    "find_ripples",
+    "fit_power_law",
+    "fit_waves",
+    "from_profiles",
+    "moments",
+    "noise_density",
+    "of_grain_size",
+    "patch_of",
+    "patch_spectrum",
+    "predicted_backscatter",
+    "profile_spectrum",
+    "reflection",
+    "roughness_of",
+    "sediment",
+    "structure_constant",
+    "structure_function",
+    "usable_band",
+    "without_ripples",
+]

@@ -1,0 +1,107 @@
+"""All that is asked of a patch's roughness, in the order in which each needs the last."""
+
+from dataclasses import asdict, dataclass
+from math import log10
+
+from lscan.roughness.instrument import ScannerResponse, cutoff_per_cm
+from lscan.roughness.moments import RoughnessMoments, moments
+from lscan.roughness.patch import Patch
+from lscan.roughness.ripples import RippleTrain, find_ripples, without_ripples
+from lscan.roughness.spectra import RingSpectrum, by_rings, patch_spectrum
+from lscan.roughness.whittle import Band, PowerLawFit, fit_power_law, usable_band
+
+RIPPLES = (
+    "wavelength_cm", "heading_deg", "height_cm",
+    "sigma_wavelength_cm", "sigma_heading_deg", "sigma_height_cm",
+)  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Roughness:
+    """The roughness of a patch.
+
+    Attributes
+    ----------
+    moments : RoughnessMoments
+    ripples : RippleTrain or None, the train that stands out
+    fit : PowerLawFit, of what is left without it, up to the cutoff
+    cutoff_per_cm : float, rad/cm, beyond it the instrument is measured
+    rings : RingSpectrum, W2 as measured, ripples included
+    """
+
+    moments: RoughnessMoments
+    ripples: RippleTrain | None
+    fit: PowerLawFit
+    cutoff_per_cm: float
+    rings: RingSpectrum
+
+    def figures(self) -> dict[str, float]:
+        """The numbers by name, units in the names; _sigma: standard uncertainty.
+
+        low and high are the ends of a 95 % interval.
+        """
+        fit, law = self.fit, self.fit.law
+        w2_db = 10 * log10(law.w2_cm4)
+        reach, reach_db = fit.within * fit.sigma_gamma2, fit.within * fit.sigma_w2_db
+        found = {
+            "gamma2": law.gamma2,
+            "gamma2_low": law.gamma2 - reach,
+            "gamma2_high": law.gamma2 + reach,
+            "w2_cm4": law.w2_cm4,
+            "w2_low_cm4": 10 ** ((w2_db - reach_db) / 10),
+            "w2_high_cm4": 10 ** ((w2_db + reach_db) / 10),
+            "band_low_per_cm": fit.band.low_per_cm,
+            "band_high_per_cm": fit.band.high_per_cm,
+            "cutoff_per_cm": self.cutoff_per_cm,
+            **asdict(self.moments),
+        }
+        if law.stretch != (0.0, 0.0):
+            found |= {"stretch_ratio": law.ratio, "stretch_heading_deg": law.heading_deg}
+        if self.ripples is not None:
+            ripples = asdict(self.ripples)
+            found |= {f"ripple_{name}": ripples[name] for name in RIPPLES}
+        return found
+
+
+def roughness_of(
+    patch: Patch,
+    response: ScannerResponse | None = None,
+    *,
+    stretched: bool = False,
+    seed: int = 1,
+) -> Roughness:
+    """Moments, ripples, power law and cutoff of a patch.
+
+    Parameters
+    ----------
+    patch : Patch, cm
+    response : ScannerResponse, optional; by default one that averages over its cells alone
+    stretched : bool, whether the power law may differ between directions
+    seed : int, of the simulated patches that intervals come from
+
+    Raises
+    ------
+    MeasurementError
+        The patch is too small, too noisy, or has no power law.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from lscan.roughness import Patch, roughness_of
+    >>> y, x = np.mgrid[:40, :40] * 0.2
+    >>> rough = np.random.default_rng(0).standard_normal(x.shape).cumsum(0).cumsum(1) * 0.005
+    >>> patch = Patch(rough + 0.3 * np.cos(2 * np.pi * x / 2.0), np.full(x.shape, True), 0.2)
+    >>> ripples = roughness_of(patch).ripples
+    >>> round(ripples.wavelength_cm, 1), round(ripples.height_cm, 1)
+    (2.0, 0.6)
+    """
+    response = response or ScannerResponse(cell_cm=patch.cell_cm)
+    train = find_ripples(patch)
+    rest = patch if train is None else without_ripples(patch, train)
+    fit = fit_power_law(rest, stretched=stretched, response=response, seed=seed)
+    cutoff = cutoff_per_cm(fit.law, rest, response)
+    band = usable_band(rest)
+    if cutoff < band.high_per_cm:
+        band = Band(band.low_per_cm, cutoff)
+        fit = fit_power_law(rest, stretched=stretched, band=band, response=response, seed=seed)
+    return Roughness(moments(patch), train, fit, cutoff, by_rings(patch_spectrum(patch)))

@@ -1,0 +1,107 @@
+"""A patch of seabed as roughness sees it: heights on a grid, in cm, with holes.
+
+Nothing is filled in.  What is asked of a patch counts the cells that were measured, and the
+expectation of a periodogram is taken over just those.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from lscan.errors import InputError, MeasurementError
+from lscan.records import Floats, Mask, has_value
+from lscan.surface import HeightGrid
+
+MM_PER_CM = 10.0
+FEWEST = 16
+"""Cells along either side: the longest wavelengths and the shortest are then a factor of four
+apart, once those are left out that a patch cannot tell from its slope."""
+LEAST_SEEN = 0.5
+
+
+@dataclass(frozen=True)
+class Patch:
+    """Heights on a grid of square cells, R rows along y by C columns along x.
+
+    Attributes
+    ----------
+    z_cm : (R, C) array, cm; 0 where not seen
+    seen : (R, C) array, whether the cell was measured
+    cell_cm : float, cm, side of a cell
+    noise_cm2 : float, cm², variance of a cell's own noise, the mean over those that were measured
+    """
+
+    z_cm: Floats
+    seen: Mask
+    cell_cm: float
+    noise_cm2: float = 0.0
+
+    def __post_init__(self) -> None:
+        """Raise MeasurementError where the patch is too small or has too many holes."""
+        if min(self.z_cm.shape) < FEWEST:
+            rows, columns = self.z_cm.shape
+            raise MeasurementError(
+                f"roughness: a patch of {rows} by {columns} cells, {FEWEST} a side are needed"
+            )
+        share = self.seen.mean()
+        if share < LEAST_SEEN:
+            raise MeasurementError(
+                f"roughness: {share:.0%} of the patch's cells are measured, "
+                f"{LEAST_SEEN:.0%} are needed"
+            )
+
+    @property
+    def size_cm(self) -> tuple[float, float]:
+        """Length along y, and along x."""
+        rows, columns = self.z_cm.shape
+        return rows * self.cell_cm, columns * self.cell_cm
+
+    @property
+    def nyquist_per_cm(self) -> float:
+        """rad/cm, the largest wavenumber along either side."""
+        return float(np.pi / self.cell_cm)
+
+
+def patch_of(grid: HeightGrid) -> Patch:
+    """The patch that a surface's grid holds.
+
+    A cell's own noise is what its uncertainty has beside the modes that all cells have in common:
+    those displace or tilt the patch as a whole.
+
+    Parameters
+    ----------
+    grid : HeightGrid, mm
+
+    Raises
+    ------
+    MeasurementError
+        It is too small, or has too many holes.
+    """
+    seen = has_value(grid.status) & np.isfinite(grid.z_mm)
+    variance = grid.sigma_z_mm**2
+    if grid.modes_mm is not None:
+        variance = variance - (grid.modes_mm**2).sum(axis=2)
+    noise = float(np.maximum(variance[seen], 0.0).mean()) if seen.any() else 0.0
+    z = np.where(seen, grid.z_mm, 0.0) / MM_PER_CM
+    return Patch(z, seen, grid.cell_mm / MM_PER_CM, noise / MM_PER_CM**2)
+
+
+def wavenumbers(shape: tuple[int, int], cell_cm: float) -> tuple[Floats, Floats]:
+    """(R, 1) and (1, C) rad/cm along y and x, of a discrete Fourier transform.
+
+    Parameters
+    ----------
+    shape : (R, C), of the grid
+    cell_cm : float, cm
+
+    Raises
+    ------
+    InputError
+        The cell has no length.
+    """
+    if not cell_cm > 0:
+        raise InputError("cell_cm", value=cell_cm, allowed="above 0 cm")
+    along_y, along_x = (
+        np.asarray(2 * np.pi * np.fft.fftfreq(count, cell_cm), dtype=float) for count in shape
+    )
+    return along_y[:, np.newaxis], along_x[np.newaxis, :]

@@ -1,0 +1,169 @@
+"""Ripples and waves of one wavelength: their place in the plane of wavenumbers, and their height.
+
+A regular train of ripples is a line of the spectrum, with harmonics where its crests are sharp.  It
+is found as the highest peak of the periodogram above the power law, and then fitted to the heights
+themselves, harmonics included, by least squares: holes do no harm.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.optimize import least_squares
+
+from lscan.errors import MeasurementError
+from lscan.records import Floats
+from lscan.roughness.patch import Patch, wavenumbers
+from lscan.roughness.spectra import detrended
+
+HARMONICS = 4
+ABOVE = 20.0
+"""A peak's height over the median of its surroundings that chance does not reach: of 1e5 values of
+an exponential distribution the largest is 17 medians with 50 %, 20 with 10 %."""
+FINE = 4  # zero padding of the periodogram that the search begins at
+LEAST_WAVES = 2.0
+FLAT = 3  # coefficients of a plane
+
+
+@dataclass(frozen=True)
+class RippleTrain:
+    """A train of waves.
+
+    Attributes
+    ----------
+    wavelength_cm : float, cm
+    heading_deg : float, degrees of 0 to 180, from x towards y: across the crests
+    height_cm : float, cm, from trough to crest
+    amplitudes_cm : (H,) array, cm, of the wave and its harmonics
+    wavenumber_per_cm : (2,) array, rad/cm along y and x, of the wave
+    sigma_wavelength_cm, sigma_heading_deg, sigma_height_cm : float, standard uncertainties where
+        what is left is white
+    """
+
+    wavelength_cm: float
+    heading_deg: float
+    height_cm: float
+    amplitudes_cm: Floats
+    wavenumber_per_cm: Floats
+    sigma_wavelength_cm: float
+    sigma_heading_deg: float
+    sigma_height_cm: float
+
+
+def find_ripples(patch: Patch, harmonics: int = HARMONICS) -> RippleTrain | None:
+    """The train of ripples that stands out of a patch; None where none does.
+
+    Parameters
+    ----------
+    patch : Patch
+    harmonics : int, with the wave itself; those that the grid cannot show are left out
+
+    Raises
+    ------
+    MeasurementError
+        The wave that stands out cannot be fitted.
+    """
+    start = _peak(patch)
+    return None if start is None else fit_waves(patch, start, harmonics)
+
+
+def fit_waves(patch: Patch, start_per_cm: Floats, harmonics: int = HARMONICS) -> RippleTrain:
+    """The train of waves near a wavenumber, by least squares of the heights.
+
+    Parameters
+    ----------
+    patch : Patch
+    start_per_cm : (2,) array, rad/cm along y and x, within half a wave of the patch of the truth
+    harmonics : int, with the wave itself
+
+    Raises
+    ------
+    MeasurementError
+        The fit does not end.
+    """
+    z = patch.z_cm[patch.seen]
+    top = patch.nyquist_per_cm / float(np.linalg.norm(start_per_cm))
+    orders = max(min(harmonics, int(top)), 1)
+
+    def left(k: Floats) -> Floats:
+        design = _waves(patch, k, orders)
+        return np.asarray(z - design @ np.linalg.lstsq(design, z, rcond=None)[0])
+
+    scale = 2 * np.pi / max(patch.size_cm) * np.ones(2)
+    found = least_squares(left, start_per_cm, x_scale=scale, xtol=1e-12, ftol=1e-12)
+    if not found.success:
+        raise MeasurementError(f"ripples: {found.message}")
+    design = _waves(patch, found.x, orders)
+    coefficients = np.linalg.lstsq(design, z, rcond=None)[0]
+    cosines, sines = np.split(coefficients[FLAT:], 2)
+    variance = float((found.fun**2).mean()) * len(z) / (len(z) - len(coefficients) - 2)
+    slopes = np.asarray(found.jac)
+    of_k = np.linalg.inv(slopes.T @ slopes) * variance
+    size = float(np.linalg.norm(found.x))
+    along = found.x / size
+    across = np.array([-along[1], along[0]])
+    height = _height(cosines, sines)
+    return RippleTrain(
+        wavelength_cm=2 * np.pi / size,
+        heading_deg=float(np.degrees(np.arctan2(*found.x)) % 180),
+        height_cm=height,
+        amplitudes_cm=np.hypot(cosines, sines),
+        wavenumber_per_cm=found.x,
+        sigma_wavelength_cm=float(2 * np.pi / size**2 * np.sqrt(along @ of_k @ along)),
+        sigma_heading_deg=float(np.degrees(np.sqrt(across @ of_k @ across) / size)),
+        sigma_height_cm=float(2 * np.sqrt(2 * orders * variance / len(z))),
+    )
+
+
+def without_ripples(patch: Patch, train: RippleTrain) -> Patch:
+    """The patch less a train of waves and its harmonics.
+
+    Parameters
+    ----------
+    patch : Patch
+    train : RippleTrain, found on it
+    """
+    design = _waves(patch, train.wavenumber_per_cm, len(train.amplitudes_cm))
+    coefficients = np.linalg.lstsq(design, patch.z_cm[patch.seen], rcond=None)[0]
+    z = patch.z_cm.copy()
+    z[patch.seen] -= design[:, FLAT:] @ coefficients[FLAT:]
+    return replace(patch, z_cm=z)
+
+
+def _waves(patch: Patch, wavenumber_per_cm: Floats, orders: int) -> Floats:
+    """(S, 3 + 2 H) a plane, cosines and sines of a wave and its harmonics at the cells seen."""
+    y, x = np.nonzero(patch.seen)
+    y, x = (y - y.mean()) * patch.cell_cm, (x - x.mean()) * patch.cell_cm
+    phase = np.outer(np.column_stack([y, x]) @ wavenumber_per_cm, np.arange(1, orders + 1))
+    return np.column_stack([np.ones_like(x), y, x, np.cos(phase), np.sin(phase)])
+
+
+def _peak(patch: Patch) -> Floats | None:
+    """(2,) rad/cm along y and x of the highest value over its surroundings; None where none is."""
+    z, shape = detrended(patch), tuple(FINE * count for count in patch.z_cm.shape)
+    taper = np.outer(*(np.hanning(count + 2)[1:-1] for count in z.shape))
+    power = np.abs(np.fft.fft2(z * taper, shape)) ** 2
+    y, x = wavenumbers((shape[0], shape[1]), patch.cell_cm)
+    size = np.hypot(y, x)
+    least = 2 * np.pi * LEAST_WAVES / min(patch.size_cm)
+    usable = (size >= least) & (size < 0.9 * patch.nyquist_per_cm)
+    usable &= (y > 0) | ((y == 0) & (x > 0))
+    ring = np.digitize(np.log(np.where(usable, size, least)), np.linspace(
+        np.log(least), np.log(patch.nyquist_per_cm), 12
+    ))  # fmt: skip
+    ratio = np.zeros(shape)
+    for number in np.unique(ring[usable]):
+        inside = usable & (ring == number)
+        # Of a steep spectrum a ring's median is no measure of its inner edge: of K^4 times it is.
+        flat = power[inside] * size[inside] ** 4
+        ratio[inside] = flat / max(float(np.median(flat)), 1e-300)
+    best = np.unravel_index(int(np.argmax(ratio)), shape)
+    if ratio[best] < ABOVE:
+        return None
+    return np.array([y[best[0], 0], x[0, best[1]]])
+
+
+def _height(cosines: Floats, sines: Floats) -> float:
+    """From trough to crest of a sum of harmonics."""
+    phase = np.outer(np.linspace(0, 2 * np.pi, 721), np.arange(1, len(cosines) + 1))
+    wave = np.cos(phase) @ cosines + np.sin(phase) @ sines
+    return float(wave.max() - wave.min())

@@ -1,0 +1,143 @@
+"""Response, cutoff, ripples, and the command."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+import xarray as xr
+from rough_patches import drawn, patch, wave, whole
+from typer.testing import CliRunner
+
+from lscan.cli.app import app
+from lscan.errors import InputError
+from lscan.records import Status, Surface
+from lscan.roughness import (
+    PowerLaw,
+    ScannerResponse,
+    cutoff_per_cm,
+    find_ripples,
+    noise_density,
+    patch_of,
+    roughness_of,
+)
+from lscan.surface import grid_cells, save_surface
+
+CELL_CM = 0.1
+
+
+def test_a_cell_passes_what_its_quadratic_keeps() -> None:
+    """grid_cells itself on waves of known length: the amplitude that is left, squared."""
+    cell_mm, fine = 2.0, 0.1
+    x, y = np.meshgrid(np.arange(0, 80, fine) + fine / 2, np.arange(0, 4, fine) + fine / 2)
+    for waves in (2, 10, 17):
+        k = 2 * np.pi * waves / 80
+        z = np.cos(k * x)
+        status = np.full(z.shape, int(Status.OK))
+        surface = Surface(
+            np.stack([x, y, z], axis=-1), 0 * z, 0 * z + 0.1, status, y[:, 0], "workpiece"
+        )
+        grid = grid_cells(surface, cell_mm)
+        left = grid.z_mm[0] @ np.cos(k * grid.x_mm) / (len(grid.x_mm) / 2)
+        passed = ScannerResponse(cell_cm=cell_mm / 10)(0.0, k * 10)
+        assert float(passed) == pytest.approx(left**2, rel=0.01)
+
+
+def test_a_response_s_lengths_act_along_their_own_axes() -> None:
+    response = ScannerResponse(sheet_cm=0.1, pixel_cm=0.2)
+    assert response(5.0, 0.0) == pytest.approx(np.exp(-0.25))
+    assert response(0.0, 5.0) == pytest.approx((np.sin(0.5) / 0.5) ** 2)
+    with pytest.raises(InputError, match="sheet_cm"):
+        ScannerResponse(sheet_cm=-1.0)
+
+
+def test_noise_alone_ends_at_a_decibel() -> None:
+    """Where W2 = noise / (10^0.1 - 1), of a power law in closed form."""
+    law = PowerLaw(3.0, 0.004)
+    one = patch(np.zeros((64, 64)), None, CELL_CM, noise_cm2=1e-3)
+    expected = (law.w2_cm4 * (10**0.1 - 1) / noise_density(one)) ** (1 / 3)
+    assert cutoff_per_cm(law, one, ScannerResponse()) == pytest.approx(expected, rel=0.005)
+    quiet = whole(np.zeros((64, 64)), CELL_CM)
+    assert cutoff_per_cm(law, quiet, ScannerResponse()) == quiet.nyquist_per_cm
+
+
+@pytest.mark.parametrize("heading_deg", [10.0, 90.0, 140.0])
+def test_ripples_are_found_in_rough_ground(heading_deg: float) -> None:
+    """Wavelength to 1 %, heading to 1 degree, height to 3 %, as is required; of sharp crests."""
+    shape, waves = (96, 96), 7.3
+    crests = wave(shape, CELL_CM, waves, heading_deg, 0.2)
+    crests = crests + wave(shape, CELL_CM, 2 * waves, heading_deg, 0.05)
+    z, _ = drawn(PowerLaw(3.0, 2e-5), shape, CELL_CM, 4)
+    found = find_ripples(whole(z + crests, CELL_CM))
+    assert found is not None
+    assert found.wavelength_cm == pytest.approx(9.6 / waves, rel=0.01)
+    off = (found.heading_deg - heading_deg + 90) % 180 - 90
+    assert abs(off) < 1.0
+    assert found.height_cm == pytest.approx(np.ptp(0.2 * np.cos(t := np.linspace(0, 7, 999))
+                                                   + 0.05 * np.cos(2 * t)), rel=0.03)  # fmt: skip
+
+
+def test_rough_ground_alone_has_no_ripples() -> None:
+    """Of 20 fields one may chance to have a peak; see ABOVE."""
+    fields = [z for seed in range(10) for z in drawn(PowerLaw(3.0, 0.004), (64, 64), 0.1, seed)]
+    assert sum(find_ripples(whole(z, CELL_CM)) is not None for z in fields) <= 4
+
+
+@pytest.fixture
+def surface_file(tmp_path: Path) -> Path:
+    """A surface of four points a cell of 2 mm, 128 x 96 mm."""
+    law, cell = PowerLaw(3.2, 0.004), 0.05
+    z_cm, _ = drawn(law, (256, 192), cell, 9)
+    y, x = (np.indices(z_cm.shape) + 0.5) * cell * 10
+    rng = np.random.default_rng(9)
+    z = 10 * z_cm + rng.normal(0, 0.02, z_cm.shape)
+    status = np.where(rng.random(z.shape) > 0.05, int(Status.OK), int(Status.NO_DATA))
+    z = np.where(status == Status.OK, z, np.nan)
+    sigma = np.where(status == Status.OK, 0.02, np.nan)
+    xyz = np.stack([np.where(status == Status.OK, x, np.nan), y, z], axis=-1)
+    file = tmp_path / "surface.nc"
+    save_surface(file, Surface(xyz, 0 * sigma, sigma, status, y[:, 0], "workpiece"))
+    return file
+
+
+def test_the_command_says_shows_and_keeps(surface_file: Path, tmp_path: Path) -> None:
+    said = CliRunner().invoke(
+        app,
+        ["roughness", str(surface_file), "--cell", "2", "--json", "-o", str(tmp_path / "r.nc"),
+         "--figures", str(tmp_path / "figures")],
+    )  # fmt: skip
+    assert said.exit_code == 0, said.output
+    found = json.loads(said.stdout)
+    assert found["gamma2_low"] < 3.2 < found["gamma2_high"]
+    assert found["w2_low_cm4"] < 0.004 < found["w2_high_cm4"]
+    with xr.open_dataset(tmp_path / "r.nc") as kept:
+        assert kept.attrs["gamma2"] == pytest.approx(found["gamma2"])
+        assert kept["w2"].dims == ("ky", "kx") and kept["w2"].attrs["units"] == "cm4"
+    assert {file.name for file in (tmp_path / "figures").iterdir()} == {
+        "spectrum.png", "plane.png", "rose.png",
+    }  # fmt: skip
+    plain = CliRunner().invoke(
+        app, ["roughness", str(surface_file), "--cell", "2", "--sediment", "fine sand"]
+    )
+    assert plain.exit_code == 0 and "spectral exponent" in plain.output
+    assert "backscatter of fine sand" in plain.output
+
+
+def test_the_command_refuses_no_length_by_name(surface_file: Path) -> None:
+    for option, value in (("--cell", "0"), ("--sheet", "-1"), ("--pixel", "nan"),
+                          ("--sediment", "snow"), ("--frequency", "-5")):  # fmt: skip
+        said = CliRunner().invoke(app, ["roughness", str(surface_file), option, value])
+        assert said.exit_code != 0
+        assert isinstance(said.exception, InputError) and option[2:] in str(said.exception)
+
+
+def test_a_surface_s_grid_is_a_patch_in_cm(surface_file: Path) -> None:
+    from lscan.surface import load_surface
+
+    grid = grid_cells(load_surface(surface_file), 2.0)
+    one = patch_of(grid)
+    assert one.cell_cm == pytest.approx(0.2)
+    np.testing.assert_allclose(one.z_cm[one.seen], grid.z_mm[one.seen] / 10)
+    assert one.noise_cm2 == pytest.approx((grid.sigma_z_mm[one.seen] ** 2).mean() / 100)
+    found = roughness_of(one)
+    assert found.ripples is None and found.cutoff_per_cm <= one.nyquist_per_cm
