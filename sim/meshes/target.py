@@ -14,6 +14,7 @@ from lscan.files.meshes import MM_PER_UNIT, load_mesh
 from sim.meshes.board import board_parts
 from sim.meshes.paint import picture_paint, reflectance_at, vertex_paint
 from sim.meshes.parts import Finish, MeshPart, moved, plain_mesh
+from sim.meshes.rough import rough_block_mesh
 from sim.meshes.sand import sanded_sandwave_mesh
 from sim.meshes.workpieces import grooved_block_mesh, sandwave_parts
 from sim.scene import Scene, target_pose
@@ -98,6 +99,8 @@ def _bare_parts(scene: Scene, albedo: float) -> list[MeshPart]:
         with _named(scene, "target.file"):
             mesh = load_mesh(Path(target.file or ""), MM_PER_UNIT[target.unit or "mm"])
         return [MeshPart("mesh", mesh, albedo, paint=vertex_paint(mesh))]
+    if target.rough is not None:
+        return [MeshPart("rough", rough_block_mesh(target.rough), albedo)]
     if target.shape == "board":
         assert rig.board is not None  # sim.scene has checked it
         return board_parts(rig.board, albedo, target.mark_albedo, scene.tank.board_errors)

@@ -8,6 +8,7 @@ from pydantic import Field, NonNegativeFloat, PositiveFloat, model_validator
 from lscan.config.documents import Strict
 from lscan.records import Floats
 from sim.scene.instrument import Fraction, Seed, Vector
+from sim.scene.rough import RoughBlock
 
 FLOOR_HALF_SIDE_MM = 3000.0  # beyond, a metre of turbid water has absorbed the light
 WaterKind = Literal[
@@ -119,9 +120,9 @@ class Target(Strict):
 
     shape "board": the rig's board, in the head's plane y = 0 at track position 0, moved by
     ``position_mm`` and turned, both in the head frame.  "workpiece": the rig's workpiece;
-    "mesh": a mesh file, its lengths in ``unit``, mm if left out; both placed in the world frame,
-    turned about the workpiece frame's origin first about x (tilt_x), then y (tilt_y), then z
-    (turn).
+    "mesh": a mesh file, its lengths in ``unit``, mm if left out; "rough": a block of a given
+    roughness, ``rough``; all three placed in the world frame, turned about the workpiece frame's
+    origin first about x (tilt_x), then y (tilt_y), then z (turn).
     albedo: diffuse reflectance at the laser's wavelength, of the marks' ground where it is a
     board; or pairs (wavelength_nm, reflectance) to interpolate between, so that a red
     surface is bright to a red laser and dark to a green one.  A mesh file's vertex colours
@@ -131,7 +132,7 @@ class Target(Strict):
     reflects the line elsewhere.
     """
 
-    shape: Literal["board", "workpiece", "mesh", "none"]
+    shape: Literal["board", "workpiece", "mesh", "rough", "none"]
     file: str | None = None
     unit: Literal["mm", "cm", "m", "inch"] | None = None
     position_mm: Vector = (0.0, 0.0, 0.0)
@@ -145,6 +146,7 @@ class Target(Strict):
     coat_index: Annotated[float, Field(gt=1.34, le=2.5)] = 1.5
     texture: Texture | None = None
     sand: Sand | None = None
+    rough: RoughBlock | None = None
 
     @model_validator(mode="after")
     def _consistent(self) -> Self:
@@ -152,6 +154,8 @@ class Target(Strict):
             raise ValueError('file goes with shape = "mesh", and only with it')
         if self.shape != "mesh" and self.unit is not None:
             raise ValueError('unit goes with shape = "mesh" only')
+        if (self.shape == "rough") != (self.rough is not None):
+            raise ValueError('[target.rough] goes with shape = "rough", and only with it')
         if isinstance(self.albedo, tuple):
             wavelengths = [pair[0] for pair in self.albedo]
             if len(wavelengths) < 2 or wavelengths != sorted(set(wavelengths)):

@@ -45,7 +45,7 @@ def check_placement(scene: Scene) -> None:
     if target.shape == "mesh":
         _warn(scene, mesh_notes(scene, mesh))
     _check_outside(scene, mesh)
-    if target.shape in ("mesh", "workpiece") and scene.tank.laser.on:
+    if target.shape in ("mesh", "rough", "workpiece") and scene.tank.laser.on:
         _warn(scene, out_of_reach(scene, mesh))
 
 

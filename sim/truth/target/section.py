@@ -64,8 +64,8 @@ def target_surfaces(scene: Scene) -> list[TankSurface]:
     target, rig, pose = scene.tank.target, scene.rig, target_pose(scene)
     if target.shape == "none":
         return []
-    if target.shape == "mesh" or target.sand is not None:
-        return [Mesh(target_mesh(scene), creased=target.sand is None)]
+    if target.shape in ("mesh", "rough") or target.sand is not None:
+        return [Mesh(target_mesh(scene), creased=target.shape == "mesh")]
     if target.shape == "board":
         return board_surfaces(scene.true_board(), pose)
     if isinstance(rig.workpiece, GroovedBlock):
