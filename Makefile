@@ -8,8 +8,8 @@ ROOT := $(shell [ "$$(id -u)" = 0 ] || echo sudo -n)
 MINUTES ?= 10
 APT := $(ROOT) env DEBIAN_FRONTEND=noninteractive apt-get -qq
 
-QUICK := accuracy hardware verify field demo bench budgets
-.PHONY: help setup demo test smoke soak lint house bench verify accuracy field hardware docs clean
+QUICK := accuracy hardware verify field demo bench budgets roughness
+.PHONY: help setup demo test smoke soak lint house bench verify accuracy field hardware roughness docs clean
 .PHONY: $(addprefix quick-,$(QUICK))
 .DELETE_ON_ERROR:
 
@@ -27,6 +27,7 @@ help:
 	@echo "make field   hold the instrument to pictures, water and surfaces unlike the paper's"
 	@echo "make hardware  hold drivers, runs and the live page to their bars; out/hardware.json"
 	@echo "make study   hold studies to closed forms, renders and the clock; out/study.json"
+	@echo "make roughness  hold roughness to fields, blocks and sounds that are known; out/roughness.json"
 	@echo "make docs    build the documentation, its pages' code included; out/docs/index.html"
 	@echo "make clean   remove all that was set up or made, save runs/"
 
@@ -63,6 +64,8 @@ quick-bench:
 	$(BIN)/lscan-sim bench --quick -o out/quick/bench.json
 quick-budgets:
 	$(BIN)/lscan-sim budgets --quick -o out/quick/budgets.json
+quick-roughness:
+	$(BIN)/lscan-sim roughness --quick -o out/quick/roughness.json
 quick-demo:
 	$(BIN)/lscan-sim demo --quick -o out/quick/demo
 quick-field:
@@ -90,6 +93,9 @@ hardware: .venv/llvm.stamp .venv/chromium.stamp
 
 study: .venv/llvm.stamp
 	$(BIN)/lscan-sim budgets -o out/study.json
+
+roughness: .venv/llvm.stamp
+	$(BIN)/lscan-sim roughness -o out/roughness.json
 
 docs: .venv/llvm.stamp
 	$(BIN)/python -m sphinx -W --keep-going -n -q docs out/docs

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -13,7 +14,8 @@ from lscan.cli.console import print_json, print_table
 from lscan.errors import InputError
 
 if TYPE_CHECKING:
-    from lscan.roughness import Roughness, Sediment
+    from lscan.records import Surface
+    from lscan.roughness import Patch, Roughness, Sediment
 
 FREQUENCIES_KHZ = (15.0, 50.0, 100.0, 300.0)
 GRAZING_DEG = (10.0, 20.0, 45.0, 70.0)
@@ -24,9 +26,21 @@ def roughness(
     output: Annotated[
         Path | None, typer.Option("--output", "-o", help="Spectra to write (.nc).")
     ] = None,
-    cell: Annotated[float, typer.Option(help="mm, side of a cell of the grid.")] = 1.0,
+    cell: Annotated[
+        float | None,
+        typer.Option(
+            help="mm, side of the cells that points are averaged in, in place of profiles."
+        ),
+    ] = None,
+    yaw: Annotated[
+        float,
+        typer.Option(help="Degrees, of the sheet against the track, of a surface as scanned."),
+    ] = 0.0,
     sheet: Annotated[
         float, typer.Option(help="mm, standard deviation of the light across the sheet.")
+    ] = 0.0,
+    blur: Annotated[
+        float, typer.Option(help="mm, standard deviation of the lens's blur on the seabed.")
     ] = 0.0,
     pixel: Annotated[float, typer.Option(help="mm, width of a pixel on the seabed.")] = 0.0,
     stretched: Annotated[
@@ -48,20 +62,32 @@ def roughness(
     json: Json = False,
 ) -> None:
     """Roughness of a surface: spectrum, power law with intervals, ripples, cutoff, backscatter."""
-    from lscan.roughness import ScannerResponse, patch_of, roughness_of, sediment
+    from lscan.roughness import ScannerResponse, roughness_of, sediment
     from lscan.roughness.files import save_roughness
-    from lscan.surface import grid_cells, load_surface
+    from lscan.surface import load_surface
 
     require_folders(output)
-    for name, length, least in (("cell", cell, "above 0"), ("sheet", sheet, "0 or more"),
-                                ("pixel", pixel, "0 or more")):  # fmt: skip
-        if not (length > 0 or (length == 0 and least == "0 or more")):
-            raise InputError("is no length", where=f"--{name}", value=length, allowed=f"{least} mm")
+    if cell is not None and not cell > 0:
+        raise InputError("is no length", where="--cell", value=cell, allowed="above 0 mm")
+    for name, length in (("sheet", sheet), ("blur", blur), ("pixel", pixel)):
+        if not length >= 0:
+            raise InputError(
+                "is no length", where=f"--{name}", value=length, allowed="0 mm or more"
+            )
+    if not abs(yaw) < 45:
+        raise InputError("is no yaw", where="--yaw", value=yaw, allowed="-45 to 45 degrees")
     if bottom is None and (frequency or grazing):
         raise InputError("is needed with --frequency or --grazing", where="--sediment")
     ground = None if bottom is None else sediment(bottom)
-    patch = patch_of(grid_cells(load_surface(surface), cell))
-    response = ScannerResponse(sheet / 10, pixel / 10, patch.cell_cm)
+    scanned = load_surface(surface)
+    if sheet and any(done.startswith("sheet thickness") for done in scanned.corrections):
+        raise InputError(
+            "the surface is corrected for the sheet's thickness", where="--sheet", value=sheet,
+            allowed="0, or a surface reconstructed without [sheet]",
+        )  # fmt: skip
+    patch = _patch(scanned, cell, yaw)
+    lengths = (length / 10 for length in (sheet, blur, pixel, cell or 0.0))
+    response = ScannerResponse(*lengths)
     found = roughness_of(patch, response, stretched=stretched)
     if output:
         save_roughness(output, patch, found)
@@ -83,6 +109,15 @@ def roughness(
               f"{row['strength_db']:.1f}", f"± {1.96 * row['sigma_db']:.1f}", _where(row, found)]
              for row in sound],
         )  # fmt: skip
+
+
+def _patch(surface: Surface, cell_mm: float | None, yaw_deg: float) -> Patch:
+    """The patch of its profiles, or of cells; yaw: of its sheet against the track."""
+    from lscan.roughness import patch_of, patch_of_profiles
+    from lscan.surface import grid_cells, shear
+
+    turned = replace(surface, xyz_mm=surface.xyz_mm @ shear(np.radians(yaw_deg)).T)
+    return patch_of_profiles(turned) if cell_mm is None else patch_of(grid_cells(turned, cell_mm))
 
 
 def _backscatter(

@@ -1,7 +1,12 @@
 """Roughness of the seabed: spectrum, power law, ripples, moments, and where the instrument ends."""
 
 from lscan.roughness.analysis import Roughness, roughness_of
-from lscan.roughness.instrument import ScannerResponse, cutoff_per_cm, noise_density
+from lscan.roughness.instrument import (
+    ScannerResponse,
+    corrected_spectrum,
+    cutoff_per_cm,
+    noise_density,
+)
 from lscan.roughness.model import PowerLaw, from_profiles
 from lscan.roughness.moments import (
     RoughnessMoments,
@@ -10,6 +15,8 @@ from lscan.roughness.moments import (
     structure_function,
 )
 from lscan.roughness.patch import Patch, patch_of
+from lscan.roughness.profiles import patch_of_profiles
+from lscan.roughness.profilewaves import ProfileWaves, profile_waves
 from lscan.roughness.ripples import RippleTrain, find_ripples, fit_waves, without_ripples
 from lscan.roughness.scattering import (
     Backscatter,
@@ -40,6 +47,7 @@ __all__ = [
     "PowerLaw",
     "PowerLawFit",
     "ProfileSpectrum",
+    "ProfileWaves",
     "RingSpectrum",
     "RippleTrain",
     "Roughness",
@@ -51,6 +59,7 @@ __all__ = [
     "bragg_per_cm",
     "by_rings",
     "capon_spectrum",
+    "corrected_spectrum",
     "cutoff_per_cm",
     "find_ripples",
     "fit_power_law",
@@ -60,9 +69,11 @@ __all__ = [
     "noise_density",
     "of_grain_size",
     "patch_of",
+    "patch_of_profiles",
     "patch_spectrum",
     "predicted_backscatter",
     "profile_spectrum",
+    "profile_waves",
     "reflection",
     "roughness_of",
     "sediment",

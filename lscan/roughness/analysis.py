@@ -2,8 +2,9 @@
 
 from dataclasses import asdict, dataclass
 from math import log10
+from typing import Any
 
-from lscan.roughness.instrument import ScannerResponse, cutoff_per_cm
+from lscan.roughness.instrument import ScannerResponse, corrected_spectrum, cutoff_per_cm
 from lscan.roughness.moments import RoughnessMoments, moments
 from lscan.roughness.patch import Patch
 from lscan.roughness.ripples import RippleTrain, find_ripples, without_ripples
@@ -27,6 +28,7 @@ class Roughness:
     fit : PowerLawFit, of what is left without it, up to the cutoff
     cutoff_per_cm : float, rad/cm, beyond it the instrument is measured
     rings : RingSpectrum, W2 as measured, ripples included
+    corrected : RingSpectrum, the same less the noise, over what the instrument passes
     """
 
     moments: RoughnessMoments
@@ -34,6 +36,7 @@ class Roughness:
     fit: PowerLawFit
     cutoff_per_cm: float
     rings: RingSpectrum
+    corrected: RingSpectrum
 
     def figures(self) -> dict[str, float]:
         """The numbers by name, units in the names; _sigma: standard uncertainty.
@@ -75,7 +78,7 @@ def roughness_of(
     Parameters
     ----------
     patch : Patch, cm
-    response : ScannerResponse, optional; by default one that averages over its cells alone
+    response : ScannerResponse, optional; by default one that takes nothing away
     stretched : bool, whether the power law may differ between directions
     seed : int, of the simulated patches that intervals come from
 
@@ -95,13 +98,17 @@ def roughness_of(
     >>> round(ripples.wavelength_cm, 1), round(ripples.height_cm, 1)
     (2.0, 0.6)
     """
-    response = response or ScannerResponse(cell_cm=patch.cell_cm)
+    response = response or ScannerResponse()
     train = find_ripples(patch)
     rest = patch if train is None else without_ripples(patch, train)
-    fit = fit_power_law(rest, stretched=stretched, response=response, seed=seed)
+    told: dict[str, Any] = {"stretched": stretched, "seed": seed}
+    told |= {"response": response, "known": response.known}
+    fit = fit_power_law(rest, **told)
     cutoff = cutoff_per_cm(fit.law, rest, response)
     band = usable_band(rest)
     if cutoff < band.high_per_cm:
         band = Band(band.low_per_cm, cutoff)
-        fit = fit_power_law(rest, stretched=stretched, band=band, response=response, seed=seed)
-    return Roughness(moments(patch), train, fit, cutoff, by_rings(patch_spectrum(patch)))
+        fit = fit_power_law(rest, band=band, **told)
+    spectrum = patch_spectrum(patch)
+    corrected = by_rings(corrected_spectrum(spectrum, patch, response))
+    return Roughness(moments(patch), train, fit, cutoff, by_rings(spectrum), corrected)

@@ -3,6 +3,7 @@
 import tempfile
 from pathlib import Path
 
+import numpy as np
 import xarray as xr
 
 from lscan.files.disk import write_atomically
@@ -27,11 +28,17 @@ def save_roughness(path: Path, patch: Patch, found: Roughness) -> None:
         The file cannot be written.
     """
     plane, rings = patch_spectrum(patch), found.rings
+    corrected = found.corrected.wavenumber_per_cm, found.corrected.density_cm4
     per_cm, cm4 = {"units": "rad cm-1"}, {"units": "cm4"}
     data = xr.Dataset(
         {
             "w2": (("ky", "kx"), plane.density_cm4, {**cm4, "long_name": "roughness spectrum"}),
             "w2_ring": ("k", rings.density_cm4, {**cm4, "long_name": "its mean over rings"}),
+            "w2_ring_corrected": (
+                "k",
+                np.interp(rings.wavenumber_per_cm, *corrected, left=np.nan, right=np.nan),
+                {**cm4, "long_name": "its mean over rings, less noise, over the response"},
+            ),
             "w2_ring_low": ("k", rings.low_cm4, {**cm4, "long_name": "lower 95 % limit"}),
             "w2_ring_high": ("k", rings.high_cm4, {**cm4, "long_name": "upper 95 % limit"}),
         },

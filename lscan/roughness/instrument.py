@@ -1,22 +1,25 @@
 """What the instrument does to a spectrum: what it passes, what it adds, and where that ends.
 
-A scanner averages the seabed over the laser sheet's thickness along the track, over a pixel along
-the line, and over a cell of the grid both ways; its points scatter.  The share of the power that is
-passed is divided out where the signal is above the noise; beyond the cutoff it is the instrument
-that is measured.
+A scanner averages the seabed over the laser sheet's thickness along the track, over the lens's blur
+and a pixel along the line, and over a cell of the grid both ways; its points scatter.  The share of
+the power that is passed is divided out where the signal is above the noise; beyond the cutoff it is
+the instrument that is measured.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from lscan.errors import InputError
-from lscan.records import Floats
+from lscan.records import Floats, Mask
 from lscan.roughness.model import PowerLaw
-from lscan.roughness.patch import Patch
+from lscan.roughness.patch import MM_PER_CM, Patch
+from lscan.roughness.spectra import PatchSpectrum
+from lscan.surface.sheetresponse import transfer
 
 FARTHEST_DB = 1.0  # that a spectrum may be off at its cutoff
-RESPONSE_KNOWN = 0.2  # of the decibels that the response takes away, its standard uncertainty
+LENGTHS_KNOWN = 0.05  # relative standard uncertainty that the response's lengths are taken to have
+LEAST_PASSED = 0.05  # share of the power that is divided by
 
 
 @dataclass(frozen=True)
@@ -26,12 +29,14 @@ class ScannerResponse:
     Attributes
     ----------
     sheet_cm : float, cm, along y: standard deviation of the light across the sheet, where it meets
-        the seabed
+        the seabed, of heights that are not corrected for its thickness
+    blur_cm : float, cm, along x: standard deviation of the lens's blur on the seabed
     pixel_cm : float, cm, along x: width of a pixel on the seabed
     cell_cm : float, cm, side of the grid's cells, both ways
     """
 
     sheet_cm: float = 0.0
+    blur_cm: float = 0.0
     pixel_cm: float = 0.0
     cell_cm: float = 0.0
 
@@ -44,17 +49,32 @@ class ScannerResponse:
     def __call__(self, along_y: Floats | float, along_x: Floats | float) -> Floats:
         """Share of the power at wavenumbers that is passed.
 
-        A Gaussian across the sheet, a box for a pixel, and for a cell the middle of the quadratic
-        that grid_cells fits to it.
+        A sheet as ``lscan.surface.sheetresponse`` has it, a Gaussian for the blur, a box for a
+        pixel, and for a cell the middle of the quadratic that grid_cells fits to it.
 
         Parameters
         ----------
         along_y, along_x : array or float, rad/cm
         """
-        passed = np.exp(-((np.asarray(along_y) * self.sheet_cm) ** 2))
+        per_mm = np.asarray(along_y) / MM_PER_CM / (2 * np.pi)
+        passed = transfer(per_mm, self.sheet_cm * MM_PER_CM) ** 2
+        passed = passed * np.exp(-((np.asarray(along_x) * self.blur_cm) ** 2))
         passed = passed * np.sinc(np.asarray(along_x) * self.pixel_cm / (2 * np.pi)) ** 2
         halves = (np.asarray(along) * self.cell_cm / 2 for along in (along_y, along_x))
         return np.asarray(passed * _of_quadratic(*halves) ** 2)
+
+    def known(self, along_y: Floats | float, along_x: Floats | float) -> Mask:
+        """Where enough is passed, and how much is known to 1 dB though lengths be 5 % longer.
+
+        Parameters
+        ----------
+        along_y, along_x : array or float, rad/cm
+        """
+        longer = ScannerResponse(
+            **{name: (1 + LENGTHS_KNOWN) * v for name, v in vars(self).items()}
+        )
+        passed, less = self(along_y, along_x), longer(along_y, along_x)
+        return np.asarray((passed >= LEAST_PASSED) & (less >= passed * 10 ** (-FARTHEST_DB / 10)))
 
 
 def _of_quadratic(half_y: Floats, half_x: Floats) -> Floats:
@@ -85,12 +105,30 @@ def noise_density(patch: Patch) -> float:
     return patch.noise_cm2 * patch.cell_cm**2 / (2 * np.pi) ** 2
 
 
+def corrected_spectrum(
+    spectrum: PatchSpectrum, patch: Patch, response: ScannerResponse
+) -> PatchSpectrum:
+    """A spectrum less the cells' noise, over what the response passes; NaN where that is not known.
+
+    Parameters
+    ----------
+    spectrum : PatchSpectrum, as measured
+    patch : Patch, it was measured on
+    response : ScannerResponse
+    """
+    plane = spectrum.along_y_per_cm, spectrum.along_x_per_cm
+    signal = spectrum.density_cm4 - noise_density(patch)
+    passed = np.maximum(response(*plane), LEAST_PASSED)
+    density = np.where(response.known(*plane), signal / passed, np.nan)
+    return replace(spectrum, density_cm4=density)
+
+
 def cutoff_per_cm(law: PowerLaw, patch: Patch, response: ScannerResponse) -> float:
     """rad/cm, the wavenumber beyond which the instrument is measured, not the seabed.
 
-    Where noise is a quarter of what is passed, so that it alone would lift the spectrum by 1 dB, or
-    where a fifth of what the response takes away is 1 dB: the more the response has to be divided
-    out, the better it would have to be known.  Up to Nyquist's wavenumber, along the worse axis.
+    Where noise is a quarter of what is passed, so that it alone would lift the spectrum by 1 dB,
+    in the mean over the directions in which the response is known, or where it is known in none;
+    up to Nyquist's wavenumber.
 
     Parameters
     ----------
@@ -98,15 +136,12 @@ def cutoff_per_cm(law: PowerLaw, patch: Patch, response: ScannerResponse) -> flo
     patch : Patch, its noise and its cells
     response : ScannerResponse
     """
-    size = np.geomspace(1e-3, 1.0, 2000) * patch.nyquist_per_cm
-    lowest = patch.nyquist_per_cm
-    for along_y, along_x in ((size, 0 * size), (0 * size, size)):
-        passed = response(along_y, along_x)
-        added_db = 10 * np.log10(
-            1 + noise_density(patch) / (law.density(along_y, along_x) * passed)
-        )
-        taken_db = -10 * np.log10(passed) * RESPONSE_KNOWN
-        beyond = np.flatnonzero(np.hypot(added_db, taken_db) > FARTHEST_DB)
-        if len(beyond):
-            lowest = min(lowest, float(size[beyond[0]]))
-    return lowest
+    size = np.geomspace(1e-3, 1.0, 1000)[:, np.newaxis] * patch.nyquist_per_cm
+    way = np.linspace(0.0, np.pi, 72, endpoint=False)
+    plane = size * np.sin(way), size * np.cos(way)
+    weight = np.where(response.known(*plane), law.density(*plane), 0.0)
+    noise = noise_density(patch) / np.maximum(response(*plane), LEAST_PASSED)
+    total = weight.sum(axis=1)
+    lifted = np.where(weight > 0, noise, 0.0).sum(axis=1) > (10 ** (FARTHEST_DB / 10) - 1) * total
+    beyond = np.flatnonzero(lifted | (total == 0))
+    return float(size[beyond[0], 0]) if len(beyond) else patch.nyquist_per_cm

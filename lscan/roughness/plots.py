@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 from matplotlib.figure import Figure
 
-from lscan.figures.style import ACCENT, FIRST, HEIGHTS, MUTED, SECOND, WIDTH_IN, legend, styled
+from lscan.figures.style import ACCENT, FIRST, HEIGHTS, MUTED, SECOND, WIDTH_IN, styled
 from lscan.files.disk import make_folder, write_atomically
 from lscan.roughness.analysis import Roughness
 from lscan.roughness.instrument import ScannerResponse, noise_density
@@ -60,6 +60,9 @@ def draw_spectrum(patch: Patch, found: Roughness, response: ScannerResponse) -> 
         rings.wavenumber_per_cm, rings.low_cm4, rings.high_cm4, color=SECOND, alpha=0.2
     )
     axes.plot(rings.wavenumber_per_cm, rings.density_cm4, color=SECOND, label="measured, 95 %")
+    known = found.corrected.wavenumber_per_cm <= found.cutoff_per_cm
+    axes.plot(found.corrected.wavenumber_per_cm[known], found.corrected.density_cm4[known],
+              color=ACCENT, label="less noise, over the response")  # fmt: skip
     size = np.geomspace(fit.band.low_per_cm, fit.band.high_per_cm, 100)
     law = fit.law.density(0 * size, size)
     axes.plot(size, law, color=FIRST, label=f"power law, $\\gamma_2$ = {fit.law.gamma2:.2f}")
@@ -71,7 +74,7 @@ def draw_spectrum(patch: Patch, found: Roughness, response: ScannerResponse) -> 
     if found.cutoff_per_cm < patch.nyquist_per_cm:
         axes.axvline(found.cutoff_per_cm, color=ACCENT, label="cutoff")
     axes.set(xscale="log", yscale="log", xlabel="wavenumber, rad/cm", ylabel="$W_2$, cm$^4$")
-    legend(axes)
+    axes.legend(loc="lower left", fontsize=7)
     return figure
 
 

@@ -15,10 +15,15 @@ from lscan.records import Floats
 from lscan.roughness.patch import Patch, wavenumbers
 from lscan.roughness.spectra import detrended
 
-HARMONICS = 4
+HARMONICS = 12
+"""With the wave itself: of a crest as sharp as that of 1 - |sin| 2.5 % of the height is beyond."""
+OF_WAVENUMBER = 4
+"""Harmonics that the wavenumber is found by, where the grid shows them: of more the cells could be
+fitted with another wave as well."""
 ABOVE = 20.0
 """A peak's height over the median of its surroundings that chance does not reach: of 1e5 values of
 an exponential distribution the largest is 17 medians with 50 %, 20 with 10 %."""
+BEYOND_NYQUIST = 2.0  # that harmonics may lie, in Nyquist's wavenumber
 FINE = 4  # zero padding of the periodogram that the search begins at
 LEAST_WAVES = 2.0
 FLAT = 3  # coefficients of a plane
@@ -32,7 +37,7 @@ class RippleTrain:
     ----------
     wavelength_cm : float, cm
     heading_deg : float, degrees of 0 to 180, from x towards y: across the crests
-    height_cm : float, cm, from trough to crest
+    height_cm : float, cm, from trough to crest, of the places that were measured
     amplitudes_cm : (H,) array, cm, of the wave and its harmonics
     wavenumber_per_cm : (2,) array, rad/cm along y and x, of the wave
     sigma_wavelength_cm, sigma_heading_deg, sigma_height_cm : float, standard uncertainties where
@@ -55,7 +60,8 @@ def find_ripples(patch: Patch, harmonics: int = HARMONICS) -> RippleTrain | None
     Parameters
     ----------
     patch : Patch
-    harmonics : int, with the wave itself; those that the grid cannot show are left out
+    harmonics : int, with the wave itself; those beyond twice Nyquist's wavenumber are left out:
+        many crests fall on many places of the cells, and tell more than one would
 
     Raises
     ------
@@ -82,10 +88,11 @@ def fit_waves(patch: Patch, start_per_cm: Floats, harmonics: int = HARMONICS) ->
     """
     z = patch.z_cm[patch.seen]
     top = patch.nyquist_per_cm / float(np.linalg.norm(start_per_cm))
-    orders = max(min(harmonics, int(top)), 1)
+    few = max(min(harmonics, OF_WAVENUMBER, int(top)), 1)
+    orders = max(min(harmonics, int(BEYOND_NYQUIST * top)), few)
 
     def left(k: Floats) -> Floats:
-        design = _waves(patch, k, orders)
+        design = _waves(patch, k, few)
         return np.asarray(z - design @ np.linalg.lstsq(design, z, rcond=None)[0])
 
     scale = 2 * np.pi / max(patch.size_cm) * np.ones(2)
@@ -101,7 +108,7 @@ def fit_waves(patch: Patch, start_per_cm: Floats, harmonics: int = HARMONICS) ->
     size = float(np.linalg.norm(found.x))
     along = found.x / size
     across = np.array([-along[1], along[0]])
-    height = _height(cosines, sines)
+    height = float(np.ptp(design[:, FLAT:] @ coefficients[FLAT:]))
     return RippleTrain(
         wavelength_cm=2 * np.pi / size,
         heading_deg=float(np.degrees(np.arctan2(*found.x)) % 180),
@@ -160,10 +167,3 @@ def _peak(patch: Patch) -> Floats | None:
     if ratio[best] < ABOVE:
         return None
     return np.array([y[best[0], 0], x[0, best[1]]])
-
-
-def _height(cosines: Floats, sines: Floats) -> float:
-    """From trough to crest of a sum of harmonics."""
-    phase = np.outer(np.linspace(0, 2 * np.pi, 721), np.arange(1, len(cosines) + 1))
-    wave = np.cos(phase) @ cosines + np.sin(phase) @ sines
-    return float(wave.max() - wave.min())

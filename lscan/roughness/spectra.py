@@ -125,7 +125,7 @@ def patch_spectrum(patch: Patch, tapers: int = TAPERS) -> PatchSpectrum:
 
 
 def by_rings(spectrum: PatchSpectrum, rings: int = RINGS) -> RingSpectrum:
-    """Means over rings of wavenumbers, evenly spaced in their logarithm.
+    """Means over rings of wavenumbers, evenly spaced in their logarithm, of values that are known.
 
     The interval is that of chi squared: values closer than the tapers tell apart count as one, of
     which there are as many in a ring as its area holds of the tapers' own.
@@ -142,7 +142,7 @@ def by_rings(spectrum: PatchSpectrum, rings: int = RINGS) -> RingSpectrum:
     number = np.digitize(size, edges) - 1
     rows = []
     for ring in range(rings):
-        inside = density[number == ring]
+        inside = density[(number == ring) & np.isfinite(density)]
         if len(inside):
             # Half of the values are those of the other half; each is the mean of freedom / 2 more.
             freedom = max(len(inside) / 2 / (spectrum.freedom / 2), 1.0) * spectrum.freedom

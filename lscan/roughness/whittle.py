@@ -146,7 +146,9 @@ def fit_power_law(
     stretched: bool = False,
     band: Band | None = None,
     response: Density | None = None,
+    known: Callable[[Floats, Floats], Mask] | None = None,
     seed: int = 1,
+    simulated: int = SIMULATED,
 ) -> PowerLawFit:
     """The power law that makes a patch's periodogram most likely, with its uncertainty.
 
@@ -157,7 +159,9 @@ def fit_power_law(
     band : Band, optional, rad/cm; by default all that the patch can tell
     response : callable, optional, of rad/cm along y and x: share of the power at a wavenumber that
         the instrument passes
+    known : callable, optional, of the same: where that share is known; elsewhere nothing is used
     seed : int, of the patches that are simulated
+    simulated : int, of them, 3 or more; even
 
     Raises
     ------
@@ -169,20 +173,20 @@ def fit_power_law(
     theta = np.zeros(len(parameters))
     theta[1] = BEGIN
     for second in (False, True):
-        parts = list(_parts(patch, band, second))
+        parts = list(_parts(patch, band, second, known))
         likelihood = _Likelihood(patch, parts, response)
         theta = likelihood.maximum(theta)
         if theta[1] < TURNING:
             break
     if second and theta[1] < TURNING - 0.3:  # turned by chance: what was found first is better
-        likelihood = _Likelihood(patch, list(_parts(patch, band, False)), response)
+        likelihood = _Likelihood(patch, list(_parts(patch, band, False, known)), response)
         theta = likelihood.maximum(theta)
-    covariance = likelihood.covariance(theta, seed)
+    covariance = likelihood.covariance(theta, seed, simulated)
     return PowerLawFit(
         law_of(theta),
         parameters,
         covariance,
-        SIMULATED - 1,
+        2 * (simulated // 2) - 1,
         band,
         len(likelihood.values),
         float(np.mean(likelihood.values / likelihood.expected(theta)) - 1),
@@ -275,18 +279,18 @@ class _Likelihood:
             return np.inf, expected
         return float(np.sum(np.log(expected) + self.values / expected)), expected
 
-    def covariance(self, theta: Floats, seed: int) -> Floats:
+    def covariance(self, theta: Floats, seed: int, simulated: int) -> Floats:
         """(P, P) of the parameters."""
         expected = self.expected(theta)
         slopes = self._derivatives(theta, expected)
         scores = []
-        for z in self._simulated(law_of(theta), seed):
+        for z in self._simulated(law_of(theta), seed, simulated):
             values = np.concatenate([part.periodogram(z) for part in self._parts])
             scores.append(slopes.T @ (values / expected - 1))
         inverse = np.linalg.inv(slopes.T @ slopes)
         return np.asarray(inverse @ np.cov(np.array(scores).T) @ inverse)
 
-    def _simulated(self, law: PowerLaw, seed: int) -> Iterator[Floats]:
+    def _simulated(self, law: PowerLaw, seed: int, simulated: int) -> Iterator[Floats]:
         """(R, C) cm, patches of a law as the instrument shows it."""
         patch, generator = self._patch, np.random.default_rng([seed, 17])
         rows, columns = patch.z_cm.shape
@@ -294,14 +298,19 @@ class _Likelihood:
         y, x = wavenumbers(shape, patch.cell_cm)
         area = (2 * np.pi) ** 2 / (shape[0] * shape[1] * patch.cell_cm**2)
         size = np.sqrt((self._spectrum(law)(y, x) + self._floor) * area)
-        for _ in range(SIMULATED // 2):
+        for _ in range(simulated // 2):
             drawn = generator.standard_normal((2, *shape))
             both = np.fft.fft2(size * (drawn[0] + 1j * drawn[1]))[:rows, :columns]
             yield both.real
             yield both.imag
 
 
-def _parts(patch: Patch, band: Band, second: bool) -> Iterator[_Differences]:
+def _parts(
+    patch: Patch,
+    band: Band,
+    second: bool,
+    known: Callable[[Floats, Floats], Mask] | None = None,
+) -> Iterator[_Differences]:
     """The differences of a patch: its Laplacian, or those along x and along y.
 
     First differences along either axis lose what runs along the other; each counts for the
@@ -309,12 +318,12 @@ def _parts(patch: Patch, band: Band, second: bool) -> Iterator[_Differences]:
     """
     seen, cell = patch.seen, patch.cell_cm
     if second:
-        yield _part(_laplacian, _of_laplacian(cell), _whole(seen), band, cell, None)
+        yield _part(_laplacian, _of_laplacian(cell), _whole(seen), band, cell, None, known)
         return
     for axis in (0, 1):
         both = np.diff(seen.astype(int), axis=axis) == 0
         there = both & np.take(seen, range(seen.shape[axis] - 1), axis=axis)
-        yield _part(_along(axis), _of_difference(cell, axis), there, band, cell, axis)
+        yield _part(_along(axis), _of_difference(cell, axis), there, band, cell, axis, known)
 
 
 def _part(
@@ -324,6 +333,7 @@ def _part(
     band: Band,
     cell_cm: float,
     axis: int | None,
+    known: Callable[[Floats, Floats], Mask] | None,
 ) -> _Differences:
     taper = np.outer(*(_sine(count) for count in there.shape)) * there
     y, x = wavenumbers(there.shape, cell_cm)
@@ -333,6 +343,8 @@ def _part(
     chosen &= (np.abs(x) < np.pi / cell_cm * (1 - 1e-9)) & (
         np.abs(y) < np.pi / cell_cm * (1 - 1e-9)
     )
+    if known is not None:
+        chosen &= known(y, x)
     if axis is not None:
         chosen &= np.abs(y) > np.abs(x) if axis == 0 else np.abs(x) >= np.abs(y)
     return _Differences(differences, transfer, taper, chosen, cell_cm)

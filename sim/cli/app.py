@@ -2,18 +2,19 @@
 
 from lscan.cli.console import command_line, run_command_line
 from sim.cli.demo import demo
-from sim.cli.figures import accuracy, bench, budgets, field, hardware, verify
+from sim.cli.figures import accuracy, bench, budgets, field, hardware, roughness, verify
 from sim.cli.pictures import render, truth, views
 from sim.cli.serve import serve
 from sim.cli.study import concavity, study
 
 app = command_line(
     "The tank in software: demo, render, truth, views, serve, verify, accuracy, field,"
-    " hardware, bench, budgets, study, concavity."
+    " hardware, bench, budgets, roughness, study, concavity."
 )
 for command in (demo, render, truth, views, bench, verify, accuracy, field, serve, hardware):
     app.command()(command)
 app.command()(budgets)
+app.command()(roughness)
 app.command()(study)
 app.command()(concavity)
 

@@ -127,6 +127,20 @@ def budgets(
     _end_with_rows("budgets", rows, [output], json)
 
 
+def roughness(
+    output: OutputFile = Path("out/roughness.json"),
+    scenes: ScenesFolder = None,
+    quick: Quick = False,
+    json: Json = False,
+) -> None:
+    """Roughness against fields, blocks and sounds that are known: figures with their bars."""
+    from sim.validation.roughness.run import run_roughness
+
+    with progress_bar("roughness") as progress:
+        rows = run_roughness(scenes or scenes_folder(), output, quick, progress)
+    _end_with_rows("roughness", rows, [output], json)
+
+
 def _end_with_rows(
     title: str, rows: Sequence[Row], files: Sequence[Path], json: bool, skipped: bool = False
 ) -> None:

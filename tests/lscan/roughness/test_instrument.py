@@ -1,6 +1,7 @@
 """Response, cutoff, ripples, and the command."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -10,7 +11,7 @@ from rough_patches import drawn, patch, wave, whole
 from typer.testing import CliRunner
 
 from lscan.cli.app import app
-from lscan.errors import InputError
+from lscan.errors import InputError, MeasurementError
 from lscan.records import Status, Surface
 from lscan.roughness import (
     PowerLaw,
@@ -19,9 +20,11 @@ from lscan.roughness import (
     find_ripples,
     noise_density,
     patch_of,
+    patch_of_profiles,
+    profile_waves,
     roughness_of,
 )
-from lscan.surface import grid_cells, save_surface
+from lscan.surface import grid_cells, load_surface, save_surface
 
 CELL_CM = 0.1
 
@@ -45,7 +48,8 @@ def test_a_cell_passes_what_its_quadratic_keeps() -> None:
 
 def test_a_response_s_lengths_act_along_their_own_axes() -> None:
     response = ScannerResponse(sheet_cm=0.1, pixel_cm=0.2)
-    assert response(5.0, 0.0) == pytest.approx(np.exp(-0.25))
+    assert response(5.0, 0.0) == pytest.approx((0.75 * np.exp(-0.125)) ** 2)
+    assert ScannerResponse(blur_cm=0.1)(7.0, 5.0) == pytest.approx(np.exp(-0.25))
     assert response(0.0, 5.0) == pytest.approx((np.sin(0.5) / 0.5) ** 2)
     with pytest.raises(InputError, match="sheet_cm"):
         ScannerResponse(sheet_cm=-1.0)
@@ -124,7 +128,8 @@ def test_the_command_says_shows_and_keeps(surface_file: Path, tmp_path: Path) ->
 
 
 def test_the_command_refuses_no_length_by_name(surface_file: Path) -> None:
-    for option, value in (("--cell", "0"), ("--sheet", "-1"), ("--pixel", "nan"),
+    for option, value in (("--cell", "0"), ("--sheet", "-1"), ("--pixel", "nan"), ("--blur", "-1"),
+                          ("--yaw", "80"),
                           ("--sediment", "snow"), ("--frequency", "-5")):  # fmt: skip
         said = CliRunner().invoke(app, ["roughness", str(surface_file), option, value])
         assert said.exit_code != 0
@@ -132,8 +137,6 @@ def test_the_command_refuses_no_length_by_name(surface_file: Path) -> None:
 
 
 def test_a_surface_s_grid_is_a_patch_in_cm(surface_file: Path) -> None:
-    from lscan.surface import load_surface
-
     grid = grid_cells(load_surface(surface_file), 2.0)
     one = patch_of(grid)
     assert one.cell_cm == pytest.approx(0.2)
@@ -141,3 +144,48 @@ def test_a_surface_s_grid_is_a_patch_in_cm(surface_file: Path) -> None:
     assert one.noise_cm2 == pytest.approx((grid.sigma_z_mm[one.seen] ** 2).mean() / 100)
     found = roughness_of(one)
     assert found.ripples is None and found.cutoff_per_cm <= one.nyquist_per_cm
+
+
+def test_profiles_are_a_patch_finer_than_cells(surface_file: Path) -> None:
+    """Rows are the profiles, 0.5 mm apart.  A cubic stays one: its third differences are constant,
+    across holes that are joined too."""
+    surface = load_surface(surface_file)
+    x = surface.xyz_mm[..., 0]
+    cubic = np.concatenate([surface.xyz_mm[..., :2], (1e-4 * x**3)[..., np.newaxis]], axis=-1)
+    one = patch_of_profiles(replace(surface, xyz_mm=cubic))
+    assert one.cell_cm == pytest.approx(0.05) and one.z_cm.shape[0] == len(x)
+    every = patch_of_profiles(surface, cell_mm=1.0)
+    assert every.cell_cm == pytest.approx(0.1)
+    third = np.diff(one.z_cm, 3, axis=1)
+    kept = np.lib.stride_tricks.sliding_window_view(one.seen, 4, axis=1).all(axis=-1)
+    assert kept.mean() > 0.3
+    np.testing.assert_allclose(third[kept], 6e-4 * 0.5**3 / 10, rtol=1e-6)
+
+
+def test_bent_or_uneven_profiles_are_refused() -> None:
+    x, y = np.meshgrid(np.arange(40.0), np.arange(30.0))
+    status = np.full(x.shape, int(Status.OK))
+    flat = Surface(np.stack([x, y, 0 * x], -1), 0 * x, 0 * x + 0.1, status, y[:, 0], "head")
+    assert patch_of_profiles(flat).z_cm.shape[0] == 30
+    for change in (
+        np.stack([0 * x, 0.01 * x**2, 0 * x], -1),
+        np.stack([0 * x, 0.02 * y**2, 0 * x], -1),
+    ):
+        with pytest.raises(MeasurementError, match="give the side of a cell"):
+            patch_of_profiles(replace(flat, xyz_mm=flat.xyz_mm + change))
+    with pytest.raises(MeasurementError, match="16 are needed"):
+        patch_of_profiles(replace(flat, status=np.where(y < 10, status, int(Status.NO_DATA))))
+
+
+def test_profiles_of_a_bent_crest_share_a_wavelength() -> None:
+    """Eq. (4) of the paper, in cm, with noise and holes: within 4 standard uncertainties."""
+    y, x = (np.indices((60, 80)) + 0.5) * 0.2
+    true = (0.15 + 0.043 * y) * np.sin(1.67 * x + 2 * np.sin(0.42 * y))
+    rng = np.random.default_rng(4)
+    seen = rng.random(x.shape) > 0.1
+    found = profile_waves(patch(true + rng.normal(0, 0.01, x.shape), seen, 0.2))
+    assert abs(found.wavelength_cm - 2 * np.pi / 1.67) < 4 * found.sigma_wavelength_cm
+    off = found.amplitude_cm - (0.15 + 0.043 * y[:, 0])
+    assert (np.abs(off) < 4 * found.sigma_amplitude_cm).all()
+    turned = profile_waves(patch(true.T.copy(), seen.T.copy(), 0.2), axis=0)
+    assert turned.wavelength_cm == pytest.approx(2 * np.pi / 1.67, rel=1e-6)

@@ -20,6 +20,7 @@ from lscan.roughness import (
     structure_constant,
 )
 from lscan.roughness.scattering import kirchhoff_integral
+from sim.validation.roughness.sound import PUBLISHED, PublishedStrength
 
 LAW = PowerLaw(3.25, 0.004446)
 SAND = sediment("medium sand")
@@ -38,24 +39,6 @@ TABLE = {
     "clay": (1.145, 0.9800, 0.00148),
 }
 
-# Jackson's program of TM 2-00, its outputs in the test data of HydrOffice OpenBST: kHz, grazing
-# angle, strength of roughness in dB, loss of reflection in dB; gamma2 3.25, 1,500 m/s.  Listed
-# where his sum of ten exponentials stands for the integral to 0.001 dB: where q of
-# kirchhoff_integral is above some 0.03; below, small slopes are small roughness, tested beside.
-FINE = (Sediment("fine sand", 1.451, 1.1072, 0.01602), 8.6e-5)
-MEDIUM = (Sediment("medium sand", 1.845, 1.1782, 0.01624), 1.406e-4)
-SILT = (Sediment("silt", 1.149, 0.9873, 0.00386), 1.64e-5)  # m^4 where K is in rad/m
-JACKSON = [
-    (FINE, 20, 60, -32.047, 11.999), (FINE, 20, 75, -22.894, 12.518),
-    (FINE, 20, 90, -1.719, 12.661),
-    (FINE, 300, 30, -27.495, 6.499), (FINE, 300, 45, -26.882, 10.681),
-    (FINE, 300, 75, -18.141, 12.518), (FINE, 300, 90, -15.832, 12.661),
-    (MEDIUM, 20, 60, -25.429, 7.973), (MEDIUM, 20, 75, -16.533, 8.497),
-    (MEDIUM, 300, 30, -18.513, 1.153), (MEDIUM, 300, 60, -17.624, 7.973),
-    (MEDIUM, 300, 90, -15.226, 8.639), (SILT, 20, 75, -41.961, 24.075),
-    (SILT, 300, 60, -42.149, 24.303), (SILT, 300, 75, -32.627, 24.075),
-]  # fmt: skip
-
 
 @pytest.mark.parametrize(("name", "printed"), TABLE.items(), ids=TABLE)
 def test_named_sediments_are_those_of_the_table(
@@ -73,16 +56,16 @@ def test_every_name_has_a_sediment_and_no_other_has() -> None:
         of_grain_size(float("nan"))
 
 
-@pytest.mark.parametrize("value", JACKSON, ids=lambda value: f"{value[0][0].name}-{value[1:3]}")
-def test_small_slopes_as_jackson_s_program_has_them(
-    value: tuple[tuple[Sediment, float], float, float, float, float],
-) -> None:
+@pytest.mark.parametrize(
+    "value", PUBLISHED, ids=lambda v: f"{v.bottom.name}-{v.frequency_khz}-{v.grazing_deg}"
+)
+def test_small_slopes_as_jackson_s_program_has_them(value: PublishedStrength) -> None:
     """To 0.002 dB; the loss of reflection too, which in his has a little shear (ratio .002)."""
-    (bottom, w2_m4), khz, angle, strength, loss = value
-    law = PowerLaw(3.25, w2_m4 * 100**0.75)
-    found = backscattering_strength(law, bottom, khz, angle)
-    assert float(found) == pytest.approx(strength, abs=0.002)
-    assert -20 * np.log10(abs(complex(reflection(bottom, angle)))) == pytest.approx(loss, abs=0.002)
+    law = PowerLaw(3.25, value.w2_cm4)
+    found = backscattering_strength(law, value.bottom, value.frequency_khz, value.grazing_deg)
+    assert float(found) == pytest.approx(value.strength_db, abs=0.002)
+    reflected = abs(complex(reflection(value.bottom, value.grazing_deg)))
+    assert -20 * np.log10(reflected) == pytest.approx(value.loss_db, abs=0.002)
 
 
 @given(q=st.floats(1e-9, 1e3))

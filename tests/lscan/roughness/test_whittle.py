@@ -1,5 +1,7 @@
 """The power law of drawn fields, and what must not change it."""
 
+from functools import partial
+
 import numpy as np
 import pytest
 from hypothesis import given, settings, strategies as st
@@ -14,11 +16,7 @@ from lscan.roughness.patch import Patch
 CELL_CM = 0.1
 SIDE = 48
 FEW = 60  # simulated patches: for tests that do not look at the intervals
-
-
-@pytest.fixture(autouse=True)
-def few(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(module, "SIMULATED", FEW)
+fit = partial(fit_power_law, simulated=FEW)
 
 
 def field(seed: int) -> Patch:
@@ -53,9 +51,9 @@ def test_the_periodogram_has_its_expectation(gamma2: float) -> None:
 def test_the_law_goes_with_the_units(seed: int, times: float, longer: float) -> None:
     """Heights c times as large: w2 c² times; lengths s times as long: s^(2 - gamma2) times."""
     one = field(seed)
-    first = fit_power_law(one)
-    higher = fit_power_law(Patch(times * one.z_cm, one.seen, one.cell_cm))
-    wider = fit_power_law(Patch(one.z_cm, one.seen, longer * one.cell_cm))
+    first = fit(one)
+    higher = fit(Patch(times * one.z_cm, one.seen, one.cell_cm))
+    wider = fit(Patch(one.z_cm, one.seen, longer * one.cell_cm))
     for found in (higher, wider):
         assert found.law.gamma2 == pytest.approx(first.law.gamma2, abs=1e-6)
         assert found.sigma_gamma2 == pytest.approx(first.sigma_gamma2, rel=1e-4)
@@ -66,11 +64,11 @@ def test_the_law_goes_with_the_units(seed: int, times: float, longer: float) -> 
 
 def test_slope_and_what_lies_in_holes_are_not_seen() -> None:
     one = field(1)
-    first = fit_power_law(one).law
+    first = fit(one).law
     y, x = np.indices(one.z_cm.shape) * CELL_CM
-    leaning = fit_power_law(Patch(one.z_cm + 5.0 + 0.3 * y - 0.7 * x, one.seen, CELL_CM)).law
-    filled = fit_power_law(Patch(np.where(one.seen, one.z_cm, 99.0), one.seen, CELL_CM)).law
-    turned = fit_power_law(Patch(one.z_cm.T, one.seen.T, CELL_CM)).law
+    leaning = fit(Patch(one.z_cm + 5.0 + 0.3 * y - 0.7 * x, one.seen, CELL_CM)).law
+    filled = fit(Patch(np.where(one.seen, one.z_cm, 99.0), one.seen, CELL_CM)).law
+    turned = fit(Patch(one.z_cm.T, one.seen.T, CELL_CM)).law
     assert filled == first
     for law in (leaning, turned):
         assert law.gamma2 == pytest.approx(first.gamma2, abs=1e-6)
@@ -81,11 +79,11 @@ def test_a_stretched_law_is_found() -> None:
     """Within 4 of its own standard uncertainties; the patch turned by 90 degrees turns it."""
     law = PowerLaw(3.0, 0.004, (0.4, 0.3))
     z, _ = drawn(law, (SIDE, SIDE), CELL_CM, 5)
-    found = fit_power_law(whole(z, CELL_CM), stretched=True)
+    found = fit(whole(z, CELL_CM), stretched=True)
     sigma = np.sqrt(np.diag(found.covariance))
     theta = [np.log(found.law.w2_cm4), found.law.gamma2, *found.law.stretch]
     assert (np.abs(np.subtract(theta, [np.log(0.004), 3.0, 0.4, 0.3])) < 4 * sigma).all()
-    turned = fit_power_law(whole(z.T.copy(), CELL_CM), stretched=True)
+    turned = fit(whole(z.T.copy(), CELL_CM), stretched=True)
     assert turned.law.heading_deg == pytest.approx((90 - found.law.heading_deg) % 180, abs=1e-3)
 
 
@@ -103,35 +101,36 @@ def test_known_noise_and_response_are_taken_off() -> None:
     smooth = np.fft.ifft(np.exp(-((0.06 * ky) ** 2) / 2) * np.fft.fft(z, axis=0), axis=0).real
     noisy = smooth + rng.normal(0, sigma, z.shape)
     inner = slice(4, -4)  # the smoothing joins the two ends
-    told = fit_power_law(Patch(noisy[inner], np.ones((56, 64), bool), CELL_CM, sigma**2),
+    told = fit(Patch(noisy[inner], np.ones((56, 64), bool), CELL_CM, sigma**2),
                          response=response)  # fmt: skip
-    untold = fit_power_law(whole(noisy[inner], CELL_CM))
+    untold = fit(whole(noisy[inner], CELL_CM))
     assert abs(told.law.gamma2 - 3.2) < 3 * told.sigma_gamma2
     assert abs(untold.law.gamma2 - 3.2) > 3 * untold.sigma_gamma2
 
 
 def test_too_narrow_a_band_is_refused() -> None:
     with pytest.raises(MeasurementError, match="values of the periodogram"):
-        fit_power_law(field(2), band=Band(4.0, 4.5))
+        fit(field(2), band=Band(4.0, 4.5))
 
 
 @pytest.mark.slow
-def test_intervals_hold_and_nothing_is_biased(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_intervals_hold_and_nothing_is_biased() -> None:
     """48 fields of three exponents, a tenth of each missing: the mean errors within 3.5 of their
     standard errors, a false alarm of which is once in 500; 95 % intervals hold 38 or more, which
     fewer do once in 1,000 if each holds 90 %.  `make roughness` has 200."""
-    monkeypatch.setattr(module, "SIMULATED", 200)
     found: list[tuple[float, PowerLawFit]] = []
     for number in range(24):
         gamma2 = (2.4, 3.2, 3.9)[number % 3]
         seen: Mask = holes((SIDE, SIDE), 0.1, number)
         for z in drawn(PowerLaw(gamma2, 0.004), seen.shape, CELL_CM, number):
-            found.append((gamma2, fit_power_law(patch(z, seen, CELL_CM), seed=number)))
-    off = np.array([fit.law.gamma2 - gamma2 for gamma2, fit in found])
-    off_db = np.array([10 * np.log10(fit.law.w2_cm4 / 0.004) for _, fit in found])
+            found.append(
+                (gamma2, fit_power_law(patch(z, seen, CELL_CM), seed=number, simulated=200))
+            )
+    off = np.array([one.law.gamma2 - gamma2 for gamma2, one in found])
+    off_db = np.array([10 * np.log10(one.law.w2_cm4 / 0.004) for _, one in found])
     for errors, sigma in (
-        (off, np.array([fit.sigma_gamma2 for _, fit in found])),
-        (off_db, np.array([fit.sigma_w2_db for _, fit in found])),
+        (off, np.array([one.sigma_gamma2 for _, one in found])),
+        (off_db, np.array([one.sigma_w2_db for _, one in found])),
     ):
         assert abs(errors.mean()) < 3.5 * errors.std(ddof=1) / np.sqrt(len(errors))
         assert (np.abs(errors) < found[0][1].within * sigma).sum() >= 38

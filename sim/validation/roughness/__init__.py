@@ -1,0 +1,1 @@
+"""Roughness held against fields, blocks and sounds that are known."""

@@ -1,0 +1,148 @@
+"""A block of a given roughness, scanned in the tank: its spectrum, the cutoff, and its echo."""
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy.interpolate import RegularGridInterpolator
+
+from lscan.pipeline import build_surface
+from lscan.records import Floats, Status, Surface
+from lscan.roughness import (
+    Patch,
+    PowerLawFit,
+    RingSpectrum,
+    ScannerResponse,
+    backscattering_strength,
+    by_rings,
+    corrected_spectrum,
+    fit_power_law,
+    patch_of_profiles,
+    patch_spectrum,
+    roughness_of,
+    sediment,
+)
+from sim.meshes.rough import rough_heights
+from sim.scene import Scene, into_world, load_scene, target_pose
+from sim.scene.rough import RoughBlock
+from sim.validation.accuracy.board import calibrations
+from sim.validation.accuracy.exposures import read_scan
+from sim.validation.roughness.effort import RoughnessEffort
+from sim.validation.rows import Row, row
+
+LOW_PER_MM, HIGH_PER_MM = 0.02, 0.4
+EDGE_MM = 3.0  # of the block, left out
+RINGS = 32
+OFF_DB = 1.0  # where a spectrum leaves the truth
+SEED = 1
+BOTTOM = "medium sand"
+FREQUENCIES_KHZ = (15.0, 30.0, 60.0, 120.0, 200.0, 300.0)
+GRAZING_DEG = (10.0, 20.0, 30.0, 45.0, 60.0)
+
+
+def block_rows(scenes: Path, effort: RoughnessEffort) -> list[Row]:
+    """The measured spectrum over the true one, where it leaves it, and the predicted echo.
+
+    Parameters
+    ----------
+    scenes : Path, holds targets/rough and best/board
+    effort : RoughnessEffort, its frames
+    """
+    scene = load_scene(scenes / "targets" / "rough.toml")
+    measured, spacing_mm = _scanned(scenes, scene, effort)
+    response = _response(scene, spacing_mm)
+    patch = patch_of_profiles(measured)
+    true = patch_of_profiles(_true_heights(scene, measured))
+    found = roughness_of(patch, response)
+    told = found.cutoff_per_cm / (20 * np.pi)
+    rings = by_rings(corrected_spectrum(patch_spectrum(patch), patch, response), RINGS)
+    off_db = _off_db(rings, by_rings(patch_spectrum(true), RINGS))
+    size = rings.wavenumber_per_cm / (20 * np.pi)
+    inside = (size >= LOW_PER_MM) & (size <= min(HIGH_PER_MM, told))
+    beyond = np.flatnonzero((size >= LOW_PER_MM) & ~(np.abs(off_db) <= OFF_DB))
+    leaves = float(size[beyond[0]]) if len(beyond) else HIGH_PER_MM
+    leaves = min(leaves, HIGH_PER_MM)  # where the block's own spectrum ends
+    words: dict[str, Any] = {"frames": len(measured.xyz_mm), "cutoff": told}
+    worst = float(np.abs(off_db[inside]).max()) if inside.any() else float("nan")
+    percent = 100 * (told / leaves - 1)
+    return [
+        row("roughness-block", worst, seed=SEED, **words),
+        row("roughness-cutoff", abs(percent), seed=SEED, leaves=leaves, **words),
+        row("roughness-echo", _echo_db(found.fit, true), seed=SEED, bottom=BOTTOM, **words),
+    ]
+
+
+def _scanned(scenes: Path, scene: Scene, effort: RoughnessEffort) -> tuple[Surface, float]:
+    """The measured surface in the block's frame, placed by the truth, and its points' distance.
+
+    Heights are those of the line, not corrected for the sheet's thickness: the spectrum is.
+    """
+    board = load_scene(scenes / "best" / "board.toml")
+    plane_map = board.rig.calibration.plane_map
+    if effort.plain:
+        render = {"fineness": 1, "samples": 1, "scatter_samples": 0}
+        scene, board = scene.with_tank(render=render), board.with_tank(render=render)
+        plane_map = "polynomial-5"
+    (calibration,) = calibrations(board, (SEED,), plane_map)
+    middle = scene.tank.target.position_mm[1] + _block(scene).size_mm[1] / 2
+    first = middle - effort.step_mm * (effort.frames - 1) / 2
+    positions = [first + effort.step_mm * k for k in range(effort.frames)]
+    (reading,) = read_scan(scene, positions, (SEED,), scene.rig.stripe)
+    surface = build_surface(reading.profiles(calibration.plane_map), scene.rig)
+    frames, points, _ = surface.xyz_mm.shape
+    flat = surface.xyz_mm * [1.0, 0.0, 1.0]
+    position = np.repeat(surface.position_mm, points)
+    places = into_world(scene.tank.head, flat.reshape(-1, 3), position)
+    own = target_pose(scene).invert(places).reshape(frames, points, 3)
+    size = np.array(_block(scene).size_mm)
+    with np.errstate(invalid="ignore"):
+        inside = ((own[..., :2] > EDGE_MM) & (own[..., :2] < size - EDGE_MM)).all(axis=-1)
+        inside &= own[..., 2] > -_block(scene).depth_mm / 2
+    status = np.where(inside, surface.status, int(Status.NO_DATA))
+    xyz = np.where(inside[..., np.newaxis], own, np.nan)
+    placed = replace(surface, xyz_mm=xyz, status=status, frame="workpiece")
+    apart = np.linalg.norm(np.diff(xyz[..., :2], axis=1), axis=-1)
+    return placed, float(np.nanmedian(apart))
+
+
+def _response(scene: Scene, spacing_mm: float) -> ScannerResponse:
+    """What the rig's sheet, blur and pixels average over, at the block."""
+    sheet = scene.rig.sheet
+    assert sheet is not None
+    blur_px = scene.rig.stripe.blur_px or 0.0
+    lengths = (sheet.thickness_mm / 2, blur_px * spacing_mm, spacing_mm)
+    return ScannerResponse(*(length / 10 for length in lengths))
+
+
+def _true_heights(scene: Scene, surface: Surface) -> Surface:
+    """The same points with the heights that the block has there, without noise."""
+    x, y, z = rough_heights(_block(scene))
+    height = RegularGridInterpolator((y, x), z, bounds_error=False)(surface.xyz_mm[..., [1, 0]])
+    xyz = np.concatenate([surface.xyz_mm[..., :2], height[..., np.newaxis]], axis=-1)
+    return replace(surface, xyz_mm=xyz, sigma_z_mm=0 * surface.sigma_z_mm, modes_mm=None)
+
+
+def _off_db(rings: RingSpectrum, true: RingSpectrum) -> Floats:
+    """(K,) dB, measured over true; NaN where nothing of a ring is left."""
+    expected = np.interp(rings.wavenumber_per_cm, true.wavenumber_per_cm, true.density_cm4)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        return np.asarray(10 * np.log10(rings.density_cm4 / expected))
+
+
+def _echo_db(fit: PowerLawFit, true: Patch) -> float:
+    """The largest difference of backscattering strength, of the law measured and the true one."""
+    expected = fit_power_law(true, band=fit.band, seed=SEED).law
+    bottom = sediment(BOTTOM)
+    off = [
+        backscattering_strength(fit.law, bottom, khz, np.array(GRAZING_DEG))
+        - backscattering_strength(expected, bottom, khz, np.array(GRAZING_DEG))
+        for khz in FREQUENCIES_KHZ
+    ]
+    return float(np.abs(off).max())
+
+
+def _block(scene: Scene) -> RoughBlock:
+    block = scene.tank.target.rough
+    assert block is not None
+    return block
