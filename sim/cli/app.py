@@ -1,6 +1,7 @@
 """The command line ``lscan-sim``: thin faces over public functions, one module a topic."""
 
 from lscan.cli.console import command_line, run_command_line
+from sim.cli.dataset import dataset
 from sim.cli.demo import demo
 from sim.cli.figures import accuracy, bench, budgets, field, hardware, roughness, verify
 from sim.cli.pictures import render, truth, views
@@ -9,7 +10,7 @@ from sim.cli.study import concavity, study
 
 app = command_line(
     "The tank in software: demo, render, truth, views, serve, verify, accuracy, field,"
-    " hardware, bench, budgets, roughness, study, concavity."
+    " hardware, bench, budgets, roughness, study, concavity, dataset."
 )
 for command in (demo, render, truth, views, bench, verify, accuracy, field, serve, hardware):
     app.command()(command)
@@ -17,6 +18,7 @@ app.command()(budgets)
 app.command()(roughness)
 app.command()(study)
 app.command()(concavity)
+app.command()(dataset)
 
 
 def main() -> None:

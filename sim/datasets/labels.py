@@ -4,18 +4,19 @@ From the render's layers and the truth of the line, without looking at the pictu
 """
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from enum import IntEnum
 
 import numpy as np
 
 from lscan.errors import InputError
-from lscan.records import Bytes, Floats, Mask, Status
+from lscan.records import Bytes, Floats, Ints, Mask, Status
 from sim.render.tank import Layers
 from sim.scene import Scene
 from sim.scene.instrument import FULL_SCALE_DN
 from sim.sensor import photons_per_radiance
 from sim.sensor.coding import electrons_of
-from sim.truth import StripeTruth, sheet_of, stripe_truth
+from sim.truth import StripeTruth, line_brightness, sheet_of, stripe_truth
 from sim.truth.light.brightness import offset_per_px
 from sim.truth.light.radiance import line_in_space
 from sim.truth.target.section import surfaces_of
@@ -43,15 +44,22 @@ COLOURS: Mapping[Label, tuple[int, int, int]] = {
 }
 
 
-def label_scene(scene: Scene, position_mm: float, layers: Layers) -> Bytes:
+def label_scene(
+    scene: Scene,
+    position_mm: float,
+    layers: Layers,
+    truths: Sequence[StripeTruth] | None = None,
+) -> Bytes:
     """(H, W) uint8 of Label: the classes of the scene's picture taken at a track position.
 
     layers: of that picture, of its pixels or finer.  The truth is that of every line of the
-    laser; of none where it is off.  Raises InputError as ``label_picture`` and ``stripe_truth``.
+    laser; of none where it is off; found anew if None.  Raises InputError as ``label_picture``
+    and ``stripe_truth``.
     """
     laser, camera = scene.tank.laser, scene.rig.camera
     count = len(laser.sheets) if laser.on else 0
-    truths = [stripe_truth(scene, position_mm, line) for line in range(count)]
+    if truths is None:
+        truths = [stripe_truth(scene, position_mm, line) for line in range(count)]
     lines = [(truth, line_sigma_px(scene, truth)) for truth in truths]
     pixels = layers.binned((camera.height_px, camera.width_px))
     return label_picture(pixels, lines, one_step_w_m2_sr(scene))
@@ -142,3 +150,36 @@ def half_width_mm(scene: Scene, truth: StripeTruth) -> Floats:
     points = np.column_stack([truth.xz_mm[:, 0], truth.y_mm, truth.xz_mm[:, 1]])
     distance = np.linalg.norm(points - np.array(laser.apex_mm), axis=1)
     return laser.half_thickness_mm(distance, index)
+
+
+@dataclass(frozen=True)
+class LineColumns:
+    """What is true of one line in each of the N columns (or rows) of a picture.
+
+    Attributes
+    ----------
+    centre_px : (N,) array, px, of the line's middle; NaN where the sheet meets nothing
+    status : (N,) array, of Status
+    width_px : (N,) array, px, standard deviation across, in the picture; NaN where not OK
+    height_dn : (N,) array, DN, by which the brightest pixel is expected above those beside the
+        line; NaN where not OK
+    """
+
+    centre_px: Floats
+    status: Ints
+    width_px: Floats
+    height_dn: Floats
+
+
+def line_columns(scene: Scene, truth: StripeTruth, exposure_ms: float | None = None) -> LineColumns:
+    """Centre, status, width and brightness of a true line, column by column.
+
+    Parameters
+    ----------
+    scene, truth
+        The scene as it is in the picture (``sim.at_moment``), and a line of it.
+    exposure_ms
+        Of the picture; the rig's if None.
+    """
+    light = line_brightness(scene, [truth], None if exposure_ms is None else [exposure_ms])[0]
+    return LineColumns(truth.centre_px, truth.status, light.width_px, light.height_dn)

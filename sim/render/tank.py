@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from math import ceil
 from typing import Any
 
+import drjit as dr
 import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
@@ -23,6 +24,7 @@ from sim.render.plugins.integrator import SheetIntegrator
 from sim.render.plugins.multiple import MultipleIntegrator
 from sim.render.plugins.sheet import LaserSheet
 from sim.render.sparse.picture import SparseLaserLight, reason_for_samples
+from sim.render.sparse.rays import film_rays
 from sim.scene import Head, Pose, Scene, camera_pose, head_pose
 from sim.scene.file import check_samples
 from sim.scene.poses import TRACK
@@ -272,6 +274,29 @@ class Tank:
             scattered=first["scattered"] * laser_scale,
             ambient=first["ambient"] * ambient_scale,
         )
+
+    def pixel_rays(self, position_mm: float) -> tuple[mi.Ray3f, mi.Float]:
+        """The rays in the water through the middles of the pixels, row by row; their weights.
+
+        In the world, as the tank was rendered last.
+
+        Parameters
+        ----------
+        position_mm : float, mm, along the track
+        """
+        width, height = self.scene.rig.camera.size_px
+        head, index = self.scene.tank.head, dr.arange(mi.UInt32, width * height)
+        u, v = index % width, index // width
+        if self._sparse is None or self.scene.tank.render.fineness > 1:
+            camera = self.make_camera()
+            camera.place(head_pose(head, position_mm) @ camera_pose(head))
+            place = mi.Point2f((mi.Float(u) + 0.5) / width, (mi.Float(v) + 0.5) / height)
+            return film_rays(camera, place)
+        self._sparse.look(head, False)
+        rays = self._sparse.rays
+        inner = (v + 1) * rays.size_px[0] + u + 1  # within the margin of one pixel
+        ray = dr.gather(mi.Ray3f, rays.seen_from(head_pose(head, position_mm)), inner)
+        return ray, dr.gather(mi.Float, rays.weight, inner)
 
     def higher_orders(self, position_mm: float, samples: int | None = None) -> dict[str, Radiance]:
         """The laser's light of higher orders, (H, W) in W/(m2 sr), gathered, by families.

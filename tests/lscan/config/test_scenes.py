@@ -13,6 +13,7 @@ from lscan.config.documents import read_document
 from lscan.config.rigfile import load_rig
 from lscan.config.scenes import (
     copy_scenes,
+    dataset_names,
     scene_file,
     scene_names,
     scenes_folder,
@@ -26,7 +27,7 @@ def test_every_file_has_its_name() -> None:
     """Those of scenes, and those of studies but their catalogue of parts, each in its own list."""
     assert scenes_folder() == SCENES
     names, studies = scene_names(), study_names()
-    assert len(names) + len(studies) + 1 == len(list(SCENES.rglob("*.toml")))
+    assert len(names) + len(studies) + len(dataset_names()) + 1 == len(list(SCENES.rglob("*.toml")))
     assert all(scene_file(name) == SCENES / f"{name}.toml" for name in names)
     assert all(study_file(name) == SCENES / "studies" / f"{name}.toml" for name in studies)
     assert {"paper-budget", "seasons", "first-rig"} <= set(studies)
