@@ -39,6 +39,8 @@ ELSEWHERE = {
     "lscan-sim verify": "tests/system/test_smoke.py",
     "lscan-sim accuracy": "tests/system/test_smoke.py",
     "lscan-sim field": "tests/system/test_smoke.py",
+    "lscan roughness": "tests/lscan/roughness/test_instrument.py",
+    "lscan-sim dataset": "tests/sim/datasets/test_dataset.py",
     "lscan-sim study": "tests/sim/cli/test_study.py",
     "lscan-sim concavity": "tests/sim/cli/test_study.py",
     "lscan-sim hardware": "tests/system/test_smoke.py",

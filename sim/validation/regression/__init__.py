@@ -1,0 +1,1 @@
+"""What those who test algorithms without a tank rely on, measured."""
