@@ -14,8 +14,9 @@ from lscan.errors import InputError
 from lscan.files.disk import disk_errors
 
 _PACKAGE = Path(__file__).resolve().parents[1]
-STUDIES, CATALOGUE = "studies", "catalogue.toml"
-"""Beneath the scenes: the folder of what is no scene, and the file in it that is no study."""
+STUDIES, CATALOGUE, SUITES = "studies", "catalogue.toml", "suites"
+"""Beneath the scenes: the folders of what is no scene, and the file in one that is no study."""
+FOLDERS = {"study": STUDIES, "suite": SUITES}
 
 
 @cache
@@ -38,7 +39,8 @@ def scene_names() -> list[str]:
     """Names of all files of scenes, rigs and boards that come with lscan, such as paper/board."""
     folder = scenes_folder()
     files = [file.relative_to(folder) for file in sorted(folder.rglob("*.toml"))]
-    return [file.with_suffix("").as_posix() for file in files if file.parts[0] != STUDIES]
+    named = [file for file in files if file.parts[0] not in FOLDERS.values()]
+    return [file.with_suffix("").as_posix() for file in named]
 
 
 def study_names() -> list[str]:
@@ -80,13 +82,34 @@ def study_file(path: Path | str) -> Path:
     return _file(Path(path), "study", study_names)
 
 
+def suite_names() -> list[str]:
+    """Names of the suites' specs that come with lscan, such as quick."""
+    return sorted(file.stem for file in (scenes_folder() / SUITES).glob("*.toml"))
+
+
+def suite_file(path: Path | str) -> Path:
+    """The file at ``path``, or the suite's spec of that name that comes with lscan.
+
+    Parameters
+    ----------
+    path : Path or str
+        A file of that path comes before a spec of that name.
+
+    Raises
+    ------
+    InputError
+        Where there is neither.
+    """
+    return _file(Path(path), "suite", suite_names)
+
+
 def _file(path: Path, kind: str, listed: Callable[[], list[str]], allowed: str = "") -> Path:
     """The file at a path, or that of one of the names listed, which are looked up where needed."""
     if path.is_absolute() or os.path.isfile(path):  # noqa: PTH113 - takes any text
         return path
     names = listed()
     if path.as_posix() in names:
-        return scenes_folder() / (STUDIES if kind == "study" else "") / f"{path}.toml"
+        return scenes_folder() / FOLDERS.get(kind, "") / f"{path}.toml"
     if os.path.lexists(path):  # a folder, a link to nowhere: whoever reads it says what is wrong
         return path
     near = get_close_matches(path.as_posix().removesuffix(".toml"), names, n=1)

@@ -6,16 +6,18 @@ from sim.cli.figures import accuracy, bench, budgets, field, hardware, verify
 from sim.cli.pictures import render, truth, views
 from sim.cli.serve import serve
 from sim.cli.study import concavity, study
+from sim.cli.suite import suite
 
 app = command_line(
     "The tank in software: demo, render, truth, views, serve, verify, accuracy, field,"
-    " hardware, bench, budgets, study, concavity."
+    " hardware, bench, budgets, study, concavity, suite."
 )
 for command in (demo, render, truth, views, bench, verify, accuracy, field, serve, hardware):
     app.command()(command)
 app.command()(budgets)
 app.command()(study)
 app.command()(concavity)
+app.add_typer(suite, name="suite")
 
 
 def main() -> None:
