@@ -14,11 +14,11 @@ EQUAL = 1e-4  # a smaller difference is none: 0.01 % of an rms, less than a colu
 
 
 def _log_rms(sums: CaseSums) -> float:
-    return 0.5 * float(np.log(max(sums.square / sums.valued, 1e-12))) if sums.valued else np.nan
+    return 0.5 * float(np.log(max(sums.square / sums.core, 1e-12))) if sums.core else np.nan
 
 
 def _log_z(sums: CaseSums) -> float:
-    return sums.log_z / sums.valued if sums.valued else np.nan
+    return sums.log_z / sums.core if sums.core else np.nan
 
 
 FIGURES: Mapping[str, Callable[[CaseSums], float]] = {
@@ -26,6 +26,7 @@ FIGURES: Mapping[str, Callable[[CaseSums], float]] = {
     "error in stated sigmas": _log_z,
     "missed columns": lambda sums: sums.missed,
     "columns without a line": lambda sums: sums.ghosts,
+    "wrong columns": lambda sums: sums.outlying,
     "wrong columns that are sure": lambda sums: sums.sure,
 }
 """Of a case; more is worse, but of sigmas, of which both too large and too small ones are.

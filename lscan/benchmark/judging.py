@@ -18,6 +18,7 @@ from lscan.suites import SuiteCase
 OUTLYING = 3.0  # standard deviations of the line's width, within which is 99.7 % of its light
 SURE = 5.0  # stated sigmas: of a normal law a column in two million is beyond
 CLEAR = 3.0  # standard deviations of noise above the threshold: a line that must be found
+NEAR_PX = 6  # columns beside a line into which a lens spreads it
 WORST = 10
 BESIDE_PX = (16, 12)  # of a column's picture: to either side along the line, and across
 REFERENCE_SHAPE = (160, 320)
@@ -28,24 +29,25 @@ REFERENCE_EVERY = 10  # cases
 class CaseSums:
     """Sums over columns; those of a true line but for ``dark`` and ``ghosts``.
 
-    clear: that must get a value; missed: those of them without one.  valued: with a value.
-    error, square: of valued ones, px and px².  bound: square of the least standard deviation that
-    pixel noise allows, px².  log_z: of ln |error / sigma|, honest: within three sigmas.
-    outlying: beyond three widths of the line; sure: those of them that say they are not.
-    dark: without a line; ghosts: those of them that got a value nevertheless.
-    seconds: of the extraction.
+    clear: that must get a value; missed: those of them without one.  valued: with a value, honest:
+    within three of its sigmas, outlying: beyond three widths of the line, sure: those of them that
+    say they are not.  core: clear ones with a value that is not outlying; of these error and
+    square, px and px², bound: square of the least standard deviation that pixel noise allows, px²,
+    and log_z: of ln |error / sigma|.  dark: without a line in them or near; ghosts: those of them
+    that got a value nevertheless.  seconds: of the extraction.
     """
 
     clear: float = 0.0
     missed: float = 0.0
     valued: float = 0.0
+    honest: float = 0.0
+    outlying: float = 0.0
+    sure: float = 0.0
+    core: float = 0.0
     error: float = 0.0
     square: float = 0.0
     bound: float = 0.0
     log_z: float = 0.0
-    honest: float = 0.0
-    outlying: float = 0.0
-    sure: float = 0.0
     dark: float = 0.0
     ghosts: float = 0.0
     seconds: float = 0.0
@@ -144,14 +146,17 @@ def judge_case(name: str, case: SuiteCase) -> tuple[CaseSums, list[WorstColumn]]
     valued = has_value(stripe.status)
     clear = line & (truth.height_dn > settings.threshold_dn + CLEAR * truth.noise_dn)
     both = line & valued
-    error = (stripe.centre_px - truth.centre_px)[both]
-    z = np.abs(error) / np.maximum(stripe.sigma_px[both], 1e-9)
-    outlying = np.abs(error) > OUTLYING * truth.sigma_px[both]
-    dark = (truth.status != Status.OK) & (truth.multiple == 0)
+    error = np.where(both, stripe.centre_px - truth.centre_px, 0.0)
+    z = np.abs(error) / np.maximum(stripe.sigma_px, 1e-9, where=both, out=np.ones(len(both)))
+    outlying = both & (np.abs(error) > OUTLYING * truth.sigma_px)
+    core = clear & valued & ~outlying
+    near = np.convolve(truth.status == Status.OK, np.ones(2 * NEAR_PX + 1), mode="same") > 0
+    dark = ~near
     sums = (
-        clear.sum(), (clear & ~valued).sum(), both.sum(), error.sum(), (error**2).sum(),
-        _bound(case, both).sum(), np.log(np.maximum(z, 1e-3)).sum(), (z <= 3).sum(),
-        outlying.sum(), (outlying & (z > SURE)).sum(), dark.sum(), (dark & valued).sum(), seconds,
+        clear.sum(), (clear & ~valued).sum(),
+        both.sum(), (both & (z <= 3)).sum(), outlying.sum(), (outlying & (z > SURE)).sum(),
+        core.sum(), error[core].sum(), (error[core] ** 2).sum(), _bound(case, core).sum(),
+        np.log(np.maximum(z[core], 1e-3)).sum(), dark.sum(), (dark & valued).sum(), seconds,
     )  # fmt: skip
     return CaseSums(*map(float, sums)), _worst(case, stripe.centre_px, stripe.sigma_px, both)
 

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from lscan.benchmark.against import Difference, differences
+from lscan.benchmark.against import LOG_Z, Difference, differences
 from lscan.benchmark.extractors import THRESHOLD_DN, cases
 from lscan.benchmark.judging import SUMS, CaseSums, Judged, judge
 from lscan.benchmark.pictures import SHAPE, centres, draw
@@ -47,7 +47,8 @@ class SuiteRun:
 class SuiteRow:
     """An extractor on the cases that have a value on each of some axes.
 
-    bias_px, scatter_px: of the errors; bound_ratio: their rms to the least that pixel noise allows.
+    bias_px, scatter_px: of the errors on clear lines that are not wrong; bound_ratio: their rms to
+    the least that pixel noise allows.
     found: share of the columns with a clear line; wrong: share of values beyond three widths of the
     line, sure: share of values that are so and say they are not; ghosts: share of the columns
     without a line that got a value.  within_3_sigma, z_ratio: share, and geometric mean of |error|
@@ -161,22 +162,20 @@ def suite_rows(run: SuiteRun, by: Sequence[str]) -> list[SuiteRow]:
 
 def _row(one: Judged, group: dict[str, str], cases: list[str], reference_s: float) -> SuiteRow:
     total = sum((one.sums[case] for case in cases), CaseSums())
-    bias = _share(total.error, total.valued)
-    square = _share(total.square, total.valued)
-    normal = -(np.euler_gamma + math.log(2)) / 2
+    bias, square = _share(total.error, total.core), _share(total.square, total.core)
     return SuiteRow(
         one.extractor,
         group,
         len(cases),
         bias,
-        math.sqrt(max(square - bias**2, 0.0)) if total.valued else math.nan,
+        math.sqrt(max(square - bias**2, 0.0)) if total.core else math.nan,
         math.sqrt(_share(total.square, total.bound)),
         1 - _share(total.missed, total.clear),
         _share(total.outlying, total.valued),
         _share(total.sure, total.valued),
         _share(total.ghosts, total.dark),
         _share(total.honest, total.valued),
-        math.exp(_share(total.log_z, total.valued) - normal),
+        math.exp(_share(total.log_z, total.core) - LOG_Z),
         total.seconds / len(cases) / reference_s,
     )
 
