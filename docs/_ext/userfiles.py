@@ -13,6 +13,7 @@ from lscan.config.shapes import ShapesDocument
 from lscan.devices.grbl import SerialTrackOptions
 from lscan.devices.manual import ManualOptions
 from lscan.devices.opencv_camera.options import OpencvOptions
+from sim.datasets.suitespec import SuiteSpecFile
 from sim.devices import CameraOptions, TrackOptions
 from sim.scene.file import TankSections
 from sim.studies.catalogue import Catalogue
@@ -48,6 +49,7 @@ FILES: dict[str, list[Section]] = {
     "board": list(sections(Board)),
     "shapes": list(sections(ShapesDocument)),
     "study": list(sections(StudyFile)),
+    "suite": list(sections(SuiteSpecFile)),
     "catalogue": _of_parts(sections(Catalogue)),
     "views": _without(list(sections(ViewsDocument)), ("optics",)),
 }

@@ -77,7 +77,7 @@ class WorstColumn:
 
 
 @dataclass(frozen=True)
-class Judged:
+class JudgedExtractor:
     """What an extractor made of a suite.
 
     Attributes
@@ -96,7 +96,7 @@ def judge(
     names: Sequence[str],
     cases: Iterable[SuiteCase],
     step: Callable[[], None] = lambda: None,
-) -> tuple[list[Judged], float]:
+) -> tuple[list[JudgedExtractor], float]:
     """Each extractor on each case, in turn.
 
     Parameters
@@ -114,7 +114,7 @@ def judge(
     InputError
         An extractor is unknown or fails, or a case is harmed.
     """
-    judged = {name: Judged(name, {}, ()) for name in names}
+    judged = {name: JudgedExtractor(name, {}, ()) for name in names}
     reference = []
     for number, case in enumerate(cases):
         if number % REFERENCE_EVERY == 0:

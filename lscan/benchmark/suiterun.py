@@ -10,7 +10,7 @@ import numpy as np
 
 from lscan.benchmark.against import LOG_Z, Difference, differences
 from lscan.benchmark.extractors import THRESHOLD_DN, cases
-from lscan.benchmark.judging import SUMS, CaseSums, Judged, judge
+from lscan.benchmark.judging import SUMS, CaseSums, JudgedExtractor, judge
 from lscan.benchmark.pictures import SHAPE, centres, draw
 from lscan.benchmark.worst import draw_worst
 from lscan.config.documents import read_json
@@ -39,7 +39,7 @@ class SuiteRun:
 
     identity: str
     axes: Mapping[str, Mapping[str, str]]
-    judged: Sequence[Judged]
+    judged: Sequence[JudgedExtractor]
     reference_s: float
 
 
@@ -160,7 +160,9 @@ def suite_rows(run: SuiteRun, by: Sequence[str]) -> list[SuiteRow]:
     ]
 
 
-def _row(one: Judged, group: dict[str, str], cases: list[str], reference_s: float) -> SuiteRow:
+def _row(
+    one: JudgedExtractor, group: dict[str, str], cases: list[str], reference_s: float
+) -> SuiteRow:
     total = sum((one.sums[case] for case in cases), CaseSums())
     bias, square = _share(total.error, total.core), _share(total.square, total.core)
     return SuiteRow(

@@ -5,19 +5,19 @@ import io
 import numpy as np
 from matplotlib.figure import Figure
 
-from lscan.benchmark.judging import WORST, Judged
+from lscan.benchmark.judging import WORST, JudgedExtractor
 from lscan.figures import style
 
 DPI = 90
 
 
 @style.styled
-def draw_worst(judged: Judged) -> bytes:
+def draw_worst(judged: JudgedExtractor) -> bytes:
     """The picture, PNG: the part about each of the worst columns, truth and what was found.
 
     Parameters
     ----------
-    judged : Judged, with at least one such column
+    judged : JudgedExtractor, with at least one such column
     """
     figure = Figure(figsize=(15.0, 6.5), layout="constrained")
     figure.suptitle(f"{judged.extractor}: true +, found ×; grey values as their square roots")

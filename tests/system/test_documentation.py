@@ -39,6 +39,8 @@ ELSEWHERE = {
     "lscan-sim verify": "tests/system/test_smoke.py",
     "lscan-sim accuracy": "tests/system/test_smoke.py",
     "lscan-sim field": "tests/system/test_smoke.py",
+    "lscan suite": "tests/lscan/suites/test_suites.py",
+    "lscan-sim suite make": "tests/sim/datasets/test_suite.py",
     "lscan-sim study": "tests/sim/cli/test_study.py",
     "lscan-sim concavity": "tests/sim/cli/test_study.py",
     "lscan-sim hardware": "tests/system/test_smoke.py",
