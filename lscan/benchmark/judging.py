@@ -123,10 +123,19 @@ def judge(
             sums, worst = judge_case(name, case)
             known = judged[name]
             known.sums[case.name] = sums
-            worst = nlargest(WORST, (*known.worst, *worst), key=lambda one: abs(one.error_px))
-            judged[name] = replace(known, worst=tuple(worst))
+            judged[name] = replace(known, worst=worst_of((*known.worst, *worst)))
         step()
     return list(judged.values()), float(np.median(reference or [np.nan]))
+
+
+def worst_of(columns: Iterable[WorstColumn]) -> tuple[WorstColumn, ...]:
+    """The ten that are farthest off, the worst first.
+
+    Parameters
+    ----------
+    columns : iterable
+    """
+    return tuple(nlargest(WORST, columns, key=lambda one: abs(one.error_px)))
 
 
 def judge_case(name: str, case: SuiteCase) -> tuple[CaseSums, list[WorstColumn]]:

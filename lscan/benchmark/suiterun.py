@@ -1,6 +1,7 @@
 """``lscan bench --suite``: extractors judged on a suite, written, and held against a saved run."""
 
 import math
+import os
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, astuple, dataclass
 from pathlib import Path
@@ -12,6 +13,7 @@ from lscan.benchmark.against import LOG_Z, Difference, differences
 from lscan.benchmark.extractors import THRESHOLD_DN, cases
 from lscan.benchmark.judging import SUMS, CaseSums, JudgedExtractor, judge
 from lscan.benchmark.pictures import SHAPE, centres, draw
+from lscan.benchmark.sharing import judge_shared
 from lscan.benchmark.worst import draw_worst
 from lscan.config.documents import read_json
 from lscan.config.rig import StripeSection
@@ -26,6 +28,7 @@ DRAWN = "drawn"
 """The suite of drawn lines, which needs no file."""
 VERSION = 1
 MOST_SAVED_BYTES = 2**28
+LEAST_SHARED = 100  # cases: fewer are judged before other processes have begun
 USUAL_AXES = ("water", "target", "fault")
 
 
@@ -101,6 +104,9 @@ def run_suite(
         content = opened.content
         identity = f"{content.name} seed {content.seed} {content.made_by}"
         axes, shown = dict(content.cases), opened.cases()
+        if len(axes) >= LEAST_SHARED and (os.cpu_count() or 1) > 1:
+            judged, reference_s = judge_shared(opened.path, names, sorted(axes), progress)
+            return SuiteRun(identity, axes, judged, reference_s)
     done = 0
 
     def step() -> None:

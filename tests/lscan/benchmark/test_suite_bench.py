@@ -9,6 +9,7 @@ import suite_cases
 from command_line import call, refused
 from hypothesis import given, settings, strategies as st
 
+from lscan.benchmark import suiterun
 from lscan.benchmark.against import FALSE_ALARMS, LOG_Z, differences
 from lscan.benchmark.judging import CaseSums, judge_case
 from lscan.benchmark.suiterun import compare_saved, run_suite, suite_rows, write_suite_run
@@ -215,6 +216,24 @@ def test_the_command_refuses_what_does_not_fit(suite, tmp_path, capsys):
     refused(call(capsys, *options, "--suite", "nobodys"), "no such suite")
     refused(call(capsys, *options, "--against", other), "is for suites")
     refused(call(capsys, *options, "--suite", suite, "--by", "colour"), "no such axis")
+
+
+@pytest.mark.slow
+def test_several_processes_judge_as_one_does(suite, monkeypatch):
+    """All but the seconds."""
+    names = [BASE, "max"]
+    alone = run_suite(str(suite), names)
+    monkeypatch.setattr(suiterun, "LEAST_SHARED", 1)
+    monkeypatch.setattr("lscan.benchmark.sharing.AT_ONCE", 10)
+    monkeypatch.setattr("os.cpu_count", lambda: 2)
+    shown = []
+    shared = run_suite(str(suite), names, progress=lambda done, total: shown.append((done, total)))
+    for one, other in zip(alone.judged, shared.judged, strict=True):
+        assert one.sums.keys() == other.sums.keys()
+        for case, sums in one.sums.items():
+            assert replace(sums, seconds=0.0) == replace(other.sums[case], seconds=0.0)
+        assert [worst.case for worst in one.worst] == [worst.case for worst in other.worst]
+    assert shown == [(10, 18), (18, 18)]
 
 
 def test_drawn_lines_are_a_suite(tmp_path):
