@@ -164,7 +164,7 @@ def test_the_suites_of_lscan_cover_every_pair_of_values(name):
     for one, other in combinations(values, 2):
         seen = {(row[one], row[other]) for row in rows}
         assert seen == {(a, b) for a in values[one] for b in values[other]}
-    for case in {case.expose: case for case in cases}.values():
+    for case in cases[:: len(cases) // 25]:
         spec.scene(case)
 
 
