@@ -14,6 +14,7 @@ from lscan.devices.grbl import SerialTrackOptions
 from lscan.devices.manual import ManualOptions
 from lscan.devices.opencv_camera.options import OpencvOptions
 from sim.datasets.datasetspec import DatasetFile
+from sim.datasets.suitespec import SuiteSpecFile
 from sim.devices import CameraOptions, TrackOptions
 from sim.scene.file import TankSections
 from sim.studies.catalogue import Catalogue
@@ -50,6 +51,7 @@ FILES: dict[str, list[Section]] = {
     "shapes": list(sections(ShapesDocument)),
     "study": list(sections(StudyFile)),
     "dataset": list(sections(DatasetFile)),
+    "suite": list(sections(SuiteSpecFile)),
     "catalogue": _of_parts(sections(Catalogue)),
     "views": _without(list(sections(ViewsDocument)), ("optics",)),
 }

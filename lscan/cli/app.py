@@ -20,14 +20,16 @@ from lscan.cli.scan import scan
 from lscan.cli.scenes import scenes
 from lscan.cli.shaft import calibrate_shaft
 from lscan.cli.stripe import extract
+from lscan.cli.suites import suite
 
 app = command_line(
-    "Laser line scanner: scan, calibrate, reconstruct, measure, report, live, bench."
+    "Laser line scanner: scan, calibrate, reconstruct, measure, report, live, bench, suite."
 )
 usual = (scan, calibrate, check, extract, draw_board, reconstruct, measure, compare, report)
 others = (roughness, calibrate_metric, calibrate_shaft, scenes, devices, bench, live)
 for command in (*usual, *others):
     app.command()(command)
+app.add_typer(suite, name="suite")
 
 
 def main() -> None:

@@ -1,18 +1,27 @@
 """The command ``lscan bench``: a thin face over lscan.benchmark."""
 
 import sys
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from lscan.cli.arguments import Json
 from lscan.cli.console import print_json, print_table, progress_bar
+from lscan.errors import InputError
+
+if TYPE_CHECKING:
+    from lscan.benchmark.against import Difference
+    from lscan.benchmark.suiterun import SuiteRow
 
 
 def bench(
+    named: Annotated[
+        list[str] | None, typer.Argument(help="Extractors to judge beside lscan's own.")
+    ] = None,
     output: Annotated[
-        Path, typer.Option("--output", "-o", help="Folder for bench.json and bench.png.")
+        Path, typer.Option("--output", "-o", help="Folder for bench.json and pictures.")
     ] = Path("out/lscan-bench"),
     extractor: Annotated[
         list[str] | None, typer.Option(help="One more: a name, or package.module:function.")
@@ -21,21 +30,55 @@ def bench(
         list[str] | None, typer.Option("--map", help="One more plane map, such as polynomial-4.")
     ] = None,
     only: Annotated[
-        bool, typer.Option("--only", help="Those of --extractor and --map, and no others.")
+        bool, typer.Option("--only", help="Those that are named, and no others.")
     ] = False,
     quick: Annotated[bool, typer.Option("--quick", help="Fewer lines and boards.")] = False,
     seed: Annotated[int, typer.Option(min=0, help="Of all random numbers.")] = 1,
+    suite: Annotated[
+        str | None,
+        typer.Option("--suite", help="A suite's name or path; drawn: drawn lines as a suite."),
+    ] = None,
+    by: Annotated[
+        list[str] | None, typer.Option("--by", help="Axis of the suite's table; several cross.")
+    ] = None,
+    against: Annotated[
+        Path | None, typer.Option("--against", help="bench.json of a run on the same suite.")
+    ] = None,
     json: Json = False,
 ) -> None:
     """Judge stripe extractors and plane maps, one's own too, where the truth is known.
 
-    The exit code is 1 where one is out of the limits that every method must keep to.
+    The exit code is 1 where one is out of the limits that every method must keep to, or with
+    --against where one is worse than it was.
     """
-    from lscan.benchmark.page import EXTRACTOR_COLUMNS, MAP_COLUMNS, table_cells
-    from lscan.benchmark.run import MAPS, registered_extractors, run_bench
+    from lscan.benchmark.run import MAPS, registered_extractors
 
-    extractors = _taking_part(() if only else registered_extractors(), extractor)
-    maps = _taking_part(() if only else MAPS, plane_map)
+    more = [*(named or ()), *(extractor or ())]
+    extractors = _taking_part(() if only else registered_extractors(), more)
+    if suite is not None:
+        if quick or plane_map:
+            raise InputError("--quick and --map are for drawn pictures", where="--suite")
+        _bench_suite(suite, extractors, output, by, against, seed, json)
+        return
+    if by or against:
+        where = "--by" if by else "--against"
+        raise InputError("is for suites", where=where, allowed="--suite beside it")
+    _bench_drawn(
+        extractors, _taking_part(() if only else MAPS, plane_map), output, quick, seed, json
+    )
+
+
+def _bench_drawn(
+    extractors: tuple[str, ...],
+    maps: tuple[str, ...],
+    output: Path,
+    quick: bool,
+    seed: int,
+    json: bool,
+) -> None:
+    from lscan.benchmark.page import EXTRACTOR_COLUMNS, MAP_COLUMNS, table_cells
+    from lscan.benchmark.run import run_bench
+
     with progress_bar("bench") as progress:
         done = run_bench(output, extractors, maps, quick, seed, progress)
     if json:
@@ -54,6 +97,67 @@ def bench(
         rows = len(done.extractors) + len(done.maps)
         print(f"lscan: {done.failed} of {rows} rows out of their limits", file=sys.stderr)
         raise typer.Exit(1)
+
+
+def _bench_suite(
+    suite: str,
+    extractors: tuple[str, ...],
+    output: Path,
+    by: list[str] | None,
+    against: Path | None,
+    seed: int,
+    json: bool,
+) -> None:
+    from lscan.benchmark.suiterun import (
+        USUAL_AXES,
+        compare_saved,
+        run_suite,
+        suite_rows,
+        write_suite_run,
+    )
+
+    with progress_bar("bench") as progress:
+        run = run_suite(suite, extractors, seed, progress)
+    suite_rows(run, by or ())  # refuses an unknown axis before anything is written
+    changed = compare_saved(run, against) if against is not None else []
+    content = write_suite_run(output, run, by or USUAL_AXES)
+    if json:
+        print_json({**content, "differences": changed})
+    else:
+        tables = [by] if by else [[], *([axis] for axis in USUAL_AXES)]
+        for axes in tables:
+            _print_rows(suite_rows(run, axes))
+        for one in changed:
+            print(_in_words(one))
+        if against is not None and not changed:
+            print("nothing differs")
+        print(output / "bench.json")
+    worse = sum(one.worse for one in changed)
+    if worse:
+        print(f"lscan: {worse} figures are worse than in {against}", file=sys.stderr)
+        raise typer.Exit(1)
+
+
+def _print_rows(rows: "Sequence[SuiteRow]") -> None:
+    axes = list(rows[0].group)
+    headings = ["extractor", *axes, "cases", "bias px", "scatter px", "to bound", "found %",
+                "wrong %", "sure %", "ghosts %", "3 sigma %", "z", "time"]  # fmt: skip
+    cells = [
+        [row.extractor, *row.group.values(), row.cases, f"{row.bias_px:+.4f}",
+         f"{row.scatter_px:.4f}", f"{row.bound_ratio:.2f}"]
+        + [f"{100 * share:.1f}" for share in (row.found, row.wrong, row.sure, row.ghosts,
+                                              row.within_3_sigma)]
+        + [f"{row.z_ratio:.2f}", f"{row.time:.2f}"]
+        for row in rows
+    ]  # fmt: skip
+    print_table(f"by {', '.join(axes)}" if axes else "all cases", headings, cells)
+
+
+def _in_words(one: "Difference") -> str:
+    how = "worse" if one.worse else "better"
+    ratio = "rms" in one.figure or "sigmas" in one.figure
+    change = f"{100 * one.change:+.2g} %" if ratio else f"{one.change:+.2g} columns a case"
+    return f"{one.extractor}: {one.figure} {how}: {change}, in {one.cases} cases, p = {one.p:.1g}"
 
 
 def _taking_part(usual: tuple[str, ...], more: list[str] | None) -> tuple[str, ...]:

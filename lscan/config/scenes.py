@@ -14,9 +14,9 @@ from lscan.errors import InputError
 from lscan.files.disk import disk_errors
 
 _PACKAGE = Path(__file__).resolve().parents[1]
-STUDIES, CATALOGUE, DATASETS = "studies", "catalogue.toml", "datasets"
+STUDIES, CATALOGUE, DATASETS, SUITES = "studies", "catalogue.toml", "datasets", "suites"
 """Beneath the scenes: the folders of what is no scene, and the file in one that is no study."""
-FOLDERS = {"study": STUDIES, "data set": DATASETS}
+FOLDERS = {"study": STUDIES, "data set": DATASETS, "suite": SUITES}
 
 
 @cache
@@ -101,6 +101,27 @@ def dataset_file(path: Path | str) -> Path:
         Where there is neither.
     """
     return _file(Path(path), "data set", dataset_names)
+
+
+def suite_names() -> list[str]:
+    """Names of the suites' specs that come with lscan, such as quick."""
+    return sorted(file.stem for file in (scenes_folder() / SUITES).glob("*.toml"))
+
+
+def suite_file(path: Path | str) -> Path:
+    """The file at ``path``, or the suite's spec of that name that comes with lscan.
+
+    Parameters
+    ----------
+    path : Path or str
+        A file of that path comes before a spec of that name.
+
+    Raises
+    ------
+    InputError
+        Where there is neither.
+    """
+    return _file(Path(path), "suite", suite_names)
 
 
 def _file(path: Path, kind: str, listed: Callable[[], list[str]], allowed: str = "") -> Path:

@@ -7,10 +7,11 @@ from sim.cli.figures import accuracy, bench, budgets, field, hardware, roughness
 from sim.cli.pictures import render, truth, views
 from sim.cli.serve import serve
 from sim.cli.study import concavity, study
+from sim.cli.suite import suite
 
 app = command_line(
     "The tank in software: demo, render, truth, views, serve, verify, accuracy, field,"
-    " hardware, bench, budgets, roughness, study, concavity, dataset."
+    " hardware, bench, budgets, roughness, study, concavity, dataset, suite."
 )
 for command in (demo, render, truth, views, bench, verify, accuracy, field, serve, hardware):
     app.command()(command)
@@ -19,6 +20,7 @@ app.command()(roughness)
 app.command()(study)
 app.command()(concavity)
 app.command()(dataset)
+app.add_typer(suite, name="suite")
 
 
 def main() -> None:

@@ -41,6 +41,8 @@ ELSEWHERE = {
     "lscan-sim field": "tests/system/test_smoke.py",
     "lscan roughness": "tests/lscan/roughness/test_instrument.py",
     "lscan-sim dataset": "tests/sim/datasets/test_dataset.py",
+    "lscan suite": "tests/lscan/suites/test_suites.py",
+    "lscan-sim suite make": "tests/sim/datasets/test_suite.py",
     "lscan-sim study": "tests/sim/cli/test_study.py",
     "lscan-sim concavity": "tests/sim/cli/test_study.py",
     "lscan-sim hardware": "tests/system/test_smoke.py",

@@ -19,6 +19,7 @@ from lscan.config.scenes import (
     scenes_folder,
     study_file,
     study_names,
+    suite_names,
 )
 from lscan.errors import InputError
 
@@ -27,7 +28,8 @@ def test_every_file_has_its_name() -> None:
     """Those of scenes, and those of studies but their catalogue of parts, each in its own list."""
     assert scenes_folder() == SCENES
     names, studies = scene_names(), study_names()
-    assert len(names) + len(studies) + len(dataset_names()) + 1 == len(list(SCENES.rglob("*.toml")))
+    others = len(studies) + len(dataset_names()) + len(suite_names()) + 1
+    assert len(names) + others == len(list(SCENES.rglob("*.toml")))
     assert all(scene_file(name) == SCENES / f"{name}.toml" for name in names)
     assert all(study_file(name) == SCENES / "studies" / f"{name}.toml" for name in studies)
     assert {"paper-budget", "seasons", "first-rig"} <= set(studies)

@@ -1,0 +1,259 @@
+"""``lscan bench --suite``: extractors judged on a suite, written, and held against a saved run."""
+
+import math
+import os
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import asdict, astuple, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from lscan.benchmark.against import LOG_Z, Difference, differences
+from lscan.benchmark.extractors import THRESHOLD_DN, cases
+from lscan.benchmark.judging import SUMS, CaseSums, JudgedExtractor, judge
+from lscan.benchmark.pictures import SHAPE, centres, draw
+from lscan.benchmark.sharing import judge_shared
+from lscan.benchmark.worst import draw_worst
+from lscan.config.documents import read_json
+from lscan.config.rig import StripeSection
+from lscan.errors import InputError
+from lscan.files.disk import make_folder, write_atomically
+from lscan.files.jsontext import write_json
+from lscan.records import Progress, Status
+from lscan.stripe import find_extractor
+from lscan.suites import CaseTruth, SuiteCase, find_suite, open_suite
+
+DRAWN = "drawn"
+"""The suite of drawn lines, which needs no file."""
+VERSION = 1
+MOST_SAVED_BYTES = 2**28
+LEAST_SHARED = 100  # cases: fewer are judged before other processes have begun
+USUAL_AXES = ("water", "target", "fault")
+
+
+@dataclass(frozen=True)
+class SuiteRun:
+    """A suite's cases with their axes, and what became of each extractor.
+
+    identity: of the suite, by which runs are comparable.  reference_s: seconds of the reference
+    workload.
+    """
+
+    identity: str
+    axes: Mapping[str, Mapping[str, str]]
+    judged: Sequence[JudgedExtractor]
+    reference_s: float
+
+
+@dataclass(frozen=True)
+class SuiteRow:
+    """An extractor on the cases that have a value on each of some axes.
+
+    bias_px, scatter_px: of the errors on clear lines that are not wrong; bound_ratio: their rms to
+    the least that pixel noise allows.
+    found: share of the columns with a clear line; wrong: share of values beyond three widths of the
+    line, sure: share of values that are so and say they are not; ghosts: share of the columns
+    without a line that got a value.  within_3_sigma, z_ratio: share, and geometric mean of |error|
+    over sigma to that of a normal law: 1 where sigma is right, more where it is too small.
+    time: to that of the reference workload.
+    """
+
+    extractor: str
+    group: Mapping[str, str]
+    cases: int
+    bias_px: float
+    scatter_px: float
+    bound_ratio: float
+    found: float
+    wrong: float
+    sure: float
+    ghosts: float
+    within_3_sigma: float
+    z_ratio: float
+    time: float
+
+
+def run_suite(
+    suite: str, names: Sequence[str], seed: int = 1, progress: Progress | None = None
+) -> SuiteRun:
+    """Judge extractors on a suite.
+
+    Parameters
+    ----------
+    suite : str, DRAWN, the name of a suite that is found, or its path
+    names : sequence of str, of extractors
+    seed : int, of drawn lines
+    progress : callable or None, called with (done, all) cases
+
+    Raises
+    ------
+    InputError
+        There is no such suite or extractor, or one fails.
+    """
+    if not names:
+        raise InputError("nothing to judge", where="bench", allowed="an extractor")
+    for name in names:
+        find_extractor(name)
+    if suite == DRAWN:
+        every = list(_drawn(seed))
+        identity, axes = f"{DRAWN} seed {seed}", {case.name: case.axes for case in every}
+        shown: Iterator[SuiteCase] = iter(every)
+    else:
+        opened = open_suite(find_suite(suite))
+        content = opened.content
+        identity = f"{content.name} seed {content.seed} {content.made_by}"
+        axes, shown = dict(content.cases), opened.cases()
+        if len(axes) >= LEAST_SHARED and (os.cpu_count() or 1) > 1:
+            judged, reference_s = judge_shared(opened.path, names, sorted(axes), progress)
+            return SuiteRun(identity, axes, judged, reference_s)
+    done = 0
+
+    def step() -> None:
+        nonlocal done
+        done += 1
+        if progress is not None:
+            progress(done, len(axes))
+
+    judged, reference_s = judge(names, shown, step)
+    return SuiteRun(identity, axes, judged, reference_s)
+
+
+def _drawn(seed: int) -> Iterator[SuiteCase]:
+    """The lines of today's bench as cases of a suite."""
+    for number, case in enumerate(cases()):
+        rng = np.random.default_rng([seed, number])
+        true = centres(rng.random())
+        image = draw(case, true, rng)
+        each = np.ones(SHAPE[1])
+        noise = case.noise.read_dn * each
+        zeros = np.zeros(SHAPE[1], dtype=np.int64)
+        truth = CaseTruth(
+            true, case.sigma_px * each, case.peak_dn * each, noise, zeros, zeros + int(Status.OK)
+        )
+        fault = "speckle" if case.noise.speckle else "clipped" if case.saturated else "none"
+        target = f"{case.sigma_px:g} px {case.peak_dn:g} DN"
+        axes = {"water": case.water, "target": target, "fault": fault}
+        settings = StripeSection(threshold_dn=THRESHOLD_DN, noise=case.noise)
+        labels = np.zeros(SHAPE, np.uint8)
+        yield SuiteCase(f"case-{number:04d}", axes, image, None, labels, truth, settings)
+
+
+def suite_rows(run: SuiteRun, by: Sequence[str]) -> list[SuiteRow]:
+    """The table: a row for each extractor and each combination of values on some axes.
+
+    Parameters
+    ----------
+    run : SuiteRun
+    by : sequence of str, the axes; none: one row for each extractor
+
+    Raises
+    ------
+    InputError
+        The suite has no such axis.
+    """
+    groups: dict[tuple[str, ...], list[str]] = {}
+    for case, axes in run.axes.items():
+        if missing := [axis for axis in by if axis not in axes]:
+            raise InputError(
+                "no such axis", where="--by", value=missing[0], allowed=", ".join(axes)
+            )
+        groups.setdefault(tuple(axes[axis] for axis in by), []).append(case)
+    return [
+        _row(one, dict(zip(by, values, strict=True)), members, run.reference_s)
+        for values, members in sorted(groups.items())
+        for one in run.judged
+    ]
+
+
+def _row(
+    one: JudgedExtractor, group: dict[str, str], cases: list[str], reference_s: float
+) -> SuiteRow:
+    total = sum((one.sums[case] for case in cases), CaseSums())
+    bias, square = _share(total.error, total.core), _share(total.square, total.core)
+    return SuiteRow(
+        one.extractor,
+        group,
+        len(cases),
+        bias,
+        math.sqrt(max(square - bias**2, 0.0)) if total.core else math.nan,
+        math.sqrt(_share(total.square, total.bound)),
+        1 - _share(total.missed, total.clear),
+        _share(total.outlying, total.valued),
+        _share(total.sure, total.valued),
+        _share(total.ghosts, total.dark),
+        _share(total.honest, total.valued),
+        math.exp(_share(total.log_z, total.core) - LOG_Z),
+        total.seconds / len(cases) / reference_s,
+    )
+
+
+def _share(part: float, whole: float) -> float:
+    return part / whole if whole else math.nan
+
+
+def write_suite_run(folder: Path, run: SuiteRun, by: Sequence[str]) -> dict[str, Any]:
+    """Write bench.json, and the worst columns of each extractor as a picture.
+
+    Parameters
+    ----------
+    folder : Path, made where it is missing
+    run : SuiteRun
+    by : sequence of str, the axes of the table in bench.json
+
+    Returns
+    -------
+    What bench.json holds; ``compare_saved`` takes the file.
+    """
+    make_folder(folder)
+    content = {
+        "version": VERSION,
+        "suite": run.identity,
+        "rows": [asdict(row) for row in suite_rows(run, by)],
+        "sums": list(SUMS),
+        "extractors": {
+            one.extractor: {case: list(astuple(sums)) for case, sums in one.sums.items()}
+            for one in run.judged
+        },
+    }
+    write_json(folder / "bench.json", content)
+    for one in run.judged:
+        if one.worst:
+            name = one.extractor.replace(":", ".")
+            write_atomically(folder / f"worst-{name}.png", draw_worst(one))
+    return content
+
+
+def compare_saved(run: SuiteRun, file: Path) -> list[Difference]:
+    """What differs from a saved run of the same suite, for each extractor that both have.
+
+    Parameters
+    ----------
+    run : SuiteRun
+    file : Path, a bench.json
+
+    Raises
+    ------
+    InputError
+        The file is none, or of another suite, or has none of the extractors.
+    """
+    content = read_json(file, MOST_SAVED_BYTES)
+    try:
+        if (content["version"], content["sums"]) != (VERSION, list(SUMS)):
+            raise ValueError
+        suite = str(content["suite"])
+        saved = {
+            str(name): {case: CaseSums(*map(float, sums)) for case, sums in of.items()}
+            for name, of in content["extractors"].items()
+        }
+    except (KeyError, TypeError, ValueError, AttributeError) as error:
+        allowed = "a bench.json of lscan bench --suite"
+        raise InputError("is no saved run", where=file, allowed=allowed) from error
+    if suite != run.identity:
+        raise InputError("is of another suite", where=file, value=suite, allowed=run.identity)
+    both = [one for one in run.judged if one.extractor in saved]
+    if not both:
+        allowed = ", ".join(saved)
+        raise InputError("has none of these extractors", where=file, allowed=allowed)
+    found = [differences(one.extractor, one.sums, saved[one.extractor]) for one in both]
+    return [one for of in found for one in of]

@@ -1,0 +1,53 @@
+"""``lscan suite``: the suites that there are, what one holds, and whether it is whole."""
+
+from typing import Annotated
+
+import typer
+
+from lscan.cli.arguments import Json
+from lscan.cli.console import command_line, print_json, print_table
+
+suite = command_line("Suites of rendered pictures with their truth: list, show, verify.")
+SuiteName = Annotated[str, typer.Argument(help="Name of a suite, or its archive or folder.")]
+
+
+@suite.command("list")
+def list_suites(json: Json = False) -> None:
+    """The suites of installed packages and of the user's cache."""
+    from lscan.suites import suites_found
+
+    found = {name: str(path) for name, path in suites_found().items()}
+    if json:
+        print_json(found)
+        return
+    for name, path in found.items():
+        print(f"{name}: {path}")
+
+
+@suite.command("show")
+def show_suite(name: SuiteName, json: Json = False) -> None:
+    """What a suite holds: its cases on each axis."""
+    from lscan.suites import axes_of, find_suite, open_suite
+
+    opened = open_suite(find_suite(name))
+    content, axes = opened.content, axes_of(opened.content)
+    if json:
+        fields = content.model_dump(mode="json", include={"name", "seed", "made_by", "version"})
+        print_json({**fields, "cases": len(content.cases), "axes": axes})
+        return
+    print(f"{content.name}: {len(content.cases)} cases, seed {content.seed}, {content.made_by}")
+    rows = [(axis, value, count) for axis, of in axes.items() for value, count in of.items()]
+    print_table("cases by axis", ["axis", "value", "cases"], rows)
+
+
+@suite.command("verify")
+def verify(name: SuiteName, json: Json = False) -> None:
+    """Check every byte of a suite against its manifest, and read every case."""
+    from lscan.suites import find_suite, verify_suite
+
+    path = find_suite(name)
+    content = verify_suite(path).content
+    if json:
+        print_json({"path": str(path), "name": content.name, "cases": len(content.cases)})
+    else:
+        print(f"{path}: {len(content.cases)} cases and {len(content.members)} members are whole")

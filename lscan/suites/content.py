@@ -1,0 +1,205 @@
+"""What a suite holds: its manifest, and a case's picture and truth as bytes of its members."""
+
+import csv
+import hashlib
+import io
+import json
+import re
+from collections import Counter
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Annotated, Literal
+
+import numpy as np
+from pydantic import Field, ValidationError
+
+from lscan.config.documents import Strict
+from lscan.config.rig import StripeSection
+from lscan.errors import InputError
+from lscan.files.headers import read_header
+from lscan.files.pictures import decode, encoded, too_large
+from lscan.records import Bytes, Floats, Ints, Status
+
+MANIFEST = "suite.json"
+VERSION = 1
+MOST_MANIFEST_BYTES, MOST_MEMBER_BYTES, MOST_SUITE_BYTES = 2**25, 2**28, 2**31
+PICTURE, DARK, LABELS, TRUTH, SETTINGS = (
+    "picture.png", "dark.png", "labels.png", "truth.csv", "stripe.json",
+)  # fmt: skip
+COLUMNS = ("centre_px", "sigma_px", "height_dn", "noise_dn", "multiple", "status")
+_PLAIN = re.compile(r"[a-z0-9][a-z0-9._-]*/[a-z0-9][a-z0-9._-]*")
+Word = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9 ._+-]{0,99}$")]
+
+
+class MemberSum(Strict):
+    """Size in bytes and checksum of a member."""
+
+    size: int = Field(ge=0, le=MOST_MEMBER_BYTES)
+    sha256: str = Field(pattern="^[0-9a-f]{64}$")
+
+
+class SuiteContent(Strict):
+    """The manifest.  cases: by name, the case's value on each axis (water, target ...)."""
+
+    format: Literal["lscan-suite"] = "lscan-suite"
+    version: int = VERSION
+    name: str = Field(pattern="^[a-z0-9][a-z0-9-]{0,63}$")
+    seed: int = Field(ge=0)
+    made_by: Word
+    cases: Mapping[str, Mapping[Word, Word]]
+    members: Mapping[str, MemberSum]
+
+
+@dataclass(frozen=True)
+class CaseTruth:
+    """The truth of a line in a picture, by column (or row, where the line runs down).
+
+    Attributes
+    ----------
+    centre_px : (N,) array, px; NaN where the line is not to be seen
+    sigma_px : (N,) array, px, standard deviation of the line across
+    height_dn : (N,) array, DN, its peak above what lies about it
+    noise_dn : (N,) array, DN, standard deviation of the noise beside it
+    multiple : (N,) array, 1 where the column holds several lines and none of them is the one meant
+    status : (N,) array, of Status
+    """
+
+    centre_px: Floats
+    sigma_px: Floats
+    height_dn: Floats
+    noise_dn: Floats
+    multiple: Ints
+    status: Ints
+
+
+@dataclass(frozen=True)
+class SuiteCase:
+    """One picture of a suite.
+
+    Attributes
+    ----------
+    name : str
+    axes : mapping, the case's value on each of the suite's axes
+    picture : (H, W) or (H, W, 3) array, uint8, DN
+    dark : as ``picture``, with the laser off; None where there is none
+    labels : (H, W) array, uint8, class of each pixel (sim.datasets.labels.Label)
+    truth : CaseTruth
+    settings : StripeSection, of the rig: noise, threshold, axis
+    """
+
+    name: str
+    axes: Mapping[str, str]
+    picture: Bytes
+    dark: Bytes | None
+    labels: Bytes
+    truth: CaseTruth
+    settings: StripeSection
+
+
+def axes_of(content: SuiteContent) -> dict[str, dict[str, int]]:
+    """How many cases a suite has of each value on each axis.
+
+    Parameters
+    ----------
+    content : SuiteContent
+    """
+    found: dict[str, Counter[str]] = {}
+    for axes in content.cases.values():
+        for axis, value in axes.items():
+            found.setdefault(axis, Counter())[value] += 1
+    return {axis: dict(sorted(counts.items())) for axis, counts in found.items()}
+
+
+def manifest_bytes(content: SuiteContent) -> bytes:
+    """The one file that says this content: JSON with sorted keys, and its own checksum before."""
+    plain = json.dumps(content.model_dump(mode="json"), sort_keys=True, indent=1)
+    return f"{hashlib.sha256(plain.encode()).hexdigest()}\n{plain}\n".encode()
+
+
+def read_manifest(data: bytes, where: object) -> SuiteContent:
+    """The content that ``manifest_bytes`` wrote; InputError for any other bytes."""
+    try:
+        stated, _, plain = data.decode().partition("\n")
+        if hashlib.sha256(plain[:-1].encode()).hexdigest() != stated or plain[-1:] != "\n":
+            raise InputError(f"{MANIFEST} does not have its own checksum", where=where)
+        document = json.loads(plain)
+        version = document.get("version") if isinstance(document, dict) else None
+        if version != VERSION:
+            raise InputError(
+                f"{MANIFEST} is of another version", where=where, value=version, allowed=VERSION
+            )
+        content = SuiteContent.model_validate(document)
+    except (ValueError, RecursionError) as error:  # ValidationError, of JSON and UTF-8 too
+        raise InputError(f"{MANIFEST} is no manifest of a suite", where=where) from error
+    for name in content.members:
+        if not _PLAIN.fullmatch(name):
+            raise InputError("a member has a name that is not plain", where=where, value=name)
+    for case in content.cases:
+        for part in (PICTURE, LABELS, TRUTH, SETTINGS):
+            if f"{case}/{part}" not in content.members:
+                raise InputError(f"member {case}/{part} is not in the manifest", where=where)
+    if sum(member.size for member in content.members.values()) > MOST_SUITE_BYTES:
+        raise InputError(f"{MANIFEST} states more than a suite may hold", where=where)
+    return content
+
+
+def truth_bytes(truth: CaseTruth) -> bytes:
+    """The truth as CSV: centres to 1e-6 px, all else to six digits."""
+    stream = io.StringIO()
+    stream.write(",".join(COLUMNS) + "\n")
+    table = np.column_stack([getattr(truth, name) for name in COLUMNS])
+    np.savetxt(stream, table, fmt=("%.6f", "%.6g", "%.6g", "%.6g", "%d", "%d"), delimiter=",")
+    return stream.getvalue().encode()
+
+
+def read_truth(data: bytes, where: object) -> CaseTruth:
+    """The truth that ``truth_bytes`` wrote; InputError where it is none."""
+    try:
+        rows = list(csv.reader(io.StringIO(data.decode())))
+        if tuple(rows[0]) != COLUMNS:
+            raise ValueError
+        table = np.array(rows[1:], dtype=float).reshape(len(rows) - 1, len(COLUMNS))
+        multiple, status = table[:, 4], table[:, 5]
+        if not (np.isin(multiple, (0, 1)).all() and np.isin(status, list(Status)).all()):
+            raise ValueError
+        if not np.isfinite(table[status == Status.OK, :2]).all():
+            raise ValueError
+    except (ValueError, IndexError, csv.Error) as error:
+        raise InputError("is no table of a line's truth", where=where) from error
+    centre, sigma, height, noise = table[:, :4].T
+    whole = multiple.astype(np.int64), status.astype(np.int64)
+    return CaseTruth(centre, sigma, height, noise, *whole)
+
+
+def read_case_picture(data: bytes, where: object) -> Bytes:
+    """A picture of a member, RGB; InputError where it is none or too large."""
+    header = read_header(data)
+    usable = header is not None and header.format == "PNG" and not too_large(header)
+    image = decode(data) if usable else None
+    if image is None or image.shape[2:] not in ((), (3,)):
+        raise InputError("is no PNG picture of 8 bit", where=where)
+    return image if image.ndim == 2 else np.ascontiguousarray(image[..., ::-1])
+
+
+def read_settings(data: bytes, where: object) -> StripeSection:
+    """The stripe section of a member; InputError where it is none."""
+    try:
+        return StripeSection.model_validate_json(data)
+    except ValidationError as error:
+        raise InputError("is no [stripe] section", where=where) from error
+
+
+def member_sum(data: bytes) -> MemberSum:
+    """Size and checksum of a member's bytes."""
+    return MemberSum(size=len(data), sha256=hashlib.sha256(data).hexdigest())
+
+
+def case_members(case: SuiteCase) -> dict[str, bytes]:
+    """The bytes of each member of a case by its name, that of the truth last."""
+    pictures = {PICTURE: case.picture, DARK: case.dark, LABELS: case.labels}
+    members = {
+        name: encoded(shown, ".png") for name, shown in pictures.items() if shown is not None
+    }
+    members[SETTINGS] = f"{case.settings.model_dump_json(indent=1)}\n".encode()
+    members[TRUTH] = truth_bytes(case.truth)
+    return {f"{case.name}/{name}": data for name, data in members.items()}

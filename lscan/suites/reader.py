@@ -1,0 +1,169 @@
+"""Suites read without trust: a folder or an archive, each member checked before it is decoded."""
+
+import io
+import struct
+import zipfile
+import zlib
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+from lscan.errors import InputError
+from lscan.files.disk import read_bytes, write_atomically
+from lscan.suites.content import (
+    DARK,
+    LABELS,
+    MANIFEST,
+    MOST_MANIFEST_BYTES,
+    MOST_SUITE_BYTES,
+    PICTURE,
+    SETTINGS,
+    TRUTH,
+    SuiteCase,
+    SuiteContent,
+    member_sum,
+    read_case_picture,
+    read_manifest,
+    read_settings,
+    read_truth,
+)
+from lscan.suites.writer import archive_bytes
+
+_HARMED = (
+    zipfile.BadZipFile, NotImplementedError, RuntimeError, ValueError, EOFError, OSError,
+    struct.error, OverflowError, zlib.error,
+)  # fmt: skip
+_Read = Callable[[str, int], bytes]  # a member's bytes, no more than so many
+
+
+@dataclass(frozen=True)
+class Suite:
+    """A suite that is open: its manifest has been checked, its members have not.
+
+    Attributes
+    ----------
+    path : Path, of its folder or archive
+    content : SuiteContent
+    read : callable, a member's bytes unchecked
+    """
+
+    path: Path
+    content: SuiteContent
+    read: _Read
+
+    def member(self, name: str) -> bytes:
+        """The bytes of a member; InputError, which names it, where its checksum differs.
+
+        Parameters
+        ----------
+        name : str, as in the manifest
+        """
+        stated = self.content.members[name]
+        data = self.read(name, stated.size)
+        if member_sum(data) != stated:
+            raise InputError(f"member {name} is not what the manifest says", where=self.path)
+        return data
+
+    def case(self, name: str) -> SuiteCase:
+        """A case; InputError, which names the member, where it is harmed.
+
+        Parameters
+        ----------
+        name : str, as in the manifest
+        """
+        if name not in self.content.cases:
+            raise InputError("no such case", where=self.path, value=name)
+
+        def shown(part: str) -> tuple[bytes, str]:
+            return self.member(f"{name}/{part}"), f"{self.path}: member {name}/{part}"
+
+        picture, labels = read_case_picture(*shown(PICTURE)), read_case_picture(*shown(LABELS))
+        has_dark = f"{name}/{DARK}" in self.content.members
+        dark = read_case_picture(*shown(DARK)) if has_dark else None
+        truth, settings = read_truth(*shown(TRUTH)), read_settings(*shown(SETTINGS))
+        along = picture.shape[1] if settings.axis == "columns" else picture.shape[0]
+        sizes = labels.shape == picture.shape[:2] and len(truth.status) == along
+        if not sizes or (dark is not None and dark.shape != picture.shape):
+            raise InputError(f"members of case {name} differ in size", where=self.path)
+        return SuiteCase(name, self.content.cases[name], picture, dark, labels, truth, settings)
+
+    def cases(self) -> Iterator[SuiteCase]:
+        """Each case in the order of their names."""
+        return (self.case(name) for name in sorted(self.content.cases))
+
+
+def open_suite(path: Path) -> Suite:
+    """The suite in a folder or an archive; InputError where its manifest is none.
+
+    Parameters
+    ----------
+    path : Path
+    """
+    read = _folder_reader(path) if path.is_dir() else _archive_reader(path)
+    return Suite(path, read_manifest(read(MANIFEST, MOST_MANIFEST_BYTES), path), read)
+
+
+def verify_suite(path: Path) -> Suite:
+    """The suite, once every byte of it has been checked and every case been read.
+
+    Parameters
+    ----------
+    path : Path
+
+    Raises
+    ------
+    InputError
+        For the first member that is harmed, and bytes of an archive that belong to no member.
+    """
+    suite = open_suite(path)
+    members = {name: suite.member(name) for name in suite.content.members}
+    for name in suite.content.cases:
+        suite.case(name)
+    if not path.is_dir():
+        written = archive_bytes(suite.content, members)
+        if written != read_bytes(path, MOST_SUITE_BYTES):
+            raise InputError("the archive's own entries are harmed", where=path)
+    return suite
+
+
+def pack_suite(folder: Path, file: Path) -> None:
+    """Write a suite's folder, whose members are checked, as one archive.
+
+    Parameters
+    ----------
+    folder : Path, of a suite
+    file : Path, the archive; replaced where it is there
+    """
+    suite = open_suite(folder)
+    members = {name: suite.member(name) for name in suite.content.members}
+    write_atomically(file, archive_bytes(suite.content, members))
+
+
+def _folder_reader(folder: Path) -> _Read:
+    return lambda name, most: read_bytes(folder / name, most, within=folder)
+
+
+def _archive_reader(file: Path) -> _Read:
+    """Members are stored as they are: nothing unpacks to more than the file holds."""
+    data = read_bytes(file, MOST_SUITE_BYTES)
+    try:
+        archive = zipfile.ZipFile(io.BytesIO(data))
+        names = archive.namelist()
+    except _HARMED as error:
+        raise InputError("is no suite: neither folder nor archive", where=file) from error
+    if len(set(names)) < len(names):
+        raise InputError("is no suite: two members have one name", where=file)
+
+    def read(name: str, most: int) -> bytes:
+        try:
+            entry = archive.getinfo(name)
+            if entry.compress_type != zipfile.ZIP_STORED or entry.file_size > most:
+                raise InputError(f"member {name} is compressed or too large", where=file)
+            with archive.open(entry) as opened:
+                return opened.read(most + 1)
+        except KeyError as error:
+            raise InputError(f"member {name} is missing", where=file) from error
+        except _HARMED as error:
+            raise InputError(f"member {name} cannot be read", where=file) from error
+
+    return read

@@ -1,0 +1,50 @@
+"""``lscan-sim suite make``: a suite of rendered cases from its spec."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from lscan.cli.arguments import Json
+from lscan.cli.console import command_line, progress_bar
+from lscan.errors import InputError
+from sim.cli.arguments import print_places
+from sim.cli.study import MOST_WORKERS
+
+suite = command_line("Suites of rendered pictures with their truth: make.")
+
+
+@suite.callback()
+def _group() -> None:
+    """Suites of rendered pictures with their truth."""
+
+
+@suite.command("make")
+def make(
+    spec: Annotated[Path, typer.Argument(help="Spec file (TOML), or the name of one of lscan's.")],
+    output: Annotated[
+        Path | None, typer.Option("--output", "-o", help="Archive; in the user's cache if not.")
+    ] = None,
+    seed: Annotated[
+        int | None, typer.Option("--seed", min=0, help="In place of the spec's own.")
+    ] = None,
+    workers: Annotated[int, typer.Option("--workers", help="Processes of this machine.")] = 2,
+    json: Json = False,
+) -> None:
+    """Render a suite, or go on where it was ended; lscan bench --suite judges by it."""
+    from lscan.files.disk import make_folder
+    from lscan.suites.find import suite_cache
+    from sim.datasets.suite import make_suite
+    from sim.datasets.suitespec import load_suite_spec
+
+    if not 1 <= workers <= MOST_WORKERS:
+        allowed = f"1 to {MOST_WORKERS}"
+        raise InputError("out of range", where="--workers", value=workers, allowed=allowed)
+    loaded = load_suite_spec(spec, seed)
+    if output is None:
+        own = "" if loaded.seed == loaded.file.seed else f"-seed-{loaded.seed}"
+        make_folder(suite_cache())
+        output = suite_cache() / f"{loaded.file.name}{own}.zip"
+    with progress_bar("cases") as progress:
+        made = make_suite(loaded, output, workers=workers, progress=progress)
+    print_places({"suite": made}, json)

@@ -1,0 +1,224 @@
+"""What a suite is rendered from: a spec file, and the cases that cover its values pair by pair."""
+
+import hashlib
+import json
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from itertools import combinations
+from pathlib import Path
+from typing import Annotated, Any, Self
+
+import numpy as np
+from pydantic import Field, model_validator
+
+from lscan.config.documents import Document, Strict, check, merge, read_document
+from lscan.config.rigfile import inline_board, parse_rig
+from lscan.config.scenes import included_file, suite_file
+from lscan.errors import InputError
+from lscan.suites.content import Word
+from sim.scene import Scene, scene_of
+from sim.scene.instrument import Seed
+
+TRIED = 40  # combinations at random, of which the one that covers most new pairs becomes a case
+EXPOSED = {"camera": {"options"}, "sensor": None, "stripe": None, "lens": {"blur_px", "glare"}}
+"""Sections, and of some the keys alone, that change a picture without its being rendered anew."""
+Values = Annotated[dict[Word, dict[str, Any]], Field(min_length=1)]
+Axes = dict[Word, Values]
+Combination = tuple[str, ...]  # a value on each axis
+
+
+class SuiteSpecFile(Strict):
+    """A suite as its file says it.
+
+    scene: a file or a name, which all cases start from.  pictures: how many cases.  turned: every
+    so many-th case is turned so that its line runs down; 0: none.  pairs: likewise has a picture
+    with the laser off.  base: sections of the scene that differ in every case.  render: by axis and
+    value, sections that need another render.  expose: likewise, those of the same light exposed
+    otherwise.
+    """
+
+    name: Annotated[str, Field(pattern="^[a-z0-9][a-z0-9-]{0,63}$")]
+    scene: str
+    seed: Seed = 1
+    pictures: Annotated[int, Field(ge=1, le=9999)]
+    turned: Annotated[int, Field(ge=0)] = 0
+    pairs: Annotated[int, Field(ge=0)] = 0
+    base: dict[str, Any] = Field(default_factory=dict)
+    render: Annotated[Axes, Field(min_length=1)]
+    expose: Annotated[Axes, Field(min_length=1)]
+
+    @model_validator(mode="after")
+    def _exposes_alone(self) -> Self:
+        if twice := self.render.keys() & self.expose.keys():
+            raise ValueError(f"render and expose: {', '.join(sorted(twice))} is an axis of both")
+        for axis, values in self.expose.items():
+            for value, sections in values.items():
+                for section, keys in sections.items():
+                    free = EXPOSED.get(section, set())
+                    other = set(keys) - free if free is not None else set()
+                    if other:
+                        named = f"{axis}.{value}.{section}.{min(other)}"
+                        raise ValueError(f"expose: {named} needs another render")
+        return self
+
+
+@dataclass(frozen=True)
+class PlannedCase:
+    """A case to be made.  number: from 0.  render, expose: its values on those axes."""
+
+    number: int
+    render: Combination
+    expose: Combination
+
+    @property
+    def name(self) -> str:
+        """Of the case."""
+        return f"case-{self.number:04d}"
+
+
+@dataclass(frozen=True)
+class SuiteSpec:
+    """A spec, what its scene's document is, the seed, and the file for errors."""
+
+    file: SuiteSpecFile
+    document: Document
+    seed: int
+    source: str
+
+    @property
+    def sha256(self) -> str:
+        """Of all that the cases depend on but the seed; files that scenes name by path."""
+        text = json.dumps([self.file.model_dump(mode="json"), self.document], sort_keys=True)
+        return hashlib.sha256(text.encode()).hexdigest()
+
+    def cases(self) -> list[PlannedCase]:
+        """The cases: those of one render follow each other.
+
+        Raises
+        ------
+        InputError
+            There are fewer pictures than renders.
+        """
+        render, expose = self._names(self.file.render), self._names(self.file.expose)
+        rng = np.random.default_rng([self.seed, 1])
+        renders = list(covering(render, [], rng))
+        count = self.file.pictures
+        if count < len(renders):
+            allowed = f"{len(renders)} or more, so that each render has one"
+            raise InputError("pictures", where=self.source, value=count, allowed=allowed)
+        shared = [renders[number * len(renders) // count] for number in range(count)]
+        rows = covering([*render, *expose], shared, rng)
+        split = len(render)
+        return [PlannedCase(n, row[:split], row[split:]) for n, row in enumerate(rows)]
+
+    def axes_of(self, case: PlannedCase) -> dict[str, str]:
+        """The case's value on each axis.
+
+        Parameters
+        ----------
+        case : PlannedCase
+        """
+        axes = [*self.file.render, *self.file.expose]
+        turned = self._every(self.file.turned, case)
+        own = dict(zip(axes, case.render + case.expose, strict=True))
+        return {**own, "lines": "rows" if turned else "columns"}
+
+    def has_pair(self, case: PlannedCase) -> bool:
+        """Whether the case has a picture with the laser off.
+
+        Parameters
+        ----------
+        case : PlannedCase
+        """
+        return self._every(self.file.pairs, case)
+
+    def scene(self, case: PlannedCase) -> Scene:
+        """The scene of a case, with the seed of its noise.
+
+        Parameters
+        ----------
+        case : PlannedCase
+
+        Raises
+        ------
+        InputError
+            A key or a value is wrong.
+        """
+        document = merge(self.document, self.file.base)
+        for axes, values in ((self.file.render, case.render), (self.file.expose, case.expose)):
+            for (_, sections), value in zip(axes.items(), values, strict=True):
+                document = merge(document, sections[value])
+        seed = int(np.random.SeedSequence([self.seed, case.number]).generate_state(1)[0] >> 1)
+        document = merge(document, {"sensor": {"seed": seed}, "render": {"seed": self.seed}})
+        where = f"{self.source}: {', '.join(case.render + case.expose)}"
+        document = inline_board(document, source=where)
+        return scene_of(parse_rig(document, source=where))
+
+    @staticmethod
+    def _names(axes: Mapping[str, Mapping[str, Any]]) -> list[Combination]:
+        return [tuple(values) for values in axes.values()]
+
+    @staticmethod
+    def _every(period: int, case: PlannedCase) -> bool:
+        return period > 0 and case.number % period == period - 1
+
+
+def load_suite_spec(path: Path | str, seed: int | None = None) -> SuiteSpec:
+    """The spec in a TOML file, or of the name of one that comes with lscan.
+
+    Parameters
+    ----------
+    path : Path or str
+    seed : int or None, in place of the spec's own
+
+    Raises
+    ------
+    InputError
+        Names the file, the key, the value and what is allowed.
+    """
+    source = suite_file(path)
+    file = check(SuiteSpecFile, read_document(source), where=source)
+    document = read_document(included_file(source.parent, file.scene))
+    return SuiteSpec(file, document, file.seed if seed is None else seed, str(source))
+
+
+def covering(
+    axes: Sequence[Combination], begun: Sequence[Combination], rng: np.random.Generator
+) -> Iterator[Combination]:
+    """Combinations in which every pair of values of two axes occurs, few of them (greedy).
+
+    Parameters
+    ----------
+    axes : sequence, the values of each
+    begun : sequence, how the combinations begin, one each; where empty, as many as it takes
+    rng : Generator, whose numbers they depend on
+
+    References
+    ----------
+    Cohen, Dalal, Fredman, Patton: The AETG system, IEEE Transactions on Software Engineering 23
+    (1997): a greedy choice from random candidates needs a number of rows that grows as the
+    logarithm of the number of axes.
+    """
+    places = list(combinations(range(len(axes)), 2))
+    missing = {(i, j, a, b) for i, j in places for a in axes[i] for b in axes[j]}
+    if len(axes) == 1 and not begun:
+        yield from ((value,) for value in axes[0])
+        return
+    number = 0
+    while number < len(begun) if begun else missing:
+        start = begun[number] if begun else ()
+        forced = min(missing) if missing and not begun else None
+        best: Combination = ()
+        most: set[tuple[int, int, str, str]] = set()
+        for _ in range(TRIED if missing else 1):
+            drawn = [values[rng.integers(len(values))] for values in axes]
+            drawn[: len(start)] = start
+            if forced is not None:
+                drawn[forced[0]], drawn[forced[1]] = forced[2:]
+            row = tuple(drawn)
+            new = {(i, j, row[i], row[j]) for i, j in places} & missing
+            if not best or len(new) > len(most):
+                best, most = row, new
+        missing -= most
+        number += 1
+        yield best

@@ -1,0 +1,251 @@
+"""Judging on a suite: rows attribute a known error, and a paired test finds what changed."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import suite_cases
+from command_line import call, refused
+from hypothesis import given, settings, strategies as st
+
+from lscan.benchmark import suiterun
+from lscan.benchmark.against import FALSE_ALARMS, LOG_Z, differences
+from lscan.benchmark.judging import CaseSums, judge_case
+from lscan.benchmark.suiterun import compare_saved, run_suite, suite_rows, write_suite_run
+from lscan.errors import InputError
+from lscan.records import Status, has_value
+from lscan.stripe import find_extractor
+
+BASE = "gaussian"
+
+
+def _own(change):
+    """An extractor that differs from BASE by a change of its stripe."""
+
+    def extractor(image, settings, clipped):
+        return change(find_extractor(BASE)(image, settings, clipped), image)
+
+    return extractor
+
+
+same = _own(lambda stripe, _: stripe)
+half_off = _own(lambda stripe, _: replace(stripe, centre_px=stripe.centre_px + 0.5))
+sigma_halved = _own(lambda stripe, _: replace(stripe, sigma_px=stripe.sigma_px / 2))
+sigma_doubled = _own(lambda stripe, _: replace(stripe, sigma_px=stripe.sigma_px * 2))
+scaled = _own(
+    lambda stripe, image: replace(
+        stripe, centre_px=stripe.centre_px + 0.03 * np.sin(1e3 * stripe.peak)
+    )
+)
+mirrored = _own(lambda stripe, image: replace(stripe, centre_px=len(image) - 1 - stripe.centre_px))
+
+
+@_own
+def every_tenth_lost(stripe, _):
+    """A column in ten gets no value."""
+    lost = np.arange(len(stripe.status)) % 10 == 0
+    status = np.where(lost, int(Status.NO_PEAK), stripe.status)
+    return replace(
+        stripe,
+        status=status,
+        **{
+            name: np.where(lost, np.nan, getattr(stripe, name))
+            for name in ("centre_px", "sigma_px", "peak")
+        },
+    )
+
+
+@_own
+def sees_ghosts(stripe, image):
+    """A value in every column."""
+    none = ~has_value(stripe.status)
+    return replace(
+        stripe,
+        status=np.where(none, int(Status.OK), stripe.status),
+        centre_px=np.where(none, 50.0, stripe.centre_px),
+        sigma_px=np.where(none, 0.1, stripe.sigma_px),
+        peak=np.where(none, 100.0, stripe.peak),
+    )
+
+
+def _named(name):
+    return f"{__name__}:{name}"
+
+
+@pytest.fixture(scope="module")
+def suite(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("judged") / "drawn"
+    folder.mkdir()
+    suite_cases.drawn_suite(folder, 18)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def saved(suite, tmp_path_factory):
+    """A run of BASE under every mutant's name, as if each had been so."""
+    run = run_suite(str(suite), [BASE])
+    mutants = [replace(run.judged[0], extractor=_named(name)) for name in (*MUTANTS, "same")]
+    folder = tmp_path_factory.mktemp("saved")
+    write_suite_run(folder, replace(run, judged=[*run.judged, *mutants]), ())
+    return folder / "bench.json"
+
+
+MUTANTS = {
+    "half_off": "rms error",
+    "sigma_halved": "error in stated sigmas",
+    "scaled": "rms error",
+    "mirrored": "wrong columns",
+    "every_tenth_lost": "missed columns",
+    "sees_ghosts": "columns without a line",
+}
+
+
+def test_a_row_says_what_is_known_of_the_case():
+    """The lines scatter as the bound says, or a little more; dark columns have no value.
+
+    The rms of 310 columns, good to sqrt(1 / 620) of itself, 4 of which are allowed for: not below
+    the bound of the reading noise, and not above that of the line's crest, whose light of 150 DN
+    has a variance of 150 x 255 / 15,000 DN² in shot noise.
+    """
+    sums, worst = judge_case(BASE, suite_cases.drawn_case(1))
+    assert (sums.clear, sums.missed, sums.valued, sums.sure) == (310, 0, 310, 0)
+    assert (sums.dark, sums.ghosts) == (4, 0)  # of ten, those not beside the line
+    assert (sums.square / sums.bound) ** 0.5 > 1 - 4 / 620**0.5
+    assert worst[0].true[1] == pytest.approx(worst[0].found[1] - worst[0].error_px)
+
+
+def test_a_bias_of_half_a_pixel_is_said(suite):
+    run = run_suite(str(suite), [BASE, _named("half_off")])
+    right, wrong = suite_rows(run, ())
+    assert wrong.bias_px - right.bias_px == pytest.approx(0.5, abs=1e-6)
+    assert wrong.scatter_px == pytest.approx(right.scatter_px, rel=1e-6)
+    by_target = suite_rows(run, ["target"])
+    assert {row.group["target"] for row in by_target} == {"peak 150", "peak 30"}
+    assert sum(row.cases for row in by_target) == 36
+    with pytest.raises(InputError, match="no such axis"):
+        suite_rows(run, ["colour"])
+
+
+@pytest.mark.parametrize("mutant", MUTANTS)
+def test_a_mutation_is_noticed(suite, saved, mutant):
+    worse = compare_saved(run_suite(str(suite), [_named(mutant)]), saved)
+    assert MUTANTS[mutant] in {one.figure for one in worse if one.worse}, worse
+
+
+def test_what_has_not_changed_differs_in_nothing(suite, saved):
+    assert compare_saved(run_suite(str(suite), [_named("same")]), saved) == []
+
+
+def _sums(rng, cases, columns, factor=1.0):
+    """Cases of normal errors, of scatters over two decades; drawn anew, ``factor`` larger.
+
+    A sum of squares has the law of chi squared; of ln |z| the mean is -(gamma + ln 2) / 2 and the
+    variance pi² / 8, and a sum of many is nearly normal.
+    """
+    square = (factor * np.geomspace(0.01, 1.0, cases)) ** 2 * rng.chisquare(columns, cases)
+    mean = np.log(factor) + LOG_Z
+    log_z = rng.normal(columns * mean, np.pi * (columns / 8) ** 0.5, cases)
+    missed = rng.binomial(columns, 0.02, cases)
+    return {
+        str(n): CaseSums(
+            missed=missed[n], core=columns, square=square[n], log_z=log_z[n], sure=missed[n]
+        )
+        for n in range(cases)
+    }
+
+
+def test_the_paired_test_finds_three_percent_and_nothing_where_nothing_is():
+    """500 cases of 300 columns, as quick has; both runs with noise of their own, 200 repeats each.
+
+    The bars: power 95 %, false alarms 1 %.  Of 200 repeats of a true rate of 1 % up to 6 are within
+    the binomial's 99.5 %; the noise of an rms is sqrt(1 / 600) in a case, of the mean of 500
+    differences 0.26 %, so that 3 % is 11 of its standard deviations.
+    """
+    found = alarms = 0
+    for seed in range(200):
+        rng = np.random.default_rng([16, seed])
+        before, same_again = _sums(rng, 500, 300), _sums(rng, 500, 300)
+        alarms += bool(differences("x", same_again, before))
+        now = differences("x", _sums(rng, 500, 300, factor=1.03), before)
+        found += any(one.worse and one.figure == "rms error" for one in now)
+    assert found >= 190
+    assert alarms <= 6
+    assert FALSE_ALARMS == 0.01
+
+
+@settings(max_examples=15, deadline=None)
+@given(seed=st.integers(0, 10**6), cases=st.integers(0, 12))
+def test_the_paired_test_is_antisymmetric(seed, cases):
+    """What is worse one way is better the other way, whatever the numbers; few cases say little."""
+    rng = np.random.default_rng(seed)
+    one, other = _sums(rng, cases, 50), _sums(rng, cases, 50, factor=3.0)
+    ways = differences("x", other, one), differences("x", one, other)
+    assert [(a.figure, a.worse) for a in ways[0]] == [(b.figure, not b.worse) for b in ways[1]]
+    assert differences("x", one, one) == []
+    if cases < 9:  # 2 / 2^8 is above 1 % / 6
+        assert ways == ([], [])
+
+
+def test_the_command_judges_writes_and_compares(suite, tmp_path, capsys):
+    mine = _named("half_off")
+    options = ["--only", "--suite", suite, "-o", tmp_path / "first"]
+    code, out, _ = call(capsys, "bench", BASE, *options)
+    assert code == 0
+    assert "by fault" in out
+    saved_file = tmp_path / "first" / "bench.json"
+    assert (tmp_path / "first" / f"worst-{BASE}.png").read_bytes().startswith(b"\x89PNG")
+    content = json.loads(saved_file.read_text())
+    content["extractors"][mine] = content["extractors"][BASE]
+    saved_file.write_text(json.dumps(content))
+    options[-1] = tmp_path / "second"
+    code, out, err = call(capsys, "bench", mine, *options, "--against", saved_file)
+    assert code == 1
+    assert f"{mine}: rms error worse" in out
+    assert "figures are worse" in err
+    code, out, _ = call(capsys, "bench", BASE, *options, "--against", saved_file, "--json")
+    assert code == 0
+    assert json.loads(out)["differences"] == []
+
+
+def test_the_command_refuses_what_does_not_fit(suite, tmp_path, capsys):
+    other = tmp_path / "bench.json"
+    other.write_text('{"version": 1}')
+    options = ["bench", BASE, "--only", "-o", tmp_path]
+    refused(call(capsys, *options, "--suite", suite, "--against", other), "is no saved run")
+    refused(call(capsys, *options, "--suite", "nobodys"), "no such suite")
+    refused(call(capsys, *options, "--against", other), "is for suites")
+    refused(call(capsys, *options, "--suite", suite, "--by", "colour"), "no such axis")
+
+
+@pytest.mark.slow
+def test_several_processes_judge_as_one_does(suite, monkeypatch):
+    """All but the seconds."""
+    names = [BASE, "max"]
+    alone = run_suite(str(suite), names)
+    monkeypatch.setattr(suiterun, "LEAST_SHARED", 1)
+    monkeypatch.setattr("lscan.benchmark.sharing.AT_ONCE", 10)
+    monkeypatch.setattr("os.cpu_count", lambda: 2)
+    shown = []
+    shared = run_suite(str(suite), names, progress=lambda done, total: shown.append((done, total)))
+    for one, other in zip(alone.judged, shared.judged, strict=True):
+        assert one.sums.keys() == other.sums.keys()
+        for case, sums in one.sums.items():
+            assert replace(sums, seconds=0.0) == replace(other.sums[case], seconds=0.0)
+        assert [worst.case for worst in one.worst] == [worst.case for worst in other.worst]
+    assert shown == [(10, 18), (18, 18)]
+
+
+def test_drawn_lines_are_a_suite(tmp_path):
+    run = run_suite("drawn", ["centroid-relative"])
+    content = write_suite_run(tmp_path, run, ["water"])
+    assert {row["group"]["water"] for row in content["rows"]} == {
+        "tap",
+        "clear",
+        "coastal",
+        "harbor",
+    }
+    assert compare_saved(run, tmp_path / "bench.json") == []
+    again = run_suite("drawn", ["centroid-relative"], seed=2)
+    with pytest.raises(InputError, match="is of another suite"):
+        compare_saved(again, tmp_path / "bench.json")

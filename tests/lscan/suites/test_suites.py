@@ -1,0 +1,196 @@
+"""Suites are read as they were written; what is harmed is refused by one line with its name."""
+
+import shutil
+import zipfile
+
+import numpy as np
+import pytest
+import suite_cases
+from command_line import call
+from hypothesis import given, settings, strategies as st
+
+import lscan.suites.find
+from lscan.config.plugins import installed
+from lscan.errors import InputError
+from lscan.suites import open_suite, pack_suite, suites_found, verify_suite
+from lscan.suites.content import MANIFEST, manifest_bytes, read_manifest, read_truth, truth_bytes
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """A suite's folder."""
+    made = tmp_path_factory.mktemp("suites") / "drawn"
+    made.mkdir()
+    suite_cases.drawn_suite(made)
+    return made
+
+
+@pytest.fixture(scope="module")
+def archive(folder):
+    """The same suite as an archive."""
+    file = folder.with_suffix(".zip")
+    pack_suite(folder, file)
+    return file
+
+
+def test_a_case_is_read_as_it_was_written(folder, archive):
+    """The PNGs lose nothing; the truth is written to 1e-6 px."""
+    for path in (folder, archive):
+        suite = verify_suite(path)
+        assert len(suite.content.cases) == 4
+        for number, case in enumerate(suite.cases()):
+            written = suite_cases.drawn_case(
+                number, 150.0 if number % 3 else 30.0, number % 2 == 1, number == 0
+            )
+            for name in ("picture", "labels", "dark"):
+                assert np.array_equal(getattr(case, name), getattr(written, name)), name
+            assert case.settings == written.settings
+            assert np.array_equal(case.truth.status, written.truth.status)
+            np.testing.assert_allclose(
+                case.truth.centre_px, written.truth.centre_px, rtol=0, atol=1e-6
+            )
+
+
+def test_an_archive_has_the_same_bytes_each_time(folder, archive, tmp_path):
+    again = tmp_path / "again.zip"
+    pack_suite(folder, again)
+    assert again.read_bytes() == archive.read_bytes()
+
+
+def _refused(path):
+    with pytest.raises(InputError) as refused:
+        verify_suite(path)
+    message = str(refused.value)
+    assert str(path) in message
+    assert "\n" not in message
+    return message
+
+
+@settings(max_examples=60, deadline=None)
+@given(data=st.data())
+def test_harmed_archives_are_refused(archive, tmp_path_factory, data):
+    """Any bit flipped, any cut, anything appended."""
+    content = bytearray(archive.read_bytes())
+    how = data.draw(st.sampled_from(["flip", "cut", "append"]))
+    place = data.draw(st.integers(0, len(content) - 1))
+    if how == "flip":
+        content[place] ^= 1 << data.draw(st.integers(0, 7))
+    elif how == "cut":
+        del content[place:]
+    else:
+        content += b"x" * (1 + place % 7)
+    file = tmp_path_factory.getbasetemp() / "harmed.zip"
+    file.write_bytes(content)
+    _refused(file)
+
+
+@settings(max_examples=30, deadline=None)
+@given(data=st.data())
+def test_a_harmed_member_of_a_folder_is_named(folder, data):
+    names = sorted(open_suite(folder).content.members)
+    name = data.draw(st.sampled_from(names))
+    file = folder / name
+    whole = file.read_bytes()
+    place = data.draw(st.integers(0, len(whole) - 1))
+    try:
+        harmed = bytearray(whole)
+        harmed[place] ^= 1 << data.draw(st.integers(0, 7))
+        file.write_bytes(harmed)
+        assert name in _refused(folder)
+        file.write_bytes(whole[:place])
+        assert name in _refused(folder)
+    finally:
+        file.write_bytes(whole)
+
+
+def _forged(folder, tmp_path, change):
+    """A copy of the suite whose manifest is changed, with a right checksum of its own."""
+    copy = tmp_path / "forged"
+    shutil.copytree(folder, copy)
+    content = open_suite(folder).content
+    (copy / MANIFEST).write_bytes(manifest_bytes(change(content)))
+    return copy
+
+
+def test_another_version_is_refused(folder, tmp_path):
+    path = _forged(folder, tmp_path, lambda content: content.model_copy(update={"version": 2}))
+    assert "of another version (got 2; allowed: 1)" in _refused(path)
+
+
+@pytest.mark.parametrize(
+    "name", ["../secret", "/etc/passwd", "a/../../b", "a\\b/c", "A/b", "a/b\n"]
+)
+def test_a_member_outside_of_the_suite_is_refused(folder, tmp_path, name):
+    def change(content):
+        stated = next(iter(content.members.values()))
+        return content.model_copy(update={"members": {**content.members, name: stated}})
+
+    assert "a name that is not plain" in _refused(_forged(folder, tmp_path, change))
+
+
+def test_a_link_out_of_the_folder_is_refused(folder, tmp_path):
+    copy = tmp_path / "linked"
+    shutil.copytree(folder, copy)
+    file = copy / "case-000" / "truth.csv"
+    (tmp_path / "truth.csv").write_bytes(file.read_bytes())
+    file.unlink()
+    file.symlink_to(tmp_path / "truth.csv")
+    assert "link that leads out" in _refused(copy)
+
+
+def test_a_compressed_archive_is_refused(folder, tmp_path):
+    """A member that unpacks to more than the file holds: a bomb."""
+    bomb = tmp_path / "bomb.zip"
+    with zipfile.ZipFile(bomb, "w", zipfile.ZIP_DEFLATED) as file:
+        file.writestr(MANIFEST, bytes(2**24))
+    assert f"member {MANIFEST} is compressed" in _refused(bomb)
+
+
+@settings(max_examples=50, deadline=None)
+@given(st.binary(max_size=200))
+def test_what_is_no_manifest_and_no_truth_is_refused(data):
+    for read in (read_manifest, read_truth):
+        with pytest.raises(InputError):
+            read(data, "here")
+
+
+@pytest.mark.parametrize(
+    "row", ["nan,1,1,1,0,0", "1,1,1,1,0,99", "1,1,1,1,2,0", "1,1,1,1,nan,0", "1,1,1,1,0,1e99"]
+)
+def test_impossible_truth_is_refused(row):
+    head = truth_bytes(suite_cases.drawn_case(0).truth).split(b"\n")[0]
+    with pytest.raises(InputError, match="no table of a line's truth"):
+        read_truth(head + b"\n" + row.encode() + b"\n", "here")
+
+
+def test_suites_are_found_in_the_cache(archive, tmp_path, monkeypatch, capsys):
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    (tmp_path / "lscan" / "suites").mkdir(parents=True)
+    shutil.copy(archive, tmp_path / "lscan" / "suites")
+    assert suites_found() == {"drawn": tmp_path / "lscan" / "suites" / "drawn.zip"}
+    for command, said in {
+        "list": "drawn: ",
+        "show drawn": "drawn: 4 cases, seed 7",
+        "verify drawn": "4 cases and 17 members are whole",
+    }.items():
+        code, out, _ = call(capsys, "suite", *command.split())
+        assert (code, said in out) == (0, True), out
+
+
+def test_suites_are_found_by_entry_point(folder, tmp_path, monkeypatch):
+    """A package of another distribution names itself; the suite lies in it."""
+    package, info = tmp_path / "somebodys", tmp_path / "somebodys-1.dist-info"
+    package.mkdir()
+    info.mkdir()
+    (package / "__init__.py").touch()
+    pack_suite(folder, package / "theirs.zip")
+    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: somebodys\nVersion: 1\n")
+    (info / "entry_points.txt").write_text("[lscan.suites]\ntheirs = somebodys\n")
+    monkeypatch.syspath_prepend(str(tmp_path))
+    installed.cache_clear()
+    try:
+        assert suites_found()["theirs"] == package / "theirs.zip"
+        with pytest.raises(InputError, match="no such suite"):
+            lscan.suites.find.find_suite("nobodys")
+    finally:
+        installed.cache_clear()

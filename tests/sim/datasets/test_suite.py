@@ -1,0 +1,188 @@
+"""A suite has the same bytes whoever made it and however often that was ended; truth fits light."""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from itertools import combinations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings, strategies as st
+from places import ROOT
+
+from lscan.config.scenes import suite_names
+from lscan.errors import InputError
+from lscan.files.disk import lock_folder
+from lscan.records import Status
+from lscan.suites import open_suite, verify_suite
+from sim.datasets.suite import make_suite
+from sim.datasets.suitespec import covering, load_suite_spec
+
+SMALL = """
+name = "small"
+scene = "paper/groove"
+pictures = 8
+turned = 4
+pairs = 8
+
+[base.camera]
+width_px = 64
+height_px = 100
+options = { auto_exposure = true, max_ms = 10000.0, percentile = 98.0 }
+
+[base.lens]
+centre_px = [159.5, -112.5]
+
+[base.light]
+ambient_w_m2_sr = 0.02
+
+[base.render]
+scatter_samples = 0
+
+[render.laser.line]
+[render.laser.none.laser]
+on = false
+[render.laser.two.stripe]
+returns = "last"
+[render.laser.two.laser]
+lines = [{ tilt_deg = -1.0, share = 0.5 }, { tilt_deg = 1.0, share = 0.5 }]
+
+[expose.noise.usual]
+[expose.noise.low.sensor]
+dark_noise_e = 10.0
+[expose.fault.none]
+[expose.fault.gamma.sensor]
+gamma = 2.2
+"""
+
+
+@pytest.fixture(scope="module")
+def spec_file(tmp_path_factory):
+    file = tmp_path_factory.mktemp("spec") / "small.toml"
+    file.write_text(SMALL)
+    return file
+
+
+@pytest.fixture(scope="module")
+def made(spec_file):
+    """The suite, made in this process."""
+    return make_suite(load_suite_spec(spec_file), spec_file.parent / "small.zip", workers="none")
+
+
+def test_the_truth_lies_on_the_light(made):
+    """Where a column has one line, the brightest pixel is within 3 sigma and a pixel of the truth.
+
+    Beyond 3 sigma lies 0.3 % of a line's light; a pixel for where the centre is within its own.
+    """
+    suite = verify_suite(made)
+    assert len(suite.content.cases) == 8
+    kinds = set()
+    for case in suite.cases():
+        kinds.add((case.axes["laser"], case.axes["lines"]))
+        picture = case.picture if case.settings.axis == "columns" else case.picture.swapaxes(0, 1)
+        truth = case.truth
+        shown = (truth.status == Status.OK) & (truth.multiple == 0)
+        if case.axes["laser"] == "none":
+            assert not shown.any()
+        if case.axes["laser"] == "line":
+            assert shown.mean() > 0.5
+            brightest = picture[..., 0].astype(float).argmax(axis=0)
+            inside = np.abs(brightest - truth.centre_px) <= 3 * truth.sigma_px + 1
+            assert inside[shown & (truth.height_dn > 10 * truth.noise_dn)].all()
+        if case.dark is not None:
+            assert case.dark.mean() < case.picture.mean() or case.axes["laser"] == "none"
+    assert {lines for _, lines in kinds} == {"columns", "rows"}
+    assert {laser for laser, _ in kinds} == {"line", "none", "two"}
+
+
+def test_two_lines_have_the_truth_of_the_one_that_is_meant(made):
+    """Of returns = "last" the lower one: light of the other lies above it."""
+    suite = open_suite(made)
+    two = [case for case in suite.cases() if case.axes["laser"] == "two"]
+    assert two
+    for case in two:
+        shown = np.flatnonzero((case.truth.status == Status.OK) & (case.truth.multiple == 0))
+        picture = case.picture if case.settings.axis == "columns" else case.picture.swapaxes(0, 1)
+        above = [picture[: int(case.truth.centre_px[u] - 6), u, 0].max() for u in shown]
+        assert np.median(above) > 3 * np.median(picture[:5, :, 0])
+
+
+@pytest.mark.slow
+def test_the_bytes_are_the_same_on_two_workers_and_after_a_kill(made, spec_file, tmp_path):
+    spec = load_suite_spec(spec_file)
+    killed = tmp_path / "killed.zip"
+    line = (
+        f"from sim.cli.app import main; import sys; sys.argv = {_make(spec_file, killed)}; main()"
+    )
+    child = subprocess.Popen([sys.executable, "-c", line], cwd=ROOT, start_new_session=True)
+    partial = tmp_path / "killed.zip.partial"
+    while child.poll() is None and not list(partial.glob("*/truth.csv")):
+        time.sleep(0.01)
+    os.killpg(child.pid, signal.SIGKILL)
+    child.wait()
+    shown = []
+    make_suite(spec, killed, workers=2, progress=lambda done, total: shown.append((done, total)))
+    assert killed.read_bytes() == made.read_bytes()
+    assert not partial.exists()
+    assert shown[-1] == (8, 8)
+
+
+def _make(spec_file, archive):
+    return ["lscan-sim", "suite", "make", str(spec_file), "-o", str(archive), "--workers", "1"]
+
+
+def test_another_seed_gives_other_pictures_and_is_not_mixed(made, spec_file):
+    with pytest.raises(InputError, match="holds another suite"):
+        make_suite(load_suite_spec(spec_file, seed=2), made, workers="none")
+    folder = made.with_name("other.zip.partial")
+    folder.mkdir()
+    (folder / "identity.txt").write_text("lscan of yore\n")
+    with pytest.raises(InputError, match="cases of another suite"):
+        make_suite(load_suite_spec(spec_file), made.with_name("other.zip"), workers="none")
+
+
+def test_two_processes_do_not_make_one_suite(spec_file):
+    file = spec_file.parent / "locked.zip"
+    folder = file.with_name("locked.zip.partial")
+    folder.mkdir()
+    lock = lock_folder(folder)
+    try:
+        with pytest.raises(InputError, match="is being written by another"):
+            make_suite(load_suite_spec(spec_file), file, workers="none")
+    finally:
+        os.close(lock)
+
+
+@pytest.mark.parametrize("name", suite_names())
+def test_the_suites_of_lscan_cover_every_pair_of_values(name):
+    spec = load_suite_spec(name)
+    cases = spec.cases()
+    values = {**spec.file.render, **spec.file.expose}
+    rows = [spec.axes_of(case) for case in cases]
+    for one, other in combinations(values, 2):
+        seen = {(row[one], row[other]) for row in rows}
+        assert seen == {(a, b) for a in values[one] for b in values[other]}
+    for case in cases[:: len(cases) // 25]:
+        spec.scene(case)
+
+
+@settings(max_examples=30, deadline=None)
+@given(sizes=st.lists(st.integers(1, 4), min_size=1, max_size=4), seed=st.integers(0, 99))
+def test_a_covering_has_every_pair_and_less_than_the_product(sizes, seed):
+    axes = [tuple(map(str, range(size))) for size in sizes]
+    rows = list(covering(axes, [], np.random.default_rng(seed)))
+    for i, j in combinations(range(len(axes)), 2):
+        assert {(row[i], row[j]) for row in rows} == {(a, b) for a in axes[i] for b in axes[j]}
+    assert len(rows) <= np.prod(sizes)
+    assert rows == list(covering(axes, [], np.random.default_rng(seed)))
+
+
+def test_what_needs_another_render_is_no_exposure(spec_file, tmp_path):
+    file = tmp_path / "wrong.toml"
+    file.write_text(SMALL + "[expose.width.wide.laser]\nwaist_mm = 3.0\n")
+    with pytest.raises(
+        InputError, match=r"expose: width\.wide\.laser\.waist_mm needs another render"
+    ):
+        load_suite_spec(file)
