@@ -85,9 +85,12 @@ class PictureDataset:
 
     Examples
     --------
-    >>> dataset = PictureDataset("out/dataset")  # doctest: +SKIP
-    >>> dataset[0].picture.shape  # doctest: +SKIP
-    (480, 640, 3)
+    >>> from pathlib import Path
+    >>> Path("dataset").mkdir()
+    >>> text = '{"version": 1, "shards": []}'
+    >>> _ = (Path("dataset") / "manifest.json").write_text(text, encoding="utf-8")
+    >>> len(PictureDataset("dataset"))
+    0
     """
 
     def __init__(self, folder: Path | str) -> None:
