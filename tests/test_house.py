@@ -291,6 +291,7 @@ DUTIES = {
     "lscan.tracks": {"sections", "validate", "open"},
     "lscan.extractors": {"__call__"},
     "lscan.planemaps": {"solve", "restore"},
+    "pytest11": {"pytest_addoption", "stripe_case", "assert_no_worse"},
 }
 
 

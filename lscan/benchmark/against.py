@@ -59,6 +59,17 @@ class Difference:
     p: float
     cases: int
 
+    @property
+    def in_words(self) -> str:
+        """One line."""
+        how = "worse" if self.worse else "better"
+        ratio = self.figure in _RATIOS
+        change = f"{100 * self.change:+.2g} %" if ratio else f"{self.change:+.2g} columns a case"
+        return (
+            f"{self.extractor}: {self.figure} {how}: {change}, in {self.cases} cases, "
+            f"p = {self.p:.1g}"
+        )
+
 
 def differences(
     extractor: str, now: Mapping[str, CaseSums], before: Mapping[str, CaseSums]

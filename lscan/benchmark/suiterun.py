@@ -96,7 +96,7 @@ def run_suite(
     for name in names:
         find_extractor(name)
     if suite == DRAWN:
-        every = list(_drawn(seed))
+        every = list(drawn_cases(seed))
         identity, axes = f"{DRAWN} seed {seed}", {case.name: case.axes for case in every}
         shown: Iterator[SuiteCase] = iter(every)
     else:
@@ -119,8 +119,13 @@ def run_suite(
     return SuiteRun(identity, axes, judged, reference_s)
 
 
-def _drawn(seed: int) -> Iterator[SuiteCase]:
-    """The lines of today's bench as cases of a suite."""
+def drawn_cases(seed: int) -> Iterator[SuiteCase]:
+    """The drawn lines of ``lscan bench`` as cases of a suite.
+
+    Parameters
+    ----------
+    seed : int, of all that is random in them
+    """
     for number, case in enumerate(cases()):
         rng = np.random.default_rng([seed, number])
         true = centres(rng.random())
@@ -203,10 +208,27 @@ def write_suite_run(folder: Path, run: SuiteRun, by: Sequence[str]) -> dict[str,
 
     Returns
     -------
-    What bench.json holds; ``compare_saved`` takes the file.
+    What bench.json holds.
     """
     make_folder(folder)
-    content = {
+    content = saved_run(run, by)
+    write_json(folder / "bench.json", content)
+    for one in run.judged:
+        if one.worst:
+            name = one.extractor.replace(":", ".")
+            write_atomically(folder / f"worst-{name}.png", draw_worst(one))
+    return content
+
+
+def saved_run(run: SuiteRun, by: Sequence[str] = ()) -> dict[str, Any]:
+    """What bench.json holds of a run, of JSON types; ``compare_saved`` takes such a file.
+
+    Parameters
+    ----------
+    run : SuiteRun
+    by : sequence of str, the axes of its table
+    """
+    return {
         "version": VERSION,
         "suite": run.identity,
         "rows": [asdict(row) for row in suite_rows(run, by)],
@@ -216,12 +238,6 @@ def write_suite_run(folder: Path, run: SuiteRun, by: Sequence[str]) -> dict[str,
             for one in run.judged
         },
     }
-    write_json(folder / "bench.json", content)
-    for one in run.judged:
-        if one.worst:
-            name = one.extractor.replace(":", ".")
-            write_atomically(folder / f"worst-{name}.png", draw_worst(one))
-    return content
 
 
 def compare_saved(run: SuiteRun, file: Path) -> list[Difference]:

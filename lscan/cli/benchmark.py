@@ -12,7 +12,6 @@ from lscan.cli.console import print_json, print_table, progress_bar
 from lscan.errors import InputError
 
 if TYPE_CHECKING:
-    from lscan.benchmark.against import Difference
     from lscan.benchmark.suiterun import SuiteRow
 
 
@@ -128,7 +127,7 @@ def _bench_suite(
         for axes in tables:
             _print_rows(suite_rows(run, axes))
         for one in changed:
-            print(_in_words(one))
+            print(one.in_words)
         if against is not None and not changed:
             print("nothing differs")
         print(output / "bench.json")
@@ -151,13 +150,6 @@ def _print_rows(rows: "Sequence[SuiteRow]") -> None:
         for row in rows
     ]  # fmt: skip
     print_table(f"by {', '.join(axes)}" if axes else "all cases", headings, cells)
-
-
-def _in_words(one: "Difference") -> str:
-    how = "worse" if one.worse else "better"
-    ratio = "rms" in one.figure or "sigmas" in one.figure
-    change = f"{100 * one.change:+.2g} %" if ratio else f"{one.change:+.2g} columns a case"
-    return f"{one.extractor}: {one.figure} {how}: {change}, in {one.cases} cases, p = {one.p:.1g}"
 
 
 def _taking_part(usual: tuple[str, ...], more: list[str] | None) -> tuple[str, ...]:

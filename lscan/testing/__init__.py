@@ -1,0 +1,1 @@
+"""What pytest offers once lscan is installed: fixtures of suites, and tests against a baseline."""

@@ -1,0 +1,169 @@
+"""Plugin of pytest: the cases of a suite as fixtures, and results held against a baseline.
+
+Loaded by every run of pytest where lscan is installed, so that it imports what it needs only
+where a fixture is used.
+"""
+
+from __future__ import annotations
+
+from functools import cache
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import pytest
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Generator
+
+    from lscan.benchmark.suiterun import SuiteRun
+    from lscan.suites import SuiteCase
+
+CASE, SUITE, UPDATE = "stripe_case", "--lscan-suite", "--lscan-update"
+USUAL = "drawn"
+MARK = "lscan_suite"
+
+
+def pytest_addoption(parser: pytest.Parser) -> None:
+    """Add --lscan-suite and --lscan-update."""
+    group = parser.getgroup("lscan")
+    group.addoption(
+        SUITE, default=None, help="suite of the lscan fixtures: a name, a path, or drawn"
+    )
+    group.addoption(UPDATE, action="store_true", help="write baselines anew instead of testing")
+    parser.addini("lscan_suite", "suite of the lscan fixtures", default=USUAL)
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    """Name the mark."""
+    config.addinivalue_line("markers", f"{MARK}(name): suite of the lscan fixtures of a test")
+
+
+def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
+    """One test for each case of the suite where a test takes ``stripe_case``."""
+    if CASE in metafunc.fixturenames:
+        names = sorted(_cases(_suite(metafunc.definition)))
+        metafunc.parametrize(CASE, names, indirect=True)
+
+
+@pytest.fixture
+def lscan_suite(request: pytest.FixtureRequest) -> str:
+    """The suite's name: of the option, of the test's mark, of the ini file, or "drawn"."""
+    return _suite(request.node)
+
+
+@pytest.fixture
+def stripe_case(request: pytest.FixtureRequest) -> SuiteCase:
+    """One case of the suite: picture, truth, settings, values on the suite's axes."""
+    return _cases(_suite(request.node))[request.param]()
+
+
+@pytest.fixture
+def judge_extractor(lscan_suite: str) -> Callable[[str], SuiteRun]:
+    """A function that judges an extractor, by name or package.module:function, on the suite."""
+
+    def judged(name: str) -> SuiteRun:
+        from lscan.benchmark.suiterun import run_suite
+
+        return run_suite(lscan_suite, [name])
+
+    return judged
+
+
+@pytest.fixture
+def assert_no_worse(
+    request: pytest.FixtureRequest, tmp_path: Path, lscan_suite: str
+) -> Callable[[SuiteRun, str | Path], None]:
+    """A function that fails the test where a result is worse than a baseline file says.
+
+    The file lies beside the test; --lscan-update writes it.  By a paired test on the suite's cases,
+    whose probability of failing where nothing changed is 1 %.
+    """
+
+    def held(result: SuiteRun, baseline: str | Path) -> None:
+        from lscan.benchmark.suiterun import compare_saved, saved_run, write_suite_run
+        from lscan.files.jsontext import write_json
+
+        file = request.path.parent / baseline
+        if request.config.getoption(UPDATE):
+            write_json(file, saved_run(result))
+            return
+        if not file.exists():
+            pytest.fail(f"no baseline {file}: pytest {UPDATE} writes it", pytrace=False)
+        worse = [one for one in compare_saved(result, file) if one.worse]
+        if worse:
+            write_suite_run(tmp_path, result, ())
+            pytest.fail("\n".join([
+                *(one.in_words for one in worse),
+                *(_worst_in_words(result)),
+                f"pictures: {tmp_path}",
+                *(_command(name, lscan_suite, file) for name in _names(result)),
+            ]), pytrace=False)  # fmt: skip
+
+    return held
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_makereport(
+    item: pytest.Item,
+) -> Generator[None, pytest.TestReport, pytest.TestReport]:
+    """Beside the failure of a test of a case: its picture and the command to look closer."""
+    report = yield
+    case = getattr(item, "funcargs", {}).get(CASE)
+    if report.when == "call" and report.failed and case is not None:
+        report.sections.append((f"lscan case {case.name}", _case_in_words(item, case)))
+    return report
+
+
+def _suite(node: pytest.Item | pytest.Function | Any) -> str:
+    option = node.config.getoption(SUITE)
+    mark = node.get_closest_marker(MARK)
+    named = option or (mark.args[0] if mark and mark.args else None)
+    return str(named or node.config.getini("lscan_suite"))
+
+
+@cache
+def _cases(suite: str) -> dict[str, Callable[[], SuiteCase]]:
+    """What reads each case of a suite, by the case's name."""
+    from functools import partial
+
+    from lscan.benchmark.suiterun import DRAWN, drawn_cases
+    from lscan.suites import find_suite, open_suite
+
+    if suite == DRAWN:
+        return {case.name: partial(_same, case) for case in drawn_cases(1)}
+    opened = open_suite(find_suite(suite))
+    return {name: partial(opened.case, name) for name in opened.content.cases}
+
+
+def _same(case: SuiteCase) -> SuiteCase:
+    return case
+
+
+def _case_in_words(item: pytest.Item, case: SuiteCase) -> str:
+    """Its values on the axes, where its picture is now, and what to type to look at its line."""
+    from lscan.files.pictures import write_picture
+
+    cache = item.config.cache
+    axes = ", ".join(f"{axis} {value}" for axis, value in case.axes.items())
+    if cache is None:
+        return axes
+    picture = cache.mkdir("lscan-cases") / f"{case.name}.png"
+    write_picture(picture, case.picture)
+    return f"{axes}\npicture: {picture}\nlscan extract {picture}"
+
+
+def _worst_in_words(result: SuiteRun) -> list[str]:
+    return [
+        f"{one.extractor}: {worst.case}, column {worst.column}: {worst.error_px:+.2f} px, "
+        f"sigma {worst.sigma_px:.2g} px"
+        for one in result.judged
+        for worst in one.worst[:3]
+    ]
+
+
+def _names(result: SuiteRun) -> list[str]:
+    return [one.extractor for one in result.judged]
+
+
+def _command(name: str, suite: str, baseline: Path) -> str:
+    return f"lscan bench {name} --suite {suite} --only --against {baseline}"

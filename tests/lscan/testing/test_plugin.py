@@ -1,0 +1,83 @@
+"""The plugin as a stranger's package uses it: pytest in pytest, on the package in examples/."""
+
+import os
+import re
+import shutil
+import subprocess
+import sys
+from importlib.metadata import entry_points
+from pathlib import Path
+
+import pytest
+from places import ROOT
+from suite_cases import drawn_suite
+
+EXAMPLE = ROOT / "examples" / "line-finder"
+LEAST_LINES = 15  # of a stranger's own test, at most
+
+
+@pytest.fixture
+def package(tmp_path: Path) -> Path:
+    """The example in a folder of its own, and beside it a suite of twelve cases.
+
+    Of fewer than eleven not even a change of all is significant: 2 / 2^10 is above 1 % / 6.
+    """
+    shutil.copytree(EXAMPLE, tmp_path / "line-finder")
+    drawn_suite(tmp_path / "twelve", 12)
+    return tmp_path / "line-finder"
+
+
+def run(package: Path, *arguments: str) -> tuple[int, str]:
+    """Exit code and output of pytest in the package, on the twelve cases."""
+    known = {entry.name for entry in entry_points(group="pytest11")}
+    plugin = [] if "lscan" in known else ["-p", "lscan.testing.plugin"]
+    suite = ["--lscan-suite", str(package.parent / "twelve")]
+    done = subprocess.run(
+        [sys.executable, "-m", "pytest", *plugin, *suite, *arguments],
+        cwd=package, capture_output=True, text=True, check=False,
+        env={**os.environ, "PYTHONPATH": os.pathsep.join([str(package / "src"), str(ROOT)])},
+    )  # fmt: skip
+    return done.returncode, done.stdout + done.stderr
+
+
+def change(package: Path, before: str, after: str) -> None:
+    file = package / "src" / "line_finder" / "__init__.py"
+    text = file.read_text(encoding="utf-8")
+    assert before in text
+    file.write_text(text.replace(before, after), encoding="utf-8")
+
+
+def test_a_baseline_is_written_kept_and_noticed(package: Path) -> None:
+    """None: the test fails and says how; written: it passes; half a pixel off: it fails and says
+    by what, and what to type.  Under xdist too."""
+    code, said = run(package, "-k", "no_worse")
+    assert code == 1 and "pytest --lscan-update writes it" in said
+    assert run(package, "-k", "no_worse", "--lscan-update")[0] == 0
+    baseline = package / "tests" / "baseline.json"
+    written = baseline.read_bytes()
+    code, said = run(package, "-n", "2", "-q")
+    assert code == 0, said
+    assert "13 passed" in said
+    change(package, "centre_px=centre + nothing", "centre_px=centre + 0.5 + nothing")
+    code, said = run(package, "-k", "no_worse")
+    assert code == 1
+    assert re.search(r"line_finder:find_line: rms error worse: \+\d", said)
+    assert "lscan bench line_finder:find_line --suite" in said
+    pictures = Path(re.search(r"pictures: (\S+)", said)[1])  # type: ignore[index]
+    assert (pictures / "worst-line_finder.find_line.png").exists()
+    assert baseline.read_bytes() == written
+
+
+def test_a_case_that_fails_is_shown(package: Path) -> None:
+    assert run(package, "-k", "half_of_its_line")[0] == 0
+    change(package, "centre_px=centre + nothing", "centre_px=centre + 3 + nothing")
+    code, said = run(package, "-k", "half_of_its_line")
+    assert code == 1 and "12 failed" in said
+    picture = Path(re.search(r"picture: (\S+case-000\.png)", said)[1])  # type: ignore[index]
+    assert picture.exists() and f"lscan extract {picture}" in said
+    assert "water tap" in said
+
+
+def test_the_stranger_s_test_is_short() -> None:
+    text = (EXAMPLE / "tests" / "test_line_finder.py").read_text(encoding="utf-8")
+    assert sum(bool(line.strip()) for line in text.splitlines()) <= LEAST_LINES
