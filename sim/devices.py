@@ -215,16 +215,32 @@ def metered(
     -------
     The layers, and the exposure in ms.
     """
-    options, exposure_ms = camera_options(scene), scene.rig.camera.exposure_ms
     tank.take(scene)
     layers = tank.render(position_mm, samples=samples, time_s=time_s)
-    if options.auto_exposure:
-        nm = scene.tank.laser.wavelength_at(time_s)
-        wanted = webcam.metered_ms(layers, options.target_dn, options.percentile, nm)
-        exposure_ms = min(max(wanted, options.min_ms), options.max_ms)
+    exposure_ms = exposure_of(scene, webcam, layers, time_s=time_s)
     if exposure_ms != scene.rig.camera.exposure_ms and scene.tank.head.speed_mm_s != 0:
         layers = tank.render(position_mm, samples=samples, time_s=time_s, exposure_ms=exposure_ms)
     return layers, exposure_ms
+
+
+def exposure_of(scene: Scene, webcam: Webcam, layers: Layers, *, time_s: float = 0.0) -> float:
+    """The exposure, ms, of a picture of that light: the rig's, or what auto exposure asks for.
+
+    Parameters
+    ----------
+    scene, webcam
+        As they are in the picture.
+    layers
+        What is seen.
+    time_s
+        As ``Tank.render``.
+    """
+    options = camera_options(scene)
+    if not options.auto_exposure:
+        return scene.rig.camera.exposure_ms
+    nm = scene.tank.laser.wavelength_at(time_s)
+    wanted = webcam.metered_ms(layers, options.target_dn, options.percentile, nm)
+    return min(max(wanted, options.min_ms), options.max_ms)
 
 
 def render_picture(

@@ -90,7 +90,7 @@ def roughness(
     response = ScannerResponse(*lengths)
     found = roughness_of(patch, response, stretched=stretched)
     if output:
-        save_roughness(output, patch, found)
+        save_roughness(output, found)
     if figures:
         from lscan.roughness.plots import save_figures  # loads matplotlib
 

@@ -9,14 +9,16 @@ from collections.abc import Callable
 from difflib import get_close_matches
 from functools import cache
 from pathlib import Path
+from typing import Literal
 
 from lscan.errors import InputError
 from lscan.files.disk import disk_errors
 
 _PACKAGE = Path(__file__).resolve().parents[1]
-STUDIES, CATALOGUE, DATASETS, SUITES = "studies", "catalogue.toml", "datasets", "suites"
-"""Beneath the scenes: the folders of what is no scene, and the file in one that is no study."""
-FOLDERS = {"study": STUDIES, "data set": DATASETS, "suite": SUITES}
+SpecKind = Literal["study", "data set", "suite"]
+FOLDERS: dict[str, str] = {"study": "studies", "data set": "datasets", "suite": "suites"}
+"""Beneath the scenes: the folders of what is no scene, by kind."""
+CATALOGUE = "catalogue.toml"  # among the studies, and none
 
 
 @cache
@@ -43,9 +45,14 @@ def scene_names() -> list[str]:
     return [file.with_suffix("").as_posix() for file in named]
 
 
-def study_names() -> list[str]:
-    """Names of the studies that come with lscan, such as paper-budget."""
-    files = sorted((scenes_folder() / STUDIES).glob("*.toml"))
+def spec_names(kind: SpecKind) -> list[str]:
+    """Names of the files of a kind that come with lscan, such as paper-budget of the studies.
+
+    Parameters
+    ----------
+    kind : "study", "data set" or "suite"
+    """
+    files = sorted((scenes_folder() / FOLDERS[kind]).glob("*.toml"))
     return [file.stem for file in files if file.name != CATALOGUE]
 
 
@@ -66,62 +73,21 @@ def scene_file(path: Path | str) -> Path:
     return _file(Path(path), "scene", scene_names, listed)
 
 
-def study_file(path: Path | str) -> Path:
-    """The file at ``path``, or the study of that name that comes with lscan.
+def spec_file(path: Path | str, kind: SpecKind) -> Path:
+    """The file at ``path``, or that of a kind and of that name that comes with lscan.
 
     Parameters
     ----------
     path : Path or str
-        A file of that path comes before a study of that name.
+        A file of that path comes before one of that name.
+    kind : "study", "data set" or "suite"
 
     Raises
     ------
     InputError
         Where there is neither.
     """
-    return _file(Path(path), "study", study_names)
-
-
-def dataset_names() -> list[str]:
-    """Names of the data sets' specs that come with lscan, such as stripes."""
-    return sorted(file.stem for file in (scenes_folder() / DATASETS).glob("*.toml"))
-
-
-def dataset_file(path: Path | str) -> Path:
-    """The file at ``path``, or the data set's spec of that name that comes with lscan.
-
-    Parameters
-    ----------
-    path : Path or str
-        A file of that path comes before a spec of that name.
-
-    Raises
-    ------
-    InputError
-        Where there is neither.
-    """
-    return _file(Path(path), "data set", dataset_names)
-
-
-def suite_names() -> list[str]:
-    """Names of the suites' specs that come with lscan, such as quick."""
-    return sorted(file.stem for file in (scenes_folder() / SUITES).glob("*.toml"))
-
-
-def suite_file(path: Path | str) -> Path:
-    """The file at ``path``, or the suite's spec of that name that comes with lscan.
-
-    Parameters
-    ----------
-    path : Path or str
-        A file of that path comes before a spec of that name.
-
-    Raises
-    ------
-    InputError
-        Where there is neither.
-    """
-    return _file(Path(path), "suite", suite_names)
+    return _file(Path(path), kind, lambda: spec_names(kind))
 
 
 def _file(path: Path, kind: str, listed: Callable[[], list[str]], allowed: str = "") -> Path:

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from io import BytesIO
 from pathlib import Path
-from typing import IO, Any
+from typing import Any
 
 import cv2
 import h5py
@@ -25,7 +25,7 @@ VERSION = 1
 MEMBERS = ("picture.png", "labels.png", "truth.npz", "scene.json")
 """What each picture of a data set is made of, in the order in which it is written."""
 MOST_BYTES = 1 << 28
-OPEN_SHARDS = 16
+KNOWN_SHARDS = 16
 
 
 @dataclass(frozen=True)
@@ -63,7 +63,10 @@ class DatasetPicture:
     @cached_property
     def scene(self) -> dict[str, Any]:
         """Scene, numbers drawn for it, exposure, units, and the classes' run lengths (``rle``)."""
-        found: dict[str, Any] = json.loads(self.members["scene.json"])
+        try:
+            found: dict[str, Any] = json.loads(self.members["scene.json"])
+        except ValueError as error:
+            raise InputError("scene.json cannot be read", where=self.key) from error
         return found
 
     def _decoded(self, name: str, flags: int) -> Bytes:
@@ -163,12 +166,12 @@ def _members(path: Path, key: str) -> dict[str, bytes]:
     try:
         if path.suffix == ".tar":
             state = path.stat()
-            stream, places = _opened(path, state.st_mtime_ns, state.st_size)
-            found = {}
-            for name in names:
-                begin, size = places[name]
-                stream.seek(begin)
-                found[name] = stream.read(size)
+            places, found = _places(path, state.st_mtime_ns, state.st_size), {}
+            with path.open("rb") as stream:  # of its own: processes and threads read side by side
+                for name in names:
+                    begin, size = places[name]
+                    stream.seek(begin)
+                    found[name] = stream.read(size)
         elif path.suffix == ".h5":
             with h5py.File(path, "r") as file:
                 found = {name: bytes(file[key][name[len(key) + 1 :]][()]) for name in names}
@@ -179,10 +182,8 @@ def _members(path: Path, key: str) -> dict[str, bytes]:
     return {name[len(key) + 1 :]: data for name, data in found.items()}
 
 
-@lru_cache(maxsize=OPEN_SHARDS)
-def _opened(path: Path, _mtime_ns: int, _size: int) -> tuple[IO[bytes], dict[str, tuple[int, int]]]:
-    """A tar file as it is at that time, where its members begin and how long they are."""
-    stream = path.open("rb")
-    with tarfile.open(fileobj=stream, mode="r:") as tar:
-        places = {member.name: (member.offset_data, member.size) for member in tar}
-    return stream, places
+@lru_cache(maxsize=KNOWN_SHARDS)
+def _places(path: Path, _mtime_ns: int, _size: int) -> dict[str, tuple[int, int]]:
+    """Where the members of a tar file, as it is at that time, begin and how long they are."""
+    with tarfile.open(path, mode="r:") as tar:
+        return {member.name: (member.offset_data, member.size) for member in tar}

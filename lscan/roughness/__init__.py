@@ -36,7 +36,7 @@ from lscan.roughness.spectra import (
     patch_spectrum,
     profile_spectrum,
 )
-from lscan.roughness.whittle import Band, PowerLawFit, fit_power_law, usable_band
+from lscan.roughness.whittle import Band, PowerLawFit, fit_power_law, most_likely_law, usable_band
 
 __all__ = [
     "SEDIMENTS",
@@ -66,6 +66,7 @@ __all__ = [
     "fit_waves",
     "from_profiles",
     "moments",
+    "most_likely_law",
     "noise_density",
     "of_grain_size",
     "patch_of",

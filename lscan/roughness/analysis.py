@@ -8,8 +8,14 @@ from lscan.roughness.instrument import ScannerResponse, corrected_spectrum, cuto
 from lscan.roughness.moments import RoughnessMoments, moments
 from lscan.roughness.patch import Patch
 from lscan.roughness.ripples import RippleTrain, find_ripples, without_ripples
-from lscan.roughness.spectra import RingSpectrum, by_rings, patch_spectrum
-from lscan.roughness.whittle import Band, PowerLawFit, fit_power_law, usable_band
+from lscan.roughness.spectra import PatchSpectrum, patch_spectrum
+from lscan.roughness.whittle import (
+    Band,
+    PowerLawFit,
+    fit_power_law,
+    most_likely_law,
+    usable_band,
+)
 
 RIPPLES = (
     "wavelength_cm", "heading_deg", "height_cm",
@@ -27,16 +33,16 @@ class Roughness:
     ripples : RippleTrain or None, the train that stands out
     fit : PowerLawFit, of what is left without it, up to the cutoff
     cutoff_per_cm : float, rad/cm, beyond it the instrument is measured
-    rings : RingSpectrum, W2 as measured, ripples included
-    corrected : RingSpectrum, the same less the noise, over what the instrument passes
+    spectrum : PatchSpectrum, W2 as measured, ripples included
+    corrected : PatchSpectrum, the same less the noise, over what the instrument passes
     """
 
     moments: RoughnessMoments
     ripples: RippleTrain | None
     fit: PowerLawFit
     cutoff_per_cm: float
-    rings: RingSpectrum
-    corrected: RingSpectrum
+    spectrum: PatchSpectrum
+    corrected: PatchSpectrum
 
     def figures(self) -> dict[str, float]:
         """The numbers by name, units in the names; _sigma: standard uncertainty.
@@ -101,14 +107,13 @@ def roughness_of(
     response = response or ScannerResponse()
     train = find_ripples(patch)
     rest = patch if train is None else without_ripples(patch, train)
-    told: dict[str, Any] = {"stretched": stretched, "seed": seed}
-    told |= {"response": response, "known": response.known}
-    fit = fit_power_law(rest, **told)
-    cutoff = cutoff_per_cm(fit.law, rest, response)
-    band = usable_band(rest)
-    if cutoff < band.high_per_cm:
-        band = Band(band.low_per_cm, cutoff)
-        fit = fit_power_law(rest, band=band, **told)
+    told: dict[str, Any] = {
+        "stretched": stretched, "response": response, "known": response.known
+    }  # fmt: skip
+    cutoff = cutoff_per_cm(most_likely_law(rest, **told), rest, response)
+    usable = usable_band(rest)
+    band = Band(usable.low_per_cm, min(usable.high_per_cm, cutoff))
+    fit = fit_power_law(rest, band=band, seed=seed, **told)
     spectrum = patch_spectrum(patch)
-    corrected = by_rings(corrected_spectrum(spectrum, patch, response))
-    return Roughness(moments(patch), train, fit, cutoff, by_rings(spectrum), corrected)
+    corrected = corrected_spectrum(spectrum, patch, response)
+    return Roughness(moments(patch), train, fit, cutoff, spectrum, corrected)

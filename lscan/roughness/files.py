@@ -7,28 +7,26 @@ import numpy as np
 import xarray as xr
 
 from lscan.files.disk import write_atomically
+from lscan.records import Floats
 from lscan.roughness.analysis import Roughness
-from lscan.roughness.patch import Patch
-from lscan.roughness.spectra import patch_spectrum
+from lscan.roughness.spectra import RingSpectrum, by_rings
 from lscan.version import __version__
 
 
-def save_roughness(path: Path, patch: Patch, found: Roughness) -> None:
+def save_roughness(path: Path, found: Roughness) -> None:
     """Write spectra to a NetCDF-4 file, and what was found of them to its attributes.
 
     Parameters
     ----------
     path : Path
-    patch : Patch
-    found : Roughness, of it
+    found : Roughness
 
     Raises
     ------
     InputError
         The file cannot be written.
     """
-    plane, rings = patch_spectrum(patch), found.rings
-    corrected = found.corrected.wavenumber_per_cm, found.corrected.density_cm4
+    plane, rings, corrected = found.spectrum, by_rings(found.spectrum), by_rings(found.corrected)
     per_cm, cm4 = {"units": "rad cm-1"}, {"units": "cm4"}
     data = xr.Dataset(
         {
@@ -36,7 +34,7 @@ def save_roughness(path: Path, patch: Patch, found: Roughness) -> None:
             "w2_ring": ("k", rings.density_cm4, {**cm4, "long_name": "its mean over rings"}),
             "w2_ring_corrected": (
                 "k",
-                np.interp(rings.wavenumber_per_cm, *corrected, left=np.nan, right=np.nan),
+                _at(rings.wavenumber_per_cm, corrected),
                 {**cm4, "long_name": "its mean over rings, less noise, over the response"},
             ),
             "w2_ring_low": ("k", rings.low_cm4, {**cm4, "long_name": "lower 95 % limit"}),
@@ -54,3 +52,9 @@ def save_roughness(path: Path, patch: Patch, found: Roughness) -> None:
         data.to_netcdf(whole, engine="h5netcdf")
         content = whole.read_bytes()
     write_atomically(path, content)
+
+
+def _at(wavenumber_per_cm: Floats, rings: RingSpectrum) -> Floats:
+    """Rings at wavenumbers of other rings, NaN beyond: some rings have no value that is known."""
+    known = rings.wavenumber_per_cm, rings.density_cm4
+    return np.asarray(np.interp(wavenumber_per_cm, *known, left=np.nan, right=np.nan))

@@ -11,7 +11,7 @@ from lscan.files.disk import make_folder, write_atomically
 from lscan.roughness.analysis import Roughness
 from lscan.roughness.instrument import ScannerResponse, noise_density
 from lscan.roughness.patch import Patch
-from lscan.roughness.spectra import patch_spectrum
+from lscan.roughness.spectra import by_rings
 
 SHOWN_DB = 60.0
 
@@ -34,8 +34,8 @@ def save_figures(folder: Path, patch: Patch, found: Roughness, response: Scanner
     make_folder(folder)
     drawn = {
         "spectrum": draw_spectrum(patch, found, response),
-        "plane": draw_plane(patch),
-        "rose": draw_rose(patch),
+        "plane": draw_plane(found),
+        "rose": draw_rose(found),
     }
     for name, figure in drawn.items():
         buffer = BytesIO()
@@ -55,13 +55,13 @@ def draw_spectrum(patch: Patch, found: Roughness, response: ScannerResponse) -> 
     """
     figure = Figure(figsize=(WIDTH_IN, 3.6), layout="constrained")
     axes = figure.add_subplot()
-    rings, fit = found.rings, found.fit
+    rings, corrected, fit = by_rings(found.spectrum), by_rings(found.corrected), found.fit
     axes.fill_between(
         rings.wavenumber_per_cm, rings.low_cm4, rings.high_cm4, color=SECOND, alpha=0.2
     )
     axes.plot(rings.wavenumber_per_cm, rings.density_cm4, color=SECOND, label="measured, 95 %")
-    known = found.corrected.wavenumber_per_cm <= found.cutoff_per_cm
-    axes.plot(found.corrected.wavenumber_per_cm[known], found.corrected.density_cm4[known],
+    known = corrected.wavenumber_per_cm <= found.cutoff_per_cm
+    axes.plot(corrected.wavenumber_per_cm[known], corrected.density_cm4[known],
               color=ACCENT, label="less noise, over the response")  # fmt: skip
     size = np.geomspace(fit.band.low_per_cm, fit.band.high_per_cm, 100)
     law = fit.law.density(0 * size, size)
@@ -79,16 +79,16 @@ def draw_spectrum(patch: Patch, found: Roughness, response: ScannerResponse) -> 
 
 
 @styled
-def draw_plane(patch: Patch) -> Figure:
+def draw_plane(found: Roughness) -> Figure:
     """W2 over the plane of wavenumbers, dB below its largest value.
 
     Parameters
     ----------
-    patch : Patch
+    found : Roughness
     """
     figure = Figure(figsize=(WIDTH_IN, 4.6), layout="constrained")
     axes = figure.add_subplot()
-    spectrum = patch_spectrum(patch)
+    spectrum = found.spectrum
     level_db = 10 * np.log10(np.maximum(spectrum.density_cm4 / spectrum.density_cm4.max(), 1e-30))
     x, y = spectrum.along_x_per_cm.ravel(), spectrum.along_y_per_cm.ravel()
     drawn = axes.pcolormesh(x, y, level_db, cmap=HEIGHTS, vmin=-SHOWN_DB, vmax=0, rasterized=True)
@@ -98,20 +98,20 @@ def draw_plane(patch: Patch) -> Figure:
 
 
 @styled
-def draw_rose(patch: Patch) -> Figure:
+def draw_rose(found: Roughness) -> Figure:
     """The share of the mean slope's square by direction: across which way crests run.
 
     Parameters
     ----------
-    patch : Patch
+    found : Roughness
     """
     figure = Figure(figsize=(WIDTH_IN, 4.0), layout="constrained")
     axes = figure.add_subplot(projection="polar")
-    spectrum = patch_spectrum(patch)
+    spectrum = found.spectrum
     y, x = np.broadcast_arrays(spectrum.along_y_per_cm, spectrum.along_x_per_cm)
     size = np.hypot(y, x)
     # The corners beyond Nyquist's circle are seen in some directions alone.
-    power = np.where(size < patch.nyquist_per_cm, spectrum.density_cm4 * size**2, 0.0)
+    power = np.where(size < -spectrum.along_y_per_cm.min(), spectrum.density_cm4 * size**2, 0.0)
     edges = np.linspace(-np.pi, np.pi, 37)
     share, _ = np.histogram(np.arctan2(y, x), edges, weights=power)
     middle, width = (edges[1:] + edges[:-1]) / 2, np.diff(edges)

@@ -42,6 +42,7 @@ SIMULATED = 400  # patches: J's variances are then known to 7 %
 STEPS, CLOSE = 50, 1e-8
 DIFFERENCE = 1e-4  # of a parameter, for derivatives of the spectrum
 FEWEST_VALUES = 30
+PARAMETERS = ("ln_w2", "gamma2", "a", "b")  # a and b where the law may be stretched
 DB_PER_LN = 10 / np.log(10)
 
 Density = Callable[[Floats, Floats], Floats]
@@ -169,8 +170,52 @@ def fit_power_law(
         The band holds fewer than 30 values; the likelihood has no maximum.
     """
     band = band or usable_band(patch)
-    parameters = ("ln_w2", "gamma2", "a", "b") if stretched else ("ln_w2", "gamma2")
-    theta = np.zeros(len(parameters))
+    likelihood, theta = _most_likely(patch, band, stretched, response, known)
+    covariance = likelihood.covariance(theta, seed, simulated)
+    return PowerLawFit(
+        law_of(theta),
+        PARAMETERS[: len(theta)],
+        covariance,
+        2 * (simulated // 2) - 1,
+        band,
+        len(likelihood.values),
+        float(np.mean(likelihood.values / likelihood.expected(theta)) - 1),
+    )
+
+
+def most_likely_law(
+    patch: Patch,
+    *,
+    stretched: bool = False,
+    band: Band | None = None,
+    response: Density | None = None,
+    known: Callable[[Floats, Floats], Mask] | None = None,
+) -> PowerLaw:
+    """The law of ``fit_power_law`` without its uncertainty, which takes most of the time.
+
+    Parameters
+    ----------
+    patch, stretched, band, response, known
+        As of ``fit_power_law``.
+
+    Raises
+    ------
+    MeasurementError
+        As ``fit_power_law``.
+    """
+    band = band or usable_band(patch)
+    return law_of(_most_likely(patch, band, stretched, response, known)[1])
+
+
+def _most_likely(
+    patch: Patch,
+    band: Band,
+    stretched: bool,
+    response: Density | None,
+    known: Callable[[Floats, Floats], Mask] | None,
+) -> tuple["_Likelihood", Floats]:
+    """The likelihood of the differences that suit the exponent, and where it is largest."""
+    theta = np.zeros(4 if stretched else 2)
     theta[1] = BEGIN
     for second in (False, True):
         parts = list(_parts(patch, band, second, known))
@@ -181,16 +226,7 @@ def fit_power_law(
     if second and theta[1] < TURNING - 0.3:  # turned by chance: what was found first is better
         likelihood = _Likelihood(patch, list(_parts(patch, band, False, known)), response)
         theta = likelihood.maximum(theta)
-    covariance = likelihood.covariance(theta, seed, simulated)
-    return PowerLawFit(
-        law_of(theta),
-        parameters,
-        covariance,
-        2 * (simulated // 2) - 1,
-        band,
-        len(likelihood.values),
-        float(np.mean(likelihood.values / likelihood.expected(theta)) - 1),
-    )
+    return likelihood, theta
 
 
 def usable_band(patch: Patch) -> Band:

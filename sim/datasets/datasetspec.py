@@ -9,7 +9,7 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from lscan.config.documents import Document, Strict, check, read_document
-from lscan.config.scenes import dataset_file, included_file
+from lscan.config.scenes import included_file, spec_file
 from lscan.errors import InputError
 from sim.devices import load_checked
 from sim.scene import Scene
@@ -161,7 +161,7 @@ def load_dataset_spec(path: Path | str) -> DatasetSpec:
     InputError
         Names the file, the key, the value and what is allowed.
     """
-    source = dataset_file(path)
+    source = spec_file(path, "data set")
     file = check(DatasetFile, read_document(source), where=source)
     names = (included_file(source.parent, name) for name in file.scenes)
     scenes = tuple(load_checked(name) for name in names)

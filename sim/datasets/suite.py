@@ -165,18 +165,12 @@ def _exposed(
     spec: SuiteSpec, case: PlannedCase, layers: "Layers", truths: Sequence[StripeTruth]
 ) -> SuiteCase:
     """The light of one render as the webcam of a case takes it."""
-    from sim.devices import camera_options
+    from sim.devices import exposure_of
     from sim.sensor import Webcam
 
     scene = spec.scene(case)
-    webcam, options, exposure_ms = (
-        Webcam(scene),
-        camera_options(scene),
-        scene.rig.camera.exposure_ms,
-    )
-    if options.auto_exposure:
-        wanted = webcam.metered_ms(layers, options.target_dn, options.percentile)
-        exposure_ms = min(max(wanted, options.min_ms), options.max_ms)
+    webcam = Webcam(scene)
+    exposure_ms = exposure_of(scene, webcam, layers)
     seed = scene.tank.sensor.seed
     dark = None
     if spec.has_pair(case):
@@ -188,7 +182,7 @@ def _exposed(
         spec.axes_of(case),
         webcam.expose(layers, exposure_ms, np.random.default_rng([seed, 1])),
         dark,
-        label_scene(scene, scene.rig.plan.start_mm, layers),
+        label_scene(scene, scene.rig.plan.start_mm, layers, truths if scene.tank.laser.on else ()),
         _truth_of(scene, truths, exposure_ms),
         scene.rig.stripe,
     )

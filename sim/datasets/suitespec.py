@@ -13,7 +13,7 @@ from pydantic import Field, model_validator
 
 from lscan.config.documents import Document, Strict, check, merge, read_document
 from lscan.config.rigfile import inline_board, parse_rig
-from lscan.config.scenes import included_file, suite_file
+from lscan.config.scenes import included_file, spec_file
 from lscan.errors import InputError
 from lscan.suites.content import Word
 from sim.scene import Scene, scene_of
@@ -176,7 +176,7 @@ def load_suite_spec(path: Path | str, seed: int | None = None) -> SuiteSpec:
     InputError
         Names the file, the key, the value and what is allowed.
     """
-    source = suite_file(path)
+    source = spec_file(path, "suite")
     file = check(SuiteSpecFile, read_document(source), where=source)
     document = read_document(included_file(source.parent, file.scene))
     return SuiteSpec(file, document, file.seed if seed is None else seed, str(source))

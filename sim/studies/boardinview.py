@@ -2,13 +2,11 @@
 
 import numpy as np
 
+from lscan.board.lattice import RIM_EVIDENCE
 from lscan.errors import MeasurementError
 from lscan.records import Floats, Mask
 from sim.scene import Scene
 from sim.truth import board_truth
-
-BEYOND = 2
-"""Places next to a rim of the dots that must be seen to be empty, as ``lscan.board`` has it."""
 
 
 def require_rim(scene: Scene) -> None:
@@ -49,7 +47,7 @@ def require_rim(scene: Scene) -> None:
         p = np.moveaxis(dots, axis, 0)
         rims = ((lines[0], lines[0] + 1), (lines[-1], lines[-1] - 1))
         empty = [in_view(2 * p[rim] - p[inner], 2 * radius_px).sum() for rim, inner in rims]
-        if len(lines) < whole and (np.array(empty) >= BEYOND).sum() != 1:
+        if len(lines) < whole and (np.array(empty) >= RIM_EVIDENCE).sum() != 1:
             raise MeasurementError(
                 f"{len(lines)} of the {whole} {what} of dots are in view and neither end of them "
                 "is: the instrument would not know which it sees"

@@ -8,7 +8,7 @@ from pydantic import Field, NonNegativeFloat, PositiveFloat, model_validator
 
 from lscan.config.documents import Strict, check, read_document
 from lscan.config.rig import Pixels
-from lscan.config.scenes import CATALOGUE, STUDIES, scenes_folder
+from lscan.config.scenes import CATALOGUE, FOLDERS, scenes_folder
 from sim.scene.instrument import Fraction, Glass
 from sim.scene.trackerrors import TrackErrors
 
@@ -202,5 +202,5 @@ def load_catalogue(file: Path | str | None = None) -> Catalogue:
     InputError
         Names the file, the key at fault, its value and what is allowed.
     """
-    file = scenes_folder() / STUDIES / CATALOGUE if file is None else file
+    file = scenes_folder() / FOLDERS["study"] / CATALOGUE if file is None else file
     return check(Catalogue, read_document(file), where=file)

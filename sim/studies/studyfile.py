@@ -9,7 +9,7 @@ import numpy as np
 from pydantic import Field, PositiveFloat, model_validator
 
 from lscan.config.documents import Document, Strict, check, read_document
-from lscan.config.scenes import included_file, scene_file, study_file
+from lscan.config.scenes import included_file, scene_file, spec_file
 from lscan.errors import InputError
 from lscan.records import Floats
 from sim.scene import Scene, load_scene
@@ -254,7 +254,7 @@ def load_study(path: Path | str) -> Study:
     InputError
         Names the file, the key, the value and what is allowed.
     """
-    file = study_file(path)
+    file = spec_file(path, "study")
     return study_of(read_document(file), str(file))
 
 

@@ -4,7 +4,8 @@ import numpy as np
 
 from lscan.records import Floats, Mask
 from lscan.roughness import Patch, PowerLaw
-from lscan.roughness.patch import wavenumbers
+from sim.meshes.rough import random_fields
+from sim.validation.roughness import fields
 
 PADDING = 4
 
@@ -34,20 +35,10 @@ def drawn(
     law: PowerLaw, shape: tuple[int, int], cell_cm: float, seed: int
 ) -> tuple[Floats, Floats]:
     """Two independent fields of a law, each cut from one four times as long and as wide."""
-    y, x = wavenumbers((PADDING * shape[0], PADDING * shape[1]), cell_cm)
-    area = (2 * np.pi / cell_cm) ** 2 / (y.size * x.size)
-    size = np.sqrt(law.density(y, x) * area)
-    both = np.random.default_rng(seed).standard_normal((2, *size.shape))
-    field = np.fft.fft2(size * (both[0] + 1j * both[1]))[: shape[0], : shape[1]]
-    return field.real, field.imag
+    generator = np.random.default_rng(seed)
+    return random_fields(law.density, shape, (cell_cm, cell_cm), PADDING, generator)
 
 
 def holes(shape: tuple[int, int], share: float, seed: int) -> Mask:
-    """Where cells are seen: a third of the missing ones single, the rest in squares of 2 to 6."""
-    rng = np.random.default_rng(seed)
-    seen = rng.random(shape) > share / 3
-    while seen.mean() > 1 - share:
-        side = rng.integers(2, 7)
-        row, column = (rng.integers(0, count) for count in shape)
-        seen[row : row + side, column : column + side] = False
-    return seen
+    """Where cells are seen; as the figures of ``make roughness`` have it."""
+    return fields.holes(shape, share, np.random.default_rng(seed))

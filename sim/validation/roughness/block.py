@@ -16,8 +16,7 @@ from lscan.roughness import (
     ScannerResponse,
     backscattering_strength,
     by_rings,
-    corrected_spectrum,
-    fit_power_law,
+    most_likely_law,
     patch_of_profiles,
     patch_spectrum,
     roughness_of,
@@ -56,7 +55,7 @@ def block_rows(scenes: Path, effort: RoughnessEffort) -> list[Row]:
     true = patch_of_profiles(_true_heights(scene, measured))
     found = roughness_of(patch, response)
     told = found.cutoff_per_cm / (20 * np.pi)
-    rings = by_rings(corrected_spectrum(patch_spectrum(patch), patch, response), RINGS)
+    rings = by_rings(found.corrected, RINGS)
     off_db = _off_db(rings, by_rings(patch_spectrum(true), RINGS))
     size = rings.wavenumber_per_cm / (20 * np.pi)
     inside = (size >= LOW_PER_MM) & (size <= min(HIGH_PER_MM, told))
@@ -132,7 +131,7 @@ def _off_db(rings: RingSpectrum, true: RingSpectrum) -> Floats:
 
 def _echo_db(fit: PowerLawFit, true: Patch) -> float:
     """The largest difference of backscattering strength, of the law measured and the true one."""
-    expected = fit_power_law(true, band=fit.band, seed=SEED).law
+    expected = most_likely_law(true, band=fit.band)
     bottom = sediment(BOTTOM)
     off = [
         backscattering_strength(fit.law, bottom, khz, np.array(GRAZING_DEG))

@@ -2,6 +2,7 @@
 
 import json
 from pathlib import Path
+from typing import get_args
 
 import pytest
 from places import SCENES
@@ -12,14 +13,13 @@ from lscan.config.board import load_board
 from lscan.config.documents import read_document
 from lscan.config.rigfile import load_rig
 from lscan.config.scenes import (
+    SpecKind,
     copy_scenes,
-    dataset_names,
     scene_file,
     scene_names,
     scenes_folder,
-    study_file,
-    study_names,
-    suite_names,
+    spec_file,
+    spec_names,
 )
 from lscan.errors import InputError
 
@@ -27,18 +27,18 @@ from lscan.errors import InputError
 def test_every_file_has_its_name() -> None:
     """Those of scenes, and those of studies but their catalogue of parts, each in its own list."""
     assert scenes_folder() == SCENES
-    names, studies = scene_names(), study_names()
-    others = len(studies) + len(dataset_names()) + len(suite_names()) + 1
+    names, studies = scene_names(), spec_names("study")
+    others = sum(len(spec_names(kind)) for kind in get_args(SpecKind)) + 1  # the catalogue
     assert len(names) + others == len(list(SCENES.rglob("*.toml")))
     assert all(scene_file(name) == SCENES / f"{name}.toml" for name in names)
-    assert all(study_file(name) == SCENES / "studies" / f"{name}.toml" for name in studies)
+    assert all(spec_file(name, "study") == SCENES / "studies" / f"{name}.toml" for name in studies)
     assert {"paper-budget", "seasons", "first-rig"} <= set(studies)
 
 
 @pytest.mark.parametrize("path", ["paper-budgt", "studies/paper-budget", "mine.toml"])
 def test_neither_file_nor_name_of_a_study_is_refused(path: str) -> None:
     with pytest.raises(InputError, match="no such file, and no study of that name") as refused:
-        study_file(path)
+        spec_file(path, "study")
     assert "first-rig, paper-budget, " in str(refused.value.allowed)
     assert ("did you mean paper-budget?" in str(refused.value)) == ("budg" in path)
 
@@ -46,7 +46,7 @@ def test_neither_file_nor_name_of_a_study_is_refused(path: str) -> None:
 def test_a_study_of_that_path_comes_first(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     (tmp_path / "seasons").write_text("own = 1", encoding="utf-8")
-    assert study_file("seasons") == Path("seasons")
+    assert spec_file("seasons", "study") == Path("seasons")
 
 
 @pytest.mark.parametrize("name", ["paper/sandwave", Path("paper/sandwave")])

@@ -13,7 +13,7 @@ from typer.testing import CliRunner
 
 import sim.studies.running
 from lscan.cli.console import BAD_INPUT, STOPPED, run_command_line
-from lscan.config.scenes import study_names
+from lscan.config.scenes import spec_names
 from lscan.errors import InputError
 from lscan.records import Floats
 from sim.cli.app import app
@@ -106,7 +106,7 @@ def test_stopped_it_says_how_to_go_on(
     assert last.startswith("lscan-sim: stopped; ") and last.endswith("go on with --resume")
 
 
-@pytest.mark.parametrize("name", study_names())
+@pytest.mark.parametrize("name", spec_names("study"))
 def test_a_study_that_ships_is_one(name: str) -> None:
     """Its keys can vary, its usual numbers are in range, and parts of its design there are."""
     study = load_study(name)

@@ -12,7 +12,7 @@ import pytest
 from hypothesis import given, settings, strategies as st
 from places import ROOT
 
-from lscan.config.scenes import suite_names
+from lscan.config.scenes import spec_names
 from lscan.errors import InputError
 from lscan.files.disk import lock_folder
 from lscan.records import Status
@@ -155,7 +155,7 @@ def test_two_processes_do_not_make_one_suite(spec_file):
         os.close(lock)
 
 
-@pytest.mark.parametrize("name", suite_names())
+@pytest.mark.parametrize("name", spec_names("suite"))
 def test_the_suites_of_lscan_cover_every_pair_of_values(name):
     spec = load_suite_spec(name)
     cases = spec.cases()
