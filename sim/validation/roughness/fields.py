@@ -21,6 +21,8 @@ HOLES = 0.1
 PADDING = 4  # of the fields: they hold waves four times as long as they are
 DB_PER_LN = 10 / np.log(10)
 SEED = 17
+RIPPLE_SIDE = 128
+"""Cells a side of a patch with ripples: of a smaller one their crests would fall between cells."""
 GROUND_CM4 = 2e-5  # strength of the rough ground that ripples lie on
 
 
@@ -94,21 +96,21 @@ def ripple_rows(effort: RoughnessEffort) -> list[Row]:
 
     Parameters
     ----------
-    effort : RoughnessEffort, its trains and their patches' side
+    effort : RoughnessEffort, its trains
     """
     off, missed = [], 0
     for number in range(effort.trains):
         generator = np.random.default_rng([SEED, 1, number])
-        shape = effort.side, effort.side
+        shape = RIPPLE_SIDE, RIPPLE_SIDE
         law = PowerLaw(3.0, GROUND_CM4)
         z, _ = random_fields(law.density, shape, (CELL_CM, CELL_CM), PADDING, generator)
         true = Ripples(
-            wavelength_mm=10 * effort.side * CELL_CM / generator.uniform(5, 12),
+            wavelength_mm=10 * RIPPLE_SIDE * CELL_CM / generator.uniform(5, 12),
             height_mm=generator.uniform(2, 6),
             heading_deg=generator.uniform(0, 180),
             crests=generator.uniform(0, 0.8),
         )
-        x = np.asarray(10 * CELL_CM * np.arange(effort.side), dtype=float)
+        x = np.asarray(10 * CELL_CM * np.arange(RIPPLE_SIDE), dtype=float)
         z = z + ripple_heights(true, x, x[:, np.newaxis]) / 10
         seen = holes(shape, HOLES, generator)
         found = find_ripples(Patch(np.where(seen, z, 0.0), seen, CELL_CM))
