@@ -8,8 +8,8 @@ ROOT := $(shell [ "$$(id -u)" = 0 ] || echo sudo -n)
 MINUTES ?= 10
 APT := $(ROOT) env DEBIAN_FRONTEND=noninteractive apt-get -qq
 
-QUICK := accuracy hardware verify field demo bench budgets roughness
-.PHONY: help setup demo test smoke soak lint house bench verify accuracy field hardware roughness docs clean
+QUICK := accuracy hardware verify field demo bench budgets roughness regression
+.PHONY: help setup demo test smoke soak lint house bench verify accuracy field hardware roughness regression docs clean
 .PHONY: $(addprefix quick-,$(QUICK))
 .DELETE_ON_ERROR:
 
@@ -28,6 +28,7 @@ help:
 	@echo "make hardware  hold drivers, runs and the live page to their bars; out/hardware.json"
 	@echo "make study   hold studies to closed forms, renders and the clock; out/study.json"
 	@echo "make roughness  hold roughness to fields, blocks and sounds that are known; out/roughness.json"
+	@echo "make regression  hold suites, the paired test and data sets to their bars; out/regression.json"
 	@echo "make docs    build the documentation, its pages' code included; out/docs/index.html"
 	@echo "make clean   remove all that was set up or made, save runs/"
 
@@ -66,6 +67,8 @@ quick-budgets:
 	$(BIN)/lscan-sim budgets --quick -o out/quick/budgets.json
 quick-roughness:
 	$(BIN)/lscan-sim roughness --quick -o out/quick/roughness.json
+quick-regression:
+	$(BIN)/lscan-sim regression --quick -o out/quick/regression.json
 quick-demo:
 	$(BIN)/lscan-sim demo --quick -o out/quick/demo
 quick-field:
@@ -96,6 +99,9 @@ study: .venv/llvm.stamp
 
 roughness: .venv/llvm.stamp
 	$(BIN)/lscan-sim roughness -o out/roughness.json
+
+regression: .venv/llvm.stamp
+	$(BIN)/lscan-sim regression -o out/regression.json
 
 docs: .venv/llvm.stamp
 	$(BIN)/python -m sphinx -W --keep-going -n -q docs out/docs

@@ -47,7 +47,8 @@ class Difference:
     extractor : str
     figure : str, a key of FIGURES
     worse : bool
-    change : float, the median ratio less 1, or the mean difference in columns a case
+    change : float, of the cases in which it differs: the pseudo-median of the ratio less 1, or of
+        the difference in columns
     p : float, probability of so much where nothing changed
     cases : int, in which it differs at all
     """
@@ -64,7 +65,7 @@ class Difference:
         """One line."""
         how = "worse" if self.worse else "better"
         ratio = self.figure in _RATIOS
-        change = f"{100 * self.change:+.2g} %" if ratio else f"{self.change:+.2g} columns a case"
+        change = f"{100 * self.change:+.2g} %" if ratio else f"{self.change:+.2g} columns"
         return (
             f"{self.extractor}: {self.figure} {how}: {change}, in {self.cases} cases, "
             f"p = {self.p:.1g}"
@@ -85,7 +86,9 @@ def differences(
     ----------
     Wilcoxon, Individual comparisons by ranking methods, Biometrics Bulletin 1 (1945), cases without
     a difference left out; Bonferroni's correction for the number of figures.  That 5 % of the cases
-    got a little worse and all others stayed as they are is then seen, too.
+    got a little worse and all others stayed as they are is then seen, too.  The pseudo-median
+    belongs to that test (Hodges and Lehmann, Estimates of location based on rank tests, Annals of
+    Mathematical Statistics 34 (1963)): its sign is that of the rank sum.
     """
     common = sorted(now.keys() & before.keys())
     found = []
@@ -95,10 +98,9 @@ def differences(
         difference = difference[np.abs(difference) > EQUAL]  # NaN, too, is left out
         p = _probability(difference)
         if p < FALSE_ALARMS / len(FIGURES):
-            ratio = figure in _RATIOS
-            typical = float(np.median(difference) if ratio else difference.sum() / len(common))
-            change = float(np.expm1(typical)) if ratio else typical
-            worse = _rank_sum(difference) > 0
+            typical = pseudo_median(difference)
+            change = float(np.expm1(typical)) if figure in _RATIOS else typical
+            worse = typical > 0
             if figure == _SIGMA:
                 off = np.abs(np.nanmean(pairs, axis=0) - LOG_Z)
                 worse = bool(off[0] > off[1])
@@ -113,6 +115,12 @@ def _probability(difference: Floats) -> float:
     return float(wilcoxon(difference).pvalue)
 
 
-def _rank_sum(difference: Floats) -> float:
-    ranks = np.argsort(np.argsort(np.abs(difference))) + 1
-    return float((np.sign(difference) * ranks).sum())
+def pseudo_median(values: Floats) -> float:
+    """The median of the means of all pairs of values, each value with itself among them.
+
+    Parameters
+    ----------
+    values : (N,) array, 1 at least
+    """
+    one, other = np.triu_indices(len(values))
+    return float(np.median((values[one] + values[other]) / 2))

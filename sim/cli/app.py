@@ -3,7 +3,16 @@
 from lscan.cli.console import command_line, run_command_line
 from sim.cli.dataset import dataset
 from sim.cli.demo import demo
-from sim.cli.figures import accuracy, bench, budgets, field, hardware, roughness, verify
+from sim.cli.figures import (
+    accuracy,
+    bench,
+    budgets,
+    field,
+    hardware,
+    regression,
+    roughness,
+    verify,
+)
 from sim.cli.pictures import render, truth, views
 from sim.cli.serve import serve
 from sim.cli.study import concavity, study
@@ -11,12 +20,13 @@ from sim.cli.suite import suite
 
 app = command_line(
     "The tank in software: demo, render, truth, views, serve, verify, accuracy, field,"
-    " hardware, bench, budgets, roughness, study, concavity, dataset, suite."
+    " hardware, bench, budgets, roughness, regression, study, concavity, dataset, suite."
 )
 for command in (demo, render, truth, views, bench, verify, accuracy, field, serve, hardware):
     app.command()(command)
 app.command()(budgets)
 app.command()(roughness)
+app.command()(regression)
 app.command()(study)
 app.command()(concavity)
 app.command()(dataset)

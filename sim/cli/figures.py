@@ -141,6 +141,17 @@ def roughness(
     _end_with_rows("roughness", rows, [output], json)
 
 
+def regression(
+    output: OutputFile = Path("out/regression.json"), quick: Quick = False, json: Json = False
+) -> None:
+    """Suites, the paired test and data sets: figures with their bars."""
+    from sim.validation.regression.run import run_regression
+
+    with progress_bar("regression") as progress:
+        rows = run_regression(output, quick, progress)
+    _end_with_rows("regression", rows, [output], json)
+
+
 def _end_with_rows(
     title: str, rows: Sequence[Row], files: Sequence[Path], json: bool, skipped: bool = False
 ) -> None:

@@ -76,7 +76,7 @@ def make_suite(
     InputError
         There is another suite, another process makes it, or the disk refuses.
     """
-    made_by = f"lscan {__version__} {spec.sha256[:16]}"
+    made_by = _maker(spec)
     if file.exists():
         content = open_suite(file).content
         if (content.made_by, content.seed) != (made_by, spec.seed):
@@ -96,6 +96,15 @@ def make_suite(
     finally:
         os.close(lock)
     return file
+
+
+def _maker(spec: SuiteSpec) -> str:
+    """What the bytes depend on beside the seed: the version, the spec, photons of quick tables."""
+    from sim.render.spreads import MOST_PHOTONS, photons_asked_for
+
+    photons = photons_asked_for()
+    quickly = f" {photons} photons" if photons != MOST_PHOTONS else ""
+    return f"lscan {__version__} {spec.sha256[:16]}{quickly}"
 
 
 def _keep_identity(file: Path, identity: str) -> None:

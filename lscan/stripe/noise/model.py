@@ -124,8 +124,8 @@ def sampled(count: int) -> slice:
 def line_variance_per_dn(light: Floats, at: Ints, constant: float) -> float:
     """Variance per DN of light on the line, in DN, from the scatter between columns.
 
-    0 where fewer than 16 triples of neighbouring columns have a line.  Columns that are
-    clipped scatter less than the light does.
+    0 where fewer than 16 triples of neighbouring columns have a line, or where half of the windows
+    have no light.  Columns that are clipped scatter less than the light does.
 
     Parameters
     ----------
@@ -137,9 +137,12 @@ def line_variance_per_dn(light: Floats, at: Ints, constant: float) -> float:
     if np.count_nonzero(together) < _FEWEST_TRIPLES:
         return 0.0
     sums = light.sum(axis=1)
+    typical = float(np.median(sums))
+    if typical <= 0:
+        return 0.0
     least = _SECOND_DIFFERENCE_GAIN * ROUNDING_VARIANCE
     scatter = robust_variance(np.diff(sums, n=2)[together], least) / _SECOND_DIFFERENCE_GAIN
-    return max(scatter - light.shape[1] * constant, 0.0) / float(np.median(sums))
+    return max(scatter - light.shape[1] * constant, 0.0) / typical
 
 
 def line_noise(columns: GreyValues, light: Floats, at: Ints) -> Noise:

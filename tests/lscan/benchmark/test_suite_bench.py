@@ -8,14 +8,16 @@ import pytest
 import suite_cases
 from command_line import call, refused
 from hypothesis import given, settings, strategies as st
+from hypothesis.extra import numpy as hnp
 
 from lscan.benchmark import suiterun
-from lscan.benchmark.against import FALSE_ALARMS, LOG_Z, differences
-from lscan.benchmark.judging import CaseSums, judge_case
+from lscan.benchmark.against import FALSE_ALARMS, differences, pseudo_median
+from lscan.benchmark.judging import judge_case
 from lscan.benchmark.suiterun import compare_saved, run_suite, suite_rows, write_suite_run
 from lscan.errors import InputError
 from lscan.records import Status, has_value
 from lscan.stripe import find_extractor
+from sim.validation.regression.drawnsums import drawn_sums
 
 BASE = "gaussian"
 
@@ -137,24 +139,6 @@ def test_what_has_not_changed_differs_in_nothing(suite, saved):
     assert compare_saved(run_suite(str(suite), [_named("same")]), saved) == []
 
 
-def _sums(rng, cases, columns, factor=1.0):
-    """Cases of normal errors, of scatters over two decades; drawn anew, ``factor`` larger.
-
-    A sum of squares has the law of chi squared; of ln |z| the mean is -(gamma + ln 2) / 2 and the
-    variance pi² / 8, and a sum of many is nearly normal.
-    """
-    square = (factor * np.geomspace(0.01, 1.0, cases)) ** 2 * rng.chisquare(columns, cases)
-    mean = np.log(factor) + LOG_Z
-    log_z = rng.normal(columns * mean, np.pi * (columns / 8) ** 0.5, cases)
-    missed = rng.binomial(columns, 0.02, cases)
-    return {
-        str(n): CaseSums(
-            missed=missed[n], core=columns, square=square[n], log_z=log_z[n], sure=missed[n]
-        )
-        for n in range(cases)
-    }
-
-
 def test_the_paired_test_finds_three_percent_and_nothing_where_nothing_is():
     """500 cases of 300 columns, as quick has; both runs with noise of their own, 200 repeats each.
 
@@ -165,13 +149,28 @@ def test_the_paired_test_finds_three_percent_and_nothing_where_nothing_is():
     found = alarms = 0
     for seed in range(200):
         rng = np.random.default_rng([16, seed])
-        before, same_again = _sums(rng, 500, 300), _sums(rng, 500, 300)
+        before, same_again = drawn_sums(rng, 500, 300), drawn_sums(rng, 500, 300)
         alarms += bool(differences("x", same_again, before))
-        now = differences("x", _sums(rng, 500, 300, factor=1.03), before)
+        now = differences("x", drawn_sums(rng, 500, 300, factor=1.03), before)
         found += any(one.worse and one.figure == "rms error" for one in now)
     assert found >= 190
     assert alarms <= 6
     assert FALSE_ALARMS == 0.01
+
+
+@given(hnp.arrays(float, st.integers(1, 40), elements=st.integers(-1000, 1000).map(float)))
+def test_the_pseudo_median_belongs_to_the_signed_ranks(values):
+    """It moves and turns with the values, and lies where SciPy's rank sums balance.
+
+    Half of the rank sum of all lies on either side of it but for ties, which share a pair's mean.
+    """
+    middle = pseudo_median(values)
+    assert pseudo_median(-values) == -middle
+    assert pseudo_median(values + 7.0) == pytest.approx(middle + 7.0)
+    assert values.min() <= middle <= values.max()
+    one, other = np.triu_indices(len(values))
+    means = (values[one] + values[other]) / 2
+    assert (means < middle).sum() <= len(means) / 2 >= (means > middle).sum()
 
 
 @settings(max_examples=15, deadline=None)
@@ -179,7 +178,7 @@ def test_the_paired_test_finds_three_percent_and_nothing_where_nothing_is():
 def test_the_paired_test_is_antisymmetric(seed, cases):
     """What is worse one way is better the other way, whatever the numbers; few cases say little."""
     rng = np.random.default_rng(seed)
-    one, other = _sums(rng, cases, 50), _sums(rng, cases, 50, factor=3.0)
+    one, other = drawn_sums(rng, cases, 50), drawn_sums(rng, cases, 50, factor=3.0)
     ways = differences("x", other, one), differences("x", one, other)
     assert [(a.figure, a.worse) for a in ways[0]] == [(b.figure, not b.worse) for b in ways[1]]
     assert differences("x", one, one) == []

@@ -158,3 +158,5 @@ def test_line_variance_needs_neighbouring_columns():
     assert noise.line_variance_per_dn(light, np.arange(0, 80, 2), constant=0.1) == 0
     assert noise.line_variance_per_dn(light[:10], np.arange(10), constant=0.1) == 0
     assert noise.line_variance_per_dn(light, np.arange(40), constant=0.1) > 0
+    dark = light - 2 * np.median(light)  # as where a brighter background was taken off
+    assert noise.line_variance_per_dn(dark, np.arange(40), constant=0.1) == 0

@@ -143,6 +143,13 @@ def test_another_seed_gives_other_pictures_and_is_not_mixed(made, spec_file):
         make_suite(load_suite_spec(spec_file), made.with_name("other.zip"), workers="none")
 
 
+def test_tables_of_fewer_photons_make_another_suite(made, spec_file, monkeypatch):
+    """The light of higher orders is that of tables, whose noise is of the photons counted."""
+    monkeypatch.setenv("LSCAN_PHOTONS", "16384")
+    with pytest.raises(InputError, match="holds another suite"):
+        make_suite(load_suite_spec(spec_file), made, workers="none")
+
+
 def test_two_processes_do_not_make_one_suite(spec_file):
     file = spec_file.parent / "locked.zip"
     folder = file.with_name("locked.zip.partial")

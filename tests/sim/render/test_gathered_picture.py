@@ -57,6 +57,8 @@ def test_pictures_are_repeated_bit_for_bit(groove: Tank, picture: Layers) -> Non
 
 
 def test_no_kernel_is_compiled_anew_from_picture_to_picture(groove: Tank, picture: Layers) -> None:
+    """From the second on: the first also evaluates what all of them share."""
+    groove.render(POSITION_MM + 3, SAMPLES)
     with dr.scoped_set_flag(dr.JitFlag.KernelHistory, True):
         dr.kernel_history_clear()
         groove.render(POSITION_MM + 7, SAMPLES)

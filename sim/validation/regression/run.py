@@ -1,0 +1,67 @@
+"""Every figure of the table of suites and data sets, measured chapter by chapter."""
+
+from collections.abc import Callable, Mapping
+from functools import partial
+from pathlib import Path
+
+from lscan.benchmark.suiterun import DRAWN
+from lscan.files.disk import make_folder
+from lscan.records import Progress
+from lscan.suites.find import suite_cache, suites_found
+from sim.datasets.suite import make_suite
+from sim.datasets.suitespec import load_suite_spec
+from sim.validation.regression.datasets import dataset_rows
+from sim.validation.regression.mutations import mutation_rows, paired_rows
+from sim.validation.regression.suites import NAME, judged_rows, made_rows
+from sim.validation.rows import Row, RowFile, measured
+
+REPEATS, QUICK_REPEATS = 200, 4
+HARMS, QUICK_HARMS = 1000, 14
+
+
+def run_regression(
+    output: Path, quick: bool = False, progress: Progress | None = None
+) -> list[Row]:
+    """The rows, also written as a JSON list, chapter by chapter.
+
+    Chapters follow each other: most have workers of their own, and some are timed.  A chapter that
+    ends with an error is a failed row.
+
+    Parameters
+    ----------
+    output : Path, the JSON file
+    quick : bool, every row, with the least effort: extractors are judged on drawn lines
+    progress : Progress or None, called with (done, all) after each chapter
+
+    Raises
+    ------
+    InputError
+        The disk refuses.
+    """
+    suite = DRAWN if quick else NAME
+    chapters: Mapping[str, Callable[[], list[Row]]] = {
+        "suite rendered": _nothing if quick else _rendered,
+        "extractors judged": partial(judged_rows, suite),
+        "mutations": partial(mutation_rows, suite),
+        "paired test": partial(paired_rows, QUICK_REPEATS if quick else REPEATS),
+        "suites made": partial(made_rows, QUICK_HARMS if quick else HARMS),
+        "data sets": partial(dataset_rows, quick),
+    }
+    file = RowFile(output, quick)
+    for done, (name, chapter) in enumerate(chapters.items(), start=1):
+        file.add(measured(name, chapter))
+        if progress is not None:
+            progress(done, len(chapters))
+    return file.rows
+
+
+def _nothing() -> list[Row]:
+    return []
+
+
+def _rendered() -> list[Row]:
+    """No row: the suite is there, or rendered into the user's cache."""
+    if NAME not in suites_found():
+        make_folder(suite_cache())
+        make_suite(load_suite_spec(NAME), suite_cache() / f"{NAME}.zip")
+    return []

@@ -1,0 +1,127 @@
+"""Suites: made twice to the same bytes, refused where harmed, judged in a minute."""
+
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+from lscan.benchmark.run import registered_extractors
+from lscan.benchmark.suiterun import run_suite
+from lscan.errors import InputError
+from lscan.suites import open_suite, verify_suite
+from lscan.suites.content import TRUTH
+from sim.datasets.suite import make_suite
+from sim.datasets.suitespec import load_suite_spec
+from sim.validation.regression.harm import harmed
+from sim.validation.rows import Row, row
+
+NAME = "quick"
+PART = """name = "part"
+scene = "paper/groove"
+pictures = 24
+turned = 5
+pairs = 5
+
+[base.camera]
+width_px = 160
+height_px = 120
+options = { auto_exposure = true, max_ms = 10000.0, percentile = 99.0 }
+
+[base.lens]
+centre_px = [159.5, -92.5]
+
+[render.water.tap]
+[render.water.harbor.water]
+kind = "harbor"
+[render.laser.line]
+[render.laser.two.stripe]
+returns = "first"
+[render.laser.two.laser]
+lines = [{ tilt_deg = -1.5, share = 0.5 }, { tilt_deg = 1.5, share = 0.5 }]
+
+[expose.noise.usual]
+[expose.noise.low.sensor]
+dark_noise_e = 10.0
+[expose.fault.none]
+[expose.fault.gamma.sensor]
+gamma = 2.2
+"""
+"""A suite of four renders, made several times over."""
+KILLED_AFTER = 6  # of its cases
+
+
+def made_rows(harms: int) -> list[Row]:
+    """A small suite made in three ways, and its archive harmed.
+
+    Parameters
+    ----------
+    harms : int, how many
+    """
+    with TemporaryDirectory() as temporary:
+        folder = Path(temporary)
+        spec_file = folder / "part.toml"
+        spec_file.write_text(PART, encoding="utf-8")
+        spec = load_suite_spec(spec_file)
+        whole = make_suite(spec, folder / "whole.zip", workers="none")
+        shared = make_suite(spec, folder / "shared.zip", workers=2)
+        ended = folder / "ended.zip"
+        kept = _kill_in_the_middle(spec_file, ended)
+        make_suite(spec, ended, workers=2)
+        data = whole.read_bytes()
+        differing = sum(other.read_bytes() != data for other in (shared, ended))
+        unrefused = _unrefused(whole, harms)
+    cases = spec.file.pictures
+    return [
+        row("regression-same", differing, cases=cases, kept=kept),
+        row("regression-harmed", unrefused, seed=16, harms=harms, cases=cases),
+    ]
+
+
+def _kill_in_the_middle(spec_file: Path, file: Path) -> int:
+    """Kill the process that makes a suite once some cases are there; how many there were."""
+    program = [sys.executable, "-m", "sim.cli.app", "suite", "make"]
+    partial = file.with_name(f"{file.name}.partial")
+    with subprocess.Popen(
+        [*program, spec_file, "-o", file, "--workers", "1"],
+        start_new_session=True,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+    ) as child:
+        while child.poll() is None and len(list(partial.glob(f"*/{TRUTH}"))) < KILLED_AFTER:
+            time.sleep(0.01)
+        child.send_signal(signal.SIGKILL)
+    return len(list(partial.glob(f"*/{TRUTH}")))
+
+
+def _unrefused(whole: Path, harms: int) -> int:
+    """How many harms to an archive are not refused by an error that names it."""
+    suite, data = open_suite(whole), whole.read_bytes()
+    file = whole.with_name("harmed.zip")
+    unrefused = 0
+    for number in range(harms):
+        file.write_bytes(harmed(suite, data, number))
+        try:
+            verify_suite(file)
+        except InputError as error:
+            unrefused += str(file) not in str(error)
+        else:
+            unrefused += 1
+    return unrefused
+
+
+def judged_rows(suite: str) -> list[Row]:
+    """How long judging all our extractors takes.
+
+    Parameters
+    ----------
+    suite : str, its name or path
+    """
+    names = registered_extractors()
+    begin = time.perf_counter()
+    run = run_suite(suite, names)
+    seconds = time.perf_counter() - begin
+    words: dict[str, Any] = {"suite": suite, "cases": len(run.axes), "extractors": len(names)}
+    return [row("regression-judged", seconds, **words)]
