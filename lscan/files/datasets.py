@@ -44,7 +44,8 @@ class DatasetPicture:
     @property
     def picture(self) -> Bytes:
         """(H, W, 3) RGB, as the webcam took it."""
-        return np.ascontiguousarray(self._decoded("picture.png", cv2.IMREAD_COLOR)[..., ::-1])
+        image = self._decoded("picture.png", cv2.IMREAD_COLOR)
+        return np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2RGB), dtype=np.uint8)
 
     @property
     def labels(self) -> Bytes:

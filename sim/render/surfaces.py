@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 
 import drjit as dr
+import mitsuba as mi
 import numpy as np
 
 from lscan.records import Floats
@@ -38,14 +39,15 @@ def surfaces_seen(tank: Tank, position_mm: float) -> SeenSurfaces:
     pose = head_pose(head, position_mm) @ camera_pose(head)
     ray, weight = tank.pixel_rays(position_mm)
     found = tank.mitsuba_scene.ray_intersect(ray)
-    dr.eval(ray, weight, found)
-    hit = np.array(found.is_valid()) & (np.array(weight) > 0)
-    way = np.array(ray.d, dtype=float).T[hit]
-    distance = np.array(found.t, dtype=float)[hit, np.newaxis]
-    points = np.array(ray.o, dtype=float).T[hit] + distance * way
-    normals = np.array(found.n, dtype=float).T[hit]
-    normals *= -np.sign((normals * way).sum(axis=1, keepdims=True))
-    depth, local = np.full(len(hit), np.nan), np.full((len(hit), 3), np.nan)
-    depth[hit] = pose.invert(points)[:, 2]
-    local[hit] = normals @ pose.rotation
-    return SeenSurfaces(depth.reshape(height, width), local.reshape(height, width, 3))
+    # The pose is data of the kernel: as a constant it would have each picture compiled anew.
+    axes = [mi.Vector3f(column) for column in pose.rotation.T.tolist()]
+    pinhole = mi.Point3f(pose.origin_mm.tolist())
+    dr.make_opaque(axes, pinhole)
+    depth = dr.dot(ray.o - pinhole, axes[2]) + found.t * dr.dot(ray.d, axes[2])
+    towards = dr.select(dr.dot(found.n, ray.d) > 0, -found.n, found.n)
+    seen = found.is_valid() & (weight > 0)
+    parts = [depth, *(dr.dot(towards, axis) for axis in axes)]
+    parts = [dr.select(seen, part, dr.nan) for part in parts]
+    dr.eval(parts)
+    depth_mm, *normals = (np.array(part).reshape(height, width) for part in parts)
+    return SeenSurfaces(depth_mm, np.stack(normals, axis=-1))
