@@ -90,7 +90,7 @@ def roughness(
     response = ScannerResponse(*lengths)
     found = roughness_of(patch, response, stretched=stretched)
     if output:
-        save_roughness(output, found)
+        save_roughness(output, patch, found)
     if figures:
         from lscan.roughness.plots import save_figures  # loads matplotlib
 
@@ -170,6 +170,9 @@ def _rows(found: Roughness) -> list[list[str]]:
             ("ripples: height, cm", ripples.height_cm, ripples.sigma_height_cm),
         ):
             rows.append([name, f"{value:.4g}", f"± {1.96 * sigma:.2g}"])
+        if spread := found.spread:
+            words = f"{100 * spread.relative:.2g} %, {spread.heading_deg:.2g} deg"
+            rows.append(["ripples: spread of wavenumber, of heading", words, ""])
     else:
         rows.append(["ripples", "none stand out", ""])
     return rows

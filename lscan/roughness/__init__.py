@@ -36,6 +36,7 @@ from lscan.roughness.spectra import (
     patch_spectrum,
     profile_spectrum,
 )
+from lscan.roughness.spread import RippleSpread, ripple_spread
 from lscan.roughness.whittle import Band, PowerLawFit, fit_power_law, most_likely_law, usable_band
 
 __all__ = [
@@ -49,6 +50,7 @@ __all__ = [
     "ProfileSpectrum",
     "ProfileWaves",
     "RingSpectrum",
+    "RippleSpread",
     "RippleTrain",
     "Roughness",
     "RoughnessMoments",
@@ -76,6 +78,7 @@ __all__ = [
     "profile_spectrum",
     "profile_waves",
     "reflection",
+    "ripple_spread",
     "roughness_of",
     "sediment",
     "structure_constant",

@@ -9,6 +9,7 @@ from lscan.roughness.moments import RoughnessMoments, moments
 from lscan.roughness.patch import Patch
 from lscan.roughness.ripples import RippleTrain, find_ripples, without_ripples
 from lscan.roughness.spectra import PatchSpectrum, patch_spectrum
+from lscan.roughness.spread import RippleSpread, ripple_spread
 from lscan.roughness.whittle import (
     Band,
     PowerLawFit,
@@ -31,6 +32,7 @@ class Roughness:
     ----------
     moments : RoughnessMoments
     ripples : RippleTrain or None, the train that stands out
+    spread : RippleSpread or None, of that train
     fit : PowerLawFit, of what is left without it, up to the cutoff
     cutoff_per_cm : float, rad/cm, beyond it the instrument is measured
     spectrum : PatchSpectrum, W2 as measured, ripples included
@@ -39,6 +41,7 @@ class Roughness:
 
     moments: RoughnessMoments
     ripples: RippleTrain | None
+    spread: RippleSpread | None
     fit: PowerLawFit
     cutoff_per_cm: float
     spectrum: PatchSpectrum
@@ -69,6 +72,9 @@ class Roughness:
         if self.ripples is not None:
             ripples = asdict(self.ripples)
             found |= {f"ripple_{name}": ripples[name] for name in RIPPLES}
+        if self.spread is not None:
+            found["ripple_spread"] = self.spread.relative
+            found["ripple_spread_heading_deg"] = self.spread.heading_deg
         return found
 
 
@@ -107,6 +113,7 @@ def roughness_of(
     response = response or ScannerResponse()
     train = find_ripples(patch)
     rest = patch if train is None else without_ripples(patch, train)
+    spread = None if train is None else ripple_spread(patch, train)
     told: dict[str, Any] = {
         "stretched": stretched, "response": response, "known": response.known
     }  # fmt: skip
@@ -116,4 +123,4 @@ def roughness_of(
     fit = fit_power_law(rest, band=band, seed=seed, **told)
     spectrum = patch_spectrum(patch)
     corrected = corrected_spectrum(spectrum, patch, response)
-    return Roughness(moments(patch), train, fit, cutoff, spectrum, corrected)
+    return Roughness(moments(patch), train, spread, fit, cutoff, spectrum, corrected)

@@ -66,7 +66,13 @@ def write_manifest(
 
 
 def archive_bytes(content: SuiteContent, members: dict[str, bytes]) -> bytes:
-    """The one archive of a suite's content: ZIP, stored, sorted, with a fixed date."""
+    """The one archive of a suite's content: ZIP, stored, sorted, with a fixed date.
+
+    Parameters
+    ----------
+    content : SuiteContent, the manifest
+    members : mapping, the bytes of each member by its name
+    """
     stream = io.BytesIO()
     with zipfile.ZipFile(stream, "w", zipfile.ZIP_STORED) as archive:
         for name, data in [(MANIFEST, manifest_bytes(content)), *sorted(members.items())]:

@@ -1,0 +1,68 @@
+"""The spread of ripples: none of a single wave, that of its spectrum where there is one."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings, strategies as st
+from rough_patches import holes, patch, wave
+
+from lscan.roughness import fit_waves, ripple_spread
+from sim.meshes.rough import random_fields
+
+SHAPE, CELL_CM, WAVES = (128, 128), 0.25, 12
+SIZE = 2 * np.pi * WAVES / (SHAPE[0] * CELL_CM)
+
+
+def _peak(heading_deg, along, across_deg):
+    """A spectrum of ripples: normal about their wavenumber, and about its opposite."""
+    way = np.radians(heading_deg)
+
+    def density(y, x):
+        parts = []
+        for sign in (1, -1):
+            ahead = sign * (y * np.sin(way) + x * np.cos(way)) / SIZE - 1
+            aside = (x * np.sin(way) - y * np.cos(way)) / SIZE
+            parts.append(
+                np.exp(-((ahead / along) ** 2 + (aside / np.radians(across_deg)) ** 2) / 2)
+            )
+        return sum(parts) + 1e-4 * np.maximum(np.hypot(y, x) / SIZE, 0.05) ** -3.0
+
+    return density
+
+
+def _found(z_cm, heading_deg, seen=None):
+    way = np.radians(heading_deg)
+    cells = patch(z_cm, seen, CELL_CM)
+    return ripple_spread(cells, fit_waves(cells, SIZE * np.array([np.sin(way), np.cos(way)])))
+
+
+@settings(max_examples=10)
+@given(heading=st.floats(0, 179), missing=st.sampled_from([0.0, 0.1]), seed=st.integers(0, 99))
+def test_a_single_wave_has_none(heading, missing, seed):
+    """On white noise a hundredth of its amplitude: 1e-4 of its power, over an ellipse whose second
+    moment is 0.5² / 4, and in it as many values as 0.35 pi WAVES²."""
+    rng = np.random.default_rng(seed)
+    z = wave(SHAPE, CELL_CM, WAVES, heading, 1.0) + 0.01 * rng.standard_normal(SHAPE)
+    found = _found(z, heading, holes(SHAPE, missing, seed) if missing else None)
+    assert found.relative < 0.01
+    assert found.heading_deg < np.degrees(0.01)
+
+
+@pytest.mark.parametrize(("along", "across_deg"), [(0.08, 4.0), (0.12, 8.0), (0.05, 10.0)])
+def test_the_spread_is_that_of_the_spectrum(along, across_deg):
+    """The mean of 16 fields.
+
+    A field of 12 waves has 12 independent values along each axis for each wavenumber: a peak of a
+    standard deviation s holds about 4 pi (12 s)(12 s') of them, 13 at least, whose variances are
+    known to sqrt(2 / 13) of themselves, deviations to half of that; a sixteenth's root of it is
+    5 %, of which three are allowed for.
+    """
+    heading = 30.0
+    found = []
+    for seed in range(8):
+        rng = np.random.default_rng([5, seed])
+        density = _peak(heading, along, across_deg)
+        for z in random_fields(density, SHAPE, (CELL_CM, CELL_CM), 2, rng):
+            spread = _found(z, heading)
+            found.append([spread.relative, np.radians(spread.heading_deg)])
+    mean = np.sqrt((np.array(found) ** 2).mean(axis=0))
+    np.testing.assert_allclose(mean, [along, np.radians(across_deg)], rtol=0.15)
