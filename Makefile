@@ -9,7 +9,7 @@ MINUTES ?= 10
 APT := $(ROOT) env DEBIAN_FRONTEND=noninteractive apt-get -qq
 
 QUICK := accuracy hardware verify field demo bench budgets roughness regression
-.PHONY: help setup demo test smoke soak lint house bench verify accuracy field hardware roughness regression docs clean
+.PHONY: help setup demo test smoke soak lint house bench verify accuracy field hardware roughness regression suites docs clean
 .PHONY: $(addprefix quick-,$(QUICK))
 .DELETE_ON_ERROR:
 
@@ -29,6 +29,7 @@ help:
 	@echo "make study   hold studies to closed forms, renders and the clock; out/study.json"
 	@echo "make roughness  hold roughness to fields, blocks and sounds that are known; out/roughness.json"
 	@echo "make regression  hold suites, the paired test and data sets to their bars; out/regression.json"
+	@echo "make suites  render the suite quick and pack the wheel of it; out/dist"
 	@echo "make docs    build the documentation, its pages' code included; out/docs/index.html"
 	@echo "make clean   remove all that was set up or made, save runs/"
 
@@ -102,6 +103,10 @@ roughness: .venv/llvm.stamp
 
 regression: .venv/llvm.stamp
 	$(BIN)/lscan-sim regression -o out/regression.json
+
+suites: .venv/llvm.stamp
+	$(BIN)/lscan-sim suite make quick -o out/suites/quick.zip
+	$(BIN)/lscan suite wheel out/suites/quick.zip -o out/dist
 
 docs: .venv/llvm.stamp
 	$(BIN)/python -m sphinx -W --keep-going -n -q docs out/docs

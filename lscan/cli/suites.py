@@ -1,13 +1,15 @@
 """``lscan suite``: the suites that there are, what one holds, and whether it is whole."""
 
+from pathlib import Path
 from typing import Annotated
 
 import typer
 
 from lscan.cli.arguments import Json
 from lscan.cli.console import command_line, print_json, print_table
+from lscan.version import __version__
 
-suite = command_line("Suites of rendered pictures with their truth: list, show, verify.")
+suite = command_line("Suites of rendered pictures with their truth: list, show, verify, wheel.")
 SuiteName = Annotated[str, typer.Argument(help="Name of a suite, or its archive or folder.")]
 
 
@@ -51,3 +53,21 @@ def verify(name: SuiteName, json: Json = False) -> None:
         print_json({"path": str(path), "name": content.name, "cases": len(content.cases)})
     else:
         print(f"{path}: {len(content.cases)} cases and {len(content.members)} members are whole")
+
+
+@suite.command("wheel")
+def wheel(
+    archives: Annotated[list[Path], typer.Argument(help="Archives of suites.")],
+    output: Annotated[Path, typer.Option("--output", "-o", help="Folder.")] = Path("out/dist"),
+    name: Annotated[str, typer.Option("--name", help="Of the package.")] = "lscan-suites",
+    version: Annotated[str, typer.Option("--version", help="Of the package.")] = __version__,
+    json: Json = False,
+) -> None:
+    """Pack suites as a wheel, which lscan finds once pip has installed it."""
+    from lscan.suites.wheel import write_suite_wheel
+
+    written = write_suite_wheel(archives, output, name, version)
+    if json:
+        print_json({"wheel": str(written)})
+    else:
+        print(written)

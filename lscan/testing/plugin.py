@@ -143,7 +143,7 @@ def _case_in_words(item: pytest.Item, case: SuiteCase) -> str:
     """Its values on the axes, where its picture is now, and what to type to look at its line."""
     from lscan.files.pictures import write_picture
 
-    cache = item.config.cache
+    cache = getattr(item.config, "cache", None)  # none with -p no:cacheprovider
     axes = ", ".join(f"{axis} {value}" for axis, value in case.axes.items())
     if cache is None:
         return axes

@@ -33,7 +33,7 @@ def drawn_case(number, peak_dn=150.0, turned=False, dark=False):
     return SuiteCase(f"case-{number:03d}", axes, picture, background, labels, truth, settings)
 
 
-def drawn_suite(folder, count=4):
+def drawn_suite(folder, count=4, name="drawn"):
     """A suite's folder of ``count`` cases: turned ones, dim ones, one with its background."""
     cases = [
         drawn_case(n, 150.0 if n % 3 else 30.0, turned=n % 2 == 1, dark=n == 0)
@@ -42,5 +42,5 @@ def drawn_suite(folder, count=4):
     for case in cases:
         write_case(folder, case)
     axes = {case.name: dict(case.axes) for case in cases}
-    write_manifest(folder, "drawn", 7, "lscan test", axes)
+    write_manifest(folder, name, 7, "lscan test", axes)
     return cases

@@ -1,15 +1,19 @@
 """The wheel in a clean environment and an empty folder: nothing of the checkout is needed."""
 
 import json
+import shutil
 import subprocess
+import sys
 import zipfile
 from pathlib import Path
 
 import pytest
 from built_package import build_wheel, clean, install
 from places import ROOT
+from suite_cases import drawn_suite
 
 import lscan
+from lscan.suites import pack_suite
 
 pytestmark = [pytest.mark.slow, pytest.mark.xdist_group("package")]
 
@@ -72,6 +76,40 @@ def test_from_the_scenes_to_a_surface_in_an_empty_folder(programs: Path, tmp_pat
     assert Path(file).is_relative_to(programs.parent)
     assert shape == "(1, 640)"
     assert (tmp_path / "surface.nc").is_file()
+
+
+def test_two_wheels_and_a_strangers_are_all_that_a_regression_test_needs(
+    without_tank: Path, tmp_path: Path
+) -> None:
+    """lscan without the tank, a suite's wheel, and the example as a wheel with its own tests."""
+    (tmp_path / "twelve").mkdir()
+    drawn_suite(tmp_path / "twelve", 12, "twelve")
+    pack_suite(tmp_path / "twelve", tmp_path / "twelve.zip")
+    packed = call(tmp_path, without_tank / "lscan", "suite", "wheel", "twelve.zip", "-o", "dist")
+    assert packed.returncode == 0, packed.stderr
+    example = shutil.copytree(ROOT / "examples" / "line-finder", tmp_path / "line-finder")
+    build = [sys.executable, "-m", "build", "--wheel", "--no-isolation", "-o", tmp_path / "dist"]
+    subprocess.run([*build, example], env=clean(), check=True, capture_output=True, text=True)
+    wheels = sorted((tmp_path / "dist").glob("*.whl"))
+    assert [file.name.split("-")[0] for file in wheels] == ["line_finder", "lscan_suites"]
+    pip = [sys.executable, "-m", "pip", "--python", without_tank / "python", "install", "--quiet"]
+    subprocess.run([*pip, "--no-deps", "--no-index", *wheels], check=True, env=clean())
+
+    listed = call(tmp_path, without_tank / "lscan", "suite", "list", "--json")
+    place = Path(json.loads(listed.stdout)["twelve"])
+    assert place.is_relative_to(without_tank.parent)
+    bench = ["bench", "line_finder:find_line", "--suite", "twelve", "-o", "bench", "--json"]
+    judged = call(tmp_path, without_tank / "lscan", *bench)
+    assert judged.returncode == 0, judged.stderr
+    assert len(json.loads(judged.stdout)["extractors"]) == 10
+
+    shutil.rmtree(example / "src")  # what is tested is what is installed
+    pytest_there = [without_tank / "python", "-m", "pytest", "-q", "--lscan-suite", "twelve"]
+    for options, code in ([], 1), (["--lscan-update"], 0), ([], 0):
+        program, *rest = [*pytest_there, *options]
+        done = call(example, program, *rest)
+        assert done.returncode == code, done.stdout
+    assert "13 passed" in done.stdout
 
 
 def test_the_tanks_commands_find_the_scenes_by_name(programs: Path, tmp_path: Path) -> None:

@@ -7,8 +7,8 @@ def test_it_is_no_worse_than_before(judge_extractor, assert_no_worse):
     assert_no_worse(judge_extractor("line_finder:find_line"), "baseline.json")
 
 
-def test_every_case_has_half_of_its_line(stripe_case):
+def test_most_of_every_line_is_within_its_width(stripe_case):
     settings = stripe_case.settings.model_copy(update={"extractor": "line_finder:find_line"})
-    found = extract_stripe(stripe_case.picture, settings, stripe_case.dark)
-    off = np.abs(found.centre_px - stripe_case.truth.centre_px)
-    assert np.nanmedian(off) < 1.0
+    found, truth = extract_stripe(stripe_case.picture, settings), stripe_case.truth
+    off = np.abs(found.centre_px - truth.centre_px) > truth.sigma_px
+    assert np.count_nonzero(off) <= len(off) / 2

@@ -1,7 +1,11 @@
 """Suites are read as they were written; what is harmed is refused by one line with its name."""
 
+import base64
+import hashlib
+import json
 import shutil
 import zipfile
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -14,6 +18,7 @@ from lscan.config.plugins import installed
 from lscan.errors import InputError
 from lscan.suites import open_suite, pack_suite, suites_found, verify_suite
 from lscan.suites.content import MANIFEST, manifest_bytes, read_manifest, read_truth, truth_bytes
+from lscan.suites.wheel import write_suite_wheel
 
 
 @pytest.fixture(scope="module")
@@ -194,3 +199,50 @@ def test_suites_are_found_by_entry_point(folder, tmp_path, monkeypatch):
             lscan.suites.find.find_suite("nobodys")
     finally:
         installed.cache_clear()
+
+
+def test_a_wheel_has_the_same_bytes_and_states_what_it_holds(archive, tmp_path, capsys):
+    """Each member's checksum and size as RECORD has them; names and versions normalised."""
+    options = ["suite", "wheel", archive, "--name", "My-Suites", "--version", "1.2", "--json"]
+    code, out, _ = call(capsys, *options, "-o", tmp_path / "one")
+    assert code == 0
+    wheel = Path(json.loads(out)["wheel"])
+    assert wheel.name == "my_suites-1.2-py3-none-any.whl"
+    again = write_suite_wheel([archive], tmp_path / "two", "My-Suites", "1.2")
+    assert again.read_bytes() == wheel.read_bytes()
+    with zipfile.ZipFile(wheel) as file:
+        members = {name: file.read(name) for name in file.namelist()}
+    assert members["my_suites/drawn.zip"] == archive.read_bytes()
+    rows = members.pop("my_suites-1.2.dist-info/RECORD").decode().splitlines()
+    stated = {path: (checksum, size) for path, checksum, size in (row.split(",") for row in rows)}
+    for name, data in members.items():
+        digest = base64.urlsafe_b64encode(hashlib.sha256(data).digest()).rstrip(b"=").decode()
+        assert stated.pop(name) == (f"sha256={digest}", str(len(data)))
+    assert stated == {"my_suites-1.2.dist-info/RECORD": ("", "")}
+
+
+@pytest.mark.parametrize(
+    ("name", "version", "said"),
+    [
+        ("../evil", "1.0", "no name of a package"),
+        ("-x", "1.0", "no name of a package"),
+        ("a" * 101, "1.0", "no name of a package"),
+        ("suites", "1.0\n[console_scripts]", "no version of a package"),
+        ("suites", "latest", "no version of a package"),
+    ],
+)
+def test_a_wheel_of_a_bad_name_or_version_is_refused(archive, tmp_path, name, version, said):
+    with pytest.raises(InputError, match=said):
+        write_suite_wheel([archive], tmp_path, name, version)
+    assert not list(tmp_path.glob("*.whl"))
+
+
+def test_a_wheel_of_harmed_or_equal_suites_is_refused(folder, archive, tmp_path):
+    harmed = tmp_path / "harmed.zip"
+    harmed.write_bytes(archive.read_bytes()[:-30])
+    for archives, said in (
+        ([harmed], "is no suite"), ([archive, archive], "two suites have one name"),
+        ([folder], "is a folder"),
+    ):  # fmt: skip
+        with pytest.raises(InputError, match=said):
+            write_suite_wheel(archives, tmp_path / "dist", "suites", "1.0")

@@ -69,13 +69,17 @@ def test_a_baseline_is_written_kept_and_noticed(package: Path) -> None:
 
 
 def test_a_case_that_fails_is_shown(package: Path) -> None:
-    assert run(package, "-k", "half_of_its_line")[0] == 0
+    """With the picture where pytest's cache is; the drawn lines of its README pass."""
+    assert run(package, "-k", "its_width")[0] == 0
+    assert run(package, "-k", "its_width", "--lscan-suite", "drawn")[0] == 0
     change(package, "centre_px=centre + nothing", "centre_px=centre + 3 + nothing")
-    code, said = run(package, "-k", "half_of_its_line")
+    code, said = run(package, "-k", "its_width")
     assert code == 1 and "12 failed" in said
     picture = Path(re.search(r"picture: (\S+case-000\.png)", said)[1])  # type: ignore[index]
     assert picture.exists() and f"lscan extract {picture}" in said
     assert "water tap" in said
+    code, said = run(package, "-k", "its_width", "-p", "no:cacheprovider")
+    assert code == 1 and "12 failed" in said and "water tap" in said
 
 
 def test_the_stranger_s_test_is_short() -> None:
