@@ -39,7 +39,7 @@ ELSEWHERE = {
     "lscan-sim verify": "tests/system/test_smoke.py",
     "lscan-sim accuracy": "tests/system/test_smoke.py",
     "lscan-sim field": "tests/system/test_smoke.py",
-    "lscan roughness": "tests/lscan/roughness/test_instrument.py",
+    "lscan roughness": "tests/lscan/cli/test_roughness_command.py",
     "lscan-sim dataset": "tests/sim/datasets/test_dataset.py",
     "lscan suite": "tests/lscan/suites/test_suites.py",
     "lscan-sim suite make": "tests/sim/datasets/test_suite.py",
@@ -48,6 +48,7 @@ ELSEWHERE = {
     "lscan-sim hardware": "tests/system/test_smoke.py",
     "make ": "Makefile",
     "pytest ": "conftest.py",
+    "pip install": "tests/system/test_package.py",
 }
 pytestmark = [pytest.mark.slow, pytest.mark.xdist_group("documentation")]
 
@@ -82,7 +83,7 @@ def test_the_arguments_are_known(page: Path) -> None:
         elif program in APPS:
             parsed(program, arguments)
         else:
-            assert program in ("mkdir", "pytest"), line
+            assert program in ("mkdir", "pip", "pytest"), line
 
 
 def parsed(program: str, arguments: list[str]) -> None:
