@@ -291,6 +291,7 @@ DUTIES = {
     "lscan.tracks": {"sections", "validate", "open"},
     "lscan.extractors": {"__call__"},
     "lscan.planemaps": {"solve", "restore"},
+    "lscan.boardreaders": {"__call__"},
     "pytest11": {"pytest_addoption", "stripe_case", "assert_no_worse"},
 }
 

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from lscan.benchmark.against import LOG_Z, Difference, differences
+from lscan.benchmark.boardjudging import judge_boards
 from lscan.benchmark.extractors import THRESHOLD_DN, cases
 from lscan.benchmark.judging import SUMS, CaseSums, JudgedExtractor, judge
 from lscan.benchmark.pictures import SHAPE, centres, draw
@@ -22,7 +23,7 @@ from lscan.files.disk import make_folder, write_atomically
 from lscan.files.jsontext import write_json
 from lscan.records import Progress, Status
 from lscan.stripe import find_extractor
-from lscan.suites import CaseTruth, SuiteCase, find_suite, open_suite
+from lscan.suites import CaseTruth, SuiteCase, SuiteContent, find_suite, open_suite
 
 DRAWN = "drawn"
 """The suite of drawn lines, which needs no file."""
@@ -102,7 +103,7 @@ def run_suite(
     else:
         opened = open_suite(find_suite(suite))
         content = opened.content
-        identity = f"{content.name} seed {content.seed} {content.made_by}"
+        identity = _identity(content)
         axes, shown = dict(content.cases), opened.cases()
         if len(axes) >= LEAST_SHARED and (os.cpu_count() or 1) > 1:
             judged, reference_s = judge_shared(opened.path, names, sorted(axes), progress)
@@ -117,6 +118,44 @@ def run_suite(
 
     judged, reference_s = judge(names, shown, step)
     return SuiteRun(identity, axes, judged, reference_s)
+
+
+def run_boards(
+    suite: str, readers: Sequence[str], maps: Sequence[str], progress: Progress | None = None
+) -> SuiteRun:
+    """Judge readers of control points, in px, and plane maps, in mm, on a suite's boards.
+
+    Parameters
+    ----------
+    suite : str, the name of a suite that is found, or its path
+    readers, maps : sequences of str, their names
+    progress : callable or None, called with (done, all) cases
+
+    Raises
+    ------
+    InputError
+        There is no such suite, reader or map, the suite has no boards, or a reader fails.
+    """
+    if not (readers or maps):
+        raise InputError("nothing to judge", where="bench", allowed="a reader or a map")
+    opened = open_suite(find_suite(suite))
+    axes = dict(opened.content.boards)
+    if not axes:
+        raise InputError("has no pictures of the board", where="--suite", value=suite)
+    done = 0
+
+    def step() -> None:
+        nonlocal done
+        done += 1
+        if progress is not None:
+            progress(done, len(axes))
+
+    judged, reference_s = judge_boards(readers, maps, opened.boards(), step)
+    return SuiteRun(f"boards of {_identity(opened.content)}", axes, judged, reference_s)
+
+
+def _identity(content: SuiteContent) -> str:
+    return f"{content.name} seed {content.seed} {content.made_by}"
 
 
 def drawn_cases(seed: int) -> Iterator[SuiteCase]:
@@ -142,6 +181,16 @@ def drawn_cases(seed: int) -> Iterator[SuiteCase]:
         settings = StripeSection(threshold_dn=THRESHOLD_DN, noise=case.noise)
         labels = np.zeros(SHAPE, np.uint8)
         yield SuiteCase(f"case-{number:04d}", axes, image, None, labels, truth, settings)
+
+
+def usual_axes(run: SuiteRun) -> list[str]:
+    """The axes that one looks at first, of those that the run's cases have.
+
+    Parameters
+    ----------
+    run : SuiteRun
+    """
+    return [axis for axis in USUAL_AXES if all(axis in axes for axes in run.axes.values())]
 
 
 def suite_rows(run: SuiteRun, by: Sequence[str]) -> list[SuiteRow]:

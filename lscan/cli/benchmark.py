@@ -12,7 +12,7 @@ from lscan.cli.console import print_json, print_table, progress_bar
 from lscan.errors import InputError
 
 if TYPE_CHECKING:
-    from lscan.benchmark.suiterun import SuiteRow
+    from lscan.benchmark.suiterun import SuiteRow, SuiteRun
 
 
 def bench(
@@ -40,24 +40,53 @@ def bench(
     by: Annotated[
         list[str] | None, typer.Option("--by", help="Axis of the suite's table; several cross.")
     ] = None,
+    boards: Annotated[
+        bool,
+        typer.Option(
+            "--boards", help="Judge by the suite's boards: readers of control points, and --map."
+        ),
+    ] = False,
+    reader: Annotated[
+        list[str] | None, typer.Option("--reader", help="One more reader of control points.")
+    ] = None,
     against: Annotated[
         Path | None, typer.Option("--against", help="bench.json of a run on the same suite.")
     ] = None,
     json: Json = False,
 ) -> None:
-    """Judge stripe extractors and plane maps, one's own too, where the truth is known.
+    """Judge stripe extractors, readers of boards and plane maps, one's own too, by the truth.
 
     The exit code is 1 where one is out of the limits that every method must keep to, or with
     --against where one is worse than it was.
     """
     from lscan.benchmark.run import MAPS, registered_extractors
+    from lscan.benchmark.suiterun import run_boards, run_suite
 
+    if reader and not boards:
+        raise InputError("is for boards", where="--reader", allowed="--boards beside it")
     more = [*(named or ()), *(extractor or ())]
+    if boards:
+        if suite is None or quick or more:
+            allowed = "--suite, --reader and --map"
+            raise InputError("is for readers and maps on a suite", where="--boards",
+                             allowed=allowed)  # fmt: skip
+        readers = _taking_part(() if only else ("read_board",), reader)
+        maps = _taking_part(() if only else MAPS, plane_map)
+        with progress_bar("bench") as progress:
+            run = run_boards(suite, readers, maps, progress)
+        _end_with_run(run, "px, of maps mm", output, by, against, json)
+        return
     extractors = _taking_part(() if only else registered_extractors(), more)
     if suite is not None:
         if quick or plane_map:
-            raise InputError("--quick and --map are for drawn pictures", where="--suite")
-        _bench_suite(suite, extractors, output, by, against, seed, json)
+            allowed = (
+                "drawn pictures, or with --boards a suite's" if plane_map else "drawn pictures"
+            )
+            where = "--map" if plane_map else "--quick"
+            raise InputError("is not for the lines of a suite", where=where, allowed=allowed)
+        with progress_bar("bench") as progress:
+            run = run_suite(suite, extractors, seed, progress)
+        _end_with_run(run, "px", output, by, against, json)
         return
     if by or against:
         where = "--by" if by else "--against"
@@ -98,34 +127,26 @@ def _bench_drawn(
         raise typer.Exit(1)
 
 
-def _bench_suite(
-    suite: str,
-    extractors: tuple[str, ...],
+def _end_with_run(
+    run: "SuiteRun",
+    unit: str,
     output: Path,
     by: list[str] | None,
     against: Path | None,
-    seed: int,
     json: bool,
 ) -> None:
-    from lscan.benchmark.suiterun import (
-        USUAL_AXES,
-        compare_saved,
-        run_suite,
-        suite_rows,
-        write_suite_run,
-    )
+    """Write and print what became of a suite's cases, and what differs from a saved run."""
+    from lscan.benchmark.suiterun import compare_saved, suite_rows, usual_axes, write_suite_run
 
-    with progress_bar("bench") as progress:
-        run = run_suite(suite, extractors, seed, progress)
     suite_rows(run, by or ())  # refuses an unknown axis before anything is written
     changed = compare_saved(run, against) if against is not None else []
-    content = write_suite_run(output, run, by or USUAL_AXES)
+    content = write_suite_run(output, run, by or usual_axes(run))
     if json:
         print_json({**content, "differences": changed})
     else:
-        tables = [by] if by else [[], *([axis] for axis in USUAL_AXES)]
+        tables = [by] if by else [[], *([axis] for axis in usual_axes(run))]
         for axes in tables:
-            _print_rows(suite_rows(run, axes))
+            _print_rows(suite_rows(run, axes), unit)
         for one in changed:
             print(one.in_words)
         if against is not None and not changed:
@@ -137,9 +158,9 @@ def _bench_suite(
         raise typer.Exit(1)
 
 
-def _print_rows(rows: "Sequence[SuiteRow]") -> None:
+def _print_rows(rows: "Sequence[SuiteRow]", unit: str) -> None:
     axes = list(rows[0].group)
-    headings = ["extractor", *axes, "cases", "bias px", "scatter px", "to bound", "found %",
+    headings = ["", *axes, "cases", f"bias {unit}", "scatter", "to bound", "found %",
                 "wrong %", "sure %", "ghosts %", "3 sigma %", "z", "time"]  # fmt: skip
     cells = [
         [row.extractor, *row.group.values(), row.cases, f"{row.bias_px:+.4f}",

@@ -32,14 +32,21 @@ def show_suite(name: SuiteName, json: Json = False) -> None:
     from lscan.suites import axes_of, find_suite, open_suite
 
     opened = open_suite(find_suite(name))
-    content, axes = opened.content, axes_of(opened.content)
+    content = opened.content
+    axes, of_boards = axes_of(content.cases), axes_of(content.boards)
     if json:
         fields = content.model_dump(mode="json", include={"name", "seed", "made_by", "version"})
-        print_json({**fields, "cases": len(content.cases), "axes": axes})
+        counts = {"cases": len(content.cases), "boards": len(content.boards)}
+        print_json({**fields, **counts, "axes": axes, "axes_of_boards": of_boards})
         return
-    print(f"{content.name}: {len(content.cases)} cases, seed {content.seed}, {content.made_by}")
-    rows = [(axis, value, count) for axis, of in axes.items() for value, count in of.items()]
-    print_table("cases by axis", ["axis", "value", "cases"], rows)
+    print(
+        f"{content.name}: {len(content.cases)} cases, {len(content.boards)} boards, "
+        f"seed {content.seed}, {content.made_by}"
+    )
+    for title, counted in (("cases", axes), ("boards", of_boards)):
+        if counted:
+            rows = [(axis, value, n) for axis, of in counted.items() for value, n in of.items()]
+            print_table(f"{title} by axis", ["axis", "value", title], rows)
 
 
 @suite.command("verify")
@@ -50,9 +57,11 @@ def verify(name: SuiteName, json: Json = False) -> None:
     path = find_suite(name)
     content = verify_suite(path).content
     if json:
-        print_json({"path": str(path), "name": content.name, "cases": len(content.cases)})
+        counts = {"cases": len(content.cases), "boards": len(content.boards)}
+        print_json({"path": str(path), "name": content.name, **counts})
     else:
-        print(f"{path}: {len(content.cases)} cases and {len(content.members)} members are whole")
+        cases = len(content.cases) + len(content.boards)
+        print(f"{path}: {cases} cases and {len(content.members)} members are whole")
 
 
 @suite.command("wheel")

@@ -12,6 +12,7 @@ _KINDS = {
     "lscan.tracks": "track driver",
     "lscan.extractors": "stripe extractor",
     "lscan.planemaps": "family of plane maps",
+    "lscan.boardreaders": "reader of control points",
 }
 
 

@@ -1,11 +1,13 @@
 """Suites: rendered pictures with their truth, hashed, read without the tank that made them."""
 
+from lscan.suites.boards import BoardCase
 from lscan.suites.content import CaseTruth, SuiteCase, SuiteContent, axes_of
 from lscan.suites.find import find_suite, suites_found
 from lscan.suites.reader import Suite, open_suite, pack_suite, verify_suite
 from lscan.suites.writer import is_written, write_case, write_manifest
 
 __all__ = [
+    "BoardCase",
     "CaseTruth",
     "Suite",
     "SuiteCase",

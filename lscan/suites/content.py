@@ -21,11 +21,14 @@ from lscan.files.pictures import decode, encoded, too_large
 from lscan.records import Bytes, Floats, Ints, Status
 
 MANIFEST = "suite.json"
-VERSION = 1
+VERSION = 2
 MOST_MANIFEST_BYTES, MOST_MEMBER_BYTES, MOST_SUITE_BYTES = 2**25, 2**28, 2**31
 PICTURE, DARK, LABELS, TRUTH, SETTINGS = (
     "picture.png", "dark.png", "labels.png", "truth.csv", "stripe.json",
 )  # fmt: skip
+PARTS = (PICTURE, LABELS, TRUTH, SETTINGS)
+MAP, BOARD, OPTICS = "map.csv", "board.json", "optics.json"
+BOARD_PARTS = (PICTURE, TRUTH, MAP, BOARD, OPTICS)
 COLUMNS = ("centre_px", "sigma_px", "height_dn", "noise_dn", "multiple", "status")
 _PLAIN = re.compile(r"[a-z0-9][a-z0-9._-]*/[a-z0-9][a-z0-9._-]*")
 Word = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9 ._+-]{0,99}$")]
@@ -39,7 +42,11 @@ class MemberSum(Strict):
 
 
 class SuiteContent(Strict):
-    """The manifest.  cases: by name, the case's value on each axis (water, target ...)."""
+    """The manifest.
+
+    cases: pictures of a laser line, by name, with the case's value on each axis (water, target
+    ...).  boards: likewise, pictures of the calibration board.
+    """
 
     format: Literal["lscan-suite"] = "lscan-suite"
     version: int = VERSION
@@ -47,6 +54,7 @@ class SuiteContent(Strict):
     seed: int = Field(ge=0)
     made_by: Word
     cases: Mapping[str, Mapping[Word, Word]]
+    boards: Mapping[str, Mapping[Word, Word]] = Field(default_factory=dict)
     members: Mapping[str, MemberSum]
 
 
@@ -96,15 +104,15 @@ class SuiteCase:
     settings: StripeSection
 
 
-def axes_of(content: SuiteContent) -> dict[str, dict[str, int]]:
-    """How many cases a suite has of each value on each axis.
+def axes_of(cases: Mapping[str, Mapping[str, str]]) -> dict[str, dict[str, int]]:
+    """How many cases there are of each value on each axis.
 
     Parameters
     ----------
-    content : SuiteContent
+    cases : mapping, of a manifest: ``cases`` or ``boards``
     """
     found: dict[str, Counter[str]] = {}
-    for axes in content.cases.values():
+    for axes in cases.values():
         for axis, value in axes.items():
             found.setdefault(axis, Counter())[value] += 1
     return {axis: dict(sorted(counts.items())) for axis, counts in found.items()}
@@ -134,10 +142,12 @@ def read_manifest(data: bytes, where: object) -> SuiteContent:
     for name in content.members:
         if not _PLAIN.fullmatch(name):
             raise InputError("a member has a name that is not plain", where=where, value=name)
-    for case in content.cases:
-        for part in (PICTURE, LABELS, TRUTH, SETTINGS):
-            if f"{case}/{part}" not in content.members:
-                raise InputError(f"member {case}/{part} is not in the manifest", where=where)
+    for cases, parts in ((content.cases, PARTS), (content.boards, BOARD_PARTS)):
+        for name in (f"{case}/{part}" for case in cases for part in parts):
+            if name not in content.members:
+                raise InputError(f"member {name} is not in the manifest", where=where)
+    if both := content.cases.keys() & content.boards.keys():
+        raise InputError("a case is of a line and of the board", where=where, value=min(both))
     if sum(member.size for member in content.members.values()) > MOST_SUITE_BYTES:
         raise InputError(f"{MANIFEST} states more than a suite may hold", where=where)
     return content

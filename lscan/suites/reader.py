@@ -10,6 +10,7 @@ from pathlib import Path
 
 from lscan.errors import InputError
 from lscan.files.disk import read_bytes, write_atomically
+from lscan.suites.boards import BoardCase, read_board_case
 from lscan.suites.content import (
     DARK,
     LABELS,
@@ -87,6 +88,21 @@ class Suite:
             raise InputError(f"members of case {name} differ in size", where=self.path)
         return SuiteCase(name, self.content.cases[name], picture, dark, labels, truth, settings)
 
+    def board(self, name: str) -> BoardCase:
+        """A picture of the board; InputError, which names the member, where it is harmed.
+
+        Parameters
+        ----------
+        name : str, as in the manifest
+        """
+        if name not in self.content.boards:
+            raise InputError("no such case", where=self.path, value=name)
+        return read_board_case(name, self.content.boards[name], self.member, self.path)
+
+    def boards(self) -> Iterator[BoardCase]:
+        """Each picture of the board in the order of their names."""
+        return (self.board(name) for name in sorted(self.content.boards))
+
     def cases(self) -> Iterator[SuiteCase]:
         """Each case in the order of their names."""
         return (self.case(name) for name in sorted(self.content.cases))
@@ -119,6 +135,8 @@ def verify_suite(path: Path) -> Suite:
     members = {name: suite.member(name) for name in suite.content.members}
     for name in suite.content.cases:
         suite.case(name)
+    for name in suite.content.boards:
+        suite.board(name)
     if not path.is_dir():
         written = archive_bytes(suite.content, members)
         if written != read_bytes(path, MOST_SUITE_BYTES):

@@ -2,9 +2,11 @@
 
 import io
 import zipfile
+from collections.abc import Mapping
 from pathlib import Path
 
 from lscan.files.disk import make_folder, read_bytes, write_atomically
+from lscan.suites.boards import BoardCase, board_members
 from lscan.suites.content import (
     MANIFEST,
     MOST_MEMBER_BYTES,
@@ -16,17 +18,20 @@ from lscan.suites.content import (
     member_sum,
 )
 
+CaseAxes = Mapping[str, Mapping[str, str]]  # a value on each axis, by case
 
-def write_case(folder: Path, case: SuiteCase) -> None:
+
+def write_case(folder: Path, case: SuiteCase | BoardCase) -> None:
     """Write the members of a case, its truth last; InputError where the disk refuses.
 
     Parameters
     ----------
     folder : Path, of the suite
-    case : SuiteCase
+    case : SuiteCase or BoardCase
     """
     make_folder(folder / case.name)
-    for name, data in case_members(case).items():
+    members = board_members(case) if isinstance(case, BoardCase) else case_members(case)
+    for name, data in members.items():
         write_atomically(folder / name, data)
 
 
@@ -42,7 +47,12 @@ def is_written(folder: Path, case: str) -> bool:
 
 
 def write_manifest(
-    folder: Path, name: str, seed: int, made_by: str, cases: dict[str, dict[str, str]]
+    folder: Path,
+    name: str,
+    seed: int,
+    made_by: str,
+    cases: CaseAxes,
+    boards: CaseAxes | None = None,
 ) -> SuiteContent:
     """Write the manifest of the members that lie in a folder, which makes it a suite.
 
@@ -52,15 +62,19 @@ def write_manifest(
     name : str, of the suite
     seed : int, that it was made with
     made_by : str, the version of lscan and the spec's checksum
-    cases : mapping, the axes of each case
+    cases : mapping, the axes of each picture of a line
+    boards : mapping or None, likewise of the board
     """
-    files = sorted(file for case in cases for file in (folder / case).iterdir())
+    boards = boards or {}
+    files = sorted(file for case in (*cases, *boards) for file in (folder / case).iterdir())
     members = {
         f"{file.parent.name}/{file.name}": member_sum(read_bytes(file, MOST_MEMBER_BYTES, folder))
         for file in files
         if not file.name.startswith(".")
     }
-    content = SuiteContent(name=name, seed=seed, made_by=made_by, cases=cases, members=members)
+    content = SuiteContent(
+        name=name, seed=seed, made_by=made_by, cases=cases, boards=boards, members=members
+    )
     write_atomically(folder / MANIFEST, manifest_bytes(content))
     return content
 

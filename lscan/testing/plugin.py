@@ -16,9 +16,9 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Generator
 
     from lscan.benchmark.suiterun import SuiteRun
-    from lscan.suites import SuiteCase
+    from lscan.suites import BoardCase, SuiteCase
 
-CASE, SUITE, UPDATE = "stripe_case", "--lscan-suite", "--lscan-update"
+CASE, BOARD, SUITE, UPDATE = "stripe_case", "board_case", "--lscan-suite", "--lscan-update"
 USUAL = "drawn"
 MARK = "lscan_suite"
 
@@ -39,10 +39,11 @@ def pytest_configure(config: pytest.Config) -> None:
 
 
 def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
-    """One test for each case of the suite where a test takes ``stripe_case``."""
-    if CASE in metafunc.fixturenames:
-        names = sorted(_cases(_suite(metafunc.definition)))
-        metafunc.parametrize(CASE, names, indirect=True)
+    """One test for each case of the suite where a test takes ``stripe_case`` or ``board_case``."""
+    for fixture, cases in ((CASE, _cases), (BOARD, _boards)):
+        if fixture in metafunc.fixturenames:
+            names = sorted(cases(_suite(metafunc.definition)))
+            metafunc.parametrize(fixture, names, indirect=True)
 
 
 @pytest.fixture
@@ -55,6 +56,12 @@ def lscan_suite(request: pytest.FixtureRequest) -> str:
 def stripe_case(request: pytest.FixtureRequest) -> SuiteCase:
     """One case of the suite: picture, truth, settings, values on the suite's axes."""
     return _cases(_suite(request.node))[request.param]()
+
+
+@pytest.fixture
+def board_case(request: pytest.FixtureRequest) -> BoardCase:
+    """One picture of the board of the suite: its marks and the map on the sheet, known."""
+    return _boards(_suite(request.node))[request.param]()
 
 
 @pytest.fixture
@@ -108,7 +115,8 @@ def pytest_runtest_makereport(
 ) -> Generator[None, pytest.TestReport, pytest.TestReport]:
     """Beside the failure of a test of a case: its picture and the command to look closer."""
     report = yield
-    case = getattr(item, "funcargs", {}).get(CASE)
+    given = getattr(item, "funcargs", {})
+    case = given.get(CASE) or given.get(BOARD)
     if report.when == "call" and report.failed and case is not None:
         report.sections.append((f"lscan case {case.name}", _case_in_words(item, case)))
     return report
@@ -135,12 +143,26 @@ def _cases(suite: str) -> dict[str, Callable[[], SuiteCase]]:
     return {name: partial(opened.case, name) for name in opened.content.cases}
 
 
+@cache
+def _boards(suite: str) -> dict[str, Callable[[], BoardCase]]:
+    """What reads each picture of the board of the suite; drawn lines have none."""
+    from functools import partial
+
+    from lscan.benchmark.suiterun import DRAWN
+    from lscan.suites import find_suite, open_suite
+
+    if suite == DRAWN:
+        return {}
+    opened = open_suite(find_suite(suite))
+    return {name: partial(opened.board, name) for name in opened.content.boards}
+
+
 def _same(case: SuiteCase) -> SuiteCase:
     return case
 
 
-def _case_in_words(item: pytest.Item, case: SuiteCase) -> str:
-    """Its values on the axes, where its picture is now, and what to type to look at its line."""
+def _case_in_words(item: pytest.Item, case: SuiteCase | BoardCase) -> str:
+    """Its values on the axes, where its picture is now, and what to type to look at a line."""
     from lscan.files.pictures import write_picture
 
     cache = getattr(item.config, "cache", None)  # none with -p no:cacheprovider
@@ -149,7 +171,8 @@ def _case_in_words(item: pytest.Item, case: SuiteCase) -> str:
         return axes
     picture = cache.mkdir("lscan-cases") / f"{case.name}.png"
     write_picture(picture, case.picture)
-    return f"{axes}\npicture: {picture}\nlscan extract {picture}"
+    look = f"\nlscan extract {picture}" if hasattr(case, "truth") else ""
+    return f"{axes}\npicture: {picture}{look}"
 
 
 def _worst_in_words(result: SuiteRun) -> list[str]:

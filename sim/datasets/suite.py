@@ -24,8 +24,9 @@ from lscan.suites import (
     write_manifest,
 )
 from lscan.version import __version__
+from sim.datasets.boards import exposed_board
 from sim.datasets.labels import label_scene
-from sim.datasets.suitespec import PlannedCase, SuiteSpec
+from sim.datasets.suitespec import CaseSet, PlannedCase, SuiteSpec
 from sim.scene import Scene
 from sim.truth import StripeTruth, line_brightness, stripe_truth
 
@@ -39,11 +40,11 @@ IDENTITY = "identity.txt"
 class RenderTask:
     """The cases of one render.
 
-    folder: where they are written, which all workers see.  first: the case whose scene is rendered,
-    also where it is there already.
+    among: the cases of their kind.  folder: where they are written, which all workers see.  first:
+    the case whose scene is rendered, also where it is there already.
     """
 
-    spec: SuiteSpec
+    among: CaseSet
     folder: Path
     first: PlannedCase
     cases: tuple[PlannedCase, ...]
@@ -87,10 +88,9 @@ def make_suite(
     lock = lock_folder(folder, "lscan-sim suite make")
     try:
         _keep_identity(folder / IDENTITY, f"{made_by} seed {spec.seed}\n")
-        cases = spec.cases()
-        _render_missing(spec, folder, cases, workers, progress)
-        axes = {case.name: spec.axes_of(case) for case in cases}
-        write_manifest(folder, spec.file.name, spec.seed, made_by, axes)
+        _render_missing(spec, folder, workers, progress)
+        axes = [{case.name: of.axes_of(case) for case in of.cases()} for of in spec.case_sets]
+        write_manifest(folder, spec.file.name, spec.seed, made_by, *axes)
         pack_suite(folder, file)
         shutil.rmtree(folder, ignore_errors=True)
     finally:
@@ -118,22 +118,28 @@ def _keep_identity(file: Path, identity: str) -> None:
 def _render_missing(
     spec: SuiteSpec,
     folder: Path,
-    cases: Sequence[PlannedCase],
     workers: int | Literal["none"],
     progress: Progress | None,
 ) -> None:
-    missing = [case for case in cases if not is_written(folder, case.name)]
-    first = {case.render: case for case in reversed(cases)}
-    shared = groupby(missing, key=lambda case: case.render)
-    tasks = [RenderTask(spec, folder, first[one], tuple(group)) for one, group in shared]
-    done = len(cases) - len(missing)
+    tasks = [task for among in spec.case_sets for task in _tasks(among, folder)]
+    count = sum(among.file.pictures for among in spec.case_sets)
+    done = count - sum(len(task.cases) for task in tasks)
     with closing(_made(tasks, workers)) as made:
         for task, failure in zip(tasks, made, strict=True):
             if failure:
                 raise InputError(failure, where=", ".join(task.cases[0].render))
             done += len(task.cases)
             if progress is not None:
-                progress(done, len(cases))
+                progress(done, count)
+
+
+def _tasks(among: CaseSet, folder: Path) -> list[RenderTask]:
+    """One for each render of which cases are missing."""
+    cases = among.cases()
+    missing = [case for case in cases if not is_written(folder, case.name)]
+    first = {case.render: case for case in reversed(cases)}
+    shared = groupby(missing, key=lambda case: case.render)
+    return [RenderTask(among, folder, first[one], tuple(group)) for one, group in shared]
 
 
 def _made(
@@ -158,37 +164,41 @@ def make_cases(task: RenderTask) -> str:
     """
     from sim.render.tank import Tank
 
-    scene = task.spec.scene(task.first)
+    scene = task.among.scene(task.first)
     position_mm = scene.rig.plan.start_mm
     layers = Tank(scene).render(position_mm)
+    if task.among.kind == "board":
+        for case in task.cases:
+            write_case(task.folder, exposed_board(task.among, case, layers))
+        return ""
     lines = range(len(scene.tank.laser.sheets) if scene.tank.laser.on else 1)
     truths = [stripe_truth(scene, position_mm, line) for line in lines]
     for case in task.cases:
-        exposed = _exposed(task.spec, case, layers, truths)
-        turned = task.spec.axes_of(case)["lines"] == "rows"
+        exposed = _exposed(task.among, case, layers, truths)
+        turned = exposed.axes["lines"] == "rows"
         write_case(task.folder, _turned(exposed) if turned else exposed)
     return ""
 
 
 def _exposed(
-    spec: SuiteSpec, case: PlannedCase, layers: "Layers", truths: Sequence[StripeTruth]
+    among: CaseSet, case: PlannedCase, layers: "Layers", truths: Sequence[StripeTruth]
 ) -> SuiteCase:
     """The light of one render as the webcam of a case takes it."""
     from sim.devices import exposure_of
     from sim.sensor import Webcam
 
-    scene = spec.scene(case)
+    scene = among.scene(case)
     webcam = Webcam(scene)
     exposure_ms = exposure_of(scene, webcam, layers)
     seed = scene.tank.sensor.seed
     dark = None
-    if spec.has_pair(case):
+    if among.has_pair(case):
         none = np.zeros_like(layers.ambient)
         unlit = replace(layers, direct=none, scattered=none)
         dark = webcam.expose(unlit, exposure_ms, np.random.default_rng([seed, 2]))
     return SuiteCase(
         case.name,
-        spec.axes_of(case),
+        among.axes_of(case),
         webcam.expose(layers, exposure_ms, np.random.default_rng([seed, 1])),
         dark,
         label_scene(scene, scene.rig.plan.start_mm, layers, truths if scene.tank.laser.on else ()),

@@ -6,7 +6,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import combinations
 from pathlib import Path
-from typing import Annotated, Any, Self
+from typing import Annotated, Any, Literal, Self
 
 import numpy as np
 from pydantic import Field, model_validator
@@ -27,22 +27,16 @@ Axes = dict[Word, Values]
 Combination = tuple[str, ...]  # a value on each axis
 
 
-class SuiteSpecFile(Strict):
-    """A suite as its file says it.
+class CasesFile(Strict):
+    """Cases as a spec file says them.
 
-    scene: a file or a name, which all cases start from.  pictures: how many cases.  turned: every
-    so many-th case is turned so that its line runs down; 0: none.  pairs: likewise has a picture
-    with the laser off.  base: sections of the scene that differ in every case.  render: by axis and
-    value, sections that need another render.  expose: likewise, those of the same light exposed
-    otherwise.
+    scene: a file or a name, which all cases start from.  pictures: how many cases.  base: sections
+    of the scene that differ in every case.  render: by axis and value, sections that need another
+    render.  expose: likewise, those of the same light exposed otherwise.
     """
 
-    name: Annotated[str, Field(pattern="^[a-z0-9][a-z0-9-]{0,63}$")]
     scene: str
-    seed: Seed = 1
     pictures: Annotated[int, Field(ge=1, le=9999)]
-    turned: Annotated[int, Field(ge=0)] = 0
-    pairs: Annotated[int, Field(ge=0)] = 0
     base: dict[str, Any] = Field(default_factory=dict)
     render: Annotated[Axes, Field(min_length=1)]
     expose: Annotated[Axes, Field(min_length=1)]
@@ -62,34 +56,42 @@ class SuiteSpecFile(Strict):
         return self
 
 
+class SuiteSpecFile(CasesFile):
+    """A suite as its file says it: pictures of a laser line, and beside them of the board.
+
+    turned: every so many-th case is turned so that its line runs down; 0: none.  pairs: likewise
+    has a picture with the laser off.  boards: the cases of the board, where there are any.
+    """
+
+    name: Annotated[str, Field(pattern="^[a-z0-9][a-z0-9-]{0,63}$")]
+    seed: Seed = 1
+    turned: Annotated[int, Field(ge=0)] = 0
+    pairs: Annotated[int, Field(ge=0)] = 0
+    boards: CasesFile | None = None
+
+
 @dataclass(frozen=True)
 class PlannedCase:
-    """A case to be made.  number: from 0.  render, expose: its values on those axes."""
+    """A case to be made.  name: of it.  number: from 0.  render, expose: its values on the axes."""
 
+    name: str
     number: int
     render: Combination
     expose: Combination
 
-    @property
-    def name(self) -> str:
-        """Of the case."""
-        return f"case-{self.number:04d}"
-
 
 @dataclass(frozen=True)
-class SuiteSpec:
-    """A spec, what its scene's document is, the seed, and the file for errors."""
+class CaseSet:
+    """The cases of one kind: what their file says, their scene's document, and the suite's seed.
 
-    file: SuiteSpecFile
+    kind: "case" for those of a line, "board"; their names begin so.  source: for errors.
+    """
+
+    kind: Literal["case", "board"]
+    file: CasesFile
     document: Document
     seed: int
     source: str
-
-    @property
-    def sha256(self) -> str:
-        """Of all that the cases depend on but the seed; files that scenes name by path."""
-        text = json.dumps([self.file.model_dump(mode="json"), self.document], sort_keys=True)
-        return hashlib.sha256(text.encode()).hexdigest()
 
     def cases(self) -> list[PlannedCase]:
         """The cases: those of one render follow each other.
@@ -109,7 +111,10 @@ class SuiteSpec:
         shared = [renders[number * len(renders) // count] for number in range(count)]
         rows = covering([*render, *expose], shared, rng)
         split = len(render)
-        return [PlannedCase(n, row[:split], row[split:]) for n, row in enumerate(rows)]
+        return [
+            PlannedCase(f"{self.kind}-{n:04d}", n, row[:split], row[split:])
+            for n, row in enumerate(rows)
+        ]
 
     def axes_of(self, case: PlannedCase) -> dict[str, str]:
         """The case's value on each axis.
@@ -119,9 +124,10 @@ class SuiteSpec:
         case : PlannedCase
         """
         axes = [*self.file.render, *self.file.expose]
-        turned = self._every(self.file.turned, case)
         own = dict(zip(axes, case.render + case.expose, strict=True))
-        return {**own, "lines": "rows" if turned else "columns"}
+        if isinstance(self.file, SuiteSpecFile):
+            own["lines"] = "rows" if _every(self.file.turned, case) else "columns"
+        return own
 
     def has_pair(self, case: PlannedCase) -> bool:
         """Whether the case has a picture with the laser off.
@@ -130,7 +136,7 @@ class SuiteSpec:
         ----------
         case : PlannedCase
         """
-        return self._every(self.file.pairs, case)
+        return isinstance(self.file, SuiteSpecFile) and _every(self.file.pairs, case)
 
     def scene(self, case: PlannedCase) -> Scene:
         """The scene of a case, with the seed of its noise.
@@ -158,9 +164,35 @@ class SuiteSpec:
     def _names(axes: Mapping[str, Mapping[str, Any]]) -> list[Combination]:
         return [tuple(values) for values in axes.values()]
 
-    @staticmethod
-    def _every(period: int, case: PlannedCase) -> bool:
-        return period > 0 and case.number % period == period - 1
+
+def _every(period: int, case: PlannedCase) -> bool:
+    return period > 0 and case.number % period == period - 1
+
+
+@dataclass(frozen=True)
+class SuiteSpec:
+    """A spec: its file, the cases of the laser's line, and those of the board where it has any."""
+
+    file: SuiteSpecFile
+    lines: CaseSet
+    boards: CaseSet | None
+
+    @property
+    def seed(self) -> int:
+        """Of all that is random."""
+        return self.lines.seed
+
+    @property
+    def case_sets(self) -> list[CaseSet]:
+        """The cases of each kind."""
+        return [self.lines, *([self.boards] if self.boards is not None else [])]
+
+    @property
+    def sha256(self) -> str:
+        """Of all that the cases depend on but the seed; files that scenes name by path."""
+        documents = [cases.document for cases in self.case_sets]
+        text = json.dumps([self.file.model_dump(mode="json"), *documents], sort_keys=True)
+        return hashlib.sha256(text.encode()).hexdigest()
 
 
 def load_suite_spec(path: Path | str, seed: int | None = None) -> SuiteSpec:
@@ -178,8 +210,14 @@ def load_suite_spec(path: Path | str, seed: int | None = None) -> SuiteSpec:
     """
     source = spec_file(path, "suite")
     file = check(SuiteSpecFile, read_document(source), where=source)
-    document = read_document(included_file(source.parent, file.scene))
-    return SuiteSpec(file, document, file.seed if seed is None else seed, str(source))
+    own = file.seed if seed is None else seed
+
+    def cases(kind: Literal["case", "board"], of: CasesFile) -> CaseSet:
+        document = read_document(included_file(source.parent, of.scene))
+        return CaseSet(kind, of, document, own, str(source))
+
+    boards = None if file.boards is None else cases("board", file.boards)
+    return SuiteSpec(file, cases("case", file), boards)
 
 
 def covering(

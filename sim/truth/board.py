@@ -112,6 +112,18 @@ class BoardTruth:
         free = seen(self.scene, surfaces_of(self.scene), head, position)
         return np.select([~shown, ~free], [Status.OUT_OF_VIEW, Status.OCCLUDED], Status.OK)
 
+    def sheet_px(self, places_mm: Floats) -> Floats:
+        """(N, 2) px of places of the sheet y = 0 in the frame that the board marks there.
+
+        That of a board off the sheet is dropped onto it perpendicularly.
+
+        Parameters
+        ----------
+        places_mm : (N, 2) array, mm, nominal (x, z) on the board
+        """
+        head, _ = self._in_head(places_mm, np.zeros(2))
+        return project(self.scene, head * [1.0, 0.0, 1.0])
+
     def marks_px(self) -> Floats:
         """(M, 2) px of control points and rulers' marks, in that order, hidden or not."""
         board = self.scene.board()

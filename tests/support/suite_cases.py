@@ -1,11 +1,14 @@
 """A small suite of drawn lines, as a folder: what reading and judging are tested on."""
 
+from dataclasses import replace
+
 import numpy as np
 
+from lscan.benchmark.boards import BOARDS, IMAGE_SIZE, OPTICS, image_px, seen_marks
 from lscan.benchmark.pictures import LineCase, centres, draw
 from lscan.config.rig import NoiseSection, StripeSection
 from lscan.records import Status
-from lscan.suites import CaseTruth, SuiteCase, write_case, write_manifest
+from lscan.suites import BoardCase, CaseTruth, SuiteCase, write_case, write_manifest
 
 NOISE = NoiseSection(read_dn=1.0, dn_per_electron=255 / 15_000)
 
@@ -44,3 +47,30 @@ def drawn_suite(folder, count=4, name="drawn"):
     axes = {case.name: dict(case.axes) for case in cases}
     write_manifest(folder, name, 7, "lscan test", axes)
     return cases
+
+
+def board_case(number, board="coarse"):
+    """A case of a board without a picture of it: its marks and the map, exactly known."""
+    made = BOARDS[board]
+    marks_mm = np.concatenate([made.grid.points_mm(), *(r.points_mm() for r in made.ruler)])
+    rng = np.random.default_rng(number)
+    exact = image_px(marks_mm)
+    marks = seen_marks(marks_mm, exact, IMAGE_SIZE, 0.0, rng)
+    marks = replace(marks, sigma_px=0 * marks.sigma_px)
+    span = np.array([made.grid.columns - 1, made.grid.rows - 1]) * made.grid.pitch_mm
+    places = rng.random((50, 2)) * span * [1, -1]
+    picture = np.full((IMAGE_SIZE[1] // 8, IMAGE_SIZE[0] // 8, 3), number, np.uint8)
+    axes = {"water": "tap" if number % 2 else "harbor", "place": "level"}
+    return BoardCase(
+        f"board-{number:03d}", axes, picture, made, OPTICS, marks, image_px(places), places
+    )
+
+
+def board_suite(folder, count=4):
+    """A suite's folder of a drawn line and ``count`` boards."""
+    line, boards = drawn_case(0), [board_case(n) for n in range(count)]
+    for case in (line, *boards):
+        write_case(folder, case)
+    axes = {case.name: dict(case.axes) for case in boards}
+    write_manifest(folder, "boards", 7, "lscan test", {line.name: dict(line.axes)}, axes)
+    return boards

@@ -17,7 +17,14 @@ import lscan.suites.find
 from lscan.config.plugins import installed
 from lscan.errors import InputError
 from lscan.suites import open_suite, pack_suite, suites_found, verify_suite
-from lscan.suites.content import MANIFEST, manifest_bytes, read_manifest, read_truth, truth_bytes
+from lscan.suites.content import (
+    MANIFEST,
+    manifest_bytes,
+    member_sum,
+    read_manifest,
+    read_truth,
+    truth_bytes,
+)
 from lscan.suites.wheel import write_suite_wheel
 
 
@@ -54,6 +61,57 @@ def test_a_case_is_read_as_it_was_written(folder, archive):
             np.testing.assert_allclose(
                 case.truth.centre_px, written.truth.centre_px, rtol=0, atol=1e-6
             )
+
+
+@pytest.fixture(scope="module")
+def boards(tmp_path_factory):
+    """A suite's folder with boards, and the cases that it was written of."""
+    made = tmp_path_factory.mktemp("boards") / "boards"
+    made.mkdir()
+    return made, suite_cases.board_suite(made)
+
+
+def test_a_board_is_read_as_it_was_written(boards):
+    """Places to 1e-6 px and mm."""
+    folder, written = boards
+    pack_suite(folder, folder.with_suffix(".zip"))
+    for path in (folder, folder.with_suffix(".zip")):
+        for case, was in zip(verify_suite(path).boards(), written, strict=True):
+            assert (case.name, case.axes, case.board) == (was.name, was.axes, was.board)
+            assert case.optics == was.optics
+            assert np.array_equal(case.picture, was.picture)
+            for one, other in (
+                (case.marks.board_mm, was.marks.board_mm),
+                (case.marks.image_px, was.marks.image_px),
+                (case.marks.sigma_px, was.marks.sigma_px),
+                (case.map_px, was.map_px), (case.map_mm, was.map_mm),
+            ):  # fmt: skip
+                np.testing.assert_allclose(one, other, rtol=0, atol=1e-6)
+            assert np.array_equal(case.marks.status, was.marks.status)
+
+
+@pytest.mark.parametrize(
+    ("member", "content", "said"),
+    [
+        ("map.csv", b"u_px,v_px\n", "no table of u_px, v_px, x_mm, z_mm"),
+        ("map.csv", b"u_px,v_px,x_mm,z_mm\n1,1,nan,1\n", "no table of a map"),
+        ("truth.csv", b"x_mm,z_mm,u_px,v_px,status\n", "differ in marks"),
+        ("truth.csv", b"x_mm,z_mm,u_px,v_px,status\n1,1,nan,1,0\n", "no table of marks"),
+        ("truth.csv", b"x_mm,z_mm,u_px,v_px,status\n1,1,1,1,99\n", "no table of marks"),
+        ("board.json", b"{}", "is no Board"),
+        ("optics.json", b"[]", "is no OpticsSection"),
+        ("picture.png", b"none", "is no PNG"),
+    ],
+)
+def test_a_harmed_board_is_refused_by_its_member(boards, tmp_path, member, content, said):
+    """Though the manifest has the checksum of what is there."""
+    copy = tmp_path / "copy"
+    shutil.copytree(boards[0], copy)
+    (copy / "board-000" / member).write_bytes(content)
+    of = open_suite(copy).content
+    members = {**of.members, f"board-000/{member}": member_sum(content)}
+    (copy / MANIFEST).write_bytes(manifest_bytes(of.model_copy(update={"members": members})))
+    assert said in _refused(copy)
 
 
 def test_an_archive_has_the_same_bytes_each_time(folder, archive, tmp_path):
@@ -118,8 +176,8 @@ def _forged(folder, tmp_path, change):
 
 
 def test_another_version_is_refused(folder, tmp_path):
-    path = _forged(folder, tmp_path, lambda content: content.model_copy(update={"version": 2}))
-    assert "of another version (got 2; allowed: 1)" in _refused(path)
+    path = _forged(folder, tmp_path, lambda content: content.model_copy(update={"version": 1}))
+    assert "of another version (got 1; allowed: 2)" in _refused(path)
 
 
 @pytest.mark.parametrize(
@@ -175,7 +233,7 @@ def test_suites_are_found_in_the_cache(archive, tmp_path, monkeypatch, capsys):
     assert suites_found() == {"drawn": tmp_path / "lscan" / "suites" / "drawn.zip"}
     for command, said in {
         "list": "drawn: ",
-        "show drawn": "drawn: 4 cases, seed 7",
+        "show drawn": "drawn: 4 cases, 0 boards, seed 7",
         "verify drawn": "4 cases and 17 members are whole",
     }.items():
         code, out, _ = call(capsys, "suite", *command.split())

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 from places import ROOT
-from suite_cases import drawn_suite
+from suite_cases import board_suite, drawn_suite
 
 EXAMPLE = ROOT / "examples" / "line-finder"
 LEAST_LINES = 15  # of a stranger's own test, at most
@@ -85,3 +85,19 @@ def test_a_case_that_fails_is_shown(package: Path) -> None:
 def test_the_stranger_s_test_is_short() -> None:
     text = (EXAMPLE / "tests" / "test_line_finder.py").read_text(encoding="utf-8")
     assert sum(bool(line.strip()) for line in text.splitlines()) <= LEAST_LINES
+
+
+def test_boards_are_cases_too(package: Path) -> None:
+    """Four of a suite that has some, with the picture of one that fails; none of drawn lines."""
+    (package.parent / "boards").mkdir()
+    board_suite(package.parent / "boards")
+    (package / "tests" / "test_boards.py").write_text(
+        "def test_all_dots_are_in_view(board_case):\n"
+        "    assert (board_case.marks.status == 0).all() and board_case.axes['water'] == 'tap'\n"
+    )
+    suite = ["--lscan-suite", str(package.parent / "boards"), "-k", "all_dots"]
+    code, said = run(package, *suite)
+    assert code == 1 and "2 failed, 2 passed" in said
+    assert re.search(r"picture: \S+board-000\.png", said) and "lscan extract" not in said
+    code, said = run(package, "--lscan-suite", "drawn", "-k", "all_dots")
+    assert code == 0 and "1 skipped" in said

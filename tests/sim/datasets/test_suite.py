@@ -12,6 +12,7 @@ import pytest
 from hypothesis import given, settings, strategies as st
 from places import ROOT
 
+from lscan.board import read_board
 from lscan.config.scenes import spec_names
 from lscan.errors import InputError
 from lscan.files.disk import lock_folder
@@ -55,6 +56,21 @@ dark_noise_e = 10.0
 [expose.fault.none]
 [expose.fault.gamma.sensor]
 gamma = 2.2
+
+[boards]
+scene = "paper/board"
+pictures = 2
+
+[boards.base.camera.options]
+auto_exposure = true
+max_ms = 10000.0
+
+[boards.render.place.off.target]
+tilt_x_deg = 1.0
+
+[boards.expose.noise.usual]
+[boards.expose.noise.high.sensor]
+dark_noise_e = 150.0
 """
 
 
@@ -126,7 +142,7 @@ def test_the_bytes_are_the_same_on_two_workers_and_after_a_kill(made, spec_file,
     make_suite(spec, killed, workers=2, progress=lambda done, total: shown.append((done, total)))
     assert killed.read_bytes() == made.read_bytes()
     assert not partial.exists()
-    assert shown[-1] == (8, 8)
+    assert shown[-1] == (10, 10)
 
 
 def _make(spec_file, archive):
@@ -164,15 +180,43 @@ def test_two_processes_do_not_make_one_suite(spec_file):
 
 @pytest.mark.parametrize("name", spec_names("suite"))
 def test_the_suites_of_lscan_cover_every_pair_of_values(name):
-    spec = load_suite_spec(name)
-    cases = spec.cases()
-    values = {**spec.file.render, **spec.file.expose}
-    rows = [spec.axes_of(case) for case in cases]
-    for one, other in combinations(values, 2):
-        seen = {(row[one], row[other]) for row in rows}
-        assert seen == {(a, b) for a in values[one] for b in values[other]}
-    for case in cases[:: len(cases) // 25]:
-        spec.scene(case)
+    for among in load_suite_spec(name).case_sets:
+        cases = among.cases()
+        values = {**among.file.render, **among.file.expose}
+        rows = [among.axes_of(case) for case in cases]
+        for one, other in combinations(values, 2):
+            seen = {(row[one], row[other]) for row in rows}
+            assert seen == {(a, b) for a in values[one] for b in values[other]}
+        for case in cases[:: max(1, len(cases) // 25)]:
+            among.scene(case)
+
+
+def test_the_boards_truth_is_what_is_read(made):
+    """Marks by our own reader, in its stated sigmas: chi squared of 200 coordinates a picture is
+    within 5 of its standard deviations of 200; the map: the marks' own places on a board that is
+    not tilted differ from the sheet's by nothing, on this one by what a degree moves them.
+    """
+    suite = open_suite(made)
+    assert {case.axes["noise"] for case in suite.boards()} == {"usual", "high"}
+    for case in suite.boards():
+        reading = read_board(case.picture, case.board)
+        count = len(reading.grid.status)
+        off = reading.grid.image_px - case.marks.image_px[:count]
+        assert reading.grid.found.all()
+        # The reader states the noise's part; the pictures of few samples have grain besides.
+        assert np.sqrt((off**2).mean()) < 3 * np.sqrt((reading.grid.sigma_px**2).mean())
+        assert (case.marks.status == Status.OK).all()
+        assert len(case.map_px) == len(case.map_mm) == 25**2
+        corner = np.abs(case.map_mm - [0.0, 0.0]).sum(axis=1).argmin()
+        away = np.linalg.norm(case.map_px[corner] - case.marks.image_px[0])
+        assert away < 1e-3  # the board is turned about that very corner
+
+
+def test_boards_need_a_board(spec_file, tmp_path):
+    file = tmp_path / "wrong.toml"
+    file.write_text(SMALL.replace('scene = "paper/board"', 'scene = "paper/groove"'))
+    with pytest.raises(InputError, match=r"boards\.scene.*paper/groove"):
+        make_suite(load_suite_spec(file), tmp_path / "wrong.zip", workers="none")
 
 
 @settings(max_examples=30, deadline=None)
