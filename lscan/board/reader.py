@@ -33,6 +33,7 @@ from lscan.board.picture import (
     reduction_of,
 )
 from lscan.board.rings import read_ring
+from lscan.board.scatter import lattice_scatter
 from lscan.board.search import Nodes, grow, local_pitch
 from lscan.board.seeds import check_seeds, propose_seeds
 from lscan.config.board import Board, Grid
@@ -172,6 +173,9 @@ def _all_marks(bright: Image, picture: BoardPicture, nodes: Nodes, board: Board)
     noise = noise_image(bright, nodes, _median_radius(nodes, board.grid))
     picture = replace(picture, noise=picture.gain * noise)
     nodes = _measured_again(picture, nodes, mapping, board)
+    scatter = lattice_scatter(nodes)  # all marks share what a coder or a colour filter does
+    nodes = Nodes(nodes.values * [1.0, 1.0, 1.0, scatter])
+    picture = replace(picture, noise=picture.noise * scatter)
     mapping = local_map(completed(nodes, board.grid.pitch_mm), board.grid.pitch_mm)
     contrast = Contrast.of(nodes, mapping, board.grid.dot_diameter_mm)
     return BoardReading(
