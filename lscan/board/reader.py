@@ -33,7 +33,7 @@ from lscan.board.picture import (
     reduction_of,
 )
 from lscan.board.rings import read_ring
-from lscan.board.scatter import lattice_scatter
+from lscan.board.scatter import lattice_scatter, less_sure
 from lscan.board.search import Nodes, grow, local_pitch
 from lscan.board.seeds import check_seeds, propose_seeds
 from lscan.config.board import Board, Grid
@@ -173,12 +173,9 @@ def _all_marks(bright: Image, picture: BoardPicture, nodes: Nodes, board: Board)
     noise = noise_image(bright, nodes, _median_radius(nodes, board.grid))
     picture = replace(picture, noise=picture.gain * noise)
     nodes = _measured_again(picture, nodes, mapping, board)
-    scatter = lattice_scatter(nodes)  # all marks share what a coder or a colour filter does
-    nodes = Nodes(nodes.values * [1.0, 1.0, 1.0, scatter])
-    picture = replace(picture, noise=picture.noise * scatter)
     mapping = local_map(completed(nodes, board.grid.pitch_mm), board.grid.pitch_mm)
     contrast = Contrast.of(nodes, mapping, board.grid.dot_diameter_mm)
-    return BoardReading(
+    reading = BoardReading(
         image_size=picture.size,
         pitch_mm=board.grid.pitch_mm,
         shape=(nodes.height.shape[0], nodes.height.shape[1]),
@@ -187,6 +184,7 @@ def _all_marks(bright: Image, picture: BoardPicture, nodes: Nodes, board: Board)
         dots={dot.name: read_dot(picture, mapping, contrast, dot) for dot in board.dot},
         rings={ring.name: read_ring(picture, mapping, contrast, ring) for ring in board.ring},
     )
+    return less_sure(reading, lattice_scatter(nodes))
 
 
 def _search_from_anywhere(bright: Image, board: Board) -> tuple[BoardPicture, Nodes]:

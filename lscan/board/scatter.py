@@ -5,11 +5,16 @@ does, but are not seen where the picture is even.  They are seen in the lattice 
 lens through a port it is smooth, and its fifth differences next to nothing.
 """
 
+from dataclasses import replace
+from typing import TypeVar
+
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
 from lscan.board.search import Nodes
-from lscan.records import Floats
+from lscan.records import BoardReading, Floats, Mark, Marks, RingPoints
+
+_Marked = TypeVar("_Marked", Mark, Marks, RingPoints)
 
 FIFTH = np.array([1.0, -5.0, 10.0, -10.0, 5.0, -1.0])
 """Differences that leave nothing of a polynomial of the fourth degree: of six dots in a row over a
@@ -42,6 +47,27 @@ def lattice_scatter(nodes: Nodes) -> float:
         return 1.0
     scatter = float(np.median(found)) / 0.6745
     return scatter if scatter > CHANCE else 1.0
+
+
+def less_sure(reading: BoardReading, times: float) -> BoardReading:
+    """The reading with all its uncertainties so many times larger: all marks share their cause.
+
+    Parameters
+    ----------
+    reading : BoardReading
+    times : float
+    """
+
+    def of(mark: _Marked) -> _Marked:
+        return replace(mark, sigma_px=times * mark.sigma_px)
+
+    return replace(
+        reading,
+        grid=of(reading.grid),
+        rulers=tuple(replace(ruler, marks=of(ruler.marks)) for ruler in reading.rulers),
+        dots={name: of(dot) for name, dot in reading.dots.items()},
+        rings={name: of(ring) for name, ring in reading.rings.items()},
+    )
 
 
 def _ratios(values: Floats, variance: Floats, axis: int) -> Floats:

@@ -86,11 +86,16 @@ def photographs() -> list[Bytes]:
 
 @pytest.mark.slow
 def test_sixteen_photographs_calibrate_a_webcam() -> None:
+    """One of 1,056 corners is left out: a narrower window moves it by 7.6 standard deviations of
+    what it does to the others of its picture, which 6 allow; the next largest is 2.9."""
     pictures = photographs()
     found = [read_chessboard(picture, 11, 6, 25.0) for picture in pictures]
-    assert len(found) == 16 and all(marks.found.all() for marks in found)
-    flat = [np.column_stack([m.board_mm, 0 * m.sigma_px]).astype(np.float32) for m in found]
-    seen = [m.image_px.astype(np.float32) for m in found]
+    assert len(found) == 16 and sum(int((~marks.found).sum()) for marks in found) <= 1
+    flat = [
+        np.column_stack([m.board_mm, np.zeros(len(m.found))])[m.found].astype(np.float32)
+        for m in found
+    ]
+    seen = [m.image_px[m.found].astype(np.float32) for m in found]
     height, width = pictures[0].shape
     rms = cv2.calibrateCamera(flat, seen, (width, height), None, None)[0]
     assert rms <= 0.225  # OpenCV's plain route on the same pictures
