@@ -1,34 +1,26 @@
-"""``lscan bench --suite``: extractors judged on a suite, written, and held against a saved run."""
+"""``lscan bench --suite``: extractors, and what reads and maps boards, judged on a suite."""
 
 import math
 import os
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import asdict, astuple, dataclass
-from pathlib import Path
-from typing import Any
+from dataclasses import dataclass
 
 import numpy as np
 
-from lscan.benchmark.against import LOG_Z, Difference, differences
+from lscan.benchmark.against import LOG_Z
 from lscan.benchmark.boardjudging import judge_boards
 from lscan.benchmark.extractors import THRESHOLD_DN, cases
-from lscan.benchmark.judging import SUMS, CaseSums, JudgedExtractor, judge
+from lscan.benchmark.judging import CaseSums, JudgedExtractor, judge
 from lscan.benchmark.pictures import SHAPE, centres, draw
 from lscan.benchmark.sharing import judge_shared
-from lscan.benchmark.worst import draw_worst
-from lscan.config.documents import read_json
 from lscan.config.rig import StripeSection
 from lscan.errors import InputError
-from lscan.files.disk import make_folder, write_atomically
-from lscan.files.jsontext import write_json
 from lscan.records import Progress, Status
 from lscan.stripe import find_extractor
 from lscan.suites import CaseTruth, SuiteCase, SuiteContent, find_suite, open_suite
 
 DRAWN = "drawn"
 """The suite of drawn lines, which needs no file."""
-VERSION = 1
-MOST_SAVED_BYTES = 2**28
 LEAST_SHARED = 100  # cases: fewer are judged before other processes have begun
 USUAL_AXES = ("water", "target", "fault")
 
@@ -214,21 +206,35 @@ def suite_rows(run: SuiteRun, by: Sequence[str]) -> list[SuiteRow]:
             )
         groups.setdefault(tuple(axes[axis] for axis in by), []).append(case)
     return [
-        _row(one, dict(zip(by, values, strict=True)), members, run.reference_s)
+        row_of(
+            one.extractor,
+            {case: one.sums[case] for case in members},
+            dict(zip(by, values, strict=True)),
+            sum(one.sums[case].seconds for case in members) / len(members) / run.reference_s,
+        )
         for values, members in sorted(groups.items())
         for one in run.judged
     ]
 
 
-def _row(
-    one: JudgedExtractor, group: dict[str, str], cases: list[str], reference_s: float
+def row_of(
+    name: str, sums: Mapping[str, CaseSums], group: Mapping[str, str], time: float
 ) -> SuiteRow:
-    total = sum((one.sums[case] for case in cases), CaseSums())
+    """A method's row of some cases.
+
+    Parameters
+    ----------
+    name : str, of the extractor, reader or map
+    sums : mapping, of each case
+    group : mapping, the values on axes that the cases have in common
+    time : float, of a case, to that of the reference workload
+    """
+    total = sum(sums.values(), CaseSums())
     bias, square = _share(total.error, total.core), _share(total.square, total.core)
     return SuiteRow(
-        one.extractor,
+        name,
         group,
-        len(cases),
+        len(sums),
         bias,
         math.sqrt(max(square - bias**2, 0.0)) if total.core else math.nan,
         math.sqrt(_share(total.square, total.bound)),
@@ -238,87 +244,9 @@ def _row(
         _share(total.ghosts, total.dark),
         _share(total.honest, total.valued),
         math.exp(_share(total.log_z, total.core) - LOG_Z),
-        total.seconds / len(cases) / reference_s,
+        time,
     )
 
 
 def _share(part: float, whole: float) -> float:
     return part / whole if whole else math.nan
-
-
-def write_suite_run(folder: Path, run: SuiteRun, by: Sequence[str]) -> dict[str, Any]:
-    """Write bench.json, and the worst columns of each extractor as a picture.
-
-    Parameters
-    ----------
-    folder : Path, made where it is missing
-    run : SuiteRun
-    by : sequence of str, the axes of the table in bench.json
-
-    Returns
-    -------
-    What bench.json holds.
-    """
-    make_folder(folder)
-    content = saved_run(run, by)
-    write_json(folder / "bench.json", content)
-    for one in run.judged:
-        if one.worst:
-            name = one.extractor.replace(":", ".")
-            write_atomically(folder / f"worst-{name}.png", draw_worst(one))
-    return content
-
-
-def saved_run(run: SuiteRun, by: Sequence[str] = ()) -> dict[str, Any]:
-    """What bench.json holds of a run, of JSON types; ``compare_saved`` takes such a file.
-
-    Parameters
-    ----------
-    run : SuiteRun
-    by : sequence of str, the axes of its table
-    """
-    return {
-        "version": VERSION,
-        "suite": run.identity,
-        "rows": [asdict(row) for row in suite_rows(run, by)],
-        "sums": list(SUMS),
-        "extractors": {
-            one.extractor: {case: list(astuple(sums)) for case, sums in one.sums.items()}
-            for one in run.judged
-        },
-    }
-
-
-def compare_saved(run: SuiteRun, file: Path) -> list[Difference]:
-    """What differs from a saved run of the same suite, for each extractor that both have.
-
-    Parameters
-    ----------
-    run : SuiteRun
-    file : Path, a bench.json
-
-    Raises
-    ------
-    InputError
-        The file is none, or of another suite, or has none of the extractors.
-    """
-    content = read_json(file, MOST_SAVED_BYTES)
-    try:
-        if (content["version"], content["sums"]) != (VERSION, list(SUMS)):
-            raise ValueError
-        suite = str(content["suite"])
-        saved = {
-            str(name): {case: CaseSums(*map(float, sums)) for case, sums in of.items()}
-            for name, of in content["extractors"].items()
-        }
-    except (KeyError, TypeError, ValueError, AttributeError) as error:
-        allowed = "a bench.json of lscan bench --suite"
-        raise InputError("is no saved run", where=file, allowed=allowed) from error
-    if suite != run.identity:
-        raise InputError("is of another suite", where=file, value=suite, allowed=run.identity)
-    both = [one for one in run.judged if one.extractor in saved]
-    if not both:
-        allowed = ", ".join(saved)
-        raise InputError("has none of these extractors", where=file, allowed=allowed)
-    found = [differences(one.extractor, one.sums, saved[one.extractor]) for one in both]
-    return [one for of in found for one in of]

@@ -5,7 +5,7 @@ import os
 # Before NumPy: its matrices here are small, and threads cost them more time than they save.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
-from lscan.cli.benchmark import bench
+from lscan.cli.benchmark import bench, leaderboard
 from lscan.cli.board import draw_board
 from lscan.cli.calibrate import calibrate, check
 from lscan.cli.compare import compare
@@ -26,7 +26,7 @@ app = command_line(
     "Laser line scanner: scan, calibrate, reconstruct, measure, report, live, bench, suite."
 )
 usual = (scan, calibrate, check, extract, draw_board, reconstruct, measure, compare, report)
-others = (roughness, calibrate_metric, calibrate_shaft, scenes, devices, bench, live)
+others = (roughness, calibrate_metric, calibrate_shaft, scenes, devices, bench, leaderboard, live)
 for command in (*usual, *others):
     app.command()(command)
 app.add_typer(suite, name="suite")

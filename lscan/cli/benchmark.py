@@ -136,7 +136,8 @@ def _end_with_run(
     json: bool,
 ) -> None:
     """Write and print what became of a suite's cases, and what differs from a saved run."""
-    from lscan.benchmark.suiterun import compare_saved, suite_rows, usual_axes, write_suite_run
+    from lscan.benchmark.savedrun import compare_saved, write_suite_run
+    from lscan.benchmark.suiterun import suite_rows, usual_axes
 
     suite_rows(run, by or ())  # refuses an unknown axis before anything is written
     changed = compare_saved(run, against) if against is not None else []
@@ -156,6 +157,23 @@ def _end_with_run(
     if worse:
         print(f"lscan: {worse} figures are worse than in {against}", file=sys.stderr)
         raise typer.Exit(1)
+
+
+def leaderboard(
+    files: Annotated[list[Path], typer.Argument(help="bench.json of runs on suites.")],
+    output: Annotated[Path, typer.Option("--output", "-o", help="The page.")] = Path(
+        "out/leaderboard.html"
+    ),
+    json: Json = False,
+) -> None:
+    """Rank what saved runs on suites say, on a page of its own: a table for each suite."""
+    from lscan.benchmark.leaderboard import write_leaderboard
+
+    page = write_leaderboard(files, output)
+    if json:
+        print_json({"page": str(page)})
+    else:
+        print(page)
 
 
 def _print_rows(rows: "Sequence[SuiteRow]", unit: str) -> None:

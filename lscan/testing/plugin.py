@@ -87,7 +87,7 @@ def assert_no_worse(
     """
 
     def held(result: SuiteRun, baseline: str | Path) -> None:
-        from lscan.benchmark.suiterun import compare_saved, saved_run, write_suite_run
+        from lscan.benchmark.savedrun import compare_saved, saved_run, write_suite_run
         from lscan.files.jsontext import write_json
 
         file = request.path.parent / baseline

@@ -41,6 +41,7 @@ ELSEWHERE = {
     "lscan-sim field": "tests/system/test_smoke.py",
     "lscan roughness": "tests/lscan/cli/test_roughness_command.py",
     "lscan-sim dataset": "tests/sim/datasets/test_dataset.py",
+    "lscan leaderboard": "tests/lscan/benchmark/test_leaderboard.py",
     "lscan suite": "tests/lscan/suites/test_suites.py",
     "lscan-sim suite make": "tests/sim/datasets/test_suite.py",
     "lscan-sim study": "tests/sim/cli/test_study.py",

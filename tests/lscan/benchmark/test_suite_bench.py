@@ -13,7 +13,8 @@ from hypothesis.extra import numpy as hnp
 from lscan.benchmark import suiterun
 from lscan.benchmark.against import FALSE_ALARMS, differences, pseudo_median
 from lscan.benchmark.judging import judge_case
-from lscan.benchmark.suiterun import compare_saved, run_suite, suite_rows, write_suite_run
+from lscan.benchmark.savedrun import compare_saved, write_suite_run
+from lscan.benchmark.suiterun import run_suite, suite_rows
 from lscan.errors import InputError
 from lscan.records import Status, has_value
 from lscan.stripe import find_extractor
