@@ -1,13 +1,12 @@
 """Pictures of the calibration board for a suite, with the truth of marks and map."""
 
+from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from lscan.errors import InputError
 from lscan.records import Floats, Marks
 from lscan.suites import BoardCase
-from sim.datasets.suitespec import CaseSet, PlannedCase
 from sim.scene import Scene
 from sim.truth import board_truth
 
@@ -17,34 +16,25 @@ if TYPE_CHECKING:
 PLACES = 25  # of the map, along either side of the board
 
 
-def exposed_board(among: CaseSet, case: PlannedCase, layers: "Layers") -> BoardCase:
-    """The light of one render as the webcam of a case takes it, with the board's truth.
+def board_case(scene: Scene, name: str, axes: Mapping[str, str], layers: "Layers") -> BoardCase:
+    """The light of one render as the scene's webcam takes it, with the board's truth.
 
     Parameters
     ----------
-    among : CaseSet, of boards
-    case : PlannedCase, one of them
-    layers : Layers, rendered of the scene of its render
-
-    Raises
-    ------
-    InputError
-        The scene's target is no board.
+    scene : Scene
+    name : str, of the case
+    axes : mapping, its values
+    layers : Layers, rendered at the start of the plan
     """
     from sim.devices import exposure_of
     from sim.sensor import Webcam
 
-    scene = among.scene(case)
-    if scene.tank.target.shape != "board":
-        allowed = 'a scene whose target is of shape "board"'
-        raise InputError("boards.scene", where=among.source, value=among.file.scene,
-                         allowed=allowed)  # fmt: skip
     webcam = Webcam(scene)
     rng = np.random.default_rng([scene.tank.sensor.seed, 1])
     pixels, places = _map(scene)
     return BoardCase(
-        case.name,
-        among.axes_of(case),
+        name,
+        axes,
         webcam.expose(layers, exposure_of(scene, webcam, layers), rng),
         scene.board(),
         scene.rig.optics,

@@ -4,19 +4,15 @@ import os
 import shutil
 from collections.abc import Generator, Sequence
 from contextlib import closing
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import groupby
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
-import numpy as np
-
 from lscan.errors import InputError
 from lscan.files.disk import lock_folder, make_folder, read_text, write_atomically
-from lscan.records import Bytes, Floats, Mask, Progress, Status
+from lscan.records import Progress
 from lscan.suites import (
-    CaseTruth,
-    SuiteCase,
     is_written,
     open_suite,
     pack_suite,
@@ -24,14 +20,12 @@ from lscan.suites import (
     write_manifest,
 )
 from lscan.version import __version__
-from sim.datasets.boards import exposed_board
-from sim.datasets.labels import label_scene
+from sim.datasets.boards import board_case
+from sim.datasets.lines import line_case, line_truths, turned_case
 from sim.datasets.suitespec import CaseSet, PlannedCase, SuiteSpec
-from sim.scene import Scene
-from sim.truth import StripeTruth, line_brightness, stripe_truth
 
 if TYPE_CHECKING:
-    from sim.render.tank import Layers
+    pass
 
 IDENTITY = "identity.txt"
 
@@ -165,85 +159,16 @@ def make_cases(task: RenderTask) -> str:
     from sim.render.tank import Tank
 
     scene = task.among.scene(task.first)
-    position_mm = scene.rig.plan.start_mm
-    layers = Tank(scene).render(position_mm)
+    layers = Tank(scene).render(scene.rig.plan.start_mm)
     if task.among.kind == "board":
         for case in task.cases:
-            write_case(task.folder, exposed_board(task.among, case, layers))
+            scene, axes = task.among.scene(case), task.among.axes_of(case)
+            write_case(task.folder, board_case(scene, case.name, axes, layers))
         return ""
-    lines = range(len(scene.tank.laser.sheets) if scene.tank.laser.on else 1)
-    truths = [stripe_truth(scene, position_mm, line) for line in lines]
+    truths = line_truths(scene)
     for case in task.cases:
-        exposed = _exposed(task.among, case, layers, truths)
-        turned = exposed.axes["lines"] == "rows"
-        write_case(task.folder, _turned(exposed) if turned else exposed)
+        scene, axes = task.among.scene(case), task.among.axes_of(case)
+        pair = task.among.has_pair(case)
+        made = line_case(scene, case.name, axes, layers, truths, pair=pair)
+        write_case(task.folder, turned_case(made) if axes["lines"] == "rows" else made)
     return ""
-
-
-def _exposed(
-    among: CaseSet, case: PlannedCase, layers: "Layers", truths: Sequence[StripeTruth]
-) -> SuiteCase:
-    """The light of one render as the webcam of a case takes it."""
-    from sim.devices import exposure_of
-    from sim.sensor import Webcam
-
-    scene = among.scene(case)
-    webcam = Webcam(scene)
-    exposure_ms = exposure_of(scene, webcam, layers)
-    seed = scene.tank.sensor.seed
-    dark = None
-    if among.has_pair(case):
-        none = np.zeros_like(layers.ambient)
-        unlit = replace(layers, direct=none, scattered=none)
-        dark = webcam.expose(unlit, exposure_ms, np.random.default_rng([seed, 2]))
-    return SuiteCase(
-        case.name,
-        among.axes_of(case),
-        webcam.expose(layers, exposure_ms, np.random.default_rng([seed, 1])),
-        dark,
-        label_scene(scene, scene.rig.plan.start_mm, layers, truths if scene.tank.laser.on else ()),
-        _truth_of(scene, truths, exposure_ms),
-        scene.rig.stripe,
-    )
-
-
-def _truth_of(scene: Scene, truths: Sequence[StripeTruth], exposure_ms: float) -> CaseTruth:
-    """The line that [stripe] means, column by column: the first or last of several lines."""
-    lights = line_brightness(scene, truths, [exposure_ms] * len(truths))
-    centres = np.stack([one.centre_px for one in truths])
-    shown: Mask = np.stack([one.status == Status.OK for one in truths])
-    last = scene.rig.stripe.returns == "last"
-    key: Floats = np.where(shown, -centres if last else centres, np.inf)
-    meant, along = key.argmin(axis=0), np.arange(centres.shape[1])
-    some = shown.any(axis=0)
-    status = np.where(some, int(Status.OK), truths[0].status)
-    several = (shown.sum(axis=0) > 1) & (scene.rig.stripe.returns == "brightest")
-    hidden = np.stack([one.multiple for one in truths]).any(axis=0)  # the truth has one of them
-
-    def of(values: Sequence[Floats]) -> Floats:
-        chosen: Floats = np.stack(values)[meant, along]
-        return np.where(some, chosen, np.nan)
-
-    return CaseTruth(
-        of([one.centre_px for one in truths]),
-        of([one.width_px for one in lights]),
-        of([one.height_dn for one in lights]),
-        of([one.noise_dn for one in lights]),
-        (several | hidden).astype(np.int64),
-        status.astype(np.int64),
-    )
-
-
-def _turned(case: SuiteCase) -> SuiteCase:
-    """The case as a camera sees it whose columns are the other's rows."""
-
-    def swapped(image: Bytes) -> Bytes:
-        return np.ascontiguousarray(np.swapaxes(image, 0, 1))
-
-    return replace(
-        case,
-        picture=swapped(case.picture),
-        dark=None if case.dark is None else swapped(case.dark),
-        labels=swapped(case.labels),
-        settings=case.settings.model_copy(update={"axis": "rows"}),
-    )

@@ -158,7 +158,11 @@ class CaseSet:
         document = merge(document, {"sensor": {"seed": seed}, "render": {"seed": self.seed}})
         where = f"{self.source}: {', '.join(case.render + case.expose)}"
         document = inline_board(document, source=where)
-        return scene_of(parse_rig(document, source=where))
+        scene = scene_of(parse_rig(document, source=where))
+        if self.kind == "board" and scene.tank.target.shape != "board":
+            allowed = 'a scene whose target is of shape "board"'
+            raise InputError("boards.scene", where=where, value=self.file.scene, allowed=allowed)
+        return scene
 
     @staticmethod
     def _names(axes: Mapping[str, Mapping[str, Any]]) -> list[Combination]:

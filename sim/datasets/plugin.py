@@ -1,0 +1,58 @@
+"""Plugin of pytest: pictures of the tank rendered in a test, where the tank is installed.
+
+Loaded by every run of pytest where lscan is, as lscan.testing.plugin is.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any, Protocol
+
+import pytest
+
+if TYPE_CHECKING:
+    from lscan.suites import BoardCase, SuiteCase
+
+
+class TankPictures(Protocol):
+    """Renders a scene, or shows it again: each content once in a run of pytest, and process."""
+
+    def __call__(
+        self, scene: str, sections: Mapping[str, Mapping[str, Any]] | None = None
+    ) -> SuiteCase | BoardCase:
+        """The picture that the scene's webcam takes at the start of its plan, and its truth.
+
+        Parameters
+        ----------
+        scene : str, a name that ``lscan scenes`` lists, or a path
+        sections : mapping, optional, by section, keys laid over the scene's own
+
+        Raises
+        ------
+        InputError
+            There is no such scene, or a key or a value is wrong.
+        """
+        ...
+
+
+@pytest.fixture(scope="session")
+def tank() -> TankPictures:
+    """A function that renders a scene: a case of a line, or of the board where that is the target.
+
+    The test is skipped where Mitsuba is not installed.
+    """
+    pytest.importorskip("mitsuba", reason="rendering needs pip install 'lscan[tank]'")
+    from sim.datasets.rendered import rendered_case
+
+    known: dict[str, SuiteCase | BoardCase] = {}
+
+    def shown(
+        scene: str, sections: Mapping[str, Mapping[str, Any]] | None = None
+    ) -> SuiteCase | BoardCase:
+        content = json.dumps([scene, sections or {}], sort_keys=True, default=str)
+        if content not in known:
+            known[content] = rendered_case(scene, sections or {})
+        return known[content]
+
+    return shown
