@@ -19,8 +19,12 @@ def recipe(target: str) -> str:
 
 
 def figures_commands() -> set[str]:
-    """The commands of ``lscan-sim`` that a target runs, those of ``make smoke`` aside."""
-    return set(re.findall(r"^[a-z]+:.*\n\t\$\(BIN\)/lscan-sim ([a-z]+) ", MAKEFILE, re.MULTILINE))
+    """The commands of ``lscan-sim`` that a target runs, those of ``make smoke`` aside.
+
+    ``make suites`` renders what others judge by, and measures nothing.
+    """
+    runs = r"^[a-z]+:.*\n\t\$\(BIN\)/lscan-sim ([a-z]+) "
+    return set(re.findall(runs, MAKEFILE, re.MULTILINE)) - {"suite"}
 
 
 def test_the_figures_commands_are_those_known() -> None:
