@@ -66,7 +66,12 @@ def judge_boards(
         for name, solver in solving.items():
             sums[name][case.name] = judge_map(name, solver, own, case)
         step()
-    judged = [JudgedExtractor(name, of, ()) for name, of in sums.items()]
+    judged = [
+        JudgedExtractor(
+            name, of, (), "--boards --reader " if name in reading else "--boards --map "
+        )
+        for name, of in sums.items()
+    ]
     return judged, float(np.median(reference or [np.nan]))
 
 

@@ -78,18 +78,20 @@ class WorstColumn:
 
 @dataclass(frozen=True)
 class JudgedExtractor:
-    """What an extractor made of a suite.
+    """What an extractor, a reader of boards or a plane map made of a suite.
 
     Attributes
     ----------
-    extractor : str
+    extractor : str, its name
     sums : mapping, of each case by its name
-    worst : tuple of WorstColumn, the worst first
+    worst : tuple of WorstColumn, the worst first; none of boards
+    options : str, of ``lscan bench`` before its name
     """
 
     extractor: str
     sums: dict[str, CaseSums]
     worst: tuple[WorstColumn, ...]
+    options: str = ""
 
 
 def judge(

@@ -15,6 +15,7 @@ import pytest
 if TYPE_CHECKING:
     from collections.abc import Callable, Generator
 
+    from lscan.benchmark.judging import JudgedExtractor
     from lscan.benchmark.suiterun import SuiteRun
     from lscan.suites import BoardCase, SuiteCase
 
@@ -77,6 +78,30 @@ def judge_extractor(lscan_suite: str) -> Callable[[str], SuiteRun]:
 
 
 @pytest.fixture
+def judge_reader(lscan_suite: str) -> Callable[[str], SuiteRun]:
+    """A function that judges a reader of control points, by name, on the suite's boards."""
+
+    def judged(name: str) -> SuiteRun:
+        from lscan.benchmark.suiterun import run_boards
+
+        return run_boards(lscan_suite, [name], [])
+
+    return judged
+
+
+@pytest.fixture
+def judge_map(lscan_suite: str) -> Callable[[str], SuiteRun]:
+    """A function that judges a plane map, by name, on the suite's boards."""
+
+    def judged(name: str) -> SuiteRun:
+        from lscan.benchmark.suiterun import run_boards
+
+        return run_boards(lscan_suite, [], [name])
+
+    return judged
+
+
+@pytest.fixture
 def assert_no_worse(
     request: pytest.FixtureRequest, tmp_path: Path, lscan_suite: str
 ) -> Callable[[SuiteRun, str | Path], None]:
@@ -103,7 +128,7 @@ def assert_no_worse(
                 *(one.in_words for one in worse),
                 *(_worst_in_words(result)),
                 f"pictures: {tmp_path}",
-                *(_command(name, lscan_suite, file) for name in _names(result)),
+                *(_command(one, lscan_suite, file) for one in result.judged),
             ]), pytrace=False)  # fmt: skip
 
     return held
@@ -184,9 +209,6 @@ def _worst_in_words(result: SuiteRun) -> list[str]:
     ]
 
 
-def _names(result: SuiteRun) -> list[str]:
-    return [one.extractor for one in result.judged]
-
-
-def _command(name: str, suite: str, baseline: Path) -> str:
-    return f"lscan bench {name} --suite {suite} --only --against {baseline}"
+def _command(one: JudgedExtractor, suite: str, baseline: Path) -> str:
+    named = f"{one.options}{one.extractor}"
+    return f"lscan bench {named} --suite {suite} --only --against {baseline}"

@@ -35,6 +35,7 @@ from sim.debian import found_or_installed
 LLVM, CUDA = "llvm_ad_mono", "cuda_ad_mono"
 OLDEST_MAJOR = 15  # Dr.Jit itself refuses whatever lacks opaque pointers
 PACKAGES = ("libllvm19", "libllvm20", "libllvm21", "libllvm18", "libllvm17")
+LEAST_THREADS = 2
 PROBE_TIMEOUT_S = 120.0  # a probe takes about 1 s; this is for a machine under heavy load
 
 _NAME = re.compile(r"libLLVM(?:-(\d+)[\w.]*?)?\.so(?:\.(\d+)[\w.]*)?")
@@ -115,6 +116,10 @@ def load_mitsuba() -> ModuleType:
         raise BackendError(f"LSCAN_VARIANT: got {variant!r} (allowed: {LLVM}, {CUDA})")
     mitsuba = importlib.import_module("mitsuba")
     mitsuba.set_variant(variant)
+    # The one thread of a single core keeps numbers below 1e-38, which Dr.Jit's own threads take for
+    # 0: scattered light would differ by up to 0.3 % with the number of cores.
+    drjit = importlib.import_module("drjit")
+    drjit.set_thread_count(max(LEAST_THREADS, drjit.thread_count()))
     return mitsuba
 
 

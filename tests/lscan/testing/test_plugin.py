@@ -1,5 +1,6 @@
 """The plugin as a stranger's package uses it: pytest in pytest, on the package in examples/."""
 
+import json
 import os
 import re
 import shutil
@@ -101,3 +102,32 @@ def test_boards_are_cases_too(package: Path) -> None:
     assert re.search(r"picture: \S+board-000\.png", said) and "lscan extract" not in said
     code, said = run(package, "--lscan-suite", "drawn", "-k", "all_dots")
     assert code == 0 and "1 skipped" in said
+
+
+def test_readers_and_maps_are_held_against_a_baseline(package: Path) -> None:
+    """Pictures without a board: a reader finds nothing, and is no worse the next time; a baseline
+    in which it found all is not reached, and the command to look closer is that of boards."""
+    (package.parent / "boards").mkdir()
+    board_suite(package.parent / "boards", 12)
+    (package / "tests" / "test_boards.py").write_text(
+        "def test_reader(judge_reader, assert_no_worse):\n"
+        "    assert_no_worse(judge_reader('read_board'), 'reader.json')\n"
+        "def test_map(judge_map, assert_no_worse):\n"
+        "    assert_no_worse(judge_map('polynomial-3'), 'map.json')\n"
+    )
+    suite = ["--lscan-suite", str(package.parent / "boards"), "-k", "reader or map"]
+    assert run(package, *suite, "--lscan-update")[0] == 0
+    code, said = run(package, *suite)
+    assert code == 0 and "2 passed" in said
+    for name in ("reader", "map"):
+        file = package / "tests" / f"{name}.json"
+        content = json.loads(file.read_text())
+        missed = content["sums"].index("missed")
+        for of in content["extractors"].values():
+            for sums in of.values():
+                sums[missed] = 0.0
+        file.write_text(json.dumps(content))
+    code, said = run(package, *suite)
+    assert code == 1 and said.count("missed columns worse") >= 2
+    assert "lscan bench --boards --reader read_board --suite" in said
+    assert "lscan bench --boards --map polynomial-3 --suite" in said

@@ -1,11 +1,17 @@
 """Gathered light in whole pictures: what it does as settings say, and never otherwise."""
 
+import hashlib
 import logging
+import os
+import subprocess
+import sys
+from pathlib import Path
 from typing import Any
 
 import drjit as dr
 import numpy as np
 import pytest
+from places import ROOT
 
 from sim.render.tank import Layers, Tank
 from sim.scene import LaserLine, Scene, load_scene
@@ -54,6 +60,27 @@ def test_pictures_are_repeated_bit_for_bit(groove: Tank, picture: Layers) -> Non
         again = tank.render(POSITION_MM, SAMPLES)
         np.testing.assert_array_equal(again.scattered, picture.scattered)
         np.testing.assert_array_equal(again.direct, picture.direct)
+
+
+ONE_CORE = """
+import hashlib, os
+os.sched_setaffinity(0, {min(os.sched_getaffinity(0))})
+from test_gathered_picture import POSITION_MM, SAMPLES, small
+from sim.render.tank import Tank
+layers = Tank(small(render={"scatter_samples": 1})).render(POSITION_MM, SAMPLES)
+print(hashlib.sha256(layers.direct.tobytes() + layers.scattered.tobytes()).hexdigest())
+"""
+
+
+@pytest.mark.skipif(not hasattr(os, "sched_setaffinity"), reason="Linux alone restricts cores")
+def test_pictures_do_not_depend_on_the_number_of_cores(picture: Layers) -> None:
+    paths = [str(Path(__file__).parent), str(ROOT / "tests" / "support"), str(ROOT)]
+    done = subprocess.run(
+        [sys.executable, "-c", ONE_CORE], capture_output=True, text=True, check=True,
+        env={**os.environ, "PYTHONPATH": os.pathsep.join(paths)},
+    )  # fmt: skip
+    several = hashlib.sha256(picture.direct.tobytes() + picture.scattered.tobytes()).hexdigest()
+    assert done.stdout.strip() == several
 
 
 def test_no_kernel_is_compiled_anew_from_picture_to_picture(groove: Tank, picture: Layers) -> None:
