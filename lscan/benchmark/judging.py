@@ -11,6 +11,7 @@ from heapq import nlargest
 
 import numpy as np
 
+from lscan.errors import InputError
 from lscan.records import Floats, Ints, Mask, Status, has_value
 from lscan.stripe import extract_stripe
 from lscan.suites import SuiteCase
@@ -147,10 +148,18 @@ def judge_case(name: str, case: SuiteCase) -> tuple[CaseSums, list[WorstColumn]]
     ----------
     name : str, of the extractor
     case : SuiteCase
+
+    Raises
+    ------
+    InputError
+        The extractor fails, or gives what is no line of the picture; names the case.
     """
     settings = case.settings.model_copy(update={"extractor": name})
     began = time.perf_counter()
-    stripe = extract_stripe(case.picture, settings, case.dark)
+    try:
+        stripe = extract_stripe(case.picture, settings, case.dark)
+    except InputError as refusal:
+        raise InputError(f"{refusal}, in {case.name}") from refusal
     seconds = time.perf_counter() - began
     truth = case.truth
     line = (truth.status == Status.OK) & (truth.multiple == 0)

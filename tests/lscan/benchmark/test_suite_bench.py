@@ -72,6 +72,9 @@ def sees_ghosts(stripe, image):
     )
 
 
+off_the_picture = _own(lambda stripe, _: replace(stripe, centre_px=stripe.centre_px - 1000.0))
+
+
 def _named(name):
     return f"{__name__}:{name}"
 
@@ -116,6 +119,11 @@ def test_a_row_says_what_is_known_of_the_case():
     assert (sums.dark, sums.ghosts) == (4, 0)  # of ten, those not beside the line
     assert (sums.square / sums.bound) ** 0.5 > 1 - 4 / 620**0.5
     assert worst[0].true[1] == pytest.approx(worst[0].found[1] - worst[0].error_px)
+
+
+def test_an_extractor_that_leaves_the_picture_is_refused_with_the_case():
+    with pytest.raises(InputError, match=r"off_the_picture.*centre_px in column 10.*, in case-001"):
+        judge_case(_named("off_the_picture"), suite_cases.drawn_case(1))
 
 
 def test_a_bias_of_half_a_pixel_is_said(suite):

@@ -15,7 +15,7 @@ def find_line(image, settings, clipped):
     around = np.take_along_axis(padded, rows, axis=0)
     light = np.maximum(around - np.median(image, axis=0), 0.0)
     total = np.maximum(light.sum(axis=0), 1e-9)
-    places = rows - HALF_WIDTH
+    places = np.clip(rows - HALF_WIDTH, 0, len(image) - 1)
     centre = (light * places).sum(axis=0) / total
     width = np.sqrt((light * (places - centre) ** 2).sum(axis=0) / total)
     height = image.max(axis=0) - np.median(image, axis=0)
