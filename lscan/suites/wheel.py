@@ -6,8 +6,10 @@ import io
 import re
 import zipfile
 from collections.abc import Mapping, Sequence
+from importlib.util import find_spec
 from pathlib import Path
 
+from lscan.config.plugins import installed
 from lscan.errors import InputError
 from lscan.files.disk import make_folder, read_bytes, write_atomically
 from lscan.suites.content import MOST_SUITE_BYTES
@@ -16,7 +18,7 @@ from lscan.suites.reader import verify_suite
 from lscan.version import __version__
 
 _NAME = re.compile(r"[A-Za-z0-9]([A-Za-z0-9._-]*[A-Za-z0-9])?")
-_VERSION = re.compile(r"\d+(\.\d+)*((a|b|rc)\d+)?(\.post\d+)?(\.dev\d+)?")
+_VERSION = re.compile(r"\d+(\.\d+)*((a|b|rc)\d+)?(\.post\d+)?(\.dev\d+)?", re.ASCII)
 LONGEST = 100  # characters of a name or version
 
 
@@ -37,7 +39,8 @@ def write_suite_wheel(archives: Sequence[Path], folder: Path, name: str, version
     Raises
     ------
     InputError
-        A suite is harmed or no archive, two have one name, or name or version are none.
+        A suite is harmed or no archive, two have one name, name or version are none, or the name is
+        of a package that is installed and has no suites, whose files the wheel would replace.
 
     References
     ----------
@@ -49,6 +52,11 @@ def write_suite_wheel(archives: Sequence[Path], folder: Path, name: str, version
             allowed = "such as lscan-suites" if what == "name" else "such as 1.0"
             raise InputError(f"is no {what} of a package", where=f"--{what}", value=value,
                              allowed=allowed)  # fmt: skip
+    package = re.sub(r"[-_.]+", "_", name).lower()
+    of_suites = {entry.value for entry in installed(GROUP).values()}
+    if package not in of_suites and find_spec(package) is not None:
+        raise InputError("is the name of another package", where="--name", value=name,
+                         allowed="such as lscan-suites")  # fmt: skip
     suites: dict[str, bytes] = {}
     for archive in archives:
         if archive.is_dir():
@@ -58,7 +66,6 @@ def write_suite_wheel(archives: Sequence[Path], folder: Path, name: str, version
             raise InputError("two suites have one name", where=archive, value=suite)
         suites[suite] = read_bytes(archive, MOST_SUITE_BYTES)
     make_folder(folder)
-    package = re.sub(r"[-_.]+", "_", name).lower()
     file = folder / f"{package}-{version}-py3-none-any.whl"
     write_atomically(file, _wheel(package, name, version, suites))
     return file

@@ -287,6 +287,8 @@ def test_a_wheel_has_the_same_bytes_and_states_what_it_holds(archive, tmp_path, 
         ("a" * 101, "1.0", "no name of a package"),
         ("suites", "1.0\n[console_scripts]", "no version of a package"),
         ("suites", "latest", "no version of a package"),
+        ("lscan", "1.0", "the name of another package"),
+        ("NumPy", "1.0", "the name of another package"),
     ],
 )
 def test_a_wheel_of_a_bad_name_or_version_is_refused(archive, tmp_path, name, version, said):
