@@ -193,10 +193,22 @@ class SuiteSpec:
 
     @property
     def sha256(self) -> str:
-        """Of all that the cases depend on but the seed; files that scenes name by path."""
+        """Of all that the cases depend on but the seed: of files their content, not their place."""
         documents = [cases.document for cases in self.case_sets]
-        text = json.dumps([self.file.model_dump(mode="json"), *documents], sort_keys=True)
+        stated = _by_content([self.file.model_dump(mode="json"), *documents])
+        text = json.dumps(stated, sort_keys=True)
         return hashlib.sha256(text.encode()).hexdigest()
+
+
+def _by_content(value: Any) -> Any:
+    """A document in which the path of a file is the checksum of what the file holds."""
+    if isinstance(value, dict):
+        return {key: _by_content(one) for key, one in value.items()}
+    if isinstance(value, list):
+        return [_by_content(one) for one in value]
+    if isinstance(value, str) and Path(value).is_absolute() and Path(value).is_file():
+        return hashlib.sha256(Path(value).read_bytes()).hexdigest()
+    return value
 
 
 def load_suite_spec(path: Path | str, seed: int | None = None) -> SuiteSpec:

@@ -1,6 +1,7 @@
 """A suite has the same bytes whoever made it and however often that was ended; truth fits light."""
 
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -157,6 +158,25 @@ def test_another_seed_gives_other_pictures_and_is_not_mixed(made, spec_file):
     (folder / "identity.txt").write_text("lscan of yore\n")
     with pytest.raises(InputError, match="cases of another suite"):
         make_suite(load_suite_spec(spec_file), made.with_name("other.zip"), workers="none")
+
+
+def test_a_spec_is_the_same_wherever_it_lies_and_another_where_its_files_are(tmp_path):
+    """A texture beside the spec, in two folders; then one of them is painted over."""
+    textured = """
+[render.target.textured.target]
+texture = { file = "checks.png", corner_mm = [0.0, -60.0], size_mm = [20.0, 20.0] }
+"""
+    sums = []
+    for name in ("here", "there"):
+        folder = tmp_path / name
+        folder.mkdir()
+        shutil.copy(ROOT / "scenes" / "targets" / "checks.png", folder)
+        before, usual, after = SMALL.partition("[expose.noise.usual]\n")
+        (folder / "small.toml").write_text(before + textured + usual + after)
+        sums.append(load_suite_spec(folder / "small.toml").sha256)
+    assert sums[0] == sums[1]
+    (tmp_path / "there" / "checks.png").write_bytes(b"another")
+    assert load_suite_spec(tmp_path / "there" / "small.toml").sha256 != sums[0]
 
 
 def test_tables_of_fewer_photons_make_another_suite(made, spec_file, monkeypatch):
