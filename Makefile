@@ -29,7 +29,7 @@ help:
 	@echo "make study   hold studies to closed forms, renders and the clock; out/study.json"
 	@echo "make roughness  hold roughness to fields, blocks and sounds that are known; out/roughness.json"
 	@echo "make regression  hold suites, the paired test and data sets to their bars; out/regression.json"
-	@echo "make suites  render the suite quick and pack the wheel of it; out/dist"
+	@echo "make suites  render the suites quick and chains and pack the wheel of them; out/dist"
 	@echo "make docs    build the documentation, its pages' code included; out/docs/index.html"
 	@echo "make clean   remove all that was set up or made, save runs/"
 
@@ -106,7 +106,8 @@ regression: .venv/llvm.stamp
 
 suites: .venv/llvm.stamp
 	$(BIN)/lscan-sim suite make quick -o out/suites/quick.zip
-	$(BIN)/lscan suite wheel out/suites/quick.zip -o out/dist
+	$(BIN)/lscan-sim suite make chains -o out/suites/chains.zip
+	$(BIN)/lscan suite wheel out/suites/quick.zip out/suites/chains.zip -o out/dist
 
 docs: .venv/llvm.stamp
 	$(BIN)/python -m sphinx -W --keep-going -n -q docs out/docs

@@ -68,7 +68,7 @@ def judge_boards(
         step()
     judged = [
         JudgedExtractor(
-            name, of, (), "--boards --reader " if name in reading else "--boards --map "
+            name, of, (), f"--boards {'--reader' if name in reading else '--map'} {name}"
         )
         for name, of in sums.items()
     ]
@@ -98,13 +98,13 @@ def judge_reader(name: str, reader: BoardReader, case: BoardCase) -> CaseSums:
     shown = true.status == Status.OK
     valued = np.isfinite(places[:, 0] + places[:, 1])
     error = np.where(shown[:, np.newaxis], places - true.image_px, np.nan)
-    return _sums(shown, valued, error, np.column_stack([sigma, sigma]), WRONG_PX, seconds)
+    return coordinate_sums(shown, valued, error, np.column_stack([sigma, sigma]), WRONG_PX, seconds)
 
 
 def judge_map(
     name: str, solve: MapSolver, reading: BoardReading | None, case: BoardCase
 ) -> CaseSums:
-    """The sums of one picture, mm, over the board between its outermost control points.
+    """The sums of one picture, mm, of the map that is solved from what was read in it.
 
     Parameters
     ----------
@@ -113,18 +113,30 @@ def judge_map(
     reading : BoardReading or None where none could be had
     case : BoardCase
     """
-    places, sigma = np.full_like(case.map_mm, np.nan), np.full_like(case.map_mm, np.nan)
-    seconds = 0.0
+    solved, seconds = None, 0.0
     if reading is not None:
         solved, seconds = _tried(name, solve, reading, case.optics)
-        if solved is not None:
-            answer = solved.to_plane(case.map_px)
-            known = answer.status == Status.OK
-            places[known], sigma[known] = answer.xz_mm[known], answer.sigma_mm[known]
+    return map_sums(solved, case, seconds)
+
+
+def map_sums(solved: PlaneMap | None, case: BoardCase, seconds: float) -> CaseSums:
+    """The sums of a plane map, mm, over the board between its outermost control points.
+
+    Parameters
+    ----------
+    solved : PlaneMap or None where none could be had
+    case : BoardCase
+    seconds : float, that it took
+    """
+    places, sigma = np.full_like(case.map_mm, np.nan), np.full_like(case.map_mm, np.nan)
+    if solved is not None:
+        answer = solved.to_plane(case.map_px)
+        known = answer.status == Status.OK
+        places[known], sigma[known] = answer.xz_mm[known], answer.sigma_mm[known]
     whole = np.ones(len(places), dtype=bool)
     valued = np.isfinite(places[:, 0] + places[:, 1])
     limit = WRONG_PITCHES * case.board.grid.pitch_mm
-    return _sums(whole, valued, places - case.map_mm, sigma, limit, seconds)
+    return coordinate_sums(whole, valued, places - case.map_mm, sigma, limit, seconds)
 
 
 def _tried(name: str, tried: Callable[..., Any], *given: Any) -> tuple[Any, float]:
@@ -155,29 +167,38 @@ def _all_marks(name: str, found: BoardReading, true: Marks) -> tuple[Floats, Flo
     )  # fmt: skip
 
 
-def _sums(
+def coordinate_sums(
     shown: Mask, valued: Mask, error: Floats, sigma: Floats, limit: float, seconds: float
 ) -> CaseSums:
-    """The sums over the coordinates of N marks; a value of one that is not shown is a ghost."""
+    """The sums over coordinates; a value of what is not shown is a ghost.
+
+    Parameters
+    ----------
+    shown, valued : (N,) array, whether a mark or point is to be seen, and whether it has a value
+    error, sigma : (N, C) array, px or mm, of its C coordinates
+    limit : float, of the error's length, beyond which a value is wrong
+    seconds : float, that it took
+    """
     both = shown & valued
     off = np.where(both[:, np.newaxis], error, 0.0)
     spread = np.where(both[:, np.newaxis] & (sigma > 0), sigma, 1e-9)
     z = np.abs(off) / spread
     wrong = both & (np.linalg.norm(off, axis=1) > limit)
     core = both & ~wrong
+    each = float(error.shape[1])
     counts: Mapping[str, float] = {
-        "clear": 2.0 * shown.sum(),
-        "missed": 2.0 * (shown & ~valued).sum(),
-        "valued": 2.0 * both.sum(),
+        "clear": each * shown.sum(),
+        "missed": each * (shown & ~valued).sum(),
+        "valued": each * both.sum(),
         "honest": float((z[both] <= 3).sum()),
-        "outlying": 2.0 * wrong.sum(),
-        "sure": 2.0 * (z[wrong] > SURE).any(axis=1).sum(),
-        "core": 2.0 * core.sum(),
+        "outlying": each * wrong.sum(),
+        "sure": each * (z[wrong] > SURE).any(axis=1).sum(),
+        "core": each * core.sum(),
         "error": float(off[core].sum()),
         "square": float((off[core] ** 2).sum()),
         "log_z": float(np.log(np.maximum(z[core], 1e-3)).sum()),
-        "dark": 2.0 * (~shown).sum(),
-        "ghosts": 2.0 * (~shown & valued).sum(),
+        "dark": each * (~shown).sum(),
+        "ghosts": each * (~shown & valued).sum(),
         "seconds": seconds,
     }
     return CaseSums(**counts)

@@ -79,20 +79,20 @@ class WorstColumn:
 
 @dataclass(frozen=True)
 class JudgedExtractor:
-    """What an extractor, a reader of boards or a plane map made of a suite.
+    """What an extractor, a reader of boards, a plane map or a chain made of a suite.
 
     Attributes
     ----------
     extractor : str, its name
     sums : mapping, of each case by its name
-    worst : tuple of WorstColumn, the worst first; none of boards
-    options : str, of ``lscan bench`` before its name
+    worst : tuple of WorstColumn, the worst first; of extractors alone
+    asked : str, what ``lscan bench`` is given to judge it; "": its name
     """
 
     extractor: str
     sums: dict[str, CaseSums]
     worst: tuple[WorstColumn, ...]
-    options: str = ""
+    asked: str = ""
 
 
 def judge(
@@ -170,8 +170,7 @@ def judge_case(name: str, case: SuiteCase) -> tuple[CaseSums, list[WorstColumn]]
     z = np.abs(error) / np.maximum(stripe.sigma_px, 1e-9, where=both, out=np.ones(len(both)))
     outlying = both & (np.abs(error) > OUTLYING * truth.sigma_px)
     core = clear & valued & ~outlying
-    near = np.convolve(truth.status == Status.OK, np.ones(2 * NEAR_PX + 1), mode="same") > 0
-    dark = ~near
+    dark = ~beside_line(truth.status == Status.OK)
     sums = (
         clear.sum(), (clear & ~valued).sum(),
         both.sum(), (both & (z <= 3)).sum(), outlying.sum(), (outlying & (z > SURE)).sum(),
@@ -179,6 +178,16 @@ def judge_case(name: str, case: SuiteCase) -> tuple[CaseSums, list[WorstColumn]]
         np.log(np.maximum(z[core], 1e-3)).sum(), dark.sum(), (dark & valued).sum(), seconds,
     )  # fmt: skip
     return CaseSums(*map(float, sums)), _worst(case, stripe.centre_px, stripe.sigma_px, both)
+
+
+def beside_line(line: Mask) -> Mask:
+    """(N,) the columns with a line in them or so near that a lens spreads it into them.
+
+    Parameters
+    ----------
+    line : (N,) array, the columns with a line in them
+    """
+    return np.convolve(line, np.ones(2 * NEAR_PX + 1), mode="same") > 0
 
 
 def _bound(case: SuiteCase, columns: Mask) -> Floats:

@@ -1,14 +1,15 @@
-"""``lscan bench --suite``: extractors, and what reads and maps boards, judged on a suite."""
+"""``lscan bench --suite``: extractors, what reads and maps boards, and chains, on a suite."""
 
 import math
 import os
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from lscan.benchmark.against import LOG_Z
 from lscan.benchmark.boardjudging import judge_boards
+from lscan.benchmark.chainjudging import judge_chains
 from lscan.benchmark.extractors import THRESHOLD_DN, cases
 from lscan.benchmark.judging import CaseSums, JudgedExtractor, judge
 from lscan.benchmark.pictures import SHAPE, centres, draw
@@ -97,18 +98,12 @@ def run_suite(
         content = opened.content
         identity = _identity(content)
         axes, shown = dict(content.cases), opened.cases()
+        if not axes:
+            raise InputError("has no pictures of a line", where="--suite", value=suite)
         if len(axes) >= LEAST_SHARED and (os.cpu_count() or 1) > 1:
             judged, reference_s = judge_shared(opened.path, names, sorted(axes), progress)
             return SuiteRun(identity, axes, judged, reference_s)
-    done = 0
-
-    def step() -> None:
-        nonlocal done
-        done += 1
-        if progress is not None:
-            progress(done, len(axes))
-
-    judged, reference_s = judge(names, shown, step)
+    judged, reference_s = judge(names, shown, _stepping(progress, len(axes)))
     return SuiteRun(identity, axes, judged, reference_s)
 
 
@@ -134,16 +129,46 @@ def run_boards(
     axes = dict(opened.content.boards)
     if not axes:
         raise InputError("has no pictures of the board", where="--suite", value=suite)
+    step = _stepping(progress, len(axes))
+    judged, reference_s = judge_boards(readers, maps, opened.boards(), step)
+    return SuiteRun(f"boards of {_identity(opened.content)}", axes, judged, reference_s)
+
+
+def run_chains(suite: str, chains: Sequence[str], progress: Progress | None = None) -> SuiteRun:
+    """Judge whole chains, in mm, on a suite's scans.
+
+    Parameters
+    ----------
+    suite : str, the name of a suite that is found, or its path
+    chains : sequence of str, rig files or names of scenes
+    progress : callable or None, called with (done, all) cases
+
+    Raises
+    ------
+    InputError
+        There is no such suite or chain, or the suite has no scans.
+    """
+    if not chains:
+        raise InputError("nothing to judge", where="bench", allowed="a chain")
+    opened = open_suite(find_suite(suite))
+    axes = dict(opened.content.scans)
+    if not axes:
+        raise InputError("has no scans", where="--suite", value=suite)
+    judged, reference_s = judge_chains(chains, opened.scans(), _stepping(progress, len(axes)))
+    return SuiteRun(f"scans of {_identity(opened.content)}", axes, judged, reference_s)
+
+
+def _stepping(progress: Progress | None, count: int) -> Callable[[], None]:
+    """What is called after each case."""
     done = 0
 
     def step() -> None:
         nonlocal done
         done += 1
         if progress is not None:
-            progress(done, len(axes))
+            progress(done, count)
 
-    judged, reference_s = judge_boards(readers, maps, opened.boards(), step)
-    return SuiteRun(f"boards of {_identity(opened.content)}", axes, judged, reference_s)
+    return step
 
 
 def _identity(content: SuiteContent) -> str:
@@ -208,12 +233,13 @@ def suite_rows(run: SuiteRun, by: Sequence[str]) -> list[SuiteRow]:
     return [
         row_of(
             one.extractor,
-            {case: one.sums[case] for case in members},
+            {case: one.sums[case] for case in judged},
             dict(zip(by, values, strict=True)),
-            sum(one.sums[case].seconds for case in members) / len(members) / run.reference_s,
+            sum(one.sums[case].seconds for case in judged) / len(judged) / run.reference_s,
         )
         for values, members in sorted(groups.items())
         for one in run.judged
+        if (judged := [case for case in members if case in one.sums])  # not all scans have grooves
     ]
 
 

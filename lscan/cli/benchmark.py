@@ -49,22 +49,35 @@ def bench(
     reader: Annotated[
         list[str] | None, typer.Option("--reader", help="One more reader of control points.")
     ] = None,
+    chain: Annotated[
+        list[str] | None,
+        typer.Option("--chain", help="Judge a rig file's chain by the suite's scans."),
+    ] = None,
     against: Annotated[
         Path | None, typer.Option("--against", help="bench.json of a run on the same suite.")
     ] = None,
     json: Json = False,
 ) -> None:
-    """Judge stripe extractors, readers of boards and plane maps, one's own too, by the truth.
+    """Judge extractors, readers of boards, plane maps and chains, one's own too, by the truth.
 
     The exit code is 1 where one is out of the limits that every method must keep to, or with
     --against where one is worse than it was.
     """
+    from lscan.benchmark.chainjudging import CHAINS
     from lscan.benchmark.run import MAPS, registered_extractors
-    from lscan.benchmark.suiterun import run_boards, run_suite
+    from lscan.benchmark.suiterun import run_boards, run_chains, run_suite
 
     if reader and not boards:
         raise InputError("is for boards", where="--reader", allowed="--boards beside it")
     more = [*(named or ()), *(extractor or ())]
+    if chain:
+        if suite is None or quick or boards or plane_map or more:
+            raise InputError("is for the scans of a suite", where="--chain",
+                             allowed="--suite alone beside it")  # fmt: skip
+        with progress_bar("bench") as progress:
+            run = run_chains(suite, _taking_part(() if only else CHAINS, chain), progress)
+        _end_with_run(run, "mm", output, by, against, json)
+        return
     if boards:
         if suite is None or quick or more:
             allowed = "--suite, --reader and --map"

@@ -1,13 +1,16 @@
 """``lscan suite``: the suites that there are, what one holds, and whether it is whole."""
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from lscan.cli.arguments import Json
 from lscan.cli.console import command_line, print_json, print_table
 from lscan.version import __version__
+
+if TYPE_CHECKING:
+    from lscan.suites import SuiteContent
 
 suite = command_line("Suites of rendered pictures with their truth: list, show, verify, wheel.")
 SuiteName = Annotated[str, typer.Argument(help="Name of a suite, or its archive or folder.")]
@@ -33,20 +36,21 @@ def show_suite(name: SuiteName, json: Json = False) -> None:
 
     opened = open_suite(find_suite(name))
     content = opened.content
-    axes, of_boards = axes_of(content.cases), axes_of(content.boards)
+    axes = {kind: axes_of(cases) for kind, cases in content.kinds.items()}
     if json:
         fields = content.model_dump(mode="json", include={"name", "seed", "made_by", "version"})
-        counts = {"cases": len(content.cases), "boards": len(content.boards)}
-        print_json({**fields, **counts, "axes": axes, "axes_of_boards": of_boards})
+        print_json({**fields, **_counts(content), "axes": axes})
         return
-    print(
-        f"{content.name}: {len(content.cases)} cases, {len(content.boards)} boards, "
-        f"seed {content.seed}, {content.made_by}"
-    )
-    for title, counted in (("cases", axes), ("boards", of_boards)):
+    counts = ", ".join(f"{count} {kind}" for kind, count in _counts(content).items() if count)
+    print(f"{content.name}: {counts}, seed {content.seed}, {content.made_by}")
+    for kind, counted in axes.items():
         if counted:
             rows = [(axis, value, n) for axis, of in counted.items() for value, n in of.items()]
-            print_table(f"{title} by axis", ["axis", "value", title], rows)
+            print_table(f"{kind} by axis", ["axis", "value", kind], rows)
+
+
+def _counts(content: "SuiteContent") -> dict[str, int]:
+    return {kind: len(cases) for kind, cases in content.kinds.items()}
 
 
 @suite.command("verify")
@@ -57,10 +61,9 @@ def verify(name: SuiteName, json: Json = False) -> None:
     path = find_suite(name)
     content = verify_suite(path).content
     if json:
-        counts = {"cases": len(content.cases), "boards": len(content.boards)}
-        print_json({"path": str(path), "name": content.name, **counts})
+        print_json({"path": str(path), "name": content.name, **_counts(content)})
     else:
-        cases = len(content.cases) + len(content.boards)
+        cases = sum(_counts(content).values())
         print(f"{path}: {cases} cases and {len(content.members)} members are whole")
 
 

@@ -128,6 +128,17 @@ class Sandwave(Strict):
         along_y = swing * self.d_rad * self.e_per_mm * np.cos(self.e_per_mm * y_mm)
         return np.column_stack([swing * self.c_per_mm, along_y + self.b * np.sin(phase)])
 
+    def inset_mm(self, x_mm: Floats, y_mm: Floats) -> Floats:
+        """How far from the border of the waves, mm, same shape; negative outside of it.
+
+        Parameters
+        ----------
+        x_mm, y_mm : arrays of one shape, mm, workpiece frame
+        """
+        return np.minimum(
+            np.minimum(x_mm, self.side_mm - x_mm), np.minimum(y_mm, self.side_mm - y_mm)
+        )
+
     def normals(self, x_mm: Floats, y_mm: Floats) -> Floats:
         """(N, 3) unit normals of eq. (4), upwards, workpiece frame.
 

@@ -79,8 +79,7 @@ def compare_slice(measured: Slice, piece: Sandwave, visible: Mask | None = None)
     Eq. (4) and Figs. 29 to 32 of the paper.
     """
     x, y = measured.xy_mm.T
-    inset = np.minimum(np.minimum(x, piece.side_mm - x), np.minimum(y, piece.side_mm - y))
-    inside = inset >= measured.radius_mm
+    inside = piece.inset_mm(x, y) >= measured.radius_mm
     seen = has_value(measured.status)
     if visible is not None:
         seen &= visible

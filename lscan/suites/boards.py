@@ -19,6 +19,7 @@ from lscan.suites.content import BOARD, MAP, OPTICS, PICTURE, TRUTH, read_case_p
 MARK_COLUMNS = ("x_mm", "z_mm", "u_px", "v_px", "status")
 MAP_COLUMNS = ("u_px", "v_px", "x_mm", "z_mm")
 MARK_STATUSES = (Status.OK, Status.OUT_OF_VIEW, Status.OCCLUDED)
+_FORMS = {"px": "%.6f", "mm": "%.4f", "dn": "%.0f"}  # by a column's unit
 _Section = TypeVar("_Section", bound=BaseModel)
 
 
@@ -62,8 +63,8 @@ def board_members(case: BoardCase) -> dict[str, bytes]:
         PICTURE: encoded(case.picture, ".png"),
         BOARD: f"{case.board.model_dump_json(indent=1)}\n".encode(),
         OPTICS: f"{case.optics.model_dump_json(indent=1)}\n".encode(),
-        MAP: _table(MAP_COLUMNS, np.column_stack([case.map_px, case.map_mm])),
-        TRUTH: _table(MARK_COLUMNS, marks),
+        MAP: table_bytes(MAP_COLUMNS, np.column_stack([case.map_px, case.map_mm])),
+        TRUTH: table_bytes(MARK_COLUMNS, marks),
     }
     return {f"{case.name}/{name}": data for name, data in members.items()}
 
@@ -94,15 +95,15 @@ def read_board_case(
     places = [board.grid.points_mm(), *(ruler.points_mm() for ruler in board.ruler)]
     if len(marks.status) != sum(map(len, places)):
         raise InputError(f"members of case {name} differ in marks", where=suite)
-    table = _read_table(MAP_COLUMNS, *shown(MAP))
-    if not np.isfinite(table).all():
+    table = read_table(MAP_COLUMNS, *shown(MAP))
+    if not (len(table) and np.isfinite(table).all()):
         raise InputError("is no table of a map", where=shown(MAP)[1])
     picture, optics = read_case_picture(*shown(PICTURE)), _section(OpticsSection, *shown(OPTICS))
     return BoardCase(name, axes, picture, board, optics, marks, table[:, :2], table[:, 2:])
 
 
 def _marks(data: bytes, where: object) -> Marks:
-    table = _read_table(MARK_COLUMNS, data, where)
+    table = read_table(MARK_COLUMNS, data, where)
     status = table[:, 4]
     shown = status == Status.OK
     if not (np.isin(status, MARK_STATUSES).all() and np.isfinite(table[shown, :4]).all()):
@@ -111,16 +112,30 @@ def _marks(data: bytes, where: object) -> Marks:
     return Marks(table[:, :2], pixels, np.where(shown, 0.0, np.nan), status.astype(np.int64))
 
 
-def _table(columns: Sequence[str], rows: Floats) -> bytes:
-    """CSV, to a millionth of a pixel and of a millimetre."""
+def table_bytes(columns: Sequence[str], rows: Floats) -> bytes:
+    """CSV: px to a millionth, mm to a ten-thousandth, all else whole.
+
+    Parameters
+    ----------
+    columns : sequence of str, C of them
+    rows : (N, C) array
+    """
     stream = io.StringIO()
     stream.write(",".join(columns) + "\n")
-    form = ["%d" if name == "status" else "%.6f" for name in columns]
+    form = [_FORMS.get(name.rpartition("_")[2], "%d") for name in columns]
     np.savetxt(stream, rows, fmt=form, delimiter=",")
     return stream.getvalue().encode()
 
 
-def _read_table(columns: Sequence[str], data: bytes, where: object) -> Floats:
+def read_table(columns: Sequence[str], data: bytes, where: object) -> Floats:
+    """The rows, (N, C), that ``table_bytes`` wrote; InputError for any other bytes.
+
+    Parameters
+    ----------
+    columns : sequence of str, C of them
+    data : bytes
+    where : for errors
+    """
     try:
         head, *rows = csv.reader(io.StringIO(data.decode()))
         if tuple(head) != tuple(columns):

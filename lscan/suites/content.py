@@ -21,7 +21,7 @@ from lscan.files.pictures import decode, encoded, too_large
 from lscan.records import Bytes, Floats, Ints, Status
 
 MANIFEST = "suite.json"
-VERSION = 2
+VERSION = 3
 MOST_MANIFEST_BYTES, MOST_MEMBER_BYTES, MOST_SUITE_BYTES = 2**25, 2**28, 2**31
 PICTURE, DARK, LABELS, TRUTH, SETTINGS = (
     "picture.png", "dark.png", "labels.png", "truth.csv", "stripe.json",
@@ -29,6 +29,8 @@ PICTURE, DARK, LABELS, TRUTH, SETTINGS = (
 PARTS = (PICTURE, LABELS, TRUTH, SETTINGS)
 MAP, BOARD, OPTICS = "map.csv", "board.json", "optics.json"
 BOARD_PARTS = (PICTURE, TRUTH, MAP, BOARD, OPTICS)
+FRAME, RIG, LINE, SLICES = "frame-{:04d}.png", "rig.json", "line.csv", "slices.csv"
+SCAN_PARTS = (*BOARD_PARTS, RIG, LINE)
 COLUMNS = ("centre_px", "sigma_px", "height_dn", "noise_dn", "multiple", "status")
 _PLAIN = re.compile(r"[a-z0-9][a-z0-9._-]*/[a-z0-9][a-z0-9._-]*")
 Word = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9 ._+-]{0,99}$")]
@@ -45,7 +47,7 @@ class SuiteContent(Strict):
     """The manifest.
 
     cases: pictures of a laser line, by name, with the case's value on each axis (water, target
-    ...).  boards: likewise, pictures of the calibration board.
+    ...).  boards, scans: likewise, pictures of the calibration board, and whole scans.
     """
 
     format: Literal["lscan-suite"] = "lscan-suite"
@@ -55,7 +57,13 @@ class SuiteContent(Strict):
     made_by: Word
     cases: Mapping[str, Mapping[Word, Word]]
     boards: Mapping[str, Mapping[Word, Word]] = Field(default_factory=dict)
+    scans: Mapping[str, Mapping[Word, Word]] = Field(default_factory=dict)
     members: Mapping[str, MemberSum]
+
+    @property
+    def kinds(self) -> dict[str, Mapping[str, Mapping[str, str]]]:
+        """What it holds, by what it is called, each by name with its axes."""
+        return {"cases": self.cases, "boards": self.boards, "scans": self.scans}
 
 
 @dataclass(frozen=True)
@@ -109,7 +117,7 @@ def axes_of(cases: Mapping[str, Mapping[str, str]]) -> dict[str, dict[str, int]]
 
     Parameters
     ----------
-    cases : mapping, of a manifest: ``cases`` or ``boards``
+    cases : mapping, of a manifest: ``cases``, ``boards`` or ``scans``
     """
     found: dict[str, Counter[str]] = {}
     for axes in cases.values():
@@ -142,12 +150,14 @@ def read_manifest(data: bytes, where: object) -> SuiteContent:
     for name in content.members:
         if not _PLAIN.fullmatch(name):
             raise InputError("a member has a name that is not plain", where=where, value=name)
-    for cases, parts in ((content.cases, PARTS), (content.boards, BOARD_PARTS)):
+    kinds = content.kinds.values()
+    for cases, parts in zip(kinds, (PARTS, BOARD_PARTS, SCAN_PARTS), strict=True):
         for name in (f"{case}/{part}" for case in cases for part in parts):
             if name not in content.members:
                 raise InputError(f"member {name} is not in the manifest", where=where)
-    if both := content.cases.keys() & content.boards.keys():
-        raise InputError("a case is of a line and of the board", where=where, value=min(both))
+    named = Counter(name for cases in kinds for name in cases)
+    if twice := [name for name, count in named.items() if count > 1]:
+        raise InputError("a case is of two kinds", where=where, value=min(twice))
     if sum(member.size for member in content.members.values()) > MOST_SUITE_BYTES:
         raise InputError(f"{MANIFEST} states more than a suite may hold", where=where)
     return content

@@ -4,6 +4,7 @@ import io
 import struct
 import zipfile
 import zlib
+from collections import deque
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -28,6 +29,7 @@ from lscan.suites.content import (
     read_settings,
     read_truth,
 )
+from lscan.suites.scans import ScanCase, read_scan_case
 from lscan.suites.writer import archive_bytes
 
 _HARMED = (
@@ -99,6 +101,18 @@ class Suite:
             raise InputError("no such case", where=self.path, value=name)
         return read_board_case(name, self.content.boards[name], self.member, self.path)
 
+    def scan(self, name: str) -> ScanCase:
+        """A whole scan; InputError, which names the member, where it is harmed.
+
+        Parameters
+        ----------
+        name : str, as in the manifest
+        """
+        if name not in self.content.scans:
+            raise InputError("no such case", where=self.path, value=name)
+        axes, has = self.content.scans[name], self.content.members.__contains__
+        return read_scan_case(name, axes, self.member, has, self.path)
+
     def boards(self) -> Iterator[BoardCase]:
         """Each picture of the board in the order of their names."""
         return (self.board(name) for name in sorted(self.content.boards))
@@ -106,6 +120,10 @@ class Suite:
     def cases(self) -> Iterator[SuiteCase]:
         """Each case in the order of their names."""
         return (self.case(name) for name in sorted(self.content.cases))
+
+    def scans(self) -> Iterator[ScanCase]:
+        """Each scan in the order of their names."""
+        return (self.scan(name) for name in sorted(self.content.scans))
 
 
 def open_suite(path: Path) -> Suite:
@@ -133,10 +151,8 @@ def verify_suite(path: Path) -> Suite:
     """
     suite = open_suite(path)
     members = {name: suite.member(name) for name in suite.content.members}
-    for name in suite.content.cases:
-        suite.case(name)
-    for name in suite.content.boards:
-        suite.board(name)
+    for cases in (suite.cases(), suite.boards(), suite.scans()):
+        deque(cases, maxlen=0)
     if not path.is_dir():
         written = archive_bytes(suite.content, members)
         if written != read_bytes(path, MOST_SUITE_BYTES):

@@ -17,22 +17,28 @@ from lscan.suites.content import (
     manifest_bytes,
     member_sum,
 )
+from lscan.suites.scans import ScanCase, scan_members
 
 CaseAxes = Mapping[str, Mapping[str, str]]  # a value on each axis, by case
 
 
-def write_case(folder: Path, case: SuiteCase | BoardCase) -> None:
+def write_case(folder: Path, case: SuiteCase | BoardCase | ScanCase) -> None:
     """Write the members of a case, its truth last; InputError where the disk refuses.
 
     Parameters
     ----------
     folder : Path, of the suite
-    case : SuiteCase or BoardCase
+    case : SuiteCase, BoardCase or ScanCase
     """
     make_folder(folder / case.name)
-    members = board_members(case) if isinstance(case, BoardCase) else case_members(case)
-    for name, data in members.items():
+    for name, data in _members(case).items():
         write_atomically(folder / name, data)
+
+
+def _members(case: SuiteCase | BoardCase | ScanCase) -> dict[str, bytes]:
+    if isinstance(case, SuiteCase):
+        return case_members(case)
+    return board_members(case) if isinstance(case, BoardCase) else scan_members(case)
 
 
 def is_written(folder: Path, case: str) -> bool:
@@ -53,6 +59,7 @@ def write_manifest(
     made_by: str,
     cases: CaseAxes,
     boards: CaseAxes | None = None,
+    scans: CaseAxes | None = None,
 ) -> SuiteContent:
     """Write the manifest of the members that lie in a folder, which makes it a suite.
 
@@ -63,17 +70,24 @@ def write_manifest(
     seed : int, that it was made with
     made_by : str, the version of lscan and the spec's checksum
     cases : mapping, the axes of each picture of a line
-    boards : mapping or None, likewise of the board
+    boards, scans : mapping or None, likewise of the board, and of whole scans
     """
-    boards = boards or {}
-    files = sorted(file for case in (*cases, *boards) for file in (folder / case).iterdir())
+    boards, scans = boards or {}, scans or {}
+    every = (*cases, *boards, *scans)
+    files = sorted(file for case in every for file in (folder / case).iterdir())
     members = {
         f"{file.parent.name}/{file.name}": member_sum(read_bytes(file, MOST_MEMBER_BYTES, folder))
         for file in files
         if not file.name.startswith(".")
     }
     content = SuiteContent(
-        name=name, seed=seed, made_by=made_by, cases=cases, boards=boards, members=members
+        name=name,
+        seed=seed,
+        made_by=made_by,
+        cases=cases,
+        boards=boards,
+        scans=scans,
+        members=members,
     )
     write_atomically(folder / MANIFEST, manifest_bytes(content))
     return content

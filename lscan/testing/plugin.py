@@ -17,9 +17,10 @@ if TYPE_CHECKING:
 
     from lscan.benchmark.judging import JudgedExtractor
     from lscan.benchmark.suiterun import SuiteRun
-    from lscan.suites import BoardCase, SuiteCase
+    from lscan.suites import BoardCase, ScanCase, SuiteCase
 
-CASE, BOARD, SUITE, UPDATE = "stripe_case", "board_case", "--lscan-suite", "--lscan-update"
+CASE, BOARD, SCAN = "stripe_case", "board_case", "scan_case"
+SUITE, UPDATE = "--lscan-suite", "--lscan-update"
 USUAL = "drawn"
 MARK = "lscan_suite"
 
@@ -40,8 +41,8 @@ def pytest_configure(config: pytest.Config) -> None:
 
 
 def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
-    """One test for each case of the suite where a test takes ``stripe_case`` or ``board_case``."""
-    for fixture, cases in ((CASE, _cases), (BOARD, _boards)):
+    """One test for each case of the suite where a test takes a fixture of one."""
+    for fixture, cases in ((CASE, _cases), (BOARD, _boards), (SCAN, _scans)):
         if fixture in metafunc.fixturenames:
             names = sorted(cases(_suite(metafunc.definition)))
             metafunc.parametrize(fixture, names, indirect=True)
@@ -63,6 +64,12 @@ def stripe_case(request: pytest.FixtureRequest) -> SuiteCase:
 def board_case(request: pytest.FixtureRequest) -> BoardCase:
     """One picture of the board of the suite: its marks and the map on the sheet, known."""
     return _boards(_suite(request.node))[request.param]()
+
+
+@pytest.fixture
+def scan_case(request: pytest.FixtureRequest) -> ScanCase:
+    """One whole scan of the suite, with its board: the rig, the pictures, every point known."""
+    return _scans(_suite(request.node))[request.param]()
 
 
 @pytest.fixture
@@ -102,6 +109,18 @@ def judge_map(lscan_suite: str) -> Callable[[str], SuiteRun]:
 
 
 @pytest.fixture
+def judge_chain(lscan_suite: str) -> Callable[[str | Path], SuiteRun]:
+    """A function that judges a chain, by rig file or name of a scene, on the suite's scans."""
+
+    def judged(chain: str | Path) -> SuiteRun:
+        from lscan.benchmark.suiterun import run_chains
+
+        return run_chains(lscan_suite, [str(chain)])
+
+    return judged
+
+
+@pytest.fixture
 def assert_no_worse(
     request: pytest.FixtureRequest, tmp_path: Path, lscan_suite: str
 ) -> Callable[[SuiteRun, str | Path], None]:
@@ -128,7 +147,7 @@ def assert_no_worse(
                 *(one.in_words for one in worse),
                 *(_worst_in_words(result)),
                 f"pictures: {tmp_path}",
-                *(_command(one, lscan_suite, file) for one in result.judged),
+                *sorted({_command(one, lscan_suite, file) for one in result.judged}),
             ]), pytrace=False)  # fmt: skip
 
     return held
@@ -141,7 +160,7 @@ def pytest_runtest_makereport(
     """Beside the failure of a test of a case: its picture and the command to look closer."""
     report = yield
     given = getattr(item, "funcargs", {})
-    case = given.get(CASE) or given.get(BOARD)
+    case = given.get(CASE) or given.get(BOARD) or given.get(SCAN)
     if report.when == "call" and report.failed and case is not None:
         report.sections.append((f"lscan case {case.name}", _case_in_words(item, case)))
     return report
@@ -182,11 +201,25 @@ def _boards(suite: str) -> dict[str, Callable[[], BoardCase]]:
     return {name: partial(opened.board, name) for name in opened.content.boards}
 
 
+@cache
+def _scans(suite: str) -> dict[str, Callable[[], ScanCase]]:
+    """What reads each scan of the suite; drawn lines have none."""
+    from functools import partial
+
+    from lscan.benchmark.suiterun import DRAWN
+    from lscan.suites import find_suite, open_suite
+
+    if suite == DRAWN:
+        return {}
+    opened = open_suite(find_suite(suite))
+    return {name: partial(opened.scan, name) for name in opened.content.scans}
+
+
 def _same(case: SuiteCase) -> SuiteCase:
     return case
 
 
-def _case_in_words(item: pytest.Item, case: SuiteCase | BoardCase) -> str:
+def _case_in_words(item: pytest.Item, case: SuiteCase | BoardCase | ScanCase) -> str:
     """Its values on the axes, where its picture is now, and what to type to look at a line."""
     from lscan.files.pictures import write_picture
 
@@ -196,7 +229,7 @@ def _case_in_words(item: pytest.Item, case: SuiteCase | BoardCase) -> str:
         return axes
     picture = cache.mkdir("lscan-cases") / f"{case.name}.png"
     write_picture(picture, case.picture)
-    look = f"\nlscan extract {picture}" if hasattr(case, "truth") else ""
+    look = "" if hasattr(case, "marks") else f"\nlscan extract {picture}"
     return f"{axes}\npicture: {picture}{look}"
 
 
@@ -210,5 +243,4 @@ def _worst_in_words(result: SuiteRun) -> list[str]:
 
 
 def _command(one: JudgedExtractor, suite: str, baseline: Path) -> str:
-    named = f"{one.options}{one.extractor}"
-    return f"lscan bench {named} --suite {suite} --only --against {baseline}"
+    return f"lscan bench {one.asked or one.extractor} --suite {suite} --only --against {baseline}"

@@ -7,7 +7,7 @@ from contextlib import closing
 from dataclasses import dataclass
 from itertools import groupby
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import Literal
 
 from lscan.errors import InputError
 from lscan.files.disk import lock_folder, make_folder, read_text, write_atomically
@@ -22,10 +22,7 @@ from lscan.suites import (
 from lscan.version import __version__
 from sim.datasets.boards import board_case
 from sim.datasets.lines import line_case, line_truths, turned_case
-from sim.datasets.suitespec import CaseSet, PlannedCase, SuiteSpec
-
-if TYPE_CHECKING:
-    pass
+from sim.datasets.suitespec import KINDS, CaseSet, PlannedCase, SuiteSpec
 
 IDENTITY = "identity.txt"
 
@@ -83,8 +80,11 @@ def make_suite(
     try:
         _keep_identity(folder / IDENTITY, f"{made_by} seed {spec.seed}\n")
         _render_missing(spec, folder, workers, progress)
-        axes = [{case.name: of.axes_of(case) for case in of.cases()} for of in spec.case_sets]
-        write_manifest(folder, spec.file.name, spec.seed, made_by, *axes)
+        axes = {
+            of.kind: {case.name: of.axes_of(case) for case in of.cases()} for of in spec.case_sets
+        }
+        kinds = [axes.get(kind, {}) for kind in KINDS]
+        write_manifest(folder, spec.file.name, spec.seed, made_by, *kinds)
         pack_suite(folder, file)
         shutil.rmtree(folder, ignore_errors=True)
     finally:
@@ -156,19 +156,27 @@ def make_cases(task: RenderTask) -> str:
     ----------
     task : RenderTask
     """
+    from sim.datasets.scans import ScanScenes, scan_cases
     from sim.render.tank import Tank
 
-    scene = task.among.scene(task.first)
-    layers = Tank(scene).render(scene.rig.plan.start_mm)
-    if task.among.kind == "board":
-        for case in task.cases:
-            scene, axes = task.among.scene(case), task.among.axes_of(case)
-            write_case(task.folder, board_case(scene, case.name, axes, layers))
+    among = task.among
+    if among.kind == "scan":
+        first, *wanted = (
+            ScanScenes(one.name, among.axes_of(one), among.board_scene(one), among.scene(one))
+            for one in (task.first, *task.cases)
+        )
+        for scan in scan_cases(first, wanted):
+            write_case(task.folder, scan)
         return ""
-    truths = line_truths(scene)
+    scene = among.scene(task.first)
+    layers = Tank(scene).render(scene.rig.plan.start_mm)
+    truths = line_truths(scene) if among.kind == "case" else ()
     for case in task.cases:
-        scene, axes = task.among.scene(case), task.among.axes_of(case)
-        pair = task.among.has_pair(case)
+        scene, axes = among.scene(case), among.axes_of(case)
+        if among.kind == "board":
+            write_case(task.folder, board_case(scene, case.name, axes, layers))
+            continue
+        pair = among.has_pair(case)
         made = line_case(scene, case.name, axes, layers, truths, pair=pair)
         write_case(task.folder, turned_case(made) if axes["lines"] == "rows" else made)
     return ""

@@ -2,7 +2,7 @@
 
 import hashlib
 import json
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence, Set
 from dataclasses import dataclass
 from itertools import combinations
 from pathlib import Path
@@ -25,6 +25,12 @@ EXPOSED = {"camera": {"options"}, "sensor": None, "stripe": None, "lens": {"blur
 Values = Annotated[dict[Word, dict[str, Any]], Field(min_length=1)]
 Axes = dict[Word, Values]
 Combination = tuple[str, ...]  # a value on each axis
+Kind = Literal["case", "board", "scan"]
+KINDS: tuple[Kind, ...] = ("case", "board", "scan")
+OF_THE_RIG = {
+    "camera", "lens", "head", "port", "water", "sensor", "optics", "stripe", "calibration", "sheet",
+}  # fmt: skip
+"""Sections in which the scene of a scan's board is as that of the scan."""
 
 
 class CasesFile(Strict):
@@ -56,18 +62,45 @@ class CasesFile(Strict):
         return self
 
 
-class SuiteSpecFile(CasesFile):
-    """A suite as its file says it: pictures of a laser line, and beside them of the board.
+class LinesFile(CasesFile):
+    """Pictures of a laser line.
 
     turned: every so many-th case is turned so that its line runs down; 0: none.  pairs: likewise
-    has a picture with the laser off.  boards: the cases of the board, where there are any.
+    has a picture with the laser off.
+    """
+
+    turned: Annotated[int, Field(ge=0)] = 0
+    pairs: Annotated[int, Field(ge=0)] = 0
+
+
+class ScansFile(CasesFile):
+    """Whole scans; ``pictures`` counts scans.
+
+    board: a file or a name, the scene of the board that each rig is calibrated by; of base and of
+    the axes it has the sections of the instrument and of the water.
+    """
+
+    board: str
+
+
+class SuiteSpecFile(Strict):
+    """A suite as its file says it.
+
+    lines: pictures of a laser line.  boards: of the calibration board.  scans: whole scans, each
+    with a picture of the board.
     """
 
     name: Annotated[str, Field(pattern="^[a-z0-9][a-z0-9-]{0,63}$")]
     seed: Seed = 1
-    turned: Annotated[int, Field(ge=0)] = 0
-    pairs: Annotated[int, Field(ge=0)] = 0
+    lines: LinesFile | None = None
     boards: CasesFile | None = None
+    scans: ScansFile | None = None
+
+    @model_validator(mode="after")
+    def _holds_some(self) -> Self:
+        if self.lines is self.boards is self.scans is None:
+            raise ValueError("needs one of [lines], [boards] and [scans]")
+        return self
 
 
 @dataclass(frozen=True)
@@ -84,14 +117,16 @@ class PlannedCase:
 class CaseSet:
     """The cases of one kind: what their file says, their scene's document, and the suite's seed.
 
-    kind: "case" for those of a line, "board"; their names begin so.  source: for errors.
+    kind: "case" for those of a line, "board", "scan"; their names begin so.  source: for errors.
+    board: of scans, the document of the scene of the board.
     """
 
-    kind: Literal["case", "board"]
+    kind: Kind
     file: CasesFile
     document: Document
     seed: int
     source: str
+    board: Document | None = None
 
     def cases(self) -> list[PlannedCase]:
         """The cases: those of one render follow each other.
@@ -125,7 +160,7 @@ class CaseSet:
         """
         axes = [*self.file.render, *self.file.expose]
         own = dict(zip(axes, case.render + case.expose, strict=True))
-        if isinstance(self.file, SuiteSpecFile):
+        if isinstance(self.file, LinesFile):
             own["lines"] = "rows" if _every(self.file.turned, case) else "columns"
         return own
 
@@ -136,7 +171,7 @@ class CaseSet:
         ----------
         case : PlannedCase
         """
-        return isinstance(self.file, SuiteSpecFile) and _every(self.file.pairs, case)
+        return isinstance(self.file, LinesFile) and _every(self.file.pairs, case)
 
     def scene(self, case: PlannedCase) -> Scene:
         """The scene of a case, with the seed of its noise.
@@ -150,19 +185,51 @@ class CaseSet:
         InputError
             A key or a value is wrong.
         """
-        document = merge(self.document, self.file.base)
-        for axes, values in ((self.file.render, case.render), (self.file.expose, case.expose)):
-            for (_, sections), value in zip(axes.items(), values, strict=True):
-                document = merge(document, sections[value])
-        seed = int(np.random.SeedSequence([self.seed, case.number]).generate_state(1)[0] >> 1)
-        document = merge(document, {"sensor": {"seed": seed}, "render": {"seed": self.seed}})
         where = f"{self.source}: {', '.join(case.render + case.expose)}"
-        document = inline_board(document, source=where)
-        scene = scene_of(parse_rig(document, source=where))
+        scene = self._laid_over(self.document, case, None, where)
         if self.kind == "board" and scene.tank.target.shape != "board":
             allowed = 'a scene whose target is of shape "board"'
             raise InputError("boards.scene", where=where, value=self.file.scene, allowed=allowed)
         return scene
+
+    def board_scene(self, case: PlannedCase) -> Scene:
+        """The scene of the board that the rig of a scan is calibrated by.
+
+        Parameters
+        ----------
+        case : PlannedCase, of a scan
+
+        Raises
+        ------
+        InputError
+            A key or a value is wrong, or the scene has no board or one that is moved: a map holds
+            in the frame of the head then only where it is calibrated in it.
+        """
+        assert self.board is not None
+        where = f"{self.source}: {', '.join(case.render + case.expose)}"
+        scene = self._laid_over(self.board, case, OF_THE_RIG, where)
+        target = scene.tank.target
+        moved = (*target.position_mm, target.turn_deg, target.tilt_x_deg, target.tilt_y_deg)
+        if target.shape != "board" or any(moved):
+            allowed = 'a scene whose target is of shape "board", at the origin and level'
+            raise InputError("scans.board", where=where, allowed=allowed)
+        return scene
+
+    def _laid_over(
+        self, document: Document, case: PlannedCase, only: Set[str] | None, where: str
+    ) -> Scene:
+        """The scene of a document with a case's sections; of these ``only`` some, if not None."""
+
+        def some(sections: Mapping[str, Any]) -> Document:
+            return {key: of for key, of in sections.items() if only is None or key in only}
+
+        document = merge(document, some(self.file.base))
+        for axes, values in ((self.file.render, case.render), (self.file.expose, case.expose)):
+            for (_, sections), value in zip(axes.items(), values, strict=True):
+                document = merge(document, some(sections[value]))
+        seed = int(np.random.SeedSequence([self.seed, case.number]).generate_state(1)[0] >> 1)
+        document = merge(document, {"sensor": {"seed": seed}, "render": {"seed": self.seed}})
+        return scene_of(parse_rig(inline_board(document, source=where), source=where))
 
     @staticmethod
     def _names(axes: Mapping[str, Mapping[str, Any]]) -> list[Combination]:
@@ -175,26 +242,16 @@ def _every(period: int, case: PlannedCase) -> bool:
 
 @dataclass(frozen=True)
 class SuiteSpec:
-    """A spec: its file, the cases of the laser's line, and those of the board where it has any."""
+    """A spec: its file, the seed of all that is random, and the cases of each kind that it has."""
 
     file: SuiteSpecFile
-    lines: CaseSet
-    boards: CaseSet | None
-
-    @property
-    def seed(self) -> int:
-        """Of all that is random."""
-        return self.lines.seed
-
-    @property
-    def case_sets(self) -> list[CaseSet]:
-        """The cases of each kind."""
-        return [self.lines, *([self.boards] if self.boards is not None else [])]
+    seed: int
+    case_sets: tuple[CaseSet, ...]
 
     @property
     def sha256(self) -> str:
         """Of all that the cases depend on but the seed: of files their content, not their place."""
-        documents = [cases.document for cases in self.case_sets]
+        documents = [[cases.document, cases.board] for cases in self.case_sets]
         stated = _by_content([self.file.model_dump(mode="json"), *documents])
         text = json.dumps(stated, sort_keys=True)
         return hashlib.sha256(text.encode()).hexdigest()
@@ -228,12 +285,16 @@ def load_suite_spec(path: Path | str, seed: int | None = None) -> SuiteSpec:
     file = check(SuiteSpecFile, read_document(source), where=source)
     own = file.seed if seed is None else seed
 
-    def cases(kind: Literal["case", "board"], of: CasesFile) -> CaseSet:
-        document = read_document(included_file(source.parent, of.scene))
-        return CaseSet(kind, of, document, own, str(source))
+    def document(scene: str) -> Document:
+        return read_document(included_file(source.parent, scene))
 
-    boards = None if file.boards is None else cases("board", file.boards)
-    return SuiteSpec(file, cases("case", file), boards)
+    case_sets = tuple(
+        CaseSet(kind, of, document(of.scene), own, str(source),
+                document(of.board) if isinstance(of, ScansFile) else None)
+        for kind, of in zip(KINDS, (file.lines, file.boards, file.scans), strict=True)
+        if of is not None
+    )  # fmt: skip
+    return SuiteSpec(file, own, case_sets)
 
 
 def covering(

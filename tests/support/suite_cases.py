@@ -6,9 +6,16 @@ import numpy as np
 
 from lscan.benchmark.boards import BOARDS, IMAGE_SIZE, OPTICS, image_px, seen_marks
 from lscan.benchmark.pictures import LineCase, centres, draw
-from lscan.config.rig import NoiseSection, StripeSection
+from lscan.config.rig import NoiseSection, Rig, StripeSection
 from lscan.records import Status
-from lscan.suites import BoardCase, CaseTruth, SuiteCase, write_case, write_manifest
+from lscan.suites import (
+    BoardCase,
+    CaseTruth,
+    ScanCase,
+    SuiteCase,
+    write_case,
+    write_manifest,
+)
 
 NOISE = NoiseSection(read_dn=1.0, dn_per_electron=255 / 15_000)
 
@@ -74,3 +81,43 @@ def board_suite(folder, count=4):
     axes = {case.name: dict(case.axes) for case in boards}
     write_manifest(folder, "boards", 7, "lscan test", {line.name: dict(line.axes)}, axes)
     return boards
+
+
+def scan_case(number, kind="sandwave"):
+    """A scan of two pictures without a line, of a rig that nothing can be calibrated with."""
+    board = replace(board_case(number), name=f"scan-{number:03d}")
+    height, width = board.picture.shape[:2]
+    rig = Rig.model_validate({
+        "camera": {"driver": "sim", "width_px": width, "height_px": height},
+        "track": {"driver": "sim"}, "plan": {"frames": 2, "step_mm": 0.5},
+        "workpiece": {"kind": kind}, "stripe": {"threshold_dn": 20.0},
+        "board": board.board.model_dump(),
+    })  # fmt: skip
+    rng = np.random.default_rng([8, number])
+    status = np.where(rng.random((2, width)) < 0.9, int(Status.OK), int(Status.OCCLUDED))
+    places = rng.normal(100, 30, (2, width, 2)) * [1, -1]
+    places = np.where(status[..., None] == Status.OK, places, np.nan)
+    slices = rng.uniform(0, 150, (20 if kind == "sandwave" else 0, 3))
+    return ScanCase(
+        board.name,
+        {"target": kind},
+        board,
+        tuple(rng.integers(0, 20, (2, height, width, 3)).astype(np.uint8)),
+        rig,
+        places,
+        np.where(status == Status.OK, 100.0, np.nan),
+        np.zeros_like(status),
+        status,
+        slices,
+        np.zeros(len(slices), dtype=np.int64),
+    )
+
+
+def scan_suite(folder, count=2):
+    """A suite's folder of scans, of sandwaves and of grooved blocks in turn."""
+    scans = [scan_case(n, "grooved-block" if n % 2 else "sandwave") for n in range(count)]
+    for case in scans:
+        write_case(folder, case)
+    axes = {case.name: dict(case.axes) for case in scans}
+    write_manifest(folder, "scans", 7, "lscan test", {}, {}, axes)
+    return scans

@@ -11,7 +11,7 @@ The directions of the edges against each other are those of the nominal shape, s
 one unknown: the lean that a shear x + lean * y of the whole plan gives to each of them.
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -107,7 +107,8 @@ def fit_edges(
     Raises
     ------
     MeasurementError
-        For an edge crossed by fewer than MIN_CROSSINGS profiles.
+        For an edge crossed by fewer than MIN_CROSSINGS profiles, or by fewer than half as many that
+        agree on a line.
 
     References
     ----------
@@ -129,6 +130,7 @@ def fit_edges(
         place, covariance = _most_likely(inside[keep], outside[keep], which[keep], place)
         if kept is None:
             keep = _violation(inside, outside, which, place) < OUTLIER
+            _require_agreeing(list(edges), np.bincount(which[keep], minlength=len(each)))
     noise = _scatter_covariance((inside + outside)[keep] / 2, which[keep], place)
     return EdgeFit(
         at_mm=place[1:],
@@ -138,6 +140,15 @@ def fit_edges(
         covariance=covariance + noise,
         kept=keep,
     )
+
+
+def _require_agreeing(names: Sequence[str], counts: Ints) -> None:
+    for name, count in zip(names, counts.tolist(), strict=True):
+        if count < MIN_CROSSINGS // 2:
+            raise MeasurementError(
+                f"{name} not found: {count} profiles cross it in a line, {MIN_CROSSINGS // 2} are "
+                "needed"
+            )
 
 
 def _scatter_covariance(middle: Floats, which: Ints, place: Floats) -> Floats:

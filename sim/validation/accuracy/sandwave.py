@@ -42,8 +42,7 @@ def grid_errors(scene: Scene, surface: Surface, cell_mm: float) -> tuple[Floats,
     piece = _piece(scene)
     grid = grid_cells(surface, cell_mm)
     x, y = (plan.ravel() for plan in np.meshgrid(grid.x_mm, grid.y_mm))
-    inside = np.minimum(np.minimum(x, piece.side_mm - x), np.minimum(y, piece.side_mm - y))
-    kept = (grid.status.ravel() == Status.OK) & (inside > BORDER_MM)
+    kept = (grid.status.ravel() == Status.OK) & (piece.inset_mm(x, y) > BORDER_MM)
     kept[kept] = slice_visibility(scene, np.column_stack([x, y])[kept])
     error = grid.z_mm.ravel()[kept] - piece.height_mm(x[kept], y[kept])
     return error, grid.sigma_z_mm.ravel()[kept]

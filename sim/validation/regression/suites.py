@@ -20,33 +20,35 @@ from sim.validation.rows import Row, row
 
 NAME = "quick"
 PART = """name = "part"
+
+[lines]
 scene = "paper/groove"
 pictures = 24
 turned = 5
 pairs = 5
 
-[base.camera]
+[lines.base.camera]
 width_px = 160
 height_px = 120
 options = { auto_exposure = true, max_ms = 10000.0, percentile = 99.0 }
 
-[base.lens]
+[lines.base.lens]
 centre_px = [159.5, -92.5]
 
-[render.water.tap]
-[render.water.harbor.water]
+[lines.render.water.tap]
+[lines.render.water.harbor.water]
 kind = "harbor"
-[render.laser.line]
-[render.laser.two.stripe]
+[lines.render.laser.line]
+[lines.render.laser.two.stripe]
 returns = "first"
-[render.laser.two.laser]
+[lines.render.laser.two.laser]
 lines = [{ tilt_deg = -1.5, share = 0.5 }, { tilt_deg = 1.5, share = 0.5 }]
 
-[expose.noise.usual]
-[expose.noise.low.sensor]
+[lines.expose.noise.usual]
+[lines.expose.noise.low.sensor]
 dark_noise_e = 10.0
-[expose.fault.none]
-[expose.fault.gamma.sensor]
+[lines.expose.fault.none]
+[lines.expose.fault.gamma.sensor]
 gamma = 2.2
 """
 """A suite of four renders, made several times over."""
@@ -73,7 +75,7 @@ def made_rows(harms: int) -> list[Row]:
         data = whole.read_bytes()
         differing = sum(other.read_bytes() != data for other in (shared, ended))
         unrefused = _unrefused(whole, harms)
-    cases = spec.file.pictures
+    cases = sum(of.file.pictures for of in spec.case_sets)
     return [
         row("regression-same", differing, cases=cases, kept=kept),
         row("regression-harmed", unrefused, seed=16, harms=harms, cases=cases),

@@ -72,7 +72,7 @@ def boards(tmp_path_factory):
 
 
 def test_a_board_is_read_as_it_was_written(boards):
-    """Places to 1e-6 px and mm."""
+    """Places to 1e-6 px and, half a unit of the last digit, 5e-5 mm."""
     folder, written = boards
     pack_suite(folder, folder.with_suffix(".zip"))
     for path in (folder, folder.with_suffix(".zip")):
@@ -80,13 +80,13 @@ def test_a_board_is_read_as_it_was_written(boards):
             assert (case.name, case.axes, case.board) == (was.name, was.axes, was.board)
             assert case.optics == was.optics
             assert np.array_equal(case.picture, was.picture)
-            for one, other in (
-                (case.marks.board_mm, was.marks.board_mm),
-                (case.marks.image_px, was.marks.image_px),
-                (case.marks.sigma_px, was.marks.sigma_px),
-                (case.map_px, was.map_px), (case.map_mm, was.map_mm),
+            for one, other, atol in (
+                (case.marks.board_mm, was.marks.board_mm, 5.1e-5),
+                (case.marks.image_px, was.marks.image_px, 1e-6),
+                (case.marks.sigma_px, was.marks.sigma_px, 1e-6),
+                (case.map_px, was.map_px, 1e-6), (case.map_mm, was.map_mm, 5.1e-5),
             ):  # fmt: skip
-                np.testing.assert_allclose(one, other, rtol=0, atol=1e-6)
+                np.testing.assert_allclose(one, other, rtol=0, atol=atol)
             assert np.array_equal(case.marks.status, was.marks.status)
 
 
@@ -112,6 +112,68 @@ def test_a_harmed_board_is_refused_by_its_member(boards, tmp_path, member, conte
     members = {**of.members, f"board-000/{member}": member_sum(content)}
     (copy / MANIFEST).write_bytes(manifest_bytes(of.model_copy(update={"members": members})))
     assert said in _refused(copy)
+
+
+@pytest.fixture(scope="module")
+def scans(tmp_path_factory):
+    """A suite's folder with scans, and the cases that it was written of."""
+    made = tmp_path_factory.mktemp("scans") / "scans"
+    made.mkdir()
+    return made, suite_cases.scan_suite(made)
+
+
+def test_a_scan_is_read_as_it_was_written(scans):
+    """Places to half a unit of the last of four digits."""
+    folder, written = scans
+    pack_suite(folder, folder.with_suffix(".zip"))
+    for path in (folder, folder.with_suffix(".zip")):
+        for case, was in zip(verify_suite(path).scans(), written, strict=True):
+            assert (case.name, case.axes, case.rig) == (was.name, was.axes, was.rig)
+            assert case.board.axes == case.axes
+            assert np.array_equal(case.frames, was.frames)
+            for name in ("multiple", "status", "slice_status"):
+                assert np.array_equal(getattr(case, name), getattr(was, name)), name
+            for name in ("line_mm", "height_dn", "slices_mm"):
+                one, other = getattr(case, name), getattr(was, name)
+                np.testing.assert_allclose(one, other, rtol=0, atol=5.1e-5)
+
+
+LINE_HEAD = b"x_mm,z_mm,height_dn,multiple,status\n"
+
+
+@pytest.mark.parametrize(
+    ("member", "content", "said"),
+    [
+        ("line.csv", LINE_HEAD, "differ in size"),
+        ("line.csv", LINE_HEAD + b"1,nan,1,0,0\n" * 160, "no table of a scan's truth"),
+        ("line.csv", LINE_HEAD + b"1,1,1,2,0\n" * 160, "no table of a scan's truth"),
+        ("line.csv", LINE_HEAD + b"1,1,1,0,99\n" * 160, "no table of a scan's truth"),
+        ("slices.csv", b"x_mm,y_mm,z_mm,status\nnan,1,1,7\n", "no table of a scan's truth"),
+        ("rig.json", b"[]", "is no rig"),
+        ("rig.json", b"{", "is no rig"),
+        ("rig.json", b'{"camera": {}}', "camera.driver"),
+        ("frame-0001.png", b"none", "is no PNG"),
+        ("picture.png", b"none", "is no PNG"),
+    ],
+)
+def test_a_harmed_scan_is_refused_by_its_member(scans, tmp_path, member, content, said):
+    """Though the manifest has the checksum of what is there."""
+    copy = tmp_path / "copy"
+    shutil.copytree(scans[0], copy)
+    (copy / "scan-000" / member).write_bytes(content)
+    of = open_suite(copy).content
+    members = {**of.members, f"scan-000/{member}": member_sum(content)}
+    (copy / MANIFEST).write_bytes(manifest_bytes(of.model_copy(update={"members": members})))
+    assert said in _refused(copy)
+
+
+def test_a_scan_that_lacks_a_picture_is_refused(scans, tmp_path):
+    copy = tmp_path / "copy"
+    shutil.copytree(scans[0], copy)
+    of = open_suite(copy).content
+    members = {name: of.members[name] for name in of.members if "scan-000/frame-0001" not in name}
+    (copy / MANIFEST).write_bytes(manifest_bytes(of.model_copy(update={"members": members})))
+    assert "member scan-000/frame-0001.png is missing" in _refused(copy)
 
 
 def test_an_archive_has_the_same_bytes_each_time(folder, archive, tmp_path):
@@ -177,7 +239,7 @@ def _forged(folder, tmp_path, change):
 
 def test_another_version_is_refused(folder, tmp_path):
     path = _forged(folder, tmp_path, lambda content: content.model_copy(update={"version": 1}))
-    assert "of another version (got 1; allowed: 2)" in _refused(path)
+    assert "of another version (got 1; allowed: 3)" in _refused(path)
 
 
 @pytest.mark.parametrize(
@@ -233,7 +295,7 @@ def test_suites_are_found_in_the_cache(archive, tmp_path, monkeypatch, capsys):
     assert suites_found() == {"drawn": tmp_path / "lscan" / "suites" / "drawn.zip"}
     for command, said in {
         "list": "drawn: ",
-        "show drawn": "drawn: 4 cases, 0 boards, seed 7",
+        "show drawn": "drawn: 4 cases, seed 7",
         "verify drawn": "4 cases and 17 members are whole",
     }.items():
         code, out, _ = call(capsys, "suite", *command.split())

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 from places import ROOT
-from suite_cases import board_suite, drawn_suite
+from suite_cases import board_suite, drawn_suite, scan_suite
 
 EXAMPLE = ROOT / "examples" / "line-finder"
 LEAST_LINES = 15  # of a stranger's own test, at most
@@ -131,3 +131,32 @@ def test_readers_and_maps_are_held_against_a_baseline(package: Path) -> None:
     assert code == 1 and said.count("missed columns worse") >= 2
     assert "lscan bench --boards --reader read_board --suite" in said
     assert "lscan bench --boards --map polynomial-3 --suite" in said
+
+
+def test_a_test_may_take_scans_and_judge_chains(package: Path) -> None:
+    """Scans of a rig that nothing can be calibrated with: each is a case, and all of a chain is
+    missed; a baseline that says otherwise is noticed."""
+    scan_suite(package.parent / "scans", 12)
+    (package / "tests" / "test_scans.py").write_text(
+        "def test_scan(scan_case):\n"
+        "    assert len(scan_case.frames) == scan_case.rig.plan.frames\n"
+        "    assert scan_case.axes['target'] == 'sandwave', 'no sandwave'\n"
+        "def test_chain(judge_chain, assert_no_worse):\n"
+        "    assert_no_worse(judge_chain('paper/rig'), 'chain.json')\n"
+    )
+    suite = ["--lscan-suite", str(package.parent / "scans"), "-k", "test_scan or test_chain"]
+    code, said = run(package, *suite, "--lscan-update")
+    assert code == 1 and "6 failed, 7 passed" in said
+    assert "target grooved-block" in said
+    file = package / "tests" / "chain.json"
+    content = json.loads(file.read_text())
+    parts = ("board", "points", "grooves", "slices")
+    assert set(content["extractors"]) == {f"paper/rig: {part}" for part in parts}
+    missed = content["sums"].index("missed")
+    for sums in content["extractors"]["paper/rig: points"].values():
+        assert sums[missed] == sums[content["sums"].index("clear")] > 0
+        sums[missed] = 0.0
+    file.write_text(json.dumps(content))
+    code, said = run(package, *suite, "-k", "test_chain")
+    assert code == 1 and "paper/rig: points: missed columns worse" in said
+    assert "lscan bench --chain paper/rig --suite" in said

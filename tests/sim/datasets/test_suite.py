@@ -24,38 +24,40 @@ from sim.datasets.suitespec import covering, load_suite_spec
 
 SMALL = """
 name = "small"
+
+[lines]
 scene = "paper/groove"
 pictures = 8
 turned = 4
 pairs = 8
 
-[base.camera]
+[lines.base.camera]
 width_px = 64
 height_px = 100
 options = { auto_exposure = true, max_ms = 10000.0, percentile = 98.0 }
 
-[base.lens]
+[lines.base.lens]
 centre_px = [159.5, -112.5]
 
-[base.light]
+[lines.base.light]
 ambient_w_m2_sr = 0.02
 
-[base.render]
+[lines.base.render]
 scatter_samples = 0
 
-[render.laser.line]
-[render.laser.none.laser]
+[lines.render.laser.line]
+[lines.render.laser.none.laser]
 on = false
-[render.laser.two.stripe]
+[lines.render.laser.two.stripe]
 returns = "last"
-[render.laser.two.laser]
+[lines.render.laser.two.laser]
 lines = [{ tilt_deg = -1.0, share = 0.5 }, { tilt_deg = 1.0, share = 0.5 }]
 
-[expose.noise.usual]
-[expose.noise.low.sensor]
+[lines.expose.noise.usual]
+[lines.expose.noise.low.sensor]
 dark_noise_e = 10.0
-[expose.fault.none]
-[expose.fault.gamma.sensor]
+[lines.expose.fault.none]
+[lines.expose.fault.gamma.sensor]
 gamma = 2.2
 
 [boards]
@@ -163,7 +165,7 @@ def test_another_seed_gives_other_pictures_and_is_not_mixed(made, spec_file):
 def test_a_spec_is_the_same_wherever_it_lies_and_another_where_its_files_are(tmp_path):
     """A texture beside the spec, in two folders; then one of them is painted over."""
     textured = """
-[render.target.textured.target]
+[lines.render.target.textured.target]
 texture = { file = "checks.png", corner_mm = [0.0, -60.0], size_mm = [20.0, 20.0] }
 """
     sums = []
@@ -171,7 +173,7 @@ texture = { file = "checks.png", corner_mm = [0.0, -60.0], size_mm = [20.0, 20.0
         folder = tmp_path / name
         folder.mkdir()
         shutil.copy(ROOT / "scenes" / "targets" / "checks.png", folder)
-        before, usual, after = SMALL.partition("[expose.noise.usual]\n")
+        before, usual, after = SMALL.partition("[lines.expose.noise.usual]\n")
         (folder / "small.toml").write_text(before + textured + usual + after)
         sums.append(load_suite_spec(folder / "small.toml").sha256)
     assert sums[0] == sums[1]
@@ -252,7 +254,7 @@ def test_a_covering_has_every_pair_and_less_than_the_product(sizes, seed):
 
 def test_what_needs_another_render_is_no_exposure(spec_file, tmp_path):
     file = tmp_path / "wrong.toml"
-    file.write_text(SMALL + "[expose.width.wide.laser]\nwaist_mm = 3.0\n")
+    file.write_text(SMALL + "[lines.expose.width.wide.laser]\nwaist_mm = 3.0\n")
     with pytest.raises(
         InputError, match=r"expose: width\.wide\.laser\.waist_mm needs another render"
     ):
