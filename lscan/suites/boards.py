@@ -12,9 +12,8 @@ from pydantic import BaseModel, ValidationError
 from lscan.config.board import Board
 from lscan.config.rig import OpticsSection
 from lscan.errors import InputError
-from lscan.files.pictures import encoded
 from lscan.records import Bytes, Floats, Marks, Status
-from lscan.suites.content import BOARD, MAP, OPTICS, PICTURE, TRUTH, read_case_picture
+from lscan.suites.content import BOARD, MAP, OPTICS, PICTURE, TRUTH, noisy_png, read_case_picture
 
 MARK_COLUMNS = ("x_mm", "z_mm", "u_px", "v_px", "status")
 MAP_COLUMNS = ("u_px", "v_px", "x_mm", "z_mm")
@@ -60,7 +59,7 @@ def board_members(case: BoardCase) -> dict[str, bytes]:
     """
     marks = np.column_stack([case.marks.board_mm, case.marks.image_px, case.marks.status])
     members = {
-        PICTURE: encoded(case.picture, ".png"),
+        PICTURE: noisy_png(case.picture),
         BOARD: f"{case.board.model_dump_json(indent=1)}\n".encode(),
         OPTICS: f"{case.optics.model_dump_json(indent=1)}\n".encode(),
         MAP: table_bytes(MAP_COLUMNS, np.column_stack([case.map_px, case.map_mm])),

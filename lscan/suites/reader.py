@@ -15,6 +15,7 @@ from lscan.suites.boards import BoardCase, read_board_case
 from lscan.suites.content import (
     DARK,
     LABELS,
+    LAYERS,
     MANIFEST,
     MOST_MANIFEST_BYTES,
     MOST_SUITE_BYTES,
@@ -29,6 +30,7 @@ from lscan.suites.content import (
     read_settings,
     read_truth,
 )
+from lscan.suites.layers import layers_of_picture
 from lscan.suites.scans import ScanCase, read_scan_case
 from lscan.suites.writer import archive_bytes
 
@@ -83,12 +85,17 @@ class Suite:
         picture, labels = read_case_picture(*shown(PICTURE)), read_case_picture(*shown(LABELS))
         has_dark = f"{name}/{DARK}" in self.content.members
         dark = read_case_picture(*shown(DARK)) if has_dark else None
+        has_layers = f"{name}/{LAYERS}" in self.content.members
+        light = read_case_picture(*shown(LAYERS)) if has_layers else None
         truth, settings = read_truth(*shown(TRUTH)), read_settings(*shown(SETTINGS))
         along = picture.shape[1] if settings.axis == "columns" else picture.shape[0]
         sizes = labels.shape == picture.shape[:2] and len(truth.status) == along
-        if not sizes or (dark is not None and dark.shape != picture.shape):
+        sizes &= dark is None or dark.shape == picture.shape
+        if not sizes or (light is not None and light.shape != (*labels.shape, 3)):
             raise InputError(f"members of case {name} differ in size", where=self.path)
-        return SuiteCase(name, self.content.cases[name], picture, dark, labels, truth, settings)
+        layers = None if light is None else layers_of_picture(light)
+        axes = self.content.cases[name]
+        return SuiteCase(name, axes, picture, dark, labels, truth, settings, layers)
 
     def board(self, name: str) -> BoardCase:
         """A picture of the board; InputError, which names the member, where it is harmed.

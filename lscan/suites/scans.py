@@ -9,10 +9,9 @@ import numpy as np
 from lscan.config.documents import check
 from lscan.config.rig import Rig
 from lscan.errors import InputError
-from lscan.files.pictures import encoded
 from lscan.records import Bytes, Floats, Ints, Mask, Status
 from lscan.suites.boards import BoardCase, board_members, read_board_case, read_table, table_bytes
-from lscan.suites.content import FRAME, LINE, RIG, SLICES, read_case_picture
+from lscan.suites.content import FRAME, LINE, RIG, SLICES, noisy_png, read_case_picture
 
 LINE_COLUMNS = ("x_mm", "z_mm", "height_dn", "multiple", "status")
 SLICE_COLUMNS = ("x_mm", "y_mm", "z_mm", "status")
@@ -73,7 +72,7 @@ def scan_members(case: ScanCase) -> dict[str, bytes]:
     case : ScanCase
     """
     line = np.dstack([case.line_mm, np.rint(case.height_dn), case.multiple, case.status])
-    members = {FRAME.format(k): encoded(frame, ".png") for k, frame in enumerate(case.frames)}
+    members = {FRAME.format(k): noisy_png(frame) for k, frame in enumerate(case.frames)}
     members[RIG] = _rig_bytes(case.rig)
     members[LINE] = table_bytes(LINE_COLUMNS, line.reshape(-1, len(LINE_COLUMNS)))
     if len(case.slices_mm):

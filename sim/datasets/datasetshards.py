@@ -167,7 +167,7 @@ def picture_files(tank: Any, scene: Scene, drawn: Mapping[str, float]) -> dict[s
     laser = at.scene.tank.laser
     lines = range(len(laser.sheets) if laser.on else 0)
     truths = [stripe_truth(at.scene, at.position_mm, line) for line in lines]
-    labels = label_scene(at.scene, at.position_mm, layers, truths)
+    labels = label_scene(at.scene, at.position_mm, layers, truths, exposure_ms)
     step = one_step_w_m2_sr(at.scene)
     unit = step if np.isfinite(step) else 1.0
     arrays: dict[str, np.ndarray] = {}

@@ -79,7 +79,7 @@ def write_render(
         "labels": folder / "labels.png",
         "labels in colour": folder / "labels-colour.png",
     }
-    labels = label_scene(at.scene, at.position_mm, layers)
+    labels = label_scene(at.scene, at.position_mm, layers, exposure_ms=exposure_ms)
     write_picture(files["picture"], image)
     write_picture(files["labels"], labels)
     write_picture(files["labels in colour"], colour_labels(labels))

@@ -49,12 +49,13 @@ def label_scene(
     position_mm: float,
     layers: Layers,
     truths: Sequence[StripeTruth] | None = None,
+    exposure_ms: float | None = None,
 ) -> Bytes:
     """(H, W) uint8 of Label: the classes of the scene's picture taken at a track position.
 
     layers: of that picture, of its pixels or finer.  The truth is that of every line of the
-    laser; of none where it is off; found anew if None.  Raises InputError as ``label_picture``
-    and ``stripe_truth``.
+    laser; of none where it is off; found anew if None.  exposure_ms: of the picture; the rig's if
+    None.  Raises InputError as ``label_picture`` and ``stripe_truth``.
     """
     laser, camera = scene.tank.laser, scene.rig.camera
     count = len(laser.sheets) if laser.on else 0
@@ -62,7 +63,7 @@ def label_scene(
         truths = [stripe_truth(scene, position_mm, line) for line in range(count)]
     lines = [(truth, line_sigma_px(scene, truth)) for truth in truths]
     pixels = layers.binned((camera.height_px, camera.width_px))
-    return label_picture(pixels, lines, one_step_w_m2_sr(scene))
+    return label_picture(pixels, lines, one_step_w_m2_sr(scene, exposure_ms))
 
 
 def label_picture(
@@ -88,15 +89,16 @@ def label_picture(
     return labels
 
 
-def one_step_w_m2_sr(scene: Scene) -> float:
+def one_step_w_m2_sr(scene: Scene, exposure_ms: float | None = None) -> float:
     """Radiance in W/(m2 sr) that lifts a pixel on the axis from black by one digital number.
 
-    Of laser light, in the colour that sees it best, at the rig's exposure; infinite where no
-    light reaches the sensor's electrons.
+    Of laser light, in the colour that sees it best, at an exposure, the rig's if None; infinite
+    where no light reaches the sensor's electrons.
     """
     lens, sensor, laser = scene.tank.lens, scene.tank.sensor, scene.tank.laser
     response = sensor.laser_response
-    exposure_ms = scene.rig.camera.exposure_ms
+    if exposure_ms is None:
+        exposure_ms = scene.rig.camera.exposure_ms
     photons = photons_per_radiance(lens, sensor, exposure_ms, laser.wavelength_nm)
     electrons = photons * max(response.red, response.green, response.blue)
     black_dn = FULL_SCALE_DN * (sensor.black_level_dn / FULL_SCALE_DN) ** (1 / sensor.gamma)

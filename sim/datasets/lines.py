@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from lscan.records import Bytes, Floats, Mask, Status
-from lscan.suites import CaseTruth, SuiteCase
-from sim.datasets.labels import label_scene
+from lscan.suites import CaseTruth, LightLayers, SuiteCase
+from sim.datasets.labels import label_scene, one_step_w_m2_sr
 from sim.scene import Scene
 from sim.truth import StripeTruth, line_brightness, stripe_truth
 
@@ -53,7 +53,8 @@ def line_case(
 
     webcam = Webcam(scene)
     exposure_ms = exposure_of(scene, webcam, layers)
-    seed = scene.tank.sensor.seed
+    seed, position_mm = scene.tank.sensor.seed, scene.rig.plan.start_mm
+    shown = truths if scene.tank.laser.on else ()
     dark = None
     if pair:
         none = np.zeros_like(layers.ambient)
@@ -64,9 +65,22 @@ def line_case(
         axes,
         webcam.expose(layers, exposure_ms, np.random.default_rng([seed, 1])),
         dark,
-        label_scene(scene, scene.rig.plan.start_mm, layers, truths if scene.tank.laser.on else ()),
+        label_scene(scene, position_mm, layers, shown, exposure_ms),
         _truth_of(scene, truths, exposure_ms),
         scene.rig.stripe,
+        _layers_in_dn(scene, layers, exposure_ms),
+    )
+
+
+def _layers_in_dn(scene: Scene, layers: "Layers", exposure_ms: float) -> LightLayers | None:
+    """None where no light reaches the sensor's electrons."""
+    step = one_step_w_m2_sr(scene, exposure_ms)
+    if not np.isfinite(step):
+        return None
+    camera = scene.rig.camera
+    pixels = layers.binned((camera.height_px, camera.width_px))
+    return LightLayers(
+        *(layer.astype(float) / step for layer in (pixels.direct, pixels.scattered, pixels.ambient))
     )
 
 
@@ -113,5 +127,6 @@ def turned_case(case: SuiteCase) -> SuiteCase:
         picture=swapped(case.picture),
         dark=None if case.dark is None else swapped(case.dark),
         labels=swapped(case.labels),
+        layers=None if case.layers is None else case.layers.turned(),
         settings=case.settings.model_copy(update={"axis": "rows"}),
     )

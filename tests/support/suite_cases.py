@@ -11,6 +11,7 @@ from lscan.records import Status
 from lscan.suites import (
     BoardCase,
     CaseTruth,
+    LightLayers,
     ScanCase,
     SuiteCase,
     write_case,
@@ -40,7 +41,12 @@ def drawn_case(number, peak_dn=150.0, turned=False, dark=False):
         background = None if background is None else background.transpose(1, 0, 2).copy()
         settings = settings.model_copy(update={"axis": "rows"})
     axes = {"water": "tap", "target": f"peak {peak_dn:g}", "fault": "turned" if turned else "none"}
-    return SuiteCase(f"case-{number:03d}", axes, picture, background, labels, truth, settings)
+    layers = None
+    if number < 2:
+        light = [np.full(labels.shape, level) for level in (0.0, 3.0)]
+        layers = LightLayers(picture[..., 0].astype(float), *light)
+    name = f"case-{number:03d}"
+    return SuiteCase(name, axes, picture, background, labels, truth, settings, layers)
 
 
 def drawn_suite(folder, count=4, name="drawn"):

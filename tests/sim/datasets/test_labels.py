@@ -153,6 +153,17 @@ def test_a_scene_has_the_cores_of_all_its_lines():
     assert np.all(label_scene(scene, 0.0, dim) == Label.DARK)
 
 
+def test_a_longer_exposure_lifts_what_was_dark():
+    """The step is of the light, so that twice the exposure halves it."""
+    scene = floor()
+    exposure_ms = 2 * scene.rig.camera.exposure_ms
+    step = one_step_w_m2_sr(scene)
+    assert one_step_w_m2_sr(scene, exposure_ms) == pytest.approx(step / 2, rel=1e-12)
+    dim = layers(np.full((480, 640), 0.99 * step))
+    assert np.all(label_scene(scene, 0.0, dim) == Label.DARK)
+    assert not np.any(label_scene(scene, 0.0, dim, exposure_ms=exposure_ms) == Label.DARK)
+
+
 def test_sizes_that_differ_are_refused():
     with pytest.raises(InputError, match=r"differ in size.*\(5, 3\).*4 columns"):
         label_picture(layers(np.ones((5, 3))), [(truth([1.0] * 4), np.ones(4))])

@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings, strategies as st
 from places import ROOT
+from truth_scenes import tank
 
 from lscan.board import read_board
 from lscan.config.scenes import spec_names
@@ -19,8 +20,12 @@ from lscan.errors import InputError
 from lscan.files.disk import lock_folder
 from lscan.records import Status
 from lscan.suites import open_suite, verify_suite
+from lscan.suites.layers import LEAST_DN, STEPS, layers_of_picture, layers_picture
+from sim.datasets.labels import one_step_w_m2_sr
+from sim.datasets.lines import line_case, line_truths
 from sim.datasets.suite import make_suite
 from sim.datasets.suitespec import covering, load_suite_spec
+from sim.render.tank import Layers
 
 SMALL = """
 name = "small"
@@ -114,6 +119,35 @@ def test_the_truth_lies_on_the_light(made):
             assert case.dark.mean() < case.picture.mean() or case.axes["laser"] == "none"
     assert {lines for _, lines in kinds} == {"columns", "rows"}
     assert {laser for laser, _ in kinds} == {"line", "none", "two"}
+
+
+@pytest.mark.parametrize("metered", [False, True])
+def test_the_layers_are_the_light_of_the_picture(metered):
+    """Of a webcam without noise, blur and vignetting whose numbers are linear in the light.
+
+    To the rounding of picture and layers: the number has been rounded once, and so has each layer.
+    """
+    scene = tank(
+        floor={"z_mm": -100.0},
+        camera={
+            "width_px": 64, "height_px": 48, "exposure_ms": 3.0,
+            "options": {"auto_exposure": metered, "max_ms": 1e4, "percentile": 98.0},
+        },
+        lens={"vignetting": 0.0, "blur_px": 0.0},
+        sensor={"noise": False, "gamma": 1.0},
+    )  # fmt: skip
+    rng = np.random.default_rng(3)
+    radiance = 40 * one_step_w_m2_sr(scene)
+    direct, scattered = rng.uniform(0, radiance, (2, 48, 64)).astype(np.float32)
+    case = line_case(scene, "one", {}, Layers(direct, scattered, 0 * direct), line_truths(scene))
+    kept = layers_of_picture(layers_picture(case.layers))
+    black, half = scene.tank.sensor.black_level_dn, 2 ** (0.5 / STEPS) - 1
+    for layers, rounding in ((case.layers, 0.0), (kept, half)):
+        light = layers.direct + layers.scattered
+        shown = case.picture[..., 0].astype(float)
+        error = np.abs(shown - np.minimum(light + black, 255))
+        assert np.all(error <= 0.5 + 1e-3 * light + rounding * (light + 2 * LEAST_DN))
+    assert (np.percentile(case.layers.direct, 98) > 60) == metered
 
 
 def test_two_lines_have_the_truth_of_the_one_that_is_meant(made):
