@@ -1,5 +1,6 @@
 """Every figure of the studies' table, measured chapter by chapter."""
 
+import shutil
 from collections.abc import Callable, Mapping
 from pathlib import Path
 
@@ -11,6 +12,7 @@ from sim.validation.rows import Row, RowFile, measured
 from sim.validation.study import coverage, crosscheck, running
 from sim.validation.study.designs import design_rows
 from sim.validation.study.propagation import propagation_rows
+from sim.validation.study.rendered import rendered_rows
 from sim.validation.study.speed import speed_rows
 from sim.validation.study.tiers import tier_rows
 from sim.validation.study.tolerances import tolerance_rows
@@ -62,9 +64,17 @@ def _full(scenes: Path, folder: Path) -> Mapping[str, Callable[[], list[Row]]]:
         "cross-check": lambda: crosscheck.cross_check_rows(scenes, Looked()),
         "recalibration": lambda: crosscheck.recalibration_rows(scenes, Looked()),
         "tiers": lambda: tier_rows(paper),
-        "designs": lambda: design_rows(scenes, folder / "designs"),
-        "tolerances": lambda: tolerance_rows(scenes, folder / "tolerances"),
+        "rendered": lambda: rendered_rows(_none_of_before(folder / "rendered")),
+        "designs": lambda: design_rows(scenes, _none_of_before(folder / "designs")),
+        "tolerances": lambda: tolerance_rows(scenes, _none_of_before(folder / "tolerances")),
     }
+
+
+def _none_of_before(folder: Path) -> Path:
+    """The folder without an earlier measurement's runs: a study does not begin where some are."""
+    if folder.exists():
+        shutil.rmtree(folder)
+    return folder
 
 
 def _quick() -> Mapping[str, Callable[[], list[Row]]]:
