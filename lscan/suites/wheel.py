@@ -80,7 +80,7 @@ def _wheel(package: str, name: str, version: str, suites: Mapping[str, bytes]) -
         f"{info}/METADATA": (
             f"Metadata-Version: 2.1\nName: {name}\nVersion: {version}\n"
             f"Summary: Rendered pictures with their truth, for lscan: {named}\n"
-            "Requires-Dist: lscan\n"
+            "Requires-Python: >=3.11\nRequires-Dist: lscan\n"
         ).encode(),
         f"{info}/WHEEL": (
             f"Wheel-Version: 1.0\nGenerator: lscan {__version__}\n"
