@@ -147,8 +147,9 @@ def read_manifest(data: bytes, where: object) -> SuiteContent:
         document = json.loads(plain)
         version = document.get("version") if isinstance(document, dict) else None
         if version != VERSION:
+            allowed = f"{VERSION}; lscan-sim suite make renders it anew"
             raise InputError(
-                f"{MANIFEST} is of another version", where=where, value=version, allowed=VERSION
+                f"{MANIFEST} is of another version", where=where, value=version, allowed=allowed
             )
         content = SuiteContent.model_validate(document)
     except (ValueError, RecursionError) as error:  # ValidationError, of JSON and UTF-8 too

@@ -23,7 +23,12 @@ def _group() -> None:
 def make(
     spec: Annotated[Path, typer.Argument(help="Spec file (TOML), or the name of one of lscan's.")],
     output: Annotated[
-        Path | None, typer.Option("--output", "-o", help="Archive; in the user's cache if not.")
+        Path | None,
+        typer.Option(
+            "--output",
+            "-o",
+            help="Archive; if not, the one of the user's cache is replaced.",
+        ),
     ] = None,
     seed: Annotated[
         int | None, typer.Option("--seed", min=0, help="In place of the spec's own.")
@@ -32,19 +37,18 @@ def make(
     json: Json = False,
 ) -> None:
     """Render a suite, or go on where it was ended; lscan bench --suite judges by it."""
-    from lscan.files.disk import make_folder
-    from lscan.suites.find import suite_cache
-    from sim.datasets.suite import make_suite
+    from sim.datasets.suite import make_cached_suite, make_suite
     from sim.datasets.suitespec import load_suite_spec
 
     if not 1 <= workers <= MOST_WORKERS:
         allowed = f"1 to {MOST_WORKERS}"
         raise InputError("out of range", where="--workers", value=workers, allowed=allowed)
     loaded = load_suite_spec(spec, seed)
-    if output is None:
-        own = "" if loaded.seed == loaded.file.seed else f"-seed-{loaded.seed}"
-        make_folder(suite_cache())
-        output = suite_cache() / f"{loaded.file.name}{own}.zip"
+    own = "" if loaded.seed == loaded.file.seed else f"-seed-{loaded.seed}"
     with progress_bar("cases") as progress:
-        made = make_suite(loaded, output, workers=workers, progress=progress)
+        if output is None:
+            name = f"{loaded.file.name}{own}"
+            made = make_cached_suite(loaded, name, workers=workers, progress=progress)
+        else:
+            made = make_suite(loaded, output, workers=workers, progress=progress)
     print_places({"suite": made}, json)

@@ -19,6 +19,7 @@ from lscan.suites import (
     write_case,
     write_manifest,
 )
+from lscan.suites.find import suite_cache
 from lscan.version import __version__
 from sim.datasets.boards import board_case
 from sim.datasets.lines import line_case, line_truths, turned_case
@@ -89,6 +90,45 @@ def make_suite(
         shutil.rmtree(folder, ignore_errors=True)
     finally:
         os.close(lock)
+    return file
+
+
+def make_cached_suite(
+    spec: SuiteSpec,
+    name: str,
+    *,
+    workers: int | Literal["none"] = 2,
+    progress: Progress | None = None,
+) -> Path:
+    """As ``make_suite``, in the user's cache, where a suite of before makes room for this one.
+
+    Parameters
+    ----------
+    spec : SuiteSpec
+    name : str, that the suite is found by
+    workers : int, processes of this machine; "none": all in this process
+    progress : callable or None, called with (done, all) cases
+
+    Returns
+    -------
+    The archive.
+
+    Raises
+    ------
+    InputError
+        Another process makes it, or the disk refuses.
+    """
+    make_folder(suite_cache())
+    file = suite_cache() / f"{name}.zip"
+    try:
+        content = open_suite(file).content
+        there = (content.made_by, content.seed) == (_maker(spec), spec.seed)
+    except InputError:  # there is none, or one that this version does not read
+        there = False
+    if not there:
+        fresh = file.with_name(f".{file.name}")  # not found by name before it is whole
+        fresh.unlink(missing_ok=True)
+        make_suite(spec, fresh, workers=workers, progress=progress).replace(file)
     return file
 
 

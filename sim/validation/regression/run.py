@@ -5,10 +5,9 @@ from functools import partial
 from pathlib import Path
 
 from lscan.benchmark.suiterun import DRAWN
-from lscan.files.disk import make_folder
 from lscan.records import Progress
 from lscan.suites.find import suite_cache, suites_found
-from sim.datasets.suite import make_suite
+from sim.datasets.suite import make_cached_suite
 from sim.datasets.suitespec import load_suite_spec
 from sim.validation.regression.datasets import dataset_rows
 from sim.validation.regression.mutations import mutation_rows, paired_rows
@@ -60,8 +59,7 @@ def _nothing() -> list[Row]:
 
 
 def _rendered() -> list[Row]:
-    """No row: the suite is there, or rendered into the user's cache."""
-    if NAME not in suites_found():
-        make_folder(suite_cache())
-        make_suite(load_suite_spec(NAME), suite_cache() / f"{NAME}.zip")
+    """No row: the suite is a package's, or rendered into the user's cache where it is not there."""
+    if suites_found().get(NAME, suite_cache()).is_relative_to(suite_cache()):
+        make_cached_suite(load_suite_spec(NAME), NAME)
     return []

@@ -276,7 +276,7 @@ def _forged(folder, tmp_path, change):
 
 def test_another_version_is_refused(folder, tmp_path):
     path = _forged(folder, tmp_path, lambda content: content.model_copy(update={"version": 1}))
-    assert "of another version (got 1; allowed: 3)" in _refused(path)
+    assert "of another version (got 1; allowed: 3; lscan-sim suite make" in _refused(path)
 
 
 @pytest.mark.parametrize(

@@ -23,7 +23,7 @@ from lscan.suites import open_suite, verify_suite
 from lscan.suites.layers import LEAST_DN, STEPS, layers_of_picture, layers_picture
 from sim.datasets.labels import one_step_w_m2_sr
 from sim.datasets.lines import line_case, line_truths
-from sim.datasets.suite import make_suite
+from sim.datasets.suite import make_cached_suite, make_suite
 from sim.datasets.suitespec import covering, load_suite_spec
 from sim.render.tank import Layers
 
@@ -184,6 +184,22 @@ def test_the_bytes_are_the_same_on_two_workers_and_after_a_kill(made, spec_file,
 
 def _make(spec_file, archive):
     return ["lscan-sim", "suite", "make", str(spec_file), "-o", str(archive), "--workers", "1"]
+
+
+def test_a_suite_of_before_makes_room_in_the_cache(made, spec_file, tmp_path, monkeypatch):
+    """Of another version, or of another seed; one that is this very suite is left as it is."""
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    spec, file = load_suite_spec(spec_file), tmp_path / "lscan" / "suites" / "small.zip"
+    file.parent.mkdir(parents=True)
+    file.write_bytes(b"of before")
+    assert make_cached_suite(spec, "small", workers="none") == file
+    assert file.read_bytes() == made.read_bytes()
+    assert [entry.name for entry in file.parent.iterdir()] == ["small.zip"]
+    os.utime(file, (0, 0))
+    make_cached_suite(spec, "small", workers="none")
+    assert file.stat().st_mtime == 0
+    make_cached_suite(load_suite_spec(spec_file, 99), "small", workers="none")
+    assert open_suite(file).content.seed == 99
 
 
 def test_another_seed_gives_other_pictures_and_is_not_mixed(made, spec_file):
