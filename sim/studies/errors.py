@@ -10,6 +10,7 @@ from sim.studies.problem import Output
 
 MOST_LOST = 0.2  # of the places: beyond, a rig is no rig to speak of
 PER_MM = 100.0  # of a length whose error is given
+WITHIN = 0.99  # of the places of a scan, as reports state it of slices
 
 
 @dataclass(frozen=True)
@@ -30,6 +31,8 @@ class ErrorFrame:
         return (
             Output("height", "mm", count),
             Output("levelled", "mm", count),
+            Output("levelled-rms", "mm"),
+            Output("levelled-99", "mm"),
             Output("level", "mm"),
             Output("tilt-across", "deg"),
             Output("tilt-along", "deg"),
@@ -44,6 +47,8 @@ class ErrorFrame:
         height: of each place, above the true surface beneath where it was measured.  levelled: the
         same less the plane that fits it best, whose height in the middle of all places is level,
         and whose slopes across the track and along it are tilt-across and tilt-along.
+        levelled-rms, levelled-99: of one scan, the rms of levelled, and what 99 % of the places
+        keep within.
         length-across, length-along: of 100 mm.  turn: of what was measured, about the vertical.
 
         Parameters
@@ -72,7 +77,9 @@ class ErrorFrame:
         else:
             fit = np.linalg.lstsq(plane, fitted)[0]
         height, (of_height, of_x, of_y) = fitted[:, 0], fit.T
+        levelled = height - plane @ of_height
+        sizes = np.sqrt(np.mean(levelled**2)), np.quantile(np.abs(levelled), WITHIN)
         slopes = np.degrees(np.arctan(of_height[1:]))
         turn = np.degrees((of_y[1] - of_x[2]) / 2)
-        scalars = [of_height[0], *slopes, PER_MM * of_x[1], PER_MM * of_y[2], turn]
-        return np.concatenate([height, height - plane @ of_height, scalars])
+        scalars = [*sizes, of_height[0], *slopes, PER_MM * of_x[1], PER_MM * of_y[2], turn]
+        return np.concatenate([height, levelled, scalars])

@@ -263,6 +263,19 @@ def test_a_plane_is_levelled_away_and_its_numbers_are_found() -> None:
     assert {name: values[name][0] for name in expected} == pytest.approx(expected)
 
 
+def test_sizes_of_a_scans_normal_errors_are_their_deviation_and_its_quantile() -> None:
+    rng, count, sigma_mm = np.random.default_rng(5), 20_000, 0.2
+    world = np.column_stack([rng.uniform(0, 300, (count, 2)), np.zeros(count)])
+    frame = ErrorFrame(world)
+    found = frame.errors_of(world, world, 3.0 + rng.normal(0, sigma_mm, count))
+    values = {name: found[part] for name, part in columns(frame.outputs).items()}
+    # Standard errors: sigma / sqrt(2 n), and of a quantile q sqrt(q (1 - q) / n) over the density
+    # there, of both sides: 0.0289; four of them.
+    assert values["levelled-rms"][0] == pytest.approx(sigma_mm, abs=4 * 0.005 * sigma_mm)
+    error = np.sqrt(0.99 * 0.01 / count) / 0.0289
+    assert values["levelled-99"][0] == pytest.approx(2.5758 * sigma_mm, abs=4 * error * sigma_mm)
+
+
 def test_a_rig_that_loses_its_places_has_no_errors() -> None:
     frame = ErrorFrame(known_of().places.world_mm)
     measured = frame.world_mm.copy()
