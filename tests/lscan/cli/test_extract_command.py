@@ -16,6 +16,7 @@ from lscan.calibration.multiview.solve import MetricCalibration, calibrate_metri
 from lscan.files.pictures import read_picture, write_picture
 
 UPPER, LOWER = 200.0, 260.0
+LOWER_HALF = slice(230, None)
 
 
 @pytest.fixture(scope="module")
@@ -55,6 +56,21 @@ def test_a_single_picture_is_read_in_the_colour_of_its_line(
         assert code == 0, err
         found[len(channel)] = json.loads(out)["found"]
     assert found == {0: 80, 2: 0}
+
+
+def test_an_upright_line_is_told_apart_from_a_level_one(
+    picture: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    upright = tmp_path / "upright.png"
+    write_picture(upright, np.ascontiguousarray(read_picture(picture)[LOWER_HALF].T))
+    for arguments, hinted in (
+        ([upright], True),
+        ([picture], False),
+        ([upright, "--axis", "rows"], False),
+    ):
+        code, _, err = call(capsys, "extract", *arguments)
+        assert code == 0, err
+        assert ("--axis rows" in err) is hinted
 
 
 def test_a_calibration_gives_points_in_mm(
