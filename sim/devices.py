@@ -24,7 +24,8 @@ from sim.scene import SECTIONS, Scene, at_moment, scene_of
 from sim.truth.placement import check_placement
 
 if TYPE_CHECKING:
-    from sim.render.tank import Layers, Tank
+    from sim.render.layers import Layers
+    from sim.render.tank import Tank
     from sim.sensor import Webcam
 
 FRAME_PERIOD_S = 0.2  # the simulated clock: a frame takes this long, its background half of it

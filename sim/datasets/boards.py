@@ -11,7 +11,7 @@ from sim.scene import Scene
 from sim.truth import board_truth
 
 if TYPE_CHECKING:
-    from sim.render.tank import Layers
+    from sim.render.layers import Layers
 
 PLACES = 25  # of the map, along either side of the board
 

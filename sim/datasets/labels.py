@@ -11,7 +11,7 @@ import numpy as np
 
 from lscan.errors import InputError
 from lscan.records import Bytes, Floats, Ints, Mask, Status
-from sim.render.tank import Layers
+from sim.render.layers import Layers
 from sim.scene import Scene
 from sim.scene.instrument import FULL_SCALE_DN
 from sim.sensor import photons_per_radiance

@@ -13,7 +13,7 @@ from sim.scene import Scene
 from sim.truth import StripeTruth, line_brightness, stripe_truth
 
 if TYPE_CHECKING:
-    from sim.render.tank import Layers
+    from sim.render.layers import Layers
 
 
 def line_truths(scene: Scene) -> list[StripeTruth]:

@@ -11,7 +11,8 @@ from lscan.records import Bytes, Floats, Ints, Status
 from lscan.suites import ScanCase
 from sim.datasets.boards import board_case
 from sim.devices import exposure_of
-from sim.render.tank import Layers, Tank
+from sim.render.layers import Layers
+from sim.render.tank import Tank
 from sim.scene import Scene, at_moment
 from sim.scene.moment import is_changing
 from sim.sensor import Webcam

@@ -2,21 +2,20 @@
 
 import logging
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from math import ceil
 from typing import Any
 
 import drjit as dr
 import mitsuba as mi
 import numpy as np
-from numpy.typing import NDArray
 
 from lscan.errors import InputError
 from sim.meshes import MeshPart, scene_parts
 from sim.render.ambient.field import AmbientField, OpenSky, sky_of
 from sim.render.ambient.picture import ambient_picture
-from sim.render.fineness import binned, fineness_of, finer_lens
+from sim.render.fineness import finer_lens
 from sim.render.gathered.picture import GatheredLight, reason_for_random
+from sim.render.layers import W_PER_M2_IN_MW_PER_MM2, Layers, Radiance
 from sim.render.materials import mitsuba_shape
 from sim.render.plugins.base import WaterIntegrator
 from sim.render.plugins.camera import RefractiveCamera
@@ -28,54 +27,11 @@ from sim.render.sparse.rays import film_rays
 from sim.scene import Head, Pose, Scene, camera_pose, head_pose
 from sim.scene.file import check_samples
 from sim.scene.poses import TRACK
-from sim.water import HenyeyGreensteinMixture, Optics, glass_index, water_optics
+from sim.water import glass_index, water_optics
 
 _log = logging.getLogger(__name__)
 
-Radiance = NDArray[np.float32]
-W_PER_M2_IN_MW_PER_MM2 = 1e3  # 1 mW/mm2 is 1000 W/m2; scenes are in mW and mm
 UM_PER_MM = 1e3
-
-
-@dataclass(frozen=True)
-class Layers:
-    """What reaches the lens, W/(m2 sr) in the air behind the port.
-
-    They are (H, W) float32 each; (f H, f W) where the scene's render has a fineness f: the lens has
-    yet to blur them.
-
-    Attributes
-    ----------
-    direct : array, laser light reflected once, by the surface the laser itself lit
-    scattered : array, all other laser light: of the veil, the halo about the line, and reflections
-        of the line
-    ambient : array, everything that is not the laser's
-    """
-
-    direct: Radiance
-    scattered: Radiance
-    ambient: Radiance
-
-    @property
-    def laser(self) -> Radiance:
-        """Direct and scattered light together."""
-        return self.direct + self.scattered
-
-    def binned(self, shape: tuple[int, int]) -> "Layers":
-        """The layers of whole pixels: the means over the parts of each.
-
-        Parameters
-        ----------
-        shape : (H, W) of the picture
-
-        Raises
-        ------
-        InputError
-            The layers are not a whole multiple of it.
-        """
-        fineness = fineness_of(self.direct.shape, shape)
-        layers = (self.direct, self.scattered, self.ambient)
-        return Layers(*(binned(layer, fineness) for layer in layers))
 
 
 class Tank:
@@ -486,46 +442,6 @@ def _optics(scene: Scene) -> tuple[object, ...]:
 def _camera_of(head: Head) -> tuple[object, ...]:
     """Where the camera is in the head."""
     return head.camera_mm, head.depression_deg, head.heading_deg, head.roll_deg
-
-
-def stock_medium(water: Optics) -> dict[str, Any]:
-    """The water as a stock homogeneous medium: nested blends of its lobes and Rayleigh's.
-
-    Parameters
-    ----------
-    water : Optics, its particles' phase function is a mixture of Henyey-Greenstein lobes
-
-    Returns
-    -------
-    The dictionary that ``mitsuba.load_dict`` takes; lengths in mm.
-
-    Raises
-    ------
-    InputError
-        The phase function is none of Mitsuba's own.
-    """
-    if not isinstance(water.particles, HenyeyGreensteinMixture):
-        raise InputError(
-            "no phase function of Mitsuba's own",
-            where="water.phase",
-            value=type(water.particles).__name__,
-            allowed="henyey-greenstein or petzold-mixture",
-        )
-    phase: dict[str, Any] = {"type": "rayleigh"}
-    share = water.molecular_weight
-    for weight, g in zip(water.particles.weights, water.particles.g, strict=True):
-        share += (1 - water.molecular_weight) * weight
-        lobe = {"type": "hg", "g": float(g)}
-        # blendphase = (1 - w) first + w second
-        blend = float((1 - water.molecular_weight) * weight / share)
-        phase = {"type": "blendphase", "weight": blend, "first": phase, "second": lobe}
-    return {
-        "type": "homogeneous",
-        "sigma_t": water.extinction_per_mm,
-        "albedo": water.scattering_per_mm / water.extinction_per_mm,
-        "phase": phase,
-        "has_spectral_extinction": False,
-    }
 
 
 def _interrupted(error: BaseException | None) -> bool:

@@ -26,7 +26,7 @@ from sim.sensor.speckle import speckle_contrast, speckled
 from sim.sensor.still import StillView
 
 if TYPE_CHECKING:
-    from sim.render.tank import Layers
+    from sim.render.layers import Layers
 
 
 class Webcam:

@@ -28,7 +28,8 @@ from lscan.records import (
     select,
 )
 from lscan.stripe.extract import extract_stripes
-from sim.render.tank import Layers, Tank
+from sim.render.layers import Layers
+from sim.render.tank import Tank
 from sim.scene import Scene, into_head
 from sim.sensor import Webcam
 from sim.studies.places import ScanPlaces, places_of, require_one_line

@@ -23,8 +23,10 @@ from lscan.config.rigfile import RigFile, load_rig
 from lscan.paper.experiment import METHODS, measure_board
 from lscan.records import Floats, Mask
 from lscan.stripe import extract_stripe
+from sim.render.layers import W_PER_M2_IN_MW_PER_MM2
 from sim.render.spreads import PHOTONS, make_spread
-from sim.render.tank import W_PER_M2_IN_MW_PER_MM2, Tank, stock_medium
+from sim.render.stockmedium import stock_medium
+from sim.render.tank import Tank
 from sim.scene import scene_of
 from sim.scene.matter import Water
 from sim.sensor import Webcam

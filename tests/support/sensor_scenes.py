@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from places import SCENES
 
 from lscan.records import Bytes, Floats
-from sim.render.tank import Layers
+from sim.render.layers import Layers
 from sim.scene import Scene, Sensor, load_scene
 from sim.sensor import Webcam
 

@@ -10,8 +10,9 @@ import numpy as np
 from lscan.records import Floats
 from sim.render.judge.photons import PhotonRecords, Waters, shoot
 from sim.render.judge.walks import FAMILIES, CameraWalks
+from sim.render.layers import W_PER_M2_IN_MW_PER_MM2
 from sim.render.plugins.camera import RefractiveCamera
-from sim.render.tank import W_PER_M2_IN_MW_PER_MM2, Tank
+from sim.render.tank import Tank
 from sim.scene import camera_pose, head_pose
 
 Window = tuple[int, int, int, int]

@@ -15,7 +15,8 @@ from lscan.config.rig import StripeSection
 from lscan.records import Bytes, Profile, Stripe
 from lscan.stripe import extract_stripe
 from lscan.surface.profile import to_profile
-from sim.render.tank import Layers, Tank
+from sim.render.layers import Layers
+from sim.render.tank import Tank
 from sim.scene import Scene
 from sim.sensor import Webcam
 from sim.sensor.speckle import speckle_contrast

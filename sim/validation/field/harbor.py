@@ -19,7 +19,8 @@ from lscan.config.documents import merge
 from lscan.config.rigfile import parse_rig
 from lscan.records import Floats
 from lscan.stripe import extract_stripe
-from sim.render.tank import Layers, Tank
+from sim.render.layers import Layers
+from sim.render.tank import Tank
 from sim.scene import Scene, load_scene, scene_of
 from sim.scene.instrument import LaserLine
 from sim.validation.accuracy.exposures import pictures

@@ -19,7 +19,8 @@ from lscan.records import Floats, Marks, Status
 from lscan.stripe import extract_stripe
 from sim.datasets.views import held_scenes
 from sim.devices import metered
-from sim.render.tank import Layers, Tank
+from sim.render.layers import Layers
+from sim.render.tank import Tank
 from sim.scene import Scene, camera_pose, load_scene
 from sim.sensor import Webcam
 from sim.truth import board_truth, stripe_truth

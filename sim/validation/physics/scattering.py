@@ -12,7 +12,9 @@ from scipy.stats import t as student
 
 from lscan.records import Floats, Mask, Status
 from sim.render.judge.judged import JudgeEffort, judge
-from sim.render.tank import W_PER_M2_IN_MW_PER_MM2, Tank, stock_medium
+from sim.render.layers import W_PER_M2_IN_MW_PER_MM2
+from sim.render.stockmedium import stock_medium
+from sim.render.tank import Tank
 from sim.scene import Scene
 from sim.truth import StripeTruth, stripe_truth
 from sim.validation.physics.rigs import scene_with

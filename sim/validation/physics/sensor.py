@@ -7,7 +7,8 @@ from typing import Any, Literal
 import numpy as np
 
 from lscan.records import Floats
-from sim.render.tank import Layers, Tank
+from sim.render.layers import Layers
+from sim.render.tank import Tank
 from sim.scene import PlanePort, Scene
 from sim.sensor import Webcam
 from sim.sensor.speckle import speckle_contrast

@@ -21,7 +21,7 @@ from lscan.records import Status
 from sim.cli.app import app
 from sim.datasets.files import TruthTable, taken_at, write_render, write_truth
 from sim.datasets.labels import Label, colour_labels, label_scene
-from sim.render.tank import Layers
+from sim.render.layers import Layers
 from sim.scene import Scene, load_scene, scene_of
 from sim.truth import board_truth, line_brightness, stripe_truth
 

@@ -19,7 +19,7 @@ from sim.datasets.labels import (
     line_sigma_px,
     one_step_w_m2_sr,
 )
-from sim.render.tank import Layers
+from sim.render.layers import Layers
 from sim.scene import Scene
 from sim.sensor import Webcam
 from sim.truth import StripeTruth, stripe_truth

@@ -25,7 +25,7 @@ from sim.datasets.labels import one_step_w_m2_sr
 from sim.datasets.lines import line_case, line_truths
 from sim.datasets.suite import make_cached_suite, make_suite
 from sim.datasets.suitespec import covering, load_suite_spec
-from sim.render.tank import Layers
+from sim.render.layers import Layers
 
 SMALL = """
 name = "small"

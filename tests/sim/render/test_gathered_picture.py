@@ -13,7 +13,8 @@ import numpy as np
 import pytest
 from places import ROOT
 
-from sim.render.tank import Layers, Tank
+from sim.render.layers import Layers
+from sim.render.tank import Tank
 from sim.scene import LaserLine, Scene, load_scene
 from sim.scene.instrument import Drift
 from sim.scene.matter import Sand

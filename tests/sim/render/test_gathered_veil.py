@@ -13,9 +13,10 @@ from lscan.records import Floats
 from sim.render.gathered.smooth import smoothed
 from sim.render.gathered.veil import STEP, HigherVeil
 from sim.render.judge.judged import JudgeEffort, judge
+from sim.render.layers import W_PER_M2_IN_MW_PER_MM2
 from sim.render.plugins.sheet import LaserSheet
 from sim.render.sparse.rays import HeadRays, head_rays
-from sim.render.tank import W_PER_M2_IN_MW_PER_MM2, Tank
+from sim.render.tank import Tank
 from sim.scene import Laser, head_pose, load_scene
 from sim.validation.physics.gallery import shrunk
 from sim.water import HenyeyGreensteinMixture, Optics

@@ -19,8 +19,9 @@ from lscan.records import Floats
 from sim.render.judge.cells import SLIVER, CellRecords, SurfaceCells
 from sim.render.judge.judged import JudgeEffort, judge
 from sim.render.judge.photons import PhotonRecords, Waters, shoot
+from sim.render.layers import W_PER_M2_IN_MW_PER_MM2
 from sim.render.plugins.multiple import MultipleIntegrator
-from sim.render.tank import W_PER_M2_IN_MW_PER_MM2, Tank
+from sim.render.tank import Tank
 from sim.scene import Laser
 from sim.water import Optics
 

@@ -26,7 +26,8 @@ from sim.render.plugins.beams import BeamDensity, beam_density, falloff, line_de
 from sim.render.plugins.integrator import SheetIntegrator
 from sim.render.plugins.multiple import MultipleIntegrator
 from sim.render.plugins.opaque import opaque, opaque_vector
-from sim.render.tank import Tank, stock_medium
+from sim.render.stockmedium import stock_medium
+from sim.render.tank import Tank
 from sim.scene import Laser, Pose
 from sim.scene.matter import AmbientLight, Penumbra
 from sim.water import Optics

@@ -18,9 +18,10 @@ from sim.render.gathered.lines import RAYS, SEGMENTS, LitLine, _segmented
 from sim.render.gathered.received import received
 from sim.render.gathered.reflections import Reflections
 from sim.render.judge.judged import JudgeEffort, judge
+from sim.render.layers import W_PER_M2_IN_MW_PER_MM2
 from sim.render.materials import mitsuba_shape
 from sim.render.plugins.integrator import SheetIntegrator
-from sim.render.tank import W_PER_M2_IN_MW_PER_MM2, Tank
+from sim.render.tank import Tank
 from sim.scene import Laser, Pose, head_pose, load_scene
 from sim.scene.poses import rotation
 

@@ -9,7 +9,7 @@ from sensor_scenes import layers_of, sensor_scene
 from lscan.config.rigfile import RigFile, load_rig, parse_rig
 from lscan.errors import InputError
 from sim.devices import SimCamera, SimTrack, TrackOptions, camera_driver
-from sim.render.tank import Layers
+from sim.render.layers import Layers
 from sim.scene import Scene
 from sim.sensor import Webcam
 

@@ -26,7 +26,8 @@ from lscan.errors import InputError
 from lscan.records import Floats, Status
 from sim.datasets.labels import label_scene, line_sigma_px
 from sim.render.fineness import binned, fineness_of, finer_lens
-from sim.render.tank import Layers, Tank
+from sim.render.layers import Layers
+from sim.render.tank import Tank
 from sim.scene import Scene
 from sim.sensor import Webcam
 from sim.sensor.blur import point_spread

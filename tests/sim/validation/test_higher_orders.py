@@ -7,7 +7,7 @@ import pytest
 
 from lscan.records import Floats
 from sim.render.judge.judged import Judged
-from sim.render.tank import Layers
+from sim.render.layers import Layers
 from sim.scene import Scene
 from sim.truth import stripe_truth
 from sim.validation.physics import higherorders

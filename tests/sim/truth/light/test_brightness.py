@@ -15,7 +15,8 @@ from truth_scenes import tank
 from lscan.config.documents import merge
 from lscan.files.pictures import write_picture
 from lscan.records import Status
-from sim.render.tank import Layers, Tank
+from sim.render.layers import Layers
+from sim.render.tank import Tank
 from sim.scene import Scene
 from sim.scene.matter import Penumbra
 from sim.sensor import Webcam

@@ -3,7 +3,7 @@
 import cv2
 import numpy as np
 
-from sim.render.tank import Layers
+from sim.render.layers import Layers
 from sim.validation.field.harbor import HALO_PX, REST_PX, SPECK, added, steady
 
 SHAPE = (60, 80)
