@@ -48,8 +48,8 @@ class Datum:
     corners : (2, 2) array, mm, left and right one
     rotation : (3, 3) array, of the alignment
     yaw_rad : float, rad, of the alignment
-    by_sides : bool, whether the middle's x is that of the two sides, the last two edges, instead of
-        the corners'
+    by_sides : bool, whether the corners are where the wedges' far edges are at the x that the two
+        sides, the last two edges, say, instead of where the near and the far ones meet
     sheared : bool, False for a scan about a shaft
     """
 
@@ -165,8 +165,12 @@ def _from_edges(datum: Datum) -> Floats:
     """(4, E + 1) turn, lean against the line of the corners, and middle (x, y), from the lean
     and the places of the edges."""
     size = len(datum.edges) + 1
+    sides = np.where(np.arange(size) >= size - 2, 0.5, 0.0)
     corners = []
     for near, far in ((0, 1), (2, 3)):
+        if datum.by_sides:  # where the far edge is at the corner's x, which the sides say
+            corners.append((sides, (sides - np.eye(size)[1 + far]) / datum.edges[far].slope))
+            continue
         # Where x = at + slope y of both edges agree.
         y = np.zeros(size)
         y[[1 + near, 1 + far]] = np.array([-1.0, 1.0]) / (
@@ -178,7 +182,4 @@ def _from_edges(datum: Datum) -> Floats:
     (left_x, left_y), (right_x, right_y) = corners
     turn = (right_y - left_y) / (datum.corners[1, 0] - datum.corners[0, 0])
     lean = np.eye(size)[0] + turn
-    middle_x = (left_x + right_x) / 2
-    if datum.by_sides:
-        middle_x = np.where(np.arange(size) >= size - 2, 0.5, 0.0)
-    return np.stack([turn, lean, middle_x, (left_y + right_y) / 2])
+    return np.stack([turn, lean, (left_x + right_x) / 2, (left_y + right_y) / 2])

@@ -74,8 +74,9 @@ def align_sandwave(surface: Surface, piece: Sandwave, sheared: bool = True) -> A
     they are off by the column, and by the sheet, whose thickness lights an edge ahead of it.
 
     The wedges' tops come to z = wedge.height_mm, the midpoint of the corners W_L and W_R to its
-    nominal place in plan and the line between them along x; where the line's brightness
-    places both sides of the block, the middle's x is theirs.  The yaw makes the block's sides
+    nominal place in plan and the line between them along x; where the line's brightness places both
+    sides of the block, the corners are where the wedges' far edges are at the x that follows from
+    them (the near ones are displaced by false light).  The yaw makes the block's sides
     orthogonal to that line: the left one, as in the paper, and where it is in the scan the
     right one too.  The wedges' edges have a small say as well, being symmetric about that
     line: a side that runs along the track to within a column or two is only known to that.
@@ -162,6 +163,11 @@ def _nominal_middle(piece: Sandwave) -> Floats:
     return (left + right) / 2
 
 
+def _tips_mm(piece: Sandwave) -> float:
+    left, right = piece.wedge_tips_mm()
+    return float(right[0] - left[0])
+
+
 def _select(
     features: Features, pose: BlockPose, piece: Sandwave, window_mm: float
 ) -> dict[str, EdgeCrossings]:
@@ -233,11 +239,13 @@ def _refine(
 class _Edges:
     """The edges fitted in one pose: the wedges' four, then the sides that are in the scan.
 
-    by_brightness: found by how the line's light fades over them.
+    by_brightness: found by how the line's light fades over them.  tips_mm: nominal distance of the
+    corners.
     """
 
     fit: EdgeFit
     by_brightness: bool
+    tips_mm: float
 
     @property
     def by_sides(self) -> bool:
@@ -250,17 +258,23 @@ class _Edges:
 
     @property
     def corners(self) -> Floats:
-        """(2, 2) where the left wedge's edges meet, and where the right one's do."""
-        return np.stack([self.fit.meet(0, 1), self.fit.meet(2, 3)])
+        """(2, 2) where the left wedge's edges meet, and where the right one's do.
+
+        Where the sides say where it lies, it is where the far edges are at the corners' nominal x:
+        the walls below the near ones, which the camera sees, and the rim before them light each
+        other, and the brightness there moves those edges outwards by 0.2 mm.
+        """
+        if not self.by_sides:
+            return np.stack([self.fit.meet(0, 1), self.fit.meet(2, 3)])
+        at, slope, half = self.fit.at_mm, self.fit.slope, self.tips_mm / 2
+        x = at[4:].mean() + np.array([-half, half])
+        y = (x - at[[1, 3]]) / slope[[1, 3]]
+        return np.column_stack([x + self.fit.lean * y, y + self.fit.pivot_mm])
 
     @property
     def middle(self) -> Floats:
-        """(2,) of the corners; its x that of the sides where they place it better."""
-        middle: Floats = self.corners.mean(axis=0)
-        if self.by_sides:
-            tilt = self.fit.lean * (middle[1] - self.fit.pivot_mm)
-            middle[0] = self.fit.at_mm[4:].mean() + tilt
-        return middle
+        """(2,) of the corners."""
+        return np.asarray(self.corners.mean(axis=0), dtype=float)
 
 
 _Finder = Callable[[BlockPose, Mask | None], _Edges]
@@ -272,7 +286,7 @@ def _crossed(selected: Mapping[str, EdgeCrossings], piece: Sandwave) -> _Finder:
 
     def find(pose: BlockPose, kept: Mask | None) -> _Edges:
         in_plan = {name: edge.moved(pose.plan) for name, edge in selected.items()}
-        return _Edges(fit_edges(in_plan, piece.side_mm / 2, kept), by_brightness=False)
+        return _Edges(fit_edges(in_plan, piece.side_mm / 2, kept), False, _tips_mm(piece))
 
     return find
 
@@ -293,7 +307,7 @@ def _fading(
             replace(face, plan=pose.plan(points))
             for points, (_, face) in zip(raw, beside, strict=True)
         ]
-        return _Edges(fit_fading(samples, edges.fit, kept), by_brightness=True)
+        return _Edges(fit_fading(samples, edges.fit, kept), True, _tips_mm(piece))
 
     return find
 

@@ -6,6 +6,7 @@ ends, begins or is creased; between cuts segments are short where the surface is
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from math import exp, log
 
 import drjit as dr
 import mitsuba as mi
@@ -25,6 +26,11 @@ LEAVES = 0.3  # more (sine) out of the tangent plane, the line is cut
 # A turn by a radian gets as many segments as so many mm: of a bend of 5 mm radius, 1.5 rad of it
 # lit, they are a third as long as of a plane.
 BEND_MM = 10.0
+# Standard deviation of a sheet's irradiance over its 1/e2 half width, times how far off, in such, a
+# thin line has to be for as much of its light to fall on a wall that it runs into.  Light t aside
+# gives a place z above the line z / 2 (z2 + t2), the wall up to Z the mean of ln(1 + Z2/t2) / 4;
+# the mean of ln t2 is ln sigma2 - ln 2 - Euler's constant.
+OFF = 0.5 * exp(-(np.euler_gamma + log(2)) / 2)
 
 
 @dataclass(frozen=True)
@@ -34,8 +40,8 @@ class LitLine:
     Attributes
     ----------
     segments : Float, 12 numbers each: middle, half its length in mm; the surface's normal, the
-        power in mW that it sends into the water; the unit vector along it, how far its middle
-        lies off the chord, mm
+        power in mW that it sends into the water; the unit vector along it, how far its light
+        lies off it, mm: the bent middle off the chord, and the sheet's thickness
     clusters : Float, 8 numbers for each of CLUSTERS: middle, half its length; normal, power
     """
 
@@ -61,10 +67,11 @@ def lit_line(
     lit = si.is_valid()
     arrived = dr.select(lit, sheet.power_density(phi) * arriving(si.t), 0.0)
     normal = facing(si)
-    columns = [arrived * reflectance(si) * step, si.p, normal]
+    off = dr.select(lit, OFF * sheet.half_width(si.t), 0.0)
+    columns = [arrived * reflectance(si) * step, si.p, normal, off]
     dr.eval(columns)
-    power, point, normals = (np.array(column, dtype=float) for column in columns)
-    return _segmented(power, point.T, normals.T)
+    power, point, normals, off_mm = (np.array(column, dtype=float) for column in columns)
+    return _segmented(power, point.T, normals.T, off_mm)
 
 
 def facing(si: mi.SurfaceInteraction3f) -> mi.Vector3f:
@@ -78,8 +85,8 @@ def facing(si: mi.SurfaceInteraction3f) -> mi.Vector3f:
     return dr.select(mi.Frame3f.cos_theta(si.wi) < 0, -normal, normal)
 
 
-def _segmented(power: Floats, point: Floats, normal: Floats) -> LitLine:
-    """Segments of what (RAYS,) rays lit."""
+def _segmented(power: Floats, point: Floats, normal: Floats, off_mm: Floats) -> LitLine:
+    """Segments of what (RAYS,) rays lit, whose light lies so far off them."""
     runs, weight = _runs(power > 0, point, normal)
     segments = np.zeros((SEGMENTS, 12))
     if len(runs):
@@ -95,7 +102,8 @@ def _segmented(power: Floats, point: Floats, normal: Floats) -> LitLine:
         segments[:, 7] = np.interp(high.place, each, sent) - np.interp(low.place, each, sent)
         segments[:, 8:11] = chord / np.maximum(length, 1e-12)
         between = (rays.of(point, low) + rays.of(point, high)) / 2
-        segments[:, 11] = np.linalg.norm(segments[:, :3] - between, axis=1)
+        bent = np.linalg.norm(segments[:, :3] - between, axis=1)
+        segments[:, 11] = np.hypot(bent, np.interp(middle.place - 0.5, each[:-1], off_mm))
     return LitLine(aligned(segments), aligned(_clusters(segments)))
 
 

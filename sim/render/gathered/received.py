@@ -121,7 +121,8 @@ def _nearby(
         along = mi.Vector3f(axis.x, axis.y, axis.z)
         leaving = -dr.dot(mi.Vector3f(upright.x, upright.y, upright.z), offset)
         middle, slope = dr.dot(along, offset), dr.dot(normal, along)
-        # No closer than a bent surface is known.
+        # No closer than the light lies off the segment: a line without thickness would be
+        # endlessly bright beside it, where facets rise above each other's planes.
         height2 = dr.squared_norm(offset - middle * along) + dr.square(AROUND * axis.w)
         fixed = dr.dot(normal, offset) - slope * middle
         shape = leaving * _segment(middle, place.w, fixed, slope, height2)

@@ -14,7 +14,7 @@ from sim.meshes import MeshPart, scene_parts
 from sim.meshes.parts import moved, plain_mesh
 from sim.render.ambient.field import reflectance
 from sim.render.gathered.bounces import lasting
-from sim.render.gathered.lines import RAYS, SEGMENTS, LitLine, _segmented
+from sim.render.gathered.lines import OFF, RAYS, SEGMENTS, LitLine, _segmented, facing, lit_line
 from sim.render.gathered.received import received
 from sim.render.gathered.reflections import Reflections
 from sim.render.judge.judged import JudgeEffort, judge
@@ -98,7 +98,7 @@ def long_line() -> LitLine:
     x = (np.arange(RAYS) + 0.5) * 20_000 / RAYS - 10_000
     point = np.column_stack([x, np.zeros((RAYS, 2))])
     power = np.full(RAYS, 20_000 / RAYS)
-    return _segmented(power, point, np.tile([0.0, 0.0, 1.0], (RAYS, 1)))
+    return _segmented(power, point, np.tile([0.0, 0.0, 1.0], (RAYS, 1)), np.zeros(RAYS))
 
 
 def from_line(line: LitLine, y_mm: Floats, z_mm: Floats, normal: list[float]) -> Floats:
@@ -194,6 +194,28 @@ def test_a_screen_hides_the_line() -> None:
     assert np.all(behind[:2] == 0) and np.all(open_wall > 0)
     # From x < 0 alone the ray to z = 119 passes over the screen: at 90 it is above 60 there.
     assert 0 < behind[2] < open_wall[2]
+
+
+def test_a_line_on_facets_lights_a_hollow_sphere_evenly() -> None:
+    """On the line itself too: what is sent from anywhere in a sphere of the radius r is received
+    everywhere as 1 / (4 pi r2) of it (the law of the integrating sphere).  Of light that is taken
+    for d off its line 1 - t4 / (t2 + d2)2 is missing t away: 3/2 pi d over all of it.  Facets may
+    lose what comes from less than their own length away; nothing makes them brighter."""
+    radius, half_angle = 50.0, 40.0
+    ball = trimesh.creation.icosphere(subdivisions=5, radius=radius)
+    part = MeshPart("ball", plain_mesh(ball.vertices, ball.faces), 0.5, smooth=True)
+    scene = mi.load_dict({"type": "scene", "ball": mitsuba_shape(part, 1.33)})
+    laser = Laser(power_mw=10.0, apex_mm=[0.0, 0.0, 0.0], fan_half_angle_deg=half_angle)
+    line = lit_line(scene, make_sheet(laser), dr.ones_like)
+    phi, aside = np.meshgrid(np.radians(np.linspace(-35, 35, 401)), [0.0, 0.003, 0.1, 1.0])
+    along = np.array([np.sin(phi), aside / radius, -np.cos(phi)], np.float32).reshape(3, -1)
+    si = scene.ray_intersect(mi.Ray3f(mi.Point3f(0), dr.normalize(mi.Vector3f(along))))
+    close, far = received(line, si.p, facing(si), mi.Float(0), mi.Bool(True))
+    even = laser.power_mw * part.albedo / (4 * pi * radius**2)
+    share = np.array(close + far)[np.array(si.is_valid())] / even
+    near = 1.5 * pi * OFF * laser.waist_mm + 2 * ball.edges_unique_length.max()
+    missing = near / (2 * radians(half_angle) * radius)
+    assert np.all((1 - missing - AS_POINTS < share) & (share < 1 + AS_POINTS))
 
 
 def test_patches_light_each_other() -> None:

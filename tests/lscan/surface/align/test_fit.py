@@ -13,7 +13,8 @@ from lscan.errors import InputError, MeasurementError
 from lscan.measure import compare_slice
 from lscan.records import Floats, Status, Surface
 from lscan.surface import Alignment, align_sandwave, apply, level, levelling_step, resample, shear
-from lscan.surface.align.edges import EdgeCrossings, fit_edges
+from lscan.surface.align.edges import EdgeCrossings, EdgeFit, fit_edges
+from lscan.surface.align.fit import _Edges
 from lscan.surface.align.levelling import plane_normal
 
 PIECE = Sandwave()
@@ -114,6 +115,21 @@ def test_an_edge_crossed_too_rarely_is_named() -> None:
 
 
 # Whole scans
+
+
+@pytest.mark.parametrize("lean", [0.0, 0.01])
+def test_false_light_at_the_near_edges_does_not_move_the_corners(lean: float) -> None:
+    """Where both sides are known; else they move by half of what the near edge does along x."""
+    slope = 26 / 30 * np.array([1, -1, -1, 1, 0, 0])
+    place = np.array([-4.0, -4.0, 154.0, 154.0, -30.0, 180.0])
+    outwards = np.array([-0.3, 0.0, 0.3, 0.0, 0.0, 0.0])
+    every = EdgeFit(place + outwards, slope, lean, 75.0, np.zeros((7, 7)), np.ones(0, dtype=bool))
+    four = replace(every, at_mm=every.at_mm[:4], slope=slope[:4])
+    true = np.array([[-4.0, 75.0], [154.0, 75.0]])
+    np.testing.assert_allclose(_Edges(every, True, 158.0).corners, true, atol=1e-12)
+    moved = _Edges(four, True, 158.0).corners - true
+    np.testing.assert_allclose(moved[:, 1], 0.15 / (26 / 30), rtol=1e-9)
+    np.testing.assert_allclose(moved[:, 0] - lean * moved[:, 1], [-0.15, 0.15], rtol=1e-9)
 
 
 def yaw_error_deg(alignment: Alignment, placing: Placing) -> float:
