@@ -119,7 +119,7 @@ class StudyRunning:
         at_once = 1 if self.options.workers == "none" else self.options.workers
         cost = cost_estimate(source, rows, store, at_once)
         if cost.rows:
-            left = f"{cost.rows} {tier} runs to go, {cost.row_s:.2g} s each"
+            left = f"{cost.rows} {tier} runs to go, {cost.row_s:.2g} s each, {at_once} at a time"
             self.say(f"{left}: about {cost.seconds:.0f} s")
         return source, store
 
