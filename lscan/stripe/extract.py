@@ -19,6 +19,7 @@ from lscan.stripe.corrections.smoothing import smooth
 from lscan.stripe.edges import doubted
 from lscan.stripe.lines import PictureLines, check_pair, faint_threshold, lines_of
 from lscan.stripe.noise.along import at_least_seen
+from lscan.stripe.noise.coding import is_coded
 from lscan.stripe.noise.model import difference_noise
 from lscan.stripe.peaks import clipped_near
 from lscan.stripe.returns import OneReturn, choose_return, withhold
@@ -40,7 +41,8 @@ def extract_stripe(
     contrast of the texture beside the line (edges.py).
 
     Where the settings do not state the noise, sigma_px is at least what the centres are seen to
-    scatter about their neighbours along the line (noise/along.py).
+    scatter about their neighbours along the line (noise/along.py).  What they state does not hold
+    in a picture that was compressed as JPEG is, and is left out there (noise/coding.py).
 
     Parameters
     ----------
@@ -132,6 +134,8 @@ def _light(
     if settings.channel == "auto" and lit.others is not None:
         threshold_dn = min(settings.threshold_dn, faint_threshold(lit.grey))
         settings = settings.model_copy(update={"threshold_dn": threshold_dn})
+    if settings.noise is not None and is_coded(lit.grey):
+        settings = settings.model_copy(update={"noise": None})
     taken_off: list[GreyValues] = [] if lit.others is None else [lit.others]
     if background is not None:
         dark = lines_of(background, lit.channel, settings.axis, "background", lit.clipping_dn)

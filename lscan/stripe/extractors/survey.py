@@ -114,8 +114,11 @@ def surveys(pictures: Sequence[Picture]) -> list[Survey | Stripe]:
     """
     found = [_found(*picture) for picture in pictures]
     noted = [one for one in found if isinstance(one, _Found)]
-    known = iter(_surveyed(noted))
-    return [next(known) if isinstance(one, _Found) else one for one in found]
+    known = {
+        stated: iter(_surveyed([one for one in noted if one.states_noise == stated]))
+        for stated in (False, True)
+    }
+    return [next(known[one.states_noise]) if isinstance(one, _Found) else one for one in found]
 
 
 @dataclass(frozen=True)
@@ -134,6 +137,11 @@ class _Found:
     view: LineWindows
     start: Floats
     sample: Ints
+
+    @property
+    def states_noise(self) -> bool:
+        """Whether the settings do."""
+        return self.settings.noise is not None
 
 
 def _found(image: GreyValues, settings: StripeSection, clipped: Mask) -> _Found | Stripe:
@@ -158,8 +166,8 @@ def _found(image: GreyValues, settings: StripeSection, clipped: Mask) -> _Found 
 def _surveyed(found: Sequence[_Found]) -> list[Survey]:
     """The surveys of pictures with a line, from the fits to a sample of it in each.
 
-    The noise is that found before where the settings state it, else as the lines' residuals have
-    it.
+    The settings of all state the noise, or of none.  It is that found before where they do, else
+    as the lines' residuals have it.
     """
     searches = []
     for one in found:
@@ -169,7 +177,7 @@ def _surveyed(found: Sequence[_Found]) -> list[Survey]:
         searches.append(search.of(one.sample))
     places = [select(one.peaks, one.sample) for one in found]
     fits, scatters = _fitted(searches, places)
-    for _ in range(_NOISE_TURNS if found and found[0].settings.noise is None else 0):
+    for _ in range(_NOISE_TURNS if found and not found[0].states_noise else 0):
         searches = [
             replace(search, start=fit.parameters, noise=scatter.noise(one.noise.constant))
             for one, search, fit, scatter in zip(found, searches, fits, scatters, strict=True)
