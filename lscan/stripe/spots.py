@@ -214,12 +214,13 @@ def brightest(column: Ints, light: Floats, most: int) -> Mask:
     light : (K,) array, what they are compared by
     most : int, of a column
     """
-    if len(column) == 0 or np.bincount(column).max() <= most:
-        return np.ones(len(column), dtype=bool)
-    order = np.lexsort((-light, column))
-    begin = np.searchsorted(column, column[order])  # of each spot's column, for they rise
-    mask = np.zeros(len(column), dtype=bool)
-    mask[order[np.arange(len(column)) - begin < most]] = True
+    mask = np.ones(len(column), dtype=bool)
+    crowded = np.flatnonzero(np.bincount(column)[column] > most) if len(column) else column
+    if len(crowded):
+        within = column[crowded]
+        order = np.lexsort((-light[crowded], within))
+        rank = np.arange(len(order)) - np.searchsorted(within, within)  # for columns rise
+        mask[crowded[order[rank >= most]]] = False
     return mask
 
 

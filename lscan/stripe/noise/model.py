@@ -63,7 +63,8 @@ class Noise:
         variance: Floats = np.maximum(light + veil, 0.0)
         variance *= self.per_dn
         variance += self.constant
-        variance += np.square(self.speckle * light)
+        if np.any(self.speckle):
+            variance += np.square(self.speckle * light)
         return variance
 
 
