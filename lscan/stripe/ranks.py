@@ -23,7 +23,7 @@ def crests(columns: GreyValues) -> Ints:
     array([2])
     """
     # NumPy finds the place of the highest float sooner than that of the highest integer.
-    floats = columns if columns.dtype == np.float64 else columns.astype(np.float32)
+    floats = columns if columns.dtype == np.float64 else columns.astype(np.float32, copy=False)
     return floats.argmax(axis=1)
 
 
@@ -42,7 +42,7 @@ def ranked(columns: GreyValues, rank: int) -> Floats:
     array([7.])
     """
     if not np.issubdtype(columns.dtype, np.integer):
-        return _ranked_singles(columns.astype(np.float32), rank)
+        return _ranked_singles(columns.astype(np.float32, copy=False), rank)
     # To count the pixels up to a grey value takes a thirtieth of a partial sort.  The search begins
     # at a value that most columns are near to, and goes from there in steps twice as long each.
     sample = np.sort(columns[::_SPARSE, ::_SPARSE], axis=None)  # many agree: no partial sort
@@ -94,7 +94,7 @@ def medians(columns: GreyValues) -> Floats:
     array([5.])
     """
     if not np.issubdtype(columns.dtype, np.integer):
-        columns = columns.astype(np.float32)
+        columns = columns.astype(np.float32, copy=False)
     half = columns.shape[1] // 2
     upper = ranked(columns, half)
     if columns.shape[1] % 2:

@@ -88,7 +88,8 @@ def _opened(values: Singles, size: int, rows: slice) -> Singles:
     values = values if whole else values[first - reach : last + reach]
     for extreme, nothing in ((np.minimum, np.inf), (np.maximum, -np.inf)):
         if whole:
-            values = np.pad(values, ((half, half), (0, 0)), constant_values=nothing)
+            edge = (half, half, 0, 0, cv2.BORDER_CONSTANT)
+            values = np.asarray(cv2.copyMakeBorder(values, *edge, value=nothing), np.float32)
         done = 1
         while done < size:
             step = min(done, size - done)

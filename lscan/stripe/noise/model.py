@@ -28,7 +28,7 @@ _SECOND_DIFFERENCE_GAIN = 6.0
 
 _COLUMNS_SAMPLED = 64
 _FEWEST_TRIPLES = 16
-_MOST_COUNTED = 4096  # larger ones are sorted: no picture holds many
+_MOST_DN = 2**13  # so far second differences of 16 bits do not overflow
 _CUTS, _KEPT = 3, 0.97334  # of robust_variance, which says where they come from
 
 
@@ -107,6 +107,8 @@ def constant_variance(columns: GreyValues) -> float:
     """
     sample = columns[sampled(len(columns))]
     whole = np.issubdtype(sample.dtype, np.integer)
+    if not whole and np.abs(sample).max() < _MOST_DN:
+        whole = bool((sample.astype(np.int16) == sample).all())
     # Differences of bytes would overflow, those of single precision are rounded.
     differences = np.diff(sample.astype(np.int16 if whole else np.float64), n=2, axis=1)
     least = _SECOND_DIFFERENCE_GAIN * ROUNDING_VARIANCE
@@ -195,13 +197,19 @@ def robust_variance(values: GreyValues, least: float = 0.0) -> float:
 
     Parameters
     ----------
-    values : array, of any shape and unit; whole numbers are counted, not sorted
+    values : array, of any shape and unit; integers are counted, not sorted
     least : float, a variance there is in any case, where the search starts if most values agree
     """
     if values.size == 0:
         return 0.0
-    sizes, count = _counted(np.abs(values).ravel())
-    up_to, squares = count.cumsum(), (count * sizes**2).cumsum()
+    sizes = np.abs(values).ravel()
+    if np.issubdtype(values.dtype, np.integer):
+        count = np.bincount(sizes)
+        sizes = np.arange(len(count))
+        up_to, squares = count.cumsum(), (count * sizes**2).cumsum()
+    else:
+        sizes = np.sort(sizes)
+        up_to, squares = np.arange(1, sizes.size + 1), np.square(sizes).cumsum()
     middle = up_to.searchsorted([(up_to[-1] - 1) // 2, up_to[-1] // 2], side="right")
     variance = max((1.4826 * float(sizes[middle].mean())) ** 2, least)
     for _ in range(_CUTS):
@@ -210,18 +218,3 @@ def robust_variance(values: GreyValues, least: float = 0.0) -> float:
             break
         variance = float(squares[last] / up_to[last]) / _KEPT
     return variance
-
-
-def _counted(sizes: GreyValues) -> tuple[GreyValues, Ints]:
-    """(M,) sizes of (N,), rising, and how often each is there: whole ones are not sorted."""
-    if np.issubdtype(sizes.dtype, np.integer):
-        count = np.bincount(sizes)
-        return np.arange(len(count)), count
-    whole = np.rint(sizes)
-    others = (whole != sizes) | (whole > _MOST_COUNTED)
-    if 2 * np.count_nonzero(others) >= len(sizes):
-        return np.sort(sizes), np.ones(len(sizes), dtype=np.int64)
-    count = np.bincount(whole[~others].astype(np.int64))
-    every = np.concatenate([np.arange(len(count)), sizes[others]])
-    order = np.argsort(every, kind="stable")
-    return every[order], np.append(count, np.ones(len(every) - len(count), np.int64))[order]
