@@ -16,6 +16,7 @@ from sim.meshes import MeshPart, scene_parts
 from sim.render.ambient.field import AmbientField, OpenSky, sky_of
 from sim.render.ambient.picture import ambient_picture
 from sim.render.fineness import binned, fineness_of, finer_lens
+from sim.render.flushing import flushing
 from sim.render.gathered.picture import GatheredLight, reason_for_random
 from sim.render.materials import mitsuba_shape
 from sim.render.plugins.base import WaterIntegrator
@@ -94,6 +95,7 @@ class Tank:
     by up to 4e-3 for 2 nm (the photons' noise of both tables included).
     """
 
+    @flushing()
     def __init__(self, scene: Scene, *, sampled: bool = False) -> None:
         """Load meshes and plugins.
 
@@ -219,6 +221,7 @@ class Tank:
         for sheet in self.sheets:
             sheet.place(pose, velocity)
 
+    @flushing()
     def render(
         self,
         position_mm: float,
@@ -298,6 +301,7 @@ class Tank:
         ray = dr.gather(mi.Ray3f, rays.seen_from(head_pose(head, position_mm)), inner)
         return ray, dr.gather(mi.Float, rays.weight, inner)
 
+    @flushing()
     def higher_orders(self, position_mm: float, samples: int | None = None) -> dict[str, Radiance]:
         """The laser's light of higher orders, (H, W) in W/(m2 sr), gathered, by families.
 
