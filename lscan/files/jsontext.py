@@ -8,12 +8,13 @@ from pydantic_core import to_jsonable_python
 from lscan.files.disk import write_atomically
 
 
-def json_text(value: object) -> str:
+def json_text(value: object, *, compact: bool = False) -> str:
     """A value as JSON text, without a line end; numbers that are not finite as null.
 
     Parameters
     ----------
     value : of JSON types, records, paths and NumPy's numbers and arrays
+    compact : bool, on one line, without spaces: many times faster
 
     Examples
     --------
@@ -24,7 +25,7 @@ def json_text(value: object) -> str:
     }
     """
     plain = to_jsonable_python(value, inf_nan_mode="null", fallback=lambda other: other.tolist())
-    return json.dumps(plain, indent=2)
+    return json.dumps(plain, separators=(",", ":")) if compact else json.dumps(plain, indent=2)
 
 
 def write_json(file: Path, value: object) -> None:

@@ -189,12 +189,11 @@ def picture_files(tank: Any, scene: Scene, drawn: Mapping[str, float]) -> dict[s
         "tank": at.scene.tank.model_dump(mode="json"),
         "rle": {label.name: run_lengths(labels == label) for label in Label},
     }
-    text = json.dumps(json.loads(json_text(content)), separators=(",", ":"))
     found = (
         encoded(image, ".png", PNG_NOISY),
         encoded(labels, ".png", PNG_FAST),
         _zipped(arrays),
-        text.encode(),
+        json_text(content, compact=True).encode(),
     )
     return dict(zip(MEMBERS, found, strict=True))
 

@@ -31,10 +31,12 @@ from pydantic import TypeAdapter
 from lscan.errors import InputError, LscanError
 from lscan.files.disk import cache_folder, write_atomically
 from sim.debian import found_or_installed
+from sim.render.flushing import CAN_FLUSH
 
 LLVM, CUDA = "llvm_ad_mono", "cuda_ad_mono"
 OLDEST_MAJOR = 15  # Dr.Jit itself refuses whatever lacks opaque pointers
 PACKAGES = ("libllvm19", "libllvm20", "libllvm21", "libllvm18", "libllvm17")
+THREADS = "LSCAN_THREADS"  # environment variable: Dr.Jit's threads, if not one for each core
 LEAST_THREADS = 2
 PROBE_TIMEOUT_S = 120.0  # a probe takes about 1 s; this is for a machine under heavy load
 
@@ -95,7 +97,8 @@ def load_mitsuba() -> ModuleType:
     """The module ``mitsuba`` with its variant set, safe to render with.
 
     The variant is ``llvm_ad_mono``, or ``cuda_ad_mono`` where the environment variable
-    LSCAN_VARIANT asks for it.  Sets DRJIT_LIBLLVM_PATH for this process and its children.
+    LSCAN_VARIANT asks for it, with LSCAN_THREADS threads, or one for each core.  Sets
+    DRJIT_LIBLLVM_PATH for this process and its children.
     Raises BackendError where Mitsuba is missing or nothing on this machine can run it.
     """
     mitsuba = sys.modules.get("mitsuba")
@@ -116,11 +119,18 @@ def load_mitsuba() -> ModuleType:
         raise BackendError(f"LSCAN_VARIANT: got {variant!r} (allowed: {LLVM}, {CUDA})")
     mitsuba = importlib.import_module("mitsuba")
     mitsuba.set_variant(variant)
-    # The one thread of a single core keeps numbers below 1e-38, which Dr.Jit's own threads take for
-    # 0: scattered light would differ by up to 0.3 % with the number of cores.
     drjit = importlib.import_module("drjit")
-    drjit.set_thread_count(max(LEAST_THREADS, drjit.thread_count()))
+    drjit.set_thread_count(_threads(drjit.thread_count()))
     return mitsuba
+
+
+def _threads(usual: int) -> int:
+    """How many threads Dr.Jit gets: pictures are the same with any number of them."""
+    said = os.environ.get(THREADS) or str(usual)
+    if not said.isdecimal() or int(said) < 1:
+        raise BackendError(f"{THREADS}: got {said!r} (allowed: a number of threads, 1 or more)")
+    # A lone thread would keep numbers below 1e-38, which Dr.Jit's own threads take for 0.
+    return int(said) if CAN_FLUSH else max(LEAST_THREADS, int(said))
 
 
 def find_llvm(candidates: Iterable[Path] | None = None, probe: Probe | None = None) -> Library:

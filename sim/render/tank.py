@@ -14,6 +14,7 @@ from sim.meshes import MeshPart, scene_parts
 from sim.render.ambient.field import AmbientField, OpenSky, sky_of
 from sim.render.ambient.picture import ambient_picture
 from sim.render.fineness import finer_lens
+from sim.render.flushing import flushing
 from sim.render.gathered.picture import GatheredLight, reason_for_random
 from sim.render.layers import W_PER_M2_IN_MW_PER_MM2, Layers, Radiance
 from sim.render.materials import mitsuba_shape
@@ -50,6 +51,7 @@ class Tank:
     by up to 4e-3 for 2 nm (the photons' noise of both tables included).
     """
 
+    @flushing()
     def __init__(self, scene: Scene, *, sampled: bool = False) -> None:
         """Load meshes and plugins.
 
@@ -175,6 +177,7 @@ class Tank:
         for sheet in self.sheets:
             sheet.place(pose, velocity)
 
+    @flushing()
     def render(
         self,
         position_mm: float,
@@ -254,6 +257,7 @@ class Tank:
         ray = dr.gather(mi.Ray3f, rays.seen_from(head_pose(head, position_mm)), inner)
         return ray, dr.gather(mi.Float, rays.weight, inner)
 
+    @flushing()
     def higher_orders(self, position_mm: float, samples: int | None = None) -> dict[str, Radiance]:
         """The laser's light of higher orders, (H, W) in W/(m2 sr), gathered, by families.
 

@@ -14,8 +14,10 @@ import numpy as np
 from distributed import Client, Future, KilledWorker, LocalCluster, WorkerPlugin, as_completed
 from distributed.comm import CommClosedError
 
+from lscan.acquisition.inorder import cores
 from lscan.errors import InputError, LscanError
 from lscan.records import Floats
+from sim.render.backend import THREADS
 from sim.studies.batches import Batches
 from sim.studies.store import Batch, Results
 from sim.studies.worker import ProblemSource, evaluate_rows
@@ -28,6 +30,8 @@ CLOSE_S = 10.0
 RECOUNT_S = 2.0  # between counts of a cluster's workers, each of which costs a few ms
 
 _ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"), "1")
+# Dr.Jit's threads wait for work at full speed: as many workers as cores need them themselves.
+_ONE_EACH = _ONE_THREAD | {THREADS: "1"}
 _LOCAL = {
     "distributed.scheduler.allowed-failures": ATTEMPTS - 1,
     # A machine that sleeps, or compiled code that keeps Python's lock, is no dead worker.
@@ -100,7 +104,7 @@ def _local_client(workers: int) -> Iterator[Client]:
                 dashboard_address="127.0.0.1:0",
                 memory_limit=0,  # nothing for Dask to watch: workers keep no results
                 silence_logs=logging.CRITICAL,  # the rows' statuses tell what became of them
-                env=_ONE_THREAD,
+                env=_ONE_EACH if workers >= cores() else _ONE_THREAD,
             )
             client = Client(cluster, set_as_default=False)
             try:

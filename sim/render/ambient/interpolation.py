@@ -6,6 +6,7 @@ from scipy.spatial import cKDTree
 
 from lscan.records import Floats, Ints
 from sim.render.ambient.lattice import SurfaceNodes
+from sim.render.flushing import flushing
 
 NEAREST = 8  # samples for each node
 # How much farther off, mm, a sample counts whose normal differs by 1 (60 degrees), and one of
@@ -37,7 +38,8 @@ class Interpolation:
         """
         place = np.column_stack([nodes.point_mm, NORMAL_MM * nodes.normal, APART_MM * nodes.part])
         count = min(NEAREST, len(samples))
-        found = cKDTree(place[samples]).query(place[wanted], np.arange(1, count + 1))
+        with flushing(False):  # the tree cuts at the next number beside 0, and must not find 0
+            found = cKDTree(place[samples]).query(place[wanted], np.arange(1, count + 1))
         distance, self.near = np.asarray(found[0]), np.asarray(found[1])
         offset = nodes.point_mm[samples][self.near] - nodes.point_mm[wanted, np.newaxis]
         above = np.abs(np.einsum("nki,ni->nk", offset, nodes.normal[wanted]))

@@ -7,7 +7,7 @@ reflections, is one matrix.
 import hashlib
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from math import ceil, pi
+from math import pi
 
 import drjit as dr
 import mitsuba as mi
@@ -75,9 +75,8 @@ class Bounces:
         self._lattice = NodeLattice(scene, parts, box_mm, spacing_mm)
         kept = kept_arrays(_name(parts, water), lambda: _tables(scene, self._lattice, water))
         index, self._more = kept["index"].astype(np.intp), kept["more"]
-        self._near = mi.UInt32(kept["near"].astype(np.uint32).ravel())
-        self._shares = mi.Float(kept["shares"].ravel())
-        self._nodes, self._each = kept["near"].shape
+        self._near = [mi.UInt32(np.ascontiguousarray(k, np.uint32)) for k in kept["near"].T]
+        self._shares = [mi.Float(np.ascontiguousarray(share)) for share in kept["shares"].T]
         nodes = self._lattice.nodes
         point, normal = (
             np.ascontiguousarray(values[index].T, dtype=np.float32)
@@ -101,26 +100,24 @@ class Bounces:
         ----------
         values : sequence of (N,) arrays, which are read in groups of four
         """
-        groups = ceil(len(values) / 4)
-        columns = np.zeros((len(self._more), 4 * groups), np.float32)
-        columns[:, : len(values)] = np.stack(values, axis=-1)
-        patches = aligned(columns)
-        lane = dr.arange(mi.UInt32, self._nodes * groups)
-        node, group, total = lane // groups, lane % groups, mi.Vector4f(0)
-        for k in range(self._each):
-            place = self._each * node + k
-            near = dr.gather(mi.UInt32, self._near, place)
-            value = dr.gather(mi.Vector4f, patches, groups * near + group)
-            total += dr.gather(mi.Float, self._shares, place) * value
-        return PatchField(self._lattice, dr.ravel(total), len(values))
+        groups = []
+        for first in range(0, len(values), 4):
+            columns, total = np.zeros((len(self._more), 4), np.float32), mi.Vector4f(0)
+            for column, value in enumerate(values[first : first + 4]):
+                columns[:, column] = value
+            patches = aligned(columns)
+            for near, share in zip(self._near, self._shares, strict=True):
+                total += share * dr.gather(mi.Vector4f, patches, near)
+            groups.append(dr.ravel(total))
+        return PatchField(self._lattice, tuple(groups), len(values))
 
 
 @dataclass(frozen=True)
 class PatchField:
-    """Numbers known at the lattice's nodes, in groups of four for each."""
+    """Numbers known at the lattice's nodes, in groups of four; count: of all numbers of a node."""
 
     lattice: NodeLattice
-    values: mi.Float
+    groups: tuple[mi.Float, ...]
     count: int
 
     def at(self, si: mi.SurfaceInteraction3f) -> list[mi.Float]:
@@ -130,13 +127,11 @@ class PatchField:
         ----------
         si : SurfaceInteraction3f, the places
         """
-        active, groups = si.is_valid(), ceil(self.count / 4)
+        active, totals = si.is_valid(), [mi.Vector4f(0) for _ in self.groups]
         about = self.lattice.find(si, active)
-        totals = [mi.Vector4f(0) for _ in range(groups)]
         for node, weight in zip(about.index, about.weight, strict=True):
-            for group in range(groups):
-                place = groups * node + group
-                totals[group] += weight * dr.gather(mi.Vector4f, self.values, place, active)
+            for total, values in zip(totals, self.groups, strict=True):
+                total += weight * dr.gather(mi.Vector4f, values, node, active)
         numbers = [number for total in totals for number in total]
         return [dr.maximum(number, 0) for number in numbers[: self.count]]
 

@@ -124,7 +124,6 @@ class GatheredLight:
         lookup = SpreadLookup(spread, water.extinction_per_mm)
         self._glows = [Glow(sheet, lookup) for sheet in integrator.sheets]
         self._camera = CameraLeg(self._chart, spread, water.extinction_per_mm)
-        self._pixel_rays = np.array(rays.origin), np.array(rays.direction)
         width, height = rays.size_px
         self._inner = np.arange(height * width).reshape(height, width)[1:-1, 1:-1]
         inner = mi.UInt32(self._inner.ravel().astype(np.uint32))
@@ -158,7 +157,7 @@ class GatheredLight:
         self, direct: Picture, glow: Picture, cells: list[Shining], seen: PixelSurvey
     ) -> Mapping[str, Picture]:
         """The light of the pixels, of the surfaces' and of what the water scatters of it."""
-        distance = dr.minimum(dr.gather(mi.Float, seen.distance, self._index), FARTHEST_MM)
+        distance = dr.minimum(dr.gather(mi.Float, seen.hit.t, self._index), FARTHEST_MM)
         passed = dr.exp(-self._integrator.extinction * distance) * self._weight
         radiance = dr.select(passed > FAINTEST, aligned(direct) / passed, 0.0)
         sent = aligned(glow)
@@ -184,11 +183,14 @@ class GatheredLight:
             self._cell_rays(grid, outside, line)
             for grid, outside, line in zip(self._grids, self._outside, lines, strict=True)
         ]
-        directions = [each.directions for each in cells]
-        counts = [coarse.size, exact.size, *(way.shape[1] for way in directions)]
         lit = self._reflections.lit()
-        rays = self._all_rays(head, index, np.hstack(directions))
-        even, fine, *traced = self._sent(rays, head, lit).split(*counts)
+        rays, place = self._rays.some(index)
+        hit = dr.gather(mi.PreliminaryIntersection3f, seen.hit, place)
+        even, fine = self._sent(rays.seen_from(head), hit, head, lit).split(coarse.size, exact.size)
+        directions = [each.directions for each in cells]
+        ray = self._chart_rays(head, np.hstack(directions))
+        hit = self._scene.ray_intersect_preliminary(ray, coherent=True)
+        traced = self._sent(ray, hit, head, lit).split(*(way.shape[1] for way in directions))
         picture = _stretched(even.radiance.reshape(coarse.shape), *self._inner.shape)
         picture.ravel()[exact] = fine.radiance
         shining = [self._traced(*each) for each in zip(cells, traced, strict=True)]
@@ -223,7 +225,7 @@ class GatheredLight:
     ) -> None:
         """Put what the picture shows into the cells that lie in it."""
         view, shape = self._in_view, self._rays.size_px[::-1]
-        distance = np.minimum(np.array(seen.distance).reshape(shape)[1:-1, 1:-1], FARTHEST_MM)
+        distance = np.minimum(np.array(seen.hit.t).reshape(shape)[1:-1, 1:-1], FARTHEST_MM)
         power = picture * (distance + np.float32(self._chart.near_mm)) ** 2
         power = np.asarray(cv2.blur(power, view.box_px), np.float32)
         cells.power[view.inside] = view.read(power)
@@ -239,20 +241,18 @@ class GatheredLight:
         near = _widened(direct > 0, ABOUT_LINE) | _widened(seen.bent, STEP)
         return np.flatnonzero(near)
 
-    def _all_rays(self, head: Pose, index: Ints, directions: Floats) -> mi.Ray3f:
-        """Rays of pixels, and rays from the chart's middle, in the world."""
-        origins, ways = self._pixel_rays
-        start = np.empty((3, len(index) + directions.shape[1]), np.float32)
-        start[:, : len(index)] = origins[:, index]
-        start[:, len(index) :] = self._chart.inner.pivot[:, np.newaxis]
-        way = np.hstack([ways[:, index], directions.astype(np.float32)])
+    def _chart_rays(self, head: Pose, directions: Floats) -> mi.Ray3f:
+        """Rays from the chart's middle, in the world."""
+        start = opaque_vector(head.rotation @ self._chart.inner.pivot + head.origin_mm)
         x, y, z = (opaque_vector(column) for column in head.rotation.T)
-        place, towards = (mi.Vector3f(*map(aligned, rows)) for rows in (start, way))
-        origin = opaque_vector(head.origin_mm) + x * place.x + y * place.y + z * place.z
-        return mi.Ray3f(mi.Point3f(origin), x * towards.x + y * towards.y + z * towards.z)
+        way = mi.Vector3f(*map(aligned, directions))
+        return mi.Ray3f(mi.Point3f(start), x * way.x + y * way.y + z * way.z)
 
-    def _sent(self, ray: mi.Ray3f, head: Pose, lit: LitSurfaces) -> Seen:
-        si = self._scene.ray_intersect(ray, mi.RayFlags.All, coherent=True)
+    def _sent(
+        self, ray: mi.Ray3f, hit: mi.PreliminaryIntersection3f, head: Pose, lit: LitSurfaces
+    ) -> Seen:
+        """What rays see of light that surfaces send on; hit: what they meet."""
+        si = hit.compute_surface_interaction(ray, mi.RayFlags.All)
         met = si.is_valid()
         light, shares = self._reflections.irradiance(lit, si)
         normal, point, sends = mi.Normal3f(facing(si)), si.p, reflectance(si) / dr.pi

@@ -70,6 +70,14 @@ class HeadRays:
         origin = opaque_vector(head.origin_mm) + x * place.x + y * place.y + z * place.z
         return mi.Ray3f(mi.Point3f(origin), x * way.x + y * way.y + z * way.z)
 
+    def some(self, pixels: Ints) -> tuple["HeadRays", mi.UInt32]:
+        """The rays of some pixels, without veils, and their indices for other gathers."""
+        index = mi.UInt32(pixels.astype(np.uint32))
+        index = dr.gather(mi.UInt32, index, dr.arange(mi.UInt32, len(pixels)))
+        place, way = (dr.gather(type(v), v, index) for v in (self.origin, self.direction))
+        weight = dr.gather(mi.Float, self.weight, index)
+        return replace(self, origin=place, direction=way, weight=weight, veils=()), index
+
 
 def head_rays(
     camera: RefractiveCamera, integrator: SheetIntegrator, head: Head, size_px: tuple[int, int]

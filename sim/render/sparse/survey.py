@@ -35,21 +35,22 @@ class PixelSurvey:
 
     veil: (H, W) radiance that the water scatters, where it is even, mW/(mm2 sr), the camera's
     weight included.  uneven: indices of the other pixels, row by row.  bent: (H, W) the pixels at
-    which a surface ends, begins or is bent.  distance: of the surface along each of the rays, mm,
-    infinite where there is none.
+    which a surface ends, begins or is bent.  hit: what each of the rays meets; its distance t in
+    mm is infinite where that is nothing.
     """
 
     veil: NDArray[np.float32]
     uneven: Ints
     bent: Mask
-    distance: mi.Float
+    hit: mi.PreliminaryIntersection3f
 
 
 def survey(
     scene: mi.Scene, rays: HeadRays, head: Pose, reaches: tuple[SheetReach, ...]
 ) -> PixelSurvey:
     """What is seen with the head at a pose; reaches: of the sheets there."""
-    distance = scene.ray_intersect_preliminary(rays.seen_from(head), coherent=True).t
+    hit = scene.ray_intersect_preliminary(rays.seen_from(head), coherent=True)
+    distance = hit.t
     veil, state, mixed = mi.Float(0), mi.UInt32(0), mi.Bool(False)
     for number, (open_veil, reach) in enumerate(zip(rays.veils, reaches, strict=True)):
         behind = (distance - open_veil.crossing) / open_veil.sigma
@@ -62,13 +63,13 @@ def survey(
         state += dr.select(whole, mi.UInt32(1 << number), 0)
         mixed |= ~(whole | none)
     state = dr.select(mixed, MIXED, state)
-    dr.eval(veil, state, distance)
+    dr.eval(veil, state, hit)
     shape = rays.size_px[::-1]
     states = np.array(state).astype(np.uint8).reshape(shape)
     inner = np.s_[1:-1, 1:-1]
     light = np.ascontiguousarray(np.array(veil).reshape(shape)[inner])
     bent = _bent(np.array(distance).reshape(shape), rays.pixel_rad)[inner]
-    return PixelSurvey(light, np.flatnonzero(_uneven(states)[inner]), bent, distance)
+    return PixelSurvey(light, np.flatnonzero(_uneven(states)[inner]), bent, hit)
 
 
 def _bent(distance: NDArray[np.float32], pixel_rad: float) -> Mask:

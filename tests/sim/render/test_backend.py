@@ -344,6 +344,15 @@ def test_an_unknown_variant_is_refused() -> None:
     assert "LSCAN_VARIANT: got 'scalar_rgb'" in done.stderr
 
 
+@pytest.mark.parametrize("said", ["0", "-1", "two"])
+def test_a_number_of_threads_that_is_none_is_refused(
+    said: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv(backend.THREADS, said)
+    with pytest.raises(backend.BackendError, match=f"LSCAN_THREADS: got '{said}'"):
+        backend._threads(2)
+
+
 def test_mitsuba_renders_with_the_library_chosen() -> None:
     chosen = _python("-m", "sim.render.backend")
     assert chosen.returncode == 0, chosen.stderr
