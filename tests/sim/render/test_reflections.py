@@ -14,8 +14,8 @@ from sim.meshes import MeshPart, scene_parts
 from sim.meshes.parts import moved, plain_mesh
 from sim.render.ambient.field import reflectance
 from sim.render.gathered.bounces import lasting
-from sim.render.gathered.lines import RAYS, SEGMENTS, LitLine, _segmented
-from sim.render.gathered.received import received
+from sim.render.gathered.lines import RAYS, SEGMENTS, LitLine, _segmented, lit_line
+from sim.render.gathered.received import received, visible_part
 from sim.render.gathered.reflections import Reflections
 from sim.render.judge.judged import JudgeEffort, judge
 from sim.render.materials import mitsuba_shape
@@ -193,6 +193,21 @@ def test_a_screen_hides_the_line() -> None:
     assert np.all(behind[:2] == 0) and np.all(open_wall > 0)
     # From x < 0 alone the ray to z = 119 passes over the screen: at 90 it is above 60 there.
     assert 0 < behind[2] < open_wall[2]
+
+
+def test_a_convex_body_hides_nothing_of_its_own_line() -> None:
+    """A ball, lit from above: wherever light of its line falls, the way there is free, though the
+    line's chords run through the ball.  Facets hide places less than 0.1 rad above the horizon, whose
+    light is a fifth of the mean of ten or more that are lit: 0.02."""
+    ball = trimesh.creation.icosphere(subdivisions=5, radius=70.0)
+    part = MeshPart("ball", plain_mesh(ball.vertices, ball.faces), 0.5, smooth=True)
+    scene = mi.load_dict({"type": "scene", "ball": mitsuba_shape(part, 1.33)})
+    line = lit_line(scene, make_sheet(LASER, HERE), dr.ones_like)
+    angle = np.linspace(0, 2 * pi, 40, endpoint=False)
+    place = np.array([250 * np.cos(angle), 250 * np.sin(angle), 100 + 0 * angle], np.float32)
+    point, normal = mi.Point3f(place), mi.Vector3f(dr.normalize(-mi.Vector3f(place)))
+    seen = np.array(visible_part(scene, line, point, normal))
+    np.testing.assert_allclose(seen, 1.0, atol=0.02)
 
 
 def test_patches_light_each_other() -> None:
