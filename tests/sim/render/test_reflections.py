@@ -301,7 +301,7 @@ def straight_light(tank: Tank, position_mm: float) -> Floats:
 
 
 @pytest.mark.slow
-@pytest.mark.xfail(strict=True, reason="what is reflected twice is known at patches only: +17 %")
+@pytest.mark.xfail(strict=True, reason="what is reflected twice is known at patches only: +14 %")
 def test_the_sandwave_is_lit_as_the_judge_finds() -> None:
     """In water that scatters nothing, in bands of 16 rows and 32 columns that hold 5 % of the
     brightest one's light: 8 % and three standard errors in each (of 32 clusters of the line each is
