@@ -34,7 +34,7 @@ from sim.water.tablecache import kept_arrays
 # sky more than SHADED is hidden they are the least of FINE that gives no more patches.
 MOST_PATCHES = 1200
 COARSE, FINE, SHADED = 8.0, (1.0, 1.4, 2.0, 2.8, 4.0), 0.1
-FORMAT = 1  # of the kept files: raised where other numbers would be written
+FORMAT = 2  # of the kept files: raised where other numbers would be written
 ANGLES = 4096  # at which the phase function is summed
 
 

@@ -48,11 +48,17 @@ def visible_part(
 def _cluster(
     line: LitLine, cluster: mi.UInt32
 ) -> tuple[mi.Point3f, mi.Vector3f, mi.Float, mi.Float]:
-    """Where a cluster is, its normal, its power, and what is close to it."""
-    place = dr.gather(mi.Vector4f, line.clusters, 2 * cluster)
-    upright = dr.gather(mi.Vector4f, line.clusters, 2 * cluster + 1)
+    """A place of a cluster and the normal there, its power, and what is close to it.
+
+    It is the middle of a segment: that of a bent cluster may lie within the body.
+    """
+    segment = 3 * (CLUSTER * cluster + CLUSTER // 2)
+    place = dr.gather(mi.Vector4f, line.segments, segment)
+    upright = dr.gather(mi.Vector4f, line.segments, segment + 1)
     outward = mi.Vector3f(upright.x, upright.y, upright.z)
-    return mi.Point3f(place.x, place.y, place.z), outward, upright.w, CLOSE * place.w
+    half = dr.gather(mi.Vector4f, line.clusters, 2 * cluster).w
+    power = dr.gather(mi.Vector4f, line.clusters, 2 * cluster + 1).w
+    return mi.Point3f(place.x, place.y, place.z), outward, power, CLOSE * half
 
 
 @dr.syntax

@@ -6,14 +6,15 @@ closed form, less what is hidden.  What those surfaces reflect in their turn com
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import drjit as dr
 import mitsuba as mi
 import numpy as np
 
 from sim.meshes import MeshPart
-from sim.render.ambient.field import is_convex
+from sim.render.ambient.field import is_convex, reflectance
+from sim.render.gathered.beside import BesideLine, beside_line
 from sim.render.gathered.bounces import Bounces, PatchField, lasting
 from sim.render.gathered.lines import LitLine, facing, lit_line
 from sim.render.gathered.received import received, visible_part
@@ -33,10 +34,12 @@ class LitSurfaces:
     field : PatchField, irradiance in mW/mm2 by light that was reflected once, and more often; of
         each sheet, the share of its line afar that is seen; of each, the share of its light that
         the water scatters.  None where no surface sees another
+    beside : tuple of BesideLine, light reflected more often once more, about each line
     """
 
     lines: tuple[LitLine, ...]
     field: PatchField | None
+    beside: tuple[BesideLine, ...] = ()
 
 
 class Reflections:
@@ -85,7 +88,18 @@ class Reflections:
         dr.eval(received_once, seen, shares)
         once = np.array(received_once)
         values = [once, bounces.of(once), *map(np.array, (*seen, *shares))]
-        return LitSurfaces(tuple(lines), bounces.field(values))
+        field = bounces.field(values)
+        lit = LitSurfaces(tuple(lines), field)
+
+        def sent(si: mi.SurfaceInteraction3f) -> mi.Float:
+            loss = dr.select(si.is_valid(), dr.exp(-self._extinction * si.t), 0.0)
+            return self.irradiance(lit, si)[0] * reflectance(si) * loss
+
+        beside = [
+            beside_line(self._scene, sheet, line, field, sent)
+            for sheet, line in zip(sheets, lines, strict=True)
+        ]
+        return replace(lit, beside=tuple(beside))
 
     def irradiance(
         self, lit: LitSurfaces, si: mi.SurfaceInteraction3f
@@ -101,6 +115,8 @@ class Reflections:
         if lit.field is None:
             return mi.Float(0), [mi.Float(1)] * count
         once, light, *rest = lit.field.at(si)
+        for beside in lit.beside:
+            light = beside.at(si.p, facing(si), light)
         for line, seen in zip(lit.lines, rest[:count], strict=True):
             close, far = received(line, si.p, facing(si), self._extinction, once > 0)
             light += close + seen * far

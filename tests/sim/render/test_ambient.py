@@ -11,6 +11,8 @@ from truth_scenes import tank
 from lscan.records import Floats
 from sim.render.ambient import picture
 from sim.render.ambient.field import AmbientField, OpenSky
+from sim.render.ambient.interpolation import Interpolation
+from sim.render.ambient.lattice import SurfaceNodes
 from sim.render.tank import Tank
 from sim.scene import Scene, load_scene
 from sim.validation.physics.gallery import shrunk
@@ -163,3 +165,19 @@ def test_what_the_field_cannot_know_is_drawn_at_random(sections: dict[str, Any])
     here = Tank(scene)
     assert here._sky is None
     assert here.render(0.0, 4, scatter_samples=0).ambient.std() > 0
+
+
+def test_what_lies_on_a_plane_is_known_by_samples_on_it() -> None:
+    """Many samples 20 mm below count next to nothing, though few above are as near: four times as
+    far off, they have at most a sixteenth of the weight, and a plane through both what is left."""
+    above, below = (
+        np.stack(np.meshgrid(np.arange(-80, 81, step), np.arange(-80, 81, step), [z]), -1)
+        for step, z in ((40.0, 20.0), (10.0, 0.0))
+    )
+    wanted = np.array([[7.0, 11.0, 20.0], [-20.0, 20.0, 20.0], [33.0, -18.0, 20.0]])
+    point = np.concatenate([above.reshape(-1, 3), below.reshape(-1, 3), wanted])
+    normal, count = np.tile([0.0, 0.0, 1.0], (len(point), 1)), len(point) - 3
+    part, inside = np.zeros(len(point), int), np.ones(len(point), bool)
+    nodes = SurfaceNodes(point, point, normal, part, inside)
+    found = Interpolation(nodes, np.arange(count), np.arange(count, count + 3))
+    assert np.all(np.abs(found.of((point[:count, 2] < 10) * 1.0)) < 1 / 16)
