@@ -56,21 +56,36 @@ class BesideLine:
         otherwise : Float, where there are none
         """
         phi, _, aside = self.sheet.coordinates(point, mi.Float(0))
+        return dr.if_stmt(  # few places are: the others cost nothing
+            (point, normal, phi, aside, otherwise),
+            (dr.abs(aside) < REACH_MM) & (dr.abs(phi) < self.sheet.half_angle),
+            self._between_nodes,
+            lambda *at: at[-1],
+        )
+
+    def _between_nodes(
+        self,
+        point: mi.Point3f,
+        normal: mi.Vector3f,
+        phi: mi.Float,
+        aside: mi.Float,
+        otherwise: mi.Float,
+    ) -> mi.Float:
+        """At places within the nodes: rad from the fan's axis and mm off the sheet's plane."""
         angle, along = _between((phi / self.sheet.half_angle + 1) * (0.5 * (ANGLES - 1)), ANGLES)
         first, behind = (dr.gather(mi.Float, self.rows, angle + k) for k in (0, 1))
         row, down = _between(first + along * (behind - first), SEGMENTS)
         column, right = _between(dr.asinh(aside / FINEST_MM) / STEP + ASIDE, COLUMNS)
-        inside = (dr.abs(aside) < REACH_MM) & (dr.abs(phi) < self.sheet.half_angle)
         total, weight = mi.Float(0), mi.Float(0)
         for one, high in ((0, 1 - down), (1, down)):
             for other, wide in ((0, 1 - right), (1, right)):
                 index = 2 * ((row + one) * COLUMNS + column + other)
-                node = dr.gather(mi.Vector4f, self.nodes, index, inside)
-                upright = dr.gather(mi.Vector4f, self.nodes, index + 1, inside)
+                node = dr.gather(mi.Vector4f, self.nodes, index)
+                upright = dr.gather(mi.Vector4f, self.nodes, index + 1)
                 plane = mi.Vector3f(upright.x, upright.y, upright.z)
                 offset = point - mi.Point3f(node.x, node.y, node.z)
                 above = dr.abs(dr.dot(offset, plane)) - LEAVES * dr.norm(offset)
-                same = inside & (above < NEAR_MM) & (dr.dot(normal, plane) > LIKE)
+                same = (above < NEAR_MM) & (dr.dot(normal, plane) > LIKE)
                 share = dr.select(same, high * wide, 0.0)
                 total, weight = total + share * node.w, weight + share
         return dr.select(weight > 0, total / weight, otherwise)
