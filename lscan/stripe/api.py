@@ -105,16 +105,6 @@ def together(several: Several) -> Callable[[Extractor], Extractor]:
     return marked
 
 
-def takes_several(extractor: Extractor) -> bool:
-    """Whether an extractor is decorated by :func:`together`.
-
-    Parameters
-    ----------
-    extractor : Extractor, any
-    """
-    return hasattr(extractor, _SEVERAL)
-
-
 def stripes_by(extractor: Extractor, pictures: Sequence[Picture]) -> list[Stripe]:
     """What an extractor finds in each of several pictures.
 

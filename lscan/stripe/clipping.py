@@ -69,8 +69,6 @@ def _foot(count: Ints, mode: int) -> int:
 def _has_flat_crests(lines: Bytes, level: int) -> bool:
     """Whether most crests that reach the level stay there for some pixels, but not for many."""
     high = (lines >= level - 2).astype(np.uint8)
-    pixels = np.flatnonzero(high.any(axis=0))  # some, as the level is that of pixels
-    high = high[:, max(pixels[0] - _WIDEST_PX, 0) : pixels[-1] + _WIDEST_PX + 1]
     wide = cv2.morphologyEx(high, cv2.MORPH_OPEN, np.ones((1, _WIDEST_PX), np.uint8))
     crest = np.asarray(cv2.subtract(high, wide), np.uint8)
     flat = cv2.erode(crest, np.ones((1, _FLAT_PX), np.uint8)).any(axis=1).sum()

@@ -12,14 +12,7 @@ from lscan.config.plugins import find_plugin_or_function
 from lscan.config.rig import StripeSection
 from lscan.errors import InputError, LscanError
 from lscan.records import Bytes, Floats, GreyValues, Mask, Status, Stripe
-from lscan.stripe.api import (
-    Extractor,
-    Picture,
-    require_stripe,
-    stripes_by,
-    takes_integers,
-    takes_several,
-)
+from lscan.stripe.api import Extractor, Picture, require_stripe, stripes_by, takes_integers
 from lscan.stripe.core import core_flux
 from lscan.stripe.corrections.blur import correct_blur
 from lscan.stripe.corrections.smoothing import smooth
@@ -98,15 +91,6 @@ def extract_stripes(
         As ``extract_stripe``.
     """
     extractor = find_extractor(settings.extractor)
-    # One by one, each picture works in the memory of the one before, still at hand.
-    groups = [list(shown)] if takes_several(extractor) else ([one] for one in shown)
-    return [stripe for group in groups for stripe in _stripes(extractor, group, settings)]
-
-
-def _stripes(
-    extractor: Extractor, shown: Sequence[tuple[Bytes, Bytes | None]], settings: StripeSection
-) -> list[Stripe]:
-    """Those that the extractor finds in one call."""
     seen = [_seen(image, settings, background) for image, background in shown]
     stripes = _called(extractor, [(one.image, known, one.clipped) for one, _, known in seen])
     return [_finished(stripe, *one) for stripe, one in zip(stripes, seen, strict=True)]

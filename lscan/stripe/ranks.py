@@ -2,11 +2,9 @@
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from lscan.records import Floats, GreyValues, Ints
 
-_MOST_DN = 2**15
 _SPARSE = 8  # a first guess is made of every eighth pixel of every eighth column
 
 
@@ -23,7 +21,7 @@ def crests(columns: GreyValues) -> Ints:
     array([2])
     """
     # NumPy finds the place of the highest float sooner than that of the highest integer.
-    floats = columns if columns.dtype == np.float64 else columns.astype(np.float32, copy=False)
+    floats = columns if columns.dtype == np.float64 else columns.astype(np.float32)
     return floats.argmax(axis=1)
 
 
@@ -42,43 +40,23 @@ def ranked(columns: GreyValues, rank: int) -> Floats:
     array([7.])
     """
     if not np.issubdtype(columns.dtype, np.integer):
-        return _ranked_singles(columns.astype(np.float32, copy=False), rank)
+        return np.partition(columns.astype(np.float32), rank, axis=1)[:, rank].astype(np.float64)
     # To count the pixels up to a grey value takes a thirtieth of a partial sort.  The search begins
     # at a value that most columns are near to, and goes from there in steps twice as long each.
-    sample = np.sort(columns[::_SPARSE, ::_SPARSE], axis=None)  # many agree: no partial sort
-    start = int(sample[rank * sample.size // columns.shape[1]])
+    sample = columns[::_SPARSE, ::_SPARSE].ravel()
+    place = rank * sample.size // columns.shape[1]
+    start = int(np.partition(sample, place)[place])
     middle, step = np.full(len(columns), start), 1
     least, most = (np.full(len(columns), int(end)) for end in (columns.min(), columns.max()))
-    found, at = np.empty(len(columns)), np.arange(len(columns))
     while True:
         up_to = (columns <= middle.astype(columns.dtype)[:, None]).view(np.uint8)
         enough = cv2.reduce(up_to, 1, cv2.REDUCE_SUM, dtype=cv2.CV_32S)[:, 0] > rank
         least, most = np.where(enough, least, middle + 1), np.where(enough, middle, most)
-        found[at] = least
-        wide = np.flatnonzero(least < most)
-        if len(wide) == 0:
-            return found
-        if 2 * len(wide) < len(at):  # the others are known
-            columns, at, least, most = columns[wide], at[wide], least[wide], most[wide]
-            enough = enough[wide]
+        if (least >= most).all():
+            return least.astype(np.float64)
         half = (least + most) // 2
         near = np.where(enough, np.maximum(most - step, half), np.minimum(least + step - 1, half))
         middle, step = near, 2 * step
-
-
-def _ranked_singles(columns: NDArray[np.float32], rank: int) -> Floats:
-    """:func:`ranked` of columns of which most hold whole grey values alone.
-
-    Cut to whole numbers, values keep their order: those columns alone have to be sorted that hold
-    others.
-    """
-    if not (columns.min() > -_MOST_DN and columns.max() < _MOST_DN):  # or NaN
-        return np.sort(columns, axis=1)[:, rank].astype(np.float64)
-    whole = columns.astype(np.int16)
-    found = ranked(whole, rank)
-    cut = np.flatnonzero((columns != whole.astype(np.float32)).any(axis=1))
-    found[cut] = np.sort(columns[cut], axis=1)[:, rank]
-    return found
 
 
 def medians(columns: GreyValues) -> Floats:
@@ -94,7 +72,7 @@ def medians(columns: GreyValues) -> Floats:
     array([5.])
     """
     if not np.issubdtype(columns.dtype, np.integer):
-        columns = columns.astype(np.float32, copy=False)
+        columns = columns.astype(np.float32)
     half = columns.shape[1] // 2
     upper = ranked(columns, half)
     if columns.shape[1] % 2:

@@ -64,25 +64,9 @@ class CurveTable:
         piece, step = self._piece(curve, x)
         value, slope = self.powers[-1].take(piece), np.zeros(step.shape)
         for coefficients in self.powers[-2::-1]:
-            slope = slope * step
-            slope += value
-            value = value * step
-            value += coefficients.take(piece)
+            slope = slope * step + value
+            value = value * step + coefficients.take(piece)
         return value, slope
-
-    def values(self, curve: Ints, x: Floats) -> Floats:
-        """The values of the curves alone, as :meth:`look_up` gives them.
-
-        Parameters
-        ----------
-        curve, x : array, as :meth:`look_up` takes them
-        """
-        piece, step = self._piece(curve, x)
-        value = self.powers[-1].take(piece)
-        for coefficients in self.powers[-2::-1]:
-            value = value * step
-            value += coefficients.take(piece)
-        return value
 
     def basis(self, curve: Ints, x: Floats) -> Floats:
         """(..., M) values of the functions that the curves are sums of.

@@ -152,16 +152,15 @@ class LineSet:
         Sec. III.3 and eq. (3) of the paper.
         """
         points, each = np.arange(len(targets.along)), np.arange(len(self.lines))[:, None]
-        heights = self._curves.values(each, targets.along)
+        heights, _ = self._curves.look_up(each, targets.along)
         reached = self._reached(targets.along)
-        count = reached.sum(axis=0)
         order = np.argsort(np.where(reached, heights, np.inf), axis=0)
         below = (reached & (heights <= targets.across)).sum(axis=0)
-        rank = np.clip(below - 1, 0, np.maximum(count - 2, 0))
+        rank = np.clip(below - 1, 0, np.maximum(reached.sum(axis=0) - 2, 0))
         lower, upper = order[rank, points], order[rank + 1, points]
         start = heights[lower, points]
         span = heights[upper, points] - start
-        known = (count >= 2) & (span > 0)
+        known = (reached.sum(axis=0) >= 2) & (span > 0)
         fraction = (targets.across - start) / np.where(known, span, 1.0)
         inside = known & (fraction >= -WEIGHT_SLACK) & (fraction <= 1 + WEIGHT_SLACK)
         lines, weights = np.column_stack([lower, upper]), np.column_stack([1 - fraction, fraction])
@@ -197,8 +196,7 @@ class LineSet:
 
     def _closest_ruler(self, targets: Targets) -> Ints:
         """(N,) index of the ruler nearest to each point of those with marks beside it, or -1."""
-        each = np.arange(len(self.rulers))[:, None]
-        places = self._ruler_lines.values(each, targets.across)
+        places, _ = self._ruler_lines.look_up(np.arange(len(self.rulers))[:, None], targets.across)
         gaps = np.abs(places - targets.along)
         beside = np.stack([r.reaches(targets.across) for r in self.rulers])
         closest = np.argmin(np.where(beside, gaps, np.inf), axis=0)

@@ -98,9 +98,7 @@ def _extract(
     if len(peaks.columns) == 0:
         return stripe
     # One pixel wider than the window on either side, to try the neighbour as nominal peak.
-    wide = np.asfortranarray(
-        windows(columns, peaks.columns, peaks.rows, settings.span_px + 1)
-    )  # sums over few pixels of many columns
+    wide = windows(columns, peaks.columns, peaks.rows, settings.span_px + 1)
     window = wide[:, 1:-1]
     light = window - peaks.base[:, None]
     variance = line_noise(columns, light, peaks.columns).variance(light)

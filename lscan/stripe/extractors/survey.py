@@ -249,8 +249,7 @@ def _rough_width(columns: GreyValues, peaks: Peaks, constant: float) -> Floats:
     chosen = select(peaks, sample)
     reach = _FIRST_REACH_PX
     for _ in range(2):
-        seen = windows(columns, chosen.columns, chosen.rows, reach)
-        light = _above_ground(np.asfortranarray(seen))  # as in _view
+        light = _above_ground(windows(columns, chosen.columns, chosen.rows, reach))
         flux = np.maximum(light.sum(axis=1), 0.0)
         squares = (light**2).sum(axis=1) - light.shape[1] * constant
         width = flux**2 / (2 * np.sqrt(np.pi) * np.maximum(squares, constant))

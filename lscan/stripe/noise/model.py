@@ -28,7 +28,6 @@ _SECOND_DIFFERENCE_GAIN = 6.0
 
 _COLUMNS_SAMPLED = 64
 _FEWEST_TRIPLES = 16
-_MOST_DN = 2**13  # so far second differences of 16 bits do not overflow
 _CUTS, _KEPT = 3, 0.97334  # of robust_variance, which says where they come from
 
 
@@ -63,8 +62,7 @@ class Noise:
         variance: Floats = np.maximum(light + veil, 0.0)
         variance *= self.per_dn
         variance += self.constant
-        if np.any(self.speckle):
-            variance += np.square(self.speckle * light)
+        variance += np.square(self.speckle * light)
         return variance
 
 
@@ -107,8 +105,6 @@ def constant_variance(columns: GreyValues) -> float:
     """
     sample = columns[sampled(len(columns))]
     whole = np.issubdtype(sample.dtype, np.integer)
-    if not whole and np.abs(sample).max() < _MOST_DN:
-        whole = bool((sample.astype(np.int16) == sample).all())
     # Differences of bytes would overflow, those of single precision are rounded.
     differences = np.diff(sample.astype(np.int16 if whole else np.float64), n=2, axis=1)
     least = _SECOND_DIFFERENCE_GAIN * ROUNDING_VARIANCE
