@@ -10,9 +10,9 @@ import mitsuba as mi
 import numpy as np
 
 from lscan.errors import InputError
-from lscan.records import Floats, Ints
 from sim.meshes import MeshPart
 from sim.render.backend import load_mitsuba
+from sim.render.plugins.arrays import floats, indices
 
 load_mitsuba()  # the variant: Mitsuba's classes depend on it
 
@@ -34,12 +34,12 @@ def mitsuba_shape(part: MeshPart, water_index: float) -> mi.Mesh:
         props=props,
     )
     parameters = mi.traverse(shape)
-    parameters["vertex_positions"] = _flat(mesh.vertices)
-    parameters["faces"] = mi.UInt32(np.asarray(mesh.faces, dtype=np.uint32).ravel())
+    parameters["vertex_positions"] = floats(mesh.vertices)
+    parameters["faces"] = indices(mesh.faces)
     if part.smooth:
-        parameters["vertex_normals"] = _flat(mesh.vertex_normals)
+        parameters["vertex_normals"] = floats(mesh.vertex_normals)
     if paint is not None:
-        parameters["vertex_texcoords"] = _flat(paint.uv)
+        parameters["vertex_texcoords"] = floats(paint.uv)
     parameters.update()
     return shape
 
@@ -97,7 +97,3 @@ def _reflectance(part: MeshPart) -> dict[str, Any]:
         "wrap_mode": "repeat",
         "accel": False,  # a GPU's own filter has 8 bit between two texels
     }
-
-
-def _flat(vectors: Floats | Ints) -> mi.Float:
-    return mi.Float(np.asarray(vectors, dtype=np.float32).ravel())

@@ -14,6 +14,7 @@ import mitsuba as mi
 import numpy as np
 
 from lscan.records import Floats, Progress
+from sim.render.plugins.arrays import floats
 from sim.render.plugins.opaque import opaque
 from sim.render.plugins.phase import PhaseTable
 from sim.water import planes, rings
@@ -74,7 +75,7 @@ def plane_crossings(
     """
     shape = len(tilts), len(distances), planes.RINGS, planes.SECTORS
     walk = _ToPlanes(phase, albedo, distances, int(np.prod(shape)))
-    walk.tilts, walk.kinds = mi.Float(np.asarray(tilts, dtype=np.float32)), len(tilts)
+    walk.tilts, walk.kinds = floats(tilts), len(tilts)
     each = walk.send(-(-photons // len(tilts)) * len(tilts), seed, progress) // len(tilts)
     weight = np.array(walk.sums).reshape(shape)
     return PlaneCounts(each, np.array(tilts), np.array(distances, dtype=float), weight)
@@ -107,7 +108,7 @@ class _Walk(ABC):
         self.phase = PhaseTable(phase)
         self.scattering, self.absorption = opaque(albedo), opaque(1 - albedo)
         self.surfaces, self.lost = len(depths), opaque((LOST * depths[-1]) ** 2)
-        self.depths = mi.Float(np.asarray(depths, dtype=np.float32))
+        self.depths = floats(depths)
         self.sums = dr.zeros(mi.Float64, sums)
 
     def send(self, photons: int, seed: int, progress: Progress | None) -> int:

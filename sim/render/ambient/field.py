@@ -23,6 +23,7 @@ from sim.meshes import MeshPart
 from sim.meshes.board import BOARD_PARTS
 from sim.render.ambient.interpolation import Interpolation
 from sim.render.ambient.lattice import NodeLattice, SurfaceNodes
+from sim.render.plugins.arrays import floats, vectors
 from sim.water import Optics
 
 # From each sample, on a spiral over the disc that a hemisphere is seen as.  Of the sky, what an
@@ -102,7 +103,7 @@ def sky_of(scene: mi.Scene, parts: Sequence[MeshPart], water: Optics) -> Ambient
         received, before = straight + indirect, indirect
         sent = np.einsum("mn,mn->m", received[samples.node], samples.share) / DIRECTIONS
         indirect = interpolation.of(samples.veil + sent).astype(np.float32)
-    return AmbientField(lattice, mi.Float(straight), mi.Float(indirect))
+    return AmbientField(lattice, floats(straight), floats(indirect))
 
 
 def reflectance(si: mi.SurfaceInteraction3f) -> mi.Float:
@@ -191,12 +192,12 @@ def _traced(scene: mi.Scene, lattice: NodeLattice, water: Optics, index: Ints) -
     shape = len(index), DIRECTIONS
     sample, number = np.divmod(np.arange(shape[0] * shape[1], dtype=np.uint32), shape[1])
     start, normal = (
-        mi.Vector3f(np.asarray(values[index][sample].T, dtype=np.float32, order="C"))
+        vectors(values[index][sample].T)
         for values in (lattice.nodes.start_mm, lattice.nodes.normal)
     )
     radius2 = (number + 0.5) / DIRECTIONS
     spiral = [f(TURN * number) * np.sqrt(radius2) for f in (np.cos, np.sin)]
-    towards = mi.Vector3f(np.array([*spiral, np.sqrt(1 - radius2)], dtype=np.float32))
+    towards = vectors([*spiral, np.sqrt(1 - radius2)])
     ray = mi.Ray3f(mi.Point3f(start), mi.Frame3f(normal).to_world(towards))
     si = scene.ray_intersect(ray)
     met = si.is_valid()

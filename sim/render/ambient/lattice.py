@@ -15,6 +15,7 @@ import numpy as np
 
 from lscan.records import Floats, Ints, Mask
 from sim.meshes import MeshPart
+from sim.render.plugins.arrays import floats, indices, vectors
 
 ASIDE_MM, ABOVE_MM = 0.05, 0.01  # of nodes: from their triangle's sides, of rays from nodes
 LOOKS, GOLDEN = 8, (sqrt(5) - 1) / 2  # directions that say which side of a triangle is outside
@@ -99,14 +100,14 @@ class NodeLattice:
         part = np.repeat(np.arange(len(parts)), np.diff(self._first))
         self.nodes = _nodes(start, sides, normals, part, low, span, steps)
         begins = np.cumsum([0, *np.prod(steps + 1, axis=1)])[:-1]
-        self._start, self._begins = _floats(start), mi.UInt32(begins.astype(np.uint32))
+        self._start, self._begins = floats(start), indices(begins)
         scale = steps / np.maximum(span, 1e-12)
         self._axes = [
             _LatticeAxis(
-                _floats(duals[:, k]),
-                _floats(low[:, k]),
-                _floats(scale[:, k]),
-                mi.UInt32(steps[:, k].astype(np.uint32)),
+                floats(duals[:, k]),
+                floats(low[:, k]),
+                floats(scale[:, k]),
+                indices(steps[:, k]),
             )
             for k in (0, 1)
         ]
@@ -175,8 +176,8 @@ def _faces_inwards(scene: mi.Scene, corners: Floats, normals: Floats) -> Mask:
     normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-30)
     seen = []
     for outwards in (normal, -normal):
-        ahead = mi.Vector3f(_columns(outwards))
-        start = mi.Point3f(_columns(middle + ABOVE_MM * outwards))
+        ahead = vectors(outwards.T)
+        start = mi.Point3f(vectors((middle + ABOVE_MM * outwards).T))
         count = mi.Float(0)
         for k in range(LOOKS):
             sample = mi.Point2f((k + 0.5) / LOOKS, (k * GOLDEN) % 1)
@@ -185,10 +186,6 @@ def _faces_inwards(scene: mi.Scene, corners: Floats, normals: Floats) -> Mask:
             count += dr.select(scene.ray_test(ray), 0.0, 1.0)
         seen.append(np.array(count))
     return np.asarray(seen[1] > seen[0])
-
-
-def _columns(vectors: Floats) -> Floats:
-    return np.ascontiguousarray(vectors.T, dtype=np.float32)
 
 
 def _duals(sides: Floats) -> Floats:
@@ -237,7 +234,3 @@ def _nodes(
     point = point + ASIDE_MM * inwards
     part = part[triangle]
     return SurfaceNodes(point, point + ABOVE_MM * normal, normal, part, inside)
-
-
-def _floats(values: Floats) -> mi.Float:
-    return mi.Float(np.asarray(values, dtype=np.float32).ravel())

@@ -18,7 +18,7 @@ from sim.render.ambient.field import TURN
 from sim.render.gathered.bounces import PatchField
 from sim.render.gathered.lines import CREASE_RAD, LEAVES, SEGMENTS, LitLine, facing
 from sim.render.gathered.received import START_MM, received
-from sim.render.plugins.opaque import aligned
+from sim.render.plugins.arrays import floats, indices, vectors
 from sim.render.plugins.sheet import LaserSheet
 
 # Columns on either side of the line, at hyperbolic sines of even steps: the first is about
@@ -113,7 +113,7 @@ def beside_line(
     sent : function of what rays meet, the radiosity in mW/mm2 that arrives of it
     """
     middle = np.array(line.segments).reshape(SEGMENTS, -1)[:, :3].T
-    phi = sheet.coordinates(mi.Point3f(np.ascontiguousarray(middle)), mi.Float(0))[0]
+    phi = sheet.coordinates(mi.Point3f(vectors(middle)), mi.Float(0))[0]
     half, number = float(sheet.half_angle[0]), np.arange(SEGMENTS)
     rows = np.interp(np.linspace(-half, half, ANGLES), np.maximum.accumulate(phi), number)
     lane = dr.arange(mi.UInt32, SEGMENTS * COLUMNS)
@@ -129,7 +129,7 @@ def beside_line(
     nodes = np.stack([np.broadcast_to(np.array(values), len(lane)) for values in columns], axis=-1)
     most = np.argsort(-nodes[:, 8], kind="stable")[:GATHERING]
     nodes[most, 3] = _gathered(scene, most, nodes[most], sent)
-    return BesideLine(sheet, aligned(nodes[:, :8]), aligned(rows))
+    return BesideLine(sheet, floats(nodes[:, :8]), floats(rows))
 
 
 def _gathered(scene: mi.Scene, number: Ints, nodes: Floats, sent: Radiosity) -> Floats:
@@ -137,10 +137,10 @@ def _gathered(scene: mi.Scene, number: Ints, nodes: Floats, sent: Radiosity) -> 
     lane = dr.arange(mi.UInt32, DIRECTIONS * len(number))
     index, which = lane // DIRECTIONS, lane % DIRECTIONS
     point, normal = (
-        dr.gather(kind, aligned(nodes[:, some]), index)
+        dr.gather(kind, floats(nodes[:, some]), index)
         for kind, some in ((mi.Point3f, np.s_[:3]), (mi.Vector3f, np.s_[4:7]))
     )
-    turned = DIRECTIONS * dr.gather(mi.UInt32, mi.UInt32(number.astype(np.uint32)), index)
+    turned = DIRECTIONS * dr.gather(mi.UInt32, indices(number), index)
     sine, cosine = dr.sincos(TURN * mi.Float(turned + which))
     radius2 = (mi.Float(which) + 0.5) / DIRECTIONS
     radius = dr.sqrt(radius2)

@@ -26,7 +26,7 @@ from sim.render.ambient.field import (
 )
 from sim.render.ambient.interpolation import Interpolation
 from sim.render.ambient.lattice import NodeLattice
-from sim.render.plugins.opaque import aligned
+from sim.render.plugins.arrays import floats, indices, vectors
 from sim.water import Optics
 from sim.water.tablecache import kept_arrays
 
@@ -75,14 +75,11 @@ class Bounces:
         self._lattice = NodeLattice(scene, parts, box_mm, spacing_mm)
         kept = kept_arrays(_name(parts, water), lambda: _tables(scene, self._lattice, water))
         index, self._more = kept["index"].astype(np.intp), kept["more"]
-        self._near = [mi.UInt32(np.ascontiguousarray(k, np.uint32)) for k in kept["near"].T]
-        self._shares = [mi.Float(np.ascontiguousarray(share)) for share in kept["shares"].T]
+        self._near = [indices(near) for near in kept["near"].T]
+        self._shares = [floats(share) for share in kept["shares"].T]
         nodes = self._lattice.nodes
-        point, normal = (
-            np.ascontiguousarray(values[index].T, dtype=np.float32)
-            for values in (nodes.point_mm, nodes.normal)
-        )
-        self.point, self.normal = mi.Point3f(point), mi.Vector3f(normal)
+        self.point = mi.Point3f(vectors(nodes.point_mm[index].T))
+        self.normal = vectors(nodes.normal[index].T)
 
     def of(self, irradiance: Floats) -> Floats:
         """What patches receive of the light that patches reflect, any number of times, (N,).
@@ -105,7 +102,7 @@ class Bounces:
             columns, total = np.zeros((len(self._more), 4), np.float32), mi.Vector4f(0)
             for column, value in enumerate(values[first : first + 4]):
                 columns[:, column] = value
-            patches = aligned(columns)
+            patches = floats(columns)
             for near, share in zip(self._near, self._shares, strict=True):
                 total += share * dr.gather(mi.Vector4f, patches, near)
             groups.append(dr.ravel(total))

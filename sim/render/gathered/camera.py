@@ -20,6 +20,7 @@ from scipy.interpolate import CubicSpline
 from lscan.records import Floats
 from sim.render.gathered.chart import COARSER, Chart, ChartGrid, Picture
 from sim.render.gathered.kernel import COSINE_AXIS, HARMONICS, RANGE_AXIS, scatter_kernel
+from sim.render.plugins.arrays import floats
 from sim.water.spread import Spread
 
 FINEST = 1 / 16  # of a pixel: the narrowest Gaussian
@@ -105,7 +106,7 @@ class CameraLeg:
         mean = np.average(kernel.steepness[: self._first], weights=self._near.mean(axis=0))
         self._power = np.float32(2 + mean)
         self._near *= self._pixel_rad**-self._power
-        self._gain_scale = mi.Float(chart.pixel_rad.ravel() ** self._power)
+        self._gain_scale = floats(chart.pixel_rad**self._power)
         gains = self._near.sum(axis=1, keepdims=True).astype(np.float32)
         self._gains = mi.Texture1f(mi.TensorXf(gains), use_accel=False)
         self._grids = list(self._level_grids())

@@ -16,7 +16,8 @@ import mitsuba as mi
 import numpy as np
 
 from lscan.records import Floats
-from sim.render.plugins.opaque import aligned, opaque
+from sim.render.plugins.arrays import floats
+from sim.render.plugins.opaque import opaque
 from sim.render.plugins.sheet import LaserSheet
 from sim.render.plugins.spread import SpreadLookup
 from sim.water.axes import LogAxis
@@ -60,7 +61,7 @@ class Glow:
             indexing="ij",
         )
         terms = _widened(_fitted(sheet, lookup, phi, rho, aside), sheet)
-        share = _share(sheet, *(aligned(values) for values in (phi, rho, aside)))
+        share = _share(sheet, *(floats(values) for values in (phi, rho, aside)))
         facing = np.maximum(terms[..., :1], LEAST_LIGHT)
         log_value = np.log(facing[..., 0] / np.array(share).reshape(phi.shape))
         log_value += float(self._loss[0]) * rho
@@ -163,11 +164,11 @@ def thin_sheet(
     phi, rho, aside : arrays of one shape, the places, rad and mm
     normal : (3,) parts back to the apex, along the fan and out of the sheet
     """
-    node, weight = (aligned(values) for values in np.polynomial.legendre.leggauss(BEAMS))
+    node, weight = (floats(values) for values in np.polynomial.legendre.leggauss(BEAMS))
     lane = dr.arange(mi.UInt32, phi.size * BEAMS)
     node, weight = (dr.gather(mi.Float, values, lane % BEAMS) for values in (node, weight))
     angle, distance, offset = (
-        dr.gather(mi.Float, aligned(values), lane // BEAMS) for values in (phi, rho, aside)
+        dr.gather(mi.Float, floats(values), lane // BEAMS) for values in (phi, rho, aside)
     )
     sine, cosine = dr.sincos(angle)
     ahead, across = (
@@ -201,7 +202,7 @@ def _widened(thin: Floats, sheet: LaserSheet) -> Floats:
     # The middles of even steps never meet the infinite light in the middle of a thin sheet.
     step = REACH * ((np.arange(ACROSS) + 0.5) * (2 / ACROSS) - 1)
     weight = np.exp(-0.5 * step**2) / np.exp(-0.5 * step**2).sum()
-    sigmas = 0.5 * np.array(sheet.half_width(aligned(RHO_AXIS.nodes())))
+    sigmas = 0.5 * np.array(sheet.half_width(floats(RHO_AXIS.nodes())))
     wide = np.empty_like(thin)
     for row, sigma in enumerate(sigmas):
         place = nodes[:, np.newaxis] - sigma * step

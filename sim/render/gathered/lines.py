@@ -14,7 +14,7 @@ import numpy as np
 
 from lscan.records import Floats, Ints, Mask
 from sim.render.ambient.field import reflectance
-from sim.render.plugins.opaque import aligned
+from sim.render.plugins.arrays import floats
 from sim.render.plugins.sheet import LaserSheet
 
 RAYS = 2048
@@ -104,7 +104,7 @@ def _segmented(power: Floats, point: Floats, normal: Floats, off_mm: Floats) -> 
         between = (rays.of(point, low) + rays.of(point, high)) / 2
         bent = np.linalg.norm(segments[:, :3] - between, axis=1)
         segments[:, 11] = np.hypot(bent, np.interp(middle.place - 0.5, each[:-1], off_mm))
-    return LitLine(aligned(segments), aligned(_clusters(segments)))
+    return LitLine(floats(segments), floats(_clusters(segments)))
 
 
 def _runs(lit: Mask, point: Floats, normal: Floats) -> tuple[Ints, Floats]:

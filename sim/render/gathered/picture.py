@@ -19,8 +19,9 @@ from sim.render.gathered.lines import facing
 from sim.render.gathered.points import lit_points
 from sim.render.gathered.reflections import LitSurfaces, Reflections
 from sim.render.gathered.veil import HigherVeil
+from sim.render.plugins.arrays import floats, indices, vectors
 from sim.render.plugins.integrator import SheetIntegrator
-from sim.render.plugins.opaque import aligned, opaque_vector
+from sim.render.plugins.opaque import opaque_vector
 from sim.render.plugins.spread import SpreadLookup
 from sim.render.sparse.rays import HEAD, HeadRays
 from sim.render.sparse.survey import NEIGHBOURS, PixelSurvey
@@ -126,10 +127,10 @@ class GatheredLight:
         self._camera = CameraLeg(self._chart, spread, water.extinction_per_mm)
         width, height = rays.size_px
         self._inner = np.arange(height * width).reshape(height, width)[1:-1, 1:-1]
-        inner = mi.UInt32(self._inner.ravel().astype(np.uint32))
+        inner = indices(self._inner)
         self._weight = dr.gather(mi.Float, rays.weight, inner)
         rows, columns = self._chart.inner.shape
-        x, y = (mi.Float(places.ravel()) for places in self._chart.pixels)
+        x, y = map(floats, self._chart.pixels)
         self._places = mi.Point2f((x + 0.5) / columns, (y + 0.5) / rows)
         self._index = inner
         dr.eval(self._weight, self._places, self._index)
@@ -159,8 +160,8 @@ class GatheredLight:
         """The light of the pixels, of the surfaces' and of what the water scatters of it."""
         distance = dr.minimum(dr.gather(mi.Float, seen.hit.t, self._index), FARTHEST_MM)
         passed = dr.exp(-self._integrator.extinction * distance) * self._weight
-        radiance = dr.select(passed > FAINTEST, aligned(direct) / passed, 0.0)
-        sent = aligned(glow)
+        radiance = dr.select(passed > FAINTEST, floats(direct) / passed, 0.0)
+        sent = floats(glow)
         radiance += sent
         halo = self._camera.halo(*cells)[..., np.newaxis]
         (wide,) = mi.Texture2f(mi.TensorXf(halo), use_accel=False).eval_cubic(self._places)
@@ -245,7 +246,7 @@ class GatheredLight:
         """Rays from the chart's middle, in the world."""
         start = opaque_vector(head.rotation @ self._chart.inner.pivot + head.origin_mm)
         x, y, z = (opaque_vector(column) for column in head.rotation.T)
-        way = mi.Vector3f(*map(aligned, directions))
+        way = vectors(directions)
         return mi.Ray3f(mi.Point3f(start), x * way.x + y * way.y + z * way.z)
 
     def _sent(

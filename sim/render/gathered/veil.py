@@ -29,6 +29,7 @@ from sim.render.gathered.veilcounts import (
     crossing_within,
     veil_counts,
 )
+from sim.render.plugins.arrays import vectors
 from sim.render.plugins.sheet import LaserSheet
 from sim.render.sparse.rays import HEAD, HeadRays
 from sim.render.spreads import PHOTONS
@@ -210,8 +211,8 @@ def _within_fan(sheet: LaserSheet, view: FieldOfView) -> Mask:
         for low, high, place in zip(view.low, view.high, (column, row), strict=True)
     )
     tangents = np.stack([*np.meshgrid(right, down), np.ones((ROWS, COLUMNS))], axis=-1)
-    towards = (tangents @ view.axes).reshape(-1, 3).T.astype(np.float32)
-    ray = mi.Ray3f(mi.Point3f(view.pinhole_mm), dr.normalize(mi.Vector3f(towards)))
+    towards = vectors((tangents @ view.axes).reshape(-1, 3).T)
+    ray = mi.Ray3f(mi.Point3f(view.pinhole_mm), dr.normalize(towards))
     phi, _, _ = sheet.coordinates(ray(crossing_within(sheet, ray)), mi.Float(0))
     return np.reshape(np.array(dr.abs(phi) <= sheet.half_angle), (ROWS, COLUMNS))
 

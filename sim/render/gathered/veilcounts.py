@@ -15,6 +15,7 @@ import numpy as np
 
 from lscan.records import Floats
 from sim.render.gathered.aimed import aimed_walk
+from sim.render.plugins.arrays import floats
 from sim.render.plugins.integrator import crossing_of
 from sim.render.plugins.opaque import opaque, opaque_vector
 from sim.render.plugins.phase import PhaseTable, angle_between
@@ -134,7 +135,7 @@ class _Tracer:
             for count, span in zip((COLUMNS, ROWS), view.high - view.low, strict=True)
         ]
         self.start = opaque(view.start_mm)
-        self.depths = mi.Float(DEPTHS.astype(np.float32))
+        self.depths = floats(DEPTHS)
         self.every = dr.opaque(mi.UInt32, max(1, round(WALKS_APART_MM * water.scattering_per_mm)))
         whole = angle_between(sheet.axis, -self.ahead)
         self.much = MUCH * whole

@@ -9,6 +9,7 @@ import mitsuba as mi
 import numpy as np
 
 from lscan.records import Floats
+from sim.render.plugins.arrays import floats
 from sim.render.plugins.sheet import LaserSheet
 
 JOINED = (4, 16, 64)  # cells a side, that may be one
@@ -40,11 +41,11 @@ class SurfaceCells:
         whole = np.linalg.norm(normal, axis=1)
         unit = normal / np.maximum(whole, 1e-30)[:, None] ** 2
         begins = np.cumsum([0, *counts.prod(axis=1)])[:-1]
-        self._start, self._sides = _floats(start), [_floats(sides[:, k]) for k in (0, 1)]
+        self._start, self._sides = floats(start), [floats(sides[:, k]) for k in (0, 1)]
         duals = np.cross(sides[:, 1], unit), np.cross(unit, sides[:, 0])
-        self._duals = [_floats(dual) for dual in duals]
-        self._counts = [_floats(counts[:, k]) for k in (0, 1)]
-        self._begins, self._whole = mi.UInt64(begins.astype(np.uint64)), _floats(whole)
+        self._duals = [floats(dual) for dual in duals]
+        self._counts = [floats(counts[:, k]) for k in (0, 1)]
+        self._begins, self._whole = mi.UInt64(begins.astype(np.uint64)), floats(whole)
 
     def find(
         self, si: mi.SurfaceInteraction3f, towards: mi.Vector3f, active: mi.Bool
@@ -160,7 +161,7 @@ class CellRecords:
         """Put the records in the order of their keys; whether all have found room."""
         order = np.argsort(np.array(self._keys), kind="stable")
         self._keys = mi.UInt64(np.array(self._keys)[order])
-        self._values = _floats(np.array(self._values).reshape(-1, 5)[order])
+        self._values = floats(np.array(self._values).reshape(-1, 5)[order])
         return int(self._used[0]) <= self.capacity
 
     def powers(self) -> Floats:
@@ -190,7 +191,3 @@ def _triangles(shape: mi.Shape) -> Floats:
     parts = mi.traverse(shape)
     vertices = np.array(parts["vertex_positions"], dtype=float).reshape(-1, 3)
     return np.asarray(vertices[np.array(parts["faces"]).reshape(-1, 3)])
-
-
-def _floats(values: Floats) -> mi.Float:
-    return mi.Float(np.asarray(values, dtype=np.float32).ravel())

@@ -16,6 +16,7 @@ import mitsuba as mi
 import numpy as np
 
 from lscan.records import Floats
+from sim.render.plugins.arrays import floats
 
 # Cells, evenly spaced in log(1 + psi / FINEST): fine where an oceanic forward peak is, which
 # rises down to the least angles.  A cell is 0.4 % of its angle wide, so that the logarithm of
@@ -48,13 +49,13 @@ class PhaseTable:
         nodes, values = angle[::WITHIN], value[::WITHIN].copy()
         around[0] = _within(phase, nodes[1])
         values[0] = max(around[0] / (2 * pi * turned[WITHIN]), values[1])
-        self.nodes = _floats(nodes)
-        self.log_value = _floats(np.log(values))
+        self.nodes = floats(nodes)
+        self.log_value = floats(np.log(values))
         line = np.concatenate([[0.0], np.cumsum(along)])
         # Counted from the middle, so that the faint backward half keeps its digits.
-        self.line = _floats(line - np.interp(pi / 2, nodes, line))
-        self.sphere = _floats(np.concatenate([[0.0], np.cumsum(around / around.sum())]))
-        self.turned = _floats(turned[::WITHIN])
+        self.line = floats(line - np.interp(pi / 2, nodes, line))
+        self.sphere = floats(np.concatenate([[0.0], np.cumsum(around / around.sum())]))
+        self.turned = floats(turned[::WITHIN])
 
     def value(self, angle: mi.Float) -> mi.Float:
         """The phase function at an angle."""
@@ -176,7 +177,3 @@ def _search(table: mi.Float, value: mi.Float) -> mi.UInt32:
 
 def _pair(table: mi.Float, cell: mi.UInt32) -> tuple[mi.Float, mi.Float]:
     return dr.gather(mi.Float, table, cell), dr.gather(mi.Float, table, cell + 1)
-
-
-def _floats(values: Floats) -> mi.Float:
-    return mi.Float(values.astype(np.float32))

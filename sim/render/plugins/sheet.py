@@ -23,6 +23,7 @@ import mitsuba as mi
 import numpy as np
 
 from lscan.records import Floats
+from sim.render.plugins.arrays import floats
 from sim.render.plugins.opaque import opaque, opaque_vector
 from sim.scene import Laser, LaserLine, Pose, sheet_pose
 
@@ -50,7 +51,7 @@ class LaserSheet(mi.Emitter):
         self.waist, self.waist_distance = opaque(laser.waist_mm), opaque(laser.waist_distance_mm)
         self.rayleigh = opaque(rayleigh_length_mm(laser, water_index, nm))
         self.is_bowed = laser.port_tilt_deg != 0
-        self.bow_table = mi.Float(bow(laser, water_index).astype(np.float32))
+        self.bow_table = floats(bow(laser, water_index))
         self._in_head = sheet_pose(laser, line)
         self.is_moving = False
 

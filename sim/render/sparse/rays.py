@@ -13,6 +13,7 @@ import mitsuba as mi
 import numpy as np
 
 from lscan.records import Ints
+from sim.render.plugins.arrays import floats, indices
 from sim.render.plugins.base import Leg
 from sim.render.plugins.camera import RefractiveCamera
 from sim.render.plugins.integrator import SheetIntegrator, crossing_of
@@ -72,8 +73,7 @@ class HeadRays:
 
     def some(self, pixels: Ints) -> tuple["HeadRays", mi.UInt32]:
         """The rays of some pixels, without veils, and their indices for other gathers."""
-        index = mi.UInt32(pixels.astype(np.uint32))
-        index = dr.gather(mi.UInt32, index, dr.arange(mi.UInt32, len(pixels)))
+        index = indices(pixels)
         place, way = (dr.gather(type(v), v, index) for v in (self.origin, self.direction))
         weight = dr.gather(mi.Float, self.weight, index)
         return replace(self, origin=place, direction=way, weight=weight, veils=()), index
@@ -119,7 +119,7 @@ def sample_places(
     """
     (width, height), count = size_px, side**2
     lane = dr.arange(mi.UInt32, count * len(pixels))
-    pixel = dr.gather(mi.UInt32, mi.UInt32(pixels.astype(np.uint32)), lane // count)
+    pixel = dr.gather(mi.UInt32, indices(pixels), lane // count)
     sample = lane % count
     u = mi.Float(pixel % width) + (mi.Float(sample % side) + 0.5) / side
     v = mi.Float(pixel // width) + (mi.Float(sample // side) + 0.5) / side
@@ -151,5 +151,5 @@ def _smooth(veil: OpenVeil, size_px: tuple[int, int]) -> OpenVeil:
         return veil
     curved = cv2.Laplacian(light.reshape(size_px[::-1]), cv2.CV_32F) / 24
     allowed = ROUGHEST * np.maximum(light, DIMMEST * light.max())
-    rough = mi.Float(np.float32(np.abs(curved.ravel()) > allowed))
+    rough = floats(np.abs(curved.ravel()) > allowed)
     return replace(veil, sigma=dr.select(rough > 0, dr.inf, veil.sigma))

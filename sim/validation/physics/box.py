@@ -7,6 +7,7 @@ import mitsuba as mi
 import numpy as np
 
 from lscan.records import Floats
+from sim.render.plugins.arrays import vectors
 from sim.render.tank import Tank
 from sim.scene import Scene
 from sim.validation.physics.rigs import scene_with
@@ -71,8 +72,8 @@ def _radiance(tank: Tank, scene: mi.Scene, count: int, seed: int) -> Floats:
     turn = (np.arange(3) - side[:, np.newaxis]) % 3  # puts the wall's normal along its axis
     origin, direction = (np.take_along_axis(v, turn, axis=1).T for v in (start, along))
     ray = dr.zeros(mi.RayDifferential3f, count)
-    ray.o = mi.Point3f(*(mi.Float(v.astype(np.float32)) for v in origin))
-    ray.d = mi.Vector3f(*(mi.Float(v.astype(np.float32)) for v in direction))
+    ray.o = mi.Point3f(vectors(origin))
+    ray.d = vectors(direction)
     ray.maxt = dr.largest(mi.Float)
     sampler = mi.load_dict({"type": "independent"})
     sampler.seed(seed, count)

@@ -6,6 +6,7 @@ import mitsuba as mi
 import numpy as np
 
 from lscan.records import Floats
+from sim.render.plugins.arrays import floats
 from sim.render.plugins.ports import fresnel_transmission
 from sim.render.tank import Tank
 from sim.scene import Scene
@@ -48,7 +49,7 @@ def power_through_cylinder(fan: dict[str, Any]) -> float:
     phi = (np.arange(800) + 0.5) * (2 * half / 800) - half
     total = 0.0
     for sheet in Tank(scene).integrator.sheets:
-        slope = np.array(sheet.slope(mi.Float(phi.astype(np.float32)))) if sheet.is_bowed else 0
+        slope = np.array(sheet.slope(floats(phi))) if sheet.is_bowed else 0
         s = np.linspace(-8, 8, 1601)
         p, offset = np.meshgrid(phi, s)
         rise = offset + RADIUS_MM * slope
@@ -60,7 +61,7 @@ def power_through_cylinder(fan: dict[str, Any]) -> float:
 
 def _in_sheet(sheet: Any, lateral: Floats, offset: Floats, depth: Floats) -> mi.Point3f:
     """World points of a sheet's coordinates, mm."""
-    x, y, z = (mi.Float(v.ravel().astype(np.float32)) for v in (lateral, offset, depth))
+    x, y, z = map(floats, (lateral, offset, depth))
     return sheet.apex(mi.Float(0.0)) + sheet.across * x + sheet.normal * y + sheet.axis * z
 
 
@@ -111,7 +112,7 @@ def furnace_deviation() -> float:
 def fresnel_deviation() -> float:
     """Largest |R + T - 1| over angles and index ratios, R Mitsuba's and T the camera's."""
     cosine, ratio = np.meshgrid(np.cos(np.radians(np.arange(0, 85, 0.5))), (0.9, 1.12, 1.33, 1.49))
-    cos_in, eta = (mi.Float(v.ravel().astype(np.float32)) for v in (cosine, ratio))
+    cos_in, eta = map(floats, (cosine, ratio))
     reflected, cos_out, _, _ = mi.fresnel(cos_in, eta)
     there = np.array(reflected) < 1  # beyond, the ray is reflected whole and no camera's
     passed = np.array(fresnel_transmission(cos_in, abs(cos_out), eta))

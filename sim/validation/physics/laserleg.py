@@ -11,6 +11,7 @@ import numpy as np
 
 from lscan.records import Floats
 from sim.render.judge.judged import JudgeEffort, landed_irradiance
+from sim.render.plugins.arrays import floats
 from sim.render.plugins.base import Leg
 from sim.render.plugins.beams import drawn_beam
 from sim.render.tank import Tank
@@ -113,8 +114,8 @@ def _on_strip(tank: Tank, photons: int, widest: float, seed: int) -> float:
     """Mean of what so many photons bring to as many random places of the strip, mW/mm2."""
     floor, generator = tank.scene.tank.floor, np.random.default_rng(seed)
     assert floor is not None
-    x, s = (generator.uniform(-end, end, photons).astype(np.float32) for end in (STRIP_MM, widest))
-    start = mi.Point3f(mi.Float(x), mi.Float(s), floor.z_mm + ABOVE_MM)
+    x, s = (floats(generator.uniform(-end, end, photons)) for end in (STRIP_MM, widest))
+    start = mi.Point3f(x, s, floor.z_mm + ABOVE_MM)
     rays = mi.Ray3f(start, mi.Vector3f(0, 0, -1))
     return float(landed_irradiance(tank, rays, JudgeEffort(photons=photons), seed).mean())
 

@@ -11,6 +11,7 @@ from lscan.config.rigfile import parse_rig
 from lscan.errors import InputError
 from lscan.files.packaged import packaged_table
 from lscan.records import Floats
+from sim.render.plugins.arrays import floats
 from sim.render.plugins.camera import RefractiveCamera
 from sim.render.plugins.traced import TracedCamera
 from sim.scene import Pose, Scene, scene_of
@@ -85,7 +86,7 @@ def camera_rays(
     pixels: (N, 2) of (u, v).  The frame is that of the camera's pose.
     """
     place = (pixels + 0.5) / np.array(picture_size(scene))
-    sample = mi.Point2f(*(mi.Float(column.astype(np.float32)) for column in place.T))
+    sample = mi.Point2f(*map(floats, place.T))
     ray, weight = camera.sample_ray(0.0, 0.0, sample, mi.Point2f(0.5))
     origins, directions = (np.array(vectors, dtype=float).T for vectors in (ray.o, ray.d))
     return origins, directions, np.array(weight, dtype=float).ravel()

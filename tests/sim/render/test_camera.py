@@ -11,6 +11,7 @@ from places import SCENES
 
 from lscan.errors import InputError
 from lscan.records import Floats
+from sim.render.plugins.arrays import floats
 from sim.render.plugins.camera import RefractiveCamera
 from sim.render.plugins.traced import TracedCamera
 from sim.scene import Head, Lens, PlanePort, Port, Pose, Scene, camera_pose, load_scene
@@ -76,12 +77,12 @@ def sample(
     """The rays through (N, 2) pixels, with (N,) shutter and (N, 2) pupil samples."""
     place = (pixels + 0.5) / camera.film().size()
     pupil = np.zeros((len(pixels), 2)) if pupil is None else pupil
-    shutter = mi.Float(np.broadcast_to(np.float32(time), len(pixels)).copy())
+    shutter = floats(np.broadcast_to(time, len(pixels)))
     return camera.sample_ray(shutter, 0.0, points(place), points(pupil))
 
 
 def points(values: Floats) -> mi.Point2f:
-    return mi.Point2f(*(mi.Float(column.astype(np.float32)) for column in values.T))
+    return mi.Point2f(*map(floats, values.T))
 
 
 def vectors(values: mi.Vector3f) -> Floats:

@@ -2,7 +2,6 @@
 
 from math import pi
 
-import mitsuba as mi
 import numpy as np
 import pytest
 from gathered_cases import WATER, beside_a_beam, small_view, spread
@@ -10,6 +9,7 @@ from gathered_cases import WATER, beside_a_beam, small_view, spread
 from sim.render.gathered import chart as charts
 from sim.render.gathered.camera import CameraLeg, Shining
 from sim.render.gathered.chart import Chart, ChartGrid, Picture, make_chart
+from sim.render.plugins.arrays import floats
 from sim.scene import Head, load_scene
 
 # Gaussians in the kernel's place are 2 to 3 % off between its angles (its own test).
@@ -96,7 +96,7 @@ def even_light(chart: Chart, leg: CameraLeg, distance: float) -> float:
         shining.append(Shining(grid.solid_angle * np.float32(distance**2), full, normal))
     rows, columns = chart.inner.shape
     height, width = chart.pixel_rad.shape
-    away = mi.Float(np.full(height * width, distance - chart.near_mm, np.float32))
+    away = floats(np.full(height * width, distance - chart.near_mm))
     near = np.array(leg.near_gain(away)).reshape(height, width)[height // 2, width // 2]
     return float(leg.halo(*shining)[rows // 2, columns // 2] + near)
 
@@ -132,7 +132,7 @@ def test_narrow_gaussians_move_light_and_keep_it(chart: Chart, leg: CameraLeg) -
     shape = chart.pixel_rad.shape
     distance = np.full(shape, 800.0, np.float32)
     even = leg.near_peaked(np.ones(shape, np.float32), distance)
-    gain = np.array(leg.near_gain(mi.Float(distance.ravel()))).reshape(shape)
+    gain = np.array(leg.near_gain(floats(distance))).reshape(shape)
     # Pixels' sizes alone make light uneven.
     assert np.abs(even).max() < 0.01 * gain.max()
     line = np.zeros(shape, np.float32)

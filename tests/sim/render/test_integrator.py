@@ -20,6 +20,7 @@ from integrator_cases import (
 from scipy.integrate import quad
 
 from lscan.records import Floats
+from sim.render.plugins.arrays import vectors
 from sim.render.plugins.integrator import SheetIntegrator
 from sim.render.plugins.sheet import LaserSheet
 from sim.render.stockmedium import stock_medium
@@ -86,7 +87,7 @@ def test_a_bent_or_leant_sheets_veil_against_quadrature(
 
     t = np.arange(300.0, 700.0, 0.01 * waist)
     points = start + t[:, np.newaxis] * along
-    place = mi.Point3f(*(mi.Float(column.astype(np.float32)) for column in points.T))
+    place = mi.Point3f(vectors(points.T))
     irradiance = np.array(sheet.irradiance(place, mi.Float(0.0)), dtype=float)
     from_apex = points - [0, 0, 300]
     distance = np.linalg.norm(from_apex, axis=1)

@@ -20,6 +20,7 @@ from sim.render.judge.cells import SLIVER, CellRecords, SurfaceCells
 from sim.render.judge.judged import JudgeEffort, judge
 from sim.render.judge.photons import PhotonRecords, Waters, shoot
 from sim.render.layers import W_PER_M2_IN_MW_PER_MM2
+from sim.render.plugins.arrays import floats, indices
 from sim.render.plugins.multiple import MultipleIntegrator
 from sim.render.tank import Tank
 from sim.scene import Laser
@@ -32,8 +33,8 @@ def triangles(corners: Floats) -> mi.Mesh:
     """A mesh of (T, 3, 3) corners."""
     mesh = mi.Mesh("triangles", vertex_count=3 * len(corners), face_count=len(corners))
     values = mi.traverse(mesh)
-    values["vertex_positions"] = mi.Float(corners.astype(np.float32).ravel())
-    values["faces"] = mi.UInt32(np.arange(3 * len(corners), dtype=np.uint32))
+    values["vertex_positions"] = floats(corners)
+    values["faces"] = indices(np.arange(3 * len(corners)))
     values.update()
     return mesh
 
@@ -54,7 +55,7 @@ def test_cells_hold_points_by_their_area() -> None:
     cells = SurfaceCells(scene, [sheet], 1.0)
     generator = np.random.default_rng(3)
     x, y = generator.uniform([0, 0], [180, 300], (COUNT, 2)).T
-    start = mi.Point3f(mi.Float(x.astype(np.float32)), mi.Float(y.astype(np.float32)), 10)
+    start = mi.Point3f(floats(x), floats(y), 10)
     si = scene.ray_intersect(mi.Ray3f(start, mi.Vector3f(0, 0, -1)))
     key, area = cells.find(si, mi.Vector3f(0, 0, 1), si.is_valid())
     met = np.array(si.is_valid())
@@ -93,7 +94,7 @@ def test_records_are_drawn_from_their_own_cell() -> None:
     keys = 3 + np.arange(30) ** 2 % 4
     for wanted in range(8):
         held = np.flatnonzero(keys == wanted)
-        sample = mi.Float(((np.arange(600) + 0.5) / 600).astype(np.float32))
+        sample = floats((np.arange(600) + 0.5) / 600)
         found = records.draw(mi.UInt64(wanted), sample, mi.Bool(True))
         assert int(found.count[0]) == len(held)
         if len(held):

@@ -15,6 +15,7 @@ from lscan.records import Floats
 from sim.meshes import Finish, MeshPart, Paint
 from sim.meshes.paint import vertex_paint
 from sim.render.materials import mi, mitsuba_shape, surface
+from sim.render.plugins.arrays import vectors
 
 WATER = 1.3313  # fresh water, 20 C, 650 nm
 SAMPLES = 100_000
@@ -56,18 +57,14 @@ def at(angle: float, count: int = SAMPLES) -> Floats:
 def scattering(part: MeshPart, towards: Floats) -> tuple[mi.BSDF, mi.SurfaceInteraction3f]:
     """The part's scattering function, and interactions seen from ``towards``, (N, 3)."""
     si = dr.zeros(mi.SurfaceInteraction3f, len(towards))
-    si.wi = vectors(towards)
+    si.wi = vectors(towards.T)
     return mi.load_dict(surface(part, WATER)), si
-
-
-def vectors(rows: Floats) -> mi.Vector3f:
-    return mi.Vector3f(np.asarray(rows, dtype=np.float32).T)
 
 
 def evaluate(part: MeshPart, towards: Floats, lit_from: Floats) -> Floats:
     """(N,) f cos, 1/sr, seen from ``towards`` and lit from ``lit_from``, (N, 3)."""
     bsdf, si = scattering(part, towards)
-    return np.array(bsdf.eval(mi.BSDFContext(), si, vectors(lit_from))).ravel().astype(float)
+    return np.array(bsdf.eval(mi.BSDFContext(), si, vectors(lit_from.T))).ravel().astype(float)
 
 
 def sample(part: MeshPart, towards: Floats, seed: int) -> tuple[mi.BSDFSample3f, Floats]:
@@ -82,7 +79,7 @@ def sample(part: MeshPart, towards: Floats, seed: int) -> tuple[mi.BSDFSample3f,
 def reflectances(part: MeshPart, place: Floats) -> Floats:
     """(N,) albedo of a matt part at places (N, 2), met by rays from above, lit from above."""
     scene = mi.load_dict({"type": "scene", "part": mitsuba_shape(part, WATER)})
-    origins = vectors(np.column_stack([place, np.ones(len(place))]))
+    origins = vectors([*place.T, np.ones(len(place))])
     si = scene.ray_intersect(mi.Ray3f(mi.Point3f(origins), mi.Vector3f(0, 0, -1)))
     assert dr.all(si.is_valid())
     straight = mi.Vector3f(0, 0, 1)

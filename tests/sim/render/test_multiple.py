@@ -22,6 +22,7 @@ from integrator_cases import (
 from scipy.special import ndtr
 
 from lscan.records import Floats
+from sim.render.plugins.arrays import floats
 from sim.render.plugins.beams import BeamDensity, beam_density, falloff, line_density
 from sim.render.plugins.integrator import SheetIntegrator
 from sim.render.plugins.multiple import MultipleIntegrator
@@ -45,10 +46,6 @@ POINTS = st.tuples(st.floats(-400, 400), st.floats(-0.5, 2.0), st.floats(60, 700
 AT_REST = Pose(np.eye(3), np.zeros(3))
 SHARES = (0.2, 0.5, 0.3)
 STOCK_SEEDS = range(100, 100 + RUNS)
-
-
-def floats(values: Floats) -> mi.Float:
-    return mi.Float(np.asarray(values, dtype=np.float32).ravel())
 
 
 def doubles(values: mi.Float) -> Floats:

@@ -10,6 +10,7 @@ from hypothesis import given, settings, strategies as st
 from water_sphere import integral
 
 from lscan.records import Floats
+from sim.render.plugins.arrays import floats
 from sim.render.plugins.phase import FINEST, FLAT, SCALE, PhaseTable, angle_between, approach
 from sim.scene.matter import Water
 from sim.water import Optics, water_optics
@@ -35,10 +36,6 @@ def optics(name: str) -> Optics:
 @cache
 def table(name: str) -> PhaseTable:
     return PhaseTable(optics(name).phase)
-
-
-def floats(values: Floats) -> mi.Float:
-    return mi.Float(np.asarray(values, dtype=np.float32))
 
 
 def doubles(values: mi.Float) -> Floats:

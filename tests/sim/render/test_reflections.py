@@ -20,6 +20,7 @@ from sim.render.gathered.reflections import Reflections
 from sim.render.judge.judged import JudgeEffort, judge
 from sim.render.layers import W_PER_M2_IN_MW_PER_MM2
 from sim.render.materials import mitsuba_shape
+from sim.render.plugins.arrays import vectors
 from sim.render.plugins.integrator import SheetIntegrator
 from sim.render.tank import Tank
 from sim.scene import Laser, Pose, head_pose, load_scene
@@ -72,7 +73,7 @@ class Corner:
         eye, ends = self.pose.apply(np.array([start]))[0], self.pose.apply(places)
         way = ends - eye
         way /= np.linalg.norm(way, axis=1, keepdims=True)
-        ray = mi.Ray3f(mi.Point3f(*eye.tolist()), mi.Vector3f(way.T.astype(np.float32)))
+        ray = mi.Ray3f(mi.Point3f(*eye.tolist()), vectors(way.T))
         si = self.scene.ray_intersect(ray)
         np.testing.assert_allclose(np.array(si.p).T, ends, atol=1e-3)
         return np.array(self.reflections.irradiance(self.lit, si)[0], dtype=float)
@@ -104,7 +105,7 @@ def long_line() -> LitLine:
 
 def from_line(line: LitLine, y_mm: Floats, z_mm: Floats, normal: list[float]) -> Floats:
     """Irradiance at (0, y, z) by a line."""
-    point = mi.Point3f(np.array([0 * y_mm, y_mm, z_mm], dtype=np.float32))
+    point = mi.Point3f(vectors([0 * y_mm, y_mm, z_mm]))
     upright = mi.Vector3f(*(mi.Float(v) + dr.zeros(mi.Float, len(y_mm)) for v in normal))
     close, far = received(line, point, upright, mi.Float(0), mi.Bool(True))
     return np.array(close + far, dtype=float)

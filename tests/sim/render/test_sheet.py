@@ -8,6 +8,7 @@ import pytest
 from hypothesis import given, settings, strategies as st
 
 from lscan.records import Floats
+from sim.render.plugins.arrays import floats, vectors
 from sim.render.plugins.sheet import BOW_NODES, LaserSheet, bow
 from sim.scene import Head, Laser, Pose, head_pose, sheet_pose
 from sim.truth.bow import bow_of
@@ -50,13 +51,13 @@ def sheets_of(laser: Laser, head: Pose = STILL, velocity: Floats | None = None) 
 
 def irradiance(sheet: LaserSheet, points: Floats, time: float = 0.0) -> Floats:
     """(N,) mW/mm2 at (N, 3) points of the world."""
-    place = mi.Point3f(*(mi.Float(column.astype(np.float32)) for column in points.T))
+    place = mi.Point3f(vectors(points.T))
     return np.array(sheet.irradiance(place, mi.Float(time)), dtype=float)
 
 
 def slopes(sheet: LaserSheet, phi: Floats) -> Floats:
     """(N,) the plugin's q at angles of the fan."""
-    return np.array(sheet.slope(mi.Float(phi.astype(np.float32))), dtype=float)
+    return np.array(sheet.slope(floats(phi)), dtype=float)
 
 
 def refracted_slopes(tilt_deg: float, index: float, angles: Floats) -> tuple[Floats, Floats]:
@@ -233,7 +234,7 @@ def test_a_moving_head_takes_the_sheet_along() -> None:
 
 def rays_of(sheet: LaserSheet, points: Floats) -> tuple[Floats, Floats]:
     """(N, 3) unit directions of light at (N, 3) points of the world, and its sources."""
-    place = mi.Point3f(*(mi.Float(column.astype(np.float32)) for column in points.T))
+    place = mi.Point3f(vectors(points.T))
     along, source = sheet.arrival(place, mi.Float(0.0))
     return np.array(along, dtype=float).T, np.array(source, dtype=float).T
 

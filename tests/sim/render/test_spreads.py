@@ -10,8 +10,8 @@ from shown_work import ShownWork
 
 from lscan.errors import InputError
 from lscan.files.longwork import long_work_shown
-from lscan.records import Floats
 from sim.render import photons, spreads
+from sim.render.plugins.arrays import floats
 from sim.render.plugins.spread import SpreadLookup
 from sim.render.spreads import photons_asked_for, spread_of
 from sim.scene.matter import Water
@@ -31,10 +31,6 @@ def cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 def made(water: Optics = WATER, seed: int = 1) -> Spread:
     return spread_of(water, PHOTONS, seed)
-
-
-def floats(values: Floats) -> mi.Float:
-    return mi.Float(np.asarray(values, dtype=np.float32).ravel())
 
 
 def test_a_kernel_reads_the_tables_as_numpy_does() -> None:

@@ -11,6 +11,7 @@ from truth_scenes import tank
 
 from lscan.config.documents import merge
 from lscan.records import Floats, Status
+from sim.render.plugins.arrays import vectors
 from sim.render.plugins.integrator import SheetIntegrator
 from sim.render.tank import Tank
 from sim.scene import Scene
@@ -53,7 +54,7 @@ def floor_light(water: Optics, starts: Floats, along: Floats) -> Floats:
     integrator.configure(water, [], UNIFORM, light)
     sampler = mi.load_dict({"type": "independent"})
     sampler.seed(3, len(starts))
-    o, d = (mi.Vector3f(*(mi.Float(c.astype(np.float32)) for c in v.T)) for v in (starts, along))
+    o, d = (vectors(v.T) for v in (starts, along))
     rays = mi.RayDifferential3f(mi.Ray3f(mi.Point3f(o), d))
     count = dr.full(mi.Bool, True, len(starts))
     value, _, _ = integrator.sample(scene, sampler, rays, None, count)
