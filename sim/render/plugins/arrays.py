@@ -15,12 +15,22 @@ VECTOR = 16  # numbers of 4 bytes: those of a cache line, and of the longest vec
 
 
 def floats(values: ArrayLike) -> mi.Float:
-    """The numbers of an array, row by row."""
+    """The numbers of an array, row by row.
+
+    Parameters
+    ----------
+    values : array of any shape
+    """
     return mi.Float(_roomy(values, np.float32))
 
 
 def indices(values: ArrayLike) -> mi.UInt32:
-    """The integers of an array, row by row."""
+    """The integers of an array, row by row.
+
+    Parameters
+    ----------
+    values : array of any shape, 0 to 2**32 - 1
+    """
     return mi.UInt32(_roomy(values, np.uint32))
 
 
