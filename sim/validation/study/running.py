@@ -1,6 +1,7 @@
 """Studies on stubs: the same bytes however they are run and killed, and what a task costs."""
 
 import json
+import logging
 import os
 import signal
 import subprocess
@@ -67,11 +68,24 @@ class Overhead:
     worker_mib: float
 
 
+@contextmanager
+def _without_tracebacks() -> Iterator[None]:
+    """Those of stubs, which fail on purpose."""
+    log = logging.getLogger(run_rows.__module__)
+    before = log.level
+    log.setLevel(logging.CRITICAL)
+    try:
+        yield
+    finally:
+        log.setLevel(before)
+
+
 def running_rows(kills: int, tasks: int) -> list[Row]:
     """The rows.  kills: how many.  tasks: over which the overhead is taken."""
     return [*same_rows(), *overhead_rows(tasks), *kill_rows(kills)]
 
 
+@_without_tracebacks()
 def same_rows() -> list[Row]:
     """How many studies differ from the one in a single process, 5 % of whose rows fail."""
     source = StubSource(failing=FAILING)
@@ -120,6 +134,7 @@ def overhead_ms_per_task(workers: int = 16, tasks: int = 320) -> float:
     return overhead(workers, tasks).task_ms
 
 
+@_without_tracebacks()
 def kill_rows(count: int, seed: int = SEED) -> list[Row]:
     """Kills of worker, scheduler and study in turn: what differs, and what was done again."""
     studies = killed_studies(count, seed)
