@@ -51,5 +51,5 @@ def find_suite(name: str) -> Path:
         return found[name]
     if Path(name).exists():
         return Path(name)
-    allowed = ", ".join(found) or "a path, or lscan-sim suite make"
+    allowed = ", ".join(found) or f"a path; lscan-sim suite make {name} renders one of that name"
     raise InputError("no such suite", where="--suite", value=name, allowed=allowed)
