@@ -10,7 +10,7 @@ import numpy as np
 import typer
 
 from lscan.cli.arguments import Json, require_folders
-from lscan.cli.console import print_json, print_table
+from lscan.cli.console import print_json, print_table, progress_bar
 from lscan.errors import InputError
 
 if TYPE_CHECKING:
@@ -88,7 +88,8 @@ def roughness(
     patch = _patch(scanned, cell, yaw)
     lengths = (length / 10 for length in (sheet, blur, pixel, cell or 0.0))
     response = ScannerResponse(*lengths)
-    found = roughness_of(patch, response, stretched=stretched)
+    with progress_bar("roughness") as progress:
+        found = roughness_of(patch, response, stretched=stretched, progress=progress)
     if output:
         save_roughness(output, patch, found)
     if figures:

@@ -1,6 +1,7 @@
 """Roughness of the seabed: spectrum, power law, ripples, moments, and where the instrument ends."""
 
 from lscan.roughness.analysis import Roughness, roughness_of
+from lscan.roughness.differences import Band
 from lscan.roughness.instrument import (
     ScannerResponse,
     corrected_spectrum,
@@ -37,7 +38,7 @@ from lscan.roughness.spectra import (
     profile_spectrum,
 )
 from lscan.roughness.spread import RippleSpread, ripple_spread
-from lscan.roughness.whittle import Band, PowerLawFit, fit_power_law, most_likely_law, usable_band
+from lscan.roughness.whittle import PowerLawFit, fit_power_law, most_likely_law, usable_band
 
 __all__ = [
     "SEDIMENTS",
