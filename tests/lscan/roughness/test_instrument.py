@@ -162,6 +162,16 @@ def test_profiles_are_a_patch_finer_than_cells(surface_file: Path) -> None:
     np.testing.assert_allclose(third[kept], 6e-4 * 0.5**3 / 10, rtol=1e-6)
 
 
+def test_a_scan_backwards_shows_the_same_patch(surface_file: Path) -> None:
+    """A heading from x towards y is the same whichever way the track went."""
+    surface = load_surface(surface_file)
+    arrays = ("xyz_mm", "sigma_x_mm", "sigma_z_mm", "status", "position_mm")
+    back = replace(surface, **{name: getattr(surface, name)[::-1] for name in arrays})
+    one, other = patch_of_profiles(surface), patch_of_profiles(back)
+    np.testing.assert_allclose(other.z_cm, one.z_cm, atol=1e-12)
+    assert (other.seen == one.seen).all()
+
+
 def test_bent_or_uneven_profiles_are_refused() -> None:
     x, y = np.meshgrid(np.arange(40.0), np.arange(30.0))
     status = np.full(x.shape, int(Status.OK))
