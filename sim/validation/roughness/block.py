@@ -19,6 +19,7 @@ from lscan.roughness import (
     most_likely_law,
     patch_of_profiles,
     patch_spectrum,
+    response_of,
     roughness_of,
     sediment,
 )
@@ -49,8 +50,7 @@ def block_rows(scenes: Path, effort: RoughnessEffort) -> list[Row]:
     effort : RoughnessEffort, its frames
     """
     scene = load_scene(scenes / "targets" / "rough.toml")
-    measured, spacing_mm = _scanned(scenes, scene, effort)
-    response = _response(scene, spacing_mm)
+    measured, response = _scanned(scenes, scene, effort)
     patch = patch_of_profiles(measured)
     true = patch_of_profiles(_true_heights(scene, measured))
     found = roughness_of(patch, response)
@@ -72,8 +72,10 @@ def block_rows(scenes: Path, effort: RoughnessEffort) -> list[Row]:
     ]
 
 
-def _scanned(scenes: Path, scene: Scene, effort: RoughnessEffort) -> tuple[Surface, float]:
-    """The measured surface in the block's frame, placed by the truth, and its points' distance.
+def _scanned(
+    scenes: Path, scene: Scene, effort: RoughnessEffort
+) -> tuple[Surface, ScannerResponse]:
+    """The measured surface in the block's frame, placed by the truth, and the rig's response there.
 
     Heights are those of the line, not corrected for the sheet's thickness: the spectrum is.
     """
@@ -101,17 +103,9 @@ def _scanned(scenes: Path, scene: Scene, effort: RoughnessEffort) -> tuple[Surfa
     status = np.where(inside, surface.status, int(Status.NO_DATA))
     xyz = np.where(inside[..., np.newaxis], own, np.nan)
     placed = replace(surface, xyz_mm=xyz, status=status, frame="workpiece")
-    apart = np.linalg.norm(np.diff(xyz[..., :2], axis=1), axis=-1)
-    return placed, float(np.nanmedian(apart))
-
-
-def _response(scene: Scene, spacing_mm: float) -> ScannerResponse:
-    """What the rig's sheet, blur and pixels average over, at the block."""
-    sheet = scene.rig.sheet
-    assert sheet is not None
-    blur_px = scene.rig.stripe.blur_px or 0.0
-    lengths = (sheet.thickness_mm / 2, blur_px * spacing_mm, spacing_mm)
-    return ScannerResponse(*(length / 10 for length in lengths))
+    lines = np.stack([stripe.peak for stripe in reading.stripes])
+    at_block = replace(surface, status=status)
+    return placed, response_of(scene.rig, at_block, float(np.median(lines[inside])))
 
 
 def _true_heights(scene: Scene, surface: Surface) -> Surface:

@@ -51,6 +51,8 @@ def test_a_response_s_lengths_act_along_their_own_axes() -> None:
     assert response(5.0, 0.0) == pytest.approx((0.75 * np.exp(-0.125)) ** 2)
     assert ScannerResponse(blur_cm=0.1)(7.0, 5.0) == pytest.approx(np.exp(-0.25))
     assert response(0.0, 5.0) == pytest.approx((np.sin(0.5) / 0.5) ** 2)
+    seen_aside = ScannerResponse(sheet_cm=0.1, aside=(-0.2, 0.2))
+    assert seen_aside(0.0, 5.0) == pytest.approx((0.99 * np.exp(-0.005)) ** 2)
     with pytest.raises(InputError, match="sheet_cm"):
         ScannerResponse(sheet_cm=-1.0)
 
