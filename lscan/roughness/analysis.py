@@ -109,7 +109,7 @@ def roughness_of(
     (2.0, 0.6)
     """
     response = response or ScannerResponse()
-    train = find_ripples(patch)
+    train = find_ripples(patch, response=response)
     rest = patch if train is None else without_ripples(patch, train)
     spread = None if train is None else ripple_spread(patch, train)
     told: dict[str, Any] = {

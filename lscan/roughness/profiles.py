@@ -50,8 +50,9 @@ def patch_of_profiles(surface: Surface, cell_mm: float | None = None) -> Patch:
     kept = [_resampled(along[r], surface.xyz_mm[r, :, 2], good[r], places) for r in rows]
     z, seen = (np.stack(part) for part in zip(*kept, strict=True))
     apart = float(np.median(np.concatenate([np.diff(along[r][good[r]]) for r in rows])))
-    noise = float(variance[good].mean()) * max(apart / cell, 1.0)
-    return Patch(z / MM_PER_CM, seen, cell / MM_PER_CM, noise / MM_PER_CM**2)
+    points_cells = max(apart / cell, 1.0)
+    noise = float(variance[good].mean()) * points_cells
+    return Patch(z / MM_PER_CM, seen, cell / MM_PER_CM, noise / MM_PER_CM**2, points_cells)
 
 
 def _frame(surface: Surface, good: Mask, rows: Ints) -> tuple[Floats, Floats]:
