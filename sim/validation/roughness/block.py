@@ -11,11 +11,12 @@ from lscan.pipeline import build_surface
 from lscan.records import Floats, Status, Surface
 from lscan.roughness import (
     Patch,
+    PatchSpectrum,
     PowerLawFit,
-    RingSpectrum,
     ScannerResponse,
     backscattering_strength,
     by_rings,
+    corrected_spectrum,
     most_likely_law,
     patch_of_profiles,
     patch_spectrum,
@@ -55,12 +56,14 @@ def block_rows(scenes: Path, effort: RoughnessEffort) -> list[Row]:
     true = patch_of_profiles(_true_heights(scene, measured))
     found = roughness_of(patch, response)
     told = found.cutoff_per_cm / (20 * np.pi)
-    rings = by_rings(found.corrected, RINGS)
-    off_db = _off_db(rings, by_rings(patch_spectrum(true), RINGS))
-    size = rings.wavenumber_per_cm / (20 * np.pi)
+    expected = _of_the_same_waves(patch_spectrum(true), found.corrected)
+    size, off_db = _off_db(found.corrected, expected)
     inside = (size >= LOW_PER_MM) & (size <= min(HIGH_PER_MM, told))
-    beyond = np.flatnonzero((size >= LOW_PER_MM) & ~(np.abs(off_db) <= OFF_DB))
-    leaves = float(size[beyond[0]]) if len(beyond) else HIGH_PER_MM
+    # The cutoff is where noise alone lifts the spectrum by so much: it is left in.
+    lifted = corrected_spectrum(found.spectrum, replace(patch, noise_cm2=0.0), response)
+    size_lifted, lifted_db = _off_db(lifted, expected)
+    beyond = np.flatnonzero((size_lifted >= LOW_PER_MM) & ~(np.abs(lifted_db) <= OFF_DB))
+    leaves = float(size_lifted[beyond[0]]) if len(beyond) else HIGH_PER_MM
     leaves = min(leaves, HIGH_PER_MM)  # where the block's own spectrum ends
     words: dict[str, Any] = {"frames": len(measured.xyz_mm), "cutoff": told}
     worst = float(np.abs(off_db[inside]).max()) if inside.any() else float("nan")
@@ -68,7 +71,9 @@ def block_rows(scenes: Path, effort: RoughnessEffort) -> list[Row]:
     return [
         row("roughness-block", worst, seed=SEED, **words),
         row("roughness-cutoff", abs(percent), seed=SEED, leaves=leaves, **words),
-        row("roughness-echo", _echo_db(found.fit, true), seed=SEED, bottom=BOTTOM, **words),
+        row(
+            "roughness-echo", _echo_db(found.fit, true, response), seed=SEED, bottom=BOTTOM, **words
+        ),
     ]
 
 
@@ -116,16 +121,26 @@ def _true_heights(scene: Scene, surface: Surface) -> Surface:
     return replace(surface, xyz_mm=xyz, sigma_z_mm=0 * surface.sigma_z_mm, modes_mm=None)
 
 
-def _off_db(rings: RingSpectrum, true: RingSpectrum) -> Floats:
-    """(K,) dB, measured over true; NaN where nothing of a ring is left."""
-    expected = np.interp(rings.wavenumber_per_cm, true.wavenumber_per_cm, true.density_cm4)
+def _of_the_same_waves(true: PatchSpectrum, measured: PatchSpectrum) -> PatchSpectrum:
+    """What is true of the waves that were measured: of a single block, others differ by chance."""
+    known = np.isfinite(measured.density_cm4)
+    return replace(true, density_cm4=np.where(known, true.density_cm4, np.nan))
+
+
+def _off_db(measured: PatchSpectrum, true: PatchSpectrum) -> tuple[Floats, Floats]:
+    """(K,) sizes of the rings' waves, 1/mm, and dB, measured over true."""
+    rings, expected = (by_rings(spectrum, RINGS) for spectrum in (measured, true))
     with np.errstate(invalid="ignore", divide="ignore"):
-        return np.asarray(10 * np.log10(rings.density_cm4 / expected))
+        off_db = 10 * np.log10(rings.density_cm4 / expected.density_cm4)
+    return rings.wavenumber_per_cm / (20 * np.pi), np.asarray(off_db)
 
 
-def _echo_db(fit: PowerLawFit, true: Patch) -> float:
-    """The largest difference of backscattering strength, of the law measured and the true one."""
-    expected = most_likely_law(true, band=fit.band)
+def _echo_db(fit: PowerLawFit, true: Patch, response: ScannerResponse) -> float:
+    """The largest difference of backscattering strength, of the law measured and the true one.
+
+    Both are fitted to the same waves.
+    """
+    expected = most_likely_law(true, band=fit.band, known=response.known)
     bottom = sediment(BOTTOM)
     off = [
         backscattering_strength(fit.law, bottom, khz, np.array(GRAZING_DEG))
