@@ -10,15 +10,16 @@ import numpy as np
 import typer
 
 from lscan.cli.arguments import Json, require_folders
-from lscan.cli.console import print_json, print_table
+from lscan.cli.console import print_json, print_table, progress_bar
 from lscan.errors import InputError
 
 if TYPE_CHECKING:
     from lscan.records import Surface
-    from lscan.roughness import Patch, Roughness, Sediment
+    from lscan.roughness import Patch, Roughness, ScannerResponse, Sediment
 
 FREQUENCIES_KHZ = (15.0, 50.0, 100.0, 300.0)
 GRAZING_DEG = (10.0, 20.0, 45.0, 70.0)
+MM_PER_CM = 10.0
 
 
 def roughness(
@@ -40,9 +41,24 @@ def roughness(
         float, typer.Option(help="mm, standard deviation of the light across the sheet.")
     ] = 0.0,
     blur: Annotated[
-        float, typer.Option(help="mm, standard deviation of the lens's blur on the seabed.")
-    ] = 0.0,
+        float | None,
+        typer.Option(
+            help="mm, standard deviation of the lens's blur on the seabed; by default that which "
+            "the lines were corrected for, if any and with --pixel."
+        ),
+    ] = None,
     pixel: Annotated[float, typer.Option(help="mm, width of a pixel on the seabed.")] = 0.0,
+    rig: Annotated[
+        Path | None,
+        typer.Option(
+            help="Rig file that the surface was scanned with: says sheet, blur, pixel and how its "
+            "extractor reads such lines."
+        ),
+    ] = None,
+    peak: Annotated[
+        float | None,
+        typer.Option(help="DN, brightest grey value of a usual line above the ground; with --rig."),
+    ] = None,
     stretched: Annotated[
         bool, typer.Option("--stretched", help="The power law may differ between directions.")
     ] = False,
@@ -62,7 +78,8 @@ def roughness(
     json: Json = False,
 ) -> None:
     """Roughness of a surface: spectrum, power law with intervals, ripples, cutoff, backscatter."""
-    from lscan.roughness import ScannerResponse, roughness_of, sediment
+    from lscan.config.rigfile import load_rig
+    from lscan.roughness import response_of, roughness_of, sediment
     from lscan.roughness.files import save_roughness
     from lscan.surface import load_surface
 
@@ -70,7 +87,7 @@ def roughness(
     if cell is not None and not cell > 0:
         raise InputError("is no length", where="--cell", value=cell, allowed="above 0 mm")
     for name, length in (("sheet", sheet), ("blur", blur), ("pixel", pixel)):
-        if not length >= 0:
+        if length is not None and not length >= 0:
             raise InputError(
                 "is no length", where=f"--{name}", value=length, allowed="0 mm or more"
             )
@@ -80,15 +97,16 @@ def roughness(
         raise InputError("is needed with --frequency or --grazing", where="--sediment")
     ground = None if bottom is None else sediment(bottom)
     scanned = load_surface(surface)
-    if sheet and any(done.startswith("sheet thickness") for done in scanned.corrections):
-        raise InputError(
-            "the surface is corrected for the sheet's thickness", where="--sheet", value=sheet,
-            allowed="0, or a surface reconstructed without [sheet]",
-        )  # fmt: skip
+    if rig is None:
+        response = _of_lengths(scanned, sheet, blur, pixel)
+    elif sheet or blur or pixel:
+        raise InputError("says sheet, blur and pixel itself", where="--rig", value=rig)
+    else:
+        response = response_of(load_rig(rig).rig, scanned, peak)
+    response = replace(response, cell_cm=(cell or 0.0) / MM_PER_CM)
     patch = _patch(scanned, cell, yaw)
-    lengths = (length / 10 for length in (sheet, blur, pixel, cell or 0.0))
-    response = ScannerResponse(*lengths)
-    found = roughness_of(patch, response, stretched=stretched)
+    with progress_bar("roughness") as progress:
+        found = roughness_of(patch, response, stretched=stretched, progress=progress)
     if output:
         save_roughness(output, patch, found)
     if figures:
@@ -118,6 +136,33 @@ def _patch(surface: Surface, cell_mm: float | None, yaw_deg: float) -> Patch:
 
     turned = replace(surface, xyz_mm=surface.xyz_mm @ shear(np.radians(yaw_deg)).T)
     return patch_of_profiles(turned) if cell_mm is None else patch_of(grid_cells(turned, cell_mm))
+
+
+def _of_lengths(
+    surface: Surface, sheet_mm: float, blur_mm: float | None, pixel_mm: float
+) -> ScannerResponse:
+    """The response that the options state, and what the surface's lines were corrected for."""
+    from lscan.roughness import ScannerResponse
+    from lscan.roughness.scanner import corrected_blur_px, is_thickness_corrected
+
+    if sheet_mm and is_thickness_corrected(surface):
+        raise InputError(
+            "the surface is corrected for the sheet's thickness", where="--sheet", value=sheet_mm,
+            allowed="0, or a surface reconstructed without [sheet]",
+        )  # fmt: skip
+    corrected_px = corrected_blur_px(surface)
+    if blur_mm and corrected_px and not pixel_mm:
+        raise InputError(
+            f"the surface is corrected for a blur of {corrected_px:g} px", where="--blur",
+            value=blur_mm, allowed="0, or with --pixel",
+        )  # fmt: skip
+    if not pixel_mm:
+        corrected_px = 0.0
+    if blur_mm is None:
+        blur_mm = corrected_px * pixel_mm
+    return ScannerResponse(
+        sheet_mm / MM_PER_CM, blur_mm / MM_PER_CM, pixel_mm / MM_PER_CM, corrected_px=corrected_px
+    )
 
 
 def _backscatter(

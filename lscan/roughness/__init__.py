@@ -1,12 +1,14 @@
 """Roughness of the seabed: spectrum, power law, ripples, moments, and where the instrument ends."""
 
 from lscan.roughness.analysis import Roughness, roughness_of
+from lscan.roughness.differences import Band
 from lscan.roughness.instrument import (
     ScannerResponse,
     corrected_spectrum,
     cutoff_per_cm,
     noise_density,
 )
+from lscan.roughness.linereading import LineReading, line_reading
 from lscan.roughness.model import PowerLaw, from_profiles
 from lscan.roughness.moments import (
     RoughnessMoments,
@@ -18,6 +20,7 @@ from lscan.roughness.patch import Patch, patch_of
 from lscan.roughness.profiles import patch_of_profiles
 from lscan.roughness.profilewaves import ProfileWaves, profile_waves
 from lscan.roughness.ripples import RippleTrain, find_ripples, fit_waves, without_ripples
+from lscan.roughness.scanner import response_of
 from lscan.roughness.scattering import (
     Backscatter,
     backscattering_strength,
@@ -37,12 +40,13 @@ from lscan.roughness.spectra import (
     profile_spectrum,
 )
 from lscan.roughness.spread import RippleSpread, ripple_spread
-from lscan.roughness.whittle import Band, PowerLawFit, fit_power_law, most_likely_law, usable_band
+from lscan.roughness.whittle import PowerLawFit, fit_power_law, most_likely_law, usable_band
 
 __all__ = [
     "SEDIMENTS",
     "Backscatter",
     "Band",
+    "LineReading",
     "Patch",
     "PatchSpectrum",
     "PowerLaw",
@@ -67,6 +71,7 @@ __all__ = [
     "fit_power_law",
     "fit_waves",
     "from_profiles",
+    "line_reading",
     "moments",
     "most_likely_law",
     "noise_density",
@@ -78,6 +83,7 @@ __all__ = [
     "profile_spectrum",
     "profile_waves",
     "reflection",
+    "response_of",
     "ripple_spread",
     "roughness_of",
     "sediment",

@@ -4,19 +4,15 @@ from dataclasses import asdict, dataclass
 from math import log10
 from typing import Any
 
+from lscan.records import Progress
+from lscan.roughness.differences import Band
 from lscan.roughness.instrument import ScannerResponse, corrected_spectrum, cutoff_per_cm
 from lscan.roughness.moments import RoughnessMoments, moments
 from lscan.roughness.patch import Patch
 from lscan.roughness.ripples import RippleTrain, find_ripples, without_ripples
 from lscan.roughness.spectra import PatchSpectrum, patch_spectrum
 from lscan.roughness.spread import RippleSpread, ripple_spread
-from lscan.roughness.whittle import (
-    Band,
-    PowerLawFit,
-    fit_power_law,
-    most_likely_law,
-    usable_band,
-)
+from lscan.roughness.whittle import PowerLawFit, fit_power_law, most_likely_law, usable_band
 
 RIPPLES = (
     "wavelength_cm", "heading_deg", "height_cm",
@@ -84,6 +80,7 @@ def roughness_of(
     *,
     stretched: bool = False,
     seed: int = 1,
+    progress: Progress | None = None,
 ) -> Roughness:
     """Moments, ripples, power law and cutoff of a patch.
 
@@ -93,6 +90,7 @@ def roughness_of(
     response : ScannerResponse, optional; by default one that takes nothing away
     stretched : bool, whether the power law may differ between directions
     seed : int, of the simulated patches that intervals come from
+    progress : Progress or None, called with (done, all) after each of those
 
     Raises
     ------
@@ -111,7 +109,7 @@ def roughness_of(
     (2.0, 0.6)
     """
     response = response or ScannerResponse()
-    train = find_ripples(patch)
+    train = find_ripples(patch, response=response)
     rest = patch if train is None else without_ripples(patch, train)
     spread = None if train is None else ripple_spread(patch, train)
     told: dict[str, Any] = {
@@ -120,7 +118,7 @@ def roughness_of(
     cutoff = cutoff_per_cm(most_likely_law(rest, **told), rest, response)
     usable = usable_band(rest)
     band = Band(usable.low_per_cm, min(usable.high_per_cm, cutoff))
-    fit = fit_power_law(rest, band=band, seed=seed, **told)
+    fit = fit_power_law(rest, band=band, seed=seed, progress=progress, **told)
     spectrum = patch_spectrum(patch)
     corrected = corrected_spectrum(spectrum, patch, response)
     return Roughness(moments(patch), train, spread, fit, cutoff, spectrum, corrected)

@@ -12,19 +12,22 @@ import numpy as np
 
 from lscan.errors import InputError
 from lscan.records import Floats, Mask
+from lscan.roughness.linereading import LineReading
 from lscan.roughness.model import PowerLaw
 from lscan.roughness.patch import MM_PER_CM, Patch
 from lscan.roughness.spectra import PatchSpectrum
+from lscan.stripe.corrections.blur import correction_gain
 from lscan.surface.sheetresponse import transfer
 
 FARTHEST_DB = 1.0  # that a spectrum may be off at its cutoff
 LENGTHS_KNOWN = 0.05  # relative standard uncertainty that the response's lengths are taken to have
+LENGTHS = ("sheet_cm", "blur_cm", "pixel_cm", "cell_cm")
 LEAST_PASSED = 0.05  # share of the power that is divided by
 
 
 @dataclass(frozen=True)
 class ScannerResponse:
-    """The lengths that a scanner averages over.
+    """What a scanner averages over, and what of that its extractor has given back.
 
     Attributes
     ----------
@@ -33,35 +36,57 @@ class ScannerResponse:
     blur_cm : float, cm, along x: standard deviation of the lens's blur on the seabed
     pixel_cm : float, cm, along x: width of a pixel on the seabed
     cell_cm : float, cm, side of the grid's cells, both ways
+    corrected_px : float, px, the blur that lines were corrected for along themselves, as
+        ``[stripe] blur_px`` has it; 0: not corrected
+    aside : tuple of float, x for each mm of y along lines of sight in plan, of parts of the patch
+        that are alike in size: that way a sheet averages, as ``lscan.surface.sheetresponse`` has it
+    reading : LineReading or None, how the extractor reads a line on waves as fine as the sheet is
+        thick; by default as the centroid of all of its light
     """
 
     sheet_cm: float = 0.0
     blur_cm: float = 0.0
     pixel_cm: float = 0.0
     cell_cm: float = 0.0
+    corrected_px: float = 0.0
+    aside: tuple[float, ...] = (0.0,)
+    reading: LineReading | None = None
 
     def __post_init__(self) -> None:
-        """Raise InputError where a length is negative."""
-        for name, length in vars(self).items():
-            if not length >= 0:
+        """Raise InputError where a length is negative, or a correction's pixels have none."""
+        for name in LENGTHS:
+            if not (length := getattr(self, name)) >= 0:
                 raise InputError(name, value=length, allowed="0 cm or more")
+        if not self.corrected_px >= 0:
+            raise InputError("corrected_px", value=self.corrected_px, allowed="0 px or more")
+        if self.corrected_px and not self.pixel_cm:
+            raise InputError("pixel_cm", value=0.0, allowed="above 0 cm with corrected_px")
 
     def __call__(self, along_y: Floats | float, along_x: Floats | float) -> Floats:
         """Share of the power at wavenumbers that is passed.
 
-        A sheet as ``lscan.surface.sheetresponse`` has it, a Gaussian for the blur, a box for a
-        pixel, and for a cell the middle of the quadratic that grid_cells fits to it.
+        A sheet as ``lscan.surface.sheetresponse`` or the extractor's reading has it, a Gaussian for
+        the blur, a box for a pixel, what the extractor's correction for blur gives back, and for a
+        cell the middle of the quadratic that grid_cells fits to it.
 
         Parameters
         ----------
         along_y, along_x : array or float, rad/cm
         """
-        per_mm = np.asarray(along_y) / MM_PER_CM / (2 * np.pi)
-        passed = transfer(per_mm, self.sheet_cm * MM_PER_CM) ** 2
-        passed = passed * np.exp(-((np.asarray(along_x) * self.blur_cm) ** 2))
-        passed = passed * np.sinc(np.asarray(along_x) * self.pixel_cm / (2 * np.pi)) ** 2
-        halves = (np.asarray(along) * self.cell_cm / 2 for along in (along_y, along_x))
+        along_y, along_x = np.asarray(along_y), np.asarray(along_x)
+        passed = np.mean([self._of_sheet(along_y + k * along_x) ** 2 for k in self.aside], axis=0)
+        passed = passed * np.exp(-((along_x * self.blur_cm) ** 2))
+        passed = passed * np.sinc(along_x * self.pixel_cm / (2 * np.pi)) ** 2
+        if self.corrected_px:
+            passed = passed * correction_gain(along_x * self.pixel_cm, self.corrected_px) ** 2
+        halves = (along * self.cell_cm / 2 for along in (along_y, along_x))
         return np.asarray(passed * _of_quadratic(*halves) ** 2)
+
+    def _of_sheet(self, across: Floats) -> Floats:
+        """Gain of the amplitude of waves of so many rad/cm across the sheet, along a sight."""
+        if self.reading is not None:
+            return self.reading.at(across * self.sheet_cm)
+        return transfer(across / MM_PER_CM / (2 * np.pi), self.sheet_cm * MM_PER_CM)
 
     def known(self, along_y: Floats | float, along_x: Floats | float) -> Mask:
         """Where enough is passed, and how much is known to 1 dB though lengths be 5 % longer.
@@ -70,9 +95,8 @@ class ScannerResponse:
         ----------
         along_y, along_x : array or float, rad/cm
         """
-        longer = ScannerResponse(
-            **{name: (1 + LENGTHS_KNOWN) * v for name, v in vars(self).items()}
-        )
+        lengths = {name: (1 + LENGTHS_KNOWN) * getattr(self, name) for name in LENGTHS}
+        longer = replace(self, **lengths)
         passed, less = self(along_y, along_x), longer(along_y, along_x)
         return np.asarray((passed >= LEAST_PASSED) & (less >= passed * 10 ** (-FARTHEST_DB / 10)))
 

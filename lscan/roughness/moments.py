@@ -38,7 +38,7 @@ class StructureFunction:
     Attributes
     ----------
     distance_cm : (L,) array, cm
-    difference_cm2 : (L,) array, cm²; twice the cells' noise is taken off
+    difference_cm2 : (L,) array, cm²; what the points' noise adds is taken off
     pairs : (L,) array, of measured cells that far apart
     """
 
@@ -61,11 +61,11 @@ def moments(patch: Patch) -> RoughnessMoments:
     """
     z = detrended(patch)
     heights = z[patch.seen]
-    square = float((heights**2).mean()) - patch.noise_cm2
+    square = float((heights**2).mean()) - patch.points_noise_cm2
     if square <= 0:
         raise MeasurementError(
             f"roughness: the heights' rms of {np.sqrt((heights**2).mean()):.3g} cm is no more than "
-            f"their noise, {np.sqrt(patch.noise_cm2):.3g} cm"
+            f"their noise, {np.sqrt(patch.points_noise_cm2):.3g} cm"
         )
     structures = [structure_function(patch, axis) for axis in (0, 1)]
     slopes = [np.sqrt(max(one.difference_cm2[0], 0.0)) / patch.cell_cm for one in structures]
@@ -98,7 +98,10 @@ def structure_function(patch: Patch, axis: int) -> StructureFunction:
         pairs += np.rint(correlate(mask, mask))[reach]
     known = pairs > 0
     distance = patch.cell_cm * np.arange(1, count // 2 + 1)
-    mean = np.maximum(total[known], 0.0) / pairs[known] - 2 * patch.noise_cm2
+    # Cells between the same two points have part of their noise in common.
+    apart = np.arange(1, count // 2 + 1) / (patch.points_cells if axis == 1 else 1.0)
+    noise = 2 * patch.points_noise_cm2 * np.minimum(apart, 1.0)
+    mean = np.maximum(total[known], 0.0) / pairs[known] - noise[known]
     return StructureFunction(distance[known], mean, pairs[known].astype(np.int64))
 
 

@@ -28,13 +28,17 @@ class Patch:
     z_cm : (R, C) array, cm; 0 where not seen
     seen : (R, C) array, whether the cell was measured
     cell_cm : float, cm, side of a cell
-    noise_cm2 : float, cm², variance of a cell's own noise, the mean over those that were measured
+    noise_cm2 : float, cm², variance of a cell's own noise, the mean over those that were measured;
+        of cells finer than the points that they were joined from, that of white noise with the
+        spectrum that the points' noise has at long waves
+    points_cells : float, how many cells the points lie apart along x that cells were joined from
     """
 
     z_cm: Floats
     seen: Mask
     cell_cm: float
     noise_cm2: float = 0.0
+    points_cells: float = 1.0
 
     def __post_init__(self) -> None:
         """Raise MeasurementError where the patch is too small or has too many holes."""
@@ -49,6 +53,11 @@ class Patch:
                 f"roughness: {share:.0%} of the patch's cells are measured, "
                 f"{LEAST_SEEN:.0%} are needed"
             )
+
+    @property
+    def points_noise_cm2(self) -> float:
+        """cm², variance of a single point's own noise."""
+        return self.noise_cm2 / self.points_cells
 
     @property
     def size_cm(self) -> tuple[float, float]:

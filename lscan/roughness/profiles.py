@@ -16,6 +16,8 @@ BENT = 0.2  # of it, by which a profile may leave its straight line in plan
 def patch_of_profiles(surface: Surface, cell_mm: float | None = None) -> Patch:
     """The patch that a surface's profiles span: rows are profiles, columns even steps along them.
 
+    Rows and columns rise with y and x, whichever way the track went.
+
     Profiles are joined by cubic splines between neighbouring points, and have holes where points
     are missing.
 
@@ -38,17 +40,19 @@ def patch_of_profiles(surface: Surface, cell_mm: float | None = None) -> Patch:
         )
     along, across = _frame(surface, good, rows)
     step_mm = _spacing(across, good, rows)
-    every = max(round((cell_mm or step_mm) / step_mm), 1)
+    every = max(round((cell_mm or 0.0) / abs(step_mm)), 1)
     rows = rows[0] + np.arange(0, rows[-1] - rows[0] + 1, every)
-    cell = every * step_mm
+    rows = rows if step_mm > 0 else rows[::-1]
+    cell = every * abs(step_mm)
     low, high = np.nanpercentile(np.where(good, along, np.nan)[rows], (0.5, 99.5))
     places = np.arange(low, high, cell)
     variance = _own_variance(surface)
     kept = [_resampled(along[r], surface.xyz_mm[r, :, 2], good[r], places) for r in rows]
     z, seen = (np.stack(part) for part in zip(*kept, strict=True))
     apart = float(np.median(np.concatenate([np.diff(along[r][good[r]]) for r in rows])))
-    noise = float(variance[good].mean()) * max(apart / cell, 1.0)
-    return Patch(z / MM_PER_CM, seen, cell / MM_PER_CM, noise / MM_PER_CM**2)
+    points_cells = max(apart / cell, 1.0)
+    noise = float(variance[good].mean()) * points_cells
+    return Patch(z / MM_PER_CM, seen, cell / MM_PER_CM, noise / MM_PER_CM**2, points_cells)
 
 
 def _frame(surface: Surface, good: Mask, rows: Ints) -> tuple[Floats, Floats]:
@@ -63,7 +67,7 @@ def _frame(surface: Surface, good: Mask, rows: Ints) -> tuple[Floats, Floats]:
 
 
 def _spacing(across: Floats, good: Mask, rows: Ints) -> float:
-    """mm, the profiles' distance, which must be even."""
+    """mm from each profile to the next, which must be even; below 0 where y falls."""
     middle = np.array([np.median(across[r][good[r]]) for r in rows])
     step, offset = np.polyfit(rows, middle, 1)
     size = abs(float(step))
@@ -74,7 +78,7 @@ def _spacing(across: Floats, good: Mask, rows: Ints) -> float:
             f"roughness: profiles {size:.3g} mm apart lie up to {uneven:.2g} mm off even spacing "
             f"and leave their lines by {bent:.2g} mm: give the side of a cell in place of profiles"
         )
-    return size
+    return float(step)
 
 
 def _resampled(along: Floats, z: Floats, good: Mask, places: Floats) -> tuple[Floats, Mask]:

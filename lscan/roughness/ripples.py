@@ -12,6 +12,7 @@ from scipy.optimize import least_squares
 
 from lscan.errors import MeasurementError
 from lscan.records import Floats
+from lscan.roughness.instrument import ScannerResponse
 from lscan.roughness.patch import Patch, wavenumbers
 from lscan.roughness.spectra import detrended
 
@@ -54,7 +55,9 @@ class RippleTrain:
     sigma_height_cm: float
 
 
-def find_ripples(patch: Patch, harmonics: int = HARMONICS) -> RippleTrain | None:
+def find_ripples(
+    patch: Patch, harmonics: int = HARMONICS, response: ScannerResponse | None = None
+) -> RippleTrain | None:
     """The train of ripples that stands out of a patch; None where none does.
 
     Parameters
@@ -62,13 +65,15 @@ def find_ripples(patch: Patch, harmonics: int = HARMONICS) -> RippleTrain | None
     patch : Patch
     harmonics : int, with the wave itself; those beyond twice Nyquist's wavenumber are left out:
         many crests fall on many places of the cells, and tell more than one would
+    response : ScannerResponse, optional; directions in which less is passed do not make waves of
+        others stand out, and none is looked for where the response is not known
 
     Raises
     ------
     MeasurementError
         The wave that stands out cannot be fitted.
     """
-    start = _peak(patch)
+    start = _peak(patch, response or ScannerResponse())
     return None if start is None else fit_waves(patch, start, harmonics)
 
 
@@ -144,16 +149,22 @@ def _waves(patch: Patch, wavenumber_per_cm: Floats, orders: int) -> Floats:
     return np.column_stack([np.ones_like(x), y, x, np.cos(phase), np.sin(phase)])
 
 
-def _peak(patch: Patch) -> Floats | None:
+def _peak(patch: Patch, response: ScannerResponse) -> Floats | None:
     """(2,) rad/cm along y and x of the highest value over its surroundings; None where none is."""
     z, shape = detrended(patch), tuple(FINE * count for count in patch.z_cm.shape)
     taper = np.outer(*(np.hanning(count + 2)[1:-1] for count in z.shape))
     power = np.abs(np.fft.fft2(z * taper, shape)) ** 2
+    # The median of the noise's own periodogram: where it is all there is, a ring's is no measure.
+    noise = np.log(2) * patch.noise_cm2 * float((taper[patch.seen] ** 2).sum())
     y, x = wavenumbers((shape[0], shape[1]), patch.cell_cm)
     size = np.hypot(y, x)
     least = 2 * np.pi * LEAST_WAVES / min(patch.size_cm)
     usable = (size >= least) & (size < 0.9 * patch.nyquist_per_cm)
     usable &= (y > 0) | ((y == 0) & (x > 0))
+    usable &= response.known(y, x)
+    if not usable.any():
+        return None
+    passed = response(y, x)
     ring = np.digitize(np.log(np.where(usable, size, least)), np.linspace(
         np.log(least), np.log(patch.nyquist_per_cm), 12
     ))  # fmt: skip
@@ -161,8 +172,9 @@ def _peak(patch: Patch) -> Floats | None:
     for number in np.unique(ring[usable]):
         inside = usable & (ring == number)
         # Of a steep spectrum a ring's median is no measure of its inner edge: of K^4 times it is.
-        flat = power[inside] * size[inside] ** 4
-        ratio[inside] = flat / max(float(np.median(flat)), 1e-300)
+        flat = size[inside] ** 4 / passed[inside]
+        usual = max(float(np.median(power[inside] * flat)), 1e-300)
+        ratio[inside] = power[inside] * flat / np.maximum(usual, noise * flat)
     best = np.unravel_index(int(np.argmax(ratio)), shape)
     if ratio[best] < ABOVE:
         return None

@@ -94,6 +94,24 @@ def correct_blur(stripe: Stripe, settings: StripeSection, light: GreyValues) -> 
     return replace(stripe, centre_px=moved, sigma_px=np.hypot(stripe.sigma_px, sigma))
 
 
+def correction_gain(wave_rad_per_px: Floats | float, blur_px: float) -> Floats:
+    """Gain of ``correct_blur`` on waves of small slope of an evenly bright line without a gap.
+
+    1 - s² q(w), where q is what the local quadratics take for half of the curvature of cos(w u):
+    -w²/2 of long waves, to which the blur's own gain of 1 - s² w²/2 is the inverse; of waves
+    shorter than the quadratics' reach it is less.
+
+    Parameters
+    ----------
+    wave_rad_per_px : array or float, rad/px, along the line
+    blur_px : float, px, that the line was corrected for
+    """
+    powers, inverses = _quadratics()
+    steps, weights = powers[:, 1], powers @ inverses[-1][2]
+    half_curvature = np.cos(np.asarray(wave_rad_per_px)[..., np.newaxis] * steps) @ weights
+    return np.asarray(1 - (blur_px**2 + PIXEL_VARIANCE) * half_curvature)
+
+
 def line_flux(stripe: Stripe, light: GreyValues) -> Floats:
     """(N,) light within FLUX_REACH_PX of the line in each column, DN; NaN where there is none.
 

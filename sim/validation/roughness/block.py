@@ -11,14 +11,16 @@ from lscan.pipeline import build_surface
 from lscan.records import Floats, Status, Surface
 from lscan.roughness import (
     Patch,
+    PatchSpectrum,
     PowerLawFit,
-    RingSpectrum,
     ScannerResponse,
     backscattering_strength,
     by_rings,
+    corrected_spectrum,
     most_likely_law,
     patch_of_profiles,
     patch_spectrum,
+    response_of,
     roughness_of,
     sediment,
 )
@@ -49,18 +51,19 @@ def block_rows(scenes: Path, effort: RoughnessEffort) -> list[Row]:
     effort : RoughnessEffort, its frames
     """
     scene = load_scene(scenes / "targets" / "rough.toml")
-    measured, spacing_mm = _scanned(scenes, scene, effort)
-    response = _response(scene, spacing_mm)
+    measured, response = _scanned(scenes, scene, effort)
     patch = patch_of_profiles(measured)
     true = patch_of_profiles(_true_heights(scene, measured))
     found = roughness_of(patch, response)
     told = found.cutoff_per_cm / (20 * np.pi)
-    rings = by_rings(found.corrected, RINGS)
-    off_db = _off_db(rings, by_rings(patch_spectrum(true), RINGS))
-    size = rings.wavenumber_per_cm / (20 * np.pi)
+    expected = _of_the_same_waves(patch_spectrum(true), found.corrected)
+    size, off_db = _off_db(found.corrected, expected)
     inside = (size >= LOW_PER_MM) & (size <= min(HIGH_PER_MM, told))
-    beyond = np.flatnonzero((size >= LOW_PER_MM) & ~(np.abs(off_db) <= OFF_DB))
-    leaves = float(size[beyond[0]]) if len(beyond) else HIGH_PER_MM
+    # The cutoff is where noise alone lifts the spectrum by so much: it is left in.
+    lifted = corrected_spectrum(found.spectrum, replace(patch, noise_cm2=0.0), response)
+    size_lifted, lifted_db = _off_db(lifted, expected)
+    beyond = np.flatnonzero((size_lifted >= LOW_PER_MM) & ~(np.abs(lifted_db) <= OFF_DB))
+    leaves = float(size_lifted[beyond[0]]) if len(beyond) else HIGH_PER_MM
     leaves = min(leaves, HIGH_PER_MM)  # where the block's own spectrum ends
     words: dict[str, Any] = {"frames": len(measured.xyz_mm), "cutoff": told}
     worst = float(np.abs(off_db[inside]).max()) if inside.any() else float("nan")
@@ -68,12 +71,16 @@ def block_rows(scenes: Path, effort: RoughnessEffort) -> list[Row]:
     return [
         row("roughness-block", worst, seed=SEED, **words),
         row("roughness-cutoff", abs(percent), seed=SEED, leaves=leaves, **words),
-        row("roughness-echo", _echo_db(found.fit, true), seed=SEED, bottom=BOTTOM, **words),
+        row(
+            "roughness-echo", _echo_db(found.fit, true, response), seed=SEED, bottom=BOTTOM, **words
+        ),
     ]
 
 
-def _scanned(scenes: Path, scene: Scene, effort: RoughnessEffort) -> tuple[Surface, float]:
-    """The measured surface in the block's frame, placed by the truth, and its points' distance.
+def _scanned(
+    scenes: Path, scene: Scene, effort: RoughnessEffort
+) -> tuple[Surface, ScannerResponse]:
+    """The measured surface in the block's frame, placed by the truth, and the rig's response there.
 
     Heights are those of the line, not corrected for the sheet's thickness: the spectrum is.
     """
@@ -101,17 +108,9 @@ def _scanned(scenes: Path, scene: Scene, effort: RoughnessEffort) -> tuple[Surfa
     status = np.where(inside, surface.status, int(Status.NO_DATA))
     xyz = np.where(inside[..., np.newaxis], own, np.nan)
     placed = replace(surface, xyz_mm=xyz, status=status, frame="workpiece")
-    apart = np.linalg.norm(np.diff(xyz[..., :2], axis=1), axis=-1)
-    return placed, float(np.nanmedian(apart))
-
-
-def _response(scene: Scene, spacing_mm: float) -> ScannerResponse:
-    """What the rig's sheet, blur and pixels average over, at the block."""
-    sheet = scene.rig.sheet
-    assert sheet is not None
-    blur_px = scene.rig.stripe.blur_px or 0.0
-    lengths = (sheet.thickness_mm / 2, blur_px * spacing_mm, spacing_mm)
-    return ScannerResponse(*(length / 10 for length in lengths))
+    lines = np.stack([stripe.peak for stripe in reading.stripes])
+    at_block = replace(surface, status=status)
+    return placed, response_of(scene.rig, at_block, float(np.median(lines[inside])))
 
 
 def _true_heights(scene: Scene, surface: Surface) -> Surface:
@@ -122,16 +121,26 @@ def _true_heights(scene: Scene, surface: Surface) -> Surface:
     return replace(surface, xyz_mm=xyz, sigma_z_mm=0 * surface.sigma_z_mm, modes_mm=None)
 
 
-def _off_db(rings: RingSpectrum, true: RingSpectrum) -> Floats:
-    """(K,) dB, measured over true; NaN where nothing of a ring is left."""
-    expected = np.interp(rings.wavenumber_per_cm, true.wavenumber_per_cm, true.density_cm4)
+def _of_the_same_waves(true: PatchSpectrum, measured: PatchSpectrum) -> PatchSpectrum:
+    """What is true of the waves that were measured: of a single block, others differ by chance."""
+    known = np.isfinite(measured.density_cm4)
+    return replace(true, density_cm4=np.where(known, true.density_cm4, np.nan))
+
+
+def _off_db(measured: PatchSpectrum, true: PatchSpectrum) -> tuple[Floats, Floats]:
+    """(K,) sizes of the rings' waves, 1/mm, and dB, measured over true."""
+    rings, expected = (by_rings(spectrum, RINGS) for spectrum in (measured, true))
     with np.errstate(invalid="ignore", divide="ignore"):
-        return np.asarray(10 * np.log10(rings.density_cm4 / expected))
+        off_db = 10 * np.log10(rings.density_cm4 / expected.density_cm4)
+    return rings.wavenumber_per_cm / (20 * np.pi), np.asarray(off_db)
 
 
-def _echo_db(fit: PowerLawFit, true: Patch) -> float:
-    """The largest difference of backscattering strength, of the law measured and the true one."""
-    expected = most_likely_law(true, band=fit.band)
+def _echo_db(fit: PowerLawFit, true: Patch, response: ScannerResponse) -> float:
+    """The largest difference of backscattering strength, of the law measured and the true one.
+
+    Both are fitted to the same waves.
+    """
+    expected = most_likely_law(true, band=fit.band, known=response.known)
     bottom = sediment(BOTTOM)
     off = [
         backscattering_strength(fit.law, bottom, khz, np.array(GRAZING_DEG))

@@ -1,6 +1,7 @@
 """`lscan roughness` as its users run it: on a surface of a known law and a known train."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -10,7 +11,7 @@ from rough_patches import drawn, wave
 
 from lscan.records import Status, Surface
 from lscan.roughness import PowerLaw
-from lscan.surface import save_surface
+from lscan.surface import load_surface, save_surface
 
 SIDE, CELL_CM = 64, 0.2
 LAW = PowerLaw(w2_cm4=1e-3, gamma2=3.0)
@@ -57,6 +58,40 @@ def test_the_file_holds_every_spectrum_and_their_variances_agree(surface_file, t
         half, whole = structure.interp(distance_x=[1.6, 3.2]).values
         assert half - whole / 2 == pytest.approx(2 * 0.5**2, rel=0.1)
         assert found.attrs["gamma2"] == told["gamma2"]
+
+
+def test_blur_that_was_corrected_for_is_not_divided_out_again(surface_file, tmp_path, capsys):
+    """A line corrected for blur lacks less of its waves, so less is added to them: in between, at
+    wavelengths of 8 to 16 pixels, which the correction reaches."""
+    corrected = tmp_path / "corrected.nc"
+    done = replace(load_surface(surface_file), corrections=("blur of 0.7 px",))
+    save_surface(corrected, done)
+    found = []
+    for file, *options in (
+        (corrected,), (corrected, "--pixel", 2), (surface_file, "--pixel", 2, "--blur", 1.4)
+    ):  # fmt: skip
+        output = tmp_path / "roughness.nc"
+        assert call(capsys, "roughness", file, *options, "-o", output)[0] == 0
+        with xr.open_dataset(output, engine="h5netcdf") as kept:
+            long = (kept.k > 2 * np.pi / 3.2) & (kept.k < 2 * np.pi / 1.6)
+            found.append(kept.w2_ring_corrected[long].values)
+    assert (found[0] < found[1]).all() and (found[1] < found[2]).all()
+    refused(call(capsys, "roughness", corrected, "--blur", 1.4), "--pixel", "0.7 px")
+
+
+def test_a_rig_says_what_is_averaged_over(surface_file, tmp_path, capsys):
+    """Its pixels are the points' distance; it is of surfaces in the head's frame."""
+    head = tmp_path / "head.nc"
+    save_surface(head, replace(load_surface(surface_file), frame="head"))
+    found = []
+    for options in (("--rig", "paper/board"), ("--pixel", 2.0)):
+        code, out, _ = call(capsys, "roughness", head, *options, "--json")
+        assert code == 0
+        found.append(json.loads(out))
+    assert found[0]["gamma2"] == pytest.approx(found[1]["gamma2"], abs=1e-6)
+    refused(call(capsys, "roughness", head, "--rig", "best/sandwave"), "peak_dn")
+    refused(call(capsys, "roughness", head, "--rig", "paper/board", "--pixel", 2), "--rig")
+    refused(call(capsys, "roughness", surface_file, "--rig", "paper/board"), "head frame")
 
 
 def test_what_does_not_fit_is_refused(surface_file, tmp_path, capsys):

@@ -23,7 +23,9 @@ from lscan.roughness import (
     patch_of_profiles,
     profile_waves,
     roughness_of,
+    structure_function,
 )
+from lscan.roughness.patch import wavenumbers
 from lscan.surface import grid_cells, load_surface, save_surface
 
 CELL_CM = 0.1
@@ -51,6 +53,8 @@ def test_a_response_s_lengths_act_along_their_own_axes() -> None:
     assert response(5.0, 0.0) == pytest.approx((0.75 * np.exp(-0.125)) ** 2)
     assert ScannerResponse(blur_cm=0.1)(7.0, 5.0) == pytest.approx(np.exp(-0.25))
     assert response(0.0, 5.0) == pytest.approx((np.sin(0.5) / 0.5) ** 2)
+    seen_aside = ScannerResponse(sheet_cm=0.1, aside=(-0.2, 0.2))
+    assert seen_aside(0.0, 5.0) == pytest.approx((0.99 * np.exp(-0.005)) ** 2)
     with pytest.raises(InputError, match="sheet_cm"):
         ScannerResponse(sheet_cm=-1.0)
 
@@ -85,6 +89,23 @@ def test_rough_ground_alone_has_no_ripples() -> None:
     """Of 20 fields one may chance to have a peak; see ABOVE."""
     fields = [z for seed in range(10) for z in drawn(PowerLaw(3.0, 0.004), (64, 64), 0.1, seed)]
     assert sum(find_ripples(whole(z, CELL_CM)) is not None for z in fields) <= 4
+
+
+def test_what_a_scanner_smooths_has_no_ripples() -> None:
+    """Directions in which little is passed make the others stand out, and noise where nothing is:
+    as many false trains as in rough ground alone, once the response is told."""
+    response = ScannerResponse(blur_cm=0.15, pixel_cm=0.1)
+    noise = 0.002
+    rng = np.random.default_rng(3)
+    found = []
+    for seed in range(10):
+        for z in drawn(PowerLaw(3.0, 0.004), (64, 64), CELL_CM, seed):
+            y, x = wavenumbers(z.shape, CELL_CM)
+            seen = np.fft.ifft2(np.fft.fft2(z) * np.sqrt(response(y, x))).real
+            one = patch(seen + rng.normal(0, noise, z.shape), None, CELL_CM, noise**2)
+            found.append((find_ripples(one), find_ripples(one, response=response)))
+    assert sum(untold is not None for untold, _ in found) > 10
+    assert sum(told is not None for _, told in found) <= 4
 
 
 @pytest.fixture
@@ -160,6 +181,31 @@ def test_profiles_are_a_patch_finer_than_cells(surface_file: Path) -> None:
     kept = np.lib.stride_tricks.sliding_window_view(one.seen, 4, axis=1).all(axis=-1)
     assert kept.mean() > 0.3
     np.testing.assert_allclose(third[kept], 6e-4 * 0.5**3 / 10, rtol=1e-6)
+
+
+def test_a_scan_backwards_shows_the_same_patch(surface_file: Path) -> None:
+    """A heading from x towards y is the same whichever way the track went."""
+    surface = load_surface(surface_file)
+    arrays = ("xyz_mm", "sigma_x_mm", "sigma_z_mm", "status", "position_mm")
+    back = replace(surface, **{name: getattr(surface, name)[::-1] for name in arrays})
+    one, other = patch_of_profiles(surface), patch_of_profiles(back)
+    np.testing.assert_allclose(other.z_cm, one.z_cm, atol=1e-12)
+    assert (other.seen == one.seen).all()
+
+
+def test_noise_of_points_that_are_joined_makes_no_slopes() -> None:
+    """Points two cells apart share their noise with the cells between: what noise adds to the
+    structure function is taken off to a quarter, of splines in place of straight lines."""
+    x, y = np.meshgrid(np.arange(0.0, 80.0), np.arange(0.0, 40.0, 0.5))
+    noise = np.random.default_rng(5).normal(0, 0.05, x.shape)
+    status = np.full(x.shape, int(Status.OK))
+    flat = Surface(np.stack([x, y, noise], -1), 0 * x, 0 * x + 0.05, status, y[:, 0], "workpiece")
+    one = patch_of_profiles(flat)
+    assert one.points_cells == pytest.approx(2.0)
+    assert one.points_noise_cm2 == pytest.approx(0.005**2)
+    for axis in (0, 1):
+        left = structure_function(one, axis).difference_cm2
+        assert np.abs(left).max() < 0.25 * 2 * one.points_noise_cm2
 
 
 def test_bent_or_uneven_profiles_are_refused() -> None:

@@ -11,6 +11,7 @@ import lscan.roughness.whittle as module
 from lscan.errors import MeasurementError
 from lscan.records import Floats, Mask
 from lscan.roughness import Band, PowerLaw, PowerLawFit, fit_power_law
+from lscan.roughness.differences import CovarianceSum, differences_of
 from lscan.roughness.patch import Patch
 
 CELL_CM = 0.1
@@ -34,8 +35,10 @@ def test_the_periodogram_has_its_expectation(gamma2: float) -> None:
     """
     law, seen = PowerLaw(gamma2, 0.004), holes((SIDE, SIDE), 0.1, 3)
     first = patch(np.zeros(seen.shape), seen, CELL_CM)
-    parts = list(module._parts(first, module.usable_band(first), gamma2 > module.TURNING))
-    expected = np.concatenate([part.expected(law.density) for part in parts])
+    parts = list(differences_of(first, module.usable_band(first), gamma2 > module.TURNING))
+    covariance = CovarianceSum(seen.shape, CELL_CM)
+    cells = covariance.of(law.density(*covariance.plane))
+    expected = np.concatenate([part.expected(cells) for part in parts])
     ratios = []
     for seed in range(150):
         for z in drawn(law, seen.shape, CELL_CM, seed):
@@ -106,6 +109,31 @@ def test_known_noise_and_response_are_taken_off() -> None:
     untold = fit(whole(noisy[inner], CELL_CM))
     assert abs(told.law.gamma2 - 3.2) < 3 * told.sigma_gamma2
     assert abs(untold.law.gamma2 - 3.2) > 3 * untold.sigma_gamma2
+
+
+@pytest.mark.parametrize("second", [False, True])
+def test_the_expectation_is_that_of_all_pairs_of_cells(second: bool) -> None:
+    """By the cells' whole covariance matrix, of a stretched law, with holes: but for rounding, of
+    covariances 1e3 times those of their differences."""
+    law, seen = PowerLaw(3.0, 0.004, (0.4, 0.3)), holes((18, 21), 0.1, 5)
+    lags = CovarianceSum(seen.shape, CELL_CM)
+    cells = lags.of(law.density(*lags.plane))
+    row, column = (index.ravel() for index in np.indices(seen.shape))
+    pairs = cells[17 + np.subtract.outer(row, row), 20 + np.subtract.outer(column, column)]
+    unit = np.eye(seen.size).reshape(-1, *seen.shape)
+    one = patch(np.zeros(seen.shape), seen, CELL_CM)
+    for part in differences_of(one, module.usable_band(one), second):
+        half = np.fft.fft2(part.taper * part.take(unit))[:, : len(part.chosen)]
+        waves = half[:, part.chosen]
+        power = np.einsum("nv,nm,mv->v", waves, pairs, waves.conj(), optimize=True).real
+        power *= CELL_CM**2 / float((part.taper**2).sum()) / (2 * np.pi) ** 2
+        np.testing.assert_allclose(part.expected(cells), power, rtol=1e-9)
+
+
+def test_a_fit_says_how_far_it_is() -> None:
+    told: list[tuple[int, int]] = []
+    fit(field(2), progress=lambda done, every: told.append((done, every)))
+    assert told == [(number, FEW) for number in range(1, FEW + 1)]
 
 
 def test_too_narrow_a_band_is_refused() -> None:

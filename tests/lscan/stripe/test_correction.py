@@ -1,6 +1,7 @@
 """The correction for blur along the line: closed forms, random curves, noise, gaps, bad input."""
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -16,6 +17,7 @@ from lscan.stripe.corrections.blur import (
     REACH_PX,
     _derivatives,
     correct_blur,
+    correction_gain,
     line_flux,
 )
 
@@ -226,3 +228,21 @@ def test_light_of_another_length_is_refused() -> None:
     light = picture(lambda u: 48 + 0 * u, np.ones_like, 0.7)
     with pytest.raises(InputError, match=r"light: is not of the stripe's length.*\(120, L\)"):
         correct_blur(centroids(light), StripeSection(blur_px=0.7), light[:-1])
+
+
+@pytest.mark.parametrize("columns", [6.0, 9.0, 20.0])
+def test_the_correction_s_gain_is_what_it_makes_of_waves(columns: float) -> None:
+    """Exactly, of an evenly bright line: the correction is linear then.  Of long waves it is the
+    inverse of the blur, to w^4, which is 1e-12."""
+    wave = 2 * np.pi / columns
+    light = picture(lambda u: 48.0 + 0 * u, lambda u: 100.0 + 0 * u, 0.7)
+    found = centroids(light)
+    cosine = 0.2 * np.cos(wave * U)
+    waving = replace(found, centre_px=found.centre_px + cosine)
+    sharp = correct_blur(waving, StripeSection(blur_px=0.7), light)
+    inner = slice(REACH_PX, -REACH_PX)
+    shown = (sharp.centre_px - found.centre_px)[inner]
+    np.testing.assert_allclose(shown, correction_gain(wave, 0.7) * cosine[inner], atol=1e-9)
+    long = 1e-3
+    inverse = 1 + (0.7**2 + PIXEL_VARIANCE) * long**2 / 2
+    assert float(correction_gain(long, 0.7)) == pytest.approx(inverse, abs=1e-11)
