@@ -1,5 +1,6 @@
 """The line on lit, textured targets; frames, clipping below 255 DN, and two lasers told apart."""
 
+import cv2
 import numpy as np
 import pytest
 from hypothesis import given, settings, strategies as st
@@ -28,6 +29,13 @@ FEW = settings(max_examples=8)
 def picture(target, seed=1, centres=CENTRE[None], shares=ONE, clips_dn=255):
     mean = lit_mean(target, centres, shares, HEIGHT)
     return lit_picture(mean, np.random.default_rng(seed), clips_dn)
+
+
+def coded(image, quality):
+    """The picture as JPEG gives it back, its colours at half the resolution."""
+    ok, data = cv2.imencode(".jpg", image[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, quality])
+    assert ok
+    return np.ascontiguousarray(cv2.imdecode(data, cv2.IMREAD_COLOR)[..., ::-1])
 
 
 def shares_of(stripe, truth, sigmas=4.0, slack_px=0.5):
@@ -195,16 +203,50 @@ def test_auto_lowers_the_threshold_to_a_faint_line(extractor):
     assert has_value(extract_stripe(image, named).status).mean() < 0.1
 
 
-@pytest.mark.parametrize("colour", [0, 1, 2])
-def test_auto_reads_the_excess_of_the_lasers_colour(colour):
-    laser = np.full(3, 15.0)
-    laser[colour] = 300.0
-    image = picture(LitTarget(laser_dn=tuple(laser)))
-    name = ("red-excess", "green-excess", "blue-excess")[colour]
+@pytest.mark.parametrize(
+    ("laser_dn", "name"),
+    [
+        ((300.0, 15.0, 15.0), "red-excess"),
+        ((15.0, 300.0, 15.0), "green-excess"),
+        ((15.0, 15.0, 300.0), "blue-excess"),
+        ((10.0, 160.0, 130.0), "cyan-excess"),  # green, as many cameras show it
+        ((150.0, 10.0, 200.0), "magenta-excess"),  # violet
+    ],
+)
+def test_auto_reads_the_excess_of_the_lasers_colour(laser_dn, name):
+    image = picture(LitTarget(laser_dn=laser_dn))
     assert strongest_excess(image, "columns") == name
     auto = extract_stripe(image, StripeSection(channel="auto"))
     named = extract_stripe(image, StripeSection(channel=name))
     np.testing.assert_array_equal(auto.centre_px, named.centre_px)
+
+
+@pytest.mark.parametrize("extractor", ["centroid-relative", "steger", "ml"])
+@pytest.mark.parametrize(
+    ("laser_dn", "colour"), [((10.0, 180.0, 160.0), "green"), ((150.0, 10.0, 180.0), "blue")]
+)
+def test_a_laser_that_shows_in_two_colours_is_read_by_both(laser_dn, colour, extractor):
+    """Each of the two leaves a tenth of its light above the other, as much as the target has."""
+    image = coded(picture(LitTarget(laser_dn=laser_dn)), 90)
+    chosen = StripeSection(channel="auto", extractor=extractor, threshold_dn=20.0)
+    found, wrong = shares_of(extract_stripe(image, chosen), CENTRE)
+    # The bars of a lit textured board without a background picture.
+    assert found >= 0.98
+    assert wrong <= 0.005
+    alone = chosen.model_copy(update={"channel": f"{colour}-excess"})
+    found, _ = shares_of(extract_stripe(image, alone), CENTRE)
+    assert found < 0.7
+
+
+@pytest.mark.parametrize("axis", ["columns", "rows"])
+@pytest.mark.parametrize(("lacks", "name"), [(0, "cyan-excess"), (1, "magenta-excess")])
+def test_a_mixed_colours_excess_is_what_both_have_above_the_third(lacks, name, axis):
+    """Below what nears the end of the range, where white crests are raised."""
+    image = np.random.default_rng(1).integers(0, 220, (40, 30, 3)).astype(np.uint8)
+    both = np.delete(image, lacks, axis=2).min(axis=2).astype(int) - image[..., lacks]
+    read = lines_of(image, name, axis)
+    np.testing.assert_array_equal(read.grey, both.T if axis == "columns" else both)
+    assert not read.clipped.any()
 
 
 def test_auto_reads_a_picture_without_colour_as_grey():
