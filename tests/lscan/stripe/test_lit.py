@@ -319,7 +319,7 @@ def test_a_stated_noise_is_that_of_both_colours():
 
 
 @pytest.mark.parametrize("axis", ["columns", "rows"])
-@pytest.mark.parametrize("thick", [1, 3])
+@pytest.mark.parametrize("thick", [1, 3, 8])
 def test_a_frame_along_the_border_is_not_a_line(axis, thick):
     rng = np.random.default_rng(3)
     light = speckled(drawn(CENTRE, 1.3, HEIGHT, 90.0), 0.1, rng)
@@ -333,6 +333,16 @@ def test_a_frame_along_the_border_is_not_a_line(axis, thick):
     assert not (seen.status == Status.AT_BORDER).any()
     kept = slice(thick, -thick)
     np.testing.assert_array_equal(seen.centre_px[kept], bare.centre_px[kept])
+
+
+def test_a_bar_beside_one_edge_is_not_a_line():
+    """As cameras leave it that read a few columns more than they have: bright, dark at the rim."""
+    rng = np.random.default_rng(3)
+    plain = np.clip(speckled(drawn(CENTRE, 1.3, HEIGHT, 90.0), 0.1, rng), 0, 255).astype(np.uint8)
+    barred = plain.copy()
+    barred[-6:] = np.array([132, 252, 255, 249, 7, 127])[:, None]
+    bare, seen = (extract_stripe(image, StripeSection()) for image in (plain, barred))
+    np.testing.assert_array_equal(seen.centre_px, bare.centre_px)
 
 
 def test_a_line_that_leaves_the_picture_is_at_the_border():
