@@ -238,6 +238,34 @@ def test_a_laser_that_shows_in_two_colours_is_read_by_both(laser_dn, colour, ext
     assert found < 0.7
 
 
+def faded(pale_dn, last):
+    """A line on a grey wall, clipped in red and pale, in a red glow; from ``last`` on faint red."""
+    across = np.arange(HEIGHT)[:, None, None] - CENTRE[:, None]
+    crest, glow = np.exp(-0.5 * across**2), np.exp(-0.5 * (across / 6) ** 2)
+    pale = crest * (125.0, pale_dn, pale_dn) + glow * (50.0, 0.0, 0.0)
+    faint = crest * (35.0, 0.0, 0.0)
+    light = 90.0 + np.where((last > COLUMN)[:, None], pale, faint)
+    noise = np.random.default_rng(1).normal(0, 1, light.shape)
+    return np.clip(np.rint(light + noise), 0, 255).astype(np.uint8)
+
+
+def test_a_crest_whose_colour_fades_near_the_end_of_the_range_is_raised():
+    """It has as much excess as the glow beside it: that does not dip, nor say where it is."""
+    lines = lines_of(faded(120.0, WIDTH), "red-excess", "columns")
+    middle = np.rint(CENTRE).astype(int)
+    crest, beside = (lines.grey[COLUMN, middle + k] for k in (0, 5))
+    # Between two pixels the crest may stay below the end of the range.
+    assert (lines.white[COLUMN, middle] & (crest > 2 * beside)).mean() >= 0.9
+
+
+def test_auto_takes_the_threshold_from_light_that_is_not_made_up():
+    """It is half of the glow's 50 DN; half of the raised crest's is more than the faint line."""
+    stripe = extract_stripe(faded(150.0, 200), StripeSection(channel="auto"))
+    found, wrong = shares_of(stripe, CENTRE)
+    assert found >= 0.98
+    assert wrong <= 0.005
+
+
 @pytest.mark.parametrize("axis", ["columns", "rows"])
 @pytest.mark.parametrize(("lacks", "name"), [(0, "cyan-excess"), (1, "magenta-excess")])
 def test_a_mixed_colours_excess_is_what_both_have_above_the_third(lacks, name, axis):
