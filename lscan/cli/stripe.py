@@ -103,8 +103,13 @@ def extract(
         note(
             "many columns hold several lines as bright: try --returns first, last or both, or --roi"
         )
-    if axis is rig is roi is mask is None and _is_across(image, stripes[0], settings):
-        note("far more rows hold a line than columns: of an upright line say --axis rows")
+    if rig is roi is mask is None:
+        shows_more = partial(_shows_more, image, dark, settings, stripes[0])
+        across = "rows" if settings.axis == "columns" else "columns"
+        if axis is None and shows_more(axis=across):
+            note("far more rows hold a line than columns: of an upright line say --axis rows")
+        elif channel is None and shows_more(channel="grey"):
+            note(f"far more {settings.axis} hold a line in grey than in colour: try --channel grey")
     lines = [_counted(s, points[k] if points else None) for k, s in enumerate(stripes)]
     if json:
         print_json(lines[0] if len(lines) == 1 else {"lines": lines})
@@ -146,17 +151,18 @@ def _stripes(
     return told_apart(find(image, first, background=dark), find(image, last, background=dark))
 
 
-def _is_across(image: Bytes, stripe: Stripe, settings: StripeSection) -> bool:
-    """Whether a line that few entries hold shows in twice as many along the other axis."""
+def _shows_more(
+    image: Bytes, dark: Bytes | None, settings: StripeSection, stripe: Stripe, **change: str
+) -> bool:
+    """Whether a line that few entries hold shows in twice as many with one setting changed."""
     from lscan.records import has_value
     from lscan.stripe import extract_stripe
 
     found = has_value(stripe.status)
     if found.mean() >= 0.5:
         return False
-    other = "rows" if settings.axis == "columns" else "columns"
-    turned = extract_stripe(image, settings.model_copy(update={"axis": other}))
-    return bool(has_value(turned.status).sum() > 2 * found.sum())
+    changed = extract_stripe(image, settings.model_copy(update=change), background=dark)
+    return bool(has_value(changed.status).sum() > 2 * found.sum())
 
 
 def _names(output: Path, count: int) -> list[Path]:

@@ -11,9 +11,8 @@ from lscan.config.documents import Strict
 from lscan.config.targets import Workpiece
 
 Channel = Literal["red", "green", "blue", "grey"]
-LineChannel = Literal[
-    "red", "green", "blue", "grey", "red-excess", "green-excess", "blue-excess", "auto"
-]
+Excess = Literal["red-excess", "green-excess", "blue-excess", "cyan-excess", "magenta-excess"]
+LineChannel = Literal[Channel, Excess, "auto"]
 MOST_SIDE_PX = 8192
 Pixels = Annotated[int, Field(ge=16, le=MOST_SIDE_PX)]
 
@@ -84,14 +83,15 @@ class StripeSection(Strict):
     """How the laser line is found: the paper's rule is span 2 about the first maximum.
 
     channel: the grey values that are read.  "red-excess": red less the brighter of the two other
-    colours, in which white and grey surfaces are dark and a red laser's line is bright; "auto": the
-    excess of the colour whose line stands out most from the picture, and a lower threshold_dn where
-    that line is faint.  returns: which line is meant where a column holds several.  line_width_px:
-    full width of the line at half its height, by which it is told from texture; None: found from
-    each picture.  smooth_px: standard deviation, along the line, of a robust smoothing; 0 leaves
-    every column to itself.  blur_px: standard deviation of the camera's point spread, with which
-    the shift that blur gives to a curved line of uneven brightness is corrected for; None: not
-    corrected.
+    colours, in which white and grey surfaces are dark and a red laser's line is bright;
+    "cyan-excess", "magenta-excess": the darker of the two colours that make it up less the third,
+    for lasers that the camera shows turquoise or violet; "auto": the excess of the colour whose
+    line stands out most from the picture, and a lower threshold_dn where that line is faint.
+    returns: which line is meant where a column holds several.  line_width_px: full width of the
+    line at half its height, by which it is told from texture; None: found from each picture.
+    smooth_px: standard deviation, along the line, of a robust smoothing; 0 leaves every column to
+    itself.  blur_px: standard deviation of the camera's point spread, with which the shift that
+    blur gives to a curved line of uneven brightness is corrected for; None: not corrected.
 
     Examples
     --------
@@ -114,8 +114,8 @@ class StripeSection(Strict):
     @property
     def colour(self) -> Channel:
         """The channel of the sensor whose grey values the line has; grey for "auto"."""
-        own = "grey" if self.channel == "auto" else self.channel.removesuffix("-excess")
-        return cast(Channel, own)
+        usual = {"auto": "grey", "cyan-excess": "green", "magenta-excess": "blue"}
+        return cast(Channel, usual.get(self.channel, self.channel.removesuffix("-excess")))
 
 
 Uncertainty = Annotated[float, Field(ge=0, le=1e9)]

@@ -132,7 +132,8 @@ def _light(
     check_pair(image, background)
     lit = lines_of(image, settings.channel, settings.axis, where="image")
     if settings.channel == "auto" and lit.others is not None:
-        threshold_dn = min(settings.threshold_dn, faint_threshold(lit.grey))
+        coloured = lit.grey if lit.white is None else np.where(lit.white, 0, lit.grey)
+        threshold_dn = min(settings.threshold_dn, faint_threshold(coloured))
         settings = settings.model_copy(update={"threshold_dn": threshold_dn})
     if settings.noise is not None and is_coded(lit.grey):
         settings = settings.model_copy(update={"noise": None})

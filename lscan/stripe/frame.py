@@ -4,7 +4,7 @@ import numpy as np
 
 from lscan.records import Bytes
 
-_WIDEST_PX = 4
+_WIDEST_PX = 8  # a block of JPEG: as far as cameras fill up a width that is no multiple of it
 _EVEN_DN, _EVEN_SHARE = 8, 0.9  # grey values of a drawn frame differ by what lossy coding does
 _STEP_DN = 16  # a frame as dark as the picture is beside it does no harm
 
@@ -13,7 +13,7 @@ def frame_px(lines: Bytes) -> tuple[int, int]:
     """Pixels that a bright frame covers at the beginning and at the end of a picture's lines.
 
     A frame is even along the whole edge of the picture and brighter than the pixels beside
-    it, at most 4 px wide.  It would be the highest value of every line that holds no brighter one,
+    it, at most 8 px wide.  It would be the highest value of every line that holds no brighter one,
     at the picture's border.  A laser's line that runs along the edge is uneven.
 
     Parameters

@@ -1,6 +1,7 @@
 """A picture laid out for stripe extraction: one row in memory for each entry of the stripe."""
 
 from dataclasses import dataclass
+from functools import reduce
 from typing import cast
 
 import cv2
@@ -13,11 +14,18 @@ from lscan.stripe.clipping import clipping_level
 from lscan.stripe.frame import frame_px, without_frame
 from lscan.stripe.noise.model import constant_variance
 
-_COLOURS: tuple[LineChannel, ...] = ("red", "green", "blue")
-_EXCESSES: tuple[LineChannel, ...] = ("red-excess", "green-excess", "blue-excess")
+_PLANES: dict[LineChannel, tuple[int, ...]] = {
+    "red": (0,), "green": (1,), "blue": (2,),
+    "red-excess": (0,), "green-excess": (1,), "blue-excess": (2,),
+    "cyan-excess": (1, 2), "magenta-excess": (0, 2),
+}  # fmt: skip
+"""The colours that a channel's line has.  There is no yellow: no laser has it, but wood."""
+
+_EXCESSES = tuple(channel for channel in _PLANES if channel.endswith("-excess"))
 _CREST_PX = 31  # of a clipped crest, white in the middle: twice that of a line of 15 px
 _WHITE = 0.9  # of the range
 _DIPPED = 0.75  # of the excess on either side: where less is left in the middle, that is white
+_WHITER = 2.0  # times the excess: where the darkest colour's crest is so high, that is white too
 _COLOURED_DN = 16  # excess beside a crest: less is what lossy coding makes of white
 _RIM_PX = 3
 _BROAD_PX = 61  # what is wider is no line (spots.py)
@@ -40,7 +48,7 @@ class PictureLines:
     clipping_dn : int, DN, grey value at which the range ends
     white : (N, L) mask or None, of the crests in which the excess is made up from the other colours
     others : (N, L) array or None, uint8, DN, what was taken off for the excess of a colour: the
-        brighter of the other two
+        brighter of the other two, or the one that a mixed colour lacks
     """
 
     channel: LineChannel
@@ -65,7 +73,9 @@ def lines_of(
     picture : (H, W) or (H, W, 3) array, uint8, DN, grey or RGB
     channel : str, "red", "green", "blue", or "grey", which weighs the colours 0.299 R + 0.587 G +
         0.114 B; "red-excess" and its like, the colour less the brighter of the two others;
-        "auto", as :func:`strongest_excess`; not used in a picture that is grey already
+        "cyan-excess", the darker of green and blue less red, and "magenta-excess", that of red and
+        blue less green; "auto", as :func:`strongest_excess`; not used in a picture that is grey
+        already
     axis : str, "columns" or "rows"
     where : str, how the message names the picture
     clipping_dn : int, optional, DN, grey value at which the camera's range ends; found from the
@@ -96,8 +106,8 @@ def lines_of(
     clipped = brightest >= level
     if picture.ndim == 2 or channel not in _EXCESSES:
         return PictureLines(channel, grey, clipped, level)
-    others = without_frame(_others(picture, channel, axis), frame)
-    excess, white = _excess(grey, others, level)
+    others, least = (without_frame(one, frame) for one in _others(picture, channel, axis))
+    excess, white = _excess(grey, others, least, level)
     return PictureLines(channel, excess, clipped | white, level, white, others)
 
 
@@ -105,7 +115,8 @@ def strongest_excess(picture: Bytes, axis: Axis) -> LineChannel:
     """The excess of the colour whose narrow peaks are the highest; grey where there is no colour.
 
     The highest narrow peak of each line of pixels is taken, what is wider than 61 px cut off,
-    and the mean over the lines.
+    and the mean over the lines.  Cameras see many green lasers in blue as well, and violet ones in
+    red: little is left of one colour's excess then, and much of the mixed one's.
 
     Parameters
     ----------
@@ -114,12 +125,15 @@ def strongest_excess(picture: Bytes, axis: Axis) -> LineChannel:
     """
     if picture.ndim == 2 or bool((picture == picture[..., :1]).all()):
         return "grey"
-    heights = []
+    strongest, highest = _EXCESSES[0], 0.0
     for channel in _EXCESSES:
         own, _ = _read(picture, channel, axis)
-        excess, _ = _excess(own, _others(picture, channel, axis), clipping_level(own))
-        heights.append(_heights(excess).mean())
-    return _EXCESSES[int(np.argmax(heights))]
+        excess, _ = _excess(own, *_others(picture, channel, axis), clipping_level(own))
+        if np.maximum(excess.max(axis=1), 0).mean() > highest:  # no peak is higher than its crest
+            height = _heights(excess).mean()
+            if height > highest:
+                strongest, highest = channel, height
+    return strongest
 
 
 def faint_threshold(excess: GreyValues) -> float:
@@ -196,27 +210,26 @@ def _read(picture: Bytes, channel: LineChannel, axis: Axis) -> tuple[Bytes, Byte
         red, green, blue = cv2.split(picture)
         brightest = _across(cv2.max(cv2.max(red, green), blue), axis)
     else:
-        grey = brightest = _across(cv2.extractChannel(picture, _plane(channel)), axis)
+        own = [cv2.extractChannel(picture, plane) for plane in _PLANES[channel]]
+        grey = brightest = _across(reduce(cv2.min, own), axis)
     return grey, brightest
 
 
-def _others(picture: Bytes, channel: LineChannel, axis: Axis) -> Bytes:
-    """(N, L) grey values of the brighter of the two colours that are not the channel's."""
-    first, second = (cv2.extractChannel(picture, (_plane(channel) + k) % 3) for k in (1, 2))
-    return _across(cv2.max(first, second), axis)
+def _others(picture: Bytes, channel: LineChannel, axis: Axis) -> tuple[Bytes, Bytes]:
+    """(N, L) grey values of the brightest and the darkest colour that is not the channel's."""
+    others = [cv2.extractChannel(picture, k) for k in range(3) if k not in _PLANES[channel]]
+    return _across(reduce(cv2.max, others), axis), _across(reduce(cv2.min, others), axis)
 
 
-def _plane(channel: LineChannel) -> int:
-    return (*_COLOURS, *_EXCESSES).index(channel) % 3
-
-
-def _excess(own: Bytes, others: Bytes, clipping_dn: int) -> tuple[GreyValues, Mask]:
+def _excess(own: Bytes, others: Bytes, least: Bytes, clipping_dn: int) -> tuple[GreyValues, Mask]:
     """(N, L) colour less the others, raised where the crest is white, and mask of those crests.
 
     A white crest with the line's colour on both sides is raised to what the colour is there, and
     by what it exceeds its surroundings in the other colours: those are clipped last, and show where
-    the middle is.  The rim of a white crest, up to _RIM_PX wide, is part of it: its colour is no
-    more that of the line than the middle's.
+    the middle is.  White is where the excess dips, and where the crest is far higher in each of the
+    other colours than the excess, as that of a camera whose colours fade towards the end of its
+    range.  The rim of a white crest, up to _RIM_PX wide, is part of it: its colour is no more that
+    of the line than the middle's.
     """
     excess = own.astype(np.int16) - others
     # Pixels beside clipped ones are white as well: coding and blur take them below the end.
@@ -224,23 +237,32 @@ def _excess(own: Bytes, others: Bytes, clipping_dn: int) -> tuple[GreyValues, Ma
     lines = np.flatnonzero(bright.any(axis=1))
     if len(lines) == 0:
         return excess, bright
-    pixels = np.flatnonzero(bright.any(axis=0))
+    at = np.flatnonzero(bright.any(axis=0))
     # Twice as far as a crest reaches nothing beyond counts, and nothing beyond is changed.
-    part = slice(max(pixels[0] - 2 * _CREST_PX, 0), pixels[-1] + 2 * _CREST_PX + 1)
+    part = slice(max(at[0] - 2 * _CREST_PX, 0), at[-1] + 2 * _CREST_PX + 1)
     crest = np.zeros_like(bright)
     excess[lines, part], crest[lines, part] = _raised(
-        excess[lines, part], others[lines, part], bright[lines, part]
+        excess[lines, part], others[lines, part], least[lines, part], bright[lines, part]
     )
     return excess, crest
 
 
-def _raised(excess: GreyValues, others: Bytes, bright: Mask) -> tuple[GreyValues, Mask]:
+def _raised(
+    excess: GreyValues, others: Bytes, least: Bytes, bright: Mask
+) -> tuple[GreyValues, Mask]:
     """The same of a part of the lines, ``bright`` where a colour nears the end of its range."""
     near = cv2.dilate(bright.astype(np.uint8), np.ones((1, 3), np.uint8)) > 0
     across = np.ones((1, _CREST_PX), np.uint8)
     closed = cv2.morphologyEx(excess, cv2.MORPH_CLOSE, across)
-    white = near & (_DIPPED * closed > excess) & (closed > _COLOURED_DN)
-    raised = closed + np.where(white, cv2.morphologyEx(others, cv2.MORPH_TOPHAT, across), 0)
+    coloured = closed > _COLOURED_DN
+    dipped = near & (_DIPPED * closed > excess) & coloured
+    faded = bright & (least > _WHITER * closed) & coloured & ~dipped
+    raised = closed + np.where(dipped, cv2.morphologyEx(others, cv2.MORPH_TOPHAT, across), 0)
+    if len(lines := np.flatnonzero(faded.any(axis=1))):
+        whiter = cv2.morphologyEx(least[lines], cv2.MORPH_TOPHAT, across)
+        faded[lines] &= whiter > _WHITER * closed[lines]
+        raised[lines] += np.where(faded[lines], whiter, 0)
+    white = dipped | faded
     crest = cv2.dilate(white.astype(np.uint8), np.ones((1, 2 * _RIM_PX + 1), np.uint8)) > 0
     return np.where(near, raised, excess), crest
 

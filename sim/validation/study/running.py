@@ -71,13 +71,11 @@ class Overhead:
 @contextmanager
 def _without_tracebacks() -> Iterator[None]:
     """Those of stubs, which fail on purpose."""
-    log = logging.getLogger(run_rows.__module__)
-    before = log.level
-    log.setLevel(logging.CRITICAL)
+    logging.disable()
     try:
         yield
     finally:
-        log.setLevel(before)
+        logging.disable(logging.NOTSET)
 
 
 def running_rows(kills: int, tasks: int) -> list[Row]:
@@ -127,11 +125,6 @@ def overhead(workers: int, tasks: int, task_s: float = TASK_S) -> Overhead:
     beyond_s = wall_s - task_s * ceil(tasks / workers)
     largest = sorted(memory)[-workers:]  # the others are helpers of multiprocessing
     return Overhead(1000 * beyond_s / tasks, 1000 * cpu_s / tasks, start_s, float(np.mean(largest)))
-
-
-def overhead_ms_per_task(workers: int = 16, tasks: int = 320) -> float:
-    """Wall time beyond that of the tasks themselves, shared evenly, ms a task."""
-    return overhead(workers, tasks).task_ms
 
 
 @_without_tracebacks()

@@ -73,6 +73,29 @@ def test_an_upright_line_is_told_apart_from_a_level_one(
         assert ("--axis rows" in err) is hinted
 
 
+def test_a_line_without_colour_is_told_from_one_that_has(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """An overexposed line, white on a wall that the room's light makes pink."""
+    v = np.arange(120, dtype=float)[:, None, None]
+    profile = np.exp(-((v - 60) ** 2) / 4.5)
+    white, green = np.array([75.0, 90.0, 65.0]), np.array([10.0, 90.0, 10.0])
+    for name, colour in (("white.png", white), ("green.png", green)):
+        wall = np.array([160.0, 146.0, 172.0])
+        noise = np.random.default_rng(3).normal(0, 1, (120, 80, 3))
+        lit = np.rint(wall + profile * colour + noise)
+        write_picture(tmp_path / name, np.clip(lit, 0, 255).astype(np.uint8))
+    for arguments, hinted, least in (
+        (["white.png"], True, 0),
+        (["white.png", "--channel", "grey"], False, 80),
+        (["green.png"], False, 80),
+    ):
+        code, out, err = call(capsys, "extract", tmp_path / arguments[0], *arguments[1:], "--json")
+        assert code == 0, err
+        assert ("--channel grey" in err) is hinted
+        assert json.loads(out)["found"] >= least
+
+
 def test_a_calibration_gives_points_in_mm(
     solved: MetricCalibration, picture: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

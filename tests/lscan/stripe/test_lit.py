@@ -1,5 +1,6 @@
 """The line on lit, textured targets; frames, clipping below 255 DN, and two lasers told apart."""
 
+import cv2
 import numpy as np
 import pytest
 from hypothesis import given, settings, strategies as st
@@ -28,6 +29,13 @@ FEW = settings(max_examples=8)
 def picture(target, seed=1, centres=CENTRE[None], shares=ONE, clips_dn=255):
     mean = lit_mean(target, centres, shares, HEIGHT)
     return lit_picture(mean, np.random.default_rng(seed), clips_dn)
+
+
+def coded(image, quality):
+    """The picture as JPEG gives it back, its colours at half the resolution."""
+    ok, data = cv2.imencode(".jpg", image[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, quality])
+    assert ok
+    return np.ascontiguousarray(cv2.imdecode(data, cv2.IMREAD_COLOR)[..., ::-1])
 
 
 def shares_of(stripe, truth, sigmas=4.0, slack_px=0.5):
@@ -195,16 +203,78 @@ def test_auto_lowers_the_threshold_to_a_faint_line(extractor):
     assert has_value(extract_stripe(image, named).status).mean() < 0.1
 
 
-@pytest.mark.parametrize("colour", [0, 1, 2])
-def test_auto_reads_the_excess_of_the_lasers_colour(colour):
-    laser = np.full(3, 15.0)
-    laser[colour] = 300.0
-    image = picture(LitTarget(laser_dn=tuple(laser)))
-    name = ("red-excess", "green-excess", "blue-excess")[colour]
+@pytest.mark.parametrize(
+    ("laser_dn", "name"),
+    [
+        ((300.0, 15.0, 15.0), "red-excess"),
+        ((15.0, 300.0, 15.0), "green-excess"),
+        ((15.0, 15.0, 300.0), "blue-excess"),
+        ((10.0, 160.0, 130.0), "cyan-excess"),  # green, as many cameras show it
+        ((150.0, 10.0, 200.0), "magenta-excess"),  # violet
+    ],
+)
+def test_auto_reads_the_excess_of_the_lasers_colour(laser_dn, name):
+    image = picture(LitTarget(laser_dn=laser_dn))
     assert strongest_excess(image, "columns") == name
     auto = extract_stripe(image, StripeSection(channel="auto"))
     named = extract_stripe(image, StripeSection(channel=name))
     np.testing.assert_array_equal(auto.centre_px, named.centre_px)
+
+
+@pytest.mark.parametrize("extractor", ["centroid-relative", "steger", "ml"])
+@pytest.mark.parametrize(
+    ("laser_dn", "colour"), [((10.0, 180.0, 160.0), "green"), ((150.0, 10.0, 180.0), "blue")]
+)
+def test_a_laser_that_shows_in_two_colours_is_read_by_both(laser_dn, colour, extractor):
+    """Each of the two leaves a tenth of its light above the other, as much as the target has."""
+    image = coded(picture(LitTarget(laser_dn=laser_dn)), 90)
+    chosen = StripeSection(channel="auto", extractor=extractor, threshold_dn=20.0)
+    found, wrong = shares_of(extract_stripe(image, chosen), CENTRE)
+    # The bars of a lit textured board without a background picture.
+    assert found >= 0.98
+    assert wrong <= 0.005
+    alone = chosen.model_copy(update={"channel": f"{colour}-excess"})
+    found, _ = shares_of(extract_stripe(image, alone), CENTRE)
+    assert found < 0.7
+
+
+def faded(pale_dn, last):
+    """A line on a grey wall, clipped in red and pale, in a red glow; from ``last`` on faint red."""
+    across = np.arange(HEIGHT)[:, None, None] - CENTRE[:, None]
+    crest, glow = np.exp(-0.5 * across**2), np.exp(-0.5 * (across / 6) ** 2)
+    pale = crest * (125.0, pale_dn, pale_dn) + glow * (50.0, 0.0, 0.0)
+    faint = crest * (35.0, 0.0, 0.0)
+    light = 90.0 + np.where((last > COLUMN)[:, None], pale, faint)
+    noise = np.random.default_rng(1).normal(0, 1, light.shape)
+    return np.clip(np.rint(light + noise), 0, 255).astype(np.uint8)
+
+
+def test_a_crest_whose_colour_fades_near_the_end_of_the_range_is_raised():
+    """It has as much excess as the glow beside it: that does not dip, nor say where it is."""
+    lines = lines_of(faded(120.0, WIDTH), "red-excess", "columns")
+    middle = np.rint(CENTRE).astype(int)
+    crest, beside = (lines.grey[COLUMN, middle + k] for k in (0, 5))
+    # Between two pixels the crest may stay below the end of the range.
+    assert (lines.white[COLUMN, middle] & (crest > 2 * beside)).mean() >= 0.9
+
+
+def test_auto_takes_the_threshold_from_light_that_is_not_made_up():
+    """It is half of the glow's 50 DN; half of the raised crest's is more than the faint line."""
+    stripe = extract_stripe(faded(150.0, 200), StripeSection(channel="auto"))
+    found, wrong = shares_of(stripe, CENTRE)
+    assert found >= 0.98
+    assert wrong <= 0.005
+
+
+@pytest.mark.parametrize("axis", ["columns", "rows"])
+@pytest.mark.parametrize(("lacks", "name"), [(0, "cyan-excess"), (1, "magenta-excess")])
+def test_a_mixed_colours_excess_is_what_both_have_above_the_third(lacks, name, axis):
+    """Below what nears the end of the range, where white crests are raised."""
+    image = np.random.default_rng(1).integers(0, 220, (40, 30, 3)).astype(np.uint8)
+    both = np.delete(image, lacks, axis=2).min(axis=2).astype(int) - image[..., lacks]
+    read = lines_of(image, name, axis)
+    np.testing.assert_array_equal(read.grey, both.T if axis == "columns" else both)
+    assert not read.clipped.any()
 
 
 def test_auto_reads_a_picture_without_colour_as_grey():
@@ -277,7 +347,7 @@ def test_a_stated_noise_is_that_of_both_colours():
 
 
 @pytest.mark.parametrize("axis", ["columns", "rows"])
-@pytest.mark.parametrize("thick", [1, 3])
+@pytest.mark.parametrize("thick", [1, 3, 8])
 def test_a_frame_along_the_border_is_not_a_line(axis, thick):
     rng = np.random.default_rng(3)
     light = speckled(drawn(CENTRE, 1.3, HEIGHT, 90.0), 0.1, rng)
@@ -291,6 +361,16 @@ def test_a_frame_along_the_border_is_not_a_line(axis, thick):
     assert not (seen.status == Status.AT_BORDER).any()
     kept = slice(thick, -thick)
     np.testing.assert_array_equal(seen.centre_px[kept], bare.centre_px[kept])
+
+
+def test_a_bar_beside_one_edge_is_not_a_line():
+    """As cameras leave it that read a few columns more than they have: bright, dark at the rim."""
+    rng = np.random.default_rng(3)
+    plain = np.clip(speckled(drawn(CENTRE, 1.3, HEIGHT, 90.0), 0.1, rng), 0, 255).astype(np.uint8)
+    barred = plain.copy()
+    barred[-6:] = np.array([132, 252, 255, 249, 7, 127])[:, None]
+    bare, seen = (extract_stripe(image, StripeSection()) for image in (plain, barred))
+    np.testing.assert_array_equal(seen.centre_px, bare.centre_px)
 
 
 def test_a_line_that_leaves_the_picture_is_at_the_border():
