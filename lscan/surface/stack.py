@@ -55,7 +55,12 @@ def stack(profiles: Sequence[Profile]) -> Surface:
 
 
 def require_head_frame(surface: Surface) -> None:
-    """InputError for a surface that is not in the head frame."""
+    """InputError for a surface that is not in the head frame.
+
+    Parameters
+    ----------
+    surface : Surface
+    """
     if surface.frame != "head":
         raise InputError(
             "is aligned already", where="surface", value=surface.frame, allowed="the head frame"

@@ -144,7 +144,8 @@ class OpencvCamera:
         if self._options.live:
             after_s = began_s + self._options.flush_ms / 1000
             for _ in range(self._options.flush_frames):
-                self._take(after_s)
+                # Black ones that are not meant may be one, sent again and again.
+                self._sound_picture(after_s, may_be_black)
         else:
             after_s = -math.inf
             wanted = self._read if frame is None else frame * self._options.average_frames

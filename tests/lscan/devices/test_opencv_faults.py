@@ -209,6 +209,21 @@ def test_black_pictures_that_are_meant(way: str, caplog: pytest.LogCaptureFixtur
     camera.close()
 
 
+def test_repeated_black_pictures_hide_no_old_one() -> None:
+    """A camera that repeats a black picture still holds the one it took before: it comes next."""
+    world = World(period_s=0.005)
+    camera = camera_in(world, retries=20)
+    assert scene_of(camera.grab().image) == 1
+    black, deadline_s = world.reads + 1, time.monotonic() + 60
+    world.faults = dict.fromkeys(range(black, black + 4), "black")
+    world.faults |= dict.fromkeys(range(black + 4, black + 12), "same")
+    while world.reads < black + 5 and time.monotonic() < deadline_s:
+        time.sleep(0.001)
+    world.scene = 2
+    assert scene_of(camera.grab().image) == 2
+    camera.close()
+
+
 # ---- random sequences of faults ---------------------------------------------------------
 
 KINDS = ("black", "same", "gone", "raise", "empty", "hang", "wrong size", "deep")
