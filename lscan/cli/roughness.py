@@ -19,7 +19,6 @@ if TYPE_CHECKING:
 
 FREQUENCIES_KHZ = (15.0, 50.0, 100.0, 300.0)
 GRAZING_DEG = (10.0, 20.0, 45.0, 70.0)
-MM_PER_CM = 10.0
 
 
 def roughness(
@@ -79,7 +78,7 @@ def roughness(
 ) -> None:
     """Roughness of a surface: spectrum, power law with intervals, ripples, cutoff, backscatter."""
     from lscan.config.rigfile import load_rig
-    from lscan.roughness import response_of, roughness_of, sediment
+    from lscan.roughness import MM_PER_CM, response_of, roughness_of, sediment
     from lscan.roughness.files import save_roughness
     from lscan.surface import load_surface
 
@@ -142,7 +141,7 @@ def _of_lengths(
     surface: Surface, sheet_mm: float, blur_mm: float | None, pixel_mm: float
 ) -> ScannerResponse:
     """The response that the options state, and what the surface's lines were corrected for."""
-    from lscan.roughness import ScannerResponse
+    from lscan.roughness import MM_PER_CM, ScannerResponse
     from lscan.roughness.scanner import corrected_blur_px, is_thickness_corrected
 
     if sheet_mm and is_thickness_corrected(surface):

@@ -16,7 +16,7 @@ from lscan.roughness.moments import (
     moments,
     structure_function,
 )
-from lscan.roughness.patch import Patch, patch_of
+from lscan.roughness.patch import MM_PER_CM, Patch, patch_of
 from lscan.roughness.profiles import patch_of_profiles
 from lscan.roughness.profilewaves import ProfileWaves, profile_waves
 from lscan.roughness.ripples import RippleTrain, find_ripples, fit_waves, without_ripples
@@ -43,6 +43,7 @@ from lscan.roughness.spread import RippleSpread, ripple_spread
 from lscan.roughness.whittle import PowerLawFit, fit_power_law, most_likely_law, usable_band
 
 __all__ = [
+    "MM_PER_CM",
     "SEDIMENTS",
     "Backscatter",
     "Band",

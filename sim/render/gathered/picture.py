@@ -127,12 +127,11 @@ class GatheredLight:
         self._camera = CameraLeg(self._chart, spread, water.extinction_per_mm)
         width, height = rays.size_px
         self._inner = np.arange(height * width).reshape(height, width)[1:-1, 1:-1]
-        inner = indices(self._inner)
-        self._weight = dr.gather(mi.Float, rays.weight, inner)
+        self._index = indices(self._inner)
+        self._weight = dr.gather(mi.Float, rays.weight, self._index)
         rows, columns = self._chart.inner.shape
         x, y = map(floats, self._chart.pixels)
         self._places = mi.Point2f((x + 0.5) / columns, (y + 0.5) / rows)
-        self._index = inner
         dr.eval(self._weight, self._places, self._index)
         self._camera_weight = np.array(self._weight).reshape(self._inner.shape)
 

@@ -9,7 +9,7 @@ import mitsuba as mi
 import numpy as np
 
 from lscan.records import Floats
-from sim.render.plugins.arrays import floats
+from sim.render.plugins.arrays import floats, long_indices
 from sim.render.plugins.sheet import LaserSheet
 
 JOINED = (4, 16, 64)  # cells a side, that may be one
@@ -45,7 +45,7 @@ class SurfaceCells:
         duals = np.cross(sides[:, 1], unit), np.cross(unit, sides[:, 0])
         self._duals = [floats(dual) for dual in duals]
         self._counts = [floats(counts[:, k]) for k in (0, 1)]
-        self._begins, self._whole = mi.UInt64(begins.astype(np.uint64)), floats(whole)
+        self._begins, self._whole = long_indices(begins), floats(whole)
 
     def find(
         self, si: mi.SurfaceInteraction3f, towards: mi.Vector3f, active: mi.Bool
@@ -160,7 +160,7 @@ class CellRecords:
     def sort(self) -> bool:
         """Put the records in the order of their keys; whether all have found room."""
         order = np.argsort(np.array(self._keys), kind="stable")
-        self._keys = mi.UInt64(np.array(self._keys)[order])
+        self._keys = long_indices(np.array(self._keys)[order])
         self._values = floats(np.array(self._values).reshape(-1, 5)[order])
         return int(self._used[0]) <= self.capacity
 

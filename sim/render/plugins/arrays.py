@@ -34,6 +34,16 @@ def indices(values: ArrayLike) -> mi.UInt32:
     return mi.UInt32(_roomy(values, np.uint32))
 
 
+def long_indices(values: ArrayLike) -> mi.UInt64:
+    """The integers of an array, row by row.
+
+    Parameters
+    ----------
+    values : array of any shape, 0 to 2**64 - 1
+    """
+    return mi.UInt64(_roomy(values, np.uint64))
+
+
 def vectors(rows: ArrayLike) -> mi.Vector3f:
     """The columns of three rows.
 

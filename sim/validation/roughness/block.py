@@ -61,10 +61,10 @@ def block_rows(scenes: Path, effort: RoughnessEffort) -> list[Row]:
     inside = (size >= LOW_PER_MM) & (size <= min(HIGH_PER_MM, told))
     # The cutoff is where noise alone lifts the spectrum by so much: it is left in.
     lifted = corrected_spectrum(found.spectrum, replace(patch, noise_cm2=0.0), response)
-    size_lifted, lifted_db = _off_db(lifted, expected)
-    beyond = np.flatnonzero((size_lifted >= LOW_PER_MM) & ~(np.abs(lifted_db) <= OFF_DB))
-    leaves = float(size_lifted[beyond[0]]) if len(beyond) else HIGH_PER_MM
-    leaves = min(leaves, HIGH_PER_MM)  # where the block's own spectrum ends
+    _, lifted_db = _off_db(lifted, expected)  # of the same waves, and so of the same rings
+    beyond = np.flatnonzero((size >= LOW_PER_MM) & ~(np.abs(lifted_db) <= OFF_DB))
+    # The block's own spectrum ends at HIGH_PER_MM.
+    leaves = min(float(size[beyond[0]]), HIGH_PER_MM) if len(beyond) else HIGH_PER_MM
     words: dict[str, Any] = {"frames": len(measured.xyz_mm), "cutoff": told}
     worst = float(np.abs(off_db[inside]).max()) if inside.any() else float("nan")
     percent = 100 * (told / leaves - 1)

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, strategies as st
 from places import SUPPORT
 
-from sim.render.plugins.arrays import VECTOR, floats, indices, vectors
+from sim.render.plugins.arrays import VECTOR, floats, indices, long_indices, vectors
 
 # A child, for whoever reads what is not there dies.
 GUARDED = f"""
@@ -19,7 +19,7 @@ from guardedarrays import guard_arrays
 import numpy as np
 from sim.render.backend import load_mitsuba
 mi = load_mitsuba()
-from sim.render.plugins.arrays import floats, indices
+from sim.render.plugins.arrays import floats, indices, long_indices
 guard_arrays()
 """
 ODD = "np.arange(5001, dtype=np.float32)"
@@ -51,6 +51,7 @@ def test_kernels_read_the_same_numbers(count: int, seed: int) -> None:
     assert np.array_equal(np.array(floats(numbers)), numbers.ravel().astype(np.float32))
     assert np.array_equal(np.array(vectors(numbers)), numbers.astype(np.float32))
     assert np.array_equal(np.array(indices(whole)), whole)
+    assert np.array_equal(np.array(long_indices(whole << 31)), whole << 31)
 
 
 @given(count=st.integers(1, 100))
@@ -59,7 +60,7 @@ def test_all_begin_where_a_cache_line_does(count: int) -> None:
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="pages are forbidden as on Linux")
-@pytest.mark.parametrize("kind", ["floats({0})", "indices({0})"])
+@pytest.mark.parametrize("kind", ["floats({0})", "indices({0})", "long_indices({0})"])
 def test_kernels_do_not_read_past_the_end(kind: str) -> None:
     assert ended(f"({kind.format(ODD)} + 1).numpy()") == 0
 
