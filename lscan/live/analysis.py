@@ -10,6 +10,7 @@ from lscan.records import Bytes, Floats, GreyValues, Ints, Stripe, has_value
 from lscan.stripe import extract_stripe
 from lscan.stripe.lines import PictureLines, lines_of
 from lscan.stripe.noise.model import constant_variance
+from lscan.stripe.ranks import crests
 from lscan.stripe.width import line_width
 
 FULL_WIDTH = 2 * np.sqrt(2 * np.log(2))
@@ -71,7 +72,7 @@ def measure_line(image: Bytes, settings: StripeSection, table: MapTable | None) 
     focus = sharpness(_light_about(grey, stripe.centre_px[at], at), variance)
     line = StripeFigures(
         stripe=replace(stripe, centre_px=stripe.centre_px + band.start),
-        width_px=FULL_WIDTH * line_width(grey, at) if len(at) else None,
+        width_px=FULL_WIDTH * line_width(grey, at, crests(grey)[at]) if len(at) else None,
         snr=float(np.median(stripe.peak[at]) / np.sqrt(variance)) if len(at) else None,
         slope=slope_of(stripe.centre_px),
     )

@@ -6,6 +6,7 @@ import numpy as np
 
 from lscan.records import GreyValues, Stripe, has_value
 from lscan.stripe.peaks import windows
+from lscan.stripe.ranks import crests
 from lscan.stripe.width import line_width
 
 _BESIDE = ((1.5, 2.5), (2.5, 4.5))
@@ -40,7 +41,7 @@ def doubted(stripe: Stripe, light: GreyValues, ground: GreyValues, threshold_dn:
     at = np.flatnonzero(has_value(stripe.status))
     if len(at) == 0:
         return stripe
-    width_px = line_width(light, at)
+    width_px = line_width(light, at, crests(light)[at])
     row = np.rint(stripe.centre_px[at]).astype(np.int64)
     reach_px = np.zeros(len(at))
     least_dn = max(threshold_dn / 4, _ROUNDING_DN)

@@ -1,7 +1,7 @@
 """From a picture to the stripe in it: the one function that everybody calls."""
 
 from collections.abc import Iterable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import TypeVar, cast
 
@@ -23,6 +23,7 @@ from lscan.stripe.noise.coding import is_coded
 from lscan.stripe.noise.model import difference_noise
 from lscan.stripe.peaks import clipped_near
 from lscan.stripe.returns import OneReturn, choose_return, withhold
+from lscan.stripe.sidebyside import beside, in_groups, joined, parted
 
 _Value = TypeVar("_Value", bound=np.generic)
 
@@ -92,34 +93,66 @@ def extract_stripes(
     """
     extractor = find_extractor(settings.extractor)
     seen = [_seen(image, settings, background) for image, background in shown]
-    stripes = _called(extractor, [(one.image, known, one.clipped) for one, _, known in seen])
-    return [_finished(stripe, *one) for stripe, one in zip(stripes, seen, strict=True)]
+    stripes = _called(
+        extractor, [(one.chosen.image, one.known, one.chosen.clipped) for one in seen]
+    )
+    return in_groups(_finished, list(zip(stripes, seen, strict=True)), lambda found: found[1].kind)
 
 
-def _seen(
-    image: Bytes, settings: StripeSection, background: Bytes | None
-) -> tuple[OneReturn, PictureLines, StripeSection]:
+@dataclass(frozen=True)
+class _SeenPicture:
     """The picture with one line in each column, that with all, and the settings for both."""
+
+    chosen: OneReturn
+    light: PictureLines
+    known: StripeSection
+
+    @property
+    def kind(self) -> tuple[object, ...]:
+        """Equal for pictures whose columns can stand side by side."""
+        image = self.chosen.image
+        return self.known, image.shape, image.dtype, self.light.white is None
+
+
+def _seen(image: Bytes, settings: StripeSection, background: Bytes | None) -> _SeenPicture:
     light, known = _light(image, settings, background)
     white = light.white is not None and bool(light.white.any())
-    return choose_return(light.grey.T, known, light.clipped.T, white), light, known
+    return _SeenPicture(choose_return(light.grey.T, known, light.clipped.T, white), light, known)
 
 
-def _finished(
-    stripe: Stripe, chosen: OneReturn, light: PictureLines, settings: StripeSection
-) -> Stripe:
-    """The stripe that an extractor found, with all that it does not know of the picture."""
-    stripe = _mark_saturated(stripe, chosen.clipped.T, light.white, settings.span_px)
-    stripe = withhold(stripe, chosen.ambiguous)
-    if chosen.textured:
-        stripe = doubted(stripe, chosen.image.T, light.grey, settings.threshold_dn)
-    if light.others is not None:
-        stripe = doubted(stripe, chosen.image.T, light.others, settings.threshold_dn)
+def _finished(found: Sequence[tuple[Stripe, _SeenPicture]]) -> list[Stripe]:
+    """The stripes that an extractor found, with all that it does not know of the pictures.
+
+    found: of pictures of one kind.
+    """
+    settings, chosen = found[0][1].known, [one.chosen for _, one in found]
+    white = [one.light.white for _, one in found if one.light.white is not None]
+    lights = [one.image.T for one in chosen]
+    whole = joined([stripe for stripe, _ in found])
+    clipped = beside([one.clipped.T for one in chosen])
+    whole = _mark_saturated(whole, clipped, beside(white) if white else None, settings.span_px)
+    whole = withhold(whole, beside([one.ambiguous for one in chosen]))
+    stripes = [
+        _by_target(stripe, one)
+        for stripe, (_, one) in zip(parted(whole, len(found)), found, strict=True)
+    ]
     if settings.noise is None:
-        stripe = at_least_seen(stripe, chosen.image.T)
-    stripe = correct_blur(stripe, settings, chosen.image.T)
-    stripe = smooth(stripe, settings.smooth_px)
-    return replace(stripe, flux=core_flux(stripe, chosen.image.T))
+        stripes = at_least_seen(stripes, lights, [one.crest for one in chosen])
+    for place, light in enumerate(lights):
+        stripe = correct_blur(stripes[place], settings, light)
+        stripes[place] = smooth(stripe, settings.smooth_px)
+    whole = joined(stripes)
+    return parted(replace(whole, flux=core_flux(whole, beside(lights))), len(found))
+
+
+def _by_target(stripe: Stripe, seen: _SeenPicture) -> Stripe:
+    """The stripe with what the target about the line makes doubtful."""
+    light, threshold_dn = seen.chosen.image.T, seen.known.threshold_dn
+    if seen.chosen.textured:
+        stripe = doubted(stripe, light, seen.light.grey, threshold_dn)
+    if seen.light.others is not None:
+        stripe = doubted(stripe, light, seen.light.others, threshold_dn)
+    return stripe
 
 
 def _light(

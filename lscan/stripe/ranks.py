@@ -3,9 +3,10 @@
 import cv2
 import numpy as np
 
-from lscan.records import Floats, GreyValues, Ints
+from lscan.records import Floats, GreyValues, Ints, Singles
 
 _SPARSE = 8  # a first guess is made of every eighth pixel of every eighth column
+_BLOCK = 512  # columns whose floats a processor's cache holds
 
 
 def crests(columns: GreyValues) -> Ints:
@@ -20,9 +21,11 @@ def crests(columns: GreyValues) -> Ints:
     >>> crests(np.array([[7, 3, 200, 200]], dtype=np.uint8))
     array([2])
     """
+    if columns.dtype == np.float64:
+        return columns.argmax(axis=1)
     # NumPy finds the place of the highest float sooner than that of the highest integer.
-    floats = columns if columns.dtype == np.float64 else columns.astype(np.float32)
-    return floats.argmax(axis=1)
+    parts = [columns[begin : begin + _BLOCK] for begin in range(0, len(columns), _BLOCK)]
+    return np.concatenate([part.astype(np.float32).argmax(axis=1) for part in parts])
 
 
 def ranked(columns: GreyValues, rank: int) -> Floats:
@@ -40,7 +43,7 @@ def ranked(columns: GreyValues, rank: int) -> Floats:
     array([7.])
     """
     if not np.issubdtype(columns.dtype, np.integer):
-        return np.partition(columns.astype(np.float32), rank, axis=1)[:, rank].astype(np.float64)
+        return _ranked_singles(columns.astype(np.float32, copy=False), rank)
     # To count the pixels up to a grey value takes a thirtieth of a partial sort.  The search begins
     # at a value that most columns are near to, and goes from there in steps twice as long each.
     sample = columns[::_SPARSE, ::_SPARSE].ravel()
@@ -57,6 +60,18 @@ def ranked(columns: GreyValues, rank: int) -> Floats:
         half = (least + most) // 2
         near = np.where(enough, np.maximum(most - step, half), np.minimum(least + step - 1, half))
         middle, step = near, 2 * step
+
+
+def _ranked_singles(columns: Singles, rank: int) -> Floats:
+    """The same of floats: where all of a column are grey values, as such."""
+    with np.errstate(invalid="ignore"):
+        grey = columns.astype(np.int16)
+    whole = (grey == columns).all(axis=1)
+    values, others = np.empty(len(columns)), columns[~whole]
+    values[~whole] = np.partition(others, rank, axis=1)[:, rank]
+    if whole.any():
+        values[whole] = ranked(grey[whole], rank)
+    return values
 
 
 def medians(columns: GreyValues) -> Floats:

@@ -14,6 +14,7 @@ import numpy as np
 
 from lscan.config.rig import StripeSection
 from lscan.records import Floats, GreyValues, Ints, Mask, Status, Stripe, has_value, select
+from lscan.stripe.ranks import crests
 from lscan.stripe.spots import (
     GAP,
     REACH_PX,
@@ -63,6 +64,7 @@ class OneReturn:
     ----------
     image : (H, W) array, DN, as given but for the other returns; floats where those are painted
         over, as a rule of single precision, in which a camera's grey values are exact
+    crest : (W,) array, px, row of the highest value of each column of ``image``
     clipped : (H, W) mask, as given but for the other returns
     ambiguous : (W,) mask, of the columns with several lines of which none can be said to be the one
         meant
@@ -70,6 +72,7 @@ class OneReturn:
     """
 
     image: GreyValues
+    crest: Ints
     clipped: Mask
     ambiguous: Mask
     textured: bool = False
@@ -110,6 +113,7 @@ def choose_return(
         light looks like one, and light does not tell the line
     """
     columns = np.ascontiguousarray(image.T)
+    crest, count = crests(columns), len(columns)
     threshold_dn, width_px = settings.threshold_dn, settings.line_width_px
     spots = spots_near(columns, threshold_dn)
     if spots is None:
@@ -117,12 +121,12 @@ def choose_return(
     run = runs_of(spots)
     specked = settings.returns != "brightest" and _is_specked(spots, run)
     rivals = np.count_nonzero(np.diff(spots.column) == 0)
-    doubtful = white and rivals >= _RIVALS * len(columns)
-    if doubtful or specked or is_textured(columns, spots, run, width_px, threshold_dn):
+    doubtful = white and rivals >= _RIVALS * count
+    if doubtful or specked or is_textured(columns, crest, spots, run, width_px, threshold_dn):
         return _in_texture(columns, spots, settings, clipped)
     choice = _choose(spots, run, _isolated(spots, run), settings)
     if not choice.rejected.any():
-        return OneReturn(image, clipped, choice.ambiguous(len(columns)))
+        return OneReturn(image, crest, clipped, choice.ambiguous(count))
     at, lost = np.unique(spots.column[choice.rejected]), clipped.T.copy()
     painted = columns.astype(np.result_type(columns, np.float32))
     here = np.flatnonzero(np.isin(spots.column, at))
@@ -132,7 +136,8 @@ def choose_return(
         over, np.minimum(columns[at], relief_of(columns[at]).ground), columns[at]
     )
     lost[at] &= ~over
-    return OneReturn(painted.T, lost.T, choice.ambiguous(len(columns)))
+    crest[at] = crests(painted[at])
+    return OneReturn(painted.T, crest, lost.T, choice.ambiguous(count))
 
 
 def _in_texture(
@@ -158,8 +163,10 @@ def _in_texture(
     even &= (np.bincount(seen.column, minlength=count) == left) & (left <= 1)
     flat, near = flattened(relief, spots, kept, threshold_dn)
     near |= even[:, None]
+    image = np.where(even[:, None], columns, flat)
     return OneReturn(
-        image=np.where(even[:, None], columns, flat).T,
+        image=image.T,
+        crest=crests(image),
         clipped=(np.ascontiguousarray(clipped.T) & near).T,
         ambiguous=choice.ambiguous(count),
         textured=True,
@@ -175,6 +182,8 @@ def withhold(stripe: Stripe, columns: Mask, status: Status = Status.AMBIGUOUS) -
     columns : (W,) mask, of the columns
     status : Status, what those of them say that have a value
     """
+    if not columns.any():
+        return stripe
     taken = columns & has_value(stripe.status)
     return replace(
         stripe,

@@ -4,12 +4,9 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
-from lscan.records import Floats, GreyValues, Ints, Mask, select
+from lscan.records import Floats, GreyValues, Ints, Mask, Singles, select
 from lscan.stripe.peaks import all_windows
-
-Singles = NDArray[np.float32]
 
 GROUND_PX = 61
 """What is wider than this, along the column, is ground: four FWHM of 6 px lines."""
@@ -34,6 +31,9 @@ one, and spots are compared in pairs."""
 @dataclass(frozen=True)
 class Relief:
     """What stands out of the columns of a picture.
+
+    In memory the columns' pixels of one row lie together: what is done along short columns takes
+    many columns in one step.
 
     Attributes
     ----------
@@ -65,9 +65,10 @@ def relief_of(
     """
     single = columns.astype(np.float32)
     blurred = cv2.GaussianBlur(single, (0, 1), sigmaX=_SMOOTHING_PX, sigmaY=_SMOOTHING_PX)
-    smoothed = np.asarray(blurred, np.float32)
-    ground = _opened((single if sharp else smoothed).T.copy(), ground_px, rows)
-    return Relief(columns[:, rows], smoothed[:, rows], ground.T.copy())
+    smoothed = np.asarray(cv2.transpose(blurred), np.float32)
+    opened = np.ascontiguousarray(single.T) if sharp else smoothed
+    ground = _opened(opened, ground_px, rows)
+    return Relief(columns[:, rows], smoothed[rows].T, ground.T)
 
 
 def _opened(values: Singles, size: int, rows: slice) -> Singles:
@@ -129,14 +130,14 @@ def spots_of(relief: Relief, threshold_dn: float) -> Spots:
     threshold_dn : float, DN
     """
     columns, ground = relief.columns, relief.ground
-    light = relief.smoothed - ground
-    around = cv2.dilate(light, np.ones((1, 2 * REACH_PX + 1), np.uint8))
-    inside = ((light > around / 2) & (light > threshold_dn / 4)).astype(np.uint8)
+    light = relief.smoothed.T - ground.T
+    around = np.asarray(cv2.dilate(light, np.ones((2 * REACH_PX + 1, 1), np.uint8)))
+    inside = np.asarray((light > around / 2) & (light > threshold_dn / 4), np.uint8)
     # Speckle breaks the flanks of wide lines: gaps of two rows are closed.
-    closed = cv2.morphologyEx(inside, cv2.MORPH_CLOSE, np.ones((1, 3), np.uint8))
+    closed = cv2.morphologyEx(inside, cv2.MORPH_CLOSE, np.ones((3, 1), np.uint8))
     count, height = columns.shape
     apart = np.zeros(count * (height + 1) + 1, dtype=np.int8)  # nothing between two columns
-    apart[1:].reshape(count, height + 1)[:, :-1] = closed
+    apart[1:].reshape(count, height + 1)[:, :-1] = cv2.transpose(closed)
     edge = np.diff(apart)
     column, top = np.divmod(np.flatnonzero(edge > 0), height + 1)
     bottom = np.flatnonzero(edge < 0) % (height + 1)  # one row further; both in the same order
@@ -270,9 +271,12 @@ def runs_of(spots: Spots) -> Ints:
         first, second = first[mutual], second[mutual]
         open_right[first], open_left[second] = False, False
         before[second] = first
+    number = np.cumsum(before == np.arange(count)) - 1
+    if (before >= np.arange(count) - 1).all():  # each run after the other
+        return number
     while (before[before] != before).any():  # on to the first of each run, in doubling steps
         before = before[before]
-    return (np.cumsum(before == np.arange(count)) - 1)[before]
+    return number[before]
 
 
 def _is_least(group: Ints, value: Floats) -> Mask:

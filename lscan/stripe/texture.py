@@ -11,7 +11,7 @@ from scipy.ndimage import convolve1d, median_filter, uniform_filter1d
 
 from lscan.records import Floats, GreyValues, Ints, Mask
 from lscan.stripe.pieces import JUMP_PX
-from lscan.stripe.ranks import crests, medians
+from lscan.stripe.ranks import medians
 from lscan.stripe.spots import GAP, GROUND_PX, Relief, Spots, brightest, footprint, relief_of
 
 _WIDE = 3.0
@@ -64,7 +64,12 @@ def line_width_px(spots: Spots) -> float:
 
 
 def is_textured(
-    columns: GreyValues, spots: Spots, run: Ints, width_px: float | None, threshold_dn: float
+    columns: GreyValues,
+    crest: Ints,
+    spots: Spots,
+    run: Ints,
+    width_px: float | None,
+    threshold_dn: float,
 ) -> bool:
     """Whether the picture shows more than lines on a dark ground.
 
@@ -75,6 +80,7 @@ def is_textured(
     Parameters
     ----------
     columns : (W, H) array, DN, one column of the picture a row
+    crest : (W,) array, px, row of the highest value of each
     spots : Spots, px and DN, K of them, on the usual ground
     run : (K,) array, numbers of the runs they belong to
     width_px : float or None, px, full width of the line; None: that of the sharpest spots
@@ -82,7 +88,7 @@ def is_textured(
     """
     width = len(columns)
     least = max(_SHARE * width, 2)
-    if np.count_nonzero(outshone(columns, spots, threshold_dn)) >= least:
+    if np.count_nonzero(outshone(columns, crest, spots, threshold_dn)) >= least:
         return True
     if (np.diff(spots.column) > 0).all():  # texture has several spots to a column
         return False
@@ -100,24 +106,26 @@ def is_textured(
     return bool(crowd and 2 * (strong & long).sum() < strong.sum())
 
 
-def outshone(columns: GreyValues, spots: Spots, threshold_dn: float) -> Mask:
+def outshone(columns: GreyValues, crest: Ints, spots: Spots, threshold_dn: float) -> Mask:
     """(W,) columns whose brightest pixel lies on bright ground, in no spot.
 
     Parameters
     ----------
     columns : (W, H) array, DN, one column of the picture a row
+    crest : (W,) array, px, row of the highest value of each
     spots : Spots, px, on the usual ground
     threshold_dn : float, DN, by which the ground exceeds the column's median
     """
-    row = crests(columns)
-    within = np.abs(spots.middle - row[spots.column]) <= spots.height / 2 + 1
-    # The ground lies between the least and the highest pixel.
-    bright = columns[np.arange(len(columns)), row] - columns.min(axis=1) >= threshold_dn
+    within = np.abs(spots.middle - crest[spots.column]) <= spots.height / 2 + 1
+    bright = np.ones(len(columns), dtype=bool)
     bright[spots.column[within]] = False
+    at = np.flatnonzero(bright)
+    # The ground lies between the least and the highest pixel.
+    bright[at] = columns[at, crest[at]] - columns[at].min(axis=1) >= threshold_dn
     at = np.flatnonzero(bright)
     if len(at):
         ground = relief_of(columns[at]).ground
-        here = ground[np.arange(len(at)), row[at]]
+        here = ground[np.arange(len(at)), crest[at]]
         beneath = np.maximum(ground.min(axis=1), medians(columns[at]))
         bright[at] = here - beneath > threshold_dn
     return bright

@@ -4,14 +4,13 @@ import numpy as np
 
 from lscan.records import Floats, GreyValues, Ints
 from lscan.stripe.peaks import windows
-from lscan.stripe.ranks import crests
 
 _REACH_PX = 30
 _FWHM = 2 * np.sqrt(2 * np.log(2))
 _NARROWEST_PX = 0.5  # a line that falls into one pixel shows half a pixel's width
 
 
-def line_width(columns: GreyValues, at: Ints) -> float:
+def line_width(columns: GreyValues, at: Ints, crest: Ints) -> float:
     """Standard deviation in px, along the columns, of a Gaussian as wide as the line.
 
     The columns are laid over each other with their brightest pixels together; the width is
@@ -22,9 +21,9 @@ def line_width(columns: GreyValues, at: Ints) -> float:
     ----------
     columns : (W, H) array, DN, one column of the picture a row
     at : (K,) array, indices of the columns that have a line, at least one
+    crest : (K,) array, px, row of the highest value of each of those
     """
     reach = min(_REACH_PX, columns.shape[1] - 1)
-    crest = crests(columns)[at]
     profile = windows(columns, at, crest, reach).mean(axis=0)
     half = (profile[reach] + profile.min()) / 2
     fwhm = _reach(profile[reach:], half) + _reach(profile[reach::-1], half)

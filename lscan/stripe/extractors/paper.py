@@ -11,78 +11,43 @@ how far from the nominal peak they put the centre of the line:
 None of them takes account of which pixels are clipped.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from functools import partial
+from itertools import pairwise
 
 import numpy as np
 
 from lscan.config.rig import StripeSection
-from lscan.records import Floats, GreyValues, Mask, Stripe
-from lscan.stripe.api import on_integers
+from lscan.records import Floats, GreyValues, Ints, Mask, Stripe
+from lscan.stripe.api import Picture, Several, on_integers, together
 from lscan.stripe.noise.model import line_noise
 from lscan.stripe.peaks import centred, nominal_peaks, windows
+from lscan.stripe.sidebyside import beside, in_groups, parted
 
 Centring = Callable[[Floats], tuple[Floats, Floats]]
 """From windows (K, n) of grey values to the line's offset (K,) from the middle pixel, in px,
 and the derivative (K, n) of that offset by each grey value, in px/DN."""
 
 
-@on_integers
-def maximum(image: GreyValues, settings: StripeSection, clipped: Mask) -> Stripe:
-    """The line at the brightest pixel of each column, the first from the top of several equal ones.
+def _by(centring: Centring, guesses_background: bool = False) -> Several:
+    """The extractor of a rule, of pictures side by side where they are alike."""
 
-    Parameters
-    ----------
-    image : (H, W) array, DN, grey values
-    settings : StripeSection, threshold and span; see :func:`_extract`
-    clipped : (H, W) mask, not used by the rule
+    def several(pictures: Sequence[Picture]) -> list[Stripe]:
+        work = partial(_alike, centring=centring, guesses_background=guesses_background)
+        return in_groups(work, pictures, _kind)
 
-    References
-    ----------
-    Sec. V.B of the paper: the nominal peak.
-    """
-    return _extract(image, settings, _no_offset)
+    return several
 
 
-@on_integers
-def centroid(image: GreyValues, settings: StripeSection, clipped: Mask) -> Stripe:
-    """The line at the centroid of the grey values about each column's nominal peak.
-
-    A background within the window draws it to the nominal peak.
-
-    Parameters
-    ----------
-    image : (H, W) array, DN, grey values
-    settings : StripeSection, threshold and span; see :func:`_extract`
-    clipped : (H, W) mask, not used by the rule
-
-    References
-    ----------
-    Sec. V.B and eq. (8) of the paper.
-    """
-    return _extract(image, settings, _centroid_offset)
+def _kind(picture: Picture) -> tuple[object, ...]:
+    image, settings, _ = picture
+    return settings, image.shape, image.dtype
 
 
-@on_integers
-def centroid_relative(image: GreyValues, settings: StripeSection, clipped: Mask) -> Stripe:
-    """The line at the centroid of the grey values above the smallest one in the window.
-
-    Parameters
-    ----------
-    image : (H, W) array, DN, grey values
-    settings : StripeSection, threshold and span; see :func:`_extract`
-    clipped : (H, W) mask, not used by the rule
-
-    References
-    ----------
-    Sec. V.B of the paper: eq. (8) with the relative intensities.
-    """
-    return _extract(image, settings, _relative_offset, guesses_background=True)
-
-
-def _extract(
-    image: GreyValues, settings: StripeSection, centring: Centring, guesses_background: bool = False
-) -> Stripe:
-    """The stripe of ``image``, one entry a column.
+def _alike(
+    pictures: Sequence[Picture], centring: Centring, guesses_background: bool
+) -> list[Stripe]:
+    """The stripes of pictures of one size and type with the same settings.
 
     A column has a line where its highest value exceeds its median by more than
     ``threshold_dn``: NO_PEAK otherwise, AT_BORDER where the window does not fit the picture.
@@ -93,15 +58,16 @@ def _extract(
     window cuts off; a line wider than the span, whose crest is flat, has sigma_px too large.
     Fast where ``image.T`` is contiguous in memory.
     """
-    columns = np.ascontiguousarray(image.T)
+    columns, settings = beside([image.T for image, _, _ in pictures]), pictures[0][1]
+    columns = np.ascontiguousarray(columns)
     stripe, peaks = nominal_peaks(columns, settings)
     if len(peaks.columns) == 0:
-        return stripe
+        return parted(stripe, len(pictures))
     # One pixel wider than the window on either side, to try the neighbour as nominal peak.
     wide = windows(columns, peaks.columns, peaks.rows, settings.span_px + 1)
     window = wide[:, 1:-1]
     light = window - peaks.base[:, None]
-    variance = line_noise(columns, light, peaks.columns).variance(light)
+    variance = _variance(columns, light, peaks.columns, len(pictures))
     offset, slope = centring(window)
     variance_px = (slope**2 * variance).sum(axis=1)
     variance_px += _choice_variance(wide, offset, variance, centring)
@@ -110,7 +76,18 @@ def _extract(
 
     # Only grey values that are negative can throw the centroid out of its window.
     kept = np.abs(offset) <= settings.span_px
-    return centred(stripe, peaks, offset, np.sqrt(variance_px), kept)
+    found = centred(stripe, peaks, offset, np.sqrt(variance_px), kept)
+    return parted(found, len(pictures))
+
+
+def _variance(columns: GreyValues, light: Floats, at: Ints, count: int) -> Floats:
+    """Variance (K, n) in DN² of the light in ``count`` pictures, by the noise of each."""
+    width, variances = len(columns) // count, []
+    bounds = np.searchsorted(at, np.arange(count + 1) * width)
+    for k, (first, last) in enumerate(pairwise(bounds)):
+        one, here = columns[k * width : (k + 1) * width], light[first:last]
+        variances.append(line_noise(one, here, at[first:last]).variance(here))
+    return beside(variances)
 
 
 def _no_offset(window: Floats) -> tuple[Floats, Floats]:
@@ -133,6 +110,66 @@ def _relative_offset(window: Floats) -> tuple[Floats, Floats]:
     # The lowest pixel is taken off all weights, so it moves the centroid through all of them.
     slope[each, lowest] -= slope.sum(axis=1)
     return offset, slope
+
+
+_maximum, _centroid = _by(_no_offset), _by(_centroid_offset)
+_centroid_relative = _by(_relative_offset, guesses_background=True)
+
+
+@on_integers
+@together(_maximum)
+def maximum(image: GreyValues, settings: StripeSection, clipped: Mask) -> Stripe:
+    """The line at the brightest pixel of each column, the first from the top of several equal ones.
+
+    Parameters
+    ----------
+    image : (H, W) array, DN, grey values
+    settings : StripeSection, threshold and span; see :func:`_alike`
+    clipped : (H, W) mask, not used by the rule
+
+    References
+    ----------
+    Sec. V.B of the paper: the nominal peak.
+    """
+    return _maximum([(image, settings, clipped)])[0]
+
+
+@on_integers
+@together(_centroid)
+def centroid(image: GreyValues, settings: StripeSection, clipped: Mask) -> Stripe:
+    """The line at the centroid of the grey values about each column's nominal peak.
+
+    A background within the window draws it to the nominal peak.
+
+    Parameters
+    ----------
+    image : (H, W) array, DN, grey values
+    settings : StripeSection, threshold and span; see :func:`_alike`
+    clipped : (H, W) mask, not used by the rule
+
+    References
+    ----------
+    Sec. V.B and eq. (8) of the paper.
+    """
+    return _centroid([(image, settings, clipped)])[0]
+
+
+@on_integers
+@together(_centroid_relative)
+def centroid_relative(image: GreyValues, settings: StripeSection, clipped: Mask) -> Stripe:
+    """The line at the centroid of the grey values above the smallest one in the window.
+
+    Parameters
+    ----------
+    image : (H, W) array, DN, grey values
+    settings : StripeSection, threshold and span; see :func:`_alike`
+    clipped : (H, W) mask, not used by the rule
+
+    References
+    ----------
+    Sec. V.B of the paper: eq. (8) with the relative intensities.
+    """
+    return _centroid_relative([(image, settings, clipped)])[0]
 
 
 def _choice_variance(wide: Floats, offset: Floats, variance: Floats, centring: Centring) -> Floats:

@@ -72,9 +72,9 @@ def steger(image: GreyValues, settings: StripeSection, clipped: Mask) -> Stripe:
     lit = np.flatnonzero(status == Status.OK)
     if len(lit) == 0:
         return stripe
-    width = line_width(columns, lit)
-    scale = max(width, _FINEST_PX)
     crest = crests(columns)[lit]
+    width = line_width(columns, lit, crest)
+    scale = max(width, _FINEST_PX)
     rows = _band(crest, scale)
     reach = int(np.ceil(2 * width))
     at_crest = windows(columns, lit, crest, reach) - base[lit, None]

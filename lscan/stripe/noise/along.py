@@ -15,6 +15,7 @@ Where its third differences are the same at every h, each column has errors of i
 and of relief nothing is left but what is rough from one column to the next.
 """
 
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import TypeVar
 
@@ -22,7 +23,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lscan.records import Floats, GreyValues, Ints, Mask, Status, Stripe, has_value
-from lscan.stripe.crosssection import exp
 from lscan.stripe.noise.model import robust_variance
 from lscan.stripe.peaks import windows
 from lscan.stripe.pieces import pieces
@@ -44,20 +44,36 @@ _FINEST_PX = 1.5  # a narrower window lets the raster of the pixels through
 _STEPS = 4  # from a pixel beside the line, to a hundredth of a pixel
 
 
-def at_least_seen(stripe: Stripe, light: GreyValues) -> Stripe:
-    """The stripe with sigma_px enlarged to what its centres scatter about their neighbours.
+def at_least_seen(
+    stripes: Sequence[Stripe], lights: Sequence[GreyValues], crests: Sequence[Ints]
+) -> list[Stripe]:
+    """The stripes with sigma_px enlarged to what their centres scatter about their neighbours.
 
     One factor for the columns that are OK and one for those SATURATED, never below 1.
 
     Parameters
     ----------
-    stripe : Stripe, px, of N entries
-    light : (N, L) array, DN, row i being the column (or row) of the picture that entry i of the
-        stripe was found in
+    stripes : sequence of Stripe, px, of N entries each
+    lights : sequence of (N, L) array, DN, row i being the column (or row) of the picture that entry
+        i of the stripe was found in
+    crests : sequence of (N,) array, px, where each of those rows is the highest
     """
-    if np.count_nonzero(has_value(stripe.status)) < _FEWEST:
-        return stripe
-    lag, run, sigma_px = shared_columns(stripe, light), pieces(stripe), stripe.sigma_px.copy()
+    valued = [np.count_nonzero(has_value(stripe.status)) for stripe in stripes]
+    judged = [place for place, count in enumerate(valued) if count >= _FEWEST]
+    lags = shared_columns(
+        [stripes[place] for place in judged],
+        [lights[place] for place in judged],
+        [crests[place] for place in judged],
+    )
+    found = list(stripes)
+    for place, lag in zip(judged, lags, strict=True):
+        found[place] = _enlarged(stripes[place], lag)
+    return found
+
+
+def _enlarged(stripe: Stripe, lag: int) -> Stripe:
+    """The same of a stripe whose columns share errors along ``lag`` columns."""
+    run, sigma_px = pieces(stripe), stripe.sigma_px.copy()
     for status in (Status.OK, Status.SATURATED):
         kept = stripe.status == status
         if np.count_nonzero(kept) > _FEWEST:
@@ -93,8 +109,10 @@ def excess(stripe: Stripe, run: Ints, lag: int) -> float:
     return float(np.sqrt(ratio)) if ratio > 1 + chance else 1.0
 
 
-def shared_columns(stripe: Stripe, light: GreyValues) -> int:
-    """Columns along which the pixels share their errors, 1 where each column has its own.
+def shared_columns(
+    stripes: Sequence[Stripe], lights: Sequence[GreyValues], crests: Sequence[Ints]
+) -> list[int]:
+    """Columns along which the pixels of each picture share their errors, 1 where each has its own.
 
     The lag, of 1, 2, 4, 8 and 16, beyond which the third differences of the line's width grow
     no more.  Where that is beyond 1 it is at least three widths of the line, over which some
@@ -103,12 +121,21 @@ def shared_columns(stripe: Stripe, light: GreyValues) -> int:
 
     Parameters
     ----------
-    stripe : Stripe, px, of N entries, some of which have a value
-    light : (N, L) array, DN, as :func:`at_least_seen` takes it
+    stripes : sequence of Stripe, px, of N entries, some of which have a value
+    lights, crests : sequence of array, as :func:`at_least_seen` takes them
     """
-    valued = np.flatnonzero(has_value(stripe.status))
-    scale = line_width(light, valued)
-    width = _variances(stripe, light, max(scale, _FINEST_PX))
+    scales: list[float] = []
+    for stripe, light, crest in zip(stripes, lights, crests, strict=True):
+        valued = np.flatnonzero(has_value(stripe.status))
+        scales.append(line_width(light, valued, crest[valued]))
+    if not scales:
+        return []
+    widths = _variances(stripes, lights, [max(scale, _FINEST_PX) for scale in scales])
+    return [_lag(*known) for known in zip(stripes, widths, scales, strict=True)]
+
+
+def _lag(stripe: Stripe, width: Floats, scale: float) -> int:
+    """The same of one picture, from the line's variance (N,) in each of its columns."""
     run = np.where(np.isfinite(width), pieces(stripe), -1)
     growths: list[float] = []
     by_chance, last = True, np.inf
@@ -129,35 +156,75 @@ def shared_columns(stripe: Stripe, light: GreyValues) -> int:
     return max(_LAGS[settled], int(np.ceil(_WIDTHS * scale)))
 
 
-def _variances(stripe: Stripe, light: GreyValues, scale: float) -> Floats:
-    """(N,) the light's variance across the line over scale², NaN where there is no line.
+def _variances(
+    stripes: Sequence[Stripe], lights: Sequence[GreyValues], scales: Sequence[float]
+) -> list[Floats]:
+    """(N,) the light's variance across the line over scale², NaN where there is no line; of each.
 
     By moments weighted with a Gaussian of the width ``scale``, in px, about as wide as the line.
     Through it half of a line's displacement is seen, so each step to the line's middle goes twice
     as far as the first moment says; and of the variance w² only s² w² / (s² + w²), which is
     turned back.  Along a column a line of slope t is wider than across itself by (1 + t²)^(1/2).
+
+    A weight about the middle m is that about 0 times exp(m k / s²) at the pixel k, but for a factor
+    that all have in common, and so for none: of the weights about 0 powers of a number are left.
     """
-    valued = np.flatnonzero(has_value(stripe.status))
-    reach = int(np.ceil(3 * scale)) + 2
-    steps = np.arange(-reach, reach + 1, dtype=float)
-    row = np.rint(stripe.centre_px[valued]).astype(int)
-    grey = windows(light, valued, row, reach).T.copy()  # (n, K): n is short
-    grey -= grey[[0, 1, -2, -1]].mean(axis=0)
-    middle = stripe.centre_px[valued] - row
+    valued = [np.flatnonzero(has_value(stripe.status)) for stripe in stripes]
+    ends = np.cumsum([len(at) for at in valued])
+    centre = np.concatenate([one.centre_px[at] for one, at in zip(stripes, valued, strict=True)])
+    row = np.rint(centre).astype(int)
+    rows = np.split(row, ends[:-1])
+    reach = [int(np.ceil(3 * scale)) + 2 for scale in scales]
+    weighted = np.zeros((2 * max(reach) + 1, ends[-1]))  # (n, K): n is short
+    for at, end, *known in zip(valued, ends, lights, rows, reach, scales, strict=True):
+        light, here, far, scale = known
+        part = np.s_[max(reach) - far : max(reach) + far + 1, end - len(at) : end]
+        weighted[part] = _about_zero(windows(light, at, here, far).T, scale)
+    scale = np.repeat(scales, [len(at) for at in valued])
+    middle = centre - row
     for _ in range(_STEPS):
-        distance = (steps[:, None] - middle) / scale
-        square = distance**2
-        weighted = exp(-0.5 * square)
-        weighted *= grey
-        total = weighted.sum(axis=0)
-        total = np.where(total > 0, total, np.nan)
-        moved = np.einsum("nk,nk->k", weighted, distance) / total
-        middle = middle + scale * np.clip(2 * moved, -1.0, 1.0)
-    seen = np.einsum("nk,nk->k", weighted, square) / total
-    across, centre = np.full((2, len(stripe.status)), np.nan)
-    across[valued] = seen / np.where(seen < 1, 1 - seen, np.nan)
-    centre[valued] = row + middle
-    return across / (1 + np.gradient(centre) ** 2)
+        about = middle
+        zeroth, first, second = _moments(weighted, np.exp(about / scale**2))
+        total = np.where(zeroth > 0, zeroth, np.nan)
+        moved = (first / total - about) / scale
+        middle = about + scale * np.clip(2 * moved, -1.0, 1.0)
+    seen = ((second - 2 * about * first) / total + about**2) / scale**2
+    across = seen / np.where(seen < 1, 1 - seen, np.nan)
+    each = zip(
+        stripes, valued, *(np.split(v, ends[:-1]) for v in (across, row + middle)), strict=True
+    )
+    return [_across_itself(len(stripe.status), *found) for stripe, *found in each]
+
+
+def _about_zero(grey: Floats, scale: float) -> Floats:
+    """Windows (n, K) of the light above its ground, with the weights about the middle pixel."""
+    steps = np.arange(len(grey)) - len(grey) // 2
+    weight = np.exp(-0.5 * (steps / scale) ** 2)
+    return (grey - grey[[0, 1, -2, -1]].mean(axis=0)) * weight[:, None]
+
+
+def _moments(weighted: Floats, factor: Floats) -> Floats:
+    """(3, K) zeroth to second moments of ``weighted`` (n, K) times ``factor`` (K,) ** step.
+
+    All by one factor more, that of the pixels before the middle one.  Horner's scheme.
+    """
+    total, reach = np.zeros((3, len(factor))), len(weighted) // 2
+    for step in range(reach, -reach - 1, -1):
+        total *= factor
+        light = weighted[step + reach]
+        total[0] += light
+        light = light * step
+        total[1] += light
+        light *= step
+        total[2] += light
+    return total
+
+
+def _across_itself(count: int, at: Ints, across: Floats, centre: Floats) -> Floats:
+    """(N,) the variances (K,) of the columns ``at``, of the line square to itself."""
+    seen, middle = np.full((2, count), np.nan)
+    seen[at], middle[at] = across, centre
+    return seen / (1 + np.gradient(middle) ** 2)
 
 
 def _apart(values: NDArray[_Number], lag: int) -> list[NDArray[_Number]]:

@@ -10,6 +10,7 @@ from lscan.records import Status, Stripe
 from lscan.stripe import extract_stripe, find_extractor
 from lscan.stripe.noise.along import excess, shared_columns
 from lscan.stripe.pieces import pieces
+from lscan.stripe.ranks import crests
 from sim.validation.field.sigma import camera_picture
 
 COLUMNS = 640
@@ -25,6 +26,10 @@ def stripe_of(centre, sigma=0.1):
 def excess_of(centre, lag=1):
     stripe = stripe_of(centre)
     return excess(stripe, pieces(stripe), lag)
+
+
+def shared_of(centre, light):
+    return shared_columns([stripe_of(centre)], [light], [crests(light)])[0]
 
 
 def smooth_line():
@@ -104,9 +109,9 @@ def test_pixels_of_their_own_share_nothing_and_those_of_a_camera_do():
     for width in (0.8, 1.5, 3.0):
         centre = centres_of(rng)
         image = noisy(rng, light_of(centre, width, 150.0), 20.0, 2.0, 0.2, 0.1)
-        assert shared_columns(stripe_of(centre), image.T - 20) == 1
+        assert shared_of(centre, image.T - 20) == 1
     image, centre = camera_picture(rng)
-    assert shared_columns(stripe_of(centre), image[..., 0].T - 14.0) > 1
+    assert shared_of(centre, image[..., 0].T - 14.0) > 1
 
 
 @pytest.mark.parametrize("name", ["centroid-relative", "ml", "smoothed-peak", "steger"])

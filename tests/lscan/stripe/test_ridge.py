@@ -11,6 +11,7 @@ from lscan.config.rig import NoiseSection, StripeSection
 from lscan.records import Status
 from lscan.stripe import extract_stripe
 from lscan.stripe.extractors.ridge import steger
+from lscan.stripe.ranks import crests
 from lscan.stripe.width import line_width
 
 HEIGHT, WIDTH = 90, 150
@@ -48,7 +49,7 @@ def test_a_bent_line_moves_inwards_by_the_smoothing(curvature):
     centre = 20 + curvature * column**2 / 2
     centre = centre[np.abs(column) < 20]
     image = drawn(centre, 1.2, HEIGHT)
-    stripe, scale = ridge_of(image), line_width(image.T, np.arange(len(centre)))
+    stripe, scale = ridge_of(image), line_width(image.T, np.arange(len(centre)), crests(image.T))
     middle = np.abs(column[np.abs(column) < 20]) < 5
     moved = (stripe.centre_px - centre)[middle]
     assert moved == pytest.approx(curvature * scale**2 / 2, rel=0.1)
@@ -151,7 +152,7 @@ def test_a_clipped_crest_is_found_in_its_middle_and_says_so():
 @pytest.mark.parametrize("width_px", [0.8, 1.5, 3.0, 6.0])
 def test_line_width_is_that_of_the_line(width_px):
     columns = drawn(sloping(0.2), width_px, HEIGHT).T
-    found = line_width(columns, np.arange(WIDTH))
+    found = line_width(columns, np.arange(WIDTH), crests(columns))
     # The pixel widens it by 1/12 px², laying brightest pixels over each other by as much again;
     # the half-height is interpolated linearly, off by at most an eighth of a pixel squared
     # times the bend of the flank, 0.6 / width: 10 % in all at 0.8 px.
