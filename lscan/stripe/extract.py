@@ -22,7 +22,7 @@ from lscan.stripe.noise.along import at_least_seen
 from lscan.stripe.noise.coding import is_coded
 from lscan.stripe.noise.model import difference_noise
 from lscan.stripe.peaks import clipped_near
-from lscan.stripe.returns import OneReturn, choose_return, withhold
+from lscan.stripe.returns import OneReturn, choose_returns, withhold
 from lscan.stripe.sidebyside import beside, in_groups, joined, parted
 
 _Value = TypeVar("_Value", bound=np.generic)
@@ -92,7 +92,9 @@ def extract_stripes(
         As ``extract_stripe``.
     """
     extractor = find_extractor(settings.extractor)
-    seen = [_seen(image, settings, background) for image, background in shown]
+    lights = [_light(image, settings, background) for image, background in shown]
+    chosen = choose_returns([_to_choose_from(*light) for light in lights])
+    seen = [_SeenPicture(one, *light) for one, light in zip(chosen, lights, strict=True)]
     stripes = _called(
         extractor, [(one.chosen.image, one.known, one.chosen.clipped) for one in seen]
     )
@@ -114,10 +116,11 @@ class _SeenPicture:
         return self.known, image.shape, image.dtype, self.light.white is None
 
 
-def _seen(image: Bytes, settings: StripeSection, background: Bytes | None) -> _SeenPicture:
-    light, known = _light(image, settings, background)
+def _to_choose_from(
+    light: PictureLines, known: StripeSection
+) -> tuple[GreyValues, StripeSection, Mask, bool]:
     white = light.white is not None and bool(light.white.any())
-    return _SeenPicture(choose_return(light.grey.T, known, light.clipped.T, white), light, known)
+    return light.grey.T, known, light.clipped.T, white
 
 
 def _finished(found: Sequence[tuple[Stripe, _SeenPicture]]) -> list[Stripe]:

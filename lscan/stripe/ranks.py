@@ -3,7 +3,7 @@
 import cv2
 import numpy as np
 
-from lscan.records import Floats, GreyValues, Ints, Singles
+from lscan.records import Floats, GreyValues, Ints
 
 _SPARSE = 8  # a first guess is made of every eighth pixel of every eighth column
 _BLOCK = 512  # columns whose floats a processor's cache holds
@@ -24,8 +24,13 @@ def crests(columns: GreyValues) -> Ints:
     if columns.dtype == np.float64:
         return columns.argmax(axis=1)
     # NumPy finds the place of the highest float sooner than that of the highest integer.
-    parts = [columns[begin : begin + _BLOCK] for begin in range(0, len(columns), _BLOCK)]
-    return np.concatenate([part.astype(np.float32).argmax(axis=1) for part in parts])
+    parts = [part.astype(np.float32).argmax(axis=1) for part in _parts(columns)]
+    return np.concatenate(parts)
+
+
+def _parts(columns: GreyValues) -> list[GreyValues]:
+    """Blocks of the columns."""
+    return [columns[begin : begin + _BLOCK] for begin in range(0, len(columns), _BLOCK)]
 
 
 def ranked(columns: GreyValues, rank: int) -> Floats:
@@ -43,7 +48,7 @@ def ranked(columns: GreyValues, rank: int) -> Floats:
     array([7.])
     """
     if not np.issubdtype(columns.dtype, np.integer):
-        return _ranked_singles(columns.astype(np.float32, copy=False), rank)
+        return np.concatenate([_ranked_floats(part, rank) for part in _parts(columns)])
     # To count the pixels up to a grey value takes a thirtieth of a partial sort.  The search begins
     # at a value that most columns are near to, and goes from there in steps twice as long each.
     sample = columns[::_SPARSE, ::_SPARSE].ravel()
@@ -62,10 +67,11 @@ def ranked(columns: GreyValues, rank: int) -> Floats:
         middle, step = near, 2 * step
 
 
-def _ranked_singles(columns: Singles, rank: int) -> Floats:
-    """The same of floats: where all of a column are grey values, as such."""
+def _ranked_floats(columns: GreyValues, rank: int) -> Floats:
+    """The same of floats: of columns that hold grey values alone by counting these."""
+    columns = columns.astype(np.float32, copy=False)
     with np.errstate(invalid="ignore"):
-        grey = columns.astype(np.int16)
+        grey = columns.astype(np.uint8 if columns.min() >= 0 else np.int16)
     whole = (grey == columns).all(axis=1)
     values, others = np.empty(len(columns)), columns[~whole]
     values[~whole] = np.partition(others, rank, axis=1)[:, rank]

@@ -8,6 +8,7 @@ sees one line in each.  On a lit target, whose texture stands out as well, textu
 lines that are chosen between.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -16,13 +17,13 @@ from lscan.config.rig import StripeSection
 from lscan.records import Floats, GreyValues, Ints, Mask, Status, Stripe, has_value, select
 from lscan.stripe.ranks import crests
 from lscan.stripe.spots import (
-    GAP,
     REACH_PX,
     Spots,
+    about,
     footprint,
     pairs,
     relief_of,
-    runs_of,
+    runs_of_each,
     spots_near,
     spots_of,
 )
@@ -112,13 +113,39 @@ def choose_return(
     white : bool, whether the picture shows white crests: between coloured things the lamps' own
         light looks like one, and light does not tell the line
     """
+    return choose_returns([(image, settings, clipped, white)])[0]
+
+
+def choose_returns(
+    pictures: Sequence[tuple[GreyValues, StripeSection, Mask, bool]],
+) -> list[OneReturn]:
+    """What :func:`choose_return` makes of each of several pictures.
+
+    Parameters
+    ----------
+    pictures : sequence of tuple, the arguments for each, one or more
+    """
+    seen = []
+    for image, settings, *_ in pictures:
+        columns, threshold_dn = np.ascontiguousarray(image.T), settings.threshold_dn
+        near = spots_near(columns, threshold_dn)
+        seen.append(spots_of(relief_of(columns), threshold_dn) if near is None else near)
+    known = zip(pictures, seen, runs_of_each(seen), strict=True)
+    return [_chosen(*picture, spots, run) for picture, spots, run in known]
+
+
+def _chosen(
+    image: GreyValues,
+    settings: StripeSection,
+    clipped: Mask,
+    white: bool,
+    spots: Spots,
+    run: Ints,
+) -> OneReturn:
+    """The same of a picture, from its spots and the runs that they belong to."""
     columns = np.ascontiguousarray(image.T)
     crest, count = crests(columns), len(columns)
     threshold_dn, width_px = settings.threshold_dn, settings.line_width_px
-    spots = spots_near(columns, threshold_dn)
-    if spots is None:
-        spots = spots_of(relief_of(columns), threshold_dn)
-    run = runs_of(spots)
     specked = settings.returns != "brightest" and _is_specked(spots, run)
     rivals = np.count_nonzero(np.diff(spots.column) == 0)
     doubtful = white and rivals >= _RIVALS * count
@@ -219,15 +246,11 @@ def _isolated(spots: Spots, run: Ints) -> Mask:
     blob = (length <= height) & (_MUCH_LONGER * length <= length.max())
     if not blob.any():
         return np.zeros(len(run), dtype=bool)
-    beside = np.zeros(len(length), dtype=bool)
-    for apart in range(1, GAP + 1):
-        first, second = pairs(spots.column, apart)
-        between = np.abs(spots.middle[first] - spots.middle[second])
-        near = between <= (spots.height[first] + spots.height[second]) / 2 + REACH_PX
-        a, b = run[first[near]], run[second[near]]
-        beside[a] |= ~blob[b]
-        beside[b] |= ~blob[a]
-    return (blob & ~beside)[run]
+    first, second = about(spots.column, np.flatnonzero(blob[run]))
+    between = np.abs(spots.middle[first] - spots.middle[second])
+    near = between <= (spots.height[first] + spots.height[second]) / 2 + REACH_PX
+    blob[run[first[near & ~blob[run[second]]]]] = False
+    return blob[run]
 
 
 @dataclass(frozen=True)

@@ -1,6 +1,7 @@
 """Spots: where the columns of a picture cross what may be a line; runs: spots side by side."""
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
@@ -83,7 +84,9 @@ def _opened(values: Singles, size: int, rows: slice) -> Singles:
     values = values if whole else values[first - reach : last + reach]
     for extreme, nothing in ((np.minimum, np.inf), (np.maximum, -np.inf)):
         if whole:
-            values = np.pad(values, ((half, half), (0, 0)), constant_values=nothing)
+            padded = np.full((len(values) + 2 * half, values.shape[1]), nothing, np.float32)
+            padded[half : half + len(values)] = values
+            values = padded
         done = 1
         while done < size:
             step = min(done, size - done)
@@ -228,18 +231,32 @@ def pairs(column: Ints, apart: int) -> tuple[Ints, Ints]:
     """
     if not apart and (np.diff(column) > 0).all():  # one in each column
         return column[:0], column[:0]
-    first, second = _equals(column + apart, column)
+    first, second = _within(column, column + apart, column + apart)
     if apart:
         return first, second
     below = second > first
     return first[below], second[below]
 
 
-def _equals(wanted: Ints, column: Ints) -> tuple[Ints, Ints]:
-    """Indices of all pairs of equal entries, one of each of two rising arrays."""
-    begin, end = (np.searchsorted(column, wanted, side=side) for side in ("left", "right"))
+def about(column: Ints, chosen: Ints) -> tuple[Ints, Ints]:
+    """All pairs of one of the chosen spots and one in another column, at most GAP from it.
+
+    Parameters
+    ----------
+    column : (K,) array, of the spots, rising
+    chosen : (C,) array, indices among the K
+    """
+    here = column[chosen]
+    first, second = _within(column, here - GAP, here + GAP)
+    aside = column[second] != here[first]
+    return chosen[first[aside]], second[aside]
+
+
+def _within(column: Ints, least: Ints, most: Ints) -> tuple[Ints, Ints]:
+    """Indices of all pairs of a range from ``least`` to ``most`` and a rising column in it."""
+    begin, end = np.searchsorted(column, least), np.searchsorted(column, most, side="right")
     count = end - begin
-    first = np.repeat(np.arange(len(wanted)), count)
+    first = np.repeat(np.arange(len(least)), count)
     within = np.arange(len(first)) - np.repeat(np.cumsum(count) - count, count)
     return first, begin[first] + within
 
@@ -260,7 +277,8 @@ def runs_of(spots: Spots) -> Ints:
     before = np.arange(count)  # the spot to the left that each is linked to; itself without one
     for apart in range(1, GAP + 1):
         left, right = np.flatnonzero(open_right), np.flatnonzero(open_left)
-        first, second = _equals(column[left] + apart, column[right])
+        wanted = column[left] + apart
+        first, second = _within(column[right], wanted, wanted)
         if len(first) == 0:
             continue
         first, second = left[first], right[second]
@@ -271,12 +289,35 @@ def runs_of(spots: Spots) -> Ints:
         first, second = first[mutual], second[mutual]
         open_right[first], open_left[second] = False, False
         before[second] = first
-    number = np.cumsum(before == np.arange(count)) - 1
-    if (before >= np.arange(count) - 1).all():  # each run after the other
-        return number
-    while (before[before] != before).any():  # on to the first of each run, in doubling steps
-        before = before[before]
-    return number[before]
+    # Stretches of spots that are each linked to the one before in the list, then runs of these.
+    begin = np.flatnonzero(before != np.arange(count) - 1)
+    stretch = np.repeat(np.arange(len(begin)), np.diff(np.append(begin, count)))
+    first_of = stretch[before[begin]]
+    while (first_of[first_of] != first_of).any():  # on to the first of each run, in doubling steps
+        first_of = first_of[first_of]
+    number = np.cumsum(first_of == np.arange(len(begin))) - 1
+    return number[first_of][stretch]
+
+
+def runs_of_each(several: Sequence[Spots]) -> list[Ints]:
+    """What :func:`runs_of` gives for the spots of each picture.
+
+    Parameters
+    ----------
+    several : sequence of Spots, px, one or more
+    """
+    placed, first = [], 0
+    for spots in several:
+        placed.append(replace(spots, column=spots.column + first))
+        first += spots.column.max(initial=0) + GAP + 1  # too far for a run to go on
+    every = Spots(
+        *(
+            np.concatenate(parts)
+            for parts in zip(*(vars(one).values() for one in placed), strict=True)
+        )
+    )
+    ends = np.cumsum([len(spots.column) for spots in several])
+    return [run - run.min(initial=len(every.column)) for run in np.split(runs_of(every), ends[:-1])]
 
 
 def _is_least(group: Ints, value: Floats) -> Mask:

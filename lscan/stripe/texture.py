@@ -88,12 +88,13 @@ def is_textured(
     """
     width = len(columns)
     least = max(_SHARE * width, 2)
-    if np.count_nonzero(outshone(columns, crest, spots, threshold_dn)) >= least:
+    if _is_outshone(columns, crest, spots, threshold_dn, least):
         return True
-    if (np.diff(spots.column) > 0).all():  # texture has several spots to a column
+    count = np.bincount(spots.column, minlength=width)
+    several, every = np.count_nonzero(count > 1), np.count_nonzero(count)
+    if several < least and len(spots.column) < _CROWD * every:
         return False
     width_px = width_px or line_width_px(spots)
-    count = np.bincount(spots.column, minlength=width)
     wide = brightest(spots.column, spots.light, 1) & (spots.height > _WIDE * width_px + 1)
     wide &= spots.light > threshold_dn * spots.height  # a spot of noise has less
     if np.count_nonzero(wide & (count[spots.column] > 1)) >= least:
@@ -101,34 +102,30 @@ def is_textured(
     most = np.zeros(width)
     np.maximum.at(most, spots.column, spots.light)
     strong = spots.light >= _ENOUGH * most[spots.column]
-    crowd = strong.sum() >= _CROWD * np.count_nonzero(count)
+    crowd = strong.sum() >= _CROWD * every
     long = np.bincount(run)[run] >= _LONG * width
     return bool(crowd and 2 * (strong & long).sum() < strong.sum())
 
 
-def outshone(columns: GreyValues, crest: Ints, spots: Spots, threshold_dn: float) -> Mask:
-    """(W,) columns whose brightest pixel lies on bright ground, in no spot.
+def _is_outshone(
+    columns: GreyValues, crest: Ints, spots: Spots, threshold_dn: float, least: float
+) -> bool:
+    """Whether the brightest pixel lies on bright ground, in no spot, in ``least`` columns or more.
 
-    Parameters
-    ----------
-    columns : (W, H) array, DN, one column of the picture a row
-    crest : (W,) array, px, row of the highest value of each
-    spots : Spots, px, on the usual ground
-    threshold_dn : float, DN, by which the ground exceeds the column's median
+    There the ground exceeds the column's median by the threshold.
     """
     within = np.abs(spots.middle - crest[spots.column]) <= spots.height / 2 + 1
-    bright = np.ones(len(columns), dtype=bool)
-    bright[spots.column[within]] = False
-    at = np.flatnonzero(bright)
+    beside = np.ones(len(columns), dtype=bool)
+    beside[spots.column[within]] = False
+    at = np.flatnonzero(beside)
     # The ground lies between the least and the highest pixel.
-    bright[at] = columns[at, crest[at]] - columns[at].min(axis=1) >= threshold_dn
-    at = np.flatnonzero(bright)
-    if len(at):
-        ground = relief_of(columns[at]).ground
-        here = ground[np.arange(len(at)), crest[at]]
-        beneath = np.maximum(ground.min(axis=1), medians(columns[at]))
-        bright[at] = here - beneath > threshold_dn
-    return bright
+    at = at[columns[at, crest[at]] - columns[at].min(axis=1) >= threshold_dn]
+    if len(at) < least:
+        return False
+    ground = relief_of(columns[at]).ground
+    here = ground[np.arange(len(at)), crest[at]]
+    beneath = np.maximum(ground.min(axis=1), medians(columns[at]))
+    return bool(np.count_nonzero(here - beneath > threshold_dn) >= least)
 
 
 def ground_px(width_px: float) -> int:
