@@ -3,7 +3,7 @@
 import numpy as np
 
 from lscan.records import Floats, GreyValues, Stripe, has_value
-from lscan.stripe.peaks import windows
+from lscan.stripe.peaks import windows_beside
 
 CORE_PX = 2  # on either side of the centre: more would take in what walls beside a line throw back
 GROUND_PX = (4, 6)
@@ -11,7 +11,7 @@ GROUND_PX = (4, 6)
 enough that a wall or a halo is as bright there as beneath the line."""
 
 
-def core_flux(stripe: Stripe, light: GreyValues) -> Floats:
+def core_flux(stripe: Stripe, *lights: GreyValues) -> Floats:
     """(N,) light within CORE_PX of the line's centre above the ground beside it, DN.
 
     NaN where the stripe has no value, and where no light is left above the ground.
@@ -24,7 +24,8 @@ def core_flux(stripe: Stripe, light: GreyValues) -> Floats:
     Parameters
     ----------
     stripe : Stripe, px, of N entries
-    light : (N, L) array, DN, one row for each entry of the stripe
+    lights : array, DN, (N, L) with a row for each entry of the stripe; or several of one size, each
+        with the rows of the next entries
     """
     flux = np.full(len(stripe.status), np.nan)
     valued = np.flatnonzero(has_value(stripe.status))
@@ -32,6 +33,6 @@ def core_flux(stripe: Stripe, light: GreyValues) -> Floats:
     steps = np.abs(np.arange(-GROUND_PX[1], GROUND_PX[1] + 1))
     beside, core = steps >= GROUND_PX[0], steps <= CORE_PX
     weights = core * beside.sum() - beside * core.sum()  # whole: of even light nothing is left
-    total = windows(light, valued, row, GROUND_PX[1]) @ weights / beside.sum()
+    total = windows_beside(lights, valued, row, GROUND_PX[1]) @ weights / beside.sum()
     flux[valued] = np.where(total > 0, total, np.nan)
     return flux

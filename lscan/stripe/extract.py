@@ -112,8 +112,7 @@ class _SeenPicture:
     @property
     def kind(self) -> tuple[object, ...]:
         """Equal for pictures whose columns can stand side by side."""
-        image = self.chosen.image
-        return self.known, image.shape, image.dtype, self.light.white is None
+        return self.known, self.chosen.image.shape, self.light.white is None
 
 
 def _to_choose_from(
@@ -145,7 +144,7 @@ def _finished(found: Sequence[tuple[Stripe, _SeenPicture]]) -> list[Stripe]:
         stripe = correct_blur(stripes[place], settings, light)
         stripes[place] = smooth(stripe, settings.smooth_px)
     whole = joined(stripes)
-    return parted(replace(whole, flux=core_flux(whole, beside(lights))), len(found))
+    return parted(replace(whole, flux=core_flux(whole, *lights)), len(found))
 
 
 def _by_target(stripe: Stripe, seen: _SeenPicture) -> Stripe:

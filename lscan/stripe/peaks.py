@@ -1,5 +1,6 @@
 """Which columns of a picture have a line in them, and at which pixel it peaks."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any, TypeVar
 
@@ -29,7 +30,7 @@ class Peaks:
     base: Floats
 
 
-def nominal_peaks(columns: GreyValues, settings: StripeSection) -> tuple[Stripe, Peaks]:
+def nominal_peaks(pictures: Sequence[GreyValues], settings: StripeSection) -> tuple[Stripe, Peaks]:
     """A stripe with peaks and statuses but no centres yet, and the columns that have a line.
 
     A column has a line where its highest value, the first maximum from the top, exceeds its
@@ -38,17 +39,21 @@ def nominal_peaks(columns: GreyValues, settings: StripeSection) -> tuple[Stripe,
 
     Parameters
     ----------
-    columns : (W, H) array, DN, one column of the picture a row
+    pictures : sequence of (W, H) array, DN, one column of a picture a row; of one size, side by
+        side as one picture
     settings : StripeSection, threshold and span
 
     References
     ----------
     Sec. V.B of the paper.
     """
-    width, height = columns.shape
-    rows = crests(columns)
-    base = ranked(columns, height // 2)
-    peak = columns[np.arange(width), rows] - base
+    height = pictures[0].shape[1]
+    places = [crests(columns) for columns in pictures]
+    rows = np.concatenate(places)
+    base = np.concatenate([ranked(columns, height // 2) for columns in pictures])
+    each = zip(pictures, places, strict=True)
+    peak = np.concatenate([columns[np.arange(len(row)), row] for columns, row in each]) - base
+    width = len(rows)
     border = (rows < settings.span_px) | (rows >= height - settings.span_px)
     status = np.full(width, int(Status.OK), dtype=np.int64)
     status[border] = Status.AT_BORDER
@@ -95,6 +100,23 @@ def windows(columns: NDArray[Any], at: Ints, rows: Ints, steps: Ints | int) -> F
     inside = np.minimum(np.maximum(rows[:, None] + steps, 0), height - 1)
     inside += height * at[:, None]
     return columns.reshape(-1).take(inside).astype(np.float64, copy=False)
+
+
+def windows_beside(
+    pictures: Sequence[NDArray[Any]], at: Ints, rows: Ints, steps: Ints | int
+) -> Floats:
+    """The :func:`windows` of pictures side by side as one picture.
+
+    Parameters
+    ----------
+    pictures : sequence of (W, H) array, of one size
+    at : (K,) array, indices of the columns of all, rising
+    rows, steps : as :func:`windows` takes them
+    """
+    first = np.arange(len(pictures)) * len(pictures[0])
+    begin = np.searchsorted(at, first)
+    parts = zip(pictures, np.split(at, begin[1:]), np.split(rows, begin[1:]), first, strict=True)
+    return np.concatenate([windows(one, here - k, row, steps) for one, here, row, k in parts])
 
 
 def centred(stripe: Stripe, peaks: Peaks, offset: Floats, sigma_px: Floats, kept: Mask) -> Stripe:

@@ -13,7 +13,6 @@ None of them takes account of which pixels are clipped.
 
 from collections.abc import Callable, Sequence
 from functools import partial
-from itertools import pairwise
 
 import numpy as np
 
@@ -21,8 +20,8 @@ from lscan.config.rig import StripeSection
 from lscan.records import Floats, GreyValues, Ints, Mask, Stripe
 from lscan.stripe.api import Picture, Several, on_integers, together
 from lscan.stripe.noise.model import line_noise
-from lscan.stripe.peaks import centred, nominal_peaks, windows
-from lscan.stripe.sidebyside import beside, in_groups, parted
+from lscan.stripe.peaks import centred, nominal_peaks, windows_beside
+from lscan.stripe.sidebyside import in_groups, parted
 
 Centring = Callable[[Floats], tuple[Floats, Floats]]
 """From windows (K, n) of grey values to the line's offset (K,) from the middle pixel, in px,
@@ -41,13 +40,13 @@ def _by(centring: Centring, guesses_background: bool = False) -> Several:
 
 def _kind(picture: Picture) -> tuple[object, ...]:
     image, settings, _ = picture
-    return settings, image.shape, image.dtype
+    return settings, image.shape
 
 
 def _alike(
     pictures: Sequence[Picture], centring: Centring, guesses_background: bool
 ) -> list[Stripe]:
-    """The stripes of pictures of one size and type with the same settings.
+    """The stripes of pictures of one size with the same settings.
 
     A column has a line where its highest value exceeds its median by more than
     ``threshold_dn``: NO_PEAK otherwise, AT_BORDER where the window does not fit the picture.
@@ -58,16 +57,16 @@ def _alike(
     window cuts off; a line wider than the span, whose crest is flat, has sigma_px too large.
     Fast where ``image.T`` is contiguous in memory.
     """
-    columns, settings = beside([image.T for image, _, _ in pictures]), pictures[0][1]
-    columns = np.ascontiguousarray(columns)
+    columns = [np.ascontiguousarray(image.T) for image, _, _ in pictures]
+    settings = pictures[0][1]
     stripe, peaks = nominal_peaks(columns, settings)
     if len(peaks.columns) == 0:
         return parted(stripe, len(pictures))
     # One pixel wider than the window on either side, to try the neighbour as nominal peak.
-    wide = windows(columns, peaks.columns, peaks.rows, settings.span_px + 1)
+    wide = windows_beside(columns, peaks.columns, peaks.rows, settings.span_px + 1)
     window = wide[:, 1:-1]
     light = window - peaks.base[:, None]
-    variance = _variance(columns, light, peaks.columns, len(pictures))
+    variance = _variance(columns, light, peaks.columns)
     offset, slope = centring(window)
     variance_px = (slope**2 * variance).sum(axis=1)
     variance_px += _choice_variance(wide, offset, variance, centring)
@@ -80,14 +79,11 @@ def _alike(
     return parted(found, len(pictures))
 
 
-def _variance(columns: GreyValues, light: Floats, at: Ints, count: int) -> Floats:
-    """Variance (K, n) in DN² of the light in ``count`` pictures, by the noise of each."""
-    width, variances = len(columns) // count, []
-    bounds = np.searchsorted(at, np.arange(count + 1) * width)
-    for k, (first, last) in enumerate(pairwise(bounds)):
-        one, here = columns[k * width : (k + 1) * width], light[first:last]
-        variances.append(line_noise(one, here, at[first:last]).variance(here))
-    return beside(variances)
+def _variance(pictures: Sequence[GreyValues], light: Floats, at: Ints) -> Floats:
+    """Variance (K, n) in DN² of the light, by the noise of the picture that it was found in."""
+    begin = np.searchsorted(at, np.arange(1, len(pictures)) * len(pictures[0]))
+    known = zip(pictures, np.split(light, begin), np.split(at, begin), strict=True)
+    return np.concatenate([line_noise(one, seen, to).variance(seen) for one, seen, to in known])
 
 
 def _no_offset(window: Floats) -> tuple[Floats, Floats]:

@@ -147,7 +147,7 @@ class _Found:
 def _found(image: GreyValues, settings: StripeSection, clipped: Mask) -> _Found | Stripe:
     """The columns with a line, or the stripe itself where there are none."""
     columns, lost = np.ascontiguousarray(image.T), np.ascontiguousarray(clipped.T)
-    stripe, peaks = nominal_peaks(columns, settings)
+    stripe, peaks = nominal_peaks([columns], settings)
     if len(peaks.columns) == 0:
         return stripe
     noise = _first_noise(columns, peaks, settings)
