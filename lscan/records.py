@@ -91,7 +91,7 @@ def status_counts(status: NDArray[np.integer]) -> dict[str, int]:
 
 
 def select(record: Record, wanted: Mask | Ints | slice) -> Record:
-    """The record with a part of each of its arrays.
+    """The record with a part of each of its arrays; itself where a mask keeps all of them.
 
     Parameters
     ----------
@@ -99,6 +99,8 @@ def select(record: Record, wanted: Mask | Ints | slice) -> Record:
     wanted : (N,) mask, array of indices or slice, of the entries kept
     """
     if isinstance(wanted, np.ndarray) and wanted.dtype == np.bool_:
+        if wanted.all():
+            return record
         wanted = np.flatnonzero(wanted)  # to take entries by index is quicker
     parts = vars(record).items()
     return type(record)(**{k: v[wanted] if isinstance(v, np.ndarray) else v for k, v in parts})

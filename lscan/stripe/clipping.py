@@ -35,12 +35,14 @@ def clipping_level(lines: Bytes) -> int:
     lines : (N, L) array, uint8, DN, the pixels across the line, one row for each entry of the
         stripe
     """
-    least = _within_highest(lines)
+    highest = lines.max(axis=1)
+    least = _within_highest(highest, lines.size)
     if least >= _NEAR_END_DN:
         return CLIPPED_DN
     # Values farther down than the plateau and its surroundings do not count.
-    high = lines[lines >= max(least - 2 * _SPREAD_DN, 0)]
-    count = np.bincount(high, minlength=CLIPPED_DN + 1)
+    limit = max(least - 2 * _SPREAD_DN, 0)
+    high = lines[highest >= limit]
+    count = np.bincount(high[high >= limit], minlength=CLIPPED_DN + 1)
     above = np.cumsum(count[::-1])[::-1]  # pixels of each value or more
     top = int(np.flatnonzero(above > _STRAY * lines.size)[-1])
     if top >= _NEAR_END_DN or top < _LEAST_DN:
@@ -52,9 +54,9 @@ def clipping_level(lines: Bytes) -> int:
     return CLIPPED_DN
 
 
-def _within_highest(lines: Bytes) -> int:
+def _within_highest(highest: Bytes, pixels: int) -> int:
     """A grey value that more than _STRAY of the pixels reach, by the highest of each line."""
-    highest, stray = lines.max(axis=1), int(_STRAY * lines.size)
+    stray = int(_STRAY * pixels)
     return 0 if stray >= len(highest) else int(np.partition(highest, -stray - 1)[-stray - 1])
 
 

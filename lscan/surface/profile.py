@@ -6,7 +6,7 @@ import numpy as np
 
 from lscan.calibration.api import PlaneMap
 from lscan.errors import InputError
-from lscan.records import PlanePoints, Profile, Status, Stripe, has_value, select
+from lscan.records import Ints, PlanePoints, Profile, Status, Stripe, has_value, select
 
 
 def to_profile(stripe: Stripe, plane_map: PlaneMap, position_mm: float) -> Profile:
@@ -57,19 +57,21 @@ def to_profiles(
             raise InputError("track position is not finite", where="to_profile", value=position_mm)
     pixels, sigma_px = ([stripe.image_px for stripe in stripes], [s.sigma_px for s in stripes])
     mapped = plane_map.to_plane(np.concatenate(pixels), np.concatenate(sigma_px))
-    end = np.cumsum([len(stripe.status) for stripe in stripes])
-    return [
-        _profile(stripe, select(mapped, slice(last - len(stripe.status), last)), float(position_mm))
-        for stripe, last, position_mm in zip(stripes, end, positions_mm, strict=True)
-    ]
+    points = _placed(np.concatenate([stripe.status for stripe in stripes]), mapped)
+    profiles, first = [], 0
+    for stripe, position_mm in zip(stripes, positions_mm, strict=True):
+        part = slice(first, first + len(stripe.status))
+        brightness = stripe.peak if stripe.flux is None else stripe.flux
+        profiles.append(Profile(float(position_mm), select(points, part), brightness))
+        first = part.stop
+    return profiles
 
 
-def _profile(stripe: Stripe, mapped: PlanePoints, position_mm: float) -> Profile:
-    """The scan line of a stripe whose points the map has placed."""
-    from_stripe = ~has_value(stripe.status) | (mapped.status == Status.OK)
-    status = np.where(from_stripe, stripe.status, mapped.status)
+def _placed(found: Ints, mapped: PlanePoints) -> PlanePoints:
+    """The points that a map has placed, with what the stripe says of them."""
+    status = np.where(~has_value(found) | (mapped.status == Status.OK), found, mapped.status)
     valued = has_value(status)[:, None]
-    points = PlanePoints(
+    return PlanePoints(
         xz_mm=np.where(valued, mapped.xz_mm, np.nan),
         sigma_mm=np.where(valued, mapped.sigma_mm, np.nan),
         status=status,
@@ -79,5 +81,3 @@ def _profile(stripe: Stripe, mapped: PlanePoints, position_mm: float) -> Profile
             else np.where(valued[..., None], mapped.modes_mm, np.nan)
         ),
     )
-    brightness = stripe.peak if stripe.flux is None else stripe.flux
-    return Profile(position_mm, points, brightness)

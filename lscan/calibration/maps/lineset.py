@@ -120,15 +120,15 @@ class LineSet:
             return self._read_lines(targets, between)
         value, variance = np.full((2, len(targets.along)), np.nan)
         closest = self._closest_ruler(targets)
-        here = np.flatnonzero(closest >= 0)
-        ruler, there, around = closest[here], select(targets, here), select(between, here)
+        ruled = closest >= 0
+        ruler, there, around = closest[ruled], select(targets, ruled), select(between, ruled)
         place, meets = self._intersect(ruler, there, around)
-        ruled = here[meets]
+        ruled[ruled] = meets
         met = ruler[meets], select(there, meets), select(around, meets), place[meets]
         value[ruled], variance[ruled] = self._read_ruler(*met)
-        others = np.setdiff1d(np.arange(len(value)), ruled, assume_unique=True)
-        known = select(targets, others), select(between, others)
-        value[others], variance[others] = self._read_lines(*known)
+        if not ruled.all():
+            known = select(targets, ~ruled), select(between, ~ruled)
+            value[~ruled], variance[~ruled] = self._read_lines(*known)
         return value, variance
 
     def surround(self, targets: Targets) -> tuple[Between, Mask]:
