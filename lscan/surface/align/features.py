@@ -123,18 +123,25 @@ def _height_above_rim(xyz: Floats, valid: Mask, piece: Sandwave) -> tuple[Floats
     """
     block = _above_drop(xyz[..., 2], valid, drop_mm=0.75 * piece.body_mm)
     points = xyz[block]
-    design = np.column_stack([np.ones(len(points)), points[:, :2]])
-    plane = np.linalg.lstsq(design, points[:, 2], rcond=None)[0].astype(float)
+    plane = _weighted_plane(points, np.ones(len(points)))
     for scale in np.geomspace(2 * piece.wedge.height_mm, 0.1 * piece.wedge.height_mm, 30):
-        residual = points[:, 2] - design @ plane
-        root = np.clip(1 - (residual / scale) ** 2, 0, None)
+        residual = points[:, 2] - points[:, :2] @ plane[1:] - plane[0]
+        root = np.maximum(1 - (residual / scale) ** 2, 0.0)
         if np.count_nonzero(root) < 50:
             break
-        weighted = design * root[:, None]
-        plane = np.linalg.lstsq(weighted, points[:, 2] * root, rcond=None)[0].astype(float)
+        plane = _weighted_plane(points, root**2)
     cosine = 1 / np.sqrt(1 + plane[1] ** 2 + plane[2] ** 2)
     height = (xyz[..., 2] - plane[0] - xyz[..., :2] @ plane[1:]) * cosine
     return np.where(valid, height, np.nan), plane
+
+
+def _weighted_plane(points: Floats, weight: Floats) -> Floats:
+    """(3,) plane z = c0 + c1 x + c2 s of least squares of points (K, 3) with weights (K,)."""
+    centre = weight @ points / weight.sum()
+    aside = points - centre
+    normal = (aside * weight[:, None]).T @ aside
+    slopes = np.linalg.lstsq(normal[:2, :2], normal[:2, 2], rcond=None)[0]
+    return np.append(centre[2] - centre[:2] @ slopes, slopes)
 
 
 def _above_drop(z: Floats, valid: Mask, drop_mm: float) -> Mask:
