@@ -1,9 +1,9 @@
 """From a picture to the stripe in it: the one function that everybody calls."""
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import lru_cache
-from typing import TypeVar, cast
+from typing import NamedTuple, TypeVar, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,8 +22,8 @@ from lscan.stripe.noise.along import at_least_seen
 from lscan.stripe.noise.coding import is_coded
 from lscan.stripe.noise.model import difference_noise
 from lscan.stripe.peaks import clipped_near
-from lscan.stripe.returns import OneReturn, choose_returns, withhold
-from lscan.stripe.sidebyside import beside, in_groups, joined, parted
+from lscan.stripe.returns import OneReturn, choose_return, withhold
+from lscan.stripe.sidebyside import in_one, joined, parted
 
 _Value = TypeVar("_Value", bound=np.generic)
 
@@ -93,16 +93,19 @@ def extract_stripes(
     """
     extractor = find_extractor(settings.extractor)
     lights = [_light(image, settings, background) for image, background in shown]
-    chosen = choose_returns([_to_choose_from(*light) for light in lights])
-    seen = [_SeenPicture(one, *light) for one, light in zip(chosen, lights, strict=True)]
+    seen = [_Seen(_one_return(*light), *light) for light in lights]
     stripes = _called(
         extractor, [(one.chosen.image, one.known, one.chosen.clipped) for one in seen]
     )
-    return in_groups(_finished, list(zip(stripes, seen, strict=True)), lambda found: found[1].kind)
+    return in_one(_finished, list(zip(stripes, seen, strict=True)), lambda found: found[1].kind)
 
 
-@dataclass(frozen=True)
-class _SeenPicture:
+def _one_return(light: PictureLines, settings: StripeSection) -> OneReturn:
+    white = light.white is not None and bool(light.white.any())
+    return choose_return(light.grey.T, settings, light.clipped.T, white)
+
+
+class _Seen(NamedTuple):
     """The picture with one line in each column, that with all, and the settings for both."""
 
     chosen: OneReturn
@@ -115,31 +118,23 @@ class _SeenPicture:
         return self.known, self.chosen.image.shape, self.light.white is None
 
 
-def _to_choose_from(
-    light: PictureLines, known: StripeSection
-) -> tuple[GreyValues, StripeSection, Mask, bool]:
-    white = light.white is not None and bool(light.white.any())
-    return light.grey.T, known, light.clipped.T, white
-
-
-def _finished(found: Sequence[tuple[Stripe, _SeenPicture]]) -> list[Stripe]:
+def _finished(found: Sequence[tuple[Stripe, _Seen]]) -> list[Stripe]:
     """The stripes that an extractor found, with all that it does not know of the pictures.
 
     found: of pictures of one kind.
     """
-    settings, chosen = found[0][1].known, [one.chosen for _, one in found]
-    white = [one.light.white for _, one in found if one.light.white is not None]
-    lights = [one.image.T for one in chosen]
+    found_in = [seen for _, seen in found]
+    settings, lights = found_in[0].known, [seen.chosen.image.T for seen in found_in]
+    white = [seen.light.white for seen in found_in if seen.light.white is not None]
+    made_up = np.concatenate(white) if white else None
+    clipped = np.concatenate([seen.chosen.clipped.T for seen in found_in])
     whole = joined([stripe for stripe, _ in found])
-    clipped = beside([one.clipped.T for one in chosen])
-    whole = _mark_saturated(whole, clipped, beside(white) if white else None, settings.span_px)
-    whole = withhold(whole, beside([one.ambiguous for one in chosen]))
-    stripes = [
-        _by_target(stripe, one)
-        for stripe, (_, one) in zip(parted(whole, len(found)), found, strict=True)
-    ]
+    whole = _mark_saturated(whole, clipped, made_up, settings.span_px)
+    whole = withhold(whole, np.concatenate([seen.chosen.ambiguous for seen in found_in]))
+    stripes = list(map(_by_target, parted(whole, len(found)), found_in))
     if settings.noise is None:
-        stripes = at_least_seen(stripes, lights, [one.crest for one in chosen])
+        crests = [seen.chosen.crest for seen in found_in]
+        stripes = at_least_seen(list(zip(stripes, lights, crests, strict=True)))
     for place, light in enumerate(lights):
         stripe = correct_blur(stripes[place], settings, light)
         stripes[place] = smooth(stripe, settings.smooth_px)
@@ -147,7 +142,7 @@ def _finished(found: Sequence[tuple[Stripe, _SeenPicture]]) -> list[Stripe]:
     return parted(replace(whole, flux=core_flux(whole, *lights)), len(found))
 
 
-def _by_target(stripe: Stripe, seen: _SeenPicture) -> Stripe:
+def _by_target(stripe: Stripe, seen: _Seen) -> Stripe:
     """The stripe with what the target about the line makes doubtful."""
     light, threshold_dn = seen.chosen.image.T, seen.known.threshold_dn
     if seen.chosen.textured:

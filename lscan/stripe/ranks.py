@@ -3,10 +3,9 @@
 import cv2
 import numpy as np
 
-from lscan.records import Floats, GreyValues, Ints
+from lscan.records import Floats, GreyValues, Ints, Singles
 
 _SPARSE = 8  # a first guess is made of every eighth pixel of every eighth column
-_BLOCK = 1024  # columns, so few that their floats stay in a processor's cache
 
 
 def crests(columns: GreyValues) -> Ints:
@@ -21,16 +20,9 @@ def crests(columns: GreyValues) -> Ints:
     >>> crests(np.array([[7, 3, 200, 200]], dtype=np.uint8))
     array([2])
     """
-    if columns.dtype == np.float64:
-        return columns.argmax(axis=1)
     # NumPy finds the place of the highest float sooner than that of the highest integer.
-    parts = [part.astype(np.float32).argmax(axis=1) for part in _parts(columns)]
-    return np.concatenate(parts)
-
-
-def _parts(columns: GreyValues) -> list[GreyValues]:
-    """Blocks of the columns."""
-    return [columns[begin : begin + _BLOCK] for begin in range(0, len(columns), _BLOCK)]
+    floats = columns if columns.dtype == np.float64 else columns.astype(np.float32)
+    return floats.argmax(axis=1)
 
 
 def ranked(columns: GreyValues, rank: int) -> Floats:
@@ -48,7 +40,7 @@ def ranked(columns: GreyValues, rank: int) -> Floats:
     array([7.])
     """
     if not np.issubdtype(columns.dtype, np.integer):
-        return np.concatenate([_ranked_floats(part, rank) for part in _parts(columns)])
+        return _ranked_floats(columns.astype(np.float32, copy=False), rank)
     # To count the pixels up to a grey value takes a thirtieth of a partial sort.  The search begins
     # at a value that most columns are near to, and goes from there in steps twice as long each.
     sample = columns[::_SPARSE, ::_SPARSE].ravel()
@@ -67,9 +59,8 @@ def ranked(columns: GreyValues, rank: int) -> Floats:
         middle, step = near, 2 * step
 
 
-def _ranked_floats(columns: GreyValues, rank: int) -> Floats:
+def _ranked_floats(columns: Singles, rank: int) -> Floats:
     """The same of floats: of columns that hold grey values alone by counting these."""
-    columns = columns.astype(np.float32, copy=False)
     with np.errstate(invalid="ignore"):
         grey = columns.astype(np.uint8 if columns.min() >= 0 else np.int16)
     whole = (grey == columns).all(axis=1)

@@ -8,7 +8,6 @@ sees one line in each.  On a lit target, whose texture stands out as well, textu
 lines that are chosen between.
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -23,7 +22,7 @@ from lscan.stripe.spots import (
     footprint,
     pairs,
     relief_of,
-    runs_of_each,
+    runs_of,
     spots_near,
     spots_of,
 )
@@ -113,39 +112,13 @@ def choose_return(
     white : bool, whether the picture shows white crests: between coloured things the lamps' own
         light looks like one, and light does not tell the line
     """
-    return choose_returns([(image, settings, clipped, white)])[0]
-
-
-def choose_returns(
-    pictures: Sequence[tuple[GreyValues, StripeSection, Mask, bool]],
-) -> list[OneReturn]:
-    """What :func:`choose_return` makes of each of several pictures.
-
-    Parameters
-    ----------
-    pictures : sequence of tuple, the arguments for each, one or more
-    """
-    seen = []
-    for image, settings, *_ in pictures:
-        columns, threshold_dn = np.ascontiguousarray(image.T), settings.threshold_dn
-        near = spots_near(columns, threshold_dn)
-        seen.append(spots_of(relief_of(columns), threshold_dn) if near is None else near)
-    known = zip(pictures, seen, runs_of_each(seen), strict=True)
-    return [_chosen(*picture, spots, run) for picture, spots, run in known]
-
-
-def _chosen(
-    image: GreyValues,
-    settings: StripeSection,
-    clipped: Mask,
-    white: bool,
-    spots: Spots,
-    run: Ints,
-) -> OneReturn:
-    """The same of a picture, from its spots and the runs that they belong to."""
     columns = np.ascontiguousarray(image.T)
     crest, count = crests(columns), len(columns)
     threshold_dn, width_px = settings.threshold_dn, settings.line_width_px
+    spots = spots_near(columns, threshold_dn)
+    if spots is None:
+        spots = spots_of(relief_of(columns), threshold_dn)
+    run = runs_of(spots)
     specked = settings.returns != "brightest" and _is_specked(spots, run)
     rivals = np.count_nonzero(np.diff(spots.column) == 0)
     doubtful = white and rivals >= _RIVALS * count
@@ -271,7 +244,7 @@ class _Choice:
 
 def _choose(spots: Spots, run: Ints, rejected: Mask, settings: StripeSection) -> _Choice:
     """The choice between the spots (K,) of some runs; rejected: (K,) those out of question."""
-    first, second = pairs(spots.column, 0)
+    first, second = pairs(spots.column)
     there = ~rejected[first] & ~rejected[second]
     first, second = first[there], second[there]
     faint, yielding = _rejected(spots, run, first, second, settings)

@@ -4,50 +4,31 @@ To begin a step takes NumPy longer than that step does for the columns of one pi
 """
 
 from collections.abc import Callable, Hashable, Sequence
-from dataclasses import fields, replace
-from typing import Any, TypeVar
+from typing import TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lscan.records import Stripe, select
 
 _Item = TypeVar("_Item")
 _Result = TypeVar("_Result")
-_Value = TypeVar("_Value", bound=np.generic)
+_Work = Callable[[Sequence[_Item]], list[_Result]]
 
 
-def in_groups(
-    work: Callable[[Sequence[_Item]], list[_Result]],
-    items: Sequence[_Item],
-    kind: Callable[[_Item], Hashable],
+def in_one(
+    work: _Work[_Item, _Result], items: Sequence[_Item], kind: Callable[[_Item], Hashable]
 ) -> list[_Result]:
-    """What ``work`` makes of items, all those of a kind in one call; in the items' order.
+    """What ``work`` makes of each of the items: in one call if they are alike, else one by one.
 
     Parameters
     ----------
     work : callable, from items of one kind to a result for each
     items : sequence, one or more
-    kind : callable, of an item: equal for those that go together
+    kind : callable, of an item: equal for those that are alike
     """
-    groups: dict[Hashable, list[int]] = {}
-    for place, item in enumerate(items):
-        groups.setdefault(kind(item), []).append(place)
-    found: dict[int, _Result] = {}
-    for places in groups.values():
-        results = work([items[place] for place in places])
-        found.update(zip(places, results, strict=True))
-    return [found[place] for place in range(len(items))]
-
-
-def beside(parts: Sequence[NDArray[_Value]]) -> NDArray[_Value]:
-    """The entries of all arrays one after the other; of a single array itself.
-
-    Parameters
-    ----------
-    parts : sequence of array, (W, ...) each
-    """
-    return parts[0] if len(parts) == 1 else np.concatenate(parts)
+    if len(set(map(kind, items))) == 1:
+        return work(items)
+    return [result for item in items for result in work([item])]
 
 
 def joined(stripes: Sequence[Stripe]) -> Stripe:
@@ -55,16 +36,10 @@ def joined(stripes: Sequence[Stripe]) -> Stripe:
 
     Parameters
     ----------
-    stripes : sequence of Stripe, px, of one axis, with or without flux alike
+    stripes : sequence of Stripe, px, of one axis, without flux
     """
-    first, *others = stripes
-    if not others:
-        return first
-    arrays = [one.name for one in fields(first) if isinstance(getattr(first, one.name), np.ndarray)]
-    every: dict[str, Any] = {
-        name: np.concatenate([getattr(stripe, name) for stripe in stripes]) for name in arrays
-    }
-    return replace(first, **every)
+    each = [(one.centre_px, one.sigma_px, one.peak, one.status) for one in stripes]
+    return Stripe(stripes[0].axis, *map(np.concatenate, zip(*each, strict=True)))
 
 
 def parted(stripe: Stripe, count: int) -> list[Stripe]:

@@ -1,7 +1,6 @@
 """Spots: where the columns of a picture cross what may be a line; runs: spots side by side."""
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import cv2
 import numpy as np
@@ -221,19 +220,16 @@ def brightest(column: Ints, light: Floats, most: int) -> Mask:
     return mask
 
 
-def pairs(column: Ints, apart: int) -> tuple[Ints, Ints]:
-    """All pairs of spots, the second ``apart`` columns to the right of the first.
+def pairs(column: Ints) -> tuple[Ints, Ints]:
+    """All pairs of spots of one column, the first above the second.
 
     Parameters
     ----------
     column : (K,) array, of the spots, rising
-    apart : int, columns; with 0 the first of a pair is above the second
     """
-    if not apart and (np.diff(column) > 0).all():  # one in each column
+    if (np.diff(column) > 0).all():  # one in each column
         return column[:0], column[:0]
-    first, second = _within(column, column + apart, column + apart)
-    if apart:
-        return first, second
+    first, second = _within(column, column, column)
     below = second > first
     return first[below], second[below]
 
@@ -297,27 +293,6 @@ def runs_of(spots: Spots) -> Ints:
         first_of = first_of[first_of]
     number = np.cumsum(first_of == np.arange(len(begin))) - 1
     return number[first_of][stretch]
-
-
-def runs_of_each(several: Sequence[Spots]) -> list[Ints]:
-    """What :func:`runs_of` gives for the spots of each picture.
-
-    Parameters
-    ----------
-    several : sequence of Spots, px, one or more
-    """
-    placed, first = [], 0
-    for spots in several:
-        placed.append(replace(spots, column=spots.column + first))
-        first += spots.column.max(initial=0) + GAP + 1  # too far for a run to go on
-    every = Spots(
-        *(
-            np.concatenate(parts)
-            for parts in zip(*(vars(one).values() for one in placed), strict=True)
-        )
-    )
-    ends = np.cumsum([len(spots.column) for spots in several])
-    return [run - run.min(initial=len(every.column)) for run in np.split(runs_of(every), ends[:-1])]
 
 
 def _is_least(group: Ints, value: Floats) -> Mask:

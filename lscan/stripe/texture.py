@@ -86,9 +86,8 @@ def is_textured(
     width_px : float or None, px, full width of the line; None: that of the sharpest spots
     threshold_dn : float, DN
     """
-    width = len(columns)
-    least = max(_SHARE * width, 2)
-    if _is_outshone(columns, crest, spots, threshold_dn, least):
+    width, least = len(columns), _least(columns)
+    if _is_outshone(columns, crest, spots, threshold_dn):
         return True
     count = np.bincount(spots.column, minlength=width)
     several, every = np.count_nonzero(count > 1), np.count_nonzero(count)
@@ -107,10 +106,8 @@ def is_textured(
     return bool(crowd and 2 * (strong & long).sum() < strong.sum())
 
 
-def _is_outshone(
-    columns: GreyValues, crest: Ints, spots: Spots, threshold_dn: float, least: float
-) -> bool:
-    """Whether the brightest pixel lies on bright ground, in no spot, in ``least`` columns or more.
+def _is_outshone(columns: GreyValues, crest: Ints, spots: Spots, threshold_dn: float) -> bool:
+    """Whether the brightest pixels of many columns lie on bright ground, in no spot.
 
     There the ground exceeds the column's median by the threshold.
     """
@@ -120,12 +117,17 @@ def _is_outshone(
     at = np.flatnonzero(beside)
     # The ground lies between the least and the highest pixel.
     at = at[columns[at, crest[at]] - columns[at].min(axis=1) >= threshold_dn]
-    if len(at) < least:
+    if len(at) < _least(columns):
         return False
     ground = relief_of(columns[at]).ground
     here = ground[np.arange(len(at)), crest[at]]
     beneath = np.maximum(ground.min(axis=1), medians(columns[at]))
-    return bool(np.count_nonzero(here - beneath > threshold_dn) >= least)
+    return bool(np.count_nonzero(here - beneath > threshold_dn) >= _least(columns))
+
+
+def _least(columns: GreyValues) -> float:
+    """Columns with texture that are no accident."""
+    return max(_SHARE * len(columns), 2)
 
 
 def ground_px(width_px: float) -> int:

@@ -21,7 +21,7 @@ from lscan.records import Floats, GreyValues, Ints, Mask, Stripe
 from lscan.stripe.api import Picture, Several, on_integers, together
 from lscan.stripe.noise.model import line_noise
 from lscan.stripe.peaks import centred, nominal_peaks, windows_beside
-from lscan.stripe.sidebyside import in_groups, parted
+from lscan.stripe.sidebyside import in_one, parted
 
 Centring = Callable[[Floats], tuple[Floats, Floats]]
 """From windows (K, n) of grey values to the line's offset (K,) from the middle pixel, in px,
@@ -30,17 +30,8 @@ and the derivative (K, n) of that offset by each grey value, in px/DN."""
 
 def _by(centring: Centring, guesses_background: bool = False) -> Several:
     """The extractor of a rule, of pictures side by side where they are alike."""
-
-    def several(pictures: Sequence[Picture]) -> list[Stripe]:
-        work = partial(_alike, centring=centring, guesses_background=guesses_background)
-        return in_groups(work, pictures, _kind)
-
-    return several
-
-
-def _kind(picture: Picture) -> tuple[object, ...]:
-    image, settings, _ = picture
-    return settings, image.shape
+    work = partial(_alike, centring=centring, guesses_background=guesses_background)
+    return partial(in_one, work, kind=lambda picture: (picture[1], picture[0].shape))
 
 
 def _alike(

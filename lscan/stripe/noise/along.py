@@ -17,6 +17,7 @@ and of relief nothing is left but what is rough from one column to the next.
 
 from collections.abc import Sequence
 from dataclasses import replace
+from itertools import compress
 from typing import TypeVar
 
 import numpy as np
@@ -44,31 +45,25 @@ _FINEST_PX = 1.5  # a narrower window lets the raster of the pixels through
 _STEPS = 4  # from a pixel beside the line, to a hundredth of a pixel
 
 
-def at_least_seen(
-    stripes: Sequence[Stripe], lights: Sequence[GreyValues], crests: Sequence[Ints]
-) -> list[Stripe]:
+SeenLine = tuple[Stripe, GreyValues, Ints]
+"""A stripe, px, of N entries; the light (N, L) in DN, row i being the column (or row) of the
+picture that entry i of the stripe was found in; and (N,), px, where each of those is the highest.
+"""
+
+
+def at_least_seen(seen: Sequence[SeenLine]) -> list[Stripe]:
     """The stripes with sigma_px enlarged to what their centres scatter about their neighbours.
 
     One factor for the columns that are OK and one for those SATURATED, never below 1.
 
     Parameters
     ----------
-    stripes : sequence of Stripe, px, of N entries each
-    lights : sequence of (N, L) array, DN, row i being the column (or row) of the picture that entry
-        i of the stripe was found in
-    crests : sequence of (N,) array, px, where each of those rows is the highest
+    seen : sequence of SeenLine, of one picture each
     """
-    valued = [np.count_nonzero(has_value(stripe.status)) for stripe in stripes]
-    judged = [place for place, count in enumerate(valued) if count >= _FEWEST]
-    lags = shared_columns(
-        [stripes[place] for place in judged],
-        [lights[place] for place in judged],
-        [crests[place] for place in judged],
-    )
-    found = list(stripes)
-    for place, lag in zip(judged, lags, strict=True):
-        found[place] = _enlarged(stripes[place], lag)
-    return found
+    enough = [np.count_nonzero(has_value(stripe.status)) >= _FEWEST for stripe, *_ in seen]
+    lags = iter(shared_columns(list(compress(seen, enough))))
+    each = zip(seen, enough, strict=True)
+    return [_enlarged(one[0], next(lags)) if many else one[0] for one, many in each]
 
 
 def _enlarged(stripe: Stripe, lag: int) -> Stripe:
@@ -109,9 +104,7 @@ def excess(stripe: Stripe, run: Ints, lag: int) -> float:
     return float(np.sqrt(ratio)) if ratio > 1 + chance else 1.0
 
 
-def shared_columns(
-    stripes: Sequence[Stripe], lights: Sequence[GreyValues], crests: Sequence[Ints]
-) -> list[int]:
+def shared_columns(seen: Sequence[SeenLine]) -> list[int]:
     """Columns along which the pixels of each picture share their errors, 1 where each has its own.
 
     The lag, of 1, 2, 4, 8 and 16, beyond which the third differences of the line's width grow
@@ -121,17 +114,16 @@ def shared_columns(
 
     Parameters
     ----------
-    stripes : sequence of Stripe, px, of N entries, some of which have a value
-    lights, crests : sequence of array, as :func:`at_least_seen` takes them
+    seen : sequence of SeenLine, of one picture each, in which some columns have a value
     """
-    scales: list[float] = []
-    for stripe, light, crest in zip(stripes, lights, crests, strict=True):
-        valued = np.flatnonzero(has_value(stripe.status))
-        scales.append(line_width(light, valued, crest[valued]))
-    if not scales:
-        return []
-    widths = _variances(stripes, lights, [max(scale, _FINEST_PX) for scale in scales])
-    return [_lag(*known) for known in zip(stripes, widths, scales, strict=True)]
+    scales = [line_width(light, at := _valued(one), crest[at]) for one, light, crest in seen]
+    widths = _variances(seen, [max(scale, _FINEST_PX) for scale in scales]) if seen else []
+    each = zip(seen, widths, scales, strict=True)
+    return [_lag(stripe, width, scale) for (stripe, *_), width, scale in each]
+
+
+def _valued(stripe: Stripe) -> Ints:
+    return np.flatnonzero(has_value(stripe.status))
 
 
 def _lag(stripe: Stripe, width: Floats, scale: float) -> int:
@@ -156,9 +148,7 @@ def _lag(stripe: Stripe, width: Floats, scale: float) -> int:
     return max(_LAGS[settled], int(np.ceil(_WIDTHS * scale)))
 
 
-def _variances(
-    stripes: Sequence[Stripe], lights: Sequence[GreyValues], scales: Sequence[float]
-) -> list[Floats]:
+def _variances(seen: Sequence[SeenLine], scales: Sequence[float]) -> list[Floats]:
     """(N,) the light's variance across the line over scale², NaN where there is no line; of each.
 
     By moments weighted with a Gaussian of the width ``scale``, in px, about as wide as the line.
@@ -169,38 +159,34 @@ def _variances(
     A weight about the middle m is that about 0 times exp(m k / s²) at the pixel k, but for a factor
     that all have in common, and so for none: of the weights about 0 powers of a number are left.
     """
-    valued = [np.flatnonzero(has_value(stripe.status)) for stripe in stripes]
+    valued = [_valued(stripe) for stripe, *_ in seen]
     ends = np.cumsum([len(at) for at in valued])
-    centre = np.concatenate([one.centre_px[at] for one, at in zip(stripes, valued, strict=True)])
+    centre = np.concatenate([one.centre_px[at] for (one, *_), at in zip(seen, valued, strict=True)])
     row = np.rint(centre).astype(int)
-    rows = np.split(row, ends[:-1])
     reach = [int(np.ceil(3 * scale)) + 2 for scale in scales]
-    weighted = np.zeros((2 * max(reach) + 1, ends[-1]))  # (n, K): n is short
-    for at, end, *known in zip(valued, ends, lights, rows, reach, scales, strict=True):
-        light, here, far, scale = known
-        part = np.s_[max(reach) - far : max(reach) + far + 1, end - len(at) : end]
-        weighted[part] = _about_zero(windows(light, at, here, far).T, scale)
-    scale = np.repeat(scales, [len(at) for at in valued])
+    weighted = np.zeros((2 * max(reach) + 1, len(row)))  # (n, K): n is short
+    for (_, light, _), at, end, far, scale in zip(seen, valued, ends, reach, scales, strict=True):
+        part, beside = slice(end - len(at), end), max(reach) - far
+        grey = windows(light, at, row[part], far).T
+        weight = np.exp(-0.5 * (np.arange(-far, far + 1) / scale) ** 2)[:, None]
+        ground = grey[[0, 1, -2, -1]].mean(axis=0)
+        weighted[beside : len(weighted) - beside, part] = weight * (grey - ground)
+    spread = np.repeat(scales, [len(at) for at in valued])
     middle = centre - row
     for _ in range(_STEPS):
         about = middle
-        zeroth, first, second = _moments(weighted, np.exp(about / scale**2))
+        zeroth, first, second = _moments(weighted, np.exp(about / spread**2))
         total = np.where(zeroth > 0, zeroth, np.nan)
-        moved = (first / total - about) / scale
-        middle = about + scale * np.clip(2 * moved, -1.0, 1.0)
-    seen = ((second - 2 * about * first) / total + about**2) / scale**2
-    across = seen / np.where(seen < 1, 1 - seen, np.nan)
-    each = zip(
-        stripes, valued, *(np.split(v, ends[:-1]) for v in (across, row + middle)), strict=True
-    )
-    return [_across_itself(len(stripe.status), *found) for stripe, *found in each]
-
-
-def _about_zero(grey: Floats, scale: float) -> Floats:
-    """Windows (n, K) of the light above its ground, with the weights about the middle pixel."""
-    steps = np.arange(len(grey)) - len(grey) // 2
-    weight = np.exp(-0.5 * (steps / scale) ** 2)
-    return (grey - grey[[0, 1, -2, -1]].mean(axis=0)) * weight[:, None]
+        moved = (first / total - about) / spread
+        middle = about + spread * np.clip(2 * moved, -1.0, 1.0)
+    variance = ((second - 2 * about * first) / total + about**2) / spread**2
+    across, places = variance / np.where(variance < 1, 1 - variance, np.nan), row + middle
+    found = []
+    for (stripe, *_), at, end in zip(seen, valued, ends, strict=True):
+        squared, line = np.full((2, len(stripe.status)), np.nan)
+        squared[at], line[at] = across[end - len(at) : end], places[end - len(at) : end]
+        found.append(squared / (1 + np.gradient(line) ** 2))
+    return found
 
 
 def _moments(weighted: Floats, factor: Floats) -> Floats:
@@ -218,13 +204,6 @@ def _moments(weighted: Floats, factor: Floats) -> Floats:
         light *= step
         total[2] += light
     return total
-
-
-def _across_itself(count: int, at: Ints, across: Floats, centre: Floats) -> Floats:
-    """(N,) the variances (K,) of the columns ``at``, of the line square to itself."""
-    seen, middle = np.full((2, count), np.nan)
-    seen[at], middle[at] = across, centre
-    return seen / (1 + np.gradient(middle) ** 2)
 
 
 def _apart(values: NDArray[_Number], lag: int) -> list[NDArray[_Number]]:

@@ -29,7 +29,7 @@ def excess_of(centre, lag=1):
 
 
 def shared_of(centre, light):
-    return shared_columns([stripe_of(centre)], [light], [crests(light)])[0]
+    return shared_columns([(stripe_of(centre), light, crests(light))])[0]
 
 
 def smooth_line():
