@@ -29,9 +29,8 @@ from lscan.surface.shaft import shaft_of, stack_about
 from lscan.surface.thickness import correct_thickness
 
 READ_AT_ONCE = 16
-"""Pictures whose lines are fitted, and whose points are mapped, in one call.  A call for one takes
-twice to three times as long for each, most of it to begin NumPy's steps; more at once gain little.
-"""
+"""Pictures whose lines are found, and whose points are mapped, in one call.  A call for one takes
+longer for each, to begin NumPy's steps; more at once gain little."""
 
 
 @dataclass(frozen=True)

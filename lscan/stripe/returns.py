@@ -114,15 +114,14 @@ def choose_return(
     """
     columns = np.ascontiguousarray(image.T)
     crest, count = crests(columns), len(columns)
-    threshold_dn, width_px = settings.threshold_dn, settings.line_width_px
-    spots = spots_near(columns, threshold_dn)
+    spots = spots_near(columns, settings.threshold_dn)
     if spots is None:
-        spots = spots_of(relief_of(columns), threshold_dn)
+        spots = spots_of(relief_of(columns), settings.threshold_dn)
     run = runs_of(spots)
     specked = settings.returns != "brightest" and _is_specked(spots, run)
     rivals = np.count_nonzero(np.diff(spots.column) == 0)
     doubtful = white and rivals >= _RIVALS * count
-    if doubtful or specked or is_textured(columns, crest, spots, run, width_px, threshold_dn):
+    if doubtful or specked or is_textured(columns, crest, spots, run, settings):
         return _in_texture(columns, spots, settings, clipped)
     choice = _choose(spots, run, _isolated(spots, run), settings)
     if not choice.rejected.any():

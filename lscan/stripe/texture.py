@@ -9,6 +9,7 @@ and goes on from column to column.
 import numpy as np
 from scipy.ndimage import convolve1d, median_filter, uniform_filter1d
 
+from lscan.config.rig import StripeSection
 from lscan.records import Floats, GreyValues, Ints, Mask
 from lscan.stripe.pieces import JUMP_PX
 from lscan.stripe.ranks import medians
@@ -64,12 +65,7 @@ def line_width_px(spots: Spots) -> float:
 
 
 def is_textured(
-    columns: GreyValues,
-    crest: Ints,
-    spots: Spots,
-    run: Ints,
-    width_px: float | None,
-    threshold_dn: float,
+    columns: GreyValues, crest: Ints, spots: Spots, run: Ints, settings: StripeSection
 ) -> bool:
     """Whether the picture shows more than lines on a dark ground.
 
@@ -83,17 +79,17 @@ def is_textured(
     crest : (W,) array, px, row of the highest value of each
     spots : Spots, px and DN, K of them, on the usual ground
     run : (K,) array, numbers of the runs they belong to
-    width_px : float or None, px, full width of the line; None: that of the sharpest spots
-    threshold_dn : float, DN
+    settings : StripeSection, threshold and the line's full width; without, that of the sharpest
+        spots
     """
-    width, least = len(columns), _least(columns)
+    width, least, threshold_dn = len(columns), _least(columns), settings.threshold_dn
     if _is_outshone(columns, crest, spots, threshold_dn):
         return True
     count = np.bincount(spots.column, minlength=width)
     several, every = np.count_nonzero(count > 1), np.count_nonzero(count)
     if several < least and len(spots.column) < _CROWD * every:
         return False
-    width_px = width_px or line_width_px(spots)
+    width_px = settings.line_width_px or line_width_px(spots)
     wide = brightest(spots.column, spots.light, 1) & (spots.height > _WIDE * width_px + 1)
     wide &= spots.light > threshold_dn * spots.height  # a spot of noise has less
     if np.count_nonzero(wide & (count[spots.column] > 1)) >= least:

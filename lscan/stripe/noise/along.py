@@ -198,11 +198,9 @@ def _moments(weighted: Floats, factor: Floats) -> Floats:
     for step in range(reach, -reach - 1, -1):
         total *= factor
         light = weighted[step + reach]
-        total[0] += light
-        light = light * step
-        total[1] += light
-        light *= step
-        total[2] += light
+        for moment in total:
+            moment += light
+            light = light * step
     return total
 
 
@@ -214,8 +212,8 @@ def _apart(values: NDArray[_Number], lag: int) -> list[NDArray[_Number]]:
 
 def _in_one_piece(run: Ints, lag: int) -> Mask:
     """(Q,) whether four entries ``lag`` apart are all of the same piece; -1 is none."""
-    first, *others = _apart(run, lag)
-    return np.logical_and.reduce([first >= 0, *(first == other for other in others)])
+    first, second, third, last = _apart(run, lag)
+    return (first >= 0) & (first == second) & (first == third) & (first == last)
 
 
 def _third_differences(values: Floats, lag: int) -> Floats:
