@@ -92,17 +92,11 @@ def extract_stripes(
         As ``extract_stripe``.
     """
     extractor = find_extractor(settings.extractor)
-    lights = [_light(image, settings, background) for image, background in shown]
-    seen = [_Seen(_one_return(*light), *light) for light in lights]
+    seen = [_seen(image, settings, background) for image, background in shown]
     stripes = _called(
         extractor, [(one.chosen.image, one.known, one.chosen.clipped) for one in seen]
     )
     return in_one(_finished, list(zip(stripes, seen, strict=True)), lambda found: found[1].kind)
-
-
-def _one_return(light: PictureLines, settings: StripeSection) -> OneReturn:
-    white = light.white is not None and bool(light.white.any())
-    return choose_return(light.grey.T, settings, light.clipped.T, white)
 
 
 class _Seen(NamedTuple):
@@ -116,6 +110,12 @@ class _Seen(NamedTuple):
     def kind(self) -> tuple[object, ...]:
         """Equal for pictures whose columns can stand side by side."""
         return self.known, self.chosen.image.shape, self.light.white is None
+
+
+def _seen(image: Bytes, settings: StripeSection, background: Bytes | None) -> _Seen:
+    light, known = _light(image, settings, background)
+    white = light.white is not None and bool(light.white.any())
+    return _Seen(choose_return(light.grey.T, known, light.clipped.T, white), light, known)
 
 
 def _finished(found: Sequence[tuple[Stripe, _Seen]]) -> list[Stripe]:

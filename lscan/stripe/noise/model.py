@@ -104,9 +104,11 @@ def constant_variance(columns: GreyValues) -> float:
     columns : (W, H) array, DN, one column of the picture a row
     """
     sample = columns[sampled(len(columns))]
-    whole = np.issubdtype(sample.dtype, np.integer)
+    with np.errstate(invalid="ignore"):
+        grey = sample.astype(np.int16)
     # Differences of bytes would overflow, those of single precision are rounded.
-    differences = np.diff(sample.astype(np.int16 if whole else np.float64), n=2, axis=1)
+    values = grey if (grey == sample).all() else sample.astype(np.float64)
+    differences = np.diff(values, n=2, axis=1)
     least = _SECOND_DIFFERENCE_GAIN * ROUNDING_VARIANCE
     return max(robust_variance(differences, least) / _SECOND_DIFFERENCE_GAIN, ROUNDING_VARIANCE)
 
