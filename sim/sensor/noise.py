@@ -1,13 +1,12 @@
 """Noise of the EMVA 1288 linear model: shot and dark noise, and the pixels' fixed patterns."""
 
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 
 from sim.scene import Sensor
+from sim.sensor.normal import standard_normal
 
 Electrons = NDArray[np.float32]
 
@@ -19,9 +18,6 @@ SENSITIVITY_STREAM, OFFSET_STREAM, HOT_STREAM = 0, 2, 3
 MOST_SKEWNESS = 1 / 30
 # It is largest at m = 2 d^2, 2/(27^0.5 d): from this dark noise on there is never more.
 LEAST_GAUSSIAN_DARK_E = 2 / 27**0.5 / MOST_SKEWNESS
-# Parts of a picture whose noise is drawn at a time, each from a stream of its own: so many that
-# their bytes stay in a core's cache.
-STRIPS, THREADS = 8, 2
 
 
 @dataclass(frozen=True)
@@ -63,30 +59,18 @@ def read_out(
     may leave a pixel below zero, as reading out does.  Where their sum is skewed by no more than
     MOST_SKEWNESS, it is drawn as one Gaussian: mean and variance are exact, the skewness is lost.
     """
-    read = np.empty_like(expected)
-    streams = generator.spawn(STRIPS)
-    strips = np.array_split(expected, STRIPS), np.array_split(read, STRIPS)
-    with ThreadPoolExecutor(THREADS) as pool:
-        for _ in pool.map(partial(_read_strip, sensor.dark_noise_e), streams, *strips):
-            pass
-    if pattern.offset_e is not None:
-        read += pattern.offset_e
-    return read
-
-
-def _read_strip(
-    dark_noise_e: float, stream: np.random.Generator, expected: Electrons, read: Electrons
-) -> None:
-    """Draw the electrons ``read`` of those expected, without the pixels' offsets."""
-    dark = np.float32(dark_noise_e)
-    noise = stream.standard_normal(expected.shape, dtype=np.float32)
+    dark = np.float32(sensor.dark_noise_e)
+    noise = standard_normal(generator, expected.shape)
     variance = expected + dark**2
     spread = np.sqrt(variance)
-    np.multiply(noise, spread, out=read)
+    read = noise * spread
     read += expected
     if dark < LEAST_GAUSSIAN_DARK_E:
         skewed = expected > np.float32(MOST_SKEWNESS) * variance * spread
-        read[skewed] = stream.poisson(expected[skewed]) + dark * noise[skewed]
+        read[skewed] = generator.poisson(expected[skewed]) + dark * noise[skewed]
+    if pattern.offset_e is not None:
+        read += pattern.offset_e
+    return read
 
 
 def gathered(electrons: Electrons, pattern: FixedPattern) -> Electrons:

@@ -7,7 +7,7 @@ import numpy as np
 from scipy.ndimage import median_filter
 
 from lscan.config.rig import StripeSection
-from lscan.records import GreyValues, Ints, Mask, Status, Stripe
+from lscan.records import Floats, GreyValues, Ints, Mask, Status, Stripe
 from lscan.stripe.api import Picture, on_integers, together
 from lscan.stripe.crosssection import CENTRE, LN_WIDTH, TILT
 from lscan.stripe.extractors.survey import Survey, surveys, weak_precision
@@ -21,24 +21,30 @@ _FEWEST_TRIPLES = 16
 _FOREIGN = 3.0
 """Misfit of a column beyond which something other than noise is in it: chi-square over its
 degrees of freedom, a dozen at least, passes 3 by chance once in a thousand times."""
+_CREST = 1.5  # widths from its brightest pixel, where a line has a third of its height
+_SURE = 1e6  # precision in px²/DN² of a slope that so few pixels do not tell
 
 
 def _several(pictures: Sequence[Picture]) -> list[Stripe]:
     """:func:`maximum_likelihood` of several pictures, whose lines are fitted together."""
     seen = surveys(pictures)
-    searches = []
-    for one in seen:
-        if isinstance(one, Survey):
-            precision = weak_precision(one.start)
-            precision[:, LN_WIDTH] = 1 / one.ln_width.spread**2
-            precision[:, TILT] = 1 / one.tilt.spread**2
-            prior = LinePrior(one.start, precision)
-            searches.append(LineSearch(one.view, one.start, one.noise, prior))
-    fits = iter(fit_lines(searches) if searches else [])
+    known = [one for one in seen if isinstance(one, Survey)]
+    searches = [_search(one) for one in known]
+    fits = fit_lines(searches) if searches else []
+    crests = _crests(known, searches, fits)
+    found = map(_stripe, known, fits, crests)
     return [
-        _marked(_stripe(one, next(fits)), *picture) if isinstance(one, Survey) else one
+        _marked(next(found), *picture) if isinstance(one, Survey) else one
         for one, picture in zip(seen, pictures, strict=True)
     ]
+
+
+def _search(seen: Survey) -> LineSearch:
+    """What the lines of a picture are fitted to, their width and ground held to the neighbours'."""
+    precision = weak_precision(seen.start)
+    precision[:, LN_WIDTH] = 1 / seen.ln_width.spread**2
+    precision[:, TILT] = 1 / seen.tilt.spread**2
+    return LineSearch(seen.view, seen.start, seen.noise, LinePrior(seen.start, precision))
 
 
 @on_integers
@@ -55,6 +61,8 @@ def maximum_likelihood(image: GreyValues, settings: StripeSection, clipped: Mask
     alike in neighbouring columns (noise/scatter.py), carried through the fit.  Where the pixels
     scatter about the line more than the noise explains it grows by the root of that ratio
     (Birge 1932): the neighbours' median of it, and the column's own where beyond chance.
+    Where that is a column's own, as beside light that ends at the line, its crest alone gives the
+    centre, and sigma_px says by how much that differs from the whole line's.
     SATURATED columns have been allowed for.  Too few of their pixels are left to estimate the
     noise by: unless that is stated, their sigma_px is at least what their centres scatter
     from one column to the next.  NO_PEAK also where no line can be fitted.
@@ -96,13 +104,65 @@ def _scatter(stripe: Stripe, at: Ints) -> float:
     return max(float(np.sqrt(robust_variance(stripe.centre_px[triples] @ weights / stated))), 1.0)
 
 
-def _stripe(seen: Survey, fit: LineFit) -> Stripe:
-    """The survey's stripe with the centres of the fit."""
-    offset = fit.parameters[:, CENTRE]
-    common = median_filter(fit.misfit, _NEIGHBOURS, mode="nearest")
+def _crests(
+    seen: Sequence[Survey], searches: Sequence[LineSearch], fits: Sequence[LineFit]
+) -> list[Floats]:
+    """(K,) centre in px from the peak by each line's crest alone, NaN where the whole line will do.
+
+    It is looked for where something other than noise is in a column, as is light of a surface
+    that begins at the line, or the line of another surface where the target has a step.
+    """
+    at = [_foreign(*one) for one in zip(searches, fits, strict=True)]
+    parts = [_crest(*one) for one in zip(seen, searches, at, strict=True) if len(one[-1])]
+    found = iter(fit_lines(parts) if parts else [])
+    crests = [np.full(len(fit.settled), np.nan) for fit in fits]
+    for crest, chosen in zip(crests, at, strict=True):
+        if len(chosen):
+            fit = next(found)
+            crest[chosen] = np.where(fit.settled, fit.parameters[:, CENTRE], np.nan)
+    return crests
+
+
+def _foreign(search: LineSearch, fit: LineFit) -> Ints:
+    """Numbers of the fitted lines with something beside them that their neighbours do not have.
+
+    None of them is clipped.
+    """
+    clipped = (search.view.clipped & search.view.used).any(axis=1)
+    unlike = fit.misfit > _FOREIGN * np.maximum(_common(fit), 1.0)
+    return np.flatnonzero(fit.settled & unlike & ~clipped)
+
+
+def _common(fit: LineFit) -> Floats:
+    """(K,) misfit that a column has in common with its neighbours."""
+    return np.asarray(median_filter(fit.misfit, _NEIGHBOURS, mode="nearest"))
+
+
+def _crest(seen: Survey, search: LineSearch, at: Ints) -> LineSearch:
+    """The search for some lines in the pixels about the brightest one, on a slope that is known."""
+    part = search.of(at)
+    view, aside = part.view, np.abs(part.view.steps)
+    within = view.used & (aside <= seen.reach_px[at][:, None])
+    middle = view.steps[np.where(within, view.grey, -np.inf).argmax(axis=1)][:, None]
+    reach = np.ceil(_CREST * seen.width_px[at])[:, None]
+    start, precision = part.start.copy(), part.prior.precision.copy()
+    start[:, [CENTRE]] = middle
+    precision[:, TILT] = _SURE
+    view = replace(view, used=view.used & (np.abs(view.steps - middle) <= reach))
+    return LineSearch(view, start, part.noise, LinePrior(start, precision))
+
+
+def _stripe(seen: Survey, fit: LineFit, crest: Floats) -> Stripe:
+    """The survey's stripe with the centres of the fit, or of the crests where these are known.
+
+    Where a crest lies off the whole line, the truth may lie as far off the crest.
+    """
+    whole = fit.parameters[:, CENTRE]
+    offset = np.where(np.isnan(crest), whole, crest)
     own = np.where(fit.misfit > _FOREIGN, fit.misfit, 1.0)
-    excess = np.maximum(np.maximum(common, own), 1.0)
+    excess = np.maximum(np.maximum(_common(fit), own), 1.0)
     misfit = (fit.gain**2 * (seen.misfit * fit.light) ** 2).sum(axis=1)
-    sigma = np.sqrt(fit.covariance[:, CENTRE, CENTRE] * excess + misfit)
+    doubt = (offset - whole) ** 2 / 3  # variance of a uniform distribution
+    sigma = np.sqrt(fit.covariance[:, CENTRE, CENTRE] * excess + misfit + doubt)
     kept = fit.settled & seen.is_near(offset, sigma)
     return centred(seen.stripe, seen.peaks, offset, sigma, kept)
