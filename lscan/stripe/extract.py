@@ -99,7 +99,7 @@ def extract_stripes(
     return in_one(_finished, list(zip(stripes, seen, strict=True)), lambda found: found[1].kind)
 
 
-class _Seen(NamedTuple):
+class _SeenPicture(NamedTuple):
     """The picture with one line in each column, that with all, and the settings for both."""
 
     chosen: OneReturn
@@ -112,13 +112,13 @@ class _Seen(NamedTuple):
         return self.known, self.chosen.image.shape, self.light.white is None
 
 
-def _seen(image: Bytes, settings: StripeSection, background: Bytes | None) -> _Seen:
+def _seen(image: Bytes, settings: StripeSection, background: Bytes | None) -> _SeenPicture:
     light, known = _light(image, settings, background)
     white = light.white is not None and bool(light.white.any())
-    return _Seen(choose_return(light.grey.T, known, light.clipped.T, white), light, known)
+    return _SeenPicture(choose_return(light.grey.T, known, light.clipped.T, white), light, known)
 
 
-def _finished(found: Sequence[tuple[Stripe, _Seen]]) -> list[Stripe]:
+def _finished(found: Sequence[tuple[Stripe, _SeenPicture]]) -> list[Stripe]:
     """The stripes that an extractor found, with all that it does not know of the pictures.
 
     found: of pictures of one kind.
@@ -142,7 +142,7 @@ def _finished(found: Sequence[tuple[Stripe, _Seen]]) -> list[Stripe]:
     return parted(replace(whole, flux=core_flux(whole, *lights)), len(found))
 
 
-def _by_target(stripe: Stripe, seen: _Seen) -> Stripe:
+def _by_target(stripe: Stripe, seen: _SeenPicture) -> Stripe:
     """The stripe with what the target about the line makes doubtful."""
     light, threshold_dn = seen.chosen.image.T, seen.known.threshold_dn
     if seen.chosen.textured:
