@@ -28,11 +28,14 @@ _SURE = 1e6  # precision in px²/DN² of a slope that so few pixels do not tell
 def _several(pictures: Sequence[Picture]) -> list[Stripe]:
     """:func:`maximum_likelihood` of several pictures, whose lines are fitted together."""
     seen = surveys(pictures)
-    known = [one for one in seen if isinstance(one, Survey)]
-    searches = [_search(one) for one in known]
+    each = zip(seen, pictures, strict=True)
+    known = [(one, picture[1]) for one, picture in each if isinstance(one, Survey)]
+    surveyed = [one for one, _ in known]
+    searches = [_search(one) for one in surveyed]
     fits = fit_lines(searches) if searches else []
-    crests = _crests(known, searches, fits)
-    found = map(_stripe, known, fits, crests)
+    at = [_foreign(one, fit, of) for one, fit, (_, of) in zip(searches, fits, known, strict=True)]
+    crests = _crests(surveyed, searches, at)
+    found = map(_stripe, surveyed, fits, crests)
     return [
         _marked(next(found), *picture) if isinstance(one, Survey) else one
         for one, picture in zip(seen, pictures, strict=True)
@@ -61,8 +64,8 @@ def maximum_likelihood(image: GreyValues, settings: StripeSection, clipped: Mask
     alike in neighbouring columns (noise/scatter.py), carried through the fit.  Where the pixels
     scatter about the line more than the noise explains it grows by the root of that ratio
     (Birge 1932): the neighbours' median of it, and the column's own where beyond chance.
-    Where that is a column's own, as beside light that ends at the line, its crest alone gives the
-    centre, and sigma_px says by how much that differs from the whole line's.
+    Where that is a column's own and the noise is stated, as beside light that ends at the line, the
+    crest alone gives the centre, and sigma_px says by how much that differs from the whole line's.
     SATURATED columns have been allowed for.  Too few of their pixels are left to estimate the
     noise by: unless that is stated, their sigma_px is at least what their centres scatter
     from one column to the next.  NO_PEAK also where no line can be fitted.
@@ -105,17 +108,16 @@ def _scatter(stripe: Stripe, at: Ints) -> float:
 
 
 def _crests(
-    seen: Sequence[Survey], searches: Sequence[LineSearch], fits: Sequence[LineFit]
+    seen: Sequence[Survey], searches: Sequence[LineSearch], at: Sequence[Ints]
 ) -> list[Floats]:
     """(K,) centre in px from the peak by each line's crest alone, NaN where the whole line will do.
 
-    It is looked for where something other than noise is in a column, as is light of a surface
-    that begins at the line, or the line of another surface where the target has a step.
+    at: numbers of the lines with something beside them, as light of a surface that begins there,
+    or the line of another surface where the target has a step.
     """
-    at = [_foreign(*one) for one in zip(searches, fits, strict=True)]
     parts = [_crest(*one) for one in zip(seen, searches, at, strict=True) if len(one[-1])]
     found = iter(fit_lines(parts) if parts else [])
-    crests = [np.full(len(fit.settled), np.nan) for fit in fits]
+    crests = [np.full(len(search.start), np.nan) for search in searches]
     for crest, chosen in zip(crests, at, strict=True):
         if len(chosen):
             fit = next(found)
@@ -123,11 +125,14 @@ def _crests(
     return crests
 
 
-def _foreign(search: LineSearch, fit: LineFit) -> Ints:
+def _foreign(search: LineSearch, fit: LineFit, settings: StripeSection) -> Ints:
     """Numbers of the fitted lines with something beside them that their neighbours do not have.
 
-    None of them is clipped.
+    None of them is clipped.  There are none where the noise is not known: it is then taken from
+    pixels beside lines as well, and on a lit target texture would count for more than lines.
     """
+    if settings.noise is None:
+        return np.zeros(0, dtype=np.int64)
     clipped = (search.view.clipped & search.view.used).any(axis=1)
     unlike = fit.misfit > _FOREIGN * np.maximum(_common(fit), 1.0)
     return np.flatnonzero(fit.settled & unlike & ~clipped)
