@@ -114,12 +114,12 @@ def test_the_line_lies_as_far_off_the_sheet_as_its_noise_takes_it() -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("medium", MEDIA)
 def test_rendered_views(medium: str) -> None:
-    """The bars of make accuracy: laser-plane rms <= 0.2 mm; steps of 60 mm within 0.10 mm."""
+    """The bars of make accuracy: laser-plane rms <= 0.2 mm; steps of 60 mm within 0.10 mm.
+
+    In the scene's own samples: a quarter of them leaves errors of its own of 0.2 mm.
+    """
     scene = load_scene(METRIC / f"{medium}.toml")
-    render = scene.tank.render.model_copy(update={"samples": 4})
-    calibration = calibrated(
-        replace(scene, tank=scene.tank.model_copy(update={"render": render})), 8, 4
-    )
+    calibration = calibrated(scene, 8, 4)
     assert calibration.line_rms_mm <= 0.2
     error, sigma = step_errors(scene, calibration)
     assert np.abs(error).max() <= 0.10
