@@ -64,8 +64,8 @@ def maximum_likelihood(image: GreyValues, settings: StripeSection, clipped: Mask
     alike in neighbouring columns (noise/scatter.py), carried through the fit.  Where the pixels
     scatter about the line more than the noise explains it grows by the root of that ratio
     (Birge 1932): the neighbours' median of it, and the column's own where beyond chance.
-    Where that is a column's own and the noise is stated, as beside light that ends at the line, the
-    crest alone gives the centre, and sigma_px says by how much that differs from the whole line's.
+    Where that is a column's own and the noise is stated, as beside light that ends at the line, it
+    also grows by as far as the line's crest alone lies from the whole line.
     SATURATED columns have been allowed for.  Too few of their pixels are left to estimate the
     noise by: unless that is stated, their sigma_px is at least what their centres scatter
     from one column to the next.  NO_PEAK also where no line can be fitted.
@@ -158,16 +158,12 @@ def _crest(seen: Survey, search: LineSearch, at: Ints) -> LineSearch:
 
 
 def _stripe(seen: Survey, fit: LineFit, crest: Floats) -> Stripe:
-    """The survey's stripe with the centres of the fit, or of the crests where these are known.
-
-    Where a crest lies off the whole line, the truth may lie as far off the crest.
-    """
-    whole = fit.parameters[:, CENTRE]
-    offset = np.where(np.isnan(crest), whole, crest)
+    """The survey's stripe with the centres of the fit, which may lie as far off as crests do."""
+    offset = fit.parameters[:, CENTRE]
     own = np.where(fit.misfit > _FOREIGN, fit.misfit, 1.0)
     excess = np.maximum(np.maximum(_common(fit), own), 1.0)
     misfit = (fit.gain**2 * (seen.misfit * fit.light) ** 2).sum(axis=1)
-    doubt = (offset - whole) ** 2 / 3  # variance of a uniform distribution
+    doubt = np.where(np.isnan(crest), 0.0, crest - offset) ** 2 / 3  # a uniform distribution's
     sigma = np.sqrt(fit.covariance[:, CENTRE, CENTRE] * excess + misfit + doubt)
     kept = fit.settled & seen.is_near(offset, sigma)
     return centred(seen.stripe, seen.peaks, offset, sigma, kept)
