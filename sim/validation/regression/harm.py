@@ -1,4 +1,7 @@
-"""Harms to a suite's archive, each of which must be refused by name."""
+"""Harms to a suite's archive, each of which must be refused by name.
+
+A number's harm is the same bytes whatever the clock says: members are of 1980 (``ZipInfo``).
+"""
 
 import io
 import warnings
@@ -52,15 +55,16 @@ def _twice(suite: Suite, data: bytes, rng: np.random.Generator) -> bytes:
     name = str(rng.choice(sorted(suite.content.members)))
     with zipfile.ZipFile(stream, "a") as archive, warnings.catch_warnings():
         warnings.simplefilter("ignore", UserWarning)  # zipfile's, of that very name
-        archive.writestr(name, b"another")
+        archive.writestr(zipfile.ZipInfo(name), b"another")
     return stream.getvalue()
 
 
 def _bomb(_suite: Suite, _: bytes, rng: np.random.Generator) -> bytes:
     """Its manifest unpacks to far more than it takes on the disk."""
     stream = io.BytesIO()
-    with zipfile.ZipFile(stream, "w", zipfile.ZIP_DEFLATED) as archive:
-        archive.writestr(MANIFEST, bytes(int(rng.integers(2**20, 2**24))))
+    content = bytes(int(rng.integers(2**20, 2**24)))
+    with zipfile.ZipFile(stream, "w") as archive:
+        archive.writestr(zipfile.ZipInfo(MANIFEST), content, zipfile.ZIP_DEFLATED)
     return stream.getvalue()
 
 
