@@ -58,7 +58,8 @@ def between_nodes(table: Values, *places: Floats) -> Values:
     Parameters
     ----------
     table : array of as many dimensions as there are places, real or complex
-    *places : arrays of one shape, each in nodes of its dimension from the first
+    *places : arrays, each in nodes of its dimension from the first; shapes broadcast
     """
-    flat = [np.ravel(place) for place in places]
-    return np.reshape(map_coordinates(table, flat, order=1, mode="nearest"), np.shape(places[0]))
+    shape = np.broadcast_shapes(*(np.shape(place) for place in places))
+    flat = [np.ravel(np.broadcast_to(place, shape)) for place in places]
+    return np.reshape(map_coordinates(table, flat, order=1, mode="nearest"), shape)

@@ -54,9 +54,9 @@ class OnceScattered:
 
         Parameters
         ----------
-        theta : array, rad off the axis
-        depth : array of the same shape, optical distance from the origin, c r
-        end : array of the same shape, where on the axis the beam ends, c t
+        theta : array, rad off the axis; shapes broadcast
+        depth : array, optical distance from the origin, c r
+        end : array, where on the axis the beam ends, c t
         """
         theta = np.clip(theta, NEAREST_RAD, FARTHEST_RAD)
         across = depth * np.sin(theta)

@@ -74,7 +74,6 @@ class Spread:
         depth : array, optical distance from the origin, c r
         end : array, where on the axis the beam ends for light scattered once, c t
         """
-        theta, depth, end = np.broadcast_arrays(theta, depth, end)
         light = self.once.vector_irradiance(theta, depth, end) + self.more(theta, depth)
         return light.real, light.imag
 
@@ -83,6 +82,8 @@ class Spread:
     ) -> Floats:
         """What a plane surface receives, in units of c2 times the beam's power; shapes broadcast.
 
+        Each table is read at as many places as what it depends on has: sparse grids cost least.
+
         Parameters
         ----------
         theta, depth, end : arrays, as of ``vector_irradiance``
@@ -90,7 +91,6 @@ class Spread:
             the origin: the normal's radial part is its negative
         aside : array, the normal's tangential part
         """
-        theta, depth, cosine, aside, end = np.broadcast_arrays(theta, depth, cosine, aside, end)
         once, more = self.once.vector_irradiance(theta, depth, end), self.more(theta, depth)
         place = (
             COSINE_AXIS.place(cosine),
@@ -109,7 +109,7 @@ class Spread:
 
         Parameters
         ----------
-        theta, depth : arrays of one shape, as of ``vector_irradiance``
+        theta, depth : arrays, as of ``vector_irradiance``; shapes broadcast
         """
         place = self.depth_axis.place(depth), ANGLE_AXIS.place(np.maximum(theta, NEAREST_RAD))
         log_value, ratio = (between_nodes(self.multiple[..., part], *place) for part in (0, 1))

@@ -13,7 +13,7 @@ from math import ceil, tan
 import cv2
 import numpy as np
 from numpy.typing import NDArray
-from scipy.interpolate import CloughTocher2DInterpolator
+from scipy.interpolate import LinearNDInterpolator
 
 from lscan.records import Floats, Mask
 from sim.render.sparse.rays import HeadRays
@@ -126,7 +126,7 @@ def cells_in_picture(chart: Chart) -> CellsInPicture:
     )
     rows, columns = np.meshgrid(row, column, indexing="ij")
     known = np.stack([x[rows, columns], y[rows, columns]], axis=-1).reshape(-1, 2)
-    place = CloughTocher2DInterpolator(known, np.stack([columns, rows], axis=-1).reshape(-1, 2))
+    place = LinearNDInterpolator(known, np.stack([columns, rows], axis=-1).reshape(-1, 2))
     rows, columns = np.indices(chart.inner.shape, dtype=float)
     column, row = np.moveaxis(place(columns, rows), -1, 0).astype(np.float32)
     side = np.sqrt((width - 1) * (height - 1) / (np.ptp(x) * np.ptp(y)))

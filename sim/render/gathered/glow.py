@@ -17,7 +17,6 @@ import numpy as np
 
 from lscan.records import Floats
 from sim.render.plugins.arrays import floats
-from sim.render.plugins.opaque import opaque
 from sim.render.plugins.sheet import LaserSheet
 from sim.render.plugins.spread import SpreadLookup
 from sim.water.axes import LogAxis
@@ -134,13 +133,12 @@ def _fitted(
     """(S, R, A, terms) coefficients for a sheet without thickness, at (S, R, A) places."""
     normals = _normals()
     basis = np.stack(_basis(*normals.T), axis=-1)
-    light = [thin_sheet(sheet, lookup, phi, rho, aside, normal) for normal in normals]
-    received = np.stack(light, axis=-1)
+    received = thin_sheet(sheet, lookup, phi, rho, aside, normals)
     weight = 1 / np.maximum(np.maximum(received, DIM * received[..., :1]), LEAST_LIGHT)
     design = basis * weight[..., np.newaxis]
-    matrix = np.einsum("...ni,...nj->...ij", design, design)
-    right = np.einsum("...ni,...n->...i", design, received * weight)
-    return np.asarray(np.linalg.solve(matrix, right[..., np.newaxis])[..., 0])
+    transposed = np.swapaxes(design, -1, -2)
+    right = transposed @ (received * weight)[..., np.newaxis]
+    return np.asarray(np.linalg.solve(transposed @ design, right)[..., 0])
 
 
 def _normals() -> Floats:
@@ -153,22 +151,28 @@ def _normals() -> Floats:
 
 
 def thin_sheet(
-    sheet: LaserSheet, lookup: SpreadLookup, phi: Floats, rho: Floats, aside: Floats, normal: Floats
+    sheet: LaserSheet,
+    lookup: SpreadLookup,
+    phi: Floats,
+    rho: Floats,
+    aside: Floats,
+    normals: Floats,
 ) -> Floats:
-    """What planes of one normal receive of a sheet without thickness, mW/mm2.
+    """(..., N) what planes receive of a sheet without thickness, mW/mm2.
 
     Parameters
     ----------
     sheet : LaserSheet, placed
     lookup : SpreadLookup, of the water
     phi, rho, aside : arrays of one shape, the places, rad and mm
-    normal : (3,) parts back to the apex, along the fan and out of the sheet
+    normals : (N, 3) parts back to the apex, along the fan and out of the sheet
     """
     node, weight = (floats(values) for values in np.polynomial.legendre.leggauss(BEAMS))
-    lane = dr.arange(mi.UInt32, phi.size * BEAMS)
+    lane = dr.arange(mi.UInt32, phi.size * len(normals) * BEAMS)
     node, weight = (dr.gather(mi.Float, values, lane % BEAMS) for values in (node, weight))
+    plane, place = (lane // BEAMS) % len(normals), lane // (BEAMS * len(normals))
     angle, distance, offset = (
-        dr.gather(mi.Float, floats(values), lane // BEAMS) for values in (phi, rho, aside)
+        dr.gather(mi.Float, floats(values), place) for values in (phi, rho, aside)
     )
     sine, cosine = dr.sincos(angle)
     ahead, across = (
@@ -177,23 +181,24 @@ def thin_sheet(
     )
     apex = sheet.apex(mi.Float(0))
     point = apex + sheet.direction(angle) * distance + sheet.normal * offset
-    back, along, outward = (opaque(part) for part in normal)
+    back, along, outward = (dr.gather(mi.Float, floats(part), plane) for part in normals.T)
     surface = across * along + sheet.normal * outward - ahead * back
 
     centre = dr.clip(angle, -sheet.half_angle, sheet.half_angle)
     scale = dr.maximum(offset / distance, LEAST) + dr.abs(angle - centre)
     low = dr.asinh((-sheet.half_angle - centre) / scale)
     high = dr.asinh((sheet.half_angle - centre) / scale)
-    place = 0.5 * (low + high + (high - low) * node)
-    ray_angle = centre + scale * dr.sinh(place)
-    step = 0.5 * (high - low) * scale * dr.cosh(place) * weight
+    sinh_angle = 0.5 * (low + high + (high - low) * node)
+    ray_angle = centre + scale * dr.sinh(sinh_angle)
+    step = 0.5 * (high - low) * scale * dr.cosh(sinh_angle) * weight
 
     way = dr.normalize(sheet.direction(ray_angle))
     towards = dr.dot(way, surface)
     end = dr.dot(point - apex, surface) / dr.minimum(towards, -LEAST)
     end = dr.select(towards < 0, dr.clip(end, 0, FARTHEST_MM), FARTHEST_MM)
     light = lookup.received(apex, way, point, surface, end) * sheet.power_density(ray_angle)
-    return np.array(dr.block_sum(light * step, BEAMS), dtype=float).reshape(phi.shape)
+    received = np.array(dr.block_sum(light * step, BEAMS), dtype=float)
+    return received.reshape(*phi.shape, len(normals))
 
 
 def _widened(thin: Floats, sheet: LaserSheet) -> Floats:
@@ -210,8 +215,8 @@ def _widened(thin: Floats, sheet: LaserSheet) -> Floats:
         shares = np.maximum(
             1 - np.abs(ASIDE_AXIS.place(np.abs(place))[..., np.newaxis] - np.arange(len(nodes))), 0
         )
-        even = np.einsum("sqn,q->sn", shares, weight)
-        odd = np.einsum("sqn,sq->sn", shares, weight * np.sign(place))
+        even = weight @ shares
+        odd = ((weight * np.sign(place))[:, np.newaxis] @ shares)[:, 0]
         wide[:, row] = np.tensordot(even, thin[:, row], axes=1)
         wide[:, row, :, ODD] = np.tensordot(odd, thin[:, row][..., ODD], axes=1).transpose(2, 0, 1)
     return wide

@@ -69,7 +69,7 @@ def _received(spread: Spread, extinction: float, angle: Floats) -> Floats:
     """(R, C, Q, HARMONICS) irradiance of planes by a beam of unit power, 1/mm2."""
     azimuth = np.pi * (np.arange(AZIMUTHS) + 0.5) / AZIMUTHS
     ranges, cosine, theta, chi = np.meshgrid(
-        RANGE_AXIS.nodes(), COSINE_AXIS.nodes(), angle, azimuth, indexing="ij"
+        RANGE_AXIS.nodes(), COSINE_AXIS.nodes(), angle, azimuth, indexing="ij", sparse=True
     )
     aside = np.sqrt(1 - cosine**2) * np.cos(chi)
     towards = cosine * np.cos(theta) + aside * np.sin(theta)
@@ -90,7 +90,7 @@ def _fitted(angle: Floats, sigmas: Floats, light: Floats) -> Floats:
         # A Gaussian's own size is that of the light where it is highest.
         size = np.sqrt((design**2).sum(axis=-2))
         scaled = design / size[..., np.newaxis, :]
-        matrix = np.einsum("...ql,...qk->...lk", scaled, scaled)
+        matrix = np.swapaxes(scaled, -1, -2) @ scaled
         matrix += RIDGE**2 * np.eye(len(sigmas))
         right = np.einsum("...ql,...q->...l", scaled, light[..., harmonic] / light[..., 0])
         weights.append(np.linalg.solve(matrix, right[..., np.newaxis])[..., 0] / size)
