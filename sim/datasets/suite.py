@@ -67,7 +67,8 @@ def make_suite(
     Raises
     ------
     InputError
-        There is another suite, another process makes it, or the disk refuses.
+        There is another suite, another process makes it, the disk refuses, or a scene is wrong: one
+        of each kind is looked at before anything is rendered.
     """
     made_by = _maker(spec)
     if file.exists():
@@ -156,6 +157,8 @@ def _render_missing(
     progress: Progress | None,
 ) -> None:
     tasks = [task for among in spec.case_sets for task in _tasks(among, folder)]
+    for task in {task.among.kind: task for task in tasks}.values():
+        task.among.scene(task.first)
     count = sum(among.file.pictures for among in spec.case_sets)
     done = count - sum(len(task.cases) for task in tasks)
     with closing(_made(tasks, workers)) as made:

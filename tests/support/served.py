@@ -38,10 +38,14 @@ def hurry(hardware: EmulatedHardware) -> None:
 def quick_rig(
     hardware: EmulatedHardware, camera: dict[str, Any] | None = None, **track: Any
 ) -> RigFile:
-    """The hardware's rig, with short waits; camera, track: options laid over it."""
+    """The hardware's rig, with short waits; camera, track: options laid over it.
+
+    It moves as fast as the controller's $110 allows.
+    """
+    feed = hardware.controller.settings.get(110, 6_000.0)
     options = {
         "camera": {"options": {"reconnects": 0, "timeout_s": LONG_S, **(camera or {})}},
-        "track": {"options": {"feed_mm_min": 6_000.0, "answer_s": 60.0, **track}},
+        "track": {"options": {"feed_mm_min": feed, "answer_s": 60.0, **track}},
     }
     return parse_rig(merge(hardware.rig_document(), options), source="served")
 

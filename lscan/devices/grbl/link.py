@@ -120,9 +120,9 @@ class Link:
         stripped = raw.strip(b"\r\t ")
         first = next((i for i, byte in enumerate(stripped) if 0x20 <= byte < 0x7F), len(stripped))
         kept = stripped[first:]
-        if all(0x20 <= byte < 0x7F for byte in kept):
+        if kept.isascii() and (text := kept.decode("ascii")).isprintable():
             self.noise_bytes += first
-            return kept.decode("ascii") or None
+            return text or None
         self.noise_bytes += len(raw) + 1
         return None
 

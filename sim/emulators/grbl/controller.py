@@ -10,7 +10,7 @@ from dataclasses import replace
 import numpy as np
 
 from sim.emulators.grbl.gcode import LONGEST, GcodeError, clean, parse_block
-from sim.emulators.grbl.line import Faults, garbled
+from sim.emulators.grbl.line import NO_FAULTS, Faults, garbled
 from sim.emulators.grbl.machine import EmulatedController
 from sim.emulators.grbl.modes import INCH_MM, Modes
 from sim.emulators.grbl.settings import change_setting, coordinates, setting_lines
@@ -67,7 +67,7 @@ class GrblEmulator(EmulatedController):
     @property
     def _acting(self) -> Faults:
         """The faults that act by now."""
-        return self._faults if self._last_s >= self._faults.begin_s else Faults()
+        return self._faults if self._last_s >= self._faults.begin_s else NO_FAULTS
 
     def _on_line(self, data: bytes) -> bytes:
         faults = self._acting

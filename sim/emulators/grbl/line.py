@@ -48,6 +48,9 @@ class Faults:
     unplug: bool = False
 
 
+NO_FAULTS = Faults()
+
+
 def garbled(data: bytes, chance: float, generator: np.random.Generator) -> bytes:
     """The bytes, each replaced with this chance by another value."""
     if chance <= 0 or not data:

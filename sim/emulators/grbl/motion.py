@@ -7,6 +7,7 @@ track that waits after every move never asks for.
 import math
 from collections import deque
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Self
 
 Place = tuple[float, ...]
@@ -37,7 +38,7 @@ class Ramp:
         """Braking from a speed."""
         return cls(((start_mm_s / accel_mm_s2, start_mm_s, -accel_mm_s2),))
 
-    @property
+    @cached_property  # asked for at every look at the line
     def duration_s(self) -> float:
         """Time to rest."""
         return sum(lasts_s for lasts_s, _, _ in self.phases)

@@ -1,13 +1,15 @@
 """How much of a uniform sky's light arrives on surfaces, straight and by way of others.
 
-The sky does not move with the head: the light that arrives is worked out once a tank.  Samples
-are nodes of the lattice: few where the open sky varies linearly, more where it does not, at
-creases and beside what stands on a floor.  From each the same directions are traced, as many to
-each part of the hemisphere as it counts with a matt surface.  What a direction meets is kept, so
-that the light that surfaces send each other follows without further rays, each bounce from the one
-before.  What is finer than the lattice, as the foot of a step of 2 mm, is not resolved.
+The sky does not move with the head: the light that arrives is worked out once a tank, and not
+again for one with the same surfaces and water.  Samples are nodes of the lattice: few where the
+open sky varies linearly, more where it does not, at creases and beside what stands on a floor.
+From each the same directions are traced, as many to each part of the hemisphere as it counts with
+a matt surface.  What a direction meets is kept, so that the light that surfaces send each other
+follows without further rays, each bounce from the one before.  What is finer than the lattice, as
+the foot of a step of 2 mm, is not resolved.
 """
 
+import hashlib
 from collections.abc import Sequence
 from dataclasses import dataclass
 from math import pi, sqrt
@@ -39,6 +41,11 @@ BEYOND, SPACING = 1.0, 1 / 44
 # a node differs from a plane by more than UNEVEN.
 CELLS, UNEVEN = (4.0, 2.0, 1.0, 0.5), 0.02
 FLAT_MM = 0.1  # what stands out less shades nothing
+
+# Tanks of one process often differ in the laser or the sensor alone: what the last few skies gave
+# at the nodes, straight and indirect, by all that it depends on.
+_KEPT: dict[str, tuple[NDArray[np.float32], NDArray[np.float32]]] = {}
+MOST_KEPT = 4
 
 
 class OpenSky:
@@ -94,8 +101,35 @@ def sky_of(scene: mi.Scene, parts: Sequence[MeshPart], water: Optics) -> Ambient
         return OpenSky()
     box_mm, spacing_mm = box_about(parts)
     lattice = NodeLattice(scene, parts, box_mm, spacing_mm)
-    samples = _samples(scene, lattice, water)
+    name = _name(lattice.nodes, parts, water)
+    if name not in _KEPT:
+        while len(_KEPT) >= MOST_KEPT:
+            del _KEPT[next(iter(_KEPT))]
+        _KEPT[name] = _arriving(scene, lattice, water)
+    straight, indirect = _KEPT[name]
+    return AmbientField(lattice, floats(straight), floats(indirect))
+
+
+def _name(nodes: SurfaceNodes, parts: Sequence[MeshPart], water: Optics) -> str:
+    """A checksum of all that the light which arrives at nodes depends on."""
+    told = hashlib.sha256(repr((water.extinction_per_mm, water.scattering_per_mm)).encode())
+    arrays = list(vars(nodes).values())
+    for part in parts:
+        told.update(repr((part.albedo, part.smooth, part.finish, part.paint is None)).encode())
+        arrays += [part.mesh.vertices, part.mesh.faces]
+        arrays += [part.paint.levels, part.paint.uv] if part.paint is not None else []
+    for array in arrays:
+        told.update(repr(np.shape(array)).encode())
+        told.update(np.ascontiguousarray(array).tobytes())
+    return told.hexdigest()
+
+
+def _arriving(
+    scene: mi.Scene, lattice: NodeLattice, water: Optics
+) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """Straight and indirect light at the nodes."""
     nodes = lattice.nodes
+    samples = _samples(scene, lattice, water)
     interpolation = Interpolation(nodes, samples.index, np.arange(len(nodes.inside)))
     straight = interpolation.of(samples.open).astype(np.float32)
     indirect, before = np.zeros_like(straight), np.ones_like(straight)
@@ -103,7 +137,7 @@ def sky_of(scene: mi.Scene, parts: Sequence[MeshPart], water: Optics) -> Ambient
         received, before = straight + indirect, indirect
         sent = np.einsum("mn,mn->m", received[samples.node], samples.share) / DIRECTIONS
         indirect = interpolation.of(samples.veil + sent).astype(np.float32)
-    return AmbientField(lattice, floats(straight), floats(indirect))
+    return straight, indirect
 
 
 def reflectance(si: mi.SurfaceInteraction3f) -> mi.Float:

@@ -67,10 +67,10 @@ def test_a_fault_that_stays_ends_in_one_line(fault: str, message: str) -> None:
 
 def test_a_camera_that_hangs_is_given_up_in_time() -> None:
     world = World()
-    camera = camera_in(world, timeout_s=1.0, reconnects=1)
+    camera = camera_in(world, timeout_s=0.5, reconnects=1)
     camera.grab()
     from_now(world, "hang")
-    with pytest.raises(DeviceError, match=r"no .*picture within 1 s; check cable.*1 times anew"):
+    with pytest.raises(DeviceError, match=r"no .*picture within 0.5 s; check cable.*1 times anew"):
         camera.grab()
     world.free.set()  # until here the fake hangs
     camera.close()
@@ -90,7 +90,7 @@ def test_a_silent_address_is_named_and_no_cable() -> None:
 @pytest.mark.parametrize("fault", ["gone", "raise", "empty", "hang"])
 def test_a_camera_that_comes_back_goes_on(fault: str) -> None:
     world = World()
-    camera = camera_in(world, timeout_s=2.0, retries=50)
+    camera = camera_in(world, timeout_s=1.0, retries=50)
     camera.grab()
     from_now(world, fault, reads=1)
     world.scene = 2
@@ -248,7 +248,7 @@ def _random_world(generator: np.random.Generator) -> World:
 def _outcomes(seed: int) -> list[str]:
     """What became of each grab: "picture", each one checked, or "error" at the end."""
     world = _random_world(np.random.default_rng(seed))
-    options = {"timeout_s": 0.2, "reconnects": 1, "retries": 4}
+    options = {"timeout_s": 0.1, "reconnects": 1, "retries": 4}
     outcomes, images, times_s = [], [], []
     camera = None
     try:

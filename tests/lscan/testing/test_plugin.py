@@ -1,17 +1,25 @@
-"""The plugin as a stranger's package uses it: pytest in pytest, on the package in examples/."""
+"""The plugin as a stranger's package uses it: pytest in pytest, on the package in examples/.
 
+Once with pytest as a command of its own, which starts two workers; otherwise within this process,
+for each command takes seconds to import what is here already.
+"""
+
+import io
 import json
 import os
 import re
 import shutil
 import subprocess
 import sys
+from contextlib import redirect_stderr, redirect_stdout
 from importlib.metadata import entry_points
 from pathlib import Path
 
 import pytest
 from places import ROOT
 from suite_cases import board_suite, drawn_suite, scan_suite
+
+from lscan.stripe import find_extractor
 
 EXAMPLE = ROOT / "examples" / "line-finder"
 LEAST_LINES = 15  # of a stranger's own test, at most
@@ -29,16 +37,38 @@ def package(tmp_path: Path) -> Path:
 
 
 def run(package: Path, *arguments: str) -> tuple[int, str]:
-    """Exit code and output of pytest in the package, on the twelve cases."""
-    known = {entry.name for entry in entry_points(group="pytest11")}
-    plugin = [] if "lscan" in known else ["-p", "lscan.testing.plugin"]
-    suite = ["--lscan-suite", str(package.parent / "twelve")]
+    """Exit code and output of pytest in the package, on the twelve cases, within this process.
+
+    What it has imported of the package is forgotten, as by a process that ends: the package may
+    change before the next run.
+    """
+    said = io.StringIO()
+    with pytest.MonkeyPatch.context() as patch, redirect_stdout(said), redirect_stderr(said):
+        patch.chdir(package)
+        patch.syspath_prepend(package / "src")
+        # A process has one fault handler, and here it is that of the pytest about this one.
+        code = pytest.main([*_options(package), "-p", "no:faulthandler", *arguments])
+    for name, module in [*sys.modules.items()]:
+        if str(getattr(module, "__file__", None)).startswith(f"{package}{os.sep}"):
+            del sys.modules[name]
+    find_extractor.cache_clear()
+    return int(code), said.getvalue()
+
+
+def run_as_command(package: Path, *arguments: str) -> tuple[int, str]:
+    """As ``run``, by a command."""
     done = subprocess.run(
-        [sys.executable, "-m", "pytest", *plugin, *suite, *arguments],
+        [sys.executable, "-m", "pytest", *_options(package), *arguments],
         cwd=package, capture_output=True, text=True, check=False,
         env={**os.environ, "PYTHONPATH": os.pathsep.join([str(package / "src"), str(ROOT)])},
     )  # fmt: skip
     return done.returncode, done.stdout + done.stderr
+
+
+def _options(package: Path) -> list[str]:
+    known = {entry.name for entry in entry_points(group="pytest11")}
+    plugin = [] if "lscan" in known else ["-p", "lscan.testing.plugin"]
+    return [*plugin, "--lscan-suite", str(package.parent / "twelve")]
 
 
 def change(package: Path, before: str, after: str) -> None:
@@ -56,7 +86,7 @@ def test_a_baseline_is_written_kept_and_noticed(package: Path) -> None:
     assert run(package, "-k", "no_worse", "--lscan-update")[0] == 0
     baseline = package / "tests" / "baseline.json"
     written = baseline.read_bytes()
-    code, said = run(package, "-n", "2", "-q")
+    code, said = run_as_command(package, "-n", "2", "-q")
     assert code == 0, said
     assert "13 passed" in said
     change(package, "centre_px=centre + nothing", "centre_px=centre + 0.5 + nothing")

@@ -44,9 +44,6 @@ options = { auto_exposure = true, max_ms = 10000.0, percentile = 98.0 }
 [lines.base.lens]
 centre_px = [159.5, -112.5]
 
-[lines.base.light]
-ambient_w_m2_sr = 0.02
-
 [lines.base.render]
 scatter_samples = 0
 
@@ -55,6 +52,8 @@ scatter_samples = 0
 on = false
 [lines.render.laser.two.stripe]
 returns = "last"
+[lines.render.laser.two.light]
+ambient_w_m2_sr = 0.02
 [lines.render.laser.two.laser]
 lines = [{ tilt_deg = -1.0, share = 0.5 }, { tilt_deg = 1.0, share = 0.5 }]
 
@@ -80,6 +79,33 @@ tilt_x_deg = 1.0
 [boards.expose.noise.high.sensor]
 dark_noise_e = 150.0
 """
+
+
+ONE_RENDER = """
+name = "small"
+
+[lines]
+scene = "paper/groove"
+pictures = 2
+
+[lines.base.camera]
+width_px = 64
+height_px = 100
+
+[lines.base.lens]
+centre_px = [159.5, -112.5]
+
+[lines.base.render]
+scatter_samples = 0
+
+[lines.render.laser.line]
+
+[lines.expose.noise.usual]
+[lines.expose.noise.low.sensor]
+dark_noise_e = 10.0
+"""
+
+pytestmark = pytest.mark.xdist_group("small_suite")  # one worker: they share a fixture
 
 
 @pytest.fixture(scope="module")
@@ -186,10 +212,13 @@ def _make(spec_file, archive):
     return ["lscan-sim", "suite", "make", str(spec_file), "-o", str(archive), "--workers", "1"]
 
 
-def test_a_suite_of_before_makes_room_in_the_cache(made, spec_file, tmp_path, monkeypatch):
+def test_a_suite_of_before_makes_room_in_the_cache(tmp_path, monkeypatch):
     """Of another version, or of another seed; one that is this very suite is left as it is."""
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    spec_file = tmp_path / "small.toml"
+    spec_file.write_text(ONE_RENDER)
     spec, file = load_suite_spec(spec_file), tmp_path / "lscan" / "suites" / "small.zip"
+    made = make_suite(spec, tmp_path / "made.zip", workers="none")
     file.parent.mkdir(parents=True)
     file.write_bytes(b"of before")
     assert make_cached_suite(spec, "small", workers="none") == file

@@ -14,7 +14,7 @@ from sim.emulators.faults import CAMERA_FAULTS, HEALED, NAMES, TRACK_FAULTS, UNP
 
 pytestmark = pytest.mark.xdist_group("serve_faults")  # one worker: they share a fixture
 
-SHORT = {"timeout_s": 2.0, "retries": 2}
+SHORT = {"timeout_s": 1.0, "retries": 2}
 
 SAID = {
     "camera-hang": "sent no new picture|cannot be opened|gave no first picture|is gone",
@@ -45,7 +45,7 @@ def test_a_fault_in_a_scan_is_reported_and_the_scan_goes_on(
     hardware: EmulatedHardware, tmp_path: Path, name: str
 ) -> None:
     """After the second frame: two frames are on disk whole, and --resume takes the others."""
-    rig_file = quick_rig(hardware, SHORT, answer_s=2.0, settle_s=0.02)
+    rig_file = quick_rig(hardware, SHORT, answer_s=1.0, settle_s=0.02)
 
     def spoil(done: int, planned: int) -> None:
         if done == 2:
@@ -59,7 +59,7 @@ def test_a_fault_in_a_scan_is_reported_and_the_scan_goes_on(
     spoilt = open_run(tmp_path / "run")
     kept = [frame.image.tobytes() for frame in spoilt.frames()]
     assert len(kept) == 2
-    patient = quick_rig(hardware, answer_s=10.0, settle_s=0.02)
+    patient = quick_rig(hardware, answer_s=5.0, settle_s=0.02)
     whole = scan(patient, tmp_path / "run", resume=True)
     frames = list(whole.frames())
     assert [frame.commanded_mm for frame in frames] == rig_file.rig.plan.positions_mm()
