@@ -127,6 +127,8 @@ class Workspace:
         if program == "mkdir":
             Path(arguments[-1]).mkdir(parents=True, exist_ok=True)
         else:
+            if arguments[0] == "views":
+                arguments += ["--poses", "5"]  # half as many as a rig needs
             if arguments[0] == "scan" and "--resume" not in arguments:  # of another page
                 shutil.rmtree(arguments[arguments.index("-o") + 1], ignore_errors=True)
             code = built(program).main(arguments, prog_name=program, standalone_mode=False)
