@@ -148,12 +148,13 @@ def test_the_stripe_is_drawn_on_its_line_and_nowhere_else(page: Page) -> None:
 
 def test_the_picture_under_the_stripe_is_the_cameras(page: Page) -> None:
     # JPEG leaves the flat ground within a few DN of the 14 it was painted with.
-    pixels = page.evaluate(
-        "[...document.querySelector('#picture').getContext('2d')"
-        f".getImageData(0, 0, {WIDTH}, 60).data]"
+    mean = page.evaluate(
+        "(() => { const {data} = document.querySelector('#picture').getContext('2d')"
+        f".getImageData(0, 0, {WIDTH}, 60);"
+        "return data.reduce((sum, dn, at) => at % 4 === 3 ? sum : sum + dn, 0)"
+        " / (0.75 * data.length); })()"  # the fourth of each pixel is its opacity
     )
-    ground = np.array(pixels).reshape(60, WIDTH, 4)[..., :3]
-    assert abs(ground.mean() - 14.0) < 1.0
+    assert abs(mean - 14.0) < 1.0
 
 
 def test_a_stripe_along_rows_is_drawn_across_them(page: Page, instrument: Instrument) -> None:
@@ -869,7 +870,6 @@ def test_what_is_reached_by_tab_is_not_under_the_bar(phone: Page, instrument: In
     assert {"10", "target", "resume", "stop"} <= reached
 
 
-@pytest.mark.slow
 def test_screenshots_are_kept(page: Page, phone: Page, instrument: Instrument) -> None:
     resize(phone, 360, 740)
     for name in ("stripe", "board", "scanning"):
@@ -878,7 +878,7 @@ def test_screenshots_are_kept(page: Page, phone: Page, instrument: Instrument) -
         instrument.scan_is("scanning" if name == "scanning" else "idle")
         for device, shown in {"desktop": page, "phone": phone}.items():
             wait_for(shown, f"document.body.dataset.mode === '{mode}'")
-            after_pictures(shown, 8)
+            after_pictures(shown, 2)
             path = OUT / f"{device}-{name}.png"
             shown.screenshot(path=path, full_page=device == "phone")
             assert path.stat().st_size > 10_000
