@@ -786,7 +786,8 @@ def test_a_phone_shows_one_column_with_room_for_fingers(
         )
         assert beyond == []
         small = phone.evaluate(
-            "[...document.querySelectorAll('button, input:not([type=checkbox]), label.check, summary')]"
+            "[...document.querySelectorAll("
+            "'button, input:not([type=checkbox]), label.check, summary')]"
             ".filter((one) => one.checkVisibility())"
             ".map((one) => [one.id || one.textContent.trim(), one.getBoundingClientRect()])"
             ".filter(([, box]) => box.height < 44 || box.width < 44).map(([name]) => name)"
