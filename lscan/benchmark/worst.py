@@ -22,8 +22,9 @@ def draw_worst(judged: JudgedExtractor) -> bytes:
     figure = Figure(figsize=(15.0, 6.5), layout="constrained")
     figure.suptitle(f"{judged.extractor}: true +, found ×; grey values as their square roots")
     panels = np.ravel(figure.subplots(2, WORST // 2))
-    for axes in panels[len(judged.worst) :]:
+    for axes in panels:
         axes.set_axis_off()
+        axes.set(xticks=[], yticks=[])  # else labels are laid out, not drawn
     for axes, one in zip(panels, judged.worst, strict=False):
         axes.imshow(np.sqrt(one.part), cmap="gray", aspect="auto")
         axes.plot(*one.true, "+", color="tab:green", markersize=12)
@@ -33,7 +34,6 @@ def draw_worst(judged: JudgedExtractor) -> bytes:
             fontsize=8,
         )
         axes.grid(False)
-        axes.set_axis_off()
     buffer = io.BytesIO()
     figure.savefig(buffer, format="png", dpi=DPI, metadata={"Software": None})
     return buffer.getvalue()

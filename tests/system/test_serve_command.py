@@ -13,6 +13,7 @@ from served import small_scene
 
 from lscan.config.rigfile import load_rig
 from lscan.config.toml import write_toml
+from sim.cli.app import main
 
 PATIENCE_S = 120.0
 
@@ -89,9 +90,15 @@ def test_it_says_in_lines_where_everything_is_and_stops_at_ctrl_c(scene_file: Pa
     ],
 )
 def test_a_bad_option_is_one_clear_line(
-    scene_file: Path, option: str, value: str, what: str
+    scene_file: Path,
+    option: str,
+    value: str,
+    what: str,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
-    process = start(scene_file, option, value)
-    said, errors = process.communicate(timeout=PATIENCE_S)
-    assert (process.returncode, said) == (2, "")
-    assert errors == f"lscan-sim: {option}: {what}\n"
+    monkeypatch.setattr(sys, "argv", ["lscan-sim", "serve", str(scene_file), option, value])
+    with pytest.raises(SystemExit) as end:
+        main()
+    assert end.value.code == 2
+    assert tuple(capsys.readouterr()) == ("", f"lscan-sim: {option}: {what}\n")

@@ -1,6 +1,7 @@
 """The served live page in headless Chromium, beside a foreign page, which is another origin."""
 
 import threading
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from functools import partial
@@ -65,8 +66,10 @@ def test_a_foreign_page_that_frames_it_starts_nothing(
     """Clicks through a page laid under another, as the victim of clickjacking does."""
     tab = chromium.page
     own = f"http://127.0.0.1:{page.port}/"
+    began_s = time.monotonic()
     tab.goto(own)
     wait_for(tab, READY)
+    alive_s = time.monotonic() - began_s
     start = tab.evaluate(
         "(({x, y, width, height}) => [x + width / 2, y + height / 2])"
         "(document.querySelector('#start').getBoundingClientRect())"
@@ -79,9 +82,10 @@ def test_a_foreign_page_that_frames_it_starts_nothing(
         with foreign(tmp_path / name, html, name) as address:
             tab.goto(address)
             wait_for(tab, "window.loaded")
-            for _ in range(20):  # the framed page would have come to life meanwhile
+            until_s = time.monotonic() + 2 * alive_s
+            while time.monotonic() < until_s:  # the framed page would have come to life meanwhile
                 tab.mouse.click(*start)
-                tab.evaluate("new Promise((go) => setTimeout(go, 100))")
+                tab.evaluate("new Promise((go) => setTimeout(go, 50))")
             assert page.session.state()["scan"]["state"] == "idle"
     tab.goto("about:blank")
     assert any("frame-ancestors" in error for error in chromium.take_errors())
