@@ -39,4 +39,4 @@ def unexplained_mm(solved: SolvedMap, reading: BoardReading) -> Floats:
 
 def _residuals(solved: SolvedMap, marks: Marks) -> Floats:
     """(N, 2) mm of marks; NaN of those that were not found."""
-    return solved.estimate(marks.image_px, np.zeros(len(marks.status))).xz_mm - marks.board_mm
+    return solved.points(marks.image_px) - marks.board_mm

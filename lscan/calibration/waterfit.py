@@ -48,7 +48,7 @@ def find_index(
         index = float(np.clip(index, least + INDEX_STEP, most - INDEX_STEP))
         points = plane_map.in_water((index, 0.0)).to_plane(image_px, sigma_px)
         above, below = (
-            plane_map.in_water((index + step, 0.0)).to_plane(image_px).xz_mm
+            plane_map.in_water((index + step, 0.0)).locate(image_px)
             for step in (INDEX_STEP, -INDEX_STEP)
         )
         missed = (below - above) / (2 * INDEX_STEP)  # where the index is a unit more than taken

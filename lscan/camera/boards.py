@@ -165,10 +165,10 @@ def rotation(vector: Floats) -> Floats:
     >>> rotation(np.array([0.0, 0.0, np.pi / 2])).round(6) @ np.array([1.0, 0.0, 0.0])
     array([0., 1., 0.])
     """
-    x, y, z = np.moveaxis(vector, -1, 0)
-    zero = np.zeros_like(x)
-    cross = np.array([[zero, -z, y], [z, zero, -x], [-y, x, zero]])
-    cross = np.moveaxis(cross, (0, 1), (-2, -1))
+    x, y, z = vector[..., 0], vector[..., 1], vector[..., 2]
+    cross = np.zeros((*vector.shape, 3))
+    cross[..., 0, 1], cross[..., 0, 2], cross[..., 1, 2] = -z, y, -x
+    cross[..., 1, 0], cross[..., 2, 0], cross[..., 2, 1] = z, -y, x
     half = np.sqrt(x * x + y * y + z * z)[..., None, None] / 2
     # sin(a) / a and (1 - cos(a)) / a^2, which are 1 and 1/2 at 0
     straight, square = np.sinc(2 * half / np.pi), np.sinc(half / np.pi) ** 2 / 2

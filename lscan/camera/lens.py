@@ -20,7 +20,8 @@ def distort(camera: CameraModel, tangents: Floats) -> Floats:
     tangents : (N, 2) array, x/z and y/z of directions in air, camera frame
     """
     inside = np.hypot(*tangents.T) < fold_radius(camera)
-    return _bent(camera, np.where(inside[:, None], tangents, np.nan))
+    x, y = np.where(inside[:, None], tangents, np.nan).T
+    return np.column_stack(_bent(camera, x, y, *_radial(camera, x, y)))
 
 
 def undistort(camera: CameraModel, distorted: Floats) -> Floats:
@@ -64,13 +65,19 @@ def _fold_radius(k1: float, k2: float, k3: float) -> float:
     return float(1 / np.sqrt(real.max())) if len(real) else np.inf
 
 
-def _bent(camera: CameraModel, tangents: Floats) -> Floats:
-    x, y = tangents.T
+def _radial(camera: CameraModel, x: Floats, y: Floats) -> tuple[Floats, Floats]:
+    """(N,) squares of the radius, and by what factor the radial distortion lengthens it."""
     q = x * x + y * y
-    radial = 1 + q * (camera.k1 + q * (camera.k2 + q * camera.k3))
+    return q, 1 + q * (camera.k1 + q * (camera.k2 + q * camera.k3))
+
+
+def _bent(
+    camera: CameraModel, x: Floats, y: Floats, q: Floats, radial: Floats
+) -> tuple[Floats, Floats]:
+    """(N,) distorted tangents across and down."""
     across = x * radial + 2 * camera.p1 * x * y + camera.p2 * (q + 2 * x * x)
     down = y * radial + camera.p1 * (q + 2 * y * y) + 2 * camera.p2 * x * y
-    return np.column_stack([across, down])
+    return across, down
 
 
 def undistort_derivatives(camera: CameraModel, tangents: Floats) -> tuple[Floats, Floats]:
@@ -100,24 +107,29 @@ def undistort_derivatives(camera: CameraModel, tangents: Floats) -> tuple[Floats
 
 def _newton_step(camera: CameraModel, tangents: Floats, distorted: Floats) -> Floats:
     """(N, 2) by which ``tangents`` are too large, to first order."""
-    across, down = (_bent(camera, tangents) - distorted).T
-    by_x, cross, by_y = _jacobian(camera, tangents)
-    steps = [by_y * across - cross * down, by_x * down - cross * across]
-    return np.column_stack(steps) / (by_x * by_y - cross * cross)[:, None]
+    x, y = tangents.T
+    q, radial = _radial(camera, x, y)
+    bent_x, bent_y = _bent(camera, x, y, q, radial)
+    across, down = bent_x - distorted[:, 0], bent_y - distorted[:, 1]
+    by_x, cross, by_y = _jacobian(camera, x, y, q, radial)
+    steps = np.empty_like(tangents)
+    steps[:, 0] = by_y * across - cross * down
+    steps[:, 1] = by_x * down - cross * across
+    return steps / (by_x * by_y - cross * cross)[:, None]
 
 
 def _inverse_jacobian(camera: CameraModel, tangents: Floats) -> Floats:
     """(N, 2, 2) derivatives of tangents by the distorted ones."""
-    by_x, cross, by_y = _jacobian(camera, tangents)
+    x, y = tangents.T
+    by_x, cross, by_y = _jacobian(camera, x, y, *_radial(camera, x, y))
     inverse = np.array([[by_y, -cross], [-cross, by_x]]) / (by_x * by_y - cross * cross)
     return np.moveaxis(inverse, 2, 0)
 
 
-def _jacobian(camera: CameraModel, tangents: Floats) -> tuple[Floats, Floats, Floats]:
+def _jacobian(
+    camera: CameraModel, x: Floats, y: Floats, q: Floats, radial: Floats
+) -> tuple[Floats, Floats, Floats]:
     """(N,) derivatives: of x distorted by x, of either by the other, of y distorted by y."""
-    x, y = tangents.T
-    q = x * x + y * y
-    radial = 1 + q * (camera.k1 + q * (camera.k2 + q * camera.k3))
     by_q = 2 * (camera.k1 + q * (2 * camera.k2 + q * 3 * camera.k3))  # of radial, twice
     by_x = radial + by_q * x * x + 2 * camera.p1 * y + 6 * camera.p2 * x
     cross = by_q * x * y + 2 * camera.p1 * x + 2 * camera.p2 * y

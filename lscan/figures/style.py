@@ -111,7 +111,7 @@ def svg(figure: Figure, key: str, alt: str) -> str:
     text = text[text.index("<svg") :].strip()
     text = re.sub(r"<metadata>.*?</metadata>", "", text, flags=re.DOTALL)
     text = re.sub(r'(?<= id=")|(?<=href="#)|(?<=url\(#)', f"{key}-", text)
-    text = re.sub(r"(\d\.\d{2})\d+", r"\1", text)  # a hundredth of a point is enough
+    text = re.sub(r"(?<=\d\.\d{2})\d+", "", text)  # a hundredth of a point is enough
     for name, colour in PALETTE.items():
         text = text.replace(colour, f"var(--{name}, {colour})")
     return _labelled(text, alt)

@@ -1,6 +1,7 @@
 """The sandwave block's nominal top: height and slope at a place in plan, clear of its steps."""
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -24,7 +25,7 @@ class NominalTop:
     slope: Floats
     clear: Mask
 
-    @property
+    @cached_property
     def normal(self) -> Floats:
         """(N, 3) upward unit normals."""
         upward = np.column_stack([-self.slope, np.ones(len(self.slope))])

@@ -1,6 +1,7 @@
 """Gaussian lines drawn into pictures, each pixel the integral of the light over it."""
 
 import numpy as np
+from scipy.special import ndtr
 from scipy.stats import norm
 
 
@@ -11,9 +12,13 @@ def psi(t):
 
 def drawn(centre, width_px, height, amplitude=100.0):
     """(H, W) DN of a line at rows ``centre`` (W,) that is ``amplitude`` (number or (W,)) high."""
-    rows = np.arange(height)[:, None]
-    low, high = ((rows + half - centre) / width_px for half in (-0.5, 0.5))
-    return amplitude * width_px * np.sqrt(2 * np.pi) * (norm.cdf(high) - norm.cdf(low))
+    edges = np.arange(height + 1)[:, None] - 0.5
+    return (
+        amplitude
+        * width_px
+        * np.sqrt(2 * np.pi)
+        * np.diff(ndtr((edges - centre) / width_px), axis=0)
+    )
 
 
 def lit_share(width, start, end, blur_px):

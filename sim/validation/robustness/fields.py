@@ -29,6 +29,14 @@ def shortcoming(wrong: WrongField, file: Path, read: Callable[[Path], object] = 
     """
     file.unlink(missing_ok=True)  # to write over a file waits for the disk
     file.write_text(toml_text(wrong.document), encoding="utf-8")
+    return fault_of_refusal(wrong, file, read)
+
+
+def fault_of_refusal(wrong: WrongField, file: Path, read: Callable[[Path], object]) -> str:
+    """Why the refusal of a wrong rig in ``file`` falls short; "" where it does not.
+
+    read: what reads a rig file.
+    """
     try:
         read(file)
     except InputError as error:

@@ -1,5 +1,7 @@
 """Sigma holds in coded and interpolated pictures, by the scatter of the lattice itself."""
 
+from functools import cache
+
 import boards
 import cv2
 import numpy as np
@@ -56,6 +58,13 @@ def test_of_a_few_dots_nothing_is_said():
     assert lattice_scatter(_lattice(1.0, 0.01, 1, (7, 7))) > 10
 
 
+@cache
+def _picture(seed):
+    """The board seen a little otherwise for each seed, with noise, and how; not written to."""
+    view = View(distance_mm=880.0 + 7 * seed, roll_rad=0.02 * seed)
+    return view, boards.render(PAPER, view, Light(), seed)
+
+
 def _coded(image, quality):
     done, data = cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, quality])
     assert done
@@ -81,9 +90,8 @@ def test_sigma_is_the_scatter_of_a_changed_picture(change):
     """
     squares = []
     for seed in range(6):
-        view = View(distance_mm=880.0 + 7 * seed, roll_rad=0.02 * seed)
-        image = change(boards.render(PAPER, view, Light(), seed))
-        reading = read_board(image, PAPER)
+        view, image = _picture(seed)
+        reading = read_board(change(image), PAPER)
         found = reading.grid.found
         off = (reading.grid.image_px - view.image_px(reading.grid.board_mm))[found]
         squares.append((off / reading.grid.sigma_px[found, None]) ** 2)

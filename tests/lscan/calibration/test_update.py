@@ -10,9 +10,9 @@ from hypothesis import given, settings, strategies as st
 from metricviews import SIZE, known, paper_rig, poses, views_of
 from planeviews import BARREL, View, paper_board, read_board
 
-from lscan.calibration.check import check_calibration
+from lscan.calibration.check import CalibrationCheck, check_calibration
 from lscan.calibration.evaluate import Estimate
-from lscan.calibration.loading import load_any, load_plane_map, save_any
+from lscan.calibration.loading import AnyCalibration, load_any, load_plane_map, save_any
 from lscan.calibration.multiview.solve import calibrate_metric
 from lscan.calibration.sheetcorrection import SheetCorrection
 from lscan.calibration.solve import Calibration, calibrate
@@ -117,8 +117,7 @@ def test_a_shift_is_corrected_where_the_placing_is_known() -> None:
 
 def test_an_index_that_no_water_has_is_not_proposed() -> None:
     """The board of another rig say: it fits best with an index of 1.39, and a scale is off."""
-    calibration, _, reading = _in_sea()
-    found = check_calibration(calibration, reading)
+    found = _found_in_sea()
     assert found.index is not None and proposed(found) == ("index",)
     glass = replace(found, index=replace(found.index, index=1.392))
     assert proposed(glass) == ("scale",)
@@ -133,14 +132,26 @@ def _in_sea() -> tuple[Calibration, View, BoardReading]:
     return calibration, sea, _reading(sea, 2)
 
 
+@cache
+def _found_in_sea() -> CalibrationCheck:
+    calibration, _, reading = _in_sea()
+    return check_calibration(calibration, reading)
+
+
+@cache
+def _corrected_in_sea() -> AnyCalibration:
+    calibration, _, reading = _in_sea()
+    return corrected(calibration, reading, ("index",))
+
+
 def test_another_water_is_found_and_corrected(tmp_path: Path) -> None:
-    calibration, sea, reading = _in_sea()
-    found = check_calibration(calibration, reading)
+    _, sea, _ = _in_sea()
+    found = _found_in_sea()
     assert not found.agrees and proposed(found) == ("index",)
     assert found.index is not None
     assert abs(found.index.index - 1.339) < 4 * found.index.sigma
     assert found.index.sigma < 0.002
-    better = corrected(calibration, reading, proposed(found))
+    better = _corrected_in_sea()  # by what was proposed
     assert check_calibration(better, _reading(sea, 3)).agrees
     points = better.plane_map.to_plane(sea.project(PLACES))
     assert (np.abs(points.xz_mm - PLACES) < 4 * points.sigma_mm).all()
@@ -221,8 +232,8 @@ def test_a_correction_of_the_index_does_not_blind_the_next_check() -> None:
 
     So a lens refocused by 0.5 % on the corrected rig shows in the scale and in the shape.
     """
-    calibration, sea, reading = _in_sea()
-    better = corrected(calibration, reading, ("index",))
+    _, sea, _ = _in_sea()
+    better = _corrected_in_sea()
     refocused = _reading(replace(sea, focal_px=1.005 * sea.focal_px), 4)
     assert check_calibration(better, refocused).reasons == ("scale", "shape")
 

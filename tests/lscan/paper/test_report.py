@@ -4,7 +4,9 @@ import os
 import re
 import subprocess
 import sys
+from collections.abc import Callable
 from dataclasses import replace
+from functools import cache
 from html.parser import HTMLParser
 from typing import Any
 
@@ -237,31 +239,39 @@ from lscan.paper.report import render_report
 
 text = render_report(examples.board_alone())
 """
+_ELSEWHERE = f"""
+import sys, lscan.paper.report
+print(*sys.modules)
+{_SMALL}
+print(text, end='')
+"""
 
 
-def test_same_experiments_give_the_same_bytes_in_any_process():
-    here: dict[str, Any] = {}
-    exec(_SMALL, here)
-    folder = str(SUPPORT)
-    there = _run(f"{_SMALL}\nprint(text, end='')", PYTHONHASHSEED="7", PYTHONPATH=folder)
-    assert there == here["text"]
-
-
-def _run(script: str, **environment: str) -> str:
-    paths = [environment.pop("PYTHONPATH", ""), os.environ.get("PYTHONPATH", "")]
+@pytest.fixture(scope="module")
+def elsewhere() -> tuple[set[str], str]:
+    """What another process had loaded after it imported the report, and its page of the board."""
+    paths = [str(SUPPORT), os.environ.get("PYTHONPATH", "")]
+    path = os.pathsep.join(filter(None, paths))
     done = subprocess.run(
-        [sys.executable, "-c", script],
-        env={**os.environ, **environment, "PYTHONPATH": os.pathsep.join(filter(None, paths))},
+        [sys.executable, "-c", _ELSEWHERE],
+        env={**os.environ, "PYTHONHASHSEED": "7", "PYTHONPATH": path},
         capture_output=True,
         text=True,
         check=True,
     )
-    return done.stdout
+    loaded, page = done.stdout.split("\n", 1)
+    return set(loaded.split()), page
 
 
-def test_importing_the_report_loads_no_plotting_library():
-    script = "import sys, lscan.paper.report; print(*sys.modules, sep='\\n')"
-    assert not {"matplotlib", "plotly", "jinja2"} & set(_run(script).split())
+def test_same_experiments_give_the_same_bytes_in_any_process(elsewhere):
+    here: dict[str, Any] = {}
+    exec(_SMALL, here)
+    assert elsewhere[1] == here["text"]
+
+
+def test_importing_the_report_loads_no_plotting_library(elsewhere):
+    assert "lscan.paper.report" in elsewhere[0]
+    assert not {"matplotlib", "plotly", "jinja2"} & elsewhere[0]
 
 
 BOARD_FIGURES = {
@@ -280,13 +290,32 @@ PARTS = {
 }
 
 
+@pytest.fixture(scope="module")
+def about_a_shaft(whole: Experiment) -> Experiment:
+    """The experiment as if the head had been turned about a shaft."""
+    alignment = replace(whole.sandwave.alignment, yaw_rad=0.0, sheared=False)
+    return replace(whole, sandwave=replace(whole.sandwave, alignment=alignment))
+
+
+@pytest.fixture(scope="module")
+def pages(about_a_shaft: Experiment) -> Callable[[str], Page]:
+    """The page of a part scanned besides the board, rendered once."""
+
+    @cache
+    def rendered(part: str) -> Page:
+        scanned, _, _ = PARTS[part]
+        missing = dict.fromkeys({"groove", "sandwave"} - set(scanned))
+        shown = {name: about_a_shaft.shown[name] for name in scanned}
+        return Page(render_report(replace(about_a_shaft, shown=shown, **missing)))
+
+    return rendered
+
+
 @pytest.mark.parametrize("part", PARTS)
-def test_page_shows_the_parts_there_are(whole, part):
+def test_page_shows_the_parts_there_are(pages, part):
     """The board's are always there; Plotly weighs megabytes and is, where there is a surface."""
-    scanned, figures, tables = PARTS[part]
-    missing = dict.fromkeys({"groove", "sandwave"} - set(scanned))
-    shown = {name: pictures for name, pictures in whole.shown.items() if name in scanned}
-    page = Page(render_report(replace(whole, shown=shown, **missing)))
+    _, figures, tables = PARTS[part]
+    page = pages(part)
     assert {name.removesuffix("-figure") for name in page.figures} == BOARD_FIGURES | figures
     assert {table for table, _, _ in page.cells} == tables
     assert ("Plotly" in page.text) == (part == "sandwave")
@@ -301,11 +330,10 @@ def test_results_without_truth_say_nothing_of_it(whole):
     assert "truth" not in " ".join(line.what for line in checks(real, paper.Bars()))
 
 
-def test_a_scan_about_a_shaft_has_no_yaw(whole):
-    alignment = replace(whole.sandwave.alignment, yaw_rad=0.0, sheared=False)
-    turned = replace(whole, sandwave=replace(whole.sandwave, alignment=alignment))
-    assert "Yaw" not in " ".join(line.what for line in checks(turned, paper.Bars()))
-    assert "yaw found" not in render_report(turned)
+def test_a_scan_about_a_shaft_has_no_yaw(about_a_shaft, page, pages):
+    assert "Yaw" not in " ".join(line.what for line in checks(about_a_shaft, paper.Bars()))
+    assert "yaw found" in page.text
+    assert "yaw found" not in pages("sandwave").text
 
 
 def test_what_was_not_measured_is_said_and_does_not_pass(whole):

@@ -8,7 +8,7 @@ from rough_patches import holes, patch, wave
 from lscan.roughness import fit_waves, ripple_spread
 from sim.meshes.rough import random_fields
 
-SHAPE, CELL_CM, WAVES = (128, 128), 0.25, 12
+SHAPE, CELL_CM, WAVES = (64, 64), 0.5, 12  # 5 cells a wave
 SIZE = 2 * np.pi * WAVES / (SHAPE[0] * CELL_CM)
 
 
