@@ -18,6 +18,7 @@ from sim.emulators.grbl.settings import change_setting, coordinates, setting_lin
 BANNER = "Grbl 1.1h ['$' for help]"
 HELP = "[HLP:$$ $# $G $I $N $x=val $Nx=line $J=line $SLP $C $X $H ~ ! ? ctrl-x]"
 PLANNED = 15  # blocks the planner holds
+NO_FAULTS = Faults()
 
 
 class GrblEmulator(EmulatedController):
@@ -25,7 +26,7 @@ class GrblEmulator(EmulatedController):
 
     line_end = b"\r\n"
 
-    _faults, _generator = Faults(), np.random.default_rng(0)
+    _faults, _generator = NO_FAULTS, np.random.default_rng(0)
 
     @property
     def state(self) -> str:

@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from accuracy_chapters import bad, ends, good
 from places import ROOT
 from scipy.stats import norm
 
@@ -14,7 +15,7 @@ from sim.render.tank import Tank
 from sim.scene import head_pose, load_scene, target_pose
 from sim.sensor.speckle import speckle_contrast
 from sim.validation.accuracy import run as accuracy
-from sim.validation.accuracy.effort import FULL, QUICK, AccuracyEffort
+from sim.validation.accuracy.effort import FULL, QUICK
 from sim.validation.accuracy.exposures import pictures, with_contrast
 from sim.validation.accuracy.intervals import (
     COVER,
@@ -24,7 +25,6 @@ from sim.validation.accuracy.intervals import (
 from sim.validation.accuracy.misaligned import OFFSET_MM, TILT_DEG, misaligned
 from sim.validation.accuracy.sandwave import every_frame
 from sim.validation.accuracy.stripes import cases, cell
-from sim.validation.rows import Row
 
 SCENES = ROOT / "scenes"
 KINDS = (("dot", ""), ("chessboard", "s"), ("laser", ""))
@@ -85,9 +85,9 @@ def test_positions_cover_the_scan() -> None:
 
 def test_a_bad_extractor_fails_the_bound() -> None:
     name, case = next(cases())
-    good, bad = cell("ml", case, name, 100), cell("max", case, name, 100)
+    likely, brightest = cell("ml", case, name, 100), cell("max", case, name, 100)
     # The brightest pixel has at least the scatter of rounding to whole pixels, 0.29 px.
-    assert bad.ratio > 2 * good.ratio and bad.ratio > 1.1
+    assert brightest.ratio > 2 * likely.ratio and brightest.ratio > 1.1
     silent = cell("ml", case.__class__("tap", 0.8, 20.0, NoiseSection(read_dn=1.0)), name, 4)
     assert silent.ratio == float("inf")  # beneath the threshold nothing is found
 
@@ -95,7 +95,7 @@ def test_a_bad_extractor_fails_the_bound() -> None:
 def test_photographs_have_rows_where_a_folder_is_named(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(accuracy, "CHAPTERS", {"good": _good})
+    monkeypatch.setattr(accuracy, "CHAPTERS", {"good": good})
     output = tmp_path / "accuracy.json"
     assert [row.what for row in accuracy.run_accuracy(SCENES, None, output)] == ["good"]
     rows = accuracy.run_accuracy(SCENES, tmp_path, output)
@@ -108,7 +108,7 @@ def test_photographs_have_rows_where_a_folder_is_named(
 def test_an_error_in_a_chapter_is_a_failed_row(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(accuracy, "CHAPTERS", {"good": _good, "ends": _ends, "bad": _bad})
+    monkeypatch.setattr(accuracy, "CHAPTERS", {"good": good, "ends": ends, "bad": bad})
     output = tmp_path / "deep" / "accuracy.json"
     rows = accuracy.run_accuracy(SCENES, None, output)
     assert [row.what for row in rows] == ["good", "ends", "bad"]
@@ -122,7 +122,7 @@ def test_an_error_in_a_chapter_is_a_failed_row(
 def test_the_chapters_receive_the_quick_option(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(accuracy, "CHAPTERS", {"bad": _bad})
+    monkeypatch.setattr(accuracy, "CHAPTERS", {"bad": bad})
     (row,) = accuracy.run_accuracy(SCENES, None, tmp_path / "accuracy.json", quick=True)
     assert row.quick and row.seed == len(QUICK.seeds)
 
@@ -140,15 +140,3 @@ def test_a_missing_scene_is_refused_before_any_work(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="board"):
         accuracy.run_accuracy(tmp_path, None, tmp_path / "accuracy.json")
     assert not (tmp_path / "accuracy.json").exists()
-
-
-def _good(scenes: Path, effort: AccuracyEffort) -> list[Row]:
-    return [Row("good", "itself", 1.0, 2.0, "mm", "made up", len(effort.seeds))]
-
-
-def _bad(scenes: Path, effort: AccuracyEffort) -> list[Row]:
-    return [Row("bad", "itself", 3.0, 2.0, "mm", "made up", len(effort.seeds))]
-
-
-def _ends(scenes: Path, effort: AccuracyEffort) -> list[Row]:
-    raise ValueError("only 3 tops")

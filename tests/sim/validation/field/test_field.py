@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from field_chapters import bad, good
 from places import ROOT
 from typer.testing import CliRunner
 
@@ -20,29 +21,20 @@ from sim.scene import load_scene
 from sim.truth import project, sheet_of
 from sim.validation.field import sheet, water
 from sim.validation.field.drawnrigs import drawn_rig, metric_frame
-from sim.validation.field.effort import FULL, QUICK, FieldEffort
-from sim.validation.rows import Row
+from sim.validation.field.effort import FULL, QUICK
 
 SCENES = ROOT / "scenes"
 
 
-def _good(scenes: Path, effort: FieldEffort) -> list[Row]:
-    return [Row("good", "itself", 1.0, 2.0, "mm", "made up", len(effort.seeds))]
-
-
-def _bad(scenes: Path, effort: FieldEffort) -> list[Row]:
-    return [Row("bad", str(effort.photographs), 3.0, 2.0, "mm", "made up")]
-
-
 def test_the_command_judges_the_rows(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(sim.validation.field.run, "CHAPTERS", {"good": _good, "bad": _bad})
+    monkeypatch.setattr(sim.validation.field.run, "CHAPTERS", {"good": good, "bad": bad})
     output = tmp_path / "deep" / "field.json"
     options = ["field", "--photographs", str(tmp_path), "-o", str(output), "--quick"]
     assert CliRunner().invoke(app, options).exit_code == 1
-    good, bad = json.loads(output.read_text())
-    assert (good["passed"], bad["passed"]) == (True, False)
-    assert good["quick"] and good["seed"] == len(QUICK.seeds)
-    assert bad["reference"] == str(tmp_path)
+    first, second = json.loads(output.read_text())
+    assert (first["passed"], second["passed"]) == (True, False)
+    assert first["quick"] and first["seed"] == len(QUICK.seeds)
+    assert second["reference"] == str(tmp_path)
 
 
 def test_a_folder_that_is_not_there_is_refused(tmp_path: Path) -> None:
