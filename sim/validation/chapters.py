@@ -18,8 +18,8 @@ def run_chapters(
 ) -> list[Row]:
     """The rows of all chapters, in their order; the file always holds all measured so far.
 
-    As many chapters run side by side as there are processors, in processes of their own; one that
-    is alone runs in this one.  A chapter that ends with an error is a failed row.
+    As many chapters run side by side as there are processors, in processes of their own.  A
+    chapter that ends with an error is a failed row.
 
     Parameters
     ----------
@@ -36,12 +36,6 @@ def run_chapters(
     """
     file = RowFile(output, quick)
     places = list(chapters)
-    if len(chapters) == 1:  # nothing runs beside it, and another process takes seconds to start
-        ((name, chapter),) = chapters.items()
-        file.add(measured(name, chapter), 0)
-        if progress is not None:
-            progress(1, 1)
-        return file.rows
     workers = max(1, min(len(chapters), len(os.sched_getaffinity(0))))
     # Spawned, not forked: Dr.Jit's threads do not survive a fork.
     with ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as pool:

@@ -31,7 +31,7 @@ from sim.water.single import OnceScattered, once_scattered
 DEPTHS = 128
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)  # each is itself, so that what is made of it can be kept
 class Spread:
     """Tables of a beam's scattered light in one water.
 

@@ -18,7 +18,6 @@ from sim.emulators.grbl.settings import change_setting, coordinates, setting_lin
 BANNER = "Grbl 1.1h ['$' for help]"
 HELP = "[HLP:$$ $# $G $I $N $x=val $Nx=line $J=line $SLP $C $X $H ~ ! ? ctrl-x]"
 PLANNED = 15  # blocks the planner holds
-NO_FAULTS = Faults()
 
 
 class GrblEmulator(EmulatedController):

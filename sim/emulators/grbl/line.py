@@ -1,7 +1,6 @@
 """Serial lines to an emulated controller, in simulated time or opened by the system; faults."""
 
 import contextlib
-import math
 import os
 import select
 import threading
@@ -94,7 +93,6 @@ class DirectLine:
     def __init__(self, controller: EmulatedController, time: SimulatedTime) -> None:
         self._controller, self._time = controller, time
         self._waiting = bytearray()
-        self._looked_s = -math.inf
         self.closed = False
 
     @property
@@ -102,7 +100,6 @@ class DirectLine:
         """Bytes ready to be read."""
         self._check_open()
         self._waiting += self._controller.transmit()
-        self._looked_s = self._time()
         return len(self._waiting)
 
     def read(self, size: int) -> bytes:
@@ -112,12 +109,7 @@ class DirectLine:
         ----------
         size : int, number of bytes
         """
-        self._check_open()
-        # Who asked in_waiting just now has made the controller say all it has by this moment.
-        if self._looked_s < self._time():
-            self._waiting += self._controller.transmit()
-        self._looked_s = -math.inf
-        if not self._waiting:
+        if not self.in_waiting:
             self._time.sleep(TICK_S)
         data = bytes(self._waiting[:size])
         del self._waiting[:size]
@@ -131,7 +123,6 @@ class DirectLine:
         data : bytes, for the controller
         """
         self._check_open()
-        self._looked_s = -math.inf
         self._controller.receive(data)
         return len(data)
 

@@ -8,6 +8,7 @@ with the distance.  How the sum depends on n is a polynomial of the second degre
 squares.  The sheet's thickness blurs it along s.
 """
 
+from functools import lru_cache
 from math import pi
 from typing import TypeVar
 
@@ -16,10 +17,15 @@ import mitsuba as mi
 import numpy as np
 
 from lscan.records import Floats
+from sim.render.gathered.chart import Picture
 from sim.render.plugins.arrays import floats
+from sim.render.plugins.opaque import opaque
 from sim.render.plugins.sheet import LaserSheet
 from sim.render.plugins.spread import SpreadLookup
+from sim.render.sparse.rays import HEAD
+from sim.scene import Laser, LaserLine
 from sim.water.axes import LogAxis
+from sim.water.spread import Spread
 
 # Angles: so many steps to either edge of the fan, where a node lies, and as many beyond.
 STEPS = 5
@@ -42,30 +48,19 @@ Part = TypeVar("Part", mi.Float, Floats)
 class Glow:
     """The irradiance by scattered light of one sheet, which may move once this is made."""
 
-    def __init__(self, sheet: LaserSheet, lookup: SpreadLookup) -> None:
+    def __init__(self, sheet: LaserSheet, spread: Spread, extinction_per_mm: float) -> None:
         """Sum up the table.
 
         Parameters
         ----------
-        sheet : LaserSheet, placed
-        lookup : SpreadLookup, of the water
+        sheet : LaserSheet, configured
+        spread : Spread, of the water
+        extinction_per_mm : float, its attenuation
         """
-        self._sheet, self._edge = sheet, 2 * float(sheet.half_angle[0])
-        # About what scattered light loses on its way: the table is then nearly a power of rho.
-        self._loss = lookup.loss * lookup.extinction
-        aside, rho, phi = np.meshgrid(
-            ASIDE_AXIS.nodes(),
-            RHO_AXIS.nodes(),
-            np.linspace(-self._edge, self._edge, ANGLES),
-            indexing="ij",
-        )
-        terms = _widened(_fitted(sheet, lookup, phi, rho, aside), sheet)
-        share = _share(sheet, *(floats(values) for values in (phi, rho, aside)))
-        facing = np.maximum(terms[..., :1], LEAST_LIGHT)
-        log_value = np.log(facing[..., 0] / np.array(share).reshape(phi.shape))
-        log_value += float(self._loss[0]) * rho
-        channels = np.concatenate([log_value[..., np.newaxis], terms[..., 1:] / facing], axis=-1)
-        self._table = mi.Texture3f(mi.TensorXf(channels.astype(np.float32)), use_accel=False)
+        self._sheet, self._edge = sheet, _edge(sheet)
+        self._loss = opaque(_loss(spread, extinction_per_mm))
+        table = _summed_up(sheet.told, spread, extinction_per_mm)
+        self._table = mi.Texture3f(mi.TensorXf(table), use_accel=False)
 
     def irradiance(self, point: mi.Point3f, normal: mi.Normal3f) -> mi.Float:
         """What surfaces receive, mW/mm2.
@@ -93,6 +88,38 @@ class Glow:
             total += term * factor
         light = dr.exp(log_value - self._loss * rho) * _share(sheet, phi, rho, s)
         return light * dr.maximum(total, 0)
+
+
+@lru_cache(maxsize=8)  # tanks often differ in the target, the camera or the sensor alone
+def _summed_up(
+    told: tuple[Laser, LaserLine, float, float], spread: Spread, extinction_per_mm: float
+) -> Picture:
+    """(S, R, A, terms) the table of a sheet that was told this."""
+    sheet = LaserSheet(mi.Properties())
+    sheet.configure(*told)
+    sheet.place(HEAD)
+    edge = _edge(sheet)
+    aside, rho, phi = np.meshgrid(
+        ASIDE_AXIS.nodes(), RHO_AXIS.nodes(), np.linspace(-edge, edge, ANGLES), indexing="ij"
+    )
+    lookup = SpreadLookup(spread, extinction_per_mm)
+    terms = _widened(_fitted(sheet, lookup, phi, rho, aside), sheet)
+    share = _share(sheet, *(floats(values) for values in (phi, rho, aside)))
+    facing = np.maximum(terms[..., :1], LEAST_LIGHT)
+    log_value = np.log(facing[..., 0] / np.array(share).reshape(phi.shape))
+    log_value += _loss(spread, extinction_per_mm) * rho
+    channels = np.concatenate([log_value[..., np.newaxis], terms[..., 1:] / facing], axis=-1)
+    return channels.astype(np.float32)
+
+
+def _edge(sheet: LaserSheet) -> float:
+    """rad, the table's largest angle."""
+    return 2 * float(sheet.half_angle[0])
+
+
+def _loss(spread: Spread, extinction_per_mm: float) -> float:
+    """1/mm, about what scattered light loses: without it the table is nearly a power of rho."""
+    return spread.loss * extinction_per_mm
 
 
 def _place(axis: LogAxis, x: mi.Float) -> mi.Float:

@@ -10,6 +10,7 @@ convolved with a Gaussian costs the less the wider it is.
 """
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 
@@ -46,6 +47,7 @@ class ScatterKernel:
     steepness: Floats
 
 
+@lru_cache(maxsize=4)
 def scatter_kernel(spread: Spread, extinction_per_mm: float, smallest_rad: float) -> ScatterKernel:
     """The coefficients for a water.
 

@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 
 import cv2
 import drjit as dr
@@ -22,7 +23,6 @@ from sim.render.gathered.veil import HigherVeil
 from sim.render.plugins.arrays import floats, indices, vectors
 from sim.render.plugins.integrator import SheetIntegrator
 from sim.render.plugins.opaque import opaque_vector
-from sim.render.plugins.spread import SpreadLookup
 from sim.render.sparse.rays import HEAD, HeadRays
 from sim.render.sparse.survey import NEIGHBOURS, PixelSurvey
 from sim.render.spreads import spread_of
@@ -79,6 +79,10 @@ def reason_for_random(scene: Scene, parts: Sequence[MeshPart], water: Optics) ->
     return ""
 
 
+# Tanks of one process often have the same water: reading its tables takes as long as a picture.
+_last_spreads = lru_cache(maxsize=4)(spread_of)
+
+
 @dataclass(frozen=True)
 class CellRays:
     """Rays from a chart's middle: one in each of some cells, and more down those on the line.
@@ -121,10 +125,9 @@ class GatheredLight:
         outer[self._chart.block] = False
         # Cells of each grid that the picture does not show, and no other grid holds.
         self._outside = np.flatnonzero(~self._in_view.inside), np.flatnonzero(outer)
-        spread = spread_of(water)
-        lookup = SpreadLookup(spread, water.extinction_per_mm)
-        self._glows = [Glow(sheet, lookup) for sheet in integrator.sheets]
-        self._camera = CameraLeg(self._chart, spread, water.extinction_per_mm)
+        spread, extinction = _last_spreads(water), water.extinction_per_mm
+        self._glows = [Glow(sheet, spread, extinction) for sheet in integrator.sheets]
+        self._camera = CameraLeg(self._chart, spread, extinction)
         width, height = rays.size_px
         self._inner = np.arange(height * width).reshape(height, width)[1:-1, 1:-1]
         self._index = indices(self._inner)

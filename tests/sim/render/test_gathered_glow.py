@@ -34,7 +34,7 @@ NORMALS = {
 def table(power_mw: float = 10.0) -> tuple[LaserSheet, SpreadLookup, Glow]:
     sheet = make_sheet(LASER.model_copy(update={"power_mw": power_mw}))
     lookup = SpreadLookup(spread(), WATER.extinction_per_mm)
-    return sheet, lookup, Glow(sheet, lookup)
+    return sheet, lookup, Glow(sheet, spread(), WATER.extinction_per_mm)
 
 
 def irradiance(
@@ -114,7 +114,7 @@ def test_glow_moves_with_the_head() -> None:
     """One table serves wherever the sheet is placed; places to single precision, 1e-4 mm of the
     0.5 mm at least from the sheet."""
     sheet = make_sheet(LASER)
-    glow = Glow(sheet, table()[1])
+    glow = Glow(sheet, spread(), WATER.extinction_per_mm)
     here = irradiance(glow, sheet, places(0.5), NORMALS["oblique"])
     sheet.place(ELSEWHERE)
     there = irradiance(glow, sheet, places(0.5), NORMALS["oblique"])

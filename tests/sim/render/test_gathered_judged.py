@@ -13,7 +13,6 @@ from sim.render.gathered import reflections
 from sim.render.gathered.camera import CameraLeg
 from sim.render.gathered.glow import Glow
 from sim.render.gathered.picture import GatheredLight
-from sim.render.plugins.spread import SpreadLookup
 from sim.render.sparse.rays import HEAD
 from sim.render.spreads import spread_of
 from sim.render.tank import Tank
@@ -73,8 +72,7 @@ def with_tables_of(tank: Tank, water: Water) -> None:
     for sheet in tank.sheets:
         sheet.place(HEAD)
     light._camera = CameraLeg(light._chart, spread, extinction)
-    lookup = SpreadLookup(spread, extinction)
-    light._glows = [Glow(sheet, lookup) for sheet in tank.sheets]
+    light._glows = [Glow(sheet, spread, extinction) for sheet in tank.sheets]
 
 
 @pytest.mark.slow
