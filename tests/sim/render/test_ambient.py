@@ -9,7 +9,7 @@ import trimesh
 from truth_scenes import tank
 
 from lscan.records import Floats
-from sim.render.ambient import picture
+from sim.render.ambient import field, picture
 from sim.render.ambient.field import AmbientField, OpenSky
 from sim.render.ambient.interpolation import Interpolation
 from sim.render.ambient.lattice import SurfaceNodes
@@ -82,6 +82,29 @@ def test_light_by_way_of_surfaces_is_left_out_with_the_higher_orders() -> None:
     first, every = (here.render(0.0, 4, scatter_samples=k).ambient for k in (0, 1))
     assert np.all(every >= first - 1e-6)
     assert blocks(every / first).max() > 1.02
+
+
+@pytest.mark.parametrize(
+    "other",
+    [
+        {"target": {"albedo": 0.25}},
+        {"water": {"particle_scattering_per_m": 0.5}},
+        {"target": {"turn_deg": 12.0}},
+    ],
+    ids=["albedo", "water", "geometry"],
+)
+def test_what_is_kept_of_one_sky_is_not_taken_for_anothers(other: dict[str, Any]) -> None:
+    """The second tank finds what the first left; made alone, it has the same to the bit."""
+    Tank(lit())
+    second = Tank(lit(**other))._sky
+    field._KEPT.clear()
+    alone = Tank(lit(**other))._sky
+    assert isinstance(second, AmbientField)
+    assert isinstance(alone, AmbientField)
+    for kept, made in zip(
+        (second.straight, second.indirect), (alone.straight, alone.indirect), strict=True
+    ):
+        np.testing.assert_array_equal(np.array(kept), np.array(made))
 
 
 def wall_scene(folder: Path) -> Scene:
