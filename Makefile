@@ -9,7 +9,7 @@ MINUTES ?= 10
 APT := $(ROOT) env DEBIAN_FRONTEND=noninteractive apt-get -qq
 
 QUICK := accuracy hardware verify field demo bench budgets roughness regression
-.PHONY: help setup demo test smoke soak lint house bench verify accuracy field hardware roughness regression suites docs clean
+.PHONY: help setup demo test pytest smoke soak lint house bench verify accuracy field hardware roughness regression suites docs clean
 .PHONY: $(addprefix quick-,$(QUICK))
 .DELETE_ON_ERROR:
 
@@ -38,7 +38,9 @@ setup: .venv/llvm.stamp
 demo: .venv/llvm.stamp
 	$(BIN)/lscan-sim demo -o out/demo
 
-test: lint .venv/llvm.stamp .venv/chromium.stamp
+test: lint pytest
+
+pytest: .venv/llvm.stamp .venv/chromium.stamp
 	$(BIN)/python -m pytest -n auto --maxprocesses 8 --dist loadgroup
 
 lint: .venv/packages.stamp
@@ -122,7 +124,8 @@ clean:
 	@touch $@
 
 # The live page is tested in a browser; where none can be had, those tests say so and skip.
-.venv/chromium.stamp: .venv/packages.stamp
+# After LLVM, not beside it: both may call apt-get, which runs once at a time.
+.venv/chromium.stamp: .venv/packages.stamp | .venv/llvm.stamp
 	@$(BIN)/python -m sim.testing.browser --install
 	@touch $@
 
