@@ -55,7 +55,7 @@ def find_features(surface: Surface, piece: Sandwave) -> Features:
     Raises
     ------
     MeasurementError
-        Where the surface is empty or a wedge is not in the scan.
+        Where the surface is empty or too coarse, or a wedge is not in the scan.
     """
     valid = has_value(surface.status) & np.isfinite(surface.xyz_mm).all(axis=-1)
     if valid.sum() < 100:
@@ -67,7 +67,14 @@ def find_features(surface: Surface, piece: Sandwave) -> Features:
     block = valid & (height > -(piece.body_mm + _crest(piece)) / 2)
     patch_left, patch_right = _wedge_tops(surface.xyz_mm, block, height, piece)
     tops = patch_left | patch_right
-    inner = tops & _clear(tops, _profile_spacing(surface.xyz_mm, valid), spacing)
+    step_mm = _profile_spacing(surface.xyz_mm, valid)
+    inner = tops & _clear(tops, step_mm, spacing)
+    if np.count_nonzero(inner) < 3:
+        raise MeasurementError(
+            f"wedges' tops: {np.count_nonzero(inner)} points lie {TOP_MARGIN_MM} mm within their "
+            f"edges, 3 are needed: the scan is too coarse, its profiles are {step_mm:.2g} mm apart "
+            f"and its columns {float(np.median(np.abs(spacing))):.2g} mm"
+        )
     flat = block & (
         near_level(height, 0.0, piece) | near_level(height, piece.wedge.height_mm, piece)
     )

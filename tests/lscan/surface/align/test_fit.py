@@ -337,6 +337,12 @@ def test_missing_wedges_are_named(raw: Surface, alignment: Alignment) -> None:
         align_sandwave(cut(raw, (x > 10) & (x < 140)), PIECE)
 
 
+def test_a_scan_too_coarse_for_the_wedges_is_told_its_spacings() -> None:
+    coarse = replace(SQUARE, frames=133, step_mm=1.5, columns=32, pitch_mm=9.0)
+    with pytest.raises(MeasurementError, match=r"too coarse, .* 1.5 mm apart .* columns 9 mm"):
+        align_sandwave(scan(PIECE, coarse), PIECE)
+
+
 def test_missing_sides_are_named(raw: Surface, alignment: Alignment) -> None:
     plan = alignment.to_workpiece(raw.xyz_mm)
     middle = np.abs(plan[..., 1] - 75) < 34
