@@ -17,6 +17,7 @@ help:
 	@echo "make setup   set up what the others need: .venv, its packages, LLVM"
 	@echo "make demo    scan the tank once and write out/demo"
 	@echo "make test    all checks and all tests"
+	@echo "make pytest  the tests alone"
 	@echo "make smoke   every figure of the commands below and of the demo, quickly; out/quick"
 	@echo "make soak    property tests with random examples for MINUTES=10, or as many as named"
 	@echo "make house   sizes of packages and README, names used twice, each with its bar"

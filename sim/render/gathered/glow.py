@@ -59,7 +59,7 @@ class Glow:
         """
         self._sheet, self._edge = sheet, _edge(sheet)
         self._loss = opaque(_loss(spread, extinction_per_mm))
-        table = _summed_up(sheet.told, spread, extinction_per_mm)
+        table = _summed_up(sheet.settings, spread, extinction_per_mm)
         self._table = mi.Texture3f(mi.TensorXf(table), use_accel=False)
 
     def irradiance(self, point: mi.Point3f, normal: mi.Normal3f) -> mi.Float:
@@ -92,11 +92,11 @@ class Glow:
 
 @lru_cache(maxsize=8)  # tanks often differ in the target, the camera or the sensor alone
 def _summed_up(
-    told: tuple[Laser, LaserLine, float, float], spread: Spread, extinction_per_mm: float
+    settings: tuple[Laser, LaserLine, float, float], spread: Spread, extinction_per_mm: float
 ) -> Picture:
-    """(S, R, A, terms) the table of a sheet that was told this."""
+    """(S, R, A, terms) the table of a sheet with these settings."""
     sheet = LaserSheet(mi.Properties())
-    sheet.configure(*told)
+    sheet.configure(*settings)
     sheet.place(HEAD)
     edge = _edge(sheet)
     aside, rho, phi = np.meshgrid(
@@ -197,9 +197,9 @@ def thin_sheet(
     node, weight = (floats(values) for values in np.polynomial.legendre.leggauss(BEAMS))
     lane = dr.arange(mi.UInt32, phi.size * len(normals) * BEAMS)
     node, weight = (dr.gather(mi.Float, values, lane % BEAMS) for values in (node, weight))
-    plane, place = (lane // BEAMS) % len(normals), lane // (BEAMS * len(normals))
+    plane, site = (lane // BEAMS) % len(normals), lane // (BEAMS * len(normals))
     angle, distance, offset = (
-        dr.gather(mi.Float, floats(values), place) for values in (phi, rho, aside)
+        dr.gather(mi.Float, floats(values), site) for values in (phi, rho, aside)
     )
     sine, cosine = dr.sincos(angle)
     ahead, across = (
@@ -215,9 +215,9 @@ def thin_sheet(
     scale = dr.maximum(offset / distance, LEAST) + dr.abs(angle - centre)
     low = dr.asinh((-sheet.half_angle - centre) / scale)
     high = dr.asinh((sheet.half_angle - centre) / scale)
-    sinh_angle = 0.5 * (low + high + (high - low) * node)
-    ray_angle = centre + scale * dr.sinh(sinh_angle)
-    step = 0.5 * (high - low) * scale * dr.cosh(sinh_angle) * weight
+    place = 0.5 * (low + high + (high - low) * node)
+    ray_angle = centre + scale * dr.sinh(place)
+    step = 0.5 * (high - low) * scale * dr.cosh(place) * weight
 
     way = dr.normalize(sheet.direction(ray_angle))
     towards = dr.dot(way, surface)

@@ -42,7 +42,7 @@ class LaserSheet(mi.Emitter):
 
         nm: the wavelength of the moment.
         """
-        self.told = laser, line, water_index, nm
+        self.settings = laser, line, water_index, nm
         half_angle = radians(laser.fan_half_angle_deg)
         self.is_gaussian_fan = laser.fan == "gaussian"
         self.power = opaque(laser.power_mw * line.share)

@@ -33,9 +33,13 @@ def shortcoming(wrong: WrongField, file: Path, read: Callable[[Path], object] = 
 
 
 def fault_of_refusal(wrong: WrongField, file: Path, read: Callable[[Path], object]) -> str:
-    """Why the refusal of a wrong rig in ``file`` falls short; "" where it does not.
+    """Why the refusal of a wrong rig falls short; "" where it does not.
 
-    read: what reads a rig file.
+    Parameters
+    ----------
+    wrong : WrongField, what is wrong
+    file : Path, that the rig is read from
+    read : callable, what reads a rig file
     """
     try:
         read(file)

@@ -89,6 +89,13 @@ def test_sixteen_beams_are_as_good_as_many(monkeypatch: pytest.MonkeyPatch) -> N
     assert np.sqrt(np.mean((few / many - 1) ** 2)) < 0.006
 
 
+def test_the_table_of_one_sheet_is_summed_up_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    _, _, first = table()
+    monkeypatch.setattr(glows, "thin_sheet", None)  # would raise if called
+    again = Glow(make_sheet(LASER.model_copy()), spread(), WATER.extinction_per_mm)
+    np.testing.assert_array_equal(np.array(again._table.tensor()), np.array(first._table.tensor()))
+
+
 def test_glow_is_the_sheets_power() -> None:
     (sheet, _, once), (strong, _, twice) = table(), table(20.0)
     one, two = (
