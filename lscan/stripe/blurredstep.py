@@ -18,7 +18,7 @@ import numpy as np
 from scipy.special import ndtr
 
 from lscan.errors import MeasurementError
-from lscan.records import Floats, Ints, Mask
+from lscan.records import Floats, Ints
 
 WALL = (-0.3, 1.0)
 """Least and greatest share of a wall: of walls lit at a grazing angle 0.2 to 0.6 was seen."""
@@ -29,14 +29,18 @@ FAINTEST = -2.0
 """In widths: samples farther outside an end say nothing of it.  The model is not evaluated there,
 where it vanishes (1 / Phi overflows) and, with a negative share of a wall, changes its sign."""
 
-OUTLIER = 4.0
-"""Samples whose brightness is off by more than this many standard deviations are left out."""
+OUTLIER, _DOUBTED = 4.0, 1.0
+"""Samples whose brightness is off by so many standard deviations count half, those off by one more
+not at all, by one less in full.  A sample that counted in full or not at all would come and go with
+the place, and the step that ends the search would not be zero but change its sign there."""
+
+_FADING_T, _FADING_MM = 0.1, 0.5  # the same at the limits of depth: to either side of them
 
 FIRST_SCATTER = 0.1  # of brightness from sample to sample, relative, where the fit starts
 LEAST_SCATTER = 1e-9  # exact samples have weights too
-ROUNDS = 30
+ROUNDS = 60
 GROWS = 1.25  # of a step's share, while it does not turn back
-SETTLED_MM = 1e-8
+SETTLED_MM = 1e-6  # a thousandth of what noise leaves uncertain, and less
 
 
 @dataclass(frozen=True)
@@ -98,12 +102,12 @@ class StepFit:
     ----------
     place : (P,) array, mm
     covariance : (P, P) array, mm², of the places
-    kept : (K,) mask, of the samples used
+    weight : (K,) array, how much each sample counts, 0 to 1
     """
 
     place: Floats
     covariance: Floats
-    kept: Mask
+    weight: Floats
 
 
 def fit_steps(
@@ -112,11 +116,12 @@ def fit_steps(
     place_sigma: Floats,
     width: Floats,
     limits: StepLimits,
-    kept: Mask | None = None,
+    weight: Floats | None = None,
 ) -> StepFit:
     """The most probable ends of lit stretches, from how the brightness falls there.
 
-    Gauss-Newton on brightness relative to the model's, for speckle grows with the light.  The
+    Gauss-Newton on brightness relative to the model's, for speckle grows with the light, the
+    samples weighed anew in each round: less at the limits of depth and far from the model.  The
     covariance is that of the samples' scatter.
 
     Parameters
@@ -128,7 +133,7 @@ def fit_steps(
         they keep the search from running away
     width : (G,) array, mm, of the blur, where the search begins
     limits : StepLimits, of the search and of the samples used
-    kept : (K,) mask, optional, the samples to use, where that is decided already
+    weight : (K,) array, optional, how much each sample counts, where that is decided already
 
     Raises
     ------
@@ -142,32 +147,46 @@ def fit_steps(
     wall = np.zeros(samples.wall.max() + 1)
     state = _StepState(place, width, wall, FIRST_SCATTER)
     sigma = np.concatenate([place_sigma, width, np.full(len(wall), WALL_SIGMA)])
-    prior = np.concatenate([place, width, wall]), sigma**-2.0
+    prior = _Prior(
+        expected=np.concatenate([place, width, wall]),
+        precision=sigma**-2.0,
+        least=np.repeat(
+            [-np.inf, limits.widths_mm[0], WALL[0]], [len(place), len(width), len(wall)]
+        ),
+        most=np.repeat([np.inf, limits.widths_mm[1], WALL[1]], [len(place), len(width), len(wall)]),
+    )
     order = np.argsort(samples.stretch, kind="stable")
-    places: list[Floats] = [place]
     share, before = 1.0, np.zeros(len(sigma))
-    for left in reversed(range(ROUNDS)):
+    for _ in range(ROUNDS):
         depth = np.append(state.place, 0.0)[samples.places[samples.stretch]].T
         depth = (samples.by_place * depth).sum(axis=1) - samples.offset
         t = depth / state.width[samples.group[samples.stretch]]
-        if kept is None:
-            used = (t > limits.least_t).all(axis=0) & (depth.min(axis=0) < limits.most_mm)
-            at = order[used[order]]
-            first = _solve(samples, state, at, t, limits.unmodelled, prior)
-            used[at] = np.abs(first.residual) < OUTLIER * max(first.scatter, 1.0)
+        if weight is None:
+            counts = _counts(t.min(axis=0) - limits.least_t, _FADING_T)
+            counts *= _counts(limits.most_mm - depth.min(axis=0), _FADING_MM)
+            # Outliers are told by a fit to all: told by one without them they would be its own.
+            used = order[counts[order] > 0]
+            first = _solve(samples, state, used, counts[used], t, limits.unmodelled, prior)
+            off = np.abs(first.residual) / max(first.scatter, 1.0)
+            counts[used] *= _counts(OUTLIER - off, _DOUBTED)
         else:
-            used = kept & (t > FAINTEST).all(axis=0)
-        solution = _solve(samples, state, order[used[order]], t, limits.unmodelled, prior)
+            counts = weight * (t.min(axis=0) > FAINTEST)
+        used = order[counts[order] > 0]
+        solution = _solve(samples, state, used, counts[used], t, limits.unmodelled, prior)
         # Steps that turn back overshoot: without shorter ones they go to and fro for ever.
         share = share / 2 if solution.step @ before < 0 else min(1.0, GROWS * share)
-        before = solution.step
+        before, last = solution.step, state.place
         state = _advanced(state, share * solution.step, solution.scatter, limits)
-        if _repeats([*places, state.place], left):
+        if np.abs(state.place - last).max() < SETTLED_MM:
             break
-        places.append(state.place)
     size = len(place)
-    covariance = solution.covariance[:size, :size]
-    return StepFit(state.place, covariance, used)
+    return StepFit(state.place, solution.covariance[:size, :size], counts)
+
+
+def _counts(inside: Floats, within: float) -> Floats:
+    """How much a sample counts, 0 to 1, that lies so far inside a limit; half at the limit."""
+    counts: Floats = np.clip((1 + inside / within) / 2, 0.0, 1.0)
+    return counts
 
 
 @dataclass(frozen=True)
@@ -184,10 +203,20 @@ class _StepState:
 
 
 @dataclass(frozen=True)
+class _Prior:
+    """What is known of the unknowns beforehand: expected value, 1/variance, and bounds."""
+
+    expected: Floats
+    precision: Floats
+    least: Floats
+    most: Floats
+
+
+@dataclass(frozen=True)
 class _StepSolution:
     """One step of all unknowns and their covariance.
 
-    residual: of each used sample, in units of its uncertainty.  scatter: theirs, robust.
+    residual: of each used sample, in units of its uncertainty.  scatter: theirs, by the median.
     """
 
     step: Floats
@@ -200,14 +229,14 @@ def _solve(
     samples: StepSamples,
     state: _StepState,
     used: Ints,
+    weight: Floats,
     t: Floats,
     unmodelled: float,
-    prior: tuple[Floats, Floats],
+    prior: _Prior,
 ) -> _StepSolution:
     """One Gauss-Newton step.  The levels enter linearly: they are solved anew each time.
 
-    used: (n,) the samples that count, stretch by stretch.  prior: expected value and 1/variance of
-    the unknowns.
+    used: (n,) the samples that count, stretch by stretch.  weight: (n,) how much.
     """
     t, stretch, terms = t[:, used], samples.stretch[used], samples.level[:, used]
     begin = np.searchsorted(stretch, np.arange(len(samples.group) + 1))
@@ -216,7 +245,8 @@ def _solve(
     density = np.exp(-(t**2) / 2) / np.sqrt(2 * np.pi)
     share = ndtr(t) + wall * density
     total, brightness = share.prod(axis=0), samples.brightness[used]
-    sums = _sums(np.vstack([terms * total, brightness]), begin)
+    root = np.sqrt(weight)
+    sums = _sums(np.vstack([terms * total, brightness]) * root, begin)
     # Of a stretch without samples the terms are 0: the inverse gives it no level.
     levels = np.linalg.pinv(sums[:, :-1, :-1], hermitian=True) @ sums[:, :-1, -1:]
     level = np.einsum("lk,lk->k", terms, levels[..., 0].T[:, stretch])
@@ -226,28 +256,49 @@ def _solve(
     relative = brightness / (level * total) - 1
     design = np.vstack([terms / level, by_place, by_width, by_wall, relative])
     design /= np.hypot(state.scatter, unmodelled / total)
-    expected, precision = prior
-    freedom = len(used) - len(expected) - levels.size
+    freedom = weight.sum() - len(prior.expected) - levels.size
     if freedom <= 0 or not (level > 0).all():
         raise MeasurementError(f"edges: {len(used)} samples beside them do not fix them")
     # Each stretch's levels are eliminated by themselves: what is left of it is the unknowns'.
     own = len(terms)
-    sums = _sums(design, begin)
+    sums = _sums(design * root, begin)
     follow = np.linalg.pinv(sums[:, :own, :own], hermitian=True) @ sums[:, :own, own:]
     unknowns = _unknowns(samples, state)
-    normal = np.zeros((len(expected) + 2, len(expected) + 2))
+    normal = np.zeros((len(prior.expected) + 2, len(prior.expected) + 2))
     left = sums[:, own:, own:] - sums[:, own:, :own] @ follow
     np.add.at(normal, (unknowns[:, :, None], unknowns[:, None, :]), left)
     present = np.concatenate([state.place, state.width, state.wall])
-    known = normal[:-2, :-2] + np.diag(precision)
+    known = normal[:-2, :-2] + np.diag(prior.precision)
     inverse = cast(Floats, np.linalg.pinv(known, hermitian=True))
-    step = inverse @ (normal[:-2, -2] + precision * (expected - present))
+    gradient = normal[:-2, -2] + prior.precision * (prior.expected - present)
+    step = _within_bounds(known, gradient, present, prior)
     shares = np.append(-step, [1.0, 0.0])[unknowns]
     shares = np.column_stack([-(follow @ shares[..., None])[..., 0], shares])
     residual = np.einsum("mk,mk->k", design, shares.T[:, stretch])
-    chi2 = max(float(residual @ residual) / freedom, 1.0)
-    spread = 1.4826 * float(np.median(np.abs(residual)))
-    return _StepSolution(step, inverse * chi2, residual, spread)
+    chi2 = max(float(weight @ residual**2) / freedom, 1.0)
+    return _StepSolution(step, inverse * chi2, residual, 1.4826 * _median(np.abs(residual), weight))
+
+
+def _within_bounds(known: Floats, gradient: Floats, present: Floats, prior: _Prior) -> Floats:
+    """The step of the unknowns, those held that would leave their bounds with it.
+
+    The others' step would be that beside a step which is not taken, and go to and fro for ever.
+    """
+    free = np.ones(len(present), dtype=bool)
+    while True:
+        step = np.zeros(len(present))
+        step[free] = np.linalg.pinv(known[np.ix_(free, free)], hermitian=True) @ gradient[free]
+        held = (step < 0) & (present <= prior.least) | (step > 0) & (present >= prior.most)
+        if not held.any():
+            return step
+        free &= ~held
+
+
+def _median(values: Floats, weight: Floats) -> float:
+    """The weighted median, which changes continuously with the weights (n,)."""
+    order = np.argsort(values)
+    up_to = np.cumsum(weight[order]) - weight[order] / 2
+    return float(np.interp(weight.sum() / 2, up_to, values[order]))
 
 
 def _sums(rows: Floats, begin: Ints) -> Floats:
@@ -268,18 +319,6 @@ def _unknowns(samples: StepSamples, state: _StepState) -> Ints:
     wall = np.where(samples.wall < 0, -1, sizes[1] + samples.wall)
     last = np.full(len(wall), sizes[2])
     return np.column_stack([samples.places, sizes[0] + samples.group, wall, last])
-
-
-def _repeats(places: list[Floats], left: int) -> bool:
-    """Whether the last of some places is where the search would be after ``left`` more rounds.
-
-    It is at rest, or a doubtful sample that comes and goes leads it round in a circle.
-    """
-    *before, last = places
-    for period, place in enumerate(reversed(before), start=1):
-        if left % period == 0 and np.abs(last - place).max() < SETTLED_MM:
-            return True
-    return False
 
 
 def _advanced(state: _StepState, step: Floats, scatter: float, limits: StepLimits) -> _StepState:

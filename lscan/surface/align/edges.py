@@ -71,7 +71,7 @@ class EdgeFit:
     pivot_mm : float, mm, the y at which the edges are at ``at_mm``
     covariance : (E + 1, E + 1) array, of the lean and at_mm: that of the likelihood, and that of
         the crossings' scatter
-    kept : (K,) mask, of the samples of all edges, in their order, that are no outliers
+    weight : (K,) array, how much each sample of all edges counts, in their order, 0 to 1
     """
 
     at_mm: Floats
@@ -79,7 +79,7 @@ class EdgeFit:
     lean: float
     pivot_mm: float
     covariance: Floats
-    kept: Mask
+    weight: Floats
 
     def meet(self, first: int, second: int) -> Floats:
         """(2,) x and y in mm where two of the edges meet.
@@ -94,7 +94,7 @@ class EdgeFit:
 
 
 def fit_edges(
-    edges: Mapping[str, EdgeCrossings], pivot_mm: float, kept: Mask | None = None
+    edges: Mapping[str, EdgeCrossings], pivot_mm: float, weight: Floats | None = None
 ) -> EdgeFit:
     """The edges that share one lean, from their crossings in plan.
 
@@ -102,7 +102,7 @@ def fit_edges(
     ----------
     edges : mapping of EdgeCrossings, mm, by name
     pivot_mm : float, mm, the y about which the edges lean
-    kept : (K,) mask, optional, of the samples that are no outliers, where that is decided already
+    weight : (K,) array, optional, 0 for the crossings that are outliers, where that is decided
 
     Raises
     ------
@@ -124,11 +124,11 @@ def fit_edges(
     which = np.repeat(np.arange(len(each)), [len(edge.inside) for edge in each])
     inside = np.concatenate([_upright(edge.inside, edge.slope, pivot_mm) for edge in each])
     outside = np.concatenate([_upright(edge.outside, edge.slope, pivot_mm) for edge in each])
-    keep = np.ones(len(which), dtype=bool) if kept is None else kept
+    keep = np.ones(len(which), dtype=bool) if weight is None else weight > 0
     place = _least_absolute((inside + outside) / 2, which)
     for _ in range(3):
         place, covariance = _most_likely(inside[keep], outside[keep], which[keep], place)
-        if kept is None:
+        if weight is None:
             keep = _violation(inside, outside, which, place) < OUTLIER
             _require_agreeing(list(edges), np.bincount(which[keep], minlength=len(each)))
     noise = _scatter_covariance((inside + outside)[keep] / 2, which[keep], place)
@@ -138,7 +138,7 @@ def fit_edges(
         lean=float(place[0]),
         pivot_mm=pivot_mm,
         covariance=covariance + noise,
-        kept=keep,
+        weight=keep.astype(float),
     )
 
 

@@ -52,15 +52,17 @@ class FaceSamples:
     lower: Mask
 
 
-def fit_fading(edges: Sequence[FaceSamples], start: EdgeFit, kept: Mask | None = None) -> EdgeFit:
+def fit_fading(
+    edges: Sequence[FaceSamples], start: EdgeFit, weight: Floats | None = None
+) -> EdgeFit:
     """The edges that share one lean, each at x = at + (slope + lean) (y - pivot), mm.
 
     Parameters
     ----------
     edges : sequence of FaceSamples, mm and DN
     start : EdgeFit, the edges as found before, in the same order, good to about the width
-    kept : (K,) mask, optional, the samples to use, of all edges in their order, where that is
-        decided
+    weight : (K,) array, optional, how much each sample counts, of all edges in their order, where
+        that is decided
 
     Raises
     ------
@@ -70,14 +72,14 @@ def fit_fading(edges: Sequence[FaceSamples], start: EdgeFit, kept: Mask | None =
     place = np.array([start.lean, *start.at_mm])
     width = np.full(1 + max(edge.group for edge in edges), FIRST_WIDTH_MM)
     sigma = np.array([LEAN_SIGMA, *np.full(len(edges), PLACE_SIGMA_MM)])
-    fit = fit_steps(_samples(edges, start.pivot_mm), place, sigma, width, LIMITS, kept)
+    fit = fit_steps(_samples(edges, start.pivot_mm), place, sigma, width, LIMITS, weight)
     return EdgeFit(
         at_mm=fit.place[1:],
         slope=np.array([edge.slope for edge in edges]),
         lean=float(fit.place[0]),
         pivot_mm=start.pivot_mm,
         covariance=fit.covariance,
-        kept=fit.kept,
+        weight=fit.weight,
     )
 
 

@@ -18,7 +18,7 @@ import numpy as np
 
 from lscan.config.targets import Sandwave
 from lscan.errors import MeasurementError
-from lscan.records import Floats, Mask, Surface
+from lscan.records import Floats, Surface
 from lscan.surface.align.alignment import Alignment, own_variances, turned_modes
 from lscan.surface.align.datum import YAW, Datum, parameter_modes
 from lscan.surface.align.edges import EdgeCrossings, EdgeFit, fit_edges
@@ -34,7 +34,7 @@ SETTLED_RAD = 1e-7
 MAX_ITERATIONS = 60
 
 UNDECIDED_ITERATIONS = 10
-"""Rounds after which it stays as it is which samples are outliers: a doubtful one that came and
+"""Rounds after which it stays as it is how much each sample counts: a doubtful one that came and
 went with the pose would keep the pose from settling."""
 
 MIN_SIDE_CROSSINGS = 50
@@ -211,10 +211,10 @@ def _refine(
     tops: Floats, find: "_Finder", pose: BlockPose, piece: Sandwave, sheared: bool
 ) -> tuple[BlockPose, "_Edges"]:
     """The pose at which the base plane, the corners and the yaw agree, and the edges in it."""
-    kept = None
+    weight = None
     for iteration in range(1, MAX_ITERATIONS + 1):
-        edges = find(pose, kept)
-        kept = edges.fit.kept if iteration >= UNDECIDED_ITERATIONS else None
+        edges = find(pose, weight)
+        weight = edges.fit.weight if iteration >= UNDECIDED_ITERATIONS else None
         across = edges.corners[1] - edges.corners[0]
         turn_error = float(np.arctan2(across[1], across[0]))
         # A lean towards +x with growing y says that the profiles were shifted too far.
@@ -277,16 +277,16 @@ class _Edges:
         return np.asarray(self.corners.mean(axis=0), dtype=float)
 
 
-_Finder = Callable[[BlockPose, Mask | None], _Edges]
-"""Finds the edges in a pose; the mask says which samples are no outliers, once decided."""
+_Finder = Callable[[BlockPose, Floats | None], _Edges]
+"""Finds the edges in a pose; the weights say how much each sample counts, once decided."""
 
 
 def _crossed(selected: Mapping[str, EdgeCrossings], piece: Sandwave) -> _Finder:
     """Finds edges between the last samples on them and the first ones off them."""
 
-    def find(pose: BlockPose, kept: Mask | None) -> _Edges:
+    def find(pose: BlockPose, weight: Floats | None) -> _Edges:
         in_plan = {name: edge.moved(pose.plan) for name, edge in selected.items()}
-        return _Edges(fit_edges(in_plan, piece.side_mm / 2, kept), False, _tips_mm(piece))
+        return _Edges(fit_edges(in_plan, piece.side_mm / 2, weight), False, _tips_mm(piece))
 
     return find
 
@@ -302,12 +302,12 @@ def _fading(
         return None
     raw = [surface.xyz_mm.reshape(-1, 3)[index] for index, _ in beside]
 
-    def find(pose: BlockPose, kept: Mask | None) -> _Edges:
+    def find(pose: BlockPose, weight: Floats | None) -> _Edges:
         samples = [
             replace(face, plan=pose.plan(points))
             for points, (_, face) in zip(raw, beside, strict=True)
         ]
-        return _Edges(fit_fading(samples, edges.fit, kept), True, _tips_mm(piece))
+        return _Edges(fit_fading(samples, edges.fit, weight), True, _tips_mm(piece))
 
     return find
 
