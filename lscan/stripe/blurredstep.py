@@ -156,7 +156,7 @@ def fit_steps(
         most=np.repeat([np.inf, limits.widths_mm[1], WALL[1]], [len(place), len(width), len(wall)]),
     )
     order = np.argsort(samples.stretch, kind="stable")
-    share, before = 1.0, np.zeros(len(sigma))
+    size, share, before = len(place), 1.0, np.zeros(len(sigma))
     for _ in range(ROUNDS):
         depth = np.append(state.place, 0.0)[samples.places[samples.stretch]].T
         depth = (samples.by_place * depth).sum(axis=1) - samples.offset
@@ -175,11 +175,10 @@ def fit_steps(
         solution = _solve(samples, state, used, counts[used], t, limits.unmodelled, prior)
         # Steps that turn back overshoot: without shorter ones they go to and fro for ever.
         share = share / 2 if solution.step @ before < 0 else min(1.0, GROWS * share)
-        before, last = solution.step, state.place
+        before = solution.step
         state = _advanced(state, share * solution.step, solution.scatter, limits)
-        if np.abs(state.place - last).max() < SETTLED_MM:
+        if np.abs(solution.step[:size]).max() < SETTLED_MM:  # not its share: that can be small
             break
-    size = len(place)
     return StepFit(state.place, solution.covariance[:size, :size], counts)
 
 

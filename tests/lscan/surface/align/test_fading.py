@@ -9,7 +9,7 @@ from scipy.special import ndtr
 
 from lscan.errors import MeasurementError
 from lscan.records import Floats
-from lscan.stripe.blurredstep import ROUNDS, SETTLED_MM, _Prior, _within_bounds
+from lscan.stripe.blurredstep import ROUNDS, SETTLED_MM, _advanced, _Prior, _within_bounds
 from lscan.surface.align.edges import EdgeFit
 from lscan.surface.align.fading import PLACE_SIGMA_MM, FaceSamples, fit_fading
 
@@ -105,6 +105,21 @@ def test_noise_keeps_no_search_going_to_and_fro(monkeypatch: pytest.MonkeyPatch)
             monkeypatch.setattr("lscan.stripe.blurredstep.ROUNDS", rounds)
             found.append(fit_fading([edge], start(edge)).at_mm[0])
         assert np.ptp(found) < 5 * SETTLED_MM
+
+
+def test_a_search_ends_with_a_step_of_zero(monkeypatch: pytest.MonkeyPatch) -> None:
+    """With samples that count in full or not at all the step changed its sign where one came or
+    went, and searches ran to their last round, moving by ever smaller shares of it."""
+    rounds: list[int] = []
+    monkeypatch.setattr(
+        "lscan.stripe.blurredstep._advanced",
+        lambda *args: (rounds.append(1), _advanced(*args))[1],
+    )
+    for seed in range(10):
+        edge = faces(0.0, 0.0, 0.867, 0.4, 0.15, seed)
+        rounds.clear()
+        fit_fading([edge], start(edge))
+        assert len(rounds) < ROUNDS
 
 
 def test_what_is_at_its_bound_is_held_and_the_others_step_without_it() -> None:
