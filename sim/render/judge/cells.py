@@ -4,12 +4,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
+import cv2
 import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from lscan.records import Floats
-from sim.render.plugins.arrays import floats, long_indices
+from lscan.records import Floats, Ints
+from sim.render.plugins.arrays import floats, indices, long_indices
 from sim.render.plugins.sheet import LaserSheet
 
 JOINED = (4, 16, 64)  # cells a side, that may be one
@@ -17,12 +18,18 @@ NEARNESS = 12.0  # light that goes as the distance to -1.35 is then off by 0.2 %
 # Of a whole cell's area, the least that a cell counts with which a triangle's third side cuts off:
 # one photon in next to nothing would be a speck.  Of the area along such a side 5e-4 is affected.
 SLIVER = 0.03
+# So many planes, those of the largest triangles, are looked at for rectangles: corners lie in one
+# to so many mm, and all triangles together have its area to that share.
+PLANES, FLAT_MM, SAME_AREA = 16, 3e-4, 1e-3
 EMPTY = 2**64 - 1  # the key of a record that was never written: behind all others
 VOXEL_BITS = 20  # a coordinate's, of a key
 
 
 class SurfaceCells:
     """The triangles of a scene's meshes, cut into parallelograms along two of their sides.
+
+    Triangles that tile a rectangle are cut as one: those about the marks of a board may be
+    thousands of times narrower than a cell, and one photon in such a one would be a speck.
 
     Light that was scattered or reflected varies on the scale of the distance from the sheets, so
     cells may grow with it: fours by four are joined where they still are NEARNESS times smaller
@@ -34,7 +41,11 @@ class SurfaceCells:
         self._sheets, self._shapes, self._cell_mm = sheets, scene.shapes(), cell_mm
         meshes = [_triangles(shape) for shape in self._shapes]
         self._first = np.cumsum([0, *(len(mesh) for mesh in meshes)])
-        corners = np.concatenate(meshes)
+        triangles = np.concatenate(meshes)
+        rectangles, patch = _rectangles(triangles)
+        corners = np.concatenate([triangles, rectangles])
+        self._patch = indices(patch)
+        self._triangular = floats(np.arange(len(corners)) < len(triangles))
         start, sides = corners[:, 0], corners[:, 1:] - corners[:, :1]
         counts = np.maximum(np.ceil(np.linalg.norm(sides, axis=2) / cell_mm), 1)
         normal = np.cross(sides[:, 0], sides[:, 1])
@@ -51,20 +62,21 @@ class SurfaceCells:
         self, si: mi.SurfaceInteraction3f, towards: mi.Vector3f, active: mi.Bool
     ) -> tuple[mi.UInt64, mi.Float]:
         """Key of the cell at ``si``, on the side that ``towards`` points to, and its area, mm2."""
-        triangle = self._triangle(si)
+        patch = dr.gather(mi.UInt32, self._patch, self._triangle(si), active)
 
         def of(kind: Any, values: mi.Float) -> Any:
-            return dr.gather(kind, values, triangle, active)
+            return dr.gather(kind, values, patch, active)
 
         start, sides = of(mi.Point3f, self._start), [of(mi.Vector3f, v) for v in self._sides]
         offset, counts = si.p - start, [of(mi.Float, count) for count in self._counts]
         duals = [of(mi.Vector3f, dual) for dual in self._duals]
         place = [dr.clip(dr.dot(offset, dual), 0, 1) for dual in duals]
+        is_triangle = of(mi.Float, self._triangular)
         joined, level = mi.Float(1), mi.UInt64(0)
         for number, many in enumerate(JOINED, start=1):
             blocks = [_block(p, n, many) for p, n in zip(place, counts, strict=True)]
             middle = [0.5 * (begin + dr.minimum(end, 1)) for begin, end in blocks]
-            within = dr.maximum(middle[0] + middle[1], 1)
+            within = dr.maximum(is_triangle * (middle[0] + middle[1]), 1)
             centre = start + (sides[0] * middle[0] + sides[1] * middle[1]) / within
             far = self._distance(centre) > many * NEARNESS * self._cell_mm
             joined, level = dr.select(far, many, joined), dr.select(far, number, level)
@@ -72,8 +84,11 @@ class SurfaceCells:
         n, m = counts
         index = mi.UInt64(dr.round(u * n)) * mi.UInt64(m) + mi.UInt64(dr.round(v * m))
         key = of(mi.UInt64, self._begins) + index
-        side = dr.select(dr.dot(si.n, towards) > 0, mi.UInt64(1), mi.UInt64(0))
-        share = dr.maximum(_cut_off(u, u_end, v, v_end), SLIVER * dr.square(joined) / (n * m))
+        outside = dr.dot(dr.cross(*sides), towards) > 0
+        side = dr.select(outside, mi.UInt64(1), mi.UInt64(0))
+        cut = dr.maximum(_cut_off(u, u_end, v, v_end), SLIVER * dr.square(joined) / (n * m))
+        inside = (dr.minimum(u_end, 1) - u) * (dr.minimum(v_end, 1) - v)
+        share = dr.select(is_triangle > 0, cut, inside)
         return 8 * key + 2 * level + side, of(mi.Float, self._whole) * share
 
     def _triangle(self, si: mi.SurfaceInteraction3f) -> mi.UInt32:
@@ -89,6 +104,38 @@ class SurfaceCells:
         for sheet in self._sheets:
             distance = dr.minimum(distance, dr.abs(sheet.coordinates(point, mi.Float(0))[2]))
         return distance
+
+
+def _rectangles(triangles: Floats) -> tuple[Floats, Ints]:
+    """(R, 3, 3) corners of rectangles that triangles tile, and of each triangle its patch.
+
+    Patches are the triangles, then the rectangles.
+    """
+    sides = triangles[:, 1:] - triangles[:, :1]
+    normal = np.cross(sides[:, 0], sides[:, 1])
+    area, patch = np.linalg.norm(normal, axis=1) / 2, np.arange(len(triangles))
+    left = area.copy()
+    found: list[Floats] = []
+    for _ in range(PLANES):
+        largest = int(np.argmax(left))
+        if left[largest] <= 0:
+            break
+        along = sides[largest, 0] / np.linalg.norm(sides[largest, 0])
+        upright = normal[largest] / np.linalg.norm(normal[largest])
+        frame = np.stack([along, np.cross(upright, along), upright])
+        offset = triangles - triangles[largest, 0]
+        here = (left > 0) & np.all(np.abs(offset @ upright) < FLAT_MM, axis=1)
+        left[here] = 0
+        flat = (offset[here] @ frame[:2].T).reshape(-1, 2)
+        box = cv2.boxPoints(cv2.minAreaRect(flat.astype(np.float32))).astype(float)
+        first, second = box[1] - box[0], box[3] - box[0]
+        whole = np.linalg.norm(first) * np.linalg.norm(second)
+        if here.sum() > 1 and abs(area[here].sum() - whole) < SAME_AREA * whole:
+            patch[here] = len(triangles) + len(found)
+            if first[0] * second[1] < first[1] * second[0]:  # on the side that triangles face
+                box = box[[0, 3, 2, 1]]
+            found.append(triangles[largest, 0] + box[[0, 1, 3]] @ frame[:2])
+    return np.reshape(found, (-1, 3, 3)), patch
 
 
 def _block(place: mi.Float, count: mi.Float, joined: mi.Float | int) -> tuple[mi.Float, mi.Float]:

@@ -14,6 +14,8 @@ from sim.render.plugins.sheet import LaserSheet
 FAINT = 0.05  # of a path's first weight: below, some are ended and the others keep as much
 LONGEST_PATH = 1024
 METRE_MM = 1000.0
+# Cells in which scattered walks end are so many times as wide: what these blur is blurred anyway.
+WIDER = 4.0
 REFLECTED = -1.0  # the mark of light that has been reflected
 
 
@@ -26,6 +28,7 @@ class Waters:
         """Take surfaces and water as they are, with cells of so many mm a side."""
         self.scene, self.water, self.voxel_mm = scene, water, voxel_mm
         self.surfaces = SurfaceCells(scene, water.sheets, cell_mm)
+        self.wide = SurfaceCells(scene, water.sheets, WIDER * cell_mm)
         self.absorption = water.extinction - water.scattering
         # So that no more than about one a photon is noted in the water.
         self.noted = dr.minimum(1, 1 / (METRE_MM * dr.maximum(water.scattering, 1e-20)))
@@ -50,18 +53,19 @@ class Waters:
 class PhotonRecords:
     """Where photons of scattered or reflected light were.
 
-    landed: on surfaces, each time; its mark is 0, or REFLECTED after a reflection.
+    landed, wide: on surfaces, each time, in small cells and in wide ones; its mark is 0, or
+    REFLECTED after a reflection.
     met: where water scatters what it has scattered before and nothing reflected; the mark is the
     largest angle it has been turned by so far.
     """
 
     def __init__(self, capacity: int) -> None:
-        """Make room for so many of either kind."""
-        self.landed, self.met = CellRecords(capacity), CellRecords(capacity)
+        """Make room for so many of each kind."""
+        self.landed, self.wide, self.met = (CellRecords(capacity) for _ in range(3))
 
     def sort(self) -> bool:
-        """Sort both; whether all records have found room."""
-        return all([self.landed.sort(), self.met.sort()])
+        """Sort them; whether all records have found room."""
+        return all(records.sort() for records in (self.landed, self.wide, self.met))
 
 
 @dataclass
@@ -145,9 +149,10 @@ def _follow(
         noted = in_water & ~reflected & (sampler.next_1d(active) < waters.noted)
         key = voxel_key(point, waters.voxel_mm)
         records.met.write(key, back, weight * unit / waters.noted, turned, noted)
-        key, _ = waters.surfaces.find(si, back, on_surface)
         mark = dr.select(reflected, REFLECTED, 0.0)
-        records.landed.write(key, back, weight * unit, mark, on_surface)
+        for cells, landed in ((waters.surfaces, records.landed), (waters.wide, records.wide)):
+            key, _ = cells.find(si, back, on_surface)
+            landed.write(key, back, weight * unit, mark, on_surface)
 
         onward = waters.water.phase.sample_direction(ray.d, sampler.next_2d(active))
         turned = dr.maximum(turned, angle_between(ray.d, onward))

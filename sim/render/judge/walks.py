@@ -13,7 +13,7 @@ reflects, so nothing weighs much.
 import drjit as dr
 import mitsuba as mi
 
-from sim.render.judge.cells import voxel_key
+from sim.render.judge.cells import CellRecords, SurfaceCells, voxel_key
 from sim.render.judge.photons import LONGEST_PATH, PhotonRecords, Waters, spared
 from sim.render.plugins.base import Leg
 from sim.render.plugins.beams import Falloff, line_density
@@ -42,14 +42,15 @@ class CameraWalks:
         waters, scene = self.waters, self.waters.scene
         own = Leg(scene, sampler, ray, scene.ray_intersect(ray), mi.Bool(True))
         chance = waters.chance_within(own.si.t)
-        laser, between = self._landed(own, waters.kept(own.si.t) * (1 - chance))
+        straight = waters.kept(own.si.t) * (1 - chance)
+        laser, between = self._landed(own, straight, waters.surfaces, self.records.landed)
         veil = self._met(own, mi.Float(0))
         free = waters.free_path(chance * sampler.next_1d())
         start = mi.Ray3f(ray(free), waters.water.phase.sample_direction(ray.d, sampler.next_2d()))
         weight = dr.select(chance > 0, chance * waters.kept(free), 0.0)
         met, last, weight = self._walk(start, angle_between(ray.d, start.d), weight, sampler)
         end = Leg(scene, sampler, last, scene.ray_intersect(last, weight > 0), weight > 0)
-        both, reflected = self._landed(end, weight)
+        both, reflected = self._landed(end, weight, waters.wide, self.records.wide)
         end.si.t = dr.select(end.si.is_valid(), 0.0, end.si.t)  # the weight counts the way
         camera = mi.Float(0)
         for sheet in self.sheets:
@@ -88,14 +89,16 @@ class CameraWalks:
             step += 1
         return veil, ray, arrived
 
-    def _landed(self, leg: Leg, weight: mi.Float) -> tuple[mi.Float, mi.Float]:
+    def _landed(
+        self, leg: Leg, weight: mi.Float, cells: SurfaceCells, records: CellRecords
+    ) -> tuple[mi.Float, mi.Float]:
         """Light that photons brought to the surface on the ray, by scattering and by reflection.
 
         Of one photon of the cell, times their number; each of the two times ``weight``.
         """
         si, active = leg.si, leg.active & leg.si.is_valid() & (weight > 0)
-        key, area = self.waters.surfaces.find(si, -leg.ray.d, active)
-        photon = self.records.landed.draw(key, leg.sampler.next_1d(active), active)
+        key, area = cells.find(si, -leg.ray.d, active)
+        photon = records.draw(key, leg.sampler.next_1d(active), active)
         active &= photon.count > 0
         outgoing = si.to_local(photon.towards)
         value = si.bsdf().eval(mi.BSDFContext(), si, outgoing, active)

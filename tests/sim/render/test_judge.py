@@ -23,7 +23,8 @@ from sim.render.layers import W_PER_M2_IN_MW_PER_MM2
 from sim.render.plugins.arrays import floats, indices
 from sim.render.plugins.multiple import MultipleIntegrator
 from sim.render.tank import Tank
-from sim.scene import Laser
+from sim.scene import Laser, Pose
+from sim.scene.poses import rotation
 from sim.water import Optics
 
 COUNT = 1 << 20
@@ -71,6 +72,48 @@ def test_cells_hold_points_by_their_area() -> None:
     np.maximum.at(whole, kind.astype(int), areas)
     told = (expected > 20) & (areas > 1.01 * SLIVER * whole[kind.astype(int)])
     z = (counts - expected)[told] / np.sqrt(expected[told])
+    assert np.abs(z).max() < 5 and z.var() == pytest.approx(1, abs=5 * np.sqrt(2 / len(z)))
+
+
+@pytest.mark.parametrize("turned", [False, True])
+def test_slivers_that_tile_a_rectangle_are_cut_as_one(turned: bool) -> None:
+    """Sixty by forty, half of it of triangles that are up to 4000 times as long as they are
+    wide: points strewn evenly fall into cells as these are large, and no cell is smaller than the
+    others that are as far from the sheet, but for those at two edges.  A triangle above its plane
+    is still cut as one."""
+    width, height = 60.0, 40.0
+    edge = np.vstack(
+        [
+            np.column_stack([np.full(3001, width), np.linspace(0, height, 3001)]),
+            np.column_stack([np.linspace(width, 30, 3001)[1:], np.full(3000, height)]),
+        ]
+    )
+    slivers = np.stack([np.tile([30.0, 0.0], (6000, 1)), edge[:-1], edge[1:]], axis=1)
+    large = np.array([[[0, 0], [30, 0], [30, height]], [[0, 0], [30, height], [0, height]]])
+    flat = np.vstack([slivers, large])
+    above = np.array([[[80, 0, 5], [110, 0, 5], [80, 40, 5]]], dtype=float)
+    corners = np.vstack([np.pad(flat, ((0, 0), (0, 0), (0, 1))), above])
+    pose = rotation("ZYX", [20.0, -30.0, 50.0]) if turned else np.eye(3)
+    scene = mi.load_dict({"type": "scene", "mesh": triangles(corners @ pose.T)})
+    sheet = make_sheet(Laser(power_mw=1, apex_mm=(90, 0, 300)), Pose(pose, np.zeros(3)))
+    cells = SurfaceCells(scene, [sheet], 0.25)
+    x, y = np.random.default_rng(4).uniform([0, 0], [110, 40], (COUNT, 2)).T
+    start, down = np.column_stack([x, y, 0 * x + 10]) @ pose.T, -pose[:, 2]
+    ray = mi.Ray3f(mi.Point3f(np.float32(start.T)), mi.Vector3f(*down.tolist()))
+    si = scene.ray_intersect(ray)
+    key, area = cells.find(si, mi.Vector3f(*(-down).tolist()), si.is_valid())
+    met = np.array(si.is_valid())
+    keys, place, counts = np.unique(np.array(key)[met], return_index=True, return_counts=True)
+    areas = np.array(area, dtype=float)[met][place]
+    tiles = np.array(si.prim_index)[met][place] < len(flat)
+    for level in range(2):
+        same = areas[tiles & (keys // 2 % 4 == level)]
+        assert np.mean(same > 0.999 * same.max()) > 0.9
+        assert same.min() > same.max() / 17, "the last one, of 4 by 4 at most, is cut off"
+    assert areas[tiles].sum() == pytest.approx(width * height, rel=1e-3)
+    assert areas[~tiles].sum() == pytest.approx(600, rel=1e-2)
+    expected = COUNT * areas / (110 * 40)
+    z = (counts - expected)[tiles] / np.sqrt(expected[tiles])
     assert np.abs(z).max() < 5 and z.var() == pytest.approx(1, abs=5 * np.sqrt(2 / len(z)))
 
 
