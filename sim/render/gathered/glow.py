@@ -9,7 +9,7 @@ squares.  The sheet's thickness blurs it along s.
 """
 
 from functools import lru_cache
-from math import pi
+from math import asinh, pi
 from typing import TypeVar
 
 import drjit as dr
@@ -42,6 +42,12 @@ DIM = 0.3  # of a facing surface's light: above, the fit's error counts relative
 ODD = (2, 7, 8)  # the polynomial's terms that change sign from one side of the sheet to the other
 LEAST = 1e-6  # of an endless fan's light
 LEAST_LIGHT = 1e-30  # mW/mm2
+# What falls about so near the sheet's middle the lit line reflects along with its own light: it is
+# finer than patches, which lie 5 to 20 mm apart.
+STRIP_MM = 10.0
+# Gauss and Legendre's nodes across that strip, at hyperbolic sines from about FINEST_MM on, out to
+# so many STRIP_MM; a surface that the sheet grazes is taken to lean by this sine.
+STRIP_NODES, FINEST_MM, STRIP_REACH, GRAZING = 16, 0.5, 3.0, 0.2
 Part = TypeVar("Part", mi.Float, Floats)
 
 
@@ -61,6 +67,44 @@ class Glow:
         self._loss = opaque(_loss(spread, extinction_per_mm))
         table = _summed_up(sheet.settings, spread, extinction_per_mm)
         self._table = mi.Texture3f(mi.TensorXf(table), use_accel=False)
+
+    def of_strip(self, point: mi.Point3f, normal: mi.Vector3f) -> mi.Float:
+        """What falls about the line on a surface, mW per radian of the fan; see ``off_strip``.
+
+        Parameters
+        ----------
+        point : Point3f, mm, world frame, of the line
+        normal : Vector3f, of the surface, on the side that is lit
+        """
+        sheet, span = self._sheet, asinh(STRIP_REACH * STRIP_MM / FINEST_MM)
+        node, weight = np.polynomial.legendre.leggauss(STRIP_NODES)
+        aside, width = FINEST_MM * np.sinh(span * node), FINEST_MM * span * np.cosh(span * node)
+        lane = dr.arange(mi.UInt32, dr.width(point) * STRIP_NODES)
+        index = lane // STRIP_NODES
+        s, step = (
+            dr.gather(mi.Float, floats(values), lane % STRIP_NODES)
+            for values in (aside, width * weight)
+        )
+        middle, plane = dr.gather(mi.Point3f, point, index), dr.gather(mi.Vector3f, normal, index)
+        across = sheet.normal - plane * dr.dot(plane, sheet.normal)
+        lean = dr.maximum(dr.norm(across), GRAZING)
+        light = self.irradiance(middle + across * (s / dr.square(lean)), plane) * _in_strip(s)
+        strip = dr.block_sum(light * step / lean, STRIP_NODES)
+        line = dr.cross(normal, sheet.normal)
+        offset = point - sheet.apex(mi.Float(0))
+        grazed = dr.norm(dr.cross(line, offset)) / dr.maximum(dr.norm(line), GRAZING)
+        return strip * dr.squared_norm(offset) / dr.maximum(grazed, GRAZING * dr.norm(offset))
+
+    def off_strip(self, point: mi.Point3f, normal: mi.Normal3f) -> mi.Float:
+        """What surfaces receive, mW/mm2, but for what counts as of the line.
+
+        Parameters
+        ----------
+        point, normal : as those of ``irradiance``
+        """
+        phi, _, s = self._sheet.coordinates(point, mi.Float(0))
+        within = dr.select(dr.abs(phi) <= self._sheet.half_angle, _in_strip(s), 0.0)
+        return (1 - within) * self.irradiance(point, normal)
 
     def irradiance(self, point: mi.Point3f, normal: mi.Normal3f) -> mi.Float:
         """What surfaces receive, mW/mm2.
@@ -88,6 +132,11 @@ class Glow:
             total += term * factor
         light = dr.exp(log_value - self._loss * rho) * _share(sheet, phi, rho, s)
         return light * dr.maximum(total, 0)
+
+
+def _in_strip(s: mi.Float) -> mi.Float:
+    """Share of the light s mm off the sheet's middle that counts as of the line."""
+    return dr.exp(-0.5 * dr.square(s / STRIP_MM))
 
 
 @lru_cache(maxsize=8)  # tanks often differ in the target, the camera or the sensor alone

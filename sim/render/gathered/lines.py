@@ -18,6 +18,7 @@ from sim.render.plugins.arrays import floats
 from sim.render.plugins.sheet import LaserSheet
 
 RAYS = 2048
+SCATTERED = 16  # rays that share what the water scatters beside them
 # Segments that follow each other on one surface: from afar they are one place.
 SEGMENTS, CLUSTER = 128, 4
 CLUSTERS = SEGMENTS // CLUSTER
@@ -50,7 +51,10 @@ class LitLine:
 
 
 def lit_line(
-    scene: mi.Scene, sheet: LaserSheet, arriving: Callable[[mi.Float], mi.Float]
+    scene: mi.Scene,
+    sheet: LaserSheet,
+    arriving: Callable[[mi.Float], mi.Float],
+    beside: Callable[[mi.Point3f, mi.Vector3f], mi.Float] | None = None,
 ) -> LitLine:
     """The line of a sheet where it is placed.
 
@@ -59,18 +63,26 @@ def lit_line(
     scene : mi.Scene, of matt surfaces
     sheet : LaserSheet
     arriving : function of the distance in mm, the share of the light that arrives on the line
+    beside : function of places and normals, optional: what falls beside it and counts as of it,
+        mW per radian
     """
     step = 2 * sheet.half_angle / RAYS
     phi = step * (dr.arange(mi.Float, RAYS) + 0.5) - sheet.half_angle
     along = sheet.direction(phi)
     si = scene.ray_intersect(mi.Ray3f(sheet.apex(mi.Float(0)), dr.normalize(along)))
     lit = si.is_valid()
-    arrived = dr.select(lit, sheet.power_density(phi) * arriving(si.t), 0.0)
+    sends = reflectance(si) * step
+    sent = dr.select(lit, sends * sheet.power_density(phi) * arriving(si.t), 0.0)
     normal = facing(si)
     off = dr.select(lit, OFF * sheet.half_width(si.t), 0.0)
-    columns = [arrived * reflectance(si) * step, si.p, normal, off]
+    columns = [sent, si.p, normal, off, dr.select(lit, sends, 0.0)]
     dr.eval(columns)
-    power, point, normals, off_mm = (np.array(column, dtype=float) for column in columns)
+    power, point, normals, off_mm, share = (np.array(column, dtype=float) for column in columns)
+    if beside is not None:
+        ray = SCATTERED * dr.arange(mi.UInt32, RAYS // SCATTERED) + SCATTERED // 2
+        more = beside(dr.gather(mi.Point3f, si.p, ray), dr.gather(mi.Vector3f, normal, ray))
+        lit_too = np.array(dr.gather(mi.Bool, lit, ray))
+        power += share * np.where(lit_too, np.array(more), 0.0).repeat(SCATTERED)
     return _segmented(power, point.T, normals.T, off_mm)
 
 

@@ -32,6 +32,9 @@ from sim.water import Optics
 STEP = 4  # pixels between the places at which smooth light is worked out
 ABOUT_LINE = 8  # pixels on either side of the line, worked out one by one
 FINER_ROWS = 4  # samples down a fine cell of the chart that the line crosses
+# And down a pixel on the line, for on steep surfaces the glow's peak is narrower; of less than
+# FAINT of the column's brightest, a pixel is off that peak.
+PIXEL_ROWS, FAINT = 3, 0.05
 FAINTEST = 1e-12  # transmittance of the water, below which nothing is seen through it
 FARTHEST_MM = 1e4  # where a ray ends that meets nothing
 
@@ -114,7 +117,6 @@ class GatheredLight:
     ) -> None:
         """Sum up what does not change while the head moves; the sheets are left in its frame."""
         self._scene, self._integrator, self._rays = scene, integrator, rays
-        self._reflections = Reflections(scene, parts, integrator, water)
         for sheet in integrator.sheets:
             sheet.place(HEAD)
         self._veil = HigherVeil(water, integrator.sheets, rays)
@@ -127,6 +129,7 @@ class GatheredLight:
         self._outside = np.flatnonzero(~self._in_view.inside), np.flatnonzero(outer)
         spread, extinction = _last_spreads(water), water.extinction_per_mm
         self._glows = [Glow(sheet, spread, extinction) for sheet in integrator.sheets]
+        self._reflections = Reflections(scene, parts, integrator, water, self._glows)
         self._camera = CameraLeg(self._chart, spread, extinction)
         width, height = rays.size_px
         self._inner = np.arange(height * width).reshape(height, width)[1:-1, 1:-1]
@@ -137,6 +140,7 @@ class GatheredLight:
         self._places = mi.Point2f((x + 0.5) / columns, (y + 0.5) / rows)
         dr.eval(self._weight, self._places, self._index)
         self._camera_weight = np.array(self._weight).reshape(self._inner.shape)
+        self._pixel_rays = np.array(rays.origin), np.array(rays.direction)
 
     def families(self, head: Pose, direct: Picture, seen: PixelSurvey) -> Mapping[str, Picture]:
         """(H, W) light of each family, mW/(mm2 sr), the camera's weight included.
@@ -181,6 +185,7 @@ class GatheredLight:
     ) -> tuple[Picture, list[Shining]]:
         """What surfaces send on of the glow, in the picture, and of all light, in the grids."""
         coarse, exact = self._inner[::STEP, ::STEP], self._uneven(direct, seen)
+        on_line = _bright(direct)
         index = np.concatenate([coarse.ravel(), self._inner.ravel()[exact]])
         cells = [
             self._cell_rays(grid, outside, line)
@@ -190,12 +195,15 @@ class GatheredLight:
         rays, place = self._rays.some(index)
         hit = dr.gather(mi.PreliminaryIntersection3f, seen.hit, place)
         even, fine = self._sent(rays.seen_from(head), hit, head, lit).split(coarse.size, exact.size)
-        directions = [each.directions for each in cells]
-        ray = self._chart_rays(head, np.hstack(directions))
+        start, finer = self._down(self._inner.ravel()[on_line])
+        directions = [*(each.directions for each in cells), finer]
+        ray = self._traced_rays(head, np.hstack(directions), start)
         hit = self._scene.ray_intersect_preliminary(ray, coherent=True)
-        traced = self._sent(ray, hit, head, lit).split(*(way.shape[1] for way in directions))
+        counts = [way.shape[1] for way in directions]
+        *traced, within = self._sent(ray, hit, head, lit).split(*counts)
         picture = _stretched(even.radiance.reshape(coarse.shape), *self._inner.shape)
         picture.ravel()[exact] = fine.radiance
+        picture.ravel()[on_line] = within.radiance.reshape(-1, PIXEL_ROWS).mean(axis=1)
         shining = [self._traced(*each) for each in zip(cells, traced, strict=True)]
         self._put_view(shining[0], picture, even.normal.reshape(*coarse.shape, 3), seen)
         for grid, line, each in zip(self._grids, lines, shining, strict=True):
@@ -244,12 +252,28 @@ class GatheredLight:
         near = _widened(direct > 0, ABOUT_LINE) | _widened(seen.bent, STEP)
         return np.flatnonzero(near)
 
-    def _chart_rays(self, head: Pose, directions: Floats) -> mi.Ray3f:
-        """Rays from the chart's middle, in the world."""
-        start = opaque_vector(head.rotation @ self._chart.inner.pivot + head.origin_mm)
+    def _down(self, pixels: Ints) -> tuple[Floats, Floats]:
+        """(3, N PIXEL_ROWS) starts and directions of rays down pixels, linear between the rows'."""
+        below = (np.arange(PIXEL_ROWS) + 0.5) / PIXEL_ROWS - 0.5
+        row = np.where(below < 0, -1, 1) * self._rays.size_px[0]
+        other, share = pixels[:, np.newaxis] + row, np.abs(below).astype(np.float32)
+        starts, ways = (
+            (own[..., np.newaxis] * (1 - share) + values[:, other] * share).reshape(3, -1)
+            for values, own in ((v, v[:, pixels]) for v in self._pixel_rays)
+        )
+        return starts, ways / np.linalg.norm(ways, axis=0)
+
+    def _traced_rays(self, head: Pose, directions: Floats, last: Floats) -> mi.Ray3f:
+        """Rays in the world, from the chart's middle but for the last ones, whose starts are given.
+
+        All in the head's frame.
+        """
         x, y, z = (opaque_vector(column) for column in head.rotation.T)
-        way = vectors(directions)
-        return mi.Ray3f(mi.Point3f(start), x * way.x + y * way.y + z * way.z)
+        chart = directions.shape[1] - last.shape[1]
+        middle = np.repeat(self._chart.inner.pivot[:, np.newaxis], chart, axis=1)
+        start, way = vectors(np.hstack([middle, last])), vectors(directions)
+        origin = opaque_vector(head.origin_mm) + x * start.x + y * start.y + z * start.z
+        return mi.Ray3f(mi.Point3f(origin), x * way.x + y * way.y + z * way.z)
 
     def _sent(
         self, ray: mi.Ray3f, hit: mi.PreliminaryIntersection3f, head: Pose, lit: LitSurfaces
@@ -269,7 +293,9 @@ class GatheredLight:
             light += share * glow.irradiance(point, normal)
         radiance = light * sends
         dr.eval(radiance)
-        return Seen(np.array(distance), np.array(seen).T, np.array(radiance))
+        # One by one: to interleave them takes a kernel, compiled anew for each number of rays.
+        columns = np.stack([np.array(part) for part in seen], axis=-1)
+        return Seen(np.array(distance), columns, np.array(radiance))
 
     def _line_in_view(self, head: Pose) -> tuple[Floats, Floats]:
         """Points of the line, (3, N) mm in the head's frame, and what they show the camera.
@@ -315,6 +341,12 @@ def _inside(cells: Ints, columns: int, count: int) -> Floats:
     row, column = np.divmod(cells, columns)
     below = (np.arange(count) + 0.5) / count - 0.5
     return np.stack([column.repeat(count), (row[:, np.newaxis] + below).ravel()])
+
+
+def _bright(direct: Picture) -> Ints:
+    """The line's pixels where it is not faint in its column; one other where there is none."""
+    bright = np.flatnonzero((direct > FAINT * direct.max(axis=0)) & (direct > 0))
+    return bright if bright.size else np.zeros(1, dtype=int)
 
 
 def _widened(mask: Mask, pixels: int) -> Mask:

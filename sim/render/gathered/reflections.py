@@ -16,6 +16,7 @@ from sim.meshes import MeshPart
 from sim.render.ambient.field import is_convex, reflectance
 from sim.render.gathered.beside import BesideLine, beside_line
 from sim.render.gathered.bounces import Bounces, PatchField, lasting
+from sim.render.gathered.glow import Glow
 from sim.render.gathered.lines import LitLine, facing, lit_line
 from sim.render.gathered.received import received, visible_part
 from sim.render.gathered.shade import visible_share
@@ -31,9 +32,10 @@ class LitSurfaces:
     Attributes
     ----------
     lines : tuple of LitLine, one for each sheet
-    field : PatchField, irradiance in mW/mm2 by light that was reflected once, and more often; of
-        each sheet, the share of its line afar that is seen; of each, the share of its light that
-        the water scatters.  None where no surface sees another
+    field : PatchField, irradiance in mW/mm2 by light of the lines that was reflected once, and by
+        what was reflected more often or scattered onto surfaces off the lines; of each sheet, the
+        share of its line afar that is seen; of each, the share of its light that the water
+        scatters.  None where no surface sees another
     beside : tuple of BesideLine, light reflected more often once more, about each line
     """
 
@@ -51,6 +53,7 @@ class Reflections:
         parts: Sequence[MeshPart],
         integrator: SheetIntegrator,
         water: Optics,
+        glows: Sequence[Glow] = (),
     ) -> None:
         """Work out what stands still.
 
@@ -60,8 +63,9 @@ class Reflections:
         parts : sequence of MeshPart, matt
         integrator : SheetIntegrator, its sheets
         water : Optics
+        glows : sequence of Glow, of each sheet; none where the water scatters nothing
         """
-        self._scene, self._integrator = scene, integrator
+        self._scene, self._integrator, self._glows = scene, integrator, glows
         between = lasting(water)
         self._extinction = opaque(between.extinction_per_mm)
         # On convex bodies no surface sees another.
@@ -73,9 +77,10 @@ class Reflections:
         if bounces is None:
             return LitSurfaces((), None)
         lines, seen, shares = [], [], []
-        received_once = mi.Float(0)
-        for sheet in sheets:
-            line = lit_line(self._scene, sheet, lambda far: dr.exp(-self._extinction * far))
+        received_once, extinction = mi.Float(0), self._integrator.extinction
+        for number, sheet in enumerate(sheets):
+            strip = self._glows[number].of_strip if self._glows else None
+            line = lit_line(self._scene, sheet, lambda far: dr.exp(-extinction * far), strip)
             part = visible_part(self._scene, line, bounces.point, bounces.normal)
             close, far = received(
                 line, bounces.point, bounces.normal, self._extinction, mi.Bool(True)
@@ -87,19 +92,36 @@ class Reflections:
             shares.append(visible_share(self._scene, sheet, phase, bounces.point, bounces.normal))
         dr.eval(received_once, seen, shares)
         once = np.array(received_once)
-        values = [once, bounces.of(once), *map(np.array, (*seen, *shares))]
+        scattered = self._scattered(bounces.point, bounces.normal, shares)
+        more = bounces.of(once + np.array(scattered))
+        values = [once, more, *map(np.array, (*seen, *shares))]
         field = bounces.field(values)
         lit = LitSurfaces(tuple(lines), field)
 
         def sent(si: mi.SurfaceInteraction3f) -> mi.Float:
             loss = dr.select(si.is_valid(), dr.exp(-self._extinction * si.t), 0.0)
-            return self.irradiance(lit, si)[0] * reflectance(si) * loss
+            light, shares = self.irradiance(lit, si)
+            normal, sends = facing(si), reflectance(si) * loss
+            dr.eval(light, shares, normal, sends, si.p)  # apart from the glow, as in a picture
+            return (light + self._scattered(si.p, normal, shares)) * sends
 
         beside = [
             beside_line(self._scene, sheet, line, field, sent)
             for sheet, line in zip(sheets, lines, strict=True)
         ]
         return replace(lit, beside=tuple(beside))
+
+    def _scattered(
+        self, point: mi.Point3f, normal: mi.Vector3f, shares: Sequence[mi.Float]
+    ) -> mi.Float:
+        """mW/mm2 that the water scatters onto surfaces, but for what counts as of the lines.
+
+        shares: of each sheet, the share that no surface hides.
+        """
+        light = mi.Float(0)
+        for glow, share in zip(self._glows, shares, strict=False):
+            light += share * glow.off_strip(point, normal)
+        return light
 
     def irradiance(
         self, lit: LitSurfaces, si: mi.SurfaceInteraction3f

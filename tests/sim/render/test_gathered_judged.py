@@ -13,12 +13,14 @@ from sim.render.gathered import reflections
 from sim.render.gathered.camera import CameraLeg
 from sim.render.gathered.glow import Glow
 from sim.render.gathered.picture import GatheredLight
+from sim.render.judge.judged import JudgeEffort, judge
 from sim.render.sparse.rays import HEAD
 from sim.render.spreads import spread_of
 from sim.render.tank import Tank
 from sim.scene import load_scene
 from sim.scene.matter import Water
 from sim.validation.physics.gallery import shrunk
+from sim.validation.physics.lightcases import light_case
 from sim.water import water_optics
 
 TURBID = {"kind": "tank", "turbidity_ntu": 1.0, "phase": "henyey-greenstein", "asymmetry": 0.9}
@@ -123,3 +125,24 @@ def test_missing_shadows_are_noticed(tank: Tank, monkeypatch: pytest.MonkeyPatch
 
     monkeypatch.setattr(reflections, "visible_share", everywhere)
     assert not is_judges(tank)
+
+
+@pytest.mark.slow
+def test_what_the_water_scatters_is_reflected_from_where_it_lands() -> None:
+    """In a trough of the sandwave, at b d = 2, within 12 rows of the line: 3 %, the bar of such
+    places, and two standard errors of 1.3 %.  Were all of it reflected from the line, as without
+    spreading, there would be 8 % too much."""
+    case = light_case("sandwave", 2.0, np.random.default_rng([91, 2]), 48, 24)
+    left, top, width, height = case.window[0] + 9, case.window[1], 14, case.window[3]
+    tank = Tank(case.scene)
+    effort = JudgeEffort(photons=1 << 18, walks=128, batches=4)
+    judged = judge(tank, case.position_mm, (left, top, width, height), effort, seed=3).total
+    ours = np.asarray(sum(tank.higher_orders(case.position_mm).values()))
+    columns = slice(left, left + width)
+    row = np.arange(top, top + height)[:, np.newaxis]
+    near = np.abs(row - case.truth.centre_px[columns]) < 12
+    batches = judged[:, near].mean(axis=1)
+    mean, error = batches.mean(), batches.std(ddof=1) / 2
+    found = ours[top : top + height, columns][near].mean()
+    assert abs(found - mean) < 0.03 * mean + 2 * error
+    assert error < 0.02 * mean

@@ -292,13 +292,14 @@ def test_patches_light_each_other() -> None:
 
 
 def test_light_that_turns_by_little_is_not_lost() -> None:
-    """Of a Henyey-Greenstein lobe the share 1 - g counts."""
+    """Of a Henyey-Greenstein lobe the share 1 - g counts, but on the way to the line, beside which
+    light lands that turns by little."""
     water = one_lobe(2e-4, 1e-3, 0.9)
     assert lasting(water).extinction_per_mm == pytest.approx(3e-4, rel=1e-3)
     clear, turbid = (Corner(floor(), wall(), water=w).of_wall() for w in (DRY, water))
     # 300 mm at least to the floor and 20 from there, 311 and 250 at most.
-    assert np.all(turbid < clear * np.exp(-3e-4 * 320))
-    assert np.all(turbid > clear * np.exp(-3e-4 * 561))
+    assert np.all(turbid < clear * np.exp(-1.2e-3 * 300 - 3e-4 * 20))
+    assert np.all(turbid > clear * np.exp(-1.2e-3 * 311 - 3e-4 * 250))
 
 
 def test_convex_bodies_are_dark() -> None:
