@@ -34,7 +34,7 @@ from lscan.records import Floats, Mask
 from sim.studies.intervals import Bounded, interval
 from sim.studies.multifidelity import Figure, term_means
 from sim.studies.problem import Output, columns
-from sim.studies.sampling import AGAIN, ALL, SETS, Design, alone, mixed
+from sim.studies.sampling import AGAIN, ALL, SETS, Design, mixed
 
 MOST_FAILED = 0.05
 """Share of failed runs beyond which a note says so: the 5 % of errors that a 95 % range leaves out
@@ -113,24 +113,6 @@ def sobol_indices(
     for name, where in columns(outputs).items():
         tiers = [values] if rendered is None else [values, rendered]
         found[name] = _output_indices(design, [design.split(tier[:, where]) for tier in tiers])
-    return found
-
-
-def alone_moments(
-    design: Design, values: Floats, outputs: Sequence[Output]
-) -> dict[str, dict[str, Moments]]:
-    """The moments of each output, by its name, with each group alone at work.
-
-    Parameters
-    ----------
-    design : Design
-    values : (R, K) array, results of its rows, NaN where a run failed
-    outputs : sequence of Output, whose sizes sum up to K
-    """
-    found = {}
-    for name, where in columns(outputs).items():
-        blocks = design.split(values[:, where])
-        found[name] = {group: moments(blocks[alone(group)]) for group in design.groups}
     return found
 
 

@@ -3,10 +3,8 @@
 import json
 from collections.abc import Sequence
 from dataclasses import replace
-from pathlib import Path
 
 from lscan.figures.template import page_template
-from lscan.files.disk import write_atomically
 from lscan.version import __version__
 from sim.studies.intervals import Bounded
 from sim.studies.plots import StudyPlot, by_total, front_plot, largest, plots_of
@@ -14,22 +12,6 @@ from sim.studies.records import CauseBudget, CauseFacts, OutputBudget, StudyResu
 
 TOLD_SHARE = 0.1
 """Systematic share of a mean square error that the headline tells."""
-
-
-def write_page(path: Path, results: StudyResults) -> None:
-    """Write the page to a file; the same results give the same bytes.
-
-    Parameters
-    ----------
-    path : Path, of the HTML file
-    results : StudyResults
-
-    Raises
-    ------
-    InputError
-        The disk refuses; the old file then stays.
-    """
-    write_atomically(path, render_page(results).encode())
 
 
 def render_page(results: StudyResults) -> str:

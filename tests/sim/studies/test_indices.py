@@ -8,10 +8,10 @@ from hypothesis import given, settings, strategies as st
 from SALib.analyze import sobol
 
 from lscan.records import Floats
-from sim.studies.indices import Indices, alone_moments, next_base, sobol_indices
+from sim.studies.indices import Indices, moments, next_base, sobol_indices
 from sim.studies.intervals import Bounded
 from sim.studies.problem import Output
-from sim.studies.sampling import AGAIN, ALL, SETS, Design, make_design, mixed
+from sim.studies.sampling import AGAIN, ALL, SETS, Design, alone, make_design, mixed
 from sim.studies.testfunctions import ClosedForm, ishigami, sobol_g
 
 SCALAR = (Output("error", "mm"),)
@@ -171,18 +171,17 @@ def test_causes_in_a_group_are_counted_together() -> None:
 
 
 def test_moments_add_up(design: Design, values: Floats) -> None:
-    moments = of(design, np.hstack([values, -values, 2 * values])).moments
-    assert moments.mean_square.value == pytest.approx(
-        moments.systematic.value + moments.variance.value
-    )
-    assert moments.mean.value == pytest.approx(3.5 * 2 / 3, abs=0.2)
-    assert moments.systematic.value == pytest.approx(3.5**2 * 2, rel=0.1)
+    found = of(design, np.hstack([values, -values, 2 * values])).moments
+    assert found.mean_square.value == pytest.approx(found.systematic.value + found.variance.value)
+    assert found.mean.value == pytest.approx(3.5 * 2 / 3, abs=0.2)
+    assert found.systematic.value == pytest.approx(3.5**2 * 2, rel=0.1)
 
 
 def test_the_moments_of_a_cause_alone(design: Design, values: Floats) -> None:
     """x2 alone: a sin² x2, of mean a / 2 and variance a² / 8; x3 alone does nothing, at the
     median of x1."""
-    found = alone_moments(design, values, SCALAR)["error"]
+    blocks = design.split(values)
+    found = {group: moments(blocks[alone(group)]) for group in ("x2", "x3")}
     assert holds(found["x2"].mean, 3.5)
     assert holds(found["x2"].variance, 49 / 8)
     assert found["x3"].mean_square == Bounded(0, 0, 0)

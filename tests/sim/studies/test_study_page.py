@@ -11,7 +11,7 @@ from playwright.sync_api import Page
 from study_examples import GROUPS, REASONS, strange_results, study_results
 
 from sim.studies.intervals import Bounded
-from sim.studies.page import figure, headline, kept, render_page, share, write_page
+from sim.studies.page import figure, headline, kept, render_page, share
 from sim.studies.plots import front_plot, label
 from sim.studies.records import CauseBudget, OutputBudget, StudyResults
 from sim.testing.browser import Chromium, wait_for
@@ -160,7 +160,7 @@ def test_a_study_of_nothing_has_a_page() -> None:
 @pytest.fixture(scope="module")
 def page(chromium: Chromium, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Page]:
     path = tmp_path_factory.mktemp("study") / "report.html"
-    write_page(path, study_results()[0])
+    path.write_text(render_page(study_results()[0]), encoding="utf-8")
     chromium.page.goto(path.as_uri())
     yield chromium.page
 
@@ -193,7 +193,7 @@ def test_every_plot_is_drawn_and_its_menus_work(chromium: Chromium, page: Page) 
 def test_the_page_keeps_still_on_a_phone(chromium: Chromium, tmp_path: Path) -> None:
     """Wide tables scroll in boxes of their own, also where names are long."""
     for name, results in {"whole": study_results()[0], "strange": strange_results()}.items():
-        write_page(tmp_path / f"{name}.html", results)
+        (tmp_path / f"{name}.html").write_text(render_page(results), encoding="utf-8")
         with chromium.phone() as page:
             page.goto((tmp_path / f"{name}.html").as_uri())
             assert page.evaluate("[document.documentElement.scrollWidth, innerWidth]") == [390, 390]
