@@ -32,9 +32,9 @@ from sim.water import Optics
 STEP = 4  # pixels between the places at which smooth light is worked out
 ABOUT_LINE = 8  # pixels on either side of the line, worked out one by one
 FINER_ROWS = 4  # samples down a fine cell of the chart that the line crosses
-# And down a pixel on the line, for on steep surfaces the glow's peak is narrower; of less than
-# FAINT of the column's brightest, a pixel is off that peak.
-PIXEL_ROWS, FAINT = 3, 0.05
+# And down the line in each column, for on steep surfaces it may be far narrower than a pixel; of
+# less than FAINT of the column's brightest, a pixel is off the line.
+LINE_ROWS, FAINT = 13, 0.05
 FAINTEST = 1e-12  # transmittance of the water, below which nothing is seen through it
 FARTHEST_MM = 1e4  # where a ray ends that meets nothing
 
@@ -185,7 +185,7 @@ class GatheredLight:
     ) -> tuple[Picture, list[Shining]]:
         """What surfaces send on of the glow, in the picture, and of all light, in the grids."""
         coarse, exact = self._inner[::STEP, ::STEP], self._uneven(direct, seen)
-        on_line = _bright(direct)
+        on_line, rows = _on_peak(direct)
         index = np.concatenate([coarse.ravel(), self._inner.ravel()[exact]])
         cells = [
             self._cell_rays(grid, outside, line)
@@ -195,7 +195,7 @@ class GatheredLight:
         rays, place = self._rays.some(index)
         hit = dr.gather(mi.PreliminaryIntersection3f, seen.hit, place)
         even, fine = self._sent(rays.seen_from(head), hit, head, lit).split(coarse.size, exact.size)
-        start, finer = self._down(self._inner.ravel()[on_line])
+        start, finer = self._down(self._inner.ravel()[on_line], rows)
         directions = [*(each.directions for each in cells), finer]
         ray = self._traced_rays(head, np.hstack(directions), start)
         hit = self._scene.ray_intersect_preliminary(ray, coherent=True)
@@ -203,7 +203,7 @@ class GatheredLight:
         *traced, within = self._sent(ray, hit, head, lit).split(*counts)
         picture = _stretched(even.radiance.reshape(coarse.shape), *self._inner.shape)
         picture.ravel()[exact] = fine.radiance
-        picture.ravel()[on_line] = within.radiance.reshape(-1, PIXEL_ROWS).mean(axis=1)
+        picture.ravel()[on_line] = np.add.reduceat(within.radiance, np.cumsum(rows) - rows) / rows
         shining = [self._traced(*each) for each in zip(cells, traced, strict=True)]
         self._put_view(shining[0], picture, even.normal.reshape(*coarse.shape, 3), seen)
         for grid, line, each in zip(self._grids, lines, shining, strict=True):
@@ -252,15 +252,13 @@ class GatheredLight:
         near = _widened(direct > 0, ABOUT_LINE) | _widened(seen.bent, STEP)
         return np.flatnonzero(near)
 
-    def _down(self, pixels: Ints) -> tuple[Floats, Floats]:
-        """(3, N PIXEL_ROWS) starts and directions of rays down pixels, linear between the rows'."""
-        below = (np.arange(PIXEL_ROWS) + 0.5) / PIXEL_ROWS - 0.5
-        row = np.where(below < 0, -1, 1) * self._rays.size_px[0]
-        other, share = pixels[:, np.newaxis] + row, np.abs(below).astype(np.float32)
-        starts, ways = (
-            (own[..., np.newaxis] * (1 - share) + values[:, other] * share).reshape(3, -1)
-            for values, own in ((v, v[:, pixels]) for v in self._pixel_rays)
-        )
+    def _down(self, pixels: Ints, rows: Ints) -> tuple[Floats, Floats]:
+        """(3, N) starts and directions of rays down pixels, linear between neighbours'."""
+        own, each = np.repeat(pixels, rows), np.repeat(rows, rows)
+        number = np.arange(own.size) - np.repeat(np.cumsum(rows) - rows, rows)
+        below = ((number + 0.5) / each - 0.5).astype(np.float32)
+        other, share = own + np.where(below < 0, -1, 1) * self._rays.size_px[0], np.abs(below)
+        starts, ways = (v[:, own] * (1 - share) + v[:, other] * share for v in self._pixel_rays)
         return starts, ways / np.linalg.norm(ways, axis=0)
 
     def _traced_rays(self, head: Pose, directions: Floats, last: Floats) -> mi.Ray3f:
@@ -343,10 +341,12 @@ def _inside(cells: Ints, columns: int, count: int) -> Floats:
     return np.stack([column.repeat(count), (row[:, np.newaxis] + below).ravel()])
 
 
-def _bright(direct: Picture) -> Ints:
-    """The line's pixels where it is not faint in its column; one other where there is none."""
-    bright = np.flatnonzero((direct > FAINT * direct.max(axis=0)) & (direct > 0))
-    return bright if bright.size else np.zeros(1, dtype=int)
+def _on_peak(direct: Picture) -> tuple[Ints, Ints]:
+    """The line's pixels, and into how many rows to cut each."""
+    bright = (direct > FAINT * direct.max(axis=0)) & (direct > 0)
+    pixels = np.flatnonzero(bright)
+    rows = -(-LINE_ROWS // np.maximum(bright.sum(axis=0), 1))
+    return pixels, rows[pixels % direct.shape[1]]
 
 
 def _widened(mask: Mask, pixels: int) -> Mask:
