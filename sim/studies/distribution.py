@@ -108,7 +108,7 @@ class Distribution(Strict):
             return (self.uniform[1] - self.uniform[0]) / sqrt(12)
         if self.triangular is not None:
             a, c, b = self.triangular
-            return sqrt((a * a + b * b + c * c - a * b - a * c - b * c) / 18)
+            return sqrt(((a - b) ** 2 + (b - c) ** 2 + (c - a) ** 2) / 36)  # never below 0
         if self.lognormal is not None:
             return self.mean * sqrt(float(np.expm1(self.lognormal[1] ** 2)))
         if self.values is not None:

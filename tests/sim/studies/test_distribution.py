@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from hypothesis import given, settings, strategies as st
+from hypothesis import example, given, settings, strategies as st
 from scipy import stats
 
 from lscan.config.documents import Document, check
@@ -57,6 +57,7 @@ def test_quantiles_rise(stated: Document, one: float, other: float) -> None:
 
 
 @settings(max_examples=60)
+@example({"triangular": (0.0, 1.0, 4.0)}, 0.0)
 @given(st.sampled_from(STATED), st.floats(0.0, 3.0))
 def test_drawn_in_the_spread_is_in_proportion(stated: Document, factor: float) -> None:
     """But of a log-normal number, whose logarithm's is."""
