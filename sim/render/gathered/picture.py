@@ -184,8 +184,8 @@ class GatheredLight:
         self, head: Pose, direct: Picture, seen: PixelSurvey, lines: list[Picture]
     ) -> tuple[Picture, list[Shining]]:
         """What surfaces send on of the glow, in the picture, and of all light, in the grids."""
-        coarse, exact = self._inner[::STEP, ::STEP], self._uneven(direct, seen)
         on_line, rows = _on_peak(direct)
+        coarse, exact = self._inner[::STEP, ::STEP], self._uneven(direct, seen, on_line)
         index = np.concatenate([coarse.ravel(), self._inner.ravel()[exact]])
         cells = [
             self._cell_rays(grid, outside, line)
@@ -247,9 +247,10 @@ class GatheredLight:
         """Samples down a cell of a grid that the line crosses."""
         return round(FINER_ROWS * grid.cell / self._chart.inner.cell)
 
-    def _uneven(self, direct: Picture, seen: PixelSurvey) -> Ints:
-        """The pixels near the line, and those where surfaces end or are bent."""
+    def _uneven(self, direct: Picture, seen: PixelSurvey, on_line: Ints) -> Ints:
+        """The pixels near the line, but for those on it, and where surfaces end or are bent."""
         near = _widened(direct > 0, ABOUT_LINE) | _widened(seen.bent, STEP)
+        near.ravel()[on_line] = False
         return np.flatnonzero(near)
 
     def _down(self, pixels: Ints, rows: Ints) -> tuple[Floats, Floats]:
