@@ -7,6 +7,7 @@ import mitsuba as mi
 import numpy as np
 import pytest
 import trimesh
+from gathered_cases import WATER, spread
 from integrator_cases import DRY, make_sheet, one_lobe
 
 from lscan.records import Floats
@@ -14,6 +15,7 @@ from sim.meshes import MeshPart, scene_parts
 from sim.meshes.parts import moved, plain_mesh
 from sim.render.ambient.field import reflectance
 from sim.render.gathered.bounces import lasting
+from sim.render.gathered.glow import Glow
 from sim.render.gathered.lines import OFF, RAYS, SEGMENTS, LitLine, _segmented, facing, lit_line
 from sim.render.gathered.received import received, visible_part
 from sim.render.gathered.reflections import Reflections
@@ -289,6 +291,28 @@ def test_patches_light_each_other() -> None:
     foot = (np.abs(x - 100) < 0.1) & (normal[0] < -0.9) & (z > 0) & (z < 10) & (np.abs(y) < 50)
     assert foot.sum() > 3
     np.testing.assert_allclose(more[foot], 0.25, atol=0.03)
+
+
+def test_what_is_scattered_onto_the_floor_lights_the_wall(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Through patches, off the line: half of what the wall's foot sees is the floor, of the albedo
+    0.5.  So a quarter of what falls on the floor gets there, a mean between its least and its most,
+    .03 of it off, as above."""
+    corner = Corner(floor(), wall(), water=WATER)
+    integrator, bounces = corner.reflections._integrator, corner.reflections._bounces
+    assert bounces is not None
+    glow = Glow(integrator.sheets[0], spread(), WATER.extinction_per_mm)
+    (_, _, z), normal = np.array(bounces.point), np.array(bounces.normal)
+    fallen = np.array(glow.off_strip(bounces.point, bounces.normal))
+    fallen = fallen[(np.abs(z) < 0.1) & (normal[2] > 0.9)]
+    y = np.linspace(-50.0, 50.0, 11)
+    places = np.column_stack([0 * y + 100, y, 0 * y + 5])
+    corner.reflections = Reflections(corner.scene, (floor(), wall()), integrator, WATER, [glow])
+    corner.lit = corner.reflections.lit()
+    light = corner.irradiance([-80.0, 3.0, 60.0], places)
+    monkeypatch.setattr(Glow, "off_strip", lambda *_: mi.Float(0))
+    corner.lit = corner.reflections.lit()
+    light -= corner.irradiance([-80.0, 3.0, 60.0], places)
+    assert np.all((0.22 * fallen.min() < light) & (light < 0.28 * fallen.max()))
 
 
 def test_light_that_turns_by_little_is_not_lost() -> None:
