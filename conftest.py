@@ -33,6 +33,8 @@ if TYPE_CHECKING:
     from sim.testing.browser import Chromium
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+if "PYTEST_XDIST_WORKER" in os.environ:  # as many of them render as there are cores
+    os.environ.setdefault("LSCAN_THREADS", "1")
 # Tables of scattered light are made quickly; tests that judge them ask for photons of their own.
 os.environ.setdefault("LSCAN_PHOTONS", "131072")
 

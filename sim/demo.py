@@ -162,13 +162,14 @@ def _render_check(scenes: Mapping[str, Scene], effort: DemoEffort) -> RenderChec
     """The line in noise-free renders of the groove and of places of the sandwave."""
     positions = _check_positions(scenes["sandwave"], effort.checks)
     checks = [("groove", 0.0), *(("sandwave", position) for position in positions)]
+    tanks = {part: Tank(scenes[part]) for part in ("groove", "sandwave")}
     errors: list[list[Floats]] = [[], []]
     with progress_bar("compare with the truth") as progress:
         for done, (part, position_mm) in enumerate(checks):
             progress(done, len(checks))
             for kept, scatter_samples in zip(errors, (0, effort.scatter_samples), strict=True):
                 kept.append(
-                    stripe_errors(scenes[part], position_mm, effort.samples, scatter_samples)
+                    stripe_errors(tanks[part], position_mm, effort.samples, scatter_samples)
                 )
         progress(len(checks), len(checks))
     first, every = (np.concatenate(kept) for kept in errors)
@@ -180,16 +181,15 @@ def _render_check(scenes: Mapping[str, Scene], effort: DemoEffort) -> RenderChec
     )
 
 
-def stripe_errors(scene: Scene, position_mm: float, samples: int, scatter_samples: int) -> Floats:
+def stripe_errors(tank: Tank, position_mm: float, samples: int, scatter_samples: int) -> Floats:
     """Centre of the line in a noise-free render less the truth, px, away from the line's ends.
 
     (N,) over the columns where exactly one point is lit and seen.  samples: a pixel, a square
     number, in each of its parts.  scatter_samples: 0 leaves out the light of higher orders, which
     moves the line itself: in a valley each side lights the other.
     """
-    quiet = scene.tank.sensor.model_copy(update={"noise": False})
-    scene = replace(scene, tank=scene.tank.model_copy(update={"sensor": quiet}))
-    layers = Tank(scene).render(position_mm, samples, scatter_samples=scatter_samples)
+    scene = tank.scene.with_tank(sensor={"noise": False})
+    layers = tank.render(position_mm, samples, scatter_samples=scatter_samples)
     exposure_ms = scene.rig.camera.exposure_ms
     image = Webcam(scene).expose(layers, exposure_ms, np.random.default_rng(0))
     found = extract_stripe(image, CHECK_STRIPE)

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import os
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Self
 
@@ -15,11 +16,13 @@ import numpy as np
 from pydantic import Field, PositiveFloat, model_validator
 
 from lscan.config.documents import Strict, check
+from lscan.config.rig import Plan
 from lscan.config.rigfile import RigFile, load_rig
 from lscan.devices.api import Fact, Grab, Track
 from lscan.devices.travel import PassiveTrack, TravelDriver, TravelOptions
 from lscan.errors import DeviceError, InputError
 from lscan.records import Bytes
+from sim.ahead import Ahead
 from sim.scene import SECTIONS, Scene, at_moment, scene_of
 from sim.truth.placement import check_placement
 
@@ -97,17 +100,48 @@ class SimTrack(PassiveTrack):
             self.laser_is_on = self._switched_on = False
 
 
-class SimCamera:
-    """A camera that renders the tank from where its track stands."""
+class TankCamera:
+    """Pictures of the tank, each by itself: called with the numbers of one, it takes that one."""
 
-    def __init__(self, scene: Scene, track: Track) -> None:
+    def __init__(self, scene: Scene) -> None:
         from sim.render.tank import Tank
         from sim.sensor import Webcam
 
+        self._scene, self._tank, self._webcam = scene, Tank(scene), Webcam(scene)
+
+    def __call__(self, index: int, position_mm: float, dark: bool, lit: bool) -> Grab:
+        """The picture of a place; dark: a background; lit: whether the laser is on."""
+        time_s = (index + (0.5 if dark else 0.0)) * FRAME_PERIOD_S
+        at = at_moment(self._scene, index, position_mm)
+        wavelength_nm, webcam = at.scene.tank.laser.wavelength_at(time_s), self._webcam
+        if at.scene is not self._scene:
+            webcam = webcam.taking(at.scene)
+        layers, exposure_ms = metered(at.scene, self._tank, webcam, at.position_mm, time_s=time_s)
+        if dark or not lit:
+            none = np.zeros_like(layers.ambient)
+            layers = replace(layers, direct=none, scattered=none)
+        nanometres, stream = round(position_mm * 1e6), _DARK if dark else _LIT
+        place = abs(nanometres), int(nanometres < 0)
+        seed = [self._scene.tank.sensor.seed, stream, *place, index]
+        generator = np.random.Generator(np.random.SFC64(seed))
+        image = webcam.expose(layers, exposure_ms, generator, wavelength_nm)
+        return Grab(image=image, time_s=time_s, exposure_ms=exposure_ms)
+
+
+class SimCamera:
+    """A camera that renders the tank from where its track stands.
+
+    Once its pictures follow a long plan, processes on the other cores take the next ones.
+    """
+
+    def __init__(self, scene: Scene, track: Track) -> None:
+        from sim.render.backend import sharing
+
         self._scene, self._track = scene, track
         camera_options(scene)
-        self._tank: Tank | None = Tank(scene)
-        self._webcam: Webcam = Webcam(scene)
+        self._pictures: Ahead[Grab] | None = Ahead(
+            partial(TankCamera, scene), _planned(scene.rig.plan), sharing
+        )
         self._next = 0
 
     @property
@@ -123,31 +157,28 @@ class SimCamera:
         dark: it shows the ambient light alone, with noise of its own, half a period after the
         frame's other picture and with that one's exposure and its other numbers.
         """
-        tank = self._tank  # another thread may close the camera meanwhile
-        if tank is None:
+        pictures = self._pictures  # another thread may close the camera meanwhile
+        if pictures is None:
             raise DeviceError("sim camera: is closed")
         index = self._next if frame is None else frame
         self._next = index + 1
-        time_s = (index + (0.5 if dark else 0.0)) * FRAME_PERIOD_S
-        position_mm = self._track.position_mm
-        at = at_moment(self._scene, index, position_mm)
-        wavelength_nm, webcam = at.scene.tank.laser.wavelength_at(time_s), self._webcam
-        if at.scene is not self._scene:
-            webcam = webcam.taking(at.scene)
-        layers, exposure_ms = metered(at.scene, tank, webcam, at.position_mm, time_s=time_s)
-        if dark or not getattr(self._track, "laser_is_on", True):
-            none = np.zeros_like(layers.ambient)
-            layers = replace(layers, direct=none, scattered=none)
-        nanometres, stream = round(position_mm * 1e6), _DARK if dark else _LIT
-        place = abs(nanometres), int(nanometres < 0)
-        seed = [self._scene.tank.sensor.seed, stream, *place, index]
-        generator = np.random.Generator(np.random.SFC64(seed))
-        image = webcam.expose(layers, exposure_ms, generator, wavelength_nm)
-        return Grab(image=image, time_s=time_s, exposure_ms=exposure_ms)
+        lit = getattr(self._track, "laser_is_on", True)
+        return pictures.take(index, self._track.position_mm, dark, lit)
 
     def close(self) -> None:
         """Release the tank."""
-        self._tank = None
+        pictures, self._pictures = self._pictures, None
+        if pictures is not None:
+            pictures.close()
+
+
+def _planned(plan: Plan) -> list[tuple[int, float, bool, bool]]:
+    """What ``TankCamera`` is called with in a scan, in its order."""
+    return [
+        (index, position_mm, dark, not dark)
+        for index, position_mm in enumerate(plan.positions_mm())
+        for dark in ((False, True) if plan.paired else (False,))
+    ]
 
 
 class SimTrackDriver(TravelDriver[TrackOptions]):

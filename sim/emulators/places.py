@@ -1,12 +1,17 @@
 """What the webcam sees from each place of the head, rendered once and kept."""
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import replace
-from functools import lru_cache
+from functools import lru_cache, partial
 
 import numpy as np
 
 from lscan.errors import InputError
+from lscan.records import Bytes
 from sim.devices import camera_options
+from sim.helper import HelperProcess
+from sim.render.backend import sharing
 from sim.render.tank import Tank
 from sim.scene import Scene
 from sim.scene.moment import is_changing
@@ -25,6 +30,7 @@ class Places:
     def __init__(self, scene: Scene, most: int, *, switched_laser: bool = False) -> None:
         """Load the tank; InputError where the scene holds what pictures kept cannot show."""
         _refuse_change(scene)
+        self._scene = scene
         self._tank, self._webcam = Tank(scene), Webcam(scene)
         self._exposure_ms = scene.rig.camera.exposure_ms
         self._switched = switched_laser
@@ -40,6 +46,18 @@ class Places:
         with_laser, without = self._render(position_mm)
         return with_laser if lit else without
 
+    @contextmanager
+    def helpers(self) -> Iterator[list[HelperProcess]]:
+        """Processes on the other cores that make a ``PassedPicture`` each, until the block ends."""
+        with sharing() as environments:
+            make = partial(PassedPicture, self._scene, self._switched)
+            helpers = [HelperProcess(make, each) for each in environments]
+            try:
+                yield helpers
+            finally:
+                for helper in helpers:
+                    helper.close()
+
     def _render(self, position_mm: float) -> tuple[StillView, StillView]:
         """The views with the laser on and off; both are lit where it is never switched."""
         layers = self._tank.render(position_mm)
@@ -49,6 +67,18 @@ class Places:
         none = np.zeros_like(layers.direct)
         dark = replace(layers, direct=none, scattered=none)
         return lit, self._webcam.still(dark, self._exposure_ms)
+
+
+class PassedPicture:
+    """Pictures of places that the head passes, as a process of its own takes them."""
+
+    def __init__(self, scene: Scene, switched_laser: bool) -> None:
+        self._places = Places(scene, 0, switched_laser=switched_laser)
+
+    def __call__(self, position_mm: float, lit: bool, seed: int) -> Bytes:
+        """The picture of a place in mm, with the noise of a seed."""
+        view = self._places.passed(position_mm, lit=lit)
+        return view.picture(np.random.Generator(np.random.SFC64(seed)))
 
 
 def _refuse_change(scene: Scene) -> None:

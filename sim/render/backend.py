@@ -19,8 +19,8 @@ import signal
 import subprocess
 import sys
 import tempfile
-from collections.abc import Callable, Iterable, Mapping
-from contextlib import suppress
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
@@ -38,6 +38,7 @@ OLDEST_MAJOR = 15  # Dr.Jit itself refuses whatever lacks opaque pointers
 PACKAGES = ("libllvm19", "libllvm20", "libllvm21", "libllvm18", "libllvm17")
 THREADS = "LSCAN_THREADS"  # environment variable: Dr.Jit's threads, if not one for each core
 LEAST_THREADS = 2
+MOST_PROCESSES = 4  # of half a GB each
 PROBE_TIMEOUT_S = 120.0  # a probe takes about 1 s; this is for a machine under heavy load
 
 _NAME = re.compile(r"libLLVM(?:-(\d+)[\w.]*?)?\.so(?:\.(\d+)[\w.]*)?")
@@ -129,8 +130,31 @@ def _threads(usual: int) -> int:
     said = os.environ.get(THREADS) or str(usual)
     if not said.isdecimal() or int(said) < 1:
         raise BackendError(f"{THREADS}: got {said!r} (allowed: a number of threads, 1 or more)")
-    # A lone thread would keep numbers below 1e-38, which Dr.Jit's own threads take for 0.
-    return int(said) if CAN_FLUSH else max(LEAST_THREADS, int(said))
+    return _enough(int(said))
+
+
+def _enough(threads: int) -> int:
+    """A lone thread would keep numbers below 1e-38, which Dr.Jit's own threads take for 0."""
+    return threads if CAN_FLUSH else max(LEAST_THREADS, threads)
+
+
+@contextmanager
+def sharing() -> Iterator[list[dict[str, str]]]:
+    """Leave Dr.Jit's threads to more processes, which render side by side, until the block ends.
+
+    A picture takes one thread little longer than two, so that each process gets one where there
+    are no more than MOST_PROCESSES.  Gives the environment's variables of each other process,
+    none where there is no thread for one.
+    """
+    mitsuba, drjit = load_mitsuba(), importlib.import_module("drjit")
+    threads = drjit.thread_count()
+    processes = min(MOST_PROCESSES, threads) if mitsuba.variant() == LLVM else 1
+    each = threads // processes
+    drjit.set_thread_count(_enough(each))
+    try:
+        yield [{THREADS: str(each)}] * (processes - 1)
+    finally:
+        drjit.set_thread_count(threads)
 
 
 def find_llvm(candidates: Iterable[Path] | None = None, probe: Probe | None = None) -> Library:

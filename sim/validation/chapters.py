@@ -3,10 +3,13 @@
 import os
 from collections.abc import Callable, Mapping
 from concurrent.futures import Future, ProcessPoolExecutor, as_completed
+from functools import partial
 from multiprocessing import get_context
 from pathlib import Path
 
+from lscan.acquisition.inorder import cores
 from lscan.records import Progress
+from sim.render.backend import THREADS
 from sim.validation.rows import Row, RowFile, measured
 
 
@@ -36,9 +39,10 @@ def run_chapters(
     """
     file = RowFile(output, quick)
     places = list(chapters)
-    workers = max(1, min(len(chapters), len(os.sched_getaffinity(0))))
+    workers = max(1, min(len(chapters), cores()))
     # Spawned, not forked: Dr.Jit's threads do not survive a fork.
-    with ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as pool:
+    spawned = get_context("spawn")
+    with ProcessPoolExecutor(workers, spawned, partial(_share_threads, workers)) as pool:
         futures: dict[Future[list[Row]], str] = {
             pool.submit(chapter): name for name, chapter in chapters.items()
         }
@@ -48,3 +52,8 @@ def run_chapters(
             if progress is not None:
                 progress(done, len(chapters))
     return file.rows
+
+
+def _share_threads(workers: int) -> None:
+    """Leave Dr.Jit's threads of the other chapters to them, before it is loaded."""
+    os.environ.setdefault(THREADS, str(max(1, cores() // workers)))

@@ -1,6 +1,9 @@
 """The tank's camera and track: the contract of every device, and what is theirs alone."""
 
+import threading
 from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Any
 
 import numpy as np
 import pytest
@@ -8,21 +11,22 @@ from places import SCENES
 
 from lscan.config.rigfile import RigFile, load_rig, parse_rig
 from lscan.errors import DeviceError, InputError
-from sim.devices import SimCamera, SimTrack, TrackOptions, camera_driver, track_driver
+from sim.devices import SimCamera, SimTrack, TankCamera, TrackOptions, camera_driver, track_driver
+from sim.helper import HelperProcess
 from sim.render.tank import Tank
 from sim.scene import scene_of
 
 PAPER = SCENES / "paper"
 
 
-def small(rig_file: RigFile, **sections: dict) -> RigFile:
+def small(rig_file: RigFile, **sections: Any) -> RigFile:
     """The scene at 160 by 120 px, with sections laid over it."""
     document = dict(rig_file.document)
     lens = {**document["lens"], "focal_px": 212.5, "centre_px": [79.5, 59.5]}
     small_camera = {**document["camera"], "width_px": 160, "height_px": 120}
     document |= {"lens": lens, "camera": small_camera}
     for name, keys in sections.items():
-        document[name] = {**document.get(name, {}), **keys}
+        document[name] = {**document.get(name, {}), **keys} if isinstance(keys, dict) else keys
     return parse_rig(document, source="small")
 
 
@@ -57,6 +61,50 @@ def test_pictures_depend_on_place_and_index_alone(rig_file: RigFile, track: SimT
     assert grab.time_s == picture.time_s
     assert again.image.tobytes() != picture.image.tobytes(), "noise differs from grab to grab"
     assert again.time_s > picture.time_s
+
+
+@pytest.mark.slow
+def test_pictures_taken_ahead_are_the_same(
+    track: SimTrack, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """All orders of light, backgrounds, and what changes with each picture, in another process."""
+    ready, made = threading.Event(), []
+    wait, call = HelperProcess.wait, HelperProcess.__call__
+
+    def waited(helper: HelperProcess) -> None:
+        wait(helper)
+        ready.set()
+
+    def called(helper: HelperProcess, *arguments: object) -> object:
+        made.append(arguments)
+        return call(helper, *arguments)
+
+    @contextmanager
+    def one_more() -> Iterator[list[dict[str, str]]]:
+        yield [{"LSCAN_THREADS": "2"}]
+
+    monkeypatch.setattr(HelperProcess, "wait", waited)
+    monkeypatch.setattr(HelperProcess, "__call__", called)
+    monkeypatch.setattr("sim.render.backend.sharing", one_more)
+    rig_file = small(
+        load_rig(PAPER / "sandwave.toml"),
+        plan={"frames": 100, "laser": "pairs"},
+        render={"samples": 1},
+        change=[{"key": "sensor.gain", "uniform": 0.1, "relative": True}],
+    )
+    scene = scene_of(rig_file)
+    pictures, camera = TankCamera(scene), camera_driver.open(rig_file, track)
+    for frame, position_mm in enumerate(rig_file.rig.plan.positions_mm()[:8]):
+        track.move_to(position_mm)
+        for dark in (False, True):
+            track.laser_off() if dark else track.laser_on()
+            found = camera.grab(frame, dark)
+            alone = pictures(frame, position_mm, dark, not dark)
+            assert found.image.tobytes() == alone.image.tobytes(), (frame, dark)
+            assert (found.time_s, found.exposure_ms) == (alone.time_s, alone.exposure_ms)
+            assert ready.wait(60.0)
+    camera.close()
+    assert len(made) > 2, "none was taken ahead"
 
 
 def test_the_line_moves_with_the_track(camera: SimCamera, track: SimTrack) -> None:

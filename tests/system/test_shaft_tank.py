@@ -19,6 +19,7 @@ from lscan.errors import InputError
 from lscan.measurement import measure_sandwave
 from lscan.records import Floats, Status
 from sim.demo import stripe_errors
+from sim.render.tank import Tank
 from sim.scene import (
     Head,
     TrueShaft,
@@ -185,7 +186,7 @@ def test_a_bowed_sheet_about_a_shaft_has_no_passing() -> None:
 
 def test_the_rendered_line_lies_where_the_truth_says() -> None:
     """A noise-free picture of the block at -8 degrees, the head on a leaning shaft."""
-    errors = stripe_errors(load_scene(SCENES / "shaft" / "sandwave.toml"), -8.0, 64, 0)
+    errors = stripe_errors(Tank(load_scene(SCENES / "shaft" / "sandwave.toml")), -8.0, 64, 0)
     assert len(errors) > 200
     # A turn wrong by 0.005 degrees moves the sheet by 0.05 mm at 580 mm, and the line by 0.85 px
     # a mm of that; what curvature, blur and the sheet's thickness displace is less.

@@ -24,7 +24,9 @@ TIMEOUT_S = 60.0
 def moving_rows(sandwave: Path, folder: Path, seconds: float) -> list[Row]:
     """Pictures that a client gets in a second while the head goes along the plan, and memory.
 
-    The tank is served by a process of its own, which renders each picture where the head is.
+    The tank is served by a process of its own, which renders each picture where the head is.  It
+    starts others at the first long move, so that the second is counted.  Memory is of all, what
+    they share once.
 
     Parameters
     ----------
@@ -43,11 +45,14 @@ def moving_rows(sandwave: Path, folder: Path, seconds: float) -> list[Row]:
         track = open_track(parse_rig(merge(served.document, slow), source=str(rig)))
         try:
             track.move_to(places_mm[0])
-            move = threading.Thread(target=track.move_to, args=(places_mm[-1],))
-            rate_hz = _rate(served.document["camera"]["options"]["url"], move)
+            for place_mm in (places_mm[-1], places_mm[0]):
+                move = threading.Thread(target=track.move_to, args=(place_mm,))
+                rate_hz = _rate(served.document["camera"]["options"]["url"], move)
         finally:
             track.close()
-        memory_gb = psutil.Process(process.pid).memory_info().rss / 1e9
+        served_by = psutil.Process(process.pid)
+        everyone = [served_by, *served_by.children(recursive=True)]
+        memory_gb = sum(one.memory_full_info().pss for one in everyone) / 1e9
     return [
         row("moving-pictures", rate_hz, seconds=seconds),
         row("moving-memory", memory_gb),

@@ -6,6 +6,7 @@ import time
 import urllib.error
 import urllib.request
 from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -29,6 +30,7 @@ from lscan.records import Bytes, Floats
 from sim.devices import SimCamera, SimTrack, TrackOptions
 from sim.emulators import EmulatedHardware, ServeOptions
 from sim.emulators.webcam.camera import Shot
+from sim.helper import HelperProcess
 from sim.scene import Scene
 from sim.sensor.coding import from_jpeg, jpeg_bytes
 
@@ -130,14 +132,39 @@ def test_every_picture_sent_while_the_head_rests_shows_where_it_rests(scene: Sce
                 assert nearest(from_jpeg(shot.jpeg), seen) == place
 
 
-def test_a_long_move_is_seen_as_it_goes_on(scene: Scene) -> None:
+@pytest.mark.slow
+@pytest.mark.parametrize("others", [0, 1])
+def test_a_long_move_is_seen_as_it_goes_on(
+    others: int, scene: Scene, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Pictures of the second half of a way of two seconds are those of the place that the head was
-    passing, within coding and noise, as in the first test; no other place is handed out."""
+    passing, within coding and noise, as in the first test; no other place is handed out.
+
+    others: processes that take pictures too, once they are ready."""
+    made, helpers = [], []
+    call = HelperProcess.__call__
+
+    def called(helper: HelperProcess, *arguments: object) -> object:
+        made.append(arguments)
+        return call(helper, *arguments)
+
+    @contextmanager
+    def sharing() -> Iterator[list[dict[str, str]]]:
+        yield [{"LSCAN_THREADS": "2"}] * others
+
+    monkeypatch.setattr(HelperProcess, "__call__", called)
+    monkeypatch.setattr("sim.emulators.places.sharing", sharing)
     with EmulatedHardware(scene) as hardware:
         hurry(hardware)
         rig_file = quick_rig(hardware, feed_mm_min=2250.0, settle_s=0.0, approach_mm=0.0)
         with open_devices(rig_file) as (_, track), hardware._camera.watched():
+            for place in (20.0, 95.0) * 15 if others else ():
+                track.move_to(place)  # until the other process is ready
+                if made:
+                    break
             track.move_to(20.0)
+            helpers += hardware._camera._helpers or ()
+            made.clear()
             before = hardware._camera.count + 1  # one may be on its way
             mover = threading.Thread(target=track.move_to, args=(95.0,))
             mover.start()
@@ -147,6 +174,10 @@ def test_a_long_move_is_seen_as_it_goes_on(scene: Scene) -> None:
                 if shot is not None and shot.head.position_mm is None:
                     shots.append(shot)
             mover.join()
+    assert len(helpers) == others == (len(made) > 2)
+    for helper in helpers:
+        with pytest.raises(ProcessLookupError):
+            os.kill(helper.process_id, 0)
     taken = [shot.head.now_mm for shot in shots]
     assert taken == sorted(taken)
     late = [shot for shot in shots if shot.head.now_mm > 60.0]

@@ -377,3 +377,19 @@ def test_a_machine_with_llvm_14_15_16_and_19_picks_19() -> None:
     crash = "takes the process down with SIGABRT (LLVM ERROR: Cannot select)"
     assert f"libLLVM-16.so.1: {crash}; libLLVM-15.so.1: {crash}" in str(caught.value)
     assert "libLLVM-14.so.1: too old" in str(caught.value)
+
+
+@pytest.mark.parametrize("threads, others", [(1, 0), (2, 1), (3, 2), (4, 3), (16, 3)])
+def test_threads_are_shared_with_processes_and_taken_back(
+    threads: int, others: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """All get as many, whatever ends the block; half a GB each, so that there are four at most."""
+    counts = [threads]
+    monkeypatch.setattr("drjit.thread_count", lambda: counts[-1])
+    monkeypatch.setattr("drjit.set_thread_count", counts.append)
+    with pytest.raises(KeyboardInterrupt), backend.sharing() as environments:
+        assert len(environments) == others
+        each = {int(one[backend.THREADS]) for one in environments} | {counts[-1]}
+        assert each == {threads // (1 + others)}
+        raise KeyboardInterrupt
+    assert counts[-1] == threads
