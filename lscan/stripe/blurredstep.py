@@ -164,15 +164,16 @@ def fit_steps(
         if weight is None:
             counts = _counts(t.min(axis=0) - limits.least_t, _FADING_T)
             counts *= _counts(limits.most_mm - depth.min(axis=0), _FADING_MM)
-            # Outliers are told by a fit to all: told by one without them they would be its own.
-            used = order[counts[order] > 0]
-            first = _solve(samples, state, used, counts[used], t, limits.unmodelled, prior)
-            off = np.abs(first.residual) / max(first.scatter, 1.0)
-            counts[used] *= _counts(OUTLIER - off, _DOUBTED)
         else:
             counts = weight * (t.min(axis=0) > FAINTEST)
         used = order[counts[order] > 0]
-        solution = _solve(samples, state, used, counts[used], t, limits.unmodelled, prior)
+        model = _modelled(samples, state, used, t[:, used])
+        if weight is None:
+            # Outliers are told by a fit to all: told by one without them they would be its own.
+            first = _solve(model, state, counts[used], limits.unmodelled, prior)
+            off = np.abs(first.residual) / max(first.scatter, 1.0)
+            counts[used] *= _counts(OUTLIER - off, _DOUBTED)
+        solution = _solve(model, state, counts[used], limits.unmodelled, prior)
         # Steps that turn back overshoot: without shorter ones they go to and fro for ever.
         share = share / 2 if solution.step @ before < 0 else min(1.0, GROWS * share)
         before = solution.step
@@ -224,45 +225,71 @@ class _StepSolution:
     scatter: float
 
 
-def _solve(
-    samples: StepSamples,
-    state: _StepState,
-    used: Ints,
-    weight: Floats,
-    t: Floats,
-    unmodelled: float,
-    prior: _Prior,
-) -> _StepSolution:
-    """One Gauss-Newton step.  The levels enter linearly: they are solved anew each time.
+@dataclass(frozen=True)
+class _StepModel:
+    """Used samples and their model, n of them, stretch by stretch.
 
-    used: (n,) the samples that count, stretch by stretch.  weight: (n,) how much.
+    begin: (S + 1,) where the stretches begin, and where the last ends.  stretch: (n,).  terms:
+    (L, n) of the level.  total: (n,) share of the level that is left.  brightness: (n,).  changes:
+    (A + 2, n) of total relative to itself, with the places, the width and the wall.  unknowns: as
+    of ``_unknowns``.
     """
-    t, stretch, terms = t[:, used], samples.stretch[used], samples.level[:, used]
-    begin = np.searchsorted(stretch, np.arange(len(samples.group) + 1))
+
+    begin: Ints
+    stretch: Ints
+    terms: Floats
+    total: Floats
+    brightness: Floats
+    changes: Floats
+    unknowns: Ints
+
+
+def _modelled(samples: StepSamples, state: _StepState, used: Ints, t: Floats) -> _StepModel:
+    """The model of the used samples, (n,) stretch by stretch; t: their depth in widths."""
+    stretch = samples.stretch[used]
     width = state.width[samples.group[stretch]]
     wall = np.append(state.wall, 0.0)[samples.wall[stretch]]
     density = np.exp(-(t**2) / 2) / np.sqrt(2 * np.pi)
     share = ndtr(t) + wall * density
-    total, brightness = share.prod(axis=0), samples.brightness[used]
-    root = np.sqrt(weight)
-    sums = _sums(np.vstack([terms * total, brightness]) * root, begin)
-    # Of a stretch without samples the terms are 0: the inverse gives it no level.
-    levels = np.linalg.pinv(sums[:, :-1, :-1], hermitian=True) @ sums[:, :-1, -1:]
-    level = np.einsum("lk,lk->k", terms, levels[..., 0].T[:, stretch])
     by_t = density * (1 - wall * t) / share / width
     by_place = (by_t[:, None] * samples.by_place[:, :, used]).sum(axis=0)
     by_width, by_wall = -(by_t * t).sum(axis=0), (density / share).sum(axis=0)
-    relative = brightness / (level * total) - 1
-    design = np.vstack([terms / level, by_place, by_width, by_wall, relative])
-    design /= np.hypot(state.scatter, unmodelled / total)
+    return _StepModel(
+        begin=np.searchsorted(stretch, np.arange(len(samples.group) + 1)),
+        stretch=stretch,
+        terms=samples.level[:, used],
+        total=share.prod(axis=0),
+        brightness=samples.brightness[used],
+        changes=np.vstack([by_place, by_width, by_wall]),
+        unknowns=_unknowns(samples, state),
+    )
+
+
+def _solve(
+    model: _StepModel, state: _StepState, weight: Floats, unmodelled: float, prior: _Prior
+) -> _StepSolution:
+    """One Gauss-Newton step.  The levels enter linearly: they are solved anew each time.
+
+    weight: (n,) how much each sample counts.
+    """
+    terms, total, begin = model.terms, model.total, model.begin
+    root, counted = np.sqrt(weight), weight > 0
+    sums = _sums(np.vstack([terms * total, model.brightness]) * root, begin)
+    # Of a stretch without samples the terms are 0: the inverse gives it no level.
+    levels = np.linalg.pinv(sums[:, :-1, :-1], hermitian=True) @ sums[:, :-1, -1:]
+    level = np.einsum("lk,lk->k", terms, levels[..., 0].T[:, model.stretch])
     freedom = weight.sum() - len(prior.expected) - levels.size
-    if freedom <= 0 or not (level > 0).all():
-        raise MeasurementError(f"edges: {len(used)} samples beside them do not fix them")
+    if freedom <= 0 or not (level[counted] > 0).all():
+        raise MeasurementError(f"edges: {counted.sum()} samples beside them do not fix them")
+    level = np.where(counted, level, 1.0)  # where nothing counts it may be anything, and 0
+    relative = model.brightness / (level * total) - 1
+    design = np.vstack([terms / level, model.changes, relative])
+    design /= np.hypot(state.scatter, unmodelled / total)
     # Each stretch's levels are eliminated by themselves: what is left of it is the unknowns'.
     own = len(terms)
     sums = _sums(design * root, begin)
     follow = np.linalg.pinv(sums[:, :own, :own], hermitian=True) @ sums[:, :own, own:]
-    unknowns = _unknowns(samples, state)
+    unknowns = model.unknowns
     normal = np.zeros((len(prior.expected) + 2, len(prior.expected) + 2))
     left = sums[:, own:, own:] - sums[:, own:, :own] @ follow
     np.add.at(normal, (unknowns[:, :, None], unknowns[:, None, :]), left)
@@ -270,27 +297,29 @@ def _solve(
     known = normal[:-2, :-2] + np.diag(prior.precision)
     inverse = cast(Floats, np.linalg.pinv(known, hermitian=True))
     gradient = normal[:-2, -2] + prior.precision * (prior.expected - present)
-    step = _within_bounds(known, gradient, present, prior)
+    step = _within_bounds(known, inverse, gradient, present, prior)
     shares = np.append(-step, [1.0, 0.0])[unknowns]
     shares = np.column_stack([-(follow @ shares[..., None])[..., 0], shares])
-    residual = np.einsum("mk,mk->k", design, shares.T[:, stretch])
+    residual = np.einsum("mk,mk->k", design, shares.T[:, model.stretch])
     chi2 = max(float(weight @ residual**2) / freedom, 1.0)
     return _StepSolution(step, inverse * chi2, residual, 1.4826 * _median(np.abs(residual), weight))
 
 
-def _within_bounds(known: Floats, gradient: Floats, present: Floats, prior: _Prior) -> Floats:
+def _within_bounds(
+    known: Floats, inverse: Floats, gradient: Floats, present: Floats, prior: _Prior
+) -> Floats:
     """The step of the unknowns, those held that would leave their bounds with it.
 
     The others' step would be that beside a step which is not taken, and go to and fro for ever.
     """
-    free = np.ones(len(present), dtype=bool)
+    step, free = inverse @ gradient, np.ones(len(present), dtype=bool)
     while True:
-        step = np.zeros(len(present))
-        step[free] = np.linalg.pinv(known[np.ix_(free, free)], hermitian=True) @ gradient[free]
         held = (step < 0) & (present <= prior.least) | (step > 0) & (present >= prior.most)
         if not held.any():
             return step
         free &= ~held
+        step = np.zeros(len(present))
+        step[free] = np.linalg.pinv(known[np.ix_(free, free)], hermitian=True) @ gradient[free]
 
 
 def _median(values: Floats, weight: Floats) -> float:

@@ -9,9 +9,18 @@ from scipy.special import ndtr
 
 from lscan.errors import MeasurementError
 from lscan.records import Floats
-from lscan.stripe.blurredstep import ROUNDS, SETTLED_MM, _advanced, _Prior, _within_bounds
+from lscan.stripe.blurredstep import (
+    ROUNDS,
+    SETTLED_MM,
+    _advanced,
+    _modelled,
+    _Prior,
+    _solve,
+    _StepState,
+    _within_bounds,
+)
 from lscan.surface.align.edges import EdgeFit
-from lscan.surface.align.fading import PLACE_SIGMA_MM, FaceSamples, fit_fading
+from lscan.surface.align.fading import PLACE_SIGMA_MM, FaceSamples, _samples, fit_fading
 
 WIDTH_MM = 0.9
 
@@ -125,13 +134,40 @@ def test_a_search_ends_with_a_step_of_zero(monkeypatch: pytest.MonkeyPatch) -> N
 def test_what_is_at_its_bound_is_held_and_the_others_step_without_it() -> None:
     """A quadratic of two unknowns: free both step by the inverse, beside a held one by 1/2."""
     known, gradient = np.array([[2.0, 1.0], [1.0, 2.0]]), np.array([1.0, 5.0])
-    at, wide = np.zeros(2), np.full(2, 9.0)
-    free = _within_bounds(known, gradient, at, _Prior(at, at, -wide, wide))
+    at, wide, inverse = np.zeros(2), np.full(2, 9.0), np.linalg.inv(known)
+
+    def step(least: Floats, most: Floats) -> Floats:
+        return _within_bounds(known, inverse, gradient, at, _Prior(at, at, least, most))
+
+    free = step(-wide, wide)
     np.testing.assert_allclose(free, np.linalg.solve(known, gradient))
-    held = _within_bounds(known, gradient, at, _Prior(at, at, -wide, np.array([9.0, 0.0])))
+    held = step(-wide, np.array([9.0, 0.0]))
     np.testing.assert_allclose(held, [0.5, 0.0])
-    inwards = _within_bounds(known, gradient, at, _Prior(at, at, np.array([-9.0, 0.0]), wide))
+    inwards = step(np.array([-9.0, 0.0]), wide)
     np.testing.assert_allclose(inwards, free)
+
+
+def test_samples_that_do_not_count_are_as_if_they_were_not_there() -> None:
+    """Whatever their brightness; of a stretch that has no others, too."""
+    samples = _samples([faces(0.0, 0.0, 0.867, 0.4, 0.15, seed) for seed in range(3)], 0.0)
+    order = np.argsort(samples.stretch, kind="stable")
+    state = _StepState(np.zeros(4), np.array([WIDTH_MM]), np.zeros(samples.wall.max() + 1), 0.1)
+    unknowns = np.zeros(len(state.place) + len(state.width) + len(state.wall))
+    prior = _Prior(unknowns, unknowns + 1, unknowns - np.inf, unknowns + np.inf)
+    depth = (samples.by_place * 0).sum(axis=1) - samples.offset
+    counts = np.random.default_rng(0).uniform(size=len(order)) * (samples.stretch[order] != 1)
+    counts[::3] = 0.0
+    brightness = samples.brightness.copy()
+    brightness[order[counts == 0]] = -1e3
+    steps = []
+    for used, weight in ((order, counts), (order[counts > 0], counts[counts > 0])):
+        t = depth[:, used] / WIDTH_MM
+        model = _modelled(replace(samples, brightness=brightness), state, used, t)
+        steps.append(_solve(model, state, weight, 0.02, prior))
+    with_them, without = steps
+    np.testing.assert_allclose(with_them.step, without.step, rtol=1e-9, atol=1e-12)
+    np.testing.assert_allclose(with_them.covariance, without.covariance, rtol=1e-9)
+    assert with_them.scatter == pytest.approx(without.scatter, rel=1e-9)
 
 
 def short_edges() -> list[FaceSamples]:
