@@ -6,7 +6,7 @@ from concurrent.futures import CancelledError, Future, ThreadPoolExecutor
 from contextlib import AbstractContextManager, ExitStack
 from typing import Any, Generic, TypeVar
 
-from sim.helper import HelperEnded, HelperProcess
+from sim.helper import HelperEnded, HelperProcess, started
 
 _Result = TypeVar("_Result")
 
@@ -79,12 +79,11 @@ class Ahead(Generic[_Result]):
 
     def _start(self) -> None:
         """Start a process for each core that is left to others, of which there may be none."""
-        environments = self._closed.enter_context(self._sharing())
-        if not environments:
+        self._helpers = started(self._make, self._closed.enter_context(self._sharing()))
+        if not self._helpers:
             self._closed.close()
             self._order, self._places = (), {}  # from now on all is made here
             return
-        self._helpers = [HelperProcess(self._make, each) for each in environments]
         waiting = iter(self._helpers)
         self._pool = ThreadPoolExecutor(
             len(self._helpers), "helper", initializer=lambda: self._adopt(next(waiting))

@@ -9,7 +9,7 @@ import os
 import pickle
 import subprocess
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
@@ -25,7 +25,7 @@ class HelperProcess:
     def __init__(
         self, make: Callable[[], Callable[..., Any]], environment: dict[str, str] | None = None
     ) -> None:
-        """Start it; it is ready when ``wait`` returns.
+        """Start it; it is ready when ``wait`` returns.  OSError where the system starts no more.
 
         Parameters
         ----------
@@ -63,7 +63,7 @@ class HelperProcess:
             pickle.dump(question, self._process.stdin)
             self._process.stdin.flush()
             return pickle.load(self._process.stdout)
-        except (OSError, EOFError, pickle.UnpicklingError) as error:
+        except (OSError, EOFError, pickle.PickleError) as error:
             raise HelperEnded from error
 
     def kill(self) -> None:
@@ -78,6 +78,22 @@ class HelperProcess:
                 with suppress(OSError):  # what was left to write has no reader
                     pipe.close()
         self._process.wait()
+
+
+def started(
+    make: Callable[[], Callable[..., Any]], environments: Iterable[dict[str, str]]
+) -> list[HelperProcess]:
+    """A helper for each environment, as many as the system starts.
+
+    Parameters
+    ----------
+    make, environments : as of ``HelperProcess``, to be closed by the caller
+    """
+    helpers: list[HelperProcess] = []
+    with suppress(OSError):  # without more, the caller does more itself
+        for environment in environments:
+            helpers.append(HelperProcess(make, environment))
+    return helpers
 
 
 def main() -> None:

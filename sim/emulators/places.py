@@ -10,7 +10,7 @@ import numpy as np
 from lscan.errors import InputError
 from lscan.records import Bytes
 from sim.devices import camera_options
-from sim.helper import HelperProcess
+from sim.helper import HelperProcess, started
 from sim.render.backend import sharing
 from sim.render.tank import Tank
 from sim.scene import Scene
@@ -51,7 +51,7 @@ class Places:
         """Processes on the other cores that make a ``PassedPicture`` each, until the block ends."""
         with sharing() as environments:
             make = partial(PassedPicture, self._scene, self._switched)
-            helpers = [HelperProcess(make, each) for each in environments]
+            helpers = started(make, environments)
             try:
                 yield helpers
             finally:

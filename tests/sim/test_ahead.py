@@ -9,6 +9,7 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager
 from functools import partial
+from typing import Any
 
 import pytest
 from slow_calls import Squares
@@ -111,6 +112,26 @@ def test_no_process_is_started_in_vain(calls: list[tuple[int]], count: int) -> N
     ahead = Ahead(partial(Squares, 0.0), calls, helpers(count))
     assert [ahead.take(*call)[0] for call in calls] == [number**2 for (number,) in calls]
     assert not ahead._helpers
+    ahead.close()
+
+
+@pytest.mark.parametrize("most", [0, 1])
+def test_what_the_system_does_not_start_is_made_here(
+    most: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Of two processes none or one is started."""
+    popen, count = subprocess.Popen, []
+
+    def limited(*arguments: Any, **named: Any) -> Any:
+        count.append(1)
+        if len(count) > most:
+            raise BlockingIOError("Resource temporarily unavailable")
+        return popen(*arguments, **named)
+
+    monkeypatch.setattr("sim.helper.subprocess.Popen", limited)
+    ahead = Ahead(partial(Squares, 0.0), CALLS, helpers(2))
+    assert [ahead.take(*call)[0] for call in CALLS] == [number**2 for (number,) in CALLS]
+    assert len(ahead._helpers) == most
     ahead.close()
 
 

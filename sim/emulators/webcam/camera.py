@@ -142,8 +142,9 @@ class EmulatedCamera:
         for number, helper in enumerate(self._helpers):
             seeds = np.random.Generator(np.random.SFC64(self._generator.integers(2**32, size=4)))
             args, name = (helper, seeds), f"emulated camera {number}"
-            self._threads.append(threading.Thread(target=self._run_beside, args=args, name=name))
-            self._threads[-1].start()
+            thread = threading.Thread(target=self._run_beside, args=args, name=name, daemon=True)
+            self._threads.append(thread)
+            thread.start()
 
     def _run_beside(self, helper: HelperProcess, seeds: np.random.Generator) -> None:
         """Publish pictures of what the head passes that another process takes, while it lasts."""
