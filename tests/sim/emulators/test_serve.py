@@ -189,6 +189,17 @@ def test_a_long_move_is_seen_as_it_goes_on(
         assert rms(from_jpeg(shot.jpeg) - one) <= 1.018 * allowed
 
 
+def test_a_picture_that_was_begun_before_the_one_shown_is_dropped(scene: Scene) -> None:
+    """Processes that render side by side need not end in the order in which they began."""
+    with EmulatedHardware(scene) as hardware:
+        camera, head = hardware._camera, hardware._head_state()
+        for begun_s, jpeg in ((1.0, b"first"), (3.0, b"third"), (2.0, b"second")):
+            camera._show(jpeg, head, begun_s)
+        assert camera.count == 2
+        shot = camera.newest(0, 0.0)
+        assert shot is not None and shot.jpeg == b"third"
+
+
 def test_no_two_pictures_of_a_resting_head_are_alike(hardware: EmulatedHardware) -> None:
     viewer = Viewer(hardware.url)
     pictures = [viewer.picture() for _ in range(10)]
