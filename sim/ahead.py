@@ -45,7 +45,12 @@ class Ahead(Generic[_Result]):
         self._own = threading.local()
 
     def take(self, *call: Any) -> _Result:
-        """The result of a call; those that follow it in the order are begun."""
+        """The result of a call; those that follow it in the order are begun.
+
+        Parameters
+        ----------
+        call : its arguments
+        """
         place = self._places.get(call)
         if place is None:
             return self._work(*call)

@@ -54,7 +54,12 @@ class HelperProcess:
         self._asked(make)
 
     def __call__(self, *arguments: object) -> Any:
-        """The call's result; HelperEnded where there is none."""
+        """The call's result; HelperEnded where there is none.
+
+        Parameters
+        ----------
+        arguments : of the call, can be pickled, as its result
+        """
         return self._asked(arguments)
 
     def _asked(self, question: object) -> Any:
