@@ -116,11 +116,7 @@ class EmulatedCamera:
     def _run(self) -> None:
         while self._awaited():
             head, begun_s = self._head_state(), time.monotonic()
-            if self.fault == "frozen" and self._shot is not None:
-                self._show(self._shot.jpeg, head, begun_s)
-                continue
-            passing = self._is_passing(head)
-            if passing:
+            if self._is_passing(head):
                 self._begin_beside()
                 view = self._places.passed(head.now_mm, lit=head.lit)
             elif head.position_mm is None:
@@ -175,7 +171,10 @@ class EmulatedCamera:
             image = np.zeros_like(image)
         elif self.fault == "wrong-size":
             image = image[::2, ::2]
-        jpeg = jpeg_bytes(image, self._options.quality, self._options.subsampling)
+        if self.fault == "frozen" and self._shot is not None:
+            jpeg = self._shot.jpeg
+        else:
+            jpeg = jpeg_bytes(image, self._options.quality, self._options.subsampling)
         self._show(jpeg, head, begun_s)
 
     def _show(self, jpeg: bytes, head: HeadState, begun_s: float) -> None:

@@ -200,6 +200,17 @@ def test_a_picture_that_was_begun_before_the_one_shown_is_dropped(scene: Scene) 
         assert shot is not None and shot.jpeg == b"third"
 
 
+def test_a_frozen_camera_shows_one_picture_whoever_took_the_next(scene: Scene) -> None:
+    with EmulatedHardware(scene) as hardware:
+        camera, head = hardware._camera, hardware._head_state()
+        for begun_s, level in enumerate((0, 100, 200)):
+            camera._publish(np.full((8, 8, 3), level, np.uint8), head, float(begun_s))
+            camera.fault = "frozen"
+        shot = camera.newest(0, 0.0)
+        assert camera.count == 3
+        assert shot is not None and from_jpeg(shot.jpeg).max() == 0
+
+
 def test_no_two_pictures_of_a_resting_head_are_alike(hardware: EmulatedHardware) -> None:
     viewer = Viewer(hardware.url)
     pictures = [viewer.picture() for _ in range(10)]
