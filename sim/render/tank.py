@@ -33,6 +33,7 @@ from sim.water import glass_index, water_optics
 _log = logging.getLogger(__name__)
 
 UM_PER_MM = 1e3
+PLACES = 5  # of a scan, that say what the camera sees in it
 
 
 class Tank:
@@ -344,13 +345,16 @@ class Tank:
             return
         self._sparse.look(self.scene.tank.head, anew)
         if gathered and self.gathers and self._gathered is None:
+            head, plan = self.scene.tank.head, self.scene.rig.plan
+            ends = plan.start_mm, plan.start_mm + plan.step_mm * (plan.frames - 1)
             self._gathered = GatheredLight(
                 self.mitsuba_scene,
                 self._parts,
                 self.integrator,
                 self._sparse.rays,
-                self.scene.tank.head,
+                head,
                 self.water,
+                [head_pose(head, place_mm) for place_mm in np.linspace(*ends, PLACES)],
             )
 
     def _few_rays(self) -> SparseLaserLight | None:

@@ -5,8 +5,6 @@ from dataclasses import dataclass
 from itertools import accumulate
 from typing import Protocol
 
-import numpy as np
-
 from lscan.records import Floats
 
 NOMINAL = float("nan")
@@ -96,13 +94,3 @@ def width(outputs: Sequence[Output]) -> int:
     outputs : sequence of Output
     """
     return sum(output.size for output in outputs)
-
-
-def base_row(problem: StudyProblem) -> Floats:
-    """(D,) the row in which no cause is at work.
-
-    Parameters
-    ----------
-    problem : StudyProblem
-    """
-    return np.full(len(problem.causes), NOMINAL)

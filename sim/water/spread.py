@@ -115,16 +115,6 @@ class Spread:
         log_value, ratio = (between_nodes(self.multiple[..., part], *place) for part in (0, 1))
         return np.asarray(np.exp(log_value - self.loss * depth) * (1 + 1j * ratio))
 
-    def relative_error(self, theta: Floats, depth: Floats) -> Floats:
-        """Standard error of the radial part over itself, from the number of photons.
-
-        Parameters
-        ----------
-        theta, depth : arrays of one shape, as of ``vector_irradiance``
-        """
-        column = ANGLE_AXIS.place(np.maximum(theta, NEAREST_RAD))
-        return between_nodes(self.error, self.depth_axis.place(depth), column)
-
 
 def tabulate(
     phase: Callable[[Floats], Floats], albedo: float, crossings: Crossings, counts: PlaneCounts

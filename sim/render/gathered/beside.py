@@ -25,8 +25,12 @@ from sim.render.plugins.sheet import LaserSheet
 # FINEST_MM off, the last, at REACH_MM, knows what patches do.
 ASIDE, FINEST_MM, REACH_MM = 5, 1.0, 20.0
 COLUMNS, STEP = 2 * ASIDE + 1, asinh(REACH_MM / FINEST_MM) / ASIDE
-GATHERING, DIRECTIONS = 384, 32  # nodes, and directions from each
-ANGLES = 2048  # of the fan, at which the place between rows is kept
+GATHERING, DIRECTIONS = 704, 32  # nodes, and directions from each
+# Rows along the line: one for each segment, and others so many mm before the ends of its pieces,
+# for in a corner light grows as fast as the distance shrinks.
+CORNER_MM = (0.25, 0.8, 2.0)
+ROWS = SEGMENTS + 128
+ANGLES = 16384  # of the fan, at which the place between rows is kept
 NEAR_MM = 0.05  # off a node's tangent plane, of places on its surface, beside LEAVES times as far
 LIKE = 1 - 2 * CREASE_RAD**2  # cosine between normals of one surface: twice a crease
 Radiosity = Callable[[mi.SurfaceInteraction3f], mi.Float]
@@ -74,7 +78,7 @@ class BesideLine:
         """At places within the nodes: rad from the fan's axis and mm off the sheet's plane."""
         angle, along = _between((phi / self.sheet.half_angle + 1) * (0.5 * (ANGLES - 1)), ANGLES)
         first, behind = (dr.gather(mi.Float, self.rows, angle + k) for k in (0, 1))
-        row, down = _between(first + along * (behind - first), SEGMENTS)
+        row, down = _between(first + along * (behind - first), ROWS)
         column, right = _between(dr.asinh(aside / FINEST_MM) / STEP + ASIDE, COLUMNS)
         total, weight = mi.Float(0), mi.Float(0)
         for one, high in ((0, 1 - down), (1, down)):
@@ -112,11 +116,12 @@ def beside_line(
         and more often
     sent : function of what rays meet, the radiosity in mW/mm2 that arrives of it
     """
-    middle = np.array(line.segments).reshape(SEGMENTS, -1)[:, :3].T
-    phi = sheet.coordinates(mi.Point3f(vectors(middle)), mi.Float(0))[0]
-    half, number = float(sheet.half_angle[0]), np.arange(SEGMENTS)
-    rows = np.interp(np.linspace(-half, half, ANGLES), np.maximum.accumulate(phi), number)
-    lane = dr.arange(mi.UInt32, SEGMENTS * COLUMNS)
+    place = _row_places(np.array(line.segments).reshape(SEGMENTS, -1))
+    angle = np.array(sheet.coordinates(mi.Point3f(vectors(place.T)), mi.Float(0))[0])
+    phi = floats(np.maximum.accumulate(angle))
+    half, number = float(sheet.half_angle[0]), np.arange(ROWS)
+    rows = np.interp(np.linspace(-half, half, ANGLES), np.array(phi), number)
+    lane = dr.arange(mi.UInt32, ROWS * COLUMNS)
     column = mi.Float(lane % COLUMNS) - ASIDE
     origin = sheet.apex(mi.Float(0)) + sheet.normal * (FINEST_MM * dr.sinh(STEP * column))
     way = sheet.direction(dr.gather(mi.Float, phi, lane // COLUMNS))
@@ -130,6 +135,24 @@ def beside_line(
     most = np.argsort(-nodes[:, 8], kind="stable")[:GATHERING]
     nodes[most, 3] = _gathered(scene, most, nodes[most], sent)
     return BesideLine(sheet, floats(nodes[:, :8]), floats(rows))
+
+
+def _row_places(segments: Floats) -> Floats:
+    """(ROWS, 3) mm, along the line: the middles of its segments, and places near corners."""
+    middle, half, along = segments[:, :3], segments[:, 3:4], segments[:, 8:11]
+    ends = np.stack([middle - half * along, middle + half * along])
+    apart = np.linalg.norm(ends[0, 1:] - ends[1, :-1], axis=1) > half[1:, 0]
+    turned = np.sum(segments[1:, 4:7] * segments[:-1, 4:7], axis=1) < LIKE
+    cut = np.concatenate([[True], apart | turned, [True]])
+    places, order = [middle], [np.arange(SEGMENTS, dtype=float)]
+    for which, (end, sign) in enumerate(zip(ends, (1, -1), strict=True)):
+        number = np.flatnonzero(cut[which : which + SEGMENTS])
+        for off_mm in CORNER_MM:
+            inner = number[half[number, 0] > off_mm]
+            places.append(end[inner] + sign * off_mm * along[inner])
+            order.append(inner - sign * (1 - off_mm / half[inner, 0]) / 2)
+    placed = np.concatenate(places)[np.argsort(np.concatenate(order)[:ROWS], kind="stable")]
+    return np.pad(placed, ((0, ROWS - len(placed)), (0, 0)), mode="edge")
 
 
 def _gathered(scene: mi.Scene, number: Ints, nodes: Floats, sent: Radiosity) -> Floats:

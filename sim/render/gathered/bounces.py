@@ -1,7 +1,8 @@
 """Light that surfaces send to and fro: what a tank's patches make of the light that they receive.
 
 The surfaces stand still, so what patches receive of the light they all send, over every number of
-reflections, is one matrix.
+reflections, is one matrix.  Light that a line gives them varies within a patch: what is reflected
+first is known at many more places, the senders.
 """
 
 import hashlib
@@ -14,7 +15,7 @@ import mitsuba as mi
 import numpy as np
 from scipy import sparse
 
-from lscan.records import Floats
+from lscan.records import Floats, Ints
 from sim.meshes import MeshPart
 from sim.render.ambient.field import (
     DIRECTIONS,
@@ -32,9 +33,9 @@ from sim.water.tablecache import kept_arrays
 
 # Sides of the cells that hold a patch each, in the lattice's spacings: about surfaces of whose
 # sky more than SHADED is hidden they are the least of FINE that gives no more patches.
-MOST_PATCHES = 1200
+MOST_PATCHES, MOST_SENDERS = 1200, 20000
 COARSE, FINE, SHADED = 8.0, (1.0, 1.4, 2.0, 2.8, 4.0), 0.1
-FORMAT = 2  # of the kept files: raised where other numbers would be written
+FORMAT = 3  # of the kept files: raised where other numbers would be written
 ANGLES = 4096  # at which the phase function is summed
 
 
@@ -77,18 +78,38 @@ class Bounces:
         index, self._more = kept["index"].astype(np.intp), kept["more"]
         self._near = [indices(near) for near in kept["near"].T]
         self._shares = [floats(share) for share in kept["shares"].T]
-        nodes = self._lattice.nodes
-        self.point = mi.Point3f(vectors(nodes.point_mm[index].T))
-        self.normal = vectors(nodes.normal[index].T)
+        self.point, self.normal = self._places(index)
+        senders = kept["senders"].astype(np.intp)
+        self.sender_point, self.sender_normal = self._places(senders)
+        self._owners = kept["owners"].astype(np.intp)
+        self.owner = indices(self._owners)
+        patch, sender = kept["pairs"].T.astype(np.intp)
+        shape = len(index), len(senders)
+        self._first = sparse.csr_array((kept["met"], (patch, sender)), shape=shape)
 
-    def of(self, irradiance: Floats) -> Floats:
-        """What patches receive of the light that patches reflect, any number of times, (N,).
+    def _places(self, node: Ints) -> tuple[mi.Point3f, mi.Vector3f]:
+        """Points and normals of nodes."""
+        nodes = self._lattice.nodes
+        return mi.Point3f(vectors(nodes.point_mm[node].T)), vectors(nodes.normal[node].T)
+
+    def about(self, values: Floats) -> Floats:
+        """Sums over each patch and the senders that lie on it, (N,).
 
         Parameters
         ----------
-        irradiance : (N,) mW/mm2, what the patches receive without that
+        values : (S,) array, of senders, on the patches ``owner``
         """
-        return np.einsum("mn,n->m", self._more, irradiance)
+        return np.asarray(np.bincount(self._owners, values, len(self._more)), dtype=float)
+
+    def of(self, irradiance: Floats) -> Floats:
+        """What patches receive of the light that surfaces reflect, any number of times, (N,).
+
+        Parameters
+        ----------
+        irradiance : (S,) mW/mm2, what the senders receive without that
+        """
+        once = self._first @ irradiance
+        return np.asarray(once + np.einsum("mn,n->m", self._more, once))
 
     def field(self, values: Sequence[Floats]) -> "PatchField":
         """Values of patches, to be known at all places of surfaces.
@@ -146,7 +167,7 @@ def _name(parts: Sequence[MeshPart], water: Optics) -> str:
 
 
 def _tables(scene: mi.Scene, lattice: NodeLattice, water: Optics) -> dict[str, Floats]:
-    """Which nodes are patches, what comes of light on them, and which ones each node is near."""
+    """Patches and senders, what comes of light on them, and which patches each node is near."""
     nodes = lattice.nodes
     samples = _patches(scene, lattice, water)
     index = samples.index
@@ -156,7 +177,26 @@ def _tables(scene: mi.Scene, lattice: NodeLattice, water: Optics) -> dict[str, F
     met = sparse.csr_array((share, (patch, node)), shape=(len(index), len(nodes.inside)))
     once = np.asarray((met @ about.matrix(len(index))).todense())
     more = np.linalg.solve(np.eye(len(index)) - once, once)
-    tables = {"index": index, "more": more, "near": about.near, "shares": about.shares}
+    seen, of_seen = np.unique(node[share > 0].astype(np.intp), return_inverse=True)
+    for cell in FINE:
+        sending = one_a_cell(nodes, seen, cell * lattice.spacing_mm)
+        if len(sending) <= MOST_SENDERS:
+            break
+    sender = len(index) + Interpolation(nodes, sending, seen).near[:, 0][of_seen]
+    senders = np.concatenate([index, sending])  # patches that no light leaves may be lit, too
+    size = len(index), len(senders)
+    first = sparse.coo_array((share[share > 0], (patch[share > 0], sender)), shape=size)
+    first.sum_duplicates()
+    tables = {
+        "index": index,
+        "more": more,
+        "near": about.near,
+        "shares": about.shares,
+        "senders": senders,
+        "owners": about.near[senders, 0],
+        "pairs": np.column_stack(first.coords),
+        "met": first.data,
+    }
     return {name: np.asarray(table, dtype=np.float32) for name, table in tables.items()}
 
 

@@ -3,6 +3,7 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
+from math import sqrt
 
 import cv2
 import drjit as dr
@@ -35,7 +36,11 @@ FINER_ROWS = 4  # samples down a fine cell of the chart that the line crosses
 # And down the line in each column, for on steep surfaces it may be far narrower than a pixel; of
 # less than FAINT of the column's brightest, a pixel is off the line.
 LINE_ROWS, FAINT = 13, 0.05
+# Samples of a pixel at which surfaces end, so many rows from the line: light differs across it.
+EDGE_SAMPLES, ABOUT_EDGES = 4, 32
+GOLDEN = (sqrt(5) - 1) / 2  # by which samples lie farther to the right, of a pixel, from row to row
 FAINTEST = 1e-12  # transmittance of the water, below which nothing is seen through it
+APART = 16  # pixels between the rays that say how surfaces are tilted in the mean
 FARTHEST_MM = 1e4  # where a ray ends that meets nothing
 
 
@@ -114,12 +119,16 @@ class GatheredLight:
         rays: HeadRays,
         head: Head,
         water: Optics,
+        places: Sequence[Pose],
     ) -> None:
-        """Sum up what does not change while the head moves; the sheets are left in its frame."""
+        """Sum up what does not change while the head moves; the sheets are left in its frame.
+
+        places: where the head stands in the course of a scan.
+        """
         self._scene, self._integrator, self._rays = scene, integrator, rays
         for sheet in integrator.sheets:
             sheet.place(HEAD)
-        self._veil = HigherVeil(water, integrator.sheets, rays)
+        self._veil = HigherVeil(water, integrator.sheets, rays, _mean_normal(scene, rays, places))
         self._chart = make_chart(rays, head)
         self._grids = self._chart.inner, self._chart.outer
         self._in_view = cells_in_picture(self._chart)
@@ -184,8 +193,8 @@ class GatheredLight:
         self, head: Pose, direct: Picture, seen: PixelSurvey, lines: list[Picture]
     ) -> tuple[Picture, list[Shining]]:
         """What surfaces send on of the glow, in the picture, and of all light, in the grids."""
-        on_line, rows = _on_peak(direct)
-        coarse, exact = self._inner[::STEP, ::STEP], self._uneven(direct, seen, on_line)
+        fine, samples = _cut_pixels(direct, seen.bent)
+        coarse, exact = self._inner[::STEP, ::STEP], self._uneven(direct, seen, fine)
         index = np.concatenate([coarse.ravel(), self._inner.ravel()[exact]])
         cells = [
             self._cell_rays(grid, outside, line)
@@ -194,16 +203,17 @@ class GatheredLight:
         lit = self._reflections.lit()
         rays, place = self._rays.some(index)
         hit = dr.gather(mi.PreliminaryIntersection3f, seen.hit, place)
-        even, fine = self._sent(rays.seen_from(head), hit, head, lit).split(coarse.size, exact.size)
-        start, finer = self._down(self._inner.ravel()[on_line], rows)
+        even, near = self._sent(rays.seen_from(head), hit, head, lit).split(coarse.size, exact.size)
+        start, finer = self._within(self._inner.ravel()[fine], samples)
         directions = [*(each.directions for each in cells), finer]
         ray = self._traced_rays(head, np.hstack(directions), start)
         hit = self._scene.ray_intersect_preliminary(ray, coherent=True)
         counts = [way.shape[1] for way in directions]
         *traced, within = self._sent(ray, hit, head, lit).split(*counts)
         picture = _stretched(even.radiance.reshape(coarse.shape), *self._inner.shape)
-        picture.ravel()[exact] = fine.radiance
-        picture.ravel()[on_line] = np.add.reduceat(within.radiance, np.cumsum(rows) - rows) / rows
+        picture.ravel()[exact] = near.radiance
+        first = np.cumsum(samples) - samples
+        picture.ravel()[fine] = np.add.reduceat(within.radiance, first) / samples
         shining = [self._traced(*each) for each in zip(cells, traced, strict=True)]
         self._put_view(shining[0], picture, even.normal.reshape(*coarse.shape, 3), seen)
         for grid, line, each in zip(self._grids, lines, shining, strict=True):
@@ -247,19 +257,22 @@ class GatheredLight:
         """Samples down a cell of a grid that the line crosses."""
         return round(FINER_ROWS * grid.cell / self._chart.inner.cell)
 
-    def _uneven(self, direct: Picture, seen: PixelSurvey, on_line: Ints) -> Ints:
-        """The pixels near the line, but for those on it, and where surfaces end or are bent."""
+    def _uneven(self, direct: Picture, seen: PixelSurvey, fine: Ints) -> Ints:
+        """The pixels near the line and where surfaces end or are bent, but for fine ones."""
         near = _widened(direct > 0, ABOUT_LINE) | _widened(seen.bent, STEP)
-        near.ravel()[on_line] = False
+        near.ravel()[fine] = False
         return np.flatnonzero(near)
 
-    def _down(self, pixels: Ints, rows: Ints) -> tuple[Floats, Floats]:
-        """(3, N) starts and directions of rays down pixels, linear between neighbours'."""
-        own, each = np.repeat(pixels, rows), np.repeat(rows, rows)
-        number = np.arange(own.size) - np.repeat(np.cumsum(rows) - rows, rows)
-        below = ((number + 0.5) / each - 0.5).astype(np.float32)
-        other, share = own + np.where(below < 0, -1, 1) * self._rays.size_px[0], np.abs(below)
-        starts, ways = (v[:, own] * (1 - share) + v[:, other] * share for v in self._pixel_rays)
+    def _within(self, pixels: Ints, counts: Ints) -> tuple[Floats, Floats]:
+        """(3, N) starts and directions of so many rays in pixels, linear between neighbours'."""
+        own, each = np.repeat(pixels, counts), np.repeat(counts, counts)
+        number = np.arange(own.size) - np.repeat(np.cumsum(counts) - counts, counts) + 0.5
+        offsets = number / each - 0.5, GOLDEN * number % 1 - 0.5  # down, and to the right
+        starts, ways = (v[:, own] for v in self._pixel_rays)
+        for offset, step in zip(offsets, (self._rays.size_px[0], 1), strict=True):
+            other, share = own + np.where(offset < 0, -step, step), np.abs(np.float32(offset))
+            starts += (self._pixel_rays[0][:, other] - self._pixel_rays[0][:, own]) * share
+            ways += (self._pixel_rays[1][:, other] - self._pixel_rays[1][:, own]) * share
         return starts, ways / np.linalg.norm(ways, axis=0)
 
     def _traced_rays(self, head: Pose, directions: Floats, last: Floats) -> mi.Ray3f:
@@ -315,6 +328,20 @@ class GatheredLight:
         return head.rotation.T @ point, np.array(power, dtype=float)
 
 
+def _mean_normal(scene: mi.Scene, rays: HeadRays, places: Sequence[Pose]) -> Floats | None:
+    """(3,) of what the camera sees from some places, head frame; None where that is nothing."""
+    width, height = rays.size_px
+    pixels = np.arange(width * height).reshape(height, width)[::APART, ::APART].ravel()
+    some, _ = rays.some(pixels)
+    total = np.zeros(3)
+    for head in places:
+        si = scene.ray_intersect(some.seen_from(head))
+        normal = dr.select(si.is_valid(), facing(si), 0.0)
+        total += np.array(normal, dtype=float).sum(axis=1) @ head.rotation
+    length = np.linalg.norm(total)
+    return total / length if length > 0 else None
+
+
 def _splatted(grid: ChartGrid, chart: Chart, point: Floats, power: Floats) -> Picture:
     """Powers of points shared out among four cells each, such that their centre stays."""
     rows, columns = grid.shape
@@ -342,12 +369,13 @@ def _inside(cells: Ints, columns: int, count: int) -> Floats:
     return np.stack([column.repeat(count), (row[:, np.newaxis] + below).ravel()])
 
 
-def _on_peak(direct: Picture) -> tuple[Ints, Ints]:
-    """The line's pixels, and into how many rows to cut each."""
+def _cut_pixels(direct: Picture, bent: Mask) -> tuple[Ints, Ints]:
+    """The line's pixels, and those near it where surfaces end, and how many samples each gets."""
     bright = (direct > FAINT * direct.max(axis=0)) & (direct > 0)
-    pixels = np.flatnonzero(bright)
     rows = -(-LINE_ROWS // np.maximum(bright.sum(axis=0), 1))
-    return pixels, rows[pixels % direct.shape[1]]
+    samples = np.where(bright, rows, EDGE_SAMPLES * (bent & _widened(direct > 0, ABOUT_EDGES)))
+    pixels = np.flatnonzero(samples)
+    return pixels, samples.ravel()[pixels]
 
 
 def _widened(mask: Mask, pixels: int) -> Mask:

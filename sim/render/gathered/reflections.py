@@ -77,24 +77,24 @@ class Reflections:
         if bounces is None:
             return LitSurfaces((), None)
         lines, seen, shares = [], [], []
+        point, normal = bounces.sender_point, bounces.sender_normal
         received_once, extinction = mi.Float(0), self._integrator.extinction
         for number, sheet in enumerate(sheets):
             strip = self._glows[number].of_strip if self._glows else None
             line = lit_line(self._scene, sheet, lambda far: dr.exp(-extinction * far), strip)
             part = visible_part(self._scene, line, bounces.point, bounces.normal)
-            close, far = received(
-                line, bounces.point, bounces.normal, self._extinction, mi.Bool(True)
-            )
-            received_once += close + far * part
+            close, far = received(line, point, normal, self._extinction, mi.Bool(True))
+            received_once += close + far * dr.gather(mi.Float, part, bounces.owner)
             lines.append(line)
             seen.append(part)
             phase = self._integrator.phase
             shares.append(visible_share(self._scene, sheet, phase, bounces.point, bounces.normal))
         dr.eval(received_once, seen, shares)
         once = np.array(received_once)
-        scattered = self._scattered(bounces.point, bounces.normal, shares)
+        seen_there = [dr.gather(mi.Float, share, bounces.owner) for share in shares]
+        scattered = self._scattered(point, normal, seen_there)
         more = bounces.of(once + np.array(scattered))
-        values = [once, more, *map(np.array, (*seen, *shares))]
+        values = [bounces.about(once), more, *map(np.array, (*seen, *shares))]
         field = bounces.field(values)
         lit = LitSurfaces(tuple(lines), field)
 

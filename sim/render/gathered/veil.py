@@ -1,10 +1,10 @@
 """The veil of second and higher orders: laser light that met no surface, turned more than once.
 
 Camera and laser stand still against each other, so what a ray of the camera sees of it depends on
-where surfaces end the water alone.  A surface is taken for a plane across the laser's axis through
-the place where the ray ends: light counts whose deepest place of scattering lies above.  Photons
-say once how much light that is, as a smooth function of the ray and the depth; it is kept in the
-user's cache.  A picture is then read from a lattice of rays.
+where surfaces end the water alone.  A surface is taken for a plane through the place where the ray
+ends, as tilted as what the camera sees of the tank is in the mean: light counts whose deepest place
+of scattering lies above.  Photons say once how much light that is, as a smooth function of the ray
+and the depth; it is kept in the user's cache.  A picture is then read from a lattice of rays.
 """
 
 import hashlib
@@ -38,9 +38,8 @@ from sim.water.axes import ANGLE_AXIS, between_nodes
 from sim.water.tablecache import kept_arrays
 
 Picture = NDArray[np.float32]
-FORMAT = 2  # of the kept files: raised where other numbers would be written
-# In clear water and in turbid one, and what is in between; of a sheet.
-MOST_PHOTONS, FEWEST_PHOTONS, CLEAR_PER_MM = PHOTONS // 10, PHOTONS // 20, 1e-3
+FORMAT = 3  # of the kept files: raised where other numbers would be written
+SHEET_PHOTONS = PHOTONS // 10  # of a sheet
 SEED = 1
 STEP = 3  # pixels between the rays of the lattice, odd: it has a pixel's centre
 # Rays that go down less steeply than this do not end the water by their depth.
@@ -68,7 +67,8 @@ class HigherVeil:
         water: Optics,
         sheets: Sequence[LaserSheet],
         rays: HeadRays,
-        photons: int | None = None,
+        upright: Floats | None = None,
+        photons: int = SHEET_PHOTONS,
         seed: int = SEED,
     ) -> None:
         """Count photons, unless the user's cache holds what they said.
@@ -78,7 +78,9 @@ class HigherVeil:
         water : Optics
         sheets : sequence of LaserSheet, which are left in the head's frame
         rays : HeadRays
-        photons : int, of each sheet, how many at least; by how turbid the water is if None
+        upright : (3,) array or None, mean normal of the surfaces, head frame; None: across the
+            laser's axis
+        photons : int, of each sheet, how many at least
         seed : int, of the random numbers
         """
         width, height = (size - 2 for size in rays.size_px)
@@ -90,14 +92,11 @@ class HigherVeil:
         self._sheets: list[_SheetVeil] = []
         if water.scattering_per_mm <= 0:
             return
-        if photons is None:
-            share = min(1.0, CLEAR_PER_MM / water.scattering_per_mm)
-            photons = max(FEWEST_PHOTONS, round(MOST_PHOTONS * share))
         lattice = np.add.outer((self._down + 1) * (width + 2), self._across + 1)
         view = field_of_view(rays)
         for sheet in sheets:
             sheet.place(HEAD)
-            level = _level(sheet, rays, view)
+            level = _level(sheet, rays, view, upright)
             table = _kept_table(water, sheet, view, level, photons, seed)
             self._sheets.append(_SheetVeil.of(table, sheet, rays, view, level, lattice))
 
@@ -189,12 +188,13 @@ def field_of_view(rays: HeadRays) -> FieldOfView:
     return FieldOfView(pinhole, axes, low, high, max(start, 0.0))
 
 
-def _level(sheet: LaserSheet, rays: HeadRays, view: FieldOfView) -> Floats:
-    """The unit vector along which depth is measured: the fan's axis where all rays go down it.
+def _level(sheet: LaserSheet, rays: HeadRays, view: FieldOfView, upright: Floats | None) -> Floats:
+    """The unit vector along which depth is measured: into the surfaces where all rays go down it.
 
-    Else that between it and the camera's, or the camera's.
+    The fan's axis where there are none.  Else that between it and the camera's, or the camera's.
     """
-    axis, direction = np.array(sheet.axis, dtype=float).ravel(), np.array(rays.direction)
+    direction = np.array(rays.direction)
+    axis = np.array(sheet.axis, dtype=float).ravel() if upright is None else -upright
     between = axis + view.axes[2]
     between /= max(float(np.linalg.norm(between)), 1e-9)
     for level in (axis, between):

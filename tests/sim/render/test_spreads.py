@@ -16,7 +16,7 @@ from sim.render.plugins.spread import SpreadLookup
 from sim.render.spreads import photons_asked_for, spread_of
 from sim.scene.matter import Water
 from sim.water import Optics, water_optics
-from sim.water.axes import ANGLE_AXIS
+from sim.water.axes import ANGLE_AXIS, between_nodes
 from sim.water.spread import Spread
 
 PHOTONS = 2**14
@@ -144,8 +144,11 @@ def test_the_table_of_another_water_is_noticed() -> None:
 
 def test_errors_fall_with_the_number_of_photons() -> None:
     """As its square root; within 20 %, for the weights of the curves vary with the counts."""
-    theta, depth = np.array([0.1, 0.4]), np.full(2, 1000 * WATER.extinction_per_mm)
-    few, many = (spread_of(WATER, n).relative_error(theta, depth) for n in (2**15, 2**19))
+    column = ANGLE_AXIS.place(np.array([0.1, 0.4]))
+    few, many = (
+        between_nodes(found.error, found.depth_axis.place(1000 * WATER.extinction_per_mm), column)
+        for found in (spread_of(WATER, n) for n in (2**15, 2**19))
+    )
     assert few / many == pytest.approx([4, 4], rel=0.2)
 
 

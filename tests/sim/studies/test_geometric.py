@@ -14,7 +14,7 @@ from sim.scene import into_head
 from sim.studies.errors import ErrorFrame
 from sim.studies.geometric import GeometricRig
 from sim.studies.places import WAVE
-from sim.studies.problem import base_row, columns
+from sim.studies.problem import NOMINAL, columns
 from sim.studies.states import check_keys, states_of
 from sim.truth import project
 from sim.validation.study.twelve import SENSOR_PX, SPECKLE_PX
@@ -40,7 +40,7 @@ def test_with_nothing_at_work_nothing_is_off() -> None:
     rig = GeometricRig(
         study_with({"one": {"key": "lens.focal_px", "when": "drift", "fixed": 851.0}}), known_of()
     )
-    assert np.abs(rig.evaluate(base_row(rig))).max() < BASE_MM
+    assert np.abs(rig.evaluate(np.full(len(rig.causes), NOMINAL))).max() < BASE_MM
 
 
 def test_a_board_behind_the_sheet_lifts_the_line_by_its_depression() -> None:

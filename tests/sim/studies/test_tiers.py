@@ -17,7 +17,7 @@ from sim.studies.indices import Indices, moments, sobol_indices
 from sim.studies.intervals import set_sums
 from sim.studies.multifidelity import TermMeans, term_means
 from sim.studies.prepared import Prepared, prepare
-from sim.studies.problem import Output, base_row, columns
+from sim.studies.problem import NOMINAL, Output, columns
 from sim.studies.rendered import RenderedRig
 from sim.studies.results import load_results
 from sim.studies.running import StudyOptions
@@ -275,7 +275,7 @@ def test_both_tiers_of_a_small_picture_without_noise_agree() -> None:
     prepared = prepare(study)
     geometric, rendered = GeometricRig(study, prepared), RenderedRig(study, prepared)
     where = columns(geometric.outputs)["height"]
-    row = base_row(geometric)
+    row = np.full(len(geometric.causes), NOMINAL)
     off = (rendered.evaluate(row) - geometric.evaluate(row))[where]
     assert np.abs(off).max() < 1e-3
 
