@@ -117,14 +117,14 @@ def beside_line(
     sent : function of what rays meet, the radiosity in mW/mm2 that arrives of it
     """
     place = _row_places(np.array(line.segments).reshape(SEGMENTS, -1))
-    angle = np.array(sheet.coordinates(mi.Point3f(vectors(place.T)), mi.Float(0))[0])
-    phi = floats(np.maximum.accumulate(angle))
+    phi, _, _ = sheet.coordinates(mi.Point3f(vectors(place.T)), mi.Float(0))
+    angle = np.maximum.accumulate(np.array(phi))
     half, number = float(sheet.half_angle[0]), np.arange(ROWS)
-    rows = np.interp(np.linspace(-half, half, ANGLES), np.array(phi), number)
+    rows = np.interp(np.linspace(-half, half, ANGLES), angle, number)
     lane = dr.arange(mi.UInt32, ROWS * COLUMNS)
     column = mi.Float(lane % COLUMNS) - ASIDE
     origin = sheet.apex(mi.Float(0)) + sheet.normal * (FINEST_MM * dr.sinh(STEP * column))
-    way = sheet.direction(dr.gather(mi.Float, phi, lane // COLUMNS))
+    way = sheet.direction(dr.gather(mi.Float, floats(angle), lane // COLUMNS))
     si = scene.ray_intersect(mi.Ray3f(mi.Point3f(origin), dr.normalize(way)))
     normal, (_, more, *_) = facing(si), field.at(si)
     inner = si.is_valid() & (dr.abs(column) < ASIDE)
@@ -138,7 +138,10 @@ def beside_line(
 
 
 def _row_places(segments: Floats) -> Floats:
-    """(ROWS, 3) mm, along the line: the middles of its segments, and places near corners."""
+    """(ROWS, 3) mm, along the line: the middles of its segments, and places near corners.
+
+    Its pieces end where the next segment begins by more than half of one farther on, or is turned.
+    """
     middle, half, along = segments[:, :3], segments[:, 3:4], segments[:, 8:11]
     ends = np.stack([middle - half * along, middle + half * along])
     apart = np.linalg.norm(ends[0, 1:] - ends[1, :-1], axis=1) > half[1:, 0]
