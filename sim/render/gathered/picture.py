@@ -37,7 +37,7 @@ FINER_ROWS = 4  # samples down a fine cell of the chart that the line crosses
 # less than FAINT of the column's brightest, a pixel is off the line.
 LINE_ROWS, FAINT = 13, 0.05
 # Samples of a pixel at which surfaces end, so many rows from the line: light differs across it.
-EDGE_SAMPLES, ABOUT_EDGES = 4, 32
+EDGE_SAMPLES, ABOUT_EDGES = 4, 16
 GOLDEN = (sqrt(5) - 1) / 2  # by which samples lie farther to the right, of a pixel, from row to row
 FAINTEST = 1e-12  # transmittance of the water, below which nothing is seen through it
 APART = 16  # pixels between the rays that say how surfaces are tilted in the mean
