@@ -345,8 +345,8 @@ class Tank:
             return
         self._sparse.look(self.scene.tank.head, anew)
         if gathered and self.gathers and self._gathered is None:
-            head, plan = self.scene.tank.head, self.scene.rig.plan
-            ends = plan.start_mm, plan.start_mm + plan.step_mm * (plan.frames - 1)
+            head, places_mm = self.scene.tank.head, self.scene.rig.plan.positions_mm()
+            ends = places_mm[0], places_mm[-1]
             self._gathered = GatheredLight(
                 self.mitsuba_scene,
                 self._parts,
