@@ -1,12 +1,12 @@
 """How much the ripples of a train differ from one another in wavelength and in heading."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from lscan.records import Floats
 from lscan.roughness.patch import Patch, wavenumbers
-from lscan.roughness.ripples import RippleTrain
+from lscan.roughness.ripples import RippleTrain, without_ripples
 from lscan.roughness.spectra import detrended
 
 ALONG, ACROSS = 0.5, 0.7
@@ -34,8 +34,9 @@ class RippleSpread:
 def ripple_spread(patch: Patch, train: RippleTrain) -> RippleSpread:
     """The spread of a train of ripples: the width of its peak beyond that of a single wave.
 
-    The second moments of the tapered periodogram about the peak's own middle, less a power law
-    beneath it, less those of the train's wave over the same cells, by which the patch resolves.
+    The second moments of the tapered periodogram about the peak's own middle, less the power law
+    beneath it that the heights without the train have, less those of the train alone over the same
+    cells: by it the patch resolves, and what holes scatter of a wave is in both.
     Spreads above about 0.2 or 15 degrees are understated: the peak is then wider than the ellipse.
 
     Parameters
@@ -43,35 +44,54 @@ def ripple_spread(patch: Patch, train: RippleTrain) -> RippleSpread:
     patch : Patch, of at least some four wavelengths
     train : RippleTrain, found on it
     """
-    y, x = np.nonzero(patch.seen)
-    phase = (np.column_stack([y, x]) * patch.cell_cm) @ train.wavenumber_per_cm
-    wave = np.zeros_like(patch.z_cm)
-    wave[patch.seen] = np.cos(phase)
-    measured = _variances(detrended(patch), train.wavenumber_per_cm, patch.cell_cm)
-    single = _variances(wave, train.wavenumber_per_cm, patch.cell_cm)
-    along, across = np.sqrt(np.maximum(measured - single, 0.0))
+    rest = without_ripples(patch, train)
+    waves = replace(patch, z_cm=patch.z_cm - rest.z_cm)
+    whole, single, other = (_periodogram(each) for each in (patch, waves, rest))
+    peak = _Peak.of(train, whole.shape, patch.cell_cm)
+    spread = peak.variances(whole - peak.beneath(other)) - peak.variances(single)
+    along, across = np.sqrt(np.maximum(spread, 0.0))
     return RippleSpread(float(along), float(np.degrees(across)))
 
 
-def _variances(z_cm: Floats, peak_per_cm: Floats, cell_cm: float) -> Floats:
-    """(2,) of a peak along its heading and across it, in its wavenumber's square."""
+def _periodogram(patch: Patch) -> Floats:
+    z_cm = detrended(patch)
     taper = np.outer(*(np.hanning(count + 2)[1:-1] for count in z_cm.shape))
-    shape = (PADDING * z_cm.shape[0], PADDING * z_cm.shape[1])
-    power = np.abs(np.fft.fft2(z_cm * taper, shape)) ** 2
-    y, x = wavenumbers(shape, cell_cm)
-    size = float(np.linalg.norm(peak_per_cm))
-    to_y, to_x = peak_per_cm / size
-    along = (y * to_y + x * to_x) / size - 1
-    across = (x * to_y - y * to_x) / size
-    far = (along / ALONG) ** 2 + (across / ACROSS) ** 2
-    inside, rim = far <= 1, (far > 1) & (far <= AROUND**2)
-    law = np.hypot(1 + along, across, where=far <= AROUND**2, out=np.ones(shape)) ** -STEEP
-    # The median of an exponential distribution is ln 2 of its mean.
-    beneath = float(np.median(power[rim] / law[rim])) / np.log(2)
-    weight = (power - beneath * law)[inside]
-    total = max(float(weight.sum()), np.finfo(float).tiny)
-    found = []
-    for places in (along[inside], across[inside]):
-        middle = float((weight * places).sum()) / total
-        found.append(float((weight * (places - middle) ** 2).sum()) / total)
-    return np.array(found)
+    shape = [PADDING * count for count in z_cm.shape]
+    power: Floats = np.abs(np.fft.fft2(z_cm * taper, shape)) ** 2
+    return power
+
+
+@dataclass(frozen=True)
+class _Peak:
+    """Wavenumbers (R, C) from that of a train, along its heading and across it, in its own.
+
+    far: 1 at the rim of the ellipse that counts as the peak.
+    """
+
+    along: Floats
+    across: Floats
+    far: Floats
+
+    @staticmethod
+    def of(train: RippleTrain, shape: tuple[int, ...], cell_cm: float) -> "_Peak":
+        y, x = wavenumbers((shape[0], shape[1]), cell_cm)
+        to_y, to_x = train.wavenumber_per_cm / np.sum(train.wavenumber_per_cm**2)
+        along, across = y * to_y + x * to_x - 1, x * to_y - y * to_x
+        return _Peak(along, across, (along / ALONG) ** 2 + (across / ACROSS) ** 2)
+
+    def beneath(self, power: Floats) -> Floats:
+        """(R, C) the power law, within the ellipse and its rim, that ``power`` has at the rim."""
+        known, rim = self.far <= AROUND**2, (self.far > 1) & (self.far <= AROUND**2)
+        law = np.hypot(1 + self.along, self.across, where=known, out=np.ones(known.shape)) ** -STEEP
+        # The median of an exponential distribution is ln 2 of its mean.
+        level: Floats = law * (np.median(power[rim] / law[rim]) / np.log(2))
+        return level
+
+    def variances(self, power: Floats) -> Floats:
+        """(2,) along the heading and across it, about the middle of ``power`` in the ellipse."""
+        inside = self.far <= 1
+        weight = power[inside] / max(float(power[inside].sum()), np.finfo(float).tiny)
+        places = np.stack([self.along[inside], self.across[inside]])
+        middle = (places @ weight)[:, None]
+        found: Floats = (places - middle) ** 2 @ weight
+        return found
