@@ -36,10 +36,10 @@ class Interpolation:
         nodes : SurfaceNodes, N of them
         samples, wanted : arrays, indices of those where values are known, and are wanted
         """
-        place = np.column_stack([nodes.point_mm, NORMAL_MM * nodes.normal, APART_MM * nodes.part])
         count = min(CANDIDATES, len(samples))
         with flushing(False):  # the tree cuts at the next number beside 0, and must not find 0
-            found = cKDTree(place[samples]).query(place[wanted], np.arange(1, count + 1))
+            tree = cKDTree(like_places(nodes, samples))
+            found = tree.query(like_places(nodes, wanted), np.arange(1, count + 1))
         distance, near = np.asarray(found[0]), np.asarray(found[1])
         offset = nodes.point_mm[samples][near] - nodes.point_mm[wanted, np.newaxis]
         distance += ABOVE * np.abs(np.einsum("nki,ni->nk", offset, nodes.normal[wanted]))
@@ -89,3 +89,9 @@ class Interpolation:
         near = values[self.near][..., np.newaxis]
         plane = self._inverse @ (self._weighted @ near)
         return np.asarray(np.abs(self._terms @ plane - near).max(axis=(1, 2)))
+
+
+def like_places(nodes: SurfaceNodes, index: Ints) -> Floats:
+    """(N, 7) mm, near each other where nodes are, on the same part, and have like normals."""
+    point, normal, part = nodes.point_mm[index], nodes.normal[index], nodes.part[index]
+    return np.column_stack([point, NORMAL_MM * normal, APART_MM * part])

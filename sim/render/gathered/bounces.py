@@ -15,7 +15,7 @@ import mitsuba as mi
 import numpy as np
 from scipy import sparse
 
-from lscan.records import Floats, Ints
+from lscan.records import Floats, Ints, Mask
 from sim.meshes import MeshPart
 from sim.render.ambient.field import (
     DIRECTIONS,
@@ -25,7 +25,7 @@ from sim.render.ambient.field import (
     one_a_cell,
     traced_all,
 )
-from sim.render.ambient.interpolation import Interpolation
+from sim.render.ambient.interpolation import NEAR_MM, Interpolation, like_places
 from sim.render.ambient.lattice import NodeLattice
 from sim.render.plugins.arrays import floats, indices, vectors
 from sim.water import Optics
@@ -79,6 +79,10 @@ class Bounces:
         self._near = [indices(near) for near in kept["near"].T]
         self._shares = [floats(share) for share in kept["shares"].T]
         self.point, self.normal = self._places(index)
+        self._about = kept["near"][index].astype(np.intp)
+        place = like_places(self._lattice.nodes, index)
+        distance = np.linalg.norm(place[self._about] - place[:, np.newaxis], axis=2)
+        self._closeness = 1 / (distance + NEAR_MM) ** 2
         senders = kept["senders"].astype(np.intp)
         self.sender_point, self.sender_normal = self._places(senders)
         self._owners = kept["owners"].astype(np.intp)
@@ -100,6 +104,25 @@ class Bounces:
         values : (S,) array, of senders, on the patches ``owner``
         """
         return np.asarray(np.bincount(self._owners, values, len(self._more)), dtype=float)
+
+    def apart(self, values: Floats, here: Mask) -> list[Floats]:
+        """(N,) values about patches that are ``here``, and about those that are not.
+
+        A patch that is not among them has the mean of those near it that are, or, where none is,
+        its own value.
+
+        Parameters
+        ----------
+        values : (N,) array, of patches
+        here : (N,) mask
+        """
+        sides = []
+        for side in (here, ~here):
+            weight = self._closeness * side[self._about]
+            total = weight.sum(axis=1)
+            mean = (weight * values[self._about]).sum(axis=1) / np.where(total > 0, total, 1)
+            sides.append(np.where(side | (total == 0), values, mean))
+        return sides
 
     def of(self, irradiance: Floats) -> Floats:
         """What patches receive of the light that surfaces reflect, any number of times, (N,).

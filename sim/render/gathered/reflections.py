@@ -19,10 +19,13 @@ from sim.render.gathered.bounces import Bounces, PatchField, lasting
 from sim.render.gathered.glow import Glow
 from sim.render.gathered.lines import LitLine, facing, lit_line
 from sim.render.gathered.received import received, visible_part
-from sim.render.gathered.shade import visible_share
+from sim.render.gathered.shade import sees_apex, visible_share
 from sim.render.plugins.integrator import SheetIntegrator
 from sim.render.plugins.opaque import opaque
 from sim.water import Optics
+
+# Shares of scattered light in and out of the sheet's light: what differs by less is not told apart.
+SHARES_DIFFER = 0.02
 
 
 @dataclass(frozen=True)
@@ -34,8 +37,8 @@ class LitSurfaces:
     lines : tuple of LitLine, one for each sheet
     field : PatchField, irradiance in mW/mm2 by light of the lines that was reflected once, and by
         what was reflected more often or scattered onto surfaces off the lines; of each sheet, the
-        share of its line afar that is seen; of each, the share of its light that the water
-        scatters.  None where no surface sees another
+        share of its line afar that is seen, and that of its light that the water scatters, in the
+        sheet's light and in shadow.  None where no surface sees another
     beside : tuple of BesideLine, light reflected more often once more, about each line
     """
 
@@ -76,25 +79,27 @@ class Reflections:
         bounces, sheets = self._bounces, self._integrator.sheets
         if bounces is None:
             return LitSurfaces((), None)
-        lines, seen, shares = [], [], []
+        lines, seen, shares, inside = [], [], [], []
         point, normal = bounces.sender_point, bounces.sender_normal
+        patches = bounces.point, bounces.normal
         received_once, extinction = mi.Float(0), self._integrator.extinction
         for number, sheet in enumerate(sheets):
             strip = self._glows[number].of_strip if self._glows else None
             line = lit_line(self._scene, sheet, lambda far: dr.exp(-extinction * far), strip)
-            part = visible_part(self._scene, line, bounces.point, bounces.normal)
+            part = visible_part(self._scene, line, *patches)
             close, far = received(line, point, normal, self._extinction, mi.Bool(True))
             received_once += close + far * dr.gather(mi.Float, part, bounces.owner)
             lines.append(line)
             seen.append(part)
-            phase = self._integrator.phase
-            shares.append(visible_share(self._scene, sheet, phase, bounces.point, bounces.normal))
-        dr.eval(received_once, seen, shares)
+            shares.append(visible_share(self._scene, sheet, self._integrator.phase, *patches))
+            inside.append(sees_apex(self._scene, sheet, *patches, mi.Bool(True)))
+        dr.eval(received_once, seen, shares, inside)
         once = np.array(received_once)
         seen_there = [dr.gather(mi.Float, share, bounces.owner) for share in shares]
         scattered = self._scattered(point, normal, seen_there)
-        more = bounces.of(once + np.array(scattered))
-        values = [bounces.about(once), more, *map(np.array, (*seen, *shares))]
+        values = [bounces.about(once), bounces.of(once + np.array(scattered))]
+        for part, share, is_lit in zip(seen, shares, inside, strict=True):
+            values += [np.array(part), *bounces.apart(np.array(share), np.array(is_lit))]
         field = bounces.field(values)
         lit = LitSurfaces(tuple(lines), field)
 
@@ -139,7 +144,14 @@ class Reflections:
         once, light, *rest = lit.field.at(si)
         for beside in lit.beside:
             light = beside.at(si.p, facing(si), light)
-        for line, seen in zip(lit.lines, rest[:count], strict=True):
+        shares = []
+        for number, (line, sheet) in enumerate(
+            zip(lit.lines, self._integrator.sheets, strict=True)
+        ):
+            seen, bright, dark = rest[3 * number : 3 * number + 3]
             close, far = received(line, si.p, facing(si), self._extinction, once > 0)
             light += close + seen * far
-        return dr.select(si.is_valid(), light, 0.0), rest[count:]
+            asked = si.is_valid() & (dr.abs(bright - dark) > SHARES_DIFFER)
+            is_lit = sees_apex(self._scene, sheet, si.p, facing(si), asked)
+            shares.append(dr.select(is_lit | ~asked, bright, dark))
+        return dr.select(si.is_valid(), light, 0.0), shares

@@ -1,4 +1,8 @@
-"""How much of the light that a sheet's rays scatter onto a surface other surfaces let through."""
+"""How much of the light that a sheet's rays scatter onto a surface other surfaces let through.
+
+Most of it comes along the ray that meets the surface.  Where that is stopped, a place in shadow
+receives a fraction of what is received beside it: shares on either side are kept apart.
+"""
 
 from math import pi
 
@@ -60,3 +64,20 @@ def visible_share(
     seen = dr.select(scene.ray_test(shadow, weight > 0), 0.0, weight)
     total, open_share = dr.block_sum(weight, count), dr.block_sum(seen, count)
     return dr.select(total > 0, open_share / total, 1.0)
+
+
+def sees_apex(
+    scene: mi.Scene, sheet: LaserSheet, point: mi.Point3f, normal: mi.Vector3f, active: mi.Bool
+) -> mi.Bool:
+    """Whether nothing lies between places and where a sheet's rays come from; False if inactive.
+
+    Parameters
+    ----------
+    scene, sheet, point, normal : as those of ``visible_share``
+    active : Bool, the places that are asked for
+    """
+    start = point + normal * START_MM
+    way = sheet.apex(mi.Float(0)) - start
+    far = dr.norm(way)
+    ray = mi.Ray3f(start, way / far, far, 0.0, [])
+    return active & (dr.dot(way, normal) > 0) & ~scene.ray_test(ray, active)

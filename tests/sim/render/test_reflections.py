@@ -20,6 +20,7 @@ from sim.render.gathered.glow import Glow
 from sim.render.gathered.lines import OFF, RAYS, SEGMENTS, LitLine, _segmented, facing, lit_line
 from sim.render.gathered.received import received, visible_part
 from sim.render.gathered.reflections import Reflections
+from sim.render.gathered.shade import visible_share
 from sim.render.judge.judged import JudgeEffort, judge
 from sim.render.layers import W_PER_M2_IN_MW_PER_MM2
 from sim.render.materials import mitsuba_shape
@@ -353,6 +354,40 @@ def test_what_is_scattered_onto_the_floor_lights_the_wall(monkeypatch: pytest.Mo
     corner.lit = corner.reflections.lit()
     light -= corner.irradiance([-80.0, 3.0, 60.0], places)
     assert np.all((0.22 * fallen.min() < light) & (light < 0.28 * fallen.max()))
+
+
+def test_scattered_light_is_cut_off_where_a_shadow_begins() -> None:
+    """A wall at x = 40, 60 mm high, shades the floor to x = 50; patches lie 20 mm apart there.
+
+    Within a patch shares grow by about .2, from the wall to the shadow's edge and beyond it, too:
+    the mean of nine places on either side is known to half of that.
+    """
+    corner = Corner(floor(), block([30, -150, 0], [40, 150, 60]), water=WATER)
+    x, y = (v.ravel() for v in np.meshgrid([44.0, 46.0, 48.0, 52.0, 54.0, 56.0], [3.0, -8.0, 20.0]))
+    down = mi.Ray3f(mi.Point3f(vectors([x, y, 0 * x + 50])), mi.Vector3f(0, 0, -1))
+    si = corner.scene.ray_intersect(down)
+    integrator = corner.reflections._integrator
+    (found,) = map(np.array, corner.reflections.irradiance(corner.lit, si)[1])
+    sheet, normal = integrator.sheets[0], facing(si)
+    own = np.array(visible_share(corner.scene, sheet, integrator.phase, si.p, normal))
+    for side in (x < 50, x > 50):
+        assert found[side].mean() == pytest.approx(own[side].mean(), abs=0.1)
+    assert own[x > 50].mean() > own[x < 50].mean() + 0.5
+
+
+def test_patches_that_differ_are_kept_apart() -> None:
+    """A patch keeps its own value on its side; on the other it has that of its neighbours there, or
+    its own where none is near: never a mean of both sides."""
+    bounces = Corner(floor(), wall()).reflections._bounces
+    assert bounces is not None
+    x, _, _ = np.array(bounces.point)
+    here = x < 20
+    inside, outside = bounces.apart(np.where(here, 5.0, 2.0), here)
+    np.testing.assert_array_equal(inside[here], 5.0)
+    np.testing.assert_array_equal(outside[~here], 2.0)
+    for found, other, own in ((inside, ~here, 5.0), (outside, here, 2.0)):
+        assert set(found[other].round(9)) <= {5.0, 2.0}
+        assert np.any(np.isclose(found[other], own))
 
 
 def test_light_that_turns_by_little_is_not_lost() -> None:
