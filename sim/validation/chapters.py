@@ -1,4 +1,4 @@
-"""The chapters of a figures table, measured side by side and written as they end."""
+"""The chapters of a figures table, measured side by side or in turn and written as they end."""
 
 import os
 from collections.abc import Callable, Mapping
@@ -12,17 +12,20 @@ from lscan.records import Progress
 from sim.render.backend import THREADS
 from sim.validation.rows import Row, RowFile, measured
 
+Chapters = Mapping[str, Callable[[], list[Row]]]
+
 
 def run_chapters(
-    chapters: Mapping[str, Callable[[], list[Row]]],
+    chapters: Chapters,
     output: Path,
     quick: bool = False,
     progress: Progress | None = None,
 ) -> list[Row]:
     """The rows of all chapters, in their order; the file always holds all measured so far.
 
-    As many chapters run side by side as there are processors, in processes of their own.  A
-    chapter that ends with an error is a failed row.
+    As many chapters run side by side as there are processors, in processes of their own; those of
+    a quick run take turns in this one, since to import and load the renderer anew takes longer
+    than most of them.  A chapter that ends with an error is a failed row.
 
     Parameters
     ----------
@@ -38,6 +41,8 @@ def run_chapters(
         The disk refuses.
     """
     file = RowFile(output, quick)
+    if quick:
+        return in_turn(chapters, file, progress)
     places = list(chapters)
     workers = max(1, min(len(chapters), cores()))
     # Spawned, not forked: Dr.Jit's threads do not survive a fork.
@@ -51,6 +56,22 @@ def run_chapters(
             file.add(measured(name, future.result), places.index(name))
             if progress is not None:
                 progress(done, len(chapters))
+    return file.rows
+
+
+def in_turn(chapters: Chapters, file: RowFile, progress: Progress | None = None) -> list[Row]:
+    """The rows of all chapters, measured one after the other and added to the file.
+
+    Parameters
+    ----------
+    chapters : mapping of str to callable; one that ends with an error is a failed row
+    file : RowFile, to which rows are added as they are measured
+    progress : Progress or None, called with (done, all) after each chapter
+    """
+    for done, (name, chapter) in enumerate(chapters.items(), start=1):
+        file.add(measured(name, chapter))
+        if progress is not None:
+            progress(done, len(chapters))
     return file.rows
 
 

@@ -8,7 +8,8 @@ from lscan.config.rigfile import load_rig
 from lscan.files.disk import make_folder
 from lscan.records import Progress
 from sim.studies.studyfile import Looked
-from sim.validation.rows import Row, RowFile, measured
+from sim.validation.chapters import in_turn
+from sim.validation.rows import Row, RowFile
 from sim.validation.study import coverage, crosscheck, running
 from sim.validation.study.designs import design_rows
 from sim.validation.study.propagation import propagation_rows
@@ -45,12 +46,7 @@ def run_budgets(
     folder = output.with_suffix("") if output.suffix else output.with_name(f"{output.name}-runs")
     make_folder(folder)
     chapters = _quick() if quick else _full(scenes, folder)
-    file = RowFile(output, quick)
-    for done, (name, chapter) in enumerate(chapters.items(), start=1):
-        file.add(measured(name, chapter))
-        if progress is not None:
-            progress(done, len(chapters))
-    return file.rows
+    return in_turn(chapters, RowFile(output, quick), progress)
 
 
 def _full(scenes: Path, folder: Path) -> Mapping[str, Callable[[], list[Row]]]:
