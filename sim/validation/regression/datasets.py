@@ -10,7 +10,7 @@ from sim.datasets.dataset import make_dataset
 from sim.datasets.datasetspec import DatasetSpec, load_dataset_spec
 from sim.validation.rows import Row, row
 
-PICTURES, QUICK_PICTURES = 100, 4
+PICTURES, QUICK_PICTURES = 100, 2
 READ_AGAIN = 3
 
 

@@ -7,7 +7,6 @@ import numpy as np
 from lscan.benchmark.against import Difference, differences
 from lscan.benchmark.judging import CaseSums, JudgedExtractor
 from lscan.benchmark.suiterun import run_suite
-from lscan.records import Progress
 from sim.validation.regression import mutants
 from sim.validation.regression.drawnsums import drawn_sums
 from sim.validation.rows import Row, row
@@ -16,17 +15,16 @@ CASES, COLUMNS = 500, 300  # of a suite like quick
 CHANGE = 0.03
 
 
-def mutation_rows(suite: str, progress: Progress | None = None) -> list[Row]:
+def mutation_rows(suite: str) -> list[Row]:
     """How many of the mutations a suite notices.
 
     Parameters
     ----------
     suite : str, its name or path
-    progress : callable or None, called with (done, all) cases
     """
     names = {name: f"{mutants.__name__}:{name}" for name in mutants.MUTANTS}
     bases = sorted(set(mutants.MUTANTS.values()))
-    run = run_suite(suite, [*bases, *names.values()], progress=progress)
+    run = run_suite(suite, [*bases, *names.values()])
     judged = {one.extractor: one for one in run.judged}
     unnoticed = [
         name
@@ -35,13 +33,8 @@ def mutation_rows(suite: str, progress: Progress | None = None) -> list[Row]:
     ]
     told = f"not noticed: {', '.join(unnoticed)}" if unnoticed else "all are noticed"
     count = len(names) - len(unnoticed)
-    words: dict[str, Any] = {
-        "suite": suite,
-        "cases": len(run.axes),
-        "all": len(names),
-        "told": told,
-    }
-    return [row("regression-mutations", count, **words)]
+    words: dict[str, Any] = {"suite": suite, "cases": len(run.axes), "all": len(names)}
+    return [row("regression-mutations", count, told=told, **words)]
 
 
 def _changes(now: JudgedExtractor, before: JudgedExtractor) -> list[Difference]:

@@ -4,15 +4,16 @@ from collections.abc import Callable, Mapping
 from functools import partial
 from pathlib import Path
 
-from lscan.benchmark.suiterun import DRAWN
+from lscan.benchmark.suiterun import FEW_DRAWN
 from lscan.records import Progress
 from lscan.suites.find import suite_cache, suites_found
 from sim.datasets.suite import make_cached_suite
 from sim.datasets.suitespec import load_suite_spec
+from sim.validation.chapters import in_turn
 from sim.validation.regression.datasets import dataset_rows
 from sim.validation.regression.mutations import mutation_rows, paired_rows
 from sim.validation.regression.suites import NAME, judged_rows, made_rows
-from sim.validation.rows import Row, RowFile, measured
+from sim.validation.rows import Row, RowFile
 
 REPEATS, QUICK_REPEATS = 200, 4
 HARMS, QUICK_HARMS = 1000, 14
@@ -29,7 +30,7 @@ def run_regression(
     Parameters
     ----------
     output : Path, the JSON file
-    quick : bool, every row, with the least effort: extractors are judged on drawn lines
+    quick : bool, every row, with the least effort: extractors are judged on a few drawn lines
     progress : Progress or None, called with (done, all) after each chapter
 
     Raises
@@ -37,29 +38,20 @@ def run_regression(
     InputError
         The disk refuses.
     """
-    suite = DRAWN if quick else NAME
+    suite = FEW_DRAWN if quick else NAME
     chapters: Mapping[str, Callable[[], list[Row]]] = {
-        "suite rendered": _nothing if quick else _rendered,
+        "suite rendered": partial(_rendered, suite),
         "extractors judged": partial(judged_rows, suite),
         "mutations": partial(mutation_rows, suite),
         "paired test": partial(paired_rows, QUICK_REPEATS if quick else REPEATS),
-        "suites made": partial(made_rows, QUICK_HARMS if quick else HARMS),
+        "suites made": partial(made_rows, QUICK_HARMS if quick else HARMS, quick),
         "data sets": partial(dataset_rows, quick),
     }
-    file = RowFile(output, quick)
-    for done, (name, chapter) in enumerate(chapters.items(), start=1):
-        file.add(measured(name, chapter))
-        if progress is not None:
-            progress(done, len(chapters))
-    return file.rows
+    return in_turn(chapters, RowFile(output, quick), progress)
 
 
-def _nothing() -> list[Row]:
-    return []
-
-
-def _rendered() -> list[Row]:
-    """No row: the suite is a package's, or rendered into the user's cache where it is not there."""
-    if suites_found().get(NAME, suite_cache()).is_relative_to(suite_cache()):
+def _rendered(suite: str) -> list[Row]:
+    """No row: rendered into the user's cache, a suite that is not drawn, nor a package's."""
+    if suite == NAME and suites_found().get(NAME, suite_cache()).is_relative_to(suite_cache()):
         make_cached_suite(load_suite_spec(NAME), NAME)
     return []

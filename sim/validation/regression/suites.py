@@ -52,26 +52,28 @@ dark_noise_e = 10.0
 gamma = 2.2
 """
 """A suite of four renders, made several times over."""
+FIRST_ORDER = "[lines.base.render]\nscatter_samples = 0\n"
 KILLED_AFTER = 6  # of its cases
 
 
-def made_rows(harms: int) -> list[Row]:
+def made_rows(harms: int, quick: bool = False) -> list[Row]:
     """A small suite made in three ways, and its archive harmed.
 
     Parameters
     ----------
     harms : int, how many
+    quick : bool, in the first order of light, and gone on with in this process once killed
     """
     with TemporaryDirectory() as temporary:
         folder = Path(temporary)
         spec_file = folder / "part.toml"
-        spec_file.write_text(PART, encoding="utf-8")
+        spec_file.write_text(PART + FIRST_ORDER * quick, encoding="utf-8")
         spec = load_suite_spec(spec_file)
         whole = make_suite(spec, folder / "whole.zip", workers="none")
         shared = make_suite(spec, folder / "shared.zip", workers=2)
         ended = folder / "ended.zip"
         kept = _kill_in_the_middle(spec_file, ended)
-        make_suite(spec, ended, workers=2)
+        make_suite(spec, ended, workers="none" if quick else 2)
         data = whole.read_bytes()
         differing = sum(other.read_bytes() != data for other in (shared, ended))
         unrefused = _unrefused(whole, harms)
