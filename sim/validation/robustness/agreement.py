@@ -25,12 +25,13 @@ from lscan.surface.profile import to_profile
 from sim.emulators import EmulatedHardware, ServeOptions
 from sim.scene import scene_of
 from sim.sensor.coding import from_jpeg, jpeg_bytes
+from sim.validation.robustness.effort import HardwareEffort
 from sim.validation.rows import Row, row
 
 STEP_MM = 2.0
 
 
-def agreement_rows(scenes: Path, folder: Path, frames: int, aligned: bool) -> list[Row]:
+def agreement_rows(scenes: Path, folder: Path, effort: HardwareEffort) -> list[Row]:
     """Rms differences in height between scans of the sandwave, taken through different drivers.
 
     The opencv and grbl drivers on the served tank, the sim drivers' pictures through JPEG alone,
@@ -42,11 +43,9 @@ def agreement_rows(scenes: Path, folder: Path, frames: int, aligned: bool) -> li
         Folder that holds paper/board.toml and paper/sandwave.toml.
     folder : Path
         Where the runs go; it is made, and earlier runs in it are replaced.
-    frames : int
-        Of each scan.
-    aligned : bool
-        Whether heights are compared on the slices, which takes a hundred frames, or where they
-        were measured.
+    effort : HardwareEffort
+        Frames of each scan, how they are rendered, and whether heights are compared on the
+        slices, which takes a hundred frames, or where they were measured.
 
     Raises
     ------
@@ -54,10 +53,11 @@ def agreement_rows(scenes: Path, folder: Path, frames: int, aligned: bool) -> li
         Where a scene is wrong.
     """
     make_folder(folder)
-    board = _fresh(load_rig(scenes / "paper" / "board.toml"), folder / "board")
+    board_rig = _changed(load_rig(scenes / "paper" / "board.toml"), render=effort.render)
+    board = _fresh(board_rig, folder / "board")
     plane_map = measure_board(board, (CHOSEN_MAP,)).calibrations[CHOSEN_MAP].plane_map
-    plan = {"frames": frames, "step_mm": STEP_MM}
-    rig_file = _changed(load_rig(scenes / "paper" / "sandwave.toml"), plan=plan)
+    changes = {"plan": {"frames": effort.scan_frames, "step_mm": STEP_MM}, "render": effort.render}
+    rig_file = _changed(load_rig(scenes / "paper" / "sandwave.toml"), **changes)
     scene = scene_of(rig_file)
     seed = scene.tank.sensor.seed
     simulated = _fresh(rig_file, folder / "simulated")
@@ -66,7 +66,7 @@ def agreement_rows(scenes: Path, folder: Path, frames: int, aligned: bool) -> li
     with EmulatedHardware(scene, options) as hardware:
         seconds, served = timed(lambda: _fresh(hardware.rig_file(), folder / "served"))
     built = reconstruct(simulated, plane_map)
-    alignment = built.require_alignment() if aligned else None
+    alignment = built.require_alignment() if effort.aligned else None
     surfaces = {
         "served-scan": reconstruct(served, plane_map).raw,
         "jpeg-alone": _coded(simulated, plane_map, options),
@@ -75,10 +75,10 @@ def agreement_rows(scenes: Path, folder: Path, frames: int, aligned: bool) -> li
     words: dict[str, Any] = {
         "seed": seed,
         "other": seed + 1,
-        "where": "slices" if aligned else "columns",
+        "where": "slices" if effort.aligned else "columns",
         "coding": f"JPEG quality {options.quality}, {options.subsampling}",
-        "frames": frames,
-        "frame_ms": 1000 * seconds / frames,
+        "frames": effort.scan_frames,
+        "frame_ms": 1000 * seconds / effort.scan_frames,
     }
     expected_mm = _heights_mm(built.raw, rig_file.rig, alignment)
     rows = []

@@ -1,6 +1,8 @@
 """How much of the hardware table's work is done: all of it, or a quick look at every row."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+
+from lscan.config.documents import Document
 
 
 @dataclass(frozen=True)
@@ -12,6 +14,7 @@ class HardwareEffort:
     overhead_frames: of the scan without devices.  scan_frames: of the scan on the served tank.
     aligned: whether that scan is compared on the workpiece's slices, which takes a hundred
     frames, or column by column.  kills: of a scan, in runs of so many kill_frames.
+    render: what replaces the scenes' own settings of rendering, where no figure is about them.
     every_field: one in so many of the wrong rig files is tried.
     faults: of each kind.
     """
@@ -24,6 +27,7 @@ class HardwareEffort:
     aligned: bool = True
     kills: int = 20
     kill_frames: int = 120  # lasts about as long as starting the program and its renderer
+    render: Document = field(default_factory=dict)
     every_field: int = 1
     faults: int = 23
 
@@ -37,7 +41,8 @@ QUICK = HardwareEffort(
     scan_frames=6,
     aligned=False,
     kills=2,
-    kill_frames=40,
+    kill_frames=60,  # with more, other processes help, which have to start
+    render={"samples": 1, "scatter_samples": 0},
     every_field=25,
     faults=1,
 )

@@ -17,26 +17,19 @@ import numpy as np
 
 import lscan
 from lscan.acquisition.run import TABLE
+from lscan.config.documents import Document, merge
+from lscan.config.toml import write_toml
 from sim.validation.rows import Row, row
 
 SEED: Final = 5020
 KILLS_A_RUN: Final = 4
 """A run is killed up to so often before it may come to its end."""
 
-SMALL: Final = """
-include = {scene!r}
-[plan]
-frames = {frames}
-step_mm = 0.5
-[camera]
-width_px = 64
-height_px = 48
-[lens]
-focal_px = 85.0
-centre_px = [31.5, 23.5]
-[render]
-samples = 1
-"""
+SMALL: Final[Document] = {
+    "camera": {"width_px": 64, "height_px": 48},
+    "lens": {"focal_px": 85.0, "centre_px": [31.5, 23.5]},
+    "render": {"samples": 1},
+}
 """The scene in pictures a tenth as wide and high, so that rendering takes next to no time."""
 
 
@@ -49,18 +42,23 @@ class KilledRun:
     same: bool
 
 
-def kill_runs(scene: Path, count: int, frames: int, seed: int = SEED) -> list[KilledRun]:
+def kill_runs(
+    scene: Path, count: int, frames: int, render: Document | None = None, seed: int = SEED
+) -> list[KilledRun]:
     """Runs of ``scene`` that were killed ``count`` times or more in all, and resumed.
 
     The moments are uniform over the duration of the undisturbed scan, start-up included, each
-    drawn anew after a kill.  Raises RuntimeError where a scan fails by itself.
+    drawn anew after a kill.  render: what replaces the scene's own settings of rendering.  Raises
+    RuntimeError where a scan fails by itself.
     """
     generator = np.random.default_rng(seed)
     runs: list[KilledRun] = []
     with tempfile.TemporaryDirectory(prefix="lscan-kills-") as name:
         folder = Path(name)
         small = folder / "small.toml"
-        small.write_text(SMALL.format(scene=str(scene.resolve()), frames=frames))
+        plan = {"frames": frames, "step_mm": 0.5}
+        changed = {"include": str(scene.resolve()), "plan": plan, "render": render or {}}
+        write_toml(small, merge(changed, SMALL))
         _goes_on(small, folder / "first")  # the renderer keeps what it compiled
         began_s = time.monotonic()
         _goes_on(small, folder / "whole")
@@ -76,9 +74,11 @@ def kill_runs(scene: Path, count: int, frames: int, seed: int = SEED) -> list[Ki
     return runs
 
 
-def kill_rows(scene: Path, count: int, frames: int, seed: int = SEED) -> list[Row]:
+def kill_rows(
+    scene: Path, count: int, frames: int, render: Document | None = None, seed: int = SEED
+) -> list[Row]:
     """How many kills there were, and how many runs differ from the undisturbed one after them."""
-    runs = kill_runs(scene, count, frames, seed)
+    runs = kill_runs(scene, count, frames, render, seed)
     kills = sum(len(run.kept) for run in runs)
     differing = sum(not run.same for run in runs)
     return [

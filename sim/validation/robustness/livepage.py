@@ -18,6 +18,7 @@ from lscan.paper.published import CHOSEN_MAP
 from sim.scene import load_scene
 from sim.testing.browser import headless_chromium, wait_for
 from sim.validation.robustness.commands import command_running
+from sim.validation.robustness.effort import HardwareEffort
 from sim.validation.rows import Row, row
 
 if TYPE_CHECKING:
@@ -28,29 +29,30 @@ SHORTEST = 5 / 6  # of the time over which pictures are to be counted
 COUNT = "[performance.now() / 1000, window.lscan.profilesDrawn]"
 
 
-def livepage_rows(scenes: Path, folder: Path, frames: int, seconds: float) -> list[Row]:
+def livepage_rows(scenes: Path, folder: Path, effort: HardwareEffort) -> list[Row]:
     """Pictures a second that headless Chromium draws, with stripe and profile, during a scan.
 
     The webcam, the track, the page and the browser are processes of their own, all on this
     machine; the scan is started and stopped by clicks.  scenes: folder that holds
     paper/board.toml and paper/sandwave.toml.  folder: for what is written, replaced if it is
-    there; a screenshot of the scan, page.png, stays in it.  frames: of the scan.  seconds: over
-    which pictures are counted.  Raises BrowserMissing where there is no Chromium or no
-    Playwright, MeasurementError where a process does not do its part.
+    there; a screenshot of the scan, page.png, stays in it.  effort: frames of the scan, over how
+    long pictures are counted, and how the tank is rendered, which is done beforehand.  Raises
+    BrowserMissing where there is no Chromium or no Playwright, MeasurementError where a process
+    does not do its part.
     """
     with headless_chromium() as chromium:  # first: it may be missing
         shutil.rmtree(folder, ignore_errors=True)
         make_folder(folder)
-        board = measure_board(
-            scan(load_rig(scenes / "paper" / "board.toml"), folder / "board"), (CHOSEN_MAP,)
-        )
+        scanned = scan(load_rig(scenes / "paper" / "board.toml"), folder / "board")
+        board = measure_board(scanned, (CHOSEN_MAP,))
         calibration, rig, scene = (
             folder / name for name in ("board.json", "rig.toml", "scene.toml")
         )
         save_calibration(calibration, board.calibrations[CHOSEN_MAP])
         sandwave = (scenes / "paper" / "sandwave.toml").resolve().as_posix()
         # Fewer frames than the paper's, so that it is rendered in a minute or two.
-        short = {"include": sandwave, "plan": {"frames": frames, "step_mm": STEP_MM}}
+        plan = {"frames": effort.live_frames, "step_mm": STEP_MM}
+        short = {"include": sandwave, "plan": plan, "render": effort.render}
         write_atomically(scene, toml_text(short).encode())
         serve = ["sim.cli.app", "serve", str(scene), "--prepare", "--write-rig", str(rig)]
         live = ["lscan.cli.app", "live", str(rig), "--calibration", str(calibration)]
@@ -60,9 +62,9 @@ def livepage_rows(scenes: Path, folder: Path, frames: int, seconds: float) -> li
             command_running(live, "http", folder / "live.log") as (line, _),
         ):
             chromium.page.goto(line.split()[0])
-            rate_hz = _rate_while_scanning(chromium.page, seconds, folder / "page.png")
+            rate_hz = _rate_while_scanning(chromium.page, effort.live_s, folder / "page.png")
     seed = load_scene(scene).tank.sensor.seed
-    return [row("live-page", rate_hz, seed=seed, seconds=SHORTEST * seconds)]
+    return [row("live-page", rate_hz, seed=seed, seconds=SHORTEST * effort.live_s)]
 
 
 def _rate_while_scanning(page: Page, seconds: float, screenshot: Path) -> float:

@@ -7,6 +7,7 @@ from pathlib import Path
 from lscan.config.rigfile import load_rig
 from lscan.files.disk import make_folder
 from lscan.records import Progress
+from sim.validation.chapters import in_turn
 from sim.validation.robustness.agreement import agreement_rows
 from sim.validation.robustness.campaign import Outcome, fault_rows
 from sim.validation.robustness.effort import FULL, QUICK
@@ -15,7 +16,7 @@ from sim.validation.robustness.kills import kill_rows
 from sim.validation.robustness.livepage import livepage_rows
 from sim.validation.robustness.moving import moving_rows
 from sim.validation.robustness.overhead import overhead_rows
-from sim.validation.rows import Row, RowFile, measured
+from sim.validation.rows import Row, RowFile
 
 NEEDED = ("board", "sandwave")
 
@@ -61,20 +62,14 @@ def run_hardware(
 
     sandwave = scenes / "paper" / "sandwave.toml"
     chapters: Mapping[str, Callable[[], list[Row]]] = {
-        "live page": lambda: livepage_rows(
-            scenes, folder / "live", effort.live_frames, effort.live_s
-        ),
+        "live page": lambda: livepage_rows(scenes, folder / "live", effort),
         "head that moves": lambda: moving_rows(sandwave, folder / "moving", effort.moving_s),
         "overhead of a frame": lambda: overhead_rows(effort.overhead_frames, folder, sandwave),
         "scan through opencv and grbl": lambda: agreement_rows(
-            scenes, folder / "agreement", effort.scan_frames, effort.aligned
+            scenes, folder / "agreement", effort
         ),
-        "kills": lambda: kill_rows(sandwave, effort.kills, effort.kill_frames),
+        "kills": lambda: kill_rows(sandwave, effort.kills, effort.kill_frames, effort.render),
         "rig files with one field wrong": lambda: field_rows(effort.every_field),
         "faults": faults,
     }
-    for done, (name, chapter) in enumerate(chapters.items(), start=1):
-        file.add(measured(name, chapter))
-        if progress is not None:
-            progress(done, len(chapters))
-    return file.rows, outcomes
+    return in_turn(chapters, file, progress), outcomes
