@@ -58,8 +58,9 @@ house: .venv/packages.stamp
 	$(BIN)/python tests/support/house.py
 
 # Every figures command, each with the least effort: what a later change broke shows here.  Two
-# at a time: most use one core, and the second waits for devices most of its time.
+# at a time, each with one thread to render: threads wait for work at full speed.
 smoke: export LSCAN_PHOTONS ?= 131072
+smoke: export LSCAN_THREADS ?= 1
 smoke: .venv/llvm.stamp .venv/chromium.stamp
 	$(MAKE) --jobs=2 --keep-going --output-sync=target $(addprefix quick-,$(QUICK))
 
