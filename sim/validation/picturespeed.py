@@ -26,7 +26,7 @@ TURBID_NTU = 5.0
 SEED = 0
 
 
-def picture_times(rig_file: RigFile, repeats: int) -> list[Row]:
+def picture_times(rig_file: RigFile, repeats: int, begun: int = BEGUN) -> list[Row]:
     """Milliseconds of each stage from the scene to the PNG file, and the ratio of two ways.
 
     The first order alone with every pixel sampled, by one process as it was first rendered, and
@@ -36,6 +36,7 @@ def picture_times(rig_file: RigFile, repeats: int) -> list[Row]:
     ----------
     rig_file : RigFile, of the scene
     repeats : int, pictures each, and twice as many of a scan
+    begun : int, pictures of the scan before those
     """
     scene = scene_of(rig_file)
     taken = stage_seconds([(Tank(scene, sampled=True), 0), (Tank(scene), 1)], repeats)
@@ -46,23 +47,24 @@ def picture_times(rig_file: RigFile, repeats: int) -> list[Row]:
     ]
     first_s, all_s = np.median(taken.sum(axis=2), axis=1).tolist()
     frames = 2 * repeats
-    scan_s = scan_seconds(rig_file, frames)
+    scan_s = scan_seconds(rig_file, frames, begun)
     words = {"frames": frames, "per_s": 1 / scan_s, "alone": first_s / all_s}
     return [*rows, row("picture-gain", first_s / scan_s, **words)]
 
 
-def scan_seconds(rig_file: RigFile, frames: int) -> float:
+def scan_seconds(rig_file: RigFile, frames: int, begun: int = BEGUN) -> float:
     """Seconds of a picture of a scan, from the scene to the PNG file, once it is under way.
 
     Parameters
     ----------
     rig_file : RigFile, of the scene
-    frames : int, pictures that are counted, after BEGUN others
+    frames : int, pictures that are counted
+    begun : int, pictures before those
     """
     places_mm = rig_file.rig.plan.positions_mm()
     with open_devices(rig_file) as (camera, track):
-        for frame, place_mm in enumerate(places_mm[: BEGUN + frames]):
-            if frame == BEGUN:
+        for frame, place_mm in enumerate(places_mm[: begun + frames]):
+            if frame == begun:
                 begun_s = time.perf_counter()
             track.move_to(place_mm)
             encoded(camera.grab(frame).image, ".png", PNG)

@@ -95,7 +95,7 @@ def test_pictures_are_judged_by_their_whole_times(
     monkeypatch.setattr(picturespeed, "Tank", tank)
     monkeypatch.setattr(picturespeed, "stage_seconds", seconds)
     rig_file = load_rig(PAPER / "sandwave.toml")
-    monkeypatch.setattr(picturespeed, "scan_seconds", lambda _, frames: 0.4 / times)
+    monkeypatch.setattr(picturespeed, "scan_seconds", lambda *_: 0.4 / times)
     *stages, gain = picturespeed.picture_times(rig_file, 3)
     assert len(stages) == 6 and gain.passed is passed and gain.figure == pytest.approx(times)
     (turbid,) = picturespeed.turbid_time(rig_file, 2)
