@@ -54,7 +54,7 @@ QUICK = VerifyEffort(
     photons=1 << 16,
     box_rays=1 << 14,
     box_batches=4,
-    runs=3,
+    runs=2,  # the fewest that have a variance
     samples=16,
     light=LightEffort(
         targets=1, depths=1, columns=16, judge=JudgeEffort(photons=1 << 16, walks=4, batches=2)

@@ -151,7 +151,8 @@ def pictures(water: str, runs: int, samples: int) -> Pictures:
     right, wrong = (_one_lobe(scene, g) for g in (ASYMMETRY, OTHER_ASYMMETRY))
     # As few as leave most of the noise to the reference: its veil scatters four times as much.
     few = min(max(samples // 16, 4), OUR_SAMPLES)
-    effort = replace(JUDGE, batches=runs, walks=min(samples, JUDGE.walks))
+    photons, walks = min(samples << 12, JUDGE.photons), min(samples, JUDGE.walks)
+    effort = replace(JUDGE, photons=photons, batches=runs, walks=walks)
     # The reference first: our integrators hold the water they are given until the next.
     stock, seeds = mi.load_dict(STOCK), range(SEED, SEED + runs)
     theirs = _several(tank, stock, samples, seeds, medium=stock_medium(right))
