@@ -6,32 +6,27 @@ import sys
 from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from time import process_time
 
 import numpy as np
 
 from lscan.benchmark.boards import BOARDS, OPTICS, image_px, reading_of
 from lscan.board import read_board
-from lscan.calibration.file import save_calibration
 from lscan.calibration.readings import without
 from lscan.calibration.solve import Calibration, calibrate
 from lscan.config.board import Board, Grid
-from lscan.config.rig import OpticsSection
-from lscan.files.pictures import read_picture, write_picture
+from lscan.files.pictures import write_picture
 from lscan.records import BoardReading, Floats, Mask, Status
 from sim.render.tank import Tank
 from sim.scene import load_scene
 from sim.truth import board_truth
 from sim.validation.accuracy.exposures import pictures
+from sim.validation.field import largeboard
 from sim.validation.field.chessboards import sliver_rows, squeezed_row, tank_chessboard_row
 from sim.validation.field.drawn import DrawnView, dots_cover, photographed
 from sim.validation.field.effort import FieldEffort
 from sim.validation.rows import Row, measured, row
 
-IN_AIR = OpticsSection(port="none")
-LARGE = Board(grid=Grid(columns=60, rows=50, pitch_mm=10.0, dot_diameter_mm=5.0))
 LARGE_VIEW = DrawnView((2560, 2160), 3000.0, 790.0, (295.0, -245.0), (8.0, -6.0, 2.0), 0.08)
-SMALL = Board(grid=Grid(columns=15, rows=12, pitch_mm=10.0, dot_diameter_mm=5.0))
 SMALL_VIEW = DrawnView((640, 540), 3000.0, 790.0, (70.0, -55.0), (8.0, -6.0, 2.0), 0.08)
 LARGE_S = {"polynomial-5": 3.0, "spline": 3.0, "auto": 20.0}
 
@@ -62,7 +57,7 @@ def large_rows(effort: FieldEffort) -> list[Row]:
     Of processor time, with one thread for linear algebra, in a process of its own: other chapters
     run beside this one, and the clock would count their work.
     """
-    board, view = (SMALL, SMALL_VIEW) if effort.plain else (LARGE, LARGE_VIEW)
+    board, view = (largeboard.SMALL, SMALL_VIEW) if effort.plain else (largeboard.LARGE, LARGE_VIEW)
     grid = board.grid
     cover = dots_cover(view, (grid.rows, grid.columns), 10.0, 5.0, 0.8)
     picture = photographed(0.9 - 0.8 * cover, 2.0, np.random.default_rng(1))
@@ -72,29 +67,11 @@ def large_rows(effort: FieldEffort) -> list[Row]:
         write_picture(file, picture)
         for plane_map, bar in LARGE_S.items():
             arguments = f"({str(file)!r}, {plane_map!r}, {effort.plain})"
-            call = f"from {__name__} import calibrate_large; calibrate_large{arguments}"
+            call = f"from {largeboard.__name__} import calibrate_large; calibrate_large{arguments}"
             one_thread = os.environ | {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
-            done = subprocess.run(
-                [sys.executable, "-c", call],
-                env=one_thread,
-                check=True,
-                capture_output=True,
-                text=True,
-            )
-            rows.append(row("board-large", float(done.stdout), bar=bar, plane_map=plane_map))
+            seconds = subprocess.check_output([sys.executable, "-c", call], env=one_thread)
+            rows.append(row("board-large", float(seconds), bar=bar, plane_map=plane_map))
     return rows
-
-
-def calibrate_large(file: str, plane_map: str, plain: bool) -> None:
-    """Calibrate from a picture of LARGE, and print how many seconds of processor time it took.
-
-    plain: the picture is of SMALL, as a quick run has it.
-    """
-    start = process_time()
-    board = SMALL if plain else LARGE
-    saved = calibrate(read_board(read_picture(Path(file)), board), plane_map, IN_AIR)
-    save_calibration(Path(file).with_suffix(".json"), saved)
-    print(process_time() - start)
 
 
 def penumbra_row(effort: FieldEffort) -> Row:

@@ -34,7 +34,7 @@ FRAMES = 100  # 1 mm apart
 WINDOW_PX = (220, 290, 200, 130)
 """Left, top, width and height of the part of the picture that is rendered: it shows the patch."""
 
-FEWER, COARSE_MM, NARROW_PX = 66, 0.5, (290, 290, 60, 130)
+FEWER, COARSE_MM, NARROW_PX = 66, 1.0, (290, 290, 60, 130)
 """The same three of a quick run: a spectrum takes 64 frames."""
 
 ENDS = 8  # frames at either end that only serve as neighbours
@@ -132,17 +132,8 @@ def _judged(name: str, found: ReliefScan, effort: FieldEffort) -> list[Row]:
     error, sigma = np.concatenate(errors), np.concatenate(sigmas)
     percent = 100 * share_inside(error, sigma)
     words: dict[str, Any] = {"target": name, "seeded": effort.seeded}
-    rows = [
-        row(
-            "relief-intervals",
-            abs(percent - 95),
-            seed=effort.seeds[0],
-            percent=percent,
-            count=len(error),
-            rms=float(np.sqrt(np.mean(error**2))),
-            **words,
-        )
-    ]
+    told = {"percent": percent, "count": len(error), "rms": float(np.sqrt(np.mean(error**2)))}
+    rows = [row("relief-intervals", abs(percent - 95), seed=effort.seeds[0], **told, **words)]
     if name == RIPPLES:
         rows.append(_ripple_height(found, errors, effort))
     for band, pairs in measured.items():

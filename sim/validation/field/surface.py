@@ -86,9 +86,11 @@ def surface_rows(scenes: Path, effort: FieldEffort) -> list[Row]:
     plane_map = "polynomial-5" if effort.plain else board.rig.calibration.plane_map
     maps = [one.plane_map for one in calibrations(board, effort.seeds[:SETUPS], plane_map)]
     apart = COARSE if effort.plain else 1.0
-    stripe, over_block = block.rig.stripe, np.arange(*BLOCK_MM, apart).tolist()
+    over_block = np.arange(*BLOCK_MM, apart).tolist()
+    extractor = "centroid-relative" if effort.plain else block.rig.stripe.extractor
+    stripe = block.rig.stripe.model_copy(update={"extractor": extractor})
     with TemporaryDirectory() as folder:
-        mesh = target_mesh()
+        mesh = target_mesh(3 if effort.plain else 5)
         file = Path(folder) / "target.ply"
         write_atomically(file, mesh.export(file_type="ply"))
         target = _target_scene(block, file)
@@ -112,11 +114,14 @@ def surface_rows(scenes: Path, effort: FieldEffort) -> list[Row]:
     ]
 
 
-def target_mesh() -> trimesh.Trimesh:
-    """The target in its own frame, mm: the tops of dome, step, half cylinder and egg on a slab."""
-    dome = trimesh.creation.icosphere(subdivisions=5, radius=DOME_MM)
+def target_mesh(subdivisions: int = 5) -> trimesh.Trimesh:
+    """The target in its own frame, mm: the tops of dome, step, half cylinder and egg on a slab.
+
+    subdivisions: of the triangles of dome and egg.
+    """
+    dome = trimesh.creation.icosphere(subdivisions, radius=DOME_MM)
     dome.apply_translation([DOME, 0.0, 0.0])
-    egg = trimesh.creation.icosphere(subdivisions=5)
+    egg = trimesh.creation.icosphere(subdivisions)
     egg.apply_scale(EGG_MM)
     egg.apply_translation([EGG, 0.0, 0.0])
     rod = trimesh.creation.cylinder(radius=ROD_MM, height=2 * HALF_MM, sections=180)
