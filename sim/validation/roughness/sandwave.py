@@ -35,7 +35,9 @@ def sandwave_rows(scenes: Path, effort: RoughnessEffort) -> list[Row]:
     plane_map = "polynomial-5" if effort.plain else board.rig.calibration.plane_map
     (calibration,) = calibrations(board, (SEED,), plane_map)
     step_mm = 2.0 if effort.plain else STEP_MM
-    (reading,) = read_scan(scene, every_frame(scene, step_mm), (SEED,), scene.rig.stripe)
+    extractor = "centroid-relative" if effort.plain else scene.rig.stripe.extractor
+    stripe = scene.rig.stripe.model_copy(update={"extractor": extractor})
+    (reading,) = read_scan(scene, every_frame(scene, step_mm), (SEED,), stripe)
     surface = aligned_surface(scene, reading, calibration.plane_map)
     piece = scene.rig.workpiece
     assert isinstance(piece, Sandwave)
