@@ -11,7 +11,7 @@ from sim.studies.geometric import GeometricRig
 from sim.studies.problem import AFTER, columns
 from sim.studies.sampling import ALL, make_design
 from sim.validation.rows import Row, row
-from sim.validation.study.twelve import CAUSES, assumed, twelve
+from sim.validation.study.twelve import CAUSES, assumed, scan_places, twelve
 
 BASE = 512  # rows: of the sum of squares of 8 normal numbers the 16 sets leave 0.5 % rms
 SMALLER = 0.01
@@ -31,7 +31,7 @@ def propagation_rows(base: int = BASE, plane_map: str = "refractive") -> list[Ro
     plane_map : str, name of the rig's map
     """
     study = twelve(plane_map, small_causes())
-    rig = GeometricRig(study, assumed(study))
+    rig = GeometricRig(study, assumed(study, scan_places()))
     rigs = make_design(rig.causes, base, 0, SEED).blocks[ALL]
     values = np.array([rig.evaluate(one) for one in rigs])
     law = propagated_variance(rig)

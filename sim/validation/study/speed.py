@@ -12,7 +12,7 @@ from sim.studies.runner import run_rows
 from sim.studies.store import open_store
 from sim.studies.worker import identity_of
 from sim.validation.rows import Row, row
-from sim.validation.study.twelve import assumed, source_of, twelve
+from sim.validation.study.twelve import assumed, scan_places, source_of, twelve
 
 RIGS = 14_336  # 1024 base samples of 12 causes
 MINUTES = {"graticule-2": 5.0, "refractive": 20.0}
@@ -48,7 +48,7 @@ def seconds_a_row(plane_map: str, rows: int, workers: int) -> Floats:
     workers : int, processes
     """
     study = twelve(plane_map)
-    source = source_of(study, assumed(study))
+    source = source_of(study, assumed(study, scan_places()))
     numbers = np.random.default_rng(SEED).random((rows + 2 * workers, len(study.causes)))
     with tempfile.TemporaryDirectory(prefix="lscan-study-") as name, open_client(workers) as client:
         client.wait_for_workers(workers)

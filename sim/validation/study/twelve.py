@@ -1,5 +1,6 @@
 """A study of twelve causes on the paper's rig, of which nothing is rendered beforehand."""
 
+from functools import cache
 from typing import Any, Final
 
 import numpy as np
@@ -8,7 +9,7 @@ from lscan.config.documents import Document
 from lscan.config.rigfile import parse_rig
 from lscan.records import select
 from sim.scene import Scene, load_scene, scene_of
-from sim.studies.places import places_of
+from sim.studies.places import ScanPlaces, places_of
 from sim.studies.prepared import Prepared, marks_of, on_board, stated
 from sim.studies.running import RigSource
 from sim.studies.studyfile import Study, study_of
@@ -19,6 +20,7 @@ SENSOR_PX: Final = 0.02
 SPECKLE_PX: Final = 0.04
 """Scatter of marks and line as pictures of the best chain show it, rounded."""
 
+SCAN: Final = "best/sandwave"
 PLACES: Final = {"pictures": 16, "columns": 40}
 CAUSES: Final[Document] = {
     "noise": {"key": "sensor.noise", "when": "noise"},
@@ -50,7 +52,7 @@ def twelve(plane_map: str, causes: Document = CAUSES) -> Study:
     causes : dict, optional, others
     """
     document: dict[str, Any] = {
-        "calibrate": "best/board", "scan": "best/sandwave", "places": PLACES, "cause": causes,
+        "calibrate": "best/board", "scan": SCAN, "places": PLACES, "cause": causes,
     }  # fmt: skip
     scenes = tuple(_with_map(load_scene(document[key]), plane_map) for key in ("calibrate", "scan"))
     return study_of(document, "twelve causes", (scenes[0], scenes[1]))
@@ -61,19 +63,26 @@ def _with_map(scene: Scene, plane_map: str) -> Scene:
     return scene_of(parse_rig(changed, source=scene.source, trusted=True))
 
 
-def assumed(study: Study) -> Prepared:
+@cache
+def scan_places() -> ScanPlaces:
+    """The places of the study's scan: the same with every map and cause, they take seconds."""
+    return places_of(load_scene(SCAN), **PLACES)
+
+
+def assumed(study: Study, places: ScanPlaces | None = None) -> Prepared:
     """What would be found on pictures: marks and line without bias, of a usual scatter.
 
     Parameters
     ----------
     study : Study
+    places : ScanPlaces or None, of its scan where they are known
     """
     truth = board_truth(study.calibrate).centres
     several = marks_of(truth)
     reading = stated(
         truth, [np.full(len(m.status), MARK_PX) for m in several], [m.status for m in several]
     )
-    places = places_of(study.scan, study.file.places.pictures, study.file.places.columns)
+    places = places or places_of(study.scan, study.file.places.pictures, study.file.places.columns)
     places = select(places, on_board(study, reading, places))
     count, marks = len(places.frame), sum(len(m.status) for m in several)
     return Prepared(
