@@ -77,18 +77,18 @@ def test_cells_hold_points_by_their_area() -> None:
 
 @pytest.mark.parametrize("turned", [False, True])
 def test_slivers_that_tile_a_rectangle_are_cut_as_one(turned: bool) -> None:
-    """Sixty by forty, half of it of triangles that are up to 4000 times as long as they are
-    wide: points strewn evenly fall into cells as these are large, and no cell is smaller than the
+    """Sixty by forty, half of it of triangles half a cell wide and up to 400 times as long:
+    points strewn evenly fall into cells as these are large, and no cell is smaller than the
     others that are as far from the sheet, but for those at two edges.  A triangle above its plane
     is still cut as one."""
     width, height = 60.0, 40.0
     edge = np.vstack(
         [
-            np.column_stack([np.full(3001, width), np.linspace(0, height, 3001)]),
-            np.column_stack([np.linspace(width, 30, 3001)[1:], np.full(3000, height)]),
+            np.column_stack([np.full(301, width), np.linspace(0, height, 301)]),
+            np.column_stack([np.linspace(width, 30, 301)[1:], np.full(300, height)]),
         ]
     )
-    slivers = np.stack([np.tile([30.0, 0.0], (6000, 1)), edge[:-1], edge[1:]], axis=1)
+    slivers = np.stack([np.tile([30.0, 0.0], (600, 1)), edge[:-1], edge[1:]], axis=1)
     large = np.array([[[0, 0], [30, 0], [30, height]], [[0, 0], [30, height], [0, height]]])
     flat = np.vstack([slivers, large])
     above = np.array([[[80, 0, 5], [110, 0, 5], [80, 40, 5]]], dtype=float)
