@@ -367,19 +367,23 @@ def test_water_that_only_scatters_loses_no_light() -> None:
     assert higher.mean() > 0.3 * expected, "the higher orders carry much of it"
 
 
-def whole_picture(tank: Tank, water: Optics, seeds: range) -> Floats:
+def whole_picture(tank: Tank, water: Optics, seeds: range, samples: int = 64) -> Floats:
     """(runs, H, W) pictures of all orders."""
     for integrator in (tank.integrator, tank.higher):
         integrator.configure(water, tank.sheets, 0.0)
     camera = tank.make_camera(jitter=True)
-    first = render(tank, camera, tank.integrator, 64, seeds)
-    return first + render(tank, camera, tank.higher, 64, seeds)
+    first = render(tank, camera, tank.integrator, samples, seeds)
+    return first + render(tank, camera, tank.higher, samples, seeds)
 
 
 @pytest.mark.slow
 def test_all_orders_in_turbid_water_equal_stock_volpath() -> None:
     """A thick sheet over a floor, in water that scatters evenly: two thirds of the light has
-    met more than one place."""
+    met more than one place.
+
+    An albedo 2 % less is 6 to 9 % less light, in four strips: with the 0.7 % of the reference and
+    the 1 % of a quarter of the samples, 5 to 7 standard errors, of which one has to be beyond 4.
+    """
     tank = Tank(floor_scene())
     water = one_lobe(4e-4, 2.6e-3, 0.0)
     camera = tank.make_camera(medium=stock_medium(water), jitter=True)
@@ -389,15 +393,15 @@ def test_all_orders_in_turbid_water_equal_stock_volpath() -> None:
         """From the veil, strip by strip, down to the floor."""
         return parts(pictures.swapaxes(1, 2), 4)
 
-    def ours(other: Optics) -> Floats:
-        return rows(whole_picture(tank, other, range(RUNS)))
+    def ours(other: Optics, samples: int = 64) -> Floats:
+        return rows(whole_picture(tank, other, range(RUNS), samples))
 
     theirs = rows(render(tank, camera, stock, 512, STOCK_SEEDS))
 
     assert not differ(ours(water), theirs)
     assert differ(ours(one_lobe(4e-4, 2.6e-3, 0.1)), theirs), "an asymmetry of 0.1 is seen"
     absorbing = one_lobe(4e-4 + 0.02 * 2.6e-3, 0.98 * 2.6e-3, 0.0)
-    assert differ(ours(absorbing), theirs), "an albedo 2 % less is seen"
+    assert differ(ours(absorbing, 16), theirs), "an albedo 2 % less is seen"
 
 
 @pytest.mark.slow
