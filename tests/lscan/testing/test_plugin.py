@@ -46,8 +46,10 @@ def run(package: Path, *arguments: str) -> tuple[int, str]:
     with pytest.MonkeyPatch.context() as patch, redirect_stdout(said), redirect_stderr(said):
         patch.chdir(package)
         patch.syspath_prepend(package / "src")
-        # A process has one fault handler, and here it is that of the pytest about this one.
-        code = pytest.main([*_options(package), "-p", "no:faulthandler", *arguments])
+        # A process has one fault handler, and here it is that of the pytest about this one.  That
+        # also looks for errors that nobody could raise, which goes through all of the memory.
+        off = ["-p", "no:faulthandler", "-p", "no:unraisableexception"]
+        code = pytest.main([*_options(package), *off, *arguments])
     for name, module in [*sys.modules.items()]:
         if str(getattr(module, "__file__", None)).startswith(f"{package}{os.sep}"):
             del sys.modules[name]
