@@ -21,6 +21,8 @@ from lscan.records import Status, has_value
 from lscan.stripe import find_extractor
 from sim.validation.regression.drawnsums import drawn_sums
 
+pytestmark = pytest.mark.xdist_group("suite_bench")  # one worker: they share a fixture
+
 BASE = "gaussian"
 
 

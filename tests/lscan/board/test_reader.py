@@ -13,6 +13,8 @@ from lscan.config.board import Board, load_board
 from lscan.errors import BoardNotFound, InputError
 from lscan.records import BoardReading, Bytes, Floats, Status
 
+pytestmark = pytest.mark.xdist_group("reader")  # one worker: they share a fixture
+
 PAPER = load_board(ROOT / "scenes" / "paper" / "calibration-board.toml")
 PLAIN = PAPER.model_copy(update={"ruler": (), "dot": (), "ring": (), "distances": ()})
 RMS_PX = 0.10  # what is asked of a picture with 2 % noise

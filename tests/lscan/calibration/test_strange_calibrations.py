@@ -19,6 +19,8 @@ from lscan.calibration.multiview.file import save_metric
 from lscan.calibration.multiview.solve import calibrate_metric
 from lscan.errors import InputError, LscanError
 
+pytestmark = pytest.mark.xdist_group("strange_calibrations")  # one worker: they share a fixture
+
 MAPS = ("graticule-2", "graticule-bspline", "projective", "polynomial-4", "spline", "auto")
 SIZES = (0, -1, 2.5, 1e308, -1e308, 1e-308, 1e30, -1e9, 10**30, 10**300, True, None)
 SHAPES = ("x", "", "a\nb", [], {}, [[]], [1], {"a": 1}, [[1, 2], [3]], [[1e308, None, "x"]])

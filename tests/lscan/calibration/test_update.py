@@ -22,6 +22,8 @@ from lscan.config.rig import OpticsSection
 from lscan.errors import InputError, MeasurementError
 from lscan.records import BoardReading, Floats, Marks, Status
 
+pytestmark = pytest.mark.xdist_group("update")  # one worker: they share what is calibrated
+
 BOARD = paper_board()
 NOISE_PX = 0.05
 MOVED = np.array([0.8, -0.5])

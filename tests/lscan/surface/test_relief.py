@@ -14,6 +14,8 @@ from lscan.surface.reliefspectrum import SEGMENT, ReliefSpectrum, spectrum_of
 from lscan.surface.sheetresponse import Sight, responses, transfer
 from lscan.surface.thickness import correct_thickness
 
+pytestmark = pytest.mark.xdist_group("relief")  # one worker: they share a fixture
+
 SHEET = SheetSection(thickness_mm=1.5, camera_mm=(0.0, -870.0, 300.0), apex_mm=(0.0, 0.0, 250.0))
 SIGMA_MM = SHEET.thickness_mm / 2
 LEVEL_MM, ROW_MM, COLUMN_MM = -330.0, 1.0, 1.1

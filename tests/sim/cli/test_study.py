@@ -25,6 +25,8 @@ from sim.studies.results import load_results
 from sim.studies.states import check_keys
 from sim.studies.studyfile import Study, load_study
 
+pytestmark = pytest.mark.xdist_group("study")  # one worker: they share a fixture
+
 STUDY = """
 name = "small"
 calibrate = "paper/board"

@@ -16,6 +16,8 @@ from lscan.suites import open_suite, verify_suite
 from sim.datasets.suite import make_suite
 from sim.datasets.suitespec import load_suite_spec
 
+pytestmark = pytest.mark.xdist_group("scans")  # one worker: they share a fixture
+
 SCANS = """
 name = "scans"
 

@@ -14,6 +14,8 @@ from sim.scene import Scene, load_scene, scene_of
 from sim.sensor import Webcam
 from sim.studies.boardinview import require_rim
 
+pytestmark = pytest.mark.xdist_group("board_in_view")  # one worker: they share a fixture
+
 # Left, top, right, bottom, px.  Rows lie at v of 23 to 456, columns at u of 73 to 566: beyond the
 # columns there is room for one more, beyond the rows there is none.
 WINDOWS = {

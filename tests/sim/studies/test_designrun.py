@@ -25,6 +25,8 @@ from sim.studies.running import StudyOptions
 from sim.studies.study import run_study
 from sim.studies.studyfile import load_study
 
+pytestmark = pytest.mark.xdist_group("design_run")  # one worker: they share a fixture
+
 STUDY = """
 name = "two webcams"
 calibrate = "best/board"

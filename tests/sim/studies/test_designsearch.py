@@ -30,6 +30,8 @@ from sim.studies.designsearch import (
 from sim.studies.designsection import DesignSection
 from sim.studies.fieldofview import aim_mm
 
+pytestmark = pytest.mark.xdist_group("design_search")  # one worker: they share a fixture
+
 SECTION = {
     "sights": ["logitech-*", "sony-*", "raspberry-pi-gs + *", "basler-daa1440*"],
     "tracks": ["v-slot-tr8", "belt-gt2"],
