@@ -10,6 +10,7 @@ from hypothesis import given, settings, strategies as st
 from metricviews import SIZE, known, paper_rig, poses, views_of
 from planeviews import BARREL, View, paper_board, read_board
 
+from lscan.calibration import physical
 from lscan.calibration.check import CalibrationCheck, check_calibration
 from lscan.calibration.evaluate import Estimate
 from lscan.calibration.loading import AnyCalibration, load_any, load_plane_map, save_any
@@ -35,6 +36,15 @@ KNOWN = OpticsSection(
     glass_index=(1.49, 0.001),
     water_index=(1.331, 0.0002),
 )
+
+
+@pytest.fixture(autouse=True)
+def without_tables(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Uncertainties computed pixel by pixel, as the tables have them (test_pixeltable.py).
+
+    Tables for every index that is tried take longer than the marks of one picture.
+    """
+    monkeypatch.setattr(physical, "tabulated", lambda *_: None)
 
 
 def _reading(view: View, seed: int) -> BoardReading:
