@@ -113,6 +113,17 @@ def _why_not(config: pytest.Config) -> str | None:
     return None
 
 
+@pytest.fixture(scope="session", autouse=True)
+def _no_waiting_for_the_disk() -> Iterator[None]:
+    """What is written is not waited for: that it is on the disk, only a loss of power could show.
+
+    A descriptor that is not open is refused as before.
+    """
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(os, "fsync", os.fstat)
+        yield
+
+
 @pytest.fixture(scope="session")
 def rig_path(pytestconfig: pytest.Config) -> Path:
     """The rig file of the hardware under test."""
