@@ -1,5 +1,6 @@
 """Random numbers of a picture: functions of a seed, a name and the picture's number alone."""
 
+from functools import lru_cache
 from math import ceil, exp, log, sqrt
 from zlib import crc32
 
@@ -26,16 +27,15 @@ def unit_normal(seed: int, name: str, frame: int, correlation: float = 0.0) -> f
     ----------
     Box and Jenkins, Time series analysis, chapter 3.
     """
-    stream = [seed, crc32(name.encode())]
     if correlation == 0:
-        return float(_generator(stream, frame).standard_normal())
+        return _white(seed, crc32(name.encode()), frame)
     kept = exp(-1 / correlation)
     first = max(0, frame - ceil(-correlation * log(NEGLIGIBLE)))
-    drawn = [_generator(stream, k).standard_normal() for k in range(first, frame + 1)]
     weights = sqrt(1 - kept**2) * kept ** np.arange(frame - first, -1, -1.0)
     weights[0] /= sqrt(1 - kept**2)  # what came before the first one, summed up
-    return float(weights @ drawn)
+    return float(weights @ [_white(seed, crc32(name.encode()), k) for k in range(first, frame + 1)])
 
 
-def _generator(stream: list[int], frame: int) -> np.random.Generator:
-    return np.random.Generator(np.random.SFC64([*stream, frame]))
+@lru_cache(maxsize=1 << 16)  # neighbouring pictures have nearly all of them in common
+def _white(*stream: int) -> float:
+    return float(np.random.Generator(np.random.SFC64(stream)).standard_normal())
