@@ -70,7 +70,7 @@ def assert_alike(found: Floats, expected: Floats) -> None:
 
 
 @pytest.mark.parametrize("port", ["flat", "none"])
-@settings(max_examples=15)
+@settings(max_examples=6)
 @given(camera=CAMERAS, seed=st.integers(0, 1000))
 def test_derivatives_agree_with_differences(
     port: PortKind, camera: dict[str, float], seed: int
