@@ -22,8 +22,6 @@ from lscan.suites import CaseTruth, SuiteCase, SuiteContent, find_suite, open_su
 
 DRAWN = "drawn"
 """The suite of drawn lines, which needs no file."""
-FEW_DRAWN = "few-drawn"
-"""The same with two waters and one width of the line alone."""
 LEAST_SHARED = 100  # cases: fewer are judged before other processes have begun
 USUAL_AXES = ("water", "target", "fault")
 
@@ -77,7 +75,7 @@ def run_suite(
 
     Parameters
     ----------
-    suite : str, DRAWN, FEW_DRAWN, the name of a suite that is found, or its path
+    suite : str, DRAWN, the name of a suite that is found, or its path
     names : sequence of str, of extractors
     seed : int, of drawn lines
     progress : callable or None, called with (done, all) cases
@@ -91,9 +89,9 @@ def run_suite(
         raise InputError("nothing to judge", where="bench", allowed="an extractor")
     for name in names:
         find_extractor(name)
-    if suite in (DRAWN, FEW_DRAWN):
-        every = list(drawn_cases(seed, suite == FEW_DRAWN))
-        identity, axes = f"{suite} seed {seed}", {case.name: case.axes for case in every}
+    if suite == DRAWN:
+        every = list(drawn_cases(seed))
+        identity, axes = f"{DRAWN} seed {seed}", {case.name: case.axes for case in every}
         shown: Iterator[SuiteCase] = iter(every)
     else:
         opened = open_suite(find_suite(suite))
@@ -177,15 +175,14 @@ def _identity(content: SuiteContent) -> str:
     return f"{content.name} seed {content.seed} {content.made_by}"
 
 
-def drawn_cases(seed: int, few: bool = False) -> Iterator[SuiteCase]:
+def drawn_cases(seed: int) -> Iterator[SuiteCase]:
     """The drawn lines of ``lscan bench`` as cases of a suite.
 
     Parameters
     ----------
     seed : int, of all that is random in them
-    few : bool, two waters and one width of the line alone
     """
-    for number, case in enumerate(cases(few)):
+    for number, case in enumerate(cases()):
         rng = np.random.default_rng([seed, number])
         true = centres(rng.random())
         image = draw(case, true, rng)

@@ -4,7 +4,7 @@ from collections.abc import Callable, Mapping
 from functools import partial
 from pathlib import Path
 
-from lscan.benchmark.suiterun import FEW_DRAWN
+from lscan.benchmark.suiterun import DRAWN
 from lscan.records import Progress
 from lscan.suites.find import suite_cache, suites_found
 from sim.datasets.suite import make_cached_suite
@@ -30,7 +30,7 @@ def run_regression(
     Parameters
     ----------
     output : Path, the JSON file
-    quick : bool, every row, with the least effort: extractors are judged on a few drawn lines
+    quick : bool, every row, with the least effort: extractors are judged on drawn lines
     progress : Progress or None, called with (done, all) after each chapter
 
     Raises
@@ -38,7 +38,7 @@ def run_regression(
     InputError
         The disk refuses.
     """
-    suite = FEW_DRAWN if quick else NAME
+    suite = DRAWN if quick else NAME
     chapters: Mapping[str, Callable[[], list[Row]]] = {
         "suite rendered": partial(_rendered, suite),
         "extractors judged": partial(judged_rows, suite),
