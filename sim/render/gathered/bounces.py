@@ -143,12 +143,14 @@ class Bounces:
         """
         groups = []
         for first in range(0, len(values), 4):
-            columns, total = np.zeros((len(self._more), 4), np.float32), mi.Vector4f(0)
-            for column, value in enumerate(values[first : first + 4]):
-                columns[:, column] = value
-            patches = floats(columns)
+            some = values[first : first + 4]
+            width = 4 if len(some) > 1 else 1
+            columns = np.zeros((len(self._more), width), np.float32)
+            columns[:, : len(some)] = np.stack(some, axis=-1)
+            patches, kind = floats(columns), _kind(len(some))
+            total = kind(0)
             for near, share in zip(self._near, self._shares, strict=True):
-                total += share * dr.gather(mi.Vector4f, patches, near)
+                total += share * dr.gather(kind, patches, near)
             groups.append(dr.ravel(total))
         return PatchField(self._lattice, tuple(groups), len(values))
 
@@ -168,13 +170,20 @@ class PatchField:
         ----------
         si : SurfaceInteraction3f, the places
         """
-        active, totals = si.is_valid(), [mi.Vector4f(0) for _ in self.groups]
-        about = self.lattice.find(si, active)
-        for node, weight in zip(about.index, about.weight, strict=True):
-            for total, values in zip(totals, self.groups, strict=True):
-                total += weight * dr.gather(mi.Vector4f, values, node, active)
-        numbers = [number for total in totals for number in total]
+        active, about = si.is_valid(), self.lattice.find(si, si.is_valid())
+        numbers: list[mi.Float] = []
+        for place, values in enumerate(self.groups):
+            kind = _kind(self.count - 4 * place)
+            total = kind(0)
+            for node, weight in zip(about.index, about.weight, strict=True):
+                total += weight * dr.gather(kind, values, node, active)
+            numbers += [total] if kind is mi.Float else [*total]
         return [dr.maximum(number, 0) for number in numbers[: self.count]]
+
+
+def _kind(left: int) -> type[mi.Float] | type[mi.Vector4f]:
+    """What a group holds of so many numbers that are left: to gather one alone takes less."""
+    return mi.Float if left == 1 else mi.Vector4f
 
 
 def _name(parts: Sequence[MeshPart], water: Optics) -> str:
