@@ -144,11 +144,10 @@ class Bounces:
         groups = []
         for first in range(0, len(values), 4):
             some = values[first : first + 4]
-            width = 4 if len(some) > 1 else 1
-            columns = np.zeros((len(self._more), width), np.float32)
+            kind = _kind(len(some))
+            columns = np.zeros((len(self._more), 1 if kind is mi.Float else 4), np.float32)
             columns[:, : len(some)] = np.stack(some, axis=-1)
-            patches, kind = floats(columns), _kind(len(some))
-            total = kind(0)
+            patches, total = floats(columns), kind(0)
             for near, share in zip(self._near, self._shares, strict=True):
                 total += share * dr.gather(kind, patches, near)
             groups.append(dr.ravel(total))
@@ -170,7 +169,8 @@ class PatchField:
         ----------
         si : SurfaceInteraction3f, the places
         """
-        active, about = si.is_valid(), self.lattice.find(si, si.is_valid())
+        active = si.is_valid()
+        about = self.lattice.find(si, active)
         numbers: list[mi.Float] = []
         for place, values in enumerate(self.groups):
             kind = _kind(self.count - 4 * place)
