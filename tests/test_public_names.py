@@ -110,6 +110,8 @@ def test_types_are_published(package: ModuleType) -> None:
         ("lscan", {"numpy", "pydantic"}),
         ("sim", {"numpy", "mitsuba"}),
         ("lscan.records", {"scipy", "cv2", "pydantic"}),
+        ("lscan.pipeline", {"xarray", "pandas", "scipy.stats", "matplotlib"}),
+        ("sim.demo", {"xarray", "pandas", "scipy.stats", "matplotlib"}),
     ],
 )
 def test_nothing_is_loaded_before_it_is_asked_for(module: str, not_loaded: set[str]) -> None:

@@ -8,7 +8,7 @@ its odd third differences do not share with those of all other dots, which are a
 import cv2
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
-from scipy.stats import norm
+from scipy.special import ndtr
 
 from lscan.board.centre import window_sigma
 from lscan.board.picture import (
@@ -24,7 +24,8 @@ from lscan.board.search import Nodes, moved
 from lscan.records import Floats, Mask
 
 CUT = 2.5  # sigmas beyond which a difference is taken for a mark's, not for noise
-KEPT = 1 - 2 * CUT * norm.pdf(CUT) / (2 * norm.cdf(CUT) - 1)  # variance of a normal so cut
+# The variance of a normal so cut.
+KEPT = 1 - 2 * CUT * np.exp(-(CUT**2) / 2) / np.sqrt(2 * np.pi) / (2 * ndtr(CUT) - 1)
 CLEAR = 1.7  # of the dot's radius: from there on the plate
 LEVELS = 8  # of the plate's brightness
 FEWEST_PIXELS = 400  # per level: they give sigma to 4 %

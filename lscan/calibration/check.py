@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from scipy import stats
+from scipy.special import chdtrc, ndtr
 
 from lscan.calibration.api import NOTHING_KNOWN, PlaneMap
 from lscan.calibration.carry import in_water_of
@@ -321,13 +321,13 @@ def _reasons(
     """
     fit = new.fit
     chances: dict[str, Any] = {
-        "scale": 2 * stats.norm.sf(abs(fit.scale) / new.scale_sigma),
-        "shape": stats.chi2.sf(fit.chi_square / usual, fit.degrees_of_freedom),
+        "scale": 2 * ndtr(-abs(fit.scale) / new.scale_sigma),
+        "shape": chdtrc(fit.degrees_of_freedom, fit.chi_square / usual),
     }
     if placed_mm is not None:
         covariance = fit.covariance[:2, :2] + placed_mm**2 * np.eye(2)
         shift = fit.motion.shift_mm
-        chances["shift"] = stats.chi2.sf(shift @ np.linalg.solve(covariance, shift), 2)
+        chances["shift"] = chdtrc(2, shift @ np.linalg.solve(covariance, shift))
     return tuple(what for what, chance in chances.items() if chance < level / len(chances))
 
 

@@ -7,7 +7,7 @@ is laid over what was measured, so that none invents power, but it leaks more.
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.stats import chi2
+from scipy.special import chdtri
 
 from lscan.errors import InputError, MeasurementError
 from lscan.records import Floats, Mask
@@ -146,7 +146,7 @@ def by_rings(spectrum: PatchSpectrum, rings: int = RINGS) -> RingSpectrum:
         if len(inside):
             # Half of the values are those of the other half; each is the mean of freedom / 2 more.
             freedom = max(len(inside) / 2 / (spectrum.freedom / 2), 1.0) * spectrum.freedom
-            low, high = (freedom / float(chi2.ppf(q, freedom)) for q in (0.975, 0.025))
+            low, high = (freedom / float(chdtri(freedom, q)) for q in (0.025, 0.975))
             mean = inside.mean()
             rows.append((np.sqrt(edges[ring] * edges[ring + 1]), mean, low * mean, high * mean))
     return RingSpectrum(*np.array(rows).T)

@@ -21,7 +21,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.fft import fft
-from scipy.stats import t as student
+from scipy.special import stdtrit
 
 from lscan.errors import MeasurementError
 from lscan.records import Floats, Progress
@@ -85,7 +85,7 @@ class PowerLawFit:
     @property
     def within(self) -> float:
         """Standard uncertainties that a 95 % interval reaches to either side."""
-        return float(student.ppf(0.975, self.freedom))
+        return float(stdtrit(self.freedom, 0.975))
 
 
 def fit_power_law(

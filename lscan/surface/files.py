@@ -11,7 +11,6 @@ from typing import Any, Literal, cast
 
 import numpy as np
 import trimesh
-import xarray as xr
 from numpy.typing import NDArray
 
 from lscan.config.documents import check
@@ -62,9 +61,12 @@ def save_surface(path: Path | str, surface: Surface) -> None:
     >>> surface = lscan.load_surface("surface.nc")
     >>> lscan.save_surface("copy.nc", surface)
     """
+    import xarray as xr  # here: it takes half a second, which most commands do without
+
+    arrays, notes = _contents(surface)
+    data = xr.Dataset(arrays, attrs=notes).set_coords(["x", "y", "position"])
     with tempfile.TemporaryDirectory() as folder:
         whole = Path(folder) / "surface.nc"
-        data = _dataset(surface)
         packed = {"modes": PACKED} if "modes" in data else {}
         data.to_netcdf(whole, engine="h5netcdf", encoding=packed)
         content = whole.read_bytes()
@@ -181,8 +183,8 @@ def save_points(path: Path, surface: Surface) -> None:
     write_atomically(path, content)
 
 
-def _dataset(surface: Surface) -> xr.Dataset:
-    """The surface as variables after the CF conventions."""
+def _contents(surface: Surface) -> tuple[dict[str, _Variable], dict[str, Any]]:
+    """The surface as variables after the CF conventions, and attributes."""
     where = "laser sheet and track" if surface.frame == "head" else "workpiece"
 
     def array(values: NDArray[Any], long_name: str, **notes: Any) -> _Variable:
@@ -231,4 +233,4 @@ def _dataset(surface: Surface) -> xr.Dataset:
         notes["yaw_sigma_deg"] = float(np.degrees(surface.yaw_sigma_rad))
     if surface.provenance is not None:
         notes |= asdict(surface.provenance)
-    return xr.Dataset(arrays, attrs=notes).set_coords(["x", "y", "position"])
+    return arrays, notes

@@ -8,7 +8,7 @@ from typing import Protocol, runtime_checkable
 
 import cv2
 import numpy as np
-from scipy.stats import chi2 as chi_square
+from scipy.special import chdtri
 
 from lscan.config.rig import Channel
 from lscan.devices.api import Camera
@@ -249,7 +249,7 @@ def _doubts(transfer: PhotonTransfer) -> tuple[str, ...]:
             "--pictures, and measure the dark with --dark"
         )
     freedoms = max(levels - 2, 1)
-    if gain <= 0 or transfer.chi2 > chi_square.isf(RARE, freedoms) / freedoms:
+    if gain <= 0 or transfer.chi2 > chdtri(freedoms, RARE) / freedoms:
         doubts.append(
             "noise: it does not grow in proportion to the light, so the gain is not the "
             "camera's. JPEG pictures (a stream, pixel_format MJPG) hold noise smoothed away and "

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 from scipy.ndimage import maximum_filter1d, minimum_filter1d
-from scipy.stats import norm
+from scipy.special import ndtr
 
 from lscan.config.rig import StripeSection
 from lscan.records import Floats, GreyValues, Ints, Mask, Status, Stripe
@@ -140,8 +140,8 @@ def _kernels(scale: float) -> tuple[Floats, Floats, Floats]:
     """The Gaussian and its first two derivatives, each integrated over every pixel."""
     reach = int(np.ceil(_REACH * scale)) + 1
     edges = np.arange(-reach, reach + 2) - 0.5
-    density = norm.pdf(edges, scale=scale)
-    smoothing = np.diff(norm.cdf(edges, scale=scale))
+    density = np.exp(-((edges / scale) ** 2) / 2) / (np.sqrt(2 * np.pi) * scale)
+    smoothing = np.diff(ndtr(edges / scale))
     # The filter correlates, which turns the sign of the odd one.
     return smoothing, -np.diff(density), np.diff(-edges / scale**2 * density)
 
