@@ -1,6 +1,9 @@
 """Every figures command of the Makefile is run by ``make smoke``, and that by CI."""
 
+import os
 import re
+import subprocess
+from pathlib import Path
 
 import pytest
 from places import ROOT
@@ -48,7 +51,22 @@ def test_smoke_runs_the_command_quickly(command: str) -> None:
     assert "--quick" in CliRunner().invoke(app, [command, "--help"]).output
 
 
-def test_continuous_integration_runs_the_tests_and_smoke() -> None:
-    commands = (ROOT / ".ci" / "run").read_text()
-    for target in ("test", "smoke"):
-        assert re.search(rf"^if (! )?make {target}\b", commands, re.M)
+@pytest.mark.parametrize("failing", ["none", "test", "smoke"])
+def test_continuous_integration_runs_the_tests_and_smoke(failing: str, tmp_path: Path) -> None:
+    """By a make that only says what it was asked for, and fails where it is asked for one target.
+
+    Both are run to their ends, whichever fails, and CI fails with either.
+    """
+    make = tmp_path / "make"
+    make.write_text('#!/bin/sh\necho "made: $*"\ncase "$*" in "$FAILING"*) exit 2;; esac\n')
+    make.chmod(0o755)
+    path = os.pathsep.join([str(tmp_path), os.environ["PATH"]])
+    done = subprocess.run(
+        [ROOT / ".ci" / "run"],
+        env={**os.environ, "PATH": path, "FAILING": failing},
+        capture_output=True,
+        text=True,
+    )
+    assert (done.returncode == 0) == (failing == "none"), done.stderr
+    assert "made: test" in done.stdout and "made: smoke" in done.stdout
+    assert ("make smoke failed" in done.stdout) == (failing == "smoke")
