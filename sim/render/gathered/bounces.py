@@ -210,10 +210,7 @@ def _tables(scene: mi.Scene, lattice: NodeLattice, water: Optics) -> dict[str, F
     once = np.asarray((met @ about.matrix(len(index))).todense())
     more = np.linalg.solve(np.eye(len(index)) - once, once)
     seen, of_seen = np.unique(node[share > 0].astype(np.intp), return_inverse=True)
-    for cell in FINE:
-        sending = one_a_cell(nodes, seen, cell * lattice.spacing_mm)
-        if len(sending) <= MOST_SENDERS:
-            break
+    sending = _thinned(lattice, seen, MOST_SENDERS)
     sender = len(index) + Interpolation(nodes, sending, seen).near[:, 0][of_seen]
     senders = np.concatenate([index, sending])  # patches that no light leaves may be lit, too
     size = len(index), len(senders)
@@ -234,14 +231,20 @@ def _tables(scene: mi.Scene, lattice: NodeLattice, water: Optics) -> dict[str, F
 
 def _patches(scene: mi.Scene, lattice: NodeLattice, water: Optics) -> AmbientSamples:
     """Patches of all surfaces, and more of them on those that see others."""
-    nodes, spacing_mm = lattice.nodes, lattice.spacing_mm
+    nodes = lattice.nodes
     inside = np.flatnonzero(nodes.inside)
-    coarse = one_a_cell(nodes, inside, COARSE * spacing_mm)
+    coarse = one_a_cell(nodes, inside, COARSE * lattice.spacing_mm)
     first = traced_all(scene, lattice, water, coarse)
     sky = Interpolation(nodes, first.index, inside).of(first.open)
     shaded = np.setdiff1d(inside[sky < 1 - SHADED], coarse)
-    for cell in FINE:
-        more = one_a_cell(nodes, shaded, cell * spacing_mm)
-        if len(more) + len(coarse) <= MOST_PATCHES:
-            break
+    more = _thinned(lattice, shaded, MOST_PATCHES - len(coarse))
     return joined([first, traced_all(scene, lattice, water, more)]) if more.size else first
+
+
+def _thinned(lattice: NodeLattice, among: Ints, most: int) -> Ints:
+    """One of some nodes in each cell, of the least of FINE that gives no more than ``most``."""
+    for cell in FINE:
+        chosen = one_a_cell(lattice.nodes, among, cell * lattice.spacing_mm)
+        if len(chosen) <= most:
+            break
+    return chosen
