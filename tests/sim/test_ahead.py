@@ -12,6 +12,7 @@ from functools import partial
 from typing import Any
 
 import pytest
+from helper_spies import readiness
 from slow_calls import Squares
 
 from sim.ahead import LEAST, Ahead
@@ -32,15 +33,7 @@ def helpers(count: int) -> Callable[[], AbstractContextManager[list[dict[str, st
 
 @pytest.fixture
 def ready(monkeypatch: pytest.MonkeyPatch) -> threading.Semaphore:
-    """Released once for each helper that is ready."""
-    semaphore, wait = threading.Semaphore(0), HelperProcess.wait
-
-    def waited(helper: HelperProcess) -> None:
-        wait(helper)
-        semaphore.release()
-
-    monkeypatch.setattr(HelperProcess, "wait", waited)
-    return semaphore
+    return readiness(monkeypatch)
 
 
 def is_running(process_id: int) -> bool:

@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from helper_spies import calls_made
 from served import (
     Viewer,
     hurry,
@@ -30,7 +31,6 @@ from lscan.records import Bytes, Floats
 from sim.devices import SimCamera, SimTrack, TrackOptions
 from sim.emulators import EmulatedHardware, ServeOptions
 from sim.emulators.webcam.camera import Shot
-from sim.helper import HelperProcess
 from sim.scene import Scene
 from sim.sensor.coding import from_jpeg, jpeg_bytes
 
@@ -141,18 +141,12 @@ def test_a_long_move_is_seen_as_it_goes_on(
     passing, within coding and noise, as in the first test; no other place is handed out.
 
     others: processes that take pictures too, once they are ready."""
-    made, helpers = [], []
-    call = HelperProcess.__call__
-
-    def called(helper: HelperProcess, *arguments: object) -> object:
-        made.append(arguments)
-        return call(helper, *arguments)
+    helpers, made = [], calls_made(monkeypatch)
 
     @contextmanager
     def sharing() -> Iterator[list[dict[str, str]]]:
         yield [{"LSCAN_THREADS": "2"}] * others
 
-    monkeypatch.setattr(HelperProcess, "__call__", called)
     monkeypatch.setattr("sim.emulators.places.sharing", sharing)
     with EmulatedHardware(scene) as hardware:
         hurry(hardware)
