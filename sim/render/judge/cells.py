@@ -86,8 +86,8 @@ class SurfaceCells:
         key = of(mi.UInt64, self._begins) + index
         outside = dr.dot(dr.cross(*sides), towards) > 0
         side = dr.select(outside, mi.UInt64(1), mi.UInt64(0))
-        cut = dr.maximum(_cut_off(u, u_end, v, v_end), SLIVER * dr.square(joined) / (n * m))
         inside = (dr.minimum(u_end, 1) - u) * (dr.minimum(v_end, 1) - v)
+        cut = dr.maximum(_cut_off(u, u_end, v, v_end), SLIVER * inside)
         share = dr.select(is_triangle > 0, cut, inside)
         return 8 * key + 2 * level + side, of(mi.Float, self._whole) * share
 

@@ -75,6 +75,29 @@ def test_cells_hold_points_by_their_area() -> None:
     assert np.abs(z).max() < 5 and z.var() == pytest.approx(1, abs=5 * np.sqrt(2 / len(z)))
 
 
+def test_facets_finer_than_joined_cells_keep_their_area() -> None:
+    """A square of facets of half a cell, so far from the sheet that 64 cells a side may be one:
+    each is a cell of its own, as large as the facet."""
+    x, y = np.meshgrid(np.arange(20.0), np.arange(20.0))
+    corner = np.stack([x, y + 2000, 0 * x], axis=-1).reshape(-1, 1, 3)
+    below, above = [[0, 0, 0], [1, 0, 0], [0, 1, 0]], [[1, 1, 0], [0, 1, 0], [1, 0, 0]]
+    # A wave, for facets that tile a plane are cut as one.
+    corners = np.concatenate([corner + below, corner + above])
+    corners[..., 2] = 0.3 * np.sin(corners[..., 0] + corners[..., 1])
+    sheet = make_sheet(Laser(power_mw=1, apex_mm=(10, 0, 300)))  # along y = 0
+    scene = mi.load_dict({"type": "scene", "mesh": triangles(corners)})
+    cells = SurfaceCells(scene, [sheet], 2.0)
+    middle = corners.mean(axis=1) + [0, 0, 10]
+    ray = mi.Ray3f(mi.Point3f(np.float32(middle.T)), mi.Vector3f(0, 0, -1))
+    si = scene.ray_intersect(ray)
+    key, area = cells.find(si, mi.Vector3f(0, 0, 1), si.is_valid())
+    sides = corners[:, 1:] - corners[:, :1]
+    whole = 0.5 * np.linalg.norm(np.cross(sides[:, 0], sides[:, 1]), axis=1)
+    assert len(np.unique(np.array(key))) == len(corners)
+    assert np.all(np.array(key) // 2 % 4 == 3), "64 cells a side are one"
+    np.testing.assert_allclose(np.array(area), whole, rtol=1e-4)
+
+
 @pytest.mark.parametrize("turned", [False, True])
 def test_slivers_that_tile_a_rectangle_are_cut_as_one(turned: bool) -> None:
     """Sixty by forty, half of it of triangles half a cell wide and up to 400 times as long:
