@@ -290,7 +290,8 @@ class Tank:
         self.place(position_mm)
         head = head_pose(self.scene.tank.head, position_mm)
         first = self._sparse.picture(head, samples)
-        families = self._gathered.families(self._camera_with(head), first.direct, first.seen)
+        head = self._camera_with(head)
+        families = self._gathered.families(head, position_mm, first.direct, first.seen)
         return {name: light * W_PER_M2_IN_MW_PER_MM2 for name, light in families.items()}
 
     def _first_order(
@@ -309,7 +310,8 @@ class Tank:
             laser = self._sparse.picture(head, samples)
             direct, scattered = laser.direct, laser.scattered
             if gathered and self._gathered is not None:
-                families = self._gathered.families(self._camera_with(head), direct, laser.seen)
+                there = self._camera_with(head)
+                families = self._gathered.families(there, position_mm, direct, laser.seen)
                 more = sum(families.values(), np.zeros((), np.float32))
                 scattered = scattered + more.repeat(fineness, axis=0).repeat(fineness, axis=1)
         else:

@@ -27,7 +27,7 @@ from sim.render.plugins.opaque import opaque_vector
 from sim.render.sparse.rays import HEAD, HeadRays
 from sim.render.sparse.survey import NEIGHBOURS, PixelSurvey
 from sim.render.spreads import spread_of
-from sim.scene import Head, Pose, Scene
+from sim.scene import Head, Pose, Scene, head_pose
 from sim.water import Optics
 
 STEP = 4  # pixels between the places at which smooth light is worked out
@@ -42,6 +42,7 @@ GOLDEN = (sqrt(5) - 1) / 2  # by which samples lie farther to the right, of a pi
 FAINTEST = 1e-12  # transmittance of the water, below which nothing is seen through it
 APART = 16  # pixels between the rays that say how surfaces are tilted in the mean
 FARTHEST_MM = 1e4  # where a ray ends that meets nothing
+LEFT_APART_MM = 5.0  # along the track, between places at which it is known what is left of the veil
 
 
 @dataclass(frozen=True)
@@ -128,7 +129,13 @@ class GatheredLight:
         self._scene, self._integrator, self._rays = scene, integrator, rays
         for sheet in integrator.sheets:
             sheet.place(HEAD)
-        self._veil = HigherVeil(water, integrator.sheets, rays, _mean_normal(scene, rays, places))
+        veil = HigherVeil(water, integrator.sheets, rays, _mean_normal(scene, rays, places))
+        self._veil, self._veil_left_at = (
+            veil,
+            lru_cache(maxsize=2)(
+                lambda number: veil.left(scene, head_pose(head, number * LEFT_APART_MM))
+            ),
+        )
         self._chart = make_chart(rays, head)
         self._grids = self._chart.inner, self._chart.outer
         self._in_view = cells_in_picture(self._chart)
@@ -151,7 +158,9 @@ class GatheredLight:
         self._camera_weight = np.array(self._weight).reshape(self._inner.shape)
         self._pixel_rays = np.array(rays.origin), np.array(rays.direction)
 
-    def families(self, head: Pose, direct: Picture, seen: PixelSurvey) -> Mapping[str, Picture]:
+    def families(
+        self, head: Pose, position_mm: float, direct: Picture, seen: PixelSurvey
+    ) -> Mapping[str, Picture]:
         """(H, W) light of each family, mW/(mm2 sr), the camera's weight included.
 
         "surfaces", that comes straight from them, lit by scattered or reflected light; "camera",
@@ -160,6 +169,7 @@ class GatheredLight:
         Parameters
         ----------
         head : Pose, where the sheets are placed
+        position_mm : float, mm along the track, about where the head is
         direct : (f H, f W) the line as the camera sees it, of any fineness f
         seen : PixelSurvey, of the picture
         """
@@ -167,10 +177,21 @@ class GatheredLight:
         line = self._line_in_view(head)
         lines = [_splatted(grid, self._chart, *line) for grid in self._grids]
         glow, cells = self._surfaces(head, direct, seen, lines)
-        return self._in_picture(direct, glow, cells, seen)
+        return self._in_picture(direct, glow, cells, seen, self._veil_left(position_mm))
+
+    def _veil_left(self, position_mm: float) -> list[Picture]:
+        """Of each sheet what surfaces leave of the veil, between places where that is known."""
+        number, part = divmod(position_mm / LEFT_APART_MM, 1)
+        before, behind = (self._veil_left_at(number + step) for step in (0, 1))
+        return [a + np.float32(part) * (b - a) for a, b in zip(before, behind, strict=True)]
 
     def _in_picture(
-        self, direct: Picture, glow: Picture, cells: list[Shining], seen: PixelSurvey
+        self,
+        direct: Picture,
+        glow: Picture,
+        cells: list[Shining],
+        seen: PixelSurvey,
+        left: list[Picture],
     ) -> Mapping[str, Picture]:
         """The light of the pixels, of the surfaces' and of what the water scatters of it."""
         distance = dr.minimum(dr.gather(mi.Float, seen.hit.t, self._index), FARTHEST_MM)
@@ -187,7 +208,7 @@ class GatheredLight:
             np.array(values).reshape(self._inner.shape) for values in columns
         )
         camera += self._camera.near_peaked(bright, far) * self._camera_weight
-        return {"surfaces": surfaces, "camera": camera, "veil": self._veil.picture(far)}
+        return {"surfaces": surfaces, "camera": camera, "veil": self._veil.picture(far, left)}
 
     def _surfaces(
         self, head: Pose, direct: Picture, seen: PixelSurvey, lines: list[Picture]

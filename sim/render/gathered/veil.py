@@ -4,7 +4,8 @@ Camera and laser stand still against each other, so what a ray of the camera see
 where surfaces end the water alone.  A surface is taken for a plane through the place where the ray
 ends, as tilted as what the camera sees of the tank is in the mean: light counts whose deepest place
 of scattering lies above.  Photons say once how much light that is, as a smooth function of the ray
-and the depth; it is kept in the user's cache.  A picture is then read from a lattice of rays.
+and the depth; it is kept in the user's cache.  A picture is then read from a lattice of rays, and
+corrected for what surfaces hide that are no such plane (``veilpaths``).
 """
 
 import hashlib
@@ -29,16 +30,18 @@ from sim.render.gathered.veilcounts import (
     crossing_within,
     veil_counts,
 )
+from sim.render.gathered.veilpaths import VeilPaths
 from sim.render.plugins.arrays import vectors
 from sim.render.plugins.sheet import LaserSheet
 from sim.render.sparse.rays import HEAD, HeadRays
 from sim.render.spreads import PHOTONS
+from sim.scene import Pose
 from sim.water import Optics
 from sim.water.axes import ANGLE_AXIS, between_nodes
 from sim.water.tablecache import kept_arrays
 
 Picture = NDArray[np.float32]
-FORMAT = 3  # of the kept files: raised where other numbers would be written
+FORMAT = 5  # of the kept files: raised where other numbers would be written
 SHEET_PHOTONS = PHOTONS // 10  # of a sheet
 SEED = 1
 STEP = 3  # pixels between the rays of the lattice, odd: it has a pixel's centre
@@ -92,6 +95,7 @@ class HigherVeil:
             for size in (height, width)
         )
         self._sheets: list[_SheetVeil] = []
+        self._paths: list[VeilPaths] = []
         if water.scattering_per_mm <= 0:
             return
         lattice = np.add.outer((self._down + 1) * (width + 2), self._across + 1)
@@ -99,20 +103,32 @@ class HigherVeil:
         for sheet in sheets:
             sheet.place(HEAD)
             level = _level(sheet, rays, view, upright)
-            table = _kept_table(water, sheet, view, level, photons, seed)
-            self._sheets.append(_SheetVeil.of(table, sheet, rays, view, level, lattice))
+            kept = _kept_table(water, sheet, view, level, photons, seed)
+            self._sheets.append(_SheetVeil.of(kept["above"], sheet, rays, view, level, lattice))
+            self._paths.append(VeilPaths(kept["paths"], sheet, view, level))
 
-    def picture(self, distance: Picture) -> Picture:
+    def left(self, scene: mi.Scene, head: Pose) -> list[Picture]:
+        """Of each sheet, what surfaces leave over what planes would; ``VeilPaths.left``.
+
+        Parameters
+        ----------
+        scene : mi.Scene, the surfaces
+        head : Pose, where the head stands
+        """
+        return [paths.left(scene, head) for paths in self._paths]
+
+    def picture(self, distance: Picture, left: Sequence[Picture] | None = None) -> Picture:
         """(H, W) radiance in the air, mW/(mm2 sr), the camera's weight included.
 
         Parameters
         ----------
         distance : (H, W) array, mm along each pixel's ray to the surface, infinite without one
+        left : sequence of arrays, as ``left`` has them; of planes if None
         """
         ends = distance[self._down[:, np.newaxis], self._across]
         light = np.zeros_like(ends)
-        for sheet in self._sheets:
-            light += sheet.before(ends)
+        for number, sheet in enumerate(self._sheets):
+            light += sheet.before(ends) * (1 if left is None else sheet.read(left[number]))
         size = light.shape[1] * STEP, light.shape[0] * STEP
         height, width = self._shape
         return np.asarray(cv2.resize(light, size)[:height, :width])
@@ -123,12 +139,14 @@ class _SheetVeil:
     """One sheet's veil along N rays of a lattice.
 
     crossing, slope: (h, w), of each ray: mm to the sheet, and depth per mm.  light: (N, E) what is
-    seen of light above EDGES, mW/(mm2 sr) with the camera's weight.
+    seen of light above EDGES, mW/(mm2 sr) with the camera's weight.  column, row: (h, w) in cells.
     """
 
     crossing: Picture
     slope: Picture
     light: Picture
+    column: Picture
+    row: Picture
 
     @classmethod
     def of(
@@ -153,8 +171,14 @@ class _SheetVeil:
         above = [between_nodes(layer, row, column) for layer in table]
         weight = np.array(rays.weight)[lattice].ravel() * np.array(sheet.power)
         light = np.stack(above, axis=-1) * weight[:, np.newaxis]
-        slope = direction @ level
-        return cls(*(np.ascontiguousarray(v, np.float32) for v in (crossing, slope, light)))
+        slope, column, row = (v.reshape(crossing.shape) for v in (direction @ level, column, row))
+        columns = crossing, slope, light, column, row
+        return cls(*(np.ascontiguousarray(v, np.float32) for v in columns))
+
+    def read(self, cells: Picture) -> Picture:
+        """(h, w) of the rays, between the middles of (ROWS, COLUMNS) cells."""
+        border = cv2.BORDER_REPLICATE
+        return np.asarray(cv2.remap(cells, self.column, self.row, cv2.INTER_LINEAR, None, border))
 
     def before(self, distance: Picture) -> Picture:
         """(h, w) light that reaches the camera where surfaces end its rays at (h, w) distances."""
@@ -221,8 +245,11 @@ def _within_fan(sheet: LaserSheet, view: FieldOfView) -> Mask:
 
 def _kept_table(
     water: Optics, sheet: LaserSheet, view: FieldOfView, level: Floats, photons: int, seed: int
-) -> Floats:
-    """(E, ROWS, COLUMNS) light above EDGES of a sheet of 1 mW, mW/(mm2 sr) in the water."""
+) -> dict[str, Floats]:
+    """Light above EDGES of a sheet of 1 mW, mW/(mm2 sr) in the water, and some paths of it.
+
+    above: (E, ROWS, COLUMNS).  paths: of ``VeilCounts``.
+    """
 
     def made() -> dict[str, Floats]:
         with long_work("the veil of this water and rig") as progress:
@@ -232,7 +259,7 @@ def _kept_table(
         for kind in zip(counts.light, counts.squared, strict=True):
             layers = [smoothed(*cells, lit) for cells in zip(*kind, strict=True)]
             above[1:] += np.cumsum(layers, axis=0)
-        return {"above": above}
+        return {"above": above, "paths": counts.paths}
 
     coefficients = [water.absorption_per_mm, water.scattering_per_mm]
     sheets = (
@@ -247,4 +274,4 @@ def _kept_table(
         *geometry,
     )
     told = b"".join(np.asarray(values, dtype=float).tobytes() for values in numbers)
-    return kept_arrays(f"veil-{hashlib.sha256(told).hexdigest()[:32]}", made)["above"]
+    return kept_arrays(f"veil-{hashlib.sha256(told).hexdigest()[:32]}", made)

@@ -3,6 +3,7 @@
 At every place that scatters a photon, light goes on to the camera on a walk of its own.  Each path
 counts where it turns most, as in ``sim.render.judge``: the photon's turns before and the walk's
 turns after are smaller than that of the place, whose phase function is then never at its peak.
+Some paths are kept, the more light they bring the more likely, for surfaces to be held against.
 """
 
 from collections.abc import Callable
@@ -46,6 +47,9 @@ EVEN_STEPS = (3242174889, 2447445414)
 # A photon whose weight times what is kept from there to the camera is below FAINT goes on with
 # the odds of their ratio, or the least odds.
 FAINT, LEAST_ODDS = 1.0, 0.1
+KEPT = 2**17  # paths, about, and of each azimuth there is room for twice as many
+ROOM = 2 * KEPT // TURNED
+PLACES = 4  # of a kept path, beside its share and its depth
 
 
 @dataclass(frozen=True)
@@ -86,10 +90,14 @@ class VeilCounts:
     light, squared : (2, len(DEPTHS) + 1, ROWS, COLUMNS) arrays, mean radiance in each cell, in
         mW/(mm2 sr) in the water, and the sum of squares of what the photons added to it: of
         paths that turn by less than MUCH of the whole angle at any place, then of the others
+    paths : (N, 2 + 3 PLACES) array, of some paths: their share of the light, the depth of their
+        deepest place, mm, and places, head frame, mm: where they were scattered first, before the
+        place where they turn most, there, and last
     """
 
     light: Floats
     squared: Floats
+    paths: Floats
 
 
 def veil_counts(
@@ -113,15 +121,17 @@ def veil_counts(
     seed : int, of the random numbers
     progress : function of (done, all)
     """
-    batches = -(-photons // BATCH)
+    batches = 1 + -(-photons // BATCH)  # the first says how much light there is
     tracer = _Tracer(sheet, water, view, level)
     for number in range(batches):
         tracer.send(number, dr.opaque(mi.UInt64, seed * batches + number))
-        dr.eval(tracer.sums)
+        dr.eval(tracer.sums, tracer.used, tracer.paths)
         dr.sync_thread()
+        if number == 0:
+            tracer.share = opaque(KEPT / (batches - 1) / max(tracer.light(), 1e-30))
         progress(number + 1, batches)
     light, squared = np.array(tracer.sums).reshape(2, 2, len(DEPTHS) + 1, ROWS, COLUMNS)
-    return VeilCounts(light / batches, squared / batches**2)
+    return VeilCounts(light / batches, squared / batches**2, tracer.kept())
 
 
 class _Tracer:
@@ -145,6 +155,23 @@ class _Tracer:
         self.much = MUCH * whole
         self.cells = (len(DEPTHS) + 1) * ROWS * COLUMNS
         self.sums = dr.zeros(mi.Float64, 4 * self.cells)
+        # Of the light that a path adds: the number of times that it is kept.
+        self.share = dr.opaque(mi.Float, 0)
+        self.used = [dr.zeros(mi.UInt32, 1) for _ in range(TURNED)]
+        self.paths = [dr.zeros(mi.Float, (2 + 3 * PLACES) * ROOM) for _ in range(TURNED)]
+        dr.make_opaque(self.used, self.paths)
+
+    def light(self) -> float:
+        """What all paths have added so far."""
+        return float(np.array(self.sums)[: 2 * self.cells].sum())
+
+    def kept(self) -> Floats:
+        """The paths that were kept."""
+        each = [
+            np.array(paths).reshape(ROOM, -1)[: int(used[0])]
+            for paths, used in zip(self.paths, self.used, strict=True)
+        ]
+        return np.concatenate(each)
 
     @dr.syntax
     def send(self, batch: int, seed: mi.UInt64) -> None:
@@ -162,19 +189,24 @@ class _Tracer:
         weight = sheet.power_density(phi) / sheet.power * 2 * sheet.half_angle * chance
         weight = mi.Float(weight * dr.exp(-self.absorption * rho))
         deepest = dr.dot(place - self.pinhole, self.level)
+        first_place, before = mi.Point3f(place), mi.Point3f(place)
         turned, order = mi.Float(0), mi.UInt32(0)
         packet = dr.arange(mi.UInt32, BATCH) // TOGETHER
         first = (packet + dr.opaque(mi.UInt32, batch)) % self.every
         active = dr.full(mi.Bool, True, BATCH)
         while active:
             walks = active & (order % self.every == first)
-            random = self._count(random, place, towards, weight, deepest, turned, order == 0, walks)
+            places = first_place, before, place
+            random = self._count(
+                random, places, towards, weight, deepest, turned, order == 0, walks
+            )
             sample = mi.Point2f(random.next_float32(), random.next_float32())
             onward = self.phase.sample_direction(towards, sample)
             turned, towards = dr.maximum(turned, angle_between(towards, onward)), onward
             # In thin water, too, all photons are scattered twice.
             forced = dr.select(order == 0, chance, 1.0)
             free = -dr.log(1 - forced * random.next_float32()) / self.scattering
+            before = mi.Point3f(place)
             place = mi.Point3f(place + towards * free)
             deepest = dr.maximum(deepest, dr.dot(place - self.pinhole, self.level))
             weight *= forced * dr.exp(-self.absorption * free)
@@ -188,7 +220,7 @@ class _Tracer:
     def _count(
         self,
         random: mi.PCG32,
-        place: mi.Point3f,
+        places: tuple[mi.Point3f, mi.Point3f, mi.Point3f],
         towards: mi.Vector3f,
         weight: mi.Float,
         deepest: mi.Float,
@@ -196,11 +228,11 @@ class _Tracer:
         first: mi.Bool,
         active: mi.Bool,
     ) -> mi.PCG32:
-        """Count light that is scattered at a place and goes on to the camera.
+        """Count light that is scattered at the last of some places and goes on to the camera.
 
         first: not scattered before, so that it has to be scattered on its way to the camera.
         """
-        offset = place - self.pinhole
+        offset = places[-1] - self.pinhole
         distance = dr.norm(offset)
         active &= distance > self.start + NEAR_MM
         coefficients = self.absorption, self.scattering
@@ -215,7 +247,10 @@ class _Tracer:
             angle = angle_between(towards, -arriving)
             counts = active & (angle > turned) & (angle > walk.most)
             depth = dr.maximum(deepest, walk.first * dr.dot(seen, self.level))
-            self._add(seen, angle, weight * self.phase.value(angle), depth, counts)
+            light = weight * self.phase.value(angle)
+            light, counts = self._add(seen, angle, light, depth, counts)
+            path = [*places, self.pinhole + walk.first * seen]
+            self._keep(number, random.next_float32(), light, depth, path, counts)
         return random
 
     def _add(
@@ -225,8 +260,8 @@ class _Tracer:
         light: mi.Float,
         depth: mi.Float,
         active: mi.Bool,
-    ) -> None:
-        """Add light to the cell in which it is seen."""
+    ) -> tuple[mi.Float, mi.Bool]:
+        """Add light to the cell in which it is seen; what was added, and where there is a cell."""
         ahead = dr.dot(seen, self.ahead)
         sides = dr.dot(seen, self.right), dr.dot(seen, self.down)
         column, row = (
@@ -245,6 +280,24 @@ class _Tracer:
         for kind, value in enumerate((light, dr.square(light))):
             index = (2 * kind + much) * self.cells + cell
             dr.scatter_reduce(dr.ReduceOp.Add, self.sums, mi.Float64(value), index, active)
+        return light, active
+
+    def _keep(
+        self,
+        number: int,
+        sample: mi.Float,
+        light: mi.Float,
+        depth: mi.Float,
+        places: list[mi.Point3f],
+        active: mi.Bool,
+    ) -> None:
+        """Keep a path of that number of azimuth with odds that go as its light."""
+        times = light * self.share
+        slot = dr.scatter_inc(self.used[number], mi.UInt32(0), active & (sample < times))
+        kept = active & (sample < times) & (slot < ROOM)
+        values = dr.maximum(times, 1), depth, *(part for place in places for part in place)
+        for k, value in enumerate(values):
+            dr.scatter(self.paths[number], value, len(values) * slot + k, kept)
 
 
 def _evenly(random: mi.PCG32, step: int) -> mi.Float:

@@ -14,13 +14,21 @@ from lscan.records import Floats
 from sim.render.gathered.picture import _mean_normal
 from sim.render.gathered.smooth import smoothed
 from sim.render.gathered.veil import LEAST_SLOPE, STEP, HigherVeil, _level, field_of_view
-from sim.render.gathered.veilcounts import BATCH, EVEN_STEPS, _evenly
+from sim.render.gathered.veilcounts import (
+    BATCH,
+    COLUMNS,
+    EVEN_STEPS,
+    KEPT,
+    ROWS,
+    _evenly,
+    veil_counts,
+)
 from sim.render.judge.judged import JudgeEffort, judge
 from sim.render.layers import W_PER_M2_IN_MW_PER_MM2
 from sim.render.plugins.sheet import LaserSheet
-from sim.render.sparse.rays import HeadRays, head_rays
+from sim.render.sparse.rays import HEAD, HeadRays, head_rays
 from sim.render.tank import Tank
-from sim.scene import Laser, head_pose, load_scene
+from sim.scene import Laser, Pose, head_pose, load_scene
 from sim.validation.physics.gallery import shrunk
 from sim.water import HenyeyGreensteinMixture, Optics
 
@@ -176,12 +184,56 @@ def test_smoothing_keeps_the_sum_and_an_edge() -> None:
     assert np.abs(found / field - 1)[beside].mean() < 0.3
 
 
+@pytest.mark.parametrize("level", [-60.0, 40.0])
+def test_planes_across_the_depth_leave_all(rays: HeadRays, level: float) -> None:
+    """There the table's own condition is the truth: light counts whose deepest place lies above."""
+    plane = mi.ScalarTransform4f().translate([0, 0, level]).scale(1e5)
+    scene = mi.load_dict({"type": "scene", "plane": {"type": "rectangle", "to_world": plane}})
+    veil = HigherVeil(EVEN, [sheet_of(10.0)], rays, photons=PHOTONS)
+    (left,) = veil.left(scene, Pose(np.eye(3), np.zeros(3)))
+    # Places within rounding, 1e-4 mm, of the plane are few.
+    np.testing.assert_allclose(left, 1, atol=1e-3)
+
+
+def test_a_wall_before_the_sheet_leaves_nothing(rays: HeadRays) -> None:
+    """The table alone has light from behind it, no deeper than the places at which rays meet it."""
+    wall = mi.ScalarTransform4f().translate([0, -100, 0]).rotate([1, 0, 0], 90.0).scale(1e5)
+    scene = mi.load_dict({"type": "scene", "wall": {"type": "rectangle", "to_world": wall}})
+    veil = HigherVeil(EVEN, [sheet_of(10.0)], rays, photons=PHOTONS)
+    origin, way = (inner(rays, np.array(v).T) for v in (rays.origin, rays.direction))
+    distance = ((-100 - origin[..., 1]) / way[..., 1]).astype(np.float32)
+    left = veil.left(scene, Pose(np.eye(3), np.zeros(3)))
+    # Of the paths kept in a cell, 1 is added: 0.6 % of them.
+    assert veil.picture(distance, left).sum() < 0.03 * veil.picture(distance).sum()
+
+
+def test_kept_paths_stand_for_the_light(rays: HeadRays) -> None:
+    """Their shares add up to the number asked for, to four standard deviations of the light of
+    single batches, and are of cells as the light is."""
+    sheet, view = sheet_of(10.0), field_of_view(rays)
+    sheet.place(HEAD)
+    counts = veil_counts(sheet, EVEN, view, np.array([0, 0, -1.0]), 4 * BATCH, 1, lambda *_: None)
+    share, place = counts.paths[:, 0], counts.paths[:, -3:]
+    assert share.sum() == pytest.approx(KEPT, rel=0.05)
+    right, down = view.tangents(place - view.pinhole_mm)
+    kept = np.histogram2d(
+        down,
+        right,
+        bins=[3, 4],
+        range=np.transpose([view.low[::-1], view.high[::-1]]),
+        weights=share,
+    )[0]
+    light = counts.light.sum(axis=(0, 1)).reshape(3, ROWS // 3, 4, COLUMNS // 4).sum(axis=(1, 3))
+    np.testing.assert_allclose(kept / kept.sum(), light / light.sum(), rtol=0.05)
+
+
 @pytest.mark.slow
 def test_veil_is_the_judges() -> None:
-    """The paper's tank at 1 NTU above its floor: each strip of rows within three standard errors
-    and 3 %, the whole within 2 %."""
+    """The paper's tank at 1 NTU with its block in the last two of eight strips of rows: within
+    three standard errors and 3 %, where its edge is, 6 %, for what planes leave steps by 12 %
+    there, and cells show the mean of both sides; the whole within 2 %.  The last strip, on the
+    block, is within three standard errors: planes in place of the surfaces have it too dark."""
     scene = load_scene("paper/groove").with_tank(
-        target={"shape": "none"},
         water={
             "kind": "tank",
             "turbidity_ntu": 1.0,
@@ -193,21 +245,29 @@ def test_veil_is_the_judges() -> None:
     width, height = tank.scene.rig.camera.size_px
     window = (60, 0, 40, height)
     effort = JudgeEffort(photons=1 << 19, walks=64, batches=6)
-    judged = judge(tank, 40.0, window, effort, seed=8).families["veil"]
+    judged = judge(tank, 120.0, window, effort, seed=8).families["veil"]
     assert tank._sparse is not None
     tank._sparse.look(tank.scene.tank.head)
     rays = tank._sparse.rays
     veil = HigherVeil(tank.water, tank.sheets, rays)
-    seen = rays.seen_from(head_pose(tank.scene.tank.head, 40.0))
+    head = head_pose(tank.scene.tank.head, 120.0)
+    seen = rays.seen_from(head)
     distance = np.array(tank.mitsuba_scene.ray_intersect_preliminary(seen, coherent=True).t)
-    picture = veil.picture(distance.reshape(height + 2, width + 2)[1:-1, 1:-1])
-    found = picture[:, 60:100].reshape(8, -1).mean(axis=1) * W_PER_M2_IN_MW_PER_MM2
+    distance = distance.reshape(height + 2, width + 2)[1:-1, 1:-1]
     strips = judged.reshape(len(judged), 8, -1).mean(axis=2)
     mean, error = strips.mean(axis=0), strips.std(axis=0, ddof=1) / np.sqrt(len(strips))
-    assert np.all(np.abs(found - mean) < 3 * error + 0.03 * mean)
+    allowed = 3 * error + mean * ([0.03] * 6 + [0.06, 0])
     whole = strips.mean(axis=1)
-    allowed = 0.02 * whole.mean() + 3 * whole.std(ddof=1) / np.sqrt(len(whole))
-    assert found.mean() == pytest.approx(whole.mean(), abs=allowed)
+    scatter = 3 * whole.std(ddof=1) / np.sqrt(len(whole))
+    for left in (veil.left(tank.mitsuba_scene, head), None):
+        picture = veil.picture(distance, left)[:, 60:100] * W_PER_M2_IN_MW_PER_MM2
+        off = np.abs(picture.reshape(8, -1).mean(axis=1) - mean)
+        if left is None:
+            assert off[-1] > allowed[-1]
+        else:
+            assert np.all(off < allowed)
+            bound = 0.02 * whole.mean() + scatter
+            assert picture.mean() == pytest.approx(whole.mean(), abs=bound)
 
 
 def test_depth_is_measured_into_what_the_camera_sees(tank: Tank, rays: HeadRays) -> None:

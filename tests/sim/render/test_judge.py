@@ -87,7 +87,7 @@ def test_facets_finer_than_joined_cells_keep_their_area() -> None:
     sheet = make_sheet(Laser(power_mw=1, apex_mm=(10, 0, 300)))  # along y = 0
     scene = mi.load_dict({"type": "scene", "mesh": triangles(corners)})
     cells = SurfaceCells(scene, [sheet], 2.0)
-    middle = corners.mean(axis=1) + [0, 0, 10]
+    middle = corners.mean(axis=1) + np.array([0, 0, 10])
     ray = mi.Ray3f(mi.Point3f(np.float32(middle.T)), mi.Vector3f(0, 0, -1))
     si = scene.ray_intersect(ray)
     key, area = cells.find(si, mi.Vector3f(0, 0, 1), si.is_valid())
