@@ -47,7 +47,7 @@ EVEN_STEPS = (3242174889, 2447445414)
 # A photon whose weight times what is kept from there to the camera is below FAINT goes on with
 # the odds of their ratio, or the least odds.
 FAINT, LEAST_ODDS = 1.0, 0.1
-KEPT = 2**17  # paths, about, and of each azimuth there is room for twice as many
+KEPT = 2**16  # paths, about, and of each azimuth there is room for twice as many
 ROOM = 2 * KEPT // TURNED
 PLACES = 4  # of a kept path, beside its share and its depth
 
