@@ -130,11 +130,9 @@ class GatheredLight:
         for sheet in integrator.sheets:
             sheet.place(HEAD)
         veil = HigherVeil(water, integrator.sheets, rays, _mean_normal(scene, rays, places))
-        self._veil, self._veil_left_at = (
-            veil,
-            lru_cache(maxsize=2)(
-                lambda number: veil.left(scene, head_pose(head, number * LEFT_APART_MM))
-            ),
+        self._veil = veil
+        self._veil_left_at = lru_cache(maxsize=2)(
+            lambda number: veil.left(scene, head_pose(head, number * LEFT_APART_MM))
         )
         self._chart = make_chart(rays, head)
         self._grids = self._chart.inner, self._chart.outer
