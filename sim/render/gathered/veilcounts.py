@@ -32,6 +32,7 @@ DEPTHS = np.concatenate([-BESIDE[::-1], BESIDE])
 # angle from the laser to the camera at a time: they are counted by themselves.
 MUCH = 0.5
 BATCH = 2**18
+FIRST = 2**14  # photons that say how much light there is
 FARTHEST_MM = 3000.0
 # Light scattered within so many mm of the port counts as much as that in the next ones, for
 # 1 / distance2 would make single photons weigh much.
@@ -121,14 +122,13 @@ def veil_counts(
     seed : int, of the random numbers
     progress : function of (done, all)
     """
-    batches = 1 + -(-photons // BATCH)  # the first says how much light there is
+    batches = -(-photons // BATCH)
     tracer = _Tracer(sheet, water, view, level)
+    tracer.send(0, dr.opaque(mi.UInt64, seed * batches), FIRST)
+    tracer.begin_to_keep(KEPT / batches)
     for number in range(batches):
-        tracer.send(number, dr.opaque(mi.UInt64, seed * batches + number))
-        dr.eval(tracer.sums, tracer.used, tracer.paths)
+        tracer.send(number, dr.opaque(mi.UInt64, seed * batches + number), BATCH)
         dr.sync_thread()
-        if number == 0:
-            tracer.share = opaque(KEPT / (batches - 1) / max(tracer.light(), 1e-30))
         progress(number + 1, batches)
     light, squared = np.array(tracer.sums).reshape(2, 2, len(DEPTHS) + 1, ROWS, COLUMNS)
     return VeilCounts(light / batches, squared / batches**2, tracer.kept())
@@ -161,9 +161,11 @@ class _Tracer:
         self.paths = [dr.zeros(mi.Float, (2 + 3 * PLACES) * ROOM) for _ in range(TURNED)]
         dr.make_opaque(self.used, self.paths)
 
-    def light(self) -> float:
-        """What all paths have added so far."""
-        return float(np.array(self.sums)[: 2 * self.cells].sum())
+    def begin_to_keep(self, paths: float) -> None:
+        """Forget what was counted, and keep so many paths of light as much as that."""
+        light = np.array(self.sums)[: 2 * self.cells].sum()
+        self.share = opaque(float(paths / light) if light > 0 else 0.0)
+        self.sums = dr.zeros(mi.Float64, 4 * self.cells)
 
     def kept(self) -> Floats:
         """The paths that were kept."""
@@ -173,10 +175,15 @@ class _Tracer:
         ]
         return np.concatenate(each)
 
+    def send(self, batch: int, seed: mi.UInt64, photons: int) -> None:
+        """Send one batch of so many photons; their light is that of the whole sheet."""
+        self.each = opaque(1 / photons)
+        self._send(batch, mi.PCG32(size=photons, initstate=seed))
+        dr.eval(self.sums, self.used, self.paths)
+
     @dr.syntax
-    def send(self, batch: int, seed: mi.UInt64) -> None:
-        """Send one batch of photons."""
-        random = mi.PCG32(size=BATCH, initstate=seed)
+    def _send(self, batch: int, random: mi.PCG32) -> None:
+        """Send a photon for each stream of random numbers."""
         sheet, time = self.sheet, mi.Float(0)
         even = [_evenly(random, step) for step in EVEN_STEPS]
         phi = (2 * even[0] - 1) * sheet.half_angle
@@ -191,9 +198,10 @@ class _Tracer:
         deepest = dr.dot(place - self.pinhole, self.level)
         first_place, before = mi.Point3f(place), mi.Point3f(place)
         turned, order = mi.Float(0), mi.UInt32(0)
-        packet = dr.arange(mi.UInt32, BATCH) // TOGETHER
+        count = dr.width(phi)
+        packet = dr.arange(mi.UInt32, count) // TOGETHER
         first = (packet + dr.opaque(mi.UInt32, batch)) % self.every
-        active = dr.full(mi.Bool, True, BATCH)
+        active = dr.full(mi.Bool, True, count)
         while active:
             walks = active & (order % self.every == first)
             places = first_place, before, place
@@ -239,7 +247,7 @@ class _Tracer:
         walk, random = aimed_walk(
             random, self.phase, coefficients, self.start, offset, first, active
         )
-        weight = weight * walk.worth * mi.Float(self.every) / (BATCH * TURNED)
+        weight = weight * walk.worth * mi.Float(self.every) * self.each / TURNED
         weight *= dr.select(distance < self.start + 2 * NEAR_MM, mi.Float(2), 1)
         active &= walk.worth > 0
         for number in range(TURNED):
@@ -302,8 +310,10 @@ class _Tracer:
 
 def _evenly(random: mi.PCG32, step: int) -> mi.Float:
     """Numbers from 0 to 1, each by the same step from the one before, which is drawn first."""
-    first = dr.gather(mi.UInt32, random.next_uint32(), dr.zeros(mi.UInt32, BATCH))
-    number = first + mi.UInt32(step) * dr.arange(mi.UInt32, BATCH)
+    drawn = random.next_uint32()
+    count = dr.width(drawn)
+    first = dr.gather(mi.UInt32, drawn, dr.zeros(mi.UInt32, count))
+    number = first + mi.UInt32(step) * dr.arange(mi.UInt32, count)
     return mi.Float(number >> 8) * 2**-24
 
 
