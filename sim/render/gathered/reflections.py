@@ -71,15 +71,16 @@ class Reflections:
         self._scene, self._integrator, self._glows = scene, integrator, glows
         between = lasting(water)
         self._extinction = opaque(between.extinction_per_mm)
-        # On convex bodies no surface sees another.
-        self._bounces = None if is_convex(parts) else Bounces(scene, parts, between)
+        # On convex bodies no surface sees another, and black ones send nothing on.
+        dark = is_convex(parts) or not any(part.albedo for part in parts)
+        self._bounces = None if dark else Bounces(scene, parts, between)
 
     def lit(self) -> LitSurfaces:
         """What the sheets light where they are placed now."""
         bounces, sheets = self._bounces, self._integrator.sheets
         if bounces is None:
             return LitSurfaces((), None)
-        lines, seen, shares, inside = [], [], [], []
+        lines, seen, shares, inside, glows = [], [], [], [], []
         point, normal = bounces.sender_point, bounces.sender_normal
         patches = bounces.point, bounces.normal
         received_once, extinction = mi.Float(0), self._integrator.extinction
@@ -93,13 +94,17 @@ class Reflections:
             seen.append(part)
             shares.append(visible_share(self._scene, sheet, self._integrator.phase, *patches))
             inside.append(sees_apex(self._scene, sheet, *patches, mi.Bool(True)))
-        dr.eval(received_once, seen, shares, inside)
+            glow = self._glows[number].irradiance(*patches) if self._glows else mi.Float(0)
+            glows.append(shares[-1] * glow)
+        dr.eval(received_once, seen, shares, inside, glows)
         once = np.array(received_once)
         seen_there = [dr.gather(mi.Float, share, bounces.owner) for share in shares]
         scattered = self._scattered(point, normal, seen_there)
         values = [bounces.about(once), bounces.of(once + np.array(scattered))]
-        for part, share, is_lit in zip(seen, shares, inside, strict=True):
-            values += [np.array(part), *bounces.apart(np.array(share), np.array(is_lit))]
+        for part, share, is_lit, glow in zip(seen, shares, inside, glows, strict=True):
+            here = np.array(is_lit)
+            values += [np.array(part), *bounces.apart(np.array(share), here)]
+            values.append(bounces.apart(np.broadcast_to(np.array(glow), here.shape), here)[1])
         field = bounces.field(values)
         lit = LitSurfaces(tuple(lines), field)
 
@@ -148,10 +153,12 @@ class Reflections:
         for number, (line, sheet) in enumerate(
             zip(lit.lines, self._integrator.sheets, strict=True)
         ):
-            seen, bright, dark = rest[3 * number : 3 * number + 3]
+            seen, bright, dark, dim = rest[4 * number : 4 * number + 4]
             close, far = received(line, si.p, facing(si), self._extinction, once > 0)
             light += close + seen * far
             asked = si.is_valid() & (dr.abs(bright - dark) > SHARES_DIFFER)
             is_lit = sees_apex(self._scene, sheet, si.p, facing(si), asked)
-            shares.append(dr.select(is_lit | ~asked, bright, dark))
+            in_shadow = asked & ~is_lit
+            light += dr.select(in_shadow, dim, 0.0)
+            shares.append(dr.select(in_shadow, 0.0, bright))
         return dr.select(si.is_valid(), light, 0.0), shares

@@ -1,7 +1,7 @@
 """How much of the light that a sheet's rays scatter onto a surface other surfaces let through.
 
 Most of it comes along the ray that meets the surface.  Where that is stopped, a place in shadow
-receives a fraction of what is received beside it: shares on either side are kept apart.
+receives a fraction of what is received beside it: light on either side is kept apart.
 """
 
 from math import pi
@@ -35,35 +35,35 @@ def visible_share(
     point : Point3f, mm, world frame
     normal : Vector3f, of the surface, on the side that is lit
     """
-    count = RAYS * PLACES
-    lane = dr.arange(mi.UInt32, dr.width(point) * count)
-    index, number = lane // count, lane % count
+    lane = dr.arange(mi.UInt32, dr.width(point) * RAYS)
+    index, ray = lane // RAYS, mi.Float(lane % RAYS)
     point, normal = dr.gather(mi.Point3f, point, index), dr.gather(mi.Vector3f, normal, index)
     phi, rho, s = sheet.coordinates(point, mi.Float(0))
     aside = dr.maximum(dr.abs(s), 0.5 * sheet.half_width(rho))
-    ray, place = mi.Float(number // PLACES), mi.Float(number % PLACES)
-    along = aside * dr.tan(pi * ((ray + 0.5) / RAYS - 0.5))
-    angle = phi + along / rho
+    angle = phi + aside * dr.tan(pi * ((ray + 0.5) / RAYS - 0.5)) / rho
     inside = dr.abs(angle) <= sheet.half_angle
     way = dr.normalize(sheet.direction(angle))
     apex = sheet.apex(mi.Float(0))
+    ends = scene.ray_intersect_preliminary(mi.Ray3f(apex, way), active=inside).t
     offset = point - apex
     foot = dr.dot(offset, way)
     beside = dr.norm(offset - way * foot)
     below = phase.line_integral(dr.atan2(beside, foot))
     above = phase.line_integral(mi.Float(pi / 2))
-    turned = phase.sample_line(below, above, (place + 0.5) / PLACES)
-    source = apex + way * dr.maximum(foot - beside / dr.tan(turned), 0)
-    towards = source - point
-    distance = dr.norm(towards)
-    towards /= distance
-    weight = dr.select(inside, dr.maximum(dr.dot(towards, normal), 0), 0.0)
-    start = point + normal * START_MM
-    shadow = mi.Ray3f(start, towards)
-    shadow.maxt = distance
-    seen = dr.select(scene.ray_test(shadow, weight > 0), 0.0, weight)
-    total, open_share = dr.block_sum(weight, count), dr.block_sum(seen, count)
-    return dr.select(total > 0, open_share / total, 1.0)
+    start, total, seen = point + normal * START_MM, mi.Float(0), mi.Float(0)
+    for place in range(PLACES):
+        turned = phase.sample_line(below, above, mi.Float((place + 0.5) / PLACES))
+        along = dr.maximum(foot - beside / dr.tan(turned), 0)
+        towards = apex + way * along - point
+        distance = dr.norm(towards)
+        towards /= distance
+        weight = dr.select(inside, dr.maximum(dr.dot(towards, normal), 0), 0.0)
+        total += weight
+        lit = (weight > 0) & (along < ends)
+        hidden = scene.ray_test(mi.Ray3f(start, towards, distance, 0.0, []), lit)
+        seen += dr.select(lit & ~hidden, weight, 0.0)
+    total, seen = dr.block_sum(total, RAYS), dr.block_sum(seen, RAYS)
+    return dr.select(total > 0, seen / total, 1.0)
 
 
 def sees_apex(

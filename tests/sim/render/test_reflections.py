@@ -362,17 +362,35 @@ def test_scattered_light_is_cut_off_where_a_shadow_begins() -> None:
     Within a patch shares grow by about .2, from the wall to the shadow's edge and beyond it, too:
     the mean of nine places on either side is known to half of that.
     """
-    corner = Corner(floor(), block([30, -150, 0], [40, 150, 60]), water=WATER)
+    parts = floor(1e-3), block([30, -150, 0], [40, 150, 60], 1e-3)  # nothing else lights them
+    corner = Corner(*parts, water=WATER)
     x, y = (v.ravel() for v in np.meshgrid([44.0, 46.0, 48.0, 52.0, 54.0, 56.0], [3.0, -8.0, 20.0]))
     down = mi.Ray3f(mi.Point3f(vectors([x, y, 0 * x + 50])), mi.Vector3f(0, 0, -1))
     si = corner.scene.ray_intersect(down)
     integrator = corner.reflections._integrator
-    (found,) = map(np.array, corner.reflections.irradiance(corner.lit, si)[1])
     sheet, normal = integrator.sheets[0], facing(si)
-    own = np.array(visible_share(corner.scene, sheet, integrator.phase, si.p, normal))
+    glow = Glow(sheet, spread(), WATER.extinction_per_mm)
+    reflections = Reflections(corner.scene, parts, integrator, WATER, [glow])
+    light, (share,) = reflections.irradiance(reflections.lit(), si)
+    whole = np.array(glow.irradiance(si.p, normal))
+    found = np.array(light + share * glow.irradiance(si.p, normal))
+    own = whole * np.array(visible_share(corner.scene, sheet, integrator.phase, si.p, normal))
     for side in (x < 50, x > 50):
-        assert found[side].mean() == pytest.approx(own[side].mean(), abs=0.1)
-    assert own[x > 50].mean() > own[x < 50].mean() + 0.5
+        assert found[side].mean() == pytest.approx(own[side].mean(), abs=0.1 * whole[side].mean())
+    assert not np.array(share)[x < 50].any(), "light in shadow is not peaked about the sheet"
+    assert (own / whole)[x > 50].mean() > (own / whole)[x < 50].mean() + 0.5
+
+
+def test_water_in_shadow_scatters_nothing() -> None:
+    """A plate 100 mm above the floor stops the whole fan: beneath it nothing is lit, though nothing
+    lies between the floor and the water above it."""
+    corner = Corner(floor(), block([-60, -150, 100], [60, 150, 110]), water=WATER)
+    x, y = (v.ravel() for v in np.meshgrid([-30.0, 0.0, 20.0], [0.0, 0.5, -8.0, 60.0]))
+    down = mi.Ray3f(mi.Point3f(vectors([x, y, 0 * x + 50])), mi.Vector3f(0, 0, -1))
+    si = corner.scene.ray_intersect(down)
+    integrator = corner.reflections._integrator
+    share = visible_share(corner.scene, integrator.sheets[0], integrator.phase, si.p, facing(si))
+    assert not np.array(share).any()
 
 
 def test_patches_that_differ_are_kept_apart() -> None:
@@ -399,6 +417,12 @@ def test_light_that_turns_by_little_is_not_lost() -> None:
     # 300 mm at least to the floor and 20 from there, 311 and 250 at most.
     assert np.all(turbid < clear * np.exp(-1.2e-3 * 300 - 3e-4 * 20))
     assert np.all(turbid > clear * np.exp(-1.2e-3 * 311 - 3e-4 * 250))
+
+
+def test_black_bodies_are_dark() -> None:
+    """A tank of nothing else is rendered: black surfaces send nothing on."""
+    corner = Corner(floor(BLACK), wall(BLACK), water=WATER)
+    assert not corner.of_wall().any()
 
 
 def test_convex_bodies_are_dark() -> None:
