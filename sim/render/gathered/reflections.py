@@ -37,8 +37,9 @@ class LitSurfaces:
     lines : tuple of LitLine, one for each sheet
     field : PatchField, irradiance in mW/mm2 by light of the lines that was reflected once, and by
         what was reflected more often or scattered onto surfaces off the lines; of each sheet, the
-        share of its line afar that is seen, and that of its light that the water scatters, in the
-        sheet's light and in shadow.  None where no surface sees another
+        share of its line afar that is seen, that of its light that the water scatters, in the
+        sheet's light and in shadow, and that light in shadow in mW/mm2.  None where no surface
+        sees another
     beside : tuple of BesideLine, light reflected more often once more, about each line
     """
 
