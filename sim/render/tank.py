@@ -46,10 +46,11 @@ class Tank:
     head is, and how much light there is, costs nothing.  Where camera or sheets lie in the head,
     and the wavelength, cost the rays of a picture anew.  Of the light of higher orders that is
     gathered, what the line sends on, its halo and the glow on surfaces move with camera and
-    sheets; the tables stay the scene's own: the veil's, as if camera and sheets lay in the head as
-    there, and all of them for the scene's wavelength.  On the paper's groove that is off by 1e-6 of
-    the line's peak for a sheet tilted by 0.1 degrees, by 3e-5 for a camera turned by 0.01 degrees,
-    by up to 4e-3 for 2 nm (the photons' noise of both tables included).
+    sheets; the tables stay the scene's own: the veil's, and what surfaces leave of it and of the
+    halo, as if camera and sheets lay in the head as there, and all for the scene's wavelength.
+    On the paper's groove that is off by 1e-6 of the line's peak for a sheet tilted by 0.1 degrees,
+    by 3e-5 for a camera turned by 0.01 degrees, by up to 4e-3 for 2 nm (the photons' noise of both
+    tables included).
     """
 
     @flushing()

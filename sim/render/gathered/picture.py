@@ -17,6 +17,7 @@ from sim.render.fineness import binned
 from sim.render.gathered.camera import CameraLeg, Shining
 from sim.render.gathered.chart import Chart, ChartGrid, Picture, cells_in_picture, make_chart
 from sim.render.gathered.glow import Glow
+from sim.render.gathered.halopaths import HaloPaths
 from sim.render.gathered.lines import facing
 from sim.render.gathered.points import lit_points
 from sim.render.gathered.reflections import LitSurfaces, Reflections
@@ -24,7 +25,7 @@ from sim.render.gathered.veil import HigherVeil
 from sim.render.plugins.arrays import floats, indices, vectors
 from sim.render.plugins.integrator import SheetIntegrator
 from sim.render.plugins.opaque import opaque_vector
-from sim.render.sparse.rays import HEAD, HeadRays
+from sim.render.sparse.rays import HEAD, HeadFrame, HeadRays
 from sim.render.sparse.survey import NEIGHBOURS, PixelSurvey
 from sim.render.spreads import spread_of
 from sim.scene import Head, Pose, Scene, head_pose
@@ -42,7 +43,7 @@ GOLDEN = (sqrt(5) - 1) / 2  # by which samples lie farther to the right, of a pi
 FAINTEST = 1e-12  # transmittance of the water, below which nothing is seen through it
 APART = 16  # pixels between the rays that say how surfaces are tilted in the mean
 FARTHEST_MM = 1e4  # where a ray ends that meets nothing
-LEFT_APART_MM = 5.0  # along the track, between places at which it is known what is left of the veil
+LEFT_APART_MM = 5.0  # along the track, between places at which it is known what surfaces leave
 
 
 @dataclass(frozen=True)
@@ -130,10 +131,6 @@ class GatheredLight:
         for sheet in integrator.sheets:
             sheet.place(HEAD)
         veil = HigherVeil(water, integrator.sheets, rays, _mean_normal(scene, rays, places))
-        self._veil = veil
-        self._veil_left_at = lru_cache(maxsize=2)(
-            lambda number: veil.left(scene, head_pose(head, number * LEFT_APART_MM))
-        )
         self._chart = make_chart(rays, head)
         self._grids = self._chart.inner, self._chart.outer
         self._in_view = cells_in_picture(self._chart)
@@ -145,6 +142,13 @@ class GatheredLight:
         self._glows = [Glow(sheet, spread, extinction) for sheet in integrator.sheets]
         self._reflections = Reflections(scene, parts, integrator, water, self._glows)
         self._camera = CameraLeg(self._chart, spread, extinction)
+        halo = HaloPaths(integrator, self._chart)
+
+        def left_at(number: float) -> list[Picture]:
+            there = head_pose(head, number * LEFT_APART_MM)
+            return [halo.left(scene, there), *veil.left(scene, there)]
+
+        self._veil, self._left_at = veil, lru_cache(maxsize=2)(left_at)
         width, height = rays.size_px
         self._inner = np.arange(height * width).reshape(height, width)[1:-1, 1:-1]
         self._index = indices(self._inner)
@@ -175,12 +179,12 @@ class GatheredLight:
         line = self._line_in_view(head)
         lines = [_splatted(grid, self._chart, *line) for grid in self._grids]
         glow, cells = self._surfaces(head, direct, seen, lines)
-        return self._in_picture(direct, glow, cells, seen, self._veil_left(position_mm))
+        return self._in_picture(direct, glow, cells, seen, self._left(position_mm))
 
-    def _veil_left(self, position_mm: float) -> list[Picture]:
-        """Of each sheet what surfaces leave of the veil, between places where that is known."""
+    def _left(self, position_mm: float) -> list[Picture]:
+        """What surfaces leave of the halo and of each sheet's veil, between known places."""
         number, part = divmod(position_mm / LEFT_APART_MM, 1)
-        before, behind = (self._veil_left_at(number + step) for step in (0, 1))
+        before, behind = (self._left_at(number + step) for step in (0, 1))
         return [a + np.float32(part) * (b - a) for a, b in zip(before, behind, strict=True)]
 
     def _in_picture(
@@ -197,7 +201,8 @@ class GatheredLight:
         radiance = dr.select(passed > FAINTEST, floats(direct) / passed, 0.0)
         sent = floats(glow)
         radiance += sent
-        halo = self._camera.halo(*cells)[..., np.newaxis]
+        halo_left, *veil_left = left
+        halo = (self._camera.halo(*cells) * halo_left)[..., np.newaxis]
         (wide,) = mi.Texture2f(mi.TensorXf(halo), use_accel=False).eval_cubic(self._places)
         camera = (wide + radiance * self._camera.near_gain(distance)) * self._weight
         columns = distance, radiance, camera, sent * passed
@@ -206,7 +211,7 @@ class GatheredLight:
             np.array(values).reshape(self._inner.shape) for values in columns
         )
         camera += self._camera.near_peaked(bright, far) * self._camera_weight
-        return {"surfaces": surfaces, "camera": camera, "veil": self._veil.picture(far, left)}
+        return {"surfaces": surfaces, "camera": camera, "veil": self._veil.picture(far, veil_left)}
 
     def _surfaces(
         self, head: Pose, direct: Picture, seen: PixelSurvey, lines: list[Picture]
@@ -299,12 +304,13 @@ class GatheredLight:
 
         All in the head's frame.
         """
-        x, y, z = (opaque_vector(column) for column in head.rotation.T)
-        chart = directions.shape[1] - last.shape[1]
+        frame, chart = HeadFrame(head), directions.shape[1] - last.shape[1]
         middle = np.repeat(self._chart.inner.pivot[:, np.newaxis], chart, axis=1)
-        start, way = vectors(np.hstack([middle, last])), vectors(directions)
-        origin = opaque_vector(head.origin_mm) + x * start.x + y * start.y + z * start.z
-        return mi.Ray3f(mi.Point3f(origin), x * way.x + y * way.y + z * way.z)
+        start, way = (
+            mi.Point3f(vectors(np.hstack([middle, last]))),
+            mi.Vector3f(vectors(directions)),
+        )
+        return mi.Ray3f(frame.point(start), frame.direction(way))
 
     def _sent(
         self, ray: mi.Ray3f, hit: mi.PreliminaryIntersection3f, head: Pose, lit: LitSurfaces

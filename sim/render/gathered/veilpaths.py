@@ -18,6 +18,7 @@ from sim.render.gathered.veilcounts import COLUMNS, PLACES, ROWS, FieldOfView
 from sim.render.plugins.arrays import floats, indices, vectors
 from sim.render.plugins.opaque import opaque_vector
 from sim.render.plugins.sheet import LaserSheet
+from sim.render.sparse.rays import HeadFrame
 from sim.scene import Pose
 
 SMOOTH = 0.5  # cells, standard deviation of the Gaussian over which paths are summed
@@ -62,23 +63,16 @@ class VeilPaths:
         scene : mi.Scene, the surfaces
         head : Pose, where the head stands
         """
-        axes, origin = [opaque_vector(v) for v in head.rotation.T], opaque_vector(head.origin_mm)
-
-        def turned(way: mi.Vector3f) -> mi.Vector3f:
-            return mi.Vector3f(axes[0] * way.x + axes[1] * way.y + axes[2] * way.z)
-
-        def placed(place: mi.Point3f) -> mi.Point3f:
-            return mi.Point3f(origin + turned(mi.Vector3f(place)))
-
+        frame = HeadFrame(head)
         near = self._depth <= np.float32(self._highest(scene, head))
-        way, start = turned(self._way), self._view.start_mm
-        camera = placed(mi.Point3f(opaque_vector(self._view.pinhole_mm)))
+        way, start = frame.direction(self._way), self._view.start_mm
+        camera = frame.point(mi.Point3f(opaque_vector(self._view.pinhole_mm)))
         ray = mi.Ray3f(camera + way * start, way)
         end = start + scene.ray_intersect_preliminary(ray, active=~near).t
         plane = near | (self._depth <= end * self._slope)
         free = near | (self._far <= end)
         corners = [mi.Point3f(opaque_vector(self._apex)), *self._places]
-        for here, there in pairwise(map(placed, corners)):
+        for here, there in pairwise(map(frame.point, corners)):
             leg = there - here
             length = dr.maximum(dr.norm(leg), LEAST_MM)
             free &= ~scene.ray_test(mi.Ray3f(here, leg / length, length, 0.0, []), free & ~near)

@@ -31,6 +31,30 @@ QUANTILES = 4
 ROUGHEST, DIMMEST = 1e-3, 1e-3
 
 
+class HeadFrame:
+    """The head's frame where the head stands."""
+
+    def __init__(self, head: Pose) -> None:
+        """Take on a pose.
+
+        Parameters
+        ----------
+        head : Pose, of the head in the world
+        """
+        self._axes = [opaque_vector(column) for column in head.rotation.T]
+        self._origin = opaque_vector(head.origin_mm)
+
+    def direction(self, way: mi.Vector3f) -> mi.Vector3f:
+        """A direction of the head's frame in the world."""
+        x, y, z = self._axes
+        return mi.Vector3f(x * way.x + y * way.y + z * way.z)
+
+    def point(self, place: mi.Point3f) -> mi.Point3f:
+        """A place of the head's frame, mm, in the world."""
+        x, y, z = self._axes
+        return mi.Point3f(self._origin + x * place.x + y * place.y + z * place.z)
+
+
 @dataclass(frozen=True)
 class OpenVeil:
     """One sheet's light scattered into rays with nothing in the way of either.
@@ -66,10 +90,8 @@ class HeadRays:
 
     def seen_from(self, head: Pose) -> mi.Ray3f:
         """The rays in the world."""
-        x, y, z = (opaque_vector(column) for column in head.rotation.T)
-        place, way = self.origin, self.direction
-        origin = opaque_vector(head.origin_mm) + x * place.x + y * place.y + z * place.z
-        return mi.Ray3f(mi.Point3f(origin), x * way.x + y * way.y + z * way.z)
+        frame = HeadFrame(head)
+        return mi.Ray3f(frame.point(self.origin), frame.direction(self.direction))
 
     def some(self, pixels: Ints) -> tuple["HeadRays", mi.UInt32]:
         """The rays of some pixels, without veils, and their indices for other gathers."""

@@ -1,0 +1,172 @@
+"""How much of the line's halo the tank's surfaces leave, against what planes in their place would.
+
+The Gaussians of ``camera`` take each place of the line for a plane, the mean of what lies about
+it, on which the camera's rays end too; light of parts of the line that the camera does not see is
+left out.  Here the light that the water scatters once between the line and the camera is summed
+with the surfaces as they are, and with such planes: their ratio differs little from 1.
+"""
+
+from dataclasses import dataclass
+from math import pi, sqrt
+
+import cv2
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from sim.render.ambient.field import reflectance
+from sim.render.gathered.chart import Chart, Picture
+from sim.render.gathered.lines import facing
+from sim.render.plugins.arrays import vectors
+from sim.render.plugins.integrator import SheetIntegrator
+from sim.render.plugins.sheet import LaserSheet
+from sim.render.sparse.rays import HeadFrame
+from sim.scene import Pose
+
+BLOCK = 8  # fine cells of the chart, each way, that share a ray
+# Rays of a sheet, and how many of them share a place of the line.
+FAN, SHARED = 1024, 2
+PARTS = FAN // SHARED
+# From each such place light gets into a camera's ray by one place of that: so much farther on, of
+# what the phase function alone lets in, than from the place before and into the ray before.  What
+# is left is known to 0.4 %, to 0.2 % with twice the parts.
+GOLDEN, SILVER = (sqrt(5) - 1) / 2, sqrt(2) - 1
+START_MM = 0.02  # of rays, above surfaces: chords of a wave's facets lie within
+LEAST_MM = 1e-3  # between the line and a camera's ray
+MOST = 2.0  # where surfaces leave more, nearly all of the line is hidden from the camera
+
+
+@dataclass(frozen=True)
+class FanRays:
+    """FAN rays of a sheet in the head's frame: starts, mm, directions and power, mW."""
+
+    start: mi.Point3f
+    way: mi.Vector3f
+    power: mi.Float
+
+
+@dataclass(frozen=True)
+class LinePlaces:
+    """PARTS of a line, in the world.
+
+    point: mm, just above the surface.  normal: of the surface.  power: what it sends on, mW/sr.
+    seen: how much of that is sent from where the camera sees it.
+    """
+
+    point: mi.Point3f
+    normal: mi.Vector3f
+    power: mi.Float
+    seen: mi.Float
+
+
+class HaloPaths:
+    """Paths from the sheets' lines to the camera, which stand still in the head's frame."""
+
+    def __init__(self, integrator: SheetIntegrator, chart: Chart) -> None:
+        """Lay them out.
+
+        Parameters
+        ----------
+        integrator : SheetIntegrator, its sheets placed in the head's frame
+        chart : Chart, of the camera's view
+        """
+        self._integrator, self._grid = integrator, chart.inner
+        self._fans = [_fan(sheet) for sheet in integrator.sheets]
+        rows, columns = (side // BLOCK for side in chart.inner.shape)
+        row, column = np.indices((rows, columns)).reshape(2, -1) * BLOCK + (BLOCK - 1) / 2
+        ways = chart.between(chart.inner, np.stack([column, row]))
+        self._shape, self._near = (rows, columns), chart.near_mm
+        self._radius = BLOCK / 2 * chart.inner.cell
+        self._way = mi.Vector3f(vectors(ways))
+        self._pivot = mi.Point3f(vectors(chart.inner.pivot[:, np.newaxis]))
+        dr.eval(self._way, self._pivot)
+
+    def left(self, scene: mi.Scene, head: Pose) -> Picture:
+        """Of the light at the chart's fine cells, what surfaces leave over what planes would.
+
+        Parameters
+        ----------
+        scene : mi.Scene, the surfaces
+        head : Pose, where the head stands
+        """
+        frame = HeadFrame(head)
+        eye, way = frame.point(self._pivot), frame.direction(self._way)
+        ray = mi.Ray3f(mi.Point3f(eye + way * self._near), way)
+        end = self._near + scene.ray_intersect_preliminary(ray).t
+        sums = np.zeros((2, *self._shape))
+        for fan in self._fans:
+            line = self._line(scene, frame, fan, eye)
+            dr.eval(end, way, line)
+            sums += [
+                np.array(light).reshape(self._shape)
+                for light in self._lights(scene, eye, way, end, line)
+            ]
+        left, whole = sums
+        ratio = np.divide(left, whole, out=np.ones_like(left), where=whole > 0)
+        size = self._grid.shape[::-1]
+        return np.asarray(cv2.resize(np.minimum(ratio, MOST).astype(np.float32), size))
+
+    def _line(self, scene: mi.Scene, frame: HeadFrame, fan: FanRays, eye: mi.Point3f) -> LinePlaces:
+        """What a sheet lights."""
+        si = scene.ray_intersect(mi.Ray3f(frame.point(fan.start), frame.direction(fan.way)))
+        loss = dr.exp(-self._integrator.extinction * si.t)
+        power = dr.select(si.is_valid(), fan.power * reflectance(si) * loss / pi, 0.0)
+        normal = facing(si)
+        point = mi.Point3f(dr.select(si.is_valid(), si.p + START_MM * normal, eye))
+        out = eye - point
+        far = dr.maximum(dr.norm(out), LEAST_MM)
+        hidden = scene.ray_test(mi.Ray3f(point, out / far, far, 0.0, []), power > 0)
+        seen = dr.select(hidden, 0.0, power)
+        middle = SHARED * dr.arange(mi.UInt32, PARTS) + SHARED // 2
+        is_there = dr.gather(mi.Float, power, middle) > 0
+        return LinePlaces(
+            dr.gather(mi.Point3f, point, middle),
+            dr.gather(mi.Vector3f, normal, middle),
+            *(dr.select(is_there, dr.block_sum(light, SHARED), 0.0) for light in (power, seen)),
+        )
+
+    def _lights(
+        self,
+        scene: mi.Scene,
+        eye: mi.Point3f,
+        way: mi.Vector3f,
+        end: mi.Float,
+        line: LinePlaces,
+    ) -> tuple[mi.Float, mi.Float]:
+        """Light scattered once into the camera's rays, left by surfaces, and by planes."""
+        phase, extinction = self._integrator.phase, self._integrator.extinction
+        lane = dr.arange(mi.UInt32, dr.width(way) * PARTS)
+        cell, source = lane // PARTS, lane % PARTS
+        way, end = dr.gather(mi.Vector3f, way, cell), dr.gather(mi.Float, end, cell)
+        point = dr.gather(mi.Point3f, line.point, source)
+        normal = dr.gather(mi.Vector3f, line.normal, source)
+        power, seen = (dr.gather(mi.Float, light, source) for light in (line.power, line.seen))
+        offset = point - eye
+        foot = dr.dot(offset, way)
+        beside = dr.maximum(dr.norm(offset - way * foot), LEAST_MM)
+        below = phase.line_integral(dr.atan2(beside, foot - self._near))
+        above = phase.line_integral(mi.Float(pi))
+        part = GOLDEN * mi.Float(source) + SILVER * mi.Float(cell)
+        turned = phase.sample_line(below, above, part - dr.floor(part))
+        along = dr.maximum(foot - beside / dr.tan(turned), self._near)
+        leg = eye + way * along - point
+        length = dr.maximum(dr.norm(leg), LEAST_MM)
+        leg /= length
+        share = dr.maximum(dr.dot(leg, normal), 0) * (above - below)
+        share *= dr.exp(-extinction * (along + length)) / dr.hypot(beside, foot * self._radius)
+        free = (power * share > 0) & (along < end)
+        hidden = scene.ray_test(mi.Ray3f(point, leg, length, 0.0, []), free)
+        left = dr.block_sum(dr.select(free & ~hidden, power * share, 0.0), PARTS)
+        whole = dr.block_sum(seen * share, PARTS)
+        dr.eval(left, whole)
+        return left, whole
+
+
+def _fan(sheet: LaserSheet) -> FanRays:
+    """Rays of a sheet at equal angles."""
+    step = 2 * sheet.half_angle / FAN
+    phi = step * (dr.arange(mi.Float, FAN) + 0.5) - sheet.half_angle
+    way = dr.normalize(sheet.direction(phi))
+    fan = FanRays(sheet.apex(mi.Float(0)), way, sheet.power_density(phi) * step)
+    dr.eval(fan.start, fan.way, fan.power)
+    return fan
