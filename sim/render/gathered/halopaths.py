@@ -70,7 +70,9 @@ class HaloPaths:
         integrator : SheetIntegrator, its sheets placed in the head's frame
         chart : Chart, of the camera's view
         """
-        self._integrator, self._grid = integrator, chart.inner
+        # Kept, for the tank tunes its integrator to other wavelengths: pictures know no order.
+        self._phase, self._extinction = integrator.phase, integrator.extinction
+        self._grid = chart.inner
         self._fans = [_fan(sheet) for sheet in integrator.sheets]
         rows, columns = (side // BLOCK for side in chart.inner.shape)
         row, column = np.indices((rows, columns)).reshape(2, -1) * BLOCK + (BLOCK - 1) / 2
@@ -109,7 +111,7 @@ class HaloPaths:
     def _line(self, scene: mi.Scene, frame: HeadFrame, fan: FanRays, eye: mi.Point3f) -> LinePlaces:
         """What a sheet lights."""
         si = scene.ray_intersect(mi.Ray3f(frame.point(fan.start), frame.direction(fan.way)))
-        loss = dr.exp(-self._integrator.extinction * si.t)
+        loss = dr.exp(-self._extinction * si.t)
         power = dr.select(si.is_valid(), fan.power * reflectance(si) * loss / pi, 0.0)
         normal = facing(si)
         point = mi.Point3f(dr.select(si.is_valid(), si.p + START_MM * normal, eye))
@@ -134,7 +136,7 @@ class HaloPaths:
         line: LinePlaces,
     ) -> tuple[mi.Float, mi.Float]:
         """Light scattered once into the camera's rays, left by surfaces, and by planes."""
-        phase, extinction = self._integrator.phase, self._integrator.extinction
+        phase, extinction = self._phase, self._extinction
         lane = dr.arange(mi.UInt32, dr.width(way) * PARTS)
         cell, source = lane // PARTS, lane % PARTS
         way, end = dr.gather(mi.Vector3f, way, cell), dr.gather(mi.Float, end, cell)
