@@ -283,7 +283,7 @@ class GatheredLight:
 
     def _uneven(self, direct: Picture, seen: PixelSurvey, fine: Ints) -> Ints:
         """The pixels near the line and where surfaces end or are bent, but for fine ones."""
-        near = _widened(_bright(direct), ABOUT_LINE) | _widened(seen.bent, STEP)
+        near = _widened(direct > 0, ABOUT_LINE) | _widened(seen.bent, STEP)
         near.ravel()[fine] = False
         return np.flatnonzero(near)
 
@@ -396,16 +396,11 @@ def _inside(cells: Ints, columns: int, count: int) -> Floats:
 
 def _cut_pixels(direct: Picture, bent: Mask) -> tuple[Ints, Ints]:
     """The line's pixels, and those near it where surfaces end, and how many samples each gets."""
-    bright = _bright(direct)
+    bright = (direct > FAINT * direct.max(axis=0)) & (direct > 0)
     rows = -(-LINE_ROWS // np.maximum(bright.sum(axis=0), 1))
     samples = np.where(bright, rows, EDGE_SAMPLES * (bent & _widened(direct > 0, ABOUT_EDGES)))
     pixels = np.flatnonzero(samples)
     return pixels, samples.ravel()[pixels]
-
-
-def _bright(direct: Picture) -> Mask:
-    """The line's pixels, less what is FAINT in its column."""
-    return np.asarray((direct > FAINT * direct.max(axis=0)) & (direct > 0))
 
 
 def _widened(mask: Mask, pixels: int) -> Mask:
