@@ -47,7 +47,7 @@ def verify(
         Path | None, typer.Option("--json-file", help="Write the rows to this file as well.")
     ] = None,
     full: Annotated[
-        bool, typer.Option("--full", help="More random rigs and less noise, in hours.")
+        bool, typer.Option("--full", help="More random rigs and less noise: an hour.")
     ] = False,
     quick: Quick = False,
     json: Json = False,

@@ -16,7 +16,7 @@ import numpy as np
 from lscan.records import Floats, Ints
 from sim.render.ambient.field import TURN
 from sim.render.gathered.bounces import PatchField
-from sim.render.gathered.lines import CREASE_RAD, LEAVES, SEGMENTS, LitLine, facing
+from sim.render.gathered.lines import CLUSTER, CREASE_RAD, LEAVES, SEGMENTS, LitLine, facing
 from sim.render.gathered.received import START_MM, received
 from sim.render.plugins.arrays import floats, indices, vectors
 from sim.render.plugins.sheet import LaserSheet
@@ -26,10 +26,10 @@ from sim.render.plugins.sheet import LaserSheet
 ASIDE, FINEST_MM, REACH_MM = 5, 1.0, 20.0
 COLUMNS, STEP = 2 * ASIDE + 1, asinh(REACH_MM / FINEST_MM) / ASIDE
 GATHERING, DIRECTIONS = 704, 32  # nodes, and directions from each
-# Rows along the line: one for each segment, and others so many mm before the ends of its pieces,
-# for in a corner light grows as fast as the distance shrinks.
-CORNER_MM = (0.25, 0.8, 2.0)
-ROWS = SEGMENTS + 128
+# Rows along the line: one for every other segment, and others so many mm before the ends of its
+# pieces, for in a corner light grows as fast as the distance shrinks.
+EVERY, CORNER_MM = 2, (0.25, 0.8, 2.0)
+ROWS = SEGMENTS // EVERY + 128
 ANGLES = 16384  # of the fan, at which the place between rows is kept
 NEAR_MM = 0.05  # off a node's tangent plane, of places on its surface, beside LEAVES times as far
 LIKE = 1 - 2 * CREASE_RAD**2  # cosine between normals of one surface: twice a crease
@@ -147,11 +147,11 @@ def _row_places(segments: Floats) -> Floats:
     apart = np.linalg.norm(ends[0, 1:] - ends[1, :-1], axis=1) > half[1:, 0]
     turned = np.sum(segments[1:, 4:7] * segments[:-1, 4:7], axis=1) < LIKE
     cut = np.concatenate([[True], apart | turned, [True]])
-    places, order = [middle], [np.arange(SEGMENTS, dtype=float)]
+    places, order = [middle[::EVERY]], [np.arange(0, SEGMENTS, EVERY, dtype=float)]
     for which, (end, sign) in enumerate(zip(ends, (1, -1), strict=True)):
         number = np.flatnonzero(cut[which : which + SEGMENTS])
         for off_mm in CORNER_MM:
-            inner = number[half[number, 0] > off_mm]
+            inner = number[CLUSTER * half[number, 0] > off_mm]
             places.append(end[inner] + sign * off_mm * along[inner])
             order.append(inner - sign * (1 - off_mm / half[inner, 0]) / 2)
     placed = np.concatenate(places)[np.argsort(np.concatenate(order)[:ROWS], kind="stable")]

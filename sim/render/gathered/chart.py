@@ -26,6 +26,7 @@ BESIDE, BEYOND = 0.06, 1.0
 WIDEST_RAD = 1.3  # off the middle
 CELLS = 144  # fine ones, along the wider side
 COARSER = 4
+FLATTEST = 0.1  # cosine of incidence, below which surfaces count as tilted no farther
 SPARSE = 8  # pixels between those whose places on the chart are inverted
 
 
@@ -90,6 +91,21 @@ class Chart:
         """(3, N) directions at (2, N) columns and rows of a grid, in cells, head frame."""
         x, y = grid.corner[:, np.newaxis] + grid.cell * place
         return np.asarray(self.axes @ _directions(x, y)[0])
+
+    def tilt(self, normal: Picture, direction: Picture) -> Picture:
+        """(N, 2) how surfaces are tilted to the picture's right and down against lines of sight.
+
+        The tangents of the angles between a normal and the way back to the camera.
+
+        Parameters
+        ----------
+        normal : (N, 3) unit vectors, head frame; 0 where there is no surface
+        direction : (3, N) unit vectors of the rays, head frame
+        """
+        axes = self.axes[:, :2].astype(np.float32)
+        back = -np.einsum("nk,kn->n", normal, direction)[:, np.newaxis]
+        across = normal @ axes + back * (direction.T @ axes)
+        return np.asarray(across / np.maximum(back, FLATTEST), dtype=np.float32)
 
 
 @dataclass(frozen=True)

@@ -1,9 +1,9 @@
 """How much of the line's halo the tank's surfaces leave, against what planes in their place would.
 
-The Gaussians of ``camera`` take each place of the line for a plane, the mean of what lies about
-it, on which the camera's rays end too; light of parts of the line that the camera does not see is
-left out.  Here the light that the water scatters once between the line and the camera is summed
-with the surfaces as they are, and with such planes: their ratio differs little from 1.
+The Gaussians of ``camera`` take each place of the line for a plane, tilted as the surface is there,
+on which the camera's rays end too; light of parts of the line that the camera does not see is left
+out.  Here the light that the water scatters once between the line and the camera is summed with the
+surfaces as they are, and with such planes: their ratio differs little from 1.
 """
 
 from dataclasses import dataclass
@@ -23,7 +23,7 @@ from sim.render.plugins.sheet import LaserSheet
 from sim.render.sparse.rays import HeadFrame
 from sim.scene import Pose
 
-BLOCK = 8  # fine cells of the chart, each way, that share a ray
+BLOCK = 4
 # Rays of a sheet, and how many of them share a place of the line.
 FAN, SHARED = 1024, 2
 PARTS = FAN // SHARED

@@ -19,8 +19,9 @@ from sim.render.plugins.sheet import LaserSheet
 
 RAYS = 2048
 SCATTERED = 16  # rays that share what the water scatters beside them
-# Segments that follow each other on one surface: from afar they are one place.
-SEGMENTS, CLUSTER = 128, 4
+# Segments that follow each other on one surface: from afar they are one place.  Where it is bent a
+# segment lights neither itself nor, as it should, its neighbours.
+SEGMENTS, CLUSTER = 256, 8
 CLUSTERS = SEGMENTS // CLUSTER
 CREASE_RAD = 0.3  # where the normal turns by more between two rays, or what they meet lies by
 LEAVES = 0.3  # more (sine) out of the tangent plane, the line is cut

@@ -14,7 +14,7 @@ from lscan.records import Floats, Ints, Mask
 from sim.meshes import MeshPart
 from sim.render.ambient.field import reflectance
 from sim.render.fineness import binned
-from sim.render.gathered.camera import CameraLeg, Shining
+from sim.render.gathered.camera import CameraLeg, Shining, summed_in_cells
 from sim.render.gathered.chart import Chart, ChartGrid, Picture, cells_in_picture, make_chart
 from sim.render.gathered.glow import Glow
 from sim.render.gathered.halopaths import HaloPaths
@@ -42,7 +42,7 @@ EDGE_SAMPLES, ABOUT_EDGES = 4, 16
 GOLDEN = (sqrt(5) - 1) / 2  # by which samples lie farther to the right, of a pixel, from row to row
 FAINTEST = 1e-12  # transmittance of the water, below which nothing is seen through it
 APART = 16  # pixels between the rays that say how surfaces are tilted in the mean
-FARTHEST_MM = 1e4  # where a ray ends that meets nothing
+NEAREST_MM, FARTHEST_MM = 1.0, 1e4  # of what a ray meets; where one ends that meets nothing
 LEFT_APART_MM = 5.0  # along the track, between places at which it is known what surfaces leave
 
 
@@ -91,6 +91,22 @@ def reason_for_random(scene: Scene, parts: Sequence[MeshPart], water: Optics) ->
 
 # Tanks of one process often have the same water: reading its tables takes as long as a picture.
 _last_spreads = lru_cache(maxsize=4)(spread_of)
+
+
+@dataclass(frozen=True)
+class SeenCells:
+    """What the rays through the middles of a grid's cells meet.
+
+    Attributes
+    ----------
+    power : (rows, columns) radiance times area as the camera sees it, of each steradian, mW/sr2
+    distance : (rows, columns) mm, from where pixels' rays start, on average
+    normal : (rows, columns, 3) of the surface, towards the camera, head frame; 0 for nothing
+    """
+
+    power: Picture
+    distance: Picture
+    normal: Picture
 
 
 @dataclass(frozen=True)
@@ -178,8 +194,8 @@ class GatheredLight:
         direct = binned(direct, direct.shape[0] // self._inner.shape[0])
         line = self._line_in_view(head)
         lines = [_splatted(grid, self._chart, *line) for grid in self._grids]
-        glow, cells = self._surfaces(head, direct, seen, lines)
-        return self._in_picture(direct, glow, cells, seen, self._left(position_mm))
+        glow, tilt, cells = self._surfaces(head, direct, seen, lines)
+        return self._in_picture(direct, glow, tilt, cells, seen, self._left(position_mm))
 
     def _left(self, position_mm: float) -> list[Picture]:
         """What surfaces leave of the halo and of each sheet's veil, between known places."""
@@ -191,6 +207,7 @@ class GatheredLight:
         self,
         direct: Picture,
         glow: Picture,
+        tilt: Picture,
         cells: list[Shining],
         seen: PixelSurvey,
         left: list[Picture],
@@ -210,18 +227,21 @@ class GatheredLight:
         far, bright, camera, surfaces = (
             np.array(values).reshape(self._inner.shape) for values in columns
         )
-        camera += self._camera.near_peaked(bright, far) * self._camera_weight
+        camera += self._camera.near_peaked(bright, far, tilt) * self._camera_weight
         return {"surfaces": surfaces, "camera": camera, "veil": self._veil.picture(far, veil_left)}
 
     def _surfaces(
-        self, head: Pose, direct: Picture, seen: PixelSurvey, lines: list[Picture]
-    ) -> tuple[Picture, list[Shining]]:
-        """What surfaces send on of the glow, in the picture, and of all light, in the grids."""
+        self, head: Pose, direct: Picture, seen: PixelSurvey, lines: list[Shining]
+    ) -> tuple[Picture, Picture, list[Shining]]:
+        """What surfaces send on of the glow, in the picture, and of all light, in the grids.
+
+        And how they are tilted, (H, W, 2), where the picture shows the line.
+        """
         fine, samples = _cut_pixels(direct, seen.bent)
         coarse, exact = self._inner[::STEP, ::STEP], self._uneven(direct, seen, fine)
         index = np.concatenate([coarse.ravel(), self._inner.ravel()[exact]])
         cells = [
-            self._cell_rays(grid, outside, line)
+            self._cell_rays(grid, outside, line.power)
             for grid, outside, line in zip(self._grids, self._outside, lines, strict=True)
         ]
         lit = self._reflections.lit()
@@ -238,11 +258,16 @@ class GatheredLight:
         picture.ravel()[exact] = near.radiance
         first = np.cumsum(samples) - samples
         picture.ravel()[fine] = np.add.reduceat(within.radiance, first) / samples
-        shining = [self._traced(*each) for each in zip(cells, traced, strict=True)]
-        self._put_view(shining[0], picture, even.normal.reshape(*coarse.shape, 3), seen)
-        for grid, line, each in zip(self._grids, lines, shining, strict=True):
-            each.power[:] = each.power * grid.solid_angle + line
-        return picture, shining
+        tilt = np.zeros((*self._inner.shape, 2), np.float32)
+        tangents = self._chart.tilt(within.normal, finer.astype(np.float32))
+        tilt.reshape(-1, 2)[fine] = np.add.reduceat(tangents, first) / samples[:, np.newaxis]
+        glows = [self._traced(*each) for each in zip(cells, traced, strict=True)]
+        self._put_view(glows[0], picture, even.normal.reshape(*coarse.shape, 3), seen)
+        shining = [
+            line + summed_in_cells(glow.power * grid.solid_angle, glow.distance, glow.normal)
+            for grid, line, glow in zip(self._grids, lines, glows, strict=True)
+        ]
+        return picture, tilt, shining
 
     def _cell_rays(self, grid: ChartGrid, cells: Ints, line: Picture) -> CellRays:
         """Rays of cells of a grid, given the line's light in all of them."""
@@ -251,7 +276,7 @@ class GatheredLight:
         directions = np.hstack([grid.directions[:, cells], finer])
         return CellRays(grid, cells, on_line, directions)
 
-    def _traced(self, rays: CellRays, seen: Seen) -> Shining:
+    def _traced(self, rays: CellRays, seen: Seen) -> SeenCells:
         """What a grid's cells send on in each steradian; none where there were no rays."""
         grid, cells = rays.grid, rays.cells
         even, fine = seen.split(cells.size, seen.distance.size - cells.size)
@@ -263,10 +288,10 @@ class GatheredLight:
         power[rays.on_line] = within.mean(axis=1)
         distance[cells] = even.distance - np.float32(self._chart.near_mm)
         columns = power, distance, normal
-        return Shining(*(column.reshape(*grid.shape, *column.shape[1:]) for column in columns))
+        return SeenCells(*(column.reshape(*grid.shape, *column.shape[1:]) for column in columns))
 
     def _put_view(
-        self, cells: Shining, picture: Picture, normal: Picture, seen: PixelSurvey
+        self, cells: SeenCells, picture: Picture, normal: Picture, seen: PixelSurvey
     ) -> None:
         """Put what the picture shows into the cells that lie in it."""
         view, shape = self._in_view, self._rays.size_px[::-1]
@@ -334,10 +359,11 @@ class GatheredLight:
         columns = np.stack([np.array(part) for part in seen], axis=-1)
         return Seen(np.array(distance), columns, np.array(radiance))
 
-    def _line_in_view(self, head: Pose) -> tuple[Floats, Floats]:
-        """Points of the line, (3, N) mm in the head's frame, and what they show the camera.
+    def _line_in_view(self, head: Pose) -> tuple[Floats, Floats, Floats]:
+        """Points of the line, mm, its surface's normals, and what they show the camera.
 
-        That is radiance times area as the camera sees it, (N,) mW/sr.
+        Points and normals are (3, N) in the head's frame; what is shown is radiance times area as
+        the camera sees it, (N,) mW/sr.
         """
         line = lit_points(self._scene, self._integrator.sheets, self._integrator.extinction)
         pivot = self._chart.inner.pivot
@@ -348,9 +374,10 @@ class GatheredLight:
         ray.maxt = far * (1 - 1e-4)
         facing = dr.maximum(-dr.dot(line.normal, way) / far, 0)
         power = dr.select(self._scene.ray_test(ray), 0.0, line.power * facing)
-        dr.eval(power, line.point)
-        point = np.array(line.point, dtype=float) - head.origin_mm[:, np.newaxis]
-        return head.rotation.T @ point, np.array(power, dtype=float)
+        dr.eval(power, line.point, line.normal)
+        point, normal, power = (np.array(v, dtype=float) for v in (line.point, line.normal, power))
+        point -= head.origin_mm[:, np.newaxis]
+        return head.rotation.T @ point, head.rotation.T @ normal, power
 
 
 def _mean_normal(scene: mi.Scene, rays: HeadRays, places: Sequence[Pose]) -> Floats | None:
@@ -367,19 +394,26 @@ def _mean_normal(scene: mi.Scene, rays: HeadRays, places: Sequence[Pose]) -> Flo
     return total / length if length > 0 else None
 
 
-def _splatted(grid: ChartGrid, chart: Chart, point: Floats, power: Floats) -> Picture:
-    """Powers of points shared out among four cells each, such that their centre stays."""
+def _splatted(
+    grid: ChartGrid, chart: Chart, point: Floats, normal: Floats, power: Floats
+) -> Shining:
+    """What points shine with, shared out among four cells each, such that their centre stays."""
     rows, columns = grid.shape
     column, row = chart.place(grid, point)
     inside = (column >= 0) & (column < columns - 1) & (row >= 0) & (row < rows - 1)
-    column, row, power = column[inside], row[inside], power[inside]
+    column, row = column[inside], row[inside]
     left, top = column.astype(int), row.astype(int)
     right, down = column - left, row - top
     first = top * columns + left
     cells = np.concatenate([first, first + 1, first + columns, first + columns + 1])
     shares = [(1 - right) * (1 - down), right * (1 - down), (1 - right) * down, right * down]
-    picture = np.bincount(cells, np.concatenate(shares) * np.tile(power, 4), rows * columns)
-    return picture.reshape(rows, columns).astype(np.float32)
+    distance = np.linalg.norm(point - grid.pivot[:, np.newaxis], axis=0) - chart.near_mm
+    distance = np.maximum(distance, NEAREST_MM)
+    sums = power * np.vstack([np.ones_like(power), np.log(distance), normal])
+    shared = np.concatenate(shares) * np.tile(sums[:, inside], 4)
+    columns_of = [np.bincount(cells, each, rows * columns).astype(np.float32) for each in shared]
+    shone, depth, *tilt = (column.reshape(rows, columns) for column in columns_of)
+    return Shining(shone, depth, np.stack(tilt, axis=-1))
 
 
 def _on_line(line: Picture) -> Ints:

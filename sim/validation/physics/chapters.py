@@ -45,7 +45,7 @@ class VerifyEffort:
 
 
 NORMAL = VerifyEffort()
-# Twelve random rigs, and so many walks that the judge's standard error is about 0.5 %: hours.
+# Twelve random rigs, and so many walks that the judge's standard error is about 0.5 %: an hour.
 FULL = replace(NORMAL, light=LightEffort(rigs=3, judge=JudgeEffort(batches=32)))
 QUICK = VerifyEffort(
     rigs=2,

@@ -37,7 +37,7 @@ def run_verify(
     progress : callable, optional
         Called with (done, all) after each chapter.
     full : bool
-        With all the effort there is, which takes hours.
+        With all the effort there is, which takes an hour.
 
     Raises
     ------

@@ -111,7 +111,7 @@ def test_a_missing_leg_of_the_camera_is_noticed(
     halo, near = CameraLeg.halo, CameraLeg.near_gain
     monkeypatch.setattr(CameraLeg, "halo", lambda *given: 0 * halo(*given))
     monkeypatch.setattr(CameraLeg, "near_gain", lambda *given: 0 * near(*given))
-    monkeypatch.setattr(CameraLeg, "near_peaked", lambda _, radiance, distance: 0 * radiance)
+    monkeypatch.setattr(CameraLeg, "near_peaked", lambda _, radiance, *others: 0 * radiance)
     assert not is_judges(tank)
 
 
