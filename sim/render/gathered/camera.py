@@ -4,7 +4,7 @@ What surfaces shine with is summed in the cells of a chart around the view, then
 kernel's Gaussians, each on a grid about as coarse as it is wide.  Gaussians narrower than a cell
 act on the picture's own pixels: of direct light as they are, of smoother light as if they had no
 width at all.  Grids are halved and doubled by the same weights, those of a quadratic spline, of
-which a Gaussian's width is relieved: cubics that swing would shift light by half a pixel.
+which a Gaussian's width is relieved: OpenCV's cubics shift light by up to .05 of a cell.
 """
 
 from collections.abc import Iterator
@@ -33,7 +33,7 @@ HALVED = np.array([1, 3, 3, 1]) / 4
 # far from others, in standard deviations of the widest of the narrow Gaussians.
 PEAKED, REACH = 0.02, 3.0
 # Cosine of incidence of narrow Gaussians.  It hardly matters to the first harmonic over the tangent
-# of incidence either: -.017 to -.018 of the even light a pixel away, from .2 to .9.
+# of incidence either: -.017 to -.018 of the even light a pixel away, from .2 to .7.
 FACING = 0.6
 FINER = 8  # nodes of the kernel's tables, to each of its own
 
