@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from scipy.interpolate import LinearNDInterpolator
 
 from lscan.records import Floats, Mask
+from sim.render.gathered.kernel import COSINE_AXIS
 from sim.render.sparse.rays import HeadRays
 from sim.scene import Head, camera_pose
 
@@ -26,7 +27,6 @@ BESIDE, BEYOND = 0.06, 1.0
 WIDEST_RAD = 1.3  # off the middle
 CELLS = 144  # fine ones, along the wider side
 COARSER = 4
-FLATTEST = 0.1  # cosine of incidence, below which surfaces count as tilted no farther
 SPARSE = 8  # pixels between those whose places on the chart are inverted
 
 
@@ -105,7 +105,7 @@ class Chart:
         axes = self.axes[:, :2].astype(np.float32)
         back = -np.einsum("nk,kn->n", normal, direction)[:, np.newaxis]
         across = normal @ axes + back * (direction.T @ axes)
-        return np.asarray(across / np.maximum(back, FLATTEST), dtype=np.float32)
+        return np.asarray(across / np.maximum(back, COSINE_AXIS.low), dtype=np.float32)
 
 
 @dataclass(frozen=True)

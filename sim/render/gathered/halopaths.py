@@ -23,7 +23,7 @@ from sim.render.plugins.sheet import LaserSheet
 from sim.render.sparse.rays import HeadFrame
 from sim.scene import Pose
 
-BLOCK = 4
+BLOCK = 4  # fine cells of the chart, each way, that share a ray
 # Rays of a sheet, and how many of them share a place of the line.
 FAN, SHARED = 1024, 2
 PARTS = FAN // SHARED
