@@ -125,8 +125,8 @@ def surveys(pictures: Sequence[Picture]) -> list[Survey | Stripe]:
 class _Found:
     """What is known of the K columns with a line before any line is fitted.
 
-    As in :class:`Survey`; width_px: (K,) the rough width.  sample: indices of the columns that are
-    fitted.
+    As in :class:`Survey`; width_px: (K,) the rough width.  known_from: second differences that
+    the noise is known from, 0 where it is stated.  sample: indices of the columns that are fitted.
     """
 
     settings: StripeSection
@@ -134,6 +134,7 @@ class _Found:
     peaks: Peaks
     width_px: Floats
     noise: Noise
+    known_from: int
     view: LineWindows
     start: Floats
     sample: Ints
@@ -156,11 +157,13 @@ def _found(image: GreyValues, settings: StripeSection, clipped: Mask) -> _Found 
     stripe, peaks, rough = _within(stripe, peaks, rough, columns.shape[1], settings)
     if len(peaks.columns) == 0:
         return stripe
+    known_from = 0
     if settings.noise is None:
-        noise = Noise(_constant_aside(columns, peaks, rough), 0.0)
+        aside = _aside(columns, peaks, rough)
+        noise, known_from = Noise(constant_variance(aside), 0.0), aside[:, 2:].size
     view = _view(columns, lost, peaks, rough)
     start, sample = _start(view, rough), _pairs(len(rough))
-    return _Found(settings, stripe, peaks, rough, noise, view, start, sample)
+    return _Found(settings, stripe, peaks, rough, noise, known_from, view, start, sample)
 
 
 def _surveyed(found: Sequence[_Found]) -> list[Survey]:
@@ -179,7 +182,11 @@ def _surveyed(found: Sequence[_Found]) -> list[Survey]:
     fits, scatters = _fitted(searches, places)
     for _ in range(_NOISE_TURNS if found and not found[0].states_noise else 0):
         searches = [
-            replace(search, start=fit.parameters, noise=scatter.noise(one.noise.constant))
+            replace(
+                search,
+                start=fit.parameters,
+                noise=scatter.noise(one.noise.constant, one.known_from),
+            )
             for one, search, fit, scatter in zip(found, searches, fits, scatters, strict=True)
         ]
         fits, scatters = _fitted(searches, places)
@@ -213,20 +220,22 @@ def _first_noise(columns: GreyValues, peaks: Peaks, settings: StripeSection) -> 
     return Noise(constant_variance(columns), 0.0)
 
 
-def _constant_aside(columns: GreyValues, peaks: Peaks, width_px: Floats) -> float:
-    """Variance in DN² of the pixels more than six widths away from the line.
+def _aside(columns: GreyValues, peaks: Peaks, width_px: Floats) -> GreyValues:
+    """Pixels more than six widths away from the line, one sampled column a row.
 
-    Those below it first, then, one odd pair in hundreds, those from the top on.
+    Those below it first, then, one odd pair in hundreds, those from the top on.  All pixels of
+    columns that have none.
     """
     sample = _sample(len(peaks.rows))
     sample = sample[sampled(len(sample))]
     height = columns.shape[1]
     reach = int(np.ceil(6 * np.median(width_px))) + 2
     if height - 2 * reach < 3:
-        return constant_variance(columns)
+        return columns[sampled(len(columns))]
     seen = columns[peaks.columns[sample]]
     around = all_windows(np.concatenate([seen, seen], axis=1), height - 2 * reach)
-    return constant_variance(around[np.arange(len(sample)), (peaks.rows[sample] + reach) % height])
+    aside: GreyValues = around[np.arange(len(sample)), (peaks.rows[sample] + reach) % height]
+    return aside
 
 
 def _sample(count: int) -> Ints:

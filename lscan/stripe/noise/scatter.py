@@ -7,6 +7,7 @@ opposite signs on either side of the peak, moves the centre.
 """
 
 from dataclasses import dataclass
+from math import sqrt
 
 import numpy as np
 
@@ -18,6 +19,10 @@ _FEWEST = 8  # pairs of columns, some hundred pixels
 _SIDEWAYS_PX = 3  # farther apart along the column, two peaks are of two lines
 _FAINT = 0.005  # of the line's height: what Gaussians have beyond 3.3 standard deviations
 _BEYOND_CHANCE = 4.0  # standard deviations of a variance
+# Relative variance of robust_variance, times the values: 1.83 within 3 sigma, divided by
+# (1 - 0.11)^2, for the cut follows what is found.  A column may be in two pairs, whose squares
+# correlate by 1/4; those of second differences do by 4/9 and 1/36.
+_OF_PAIRS, _OF_SECOND_DIFFERENCES = 2.32 * (1 + 2 / 4), 2.32 * (1 + 8 / 9 + 2 / 36)
 _CORE = 5.0  # standard deviations within which pixels are used
 
 
@@ -39,7 +44,7 @@ class Scatter:
     common: Floats
     faint: Mask
 
-    def noise(self, constant: float) -> Noise:
+    def noise(self, constant: float, pixels: int) -> Noise:
         """The noise, where that of the pixels far from the line is known.
 
         Beside the line it may be more, by more than chance: compressed pictures are noisy only
@@ -48,11 +53,12 @@ class Scatter:
         Parameters
         ----------
         constant : float, DN², variance of the pixels far from the line
+        pixels : int, second differences that it is known from
         """
         faint = np.sqrt(self.different[self.faint])
         beside = robust_variance(faint)
-        chance = constant * (1 + _BEYOND_CHANCE * np.sqrt(2 / max(len(faint), 1)))
-        beside = beside if beside > chance else constant
+        chance = 1 + _BEYOND_CHANCE * chance_of_variances(len(faint), pixels)
+        beside = beside if beside > constant * chance else constant
         return scatter_noise(self.different, self.light, beside)
 
     def misfit(self, noise: Noise) -> float:
@@ -70,6 +76,17 @@ class Scatter:
         total = float((weight * self.light**2).sum())
         square = float((weight * self.common).sum()) / total if total > 0 else 0.0
         return min(max(square, 0.0) ** 0.5, 1.0)
+
+
+def chance_of_variances(pairs: int, pixels: int) -> float:
+    """Relative standard deviation of a variance of pairs of columns over one of pixels afar.
+
+    Parameters
+    ----------
+    pairs : int, pixels of the pairs
+    pixels : int, second differences down columns
+    """
+    return sqrt(_OF_PAIRS / max(pairs, 1) + _OF_SECOND_DIFFERENCES / max(pixels, 1))
 
 
 def scatter_of(fit: LineFit, columns: Ints, rows: Ints) -> Scatter:

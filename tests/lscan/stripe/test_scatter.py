@@ -8,8 +8,8 @@ from stripe_pictures import HEIGHT, centres_of, light_of, noisy, nothing_clipped
 from lscan.config.rig import StripeSection
 from lscan.stripe import find_extractor
 from lscan.stripe.extractors.survey import survey
-from lscan.stripe.noise.model import Noise
-from lscan.stripe.noise.scatter import Scatter
+from lscan.stripe.noise.model import Noise, constant_variance, robust_variance
+from lscan.stripe.noise.scatter import Scatter, chance_of_variances
 
 
 def lopsided(rng, width, height, share, columns=640):
@@ -31,6 +31,23 @@ def test_a_lopsided_line_is_not_taken_for_noise(seed, share):
     # At the crest, with 256 pairs at most, the noise is known to sqrt(2 / 128) = 12 % of its
     # variance, and its part that grows with light to thrice that: the shape is not in it.
     assert found.variance(np.array([100.0]))[0] <= (2.0**2 + 1 / 12) * 1.5
+
+
+def test_pairs_of_columns_scatter_by_chance_as_stated():
+    rng = np.random.default_rng(6)
+    ratios, faint = [], np.full(128 * 9, True)
+    for _ in range(600):
+        residual, far = rng.normal(0, 2.0, (129, 9)), rng.normal(0, 2.0, (64, 92))
+        ratios.append(robust_variance(np.diff(residual, axis=0)) / 2 / constant_variance(far))
+    chance = chance_of_variances(faint.size, 64 * 90)
+    # A standard deviation of 600 draws is known to sqrt(1 / 1200) = 2.9 %, four of them.
+    assert np.std(ratios) == pytest.approx(chance, rel=0.115)
+    # Just within four of them the noise beside the line is that afar, just beyond it is not.
+    for deviations, taken in ((3.9, False), (4.1, True)):
+        different = rng.normal(0, 1, faint.size) ** 2
+        different *= 4 * (1 + deviations * chance) / robust_variance(np.sqrt(different))
+        noise = Scatter(np.zeros(faint.size), different, different, faint).noise(4.0, 64 * 90)
+        assert (noise.constant > 4.0) == taken
 
 
 def test_misfit_grows_as_the_line_grows_lopsided():
