@@ -33,21 +33,27 @@ def test_a_lopsided_line_is_not_taken_for_noise(seed, share):
     assert found.variance(np.array([100.0]))[0] <= (2.0**2 + 1 / 12) * 1.5
 
 
-def test_pairs_of_columns_scatter_by_chance_as_stated():
+@pytest.mark.parametrize(("pairs", "columns_afar"), [(40, 120), (500, 10)])
+def test_variances_of_pairs_and_of_pixels_afar_differ_by_chance_as_stated(pairs, columns_afar):
+    # The first case is of the pairs' chance, the second of that of the pixels afar.
     rng = np.random.default_rng(6)
-    ratios, faint = [], np.full(128 * 9, True)
+    ratios = []
     for _ in range(600):
-        residual, far = rng.normal(0, 2.0, (129, 9)), rng.normal(0, 2.0, (64, 92))
-        ratios.append(robust_variance(np.diff(residual, axis=0)) / 2 / constant_variance(far))
-    chance = chance_of_variances(faint.size, 64 * 90)
+        beside, afar = rng.normal(0, 2.0, (pairs + 1, 9)), rng.normal(0, 2.0, (columns_afar, 42))
+        between = robust_variance(np.diff(beside, axis=0)) / 2
+        ratios.append(between / constant_variance(afar))
     # A standard deviation of 600 draws is known to sqrt(1 / 1200) = 2.9 %, four of them.
+    chance = chance_of_variances(9 * pairs, 40 * columns_afar)
     assert np.std(ratios) == pytest.approx(chance, rel=0.115)
-    # Just within four of them the noise beside the line is that afar, just beyond it is not.
-    for deviations, taken in ((3.9, False), (4.1, True)):
-        different = rng.normal(0, 1, faint.size) ** 2
-        different *= 4 * (1 + deviations * chance) / robust_variance(np.sqrt(different))
-        noise = Scatter(np.zeros(faint.size), different, different, faint).noise(4.0, 64 * 90)
-        assert (noise.constant > 4.0) == taken
+
+
+@pytest.mark.parametrize(("deviations", "taken"), [(3.9, False), (4.1, True)])
+def test_noise_beside_a_line_counts_from_four_standard_deviations_on(deviations, taken):
+    different = np.random.default_rng(7).normal(0, 1, 400) ** 2
+    more = 1 + deviations * chance_of_variances(400, 5000)
+    different *= 4.0 * more / robust_variance(np.sqrt(different))
+    scatter = Scatter(np.zeros(400), different, different, np.full(400, True))
+    assert (scatter.noise(4.0, 5000).constant > 4.0) == taken
 
 
 def test_misfit_grows_as_the_line_grows_lopsided():
