@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from hypothesis import Phase, assume, given, settings, strategies as st
 from planeviews import View, affine, board_points, paper_board, read_board, with_noise
+from scipy.spatial import Delaunay
 
 from lscan import camera as optics
 from lscan.calibration import physical
@@ -64,10 +65,15 @@ def rigs(draw: st.DrawFn) -> View:
 
 def errors(solved: Refractive, view: View, count: int = 300) -> tuple[Floats, Floats]:
     """(N, 2) errors and (N, 2) stated uncertainties at points of the board, mm."""
-    points = board_points(count, seed=1)
-    answer = solved.to_plane(view.project(points))
+    points, marks = board_points(count, seed=1), read_board(BOARD, view.project).grid
+    image = view.project(points)
+    answer = solved.to_plane(image)
     valued = answer.status == Status.OK
-    assert valued.mean() > 0.7
+    # Between the marks that the picture shows there is no hole.  Rows of them may lie just outside
+    # of it: 1500 rigs showed 0.6 of the board and more.
+    between = Delaunay(marks.image_px[marks.found]).find_simplex(image) >= 0
+    assert valued[between].all()
+    assert between.mean() > 0.5
     return (answer.xz_mm - points)[valued], answer.sigma_mm[valued]
 
 
