@@ -31,14 +31,17 @@ def _lattice(scatter_px, sigma_px, seed, shape=(10, 10)):
 
 
 @settings(max_examples=25)
-@given(ratio=st.floats(2.5, 20.0), missing=st.integers(0, 10), seed=st.integers(0, 999))
+@given(ratio=st.floats(2.5, 20.0), missing=st.integers(0, 10), seed=st.integers(0, 2**32 - 1))
 def test_the_ratio_is_that_of_scatter_to_sigma(ratio, missing, seed):
-    """200 differences of 100 dots in two coordinates, of which some 66 are independent: the median
-    of their sizes scatters by 1.17 / sqrt(2 x 66), 10 %; four of that."""
-    nodes = _lattice(0.01 * ratio, 0.01, seed)
-    rng = np.random.default_rng(seed)
-    nodes.values.reshape(-1, 4)[rng.permutation(100)[:missing]] = np.nan
-    assert lattice_scatter(nodes) == pytest.approx(ratio, rel=0.4)
+    """Differences share dots: over 1000 lattices of 100 dots their median scatters by 12 % of
+    itself, by 15 % where 10 are missing, and is 1 % too large.  Four of that for the mean of 16."""
+    found = []
+    for one in np.random.default_rng(seed).integers(0, 2**32, (16, 2)):
+        nodes = _lattice(0.01 * ratio, 0.01, one[0])
+        lost = np.random.default_rng(one[1]).permutation(100)[:missing]
+        nodes.values.reshape(-1, 4)[lost] = np.nan
+        found.append(lattice_scatter(nodes))
+    assert np.mean(found) == pytest.approx(ratio, rel=0.01 + 4 * 0.154 / 4)
 
 
 @settings(max_examples=25)
