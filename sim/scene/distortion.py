@@ -23,7 +23,9 @@ Complexes = NDArray[np.complex128]
 
 ALONG_BORDER = 17  # places on each side of the picture, its corners among them
 STEPS = 16  # of the way from the axis to each place
-NEWTON = 8  # iterations a step: close to a fold each halves the error, which 0.4 % of is left
+# Iterations a step: each halves the error close to a fold, and leaves two thirds of it where the
+# distortion hardly grows: 3e-6 in the end.
+NEWTON = 32
 BETWEEN = np.arange(1, 5).reshape(-1, 1) / 4  # where the way is looked at within a step
 FOUND_PX = 1e-3
 

@@ -88,6 +88,16 @@ def test_a_lens_of_no_distortion_is_fine_however_wide() -> None:
     assert not folded(20.0, (-4000.0, 9000.0))
 
 
+@pytest.mark.parametrize("focal_px", [100.0, 110.0, 125.0])
+def test_a_lens_that_hardly_grows_but_nowhere_folds_is_fine(focal_px: float) -> None:
+    """Its determinant is 0.05 at least, where Newton's method takes long: soak's example."""
+    terms, centre = {"k1": -0.390625, "k2": 0.0859375, "p2": -0.015625}, (220.0, 140.0)
+    across, down = np.meshgrid(np.linspace(-2.0, 3.0, 301), np.linspace(-2.0, 3.0, 301))
+    camera = CameraModel(focal_px=focal_px, centre_px=centre, **terms)
+    assert determinant(camera, np.column_stack([across.ravel(), down.ravel()])).min() > 0.05
+    assert not folded(focal_px, centre, **terms)
+
+
 @settings(max_examples=20)
 @given(
     k1=st.floats(-0.4, 0.3),
