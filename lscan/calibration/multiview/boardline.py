@@ -47,10 +47,9 @@ def _board_region(marks: Marks, outline_mm: Outline) -> Region | None:
     distortion, it may miss of the edge as well.
     """
     board_mm, seen = marks.board_mm[marks.found], marks.image_px[marks.found]
-    found = cv2.findHomography(board_mm, seen)[0] if len(seen) >= 4 else None
-    if found is None:
+    homography = cv2.findHomography(board_mm, seen)[0] if len(seen) >= 4 else None
+    if homography is None:
         return None
-    homography = np.asarray(found, dtype=np.float64)
     left, right, bottom, top = outline_mm
     corners = np.array([[left, bottom], [right, bottom], [right, top], [left, top]])
     if (np.column_stack([corners, np.ones(4)]) @ homography[2] <= 0).any():
@@ -59,7 +58,6 @@ def _board_region(marks: Marks, outline_mm: Outline) -> Region | None:
     return region_around(_mapped(homography, corners), -(EDGE_PX + float(missed)))
 
 
-def _mapped(homography: Floats, points: Floats) -> Floats:
+def _mapped(homography: cv2.typing.MatLike, points: Floats) -> Floats:
     """(N, 2) points under a homography."""
-    mapped = cv2.perspectiveTransform(points[:, np.newaxis], homography)[:, 0]
-    return np.asarray(mapped, dtype=float)
+    return np.asarray(cv2.perspectiveTransform(points[:, None], homography)[:, 0], dtype=float)
