@@ -13,8 +13,8 @@ from lscan.errors import InputError, MeasurementError
 from lscan.measure import compare_slice
 from lscan.records import Floats, Status, Surface
 from lscan.surface import Alignment, align_sandwave, apply, level, levelling_step, resample, shear
-from lscan.surface.align.edges import EdgeCrossings, EdgeFit, fit_edges
-from lscan.surface.align.fit import _Edges
+from lscan.surface.align.edges import SOFTNESS, EdgeCrossings, EdgeFit, fit_edges
+from lscan.surface.align.fit import CORNER_MARGIN_MM, _Edges
 from lscan.surface.align.levelling import plane_normal
 
 PIECE = Sandwave()
@@ -163,12 +163,14 @@ STEEPEST = (
 def _left_open_deg(placing: Placing) -> float:
     """Yaw that the columns leave open, degrees.
 
-    A side of length L that stays within one column, of width g, has any slope below g / L; each
-    further column that it crosses ties it down at one more place.
+    A side of length L that stays within one column, of width g, has any slope up to g / L either
+    way.  One that passes into the next at a place has any from 0 to g over its longer part, which
+    is 2 g / L at most: half of that is left open.  Two such places say the slope.  The likelihood
+    lets the line pass a sample by SOFTNESS of g at either end, and corners are left out.
     """
-    length = PIECE.side_mm + PIECE.rim_mm
+    length = PIECE.side_mm + PIECE.rim_mm - 2 * CORNER_MARGIN_MM
     crossed = length * np.tan(np.radians(abs(placing.turn_deg + placing.yaw_deg))) / COLUMN_MM
-    return float(np.degrees(COLUMN_MM / length / (1 + crossed)))
+    return float(np.degrees(COLUMN_MM * (1 + 2 * SOFTNESS) / length)) if crossed < 2 else 0.0
 
 
 @given(placings)
