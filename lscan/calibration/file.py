@@ -23,15 +23,7 @@ from pydantic import (
 
 from lscan.calibration.api import find_solver
 from lscan.calibration.solve import Calibration, residuals
-from lscan.calibration.stored import (
-    STRICT,
-    Gaps,
-    Matrix,
-    NotNegativeOrNaN,
-    Number,
-    Place,
-    Sigmas,
-)
+from lscan.calibration.stored import STRICT, Gaps, Matrix, NotNegativeOrNaN, Number, Place, Sigmas
 from lscan.config.documents import Strict, check, read_json
 from lscan.config.rig import OpticsSection
 from lscan.errors import InputError

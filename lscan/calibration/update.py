@@ -8,12 +8,7 @@ import numpy as np
 
 from lscan.calibration.api import NOTHING_KNOWN, PlaneMap
 from lscan.calibration.carry import in_water_of, with_chosen
-from lscan.calibration.check import (
-    CalibrationCheck,
-    ComparedMarks,
-    compare,
-    require_comparable,
-)
+from lscan.calibration.check import CalibrationCheck, ComparedMarks, compare, require_comparable
 from lscan.calibration.loading import AnyCalibration
 from lscan.calibration.multiview.planemap import Metric
 from lscan.calibration.outliers import ScreenedReading

@@ -2,9 +2,15 @@
 
 NetCDF-4 is HDF5, whose files may refer to others, declare more numbers than there is memory for,
 and hold objects; of what a surface is made of, none does.
+
+References
+----------
+The HDF Group, HDF5 File Format Specification, version 3.0, section III.E: the global heap.
 """
 
 import io
+import re
+import struct
 from collections.abc import Mapping
 from math import prod
 from pathlib import Path
@@ -25,6 +31,7 @@ MOST_MODE_NUMBERS = 8 * MOST_POINTS
 """Of the displacements by the modes, three numbers a point and mode in single precision."""
 PROVENANCE = ("rig", "pictures", "extractor", "plane_map", "calibration_sha256")
 """Attributes that are the fields of records.Provenance."""
+_OBJECT = struct.Struct("<H6xQ")  # in a global heap: its number, its size in bytes
 ATTRIBUTES = ("frame", "corrections", "yaw_deg", "yaw_sigma_deg", *PROVENANCE)
 
 
@@ -48,9 +55,11 @@ def read_arrays(
     InputError
         Where the file cannot be read, an array is missing, or is not such an array.
     """
-    content = io.BytesIO(read_bytes(path, MOST_BYTES))
+    content = read_bytes(path, MOST_BYTES)
+    if not _heaps_end(content):
+        raise InputError("cannot be read as NetCDF", where=path, value="damaged texts")
     try:
-        with h5py.File(content, "r") as file:
+        with h5py.File(io.BytesIO(content), "r") as file:
             present = set(file)  # asking the file for a name follows its link
             missing = [name for name in needed if name not in present]
             if missing:
@@ -66,6 +75,28 @@ def read_arrays(
     except Exception as error:  # h5py raises whatever fits best to what HDF5 says of damage
         message = " ".join(str(error).split())
         raise InputError("cannot be read as NetCDF", where=path, value=message) from error
+
+
+def _heaps_end(content: bytes) -> bool:
+    """Whether each global heap, in which HDF5 keeps texts, leads from object to object to its end.
+
+    HDF5 itself goes on for ever where a damaged size leads nowhere or back.
+    """
+    last = 0
+    for found in re.finditer(rb"GCOL\x01(?=...(.{8}))", content, re.DOTALL):
+        place, end = found.start() + 16, found.start() + int.from_bytes(found[1], "little")
+        if end > len(content):
+            continue  # HDF5 refuses it, if it is a heap at all and not numbers that look like one
+        if found.start() < last:
+            return False  # a heap within a heap
+        while place + 16 <= end:
+            number, size = _OBJECT.unpack_from(content, place)
+            step = 16 + -(-size // 8) * 8 if number else size  # 0: the space that is left
+            if not 16 <= step <= end - place:
+                return False
+            place += step
+        last = end
+    return True
 
 
 def _array(file: h5py.File, name: str, path: Path) -> Floats:

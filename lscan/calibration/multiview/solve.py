@@ -8,12 +8,7 @@ import numpy as np
 
 from lscan.calibration.multiview.planemap import Metric, SheetView, metric_map
 from lscan.calibration.multiview.sheet import LaserPlane, NoLaserPlane, find_plane
-from lscan.calibration.multiview.usedviews import (
-    UnsolvedViews,
-    UsedViews,
-    fit_views,
-    fitted_views,
-)
+from lscan.calibration.multiview.usedviews import UnsolvedViews, UsedViews, fit_views, fitted_views
 from lscan.calibration.multiview.views import CalibrationView, FittedView, LinePoints
 from lscan.calibration.region import region_around
 from lscan.camera.parameters import COUNT, priors_of

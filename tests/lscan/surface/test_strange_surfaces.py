@@ -192,6 +192,56 @@ def test_a_fifo_is_not_waited_for(tmp_path: Path) -> None:
         load_surface(tmp_path / "surface.nc")
 
 
+def text_places(content: bytes) -> list[int]:
+    """Where the file keeps the sizes of its first texts: a heap's header and each object's."""
+    begin = content.index(b"GCOL")
+    places = [begin + 16]
+    for _ in range(3):
+        size = int.from_bytes(content[places[-1] + 8 : places[-1] + 16], "little")
+        places.append(places[-1] + 16 + -(-size // 8) * 8)
+    return places
+
+
+@pytest.mark.parametrize("number", [0, 1, 2, 3])
+@pytest.mark.parametrize("size", [0, 8, 2**32, 2**63, 2**64 - 16, 2**64 - 1])
+def test_a_text_whose_size_leads_nowhere_is_refused(
+    saved: Path, tmp_path: Path, number: int, size: int
+) -> None:
+    """HDF5 goes from each text of a heap to the next by its size: some lead it back to itself.
+
+    Free space (number 0) of less than its own header, and a size that, with its header, is 0 in
+    64 bits, did so.
+    """
+    content = bytearray(saved.read_bytes())
+    place = text_places(bytes(content))[number]
+    content[place + 8 : place + 16] = size.to_bytes(8, "little")
+    if size <= 8:
+        content[place : place + 2] = bytes(2)
+    path = tmp_path / "surface.nc"
+    path.write_bytes(content)
+    with pytest.raises(InputError, match=r"surface\.nc: cannot be read as NetCDF"):
+        load_surface(path)
+
+
+def test_a_heap_within_a_heap_is_refused(saved: Path, tmp_path: Path) -> None:
+    content = bytearray(saved.read_bytes())
+    place = text_places(bytes(content))[1] + 16
+    content[place : place + 16] = b"GCOL\x01\0\0\0" + (16).to_bytes(8, "little")
+    path = tmp_path / "surface.nc"
+    path.write_bytes(content)
+    with pytest.raises(InputError, match="damaged texts"):
+        load_surface(path)
+
+
+def test_numbers_that_look_like_a_heap_are_read(saved: Path, tmp_path: Path) -> None:
+    z = load_surface(saved).xyz_mm.copy()
+    z[0, 0, 2] = np.frombuffer(b"GCOL\x01\0\0\0")[0]
+    z[0, 1, 2] = np.frombuffer((2**20).to_bytes(8, "little"))[0]
+    path = tmp_path / "surface.nc"
+    save_surface(path, replace(load_surface(saved), xyz_mm=z))
+    assert np.array_equal(load_surface(path).xyz_mm, z)
+
+
 @settings(max_examples=150)
 @given(data=st.data())
 def test_a_mutated_surface_is_read_or_refused(

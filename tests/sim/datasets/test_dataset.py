@@ -21,7 +21,7 @@ from lscan.config.documents import merge
 from lscan.config.toml import write_toml
 from lscan.errors import InputError
 from lscan.files.datasets import PictureDataset
-from lscan.files.runlengths import mask_of
+from lscan.files.runlengths import run_lengths
 from lscan.records import Status
 from sim.cli.app import app
 from sim.datasets.dataset import make_dataset
@@ -131,8 +131,7 @@ def test_a_picture_has_the_truth_of_its_own_scene(alone: Path) -> None:
             assert np.array_equal(np.isfinite(found.truth[name][0]), okay)
         assert found.picture.shape == (48, 64, 3)
         for label in Label:
-            rle = found.scene["rle"][label.name]
-            assert np.array_equal(mask_of(rle), found.labels == label)
+            assert found.scene["rle"][label.name] == run_lengths(found.labels == label)
     own = {found.scene["tank"]["floor"]["z_mm"] for found in map(dataset.__getitem__, range(5))}
     assert len(own) == 3  # a tank of two, of two, and of one picture
 
