@@ -31,8 +31,8 @@ MOST_MODE_NUMBERS = 8 * MOST_POINTS
 """Of the displacements by the modes, three numbers a point and mode in single precision."""
 PROVENANCE = ("rig", "pictures", "extractor", "plane_map", "calibration_sha256")
 """Attributes that are the fields of records.Provenance."""
-_OBJECT = struct.Struct("<H6xQ")  # in a global heap: its number, its size in bytes
 ATTRIBUTES = ("frame", "corrections", "yaw_deg", "yaw_sigma_deg", *PROVENANCE)
+_OBJECT = struct.Struct("<H6xQ")  # in a global heap: its number, its size in bytes
 
 
 def read_arrays(
