@@ -21,9 +21,15 @@ def _log_z(sums: CaseSums) -> float:
     return sums.log_z / sums.core if sums.core else np.nan
 
 
+def _log_score(sums: CaseSums) -> float:
+    """Of stated sigmas, in rms errors: an accuracy that changes alone is the rms error's to say."""
+    return float(np.log(sums.score / sums.core)) - _log_rms(sums) if sums.score else np.nan
+
+
 FIGURES: Mapping[str, Callable[[CaseSums], float]] = {
     "rms error": _log_rms,
     "error in stated sigmas": _log_z,
+    "score of stated sigmas": _log_score,
     "missed columns": lambda sums: sums.missed,
     "columns without a line": lambda sums: sums.ghosts,
     "wrong columns": lambda sums: sums.outlying,
@@ -31,10 +37,10 @@ FIGURES: Mapping[str, Callable[[CaseSums], float]] = {
 }
 """Of a case; more is worse, but of sigmas, of which both too large and too small ones are.
 
-The first two are logarithms, whose differences are ratios.
+The first three are logarithms, whose differences are ratios.
 """
 _SIGMA = "error in stated sigmas"
-_RATIOS = ("rms error", _SIGMA)
+_RATIOS = ("rms error", _SIGMA, "score of stated sigmas")
 LOG_Z = -(np.euler_gamma + np.log(2)) / 2  # the mean of ln |z| where z is standard normal
 
 

@@ -10,7 +10,7 @@ from typing import Any, cast
 
 import numpy as np
 
-from lscan.benchmark.judging import SURE, CaseSums, JudgedExtractor, reference_seconds
+from lscan.benchmark.judging import SURE, CaseSums, JudgedExtractor, normal_score, reference_seconds
 from lscan.board import read_board
 from lscan.calibration.api import PlaneMap, find_solver
 from lscan.config.board import Board
@@ -200,5 +200,6 @@ def coordinate_sums(
         "dark": each * (~shown).sum(),
         "ghosts": each * (~shown & valued).sum(),
         "seconds": seconds,
+        "score": float((spread * normal_score(z))[core].sum()),
     }
     return CaseSums(**counts)

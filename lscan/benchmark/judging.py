@@ -10,6 +10,7 @@ from dataclasses import astuple, dataclass, fields, replace
 from heapq import nlargest
 
 import numpy as np
+from scipy.special import erf
 
 from lscan.errors import InputError
 from lscan.records import Floats, Ints, Mask, Status, has_value
@@ -35,7 +36,8 @@ class CaseSums:
     say they are not.  core: clear ones with a value that is not outlying; of these error and
     square, px and px², bound: square of the least standard deviation that pixel noise allows, px²,
     and log_z: of ln |error / sigma|.  dark: without a line in them or near; ghosts: those of them
-    that got a value nevertheless.  seconds: of the extraction.
+    that got a value nevertheless.  seconds: of the extraction.  score: of the sigmas of core, px:
+    the continuous ranked probability score.
     """
 
     clear: float = 0.0
@@ -52,6 +54,7 @@ class CaseSums:
     dark: float = 0.0
     ghosts: float = 0.0
     seconds: float = 0.0
+    score: float = 0.0
 
     def __add__(self, other: "CaseSums") -> "CaseSums":
         pairs = zip(astuple(self), astuple(other), strict=True)
@@ -96,9 +99,7 @@ class JudgedExtractor:
 
 
 def judge(
-    names: Sequence[str],
-    cases: Iterable[SuiteCase],
-    step: Callable[[], None] = lambda: None,
+    names: Sequence[str], cases: Iterable[SuiteCase], step: Callable[[], None] = lambda: None
 ) -> tuple[list[JudgedExtractor], float]:
     """Each extractor on each case, in turn.
 
@@ -167,7 +168,8 @@ def judge_case(name: str, case: SuiteCase) -> tuple[CaseSums, list[WorstColumn]]
     clear = line & (truth.height_dn > settings.threshold_dn + CLEAR * truth.noise_dn)
     both = line & valued
     error = np.where(both, stripe.centre_px - truth.centre_px, 0.0)
-    z = np.abs(error) / np.maximum(stripe.sigma_px, 1e-9, where=both, out=np.ones(len(both)))
+    sigma = np.maximum(stripe.sigma_px, 1e-9, where=both, out=np.ones(len(both)))
+    z = np.abs(error) / sigma
     outlying = both & (np.abs(error) > OUTLYING * truth.sigma_px)
     core = clear & valued & ~outlying
     dark = ~beside_line(truth.status == Status.OK)
@@ -176,8 +178,29 @@ def judge_case(name: str, case: SuiteCase) -> tuple[CaseSums, list[WorstColumn]]
         both.sum(), (both & (z <= 3)).sum(), outlying.sum(), (outlying & (z > SURE)).sum(),
         core.sum(), error[core].sum(), (error[core] ** 2).sum(), _bound(case, core).sum(),
         np.log(np.maximum(z[core], 1e-3)).sum(), dark.sum(), (dark & valued).sum(), seconds,
+        (sigma * normal_score(z))[core].sum(),
     )  # fmt: skip
     return CaseSums(*map(float, sums)), _worst(case, stripe.centre_px, stripe.sigma_px, both)
+
+
+def normal_score(z: Floats) -> Floats:
+    """Continuous ranked probability scores of a normal law, in its standard deviations.
+
+    Less is better.  On average it is least where the law stated is that of the errors: a sigma that
+    is wrong and one that does not follow the errors both cost, the more the farther off.
+
+    Parameters
+    ----------
+    z : array, errors in stated sigmas
+
+    References
+    ----------
+    Gneiting and Raftery, Strictly proper scoring rules, prediction, and estimation, Journal of the
+    American Statistical Association 102 (2007), section 4.2.
+    """
+    density = np.exp(-(z**2) / 2) / np.sqrt(2 * np.pi)
+    scores: Floats = z * erf(z / np.sqrt(2)) + 2 * density - 1 / np.sqrt(np.pi)
+    return scores
 
 
 def beside_line(line: Mask) -> Mask:

@@ -12,13 +12,7 @@ from typing import Literal
 from lscan.errors import InputError
 from lscan.files.disk import lock_folder, make_folder, read_text, write_atomically
 from lscan.records import Progress
-from lscan.suites import (
-    is_written,
-    open_suite,
-    pack_suite,
-    write_case,
-    write_manifest,
-)
+from lscan.suites import is_written, open_suite, pack_suite, write_case, write_manifest
 from lscan.suites.find import suite_cache
 from lscan.version import __version__
 from sim.datasets.boards import board_case
@@ -151,10 +145,7 @@ def _keep_identity(file: Path, identity: str) -> None:
 
 
 def _render_missing(
-    spec: SuiteSpec,
-    folder: Path,
-    workers: int | Literal["none"],
-    progress: Progress | None,
+    spec: SuiteSpec, folder: Path, workers: int | Literal["none"], progress: Progress | None
 ) -> None:
     tasks = [task for among in spec.case_sets for task in _tasks(among, folder)]
     for task in {task.among.kind: task for task in tasks}.values():

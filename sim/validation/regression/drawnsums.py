@@ -2,8 +2,7 @@
 
 import numpy as np
 
-from lscan.benchmark.against import LOG_Z
-from lscan.benchmark.judging import CaseSums
+from lscan.benchmark.judging import CaseSums, normal_score
 
 MISSED = 0.02
 
@@ -13,9 +12,6 @@ def drawn_sums(
 ) -> dict[str, CaseSums]:
     """Cases of normal errors, of scatters over two decades.
 
-    A sum of squares has the law of chi squared; of ln |z| the mean is -(gamma + ln 2) / 2 and the
-    variance pi² / 8, and a sum of many is nearly normal.
-
     Parameters
     ----------
     rng : Generator
@@ -23,13 +19,15 @@ def drawn_sums(
     columns : int, of each case
     factor : float, by which errors are larger than the sigmas stated
     """
-    square = (factor * np.geomspace(0.01, 1.0, cases)) ** 2 * rng.chisquare(columns, cases)
-    mean = np.log(factor) + LOG_Z
-    log_z = rng.normal(columns * mean, np.pi * (columns / 8) ** 0.5, cases)
+    sigma = np.geomspace(0.01, 1.0, cases)
+    z = factor * rng.standard_normal((cases, columns))
+    square, log_z = sigma**2 * (z**2).sum(axis=1), np.log(np.abs(z)).sum(axis=1)
+    score = sigma * normal_score(z).sum(axis=1)
     missed = rng.binomial(columns, MISSED, cases)
     return {
         str(n): CaseSums(
-            missed=missed[n], core=columns, square=square[n], log_z=log_z[n], sure=missed[n]
+            missed=missed[n], core=columns, square=square[n], log_z=log_z[n], score=score[n],
+            sure=missed[n],
         )
         for n in range(cases)
-    }
+    }  # fmt: skip
