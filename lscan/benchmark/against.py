@@ -35,7 +35,7 @@ FIGURES: Mapping[str, Callable[[CaseSums], float]] = {
     "wrong columns": lambda sums: sums.outlying,
     "wrong columns that are sure": lambda sums: sums.sure,
 }
-"""Of a case; more is worse, but of sigmas, of which both too large and too small ones are.
+"""Of a case; more is worse, but of the error in sigmas: too large and too small are both worse.
 
 The first three are logarithms, whose differences are ratios.
 """

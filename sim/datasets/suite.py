@@ -94,6 +94,7 @@ def make_cached_suite(
     *,
     workers: int | Literal["none"] = 2,
     progress: Progress | None = None,
+    afresh: bool = False,
 ) -> Path:
     """As ``make_suite``, in the user's cache, where a suite of before makes room for this one.
 
@@ -103,6 +104,7 @@ def make_cached_suite(
     name : str, that the suite is found by
     workers : int, processes of this machine; "none": all in this process
     progress : callable or None, called with (done, all) cases
+    afresh : bool, though it is there: other code of this version may have made it
 
     Returns
     -------
@@ -117,7 +119,7 @@ def make_cached_suite(
     file = suite_cache() / f"{name}.zip"
     try:
         content = open_suite(file).content
-        there = (content.made_by, content.seed) == (_maker(spec), spec.seed)
+        there = not afresh and (content.made_by, content.seed) == (_maker(spec), spec.seed)
     except InputError:  # there is none, or one that this version does not read
         there = False
     if not there:

@@ -51,11 +51,7 @@ def run_regression(
 
 
 def _rendered(suite: str) -> list[Row]:
-    """No row: rendered into the user's cache, a suite that is not drawn, nor a package's.
-
-    Afresh: the one there may be of other code of this version.
-    """
+    """No row: rendered into the user's cache, a suite that is not drawn, nor a package's."""
     if suite == NAME and suites_found().get(NAME, suite_cache()).is_relative_to(suite_cache()):
-        (suite_cache() / f"{NAME}.zip").unlink(missing_ok=True)
-        make_cached_suite(load_suite_spec(NAME), NAME)
+        make_cached_suite(load_suite_spec(NAME), NAME, afresh=True)
     return []

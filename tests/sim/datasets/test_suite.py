@@ -213,7 +213,7 @@ def _make(spec_file, archive):
 
 
 def test_a_suite_of_before_makes_room_in_the_cache(tmp_path, monkeypatch):
-    """Of another version, or of another seed; one that is this very suite is left as it is."""
+    """Of another version, or of another seed; this very suite is left, if not asked for afresh."""
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     spec_file = tmp_path / "small.toml"
     spec_file.write_text(ONE_RENDER)
@@ -227,6 +227,9 @@ def test_a_suite_of_before_makes_room_in_the_cache(tmp_path, monkeypatch):
     os.utime(file, (0, 0))
     make_cached_suite(spec, "small", workers="none")
     assert file.stat().st_mtime == 0
+    make_cached_suite(spec, "small", workers="none", afresh=True)
+    assert file.stat().st_mtime > 0
+    assert file.read_bytes() == made.read_bytes()
     make_cached_suite(load_suite_spec(spec_file, 99), "small", workers="none")
     assert open_suite(file).content.seed == 99
 

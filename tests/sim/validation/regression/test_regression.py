@@ -9,7 +9,7 @@ from suite_cases import drawn_case, drawn_suite
 from lscan.errors import InputError
 from lscan.stripe import extract_stripe
 from lscan.suites import open_suite, pack_suite, verify_suite
-from sim.validation.regression import mutants
+from sim.validation.regression import mutants, run
 from sim.validation.regression.harm import HARMS, harmed
 
 
@@ -36,6 +36,17 @@ def test_a_mutant_is_an_extractor_that_differs(name):
 
 def test_there_are_twenty():
     assert len(mutants.MUTANTS) == 20
+
+
+def test_the_suite_judged_is_of_this_code(monkeypatch):
+    """Not the one that other code of this version may have left in the cache."""
+    asked = []
+    monkeypatch.setattr(run, "suites_found", dict)
+    monkeypatch.setattr(
+        run, "make_cached_suite", lambda spec, name, **words: asked.append((name, words))
+    )
+    assert run._rendered(run.NAME) == []
+    assert asked == [(run.NAME, {"afresh": True})]
 
 
 @pytest.fixture(scope="module")
