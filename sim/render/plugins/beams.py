@@ -38,8 +38,9 @@ class Falloff:
     high: mi.Float
 
     def sample(self, sample: mi.Float) -> mi.Float:
-        """An angle or a place."""
-        return self.centre + self.scale * dr.sinh(dr.lerp(self.low, self.high, sample))
+        """An angle or a place, no farther than the ends, where rounding would put a few."""
+        place = self.centre + self.scale * dr.sinh(dr.lerp(self.low, self.high, sample))
+        return dr.clip(place, self.first, self.last)
 
     def density(self, x: mi.Float) -> mi.Float:
         """Probability per unit."""

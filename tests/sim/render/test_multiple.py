@@ -7,7 +7,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 import pytest
-from hypothesis import given, settings, strategies as st
+from hypothesis import example, given, settings, strategies as st
 from integrator_cases import (
     DRY,
     RUNS,
@@ -103,6 +103,8 @@ def test_falloffs_are_densities_of_their_samples(centre: float, scale: float, en
         # A place is rounded to 6e-8 of the centre, over the scale on which shares change.
         rounding = 1e-4 + 2**-23 * abs(middle) / spread
         assert np.abs(np.interp(sample, place, share) - numbers).max() < rounding
+        first, last = doubles(density.sample(floats(np.array([0, 1 - 2**-24]))))
+        assert np.float32(low) <= first < last <= np.float32(high), "rounding puts none outside"
 
 
 @FEW
@@ -142,6 +144,7 @@ def test_the_beams_density_integrates_to_1(point: tuple[float, float, float]) ->
 
 @FEW
 @given(point=POINTS, seed=st.integers(0, 2**31))
+@example(point=(0.0, 1.0, -60.0), seed=17305722)  # one rounded to outside the fan
 def test_beams_are_drawn_with_their_density(point: tuple[float, float, float], seed: int) -> None:
     """Functions over their density have the mean that is the functions' integral.
 
