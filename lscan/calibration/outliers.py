@@ -25,7 +25,7 @@ MARKS_PER_TERM = 4
 WRONG = 8.0  # times the usual miss, as for dots among their neighbours (board.lattice)
 LEAST = 0.01  # of the spacing of the marks: what a printed board may be off by (board.evidence)
 MOST_WRONG = 0.1  # of all marks; where more miss, it is not the marks that are wrong
-LEAST_FREEDOM = 0.1  # of a mark at the rim, which pulls the polynomial to itself
+LEAST_FREEDOM = 1e-6  # of a mark, which pulls the polynomial to itself: below it is rounding
 ROUNDS = 40  # each halves the largest miss that counts
 
 
@@ -118,6 +118,8 @@ def _misses(rows: Floats, image_px: Floats, used: Mask) -> tuple[Floats, Floats]
     """(N,) px by which marks miss the fit to the used ones but themselves, and (N,) its error.
 
     The error is for an error of 1 px of each mark: the mark's own, and that of the fit there.
+    Miss over error is what statistics call studentized: where one mark alone is wrong, no other
+    has more of it, however much a corner pulls the fit to itself.
     """
     square, triangle = np.linalg.qr(rows[used])
     coefficients = np.linalg.solve(triangle, square.T @ image_px[used])

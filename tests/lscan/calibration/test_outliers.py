@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given, settings, strategies as st
+from hypothesis import example, given, settings, strategies as st
 from planeviews import BARREL, View, board_points, paper_board, read_board, views
 
 from lscan.calibration.file import load_calibration, save_calibration
@@ -60,14 +60,33 @@ def test_a_sound_corner_that_perspective_and_lens_bend_is_untouched(seed: int) -
     assert not outliers(noisy(view, seed)).any()
 
 
+def error_of_the_others(reading: BoardReading, which: Ints) -> Floats:
+    """(K,) px by which a fit to the others misses these marks, for 1 px of noise: most at corners.
+
+    The fit is of seventh order, in the places in the picture: its leverage there.
+    """
+    places = np.vstack([marks.image_px[marks.found] for marks in all_marks(reading)])
+    along, down = (2 * (places - places.min(axis=0)) / np.ptp(places, axis=0) - 1).T
+    of_order = np.add.outer(range(8), range(8)).ravel() <= 7
+    rows = np.polynomial.legendre.legvander2d(along, down, [7, 7])[:, of_order]
+    others = np.linalg.qr(np.delete(rows, which, axis=0), mode="r")
+    return np.sqrt(1 + (np.linalg.solve(others.T, rows[which].T) ** 2).sum(axis=0))
+
+
 @settings(max_examples=25)
-@given(seed=st.integers(0, 999), data=st.data())
-def test_wrong_marks_are_named_and_no_others(seed: int, data: st.DataObject) -> None:
-    """Marks 0.6 px and more off: 30 sigmas, and above a hundredth of the spacing of 50 px."""
+@given(seed=st.integers(0, 999), count=st.integers(1, 5))
+@example(seed=593, count=1)  # a corner: the fit follows it all but a twentieth of its way
+@example(seed=204, count=5)  # two neighbours and a corner, whose other neighbour was named
+def test_wrong_marks_are_named_and_no_others(seed: int, count: int) -> None:
+    """Marks off by 12 sigmas of what the others predict: 8 make one wrong, 4 are for the noise.
+
+    And by 0.6 px: a hundredth of the spacing of 50 px, and 4 sigmas.
+    """
     rng = np.random.default_rng(seed)
     reading = noisy(BARREL, seed)
-    which = rng.permutation(100)[: data.draw(st.integers(1, 5))]
-    angle, far = rng.uniform(0, 2 * np.pi, len(which)), rng.uniform(0.6, 8.0, len(which))
+    which = rng.permutation(100)[:count]
+    least = np.maximum(0.6, 12 * NOISE_PX * error_of_the_others(reading, which))
+    angle, far = rng.uniform(0, 2 * np.pi, count), least + rng.uniform(0.0, 7.4, count)
     shift = far[:, None] * np.column_stack([np.cos(angle), np.sin(angle)])
     wrong = outliers(displaced(reading, which, shift))
     assert np.flatnonzero(wrong).tolist() == sorted(which)
