@@ -20,8 +20,10 @@ from lscan.calibration.region import spacing_px
 from lscan.camera.fit import MEDIAN
 from lscan.records import BoardReading, Floats, Mask
 
-ORDERS = (7, 5, 3)  # of the polynomial: the first that so many marks determine well
-MARKS_PER_TERM = 4
+ORDERS = (7, 5, 3)  # of the polynomial: the first that the marks determine
+MARKS_PER_TERM = 2  # at least; a strong lens bends the corners of a board more than a cubic can
+FEWEST = 40  # marks, of which some may be wrong
+LEFT_OUT = 0.5  # of what the last order bends: each bends a third of the one before, 1/3 + 1/9 ...
 WRONG = 8.0  # times the usual miss, as for dots among their neighbours (board.lattice)
 LEAST = 0.01  # of the spacing of the marks: what a printed board may be off by (board.evidence)
 MOST_WRONG = 0.1  # of all marks; where more miss, it is not the marks that are wrong
@@ -72,58 +74,63 @@ def outliers(reading: BoardReading) -> Mask:
     BoardNotFound
         Where no two neighbouring control points were found.
     """
-    several = all_marks(reading)
-    found = np.concatenate([marks.found for marks in several])
-    board_mm, image_px, _ = found_marks(several)
+    found = np.concatenate([marks.found for marks in all_marks(reading)])
+    board_mm, image_px, _ = found_marks(all_marks(reading))
     wrong = np.zeros(len(found), dtype=bool)
-    rows = _polynomial_terms(board_mm, image_px)
-    if rows is not None:
-        wrong[found] = _off_the_fit(rows, image_px, LEAST * spacing_px(reading))
+    both = _polynomial_terms(board_mm, image_px)
+    if both is not None:
+        wrong[found] = _off_the_fit(*both, image_px, LEAST * spacing_px(reading))
     return wrong
 
 
-def _polynomial_terms(board_mm: Floats, image_px: Floats) -> Floats | None:
-    """(N, K) terms of the highest order that N marks determine; None where they are too few."""
-    homography = cv2.findHomography(board_mm, image_px)[0] if len(board_mm) > 3 else None
+def _polynomial_terms(board_mm: Floats, image_px: Floats) -> tuple[Floats, Floats] | None:
+    """(N, K) terms of the highest order that N marks determine, and (N, L) of one order less.
+
+    None where the marks are too few.
+    """
+    homography = cv2.findHomography(board_mm, image_px)[0] if len(board_mm) >= FEWEST else None
     if homography is None or np.linalg.matrix_rank(board_mm - board_mm[0]) < 2:
         return None  # few, or all of one row, on the board or in the picture
     seen = np.asarray(cv2.perspectiveTransform(board_mm[:, None], homography)[:, 0], dtype=float)
     scaled = box(seen).apply(seen)
     for order in ORDERS:
         rows = terms(scaled, order)[0]
-        enough = len(rows) >= MARKS_PER_TERM * rows.shape[1]
-        if enough and np.linalg.matrix_rank(rows) == rows.shape[1]:
-            return rows
+        if min(len(rows) / MARKS_PER_TERM, np.linalg.matrix_rank(rows)) >= rows.shape[1]:
+            return rows, terms(scaled, order - 1)[0]
     return None
 
 
-def _off_the_fit(rows: Floats, image_px: Floats, least_px: float) -> Mask:
+def _off_the_fit(rows: Floats, fewer: Floats, image_px: Floats, least_px: float) -> Mask:
     """(N,) mask of the marks that the polynomial through the others misses."""
     wrong = np.zeros(len(rows), dtype=bool)
     for _ in range(ROUNDS):
-        miss, error = _misses(rows, image_px, ~wrong)
-        usual = float(np.median((miss / error)[~wrong])) / MEDIAN
-        off = (miss > WRONG * usual * error) & (miss > least_px)
+        miss, studentized = _misses(rows, image_px, ~wrong)
+        usual = float(np.median(studentized[~wrong])) / MEDIAN
+        # The orders left out bend too: a corner may miss by that, most where the marks are few.
+        last_px = np.hypot(*(_fit(rows, image_px, ~wrong) - _fit(fewer, image_px, ~wrong)).T)
+        off = (studentized > WRONG * usual) & (miss > least_px + LEFT_OUT * last_px)
         if off.mean() > MOST_WRONG:
             return np.zeros(len(rows), dtype=bool)
         # What one mark does to the fit others near it miss by: the worst go first.
-        new = (miss / error)[off & ~wrong]
-        before, wrong = wrong, off & (wrong | (miss / error > new.max(initial=0.0) / 2))
+        worst = (studentized * (off & ~wrong)).max()
+        before, wrong = wrong, off & (wrong | (studentized > worst / 2))
         if (wrong == before).all():
             break
     return wrong
 
 
 def _misses(rows: Floats, image_px: Floats, used: Mask) -> tuple[Floats, Floats]:
-    """(N,) px by which marks miss the fit to the used ones but themselves, and (N,) its error.
+    """(N,) px by which marks miss the fit to the used ones but themselves, and (N,) studentized.
 
-    The error is for an error of 1 px of each mark: the mark's own, and that of the fit there.
-    Miss over error is what statistics call studentized: where one mark alone is wrong, no other
-    has more of it, however much a corner pulls the fit to itself.
+    That is over its error where each mark has one of 1 px: the mark's own, and that of the fit
+    there.  Where one mark alone is wrong, none has more of it, however much the fit follows it.
     """
-    square, triangle = np.linalg.qr(rows[used])
-    coefficients = np.linalg.solve(triangle, square.T @ image_px[used])
-    leverage = (np.linalg.solve(triangle.T, rows.T) ** 2).sum(axis=0)
+    leverage = (np.linalg.solve(np.linalg.qr(rows[used])[1].T, rows.T) ** 2).sum(axis=0)
     free = np.where(used, np.maximum(1 - leverage, LEAST_FREEDOM), 1.0)
-    miss = np.hypot(*(image_px - rows @ coefficients).T) / free
-    return miss, np.where(used, 1 / np.sqrt(free), np.sqrt(1 + leverage))
+    miss = np.hypot(*(image_px - _fit(rows, image_px, used)).T) / free
+    return miss, miss / np.where(used, 1 / np.sqrt(free), np.sqrt(1 + leverage))
+
+
+def _fit(rows: Floats, image_px: Floats, used: Mask) -> Floats:
+    """(N, 2) px, where the polynomial through the used marks takes every mark."""
+    return np.asarray(rows @ np.linalg.lstsq(rows[used], image_px[used], rcond=None)[0])

@@ -31,6 +31,12 @@ def displaced(reading: BoardReading, which: Ints, by_px: Floats) -> BoardReading
     return replace(reading, grid=replace(reading.grid, image_px=image))
 
 
+def coarse(columns: int, rows: int, view: View, noise_px: float, seed: int) -> BoardReading:
+    grid = Grid(columns=columns, rows=rows, pitch_mm=50.0, dot_diameter_mm=20.0)
+    board = BOARD.model_copy(update={"grid": grid, "ruler": ()})
+    return read_board(board, view.project, noise_px, np.random.default_rng(seed))
+
+
 def count_of(reading: BoardReading) -> int:
     return sum(len(marks.status) for marks in all_marks(reading))
 
@@ -71,6 +77,43 @@ def error_of_the_others(reading: BoardReading, which: Ints) -> Floats:
     rows = np.polynomial.legendre.legvander2d(along, down, [7, 7])[:, of_order]
     others = np.linalg.qr(np.delete(rows, which, axis=0), mode="r")
     return np.sqrt(1 + (np.linalg.solve(others.T, rows[which].T) ** 2).sum(axis=0))
+
+
+def test_sound_corners_of_coarse_boards_are_untouched() -> None:
+    """Strong lenses bend corners more than a polynomial through 40 to 80 marks follows.
+
+    One board of 300 has a corner called wrong (4,000 boards, other seeds); by a cubic, which asks
+    fewest marks, one of four has.  More than 3 of 100 have a probability of 0.05 %.
+    """
+    rng = np.random.default_rng(4)
+    named = 0
+    for seed in range(100):
+        view = View(
+            distance_mm=700.0,
+            elevation_deg=rng.uniform(10.0, 45.0),
+            yaw_deg=rng.uniform(-12.0, 12.0),
+            roll_deg=rng.uniform(-6.0, 6.0),
+            target_mm=(rng.uniform(200.0, 250.0), rng.uniform(-230.0, -190.0)),
+            focal_px=595.0,
+            k1=rng.uniform(-0.3, 0.1),
+            k2=rng.uniform(-0.05, 0.1),
+            gap_mm=rng.uniform(5.0, 40.0),
+        )
+        columns, rows = rng.integers(8, 13), rng.integers(6, 10)
+        reading = coarse(int(columns), int(rows), view, rng.choice([0.005, 0.02]), seed)
+        named += bool(outliers(reading).any())
+    assert named <= 3
+
+
+@settings(max_examples=25)
+@given(seed=st.integers(0, 99), mark=st.integers(0, 53))
+def test_a_mark_off_by_a_tenth_of_the_spacing_of_a_coarse_board_is_named(
+    seed: int, mark: int
+) -> None:
+    reading = coarse(9, 6, BARREL, NOISE_PX, seed)
+    angle = np.random.default_rng(seed).uniform(0, 2 * np.pi)
+    shift = 5.0 * np.array([np.cos(angle), np.sin(angle)])
+    assert np.flatnonzero(outliers(displaced(reading, np.array([mark]), shift))).tolist() == [mark]
 
 
 @settings(max_examples=25)
