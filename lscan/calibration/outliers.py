@@ -124,6 +124,10 @@ def _misses(rows: Floats, image_px: Floats, used: Mask) -> tuple[Floats, Floats]
 
     That is over its error where each mark has one of 1 px: the mark's own, and that of the fit
     there.  Where one mark alone is wrong, none has more of it, however much the fit follows it.
+
+    References
+    ----------
+    Cook and Weisberg, "Residuals and Influence in Regression", 1982, chapter 2.
     """
     leverage = (np.linalg.solve(np.linalg.qr(rows[used])[1].T, rows.T) ** 2).sum(axis=0)
     free = np.where(used, np.maximum(1 - leverage, LEAST_FREEDOM), 1.0)

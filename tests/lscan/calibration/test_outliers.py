@@ -37,6 +37,19 @@ def coarse(columns: int, rows: int, view: View, noise_px: float, seed: int) -> B
     return read_board(board, view.project, noise_px, np.random.default_rng(seed))
 
 
+def error_of_the_others(reading: BoardReading, which: Ints) -> Floats:
+    """(K,) px by which a fit to the others misses these marks, for 1 px of noise: most at corners.
+
+    The fit is of seventh order, in the places in the picture: its leverage there.
+    """
+    places = np.vstack([marks.image_px[marks.found] for marks in all_marks(reading)])
+    along, down = (2 * (places - places.min(axis=0)) / np.ptp(places, axis=0) - 1).T
+    of_order = np.add.outer(range(8), range(8)).ravel() <= 7
+    rows = np.polynomial.legendre.legvander2d(along, down, [7, 7])[:, of_order]
+    others = np.linalg.qr(np.delete(rows, which, axis=0), mode="r")
+    return np.sqrt(1 + (np.linalg.solve(others.T, rows[which].T) ** 2).sum(axis=0))
+
+
 def count_of(reading: BoardReading) -> int:
     return sum(len(marks.status) for marks in all_marks(reading))
 
@@ -64,19 +77,6 @@ def test_a_sound_corner_that_perspective_and_lens_bend_is_untouched(seed: int) -
         n_water=1.34375,
     )
     assert not outliers(noisy(view, seed)).any()
-
-
-def error_of_the_others(reading: BoardReading, which: Ints) -> Floats:
-    """(K,) px by which a fit to the others misses these marks, for 1 px of noise: most at corners.
-
-    The fit is of seventh order, in the places in the picture: its leverage there.
-    """
-    places = np.vstack([marks.image_px[marks.found] for marks in all_marks(reading)])
-    along, down = (2 * (places - places.min(axis=0)) / np.ptp(places, axis=0) - 1).T
-    of_order = np.add.outer(range(8), range(8)).ravel() <= 7
-    rows = np.polynomial.legendre.legvander2d(along, down, [7, 7])[:, of_order]
-    others = np.linalg.qr(np.delete(rows, which, axis=0), mode="r")
-    return np.sqrt(1 + (np.linalg.solve(others.T, rows[which].T) ** 2).sum(axis=0))
 
 
 def test_sound_corners_of_coarse_boards_are_untouched() -> None:
