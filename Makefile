@@ -3,6 +3,7 @@
 
 PYTHON ?= python3
 PHOTOGRAPHS ?=
+PYTEST ?=
 BIN := .venv/bin
 ROOT := $(shell [ "$$(id -u)" = 0 ] || echo sudo -n)
 MINUTES ?= 10
@@ -42,7 +43,7 @@ demo: .venv/llvm.stamp
 test: lint pytest
 
 pytest: .venv/llvm.stamp .venv/chromium.stamp
-	$(BIN)/python -m pytest -n auto --maxprocesses 8 --dist loadgroup
+	$(BIN)/python -m pytest -n auto --maxprocesses 8 --dist loadgroup $(PYTEST)
 
 lint: .venv/packages.stamp
 	$(BIN)/ruff check .
@@ -134,9 +135,11 @@ clean:
 .venv/packages.stamp: .venv/python.stamp requirements.lock pyproject.toml
 	@echo "installing the packages of requirements.lock into .venv (a minute or two)"
 	@$(BIN)/python -m pip install --quiet --disable-pip-version-check --only-binary :all: \
-		--require-hashes -r requirements.lock
+		--no-compile --require-hashes -r requirements.lock
 	@$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps \
 		--no-build-isolation --editable .
+	@# By all cores, which pip does by one; some packages hold files of other versions of Python.
+	@$(BIN)/python -m compileall -qq -j 0 -x '/tests/' .venv/lib || true
 	@touch $@
 
 # A bare Debian or Ubuntu has Python without the part that makes virtual environments.
