@@ -156,6 +156,7 @@ def test_a_target_without_a_workpiece_is_corrected_with_the_yaw_that_was_kept(
     assert plane["values"]["height_mm"]["sigma"] > 0
 
 
+@pytest.mark.slow
 def test_report_saves_the_surface_that_reconstruct_does(
     folder: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -53,7 +53,7 @@ ELSEWHERE = {
     "pytest ": "conftest.py",
     "pip install": "tests/system/test_package.py",
 }
-pytestmark = [pytest.mark.slow, pytest.mark.xdist_group("documentation")]
+pytestmark = pytest.mark.xdist_group("documentation")
 
 
 def commands(page: Path) -> list[str]:
@@ -180,6 +180,7 @@ def for_hardware(line: str) -> bool:
     return re.search(r"^lscan (scan|devices)( (rig|board)\.toml|$)", line) is not None
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("page", WITH_COMMANDS)
 def test_the_commands_run(
     page: Path, request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch

@@ -51,11 +51,11 @@ def test_smoke_runs_the_command_quickly(command: str) -> None:
     assert "--quick" in CliRunner().invoke(app, [command, "--help"]).output
 
 
-@pytest.mark.parametrize("failing", ["none", "test", "smoke"])
-def test_continuous_integration_runs_the_tests_and_smoke(failing: str, tmp_path: Path) -> None:
+@pytest.mark.parametrize("failing", ["none", "lint", "pytest", "smoke"])
+def test_continuous_integration_runs_checks_tests_and_smoke(failing: str, tmp_path: Path) -> None:
     """By a make that only says what it was asked for, and fails where it is asked for one target.
 
-    Both are run to their ends, whichever fails, and CI fails with either.
+    All three are run to their ends, whichever fails, and CI fails with each and names it.
     """
     make = tmp_path / "make"
     make.write_text('#!/bin/sh\necho "made: $*"\ncase "$*" in "$FAILING"*) exit 2;; esac\n')
@@ -68,5 +68,14 @@ def test_continuous_integration_runs_the_tests_and_smoke(failing: str, tmp_path:
         text=True,
     )
     assert (done.returncode == 0) == (failing == "none"), done.stderr
-    assert "made: test" in done.stdout and "made: smoke" in done.stdout
-    assert ("make smoke failed" in done.stdout) == (failing == "smoke")
+    for target in ("lint", "pytest", "smoke"):
+        assert f"made: {target}" in done.stdout
+        assert (f"make {target} failed" in done.stdout) == (failing == target)
+    assert 'made: pytest PYTEST=-m "not slow"' in done.stdout
+
+
+def test_make_test_leaves_no_test_out() -> None:
+    """What is slow runs there, though not in CI."""
+    assert re.search(r"^test: lint pytest$", MAKEFILE, re.MULTILINE)
+    assert re.search(r"^PYTEST \?=$", MAKEFILE, re.MULTILINE)
+    assert " -m " not in recipe("pytest").split("pytest")[1]

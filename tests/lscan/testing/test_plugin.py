@@ -80,6 +80,7 @@ def change(package: Path, before: str, after: str) -> None:
     file.write_text(text.replace(before, after), encoding="utf-8")
 
 
+@pytest.mark.slow
 def test_a_baseline_is_written_kept_and_noticed(package: Path) -> None:
     """None: the test fails and says how; written: it passes; half a pixel off: it fails and says
     by what, and what to type.  Under xdist too."""

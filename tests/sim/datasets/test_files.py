@@ -113,6 +113,7 @@ def test_bad_input_leaves_nothing(tmp_path: Path) -> None:
     assert not folder.exists()
 
 
+@pytest.mark.slow
 def test_a_render_has_picture_layers_and_labels(tmp_path: Path) -> None:
     """In pure water the line's light prevails: the pixel of each true centre is the line.
 

@@ -332,6 +332,7 @@ def arriving(albedo: float, water: Optics) -> tuple[Floats, Floats]:
     return first, higher
 
 
+@pytest.mark.slow
 def test_a_closed_box_holds_a_geometric_series_of_light() -> None:
     """Walls of albedo a send out P a of the laser's power at first, and P a/(1 - a) in all."""
     albedo = 0.5
@@ -348,6 +349,7 @@ def test_a_closed_box_holds_a_geometric_series_of_light() -> None:
         assert abs(values.mean() - expected) < 4.1 * error + 1e-3 * expected
 
 
+@pytest.mark.slow
 def test_water_that_only_scatters_loses_no_light() -> None:
     """All light ends in the walls: what arrives there times (1 - albedo) is the laser's power.
 
@@ -447,6 +449,7 @@ def moving_picture(speed: float, is_followed: bool = True) -> Floats:
     return pictures.sum(axis=2)
 
 
+@pytest.mark.slow
 def test_a_moving_head_sees_its_sheet_stand_still() -> None:
     """Over a level floor nothing changes while camera and laser move together, whatever the
     speed; at none, the picture is the same to the last bit."""

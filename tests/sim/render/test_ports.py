@@ -78,6 +78,7 @@ def assert_closed_form_is_geometry(
 
 
 @RIGS
+@pytest.mark.slow
 @given(
     gap=st.floats(5, 100),
     thickness=st.floats(0.5, 40),

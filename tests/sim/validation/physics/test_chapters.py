@@ -42,9 +42,13 @@ CHAPTERS = {
     "energy": energy.energy,
     "sensor": sensor.sensor,
 }
+SLOW = {"laser leg"}
 
 
-@pytest.mark.parametrize("name", list(CHAPTERS))
+@pytest.mark.parametrize(
+    "name",
+    [pytest.param(name, marks=pytest.mark.slow if name in SLOW else ()) for name in CHAPTERS],
+)
 def test_the_chapter_passes(name: str) -> None:
     check = CHAPTERS[name]()
     assert beyond(check) == []
