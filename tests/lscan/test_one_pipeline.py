@@ -22,7 +22,8 @@ from lscan.measurement import SandwaveMeasures, measure_sandwave
 from lscan.records import has_value
 from lscan.surface import load_surface, resample
 
-pytestmark = pytest.mark.xdist_group("pipeline")  # one worker: they share a fixture
+# One worker: they share a fixture.
+pytestmark = [pytest.mark.slow, pytest.mark.xdist_group("pipeline")]
 
 PIECE = Sandwave()
 BLOCK = {"workpiece": {"kind": "sandwave"}}
@@ -156,7 +157,6 @@ def test_a_target_without_a_workpiece_is_corrected_with_the_yaw_that_was_kept(
     assert plane["values"]["height_mm"]["sigma"] > 0
 
 
-@pytest.mark.slow
 def test_report_saves_the_surface_that_reconstruct_does(
     folder: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -38,6 +38,7 @@ def devices(rig_file: RigFile) -> tuple[SimTrack, SimCamera]:
     return track, SimCamera(scene_of(rig_file), track)
 
 
+@pytest.mark.slow
 def test_a_dark_picture_is_that_of_the_tank_with_next_to_no_laser() -> None:
     """Without noise to the byte.  A laser of a picowatt adds nothing but, unlike none at all,
     leaves each random sample of the ambient light where it was."""
@@ -73,6 +74,7 @@ def test_either_picture_of_a_pair_has_noise_of_its_own() -> None:
     np.testing.assert_array_equal(once.image, again.image)
 
 
+@pytest.mark.slow
 def test_the_background_has_the_exposure_of_its_picture() -> None:
     """A camera that meters its pictures would open up in the dark, and nothing would cancel."""
     _, camera = devices(rig_of(camera={"options": {"auto_exposure": True}}))
@@ -107,6 +109,7 @@ def test_laser_on_gives_the_pictures_of_a_laser_untouched(tmp_path: Path) -> Non
     assert on.rows == untouched.rows
 
 
+@pytest.mark.slow
 def test_in_strong_light_a_pair_beats_the_single_picture(tmp_path: Path) -> None:
     """Checks in strong ambient light, against the truth, by the sign test.
 

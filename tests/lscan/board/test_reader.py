@@ -69,6 +69,7 @@ def assert_right(reading: BoardReading, view: View, board: Board) -> None:
     assert np.array_equal(np.isfinite(grid.sigma_px), grid.found)
 
 
+@pytest.mark.slow
 @given(view=VIEWS, light=LIGHTS, seed=st.integers(0, 2**31))
 @settings(max_examples=20, phases=(Phase.explicit, Phase.generate))
 def test_every_dot_in_view_is_found_in_its_place(view: View, light: Light, seed: int) -> None:

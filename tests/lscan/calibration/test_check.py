@@ -119,9 +119,8 @@ def test_similarity_is_generalised_least_squares() -> None:
 # --- calibrations that hold ---------------------------------------------------------------
 
 
-@pytest.mark.parametrize(
-    ("name", "boards"), [("polynomial-5", 200), pytest.param("spline", 60, marks=pytest.mark.slow)]
-)
+@pytest.mark.slow
+@pytest.mark.parametrize(("name", "boards"), [("polynomial-5", 200), ("spline", 60)])
 def test_false_alarms_come_at_the_stated_level(name: str, boards: int) -> None:
     """New calibration and new picture each time; the count lies in the 99.8 % interval of
     the binomial with the level for its chance."""

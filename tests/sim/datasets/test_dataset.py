@@ -143,6 +143,7 @@ def test_pictures_do_not_depend_on_how_many_there_are(tmp_path: Path, alone: Pat
     assert (tmp_path / "two" / first).read_bytes() == (alone / first).read_bytes()
 
 
+@pytest.mark.slow
 def test_two_workers_write_the_same_bytes(tmp_path: Path, alone: Path) -> None:
     assert content(made(tmp_path, "two", workers=2)) == content(alone)
 
@@ -262,6 +263,7 @@ def test_the_data_card_says_what_was_drawn(alone: Path) -> None:
     assert json.loads((alone / "manifest.json").read_text(encoding="utf-8"))["pictures"] == COUNT
 
 
+@pytest.mark.slow
 def test_the_figures_are_measured(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Of a small spec; a rate is whatever it is here."""
     monkeypatch.setattr(

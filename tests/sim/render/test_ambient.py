@@ -54,7 +54,8 @@ def blocks(pictures: Floats) -> Floats:
     return parts.mean(axis=(-3, -1))
 
 
-@pytest.mark.parametrize("shape", ["groove", pytest.param("wave", marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("shape", ["groove", "wave"])
 def test_the_field_is_what_estimators_at_random_find(shape: str) -> None:
     """1 % on the mean, 2 % in blocks of the groove's corners and of the block's foot, and three
     standard errors of what is drawn.  About the wave is a curtain, some triangles of which face

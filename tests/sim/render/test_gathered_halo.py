@@ -73,6 +73,7 @@ def test_blocks_leave_what_quadrature_says(tank: Tank, paths: HaloPaths) -> None
     np.testing.assert_allclose(left[row, column], ratio, rtol=0, atol=4 * PARTS**-0.75)
 
 
+@pytest.mark.slow
 def test_two_lines_are_weighed_by_their_light() -> None:
     """What is left of the halo of both lies between what is left of each."""
     lines = tuple(LaserLine(tilt_deg=tilt, share=0.5) for tilt in (0.0, 12.0))

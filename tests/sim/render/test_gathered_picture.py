@@ -150,6 +150,7 @@ def test_sampled_light_is_random(picture: Layers) -> None:
     assert np.mean(one != two) > 0.5
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("sections", "reason"),
     [

@@ -98,6 +98,7 @@ def test_a_flat_port_is_a_dielectric_slab(
     assert_closed_form_is_geometry(port, glass, water, bundle(500, pupil, 40, seed=1))
 
 
+@pytest.mark.slow
 @RIGS
 @given(
     radius=st.floats(20, 100),

@@ -168,6 +168,7 @@ def test_a_plane_does_not_light_itself() -> None:
     assert back[0] > 3e-4 * brightest() > back[3] > 0
 
 
+@pytest.mark.slow
 def test_light_in_a_hollow_sphere_is_reflected_on_and_on() -> None:
     """All of its inside sees all of it evenly: of the albedo a, with a hole that is the share f of
     it, even light becomes a (1 - f) / (1 - a (1 - f)) times as much again, to 2 %: what hits the

@@ -92,6 +92,7 @@ def random_rig(seed: int) -> Scene:
     )  # fmt: skip
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("scene", [*CASES, *range(4)])
 def test_line_and_veil_are_those_of_samples_everywhere(
     scene: str | int, uneven: list[Floats]

@@ -252,6 +252,7 @@ def test_a_field_is_as_large_as_its_rms_and_a_scalar_as_its_absolute_value() -> 
             bounded_output(Bound(output=name), outputs, "study")
 
 
+@pytest.mark.slow
 def test_a_study_finds_its_tolerances_and_goes_on_with_them(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -228,8 +228,9 @@ def without_tables(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(physical, "tabulated", lambda *_: None)
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("without_tables")
-@pytest.mark.parametrize("little_known", [False, pytest.param(True, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("little_known", [False, True])
 def test_sigma_holds_the_errors(little_known: bool) -> None:
     """95 % intervals contain the truth in 95 %, and the variance is 1, to 2.5 standard errors.
 

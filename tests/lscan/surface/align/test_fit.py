@@ -173,6 +173,7 @@ def _left_open_deg(placing: Placing) -> float:
     return float(np.degrees(COLUMN_MM * (1 + 2 * SOFTNESS) / length)) if crossed < 2 else 0.0
 
 
+@pytest.mark.slow
 @given(placings)
 @settings(max_examples=6, phases=[Phase.generate])
 def test_yaw_and_slices_of_any_placing(placing: Placing) -> None:
