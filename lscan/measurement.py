@@ -52,6 +52,10 @@ class BoardMeasures:
             "unmeasured": {name: status.name for name, status in self.unmeasured.items()},
         }
 
+    def __str__(self) -> str:
+        """A line for each length."""
+        return _lines({**self.distances, **self.diameters})
+
 
 @dataclass(frozen=True)
 class GrooveMeasures:
@@ -67,6 +71,10 @@ class GrooveMeasures:
     def as_json(self) -> dict[str, Any]:
         """The entry of results.json."""
         return {"groove": lengths_json(self.dimensions)}
+
+    def __str__(self) -> str:
+        """A line for each dimension."""
+        return _lines(self.dimensions)
 
 
 @dataclass(frozen=True)
@@ -243,6 +251,10 @@ def measure_sandwave(
         errors={name: compare_slice(cut, piece) for name, cut in slices.items()},
         step_mm=run.rig_file.rig.plan.step_mm,
     )
+
+
+def _lines(lengths: Mapping[str, Length]) -> str:
+    return "\n".join(f"{name}: {length}" for name, length in lengths.items())
 
 
 def find_shaft(run: Run, plane_map: PlaneMap, progress: Progress | None = None) -> ShaftFit:

@@ -411,6 +411,12 @@ class Length:
     measured_mm: float
     sigma_mm: float
 
+    def __str__(self) -> str:
+        """Measured and nominal length in words, sigma with two digits."""
+        digits = 3 if self.sigma_mm < 0.1 else 2
+        sigma = "unknown" if np.isnan(self.sigma_mm) else f"{self.sigma_mm:.{digits}f}"
+        return f"{self.measured_mm:.{digits}f} ± {sigma} mm, nominal {self.nominal_mm:g} mm"
+
     @property
     def error_mm(self) -> float:
         """Measured minus nominal, mm."""

@@ -71,7 +71,13 @@ class Difference:
         """One line."""
         how = "worse" if self.worse else "better"
         ratio = self.figure in _RATIOS
-        change = f"{100 * self.change:+.2g} %" if ratio else f"{self.change:+.2g} columns"
+        more, size = ("larger" if self.change > 0 else "smaller"), abs(self.change)
+        if not ratio:
+            change = f"{size:.2g} columns {'more' if self.change > 0 else 'fewer'}"
+        elif size < 1:
+            change = f"{100 * size:.{0 if size > 0.1 else 1}f} % {more}"
+        else:
+            change = f"{1 + self.change:.3g} times as large"
         return (
             f"{self.extractor}: {self.figure} {how}: {change}, in {self.cases} cases, "
             f"p = {self.p:.1g}"

@@ -12,6 +12,14 @@ RigOrScene = Annotated[
     Path, typer.Argument(help="Rig file or scene file (TOML), or a scene's name.")
 ]
 PictureOrRun = Annotated[Path, typer.Argument(help="Picture file or run folder.")]
+EXTRACTORS = (
+    "max, centroid, centroid-relative, centroid-squared, gaussian, ml, blais-rioux, smoothed-peak, "
+    "steger; or package.module:function."
+)
+MAPS = (
+    "graticule-1, -2, -bspline, each also with -norulers; polynomial-1 to -9; projective, spline, "
+    "refractive"
+)
 ChannelName = Annotated[str | None, typer.Option("--channel", help="red, green, blue or grey.")]
 Overlay = Annotated[
     Path | None,

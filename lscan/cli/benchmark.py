@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from lscan.cli.arguments import Json
+from lscan.cli.arguments import EXTRACTORS, MAPS, Json
 from lscan.cli.console import print_json, print_table, progress_bar
 from lscan.errors import InputError
 
@@ -22,11 +22,9 @@ def bench(
     output: Annotated[
         Path, typer.Option("--output", "-o", help="Folder for bench.json and pictures.")
     ] = Path("out/lscan-bench"),
-    extractor: Annotated[
-        list[str] | None, typer.Option(help="One more: a name, or package.module:function.")
-    ] = None,
+    extractor: Annotated[list[str] | None, typer.Option(help=f"One more: {EXTRACTORS}")] = None,
     plane_map: Annotated[
-        list[str] | None, typer.Option("--map", help="One more plane map, such as polynomial-4.")
+        list[str] | None, typer.Option("--map", help=f"One more plane map: {MAPS}.")
     ] = None,
     only: Annotated[
         bool, typer.Option("--only", help="Those that are named, and no others.")
@@ -38,7 +36,11 @@ def bench(
         typer.Option("--suite", help="A suite's name or path; drawn: drawn lines as a suite."),
     ] = None,
     by: Annotated[
-        list[str] | None, typer.Option("--by", help="Axis of the suite's table; several cross.")
+        list[str] | None,
+        typer.Option(
+            "--by",
+            help="Axis of the suite's table, as `lscan suite show NAME` lists them; several cross.",
+        ),
     ] = None,
     boards: Annotated[
         bool,
@@ -168,7 +170,8 @@ def _end_with_run(
         print(output / "bench.json")
     worse = sum(one.worse for one in changed)
     if worse:
-        print(f"lscan: {worse} figures are worse than in {against}", file=sys.stderr)
+        figures = "1 figure is" if worse == 1 else f"{worse} figures are"
+        print(f"lscan: {figures} worse than in {against}", file=sys.stderr)
         raise typer.Exit(1)
 
 

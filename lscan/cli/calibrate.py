@@ -9,7 +9,15 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from lscan.cli.arguments import ChannelName, Json, Overlay, PictureOrRun, Trust, require_folders
+from lscan.cli.arguments import (
+    MAPS,
+    ChannelName,
+    Json,
+    Overlay,
+    PictureOrRun,
+    Trust,
+    require_folders,
+)
 from lscan.cli.console import print_json, print_table, progress_bar
 
 if TYPE_CHECKING:
@@ -39,7 +47,7 @@ def calibrate(
     board: BoardFile = None,
     optics: OpticsFile = None,
     plane_map: Annotated[
-        str | None, typer.Option("--map", help="Plane map, such as graticule-2; auto: the best.")
+        str | None, typer.Option("--map", help=f"Plane map: {MAPS}; auto: the best.")
     ] = None,
     seeds: Seeds = None,
     channel: ChannelName = None,

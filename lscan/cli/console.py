@@ -1,14 +1,17 @@
 """What the two command lines share: one clear line for an error, progress bars, JSON, tables."""
 
 import sys
+import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, nullcontext
-from typing import NoReturn
+from typing import Any, NoReturn
 
 import typer
 from rich import progress as rich_progress
 from rich.console import Console
 from rich.table import Table
+from rich.text import Text
+from typer.core import TyperGroup
 
 from lscan.cli.memory import keep_freed_memory
 from lscan.devices.signals import on_stop_signals
@@ -19,8 +22,21 @@ from lscan.records import Progress
 
 FAILED, BAD_INPUT = 1, 2
 STOPPED = Stopped.exit_code
+SAID_EVERY_S = 60.0  # of long work where no terminal shows a bar
 
 _bars: list[rich_progress.Progress] = []  # what draws all bars that there are: one or none
+
+
+class _WholeHelp(TyperGroup):
+    """Commands whose list says what each does, whole: click cuts it at the line's end."""
+
+    def format_commands(self, ctx: Any, formatter: Any) -> None:
+        """Write the list; called by click."""
+        commands = [(name, self.get_command(ctx, name)) for name in self.list_commands(ctx)]
+        with formatter.section("Commands"):
+            formatter.write_dl(
+                [(name, one.get_short_help_str(limit=1000)) for name, one in commands if one]
+            )
 
 
 def command_line(about: str) -> typer.Typer:
@@ -31,6 +47,7 @@ def command_line(about: str) -> typer.Typer:
     about : str, what its ``--help`` begins with
     """
     return typer.Typer(
+        cls=_WholeHelp,
         help=about,
         no_args_is_help=True,
         add_completion=False,
@@ -93,8 +110,21 @@ def keep_notes_when_stopped() -> Iterator[None]:
 
 
 def _leave(name: str, message: str, code: int) -> NoReturn:
-    print(f"{name}: {message}", file=sys.stderr)
+    print(f"{name}: {printable(message)}", file=sys.stderr)
     sys.exit(code)
+
+
+def printable(text: str) -> str:
+    """Text from strangers' files as a terminal may show it: control characters as escapes.
+
+    Parameters
+    ----------
+    text : str, of one line or several
+    """
+    return "".join(
+        one if one == "\n" or one.isprintable() else one.encode("unicode_escape").decode()
+        for one in text
+    )
 
 
 def note(message: str) -> None:
@@ -104,12 +134,12 @@ def note(message: str) -> None:
     ----------
     message : str, one line
     """
-    print(f"lscan: note: {message}", file=sys.stderr)
+    print(f"lscan: note: {printable(message)}", file=sys.stderr)
 
 
 @contextmanager
 def progress_bar(title: str) -> Iterator[Progress]:
-    """A callback (done, total) that draws a progress bar on a terminal, and nothing elsewhere.
+    """A callback (done, total) that draws a bar on a terminal, and says a line a minute elsewhere.
 
     A bar within another's block is drawn beneath that one, and goes when its own block ends.
 
@@ -119,8 +149,17 @@ def progress_bar(title: str) -> Iterator[Progress]:
     """
     with nullcontext(_bars[0]) if _bars else _opened_bars() as bars:
         task = bars.add_task(title, total=None)
+        said = time.monotonic()
+
+        def show(done: int, total: int) -> None:
+            nonlocal said
+            bars.update(task, completed=done, total=total)
+            if bars.disable and time.monotonic() - said >= SAID_EVERY_S:
+                said = time.monotonic()
+                note(f"{title}: {done} of {total}")
+
         try:
-            yield lambda done, total: bars.update(task, completed=done, total=total)
+            yield show
         finally:
             if len(bars.task_ids) > 1:
                 bars.remove_task(task)
@@ -130,7 +169,7 @@ def progress_bar(title: str) -> Iterator[Progress]:
 def _opened_bars() -> Iterator[rich_progress.Progress]:
     console = Console(stderr=True)
     columns = (
-        rich_progress.TextColumn("{task.description}"),
+        rich_progress.TextColumn("{task.description}", markup=False),
         rich_progress.BarColumn(),
         rich_progress.MofNCompleteColumn(),
         rich_progress.TimeRemainingColumn(),
@@ -154,7 +193,9 @@ def print_json(value: object) -> None:
 
 
 def print_table(title: str, headings: Sequence[str], rows: Sequence[Sequence[object]]) -> None:
-    """Print a table on stdout; numbers right-aligned, floats with three decimals.
+    """Print a table on stdout; numbers right-aligned, floats with three decimals, NaN as a dash.
+
+    What strangers' files put into it is shown as it is: brackets are no markup.
 
     Parameters
     ----------
@@ -162,9 +203,14 @@ def print_table(title: str, headings: Sequence[str], rows: Sequence[Sequence[obj
     headings : sequence, one a column; the first column is left-aligned
     rows : sequence, cells, one a column
     """
-    table = Table(title=title, title_justify="left", header_style="bold")
+    table = Table(title=Text(printable(title)), title_justify="left", header_style="bold")
     for heading in headings:
-        table.add_column(heading, justify="left" if heading == headings[0] else "right")
+        table.add_column(Text(heading), justify="left" if heading == headings[0] else "right")
     for row in rows:
-        table.add_row(*(f"{cell:.3f}" if isinstance(cell, float) else str(cell) for cell in row))
+        table.add_row(*map(_cell, row))
     Console(width=None if sys.stdout.isatty() else 160).print(table)
+
+
+def _cell(value: object) -> Text:
+    text = f"{value:.3f}" if isinstance(value, float) else printable(str(value))
+    return Text("–" if text in ("nan", "+nan") else text)

@@ -80,16 +80,17 @@ def _print_listing(listing: dict[str, Any]) -> None:
             ]
             for camera in listing["cameras"]
         ]
-        print_table("cameras", ["", "", "now", "format", "sizes"], rows)
+        print_table("cameras", ["device", "state", "now", "format", "sizes"], rows)
     else:
         print("cameras: none found")
     ports = listing["serial_ports"]
     if ports:
-        print_table("serial ports", ["", ""], [[port.device, port.description] for port in ports])
+        rows = [[port.device, port.description] for port in ports]
+        print_table("serial ports", ["device", "what it says of itself"], rows)
     else:
         print("serial ports: " + ("none found" if ports == [] else "not listed, no pyserial here"))
     rows = [[driver.name, driver.kind, driver.does] for driver in listing["drivers"]]
-    print_table("drivers", ["", "of a", ""], rows)
+    print_table("drivers", ["name", "of a", "what it drives"], rows)
     for kind, facts in listing.get("rig", {}).items():
         _print_facts(f"the rig's {kind}", facts)
 
@@ -168,11 +169,11 @@ def _print_camera(camera: CameraTrial) -> None:
                 setting.name,
                 setting.asked,
                 "nothing" if setting.got is None else setting.got,
-                "" if setting.obeyed else "ignored",
+                "yes" if setting.obeyed else "no",
             ]
             for setting in camera.settings
         ]
-        print_table("camera settings", ["", "asked", "reported", ""], rows)
+        print_table("camera settings", ["setting", "asked", "reported", "obeyed"], rows)
     timing = camera.timing
     print(
         f"timing: {timing.rate_hz:.2f} pictures/s, jitter {timing.jitter_ms:.2f} ms, "

@@ -66,7 +66,11 @@ def roughness(
     ] = None,
     bottom: Annotated[
         str | None,
-        typer.Option("--sediment", help="Sediment whose backscatter is asked, by name."),
+        typer.Option(
+            "--sediment",
+            help="Sediment whose backscatter is asked, by its name in APL-UW TR 9407, such as "
+            '"medium sand"; another lists all.',
+        ),
     ] = None,
     frequency: Annotated[
         list[float] | None, typer.Option(help="kHz, of the sound; may be given again.")

@@ -8,16 +8,13 @@ import typer
 from lscan.cli.arguments import Json
 from lscan.cli.console import print_json
 
-UNNAMED = "(a rig or a board: to be named in a file, not to be scanned)"
-
 
 def scenes(
     copy: Annotated[Path | None, typer.Option(help="New folder to copy all scenes to.")] = None,
     json: Json = False,
 ) -> None:
     """List the scenes, rigs and boards that come with lscan, or copy them to be changed."""
-    from lscan.config.documents import read_document
-    from lscan.config.scenes import copy_scenes, scene_names
+    from lscan.config.scenes import copy_scenes, scene_about, scene_names
 
     names = scene_names()
     if copy is not None:
@@ -28,4 +25,4 @@ def scenes(
         print(f"{len(names)} scenes, rigs and boards in {copy}")
     else:
         for name in names:
-            print(f"{name:28}{read_document(name).get('name', UNNAMED)}")
+            print(f"{name:26}{scene_about(name)}")

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from lscan.cli.arguments import Json, Overlay, PictureOrRun, Trust, require_folders
+from lscan.cli.arguments import EXTRACTORS, Json, Overlay, PictureOrRun, Trust, require_folders
 from lscan.cli.console import note, print_json
 
 if TYPE_CHECKING:
@@ -34,12 +34,13 @@ def extract(
     ] = None,
     frame: Annotated[int, typer.Option(help="Which frame of a run folder.")] = 0,
     axis: Annotated[str | None, typer.Option(help="columns, or rows for an upright line.")] = None,
-    extractor: Annotated[
-        str | None, typer.Option(help="max, centroid, centroid-relative ...")
-    ] = None,
+    extractor: Annotated[str | None, typer.Option(help=EXTRACTORS)] = None,
     channel: Annotated[
         str | None,
-        typer.Option(help="red, green, blue, grey; red-excess ...; auto, as of a single picture."),
+        typer.Option(
+            help="red, green, blue, grey; red-, green-, blue-, cyan-, magenta-excess; auto, as of "
+            "a single picture."
+        ),
     ] = None,
     threshold: Annotated[
         float | None,

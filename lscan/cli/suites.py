@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from lscan.cli.arguments import Json
-from lscan.cli.console import command_line, print_json, print_table
+from lscan.cli.console import command_line, note, print_json, print_table
 from lscan.version import __version__
 
 if TYPE_CHECKING:
@@ -27,6 +27,11 @@ def list_suites(json: Json = False) -> None:
         return
     for name, path in found.items():
         print(f"{name}: {path}")
+    if not found:
+        note(
+            "no suites: no installed package brings any, and none was rendered here; `lscan-sim "
+            "suite make quick` renders one in minutes, there are also chains and full (hours)"
+        )
 
 
 @suite.command("show")

@@ -4,10 +4,12 @@ In a checkout they lie beside the packages, in an installed lscan within it.
 """
 
 import os
+import re
 import shutil
 from collections.abc import Callable
 from difflib import get_close_matches
 from functools import cache
+from itertools import takewhile
 from pathlib import Path
 from typing import Literal
 
@@ -43,6 +45,19 @@ def scene_names() -> list[str]:
     files = [file.relative_to(folder) for file in sorted(folder.rglob("*.toml"))]
     named = [file for file in files if file.parts[0] not in FOLDERS.values()]
     return [file.with_suffix("").as_posix() for file in named]
+
+
+def scene_about(name: str) -> str:
+    """What a scene, rig or board is: the first sentence of the comment that its file begins with.
+
+    Parameters
+    ----------
+    name : str, as ``scene_names`` gives it
+    """
+    lines = (scenes_folder() / f"{name}.toml").read_text(encoding="utf-8").splitlines()
+    comment = takewhile(lambda line: line.startswith("#"), lines)
+    words = " ".join(line.lstrip("# ") for line in comment)
+    return re.split(r"(?<=[.?!])\s", words, maxsplit=1)[0]
 
 
 def spec_names(kind: SpecKind) -> list[str]:

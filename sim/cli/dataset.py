@@ -13,7 +13,7 @@ from sim.cli.study import MOST_WORKERS
 
 
 def dataset(
-    spec: Annotated[Path, typer.Argument(help="Spec (TOML), or the name of one of lscan's.")],
+    spec: Annotated[Path, typer.Argument(help="Spec (TOML), or lscan's own: stripes.")],
     output: OutputFolder = Path("out/dataset"),
     count: Annotated[int, typer.Option("--count", min=1, max=10**9, help="Pictures.")] = 100,
     workers: Annotated[

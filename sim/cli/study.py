@@ -22,10 +22,11 @@ if TYPE_CHECKING:
     from sim.studies.records import CauseBudget, DesignTrial, OutputBudget
 
 MOST_WORKERS = 1024
+STUDIES = "cross-check, first-rig, paper-budget, recalibration, seasons, tolerances"
 
 
 def study(
-    file: Annotated[Path, typer.Argument(help="Study file (TOML), or the name of one of lscan's.")],
+    file: Annotated[Path, typer.Argument(help=f"Study file (TOML), or one of lscan's: {STUDIES}.")],
     output: OutputFolder = Path("out/study"),
     workers: Annotated[
         int, typer.Option("--workers", help="Processes of this machine, one thread each.")

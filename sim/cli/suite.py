@@ -21,7 +21,9 @@ def _group() -> None:
 
 @suite.command("make")
 def make(
-    spec: Annotated[Path, typer.Argument(help="Spec file (TOML), or the name of one of lscan's.")],
+    spec: Annotated[
+        Path, typer.Argument(help="Spec file (TOML), or one of lscan's: chains, full, quick.")
+    ],
     output: Annotated[
         Path | None,
         typer.Option(

@@ -289,8 +289,8 @@ def _remarks(
     if next_base(counted, wanted, counted[0].base):
         names = ", ".join(COUNTED)
         notes.append(
-            f"The indices of {names} are not known to ± {wanted:g}, as the study asks: it ended at"
-            " the most runs that it or --at-most allows"
+            f"The indices of {names} are known less well than ± {wanted:g}, which the study's "
+            "[precision] half_width asks for: its `most`, or --at-most, allows no more runs"
         )
     return notes
 

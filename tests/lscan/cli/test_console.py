@@ -1,0 +1,96 @@
+"""What the command lines show: whole help, names of strangers as they are, words for nothing."""
+
+import re
+from importlib.metadata import entry_points
+
+import pytest
+from command_line import call
+
+from lscan.benchmark.against import Difference
+from lscan.calibration.api import find_solver
+from lscan.cli import console
+from lscan.cli.arguments import EXTRACTORS, MAPS
+from lscan.cli.console import note, print_table, progress_bar
+from lscan.config.scenes import scene_about, scene_names, spec_names
+from lscan.records import Length
+from sim.cli.study import STUDIES
+
+
+def said(capsys: pytest.CaptureFixture[str], *words: str) -> str:
+    code, out, err = call(capsys, *words)
+    assert code == 0, err
+    return " ".join((out + err).split())
+
+
+def test_the_list_of_commands_is_not_cut(capsys: pytest.CaptureFixture[str]) -> None:
+    text = said(capsys, "--help")
+    assert "Find the board's control points in a picture and solve a plane map from them." in text
+    assert "..." not in text.replace("[ARGS]...", "")
+
+
+def test_help_names_all_extractors_maps_and_studies() -> None:
+    known = {one.name for one in entry_points(group="lscan.extractors")}
+    assert set(re.findall(r"[a-z-]+", EXTRACTORS.partition(";")[0])) == known
+    for name in ("graticule-1", "graticule-2", "graticule-bspline-norulers", "polynomial-9"):
+        find_solver(name)
+    families = {one.name for one in entry_points(group="lscan.planemaps")} - {"auto", "metric"}
+    assert set(re.findall(r"graticule|polynomial|projective|spline\b|refractive", MAPS)) == families
+    assert STUDIES.split(", ") == spec_names("study")
+    assert spec_names("data set") == ["stripes"]
+    assert spec_names("suite") == ["chains", "full", "quick"]
+
+
+def test_every_scene_is_described(capsys: pytest.CaptureFixture[str]) -> None:
+    text = said(capsys, "scenes")
+    assert "targets/red A red block under the red laser: bright." in text
+    for name in scene_names():
+        assert re.fullmatch(r"\w[^#]{10,}[.?:]", scene_about(name), re.S), name
+
+
+def test_no_suites_are_said(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("lscan.suites.suites_found", dict)
+    assert "lscan-sim suite make quick" in said(capsys, "suite", "list")
+
+
+def test_a_table_shows_names_as_they_are(capsys: pytest.CaptureFixture[str]) -> None:
+    rows = [["[red]block[/red]", float("nan")], ["a[/]b", 1.0], ["\x1b[2Jclear\a", 2.0]]
+    print_table("[bold]shapes", ["name", "[mm]"], rows)
+    text = capsys.readouterr().out
+    for shown in ("[bold]shapes", "[mm]", "[red]block[/red]", "a[/]b", r"\x1b[2Jclear\x07", " – "):
+        assert shown in text
+    assert "\x1b" not in text and "\a" not in text and "nan" not in text
+    note("run \x1b]0;title\a\u202e")
+    assert capsys.readouterr().err == "lscan: note: run \\x1b]0;title\\x07\\u202e\n"
+
+
+def test_long_work_is_told_of_without_a_terminal(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    clock = [0.0]
+    monkeypatch.setattr(console.time, "monotonic", lambda: clock[0])
+    with progress_bar("cases") as progress:
+        for done, clock[0] in ((1, 10.0), (2, 61.0), (3, 70.0), (4, 122.0)):
+            progress(done, 500)
+    lines = capsys.readouterr().err.splitlines()
+    assert lines == ["lscan: note: cases: 2 of 500", "lscan: note: cases: 4 of 500"]
+
+
+@pytest.mark.parametrize(
+    ("figure", "change", "words"),
+    [
+        ("rms error", 1.2, "rms error worse: 2.2 times as large, in 40 cases"),
+        ("rms error", 0.995, "rms error worse: 100 % larger"),
+        ("rms error", -0.034, "rms error worse: 3.4 % smaller"),
+        ("ghosts", 2.5, "ghosts worse: 2.5 columns more"),
+    ],
+)
+def test_a_difference_says_which_way(figure: str, change: float, words: str) -> None:
+    assert words in Difference("ml", figure, True, change, 0.001, 40).in_words
+
+
+def test_a_length_is_printed_in_words() -> None:
+    assert str(Length(60.0, 60.012, 0.0443)) == "60.012 ± 0.044 mm, nominal 60 mm"
+    assert str(Length(60.0, 60.01, 0.17)) == "60.01 ± 0.17 mm, nominal 60 mm"
+    assert "± unknown" in str(Length(60.0, 60.0, float("nan")))
