@@ -33,6 +33,10 @@ MOST_MOVED = 0.2  # of the distance between corners, from where OpenCV saw it
 MOST_CHANGED = 6.0  # standard deviations, from window to window and from the lattice
 FOURTH = np.array([1.0, -4.0, 6.0, -4.0, 1.0])  # difference of five in line
 FEWEST = 6  # corners of a ChArUco board: a pose needs four, its check two more
+LARGEST = ("4X4_1000", "5X5_1000", "6X6_1000", "7X7_1000", "ARUCO_ORIGINAL")
+LARGEST += ("APRILTAG_25h9", "APRILTAG_36h11", "ARUCO_MIP_36h12")  # the others are parts of these
+FEWEST_MARKERS = 4  # more than noise looks like; four fix a homography
+LYING = 0.2  # of a square: by less do four in five markers miss their own layout
 
 
 def read_chessboard(
@@ -106,11 +110,12 @@ def read_charuco(
     size = (columns + 1, rows + 1)
     markers = _dictionary(dictionary, size[0] * size[1] // 2)
     board = cv2.aruco.CharucoBoard(size, square_mm, marker_mm, markers)
-    corners, numbers = _charuco_corners(_eight_bit(grey), board)
+    picture = _eight_bit(grey)
+    corners, numbers = _charuco_corners(picture, board)
     if len(numbers) < FEWEST:
         raise BoardNotFound(
             f"only {len(numbers)} corners of the ChArUco board were found, {FEWEST} are needed: "
-            "check the dictionary and that the markers are in view and sharp"
+            + _markers_in_words(picture, size, dictionary)
         )
     seen = np.full((rows, columns, 2), np.nan)
     seen[np.divmod(numbers, columns)] = corners
@@ -132,6 +137,66 @@ def _charuco_corners(picture: Bytes, board: cv2.aruco.CharucoBoard) -> tuple[Flo
         if numbers is not None and len(numbers) > len(best[1]):
             best = np.reshape(corners, (-1, 2)).astype(float), np.ravel(numbers)
     return best
+
+
+def _markers_in_words(picture: Bytes, size: tuple[int, int], dictionary: str) -> str:
+    """Which markers are seen in a picture without a board of ``size`` squares, and what to do."""
+    views = {
+        "": picture,
+        " in the mirror image, so the picture is mirrored": picture[:, ::-1],
+        " in the negative, so they are printed white on black": 255 - picture,
+    }
+    for name in (dictionary, *(f"DICT_{part}" for part in LARGEST)):
+        for view, pixels in views.items():
+            middles, numbers = _markers(np.ascontiguousarray(pixels), name)
+            if len(numbers) < FEWEST_MARKERS:
+                continue
+            fits = (
+                f"{len(numbers)} markers of {name} (numbers up to {numbers.max()}) are seen{view}"
+            )
+            if name != dictionary:
+                fits += f", none of {dictionary}"
+            layout = _layout(middles, numbers)
+            if layout and layout != (size[0] - 1, size[1] - 1):
+                fits += (
+                    f"; they lie as on a board of columns = {layout[0]}, rows = {layout[1]} or more"
+                )
+            return fits
+    return "no markers of any dictionary are seen: bring them into view, lit and sharp"
+
+
+def _markers(picture: Bytes, dictionary: str) -> tuple[Floats, Ints]:
+    """(K, 2) px of the middles of the markers seen, and their numbers (K,)."""
+    known = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, dictionary))
+    corners, numbers, _ = cv2.aruco.ArucoDetector(known).detectMarkers(picture)
+    if numbers is None:
+        return np.empty((0, 2)), np.empty(0, dtype=np.int64)
+    return np.reshape(corners, (-1, 4, 2)).mean(axis=1).astype(float), np.ravel(numbers)
+
+
+def _layout(middles: Floats, numbers: Ints) -> tuple[int, int] | None:
+    """(columns, rows) of inner corners of the ChArUco board on which markers lie so; None if none.
+
+    Rows beneath the last marker seen are not counted.
+    """
+    markers = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_4X4_1000)
+    missed: dict[tuple[int, int], float] = {}
+    for columns in range(3, 41):
+        rows = 2 * (int(numbers.max()) + 1) // columns  # every other square holds a marker
+        for size in ((columns, max(rows + more, 3)) for more in (0, 1)):
+            board = cv2.aruco.CharucoBoard(size, 1.0, 0.7, markers)
+            for legacy in (False, True):
+                board.setLegacyPattern(legacy)
+                middle = np.array(board.getObjPoints()).mean(axis=1)[:, :2]
+                if len(middle) <= numbers.max():
+                    continue
+                matrix, _ = cv2.findHomography(middles, middle[numbers], cv2.LMEDS)
+                if matrix is not None:
+                    miss = cv2.perspectiveTransform(middles[None], matrix)[0] - middle[numbers]
+                    far = float(np.percentile(np.linalg.norm(miss, axis=1), 80))
+                    missed[size] = min(far, missed.get(size, np.inf))
+    best = min(missed, key=lambda size: missed[size], default=None)
+    return (best[0] - 1, best[1] - 1) if best and missed[best] < LYING else None
 
 
 def _dictionary(name: str, needed: int) -> cv2.aruco.Dictionary:

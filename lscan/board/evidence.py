@@ -1,19 +1,21 @@
-"""Checks that the dots found are those of the board."""
+"""Checks that the dots found are those of the board, and that its other marks bear them out."""
 
 import numpy as np
 from scipy.ndimage import map_coordinates
+from scipy.spatial import cKDTree
 
 from lscan.board.lattice import completed, dot_part, local_map
 from lscan.board.picture import BoardPicture
 from lscan.board.search import Nodes, local_pitch
-from lscan.config.board import Grid
-from lscan.records import Floats
+from lscan.config.board import Board, Grid
+from lscan.records import BoardReading, Floats, Status
 
 FEWEST_DOTS = 9  # three rows of three
 FEWEST_PART = 0.5  # of the dots in view
 INSIDE, OUTSIDE = 0.5, 1.75  # of the dot's radius: on the dot, and clear of it
 DARKEST_INSIDE, BRIGHTEST_OUTSIDE = 0.5, 0.5  # of the grey value at the middle
 DIRECTIONS = 16
+FEWEST_LOST = 3  # other marks that speak against a board file: fewer may be dirty
 UNEVEN = 0.03  # of the pitch: a board's dots miss a smooth grid by less than 0.01
 
 
@@ -42,7 +44,10 @@ def fault_of(picture: BoardPicture, nodes: Nodes, grid: Grid) -> str | None:
     if misfit > UNEVEN * 2 * radius_px / dot_part(grid):
         return f"the marks found miss a smooth grid by {misfit:.1f} px"
     if not _are_discs(picture, part.points, dot_part(grid)):
-        return "the marks found are not dots of the size the board file gives"
+        return (
+            "the marks found are not dots of the size the board file gives"
+            f"{_size_seen(picture, part.points, grid)}"
+        )
     if not _is_finest(picture, part.points):
         return "there are more dots between those at the pitch"
     return None
@@ -59,6 +64,17 @@ def _are_discs(picture: BoardPicture, points: Floats, part: float) -> bool:
     outside = _grey_around(picture, points[known], clear).max(axis=1)
     fits = (inside > DARKEST_INSIDE * middle) & (outside < BRIGHTEST_OUTSIDE * middle)
     return bool(fits.mean() > 0.5)
+
+
+def _size_seen(picture: BoardPicture, points: Floats, grid: Grid) -> str:
+    """How wide marks are at half their height, as the median, beside what the board file says."""
+    pitch = local_pitch(points)
+    known = np.isfinite(points[..., 0]) & np.isfinite(pitch)
+    radii = np.linspace(0.0, 0.5, 26)  # of the pitch
+    grey = [_grey_around(picture, points[known], r * pitch[known]).mean(axis=1) for r in radii]
+    profile = np.median(np.array(grey) / np.maximum(grey[0], 1e-9), axis=1)
+    width = 2 * radii[np.argmax(profile < (1 + profile.min()) / 2)] * grid.pitch_mm
+    return f": they are about {width:.2g} mm wide, dot_diameter_mm is {grid.dot_diameter_mm:g}"
 
 
 def _grey_around(picture: BoardPicture, points: Floats, radius: Floats) -> Floats:
@@ -86,3 +102,35 @@ def _smooth_at(picture: BoardPicture, points: Floats) -> Floats:
     known = points[np.isfinite(points[..., 0])]
     column, row = np.rint(known).astype(np.int64).T
     return picture.smooth[row, column].astype(float)
+
+
+def lost_marks(reading: BoardReading, board: Board) -> str:
+    """The kinds of other marks most of which are not where the board file has them, in words.
+
+    Empty where most of every kind were found, or fewer than three marks are lost.  Only marks
+    whose nearest control point was found count: the picture shows their place.
+
+    Parameters
+    ----------
+    reading : BoardReading, of a picture
+    board : Board, mm, of the board file
+    """
+    places = {
+        "rulers": [ruler.points_mm().mean(axis=0) for ruler in board.ruler],
+        "named dots": [np.array([dot.x_mm, dot.z_mm]) for dot in board.dot],
+        "rings": [np.array([ring.x_mm, ring.z_mm]) for ring in board.ring],
+    }
+    found = {
+        "rulers": [np.mean(ruler.marks.found) >= FEWEST_PART for ruler in reading.rulers],
+        "named dots": [reading.dots[dot.name].status == Status.OK for dot in board.dot],
+        "rings": [len(reading.rings[ring.name].sigma_px) > 0 for ring in board.ring],
+    }
+    nearest = cKDTree(reading.grid.board_mm)
+    lost, total = [], 0
+    for kind, middles in places.items():
+        seen = [bool(reading.grid.found[nearest.query(middle)[1]]) for middle in middles]
+        missing = sum(there and not ok for there, ok in zip(seen, found[kind], strict=True))
+        if missing > FEWEST_PART * sum(seen):
+            lost.append(f"{missing} of {sum(seen)} {kind}")
+            total += missing
+    return " and ".join(lost) if total >= FEWEST_LOST else ""

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lscan.board.centre import STEPS_FROM_NEAR, fit_centres, stand_alone, window_sigma
-from lscan.board.evidence import fault_of
+from lscan.board.evidence import fault_of, lost_marks
 from lscan.board.features import Contrast, mark_status, read_dot, read_ruler
 from lscan.board.lattice import (
     LocalMap,
@@ -91,7 +91,13 @@ def read_board(
     bright = bright_marks(image, channel, board.marks)
     if seeds is not None:
         picture, nodes = _search_from(bright, board, check_seeds(seeds, bright.shape[::-1]))
-        return _all_marks(bright, picture, nodes, board)
+        reading = _all_marks(bright, picture, nodes, board)
+        if lost := lost_marks(reading, board):
+            raise BoardNotFound(
+                f"{lost} are not where the board file has them: check that the seeds are dot O, "
+                "the one beneath it and the one to its right, and the board file"
+            )
+        return reading
     if not board.grid.whole and (board.ruler or board.dot or board.ring):
         raise InputError(
             "rulers, dots and rings cannot be placed where the origin is whichever dot is seen",
@@ -103,7 +109,26 @@ def read_board(
     except BoardNotFound:
         _refuse_other_contrast(-bright, board)
         raise
-    return _upright(bright, picture, nodes, board)
+    reading = _upright(bright, picture, nodes, board)
+    if lost := lost_marks(reading, board):
+        raise BoardNotFound(
+            f"{lost} are not where the board file has them{_mirrored(bright, board)}"
+        )
+    return reading
+
+
+def _mirrored(bright: Image, board: Board) -> str:
+    """What to do where other marks are lost: the picture may show the board as in a mirror."""
+    with suppress(BoardNotFound):
+        mirrored = np.ascontiguousarray(bright[:, ::-1])
+        if not lost_marks(
+            _upright(mirrored, *_search_from_anywhere(mirrored, board), board), board
+        ):
+            return (
+                ", but they are in the mirror image: the picture is mirrored (take it as the "
+                "camera sees it, without a mirror or a flip)"
+            )
+    return ": check the board file, or take out of it the marks that the board does not have"
 
 
 def _refuse_other_contrast(inverted: Image, board: Board) -> None:

@@ -23,7 +23,7 @@ from lscan.config.board import Board, load_board
 from lscan.config.documents import check, read_document
 from lscan.config.rig import CalibrationSection, OpticsSection, Rig
 from lscan.errors import InputError
-from lscan.files.pictures import read_picture
+from lscan.files.pictures import display_turn, read_picture
 from lscan.pipeline import board_expected, mean_picture, require_board, require_size
 from lscan.records import BoardReading, Bytes, Floats, Mask
 from lscan.surface.shaftfile import load_shaft
@@ -126,7 +126,19 @@ def board_picture(
     if board is None:
         raise InputError("a picture needs a board file", where="--board", allowed="a TOML file")
     known = read_optics(optics) if optics else OpticsSection()
-    return BoardSource(read_picture(picture), load_board(board), CalibrationSection(), known)
+    stored = read_as_stored(picture)
+    return BoardSource(stored, load_board(board), CalibrationSection(), known)
+
+
+def read_as_stored(path: Path) -> Bytes:
+    """``read_picture``; where viewers turn the picture, a note says that it is not turned."""
+    picture = read_picture(path)
+    if turn := display_turn(path):
+        note(
+            f"{path}: viewers show it {turn} (EXIF orientation); it is taken as stored, and so are "
+            "seeds, parts and overlays"
+        )
+    return picture
 
 
 def read_optics(path: Path) -> OpticsSection:

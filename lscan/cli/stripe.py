@@ -18,6 +18,7 @@ if TYPE_CHECKING:
 
 BOTH = "both"
 RETURNS = ("brightest", "first", "last", BOTH)
+BY_SPAN = ("max", "centroid", "centroid-relative")  # extractors that see span_px of a line alone
 
 
 def extract(
@@ -104,6 +105,13 @@ def extract(
         note(
             "many columns hold several lines as bright: try --returns first, last or both, or --roi"
         )
+    seen_px = 2 * settings.span_px + 1
+    wide_px = _width_px(image, settings, stripes[0]) if settings.extractor in BY_SPAN else 0.0
+    if wide_px > seen_px:
+        note(
+            f"the line is {wide_px:.0f} px wide at half its height, of which {settings.extractor} "
+            f"sees {seen_px}: try --extractor ml, or a larger --span-px"
+        )
     if rig is roi is mask is None:
         shows_more = partial(_shows_more, image, dark, settings, stripes[0])
         across = "rows" if settings.axis == "columns" else "columns"
@@ -124,12 +132,13 @@ def _pictures(
 ) -> tuple[Bytes, Bytes | None, Rig | None]:
     """The picture, its background if there is one, and the rig of a run folder."""
     from lscan.acquisition.run import open_run
+    from lscan.cli.inputs import read_as_stored
     from lscan.errors import InputError
     from lscan.files.pictures import read_picture
 
     dark = read_picture(background) if background else None
     if not os.path.isdir(picture):  # noqa: PTH112 - takes any text
-        return read_picture(picture), dark, None
+        return read_as_stored(picture), dark, None
     run = open_run(picture, trust)
     if not 0 <= frame < len(run):
         allowed = f"0 to {len(run) - 1}"
@@ -164,6 +173,21 @@ def _shows_more(
         return False
     changed = extract_stripe(image, settings.model_copy(update=change), background=dark)
     return bool(has_value(changed.status).sum() > 2 * found.sum())
+
+
+def _width_px(image: Bytes, settings: StripeSection, stripe: Stripe) -> float:
+    """Full width of the line at half its height, px; 0 where there is no line."""
+    import numpy as np
+
+    from lscan.records import has_value
+    from lscan.stripe.lines import lines_of
+    from lscan.stripe.width import FWHM, line_width
+
+    at = np.flatnonzero(has_value(stripe.status))
+    if len(at) == 0:
+        return 0.0
+    columns = lines_of(image, settings.channel, settings.axis, where="image").grey
+    return FWHM * line_width(columns, at, np.rint(stripe.centre_px[at]).astype(np.int64))
 
 
 def _names(output: Path, count: int) -> list[Path]:

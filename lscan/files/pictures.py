@@ -3,12 +3,14 @@
 All that decodes a stranger's picture does it here, once its header says that it is not too large.
 """
 
+import io
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import cv2
 import numpy as np
+from PIL import ExifTags, Image
 
 from lscan.errors import InputError
 from lscan.files.disk import read_bytes, write_atomically
@@ -55,6 +57,32 @@ def read_picture(path: Path) -> Bytes:
     if image.shape[2] == 4:
         image = image[..., :3]
     return np.ascontiguousarray(image[..., ::-1])
+
+
+def display_turn(path: Path) -> str:
+    """How viewers turn the picture that ``read_picture`` gives as it is stored; empty if not at all.
+
+    Parameters
+    ----------
+    path : Path, a file that ``read_picture`` has read
+
+    References
+    ----------
+    CIPA DC-008 (Exif 2.32), 4.6.4.A, tag Orientation.
+    """
+    with Image.open(io.BytesIO(read_bytes(path, MOST_BYTES))) as picture:
+        return _TURNS.get(picture.getexif().get(ExifTags.Base.Orientation, 1), "")
+
+
+_TURNS = {
+    2: "mirrored",
+    3: "turned by 180 degrees",
+    4: "mirrored and turned by 180 degrees",
+    5: "mirrored and turned by 90 degrees to the left",
+    6: "turned by 90 degrees to the right",
+    7: "mirrored and turned by 90 degrees to the right",
+    8: "turned by 90 degrees to the left",
+}
 
 
 def too_large(header: PictureHeader) -> bool:

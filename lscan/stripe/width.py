@@ -6,7 +6,8 @@ from lscan.records import Floats, GreyValues, Ints
 from lscan.stripe.peaks import windows
 
 _REACH_PX = 30
-_FWHM = 2 * np.sqrt(2 * np.log(2))
+FWHM = float(2 * np.sqrt(2 * np.log(2)))
+"""Full width at half height of a Gaussian, of its standard deviation."""
 _NARROWEST_PX = 0.5  # a line that falls into one pixel shows half a pixel's width
 
 
@@ -27,7 +28,7 @@ def line_width(columns: GreyValues, at: Ints, crest: Ints) -> float:
     profile = windows(columns, at, crest, reach).mean(axis=0)
     half = (profile[reach] + profile.min()) / 2
     fwhm = _reach(profile[reach:], half) + _reach(profile[reach::-1], half)
-    return max(fwhm / _FWHM, _NARROWEST_PX)
+    return max(fwhm / FWHM, _NARROWEST_PX)
 
 
 def _reach(flank: Floats, level: float) -> float:

@@ -74,7 +74,8 @@ def graticule_lines(graticule: Graticule, samples: int = 200) -> list[DrawnLine]
     for kind, line, curve in curves:
         along = np.linspace(line.first_px, line.last_px, samples)
         runs_across = kind in ("latitude", "horizontal ruler")
-        pair = (along, curve(along)) if runs_across else (curve(along), along)
+        along_u = runs_across != graticule.transposed
+        pair = (along, curve(along)) if along_u else (curve(along), along)
         drawn.append(DrawnLine(kind, line.at_mm, np.column_stack(pair)))
     return drawn
 
@@ -104,7 +105,7 @@ def ruler_conversions(
                 DrawnConversion(
                     direction=ruler.direction,
                     at_mm=ruler.at_mm,
-                    marks_px=ruler.marks.image_px[found, axis],
+                    marks_px=ruler.marks.image_px[found, axis ^ graticule.transposed],
                     marks_mm=ruler.marks.board_mm[found, axis],
                     curve_px=place,
                     curve_mm=solved.conversion(place),

@@ -4,6 +4,8 @@ Variants: "1", "2" or "bspline" for the fit of the lines (first-order rms, secon
 cubic B-spline), each also with "-norulers".
 """
 
+from dataclasses import replace
+
 import numpy as np
 
 from lscan.calibration.evaluate import Estimate
@@ -14,7 +16,7 @@ from lscan.calibration.region import covered_region, spacing_px
 from lscan.calibration.solved import MapSolver, SolvedMap, with_lack_of_fit
 from lscan.config.rig import OpticsSection
 from lscan.errors import BoardNotFound
-from lscan.records import BoardReading, Floats, Mask, select
+from lscan.records import BoardReading, Floats, Marks, Mask, select
 
 NO_RULERS = "-norulers"
 VARIANTS: dict[str, tuple[Fit, bool]] = {
@@ -33,6 +35,8 @@ class Graticule(SolvedMap):
     ----------
     latitudes : LineSet, the lines of the grid rows and the vertical rulers; they give z
     longitudes : LineSet, the lines of the grid columns and the horizontal rulers; they give x
+    transposed : bool, whether the lines are of the picture with u and v exchanged, as those of a
+        board are whose rows run down the picture
     region : Region, px, where the map holds
     lack_of_fit_mm : (2,) array, mm, of x and of z (solved.py)
 
@@ -43,6 +47,7 @@ class Graticule(SolvedMap):
 
     latitudes: LineSet
     longitudes: LineSet
+    transposed: bool = False
 
     def estimate(self, image_px: Floats, variance_px2: Floats) -> Estimate:
         """Points of covered pixels; NaN where no two lines of a direction surround one.
@@ -52,7 +57,7 @@ class Graticule(SolvedMap):
         image_px : (N, 2) array, px, of (u, v)
         variance_px2 : (N,) array, px², of either pixel coordinate
         """
-        u, v = image_px.T
+        u, v = self._along_and_across(image_px)
         x, variance_x = self.longitudes.locate(Targets(v, u, variance_px2))
         z, variance_z = self.latitudes.locate(Targets(u, v, variance_px2))
         return Estimate(np.column_stack([x, z]), np.column_stack([variance_x, variance_z]))
@@ -64,10 +69,15 @@ class Graticule(SolvedMap):
         ----------
         image_px : (N, 2) array, u and v in px
         """
-        u, v = image_px.T
+        u, v = self._along_and_across(image_px)
         x, _ = self.longitudes.locate(Targets(v, u, None))
         z, _ = self.latitudes.locate(Targets(u, v, None))
         return np.column_stack([x, z])
+
+    def _along_and_across(self, image_px: Floats) -> tuple[Floats, Floats]:
+        """(N,) px along the rows of the grid and (N,) px across them."""
+        u, v = image_px.T
+        return (v, u) if self.transposed else (u, v)
 
 
 class GraticuleSolver(MapSolver[Graticule]):
@@ -114,18 +124,44 @@ class GraticuleSolver(MapSolver[Graticule]):
             As ``fit``.
         """
         fit, with_rulers = VARIANTS[variant]
+        region_of, transposed = reading, _rows_run_down(reading)
+        if transposed:
+            reading = _transposed(reading)
         rows = _fit_lines(reading, 0, fit)
         columns = _fit_lines(reading, 1, fit)
         reach = spacing_px(reading)
         return Graticule(
             latitudes=LineSet(_present(rows), _rulers(reading, 1, fit, with_rulers), reach),
             longitudes=LineSet(_present(columns), _rulers(reading, 0, fit, with_rulers), reach),
-            region=covered_region(reading, _on_lines(reading, rows, columns)),
+            transposed=transposed,
+            region=covered_region(region_of, _on_lines(reading, rows, columns)),
             lack_of_fit_mm=np.zeros(2),
         )
 
 
 solver = GraticuleSolver()
+
+
+def _rows_run_down(reading: BoardReading) -> bool:
+    """Whether the grid's rows lie nearer to the picture's columns than to its rows.
+
+    A line is fitted as across over along, so a board may lean by less than 90 degrees only.
+    """
+    step = np.abs(np.diff(reading.grid.image_px.reshape(*reading.shape, 2), axis=1))
+    if np.isnan(step[..., 0]).all():
+        return False
+    along_u, along_v = np.nanmedian(step, axis=(0, 1))
+    return bool(along_v > along_u)
+
+
+def _transposed(reading: BoardReading) -> BoardReading:
+    """The reading of the picture with u and v exchanged, of grid and rulers."""
+
+    def swapped(marks: Marks) -> Marks:
+        return replace(marks, image_px=marks.image_px[:, ::-1])
+
+    rulers = tuple(replace(ruler, marks=swapped(ruler.marks)) for ruler in reading.rulers)
+    return replace(reading, grid=swapped(reading.grid), rulers=rulers)
 
 
 def _fit_lines(reading: BoardReading, along: int, fit: Fit) -> list[GridLine | None]:

@@ -146,6 +146,32 @@ def test_no_board_and_bad_boards() -> None:
         read_charuco(blank, 6, 4, 20.0, 14.0, "DICT_NONE")
 
 
+@pytest.mark.parametrize(
+    ("change", "stated", "said"),
+    [
+        ({}, (6, 4, "DICT_5X5_100"), "17 markers of DICT_4X4_1000 .* none of DICT_5X5_100$"),
+        ({}, (4, 6, "DICT_4X4_50"), "columns = 6, rows = 4 or more$"),
+        ({}, (8, 6, "DICT_4X4_50"), "columns = 6, rows = 4 or more$"),
+        ({"mirror": True}, (6, 4, "DICT_4X4_50"), "in the mirror image, so the picture is mirr"),
+        ({"negative": True}, (6, 4, "DICT_4X4_50"), "printed white on black$"),
+        ({"blur_px": 30.0}, (6, 4, "DICT_4X4_50"), "no markers of any dictionary"),
+    ],
+)
+def test_what_keeps_a_charuco_board_from_being_found(
+    change: dict[str, float], stated: tuple[int, int, str], said: str
+) -> None:
+    picture = charuco()
+    if change.get("mirror"):
+        picture = picture[:, ::-1].copy()
+    if change.get("negative"):
+        picture = 255 - picture
+    if blur_px := change.get("blur_px"):
+        picture = cv2.GaussianBlur(picture, (0, 0), blur_px)
+    columns, rows, dictionary = stated
+    with pytest.raises(BoardNotFound, match=said):
+        read_charuco(picture, columns, rows, 20.0, 14.0, dictionary)
+
+
 @pytest.mark.parametrize("along", ["row", "column"])
 @pytest.mark.parametrize("off_px", [-2.0, 0.0, 1.5])
 def test_corners_beside_a_lasers_line_are_right_or_left_out(along: str, off_px: float) -> None:

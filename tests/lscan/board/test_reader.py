@@ -242,6 +242,41 @@ def test_no_rim_in_view_is_refused_and_seeds_help() -> None:
     np.testing.assert_allclose(nodes, np.rint(nodes), atol=miss / 50)
 
 
+@pytest.mark.parametrize("turns", [0, 1])
+def test_a_mirrored_picture_is_refused(paper: tuple[View, Bytes, BoardReading], turns: int) -> None:
+    # A4, B4, C4, D4 ... lie where the mirror image has others; the grid and rulers look alike.
+    mirrored = np.rot90(paper[1], turns)[:, ::-1]
+    with pytest.raises(BoardNotFound, match=r"1\d of 16 named dots and 2 of 3 rings.*mirrored"):
+        read_board(mirrored, PAPER)
+
+
+def test_seeds_at_another_corner_are_refused(paper: tuple[View, Bytes, BoardReading]) -> None:
+    _, picture, reading = paper
+    seeds = reading.grid.image_px[[99, 89, 98]]  # from the lower right corner up and to the left
+    turned, there = picture[::-1, ::-1], np.array(picture.shape[::-1]) - 1
+    with pytest.raises(BoardNotFound, match="named dots.*check that the seeds"):
+        read_board(turned, PAPER, seeds=there - seeds)
+
+
+def test_the_file_of_another_board_is_refused(paper: tuple[View, Bytes, BoardReading]) -> None:
+    dots = tuple(dot.model_copy(update={"x_mm": dot.x_mm - 12.0}) for dot in PAPER.dot)
+    other = PAPER.model_copy(update={"dot": dots})
+    with pytest.raises(BoardNotFound, match="16 of 16 named dots .*: check the board file"):
+        read_board(paper[1], other)
+
+
+def test_marks_under_dirt_do_not_speak_against_the_board(
+    paper: tuple[View, Bytes, BoardReading],
+) -> None:
+    view, picture, _ = paper
+    dirty = picture.copy()
+    (left, top), (right, bottom) = view.image_px(np.array([[80.0, -5.0], [470.0, -240.0]]))
+    dirty[int(top) : int(bottom), int(left) : int(right)] = 217  # half of the named marks
+    reading = read_board(dirty, PAPER)
+    assert reading.dots["A1"].status == Status.NOT_FOUND
+    assert reading.dots["D1"].status == Status.OK
+
+
 def test_fewer_dots_than_the_board_file_says() -> None:
     picture = render(PLAIN, View(), seed=8)
     with pytest.raises(BoardNotFound, match="more than the 8"):
@@ -279,6 +314,9 @@ def test_no_board(what: str, board: Board) -> None:
 def test_a_board_with_dots_of_another_size(paper: tuple[View, Bytes, BoardReading]) -> None:
     with pytest.raises(BoardNotFound):
         read_board(paper[1], with_grid(PAPER, dot_diameter_mm=25.0))
+    large = render(with_grid(PLAIN, dot_diameter_mm=10.0), View(), seed=2)
+    with pytest.raises(BoardNotFound, match="they are about 10 mm wide, dot_diameter_mm is 5"):
+        read_board(large, PLAIN)
 
 
 def test_seeds_beside_the_dots(paper: tuple[View, Bytes, BoardReading]) -> None:

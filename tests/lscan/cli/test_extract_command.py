@@ -9,6 +9,7 @@ import pytest
 from command_line import call, refused
 from drawn_runs import sandwave_run
 from metricviews import SIZE, known, paper_rig, poses, views_of, with_noise
+from PIL import ExifTags, Image
 
 from lscan.calibration.carry import carried
 from lscan.calibration.multiview.file import save_metric
@@ -40,6 +41,36 @@ def picture(tmp_path: Path) -> Path:
 def rows_of(path: Path) -> list[dict[str, str]]:
     with path.open() as file:
         return list(csv.DictReader(file))
+
+
+@pytest.mark.parametrize(
+    ("extractor", "width_px", "hint"),
+    [("centroid", 6.0, True), ("centroid", 1.5, False), ("ml", 6.0, False)],
+)
+def test_a_line_wider_than_the_span_is_said(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], extractor: str, width_px: float, hint: bool
+) -> None:
+    """Of a standard deviation of 6 px, 14 px are above half its height; the span looks at 5."""
+    v = np.arange(160, dtype=float)[:, None]
+    line = np.tile(20 + 150 * np.exp(-((v - 80) ** 2) / (2 * width_px**2)), (1, 60))
+    write_picture(tmp_path / "wide.png", np.rint(line).astype(np.uint8))
+    code, _, err = call(capsys, "extract", tmp_path / "wide.png", "--extractor", extractor)
+    assert code == 0
+    assert ("14 px wide at half its height" in err and "--extractor ml" in err) == hint
+
+
+def test_how_viewers_turn_a_picture_is_said(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    v = np.arange(80, dtype=float)[:, None]
+    line = np.tile(20 + 150 * np.exp(-((v - 30) ** 2) / 4.5), (1, 60)).astype(np.uint8)
+    for orientation in (1, 6):
+        exif = Image.Exif()
+        exif[ExifTags.Base.Orientation] = orientation
+        Image.fromarray(line).save(tmp_path / f"{orientation}.jpg", exif=exif)
+        code, out, err = call(capsys, "extract", tmp_path / f"{orientation}.jpg")
+        assert code == 0 and "found in 60 of 60 columns" in out  # upright it would be one of rows
+        assert ("turned by 90 degrees to the right" in err) == (orientation == 6)
 
 
 def test_a_single_picture_is_read_in_the_colour_of_its_line(

@@ -56,6 +56,25 @@ def test_affine_view_is_exact(variant: str) -> None:
     np.testing.assert_allclose(answer.sigma_mm, 0.0, atol=1e-7)
 
 
+@pytest.mark.parametrize("turns", [1, 2, 3])
+@pytest.mark.parametrize("variant", ["1", "2", "bspline"])
+def test_a_board_turned_by_a_quarter_is_exact_too(variant: str, turns: int) -> None:
+    turn = np.linalg.matrix_power(np.array([[0.0, 1.0], [-1.0, 0.0]]), turns)
+
+    def turned(board_mm: Floats) -> Floats:
+        middle = np.array([319.5, 239.5])
+        return 0.7 * (affine(board_mm) - middle) @ turn.T + middle
+
+    reading = read_board(BOARD, turned)
+    graticule = solver.solve(reading, variant)
+    points = board_points(300, seed=1)
+    answer = graticule.to_plane(turned(points))
+    assert (answer.status == Status.OK).all()
+    np.testing.assert_allclose(answer.xz_mm, points, rtol=0, atol=1e-8)
+    kept = solver.restore(variant, graticule.parameters())
+    np.testing.assert_array_equal(kept.to_plane(turned(points)).xz_mm, answer.xz_mm)
+
+
 def test_weight_of_eq_3() -> None:
     """Sec. II: w_i = 0.26 puts the point 37 mm beneath H_i; lines 100 px apart, level."""
     level = Board.model_validate({"grid": BOARD.grid.model_dump()})
@@ -304,8 +323,12 @@ def test_unknown_variant(name: str) -> None:
 # --- curves for the report ----------------------------------------------------------------
 
 
-def test_drawn_lines_and_conversions() -> None:
-    reading = read_board(BOARD, affine)
+@pytest.mark.parametrize("transposed", [False, True])
+def test_drawn_lines_and_conversions(transposed: bool) -> None:
+    def seen(board_mm: Floats) -> Floats:
+        return affine(board_mm)[:, ::-1] if transposed else affine(board_mm)
+
+    reading = read_board(BOARD, seen)
     graticule = solver.solve(reading, "2")
     drawn = graticule_lines(graticule, samples=50)
     assert [line.kind for line in drawn].count("latitude") == 10
@@ -313,7 +336,8 @@ def test_drawn_lines_and_conversions() -> None:
     for line in drawn:
         axis = 1 if line.kind in ("latitude", "horizontal ruler") else 0
         inverse = np.linalg.inv([[1.1, 0.05], [-0.03, -0.95]])
-        board = (line.image_px - [40.0, 10.0]) @ inverse
+        image_px = line.image_px[:, ::-1] if transposed else line.image_px
+        board = (image_px - [40.0, 10.0]) @ inverse
         np.testing.assert_allclose(board[:, axis], line.at_mm, atol=1e-8)
     conversions = ruler_conversions(graticule, reading)
     assert [conversion.at_mm for conversion in conversions] == [75, 225, 375, -125, -325]
