@@ -33,8 +33,11 @@ MOST_MOVED = 0.2  # of the distance between corners, from where OpenCV saw it
 MOST_CHANGED = 6.0  # standard deviations, from window to window and from the lattice
 FOURTH = np.array([1.0, -4.0, 6.0, -4.0, 1.0])  # difference of five in line
 FEWEST = 6  # corners of a ChArUco board: a pose needs four, its check two more
-LARGEST = ("4X4_1000", "5X5_1000", "6X6_1000", "7X7_1000", "ARUCO_ORIGINAL")
-LARGEST += ("APRILTAG_25h9", "APRILTAG_36h11", "ARUCO_MIP_36h12")  # the others are parts of these
+LARGEST = (  # dictionaries of which the others are parts
+    *(f"DICT_{bits}_1000" for bits in ("4X4", "5X5", "6X6", "7X7")),
+    *(f"DICT_{name}" for name in ("ARUCO_ORIGINAL", "ARUCO_MIP_36h12")),
+    *(f"DICT_APRILTAG_{name}" for name in ("25h9", "36h11")),
+)
 FEWEST_MARKERS = 4  # more than noise looks like; four fix a homography
 LYING = 0.2  # of a square: by less do four in five markers miss their own layout
 
@@ -146,7 +149,7 @@ def _markers_in_words(picture: Bytes, size: tuple[int, int], dictionary: str) ->
         " in the mirror image, so the picture is mirrored": picture[:, ::-1],
         " in the negative, so they are printed white on black": 255 - picture,
     }
-    for name in (dictionary, *(f"DICT_{part}" for part in LARGEST)):
+    for name in (dictionary, *LARGEST):
         for view, pixels in views.items():
             middles, numbers = _markers(np.ascontiguousarray(pixels), name)
             if len(numbers) < FEWEST_MARKERS:

@@ -115,22 +115,26 @@ def lost_marks(reading: BoardReading, board: Board) -> str:
     reading : BoardReading, of a picture
     board : Board, mm, of the board file
     """
-    places = {
-        "rulers": [ruler.points_mm().mean(axis=0) for ruler in board.ruler],
-        "named dots": [np.array([dot.x_mm, dot.z_mm]) for dot in board.dot],
-        "rings": [np.array([ring.x_mm, ring.z_mm]) for ring in board.ring],
-    }
-    found = {
-        "rulers": [np.mean(ruler.marks.found) >= FEWEST_PART for ruler in reading.rulers],
-        "named dots": [reading.dots[dot.name].status == Status.OK for dot in board.dot],
-        "rings": [len(reading.rings[ring.name].sigma_px) > 0 for ring in board.ring],
+    rulers = zip(board.ruler, reading.rulers, strict=True)
+    others = {
+        "rulers": [
+            (ruler.points_mm().mean(axis=0), float(np.mean(seen.marks.found)) >= FEWEST_PART)
+            for ruler, seen in rulers
+        ],
+        "named dots": [
+            ((dot.x_mm, dot.z_mm), reading.dots[dot.name].status == Status.OK) for dot in board.dot
+        ],
+        "rings": [
+            ((ring.x_mm, ring.z_mm), len(reading.rings[ring.name].sigma_px) > 0)
+            for ring in board.ring
+        ],
     }
     nearest = cKDTree(reading.grid.board_mm)
     lost, total = [], 0
-    for kind, middles in places.items():
-        seen = [bool(reading.grid.found[nearest.query(middle)[1]]) for middle in middles]
-        missing = sum(there and not ok for there, ok in zip(seen, found[kind], strict=True))
-        if missing > FEWEST_PART * sum(seen):
-            lost.append(f"{missing} of {sum(seen)} {kind}")
+    for kind, marks in others.items():
+        seen = [found for place, found in marks if reading.grid.found[nearest.query(place)[1]]]
+        missing = seen.count(False)
+        if missing > FEWEST_PART * len(seen):
+            lost.append(f"{missing} of {len(seen)} {kind}")
             total += missing
     return " and ".join(lost) if total >= FEWEST_LOST else ""

@@ -111,19 +111,17 @@ def read_board(
         raise
     reading = _upright(bright, picture, nodes, board)
     if lost := lost_marks(reading, board):
-        raise BoardNotFound(
-            f"{lost} are not where the board file has them{_mirrored(bright, board)}"
-        )
+        why = _why_lost(bright, board)
+        raise BoardNotFound(f"{lost} are not where the board file has them{why}")
     return reading
 
 
-def _mirrored(bright: Image, board: Board) -> str:
+def _why_lost(bright: Image, board: Board) -> str:
     """What to do where other marks are lost: the picture may show the board as in a mirror."""
     with suppress(BoardNotFound):
         mirrored = np.ascontiguousarray(bright[:, ::-1])
-        if not lost_marks(
-            _upright(mirrored, *_search_from_anywhere(mirrored, board), board), board
-        ):
+        reading = _upright(mirrored, *_search_from_anywhere(mirrored, board), board)
+        if not lost_marks(reading, board):
             return (
                 ", but they are in the mirror image: the picture is mirrored (take it as the "
                 "camera sees it, without a mirror or a flip)"

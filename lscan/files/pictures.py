@@ -60,7 +60,7 @@ def read_picture(path: Path) -> Bytes:
 
 
 def display_turn(path: Path) -> str:
-    """How viewers turn the picture that ``read_picture`` gives as it is stored; empty if not at all.
+    """How viewers turn the picture that is taken as it is stored; empty where they do not.
 
     Parameters
     ----------

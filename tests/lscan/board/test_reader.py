@@ -254,14 +254,14 @@ def test_seeds_at_another_corner_are_refused(paper: tuple[View, Bytes, BoardRead
     _, picture, reading = paper
     seeds = reading.grid.image_px[[99, 89, 98]]  # from the lower right corner up and to the left
     turned, there = picture[::-1, ::-1], np.array(picture.shape[::-1]) - 1
-    with pytest.raises(BoardNotFound, match="named dots.*check that the seeds"):
+    with pytest.raises(BoardNotFound, match=r"named dots.*check that the seeds"):
         read_board(turned, PAPER, seeds=there - seeds)
 
 
 def test_the_file_of_another_board_is_refused(paper: tuple[View, Bytes, BoardReading]) -> None:
     dots = tuple(dot.model_copy(update={"x_mm": dot.x_mm - 12.0}) for dot in PAPER.dot)
     other = PAPER.model_copy(update={"dot": dots})
-    with pytest.raises(BoardNotFound, match="16 of 16 named dots .*: check the board file"):
+    with pytest.raises(BoardNotFound, match=r"16 of 16 named dots .*: check the board file"):
         read_board(paper[1], other)
 
 
