@@ -32,6 +32,8 @@ if TYPE_CHECKING:
 
 LEAST_SHARE = 0.02
 """Of the columns: a line that spans less of its pictures may be no laser line at all."""
+MOST_STRETCHED = 0.005
+"""Of a block along the track, 1 mm over it: screws and belts that are sound are within a tenth."""
 _NO_SURFACE = (
     "there is no surface to build; a run of the board is for `lscan calibrate` and `lscan measure`"
 )
@@ -79,6 +81,8 @@ def reconstruct(
             f"board, {_NO_SURFACE}"
         )
     _note_doubts(built, opened.rig_file.rig)
+    if alignment is None:
+        _note_scale(built.surface, opened.rig_file.rig)
     save_surface(output, surface)
     if points:
         save_points(points, surface)
@@ -148,11 +152,14 @@ def measure(
 def _measured(run: Path, calibration: Path | None, shaft: Path | None, trust: bool) -> Measures:
     """What the run shows of the piece that its rig names."""
     from lscan.cli.inputs import open_calibrated
-    from lscan.measurement import measure_run
+    from lscan.measurement import SandwaveMeasures, measure_run
 
     opened, plane_map = open_calibrated(run, _required(calibration, run), shaft, trust)
     with progress_bar("measure") as progress:
-        return measure_run(opened, plane_map, progress)
+        measures = measure_run(opened, plane_map, progress)
+    if isinstance(measures, SandwaveMeasures):
+        _note_scale(measures.aligned, opened.rig_file.rig)
+    return measures
 
 
 def _measured_shapes(
@@ -219,6 +226,22 @@ def _note_doubts(built: Reconstruction, rig: Rig) -> None:
         note(
             "the sheet's thickness is corrected for as if the sheet stood square to the track: "
             "without an alignment its yaw is not known"
+        )
+
+
+def _note_scale(surface: Surface, rig: Rig) -> None:
+    """Say on stderr that a sandwave came out longer or shorter along the track than it is."""
+    from lscan.config.targets import Sandwave
+    from lscan.measure import scale_along_track
+
+    if surface.frame != "workpiece" or not isinstance(rig.workpiece, Sandwave):
+        return
+    scale = scale_along_track(surface, rig.workpiece)
+    if abs(scale - 1) > MOST_STRETCHED:
+        note(
+            f"along the track the block comes out {scale:.4f} times as long as it is: the track "
+            f"moves {1 / scale:.4f} of what it reports (steps per mm, a slipping belt), or the "
+            "plan's positions are not where it stood"
         )
 
 

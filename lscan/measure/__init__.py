@@ -3,7 +3,7 @@
 from lscan.measure.board import diameters, distances, unmeasured_distances
 from lscan.measure.circle import Circle, fit_circle
 from lscan.measure.grooves import groove_dimensions
-from lscan.measure.slices import SliceErrors, compare_slice
+from lscan.measure.slices import SliceErrors, compare_slice, scale_along_track
 
 __all__ = [
     "Circle",
@@ -13,5 +13,6 @@ __all__ = [
     "distances",
     "fit_circle",
     "groove_dimensions",
+    "scale_along_track",
     "unmeasured_distances",
 ]
