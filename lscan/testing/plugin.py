@@ -6,6 +6,7 @@ where a fixture is used.
 
 from __future__ import annotations
 
+import os
 from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -23,6 +24,10 @@ CASE, BOARD, SCAN = "stripe_case", "board_case", "scan_case"
 SUITE, UPDATE = "--lscan-suite", "--lscan-update"
 USUAL = "drawn"
 MARK = "lscan_suite"
+NONE = "none"
+"""The case of a suite without any: an error of the test alone, which -k may leave out."""
+WRITTEN = pytest.StashKey[dict[Path, str]]()
+"""Of a run with --lscan-update: the baselines written, each by the test that wrote it."""
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
@@ -36,15 +41,24 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    """Name the mark."""
+    """Name the mark, and refuse to write baselines where two processes may write one file."""
     config.addinivalue_line("markers", f"{MARK}(name): suite of the lscan fixtures of a test")
+    config.stash[WRITTEN] = {}
+    if not config.getoption(UPDATE):
+        return
+    if hasattr(config, "workerinput") or config.getoption("numprocesses", None):
+        raise pytest.UsageError(f"{UPDATE} writes baselines in one process: leave out -n")
+    if os.environ.get("CI", "").lower() not in ("", "0", "false"):
+        raise pytest.UsageError(
+            f"{UPDATE} would test nothing, and CI is set: write baselines by hand and commit them"
+        )
 
 
 def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
     """One test for each case of the suite where a test takes a fixture of one."""
     for fixture, cases in ((CASE, _cases), (BOARD, _boards), (SCAN, _scans)):
         if fixture in metafunc.fixturenames:
-            names = sorted(cases(_suite(metafunc.definition)))
+            names = sorted(cases(_suite(metafunc.definition))) or [NONE]
             metafunc.parametrize(fixture, names, indirect=True)
 
 
@@ -57,19 +71,19 @@ def lscan_suite(request: pytest.FixtureRequest) -> str:
 @pytest.fixture
 def stripe_case(request: pytest.FixtureRequest) -> SuiteCase:
     """One case of the suite: picture, truth, settings, values on the suite's axes."""
-    return _cases(_suite(request.node))[request.param]()
+    return _case_of(_cases, request)
 
 
 @pytest.fixture
 def board_case(request: pytest.FixtureRequest) -> BoardCase:
     """One picture of the board of the suite: its marks and the map on the sheet, known."""
-    return _boards(_suite(request.node))[request.param]()
+    return _case_of(_boards, request)
 
 
 @pytest.fixture
 def scan_case(request: pytest.FixtureRequest) -> ScanCase:
     """One whole scan of the suite, with its board: the rig, the pictures, every point known."""
-    return _scans(_suite(request.node))[request.param]()
+    return _case_of(_scans, request)
 
 
 @pytest.fixture
@@ -136,6 +150,10 @@ def assert_no_worse(
 
         file = request.path.parent / baseline
         if request.config.getoption(UPDATE):
+            written = request.config.stash[WRITTEN]
+            other = written.setdefault(file, request.node.nodeid)
+            if other != request.node.nodeid:
+                pytest.fail(f"{file} is the baseline of {other} too: name another", pytrace=False)
             write_json(file, saved_run(result))
             return
         if not file.exists():
@@ -157,8 +175,16 @@ def assert_no_worse(
 def pytest_runtest_makereport(
     item: pytest.Item,
 ) -> Generator[None, pytest.TestReport, pytest.TestReport]:
-    """Beside the failure of a test of a case: its picture and the command to look closer."""
+    """Beside the failure of a test of a case: its picture and the command to look closer.
+
+    A test that wrote a baseline has tested nothing: it is skipped, not passed.
+    """
     report = yield
+    files = [file for file, by in item.config.stash[WRITTEN].items() if by == item.nodeid]
+    if report.when == "call" and report.passed and files:
+        where, line, _ = item.location
+        report.outcome = "skipped"
+        report.longrepr = (where, line or 0, f"baseline written: {', '.join(map(str, files))}")
     given = getattr(item, "funcargs", {})
     case = given.get(CASE) or given.get(BOARD) or given.get(SCAN)
     if report.when == "call" and report.failed and case is not None:
@@ -166,11 +192,37 @@ def pytest_runtest_makereport(
     return report
 
 
+def pytest_terminal_summary(terminalreporter: Any, config: pytest.Config) -> None:
+    """Name the baselines that were written."""
+    if written := config.stash[WRITTEN]:
+        terminalreporter.section("lscan baselines")
+        for file, test in written.items():
+            terminalreporter.write_line(f"written, nothing tested: {file} ({test})")
+
+
+def _case_of(cases: Callable[[str], dict[str, Callable[[], Any]]], request: Any) -> Any:
+    """The case that a fixture of one is to give; the test fails where the suite has none such."""
+    suite = _suite(request.node)
+    known = cases(suite)
+    if not known:
+        pytest.fail(
+            f"takes {request.fixturename}, of which the suite {suite!r} holds none: name one that "
+            f"does by {SUITE}, such as quick, or chains for scans",
+            pytrace=False,
+        )
+    return known[request.param]()
+
+
 def _suite(node: pytest.Item | pytest.Function | Any) -> str:
     option = node.config.getoption(SUITE)
     mark = node.get_closest_marker(MARK)
-    named = option or (mark.args[0] if mark and mark.args else None)
-    return str(named or node.config.getini("lscan_suite"))
+    named = [] if mark is None else [*mark.args, *mark.kwargs.values()]
+    if mark is not None and (len(named) != 1 or set(mark.kwargs) - {"name"}):
+        pytest.fail(
+            f'{node.nodeid}: the mark {MARK} takes the name of one suite, as in {MARK}("quick")',
+            pytrace=False,
+        )
+    return str(option or (named[0] if named else node.config.getini("lscan_suite")))
 
 
 @cache

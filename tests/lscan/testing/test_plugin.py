@@ -14,12 +14,14 @@ import sys
 from contextlib import redirect_stderr, redirect_stdout
 from importlib.metadata import entry_points
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 from places import ROOT
 from suite_cases import board_suite, drawn_suite, scan_suite
 
 from lscan.stripe import find_extractor
+from lscan.testing.plugin import UPDATE, pytest_configure
 
 EXAMPLE = ROOT / "examples" / "line-finder"
 LEAST_LINES = 15  # of a stranger's own test, at most
@@ -45,6 +47,7 @@ def run(package: Path, *arguments: str) -> tuple[int, str]:
     said = io.StringIO()
     with pytest.MonkeyPatch.context() as patch, redirect_stdout(said), redirect_stderr(said):
         patch.chdir(package)
+        patch.delenv("CI", raising=False)
         patch.syspath_prepend(package / "src")
         # A process has one fault handler, and here it is that of the pytest about this one.  That
         # also looks for errors that nobody could raise, which goes through all of the memory.
@@ -86,7 +89,9 @@ def test_a_baseline_is_written_kept_and_noticed(package: Path) -> None:
     by what, and what to type.  Under xdist too."""
     code, said = run(package, "-k", "no_worse")
     assert code == 1 and "pytest --lscan-update writes it" in said
-    assert run(package, "-k", "no_worse", "--lscan-update")[0] == 0
+    code, said = run(package, "-k", "no_worse", "--lscan-update")
+    assert code == 0 and "1 skipped" in said and "passed" not in said
+    assert re.search(r"written, nothing tested: \S+baseline.json \(\S+no_worse\S*\)", said)
     baseline = package / "tests" / "baseline.json"
     written = baseline.read_bytes()
     code, said = run_as_command(package, "-n", "2", "-q")
@@ -133,8 +138,62 @@ def test_boards_are_cases_too(package: Path) -> None:
     code, said = run(package, *suite)
     assert code == 1 and "2 failed, 2 passed" in said
     assert re.search(r"picture: \S+board-000\.png", said) and "lscan extract" not in said
-    code, said = run(package, "--lscan-suite", "drawn", "-k", "all_dots")
-    assert code == 0 and "1 skipped" in said
+    for suite in ("drawn", str(package.parent / "twelve")):
+        code, said = run(package, "--lscan-suite", suite, "-k", "all_dots")
+        assert code == 1 and "1 error" in said
+        assert re.search(r"takes board_case, of which the suite '\S+' holds none", said)
+
+
+def test_baselines_are_written_by_one_test_in_one_process(package: Path) -> None:
+    (package / "tests" / "test_two.py").write_text(
+        "def test_one(judge_extractor, assert_no_worse):\n"
+        "    assert_no_worse(judge_extractor('max'), 'shared.json')\n"
+        "def test_other(judge_extractor, assert_no_worse):\n"
+        "    assert_no_worse(judge_extractor('centroid'), 'shared.json')\n"
+    )
+    code, said = run(package, "-k", "test_one or test_other", "--lscan-update")
+    assert code == 1 and "1 failed, 1 skipped" in said
+    assert "test_two.py::test_one too: name another" in said
+    code, said = run(package, "-n", "2", "--lscan-update")
+    assert code == 4 and "leave out -n" in said
+
+
+def test_baselines_are_not_written_by_ci(monkeypatch: pytest.MonkeyPatch) -> None:
+    config = SimpleNamespace(
+        addinivalue_line=lambda *_: None,
+        stash=pytest.Stash(),
+        getoption=lambda name, *_: name == UPDATE,
+    )
+    monkeypatch.setenv("CI", "true")
+    with pytest.raises(pytest.UsageError, match="CI is set"):
+        pytest_configure(config)  # type: ignore[arg-type]
+    monkeypatch.setenv("CI", "false")
+    pytest_configure(config)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(
+    ("mark", "code"),
+    [
+        ('name="{suite}"', 0),
+        ('"{suite}"', 0),
+        ('suite="{suite}"', 2),
+        ('"{suite}", "quick"', 2),
+        ("", 2),
+    ],
+)
+def test_the_mark_names_one_suite(package: Path, mark: str, code: int) -> None:
+    boards = package.parent / "boards"
+    boards.mkdir()
+    board_suite(boards)
+    (package / "tests" / "test_marked.py").write_text(
+        "import pytest\n"
+        f"@pytest.mark.lscan_suite({mark.format(suite=boards)})\n"
+        "def test_dots(board_case):\n"
+        "    assert len(board_case.marks.status)\n"
+    )
+    done, said = run(package, "-k", "test_dots", "--lscan-suite", "")
+    assert done == code, said
+    assert ("4 passed" in said) if code == 0 else ("takes the name of one suite" in said)
 
 
 def test_readers_and_maps_are_held_against_a_baseline(package: Path) -> None:
@@ -179,7 +238,7 @@ def test_a_test_may_take_scans_and_judge_chains(package: Path) -> None:
     )
     suite = ["--lscan-suite", str(package.parent / "scans"), "-k", "test_scan or test_chain"]
     code, said = run(package, *suite, "--lscan-update")
-    assert code == 1 and "6 failed, 7 passed" in said
+    assert code == 1 and "6 failed, 6 passed, 1 skipped" in said
     assert "target grooved-block" in said
     file = package / "tests" / "chain.json"
     content = json.loads(file.read_text())
