@@ -131,14 +131,14 @@ def _tried(stage: Callable[..., Any], *given: Any) -> tuple[Any, float]:
     """What a stage returns, None where it refuses or has nothing to work on, and its seconds."""
     if any(one is None for one in given):
         return None, 0.0
-    began = time.perf_counter()
+    began = time.process_time()
     try:
         found = stage(*given)
     except InputError:
         raise  # of what the chain says, not of the pictures
     except LscanError:
         found = None
-    return found, time.perf_counter() - began
+    return found, time.process_time() - began
 
 
 def _calibrated(case: ScanCase, rig: Rig) -> PlaneMap:

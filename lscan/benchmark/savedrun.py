@@ -5,7 +5,7 @@ from dataclasses import asdict, astuple, dataclass
 from pathlib import Path
 from typing import Any
 
-from lscan.benchmark.against import Difference, differences
+from lscan.benchmark.against import Difference, before_and_after, differences
 from lscan.benchmark.judging import SUMS, CaseSums
 from lscan.benchmark.suiterun import SuiteRun, suite_rows
 from lscan.benchmark.worst import draw_worst
@@ -122,6 +122,30 @@ def compare_saved(run: SuiteRun, file: Path) -> list[Difference]:
     InputError
         The file is none, or of another suite, or has none of the methods.
     """
+    found = [differences(name, now, before) for name, now, before in _in_both(run, file)]
+    return [one for of in found for one in of]
+
+
+def changes_in_words(run: SuiteRun, file: Path) -> list[str]:
+    """A line for each method of a run and of a saved run: its bias and rms error in both.
+
+    Parameters
+    ----------
+    run : SuiteRun
+    file : Path, a bench.json
+
+    Raises
+    ------
+    InputError
+        As ``compare_saved``.
+    """
+    return [f"{name}: {before_and_after(now, old)}" for name, now, old in _in_both(run, file)]
+
+
+def _in_both(
+    run: SuiteRun, file: Path
+) -> list[tuple[str, Mapping[str, CaseSums], Mapping[str, CaseSums]]]:
+    """Of the methods that a run and a saved run have, name, sums of the run, and saved sums."""
     saved = read_saved(file)
     if saved.suite != run.identity:
         raise InputError("is of another suite", where=file, value=saved.suite, allowed=run.identity)
@@ -129,5 +153,4 @@ def compare_saved(run: SuiteRun, file: Path) -> list[Difference]:
     if not both:
         allowed = ", ".join(saved.sums)
         raise InputError("has none of these extractors", where=file, allowed=allowed)
-    found = [differences(one.extractor, one.sums, saved.sums[one.extractor]) for one in both]
-    return [one for of in found for one in of]
+    return [(one.extractor, one.sums, saved.sums[one.extractor]) for one in both]

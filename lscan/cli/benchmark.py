@@ -151,7 +151,8 @@ def _end_with_run(
     json: bool,
 ) -> None:
     """Write and print what became of a suite's cases, and what differs from a saved run."""
-    from lscan.benchmark.savedrun import compare_saved, write_suite_run
+    from lscan.benchmark.against import between
+    from lscan.benchmark.savedrun import changes_in_words, compare_saved, write_suite_run
     from lscan.benchmark.suiterun import suite_rows, usual_axes
 
     suite_rows(run, by or ())  # refuses an unknown axis before anything is written
@@ -163,8 +164,13 @@ def _end_with_run(
         tables = [by] if by else [[], *([axis] for axis in usual_axes(run))]
         for axes in tables:
             _print_rows(suite_rows(run, axes), unit)
+        if against is None and len(run.judged) > 1:
+            changed_between = between({one.extractor: one.sums for one in run.judged})
+            print(*(one.in_words for one in changed_between), sep="\n")
         for one in changed:
             print(one.in_words)
+        if against is not None and changed:
+            print(*changes_in_words(run, against), sep="\n")
         if against is not None and not changed:
             print("nothing differs")
         print(output / "bench.json")

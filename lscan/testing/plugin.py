@@ -145,7 +145,12 @@ def assert_no_worse(
     """
 
     def held(result: SuiteRun, baseline: str | Path) -> None:
-        from lscan.benchmark.savedrun import compare_saved, saved_run, write_suite_run
+        from lscan.benchmark.savedrun import (
+            changes_in_words,
+            compare_saved,
+            saved_run,
+            write_suite_run,
+        )
         from lscan.files.jsontext import write_json
 
         file = request.path.parent / baseline
@@ -163,7 +168,7 @@ def assert_no_worse(
             write_suite_run(tmp_path, result, ())
             pytest.fail("\n".join([
                 *(one.in_words for one in worse),
-                *(_worst_in_words(result)),
+                *changes_in_words(result, file),
                 f"pictures: {tmp_path}",
                 *sorted({_command(one, lscan_suite, file) for one in result.judged}),
             ]), pytrace=False)  # fmt: skip
@@ -283,15 +288,6 @@ def _case_in_words(item: pytest.Item, case: SuiteCase | BoardCase | ScanCase) ->
     write_picture(picture, case.picture)
     look = "" if hasattr(case, "marks") else f"\nlscan extract {picture}"
     return f"{axes}\npicture: {picture}{look}"
-
-
-def _worst_in_words(result: SuiteRun) -> list[str]:
-    return [
-        f"{one.extractor}: {worst.case}, column {worst.column}: {worst.error_px:+.2f} px, "
-        f"sigma {worst.sigma_px:.2g} px"
-        for one in result.judged
-        for worst in one.worst[:3]
-    ]
 
 
 def _command(one: JudgedExtractor, suite: str, baseline: Path) -> str:

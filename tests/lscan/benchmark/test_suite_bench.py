@@ -1,6 +1,7 @@
 """Judging on a suite: rows attribute a known error, and a paired test finds what changed."""
 
 import json
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -10,9 +11,17 @@ from command_line import call, refused
 from hypothesis import given, settings, strategies as st
 from hypothesis.extra import numpy as hnp
 from scipy.special import ndtr
+from scipy.stats import wilcoxon
 
 from lscan.benchmark import suiterun
-from lscan.benchmark.against import FALSE_ALARMS, differences, pseudo_median
+from lscan.benchmark.against import (
+    FALSE_ALARMS,
+    Difference,
+    before_and_after,
+    between,
+    differences,
+    pseudo_median,
+)
 from lscan.benchmark.boardjudging import coordinate_sums
 from lscan.benchmark.judging import judge_case, normal_score
 from lscan.benchmark.savedrun import compare_saved, saved_run, write_suite_run
@@ -209,13 +218,55 @@ def test_the_pseudo_median_belongs_to_the_signed_ranks(values):
 
     Half of the rank sum of all lies on either side of it but for ties, which share a pair's mean.
     """
-    middle = pseudo_median(values)
-    assert pseudo_median(-values) == -middle
-    assert pseudo_median(values + 7.0) == pytest.approx(middle + 7.0)
+    low, middle, high = pseudo_median(values)
+    assert pseudo_median(-values) == (-high, -middle, -low)
+    assert pseudo_median(values + 7.0) == pytest.approx((low + 7.0, middle + 7.0, high + 7.0))
+    assert low <= middle <= high
     assert values.min() <= middle <= values.max()
     one, other = np.triu_indices(len(values))
     means = (values[one] + values[other]) / 2
     assert (means < middle).sum() <= len(means) / 2 >= (means > middle).sum()
+
+
+@given(st.integers(0, 10**6), st.integers(30, 80))
+@settings(max_examples=20)
+def test_the_interval_is_what_the_signed_rank_test_does_not_reject(seed, count):
+    """Shifted by its ends, the values have a p of 5 %: a rank more or less moves it by a tenth."""
+    values = np.random.default_rng(seed).normal(0.3, 1.0, count)
+    low, _, high = pseudo_median(values)
+    for end in (low, high):
+        p = wilcoxon(values - end, method="asymptotic").pvalue
+        assert p == pytest.approx(0.05, rel=0.15)
+
+
+def test_two_methods_and_two_runs_are_told_apart_in_words():
+    rng = np.random.default_rng(3)
+    one, other = drawn_sums(rng, 60, 300), drawn_sums(rng, 60, 300, factor=1.5)
+    (rms, *_) = between({"ml": one, "max": other})
+    assert (rms.extractor, rms.figure, rms.worse) == ("max beside ml", "rms error", True)
+    # A logarithm of an rms scatters by sqrt(1 / 600): 2 x 1.96 sqrt(2 / 600 / 60) x 1.5 = 0.044.
+    low, high = rms.interval
+    assert low < 0.5 < high and high - low == pytest.approx(0.044, rel=0.3)
+    assert "% larger (4" in rms.in_words or "% larger (5" in rms.in_words
+    off = {case: replace(sums, error=sums.error + 0.1 * sums.core) for case, sums in one.items()}
+    off["7"] = replace(off["7"], square=100 * one["7"].square)
+    said = before_and_after(off, one)
+    before, after = map(float, re.search(r"bias (\S+) to (\S+) px", said).groups())
+    assert after - before == pytest.approx(0.1, abs=2e-4)
+    assert "of 18000 columns in 60 cases; changed most: 7 (" in said
+
+
+@pytest.mark.parametrize(
+    ("figure", "change", "words"),
+    [
+        ("rms error", 1.2, "rms error worse: 2.2 times as large"),
+        ("rms error", 0.995, "rms error worse: 100 % larger"),
+        ("rms error", -0.034, "rms error worse: 3.4 % smaller"),
+        ("wrong columns", 2.5, "wrong columns worse: 2.5 columns more"),
+    ],
+)
+def test_a_difference_says_which_way(figure, change, words):
+    assert words in Difference("ml", figure, True, change, 0.001, 40, (change, change)).in_words
 
 
 @settings(max_examples=15, deadline=None)
