@@ -36,8 +36,8 @@ class CaseSums:
     say they are not.  core: clear ones with a value that is not outlying; of these error and
     square, px and px², bound: square of the least standard deviation that pixel noise allows, px²,
     and log_z: of ln |error / sigma|.  dark: without a line in them or near; ghosts: those of them
-    that got a value nevertheless.  seconds: of a processor, for the extraction.  score: of the sigmas of core, px:
-    the continuous ranked probability score.
+    that got a value nevertheless.  seconds: of a processor, for the extraction.  score: of the
+    sigmas of core, px: the continuous ranked probability score.
     """
 
     clear: float = 0.0
