@@ -6,7 +6,6 @@ from importlib.metadata import entry_points
 import pytest
 from command_line import call
 
-from lscan.benchmark.against import Difference
 from lscan.calibration.api import find_solver
 from lscan.cli import console
 from lscan.cli.arguments import EXTRACTORS, MAPS
@@ -75,19 +74,6 @@ def test_long_work_is_told_of_without_a_terminal(
             progress(done, 500)
     lines = capsys.readouterr().err.splitlines()
     assert lines == ["lscan: note: cases: 2 of 500", "lscan: note: cases: 4 of 500"]
-
-
-@pytest.mark.parametrize(
-    ("figure", "change", "words"),
-    [
-        ("rms error", 1.2, "rms error worse: 2.2 times as large, in 40 cases"),
-        ("rms error", 0.995, "rms error worse: 100 % larger"),
-        ("rms error", -0.034, "rms error worse: 3.4 % smaller"),
-        ("ghosts", 2.5, "ghosts worse: 2.5 columns more"),
-    ],
-)
-def test_a_difference_says_which_way(figure: str, change: float, words: str) -> None:
-    assert words in Difference("ml", figure, True, change, 0.001, 40).in_words
 
 
 def test_a_length_is_printed_in_words() -> None:
