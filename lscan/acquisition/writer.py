@@ -11,6 +11,7 @@ import json
 import os
 import shutil
 from collections.abc import Sequence
+from fnmatch import fnmatch
 from pathlib import Path
 from typing import Any, Self
 
@@ -42,7 +43,6 @@ from lscan.files.disk import (
     open_to_append,
     require_within,
     sync_folder,
-    temporary_name,
     write_atomically,
 )
 from lscan.files.pictures import encoded
@@ -304,8 +304,8 @@ def holds_no_run(path: Path) -> bool:
         return True
     names = list_names(path)
     frames = list_names(path / FRAMES) if FRAMES in names else set()
-    early = {FRAMES, TABLE, temporary_name(TABLE), temporary_name(MANIFEST)}
-    return names <= early and not frames
+    early = (FRAMES, TABLE, f".{TABLE}*.tmp", f".{MANIFEST}*.tmp")
+    return not frames and all(any(fnmatch(name, one) for one in early) for name in names)
 
 
 def _recover(path: Path, rig_file: RigFile) -> tuple[FrameRow, ...]:
@@ -324,7 +324,7 @@ def _recover(path: Path, rig_file: RigFile) -> tuple[FrameRow, ...]:
 
 def _remove_temporaries(path: Path) -> None:
     with disk_errors(path):
-        for pattern in (temporary_name("*"), f"{FRAMES}/{temporary_name('*')}"):
+        for pattern in (".*.tmp", f"{FRAMES}/.*.tmp"):
             for file in path.glob(pattern):
                 file.unlink()
 

@@ -8,6 +8,8 @@ Writing: a crash or a full disk at any moment leaves no half file behind, and no
 import errno
 import fcntl
 import os
+import secrets
+import shutil
 import stat
 import tempfile
 from collections.abc import Iterator
@@ -37,6 +39,8 @@ REMEDIES = {
 _FULL_OR_FAILED = frozenset(
     {errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO, errno.ENODEV, errno.ESTALE}
 )
+
+_TEMPORARIES = f".*.{'[0-9a-f]' * 8}.tmp"
 
 MOST_TEXT_BYTES = 2**20
 """Of a file that is written by hand, and of a run.json, which keeps one."""
@@ -168,7 +172,7 @@ def cache_folder() -> Path:
 
 
 def temporary_name(name: str) -> str:
-    """What a file is called while it is being written.
+    """What a file is called while it is being written: another name for each writer of it.
 
     Parameters
     ----------
@@ -176,16 +180,37 @@ def temporary_name(name: str) -> str:
 
     Examples
     --------
-    >>> temporary_name("run.json")
-    '.run.json.tmp'
+    >>> temporary_name("run.json")  # doctest: +SKIP
+    '.run.json.5f1d09ae.tmp'
     """
-    return f".{name}.tmp"
+    return f".{name}.{secrets.token_hex(4)}.tmp"
+
+
+def remove_temporaries(folder: Path) -> None:
+    """Remove what killed writers left in a folder.
+
+    Parameters
+    ----------
+    folder : Path, locked, so that nobody else is writing in it
+
+    Raises
+    ------
+    InputError
+        The disk refuses.
+    """
+    with disk_errors(folder):
+        for left in folder.glob(_TEMPORARIES):
+            if left.is_dir() and not left.is_symlink():
+                shutil.rmtree(left)
+            else:
+                left.unlink()
 
 
 def write_atomically(file: Path, data: bytes) -> None:
     """Write a file, synced: at any moment the old file or the whole new one is there.
 
-    No temporary file stays.
+    Of several writers at once, the last to finish wins.  No temporary file stays, unless the
+    process is killed.
 
     Parameters
     ----------
@@ -200,8 +225,6 @@ def write_atomically(file: Path, data: bytes) -> None:
     temporary = file.parent / temporary_name(file.name)
     with disk_errors(file):
         try:
-            # What a killed writer left there, or a link that a stranger laid there.
-            temporary.unlink(missing_ok=True)
             new = os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW
             descriptor = os.open(temporary, new, 0o666)
             try:

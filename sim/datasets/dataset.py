@@ -13,7 +13,13 @@ from typing import Any, Literal
 
 from lscan.errors import InputError
 from lscan.files.datasets import MANIFEST, VERSION
-from lscan.files.disk import list_names, lock_folder, make_folder, write_atomically
+from lscan.files.disk import (
+    list_names,
+    lock_folder,
+    make_folder,
+    remove_temporaries,
+    write_atomically,
+)
 from lscan.files.jsontext import write_json
 from lscan.records import Progress
 from lscan.version import __version__
@@ -81,6 +87,7 @@ def make_dataset(
     make_folder(folder)
     lock = lock_folder(folder, "data set")
     try:
+        remove_temporaries(folder)
         identity = _identity(spec, count, form)
         _keep_identity(folder, identity, resume)
         tasks = _tasks(spec, folder, count, form)

@@ -240,16 +240,19 @@ def _write_hdf5(path: Path, pictures: Mapping[str, Mapping[str, bytes]]) -> None
 def _write_folder(path: Path, pictures: Mapping[str, Mapping[str, bytes]]) -> None:
     temporary = path.parent / temporary_name(path.name)
     with disk_errors(path):
-        for old in (temporary, path):  # what a killed writer left
-            shutil.rmtree(old, ignore_errors=True)
-        temporary.mkdir()
-        for name, data in _flat(pictures):
-            (temporary / name).write_bytes(data)
-        for file in temporary.iterdir():
-            descriptor = os.open(file, os.O_RDONLY)
-            os.fsync(descriptor)
-            os.close(descriptor)
-        temporary.rename(path)
+        try:
+            temporary.mkdir()
+            for name, data in _flat(pictures):
+                (temporary / name).write_bytes(data)
+            for file in temporary.iterdir():
+                descriptor = os.open(file, os.O_RDONLY)
+                os.fsync(descriptor)
+                os.close(descriptor)
+            shutil.rmtree(path, ignore_errors=True)  # where a killed writer left it
+            temporary.rename(path)
+        except BaseException:
+            shutil.rmtree(temporary, ignore_errors=True)
+            raise
         sync_folder(path.parent)
 
 

@@ -24,6 +24,7 @@ from lscan.cli.console import run_command_line
 from lscan.config.rigfile import RigFile, load_rig, parse_rig
 from lscan.devices.api import Grab, LaserSwitch
 from lscan.errors import DeviceError, InputError
+from lscan.files import disk
 from lscan.pipeline import mean_picture, read_profiles
 from lscan.records import Bytes, Floats, Frame, PlanePoints, Status
 
@@ -136,6 +137,7 @@ def test_each_file_is_synced_before_its_row_is_written(
         names[descriptor] = Path(path).name
         return descriptor
 
+    monkeypatch.setattr(disk, "temporary_name", lambda name: f".{name}.tmp")
     monkeypatch.setattr(os, "open", spy_open)
     monkeypatch.setattr(os, "fsync", lambda descriptor: trace.append(names[descriptor]))
     track = LaserTrack()

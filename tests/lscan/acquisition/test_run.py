@@ -3,10 +3,12 @@
 import datetime
 import hashlib
 import json
+import os
 import shutil
 import struct
 from collections.abc import Callable
 from pathlib import Path
+from threading import Event, Thread, current_thread
 from typing import Any
 
 import cv2
@@ -318,3 +320,27 @@ def test_an_atomic_write_keeps_the_old_file_when_it_fails(
     with pytest.raises(InputError, match="a: cannot be written: No space left"):
         write_atomically(tmp_path / "a", b"new")
     assert folder_bytes(tmp_path) == {"a": b"old"}
+
+
+def test_of_two_writers_at_once_both_write_the_whole_file(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The second begins while the first has written nothing yet, and ends after it."""
+    file, write, second_began, first_ended = tmp_path / "a", os.write, Event(), Event()
+    second = Thread(target=write_atomically, args=(file, b"second"))
+
+    def in_turn(descriptor: int, data: bytes) -> int:
+        if current_thread() is second:
+            second_began.set()
+            first_ended.wait(60)
+        else:
+            second.start()
+            second_began.wait(60)
+        return write(descriptor, data)
+
+    monkeypatch.setattr(os, "write", in_turn)
+    write_atomically(file, b"the first")
+    assert file.read_bytes() == b"the first"
+    first_ended.set()
+    second.join(60)
+    assert folder_bytes(tmp_path) == {"a": b"second"}

@@ -20,6 +20,7 @@ from lscan.acquisition.scan import acquire_into, scan
 from lscan.acquisition.writer import create_run, resume_run
 from lscan.config.rigfile import RigFile
 from lscan.errors import DeviceError, InputError
+from lscan.files import disk
 
 
 @pytest.fixture(autouse=True)
@@ -105,6 +106,7 @@ def test_frame_and_row_are_synced_before_the_track_moves_on(
 
         return wrapper
 
+    monkeypatch.setattr(disk, "temporary_name", lambda name: f".{name}.tmp")
     monkeypatch.setattr(os, "open", spy_open)
     for name in ("write", "fsync", "replace"):
         monkeypatch.setattr(os, name, spy(name))

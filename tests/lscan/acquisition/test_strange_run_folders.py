@@ -22,6 +22,7 @@ from lscan.acquisition.scan import acquire_into, open_devices, scan
 from lscan.acquisition.writer import create_run, resume_run
 from lscan.config.rigfile import RigFile, parse_rig
 from lscan.errors import InputError
+from lscan.files import disk
 from lscan.files.disk import write_atomically
 
 FRAMES = 4
@@ -331,7 +332,16 @@ def go_on(path: Path) -> Run:
         return acquire_into(writer, FakeCamera(track), track)
 
 
-@pytest.mark.parametrize("name", [".run.json.tmp", ".frames.csv.tmp", "frames/.000003.png.tmp"])
+# The last as version 0.1 named them.
+TEMPORARIES = [
+    ".run.json.0123abcd.tmp",
+    ".frames.csv.0123abcd.tmp",
+    "frames/.000003.png.0123abcd.tmp",
+    "frames/.000004.png.tmp",
+]
+
+
+@pytest.mark.parametrize("name", TEMPORARIES)
 def test_temporary_files_that_are_links_are_not_followed(
     scanning: Path, victim: Path, name: str
 ) -> None:
@@ -343,17 +353,11 @@ def test_temporary_files_that_are_links_are_not_followed(
 def test_no_link_is_laid_while_it_is_being_written(
     scanning: Path, victim: Path, monkeypatch: pytest.MonkeyPatch, name: str
 ) -> None:
-    """Who waits for the moment between clearing away and writing makes it fail, and no more."""
+    """Who guesses the temporary name makes the writing fail, and no more."""
     temporary = scanning / name
-    temporary = temporary.with_name(f".{temporary.name}.tmp")
-    unlink = Path.unlink
-
-    def raced(self: Path, missing_ok: bool = False) -> None:
-        unlink(self, missing_ok)
-        if self == temporary:
-            self.symlink_to(victim)
-
-    monkeypatch.setattr(Path, "unlink", raced)
+    temporary = temporary.with_name(f".{temporary.name}.guessed.tmp")
+    temporary.symlink_to(victim)
+    monkeypatch.setattr(disk, "temporary_name", lambda _: temporary.name)
     with pytest.raises(InputError, match="cannot be written: File exists"):
         write_atomically(scanning / name, b"overwritten")
 
